@@ -1,9 +1,9 @@
-"""Why orderings of Table I and Figure 4 do not hold here (section V): figures of the behavior of people and robots.
+"""Causes of orderings of Table I and Figure 4 that do not hold here (section V): behavior of people and robots.
 
-    python benchmarks/causes.py --table1 runs/table1 --figure4 runs/figure4   # their parts, and all that follows
+    python benchmarks/causes.py --table1 runs/table1 --figure4 runs/figure4   # their parts, and all below
     python benchmarks/causes.py --only crowds groups stacks facing            # people, groups, the navigation stack
 
-All figures are of 62 people in the warehouse, unless a set is handcrafted. Runs that are compared have equal keys.
+All figures are for 62 people in the warehouse, except handcrafted sets. Compared runs have equal keys.
 """
 
 import argparse
@@ -35,7 +35,7 @@ METRICS_USED = tuple(
 
 
 def recorder(scenario: Scenario) -> Callable:
-    """The function that records a step."""
+    """The function for the record of a step."""
 
     def record(before: State, after: State, action: jax.Array) -> dict[str, jax.Array]:
         robot, people = after.robot, after.pedestrians
@@ -89,7 +89,7 @@ def mean(values: np.ndarray, digits: int = 2) -> str:
 
 
 def crowds(options: argparse.Namespace) -> None:
-    """How fast people walk, how many are near the navigation stack, how they approach it, and the free floor."""
+    """Speeds of people, their number near the navigation stack, their approach to it, and the free floor."""
     for behavior, task in (("random", "random_ab_nav"), ("graph", "join_group"), ("graph", "leave_group")):
         scenario = sean_jax.make("warehouse", behavior=behavior, task=task, dynamics="twin")
         floor = np.random.default_rng(0).uniform(-20, 20, (20000, 2)).astype(np.float32)
@@ -115,7 +115,7 @@ def crowds(options: argparse.Namespace) -> None:
 
 
 def groups(options: argparse.Namespace) -> None:
-    """Join and leave group: how long a robot is near the group, and how fast."""
+    """Join and leave group: time of the robot near the group, and its speed."""
     join = sean_jax.make("warehouse", behavior="graph", task="join_group", dynamics="twin")
     names = list(SITUATIONS)
     heads = f"{'episodes':>9} {'never %':>8} {'s near':>8} {'m/s there':>10} {'s in all':>9} {'at obstacle %':>14}"
@@ -133,7 +133,7 @@ def groups(options: argparse.Namespace) -> None:
 
 
 def stacks(options: argparse.Namespace) -> None:
-    """The navigation stack among people who give way to it, and among people who do not."""
+    """The navigation stack among people who give way to it, and among people who ignore it."""
     scenario = sean_jax.make("warehouse", behavior="graph", task="join_group", dynamics="twin")
     tiny = jnp.asarray(1e-3, jnp.float32)
     forces = scenario.forces.tree_replace({"robot_repulsion.factor_min": tiny, "robot_repulsion.factor_max": tiny})
@@ -170,7 +170,7 @@ def facing(options: argparse.Namespace) -> None:
 
 
 def standing(options: argparse.Namespace) -> None:
-    """Where learned policies stand, and their commands there."""
+    """Places where learned policies stand still, and their commands there."""
     from sean_jax import learning
 
     join = sean_jax.make("warehouse", behavior="graph", task="join_group", dynamics="twin")
@@ -206,7 +206,7 @@ def standing(options: argparse.Namespace) -> None:
 
 
 def _touched(scenario: Scenario, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where the nearest obstacle of each pose (E, 4) is, in degrees from ahead, and its height [m]."""
+    """Direction of the nearest obstacle of each pose (E, 4), in degrees from ahead, and its height [m]."""
     boxes = scenario.environment.obstacles
     center, half, yaw = (np.asarray(each) for each in (boxes.center, boxes.half_extent, boxes.yaw))
     axes = np.stack([np.stack([np.cos(yaw), np.sin(yaw)], -1), np.stack([-np.sin(yaw), np.cos(yaw)], -1)], -2)
@@ -241,7 +241,7 @@ def fifths(options: argparse.Namespace) -> None:
 
 
 def episodes(options: argparse.Namespace) -> None:
-    """Figure 4 by part of the protocol: episodes that were not completed, and violations a minute."""
+    """Figure 4 by part of the protocol: episodes that were not completed, and violations per minute."""
     print(f"\n{'Figure 4':34} {'not completed':>14} {'their s still':>13} {'violations/min':>15}")
     for file in sorted(options.figure4.glob("episodes-*.json")):
         _, policy, behavior = file.stem.split("-")

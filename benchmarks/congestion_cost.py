@@ -1,10 +1,10 @@
-"""How much ``congestion_cost`` lowers congestion on the Behavior Graph, and its cost in time.
+"""Effect of ``congestion_cost`` on congestion on the Behavior Graph, and its cost in time.
 
 python benchmarks/congestion_cost.py
 python benchmarks/congestion_cost.py --people 120 --routing edge
 
 For people without a robot, over episodes of five minutes: the people per m2 on the fullest edge (mean over time), the
-maximum density of walkers in a minute in cells of 0.25 m2 (mean over minutes), walks along edges a minute, people in
+maximum density of walkers in a minute in cells of 0.25 m2 (mean over minutes), walks along edges per minute, people in
 groups, walkers' speed, and the time that one step of one episode takes.
 """
 

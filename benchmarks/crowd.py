@@ -1,4 +1,4 @@
-"""Crowd speed: agent-steps per second of the social force step, beside a float64 numpy loop of the same law.
+"""Crowd speed: agent-steps per second of the social force step, and of the same law in a float64 numpy loop.
 
 python benchmarks/crowd.py                        (1, 62), (256, 62) and (1, 1000) people, open and with walls
 python benchmarks/crowd.py --sizes 8192x62        any B x N
@@ -21,7 +21,7 @@ STEP = 0.05  # s
 
 def measure(batch: int, people: int, walls: int, preset: str) -> dict:
     """Speed, compile time and peak temporary memory of one size."""
-    turns = int(np.clip(4e8 / (batch * people * (min(people, 100) + walls)), 50, 1000))  # fewer would time the dispatch
+    turns = int(np.clip(4e8 / (batch * people * (min(people, 100) + walls)), 50, 1000))  # fewer would time dispatch
     return programs.measure(programs.crowd(people, batch, turns, walls, preset), 5, 0.1)
 
 
@@ -51,7 +51,7 @@ def exact(people: int, walls: int, preset: str):
 
 
 def errors(people: int, walls: int, preset: str, steps: int) -> float:
-    """Relative error of positions and velocities against the loop after that many steps."""
+    """Relative error of positions and velocities against the loop after a number of steps."""
     p, law, state, boxes = exact(people, walls, preset)
     crowd, grid, _ = workload.crowd(people, walls)
     parameters = social_forces.preset(preset)

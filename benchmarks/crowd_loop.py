@@ -1,6 +1,6 @@
-"""The social force law as printed, in float64 numpy, one person at a time: the oracle of the JAX crowd.
+"""The published social force law in float64 numpy, one person at a time: the oracle of the JAX crowd.
 
-Written apart from sean_jax from the papers' formulas: it shares no code with the package.
+Written from the papers' formulas: it shares no code with the package.
 """
 
 import numpy as np
@@ -32,7 +32,7 @@ def from_boxes(point, boxes):
 
 
 def repulsion(d, w, v, p):
-    """Pushes (M, 2) of M others at relative positions d (M, 2) with velocities w (M, 2) on one with velocity v."""
+    """Forces (M, 2) of M others at relative positions d (M, 2) with velocities w (M, 2) on a person with velocity v."""
     r = p["repulsion"]
     y = (w - r["own_motion"] * v) * r["anticipation"]
     if not y.any():
@@ -46,7 +46,7 @@ def repulsion(d, w, v, p):
 
 
 def sight(push, d, look, p, law):
-    """Weights (M,) of M pushes (M, 2) from relative positions d (M, 2), for somebody who looks along ``look`` (2,)."""
+    """Weights (M,) of M forces (M, 2) from relative positions d (M, 2), for a person who looks along ``look`` (2,)."""
     r = p["repulsion"]
     if law == "in_cone":
         inside = -(push @ look) >= r["sight_cosine"] * length(push)
@@ -56,7 +56,7 @@ def sight(push, d, look, p, law):
 
 
 def contact(d, w, v, p):
-    """Push (2,) of a body at relative position d (2,) with velocity w on one with velocity v, as they overlap."""
+    """Force (2,) of a body at relative position d (2,) with velocity w on a body with velocity v, by their overlap."""
     overlap = max(2 * p["walking"]["radius"] - length(d), 0.0)
     normal = d / length(d)
     tangent = np.array([-normal[1], normal[0]])
@@ -67,7 +67,7 @@ def contact(d, w, v, p):
 
 
 def sidestep(d, w, v, look, p):
-    """Accelerations (n, 2) to the right of those who come towards one."""
+    """Accelerations (n, 2) to the right, by people who approach."""
     c = p["sidestep"]
     bearing = -(d @ look) / length(d)
     oncoming = ((w - v) @ look < 0) & (bearing >= c["cosine"]) & (length(d) < c["range"])
@@ -75,7 +75,7 @@ def sidestep(d, w, v, look, p):
 
 
 def in_the_way(d, w, look, p):
-    """Share of the desired velocity that somebody at -d takes."""
+    """Reduction of the desired velocity by a person at -d, as a fraction."""
     c = p["headway"]
     ahead, aside = -(d @ look), d[0] * look[1] - d[1] * look[0]
     gap = length(d) - 2 * p["walking"]["radius"]
@@ -85,12 +85,12 @@ def in_the_way(d, w, look, p):
 
 
 def closer(d, w, v):
-    """Those of the others who come closer: where they are, their velocities and one's own."""
+    """The others who come closer: their positions and velocities, and the person's own velocity."""
     return [(one, other, v) for one, other in zip(d, w, strict=True) if one @ (v - other) < 0]
 
 
 def step_aside(d, w, v, look, p):
-    """Share of the push to the right, away from the closest approach to one other, if both keep their velocities."""
+    """Part of the force to the right, away from the closest approach to one other person at constant velocities."""
     c = p["evasion"]
     u = v - w
     time = -(d @ u) / (u @ u + c["speed"] ** 2)
@@ -130,7 +130,7 @@ def cohesion(i, others, x, v, look, p):
 def step(x, v, heading, desired, preferred, boxes, p, law, dt, walking_groups=()):
     """One semi-implicit Euler step of N people: positions, velocities, headings, desired velocities (N, 2).
 
-    ``walking_groups`` are lists of the indices of those who walk together.
+    ``walking_groups`` are lists of the indices of companions.
     """
     n = len(x)
     new_x, new_v, new_heading = np.empty_like(x), np.empty_like(v), np.empty_like(heading)

@@ -1,11 +1,11 @@
-"""Lower bounds of time: the operations, special functions and bytes of a program, counted, and a device's rates.
+"""Lower bounds of time from counted operations, special functions and bytes of a program, and a device's rates.
 
 python benchmarks/floors.py                                 counts, and the bounds of one H200
-python benchmarks/floors.py --measured DIR/bench.json       and the share of them that ``sean bench`` reached
+python benchmarks/floors.py --measured DIR/bench.json       and the share of the bound that ``sean bench`` reached
 
-Operations are counted in the program as written (its jaxpr), once for each number computed: additions, products,
+Operations are counted in the program's jaxpr, once for each number computed: additions, products,
 comparisons, choices and integer work alike. Divisions, roots, exponentials and angles are special functions. Bytes are
-those of the state, read once and written once. ``--turns`` gives the turns of loops whose number depends on the data; a
+the state's, read once and written once. ``--turns`` is the number of iterations of loops that depend on the data; a
 ray meets four bodies of each family, and a person in a large crowd has 48 neighbors.
 """
 
@@ -42,7 +42,7 @@ def size(variables: Any) -> int:
 
 
 def count(jaxpr: Any, turns: int) -> Counter:
-    """Operations and special functions of a jaxpr; ``turns`` for each loop of unknown length."""
+    """Operations and special functions of a jaxpr; ``turns`` iterations for each loop of unknown length."""
     total: Counter = Counter()
     for equation in jaxpr.eqns:
         name, out = equation.primitive.name, size(equation.outvars)
@@ -88,7 +88,7 @@ def rows(people: int, turns: int) -> dict[str, tuple[str, Counter, float, float]
     state = jax.eval_shape(lambda key: reset(scenario, key), jax.random.key(0))
     whole = jax.make_jaxpr(lambda s: step(scenario, s, programs.circles(scenario, s, s.streams.policy)))(state)
     eye = sensors.camera(scenario, "depth", width=64, height=48)
-    kernel.available = lambda: False  # the same laws in loops, which can be counted
+    kernel.available = lambda: False  # the same law in loops that can be counted
     image = count(jax.make_jaxpr(lambda s: sensors.depth(scenario, s, eye))(state).jaxpr, SHARE * turns)
     moved = 2.0 * bytes_of(state)
     pixels = 4.0 * 64 * 48
@@ -116,10 +116,10 @@ def rows(people: int, turns: int) -> dict[str, tuple[str, Counter, float, float]
 def main() -> None:
     """Print the table."""
     arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    arguments.add_argument("--simple", type=float, default=3.3e13, help="operations a second of the device")
-    arguments.add_argument("--special", type=float, default=4.2e12, help="special functions a second")
-    arguments.add_argument("--bytes", type=float, default=4.8e12, help="bytes a second")
-    arguments.add_argument("--turns", type=int, default=1, help="of loops whose length depends on the data")
+    arguments.add_argument("--simple", type=float, default=3.3e13, help="operations per second of the device")
+    arguments.add_argument("--special", type=float, default=4.2e12, help="special functions per second")
+    arguments.add_argument("--bytes", type=float, default=4.8e12, help="bytes per second")
+    arguments.add_argument("--turns", type=int, default=1, help="iterations of loops that depend on the data")
     arguments.add_argument("--people", type=int, default=62)
     arguments.add_argument("--measured", type=Path, default=None, help="bench.json of sean bench")
     chosen = arguments.parse_args()

@@ -1,7 +1,7 @@
-"""What the social forces do to people, preset by preset: the tables of docs/social_forces.md.
+"""Effects of the social forces on people, by preset: the tables of docs/results/social_forces.md.
 
 python benchmarks/forces.py                     all experiments, with every preset
-python benchmarks/forces.py passing robot       some of them: passing, robot, bottleneck, walking_groups
+python benchmarks/forces.py passing robot       passing, robot, bottleneck, walking_groups
 """
 
 import argparse
@@ -46,7 +46,7 @@ def print_passing(presets) -> None:
 
 
 def print_robot(presets) -> None:
-    """Closest approach by robot distance, and as drawn."""
+    """Closest approach by robot distance, and for drawn distances."""
     print("robot: mean closest approach [m] of a walker and a robot at 0.5 m/s, by the factor f of its repulsion,")
     print("that is by a robot_distance of range * ln(f); then with the distances drawn per person, and their effect")
     print(f"{'':>14}" + "".join(f"{value:7.1f}" for value in FACTORS) + f"{'drawn':>12}{'correlation':>13}")
@@ -79,7 +79,7 @@ def print_bottleneck(presets, seeds: int = 4) -> None:
 
 
 def print_walking_groups(presets) -> None:
-    """How walking groups walk, in the open and in the warehouse."""
+    """Speeds and spacing of walking groups, in the open and in the warehouse."""
     print("walking groups: while faster than 0.5 m/s, singles / pairs / triples; measured: spacing .71-.92 m, beside")
     print(".63-.89, pairs .04-.15 m/s slower than singles, triples slower than pairs")
     print(f"{'':>14}{'':>10}{'speed m/s':>19}{'spacing m':>12}{'beside':>11}{'over 2 m apart':>16}")

@@ -1,4 +1,4 @@
-"""What the package does today, in digests and copies, so that a change of its code can be held against it.
+"""Records of the package's behavior as digests and copies, to compare two versions of the code.
 
 python benchmarks/goldens.py write before
 python benchmarks/goldens.py write after --only jaxprs help schema bad_input
@@ -6,10 +6,10 @@ python benchmarks/goldens.py write after --only runs --runs warehouse data imita
 python benchmarks/goldens.py compare before after
 python benchmarks/goldens.py open before
 
-``write`` records the package that is imported: PYTHONPATH says which. ``compare`` prints what differs, and its exit
-code is 1 then. ``open`` lets the present code open what that of ``write`` has left in FOLDER/folders. What is tried is
-in goldens.yaml. Everything takes a quarter of an hour on a core. Numbers are those of one machine and its versions:
-another one's differ in their last digits.
+``write`` records the imported package (set PYTHONPATH). ``compare`` prints the differences, and its exit
+code is then 1. ``open`` opens the folders of ``write`` in FOLDER/folders with the present code. The cases are
+in goldens.yaml. Everything takes a quarter of an hour on a core. Numbers are for one machine and its versions:
+on other machines the last digits differ.
 """
 
 import argparse
@@ -39,7 +39,7 @@ SECTIONS = ("jaxprs", "help", "schema", "bad_input", "runs", "folders")
 SHOWN = 12  # lines of a difference
 WIDE = 1000  # columns in which an option's text is one line
 CASES = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text(encoding="utf-8"))
-TEXTS = ("type", "const", "$ref", "default", "pattern", "format")  # of a schema, that explain nothing
+TEXTS = ("type", "const", "$ref", "default", "pattern", "format")  # of a schema, without explanations
 
 # Two people who walk through the lab and back, and a room with a wall in it as a map.
 PEOPLE = "frame,id,x,y\n" + "".join(
@@ -51,7 +51,7 @@ PLAN = "P2 32 20 255\n" + "".join(
     f"{254 if 0 < x < 31 and 0 < y < 19 and not (x == 14 and y < 9) else 0}\n" for y in range(20) for x in range(32)
 )
 
-# What files tell, without the times that it took and the versions; configurations without their versions.
+# Contents of files without durations and versions; configurations without their versions.
 TOLD = ("*.csv", "summary.json", "metrics.jsonl", "dataset.json", "config.json", "experiment.json", "results.json")
 TOLD += ("config.yaml", "environment.yaml", "scene.xml", "agent.json")
 PASSING = {
@@ -62,7 +62,7 @@ PASSING = {
 
 
 def plain(text: str) -> str:
-    """The text without addresses, and without the places of the package, of Python and of temporary files."""
+    """The text without addresses, and without the paths of the package, of Python and of temporary files."""
     import sean_jax
 
     package = Path(sean_jax.__file__).resolve().parent
@@ -95,7 +95,7 @@ def program(traced: Any) -> str:
 
 
 def _lines(jaxpr: Any, constants: Iterable[Any], indent: str) -> Iterator[str]:
-    """Lines of a program and, further in, of the programs that it calls; each numbers its variables anew."""
+    """Lines of a program and, further in, of the programs that it calls; each with its own numbering of variables."""
     numbers: dict[Any, str] = {}
 
     def word(atom: Any) -> str:
@@ -106,7 +106,7 @@ def _lines(jaxpr: Any, constants: Iterable[Any], indent: str) -> Iterator[str]:
         return f"{numbers.setdefault(atom, f'v{len(numbers)}')}:{kind}{weak}"
 
     yield f"{indent}given {' '.join(map(word, jaxpr.invars))}"
-    for variable, value in zip_longest(jaxpr.constvars, constants):  # without values where they are arguments
+    for variable, value in zip_longest(jaxpr.constvars, constants):  # without values if they are arguments
         yield f"{indent}constant {word(variable)} = {_value(value)}"
     for equation in jaxpr.eqns:
         parts, inner = [], []
@@ -129,7 +129,7 @@ def _is_program(value: Any) -> bool:
 
 
 def _value(value: Any) -> str:
-    """A constant or an option of an operation as a text; a large array by its digest, a function by what it is."""
+    """A constant or an option of an operation as a text; a large array by its digest, a function by its program."""
     import numpy as np
 
     if hasattr(value, "dtype") and hasattr(value, "tobytes") and value.size > 8:
@@ -183,7 +183,7 @@ def jaxprs() -> dict[str, str]:
 
 
 def say(words: list[str], columns: int = 100) -> tuple[str, str]:
-    """What a command prints, in this process: on stdout; and on stderr, after the exit code."""
+    """Output of a command in this process: stdout; and stderr, after the exit code."""
     from sean_jax import cli
 
     out, err = (io.TextIOWrapper(io.BytesIO(), "utf-8", write_through=True) for _ in range(2))
@@ -200,7 +200,7 @@ def say(words: list[str], columns: int = 100) -> tuple[str, str]:
 
 
 def help_texts() -> dict[str, str]:
-    """``--help`` of everything, and by themselves the options with their values and defaults."""
+    """``--help`` of all commands, and separately the options with their values and defaults."""
     found = {"sean": say(["--help"])[0], "list": say(["list"])[0], "train": say(["train", "--help"])[0]}
     commands = [[word] for word in re.findall(r"^  ([a-z-]+)  ", found["sean"], re.MULTILINE) if word != "train"]
     commands += [["train", word] for word in re.findall(r"^  sean train ([a-z]+) ", found["train"], re.MULTILINE)]
@@ -245,7 +245,7 @@ def bad_input() -> dict[str, str]:
 
 
 def words_of(line: str, out: str | None = None) -> list[str]:
-    """The words of a command, with those that it names by $."""
+    """The words of a command, with its $names expanded."""
     while "$" in line:
         line = re.sub(r"\$([A-Z]+)", lambda found: CASES["words"][found[1]], line)
     words = shlex.split(line)
@@ -263,7 +263,7 @@ def start(words: list[str]) -> subprocess.Popen[str]:
 
 
 def told(folder: Path, name: str) -> dict[str, str]:
-    """What the files of a folder tell, by the name and theirs; arrays by digests of their files."""
+    """Contents of the files of a folder, by the name and theirs; arrays by digests of their files."""
     found = {}
     for path in sorted(path for pattern in TOLD for path in folder.rglob(pattern)):
         found[f"{name} {path.relative_to(folder)}"] = plain(_lasting(path))
@@ -279,7 +279,7 @@ def told(folder: Path, name: str) -> dict[str, str]:
 
 
 def _lasting(path: Path) -> str:
-    """The text of a file, without what differs between two runs of the same."""
+    """The text of a file, without parts that differ between two equal runs."""
     text = path.read_text(encoding="utf-8")
     if path.suffix == ".yaml":
         return re.sub(r"^versions:\n(  .*\n)+", "", text, flags=re.MULTILINE)
@@ -297,7 +297,7 @@ def _lasting(path: Path) -> str:
 
 
 def runs(folder: Path, names: Iterable[str]) -> dict[str, str]:
-    """What small commands write; the folders of some stay."""
+    """Output of small commands; the folders of some are kept."""
     (folder / "folders").mkdir(exist_ok=True)
     found = {}
     with contextlib.chdir(folder / "folders"):
@@ -316,7 +316,7 @@ def runs(folder: Path, names: Iterable[str]) -> dict[str, str]:
 
 
 def folders(folder: Path) -> dict[str, str]:
-    """Leave folders of commands that were killed, beside those that ``runs`` has left."""
+    """Keep folders of killed commands, in addition to the folders of ``runs``."""
     if not (folder / "folders" / "data").is_dir():
         sys.exit(f"{folder}: there are no folders of runs; write these first.")
     with contextlib.chdir(folder / "folders"):
@@ -332,7 +332,7 @@ def folders(folder: Path) -> dict[str, str]:
 
 
 def reopen(folder: Path) -> int:
-    """Let the present code open a copy of the folders, and print what it says; 1 if that is wrong."""
+    """Open a copy of the folders with the present code, and print its output; 1 if it is wrong."""
     kept, wrong = read(folder)["runs"], 0
     with tempfile.TemporaryDirectory() as place:
         shutil.copytree(folder / "folders", place, dirs_exist_ok=True)
@@ -361,13 +361,13 @@ def reopen(folder: Path) -> int:
 
 
 def file_of(folder: Path, section: str, name: str) -> Path:
-    """Where the copy of what has that name is."""
+    """The path of the copy of a name."""
     slug = re.sub(r"[^\w.,=-]+", "_", name).strip("_")[:100]
     return folder / section / (f"{slug}.txt.gz" if section == "jaxprs" else f"{slug}.txt")
 
 
 def write(folder: Path, only: Iterable[str], names: Iterable[str] = ()) -> None:
-    """Record the sections, of the runs those of the names: a copy of each text, and goldens.json with the digests."""
+    """Record the sections, with the named runs: a copy of each text, and goldens.json with the digests."""
     kept = read(folder) if (folder / "goldens.json").is_file() else {}
     folder.mkdir(parents=True, exist_ok=True)
     for section in only:
@@ -376,7 +376,7 @@ def write(folder: Path, only: Iterable[str], names: Iterable[str] = ()) -> None:
             found = runs(folder, names or CASES["runs"])
         else:
             found = WRITERS[section](folder)
-        if not (section == "runs" and names):  # what is recorded of other runs stays
+        if not (section == "runs" and names):  # records of other runs are kept
             kept[section] = {}
             if section != "folders":
                 shutil.rmtree(folder / section, ignore_errors=True)
@@ -400,7 +400,7 @@ def read(path: Path) -> dict[str, dict[str, str]]:
 
 
 def compare(before: Path, after: Path) -> int:
-    """Print what differs between the sections that both have, with the first lines of it; 1 if anything does."""
+    """Print differences between the common sections, with their first lines; 1 if there are any."""
     one, other = read(before), read(after)
     differing = 0
     for section in sorted({*one, *other}):
@@ -408,7 +408,7 @@ def compare(before: Path, after: Path) -> int:
             print(f"{section}: only in {before if section in one else after}")
             continue
         names = sorted({*one[section], *other[section]})
-        if section == "runs":  # some may have been left out, with --runs
+        if section == "runs":  # some may be missing, with --runs
             done = [{name.split()[0] for name in found[section]} for found in (one, other)]
             names = [name for name in names if all(name.split()[0] in each for each in done)]
             if done[0] != done[1]:
@@ -448,7 +448,7 @@ def main() -> int:
     writing = commands.add_parser("write")
     writing.add_argument("folder", type=Path)
     writing.add_argument("--only", nargs="+", choices=SECTIONS, default=SECTIONS)
-    writing.add_argument("--runs", nargs="+", choices=CASES["runs"], metavar="NAME", help="of goldens.yaml, not all")
+    writing.add_argument("--runs", nargs="+", choices=CASES["runs"], metavar="NAME", help="some of goldens.yaml")
     comparing = commands.add_parser("compare")
     comparing.add_argument("before", type=Path)
     comparing.add_argument("after", type=Path)
@@ -460,7 +460,7 @@ def main() -> int:
     if chosen.command == "open":
         return reopen(chosen.folder.resolve())
     folder = chosen.folder.resolve()
-    os.environ.setdefault("XDG_CACHE_HOME", str(folder / "cache"))  # tables of an older cache are rounded otherwise
+    os.environ.setdefault("XDG_CACHE_HOME", str(folder / "cache"))  # tables of an older cache have other roundings
     write(folder, chosen.only, chosen.runs or ())
     return 0
 

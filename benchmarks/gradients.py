@@ -1,4 +1,4 @@
-"""What a gradient of final positions by force constants costs: time against the forward run, and memory.
+"""Cost of a gradient of final positions by force constants: time relative to the forward run, and memory.
 
 python benchmarks/gradients.py --batch 16 --steps 16                on a CPU
 python benchmarks/gradients.py --batch 4096 --steps 64              on a GPU
@@ -21,7 +21,7 @@ COMMAND = (0.3, 0.1)  # m/s and rad/s
 
 
 def parts(chosen: argparse.Namespace) -> dict[str, Callable]:
-    """name -> (scenario, state) -> last state after the steps: the whole and each stage by itself."""
+    """name -> (scenario, state) -> last state after the steps: the whole and each stage separately."""
     command = jnp.asarray(COMMAND, float)
 
     def scan(one: Callable) -> Callable:
@@ -59,7 +59,7 @@ def parts(chosen: argparse.Namespace) -> dict[str, Callable]:
 
 
 def compiled(function: Callable, *arguments: Any) -> tuple[Any, float]:
-    """The compiled function and the seconds that compiling took."""
+    """The compiled function and the compile time [s]."""
     start = time.perf_counter()
     return jax.jit(function).lower(*arguments).compile(), time.perf_counter() - start
 

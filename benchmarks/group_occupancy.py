@@ -1,11 +1,11 @@
-"""How full the groups of the Behavior Graph are, and how long people stay in them.
+"""Occupancy of the groups of the Behavior Graph, and stays of people.
 
 python benchmarks/group_occupancy.py
 python benchmarks/group_occupancy.py --environment warehouse --people 20 62 100 --routing edge
 
-For people without a robot, over episodes of five minutes but for the first 20 s: the members of each group over its
+For people without a robot, over episodes of five minutes without the first 20 s: the members of each group over its
 capacity, the shares of the time in which it is full and empty, its capacity in the first 20 s, and the stays that began
-and ended: how many a minute, their mean, shortest and longest, beside the shortest and longest that are drawn.
+and ended: number per minute, mean, shortest and longest, and the shortest and longest possible draw.
 """
 
 import argparse
@@ -22,7 +22,7 @@ WARM_UP = 20.0  # s
 
 
 def simulate(scenario, episodes: int, steps: int) -> np.ndarray:
-    """(B, T, N) in which group each person is."""
+    """(B, T, N) group of each person."""
 
     def step(state, _):
         after = stages.direct_pedestrians(scenario, state, jax.random.fold_in(state.streams.people, state.tick))

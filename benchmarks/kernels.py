@@ -1,10 +1,10 @@
-"""Which kernels a GPU runs in a step, how many bytes they move and how many instructions they have, without a GPU.
+"""The kernels of a step on a GPU, with the bytes that they move and their instructions, without a GPU.
 
     python benchmarks/kernels.py                    # a step of the crowd alone, for an H200
     python benchmarks/kernels.py --part step        # the whole step
     python benchmarks/kernels.py --part gradient    # reverse mode of a control step of the crowd, by its constants
 
-XLA compiles for a GPU that is described to it. That needs JAX's CUDA plugin and NVIDIA's assembler, but no driver:
+XLA compiles for a described GPU. That needs JAX's CUDA plugin and NVIDIA's assembler, but no driver:
 `pip install jax-cuda12-plugin jax-cuda12-pjrt nvidia-cuda-nvcc-cu12`, in the version of jax. Kernels inside a loop
 count once. Instructions are PTX's, about as many as the GPU's own.
 """
@@ -37,7 +37,7 @@ SHOWN = 14  # kernels of a loop
 
 
 def gpu(folder: str) -> Any:
-    """The described GPU, for which XLA leaves its programs in the folder. Before JAX is imported elsewhere."""
+    """The described GPU; XLA dumps its programs to the folder. Call it before JAX is imported elsewhere."""
     try:
         import nvidia.cuda_nvcc
 
@@ -109,7 +109,7 @@ def size(shapes: str) -> int:
 
 
 def report(text: str, instructions: dict[str, int]) -> None:
-    """Print the kernels of each computation that is no kernel itself."""
+    """Print the kernels of each computation that is not a kernel."""
     for block in text.split("\n\n"):
         lines = block.strip().splitlines()
         if not lines or lines[0].startswith(("%fused", "%wrapped", "HloModule")):

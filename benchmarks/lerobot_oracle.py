@@ -1,6 +1,6 @@
 """Read an exported dataset by LeRobot, write it again by LeRobot's own writer, and compare the two.
 
-LeRobot 0.6 brings PyTorch and needs Python 3.12, so give it an environment of its own; sean_jax need not be there:
+LeRobot 0.6 installs PyTorch and needs Python 3.12, so use a separate environment, without sean_jax:
 
 pip install "lerobot[dataset]==0.6.1"
 python benchmarks/lerobot_oracle.py runs/lerobot
@@ -17,11 +17,11 @@ import numpy as np
 
 DEPTH = "observation.images.depth"
 WRITTEN_BY_LEROBOT = ("timestamp", "frame_index", "episode_index", "index", "task_index")
-BIN = 1 / 5000  # share of a feature's range: LeRobot reads its quantiles from histograms of so many bins
+BIN = 1 / 5000  # share of a feature's range: LeRobot reads its quantiles from histograms of 5000 bins
 
 
 def rewrite(dataset: Any, root: Path) -> None:
-    """Write the dataset by LeRobot's own writer, with statistics of all images: it takes a sample of many."""
+    """Write the dataset by LeRobot's own writer, with statistics of all images instead of a sample."""
     from lerobot.datasets import compute_stats
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
@@ -44,7 +44,7 @@ def rewrite(dataset: Any, root: Path) -> None:
 
 
 def schema(root: Path) -> dict[str, Any]:
-    """What the files of a dataset contain: info.json, the shapes of statistics, the columns of tables."""
+    """The schema of a dataset's files: info.json, the shapes of statistics, the columns of tables."""
     import pyarrow.parquet as pq
 
     stats = json.loads((root / "meta/stats.json").read_text())
@@ -60,7 +60,7 @@ def schema(root: Path) -> dict[str, Any]:
 
 
 def compare(root: Path, own: Path) -> list[str]:
-    """Lines about what differs beyond rounding."""
+    """Lines about differences beyond rounding."""
     import pyarrow.parquet as pq
 
     lines = []
@@ -88,7 +88,7 @@ def compare(root: Path, own: Path) -> list[str]:
 
 
 def normalised(dataset: Any) -> list[str]:
-    """Lines about depth that LeRobot's normalizer does not bring to where a policy expects it."""
+    """Lines about depth that LeRobot's normalizer does not bring to mean 0 and deviation 1."""
     import torch
     from lerobot.configs import FeatureType, NormalizationMode, PolicyFeature
     from lerobot.processor import NormalizerProcessorStep
@@ -109,13 +109,13 @@ def normalised(dataset: Any) -> list[str]:
 
 
 def main() -> None:
-    """Print what differs, and end with 1 if anything does."""
+    """Print the differences; exit code 1 if there are any."""
     import lerobot
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
     arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     arguments.add_argument("folder", type=Path)
-    arguments.add_argument("--record", type=Path, help="write here what LeRobot's own files contain")
+    arguments.add_argument("--record", type=Path, help="file for the schema of LeRobot's own files")
     chosen = arguments.parse_args()
     dataset = LeRobotDataset("local/exported", root=chosen.folder)
     print(f"LeRobot {lerobot.__version__} reads {len(dataset)} frames of {dataset.num_episodes} episodes")

@@ -3,7 +3,7 @@
 python benchmarks/paths.py --pairs 1000
 python benchmarks/paths.py --pairs 100 --environments lab --radii 0.25
 
-For random pairs of a free start and goal, the length that the tables give, and that of the paths walked along the next
+For random pairs of a free start and goal, the length from the tables, and the length of paths walked along the next
 points, from point to point and in strides of 0.1 m, are compared with a visibility graph in float64
 (tests/shortest_paths.py).
 """
@@ -33,7 +33,7 @@ def megabytes(tables) -> float:
 
 
 def measure(name: str, radius: float, pairs: int, seed: int) -> str:
-    """A row of the table; raises ValueError where such a disc does not fit."""
+    """A row of the table; raises ValueError if the disc does not fit."""
     place = environments.load(name)
     points = environments.free_points(place, radius, 2 * pairs, seed)
     start, goal = points[:pairs], points[pairs:]

@@ -1,7 +1,7 @@
-"""Other crowd simulators that pip can install, each stepping the hall of ``peers.py``.
+"""Other crowd simulators that pip can install, in the hall of ``peers.py``.
 
-Each is a function of ``peers.Hall`` that gives ``(begin, description)``: ``begin()`` makes a new crowd and gives
-``advance(steps)``; ``description`` says what the simulator computes in a step. A file of your own with such a function
+Each is a function of ``peers.Hall`` that returns ``(begin, description)``: ``begin()`` makes a new crowd and returns
+``advance(steps)``; ``description`` describes the simulator's step. Your own file with such a function
 named ``simulator`` takes part with ``peers.py --simulator FILE``.
 """
 

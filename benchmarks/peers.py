@@ -1,10 +1,10 @@
-"""Other crowd simulators and this one, with the same people, walls and steps: agent-steps per core-second.
+"""Other crowd simulators and sean_jax, with the same people, walls and steps: agent-steps per core-second.
 
 pip install -e ".[peers]"
-python benchmarks/peers.py                                   all that are installed, 62 and 1000 people
-python benchmarks/peers.py --people 62 --simulator my_peer.py   with one of your own (see peer_simulators.py)
+python benchmarks/peers.py                                   all installed simulators, 62 and 1000 people
+python benchmarks/peers.py --people 62 --simulator my_peer.py   with your own (see peer_simulators.py)
 
-The hall is that of ``workload.py``, open or with an outer wall and eight shelves; people are discs of 0.3 m, steps last
+The hall is from ``workload.py``, open or with an outer wall and eight shelves; people are discs of 0.3 m, steps last
 0.01 s. A core-second is one second of one core: many cores bring no gain, and other programs on the machine no loss.
 This project's crowds are ``helbing1995``, B at once; large ones look for neighbors every ten steps.
 """
@@ -32,7 +32,7 @@ SHELVES = 8
 
 @dataclasses.dataclass(frozen=True)
 class Hall:
-    """The scene that every simulator gets."""
+    """The scene of every simulator."""
 
     starts: np.ndarray  # (N, 2) m
     goals: np.ndarray  # (N, 2) m
@@ -55,7 +55,7 @@ class Hall:
 
 
 def hall(people: int, walls: bool) -> Hall:
-    """The hall of that many people."""
+    """The hall for a number of people."""
     center, half, yaw = workload.boxes(people, 4 + SHELVES)
     exact = workload.crowd(people, 4 + SHELVES)[2]
     corner = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
@@ -103,7 +103,7 @@ def rate(begin: Callable, agents: int, steps: int, repeats: int) -> float:
 
 
 def enough(begin: Callable, seconds: float) -> int:
-    """The number of steps that take about that long."""
+    """The number of steps for about this time."""
     steps = 1
     while True:
         advance = begin()
@@ -116,7 +116,7 @@ def enough(begin: Callable, seconds: float) -> int:
 
 
 def installed(files: list[str]) -> dict[str, Callable]:
-    """The simulators that can be imported, and those of the files."""
+    """The simulators that can be imported, and the simulators of the files."""
     simulators = {
         name: simulator for name, simulator in peer_simulators.SIMULATORS.items() if importlib.util.find_spec(name)
     }
@@ -135,7 +135,7 @@ def main() -> None:
     arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     arguments.add_argument("--people", nargs="+", type=int, default=[62, 1000])
     arguments.add_argument("--batches", nargs="+", type=int, default=[1, 256], help="of this project's crowds")
-    arguments.add_argument("--simulator", nargs="*", default=[], metavar="FILE", help="a peer of your own")
+    arguments.add_argument("--simulator", nargs="*", default=[], metavar="FILE", help="your own simulator")
     arguments.add_argument("--repeats", type=int, default=5)
     arguments.add_argument("--seconds", type=float, default=1.0, help="for each repeat")
     arguments.add_argument("--json", type=Path, default=None, help="file to write the figures to")
@@ -158,7 +158,7 @@ def main() -> None:
                 try:
                     begin, _ = simulator(hall(people, walls))
                     measured[name] = rate(begin, people, enough(begin, chosen.seconds), chosen.repeats)
-                except Exception as error:  # one peer that fails must not hide the others
+                except Exception as error:  # a failed simulator must not hide the others
                     print(f"{scene:>6} {people:6d}  {name:<22} failed: {str(error)[:80]}")
             for name, value in measured.items():
                 share = "" if name.startswith("sean_jax") else f"{best / value:18.1f}x"

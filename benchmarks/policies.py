@@ -1,12 +1,12 @@
-"""All policies over the same episodes: tasks completed, collisions, social distances, comfort, and steps a second.
+"""All policies over the same episodes: tasks completed, collisions, social distances, comfort, and steps per second.
 
     python benchmarks/policies.py             # 62 people in the warehouse: the graph, at random, handcrafted
     python benchmarks/policies.py --quick     # a few short episodes on the graph
 
-Every policy gets the same starts, tasks and people (same keys). Counts are means over episodes, each until its end.
+Every policy has the same starts, tasks and people (same keys). Counts are means over episodes, each until its end.
 `fault` is the robot's by SEAN's rule (it moved towards the person), else the person's. `social_costmap 0.5` is
 social_costmap at the robot's own top speed of 0.5 m/s in place of SEAN's 0.3. Steps are whole steps of the simulation
-with the policy; the first row of each table has those of a robot that stands.
+with the policy; the first row of each table is a standing robot.
 """
 
 import argparse

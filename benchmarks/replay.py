@@ -1,4 +1,4 @@
-"""Size of a replay's page, and the frames a second that Chromium draws of it. It needs `npm ci` in web/, and Chromium.
+"""Size of a replay page, and its frames per second in Chromium. It needs `npm ci` in web/, and Chromium.
 
 python benchmarks/replay.py
 python benchmarks/replay.py --people 62 --width 420
@@ -24,7 +24,7 @@ WEB = Path(__file__).parent.parent / "web"
 
 
 def stand(scenario: sean_jax.Scenario, state: sean_jax.State, key: jax.Array) -> jax.Array:
-    """Wait where the task began, so that the crowd moves as long as wanted."""
+    """Wait at the start of the task, so that the crowd moves for the whole time."""
     return jnp.zeros(2)
 
 

@@ -1,4 +1,4 @@
-"""How large the package is, and how often it uses words that are hard to read: python benchmarks/size.py [PATH ...]."""
+"""Size of the package, and number of words to avoid: python benchmarks/size.py [PATH ...]."""
 
 import ast
 import io
@@ -15,7 +15,7 @@ WORDS = ("who", "told", "found", "seen", "held", "kept", "asked", "made", "given
 
 
 def lines_of_code(text: str, tree: ast.AST) -> tuple[set[int], set[int]]:
-    """The numbers of the lines that hold code, and of those that hold docstrings."""
+    """The numbers of the lines of code, and of the lines of docstrings."""
     docs: set[int] = set()
     for node in ast.walk(tree):
         if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str):

@@ -3,7 +3,7 @@
 XLA_FLAGS=--xla_gpu_enable_command_buffer= python benchmarks/stages.py --batch 32768    on a GPU
 python benchmarks/stages.py --batch 64                                                  on a CPU
 
-JAX's profiler gives the time of each kernel, and the compiled program the stage that the kernel belongs to. A kernel of
+JAX's profiler gives the time of each kernel, and the compiled program its stage. A kernel of
 two stages counts for the stage with more of its operations. Command buffers would hide single kernels.
 """
 
@@ -36,7 +36,7 @@ def origins(text: str) -> dict[str, str]:
         stage = stage_of(line)
         if stage:
             inside[computation][stage] += 1
-        if name and not re.search(r" (?:while|call|conditional)\(", line):  # their time is that of their content
+        if name and not re.search(r" (?:while|call|conditional)\(", line):  # their time is the time of their content
             calls = re.search(r"(?:calls|to_apply)=%([\w.\-]+)", line)
             called[name[1]] = stage, calls[1] if calls else ""
     return {name: most_frequent(inside[inner]) or stage for name, (stage, inner) in called.items()}

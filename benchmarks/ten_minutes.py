@@ -1,4 +1,4 @@
-"""Ten simulated minutes of each environment and behavior: people in obstacles, in one another, or stuck.
+"""Ten simulated minutes of each environment and behavior: people who overlap obstacles or people, or are stuck.
 
     python benchmarks/ten_minutes.py [--environments warehouse] [--behaviors graph] [--minutes 10] [--seed 0]
 
@@ -29,7 +29,7 @@ def record(before: State, after: State, action: Array) -> tuple[Array, Array, Ar
 
 
 def conduct(scenario: Scenario, minutes: float, seed: int = 0) -> dict[str, float]:
-    """The figures of one run of a scenario with the go_to_goal robot: clearance [m], and shares between 0 and 1."""
+    """Measurements of a run of a scenario with the go_to_goal robot: clearance [m], and shares between 0 and 1."""
     steps = round(60 * minutes / scenario.time_step)
     run = jax.jit(lambda key: sean_jax.rollout(scenario, go_to_goal, key, steps, record)[1])
     position, group, present, robot = (np.asarray(part) for part in run(jax.random.key(seed)))

@@ -1,11 +1,11 @@
-"""Where the time of reinforcement learning goes: microseconds a step of each part of an update, and scenario-steps/s.
+"""Time of reinforcement learning: microseconds per step of each part of an update, and scenario-steps/s.
 
 python benchmarks/training.py --scenarios 8192 --pool 4096
 python benchmarks/training.py collect,update --scenarios 8192 --observations goal,path,distance,speeds,depth --bfloat16
 
-Options are those of ``sean train ppo``. Parts are timed apart, each as one compiled call of ``--horizon`` steps:
+Options are the options of ``sean train ppo``. Each part is one compiled call of ``--horizon`` steps:
 ``simulate`` is ``sean_jax.step``, alone, with the observation, and with the reward; ``advance`` has both; ``step`` adds
-what follows an episode, ``collect`` the network, and ``update`` is all.
+automatic restarts, ``collect`` the network, and ``update`` learning.
 """
 
 import sys
@@ -26,7 +26,7 @@ from sean_jax.mdp import observations, rewards
 
 
 def seconds(call: Callable[[], Any], times: int = 3) -> float:
-    """Median of some calls after one that compiles."""
+    """Median of several calls after compilation."""
     jax.block_until_ready(call())
     found = []
     for _ in range(times):
@@ -49,7 +49,7 @@ def main(names: list[str], options: PPOConfig) -> None:
     command = jnp.array([0.3, 0.1])
 
     def repeated(one: Callable[[mdp.Env, mdp.EnvState], tuple[mdp.EnvState, Any]]) -> Callable[[], Any]:
-        """``steps`` steps of the batch; what they give is summed, so that all of it is computed."""
+        """``steps`` steps of the batch; their results are summed, so that all are computed."""
 
         def turn(env: mdp.Env, carry: tuple, key: Any) -> tuple[tuple, None]:
             state, given = jax.vmap(lambda state: one(env, state))(carry[0])

@@ -1,6 +1,6 @@
-"""Experiments on the social forces (section IV-D): people who pass, a robot, a bottleneck, walking groups.
+"""Experiments on the social forces (section IV-D): passing people, a robot, a bottleneck, walking groups.
 
-forces.py prints what they give, tests assert it.
+forces.py prints the results, tests assert them.
 """
 
 import functools
@@ -22,7 +22,7 @@ WALKING = 0.5  # m/s, slower is standing, as for the recordings
 
 
 def walkers(position: Array, desired: Array, robot_distance: Array | float = 0.0) -> Pedestrians:
-    """People at these places (N, 2) [m] who walk as they desire (N, 2) [m/s]."""
+    """People at places (N, 2) [m] with desired velocities (N, 2) [m/s]."""
     number = position.shape[0]
     speed = jnp.linalg.norm(desired, axis=1)
     return Pedestrians(
@@ -39,14 +39,14 @@ def walkers(position: Array, desired: Array, robot_distance: Array | float = 0.0
 
 
 def side_preference(parameters: social_forces.Forces) -> str:
-    """The parameter that says which side people pass on: of ``Evasion`` [m], or of ``Sidestep`` [m/s2]."""
+    """The parameter of the passing side: of ``Evasion`` [m], or of ``Sidestep`` [m/s2]."""
     return "sidestep.preference" if parameters.get(social_forces.Evasion) is None else "evasion.side"
 
 
 def right_share(parameters: social_forces.Forces, preferences, meetings: int = 1000, seed: int = 0) -> np.ndarray:
     """(P,) share of head-on meetings in which both keep to their right, for each side preference.
 
-    Two people walk towards one another from 8 m apart on parallel lines that are up to 0.3 m apart, either way, with
+    Two people approach from 8 m apart on parallel lines up to 0.3 m apart on either side, with
     speeds drawn as for any crowd.
     """
 
@@ -80,10 +80,10 @@ def robot_gaps(
     robot_speed: Array | float = 0.5,
     seed: int = 0,
 ) -> Array:
-    """(R, crossings) closest approach [m], centre to centre, of a walker to a robot that comes towards them.
+    """(R, crossings) closest approach [m], centre to centre, of a walker to an approaching robot.
 
-    ``distances`` (R,) [m] is the person's ``robot_distance``, or (R, crossings) one for each. They start 8 m apart on
-    parallel lines that are up to 0.5 m apart, either way.
+    ``distances`` (R,) [m] is the person's ``robot_distance``, or (R, crossings) for each. They start 8 m apart on
+    parallel lines up to 0.5 m apart on either side.
     """
 
     def meet(distance, key):
@@ -114,7 +114,7 @@ def robot_gaps(
 
 
 def doorway(width: float, length: float = 1.0, room: float = 6.0, depth: float = 8.0) -> ObstacleGrid:
-    """A room on the left of x = 0 whose only way out is a passage of that width and length [m] along y = 0."""
+    """A room on the left of x = 0 whose only exit is a passage of this width and length [m] along y = 0."""
     side, wall = (room + 0.4 - width) / 4, 0.1
     boxes = [
         (-depth / 2, room / 2 + wall, depth / 2 + 2 * wall, wall),
@@ -138,10 +138,10 @@ def bottleneck(
     seconds: float = 60.0,
     time_step: float = STEP,
 ) -> tuple[Array, Array]:
-    """(N,) time [s] at which each leaves a passage of that width [m], and (T, N) m, how deep their bodies overlap.
+    """(N,) time [s] at which each leaves a passage of this width [m], and (T, N) m, overlap of their bodies.
 
-    The table is that of a ``doorway``. People stand at about 2 / m2 in front of it, and want to walk through at speeds
-    drawn as for any crowd. Who does not get through has an infinite time. The overlap is that with the nearest other,
+    The table is from a ``doorway``. People stand at about 2 / m2 in front of it, and walk through at speeds
+    drawn as for any crowd. People who do not get through have an infinite time. The overlap is with the nearest other,
     negative if they do not touch.
     """
     place_key, trait_key = jax.random.split(key)
@@ -174,7 +174,7 @@ def bottleneck(
 
 
 def flow(left) -> float:
-    """People a second of those times (N,) [s], between the 20th and the 80th of a hundred; NaN if fewer got out."""
+    """People per second from times (N,) [s], between the 20th and the 80th percentile; NaN if fewer got out."""
     times = np.sort(np.asarray(left, float))
     first, last = int(0.2 * len(times)), int(0.8 * len(times))
     return (last - first) / (times[last] - times[first]) if np.isfinite(times[last]) else float("nan")
@@ -183,9 +183,9 @@ def flow(left) -> float:
 def in_the_open(
     parameters: social_forces.Forces, size: int, number: int = 64, seconds: float = 40.0, seed: int = 0
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(T, N, 2) places and velocities and (N, 2) companions of walking groups of one size, each alone in the open.
+    """(T, N, 2) places and velocities and (N, 2) companions of walking groups of one size, each without other people.
 
-    They start anywhere within 1.2 m of one another and all walk along x; the first 10 s are left out.
+    They start at random within 1.2 m of each other and walk along x; the first 10 s are left out.
     """
     table = WalkingGroups(int(size == 2), int(size == 3)).companions(size)
 
@@ -235,10 +235,10 @@ def in_scenario(
 
 
 def together(place: np.ndarray, velocity: np.ndarray, others: np.ndarray) -> dict[int, dict[str, float]]:
-    """What walking groups of 1, 2 and 3 do while they walk, measured as for the recordings.
+    """Speed and spacing of walking groups of 1, 2 and 3 people while they walk, measured as in recordings.
 
-    The mean speed [m/s]; the mean distance [m] to the nearest companion; the share of the time that this one is
-    beside, more than 60 degrees off the direction of motion; and that somebody of the group is farther than 2 m away.
+    The mean speed [m/s]; the mean distance [m] to the nearest companion; the share of time in which it is
+    beside, more than 60 degrees off the direction of motion; and in which a companion is farther than 2 m away.
     """
     speed, found = np.linalg.norm(velocity, axis=-1), {}
     for size in (1, 2, 3):

@@ -1,7 +1,7 @@
 """Draws pictures/gradients-horizon.png and prints the tables of docs/results/gradients.md: python docs/gradients.py.
 
-The derivative of people's positions by constants of the social forces, in forward mode, step by step: as it is, with
-stages held, and with what rollouts offer against chaos. It takes some minutes on two cores, a part of it compiling.
+The derivative of people's positions by constants of the social forces, in forward mode, at each step: as it is, with
+the gradient stopped at one stage, and with the remedies of rollouts. Takes minutes on two cores, compilation included.
 """
 
 import argparse

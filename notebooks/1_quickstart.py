@@ -13,8 +13,8 @@
 
 # %% [markdown]
 # # Quickstart
-# A robot crosses a warehouse full of people and joins a group. We make the scenario, step it, run a batch of episodes
-# at once, look at where everybody went and which social situations arose, and differentiate through it all.
+# A robot crosses a warehouse full of people and joins a group. We make the scenario, step it, run a batch of episodes,
+# plot trajectories and social situations, and differentiate through all of it.
 #
 # On Colab, clone the repository first; the next cell then installs it. Elsewhere, README's first command does.
 
@@ -30,7 +30,7 @@ if "google.colab" in sys.modules:
 # %matplotlib inline
 from sean_jax import compiler
 
-compiler.configure()  # before jax: compiled programs are kept, so a second run compiles nothing
+compiler.configure()  # before jax: caches compiled programs, so a second run compiles nothing
 
 import jax
 import jax.numpy as jnp
@@ -48,9 +48,9 @@ TRIALS = 20  # of the gradient
 
 # %% [markdown]
 # ## A scenario
-# It is a physical environment, a pedestrian behavior and a robot task, and holds all that stays the same. A *state*
-# holds all that moves. Both are pytrees, so `jit`, `vmap` and `grad` take them as they are. `dynamics="twin"` moves the
-# robot in closed form, as MuJoCo's MJX does without the word, and compiles sooner.
+# A scenario is a physical environment, a pedestrian behavior and a robot task: everything that is constant. A *state*
+# holds everything that changes. Both are pytrees, so `jit`, `vmap` and `grad` accept them. `dynamics="twin"` moves the
+# robot in closed form, with the law of the default MuJoCo MJX, and compiles faster.
 
 # %%
 scenario = sean_jax.make("warehouse", behavior="graph", task="join_group", robot="kuri", people=PEOPLE, dynamics="twin")
@@ -67,7 +67,7 @@ for _ in range(10):
 print("after", state.tick, "steps at", state.robot.position, "m, at", state.robot.speed, "m/s")
 
 # %% [markdown]
-# What the robot perceives is computed when asked for, and not otherwise.
+# Observations are computed only if you call `observe`.
 
 # %%
 observation = jax.jit(sean_jax.observe)(scenario, state)
@@ -76,7 +76,7 @@ jax.tree.map(jnp.shape, observation)
 # %% [markdown]
 # ## Many episodes at once
 # `rollout` is a `lax.scan` of steps under a policy, and a batch is a `vmap` over keys. `final` is the last state,
-# `trajectory` what was kept of each step, here with the axes (episode, step, ...).
+# `trajectory` the record of each step, here with the axes (episode, step, ...).
 
 # %%
 policy = POLICIES["go_to_goal"]
@@ -91,14 +91,13 @@ final, trajectory = episodes(jax.random.split(jax.random.key(1), EPISODES))
 print(f"{int(final.completed.sum())} of {EPISODES} robots have reached their group after {STEPS / 10:g} s")
 
 # %% [markdown]
-# The first episode from above: people's trails, and the robot's path in the colours of the situations on its way.
+# The first episode from above: people's trails, and the robot's path in the colors of the situations.
 
 # %%
 sean_jax.view(trajectory, scenario)
 
 # %% [markdown]
-# How much of the robots' time was spent in each situation? Several can hold at once, so the shares need not add up
-# to one.
+# Share of the robots' time in each situation. Several can hold at once, so the shares need not add up to one.
 
 # %%
 active = trajectory.active[..., None]
@@ -113,13 +112,13 @@ plt.show()
 
 # %% [markdown]
 # ## Gradients
-# From the start of an episode we ask how far the robot is from its goal after 4 s, as a function of its 40 commands,
-# and let the gradient improve them. It passes through the robot, the people and their forces. Notebook 5 has more.
+# The distance between robot and goal after 4 s is a function of its 40 commands, and gradient descent improves them.
+# The gradient passes through the robot, the people and their forces. Notebook 5 has more.
 
 
 # %%
 def distance(actions):
-    """Distance [m] to the goal after the actions (T, 2), and the robot's way (T, 2)."""
+    """Distance [m] to the goal after the actions (T, 2), and the robot's path (T, 2)."""
 
     def one(state, action):
         after = sean_jax.step(scenario, state, action)

@@ -13,9 +13,9 @@
 
 # %% [markdown]
 # # Your own floor and graph
-# A floor plan is a picture, in which what is dark stands in the way; here it is an array of our own, of a hall with two
-# ways around a block of shelves. On it a Behavior Graph says who goes where: people walk between *waypoints* and stand
-# and talk at *groups*, and edges say where they walk, and how gladly. We watch, change one word and watch again.
+# A floor plan is a picture with dark obstacles; here it is an array with a hall and two routes around a block of
+# shelves. A Behavior Graph defines people's goals: they walk between *waypoints* and stand and talk at *groups*, and
+# edges with a cost are their routes. We simulate, change one word and simulate again.
 #
 # On Colab, clone the repository first; the next cell then installs it. Elsewhere, README's first command does.
 
@@ -34,7 +34,7 @@ from tempfile import mkdtemp
 
 from sean_jax import compiler
 
-compiler.configure()  # before jax: compiled programs are kept, so a second run compiles nothing
+compiler.configure()  # before jax: caches compiled programs, so a second run compiles nothing
 
 import jax
 import matplotlib.pyplot as plt
@@ -53,8 +53,8 @@ STEPS = 1200  # of 0.1 s: two minutes
 
 # %% [markdown]
 # ## The floor
-# 240 by 120 cells of 0.1 m, dark where something stands: a picture of your own floor, or what a robot has mapped, does
-# as well. `map.yaml` says how large a cell is and where the lower left corner lies, as ROS has it.
+# 240 by 120 cells of 0.1 m, dark for obstacles. A picture of your own floor or a map from a robot also works.
+# `map.yaml` has the size of a cell and the position of the lower left corner, as in ROS.
 
 # %%
 drawn = Path(mkdtemp())
@@ -71,9 +71,9 @@ panel.set(title="plan.png", xlabel="x [m]", ylabel="y [m]")
 plt.show()
 
 # %% [markdown]
-# `import_map` covers what is dark by few upright boxes and writes an environment, a folder with two files: the floor,
-# and the boxes as MJCF. `sean import-map map.yaml --out hall` does the same. Who wants to, writes the files by hand
-# ([docs/environments.md](../docs/environments.md)).
+# `import_map` covers the dark cells with few upright boxes and writes an environment, a folder with two files: the
+# floor, and the boxes as MJCF. `sean import-map map.yaml --out hall` does the same. You can also write the files by
+# hand ([docs/environments.md](../docs/environments.md)).
 
 # %%
 folder = drawn / "hall"
@@ -114,7 +114,7 @@ def hall(south):
 
 
 # %% [markdown]
-# What is wrong in these files is said at once, with the line, the word and a cure:
+# A mistake in these files is reported with the line, the word and a cure:
 
 # %%
 try:
@@ -123,7 +123,7 @@ except ValueError as error:
     print(str(error).replace(str(folder), "hall"))
 
 # %% [markdown]
-# And this is what it means: discs in which people aim at points, ways, a group of three with a place left open.
+# The graph: discs in which people aim at points, edges, and a group of three with a free place.
 
 # %%
 scenario = hall("medium")
@@ -131,9 +131,9 @@ graph = graph_of(scenario)
 graph_sheet(scenario.environment, graph)
 
 # %% [markdown]
-# ## Who walks where
-# Some episodes at once, and then the density of people over the floor and the flow along each edge, from where people
-# were. Each way of an edge is drawn as wide as its flow, on the right of those who walk it.
+# ## Density and flow
+# A batch of episodes, then the density of people over the floor and the flow along each edge, computed from positions.
+# The width of a directed edge is its flow, drawn on the right in walking direction.
 
 # %%
 policy = POLICIES["go_to_goal"]
@@ -152,9 +152,9 @@ congestion_map(scenario.environment, density, graph=graph, flow=flow, title="all
 
 # %% [markdown]
 # ## One word
-# `forward` lets people take the southern edge from west to east and makes the way back a hundred times as dear, so they
-# come back by the north. Other words are `high` and `low`, for both directions. A graph is leaves of the scenario, so
-# the program from above runs with the new one as it is.
+# With `forward` people take the southern edge from west to east; the opposite direction costs a hundred times as much,
+# so they return in the north. Other words are `high` and `low`, for both directions. The graph consists of leaves of
+# the scenario, so the program from above runs with the new graph without compiling again.
 
 # %%
 oneway = hall("forward")
@@ -170,6 +170,6 @@ for one, other in zip(corners, corners[1:] + corners[:1], strict=True):
         print(f"{here} to {there}: {before:4.1f} people a minute before, {now:4.1f} now")
 
 # %% [markdown]
-# Two further choices belong to `make` rather than to the file: `routing="edge"` lets people choose anew at every node,
-# as SEAN 2.0's code does, and `congestion_cost=20` makes edges dearer the more people are on them. Your folder works
-# the same way in `sean run --environment path/to/hall`.
+# Two other options belong to `make`, not to the file: with `routing="edge"` people choose again at every node, as in
+# SEAN 2.0's code, and with `congestion_cost=20` the cost of an edge increases with the people on it. Your folder also
+# works in `sean run --environment path/to/hall`.

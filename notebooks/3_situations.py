@@ -12,10 +12,10 @@
 # ---
 
 # %% [markdown]
-# # Situations, on simulations and recordings
-# Section III of the paper says in logic when a robot crosses somebody's path, goes down a path with somebody, joins a
-# group, leaves one, or is alone. We look at the predicates one by one, at the five situations on scenes placed by hand,
-# and then classify a recording of people: first one that we make here, then yours.
+# # Situations in simulations and recordings
+# Section III of the paper defines in logic when a robot crosses a person's path, goes down a path with a person, joins
+# a group, leaves a group, or is alone. We plot the predicates, then the five situations in scenes placed by hand,
+# and then classify a recording of people: first a simulated recording, then yours.
 #
 # On Colab, clone the repository first; the next cell then installs it. Elsewhere, README's first command does.
 
@@ -33,7 +33,7 @@ import dataclasses
 
 from sean_jax import compiler
 
-compiler.configure()  # before jax: compiled programs are kept, so a second run compiles nothing
+compiler.configure()  # before jax: caches compiled programs, so a second run compiles nothing
 
 import jax
 import jax.numpy as jnp
@@ -63,7 +63,7 @@ print("D", thresholds.near, "m; V", thresholds.walking, "m/s; A", jnp.rad2deg(th
 # - *PerpTraj*: two orientations are at a right angle, give or take A = 15 degrees.
 # - *ParTraj*: two orientations are the same, give or take A.
 #
-# Each is a function that `vmap` takes to a whole map. The robot stands in the middle and looks to the right.
+# `vmap` evaluates each predicate on a whole map. The robot stands in the middle and looks to the right.
 
 # %%
 axis = jnp.linspace(-3.2, 3.2, 161)
@@ -93,9 +93,9 @@ for panel, (title, holds) in zip(axes, panels.items(), strict=True):
 
 # %% [markdown]
 # ## A snapshot
-# Classifiers read a `Snapshot`: a robot among people as arrays, whether they come from a simulation, from sensors or
-# from your hand. This one has the robot at the origin; people are (position, orientation in degrees, speed, group), and
-# the group is -1 for who stands in none. *Member* is given: here it is the number of the group.
+# Classifiers read a `Snapshot`: a robot among people as arrays, from a simulation, from sensors or
+# written by hand. Here the robot is at the origin; people are (position, orientation in degrees, speed, group), and
+# the group is -1 for people outside groups. *Member* is an input: here it is the number of the group.
 
 
 # %%
@@ -147,13 +147,13 @@ for snapshot in examples:
 
 # %% [markdown]
 # ## The five situations
-# The same snapshots, drawn: the robot is the orange square, people are discs with their orientation, the arrow of who
-# moves is a second's walk, members of a group are blue, and the circle is D. The titles are what the classifiers say.
+# Pictures of the same snapshots: the robot is the orange square, people are discs with their orientation, an arrow is
+# the motion in one second, members of a group are blue, and the circle is D. The titles are the classified situations.
 
 
 # %%
 def draw(panel, snapshot):
-    """One panel: robot, people, and the name of what holds, in its colour."""
+    """One panel: robot, people, and the names of the situations, in their colors."""
     names = [name for name, holds in zip(NAMES, classify(snapshot), strict=True) if holds]
     panel.add_patch(plt.Circle((0, 0), float(thresholds.near), fill=False, linestyle=":", color="#6c7589"))
     panel.add_patch(plt.Rectangle((-0.16, -0.16), 0.32, 0.32, color="#f58a07"))
@@ -179,9 +179,9 @@ for panel, snapshot in zip(axes, examples, strict=True):
     draw(panel, snapshot)
 
 # %% [markdown]
-# Three things to notice. *Down path* does not ask the person to walk, and somebody who comes the other way is in no
+# Three details. *Down path* does not require that the person walks, and a person who comes the other way is in no
 # situation. *Join group* ends when the robot is at its goal, *leave group* only when it is far from the group. And one
-# person is enough: a situation holds if its equation does for anybody, so several can hold at once.
+# person is enough: a situation holds if its equation holds for any person, so several can hold at once.
 #
 # How sharp are the limits? We turn one person who stands 1.5 m away, and change how fast they walk.
 
@@ -191,7 +191,7 @@ one = scene(((1.5, 0.0), 0, 0.0, -1))
 
 
 def turned(angle, speed):
-    """(5,) bool: what holds if the person looks and walks that way."""
+    """(5,) bool: the situations if the person looks and walks in that direction."""
     facing = jnp.stack([jnp.cos(jnp.deg2rad(angle)), jnp.sin(jnp.deg2rad(angle))])
     people = dataclasses.replace(one.people, heading=facing[None], velocity=speed * facing[None])
     return classifiers.classify(dataclasses.replace(one, people=people), thresholds)
@@ -208,8 +208,8 @@ plt.show()
 
 # %% [markdown]
 # ## A recording
-# So that this needs no data, we simulate one: robots that join groups in the warehouse. What the people of the first
-# episode did is written as most recordings are kept, as a table of frame, person, x and y, here every 0.4 s.
+# To need no data, we simulate a recording: robots that join groups in the warehouse. The people of the first
+# episode are written in the usual format, a table of frame, person, x and y, here every 0.4 s.
 
 # %%
 scenario = sean_jax.make("warehouse", behavior="graph", task="join_group", people=PEOPLE, dynamics="twin")
@@ -230,9 +230,9 @@ with open("people.csv", "w") as file:
 print(len(rows), "lines, such as", rows[0])
 
 # %% [markdown]
-# Your own file is read by the same line: `seconds` is the time from one frame number to the next. `read_eth_ucy` and
-# `read_juelich` know the clocks of those recordings. Positions are noisy, so velocities are those of lines fitted to a
-# few of them, and orientations are directions of motion.
+# The same line reads your own file: `seconds` is the time from one frame number to the next. `read_eth_ucy` and
+# `read_juelich` use the clocks of these recordings. Positions are noisy, so velocities are slopes of lines fitted to a
+# few positions, and orientations are directions of motion.
 
 # %%
 tracks = recordings.read_csv("people.csv", seconds=0.1)
@@ -245,9 +245,9 @@ for k, name in enumerate(NAMES):
           f"equal in {(flags[:, k] == simulated[:, k]).mean():6.1%} of the frames")  # fmt: skip
 
 # %% [markdown]
-# A table of positions does not tell who belongs to a group, so nothing is joined in the recording. `snapshots_of`, in
-# which a recorded person plays the robot, takes groups where they are annotated, and `classifiers.o_space_groups`
-# estimates them from positions and facing.
+# A table of positions has no groups, so the recording has no join group. `snapshots_of` puts a recorded person in place
+# of the robot and takes annotated groups, and `classifiers.o_space_groups` estimates groups from positions and
+# orientations.
 #
 # Over time, the simulation above and the recording below:
 
@@ -264,8 +264,8 @@ plt.show()
 
 # %% [markdown]
 # ## Other definitions
-# SEAN 2.0's code departs from its paper, and there are more situations than five. Each set is a dict of functions like
-# those above, and `make(situations=...)` takes its name, or a dict of your own. On the same recording:
+# SEAN 2.0's code differs from its paper, and the package has more than five situations. Each set is a dict of such
+# functions, and `make(situations=...)` takes its name or your own dict. On the same recording:
 
 # %%
 for name, laws in classifiers.SITUATION_SETS.items():
@@ -284,9 +284,9 @@ for k, name in enumerate(NAMES):
 
 # %% [markdown]
 # ## Your own
-# A situation of yours is a function of a snapshot. A metric of yours is a function in the constructor of its kind: the
-# time during which a condition holds, how often it begins to hold, the sum or the mean of an amount, an extreme of a
-# quantity ([docs/metrics.md](../docs/metrics.md)). Both work on the recording and in a scenario alike.
+# Your own situation is a function of a snapshot. Your own metric is a constructor applied to a function: the
+# time during which a condition holds, the number of its onsets, the sum or the mean of an amount, an extreme of a
+# quantity ([docs/metrics.md](../docs/metrics.md)). Both work on recordings and in scenarios.
 
 
 # %%

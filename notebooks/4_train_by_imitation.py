@@ -13,8 +13,9 @@
 
 # %% [markdown]
 # # Train by imitation
-# Section V of the paper in small: a driver demonstrates how to join and leave groups in the lab, a network learns from
-# that, and drives. A minute or two on a CPU. It needs the extra `learning`: `pip install ".[learning]"`.
+# Section V of the paper at small scale: a policy demonstrates joining and leaving groups in the lab, a network is
+# trained on the demonstrations, and drives. It takes a minute or two on a CPU and needs the extra `learning`:
+# `pip install ".[learning]"`.
 #
 # On Colab, clone the repository first; the next cell then installs it. Elsewhere, README's first command does.
 
@@ -34,7 +35,7 @@ from tempfile import mkdtemp
 
 from sean_jax import compiler
 
-compiler.configure()  # before jax: compiled programs are kept, so a second run compiles nothing
+compiler.configure()  # before jax: caches compiled programs, so a second run compiles nothing
 
 import jax
 import matplotlib.pyplot as plt
@@ -50,15 +51,15 @@ from sean_jax.scenario import frame
 PEOPLE = 6  # in the lab
 MINUTES = 15  # of demonstrations
 EPOCHS = 45  # of training
-EPISODES = 12  # to compare drivers on
+EPISODES = 12  # of the comparison
 STEPS = 400  # of 0.1 s in each
 TEACHER = "go_to_goal"  # "expert" is more polite, and takes longer to simulate
 folder = Path(mkdtemp())
 
 # %% [markdown]
 # ## Demonstrations
-# As `sean collect` does: half of the time joining groups, half leaving them, one example a second. A folder that has a
-# part already is continued, so this can be stopped and run again.
+# As in `sean collect`: half of the time joining groups, half leaving them, one example per second. An unfinished folder
+# is resumed, so you can stop and run this cell again.
 
 # %%
 asked = CollectConfig(
@@ -69,8 +70,8 @@ data = learning.collect(asked)
 print(f"{data.example_count} examples in {len(data.episodes)} episodes")
 
 # %% [markdown]
-# An example: what the depth camera saw in the last five seconds, the next points of the shortest path, where the robot
-# went in the five seconds to come (which the network shall predict), and which situations occurred.
+# An example: the depth images of the last five seconds, the next points of the shortest path, the positions of the
+# robot in the next five seconds (the target of the network), and the situations.
 
 # %%
 recording = data.recording(data.episodes)
@@ -89,7 +90,7 @@ print(dict(zip(data.manifest["situations"], one.situations.tolist(), strict=True
 
 # %% [markdown]
 # ## Training
-# As `sean train imitation`. The epochs run as one program each; the best network is kept.
+# As in `sean train imitation`. Each epoch is one program; the best network is kept.
 
 # %%
 trained = ImitationConfig(
@@ -107,7 +108,7 @@ print(f"least loss in validation {float(state.best):.3f} after epoch {int(state.
 
 # %% [markdown]
 # ## Driving
-# A trained network is a policy like any other. Teacher and pupil drive the same episodes, which neither has seen.
+# A trained network is a policy like any other. Teacher and network drive the same new episodes.
 
 # %%
 scenario = sean_jax.make("lab", task="join_group", people=PEOPLE, dynamics="twin", time_limit=STEPS / 10)
@@ -116,7 +117,7 @@ keys = jax.random.split(jax.random.key(7), EPISODES)
 
 
 def drive(policy):
-    """Final states, and of each step the decision of a network or nothing, for all keys."""
+    """Final states, and the decision of the network in each step or nothing, for all keys."""
 
     def record(before, after, action):
         seen = after.policy_state.decision if hasattr(after.policy_state, "decision") else ()
@@ -135,8 +136,8 @@ for name, (final, _) in drives.items():
           f"stood {stood:.1f} s, {close:.2f} intimate violations an episode")  # fmt: skip
 
 # %% [markdown]
-# ## What does it look at?
-# In each step the velocity controller divides its attention over what it sees, the local plan that it made, and the
+# ## Attention
+# In each step the velocity controller divides its attention over the images, its local plan, and the
 # global plan. One episode, with the situations below:
 
 # %%
@@ -159,9 +160,9 @@ plt.show()
 
 # %% [markdown]
 # ## Table I's bars
-# How often each situation occurred in the demonstrations, with intervals, beside the paper's numbers for its
-# Behavior Graph (in a warehouse of 62 people). `sean experiment table1` does this for all behaviors, `figure4` the
-# whole of section V.
+# Frequency of each situation in the demonstrations, with intervals, and the paper's numbers for its
+# Behavior Graph (in a warehouse of 62 people). `sean experiment table1` does this for all behaviors, `figure4` all of
+# section V.
 
 # %%
 from sean_jax.studies.experiments import shares  # noqa: E402

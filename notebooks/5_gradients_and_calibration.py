@@ -13,9 +13,9 @@
 
 # %% [markdown]
 # # Gradients and calibration
-# Everything that moves can be differentiated by everything that it depends on. Here the constants of a crowd are found
-# again from how people walk; then we look at how derivatives grow with the horizon, and at what rollouts offer against
-# that. `docs/gradients.md` has the figures, and `sean calibrate` fits the constants to recordings of yours.
+# All motion is differentiable by all its inputs. Here the constants of a crowd are recovered from trajectories of
+# people; then we plot the growth of derivatives with the horizon, and the remedies of rollouts.
+# `docs/gradients.md` has the figures, and `sean calibrate` fits the constants to your recordings.
 #
 # On Colab, clone the repository first; the next cell then installs it. Elsewhere, README's first command does.
 
@@ -33,7 +33,7 @@ from functools import partial
 
 from sean_jax import compiler
 
-compiler.configure()  # before jax: compiled programs are kept, so a second run compiles nothing
+compiler.configure()  # before jax: caches compiled programs, so a second run compiles nothing
 
 import jax
 import jax.numpy as jnp
@@ -46,12 +46,12 @@ from sean_jax import gradients
 PEOPLE = 16  # of a scene, and in the lab
 EPISODES = 8  # scenes, and rollouts at once
 STEPS = 150  # of 0.1 s in the lab
-TRIALS = 10  # down the slope
+TRIALS = 10  # of gradient descent
 
 # %% [markdown]
 # ## A recording
-# Two streams of people meet. We make it up with constants that the fit is not told: in each scene people are seen in
-# two frames of 0.4 s, and then for eight more.
+# Two streams of people meet. We simulate them with constants that are unknown to the fit: each scene has two observed
+# frames of 0.4 s, and eight frames to predict.
 
 # %%
 FRAME, SEEN_LATER = 0.4, 8
@@ -67,7 +67,7 @@ seen = jnp.asarray(np.stack([begin, begin + FRAME * velocity], 1), float)  # (EP
 
 @jax.jit
 def walk(constants):
-    """Positions [m] of everybody in the frames after those seen, with two constants of the social forces."""
+    """Positions [m] of all people in the predicted frames, with two constants of the social forces."""
     forces = sean_jax.preset("calibrated").tree_replace(dict(zip(HIDDEN, constants, strict=True)))
     return sean_jax.predict(forces, seen, FRAME, SEEN_LATER)
 
@@ -78,15 +78,13 @@ for person, to_the_right in enumerate(side < 0):
     way = np.concatenate([seen[0], recorded[0]])[:, person]
     panel.plot(*way.T, ".-", ms=4, color="#2f6fb0" if to_the_right else "#f58a07")
     panel.plot(*way[-1], "o", color="#2f6fb0" if to_the_right else "#f58a07")
-panel.set(
-    aspect="equal", xlabel="x [m]", ylabel="y [m]", title="the first scene; discs are where people are in the end"
-)
+panel.set(aspect="equal", xlabel="x [m]", ylabel="y [m]", title="the first scene; discs are final positions")
 plt.show()
 
 # %% [markdown]
 # ## Calibration
-# Two constants and many positions: forward mode gives the whole Jacobian at the cost of two rollouts, and Gauss and
-# Newton's method needs a handful of them. (`sean calibrate` has more constants and real people, and descends by Adam in
+# With two constants and many positions, forward mode gives the whole Jacobian at the cost of two rollouts, and the
+# Gauss-Newton method needs a few Jacobians. (`sean calibrate` has more constants and real people, and uses Adam in
 # reverse mode.)
 
 # %%
@@ -112,12 +110,12 @@ right.set(xlabel="step", ylabel="apart, on average [mm]")
 plt.show()
 
 # %% [markdown]
-# ## How far a derivative carries
-# In a rollout of a crowd, a derivative grows with time: two people who meet head-on pass left or right by centimetres.
-# Here is how much everybody's position changes with the strength of the repulsion, in the lab, step by step.
-# `between` is what the state goes through between two steps: `gradients.damp` multiplies the derivative by a factor
-# there, `truncate` ends it now and then, and `clip` bounds it for each body in reverse mode. None of them changes what
-# happens.
+# ## Growth of derivatives
+# In a rollout of a crowd, a derivative grows with time: centimetres decide whether two people pass left or right.
+# We plot the derivative of all positions by the strength of the repulsion, in the lab, at each step.
+# `between` is a function of the state between two steps: `gradients.damp` multiplies the derivative by a factor,
+# `truncate` stops it at intervals, and `clip` bounds it for each body in reverse mode. None of them changes the
+# simulation.
 
 # %%
 lab = sean_jax.make("lab", people=PEOPLE, forces="calibrated", dynamics="twin")
@@ -152,9 +150,9 @@ plt.show()
 
 # %% [markdown]
 # ## Reverse mode and memory
-# One number by many: how close does the robot come to people, by each of its commands? With `checkpoint_every` reverse
-# mode keeps one state for each block of steps, and computes the steps again on the way back. Some steps down the slope
-# keep the robot away from people, if the derivative is damped; without that it tells of chaos, and leads nowhere.
+# One output and many inputs: the robot's proximity to people by each of its commands. With `checkpoint_every` reverse
+# mode stores one state per block of steps, and recomputes the steps in the backward pass. A few steps of gradient
+# descent keep the robot away from people if the derivative is damped; otherwise chaos dominates it.
 
 
 # %%

@@ -13,9 +13,9 @@
 
 # %% [markdown]
 # # Train with reinforcement learning
-# A robot in a lab learns by trial and error to join a group of people: it sees some numbers, is told a reward, and
-# after some minutes on a CPU, most of them to compile the first time, drives about as quickly as the package's own
-# `go_to_goal`. It needs the extra `learning`: `pip install ".[learning]"`. `docs/training.md` has terms and options.
+# A robot in a lab learns to join a group of people from observations and rewards. After some minutes on a CPU, mostly
+# compilation in the first run, it is about as fast as the package's `go_to_goal`. It needs the extra `learning`:
+# `pip install ".[learning]"`. `docs/training.md` has terms and options.
 #
 # On Colab, clone the repository first; the next cell then installs it. Elsewhere, README's first command does.
 
@@ -35,7 +35,7 @@ from tempfile import mkdtemp
 
 from sean_jax import compiler
 
-compiler.configure()  # before jax: compiled programs are kept, so a second run compiles nothing
+compiler.configure()  # before jax: caches compiled programs, so a second run compiles nothing
 
 import jax
 import jax.numpy as jnp
@@ -50,15 +50,15 @@ from sean_jax.learning import networks, policy
 from sean_jax.policies import go_to_goal
 
 PEOPLE = 5  # in the lab
-EPISODES = 32  # to compare drivers on
+EPISODES = 32  # of the comparison
 STEPS = 400  # of 0.1 s in each
 UPDATES = 120  # of the training, with 2,048 scenario-steps each
 folder = Path(mkdtemp()) / "ppo"
 
 # %% [markdown]
 # ## A scenario becomes an environment
-# `make_env` adds to a scenario what an agent sees and what it is rewarded for. An action is two numbers from -1 to 1:
-# shares of the top speed and of the top turn rate.
+# `make_env` adds observations and rewards to a scenario. An action is two numbers from -1 to 1:
+# fractions of the top speed and of the top turn rate.
 
 # %%
 scenario = sean_jax.make("lab", task="join_group", people=PEOPLE, dynamics="twin", time_limit=STEPS / 10)
@@ -69,9 +69,9 @@ for name, term in env.rewards:
     print(f"{name:24} {term.weight:6g}  {'privileged' if term.privileged else ''}")
 
 # %% [markdown]
-# ## What does it see, and what is it told?
-# An episode that `go_to_goal` drives, step by step through the environment. To the left the moment at which somebody is
-# nearest, as the agent sees it: all in the robot's frame, which looks to the right. To the right the rewards so far.
+# ## Observations and rewards
+# An episode of `go_to_goal` through the environment. Left: the observation at the time when a person is
+# nearest, in the robot's frame, which looks to the right. Right: cumulative rewards.
 
 
 # %%
@@ -116,7 +116,7 @@ print("without effect here:", ", ".join(name for name, values in told.items() if
 
 # %% [markdown]
 # ## Training
-# As `sean train ppo`: 64 scenarios step together, and each update learns from 32 steps of each.
+# As in `sean train ppo`: 64 scenarios step together, and each update uses 32 steps of each.
 
 # %%
 asked = PPOConfig(
@@ -157,8 +157,8 @@ print(f"{log[-1]['steps']:,} scenario-steps at {np.median([line['per_second'] fo
 
 # %% [markdown]
 # ## Before and after
-# The agent before its first update, the best one of the training and `go_to_goal` drive the same episodes, which none
-# has seen. Each line is the way of a robot from its start (a dot) to its goal (a star), in the first few of them.
+# The agent before its first update, the best agent of the training and `go_to_goal` drive the same new episodes.
+# Each line is the path of a robot from its start (a dot) to its goal (a star), in the first few episodes.
 
 # %%
 network = policy.agent_network(asked, env.observation_space)
@@ -184,7 +184,7 @@ for panel, (name, driver) in zip(panels, drivers.items(), strict=True):
 plt.show()
 
 # %% [markdown]
-# One of these episodes with the people in it, the robot's way in the colours of the social situations:
+# One of these episodes with its people, the robot's path in the colors of the social situations:
 
 # %%
 sean_jax.view(jax.tree.map(lambda leaf: leaf[0], drives["trained"][1]), scenario)
@@ -192,9 +192,8 @@ sean_jax.view(jax.tree.map(lambda leaf: leaf[0], drives["trained"][1]), scenario
 # %% [markdown]
 # ## Compared with `go_to_goal`
 # Metrics of all of these episodes with 95 % bootstrap intervals. Violations of the intimate space (0.45 m) and of the
-# personal space (1.2 m) by the robot are times per episode; path efficiency is the way driven over the shortest one,
-# where the goal was reached.
-# `sean_jax.evaluate(scenario, trained)` has all metrics and a report.
+# personal space (1.2 m) by the robot are counts per episode; path efficiency is the length of the path over the
+# shortest path, in completed episodes. `sean_jax.evaluate(scenario, trained)` has all metrics and a report.
 
 # %%
 names = ("path_efficiency", "personal_robot_on_person", "intimate_robot_on_person")
@@ -215,8 +214,9 @@ for row, (name, (final, _)) in enumerate(drives.items()):
 plt.show()
 
 # %% [markdown]
-# ## And now?
+# ## Next steps
 # - Other rewards: `PPOConfig(..., rewards=["default", "my.py:thing"])`, and `make_env(scenario, rewards={...})`.
-# - A robot knows no people behind walls: `observations=["goal", "path", "distance", "speeds", "time", "lidar"]`.
+# - A real robot does not know people behind walls: `observations=["goal", "path", "distance", "speeds", "time",
+#   "lidar"]`.
 # - Keep the agent: `learning.pack(folder, "my_agent")` writes two small files for `sean run --policy ./my_agent`.
-# - One that was trained before comes with the package: `learning.load("ppo", scenario)`.
+# - The package has trained agents: `learning.load("ppo", scenario)`.

@@ -13,9 +13,9 @@
 
 # %% [markdown]
 # # Thousands of scenarios
-# One jitted call steps thousands of scenarios, on one device or on several. Here is how fast this machine does it,
-# where its time goes, and two sweeps: over the number of people, and over a constant of their forces. All times on this
-# page are measured when it runs, on the machine that runs it; another machine, or one that is busy, has others.
+# One jitted call steps thousands of scenarios, on one device or on several. We measure the speed of this machine and
+# the time of each stage, and run two sweeps: over the number of people, and over a constant of their forces. All times
+# on this page are measured on the machine that runs it; they differ on other or busy machines.
 #
 # On Colab, clone the repository first; the next cell then installs it. Elsewhere, README's first command does.
 
@@ -36,7 +36,7 @@ from pathlib import Path
 
 from sean_jax import compiler
 
-compiler.configure()  # before jax: compiled programs are kept, so a second run compiles nothing
+compiler.configure()  # before jax: caches compiled programs, so a second run compiles nothing
 
 import jax
 import jax.numpy as jnp
@@ -57,15 +57,15 @@ print(f"{len(jax.devices())} devices, such as {jax.devices()[0].device_kind}; {o
 
 # %% [markdown]
 # ## One call
-# A batch is a `vmap` over keys, and `rollout` a scan over steps. `record` says what is kept of each step, since all of
-# a trajectory of so many would fill the memory: here only where the robot is.
+# A batch is a `vmap` over keys, and `rollout` a scan over steps. `record` selects what is stored of each step, here
+# only the robot's position, since whole trajectories of so many scenarios would fill the memory.
 
 # %%
 lab = sean_jax.make("lab", task="join_group", people=PEOPLE, dynamics="twin")
 
 
 def place(before, after, action):
-    """The robot's position [m] and whether its episode goes on."""
+    """The robot's position [m] and whether its episode is active."""
     return after.robot.position, before.completed | before.timed_out
 
 
@@ -87,9 +87,9 @@ figure
 
 # %% [markdown]
 # ## Speed by batch size
-# A program is compiled for each batch size. A single scenario has little to compute in each operation, so that most of
-# its time is spent between them; a batch shares that. The speed grows until all cores are busy and falls again when the
-# batch outgrows the caches: on a CPU after tens or hundreds of scenarios, on a GPU after tens of thousands.
+# A program is compiled for each batch size. With a single scenario most of the time is overhead between small
+# operations; a batch shares the overhead. The speed grows until all cores are busy and falls again when the
+# batch exceeds the caches: on a CPU after tens or hundreds of scenarios, on a GPU after tens of thousands.
 
 # %%
 command = jnp.array([0.3, 0.2])
@@ -128,9 +128,9 @@ for size, first, each in zip(sizes, compiling, spent, strict=True):
     print(f"{size:6}: compiled in {first:4.1f} s, {10 * size / each:9,.0f} scenario-steps/s")
 
 # %% [markdown]
-# ## Where the time goes
-# `step` is one line for each stage, and each stage is a function of a state. Each is compiled by itself here; in the
-# step XLA joins what follows one another. `sean bench` measures more, and `docs/performance.md` has tables.
+# ## Time of each stage
+# `step` has one line for each stage, and each stage is a function of a state. Here each is compiled separately; in the
+# step XLA fuses consecutive stages. `sean bench` measures more, and `docs/performance.md` has tables.
 
 # %%
 people_key = jax.random.key(3)
@@ -154,10 +154,10 @@ plt.show()
 
 # %% [markdown]
 # ## Several devices
-# `devices.mesh()` is a row of all devices, and `devices.shard` spreads the scenarios over it: `jit` of `vmap`, with the
-# first argument on every device and the others split. With one device it is that one. `devices.keys` draws the keys of
-# the episodes on the devices, each from its number, so the results do not depend on how many devices there are, but for
-# rounding. `docs/devices.md` goes on to many hosts. To try several on a CPU, set
+# `devices.mesh()` is a mesh of all devices, and `devices.shard` distributes the scenarios over it: `jit` of `vmap`,
+# with the first argument on every device and the others split. It also works with one device. `devices.keys` draws the
+# keys of the episodes on the devices, each from its number, so the results do not depend on the number of devices,
+# except for rounding. `docs/devices.md` continues with several hosts. To try several devices on a CPU, set
 # `XLA_FLAGS=--xla_force_host_platform_device_count=2` before jax is imported.
 
 # %%
@@ -171,9 +171,9 @@ print(f"people at most {apart:.1g} m from where the program above had them")
 
 # %% [markdown]
 # ## Sweeps
-# What varies between experiments is a leaf of the scenario, so a sweep is a `vmap` over scenarios: all values and all
-# episodes are one call. `people_present` says how many of the people are there, and `forces.tree_replace` changes a
-# constant of the social forces by its name. The same episodes are taken for each value.
+# Parameters of experiments are leaves of the scenario, so a sweep is a `vmap` over scenarios: all values and all
+# episodes are one call. `people_present` is the number of people present, and `forces.tree_replace` changes a
+# constant of the social forces by its name. Each value has the same episodes.
 
 
 # %%
@@ -185,7 +185,7 @@ TITLES = (
 
 
 def measured(number, strength, key):
-    """Three numbers of an episode with so many people, who keep apart so strongly [m/s2]."""
+    """Three numbers of an episode with this number of people and this strength of repulsion [m/s2]."""
     forces = lab.forces.tree_replace({"repulsion.strength": strength})
     scenario = lab.replace(people_present=number, forces=forces)
 
@@ -218,8 +218,8 @@ print(f"compiled in {compiled - began:.1f} s")
 print(f"{2 * values * EPISODES} episodes of {STEPS / 10:g} s ran in {time.perf_counter() - compiled:.1f} s")
 
 # %% [markdown]
-# Means over the episodes, with 95 % bootstrap intervals: more people cost the robot time and come closer, while a slope
-# that stays within its intervals says nothing without more episodes.
+# Means over the episodes, with 95 % bootstrap intervals: with more people the robot needs more time and people come
+# closer. A slope within its intervals is not significant without more episodes.
 
 # %%
 rows = (("people who are there", numbers, by_number), ("strength of the repulsion [m/s2]", strengths, by_strength))
@@ -234,10 +234,10 @@ for row, (name, x, columns), color in zip(panels, rows, ("#2f6fb0", "#f58a07"), 
 plt.show()
 
 # %% [markdown]
-# ## Compiled once
-# Compiling takes longer than running, until the batch or the episode is long. `compiler.configure()` keeps compiled
-# programs on the disk, as the command line does, and JAX finds them again by their content: after `jax.clear_caches()`,
-# as in a new process, a function is traced anew and its program read from the disk.
+# ## The compilation cache
+# Compilation takes longer than a run, unless the batch is large or the episode long. `compiler.configure()` caches
+# compiled programs on disk, like the command line, keyed by their content: after `jax.clear_caches()`,
+# as in a new process, a function is traced again and its program is read from disk.
 
 # %%
 jax.clear_caches()

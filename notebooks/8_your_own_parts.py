@@ -13,8 +13,8 @@
 
 # %% [markdown]
 # # Your own force, metric and policy, in a report
-# Wherever a name can stand, a value of yours can stand: nothing in the package is changed or registered. Here
-# people keep a distance by a force of our own, a robot drives by our own policy, and our own metric gets a column
+# Your own value works wherever a name works: nothing in the package is changed or registered. Here
+# people keep a distance by our own force, a robot drives by our own policy, and our own metric gets a column
 # in the table and a row in the report. `docs/extending.md` has an example of every family.
 #
 # On Colab, clone the repository first; the next cell then installs it. Elsewhere, README's first command does.
@@ -34,7 +34,7 @@ from tempfile import mkdtemp
 
 from sean_jax import compiler
 
-compiler.configure()  # before jax: compiled programs are kept, so a second run compiles nothing
+compiler.configure()  # before jax: caches compiled programs, so a second run compiles nothing
 
 import jax
 import jax.numpy as jnp
@@ -52,13 +52,13 @@ STEPS = 600  # of 0.1 s: the longest episode
 # %% [markdown]
 # ## A force
 # A term of the sum of social forces is a small class whose fields are its parameters. `pair` gives the acceleration
-# of one person by one other; all pairs of all terms are added up in one pass.
+# of one person by one other; all pairs of all terms are summed in one pass.
 
 
 # %%
 @struct.dataclass
 class Distancing:
-    """People push one another within a distance, in proportion to how much they are inside it."""
+    """People repel one another within a distance, in proportion to their penetration of it."""
 
     strength: jax.Array  # m/s2
     distance: jax.Array  # m
@@ -71,8 +71,8 @@ class Distancing:
 
 # %% [markdown]
 # ## A metric
-# A condition of one snapshot becomes a time: how long somebody was within a metre of the robot, overall and in each
-# social situation.
+# A condition of one snapshot becomes a duration: the time with a person within a metre of the robot, overall and in
+# each social situation.
 
 
 # %%
@@ -85,8 +85,8 @@ near_time = metrics.duration(near, title="time near people", definition="Somebod
 
 # %% [markdown]
 # ## A policy
-# A function gives the command: m/s ahead and rad/s to the left. `observe` tells what the robot perceives in its own
-# frame. This one heads for the next point of the shortest path and slows down by the nearest person ahead.
+# A function returns the command: m/s ahead and rad/s to the left. `observe` gives the observation in the robot's
+# frame. This policy heads for the next point of the shortest path and slows down for the nearest person ahead.
 
 
 # %%
@@ -101,8 +101,8 @@ def careful(scenario, state, key):
 
 
 # %% [markdown]
-# ## All of them together
-# `make` takes the parts, and `evaluate` runs the episodes: what `sean run` does, as a function.
+# ## All parts together
+# `make` takes the parts, and `evaluate` runs the episodes: `sean run` as a function.
 
 # %%
 scenario = sean_jax.make(
@@ -117,8 +117,8 @@ evaluation = sean_jax.evaluate(scenario, careful, episodes=EPISODES, seed=0)
 print(evaluation.table(100))
 
 # %% [markdown]
-# The same episodes with a policy of the package, for comparison: arrays first, one value an episode. Who slows down
-# takes longer, and may be near people for longer.
+# The same episodes with a policy of the package, for comparison: arrays with one value per episode. A robot that slows
+# down takes longer, and may be near people for longer.
 
 # %%
 other = sean_jax.evaluate(scenario, "go_to_goal", episodes=EPISODES, seed=0)
@@ -135,8 +135,8 @@ plt.show()
 
 # %% [markdown]
 # ## The report
-# `save` writes what `sean run` writes: a page with pictures, `episodes.csv`, `summary.json` and an animation. This
-# is the first episode from above; the page has our metric among the others.
+# `save` writes the files of `sean run`: a page with pictures, `episodes.csv`, `summary.json` and an animation. This
+# is the first episode from above; the page includes our metric.
 
 # %%
 folder = evaluation.save(Path(mkdtemp()) / "careful")

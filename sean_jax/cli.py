@@ -350,7 +350,7 @@ def _draw(options: config.DrawConfig) -> int:
 
 def _replay(options: config.ReplayConfig) -> int:
     if (options.folder / "results.json").is_file():
-        from sean_jax.studies.validation.replays import write
+        from sean_jax.studies.validation.page import write_replay as write
     else:
         from sean_jax.evaluation.replay_command import write
 

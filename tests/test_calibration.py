@@ -27,6 +27,11 @@ def plain():
     return build([whole.walking, whole.repulsion])
 
 
+def with_values(*values):
+    """These forces with other values of ``NAMES``."""
+    return plain().tree_replace(dict(zip(NAMES, values, strict=True)))
+
+
 # ------------------------------------------------------------------ constants in files
 
 
@@ -121,7 +126,7 @@ def test_which_parameters_are_fitted():
         fitting.names_of(plain(), ["repulsion.size"])
     with pytest.raises(InputError, match="fit: the forces have no walls.range"):
         fitting.names_of(plain(), ["walls.range"])
-    forces = fitting.with_values(plain(), NAMES, jnp.asarray([0.7, 3.0, 0.2]))
+    forces = with_values(0.7, 3.0, 0.2)
     np.testing.assert_allclose(fitting.values_of(forces, NAMES), [0.7, 3.0, 0.2], rtol=1e-6)
 
 
@@ -145,7 +150,7 @@ def write(path, tracks, first=0, step=10, velocities=True):
 def people_who_meet(seed, people=4):
     """Tracks of people of known constants who walk to one place from all sides."""
     random = np.random.default_rng(seed)
-    forces = fitting.with_values(plain(), NAMES, jnp.asarray([TRUE[name] for name in NAMES]))
+    forces = plain().tree_replace(TRUE)
     angle = np.linspace(0.0, 2 * np.pi, people, endpoint=False) + random.normal(0.0, 0.3, people)
     velocity = -1.3 * np.stack([np.cos(angle), np.sin(angle)], -1)
     middle = -velocity * 6.5 * random.uniform(0.9, 1.1, (people, 1)) + random.normal(0.0, 0.4, (people, 2))
@@ -205,14 +210,14 @@ def test_known_constants_are_found_again():
     speed = float(np.mean(HABITS.speed))  # where fits begin
     seen = begin[:, None] + np.array([-STEP, 0.0])[:, None, None] * (direction * speed)[:, None]
     known = np.ones((8, 2, 2), bool)
-    true = fitting.with_values(plain(), NAMES, jnp.asarray([TRUE[name] for name in NAMES]))
+    true = plain().tree_replace(TRUE)
     after = np.asarray(predict(true, seen, STEP, 6, desired_velocity=direction * speed))
     kind = windows.Scenes(
         seen=seen, known=known, after=after, counted=np.ones((8, 6, 2), bool), scene=np.arange(8) % 2,
         direction=direction, others=None, walls=None, reference=np.ones((2, 2)), names=("north", "south"),
         time_step=STEP,
     )  # fmt: skip
-    wrong = fitting.with_values(plain(), NAMES, jnp.asarray([0.3, 1.5, 0.2]))
+    wrong = with_values(0.3, 1.5, 0.2)
     fit = Fit(wrong, NAMES, [kind], 40, 4)
     descent = fit.start(2, 1, 0)
     for step in range(40):

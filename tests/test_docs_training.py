@@ -23,13 +23,13 @@ def names(cell: str) -> list[str]:
 
 
 def test_observations_are_told():
-    assert {name for cells in table("name | what") for name in names(cells[0])} == set(mdp.OBSERVATIONS)
+    assert {name for cells in table("name | content") for name in names(cells[0])} == set(mdp.OBSERVATIONS)
     assert f"The default is `{', '.join(config.OBSERVED)}`" in TEXT
 
 
 def test_rewards_are_told():
     told = {}
-    for first, _, weights, privileged in table("name | number of a step"):
+    for first, _, weights, privileged in table("name | value per step"):
         for name, weight in zip(names(first), (weights.split(", ") * 2), strict=False):
             told[name] = (float(weight or 0), privileged == "yes")
     assert {name: weight for name, (weight, _) in told.items() if weight} == rewards.DEFAULT
@@ -43,7 +43,7 @@ def examples() -> list[str]:
 
 
 def test_agents_of_the_package_are_told():
-    assert {name for cells in table("name | made by") for name in names(cells[0])} == set(AGENTS)
+    assert {name for cells in table("name | command") for name in names(cells[0])} == set(AGENTS)
 
 
 @pytest.mark.slow

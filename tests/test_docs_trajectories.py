@@ -31,6 +31,6 @@ def test_examples_run(tmp_path, monkeypatch):
     gaps = np.linalg.norm(scope["trajectory"].people - scope["trajectory"].position[:, None], axis=-1).min(1)
     np.testing.assert_allclose(scope["nearest"], gaps, rtol=1e-5)
     assert (scope["speeds"].speed >= 0).all()
-    np.testing.assert_array_equal(scope["again"].people, scope["trajectory"].people)
+    np.testing.assert_array_equal(scope["loaded"].people, scope["trajectory"].people)
     assert scope["lasted"] == pytest.approx(scope["episodes"].seconds[3])
     assert scope["everything"].active.sum(1) * 0.1 == pytest.approx(scope["episodes"].seconds.to_numpy())

@@ -17,7 +17,7 @@ from sean_jax.errors import InputError
 from sean_jax.graph import annotation
 from sean_jax.graph.behavior_graph import cheapest_paths, hop_log_chances, routes
 from sean_jax.studies import inverse_graph
-from sean_jax.studies.inverse_graph import fitting, flow_model, measuring
+from sean_jax.studies.inverse_graph import fitting, measuring
 
 COLD = 1e-3  # m, at which route choice is the cheapest path
 
@@ -66,7 +66,7 @@ def rings(place):
     return {number: annotation.build(ring(number), place) for number in (0, 2)}
 
 
-def hidden(graph, seed: int, spread: float = 0.8) -> flow_model.FlowWeights:
+def hidden(graph, seed: int, spread: float = 0.8) -> fitting.FlowWeights:
     """Random weights of a graph."""
     draw = np.random.default_rng(seed)
     weights = inverse_graph.weights_of(graph)
@@ -210,7 +210,7 @@ def test_as_many_leave_a_node_as_come_and_slopes_are_finite(rings, closed):
     @jax.jit
     def likelihood(weights):
         found = inverse_graph.expected_flows(layout, weights, 1.0, closed)
-        return flow_model.log_likelihood(found, seen.edges, seen.turns)
+        return fitting.log_likelihood(found, seen.edges, seen.turns)
 
     slope = jax.jit(jax.grad(likelihood))(weights)
     assert all(np.isfinite(np.asarray(leaf)).all() for leaf in jax.tree.leaves(slope))
@@ -324,7 +324,7 @@ def test_graphs_are_written_as_they_are_read(place, tmp_path):
     """And a fit's weights and factors are in the file, relative to their mean and middle."""
     words = ring(2)
     fit_weights = hidden(annotation.build(words, place), 4)
-    flows = flow_model.Flows(np.zeros((8, 8)), np.zeros((9, 8, 9)))
+    flows = fitting.Flows(np.zeros((8, 8)), np.zeros((9, 8, 9)))
     stay, capacity = np.array([[2.0, 6.5], [np.nan, np.nan]]), np.array([3, 0])
     fit = inverse_graph.GraphFit(fit_weights, flows, stay, capacity, (1.3, 0.2), np.zeros(1))
     for closed in (True, False):

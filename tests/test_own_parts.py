@@ -24,7 +24,7 @@ from sean_jax.errors import InputError
 from sean_jax.evaluation.saved import read_config
 from sean_jax.learning import dataset
 from sean_jax.learning.policy import AGENTS
-from sean_jax.studies.validation import check, results
+from sean_jax.studies.validation import checks
 from sean_jax.workspace import Workspace, identity
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -320,8 +320,8 @@ f = [*sean_jax.preset("helbing1995"), Law()]
     laws = set()
     for number in ("1.0", "2.0"):
         (place / "my.py").write_text(law.replace("NUMBER", number))
-        (model,) = check.models_of("my.py:f")
-        laws.add(json.dumps(results._made_with(model, ValidateConfig())))
+        (model,) = checks.models_of("my.py:f")
+        laws.add(json.dumps(checks._made_with(model, ValidateConfig())))
     assert len(laws) == 2
 
 

@@ -7,7 +7,6 @@ import pytest
 
 from sean_jax import InputError, preset
 from sean_jax.base import Obstacles
-from sean_jax.recordings import Tracks
 from sean_jax.studies.prediction import cut_windows, evaluate, forecast, observed_people, predict, read_windows, score
 
 rng = np.random.default_rng(3)
@@ -143,9 +142,7 @@ def test_scores_are_means_over_tracks():
 def test_windows_hold_those_who_are_there_throughout():
     there = rng.random((60, 5)) < 0.93
     place = rng.normal(size=(60, 5, 2))
-    nothing = np.full(there.shape, -1)
-    tracks = Tracks(place, place, nothing, there, nothing, np.arange(60), 0.4)
-    windows = cut_windows(tracks, 6)
+    windows = cut_windows(np.where(there[..., None], place, np.nan), 6)
     expected = [(t, np.flatnonzero(there[t : t + 6].all(0))) for t in range(55) if there[t : t + 6].all(0).sum() >= 2]
     assert len(expected) == len(windows.position) > 3
     for window, present, (t, columns) in zip(windows.position, windows.present, expected, strict=True):
@@ -153,10 +150,10 @@ def test_windows_hold_those_who_are_there_throughout():
         np.testing.assert_array_equal(window[:, : len(columns)], place[t : t + 6, columns])
 
 
-def write_recording(path):
+def write_recording(path, last=26):
     """Three people, of whom one enters between two multiples of ten frames; all walk straight."""
     lines = ["frame,ped_id,x_m,y_m"]
-    for person, first, count, speed in ((1, 0, 30, 1.0), (2, 40, 26, -1.2), (3, 57, 4, 1.1)):
+    for person, first, count, speed in ((1, 0, 30, 1.0), (2, 40, last, -1.2), (3, 57, 4, 1.1)):
         for k in range(count):
             lines.append(f"{first + 10 * k},{person},{speed * 0.4 * k:.4f},{person}.0")
     path.write_text("\n".join(lines) + "\n")
@@ -171,7 +168,7 @@ def test_moments_are_ten_frames_apart_and_chunks_change_nothing(tmp_path):
     assert whole.tracks == 14 and whole.ade < 1e-3 and whole.collisions == 0.0
     np.testing.assert_allclose(evaluate("constant_velocity", windows, chunk=4), whole, atol=1e-6)
     with pytest.raises(InputError, match="never are two people there"):
-        read_windows(tmp_path / "scene.csv", seen=30)
+        read_windows(write_recording(tmp_path / "short.csv", 18))
     with pytest.raises(InputError, match="clock: 'sgan' is not one of"):
         read_windows(tmp_path / "scene.csv", "sgan")
 

@@ -16,7 +16,7 @@ from sean_jax import cli, prng, scenes
 from sean_jax.config import PPOConfig
 from sean_jax.recordings import Tracks
 from sean_jax.replay.encoding import decode
-from sean_jax.studies.validation import replays
+from sean_jax.studies.validation.page import trajectory
 
 LAB = "--environment lab --behavior random --people 2 --dynamics twin".split()
 
@@ -137,7 +137,7 @@ def test_who_goes_around_a_periodic_scene_does_not_cross_it():
     )  # fmt: skip
     tracks = Tracks(**arrays, time_step=0.1)
     scene: Any = scenes.Scene(walls=np.zeros((0, 5)), walkers=None, period=10.0)  # pyright: ignore
-    frames = replays.trajectory(scene, tracks)
+    frames = trajectory(scene, tracks)
     assert frames.present[:, 0].tolist() == [True, True, False, True, True]
 
 

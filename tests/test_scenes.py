@@ -10,7 +10,6 @@ from sean_jax.geometry import signed_distances_on_host
 from sean_jax.social_forces import walls as laws
 from sean_jax.studies.scenes import (
     Gate,
-    Moving,
     Scene,
     box,
     corridor,
@@ -217,7 +216,7 @@ def test_the_robot_of_a_scene_keeps_its_velocity():
     state = stage(scenario, scene)
     for _ in range(3):
         state = STEP(scenario, state)
-    np.testing.assert_allclose(state.robot.position, Moving(*scene.robot).at(np.array([0.3]))[0], atol=1e-5)
+    np.testing.assert_allclose(state.robot.position, scene.robot_path(np.array([0.3]))[0], atol=1e-5)
     assert float(state.robot.speed) == pytest.approx(0.5)
 
 

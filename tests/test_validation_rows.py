@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from sean_jax import social_forces
-from sean_jax.studies.prediction.benchmark import Scores
+from sean_jax.studies.prediction import Scores
 from sean_jax.studies.scenes import model
 from sean_jax.studies.validation import crowds, individuals
-from sean_jax.studies.validation.check import CheckContext, Skipped
+from sean_jax.studies.validation.checks import CHECKS, CheckContext, Skipped
 from sean_jax.studies.validation.individuals import fitted_without
 from sean_jax.studies.validation.measures import group_occupancy
 
@@ -116,8 +116,8 @@ def test_a_crowd_that_walks_through_itself_leaves_a_door_too_fast():
 
 
 def test_pairs_who_walk_through_each_other_fail_and_who_turn_aside_pass():
-    for check in (individuals.head_on, individuals.crossing):
-        broken, right = check(context(straight)), check(context(shifted))
+    for name in ("pairs-head-on", "pairs-crossing"):
+        broken, right = (CHECKS[name].run(context(moved_by)) for moved_by in (straight, shifted))
         assert not broken.passed and broken.numbers["gap"] == pytest.approx(-0.4, abs=1e-3)
         assert broken.numbers["overlapping"] == 1.0  # all would pass within 0.3 m, and bodies are 0.4 m wide
         assert right.passed and right.numbers["gap"] > 0.4

@@ -10,7 +10,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sean_jax import files, writing
+from sean_jax import writing
 from sean_jax.config import CalibrateConfig
 from sean_jax.errors import InputError
 from sean_jax.files import listed, unknown_name
@@ -55,7 +55,7 @@ def run(options: CalibrateConfig, console: Console | None = None) -> Path:
         kinds += [windows.corridor_scenes(corridors)] if corridors else []
         writing.write(folder / OPTIONS, {**work.identity, "versions": versions()})
         fit = Fit(forces, names, kinds, options.steps, options.batch)
-        descent, history = _descend(fit, options, left_out, bar)
+        descent, history = _descend(fit, options, left_out, work, bar)
         bar.stage("judging by all windows")
         results = _evaluate(fit, descent, left_out, history, prediction)
         for what, values in results["parameters"].items():
@@ -79,12 +79,14 @@ def _left_out(options: CalibrateConfig, scenes: list[str]) -> list[str | None]:
     return [None, *(chosen or scenes if len(scenes) > 1 else [])]
 
 
-def _descend(fit: Fit, options: CalibrateConfig, left_out: list, bar: Any) -> tuple[Descent, np.ndarray]:
+def _descend(
+    fit: Fit, options: CalibrateConfig, left_out: list, work: Workspace, bar: Any
+) -> tuple[Descent, np.ndarray]:
     """All fits to their ends, from where an earlier command of the same options was stopped."""
     import numpy as np
 
     weights = np.array([[float(name != scene) for scene in fit.scenes] for name in left_out])
-    descent, history = _resume(fit.start(len(left_out), options.starts, options.seed), options.folder / UNFINISHED)
+    descent, history = _resume(fit.start(len(left_out), options.starts, options.seed), work)
     bar.start("compiling and fitting", options.steps)
     saved = time.monotonic()
     try:
@@ -93,10 +95,10 @@ def _descend(fit: Fit, options: CalibrateConfig, left_out: list, bar: Any) -> tu
             history.append(np.asarray(loss))
             bar.update(len(history), f"loss {history[-1][0].min():.4f}")
             if time.monotonic() - saved > EVERY:
-                _save(descent, history, options.folder / UNFINISHED)
+                _save(descent, history, work)
                 saved = time.monotonic()
     except KeyboardInterrupt:
-        _save(descent, history, options.folder / UNFINISHED)
+        _save(descent, history, work)
         raise
     return descent, np.stack(history)
 
@@ -117,9 +119,8 @@ def _evaluate(
     chosen = np.asarray(descent.mean)[np.arange(len(best)), best]
     before, _ = fit.errors(fit.start(1, 1, 0).free[0])
     labels = ["all" if name is None else name for name in left_out]
-    parameters = {"before": np.asarray(values_of(fit.forces, fit.names))}
     fits = {label: parts_of(fit.forces, fit.names, each) for label, each in zip(labels, chosen, strict=True)}
-    parameters |= {label: np.asarray(values_of(forces, fit.names)) for label, (forces, _) in fits.items()}
+    forces_of = {"before": fit.forces} | {label: forces for label, (forces, _) in fits.items()}
     errors = {"before": before[0]} | {label: error[k, best[k]] for k, label in enumerate(labels)}
     scores: dict[str, Any] = {}
     for scene, file in recordings.items():
@@ -137,7 +138,7 @@ def _evaluate(
     return {
         "names": list(fit.names),
         "bounds": {name: BOUNDS[name] for name in fit.names},
-        "parameters": {what: _floats(fit.names, values) for what, values in parameters.items()},
+        "parameters": {what: _floats(fit.names, values_of(each, fit.names)) for what, each in forces_of.items()},
         "habits": {label: _floats(habits._fields, habits) for label, (_, habits) in fits.items()},
         "errors": {what: _floats(fit.scenes, values) for what, values in errors.items()},
         "scores": scores,
@@ -179,31 +180,28 @@ def _workspace(options: CalibrateConfig) -> Workspace:
     return Workspace(options.folder, about, OPTIONS)
 
 
-def _save(descent: Descent, history: list, file: Path) -> None:
+def _save(descent: Descent, history: list, work: Workspace) -> None:
     import jax
     import numpy as np
 
     leaves: dict[str, Any] = {f"leaf{index}": np.asarray(leaf) for index, leaf in enumerate(jax.tree.leaves(descent))}
-    with writing.atomic_file(file) as stream:
-        np.savez(stream, history=np.stack(history) if history else np.zeros(0), **leaves)
+    work.save(UNFINISHED, {"history": np.stack(history) if history else np.zeros(0), **leaves})
 
 
-def _resume(descent: Descent, file: Path) -> tuple[Descent, list]:
+def _resume(descent: Descent, work: Workspace) -> tuple[Descent, list]:
     """The saved descent and its history; the start without a file."""
     import jax
     import jax.numpy as jnp
 
-    if not file.is_file():
-        return descent, []
     leaves, structure = jax.tree.flatten(descent)
     try:
-        arrays = files.read_arrays(file)
+        if (arrays := work.load(UNFINISHED)) is None:
+            return descent, []
         restored = [arrays[f"leaf{index}"] for index in range(len(leaves))]
         history = list(arrays["history"])
         if [each.shape for each in restored] != [leaf.shape for leaf in leaves]:
             raise ValueError
     except (ValueError, KeyError, TypeError):
-        raise InputError(f"{file} is damaged; remove it to begin anew.") from None
-    return structure.unflatten(
-        [jnp.asarray(each, leaf.dtype) for each, leaf in zip(restored, leaves, strict=True)]
-    ), history
+        raise InputError(f"{work.folder / UNFINISHED} is damaged; remove it to begin anew.") from None
+    same = [jnp.asarray(each, leaf.dtype) for each, leaf in zip(restored, leaves, strict=True)]
+    return structure.unflatten(same), history

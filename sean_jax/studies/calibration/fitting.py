@@ -4,9 +4,11 @@ Each of F fits leaves other scenes out; each has K starts. All descend together,
 the first start from the preset's constants, the others drawn within the bounds.
 """
 
+import operator
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -15,7 +17,7 @@ import optax
 from flax import struct
 from jaxtyping import Float, Int
 
-from sean_jax import prng
+from sean_jax import files, prng
 from sean_jax.base import Array, ObstacleGrid
 from sean_jax.errors import InputError
 from sean_jax.files import unknown_name
@@ -26,24 +28,9 @@ from sean_jax.studies.calibration.windows import Scenes
 from sean_jax.studies.prediction import predict
 from sean_jax.studies.prediction.forecast import grid_around
 
-BOUNDS: dict[str, tuple[float, float]] = {
-    "walking.relaxation_time": (0.1, 1.0),  # s; measured starts and stops take .2 to .6
-    "repulsion.strength": (0.1, 20.0),  # m/s2
-    "repulsion.range": (0.05, 0.6),  # m
-    "repulsion.anticipation": (0.0, 3.0),  # s
-    "repulsion.back_weight": (0.0, 1.0),
-    "headway.length": (-0.5, 0.4),  # m; below zero there is some way yet to go when bodies touch
-    "headway.range": (0.05, 3.0),  # m
-    "headway.width": (0.1, 0.6),  # m
-    "evasion.strength": (0.1, 8.0),  # m/s2
-    "evasion.gain": (0.1, 12.0),
-    "evasion.horizon": (0.5, 6.0),  # s
-    "evasion.width": (0.3, 2.0),  # m
-    "sidestep.preference": (0.0, 0.5),  # m/s2
-    "walls.strength": (0.1, 20.0),  # m/s2
-    "walls.range": (0.03, 0.5),  # m
-}
-"""term.parameter -> the least and the greatest value; terms that a model lacks are left out"""
+_TABLE: Any = files.read_yaml(Path(__file__).with_name("bounds.yaml"))[1]
+BOUNDS: dict[str, tuple[float, float]] = {name: (low, high) for name, (low, high) in _TABLE.items()}
+"""term.parameter -> the least and the greatest value"""
 
 INERT = {"circular": {"repulsion.anticipation", "repulsion.own_motion"}}
 """name of a law of repulsion -> parameters that it does not read"""
@@ -70,12 +57,7 @@ def names_of(forces: Forces, chosen: Sequence[str] = ()) -> list[str]:
 
 def values_of(forces: Forces, names: Sequence[str]) -> Float[Array, "P"]:
     """(P,) parameters of forces, each in its unit."""
-    return jnp.stack([jnp.asarray(getattr(getattr(forces, a), b), float) for a, b in _split(names)])
-
-
-def with_values(forces: Forces, names: Sequence[str], values: Float[Array, "P"]) -> Forces:
-    """Forces with other parameters (P,), which may be traced."""
-    return forces.tree_replace({name: values[index] for index, name in enumerate(names)})
+    return jnp.stack([jnp.asarray(operator.attrgetter(name)(forces), float) for name in names])
 
 
 def to_free(names: Sequence[str], values: Float[Array, "*batch P"]) -> Float[Array, "*batch P"]:
@@ -100,10 +82,6 @@ def _scales(names: Sequence[str], ndim: int) -> tuple[Array, Array, Array]:
     """Bounds (1, ..., P), and whether the scale is logarithmic."""
     bounds = np.array([BOUNDS[name] for name in names]).T.reshape((2,) + (1,) * (ndim - 1) + (-1,))
     return jnp.asarray(bounds[0], float), jnp.asarray(bounds[1], float), jnp.asarray(bounds[0] > 0.0)
-
-
-def _split(names: Sequence[str]) -> list[tuple[str, str]]:
-    return [(name.partition(".")[0], name.partition(".")[2]) for name in names]
 
 
 # ------------------------------------------------------------------ the fit
@@ -145,7 +123,7 @@ class Descent:
     step: Int[Array, ""]
 
 
-def losses(forces: Forces, scenes: Scenes, rows: Int[Array, "W"], grid: ObstacleGrid | None, habits: Habits) -> Losses:
+def losses(scenes: Scenes, rows: Int[Array, "W"], grid: ObstacleGrid | None, forces: Forces, habits: Habits) -> Losses:
     """The errors of predictions of the windows ``rows`` (W,), ``EMPTY`` for none."""
     there = rows != EMPTY
     pick = lambda leaf: jnp.asarray(leaf)[jnp.maximum(rows, 0)]  # noqa: E731
@@ -184,20 +162,19 @@ def objective(
     parts: Sequence[Callable[[Forces, Habits], Losses]],
     forces: Forces,
     names: Sequence[str],
-) -> tuple[Float[Array, ""], Float[Array, "E"]]:
+) -> Float[Array, ""]:
     """The loss of one fit, by its parameters (P,), the three habits at the end.
 
     Args:
-        kinds: scenes of different shapes, their windows (rows), and their walls.
+        parts: the losses of scenes of one shape each, by forces and habits.
         weights: (E,) of all scenes, 0 for the scene that is left out.
     """
-    mine, habits = parts_of(forces, names, free)
-    losses_of = [part(mine, habits) for part in parts]
+    constants = parts_of(forces, names, free)
+    losses_of = [part(*constants) for part in parts]
     error = jnp.concatenate([each.error / jnp.maximum(each.weight, 1.0) for each in losses_of])
     counted = jnp.concatenate([(each.weight > 0.0).astype(float) for each in losses_of]) * weights
     collisions = sum(each.collisions / jnp.maximum(each.pairs, 1.0) for each in losses_of)
-    loss = (counted * error).sum() / jnp.maximum(counted.sum(), 1e-9) + COLLISIONS * collisions
-    return loss, error
+    return (counted * error).sum() / jnp.maximum(counted.sum(), 1e-9) + COLLISIONS * collisions
 
 
 def parts_of(forces: Forces, names: Sequence[str], free: Float[Array, "*batch P"]) -> tuple[Forces, Habits]:
@@ -277,16 +254,12 @@ class Fit:
         error = np.concatenate([np.asarray(each.error / jnp.maximum(each.weight, 1.0)) for each in totals], -1)
         return error, np.asarray(sum(each.collisions / jnp.maximum(each.pairs, 1.0) for each in totals))
 
-    def _parts(self, rows: Sequence[Array]) -> list[Callable[[Forces, Habits], Losses]]:
-        return [partial(_part, kind, own, grid) for kind, own, grid in zip(self.kinds, rows, self.grids, strict=True)]
-
     def _descend(self, descent: Descent, weights: Array, rows: list[Array]) -> tuple[Descent, Array]:
-        parts = self._parts(rows)
+        kinds = zip(self.kinds, rows, self.grids, strict=True)
+        parts = [partial(losses, kind, own, grid) for kind, own, grid in kinds]
 
         def one(free: Array, state: optax.OptState, weights: Array) -> tuple:
-            (loss, _), slope = jax.value_and_grad(objective, has_aux=True)(
-                free, weights, parts, self.forces, self.names
-            )
+            loss, slope = jax.value_and_grad(objective)(free, weights, parts, self.forces, self.names)
             slope = jnp.where(jnp.isfinite(slope).all(), slope, 0.0)
             with jax.numpy_dtype_promotion("standard"):  # optax raises floats to integer powers
                 change, state = self.optimizer.update(slope, state)
@@ -300,13 +273,8 @@ class Fit:
 
     def _losses_of(self, free: Array, rows: Array, kind: int) -> Losses:
         def one(free: Array) -> Losses:
-            forces, habits = parts_of(self.forces, self.names, free)
-            return losses(forces, self.kinds[kind], rows, self.grids[kind], habits)
+            return losses(self.kinds[kind], rows, self.grids[kind], *parts_of(self.forces, self.names, free))
 
         for _ in range(free.ndim - 1):
             one = jax.vmap(one)
         return one(free)
-
-
-def _part(scenes: Scenes, rows: Array, grid: ObstacleGrid | None, forces: Forces, habits: Habits) -> Losses:
-    return losses(forces, scenes, rows, grid, habits)

@@ -17,8 +17,7 @@ from sean_jax.base import Obstacles
 from sean_jax.errors import InputError
 from sean_jax.recordings import read
 from sean_jax.recordings.reading import NEEDED, column_names
-from sean_jax.studies.prediction import read_windows
-from sean_jax.studies.prediction.benchmark import SEEN, TIME_STEP
+from sean_jax.studies.prediction import SEEN, TIME_STEP, read_windows
 
 RUN = re.compile(r"(uo|bo)-(\d{3})-(\d{3})-(\d{3})")  # direction, widths of entrance, corridor and exit in cm
 LENGTH = 8.0  # m, of a corridor, from y = -4 to 4

@@ -5,7 +5,7 @@ counts it. The next edge from v, a *turn*, has more information than the flow of
 as a goal.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import jax
@@ -101,74 +101,71 @@ def _nodes(
 def _ways(last: np.ndarray, walked: np.ndarray, present: np.ndarray, nodes: int) -> tuple[np.ndarray, np.ndarray]:
     """(M, M) walks along edges, and (M + 1, M, M + 1) turns, of (T, N) nodes."""
     edges, turns = np.zeros((nodes, nodes)), np.zeros((nodes + 1, nodes, nodes + 1))
-    for column in range(last.shape[1]):
-        for begin, end in _runs(present[:, column]):
-            row = last[begin:end, column]
-            changes = np.flatnonzero((np.diff(row, prepend=NO_NODE) != 0) & (row != NO_NODE))
-            before, arrived = nodes, -1  # where they came from, and where they are since
-            for index in changes:
-                node = row[index]
-                if arrived >= 0 and walked[begin + index, column]:
-                    edges[arrived, node] += 1
-                    if before >= 0:
-                        turns[before, arrived, node] += 1
-                    before, arrived = arrived, node
-                else:  # the first node, or one to which no edge leads
-                    before, arrived = nodes if arrived < 0 else -1, node
-            if 0 <= before < nodes:
-                turns[before, arrived, nodes] += 1
+    for column, begin, end in _runs(present):
+        row = last[begin:end, column]
+        changes = np.flatnonzero((np.diff(row, prepend=NO_NODE) != 0) & (row != NO_NODE))
+        before, arrived = nodes, -1  # where they came from, and where they are since
+        for index in changes:
+            node = row[index]
+            if arrived >= 0 and walked[begin + index, column]:
+                edges[arrived, node] += 1
+                if before >= 0:
+                    turns[before, arrived, node] += 1
+                before, arrived = arrived, node
+            else:  # the first node, or one to which no edge leads
+                before, arrived = nodes if arrived < 0 else -1, node
+        if 0 <= before < nodes:
+            turns[before, arrived, nodes] += 1
     return edges, turns
 
 
-def _runs(flags: np.ndarray) -> list[tuple[int, int]]:
-    """Begin and end of each run of true in (T,)."""
-    change = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(int)))
-    return [(int(begin), int(end)) for begin, end in change.reshape(-1, 2)]
+def _runs(flags: np.ndarray) -> Iterator[tuple[int, int, int]]:
+    """Column, begin and end of each run of true in (T, N)."""
+    edges = np.diff(np.pad(flags, ((1, 1), (0, 0))).astype(np.int8), axis=0)
+    for column in range(flags.shape[1]):
+        for begin, end in np.flatnonzero(edges[:, column]).reshape(-1, 2).tolist():
+            yield column, begin, end
 
 
 def _speeds(position: np.ndarray, present: np.ndarray, time_step: float) -> np.ndarray:
     """(T, N) m/s, over half a second about each row, or as much of it as somebody is there."""
     half = max(1, round(SPEED_TIME / 2 / time_step))
     speed = np.zeros(present.shape)
-    for column in range(present.shape[1]):
-        for begin, end in _runs(present[:, column]):
-            row = np.arange(begin, end)
-            after, before = np.minimum(row + half, end - 1), np.maximum(row - half, begin)
-            gap = np.linalg.norm(position[after, column] - position[before, column], axis=-1)
-            speed[row, column] = gap / np.maximum((after - before) * time_step, time_step)
+    for column, begin, end in _runs(present):
+        row = np.arange(begin, end)
+        after, before = np.minimum(row + half, end - 1), np.maximum(row - half, begin)
+        gap = np.linalg.norm(position[after, column] - position[before, column], axis=-1)
+        speed[row, column] = gap / np.maximum((after - before) * time_step, time_step)
     return speed
 
 
 def _joined(here: np.ndarray, within: np.ndarray, longest: int) -> np.ndarray:
     """(T, N) presence with gaps of at most ``longest`` rows closed, if people stay within reach (T, N)."""
     joined = here.copy()
-    for column in range(here.shape[1]):
-        for begin, end in _runs(~here[:, column]):
-            if begin > 0 and end < len(here) and end - begin <= longest and within[begin:end, column].all():
-                joined[begin:end, column] = True
+    for column, begin, end in _runs(~here):
+        if begin > 0 and end < len(here) and end - begin <= longest and within[begin:end, column].all():
+            joined[begin:end, column] = True
     return joined
 
 
 def _stays(here: np.ndarray, present: np.ndarray, time_step: float) -> np.ndarray:
     """(K,) s, for how long people stood; without stays that had begun before, or ended after, what was measured."""
     stays = []
-    for column in range(here.shape[1]):
-        for begin, end in _runs(here[:, column]):
-            complete = begin > 0 and end < len(here) and present[begin - 1, column] and present[end, column]
-            if complete and (end - begin) * time_step >= SHORTEST_STAY:
-                stays.append((end - begin) * time_step)
+    for column, begin, end in _runs(here):
+        complete = begin > 0 and end < len(here) and present[begin - 1, column] and present[end, column]
+        if complete and (end - begin) * time_step >= SHORTEST_STAY:
+            stays.append((end - begin) * time_step)
     return np.array(stays)
 
 
 def _preferred(speed: np.ndarray, present: np.ndarray, time_step: float) -> np.ndarray:
     """(P,) m/s, the preferred speed of each person: a high quantile of walking speeds."""
     speeds = []
-    for column in range(speed.shape[1]):
-        for begin, end in _runs(present[:, column]):
-            walking = speed[begin:end, column]
-            walking = walking[walking > WALKING]
-            if len(walking) * time_step >= MIN_WALK:
-                speeds.append(np.quantile(walking, UNHINDERED))
+    for column, begin, end in _runs(present):
+        walking = speed[begin:end, column]
+        walking = walking[walking > WALKING]
+        if len(walking) * time_step >= MIN_WALK:
+            speeds.append(np.quantile(walking, UNHINDERED))
     return np.array(speeds)
 
 
@@ -227,8 +224,8 @@ def people_called(
         target = jnp.where(before.stay > 0, groups, group_of[before.goal])
         heads, same = target < groups, after.goal == before.goal
 
-        def counted(who: Bool[Array, "N"], group: Array) -> Array:
-            return jnp.zeros((count, groups + 1)).at[before.hop, group].add(who.astype(float))
+        def counted(people: Bool[Array, "N"], group: Array) -> Array:
+            return jnp.zeros((count, groups + 1)).at[before.hop, group].add(people.astype(float))
 
         return Calls(
             candidates=counted(onward & ~heads, target)[:, groups],
@@ -249,12 +246,12 @@ def _simulate(
     def one(state: State, _: None) -> tuple[State, PyTree]:
         before = state.memory
         state = stages.direct_pedestrians(scenario, state, jax.random.fold_in(state.streams.people, state.tick))
-        seen = look(before, state.memory)
-        return replace(stages.move_pedestrians(scenario, state), tick=state.tick + 1), seen
+        observed = look(before, state.memory)
+        return replace(stages.move_pedestrians(scenario, state), tick=state.tick + 1), observed
 
     def row(state: State, _: None) -> tuple[State, tuple]:
-        state, seen = jax.lax.scan(one, state, length=every)
-        return state, (state.pedestrians.position, state.pedestrians.present, seen)
+        state, observed = jax.lax.scan(one, state, length=every)
+        return state, (state.pedestrians.position, state.pedestrians.present, observed)
 
     return jax.lax.scan(row, begin_alone(scenario, key), length=steps // every)[1]
 

@@ -14,6 +14,7 @@ from collections.abc import Callable
 
 import numpy as np
 from jaxtyping import Float
+from scipy.sparse.csgraph import connected_components
 
 from sean_jax.base import Environment
 from sean_jax.errors import InputError
@@ -158,18 +159,10 @@ def _needed(
 
 def _pieces(nodes: list[int], sights: list[np.ndarray], among: list[int] | None = None) -> list[list[int]]:
     """The nodes, or some among them, that are joined by sight, piece by piece."""
-    left, pieces = set(range(len(nodes)) if among is None else among), []
-    while left:
-        piece, pending = [], [min(left)]
-        left.discard(pending[0])
-        while pending:
-            here = pending.pop()
-            piece.append(here)
-            joined = [k for k in left if sights[here][nodes[k]] or sights[k][nodes[here]]]
-            left.difference_update(joined)
-            pending += joined
-        pieces.append(sorted(piece))
-    return pieces
+    own = np.arange(len(nodes)) if among is None else np.sort(among)
+    visible = np.array([sights[k][np.asarray(nodes)[own]] for k in own]).reshape(len(own), len(own))
+    number, label = connected_components(visible, directed=False)
+    return [own[label == piece].tolist() for piece in range(number)]
 
 
 def _annotation(

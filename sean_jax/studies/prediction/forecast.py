@@ -29,13 +29,10 @@ from sean_jax.base import (
     Scenario,
     State,
 )
-from sean_jax.config import DEFAULT_FORCES
-from sean_jax.errors import InputError
-from sean_jax.files import unknown_name
 from sean_jax.geometry import build_obstacle_grid, length
-from sean_jax.pedestrian_models import MODELS
 from sean_jax.people import pedestrians_at
-from sean_jax.social_forces import PRESETS, SUBSTEP, Cohesion, Forces, Term, presets
+from sean_jax.social_forces import SUBSTEP, Cohesion, Forces, Term
+from sean_jax.studies import scenes
 
 CONTROL_STEP = 0.1  # s, at most, in which a pedestrian model moves people
 MARGIN = 50.0  # m of open floor around walls
@@ -47,11 +44,11 @@ FAR = 1e4  # m, where the robot stands that no recording has
 
 HABITS = {"weights": (0.98,), "settled": 0.5}  # of ``predict``; ``sean calibrate`` finds .967 and .56 in all scenes
 T = TypeVar("T")
-Model = str | Iterable[Term] | Callable[[Scenario, State], Pedestrians]
+Predictable = str | Iterable[Term] | Callable[[Scenario, State], Pedestrians]
 
 
 def predict(
-    model: Model,
+    model: Predictable,
     seen: Float[Array, "*batch T N 2"],
     time_step: float,
     steps: int,
@@ -95,7 +92,8 @@ def predict(
     known = jnp.isfinite(seen).all(-1)
     if present is not None:
         known = known & jnp.asarray(present, bool)
-    move, forces = _resolve(model)
+    people = scenes.Model("forces", model, social_forces.move) if isinstance(model, Forces) else scenes.model(model)
+    move, forces = people.move, people.forces  # parameters may be traced
     grid = grid_around(walls) if isinstance(walls, Obstacles) else walls
     control = math.ceil(time_step / CONTROL_STEP - 1e-6)
     substeps = math.ceil(time_step / control / SUBSTEP - 1e-6)
@@ -192,21 +190,6 @@ def grid_around(obstacles: Obstacles) -> ObstacleGrid:
     reach = jnp.hypot(obstacles.half_extent[:, 0], obstacles.half_extent[:, 1])[:, None]
     lower, upper = (obstacles.center - reach).min(0), (obstacles.center + reach).max(0)
     return build_obstacle_grid(obstacles, jnp.concatenate([lower - MARGIN, upper + MARGIN]))
-
-
-def _resolve(model: Model) -> tuple[Callable[[Scenario, State], Pedestrians], Forces]:
-    """The function that moves people, and the forces that it reads."""
-    if isinstance(model, str):
-        if model in MODELS:
-            return MODELS[model], social_forces.preset(DEFAULT_FORCES)
-        if model not in PRESETS and not presets.is_file(model):
-            raise InputError(unknown_name("model", model, {**PRESETS, **MODELS}))
-        return social_forces.move, social_forces.build(model)
-    if isinstance(model, Forces):
-        return social_forces.move, model  # parameters may be traced
-    if callable(model):
-        return model, social_forces.preset(DEFAULT_FORCES)
-    return social_forces.move, social_forces.build(model)
 
 
 @partial(jax.jit, static_argnums=(0, 1, 2, 3, 4))

@@ -11,15 +11,25 @@
 People move by the ordinary simulator, with any forces or pedestrian model; a robot is optional.
 """
 
-from sean_jax.studies.scenes.floor_plan import box, corridor, environment, room, wall
-from sean_jax.studies.scenes.scene import Model, Periodic, Scene, model, scenario_of, stage
-from sean_jax.studies.scenes.simulation import Moving, simulate
+from sean_jax.studies.scenes.scene import (
+    Model,
+    Periodic,
+    Scene,
+    box,
+    corridor,
+    environment,
+    model,
+    room,
+    scenario_of,
+    stage,
+    wall,
+)
+from sean_jax.studies.scenes.simulation import simulate
 from sean_jax.studies.scenes.walkers import Gate, Walkers, join, source, spread, walkers, walkers_behavior
 
 __all__ = [
     "Gate",
     "Model",
-    "Moving",
     "Periodic",
     "Scene",
     "Walkers",

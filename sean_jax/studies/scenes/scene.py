@@ -1,4 +1,8 @@
-"""A scene: walls, gates, walkers and how long; together with a model of people it is a scenario without a task."""
+"""Scenes: floor plans, walls, gates, walkers and how long; with a model of people a scene is a scenario without a task.
+
+A floor plan is an array (W, 5) with a row for each box: center x and y, half extents along and across [m], yaw [rad].
+Plans are joined by ``np.concatenate``.
+"""
 
 import functools
 from collections.abc import Callable, Iterable
@@ -8,28 +12,152 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from sean_jax import pedestrian_models, prng, robots, social_forces
-from sean_jax.base import Array, Pedestrians, Robot, RobotModel, Scenario, State
+from sean_jax.base import (
+    Array,
+    Environment,
+    ObstacleGrid,
+    Obstacles,
+    Pedestrians,
+    Robot,
+    RobotModel,
+    Scenario,
+    State,
+)
 from sean_jax.config import DEFAULT_FORCES
+from sean_jax.devices import to_device
+from sean_jax.environment import plain_scenery
 from sean_jax.errors import InputError
 from sean_jax.files import unknown_name
+from sean_jax.geometry import build_obstacle_grid
 from sean_jax.social_forces import presets
 from sean_jax.social_forces.forces import Forces, Term
-from sean_jax.studies.scenes.floor_plan import environment
-from sean_jax.studies.scenes.walkers import NEVER, Gate, Walkers, walkers_behavior
+from sean_jax.studies.scenes.walkers import AWAY, NEVER, Gate, Point, Walkers, padded_size, walkers_behavior
+
+THIN = 0.02  # m, thickness of a wall that is drawn as a segment
+THICK = 0.2  # m, of the walls around rooms and corridors, which lie outside them
+HEIGHT = 2.5  # m
+MARGIN = 1.0  # m of floor around the boxes
+CELLS = 64  # of the grid along x and y: the same for all plans, so that they share programs
+SIZES = (8, 16), (32, 128)  # obstacles near a cell, and obstacles: plans are padded to the first pair that is enough
+FAR = 1e4  # m, where padding lies
+
+
+def box(lower: Point, upper: Point) -> Float[np.ndarray, "1 5"]:
+    """A box along x and y, from the corner with the smallest coordinates to the corner with the largest [m]."""
+    low, high = np.asarray(lower, float), np.asarray(upper, float)
+    return np.array([[*(low + high) / 2, *(high - low) / 2, 0.0]])
+
+
+def wall(*points: Point) -> Float[np.ndarray, "W 5"]:
+    """A thin wall (0.02 m) along a line of two or more points [m], a box for each segment."""
+    rows = []
+    for begin, end in zip(points, points[1:], strict=False):
+        begin, end = np.asarray(begin, float), np.asarray(end, float)
+        along = end - begin
+        rows.append([*(begin + end) / 2, np.hypot(*along) / 2, THIN / 2, np.arctan2(along[1], along[0])])
+    return np.array(rows).reshape(-1, 5)
+
+
+def room(lower: Point, upper: Point, doors: Iterable[tuple[Point, Point]] = ()) -> Float[np.ndarray, "W 5"]:
+    """The four walls around a rectangle from ``lower`` to ``upper`` [m], with doors in them.
+
+    Args:
+        doors: the two ends of each opening, on a side of the rectangle [m].
+
+    Raises:
+        InputError: a door lies on no side.
+    """
+    (x0, y0), (x1, y1) = lower, upper
+    sides = {("x", x0): (x0 - THICK, x0), ("x", x1): (x1, x1 + THICK)}
+    sides |= {("y", y0): (y0 - THICK, y0), ("y", y1): (y1, y1 + THICK)}
+    openings: dict[tuple[str, float], list[tuple[float, float]]] = {side: [] for side in sides}
+    for (ax, ay), (bx, by) in doors:
+        side = ("x", ax) if ax == bx else ("y", ay)
+        if side not in openings:
+            raise InputError(f"doors: {((ax, ay), (bx, by))} lies on no side of the room from {lower} to {upper}.")
+        openings[side].append((min(ay, by), max(ay, by)) if ax == bx else (min(ax, bx), max(ax, bx)))
+    plan = []
+    for side, (inner, outer) in sides.items():
+        first, last = (y0 - THICK, y1 + THICK) if side[0] == "x" else (x0, x1)
+        ends = [first, *(end for opening in sorted(openings[side]) for end in opening), last]
+        for begin, end in zip(ends[::2], ends[1::2], strict=True):
+            if end > begin:
+                plan.append(box((inner, begin), (outer, end)) if side[0] == "x" else box((begin, inner), (end, outer)))
+    return np.concatenate(plan)
+
+
+def corridor(length: float, width: float, margin: float = 0.0) -> Float[np.ndarray, "2 5"]:
+    """The two walls of a corridor along x from (0, 0), y from 0 to the width [m], with open ends.
+
+    Args:
+        margin: by which the walls go on at both ends [m]; half a period of a periodic corridor.
+    """
+    return np.concatenate(
+        [box((-margin, -THICK), (length + margin, 0.0)), box((-margin, width), (length + margin, width + THICK))]
+    )
+
+
+def environment(plan: Float[np.ndarray, "W 5"]) -> Environment:
+    """The environment of a plan (W, 5), open at its edges, on the default device.
+
+    Arrays are padded with obstacles far away, so that most plans have equal shapes.
+
+    Raises:
+        InputError: there are too many boxes, in all or near one place.
+    """
+    plan = np.asarray(plan, float).reshape(-1, 5)
+    cosine, sine = np.abs(np.cos(plan[:, 4])), np.abs(np.sin(plan[:, 4]))
+    reach = np.stack([plan[:, 2] * cosine + plan[:, 3] * sine, plan[:, 2] * sine + plan[:, 3] * cosine], 1)
+    corners = np.concatenate([plan[:, :2] - reach, plan[:, :2] + reach, np.zeros((1, 2))])
+    floor = np.concatenate([corners.min(0) - MARGIN, corners.max(0) + MARGIN])
+    grid = _grid(plan, floor)
+    number = next((walls for near, walls in SIZES if near == grid.rows.shape[2] and walls >= len(plan)), None)
+    if number is None:
+        raise InputError(f"walls: {len(plan)} boxes are more than {SIZES[-1][1]}; use fewer and larger boxes.")
+    rows = np.zeros((number, 5))
+    rows[:, :2], rows[:, 2:4] = FAR, 1.0
+    rows[: len(plan)] = plan
+    obstacles = Obstacles(*to_device((rows[:, :2], rows[:, 2:4], rows[:, 4], np.full(number, HEIGHT))))
+    return Environment(
+        floor=to_device(floor),
+        obstacles=obstacles,
+        obstacle_grid=grid,
+        scenery=plain_scenery(obstacles),
+        name="scene",
+        open=True,
+    )
+
+
+def _grid(plan: np.ndarray, floor: Any) -> ObstacleGrid:
+    """The grid of obstacles with ``CELLS`` by ``CELLS`` cells and a padded number of rows in each."""
+    obstacles = Obstacles(plan[:, :2], plan[:, 2:4], plan[:, 4], np.full(len(plan), HEIGHT))  # pyright: ignore
+    cell = max(1.0, float((floor[2:] - floor[:2]).max()) / CELLS + 1e-6)
+    grid = build_obstacle_grid(obstacles, floor, cell)
+    rows = np.asarray(grid.rows)
+    near = next((near for near, walls in SIZES if near >= rows.shape[2] and walls >= len(plan)), None)
+    if near is None:
+        raise InputError(f"walls: {rows.shape[2]} boxes of {len(plan)} lie near one place; use fewer and larger boxes.")
+    padded = np.zeros((*rows.shape[:2], near, 6))
+    padded[..., 0], padded[..., 1], padded[..., 4] = FAR, FAR, 1.0
+    padded[:, :, : rows.shape[2]] = rows
+    missing = [(0, CELLS - count) for count in rows.shape[:2]]
+    padded = np.pad(padded, [*missing, (0, 0), (0, 0)], mode="edge")  # places off the floor have the rows of its edge
+    return ObstacleGrid(*to_device((padded, np.asarray(grid.origin), np.asarray(grid.cell))))
+
+
+# ------------------------------------------------------------------ scenes
 
 TIME_STEP = 0.1  # s
-AWAY = 1e3  # m, where the robot of a scene without one stands
-PEOPLE = 16, 64, 128, 256, 512, 1024, 2048, 4096  # sizes to which crowds are padded
-GATES, LEGS = 32, 8  # sizes to which gates, and gates of one route, are padded
 
 
 @dataclass(frozen=True)
 class Scene:
     """What is simulated: a plan, people on it, and for how long."""
 
-    walls: np.ndarray  # (W, 5) of ``floor_plan``
+    walls: np.ndarray  # (W, 5) floor plan
     walkers: Walkers  # N people
     gates: tuple[Gate, ...] = ()
     seconds: float = 60.0  # at most; it ends when everybody has vanished
@@ -37,6 +165,11 @@ class Scene:
     exits: tuple[int, ...] = ()  # gates between which people choose
     robot: tuple[tuple[float, float], tuple[float, float]] | None = None  # place [m] and velocity [m/s], constant
     seed: int = 0  # of what the simulation draws
+
+    def robot_path(self, time: np.ndarray) -> np.ndarray:
+        """(T, 2) m, where the robot is at times (T,) s; the origin without one."""
+        place, velocity = (np.asarray(part, float) for part in self.robot or ((0.0, 0.0), (0.0, 0.0)))
+        return place + np.asarray(time)[:, None] * velocity
 
 
 @dataclass(frozen=True)
@@ -107,32 +240,17 @@ def _robot(x64: bool) -> RobotModel:
     return robots.load("kuri", "twin")
 
 
-def scenario_of(scene: Scene, moved_by: Model | None = None, people: int | None = None) -> Scenario:
+def scenario_of(scene: Scene, moved_by: Model | None = None) -> Scenario:
     """The scenario of a scene: people alone, without task, situations and metrics, padded to shared sizes.
 
     Args:
         moved_by: the default forces if None.
-        people: N, to which the crowd is padded with absent people; the next of ``PEOPLE`` if None.
 
     Raises:
         InputError: a route names a gate that does not exist, or there are too many walls, gates or people.
     """
     chosen = model() if moved_by is None else moved_by
-    number = len(scene.walkers.start)
-    size = people or next((each for each in PEOPLE if each >= number), number)
-    gates, table = np.zeros((GATES, 2, 2)), np.asarray([tuple(gate) for gate in scene.gates], float)
-    route = np.asarray(scene.walkers.route)
-    if len(scene.gates) > GATES or route.shape[1] > LEGS:
-        raise InputError(f"gates: {len(scene.gates)}, of a route {route.shape[1]}; {GATES} and {LEGS} are the most.")
-    if route.max(initial=-1) >= len(scene.gates):
-        raise InputError(f"route: names gate {route.max()}, but there are {len(scene.gates)} gates.")
-    gates[: len(table)] = table.reshape(-1, 2, 2)
-    behavior = walkers_behavior(
-        _padded(scene.walkers, size),
-        gates,
-        exits=scene.exits,
-        period=scene.period or 0.0,  # pyright: ignore
-    )
+    behavior = walkers_behavior(scene.walkers, scene.gates, exits=scene.exits, period=scene.period or 0.0)
     forces, move = chosen.forces, chosen.move
     one: Any = jax.device_put(np.asarray(1.0, float))
     return Scenario(
@@ -151,7 +269,7 @@ def scenario_of(scene: Scene, moved_by: Model | None = None, people: int | None 
         metrics=(),
         time_step=TIME_STEP,
         time_limit=NEVER,
-        people=size,
+        people=padded_size(len(scene.walkers.start)),
         substeps=social_forces.substeps(forces, TIME_STEP),
         task_name="",
     )
@@ -159,10 +277,8 @@ def scenario_of(scene: Scene, moved_by: Model | None = None, people: int | None 
 
 def stage(scenario: Scenario, scene: Scene) -> State:
     """The first state of a scene in its scenario, without a robot task."""
-    place, velocity = scene.robot or ((AWAY, AWAY), (0.0, 0.0))
-    return _first_state(
-        scenario, prng.key("scene", scene.seed), jnp.asarray(place, float), jnp.asarray(velocity, float)
-    )
+    robot = (jnp.asarray(part, float) for part in scene.robot or ((AWAY, AWAY), (0.0, 0.0)))
+    return _first_state(scenario, prng.key("scene", scene.seed), *robot)
 
 
 @jax.jit
@@ -186,27 +302,6 @@ def _first_state(scenario: Scenario, key: Array, place: Array, velocity: Array) 
         completed=jnp.zeros((), bool),
         timed_out=jnp.zeros((), bool),
     )
-
-
-def _padded(people: Walkers, size: int) -> Walkers:
-    """``size`` walkers; walkers beyond N never enter."""
-    number = len(people.start)
-    more = size - number
-    if more < 0:
-        raise InputError(f"people: {number} are more than {size}.")
-    apart = AWAY + 2.0 * np.arange(more)[:, None] * np.array([1.0, 0.0])
-    fill: dict[str, Any] = dict(
-        start=apart,
-        velocity=np.zeros((more, 2)),
-        preferred_speed=np.ones(more),
-        entry_time=np.full(more, NEVER),
-        reaction_time=np.zeros(more),
-        companion=np.full((more, 2), -1, np.int32),
-    )
-    parts = {name: np.concatenate([np.asarray(getattr(people, name)), rows]) for name, rows in fill.items()}
-    route = np.full((size, LEGS), -1, np.int32)
-    route[:number, : people.route.shape[1]] = people.route
-    return Walkers(**parts, route=route)  # pyright: ignore[reportArgumentType]
 
 
 def _no_task(*_: Any) -> None:

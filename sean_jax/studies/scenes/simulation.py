@@ -4,9 +4,8 @@ Small scenes run side by side. People who have left a large crowd are dropped be
 no more than a small crowd.
 """
 
-import functools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import jax
@@ -16,25 +15,14 @@ import numpy as np
 from sean_jax import scenario as steps
 from sean_jax.base import Array, Scenario, State
 from sean_jax.recordings import Tracks
-from sean_jax.studies.scenes.scene import PEOPLE, TIME_STEP, Model, Scene, model, scenario_of, stage
+from sean_jax.studies.scenes.scene import TIME_STEP, Model, Scene, model, scenario_of, stage
+from sean_jax.studies.scenes.walkers import padded_size
 
 SPAN = 50  # control steps in one call
 BATCHES = 1, 4, 16, 64  # sizes to which numbers of scenes side by side are padded
 MAX_TOGETHER = 2048  # people in scenes side by side
 LARGE = 256  # people, from which scenes run one after the other
 SMALLER = 64, 256, 512, 1024, 2048  # sizes to which a large crowd shrinks
-
-
-@dataclass(frozen=True)
-class Moving:
-    """The positions of a robot that does not react, as a scene has it."""
-
-    place: tuple[float, float]  # m
-    velocity: tuple[float, float]  # m/s
-
-    def at(self, time: np.ndarray) -> np.ndarray:
-        """(T, 2) m at times (T,) s."""
-        return np.asarray(self.place) + np.asarray(time)[:, None] * np.asarray(self.velocity)
 
 
 def simulate(
@@ -54,19 +42,15 @@ def simulate(
     """
     chosen = moved_by if isinstance(moved_by, Model) else model(moved_by)
     several = [scenes] if isinstance(scenes, Scene) else list(scenes)
-    tracks_of: list[Tracks | None] = [None] * len(several)
-    done = 0
-    for group in _batches(several, chosen):
-        part = None if report is None else functools.partial(_report_part, report, done, len(group), len(several))
-        for index, tracks in zip(group, _together([several[index] for index in group], chosen, part), strict=True):
-            tracks_of[index] = tracks
-        done += len(group)
-    return [tracks for tracks in tracks_of if tracks is not None]
+    tracks_of: dict[int, Tracks] = {}
+    for group in _batches(several):
 
+        def part(share: float, before: int = len(tracks_of), number: int = len(group)) -> None:
+            if report is not None:
+                report((before + share * number) / len(several))
 
-def _report_part(report: Callable[[float], None], before: int, number: int, total: int, share: float) -> None:
-    """Tells the share that is done when so many scenes are over and this share of some more is."""
-    report((before + share * number) / total)
+        tracks_of |= zip(group, _together([several[index] for index in group], chosen, part), strict=True)
+    return [tracks_of[index] for index in range(len(several))]
 
 
 def advance(scenario: Scenario, state: State) -> State:
@@ -92,11 +76,11 @@ _alone = jax.jit(_span)
 _side_by_side = jax.jit(jax.vmap(_span))
 
 
-def _batches(scenes: list[Scene], chosen: Model) -> list[list[int]]:
+def _batches(scenes: list[Scene]) -> list[list[int]]:
     """Indices of scenes that run side by side: of one size and kind."""
     kinds: dict[Any, list[int]] = {}
     for index, scene in enumerate(scenes):
-        size = _size(len(scene.walkers.start))
+        size = padded_size(len(scene.walkers.start))
         late = bool((np.asarray(scene.walkers.entry_time) > 0.0).any())
         company = bool((np.asarray(scene.walkers.companion) >= 0).any())
         kind = size, scene.period is None, bool(scene.exits), late, company, index if size >= LARGE else -1
@@ -108,16 +92,12 @@ def _batches(scenes: list[Scene], chosen: Model) -> list[list[int]]:
     return batches
 
 
-def _size(people: int) -> int:
-    return next((each for each in PEOPLE if each >= people), people)
-
-
-def _together(scenes: list[Scene], chosen: Model, report: Callable[[float], None] | None) -> list[Tracks]:
+def _together(scenes: list[Scene], chosen: Model, report: Callable[[float], None]) -> list[Tracks]:
     """Scenes of one size, side by side."""
     scenarios = [scenario_of(scene, chosen) for scene in scenes]
     shapes = {tuple(np.shape(leaf) for leaf in jax.tree.leaves(each)) for each in scenarios}
     if len(shapes) > 1:  # of plans with few and with many walls
-        return [_together([scene], chosen, None)[0] for scene in scenes]
+        return [_together([scene], chosen, lambda share: None)[0] for scene in scenes]
     states = [stage(scenario, scene) for scenario, scene in zip(scenarios, scenes, strict=True)]
     if len(scenes) == 1:
         return [_one(scenes[0], scenarios[0], states[0], report)]
@@ -130,8 +110,7 @@ def _together(scenes: list[Scene], chosen: Model, report: Callable[[float], None
     seconds = max(scene.seconds for scene in scenes)
     for number in range(_spans(seconds)):
         state, span = _side_by_side(scenario, state)
-        if report is not None:
-            report((number + 1) / _spans(seconds))
+        report((number + 1) / _spans(seconds))
         frames += [tuple(np.moveaxis(np.asarray(part), 1, 0) for part in span)]
         if not _left(state):
             break
@@ -141,28 +120,23 @@ def _together(scenes: list[Scene], chosen: Model, report: Callable[[float], None
     ]
 
 
-def _one(scene: Scene, scenario: Scenario, state: State, report: Callable[[float], None] | None) -> Tracks:
+def _one(scene: Scene, scenario: Scenario, state: State, report: Callable[[float], None]) -> Tracks:
     """One scene, whose crowd shrinks as people leave."""
     number = len(scene.walkers.start)
     columns = np.arange(scenario.people)
-    frames = []
-    position = np.array(state.pedestrians.position[:number])
-    facing = np.array(state.pedestrians.heading[:number])
-    frames.append((position, facing, np.array(state.pedestrians.present[:number])))
+    frames = [tuple(part[:, :number] for part in _snapshot(state))]
     for turn in range(_spans(scene.seconds)):
         state, span = _alone(scenario, state)
-        if report is not None:
-            report((turn + 1) / _spans(scene.seconds))
+        report((turn + 1) / _spans(scene.seconds))
         index = np.flatnonzero(columns < number)
-        for places, headings, present in zip(*(np.asarray(part) for part in span), strict=True):
-            position, facing, there = frames[-1][0].copy(), frames[-1][1].copy(), np.zeros(number, bool)
-            position[columns[index]], facing[columns[index]] = places[index], headings[index]
-            there[columns[index]] = present[index]
-            frames.append((position, facing, there))
+        position, facing = (np.repeat(part[-1:], SPAN, axis=0) for part in frames[-1][:2])
+        frames.append((position, facing, np.zeros((SPAN, number), bool)))
+        for whole, part in zip(frames[-1], span, strict=True):
+            whole[:, columns[index]] = np.asarray(part)[:, index]
         if not _left(state):
             break
         scenario, state, columns = _shrunk(scene, scenario, state, columns)
-    return _tracks(scene, *(np.stack(part) for part in zip(*frames, strict=True)))
+    return _tracks(scene, *(np.concatenate(part) for part in zip(*frames, strict=True)))
 
 
 def _shrunk(scene: Scene, scenario: Scenario, state: State, columns: np.ndarray) -> tuple[Scenario, State, np.ndarray]:

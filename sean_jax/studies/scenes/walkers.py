@@ -33,6 +33,9 @@ TURNS = 10  # ticks in which everybody looks once at the other exits
 SPEED = 1.34, 0.26  # m/s, mean and deviation: Helbing & Molnar, Phys. Rev. E 51, 4282 (1995)
 TRIES = 20_000  # places tried by ``spread`` at a time
 NEVER = 1e9  # s, entry time of padding
+PEOPLE = 16, 64, 128, 256, 512, 1024, 2048, 4096  # sizes to which crowds are padded
+GATES, LEGS = 32, 8  # sizes to which gates, and gates of one route, are padded
+AWAY = 1e3  # m, where absent people are, and the robot of a scene without one
 
 
 class Gate(NamedTuple):
@@ -173,65 +176,78 @@ def spread(lower: Point, upper: Point, number: int, seed: int = 0, apart: float 
     return chosen
 
 
+def padded_size(number: int) -> int:
+    """The size to which a crowd is padded with absent people."""
+    return next((size for size in PEOPLE if size >= number), number)
+
+
 def walkers_behavior(
-    people: Walkers,
-    gates: Sequence[Gate] | Float[np.ndarray, "G 2 2"],
-    *,
-    exits: Sequence[int] = (),
-    period: float = 0.0,
-    sources: bool | None = None,
+    people: Walkers, gates: Sequence[Gate], *, exits: Sequence[int] = (), period: float = 0.0
 ) -> Behavior:
-    """The behavior of walkers; its companions are None if nobody walks in company.
+    """The behavior of walkers, padded to shared sizes; its companions are None if nobody walks in company.
 
     Args:
         exits: indices of gates between which people choose.
-        sources: whether somebody enters later than at the start; by default from the entry times.
+        period: m along x, of a periodic scene.
 
     Raises:
-        InputError: a route names a gate that does not exist.
+        InputError: a route names a gate that does not exist, or there are too many gates.
     """
-    table = np.asarray([tuple(gate) for gate in gates], float).reshape(-1, 2, 2)
-    if np.asarray(people.route).max(initial=-1) >= len(table):
-        raise InputError(f"route: names gate {np.asarray(people.route).max()}, but there are {len(table)} gates.")
-    is_exit = np.isin(np.arange(len(table)), np.asarray(exits, int))
-    if sources is None:
-        late = np.asarray(people.entry_time)
-        sources = bool(((late > 0.0) & (late < NEVER)).any())
-    companions = people.companion if (np.asarray(people.companion) >= 0).any() else None
+    route, number = np.asarray(people.route), len(gates)
+    if number > GATES or route.shape[1] > LEGS:
+        raise InputError(f"gates: {number}, of a route {route.shape[1]}; {GATES} and {LEGS} are the most.")
+    if route.max(initial=-1) >= number:
+        raise InputError(f"route: names gate {route.max()}, but there are {number} gates.")
+    table = np.zeros((GATES, 2, 2))
+    table[:number] = np.asarray([tuple(gate) for gate in gates], float).reshape(-1, 2, 2)
+    is_exit = np.isin(np.arange(GATES), np.asarray(exits, int))
+    late = bool((np.asarray(people.entry_time) > 0.0).any())
+    size = padded_size(len(people.start))
+    people = _padded(people, size)
     arrays = jax.device_put((people, table, is_exit, np.asarray(period, float)))
     arrays = jax.tree.map(lambda leaf: leaf.astype(float) if leaf.dtype.kind == "f" else leaf, arrays)
     return Behavior(
-        data=Plan(*arrays, sources=sources, choice=bool(is_exit.any())),
+        data=Plan(*arrays, sources=late, choice=bool(is_exit.any())),
         name="walkers",
         reset=reset,
         direct=direct,
-        companions=None if companions is None else jnp.asarray(companions, jnp.int32),
-        people=len(people.start),
+        companions=jnp.asarray(people.companion, jnp.int32) if (people.companion >= 0).any() else None,
+        people=size,
     )
+
+
+def _padded(people: Walkers, size: int) -> Walkers:
+    """``size`` walkers; walkers beyond N never enter."""
+    number = len(people.start)
+    more = size - number
+    fill: dict[str, Any] = dict(
+        start=AWAY + 2.0 * np.arange(more)[:, None] * np.array([1.0, 0.0]),
+        velocity=np.zeros((more, 2)),
+        preferred_speed=np.ones(more),
+        entry_time=np.full(more, NEVER),
+        reaction_time=np.zeros(more),
+        companion=np.full((more, 2), -1, np.int32),
+    )
+    parts = {name: np.concatenate([np.asarray(getattr(people, name)), rows]) for name, rows in fill.items()}
+    route = np.full((size, LEGS), -1, np.int32)
+    route[:number, : people.route.shape[1]] = people.route
+    return Walkers(**parts, route=route)  # pyright: ignore[reportArgumentType]
 
 
 def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Memory]:
     """N people at the start, present if they enter at once, no groups, and the memory of their routes."""
     people: Walkers = scenario.behavior.data.walkers
     present = people.entry_time <= 0.0
-    pedestrians = pedestrians_at(
-        people.start,
-        people.velocity,
-        preferred_speed=people.preferred_speed,
-        present=present,
-        heading=_heading(scenario.behavior.data),
-    )
+    heading, speed = _heading(scenario.behavior.data), people.preferred_speed
+    pedestrians = pedestrians_at(people.start, people.velocity, preferred_speed=speed, present=present, heading=heading)
     number = people.start.shape[0]
-    leader = jnp.full(number, -1, jnp.int32)
-    if scenario.behavior.companions is not None:
-        leader = _leaders(scenario.behavior.companions)
-    pedestrians = replace(
-        pedestrians, robot_distance=draw_traits(scenario.forces, key, number)[1], walking_group=leader
-    )
+    companions = scenario.behavior.companions
+    leader = jnp.full(number, -1, jnp.int32) if companions is None else _leaders(companions)
+    distance = draw_traits(scenario.forces, key, number)[1]
+    pedestrians = replace(pedestrians, robot_distance=distance, walking_group=leader)
     pairs, none = jnp.zeros((0, 2), float), jnp.zeros(0, float)
     groups = Groups(center=pairs, radius=none, opening=pairs, present=jnp.zeros(0, bool))
-    first = people.route[:, 0] if people.route.shape[1] else jnp.full(number, -1, jnp.int32)
-    return pedestrians, groups, Memory(jnp.zeros(number, jnp.int32), first, present)
+    return pedestrians, groups, Memory(jnp.zeros(number, jnp.int32), people.route[:, 0], present)
 
 
 def direct(scenario: Scenario, state: State, key: Array) -> State:
@@ -244,8 +260,7 @@ def direct(scenario: Scenario, state: State, key: Array) -> State:
     leg = memory.leg + crossed.astype(jnp.int32)
     legs = table.route.shape[1]
     own = jnp.arange(leg.shape[0], dtype=jnp.int32)
-    following = table.route[own, jnp.minimum(leg, legs - 1)] if legs else memory.gate
-    following = jnp.where(leg < legs, following, -1)
+    following = jnp.where(leg < legs, table.route[own, jnp.minimum(leg, legs - 1)], -1)
     gate = jnp.where(crossed, following, memory.gate)
     people = replace(people, present=people.present & ~(crossed & (gate < 0)))
     if plan.choice:
@@ -319,16 +334,12 @@ def _in_frame_of(gate: Array, position: Array) -> tuple[Array, Array, Array]:
 def _heading(plan: Plan) -> Array:
     """(N, 2) along the velocity at the start; of standing people, towards the first gate."""
     people = plan.walkers
-    first = people.route[:, 0] if people.route.shape[1] else jnp.full(people.start.shape[0], -1, jnp.int32)
-    way = (
-        aim_at(plan.gates[jnp.maximum(first, 0)], people.start) - people.start if plan.gates.shape[0] else people.start
-    )
+    first, along = people.route[:, 0], jnp.asarray([[1.0, 0.0]], float)
+    way = aim_at(plan.gates[jnp.maximum(first, 0)], people.start) - people.start
     moving = (people.velocity != 0.0).any(-1)
-    way = jnp.where(
-        moving[:, None], people.velocity, jnp.where(first[:, None] >= 0, way, jnp.asarray([[1.0, 0.0]], float))
-    )
+    way = jnp.where(moving[:, None], people.velocity, jnp.where(first[:, None] >= 0, way, along))
     x, y = unit(way[:, 0], way[:, 1])
-    return jnp.where(((x == 0.0) & (y == 0.0))[:, None], jnp.asarray([[1.0, 0.0]], float), jnp.stack([x, y], -1))
+    return jnp.where(((x == 0.0) & (y == 0.0))[:, None], along, jnp.stack([x, y], -1))
 
 
 def _enters(table: Walkers, people: Pedestrians, entered: Array, time: Array) -> Array:

@@ -3,23 +3,26 @@
 Each check is done for each model and saved when it is done, so a run that was stopped is resumed.
 """
 
+import time
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from sean_jax import writing
 from sean_jax.config import ValidateConfig
 from sean_jax.errors import InputError
 from sean_jax.progress import Progress, progress
-from sean_jax.studies.validation import page, results
-from sean_jax.studies.validation.check import CheckContext, Row, models_of
-from sean_jax.studies.validation.checks import select
+from sean_jax.report import svg
+from sean_jax.studies.validation import checks, page
+from sean_jax.studies.validation.checks import FAILS, PASSES, SKIPPED, Check, CheckContext, CheckResult, Row, Skipped
 from sean_jax.workspace import refuse_others
 
 if TYPE_CHECKING:
     from rich.console import Console
 
 __all__ = ["run"]
+
+TABLE, REPORT = "table.md", "report.html"
 
 
 def run(options: ValidateConfig, console: "Console | None" = None) -> list[str]:
@@ -36,35 +39,52 @@ def run(options: ValidateConfig, console: "Console | None" = None) -> list[str]:
         WriteError: another process writes in the folder.
         KeyboardInterrupt: Ctrl-C. Finished checks are saved.
     """
-    checks, models = select(options.only, options.quick), models_of(options.models)
+    selected, models = checks.select(options.only, options.quick), checks.models_of(options.models)
     if options.data is not None and not options.data.is_dir():
         raise InputError(f"--data: {options.data} is no folder; give the one that holds the recordings.")
     folder = options.folder
-    refuse_others(folder, results.OURS)
+    refuse_others(folder, {checks.RESULTS, checks.PARTS, TABLE, REPORT})
     rows: list[Row] = []
-    done: dict[Any, Row] = {}  # several guidelines demand the same test
+    done: dict[tuple[str, ...], Row] = {}  # several guidelines demand the same test
     with writing.folder_lock(folder), progress(console) as bar:
-        for number, check in enumerate(checks):
+        for number, check in enumerate(selected):
             for model in models:
-                bar.start(check.name, len(checks))
+                bar.start(check.name, len(selected))
                 bar.update(number, model.name)
-                row = results.load(folder, check, model, options)
+                test = check.function, str(check.arguments), model.name
+                row = checks.load(folder, check, model, options)
                 if row is None:
-                    twin = done.get((check.function, model.name))
-                    if twin is not None:
-                        row = replace(twin, check=check.name, seconds=0.0)
+                    if test in done:
+                        row = replace(done[test], check=check.name, seconds=0.0)
                     else:
                         report = partial(_report, bar, number, model.name)
-                        row = results.do(check, CheckContext(model, options.data, options.quick, report))
-                    results.save(folder, check, model, options, row)
-                done[check.function, model.name] = row
+                        row = do(check, CheckContext(model, options.data, options.quick, report))
+                    checks.save(folder, check, model, options, row)
+                done[test] = row
                 rows.append(row)
-                _print(console, page.line(row, checks, models))
-        results.write(folder, options, rows)
-        writing.write(folder / "table.md", page.markdown(checks, models, rows))
-        writing.write(folder / "report.html", page.html(options, checks, models, rows))
+                _print(console, page.line(row, selected, models))
+        checks.write(folder, options, rows)
+        writing.write(folder / TABLE, page.markdown(selected, models, rows))
+        writing.write(folder / REPORT, page.html(options, selected, models, rows))
     _print(console, *page.gate_lines(rows, models[0]))
-    return [row.check for row in rows if row.model == models[0].name and row.verdict == "fails"]
+    return [row.check for row in rows if row.model == models[0].name and row.verdict == FAILS]
+
+
+def do(check: Check, context: CheckContext) -> Row:
+    """Do a check."""
+    begin = time.monotonic()
+    try:
+        result = check.run(context)
+        verdict = PASSES if result.passed else FAILS
+    except Skipped as error:
+        result, verdict = CheckResult(False, "", str(error)), SKIPPED
+    pictures = tuple(
+        (caption, svg(page.trajectories(scene, tracks), f"{check.name}-{context.model.name}-{k}"))
+        for k, (caption, scene, tracks) in enumerate(context.pictures)
+    )
+    fields = {name: value for name, value in vars(result).items() if name != "passed"}
+    seconds = time.monotonic() - begin
+    return Row(check.name, context.model.name, verdict, **fields, pictures=pictures, seconds=seconds)
 
 
 def _report(bar: Progress, number: int, name: str, share: float) -> None:
@@ -72,7 +92,6 @@ def _report(bar: Progress, number: int, name: str, share: float) -> None:
 
 
 def _print(console: "Console | None", *lines: str) -> None:
-    if console is None:
-        return
-    for line in lines:
-        console.print(line, highlight=False, soft_wrap=True, markup=False, emoji=False)
+    if console is not None:
+        for line in lines:
+            console.print(line, highlight=False, soft_wrap=True, markup=False, emoji=False)

@@ -9,8 +9,8 @@ from sean_jax.geometry import signed_distances_on_host
 from sean_jax.recordings import Tracks
 from sean_jax.studies.scenes import Gate, Scene, environment
 from sean_jax.studies.validation import crowds, plans
-from sean_jax.studies.validation.check import CheckContext, CheckResult, Curve, result
-from sean_jax.studies.validation.measures import crossing_times, flow, speeds, vanishing_times
+from sean_jax.studies.validation.checks import CheckContext, CheckResult, Curve, by_name, listing, result
+from sean_jax.studies.validation.measures import crossing_times, flow, speeds, steps_along, vanishing_times
 
 AGES = {"under 30": (0.58, 1.61), "30 to 50": (1.41, 1.54), "over 50": (0.68, 1.41), "limited": (0.46, 0.76)}
 """age -> lowest and highest speed [m/s]: RiMEA, test 7"""
@@ -19,7 +19,6 @@ KEPT = 0.05  # m/s, by which a free speed may differ from the preferred one
 EVACUATED = 1.7, 2.3  # times as long with half the doors: "about double", the limits are ours
 SLACK = 0.03  # m/s, by which a mean speed may seem to rise from one density to the next; ours
 JAM = 0.5  # share of the speed at the lowest density that is left at the highest, at most; ours
-OCCUPIED = 4.0  # m2, of the squares in which density is measured
 
 
 def walk_time(context: CheckContext, speed: float, shortest: float, longest: float) -> CheckResult:
@@ -32,7 +31,7 @@ def walk_time(context: CheckContext, speed: float, shortest: float, longest: flo
 
 def free_speed(context: CheckContext) -> CheckResult:
     """The speed of one person over 40 m, with 10 m before and behind."""
-    (tracks,) = context.simulate(plans.one_walker(1.0, 0.0, 60.0), "one person at 1 m/s")
+    (tracks,) = context.simulate(plans.one_walker(1.0, 60.0), "one person at 1 m/s")
     begin, end = (crossing_times(tracks, Gate((x, 2.0), (x, 0.0)))[0] for x in (10.0, 50.0))
     speed = 40.0 / float(end - begin) if np.isfinite(end) else 0.0
     return result(abs(speed - 1.0) <= KEPT, f"{speed:.3f} m/s", "1.0 ± 0.05 m/s", numbers={"speed": speed})
@@ -44,35 +43,41 @@ def falling_speed(context: CheckContext) -> CheckResult:
     scenes = [plans.ring(26.0, 2.0, round(52 * density), 70.0) for density in densities]
     captions = [f"{density:g} people/m²" for density in densities[:3]]
     means = [speed_in_squares(tracks, 26.0) for tracks in context.simulate(scenes, captions)]
-    rises = max(after - before for before, after in zip(means, means[1:], strict=False))
-    measured = ", ".join(f"{speed:.2f} at {density:g}" for density, speed in zip(densities, means, strict=True))
+    passed = np.diff(means).max() <= SLACK and means[-1] <= JAM * means[0] and min(means) >= -SLACK
+    return _by_density(passed, densities, means, "falling, to half or less, and nobody pushed backwards")
+
+
+def _by_density(passed: bool, densities: Sequence[float], means: list[float], criterion: str) -> CheckResult:
+    """The result of mean speeds [m/s] at densities [1/m2], beside the fundamental diagram of Weidmann (1993)."""
+    known = np.arange(0.25, 5.3, 0.25)
+    weidmann = Curve("Weidmann 1993", tuple(known.tolist()), tuple(crowds.weidmann(known).tolist()), reference=True)
     return result(
-        rises <= SLACK and means[-1] <= JAM * means[0] and min(means) >= -SLACK,
-        f"{measured} /m²",
-        "falling, to half or less, and nobody pushed backwards",
-        numbers={f"speed at {density:g}": speed for density, speed in zip(densities, means, strict=True)},
-        curves=(Curve("speed", densities, tuple(means)), _weidmann()),
+        passed,
+        f"{listing(means, densities)} /m²",
+        criterion,
+        numbers=by_name("speed at ", densities, means),
+        curves=(Curve("speed", tuple(densities), tuple(means)), weidmann),
         axes=("density [1/m²]", "mean speed [m/s]"),
     )
 
 
-def _weidmann() -> Curve:
-    """The fundamental diagram of Weidmann (1993), from 0.25 to 5.25 people/m2."""
-    density = np.arange(0.25, 5.3, 0.25)
-    return Curve("Weidmann 1993", tuple(density.tolist()), tuple(crowds.weidmann(density).tolist()), reference=True)
+def speed_in_squares(tracks: Tracks, period: float) -> float:
+    """The mean speed [m/s] along x in three squares of 2 by 2 m, spread over a periodic corridor, after 10 s."""
+    step = _steps_near(tracks, period, (0.25 * period, 0.5 * period, 0.75 * period), 1.0)
+    return float((step / tracks.time_step).mean()) if len(step) else 0.0
 
 
-def speed_in_squares(tracks: Tracks, period: float, first: float = 10.0) -> float:
-    """The mean speed [m/s] along x in three squares of 2 by 2 m, spread over a periodic corridor, after ``first`` s."""
-    begin = int(first / tracks.time_step)
+def speed_in_zone(tracks: Tracks, period: float) -> float:
+    """The mean speed [m/s] along x in the middle third of a periodic corridor, after 10 s."""
+    return float(_steps_near(tracks, period, (period / 2,), period / 6).mean() / tracks.time_step)
+
+
+def _steps_near(tracks: Tracks, period: float, middles: Sequence[float], reach: float) -> np.ndarray:
+    """(K,) m along x between two moments, after 10 s, of people within a reach of one of the middles [m]."""
+    begin = round(10.0 / tracks.time_step)
     x, present = np.asarray(tracks.position, float)[begin:, :, 0], np.asarray(tracks.present)[begin:]
-    step = np.diff(x, axis=0)
-    step -= period * np.round(step / period)
-    inside = np.zeros(step.shape, bool)
-    for middle in (0.25 * period, 0.5 * period, 0.75 * period):
-        inside |= np.abs(x[:-1] - middle) < 1.0
-    speed = step[inside & present[:-1]] / tracks.time_step
-    return float(speed.mean()) if len(speed) else 0.0
+    inside = np.any([np.abs(x[:-1] - middle) < reach for middle in middles], axis=0)
+    return steps_along(x, period)[inside & present[:-1]]
 
 
 def reaction_times(context: CheckContext) -> CheckResult:
@@ -186,12 +191,9 @@ def assigned_exits(context: CheckContext) -> CheckResult:
 
 def exit_choice(context: CheckContext, numbers: Sequence[int], fewest: float, most: float) -> CheckResult:
     """The share of people who take the nearer of two exits, with bounds."""
-    exits = ((17.0, 18.0), (26.0, 27.0))
-    scenes = [plans.two_exits(number, exits) for number in numbers]
+    scenes = [plans.two_exits(number) for number in numbers]
     shares = []
-    for number, tracks in zip(
-        numbers, context.simulate(scenes, [f"{number} people" for number in numbers]), strict=True
-    ):
+    for number, tracks in zip(numbers, context.simulate(scenes, [f"{each} people" for each in numbers]), strict=True):
         out = np.isfinite(vanishing_times(tracks))
         near = out & (np.asarray(tracks.position)[-1, :, 0] < 22.0)
         shares.append(float(near.sum() / max(out.sum(), 1)))
@@ -201,8 +203,7 @@ def exit_choice(context: CheckContext, numbers: Sequence[int], fewest: float, mo
     parts = zip(shares, numbers, strict=True)
     measured = ", ".join(f"{100 * share:.0f} % of {number} took the nearer exit" for share, number in parts)
     criterion = f"{100 * fewest:.0f} to {100 * most:.0f} % of {numbers[-1]}"
-    named = {f"share of {number}": share for share, number in zip(shares, numbers, strict=True)}
-    return result(fewest <= shares[-1] <= most, measured, criterion, numbers=named)
+    return result(fewest <= shares[-1] <= most, measured, criterion, numbers=by_name("share of ", numbers, shares))
 
 
 def equal_exits(context: CheckContext) -> CheckResult:
@@ -226,36 +227,40 @@ def one_after_another(context: CheckContext) -> CheckResult:
         times = crossing_times(tracks, scene.gates[0])
         into.append(flow(times))
         out.append(flow(vanishing_times(tracks)))
-        middle = (
-            np.nanquantile(np.where(np.isfinite(times), times, np.nan), [0.2, 0.8]) if into[-1] == into[-1] else None
-        )
-        span = (0.0, 1e9) if middle is None else (float(middle[0]), float(middle[1]))
-        first.append(density(tracks, (8.0, 4.0), (10.0, 6.0), span))
-        second.append(density(tracks, (23.0, 4.0), (25.0, 6.0), span))
+        first.append(density(tracks, (8.0, 4.0), (10.0, 6.0), times))
+        second.append(density(tracks, (23.0, 4.0), (25.0, 6.0), times))
     flows = ", ".join(f"{a:.2f} in and {b:.2f} out at {w:g} m" for w, a, b in zip(widths, into, out, strict=True))
     queues = f"{max(first):.1f} people/m² before the passage, {max(second):.1f} before the exit"
-    rises = all(after > before for before, after in zip(into, into[1:], strict=False))
     steady = all(b <= a + 0.05 for a, b in zip(into, out, strict=True))
     calm = all(b < a for a, b in zip(first, second, strict=True))
-    return result(
-        rises and steady and calm,
+    return _by_width(
+        bool((np.diff(into) > 0.0).all()) and steady and calm,
         f"flow {flows} people/s; {queues}",
         "flow rises with the width, at most .05 more comes out than goes in, and people queue in the first room alone",
-        numbers={f"flow at {width:g}": value for width, value in zip(widths, into, strict=True)},
-        curves=(
-            Curve("into the passage", widths, tuple(into)),
-            Curve("1.9 w (Juelich)", widths, tuple(1.9 * width for width in widths), reference=True),
-        ),
-        axes=("width [m]", "flow [people/s]"),
+        by_name("flow at ", widths, into),
+        Curve("into the passage", widths, tuple(into)),
     )
 
 
-def density(tracks: Tracks, lower: tuple[float, float], upper: tuple[float, float], span: tuple[float, float]) -> float:
-    """The mean density [1/m2] in a rectangle from ``lower`` to ``upper`` [m], over a span of time [s]."""
+def _by_width(passed: bool, measured: str, criterion: str, numbers: dict[str, float], curve: Curve) -> CheckResult:
+    """The result of a flow [people/s] by width [m], beside that of bottlenecks in Juelich."""
+    known = Curve("1.9 w (Juelich)", curve.x, tuple(1.9 * width for width in curve.x), reference=True)
+    axes = ("width [m]", "flow [people/s]")
+    return result(passed, measured, criterion, numbers=numbers, curves=(curve, known), axes=axes)
+
+
+def density(tracks: Tracks, lower: tuple[float, float], upper: tuple[float, float], times: np.ndarray) -> float:
+    """The mean density [1/m2] in a rectangle from ``lower`` to ``upper`` [m] during the middle 60 % of crossings.
+
+    Args:
+        times: (N,) s of the crossings, inf of none; if there are none at all, the whole time counts.
+    """
+    crossed = times[np.isfinite(times)]
+    begin, end = np.quantile(crossed, [0.2, 0.8]) if len(crossed) else (0.0, np.inf)
     position, present = np.asarray(tracks.position), np.asarray(tracks.present)
     inside = present & (position >= np.asarray(lower)).all(-1) & (position <= np.asarray(upper)).all(-1)
     time = np.arange(len(present)) * tracks.time_step
-    chosen = inside[(time >= span[0]) & (time <= span[1])]
+    chosen = inside[(time >= begin) & (time <= end)]
     area = (upper[0] - lower[0]) * (upper[1] - lower[1])
     return float(chosen.sum(1).mean() / area) if len(chosen) else 0.0
 
@@ -263,12 +268,11 @@ def density(tracks: Tracks, lower: tuple[float, float], upper: tuple[float, floa
 def ways(context: CheckContext) -> CheckResult:
     """How long 500 people take along a short way, around a corner and along a long way."""
     scenes = plans.wide_ways()
-    names = ("short", "corner", "long")
-    recorded = context.simulate([scenes[name] for name in names], names)
-    times = [float(vanishing_times(tracks).max()) for tracks in recorded]
-    measured = ", ".join(f"{name} {time:.1f} s" for name, time in zip(names, times, strict=True))
-    passed = times[0] < times[1] < times[2] < np.inf
-    return result(passed, measured, "short before corner before long", numbers=dict(zip(names, times, strict=True)))
+    recorded = context.simulate([*scenes.values()], [*scenes])
+    times = {name: float(vanishing_times(tracks).max()) for name, tracks in zip(scenes, recorded, strict=True)}
+    measured = ", ".join(f"{name} {time:.1f} s" for name, time in times.items())
+    passed = times["short"] < times["corner"] < times["long"] < np.inf
+    return result(passed, measured, "short before corner before long", numbers=times)
 
 
 def against(context: CheckContext) -> CheckResult:
@@ -280,12 +284,12 @@ def against(context: CheckContext) -> CheckResult:
     times = [float(times.max()) for times in crossings]
     words = [f"{time:.0f} s" if np.isfinite(time) else "stuck" for time in times]
     measured = ", ".join(f"{word} against {number}" for word, number in zip(words, others, strict=True))
-    passed = all(before < after for before, after in zip(times, times[1:], strict=False)) and times[-1] < np.inf
+    rises = all(before < after for before, after in zip(times, times[1:], strict=False))
     return result(
-        passed,
+        rises and times[-1] < np.inf,
         measured,
         "all through, later the more there are",
-        numbers={f"against {number}": time for number, time in zip(others, times, strict=True)},
+        numbers=by_name("against ", others, times),
         curves=(Curve("time", tuple(map(float, others)), tuple(times)),),
         axes=("people against", "time [s]"),
     )
@@ -298,9 +302,8 @@ def most_flow(context: CheckContext) -> CheckResult:
     out = crossing_times(tracks, scene.gates[0])
     rate, left = flow(out), int((~np.isfinite(out)).sum())
     if left:
-        return CheckResult(
-            False, f"{left} of 100 are still inside", f"{left} of 100 people are still inside after 300 s"
-        )
+        what = f"{left} of 100 people are still inside after 300 s"
+        return CheckResult(False, f"{left} of 100 are still inside", what)
     reason = "" if rate <= 1.33 else "; recordings of people have 1.9 per second and metre (Seyfried 2009)"
     criterion = f"1.33 people/s at most{reason}"
     return result(rate <= 1.33, f"{rate:.2f} people/s", criterion, numbers={"flow": rate})
@@ -313,17 +316,12 @@ def rising_flow(context: CheckContext) -> CheckResult:
     recorded = context.simulate(scenes, [f"door of {widths[0]:g} m"])
     rates = [flow(crossing_times(tracks, scene.gates[0])) for scene, tracks in zip(scenes, recorded, strict=True)]
     slope = float(np.polyfit(widths, np.nan_to_num(rates), 1)[0])
-    measured = ", ".join(f"{rate:.2f} at {width:g} m" for rate, width in zip(rates, widths, strict=True))
-    return result(
+    return _by_width(
         slope > 0.0 and bool(np.isfinite(rates).all()),
-        f"{measured}: {slope:.2f} people/s/m",
+        f"{listing(rates, widths, unit=' m')}: {slope:.2f} people/s/m",
         "flow that rises with the width",
-        numbers={"slope": slope},
-        curves=(
-            Curve("flow", widths, tuple(rates)),
-            Curve("1.9 w (Juelich)", widths, tuple(1.9 * width for width in widths), reference=True),
-        ),
-        axes=("width [m]", "flow [people/s]"),
+        {"slope": slope},
+        Curve("flow", widths, tuple(rates)),
     )
 
 
@@ -333,25 +331,8 @@ def slower_in_crowds(context: CheckContext) -> CheckResult:
     numbers = (60, 120, 240) if context.quick else (60, 120, 240, 360, 480)
     scenes = [plans.ring(60.0, 2.0, number, 60.0, speed=free) for number in numbers]
     means = [speed_in_zone(tracks, 60.0) for tracks in context.simulate(scenes, [f"{numbers[0]} people"])]
-    densities = tuple(number / 120.0 for number in numbers)
-    measured = ", ".join(f"{speed:.2f} at {density:g}" for speed, density in zip(means, densities, strict=True))
-    return result(
-        max(means) <= free + KEPT,
-        f"{measured} /m²",
-        "never above 1.25 m/s",
-        numbers={f"speed at {density:g}": speed for density, speed in zip(densities, means, strict=True)},
-        curves=(Curve("speed", densities, tuple(means)), _weidmann()),
-        axes=("density [1/m²]", "mean speed [m/s]"),
-    )
-
-
-def speed_in_zone(tracks: Tracks, period: float, first: float = 10.0) -> float:
-    """The mean speed [m/s] along x in the middle third of a periodic corridor, after ``first`` s."""
-    begin = int(first / tracks.time_step)
-    x = np.asarray(tracks.position, float)[begin:, :, 0]
-    step = np.diff(x, axis=0)
-    step -= period * np.round(step / period)
-    return float(step[np.abs(x[:-1] - period / 2) < period / 6].mean() / tracks.time_step)
+    densities = [number / 120.0 for number in numbers]
+    return _by_density(max(means) <= free + KEPT, densities, means, "never above 1.25 m/s")
 
 
 def group_together(context: CheckContext) -> CheckResult:
@@ -367,12 +348,10 @@ def queue(context: CheckContext) -> CheckResult:
     scene = plans.two_rooms(1.0)
     (tracks,) = context.simulate(scene, "150 people before a passage of 1 m")
     times = crossing_times(tracks, scene.gates[0])
-    out = np.isfinite(times)
-    span = tuple(np.quantile(times[out], [0.2, 0.8]).tolist()) if out.any() else (0.0, 1e9)
-    before = density(tracks, (8.0, 4.0), (10.0, 6.0), span)
-    inside = density(tracks, (10.5, 4.5), (14.5, 5.5), span)
-    behind = density(tracks, (15.0, 4.0), (17.0, 6.0), span)
+    before = density(tracks, (8.0, 4.0), (10.0, 6.0), times)
+    inside = density(tracks, (10.5, 4.5), (14.5, 5.5), times)
+    behind = density(tracks, (15.0, 4.0), (17.0, 6.0), times)
     measured = f"{before:.1f} people/m² before the passage, {inside:.1f} in it, {behind:.1f} behind it"
     numbers = {"before": before, "inside": inside, "behind": behind}
-    passed = bool(out.all()) and before > inside and before > behind
+    passed = bool(np.isfinite(times).all()) and before > inside and before > behind
     return result(passed, measured, "more before it than in it and behind it, and all through", numbers=numbers)

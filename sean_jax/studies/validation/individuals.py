@@ -6,9 +6,9 @@ constant velocity.
 """
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -23,16 +23,15 @@ from sean_jax.robots import load
 from sean_jax.scenario import reset
 from sean_jax.social_forces import Forces, move, preset
 from sean_jax.studies.prediction import HABITS, Scores, evaluate, read_windows
-from sean_jax.studies.scenes import Gate, Moving, Scene, join, spread, walkers
+from sean_jax.studies.scenes import Gate, Scene, join, spread, walkers
 from sean_jax.studies.scenes.simulation import advance
-from sean_jax.studies.validation.check import CheckContext, CheckResult, Curve, Skipped, result
-from sean_jax.studies.validation.measures import GroupOccupancy, group_occupancy, separation
+from sean_jax.studies.validation.checks import PUBLISHED, CheckContext, CheckResult, Curve, Skipped, result
+from sean_jax.studies.validation.measures import GroupOccupancy, group_occupancy, separation, steps_along
 from sean_jax.versions import fingerprint
 
 BEFORE = 4.0  # s, after which two would be nearest if they went straight on
 SPEEDS = (1.34, 1.34), (0.9, 1.7), (1.55, 1.2)  # m/s
 OFFSETS = 0.0, 0.02, 0.1, -0.1, 0.2, 0.3, -0.3  # m, at which they would then pass
-ANGLES = 45.0, 60.0, 90.0, 120.0, 135.0  # degrees between crossing ways
 TOLERANCE = 1e-3  # m, of bodies that touch
 ROBOT_SPEED = 1.0  # m/s
 MISS = 0.6  # m, within which person and robot would pass
@@ -62,8 +61,13 @@ def _far(way: np.ndarray) -> Gate:
     return Gate(tuple(middle + left), tuple(middle - left))
 
 
-def pairs(context: CheckContext, angles: tuple[float, ...], name: str) -> CheckResult:
-    """Whether the bodies of two people ever overlap, at some angles between their ways [degrees]."""
+def pairs(context: CheckContext, name: str, angles: Sequence[float], quick: Sequence[float]) -> CheckResult:
+    """Whether the bodies of two people ever overlap, at some angles between their ways [degrees].
+
+    Args:
+        quick: the angles with ``--quick``.
+    """
+    angles = tuple(quick if context.quick else angles)
     cases = list(itertools.product(angles, OFFSETS, SPEEDS))
     scenes = [two(np.deg2rad(angle), offset, speeds) for angle, offset, speeds in cases]
     shown = {(angle, OFFSETS[1], SPEEDS[0]): f"{name}, {angle:g} degrees" for angle in angles}
@@ -97,22 +101,12 @@ def _lost(scene: Scene, tracks: Tracks) -> float:
     return float((tracks.time_step * (len(position) - 1) - gone / speed).max())
 
 
-def head_on(context: CheckContext) -> CheckResult:
-    """Two people who meet head-on."""
-    return pairs(context, (180.0,), "head-on")
-
-
-def crossing(context: CheckContext) -> CheckResult:
-    """Two people whose ways cross."""
-    return pairs(context, (60.0, 90.0, 120.0) if context.quick else ANGLES, "crossing")
-
-
-def passing_scenes(number: int, seed: int = 0) -> list[Scene]:
+def passing_scenes(number: int) -> list[Scene]:
     """Encounters of a person with a robot that crosses their way at a right angle, from the right, and does not react.
 
     Drawn: the speed of the person from N(1.34, 0.26) m/s, and by how much the two would miss each other.
     """
-    random = np.random.default_rng([seed, 29])
+    random = np.random.default_rng([0, 29])
     scenes = []
     for k in range(number):
         speed = float(np.clip(random.normal(1.34, 0.26), 0.5, 2.2))
@@ -133,11 +127,11 @@ def passing_a_robot(context: CheckContext) -> CheckResult:
     return _clearance(context, np.array(nearest))
 
 
-def stream_scenes(number: int, seed: int = 0) -> list[Scene]:
+def stream_scenes(number: int) -> list[Scene]:
     """A robot that walks through a stream of people, across it."""
     people, robot = round(STREAM_DENSITY * STREAM[0] * STREAM[1]), ((STREAM[0] / 2, -3.0), (0.0, ROBOT_SPEED))
     scenes = []
-    for k in range(seed, seed + number):
+    for k in range(number):
         start = spread((0.0, 0.0), STREAM, people, k, apart=0.8)
         crowd = walkers(start, route=(0,), seed=k)
         crowd = replace(crowd, velocity=np.asarray(crowd.preferred_speed)[:, None] * np.array([1.0, 0.0]))
@@ -163,12 +157,10 @@ def passing_in_a_stream(context: CheckContext) -> CheckResult:
 
 def _nearest(scene: Scene, tracks: Tracks) -> np.ndarray:
     """(N,) m, how near the robot of a scene comes to each person; in a periodic scene, any image of it."""
-    assert scene.robot is not None
-    position, robot = np.asarray(tracks.position), Moving(*scene.robot).at(_times(tracks))[:, None]
+    position, robot = np.asarray(tracks.position), scene.robot_path(_times(tracks))[:, None]
     if scene.period is None:
         return separation(position, np.broadcast_to(robot, position.shape))
-    step = np.diff(position[..., 0], axis=0)
-    step -= scene.period * np.round(step / scene.period)
+    step = steps_along(position[..., 0], scene.period)
     x = np.concatenate([position[:1, :, 0], position[:1, :, 0] + np.cumsum(step, 0)])
     position = np.stack([x, position[..., 1]], -1)
     images = range(int(np.floor(x.min() / scene.period)) - 1, int(np.ceil(x.max() / scene.period)) + 1)
@@ -211,14 +203,10 @@ AWAY = 1e3  # m, where the robot stands
 def occupancy(context: CheckContext) -> CheckResult:
     """How full the groups of the Behavior Graph are in each environment."""
     names = ["warehouse"] if context.quick else environment.available()
-    by_name: dict[str, tuple[GroupOccupancy, np.ndarray]] = {}
-    for done, name in enumerate(names):
-        by_name[name] = in_environment(
-            context, name, *(GROUP_QUICK if context.quick else (GROUP_SECONDS, GROUP_EPISODES))
-        )
-        if context.report is not None:
-            context.report((done + 1) / len(names))
-    return compare_occupancy(by_name)
+    seconds, episodes = GROUP_QUICK if context.quick else (GROUP_SECONDS, GROUP_EPISODES)
+    return compare_occupancy(
+        {name: in_environment(context, name, seconds, episodes) for name in context.progress(names)}
+    )
 
 
 def in_environment(
@@ -286,24 +274,20 @@ def prediction(context: CheckContext) -> CheckResult:
     Raises:
         Skipped: there are no recordings.
     """
-    paths = _recordings(context.recordings())
+    paths = sorted((context.recordings() / "eth_ucy").glob("*.csv"))
     if not paths:
         raise Skipped("no recordings in eth_ucy; give a folder with eth_ucy/eth.csv and others with --data.")
     model = context.model
     own: dict[str, Scores] = {}
     mark: dict[str, Scores] = {}
     slower: dict[str, Scores] = {}
-    for done, path in enumerate(paths):
-        windows = read_windows(path)
-        if model.move is move:
-            forces, habits = fitted_without(path.stem, model.forces) or (model.forces, HABITS)
-            own[path.stem] = evaluate(forces, windows, **habits)
-        else:
-            own[path.stem] = evaluate(model.move, windows)
+    for path in context.progress(paths):
+        windows, habits, mover = read_windows(path), {}, model.move
+        if mover is move:
+            mover, habits = fitted_without(path.stem, model.forces) or (model.forces, HABITS)
+        own[path.stem] = evaluate(mover, windows, **habits)
         mark[path.stem] = evaluate("constant_velocity", windows)
         slower[path.stem] = evaluate("constant_velocity", windows, weights=HABITS["weights"])
-        if context.report is not None:
-            context.report((done + 1) / len(paths))
     return compare_scores(own, mark, slower)
 
 
@@ -343,29 +327,12 @@ def compare_scores(own: dict[str, Scores], mark: dict[str, Scores], slower: dict
     )
 
 
-def _recordings(folder: Path) -> list[Path]:
-    return sorted((folder / "eth_ucy").glob("*.csv"))
-
-
-_FITTED = (
-    "walking.relaxation_time", "repulsion.strength", "repulsion.range", "evasion.strength", "evasion.gain",
-    "evasion.horizon", "evasion.width", "walls.strength", "walls.range",
-)  # fmt: skip
-_WITHOUT = {
-    "eth": (0.2002, 5.504, 0.08717, 5.322, 5.108, 2.102, 0.7204, 1.999, 0.1080),
-    "hotel": (0.1876, 5.559, 0.08085, 4.971, 5.470, 2.240, 0.7715, 1.705, 0.09483),
-    "zara01": (0.2238, 6.119, 0.09279, 5.616, 5.702, 2.097, 0.7639, 2.301, 0.09072),
-}
-_HABITS = {"eth": (0.972, 0.724), "hotel": (0.964, 0.560), "zara01": (0.965, 0.381)}  # weights, settled
-
-
 def fitted_without(scene: str, forces: Forces) -> tuple[Forces, dict[str, Any]] | None:
     """Constants of ``calibrated`` fitted without a scene such as eth, and arguments of ``predict``.
 
     None for other forces and for scenes that were not fitted to. docs/calibration.md has the command.
     """
-    if scene not in _WITHOUT or fingerprint(forces) != fingerprint(preset("calibrated")):
+    fit = PUBLISHED["left_out"].get(scene)
+    if fit is None or fingerprint(forces) != fingerprint(preset("calibrated")):
         return None
-    weight, settled = _HABITS[scene]
-    constants: dict[str, Any] = dict(zip(_FITTED, _WITHOUT[scene], strict=True))
-    return forces.tree_replace(constants), {"weights": (weight,), "settled": settled}
+    return forces.tree_replace(fit["constants"]), {"weights": tuple(fit["weights"]), "settled": fit["settled"]}

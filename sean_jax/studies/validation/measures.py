@@ -5,14 +5,14 @@ Physica A 389, 1902 (2010).
 """
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from sean_jax.recordings import Tracks
 from sean_jax.studies.scenes import Gate
-from sean_jax.studies.validation.check import Skipped
+from sean_jax.studies.validation.checks import Skipped
 
 LANE = 0.3  # m, people within that distance across a corridor walk in one lane
 SPEED_SPAN = 0.5  # s before and after, over which a speed is a difference of positions
@@ -33,8 +33,7 @@ def crossing_times(tracks: Tracks, gate: Gate) -> Float[np.ndarray, "N"]:
     gap = position - left
     behind = gap[..., 1] * ux - gap[..., 0] * uy  # (T, N) m
     along = gap[..., 0] * ux + gap[..., 1] * uy
-    there = present | np.concatenate([np.zeros((1, present.shape[1]), bool), present[:-1]])
-    step = (behind[:-1] <= 0.0) & (behind[1:] > 0.0) & there[1:] & present[:-1]
+    step = (behind[:-1] <= 0.0) & (behind[1:] > 0.0) & present[:-1]
     step &= (along[1:] > -0.5) & (along[1:] < wide + 0.5)
     first = np.where(step.any(0), step.argmax(0), -1)
     own = np.arange(position.shape[1])
@@ -50,17 +49,12 @@ def vanishing_times(tracks: Tracks) -> Float[np.ndarray, "N"]:
     return np.where(present.any(0) & ~present[-1], (last + 1) * tracks.time_step, np.inf)
 
 
-def flow(times: Float[np.ndarray, "N"], shares: tuple[float, float] = (0.2, 0.8)) -> float:
-    """The mean flow [people/s] between two of the crossing times (N,) s; NaN with fewer than 3 crossings.
-
-    Args:
-        times: inf of people who never cross.
-        shares: of all crossings, between which it is measured.
-    """
+def flow(times: Float[np.ndarray, "N"]) -> float:
+    """The mean flow [people/s] from 20 to 80 % of the crossing times (N,) s, inf of none; NaN with fewer than 3."""
     crossed = np.sort(times[np.isfinite(times)])
     if len(crossed) < 3:
         return float("nan")
-    first, last = (int(round(share * (len(crossed) - 1))) for share in shares)
+    first, last = (int(round(share * (len(crossed) - 1))) for share in (0.2, 0.8))
     return (last - first) / max(float(crossed[last] - crossed[first]), 1e-9)
 
 
@@ -113,17 +107,18 @@ def speeds(tracks: Tracks) -> np.ndarray:
     return np.where(present[1:] & present[:-1], step, np.nan)
 
 
-class AreaMeans(NamedTuple):
-    """Density and speed in an area, averaged over moments."""
-
-    density: float  # 1/m2
-    speed: float  # m/s; NaN if nobody is there
+def steps_along(x: np.ndarray, period: float) -> np.ndarray:
+    """(T - 1, N) m along x between moments, from positions (T, N) m in a periodic scene."""
+    step = np.diff(x, axis=0)
+    return step - period * np.round(step / period)
 
 
 def area_means(
     tracks: Tracks, floor: Bounds, area: Bounds, rows: slice = slice(None), period: float | None = None
-) -> AreaMeans:
-    """Voronoi density and speed in an area, means over moments; the speed over moments with somebody in the area.
+) -> tuple[float, float]:
+    """Voronoi density [1/m2] and speed [m/s] in an area, means over moments.
+
+    The speed is of moments with somebody in the area; NaN if nobody is ever there.
 
     Args:
         floor: to which cells are cut; people off it are left out.
@@ -138,7 +133,7 @@ def area_means(
     chosen = range(*rows.indices(len(tracks.present)))
     counted = table[on_floor & table.frame.isin(chosen)]
     if not len(counted):
-        return AreaMeans(0.0, float("nan"))
+        return 0.0, float("nan")
     speed = package.compute_individual_speed(
         traj_data=everybody,
         frame_step=max(1, round(SPEED_SPAN * frame_rate)),
@@ -155,7 +150,7 @@ def area_means(
     )
     density, speeds = (part.reset_index().set_index("frame") for part in (density, speeds))
     density, speeds = density.density.reindex(chosen, fill_value=0.0), speeds.speed.reindex(chosen)
-    return AreaMeans(float(density.mean()), float(speeds[density > 0.0].mean()))
+    return float(density.mean()), float(speeds[density > 0.0].mean())
 
 
 def lane_order(
@@ -183,24 +178,6 @@ def lane_order(
             near = np.abs(y[there, None] - y[None, there]) < width
             order[t] = np.mean((near @ direction[there] / near.sum(1)) ** 2)
     return order
-
-
-def single_file(
-    along: Float[np.ndarray, "T N"], velocity: Float[np.ndarray, "T N"], length: float
-) -> tuple[Float[np.ndarray, "T N"], Float[np.ndarray, "T N"]]:
-    """Density (T, N) 1/m and speed (T, N) m/s in a single file around a loop, in the order along it.
-
-    The density is that of Voronoi cells in one dimension: one over half the distance between both neighbors.
-
-    Args:
-        along: (T, N) m, position along the loop, whose length is in m.
-    """
-    along = np.asarray(along, float) % length
-    order = np.argsort(along, axis=1)
-    ahead = np.diff(np.take_along_axis(along, order, 1), axis=1, append=0.0)
-    ahead[:, -1] = length - ahead[:, :-1].sum(1)
-    cell = 0.5 * (ahead + np.roll(ahead, 1, axis=1))
-    return 1.0 / np.maximum(cell, 1e-6), np.take_along_axis(np.asarray(velocity, float), order, 1)
 
 
 def separation(

@@ -1,24 +1,46 @@
-"""What ``sean validate`` shows: a line for each row, the gates, and a page with set-up, paths, curves and verdicts."""
+"""What ``sean validate`` shows: a line for each row, the gates, a page with set-up, paths, curves and verdicts, and the
+page of ``sean replay`` that plays scenes of its tests."""
 
-import dataclasses
+import shlex
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
+import jax.numpy as jnp
 import numpy as np
 
-from sean_jax import pages
-from sean_jax.config import ValidateConfig
+from sean_jax import drawing, files, flags, pages, writing
+from sean_jax import replay as player
+from sean_jax.base import Environment, Obstacles, Trajectory
+from sean_jax.config import ReplayConfig, ValidateConfig
 from sean_jax.drawing import colors
-from sean_jax.flags import command
+from sean_jax.errors import InputError
+from sean_jax.files import listed
+from sean_jax.progress import progress
 from sean_jax.recordings import Tracks
 from sean_jax.report import svg
 from sean_jax.studies.scenes import Model, Scene
-from sean_jax.studies.validation.check import FAILS, PASSES, SKIPPED, Check, Curve, Row
-from sean_jax.studies.validation.checks import GATES, matches
+from sean_jax.studies.validation.checks import (
+    CHECKS,
+    FAILS,
+    GATES,
+    PASSES,
+    RESULTS,
+    SKIPPED,
+    Check,
+    CheckContext,
+    Curve,
+    Row,
+    Skipped,
+    matches,
+    models_of,
+)
 from sean_jax.versions import versions
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+    from rich.console import Console
 
 PATHS = 60  # of people who are drawn
 STRIDE = 5  # moments between two points of a path
@@ -26,13 +48,14 @@ RADIUS = 0.2  # m, of the discs at the last moment that is drawn
 BORDER = 1.5  # m of floor around people
 NEAR = 3.0  # m from people within which corners of walls are shown
 WIDTH, TALLEST = 6.4, 6.4  # inches
+HEIGHT = 2.0  # m, of walls in a replay; a plan has none
 
 
 def line(row: Row, checks: Sequence[Check], models: Sequence[Model]) -> str:
     """A row for the terminal; a single model is not named."""
     wide = max(len(check.name) for check in checks)
-    who = f"{row.model:<{max(len(each.name) for each in models)}}  " if len(models) > 1 else ""
-    return f"{row.check:<{wide}}  {who}{row.verdict:<7}  {row.reason or row.measured}"
+    model = f"{row.model:<{max(len(each.name) for each in models)}}  " if len(models) > 1 else ""
+    return f"{row.check:<{wide}}  {model}{row.verdict:<7}  {row.reason or row.measured}"
 
 
 def gate_lines(rows: Sequence[Row], model: Model) -> list[str]:
@@ -54,22 +77,18 @@ def gates(rows: Sequence[Row], model: str) -> list[tuple[str, str, str, str]]:
     for gate in GATES:
         names = [name for pattern in gate.checks for name in matches(pattern)]
         done = [of_model[name] for name in names if name in of_model]
-        failing = [row.check for row in done if row.verdict == FAILS]
+        failing = [row for row in done if row.verdict == FAILS]
         passing = [row for row in done if row.verdict == PASSES]
         if failing:
-            why = (
-                f"{len(failing)} of {len(names)}: {', '.join(failing)}"
-                if len(names) > 1
-                else of_model[failing[0]].reason
-            )
-            table.append((gate.title, gate.promise, FAILS, why))
+            which = f"{len(failing)} of {len(names)}: {', '.join(row.check for row in failing)}"
+            verdict, why = FAILS, which if len(names) > 1 else failing[0].reason
         elif names and len(passing) == len(names):
-            why = f"all {len(names)}" if len(names) > 1 else passing[0].measured
-            table.append((gate.title, gate.promise, PASSES, why))
+            verdict, why = PASSES, f"all {len(names)}" if len(names) > 1 else passing[0].measured
         elif passing:
-            table.append((gate.title, gate.promise, "partly", f"{len(passing)} of {len(names)} done, all pass"))
+            verdict, why = "partly", f"{len(passing)} of {len(names)} done, all pass"
         else:
-            table.append((gate.title, gate.promise, SKIPPED, "; ".join(dict.fromkeys(row.reason for row in done))))
+            verdict, why = SKIPPED, "; ".join(dict.fromkeys(row.reason for row in done))
+        table.append((gate.title, gate.promise, verdict, why))
     return table
 
 
@@ -105,7 +124,7 @@ def html(options: ValidateConfig, checks: Sequence[Check], models: Sequence[Mode
         pages.section("Verdicts", pages.table(head, verdicts, "words"), pages.note("Nothing is tuned for a check.")),
         pages.section(f"Gates of {models[0].name}", pages.table([], promises, "words")),
         *(_check(check, [by_name[check.name, model.name] for model in models]) for check in checks),
-        pages.origin(command("validate", options), versions()),
+        pages.origin(flags.command("validate", options), versions()),
     ]
     return pages.page("Validation of the people", "sean_jax · sean validate", sections)
 
@@ -124,7 +143,7 @@ def _check(check: Check, rows: Sequence[Row]) -> str:
         several = len({one.name for one in row.curves if not one.reference}) > 1
         for curve in row.curves:
             name = curve.name if curve.reference else f"{row.model}: {curve.name}" if several else row.model
-            curves[name, curve.reference] = dataclasses.replace(curve, name=name)
+            curves[name, curve.reference] = replace(curve, name=name)
     if curves:
         drawing = svg(plot(list(curves.values()), rows[0].axes), f"{check.name}-curves")
         pictures.append(pages.figure(drawing))
@@ -141,8 +160,8 @@ def trajectories(scene: Scene, tracks: Tracks) -> "Figure":
     from matplotlib.figure import Figure
 
     position, present = np.asarray(tracks.position, float), np.asarray(tracks.present)
-    seen = position[present]
-    lower, upper = (seen.min(0), seen.max(0)) if len(seen) else (np.zeros(2), np.ones(2))
+    places = position[present]
+    lower, upper = (places.min(0), places.max(0)) if len(places) else (np.zeros(2), np.ones(2))
     boxes = np.asarray(scene.walls).reshape(-1, 5)
     corners = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * boxes[:, None, 2:4]
     cosine, sine = np.cos(boxes[:, None, 4]), np.sin(boxes[:, None, 4])
@@ -180,8 +199,7 @@ def trajectories(scene: Scene, tracks: Tracks) -> "Figure":
     )  # fmt: skip
     axes.add_collection(discs)
     if scene.robot is not None:
-        place, velocity = (np.asarray(part) for part in scene.robot)
-        path = place + np.array([0.0, (len(position) - 1) * tracks.time_step])[:, None] * velocity
+        path = scene.robot_path(np.array([0.0, (len(position) - 1) * tracks.time_step]))
         axes.plot(*path.T, color=colors.ROBOT, linewidth=2.0, zorder=5)
     return figure
 
@@ -216,3 +234,106 @@ def plot(curves: Sequence[Curve], axes: tuple[str, str]) -> "Figure":
         axis.spines[side].set_visible(False)
     axis.legend(frameon=False)
     return figure
+
+
+# ------------------------------------------------------------------ replay
+
+
+def write_replay(options: ReplayConfig, console: "Console") -> Path:
+    """Simulate the scenes that the report shows of some tests, moved by the first model, and write the page.
+
+    Raises:
+        InputError: the folder has no such test, or nothing of it can be played.
+    """
+    folder, file = options.folder, options.folder / RESULTS
+    content: Any = files.read_json(file)
+    try:
+        done = list(dict.fromkeys(str(row["check"]) for row in content["rows"]))
+        words = shlex.split(content["command"])
+    except (KeyError, TypeError, ValueError):
+        raise InputError(f"{file}: holds no rows; give a folder that `sean validate` has written.") from None
+    if words[:2] != ["sean", "validate"]:
+        raise InputError(f"{file}: was not made by `sean validate`; give a folder that it has written.")
+    path = options.out or folder / "replay.html"
+    writing.check_file(path, (".html",))
+    known = [name for name in done if name in CHECKS]
+    names = listed(options.only) or known[:1]
+    for name in names:
+        if name not in known:
+            raise InputError(f"only: '{name}' is none of the tests in {folder}: {', '.join(known)}.")
+    command_options = flags.read(ValidateConfig, flags.parse("validate", ValidateConfig, words[2:]))
+    model = models_of(command_options.models, file)[0]
+    players: list[tuple[str, dict[str, Any]]] = []
+    with progress(console) as bar:
+        for number, name in enumerate(names):
+            bar.start(name, len(names))
+            context = CheckContext(model, command_options.data, command_options.quick)
+            try:
+                CHECKS[name].run(context)
+            except Skipped as error:
+                raise InputError(f"{name}: {error}") from None
+            bar.update(number + 1, context.model.name)
+            if not context.pictures:
+                raise InputError(f"{name}: shows no scene, only figures; they are in {folder / 'report.html'}.")
+            players += [
+                (f"{name} · {caption}", recording(scene, tracks)) for caption, scene, tracks in context.pictures
+            ]
+    writing.write(path, player.html_of_several(players, folder.resolve().name))
+    return path
+
+
+def recording(scene: Scene, tracks: Tracks) -> dict[str, Any]:
+    """A scene as ``replay.recording``; without a robot, unless the scene has one."""
+    frames = trajectory(scene, tracks)
+    episodes, robot = [player.Episode(frames, "scene")], scene.robot is not None
+    return player.recording(episodes, place(scene, frames), situations=(), time_step=tracks.time_step, robot=robot)
+
+
+def trajectory(scene: Scene, tracks: Tracks) -> Trajectory:
+    """People of a scene as frames (T, ...); whoever goes around a periodic scene is absent for a moment."""
+    people, present = np.asarray(tracks.position, float), np.array(tracks.present)
+    if scene.period is not None:
+        around = np.abs(np.diff(people[..., 0], axis=0)) > scene.period / 2.0
+        present[:-1] &= ~around
+    count = len(people)
+    way = scene.robot_path(tracks.time_step * np.arange(count))
+    velocity = np.asarray(scene.robot[1] if scene.robot else (0.0, 0.0), float)
+    speed = float(np.hypot(*velocity))
+    facing = velocity / speed if speed > 0.0 else np.array([1.0, 0.0])
+    steps = np.diff(people, axis=0, append=people[-1:]) / tracks.time_step
+    arrays: dict[str, Any] = dict(
+        position=way,
+        heading=np.tile(facing, (count, 1)),
+        velocity=np.tile(velocity, (count, 1)),
+        action=np.zeros((count, 2)),
+        people=people,
+        people_velocity=steps,
+        people_heading=np.asarray(tracks.facing, float),
+        group=np.full(present.shape, -1),
+        present=present,
+        goal=np.broadcast_to(way[-1:], way.shape),
+        situations=np.zeros((count, 0), bool),
+        active=np.ones(count, bool),
+    )
+    return Trajectory(**arrays)
+
+
+def place(scene: Scene, frames: Trajectory) -> Environment:
+    """The floor around a scene's people, with the walls near them."""
+    places = np.asarray(frames.people)[np.asarray(frames.present)]
+    if scene.robot is not None:
+        places = np.concatenate([places, np.asarray(frames.position)])
+    lower, upper = (places.min(0), places.max(0)) if len(places) else (np.zeros(2), np.ones(2))
+    walls = np.asarray(scene.walls, float).reshape(-1, 5)
+    cosine, sine = np.abs(np.cos(walls[:, 4])), np.abs(np.sin(walls[:, 4]))
+    reach = np.stack([walls[:, 2] * cosine + walls[:, 3] * sine, walls[:, 2] * sine + walls[:, 3] * cosine], 1)
+    near = ((walls[:, :2] + reach > lower - NEAR) & (walls[:, :2] - reach < upper + NEAR)).all(1)
+    walls = walls[near]
+    floor = np.concatenate([lower - BORDER, upper + BORDER])
+    obstacles = Obstacles(
+        center=jnp.asarray(walls[:, :2], float),
+        half_extent=jnp.asarray(walls[:, 2:4], float),
+        yaw=jnp.asarray(walls[:, 4], float),
+        height=jnp.full(len(walls), HEIGHT, float),
+    )
+    return replace(drawing.empty_floor(frames), floor=jnp.asarray(floor, float), obstacles=obstacles, name="scene")

@@ -3,8 +3,6 @@
 RiMEA, IMO, NIST and ISO share most of these, with these dimensions.
 """
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from sean_jax.studies.scenes import Gate, Scene, box, corridor, join, room, spread, walkers, wall
@@ -16,42 +14,48 @@ EXITS = (((4.0, 20.0), (5.0, 20.0)), ((25.0, 20.0), (26.0, 20.0)), ((5.0, 0.0), 
 SECONDARY = 4, 5, 10, 11  # cabins whose people leave by the secondary exit: 5, 6, 11 and 12
 
 
-def one_walker(speed: float, begin: float = 0.0, length: float = 40.0) -> Scene:
-    """One person of a preferred speed [m/s] in a corridor 2 m wide, from x = ``begin`` to ``length`` [m]."""
+def one_walker(speed: float, length: float = 40.0) -> Scene:
+    """One person of a preferred speed [m/s] in a corridor 2 m wide, from x = 0 to ``length`` [m]."""
     gate = Gate((length, 2.0), (length, 0.0))
-    people = walkers(np.array([[begin, 1.0]]), route=(0,), speed=speed)
+    people = walkers(np.array([[0.0, 1.0]]), route=(0,), speed=speed)
     return Scene(walls=corridor(length, 2.0, 10.0), gates=(gate,), walkers=people, seconds=120.0)
 
 
-def ring(length: float, width: float, number: int, seconds: float, speed: float | None = None, seed: int = 0) -> Scene:
-    """A periodic corridor (length, width in m) in which all walk the same way; preferred speed [m/s] drawn if None."""
-    start = spread((0.0, 0.22), (length, width - 0.22), number, seed)
-    return Scene(
-        walls=corridor(length, width, length / 2),
-        gates=(Gate((BEYOND, width), (BEYOND, 0.0)),),
-        walkers=walkers(start, route=(0,), speed=speed, seed=seed),
-        seconds=seconds,
-        period=length,
-    )
+def periodic(length: float, width: float, people: Walkers, seconds: float) -> Scene:
+    """A periodic corridor (length, width in m), in which people of route 0 walk along x and people of route 1 back."""
+    gates = Gate((BEYOND, width), (BEYOND, 0.0)), Gate((-BEYOND, 0.0), (-BEYOND, width))
+    return Scene(corridor(length, width, length / 2), people, gates, seconds, length)
 
 
-def reactions(seed: int = 0) -> Scene:
+def ring(
+    length: float,
+    width: float,
+    number: int,
+    seconds: float,
+    speed: float | np.ndarray | None = None,
+    seed: int = 0,
+    inset: float = 0.22,
+) -> Scene:
+    """A periodic corridor in which all walk the same way, at first ``inset`` m from the walls; speed as ``walkers``."""
+    start = spread((0.0, inset), (length, width - inset), number, seed)
+    return periodic(length, width, walkers(start, route=(0,), speed=speed, seed=seed), seconds)
+
+
+def reactions() -> Scene:
     """A room of 8 by 5 m with ten people, who begin to walk after 10 to 100 s."""
     door = Gate((8.0, 3.0), (8.0, 2.0))
     start = np.stack([np.tile(np.arange(5) * 1.2 + 0.8, 2), np.repeat([1.2, 3.8], 5)], 1)
-    reaction = np.random.default_rng([seed, 5]).uniform(10.0, 100.0, 10)
+    reaction = np.random.default_rng([0, 5]).uniform(10.0, 100.0, 10)
     people = walkers(start, route=(0,), speed=1.33, reaction_time=reaction)
     return Scene(walls=room((0.0, 0.0), (8.0, 5.0), [door]), gates=(door,), walkers=people, seconds=130.0)
 
 
-def corner(seed: int = 0) -> Scene:
+def corner() -> Scene:
     """Twenty people walk around a left-hand corner of a corridor 2 m wide, with x 0 to 10, y 2 to 12 m inside."""
-    walls = np.concatenate(
-        [box((-1.0, 2.0), (10.0, 12.0)), box((-1.0, -0.5), (12.0, 0.0)), box((12.0, -0.5), (12.5, 12.0))]
-    )
+    walls = [box((-1.0, 2.0), (10.0, 12.0)), box((-1.0, -0.5), (12.0, 0.0)), box((12.0, -0.5), (12.5, 12.0))]
     gates = Gate((10.0, 2.0), (12.0, 0.0)), Gate((10.0, 12.0), (12.0, 12.0))
-    people = walkers(spread((0.3, 0.3), (5.7, 1.7), 20, seed), route=(0, 1), seed=seed)
-    return Scene(walls=walls, gates=gates, walkers=people, seconds=60.0)
+    people = walkers(spread((0.3, 0.3), (5.7, 1.7), 20), route=(0, 1))
+    return Scene(np.concatenate(walls), people, gates, seconds=60.0)
 
 
 def population(speed: np.ndarray) -> Scene:
@@ -62,46 +66,30 @@ def population(speed: np.ndarray) -> Scene:
     return Scene(walls=np.zeros((0, 5)), gates=(gate,), walkers=walkers(start, route=(0,), speed=speed), seconds=100.0)
 
 
-def hall(number: int, doors: int, seed: int = 0) -> Scene:
+def hall(number: int, doors: int) -> Scene:
     """A hall of 30 by 20 m with 4 doors of 1 m, or 2 in the upper wall; people start 2 m from the walls, and choose."""
     gates = tuple(Gate(*ends) for ends in EXITS[:doors])
-    start = spread((2.0, 2.0), (28.0, 18.0), number, seed)
+    start = spread((2.0, 2.0), (28.0, 18.0), number)
     middle = np.array([np.mean(gate, axis=0) for gate in gates])
     nearest = np.linalg.norm(start[:, None] - middle[None], axis=-1).argmin(1)
-    speed = np.asarray(walkers(start, seed=seed).preferred_speed)
-    parts, order = [], []
-    for door in range(doors):
-        mine = np.flatnonzero(nearest == door)
-        parts.append(walkers(start[mine], route=(door,), speed=speed[mine]))
-        order.append(mine)
-    return Scene(
-        walls=room((0.0, 0.0), (30.0, 20.0), gates),
-        gates=gates,
-        walkers=join(*parts),
-        exits=tuple(range(doors)),
-        seconds=900.0,
-    )
+    speed = np.asarray(walkers(start).preferred_speed)
+    own = [nearest == door for door in range(doors)]
+    crowd = join(*(walkers(start[mine], route=(door,), speed=speed[mine]) for door, mine in enumerate(own)))
+    return Scene(room((0.0, 0.0), (30.0, 20.0), gates), crowd, gates, seconds=900.0, exits=tuple(range(doors)))
 
 
-def two_exits(number: int, exits: Sequence[tuple[float, float]], seed: int = 0) -> Scene:
-    """A hall of 30 by 20 m, people on the left, two exits at x [m] in the upper wall; all begin towards the first."""
-    gates = tuple(Gate((begin, 20.0), (end, 20.0)) for begin, end in exits)
-    start = spread((1.0, 1.0), (13.0, 19.0), number, seed)
-    return Scene(
-        walls=room((0.0, 0.0), (30.0, 20.0), gates),
-        gates=gates,
-        walkers=walkers(start, route=(0,), seed=seed),
-        exits=(0, 1),
-        seconds=900.0,
-    )
+def two_exits(number: int) -> Scene:
+    """A hall of 30 by 20 m, people on the left, two exits of 1 m in the upper wall; all begin towards the nearer."""
+    gates = Gate((17.0, 20.0), (18.0, 20.0)), Gate((26.0, 20.0), (27.0, 20.0))
+    people = walkers(spread((1.0, 1.0), (13.0, 19.0), number), route=(0,))
+    return Scene(room((0.0, 0.0), (30.0, 20.0), gates), people, gates, seconds=900.0, exits=(0, 1))
 
 
-def equal_exits(number: int, seed: int = 0) -> Scene:
+def equal_exits(number: int) -> Scene:
     """A room of 20 by 10 m with people in the middle, exits of 1 m in both short walls; all begin towards the left."""
     gates = Gate((0.0, 4.5), (0.0, 5.5)), Gate((20.0, 5.5), (20.0, 4.5))
-    start = spread((5.0, 1.0), (15.0, 9.0), number, seed)
-    people = walkers(start, route=(0,), seed=seed)
-    return Scene(walls=room((0.0, 0.0), (20.0, 10.0), gates), gates=gates, walkers=people, exits=(0, 1), seconds=300.0)
+    people = walkers(spread((5.0, 1.0), (15.0, 9.0), number), route=(0,))
+    return Scene(room((0.0, 0.0), (20.0, 10.0), gates), people, gates, seconds=300.0, exits=(0, 1))
 
 
 def cabins() -> Scene:
@@ -132,87 +120,57 @@ def cabins() -> Scene:
     return Scene(walls=np.concatenate(parts), gates=tuple(gates), walkers=join(*people), seconds=120.0)
 
 
-def two_rooms(passage: float, seed: int = 0) -> Scene:
+def two_rooms(passage: float) -> Scene:
     """Two rooms of 10 by 10 m, a passage of a width [m] 5 m long between them, 150 people in the first, an exit of 1 m.
 
     Gate 0 is the beginning of the passage, gate 1 its end, gate 2 the exit.
     """
     low, high = 5.0 - passage / 2, 5.0 + passage / 2
-    first, last = Gate((10.0, high), (10.0, low)), Gate((15.0, high), (15.0, low))
-    door = Gate((25.0, 5.5), (25.0, 4.5))
-    walls = np.concatenate(
-        [
-            room((0.0, 0.0), (10.0, 10.0), [first]),
-            room((15.0, 0.0), (25.0, 10.0), [last, door]),
-            box((10.0, low - 0.2), (15.0, low)),
-            box((10.0, high), (15.0, high + 0.2)),
-        ]
-    )
-    people = walkers(spread((0.3, 0.3), (5.0, 9.7), 150, seed), route=(0, 1, 2), seed=seed)
-    return Scene(walls=walls, gates=(first, last, door), walkers=people, seconds=400.0)
+    gates = Gate((10.0, high), (10.0, low)), Gate((15.0, high), (15.0, low)), Gate((25.0, 5.5), (25.0, 4.5))
+    rooms = room((0.0, 0.0), (10.0, 10.0), gates[:1]), room((15.0, 0.0), (25.0, 10.0), gates[1:])
+    walls = np.concatenate([*rooms, box((10.0, low - 0.2), (15.0, low)), box((10.0, high), (15.0, high + 0.2))])
+    people = walkers(spread((0.3, 0.3), (5.0, 9.7), 150), route=(0, 1, 2))
+    return Scene(walls, people, gates, seconds=400.0)
 
 
-def counterflow(against: int, seed: int = 0) -> Scene:
+def counterflow(against: int) -> Scene:
     """Two rooms of 10 by 10 m, a corridor of 10 by 2 m between them; 100 people go from the first to the second.
 
     The 100 are the first people; all vanish at the far walls. Gate 1 is the end of the corridor for the 100.
     """
-    gates = (
-        Gate((10.0, 6.0), (10.0, 4.0)),
-        Gate((20.0, 6.0), (20.0, 4.0)),
-        Gate((29.0, 10.0), (29.0, 0.0)),
-        Gate((20.0, 4.0), (20.0, 6.0)),
-        Gate((10.0, 4.0), (10.0, 6.0)),
-        Gate((1.0, 0.0), (1.0, 10.0)),
-    )
-    walls = np.concatenate(
-        [
-            room((0.0, 0.0), (10.0, 10.0), [gates[0]]),
-            room((20.0, 0.0), (30.0, 10.0), [gates[1]]),
-            box((10.0, 3.8), (20.0, 4.0)),
-            box((10.0, 6.0), (20.0, 6.2)),
-        ]
-    )
-    people: Walkers = walkers(spread((0.3, 0.3), (9.0, 9.7), 100, seed), route=(0, 1, 2), seed=seed)
+    left, right = ((10.0, 6.0), (10.0, 4.0)), ((20.0, 6.0), (20.0, 4.0))
+    there = Gate(*left), Gate(*right), Gate((29.0, 10.0), (29.0, 0.0))
+    back = Gate(*right[::-1]), Gate(*left[::-1]), Gate((1.0, 0.0), (1.0, 10.0))
+    rooms = room((0.0, 0.0), (10.0, 10.0), [left]), room((20.0, 0.0), (30.0, 10.0), [right])
+    walls = np.concatenate([*rooms, box((10.0, 3.8), (20.0, 4.0)), box((10.0, 6.0), (20.0, 6.2))])
+    people: Walkers = walkers(spread((0.3, 0.3), (9.0, 9.7), 100), route=(0, 1, 2))
     if against:
-        others = walkers(spread((21.0, 0.3), (29.7, 9.7), against, seed + 1), route=(3, 4, 5), seed=seed + 1)
-        people = join(people, others)
-    return Scene(walls=walls, gates=gates, walkers=people, seconds=400.0)
+        others = spread((21.0, 0.3), (29.7, 9.7), against, seed=1)
+        people = join(people, walkers(others, route=(3, 4, 5), seed=1))
+    return Scene(walls, people, there + back, seconds=400.0)
 
 
-def full_room(door: float = 1.0, number: int = 100, seed: int = 0) -> Scene:
-    """A room of 8 by 5 m with a door (width in m) in the middle of a 5 m wall; people vanish 0.7 m behind it."""
-    ends = (8.0, 2.5 + door / 2), (8.0, 2.5 - door / 2)
-    start = spread((0.3, 0.3), (7.5, 4.7), number, seed)
-    gate = Gate(*ends)
-    return Scene(
-        walls=room((0.0, 0.0), (8.0, 5.0), [ends]),
-        gates=(gate, Gate((8.7, 4.0), (8.7, 1.0))),
-        walkers=walkers(start, route=(0, 1), seed=seed),
-        seconds=300.0,
-    )
+def full_room(door: float = 1.0) -> Scene:
+    """A room of 8 by 5 m with 100 people, a door (width in m) in the middle of a 5 m wall; they vanish 0.7 m behind."""
+    gates = Gate((8.0, 2.5 + door / 2), (8.0, 2.5 - door / 2)), Gate((8.7, 4.0), (8.7, 1.0))
+    people = walkers(spread((0.3, 0.3), (7.5, 4.7), 100), route=(0, 1))
+    return Scene(room((0.0, 0.0), (8.0, 5.0), gates[:1]), people, gates, seconds=300.0)
 
 
 def wide_ways() -> dict[str, Scene]:
-    """Ways 20 m wide for 500 people, who begin in the first 6 m: a long one, one around a corner, a short one."""
-    start, wide = spread((0.3, 0.3), (5.7, 19.7), 500, 0), 20.0
-    scenes = {}
-    for name, length in (("short", 50.0), ("long", 81.4)):
+    """Ways 20 m wide for 500 people, who begin in the first 6 m: a short one, one around a corner, a long one."""
+    start, wide = spread((0.3, 0.3), (5.7, 19.7), 500), 20.0
+
+    def straight(length: float) -> Scene:
         gate = Gate((length, wide), (length, 0.0))
-        scenes[name] = Scene(
-            walls=corridor(length, wide, 1.0), gates=(gate,), walkers=walkers(start, route=(0,)), seconds=250.0
-        )
-    walls = np.concatenate(
-        [
-            box((-1.0, wide), (20.0, wide + 30.0)),
-            box((-1.0, -0.5), (40.0, 0.0)),
-            box((40.0, -0.5), (40.5, wide + 30.0)),
-        ]
-    )
+        return Scene(corridor(length, wide, 1.0), walkers(start, route=(0,)), (gate,), seconds=250.0)
+
+    inner = box((-1.0, wide), (20.0, wide + 30.0))
+    walls = np.concatenate([inner, box((-1.0, -0.5), (40.0, 0.0)), box((40.0, -0.5), (40.5, wide + 30.0))])
     before = Gate((20.0, wide), (20.0, 0.0))  # until there they walk side by side, as along a straight way
     gates = before, Gate((20.0, wide), (40.0, 0.0)), Gate((20.0, wide + 30.0), (40.0, wide + 30.0))
-    scenes["corner"] = Scene(walls=walls, gates=gates, walkers=walkers(start, route=(0, 1, 2)), seconds=250.0)
-    return scenes
+    corner = Scene(walls, walkers(start, route=(0, 1, 2)), gates, seconds=250.0)
+    return {"short": straight(50.0), "corner": corner, "long": straight(81.4)}
 
 
 def group() -> Scene:
@@ -223,9 +181,5 @@ def group() -> Scene:
     start = np.stack([np.zeros(5), 0.8 * np.arange(5) + 0.4], 1)
     speed = np.array([1.25, 1.25, 0.5, 1.25, 1.25])
     gate = Gate((40.0, 4.0), (40.0, 0.0))
-    return Scene(
-        walls=corridor(40.0, 4.0, 2.0),
-        gates=(gate,),
-        walkers=walkers(start, route=(0,), speed=speed, together=True),
-        seconds=120.0,
-    )
+    people = walkers(start, route=(0,), speed=speed, together=True)
+    return Scene(corridor(40.0, 4.0, 2.0), people, (gate,), seconds=120.0)
