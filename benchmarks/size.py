@@ -48,23 +48,35 @@ def size(files: list[Path]) -> dict[str, float]:
     return {**count, "median": median(lengths) if lengths else 0}
 
 
-def words(files: list[Path]) -> dict[str, int]:
-    """How often each of ``WORDS`` stands in the files, in texts and as a name."""
-    text = "\n".join(file.read_text(encoding="utf-8") for file in files)
-    return {word: len(re.findall(rf"(?<![A-Za-z]){word}(?![A-Za-z])", text)) for word in WORDS}
+def words(files: list[Path]) -> dict[str, tuple[int, int]]:
+    """How often each of ``WORDS`` stands in the texts of the files, and in their identifiers."""
+    counts = {word: [0, 0] for word in WORDS}
+    for file in files:
+        text = file.read_text(encoding="utf-8")
+        names = [
+            token.string
+            for token in tokenize.generate_tokens(io.StringIO(text).readline)
+            if token.type == tokenize.NAME
+        ]
+        for word, count in counts.items():
+            pattern = re.compile(rf"(?<![A-Za-z]){word}(?![A-Za-z])")
+            identifiers = sum(pattern.search(name) is not None for name in names)
+            count[0] += len(pattern.findall(text)) - identifiers
+            count[1] += identifiers
+    return {word: (count[0], count[1]) for word, count in counts.items()}
 
 
 def main() -> None:
     """Print a row for each folder, and the words of all."""
-    given = [Path(word) for word in sys.argv[1:]]
-    roots = given or [PACKAGE, *sorted(path for path in PACKAGE.iterdir() if any(path.glob("*.py")))]
+    paths = [Path(word) for word in sys.argv[1:]]
+    roots = paths or [PACKAGE, *sorted(path for path in PACKAGE.iterdir() if any(path.glob("*.py")))]
     every: list[Path] = []
     for root in roots:
         files = sorted(root.rglob("*.py")) if root.is_dir() else [root]
         every += files
         row = " ".join(f"{name} {value:>6,.0f}" for name, value in size(files).items())
         print(f"{root.name or str(root):24} {row}")
-    print("words:", ", ".join(f"{word} {number}" for word, number in words(sorted(set(every))).items()))
+    print("words (text + identifiers):", ", ".join(f"{w} {t}+{n}" for w, (t, n) in words(sorted(set(every))).items()))
 
 
 if __name__ == "__main__":
