@@ -1,4 +1,4 @@
-"""Steps a second of one Gymnasium environment, and of many that step together.
+"""Steps per second of one Gymnasium environment, and of a vector environment.
 
 python benchmarks/adapters.py
 python benchmarks/adapters.py --rows 1 64 --name Lab-Random-RandomAbNav-v0
@@ -9,13 +9,13 @@ import time
 
 import numpy as np
 
-from sean_jax.adapters.gymnasium import make, make_vec
+from sean_jax.adapters.gymnasium import SocialNavigation, VectorSocialNavigation
 
 SEEN = ["goal", "path", "speeds", "people"]
 
 
 def rate(step, seconds: float, turns: int = 5) -> float:
-    """Calls a second: the best of some turns."""
+    """Calls per second: the best of several runs."""
     step()
     best = 0.0
     for _ in range(turns):
@@ -31,11 +31,11 @@ def main() -> None:
     """Print the table."""
     arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     arguments.add_argument("--name", default="Warehouse-Graph-Mixed-v0")
-    arguments.add_argument("--seconds", type=float, default=1.0, help="of each of five turns")
+    arguments.add_argument("--seconds", type=float, default=1.0, help="of each of five runs")
     arguments.add_argument("--rows", nargs="+", type=int, default=[1, 16, 64])
     chosen = arguments.parse_args()
     action = np.array([0.5, 0.1], np.float32)
-    one = make(chosen.name, observations=SEEN)
+    one = SocialNavigation(chosen.name, observations=SEEN)
     one.reset(seed=0)
 
     def step() -> None:
@@ -45,7 +45,7 @@ def main() -> None:
 
     print(f"{chosen.name}: one environment {rate(step, chosen.seconds):8,.0f} steps/s")
     for rows in chosen.rows:
-        many = make_vec(chosen.name, rows, observations=SEEN)
+        many = VectorSocialNavigation(chosen.name, rows, observations=SEEN)
         many.reset(seed=0)
         actions = np.tile(action, (rows, 1))
         rates = rate(lambda many=many, actions=actions: many.step(actions), chosen.seconds)

@@ -1,14 +1,14 @@
-"""Mending the worst situation of an agent: where it violates people's space most, before and after more training.
+"""The worst situation of an agent, with the most violations of people's space, before and after more training.
 
-The agent of a folder drives in fresh episodes, and its worst situation is the one with the most violations a minute.
-Its training goes on twice, for as many steps: with a curriculum, and without one. All three are measured in other
-episodes, the same for all, with 95 % bootstrap intervals. A violation is somebody within 0.45 m, whoever's fault it is.
-Intervals are of episodes: they say what other episodes would give, not what another training would (``--seeds``).
+The agent of a folder drives in new episodes, and its worst situation has the most violations per minute.
+Its training continues twice, for as many steps: with and without a curriculum. All three are measured in other
+episodes, the same for all, with 95 % bootstrap intervals. A violation is a person within 0.45 m, by anyone's fault.
+Intervals cover the variation between episodes, not between trainings (``--seeds``).
 
 python benchmarks/curriculum.py runs/ppo --steps 3000000 --scenarios 256 --seeds 4 --out runs/mended
 python benchmarks/curriculum.py ppo --steps 2e7 --scenarios 4096 --episodes 2048 --seeds 3 --out runs/long
 
-The second is of the agent that comes with the package, for a GPU. After an interruption the same command goes on.
+The second command uses an agent of the package, on a GPU. The same command resumes an interrupted run.
 """
 
 import argparse
@@ -26,11 +26,11 @@ import sean_jax
 from sean_jax import mdp, prng
 from sean_jax.errors import SeanError
 from sean_jax.learning import reinforcement
-from sean_jax.learning.policy import AGENTS, agent_policy, is_packed, load_packed, load_trained, read_options
+from sean_jax.learning.policy import AGENTS, agent_policy, load_agent, read_options
 from sean_jax.metrics import bootstrap
 
 VIOLATIONS = ("intimate_robot_on_person", "intimate_person_on_robot")
-FEWEST = 30  # episodes in which a situation occurs, for it to be called the worst
+FEWEST = 30  # minimum number of episodes with a situation, for the worst situation
 AT_ONCE = {"cpu": 256}  # episodes, by kind of device
 AT_ONCE_ELSEWHERE = 2048
 
@@ -65,7 +65,7 @@ def measurement(scenario, network, observed):
 
 
 def difference(one: dict, other: dict, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(1 + S,) violations a minute of one less those of the other, in the same episodes, with an interval."""
+    """(1 + S,) difference of violations per minute in the same episodes, first minus second, with an interval."""
     takes = np.concatenate([np.ones((1, weights.shape[1])), weights])
     rates = [(takes @ each["violations"]) / np.maximum(takes @ each["minutes"], 1e-9) for each in (one, other)]
     gap = rates[0] - rates[1]
@@ -73,7 +73,7 @@ def difference(one: dict, other: dict, weights: np.ndarray) -> tuple[np.ndarray,
 
 
 def picture(path: Path, names: list[str], worst: str, found: dict[str, bootstrap.Estimate]) -> None:
-    """Violations a minute of each agent in each situation, with intervals."""
+    """Violations per minute of each agent in each situation, with intervals."""
     from matplotlib.figure import Figure
 
     figure = Figure((8.0, 3.6), layout="constrained")
@@ -97,7 +97,7 @@ def count(text: str) -> int:
 
 
 def worst_situation(names: list[str], measured: dict) -> int:
-    """The column with the most violations a minute, of the situations that occur in enough episodes."""
+    """The column with the most violations per minute, among situations that occur in enough episodes."""
     enough = (measured["minutes"] > 0).sum(0) >= min(FEWEST, len(measured["minutes"]) / 4)
     enough[0] = False  # the column of all situations together
     rate = bootstrap.aggregate_ratio(measured["violations"], measured["minutes"]).mean
@@ -107,7 +107,7 @@ def worst_situation(names: list[str], measured: dict) -> int:
 
 
 def verdict(low: float, high: float, other: str) -> str:
-    """What an interval of a difference says."""
+    """The meaning of an interval of a difference."""
     if low <= 0.0 <= high:
         return f"no decided difference from {other}"
     return f"{'fewer' if high < 0.0 else 'more'} violations than {other}"
@@ -118,9 +118,9 @@ def main() -> None:
     arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     arguments.add_argument("agent", help="folder of `sean train ppo`, or the name of an agent of the package")
     arguments.add_argument("--out", type=Path, default=Path("runs/mended"), help="folder of trainings and figures")
-    arguments.add_argument("--steps", type=count, default=500_000, help="scenario-steps of each further training")
-    arguments.add_argument("--scenarios", type=count, help="that step together; as of the agent unless given")
-    arguments.add_argument("--learning-rate", type=float, help="at the beginning; half of the agent's unless given")
+    arguments.add_argument("--steps", type=count, default=500_000, help="additional scenario-steps of each training")
+    arguments.add_argument("--scenarios", type=count, help="that step together; by default the agent's")
+    arguments.add_argument("--learning-rate", type=float, help="at the beginning; by default half of the agent's")
     arguments.add_argument("--curriculum", default="situations", choices=["situations", "regret"])
     arguments.add_argument("--every", type=count, default=20, help="updates between two draws of new starts")
     arguments.add_argument("--episodes", type=count, default=512, help="of each measurement")
@@ -133,13 +133,12 @@ def main() -> None:
 
 
 def mend(chosen: argparse.Namespace, console: Console) -> None:
-    """What ``main`` does, by the options that were chosen."""
+    """``main`` with parsed options."""
     folder = Path(chosen.agent)
     folder = folder if folder.exists() else AGENTS.get(chosen.agent, folder)
     options = read_options(folder)
     (scenario, *_), _, _ = reinforcement.build(options)
-    load = load_packed if is_packed(folder) else load_trained
-    network, given, observed = load(folder, scenario)
+    network, given, observed = load_agent(folder, scenario)
     trainings = {"none": [], chosen.curriculum: []}
     for kind, several in trainings.items():
         for seed in range(options.seed + 1, options.seed + 1 + chosen.seeds):
@@ -157,7 +156,7 @@ def mend(chosen: argparse.Namespace, console: Console) -> None:
     console.print(f"measuring {2 + 2 * chosen.seeds} times {chosen.episodes} episodes")
     measure = measurement(scenario, network, observed)
     names = ["overall", *(name for name, _ in scenario.situations)]
-    # Chosen in episodes of its own: the worst of the same ones would look worse than it is.
+    # Chosen in separate episodes: the worst of the same episodes would be biased.
     worst = worst_situation(names, measure(given, jax.random.split(prng.key("run", 1), chosen.episodes)))
     keys = jax.random.split(prng.key("run", 0), chosen.episodes)
     measured = {"before": [measure(given, keys)]}
@@ -169,7 +168,7 @@ def mend(chosen: argparse.Namespace, console: Console) -> None:
 def report(chosen: argparse.Namespace, names: list[str], worst: int, measured: dict[str, list[dict]]) -> None:
     """Print the table, and write it with a picture."""
     weights = bootstrap.resamples(chosen.episodes)
-    # An episode is that of all seeds together, so that intervals are of episodes.
+    # An episode combines all seeds, so that intervals are over episodes.
     pooled = {kind: jax.tree.map(lambda *each: np.mean(each, 0), *each) for kind, each in measured.items()}
     found = {
         kind: bootstrap.aggregate_ratio(each["violations"], each["minutes"], weights=weights)
@@ -208,7 +207,7 @@ def report(chosen: argparse.Namespace, names: list[str], worst: int, measured: d
     print(f"{names[worst]} after training with curriculum {chosen.curriculum}: {said[0]}, {said[1]}")
     made = {name: str(value) for name, value in vars(chosen).items()}
     told = {"options": made, "columns": names, "worst": names[worst], **kept}
-    # By the name of the curriculum: another one may share the folder, and the trainings without one.
+    # By the name of the curriculum: another curriculum may share the folder and the trainings without a curriculum.
     (chosen.out / f"{chosen.curriculum}.json").write_text(json.dumps(told, indent=1))
     picture(
         chosen.out / f"{chosen.curriculum}.png", names, names[worst], dict(zip(titles, found.values(), strict=False))

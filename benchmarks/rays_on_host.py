@@ -1,10 +1,10 @@
-"""Steps with depth images on a GPU, by the kernel and by loops of XLA's, on an idle host and on a busy one.
+"""Steps with depth images on a GPU, by the kernel and by loops of XLA, on an idle and on a busy host.
 
     python benchmarks/rays_on_host.py                      # on a GPU, about two minutes
     python benchmarks/rays_on_host.py --batches 2 --dynamics twin --seconds 0.1
 
-Loops of XLA's end on the host, so they wait for it: a busy host has one process on each of its cores that computes
-nothing. Before that, the images of both forms are compared.
+Loops of XLA end on the host, so they wait for it: a busy host has one process on each of its cores that computes
+without results. Before that, the images of both forms are compared.
 """
 
 import argparse
@@ -21,8 +21,8 @@ import jax
 import numpy as np
 
 import sean_jax
-from sean_jax import sensors
-from sean_jax.bench import cases, programs
+from sean_jax import bench, sensors
+from sean_jax.bench import programs
 from sean_jax.bench.programs import Program
 from sean_jax.raycast import kernel
 
@@ -31,14 +31,14 @@ COMPARED = 256  # scenarios whose images are compared
 
 
 def choose(form: str) -> None:
-    """Rays on a GPU take this form in all that is traced from now on."""
+    """Use this form of rays on a GPU in all programs traced from now on."""
     jax.clear_caches()
     kernel.available = lambda: form == "kernel"
 
 
 @contextlib.contextmanager
 def busy_host() -> Iterator[int]:
-    """Every core of this process has another one to serve."""
+    """Every core of this process also runs another process."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     others = [subprocess.Popen([sys.executable, "-S", "-c", "while True: pass"]) for _ in range(cores)]
     try:
@@ -51,8 +51,8 @@ def busy_host() -> Iterator[int]:
 
 
 def compare(scenario: Any) -> None:
-    """Print how far the images of the two forms are apart."""
-    camera = sensors.camera(scenario, "depth", width=cases.IMAGE[0], height=cases.IMAGE[1])
+    """Print the difference of the images of the two forms."""
+    camera = sensors.camera(scenario, "depth", width=bench.IMAGE[0], height=bench.IMAGE[1])
     keys = jax.random.split(jax.random.key(0), COMPARED)
     states = jax.jit(jax.vmap(sean_jax.reset, (None, 0)))(scenario, keys)
     images = []
@@ -69,7 +69,7 @@ def compare(scenario: Any) -> None:
 
 
 def steps_per_second(run: Callable, program: Program, carried: Any, seconds: float) -> tuple[float, Any]:
-    """Median of five timings, and what the next call goes on from."""
+    """Median of five timings, and the state for the next call."""
     carried = jax.block_until_ready(run(*program.fixed, carried))
     began = time.perf_counter()
     carried = jax.block_until_ready(run(*program.fixed, carried))
@@ -98,10 +98,10 @@ def main() -> None:
     print(f"{jax.devices()[0].device_kind}, jax {jax.__version__}, {chosen.environment}, {chosen.people} people")
     compare(scenario)
     timed = {
-        batch: programs.stepping(scenario, batch, min(cases.turns(batch), 100), cases.IMAGE) for batch in chosen.batches
+        batch: programs.stepping(scenario, batch, min(bench.turns(batch), 100), bench.IMAGE) for batch in chosen.batches
     }
     compiled: dict[tuple[int, str], Future] = {}
-    with ThreadPoolExecutor() as pool:  # XLA compiles them side by side
+    with ThreadPoolExecutor() as pool:  # XLA compiles them in parallel
         for form in FORMS:
             choose(form)
             for batch, program in timed.items():

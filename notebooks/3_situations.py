@@ -230,12 +230,12 @@ with open("people.csv", "w") as file:
 print(len(rows), "lines, such as", rows[0])
 
 # %% [markdown]
-# The same line reads your own file: `seconds` is the time from one frame number to the next. `read_eth_ucy` and
-# `read_juelich` use the clocks of these recordings. Positions are noisy, so velocities are slopes of lines fitted to a
-# few positions, and orientations are directions of motion.
+# The same line reads your own file. The formats `eth_ucy` and `juelich` have their own clocks and need no frame rate.
+# Positions are noisy, so velocities are slopes of lines fitted to a few positions, and orientations are directions of
+# motion.
 
 # %%
-tracks = recordings.read_csv("people.csv", seconds=0.1)
+tracks = recordings.read("people.csv", frame_rate=10)
 path = trajectory.position[0, shown]  # any path (T, 2) can play the robot
 snapshots = recordings.snapshots_along(tracks, path, window=1)  # lines through three frames
 flags = np.asarray(jax.jit(jax.vmap(lambda snapshot: classifiers.classify(snapshot, thresholds)))(snapshots))

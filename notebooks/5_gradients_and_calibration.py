@@ -62,20 +62,20 @@ begin = np.stack(
     [side * random.uniform(1.0, 6.0, (EPISODES, PEOPLE)), random.uniform(-1.5, 1.5, (EPISODES, PEOPLE))], -1
 )
 velocity = np.stack([-side * random.uniform(0.9, 1.4, (EPISODES, PEOPLE)), np.zeros((EPISODES, PEOPLE))], -1)
-seen = jnp.asarray(np.stack([begin, begin + FRAME * velocity], 1), float)  # (EPISODES, 2, PEOPLE, 2) m
+observed = jnp.asarray(np.stack([begin, begin + FRAME * velocity], 1), float)  # (EPISODES, 2, PEOPLE, 2) m
 
 
 @jax.jit
 def walk(constants):
     """Positions [m] of all people in the predicted frames, with two constants of the social forces."""
     forces = sean_jax.preset("calibrated").tree_replace(dict(zip(HIDDEN, constants, strict=True)))
-    return sean_jax.predict(forces, seen, FRAME, SEEN_LATER)
+    return sean_jax.predict(forces, observed, FRAME, SEEN_LATER)
 
 
 recorded = walk(jnp.asarray(list(HIDDEN.values())))
 figure, panel = plt.subplots(figsize=(8, 3), layout="constrained")
 for person, to_the_right in enumerate(side < 0):
-    way = np.concatenate([seen[0], recorded[0]])[:, person]
+    way = np.concatenate([observed[0], recorded[0]])[:, person]
     panel.plot(*way.T, ".-", ms=4, color="#2f6fb0" if to_the_right else "#f58a07")
     panel.plot(*way[-1], "o", color="#2f6fb0" if to_the_right else "#f58a07")
 panel.set(aspect="equal", xlabel="x [m]", ylabel="y [m]", title="the first scene; discs are final positions")

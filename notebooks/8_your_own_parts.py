@@ -91,10 +91,10 @@ near_time = metrics.duration(near, title="time near people", definition="Somebod
 
 # %%
 def careful(scenario, state, key):
-    seen = sean_jax.observe(scenario, state)
-    bearing = jnp.arctan2(seen.path[1], seen.path[0])
-    ahead = seen.people_present & (seen.people[:, 0] > 0.0)
-    distance = jnp.sqrt((seen.people * seen.people).sum(-1) + 1e-6)
+    observation = sean_jax.observe(scenario, state)
+    bearing = jnp.arctan2(observation.path[1], observation.path[0])
+    ahead = observation.people_present & (observation.people[:, 0] > 0.0)
+    distance = jnp.sqrt((observation.people * observation.people).sum(-1) + 1e-6)
     room = jnp.min(jnp.where(ahead, distance, 2.0), initial=2.0) - 0.6
     speed = 0.5 * jnp.clip(room, 0.0, 1.0) * jnp.maximum(jnp.cos(bearing), 0.0)
     return jnp.stack([speed, jnp.clip(2.0 * bearing, -1.0, 1.0)])

@@ -1,10 +1,10 @@
-"""From options to a scenario (section IV-B): ``make``; refuses what does not exist and what does not fit together."""
+"""From options to a scenario (section IV-B): ``make``; refuses unknown names and impossible combinations."""
 
 import contextlib
 import dataclasses
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -45,6 +45,7 @@ from sean_jax.recordings import check_clock
 from sean_jax.scenario import direct_pedestrians, measure, move_pedestrians, reset, results
 
 MAX_SITUATIONS = 20  # the time in each of their 2 ** 20 sets is counted
+PARTS = ("behavior", "model", "forces", "situations", "metrics", "sensors")  # that a scenario calls
 PERSON_CLEARANCE = 0.25  # m: people's paths stand off from obstacles by a body of 0.2 m and some room
 
 
@@ -91,49 +92,44 @@ def build(config: ScenarioConfig) -> list[Scenario]:
         InputError: one sentence that names the value and the cure.
     """
     parts = check(config)
-    scene, robot = environments.load(parts.folder), _robot(config)
+    folder = environments.find(config.environment)
+    scene, robot = environments.load(folder), _robot(config)
     robots.physics_steps(robot, config.time_step)  # refuses a control step that is no multiple
     walking = navigation.build(scene, PERSON_CLEARANCE)
     driving = walking if robot.radius <= PERSON_CLEARANCE else navigation.build(scene, robot.radius)
     draw = navigation.PLACES[config.goal_sampling]
     walking, driving = draw(scene, walking), draw(scene, driving)
-    place = behaviors.Place(parts.folder, scene, walking, config.time_step)
+    place = behaviors.Place(folder, scene, walking, config.time_step)
     behavior = _behavior(config, place)
-    people = behavior.people
-    if people is None:
-        people = place.default_people if config.people is None else config.people
-    forces, substeps = parts.forces, config.substeps
+    people = config.people if behavior.people is None else behavior.people
     scenario = Scenario(
         environment=scene,
         navigation=driving,
         behavior=behavior,
-        forces=forces,
-        thresholds=parts.thresholds,
+        forces=parts["forces"],
+        thresholds=parts["thresholds"],
         goal_radius=jnp.asarray(config.goal_radius, float),
         hold_time=jnp.asarray(config.hold_time, float),
         task_distance=jnp.asarray(config.task_distance, float),
         robot=robot,
         task=tasks.TASKS["random_ab_nav"],
-        move=behavior.move or parts.model,
-        situations=parts.situations,
-        metrics=parts.metrics,
+        move=behavior.move or parts["model"],
+        situations=parts["situations"],
+        metrics=parts["metrics"],
         time_step=config.time_step,
         time_limit=config.time_limit,
-        people=people,
-        substeps=social_forces.substeps(forces, config.time_step) if substeps is None else substeps,
+        people=place.default_people if people is None else people,
+        substeps=config.substeps or social_forces.substeps(parts["forces"], config.time_step),
         task_name="",
-        sensors=_sensors(config, robot),
+        sensors=sensors.as_sensors((components.resolve(part, _ANY, "sensors") for part in config.sensors), robot),
         warm_up=config.warm_up,
     )
     scenarios = [with_task(scenario, task) for task in config.tasks]
-    own = {name for name in type(config).model_fields if _is_own(getattr(config, name))}
-    if own & {"behavior", "model", "forces", "situations", "metrics", "sensors"}:
+    values = {name: getattr(config, name) for name in PARTS}
+    lists = {name: value if isinstance(value, tuple) else (value,) for name, value in values.items()}
+    if own := {name for name, parts in lists.items() if any(isinstance(part, OwnPart | Value) for part in parts)}:
         _try_parts(scenarios[0], own)
     return scenarios
-
-
-def _is_own(value: Any) -> bool:
-    return any(isinstance(part, OwnPart | Value) for part in (value if isinstance(value, tuple) else (value,)))
 
 
 def _try_parts(scenario: Scenario, own: set[str]) -> None:
@@ -169,7 +165,7 @@ def with_task(scenario: Scenario, task: Any) -> Scenario:
     if isinstance(task, CustomTask) and task.start and task.goal:
         scenario = dataclasses.replace(scenario, task_name=task.kind)
         return dataclasses.replace(scenario, task=tasks.poses(scenario, task.start, task.goal))
-    name, function = _name(task), components.resolve(task, tasks.TASKS, "task")
+    name, function = task.label, components.resolve(task, tasks.TASKS, "task")
     if not callable(function):
         raise InputError(f"task: {name} is no function (scenario, pedestrians, groups, memory, key) -> RobotTask.")
     scenario = dataclasses.replace(scenario, task=function, task_name=name)
@@ -182,20 +178,12 @@ def with_task(scenario: Scenario, task: Any) -> Scenario:
 # ------------------------------------------------------------------ checks before anything is compiled or tabulated
 
 
-class Parts(NamedTuple):
-    """The parts of a scenario that need neither compiling nor tables."""
-
-    folder: Path  # of the environment
-    forces: social_forces.Forces
-    situations: tuple
-    thresholds: classifiers.Thresholds
-    metrics: tuple
-    model: Any
-
-
 @_one_sentence()
-def check(config: ScenarioConfig) -> Parts:
+def check(config: ScenarioConfig) -> dict[str, Any]:
     """Refuse what cannot be built, as far as it shows in a moment: nothing is compiled or tabulated.
+
+    Returns:
+        ``forces``, ``situations``, ``thresholds``, ``metrics`` and ``model`` of the scenario.
 
     Raises:
         InputError: one sentence that names the value and the cure.
@@ -209,8 +197,9 @@ def check(config: ScenarioConfig) -> Parts:
     if isinstance(behavior, GraphBehavior | RandomBehavior):
         behaviors.count_walking_groups(0, behavior.walking_groups)
     situations, thresholds = _situations(config)
-    model = components.resolve(config.model, pedestrian_models.MODELS, "model")
-    measured = _metrics(config)
+    parts = {"situations": situations, "thresholds": thresholds}
+    parts["model"] = components.resolve(config.model, pedestrian_models.MODELS, "model")
+    parts["metrics"] = _metrics(config)
     for part in config.sensors:
         sensors.check_sensor(components.resolve(part, _ANY, "sensors"))
     if behavior.kind == "playback" and config.model.kind != "social_forces":
@@ -224,7 +213,7 @@ def check(config: ScenarioConfig) -> Parts:
     _check_people(config, folder, float(forces.walking.radius))
     if isinstance(behavior, PlaybackBehavior):
         _check_recording(behavior)
-    return Parts(folder, forces, situations, thresholds, measured, model)
+    return parts | {"forces": forces}
 
 
 def _check_task(task: Component, behavior: str) -> None:
@@ -236,13 +225,14 @@ def _check_task(task: Component, behavior: str) -> None:
     needed = tasks.requirement(components.resolve(task, tasks.TASKS, "task"))
     if needed is None or needed.offer in behaviors.OFFERS.get(behavior, (needed.offer,)):
         return  # the offers of a user's own behavior are known when it is built
-    if needed.offer == "groups":
-        own = "handcrafted" if behavior == "handcrafted" else "random_ab_nav"
-        why = "needs groups, which only behavior 'graph' has"
-        raise InputError(f"task: '{task.kind}' {why}, not '{behavior}'; choose task '{own}' with it.")
-    if needed.offer == "handcrafted_sets":
-        why = "poses that belong to handcrafted people"
-        raise InputError(f"task: '{task.kind}' needs {why}, not '{behavior}'; choose behavior 'handcrafted' with it.")
+    own = "handcrafted" if behavior == "handcrafted" else "random_ab_nav"
+    needs = {
+        "groups": ("groups, which only behavior 'graph' has", f"task '{own}'"),
+        "handcrafted_sets": ("poses that belong to handcrafted people", "behavior 'handcrafted'"),
+    }
+    if needed.offer in needs:
+        why, cure = needs[needed.offer]
+        raise InputError(f"task: '{task.kind}' needs {why}, not '{behavior}'; choose {cure} with it.")
 
 
 def _check_people(config: ScenarioConfig, folder: Path, radius: float) -> None:
@@ -275,8 +265,9 @@ def _check_recording(behavior: PlaybackBehavior) -> None:
 def _behavior(config: ScenarioConfig, place: behaviors.Place) -> Behavior:
     description = config.behavior
     if isinstance(description, OwnPart | Value):
-        part = components.resolve(description, {}, "behavior")
-        behavior = part if isinstance(part, Behavior) else _build_own(part, place, config.people)
+        behavior = components.resolve(description, {}, "behavior")
+        if not isinstance(behavior, Behavior) and callable(behavior):
+            behavior = calls.call("behavior", behavior, "place, people", place, config.people)
     else:
         options = {name: value for name, value in description if name != "kind" and value is not None}
         behavior = behaviors.BEHAVIORS[description.kind](place, config.people, **options)
@@ -284,10 +275,6 @@ def _behavior(config: ScenarioConfig, place: behaviors.Place) -> Behavior:
         what = f"{description.kind} gives {shorten(repr(behavior))}"
         raise InputError(f"behavior: {what}, not a Behavior; give one, or a function (place, people) -> Behavior.")
     return behavior
-
-
-def _build_own(part: Any, place: behaviors.Place, people: int | None) -> Any:
-    return calls.call("behavior", part, "place, people", place, people) if callable(part) else part
 
 
 def _robot(config: ScenarioConfig) -> RobotModel:
@@ -311,7 +298,7 @@ def _forces(config: ScenarioConfig) -> social_forces.Forces:
 
 
 def _situations(config: ScenarioConfig) -> tuple[tuple, classifiers.Thresholds]:
-    """((name, function), ...), and thresholds: those of the first set, with changes by the options."""
+    """((name, function), ...), and thresholds: the first set's, with changes by the options."""
     known = {name: function for each in classifiers.SITUATION_SETS.values() for name, function in each.items()}
     chosen: dict[str, Any] = {}
     usual = None
@@ -323,7 +310,7 @@ def _situations(config: ScenarioConfig) -> tuple[tuple, classifiers.Thresholds]:
             name = part.kind
             chosen[name] = components.resolve(part, classifiers.SITUATION_SETS | known, "situations")
         else:
-            chosen[_name(part)] = classifiers.as_situation(components.resolve(part, {}, "situations"), _name(part))
+            chosen[part.label] = classifiers.as_situation(components.resolve(part, {}, "situations"), part.label)
     if not chosen:
         raise InputError("situations: there are none; give at least one, or a name like 'paper'.")
     if len(chosen) > MAX_SITUATIONS:
@@ -333,9 +320,7 @@ def _situations(config: ScenarioConfig) -> tuple[tuple, classifiers.Thresholds]:
     changes = dict(config.thresholds or {})
     for name in changes:
         if name not in fields:
-            raise InputError(
-                f"thresholds: '{name}' is not one of {', '.join(fields)}{files.suggest(name, fields) or '.'}"
-            )
+            raise InputError(files.unknown_name("thresholds", name, fields))
     changes = {name: jnp.asarray(value, float) for name, value in changes.items()}
     return tuple(chosen.items()), dataclasses.replace(thresholds, **changes)
 
@@ -349,17 +334,8 @@ def _metrics(config: ScenarioConfig) -> tuple:
         elif isinstance(part, Named):
             chosen[part.kind] = components.resolve(part, {"all": None, **metrics.METRICS}, "metrics")
         else:
-            chosen[_name(part)] = metrics.as_metric(components.resolve(part, {}, "metrics"), _name(part))
+            chosen[part.label] = metrics.as_metric(components.resolve(part, {}, "metrics"), part.label)
     return tuple(chosen.items())
-
-
-def _sensors(config: ScenarioConfig, robot: RobotModel) -> tuple:
-    return sensors.as_sensors((components.resolve(part, _ANY, "sensors") for part in config.sensors), robot)
-
-
-def _name(part: Component) -> str:
-    """The name of a part in results."""
-    return part.name if isinstance(part, OwnPart | Value) else part.kind
 
 
 class _Any(dict):

@@ -187,7 +187,7 @@ class State:
     ticks_at_goal: Int[Array, ""]  # steps spent inside the goal radius without a break
     completed: Bool[Array, ""]  # latched
     timed_out: Bool[Array, ""]  # latched; never together with completed
-    policy_state: PyTree = ()  # what the policy remembers of the episode
+    policy_state: PyTree = ()  # memory of the policy
 
 
 @struct.dataclass
@@ -196,7 +196,7 @@ class Behavior:
 
     ``reset(scenario, key) -> (Pedestrians, Groups, memory)``
     ``direct(scenario, state, key) -> State`` with new desired velocities, group members and memory.
-    ``move(scenario, state) -> Pedestrians`` replaces the pedestrian model, for people who follow none.
+    ``move(scenario, state) -> Pedestrians`` replaces the pedestrian model, for people without one.
     """
 
     data: PyTree  # the tables of the functions
@@ -287,13 +287,13 @@ class Scenario:
     substeps: int = struct.field(pytree_node=False)  # of the social forces in a step of control
     task_name: str = struct.field(pytree_node=False)
     sensors: tuple[Sensor, ...] = ()  # of the robot, read by ``sensors.sense``
-    people_present: Int[Array, ""] | None = None  # how many are present, the first ones; None: all
+    people_present: Int[Array, ""] | None = None  # number of people present, the first ones; None: all
     warm_up: float = struct.field(pytree_node=False, default=0.0)  # s, for which people walk before there is a robot
 
 
 @struct.dataclass
 class Observation:
-    """What a policy sees (section IV-F), in the robot's frame: x ahead, y to the left, the robot at the origin."""
+    """The input of a policy (section IV-F), in the robot's frame: x ahead, y to the left, the robot at the origin."""
 
     goal: Float[Array, "2"]  # m
     goal_heading: Float[Array, "2"]  # unit vector
@@ -308,7 +308,7 @@ class Observation:
 
 @struct.dataclass
 class Trajectory:
-    """What a rollout records of a step, or stacked (T, ...) of T steps: enough to draw, and for all metrics (IV-H)."""
+    """The record of a step, or of T steps, stacked (T, ...): enough for pictures and for all metrics (IV-H)."""
 
     position: Float[Array, "2"]  # m, of the robot
     heading: Float[Array, "2"]  # unit vector
@@ -340,7 +340,7 @@ class Policy:
 
 
 PolicyLike = Policy | Callable[[Scenario, State, Array], Array]
-"""What is accepted wherever a policy is: a ``Policy``, or a function (scenario, state, key) -> (2,) [m/s, rad/s]."""
+"""Any form of a policy: a ``Policy``, or a function (scenario, state, key) -> (2,) [m/s, rad/s]."""
 
 
 @dataclass(frozen=True)
@@ -360,7 +360,7 @@ def no_memory(scenario: Scenario, params: PyTree, state: State) -> tuple:
 
 
 def as_policy(policy: PolicyLike) -> Policy:
-    """A ``Policy``, without parameters and memory if it is made of a plain function; TypeError if it is neither."""
+    """A ``Policy``; a plain function becomes one without parameters and memory. TypeError for anything else."""
     if isinstance(policy, Policy):
         return policy
     if not callable(policy):

@@ -1,7 +1,7 @@
-"""Tables in the user's cache folder: what takes seconds to build is built once for all processes.
+"""Tables in the user's cache folder: a table that takes seconds to build is built once for all processes.
 
-The key of a table is what it was built from, inputs and source code, never a name or a time: an edited file cannot
-leave an old table behind. If the folder cannot be read or written, tables are built again.
+The key of a table is a digest of its inputs and source code, never a name or a time, so a table is never older than
+the files it depends on. If the folder cannot be read or written, tables are built again.
 """
 
 import functools
@@ -48,7 +48,7 @@ def load_or_build(kind: str, code: tuple[str, ...], inputs: Iterable[Any], build
             results would depend on which of the two ran first.
         build: runs if there is no table, or if it cannot be read.
     """
-    import jax.numpy as jnp  # here, for the command line sets up jax's own cache beside this one before it is imported
+    import jax.numpy as jnp  # here, for the command line configures jax's own cache before it is imported
 
     digest = hashlib.sha256(f"{kind} {jnp.result_type(float)} {_source(code)}".encode())
     for value in inputs:
@@ -70,7 +70,7 @@ def load_or_build(kind: str, code: tuple[str, ...], inputs: Iterable[Any], build
 
 @functools.cache
 def _source(code: tuple[str, ...]) -> str:
-    """Digest of source files, and of those in folders, of the package."""
+    """Digest of source files and folders of the package."""
     digest = hashlib.sha256()
     for part in code:
         path = PACKAGE / part
@@ -80,10 +80,10 @@ def _source(code: tuple[str, ...]) -> str:
 
 
 def _read(path: Path, name: str) -> Tables | None:
-    """The arrays of a file that was written completely, under that name; None without one."""
+    """The arrays of an intact file that was written under that name; None without one."""
     try:
         tables = files.read_arrays(path)
-        if str(tables.pop("name", "")) != f"{name} {_digest(tables)}":
+        if str(tables.pop("name", "")) != name:
             return None
         os.utime(path)  # the oldest are removed first
     except (FileError, OSError):
@@ -98,7 +98,7 @@ def _write(path: Path, name: str, tables: Tables) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile(dir=path.parent, prefix=".", suffix=".unfinished", delete=False) as stream:
             unfinished = stream.name
-            arrays: Any = dict(tables, name=np.array(f"{name} {_digest(tables)}"))
+            arrays: Any = dict(tables, name=np.array(name))
             np.savez_compressed(stream, **arrays)
         os.replace(unfinished, path)
         _remove_oldest(path.parent)
@@ -107,15 +107,6 @@ def _write(path: Path, name: str, tables: Tables) -> None:
     finally:
         if unfinished is not None:
             Path(unfinished).unlink(missing_ok=True)
-
-
-def _digest(tables: Tables) -> str:
-    """Digest of the names, kinds, shapes and numbers."""
-    digest = hashlib.sha256()
-    for name in sorted(tables):
-        array = np.ascontiguousarray(tables[name])
-        digest.update(f"{name} {array.dtype} {array.shape}".encode() + array.tobytes())
-    return digest.hexdigest()[:32]
 
 
 def _remove_oldest(tables: Path) -> None:

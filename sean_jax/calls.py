@@ -1,7 +1,7 @@
 """Calls of functions that may be the user's: errors and wrong results become one sentence.
 
-The sentence names the part, the file and line of the innermost frame of the user's code, and the cure. It is made
-during tracing, before anything is compiled. Errors in the package's own functions are left alone.
+The sentence names the part, the file and line of the innermost frame of the user's code, and the cure. The error is
+raised during tracing, before anything is compiled. Errors in the package's own functions are left alone.
 """
 
 import dataclasses
@@ -62,7 +62,8 @@ def check_array(
     right = array and (shape is None or jnp.shape(value) == shape)
     if right:
         dtype = jnp.result_type(value)
-        right = jnp.issubdtype(dtype, {bool: np.bool_, float: np.floating}[kind]) if kind else _is_number(dtype)
+        kinds = {bool: (np.bool_,), float: (np.floating,), None: (np.bool_, np.integer, np.floating)}[kind]
+        right = any(jnp.issubdtype(dtype, each) for each in kinds)
     if not right:
         expected = " ".join([KINDS.get(kind, "an array of numbers"), *([] if shape is None else [str(shape)])])
         raise wrong(part, function, describe(value), expected, cure)
@@ -88,10 +89,9 @@ def check_type(part: str, function: Callable, value: Any, kind: type, **sizes: i
             right = list(field.shape) == expected and any(re.fullmatch(kind, str(field.dtype)) for kind in kinds)
         if not right:
             shape = ", ".join(str(known.get(dim, dim)) for dim in dims)
-            expected = f"{_kind(kinds)} ({shape}{',' * (len(dims) == 1)})"
-            raise wrong(
-                part, function, f"{name} = {describe(field)}", expected, f"give {kind.__name__}.{name} that shape"
-            )
+            expected = re.sub(r"\W.*|\d+", "", kinds[-1]) + f" ({shape}{',' * (len(dims) == 1)})"
+            actual, cure = f"{name} = {describe(field)}", f"give {kind.__name__}.{name} that shape"
+            raise wrong(part, function, actual, expected, cure)
 
 
 def check_like(part: str, function: Callable, value: PyTree, like: PyTree, what: str) -> None:
@@ -131,25 +131,16 @@ def wrong(part: str, function: Callable, actual: str, expected: str, cure: str) 
     return PartError(f"{part}: {_definition(plain)}{_name(plain)} gives {actual}, not {expected}{missing}; {cure}.")
 
 
-def _is_number(dtype: Any) -> bool:
-    return jnp.issubdtype(dtype, np.number) and not jnp.issubdtype(dtype, np.complexfloating) or dtype == np.bool_
-
-
 @functools.cache
 def _fields(kind: type) -> tuple[tuple[str, tuple[str, ...], tuple[str, ...]], ...]:
     """Name, letters of the shape, and patterns of the types of each field with a shape in its annotation."""
     hints, fields = typing.get_type_hints(kind), []
     for field in dataclasses.fields(kind):
-        hint = (typing.get_args(hints[field.name]) or (hints[field.name],))[
-            0
-        ]  # arrays of jax, numpy and numpy's scalars
-        if hasattr(hint, "dim_str") and type(None) not in typing.get_args(hints[field.name]):
+        union = typing.get_args(hints[field.name])
+        hint = union[0] if union else hints[field.name]  # arrays of jax, numpy and numpy's scalars
+        if hasattr(hint, "dim_str") and type(None) not in union:
             fields.append((field.name, tuple(hint.dim_str.split()), tuple(map(str, hint.dtypes))))
     return tuple(fields)
-
-
-def _kind(patterns: tuple[str, ...]) -> str:
-    return re.sub(r"\W.*|\d+", "", patterns[-1])
 
 
 # ------------------------------------------------------------------ whose function, and where
@@ -179,12 +170,8 @@ def _code(function: Any) -> types.CodeType | None:
 
 
 def _is_own(function: Any) -> bool:
-    code = _code(function)
-    return not code.co_filename.startswith(PACKAGE) if code else not _module(function).startswith("sean_jax.")
-
-
-def _module(thing: Any) -> str:
-    return str(getattr(thing, "__module__", ""))
+    code, module = _code(function), str(getattr(function, "__module__", ""))
+    return not code.co_filename.startswith(PACKAGE) if code else not module.startswith("sean_jax.")
 
 
 def _place(file: str, line: int) -> str:
@@ -253,9 +240,8 @@ def _other_arguments(error: Exception, function: Any, arguments: str) -> str | N
 def _reason(error: Exception, line: str) -> str:
     """The meaning of an exception, with the cure; ``line`` is the source line that raised it."""
     name, text = type(error).__name__, str(error)
-    for kind, meaning in _MEANINGS.items():
-        if name == kind:
-            return meaning if isinstance(meaning, str) else meaning(error, line)
+    if meaning := _MEANINGS.get(name):
+        return meaning if isinstance(meaning, str) else meaning(error, line)
     first = re.split(r"\n|(?<=[a-z)\]])\. ", text.strip() or "no reason given", maxsplit=1)[0]
     if "item assignment" in text or "immutable" in text:
         return "an array cannot be changed in place; write x = x.at[index].set(value)"
@@ -270,9 +256,9 @@ def _concrete(error: Exception, line: str) -> str:
         return f"{match[0]} takes no traced value; write jnp. for {match[1]}."
     if match := re.search(r"\b(float|int|bool|complex|round|range|str|format)\(|\.(item|tolist)\(", line):
         word = f"{match[1]}()" if match[1] else f".{match[2]}()"
-        cure = (
-            "jax.lax.fori_loop over a fixed number" if match[1] == "range" else "the array as it is, or x.astype(...)"
-        )
+        cure = "the array as it is, or x.astype(...)"
+        if match[1] == "range":
+            cure = "jax.lax.fori_loop over a fixed number"
         return f"{word} takes no traced value, whose number is known only when the program runs; write {cure}"
     return (
         "a size or an index depends on a traced value, whose number is known only when the program runs; keep the "
@@ -289,13 +275,12 @@ def _attribute(error: Exception, line: str) -> str:
         names = [field.name for field in dataclasses.fields(thing)]
     else:
         names = [each for each in dir(thing) if not each.startswith("_")]
-    array = isinstance(thing, jax.Array)
-    what = (
-        thing.__name__ if isinstance(thing, types.ModuleType | type) else "an array" if array else type(thing).__name__
-    )
+    what = getattr(thing, "__name__", "") if isinstance(thing, types.ModuleType | type) else type(thing).__name__
+    what = "an array" if isinstance(thing, jax.Array) else what
     close = difflib.get_close_matches(name, names, 1)
-    cure = f"did you mean '{close[0]}'" if close else f"it has {', '.join(names)[:MAX_TEXT]}"
-    return f"{what} has no '{name}'; {cure if close or len(names) < 40 else 'see its documentation'}"
+    cure = f"it has {', '.join(names)[:MAX_TEXT]}" if len(names) < 40 else "see its documentation"
+    cure = f"did you mean '{close[0]}'" if close else cure
+    return f"{what} has no '{name}'; {cure}"
 
 
 def _unknown(error: Exception, line: str) -> str:

@@ -13,6 +13,7 @@ import sys
 import traceback
 from collections.abc import Sequence
 from contextlib import nullcontext
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -27,7 +28,9 @@ if TYPE_CHECKING:
 
 PICTURES = (".png", ".svg", ".pdf", ".jpg", ".jpeg", ".webp", ".tif", ".tiff")  # that matplotlib writes
 LEARNING = ("optax", "orbax", "tensorstore")  # packages of the extra "learning"
+RESUMABLE = ("collect", "train", "experiment", "export", "calibrate", "benchmark", "validate")
 READERS = ("run", "collect", "train", "experiment", "export", "replay", "benchmark")  # may run code that a file names
+EXPERIMENTS = {"table1": "table1", "ablation": "table1", "figure4": "figure4", "learning_curve": "figure4"}  # -> module
 TRACEBACK = "--traceback"  # of any command
 WRONG, FAILED, STOPPED, TERMINATED = 2, 1, 130, 143  # exit codes: bad input, broken midway, Ctrl-C, SIGTERM
 
@@ -36,7 +39,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line.
 
     Args:
-        arguments: the words after ``sean``; those of the process if None.
+        arguments: the words after ``sean``; sys.argv if None.
 
     Returns:
         The exit code: 0, 2 for bad input, 1 for work that broke midway, 130 for Ctrl-C and 143 for SIGTERM.
@@ -94,8 +97,7 @@ def _main(words: list[str], traced: bool) -> int:
         with components.read_once(), components.trust() if getattr(parsed, "trust", False) else nullcontext():
             options = _read(model, parsed)
             compiler.configure()
-            with interrupts.unwrapped():
-                return _DO[word](options)
+            return _execute(word, options)
     except InputError as error:
         if traced:
             traceback.print_exception(error)
@@ -132,7 +134,7 @@ def _summary(text: str | None) -> str:
 
 
 def _help(group: str = "") -> str:
-    """The commands, or those of a group, a line each."""
+    """The commands, or the commands of a group, a line each."""
     words, sean = _words(group), f"sean {group}".strip()
     width = max(map(len, words))
     lines = [f"  {word:<{width}}  {summary}" for word, summary in words.items()]
@@ -184,53 +186,59 @@ def _refuse_empty(arguments: list[str]) -> None:
             raise InputError(f"{name} is an empty text; give a value, or leave the option out for its default.")
 
 
-def _run(options: config.RunConfig) -> int:
-    console = _console(options.quiet)
+def _execute(word: str, options: Any) -> int:
+    """The exit code of a command; resumable work keeps its finished parts after an error or Ctrl-C."""
+    from rich.console import Console
+
+    try:
+        with interrupts.unwrapped():
+            return _DO[word](options, Console(quiet=getattr(options, "quiet", False))) or 0
+    except (OSError, KeyboardInterrupt) as error:
+        if word not in RESUMABLE:
+            raise
+        rest = f"finished parts are in {options.folder}, and the same command resumes"
+        rest = f"{rest if contents(options.folder) else 'nothing was written'}."
+        if isinstance(error, KeyboardInterrupt):
+            return _fail(f"stopped; {rest}", STOPPED)
+        return _fail(f"{broken(error)}; {rest}", FAILED)
+
+
+def _run(options: config.RunConfig, console: "Console") -> int:
     with console.status("importing JAX"):
         from sean_jax import evaluation
     folder, results = evaluation.run(options, console)
-    _say(console, "report: ", folder / "report.html")
+    _print(console, "report: ", folder / "report.html")
     if len(results.tasks) < options.episodes:
         text = f"stopped; the {len(results.tasks)} finished episodes are in {folder}"
         return _fail(f"{text}, and the same command with --out {folder} resumes it.", STOPPED)
     return 0
 
 
-def _collect(options: config.CollectConfig) -> int:
-    def work(console: "Console") -> None:
-        from sean_jax import learning
+def _collect(options: config.CollectConfig, console: "Console") -> None:
+    from sean_jax import learning
 
-        data = learning.collect(options, console)
-        _say(console, f"{data.example_count} examples in {len(data.episodes)} episodes: ", options.folder)
-
-    return _resumable(options, work)
+    data = learning.collect(options, console)
+    _print(console, f"{data.example_count} examples in {len(data.episodes)} episodes: ", options.folder)
 
 
-def _train(options: config.ImitationConfig | config.ReinforcementConfig) -> int:
-    def work(console: "Console") -> None:
-        if isinstance(options, config.ReinforcementConfig) and options.distributed:
-            console.quiet |= _join() > 0
-        from sean_jax import learning
+def _train(options: config.ImitationConfig | config.ReinforcementConfig, console: "Console") -> None:
+    if isinstance(options, config.ReinforcementConfig) and options.distributed:
+        console.quiet |= _join() > 0
+    from sean_jax import components, learning
 
-        if isinstance(options, config.ImitationConfig):
-            if isinstance(options, config.DaggerConfig):
-                state = learning.dagger.train(options, console)
-            else:
-                state = learning.train(options, console)
-            best = f"smallest loss in validation {float(state.best):.4f} after {int(state.best_epoch)}"
-            _say(console, f"{int(state.epoch)} epochs, {best}: ", options.folder)
-        else:
-            import numpy as np
+    if isinstance(options, config.ImitationConfig):
+        train = learning.dagger.train if isinstance(options, config.DaggerConfig) else learning.train
+        state = train(options, console)  # pyright: ignore[reportArgumentType]
+        best = f"smallest loss in validation {float(state.best):.4f} after {int(state.best_epoch)}"
+        _print(console, f"{int(state.epoch)} epochs, {best}: ", options.folder)
+    else:
+        import numpy as np
 
-            state = learning.reinforcement.train(options, console)
-            value, after = map(np.asarray, (state.best.value, state.best.update))
-            best = f"best return in an evaluation {value.max():.2f} after {after[value.argmax()]}"
-            _say(console, f"{int(state.update)} updates, {best}: ", options.folder)
-        from sean_jax import components
-
-        _say(console, "next: ", _drive(options.folder, bool(components.digests(options))))
-
-    return _resumable(options, work)
+        state = learning.reinforcement.train(options, console)
+        value, after = map(np.asarray, (state.best.value, state.best.update))
+        best = f"best return in an evaluation {value.max():.2f} after {after[value.argmax()]}"
+        _print(console, f"{int(state.update)} updates, {best}: ", options.folder)
+    _print(console, "next: ", _drive(options.folder, bool(components.digests(options))))
 
 
 def _join() -> int:
@@ -252,79 +260,49 @@ def _drive(folder: Path, trust: bool = False) -> str:
     return shlex.join(["sean", "run", "--policy", policy, *["--trust"] * trust])
 
 
-def _experiment(options: config.ExperimentConfig) -> int:
-    def work(console: "Console") -> None:
-        from importlib import import_module
-
-        experiment = import_module(f"sean_jax.studies.experiments.{options.which}")
-        _say(console, "report: ", experiment.run(options, console) / "report.html")
-
-    return _resumable(options, work)
+def _experiment(options: config.ExperimentConfig, console: "Console") -> None:
+    module = import_module(f"sean_jax.studies.experiments.{EXPERIMENTS[options.which]}")
+    folder = getattr(module, f"run_{options.which}")(options, console)
+    _print(console, "report: ", folder / "report.html")
 
 
-def _benchmark(options: config.BenchmarkConfig) -> int:
-    def work(console: "Console") -> None:
-        from sean_jax.studies.experiments import benchmark
+def _benchmark(options: config.BenchmarkConfig, console: "Console") -> None:
+    from sean_jax.studies.experiments import benchmark
 
-        folder = benchmark.run(options, console)
-        console.print(benchmark.table(benchmark.check(folder)), highlight=False, markup=False)
-        _say(console, "report: ", folder / benchmark.REPORT)
-
-    return _resumable(options, work)
+    folder = benchmark.run(options, console)
+    console.print(benchmark.table(benchmark.check(folder)), highlight=False, markup=False)
+    _print(console, "report: ", folder / benchmark.REPORT)
 
 
-def _export(options: config.ExportConfig) -> int:
+def _export(options: config.ExportConfig, console: "Console") -> None:
     check_new_folder(options.out)
+    from sean_jax import components, learning
 
-    def work(console: "Console") -> None:
-        from sean_jax import components, learning
-
-        write = learning.pack if options.format == "agent" else learning.export
-        _say(console, "written: ", write(options.source, options.out))
-        if options.format == "agent":
-            _say(console, "next: ", _drive(options.out, (options.out / components.PARTS).is_dir()))
-
-    return _resumable(options, work)
+    write = learning.pack if options.format == "agent" else learning.export
+    _print(console, "written: ", write(options.source, options.out))
+    if options.format == "agent":
+        _print(console, "next: ", _drive(options.out, (options.out / components.PARTS).is_dir()))
 
 
-def _resumable(options: Any, work: Any) -> int:
-    """Run resumable work; its results until an error or Ctrl-C are kept."""
-    try:
-        with interrupts.unwrapped():
-            work(_console(options.quiet))
-    except (OSError, KeyboardInterrupt) as error:
-        rest = f"finished parts are in {options.folder}, and the same command resumes"
-        rest = f"{rest if contents(options.folder) else 'nothing was written'}."
-        if isinstance(error, KeyboardInterrupt):
-            return _fail(f"stopped; {rest}", STOPPED)
-        return _fail(f"{broken(error)}; {rest}", FAILED)
-    return 0
+def _calibrate(options: config.CalibrateConfig, console: "Console") -> None:
+    from sean_jax.studies import calibration
+
+    folder = calibration.run(options, console)
+    _print(console, "report: ", folder / "report.html")
+    _print(console, "next: ", shlex.join(["sean", "run", "--forces", str(folder / "forces.yaml")]))
 
 
-def _calibrate(options: config.CalibrateConfig) -> int:
-    def work(console: "Console") -> None:
-        from sean_jax.studies import calibration
-
-        folder = calibration.run(options, console)
-        _say(console, "report: ", folder / "report.html")
-        _say(console, "next: ", shlex.join(["sean", "run", "--forces", str(folder / "forces.yaml")]))
-
-    return _resumable(options, work)
-
-
-def _fit_graph(options: config.FitGraphConfig) -> int:
+def _fit_graph(options: config.FitGraphConfig, console: "Console") -> None:
     check_new_folder(options.folder)
-    console = _console(options.quiet)
     with console.status("importing JAX"):
         from sean_jax.studies import inverse_graph
     for line in inverse_graph.run(options, console):
-        _say(console, line, "")
-    _say(console, "written: ", options.folder)
-    _say(console, "next: ", shlex.join(["sean", "run", "--environment", str(options.folder), "--behavior", "graph"]))
-    return 0
+        _print(console, line, "")
+    _print(console, "written: ", options.folder)
+    _print(console, "next: ", shlex.join(["sean", "run", "--environment", str(options.folder), "--behavior", "graph"]))
 
 
-def _draw(options: config.DrawConfig) -> int:
+def _draw(options: config.DrawConfig, console: "Console") -> int:
     if options.graph == options.handcrafted:
         return _fail("draw: give either --graph or --handcrafted.", WRONG)
     what = "graph" if options.graph else "handcrafted"
@@ -348,26 +326,22 @@ def _draw(options: config.DrawConfig) -> int:
     return 0
 
 
-def _replay(options: config.ReplayConfig) -> int:
+def _replay(options: config.ReplayConfig, console: "Console") -> None:
     if (options.folder / "results.json").is_file():
         from sean_jax.studies.validation.page import write_replay as write
     else:
         from sean_jax.evaluation.replay_command import write
 
-    console = _console(options.quiet)
-    _say(console, "replay: ", write(options, console))
-    return 0
+    _print(console, "replay: ", write(options, console))
 
 
-def _compare(options: config.CompareConfig) -> int:
+def _compare(options: config.CompareConfig, console: "Console") -> None:
     from sean_jax.evaluation import compare
 
-    console = _console(options.quiet)
-    _say(console, "page: ", compare.compare(options, console))
-    return 0
+    _print(console, "page: ", compare.compare(options, console))
 
 
-def _doctor(options: config.DoctorConfig) -> int:
+def _doctor(options: config.DoctorConfig, console: "Console") -> None:
     from rich.table import Table
     from rich.text import Text
 
@@ -379,91 +353,54 @@ def _doctor(options: config.DoctorConfig) -> int:
         if finding.cure:
             text.append(f"\n{finding.cure}", "bold yellow")
         table.add_row(Text(finding.what, "dim"), text)
-    _console(False).print(table)
-    return 0
+    console.print(table)
 
 
-def _bench(options: config.BenchConfig) -> int:
-    from sean_jax import bench
-
-    console = _console(options.quiet)
-    folder = bench.run(options, console)
-    _say(console, "picture: ", folder / "bench.png")
-    return 0
+def _bench(options: config.BenchConfig, console: "Console") -> None:
+    with console.status("importing JAX"):
+        from sean_jax import bench
+    _print(console, "picture: ", bench.run(options, console) / "bench.png")
 
 
-def _validate(options: config.ValidateConfig) -> int:
-    failed: list[str] = []
-
-    def work(console: "Console") -> None:
-        with console.status("importing JAX"):
-            from sean_jax.studies import validation
-        failed.extend(validation.run(options, console))
-        _say(console, "report: ", options.folder / "report.html")
-
-    code = _resumable(options, work)
-    if code == 0 and failed and options.strict:
+def _validate(options: config.ValidateConfig, console: "Console") -> int:
+    with console.status("importing JAX"):
+        from sean_jax.studies import validation
+    failed = validation.run(options, console)
+    _print(console, "report: ", options.folder / "report.html")
+    if failed and options.strict:
         return _fail(f"{len(failed)} checks fail: {', '.join(failed)}.", FAILED)
-    return code
+    return 0
 
 
-def _import_map(options: config.ImportMapConfig) -> int:
+def _import_map(options: config.ImportMapConfig, console: "Console") -> None:
     check_new_folder(options.out)
     from sean_jax import maps
 
-    try:
-        result = maps.import_map(
-            options.map, options.out, people=options.people, height=options.height, unknown=options.unknown
-        )
-    except ValueError as error:
-        return _fail(str(error), WRONG)
+    result = maps.import_map(
+        options.map, options.out, people=options.people, height=options.height, unknown=options.unknown
+    )
     share = math.floor(result.agreement * 1e4) / 1e2  # rounded up, 99.999 % would read as all
     print(f"{result.folder}: {result.boxes} boxes describe {share:.2f} % of the map's {result.cells} cells.")
     command = shlex.join(["sean", "run", "--environment", str(result.folder), "--behavior", "random"])
     print(f"next: {command}, or write a graph.yaml.")
-    return 0
 
 
-def _list(options: config.ListConfig) -> int:
+def _list(options: config.ListConfig, console: "Console") -> None:
     from sean_jax.evaluation import list_command
 
     list_command.print_choices()
-    return 0
 
 
-def _schema(options: config.SchemaConfig) -> int:
+def _schema(options: config.SchemaConfig, console: "Console") -> None:
     print(json.dumps(config.RunConfig.model_json_schema(), indent=2))
-    return 0
 
 
-_DO: dict[str, Any] = {
-    "run": _run,
-    "collect": _collect,
-    "train": _train,
-    "experiment": _experiment,
-    "export": _export,
-    "fit-graph": _fit_graph,
-    "calibrate": _calibrate,
-    "draw": _draw,
-    "replay": _replay,
-    "compare": _compare,
-    "import-map": _import_map,
-    "benchmark": _benchmark,
-    "bench": _bench,
-    "validate": _validate,
-    "doctor": _doctor,
-    "list": _list,
-    "schema": _schema,
-}
+_COMMANDS = _run, _collect, _train, _experiment, _export, _fit_graph, _calibrate, _draw, _replay, _compare
+_COMMANDS += _import_map, _benchmark, _bench, _validate, _doctor, _list, _schema
+_DO: dict[str, Any] = {command.__name__[1:].replace("_", "-"): command for command in _COMMANDS}
 
 
-def _console(quiet: bool) -> "Console":
-    from rich.console import Console
-
-    return Console(quiet=quiet)
-
-
-def _say(console: Any, what: str, where: Path | str) -> None:
+def _print(console: Any, what: str, where: Path | str) -> None:
     """Print a line without markup or emoji, as a path may hold both."""
     from rich.text import Text
 

@@ -1,4 +1,4 @@
-"""Configuration of XLA by the command line, before JAX is imported. The user's own settings are kept."""
+"""Configuration of XLA by the command line, before JAX is imported. The user's own settings stay."""
 
 import importlib.metadata
 import os

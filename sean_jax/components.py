@@ -25,7 +25,7 @@ from sean_jax import files, writing
 from sean_jax.config import Component, Config, OwnPart, Value, is_own_part
 from sean_jax.errors import InputError
 
-PARTS = "parts"  # folder beside a description with the files of one's own parts
+PARTS = "parts"  # folder beside a description with the user's files
 PACKAGE = __name__.partition(".")[0]
 
 
@@ -33,7 +33,7 @@ class Source(NamedTuple):
     """A module of the user, before it is executed."""
 
     path: Path
-    text: bytes | None  # of a folder without __init__.py none
+    text: bytes | None  # None of a folder without __init__.py
     is_package: bool
 
 
@@ -52,7 +52,7 @@ class Content:
 
     @cached_property
     def digest(self) -> str:
-        """What tells all of it from another content: 64 hexadecimal digits."""
+        """A digest of all files, 64 hexadecimal digits."""
         return _sha256(repr(self.digests).encode())
 
     @cached_property
@@ -62,12 +62,12 @@ class Content:
 
 
 _LOADED: dict[str, ModuleType] = {}  # root -> the executed file
-_READ: dict[Path, Content] = {}  # what was read within ``read_once``
+_READ: dict[Path, Content] = {}  # contents read within ``read_once``
 _reading_once = _trust = 0  # blocks of ``read_once`` and of ``trust`` that are open
 
 
 def resolve(component: Component, family: Mapping[str, Any], option: str) -> Any:
-    """The part that a component stands for: of the family, of a file, or the Python value itself.
+    """The part of a component: from the family, from a file, or the Python value itself.
 
     Raises:
         InputError: there is no such name, file or thing.
@@ -104,9 +104,9 @@ def load(part: OwnPart, option: str) -> Any:
 
 @contextlib.contextmanager
 def trust() -> Iterator[None]:
-    """Let code run that only a file names, such as ``FILE.py:NAME`` in the config.json of an agent, within the block.
+    """Allow code that only a file names, such as ``FILE.py:NAME`` in the config.json of an agent, to run in the block.
 
-    Otherwise only parts run that the user names, on the command line or in Python.
+    Otherwise only code runs that the user names, on the command line or in Python.
     """
     global _trust
     _trust += 1
@@ -277,7 +277,7 @@ def _files(data: Any) -> list[str]:
 
 
 def _named(file: str, code: Content) -> dict[str, str]:
-    """The digests of a content, by paths beside ``file``."""
+    """The digests of a content, by paths relative to ``file``."""
     _, *others = code.digests
     names = [file, *((Path(file).parent / other).as_posix() for other in others)]
     return dict(zip(names, code.digests.values(), strict=True))
@@ -300,11 +300,9 @@ def _sha256(data: bytes) -> str:
 
 def _bytes(path: Path) -> bytes:
     """A file, as this command has read it already if it has."""
-    for each in _READ.values():
-        for source in each.sources.values():
-            if source.path == path and source.text is not None:
-                return source.text
-    return files.read_bytes(path)
+    sources = [source for each in _READ.values() for source in each.sources.values()]
+    texts = [source.text for source in sources if source.path == path and source.text is not None]
+    return texts[0] if texts else files.read_bytes(path)
 
 
 def _beside(folder: Path, parts: list[str]) -> Source | None:

@@ -19,7 +19,7 @@ from sean_jax.graph import BehaviorGraph, graph_of
 
 CELL = 0.5  # m, side of the cells in which people are counted
 ARRIVAL_DISTANCE = 1.0  # m from a node's disc: people aim at any of its points and arrive 1 m from there (SEAN 2.0)
-NO_NODE = -1  # for people who were at no node yet
+NO_NODE = -1  # no node so far
 
 
 @struct.dataclass

@@ -3,7 +3,7 @@
 A mesh has one axis, ``scenarios``. Random draws of a scenario come from its number alone, so they do not depend on the
 number of devices or hosts. Devices exchange nothing but whether a loop of rays is over, where XLA has one: on CPUs, on
 GPUs before NVIDIA's Hopper, and in double precision. (``shard_map``, which would spare that, makes XLA crash while it
-compiles for two GPUs: seen with jax 0.11.2.)
+compiles for two GPUs, with jax 0.11.2.)
 """
 
 from collections.abc import Callable, Sequence
@@ -12,6 +12,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from flax import struct
 from jax import Array
 from jax.sharding import AxisType, Mesh, NamedSharding, PartitionSpec
 from jaxtyping import PyTree
@@ -22,7 +23,7 @@ AXIS = "scenarios"
 def by_platform(cpu: Callable, default: Callable) -> Callable:
     """One function with two forms; the platform that it is compiled for chooses ``cpu`` or ``default`` (all others).
 
-    Derivatives take ``cpu`` on all platforms: tracing those of both takes seconds.
+    Derivatives take ``cpu`` on all platforms: tracing both takes seconds.
     """
 
     @jax.custom_jvp
@@ -49,9 +50,14 @@ def to_device(tree: PyTree) -> PyTree:
     return jax.device_put(jax.tree.map(convert, tree))
 
 
-def scalar(value: float) -> Any:  # a numpy array, for the fields of dataclasses whose arrays are those of jax
-    """A () float parameter made at import, before the precision is known; programs use it in the default precision."""
+def scalar(value: float) -> Any:  # a numpy array, for the fields of dataclasses of jax arrays
+    """A () float parameter of a module-level table; programs use it in the default precision, unknown at import."""
     return np.asarray(value, float)
+
+
+def parameter(value: float) -> Any:
+    """A field of a dataclass whose default is the ``scalar`` of a value."""
+    return struct.field(default_factory=lambda: scalar(value))
 
 
 # ------------------------------------------------------------------ several devices

@@ -1,4 +1,4 @@
-"""``sean doctor``: versions, devices and folders, and what is slow or missing on this machine."""
+"""``sean doctor``: versions, devices and folders, and cures for slow or missing parts of this machine."""
 
 import importlib.util
 import os
@@ -35,34 +35,33 @@ class Finding(NamedTuple):
 def examine() -> list[Finding]:
     """Facts about this machine, in order of importance."""
     packages = [Finding(name, version) for name, version in versions().items()]
-    return [*packages, *_extras(), *_devices(), *_machine(), _cache()]
+    return [*packages, _extras(), _devices(), *_machine(), _cache()]
 
 
-def _extras() -> list[Finding]:
+def _extras() -> Finding:
     present = [extra for extra, module in EXTRAS.items() if importlib.util.find_spec(module.partition(".")[0])]
     missing = [extra for extra in EXTRAS if extra not in present]
-    text = f"{', '.join(present) or 'none'}; without {', '.join(missing)}" if missing else ", ".join(present)
-    return [Finding("extras", text)]
+    without = f"; without {', '.join(missing)}" if missing else ""
+    return Finding("extras", f"{', '.join(present) or 'none'}{without}")
 
 
-def _devices() -> list[Finding]:
+def _devices() -> Finding:
     import jax
 
     try:
         devices = jax.devices()
     except RuntimeError as error:
         cure = "unset JAX_PLATFORMS, or set it to cpu"
-        return [Finding("devices", f"JAX finds none: {str(error).splitlines()[0]}", cure)]
+        return Finding("devices", f"JAX finds none: {str(error).splitlines()[0]}", cure)
     kinds = dict.fromkeys(device.device_kind for device in devices)
     text = ", ".join(f"{sum(d.device_kind == kind for d in devices)} x {kind}" for kind in kinds)
     cure = ""
     if jax.default_backend() == "cpu" and (NVIDIA.exists() or shutil.which("nvidia-smi")):
-        platforms = os.environ.get("JAX_PLATFORMS", "")
         cure = 'a GPU is here and JAX does not use it: pip install "sean_jax[cuda13]"'
-        if platforms:
+        if platforms := os.environ.get("JAX_PLATFORMS", ""):
             cure = f"a GPU is here and JAX_PLATFORMS={platforms} keeps JAX from it: unset it"
     digits = f"{8 * jax.numpy.ones(()).dtype.itemsize} bits"
-    return [Finding("devices", f"{text} ({jax.default_backend()}), {digits}", cure)]
+    return Finding("devices", f"{text} ({jax.default_backend()}), {digits}", cure)
 
 
 def _machine() -> list[Finding]:
@@ -77,7 +76,7 @@ def _machine() -> list[Finding]:
 
 
 def _memory() -> float | None:
-    """Free memory in GB; None where the system does not tell."""
+    """Free memory in GB; None if unknown."""
     try:
         lines = files.read_text(Path("/proc/meminfo")).splitlines()
         return next(float(line.split()[1]) / 1e6 for line in lines if line.startswith("MemAvailable"))

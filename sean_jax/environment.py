@@ -25,7 +25,7 @@ ENVS: Path = next((path for path in (HERE / "envs", HERE.parent / "envs") if pat
 
 SETTINGS, SCENE = "environment.yaml", "scene.xml"
 ANNOTATIONS = "graph.yaml", "handcrafted.yaml"  # which some behaviors read
-TILT_TOLERANCE = 1e-4  # how far from 1 the cosine of a box's tilt may be
+TILT_TOLERANCE = 1e-4  # maximum deviation of the cosine of a box's tilt from 1
 MAX_BOTTOM = 0.05  # m above the floor, for the bottom of a box
 MAX_SEAM = 0.01  # m, between boxes side by side that cover an edge of the floor
 EDGE_DEPTH = 10.0  # m, half the depth of an edge of the floor: so deep that its other side is never nearer
@@ -140,10 +140,9 @@ def free_points(environment: Environment, radius: float, number: int, seed: int 
         missing -= len(batches[-1])
         tried += BATCH
         if tried >= 20 * BATCH and (number - missing) * 2000 < tried:
-            raise InputError(
-                f"environment '{environment.name}' has hardly any place where a disc of {radius:g} m is clear of "
-                f"obstacles ({number - missing} of {tried} tried); use a smaller radius."
-            )
+            text = f"has hardly any place where a disc of {radius:g} m is clear of obstacles"
+            tries = f"({number - missing} of {tried} tried); use a smaller radius."
+            raise InputError(f"environment '{environment.name}' {text} {tries}")
     return np.concatenate([np.zeros((0, 2), np.float32), *batches])
 
 
@@ -203,22 +202,17 @@ def _boxes(path: Path) -> tuple[np.ndarray, Scenery]:
     mujoco.mj_kinematics(model, data)
     kind = [mujoco.mjtGeom(number).name.removeprefix("mjGEOM_").lower() for number in model.geom_type]
     solid = [index for index in range(model.ngeom) if model.geom_contype[index] or model.geom_conaffinity[index]]
+    names = {index: f"geom '{name}'" for index in solid if (name := model.geom(index).name)}
     clauses = {index: _refusal(model, data, index, kind[index]) for index in solid}
-    lines = [f"{files.short_name(path)}: {_geom_name(model, index)} {text}." for index, text in clauses.items() if text]
+    texts = [f"{names.get(k, f'the unnamed geom number {k + 1}')} {text}" for k, text in clauses.items() if text]
     boxes = [index for index in solid if kind[index] == "box"]
     if len(boxes) > MAX_OBSTACLES:
-        what = f"has {len(boxes)} boxes that can be touched; {MAX_OBSTACLES} are the most"
-        lines.append(f"{files.short_name(path)}: {what}.")
-    if lines:
-        raise FileError("\n".join(lines))
+        texts.append(f"has {len(boxes)} boxes that can be touched; {MAX_OBSTACLES} are the most")
+    if texts:
+        raise FileError("\n".join(str(files.file_error(path, text)) for text in texts))
     position, half, turn = data.geom_xpos[boxes], model.geom_size[boxes], data.geom_xmat[boxes]
     yaw, height = np.arctan2(turn[:, 3], turn[:, 0]), position[:, 2] + half[:, 2]
     return np.column_stack([position[:, :2], half[:, :2], yaw, height]), scenery_from_mjcf(model, data, boxes)
-
-
-def _geom_name(model: Any, index: int) -> str:
-    name = model.geom(index).name
-    return f"geom '{name}'" if name else f"the unnamed geom number {index + 1}"
 
 
 def _refusal(model: Any, data: Any, index: int, kind: str) -> str:
@@ -263,9 +257,8 @@ def scenery_from_mjcf(model: Any, data: Any, obstacles: list[int]) -> Scenery:
     shape = solids_from_mjcf(model, data, [*obstacles, *rest])
     floor, sky = _texture(model, "2d"), _texture(model, "skybox")
     sun = -model.light_dir[0] if model.nlight else np.array(SUN)
-    return _scenery(
-        shape, FLOOR if floor is None else (floor[0], floor[-1]), SKY if sky is None else (sky[0], sky[-1]), sun
-    )
+    floor, sky = FLOOR if floor is None else floor, SKY if sky is None else sky
+    return _scenery(shape, (floor[0], floor[-1]), (sky[0], sky[-1]), sun)
 
 
 def solids_from_mjcf(model: Any, data: Any, geoms: list[int]) -> Solids:
@@ -278,7 +271,8 @@ def solids_from_mjcf(model: Any, data: Any, geoms: list[int]) -> Solids:
     colors: tuple[list, list, list] = [], [], []
     for index in geoms:
         place, size = data.geom_xpos[index], model.geom_size[index]
-        turn, shade = data.geom_xmat[index].reshape(3, 3), _color(model, index)
+        turn, material = data.geom_xmat[index].reshape(3, 3), model.geom_matid[index]
+        shade = model.geom_rgba[index] if material < 0 else model.mat_rgba[material]
         if shade[3] < 0.5:
             continue
         geom_type = kind(int(model.geom_type[index]))
@@ -304,12 +298,6 @@ def _scenery(shape: Solids, floor: ArrayLike = FLOOR, sky: ArrayLike = SKY, sun:
     towards = np.asarray(sun, float)
     looks = np.asarray(floor), np.asarray(SQUARE), np.asarray(sky)
     return Scenery(shape, *to_device((*looks, towards / np.linalg.norm(towards))))
-
-
-def _color(model: Any, index: int) -> np.ndarray:
-    """(4,) color of a geom: its material's, if it has one."""
-    material = model.geom_matid[index]
-    return model.geom_rgba[index] if material < 0 else model.mat_rgba[material]
 
 
 def _texture(model: Any, kind: str) -> np.ndarray | None:

@@ -1,6 +1,6 @@
 """Whole episodes in one call (section IV): a scan over steps, to be vmapped over keys or states.
 
-Episodes end by themselves (``rollout``, ``simulate``) or follow one another (``rollout_autoreset``). A reset inside
+Episodes end (``rollout``, ``simulate``) or restart (``rollout_autoreset``). A reset inside
 every step would run for every scenario at every step, and make stepping three times slower. So an ended episode is
 replaced by a copy of one of the starts of a pool. Its streams come from the episode that ended, so no two episodes are
 equal although two may begin alike.
@@ -41,7 +41,7 @@ def rollout(
         between: state -> state after each step, such as ``gradients.truncate``, ``damp`` and ``clip``.
 
     Returns:
-        The last state, and the records, stacked (steps, ...). After its end an episode goes on with constant metrics:
+        The last state, and the records, stacked (steps, ...). After its end an episode continues with constant metrics:
         ``Trajectory.active`` is false then.
 
     Raises:
@@ -72,7 +72,7 @@ def simulate(
 
 
 def init_policy(scenario: Scenario, policy: PolicyLike, state: State) -> State:
-    """The state with a new ``policy_state``: the memory of a policy at the beginning of an episode, or from here on."""
+    """The state with a new ``policy_state``: the initial memory of a policy, at the start of an episode or later."""
     policy = as_policy(policy)
     memory = calls.call("policy", policy.init, "scenario, params, state", scenario, policy.params, state)
     return replace(state, policy_state=memory)
@@ -127,7 +127,7 @@ _reset = jax.jit(reset)  # whose shapes are traced once for a scenario
 
 @struct.dataclass
 class ResetPool:
-    """Starts from which ended episodes go on."""
+    """Starts from which ended episodes restart."""
 
     starts: State  # (K, ...), or (C, K, ...) of C streams
 
@@ -147,7 +147,7 @@ def reset_pool(scenario: Scenario, key: Array, size: int, policy: PolicyLike | N
 
 
 def autoreset(pool: ResetPool, state: State, stream: Array | None = None) -> State:
-    """The state; or, if its episode has ended, one of the pool's starts with streams of its own (``draw_start``)."""
+    """The state; or, if its episode has ended, one of the pool's starts with new streams (``draw_start``)."""
     choice_key, streams_key = jax.random.split(jax.random.fold_in(state.streams.restart, state.tick))
     fresh = draw_start(pool, choice_key, streams_key, stream)
     over = state.completed | state.timed_out
@@ -155,7 +155,7 @@ def autoreset(pool: ResetPool, state: State, stream: Array | None = None) -> Sta
 
 
 def draw_start(pool: ResetPool, choice_key: Array, streams_key: Array, stream: Array | None = None) -> State:
-    """One of the pool's starts, with streams of its own.
+    """One of the pool's starts, with new streams.
 
     Args:
         choice_key: () typed PRNG key that chooses the start.
@@ -179,19 +179,17 @@ def rollout_autoreset(
     checkpoint_every: int | None = None,
     between: Callable[[State], State] | None = None,
 ) -> tuple[State, PyTree]:
-    """As ``simulate``, but episodes follow one another, for training.
+    """As ``simulate``, but ended episodes restart, for training.
 
     ``record`` sees the last step of an episode before the reset, so ``after`` tells how it ended; ``Trajectory.active``
     is true throughout.
     """
-    policy = as_policy(policy)
 
-    def one(before: State, _) -> tuple[State, PyTree]:
-        after, action = policy_step(scenario, policy, before)
-        following = autoreset(pool, after)
-        return following if between is None else between(following), record(before, after, action)
+    def following(after: State) -> State:
+        state = autoreset(pool, after)
+        return state if between is None else between(state)
 
-    return _scan(one, state, steps, checkpoint_every)
+    return simulate(scenario, policy, state, steps, record, checkpoint_every=checkpoint_every, between=following)
 
 
 def _scan(one: Callable, state: State, steps: int, checkpoint_every: int | None) -> tuple[State, PyTree]:

@@ -18,7 +18,7 @@ class WriteError(InputError):
 
 
 class IncompleteError(SeanError, RuntimeError):
-    """Work broke midway; the message says what is left and how to resume. The command line exits with code 1."""
+    """Work failed midway; the message says what is left and how to resume. The command line exits with code 1."""
 
 
 class PartError(InputError):

@@ -14,23 +14,10 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from sean_jax import presets
-from sean_jax.config import (
-    ALIASES,
-    RENAMED,
-    Component,
-    Config,
-    Described,
-    Family,
-    Option,
-    OwnPart,
-    Value,
-    did_you_mean,
-    family_of,
-    gather,
-    is_own_part,
-    validate,
-)
+from sean_jax.config import core
+from sean_jax.config.core import Config, Described, Family, OwnPart, Value, families, family_of
+from sean_jax.config.fields import Option
+from sean_jax.config.scenario import usual
 from sean_jax.errors import InputError
 from sean_jax.messages import listed
 
@@ -61,54 +48,48 @@ def parser(model: type[Config], configurable: bool = False, trust: bool = False)
     fields: list[tuple[str, Any, Any]] = []
     if configurable:
         text = "A config.yaml, such as sean run writes; flags override its values."
-        fields.append(_field("config", Path | None, text, None))
+        fields.append(_field("config", Path | None, text, default=None))
     for name, field in sorted(model.model_fields.items(), key=lambda option: option[0] in LAST):
         family = family_of(field)
         text = " ".join((field.description or "").split())
         if family is not None:
-            fields.append(_field(name, str | None, text + _default(field.get_default()), None))
+            fields.append(_field(name, str | None, text + _default(field.get_default()), default=None))
             if family.singular is not None:
                 text = f"One of your own, FILE.py:NAME, besides those of {flag(name)}; can be repeated."
-                fields.append(_field(family.singular, tyro.conf.UseAppendAction[list[str]], text, list))
+                fields.append(_field(family.singular, tyro.conf.UseAppendAction[list[str]], text, default_factory=list))
             for option, variants in family.options().items():
                 kinds = [v.model_fields["kind"].default for v in variants if not v.model_fields["kind"].is_required()]
                 about = variants[0].model_fields[option]
                 text = f"For {name} {' or '.join(kinds)}: {about.description}" if kinds else str(about.description)
-                text += _default(about.default)
-                fields.append(_field(option, _plain(about.annotation) | None, text, None, _choices(about.annotation)))
+                kind, choices = _plain(about.annotation), _choices(about.annotation)
+                fields.append(_field(option, kind | None, text + _default(about.default), choices, default=None))
             continue
         kind = _plain(field.annotation)
         if kind is None:  # no flag can hold it
             continue
+        literal = typing.get_origin(field.annotation) is Literal
         if Option.of(field).positional:
-            fields.append(_field(name, tyro.conf.Positional[_literal(field.annotation) or kind], text))
+            fields.append(_field(name, tyro.conf.Positional[field.annotation if literal else kind], text))
         elif kind is bool:
-            fields.append(_field(name, bool, text, False))
+            fields.append(_field(name, bool, text, default=False))
         elif field.is_required():
             fields.append(_field(name, kind, text))
         else:
             text += _default(field.default)
-            fields.append(_field(name, kind | None, text, None, _choices(field.annotation)))
+            fields.append(_field(name, kind | None, text, _choices(field.annotation), default=None))
     if trust:
-        fields.append(_field("trust", bool, TRUST, False))
+        fields.append(_field("trust", bool, TRUST, default=False))
     result = dataclasses.make_dataclass(model.__name__, fields, kw_only=True)
     result.__doc__ = model.__doc__
     return result
 
 
-_NOTHING = object()
-
-
 def _field(
-    name: str, kind: Any, text: str, default: Any = _NOTHING, choices: str | None = None
-) -> tuple[str, Any, Any]:
+    name: str, kind: Any, text: str, choices: str | None = None, **default: Any
+) -> tuple[str, Any, dataclasses.Field]:
+    """A field of the dataclass: ``default`` as of ``dataclasses.field``; without it the flag is required."""
     arg = tyro.conf.arg(help=text, help_behavior_hint="", metavar=choices or _metavar(kind))
-    annotated = Annotated[kind, arg]
-    if default is _NOTHING:
-        return name, annotated, dataclasses.field()
-    if default is list:
-        return name, annotated, dataclasses.field(default_factory=list)
-    return name, annotated, dataclasses.field(default=default)
+    return name, Annotated[kind, arg], dataclasses.field(**default)
 
 
 def _metavar(kind: object) -> str | None:
@@ -131,7 +112,7 @@ def _default(value: object) -> str:
     if value is None or value == () or value is False:
         return ""
     values = value if isinstance(value, tuple) else (value,)
-    return f" (default: {' '.join(each.kind if isinstance(each, Component) else number(each) for each in values)})"
+    return f" (default: {' '.join(each.kind if isinstance(each, core.Component) else number(each) for each in values)})"
 
 
 def _plain(kind: Any) -> Any:
@@ -147,11 +128,6 @@ def _plain(kind: Any) -> Any:
     if origin is Literal:
         return str  # pydantic refuses other values, with a suggestion
     return kind if kind in (str, int, float, bool, Path) else None
-
-
-def _literal(kind: Any) -> Any:
-    """The annotation, if it is a Literal."""
-    return kind if typing.get_origin(kind) is Literal else None
 
 
 def read(
@@ -172,34 +148,27 @@ def read(
     switches = {name for name, value in words.items() if value is False}  # which are off by default
     data = dict(base or {})
     preset = words.get("preset", data.get("preset"))
-    for name, field in model.model_fields.items():
-        family = family_of(field)
-        if family is not None:
-            for option in {name, family.singular} & words.keys():
-                words[option] = _own(words[option], family)
-        if family is not None and family.singular is not None:
-            default = presets.usual(preset, name, ",".join(each.kind for each in field.default))
-            _add(data, name, default, words.pop(name, None), words.pop(family.singular, []))
+    for name, family in families(model).items():
+        for option in {name, family.singular} & words.keys():
+            words[option] = _own(words[option], family)
+        if family.singular is not None:
+            default = usual(preset, name, ",".join(each.kind for each in model.model_fields[name].default))
+            if name in words:
+                data[name] = words.pop(name)
+            if added := words.pop(family.singular, []):
+                present = data.get(name, default)  # of a file, which may hold a single one
+                several = listed(present) if isinstance(present, str) else present
+                data[name] = [*(several if isinstance(several, list) else [several]), *added]
     words = {name: value for name, value in words.items() if name not in switches}
-    return validate(model, gather(model, words, data, flag), flag, source)
+    return core.validate(model, core.gather(model, words, data, flag), flag, source)
 
 
 def _own(value: Any, family: Family) -> Any:
     """Components of flags; parts in the user's own files are marked as named by the user."""
     if not (family.several or family.singular):
-        return OwnPart(kind=value) if is_own_part(value) else value
+        return OwnPart(kind=value) if core.is_own_part(value) else value
     words = listed(value) if isinstance(value, str) else value
-    return [OwnPart(kind=word) if is_own_part(word) else word for word in words]
-
-
-def _add(data: dict, name: str, default: str, chosen: list | None, added: Sequence[object]) -> None:
-    """Put the chosen and the added components of a field together in ``data``."""
-    if chosen is not None:
-        data[name] = chosen
-    if added:
-        present = data.get(name, default)  # of a file, which may hold a single one
-        several = listed(present) if isinstance(present, str) else present if isinstance(present, list) else [present]
-        data[name] = [*several, *added]
+    return [OwnPart(kind=word) if core.is_own_part(word) else word for word in words]
 
 
 def command(word: str, config: Config) -> str:
@@ -267,8 +236,8 @@ def _check_known(known: Sequence[str], arguments: Sequence[str]) -> None:
         name = word.split("=")[0].removeprefix("--").replace("-", "_")
         if not word.startswith("--") or name in (*known, "help"):
             continue
-        if RENAMED.get(name) in known or any(name in ALIASES.get(option, "").split() for option in known):
-            raise InputError(f"{word.split('=')[0]}: there is no such option{did_you_mean(name, known, flag)}")
+        if core.RENAMED.get(name) in known or any(name in core.aliases().get(option, ()) for option in known):
+            raise InputError(f"{word.split('=')[0]}: there is no such option{core.did_you_mean(name, known, flag)}")
 
 
 def parse(

@@ -74,16 +74,16 @@ def read(path: Path | str) -> Raster:
     """Read a map, a map_server YAML file and its PGM or PNG image; FileError if one cannot be used."""
     path = Path(path)
     if path.is_file() and _is_image(path):
-        raise FileError(f"{files.short_name(path)}: is an image; give the map's YAML file, which names it.")
+        raise files.file_error(path, "is an image; give the map's YAML file, which names it")
     settings = files.load(path, MapFile, _problems)
     image = path.parent / settings.image
     if not os.path.lexists(image):
-        raise FileError(f"{files.short_name(path)}: image: there is no file {settings.image!r:.200}.")
+        raise files.file_error(path, f"image: there is no file {settings.image!r:.200}")
     shades, opaque = _image(image)
     size = settings.resolution * max(shades.shape)
     if size > MAX_FLOOR_SIDE:
         cure = "look at resolution and at the image"
-        raise FileError(f"{files.short_name(path)}: the map is {size:g} m long, of {shades.shape} cells; {cure}.")
+        raise files.file_error(path, f"the map is {size:g} m long, of {shades.shape} cells; {cure}")
     if settings.mode == "raw":
         value = np.where(shades <= 100, shades, -1.0)
     else:
@@ -130,15 +130,11 @@ def _image(image: Path) -> tuple[np.ndarray, np.ndarray]:
     except FileError:
         raise
     except Image.DecompressionBombError:
-        raise FileError(
-            f"{files.short_name(image)}: has more than {MAX_CELLS // 10**6} million cells; {SIZE_CURE}."
-        ) from None
+        raise files.file_error(image, f"has more than {MAX_CELLS // 10**6} million cells; {SIZE_CURE}") from None
     except UnidentifiedImageError:
-        raise FileError(f"{files.short_name(image)}: is no image that can be read; give {FORMAT_NAMES}.") from None
-    except Exception as error:  # Pillow's decoders raise whatever a damaged file makes them stumble over
-        raise FileError(
-            f"{files.short_name(image)}: is no image that can be read ({error}); give {FORMAT_NAMES}."
-        ) from None
+        raise files.file_error(image, f"is no image that can be read; give {FORMAT_NAMES}") from None
+    except Exception as error:  # Pillow's decoders raise many types of errors for damaged files
+        raise files.file_error(image, f"is no image that can be read ({error}); give {FORMAT_NAMES}") from None
 
 
 def _shades(image: Image.Image) -> tuple[np.ndarray, np.ndarray]:
@@ -179,9 +175,8 @@ def rectangles(occupied: np.ndarray, spare: int = 0) -> np.ndarray:
             boxes.append(box)
             covered[box[1] : box[3], box[0] : box[2]] += 1
             if len(boxes) > MAX_BOXES:
-                raise InputError(
-                    f"the map needs more than {MAX_BOXES} boxes; smooth its image, or lower its resolution."
-                )
+                cure = "smooth its image, or lower its resolution"
+                raise InputError(f"the map needs more than {MAX_BOXES} boxes; {cure}.")
     return np.array(_without_slivers(boxes, covered, spare), int).reshape(-1, 4)
 
 

@@ -1,7 +1,7 @@
 """Streams of random numbers by name: every use of a seed, and every use of an episode's key, has its own stream.
 
 In JAX ``fold_in(key, i)`` and the i-th of ``split(key, n)`` are the same key. Two uses that both number their draws
-from one key would share random numbers. Here each number stands for a name, and is far above any count.
+from one key would share random numbers. Here each number is a hash of a name, and is far above any count.
 """
 
 import zlib
@@ -23,37 +23,37 @@ USES = (
     "imitation",  # episodes in which an agent imitates a policy, before it learns from rewards
     "curriculum",  # starts from which its episodes begin
     "evaluation",  # episodes in which an agent in training is judged
-    "validation",  # which episodes are held out
+    "validation",  # the validation episodes
     "table1",  # chains of episodes
-    "table1 starts",  # what they restart from
+    "table1 starts",  # the pool of their starts
     "figure4",  # episodes in which its policies are measured
     "benchmark",  # episodes of `sean benchmark`
     "bench",
     "bench starts",
     "fit-graph",  # people to fit a graph to, and to judge it by
     "calibrate",  # where fits start
-    "calibrate windows",  # which windows a step of a fit sees
+    "calibrate windows",  # the windows of a step of a fit
     "draw",  # people on a contact sheet
     "groups",  # episodes in which it is measured whether groups last
-    "scene",  # what differs between the people of a scene
+    "scene",  # the traits of people in a scene
 )
 """The uses of a seed that a user gives, by name."""
 
 
 def stream_id(use: str) -> int:
-    """The number of 32 bits that stands for a use, one of ``USES``; ValueError for another."""
+    """The number of 32 bits of a use, one of ``USES``; ValueError for another."""
     if use not in USES:
         raise ValueError(f"use: '{use}' is not one of {', '.join(USES)}.")
     return zlib.crc32(use.encode())
 
 
 def key(use: str, seed: int | Array) -> Array:
-    """The () typed key of a use, one of ``USES``; that of its episode ``i``, if it has any, is ``fold_in(key, i)``."""
+    """The () typed key of a use, one of ``USES``; the key of its episode ``i``, if any, is ``fold_in(key, i)``."""
     return jax.random.fold_in(jax.random.key(seed), jnp.uint32(stream_id(use)))
 
 
 def generator(use: str, seed: int, *further: int) -> np.random.Generator:
-    """The numpy generator of a use, one of ``USES``; further numbers, such as an epoch, have streams of their own."""
+    """The numpy generator of a use, one of ``USES``; further numbers, such as an epoch, have separate streams."""
     return np.random.default_rng((stream_id(use), len(further), seed, *further))  # numpy takes (1, 0) for (1,)
 
 

@@ -4,39 +4,34 @@ import contextlib
 import datetime
 import time
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 if TYPE_CHECKING:
     from rich.console import Console
 
+ProgressLike: TypeAlias = "Console | Callable[[float], None] | None"
+"""A console on which progress is shown, or a function that receives the share that is done."""
 
 INTERVAL = 10.0  # s between two plain lines, at least
 
 
 class Progress:
-    """Progress of some work; this class ignores it."""
+    """Progress of some work: calls a function, if there is one, with the share that is done."""
+
+    def __init__(self, report: Callable[[float], None] | None = None) -> None:
+        self._report, self._total = report, 1.0
 
     def stage(self, text: str) -> None:
         """Work of unknown length begins."""
 
     def start(self, text: str, total: float) -> None:
         """Work of a known length, in any unit, begins."""
-
-    def update(self, done: float, note: str = "") -> None:
-        """The length that is done."""
-
-
-class _Share(Progress):
-    """Calls a function with the share that is done, since the work is a part of a longer one."""
-
-    def __init__(self, tell: Callable[[float], None]) -> None:
-        self._tell, self._total = tell, 1.0
-
-    def start(self, text: str, total: float) -> None:
         self._total = max(total, 1e-9)
 
     def update(self, done: float, note: str = "") -> None:
-        self._tell(min(1.0, done / self._total))
+        """The length that is done."""
+        if self._report is not None:
+            self._report(min(1.0, done / self._total))
 
 
 class _Bar(Progress):
@@ -83,18 +78,15 @@ class _Lines(Progress):
 
 
 @contextlib.contextmanager
-def progress(console: "Console | Callable[[float], None] | None") -> Iterator[Progress]:
+def progress(console: ProgressLike) -> Iterator[Progress]:
     """The progress of the block's work.
 
     Args:
         console: shows a bar until the block ends, or prints a line now and then if it is no terminal; or a function
             that is called with the share that is done; or None.
     """
-    if console is None:
-        yield Progress()
-        return
-    if not hasattr(console, "print"):
-        yield _Share(console)  # pyright: ignore[reportArgumentType]
+    if console is None or not hasattr(console, "print"):
+        yield Progress(console)  # pyright: ignore[reportArgumentType]
         return
     if not (console.is_terminal or console.is_jupyter):  # pyright: ignore[reportAttributeAccessIssue]
         yield _Lines(console)

@@ -22,7 +22,7 @@ MAX_OBSTACLES = 1_500
 
 Coordinate = Annotated[float, pydantic.Field(ge=-MAX_COORDINATE, le=MAX_COORDINATE)]  # m
 Duration = Annotated[float, pydantic.Field(ge=0, le=MAX_DURATION)]  # s
-RelativeChance = Annotated[float, pydantic.Field(ge=0, le=1e6)]  # beside others of its kind
+RelativeChance = Annotated[float, pydantic.Field(ge=0, le=1e6)]  # relative to others of its kind
 Radius = Annotated[float, pydantic.Field(ge=1e-3, le=100)]  # m
 Degrees = Annotated[float, pydantic.Field(ge=-3600, le=3600)]
 

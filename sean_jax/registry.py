@@ -1,7 +1,7 @@
 """Environments of reinforcement learning by name, as in MuJoCo Playground: ``registry.load(name, config_overrides=)``.
 
 A name such as Warehouse-Graph-JoinGroup-v0 has an environment, a pedestrian behavior and a robot task. ``Mixed``
-stands for the tasks that take turns in the paper's protocol (section V-B).
+means the tasks of the paper's protocol in turn (section V-B).
 """
 
 from collections.abc import Mapping, Sequence
@@ -21,7 +21,7 @@ TASKS = {
     "random": ("random_ab_nav",),
     "handcrafted": ("handcrafted",),
 }
-"""behavior -> the tasks of names; mixed stands for the usual ones in turn."""
+"""behavior -> the tasks of names; mixed means the default tasks in turn."""
 
 
 def _word(name: str) -> str:
@@ -59,7 +59,7 @@ def load(name: str, config: EnvConfig | None = None, config_overrides: Mapping[s
     """An environment by its name, one of ``ALL_ENVS``, without a pool of starts.
 
     Args:
-        config: options other than those of the name.
+        config: options besides the options of the name.
         config_overrides: option -> value, such as ``{"people": 20, "rewards.progress": 2.0}``.
 
     Raises:
@@ -70,9 +70,8 @@ def load(name: str, config: EnvConfig | None = None, config_overrides: Mapping[s
     weights = {key: overrides.pop(key) for key in list(overrides) if key.startswith("rewards.")}
     for key in overrides:
         if key not in EnvConfig.model_fields:
-            raise InputError(
-                f"config_overrides: '{key}' is no field{files.suggest(key, EnvConfig.model_fields) or '.'}"
-            )
+            cure = files.suggest(key, EnvConfig.model_fields) or "."
+            raise InputError(f"config_overrides: '{key}' is no field{cure}")
     env = build(validate(EnvConfig, {**{key: getattr(config, key) for key in EnvConfig.model_fields}, **overrides}))
     if weights:
         changed = rewards.as_terms({key.removeprefix("rewards."): weight for key, weight in weights.items()})
@@ -125,9 +124,7 @@ def observation_terms(parts: Sequence[Component], option: str = "observations") 
     Raises:
         InputError: there is no such name.
     """
-    terms = {}
-    for part in parts:
-        terms[_name(part)] = components.resolve(part, observations.OBSERVATIONS, option)
+    terms = {part.label: components.resolve(part, observations.OBSERVATIONS, option) for part in parts}
     return observations.as_terms(terms) if terms else ()
 
 
@@ -138,9 +135,5 @@ def _rewards(config: EnvConfig) -> dict[str, Any]:
             terms |= rewards.DEFAULT
             continue
         term = components.resolve(part, {"default": None, **rewards.REWARDS}, "rewards")
-        terms |= term if isinstance(term, dict) else {_name(part): term}
+        terms |= term if isinstance(term, dict) else {part.label: term}
     return terms
-
-
-def _name(part: Any) -> str:
-    return part.kind if isinstance(part, Named) else part.name

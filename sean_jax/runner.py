@@ -1,7 +1,7 @@
 """The one runner of episodes: batches of numbered episodes, each until its end, of scenarios in turn (section V).
 
 Episode ``i`` is drawn from ``fold_in(prng.key(use, seed), i)`` alone, so it does not depend on the number of episodes,
-the number of devices or an interruption. A ``Record`` says what is kept of the steps.
+the number of devices or an interruption. A ``Record`` defines what is stored of the steps.
 """
 
 import contextlib
@@ -26,18 +26,18 @@ from sean_jax.episodes import init_policy, policy_step
 from sean_jax.scenario import reset, results
 
 CHUNK = 10.0  # s, between two looks at the progress
-MAX_BATCH, MAX_BATCH_CPU = 4_200, 64  # episodes at once, where no option says how many
+MAX_BATCH, MAX_BATCH_CPU = 4_200, 64  # default episodes per batch
 # The program that draws starts runs once a batch, so a CPU compiles it without optimizing.
 QUICK_COMPILE = {"cpu": {"xla_backend_optimization_level": 0}}
 
 
 class Record(NamedTuple):
-    """What is kept while a batch of B episodes runs: a total over steps, and rows that are stacked over time.
+    """The record of a batch of B episodes: a total over steps, and rows that are stacked over time.
 
     ``init(scenario, states)`` is the total before the first step; ``update(scenario, before, after, actions, active,
     total)`` gives the new total and a row, every ``every`` steps of control. ``before`` and ``after`` are states
     (B, ...), ``actions`` the commands (every, B, 2) in between, ``active`` (B,) whether an episode had not yet ended.
-    ``command(state)``, of the state after a step, replaces the command of that step in ``actions``.
+    ``command(state)``, with the state after a step, replaces the command of that step in ``actions``.
     """
 
     init: Callable[[Scenario, State], PyTree]
@@ -46,17 +46,8 @@ class Record(NamedTuple):
     command: Callable[[State], Array] | None = None
 
 
-def no_op(*arguments: PyTree) -> tuple:
-    """The ``init`` of a record that keeps nothing."""
-    return ()
-
-
-def no_rows(scenario: Scenario, before: State, after: State, actions: Array, active: Array, total: PyTree) -> tuple:
-    """The ``update`` of a record that keeps nothing."""
-    return (), ()
-
-
-NO_RECORD = Record(no_op, no_rows)
+NO_RECORD = Record(lambda *_: (), lambda *_: ((), ()))
+"""Keeps nothing."""
 
 
 @struct.dataclass
@@ -112,7 +103,7 @@ class Runner:
             drivers: number of policies, each of which drives an equal share of a batch, one after the other.
 
         Raises:
-            ValueError: the scenarios differ in more than leaves and task.
+            ValueError: the static structure of the scenarios differs.
         """
         self.scenarios = [scenarios] if isinstance(scenarios, Scenario) else list(scenarios)
         self.policy, self.use, self.record = as_policy(policy), use, record
@@ -221,7 +212,7 @@ class Runner:
 
         for done in range(self.chunk, self._steps + self.chunk, self.chunk):
             running, kept = self._advance(fixed, running, turns, counted)
-            if waiting is not None:  # while the device goes on
+            if waiting is not None:  # while the device computes
                 receive(waiting)
             waiting = kept if keep_rows or callbacks.rows is not None else None
             over = bool(np.all(np.asarray(running.states.completed | running.states.timed_out)))
@@ -284,7 +275,7 @@ def varying_leaves(scenarios: Sequence[Scenario]) -> dict[int, Array]:
     """
     first, *others = (jax.tree.flatten(dataclasses.replace(each, task=None, task_name="")) for each in scenarios)
     if any(tree != first[1] for _, tree in others):
-        raise ValueError("scenarios: they differ in more than leaves and task; evaluate them one after the other.")
+        raise ValueError("scenarios: their static structure differs; run them separately.")
     varying = {}
     for place, leaves in enumerate(zip(first[0], *(each for each, _ in others), strict=True)):
         if not all(leaf is leaves[0] or np.array_equal(np.asarray(leaf), np.asarray(leaves[0])) for leaf in leaves):
@@ -330,7 +321,7 @@ def first_state(tasks: tuple, scenario: Scenario, varying: dict[int, Array], ind
 
 @functools.lru_cache(8)  # bounded, so that a long session does not keep all programs
 def _drawing(tasks: tuple, use: str, structure: Any, shapes: tuple) -> Any:
-    """One program for all runners of the same scenarios, since a reset compiles as long as a step."""
+    """One program for all runners of the same scenarios, since a reset compiles as slowly as a step."""
     return jax.jit(functools.partial(_draw, tasks, use))
 
 
@@ -408,7 +399,7 @@ def _uncollected() -> Iterator[None]:
 
 
 class _Compiling:
-    """A program that is compiled in a thread of its own, so that Ctrl-C need not wait for the compiler."""
+    """A program that is compiled in a separate thread, so that Ctrl-C need not wait for the compiler."""
 
     def __init__(self, lowered: Any, options: dict[str, Any] | None = None) -> None:
         self._outcome: Any = None

@@ -38,7 +38,7 @@ def reset(scenario: Scenario, key: Array) -> State:
 
 
 def next_task(scenario: Scenario, state: State, key: Array) -> State:
-    """The first state of the robot's next task, in the present crowd: SEAN 2.0's tasks follow one another so.
+    """The first state of the robot's next task in the present crowd, as in SEAN 2.0.
 
     The robot is placed at the start of that task, and time and metrics begin again. ``episodes.init_policy`` renews the
     memory of a policy. People of a recording begin at their first moment again.
@@ -67,7 +67,7 @@ def warm_up(scenario: Scenario, state: State) -> State:
 def _begin(
     scenario: Scenario, pedestrians: Pedestrians, groups: Groups, memory: Any, task_key: Array, streams_key: Array
 ) -> State:
-    """The first state of a task among given people."""
+    """The first state of a task among existing people."""
     names = "scenario, pedestrians, groups, memory, key"
     task = calls.call("task", scenario.task, names, scenario, pedestrians, groups, memory, task_key)
     calls.check_type("task", scenario.task, task, RobotTask)
@@ -115,7 +115,7 @@ def step(scenario: Scenario, state: State, action: Array) -> State:
 def teleport(scenario: Scenario, state: State, position: Array, heading: Array) -> State:
     """The state with the robot somewhere else, at rest and without a command, and the situations there.
 
-    The task stays, with its start, goal and distance, and so do metrics, for which this is a step of the path. Shortest
+    The task continues, with its start, goal and distance, and so do metrics, which count this as a step. Shortest
     paths begin at the robot's position. Nobody makes room: people and boxes that overlap push the robot out.
     ``episodes.init_policy`` renews the memory of a policy.
 
@@ -180,7 +180,7 @@ def measure(scenario: Scenario, before: State, after: State) -> State:
 
 
 def finish(scenario: Scenario, before: State, after: State) -> State:
-    """``after`` with ``completed`` (the goal was held), ``timed_out`` and ``ticks_at_goal``; the first two are latched.
+    """``after`` with ``completed`` (hold time reached), ``timed_out`` and ``ticks_at_goal``; the first two are latched.
 
     Source: section IV-E.
     """
@@ -220,7 +220,7 @@ def snapshot(scenario: Scenario, state: State) -> Snapshot:
 
 
 def results(scenario: Scenario, state: State) -> dict[str, Array]:
-    """The metrics of the episode so far: name -> () or (1 + S,), the overall value before those by situation.
+    """The metrics of the episode so far: name -> () or (1 + S,), the overall value first, then each situation.
 
     Source: section IV-H.
     """
@@ -230,7 +230,7 @@ def results(scenario: Scenario, state: State) -> dict[str, Array]:
 
 
 def observe(scenario: Scenario, state: State) -> Observation:
-    """What the robot perceives and plans with, in its own frame; apart from the step, which does not need it."""
+    """The robot's observation in its own frame; separate from the step, which does not need it."""
     robot, people = state.robot, state.pedestrians
     hx, hy = robot.heading[0], robot.heading[1]
 

@@ -23,25 +23,7 @@ from sean_jax.quantities import MAX_COORDINATE, MAX_DURATION, MAX_PEOPLE
 
 ROBOT = -1  # the robot's id; people have the numbers 0 to N - 1
 MAX_SPEED = 10_000.0  # m/s
-COLUMNS = {
-    "episode": "number of the episode, from 0; absent for a single episode",
-    "frame": "number of the control step, from 0",
-    "time": "s, after that step: (frame + 1) times the time step",
-    "id": "-1 for the robot, 0 and more for people",
-    "x": "m",
-    "y": "m",
-    "vx": "m/s",
-    "vy": "m/s",
-    "heading_x": "unit vector of the heading",
-    "heading_y": "likewise",
-    "group": "conversational group of a person, -1 for none; -1 for the robot",
-    "goal_x": "m, of the robot; empty for people, like all columns below",
-    "goal_y": "m",
-    "command_speed": "m/s, the command of this step",
-    "command_turn_rate": "rad/s",
-    "active": "1 until the episode has ended",
-    "situation_NAME": "1 while that social situation holds",
-}
+COLUMNS: dict[str, str] = files.read_yaml(Path(__file__).with_suffix(".yaml"))[1]
 """Column of a table -> its meaning."""
 
 PERSON = ("x", "y", "vx", "vy", "heading_x", "heading_y")
@@ -52,7 +34,7 @@ SUFFIXES = (".csv", ".parquet")
 GROUP_ROWS = 2**18  # of a table, that Parquet stores together: episodes are gathered until they have as many
 BLOCK_ROWS = 2**16  # of a table, that are read at once
 MAX_ROWS = 10**8
-KEY = "sean_jax"  # of the header beside the columns
+KEY = "sean_jax"  # of the header
 CURE = "give a file that save_trajectory has written"
 LIMITS = {
     "frame": (0, 10**9),
@@ -63,11 +45,11 @@ LIMITS = {
     **{name: (-MAX_COORDINATE, MAX_COORDINATE) for name in ("x", "y", "goal_x", "goal_y")},
     **{name: (-MAX_SPEED, MAX_SPEED) for name in ("vx", "vy")},
 }
-"""Column -> least and most; commands are whatever the policy gave."""
+"""Column -> minimum and maximum; commands are unlimited."""
 
 
 class Header(pydantic.BaseModel):
-    """What a file holds beside the columns."""
+    """The metadata of a file."""
 
     model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
 
@@ -87,7 +69,7 @@ def save_trajectory(
     time_step: float = 0.1,
     situations: Sequence[str] | None = None,
 ) -> None:
-    """Write what a rollout recorded, without absent people: read again, they are at (0, 0).
+    """Write the record of a rollout, without absent people: loaded, they are at (0, 0).
 
     Args:
         trajectory: (T, ...) frames of an episode, or (E, T, ...) of several. Headings are unit vectors or zero,
@@ -129,8 +111,7 @@ def load_trajectory(path: Path | str) -> Trajectory:
         InputError: it is no such file, it is damaged, or a value is out of range (``COLUMNS``).
     """
     path = Path(path)
-    _check_suffix(path)
-    header, blocks = _csv_blocks(path) if path.suffix == ".csv" else _parquet_blocks(path)
+    header, blocks = _writer(path).read(path)
     parts: list[dict[str, np.ndarray]] = []
     rows = 0
     for columns in blocks:
@@ -159,7 +140,7 @@ def check_packages(suffix: str) -> None:
 class TrajectoryWriter:
     """A file of many episodes that grows by one at a time; made by ``trajectory_writer``."""
 
-    def __init__(self, file: "_CsvWriter | _ParquetWriter", header: Header, steps: int, episode: int):
+    def __init__(self, file: "_Csv | _Parquet", header: Header, steps: int, episode: int):
         self._file, self.header, self.steps = file, header, steps
         self.episode = episode  # the number of the next one
 
@@ -198,7 +179,7 @@ def trajectory_writer(
 
 
 def join_trajectories(parts: Sequence[Path], path: Path) -> None:
-    """Write one file of several of the same format whose episodes follow one another.
+    """Write one file of several of the same format, with their episodes in order.
 
     Raises:
         WriteError: another process writes the file.
@@ -207,23 +188,19 @@ def join_trajectories(parts: Sequence[Path], path: Path) -> None:
         _writer(path).join(parts, stream)
 
 
-def _check_suffix(path: Path) -> None:
+def _writer(path: Path) -> "type[_Csv] | type[_Parquet]":
+    """The writer of a file's format; InputError if there is none, or its package is missing."""
     if path.suffix not in SUFFIXES:
         raise InputError(f"{path}: its name must end in {', '.join(SUFFIXES)}.")
-
-
-def _writer(path: Path) -> "type[_CsvWriter] | type[_ParquetWriter]":
-    """The writer of a file's format; InputError if there is none, or its package is missing."""
-    _check_suffix(path)
     check_packages(path.suffix)
-    return _CsvWriter if path.suffix == ".csv" else _ParquetWriter
+    return _Csv if path.suffix == ".csv" else _Parquet
 
 
 # ------------------------------------------------------------------ arrays and columns
 
 
 def _table(arrays: dict[str, np.ndarray], header: Header) -> dict[str, np.ndarray]:
-    """Columns of all rows: for each frame the robot's row, then those of the people present."""
+    """Columns of all rows: for each frame the robot's row, then rows of the people present."""
     episodes, steps = arrays["active"].shape
     present = np.concatenate([np.ones((episodes, steps, 1), bool), arrays["present"]], -1)
     episode, frame, column_of = np.nonzero(present)
@@ -295,7 +272,7 @@ def _check_rows(path: Path, columns: dict[str, np.ndarray], header: Header, firs
     size = np.hypot(columns["heading_x"], columns["heading_y"])
     refuse(~((np.abs(size - 1.0) < 1e-3) | (size == 0.0)), "heading_x", "belongs to no unit vector")
     time = (columns["frame"] + 1.0) * header.time_step
-    refuse(~(np.abs(columns["time"] - time) <= 1e-6 * time), "time", "is not that of its frame")
+    refuse(~(np.abs(columns["time"] - time) <= 1e-6 * time), "time", "does not match its frame")
 
 
 def _frames(path: Path, table: dict[str, np.ndarray], header: Header) -> Trajectory:
@@ -318,7 +295,7 @@ def _frames(path: Path, table: dict[str, np.ndarray], header: Header) -> Traject
     present, group = np.zeros((episodes, steps, people), bool), np.full((episodes, steps, people), -1, np.int32)
     present[at_person], group[at_person] = True, table["group"][person]
     if driven.sum() + present.sum() < len(frame):
-        raise FileError(f"{what} have somebody twice in a frame; {CURE}.")
+        raise FileError(f"{what} have a person twice in a frame; {CURE}.")
 
     def of_robot(*columns: str) -> np.ndarray:
         values = np.zeros((episodes, steps, len(columns)), np.float32)
@@ -351,7 +328,7 @@ def _frames(path: Path, table: dict[str, np.ndarray], header: Header) -> Traject
 # ------------------------------------------------------------------ CSV
 
 
-class _CsvWriter:
+class _Csv:
     """Rows as text, after a line with the header and a line with the names of the columns."""
 
     def __init__(self, stream: BinaryIO, header: Header):
@@ -374,6 +351,22 @@ class _CsvWriter:
                     rows.readline()
                 shutil.copyfileobj(rows, stream)
 
+    @staticmethod
+    def read(path: Path) -> tuple[Header, Iterator[dict[str, np.ndarray]]]:
+        rows = files.read_rows(path)
+        first, names = next(rows, [""]), next(rows, [])
+        if not first[0].startswith(f"# {KEY} "):
+            raise FileError(f"{files.short_name(path)}: does not begin with '# {KEY} '; {CURE}.")
+
+        def blocks() -> Iterator[dict[str, np.ndarray]]:
+            done = 0
+            while block := list(itertools.islice(rows, BLOCK_ROWS)):
+                numbers = np.array([_numbers(path, done + k, row) for k, row in enumerate(block, 1)])
+                done += len(block)
+                yield dict(zip(names, numbers.T, strict=True))
+
+        return _header(path, first[0][len(KEY) + 3 :]), blocks()
+
 
 def _texts(values: np.ndarray) -> list[str]:
     """As few digits as distinguish a number from all others; nothing for NaN."""
@@ -382,37 +375,15 @@ def _texts(values: np.ndarray) -> list[str]:
     return ["" if value != value else np.format_float_positional(value, trim="-") for value in values]
 
 
-def _csv_blocks(path: Path) -> tuple[Header, Iterator[dict[str, np.ndarray]]]:
-    rows = files.read_rows(path)
-    first, names = next(rows, [""]), next(rows, [])
-    if not first[0].startswith(f"# {KEY} "):
-        raise FileError(f"{files.short_name(path)}: does not begin with '# {KEY} '; {CURE}.")
-
-    def blocks() -> Iterator[dict[str, np.ndarray]]:
-        done = 0
-        while block := list(itertools.islice(rows, BLOCK_ROWS)):
-            numbers = np.array([_numbers(path, done + k, row) for k, row in enumerate(block, 1)])
-            done += len(block)
-            yield dict(zip(names, numbers.T, strict=True))
-
-    return _header(path, first[0][len(KEY) + 3 :]), blocks()
-
-
 def _numbers(path: Path, number: int, row: list[str]) -> list[float]:
-    try:
-        if "_" in "".join(row):  # which Python allows in numbers
-            raise ValueError
-        return [float(cell) if cell else np.nan for cell in row]
-    except ValueError:
-        wrong = next(cell for cell in row if cell and not _is_number(cell))
-        raise FileError(f"{files.short_name(path)}: row {number}: {wrong[:40]!r} is no number; {CURE}.") from None
-
-
-def _is_number(cell: str) -> bool:
-    try:
-        return float(cell) is not None and "_" not in cell
-    except ValueError:
-        return False
+    values = []
+    for cell in row:
+        try:
+            values.append(float(cell.replace("_", "no")) if cell else np.nan)  # Python allows "_" in numbers
+        except ValueError:
+            what = f"row {number}: {cell[:40]!r} is no number"
+            raise FileError(f"{files.short_name(path)}: {what}; {CURE}.") from None
+    return values
 
 
 def _header(path: Path, text: str | bytes) -> Header:
@@ -426,7 +397,7 @@ def _header(path: Path, text: str | bytes) -> Header:
 # ------------------------------------------------------------------ Parquet
 
 
-class _ParquetWriter:
+class _Parquet:
     """Groups of rows, written as soon as they have ``GROUP_ROWS``; the header is metadata of the schema."""
 
     def __init__(self, stream: BinaryIO, header: Header):
@@ -470,31 +441,35 @@ class _ParquetWriter:
                             rows = groups.read_row_group(k)
                         table.write_table(rows)
 
-
-def _parquet_blocks(path: Path) -> tuple[Header, Iterator[dict[str, np.ndarray]]]:
-    pa, pq = _arrow()
-    with files.open_file(path, files.MAX_TABLE) as stream, files.sentence(path, CURE), pq.ParquetFile(stream) as table:
-        schema, rows, size = table.schema_arrow, table.metadata.num_rows, path.stat().st_size
-        if rows > min(MAX_ROWS, 1_000_000 + 10 * size):  # equal numbers take almost no space
-            raise FileError(f"{files.short_name(path)}: {rows:,} rows in {size:,} bytes are too many; {CURE}.")
-        for field in schema:
-            if not (pa.types.is_integer(field.type) or pa.types.is_floating(field.type)):
-                raise FileError(f"{files.short_name(path)}: {field.name[:60]!r} is no column of numbers; {CURE}.")
-        if len(set(schema.names)) < len(schema.names):
-            raise FileError(f"{files.short_name(path)}: names a column twice; {CURE}.")
-        header = _header(path, (schema.metadata or {}).get(KEY.encode(), b""))
-
-    def blocks() -> Iterator[dict[str, np.ndarray]]:
+    @staticmethod
+    def read(path: Path) -> tuple[Header, Iterator[dict[str, np.ndarray]]]:
+        pa, pq = _arrow()
         with (
             files.open_file(path, files.MAX_TABLE) as stream,
             files.sentence(path, CURE),
             pq.ParquetFile(stream) as table,
         ):
-            for batch in table.iter_batches(BLOCK_ROWS):
-                columns = zip(batch.schema.names, batch.columns, strict=True)
-                yield {name: column.to_numpy(zero_copy_only=False).astype(float) for name, column in columns}
+            schema, rows, size = table.schema_arrow, table.metadata.num_rows, path.stat().st_size
+            if rows > min(MAX_ROWS, 1_000_000 + 10 * size):  # equal numbers take almost no space
+                raise FileError(f"{files.short_name(path)}: {rows:,} rows in {size:,} bytes are too many; {CURE}.")
+            for field in schema:
+                if not (pa.types.is_integer(field.type) or pa.types.is_floating(field.type)):
+                    raise FileError(f"{files.short_name(path)}: {field.name[:60]!r} is no column of numbers; {CURE}.")
+            if len(set(schema.names)) < len(schema.names):
+                raise FileError(f"{files.short_name(path)}: names a column twice; {CURE}.")
+            header = _header(path, (schema.metadata or {}).get(KEY.encode(), b""))
 
-    return header, blocks()
+        def blocks() -> Iterator[dict[str, np.ndarray]]:
+            with (
+                files.open_file(path, files.MAX_TABLE) as stream,
+                files.sentence(path, CURE),
+                pq.ParquetFile(stream) as table,
+            ):
+                for batch in table.iter_batches(BLOCK_ROWS):
+                    columns = zip(batch.schema.names, batch.columns, strict=True)
+                    yield {name: column.to_numpy(zero_copy_only=False).astype(float) for name, column in columns}
+
+        return header, blocks()
 
 
 def _arrow() -> tuple[Any, Any]:

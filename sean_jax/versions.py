@@ -25,7 +25,7 @@ def version_mismatch(saved: Any) -> str | None:
     """The first difference from the current versions, such as "jax 0.9.0, not 0.10.0"; None if there is none.
 
     Args:
-        saved: as of ``versions``, from a file; anything but a mapping has no difference.
+        saved: as from ``versions``, from a file; anything but a mapping has no difference.
     """
     for name, version in versions().items() if isinstance(saved, Mapping) else ():
         if saved.get(name, version) != version:

@@ -1,7 +1,8 @@
-"""The folder of a long command: what it was begun with, its lock, and finished parts, which are not made again."""
+"""The folder of a long command: its identity, its lock, and its finished parts, which are not computed again."""
 
 import contextlib
 import dataclasses
+import json
 import os
 from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
@@ -25,7 +26,7 @@ LABELS = {"options": flag, "versions": VERSION.__add__, "parts": CONTENT.__add__
 class Workspace:
     """A folder that a long command fills part by part, and that the same command resumes.
 
-    The identity has all that decides the results, as JSON values: the sections ``options`` (field -> value),
+    The identity holds everything that affects the results, as JSON values: the sections ``options`` (field -> value),
     ``versions`` (package -> version) and ``parts`` (file of the user's own -> SHA-256), and single values by name.
     """
 
@@ -101,7 +102,7 @@ class Workspace:
 
 
 def identity(options: Config) -> dict[str, Any]:
-    """The identity of a command that its options, the versions and the user's own files decide."""
+    """The identity of a command: its options, the versions and the digests of the user's own files."""
     return {"options": options.identity(), "versions": versions(), "parts": components.digests(options)}
 
 
@@ -146,16 +147,10 @@ def difference(had: Mapping[str, Any], now: Mapping[str, Any]) -> str | None:
 
 def _entries(content: Mapping[str, Any]) -> dict[str, Any]:
     """The entries of all sections, by the names that messages use; values are as JSON gives them back."""
-    found: dict[str, Any] = {}
+    entries: dict[str, Any] = {}
     for name, value in content.items():
-        found |= {LABELS[name](key): each for key, each in value.items()} if name in LABELS else {name: value}
-    return {name: _plain(value) for name, value in found.items()}
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {name: _plain(each) for name, each in value.items()}
-    return [_plain(each) for each in value] if isinstance(value, list | tuple) else value
+        entries |= {LABELS[name](key): each for key, each in value.items()} if name in LABELS else {name: value}
+    return json.loads(json.dumps(entries))
 
 
 def value_text(value: Any) -> str:

@@ -13,11 +13,11 @@ import shutil
 import socket
 import stat
 import time
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from sean_jax.errors import InputError, WriteError
+from sean_jax.errors import IncompleteError, InputError, SeanError, WriteError
 
 try:
     import fcntl
@@ -35,7 +35,7 @@ def atomic_file(file: Path) -> Iterator[BinaryIO]:
     """A stream whose content becomes the file when the block ends; after an error or a kill the file is as before.
 
     Raises:
-        WriteError: another process writes the file, or its temporary name is that of a link.
+        WriteError: another process writes the file, or its temporary name is a link.
     """
     temporary = file.with_name(f".{file.name}.new")
     try:
@@ -94,7 +94,7 @@ def write_arrays(file: Path, arrays: Mapping[str, Any]) -> None:
 def folder_lock(folder: Path) -> Iterator[None]:
     """Make and lock a folder, or the folder that a symbolic link leads to, until the block ends.
 
-    If the folder is empty at the end, the folders that were made are removed.
+    If the folder is empty at the end, the new folders are removed.
 
     Raises:
         WriteError: another process holds the lock, or the folder cannot be written.
@@ -102,9 +102,9 @@ def folder_lock(folder: Path) -> Iterator[None]:
     folder = Path(os.path.realpath(folder))
     if os.path.exists(folder) and not os.path.isdir(folder):
         raise WriteError(f"{folder} is a file, give the name of a folder with --out.")
-    made = [each for each in (folder, *folder.parents) if not os.path.exists(each)]
+    missing = [each for each in (folder, *folder.parents) if not os.path.exists(each)]
     if os.path.isdir(folder) and _names(folder) == [LOCK]:
-        made = [folder]  # left by a process that was killed
+        missing = [folder]  # left by a process that was killed
     lock = folder / LOCK
     try:
         descriptor = None
@@ -117,7 +117,7 @@ def folder_lock(folder: Path) -> Iterator[None]:
             f"{folder} is being written by {_holder(lock)}; wait until it is done, or choose another folder with --out."
         ) from None
     except OSError as error:
-        _remove_empty(made)
+        _remove_empty(missing)
         raise WriteError(f"cannot write {folder}: {reason(error)}; choose another folder with --out.") from error
     try:
         since = datetime.datetime.now().astimezone().strftime("%Y-%m-%d %H:%M:%S %z")
@@ -128,7 +128,7 @@ def folder_lock(folder: Path) -> Iterator[None]:
         with contextlib.suppress(OSError):
             lock.unlink()
         os.close(descriptor)
-        _remove_empty(made)
+        _remove_empty(missing)
 
 
 @contextlib.contextmanager
@@ -151,15 +151,15 @@ def atomic_folder(folder: Path) -> Iterator[Path]:
     try:
         with folder_lock(unfinished):
             _check_vacant(folder)
-            made = unfinished / "whole"
-            shutil.rmtree(made, ignore_errors=True)
-            made.mkdir()
+            whole = unfinished / "whole"
+            shutil.rmtree(whole, ignore_errors=True)
+            whole.mkdir()
             try:
-                yield made
+                yield whole
                 _check_vacant(folder, remove=True)
-                made.rename(folder)
+                whole.rename(folder)
             finally:
-                shutil.rmtree(made, ignore_errors=True)
+                shutil.rmtree(whole, ignore_errors=True)
     finally:
         with contextlib.suppress(OSError):
             unfinished.rmdir()
@@ -191,6 +191,23 @@ def is_locked(folder: Path) -> bool:
     return False
 
 
+@contextlib.contextmanager
+def explain_errors(place: Path, rest: str, cause: Callable[[Exception], str] | None = None) -> Iterator[None]:
+    """An error of the system or of a package in the block becomes an ``IncompleteError``.
+
+    Args:
+        place: the file or folder that the message names.
+        rest: end of the message: what is left, or the cure.
+        cause: the words for an error; ``reason`` if None.
+    """
+    try:
+        yield
+    except SeanError:
+        raise
+    except (OSError, ValueError) as error:
+        raise IncompleteError(f"{place}: {(cause or reason)(error)}; {rest}") from error
+
+
 def reason(error: Exception) -> str:
     """The cause of an error in one line: ``DISK_FULL``, also where a package wraps it, or the error's own words."""
     text = str(error).strip().split("\n")[0].rstrip(".")
@@ -205,7 +222,7 @@ def broken(error: OSError) -> str:
 
 
 def _lock(file: Path) -> int:
-    """An exclusively locked descriptor of a file, which is made if it is missing.
+    """An exclusively locked descriptor of a file, which is created if it is missing.
 
     Raises BlockingIOError if another process keeps the lock, WriteError for a link or anything but a regular file,
     through which another file would be overwritten, and OSError if the file cannot be opened.
@@ -237,7 +254,7 @@ def _lock(file: Path) -> int:
 
 
 def _check_vacant(folder: Path, remove: bool = False) -> None:
-    """Refuse a folder that is not empty or is being written; ``remove`` it with what a killed process left there."""
+    """Refuse a folder that is not empty or is being written; ``remove`` deletes what a kill left there."""
     if not folder.is_dir():
         return
     with folder_lock(folder):

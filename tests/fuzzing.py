@@ -166,9 +166,9 @@ def load_graph(folder: Path) -> Any:
 
 
 def load_handcrafted(folder: Path) -> Any:
-    from sean_jax.handcrafted import read, sets
+    from sean_jax.handcrafted import build, read
 
-    return sets.build(read(folder, lab()).sets)
+    return build(read(folder, lab()).sets)
 
 
 def load_environment(folder: Path) -> Any:
@@ -188,7 +188,11 @@ def load_recording(folder: Path) -> Any:
     from sean_jax import recordings
 
     path, found = folder / "people.csv", []
-    readers: list = [*recordings.READERS.values(), lambda path: recordings.read(path, time_step=0.1)]
+    readers: list = [
+        lambda path, name=name: recordings.read(path, name, 1.0 if name == "csv" else None)
+        for name in recordings.FORMATS
+    ]
+    readers.append(lambda path: recordings.read(path, time_step=0.1))
     refused = None
     for reader in readers:  # who needs a column more may refuse, and the others read
         try:
@@ -305,8 +309,7 @@ def batch(folder: Path) -> dict[str, bytes]:
     import numpy as np
 
     from sean_jax.config import RunConfig
-    from sean_jax.evaluation.accumulate import FinishedBatch, Totals
-    from sean_jax.evaluation.resume import RunFolder
+    from sean_jax.evaluation.batches import FinishedBatch, RunFolder, Totals
 
     counts = np.arange(6, dtype=np.int32).reshape(2, 3)
     both = Totals(counts, np.eye(2, dtype=np.int32), counts[:, :2], np.arange(4, dtype=np.int32), np.float32(0.1),
@@ -322,7 +325,7 @@ def load_batch(folder: Path) -> Any:
     import numpy as np
 
     from sean_jax.config import RunConfig
-    from sean_jax.evaluation.resume import PLACE, RunFolder
+    from sean_jax.evaluation.batches import PLACE, RunFolder
 
     (folder / PLACE).mkdir(exist_ok=True)
     shutil.copytree(folder, run := folder / "run", ignore=shutil.ignore_patterns(PLACE, "batch.npz"))
@@ -418,12 +421,12 @@ def result(folder: Path) -> dict[str, bytes]:
 def load_result(folder: Path) -> Any:
     """What is changed has the checksum and the digests of the change, as an author would write them."""
     from sean_jax import components
-    from sean_jax.studies.experiments import benchmark, tracks
+    from sean_jax.studies.experiments import benchmark
 
     file = folder / "result.json"
     try:
         content = json.loads(file.read_bytes()) if file.is_file() else None
-        for track in tracks.TRACKS:
+        for track in benchmark.TRACKS:
             if content["files"].get(track) and (folder / f"{track}.npz").is_file():
                 content["files"][track] = components.digest(folder / f"{track}.npz")
         content["checksum"] = benchmark.checksum(content)
@@ -431,7 +434,7 @@ def load_result(folder: Path) -> Any:
     except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
         pass  # it is read as it is
     found = benchmark.check(folder)
-    assert (found["policy"] != "orca") and found["episodes"] == 20 and found["tracks"].keys() == tracks.TRACKS.keys()
+    assert (found["policy"] != "orca") and found["episodes"] == 20 and found["tracks"].keys() == benchmark.TRACKS.keys()
     for name, figure in found["scores"]["figures"].items():
         assert figure["low"] <= figure["mean"] <= figure["high"], name
     benchmark.table(found)
@@ -469,9 +472,9 @@ def _lab_step() -> Any:
 
 
 def load_agent(folder: Path) -> Any:
-    from sean_jax.learning.policy import load_packed
+    from sean_jax.learning import policy
 
-    return load_packed(folder, _lab())[1]
+    return policy.load_agent(folder, _lab())[1]
 
 
 @functools.cache

@@ -102,7 +102,7 @@ def test_wrappers_of_gymnasium_take_the_vector_environment(gymnasium):
 
 def test_equal_instances_share_compiled_programs(gymnasium):
     """Of the same name and options; those of other options have their own."""
-    from sean_jax.adapters.gymnasium import make, make_vec
+    from sean_jax.adapters.gymnasium import SocialNavigation, VectorSocialNavigation
 
     compiled = []
 
@@ -112,8 +112,8 @@ def test_equal_instances_share_compiled_programs(gymnasium):
     def compiles(**others) -> int:
         before = len(compiled)
         for made, action in (
-            (make(NAME, **SMALL | others), np.zeros(2)),
-            (make_vec(NAME, 2, **SMALL), np.zeros((2, 2))),
+            (SocialNavigation(NAME, **SMALL | others), np.zeros(2)),
+            (VectorSocialNavigation(NAME, 2, **SMALL), np.zeros((2, 2))),
         ):
             made.reset(seed=0)
             made.step(action)

@@ -17,7 +17,7 @@ import pytest
 import sean_jax
 from sean_jax import cli, learning
 from sean_jax.errors import FileError, InputError
-from sean_jax.learning.policy import AGENTS, MAX_WEIGHTS_BYTES, WEIGHTS, load_packed, load_policy, save_agent
+from sean_jax.learning.policy import AGENTS, MAX_WEIGHTS_BYTES, WEIGHTS, load_agent, load_policy, save_agent
 from sean_jax.learning.trainer import check_config
 
 WITHOUT = """
@@ -59,7 +59,7 @@ def test_it_is_written_and_read(lab, tmp_path):
     agent = replace(agent, statistics=replace(agent.statistics, variance=agent.statistics.variance * 1e6 + 1e-6))
     config = json.loads((AGENTS["ppo"] / "config.json").read_text())
     save_agent(tmp_path, agent, config)
-    _, found, _ = load_packed(tmp_path, lab)
+    _, found, _ = load_agent(tmp_path, lab)
     for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(agent), strict=True):
         np.testing.assert_array_equal(one, other)
     huge = jax.tree.map(lambda leaf: leaf * 0.0 + 1e6, agent)
@@ -79,7 +79,7 @@ def test_noise_that_depends_on_the_state_is_refused(lab, tmp_path):
     config = json.loads((AGENTS["ppo"] / "config.json").read_text())
     save_agent(tmp_path, learning.load("ppo", lab).params.agent, config | {"careful": True})
     for refused in (lambda: learning.load(tmp_path, lab), lambda: check_config(tmp_path, config)):
-        with pytest.raises(InputError, match="the option careful, which this version does not know; train it anew"):
+        with pytest.raises(InputError, match="the option careful, which this version does not know; train it again"):
             refused()
 
 
@@ -91,10 +91,10 @@ def test_damaged_weights_are_told(lab, tmp_path):
     weights = folder / WEIGHTS
     for wrong in (np.array(["a"]), np.array([np.nan])):
         np.savez(weights, **{"statistics/mean": wrong})
-        with pytest.raises(InputError, match="statistics/mean has what is no finite number"):
+        with pytest.raises(InputError, match="statistics/mean has a number that is not finite"):
             learning.load(folder, lab)
     weights.write_bytes((AGENTS["ppo"] / WEIGHTS).read_bytes()[:-5000])
-    with pytest.raises(FileError, match="ppo/weights.npz: is damaged; get the file anew"):
+    with pytest.raises(FileError, match="ppo/weights.npz: is damaged; get the file again"):
         learning.load(folder, lab)
     bomb = io.BytesIO()
     with zipfile.ZipFile(bomb, "w", zipfile.ZIP_DEFLATED) as archive:

@@ -36,7 +36,7 @@ READERS = {
     "environment.yaml": environment.load,
     "scene.xml": environment.load,
     "robot.xml": lambda folder: robots.load(folder / "robot.xml", "twin"),
-    "people.csv": lambda folder: recordings.read_eth_ucy(folder / "people.csv"),
+    "people.csv": lambda folder: recordings.read(folder / "people.csv", "eth_ucy"),
     "map.yaml": lambda folder: maps.read(folder / "map.yaml"),
     "map.png": lambda folder: maps.read(folder / "map.yaml"),
     "dataset.json": open_dataset,
@@ -230,7 +230,7 @@ def test_recordings_of_impossible_numbers(tmp_path, text, words):
     (tmp_path / "people.csv").write_text(text)
     said = []
     for read in (
-        lambda path: recordings.read_csv(path, 0.1),
+        lambda path: recordings.read(path, frame_rate=10.0),
         lambda path: recordings.read(path, frame_rate=10.0, time_step=0.1),
     ):
         with pytest.raises(FileError) as caught:
@@ -251,7 +251,7 @@ def test_both_readers_take_marks_cases_and_any_order(tmp_path):
         text = "\n".join([header, *(line.format(*row) for row in rows)]) + "\n"
         (tmp_path / name).write_text(text, encoding="utf-8")
         sampled = recordings.read(tmp_path / name, frame_rate=10.0, time_step=0.1)
-        read[name] = recordings.read_csv(tmp_path / name, 0.1), sampled
+        read[name] = recordings.read(tmp_path / name, frame_rate=10.0), sampled
     for one, other in zip(*map(jax.tree.leaves, read.values()), strict=True):
         np.testing.assert_array_equal(one, other)
     assert read["plain.csv"][0].person.tolist() == [[7, 12]] * 30
@@ -274,7 +274,7 @@ def test_both_readers_take_marks_cases_and_any_order(tmp_path):
 )
 def test_manifests_and_configurations(tmp_path, content, words):
     write(tmp_path, {"dataset.json": content, "config.json": content})
-    with pytest.raises(InputError, match="restore it or collect anew"):
+    with pytest.raises(InputError, match="restore it or collect again"):
         open_dataset(tmp_path)
     assert words in refusal(tmp_path, "dataset.json")
     refusal(tmp_path, "config.json")

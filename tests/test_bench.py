@@ -5,9 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from sean_jax import cli
-from sean_jax.bench import page
-from sean_jax.bench.cases import Row
+from sean_jax import bench, cli
+from sean_jax.bench import Row
 from sean_jax.config import BenchConfig
 
 ABOUT = {
@@ -30,21 +29,21 @@ ROWS = [
 
 
 def test_the_table_lines_up_and_says_what_follows():
-    lines = [page.line(row) for row in ROWS]
-    assert {len(line) for line in lines} == {len(page.HEAD)}
-    notes = page.notes(ROWS, ABOUT)
+    lines = [bench.line(row) for row in ROWS]
+    assert {len(line) for line in lines} == {len(bench.HEAD)}
+    notes = bench.notes(ROWS, ABOUT)
     assert any("16 KiB a scenario without images at B = 16; about 6.6e+04 would fit into 1 GiB" in n for n in notes)
     assert notes[-1] == "2 devices: 1.90 times one (95 % of each)."
-    assert page.notes([], ABOUT) == []
+    assert bench.notes([], ABOUT) == []
 
 
 def test_the_picture_shows_each_series():
-    left, middle, right = page.picture(ROWS, ABOUT).axes
+    left, middle, right = bench.picture(ROWS, ABOUT).axes
     assert [len(axes.lines) for axes in (left, middle, right)] == [3, 2, 2]
     np.testing.assert_allclose(middle.lines[1].get_ydata(), [500.0, 2000.0])  # ns per agent-step at the larger batch
     assert right.lines[0].get_xdata().tolist() == [3072, 307200]
     np.testing.assert_allclose(right.lines[0].get_ydata(), [1e6 / 700, 1e6 / 90])
-    empty = page.picture(ROWS[:2], ABOUT).axes
+    empty = bench.picture(ROWS[:2], ABOUT).axes
     assert not empty[1].lines and "not measured" in empty[1].texts[0].get_text()
 
 
@@ -68,12 +67,10 @@ def test_what_cannot_be_measured_is_refused(arguments, words, capsys, tmp_path, 
 
 @pytest.mark.slow
 def test_sean_bench_measures(tmp_path, monkeypatch, capsys):
-    from sean_jax.bench import cases
-
-    monkeypatch.setattr(cases, "SIZES", ((8, 6), (16, 12)))
-    monkeypatch.setattr(cases, "IMAGE", (8, 6))
-    monkeypatch.setattr(cases, "CROWDS", (8, 300))
-    monkeypatch.setattr(cases, "turns", lambda batch: 2)
+    monkeypatch.setattr(bench, "SIZES", ((8, 6), (16, 12)))
+    monkeypatch.setattr(bench, "IMAGE", (8, 6))
+    monkeypatch.setattr(bench, "CROWDS", (8, 300))
+    monkeypatch.setattr(bench, "turns", lambda batch: 2)
     arguments = ["--environment", "lab", "--people", "4", "--dynamics", "twin", "--batches", "1", "2"]
     timing = ["--only", "step,images,crowd", "--repeats", "1", "--seconds", "0.01", "--out", str(tmp_path / "found")]
     assert cli.main(["bench", *arguments, *timing]) == 0
@@ -84,11 +81,9 @@ def test_sean_bench_measures(tmp_path, monkeypatch, capsys):
     assert {row["batch"] for row in rows if row["part"] == "step"} == {1, 2}
     assert (tmp_path / "found" / "bench.png").stat().st_size > 10_000
     table = (tmp_path / "found" / "table.txt").read_text(encoding="utf-8").splitlines()
-    assert table[1] == page.HEAD and len(table) >= 2 + len(rows)
+    assert table[1] == bench.HEAD and len(table) >= 2 + len(rows)
     assert "picture:" in capsys.readouterr().out
 
 
 def test_the_default_measures_all():
-    from sean_jax.bench import cases
-
-    assert BenchConfig().parts == list(cases.CASES)
+    assert BenchConfig().parts == list(bench.CASES)

@@ -11,23 +11,28 @@ import pytest
 from sean_jax import cli, prng
 from sean_jax.config import BenchmarkConfig, CollectConfig
 from sean_jax.errors import IncompleteError, InputError
-from sean_jax.studies.experiments import benchmark, tracks
+from sean_jax.studies.experiments import benchmark, measures
 
 
 def test_the_protocol_is_frozen():
-    """Where this fails, episodes are others than those of published results: raise ``tracks.VERSION``."""
-    assert (tracks.VERSION, tracks.content(), tracks.EPISODES, tracks.SEED) == (1, tracks.CONTENT, 8_400, 20_260)
-    assert len(tracks.TRACKS) == 12 and len(tracks.TRACKS) * tracks.EPISODES >= 100_000
-    for track in tracks.TRACKS:
-        asked = tracks.description(track)
-        left = set(CollectConfig.model_fields) - set(tracks.TRACKS[track])
+    """Where this fails, episodes are others than those of published results: raise ``benchmark.VERSION``."""
+    assert (benchmark.VERSION, benchmark.protocol_digest(), benchmark.EPISODES, benchmark.SEED) == (
+        1,
+        benchmark.CONTENT,
+        8_400,
+        20_260,
+    )
+    assert len(benchmark.TRACKS) == 12 and len(benchmark.TRACKS) * benchmark.EPISODES >= 100_000
+    for track in benchmark.TRACKS:
+        asked = benchmark.description(track)
+        left = set(CollectConfig.model_fields) - set(benchmark.TRACKS[track])
         decisive = {name for name in left if name in asked.identity()}
         # What is left to defaults decides nothing of an episode, or is what the benchmark sets by itself.
         assert decisive <= {"policy", "labels", "width", "height", "seed", "sensors", "thresholds", "substeps", "batch"}
-        assert asked.replace(**tracks.TRACKS[track]) == asked
+        assert asked.replace(**benchmark.TRACKS[track]) == asked
 
 
-def columns(random: np.random.Generator, number: int) -> benchmark.Columns:
+def columns(random: np.random.Generator, number: int) -> measures.Arrays:
     time = random.uniform(1.0, 9.0, (number, 6))
     time[:, 0] = random.uniform(20, 30, number)
     counts = {name: random.poisson(0.2, (number, 6)).astype(np.float32) for name in benchmark.COUNTED}
@@ -40,9 +45,9 @@ def columns(random: np.random.Generator, number: int) -> benchmark.Columns:
 def test_figures_are_means_over_all_tracks():
     random = np.random.default_rng(0)
     measured = {"a": columns(random, 300), "b": columns(random, 300)}
-    found = tracks.scores(measured)
+    found = benchmark.scores(measured)
     both = {name: np.concatenate([measured["a"][name], measured["b"][name]]) for name in measured["a"]}
-    good = [both["completed"][i] and not any(both[name][i, 0] for name in tracks.ROBOTS_FAULT) for i in range(600)]
+    good = [both["completed"][i] and not any(both[name][i, 0] for name in measures.ROBOTS_FAULT) for i in range(600)]
     assert found.figures["polite"].mean == pytest.approx(100 * np.mean(good))
     assert found.figures["seconds"].mean == pytest.approx(both["seconds"].mean())
     whole = both["seconds"].sum()
@@ -56,7 +61,7 @@ def test_figures_are_means_over_all_tracks():
 
 
 def test_a_package_of_another_protocol_runs_nothing(monkeypatch, tmp_path):
-    monkeypatch.setattr(tracks, "CONTENT", "0" * 16)
+    monkeypatch.setattr(benchmark, "CONTENT", "0" * 16)
     with pytest.raises(InputError, match="have the digest .* and protocol 1 has 0000"):
         benchmark.run(BenchmarkConfig(policy="go_to_goal", out=tmp_path / "out"))
     assert not (tmp_path / "out").exists()
@@ -70,7 +75,7 @@ def place(folder: Path, policy: str, episodes: int, seed: int) -> Path:
     """A complete result with episodes by chance."""
     folder.mkdir()
     random = np.random.default_rng(seed)
-    measured = {track: columns(random, episodes) for track in tracks.TRACKS}
+    measured = {track: columns(random, episodes) for track in benchmark.TRACKS}
     for track, values in measured.items():
         np.savez_compressed(folder / f"{track}.npz", **values)
     benchmark.write(BenchmarkConfig(policy=policy, episodes=episodes, out=folder), measured)
@@ -79,8 +84,8 @@ def place(folder: Path, policy: str, episodes: int, seed: int) -> Path:
 
 def smaller(patch: pytest.MonkeyPatch) -> None:
     """A protocol of two tracks of 20 episodes."""
-    patch.setattr(tracks, "EPISODES", 20)
-    patch.setattr(tracks, "TRACKS", {name: tracks.TRACKS[name] for name in ("lab-join_group", "lab-handcrafted")})
+    patch.setattr(benchmark, "EPISODES", 20)
+    patch.setattr(benchmark, "TRACKS", {name: benchmark.TRACKS[name] for name in ("lab-join_group", "lab-handcrafted")})
 
 
 @pytest.fixture(scope="module")
@@ -127,8 +132,8 @@ def test_results_are_ranked(ranked):
 @pytest.mark.parametrize(
     ("change", "text"),
     [
-        (lambda content: content["files"].pop(list(tracks.TRACKS)[1]), "files lack, or should not have, "),
-        (lambda content: content["tracks"].pop(list(tracks.TRACKS)[1]), "tracks lack, or should not have, "),
+        (lambda content: content["files"].pop(list(benchmark.TRACKS)[1]), "files lack, or should not have, "),
+        (lambda content: content["tracks"].pop(list(benchmark.TRACKS)[1]), "tracks lack, or should not have, "),
         (lambda content: content["files"].update({"../ranked": "0"}), r"should not have, \.\./ranked"),
         (lambda content: content["files"].update(moon=next(iter(content["files"].values()))), "should not have, moon"),
         (of("files", {}), "files lack"),
@@ -236,16 +241,18 @@ def test_episodes_that_cannot_be_are_refused(name, change, text):
     benchmark.check_columns(good, 50, 120.1)
     with pytest.raises(ValueError, match=text):
         benchmark.check_columns(good | {name: np.asarray(change(good[name]))}, 50, 120.1)
-    with pytest.raises(ValueError, match=f"not those of a track: {name}"):
+    with pytest.raises(ValueError, match=f"not the columns of a track: {name}"):
         benchmark.check_columns({each: values for each, values in good.items() if each != name}, 50, 120.1)
-    with pytest.raises(ValueError, match="not those of a track: more"):
+    with pytest.raises(ValueError, match="not the columns of a track: more"):
         benchmark.check_columns(good | {"more": good["seconds"]}, 50, 120.1)
 
 
 @pytest.mark.slow
 def test_a_benchmark(tmp_path, monkeypatch, capsys):
     """Written, continued, checked, ranked; and refused where somebody changed it."""
-    monkeypatch.setattr(tracks, "TRACKS", {name: tracks.TRACKS[name] for name in ("lab-join_group", "lab-handcrafted")})
+    monkeypatch.setattr(
+        benchmark, "TRACKS", {name: benchmark.TRACKS[name] for name in ("lab-join_group", "lab-handcrafted")}
+    )
     out = tmp_path / "result"
     words = ["benchmark", "go_to_goal", "--episodes", "6", "--out", str(out)]
     assert cli.main(words) == 0

@@ -43,8 +43,8 @@ def test_a_file_of_constants_is_forces(tmp_path):
     assert float(forces.repulsion.range) == pytest.approx(float(preset("helbing1995").repulsion.range))
     scenario = sean_jax.make("warehouse", people=4, dynamics="twin", forces=str(file))
     assert float(scenario.forces.repulsion.strength) == 3.5
-    seen = np.zeros((2, 2, 2)) + [[0.0, 0.0], [0.5, 0.0]]
-    np.testing.assert_allclose(predict(str(file), seen, STEP, 2), predict(forces, seen, STEP, 2), atol=1e-6)
+    observed = np.zeros((2, 2, 2)) + [[0.0, 0.0], [0.5, 0.0]]
+    np.testing.assert_allclose(predict(str(file), observed, STEP, 2), predict(forces, observed, STEP, 2), atol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -154,8 +154,8 @@ def people_who_meet(seed, people=4):
     angle = np.linspace(0.0, 2 * np.pi, people, endpoint=False) + random.normal(0.0, 0.3, people)
     velocity = -1.3 * np.stack([np.cos(angle), np.sin(angle)], -1)
     middle = -velocity * 6.5 * random.uniform(0.9, 1.1, (people, 1)) + random.normal(0.0, 0.4, (people, 2))
-    seen = middle + np.arange(2)[:, None, None] * STEP * velocity
-    return np.concatenate([seen, np.asarray(predict(forces, seen, STEP, 26))])
+    observed = middle + np.arange(2)[:, None, None] * STEP * velocity
+    return np.concatenate([observed, np.asarray(predict(forces, observed, STEP, 26))])
 
 
 @pytest.fixture(scope="module")
@@ -177,14 +177,14 @@ def test_corridors_are_windows_between_walls(tmp_path):
     prediction, corridors = windows.find(tmp_path)
     assert not prediction and list(corridors) == ["uo-180-180-090"]
     found = windows.corridor_scenes(corridors)
-    assert found.seen.shape[1] == 2 and found.after.shape[1] == windows.CORRIDOR_STEPS
+    assert found.observed.shape[1] == 2 and found.after.shape[1] == windows.CORRIDOR_STEPS
     assert (found.known[:, -1].sum(1) >= 2).all()
     np.testing.assert_allclose(np.linalg.norm(found.direction[found.known[:, -1]], axis=-1), 1.0, atol=1e-6)
     assert (found.direction[found.known[:, -1]][:, 1] < -0.9).all()
-    y = found.seen[:, -1, :, 1][found.known[:, -1]]
+    y = found.observed[:, -1, :, 1][found.known[:, -1]]
     assert (np.abs(y) < 4.0).all()
     np.testing.assert_allclose(found.reference, 0.0, atol=1e-3)  # they walk straight
-    moved = found.after[:, 0] - found.seen[:, -1]
+    moved = found.after[:, 0] - found.observed[:, -1]
     np.testing.assert_allclose(
         moved[found.counted[:, 0]], np.broadcast_to([0.0, -0.6], moved[found.counted[:, 0]].shape), atol=1e-3
     )
@@ -208,12 +208,12 @@ def test_known_constants_are_found_again():
     direction = np.stack([np.ones((8, 2)) * [1.0, -1.0], np.zeros((8, 2))], -1)  # windows, people, x and y
     begin = -direction * random.uniform(1.0, 2.0, (8, 1, 1)) + random.uniform(-0.3, 0.3, (8, 2, 2))
     speed = float(np.mean(HABITS.speed))  # where fits begin
-    seen = begin[:, None] + np.array([-STEP, 0.0])[:, None, None] * (direction * speed)[:, None]
+    observed = begin[:, None] + np.array([-STEP, 0.0])[:, None, None] * (direction * speed)[:, None]
     known = np.ones((8, 2, 2), bool)
     true = plain().tree_replace(TRUE)
-    after = np.asarray(predict(true, seen, STEP, 6, desired_velocity=direction * speed))
+    after = np.asarray(predict(true, observed, STEP, 6, desired_velocity=direction * speed))
     kind = windows.Scenes(
-        seen=seen, known=known, after=after, counted=np.ones((8, 6, 2), bool), scene=np.arange(8) % 2,
+        observed=observed, known=known, after=after, counted=np.ones((8, 6, 2), bool), scene=np.arange(8) % 2,
         direction=direction, others=None, walls=None, reference=np.ones((2, 2)), names=("north", "south"),
         time_step=STEP,
     )  # fmt: skip

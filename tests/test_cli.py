@@ -20,7 +20,6 @@ from rich.console import Console
 
 from sean_jax import assembly, bench, cache, cli, compiler, interrupts, learning
 from sean_jax import progress as progress_of
-from sean_jax.bench import cases, page
 
 SMALL = ["--people", "8", "--time-limit", "3", "--dynamics", "twin", "--quiet"]
 WRAPPED = ValueError("an interrupt, as code in C passes it on")
@@ -377,8 +376,8 @@ def test_a_full_disk_leaves_what_a_benchmark_measured(monkeypatch, capsys, tmp_p
         yield
 
     monkeypatch.setattr(bench, "_prepare", lambda options: (None, {}))
-    monkeypatch.setattr(page, "title", lambda about: "")
-    monkeypatch.setattr(cases, "CASES", dict.fromkeys(cases.CASES, measures))
+    monkeypatch.setattr(bench, "title", lambda about: "")
+    monkeypatch.setattr(bench, "CASES", dict.fromkeys(bench.CASES, measures))
     assert cli.main(["bench", "--out", str(tmp_path / "made")]) == 1
     said = f"the disk is full; what was measured until then is in {tmp_path / 'made'}."
     assert said in capsys.readouterr().err

@@ -12,7 +12,7 @@ from sean_jax.config import DaggerConfig
 from sean_jax.errors import InputError
 from sean_jax.learning import dagger, dataset
 from sean_jax.learning.dataset import open_dataset, split
-from sean_jax.learning.policy import NOISE_TIME, disturbed, label, labelled
+from sean_jax.learning.policy import NOISE_TIME, label, labelled
 
 SMALL = "--environment lab --behavior random --people 2 --dynamics twin --time-limit 3 --width 8 --height 8 --quiet"
 
@@ -47,7 +47,7 @@ def test_the_driver_drives_and_the_other_labels():
 def test_a_disturbed_driver_is_led_astray_and_its_own_command_is_the_label():
     scenario = sean_jax.make("lab", behavior="random", people=2, dynamics="twin", sensors=())
     helper = sean_jax.POLICIES["go_to_goal"]
-    noisy = disturbed(helper, 0.2)
+    noisy = labelled(helper, deviation=0.2)
 
     @jax.jit
     def commands(key):
@@ -65,7 +65,7 @@ def test_a_disturbed_driver_is_led_astray_and_its_own_command_is_the_label():
     np.testing.assert_allclose(noise.std((0, 1)), 0.2, rtol=0.15)
     alike = (noise[:, 1:] * noise[:, :-1]).mean((0, 1)) / noise.var((0, 1))
     np.testing.assert_allclose(alike, np.exp(-0.1 / NOISE_TIME), atol=0.06)
-    both = labelled(noisy, spin)
+    both = labelled(helper, spin, 0.2)
     state = jax.jit(lambda key: episodes.init_policy(scenario, both, sean_jax.reset(scenario, key)))(jax.random.key(2))
     after = jax.jit(lambda state: episodes.policy_step(scenario, both, state)[0])(state)
     np.testing.assert_allclose(label(after), [0.1, 0.5])

@@ -156,10 +156,10 @@ def test_graph_draws_an_arrow_for_the_one_way_edge_alone_and_names_the_nodes():
     assert {"west", "east", "talk"} <= {text.get_text() for text in axes.texts}
 
 
-def test_heat_map_has_row_zero_lowest():
-    seconds = np.zeros((10, 12))
-    seconds[0, 11] = 5.0
-    figure = drawing.heat_map(environment(), seconds)
+def test_maps_have_row_zero_lowest():
+    density = np.zeros((10, 12))
+    density[0, 11] = 5.0
+    figure = drawing.congestion_map(environment(), density)
     assert shade_at(figure, 5.5, -4.5) == colors.HEAT[-1]
     assert shade_at(figure, 5.5, 4.5) == colors.FLOOR
 

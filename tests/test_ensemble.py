@@ -68,9 +68,9 @@ def test_it_learns_as_a_training_by_itself_does(three, data, tmp_path):
 
 def test_what_cannot_stand_beside_one_another_is_refused(data, tmp_path):
     pair = [options(data, tmp_path / "a"), options(data, tmp_path / "b", width=16)]
-    with pytest.raises(InputError, match="width: 16 beside 8; networks side by side have the same"):
+    with pytest.raises(InputError, match="width: 16 and 8; networks in parallel have the same"):
         imitation.train_ensemble(pair)
-    with pytest.raises(InputError, match="pretrained: networks side by side begin from nothing"):
+    with pytest.raises(InputError, match="pretrained: networks trained in parallel have none"):
         imitation.train_ensemble([options(data, tmp_path / "a", pretrained=tmp_path)])
     assert not (tmp_path / "a").exists()
 

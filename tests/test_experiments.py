@@ -24,7 +24,8 @@ from sean_jax.metrics import METRICS
 from sean_jax.policies import POLICIES, go_to_goal
 from sean_jax.runner import Runner, even_batch
 from sean_jax.scenario import results
-from sean_jax.studies.experiments import ablation, chains, figure4, scheduler, shares, table1
+from sean_jax.studies import experiments
+from sean_jax.studies.experiments import figure4, shares, table1
 from sean_jax.studies.experiments.shares import BEHAVIORS
 from sean_jax.workspace import Workspace, identity
 
@@ -39,7 +40,7 @@ def test_entropy_is_that_of_the_papers_rows():
 
 def test_ways_of_counting():
     flags = np.zeros((2, 4, 5), bool)
-    flags[0, 0, :2] = True  # cross and down path scheduler
+    flags[0, 0, :2] = True  # cross and down path together
     flags[0, 1, 4] = flags[0, 2, 4] = flags[1, 0, 4] = True
     found = shares.count(flags)
     each = np.array([1, 1, 0, 0, 3])
@@ -95,7 +96,7 @@ def test_claims_of_figure_4():
     values = {p: {b: cell(waits[p], harms[b], 0.9) for b in BEHAVIORS} for p in waits}
     by = {p: {b: np.tile([1.0, 1.0, 0.2, 0.2, 0.1], (10, 1)) for b in BEHAVIORS} for p in waits}
     by["B"] = {b: np.full((10, 5), 0.1) for b in BEHAVIORS}
-    found = Results(tuple(waits), (1, 1, 10), values, by, {})
+    found = Results((1, 1, 10), values, {}, by)
     told = claims(found)
     assert all(each["holds"] and each["share"] == 1.0 for each in told)
     values["G"] = {b: cell(30.0, harms[b], 0.5) for b in BEHAVIORS}
@@ -109,11 +110,11 @@ def test_claims_of_figure_4():
     some = {name: each.copy() for name, each in values["G"]["graph"].items()}
     some["completed"], some["time_not_moving"] = np.repeat([1.0, 0.0], 5), np.repeat([2.0, 90.0], 5)
     values["G"] = {b: some for b in BEHAVIORS}
-    found = Results(tuple(waits), (1, 1, 10), values, by, {})
+    found = Results((1, 1, 10), values, {}, by)
     assert found.cells["G"]["graph"]["time_not_moving"].mean == pytest.approx(46.0)
     assert found.waiting["G"]["graph"].mean == pytest.approx(2.0), "of the completed alone"
     some["completed"][:] = 0.0
-    assert Results(tuple(waits), (1, 1, 10), values, by, {}).waiting["G"]["graph"].episodes == 0
+    assert Results((1, 1, 10), values, {}, by).waiting["G"]["graph"].episodes == 0
 
 
 def test_balanced_odds_make_situations_equally_frequent():
@@ -147,10 +148,8 @@ def test_balanced_odds_make_situations_equally_frequent():
     ],
 )
 def test_what_cannot_be_asked_is_refused(given, words, tmp_path):
-    from sean_jax.studies.experiments import table1
-
     with pytest.raises(InputError, match=words):
-        table1.run(validate(Table1Config, {"out": tmp_path / "out", **given}))
+        table1.run_table1(validate(Table1Config, {"out": tmp_path / "out", **given}))
     assert not list(tmp_path.iterdir())
 
 
@@ -182,12 +181,12 @@ def test_a_damaged_cell_is_named(tmp_path):
     options, unasked = Table1Config(quick=True, out=tmp_path), cast(Any, None)
     (tmp_path / "random-expert.npz").write_text("half of it")
     with pytest.raises(FileError, match="random-expert.npz: is damaged; remove it, and the same command"):
-        table1._cell(options, Workspace(tmp_path, {}), "random", "expert", None, unasked, unasked)
+        table1.cell(options, Workspace(tmp_path, {}), "random-expert", "random", "expert", unasked, unasked)
 
 
 def test_parts_wait_for_what_they_need_and_are_the_same_in_threads(monkeypatch):
     order, made, both = [], [], threading.Barrier(2, timeout=20)
-    shared = scheduler.cached(lambda name: made.append(name) or object())
+    shared = experiments.cached(lambda name: made.append(name) or object())
 
     def work(name: str, meet: bool, tell):
         if meet:
@@ -197,14 +196,14 @@ def test_parts_wait_for_what_they_need_and_are_the_same_in_threads(monkeypatch):
         return name, shared("place")
 
     def parts(meet: bool) -> list:
-        alone = [scheduler.Part(name, functools.partial(work, name, meet)) for name in "ab"]
-        return [*alone, scheduler.Part("c", functools.partial(work, "c", False), ("a", "b"))]
+        alone = [experiments.Part(name, functools.partial(work, name, meet)) for name in "ab"]
+        return [*alone, experiments.Part("c", functools.partial(work, "c", False), ("a", "b"))]
 
-    monkeypatch.setattr(scheduler, "workers", lambda: 3)
-    found = scheduler.run_parts(parts(True), None, "at work")
+    monkeypatch.setattr(experiments, "workers", lambda: 3)
+    found = experiments.run_parts(parts(True), None, "at work")
     assert order[2] == "c" and made == ["place"]
-    monkeypatch.setattr(scheduler, "workers", lambda: 1)
-    assert scheduler.run_parts(parts(False), None, "at work") == found and order[3:] == ["a", "b", "c"]
+    monkeypatch.setattr(experiments, "workers", lambda: 1)
+    assert experiments.run_parts(parts(False), None, "at work") == found and order[3:] == ["a", "b", "c"]
 
 
 @pytest.mark.parametrize("error", [FloatingPointError, KeyboardInterrupt])
@@ -217,7 +216,7 @@ def test_a_failure_stops_the_other_parts_and_is_raised(error, monkeypatch):
             for _ in range(2000):
                 time.sleep(0.01)
                 tell(0.1)
-        except scheduler.Stopped:
+        except experiments.Stopped:
             stopped.append(True)
             raise
 
@@ -225,28 +224,28 @@ def test_a_failure_stops_the_other_parts_and_is_raised(error, monkeypatch):
         began.wait(20)
         raise error("a robot is nowhere")
 
-    parts = [scheduler.Part("lasting", lasting), scheduler.Part("failing", failing)]
-    parts.append(scheduler.Part("after", never.append, ("failing",)))
-    monkeypatch.setattr(scheduler, "workers", lambda: 2)
+    parts = [experiments.Part("lasting", lasting), experiments.Part("failing", failing)]
+    parts.append(experiments.Part("after", never.append, ("failing",)))
+    monkeypatch.setattr(experiments, "workers", lambda: 2)
     with pytest.raises(error, match="nowhere"):
-        scheduler.run_parts(parts, None, "at work")
+        experiments.run_parts(parts, None, "at work")
     assert stopped == [True] and not never
 
 
 def test_several_devices_or_few_cores_work_one_by_one(monkeypatch):
-    monkeypatch.setattr(scheduler.os, "sched_getaffinity", lambda _: set(range(16)), raising=False)
-    monkeypatch.setattr(scheduler.os, "sysconf", {"SC_PHYS_PAGES": 64_000_000, "SC_PAGE_SIZE": 1000}.get)
-    assert scheduler.workers() == 8
+    monkeypatch.setattr(experiments.os, "sched_getaffinity", lambda _: set(range(16)), raising=False)
+    monkeypatch.setattr(experiments.os, "sysconf", {"SC_PHYS_PAGES": 64_000_000, "SC_PAGE_SIZE": 1000}.get)
+    assert experiments.workers() == 8
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
-    assert scheduler.workers() == 16
-    monkeypatch.setattr(scheduler.os, "sysconf", {"SC_PHYS_PAGES": 16_000_000, "SC_PAGE_SIZE": 1000}.get)
-    assert scheduler.workers() == 5
+    assert experiments.workers() == 16
+    monkeypatch.setattr(experiments.os, "sysconf", {"SC_PHYS_PAGES": 16_000_000, "SC_PAGE_SIZE": 1000}.get)
+    assert experiments.workers() == 5
     monkeypatch.setattr(jax, "default_backend", lambda: "cpu")
-    monkeypatch.setattr(scheduler.os, "sched_getaffinity", lambda _: {0, 1}, raising=False)
-    assert scheduler.workers() == 1
-    monkeypatch.setattr(scheduler.os, "sched_getaffinity", lambda _: set(range(16)), raising=False)
+    monkeypatch.setattr(experiments.os, "sched_getaffinity", lambda _: {0, 1}, raising=False)
+    assert experiments.workers() == 1
+    monkeypatch.setattr(experiments.os, "sched_getaffinity", lambda _: set(range(16)), raising=False)
     monkeypatch.setattr(jax, "devices", lambda: ["one", "another"])
-    assert scheduler.workers() == 1
+    assert experiments.workers() == 1
 
 
 @pytest.mark.slow
@@ -279,7 +278,7 @@ def test_numbered_episodes_are_those_of_their_streams(monkeypatch):
 def test_chains_restart_from_their_own_stream():
     asked = CollectConfig(behavior="handcrafted", environment="lab", dynamics="twin", time_limit=20.0)
     kinds = list(streams(asked).values())
-    there = chains.Streams(kinds, 3, 3)
+    there = table1.Streams(kinds, 3, 3)
     pools = there.starts()
     assert there.starts() is pools
     for index, kind in enumerate(kinds):  # as each stream alone would draw them
@@ -307,7 +306,7 @@ def test_further_situations_are_noted_beside_the_scenarios_own():
     further = tuple(kinds[0].situations[::2])
 
     def minutes(*more):
-        return chains.Chains(as_policy(go_to_goal), *more).minutes(chains.Streams(kinds, 0, 4), 2, 1, lambda _: None)
+        return table1.simulate_chains(as_policy(go_to_goal), table1.Streams(kinds, 0, 4), 2, 1, lambda _: None, *more)
 
     alone, ended = minutes()
     both, again = minutes(further)
@@ -324,7 +323,7 @@ SMALL = ["--environment", "lab", "--quick", "--people", "4", "--dynamics", "twin
 @pytest.mark.slow
 def test_table1(tmp_path, monkeypatch):
     """With three parts at once, and what is missing one by one, to the same bytes."""
-    monkeypatch.setattr(scheduler, "workers", lambda: 3)
+    monkeypatch.setattr(experiments, "workers", lambda: 3)
     out = tmp_path / "table1"
     given = [*SMALL, "--hours", "0.0167", "--seeds", "1", "--policies", "go_to_goal", "--out", str(out)]
     assert cli.main(["experiment", "table1", *given]) == 0
@@ -357,7 +356,7 @@ def test_table1(tmp_path, monkeypatch):
     with np.load(old) as cell:
         kept = {name: cell[name] for name in ("flags", "people", "ended")}
     np.savez_compressed(old, **kept)
-    monkeypatch.setattr(scheduler, "workers", lambda: 1)
+    monkeypatch.setattr(experiments, "workers", lambda: 1)
     assert cli.main(["experiment", "table1", *given]) == 0
     after = {path.name: path.read_bytes() for path in out.iterdir() if path.suffix == ".csv"}
     assert all(before[name] == content for name, content in after.items())
@@ -366,7 +365,7 @@ def test_table1(tmp_path, monkeypatch):
 @pytest.mark.slow
 def test_figure4(tmp_path, monkeypatch):
     """With four parts at once, and some of it anew one by one, to the same bytes."""
-    monkeypatch.setattr(scheduler, "workers", lambda: 4)
+    monkeypatch.setattr(experiments, "workers", lambda: 4)
     out = tmp_path / "figure4"
     given = [*SMALL, "--hours", "0.0167", "--episodes", "5", "--epochs", "2", "--demonstrator", "go_to_goal"]
     given += ["--trainings", "2", "--baselines", "still"]
@@ -386,7 +385,7 @@ def test_figure4(tmp_path, monkeypatch):
         (out / missing).unlink()
     for missing in ("demonstrations-random", "policy-random-0-1"):
         shutil.rmtree(out / missing)
-    monkeypatch.setattr(scheduler, "workers", lambda: 1)
+    monkeypatch.setattr(experiments, "workers", lambda: 1)
     assert cli.main(["experiment", "figure4", *given, "--out", str(out)]) == 0
     assert all((out / name).read_bytes() == content for name, content in before.items())
 
@@ -394,12 +393,12 @@ def test_figure4(tmp_path, monkeypatch):
 def test_worlds_of_the_ablation_differ_in_one_switch_each():
     options = AblationConfig(environment="lab", quick=True)
     described = {
-        world: {behavior: ablation.description(options, world, behavior).identity() for behavior in BEHAVIORS}
-        for world in ablation.WORLDS
+        world: {behavior: table1.world_description(options, world, behavior).identity() for behavior in BEHAVIORS}
+        for world in table1.WORLDS
     }
     default, whole = described["default"], described["sean2"]
     assert default["graph"]["dynamics"] == "mjx" and whole["graph"]["dynamics"] == "kinematic"
-    for world in ablation.SWITCHES:
+    for world in table1.SWITCHES:
         for behavior in BEHAVIORS:
             one, usual, all_of_them = described[world][behavior], default[behavior], whole[behavior]
             changed = [name for name in one if one[name] != usual[name]]
@@ -408,11 +407,11 @@ def test_worlds_of_the_ablation_differ_in_one_switch_each():
                 ["behavior"] if within_people and behavior == "graph" else [] if within_people else [world]
             )
             assert within_people or one[world] == all_of_them[world]
-            assert ablation.simulated(options, world, behavior) == (world if changed else "default")
+            assert table1.simulated_world(options, world, behavior) == (world if changed else "default")
     assert CollectConfig(preset="sean2", behavior="graph", environment="lab", dynamics="mjx").identity() == {
         **whole["graph"], "dynamics": "mjx"
     }  # fmt: skip
-    assert ablation.description(options.replace(dynamics="twin"), "sean2", "graph").dynamics == "twin"
+    assert table1.world_description(options.replace(dynamics="twin"), "sean2", "graph").dynamics == "twin"
 
 
 def test_further_drivers_of_figure_4():
@@ -427,7 +426,7 @@ def test_further_drivers_of_figure_4():
 def test_the_preset_reaches_both_experiments():
     table = Table1Config(environment="lab", preset="sean2")
     assert table.speeds[0] == 0.4 and Table1Config(preset="sean2", speeds=[1.0]).speeds == (1.0,)
-    figure = CollectConfig(**figure4.description(Figure4Config(environment="lab", preset="sean2"), "graph"))
+    figure = table1.description(Figure4Config(environment="lab", preset="sean2"), "graph", None)
     for asked in (table1.description(table, "graph", None), figure):
         assert (asked.behavior.routing, asked.dynamics, asked.warm_up) == ("edge", "kinematic", 120.0)
     with pytest.raises(InputError, match="'preset' is not a known key"):
@@ -436,7 +435,7 @@ def test_the_preset_reaches_both_experiments():
 
 @pytest.mark.slow
 def test_ablation(tmp_path, monkeypatch):
-    monkeypatch.setattr(ablation, "WORLDS", ("default", "goal_sampling", "sean2"))
+    monkeypatch.setattr(table1, "WORLDS", ("default", "goal_sampling", "sean2"))
     out = tmp_path / "ablation"
     given = [
         "--environment",

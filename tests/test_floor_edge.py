@@ -13,7 +13,7 @@ from sean_jax import environment as environments
 from sean_jax import sensors, social_forces
 from sean_jax.base import Pedestrians
 from sean_jax.behaviors.starts import anywhere
-from sean_jax.evaluation import accumulate
+from sean_jax.evaluation import batches
 from sean_jax.geometry import from_box, to_edge
 from sean_jax.policies import POLICIES
 from sean_jax.policies.expert import obstacle_rate
@@ -132,8 +132,8 @@ def test_the_check_measures_the_edge(scenarios):
         states = jax.tree.map(lambda leaf: jnp.zeros((1, *leaf.shape), leaf.dtype), shapes)
         people = dataclasses.replace(states.pedestrians, position=spots, present=jnp.ones((1, 3), bool))
         states, actions = dataclasses.replace(states, pedestrians=people), jnp.zeros((1, 1, 2))
-        empty = accumulate._init((4, 4), three, states)
-        found, _ = accumulate._update(1, three, states, states, actions, jnp.ones(1, bool), empty)
+        empty = batches._init((4, 4), three, states)
+        found, _ = batches._update(1, three, states, states, actions, jnp.ones(1, bool), empty)
         found = found.penetration
         assert (found < wanted) if scenario.environment.open else (abs(found - wanted) < 1e-5)
 

@@ -13,7 +13,8 @@ from sean_jax.config import Figure4Config, LearningCurveConfig
 from sean_jax.errors import InputError
 from sean_jax.learning.dataset import open_dataset
 from sean_jax.learning.policy import check_policy
-from sean_jax.studies.experiments import figure4, learning_curve, measures, scheduler
+from sean_jax.studies import experiments
+from sean_jax.studies.experiments import figure4, measures
 from sean_jax.studies.experiments.measures import Curve, Variant, comparisons
 from sean_jax.studies.experiments.shares import BEHAVIORS
 from sean_jax.workspace import Workspace
@@ -23,22 +24,22 @@ WORK = Workspace(ASKED.folder, {})
 
 
 def test_what_is_compared():
-    asked = learning_curve.variants(ASKED)
+    asked = figure4.variants(ASKED)
     assert [each.name for each in asked] == ["1h", "10h", "100h", "1h-10hz", "1h-flags"]
     pairs = [(one.name, other.name) for one, other in comparisons(asked)]
     assert pairs == [("10h", "1h"), ("100h", "10h"), ("1h-10hz", "1h"), ("1h-10hz", "10h"), ("1h-flags", "1h")]
     others = ASKED.replace(demonstration_hours=(3.0, 0.5, 3.0), rates=(1, 2, 5))
     names = ["0.5h", "3h", "3h-2hz", "3h-5hz", "3h-flags"]
-    assert [each.name for each in learning_curve.variants(others)] == names
+    assert [each.name for each in figure4.variants(others)] == names
     assert [each.title for each in asked][-2:] == ["1 h at 10 Hz", "1 h with flags"]
 
 
 def test_the_first_variant_is_column_g_of_figure_4():
     """The same demonstrations and the same network, but for names of folders."""
     paper = figure4.learner(Figure4Config(out=ASKED.folder), WORK, "G")
-    taught = {each.name: learning_curve.learner(ASKED, WORK, each) for each in learning_curve.variants(ASKED)}
+    taught = {each.name: figure4.variant_learner(ASKED, WORK, each) for each in figure4.variants(ASKED)}
     one = taught["1h"]
-    assert one.datasets == 3 and len(one.networks) == 3
+    assert one.experiment.datasets == 3 and len(one.networks) == 3
     assert one.data.identity() == paper.data.identity() and (one.data.hours, paper.data.hours) == (3.0, 10.0)
     ours, theirs = one.training((1, 0)), paper.training((1, 0))
     assert (ours.part, theirs.part) == ((2, 3), (2, 10)), "an hour each"
@@ -52,8 +53,8 @@ def test_the_first_variant_is_column_g_of_figure_4():
 
 
 def test_the_optimizer_makes_no_more_steps_than_asked_for():
-    for variant, updates in itertools.product(learning_curve.variants(ASKED), (1, 500, 20_000)):
-        training = learning_curve.learner(ASKED.replace(updates=updates), WORK, variant).training((0, 0))
+    for variant, updates in itertools.product(figure4.variants(ASKED), (1, 500, 20_000)):
+        training = figure4.variant_learner(ASKED.replace(updates=updates), WORK, variant).training((0, 0))
         steps = int(np.ceil(0.9 * 3600 * variant.hours * variant.rate / 1024))
         assert training.epochs == max(1, min(1000, updates // steps))
     assert training.epochs == 1000, "an hour stops by itself"
@@ -74,7 +75,7 @@ def test_verdicts_are_those_of_known_episodes():
         "10h": {b: cell(50 * base + k, base - 1.0, base + 0.5) for k, b in enumerate(BEHAVIORS, 1)},
         "1h-flags": {b: cell(50 * base, mixed, base) for b in BEHAVIORS},
     }
-    curve = Curve(asked, (2, 1, 4), values, {})
+    curve = Curve((2, 1, 4), values, {}, asked)
     told = {(row["variant"], row["measure"]): row for row in curve.verdicts}
     assert len(told) == len(curve.verdicts) == 6
     more = [told["10 h", measure] for measure in ("completed", "time_not_moving", "violations")]
@@ -98,9 +99,9 @@ def test_options_of_the_curve_are_its_own(tmp_path):
         1,
     )
     with pytest.raises(InputError, match="rate: 3 examples a second do not divide its 10 steps"):
-        learning_curve.run(LearningCurveConfig(rates=(3,), out=tmp_path / "out"))
+        figure4.run_learning_curve(LearningCurveConfig(rates=(3,), out=tmp_path / "out"))
     preset = LearningCurveConfig(preset="sean2")
-    assert learning_curve.collection(preset, Variant(1.0, 10)).dynamics == "kinematic"
+    assert figure4.variant_collection(preset, Variant(1.0, 10)).dynamics == "kinematic"
     assert not list(tmp_path.iterdir())
 
 
@@ -110,7 +111,7 @@ SMALL = ["--environment", "lab", "--people", "4", "--dynamics", "twin", "--quiet
 @pytest.mark.slow
 def test_learning_curve(tmp_path, monkeypatch):
     """With three parts at once, and what is missing one by one, to the same bytes."""
-    monkeypatch.setattr(scheduler, "workers", lambda: 3)
+    monkeypatch.setattr(experiments, "workers", lambda: 3)
     out = tmp_path / "curve"
     given = [
         *SMALL,
@@ -146,7 +147,7 @@ def test_learning_curve(tmp_path, monkeypatch):
         (out / missing).unlink()
     for missing in ("demonstrations-0.04h", "policy-0.04h-0-1"):
         shutil.rmtree(out / missing)
-    monkeypatch.setattr(scheduler, "workers", lambda: 1)
+    monkeypatch.setattr(experiments, "workers", lambda: 1)
     assert cli.main(["experiment", "learning_curve", *given]) == 0
     assert {path.name: path.read_bytes() for path in out.glob("*.csv")} == before
 

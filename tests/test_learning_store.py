@@ -185,11 +185,11 @@ def test_a_full_disk_leaves_what_was_committed(data, monkeypatch):
 
     with monkeypatch.context() as patched:
         patched.setattr(dataset, "_open_array", full)
-        with pytest.raises(IncompleteError, match="the disk is full; what was committed before is as it was"):
+        with pytest.raises(IncompleteError, match="the disk is full; committed shards are unchanged"):
             data.commit(0, learning_data.batches()[0])
     with monkeypatch.context() as patched:
         patched.setattr(writing.os, "replace", full)
-        with pytest.raises(IncompleteError, match="the disk is full; what was committed before is as it was"):
+        with pytest.raises(IncompleteError, match="the disk is full; committed shards are unchanged"):
             data.save({**data.manifest, "hours": 2.0})
     again = open_dataset(data.folder)
     assert again.manifest == data.manifest and {name: files(data.folder)[name] for name in whole} == whole
@@ -280,7 +280,7 @@ def test_rates_are_not_mixed(fine, made, data):
     from sean_jax.config import ImitationConfig
     from sean_jax.learning import imitation
 
-    with pytest.raises(InputError, match="10 examples a second, and .* 1; collect with the same --rate"):
+    with pytest.raises(InputError, match="10 examples per second, and .* 1; collect with the same --rate"):
         open_datasets([made.folder, fine.folder])
     pair = [ImitationConfig(method="imitation", dataset=one.folder, out=one.folder / "no") for one in (made, fine)]
     with pytest.raises(InputError, match="the datasets have different rates"):

@@ -52,7 +52,11 @@ def trained(data, tmp_path_factory):
     return imitation.train(options(data, folder)), folder
 
 
-begin = jax.jit(imitation.init_state, static_argnums=(0, 1, 2))
+@functools.partial(jax.jit, static_argnums=(0, 1, 2))
+def begin(network, situations, chosen, commands):
+    """The state before the first epoch."""
+    scale = imitation.command_scale(commands)
+    return imitation.init_state(network, situations, chosen, chosen.seed, scale)
 
 
 @functools.partial(jax.jit, static_argnums=0)

@@ -16,12 +16,12 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
+from replay_columns import decode
 
 import sean_jax
 from sean_jax import cli
 from sean_jax.policies import go_to_goal
 from sean_jax.replay import live
-from sean_jax.replay.encoding import decode
 from sean_jax.trajectories import load_trajectory
 
 WEB = Path(__file__).parent.parent / "web"

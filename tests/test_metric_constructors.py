@@ -13,7 +13,7 @@ from test_metrics import SITUATIONS, STEP, at
 from test_report import evaluation, page
 
 from sean_jax import metrics
-from sean_jax.evaluation import results
+from sean_jax.evaluation import results, table
 from sean_jax.metrics import Metric, as_metric
 
 X = [0.0, 1.0, 3.0, 2.0, 2.0, -1.0, 4.0, 0.5]  # m, of the robot at ticks 0, 1, ...
@@ -148,14 +148,14 @@ def test_a_metric_and_a_situation_of_a_user_are_in_table_csv_and_report(tmp_path
     given.metrics |= {"near_misses": np.floor(values), "time_right": values, "share_right": values, "mean_x": values}
     given.definitions |= own
     summary = results.aggregate_episodes(given)
-    rows = {row.name: row for row in results.table_rows(summary, given.definitions, complete=True)}
+    rows = {row.name: row for row in table.table_rows(summary, given.definitions, complete=True)}
     assert list(rows)[-4:] == list(own), "rows stand in the scenario's order"
     assert (rows["near_misses"].title, rows["near_misses"].definition) == ("near misses", "Times that it was close.")
     assert rows["share_right"].unit == "%" and rows["mean_x"].unit == "m/s²" and rows["time_right"].unit == "s"
     assert rows["share_right"].cells[0] == f"{100 * values[:, 0].mean():.1f}"
     assert rows["mean_x"].cells[5] == f"{values[:, 5].mean():.3f}"
     console = Console(width=120, file=io.StringIO())
-    results.print_table(console, summary, given.definitions, "runs", 0.25)
+    table.print_table(console, summary, given.definitions, "runs", 0.25)
     text = console.file.getvalue()  # pyright: ignore[reportAttributeAccessIssue]
     assert all(words in text for words in ("near misses", "time right s", "mean <x> m/s²", "own"))
     assert "share right" not in text, "it is no headline"
@@ -176,5 +176,5 @@ def test_without_the_time_in_situations_figures_that_depend_on_it_are_left_out()
     for name in ("completed", "path_efficiency"):
         assert summary["metrics"][name] == {"overall": full["metrics"][name]["overall"]}
     assert summary["metrics"]["intimate_robot_on_person"] == full["metrics"]["intimate_robot_on_person"]
-    rows = results.table_rows(summary, given.definitions, complete=True)
+    rows = table.table_rows(summary, given.definitions, complete=True)
     assert rows[0].cells == ["100.0", "", "", "", "", ""] and rows[1].cells[1:] == [""] * 5

@@ -326,7 +326,7 @@ def test_a_mistake_is_told_before_anything_is_made(case, compiled, capsys, monke
 def test_a_message_comes_out_as_it_is(text, width, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", str(width))
     assert cli._fail(text, 2) == 2
-    cli._say(Console(), "report: ", text)
+    cli._print(Console(), "report: ", text)
     shown = capsys.readouterr()
     assert shown.err == f"sean: {text}\n" and shown.out == f"report: {text}\n"
 
@@ -383,9 +383,9 @@ def test_names_of_other_projects_lead_to_an_option():
     for words, model in COMMANDS.items():
         word = words.split()[0]
         known = [field.name for field in dataclasses.fields(flags.parser(model))]
-        for option in set(known) & set(config.ALIASES):
+        for option in set(known) & set(config.aliases()):
             used.add(option)
-            for other in set(config.ALIASES[option].split()) - set(known):
+            for other in set(config.aliases()[option]) - set(known):
                 with pytest.raises(
                     InputError, match=rf"^{flags.flag(other)}: there is no such option; did you mean '--"
                 ):
@@ -393,7 +393,7 @@ def test_names_of_other_projects_lead_to_an_option():
                 if option in model.model_fields and not any(f.is_required() for f in model.model_fields.values()):
                     with pytest.raises(InputError, match=f"'{other}' is not a known key; did you mean '"):
                         model(**{other: 3})
-    assert used == set(config.ALIASES)
+    assert used == set(config.aliases())
 
 
 def test_former_names_of_options_are_refused_and_read_in_saved_ones():

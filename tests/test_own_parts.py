@@ -321,7 +321,7 @@ f = [*sean_jax.preset("helbing1995"), Law()]
     for number in ("1.0", "2.0"):
         (place / "my.py").write_text(law.replace("NUMBER", number))
         (model,) = checks.models_of("my.py:f")
-        laws.add(json.dumps(checks._made_with(model, ValidateConfig())))
+        laws.add(json.dumps(checks._provenance(model, ValidateConfig())))
     assert len(laws) == 2
 
 

@@ -9,7 +9,7 @@ import pytest
 
 import sean_jax
 from sean_jax.policies import go_to_goal
-from sean_jax.recordings import READERS, motion_between_rows, reading
+from sean_jax.recordings import motion_between_rows, reading
 
 FILES = {  # path, format, frames a second
     "eth": ("eth_ucy/eth.csv", None, 15.0),
@@ -68,7 +68,7 @@ def test_people_walk_as_fast_in_playback_as_in_the_reader(recordings, path, kind
     """Both know the clock of the format: ETH's 15 frames a second were played at 25, and people walked 2.4 m/s."""
     played = reading.read(recordings / path, kind, time_step=STEP)
     speed = np.linalg.norm(motion_between_rows(played)[0], axis=-1)[np.asarray(played.present)].mean()
-    read = READERS[reader](recordings / path)
+    read = reading.read(recordings / path, reader)
     steps = np.linalg.norm(np.diff(read.position, axis=0), axis=-1) / read.time_step
     both = np.asarray(read.present[1:] & read.present[:-1])
     assert 1.0 < speed < 1.6

@@ -458,7 +458,7 @@ def test_what_the_critic_alone_sees_never_reaches_the_actor(several):
         (["--sweep", "rewards.time=inf"], "sweep: rewards.time=inf must be numbers"),
         (["--sweep", "rewards.tine=1"], "rewards: 'tine' is not one of progress"),
         (["--critic", "depth"], "critic: depth is an image"),
-        (["--critic", "goal"], "critic: goal is what the actor sees already"),
+        (["--critic", "goal"], "critic: goal is already an observation of the actor"),
     ],
 )
 def test_bad_agents(words, message, capsys, tmp_path, monkeypatch):

@@ -51,8 +51,8 @@ def test_a_model_of_ones_own_and_terms_of_ones_own_are_taken():
 
 
 def test_who_is_not_seen_at_the_last_moment_stays_unknown_and_moves_nobody():
-    seen = np.concatenate([HEAD_ON, HEAD_ON[:, :1] + [[2.0, 0.1]]], 1)
-    hidden = seen.copy()
+    observed = np.concatenate([HEAD_ON, HEAD_ON[:, :1] + [[2.0, 0.1]]], 1)
+    hidden = observed.copy()
     hidden[-1, 2] = np.nan
     found = np.asarray(predict("helbing1995", hidden, STEP, 12))
     assert np.isnan(found[:, 2]).all()
@@ -73,18 +73,18 @@ def test_batches_are_scenes_of_their_own_and_padding_changes_nothing():
 
 
 def test_the_desired_velocity_is_the_weighted_mean_of_the_steps_that_were_seen():
-    seen = np.cumsum(rng.normal(size=(6, 3, 2)), axis=0)
+    observed = np.cumsum(rng.normal(size=(6, 3, 2)), axis=0)
     present = np.ones((6, 3), bool)
     present[3, 1] = False  # neither the step to it nor that from it is known
     present[:-1, 2] = False
     weights = (0.5, 0.3, 0.2)
-    people = observed_people(seen, present, STEP, weights)
-    steps = np.diff(seen, axis=0) / STEP
+    people = observed_people(observed, present, STEP, weights)
+    steps = np.diff(observed, axis=0) / STEP
     np.testing.assert_allclose(people.velocity[0], 0.5 * steps[4, 0] + 0.3 * steps[3, 0] + 0.2 * steps[2, 0], atol=1e-4)
     np.testing.assert_allclose(people.velocity[1], steps[4, 1], atol=1e-4)
     np.testing.assert_allclose(people.velocity[2], 0.0)
     assert people.present.tolist() == [True, True, True]
-    slow = observed_people(seen * 0.001, present, STEP, least_speed=0.5)
+    slow = observed_people(observed * 0.001, present, STEP, least_speed=0.5)
     np.testing.assert_allclose(slow.preferred_speed, 0.5)
 
 
@@ -93,11 +93,11 @@ def test_walls_hold_predicted_people():
         center=jnp.asarray([[4.0, 0.0]]), half_extent=jnp.asarray([[0.2, 3.0]]),
         yaw=jnp.zeros(1), height=jnp.full(1, 2.0),
     )  # fmt: skip
-    seen = straight([[1.3, 0.0]], [[0.0, 0.3]])
-    through = np.asarray(predict("helbing1995", seen, STEP, 12))
-    held = np.asarray(predict("helbing1995", seen, STEP, 12, walls=wall))
+    observed = straight([[1.3, 0.0]], [[0.0, 0.3]])
+    through = np.asarray(predict("helbing1995", observed, STEP, 12))
+    held = np.asarray(predict("helbing1995", observed, STEP, 12, walls=wall))
     assert through[-1, 0, 0] > 5.0 and held[..., 0].max() < 3.8
-    held = np.asarray(predict("constant_velocity", seen, STEP, 12, walls=wall))
+    held = np.asarray(predict("constant_velocity", observed, STEP, 12, walls=wall))
     assert held[..., 0].max() < 3.61
 
 
@@ -183,15 +183,15 @@ def test_known_figures_of_constant_velocity(recordings):
 
 
 def test_others_walk_as_recorded_and_are_given_way_to():
-    seen = straight([[1.3, 0.0]], [[0.0, 0.0]])
-    path = np.arange(13)[:, None, None] * STEP * np.array([-1.0, 0.0]) + seen[-1, 0] + [4.0, 0.1]
+    observed = straight([[1.3, 0.0]], [[0.0, 0.0]])
+    path = np.arange(13)[:, None, None] * STEP * np.array([-1.0, 0.0]) + observed[-1, 0] + [4.0, 0.1]
     path[:3] = np.nan  # they come later
-    free = np.asarray(predict("helbing1995", seen, STEP, 12))
-    found = np.asarray(predict("helbing1995", seen, STEP, 12, others=path))
+    free = np.asarray(predict("helbing1995", observed, STEP, 12))
+    found = np.asarray(predict("helbing1995", observed, STEP, 12, others=path))
     assert found.shape == (12, 1, 2) and np.abs(found - free)[..., 1].max() > 0.1
     near = lambda tracks: np.linalg.norm(tracks[3:, 0] - path[4:, 0], axis=-1).min()  # noqa: E731
     assert near(free) < 0.4 < near(found)
-    batch = predict("helbing1995", np.stack([seen, seen]), STEP, 12, others=np.stack([path, path * np.nan]))
+    batch = predict("helbing1995", np.stack([observed, observed]), STEP, 12, others=np.stack([path, path * np.nan]))
     np.testing.assert_allclose(batch[:, :, 0], np.stack([found[:, 0], free[:, 0]]), atol=1e-4)
 
 
@@ -203,9 +203,9 @@ def test_a_desired_velocity_that_is_known_is_taken_up():
 
 def test_people_who_are_settled_go_on_as_they_were_seen():
     """One who follows another closely falls back, unless the headway is taken to be why he is not faster."""
-    seen = straight([[1.2, 0.0], [1.2, 0.0]], [[0.0, 0.0], [1.3, 0.0]])  # farther apart than companions
+    observed = straight([[1.2, 0.0], [1.2, 0.0]], [[0.0, 0.0], [1.3, 0.0]])  # farther apart than companions
     gaps = [
-        float(np.diff(predict("helbing1995", seen, STEP, 12, settled=share)[-1], axis=0)[0, 0])
+        float(np.diff(predict("helbing1995", observed, STEP, 12, settled=share)[-1], axis=0)[0, 0])
         for share in (0.0, 0.5, 1.0)
     ]
     assert gaps[0] > gaps[1] > gaps[2], gaps
@@ -218,13 +218,13 @@ def test_walking_companions_are_those_who_stay_near_and_walk_alike():
     time = np.arange(8)[:, None] * STEP
     starts = np.array([[0.0, 0.0], [0.0, 0.8], [0.0, 1.6], [-3.0, 0.0], [6.0, 0.4], [0.5, 5.0], [0.7, 5.3]])
     speeds = np.array([1.2, 1.25, 1.2, 1.2, -1.2, 0.0, 0.0])
-    seen = starts[None] + np.stack([time * speeds, 0.0 * time * speeds], -1)
-    label, companions = forecast.walking_companions(jnp.asarray(seen), jnp.ones(seen.shape[:2], bool), STEP)
+    observed = starts[None] + np.stack([time * speeds, 0.0 * time * speeds], -1)
+    label, companions = forecast.walking_companions(jnp.asarray(observed), jnp.ones(observed.shape[:2], bool), STEP)
     np.testing.assert_array_equal(label, [0, 0, 0, -1, -1, -1, -1])
     np.testing.assert_array_equal(companions[:3], [[1, 2], [0, 2], [0, 1]])
     np.testing.assert_array_equal(companions[3:], -1)
-    hidden = jnp.ones(seen.shape[:2], bool).at[2:, 2].set(False)
-    assert forecast.walking_companions(jnp.asarray(seen), hidden, STEP)[0].tolist() == [0, 0, -1, -1, -1, -1, -1]
+    hidden = jnp.ones(observed.shape[:2], bool).at[2:, 2].set(False)
+    assert forecast.walking_companions(jnp.asarray(observed), hidden, STEP)[0].tolist() == [0, 0, -1, -1, -1, -1, -1]
 
 
 def test_companions_are_not_pushed_apart():

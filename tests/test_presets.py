@@ -17,6 +17,7 @@ import sean_jax
 from sean_jax import classifiers, cli, flags, robots, social_forces
 from sean_jax.assembly import build
 from sean_jax.config import (
+    PRESETS,
     CollectConfig,
     GraphBehavior,
     Named,
@@ -26,7 +27,6 @@ from sean_jax.config import (
     ScenarioConfig,
     validate,
 )
-from sean_jax.presets import PRESETS
 
 OTHER = {  # a value of each option that is neither the preset's nor the default
     "routing": "whole", "group_membership": "turnover", "forces": "johansson2007", "situations": "more",

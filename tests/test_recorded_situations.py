@@ -188,11 +188,11 @@ def test_recordings_alone(tmp_path):
 def test_what_cannot_be_read_is_refused_before_anything_is_written(tmp_path):
     options = Table1Config(policies="none", recordings=str(tmp_path / "none.csv"), out=tmp_path / "o")
     with pytest.raises(FileError, match=r"none.csv.*no such file"):
-        table1.run(options)
+        table1.run_table1(options)
     with pytest.raises(ValueError, match="does not tell how many frames a second"):
-        table1.run(options.replace(recordings=str(recording(tmp_path / "walk.csv"))))
+        table1.run_table1(options.replace(recordings=str(recording(tmp_path / "walk.csv"))))
     with pytest.raises(ValueError, match="--policies: 'none' is not one of"):
-        table1.run(options.replace(recordings=None))
+        table1.run_table1(options.replace(recordings=None))
     assert not (tmp_path / "o").exists()
 
 

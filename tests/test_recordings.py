@@ -21,7 +21,7 @@ def write(path, text):
 def test_columns_frames_and_people(tmp_path):
     """Rows are two frames apart, as most lines of a person are; a missing one is a gap; order is of no matter."""
     file = write(tmp_path / "a.csv", "frame,id,x,y\n14,7,3,0\n10,7,1,0.5\n12,7,2,0\n\n18,7,5,0\n12,3,-1,4\n")
-    tracks = recordings.read_csv(file, seconds=0.5)
+    tracks = recordings.read(file, frame_rate=2.0)
     assert tracks.time_step == 1.0 and tracks.person.max(0).tolist() == [3, 7]
     assert tracks.person.tolist() == [[-1, 7], [3, 7], [-1, 7], [-1, -1], [-1, 7]]
     assert tracks.frame.tolist() == [10, 12, 14, 16, 18]
@@ -35,12 +35,12 @@ def test_formats_have_their_clocks(tmp_path):
     walk = write(
         tmp_path / "walk.csv", "frame,ped_id,x_m,y_m,vx_mps,vy_mps\n6,1,0,0,1.2,0\n12,1,0.5,0,1.2,0\n15,2,1,1,9,9\n"
     )
-    tracks = recordings.read_eth_ucy(walk)
+    tracks = recordings.read(walk, "eth_ucy")
     assert tracks.time_step == pytest.approx(0.4) and tracks.present.tolist() == [[True, False], [True, False],
                                                                                  [False, True]]  # fmt: skip
-    assert recordings.read_juelich(walk).time_step == pytest.approx(6 / 16)
+    assert recordings.read(walk, "juelich").time_step == pytest.approx(6 / 16)
     text = "frame,timestamp,ped_id,x_m,y_m,theta_rad,group_id\n0,9,5,1,2,1.5707963,4\n0,9,6,1,3,0,-1\n0,9,8,1,4,0,4\n"
-    talk = recordings.read_groups(write(tmp_path / "talk.csv", text), seconds=5.0)
+    talk = recordings.read(write(tmp_path / "talk.csv", text), "groups", frame_rate=0.2)
     assert talk.group.tolist() == [[0, -1, 0]] and talk.time_step == 5.0
     np.testing.assert_allclose(talk.facing[0], [[0, 1], [1, 0], [1, 0]], atol=1e-6)
 
@@ -58,14 +58,12 @@ def test_formats_have_their_clocks(tmp_path):
 )
 def test_bad_files_are_refused_in_a_sentence(tmp_path, text, words):
     with pytest.raises(FileError, match=words):
-        recordings.read_csv(write(tmp_path / "bad.csv", text))
+        recordings.read(write(tmp_path / "bad.csv", text), "csv", 1.0)
 
 
-def test_missing_files_and_columns_are_named(tmp_path):
+def test_missing_files_are_named(tmp_path):
     with pytest.raises(FileError, match="no such file"):
-        recordings.read_csv(tmp_path / "none.csv")
-    with pytest.raises(FileError, match="theta_rad"):
-        recordings.read_groups(write(tmp_path / "a.csv", "frame,id,x,y\n1,1,0,0\n"))
+        recordings.read(tmp_path / "none.csv")
 
 
 def noisy_tracks(seed=0, times=30, people=5):
@@ -130,19 +128,13 @@ def test_headings_hold_while_one_stands():
     np.testing.assert_array_equal(found[:, 1], [[1, 0]] * 5)
 
 
-def test_windowed_mean_leaves_the_absent_out():
-    values = jnp.array([[[1.0, 0.0]], [[50.0, 0.0]], [[3.0, 6.0]]], jnp.float32)
-    found = recordings.windowed_mean(values, jnp.array([[True], [False], [True]]))
-    np.testing.assert_allclose(found[:, 0], [[1, 0], [2, 3], [3, 6]])
-
-
 def crossing(tmp_path):
     """Person 1 walks along x at 1 m/s; 2 crosses its way at 1.6 m/s; 3 stands by its goal."""
     lines = ["frame,id,x,y"]
     for frame in range(11):
         t = frame * 0.4
         lines += [f"{frame},1,{t:.3f},0", f"{frame},2,2,{1.6 * (t - 2):.3f}", f"{frame},3,4.5,0.6"]
-    return recordings.read_csv(write(tmp_path / "crossing.csv", "\n".join(lines) + "\n"), seconds=0.4)
+    return recordings.read(write(tmp_path / "crossing.csv", "\n".join(lines) + "\n"), frame_rate=2.5)
 
 
 def classify(snapshots, name="paper"):
@@ -201,11 +193,22 @@ def test_a_path_among_recorded_people(tmp_path):
     )
 
 
+def mean_of_three(values, present):
+    """The mean of each person's values over three rows, without rows in which the person is absent."""
+
+    def total(rows):
+        rows = jnp.pad(rows, ((1, 1), (0, 0), (0, 0)))
+        return rows[:-2] + rows[1:-1] + rows[2:]
+
+    there = present[..., None].astype(values.dtype)
+    return total(values * there) / jnp.maximum(total(there), 1.0)
+
+
 @jax.jit
 def count_groups(tracks, stride, price):
     """(T, 3) groups found, estimated and annotated at T = 2/3, by votes that are means over three rows."""
     votes = classifiers.o_space_votes(tracks.position, tracks.facing, stride)
-    votes = recordings.windowed_mean(votes, tracks.present, window=1)
+    votes = mean_of_three(votes, tracks.present)
     groups = jax.vmap(classifiers.o_space_groups, (0, 0, None))(votes, tracks.present, price)
     return jax.vmap(classifiers.match_groups)(groups, tracks.group, tracks.present)
 
@@ -219,7 +222,7 @@ def count_groups(tracks, stride, price):
 )
 def test_groups_are_found_in_annotated_recordings(request, name, stride, price, least):
     folder = request.getfixturevalue("recordings")  # the module has the fixture's name
-    counts = np.asarray(count_groups(recordings.read_groups(folder / "groups" / f"{name}.csv"), stride, price))
+    counts = np.asarray(count_groups(recordings.read(folder / "groups" / f"{name}.csv", "groups"), stride, price))
     for title, rows in (("all rows", slice(None)), ("rows not chosen on", slice(1, None, 2))):
         found, estimated, annotated = counts[rows].sum(0)
         f1 = 2 * found / (estimated + annotated)
@@ -230,7 +233,7 @@ def test_groups_are_found_in_annotated_recordings(request, name, stride, price, 
 def test_fitted_velocities_agree_with_the_published_ones(request):
     """The Hotel recording comes with velocities of its own, which the reader leaves aside."""
     file = request.getfixturevalue("recordings") / "eth_ucy" / "hotel.csv"
-    tracks = recordings.read_eth_ucy(file)
+    tracks = recordings.read(file, "eth_ucy")
     table = np.loadtxt(file, delimiter=",", skiprows=1)
     row = np.round((table[:, 0] - table[0, 0]) / 10).astype(int)
     column = np.searchsorted(np.asarray(tracks.person).max(0), table[:, 1])

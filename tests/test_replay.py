@@ -12,13 +12,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from replay_columns import decode
 
 import sean_jax
 from sean_jax import cli, replay
 from sean_jax.base import Trajectory
 from sean_jax.errors import InputError
 from sean_jax.policies import go_to_goal
-from sean_jax.replay.encoding import CENTIMETRE, TURN, decode, encode
+from sean_jax.replay import CENTIMETRE, TURN, encode
 
 WEB = Path(__file__).parent.parent / "web"
 CHROMIUM = next(

@@ -4,14 +4,17 @@ import dataclasses
 import html.parser
 import io
 import json
+from types import SimpleNamespace
+from typing import Any
+from unittest import mock
 
 import numpy as np
 import pytest
 from rich.console import Console
 from test_drawing import Graph, environment, frames
 
-from sean_jax import pages, replay, report
-from sean_jax.evaluation import Evaluation, results
+from sean_jax import pages, replay
+from sean_jax.evaluation import Evaluation, results, table
 from sean_jax.metrics import METRICS
 
 NAMES = ("cross_path", "down_path", "join_group", "leave_group", "empty")
@@ -87,7 +90,7 @@ def test_terminal_table_holds_every_situation_at_any_width(width):
     names = [*NAMES, "frontal_approach", "a_situation_of_mine", *(f"situation_{k}" for k in range(7))]
     for k, name in enumerate(names):
         found["situations"][name] = {"mean": 0.01 * (k + 30) + 1e-4, "interval": [0.0, 1.0]}
-    results.print_table(console, found, evaluation().definitions, "runs", 0.25)
+    table.print_table(console, found, evaluation().definitions, "runs", 0.25)
     said = console.file.getvalue()  # pyright: ignore[reportAttributeAccessIssue]
     assert max(len(line) for line in said.splitlines()[:-1]) <= width and "…" not in said
     shares = [cell for line in said.splitlines() if "share of robot time" in line for cell in line.split()[5:]]
@@ -135,41 +138,31 @@ class Reader(html.parser.HTMLParser):
 
 def page(given: Evaluation) -> str:
     """The report of those results."""
-    found = results.aggregate_episodes(given)
-    return report.html(
-        report.Report(
-            title="yard <1>",
-            command="sean run --environment yard",
-            versions={"jax": "1.2.3"},
-            environment=environment(),
-            graph=Graph,
-            situations=given.situations,
-            rows=[dataclasses.asdict(row) for row in results.table_rows(found, given.definitions, complete=True)],
-            shares=given.exclusive_shares(),
-            heat=given.heat,
-            walks=given.walks,
-            tasks=given.tasks,
-            completed=given.completed,
-            seconds=given.seconds,
-            frames=given.frames,
-            replay=replay.recording(
-                [replay.Episode(frames, f"episode {k}") for k, frames in enumerate(given.frames)],
-                environment(),
-                graph=Graph,
-                situations=given.situations,
-            ),
-            time_step=0.1,
-            robot_radius=0.16,
-            time_limit=25.0,
-            checks={"largest_penetration_mm": 0.0, "largest_groups": [5, 3, 3], "not_finite": 0},
-            timing={"compile_seconds": 1.0, "run_seconds": 2.0, "simulated_seconds_per_second": 5.0, "device": "cpu"},
-        )
+    there = dataclasses.replace(environment(), name="yard <1>")
+    robot = SimpleNamespace(name="kuri", radius=0.16)
+    scenario: Any = SimpleNamespace(
+        environment=there,
+        behavior=SimpleNamespace(name="graph", data=Graph),
+        robot=robot,
+        people=3,
+        time_step=0.1,
+        time_limit=25.0,
     )
+    given = dataclasses.replace(given, scenario=scenario)
+    summary = results.aggregate_episodes(given) | {
+        "simulated_seconds": 25.0,
+        "checks": {"largest_penetration_mm": 0.0, "largest_groups": [5, 3, 3], "not_finite": 0},
+        "timing": {"compile_seconds": 1.0, "run_seconds": 2.0, "simulated_seconds_per_second": 5.0, "device": "cpu"},
+    }
+    shown = [replay.Episode(frames, f"episode {k}") for k, frames in enumerate(given.frames)]
+    recording = replay.recording(shown, environment(), graph=Graph, situations=given.situations)
+    with mock.patch.object(results.drawing, "graph_of", lambda scenario: Graph):
+        return results.report_page(given, summary, recording, "sean run --environment yard", {"jax": "1.2.3"})
 
 
 def test_report_is_whole_and_refers_to_nothing_outside():
     given = evaluation()
-    rows = results.table_rows(results.aggregate_episodes(given), given.definitions, complete=True)
+    rows = table.table_rows(results.aggregate_episodes(given), given.definitions, complete=True)
     text = page(given)
     reader = Reader()
     reader.feed(text)

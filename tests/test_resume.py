@@ -19,7 +19,7 @@ from sean_jax import assembly, cli, drawing, evaluation, writing
 from sean_jax.base import Trajectory
 from sean_jax.config import RunConfig, gather, validate
 from sean_jax.errors import FileError, InputError
-from sean_jax.evaluation import accumulate, resume
+from sean_jax.evaluation import batches
 from sean_jax.progress import Progress
 from sean_jax.runner import Callbacks, Runner
 from sean_jax.trajectories import load_trajectory
@@ -212,10 +212,10 @@ def test_runs_with_the_default_folder_tell_of_one_that_was_not_finished(whole, s
     scenario = {"environment": "lab", "behavior": "random", "task": "random_ab_nav", "people": 2, "dynamics": "twin"}
     run = {"time_limit": 0.5, "seed": 3, "episodes": 5, "batch": 2}
     asked = validate(RunConfig, gather(RunConfig, scenario | run))
-    assert list(resume.unfinished_runs(asked, Path("runs/new"))) == [(left, 2)]
-    assert list(resume.unfinished_runs(asked.replace(seed=4), Path("runs/new"))) == []
+    assert list(batches.unfinished_runs(asked, Path("runs/new"))) == [(left, 2)]
+    assert list(batches.unfinished_runs(asked.replace(seed=4), Path("runs/new"))) == []
     with writing.folder_lock(left):
-        assert list(resume.unfinished_runs(asked, Path("runs/new"))) == []
+        assert list(batches.unfinished_runs(asked, Path("runs/new"))) == []
     assert list(Path("runs").iterdir()) == [left]
     assert cli.main(RUN[:-2]) == 0
     said = " ".join(capsys.readouterr().out.split())
@@ -229,12 +229,12 @@ def test_what_a_kill_leaves_at_the_very_beginning_is_in_nobodys_way(left, tmp_pa
     (tmp_path / "made" / writing.LOCK).write_text("process 1 on a machine")
     for name in left:
         (place / name).write_text("half of it") if name.endswith(".new") else (place / name).mkdir()
-    resume.check_run_folder(tmp_path / "made")
+    batches.check_run_folder(tmp_path / "made")
     assert not place.exists()
     place.mkdir(parents=True)
     (place / "letter.txt").write_text("dear")
     with pytest.raises(InputError, match="is not empty"):
-        resume.check_run_folder(tmp_path / "made")
+        batches.check_run_folder(tmp_path / "made")
     assert (place / "letter.txt").exists()
 
 
@@ -246,7 +246,7 @@ def test_what_a_kill_leaves_at_the_very_end_goes_with_the_next_start(tmp_path):
     for _ in range(2):
         (tmp_path / "made" / writing.LOCK).write_text("process 1 on a machine")
         with pytest.raises(InputError, match="is not empty"):
-            resume.check_run_folder(tmp_path / "made")
+            batches.check_run_folder(tmp_path / "made")
         assert [path.name for path in (tmp_path / "made").iterdir()] == ["summary.json"]
 
 
@@ -254,14 +254,14 @@ def test_what_is_damaged_is_named(tmp_path):
     (tmp_path / "made" / "unfinished").mkdir(parents=True)
     (tmp_path / "made" / "unfinished" / "run.json").write_text("{")
     with pytest.raises(InputError, match="damaged .*run.json:1:2: is not JSON: .*; choose another folder with --out"):
-        resume.RunFolder(tmp_path / "made", RunConfig())
+        batches.RunFolder(tmp_path / "made", RunConfig())
 
 
 def test_a_run_does_not_end_by_what_others_have_beside_it(tmp_path, monkeypatch):
     """Folders of other people, and those that vanish while they are looked at."""
     for name in ("a", "b", "c"):
         (tmp_path / name / "unfinished").mkdir(parents=True)
-    (tmp_path / "c" / "unfinished" / "run.json").write_text(json.dumps(resume._identity(RunConfig())))
+    (tmp_path / "c" / "unfinished" / "run.json").write_text(json.dumps(batches._identity(RunConfig())))
     listdir = os.listdir
 
     def refused(folder):
@@ -270,12 +270,12 @@ def test_a_run_does_not_end_by_what_others_have_beside_it(tmp_path, monkeypatch)
         return listdir(folder)
 
     monkeypatch.setattr(os, "listdir", refused)
-    assert resume.unfinished_runs(RunConfig(), tmp_path / "new") == [(tmp_path / "c", 0)]
-    assert resume.unfinished_runs(RunConfig(), tmp_path / "none" / "new") == []
+    assert batches.unfinished_runs(RunConfig(), tmp_path / "new") == [(tmp_path / "c", 0)]
+    assert batches.unfinished_runs(RunConfig(), tmp_path / "none" / "new") == []
 
 
 def test_a_damaged_batch_is_named(tmp_path):
-    kept = resume.RunFolder(tmp_path / "made", RunConfig())
+    kept = batches.RunFolder(tmp_path / "made", RunConfig())
     kept.place.mkdir(parents=True)
     np.savez_compressed(kept._file(0, 2), completed=np.zeros(2, bool))
     content = kept._file(0, 2).read_bytes()
@@ -292,11 +292,11 @@ def test_a_run_that_does_not_tell_its_options_is_not_gone_on_with(tmp_path):
     (tmp_path / "unfinished").mkdir()
     (tmp_path / "unfinished" / "run.json").write_text("{}")
     with pytest.raises(InputError, match="was begun without --environment; ask for the same"):
-        resume.RunFolder(tmp_path, RunConfig())
+        batches.RunFolder(tmp_path, RunConfig())
 
 
 def test_results_have_nothing_of_one_who_was_killed(tmp_path):
-    kept = resume.RunFolder(tmp_path, RunConfig())
+    kept = batches.RunFolder(tmp_path, RunConfig())
     (kept.place / "written").mkdir(parents=True)
     (kept.place / "written" / "camera.gif").write_text("half of it")
     with kept.results(True) as place:
@@ -308,7 +308,7 @@ def test_a_folder_that_was_filled_meanwhile_is_not_said_to_be_written_by_oneself
     with writing.folder_lock(tmp_path):
         (tmp_path / "summary.json").write_text("{}")
         with pytest.raises(InputError, match="is not empty"):
-            resume.RunFolder(tmp_path, RunConfig())
+            batches.RunFolder(tmp_path, RunConfig())
 
 
 def test_batches_after_a_removed_one_are_not_simulated_again(whole, simulated, monkeypatch):
@@ -361,7 +361,7 @@ def test_frames_of_one_batch_lie_on_disk_and_are_cut_at_their_end(tmp_path):
         shapes |= {"group": (people,), "present": (people,), "situations": (5,)}
         arrays: Any = {name: random.normal(size=(30, 4, *shape)).astype(np.float32) for name, shape in shapes.items()}
         given = Trajectory(**arrays, active=np.pad(active, ((0, 0), (0, 1))))  # pyright: ignore
-        taken = accumulate.BatchFrames(scratch, count=3, steps=25)
+        taken = batches.BatchFrames(scratch, count=3, steps=25)
         for begin, end in ((0, 10), (10, 20), (20, 30)):
             taken.add(jax.tree.map(lambda leaf: leaf[begin:end], given))  # noqa: B023
         for k, end in enumerate(ends):
@@ -397,12 +397,12 @@ def test_ever_so_many_batches_are_no_list():
 def test_a_resumed_run_replaces_the_parts_of_its_earlier_report(tmp_path):
     """Own parts lie in a folder, which a report at Ctrl-C has written already."""
     for text in ("old", "new"):
-        run = resume.RunFolder(tmp_path, RunConfig())
+        run = batches.RunFolder(tmp_path, RunConfig())
         with run.results(complete=text == "new") as stage:
             (stage / "parts").mkdir()
             (stage / "parts" / "mine.py").write_text(text)
-        (tmp_path / resume.PLACE).mkdir(exist_ok=True)
-        (tmp_path / resume.IDENTITY).write_text(json.dumps(run.work.identity))
+        (tmp_path / batches.PLACE).mkdir(exist_ok=True)
+        (tmp_path / batches.IDENTITY).write_text(json.dumps(run.work.identity))
     assert (tmp_path / "parts" / "mine.py").read_text() == "new"
 
 
@@ -416,7 +416,7 @@ def test_results_are_on_disk_before_the_batches_go(tmp_path, monkeypatch):
     monkeypatch.setattr(os, "fsync", lambda descriptor: (order.append(f"sync {name(descriptor)}"), fsync(descriptor)))
     monkeypatch.setattr(os, "replace", lambda a, b: (order.append(f"rename {Path(b).name}"), replace(a, b)))
     monkeypatch.setattr(shutil, "rmtree", lambda a, **k: (order.append(f"remove {Path(a).name}"), rmtree(a, **k)))
-    kept = resume.RunFolder(tmp_path, RunConfig())
+    kept = batches.RunFolder(tmp_path, RunConfig())
     with kept.results(True) as place:
         (place / "parts").mkdir()
         (place / "parts" / "mine.py").write_text("")

@@ -625,7 +625,7 @@ def test_unknown_names(wrong, dynamics, message):
         (
             '<joint name="y" type="slide" axis="0 1 0"',
             '<joint name="y" type="slide" axis="0 0 1"',
-            r"the axis of joint 'y' is \(0 0 1\) and not that of y \(see",
+            r"the axis of joint 'y' is \(0 0 1\), not y \(see",
         ),
     ],
 )  # fmt: skip

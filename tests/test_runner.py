@@ -113,7 +113,7 @@ def test_drivers_that_share_a_batch_drive_as_each_alone(quiet):
 
 
 def test_scenarios_of_different_shapes_are_refused(quiet):
-    with pytest.raises(ValueError, match="they differ in more than leaves and task"):
+    with pytest.raises(ValueError, match="their static structure differs"):
         Runner([quiet, quiet.replace(people=3)], noisy, SIZE, "run")
     with pytest.raises(TypeError, match="must be a Policy or a function"):
         Runner(quiet, "nobody", SIZE, "run")  # pyright: ignore[reportArgumentType]
@@ -122,7 +122,7 @@ def test_scenarios_of_different_shapes_are_refused(quiet):
 TWO = """
 import jax, numpy as np, sean_jax
 from sean_jax import devices
-from sean_jax.evaluation import accumulate
+from sean_jax.evaluation import batches
 from sean_jax.runner import Runner, Callbacks
 assert len(jax.devices()) == 2
 asked = dict(people=2, dynamics="twin", behavior="random", time_limit=1.0)
@@ -130,7 +130,7 @@ scenarios = [sean_jax.make("lab", task=task, **asked) for task in ("random_ab_na
 drive = lambda scenario, state, key: jax.numpy.asarray([0.2, 0.1])
 found = []
 for mesh in (devices.mesh(jax.devices()[:1]), devices.mesh()):
-    runner = Runner(scenarios, drive, 3, "run", accumulate.record(scenarios[0], 3), mesh)
+    runner = Runner(scenarios, drive, 3, "run", batches.record(scenarios[0], 3), mesh)
     runner.compile(Callbacks())
     found.append([runner.run(1, first, count) for first, count in ((0, 3), (3, 2))])
 for one, two in zip(*found):

@@ -143,4 +143,4 @@ def test_recorded_lanes_are_in_order(recordings, run):
 
 
 def read(folder, run):
-    return recorded.read_juelich(next((folder / "juelich").glob(f"{run}_4of16fps.csv")))
+    return recorded.read(next((folder / "juelich").glob(f"{run}_4of16fps.csv")), "juelich")

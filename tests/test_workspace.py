@@ -9,7 +9,7 @@ import pytest
 from sean_jax import writing
 from sean_jax.config import CalibrateConfig, RunConfig
 from sean_jax.errors import FileError, InputError, WriteError
-from sean_jax.evaluation import resume
+from sean_jax.evaluation import batches
 from sean_jax.versions import versions
 from sean_jax.workspace import Workspace, difference, identity, value_text
 
@@ -64,16 +64,16 @@ def test_a_folder_is_resumed_by_the_same_command_alone(tmp_path):
 def test_unfinished_folders_of_earlier_versions_are_resumed(tmp_path):
     """A run's identity had one level and former names of options, and a fit's no parts."""
     config = RunConfig(seed=3)
-    entries = {f"--{name.replace('_', '-')}": value for name, value in resume._identity(config)["options"].items()}
+    entries = {f"--{name.replace('_', '-')}": value for name, value in batches._identity(config)["options"].items()}
     entries["--places"] = entries.pop("--goal-sampling")
     entries["--behavior"] = dict(entries["--behavior"])
     entries["--behavior"]["members"] = entries["--behavior"].pop("group_membership")
-    place = tmp_path / "run" / resume.PLACE
+    place = tmp_path / "run" / batches.PLACE
     place.mkdir(parents=True)
-    writing.write(tmp_path / "run" / resume.IDENTITY, entries | {"the version of python": versions()["python"]})
-    assert resume.RunFolder(tmp_path / "run", config).work.begun()
+    writing.write(tmp_path / "run" / batches.IDENTITY, entries | {"the version of python": versions()["python"]})
+    assert batches.RunFolder(tmp_path / "run", config).work.begun()
     with pytest.raises(InputError, match="run was begun with --seed 3, not 4"):
-        resume.RunFolder(tmp_path / "run", RunConfig(seed=4))
+        batches.RunFolder(tmp_path / "run", RunConfig(seed=4))
     options = CalibrateConfig(data=tmp_path, out=tmp_path / "fit")
     content = {name: value for name, value in identity(options).items() if name != "parts"}
     (tmp_path / "fit").mkdir()

@@ -1,10 +1,13 @@
-"""Interfaces of other projects to the same environments: Gymnasium, gymnax, Brax, each imported when asked for."""
+"""Interfaces of other projects to the same environments: Gymnasium, gymnax, Brax, each imported at first use."""
 
-from collections.abc import Hashable
+from collections.abc import Hashable, Mapping
+from typing import Any
 
 import jax
 
-from sean_jax import mdp, prng
+from sean_jax import mdp, prng, registry
+from sean_jax.base import Array
+from sean_jax.errors import InputError
 from sean_jax.versions import fingerprint
 
 NAMESPACE = "sean"
@@ -14,3 +17,21 @@ NAMESPACE = "sean"
 def identity(env: mdp.Env) -> Hashable:
     """A hashable value that is equal for environments of the same parts and numbers, and for no others."""
     return jax.tree.structure(env), fingerprint(prng.as_numbers(env))
+
+
+def load(env: mdp.Env | str, config: Mapping[str, Any]) -> mdp.Env:
+    """An environment of ``make_env`` itself, or that of a name of ``registry.ALL_ENVS`` with fields of its description.
+
+    Raises:
+        InputError: one sentence that names the value and the cure.
+    """
+    if isinstance(env, str):
+        return registry.load(env, config_overrides=config)
+    if config:
+        raise InputError(f"{next(iter(config))}: the environment is made already; give its name, or leave this out.")
+    return env
+
+
+def typed(key: Array) -> Array:
+    """A typed PRNG key; the key may be typed or not."""
+    return key if jax.numpy.issubdtype(key.dtype, jax.dtypes.prng_key) else jax.random.wrap_key_data(key)

@@ -15,7 +15,8 @@ import jax.numpy as jnp
 from brax.envs import base
 from brax.training import pmap
 
-from sean_jax import mdp, registry
+from sean_jax import mdp
+from sean_jax.adapters import load, typed
 from sean_jax.base import Array
 from sean_jax.mdp import observations
 
@@ -40,20 +41,19 @@ class SocialNavigation(base.Env):
         Raises:
             InputError: one sentence that names the value and the cure.
         """
-        self.env = registry.load(env, config_overrides=config) if isinstance(env, str) else env
+        self.env = load(env, config)
         self.flat = flat
 
     def reset(self, rng: Array) -> base.State:
         """Begin an episode; the PRNG key may be typed or not."""
-        key = rng if jnp.issubdtype(rng.dtype, jax.dtypes.prng_key) else jax.random.wrap_key_data(rng)
-        observation, state = self.env.reset(key)
+        observation, state = self.env.reset(typed(rng))
         zero = jnp.zeros((), jnp.float32)
         parts = {f"reward/{name}": zero for name, _ in self.env.rewards}
         metrics = parts | {"completed": zero}
         return base.State(state, self._shown(observation), zero, zero, metrics, {"truncation": zero})
 
     def step(self, state: base.State, action: Array) -> base.State:
-        """The state after a step of control, with all keys of ``metrics`` and ``info`` that it had."""
+        """The state after a control step, with all keys of ``metrics`` and ``info`` of the previous state."""
         after, observation, reward, terminated, truncated, info = self.env.advance(state.pipeline_state, action)
         parts = {f"reward/{name}": part.astype(jnp.float32) for name, part in info["rewards"].items()}
         metrics = state.metrics | parts | {"completed": info["completed"].astype(jnp.float32)}

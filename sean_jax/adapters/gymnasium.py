@@ -1,6 +1,6 @@
-"""Gymnasium's interface: ``make`` and ``make_vec``, and the same by Gymnasium's own functions once this is imported.
+"""Gymnasium's interface; once this is imported, Gymnasium's ``make`` and ``make_vec`` know the environments, too.
 
-Names are those of ``registry.ALL_ENVS`` after ``sean/``, as in ``gymnasium.make("sean/Lab-Random-RandomAbNav-v0")``.
+Names are ``sean/`` and a name of ``registry.ALL_ENVS``, as in ``gymnasium.make("sean/Lab-Random-RandomAbNav-v0")``.
 Episode ``n`` after ``reset(seed=s)`` is drawn from ``fold_in(key(s), n)``, and row ``k`` of a vector environment has
 the seed ``s + k``: so it is equal to a single environment of that seed. Observations are dicts of numpy arrays.
 """
@@ -17,7 +17,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from jaxtyping import PyTree
 
 from sean_jax import mdp, prng, registry
-from sean_jax.adapters import NAMESPACE, identity
+from sean_jax.adapters import NAMESPACE, identity, load
 from sean_jax.base import Array
 from sean_jax.drawing import view
 from sean_jax.errors import InputError
@@ -27,7 +27,7 @@ MAX_RECENT = 8  # environments whose compiled programs are remembered
 
 
 class _Packing:
-    """A pytree as one array per type of number: a call with a hundred arrays takes three times as long as a step."""
+    """A pytree as one array per type of number: a call with a hundred arrays takes three times the time of a step."""
 
     def __init__(self, like: PyTree):
         self.leaves, self.structure = jax.tree.flatten(like)
@@ -103,7 +103,7 @@ def _programs(env: mdp.Env, rows: bool) -> _Programs:
 
 
 class SocialNavigation(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
-    """One scenario; an episode that has ended waits for ``reset``."""
+    """One scenario; after its end an episode waits for ``reset``."""
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 10}
 
@@ -117,7 +117,7 @@ class SocialNavigation(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
         Raises:
             InputError: one sentence that names the value and the cure.
         """
-        self.env = _env(env, config)
+        self.env = load(env, config)
         self.metadata = self.metadata | {"render_fps": round(1.0 / self.env.scenario.time_step)}
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise InputError(f"render_mode: '{render_mode}' is not rgb_array or None.")
@@ -177,7 +177,7 @@ class SocialNavigation(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
 
 
 class VectorSocialNavigation(VectorEnv):
-    """Many scenarios that step together; where an episode has ended, the same step or the next one begins another."""
+    """Many scenarios that step together; when an episode ends, the same or the next step starts another."""
 
     metadata = {"render_modes": [], "autoreset_mode": AutoresetMode.SAME_STEP}
 
@@ -196,7 +196,7 @@ class VectorSocialNavigation(VectorEnv):
         Raises:
             InputError: one sentence that names the value and the cure.
         """
-        self.env = _env(env, config)
+        self.env = load(env, config)
         self.num_envs = num_envs
         self._mode = _autoreset_mode(autoreset_mode)
         rate = round(1.0 / self.env.scenario.time_step)
@@ -279,34 +279,6 @@ class VectorSocialNavigation(VectorEnv):
         first = self._run.begin(self._seeds, self._episodes)
         self._episodes = self._episodes + rows.astype(np.int32)
         return jax.tree.map(lambda new, old: jnp.where(rows[:, None], new, old), first, (state, packed))
-
-
-def make(name: str, render_mode: str | None = None, **config: Any) -> SocialNavigation:
-    """One environment by its name in ``registry.ALL_ENVS``, without Gymnasium's wrappers.
-
-    Raises:
-        InputError: one sentence that names the value and the cure.
-    """
-    return SocialNavigation(name, render_mode, **config)
-
-
-def make_vec(
-    name: str, num_envs: int = 1, autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP, **config: Any
-) -> VectorSocialNavigation:
-    """Many environments by their name in ``registry.ALL_ENVS``, which step together in one compiled call.
-
-    Raises:
-        InputError: one sentence that names the value and the cure.
-    """
-    return VectorSocialNavigation(name, num_envs, autoreset_mode, **config)
-
-
-def _env(env: mdp.Env | str, config: dict[str, Any]) -> mdp.Env:
-    if isinstance(env, str):
-        return registry.load(env, config_overrides=config)
-    if config:
-        raise InputError(f"{next(iter(config))}: the environment is made already; give its name, or leave this out.")
-    return env
 
 
 def _autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:

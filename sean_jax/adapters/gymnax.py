@@ -1,6 +1,6 @@
 """gymnax's interface (version 1): ``reset`` and ``step`` of one environment, with ``EnvParams`` beside the state.
 
-Once this is imported, ``gymnax.make("sean/Lab-Random-RandomAbNav-v0")`` makes those of ``registry.ALL_ENVS``, too.
+Once this is imported, ``gymnax.make("sean/Lab-Random-RandomAbNav-v0")`` makes ``registry.ALL_ENVS``, too.
 Observations are dicts, or with ``flat=True`` vectors, which gymnax's ``FlattenObservationWrapper`` needs. gymnax's own
 ``step`` computes a whole reset each time; this one takes the starts of ``Env.with_pool``, if it has them.
 """
@@ -20,7 +20,7 @@ from flax import struct
 from gymnax.environments import spaces
 
 from sean_jax import mdp, registry
-from sean_jax.adapters import NAMESPACE, identity
+from sean_jax.adapters import NAMESPACE, identity, load, typed
 from sean_jax.base import Array
 from sean_jax.mdp import EnvState, observations
 
@@ -48,7 +48,7 @@ class SocialNavigation(gymnax_environment.Environment[EnvState, EnvParams]):
         Raises:
             InputError: one sentence that names the value and the cure.
         """
-        self.env = registry.load(env, config_overrides=config) if isinstance(env, str) else env
+        self.env = load(env, config)
         self.flat = flat
 
     @functools.cached_property
@@ -75,7 +75,7 @@ class SocialNavigation(gymnax_environment.Environment[EnvState, EnvParams]):
 
     def reset_env(self, key: Array, params: EnvParams) -> tuple[Any, EnvState]:
         """Begin an episode; the PRNG key may be typed or not."""
-        observation, state = params.env.reset(_typed(key))
+        observation, state = params.env.reset(typed(key))
         return self._shown(observation), state
 
     @functools.partial(jax.jit, static_argnames=("self",))
@@ -85,7 +85,7 @@ class SocialNavigation(gymnax_environment.Environment[EnvState, EnvParams]):
         """As ``Env.step``; the PRNG key may be typed or not."""
         env = (params or self.default_params).env
         env = replace(env, transition_gradients=self.transition_gradients_enabled)
-        observation, state, reward, terminated, truncated, info = env.step(_typed(key), state, action)
+        observation, state, reward, terminated, truncated, info = env.step(typed(key), state, action)
         info |= {"final_observation": self._shown(info["final_observation"]), **_ends(terminated, truncated)}
         return self._shown(observation), state, reward, terminated, truncated, info
 
@@ -121,10 +121,6 @@ class SocialNavigation(gymnax_environment.Environment[EnvState, EnvParams]):
         low = self._shown({name: np.full(box.shape, box.low) for name, box in boxes})
         high = self._shown({name: np.full(box.shape, box.high) for name, box in boxes})
         return spaces.Box(low, high, low.shape)
-
-
-def _typed(key: Array) -> Array:
-    return key if jax.numpy.issubdtype(key.dtype, jax.dtypes.prng_key) else jax.random.wrap_key_data(key)
 
 
 def _ends(terminated: Array, truncated: Array) -> dict[str, Array]:

@@ -1,6 +1,6 @@
-"""Environments for Stable-Baselines3, whose vector environments are of a kind of their own: ``VecEnv``.
+"""Environments for Stable-Baselines3, which has its own vector environments: ``VecEnv``.
 
-Rows are those of ``adapters.gymnasium``, which step together in one compiled call. What an algorithm reads when an
+Rows are scenarios of ``adapters.gymnasium``, which step together in one compiled call. What an algorithm reads when an
 episode ends is there under the names it knows: ``terminal_observation``, ``TimeLimit.truncated`` (so that values are
 bootstrapped at the time limit) and ``is_success``.
 """
@@ -71,7 +71,7 @@ class VecSocialNavigation(VecEnv):
         Raises:
             NotImplementedError: always.
         """
-        raise NotImplementedError("rows of one program have no attributes of their own; make the environment anew.")
+        raise NotImplementedError("rows of one program have no separate attributes; make another environment.")
 
     def env_method(self, method_name: str, *arguments: Any, indices: Any = None, **named: Any) -> list[Any]:
         """Refused: the rows are one program.
@@ -79,7 +79,7 @@ class VecSocialNavigation(VecEnv):
         Raises:
             NotImplementedError: always.
         """
-        raise NotImplementedError("rows of one program have no methods of their own; call those of .rows.")
+        raise NotImplementedError("rows of one program have no separate methods; call the methods of .rows.")
 
     def env_is_wrapped(self, wrapper_class: type, indices: Any = None) -> list[bool]:
         """False for each row."""

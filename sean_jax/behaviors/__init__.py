@@ -9,12 +9,12 @@ BEHAVIORS = {
     "handcrafted": handcrafted_behavior.build,
     "playback": playback.build,
 }
-"""name -> build(place, people=None, **options of its own) -> Behavior
+"""name -> build(place, people=None, **its own options) -> Behavior
 
 ``people`` None means the number of the environment or of the behavior's data; ``Behavior.people`` is the number.
 """
 
 OFFERS = {"graph": ("groups",), "random": (), "handcrafted": ("handcrafted_sets",), "playback": ()}
-"""name -> what the behavior can offer to robot tasks (``Behavior.offers``), if its files have it"""
+"""name -> what robot tasks can require of the behavior (``Behavior.offers``), if its files have it"""
 
 __all__ = ["BEHAVIORS", "OFFERS", "Place", "count_walking_groups", "graph_behavior"]

@@ -17,12 +17,11 @@ from sean_jax.behaviors.starts import Place
 from sean_jax.errors import InputError
 from sean_jax.geometry import length
 from sean_jax.graph.formation import formation
-from sean_jax.handcrafted import ALL, ARRIVED, Sets, annotation
-from sean_jax.handcrafted.sets import Ways
-from sean_jax.handcrafted.sets import build as build_sets
+from sean_jax.handcrafted import ALL, ARRIVED, Sets, Ways, annotation
+from sean_jax.handcrafted import build as build_sets
 from sean_jax.social_forces import draw_traits
 
-SETTLING = 0.5  # s, in which people who were pushed from a seat step back
+SETTLING = 0.5  # s, in which people return to a seat after a push
 
 
 class Memory(NamedTuple):
@@ -45,7 +44,7 @@ def build(place: Place, people: int | None = None, *, sets: str = ALL) -> Behavi
             ``all``.
 
     Raises:
-        InputError: there is no such file or no such set, the file has a mistake, a number of people is given, or there
+        InputError: an unknown file or set, a mistake in the file, a number of people, or there
             is no way from a waypoint to the next one.
     """
     chosen = annotation.read(place.folder, place.environment).chosen(sets)

@@ -50,11 +50,11 @@ def build(
     Args:
         people: None, or the most people in a frame.
         recording: a CSV file with the columns frame, id, x and y in metres.
-        recording_format: a key of ``recordings.READERS``; detected if None.
-        frame_rate: frames a second; that of the format if None.
+        recording_format: one of ``recordings.FORMATS``; detected if None.
+        frame_rate: frames per second; the format's if None.
 
     Raises:
-        InputError: there is no recording, it cannot be used, or another number of people is given.
+        InputError: no recording, an unusable recording, or another number of people.
     """
     if recording is None:
         raise InputError("behavior: 'playback' needs a recording; give the path of a CSV file: frame, id, x, y.")
@@ -70,7 +70,7 @@ def build(
 
 
 def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Memory]:
-    """People at a random moment that leaves time for an episode, or at the start of a shorter recording."""
+    """People at a random time that leaves time for an episode, or at the start of a shorter recording."""
     motion: RecordedMotion = scenario.behavior.data
     begin_key, trait_key = jax.random.split(key)
     steps = clock.ceil_ticks(scenario.time_limit, scenario.time_step)

@@ -46,8 +46,8 @@ class Tables:
     navigation: paths.Navigation
     start: Float[Array, "Q 2"]  # m, possible starts, none too close to another
     paths_to_goal: PathsToGoal  # (P, V) to each of the navigation's places
-    spawn_clusters: Int[Array, "C 3"]  # starts beside one another, for walking groups
-    walking_groups: WalkingGroups = struct.field(pytree_node=False)  # how many
+    spawn_clusters: Int[Array, "C 3"]  # neighboring starts, for walking groups
+    walking_groups: WalkingGroups = struct.field(pytree_node=False)  # their numbers
 
 
 class Memory(NamedTuple):

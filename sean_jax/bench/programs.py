@@ -49,7 +49,9 @@ def measure(program: Program, repeats: int, seconds: float) -> dict[str, float]:
     compiling = time.perf_counter() - began
     memory = compiled.memory_analysis()
     # Donated arguments count once: the results lie where the arguments were.
-    used = memory.temp_size_in_bytes + _size(program.carried) if memory else float("nan")
+    arrays = [leaf for leaf in jax.tree.leaves(program.carried) if hasattr(leaf, "itemsize")]
+    size = sum(leaf.size * leaf.dtype.itemsize for leaf in arrays)
+    used = memory.temp_size_in_bytes + size if memory else float("nan")
     carried = jax.block_until_ready(compiled(*program.fixed, program.carried))
     began = time.perf_counter()
     carried = jax.block_until_ready(compiled(*program.fixed, carried))
@@ -68,10 +70,6 @@ def measure(program: Program, repeats: int, seconds: float) -> dict[str, float]:
         "compile_seconds": compiling,
         "bytes": used,
     }
-
-
-def _size(tree: Any) -> int:
-    return sum(leaf.size * leaf.dtype.itemsize for leaf in jax.tree.leaves(tree) if hasattr(leaf, "itemsize"))
 
 
 def circles(scenario: Scenario, state: State, key: Array) -> Array:

@@ -6,7 +6,7 @@ from sean_jax.classifiers.sean2 import SEAN2_SITUATIONS, sean2_thresholds
 from sean_jax.classifiers.situations import SITUATIONS, Situation, Thresholds, as_situation, classify, thresholds
 
 SITUATION_SETS = {"paper": SITUATIONS, "sean2": SEAN2_SITUATIONS, "more": SITUATIONS | MORE_SITUATIONS}
-"""name -> situations: the paper's, those of SEAN 2.0's code, the paper's and those beyond."""
+"""name -> situations: the paper's, SEAN 2.0's code, the paper's and more."""
 
 THRESHOLD_SETS = {"paper": thresholds, "sean2": sean2_thresholds, "more": thresholds}
 """name of a set of situations -> () -> its thresholds"""

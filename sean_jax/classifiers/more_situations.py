@@ -195,7 +195,7 @@ def activity_space(snapshot: Snapshot, thresholds: Thresholds) -> Bool[Array, ""
 
     A person in no group stands and faces an obstacle, whose face in that direction is less than ``engaged`` away. The
     activity space lies between them, up to the sum of the radii beside the line of sight. The robot's centre is inside
-    it; or the robot moves, and its way, straight on and as far as it is free, crosses the line of sight within
+    it; or the robot moves, and its straight path, as far as it is free, crosses the line of sight within
     ``personal``. Edges of the floor, of no height, are no objects.
 
     Source: F. Lindner & C. Eschenbach, "Towards a Formalization of Social Spaces for Socially Aware Robots", COSIT

@@ -56,5 +56,5 @@ def ahead_and_aside(heading: Float[Array, "2"], offset: Float[Array, "2"]) -> tu
 
 
 def any_person(snapshot: Snapshot, holds: Callable[[Pedestrians], Array]) -> Bool[Array, ""]:
-    """Whether a predicate of a person, ``Pedestrians`` without the axis N, holds for at least one who is present."""
+    """Whether a predicate of a person, ``Pedestrians`` without the axis N, holds for at least one present person."""
     return (jax.vmap(holds)(snapshot.people) & snapshot.people.present).any()

@@ -1,9 +1,9 @@
 """The five situations as in SEAN 2.0's code, which differs from the equations of section III-A.
 
 All five differ from the paper in three ways:
-- Directions are those of motion. SEAN fits a line to an agent's last 30 poses and takes the vector along it; for a
+- Directions are directions of motion. SEAN fits a line to an agent's last 30 poses and takes the vector along it; for a
   standing robot it takes the forward axis. Here the velocity is that vector.
-- SEAN decides once a second. Here the caller decides how often.
+- SEAN classifies once a second. Here the caller chooses the rate.
 - SEAN's distances are to colliders. Ours are to centres, as in the paper.
 """
 

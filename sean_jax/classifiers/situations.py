@@ -64,7 +64,7 @@ def thresholds(
     imminent: float = 3.0,
     hurry: float = 1.86,
 ) -> Thresholds:
-    """The paper's thresholds, D = 2.4 m, V = 1.4 m/s, A = 15 degrees (section V-B), and those of other situations.
+    """The paper's thresholds, D = 2.4 m, V = 1.4 m/s, A = 15 degrees (section V-B), and other thresholds.
 
     Units as in ``Thresholds``. They are arrays, which can be swept.
     """
@@ -180,6 +180,6 @@ class _Situation:
         names = "snapshot, thresholds" if self.with_thresholds else "snapshot"
         arguments = (snapshot, thresholds) if self.with_thresholds else (snapshot,)
         value = calls.call("situations", self.function, names, *arguments)
-        cure = "compare numbers, and reduce those of all people with any"
+        cure = "compare numbers, and reduce over people with any"
         calls.check_array("situations", self.function, value, bool, (), cure)
         return jnp.asarray(value)

@@ -1,17 +1,21 @@
-"""The options of every command, as pydantic models."""
+"""The options of every command, as pydantic models; those of the small commands stand here."""
 
+import datetime
+from pathlib import Path
+from typing import Annotated, Literal
+
+import pydantic
+
+from sean_jax.config import fields
 from sean_jax.config.core import (
-    ALIASES,
-    OWN_PART,
     RENAMED,
     Component,
     Config,
-    Described,
     Family,
     Named,
     OwnPart,
     Value,
-    did_you_mean,
+    aliases,
     family_of,
     gather,
     is_own_part,
@@ -34,6 +38,7 @@ from sean_jax.config.learning import (
 )
 from sean_jax.config.scenario import (
     DEFAULT_FORCES,
+    PRESETS,
     USUAL_TASKS,
     CompareConfig,
     CustomTask,
@@ -42,6 +47,7 @@ from sean_jax.config.scenario import (
     PlaybackBehavior,
     RandomBehavior,
     ReplayConfig,
+    RobotPart,
     RunConfig,
     ScenarioConfig,
 )
@@ -59,20 +65,94 @@ from sean_jax.config.studies import (
     Table1Config,
     ValidateConfig,
 )
-from sean_jax.config.tools import (
-    BenchConfig,
-    DoctorConfig,
-    DrawConfig,
-    ImportMapConfig,
-    ListConfig,
-    SchemaConfig,
-)
+from sean_jax.messages import listed, suggest
+
+
+class BenchConfig(Config):
+    """Measure speed on this machine and write it as a table, as JSON and as a picture."""
+
+    environment: fields.EnvironmentName = "warehouse"
+    people: fields.PeopleOrDefault = None
+    robot: RobotPart = Named(kind="kuri")
+    dynamics: fields.Dynamics = "mjx"
+    only: fields.Names = "step,depth,images,pictures,crowd,compile,devices"
+    """Measurements, separated by commas."""
+    batches: tuple[fields.BatchSize, ...] = ()
+    """Numbers of scenarios at once; by default 1 to 256 on a CPU and 1 to 65536 on a GPU."""
+    repeats: fields.Count = 5
+    """Timings of each measurement, of which the median counts."""
+    seconds: fields.TimingSeconds = 1.0
+    """Approximate duration of one timing."""
+    out: fields.Out = None
+    """Folder to write, by default sean-bench-DATE-TIME."""
+    quiet: fields.Quiet = False
+
+    @pydantic.field_validator("only")
+    @classmethod
+    def _known(cls, value: str) -> str:
+        known = listed(cls.model_fields["only"].default)
+        for part in listed(value) or ["nothing"]:
+            if part not in known:
+                raise ValueError(f"{part!r} is not one of {', '.join(known)}{suggest(part, known)}")
+        return value
+
+    @property
+    def parts(self) -> list[str]:
+        """The names in ``only``."""
+        return listed(self.only)
+
+    def folder(self) -> Path:
+        """The folder of the results."""
+        return self.out or Path(f"sean-bench-{datetime.datetime.now():%Y%m%d-%H%M%S}")
+
+
+class DrawConfig(Config):
+    """Draw the behavior graphs of the environments, or their handcrafted sets."""
+
+    graph: bool = False
+    """The behavior graph, with its groups seated."""
+    handcrafted: bool = False
+    """The handcrafted sets, one panel each."""
+    sets: fields.Text = "all"
+    """Which handcrafted sets, as in sean run."""
+    environment: fields.Text | None = None
+    """Environment: a name, or the folder of your own; by default all of the package."""
+    out: Path | None = None
+    """File to write, such as sheet.png or sheet.svg; with several environments, the name of each is added."""
+
+
+class ImportMapConfig(Config):
+    """Make an environment of a ROS map, the YAML file of a map_server with its image."""
+
+    map: Annotated[Path, Option(positional=True)]
+    """YAML file of the map."""
+    out: Path
+    """Folder to write; it must be new or empty. Its path then serves as --environment."""
+    people: fields.People | None = None
+    """Default number of people; by default one for each 25 m2 of free floor."""
+    height: fields.Height = 2.0
+    """Height of all obstacles in metres, which a map does not have."""
+    unknown: Literal["obstacle", "free"] = "obstacle"
+    """Meaning of the map's unknown cells."""
+
+
+class DoctorConfig(Config):
+    """Show versions, devices and folders of this machine, and cures for slow or missing parts."""
+
+
+class ListConfig(Config):
+    """List the choices of each option."""
+
+
+class SchemaConfig(Config):
+    """Print the JSON Schema of config.yaml, by which editors complete and check it."""
+
 
 GROUPS = {
     "train": "Train a network, by imitation or by reinforcement learning.",
     "experiment": "Reproduce Table I or Figure 4 of the paper, or vary them.",
 }
-"""Word of the command line that needs a second one -> its summary."""
+"""Word of the command line that needs a second word -> its summary."""
 
 COMMANDS: dict[str, type[Config]] = {
     "run": RunConfig,

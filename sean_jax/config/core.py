@@ -2,7 +2,7 @@
 
 An option is one field of a class in ``sean_jax.config``. Flags and help, ``config.yaml``, manifests, the JSON Schema
 and the keywords of ``make`` derive from it. A component (behavior, task, robot, policy, ...) has a ``kind`` and options
-of its own: ``{kind: graph, routing: edge}``, or ``GraphBehavior(routing="edge")``. Where a kind can stand,
+of that kind: ``{kind: graph, routing: edge}``, or ``GraphBehavior(routing="edge")``. Where a kind can stand,
 ``my.py:thing`` can stand (``components`` loads it), or in Python the part itself.
 
 Nothing in this package imports JAX or numpy, so that the command line answers at once.
@@ -12,7 +12,7 @@ import re
 import typing
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from functools import reduce
+from functools import cache, reduce
 from operator import or_
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
@@ -23,46 +23,12 @@ from pydantic.fields import FieldInfo
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, ErrorDetails, core_schema
 
+from sean_jax import files
 from sean_jax.config.fields import Option, Text, check_once
 from sean_jax.errors import InputError
 from sean_jax.messages import error_clause, listed, shorten, suggest
 
 OWN_PART = re.compile(r"(?P<file>.+\.py):(?P<name>[A-Za-z_]\w*)")
-
-ALIASES = {
-    "environment": "env env_id env_name world map",
-    "people": "num_people n_people humans num_humans human_num pedestrians num_pedestrians",
-    "time_step": "dt timestep",
-    "time_limit": "max_steps max_episode_steps episode_length max_episode_length",
-    "episodes": "num_episodes n_episodes eval_episodes",
-    "evaluation_episodes": "n_eval_episodes num_eval_episodes eval_episodes",
-    "evaluate_every": "eval_freq eval_interval eval_every",
-    "scenarios": "num_envs n_envs envs num_workers num_actors",
-    "steps": "total_timesteps timesteps num_timesteps max_timesteps total_steps",
-    "horizon": "n_steps num_steps rollout_length rollout_steps unroll_length",
-    "minibatches": "num_minibatches n_minibatches n_minibatch",
-    "batch": "batch_size minibatch_size num_envs n_envs",
-    "epochs": "n_epochs num_epochs update_epochs num_updates_per_batch",
-    "learning_rate": "lr",
-    "discount": "gamma discounting",
-    "advantage_decay": "gae_lambda lam gae",
-    "clip": "clip_range clip_coef clip_eps clip_epsilon clipping_epsilon",
-    "entropy": "ent_coef entropy_coef entropy_cost",
-    "width": "hidden_size hidden_dim hidden_units",
-    "layers": "num_layers n_layers",
-    "noise": "log_std_init init_std",
-    "pretrained": "checkpoint resume load load_path restore init_from",
-    "policy": "agent driver controller",
-    "rewards": "reward_fn",
-    "terminations": "termination_fn dones",
-    "randomization": "domain_randomization randomize",
-    "action_delay": "delay latency",
-    "seeds": "num_seeds n_seeds",
-    "out": "output output_dir out_dir log_dir logdir save_dir save_path",
-    "quiet": "silent",
-}
-"""Option -> names of it in other projects, for which it is proposed."""
-
 
 RENAMED = {
     "others": "baselines",
@@ -75,17 +41,23 @@ RENAMED = {
 """Former name of an option -> its name. The former one is refused, but read in saved descriptions."""
 
 
+@cache
+def aliases() -> dict[str, list[str]]:
+    """Option -> names of it in other projects, for which it is proposed."""
+    return files.read_yaml(Path(__file__).with_name("aliases.yaml"))[1]
+
+
 def did_you_mean(word: str, known: Iterable[str], named: Callable[[str], str] = str) -> str:
     """The end of a message about an unknown option: its new name, or the option that was probably meant."""
     known = list(known)
     if RENAMED.get(word) in known:
         return f"; it is called '{named(RENAMED[word])}' now."
-    alike = [name for name in known if word.lower() in ALIASES.get(name, "").split()]
+    alike = [name for name in known if word.lower() in aliases().get(name, ())]
     return f"; did you mean '{named(alike[0])}'?" if alike else suggest(named(word), map(named, known))
 
 
 def present_names(options: Mapping[Any, Any]) -> dict[Any, Any]:
-    """Saved options, and those of their components, under their names of today."""
+    """Saved options and options of their components, under their present names."""
 
     def inside(value: Any) -> Any:
         return present_names(value) if isinstance(value, Mapping) and not is_own_part(value.get("kind")) else value
@@ -110,7 +82,7 @@ class Config(pydantic.BaseModel):
 
     def replace(self, **changes: object) -> Self:
         """The same options with other values, checked again."""
-        return type(self)(**{**_given(self), **changes})
+        return type(self)(**{**_set_fields(self), **changes})
 
     def identity(self) -> dict[str, Any]:
         """The fields that affect results, as JSON values: to be recorded, and compared when work is resumed."""
@@ -137,13 +109,18 @@ class Component(Config):
 
     kind: Text
 
+    @property
+    def label(self) -> str:
+        """Its name in results."""
+        return getattr(self, "name", self.kind)
+
 
 class Named(Component):
     """A part without options: a name of ``sean list``; for a policy also the folder of a training."""
 
 
 class OwnPart(Component):
-    """Your own part, ``FILE.py:NAME``. With further keys, NAME is called with them and gives the part."""
+    """Your own part, ``FILE.py:NAME``. With other keys, NAME is called with them and returns the part."""
 
     model_config = pydantic.ConfigDict(extra="allow")
 
@@ -189,7 +166,7 @@ class Value(Component):
 
 @dataclass(frozen=True)
 class Family:
-    """The components that a field can hold; the command line offers their options beside it."""
+    """The components that a field can hold; the command line also has their options."""
 
     variants: tuple[type[Component], ...]
     singular: str | None = None  # the option that adds one component to a field of several
@@ -248,7 +225,7 @@ class Family:
 
     @property
     def kinds(self) -> list[str]:
-        """The kinds that have a class of their own."""
+        """The kinds with their own class."""
         return [variant.model_fields["kind"].default for variant in self.variants if _is_one_kind(variant)]
 
     def variant(self, kind: str) -> type[Component] | None:
@@ -278,7 +255,7 @@ def _is_one_kind(variant: type[Component]) -> bool:
 
 
 def is_own_part(kind: object) -> bool:
-    """Whether a kind stands for a part in a file, ``FILE.py:NAME``."""
+    """Whether a kind names a part in a file, ``FILE.py:NAME``."""
     return isinstance(kind, str) and OWN_PART.fullmatch(kind) is not None
 
 
@@ -286,6 +263,12 @@ def family_of(field: FieldInfo) -> Family | None:
     """The family of components that a field holds; None if it holds none."""
     inside = [mark for kind in typing.get_args(field.annotation) for mark in getattr(kind, "__metadata__", ())]
     return next((mark for mark in (*field.metadata, *inside) if isinstance(mark, Family)), None)
+
+
+def families(model: type[Config]) -> dict[str, Family]:
+    """Field -> the family of components that it holds, without other fields."""
+    each = {name: family_of(field) for name, field in model.model_fields.items()}
+    return {name: family for name, family in each.items() if family is not None}
 
 
 # ------------------------------------------------------------------ from values to options
@@ -309,26 +292,23 @@ def gather(
         InputError: an option does not belong to the chosen component.
     """
     data, values = dict(base or {}), dict(values)
-    for name, field in model.model_fields.items():
-        family = family_of(field)
-        owners = {} if family is None else family.options()
-        options = {
-            option: values.pop(option) for option in owners if option in values and option not in model.model_fields
-        }
+    for name, family in families(model).items():
+        beside = [option for option in family.options() if option in values and option not in model.model_fields]
+        options = {option: values.pop(option) for option in beside}
         if name in values:
             data[name] = values.pop(name)
-        if options and family is not None:
-            data[name] = _with_options(name, data.get(name), field.get_default(), options, family, named)
+        if options:
+            default = model.model_fields[name].get_default()
+            data[name] = _with_options(name, data.get(name), default, options, family, named)
     return data | values
 
 
-def _given(description: Config) -> dict[str, Any]:
-    """The fields that were set."""
+def _set_fields(description: Config) -> dict[str, Any]:
     return {name: getattr(description, name) for name in description.model_fields_set}
 
 
 def with_defaults(model: type[Config], data: Mapping[str, Any], defaults: Mapping[str, Any]) -> dict[str, Any]:
-    """Fields of ``model`` with other defaults; those of a component hold where that component is chosen."""
+    """Fields of ``model`` with other defaults; defaults of a component apply if it is chosen."""
     full = dict(data)
     behavior = _as_mapping(full.get("behavior")) or {}
     for option, value in defaults.items():
@@ -337,12 +317,10 @@ def with_defaults(model: type[Config], data: Mapping[str, Any], defaults: Mappin
         if option in model.model_fields:
             full.setdefault(option, value)
             continue
-        for name, field in model.model_fields.items():
-            family = family_of(field)
-            part = _as_mapping(full.get(name, field.get_default()))
-            if family is None or part is None or not isinstance(part.get("kind"), str) or is_own_part(part["kind"]):
-                continue
-            variant = family.variant(part["kind"])
+        for name, family in families(model).items():
+            part = _as_mapping(full.get(name, model.model_fields[name].get_default())) or {}
+            kind = part.get("kind")
+            variant = family.variant(kind) if isinstance(kind, str) and not is_own_part(kind) else None
             if variant is not None and option in variant.model_fields:
                 full[name] = {option: value, **part}
     return full
@@ -351,7 +329,7 @@ def with_defaults(model: type[Config], data: Mapping[str, Any], defaults: Mappin
 def _as_mapping(part: Any) -> dict[str, Any] | None:
     """The kind and options of a component; None for anything else and for a Python value."""
     if isinstance(part, Component) and not isinstance(part, Value):
-        return {**_given(part), "kind": part.kind}
+        return {**_set_fields(part), "kind": part.kind}
     if isinstance(part, str):
         return {"kind": part}
     return dict(part) if isinstance(part, Mapping) else None
@@ -360,7 +338,7 @@ def _as_mapping(part: Any) -> dict[str, Any] | None:
 def _with_options(
     name: str, chosen: Any, default: object, options: dict[str, object], family: Family, named: Callable[[str], str]
 ) -> Any:
-    """A component with the options that stand beside it."""
+    """A component with its separate options."""
     if isinstance(chosen, OwnPart):
         return chosen.model_copy(update=options)
     if family.several:
@@ -414,9 +392,9 @@ def sentence(model: type[Config], error: ErrorDetails, named: Callable[[str], st
     place = ".".join(str(part) for part in path[1:] if isinstance(part, str))
     head = named(str(path[0])) if path else ""
     if place and place in owner.model_fields and named is not str:
-        head, place = named(place), ""  # an option of a component is a flag of its own
-    known, families = list(owner.model_fields), map(family_of, owner.model_fields.values())
-    beside = [option for family in families if family is not None for option in family.options()]
+        head, place = named(place), ""  # an option of a component is a separate flag
+    known = list(owner.model_fields)
+    beside = [option for family in families(owner).values() for option in family.options()]
     text = error_clause(error, _choices(owner, last), known, did_you_mean(last, [*known, *beside]))
     if kind == "value_error" and not path:
         head, _, text = text.partition(": ")
@@ -433,8 +411,7 @@ def sentence(model: type[Config], error: ErrorDetails, named: Callable[[str], st
 
 
 def _component_classes(model: type[Config]) -> list[type[Component]]:
-    families = (family_of(field) for field in model.model_fields.values())
-    return [OwnPart, Value, *(variant for family in families if family is not None for variant in family.variants)]
+    return [OwnPart, Value, *(variant for family in families(model).values() for variant in family.variants)]
 
 
 def _choices(owner: type[Config], name: str) -> tuple[object, ...]:

@@ -21,7 +21,7 @@ MAX_HOURS = 1e6
 MAX_SHARD = 100_000  # episodes in a shard
 MAX_SIDE = 4_096  # pixels of a depth image's side, and the width of a network
 MAX_PIXELS = 4_000_000  # of a depth image
-MAX_RATE = 1_000  # rows a second
+MAX_RATE = 1_000  # rows per second
 INFINITE = "inf"  # infinity in a file
 
 
@@ -51,7 +51,9 @@ class Number:
     or_infinity: bool = False
 
     def __get_pydantic_core_schema__(self, source: type, handler: GetCoreSchemaHandler) -> CoreSchema:
-        text = core_schema.plain_serializer_function_ser_schema(_finite_or_text, when_used="json")
+        text = core_schema.plain_serializer_function_ser_schema(
+            lambda value: INFINITE if math.isinf(value) else value, when_used="json"
+        )
         return core_schema.no_info_before_validator_function(
             partial(self.read, source), handler(source), serialization=text if self.or_infinity else None
         )
@@ -77,10 +79,6 @@ class Number:
             limits = f"{self.low:,g} to {self.high:,g}{self.unit and ' ' + self.unit}"
             raise ValueError(f"{number} must be from {limits}{', or inf' if self.or_infinity else ''}")
         return number
-
-
-def _finite_or_text(value: float) -> float | str:
-    return INFINITE if math.isinf(value) else value
 
 
 def _path_as_text(value: object) -> object:
@@ -133,7 +131,11 @@ Delay = Annotated[int, Number(0, 1_000, "steps")]
 LearningRate = Annotated[float, Number(1e-12, 1.0)]
 Height = Annotated[float, Number(0.06, 100.0, "m")]
 TimingSeconds = Annotated[float, Number(1e-6, 1e5, "s")]
-Text = Annotated[str, BeforeValidator(_path_as_text), Field(min_length=1, max_length=4_096)]
+Text = Annotated[
+    str,
+    BeforeValidator(_path_as_text),
+    Field(min_length=1, max_length=4_096),
+]
 Names = Annotated[Text, AfterValidator(_check_names)]  # separated by commas
 
 # ------------------------------------------------------------------ options of several commands

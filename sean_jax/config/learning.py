@@ -25,28 +25,28 @@ Terminations = Annotated[tuple[Component, ...], Family((Named,), "termination")]
 
 
 class CollectConfig(ScenarioConfig):
-    """Record demonstrations: what a policy sees and does, second by second. An unfinished folder is resumed."""
+    """Record demonstrations: observations and commands of a policy. An unfinished folder is resumed."""
 
     metrics: Annotated[tuple[Named, ...], NO_EFFECT] = ()
     """Nothing is measured while demonstrations are recorded."""
     policy: Part = Named(kind="expert")
     """Policy of the robot: a name, or a folder of `sean train`."""
     labels: Part | None = None
-    """Policy whose commands are recorded in place of those of the driving policy."""
+    """Policy whose commands are recorded instead of the driving policy's commands."""
     noise: fields.Noise | None = None
     """Standard deviation of noise on the executed commands, as a share of the robot's limits, so that demonstrations
     show recovery from deviations. Commands are recorded without it."""
     hours: Annotated[fields.Hours, NO_EFFECT] = 1.0
     """Hours of demonstrations, divided equally among tasks, or among the five situations of handcrafted people."""
     rate: fields.Rate = 1
-    """Examples that begin in a second: 1, or another divisor of the control steps in a second. Images and positions
+    """Examples per second: 1, or another divisor of the control steps per second. Images and positions
     within an example are a second apart at any rate."""
     width: fields.Side = 64
     """Width of the depth images in pixels."""
     height: fields.Side = 48
     """Height of the depth images in pixels."""
     batch: Annotated[fields.ShardSize | None, NO_EFFECT] = None
-    """Episodes that are simulated at once and stored in one file; by default chosen for the device and the hours."""
+    """Episodes per batch, which is stored in one file; by default chosen for the device and the hours."""
     seed: fields.Seed = 0
     """The same seed gives the same demonstrations."""
     out: fields.Out = None
@@ -85,11 +85,11 @@ class ImitationConfig(Config):
     dataset: Annotated[Path, Option(positional=True, affects_results=False)]
     """Folder of `sean collect`."""
     datasets: Annotated[tuple[Path, ...], NO_EFFECT] = ()
-    """Folders of further datasets to learn from."""
+    """Folders of more datasets for the training."""
     part: tuple[fields.Count, fields.Count] = (1, 1)
-    """Part of the dataset's episodes to learn from, and number of equal parts: 3 10 for the third of ten."""
+    """Part of the dataset's episodes for the training, and number of equal parts: 3 10 for the third of ten."""
     pretrained: Path | None = None
-    """Folder of a training whose best network is trained further."""
+    """Folder of a training; its best network is the initial network."""
     flags: bool = False
     """Give the network the current social situations as an input."""
     balance: bool = False
@@ -97,7 +97,7 @@ class ImitationConfig(Config):
     width: fields.Width = 64
     """Width of the encodings and hidden layers."""
     batch: fields.BatchSize = 1024
-    """Examples in a step."""
+    """Examples per minibatch."""
     learning_rate: fields.LearningRate = 1e-3
     """Learning rate of AdamW."""
     weight_decay: fields.Share = 0.01
@@ -109,7 +109,7 @@ class ImitationConfig(Config):
     validation: fields.OpenShare = 0.1
     """Share of the episodes for validation."""
     device_memory_fraction: Annotated[fields.Share, NO_EFFECT] = 0.6
-    """Share of the device's memory that a dataset may fill; a larger one is read from disk in each epoch."""
+    """Share of the device's memory for a dataset; a larger dataset is read from disk in each epoch."""
     seed: fields.Seed = 0
     """The same seed gives the same network."""
     out: fields.Out = None
@@ -131,7 +131,7 @@ class ImitationConfig(Config):
 
 
 class DaggerConfig(ImitationConfig):
-    """Train networks in turn with DAgger: each drives, an expert labels its states, and the next one learns from them.
+    """Train networks with DAgger: each drives, an expert labels its states, and the next network learns from them.
     An unfinished folder is resumed."""
 
     method: Annotated[Literal["dagger"], METHOD] = "dagger"  # pyright: ignore
@@ -139,14 +139,15 @@ class DaggerConfig(ImitationConfig):
     expert: Part = Named(kind="expert")
     """Policy that labels the states: a name, or FILE.py:NAME."""
     rounds: fields.Count = 5
-    """Networks after the one of the dataset alone."""
+    """Rounds of DAgger after the network of the dataset alone."""
     hours: fields.Hours = 0.25
     """Hours that each network drives."""
 
 
-def _as_pair(value: object) -> object:
-    """A number as the least and the most."""
-    return (value, value) if isinstance(value, Integral) else value
+Delays = Annotated[
+    tuple[fields.Delay, fields.Delay],
+    pydantic.BeforeValidator(lambda value: (value, value) if isinstance(value, Integral) else value),
+]
 
 
 class EnvConfig(ScenarioConfig):
@@ -154,14 +155,14 @@ class EnvConfig(ScenarioConfig):
 
     dynamics: fields.Dynamics = "twin"
     observations: Observations = tuple(Named(kind=name) for name in OBSERVED)
-    """Observations of the agent: terms of `sean list`, and further ones."""
+    """Observations of the agent: terms of `sean list`, and your own."""
     rewards: Rewards = (Named(kind="default"),)
-    """Rewards: default, terms of `sean list`, and further ones."""
+    """Rewards: default, terms of `sean list`, and your own."""
     terminations: Terminations = ()
-    """Terminations besides completion and the time limit: collision, obstacle, intimate, and further ones."""
+    """Terminations besides completion and the time limit: collision, obstacle, intimate, and your own."""
     randomization: Part | None = None
-    """Randomization of each episode: behavior, how people behave; or a function (key, scenario) -> scenario."""
-    action_delay: Annotated[tuple[fields.Delay, fields.Delay], pydantic.BeforeValidator(_as_pair)] = (0, 0)
+    """Randomization of each episode: behavior, for people's behavior; or a function (key, scenario) -> scenario."""
+    action_delay: Delays = (0, 0)
     """Least and largest delay of commands in control steps; drawn for each episode."""
 
     @pydantic.field_validator("action_delay")
@@ -176,7 +177,7 @@ class ReinforcementConfig(EnvConfig):
     """Options of all methods of reinforcement learning."""
 
     SWEPT: ClassVar[tuple[str, ...]] = ("learning_rate", "discount", "advantage_decay")
-    """Numbers in which agents that are trained side by side may differ."""
+    """Parameters that may differ between agents trained in parallel."""
 
     method: Annotated[str, METHOD]
     """Method."""
@@ -184,7 +185,7 @@ class ReinforcementConfig(EnvConfig):
     """Physical environment: a name, or the folder of your own; several, separated by commas, share the scenarios, and
     one agent learns in all of them."""
     critic: Annotated[tuple[Component, ...], Family((Named,), "critic_term")] = ()
-    """Observations of the critic alone, such as people: it does not drive, so it may see anything."""
+    """Observations of the critic alone, such as people: it does not drive, so they may be privileged."""
     scenarios: fields.BatchSize = 64
     """Scenarios that step in parallel, for each agent; on a GPU try 8192."""
     steps: fields.Count = 2_000_000
@@ -192,11 +193,11 @@ class ReinforcementConfig(EnvConfig):
     horizon: fields.Count = 32
     """Steps of each scenario between two updates."""
     minibatches: fields.Count = 8
-    """Parts of the collected transitions, one for each step of the optimizer."""
+    """Minibatches of the collected transitions, one per optimizer step."""
     learning_rate: fields.LearningRate = 5e-4
     """Initial learning rate of Adam."""
     discount: fields.Share = 0.99
-    """Discount factor of a step."""
+    """Discount factor per step."""
     advantage_decay: fields.Share = 0.95
     """Lambda of the generalized advantage estimate."""
     width: fields.Width = 256
@@ -208,24 +209,24 @@ class ReinforcementConfig(EnvConfig):
     bfloat16: bool = False
     """Store and encode images in half precision: faster on a GPU, slower on a CPU."""
     noise: fields.Noise | None = None
-    """Initial standard deviation of actions, which are from -1 to 1; 0.5, or that of the pretrained agent, by
+    """Initial standard deviation of actions, which are from -1 to 1; 0.5, or the pretrained agent's, by
     default."""
     pool: fields.BatchSize = 1024
     """Starts of episodes that are drawn in advance, in each environment."""
     curriculum: Literal["none", "situations", "regret"] = "none"
-    """Sampling of starts: none, uniform; situations, more of those situations in which the agent costs people most;
-    regret, more of those starts in which it could do better, among people who behave differently in each episode."""
+    """Sampling of starts: none, uniform; situations, more of the situations in which the agent costs people most;
+    regret, more of the starts with room for improvement, with people's behavior randomized in each episode."""
     curriculum_every: fields.Count = 20
     """Updates between two replacements of the least useful starts by a curriculum."""
     pretrained: Path | None = None
-    """Folder of a training whose agent is trained further."""
+    """Folder of a training; its agent is the initial agent."""
     imitate: Part | None = None
     """Policy to imitate at first: a name, or the folder of a training, such as one of sean train dagger."""
     seeds: fields.Count = 1
-    """Agents that are trained side by side, with consecutive seeds."""
+    """Agents trained in parallel, with consecutive seeds."""
     sweep: tuple[fields.Text, ...] = ()
     """Numbers in which agents differ, such as learning_rate=0.001,0.0003 or rewards.time=-0.1,-0.2; all combinations
-    are trained side by side."""
+    are trained in parallel."""
     evaluate_every: Annotated[fields.Count, NO_EFFECT] = 50
     """Updates between two evaluations, each with a checkpoint."""
     evaluation_episodes: Annotated[fields.EpisodeCount, NO_EFFECT] = 64
@@ -323,7 +324,7 @@ class PPOConfig(ReinforcementConfig):
 
 
 class APGConfig(ReinforcementConfig):
-    """Train a network with analytic policy gradients over short horizons, and a critic for what follows (SHAC). An
+    """Train a network with analytic policy gradients over short horizons, and a critic for the rest (SHAC). An
     unfinished folder is resumed."""
 
     method: Annotated[Literal["apg"], METHOD] = "apg"  # pyright: ignore
@@ -333,7 +334,7 @@ class APGConfig(ReinforcementConfig):
     critic_epochs: fields.Count = 4
     """Passes of the critic through the collected transitions."""
     through_people: bool = False
-    """Take gradients through people as well, who give way to the robot."""
+    """Also take gradients through people, who give way to the robot."""
     target_share: fields.Share = 0.2
     """Step of the target critic towards the learned one in each update."""
 

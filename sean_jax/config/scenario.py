@@ -1,6 +1,8 @@
 """Options of a scenario (section IV-B), and of ``sean run``, ``replay`` and ``compare``."""
 
+import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -9,13 +11,46 @@ import pydantic
 from sean_jax.config import fields
 from sean_jax.config.core import Component, Config, Family, Named, OwnPart, Value, compact, with_defaults
 from sean_jax.config.fields import Option
-from sean_jax.presets import PRESETS
 
 USUAL_TASKS = {"graph": ("join_group", "leave_group"), "handcrafted": ("handcrafted",)}
 """behavior -> its robot tasks in the paper's protocol (section V-B); with other behaviors it is random_ab_nav."""
 
 DEFAULT_FORCES = "calibrated"
 """The social forces of people, where none are named."""
+
+
+@dataclass(frozen=True)
+class Preset:
+    """The conditions of another simulator, for options that the user leaves out."""
+
+    summary: str  # for ``sean list``
+    options: dict[str, Any]  # option -> value; one of a component holds where that component is chosen
+
+
+PRESETS: dict[str, Preset] = {
+    "sean2": Preset(
+        "The world of SEAN 2.0 as its public files have it, in place of this package's defaults.",
+        {
+            "routing": "edge",  # INavigable.cs: people choose again at each node
+            "group_membership": "permanent",  # GroupNavNode.cs: members at the start stay
+            "forces": "sean2",  # SFAgent.cs and Parameters.cs
+            "situations": "sean2",  # SituationRuleBased.cs, with V = 0.4 m/s as in its prefab
+            "goal_sampling": "mesh",  # Navmesh.cs
+            "task_distance": (0.0, math.inf),  # RandomABNav.cs: independent start and goal
+            "dynamics": "kinematic",  # VelocityController.cs
+            "warm_up": 120.0,  # one task after another in one lasting crowd, which is older than a task
+            "goal_radius": 1.2,  # Tasks.prefab: completionDistance
+            "hold_time": 5.0,  # Tasks.prefab: debounceTimeoutSec
+            "time_limit": 120.0,  # Tasks.prefab
+        },
+    ),
+}
+
+
+def usual(name: object, option: str, default: Any) -> Any:
+    """The default of an option under a preset; ``default`` if there is no such preset, or it lacks the option."""
+    preset = PRESETS.get(name) if isinstance(name, str) else None
+    return default if preset is None else preset.options.get(option, default)
 
 
 class GraphBehavior(Component):
@@ -46,7 +81,7 @@ class HandcraftedBehavior(Component):
     kind: Literal["handcrafted"] = "handcrafted"
     sets: fields.Text = "all"
     """Sets to draw from: all, the name of a set, a situation; or COLLECTION, COLLECTION_SITUATION or COLLECTION_SET for
-    a further collection of handcrafted.yaml, such as staged."""
+    another collection of handcrafted.yaml, such as staged."""
 
 
 class PlaybackBehavior(Component):
@@ -106,13 +141,13 @@ class ScenarioConfig(Config):
     model: Part = Named(kind="social_forces")
     """Model of how people move."""
     forces: Forces = (Named(kind=DEFAULT_FORCES),)
-    """Social forces: the terms of a preset, and further ones."""
+    """Social forces: the terms of a preset, and your own."""
     situations: Situations = (Named(kind="paper"),)
-    """Social situations to classify: a set, and further ones."""
+    """Social situations to classify: a set, and your own."""
     thresholds: dict[str, fields.Threshold] | None = None
-    """Thresholds of the situation classifiers that differ from those of the set."""
+    """Thresholds of the situation classifiers that differ from the set's."""
     metrics: Metrics = (Named(kind="all"),)
-    """Metrics: all of the package, and further ones."""
+    """Metrics: all of the package, and your own."""
     sensors: Sensors = ()
     """Sensors that a policy can read with sean_jax.sense."""
     time_step: fields.TimeStep = 0.1
@@ -131,7 +166,7 @@ class ScenarioConfig(Config):
     substeps: fields.Substeps | None = None
     """Steps of the social forces in a control step; by default as many as their stiffness needs."""
     warm_up: fields.Duration = 0.0
-    """Seconds for which people walk before a task begins, as in a crowd that lasts while tasks follow one another."""
+    """Seconds for which people walk before a task begins, as in a lasting crowd with one task after another."""
 
     @pydantic.model_validator(mode="before")
     @classmethod
@@ -158,13 +193,13 @@ class ScenarioConfig(Config):
 
     @property
     def tasks(self) -> tuple[Component, ...]:
-        """The tasks; by default those of the paper for robots among people of that behavior."""
+        """The tasks; by default the paper's tasks for this behavior."""
         if self.task is not None:
             return self.task
         return tuple(Named(kind=name) for name in USUAL_TASKS.get(self.behavior.kind, ("random_ab_nav",)))
 
     def identity(self) -> dict[str, Any]:
-        """As of ``Config``, with the tasks that a default stands for."""
+        """As in ``Config``, with the default tasks filled in."""
         return super().identity() | {"task": [compact(task.model_dump(mode="json")) for task in self.tasks]}
 
 
@@ -178,7 +213,7 @@ class RunConfig(ScenarioConfig):
     seed: fields.Seed = 0
     """The same seed gives the same episodes."""
     batch: fields.BatchSize = 1024
-    """Largest number of episodes that are simulated at once."""
+    """Largest number of episodes per batch."""
     camera: Annotated[fields.Text | None, Option(affects_results=False)] = None
     """Also write camera.gif, the first episode as first_person, third_person, overhead or depth sees it."""
     trajectories: Literal["csv", "parquet"] | None = None
@@ -223,7 +258,7 @@ class ReplayConfig(Config):
     """Folder of `sean run`, `collect`, `train` or `validate`."""
     episodes: Annotated[tuple[fields.EpisodeNumber, ...], pydantic.Field(min_length=1)] = (0,)
     """Numbers of episodes, from 0: of a run as in episodes.csv, of a dataset in the order of their recording, of a
-    training those of its evaluations, which alternate between its environments."""
+    training the episodes of its evaluations, which alternate between its environments."""
     only: fields.Names | None = None
     """Tests of a validation, separated by commas, such as rimea-6,imo-1; by default its first."""
     out: Path | None = None
@@ -232,7 +267,7 @@ class ReplayConfig(Config):
 
 
 class CompareConfig(Config):
-    """Compare two runs: differences in the episodes that both have, with intervals, and their replays side by side."""
+    """Compare two runs: differences in their common episodes, with intervals, and their replays side by side."""
 
     first: Annotated[Path, Option(positional=True)]
     """Folder of a run."""

@@ -13,7 +13,7 @@ from sean_jax.config.scenario import DEFAULT_FORCES, RobotPart
 
 Preset = Annotated[
     Literal["sean2"] | None,
-    pydantic.Field(description="Experimental conditions: sean2 for those of SEAN 2.0. Explicit options override it."),
+    pydantic.Field(description="Experimental conditions: sean2 for SEAN 2.0. Explicit options override it."),
 ]
 SPEEDS = (1.4, 1.2, 1.0, 0.8, 0.6, 0.4)  # m/s
 
@@ -57,14 +57,14 @@ class ExperimentConfig(Config):
 
 
 class SituationConfig(ExperimentConfig):
-    """Options of experiments on how much of the time the robot is in each social situation."""
+    """Options of experiments on the share of time in each social situation."""
 
     QUICK = dict(hours=0.05, seeds=2)
 
     policies: fields.Names = "go_to_goal,social_costmap,expert"
     """Policies of the robot, separated by commas."""
     hours: fields.HoursOfMinutes = 1.0
-    """Hours for each behavior, simulated as often as --seeds says."""
+    """Hours for each behavior and each of --seeds."""
     seeds: fields.Count = 10
     """Simulations of these hours, all drawn from --seed."""
     speeds: Annotated[tuple[fields.WalkingSpeed, ...], pydantic.Field(min_length=1)] = SPEEDS
@@ -72,7 +72,7 @@ class SituationConfig(ExperimentConfig):
 
 
 class Table1Config(SituationConfig):
-    """Table I of the paper, beside its own numbers: how much of the time the robot is in each social situation. An
+    """Table I of the paper, with the paper's numbers: the robot's share of time in each social situation. An
     unfinished folder is resumed."""
 
     QUICK = {**SituationConfig.QUICK, "crowds": ()}
@@ -87,9 +87,9 @@ class Table1Config(SituationConfig):
     crowds: tuple[fields.People, ...] = (10, 20, 40, 100)
     """Other numbers of people to try."""
     recordings: fields.Names | None = None
-    """CSV files of recorded people, separated by commas; each person in turn plays the robot."""
+    """CSV files of recorded people, separated by commas; each person in turn takes the place of the robot."""
     frame_rate: fields.FrameRate | None = None
-    """Frames a second of the recordings; by default those of their formats."""
+    """Frames per second of the recordings; by default the clocks of their formats."""
 
     @classmethod
     def defaults(cls, data: Mapping[str, Any]) -> dict[str, Any]:
@@ -111,7 +111,7 @@ class LearnedConfig(ExperimentConfig):
     """Policy that demonstrates."""
     preset: Preset = None
     datasets: fields.Count = 10
-    """Datasets of demonstrations, each for networks of its own."""
+    """Datasets of demonstrations, each with its own networks."""
     trainings: fields.Count = 3
     """Networks for each dataset, each with its own seed."""
     episodes: fields.EpisodeCount = 12_300
@@ -121,7 +121,7 @@ class LearnedConfig(ExperimentConfig):
 
 
 class Figure4Config(LearnedConfig):
-    """Figure 4 of the paper, beside its own numbers: four learned policies in three scenarios. An unfinished folder is
+    """Figure 4 of the paper, with its numbers: four learned policies in three scenarios. An unfinished folder is
     resumed."""
 
     QUICK = dict(hours=0.05, datasets=1, trainings=1, episodes=12, epochs=30, baselines="none")
@@ -136,7 +136,7 @@ class Figure4Config(LearnedConfig):
 
 
 class LearningCurveConfig(LearnedConfig):
-    """Policy G of Figure 4 with more demonstrations, with more examples a second, and with social situations as an
+    """Policy G of Figure 4 with more demonstrations, with more examples per second, and with social situations as an
     input. An unfinished folder is resumed."""
 
     QUICK = dict(demonstration_hours=(0.05, 0.2), datasets=1, episodes=12, epochs=30)
@@ -144,14 +144,14 @@ class LearningCurveConfig(LearnedConfig):
     which: Annotated[Literal["learning_curve"], Option(positional=True)] = "learning_curve"  # pyright: ignore
     """Learning curve of policy G."""
     demonstration_hours: Annotated[tuple[fields.HoursOfMinutes, ...], pydantic.Field(min_length=1)] = (1.0, 10.0, 100.0)
-    """Hours of demonstrations. The networks of the first are compared with those of other rates, and with those that
+    """Hours of demonstrations. Networks of the first are compared with networks of other rates, and with networks that
     have the situations as an input."""
     rates: tuple[fields.Rate, ...] = (10,)
-    """Examples a second, besides one a second."""
+    """Examples per second, besides one per second."""
     updates: fields.Count = 20_000
     """Largest number of steps of a network's optimizer; reached with 100 hours of data, smaller datasets stop early."""
     datasets: fields.Count = 3
-    """Datasets of demonstrations, each for networks of its own."""
+    """Datasets of demonstrations, each with its own networks."""
     trainings: fields.Count = 1
     """Networks for each dataset, each with its own seed."""
     episodes: fields.EpisodeCount = 4096
@@ -176,7 +176,7 @@ class BenchmarkConfig(Config):
     quick: bool = False
     """Minutes on a CPU, with few episodes: such a result shows whether a policy works, and is not ranked."""
     episodes: fields.EpisodeCount | None = None
-    """Episodes of each track, by default those of the protocol; a result with fewer is not ranked."""
+    """Episodes of each track, by default the protocol's number; a result with fewer is not ranked."""
     out: fields.Out = None
     """Folder for the result, runs/benchmark-POLICY by default. An unfinished benchmark of the same options is
     resumed."""
@@ -195,7 +195,7 @@ class ValidateConfig(Config):
     quick: bool = False
     """Five minutes on a CPU: fewer seeds, and without the checks of a thousand people."""
     only: fields.Names | None = None
-    """Checks, separated by commas; rimea-* stands for all whose names begin so. All by default."""
+    """Checks, separated by commas; rimea-* selects all with this prefix. All by default."""
     models: fields.Names | None = None
     """Models of people, separated by commas: presets of forces, files of constants, pedestrian models, or FILE.py:NAME;
     by default the default forces."""
@@ -204,7 +204,7 @@ class ValidateConfig(Config):
     strict: Annotated[bool, Option(affects_results=False)] = False
     """Exit code 1 if a check fails."""
     out: fields.Out = None
-    """Folder for the results, runs/validate by default. Its results of the same checks and models are kept."""
+    """Folder for the results, runs/validate by default. Existing results of the same checks and models are kept."""
     quiet: fields.Quiet = False
 
     @property
@@ -228,9 +228,9 @@ class CalibrateConfig(Config):
     steps: fields.Count = 60
     """Steps of gradient descent."""
     starts: fields.Count = 1
-    """Starts of each fit, side by side: the first from the constants given. On a GPU try 64."""
+    """Starts of each fit, in parallel: the first from the constants of --forces. On a GPU try 64."""
     batch: fields.Count = 8
-    """Windows of each scene of prediction in a step; a sixteenth of that from corridors, at least one."""
+    """Windows per scene of prediction and step; corridors have a sixteenth, at least one."""
     seed: fields.Seed = 0
     """The same seed gives the same constants."""
     out: fields.Out = None
@@ -267,7 +267,7 @@ class FitGraphConfig(Config):
     seed: fields.Seed = 0
     """The same seed gives the same results."""
     out: fields.Out = None
-    """Folder to write, runs/graph-ENVIRONMENT by default; it must be new or empty. It is an environment of its own."""
+    """Folder to write, runs/graph-ENVIRONMENT by default; it must be new or empty. The folder is an environment."""
     quiet: fields.Quiet = False
 
     @pydantic.model_validator(mode="after")

@@ -2,33 +2,385 @@
 
 The robot is an orange square and people are discs, as in Fig. 2. x points right, y up the page, distances are metres.
 Situations and policies may have any names. Nothing here touches pyplot's global state, and matplotlib is imported only
-when something is drawn.
+when something is drawn. This file has the stills: an episode, maps of where people are, sheets of a graph or of
+handcrafted sets (IV-D).
 """
 
+from __future__ import annotations
+
+import functools
+import io
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from sean_jax import navigation as paths
+from sean_jax import prng
+from sean_jax.base import Array, Environment, Groups, Obstacles, Scenario, Trajectory
+from sean_jax.drawing import colors, gifs, layers
 from sean_jax.drawing.colors import policy_colors, situation_colors
 from sean_jax.drawing.gifs import animate, video
-from sean_jax.drawing.pictures import (
-    congestion_map,
-    empty_floor,
-    graph_sheet,
-    handcrafted_sheet,
-    heat_map,
-    top_down,
-    view,
-)
-from sean_jax.graph import graph_of
+from sean_jax.environment import plain_scenery
+from sean_jax.geometry import build_obstacle_grid
+from sean_jax.graph import FLOWS, NO_EDGE, BehaviorGraph, graph_of
+from sean_jax.graph.formation import formation
+from sean_jax.handcrafted import Sets
 
-__all__ = [
-    "animate",
-    "congestion_map",
-    "empty_floor",
-    "graph_of",
-    "graph_sheet",
-    "handcrafted_sheet",
-    "heat_map",
-    "policy_colors",
-    "situation_colors",
-    "top_down",
-    "video",
-    "view",
-]
+__all__ = ["animate", "congestion_map", "empty_floor", "graph_of", "graph_sheet", "handcrafted_sheet"]
+__all__ += ["policy_colors", "situation_colors", "top_down", "video", "view"]
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+COLUMNS, PANEL = 5, 3.2  # of a sheet, and inches of a panel's width
+TRAIL = 40.0  # s, length of people's trails
+PANEL_MARGIN = 2.0  # m, shown around the points of a set
+MIN_PANEL = 11.0  # m, shown from side to side at least
+MAX_CORNERS = 24  # of a path that is drawn
+MIN_RADIUS = 0.2  # m, of a person
+
+
+def top_down(
+    environment: Environment,
+    *,
+    graph: BehaviorGraph | None = None,
+    frames: Trajectory | None = None,
+    situations: Sequence[str] | None = None,
+    time_step: float = 0.1,
+    robot_radius: float = layers.ROBOT_RADIUS,
+    width: float = 6.4,
+) -> Figure:
+    """Draw an environment from above, and one episode: trails of people, their last positions, the robot's path.
+
+    Args:
+        frames: (T, ...) of one episode, or None.
+        situations: names of the frames' situations; the paper's five, or numbers, if None.
+        time_step: s, between two frames.
+        robot_radius: m.
+
+    Raises:
+        InputError: the frames have a batch axis, or another number of situations.
+    """
+    figure, axes = layers.canvas(environment, width, "")
+    layers.draw_obstacles(axes, environment)
+    if graph is not None:
+        layers.draw_graph(axes, graph, alone=frames is None)
+    if frames is not None:
+        frames = layers.one_episode(frames)
+        situations = layers.situation_names(frames, situations)
+        layers.draw_trails(axes, frames, round(TRAIL / time_step))
+        layers.draw_people(axes, frames)
+        layers.draw_robot(axes, frames, situations, robot_radius)
+    layers.draw_legend(axes, graph is not None, frames, situations or ())
+    layers.draw_scale(axes, environment)
+    return figure
+
+
+def congestion_map(
+    environment: Environment,
+    density: np.ndarray,
+    *,
+    graph: BehaviorGraph | None = None,
+    flow: np.ndarray | None = None,
+    title: str = "",
+) -> Figure:
+    """Draw people's density over the floor, and over it the edges of a graph as wide as their flow.
+
+    Each direction of an edge has its own band, on the right as one walks. Edges without people are left out.
+
+    Args:
+        density: (rows, columns) people per m2, row 0 at the lowest y.
+        flow: (M, M) people per minute from the row's node to the column's.
+    """
+    figure, axes = layers.canvas(environment, 6.4, title)
+    layers.draw_heat(axes, environment, np.asarray(density, float), "people per m²")
+    layers.draw_obstacles(axes, environment)
+    if graph is not None and flow is not None:
+        layers.draw_flow(axes, environment, graph, np.asarray(flow, float))
+    layers.draw_scale(axes, environment)
+    return figure
+
+
+def view(trajectory: Trajectory, scenario: Scenario | None = None, animate: bool = False) -> Any:
+    """Draw a trajectory for a notebook, with the scenario's behavior graph; on an empty floor without a scenario.
+
+    Args:
+        trajectory: (T, ...) frames; of a batch (B, T, ...) the first episode.
+
+    Returns:
+        A matplotlib ``Figure``, or with ``animate`` a moving IPython ``Image``.
+    """
+    frames = layers.first_episode(trajectory)
+    if scenario is None:
+        environment, graph, names, time_step = empty_floor(frames), None, None, 0.1
+    else:
+        environment, graph, time_step = scenario.environment, graph_of(scenario), scenario.time_step
+        names = tuple(name for name, _ in scenario.situations)
+    radius = layers.ROBOT_RADIUS if scenario is None else scenario.robot.radius
+    shown: dict[str, Any] = dict(graph=graph, situations=names, time_step=time_step, robot_radius=radius)
+    if not animate:
+        return top_down(environment, frames=frames, **shown)
+    from IPython.display import Image
+
+    stream = io.BytesIO()
+    gifs.animate(environment, frames, stream, **shown)
+    return Image(data=stream.getvalue(), format="gif")
+
+
+def empty_floor(frames: Trajectory) -> Environment:
+    """A floor without obstacles that contains all positions of the frames, with 2 m around them."""
+    places = np.concatenate([np.asarray(frames.people).reshape(-1, 2), np.asarray(frames.position).reshape(-1, 2)])
+    floor = jnp.asarray(np.concatenate([places.min(0) - 2.0, places.max(0) + 2.0]), float)
+    none, pairs = jnp.zeros(0, float), jnp.zeros((0, 2), float)
+    obstacles = Obstacles(center=pairs, half_extent=pairs, yaw=none, height=none)
+    return Environment(
+        floor=floor,
+        obstacles=obstacles,
+        obstacle_grid=build_obstacle_grid(obstacles, floor),
+        scenery=plain_scenery(obstacles),
+        name="empty floor",
+    )
+
+
+# ------------------------------------------------------------------ contact sheets
+
+
+class _Starts(NamedTuple):
+    """Where each of the H sets begins: 5 starts and goals of the robot, and N people."""
+
+    start: Array  # (H, 5, 2) m
+    goal: Array  # (H, 5, 2) m
+    people: Array  # (H, N, 2) m
+    people_heading: Array  # (H, N, 2) unit vector
+    path: Array  # (H, 5, 5, MAX_CORNERS, 2) m, shortest paths from each start to each goal
+    start_heading: Array  # (H, 5, 2) unit vector
+    goal_heading: Array  # (H, 5, 2) unit vector
+    leg: Array  # (H, L, K, MAX_CORNERS, 2) m, people's ways from each waypoint to the next
+
+
+def handcrafted_sheet(scenario: Scenario) -> Figure:
+    """Draw every handcrafted set of a scenario, one panel each: people, loops, the robot's starts, goals and paths.
+
+    Args:
+        scenario: with behavior and task ``handcrafted``.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    sets: Sets = scenario.behavior.data
+    starts = jax.tree.map(np.asarray, jax.jit(_starts)(scenario, prng.key("draw", 0)))
+    table = jax.tree.map(np.asarray, replace(sets, ways=None))
+    floor = np.asarray(scenario.environment.floor, float)
+    windows = []
+    for row in range(len(sets.names)):
+        people, waypoints = starts.people[row][table.present[row]], table.waypoint[row][np.isfinite(table.walked[row])]
+        windows.append(_window(floor, np.concatenate([starts.start[row], starts.goal[row], people, waypoints])))
+    tall = max((window[3] - window[1]) / (window[2] - window[0]) for window in windows)
+    columns = min(COLUMNS, len(sets.names) + 1)
+    rows = math.ceil((len(sets.names) + 1) / columns)
+    size = columns * PANEL, rows * (PANEL * tall + 0.36) + 0.4
+    figure = Figure(figsize=size, facecolor=colors.PAPER)
+    FigureCanvasAgg(figure)
+    title = f"Handcrafted sets: {scenario.environment.name}"
+    figure.text(0.12 / size[0], 1 - 0.2 / size[1], title, fontsize=13, color=colors.INK, weight="bold", va="center")
+    for index, window in enumerate((*windows, None)):
+        row, column = divmod(index, columns)
+        bottom = size[1] - 0.34 - (row + 1) * (PANEL * tall + 0.36)
+        box = ((column * PANEL + 0.08) / size[0], bottom / size[1], (PANEL - 0.16) / size[0], PANEL * tall / size[1])
+        axes = figure.add_axes(box)
+        axes.set_axis_off()
+        if window is None:
+            _key(axes)
+            continue
+        _panel(axes, scenario.environment, window, *jax.tree.map(lambda leaf, i=index: leaf[i], (starts, table)))
+        present = int(table.present[index].sum())
+        axes.set_title(f"{sets.names[index]}  ", fontsize=9, color=colors.INK, loc="left", pad=4)
+        axes.set_title(f"{present} people", fontsize=8, color=colors.MUTED, loc="right", pad=4)
+    return figure
+
+
+def graph_sheet(environment: Environment, graph: BehaviorGraph) -> Figure:
+    """Draw the behavior graph with its names, flows and one-way edges, and with full groups; the floor is cut to it."""
+    floor = np.asarray(environment.floor, float)
+    place, radius = np.asarray(graph.position, float), np.asarray(graph.radius, float)[:, None]
+    low, high = (place - radius).min(0) - 6.0, (place + radius).max(0) + 6.0
+    low[0], high[0] = min(low[0], high[0] - 0.5 * (high[1] - low[1])), max(high[0], low[0] + 0.5 * (high[1] - low[1]))
+    low, high = np.maximum(low, floor[:2]), np.minimum(high, floor[2:])
+    part = replace(environment, floor=jnp.asarray([*low, *high], float))
+    figure, axes = layers.canvas(part, 9.0, f"Behavior graph: {environment.name}")
+    layers.draw_obstacles(axes, environment)
+    for collection in axes.collections:
+        collection.set_clip_path(axes.patches[0])
+    layers.draw_graph(axes, graph, alone=True)
+    groups = np.asarray(graph.groups)
+    if len(groups):
+        center = graph.position[graph.groups]
+        form = jax.jit(formation)(prng.key("draw", 0), graph.capacity[graph.groups], center, graph.seat_group)
+        seat, heading, _, opening = (np.asarray(part) for part in form)
+        radius = max(0.0035 * (high[0] - low[0]), MIN_RADIUS)
+        layers.draw_discs(axes, seat, heading, np.ones(len(seat), bool), radius, 0.7)
+        axes.plot(*opening.T, linestyle="", marker="o", markersize=5, color=colors.MEMBER, fillstyle="none", zorder=6)
+    axes.legend(
+        *_graph_key(graph), loc="lower right", bbox_to_anchor=(1.0 - layers.MARGIN, 0.0), ncols=3, fontsize=8,
+        frameon=False, labelcolor=colors.INK, handlelength=1.4, columnspacing=1.4, borderpad=0.1, labelspacing=0.35,
+    )  # fmt: skip
+    layers.draw_scale(axes, part)
+    return figure
+
+
+def _starts(scenario: Scenario, key: Array) -> _Starts:
+    """The starts of all sets."""
+    sets: Sets = scenario.behavior.data
+
+    def of_set(row: Array) -> _Starts:
+        chosen = jnp.arange(sets.odds.shape[0]) == row
+        odds = jnp.where(chosen[:, None, None], sets.odds, 0.0)
+        one_set = replace(scenario, behavior=replace(scenario.behavior, data=replace(sets, odds=odds)))
+        people, groups, _ = scenario.behavior.reset(one_set, key)
+        ends = []
+        for place, group in ((sets.start, sets.start_group), (sets.goal, sets.goal_group)):
+            index = group[row]
+            ends.append(jnp.where(index[:, None] >= 0, groups.opening[jnp.maximum(index, 0)], place[row]))
+        headings = [_facing(sets.start_heading[row], sets.start_group[row], groups, ends[0])]
+        headings.append(_facing(sets.goal_heading[row], sets.goal_group[row], groups, ends[1]))
+        all_paths = jax.vmap(jax.vmap(_path, in_axes=(None, None, 0)), in_axes=(None, 0, None))
+        path = all_paths(scenario.navigation, *ends)
+        leg = _legs(sets, row)
+        return _Starts(ends[0], ends[1], people.position, people.heading, path, headings[0], headings[1], leg)
+
+    return jax.lax.map(of_set, jnp.arange(sets.odds.shape[0], dtype=jnp.int32))
+
+
+def _legs(sets: Sets, row: Array) -> Array:
+    """(L, K, MAX_CORNERS, 2) m: paths from each waypoint of a set's loops to the next one."""
+    waypoint, count = sets.waypoint[row], sets.waypoints[row][:, None]
+    number = jnp.arange(1, waypoint.shape[1] + 1)[None, :] % count  # (L, K)
+    following = jnp.take_along_axis(waypoint, number[..., None], axis=1)
+    if sets.ways is None:
+        between = jnp.linspace(0.0, 1.0, MAX_CORNERS)[None, None, :, None]
+        return waypoint[:, :, None] + between * (following - waypoint)[:, :, None]
+    one = functools.partial(_path, sets.ways.navigation)
+    return jax.vmap(lambda a, b: jax.lax.map(lambda ends: one(*ends), (a, b)))(waypoint, following)
+
+
+def _facing(heading: Array, group: Array, groups: Groups, place: Array) -> Array:
+    """(5, 2) the headings, or from a place in a group to its center."""
+    inward = groups.center[jnp.maximum(group, 0)] - place
+    inward = inward / jnp.sqrt((inward * inward).sum(-1, keepdims=True) + 1e-9)
+    return jnp.where(group[:, None] >= 0, inward, heading)
+
+
+def _path(navigation: paths.Navigation, start: Array, goal: Array) -> Array:
+    """(MAX_CORNERS, 2) m: the start, each corner of the shortest path, and the goal in all other rows."""
+    paths_to_goal = paths.build_paths_to_goal(navigation, goal)
+
+    def step(place: Array, _: None) -> tuple[Array, Array]:
+        return paths.next_point(navigation, place, goal, paths_to_goal), place
+
+    return jax.lax.scan(step, start, length=MAX_CORNERS)[1]
+
+
+def _window(floor: np.ndarray, points: np.ndarray) -> tuple[float, float, float, float]:
+    """x_min, y_min, x_max, y_max [m]: a square around points (P, 2), or the floor where it is smaller."""
+    low, high = points.min(0) - PANEL_MARGIN, points.max(0) + PANEL_MARGIN
+    side = max(MIN_PANEL, *(high - low))
+    extent = np.minimum(side, floor[2:] - floor[:2])
+    low = np.clip((low + high - extent) / 2, floor[:2], floor[2:] - extent)
+    return low[0], low[1], low[0] + extent[0], low[1] + extent[1]
+
+
+def _panel(axes: Axes, environment: Environment, window: tuple, starts: _Starts, sets: Sets) -> None:
+    """Draw one set: floor, obstacles, paths, loops, people, poses."""
+    from matplotlib.collections import LineCollection
+    from matplotlib.patches import Rectangle
+
+    x0, y0, x1, y1 = window
+    side = x1 - x0
+    axes.set_xlim(x0, x1)
+    axes.set_ylim(y0, y1)
+    axes.set_aspect("equal", anchor="N")
+    axes.add_patch(Rectangle((x0, y0), side, y1 - y0, facecolor=colors.FLOOR, edgecolor=colors.MUTED, zorder=0))
+    layers.draw_obstacles(axes, environment)
+    lines = list(np.asarray(starts.path).reshape(-1, *starts.path.shape[2:]))
+    axes.add_collection(LineCollection(lines, colors=colors.ROBOT, linewidths=0.5, alpha=0.55, zorder=3))
+    for leg, count, walked in zip(starts.leg, sets.waypoints, sets.walked, strict=True):
+        if np.isfinite(walked).any():
+            both = (sets.way[sets.present & (sets.loop >= 0)] < 0).any()
+            _draw_loop(axes, np.asarray(leg)[:count], side, bool(both))
+    present, radius = sets.present, max(0.012 * side, MIN_RADIUS)
+    people, heading = starts.people[present], starts.people_heading[present]
+    layers.draw_discs(axes, np.asarray(people), np.asarray(heading), np.asarray(sets.group[present] >= 0), radius, 0.7)
+    tick = 0.04 * side
+    for places, headings, face in (
+        (starts.start, starts.start_heading, colors.PAPER),
+        (starts.goal, starts.goal_heading, colors.ROBOT),
+    ):
+        ends = np.stack([places, places + tick * headings], 1)
+        axes.add_collection(LineCollection(list(ends), colors=colors.ROBOT_EDGE, linewidths=0.8, zorder=8))
+        axes.plot(
+            *places.T, linestyle="", marker="s" if face == colors.PAPER else "o", markersize=4.2, zorder=9,
+            markerfacecolor=face, markeredgecolor=colors.ROBOT_EDGE, markeredgewidth=0.8,
+        )  # fmt: skip
+    bar = max(size for size in (1.0, 2.0, 5.0, 10.0, 20.0) if size <= 0.3 * side)
+    y = y0 + 0.03 * side
+    axes.plot([x0 + 0.03 * side, x0 + 0.03 * side + bar], [y, y], color=colors.INK, linewidth=1.4, zorder=12)
+    axes.text(x0 + 0.03 * side, y + 0.012 * side, f"{bar:g} m", fontsize=7, color=colors.INK, va="bottom", zorder=12)
+
+
+def _draw_loop(axes: Axes, legs: np.ndarray, side: float, both: bool) -> None:
+    """Draw the legs (K, P, 2) [m] of a loop, with one or two arrows in the middle of each straight one."""
+    axes.plot(*legs.reshape(-1, 2).T, color=colors.TRAIL, linewidth=1.2, zorder=4, solid_joinstyle="round")
+    for a, b in zip(legs[:, 0], legs[:, -1], strict=True):
+        gap = float(np.hypot(*(b - a)))
+        if gap < 0.12 * side:
+            continue
+        along = (b - a) / gap
+        for sign in (1.0, -1.0) if both else (1.0,):
+            tip = 0.5 * (a + b) + sign * (0.02 * side + 0.03 * side * both) * along
+            arrow = dict(arrowstyle="-|>", color=colors.TRAIL, mutation_scale=9, linewidth=0)
+            axes.annotate("", xy=tuple(tip), xytext=tuple(tip - 1e-2 * sign * along), arrowprops=arrow, zorder=4)
+
+
+def _graph_key(graph: BehaviorGraph) -> tuple[list, list[str]]:
+    """Marks of a behavior graph and their meaning, for the flows that it has."""
+    from matplotlib.lines import Line2D
+
+    flows = {FLOWS[flow] for flow in np.unique(np.asarray(graph.flow)) if flow != NO_EDGE}
+    line: Any = dict(color=colors.EDGE, linewidth=1.2)
+    entries = {
+        "waypoint": layers.mark("o", "#e9ecf2", colors.EDGE, 8),
+        "group": layers.mark("o", "#e2f4f9", colors.MEMBER, 8),
+        "member": layers.mark("o", colors.MEMBER, colors.PERSON_EDGE),
+        "place left open": layers.mark("o", "none", colors.MEMBER, 5),
+        "both ways": Line2D([], [], **line),
+        "one way": Line2D([], [], marker=">", markersize=5, **line),
+        "high flow": Line2D([], [], **line | {"linewidth": 2.6}),
+        "low flow": Line2D([], [], linestyle=(0, (1, 1.6)), **line),
+    }
+    present = {"one way": "forward" in flows, "high flow": "high" in flows, "low flow": "low" in flows}
+    entries = {name: mark for name, mark in entries.items() if present.get(name, True)}
+    return list(entries.values()), list(entries)
+
+
+def _key(axes: Axes) -> None:
+    """Draw the meaning of the marks."""
+    from matplotlib.lines import Line2D
+
+    entries = {
+        "robot's start": layers.mark("s", colors.PAPER, colors.ROBOT_EDGE),
+        "robot's goal": layers.mark("o", colors.ROBOT, colors.ROBOT_EDGE),
+        "robot's shortest paths": Line2D([], [], color=colors.ROBOT, linewidth=1.0),
+        "people's loop": Line2D([], [], color=colors.TRAIL, linewidth=1.4, marker=">", markersize=5),
+        "person at the start": layers.mark("o", colors.PERSON, colors.PERSON_EDGE),
+        "member of a group": layers.mark("o", colors.MEMBER, colors.PERSON_EDGE),
+    }
+    axes.legend(
+        list(entries.values()), list(entries), loc="upper left", fontsize=9, frameon=False, labelcolor=colors.INK,
+        handlelength=1.6, labelspacing=0.7,
+    )  # fmt: skip

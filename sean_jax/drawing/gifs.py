@@ -14,7 +14,6 @@ from numpy.typing import ArrayLike
 
 from sean_jax.base import Array, Environment, Pedestrians, Robot, Scenario, State, Trajectory
 from sean_jax.drawing import colors, layers
-from sean_jax.errors import InputError
 from sean_jax.graph import BehaviorGraph
 from sean_jax.sensors import Camera, camera, depth, render
 from sean_jax.writing import check_file
@@ -24,10 +23,12 @@ if TYPE_CHECKING:
 
 Target = str | os.PathLike[str] | BinaryIO  # where a GIF is written
 COLORS = 255  # of the palette: one of GIF's 256 stays free, to mark pixels that have not changed
-FLAT_COLORS = 128  # of a picture from above: those of colors.py, and those between them at smooth edges
+FLAT_COLORS = 128  # of a picture from above: colors.py, and the colors between them at smooth edges
 MAX_SAMPLES = 24  # pictures from which the palette is made
 TAIL = 2.0  # s, of the line behind a person
 SUPERSAMPLING = 2  # a camera's pictures are rendered with this many times the pixels each way, then averaged
+RATE, SPEED = 5.0, 4.0  # pictures a second of a camera's film; films are as many times faster than the episode
+LAST = 2.0  # s, for which the last picture is shown
 WIDTH, HEIGHT = 320, 240  # pixels, of a camera that is named
 
 
@@ -41,7 +42,6 @@ def animate(
     time_step: float = 0.1,
     robot_radius: float = layers.ROBOT_RADIUS,
     every: int = 5,
-    speed: float = 4.0,
     size: int = 640,
     title: str = "",
 ) -> None:
@@ -63,25 +63,16 @@ def animate(
     names = layers.situation_names(frames, situations)
     scene = _Scene(environment, frames, graph, names, time_step, robot_radius, size, title, every)
     steps = [*range(0, len(frames.active) - 1, every), len(frames.active) - 1]
-    save(path, len(steps), lambda index: scene.picture(steps[index]), every * time_step / speed, colors=FLAT_COLORS)
+    save(path, len(steps), lambda index: scene.picture(steps[index]), every * time_step / SPEED, colors=FLAT_COLORS)
 
 
-def video(
-    frames: Trajectory,
-    scenario: Scenario,
-    path: Target,
-    *,
-    view: str | Camera = "first_person",
-    rate: float = 5.0,
-    speed: float = 4.0,
-) -> None:
-    """Write what a camera of the robot sees along one episode, frames (T, ...), as a GIF; the sensors' rays draw it.
+def video(frames: Trajectory, scenario: Scenario, path: Target, *, view: str | Camera = "first_person") -> None:
+    """Render one episode, frames (T, ...), from a camera of the robot as a GIF, with the sensors' rays.
 
     Args:
         path: a path or a binary file.
         view: name of a camera, for pictures of 320 x 240 pixels, or a camera of ``sensors.camera``. Depth is shown
             in colors, blue near and red far.
-        rate: pictures a second.
 
     Raises:
         InputError: frames with a batch axis, an unknown camera, or a path that cannot be written.
@@ -90,14 +81,12 @@ def video(
 
     check(path)
     eye = camera(scenario, view, width=WIDTH, height=HEIGHT) if isinstance(view, str) else view
-    if not (rate > 0 and speed > 0):
-        raise InputError(f"rate, speed: {rate:g} pictures a second, {speed:g} times as fast, show nothing; give more.")
     frames = layers.one_episode(frames)
-    every = max(1, round(speed / rate / scenario.time_step))
+    every = max(1, round(SPEED / RATE / scenario.time_step))
     steps = [*range(0, len(frames.active) - 1, every), len(frames.active) - 1]
     rendered = render_frames(jax.tree.map(lambda leaf: leaf[steps], frames), scenario, eye)
     pictures = [Image.fromarray(picture) for picture in rendered]
-    save(path, len(pictures), pictures.__getitem__, every * scenario.time_step / speed)
+    save(path, len(pictures), pictures.__getitem__, every * scenario.time_step / SPEED)
 
 
 def check(path: Target) -> None:
@@ -106,21 +95,12 @@ def check(path: Target) -> None:
         check_file(Path(path), (".gif",), "path")
 
 
-def save(
-    path: Target,
-    number: int,
-    picture: Callable[[int], Image.Image],
-    pause: float,
-    *,
-    last: float = 2.0,
-    colors: int = COLORS,
-) -> None:
+def save(path: Target, number: int, picture: Callable[[int], Image.Image], pause: float, colors: int = COLORS) -> None:
     """Write a looping GIF with one palette, which covers rare colors too (a yellow shirt among shades of sky).
 
     Args:
         picture: gives the picture of an index (PIL, RGB); called twice for some.
-        pause: s, for which each picture is shown; rounded to hundredths.
-        last: s, for which the last picture is shown.
+        pause: s, for which each picture is shown, rounded to hundredths; the last one is shown for ``LAST``.
     """
     from PIL import Image
 
@@ -130,7 +110,7 @@ def save(
     images = [
         picture(index).convert("RGB").quantize(palette=palette, dither=Image.Dither.NONE) for index in range(number)
     ]
-    pauses = [max(20, round(100 * pause) * 10)] * (number - 1) + [round(1000 * last)]
+    pauses = [max(20, round(100 * pause) * 10)] * (number - 1) + [round(1000 * LAST)]
     images[0].save(path, format="GIF", save_all=True, append_images=images[1:], duration=pauses, loop=0, optimize=False)
 
 
@@ -247,7 +227,7 @@ class _Scene:
                 x += draw.textlength(label, font=font) + font.size
 
     def _length(self, draw: ImageDraw.ImageDraw, names: list, font: ImageFont.FreeTypeFont) -> float:
-        """Pixels that the names of situations need beside each other."""
+        """Width in pixels of the names of situations in one row."""
         return sum(draw.textlength(name.replace("_", " "), font=font) + font.size for name, _ in names) - font.size
 
 

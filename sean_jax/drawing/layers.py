@@ -37,8 +37,15 @@ def one_episode(frames: Trajectory) -> Trajectory:
     return jax.tree.map(lambda leaf: leaf[:last], frames)
 
 
+def first_episode(frames: Trajectory) -> Trajectory:
+    """Frames (T, ...); of a batch (B, T, ...) those of the first episode."""
+    while np.ndim(frames.active) > 1:
+        frames = jax.tree.map(lambda leaf: leaf[0], frames)
+    return frames
+
+
 def situation_names(frames: Trajectory, names: Sequence[str] | None) -> tuple[str, ...]:
-    """Names of the frames' S situations: those given, or the paper's five, or numbers if there are not five.
+    """Names of the frames' S situations: ``names``, or the paper's five, or numbers if there are not five.
 
     Raises:
         InputError: there are not S names.
@@ -118,7 +125,7 @@ def draw_graph(axes: Axes, graph: BehaviorGraph, alone: bool) -> None:
     Args:
         alone: name the nodes; otherwise colors are faint, for a background.
     """
-    from matplotlib.collections import EllipseCollection, LineCollection
+    from matplotlib.collections import LineCollection
 
     position, radius = np.asarray(graph.position), np.asarray(graph.radius)
     group, flows = np.asarray(graph.is_group, bool), np.asarray(graph.flow)
@@ -134,24 +141,15 @@ def draw_graph(axes: Axes, graph: BehaviorGraph, alone: bool) -> None:
         if one_way:
             along = (end - start) / max(float(np.hypot(*(end - start))), 1e-9)
             tip = 0.5 * (start + end) + 0.5 * along
-            axes.annotate(
-                "",
-                xy=tuple(tip),
-                xytext=tuple(tip - 0.1 * along),
-                arrowprops=dict(arrowstyle="-|>", color=color, mutation_scale=13, linewidth=0),
-                zorder=3,
-            )
+            arrow = dict(arrowstyle="-|>", color=color, mutation_scale=13, linewidth=0)
+            axes.annotate("", xy=tuple(tip), xytext=tuple(tip - 0.1 * along), arrowprops=arrow, zorder=3)
     axes.add_collection(LineCollection(lines, colors=color, linewidths=widths, linestyles=styles, zorder=3))
     for members, shade in ((~group, color), (group, colors.MEMBER)):
         size = 2 * radius[members]
         for alpha, face, edge in ((0.16, shade, "none"), (1.0, "none", shade)):
-            axes.add_collection(
-                EllipseCollection(
-                    size, size, np.zeros_like(size), units="xy", offsets=position[members],
-                    offset_transform=axes.transData, facecolors=face, edgecolors=edge, alpha=alpha,
-                    linewidths=0.9, linestyles="--" if shade == colors.MEMBER else "-", zorder=3,
-                )
-            )  # fmt: skip
+            dashes = "--" if shade == colors.MEMBER else "-"
+            style = dict(facecolors=face, edgecolors=edge, alpha=alpha, linewidths=0.9, linestyles=dashes, zorder=3)
+            _draw_ellipses(axes, position[members], size, size, np.zeros_like(size), style)
     if alone:
         from matplotlib.patheffects import withStroke
 
@@ -208,19 +206,25 @@ def draw_discs(
         member: (N,) bool, whether a person is in a group, which has another color.
         radius: m, half of the width of the shoulders.
     """
-    from matplotlib.collections import EllipseCollection, LineCollection
+    from matplotlib.collections import LineCollection
 
     ends = np.stack([position, position + 1.9 * radius * heading], 1)
     axes.add_collection(LineCollection(list(ends), colors=colors.PERSON_EDGE, linewidths=linewidth + 0.1, zorder=6))
     across = np.full(len(position), 2 * radius)
     angles = np.degrees(np.arctan2(heading[:, 1], heading[:, 0]))
     faces = [colors.MEMBER if is_member else colors.PERSON for is_member in member]
-    axes.add_collection(
-        EllipseCollection(
-            DEPTH * across, across, angles, units="xy", offsets=position, offset_transform=axes.transData,
-            facecolors=faces, edgecolors=colors.PERSON_EDGE, linewidths=linewidth, zorder=7,
-        )
-    )  # fmt: skip
+    style = dict(facecolors=faces, edgecolors=colors.PERSON_EDGE, linewidths=linewidth, zorder=7)
+    _draw_ellipses(axes, position, DEPTH * across, across, angles, style)
+
+
+def _draw_ellipses(
+    axes: Axes, position: np.ndarray, width: np.ndarray, height: np.ndarray, angle: np.ndarray, style: dict[str, Any]
+) -> None:
+    """Draw ellipses at positions (N, 2) [m], of widths and heights (N,) [m], turned by angles (N,) [degrees]."""
+    from matplotlib.collections import EllipseCollection
+
+    place: Any = dict(units="xy", offsets=position, offset_transform=axes.transData)
+    axes.add_collection(EllipseCollection(width, height, angle, **place, **style))
 
 
 def draw_robot(axes: Axes, frames: Trajectory, situations: Sequence[str], radius: float = ROBOT_RADIUS) -> None:

@@ -10,19 +10,28 @@ import datetime
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import jax
 import numpy as np
+from rich.console import Console
+from rich.text import Text
 
 from sean_jax import assembly, components, interrupts, robots, sensors, trajectories, writing
 from sean_jax.base import Policy, PolicyLike, Scenario, Trajectory
 from sean_jax.config import OwnPart, RunConfig, Value
 from sean_jax.errors import InputError
-from sean_jax.evaluation import accumulate, results, saved
-from sean_jax.evaluation.accumulate import FinishedBatch
+from sean_jax.evaluation import results, saved
+from sean_jax.evaluation.batches import (
+    FRAMES,
+    FinishedBatch,
+    RunFolder,
+    batch_frames,
+    check_run_folder,
+    finish,
+    record,
+    unfinished_runs,
+)
 from sean_jax.evaluation.results import Evaluation
-from sean_jax.evaluation.resume import RunFolder, check_run_folder, unfinished_runs
 from sean_jax.flags import number
 from sean_jax.learning.policy import check_policy, load_policy
 from sean_jax.progress import Progress, progress
@@ -30,9 +39,6 @@ from sean_jax.replay.live import Live, serve
 from sean_jax.runner import Callbacks, Runner
 from sean_jax.versions import fingerprint
 from sean_jax.writing import check_new_folder
-
-if TYPE_CHECKING:
-    from rich.console import Console
 
 __all__ = ["Evaluation", "evaluate", "run"]
 
@@ -53,7 +59,7 @@ def evaluate(
         scenario: one, or several that take turns and differ in their task or in leaves alone.
         policy: a ``Policy``, a function (scenario, state, key) -> (2,) [m/s, rad/s], a name, the folder of a training,
             or FILE.py:NAME.
-        seed: equal seeds give equal episodes, those of ``sean run``.
+        seed: equal seeds give equal episodes, the episodes of ``sean run``.
         out: new or empty folder for the report and all results.
 
     Raises:
@@ -90,7 +96,9 @@ def run(config: RunConfig, console: Console) -> tuple[Path, Evaluation]:
         path = _locked_folder(config, stack)
         folder = RunFolder(path, config)
         stack.enter_context(folder.explain_errors())
-        _print_unfinished_runs(console, config, path)
+        for other, episodes in unfinished_runs(config, path) if config.out is None else []:
+            text = f"{other} has {episodes} of {config.episodes} episodes of such a run; --out {other} resumes it"
+            console.print(Text(text, "dim"), soft_wrap=True)
         with console.status("preparing the scenario"):
             _check(config)
             inputs = saved.read_inputs(config)
@@ -98,7 +106,11 @@ def run(config: RunConfig, console: Console) -> tuple[Path, Evaluation]:
             policy = load_policy(config.policy, scenarios[0])
         folder.check_content(scenarios[0], policy)
         inputs = inputs._replace(fingerprint=fingerprint(scenarios[0], policy.params))
-        _print_title(console, scenarios, policy, config)
+        title = results.title(scenarios[0], [scenario.task_name for scenario in scenarios], config.episodes)
+        devices = f"{len(jax.devices())} × {jax.devices()[0].device_kind}"
+        about = f"{number(config.time_limit)} s each, policy {policy.name}, seed {config.seed}, on {devices}"
+        console.print(Text(title, "bold"), soft_wrap=True)
+        console.print(Text(about, "dim"), soft_wrap=True)
         if folder.episodes:
             console.print(f"[dim]going on after {folder.episodes} finished episodes[/]", highlight=False)
         live = None
@@ -131,39 +143,33 @@ def _episodes(
     """Batch after batch; finished ones are loaded from ``folder``, and new ones are saved there."""
     episodes, size, first = config.episodes, min(config.episodes, config.batch), scenarios[0]
     starts = range(0, episodes, size)
-
-    def load(base: int) -> FinishedBatch | None:
-        return None if folder is None else folder.load(base, min(size, episodes - base))
-
-    runner, batches = None, list[FinishedBatch]()
-    for base in starts:
-        if (batch := load(base)) is None:
-            break
-        batches.append(batch)
-    if len(batches) < len(starts):
-        recorded = accumulate.FRAMES if config.trajectories is None else size
-        runner = Runner(scenarios, policy, size, "run", accumulate.record(first, size, recorded))
-        runner.compile(Callbacks(compiling=bar.stage))
-        if console is not None:
-            console.print(f"[dim]compiled in {runner.compile_seconds:.1f} s[/]", highlight=False)
-        bar.start("simulating", len(starts) * first.time_limit)
-        began, simulated_before = time.perf_counter(), 0.0
-        try:
-            for base in starts[len(batches) :]:
-                if (batch := load(base)) is None:
-
-                    def advanced(seconds: float, simulated: float, base: int = base, s: float = simulated_before):
-                        speed = (s + simulated) / (time.perf_counter() - began)
-                        done = base // size * first.time_limit + seconds
-                        bar.update(done, f"{done:.0f} s of each episode · {speed:,.0f} simulated s per s")
-
-                    batch = _simulate(runner, config.seed, base, min(size, episodes - base), advanced, folder, live)
-                    live = None  # the page shows the first batch only
-                    simulated_before += float(batch.steps.sum()) * first.time_step
+    runner, batches, simulated, began = None, list[FinishedBatch](), 0.0, 0.0
+    try:
+        for base in starts:
+            count = min(size, episodes - base)
+            if folder is not None and (batch := folder.load(base, count)) is not None:
                 batches.append(batch)
-        except KeyboardInterrupt:
-            if not batches:
-                raise
+                continue
+            if runner is None:
+                kept = record(first, size, FRAMES if config.trajectories is None else size)
+                programs = Runner(scenarios, policy, size, "run", kept)
+                programs.compile(Callbacks(compiling=bar.stage))
+                if console is not None:
+                    console.print(f"[dim]compiled in {programs.compile_seconds:.1f} s[/]", highlight=False)
+                bar.start("simulating", len(starts) * first.time_limit)
+                runner, began = programs, time.perf_counter()
+
+            def advanced(seconds: float, more: float, base: int = base, s: float = simulated, t: float = began) -> None:
+                speed = (s + more) / (time.perf_counter() - t)
+                done = base // size * first.time_limit + seconds
+                bar.update(done, f"{done:.0f} s of each episode · {speed:,.0f} simulated s per s")
+
+            batches.append(_simulate(runner, config.seed, base, count, advanced, folder, live))
+            live = None  # the page shows the first batch only
+            simulated += float(batches[-1].steps.sum()) * first.time_step
+    except KeyboardInterrupt:
+        if not batches or runner is None:
+            raise
     return _join(scenarios, policy, batches, episodes, 0.0 if runner is None else runner.compile_seconds)
 
 
@@ -180,53 +186,55 @@ def _simulate(
     scenario, start = runner.scenarios[0], time.perf_counter()
     file = None if folder is None else folder.frames(base, count)
     report_frames, receivers = list[Trajectory](), list[Callable[[Trajectory], None]]()
-    if base == 0:
-        receivers.append(lambda chunk: report_frames.append(_first(chunk)))
-    if live is not None:
-        receivers.append(live.add)
     with contextlib.ExitStack() as stack, interrupts.unwrapped():
+        if live is not None:
+            receivers.append(live.add)
         if file is not None:
-            receivers.append(stack.enter_context(accumulate.batch_frames(file, scenario, base, count)).add)
+            receivers.append(stack.enter_context(batch_frames(file, scenario, base, count)).add)
 
         def rows(chunk: Trajectory) -> None:
+            if base == 0:  # a copy of the episodes that the report shows, of a chunk of time (T, B, ...)
+                report_frames.append(jax.tree.map(lambda leaf: np.array(leaf[:, :FRAMES]), chunk))
             for receive in receivers:
                 receive(chunk)
 
-        callbacks = Callbacks(advanced=advanced, rows=rows if receivers else None)
+        callbacks = Callbacks(advanced=advanced, rows=rows if receivers or base == 0 else None)
         batch = runner.run(seed, base, count, callbacks=callbacks, keep_rows=False)
     seconds = time.perf_counter() - start
-    finished = accumulate.finish(scenario, batch._replace(rows=report_frames), base, seconds)
+    finished = finish(scenario, batch._replace(rows=report_frames), base, seconds)
     if live is not None:
-        ended = results.outcome(bool(finished.completed[0]), float(finished.steps[0]) * scenario.time_step)
+        ended = results.outcome(finished.completed[0], float(finished.steps[0]) * scenario.time_step)
         live.finish(f"episode {base} {ended}")
     if folder is not None:
         folder.save(base, finished)
     return finished
 
 
-def _first(chunk: Trajectory) -> Trajectory:
-    """A copy of the episodes that the report shows, of a chunk of time (T, B, ...)."""
-    return jax.tree.map(lambda leaf: np.array(leaf[:, : accumulate.FRAMES]), chunk)
-
-
 def _join(
     scenarios: list[Scenario], policy: Policy, batches: list[FinishedBatch], wanted: int, compile_seconds: float
 ) -> Evaluation:
     first, totals = scenarios[0], [batch.totals for batch in batches]
-    completed = np.concatenate([batch.completed for batch in batches])
+
+    def joined(name: str) -> np.ndarray:
+        return np.concatenate([getattr(batch, name) for batch in batches])
+
+    def total(name: str) -> np.ndarray:
+        return np.stack([getattr(each, name) for each in totals]).sum(0, dtype=np.int64)
+
+    completed = joined("completed")
     return Evaluation(
         scenario=first,
         policy=policy.name,
         situations=tuple(name for name, _ in first.situations),
         tasks=[scenarios[i % len(scenarios)].task_name for i in range(len(completed))],
         completed=completed,
-        timed_out=np.concatenate([batch.timed_out for batch in batches]),
-        seconds=np.concatenate([batch.steps for batch in batches]) * first.time_step,
+        timed_out=joined("timed_out"),
+        seconds=joined("steps") * first.time_step,
         metrics={name: np.concatenate([batch.metrics[name] for batch in batches]) for name, _ in first.metrics},
         definitions=dict(first.metrics),
-        heat=np.stack([each.heat for each in totals]).sum(0, dtype=np.int64) * first.time_step,
-        walks=np.stack([each.walks for each in totals]).sum(0, dtype=np.int64),
-        together=np.stack([each.together for each in totals]).sum(0, dtype=np.int64) * first.time_step,
+        heat=total("heat") * first.time_step,
+        walks=total("walks"),
+        together=total("together") * first.time_step,
         penetration=max(float(each.penetration) for each in totals),
         group_size=np.max([each.group_size for each in totals], 0),
         frames=batches[0].frames,
@@ -256,14 +264,6 @@ def _locked_folder(config: RunConfig, stack: contextlib.ExitStack) -> Path:
         folder = config.folder(f"{now}-{attempt}")
 
 
-def _print_unfinished_runs(console: Console, config: RunConfig, folder: Path) -> None:
-    from rich.text import Text
-
-    for other, episodes in unfinished_runs(config, folder) if config.out is None else []:
-        text = f"{other} has {episodes} of {config.episodes} episodes of such a run; --out {other} resumes it"
-        console.print(Text(text, "dim"), soft_wrap=True)
-
-
 def _check(config: RunConfig) -> None:
     """Refuse wrong options before the scenario is built, which takes long."""
     if config.trajectories is not None:
@@ -275,12 +275,3 @@ def _check(config: RunConfig) -> None:
             sensors.camera(robots.load(config.robot.kind, "twin"), config.camera)
         except ValueError as error:
             raise InputError(str(error)) from error
-
-
-def _print_title(console: Console, scenarios: list[Scenario], policy: Policy, config: RunConfig) -> None:
-    from rich.text import Text
-
-    devices, tasks = jax.devices(), [scenario.task_name for scenario in scenarios]
-    console.print(Text(results.title(scenarios[0], tasks, config.episodes), "bold"), soft_wrap=True)
-    about = f"{number(config.time_limit)} s each, policy {policy.name}, seed {config.seed}"
-    console.print(Text(f"{about}, on {len(devices)} × {devices[0].device_kind}", "dim"), soft_wrap=True)

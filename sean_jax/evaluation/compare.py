@@ -19,7 +19,8 @@ from rich.text import Text
 from sean_jax import components, files, pages, replay, writing
 from sean_jax.config import CompareConfig, RunConfig, validate
 from sean_jax.errors import InputError
-from sean_jax.evaluation import results, saved
+from sean_jax.evaluation import saved
+from sean_jax.evaluation.table import EPISODE_FIGURES, metric_figure
 from sean_jax.flags import flag
 from sean_jax.metrics import METRICS, aggregate, resamples
 from sean_jax.metrics.bootstrap import interval
@@ -150,7 +151,7 @@ def differences(first: SavedRun, second: SavedRun) -> list[Difference]:
 
 
 def _difference(name: str, pair: list[np.ndarray], same: bool) -> Difference | None:
-    figure = results.EPISODE_FIGURES.get(name) or (results.figure(name, METRICS[name]) if name in METRICS else None)
+    figure = EPISODE_FIGURES.get(name) or (metric_figure(name, METRICS[name]) if name in METRICS else None)
     title, unit, digits = figure[:3] if figure else (name.replace("_", " "), "", 3)
     scale = 100.0 if unit == "%" else 1.0
     if same:
@@ -173,7 +174,7 @@ def _difference(name: str, pair: list[np.ndarray], same: bool) -> Difference | N
 
 
 def summarize(first: SavedRun, second: SavedRun) -> str:
-    """What was compared, in two sentences or more."""
+    """The comparison in words."""
     number, options = paired(first, second), differing_options(first, second)
     rest = f"The runs differ in {', '.join(map(flag, options))}." if options else "The runs have equal options."
     rest += "".join(f" No replay of {each.name}: {each.no_replay}" for each in (first, second) if each.no_replay)

@@ -3,30 +3,31 @@
 import inspect
 import re
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 from rich.text import Text
 
-from sean_jax import files
+from sean_jax import (
+    behaviors,
+    classifiers,
+    environment,
+    files,
+    mdp,
+    metrics,
+    navigation,
+    pedestrian_models,
+    policies,
+    robots,
+    social_forces,
+    tasks,
+)
+from sean_jax.config import PRESETS
+from sean_jax.learning.policy import AGENTS, describe_agent
 
-DYNAMICS = {
-    "mjx": "Rigid bodies move in MuJoCo's MJX, on wheels with tyres.",
-    "twin": "The same law moves it in closed form: faster, and easier to differentiate.",
-    "kinematic": "It has the speeds of its command at once, within its limits, as in SEAN 2.0.",
-}
-
-STACKS = {
-    "social_costmap": "ROS's navigation stack with people and their space on its maps, as in the paper's text.",
-    "move_base": "ROS's navigation stack with nobody on its maps, by SEAN 2.0's public files.",
-}
-SETS = {
-    "paper": "Conditions and thresholds as printed",
-    "sean2": "Conditions and thresholds of SEAN 2.0's code",
-    "more": "Those of the paper, and further ones",
-}
+TEXTS = files.read_yaml(Path(__file__).with_suffix(".yaml"))[1]
 
 
 def print_choices() -> None:
@@ -38,7 +39,7 @@ def print_choices() -> None:
         for name, line in names.items():
             _print(console, f"  {name:<{width}}  ", line)
     console.print(Text.assemble(("metrics", "bold"), " that are measured"))
-    _print(console, "  ", ", ".join(metric_names()))
+    _print(console, "  ", ", ".join(metrics.METRICS))
 
 
 def _print(console: Console, name: str, text: str) -> None:
@@ -56,52 +57,38 @@ def _print(console: Console, name: str, text: str) -> None:
 
 def choices() -> Iterator[tuple[str, dict[str, str]]]:
     """Each option and its {name: line}."""
-    from sean_jax import (
-        behaviors,
-        classifiers,
-        environment,
-        mdp,
-        navigation,
-        pedestrian_models,
-        policies,
-        presets,
-        robots,
-        social_forces,
-        tasks,
-    )
-    from sean_jax.learning.policy import AGENTS, describe_agent
-
-    yield "preset", {name: preset.summary for name, preset in presets.PRESETS.items()}
+    yield "preset", {name: preset.summary for name, preset in PRESETS.items()}
     yield "environment", {name: _environment(environment.find(name)) for name in environment.available()}
-    yield "behavior", {name: _documented(value) for name, value in behaviors.BEHAVIORS.items()}
-    yield "routing", {name: _documented(value) for name, value in behaviors.graph_behavior.ROUTINGS.items()}
-    yield "task", {name: _documented(value) for name, value in tasks.TASKS.items()}
-    yield "goal_sampling", {name: _documented(value) for name, value in navigation.PLACES.items()}
+    yield "behavior", _lines(behaviors.BEHAVIORS)
+    yield "routing", _lines(behaviors.graph_behavior.ROUTINGS)
+    yield "task", _lines(tasks.TASKS)
+    yield "goal_sampling", _lines(navigation.PLACES)
     yield "robot", {name: _robot(path) for name, path in robots.ROBOTS.items()}
-    known = {name: _documented(value) for name, value in policies.POLICIES.items()} | STACKS
-    yield "policy", known | {name: describe_agent(folder) for name, folder in AGENTS.items()}
-    yield "model", {name: _documented(value) for name, value in pedestrian_models.MODELS.items()}
+    yield (
+        "policy",
+        _lines(policies.POLICIES) | TEXTS["policy"] | {name: describe_agent(folder) for name, folder in AGENTS.items()},
+    )
+    yield "model", _lines(pedestrian_models.MODELS)
     yield "forces", {name: _forces(value) for name, value in social_forces.PRESETS.items()}
-    yield "situations", {name: f"{SETS[name]}: {', '.join(each)}." for name, each in classifiers.SITUATION_SETS.items()}
+    yield (
+        "situations",
+        {name: f"{TEXTS['situations'][name]}: {', '.join(each)}." for name, each in classifiers.SITUATION_SETS.items()},
+    )
     yield "observations", {name: _sentence(term.definition) for name, term in mdp.OBSERVATIONS.items()}
     yield "rewards", {name: _sentence(term.definition) for name, term in mdp.REWARDS.items()}
-    yield "terminations", {name: _documented(value) for name, value in mdp.TERMINATIONS.items()}
-    yield "randomization", {name: _documented(type(value)) for name, value in mdp.RANDOMIZATIONS.items()}
-    yield "dynamics", {name: DYNAMICS.get(name, "") for name in robots.DYNAMICS}
+    yield "terminations", _lines(mdp.TERMINATIONS)
+    yield "randomization", _lines({name: type(value) for name, value in mdp.RANDOMIZATIONS.items()})
+    yield "dynamics", {name: TEXTS["dynamics"].get(name, "") for name in robots.DYNAMICS}
 
 
-def metric_names() -> list[str]:
-    """The names of the metrics."""
-    from sean_jax import metrics
-
-    return list(metrics.METRICS)
-
-
-def _documented(value: Any) -> str:
-    """First sentence of the docstring of a function, or of the first function among a value's fields."""
-    functions = [value] if callable(value) else [field for field in vars(value).values() if callable(field)]
-    text = next((inspect.getdoc(function) for function in functions if inspect.getdoc(function)), None) or ""
-    return _sentence(text.split("\n\n")[0])
+def _lines(family: Mapping[str, Any]) -> dict[str, str]:
+    """Name -> first sentence of the docstring of a function, or of the first function among a value's fields."""
+    lines = {}
+    for name, value in family.items():
+        functions = [value] if callable(value) else [field for field in vars(value).values() if callable(field)]
+        text = next((inspect.getdoc(function) for function in functions if inspect.getdoc(function)), None) or ""
+        lines[name] = _sentence(text.split("\n\n")[0])
+    return lines
 
 
 def _sentence(text: str) -> str:

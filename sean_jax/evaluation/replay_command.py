@@ -22,10 +22,10 @@ from sean_jax import assembly, files, flags, replay, writing
 from sean_jax.base import Array, Policy, Scenario, State, Trajectory
 from sean_jax.config import CollectConfig, ReplayConfig, RunConfig, validate
 from sean_jax.errors import InputError
-from sean_jax.evaluation import accumulate, results, saved
-from sean_jax.learning.collection import streams
+from sean_jax.evaluation import batches, results, saved
+from sean_jax.learning.collection import load_driver, streams
 from sean_jax.learning.networks import CONFIG, read_method
-from sean_jax.learning.policy import disturbed, labelled, load_folder, load_policy, read_options
+from sean_jax.learning.policy import load, load_policy, read_options
 from sean_jax.progress import progress
 from sean_jax.runner import Callbacks, Record, Runner
 from sean_jax.versions import fingerprint, version_mismatch
@@ -42,10 +42,10 @@ class Source:
     policy: Policy
     use: str  # of the seed
     seed: int
-    record: Record
-    number: Callable[[int], int]  # the user's number of an episode -> the number that draws it
     turn: Callable[[int], int]  # the user's number of an episode -> index of its scenario
-    title: Callable[[int], str]
+    names: list[str]  # of the scenarios, in titles
+    number: Callable[[int], int] = lambda number: number  # the user's number of an episode -> the one that draws it
+    ends: Callable | None = None  # (scenario, before, after) -> terminations of the training, which end episodes early
     deviation: Callable[[int, int], str] = lambda number, steps: ""  # note if the folder has other than so many steps
     changes: Sequence[str] = ()  # a sentence on each file that has changed
 
@@ -72,7 +72,9 @@ def write(options: ReplayConfig, console: Console) -> Path:
         console.print(Text(sentence), soft_wrap=True)
     shown = []
     scenario = source.scenarios[source.turn(numbers[0])]
-    runner = Runner(source.scenarios, source.policy, 1, source.use, source.record)
+    record = batches.record(source.scenarios[0], 1)
+    record = record if source.ends is None else _until_terminated(record, source.ends)
+    runner = Runner(source.scenarios, source.policy, 1, source.use, record)
     with progress(console) as bar:
         runner.compile(Callbacks(compiling=bar.stage))
         bar.start("simulating", len(numbers) * scenario.time_limit)
@@ -83,14 +85,15 @@ def write(options: ReplayConfig, console: Console) -> Path:
 
             index = np.full(runner.size, source.turn(number))
             batch = runner.run(source.seed, source.number(number), 1, index, Callbacks(advanced=advanced))
-            (frames,) = accumulate.episode_frames(batch.rows, 1)
+            (frames,) = batches.episode_frames(batch.rows, 1)
             seconds = len(frames.active) * scenario.time_step
             if len(frames.active) < batch.steps[0]:
                 outcome = f"ended in {seconds:.1f} s by a termination of the training"
             else:
                 outcome = results.outcome(bool(batch.states.completed[0]), seconds)
             outcome += source.deviation(number, len(frames.active))
-            shown.append(replay.Episode(frames, source.title(number), outcome))
+            name = source.names[source.turn(number)].replace("_", " ")
+            shown.append(replay.Episode(frames, f"episode {number} · {name}", outcome))
     content = replay.of_scenario(scenario, shown, folder.resolve().name)
     writing.write(path, replay.html(content))
     return path
@@ -100,10 +103,6 @@ def _check(numbers: list[int], count: int, folder: Path) -> None:
     for number in numbers:
         if number >= count:
             raise InputError(f"episodes: {number} is none of the {count} of {folder}; they begin at 0.")
-
-
-def _title(number: int, name: str) -> str:
-    return f"episode {number} · {name.replace('_', ' ')}"
 
 
 # ------------------------------------------------------------------ a run
@@ -120,9 +119,6 @@ def _of_run(folder: Path, numbers: list[int]) -> Source:
     ended, step = _ended(folder / "episodes.csv"), scenarios[0].time_step
     cause = _cause(before.versions, before.fingerprint, fingerprint(scenarios[0], policy.params))
 
-    def turn(number: int) -> int:
-        return number % len(scenarios)
-
     def deviation(number: int, steps: int) -> str:
         if number not in ended or abs(ended[number] - steps * step) <= 0.5 * step:
             return ""
@@ -133,17 +129,15 @@ def _of_run(folder: Path, numbers: list[int]) -> Source:
         policy=policy,
         use="run",
         seed=config.seed,
-        record=accumulate.record(scenarios[0], 1),
-        number=lambda number: number,
-        turn=turn,
-        title=lambda number: _title(number, scenarios[turn(number)].task_name),
+        turn=lambda number: number % len(scenarios),
+        names=[scenario.task_name for scenario in scenarios],
         deviation=deviation,
         changes=before.changes,
     )
 
 
 def _cause(versions: Any, then: str, now: str) -> str:
-    """Why an episode differs, by the versions and the fingerprints of scenario and policy then and now."""
+    """The cause of a different episode: versions and fingerprints of scenario and policy then and now."""
     if (other := version_mismatch(versions)) is not None:
         return f"it was made with {other}"
     if not then:
@@ -170,18 +164,11 @@ def _of_dataset(folder: Path, numbers: list[int]) -> Source:
     manifest, size, config = data.manifest, data.batch, data.description()
     _check(numbers, size * len(manifest["shards"]), folder)
     parts = streams(config)
-    names, scenarios = list(parts), list(parts.values())
-    policy = load_policy(config.policy, scenarios[0])
-    if config.noise is not None:
-        policy = disturbed(policy, config.noise)
-    if config.labels is not None:
-        policy = labelled(policy, load_policy(config.labels, scenarios[0], "labels"))
+    scenarios = list(parts.values())
+    policy = load_driver(config, scenarios[0])
     now = fingerprint(scenarios[0], [scenario.behavior for scenario in scenarios], policy.params)
     cause = _cause(manifest.get("versions"), manifest.get("content", ""), now)
     every = round(1.0 / scenarios[0].time_step) // config.rate
-
-    def turn(number: int) -> int:
-        return manifest["shards"][number // size]["stream"]
 
     def deviation(number: int, steps: int) -> str:
         rows = manifest["shards"][number // size]["lengths"][number % size]
@@ -194,10 +181,8 @@ def _of_dataset(folder: Path, numbers: list[int]) -> Source:
         policy=policy,
         use="collect",
         seed=config.seed,
-        record=accumulate.record(scenarios[0], 1),
-        number=lambda number: number,
-        turn=turn,
-        title=lambda number: _title(number, names[turn(number)]),
+        turn=lambda number: manifest["shards"][number // size]["stream"],
+        names=list(parts),
         deviation=deviation,
     )
 
@@ -221,16 +206,15 @@ def _of_training(folder: Path, numbers: list[int]) -> Source:
         )
     place = turns.pop()
     scenario, mdp_env = scenarios[place], envs[place]
-    record = accumulate.record(scenario, 1)
     return Source(
         scenarios=[scenario],
-        policy=load_folder(folder, scenario),
-        use="evaluation",  # whose i-th key of a split is that of a number
+        policy=load(folder, scenario),
+        use="evaluation",  # its i-th key of a split is the key of number i
         seed=options.seed,
-        record=_until_terminated(record, mdp_env.ends) if mdp_env.terminations else record,
-        number=lambda number: number // len(envs),
         turn=lambda number: 0,
-        title=lambda number: _title(number, scenario.task_name),
+        names=[scenario.task_name],
+        number=lambda number: number // len(envs),
+        ends=mdp_env.ends if mdp_env.terminations else None,
     )
 
 
@@ -246,16 +230,14 @@ def _of_imitation(folder: Path) -> Source:
     config = flags.read(CollectConfig, flags.parse("collect", CollectConfig, words[2:]))
     config = validate(CollectConfig, config.model_dump(mode="json"), source=folder / CONFIG)
     parts = streams(config)
-    names, scenarios = list(parts), list(parts.values())
+    scenarios = list(parts.values())
     return Source(
         scenarios=scenarios,
-        policy=load_folder(folder, scenarios[0]),
+        policy=load(folder, scenarios[0]),
         use="evaluation",
         seed=config.seed,
-        record=accumulate.record(scenarios[0], 1),
-        number=lambda number: number,
         turn=lambda number: number % len(scenarios),
-        title=lambda number: _title(number, names[number % len(names)]),
+        names=list(parts),
     )
 
 

@@ -1,4 +1,4 @@
-"""The results of a run: ``Evaluation``, its figures with intervals, its table, and its files.
+"""The results of a run: ``Evaluation``, its figures with intervals, its files and its report.
 
 Every figure is a ratio of two sums over episodes, so one bootstrap (``metrics.bootstrap``) serves all.
 """
@@ -9,26 +9,22 @@ import csv
 import dataclasses
 import io
 import json
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import numpy as np
-from rich import box
 from rich.console import Console
-from rich.table import Table
-from rich.text import Text
 
-from sean_jax import writing
+from sean_jax import drawing, metrics, pages, replay, writing
 from sean_jax.base import Scenario, Trajectory
 from sean_jax.config import RunConfig
-from sean_jax.drawing.colors import situation_colors
-from sean_jax.evaluation import saved
+from sean_jax.drawing.colors import NO_SITUATION, situation_colors
+from sean_jax.drawing.svg import svg
+from sean_jax.evaluation import saved, table
 from sean_jax.flags import command
 from sean_jax.metrics import Estimate, Metric, aggregate_ratio, resamples
 from sean_jax.metrics.bootstrap import of_share
-from sean_jax.metrics.metric import MEAN
 from sean_jax.versions import versions
 
 
@@ -95,13 +91,9 @@ class Evaluation:
         """The names in one line."""
         return title(self.scenario, list(dict.fromkeys(self.tasks)), len(self.tasks))
 
-    def rows(self, complete: bool = False) -> list[Row]:
-        """The rows of the table: the headlines, or every metric if ``complete``."""
-        return table_rows(self.summary(), self.definitions, complete)
-
     def print_table(self, console: Console) -> None:
         """Print the table."""
-        print_table(console, self.summary(), self.definitions, self.title, self.exclusive_shares()["none"])
+        table.print_table(console, self.summary(), self.definitions, self.title, self.exclusive_shares()["none"])
 
     def table(self, width: int = 120) -> str:
         """The table as text."""
@@ -194,135 +186,6 @@ def _figure(estimate: Estimate) -> dict[str, Any] | None:
     return {"mean": float(estimate.mean), "interval": interval, "episodes": int(estimate.episodes)}
 
 
-# ------------------------------------------------------------------ the table
-
-
-class Figure(NamedTuple):
-    """The presentation of a figure."""
-
-    title: str
-    unit: str  # "%" shows a share in percent
-    digits: int
-    definition: str
-
-
-EPISODE_FIGURES = {  # of the episode itself, which no metric measures; first in the table
-    "share": Figure(
-        "share of robot time",
-        "%",
-        1,
-        "Time in the situation over the time that the episodes lasted; situations may overlap.",
-    ),
-    "completed": Figure(
-        "completed",
-        "%",
-        1,
-        "The robot came to its goal within the time limit; by situation: of the episodes in which it occurred.",
-    ),
-    "seconds": Figure("duration", "s", 1, "Until the goal or the time limit."),
-}
-_UNITS = {"1": "", "m/s2": "m/s²", "m/s3": "m/s³"}  # as they are shown
-SECTIONS = {"intimate": "distances", "personal": "distances", "collision": "collisions"}  # first word -> section
-GAP = 3  # characters between columns
-
-
-@dataclasses.dataclass
-class Row:
-    """A row of the table, as text."""
-
-    name: str
-    title: str
-    unit: str
-    definition: str
-    cells: list[str]  # overall, then each situation; "" where there is no figure
-    intervals: list[str]  # 95 %, likewise
-
-
-def table_rows(summary: dict[str, Any], definitions: Mapping[str, Metric], complete: bool = False) -> list[Row]:
-    """The rows of a summary (``results.aggregate_episodes``): episode figures, then metrics in the scenario's order.
-
-    They are the headlines, or every metric if ``complete``, except the time in situations, which the share of robot
-    time shows.
-    """
-    figures = summary["metrics"]
-    shares = {"overall": {"mean": 1.0, "interval": [1.0, 1.0]}, **summary["situations"]}
-    columns = list(shares)
-    lines = [_row("share", EPISODE_FIGURES["share"], shares, columns)]
-    for name in ("completed", "seconds") if complete else ("completed",):
-        if name in figures:
-            lines.append(_row(name, EPISODE_FIGURES[name], figures[name], columns))
-    for name, metric in definitions.items():
-        if name in figures and name != "time_in_situation" and (complete or metric.headline):
-            lines.append(_row(name, figure(name, metric), figures[name], columns))
-    return lines
-
-
-def figure(name: str, metric: Metric) -> Figure:
-    """The title, unit, digits and definition of a metric."""
-    unit = "%" if metric.kind == "share" else _UNITS.get(metric.unit, metric.unit)
-    title, definition = metric.title or name.replace("_", " "), metric.definition or MEAN
-    return Figure(title, unit, metric.digits, definition)
-
-
-def _row(name: str, figure: Figure, values: dict[str, Any], columns: list[str]) -> Row:
-    scale = 100.0 if figure.unit == "%" else 1.0
-    cells, intervals = [], []
-    for column in columns:
-        value = values.get(column)
-        cells.append("" if value is None else f"{scale * value['mean']:.{figure.digits}f}")
-        low_high = (f"{scale * end:.{figure.digits}f}" for end in value["interval"]) if value else ()
-        intervals.append(" to ".join(low_high))
-    return Row(name, figure.title, figure.unit, figure.definition, cells, intervals)
-
-
-def print_table(
-    console: Console, summary: dict[str, Any], definitions: Mapping[str, Metric], title: str, none: float
-) -> None:
-    """Print the table of a summary in blocks as wide as the terminal; ``none`` is the share of time in no situation."""
-    names = list(summary["situations"])
-    shades = situation_colors(tuple(names))
-    lines = table_rows(summary, definitions)
-    margin = 1 + max(len(f"{row.title} {row.unit}".strip()) for row in lines)
-    longest = [max(len(row.cells[k]) for row in lines) for k in range(1 + len(names))]
-    widths = [max(cell, *map(len, name.split("_"))) for name, cell in zip(("overall", *names), longest, strict=True)]
-    for first, last in _blocks(widths, console.width - margin):
-        table = Table(box=box.SIMPLE_HEAD, title=Text(title), title_justify="left", title_style="bold", pad_edge=False)
-        table.add_column("", no_wrap=True)
-        if first == 0:
-            table.add_column("overall", justify="right", style="bold", no_wrap=True)
-        for name, color in zip(names[first:last], shades[first:last], strict=True):
-            table.add_column(Text(name.replace("_", "\n"), style=f"bold {color}"), justify="right", no_wrap=True)
-        last_section, title = "", ""
-        for row in lines:
-            section = SECTIONS.get(row.name.split("_")[0], "")
-            if section != last_section:
-                table.add_section()
-            last_section = section
-            head = Text.assemble(row.title, (f" {row.unit}" if row.unit else "", "dim"))
-            cells = row.cells[first + (first > 0) : last + 1]
-            table.add_row(head, *(Text(cell) if cell else Text("–", "dim") for cell in cells))
-        console.print(table)
-    console.print(f"In no situation: {100.0 * none:.1f} % of the robot's time.", highlight=False)
-    console.print(
-        "[dim]Violations and collisions are times per episode; 95 % intervals are in summary.json.[/]", soft_wrap=True
-    )
-
-
-def _blocks(widths: list[int], width: int) -> list[tuple[int, int]]:
-    """(first, last) situation of each block of ``width`` characters.
-
-    ``widths`` are those of the columns: overall, in the first block, and the situations.
-    """
-    overall, *situations = widths
-    blocks, first, left = [], 0, width - overall - GAP
-    for k, needed in enumerate(situations):
-        if needed + GAP > left and k > first:
-            blocks.append((first, k))
-            first, left = k, width
-        left -= needed + GAP
-    return [*blocks, (first, len(situations))]
-
-
 # ------------------------------------------------------------------ files
 
 
@@ -331,10 +194,8 @@ def write_all(
 ) -> None:
     """Write all files of an evaluation to an empty folder.
 
-    ``config`` and its input files are those of ``sean run``; an evaluation in Python, which no file repeats, has none.
+    ``config`` and its input files are from ``sean run``; an evaluation in Python, which no file repeats, has none.
     """
-    from sean_jax import drawing, replay, report
-
     packages = versions()
     about = {"scenario": evaluation.names(), "people": evaluation.scenario.people, "versions": packages}
     saved.write_config(folder, about, config, inputs)
@@ -342,13 +203,12 @@ def write_all(
     summary = evaluation.summary()
     (folder / "summary.json").write_text(json.dumps(summary, indent=2, allow_nan=False) + "\n", encoding="utf-8")
     scenario = evaluation.scenario
-    graph = drawing.graph_of(scenario)
     if evaluation.frames:
         drawing.animate(
             scenario.environment,
             evaluation.frames[0],
             folder / "episode.gif",
-            graph=graph,
+            graph=drawing.graph_of(scenario),
             situations=evaluation.situations,
             time_step=scenario.time_step,
             robot_radius=scenario.robot.radius,
@@ -358,35 +218,16 @@ def write_all(
         drawing.video(evaluation.frames[0], scenario, folder / "camera.gif", view=config.camera)
     shown = []
     for i, frames in enumerate(evaluation.frames):
-        ended = outcome(bool(evaluation.completed[i]), float(evaluation.seconds[i]))
-        shown.append(replay.Episode(frames, f"episode {i} · {evaluation.tasks[i].replace('_', ' ')}", ended))
-    page = report.Report(
-        title=evaluation.title,
-        command="sean_jax.evaluate, in a Python program" if config is None else command("run", config),
-        versions=packages,
-        environment=scenario.environment,
-        graph=graph,
-        situations=evaluation.situations,
-        rows=[dataclasses.asdict(row) for row in evaluation.rows(complete=True)],
-        shares=evaluation.exclusive_shares(),
-        heat=evaluation.heat,
-        walks=evaluation.walks,
-        tasks=evaluation.tasks,
-        completed=evaluation.completed,
-        seconds=evaluation.seconds,
-        frames=evaluation.frames,
-        replay=replay.of_scenario(scenario, shown) if shown else None,
-        time_step=scenario.time_step,
-        robot_radius=scenario.robot.radius,
-        time_limit=scenario.time_limit,
-        checks=summary["checks"],
-        timing=summary["timing"],
-    )
-    (folder / "report.html").write_text(report.html(page), encoding="utf-8")
+        name = f"episode {i} · {evaluation.tasks[i].replace('_', ' ')}"
+        shown.append(replay.Episode(frames, name, outcome(evaluation.completed[i], evaluation.seconds[i])))
+    recording = replay.of_scenario(scenario, shown) if shown else None
+    line = "sean_jax.evaluate, in a Python program" if config is None else command("run", config)
+    text = report_page(evaluation, summary, recording, line, packages)
+    (folder / "report.html").write_text(text, encoding="utf-8")
 
 
-def outcome(completed: bool, seconds: float) -> str:
-    """How an episode of so many seconds ended, in words."""
+def outcome(completed: Any, seconds: float) -> str:
+    """The end of an episode of a duration in seconds, in words."""
     return f"{'completed' if completed else 'not completed'} in {seconds:.1f} s"
 
 
@@ -419,3 +260,114 @@ def _cell(value: Any) -> str:
     if isinstance(value, np.integer | np.bool_):
         return str(int(value))
     return f"{value:.6f}" if np.isfinite(value) else ""
+
+
+# ------------------------------------------------------------------ the report
+
+TILES = "completed", "seconds", "path_efficiency", "time_not_moving", "personal_robot_on_person"
+EPISODE = "episodes"  # topic of the rows that no metric measures
+OPEN = (EPISODE, "distances and collisions")  # topics that the table shows unless folded
+
+
+def report_page(
+    evaluation: Evaluation,
+    summary: dict[str, Any],
+    recording: dict[str, Any] | None,
+    command: str,
+    packages: dict[str, str],
+) -> str:
+    """The report: one self-contained HTML page for light and dark screens and for paper.
+
+    It holds the figures of Table I and Fig. 4 for this run, the pictures of Fig. 1, and the command that makes them
+    again. It shows the scenario's situations and metrics, the user's own included.
+
+    Args:
+        summary: of ``Evaluation.summary``.
+        recording: the first episodes, of ``replay.of_scenario``.
+    """
+    rows = table.table_rows(summary, evaluation.definitions, complete=True)
+    by_name, topics = {row.name: row for row in rows}, dict[str, list[table.Row]]()
+    for row in rows:
+        topic = EPISODE if row.name in table.EPISODE_FIGURES else metrics.topic(row.name)
+        topics.setdefault(topic, []).append(row)
+    shades = dict(zip(evaluation.situations, situation_colors(evaluation.situations), strict=True))
+    return pages.render(
+        "evaluation/run.html",
+        title=evaluation.title,
+        kicker="sean_jax · report of a run",
+        situations=evaluation.situations,
+        shares=evaluation.exclusive_shares(),
+        command=command,
+        versions=packages,
+        player="" if recording is None else replay.element(recording),
+        tiles=[by_name[name] for name in TILES if name in by_name],
+        shades=shades | {"none": NO_SITUATION},
+        topics=topics,
+        open_topics=OPEN,
+        episodes=_episodes(evaluation),
+        people=_people(evaluation),
+        durations=_durations(evaluation),
+        checks=_checks(summary),
+        definitions={row.title + (f" [{row.unit}]" if row.unit else ""): row.definition for row in rows},
+    )
+
+
+def _episodes(evaluation: Evaluation) -> list[tuple[str, str]]:
+    """Pictures of the first episodes, and their captions."""
+    scenario, pictures = evaluation.scenario, []
+    for i, frames in enumerate(evaluation.frames):
+        figure = drawing.top_down(
+            scenario.environment,
+            graph=drawing.graph_of(scenario),
+            frames=frames,
+            situations=evaluation.situations,
+            time_step=scenario.time_step,
+            robot_radius=scenario.robot.radius,
+        )
+        end = outcome(evaluation.completed[i], evaluation.seconds[i])
+        pictures.append((svg(figure, f"episode-{i}"), f"Episode {i} · {evaluation.tasks[i].replace('_', ' ')} · {end}"))
+    return pictures
+
+
+def _people(evaluation: Evaluation) -> list[tuple[str, str]]:
+    """Where people were, and the behavior graph, with captions."""
+    environment, graph = evaluation.scenario.environment, drawing.graph_of(evaluation.scenario)
+    seconds = max(float(evaluation.seconds.sum()), 1e-9)
+    x0, y0, x1, y1 = (float(v) for v in np.asarray(environment.floor))
+    density = evaluation.heat * evaluation.heat.size / ((x1 - x0) * (y1 - y0) * seconds)
+    crowds = drawing.congestion_map(environment, density, graph=graph, flow=evaluation.walks * (60.0 / seconds))
+    caption = "Where people were, mean over all episodes"
+    if graph is None:
+        return [(svg(crowds, "congestion"), caption)]
+    caption += "; bands are as wide as the flow each way along an edge"
+    picture = svg(drawing.top_down(environment, graph=graph), "behavior-graph")
+    name = environment.name.replace("_", " ")
+    return [(svg(crowds, "congestion"), caption), (picture, f"Behavior graph of the {name}")]
+
+
+def _checks(summary: dict[str, Any]) -> dict[str, str]:
+    checks, timing = summary["checks"], summary["timing"]
+    return {
+        "deepest penetration of a person into an obstacle": f"{checks['largest_penetration_mm']:.3f} mm",
+        "most people in each group": ", ".join(map(str, checks["largest_groups"])) or "there are no groups",
+        "numbers that are not finite": str(checks["not_finite"]),
+        "simulated": f"{summary['simulated_seconds']:,.0f} s of robot time, "
+        f"{timing['simulated_seconds_per_second']:,.0f} s per second on {timing['device']}",
+        "time taken": f"{timing['compile_seconds']:.1f} s to compile, {timing['run_seconds']:.1f} s to run",
+    }
+
+
+def _durations(evaluation: Evaluation) -> str:
+    """Histogram of the episodes' durations as SVG, up to the time limit; completed ones stand below."""
+    limit = evaluation.scenario.time_limit
+    edges, completed, seconds = np.linspace(0.0, limit, 25), evaluation.completed, np.minimum(evaluation.seconds, limit)
+    done, late = (np.histogram(seconds[mask], edges)[0] for mask in (completed, ~completed))
+    highest = max(1, int((done + late).max()))
+    left, base, step, scale = 36.0, 160.0, 668.0 / len(done), 140.0 / highest
+    bars = []
+    for k, (lower, upper) in enumerate(zip(scale * done, scale * late, strict=True)):
+        for kind, top, height in (("done", base - lower, lower), ("late", base - lower - upper, upper)):
+            if height:
+                bars.append((kind, left + k * step + 1.0, top, step - 2.0, height))
+    ticks = [(left + k * step, f"{edges[k]:g}") for k in range(0, len(edges), 4)]
+    return pages.render("evaluation/durations.html", bars=bars, ticks=ticks, highest=highest)

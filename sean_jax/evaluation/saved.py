@@ -1,6 +1,6 @@
 """The folder of a run: config.yaml with copies of the input files, and episodes.csv, written and read again.
 
-Input files are what the description names, except Python files. An environment, a robot, forces and sensors are copied.
+Input files are the description's files, except Python files. An environment, a robot, forces and sensors are copied.
 A recording may be large and stays where it is, as the folder of a policy does: the description has absolute paths.
 """
 
@@ -196,7 +196,7 @@ def read_config(path: Path, check: bool = True) -> SavedConfig:
     if not isinstance(content, dict):
         raise InputError(f"{path}: holds no description; give a config.yaml, such as `sean run` writes.")
     if "made by" in content:
-        raise InputError(f"{path}: was made by {content['made by']}; put the parts into files of their own.")
+        raise InputError(f"{path}: was made by {content['made by']}; put the parts into separate files.")
     data = content.get("config", {name: value for name, value in content.items() if name != "$schema"})
     if not isinstance(data, dict):
         raise InputError(f"{path}: config: holds no description; give field: value lines.")
@@ -206,7 +206,7 @@ def read_config(path: Path, check: bool = True) -> SavedConfig:
     code = {name: digest for name, digest in hashes.items() if name.endswith(".py")}
     for name, digest in hashes.items() if check else ():
         if name not in code and components.digest(folder / name, MAX_FILE) != digest:
-            cure = f"restore it, or remove its line under sha256 in {path.name} to take it as it is"
+            cure = f"restore it, or remove its line under sha256 in {path.name} to accept it"
             raise InputError(f"{folder / name}: is not the file that the run was made with; {cure}.")
     places, changes = locate(copies, hashes, folder)
     description = components.recorded(path, rename(data, places), code if check else None, "sha256")

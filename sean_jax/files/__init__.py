@@ -22,6 +22,7 @@ from sean_jax.files.reading import (
     MAX_DEPTH,
     MAX_RECORD,
     MAX_TABLE,
+    file_error,
     open_file,
     read_arrays,
     read_bytes,
@@ -32,30 +33,6 @@ from sean_jax.files.reading import (
     short_name,
 )
 from sean_jax.messages import error_clause, listed, suggest, unknown_name
-
-__all__ = [
-    "MAX_BYTES",
-    "MAX_DEPTH",
-    "MAX_RECORD",
-    "MAX_TABLE",
-    "FileError",
-    "Location",
-    "Problem",
-    "check_json",
-    "listed",
-    "load",
-    "open_file",
-    "read_arrays",
-    "read_bytes",
-    "read_json",
-    "read_rows",
-    "read_text",
-    "read_yaml",
-    "sentence",
-    "short_name",
-    "suggest",
-    "unknown_name",
-]
 
 MAX_ERRORS = 100  # of a file that a message names
 MAX_KEY = 60  # characters of a key in a message
@@ -70,7 +47,7 @@ def load(path: Path | str, model: type[Model], *checks: Callable[[Model], Iterab
     """Read a YAML file into a pydantic model.
 
     Args:
-        *checks: give problems of relations between fields, once each field by itself is right.
+        *checks: give problems of relations between fields, once each single field is right.
 
     Raises:
         FileError: the file cannot be read, or its content is wrong.
@@ -99,14 +76,11 @@ def _validate(path: Path, data: Any, model: type[Model], checks: Iterable[Callab
         if not problems:
             return value
         problems, more = problems[:MAX_ERRORS], len(problems[MAX_ERRORS:])
-    if root is None:
-        messages = [f"{short_name(path)}: {_sentence(loc, clause)}" for loc, clause in problems]
-        raise FileError(_limited(path, messages, more))
     marked = []
     for loc, clause in problems:
-        keys, mark = _locate(root, loc, loc in unknown)
+        keys, mark = (loc, None) if root is None else _locate(root, loc, loc in unknown)
         marked.append((mark, _sentence(keys, clause)))
-    raise FileError(_by_position(path, marked, more))
+    raise _in_one(path, marked, more)
 
 
 def _sentence(loc: Location, clause: str) -> str:
@@ -220,7 +194,7 @@ def read_yaml(path: Path) -> tuple[yaml.Node, Any]:
         loader = _Loader(text)
         root = loader.get_single_node()
         if root is None:
-            raise FileError(f"{short_name(path)}:1:1: the file is empty.")
+            raise file_error(path, "the file is empty", 1, 1)
         _refuse_alias_bombs(path, root)
         _refuse_duplicate_keys(path, root)
         return root, loader.construct_document(root)
@@ -229,21 +203,18 @@ def read_yaml(path: Path) -> tuple[yaml.Node, Any]:
         place = f"{mark.line + 1}:{mark.column + 1}" if mark else "1:1"
         start = f" that begins in line {error.context_mark.line + 1}" if error.context_mark else ""
         context = f"{error.context}{start}, " if error.context else ""
-        raise FileError(f"{short_name(path)}:{place}: is not YAML: {context}{_plain(error.problem)}.") from None
+        unhashable = error.problem == "found unhashable key"
+        problem = "a key is a list or a mapping; write a word" if unhashable else error.problem
+        raise file_error(path, f"is not YAML: {context}{problem}", place) from None
     except yaml.reader.ReaderError as error:
         line = text.count("\n", 0, error.position) + 1
-        what = f"character {error.position} is not allowed in YAML"
-        raise FileError(f"{short_name(path)}:{line}: {what}; remove it.") from None
+        raise file_error(path, f"character {error.position} is not allowed in YAML; remove it", line) from None
     except (ValueError, OverflowError) as error:  # such as of "\UFFFFFFFF"
         if isinstance(error, FileError):
             raise
         mark = loader.get_mark() if loader else None
-        place = f":{mark.line + 1}:{mark.column + 1}" if mark else ""
-        raise FileError(f"{short_name(path)}{place}: is not YAML: {error}.") from None
-
-
-def _plain(problem: str | None) -> str:
-    return "a key is a list or a mapping; write a word" if problem == "found unhashable key" else str(problem)
+        place = (mark.line + 1, mark.column + 1) if mark else ()
+        raise file_error(path, f"is not YAML: {error}", *place) from None
 
 
 def _children(node: yaml.Node) -> list[yaml.Node]:
@@ -253,26 +224,26 @@ def _children(node: yaml.Node) -> list[yaml.Node]:
 
 
 def _refuse_alias_bombs(path: Path, root: yaml.Node) -> None:
-    """Count values with aliases expanded: a few lines of aliases can stand for billions of values."""
+    """Count values with aliases expanded: a few lines of aliases can expand to billions of values."""
     sizes: dict[int, int | None] = {}  # None while a node is being counted
     pending = [(root, False)]
     while pending:
         node, is_done = pending.pop()
-        place = f"{short_name(path)}:{node.start_mark.line + 1}:{node.start_mark.column + 1}"
+        place = node.start_mark.line + 1, node.start_mark.column + 1
         if is_done:
             sizes[id(node)] = 1 + sum(sizes[id(child)] or 0 for child in _children(node))
             if (sizes[id(node)] or 0) > MAX_VALUES:
-                raise FileError(f"{place}: aliases unfold to more than {MAX_VALUES:,} values; write fewer.")
+                raise file_error(path, f"aliases unfold to more than {MAX_VALUES:,} values; write fewer", *place)
         elif id(node) not in sizes:
             sizes[id(node)] = None
             pending += [(node, True), *((child, False) for child in _children(node))]
         elif sizes[id(node)] is None:
-            raise FileError(f"{place}: an alias stands inside of its own anchor; remove it.")
+            raise file_error(path, "an alias stands inside of its own anchor; remove it", *place)
 
 
 def _refuse_duplicate_keys(path: Path, root: yaml.Node) -> None:
     """Refuse equal keys of a mapping, of which YAML would silently take the last."""
-    problems: list[tuple[yaml.Mark, str]] = []
+    problems: list[tuple[yaml.Mark | None, str]] = []
     pending: list[tuple[Location, yaml.Node]] = [((), root)]
     visited = set()
     while pending:
@@ -292,25 +263,23 @@ def _refuse_duplicate_keys(path: Path, root: yaml.Node) -> None:
                 first.setdefault(name, here.line + 1)
                 pending.append(((*loc, name), value))
     if problems:
-        raise FileError(_by_position(path, problems))
+        raise _in_one(path, problems)
 
 
 # ------------------------------------------------------------------ positions
 
 
-def _by_position(path: Path, marked: list[tuple[yaml.Mark, str]], more: int = 0) -> str:
-    """Problems in the order of their positions in the file."""
-    marked = sorted(marked, key=lambda item: (item[0].line, item[0].column))
-    name = short_name(path)
-    return _limited(path, [f"{name}:{mark.line + 1}:{mark.column + 1}: {text}" for mark, text in marked], more)
-
-
-def _limited(path: Path, messages: list[str], more: int) -> str:
-    """The first messages, each once, and one line with the number of others."""
-    messages = list(dict.fromkeys(messages))
-    more += len(messages[MAX_ERRORS:])
-    tail = [f"{short_name(path)}: there are {more:,} more errors; mend these first."] if more else []
-    return "\n".join([*messages[:MAX_ERRORS], *tail])
+def _in_one(path: Path, problems: list[tuple[yaml.Mark | None, str]], more: int = 0) -> FileError:
+    """The first problems in the order of their positions, each once, and one line with the number of others."""
+    problems = sorted(problems, key=lambda problem: (problem[0].line, problem[0].column) if problem[0] else (0, 0))
+    name, texts = short_name(path), []
+    for mark, text in problems:
+        place = f":{mark.line + 1}:{mark.column + 1}" if mark else ""
+        texts.append(f"{name}{place}: {text}")
+    texts = list(dict.fromkeys(texts))
+    more += len(texts[MAX_ERRORS:])
+    tail = [f"{name}: there are {more:,} more errors; mend these first."] if more else []
+    return FileError("\n".join([*texts[:MAX_ERRORS], *tail]))
 
 
 def _locate(root: yaml.Node, loc: Location, at_key: bool) -> tuple[Location, yaml.Mark]:

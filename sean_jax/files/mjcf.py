@@ -13,16 +13,16 @@ from xml.parsers import expat
 import numpy as np
 
 from sean_jax.errors import FileError
-from sean_jax.files.reading import MAX_DEPTH, read_bytes, read_text, short_name
+from sean_jax.files.reading import MAX_DEPTH, file_error, read_bytes, read_text, short_name
 from sean_jax.messages import shorten
 
-MAX_ELEMENTS = 10_000  # in all, those of a replicate as often as it makes them
+MAX_ELEMENTS = 10_000  # in all, with all copies of replicates
 MAX_JOINTS = 100
 MAX_PIXELS = 25_000_000  # of all textures and height fields together
 MAX_FOLDERS = 30  # that <compiler> names for meshes and textures
 MAX_TEXT = 10_000_000  # bytes
 MAX_ASSET = 50_000_000  # bytes of a mesh or an image
-MAX_MAGNITUDE = 1e10  # of a number; MuJoCo's own bound of what a simulation may hold
+MAX_MAGNITUDE = 1e10  # of a number; MuJoCo's own bound
 # (element, attribute) -> its maximum; MuJoCo allocates as much
 MAX_COUNTS = {
     ("replicate", "count"): 1_000,
@@ -43,9 +43,7 @@ def read(path: Path) -> Any:
     Raises:
         FileError: one sentence that names the file, the line where there is one, and the cure.
     """
-    scan = _Scan(path)
-    scan.run(path, read_text(path, MAX_TEXT))
-    scan.check_assets()
+    sources(path)  # refuses elements and files
     mujoco: Any = import_module("mujoco")  # late, for it takes time; Any, for it has no type stubs
     warnings: list[str] = []
     before = mujoco.get_mju_user_warning()
@@ -54,18 +52,16 @@ def read(path: Path) -> Any:
         model = mujoco.MjModel.from_xml_path(str(path))
     except (ValueError, RuntimeError, MemoryError) as error:
         cause = " ".join(str(error).split()).rstrip(".") or "it is too large"
-        raise FileError(f"{short_name(path)}: MuJoCo cannot read it: {cause}.") from None
+        raise file_error(path, f"MuJoCo cannot read it: {cause}") from None
     finally:
         mujoco.set_mju_user_warning(before)
     if warnings:
-        raise FileError(f"{short_name(path)}: MuJoCo warns of it: {' '.join(warnings[0].split()).rstrip('.')}.")
+        raise file_error(path, f"MuJoCo warns of it: {' '.join(warnings[0].split()).rstrip('.')}")
     for name in dir(model):
         value = None if name.startswith("_") else getattr(model, name)
         if isinstance(value, np.ndarray) and value.dtype.kind == "f" and not (np.abs(value) <= MAX_MAGNITUDE).all():
-            raise FileError(
-                f"{short_name(path)}: MuJoCo makes a number of it ({name}) that is not finite; look for numbers "
-                f"that are very large or very small."
-            )
+            cure = "look for numbers that are very large or very small"
+            raise file_error(path, f"MuJoCo makes a number of it ({name}) that is not finite; {cure}")
     return model
 
 
@@ -84,17 +80,17 @@ class _Scan:
         self.folder = path.parent
         self.elements = self.joints = self.pixels = 0
         self.folders = {""}  # that <compiler> names, before or after the assets in them
-        self.assets: list[tuple[str, list[str], int]] = []  # "file:line", files that make one asset, how often
+        self.assets: list[tuple[str, list[str], int]] = []  # "file:line", files of one asset, number of copies
         self.files: set[Path] = set()  # that are read besides it
         self.place = ""  # "file:line" of the current element
 
     def run(self, path: Path, content: str, including: tuple[Path, ...] = (), times: int = 1) -> None:
         """Check the text of a file, its content made ``times``; FileError if it is not XML or an element is refused."""
         parser = expat.ParserCreate("utf-8")
-        above = [times]  # of each open element: how often its content is made
+        above = [times]  # of each open element: number of copies of its content
 
         def refuse(what: str) -> None:
-            raise FileError(f"{short_name(path)}:{parser.CurrentLineNumber}: {what}.")
+            raise file_error(path, what, parser.CurrentLineNumber)
 
         def begin(name: str, attributes: dict[str, str]) -> None:
             self.place = f"{short_name(path)}:{parser.CurrentLineNumber}"
@@ -115,20 +111,17 @@ class _Scan:
                 self.files.add(inner)
                 self.run(inner, included, (*including, path), above[-1])
 
-        def doctype(*_: Any) -> None:
-            refuse("has a document type, which MJCF does not; remove it")
-
         parser.StartElementHandler = begin
         parser.EndElementHandler = lambda _: above.pop()
-        parser.StartDoctypeDeclHandler = doctype
+        parser.StartDoctypeDeclHandler = lambda *_: refuse("has a document type, which MJCF does not; remove it")
         try:
             parser.Parse(content.encode("utf-8"), True)
         except expat.ExpatError as error:
-            place = f"{short_name(path)}:{error.lineno}:{error.offset + 1}"
-            raise FileError(f"{place}: is not XML: {expat.ErrorString(error.code)}.") from None
+            text = f"is not XML: {expat.ErrorString(error.code)}"
+            raise file_error(path, text, error.lineno, error.offset + 1) from None
 
     def element(self, name: str, attributes: dict[str, str], times: int) -> int:
-        """Check an element; returns how often its content is made. Raises _ElementError."""
+        """Check an element; returns the number of copies of its content. Raises _ElementError."""
         if name == "robot":
             raise _ElementError("is URDF and not MJCF; write it as MJCF, as envs/robots/kuri.xml is")
         if name in REFUSED:
@@ -187,9 +180,8 @@ class _Scan:
         """Add pixels to the total; _ElementError if there are too many."""
         self.pixels += pixels
         if self.pixels > MAX_PIXELS:
-            raise _ElementError(
-                f"textures have more than {MAX_PIXELS // 10**6} million pixels in all; make them smaller"
-            )
+            size = f"more than {MAX_PIXELS // 10**6} million pixels in all"
+            raise _ElementError(f"textures have {size}; make them smaller")
 
 
 class _ElementError(Exception):

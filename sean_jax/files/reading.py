@@ -7,6 +7,7 @@ before memory is used for it. Whatever another package raises about the content 
 import contextlib
 import csv
 import io
+import itertools
 import json
 import math
 import os
@@ -21,7 +22,7 @@ from sean_jax.messages import suggest
 
 MAX_BYTES = 2_000_000  # of a file that people write
 MAX_RECORD = 200_000_000  # of one text that this program writes: JSON, a log, a page
-MAX_ARRAYS = 1_000_000_000  # of a .npz file that this program writes, and what it unpacks to
+MAX_ARRAYS = 1_000_000_000  # of a .npz file of this program, packed and unpacked
 MAX_TABLE = 10_000_000_000  # of a table with a row for each episode or frame, which is read row by row
 MAX_LINE = 1_000_000  # characters of a line of a table
 MAX_DEPTH = 60  # of values within values
@@ -32,13 +33,18 @@ def short_name(path: Path) -> str:
     return "/".join(part for part in (path.parent.name, path.name) if part)
 
 
+def file_error(path: Path | str, text: str, *place: Any) -> FileError:
+    """The error about a file: ``text`` without a full stop, at a line and a column if these are known."""
+    return FileError(f"{':'.join([short_name(Path(path)), *map(str, place)])}: {text}.")
+
+
 @contextlib.contextmanager
 def open_file(path: Path | str, max_bytes: int = MAX_BYTES) -> Iterator[BinaryIO]:
     """A regular file of at most ``max_bytes``, open for reading; FileError if it is missing, unreadable or larger."""
     path = Path(path)
     with contextlib.ExitStack() as stack:
         try:
-            # Without O_NONBLOCK a pipe would be waited for until somebody writes.
+            # Without O_NONBLOCK opening a pipe would wait for a writer.
             descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
             status = os.fstat(descriptor)
             if not stat.S_ISREG(status.st_mode):
@@ -71,16 +77,15 @@ def read_bytes(path: Path | str, max_bytes: int = MAX_BYTES) -> bytes:
 
 
 def _too_large(path: Path, size: int, max_bytes: int) -> FileError:
-    what = f"has {size:,} bytes and at most {max_bytes:,} are read"
-    return FileError(f"{short_name(path)}: {what}; make it smaller.")
+    return file_error(path, f"has {size:,} bytes and at most {max_bytes:,} are read; make it smaller")
 
 
 @contextlib.contextmanager
 def sentence(path: Path | str, cure: str) -> Iterator[None]:
-    """Turn whatever another package raises in this block about a file's content into a ``FileError``.
+    """Turn another package's errors about a file's content in this block into a ``FileError``.
 
     Args:
-        cure: the end of the sentence, such as ``get it anew``.
+        cure: the end of the sentence, such as ``get it again``.
     """
     try:
         yield
@@ -88,11 +93,11 @@ def sentence(path: Path | str, cure: str) -> Iterator[None]:
         raise
     except OSError as error:
         why = error.strerror.lower() if error.strerror else "it is damaged"
-        raise FileError(f"{short_name(Path(path))}: cannot be read: {why}; {cure}.") from error
+        raise file_error(path, f"cannot be read: {why}; {cure}") from error
     except MemoryError as error:
-        raise FileError(f"{short_name(Path(path))}: does not fit into memory; {cure}.") from error
+        raise file_error(path, f"does not fit into memory; {cure}") from error
     except Exception as error:  # which one depends on the byte that is damaged
-        raise FileError(f"{short_name(Path(path))}: is damaged; {cure}.") from error
+        raise file_error(path, f"is damaged; {cure}") from error
 
 
 def read_text(path: Path | str, max_bytes: int = MAX_BYTES) -> str:
@@ -103,15 +108,13 @@ def read_text(path: Path | str, max_bytes: int = MAX_BYTES) -> str:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
-        raise FileError(
-            f"{short_name(path)}:{line}: byte {error.start} is not UTF-8 text; save the file as UTF-8."
-        ) from None
+        raise file_error(path, f"byte {error.start} is not UTF-8 text; save the file as UTF-8", line) from None
 
 
-def read_json(path: Path | str, max_bytes: int = MAX_RECORD) -> Any:
+def read_json(path: Path | str) -> Any:
     """The content of a JSON file, without NaN and infinities; FileError if it cannot be read or is not JSON."""
     path = Path(path)
-    text = read_text(path, max_bytes)
+    text = read_text(path, MAX_RECORD)
 
     def refuse(word: str) -> None:
         raise ValueError(f"{word} is not JSON")
@@ -119,12 +122,12 @@ def read_json(path: Path | str, max_bytes: int = MAX_RECORD) -> Any:
     try:
         return json.loads(text, parse_constant=refuse)
     except json.JSONDecodeError as error:
-        place = f"{short_name(path)}:{error.lineno}:{error.colno}"
-        raise FileError(f"{place}: is not JSON: {error.msg[:1].lower()}{error.msg[1:]}.") from None
+        text = f"is not JSON: {error.msg[:1].lower()}{error.msg[1:]}"
+        raise file_error(path, text, error.lineno, error.colno) from None
     except RecursionError:
-        raise FileError(f"{short_name(path)}: is nested too deeply; it was not written by this program.") from None
+        raise file_error(path, "is nested too deeply; it was not written by this program") from None
     except ValueError as error:
-        raise FileError(f"{short_name(path)}: cannot be used: {error}.") from None
+        raise file_error(path, f"cannot be used: {error}") from None
 
 
 def _kind(mode: int) -> str:
@@ -140,7 +143,7 @@ def _similar_file(path: Path) -> str:
         return "; its folder does not exist either."
 
 
-def read_rows(path: Path | str, max_bytes: int = MAX_TABLE) -> Iterator[list[str]]:
+def read_rows(path: Path | str) -> Iterator[list[str]]:
     """The cells of each row of a CSV file, names of columns first; a first line with # comes before, as one cell.
 
     Raises:
@@ -148,17 +151,17 @@ def read_rows(path: Path | str, max_bytes: int = MAX_TABLE) -> Iterator[list[str
             cells in a row than columns.
     """
     path = Path(path)
-    with open_file(path, max_bytes) as stream:
+    with open_file(path, MAX_TABLE) as stream:
         lines = _lines(path, io.TextIOWrapper(stream, "utf-8-sig", newline=""))
         first, above = next(lines, ""), 0
         if first.startswith("#"):
             yield [first.rstrip("\r\n")]
             first, above = next(lines, ""), 1
-        reader = csv.reader(_after(first, lines), strict=True)
+        reader = csv.reader(itertools.chain([first], lines), strict=True)
         head = None
 
-        def place() -> str:
-            return f"{short_name(path)}:{reader.line_num + above}"
+        def wrong(text: str) -> FileError:
+            return file_error(path, text, reader.line_num + above)
 
         try:
             for row in reader:
@@ -167,18 +170,12 @@ def read_rows(path: Path | str, max_bytes: int = MAX_TABLE) -> Iterator[list[str
                 if head is None:
                     head = row
                     if len(set(row)) < len(row):
-                        raise FileError(f"{place()}: names a column twice; give each a name of its own.")
+                        raise wrong("names a column twice; give each a name of its own")
                 elif len(row) != len(head):
-                    what = f"has {len(row)} cells and there are {len(head)} columns"
-                    raise FileError(f"{place()}: {what}; restore the file.")
+                    raise wrong(f"has {len(row)} cells and there are {len(head)} columns; restore the file")
                 yield row
         except csv.Error as error:
-            raise FileError(f"{place()}: is no row of CSV ({error}); restore the file.") from None
-
-
-def _after(first: str, lines: Iterator[str]) -> Iterator[str]:
-    yield first
-    yield from lines
+            raise wrong(f"is no row of CSV ({error}); restore the file") from None
 
 
 def _lines(path: Path, stream: io.TextIOWrapper) -> Iterator[str]:
@@ -188,11 +185,11 @@ def _lines(path: Path, stream: io.TextIOWrapper) -> Iterator[str]:
         try:
             line = stream.readline(MAX_LINE)
         except UnicodeDecodeError:
-            raise FileError(f"{short_name(path)}:{number}: is not UTF-8 text; save the file as UTF-8.") from None
+            raise file_error(path, "is not UTF-8 text; save the file as UTF-8", number) from None
         except OSError as error:
             raise FileError(f"{path}: cannot be read: {error.strerror}.") from None
         if len(line) == MAX_LINE:
-            raise FileError(f"{short_name(path)}:{number}: has more than {MAX_LINE:,} characters; restore the file.")
+            raise file_error(path, f"has more than {MAX_LINE:,} characters; restore the file", number)
         if not line:
             return
         yield line
@@ -215,8 +212,7 @@ def read_arrays(
     with open_file(path, max_bytes) as stream, sentence(path, cure), zipfile.ZipFile(stream) as parts:
         size = sum(part.file_size for part in parts.infolist())
         if size > max_bytes:
-            what = f"unpacks to {size:,} bytes and at most {max_bytes:,} are read"
-            raise FileError(f"{short_name(path)}: {what}; {cure}.")
+            raise file_error(path, f"unpacks to {size:,} bytes and at most {max_bytes:,} are read; {cure}")
         arrays = {}
         for part in parts.infolist():
             with parts.open(part) as packed:
@@ -227,7 +223,7 @@ def read_arrays(
 
 
 def _check_array(packed: Any, size: int) -> None:
-    """ValueError unless an array is as large as its head says, for which numpy makes room."""
+    """ValueError unless an array has the size of its header, for which numpy allocates memory."""
     import numpy as np
 
     version = np.lib.format.read_magic(packed)

@@ -24,7 +24,7 @@ Factor = Annotated[float, pydantic.Field(ge=1e-3, le=1e3)]  # by which the lengt
 STRICT = pydantic.ConfigDict(extra="forbid", allow_inf_nan=False)
 MIN_SPAWN = 1e-3  # a much smaller number is 0 in single precision
 CODE = "graph/annotation", "geometry"  # that the places depend on
-PERSON = 0.25  # m, kept free around a place: a body of 0.2 m and some room
+PERSON = 0.25  # m, free radius around a place: a body of 0.2 m and a margin
 N_PLACES = 64  # of a node
 ROUND = 256  # candidates a node in one round
 FULL_ROUNDS = 4  # with candidates from the whole disc, before discs shrink
@@ -39,7 +39,7 @@ class Node(pydantic.BaseModel):
     kind: Literal["waypoint", "group"]
     position: tuple[Coordinate, Coordinate]  # m
     radius: Radius  # m
-    spawn: RelativeChance = 0.0  # chance with which somebody starts here, relative to the other nodes
+    spawn: RelativeChance = 0.0  # weight of the node as a start, relative to the other nodes
     weight: RelativeChance | None = None  # chance with which a waypoint is a goal, relative to the others; None: 1
     capacity: Annotated[int, pydantic.Field(ge=2, le=32)] | None = None  # people, of a group
     stay: tuple[Duration, Duration] | None = None  # s, minimum and maximum, of a group
@@ -87,7 +87,7 @@ class Annotation(pydantic.BaseModel):
         return min(pairs, key=lambda flow: away(pairs[flow]))
 
     def factors_of(self, edge: Edge) -> tuple[float, float]:
-        """The factors of an edge's length, there and back: its weights, or those of its flow."""
+        """The factors of an edge's length in both directions: its weights, or the factors of its flow."""
         return edge.weights or self.flow_factors()[self.flow_of(edge)]
 
 

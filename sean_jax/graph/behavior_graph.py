@@ -1,7 +1,7 @@
 """The Behavior Graph as arrays (section IV-D), its cheapest paths, route choice with a temperature, congestion costs.
 
-The paper sends everybody along the cheapest path. With a temperature T [m] a person at node u on the way to h goes on
-to the neighbor v with a chance proportional to exp(-(c_uv + C_vh) / T), where c is the cost of an edge and C that of
+In the paper people take the cheapest path. With a temperature T [m] a person at node u on the way to h walks
+to the neighbor v with probability proportional to exp(-(c_uv + C_vh) / T), where c is the cost of an edge and C of
 the cheapest path from there: a logit model of route choice, node by node. As T goes to 0 it is the cheapest path.
 Unlike it, the chances are differentiable in the costs of edges. Source: R. B. Dial, A probabilistic multipath traffic
 assignment model which obviates path enumeration, Transportation Research 5(2), 1971.
@@ -42,7 +42,7 @@ class BehaviorGraph:
     is_group: Bool[Array, "M"]
     capacity: Int[Array, "M"]  # seats of a group, 0 for a waypoint
     stay: Float[Array, "M 2"]  # s, minimum and maximum of the time spent at a group, 0 for a waypoint
-    spawn: Float[Array, "M"]  # chance with which somebody starts at the node, relative to the other nodes
+    spawn: Float[Array, "M"]  # weight of the node as a start, relative to the other nodes
     weight: Float[Array, "M"]  # chance with which a waypoint is drawn as a goal, relative to the others; 0 for a group
     flow: Int[Array, "M M"]  # index into FLOWS of the edge from row to column, NO_EDGE without an edge
     edge_cost: Float[Array, "M M"]  # m, length times factor of the edge from row to column, inf without an edge

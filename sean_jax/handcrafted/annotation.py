@@ -3,8 +3,9 @@
 Checks: fields that fit together, and room for people and robot.
 """
 
+import math
 from collections.abc import Iterator
-from itertools import combinations
+from itertools import combinations, product
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
@@ -31,7 +32,7 @@ POSE_CLEARANCE = 0.3  # m, from the robot's poses to obstacles and to the floor'
 APART = 0.6  # m, from people to others of another loop or group and to the robot's poses
 SPACING = 0.55  # m, between people who start on one loop, wherever on it they are
 MAX_LOOP = 1_000.0  # m
-STRIDE = 0.1  # m, between the points that stand for a loop where distances are measured
+STRIDE = 0.1  # m, between the points of a loop at which distances are measured
 STRICT = pydantic.ConfigDict(extra="forbid", allow_inf_nan=False)
 Place = tuple[Coordinate, Coordinate]  # m
 Situation = Literal["empty", "join_group", "leave_group", "down_path", "cross_path"]
@@ -50,7 +51,7 @@ Poses = Annotated[list[Pose], pydantic.Field(min_length=POSES, max_length=POSES)
 
 
 class Walkers(pydantic.BaseModel):
-    """People who walk a closed loop of waypoints without end, and start spread along it or at its waypoints.
+    """People who walk a closed loop of waypoints, and start spread along it or at its waypoints.
 
     People who start at waypoints take the shortest way to the next one, so the straight way may be blocked.
     """
@@ -154,7 +155,7 @@ def read(folder: Path, environment: Environment) -> Annotation:
 
 def check(annotation: Annotation) -> Iterator[files.Problem]:
     """Mistakes in the fields of an annotation, wherever its places lie."""
-    group_names = {ALL, *get_args(Situation)}  # each stands for several sets
+    group_names = {ALL, *get_args(Situation)}  # each names several sets
     for collection in annotation.further:
         if collection in group_names or collection in annotation.sets:
             yield ("further", collection), f"'{collection}' stands for other sets; give the collection another name"
@@ -203,77 +204,82 @@ def trace(loop: list[tuple[float, float]]) -> np.ndarray:
 
 def check_apart(here: files.Location, each: Set) -> Iterator[files.Problem]:
     """Mistakes in the distances within a set, without regard to obstacles."""
-    too_long = False
-    for number, walkers in enumerate(each.walkers):
-        corners = np.array(walkers.loop, float)
-        around = float(np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=-1).sum())
-        if around > MAX_LOOP:
-            too_long = True
-            yield (*here, "walkers", number, "loop"), f"is {around:,.0f} m long; {MAX_LOOP:,g} m are the most"
-    if too_long:
+    loops = [np.array(walkers.loop, float) for walkers in each.walkers]
+    legs = [np.linalg.norm(np.roll(loop, -1, axis=0) - loop, axis=-1) for loop in loops]
+    long = [number for number, lengths in enumerate(legs) if lengths.sum() > MAX_LOOP]
+    for number in long:
+        text = f"is {legs[number].sum():,.0f} m long; {MAX_LOOP:,g} m are the most"
+        yield (*here, "walkers", number, "loop"), text
+    if long:
         return
     traces = [trace(walkers.loop) for walkers in each.walkers]
     begins = [  # possible starts of people
-        np.array(walkers.loop, float)[walkers.first_waypoints()] if walkers.start == "waypoints" else points
-        for walkers, points in zip(each.walkers, traces, strict=True)
+        loop[walkers.first_waypoints()] if walkers.start == "waypoints" else points
+        for walkers, loop, points in zip(each.walkers, loops, traces, strict=True)
     ]
-    for number, (walkers, points) in enumerate(zip(each.walkers, traces, strict=True)):
-        place = (*here, "walkers", number)
-        corners = np.array(walkers.loop, float)
-        for corner, gap in enumerate(np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=-1)):
-            if gap < ARRIVED:
-                why = f"as close as people come to a waypoint before they go on, {ARRIVED:g} m"
-                yield (*place, "loop", corner), f"the next waypoint is only {gap:.2f} m away, {why}; move one of them"
-        if walkers.start == "waypoints":
-            if walkers.people > len(corners):
-                most = f"only {len(corners)} waypoints to start at; give more, or choose start spread"
-                yield (*place, "people"), f"{walkers.people} have {most}"
-            else:
-                yield from _check_first_waypoints(place, walkers)
-            continue
-        max_people = _max_people(points, walkers.people)
-        if max_people < walkers.people:
-            yield (*place, "people"), f"{walkers.people} do not fit on the loop; the most that do is {max_people}"
+    for number, walkers in enumerate(each.walkers):
+        yield from _check_walkers((*here, "walkers", number), walkers, legs[number], traces[number])
     for (i, one), (j, other) in combinations(enumerate(begins), 2):
         gap = _gap(one, other)
         if gap < APART:
             why = f"where people could start in one place; keep {APART:g} m or more"
             yield (*here, "walkers", j, "loop"), f"comes within {gap:.2f} m of the loop of walkers[{i}], {why}"
-    for name, group in each.groups.items():
-        ring, spot = reach(group.people), np.array([group.center])
+    rings = {name: (np.array([group.center]), reach(group.people)) for name, group in each.groups.items()}
+    for number, (name, (spot, ring)) in enumerate(rings.items()):
+        place = (*here, "groups", name, "center")
         for i, points in enumerate(traces):
             gap = _gap(points, spot) - ring
             if gap < APART:
                 move = f"move the group by {APART - gap:.2f} m or more"
-                yield (*here, "groups", name, "center"), f"people of walkers[{i}] would walk through the group; {move}"
-        for other in list(each.groups)[: list(each.groups).index(name)]:
-            gap = _gap(np.array([each.groups[other].center]), spot) - ring - reach(each.groups[other].people)
+                yield place, f"people of walkers[{i}] would walk through the group; {move}"
+        for other, (center, size) in list(rings.items())[:number]:
+            gap = _gap(center, spot) - ring - size
             if gap < APART:
                 move = f"move one by {APART - gap:.2f} m or more"
-                yield (*here, "groups", name, "center"), f"leaves too little room to the group '{other}'; {move}"
+                yield place, f"leaves too little room to the group '{other}'; {move}"
+    words = ["the loop" if walkers.start == "spread" else "where somebody starts" for walkers in each.walkers]
+    around = [(points, 0.0, f"{words[i]} of walkers[{i}]") for i, points in enumerate(begins)]
+    around += [(center, size, f"the group '{name}'") for name, (center, size) in rings.items()]
+    for (place, pose), (points, size, what) in product(_places(here, each), around):
+        gap = _gap(points, np.array([pose[:2]])) - size
+        if gap < APART:
+            yield place, f"is {max(gap, 0.0):.2f} m from {what}; keep {APART:g} m or more"
+
+
+def _places(here: files.Location, each: Set) -> Iterator[tuple[files.Location, tuple[float, float, float]]]:
+    """The robot's poses that are no groups, with their locations in the file."""
     for key, poses in (("starts", each.starts), ("goals", each.goals)):
-        for number, pose in enumerate(poses):
-            if isinstance(pose, str):
-                continue
-            spot = np.array([pose[:2]])
-            gaps = []
-            for i, (walkers, points) in enumerate(zip(each.walkers, begins, strict=True)):
-                what = "the loop" if walkers.start == "spread" else "where somebody starts"
-                gaps.append((_gap(points, spot), f"{what} of walkers[{i}]"))
-            for name, group in each.groups.items():
-                gaps.append((_gap(np.array([group.center]), spot) - reach(group.people), f"the group '{name}'"))
-            for gap, what in gaps:
-                if gap < APART:
-                    yield (*here, key, number), f"is {max(gap, 0.0):.2f} m from {what}; keep {APART:g} m or more"
+        yield from (((*here, key, number), pose) for number, pose in enumerate(poses) if not isinstance(pose, str))
+
+
+def _check_walkers(
+    place: files.Location, walkers: Walkers, legs: np.ndarray, points: np.ndarray
+) -> Iterator[files.Problem]:
+    """Mistakes in the distances along a loop, of legs (K,) [m] and traced by points (P, 2) [m]."""
+    for corner in np.flatnonzero(legs < ARRIVED):
+        why = f"as close as people come to a waypoint before they go on, {ARRIVED:g} m"
+        text = f"the next waypoint is only {legs[corner]:.2f} m away, {why}; move one of them"
+        yield (*place, "loop", int(corner)), text
+    if walkers.start == "spread":
+        max_people = _max_people(points, walkers.people)
+        if max_people < walkers.people:
+            yield (*place, "people"), f"{walkers.people} do not fit on the loop; the most that do is {max_people}"
+    elif walkers.people > len(legs):
+        most = f"only {len(legs)} waypoints to start at; give more, or choose start spread"
+        yield (*place, "people"), f"{walkers.people} have {most}"
+    else:
+        for (i, one), (j, other) in combinations([(k, walkers.loop[k]) for k in walkers.first_waypoints()], 2):
+            gap = math.dist(one, other)
+            if gap < SPACING:
+                why = f"where somebody starts as well; keep {SPACING:g} m or more"
+                yield (*place, "loop", j), f"is {gap:.2f} m from waypoint {i}, {why}"
 
 
 def check_against(annotation: Annotation, environment: Environment) -> Iterator[files.Problem]:
     """Mistakes in where the sets lie: off the floor, in obstacles, without room or with loops that are blocked."""
     spots, legs = [], []
     for here, _, each in annotation.each():
-        for key, poses in (("starts", each.starts), ("goals", each.goals)):
-            places = [((*here, key, number), pose) for number, pose in enumerate(poses) if not isinstance(pose, str)]
-            spots += [(place, pose[:2], POSE_CLEARANCE, "the robot") for place, pose in places]
+        spots += [(place, pose[:2], POSE_CLEARANCE, "the robot") for place, pose in _places(here, each)]
         for label, group in each.groups.items():
             needed = reach(group.people) + PERSON
             spots.append(((*here, "groups", label, "center"), group.center, needed, f"a group of {group.people}"))
@@ -309,7 +315,7 @@ def check_against(annotation: Annotation, environment: Environment) -> Iterator[
 
 
 def _legs(loop: list[tuple[float, float]], both: bool) -> Iterator[tuple[int, tuple]]:
-    """(waypoint, (from, to, description)): ways to the next waypoint, also of people who turn a metre early."""
+    """(waypoint, (from, to, description)): lines to the next waypoint, also if people turn a metre early."""
     count = len(loop)
     corners = np.array(loop, float)
     for k in range(count):
@@ -330,7 +336,7 @@ def _blocked(environment: Environment, ends: Float[Array, "L 2 2"]) -> Bool[Arra
 
 
 def _max_people(points: np.ndarray, people: int) -> int:
-    """The most of so many people who can start evenly spread along a traced loop, wherever the first one starts."""
+    """Maximum number, at most this many, of people spread along a traced loop, for any position of the first."""
     step = np.linalg.norm(np.roll(points, -1, axis=0) - points, axis=-1)
     along = np.concatenate([[0.0], np.cumsum(step)])
     closed = np.concatenate([points, points[:1]])
@@ -341,16 +347,6 @@ def _max_people(points: np.ndarray, people: int) -> int:
         if gaps.min() >= SPACING:
             return number
     return 1
-
-
-def _check_first_waypoints(place: files.Location, walkers: Walkers) -> Iterator[files.Problem]:
-    """Waypoints at which people start who would start too close to each other."""
-    first = walkers.first_waypoints()
-    for (i, one), (j, other) in combinations([(k, np.array(walkers.loop[k])) for k in first], 2):
-        gap = float(np.linalg.norm(one - other))
-        if gap < SPACING:
-            why = f"where somebody starts as well; keep {SPACING:g} m or more"
-            yield (*place, "loop", j), f"is {gap:.2f} m from waypoint {i}, {why}"
 
 
 def _gap(one: np.ndarray, other: np.ndarray) -> float:

@@ -14,28 +14,18 @@ if TYPE_CHECKING:
     from sean_jax.learning.imitation import train, train_ensemble
     from sean_jax.learning.lerobot import export
     from sean_jax.learning.networks import Network
-    from sean_jax.learning.policy import load_folder as load
-    from sean_jax.learning.policy import load_policy, pack
+    from sean_jax.learning.policy import load, load_policy, pack
 
-_HOMES = {
-    "Dataset": "dataset",
-    "Example": "examples",
-    "Loader": "examples",
-    "Network": "networks",
-    "Recorder": "collection",
-    "Recording": "examples",
-    "Token": "examples",
-    "collect": "collection",
-    "example": "examples",
-    "export": "lerobot",
-    "load": "policy",
-    "load_policy": "policy",
-    "open_dataset": "dataset",
-    "pack": "policy",
-    "record": "collection",
-    "train": "imitation",
-    "train_ensemble": "imitation",
+_NAMES = {
+    "collection": ("Recorder", "collect", "record"),
+    "dataset": ("Dataset", "open_dataset"),
+    "examples": ("Example", "Loader", "Recording", "Token", "example"),
+    "imitation": ("train", "train_ensemble"),
+    "lerobot": ("export",),
+    "networks": ("Network",),
+    "policy": ("load", "load_policy", "pack"),
 }
+_HOMES = {name: module for module, names in _NAMES.items() for name in names}
 
 MODULES = "dagger", "policy", "reinforcement"  # public as a whole
 
@@ -50,7 +40,7 @@ def __getattr__(name: str):
     if name in MODULES:
         return import_module(f"{__name__}.{name}")
     if name in _HOMES:
-        return getattr(import_module(f"{__name__}.{_HOMES[name]}"), "load_folder" if name == "load" else name)
+        return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

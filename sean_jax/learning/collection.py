@@ -3,13 +3,12 @@
 The paper's schedule: random people have one task for all the time; handcrafted people each of the five situations for
 a fifth of it; the Behavior Graph half of it joining groups and half of it leaving them. A part of the time is a stream
 of episodes. Episode ``i`` is drawn from ``fold_in(prng.key("collect", seed), i)`` alone. Committed shards
-are never lost: after a kill, or for more hours, the same command goes on with the next shard, and makes lost ones anew.
-The result is the same, to the byte, as that of one run. A shard is written while the next one is simulated.
+are never lost: after a kill, or for more hours, the same command continues with the next shard, and repeats lost ones.
+The result is the same, to the byte, as of one run. A shard is written while the next one is simulated.
 """
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import functools
 import math
@@ -18,7 +17,7 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -29,25 +28,21 @@ from sean_jax.base import Array, Policy, Scenario, State
 from sean_jax.config import MAX_PIXELS, CollectConfig, HandcraftedBehavior, OwnPart, Value, present_names
 from sean_jax.errors import InputError
 from sean_jax.flags import command, number
+from sean_jax.learning import dataset
 from sean_jax.learning.dataset import Dataset, EpisodeBatch, stream_seconds
 from sean_jax.learning.examples import Row, row
-from sean_jax.learning.policy import check_policy, disturbed, label, labelled, load_policy
-from sean_jax.progress import progress
+from sean_jax.learning.policy import check_policy, label, labelled, load_policy
+from sean_jax.progress import ProgressLike, progress
 from sean_jax.runner import Callbacks, Record, Runner, not_finite
-from sean_jax.versions import fingerprint, versions
-
-if TYPE_CHECKING:
-    from rich.console import Console
-
-from sean_jax.learning import dataset
 from sean_jax.scenario import reset, step
+from sean_jax.versions import fingerprint, versions
 from sean_jax.workspace import CONTENT, refuse_difference, refuse_others
 
 # ------------------------------------------------------------------ schedule of streams
 
 
 def check_collection(config: CollectConfig) -> None:
-    """Refuse everything that can be told before a scenario is made.
+    """Refuse options that cannot work, as far as no scenario is needed to know it.
 
     Raises:
         InputError: one sentence that names the value and the cure.
@@ -58,18 +53,15 @@ def check_collection(config: CollectConfig) -> None:
     assembly.check(config)
     if isinstance(config.robot, OwnPart | Value):
         return
-    try:
-        robot = robots.load(config.robot.kind, "twin")
-        sensors.camera(robot, "depth", width=config.width, height=config.height)
-    except ValueError as error:
-        raise InputError(str(error)) from error
+    robot = robots.load(config.robot.kind, "twin")
+    sensors.camera(robot, "depth", width=config.width, height=config.height)
 
 
 def streams(config: CollectConfig) -> dict[str, Scenario]:
     """Name of a stream -> its scenario; scenarios differ only in leaves and task.
 
     Raises:
-        InputError: one sentence for what does not exist or go together.
+        InputError: unknown names, or impossible combinations.
     """
     scenarios = [replace(scenario, metrics=()) for scenario in assembly.build(config)]  # not needed here
     first = scenarios[0]
@@ -91,7 +83,7 @@ def _only(scenario: Scenario, situation: str) -> Scenario:
 def next_stream(recorded: list[int], target_rows: int) -> int | None:
     """The index of the stream with the fewest recorded rows; None when each has ``wanted`` rows.
 
-    It does not depend on ``wanted`` otherwise, so a dataset that is made longer later equals one made at once.
+    It does not depend on ``wanted`` otherwise, so a dataset extended later equals a dataset recorded at once.
     """
     shortest = min(range(len(recorded)), key=lambda stream: (recorded[stream], stream))
     return None if recorded[shortest] >= target_rows else shortest
@@ -103,16 +95,16 @@ def next_stream(recorded: list[int], target_rows: int) -> int | None:
 def row_record(
     scenario: Scenario, camera: sensors.Camera, command: Callable[[State], Array] | None = None, rate: int = 1
 ) -> Record:
-    """The record of a ``Runner`` that keeps rows, ``rate`` a second.
+    """The record of a ``Runner`` that stores ``rate`` rows per second.
 
     Args:
-        command: the command that is recorded, from the state after a step; that of the policy if None.
+        command: the recorded command, from the state after a step; the policy's if None.
     """
     return Record(_init_rows, functools.partial(_update_rows, camera), steps_per_row(scenario, rate), command)
 
 
 def steps_per_row(scenario: Scenario, rate: int) -> int:
-    """Steps of control from one row to the next; ``rate`` rows a second divide the steps in a second."""
+    """Control steps from one row to the next; ``rate`` rows per second divide the steps per second."""
     return round(1.0 / scenario.time_step) // rate
 
 
@@ -148,7 +140,7 @@ def simulate_shard(
 
 
 def _put_rows(arrays: dict[str, np.ndarray], rows: Row, active: np.ndarray, begin: int, most: int) -> np.ndarray:
-    """Put rows (C, B, ...) from row ``begin`` on into arrays (B, most, ...); how many each episode has, (B,)."""
+    """Put rows (C, B, ...) from row ``begin`` on into arrays (B, most, ...); number of rows of each episode, (B,)."""
     end = min(begin + len(active), most)
     active = active[: end - begin].T
     for field in dataclasses.fields(Row):  # pyright: ignore[reportArgumentType]
@@ -183,17 +175,16 @@ def _update_rows(
     return (last, latest), (rows, active)
 
 
-TYPICAL = 30.0  # s, of an episode: batches are sized so that no stream gets much more than it needs
-MAX_BATCH = {"cpu": 32}  # episodes at once, by kind of device
-MAX_BATCH_ELSEWHERE = 1024
+TYPICAL = 30.0  # s, of an episode: batches are sized so that no stream gets many more rows than it needs
+MAX_BATCH, MAX_BATCH_CPU = 1024, 32  # episodes at once
 MIN_BATCH = 32  # at a high rate, where larger batches would fill the memory with their images
 
 
 # ------------------------------------------------------------------ sean collect
 
 
-def collect(config: CollectConfig, console: Console | Callable[[float], None] | None = None) -> Dataset:
-    """Record until every stream has its time. What was committed stays, whatever is raised.
+def collect(config: CollectConfig, console: ProgressLike = None) -> Dataset:
+    """Record until every stream has its time. Committed shards are kept if an error is raised.
 
     Args:
         console: shows the progress; a function receives the share that is done.
@@ -211,37 +202,37 @@ def collect(config: CollectConfig, console: Console | Callable[[float], None] | 
             return _collect(config, console)
 
 
-def _collect(config: CollectConfig, console: Console | Callable[[float], None] | None) -> Dataset:
+def load_driver(config: CollectConfig, scenario: Scenario) -> Policy:
+    """The policy that drives, ``labelled`` if the options have labels or noise."""
+    driver = load_policy(config.policy, scenario)
+    if config.labels is None and config.noise is None:
+        return driver
+    return labelled(driver, config.labels and load_policy(config.labels, scenario, "labels"), config.noise)
+
+
+def _collect(config: CollectConfig, console: ProgressLike) -> Dataset:
     """Record in a folder that this process has locked."""
     parts = streams(config)
     scenarios = list(parts.values())
-    policy, command_of = load_policy(config.policy, scenarios[0]), None
-    if config.noise is not None:
-        policy, command_of = disturbed(policy, config.noise), label
-    if config.labels is not None:
-        policy = labelled(policy, load_policy(config.labels, scenarios[0], "labels"))
-        command_of = label
-    try:
-        camera = sensors.camera(scenarios[0], "depth", width=config.width, height=config.height)
-    except ValueError as error:
-        raise InputError(str(error)) from error
+    policy = load_driver(config, scenarios[0])
+    camera = sensors.camera(scenarios[0], "depth", width=config.width, height=config.height)
     mesh = devices.mesh()
     if (config.batch or 0) % mesh.size:
         uneven = f"{config.batch} episodes do not spread evenly over {mesh.size} devices"
         raise InputError(f"--batch: {uneven}; take a multiple.")
     data = _open(config, parts, policy, camera)
     if data.batch % mesh.size:
-        text = (
-            f"{data.folder} was begun with --batch {data.batch}, which does not spread evenly over {mesh.size} devices"
-        )
-        raise InputError(f"{text}; choose another --out.")
-    record = row_record(scenarios[0], camera, command_of, config.rate)
+        batch = f"--batch {data.batch}, which does not spread evenly over {mesh.size} devices"
+        raise InputError(f"{data.folder} was begun with {batch}; choose another --out.")
+    is_labelled = config.labels is not None or config.noise is not None
+    record = row_record(scenarios[0], camera, label if is_labelled else None, config.rate)
     runner = Runner(scenarios, policy, data.batch, "collect", record, mesh)
     target_rows = config.rate * stream_seconds(config.hours, len(parts))
     total = target_rows * len(parts) // config.rate
     recorded, first_new = data.stream_rows, len(data.manifest["shards"])
-    with progress(console) as tell, _behind(data) as commit:
+    with progress(console) as tell, ThreadPoolExecutor(1, thread_name_prefix="sean-commit") as pool:
         tell.start("recording", total)
+        commit: Future | None = None
 
         def show(note: str) -> None:
             done = sum(min(each, target_rows) for each in recorded) // config.rate
@@ -255,10 +246,14 @@ def _collect(config: CollectConfig, console: Console | Callable[[float], None] |
                 show(f"shard {shard}: {data.batch} episodes of {scenarios[0].people} people at {seconds} s")
 
             batch = simulate_shard(runner, config.seed, shard, stream, watch)
-            commit(stream, batch, shard)
+            if commit is not None:
+                commit.result()  # raises the error of the shard before
+            commit = pool.submit(data.commit, stream, batch, shard)
             if shard >= first_new:
                 recorded[stream] += int(batch.lengths.sum())
             show(f"shard {shard}: {int(batch.lengths.sum())} examples in {time.perf_counter() - began:.1f} s")
+        if commit is not None:
+            commit.result()
     return data
 
 
@@ -271,25 +266,6 @@ def _due(data: Dataset, recorded: list[int], target_rows: int) -> Iterator[tuple
     while (stream := next_stream(recorded, target_rows)) is not None:
         yield stream, number
         number += 1
-
-
-@contextlib.contextmanager
-def _behind(data: Dataset) -> Iterator[Callable[..., None]]:
-    """``data.commit`` in a thread, one after the other; an error is raised at the next commit, or at the end.
-
-    However the block ends, it waits until the last commit is written.
-    """
-    with ThreadPoolExecutor(1, thread_name_prefix="sean-commit") as pool:
-        last: list[Future] = []
-
-        def commit(*arguments: Any) -> None:
-            for future in last:
-                future.result()
-            last[:] = [pool.submit(data.commit, *arguments)]
-
-        yield commit
-        for future in last:
-            future.result()
 
 
 def _open(config: CollectConfig, parts: dict[str, Scenario], policy: Policy, camera: sensors.Camera) -> Dataset:
@@ -306,7 +282,7 @@ def _open(config: CollectConfig, parts: dict[str, Scenario], policy: Policy, cam
 
 
 def check_folder(folder: Path) -> None:
-    """Refuse a folder that holds something else than a dataset, or what a kill at the very beginning left of one.
+    """Refuse a folder without a dataset, or with the remains of a dataset that was killed at its start.
 
     Raises:
         InputError: it holds something else.
@@ -330,10 +306,9 @@ def _check_same(config: CollectConfig, data: Dataset, manifest: dict[str, Any]) 
     if config.batch not in (None, data.batch):
         raise InputError(f"{data.folder} was begun with --batch {data.batch}, not {config.batch}; ask for the same.")
     if config.hours < data.manifest["hours"]:
-        had_hours, asked_hours = number(data.manifest["hours"]), number(config.hours)
-        raise InputError(
-            f"{data.folder} was begun with --hours {had_hours}, not {asked_hours}; ask for as much or more."
-        )
+        had_hours, hours = number(data.manifest["hours"]), number(config.hours)
+        text = f"{data.folder} was begun with --hours {had_hours}, not {hours}"
+        raise InputError(f"{text}; ask for as much or more.")
 
 
 def _manifest(
@@ -358,7 +333,7 @@ def _command(config: CollectConfig, batch: int) -> str:
 
 
 def scenario_facts(scenario: Scenario, camera: sensors.Camera, policy: str, rate: int = 1) -> dict[str, Any]:
-    """A manifest's entries about a scenario and its policy; ``rate`` in rows a second."""
+    """A manifest's entries about a scenario and its policy; ``rate`` in rows per second."""
     image = {"width": camera.width, "height": camera.height, "fovy": camera.fovy, "far": camera.far}
     limits = {"max_speed": float(scenario.robot.max_speed), "max_turn_rate": float(scenario.robot.max_turn_rate)}
     return {
@@ -380,7 +355,7 @@ def _batch_size(config: CollectConfig, parts: int) -> int:
     count = len(jax.devices())
     if config.batch is not None:
         return config.batch
-    largest = MAX_BATCH.get(jax.default_backend(), MAX_BATCH_ELSEWHERE)
+    largest = MAX_BATCH_CPU if jax.default_backend() == "cpu" else MAX_BATCH
     largest = min(largest, max(MIN_BATCH, largest // config.rate))
     needed = math.ceil(stream_seconds(config.hours, parts) / TYPICAL)
     return math.ceil(min(largest, max(4, needed)) / count) * count
@@ -392,7 +367,7 @@ def _batch_size(config: CollectConfig, parts: int) -> int:
 class Recorder:
     """Demonstrations from any source of commands, outside ``jit``: a joystick, a web page, a planner, a list.
 
-    Episodes of one scenario go one after the other into a dataset like those of ``sean collect``, new or resumed; each
+    Episodes of one scenario are appended to a dataset as of ``sean collect``, new or resumed; each
     is a shard. ``state = recorder.begin()``, then ``state = recorder.step(command)`` for each step of control, then
     ``recorder.commit()`` or ``recorder.discard()``.
     """
@@ -413,7 +388,7 @@ class Recorder:
         Args:
             driver: a word for the manifest about the source of the commands.
             seed: episode ``i`` is drawn from ``fold_in(prng.key("record", seed), i)``.
-            rate: rows a second, a divisor of the steps of control in a second.
+            rate: rows per second, a divisor of the control steps per second.
 
         Raises:
             InputError: the folder holds something else, the images are too large, or the rate is no divisor.
@@ -421,12 +396,13 @@ class Recorder:
         if width * height > MAX_PIXELS:
             raise InputError(f"width: {width} times {height} are more than {MAX_PIXELS:,} pixels; ask for fewer.")
         if (steps := round(1.0 / scenario.time_step)) % rate:
-            raise InputError(f"rate: {rate} rows a second do not divide its {steps} steps; choose a divisor.")
+            raise InputError(f"rate: {rate} rows per second do not divide its {steps} steps; choose a divisor.")
         folder = Path(folder)
         self.scenario, self.seed, self.rate = scenario, seed, rate
         self.camera = sensors.camera(scenario, "depth", width=width, height=height)
         self.data = self._opened(folder, driver)
-        self._begin, self._step, self._row = (jax.jit(part) for part in (_begin_episode, step, self._read_row))
+        self._begin, self._step = jax.jit(_begin_episode), jax.jit(step)
+        self._row = jax.jit(lambda scenario, state, command, last: row(scenario, state, command, self.camera, last))
         self.discard()
 
     @property
@@ -438,7 +414,7 @@ class Recorder:
         """A new episode; one that was not committed is forgotten.
 
         Args:
-            key: () typed PRNG key of the episode, such as that of another program's episode; by default of the
+            key: () typed PRNG key of the episode, such as of another program's episode; by default of the
                 recorder's own stream, which no other episodes have.
         """
         self.discard()
@@ -461,7 +437,8 @@ class Recorder:
         action = np.full(2, np.nan) if command is None else np.asarray(command, np.float64).reshape(2)
         new = bool(np.isfinite(action).all())
         self._command = np.where(new, action, self._command)
-        if int(self.state.tick) % steps_per_row(self.scenario, self.rate) == 0 and len(self._rows) < self._max_rows:
+        is_due = int(self.state.tick) % steps_per_row(self.scenario, self.rate) == 0
+        if is_due and len(self._rows) < self.data.most_rows:
             latest = jnp.asarray(self._command, float)
             self._rows.append(jax.tree.map(np.asarray, self._row(self.scenario, self.state, latest, self._last)))
         self.state = self._step(self.scenario, self.state, jnp.asarray(action, float))
@@ -479,7 +456,7 @@ class Recorder:
             raise InputError("recorder: there is nothing to commit; call begin and step first.")
         rows = {}
         for name, (shape, kind) in self.data.fields.items():
-            rows[name] = np.zeros((1, self._max_rows, *shape), kind)
+            rows[name] = np.zeros((1, self.data.most_rows, *shape), kind)
             rows[name][0, : len(self._rows)] = np.stack([getattr(one, name) for one in self._rows])
         completed = np.array([bool(self.state.completed)])
         with writing.folder_lock(self.data.folder):
@@ -494,28 +471,19 @@ class Recorder:
         self._rows: list[Any] = []
         self._command = np.zeros(2)
 
-    @property
-    def _max_rows(self) -> int:
-        return self.data.most_rows
-
-    def _read_row(self, scenario: Scenario, state: State, command: Array, last: Array) -> Any:
-        return row(scenario, state, command, self.camera, last)
-
     def _opened(self, folder: Path, driver: str) -> Dataset:
-        identity = {
+        options = {
             "seed": self.seed,
             "driver": driver,
             "task": self.scenario.task_name,
             "people": self.scenario.people,
+            "rate": self.rate,
+            "environment": self.scenario.environment.name,
+            "size": [self.camera.width, self.camera.height],
         }
         manifest = {
             "command": "",
-            "options": {
-                **identity,
-                "rate": self.rate,
-                "environment": self.scenario.environment.name,
-                "size": [self.camera.width, self.camera.height],
-            },
+            "options": options,
             **scenario_facts(self.scenario, self.camera, driver, self.rate),
             "hours": 1e6,  # all that is recorded takes part
             "batch": 1,
@@ -526,7 +494,7 @@ class Recorder:
             with writing.folder_lock(folder):
                 return dataset.create_dataset(folder, manifest)
         data = dataset.open_dataset(folder)
-        if {"rate": 1, **present_names(data.manifest["options"])} != manifest["options"]:
+        if {"rate": 1, **present_names(data.manifest["options"])} != options:
             raise InputError(f"{folder} was begun with another scenario, driver, seed or rate; choose another folder.")
         return data
 
@@ -538,7 +506,8 @@ def record(recorder: Recorder, commands: Callable[[State], Any] | Iterable[Any],
         commands: a function of the state, or one command (2,) for each step. If they end midway, the last episode is
             committed as it is then.
     """
-    source = commands if callable(commands) else functools.partial(_next_command, iter(commands))
+    stream = iter(()) if callable(commands) else iter(commands)
+    source = commands if callable(commands) else lambda _: next(stream)
     for _ in range(episodes):
         state, ended = recorder.begin(), False
         while not (ended or bool(state.completed | state.timed_out)):
@@ -551,10 +520,6 @@ def record(recorder: Recorder, commands: Callable[[State], Any] | Iterable[Any],
         if ended:
             break
     return recorder.data
-
-
-def _next_command(commands: Any, state: State) -> Any:
-    return next(commands)
 
 
 def _begin_episode(scenario: Scenario, key: Array) -> tuple[State, Array]:

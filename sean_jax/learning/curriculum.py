@@ -1,11 +1,11 @@
-"""A curriculum: from which starts episodes begin, so that what an agent does worst occurs more often.
+"""A curriculum: starts of episodes are drawn so that the agent's worst situations occur more often.
 
 ``Env.with_pool`` takes all starts equally often. A curriculum has a pool whose weights follow the agent's own record:
 
 - ``situations``: a situation weighs as much as the agent costs people in it, per second, and a start as much as it
   leads to such situations. Starts that seldom do so make room for new ones that do so more.
-- ``regret``: a start weighs by how much better the agent has already done from it than it usually does. Starts with low
-  regret make room for new ones and for mutations of the best: the same start among people who behave a little
+- ``regret``: a start weighs by the agent's best return from it minus its mean return. Starts with low
+  regret are replaced by new starts and mutations of the best starts: the same start among people who behave a little
   differently (``mdp.randomize_behavior``).
 
 All functions are pure and of fixed shapes. A ``Curriculum`` is a pytree of arrays with everything that the rest depends
@@ -17,7 +17,7 @@ Source: M. Jiang, E. Grefenstette & T. Rocktaschel, "Prioritized level replay", 
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -30,7 +30,7 @@ from sean_jax.episodes import init_policy, policy_step
 from sean_jax.errors import InputError
 
 SOCIAL = ("personal_space", "o_space", "personal_", "intimate_", "collision_")
-"""Beginnings of the names of rewards whose negative part is what an agent costs people."""
+"""Prefixes of rewards whose negative part is the cost that an agent causes to people."""
 FEW_EPISODES = 2  # from one start, before its regret is known
 PRIOR = 5.0  # s, for which a situation that has not been met counts as costly as all together
 TINY = 1e-9
@@ -44,13 +44,13 @@ class Plan:
     Args:
         by: "situations" or "regret".
         situations: weights of chosen situations, such as ``(("join_group", 1.0),)``; None: their cost.
-        temperature: the weight of a situation is its cost to the power of 1 / temperature, and that of a start its rank
+        temperature: the weight of a situation is its cost to the power of 1 / temperature, of a start its rank
             by regret to the power of -1 / temperature. Low: the worst alone; high: all alike.
         floor: share of the episodes that begin anywhere in the pool.
         replaced: share of the pool that is replaced at most at a time.
         mutated: share of the replacements, by regret, that are mutations of the best.
         ahead: s, simulated from a start to see which situations occur.
-        memory: share of the record that is kept at each observation.
+        memory: decay factor of the record at each observation.
     """
 
     by: Literal["situations", "regret"] = "situations"
@@ -126,11 +126,6 @@ def social_cost(parts: Mapping[str, Float[Array, "*batch"]]) -> Float[Array, "*b
 # ------------------------------------------------------------------ in a trainer
 
 
-def plan(name: str) -> Plan | None:
-    """The plan of a trainer's option "none", "situations" or "regret", with its usual numbers; None for none."""
-    return None if name == "none" else Plan(name)  # pyright: ignore[reportArgumentType]
-
-
 def prepare(env: mdp.Env, name: str) -> mdp.Env:
     """An environment, without a pool, in which the plan of that name has something to vary: by regret, with
     ``mdp.randomize_behavior()`` unless it has its own randomization.
@@ -186,16 +181,14 @@ def init(env: mdp.Env, plan: Plan, key: Array, size: int, policy: PolicyLike | N
     Raises:
         InputError: a chosen situation is none of the scenario's.
     """
-    _check(env, plan)
-    number = len(env.scenario.situations)
-    keys = jax.random.split(key, size)
-    pool = env.draw_pool(keys)
-    none, unknown = jnp.zeros(size, jnp.float32), jnp.zeros(number, jnp.float32)
-    zero = jnp.zeros((), jnp.float32)
-    curriculum = Curriculum(
-        pool, keys, *_occurrences(env, plan, pool, policy), unknown, unknown, zero, zero, *([none] * 7)
-    )
-    return _weighed(env, plan, curriculum)
+    names = [name for name, _ in env.scenario.situations]
+    for name, _ in plan.situations or ():
+        if name not in names:
+            hint = files.suggest(name, names) or "."
+            raise InputError(f"curriculum: situation '{name}' is not one of {', '.join(names)}{hint}")
+    unknown, zero = (jnp.zeros(shape, jnp.float32) for shape in (len(names), ()))
+    starts = _draw(env, plan, policy, jax.random.split(key, size))
+    return _weighed(env, plan, Curriculum(**starts, cost=unknown, time=unknown, total_cost=zero, total_time=zero))
 
 
 def observe(env: mdp.Env, plan: Plan, curriculum: Curriculum, record: Record) -> Curriculum:
@@ -241,14 +234,14 @@ def observe(env: mdp.Env, plan: Plan, curriculum: Curriculum, record: Record) ->
 def refill(
     env: mdp.Env, plan: Plan, curriculum: Curriculum, key: Array, policy: PolicyLike | None = None
 ) -> Curriculum:
-    """The curriculum with new starts in the places of those that weigh least; jit it with ``plan`` static.
+    """The curriculum with new starts in the places of the starts with the least weight; jit it with ``plan`` static.
 
-    By situations, of these and of as many new ones those remain that weigh most. By regret, those with the least known
+    By situations, a new start replaces an old one only if it weighs more. By regret, the starts with the least known
     regret make room for mutations of the best and for new ones.
 
     Args:
         key: () typed PRNG key, another one each time.
-        policy: as of ``init``.
+        policy: as in ``init``.
     """
     size = curriculum.keys.shape[0]
     number = int(plan.replaced * size)
@@ -265,22 +258,18 @@ def refill(
             mutates = jax.random.uniform(choice_key, (number,), float) < plan.mutated
             keys, parameters = _offspring(env, curriculum, keys, parent, mutates, mutation_key)
             guess = jnp.where(mutates, regret(curriculum)[parent], guess)
-    pool = env.draw_pool(keys, parameters)
-    occurs, seconds = _occurrences(env, plan, pool, policy)
-    none = jnp.zeros(number, jnp.float32)
-    fresh = replace(
-        curriculum, pool=pool, keys=keys, occurs=occurs, seconds=seconds, episodes=none, best=none, returns=none,
-        ended=none, gain=none, steps=none, guess=guess,
-    )  # fmt: skip
-    if plan.by == "situations":
-        value, offered = _values(env, plan, curriculum, fresh)
-        out = jnp.argsort(value)[:number]
-        better = jnp.sort(offered)[::-1] > value[out]  # the best that is offered for the worst that goes
-        order = jnp.argsort(-offered)
+    fresh = _draw(env, plan, policy, keys, parameters) | {"guess": guess}
+    if plan.by == "situations":  # all old and new starts in one pool
+        both = zip((curriculum.occurs, curriculum.seconds), (fresh["occurs"], fresh["seconds"]), strict=True)
+        share = _shares(*map(jnp.concatenate, both))
+        values = _by_situations(share, share.sum(0), situation_weights(env, plan, curriculum))
+        value, new_value = values[:size], values[size:]
+        out, order = jnp.argsort(value)[:number], jnp.argsort(-new_value)
+        better = jnp.sort(new_value)[::-1] > value[out]  # the best new start for the worst old one
     else:
-        known = _is_known(curriculum)
-        out = jnp.argsort(jnp.where(known, regret(curriculum), jnp.inf))[:number]
-        better, order = known[out], jnp.arange(number, dtype=jnp.int32)
+        is_known = _is_known(curriculum)
+        out = jnp.argsort(jnp.where(is_known, regret(curriculum), jnp.inf))[:number]
+        better, order = is_known[out], jnp.arange(number, dtype=jnp.int32)
     return _weighed(env, plan, _put(curriculum, fresh, out, order, better))
 
 
@@ -288,7 +277,7 @@ def refill(
 
 
 def situation_weights(env: mdp.Env, plan: Plan, curriculum: Curriculum) -> Float[Array, "S"]:
-    """The shares (S,) of situations in what the weights aim at; they add up to 1."""
+    """The target shares (S,) of situations; they add up to 1."""
     names = [name for name, _ in env.scenario.situations]
     if plan.situations is not None:
         chosen = dict(plan.situations)
@@ -300,7 +289,7 @@ def situation_weights(env: mdp.Env, plan: Plan, curriculum: Curriculum) -> Float
 
 
 def occurrences(curriculum: Curriculum) -> Float[Array, "K S"]:
-    """Shares (K, S) of the time in each situation, from each start; those of all starts where nothing is known."""
+    """Shares (K, S) of the time in each situation, from each start; the shares of all starts for unknown starts."""
     return _shares(curriculum.occurs, curriculum.seconds)
 
 
@@ -328,7 +317,7 @@ def _mean_regret(curriculum: Curriculum) -> Array:
 
 
 def _weighed(env: mdp.Env, plan: Plan, curriculum: Curriculum) -> Curriculum:
-    """With the weights that follow from what is known, in the pool."""
+    """The curriculum with updated weights in its pool."""
     if plan.by == "regret":
         weights = _by_regret(plan, curriculum)
     else:
@@ -356,29 +345,23 @@ def _by_regret(plan: Plan, curriculum: Curriculum) -> Float[Array, "K"]:
     return weights / weights.sum()
 
 
-def _values(env: mdp.Env, plan: Plan, curriculum: Curriculum, fresh: Curriculum) -> tuple[Array, Array]:
-    """Weights (K,) of the starts and (R,) of the offered ones, all in one pool."""
-    occurs = jnp.concatenate([curriculum.occurs, fresh.occurs])
-    share = _shares(occurs, jnp.concatenate([curriculum.seconds, fresh.seconds]))
-    values = _by_situations(share, share.sum(0), situation_weights(env, plan, curriculum))
-    size = curriculum.seconds.shape[0]
-    return values[:size], values[size:]
-
-
 def _shares(occurs: Float[Array, "K S"], seconds: Float[Array, "K"]) -> Float[Array, "K S"]:
     overall = occurs.sum(0) / jnp.maximum(seconds.sum(), TINY)
-    return (occurs + overall[None, :]) / (seconds + 1.0)[:, None]  # as of a second more
+    return (occurs + overall[None, :]) / (seconds + 1.0)[:, None]  # with one second more
 
 
 # ------------------------------------------------------------------ parts
 
 
-def _check(env: mdp.Env, plan: Plan) -> None:
-    known = [name for name, _ in env.scenario.situations]
-    for name, _ in plan.situations or ():
-        if name not in known:
-            hint = files.suggest(name, known) or "."
-            raise InputError(f"curriculum: situation '{name}' is not one of {', '.join(known)}{hint}")
+def _draw(
+    env: mdp.Env, plan: Plan, policy: PolicyLike | None, keys: Array, randomization: PyTree = None
+) -> dict[str, Any]:
+    """The fields of a curriculum that have a row for each start, of new starts."""
+    pool = env.draw_pool(keys, randomization)
+    occurs, seconds = _occurrences(env, plan, pool, policy)
+    record = ("episodes", "best", "returns", "ended", "gain", "steps", "guess")
+    none = dict.fromkeys(record, jnp.zeros(keys.shape, jnp.float32))
+    return {"pool": pool, "keys": keys, "occurs": occurs, "seconds": seconds, **none}
 
 
 def _occurrences(env: mdp.Env, plan: Plan, pool: mdp.Pool, policy: PolicyLike | None) -> tuple[Array, Array]:
@@ -428,10 +411,8 @@ def _offspring(
     return jnp.where(mutates, curriculum.keys[parent], keys), jax.tree.map(select, moved, drawn)
 
 
-def _put(
-    curriculum: Curriculum, fresh: Curriculum, out: Int[Array, "R"], order: Int[Array, "R"], better: Bool[Array, "R"]
-) -> Curriculum:
-    """The curriculum with ``fresh`` starts, in their order, in the slots ``out`` where they are ``better``."""
+def _put(curriculum: Curriculum, fresh: dict[str, Any], out: Array, order: Array, better: Array) -> Curriculum:
+    """The curriculum with ``fresh`` starts, in this order, in the slots ``out`` where they are better, all (R,)."""
     size = curriculum.keys.shape[0]
 
     def put(old: Array, new: Array) -> Array:
@@ -440,19 +421,13 @@ def _put(
 
     number = curriculum.pool.states.start
     numbers = jnp.where(better, number[out] + size, number[out])
-    changed = jax.tree.map(put, _of_starts(curriculum), _of_starts(fresh))
-    states = replace(changed["pool"].states, start=number.at[out].set(numbers))
-    return replace(curriculum, **changed | {"pool": replace(changed["pool"], states=states)})
-
-
-def _of_starts(curriculum: Curriculum) -> dict[str, PyTree]:
-    """The fields that have a row for each start."""
-    names = ("pool", "keys", "occurs", "seconds", "episodes", "best", "returns", "ended", "gain", "steps", "guess")
-    return {name: getattr(curriculum, name) for name in names}
+    starts = jax.tree.map(put, {name: getattr(curriculum, name) for name in fresh}, fresh)
+    states = replace(starts["pool"].states, start=number.at[out].set(numbers))
+    return replace(curriculum, **starts | {"pool": replace(starts["pool"], states=states)})
 
 
 def _by_start(values: Float[Array, "T B C"], slot: Int[Array, "T B"], size: int) -> Float[Array, "K C"]:
-    """Sums by start, of whole numbers: those of floats would depend on the order in which a GPU adds them."""
+    """Sums by start, of whole numbers: sums of floats would depend on the order of additions on a GPU."""
     rows = values.reshape(-1, values.shape[-1])
     part = jnp.maximum(jnp.abs(rows).sum(0), TINY) / WHOLE
     whole = jnp.round(rows / part[None, :]).astype(jnp.int32)

@@ -9,7 +9,6 @@ Source: S. Ross, G. Gordon & J. Bagnell, "A reduction of imitation learning and 
 online learning", AISTATS 2011, with networks that drive by themselves from the first round on.
 """
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,35 +16,24 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import optax
-from rich.console import Console
 
 from sean_jax import components, episodes, mdp, writing
 from sean_jax.base import Array, Policy
 from sean_jax.config import CollectConfig, DaggerConfig, ImitationConfig, ReinforcementConfig
-from sean_jax.flags import command
-from sean_jax.learning import collection, imitation, ppo
+from sean_jax.learning import collection, imitation, ppo, rollouts
 from sean_jax.learning.dataset import Dataset, open_dataset
 from sean_jax.learning.imitation import TrainState
-from sean_jax.learning.networks import ActorCritic, Agent, NetworkOutput, update_statistics
+from sean_jax.learning.networks import ActorCritic, Agent, NetworkOutput
 from sean_jax.learning.policy import check_policy
-from sean_jax.learning.rollouts import (
-    EnvBatch,
-    Optimization,
-    Transition,
-    forward,
-    merge_envs,
-    optimize,
-    reset_envs,
-    step,
-)
-from sean_jax.learning.trainer import check_config, write_config
-from sean_jax.versions import versions
+from sean_jax.learning.rollouts import EnvBatch, Optimization, Transition
+from sean_jax.learning.trainer import check_config, method_config, write_config
+from sean_jax.progress import ProgressLike
 
 UPDATES = 100  # of ``clone``
 EPOCHS = 4
 
 
-def train(options: DaggerConfig, console: Console | Callable[[float], None] | None = None) -> TrainState:
+def train(options: DaggerConfig, console: ProgressLike = None) -> TrainState:
     """Train networks in rounds, or resume that; the state of the last, whose best weights ``learning.load`` reads.
 
     Args:
@@ -54,12 +42,13 @@ def train(options: DaggerConfig, console: Console | Callable[[float], None] | No
     Raises:
         InputError: the options are impossible, or the folder holds something else.
         WriteError: another process works in the folder.
-        IncompleteError: a file is damaged or cannot be written. What was finished stays.
-        FloatingPointError: a number is not finite. What was finished stays.
+        IncompleteError: a file is damaged or cannot be written. Finished parts are kept.
+        FloatingPointError: a number is not finite. Finished parts are kept.
     """
     first = open_dataset(options.dataset)
     components.check_trust(_collect_options(options, first, 1))
-    config = _config(options, first)
+    data = {"fingerprint": first.fingerprint(), "command": first.manifest["command"]}
+    config = method_config(options, dataset=data)
     imitation.prepare(_train_options(options, [options.dataset, *options.datasets], options.pretrained, options.folder))
     check_policy(options.expert, _collect_options(options, first, 1), "expert")
     resumes = check_config(options.folder, config)
@@ -98,21 +87,10 @@ def _train_options(options: DaggerConfig, data: list[Path], before: Path | None,
 
 
 def _part_of_progress(console: Any, part: int, rounds: int) -> Any:
-    """A function that maps the share of a part to the share of the whole; a console as it is."""
+    """A function that maps the share of a part to the share of the whole; a console is unchanged."""
     if console is None or hasattr(console, "print"):
         return console
     return lambda share: console((part + share) / (2 * rounds + 1))
-
-
-def _config(options: DaggerConfig, first: Dataset) -> dict[str, Any]:
-    return {
-        "command": command("train", options),
-        "method": options.method,
-        **options.identity(),
-        "parts": components.digests(options),
-        "dataset": {"fingerprint": first.fingerprint(), "command": first.manifest["command"]},
-        "versions": versions(),
-    }
 
 
 # ------------------------------------------------------------------ before reinforcement learning
@@ -120,10 +98,10 @@ def _config(options: DaggerConfig, first: Dataset) -> dict[str, Any]:
 
 def clone(
     options: ReinforcementConfig,
-    envs: tuple[mdp.Env, ...],
     network: ActorCritic,
-    agent: Agent,
+    envs: tuple[mdp.Env, ...],
     teachers: tuple[Policy, ...],
+    agent: Agent,
     key: Array,
 ) -> tuple[Agent, Array]:
     """The agent after it has learned to act as ``teachers`` do, and the mean squared errors of actions (UPDATES,).
@@ -148,19 +126,35 @@ def clone(
         return replace(env, pool=replace(env.pool, states=with_memory(env, teacher, env.pool.states)))
 
     envs = tuple(map(with_pool, envs, teachers, pool_keys))
-    batch = reset_envs(envs, network, batch_key, options.scenarios)
+    batch = rollouts.reset_envs(envs, network, batch_key, options.scenarios)
     batch = replace(batch, envs=tuple(map(with_memory, envs, teachers, batch.envs)))
     rate = jnp.asarray(options.learning_rate, jnp.float32)
     how = Optimization(ppo.OPTIMIZER, rate, EPOCHS, options.minibatches)
 
+    def label(env: mdp.Env, teacher: Policy, before: mdp.EnvState) -> tuple[Array, mdp.EnvState]:
+        state = before.simulation
+        policy_key = jax.random.fold_in(state.streams.policy, state.tick)
+        command, memory = episodes.command(env.scenario, teacher, state, policy_key)
+        after = replace(before, simulation=replace(state, policy_state=memory))
+        return mdp.to_action(env.scenario.robot, command).astype(jnp.float32), after
+
     def update(carry: tuple[Agent, optax.OptState, EnvBatch], number: Array) -> tuple[tuple, Array]:
         agent, optimizer, batch = carry
         memory, turn = batch.memory, jax.random.fold_in(key, number)
-        alone = number >= UPDATES // 2
-        batch, steps = _labelled_rollout(envs, network, agent, teachers, batch, options.horizon, turn, alone)
-        agent, optimizer, error = optimize(how, _action_error, network, agent, optimizer, (steps,), memory, turn)
-        statistics = update_statistics(agent.statistics, steps.vector.reshape(-1, steps.vector.shape[-1]))
-        return (replace(agent, statistics=statistics), optimizer, batch), error
+
+        def one(batch: EnvBatch, tick: Array) -> tuple[EnvBatch, Transition]:
+            output = rollouts.forward(network, agent, envs[0].observations, batch)
+            each = [jax.vmap(label, (None, None, 0))(*part) for part in zip(envs, teachers, batch.envs, strict=True)]
+            labels, states = rollouts.merge_envs([actions for actions, _ in each]), tuple(after for _, after in each)
+            action = jnp.where(number >= UPDATES // 2, output.mean, labels)
+            next_key = jax.random.fold_in(turn, tick)
+            batch, steps = rollouts.step(envs, network, agent, replace(batch, envs=states), output, action, next_key)
+            return batch, steps._replace(action=labels, info={})
+
+        batch, steps = jax.lax.scan(one, batch, jnp.arange(options.horizon, dtype=jnp.int32))
+        learner = network, agent, optimizer
+        agent, optimizer, error = rollouts.optimize(how, _action_error, *learner, (steps,), memory, turn)
+        return (rollouts.with_statistics(agent, steps), optimizer, batch), error
 
     carry = agent, ppo.init(agent), batch
     (agent, _, _), errors = jax.lax.scan(update, carry, jnp.arange(UPDATES, dtype=jnp.int32))
@@ -171,34 +165,3 @@ def _action_error(output: NetworkOutput, steps: Transition) -> tuple[Array, Arra
     """Mean squared error of actions, as the loss and for the log."""
     error = ((output.mean - steps.action) ** 2).mean()
     return error, error
-
-
-def _labelled_rollout(
-    envs: tuple[mdp.Env, ...],
-    network: ActorCritic,
-    agent: Agent,
-    teachers: tuple[Policy, ...],
-    batch: EnvBatch,
-    steps: int,
-    key: Array,
-    alone: Array,
-) -> tuple[EnvBatch, Transition]:
-    """Transitions with the teacher's actions, while the teacher drives, or the agent if ``alone`` () bool."""
-
-    def label(env: mdp.Env, teacher: Policy, before: mdp.EnvState) -> tuple[Array, mdp.EnvState]:
-        state = before.simulation
-        policy_key = jax.random.fold_in(state.streams.policy, state.tick)
-        command, memory = episodes.command(env.scenario, teacher, state, policy_key)
-        after = replace(before, simulation=replace(state, policy_state=memory))
-        return mdp.to_action(env.scenario.robot, command).astype(jnp.float32), after
-
-    def one(batch: EnvBatch, tick: Array) -> tuple[EnvBatch, Transition]:
-        output = forward(network, agent, envs[0].observations, batch)
-        each = [jax.vmap(label, (None, None, 0))(*part) for part in zip(envs, teachers, batch.envs, strict=True)]
-        labels, states = merge_envs([actions for actions, _ in each]), tuple(after for _, after in each)
-        action = jnp.where(alone, output.mean, labels)
-        turn = jax.random.fold_in(key, tick)
-        batch, transition = step(envs, network, agent, replace(batch, envs=states), output, action, turn)
-        return batch, transition._replace(action=labels, info={})
-
-    return jax.lax.scan(one, batch, jnp.arange(steps, dtype=jnp.int32))

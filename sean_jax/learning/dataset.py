@@ -1,7 +1,7 @@
 """A dataset of demonstrations (section V-B): a manifest, and arrays in sharded zarr (version 3) through tensorstore.
 
-The manifest ``dataset.json`` says what was recorded and how. It is replaced as a whole after each shard, and what it
-does not name does not exist. Each stream uses as many seconds of its episodes as were asked for. Datasets may come from
+The manifest ``dataset.json`` has the content and the options. It is replaced as a whole after each shard, and what it
+does not name does not exist. Each stream uses the requested seconds of its episodes. Datasets may come from
 other people: a manifest that this version would not write is refused, with the key that is wrong, before memory of the
 sizes in it is allocated.
 
@@ -30,10 +30,10 @@ import pydantic
 from sean_jax import components, files, prng, writing
 from sean_jax.config import MAX_HOURS, MAX_PIXELS, MAX_RATE, MAX_SHARD, MAX_SIDE, CollectConfig, validate
 from sean_jax.errors import FileError, IncompleteError, InputError
-from sean_jax.learning.examples import POINTS, Recording, Row
+from sean_jax.learning.examples import Recording, Row
+from sean_jax.mdp.observations import PLAN_POINTS
 from sean_jax.quantities import MAX_DURATION
 
-LOOSE = pydantic.ConfigDict(extra="ignore", allow_inf_nan=False)
 Count = Annotated[int, pydantic.Field(ge=0, le=10**9)]
 Positive = Annotated[int, pydantic.Field(ge=1, le=MAX_SHARD)]
 Side = Annotated[int, pydantic.Field(ge=1, le=MAX_SIDE)]  # pixels
@@ -43,19 +43,21 @@ Names = Annotated[list[str], pydantic.Field(max_length=1_000)]
 # ------------------------------------------------------------------ manifest
 
 
-class Camera(pydantic.BaseModel):
-    """Size of the depth images."""
+class Keys(pydantic.BaseModel):
+    """The keys of a file of JSON that are read; other keys are for people."""
 
-    model_config = LOOSE
+    model_config = pydantic.ConfigDict(extra="ignore", allow_inf_nan=False)
+
+
+class Camera(Keys):
+    """Size of the depth images."""
 
     width: Side
     height: Side
 
 
-class Shard(pydantic.BaseModel):
+class Shard(Keys):
     """A batch of episodes."""
-
-    model_config = LOOSE
 
     stream: Count
     lengths: list[Count]  # rows
@@ -63,25 +65,21 @@ class Shard(pydantic.BaseModel):
     bytes: dict[str, Annotated[int, pydantic.Field(ge=0, lt=2**62)]]  # of the file of each field
 
 
-class Robot(pydantic.BaseModel):
+class Robot(Keys):
     """The robot that was driven."""
-
-    model_config = LOOSE
 
     name: str
 
 
-class Manifest(pydantic.BaseModel):
-    """The keys of dataset.json that are read; other keys are for people."""
-
-    model_config = LOOSE
+class Manifest(Keys):
+    """The content of dataset.json."""
 
     command: str
     options: dict[str, Any]
     hours: Annotated[float, pydantic.Field(gt=0, le=MAX_HOURS)]
     batch: Positive
     seconds: Annotated[int, pydantic.Field(ge=1, le=MAX_DURATION)]  # of an episode, at most
-    rate: Annotated[float, pydantic.Field(ge=1, le=MAX_RATE)] = 1.0  # rows a second, a whole number
+    rate: Annotated[float, pydantic.Field(ge=1, le=MAX_RATE)] = 1.0  # rows per second, a whole number
     streams: Annotated[Names, pydantic.Field(min_length=1)]
     situations: Names
     camera: Camera
@@ -90,7 +88,7 @@ class Manifest(pydantic.BaseModel):
 
 
 def check_manifest(path: Path, data: Any, fields: tuple[str, ...]) -> None:
-    """Refuse the content of a dataset.json that cannot be that of a dataset with these fields.
+    """Refuse the content of a dataset.json that no dataset with these fields can have.
 
     Raises:
         FileError: names the key.
@@ -121,7 +119,8 @@ def _check_relations(manifest: Manifest, fields: tuple[str, ...]) -> Iterator[fi
 
 
 COMPRESSION = 3  # of the zstd compression
-CURE = "remove the damaged file, and `sean collect` with the same options makes it anew."
+COMMITTED = "committed shards are unchanged."
+CURE = "remove the damaged file, and `sean collect` with the same options records it again."
 
 
 # ------------------------------------------------------------------ arrays in the store
@@ -139,12 +138,12 @@ def create_arrays(folder: Path, fields: dict[str, tuple[tuple[int, ...], str]], 
     for name, (shape, kind) in fields.items():
         shard = [batch, rows, *shape]
         chunk = [1, *shard[1:]] if len(shape) > 1 and kind == "uint16" else shard
-        little = {"name": "bytes"} if kind == "bool" else {"name": "bytes", "configuration": {"endian": "little"}}
-        index = {"name": "bytes", "configuration": {"endian": "little"}}
+        little, checksum = {"name": "bytes", "configuration": {"endian": "little"}}, {"name": "crc32c"}
+        order = {"name": "bytes"} if kind == "bool" else little
         sharding = {
             "chunk_shape": chunk,
-            "codecs": [little, {"name": "zstd", "configuration": {"level": COMPRESSION}}, {"name": "crc32c"}],
-            "index_codecs": [index, {"name": "crc32c"}],
+            "codecs": [order, {"name": "zstd", "configuration": {"level": COMPRESSION}}, checksum],
+            "index_codecs": [little, checksum],
         }
         metadata = {
             "shape": [0, *shard[1:]],
@@ -165,7 +164,7 @@ def write_shard(folder: Path, shard: int, fields: dict[str, np.ndarray]) -> dict
         IncompleteError: it cannot be written, for example because the disk is full.
     """
     writes = []
-    try:
+    with writing.explain_errors(folder, COMMITTED, _store_reason):
         for name, values in fields.items():
             array = _open_array(folder / name)
             first, last = shard * len(values), (shard + 1) * len(values)
@@ -175,8 +174,6 @@ def write_shard(folder: Path, shard: int, fields: dict[str, np.ndarray]) -> dict
         for each in writes:
             each.result()
         return {name: shard_file(folder, name, shard, values.ndim).stat().st_size for name, values in fields.items()}
-    except (OSError, ValueError) as error:
-        raise IncompleteError(f"{folder}: {_store_reason(error)}; what was committed before is as it was.") from error
 
 
 def read_array(folder: Path, name: str, first: int, last: int) -> np.ndarray:
@@ -185,10 +182,8 @@ def read_array(folder: Path, name: str, first: int, last: int) -> np.ndarray:
     Raises:
         IncompleteError: a file is damaged.
     """
-    try:
+    with writing.explain_errors(folder / name, CURE, _store_reason):
         return np.asarray(_open_array(folder / name)[first:last].read().result())
-    except (OSError, ValueError) as error:
-        raise IncompleteError(f"{folder / name}: {_store_reason(error)}; {CURE}") from error
 
 
 def shard_file(folder: Path, name: str, shard: int, dimensions: int) -> Path:
@@ -252,13 +247,13 @@ class Dataset:
 
     folder: Path
     manifest: dict[str, Any]  # the content of dataset.json
-    part: tuple[int, int] = (1, 1)  # which of how many equal parts of the episodes is read; (3, 10) is the third of ten
+    part: tuple[int, int] = (1, 1)  # number of the part, and number of equal parts; (3, 10) is the third of ten
 
     def description(self) -> CollectConfig:
         """The options of ``sean collect`` that recorded it, with the files of own parts as they lie from here.
 
         Raises:
-            InputError: something else made the dataset, or a file is not what it was.
+            InputError: another program wrote the dataset, or a file has changed.
         """
         file, options = self.folder / MANIFEST, self.manifest["options"]
         if not self.manifest["command"].startswith("sean collect"):
@@ -277,7 +272,7 @@ class Dataset:
 
     @property
     def rate(self) -> int:
-        """Rows a second; 1 where the manifest does not say."""
+        """Rows per second; 1 without an entry in the manifest."""
         return int(self.manifest.get("rate", 1))
 
     @property
@@ -351,12 +346,14 @@ class Dataset:
             array, done = np.empty((0, *shape), kind), 0
             for group in self._read_groups(episodes, sparse=name == "depth"):
                 first, last = min(one.number for one in group), max(one.number for one in group)
-                self._check_file(name, first // self.batch, len(shape) + 2)
+                shard = first // self.batch
+                if self._size(name, shard) != self.manifest["shards"][shard]["bytes"][name]:  # it would read as zeros
+                    raise IncompleteError(f"the file {self._file(name, shard)} is missing or damaged; {CURE}")
                 values = read_array(self.folder, name, first, last + 1)
                 expected = (last + 1 - first, self.most_rows, *shape)
                 if values.shape != expected or values.dtype != kind:
                     sizes = f"{values.shape} {values.dtype}, but by {MANIFEST} they are {expected} {kind}"
-                    message = f"{self.folder / name}: the values are {sizes}; restore {MANIFEST} or collect anew."
+                    message = f"{self.folder / name}: the values are {sizes}; restore {MANIFEST} or collect again."
                     raise IncompleteError(message)
                 if done == 0:  # allocate only once the sizes in the manifest are confirmed
                     array = np.empty((total, *shape), kind)
@@ -385,7 +382,7 @@ class Dataset:
             shard: index of a damaged shard that it replaces; the next new one if None.
 
         Raises:
-            IncompleteError: it cannot be written. What was committed before stays.
+            IncompleteError: it cannot be written. Shards that were committed before are kept.
         """
         index = len(self.manifest["shards"]) if shard is None else shard
         sizes = write_shard(self.folder, index, batch.rows)
@@ -399,22 +396,18 @@ class Dataset:
         """Replace the manifest.
 
         Raises:
-            IncompleteError: it cannot be written. What was committed before stays.
+            IncompleteError: it cannot be written. Shards that were committed before are kept.
         """
-        try:
-            writing.write(self.folder / MANIFEST, json.dumps(manifest, indent=1) + "\n")
-        except OSError as error:
-            reason = writing.reason(error)
-            raise IncompleteError(f"{self.folder}: {reason}; what was committed before is as it was.") from error
+        with writing.explain_errors(self.folder, COMMITTED):
+            writing.write(self.folder / MANIFEST, manifest)
         self.manifest = manifest
 
     def damaged_shards(self) -> list[int]:
         """Find shards of which a file is missing or has another size than when it was written."""
-        dimensions = {name: len(shape) + 2 for name, (shape, _) in self.fields.items()}
         return [
             index
             for index, shard in enumerate(self.manifest["shards"])
-            if any(self._size(name, index, dimensions[name]) != size for name, size in shard["bytes"].items())
+            if any(self._size(name, index) != size for name, size in shard["bytes"].items())
         ]
 
     def _read_groups(self, episodes: Sequence[Episode], sparse: bool) -> list[list[Episode]]:
@@ -430,22 +423,19 @@ class Dataset:
         pairs = zip(groups, far_apart, strict=True)
         return [part for group, far in pairs for part in ([[one] for one in group] if far else [group])]
 
-    def _size(self, name: str, shard: int, dimensions: int) -> int:
-        file = shard_file(self.folder, name, shard, dimensions)
-        return file.stat().st_size if file.is_file() else -1
+    def _file(self, name: str, shard: int) -> Path:
+        return shard_file(self.folder, name, shard, len(self.fields[name][0]) + 2)
 
-    def _check_file(self, name: str, shard: int, dimensions: int) -> None:
-        """Raise for a missing file, which tensorstore would read as zeros."""
-        if self._size(name, shard, dimensions) != self.manifest["shards"][shard]["bytes"][name]:
-            file = shard_file(self.folder, name, shard, dimensions)
-            raise IncompleteError(f"the file {file} is missing or damaged; {CURE}")
+    def _size(self, name: str, shard: int) -> int:
+        file = self._file(name, shard)
+        return file.stat().st_size if file.is_file() else -1
 
 
 def fields(height: int, width: int, situations: int) -> dict[str, tuple[tuple[int, ...], str]]:
     """Name -> (shape, type) of the fields of ``examples.Row``, for depth images of height x width pixels."""
     return {
         "depth": ((height, width), "uint16"),
-        "plan": ((POINTS, 2), "float32"),
+        "plan": ((PLAN_POINTS, 2), "float32"),
         "pose": ((4,), "float32"),
         "velocity": ((2,), "float32"),
         "command": ((2,), "float32"),
@@ -458,7 +448,7 @@ def create_dataset(folder: Path, manifest: dict[str, Any]) -> Dataset:
 
     Args:
         folder: does not exist, or is empty.
-        manifest: content of dataset.json, but for the format and the shards.
+        manifest: content of dataset.json without the format and the shards.
 
     Raises:
         InputError: the folder cannot be written.
@@ -490,12 +480,12 @@ def open_dataset(folder: Path | str, part: tuple[int, int] = (1, 1)) -> Dataset:
         manifest = files.read_json(file)
         version = manifest.get("format") if isinstance(manifest, dict) else None
         if isinstance(version, int) and version != FORMAT:
-            raise InputError(f"{file} has format {version}, but this version reads {FORMAT}; collect anew.")
+            raise InputError(f"{file} has format {version}, but this version reads {FORMAT}; collect again.")
         check_manifest(file, manifest, tuple(fields(1, 1, 1)))
     except FileError as error:
         lines = str(error).splitlines()
         others = f" (and {len(lines) - 1} more)" if len(lines) > 1 else ""
-        message = f"{lines[0].rstrip('.')}{others}; {file} cannot be read: restore it or collect anew."
+        message = f"{lines[0].rstrip('.')}{others}; {file} cannot be read: restore it or collect again."
         raise InputError(message) from None
     return Dataset(folder, manifest, part)
 
@@ -532,7 +522,7 @@ def stream_seconds(hours: float, number: int) -> int:
 
 
 class ConcatDataset(Dataset):
-    """Datasets of equal cameras, situations and rate, read as one; folder and manifest are those of the first."""
+    """Datasets of equal cameras, situations and rate, read as one; folder and manifest are the first dataset's."""
 
     def __init__(self, parts: list[Dataset]):
         super().__init__(parts[0].folder, parts[0].manifest)
@@ -544,7 +534,7 @@ class ConcatDataset(Dataset):
         return [dataclasses.replace(each, source=n) for n, part in enumerate(self.parts) for each in part.episodes]
 
     def fingerprint(self) -> str:
-        """16 hexadecimal digits of everything that decides the examples; those of the dataset if it is the only one."""
+        """16 hexadecimal digits of everything that affects the examples; the dataset's own if it is the only one."""
         prints = [part.fingerprint() for part in self.parts]
         return prints[0] if len(prints) == 1 else hashlib.sha256(" ".join(prints).encode()).hexdigest()[:16]
 
@@ -572,7 +562,7 @@ def open_datasets(folders: Sequence[Path], part: tuple[int, int] = (1, 1)) -> Co
             if theirs != ours:
                 raise InputError(f"{other.folder} has {name} {theirs}, and {first.folder} {ours}; collect the same.")
         if other.rate != first.rate:
-            rates = f"{other.folder} has {other.rate} examples a second, and {first.folder} {first.rate}"
+            rates = f"{other.folder} has {other.rate} examples per second, and {first.folder} {first.rate}"
             raise InputError(f"{rates}; collect with the same --rate.")
     return ConcatDataset([first, *others])
 

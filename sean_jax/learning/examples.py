@@ -1,6 +1,6 @@
 """Rows and examples of demonstrations (section V-B), and the order in which examples are learned.
 
-A **row** is recorded once a second, or at a higher rate. An **example** is made of several rows a second apart, so that
+A **row** is recorded once a second, or at a higher rate. An **example** consists of rows one second apart, so that
 the store holds a depth image once and not five times.
 
 The paper's example has 5 depth images, a local plan of 5 points of the expert's most recent trajectory, 10 points of
@@ -21,13 +21,12 @@ import numpy as np
 from flax import struct
 from jaxtyping import Bool, Float, Int, UInt16
 
-from sean_jax import navigation, prng, sensors
+from sean_jax import prng, sensors
 from sean_jax.base import Array, Scenario, State
 from sean_jax.geometry import rotate
+from sean_jax.mdp.observations import plan_ahead
 
 SECONDS = 5  # of depth images, and of the local plan
-POINTS = 10  # of the global plan
-SPACING = 0.5  # m, minimum distance between two points of the global plan
 MILLIMETRES = 1000.0  # in a metre
 
 
@@ -55,7 +54,7 @@ class Recording:
 
 @struct.dataclass
 class Example:
-    """What the network receives and what it learns to answer, at one row."""
+    """Inputs and targets of the network at one row."""
 
     images: Array  # (5, H, W) uint16 mm, oldest first, present last; before the episode's first row, that row's image
     plan: Array  # (10, 2) m, global plan in the robot's frame
@@ -94,18 +93,6 @@ def depth_image(scenario: Scenario, state: State, camera: sensors.Camera) -> UIn
     """A depth image (H, W) uint16 mm."""
     metres = sensors.depth(scenario, state, camera)
     return jnp.clip(jnp.round(MILLIMETRES * metres), 0.0, 65535.0).astype(jnp.uint16)
-
-
-def plan_ahead(scenario: Scenario, state: State, last_arc: Int[Array, "V"]) -> Float[Array, "10 2"]:
-    """The next points (10, 2) m of the shortest path to the goal, in the robot's frame.
-
-    Args:
-        last_arc: (V,) ``navigation.last_arc_to_goal`` of the goal of the task.
-    """
-    robot, task = state.robot, state.task
-    where = robot.position, task.goal, task.paths_to_goal, last_arc
-    ahead = navigation.plan(scenario.navigation, *where, points=POINTS, apart=SPACING) - robot.position[None, :]
-    return jnp.stack(rotate(ahead[:, 0], ahead[:, 1], robot.heading[0], -robot.heading[1]), -1)
 
 
 def example(recording: Recording, index: Int[Array, "*batch"], xp: ModuleType = jnp) -> Example:
@@ -157,7 +144,7 @@ class Loader:
     """Shuffled batches of examples of a dataset that does not fit in the memory of the device.
 
     It shuffles the episodes, and the examples within a window of some episodes, so that few episodes are in memory at a
-    time. The order depends on (seed, epoch) alone, so a token of two numbers says where to resume.
+    time. The order depends on (seed, epoch) alone, so a token of two numbers is the position.
     """
 
     dataset: Any  # Dataset
@@ -238,7 +225,7 @@ def balanced_probabilities(situations: Bool[np.ndarray, "R S"]) -> Float[np.ndar
     """Probabilities (R,) float32 under which all social situations (R, S) of examples are equally frequent.
 
     The paper suggests to train more on situations in which a policy does badly. Situations overlap, so an example
-    cannot be drawn for one of them alone: each turn scales the probability of an example by how much its situations are
+    cannot be drawn for one of them alone: each pass scales the probability of an example by how much its situations are
     short of an equal share. An example in several situations counts for each of them in equal parts. Examples in no
     situation keep their share, and situations that never occur are left out.
 

@@ -1,17 +1,18 @@
 """``sean train imitation``: learn to drive from demonstrations, with checkpoints (section V-C).
 
 The losses of the local planner and of the velocity controller have equal weight. AdamW minimizes their sum, epoch by
-epoch, until the validation loss stops falling. An epoch is one compiled call: a scan over shuffled batches, then a scan
-over the validation batches, with the dataset on the device. The shuffle depends on (seed, epoch) alone, so the same
-command continues from the latest checkpoint after an interruption and ends with the same weights.
+epoch, until the validation loss stops falling. An epoch is one compiled call after the shuffle: a scan over batches,
+then a scan over the validation batches, with the dataset on the device. The shuffle depends on (seed, epoch) alone, so
+the same command continues from the latest checkpoint after an interruption and ends with the same weights.
 """
 
 import contextlib
+import functools
 import math
 import shutil
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
@@ -23,7 +24,6 @@ from flax import struct
 from flax.typing import VariableDict
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Float, Int
-from rich.console import Console
 
 from sean_jax import devices, prng, writing
 from sean_jax.base import Array
@@ -34,7 +34,7 @@ from sean_jax.learning.dataset import ConcatDataset, Episode, on_device, open_da
 from sean_jax.learning.examples import Example, Loader, Recording, Token, balanced_probabilities, example
 from sean_jax.learning.networks import Decision, Network, Weights, init_weights, read_network
 from sean_jax.learning.trainer import Checkpoints, Log, Loop, Report, check_config, fit, write_config
-from sean_jax.progress import progress
+from sean_jax.progress import Progress, ProgressLike, progress
 from sean_jax.versions import versions
 
 MIN_COMMAND_SCALE = 0.05  # m/s, rad/s: the scale of a command that hardly varies
@@ -44,7 +44,7 @@ DEFAULT_MEMORY = 4e9  # bytes, for a device that does not report its memory
 
 @struct.dataclass
 class TrainState:
-    """Everything that the rest of a training depends on. The field names are those of the checkpoints on disk."""
+    """The state of a training. The field names are the names in checkpoints on disk."""
 
     weights: Weights
     optimizer: optax.OptState
@@ -67,14 +67,61 @@ class TrainPrograms(NamedTuple):
     "Sums" are the (4,) of ``_error_sums`` added over examples, from which ``Losses`` are computed.
     """
 
-    # (state, recording, training rows (R,), validation rows (R,), probabilities of the former (R,) or None)
+    # (state, recording, training rows (R,) in their order, validation rows (V,)); a row of -1 counts for nothing
     epoch: Callable  # -> (state, training Losses, validation Losses)
     update: Callable  # (state, examples (B, ...), weight (B,)) -> (state, sums): one step of the optimizer
     measure: Callable  # (state, examples (B, ...), weight (B,)) -> sums
     finish: Callable  # (state, training sums, validation sums) -> (state, Losses, Losses): the end of an epoch
 
 
-def train(options: ImitationConfig, console: Console | Callable[[float], None] | None = None) -> TrainState:
+@dataclass(frozen=True)
+class Training:
+    """A network, and the data from which it learns."""
+
+    options: ImitationConfig
+    data: ConcatDataset
+    network: Network
+    training: list[Episode]
+    validation: list[Episode]
+
+    @property
+    def situations(self) -> int:
+        """The number of social situations."""
+        return len(self.data.manifest["situations"])
+
+    @property
+    def length(self) -> int:
+        """The number of examples that train."""
+        return sum(episode.length for episode in self.training)
+
+    def read(self, field: str) -> np.ndarray:
+        """A field of the examples that train, (R, ...)."""
+        return self.data.read(self.training, (field,))[field]
+
+    def recording(self) -> Recording:
+        """All examples on the default device: first the training examples."""
+        return on_device(self.data.recording([*self.training, *self.validation]))
+
+    def config(self) -> dict[str, Any]:
+        """The configuration of the folder."""
+        options, network, data = self.options, self.network, self.data
+        if data.example_count < 2:
+            raise InputError(f"{data.folder} has {data.example_count} examples, too few to learn from; collect more.")
+        return {
+            "command": command("train", options),
+            "width": network.width,
+            "flags": network.flags,
+            "image": list(network.image),
+            "situations": data.manifest["situations"],
+            "sources": {"planner": network.planner_sources, "controller": network.controller_sources},
+            **{name: value for name, value in options.identity().items() if name not in ("width", "flags")},
+            "devices": len(jax.devices()),
+            "dataset": {"fingerprint": data.fingerprint(), "command": data.manifest["command"]},
+            "versions": versions(),
+        }
+
+
+def train(options: ImitationConfig, console: ProgressLike = None) -> TrainState:
     """Train a network, or resume its training; the state then. ``learning.load`` reads the best weights.
 
     Args:
@@ -86,15 +133,13 @@ def train(options: ImitationConfig, console: Console | Callable[[float], None] |
         IncompleteError: a file is damaged or cannot be written. The checkpoints stay.
         FloatingPointError: the loss is not finite. The checkpoints stay.
     """
-    data, network = prepare(options)
-    training, validation = split_each(data, options.validation, options.seed)
-    config = _config(options, data, network)
-    check_config(options.folder, config)  # refuses before anything is written
-    with writing.folder_lock(options.folder):
-        return _train(options, console, data, training, validation, network, config)
+    training = prepare(options)
+    check_config(options.folder, training.config())  # refuses before anything is written
+    with writing.folder_lock(options.folder), progress(console) as tell:
+        return _train(training, tell)
 
 
-def prepare(options: ImitationConfig) -> tuple[ConcatDataset, Network]:
+def prepare(options: ImitationConfig) -> Training:
     """The data and the network of a training.
 
     Raises:
@@ -107,24 +152,19 @@ def prepare(options: ImitationConfig) -> tuple[ConcatDataset, Network]:
         if had != network:
             text = f"{options.pretrained} has another network, {had}, not {network}"
             raise InputError(f"pretrained: {text}; ask for the same.")
-    return data, network
-
-
-def init_state(
-    network: Network, situations: int, options: ImitationConfig, commands: Float[np.ndarray | Array, "R 2"]
-) -> TrainState:
-    """The state before the first epoch, from the commands (R, 2) [m/s, rad/s] of the training examples."""
-    weights = init_weights(network, situations, prng.key("weights", options.seed))
-    return state_of_weights(replace(weights, scale=command_scale(commands)), options)
+    return Training(options, data, network, *split_each(data, options.validation, options.seed))
 
 
 def command_scale(commands: Float[np.ndarray | Array, "R 2"]) -> Float[Array, "2"]:
-    """The standard deviation (2,) of commands (R, 2) [m/s, rad/s]: what a command of 1 from the network means."""
+    """The standard deviation (2,) of commands (R, 2) [m/s, rad/s], the unit of the network's commands."""
     return jnp.maximum(jnp.std(jnp.asarray(commands), 0), MIN_COMMAND_SCALE)
 
 
-def state_of_weights(weights: Weights, options: ImitationConfig) -> TrainState:
-    """The state before the first epoch, from weights; its best loss is infinite."""
+def init_state(
+    network: Network, situations: int, options: ImitationConfig, seed: Array | int, scale: Float[Array, "2"]
+) -> TrainState:
+    """The state before the first epoch; its best loss is infinite. ``scale`` is of ``command_scale``."""
+    weights = replace(init_weights(network, situations, prng.key("weights", seed)), scale=scale)
     return TrainState(
         weights=weights,
         optimizer=_optimizer(options).init(weights.parameters),
@@ -134,8 +174,12 @@ def state_of_weights(weights: Weights, options: ImitationConfig) -> TrainState:
     )
 
 
-def programs(network: Network, options: ImitationConfig, mesh: Mesh) -> TrainPrograms:
-    """The compiled functions of a training, which donate the memory of the state."""
+def programs(network: Network, options: ImitationConfig, mesh: Mesh, padded: bool = False) -> TrainPrograms:
+    """The compiled functions of a training, which donate the memory of the state.
+
+    Args:
+        padded: whether the rows may fill whole batches with -1.
+    """
     optimizer = _optimizer(options)
     sharding = NamedSharding(mesh, PartitionSpec(devices.AXIS))
 
@@ -158,27 +202,23 @@ def programs(network: Network, options: ImitationConfig, mesh: Mesh) -> TrainPro
     def measure(state: TrainState, examples: Example, weight: Array) -> Array:
         return sums(state.weights.parameters, state.weights.scale, examples, weight)
 
-    def gather(recording: Recording, index: Array) -> tuple[Example, Array]:
-        index = jax.lax.with_sharding_constraint(index, sharding)
-        examples = example(recording, jnp.maximum(index, 0))
-        return examples, (index >= 0).astype(jnp.float32)
-
     def epoch(
-        state: TrainState,
-        recording: Recording,
-        training: Array,
-        validation: Array,
-        probabilities: Array | None = None,
+        state: TrainState, recording: Recording, training: Array, validation: Array
     ) -> tuple[TrainState, Losses, Losses]:
-        key = jax.random.fold_in(prng.key("order", options.seed), state.epoch)
-        if probabilities is None:
-            order = jax.random.permutation(key, training)
-        else:
-            order = jax.random.choice(key, training, training.shape, p=probabilities)
-        batches = in_batches(order, options.batch, mesh.size)
-        state, trained = jax.lax.scan(lambda state, index: update(state, *gather(recording, index)), state, batches)
+        def gather(index: Array) -> tuple[Example, Array]:
+            index = jax.lax.with_sharding_constraint(index, sharding)
+            return example(recording, jnp.maximum(index, 0)), (index >= 0).astype(jnp.float32)
+
+        def step(state: TrainState, index: Array) -> tuple[TrainState, Array]:
+            after, sums = update(state, *gather(index))
+            if not padded:
+                return after, sums
+            some = (index >= 0).any()  # of a batch of none, the optimizer would still move
+            return jax.tree.map(lambda old, new: jnp.where(some, new, old), state, after), sums
+
+        state, trained = jax.lax.scan(step, state, in_batches(training, options.batch, mesh.size))
         batches = in_batches(validation, options.batch, mesh.size)
-        _, validated = jax.lax.scan(lambda _, index: (_, measure(state, *gather(recording, index))), 0, batches)
+        _, validated = jax.lax.scan(lambda _, index: (_, measure(state, *gather(index))), 0, batches)
         return finish(state, trained.sum(0), validated.sum(0))
 
     def finish(state: TrainState, training: Array, validation: Array) -> tuple[TrainState, Losses, Losses]:
@@ -196,6 +236,14 @@ def programs(network: Network, options: ImitationConfig, mesh: Mesh) -> TrainPro
     return TrainPrograms(
         jax.jit(epoch, donate_argnums=0), jax.jit(update, donate_argnums=0), jax.jit(measure), jax.jit(finish)
     )
+
+
+def shuffled(rows: Int[Array, "R"], probabilities: Float[Array, "R"] | None, seed: int, epoch: Array) -> Array:
+    """Rows (R,) in the order of an epoch, or drawn with these probabilities."""
+    key = jax.random.fold_in(prng.key("order", seed), epoch)
+    if probabilities is None:
+        return jax.random.permutation(key, rows)
+    return jax.random.choice(key, rows, rows.shape, p=probabilities)
 
 
 def in_batches(rows: Int[Array, "R"], size: int, devices: int) -> Int[Array, "batches B"]:
@@ -230,69 +278,65 @@ def _optimizer(options: ImitationConfig) -> optax.GradientTransformation:
     return optax.adamw(options.learning_rate, weight_decay=options.weight_decay)
 
 
-def _train(
-    options: ImitationConfig,
-    console: Console | Callable[[float], None] | None,
-    data: ConcatDataset,
-    training: list[Episode],
-    validation: list[Episode],
-    network: Network,
-    config: dict[str, Any],
-) -> TrainState:
+def _train(training: Training, tell: Progress) -> TrainState:
     """Train in a folder that this process has locked."""
-    mesh = devices.mesh()
-    commands = jnp.asarray(data.read(training, ("command",))["command"])
-    state = jax.jit(init_state, static_argnums=(0, 1, 2))(network, len(data.manifest["situations"]), options, commands)
+    options, mesh = training.options, devices.mesh()
+    init = jax.jit(init_state, static_argnums=(0, 1, 2, 3))
+    scale = command_scale(training.read("command"))
+    state = init(training.network, training.situations, options, options.seed, scale)
     if options.pretrained is not None:
         state = replace(state, weights=Checkpoints(options.pretrained).best("weights", state.weights))
-    epoch = _epoch(data, training, validation, network, options, mesh)
+    epoch = _epoch(training, mesh)
 
     def advance(state: TrainState) -> tuple[TrainState, Report]:
         start = time.time()
-        state, training_losses, validation_losses = epoch(state)
-        _check_finite(state, training_losses, validation_losses, options.folder)
-        number, best_number, loss = int(state.epoch), int(state.best_epoch), float(validation_losses.loss)
-        line = {"epoch": number, "train": _as_dict(training_losses), "validation": _as_dict(validation_losses)}
-        due = best_number == number or number % CHECKPOINT_INTERVAL == 0 or _is_over(state, options)
+        state, *losses = epoch(state)
+        number, best_number, loss = int(state.epoch), int(state.best_epoch), float(losses[1].loss)
+        if not all(math.isfinite(float(each.loss)) for each in losses):
+            where = f"the loss is not finite in epoch {number}; {options.folder} keeps the checkpoints until then"
+            raise FloatingPointError(f"{where}; try a lower --learning-rate in another folder.")
+        due = best_number == number or number % CHECKPOINT_INTERVAL == 0 or is_over(state)
         best = f"best {float(state.best):.4f} after {best_number}"
         note = f"epoch {number} · loss {loss:.4f}, {best}, {time.time() - start:.2f} s an epoch"
-        return state, Report(number, line, loss if due else None, note)
+        return state, Report(number, _line(number, *losses), loss if due else None, note)
 
-    loop = Loop(
-        advance=advance,
-        is_over=lambda state: _is_over(state, options),
-        done=lambda state: int(state.epoch),
-        place=lambda state: devices.replicate(mesh, state),
-    )
-    with progress(console) as tell:
-        return fit(options.folder, config, state, loop, options.epochs, tell)
+    def is_over(state: TrainState) -> bool:
+        epoch = int(state.epoch)
+        return epoch >= options.epochs or epoch - int(state.best_epoch) >= options.patience
+
+    place = functools.partial(devices.replicate, mesh)
+    loop = Loop(advance=advance, is_over=is_over, done=lambda state: int(state.epoch), place=place)
+    return fit(options.folder, training.config(), state, loop, options.epochs, tell)
 
 
-def _epoch(
-    data: ConcatDataset,
-    training: list[Episode],
-    validation: list[Episode],
-    network: Network,
-    options: ImitationConfig,
-    mesh: Mesh,
-) -> Callable[[TrainState], tuple[TrainState, Losses, Losses]]:
+def _line(epoch: int, training: Losses, validation: Losses) -> dict[str, Any]:
+    """A line of metrics.jsonl."""
+    losses = (("train", training), ("validation", validation))
+    return {"epoch": epoch} | {part: {k: float(v) for k, v in each._asdict().items()} for part, each in losses}
+
+
+def _epoch(training: Training, mesh: Mesh) -> Callable[[TrainState], tuple[TrainState, Losses, Losses]]:
     """state -> (state, Losses, Losses), with the dataset on the devices if it fits there, else from disk."""
-    compiled = programs(network, options, mesh)
+    options, data = training.options, training.data
+    compiled = programs(training.network, options, mesh)
     if data.example_count * data.row_bytes <= options.device_memory_fraction * _memory():
-        recording = devices.replicate(mesh, on_device(data.recording([*training, *validation])))
-        number = sum(episode.length for episode in training)
-        rows = jnp.arange(data.example_count, dtype=jnp.int32)
-        probabilities = None
+        recording = devices.replicate(mesh, training.recording())
+        rows, number, probabilities = jnp.arange(data.example_count, dtype=jnp.int32), training.length, None
         if options.balance:
-            probabilities = jnp.asarray(balanced_probabilities(data.read(training, ("situations",))["situations"]))
-        return lambda state: compiled.epoch(state, recording, rows[:number], rows[number:], probabilities)
+            probabilities = jnp.asarray(balanced_probabilities(training.read("situations")))
+
+        def on_devices(state: TrainState) -> tuple[TrainState, Losses, Losses]:
+            order = jax.jit(shuffled, static_argnums=2)(rows[:number], probabilities, options.seed, state.epoch)
+            return compiled.epoch(state, recording, order, rows[number:])
+
+        return on_devices
     if options.balance:
         raise InputError(
             "--balance needs the dataset to fit on the device; collect less, or raise --device-memory-fraction."
         )
     size = -(-options.batch // mesh.size) * mesh.size
-    loader = Loader(data, training, size, options.seed)
-    validation_loader = Loader(data, validation, size, options.seed, shuffle=False)
+    loader = Loader(data, training.training, size, options.seed)
+    validation_loader = Loader(data, training.validation, size, options.seed, shuffle=False)
 
     def from_disk(state: TrainState) -> tuple[TrainState, Losses, Losses]:
         training_sums, validation_sums = jnp.zeros(4, jnp.float32), jnp.zeros(4, jnp.float32)
@@ -314,51 +358,17 @@ def _memory() -> float:
         return DEFAULT_MEMORY
 
 
-def _is_over(state: TrainState, options: ImitationConfig) -> bool:
-    done = int(state.epoch)
-    return done >= options.epochs or done - int(state.best_epoch) >= options.patience
-
-
-def _check_finite(state: TrainState, training: Losses, validation: Losses, folder: Path) -> None:
-    if not (math.isfinite(float(training.loss)) and math.isfinite(float(validation.loss))):
-        where = f"the loss is not finite in epoch {int(state.epoch)}; {folder} keeps the checkpoints until then"
-        raise FloatingPointError(f"{where}; try a lower --learning-rate in another folder.")
-
-
-def _as_dict(losses: Losses) -> dict[str, float]:
-    return {name: float(value) for name, value in losses._asdict().items()}
-
-
-def _config(options: ImitationConfig, data: ConcatDataset, network: Network) -> dict[str, Any]:
-    if data.example_count < 2:
-        raise InputError(f"{data.folder} has {data.example_count} examples, too few to learn from; collect more.")
-    return {
-        "command": command("train", options),
-        "width": network.width,
-        "flags": network.flags,
-        "image": list(network.image),
-        "situations": data.manifest["situations"],
-        "sources": {"planner": network.planner_sources, "controller": network.controller_sources},
-        **{name: value for name, value in options.identity().items() if name not in ("width", "flags")},
-        "devices": len(jax.devices()),
-        "dataset": {"fingerprint": data.fingerprint(), "command": data.manifest["command"]},
-        "versions": versions(),
-    }
-
-
 # ------------------------------------------------------------------ several networks
 
 OWN_OPTIONS = "dataset", "datasets", "part", "seed", "out", "quiet"  # in which the networks may differ
 MAX_NETWORKS = 32  # in one program; fewer if their datasets fill the memory
 
 
-def train_ensemble(
-    several: Sequence[ImitationConfig], console: Console | Callable[[float], None] | None = None
-) -> list[TrainState]:
-    """Train networks of one kind side by side; the state of each after its last epoch.
+def train_ensemble(several: Sequence[ImitationConfig], console: ProgressLike = None) -> list[TrainState]:
+    """Train networks of one kind in parallel; the state of each after its last epoch.
 
     One program makes an epoch of all of them, so a GPU that one small network leaves idle is filled. Each stops by its
-    own validation loss. A folder is that of ``train`` afterwards; what is killed midway begins anew.
+    own validation loss. The folders are as of ``train``; a killed training starts again.
 
     Args:
         several: they may differ in dataset, seed and folder.
@@ -370,77 +380,61 @@ def train_ensemble(
         IncompleteError: a file is damaged or cannot be written.
         FloatingPointError: a loss is not finite; nothing of the networks that were trained together is written.
     """
-    several = list(several)
-    data = [open_datasets([options.dataset, *options.datasets], options.part) for options in several]
-    networks = [Network(o.width, o.flags, each.image_shape) for o, each in zip(several, data, strict=True)]
-    _check_alike(several, data, networks)
-    size = min(MAX_NETWORKS, _networks_at_once(several[0], data))
-    states: list[TrainState] = []
+    if several[0].pretrained is not None:
+        raise InputError("pretrained: networks trained in parallel have none; train this network alone.")
+    trainings = [prepare(options) for options in several]
+    _check_alike(trainings)
+    size, states = min(MAX_NETWORKS, _networks_at_once(trainings)), []
     with progress(console) as tell, contextlib.ExitStack() as stack:
         for options in several:
             stack.enter_context(writing.folder_lock(options.folder))
         tell.start("training", len(several))
         for first in range(0, len(several), size):
-            part = slice(first, first + size)
-
-            def show(epoch: int, over: np.ndarray, loss: float, first: int = first) -> None:
-                share = max(float(over.mean()), epoch / several[0].epochs)
-                note = f"epoch {epoch} · {int(over.sum())} of {len(over)} stopped, loss {loss:.4f} on average"
-                tell.update(first + share * len(over), note)
-
-            states += _train_ensemble(several[part], data[part], networks[0], show)
+            states += _train_ensemble(trainings[first : first + size], first, tell)
     return states
 
 
-def _check_alike(several: list[ImitationConfig], data: list[ConcatDataset], networks: list[Network]) -> None:
+def _check_alike(trainings: list[Training]) -> None:
     alike = [
-        {name: value for name, value in options.identity().items() if name not in OWN_OPTIONS} for options in several
+        {name: value for name, value in each.options.identity().items() if name not in OWN_OPTIONS}
+        for each in trainings
     ]
+    first = trainings[0]
     for one in alike[1:]:
         for name in one:
             if one[name] != alike[0][name]:
-                raise InputError(f"{name}: {one[name]} beside {alike[0][name]}; networks side by side have the same.")
-    if several[0].pretrained is not None:
-        raise InputError("pretrained: networks side by side begin from nothing; train this one by itself.")
-    if any(each.rate != data[0].rate for each in data):
+                raise InputError(f"{name}: {one[name]} and {alike[0][name]}; networks in parallel have the same.")
+    if any(each.data.rate != first.data.rate for each in trainings):
         raise InputError("dataset: the datasets have different rates; collect all with the same --rate.")
-    if any(network != networks[0] for network in networks):
+    if any(each.network != first.network for each in trainings):
         raise InputError("dataset: the datasets have images of different sizes; collect all with the same --width.")
 
 
-def _networks_at_once(options: ImitationConfig, data: list[ConcatDataset]) -> int:
+def _networks_at_once(trainings: list[Training]) -> int:
     """How many of the datasets fit on a device."""
-    largest = max(each.example_count * each.row_bytes for each in data)
-    number = int(options.device_memory_fraction * _memory() // max(largest, 1))
+    largest = max(each.data.example_count * each.data.row_bytes for each in trainings)
+    number = int(trainings[0].options.device_memory_fraction * _memory() // max(largest, 1))
     if number < 1:
-        raise InputError("dataset: it does not fit on the device; train each network by itself.")
+        raise InputError("dataset: it does not fit on the device; train each network alone.")
     return number
 
 
-def _train_ensemble(
-    several: list[ImitationConfig],
-    data: list[ConcatDataset],
-    network: Network,
-    show: Callable[[int, np.ndarray, float], None],
-) -> list[TrainState]:
-    """Networks whose folders are locked."""
-    options = several[0]
-    configs = [_config(own, each, network) for own, each in zip(several, data, strict=True)]
-    for own, config in zip(several, configs, strict=True):
-        check_config(own.folder, config)
-    splits = [split_each(each, own.validation, own.seed) for own, each in zip(several, data, strict=True)]
-    commands = [each.read(split[0], ("command",))["command"] for each, split in zip(data, splits, strict=True)]
-    scales = jnp.stack([command_scale(each) for each in commands])
-    seeds = jnp.asarray([own.seed for own in several], jnp.uint32)
-    states, best = jax.jit(_init_states, static_argnums=(0, 1, 2))(
-        network, len(data[0].manifest["situations"]), options, seeds, scales
-    )
-    recordings, rows, validation, odds = _stack_data(data, splits, options.balance)
-    epoch = _ensemble_epoch(network, options)
-    over, epochs = np.zeros(len(several), bool), []
+def _train_ensemble(trainings: list[Training], first: int, tell: Progress) -> list[TrainState]:
+    """Networks whose folders are locked; ``first`` others were trained before."""
+    one, options = trainings[0], trainings[0].options
+    configs = [each.config() for each in trainings]
+    for each, config in zip(trainings, configs, strict=True):
+        check_config(each.options.folder, config)
+    seeds = jnp.asarray([each.options.seed for each in trainings], jnp.uint32)
+    scales = jnp.stack([command_scale(each.read("command")) for each in trainings])
+    init = functools.partial(init_state, one.network, one.situations, options)
+    states = jax.jit(lambda *each: jax.lax.map(lambda own: init(*own), each))(seeds, scales)
+    best = jax.tree.map(jnp.copy, states)
+    data, epoch = _stack_data(trainings), _ensemble_epoch(one.network, options)
+    over, epochs = np.zeros(len(trainings), bool), []
     while not over.all():
         start = time.time()
-        states, best, losses = epoch(states, best, jnp.asarray(over), recordings, rows, validation, odds, seeds)
+        states, best, losses = epoch(states, best, jnp.asarray(over), seeds, *data)
         trained, validated = (jax.tree.map(np.asarray, each) for each in losses)
         if not np.isfinite([trained.loss[~over], validated.loss[~over]]).all():
             raise FloatingPointError(
@@ -449,98 +443,67 @@ def _train_ensemble(
         epochs.append((trained, validated, ~over, start))
         number, last = np.asarray(states.epoch), np.asarray(states.best_epoch)
         over |= (number >= options.epochs) | (number - last >= options.patience)
-        show(int(number.max()), over, float(validated.loss.mean()))
+        share = max(float(over.mean()), number.max() / options.epochs)
+        stopped = f"{int(over.sum())} of {len(over)} stopped, loss {float(validated.loss.mean()):.4f} on average"
+        tell.update(first + share * len(over), f"epoch {number.max()} · {stopped}")
     result = []
-    for index, (own, config) in enumerate(zip(several, configs, strict=True)):
-        one, top = (jax.tree.map(lambda leaf: leaf[index], tree) for tree in (states, best))  # noqa: B023
-        _write_folder(own.folder, config, one, top, [epoch for epoch in epochs if epoch[2][index]], index)
-        result.append(one)
+    for index, (each, config) in enumerate(zip(trainings, configs, strict=True)):
+        last, top = (jax.tree.map(lambda leaf: leaf[index], tree) for tree in (states, best))  # noqa: B023
+        _write_folder(each.options.folder, config, last, top, [epoch for epoch in epochs if epoch[2][index]], index)
+        result.append(last)
     return result
 
 
-def _init_states(
-    network: Network, situations: int, options: ImitationConfig, seeds: Array, scales: Array
-) -> tuple[TrainState, TrainState]:
-    """The states before the first epoch, twice: now, and the best so far."""
-
-    def one(carry: tuple[Array, Array]) -> TrainState:
-        seed, scale = carry
-        weights = init_weights(network, situations, prng.key("weights", seed))
-        return state_of_weights(replace(weights, scale=scale), options)
-
-    states = jax.lax.map(one, (seeds, scales))
-    return states, jax.tree.map(jnp.copy, states)
-
-
-def _stack_data(data: list[ConcatDataset], splits: list, balance: bool) -> tuple[Recording, Array, Array, Array]:
+def _stack_data(trainings: list[Training]) -> tuple[Recording, Array, Array, Array]:
     """Recordings (A, R, ...) filled up to the longest; rows (A, R) that train and (A, V) that validate, -1 for none;
     and the probabilities (A, R) of the former.
     """
-    each = [
-        on_device(one.recording([*training, *validation]))
-        for one, (training, validation) in zip(data, splits, strict=True)
-    ]
-    most = max(len(one.first) for one in each)
+    recordings = [each.recording() for each in trainings]
+    most = max(len(one.first) for one in recordings)
 
     def longer(leaf: Array) -> Array:
         return jnp.concatenate([leaf, jnp.zeros((most - len(leaf), *leaf.shape[1:]), leaf.dtype)])
 
-    recordings = jax.tree.map(lambda *leaves: jnp.stack([longer(leaf) for leaf in leaves]), *each)
-    index, training, validation, odds = np.arange(most), [], [], []
-    for one, (learned, _) in zip(data, splits, strict=True):
-        number, count = sum(episode.length for episode in learned), one.example_count
-        training.append(np.where(index < number, index, -1))
-        validation.append(np.where((index >= number) & (index < count), index, -1))
-        chances = np.ones(number) / number
-        if balance:
-            chances = balanced_probabilities(one.read(learned, ("situations",))["situations"])
-        odds.append(np.concatenate([chances, np.zeros(most - number)]))
-    validation = [np.concatenate([row[row >= 0], row[row < 0]]) for row in validation]
-    width = max(int((row >= 0).sum()) for row in validation)
-    rows, validation = (
-        jnp.asarray(np.stack(training), jnp.int32),
-        jnp.asarray(np.stack(validation)[:, :width], jnp.int32),
-    )
-    return recordings, rows, validation, jnp.asarray(np.stack(odds), jnp.float32)
+    index, widest = np.arange(most), max(each.data.example_count - each.length for each in trainings)
+    training, validation, odds = [], [], []
+    for each in trainings:
+        training.append(np.where(index < each.length, index, -1))
+        rows = each.length + np.arange(widest)
+        validation.append(np.where(rows < each.data.example_count, rows, -1))
+        chances = np.ones(each.length) / each.length
+        if each.options.balance:
+            chances = balanced_probabilities(each.read("situations"))
+        odds.append(np.concatenate([chances, np.zeros(most - each.length)]))
+    stacked = jax.tree.map(lambda *leaves: jnp.stack([longer(leaf) for leaf in leaves]), *recordings)
+    training, validation = (jnp.asarray(np.stack(rows), jnp.int32) for rows in (training, validation))
+    return stacked, training, validation, jnp.asarray(np.stack(odds), jnp.float32)
 
 
 def _ensemble_epoch(network: Network, options: ImitationConfig) -> Callable:
-    """(states, best, over, recordings, training rows, validation rows, chances, seeds) -> (states, best, losses)."""
-    compiled = programs(network, options, devices.mesh())
+    """(states, best, over, seeds, recordings, training rows, validation rows, chances) -> (states, best, losses)."""
+    compiled = programs(network, options, devices.mesh(jax.devices()[:1]), padded=True)
 
     def one(
-        state: TrainState, best: TrainState, over: Array, recording: Recording, rows: Array, validation: Array,
-        odds: Array, seed: Array,
-    ) -> tuple[TrainState, TrainState, tuple]:  # fmt: skip
+        state: TrainState, best: TrainState, over: Array, seed: Array, recording: Recording, rows: Array,
+        validation: Array, odds: Array,
+    ) -> tuple[TrainState, TrainState, list[Losses]]:  # fmt: skip
         key = jax.random.fold_in(prng.key("order", seed), state.epoch)
         if options.balance:
             order = jnp.where(rows >= 0, jax.random.choice(key, rows, rows.shape, p=odds), -1)
         else:  # in another order, with none at the end
             order = rows[jnp.argsort(jnp.where(rows >= 0, jax.random.uniform(key, rows.shape), 2.0))]
-
-        def gather(index: Array) -> tuple:
-            return example(recording, jnp.maximum(index, 0)), (index >= 0).astype(jnp.float32)
-
-        def step(state: TrainState, index: Array) -> tuple[TrainState, Array]:
-            after, sums = compiled.update(state, *gather(index))
-            some = (index >= 0).any()  # of a batch of none, the optimizer would still move
-            return jax.tree.map(lambda old, new: jnp.where(some, new, old), state, after), sums
-
-        after, trained = jax.lax.scan(step, state, in_batches(order, options.batch, 1))
-        batches = in_batches(validation, options.batch, 1)
-        _, validated = jax.lax.scan(lambda _, index: (_, compiled.measure(after, *gather(index))), 0, batches)
-        after, *losses = compiled.finish(after, trained.sum(0), validated.sum(0))
+        after, *losses = compiled.epoch(state, recording, order, validation)
         better = after.best_epoch == after.epoch
         best = jax.tree.map(lambda old, new: jnp.where(better & ~over, new, old), best, after)
         after = jax.tree.map(lambda old, new: jnp.where(over, old, new), state, after)
-        return after, best, tuple(losses)
+        return after, best, losses
 
     return jax.jit(jax.vmap(one), donate_argnums=(0, 1))
 
 
 def _write_folder(folder: Path, config: dict, state: TrainState, best: TrainState, epochs: list, index: int) -> None:
     """The folder of a training that has ended."""
-    shutil.rmtree(folder / "checkpoints", ignore_errors=True)  # of one that was trained otherwise and killed
+    shutil.rmtree(folder / "checkpoints", ignore_errors=True)  # of a killed training with other options
     write_config(folder, config)
     checkpoints = Checkpoints(folder, writes=True)
     for one in (best, state) if int(best.epoch) < int(state.epoch) else (state,):
@@ -549,5 +512,5 @@ def _write_folder(folder: Path, config: dict, state: TrainState, best: TrainStat
         checkpoints.wait()
     log = Log(folder, 0)
     for number, (*losses, _, start) in enumerate(epochs, 1):
-        train, validation = (_as_dict(jax.tree.map(lambda value: value[index], each)) for each in losses)
-        log.add({"epoch": number, "train": train, "validation": validation, "time": start})
+        own = (jax.tree.map(lambda value: value[index], each) for each in losses)
+        log.add(_line(number, *own) | {"time": start})

@@ -10,22 +10,15 @@ from typing import Any
 
 import numpy as np
 
-from sean_jax import writing
+from sean_jax import files, writing
 from sean_jax.errors import InputError
 from sean_jax.learning.dataset import Dataset, Episode, open_dataset
 from sean_jax.writing import check_new_folder
 
-FILES_IN_CHUNK = 1000  # LeRobot calls a folder of files a chunk
+FORMAT = files.read_yaml(Path(__file__).with_suffix(".yaml"))[1]
 EPISODES_IN_FILE = 512
-IMAGE, STATE, PLAN, FLAGS, ACTION = (
-    "observation.images.depth",
-    "observation.state",
-    "observation.environment_state",
-    "observation.situations",
-    "action",
-)
-QUANTILES = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
-NUMBERS = ("timestamp", "frame_index", "episode_index", "index", "task_index")
+IMAGE, STATE, PLAN, FLAGS, ACTION = list(FORMAT["features"])[:5]
+QUANTILES = FORMAT["quantiles"]
 
 
 def export(dataset: Path | str, out: Path | str) -> Path:
@@ -55,7 +48,8 @@ def _export(data: Dataset, out: Path) -> None:
     tasks, schema = [name.replace("_", " ") for name in data.manifest["streams"]], _schema(_features(data))
     descriptions, everything, depths, index = [], [], np.zeros(2**16, np.int64), 0
     for number, first in enumerate(range(0, len(data.episodes), EPISODES_IN_FILE)):
-        where = {"chunk_index": number // FILES_IN_CHUNK, "file_index": number % FILES_IN_CHUNK}
+        chunk, place = divmod(number, FORMAT["info"]["chunks_size"])
+        where = {"chunk_index": chunk, "file_index": place}
         file = out / _file("data", **where)
         file.parent.mkdir(parents=True, exist_ok=True)
         with pq.ParquetWriter(file, schema) as writer:  # a row group for each episode, as LeRobot writes them
@@ -84,14 +78,10 @@ def _stats(columns: dict[str, np.ndarray], depths: np.ndarray) -> dict[str, dict
     """
     kinds = np.flatnonzero(depths)
     image = {name: value.reshape(1, 1, 1) for name, value in _statistics(kinds[:, None], depths[kinds]).items()}
-    statistics = {
-        IMAGE: image,
-        **{name: _statistics(values.reshape(len(values), -1)) for name, values in columns.items()},
-    }
-    count = [len(columns["index"])]
+    rest = {name: _statistics(values.reshape(len(values), -1)) for name, values in columns.items()}
     return {
-        feature: {**{name: value.tolist() for name, value in values.items()}, "count": count}
-        for feature, values in statistics.items()
+        feature: {name: value.tolist() for name, value in values.items()} | {"count": [len(columns["index"])]}
+        for feature, values in {IMAGE: image, **rest}.items()
     }
 
 
@@ -142,7 +132,6 @@ def _description(
     episode: Episode, number: int, index: int, tasks: list[str], where: dict[str, int], own: dict[str, Any]
 ) -> dict[str, Any]:
     """A row of meta/episodes."""
-    statistics = {f"stats/{name}/{key}": value for name, stats in own.items() for key, value in stats.items()}
     return {
         "episode_index": number,
         "tasks": [tasks[episode.stream]],
@@ -152,38 +141,28 @@ def _description(
         **{f"data/{key}": value for key, value in where.items()},
         "meta/episodes/chunk_index": 0,
         "meta/episodes/file_index": 0,
-        **statistics,
+        **{f"stats/{name}/{key}": value for name, stats in own.items() for key, value in stats.items()},
     }
 
 
 def _features(data: Dataset) -> dict[str, dict[str, Any]]:
-    height, width = data.image_shape
-    pose = ["x", "y", "heading_x", "heading_y", "speed", "turn_rate"]
-    points = [f"plan_{axis}_{number}" for number in range(1, 11) for axis in "xy"]
-    image = {"dtype": "image", "shape": [height, width, 1], "names": ["height", "width", "channel"]}
-    features = {IMAGE: {**image, "info": {"is_depth_map": True, "depth_unit": "mm"}}}
-    named = {STATE: pose, PLAN: points, FLAGS: data.manifest["situations"], ACTION: ["speed", "turn_rate"]}
-    for name, names in named.items():
-        features[name] = {"dtype": "float32", "shape": [len(names)], "names": names}
-    for name in NUMBERS:
-        features[name] = {"dtype": "float32" if name == "timestamp" else "int64", "shape": [1], "names": None}
+    features = {}
+    for name, feature in FORMAT["features"].items():
+        names = data.manifest["situations"] if name == FLAGS else feature.get("names")
+        shape = [*data.image_shape, 1] if name == IMAGE else [len(names) if names else 1]
+        features[name] = {**feature, "shape": shape, "names": names}
     return features
 
 
 def _info(data: Dataset, frames: int, tasks: list[str]) -> dict[str, Any]:
     return {
-        "codebase_version": "v3.0",
+        **FORMAT["info"],
         "robot_type": data.manifest["robot"]["name"],
         "total_episodes": len(data.episodes),
         "total_frames": frames,
         "total_tasks": len(tasks),
-        "chunks_size": FILES_IN_CHUNK,
-        "data_files_size_in_mb": 100,
-        "video_files_size_in_mb": 200,
         "fps": data.rate,
         "splits": {"train": f"0:{len(data.episodes)}"},
-        "data_path": "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet",
-        "video_path": None,
         "features": _features(data),
     }
 

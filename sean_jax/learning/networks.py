@@ -20,7 +20,6 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pydantic
 from flax import linen as nn
 from flax import struct
 from flax.typing import VariableDict
@@ -30,18 +29,16 @@ from sean_jax import files
 from sean_jax.base import Array
 from sean_jax.config import MAX_PIXELS, METHODS
 from sean_jax.errors import FileError, InputError
-from sean_jax.learning.dataset import LOOSE, Names, Side
-from sean_jax.learning.examples import MILLIMETRES, POINTS, SECONDS
+from sean_jax.learning.dataset import Keys, Names, Side
+from sean_jax.learning.examples import MILLIMETRES, SECONDS
 from sean_jax.mdp import observations
-from sean_jax.mdp.spaces import Dict
+from sean_jax.mdp.spaces import Box
 
-CONFIG = "config.json"  # the configuration of a network, beside its checkpoints
+CONFIG = "config.json"  # the configuration of a network, in the folder of its checkpoints
 
 
-class NetworkConfig(pydantic.BaseModel):
-    """The keys of config.json that are read."""
-
-    model_config = LOOSE
+class NetworkConfig(Keys):
+    """The content of config.json."""
 
     width: Side  # of encodings and hidden layers
     flags: bool  # whether the situations are an input
@@ -67,11 +64,17 @@ def check_supported(folder: Path, saved: dict[str, Any]) -> None:
     """InputError for an agent whose action noise depends on the state, an option that is gone."""
     if saved.get("careful"):
         text = f"{folder} has an agent with the option careful, which this version does not know"
-        raise InputError(f"{text}; train it anew, or use an earlier version.")
+        raise InputError(f"{text}; train it again, or use an earlier version.")
+
+
+def named_leaves(tree: Any) -> dict[str, Any]:
+    """The leaves of a pytree by their paths, such as statistics/mean."""
+    leaves, _ = jax.tree.flatten_with_path(tree)
+    return {jax.tree_util.keystr(path, simple=True, separator="/"): leaf for path, leaf in leaves}
 
 
 def read_method(folder: Path) -> str:
-    """The word after ``sean train`` that made a folder; imitation if its config.json does not say.
+    """The method of a folder of ``sean train``; imitation without an entry in its config.json.
 
     Raises:
         FileError: its config.json cannot be read, or names a method that is none.
@@ -107,7 +110,7 @@ class Weights:
     """The variables of a training."""
 
     parameters: VariableDict  # of the network
-    scale: Array  # (2,) m/s, rad/s: what a command of 1 from the network means
+    scale: Array  # (2,) m/s, rad/s: the unit of the network's commands
 
 
 class Network(nn.Module):
@@ -130,17 +133,17 @@ class Network(nn.Module):
         return ("image", "local_plan", "global_plan", *(("situations",) if self.flags else ()))
 
     def setup(self) -> None:
-        """Make the layers. Their names are those of the parameters in checkpoints."""
+        """Make the layers. Their names are the names of parameters in checkpoints."""
         self.merges = [nn.Dense(features) for _, features in PATCHES]
         self.seen = nn.Dense(self.width)
-        self.image_encoder = Encoder(self.width)
-        self.plan_encoder = Encoder(self.width)
-        self.local_encoder = Encoder(self.width)
-        self.flag_encoder = Encoder(self.width)
+        self.image_encoder = Perceptron(self.width, self.width)
+        self.plan_encoder = Perceptron(self.width, self.width)
+        self.local_encoder = Perceptron(self.width, self.width)
+        self.flag_encoder = Perceptron(self.width, self.width)
         self.planner_attention = Attention(len(self.planner_sources))
         self.controller_attention = Attention(len(self.controller_sources))
-        self.planner = Head(self.width, 2 * SECONDS)
-        self.controller = Head(self.width, 2)
+        self.planner = Perceptron(self.width, 2 * SECONDS)
+        self.controller = Perceptron(self.width, 2)
 
     def encode(self, image: UInt16[Array, "*batch H W"]) -> Float[Array, "*batch F"]:
         """Encodings of depth images (..., H, W) uint16 mm; a policy keeps them, so each image is encoded once."""
@@ -161,10 +164,10 @@ class Network(nn.Module):
         image, ahead = self.image_encoder(encodings.reshape(-1)), self.plan_encoder(plan.reshape(-1))
         flags = [self.flag_encoder(situations.astype(jnp.float32))] if self.flags else []
         context, planner_attention = self.planner_attention(jnp.stack([image, ahead, *flags]))
-        local_plan = self.planner(context).reshape(SECONDS, 2)
+        local_plan = self.planner(nn.relu(context)).reshape(SECONDS, 2)
         local = self.local_encoder(local_plan.reshape(-1))
         context, controller_attention = self.controller_attention(jnp.stack([image, local, ahead, *flags]))
-        return Decision(local_plan, self.controller(context), planner_attention, controller_attention)
+        return Decision(local_plan, self.controller(nn.relu(context)), planner_attention, controller_attention)
 
     def __call__(
         self, images: UInt16[Array, "5 H W"], plan: Float[Array, "10 2"], situations: Bool[Array, "S"]
@@ -187,20 +190,21 @@ def squares(values: Float[Array, "*batch H W C"], side: int) -> Float[Array, "*b
     return jnp.moveaxis(parts, -4, -3).reshape(*lead, rows, columns, side * side * channels)
 
 
-class Encoder(nn.Module):
-    """Two layers that map any vector to one of the width."""
+class Perceptron(nn.Module):
+    """One hidden layer and a linear output."""
 
     width: int
+    size: int
 
     @nn.compact
-    def __call__(self, values: Float[Array, "K"]) -> Float[Array, "width"]:
-        """The encoding (width,) of values (K,)."""
-        return nn.Dense(self.width)(nn.relu(nn.Dense(self.width)(values)))
+    def __call__(self, values: Float[Array, "K"]) -> Float[Array, "size"]:
+        """The output (size,) of values (K,)."""
+        return nn.Dense(self.size)(nn.relu(nn.Dense(self.width)(values)))
 
 
 class Attention(nn.Module):
     """Soft attention: shares that sum to 1 and depend on all encodings. Layer normalization brings these to one length,
-    so that a share says how much of the sum comes from its source.
+    so that a share is the part of the sum from its source.
     """
 
     sources: int
@@ -214,21 +218,13 @@ class Attention(nn.Module):
         return shares @ normalized, shares
 
 
-class Head(nn.Module):
-    """One hidden layer and a linear output."""
-
-    width: int
-    size: int
-
-    @nn.compact
-    def __call__(self, values: Float[Array, "F"]) -> Float[Array, "size"]:
-        """The output (size,) of values (F,)."""
-        return nn.Dense(self.size)(nn.relu(nn.Dense(self.width)(nn.relu(values))))
-
-
 def init_weights(network: Network, situations: int, key: Array) -> Weights:
     """Weights before training, with a scale of 1."""
-    shapes = ((SECONDS, *network.image), jnp.uint16), ((POINTS, 2), jnp.float32), ((situations,), bool)
+    shapes = (
+        ((SECONDS, *network.image), jnp.uint16),
+        ((observations.PLAN_POINTS, 2), jnp.float32),
+        ((situations,), bool),
+    )
     parameters = network.init(key, *(jnp.zeros(*shape) for shape in shapes))
     return Weights(parameters, jnp.ones(2, jnp.float32))
 
@@ -241,10 +237,7 @@ def read_network(folder: Path, situations: list[str]) -> tuple[Network, int]:
     """
     if not os.path.lexists(folder / CONFIG):
         raise InputError(f"{folder} has no trained network; make one with `sean train imitation`.")
-    try:
-        config = read_network_config(folder / CONFIG)
-    except FileError as error:
-        raise InputError(str(error)) from None
+    config = read_network_config(folder / CONFIG)
     network = Network(config.width, config.flags, config.image)
     if network.flags and situations != config.situations:
         here = ", ".join(situations)
@@ -356,7 +349,7 @@ class Agent:
     statistics: Statistics
 
 
-def init_agent(network: ActorCritic, terms: observations.Terms, space: Dict, key: Array) -> Agent:
+def init_agent(network: ActorCritic, terms: observations.Terms, space: dict[str, Box], key: Array) -> Agent:
     """The agent before training."""
     empty = {name: jnp.zeros(box.shape, jnp.float32) for name, box in space.items()}
     vector = observations.flatten(terms, empty).astype(jnp.float32)
@@ -367,7 +360,7 @@ def init_agent(network: ActorCritic, terms: observations.Terms, space: Dict, key
     return Agent(parameters, statistics)
 
 
-def init_agents(network: ActorCritic, terms: observations.Terms, space: Dict, keys: Array) -> Agent:
+def init_agents(network: ActorCritic, terms: observations.Terms, space: dict[str, Box], keys: Array) -> Agent:
     """Agents (A, ...) before training, of keys (A,), one after another.
 
     Under ``vmap`` their orthogonal matrices would be factorized in batches, and on a CPU of two cores jaxlib deadlocks

@@ -1,14 +1,12 @@
 """Policies by a name, a folder, FILE.py:NAME, or as a value; trained networks and agents that drive.
 
 Packed agents are small folders, ``config.json`` and ``weights.npz``, read with flax and numpy alone: ``sean export
-agent`` writes them, and those of the package lie in ``agents/``, with names that stand wherever that of a policy can.
-Weights are kept in 16 bits, which changes a command by about a thousandth; the statistics of the observation, whose
+agent`` writes them, and the package's agents are in ``agents/``, with names that work like names of policies.
+Weights are stored in 16 bits, which changes a command by about a thousandth; the statistics of the observation, whose
 range is wider, in 32. All policies run under ``jit`` and ``vmap``.
 """
 
 import functools
-import io
-import json
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -34,23 +32,11 @@ from sean_jax.config import (
     validate,
 )
 from sean_jax.errors import InputError
+from sean_jax.learning import networks
 from sean_jax.learning.examples import SECONDS, depth_image, plan_ahead
-from sean_jax.learning.networks import (
-    CONFIG,
-    ActorCritic,
-    Agent,
-    Decision,
-    Network,
-    Weights,
-    apply,
-    check_supported,
-    init_agent,
-    init_weights,
-    read_method,
-    read_network,
-)
+from sean_jax.learning.networks import CONFIG, ActorCritic, Agent, Decision, Network, Weights
 from sean_jax.mdp import observations, to_command
-from sean_jax.mdp.spaces import Dict
+from sean_jax.mdp.spaces import Box
 from sean_jax.policies import POLICIES
 from sean_jax.scenario import reset
 from sean_jax.versions import versions
@@ -70,7 +56,7 @@ def load_policy(value: PolicyLike | Component | str, scenario: Scenario, option:
     """
     description = _description(value)
     if isinstance(description, Named) and description.kind not in POLICIES:
-        return load_folder(_agent_folder(description.kind, option), scenario)
+        return load(_agent_folder(description.kind, option), scenario)
     part = components.resolve(description, POLICIES, option)
     try:
         policy = as_policy(part)
@@ -81,7 +67,7 @@ def load_policy(value: PolicyLike | Component | str, scenario: Scenario, option:
     return policy
 
 
-def load_folder(folder: Path | str, scenario: Scenario) -> Policy:
+def load(folder: Path | str, scenario: Scenario) -> Policy:
     """The best policy of a training so far, a packed agent, or one that comes with the package.
 
     Args:
@@ -95,15 +81,13 @@ def load_folder(folder: Path | str, scenario: Scenario) -> Policy:
     if isinstance(folder, str) and folder in AGENTS:
         folder = _agent_folder(folder, "folder")
     folder = Path(folder)
-    if is_packed(folder):
-        return agent_policy(*load_packed(folder, scenario), name=folder.name)
-    if read_method(folder) in ("imitation", "dagger"):
+    if not is_packed(folder) and networks.read_method(folder) in ("imitation", "dagger"):
         return load_imitation(folder, scenario)
-    return agent_policy(*load_trained(folder, scenario), name=folder.name)
+    return agent_policy(*load_agent(folder, scenario), name=folder.name)
 
 
 def check_policy(value: PolicyLike | Component | str, config: ScenarioConfig, option: str = "policy") -> None:
-    """Refuse what ``load_policy`` would refuse, as far as it can be told before a scenario is made.
+    """Refuse what ``load_policy`` refuses, as far as no scenario is needed to know it.
 
     Raises:
         InputError: one sentence that names the value and the cure.
@@ -115,14 +99,14 @@ def check_policy(value: PolicyLike | Component | str, config: ScenarioConfig, op
             raise InputError(f"{option}: {description.kind} must be a Policy or a function (scenario, state, key).")
     elif description.kind not in POLICIES:
         folder = _agent_folder(description.kind, option)
-        method = read_method(folder)
+        method = networks.read_method(folder)
         if issubclass(METHODS[method], ReinforcementConfig):
             agent_terms(read_options(folder))
         if method != "imitation":
             return
         sets = [part.kind for part in config.situations if isinstance(part, Named)]
         if len(sets) == len(config.situations) == 1 and sets[0] in SITUATION_SETS:
-            read_network(folder, list(SITUATION_SETS[sets[0]]))
+            networks.read_network(folder, list(SITUATION_SETS[sets[0]]))
 
 
 def _description(value: Any) -> Component:
@@ -169,10 +153,10 @@ def read_options(folder: Path) -> ReinforcementConfig:
     """
     if not (folder / CONFIG).is_file():
         raise InputError(f"{folder} has no trained agent; make one with `sean train ppo --out {folder}`.")
-    saved, model = files.read_json(folder / CONFIG), METHODS[read_method(folder)]
+    saved, model = files.read_json(folder / CONFIG), METHODS[networks.read_method(folder)]
     if not issubclass(model, ReinforcementConfig):
         raise InputError(f"{folder} has a network that imitates, and no agent; train one with `sean train ppo`.")
-    check_supported(folder, saved)
+    networks.check_supported(folder, saved)
     options = {name: value for name, value in present_names(saved).items() if name in model.model_fields}
     options = components.recorded(folder / CONFIG, options, saved.get("parts"), "parts")
     try:
@@ -191,63 +175,79 @@ def agent_terms(options: ReinforcementConfig) -> tuple[observations.Terms, obser
     private = registry.observation_terms(options.critic, "critic")
     for name, term in private:
         if term.image or name in dict(actor_terms):
-            why = "is an image" if term.image else "is what the actor sees already"
+            why = "is an image" if term.image else "is already an observation of the actor"
             raise InputError(f"critic: {name} {why}; choose another term.")
     return actor_terms, private
 
 
-def agent_network(options: ReinforcementConfig, space: Dict) -> ActorCritic:
+def agent_network(options: ReinforcementConfig, space: dict[str, Box]) -> ActorCritic:
     """The network of a description."""
     actor_terms, private = agent_terms(options)
     images = tuple(name for name, term in actor_terms if term.image)
-    hidden = sum(math.prod(dict(space.items())[name].shape) for name, _ in private)
+    hidden = sum(math.prod(space[name].shape) for name, _ in private)
     return ActorCritic(options.width, options.layers, images, options.recurrent, hidden, options.bfloat16)
 
 
-def agent_outline(options: ReinforcementConfig, scenario: Scenario) -> tuple[ActorCritic, Agent, observations.Terms]:
-    """The network, shapes and types of the agent, and the actor's observation terms.
+def load_agent(folder: Path, scenario: Scenario) -> tuple[ActorCritic, Agent, observations.Terms]:
+    """The best agent of a training, or a packed agent: the network, the agent, and the terms of its observation.
 
     Raises:
-        InputError: the scenario lacks something that the agent sees.
+        InputError: there is no agent, a file cannot be read, or the scenario lacks something that the agent sees.
+        IncompleteError: the checkpoint cannot be read.
     """
-    actor_terms, private = agent_terms(options)
-    everything = (*actor_terms, *private)
+    options = read_options(folder)
     shapes = jax.eval_shape(lambda scenario: reset(scenario, jax.random.key(0)), scenario)
-    space = observations.space(everything, scenario, shapes)
-    actor_critic = agent_network(options, space)
-    return (
-        actor_critic,
-        jax.eval_shape(lambda: init_agent(actor_critic, everything, space, jax.random.key(0))),
-        actor_terms,
-    )
+    try:
+        actor_terms, private = agent_terms(options)
+        terms = (*actor_terms, *private)
+        space = observations.space(terms, scenario, shapes)
+    except InputError as error:
+        raise InputError(f"{folder / CONFIG}: {error}") from None
+    network = agent_network(options, space)
+    outline = jax.eval_shape(lambda: networks.init_agent(network, terms, space, jax.random.key(0)))
+    read = _read_packed if is_packed(folder) else _read_best
+    return network, read(folder, options, outline), actor_terms
 
 
-def check_sizes(folder: Path, options: ReinforcementConfig, saved: PyTree, expected: Agent) -> None:
-    """Refuse an agent with arrays of other sizes than a scenario's observations need.
+def _read_packed(folder: Path, options: ReinforcementConfig, outline: Agent) -> Agent:
+    """The agent of weights.npz in 32 bits."""
+    arrays = files.read_arrays(folder / WEIGHTS, MAX_WEIGHTS_BYTES, "get the file again")
+    for name, value in arrays.items():
+        if value.dtype.kind != "f" or not np.isfinite(value).all():
+            raise InputError(f"{folder / WEIGHTS}: {name[:60]} has a number that is not finite; pack the agent anew.")
+    _check_sizes(folder, options, {name: value.shape for name, value in arrays.items()}, outline)
+    leaves = [jnp.asarray(arrays[name], jnp.float32) for name in networks.named_leaves(outline)]
+    return jax.tree.unflatten(jax.tree.structure(outline), leaves)
 
-    Args:
-        saved: name -> shape, as of ``agent_shapes``.
 
-    Raises:
-        InputError: the shapes differ.
-    """
-    shapes = agent_shapes(expected)
+def _read_best(folder: Path, options: ReinforcementConfig, outline: Agent) -> Agent:
+    """The best agent of the checkpoints of a training."""
+    from sean_jax.learning.trainer import Checkpoints  # which needs the extra "learning"
+
+    checkpoints = Checkpoints(folder)
+    saved = {name: shape for name, shape in checkpoints.shapes("best").items() if name.startswith("agent/")}
+    _check_sizes(folder, options, {name[6:]: shape[1:] for name, shape in saved.items()}, outline)
+    count, shape = len(options.agents), jax.ShapeDtypeStruct
+    agents = jax.tree.map(lambda leaf: shape((count, *leaf.shape), leaf.dtype), outline)
+    best = checkpoints.best("best", Best(agents, shape((count,), jnp.float32), shape((count,), jnp.int32)))  # pyright: ignore
+    chosen = int(np.argmax(best.value))
+    return jax.tree.map(lambda part: part[chosen], best.agent)
+
+
+def _check_sizes(folder: Path, options: ReinforcementConfig, saved: dict[str, tuple], outline: Agent) -> None:
+    """Refuse arrays, name -> shape, of other sizes than a scenario's observations need."""
+    shapes = {name: tuple(leaf.shape) for name, leaf in networks.named_leaves(outline).items()}
     if saved == shapes:
         return
     mean = f"{STATISTICS}mean"
-    learned, shown = (name.get(mean, (0,))[0] for name in (saved, shapes))
-    what = f"{learned} numbers, and this scenario shows {shown}"
-    if learned == shown:
+    learned, present = (name.get(mean, (0,))[0] for name in (saved, shapes))
+    what = f"{learned} numbers, and this scenario shows {present}"
+    if learned == present:
         what = "images of another size than this scenario's"
-    named = ", ".join(part.kind for part in options.observations)
+    terms = ", ".join(part.kind for part in options.observations)
     raise InputError(
-        f"{folder}: its agent sees {what} ({named}); make the scenario with what it was trained in (its {CONFIG})."
+        f"{folder}: its agent sees {what} ({terms}); make the scenario with the options of its training (its {CONFIG})."
     )
-
-
-def agent_shapes(agent: PyTree) -> dict[str, tuple[int, ...]]:
-    """Name, such as statistics/mean, and shape of each array of an agent, or of its outline."""
-    return {name: tuple(leaf.shape) for name, leaf in _leaves_by_path(agent).items()}
 
 
 def save_agent(folder: Path, agent: Agent, config: dict[str, Any]) -> None:
@@ -257,49 +257,21 @@ def save_agent(folder: Path, agent: Agent, config: dict[str, Any]) -> None:
         InputError: a number is not finite, or too large for 16 bits.
     """
     packed = {}
-    for name, leaf in _leaves_by_path(agent).items():
+    for name, leaf in networks.named_leaves(agent).items():
         kind = np.float32 if name.startswith(STATISTICS) else np.float16
         if not (np.abs(leaf) <= np.finfo(kind).max).all():
-            raise InputError(f"{name} of the agent has a number that 16 bits cannot hold; train it anew.")
+            raise InputError(f"{name} of the agent has a number that 16 bits cannot hold; train it again.")
         packed[name] = np.asarray(leaf, kind)
-    stream = io.BytesIO()
-    np.savez_compressed(stream, **packed)
-    writing.write(folder / WEIGHTS, stream.getvalue())
-    writing.write(folder / CONFIG, json.dumps(config, indent=1) + "\n")
-
-
-def load_packed(folder: Path, scenario: Scenario) -> tuple[ActorCritic, Agent, observations.Terms]:
-    """A packed agent: the network, the agent in 32 bits, and the terms of its observation.
-
-    Raises:
-        InputError: its observations are not of the sizes of the scenario's, or a file cannot be read.
-    """
-    options = read_options(folder)
-    try:
-        actor_critic, expected, terms = agent_outline(options, scenario)
-    except InputError as error:
-        raise InputError(f"{folder / CONFIG}: {error}") from None
-    arrays = files.read_arrays(folder / WEIGHTS, MAX_WEIGHTS_BYTES, "get the file anew")
-    for name, value in arrays.items():
-        if value.dtype.kind != "f" or not np.isfinite(value).all():
-            raise InputError(f"{folder / WEIGHTS}: {name[:60]} has what is no finite number; pack the agent anew.")
-    check_sizes(folder, options, {name: value.shape for name, value in arrays.items()}, expected)
-    leaves = [jnp.asarray(arrays[name], jnp.float32) for name in _leaves_by_path(expected)]
-    return actor_critic, jax.tree.unflatten(jax.tree.structure(expected), leaves), terms
+    writing.write_arrays(folder / WEIGHTS, packed)
+    writing.write(folder / CONFIG, config)
 
 
 def describe_agent(folder: Path) -> str:
-    """What a packed agent sees, and where and how long it was trained, in a sentence."""
+    """The observations and the training of a packed agent, in a sentence."""
     options, saved = read_options(folder), files.read_json(folder / CONFIG)
     sees, steps = ", ".join(part.kind for part in options.observations), saved.get("agent", {}).get("steps")
     trained = f" on {steps:,} steps" if isinstance(steps, int) else ""
     return f"Agent of reinforcement learning, trained{trained} in {', '.join(options.environments)}; it sees {sees}."
-
-
-def _leaves_by_path(agent: PyTree) -> dict[str, Any]:
-    """The leaves by their paths."""
-    leaves, _ = jax.tree.flatten_with_path(agent)
-    return {jax.tree_util.keystr(path, simple=True, separator="/"): leaf for path, leaf in leaves}
 
 
 @struct.dataclass
@@ -311,31 +283,10 @@ class Best:
     update: Int[Array, "A"]  # after which it was
 
 
-def load_trained(folder: Path, scenario: Scenario) -> tuple[ActorCritic, Agent, observations.Terms]:
-    """The best agent of a training: the network, the agent, and the terms of its observation.
-
-    Raises:
-        InputError: there is no checkpoint, or the agent learned from observations of another size.
-        IncompleteError: the checkpoint cannot be read.
-    """
-    from sean_jax.learning.trainer import Checkpoints  # which needs the extra "learning"
-
-    options, checkpoints = read_options(folder), Checkpoints(folder)
-    network, one, terms = agent_outline(options, scenario)
-    count = len(options.agents)
-    saved = {name: shape for name, shape in checkpoints.shapes("best").items() if name.startswith("agent/")}
-    check_sizes(folder, options, {name[6:]: shape[1:] for name, shape in saved.items()}, one)
-    shape = jax.ShapeDtypeStruct
-    several = jax.tree.map(lambda leaf: shape((count, *leaf.shape), leaf.dtype), one)
-    best = checkpoints.best("best", Best(several, shape((count,), jnp.float32), shape((count,), jnp.int32)))  # pyright: ignore
-    chosen = int(np.argmax(best.value))
-    return network, jax.tree.map(lambda part: part[chosen], best.agent), terms
-
-
 def pack(folder: Path | str, out: Path | str) -> Path:
     """Write the best agent of a training into a new or empty folder ``out``.
 
-    Files of one's own that the training names, and what they import beside them, are copied into its ``parts``.
+    The user's files in the training's options, and the modules that they import, are copied into its ``parts``.
 
     Raises:
         InputError: there is no agent.
@@ -348,7 +299,7 @@ def pack(folder: Path | str, out: Path | str) -> Path:
     if is_packed(folder):
         raise InputError(f"{folder} is packed already; copy it.")
     components.check_trust(options)
-    _, agent, _ = load_trained(folder, registry.build(options.per_environment[0]).scenario)
+    _, agent, _ = load_agent(folder, registry.build(options.per_environment[0]).scenario)
     facts = {**_best_evaluation(folder), "weights": "float16", "packed_with": versions()}
     with writing.atomic_folder(out) as target:
         copies, hashes = components.copy(target, options)
@@ -358,7 +309,7 @@ def pack(folder: Path | str, out: Path | str) -> Path:
 
 
 def _best_evaluation(folder: Path) -> dict[str, Any]:
-    """When the training found its best agent, and what the evaluation then said of all situations together."""
+    """Number of steps of the best agent, and its evaluation over all situations."""
     from sean_jax.learning.trainer import read_metrics
 
     evaluations = [
@@ -388,7 +339,7 @@ class PolicyParams:
 
 @struct.dataclass
 class PolicyState:
-    """What the policy remembers of an episode."""
+    """The memory of the policy."""
 
     encodings: Array  # (L, F) of the images of the last 4 s, newest first, one for each control step
     last_arc: Array  # (V,) int32, ``navigation.last_arc_to_goal``
@@ -398,9 +349,9 @@ class PolicyState:
 def network_policy(network: Network, weights: Weights, scenario: Scenario, name: str = "learned") -> Policy:
     """A policy of a network that imitates, for the robot of a scenario.
 
-    The policy state holds the encodings of the depth images of the last four seconds. The network receives those that
-    are 4, 3, 2, 1 and 0 s old, as in an example. After each step ``state.policy_state.decision`` has the local plan and
-    the attention, which SEAN displays too.
+    The policy state holds the encodings of the depth images of the last four seconds. The network receives the
+    encodings that are 4, 3, 2, 1 and 0 s old, as in an example. After each step ``state.policy_state.decision`` has the
+    local plan and the attention, which SEAN displays too.
 
     Raises:
         InputError: the robot has no depth camera.
@@ -411,7 +362,7 @@ def network_policy(network: Network, weights: Weights, scenario: Scenario, name:
 
 
 def load_imitation(folder: Path | str, scenario: Scenario) -> Policy:
-    """The policy with the lowest validation loss so far; of a training in rounds, that of the last round.
+    """The policy with the lowest validation loss so far; in a training in rounds, the policy of the last round.
 
     Raises:
         InputError: the folder has no trained network, or one that receives the flags of other social situations.
@@ -420,24 +371,24 @@ def load_imitation(folder: Path | str, scenario: Scenario) -> Policy:
     from sean_jax.learning.trainer import Checkpoints  # which needs the extra "learning"
 
     name, folder = Path(folder).name, _last_round(Path(folder))
-    network, situations = read_network(folder, [each for each, _ in scenario.situations])
-    shapes = jax.eval_shape(functools.partial(init_weights, network, situations), jax.random.key(0))
+    network, situations = networks.read_network(folder, [each for each, _ in scenario.situations])
+    shapes = jax.eval_shape(functools.partial(networks.init_weights, network, situations), jax.random.key(0))
     weights = Checkpoints(folder).best("weights", shapes)
     return network_policy(network, weights, scenario, name=name)
 
 
 def _last_round(folder: Path) -> Path:
     """The last network that ``sean train dagger`` has made in a folder; other folders as they are."""
-    if read_method(folder) != "dagger":
+    if networks.read_method(folder) != "dagger":
         return folder
     rounds = [each for each in folder.glob("round-*") if (each / "checkpoints").is_dir()]
     if not rounds:
-        raise InputError(f"{folder} has no trained network yet; go on with `sean train dagger`.")
+        raise InputError(f"{folder} has no trained network yet; resume it by `sean train dagger`.")
     return max(rounds, key=lambda each: int(each.name.rpartition("-")[2]))
 
 
 def _init_network(scenario: Scenario, params: PolicyParams, state: State) -> PolicyState:
-    """Begin an episode: the images before it are taken to be that of now."""
+    """Begin an episode: earlier images are replaced by the present image."""
     encoding = _encode_image(scenario, params, state)
     ticks = round(1.0 / scenario.time_step)
     network = params.network
@@ -489,7 +440,7 @@ class AgentParams:
 
 @struct.dataclass
 class AgentState:
-    """What the policy remembers of an episode."""
+    """The memory of the policy."""
 
     observed: PyTree  # of ``observations.observe``
     memory: Float[Array, "M"]  # of the network
@@ -520,7 +471,7 @@ def _apply_agent(
     vector = observations.flatten(params.terms, shown).astype(jnp.float32)
     vector = jnp.pad(vector, (0, params.network.private))  # the critic's, which is not used
     images = {name: shown[name].astype(params.network.image_dtype) for name in params.network.images}
-    output = apply(params.network, params.agent, vector, images, before.memory, before.start)
+    output = networks.apply(params.network, params.agent, vector, images, before.memory, before.start)
     after = AgentState(observed, output.memory, jnp.zeros((), bool))
     return to_command(scenario.robot, output.mean.astype(state.robot.position.dtype)), after
 
@@ -528,83 +479,61 @@ def _apply_agent(
 # ------------------------------------------------------------------ labels
 
 
-@struct.dataclass
-class LabelledState:
-    """What both remember of an episode, and the latest label."""
-
-    driver: PyTree
-    labeller: PyTree
-    label: Float[Array, "2"]  # m/s, rad/s
-
-
-def labelled(driver: PolicyLike, labeller: PolicyLike) -> Policy:
-    """A policy that drives, with another one that labels: its command is recorded instead.
-
-    Source: S. Ross et al., "A reduction of imitation learning and structured prediction to no-regret online learning",
-    AISTATS 2011.
-    """
-    both = as_policy(driver), as_policy(labeller)
-    return Policy(params=both, name=both[0].name, init=_init_labelled, apply=_apply_labelled)
-
-
-def label(state: State) -> Float[Array, "2"]:
-    """The label (2,) [m/s, rad/s] of the step that led to a state, of a ``labelled`` or ``disturbed`` policy."""
-    return state.policy_state.label
-
-
-def _init_labelled(scenario: Scenario, params: tuple[Policy, Policy], state: State) -> LabelledState:
-    driver, labeller = (policy.init(scenario, policy.params, state) for policy in params)
-    return LabelledState(driver, labeller, jnp.zeros(2, float))
-
-
-def _apply_labelled(
-    scenario: Scenario, params: tuple[Policy, Policy], state: State, key: Array
-) -> tuple[Float[Array, "2"], LabelledState]:
-    (driver, labeller), memory = params, state.policy_state
-    of_driver, of_labeller = replace(state, policy_state=memory.driver), replace(state, policy_state=memory.labeller)
-    label_key = jax.random.fold_in(key, 1)
-    command, driving = episodes.command(scenario, driver, of_driver, key)
-    label, labelling = episodes.command(scenario, labeller, of_labeller, label_key)
-    return command, LabelledState(driving, labelling, label)
-
-
 NOISE_TIME = 0.5  # s, for which the noise of commands stays about the same: shorter ones hardly move the robot
 
 
 @struct.dataclass
-class DisturbedState:
-    """What the driver remembers of an episode, the noise, and the latest command without it."""
+class LabelledState:
+    """What driver and labeller remember of an episode, the noise, and the latest label."""
 
     driver: PyTree
+    labeller: PyTree  # None without a labeller
     noise: Float[Array, "2"]  # of the robot's limits, in standard deviations
     label: Float[Array, "2"]  # m/s, rad/s
 
 
-def disturbed(driver: PolicyLike, deviation: float) -> Policy:
-    """A policy whose commands reach the robot with noise; the commands without it are the labels.
+def labelled(driver: PolicyLike, labeller: PolicyLike | None = None, deviation: float | None = None) -> Policy:
+    """A policy whose label is recorded instead of its command: the command of another policy, or that without noise.
 
     Args:
-        deviation: of the noise, as a share of the top speed and of the greatest turn rate.
+        labeller: whose command is the label; None: the driver, before the noise.
+        deviation: of the noise with which commands reach the robot, as a share of the top speed and of the greatest
+            turn rate; None: no noise.
 
-    Source: M. Laskey et al., "DART: Noise injection for robust imitation learning", CoRL 2017.
+    Source: S. Ross et al., "A reduction of imitation learning and structured prediction to no-regret online learning",
+    AISTATS 2011; M. Laskey et al., "DART: Noise injection for robust imitation learning", CoRL 2017.
     """
-    one = as_policy(driver)
-    params = one, jnp.asarray(deviation, float)
-    return Policy(params=params, name=one.name, init=_init_disturbed, apply=_apply_disturbed)
+    policy = as_policy(driver)
+    noise = None if deviation is None else jnp.asarray(deviation, float)
+    params = policy, noise, None if labeller is None else as_policy(labeller)
+    return Policy(params=params, name=policy.name, init=_init_labelled, apply=_apply_labelled)
 
 
-def _init_disturbed(scenario: Scenario, params: tuple[Policy, Array], state: State) -> DisturbedState:
-    driver, _ = params
-    return DisturbedState(driver.init(scenario, driver.params, state), jnp.zeros(2, float), jnp.zeros(2, float))
+def label(state: State) -> Float[Array, "2"]:
+    """The label (2,) [m/s, rad/s] of the step that led to a state, of a ``labelled`` policy."""
+    return state.policy_state.label
 
 
-def _apply_disturbed(
-    scenario: Scenario, params: tuple[Policy, Array], state: State, key: Array
-) -> tuple[Float[Array, "2"], DisturbedState]:
-    (driver, deviation), memory = params, state.policy_state
+def _init_labelled(scenario: Scenario, params: tuple, state: State) -> LabelledState:
+    driver, _, labeller = params
+    memory = None if labeller is None else labeller.init(scenario, labeller.params, state)
+    return LabelledState(driver.init(scenario, driver.params, state), memory, jnp.zeros(2, float), jnp.zeros(2, float))
+
+
+def _apply_labelled(
+    scenario: Scenario, params: tuple, state: State, key: Array
+) -> tuple[Float[Array, "2"], LabelledState]:
+    (driver, deviation, labeller), memory = params, state.policy_state
+    other_key = jax.random.fold_in(key, 1)
     command, driving = episodes.command(scenario, driver, replace(state, policy_state=memory.driver), key)
-    stays = math.exp(-scenario.time_step / NOISE_TIME)
-    fresh = jax.random.normal(jax.random.fold_in(key, 1), (2,), memory.noise.dtype)
-    noise = stays * memory.noise + math.sqrt(1.0 - stays * stays) * fresh
-    limits = jnp.stack([scenario.robot.max_speed, scenario.robot.max_turn_rate]).astype(command.dtype)
-    return command + deviation * limits * noise, DisturbedState(driving, noise, command)
+    label, labelling, noise = command, None, memory.noise
+    if deviation is not None:
+        stays = math.exp(-scenario.time_step / NOISE_TIME)
+        fresh = jax.random.normal(other_key, (2,), noise.dtype)
+        noise = stays * noise + math.sqrt(1.0 - stays * stays) * fresh
+        limits = jnp.stack([scenario.robot.max_speed, scenario.robot.max_turn_rate]).astype(command.dtype)
+        command = command + deviation * limits * noise
+    if labeller is not None:
+        labelling_state = replace(state, policy_state=memory.labeller)
+        label, labelling = episodes.command(scenario, labeller, labelling_state, other_key)
+    return command, LabelledState(driving, labelling, noise, label)

@@ -3,27 +3,17 @@
 Source: J. Schulman et al., "Proximal policy optimization algorithms", 2017.
 """
 
-from dataclasses import replace
 from typing import Any
 
 import jax.numpy as jnp
 import optax
-from jaxtyping import Float
 
 from sean_jax import mdp
 from sean_jax.base import Array
 from sean_jax.config import PPOConfig
-from sean_jax.learning.networks import ActorCritic, Agent, NetworkOutput, entropy, log_density, update_statistics
-from sean_jax.learning.rollouts import (
-    EnvBatch,
-    Optimization,
-    Transition,
-    advantages,
-    episode_means,
-    forward,
-    optimize,
-    rollout,
-)
+from sean_jax.learning import rollouts
+from sean_jax.learning.networks import ActorCritic, Agent, NetworkOutput, entropy, log_density
+from sean_jax.learning.rollouts import EnvBatch, Optimization, Transition
 
 VALUE_WEIGHT = 0.5  # of the critic's loss
 MAX_GRADIENT_NORM = 0.5
@@ -50,38 +40,15 @@ def update(
     """The agent, optimizer and scenarios after a rollout and its epochs, the transitions, and numbers for the log.
 
     Args:
-        numbers: this agent's values of ``PPOConfig.SWEPT``; the learning rate is that of this update.
+        numbers: this agent's values of ``PPOConfig.SWEPT``; the learning rate is this update's.
         envs: with pools; scenarios are shared out equally.
         key: () typed PRNG key of this update.
     """
     memory = batch.memory
-    batch, transitions = rollout(envs, network, agent, batch, options.horizon, key)
-    last = forward(network, agent, envs[0].observations, batch)
-    advantage = advantages(transitions, last.value, numbers["discount"], numbers["advantage_decay"])
-    agent, optimizer, losses = _learn(options, numbers, network, agent, optimizer, transitions, memory, advantage, key)
-    statistics = update_statistics(agent.statistics, transitions.vector.reshape(-1, transitions.vector.shape[-1]))
+    batch, transitions = rollouts.rollout(envs, network, agent, batch, options.horizon, key)
+    last = rollouts.forward(network, agent, envs[0].observations, batch)
+    advantage = rollouts.advantages(transitions, last.value, numbers["discount"], numbers["advantage_decay"])
     target = advantage + transitions.value
-    explained = 1.0 - (target - transitions.value).var() / jnp.maximum(target.var(), EPSILON)
-    log = {
-        "train": losses | {"explained_variance": explained},
-        "episodes": episode_means(transitions),
-        "rewards": {name: part.mean() for name, part in transitions.info["rewards"].items()},
-    }
-    return replace(agent, statistics=statistics), optimizer, batch, transitions, log
-
-
-def _learn(
-    options: PPOConfig,
-    numbers: dict[str, Array],
-    network: ActorCritic,
-    agent: Agent,
-    optimizer: optax.OptState,
-    transitions: Transition,
-    memory: Float[Array, "B M"],
-    advantage: Float[Array, "T B"],
-    key: Array,
-) -> tuple[Agent, optax.OptState, dict[str, Array]]:
-    """The agent, the optimizer's state, and numbers for the log, after the epochs of an update."""
 
     def loss(output: NetworkOutput, steps: Transition, gain: Array, target: Array) -> tuple[Array, dict[str, Array]]:
         change = log_density(output, steps.action) - steps.log_density
@@ -103,5 +70,8 @@ def _learn(
         return total, log
 
     how = Optimization(OPTIMIZER, numbers["learning_rate"], options.epochs, options.minibatches)
-    data = transitions._replace(info={}), advantage, advantage + transitions.value
-    return optimize(how, loss, network, agent, optimizer, data, memory, key)
+    data = transitions._replace(info={}), advantage, target
+    agent, optimizer, losses = rollouts.optimize(how, loss, network, agent, optimizer, data, memory, key)
+    explained = 1.0 - (target - transitions.value).var() / jnp.maximum(target.var(), EPSILON)
+    log = {"train": losses | {"explained_variance": explained}, **rollouts.log_numbers(transitions)}
+    return rollouts.with_statistics(agent, transitions), optimizer, batch, transitions, log

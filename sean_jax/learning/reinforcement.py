@@ -2,12 +2,13 @@
 
 An update is one compiled program: all scenarios take some steps, and the agent learns from them (``ppo``, ``shac``).
 Several environments share the scenarios equally, and the agent learns from all of them together. Agents of different
-seeds and numbers are trained side by side, along a leading axis A. All chance depends on (seed, update) and on the
+seeds and numbers are trained in parallel, along a leading axis A. All randomness depends on (seed, update) and on the
 states of the scenarios, which checkpoints hold, so a training that was stopped is resumed to the same curve. Processes
 that ``jax.distributed`` has joined train together: scenarios are spread over the devices of all of them.
 """
 
 import contextlib
+import functools
 import math
 import time
 import warnings
@@ -22,36 +23,23 @@ import numpy as np
 from flax import struct
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Int, PyTree
-from rich.console import Console
 
 from sean_jax import components, devices, mdp, prng, registry, writing
 from sean_jax.base import Array, Policy, Scenario
 from sean_jax.config import ReinforcementConfig
 from sean_jax.episodes import init_policy, policy_step
 from sean_jax.errors import InputError
-from sean_jax.flags import command
 from sean_jax.learning import curriculum as curricula
 from sean_jax.learning import dagger, ppo, rollouts, shac, trainer
-from sean_jax.learning.curriculum import Curriculum
+from sean_jax.learning import policy as policies
+from sean_jax.learning.curriculum import Curriculum, Plan
 from sean_jax.learning.networks import ActorCritic, Agent, init_agents, with_noise
-from sean_jax.learning.policy import (
-    Best,
-    agent_network,
-    agent_policy,
-    agent_terms,
-    check_policy,
-    is_packed,
-    load_packed,
-    load_policy,
-    load_trained,
-    read_options,
-)
+from sean_jax.learning.policy import Best
 from sean_jax.learning.rollouts import EnvBatch
-from sean_jax.learning.trainer import Loop, Report, check_config
+from sean_jax.learning.trainer import Loop, Report, check_config, method_config
 from sean_jax.mdp import rewards
-from sean_jax.progress import progress
+from sean_jax.progress import ProgressLike, progress
 from sean_jax.scenario import reset, results
-from sean_jax.versions import versions
 
 REWARDS = "rewards."  # prefix of a sweep's numbers that are weights of rewards
 
@@ -61,7 +49,7 @@ METHODS = {"ppo": ppo, "apg": shac}
 
 @struct.dataclass
 class TrainState:
-    """Everything on which the rest of a training depends. The field names are those of the checkpoints on disk."""
+    """The state of a training. The field names are the names in checkpoints on disk."""
 
     agent: Agent  # (A, ...)
     optimizer: PyTree  # (A, ...)
@@ -80,7 +68,15 @@ class Programs(NamedTuple):
     refill: Callable  # (envs, state) -> state with other starts; donates the state
 
 
-def train(options: ReinforcementConfig, console: Console | Callable[[float], None] | None = None) -> TrainState:
+class Setting(NamedTuple):
+    """What agents are trained with: for each environment the scenario of evaluations and its ``Env``; the network."""
+
+    scenarios: tuple[Scenario, ...]
+    envs: tuple[mdp.Env, ...]
+    network: ActorCritic
+
+
+def train(options: ReinforcementConfig, console: ProgressLike = None) -> TrainState:
     """Train agents, or resume their training; the state then. ``learning.load`` reads the best agent from the folder.
 
     Args:
@@ -94,37 +90,37 @@ def train(options: ReinforcementConfig, console: Console | Callable[[float], Non
     """
     with contextlib.ExitStack() as stack:
         stack.enter_context(components.read_once())
-        config = trainer.on_all_processes(lambda: _config(options))
+        config = trainer.on_all_processes(lambda: method_config(options, devices=len(jax.devices())))
         trainer.on_first_process(lambda: check_config(options.folder, config))  # refuses before anything is written
-        scenarios, envs, network = trainer.on_all_processes(lambda: build(options))
+        setting = trainer.on_all_processes(lambda: build(options))
         trainer.on_first_process(lambda: stack.enter_context(writing.folder_lock(options.folder)))
-        return _train(options, console, scenarios, envs, network, config)
+        return _train(options, console, setting, config)
 
 
-def build(options: ReinforcementConfig) -> tuple[tuple[Scenario, ...], tuple[mdp.Env, ...], ActorCritic]:
-    """For each environment the scenario of evaluations and the ``Env`` of the training, without a pool; the network.
+def build(options: ReinforcementConfig) -> Setting:
+    """The setting of a training, without pools.
 
     Raises:
         InputError: one sentence that names the value and the cure.
     """
     if options.imitate is not None:
-        check_policy(options.imitate, options, "imitate")
+        policies.check_policy(options.imitate, options, "imitate")
     if options.pretrained is not None:
         _check_pretrained(options, options.pretrained)
     for config in options.per_environment:
         registry.check(config)
-    terms = sum(agent_terms(options), ())
+    terms = sum(policies.agent_terms(options), ())
     envs = [curricula.prepare(registry.build(config), options.curriculum) for config in options.per_environment]
     envs = [replace(env, observations=terms) for env in envs]
-    rewards.reweighted(envs[0].rewards, _weights(options.agents[0]))  # refuses what is none of its terms
+    rewards.reweighted(envs[0].rewards, _weights(options.agents[0]))  # refuses unknown terms
     _check_alike(envs)
-    network = agent_network(options, envs[0].observation_space)
+    network = policies.agent_network(options, envs[0].observation_space)
     measured = tuple(env.scenario for env in envs)
-    return measured, tuple(replace(env, scenario=replace(env.scenario, metrics=())) for env in envs), network
+    return Setting(measured, tuple(replace(env, scenario=replace(env.scenario, metrics=())) for env in envs), network)
 
 
 def _check_alike(envs: Sequence[mdp.Env]) -> None:
-    """Refuse environments of one name, whose evaluations could not be told apart, and of other observation sizes."""
+    """Refuse environments of one name, whose evaluations would mix, and of other observation sizes."""
     names = [env.scenario.environment.name for env in envs]
     if twice := [name for name in names if names.count(name) > 1]:
         raise InputError(f"environment: {twice[0]} is listed more than once; list each once.")
@@ -149,13 +145,14 @@ def programs(options: ReinforcementConfig, network: ActorCritic, mesh: Mesh) -> 
         for name in options.agents[0]
         if name != "seed"
     }
-    total, plan, (terms, _) = updates(options), curricula.plan(options.curriculum), agent_terms(options)
+    plan = None if options.curriculum == "none" else Plan(options.curriculum)
+    total, (terms, _) = updates(options), policies.agent_terms(options)
     curriculum_keys = jnp.stack([prng.key("curriculum", int(agent["seed"])) for agent in options.agents])
 
     def begin(envs: tuple[mdp.Env, ...], agents: Agent) -> TrainState:
         def one(agent: Agent, key: Array, start: Array) -> tuple[PyTree, EnvBatch, Curriculum | None]:
             batch = rollouts.reset_envs(envs, network, jax.random.fold_in(key, 0), options.scenarios)
-            policy, start = agent_policy(network, agent, terms), jax.random.fold_in(start, 0)
+            policy, start = policies.agent_policy(network, agent, terms), jax.random.fold_in(start, 0)
             return method.init(agent), batch, plan and curricula.init(envs[0], plan, start, options.pool, policy)
 
         optimizer, batch, curriculum = jax.vmap(one)(agents, keys, curriculum_keys)
@@ -183,7 +180,7 @@ def programs(options: ReinforcementConfig, network: ActorCritic, mesh: Mesh) -> 
 
     def refill(envs: tuple[mdp.Env, ...], state: TrainState) -> TrainState:
         def one(agent: Agent, curriculum: Curriculum | None, start: Array) -> Curriculum:
-            policy, key = agent_policy(network, agent, terms), jax.random.fold_in(start, state.update)
+            policy, key = policies.agent_policy(network, agent, terms), jax.random.fold_in(start, state.update)
             assert plan is not None and curriculum is not None
             return curricula.refill(envs[0], plan, curriculum, key, policy)
 
@@ -193,7 +190,7 @@ def programs(options: ReinforcementConfig, network: ActorCritic, mesh: Mesh) -> 
         episode_keys = jax.random.split(prng.key("evaluation", options.seed), options.evaluation_episodes)
 
         def one(agent: Agent) -> list[dict[str, Any]]:
-            policy = agent_policy(network, agent, terms)
+            policy = policies.agent_policy(network, agent, terms)
             each = zip(scenarios, envs, strict=True)
             return [_evaluate_policy(scenario, env, policy, episode_keys) for scenario, env in each]
 
@@ -230,7 +227,7 @@ def _evaluate_policy(scenario: Scenario, env: mdp.Env, policy: Policy, keys: Arr
             parts = rewards.of_step(env.rewards, scenario, before, after, then, now)
             total += jnp.where(going, jnp.stack(list(parts.values())).sum(), 0.0)
             ends = jnp.stack([after.completed, after.timed_out, *env.ends(scenario, before, after)])
-            if env.terminations:  # an episode that was completed or timed out stands still by itself
+            if env.terminations:  # completed and timed-out episodes are constant anyway
                 after = jax.tree.map(lambda old, new: jnp.where(going, new, old), before, after)
             return (after, now, total, going & ~ends.any()), None
 
@@ -246,15 +243,9 @@ def _evaluate_policy(scenario: Scenario, env: mdp.Env, policy: Policy, keys: Arr
 # ------------------------------------------------------------------ the training
 
 
-def _train(
-    options: ReinforcementConfig,
-    console: Console | Callable[[float], None] | None,
-    scenarios: tuple[Scenario, ...],
-    envs: tuple[mdp.Env, ...],
-    network: ActorCritic,
-    config: dict[str, Any],
-) -> TrainState:
-    """Train in a folder that this process has locked, or the first of those that train together."""
+def _train(options: ReinforcementConfig, console: ProgressLike, setting: Setting, config: dict[str, Any]) -> TrainState:
+    """Train in a folder that this process has locked, or the first of the processes that train together."""
+    scenarios, envs, network = setting
     resumes = trainer.on_first_process(lambda: check_config(options.folder, config))
     mesh, total = devices.mesh(), updates(options)
     if options.scenarios // len(envs) % mesh.size:
@@ -262,9 +253,9 @@ def _train(
         text += f" in {len(envs)} environments" if len(envs) > 1 else ""
         raise InputError(f"{text}; take a multiple.")
     run = programs(options, network, mesh)
-    agents, teachers = _first_agents(options, network, envs[0], scenarios[0]), ()
+    agents, teachers = _first_agents(options, setting), ()
     if options.imitate is not None and not (resumes and list((options.folder / "checkpoints").glob("[0-9]*"))):
-        teachers = tuple(load_policy(options.imitate, scenario, "imitate") for scenario in scenarios)
+        teachers = tuple(policies.load_policy(options.imitate, scenario, "imitate") for scenario in scenarios)
     with progress(console if trainer.is_first_process() else None) as tell:
         tell.stage("drawing starts")
         key, draw = prng.key("training", options.seed), jax.jit(mdp.Env.with_pool, static_argnums=2)
@@ -274,11 +265,12 @@ def _train(
         if teachers:
             assert options.imitate is not None
             tell.stage(f"imitating {options.imitate.kind}")
-            agents = _imitate(options, network, envs, teachers, agents)
+            agents = _imitate(options, setting, teachers, agents)
         if options.noise is not None:
             agents = with_noise(agents, options.noise)
         state = run.begin(envs, agents)
         scenarios, envs = devices.replicate(mesh, (scenarios, envs))
+        setting = Setting(scenarios, envs, network)
 
         def place(state: TrainState) -> TrainState:
             """Scenarios on all devices, and all else on each."""
@@ -286,7 +278,7 @@ def _train(
             return replace(whole, rows=devices.split(mesh, state.rows, axis=1))
 
         loop = Loop(
-            advance=lambda state: _advance(options, run, scenarios, envs, state),
+            advance=lambda state: _advance(options, run, setting, state),
             is_over=lambda state: int(state.update) >= total,
             done=lambda state: int(state.update),
             place=place,
@@ -297,26 +289,24 @@ def _train(
 
 
 def _advance(
-    options: ReinforcementConfig,
-    run: Programs,
-    scenarios: tuple[Scenario, ...],
-    envs: tuple[mdp.Env, ...],
-    state: TrainState,
+    options: ReinforcementConfig, run: Programs, setting: Setting, state: TrainState
 ) -> tuple[TrainState, Report]:
     """An update, and an evaluation if it is due."""
     start = time.time()
-    state, log = run.update(envs, state)
+    state, log = run.update(setting.envs, state)
     number, log = int(state.update), jax.tree.map(np.asarray, log)
     if state.curriculum is not None and number % options.curriculum_every == 0:
-        state = run.refill(envs, state)
-    _check_finite(log, number, options)
+        state = run.refill(setting.envs, state)
+    if not np.isfinite(log["train"]["loss"]).all():
+        where = f"the loss is not finite in update {number}; {options.folder} keeps the checkpoints until then"
+        raise FloatingPointError(f"{where}; try a lower --learning-rate in another folder.")
     steps, seconds = options.scenarios * options.horizon, time.time() - start
     rate = len(options.agents) * steps / seconds
     line: dict[str, Any] = {"epoch": number, "steps": number * steps, "seconds": seconds, "per_second": rate}
     line |= {part: _finite_means(values) for part, values in log.items()}
     loss = None
     if number % options.evaluate_every == 0 or number == updates(options):
-        state, evaluation = _evaluate(run, scenarios, envs, state)
+        state, evaluation = _evaluate(run, setting, state)
         line |= evaluation
         loss = -float(np.sum(np.asarray(state.best.value)))
     episodes = line["episodes"]
@@ -324,41 +314,31 @@ def _advance(
     return state, Report(number, line, loss, f"update {number} · {note} · {rate:,.0f} steps/s")
 
 
-def _first_agents(options: ReinforcementConfig, network: ActorCritic, env: mdp.Env, scenario: Scenario) -> Agent:
+def _first_agents(options: ReinforcementConfig, setting: Setting) -> Agent:
     """The agents before the first update, (A, ...)."""
+    (scenario, *_), (env, *_), network = setting
     keys = jnp.stack([prng.key("weights", int(agent["seed"])) for agent in options.agents])
     if options.pretrained is None:
         return jax.jit(lambda keys: init_agents(network, env.observations, env.observation_space, keys))(keys)
-    folder = options.pretrained
-    agent = (load_packed if is_packed(folder) else load_trained)(folder, scenario)[1]
+    agent = policies.load_agent(options.pretrained, scenario)[1]
     return jax.tree.map(lambda part: jnp.broadcast_to(part[None], (keys.shape[0], *part.shape)), agent)
 
 
-def _imitate(
-    options: ReinforcementConfig,
-    network: ActorCritic,
-    envs: tuple[mdp.Env, ...],
-    teachers: tuple[Policy, ...],
-    agents: Agent,
-) -> Agent:
+def _imitate(options: ReinforcementConfig, setting: Setting, teachers: tuple[Policy, ...], agents: Agent) -> Agent:
     """The agents after they have learned from another policy, (A, ...)."""
-    envs = tuple(replace(env, pool=None) for env in envs)
     keys = jnp.stack([prng.key("imitation", int(agent["seed"])) for agent in options.agents])
 
-    def one(envs: tuple, teachers: tuple, agent: Agent, key: Array) -> tuple[Agent, Array]:
-        return dagger.clone(options, envs, network, agent, teachers, key)
-
-    agents, errors = jax.jit(jax.vmap(one, (None, None, 0, 0)))(envs, teachers, agents, keys)
+    clone = jax.vmap(functools.partial(dagger.clone, options, setting.network), (None, None, 0, 0))
+    agents, errors = jax.jit(clone)(setting.envs, teachers, agents, keys)
     if not np.isfinite(np.asarray(errors)).all():
         raise FloatingPointError(f"imitate: what {teachers[0].name} does is not finite; choose another --imitate.")
     return agents
 
 
-def _evaluate(
-    run: Programs, scenarios: tuple[Scenario, ...], envs: tuple[mdp.Env, ...], state: TrainState
-) -> tuple[TrainState, dict[str, dict]]:
+def _evaluate(run: Programs, setting: Setting, state: TrainState) -> tuple[TrainState, dict[str, dict]]:
     """The state with its best agents, and the evaluation: means of all environments and agents, and, if there are
     several, of each environment and of each agent."""
+    scenarios, envs, _ = setting
     value, each = run.evaluate(scenarios, tuple(replace(env, pool=None) for env in envs), state.agent)
     value, each = jnp.asarray(value, jnp.float32), jax.tree.map(np.asarray, each)
     better = value > state.best.value
@@ -391,15 +371,9 @@ def _by_situation(names: list[str], values: dict[str, np.ndarray]) -> dict[str, 
 
 
 def _finite_means(values: dict[str, np.ndarray]) -> dict[str, float]:
-    """Means over agents of finite numbers, as JSON has words for."""
+    """Means over agents of finite numbers, as JSON values."""
     finite = {name: value[np.isfinite(value)] for name, value in values.items()}
     return {name: float(value.mean()) for name, value in finite.items() if value.size}
-
-
-def _check_finite(log: dict[str, Any], number: int, options: ReinforcementConfig) -> None:
-    if not np.isfinite(log["train"]["loss"]).all():
-        where = f"the loss is not finite in update {number}; {options.folder} keeps the checkpoints until then"
-        raise FloatingPointError(f"{where}; try a lower --learning-rate in another folder.")
 
 
 @jax.jit  # of arrays on the devices of other processes, an array of none is made only so
@@ -413,20 +387,9 @@ def _decode(saved: PyTree, like: PyTree) -> PyTree:
     return prng.as_keys(jax.tree.map(lambda leaf, one: leaf if one.size else one, saved, like), like)
 
 
-def _config(options: ReinforcementConfig) -> dict[str, Any]:
-    return {
-        "command": command("train", options),
-        "method": options.method,
-        **options.identity(),
-        "parts": components.digests(options),
-        "devices": len(jax.devices()),
-        "versions": versions(),
-    }
-
-
 def _check_pretrained(options: ReinforcementConfig, folder: Path) -> None:
     """Refuse an agent with other observations or of another size."""
-    saved, current = components.by_content(read_options(folder)), components.by_content(options)
+    saved, current = components.by_content(policies.read_options(folder)), components.by_content(options)
     for name in ("observations", "critic", "width", "layers", "recurrent", "bfloat16"):
         if saved[name] != current[name]:
             raise InputError(f"pretrained: {folder} has {name} {saved[name]}, not {current[name]}; ask for the same.")

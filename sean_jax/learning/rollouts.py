@@ -1,4 +1,4 @@
-"""Rollouts of many scenarios, advantages, and epochs of minibatches over what they gave.
+"""Rollouts of many scenarios, advantages, and epochs of minibatches over their transitions.
 
 Source: J. Schulman et al., "High-dimensional continuous control using generalized advantage estimation", ICLR 2016.
 """
@@ -16,7 +16,8 @@ from jaxtyping import Bool, Float, PyTree
 
 from sean_jax import mdp
 from sean_jax.base import Array
-from sean_jax.learning.networks import ActorCritic, Agent, NetworkOutput, apply, draw_action, log_density
+from sean_jax.learning import networks
+from sean_jax.learning.networks import ActorCritic, Agent, NetworkOutput
 from sean_jax.mdp import observations
 
 INFO_KEYS = ("rewards", "completed", "episode_return", "episode_length", "start", "situations")  # of a step's info
@@ -29,7 +30,7 @@ class EnvBatch:
     envs: tuple[mdp.EnvState, ...]  # E times (B / E, ...)
     observation: dict[str, Array]  # (B, ...)
     memory: Float[Array, "B M"]  # of the network
-    start: Bool[Array, "B"]  # whether the observation is the first of an episode
+    start: Bool[Array, "B"]  # whether it is the first observation of an episode
 
 
 class Transition(NamedTuple):
@@ -80,7 +81,7 @@ def flat_observations(terms: observations.Terms, observation: dict[str, Array]) 
 def forward(network: ActorCritic, agent: Agent, terms: observations.Terms, batch: EnvBatch) -> NetworkOutput:
     """The network's output (B, ...) for the present observations."""
     vector, images = flat_observations(terms, batch.observation), _images(network, batch)
-    return apply(network, agent, vector, images, batch.memory, batch.start)
+    return networks.apply(network, agent, vector, images, batch.memory, batch.start)
 
 
 def _images(network: ActorCritic, batch: EnvBatch) -> dict[str, Array]:
@@ -115,7 +116,7 @@ def step(
         images=_images(network, batch),
         start=batch.start,
         action=action,
-        log_density=log_density(output, action),
+        log_density=networks.log_density(output, action),
         value=output.value,
         reward=reward.astype(jnp.float32),
         done=done,
@@ -136,7 +137,7 @@ def rollout(
     def one(batch: EnvBatch, tick: Array) -> tuple[EnvBatch, Transition]:
         action_key, next_key = jax.random.split(jax.random.fold_in(key, tick))
         output = forward(network, agent, envs[0].observations, batch)
-        return step(envs, network, agent, batch, output, draw_action(output, action_key), next_key)
+        return step(envs, network, agent, batch, output, networks.draw_action(output, action_key), next_key)
 
     return jax.lax.scan(one, batch, jnp.arange(steps, dtype=jnp.int32))
 
@@ -162,29 +163,35 @@ def unroll(network: ActorCritic, agent: Agent, transitions: Transition, memory: 
     """The network's output (T, B, ...) for the observations of transitions (T, B), from the memory before them."""
     if not network.recurrent:
         empty = jnp.zeros((*transitions.start.shape, 0), jnp.float32)
-        return apply(network, agent, transitions.vector, transitions.images, empty, transitions.start)
+        return networks.apply(network, agent, transitions.vector, transitions.images, empty, transitions.start)
 
     def one(memory: Array, step: Transition) -> tuple[Array, NetworkOutput]:
-        output = apply(network, agent, step.vector, step.images, memory, step.start)
+        output = networks.apply(network, agent, step.vector, step.images, memory, step.start)
         return output.memory, output
 
     return jax.lax.scan(one, memory, transitions)[1]
 
 
-def episode_means(transitions: Transition) -> dict[str, Array]:
-    """The number of episodes that ended in transitions (T, B), and their means, NaN if none did."""
+def with_statistics(agent: Agent, transitions: Transition) -> Agent:
+    """The agent whose statistics include the observations of transitions (T, B, ...)."""
+    vectors = transitions.vector.reshape(-1, transitions.vector.shape[-1])
+    return replace(agent, statistics=networks.update_statistics(agent.statistics, vectors))
+
+
+def log_numbers(transitions: Transition) -> dict[str, dict[str, Array]]:
+    """Numbers for the log of transitions (T, B): how many episodes ended, their means, NaN if none did, and the means
+    of rewards.
+    """
     done = transitions.done.astype(jnp.float32)
     number = done.sum()
 
     def mean(values: Array) -> Array:
         return (values.astype(jnp.float32) * done).sum() / number
 
-    return {
-        "number": number,
-        "return": mean(transitions.info["episode_return"]),
-        "steps": mean(transitions.info["episode_length"]),
-        "completed": mean(transitions.info["completed"]),
-    }
+    info = transitions.info
+    names = {"return": "episode_return", "steps": "episode_length", "completed": "completed"}
+    episodes = {"number": number, **{name: mean(info[key]) for name, key in names.items()}}
+    return {"episodes": episodes, "rewards": {name: part.mean() for name, part in info["rewards"].items()}}
 
 
 # ------------------------------------------------------------------ minibatches

@@ -1,7 +1,7 @@
 """Short-horizon actor-critic: the actor follows derivatives of the reward through the simulator for some steps, and a
-critic values what follows.
+critic estimates the return after them.
 
-The derivative goes through the robot and its observations, and through people if asked for: a crowd makes it slower and
+The derivative goes through the robot and its observations, and optionally through people: a crowd makes it slower and
 noisier (docs/gradients.md). Rewards that count events have no derivative: the actor learns from potentials and smooth
 costs.
 
@@ -23,18 +23,9 @@ from jaxtyping import PyTree
 from sean_jax import mdp
 from sean_jax.base import Array, Pedestrians, Scenario, State
 from sean_jax.config import APGConfig
-from sean_jax.learning.networks import ActorCritic, Agent, NetworkOutput, draw_action, update_statistics
-from sean_jax.learning.rollouts import (
-    EnvBatch,
-    Optimization,
-    Transition,
-    advantages,
-    apply_gradient,
-    episode_means,
-    forward,
-    optimize,
-    step,
-)
+from sean_jax.learning import rollouts
+from sean_jax.learning.networks import ActorCritic, Agent, NetworkOutput, draw_action
+from sean_jax.learning.rollouts import EnvBatch, Optimization, Transition
 
 MAX_GRADIENT_NORM = 1.0
 
@@ -44,7 +35,7 @@ CRITIC = optax.chain(optax.clip_by_global_norm(MAX_GRADIENT_NORM), optax.scale_b
 
 @struct.dataclass
 class Optimizers:
-    """The state between updates beside the agent. Checkpoints have these field names."""
+    """The state between updates besides the agent. Checkpoints have these field names."""
 
     actor: optax.OptState
     critic: optax.OptState
@@ -82,7 +73,7 @@ def update(
     epochs; the transitions; and numbers for the log.
 
     Args:
-        numbers: this agent's values of ``APGConfig.SWEPT``; the learning rate is that of this update.
+        numbers: this agent's values of ``APGConfig.SWEPT``; the learning rate is this update's.
         envs: with pools; scenarios are shared out equally.
         key: () typed PRNG key of this update.
     """
@@ -102,19 +93,20 @@ def update(
     norm = optax.tree.norm(gradient)
     finite = jnp.isfinite(norm)
     gradient = jax.tree.map(lambda part: jnp.where(finite, part, 0.0), gradient)
-    parameters, actor = apply_gradient(ACTOR, numbers["learning_rate"], agent.parameters, optimizer.actor, gradient)
+    rate = numbers["learning_rate"]
+    parameters, actor = rollouts.apply_gradient(ACTOR, rate, agent.parameters, optimizer.actor, gradient)
     agent = replace(agent, parameters=parameters)
 
-    last = forward(network, target_critic, envs[0].observations, batch)
-    advantage = advantages(transitions, last.value, numbers["discount"], numbers["advantage_decay"])
+    last = rollouts.forward(network, target_critic, envs[0].observations, batch)
+    advantage = rollouts.advantages(transitions, last.value, numbers["discount"], numbers["advantage_decay"])
 
     def critic_loss(output: NetworkOutput, steps: Transition, target: Array) -> tuple[Array, Array]:
         error = 0.5 * ((output.value - target) ** 2).mean()
         return error, error
 
-    how = Optimization(CRITIC, numbers["learning_rate"], options.critic_epochs, options.minibatches)
+    how = Optimization(CRITIC, rate, options.critic_epochs, options.minibatches)
     data = transitions._replace(info={}), advantage + transitions.value
-    agent, critic, error = optimize(how, critic_loss, network, agent, optimizer.critic, data, memory, key)
+    agent, critic, error = rollouts.optimize(how, critic_loss, network, agent, optimizer.critic, data, memory, key)
     share = options.target_share
     target = jax.tree.map(lambda old, new: old + share * (new - old), optimizer.target, agent.parameters)
     log = {
@@ -124,11 +116,9 @@ def update(
             "gradient": jnp.where(finite, norm, jnp.inf),
             "lost": 1.0 - finite.astype(jnp.float32),  # updates whose gradient was not finite
         },
-        "episodes": episode_means(transitions),
-        "rewards": {name: part.mean() for name, part in transitions.info["rewards"].items()},
+        **rollouts.log_numbers(transitions),
     }
-    statistics = update_statistics(agent.statistics, transitions.vector.reshape(-1, transitions.vector.shape[-1]))
-    return replace(agent, statistics=statistics), Optimizers(actor, critic, target), batch, transitions, log
+    return rollouts.with_statistics(agent, transitions), Optimizers(actor, critic, target), batch, transitions, log
 
 
 def _actor_loss(
@@ -144,18 +134,20 @@ def _actor_loss(
     """Minus the discounted reward of some steps and the value after them, divided by the steps; the scenarios then."""
     terms = envs[0].observations
 
-    @jax.checkpoint  # what a step needs on the way back is computed again
+    @jax.checkpoint  # a step is recomputed in the backward pass
     def one(carry: tuple[EnvBatch, Array], tick: Array) -> tuple[tuple[EnvBatch, Array], tuple[Array, Transition]]:
         batch, weight = carry
         action_key, next_key = jax.random.split(jax.random.fold_in(key, tick))
-        output, value = forward(network, actor, terms, batch), forward(network, target_critic, terms, batch).value
-        batch, transition = step(envs, network, target_critic, batch, output, draw_action(output, action_key), next_key)
+        output = rollouts.forward(network, actor, terms, batch)
+        value = rollouts.forward(network, target_critic, terms, batch).value
+        action = draw_action(output, action_key)
+        batch, transition = rollouts.step(envs, network, target_critic, batch, output, action, next_key)
         gain = weight * (transition.reward + jnp.where(transition.done, discount * transition.final_value, 0.0))
         weight = jnp.where(transition.done, 1.0, weight * discount)
         return (batch, weight), (gain, transition._replace(value=value))
 
     carry = batch, jnp.ones(batch.start.shape, jnp.float32)
     (batch, weight), (gains, transitions) = jax.lax.scan(one, carry, jnp.arange(steps, dtype=jnp.int32))
-    last = forward(network, target_critic, terms, batch).value
+    last = rollouts.forward(network, target_critic, terms, batch).value
     gain = gains.sum(0) + jnp.where(batch.start, 0.0, weight * last)
     return -gain.mean() / steps, (batch, transitions)

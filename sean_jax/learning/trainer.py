@@ -1,7 +1,7 @@
 """The loop that all trainings share, and their folder: configuration, checkpoints through orbax, and log.
 
 The latest and the best checkpoint are kept, and a half-written one is never read. If only the best were kept, orbax
-would delete the latest, and a training would start anew. The SHA-256 of each field of the state stands beside the loss,
+would delete the latest, and a training would restart. The SHA-256 of each field of the state stands beside the loss,
 since orbax restores arrays whose bytes were changed on disk.
 """
 
@@ -26,17 +26,19 @@ import orbax.checkpoint as ocp
 from jax.experimental import multihost_utils
 from orbax.checkpoint.checkpoint_managers import AnyPreservationPolicy, BestN, LatestN
 
-from sean_jax import files, writing
-from sean_jax.config import present_names
+from sean_jax import components, files, writing
+from sean_jax.config import DaggerConfig, ReinforcementConfig, present_names
 from sean_jax.errors import IncompleteError, InputError, SeanError
-from sean_jax.learning.networks import CONFIG, check_supported
+from sean_jax.flags import command
+from sean_jax.learning.networks import CONFIG, check_supported, named_leaves
+from sean_jax.versions import versions
 from sean_jax.workspace import CONTENT, read_identity, refuse_difference, refuse_others
 
 METRICS, CURVE = "metrics.jsonl", "curve.png"
 STATE, DIGESTS = "state", "sha256"
 RESERVE = 4_000_000  # bytes that must be free in addition to the size of a checkpoint
 UNCHANGED = "earlier checkpoints are as they were."  # how a message about a failed write ends
-CURE = "remove it to go on from an earlier one."
+CURE = "remove it to resume from an earlier checkpoint."
 ATTEMPTS = 10  # to read while a training replaces checkpoints
 
 Result = TypeVar("Result")
@@ -47,10 +49,10 @@ Tree = TypeVar("Tree")
 
 
 class Report(NamedTuple):
-    """What an epoch or update of a training tells its folder and its user."""
+    """The report of an epoch or update of a training."""
 
     number: int  # epochs or updates done
-    metrics: dict[str, Any]  # a line of metrics.jsonl, but for its time
+    metrics: dict[str, Any]  # a line of metrics.jsonl without its time
     loss: float | None  # by which checkpoints are compared; None: none is due
     note: str
 
@@ -88,7 +90,7 @@ def fit(folder: Path, config: dict[str, Any], state: Tree, loop: Loop, total: in
     try:
         while not loop.is_over(state):
             state, report = loop.advance(state)
-            if log is not None:  # before the checkpoint: what follows it is dropped at a restart
+            if log is not None:  # before the checkpoint: later lines are dropped at a restart
                 log.add(report.metrics | {"time": time.time()})
             if report.loss is not None:
                 checkpoints.save(loop.encode(state), report.number, report.loss)
@@ -151,7 +153,7 @@ def on_first_process(work: Callable[[], bool | None]) -> bool:
 
     Raises:
         InputError: process 0 refused.
-        SeanError: that of the work, in process 0.
+        SeanError: the error of the work, in process 0.
     """
     result = bool(on_all_processes(work if is_first_process() else lambda: False))
     return result if jax.process_count() == 1 else bool(multihost_utils.broadcast_one_to_all(np.asarray(result)))
@@ -181,16 +183,13 @@ class Log:
         Raises:
             IncompleteError: the log cannot be written. The checkpoints stay.
         """
-        try:
+        with writing.explain_errors(self.folder, "the checkpoints until then are as they were."):
             with (self.folder / METRICS).open("a", encoding="utf-8") as stream:
                 stream.write(json.dumps(line) + "\n")
             if self.events is not None:
                 for name, value in _scalars(line):
                     self.events.add_scalar(name, value, line["epoch"], line["time"])
                 self.events.flush()
-        except OSError as error:
-            text = f"{self.folder}: {writing.reason(error)}; the checkpoints until then are as they were."
-            raise IncompleteError(text) from error
 
 
 def _scalars(line: dict[str, Any]) -> Iterator[tuple[str, float]]:
@@ -251,7 +250,7 @@ def _points(lines: list[dict], part: str, name: str) -> tuple[list[float], list[
 
 @functools.cache
 def _mute_orbax() -> None:
-    """Print no traceback beside the error that is raised: of its tasks, and of threads that find its loop closed."""
+    """Print no traceback besides the raised error: of its tasks, and of threads that find its loop closed."""
     logging.getLogger("asyncio").addFilter(lambda record: "orbax" not in record.getMessage())
     hook = sys.unraisablehook
 
@@ -291,7 +290,7 @@ class Checkpoints:
         )
         for name in sorted(os.listdir(place)) if place.is_dir() else []:
             _check_entries(place / name)
-        with _explained(place):
+        with _explain_errors(place):
             self.manager = _retry(lambda: ocp.CheckpointManager(place, options=options))
             self.manager.best_step()  # which reads the losses of all
         if writes:
@@ -306,12 +305,10 @@ class Checkpoints:
         """
         size = 2 * sum(leaf.nbytes for leaf in jax.tree.leaves(state)) + RESERVE
         on_first_process(lambda: self._check_space(size))
-        try:
+        with writing.explain_errors(self.folder, UNCHANGED):
             content = ocp.args.Composite(**{STATE: ocp.args.PyTreeSave(state)})  # pyright: ignore
             metrics = {"loss": loss, DIGESTS: _digests(state)}
             self.manager.save(epoch, args=content, metrics=metrics, force=True)
-        except (OSError, ValueError) as error:
-            raise IncompleteError(f"{self.folder}: {writing.reason(error)}; {UNCHANGED}") from error
 
     def _check_space(self, size: int) -> None:
         if shutil.disk_usage(self.folder).free < size:  # after a failed write, threads of orbax print pages
@@ -323,10 +320,8 @@ class Checkpoints:
         Raises:
             IncompleteError: one could not be written.
         """
-        try:
+        with writing.explain_errors(self.folder, UNCHANGED):
             self.manager.wait_until_finished()
-        except (OSError, ValueError) as error:
-            raise IncompleteError(f"{self.folder}: {writing.reason(error)}; {UNCHANGED}") from error
 
     def latest(self, like: Tree) -> Tree | None:
         """The latest checkpoint, of the structure, shapes and types of ``like``; None if there is none.
@@ -356,10 +351,9 @@ class Checkpoints:
 
         def read(step: int) -> dict[str, tuple[int, ...]]:
             where = self.folder / "checkpoints" / str(step)
-            with _explained(where):
+            with _explain_errors(where):
                 tree = ocp.PyTreeCheckpointHandler().metadata(where / STATE).tree[part]  # pyright: ignore
-                leaves, _ = jax.tree.flatten_with_path(tree)
-                return {jax.tree_util.keystr(at, simple=True, separator="/"): tuple(leaf.shape) for at, leaf in leaves}
+                return {name: tuple(leaf.shape) for name, leaf in named_leaves(tree).items()}
 
         return self._read_best(read)
 
@@ -375,7 +369,7 @@ class Checkpoints:
         raise InputError(f"{self.folder} has no checkpoint; train a network with `sean train imitation`.")
 
     def _best_step(self) -> int | None:
-        with _explained(self.folder / "checkpoints"):
+        with _explain_errors(self.folder / "checkpoints"):
             _retry(self.manager.reload)
             return self.manager.best_step()
 
@@ -383,7 +377,7 @@ class Checkpoints:
         sharding = jax.sharding.SingleDeviceSharding(jax.local_devices()[0])  # each process reads all of it
         shapes = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=sharding), like)
         target = shapes if part is None else {part: shapes}
-        with _explained(self.folder / "checkpoints" / str(step)):
+        with _explain_errors(self.folder / "checkpoints" / str(step)):
             placement = ocp.checkpoint_utils.construct_restore_args(target)
             request = ocp.args.PyTreeRestore(item=target, restore_args=placement, partial_restore=True)  # pyright: ignore
             content = self.manager.restore(step, args=ocp.args.Composite(**{STATE: request}))
@@ -399,11 +393,11 @@ class Checkpoints:
 
 def _digests(state: Any) -> dict[str, str]:
     """Field of a state -> SHA-256 of its arrays; {} if this process has only a share of them."""
-    leaves, _ = jax.tree_util.tree_flatten_with_path(state)
-    if any(isinstance(leaf, jax.Array) and not leaf.is_fully_addressable for _, leaf in leaves):
+    leaves = named_leaves(state)
+    if any(isinstance(leaf, jax.Array) and not leaf.is_fully_addressable for leaf in leaves.values()):
         return {}
     digests: dict[str, Any] = {}
-    for name, leaf in sorted((jax.tree_util.keystr(path, simple=True, separator="/"), leaf) for path, leaf in leaves):
+    for name, leaf in sorted(leaves.items()):
         array = np.ascontiguousarray(leaf)
         digest = digests.setdefault(name.partition("/")[0], hashlib.sha256())
         digest.update(f"{name} {array.dtype} {array.shape}".encode() + array.tobytes())
@@ -411,7 +405,7 @@ def _digests(state: Any) -> dict[str, str]:
 
 
 @contextlib.contextmanager
-def _explained(checkpoint: Path) -> Iterator[None]:
+def _explain_errors(checkpoint: Path) -> Iterator[None]:
     """Whatever orbax raises about a checkpoint becomes a sentence."""
     try:
         yield
@@ -442,6 +436,18 @@ def _retry(read: Callable[[], Result]) -> Result:
 
 
 # ------------------------------------------------------------------ configuration
+
+
+def method_config(options: DaggerConfig | ReinforcementConfig, **facts: Any) -> dict[str, Any]:
+    """The configuration of a folder of ``sean train``, with further facts that decide the result."""
+    return {
+        "command": command("train", options),
+        "method": options.method,
+        **options.identity(),
+        "parts": components.digests(options),
+        **facts,
+        "versions": versions(),
+    }
 
 
 def check_config(folder: Path, config: dict[str, Any]) -> bool:
@@ -475,11 +481,7 @@ def write_config(folder: Path, config: dict[str, Any]) -> None:
         InputError: the folder cannot be written.
     """
     try:
-        writing.write(folder / CONFIG, json.dumps(config, indent=1) + "\n")
+        writing.write(folder / CONFIG, config)
     except OSError as error:
         why = writing.reason(error)
         raise InputError(f"cannot write {folder}: {why}; choose another folder with --out.") from error
-
-
-def _text(value: Any) -> str:
-    return {True: "on", False: "off"}[value] if isinstance(value, bool) else str(value)

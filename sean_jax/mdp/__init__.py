@@ -1,7 +1,6 @@
 """A scenario as a Markov decision process: observations, actions and rewards of the agent."""
 
 from sean_jax.config import OBSERVED
-from sean_jax.mdp.actions import to_action, to_command
 from sean_jax.mdp.env import TERMINATIONS, Env, EnvState, Pool, make_env
 from sean_jax.mdp.observations import OBSERVATIONS, ObservationTerm, as_term, delayed, flatten, stacked
 from sean_jax.mdp.randomization import (
@@ -12,32 +11,10 @@ from sean_jax.mdp.randomization import (
     randomize_behavior,
 )
 from sean_jax.mdp.rewards import REWARDS, RewardTerm, in_situations, of_metric
-from sean_jax.mdp.spaces import Box, Dict
+from sean_jax.mdp.spaces import Box, to_action, to_command
 
 __all__ = [
-    "OBSERVATIONS",
-    "OBSERVED",
-    "PARAMETERS",
-    "RANDOMIZATIONS",
-    "REWARDS",
-    "TERMINATIONS",
-    "BehaviorRandomization",
-    "Box",
-    "Dict",
-    "Env",
-    "EnvState",
-    "ObservationTerm",
-    "Pool",
-    "Randomization",
-    "RewardTerm",
-    "as_term",
-    "delayed",
-    "flatten",
-    "in_situations",
-    "make_env",
-    "of_metric",
-    "randomize_behavior",
-    "stacked",
-    "to_action",
-    "to_command",
-]
+    "OBSERVATIONS", "OBSERVED", "PARAMETERS", "RANDOMIZATIONS", "REWARDS", "TERMINATIONS", "BehaviorRandomization",
+    "Box", "Env", "EnvState", "ObservationTerm", "Pool", "Randomization", "RewardTerm", "as_term", "delayed",
+    "flatten", "in_situations", "make_env", "of_metric", "randomize_behavior", "stacked", "to_action", "to_command",
+]  # fmt: skip

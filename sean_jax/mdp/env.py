@@ -20,11 +20,10 @@ from sean_jax.config import OBSERVED
 from sean_jax.errors import InputError
 from sean_jax.mdp import observations as observing
 from sean_jax.mdp import rewards as rewarding
-from sean_jax.mdp.actions import to_command
 from sean_jax.mdp.observations import ObservationLike
 from sean_jax.mdp.randomization import Randomization, RandomizationLike, as_randomization
 from sean_jax.mdp.rewards import RewardLike
-from sean_jax.mdp.spaces import Box, Dict
+from sean_jax.mdp.spaces import Box, to_command
 from sean_jax.scenario import reset, results, step
 
 CHANCES = 2**30  # parts of the total probability; their sums are exact, and 0 is never taken
@@ -32,7 +31,7 @@ CHANCES = 2**30  # parts of the total probability; their sums are exact, and 0 i
 
 @struct.dataclass
 class EnvState:
-    """Everything on which the rest of an episode depends."""
+    """The state of an episode."""
 
     simulation: State
     randomization: PyTree  # parameters of the scenario of this episode; () if there are none
@@ -79,7 +78,7 @@ class Env:
         return Box(-1.0, 1.0, (2,))
 
     @property
-    def observation_space(self) -> Dict:
+    def observation_space(self) -> dict[str, Box]:
         """A box for each term of the observation."""
         shapes = jax.eval_shape(lambda scenario: reset(scenario, jax.random.key(0)), self.scenario)
         return observing.space(self.observations, self.scenario, shapes)
@@ -156,14 +155,12 @@ class Env:
             observation, memory = observing.observe(self.observations, scenario, after, state.observed)
         terminated = jnp.stack([after.completed, *self.ends(scenario, before, after)]).any()
         truncated = after.timed_out & ~terminated
-        state = EnvState(
+        state = replace(
+            state,
             simulation=after,
-            randomization=state.randomization,
-            start=state.start,
             observed=memory,
             potentials=potentials,
             commands=commands,
-            late=state.late,
             episode_return=state.episode_return + reward,
             episode_length=state.episode_length + 1,
         )
@@ -182,7 +179,7 @@ class Env:
         return state, observation, reward, terminated, truncated, info
 
     def ends(self, scenario: Scenario, before: State, after: State) -> list[Bool[Array, ""]]:
-        """The ``terminations`` of a step, beside completion and the time limit."""
+        """The ``terminations`` of a step, besides completion and the time limit."""
         conditions = []
         for _, condition in self.terminations:
             value = calls.call("terminations", condition, "scenario, before, after", scenario, before, after)
@@ -196,7 +193,7 @@ class Env:
         """The environment with starts that are drawn now, whose ``step`` saves a reset; jit it with ``size`` static.
 
         Starts are taken at random, by the ``weights`` of the pool, which are equal. All chance after the start is the
-        episode's own. The noise of a first observation is that of the start.
+        episode's own. The noise of a first observation is the start's.
         """
         return replace(self, pool=self.draw_pool(jax.random.split(key, size)))
 
@@ -221,7 +218,7 @@ class Env:
     # ------------------------------------------------------------------
 
     def scenario_of(self, randomization: PyTree) -> Scenario:
-        """The scenario of an episode, made anew in each step, so that a state need not hold it."""
+        """The scenario of an episode, rebuilt in each step, so that a state need not hold it."""
         if self.randomization is None:
             return self.scenario
         apply = self.randomization.apply
@@ -290,9 +287,9 @@ def make_env(
         observations: names in ``OBSERVATIONS``, or name -> term.
         rewards: name -> weight of the term of that name in ``REWARDS``, or your own term; ``mdp.rewards.DEFAULT`` if
             None.
-        terminations: what ends episodes beside completion: names in ``TERMINATIONS``, or functions
+        terminations: ends of episodes besides completion: names in ``TERMINATIONS``, or functions
             (scenario, before, after) -> () bool.
-        randomization: what differs between episodes, such as ``randomize_behavior()``; or (key, scenario) -> scenario
+        randomization: of each episode, such as ``randomize_behavior()``; or (key, scenario) -> scenario
             with other leaves.
         action_delay: delay of commands in steps of control: a number, or (least, most), drawn for each episode.
 
@@ -312,12 +309,12 @@ def make_env(
         randomization=randomization,
         action_delay=(least, most),
     )
-    jax.eval_shape(_try_env, env, jax.eval_shape(jax.random.key, 0))  # says now what a part lacks
+    jax.eval_shape(_try_env, env, jax.eval_shape(jax.random.key, 0))  # reports mistakes of a part now
     return env
 
 
 def _try_env(env: Env, key: Array) -> None:
-    """A reset, and what reads a step; the step itself is the scenario's."""
+    """A reset, and the functions that read a step; the step itself is the scenario's."""
     _, state = env.reset(key)
     scenario, simulation = env.scenario_of(state.randomization), state.simulation
     if jax.tree.structure(scenario) == jax.tree.structure(env.scenario):  # not with another term of its forces, say

@@ -1,7 +1,7 @@
 """Observations of the agent: terms, each an array with bounds, in the robot's frame.
 
-A term is an ``ObservationTerm``, or a plain function (scenario, state) -> array without bounds of its own. An
-observation is a dict of terms: those of ``OBSERVATIONS`` by their names, and yours beside them. ``delayed`` delays a
+A term is an ``ObservationTerm``, or a plain function (scenario, state) -> array without bounds. An
+observation is a dict of terms: names of ``OBSERVATIONS``, and your own terms. ``delayed`` delays a
 term, and ``stacked`` gives its last readings together.
 """
 
@@ -13,21 +13,23 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Float, PyTree
+from jaxtyping import Float, Int, PyTree
 
 from sean_jax import calls, files, navigation, sensors
 from sean_jax.base import Array, Scenario, State
 from sean_jax.errors import InputError
 from sean_jax.geometry import from_rectangle, length, nearby_obstacles, rotate
-from sean_jax.mdp.spaces import Box, Dict
+from sean_jax.mdp.spaces import Box
 
 NEAREST = 12  # people of the term "people"
-REACH = 8.0  # m, within which they are seen
-SURFACES = 3  # of obstacles of the term "obstacles"
+REACH = 8.0  # m, range of the observation
+SURFACES, NEAR = 3, 3.0  # of obstacles of the term "obstacles"; and m, within which they are shown
+PLAN_POINTS, SPACING = 10, 0.5  # of the term "plan"; and m, at least, from one point to the next
 MAX_SPEED = 3.0  # m/s, of people in an observation
 FAR_GOAL = 30.0  # m, beyond which a goal looks as if it were so far
 UNBOUNDED = 1e3  # bounds of a term that states none
-WIDTH, HEIGHT = 64, 48  # pixels, of images
+IMAGE = {"width": 64, "height": 48}  # pixels, of images
+FAR_DEPTH, FAR_LIDAR = 10.0, 6.0  # m, beyond which depth camera and lidar see nothing
 RAYS = 72  # of the lidar
 
 
@@ -47,7 +49,7 @@ class ObservationTerm:
         delay: of readings in steps of control, (least, most), drawn for each episode.
         stack: number of readings of different steps in an observation, newest first, along a first axis; 0 for one
             without that axis.
-        people: whether it tells where people are, for tables of what agents know.
+        people: whether it contains positions of people, for tables of agents.
         image: whether it is a picture, (height, width) or with colors, which ``flatten`` leaves out.
     """
 
@@ -152,42 +154,28 @@ def _people(nearest: int, reach: float, scenario: Scenario, state: State, prepar
     return jnp.pad(rows, ((0, nearest - number), (0, 0)))
 
 
-def obstacles(nearest: int = SURFACES, reach: float = 3.0) -> ObservationTerm:
-    """The nearest obstacles in the robot's map, the nearest first, within ``reach`` m, at most that of the
-    environment's grid.
-
-    A term of (nearest, 3): the direction to the nearest point of each (a unit vector) and its distance [m]; all 0 but
-    the distance, which is ``reach``, if there is none.
-    """
-    return ObservationTerm(functools.partial(_obstacles, nearest, reach), -reach, reach)
-
-
-def _obstacles(nearest: int, reach: float, scenario: Scenario, state: State, prepared: tuple) -> Array:
-    """The nearest obstacles: direction and distance of each, (k, 3) of a unit vector and m."""
+def _obstacles(scenario: Scenario, state: State, prepared: tuple) -> Array:
+    """The nearest obstacles within 3 m: direction (0 for none) and distance of each, (3, 3) of a unit vector and m."""
     x, y = state.robot.position[0], state.robot.position[1]
     rows = nearby_obstacles(scenario.environment.obstacle_grid, x, y)
     distance, nx, ny = from_rectangle(x, y, *(rows[:, column] for column in range(6)))
-    number = min(nearest, distance.shape[0])
+    number = min(SURFACES, distance.shape[0])
     near, index = jax.lax.top_k(-distance, number)
-    visible = -near < reach
+    visible = -near < NEAR
     way = _in_frame(state, -jnp.stack([nx[index], ny[index]], -1))
-    rows = jnp.concatenate([jnp.where(visible[:, None], way, 0.0), jnp.minimum(-near, reach)[:, None]], 1)
-    missing = jnp.tile(jnp.array([[0.0, 0.0, reach]], float), (nearest - number, 1))
+    rows = jnp.concatenate([jnp.where(visible[:, None], way, 0.0), jnp.minimum(-near, NEAR)[:, None]], 1)
+    missing = jnp.tile(jnp.array([[0.0, 0.0, NEAR]], float), (SURFACES - number, 1))
     return jnp.concatenate([rows, missing])
 
 
-def plan(points: int = 10, apart: float = 0.5) -> ObservationTerm:
-    """The next points of the shortest path, ``apart`` m from one to the next, as a global planner gives them (section
-    V-B). A term of (points, 2) m.
+def plan_ahead(scenario: Scenario, state: State, last_arc: Int[Array, "V"]) -> Float[Array, "10 2"]:
+    """The next points of the shortest path, as a global planner gives them (section V-B): (10, 2) m.
+
+    Args:
+        last_arc: ``navigation.last_arc_to_goal`` of the goal of the task.
     """
-    reach = points * apart
-    return ObservationTerm(functools.partial(_plan, points, apart), -reach, reach, prepare=_last_arc)
-
-
-def _plan(points: int, apart: float, scenario: Scenario, state: State, last_arc: Array) -> Array:
-    """The next points of the shortest path: (points, 2) m."""
     where = state.robot.position, state.task.goal, state.task.paths_to_goal, last_arc
-    ahead = navigation.plan(scenario.navigation, *where, points=points, apart=apart)
+    ahead = navigation.plan(scenario.navigation, *where, points=PLAN_POINTS, apart=SPACING)
     return _in_frame(state, ahead - state.robot.position[None, :])
 
 
@@ -209,37 +197,19 @@ def _sensor(name: str, scenario: Scenario, state: State, prepared: tuple) -> Arr
     return sensors.sense(dataclasses.replace(scenario, sensors=(known[name],)), state)[name]
 
 
-def depth(width: int = WIDTH, height: int = HEIGHT, far: float = 10.0) -> ObservationTerm:
-    """The robot's depth camera, without noise; ``sensor("depth", ...)`` is one with noise.
-
-    A term of (height, width) m, at most ``far`` m.
-    """
-    return ObservationTerm(functools.partial(_depth, width, height, far), 0.0, far, image=True)
+def _depth(scenario: Scenario, state: State, prepared: tuple) -> Array:
+    """The robot's depth camera, without noise: (height, width) m."""
+    return sensors.depth(scenario, state, sensors.camera(scenario, "depth", **IMAGE, far=FAR_DEPTH))
 
 
-def _depth(width: int, height: int, far: float, scenario: Scenario, state: State, prepared: tuple) -> Array:
-    """The robot's depth camera: (height, width) m."""
-    return sensors.depth(scenario, state, sensors.camera(scenario, "depth", width=width, height=height, far=far))
-
-
-def rgb(width: int = WIDTH, height: int = HEIGHT) -> ObservationTerm:
-    """The robot's color camera that looks ahead: a term of (height, width, 3) from 0 to 1."""
-    return ObservationTerm(functools.partial(_rgb, width, height), 0.0, 1.0, image=True)
-
-
-def _rgb(width: int, height: int, scenario: Scenario, state: State, prepared: tuple) -> Array:
+def _rgb(scenario: Scenario, state: State, prepared: tuple) -> Array:
     """The robot's color camera that looks ahead: (height, width, 3) from 0 to 1."""
-    return sensors.render(scenario, state, sensors.camera(scenario, "first_person", width=width, height=height)).rgb
+    return sensors.render(scenario, state, sensors.camera(scenario, "first_person", **IMAGE)).rgb
 
 
-def lidar(rays: int = RAYS, far: float = 6.0) -> ObservationTerm:
-    """The robot's lidar, without noise: a term of (rays,) m, at most ``far`` m."""
-    return ObservationTerm(functools.partial(_lidar, rays, far), 0.0, far)
-
-
-def _lidar(rays: int, far: float, scenario: Scenario, state: State, prepared: tuple) -> Array:
-    """The robot's lidar: (rays,) m."""
-    return sensors.scan(scenario, state, sensors.lidar(scenario, count=rays, far=far))
+def _lidar(scenario: Scenario, state: State, prepared: tuple) -> Array:
+    """The robot's lidar, without noise: (rays,) m."""
+    return sensors.scan(scenario, state, sensors.lidar(scenario, count=RAYS, far=FAR_LIDAR))
 
 
 OBSERVATIONS: dict[str, ObservationTerm] = {
@@ -251,11 +221,11 @@ OBSERVATIONS: dict[str, ObservationTerm] = {
     "time": ObservationTerm(_time, 0.0, 1.0),
     "situations": ObservationTerm(_situations, 0.0, 1.0),
     "people": people(),
-    "obstacles": obstacles(),
-    "plan": plan(),
-    "lidar": lidar(),
-    "depth": depth(),
-    "rgb": rgb(),
+    "obstacles": ObservationTerm(_obstacles, -NEAR, NEAR),
+    "plan": ObservationTerm(plan_ahead, -PLAN_POINTS * SPACING, PLAN_POINTS * SPACING, prepare=_last_arc),
+    "lidar": ObservationTerm(_lidar, 0.0, FAR_LIDAR),
+    "depth": ObservationTerm(_depth, 0.0, FAR_DEPTH, image=True),
+    "rgb": ObservationTerm(_rgb, 0.0, 1.0, image=True),
 }
 """Terms of observations by name."""
 
@@ -340,18 +310,13 @@ def begin(terms: Terms, scenario: Scenario, state: State, key: Array) -> tuple[d
     """
     prepared = {name: term.prepare(scenario, state) for name, term in terms}
     now = {name: _read(term, scenario, state, prepared[name]) for name, term in terms}
-    lines = {
-        name: jnp.broadcast_to(now[name][None], (term.readings, *now[name].shape))
-        for name, term in terms
-        if term.readings > 1
-    }
-    delays = {
-        name: jax.random.randint(jax.random.fold_in(key, number), (), term.delay[0], term.delay[1] + 1, jnp.int32)
-        for number, (name, term) in enumerate(terms)
-        if term.readings > 1
-    }
-    memory = prepared, lines, delays
-    return {name: _of_line(term, now[name], name, lines, delays) for name, term in terms}, memory
+    lines, delays = {}, {}
+    for number, (name, term) in enumerate(terms):
+        if term.readings > 1:
+            least, most = term.delay
+            lines[name] = jnp.broadcast_to(now[name][None], (term.readings, *now[name].shape))
+            delays[name] = jax.random.randint(jax.random.fold_in(key, number), (), least, most + 1, jnp.int32)
+    return {name: _of_line(term, now[name], name, lines, delays) for name, term in terms}, (prepared, lines, delays)
 
 
 def observe(terms: Terms, scenario: Scenario, state: State, memory: PyTree) -> tuple[dict[str, Array], PyTree]:
@@ -369,19 +334,19 @@ def _read(term: ObservationTerm, scenario: Scenario, state: State, prepared: PyT
 
 
 def _of_line(term: ObservationTerm, now: Array, name: str, lines: dict, delays: dict) -> Array:
-    """What an observation holds of a term."""
+    """The part of an observation for a term."""
     if name not in lines:
         return now[None] if term.stack == 1 else now
     part = jax.lax.dynamic_slice_in_dim(lines[name], delays[name], max(term.stack, 1), 0)
     return part if term.stack else part[0]
 
 
-def space(terms: Terms, scenario: Scenario, state: State) -> Dict:
-    """The space of observations; ``state`` may be the shapes of one."""
+def space(terms: Terms, scenario: Scenario, state: State) -> dict[str, Box]:
+    """Name -> bounds and shape of each term; ``state`` may be the shapes of one."""
     shapes = jax.eval_shape(
         lambda scenario, state: begin(terms, scenario, state, jax.random.key(0))[0], scenario, state
     )
-    return Dict(tuple((name, Box(term.low, term.high, shapes[name].shape)) for name, term in terms))
+    return {name: Box(term.low, term.high, shapes[name].shape) for name, term in terms}
 
 
 def flatten(terms: Terms, observation: Mapping[str, Float[Array, "..."]]) -> Float[Array, "size"]:

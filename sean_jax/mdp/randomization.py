@@ -1,6 +1,6 @@
-"""What differs between episodes: parameters that are drawn for each, and the scenario that they make.
+"""Randomization of episodes: parameters drawn for each episode, and the scenario with them.
 
-Parameters are leaves of the state of an episode, so they can be looked at and mutated (``learning.curriculum``).
+Parameters are leaves of the state of an episode, so they can be inspected and mutated (``learning.curriculum``).
 """
 
 from collections.abc import Callable, Mapping
@@ -30,7 +30,7 @@ class Randomization(Protocol):
         ...
 
     def apply(self, parameters: PyTree, scenario: Scenario) -> Scenario:
-        """The scenario of an episode with parameters of ``draw``; made anew in each step, so that a state need not hold
+        """The scenario of an episode with parameters of ``draw``; rebuilt in each step, so that a state need not hold
         it.
         """
         ...
@@ -79,7 +79,7 @@ class Parameter(NamedTuple):
 
 
 def _people(scenario: Scenario, value: Array) -> Scenario:
-    """Share of the scenario's people who are there, one person at least."""
+    """Share of the scenario's people who are present, at least one person."""
     number = jnp.ceil(value * scenario.people - 1e-4).astype(jnp.int32)
     return replace(scenario, people_present=jnp.clip(number, min(1, scenario.people), scenario.people))
 
@@ -93,7 +93,7 @@ def _speed(scenario: Scenario, value: Array) -> Scenario:
 
 
 def _repulsion_strength(scenario: Scenario, value: Array) -> Scenario:
-    """Factor of the strength with which people repel one another."""
+    """Factor of the strength of repulsion between people."""
     return _scaled(scenario, Repulsion, "strength", value)
 
 
@@ -108,7 +108,7 @@ def _evasion(scenario: Scenario, value: Array) -> Scenario:
 
 
 def _side(scenario: Scenario, value: Array) -> Scenario:
-    """Factor of how much people keep to their side; the other side if it is negative."""
+    """Factor of people's side preference; the other side if it is negative."""
     return _scaled(_scaled(scenario, Evasion, "side", value), Sidestep, "preference", value)
 
 
@@ -122,13 +122,13 @@ def _robot_distance(scenario: Scenario, value: Array) -> Scenario:
 
 
 def _stay(scenario: Scenario, value: Array) -> Scenario:
-    """Factor of how long people stay in groups of the Behavior Graph."""
+    """Factor of people's stays in groups of the Behavior Graph."""
     graph = graph_of(scenario)
     return scenario if graph is None else _with_graph(scenario, replace(graph, stay=value * graph.stay))
 
 
 def _waypoints(scenario: Scenario, value: Float[Array, "Mw"]) -> Scenario:
-    """Factors of how often each waypoint of the Behavior Graph is somebody's goal."""
+    """Factors of the weights of waypoints of the Behavior Graph as goals."""
     graph = graph_of(scenario)
     if graph is None:
         return scenario
@@ -160,7 +160,7 @@ PARAMETERS: Mapping[str, Parameter] = MappingProxyType({
     "stay": Parameter(_stay, 0.3, 3.0),
     "waypoints": Parameter(_waypoints, 0.2, 5.0, of_waypoints=True),
 })  # fmt: skip
-"""Parameters of people's behavior by name: factors of what the scenario has, with their usual bounds.
+"""Parameters of people's behavior by name: factors of the scenario's values, with their usual bounds.
 
 Contact between bodies is none of them: the time step of forces was chosen for it.
 """
@@ -181,7 +181,7 @@ class BehaviorRandomization:
         return drawn
 
     def apply(self, parameters: dict[str, Array], scenario: Scenario) -> Scenario:
-        """The scenario of an episode; what the scenario does not have stays as it is."""
+        """The scenario of an episode; factors of missing parts have no effect."""
         for name, _, _ in self.bounds:
             scenario = PARAMETERS[name].apply(scenario, parameters[name])
         return scenario
@@ -223,12 +223,10 @@ def _share(name: str, low: float, high: float, value: Array) -> Array:
     return (value - low) / (high - low)
 
 
-def randomize_behavior(
-    bounds: Mapping[str, tuple[float, float]] | None = None, **further: tuple[float, float]
-) -> BehaviorRandomization:
-    """People who behave differently in each episode: how many, how fast, how far from others and from the robot.
+def randomize_behavior(**bounds: tuple[float, float]) -> BehaviorRandomization:
+    """People behave differently in each episode: how many, how fast, how far from others and from the robot.
 
-    Numbers are factors of what the scenario has: ``randomize_behavior(speed=(0.5, 2.0))``. They are drawn evenly
+    Numbers are factors of the scenario's values: ``randomize_behavior(speed=(0.5, 2.0))``. They are drawn evenly
     between their bounds, most of them in the logarithm.
 
     Args:
@@ -237,12 +235,7 @@ def randomize_behavior(
     Raises:
         InputError: there is no parameter of a name, or bounds are impossible.
     """
-    ranges = {**(bounds or {}), **further}
-    if bounds is None and not further:
-        ranges = {name: (each.low, each.high) for name, each in PARAMETERS.items()}
-    if not ranges:
-        raise InputError(f"randomize_behavior: there is no parameter; give some of {', '.join(PARAMETERS)}.")
-    checked = []
+    ranges = bounds or {name: (each.low, each.high) for name, each in PARAMETERS.items()}
     for name, (low, high) in ranges.items():
         if name not in PARAMETERS:
             hint = files.suggest(name, PARAMETERS) or "."
@@ -251,12 +244,11 @@ def randomize_behavior(
         if not least <= low <= high <= most or not abs(low) + abs(high) < float("inf"):
             limits = f"{least:g} to {most:g}"
             raise InputError(f"randomize_behavior: {name} {low:g} to {high:g} must be a range within {limits}.")
-        checked.append((name, float(low), float(high)))
-    return BehaviorRandomization(tuple(checked))
+    return BehaviorRandomization(tuple((name, float(low), float(high)) for name, (low, high) in ranges.items()))
 
 
 RANDOMIZATIONS: Mapping[str, Randomization] = MappingProxyType({"behavior": randomize_behavior()})
-"""What can differ between episodes, by name."""
+"""Randomizations by name."""
 
 
 def as_randomization(value: RandomizationLike | None) -> Randomization | None:

@@ -1,8 +1,8 @@
 """Rewards of the agent: terms, each a number of one step with a weight.
 
 A term is a ``RewardTerm``, or a plain function (scenario, before, after) -> number of weight 1. A reward is a dict of
-terms: those of ``REWARDS`` by their names, with the weight beside them, and yours. The reward of a step is the sum of
-weight times number. Terms that read what a robot's sensors cannot tell, such as where unseen people are, are
+terms: names of ``REWARDS`` with their weights, and your own terms. The reward of a step is the sum of
+weight times value. Terms that use what no sensor of a robot measures, such as hidden people, are
 ``privileged``: a simulator may use them to train, and a robot could not compute them.
 """
 
@@ -32,12 +32,12 @@ class RewardTerm:
 
     Args:
         step: ``(scenario, before, after) -> number`` of a step.
-        potential: ``(scenario, state) -> number``: the reward of a step is how much it grows. It is computed once a
-            step, and leaves the best policy as it is, but for the discount
+        potential: ``(scenario, state) -> number``: the reward of a step is its increase. It is computed once per
+            step, and does not change the optimal policy, except for the discount
             (A. Ng et al., "Policy invariance under reward transformations", ICML 1999).
         weight: factor of the number.
-        privileged: it reads what the robot's sensors cannot tell.
-        definition: one sentence; that of the function's docstring if empty.
+        privileged: it uses what the robot's sensors do not measure.
+        definition: one sentence; from the function's docstring if empty.
     """
 
     step: Reward | None = None
@@ -70,7 +70,7 @@ def _minus_distance(scenario: Scenario, state: State) -> Array:
 
 
 def _completed(scenario: Scenario, before: State, after: State) -> Array:
-    """One at the step with which the task is completed: the goal has been held."""
+    """One at the step that completes the task: the hold time has passed."""
     return (after.completed & ~before.completed).astype(float)
 
 
@@ -125,8 +125,8 @@ def _o_space(scenario: Scenario, before: State, after: State) -> Array:
     return jnp.where(other, depth, 0.0).sum() * scenario.time_step
 
 
-def of_metric(name: str, metric: metrics.Metric | None = None, weight: float = 1.0) -> RewardTerm:
-    """How much a metric grows in a step: a term for whatever is counted or summed. It is privileged, for metrics read
+def of_metric(name: str) -> RewardTerm:
+    """Increase of a metric in a step: a term for counts and sums. It is privileged, since metrics read
     all people.
 
     Args:
@@ -135,13 +135,11 @@ def of_metric(name: str, metric: metrics.Metric | None = None, weight: float = 1
     Raises:
         InputError: there is no metric of that name.
     """
-    if metric is None:
-        if name not in metrics.METRICS:
-            known = ", ".join(metrics.METRICS)
-            hint = files.suggest(name, metrics.METRICS) or "."
-            raise InputError(f"rewards: '{name}' is no metric, of {known}{hint}")
-        metric = metrics.METRICS[name]
-    return RewardTerm(step=_Growth(metric), weight=weight, privileged=True, definition=metric.definition)
+    if name not in metrics.METRICS:
+        hint = files.suggest(name, metrics.METRICS) or "."
+        raise InputError(f"rewards: '{name}' is no metric, of {', '.join(metrics.METRICS)}{hint}")
+    metric = metrics.METRICS[name]
+    return RewardTerm(step=_Growth(metric), privileged=True, definition=metric.definition)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -195,7 +193,7 @@ REWARDS: dict[str, RewardTerm] = {
     "o_space": RewardTerm(step=_o_space, privileged=True),
     **{name: of_metric(name) for name, metric in metrics.METRICS.items() if metric.kind == "count"},
 }
-"""Terms of rewards by name; those that count have the names of the metrics that count the same."""
+"""Terms of rewards by name; a term that counts has the name of the metric that counts the same."""
 
 DEFAULT = {
     "progress": 1.0,

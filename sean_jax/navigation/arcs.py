@@ -2,7 +2,7 @@
 
 Inflated boxes have straight sides and a quarter of a circle at each corner. A shortest path of the disc is a chain of
 common tangents of these quarters and of the parts of quarters between them. So a corner arc is a corner, the side on
-which the path passes it, and the part of its quarter that no other obstacle covers. A place on an arc is given by its
+which the path passes it, and the part of its quarter that no other obstacle covers. A place on an arc is defined by its
 angle from the middle of the quarter, which grows in the direction of travel.
 """
 
@@ -58,7 +58,7 @@ class Tangent(NamedTuple):
 def tangents(arcs: CornerArcs, place: Float[Array, "2"], radius: Float[Array, ""], arriving: bool) -> Tangents:
     """The tangents between a place [m] and all arcs, for a disc of a radius [m].
 
-    From inside a circle the tangent is that of the nearest point on the circle, and has no length. With ``arriving``
+    From inside a circle the tangent starts at the nearest point on the circle, and has no length. With ``arriving``
     the travel is from the place to the arcs, else from the arcs to the place.
     """
     cx, cy = arcs.corner[:, 0], arcs.corner[:, 1]
@@ -127,7 +127,7 @@ def push_out_of_obstacles(
     """Move a place [m] out of the boxes inflated by a radius [m], in which the tables know no path.
 
     Returns:
-        (2,) m the place itself, or the nearest one outside; its gradient is that of the place. And () m the radius with
+        (2,) m the place itself, or the nearest place outside, with the gradient of the place. And () m the radius with
         which segments from there have to be free, which is smaller where there is too little room.
     """
     if boxes.yaw.shape[0] == 0:

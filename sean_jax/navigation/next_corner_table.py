@@ -93,7 +93,7 @@ def _past(navigation: Navigation, arc: Array, position: Array, tangent: Tangent)
 
     The tangent from a place at a distance d from the corner turns infinitely fast with that place where it touches the
     circle of radius r: it leads (d^2 - r^2)^(1/2) towards the corner and r past it. Here (d^2 - r^2) / d takes the
-    place of the root. So the way bends a little wider and comes to the circle smoothly, from either side, and its
+    place of the root. So the path bends a little wider and reaches the circle smoothly from either side, and its
     derivative is at most about 2 / r.
     """
     corner, radius = navigation.arcs.corner[arc], navigation.radius

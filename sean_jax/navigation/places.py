@@ -26,7 +26,7 @@ MESH_RADIUS = 0.5  # m, distance of edges of SEAN's mesh from obstacles; a large
 MESH_EDGE = 0.25  # m, from a point to the nearest edge of the mesh, at least (SEAN 2.0)
 MESH_SHARE = 0.05, 0.95  # of the way from the first vertex to the second (SEAN 2.0)
 MESH_DRAWS = 65_536  # points that are tabulated, 64 for each place
-NEAREST = 8  # places that may stand for a point: the nearest in sight does
+NEAREST = 8  # candidates for the place of a point: the nearest visible place
 SAME = 1e-6  # m, nearer corners are one
 CORNERS = np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)])
 
@@ -48,7 +48,7 @@ def mesh_places(environment: Environment, navigation: Navigation) -> Navigation:
     """Places are as likely as points that SEAN 2.0 draws on its navigation mesh are near to them.
 
     A point lies between two random corners of the free floor whose whole metres differ in x and in y, at least 0.25 m
-    from the nearest edge. The nearest free place in sight stands for it.
+    from the nearest edge. The nearest visible free place replaces it.
 
     Raises:
         InputError: hardly any such point is free.

@@ -27,7 +27,7 @@ MIN_STRIDE = 5e-3  # m, by which the next point is at least ahead
 NARROW = 0.7  # of the radius: the free radius of a straight path in ``geodesic_approx``
 PLAN_ARCS = 12  # arcs of a plan: more than lie on some metres of a path
 FINE = 0.05  # m, between the places on a path among which the points of a plan are chosen
-CURVED = 1.6  # length of path searched for a plan, relative to that of a straight one
+CURVED = 1.6  # length of path searched for a plan, relative to a straight plan
 ROUNDING = 1e-3  # m
 
 
@@ -106,7 +106,7 @@ def path_rotation(
 ) -> Float[Array, ""]:
     """Rotation [rad] along the shortest path, left and right added up, without that at the goal.
 
-    It is that of a straight path if there is no other.
+    Without another path it is the straight path's.
     """
     arcs, radius = navigation.arcs, navigation.radius
     straight, around, first, spot, _ = first_arc(navigation, position, goal, paths_to_goal)

@@ -1,7 +1,7 @@
 """Distance to the goal from many places near the robot, for planners that try many paths (section IV-E).
 
 ``navigation.geodesic`` looks at all corners of an environment from one place. Here a few corners are chosen once in a
-control step. Only these are then looked at from each place, through the table of cells from which they are seen.
+control step. Each place then uses only these, by the table of cells that see them.
 """
 
 import jax
@@ -16,7 +16,7 @@ from sean_jax.navigation.arcs import ANGLE, CornerArcs, tangents
 from sean_jax.navigation.shortest_paths import last_arcs
 
 NEAR_CORNERS = 6  # chosen because they are near
-CHAIN_CORNERS = 3  # chosen because they follow one another
+CHAIN_CORNERS = 3  # chosen as consecutive corners
 MAX_OVERSHOOT = 0.35  # rad, by which a path may go round a corner too far: cells and places are not points
 SPARE = 1e-3  # m
 NARROW = 0.7  # of the radius: how near the straight way to the goal may pass obstacles, as in geodesic_approx
@@ -34,7 +34,7 @@ class CostToGo:
 def corner_successors(scenario: Scenario, state: State) -> Int[Array, "V"]:
     """(V,) int32, the corner that follows each corner on the shortest path to the goal; the last corner follows itself.
 
-    Costly, for it needs paths between all corners: call it once in an episode.
+    Expensive, since it needs paths between all corners: call it once per episode.
     """
     last = last_arcs(scenario.navigation, state.task.goal)[1]
     first = jnp.arange(last.shape[0], dtype=jnp.int32)
@@ -101,7 +101,7 @@ def _path_lengths(
 def _push_out(scenario: Scenario, x: Array, y: Array) -> tuple[Array, Array]:
     """The places (P,), (P,) [m] moved out of the inflated obstacles, in which tables know no path.
 
-    Gradients are those of the places themselves.
+    Gradients are the gradients of the places.
     """
     stop = jax.lax.stop_gradient
     rows = nearby_obstacles(scenario.environment.obstacle_grid, stop(x), stop(y))

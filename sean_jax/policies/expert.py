@@ -18,19 +18,13 @@ import numpy as np
 from flax import struct
 from jaxtyping import Float, Int
 
-from sean_jax.base import Array, ObstacleGrid, Policy, Scenario, State
-from sean_jax.devices import scalar
+from sean_jax.base import Array, Policy, Robot, Scenario, State
+from sean_jax.devices import parameter
 from sean_jax.geometry import from_rectangle, length, nearby_obstacles, to_border
 from sean_jax.metrics.proximity import INTIMATE, PERSONAL
+from sean_jax.policies import prediction
 from sean_jax.policies.cost_to_go import CostToGo, build_cost_to_go, corner_successors, distance_to_goal
-from sean_jax.policies.prediction import (
-    PeopleMotion,
-    RobotMotion,
-    nearest_people,
-    predict_people,
-    predict_robot,
-    to_world,
-)
+from sean_jax.policies.prediction import PeopleMotion, RobotMotion
 from sean_jax.robots.limits import max_reverse_speed
 
 STEPS, TIME_STEP = 16, 0.2  # of a plan, and s of each: 3.2 s ahead
@@ -55,33 +49,25 @@ STRETCH_TIME = 0.7  # s, by which the speed of people stretches their personal s
 class SocialCosts:
     """Weights of the social costs (sections IV-G, IV-H); one unit of cost is worth one metre of path."""
 
-    contact: Float[Array, ""]  # 1/s, with an obstacle or inside the intimate distance
-    obstacle: Float[Array, ""]  # 1/s, at contact
-    personal_space: Float[Array, ""]  # 1/s, in its middle
-    o_space: Float[Array, ""]  # 1/s, in the middle of a group that the task has nothing to do with
-    reverse: Float[Array, ""]  # 1/m, of driving backward
-    turn_rate: Float[Array, ""]  # s/rad2, of its square
-    acceleration: Float[Array, ""]  # s3/m2, of its square
-    goal_heading: Float[Array, ""]  # 1, of the opposite heading at the goal
+    contact: Float[Array, ""] = parameter(8.0)  # 1/s, with an obstacle or inside the intimate distance
+    obstacle: Float[Array, ""] = parameter(0.4)  # 1/s, at contact
+    personal_space: Float[Array, ""] = parameter(1.5)  # 1/s, in its middle
+    o_space: Float[Array, ""] = parameter(1.0)  # 1/s, in the middle of a group without a part in the task
+    reverse: Float[Array, ""] = parameter(1.0)  # 1/m, of driving backward
+    turn_rate: Float[Array, ""] = parameter(0.03)  # s/rad2, of its square
+    acceleration: Float[Array, ""] = parameter(0.02)  # s3/m2, of its square
+    goal_heading: Float[Array, ""] = parameter(0.3)  # 1, of the opposite heading at the goal
 
 
 @struct.dataclass
 class ExpertParams:
     """Parameters of the expert; all leaves are () floats."""
 
-    weights: SocialCosts
-    halfway: Float[Array, ""]  # 1, weight of the path that is left in the middle of a plan; at its end it is 1
-    goal_tolerance: Float[Array, ""]  # m from the goal, where it is reached
-    temperature: Float[Array, ""]  # of the weighted mean
-    patience: Float[Array, ""]  # s without progress, after which the weight of personal space is halved
-
-
-class PlanLimits(NamedTuple):
-    """Top speeds of a plan."""
-
-    ahead: Float[Array, ""]  # m/s
-    backward: Float[Array, ""]  # m/s
-    turn_rate: Float[Array, ""]  # rad/s
+    weights: SocialCosts = struct.field(default_factory=SocialCosts)
+    halfway: Float[Array, ""] = parameter(0.5)  # 1, weight of the remaining path in the middle of a plan; 1 at its end
+    goal_tolerance: Float[Array, ""] = parameter(0.2)  # m from the goal, where it is reached
+    temperature: Float[Array, ""] = parameter(0.05)  # of the weighted mean
+    patience: Float[Array, ""] = parameter(10.0)  # s without progress, which halve the weight of personal space
 
 
 class ExpertMemory(NamedTuple):
@@ -93,23 +79,6 @@ class ExpertMemory(NamedTuple):
     waiting_ticks: Int[Array, ""]  # since then
 
 
-def default_params() -> ExpertParams:
-    """The expert's parameters."""
-    weights = SocialCosts(
-        contact=scalar(8.0),
-        obstacle=scalar(0.4),
-        personal_space=scalar(1.5),
-        o_space=scalar(1.0),
-        reverse=scalar(1.0),
-        turn_rate=scalar(0.03),
-        acceleration=scalar(0.02),
-        goal_heading=scalar(0.3),
-    )
-    return ExpertParams(
-        weights, halfway=scalar(0.5), goal_tolerance=scalar(0.2), temperature=scalar(0.05), patience=scalar(10.0)
-    )
-
-
 def init(scenario: Scenario, params: ExpertParams, state: State) -> ExpertMemory:
     """Plans seconds ahead by sampling, politely: people are predicted, and their distances and o-spaces kept."""
     knots = jnp.zeros((KNOTS, 2), float)
@@ -119,7 +88,8 @@ def init(scenario: Scenario, params: ExpertParams, state: State) -> ExpertMemory
 
 def apply(scenario: Scenario, params: ExpertParams, state: State, key: Array) -> tuple[Float[Array, "2"], ExpertMemory]:
     """The command (2,) [m/s, rad/s] of the best plan, and the new memory."""
-    people = predict_people(scenario, nearest_people(state, MAX_PEOPLE), state.groups, STEPS, TIME_STEP)
+    nearest = prediction.nearest_people(state, MAX_PEOPLE)
+    people = prediction.predict_people(scenario, nearest, state.groups, STEPS, TIME_STEP)
     return plan(scenario, params, state, people, key)
 
 
@@ -159,13 +129,11 @@ def plan(
     return _commands(knots[0], limits), ExpertMemory(knots, memory.successors, distance_min, waiting_ticks)
 
 
-def plan_limits(scenario: Scenario) -> PlanLimits:
-    """The robot's limits, or those of driving among people where they are lower."""
+def plan_limits(scenario: Scenario) -> tuple[Array, Array, Array]:
+    """Top speeds ahead and backward [m/s] and turn rate [rad/s]: the robot's, or lower ones among people."""
     model = scenario.robot
     ahead = jnp.minimum(model.max_speed, MAX_SPEED)
-    return PlanLimits(
-        ahead, jnp.minimum(max_reverse_speed(model), ahead), jnp.minimum(model.max_turn_rate, MAX_TURN_RATE)
-    )
+    return ahead, jnp.minimum(max_reverse_speed(model), ahead), jnp.minimum(model.max_turn_rate, MAX_TURN_RATE)
 
 
 def _progress(scenario: Scenario, params: ExpertParams, state: State, table: CostToGo) -> tuple[Array, Array]:
@@ -180,17 +148,10 @@ def _progress(scenario: Scenario, params: ExpertParams, state: State, table: Cos
     return jnp.where(nearer, left, memory.distance_min), jnp.where(nearer, 0, memory.waiting_ticks + 1)
 
 
-def _arcs() -> np.ndarray:
-    """(A, KNOTS, 2) constant arcs, and turns on the spot after which the robot drives straight ahead."""
-    arcs = [np.tile([ahead, turn], (KNOTS, 1)) for ahead in ARC_SPEEDS for turn in ARC_TURN_RATES]
-    for turn in ARC_TURN_RATES:
-        turn_first = np.tile([1.0, 0.0], (KNOTS, 1))
-        turn_first[:2] = 0.0, turn
-        arcs.append(turn_first)
-    return np.stack(arcs)
-
-
-ARCS = _arcs()
+ARCS = np.stack([  # (A, KNOTS, 2): constant arcs, and turns on the spot after which the robot drives straight ahead
+    *(np.tile([ahead, turn], (KNOTS, 1)) for ahead in ARC_SPEEDS for turn in ARC_TURN_RATES),
+    *(np.array([(0.0, turn)] * 2 + [(1.0, 0.0)] * (KNOTS - 2)) for turn in ARC_TURN_RATES),
+])  # fmt: skip
 INTERPOLATION = np.stack([np.interp(np.arange(STEPS) * TIME_STEP, np.linspace(0, STEPS * TIME_STEP, KNOTS), one)
                           for one in np.eye(KNOTS)], -1)  # fmt: skip
 
@@ -201,38 +162,33 @@ def _shift(knots: Array, seconds: float) -> Array:
     return knots + share * jnp.diff(knots, axis=0, append=knots[-1:])
 
 
-def _commands(shares: Array, limits: PlanLimits) -> Array:
+def _commands(shares: Array, limits: tuple[Array, Array, Array]) -> Array:
     """(..., 2) m/s and rad/s of the shares (..., 2) of the limits."""
     ahead, back, turn = limits
     speed = jnp.where(shares[..., 0] > 0.0, ahead, back) * shares[..., 0]
     return jnp.stack([speed, turn * shares[..., 1]], -1)
 
 
-def _simulate(scenario: Scenario, state: State, knots: Array, limits: PlanLimits) -> RobotMotion:
+def _simulate(scenario: Scenario, state: State, knots: Array, limits: tuple[Array, Array, Array]) -> RobotMotion:
     """The motion on the floor of plans (P, KNOTS, 2)."""
     commands = _commands(jnp.einsum("tk,pkc->tpc", jnp.asarray(INTERPOLATION), knots), limits)
     robot = state.robot
-    x, y, yaw, speed, turn = predict_robot(
+    x, y, yaw, speed, turn = prediction.predict_robot(
         scenario.robot, robot.speed, robot.turn_rate, (commands[..., 0], commands[..., 1]), TIME_STEP
     )
-    x, y = to_world(robot.position, robot.heading, x, y)
+    x, y = prediction.to_world(robot.position, robot.heading, x, y)
     return RobotMotion(x, y, yaw + jnp.arctan2(robot.heading[1], robot.heading[0]), speed, turn)
 
 
 def _cost(
-    scenario: Scenario,
-    params: ExpertParams,
-    state: State,
-    table: CostToGo,
-    people: PeopleMotion,
-    motion: RobotMotion,
+    scenario: Scenario, params: ExpertParams, state: State, table: CostToGo, people: PeopleMotion, motion: RobotMotion
 ) -> Float[Array, "P"]:
     """(P,) cost of trajectories (T, P): the remaining path, and the social costs along the way."""
     x, y, yaw, speed, turn = motion
     weights, robot = params.weights, state.robot
     rate = obstacle_rate(scenario, weights, x, y) + people_rate(scenario, weights, x, y, people)
     rate = rate + group_rate(state, weights, x, y)
-    rate = rate + comfort_rate(weights, speed, turn, (robot.speed, robot.turn_rate), TIME_STEP)
+    rate = rate + comfort_rate(weights, robot, speed, turn)
     ends = [jnp.concatenate([part[STEPS // 2 - 1], part[-1]]) for part in (x, y)]
     left = distance_to_goal(scenario, state, table, *ends)
     left = jnp.maximum(jnp.where(jnp.isfinite(left), left, UNKNOWN_DISTANCE) - params.goal_tolerance, 0.0)
@@ -246,21 +202,14 @@ def _cost(
 # Social costs: rates of the shape of the trajectories (T, P), to be integrated over time.
 
 
-def obstacle_distance(
-    grid: ObstacleGrid, x: Float[Array, "*shape"], y: Float[Array, "*shape"]
-) -> Float[Array, "*shape"]:
-    """Distance [m] from places (x, y) [m] to the nearest obstacle within reach of the grid."""
-    rows = nearby_obstacles(grid, x, y)
-    return jnp.min(from_rectangle(x[..., None], y[..., None], *(rows[..., part] for part in range(6)))[0], -1)
-
-
 def obstacle_rate(
     scenario: Scenario, weights: SocialCosts, x: Float[Array, "T P"], y: Float[Array, "T P"]
 ) -> Float[Array, "T P"]:
     """Cost [1/s] of being near obstacles or the edge of the floor, at (x, y) [m]."""
     edge = to_border(scenario.environment, x, y)
-    gap = jnp.minimum(obstacle_distance(scenario.environment.obstacle_grid, x, y), edge)
-    gap = gap - scenario.robot.radius - OBSTACLE_MARGIN
+    rows = nearby_obstacles(scenario.environment.obstacle_grid, x, y)
+    walls = from_rectangle(x[..., None], y[..., None], *(rows[..., part] for part in range(6)))[0]
+    gap = jnp.minimum(jnp.min(walls, -1), edge) - scenario.robot.radius - OBSTACLE_MARGIN
     near = jnp.clip(1.0 - gap / OBSTACLE_REACH, 0.0, 1.0)
     inside = jnp.clip(-gap / OBSTACLE_MARGIN, 0.0, 10.0)
     return weights.obstacle * near * near + weights.contact * (inside + jnp.where(gap < 0.0, 1.0, 0.0))
@@ -303,25 +252,15 @@ def group_rate(
 
 
 def comfort_rate(
-    weights: SocialCosts,
-    speed: Float[Array, "T P"],
-    turn: Float[Array, "T P"],
-    before: tuple[Float[Array, ""], Float[Array, ""]],
-    time_step: float,
+    weights: SocialCosts, robot: Robot, speed: Float[Array, "T P"], turn: Float[Array, "T P"]
 ) -> Float[Array, "T P"]:
-    """Cost [1/s] of driving backward, of turning and of acceleration.
-
-    Args:
-        speed, turn: m/s and rad/s.
-        before: speed [m/s] and turn rate [rad/s] of now.
-        time_step: s, between two rows.
-    """
-    acceleration = jnp.diff(speed, axis=0, prepend=jnp.full_like(speed[:1], before[0])) / time_step
-    turn_acceleration = jnp.diff(turn, axis=0, prepend=jnp.full_like(turn[:1], before[1])) / time_step
+    """Cost [1/s] of driving backward, of turning and of acceleration, at speeds [m/s] and turn rates [rad/s]."""
+    acceleration = jnp.diff(speed, axis=0, prepend=jnp.full_like(speed[:1], robot.speed)) / TIME_STEP
+    turn_acceleration = jnp.diff(turn, axis=0, prepend=jnp.full_like(turn[:1], robot.turn_rate)) / TIME_STEP
     turning = weights.turn_rate * (turn * turn + 0.05 * turn_acceleration * turn_acceleration)
     reverse = weights.reverse * jnp.maximum(-speed, 0.0)
     return reverse + turning + weights.acceleration * acceleration * acceleration
 
 
-expert = Policy(params=default_params(), name="expert", init=init, apply=apply)
+expert = Policy(params=ExpertParams(), name="expert", init=init, apply=apply)
 """The expert with its usual parameters; others by ``replace(expert, params=...)``."""

@@ -1,9 +1,9 @@
 """sensing_expert: the expert's search with a robot's knowledge of people.
 
 ``expert`` knows all people, also behind walls and behind its back, and their goals. Networks that see a depth image
-(section V) cannot imitate what follows from that. This expert knows the people in its depth image, remembers them for a
+(section V) cannot imitate its consequences. This expert knows the people in its depth image, remembers them for a
 while after, and expects everybody to walk on at constant velocity. It knows the map, its pose and the goal, as a
-navigation stack does. Search and costs are those of ``expert``.
+navigation stack does. Search and costs are the same as in ``expert``.
 """
 
 from dataclasses import replace
@@ -17,7 +17,7 @@ from jaxtyping import Bool, Float, Int
 from sean_jax import sensors
 from sean_jax.base import Array, Policy, Scenario, State
 from sean_jax.clock import to_ticks
-from sean_jax.devices import scalar
+from sean_jax.devices import parameter
 from sean_jax.policies.expert import MAX_PEOPLE, STEPS, TIME_STEP, ExpertMemory, ExpertParams, expert, plan
 from sean_jax.policies.prediction import nearest_people, predict_straight
 
@@ -28,9 +28,9 @@ WIDTH, HEIGHT = 64, 48  # pixels of the depth image that shows people, each a bi
 class SensingParams:
     """Parameters of the sensing expert; all leaves are () floats."""
 
-    expert: ExpertParams
-    min_pixels: Float[Array, ""]  # of the 64 x 48 of the depth camera, that show a visible person; 0: all are visible
-    memory_time: Float[Array, ""]  # s, for which people out of sight are remembered
+    expert: ExpertParams = struct.field(default_factory=ExpertParams)
+    min_pixels: Float[Array, ""] = parameter(1.0)  # of the 64 x 48, in which a person is visible; 0: all are
+    memory_time: Float[Array, ""] = parameter(2.0)  # s, for which people out of sight are remembered
 
 
 class KnownPeople(NamedTuple):
@@ -48,11 +48,6 @@ class SensingMemory(NamedTuple):
 
     search: ExpertMemory
     people: KnownPeople
-
-
-def default_params() -> SensingParams:
-    """Parameters of the sensing expert."""
-    return SensingParams(expert.params, min_pixels=scalar(1.0), memory_time=scalar(2.0))
 
 
 def init(scenario: Scenario, params: SensingParams, state: State) -> SensingMemory:
@@ -77,7 +72,7 @@ def apply(
 
 @jax.named_scope("known_people")
 def known_people(scenario: Scenario, params: SensingParams, state: State, before: KnownPeople) -> KnownPeople:
-    """The known people: those in the depth image as they are, others from memory.
+    """The known people: exact for people in the depth image, others from memory.
 
     Positions and velocities of visible people are exact, and identities are never confused.
     """
@@ -112,5 +107,5 @@ def _as_known(state: State, people: KnownPeople) -> State:
     return replace(state, pedestrians=crowd, groups=replace(groups, present=groups.present & has_known))
 
 
-sensing_expert = Policy(params=default_params(), name="sensing_expert", init=init, apply=apply)
+sensing_expert = Policy(params=SensingParams(), name="sensing_expert", init=init, apply=apply)
 """The sensing expert with its usual parameters; others by ``replace(sensing_expert, params=...)``."""

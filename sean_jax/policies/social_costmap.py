@@ -35,8 +35,8 @@ from flax import struct
 from jaxtyping import Bool, Float, Int
 
 from sean_jax import clock
-from sean_jax.base import Array, Pedestrians, Policy, RobotModel, Scenario, State
-from sean_jax.devices import scalar
+from sean_jax.base import Array, Pedestrians, Policy, Robot, RobotModel, Scenario, State
+from sean_jax.devices import parameter, scalar
 from sean_jax.geometry import from_rectangle, length, nearby_obstacles, to_border
 from sean_jax.policies.cost_to_go import CostToGo, build_cost_to_go, corner_successors, distance_to_goal
 from sean_jax.policies.prediction import nearest_people, to_world
@@ -66,38 +66,42 @@ Tree = TypeVar("Tree")
 
 @struct.dataclass
 class CostmapParams:
-    """Parameters of the cost map's layers; all leaves are () floats."""
+    """Parameters of the cost map's layers; all leaves are () floats.
 
-    amplitude: Float[Array, ""]  # A, cost in the middle of a person (77)
-    cutoff: Float[Array, ""]  # lower costs become 0 (10)
-    covariance: Float[Array, ""]  # m2, C of a person who stands (SEAN 0.1; the package's default is 0.25)
-    factor: Float[Array, ""]  # s/m, by how much longer the Gaussian is ahead for each m/s (5)
-    inflation: Float[Array, ""]  # m, beyond contact, within which inflation costs something (inflation_radius, 0.3)
-    decay: Float[Array, ""]  # 1/m, of the inflation's cost (cost_scaling_factor, 10)
-    bodies: Float[Array, ""]  # 1 if people's bodies are on the map, 0 if not
+    The numbers are those of SEAN's files, but for the inflation: in the files its radius is 0.1 m on the local map,
+    and its decay 3.
+    """
+
+    amplitude: Float[Array, ""] = parameter(77.0)  # A, cost in the middle of a person
+    cutoff: Float[Array, ""] = parameter(10.0)  # lower costs become 0
+    covariance: Float[Array, ""] = parameter(0.1)  # m2, C of a person who stands, as in SEAN; ROS's default is 0.25
+    factor: Float[Array, ""] = parameter(5.0)  # s/m, by how much longer the Gaussian is ahead for each m/s
+    inflation: Float[Array, ""] = parameter(0.3)  # m beyond contact, the reach of inflation (inflation_radius)
+    decay: Float[Array, ""] = parameter(10.0)  # 1/m, of the inflation's cost (cost_scaling_factor)
+    bodies: Float[Array, ""] = parameter(1.0)  # 1 if people's bodies are on the map, 0 if not
 
 
 @struct.dataclass
 class LocalPlannerParams:
     """Limits and weights of the local planner; all leaves are () floats."""
 
-    top_speed: Float[Array, ""]  # 1, of the robot's own: 0.3 of 0.5 m/s
-    spin_min: Float[Array, ""]  # rad/s, of a turn on the spot
-    path: Float[Array, ""]  # per cell of 0.05 m from the plan (pdist_scale)
-    goal: Float[Array, ""]  # per cell of 0.05 m from where the plan leaves the map (gdist_scale)
-    obstacle: Float[Array, ""]  # per cost (occdist_scale)
+    top_speed: Float[Array, ""] = parameter(0.6)  # 1, of the robot's own: 0.3 of 0.5 m/s
+    spin_min: Float[Array, ""] = parameter(0.5)  # rad/s, of a turn on the spot
+    path: Float[Array, ""] = parameter(0.75)  # per cell of 0.05 m from the plan (pdist_scale)
+    goal: Float[Array, ""] = parameter(1.0)  # per cell of 0.05 m from where the plan leaves the map (gdist_scale)
+    obstacle: Float[Array, ""] = parameter(0.1)  # per cost (occdist_scale)
 
 
 @struct.dataclass
 class SocialCostmapParams:
     """Parameters of the navigation stack; leaves are () floats."""
 
-    global_costmap: CostmapParams
-    local_costmap: CostmapParams
-    local_planner: LocalPlannerParams
-    goal_tolerance: Float[Array, ""]  # m from the goal, where it stops (xy_goal_tolerance)
-    patience: Float[Array, ""]  # s without a path, after which it turns on the spot
-    spin: Float[Array, ""]  # rad/s, of that turn, once around
+    global_costmap: CostmapParams = struct.field(default_factory=CostmapParams)
+    local_costmap: CostmapParams = struct.field(default_factory=CostmapParams)
+    local_planner: LocalPlannerParams = struct.field(default_factory=LocalPlannerParams)
+    goal_tolerance: Float[Array, ""] = parameter(0.35)  # m from the goal, where it stops (xy_goal_tolerance)
+    patience: Float[Array, ""] = parameter(5.0)  # s without a path, after which it turns on the spot
+    spin: Float[Array, ""] = parameter(1.0)  # rad/s, of that turn, once around
 
 
 @struct.dataclass
@@ -123,36 +127,12 @@ class SocialCostmapMemory(NamedTuple):
 def default_params(top_speed: float = 0.6, covariance: float = 0.1) -> SocialCostmapParams:
     """The paper's stack: the proxemic layer and people's bodies on both maps.
 
-    The numbers are those of SEAN's files, but for the inflation, which is 0.3 m and 10 on both maps (in the files 0.3
-    m on the global and 0.1 m on the local map, and 3).
-
     Args:
         top_speed: 1, share of the robot's own top speed.
         covariance: m2, of personal space.
     """
-    layers = CostmapParams(
-        amplitude=scalar(77.0),
-        cutoff=scalar(10.0),
-        covariance=scalar(covariance),
-        factor=scalar(5.0),
-        inflation=scalar(0.3),
-        decay=scalar(10.0),
-        bodies=scalar(1.0),
-    )
-    return SocialCostmapParams(
-        global_costmap=layers,
-        local_costmap=layers,
-        local_planner=LocalPlannerParams(
-            top_speed=scalar(top_speed),
-            spin_min=scalar(0.5),
-            path=scalar(0.75),
-            goal=scalar(1.0),
-            obstacle=scalar(0.1),
-        ),
-        goal_tolerance=scalar(0.35),
-        patience=scalar(5.0),
-        spin=scalar(1.0),
-    )
+    layers = CostmapParams(covariance=scalar(covariance))
+    return SocialCostmapParams(layers, layers, LocalPlannerParams(top_speed=scalar(top_speed)))
 
 
 def sean2_params() -> SocialCostmapParams:
@@ -163,9 +143,8 @@ def sean2_params() -> SocialCostmapParams:
 
     Source: yale-sean/social_sim_ros, ``params/kuri``: ``costmap_common_params.yaml`` and ``map_nav_params/*.yaml``.
     """
-    params = default_params()
-    layers = replace(params.global_costmap, amplitude=scalar(0.0), decay=scalar(3.0), bodies=scalar(0.0))
-    return replace(params, global_costmap=layers, local_costmap=replace(layers, inflation=scalar(0.1)))
+    layers = CostmapParams(amplitude=scalar(0.0), decay=scalar(3.0), bodies=scalar(0.0))
+    return SocialCostmapParams(layers, replace(layers, inflation=scalar(0.1)))
 
 
 # 1. Cost map
@@ -357,25 +336,22 @@ def arc_trajectories(
 
 
 def best_command(
-    model: RobotModel,
+    scenario: Scenario,
     params: LocalPlannerParams,
-    robot: tuple[Array, Array, Array, Array],
+    robot: Robot,
     window: Window,
     costs: Float[Array, "C C"],
     path: tuple[Float[Array, "L"], Float[Array, "L"]],
-    time_step: float,
 ) -> tuple[Float[Array, "2"], Bool[Array, ""]]:
     """The command (2,) [m/s, rad/s] of the dynamic window with the best score; and whether any command touches nothing.
 
     If all commands touch something, the best is the one that ends where nothing is touched, or to stand.
 
     Args:
-        robot: its position (2,) [m], heading (2,), speed () [m/s] and turn rate () [rad/s].
         path: x and y [m] of the plan inside the window.
-        time_step: s, of control.
     """
-    position, heading, speed, turn_rate = robot
-    ahead, turns = sample_commands(model, params, speed, turn_rate, time_step)
+    position, heading = robot.position, robot.heading
+    ahead, turns = sample_commands(scenario.robot, params, robot.speed, robot.turn_rate, scenario.time_step)
     x, y, yaw = arc_trajectories(ahead, turns)
     world_x, world_y = to_world(position, heading, x, y)
     costs_along = costs[cell_index(window, costs.shape[0], world_x, world_y)]
@@ -437,14 +413,8 @@ def apply(
     wave = jax.lax.scan(lambda now, _: (sweep_wave(now, resistance, window.cell), None), wave, length=SWEEPS)[0]
     path, path_complete = _select(last, _global_path(state, window, wave), (memory.path, memory.path_complete))
     robot = state.robot
-    command, clear = best_command(
-        scenario.robot,
-        params.local_planner,
-        (robot.position, robot.heading, robot.speed, robot.turn_rate),
-        *_local_map(scenario, params, state),
-        _local_path(path, robot.position),
-        scenario.time_step,
-    )
+    window_and_costs, local_path = _local_map(scenario, params, state), _local_path(path, robot.position)
+    command, clear = best_command(scenario, params.local_planner, robot, *window_and_costs, local_path)
     command = jnp.where(path_complete, command, 0.0)
     command, waiting_ticks = _recover(scenario, params, memory.waiting_ticks, command, clear & path_complete)
     gap = state.task.goal - robot.position

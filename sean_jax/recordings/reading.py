@@ -2,7 +2,7 @@
 
 The header of a CSV file names its columns, in any order and case: the number of the frame, the person, x and y in
 metres, and if known a velocity, a facing angle, and the group. Each format has its own clock: ETH counts 6 and UCY 10
-frames in the 0.4 s between a person's lines, Juelich counts sixteenths of a second. Lines become rows as far apart
+frames in the 0.4 s between a person's lines, Juelich has 16 frames per second. Lines become rows as far apart
 as in the file, or sampled at another time step, as playback needs them (section IV-D).
 """
 
@@ -21,7 +21,7 @@ from jaxtyping import Bool, Float, Int
 
 from sean_jax.base import Array
 from sean_jax.errors import FileError, InputError
-from sean_jax.files import read_text, short_name, unknown_name
+from sean_jax.files import file_error, read_text, short_name, unknown_name
 from sean_jax.messages import shorten
 from sean_jax.quantities import MAX_COORDINATE, MAX_DURATION, MAX_PEOPLE, check_number
 
@@ -41,12 +41,12 @@ MAX_LINES = 1_000_000
 MAX_FRAME = 2**31 - 1
 ROUNDING = 1e-9  # s, of times that are a frame number times the seconds of a frame
 LONGEST_GAP = 2.0  # s: a person without lines for longer has left and entered again
-MAX_MEAN_SPEED = 2.0  # m/s: people who walk are slower on average; known recordings have 0.5 to 1.4
+MAX_MEAN_SPEED = 2.0  # m/s: walking people are slower on average; known recordings have 0.5 to 1.4
 MAX_SPEED = 20.0  # m/s: nobody runs as fast
 CLOCK_TOLERANCE = 0.25  # share by which a clock may differ from the velocities in a file
 USUAL_SPEED = 1.3  # m/s
 ETH_STEP = 0.4  # s, between a person's lines in ETH and UCY
-JUELICH_RATE = 16.0  # frames a second
+JUELICH_RATE = 16.0  # frames per second
 FORMATS = ("csv", "eth_ucy", "juelich", "groups")
 MAX_CELLS = 10_000_000  # of times and people
 MAX_MOMENTS = 5_000_000  # of all people together, sampled at another time step
@@ -54,10 +54,10 @@ MAX_STEPS = 1_000_000  # from the first moment to the last, likewise
 
 
 class Walk(NamedTuple):
-    """A person who is present from one row on, for some rows."""
+    """A person's positions in consecutive rows."""
 
     begin: int  # the first row
-    places: np.ndarray  # (K, 2) m, in that row and those that follow
+    places: np.ndarray  # (K, 2) m, in this row and the following rows
     person: int  # the file's number
 
 
@@ -87,8 +87,8 @@ def read(
     columns serve one person after the other, so there are as few columns as people at once.
 
     Args:
-        recording_format: a key of ``READERS``; None: eth_ucy for a file with velocities, else frame_rate is needed.
-        frame_rate: frames a second; that of the format if None.
+        recording_format: one of ``FORMATS``; None: eth_ucy for a file with velocities, else frame_rate is needed.
+        frame_rate: frames per second; the format's if None.
         time_step: s between rows; as far apart as a person's lines usually are if None.
 
     Raises:
@@ -96,52 +96,6 @@ def read(
     """
     recorded = read_lines(path, recording_format, frame_rate)
     return _arrange(recorded) if time_step is None else _sampled(recorded, time_step)
-
-
-def read_csv(path: str | Path, seconds: float = 1.0) -> Tracks:
-    """A recording with the columns frame, id (or ped_id), x, y (or x_m, y_m), in metres. Lines go to the nearest row.
-
-    Args:
-        seconds: s from one frame number to the next.
-
-    Raises:
-        FileError: one sentence that names the file, its line or column, and the cure.
-    """
-    return read(path, "csv", 1.0 / check_number("seconds", seconds, 1e-4, MAX_DURATION, "s"))
-
-
-def read_eth_ucy(path: str | Path) -> Tracks:
-    """ETH (Pellegrini et al. 2009) and UCY (Lerner et al. 2007) as CSV: a person has a line every 0.4 s.
-
-    In ETH some people's lines lie between those of others; they are moved by up to half a row. Raises FileError.
-    """
-    return read(path, "eth_ucy")
-
-
-def read_juelich(path: str | Path) -> Tracks:
-    """Corridor experiments of Forschungszentrum Juelich (HERMES 2009) as CSV: frames are 1/16 s. Raises FileError."""
-    return read(path, "juelich")
-
-
-def read_groups(path: str | Path, seconds: float = 1.0) -> Tracks:
-    """Annotated conversations (Cocktail Party, Coffee Break), also with facing (theta_rad) and group_id, -1 alone.
-
-    Args:
-        seconds: s between annotated frames (Cocktail Party: 5).
-
-    Raises:
-        FileError: one sentence that names the file, its line or column, and the cure.
-    """
-    recorded = read_lines(path, "groups", 1.0 / check_number("seconds", seconds, 1e-4, MAX_DURATION, "s"))
-    for name in ("facing", "group"):
-        if name not in recorded.values:
-            column = NAMES[name][0]
-            raise FileError(f"{short_name(Path(path))}: has no column {column}, which groups need.")
-    return _arrange(recorded)
-
-
-READERS = {"csv": read_csv, "eth_ucy": read_eth_ucy, "juelich": read_juelich, "groups": read_groups}
-"""name of a format -> path -> Tracks"""
 
 
 def read_companions(path: str | Path, tracks: Tracks) -> Int[np.ndarray, " N"]:
@@ -162,10 +116,8 @@ def read_companions(path: str | Path, tracks: Tracks) -> Int[np.ndarray, " N"]:
         members = []
         for word in text.split():
             if not word.isdecimal() or int(word) not in column:
-                raise FileError(
-                    f"{short_name(Path(path))}:{line}: {word[:40]!r} is the number of nobody in the recording; "
-                    "give a line of people for each group."
-                )
+                text = f"{word[:40]!r} is the number of nobody in the recording; give a line of people for each group"
+                raise file_error(path, text, line)
             members.append(column[int(word)])
         if members:
             shared = np.isin(group, group[members][group[members] >= 0])
@@ -183,7 +135,7 @@ class Lines:
     """R lines of a recording of P people, in the order of the file."""
 
     path: Path
-    values: dict[str, np.ndarray]  # of "frame", "x", "y" and whatever else the file has: (R,) float64
+    values: dict[str, np.ndarray]  # of "frame", "x", "y" and the other columns of the file: (R,) float64
     person: np.ndarray  # (R,) int, from 0 to P - 1
     number: np.ndarray  # (P,) int32 the file's number of each person; of names that are no numbers, their order
     line: np.ndarray  # (R,) int, in the file
@@ -243,41 +195,39 @@ def _table(path: Path) -> tuple[dict[str, np.ndarray], list[str], np.ndarray]:
             elif ours in NEEDED:
                 columns = ", ".join(name[:40] for name in header[:12]) or "nothing"
                 which = " or ".join(theirs)
-                raise FileError(
-                    f"{short_name(path)}:1: has no column {which} but {columns}; the first line names the columns."
-                )
+                raise file_error(path, f"has no column {which} but {columns}; the first line names the columns", 1)
         name_place = places.pop("person")
         for row in reader:
             if not any(cell.strip() for cell in row):
                 continue
             if len(rows) == MAX_LINES:
-                what = f"is beyond the {MAX_LINES:,} lines that are read"
-                raise FileError(f"{short_name(path)}:{reader.line_num}: {what}; cut the file.")
+                raise file_error(
+                    path, f"is beyond the {MAX_LINES:,} lines that are read; cut the file", reader.line_num
+                )
             try:
                 rows.append([float(row[place]) for place in places.values()])
                 names.append(_plain(row[name_place].strip()))
             except (ValueError, IndexError):
-                content = shorten(",".join(row), 80)
-                raise FileError(
-                    f"{short_name(path)}:{reader.line_num}: is no line of a person and numbers: {content!r}; mend it."
-                ) from None
+                text = f"is no line of a person and numbers: {shorten(','.join(row), 80)!r}; mend it"
+                raise file_error(path, text, reader.line_num) from None
             lines.append(reader.line_num)
     except csv.Error as error:
-        raise FileError(f"{short_name(path)}:{reader.line_num}: is not CSV: {error}.") from None
+        raise file_error(path, f"is not CSV: {error}", reader.line_num) from None
     if not rows:
-        raise FileError(f"{short_name(path)}: holds no line besides the names of its columns.")
+        raise file_error(path, "holds no line besides the names of its columns")
     table, line = np.array(rows, float).T, np.array(lines)
     columns = dict(zip(places, table, strict=True))
     for name, column in columns.items():
         limit = {"frame": MAX_FRAME, "x": MAX_COORDINATE, "y": MAX_COORDINATE, "group": MAX_FRAME}.get(name, 1e3)
         wrong = np.flatnonzero(~(np.abs(column) <= limit))
         if len(wrong):
-            where, value = f"{short_name(path)}:{line[wrong[0]]}", column[wrong[0]]
+            value = column[wrong[0]]
             fault = "not finite" if not np.isfinite(value) else f"beyond {limit:,.0f}"
-            raise FileError(f"{where}: {header[places[name]]} is {value:g}, which is {fault}; leave the line out.")
+            text = f"{header[places[name]]} is {value:g}, which is {fault}; leave the line out"
+            raise file_error(path, text, line[wrong[0]])
     for name, where in zip(names, line, strict=True):
         if not name or (_is_number(name) and abs(float(name)) > MAX_FRAME):
-            raise FileError(f"{short_name(path)}:{where}: the person is {name[:40]!r}; give a name or a whole number.")
+            raise file_error(path, f"the person is {name[:40]!r}; give a name or a whole number", where)
     return columns, names, line
 
 
@@ -323,27 +273,30 @@ def _seconds(
     if recording_format == "groups":
         return 1.0
     cure = "give frame_rate, or recording_format if it is eth_ucy or juelich"
-    raise FileError(f"{short_name(path)}: does not tell how many frames a second it has; {cure}.")
+    raise file_error(path, f"does not tell how many frames a second it has; {cure}")
 
 
 def _check(recorded: Lines) -> None:
-    """Refuse people who are in two places at once, or faster than people are."""
+    """Refuse people in two places at once, and impossible speeds."""
     path, frame, person = recorded.path, recorded.values["frame"], recorded.person
     span = (frame.max() - frame.min()) * recorded.seconds
     if span > 7 * MAX_DURATION:
         at = recorded.line[np.argmax(np.abs(frame - np.median(frame)))]
-        raise FileError(f"{short_name(path)}:{at}: the frame is {span:.3g} s from others; leave the line out.")
+        raise file_error(path, f"the frame is {span:.3g} s from others; leave the line out", at)
     order = np.lexsort((frame, person))
     same_person = np.diff(person[order]) == 0
     time = np.diff(frame[order])[same_person] * recorded.seconds
     twice = np.flatnonzero(time <= 0)
     if len(twice):
         at = order[1:][same_person][twice[0]]
-        what = f"the person is already there in frame {frame[at]:g}"
-        raise FileError(f"{short_name(path)}:{recorded.line[at]}: {what}; keep one of the lines.")
+        text = f"the person is already there in frame {frame[at]:g}; keep one of the lines"
+        raise file_error(path, text, recorded.line[at])
     way = np.hypot(*(np.diff(recorded.values[name][order])[same_person] for name in ("x", "y")))
     present = time <= LONGEST_GAP + ROUNDING
-    in_file = _speeds_in_file(recorded, order, same_person)
+    in_file = None  # m/s, between a person's lines, by the velocities in the file
+    if "vx" in recorded.values and "vy" in recorded.values:
+        usual = np.hypot(recorded.values["vx"], recorded.values["vy"])[order]
+        in_file = 0.5 * (usual[1:] + usual[:-1])[same_person]
     rate = 1.0 / recorded.seconds
     speed = way[present].sum() / max(time[present].sum(), 1e-9)
     ours = f"{rate:g} frames a second" if rate >= 1 else f"{recorded.seconds:g} s a frame"
@@ -352,25 +305,15 @@ def _check(recorded: Lines) -> None:
         moving = (in_file * time)[present].sum() > 1.0  # m
         if moving and abs(share - 1.0) > CLOCK_TOLERANCE:
             cure = f"by these there are {rate / share:.3g} a second"
-            raise FileError(
-                f"{short_name(path)}: with {ours} people walk at {share:.2f} times their vx_mps and vy_mps; {cure}."
-            )
+            raise file_error(path, f"with {ours} people walk at {share:.2f} times their vx_mps and vy_mps; {cure}")
     if speed > MAX_MEAN_SPEED:
         cure = f"look at frame_rate: with {rate * USUAL_SPEED / speed:.2g} a second they walk at {USUAL_SPEED:g} m/s"
-        raise FileError(f"{short_name(path)}: with {ours} people walk at {speed:.2f} m/s, and nobody does; {cure}.")
+        raise file_error(path, f"with {ours} people walk at {speed:.2f} m/s, and nobody does; {cure}")
     jumps = np.flatnonzero(present & (way > MAX_SPEED * time))
     if len(jumps):
         at = order[1:][same_person][jumps[0]]
         what = f"the person is {way[jumps[0]]:,.1f} m from where they were {time[jumps[0]]:.2g} s before"
-        raise FileError(f"{short_name(path)}:{recorded.line[at]}: {what}; leave the line out or look at frame_rate.")
-
-
-def _speeds_in_file(recorded: Lines, order: np.ndarray, same_person: np.ndarray) -> np.ndarray | None:
-    """Speeds [m/s] between a person's lines by the velocities in the file, if it has any."""
-    if "vx" not in recorded.values or "vy" not in recorded.values:
-        return None
-    speed = np.hypot(recorded.values["vx"], recorded.values["vy"])[order]
-    return 0.5 * (speed[1:] + speed[:-1])[same_person]
+        raise file_error(path, f"{what}; leave the line out or look at frame_rate", recorded.line[at])
 
 
 # ------------------------------------------------------------------ lines as rows
@@ -383,7 +326,7 @@ def _arrange(recorded: Lines) -> Tracks:
     times = float(np.ceil((table["frame"].max() - first) / step)) + 1
     if times * len(recorded.number) > MAX_CELLS:
         cells = f"{times:,.0f} times of {len(recorded.number):,} people are more than {MAX_CELLS:,} places"
-        raise FileError(f"{short_name(path)}: {cells}; cut the recording.")
+        raise file_error(path, f"{cells}; cut the recording")
     row = np.floor((table["frame"] - first) / step + 0.5).astype(int)
     column, shape = person, (row.max() + 1, len(recorded.number))
     present = np.zeros(shape, bool)
@@ -391,7 +334,7 @@ def _arrange(recorded: Lines) -> Tracks:
     same = (np.diff(row[order]) == 0) & (np.diff(column[order]) == 0)
     if same.any():
         line = recorded.line[order[1:][same][0]]
-        raise FileError(f"{short_name(path)}:{line}: the person is already there in this frame; keep one of the lines.")
+        raise file_error(path, "the person is already there in this frame; keep one of the lines", line)
     present[row, column] = True
     position, facing = np.zeros((*shape, 2)), np.zeros((*shape, 2))
     position[row, column] = np.stack([table["x"], table["y"]], -1)
@@ -424,7 +367,7 @@ def _sampled(recorded: Lines, time_step: float) -> Tracks:
     first = min(stretch[0, 0] for _, stretch in stretches)
     moments = sum(stretch[-1, 0] - stretch[0, 0] for _, stretch in stretches) / time_step
     if moments > MAX_MOMENTS or (max(stretch[-1, 0] for _, stretch in stretches) - first) / time_step > MAX_STEPS:
-        raise FileError(f"{short_name(path)}: is too long to be played in steps of {time_step:g} s; cut the recording.")
+        raise file_error(path, f"is too long to be played in steps of {time_step:g} s; cut the recording")
     walks = [walk for person, stretch in stretches if (walk := _sample(person, stretch, first, time_step)) is not None]
     if not walks:
         rate = f"{1.0 / recorded.seconds:g} frames a second"
@@ -434,8 +377,8 @@ def _sampled(recorded: Lines, time_step: float) -> Tracks:
     columns = _columns(sorted(walks, key=lambda walk: walk.begin), path)
     times = max(walk.begin + len(walk.places) for walk in walks)
     if times * len(columns) > MAX_MOMENTS:
-        size = f"{times:,} steps with up to {len(columns):,} people at once"
-        raise FileError(f"{short_name(path)}: {size} are too much to be played; cut the recording.")
+        size = f"{times:,} steps with up to {len(columns):,} people at once are too much to be played"
+        raise file_error(path, f"{size}; cut the recording")
     shape = times, len(columns)
     position, present = np.zeros((*shape, 2)), np.zeros(shape, bool)
     person = np.full(shape, -1, np.int32)
@@ -447,16 +390,10 @@ def _sampled(recorded: Lines, time_step: float) -> Tracks:
             present[begin:end, n], person[begin:end, n] = True, number
             before = end
         position[before:, n] = position[before - 1, n]
-    frame = np.rint((first + time_step * np.arange(times)) / recorded.seconds)
-    arrays: dict[str, Any] = dict(
-        position=position,
-        facing=np.broadcast_to(np.array([1.0, 0.0]), (*shape, 2)),
-        group=np.broadcast_to(np.int32(-1), shape),
-        present=present,
-        person=person,
-        frame=frame.astype(np.int32),
-    )
-    return Tracks(**arrays, time_step=time_step)
+    frame = np.rint((first + time_step * np.arange(times)) / recorded.seconds).astype(np.int32)
+    facing: Any = np.broadcast_to(np.array([1.0, 0.0]), (*shape, 2))
+    group: Any = np.broadcast_to(np.int32(-1), shape)
+    return Tracks(position, facing, group, present, person, frame, time_step)  # pyright: ignore[reportArgumentType]
 
 
 def _stretches(recorded: Lines) -> list[tuple[int, np.ndarray]]:
@@ -490,9 +427,7 @@ def _columns(walks: list[Walk], path: Path) -> list[list[Walk]]:
             heapq.heappush(free, heapq.heappop(busy)[1])
         if not free:
             if len(columns) == MAX_PEOPLE:
-                raise FileError(
-                    f"{short_name(path)}: more than {MAX_PEOPLE:,} people are there at once; cut the recording."
-                )
+                raise file_error(path, f"more than {MAX_PEOPLE:,} people are there at once; cut the recording")
             free.append(len(columns))
             columns.append([])
         column = heapq.heappop(free)

@@ -3,12 +3,20 @@
 The plan from above with people's headings and trails, their groups, the robot with what its sensors have in sight, its
 planned path, the graph, the lights of the situations (Fig. 2) and metrics as curves below a timeline. ``page.js`` is
 built of the TypeScript in ``web/`` (``npm run build``).
+
+The page reads episodes as whole numbers: differences from frame to frame, deflated, as text. A column is T numbers.
+They are rounded to 16 bits, and each is the difference from the one before it, modulo 2**16: differences of people who
+walk are small and alike, so that they deflate to a seventh of their size. Low bytes of all columns come first, then
+high bytes, which are mostly 0 or 255. ``web/src/recording.ts`` reads them.
 """
 
+import base64
 import dataclasses
 import html as markup
+import io
 import json
-from collections.abc import Sequence
+import zlib
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,13 +27,17 @@ import numpy as np
 from sean_jax import drawing, files, navigation, pages, writing
 from sean_jax.base import Environment, Scenario, Trajectory
 from sean_jax.drawing import colors
-from sean_jax.drawing.layers import one_episode, situation_names
+from sean_jax.drawing.layers import first_episode, one_episode, situation_names
 from sean_jax.errors import InputError
 from sean_jax.graph import FLOWS, NO_EDGE, BehaviorGraph, graph_of
 from sean_jax.metrics.proximity import INTIMATE, PERSONAL
-from sean_jax.replay.encoding import encode
 
 VERSION = 1
+LEVELS = 2**16 - 1
+TURN = 2.0 * np.pi / 2**16  # rad, of a level of an angle
+COARSE = 2.0 * np.pi / 256  # rad, of people's headings: finer ones cannot be seen, and take a third more bytes
+CENTIMETRE = 0.01
+LOWEST = -300.0  # m: 655 m from there on are what places in whole centimetres can be
 TEMPLATE = "replay/page.html"
 PLAN_POINTS, PLAN_SPACING = 24, 0.5  # of the planned path; m
 NOBODY = 20.0  # m, drawn as the distance of the nearest person where there is none
@@ -66,45 +78,25 @@ def recording(
     situations: Sequence[str] | None = None,
     time_step: float = 0.1,
     robot: bool = True,
+    live: str = "",
 ) -> dict[str, Any]:
     """The content of the page as JSON values, which ``web/src/recording.ts`` describes.
 
     Args:
-        episodes: one or more, with as many situations each.
+        episodes: one or more, with as many situations each; none with ``live``.
         scenario: for the robot's size and sensors; without it, they are not drawn.
         situations: their names; the paper's five, or numbers, if None.
         robot: whether there is one; else only people are drawn.
+        live: address from which the page asks for the frames of one more episode.
 
     Raises:
         InputError: there is no episode, or one has a batch axis or other situations.
     """
-    if not episodes:
+    if not (episodes or live):
         raise InputError("replay: there is no episode; give one or more.")
-    names = situation_names(episodes[0].frames, situations)
-    content = _content(environment, title, graph, scenario, names, time_step, robot)
-    return content | {"episodes": [encoded(each, names, robot) for each in episodes]}
-
-
-def awaited(scenario: Scenario, title: str = "") -> dict[str, Any]:
-    """A recording without episodes, for a page that asks for the frames."""
-    names = [name for name, _ in scenario.situations]
-    graph = graph_of(scenario)
-    content = _content(scenario.environment, title, graph, scenario, names, scenario.time_step, True)
-    return content | {"episodes": []}
-
-
-def _content(
-    environment: Environment,
-    title: str,
-    graph: BehaviorGraph | None,
-    scenario: Scenario | None,
-    names: Sequence[str],
-    time_step: float,
-    robot: bool,
-) -> dict[str, Any]:
-    """All but the episodes."""
+    names = situation_names(episodes[0].frames, situations) if episodes else tuple(situations or ())
     shades = colors.situation_colors(names)
-    return {
+    content = {
         "version": VERSION,
         "title": title,
         "place": _place(environment),
@@ -114,20 +106,18 @@ def _content(
         "situations": [{"name": name, "color": shade} for name, shade in zip(names, shades, strict=True)],
         "curves": list(CURVES if robot else OF_PEOPLE),
         "timeStep": time_step,
+        "episodes": [encoded(each, names, robot) for each in episodes],
     }
+    return content | ({"live": live} if live else {})
 
 
-def of_scenario(scenario: Scenario, episodes: Sequence[Episode], title: str = "") -> dict[str, Any]:
-    """A recording of one or more episodes of a scenario, with planned paths.
-
-    Raises:
-        InputError: there is no episode, or one has a batch axis.
-    """
+def of_scenario(scenario: Scenario, episodes: Sequence[Episode], title: str = "", live: str = "") -> dict[str, Any]:
+    """A recording of episodes of a scenario, with planned paths; arguments and errors as of ``recording``."""
     planned = [dataclasses.replace(each, plan=plans(scenario, one_episode(each.frames))) for each in episodes]
     names = [name for name, _ in scenario.situations]
     return recording(
         planned, scenario.environment, title=title, graph=graph_of(scenario), scenario=scenario, situations=names,
-        time_step=scenario.time_step,
+        time_step=scenario.time_step, live=live,
     )  # fmt: skip
 
 
@@ -135,14 +125,9 @@ def plans(scenario: Scenario, frames: Trajectory) -> np.ndarray:
     """(T, K, 2) m, the remaining shortest path of an episode's frames (T, ...), once a second; beyond it, the goal."""
     every = max(1, round(1.0 / scenario.time_step))
     some = np.arange(0, len(frames.active), every)
-    table = scenario.navigation
-    if len(np.unique(np.asarray(frames.goal), axis=0)) > 1:
-        some_goals = np.asarray(frames.goal)[some]
-    else:
-        some_goals = np.broadcast_to(np.asarray(frames.goal)[:1], (len(some), 2))
     padded = 128 * -(-len(some) // 128)  # so that episodes of like length share a program
-    where = [np.resize(part, (padded, 2)) for part in (np.asarray(frames.position)[some], some_goals)]
-    points = np.asarray(_plans(table, *(jnp.asarray(part, float) for part in where)))[: len(some)]
+    where = [np.resize(np.asarray(part)[some], (padded, 2)) for part in (frames.position, frames.goal)]
+    points = np.asarray(_plans(scenario.navigation, *(jnp.asarray(part, float) for part in where)))[: len(some)]
     return np.repeat(points, every, axis=0)[: len(frames.active)]
 
 
@@ -201,7 +186,7 @@ def encoded(episode: Episode, names: Sequence[str], robot: bool = True) -> dict[
     columns = {
         "person x": _filled(frames.people[..., 0], frames.present),
         "person y": _filled(frames.people[..., 1], frames.present),
-        "person heading": _coarse(_angle(frames.people_heading)),
+        "person heading": np.round(_angle(frames.people_heading) / COARSE) * COARSE,
         "person group": frames.group,
         "person present": frames.present,
         "situation": frames.situations,
@@ -238,19 +223,48 @@ def _angle(heading: np.ndarray) -> np.ndarray:
     return np.arctan2(heading[..., 1], heading[..., 0])
 
 
-def _coarse(angle: np.ndarray) -> np.ndarray:
-    """To 1.4 degrees: finer ones cannot be seen, and take a third more bytes."""
-    level = 2.0 * np.pi / 256
-    return np.round(angle / level) * level
-
-
 def _filled(values: np.ndarray, present: np.ndarray) -> np.ndarray:
-    """Positions, for absent people their last one, or the one where they will appear."""
+    """Positions (T, N); those of absent people are their last ones, or the ones where they will appear."""
     frames = np.arange(len(values))[:, None]
     last = np.maximum.accumulate(np.where(present, frames, -1), 0)
     first = np.where(present.any(0), present.argmax(0), 0)
     filled = np.take_along_axis(values, np.where(last < 0, first[None], last), 0)
     return np.where(present.any(0), filled, 0.0)
+
+
+def encode(columns: Mapping[str, np.ndarray], kinds: Mapping[str, str]) -> dict[str, Any]:
+    """Columns of an episode, (T,) or (T, K) by name, as the list of (name, count, scale, offset) and base64 data.
+
+    Args:
+        kinds: name -> ``place`` [m], to a centimetre; ``angle`` [rad]; ``index``, whole numbers from -1 on; any other
+            name is a number, whose range is divided into 65,535 levels.
+    """
+    heads, levels = [], []
+    for name, column in columns.items():
+        values = np.asarray(column, float)
+        values = values[:, None] if values.ndim == 1 else values
+        scale, offset = _scale(values, kinds.get(name, "number"))
+        levels.append(np.round((values.T - offset) / scale).astype(np.int64))
+        heads.append({"name": name, "count": values.shape[1], "scale": scale, "offset": offset})
+    steps = [np.diff(each, axis=1, prepend=0).astype(np.uint16).ravel() for each in levels]
+    whole = np.concatenate([*steps, np.zeros(0, np.uint16)])
+    halves = np.concatenate([whole & 0xFF, whole >> 8]).astype(np.uint8)
+    packed = base64.b64encode(zlib.compress(halves.tobytes(), 9)).decode("ascii")
+    return {"columns": heads, "data": packed}
+
+
+def _scale(values: np.ndarray, kind: str) -> tuple[float, float]:
+    """The scale of a level, and the value of level 0."""
+    if kind == "place":
+        inside = values.size == 0 or (values.min() > LOWEST and values.max() < LOWEST + LEVELS * CENTIMETRE)
+        if inside:
+            return CENTIMETRE, LOWEST
+    if kind == "angle":
+        return TURN, 0.0
+    if kind == "index":
+        return 1.0, -1.0
+    low, high = (float(values.min()), float(values.max())) if values.size else (0.0, 1.0)
+    return max((high - low) / LEVELS, 1e-9), low
 
 
 def element(content: dict[str, Any], name: str = "replay", linked: bool = True, program: bool = True) -> str:
@@ -276,7 +290,7 @@ def html(content: dict[str, Any], picture: str = "", linked: bool = True) -> str
     """A page with one player of a recording.
 
     Args:
-        picture: HTML that stands for it where there is no JavaScript.
+        picture: HTML for readers without JavaScript.
     """
     instead = f"<noscript>{picture or 'This page needs JavaScript.'}</noscript>"
     players = [("", element(content, linked=linked))]
@@ -308,15 +322,11 @@ class Replay:
 
     def _repr_png_(self) -> bytes:
         """The picture, for readers that show no HTML."""
-        import io
-
         stream = io.BytesIO()
         self.figure.savefig(stream, format="png", dpi=110)
         return stream.getvalue()
 
     def _repr_html_(self) -> str:
-        import base64
-
         data = base64.b64encode(self._repr_png_()).decode("ascii")
         picture = f'<img alt="episode from above" style="max-width:100%" src="data:image/png;base64,{data}">'
         page = markup.escape(html(self.content, picture, linked=False))
@@ -328,7 +338,7 @@ class Replay:
 def view(trajectory: Trajectory, scenario: Scenario | None = None, animate: bool = False) -> Any:
     """Show a trajectory (T, ...) in a notebook, with a timeline to play it; of a batch (B, T, ...) the first episode.
 
-    The behavior graph, the robot's camera and its planned path are drawn if the scenario is given. Without a scenario,
+    The behavior graph, the robot's camera and its planned path are drawn with a scenario. Without a scenario,
     people and robot are drawn on an empty floor.
 
     Returns:
@@ -338,9 +348,7 @@ def view(trajectory: Trajectory, scenario: Scenario | None = None, animate: bool
     picture = drawing.view(trajectory, scenario, animate)
     if animate:
         return picture
-    frames = trajectory
-    while np.ndim(frames.active) > 1:
-        frames = jax.tree.map(lambda leaf: leaf[0], frames)
+    frames = first_episode(trajectory)
     episode = Episode(frames, "episode")
     if scenario is None:
         return Replay(recording([episode], drawing.empty_floor(frames)), picture)

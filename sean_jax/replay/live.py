@@ -1,7 +1,7 @@
-"""``sean run --live``: the replay page of the first episode while the run goes on, served to this computer alone.
+"""``sean run --live``: the replay page of the first episode during the run, served to this computer only.
 
-The page asks twice a second for what has come since. What was served is kept, so that a page that is opened later, or
-anew, begins at the first frame: an episode's frames, encoded, and no more.
+The page requests new frames twice a second. All encoded frames of the episode stay in memory, so a page that is opened
+later, or reloaded, begins at the first frame.
 """
 
 import contextlib
@@ -59,7 +59,7 @@ class Live:
 
 
 class _Server(ThreadingHTTPServer):
-    """A server whose connections are few, and end without a word in the terminal however the other side ends them."""
+    """A server with few connections, which prints nothing in the terminal when a browser ends one."""
 
     daemon_threads = True
 
@@ -91,7 +91,7 @@ class _Server(ThreadingHTTPServer):
 @contextlib.contextmanager
 def serve(scenario: Scenario, title: str) -> Iterator[Live]:
     """Serve the page on a free port of 127.0.0.1 until the block ends."""
-    page = replay.html(replay.awaited(scenario, title) | {"live": FRAMES}, linked=False).encode("utf-8")
+    page = replay.html(replay.of_scenario(scenario, [], title, live=FRAMES), linked=False).encode("utf-8")
 
     class Handler(BaseHTTPRequestHandler):
         timeout = PATIENCE
@@ -101,11 +101,11 @@ def serve(scenario: Scenario, title: str) -> Iterator[Live]:
             if self.headers.get("Host") not in allowed:  # a page elsewhere whose name was turned to this computer
                 self.send_error(403)
                 return
-            asked = urllib.parse.urlsplit(self.path)
-            first = urllib.parse.parse_qs(asked.query).get("from", ["0"])[0]
-            if asked.path == "/":
+            url = urllib.parse.urlsplit(self.path)
+            first = urllib.parse.parse_qs(url.query).get("from", ["0"])[0]
+            if url.path == "/":
                 self._answer(page, "text/html; charset=utf-8")
-            elif asked.path == f"/{FRAMES}" and first.isdecimal() and len(first) < 10:
+            elif url.path == f"/{FRAMES}" and first.isdecimal() and len(first) < 10:
                 self._answer(live.since(int(first)).encode("utf-8"), "application/json")
             else:
                 self.send_error(404)

@@ -13,7 +13,7 @@ from sean_jax.base import Mount, Solids
 from sean_jax.errors import FileError
 from sean_jax.files import mjcf
 
-RANGES = {  # minimum, maximum and unit of each number: wider than those of any robot that moves among people
+RANGES = {  # minimum, maximum and unit of each number: wider than for any robot among people
     "max_speed": (0.01, 30.0, "m/s"),
     "max_reverse_speed": (0.001, 30.0, "m/s"),
     "max_turn_rate": (0.01, 100.0, "rad/s"),
@@ -41,10 +41,10 @@ BUILD = (
 )
 JOINTS = (("slide", "x"), ("slide", "y"), ("hinge", "z"), ("hinge", "y"), ("hinge", "y"))
 AXES = dict(zip("xyz", np.eye(3), strict=True))
-UPRIGHT = 1e-6  # how far from 1 the cosine of the base's tilt may be
-BESIDE = 1e-4  # m, how far ahead of the base's hinge a wheel may be
+UPRIGHT = 1e-6  # maximum deviation of the cosine of the base's tilt from 1
+BESIDE = 1e-4  # m, maximum distance of a wheel ahead of the base's hinge
 MIN_MASS = 1e-3  # kg, of the base and of a wheel; MuJoCo takes 1e-15
-ON_FLOOR = 5e-3  # m, how far above or below the floor the lowest point of a wheel may be
+ON_FLOOR = 5e-3  # m, maximum distance of the lowest point of a wheel from the floor
 
 
 def read(path: Path) -> tuple[Any, dict[str, Any], np.ndarray]:
@@ -202,7 +202,7 @@ def _joints(model: Any) -> Iterator[str]:
             yield f"joint {_label(model.joint(number), number)} is a {has} and not a {kind}"
         elif not np.allclose(model.jnt_axis[number], AXES[axis]):
             along = " ".join(f"{part:g}" for part in model.jnt_axis[number])
-            yield f"the axis of joint {_label(model.joint(number), number)} is ({along}) and not that of {axis}"
+            yield f"the axis of joint {_label(model.joint(number), number)} is ({along}), not {axis}"
 
 
 def _servos(model: Any) -> Iterator[str]:

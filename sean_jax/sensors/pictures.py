@@ -22,8 +22,8 @@ AMBIENT, SUN = 0.55, 0.5  # shares of the light
 SKIN, HAIR, LEGS = (0.87, 0.70, 0.58), (0.24, 0.18, 0.15), (0.22, 0.25, 0.32)
 NECK, WAIST = 1.47, 0.85  # m above the floor
 FACE = 0.22  # m, height of a face
-LEG, APART = 0.08, 0.1  # m, radius of a leg, and from the middle of the body to that of a leg
-STRIDE, SPREAD = 1.4, 0.3  # m, of two steps, and by how much a foot is ahead of the body at most, from 1 m/s on
+LEG, APART = 0.08, 0.1  # m, radius of a leg, and distance between the centers of body and leg
+STRIDE, SPREAD = 1.4, 0.3  # m, length of two steps, and maximum distance of a foot ahead of the body, from 1 m/s on
 BETWEEN = 0.35  # share of the light between the legs
 SHADOW, SHADOW_REACH = 0.45, 0.22  # share of the light lost beside a body, and m over which the loss fades
 Color = tuple[Array, Array, Array]  # red, green and blue, of one shape
@@ -36,7 +36,7 @@ class Picture:
     rgb: Float[Array, "H W 3"]  # from 0 to 1
     depth: Float[Array, "H W"]  # m along the direction of view, the camera's far where there is nothing
     semantic: Int[Array, "H W"]  # index into CLASSES
-    instance: Int[Array, "H W"]  # a person's index, N + that of a body of the scenery, then the robot; -1 floor, sky
+    instance: Int[Array, "H W"]  # a person's index, N + a body's index, then the robot; -1 floor, sky
 
 
 @jax.named_scope("render")

@@ -202,6 +202,6 @@ def _resume(descent: Descent, work: Workspace) -> tuple[Descent, list]:
         if [each.shape for each in restored] != [leaf.shape for leaf in leaves]:
             raise ValueError
     except (ValueError, KeyError, TypeError):
-        raise InputError(f"{work.folder / UNFINISHED} is damaged; remove it to begin anew.") from None
+        raise InputError(f"{work.folder / UNFINISHED} is damaged; remove it to start again.") from None
     same = [jnp.asarray(each, leaf.dtype) for each, leaf in zip(restored, leaves, strict=True)]
     return structure.unflatten(same), history

@@ -1,4 +1,4 @@
-"""The fit: errors of predicted people as a loss, and its descent from many starts side by side.
+"""The fit: errors of predicted people as a loss, minimized from many starts in parallel.
 
 Each of F fits leaves other scenes out; each has K starts. All descend together, by one program, on the same windows:
 the first start from the preset's constants, the others drawn within the bounds.
@@ -97,8 +97,8 @@ class Habits(NamedTuple):
     """Desired velocities, which recordings do not have; fitted along."""
 
     speed: Float[Array, ""]  # m/s, in corridors, where the direction is known
-    persistence: Float[Array, ""]  # share of the velocity last seen that people desire elsewhere
-    settled: Float[Array, ""]  # share of what the model makes people do that is part of that velocity
+    persistence: Float[Array, ""]  # fraction of the last observed velocity that people desire in other scenes
+    settled: Float[Array, ""]  # fraction of the model's force that is already part of that velocity
 
 
 HABITS = Habits((1.1, 1.7), (0.94, 1.02), (0.0, 1.0))  # type: ignore[arg-type]  # bounds; fits begin in the middle
@@ -127,11 +127,11 @@ def losses(scenes: Scenes, rows: Int[Array, "W"], grid: ObstacleGrid | None, for
     """The errors of predictions of the windows ``rows`` (W,), ``EMPTY`` for none."""
     there = rows != EMPTY
     pick = lambda leaf: jnp.asarray(leaf)[jnp.maximum(rows, 0)]  # noqa: E731
-    seen, known, after, counted = map(pick, (scenes.seen, scenes.known, scenes.after, scenes.counted))
+    observed, known, after, counted = map(pick, (scenes.observed, scenes.known, scenes.after, scenes.counted))
     counted = counted & there[:, None, None]
     wish = None if scenes.direction is None else pick(scenes.direction) * habits.speed
     predicted = predict(
-        forces, seen, scenes.time_step, after.shape[1], present=known, walls=grid, desired_velocity=wish,
+        forces, observed, scenes.time_step, after.shape[1], present=known, walls=grid, desired_velocity=wish,
         others=None if scenes.others is None else pick(scenes.others), weights=habits.persistence[None],
         settled=habits.settled,
     )  # fmt: skip
@@ -210,7 +210,7 @@ class Fit:
         return Descent(free=free, mean=free, optimizer=state, step=jnp.zeros((), jnp.int32))
 
     def rows(self, seed: int, step: int) -> list[np.ndarray]:
-        """Newly drawn windows of a step, as many of each scene."""
+        """Random windows of a step, equally many of each scene."""
         random = prng.generator("calibrate windows", seed, step)
         batches = []
         for kind in self.kinds:
@@ -238,7 +238,7 @@ class Fit:
             most: windows of a scene, evenly spaced in time; a quarter of that in corridors.
 
         Returns:
-            (..., E) errors in shares of those of constant velocity, and (...) cost of near pairs.
+            (..., E) errors relative to constant velocity, and (...) cost of near pairs.
         """
         totals: list[Losses] = []
         for index, kind in enumerate(self.kinds):

@@ -8,8 +8,8 @@ from matplotlib.figure import Figure
 from sean_jax import pages
 from sean_jax.config import CalibrateConfig
 from sean_jax.drawing import colors
+from sean_jax.drawing.svg import svg
 from sean_jax.flags import command
-from sean_jax.report import svg
 from sean_jax.versions import versions
 
 SHADES = [*colors.SITUATION_COLORS.values()][:4] + [*colors.SPARE_COLORS]
@@ -40,9 +40,9 @@ SCORES = (
     "Mean and last error in metres over 12 predicted moments after 8 observed ones, and the share of the tracks that "
     "come within 0.2 m of another. Left out: by constants fitted to all scenes but this one."
 )
-ERRORS = "Half of mean and half of last error, as shares of those of constant velocity."
+ERRORS = "Half of the mean and half of the final error, relative to constant velocity."
 LOSSES = (
-    "The mean over scenes of the errors of prediction, as shares of those of constant velocity, and a cost of "
+    "The mean over scenes of the errors of prediction, relative to constant velocity, and a cost of "
     "predicted pairs nearer than 0.4 m. Each step draws new windows. One line for each start of a fit."
 )
 

@@ -1,6 +1,6 @@
 """Recorded scenes as windows: forces are fitted to predict their later moments from the first ones.
 
-Scenes are of two kinds. *Prediction*: ETH and UCY, people in the open who go on with their last velocity
+Scenes are of two kinds. *Prediction*: ETH and UCY, people in the open who keep their last velocity
 (``sean_jax.studies.prediction``). *Corridors*: unidirectional and bidirectional runs of Forschungszentrum Juelich
 (HERMES 2009), whose walls and walking direction are known; people who enter later are replayed.
 """
@@ -22,7 +22,7 @@ from sean_jax.studies.prediction import SEEN, TIME_STEP, read_windows
 RUN = re.compile(r"(uo|bo)-(\d{3})-(\d{3})-(\d{3})")  # direction, widths of entrance, corridor and exit in cm
 LENGTH = 8.0  # m, of a corridor, from y = -4 to 4
 CORRIDOR_STEP = 0.5  # s between moments
-CORRIDOR_SEEN, CORRIDOR_STEPS = 2, 6  # moments given, of which the last is the beginning, and moments compared
+CORRIDOR_SEEN, CORRIDOR_STEPS = 2, 6  # observed frames, the last of which is the start, and compared frames
 STRIDE = 4  # moments from the beginning of a window to the beginning of the next
 NEARBY = 1.0  # m beyond the ends, within which people are replayed
 APART = 40.0  # m between two runs, which lie side by side on one floor
@@ -35,10 +35,10 @@ BODY = 0.25  # m, by which their way keeps off the posts of the exit
 class Scenes:
     """B windows of some scenes, of up to N predicted people and M replayed ones."""
 
-    seen: Float[np.ndarray, "B T N 2"]  # m
+    observed: Float[np.ndarray, "B T N 2"]  # m
     known: Bool[np.ndarray, "B T N"]
     after: Float[np.ndarray, "B S N 2"]  # m, where people really were
-    counted: Bool[np.ndarray, "B S N"]  # who was observed then
+    counted: Bool[np.ndarray, "B S N"]  # people observed at that time
     scene: np.ndarray  # (B,) index of the window's scene among ``names``
     direction: Float[np.ndarray, "B N 2"] | None  # unit vector of the desired velocity where it is known
     others: Float[np.ndarray, "B moments M 2"] | None  # m, NaN where absent
@@ -56,7 +56,7 @@ def find(folder: str | Path) -> tuple[dict[str, Path], dict[str, Path]]:
     """
     folder = Path(folder)
     if not folder.is_dir():
-        raise InputError(f"data: {folder} is no folder; give the one that holds the recordings.")
+        raise InputError(f"data: {folder} is no folder; give the folder of the recordings.")
     prediction, corridors = {}, {}
     for file in sorted(folder.rglob("*.csv")):
         if (match := RUN.match(file.stem)) is not None:
@@ -78,8 +78,8 @@ def prediction_scenes(files: dict[str, Path]) -> Scenes:
     there = np.broadcast_to(present[:, None], position.shape[:3])
     scene = np.repeat(np.arange(len(windows)), [len(each.position) for each in windows])
     return _with_reference(Scenes(
-        seen=position[:, :SEEN], known=there[:, :SEEN], after=position[:, SEEN:], counted=there[:, SEEN:], scene=scene,
-        direction=None, others=None, walls=None, reference=np.zeros((len(windows), 2)), names=tuple(files),
+        observed=position[:, :SEEN], known=there[:, :SEEN], after=position[:, SEEN:], counted=there[:, SEEN:],
+        scene=scene, direction=None, others=None, walls=None, reference=np.zeros((len(windows), 2)), names=tuple(files),
         time_step=TIME_STEP,
     ))  # fmt: skip
 
@@ -100,11 +100,11 @@ def corridor_scenes(files: dict[str, Path]) -> Scenes:
         places = np.where(there[..., None], np.asarray(tracks.position, float)[::skip], np.nan)
         parts += [(number, *window) for window in _corridor_windows(places, width, exit_width, one_way, place)]
     people, others = (max(part[index].shape[-2] for part in parts) for index in (1, 4))
-    seen, after = (np.stack([_pad(part[index], 1, people, np.nan) for part in parts]) for index in (1, 2))
-    known, counted = (np.asarray(np.isfinite(each).all(-1)) for each in (seen, after))
+    observed, after = (np.stack([_pad(part[index], 1, people, np.nan) for part in parts]) for index in (1, 2))
+    known, counted = (np.asarray(np.isfinite(each).all(-1)) for each in (observed, after))
     sizes = np.array(boxes)[:, :2], np.array(boxes)[:, 2:], np.zeros(len(boxes)), np.full(len(boxes), 2.0)
     return _with_reference(Scenes(
-        seen=np.nan_to_num(seen), known=known, after=np.nan_to_num(after), counted=counted,
+        observed=np.nan_to_num(observed), known=known, after=np.nan_to_num(after), counted=counted,
         scene=np.array([part[0] for part in parts]),
         direction=np.stack([_pad(part[3], 0, people) for part in parts]),
         others=np.stack([_pad(part[4], 1, others, np.nan) for part in parts]),
@@ -185,9 +185,9 @@ def _walls(width: float, exit_width: float) -> list[tuple[float, float, float, f
 
 def _with_reference(scenes: Scenes) -> Scenes:
     """The scenes with the errors of constant velocity."""
-    seen, after = np.asarray(scenes.seen), np.asarray(scenes.after)
+    observed, after = np.asarray(scenes.observed), np.asarray(scenes.after)
     steps = np.arange(1, after.shape[1] + 1)[:, None, None]
-    guess = seen[:, -1][:, None] + steps * (seen[:, -1] - seen[:, -2])[:, None]
+    guess = observed[:, -1][:, None] + steps * (observed[:, -1] - observed[:, -2])[:, None]
     away, counted = np.linalg.norm(guess - after, axis=-1), np.asarray(scenes.counted)
     rows = []
     for index in range(len(scenes.names)):

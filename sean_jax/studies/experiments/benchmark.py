@@ -1,6 +1,9 @@
 """``sean benchmark POLICY``: a policy on the tracks of a frozen protocol, a table by situation and a result to rank.
 
-All policies drive the same numbered episodes, so two of them are compared in pairs. ``tracks`` has the protocol.
+A track is an environment with people of a behavior and a task for the robot. All policies drive the same numbered
+episodes, so two of them are compared in pairs. The options of the tracks are written out in ``tracks.yaml``, and not
+left to this package's defaults, which may change. A digest covers the files of environments and robots and the
+constants of the social forces: if it differs, results are not comparable, and nothing is run.
 """
 
 from __future__ import annotations
@@ -13,18 +16,19 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+import jax
 import numpy as np
 
-from sean_jax import assembly, components, files, writing
-from sean_jax.config import BenchmarkConfig, Config, Number, OwnPart, RunConfig, Text, validate
+from sean_jax import assembly, components, environment, files, robots, writing
+from sean_jax.config import BenchmarkConfig, CollectConfig, Config, Number, OwnPart, RunConfig, Text, validate
 from sean_jax.errors import FileError, IncompleteError, InputError
 from sean_jax.learning.policy import AGENTS, check_policy, load_policy
-from sean_jax.metrics import Estimate
+from sean_jax.metrics import METRICS, Estimate
 from sean_jax.policies import POLICIES
 from sean_jax.runner import Runner, even_batch
-from sean_jax.studies.experiments import page, tracks
-from sean_jax.studies.experiments.scheduler import Part, run_parts
-from sean_jax.studies.experiments.tracks import COUNTED, METRICS, Columns, Scores, scores
+from sean_jax.social_forces import preset
+from sean_jax.studies.experiments import Part, page, run_parts, shares
+from sean_jax.studies.experiments.measures import COUNTED, MEASURED, Arrays, Scores, scores, scores_by_track
 from sean_jax.versions import fingerprint, version_mismatch, versions
 from sean_jax.workspace import Workspace, identity
 
@@ -32,7 +36,51 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 RESULT, REPORT = "result.json", "report.html"
-MAX_BYTES = 10_000_000  # of what was measured on a track
+MAX_BYTES = 10_000_000  # of the measurements of a track
+
+# ------------------------------------------------------------------ the protocol
+
+VERSION = 1
+EPISODES = 8_400  # of each track; 100,800 of all
+SEED = 20_260  # of all episodes
+QUICK = 16  # episodes of each track, enough on a CPU to see that a policy works
+
+CONTENT = "fe83b135db59a554"
+"""The digest of all files and constants that the tracks of this version read."""
+
+OPTIONS = files.read_yaml(Path(__file__).with_name("tracks.yaml"))[1]
+TRACKS: dict[str, dict[str, Any]] = {
+    f"{place}-{task}": {
+        **OPTIONS["common"],
+        "environment": place,
+        "behavior": behavior,
+        "task": task,
+        "people": None if task == "handcrafted" else people,
+    }
+    for place, people in OPTIONS["people"].items()
+    for task, behavior in OPTIONS["behavior_by_task"].items()
+}
+"""name -> the options that make its scenario"""
+
+
+def description(track: str) -> CollectConfig:
+    """The scenario of one of ``TRACKS``."""
+    return CollectConfig(**TRACKS[track])
+
+
+def protocol_digest() -> str:
+    """The digest, 16 letters, of all inputs of the tracks besides their options."""
+    digest = hashlib.sha256()
+    folders = [environment.find(place) for place in OPTIONS["people"]]
+    read = [file for folder in folders for file in sorted(folder.iterdir()) if file.is_file()]
+    for file in [*read, robots.ROBOTS["kuri"]]:
+        digest.update(f"{file.name}\n{files.read_text(file)}".encode())
+    for leaf in jax.tree.leaves(preset("calibrated")):
+        digest.update(" ".join(f"{value:.5g}" for value in np.ravel(np.asarray(leaf))).encode())
+    return digest.hexdigest()[:16]
+
+
+# ------------------------------------------------------------------ the episodes
 
 
 class Result(Config):
@@ -43,7 +91,7 @@ class Result(Config):
     complete: bool
     policy: Text
     policy_digest: Text
-    episodes: Annotated[int, Number(1, tracks.EPISODES)]
+    episodes: Annotated[int, Number(1, EPISODES)]
     versions: dict[str, str]
     files: dict[str, str]
     scores: dict[str, Any]
@@ -56,51 +104,48 @@ def run(options: BenchmarkConfig, console: Console | None = None) -> Path:
 
     Raises:
         InputError: there is no such policy, the folder holds something else, there are more episodes than the protocol
-            has, or this package is not that of the protocol.
+            has, or this package is not the protocol's.
         WriteError: another process writes in the folder.
         IncompleteError: a file in the folder is damaged.
         FloatingPointError: a number is not finite. Finished tracks stay.
     """
-    if (digest := tracks.content()) != tracks.CONTENT:
-        text = f"places, robot or forces have the digest {digest}, and protocol {tracks.VERSION} has {tracks.CONTENT}"
+    if (digest := protocol_digest()) != CONTENT:
+        text = f"places, robot or forces have the digest {digest}, and protocol {VERSION} has {CONTENT}"
         raise InputError(f"benchmark: {text}; take a version of sean_jax whose protocol it is.")
-    options = options.replace(episodes=options.episodes or (tracks.QUICK if options.quick else tracks.EPISODES))
-    if (options.episodes or 0) > tracks.EPISODES:
-        text = f"{options.episodes} are more than the {tracks.EPISODES} of a track of protocol {tracks.VERSION}"
+    options = options.replace(episodes=options.episodes or (QUICK if options.quick else EPISODES))
+    if (options.episodes or 0) > EPISODES:
+        text = f"{options.episodes} are more than the {EPISODES} of a track of protocol {VERSION}"
         raise InputError(f"--episodes: {text}; ask for fewer.")
-    for track in tracks.TRACKS:
-        check_policy(options.policy, tracks.description(track))
+    for track in TRACKS:
+        check_policy(options.policy, description(track))
     with Workspace(options.folder, identity(options)).open() as work:
         parts = work.identity["parts"] | {options.policy: policy_digest(options.policy)}  # a training may have gone on
         work = dataclasses.replace(work, identity=work.identity | {"parts": parts})
         work.begin()
-        jobs = [Part(track, functools.partial(_drive, work, options, track)) for track in tracks.TRACKS]
-        measured: dict[str, Columns] = run_parts(jobs, console, "benchmark")
-        write(options, {track: measured[track] for track in tracks.TRACKS})
+        jobs = [Part(track, functools.partial(_drive, work, options, track)) for track in TRACKS]
+        measured: dict[str, Arrays] = run_parts(jobs, console, "benchmark")
+        write(options, {track: measured[track] for track in TRACKS})
     return options.folder
 
 
-def _drive(work: Workspace, options: BenchmarkConfig, track: str, tell: Callable[[float], None]) -> Columns:
+def _drive(work: Workspace, options: BenchmarkConfig, track: str, tell: Callable[[float], None]) -> Arrays:
     """The columns of a track, from its file or simulated."""
     if (work.folder / f"{track}.npz").is_file():
         return read_track(work.folder, track, options.episodes or 1)
-    from sean_jax.metrics import METRICS as ALL
-
-    scenario = assembly.build(tracks.description(track))[0]
-    scenario = dataclasses.replace(scenario, metrics=tuple((name, ALL[name]) for name in METRICS))
+    scenario = assembly.build(description(track))[0]
+    scenario = dataclasses.replace(scenario, metrics=tuple((name, METRICS[name]) for name in MEASURED))
     number = options.episodes or 1
     runner = Runner(scenario, load_policy(options.policy, scenario), even_batch(number), "benchmark")
-    measured = runner.measure(tracks.SEED, 0, number, tell)
+    measured = runner.measure(SEED, 0, number, tell)
     ended = {name: measured.pop(name) for name in ("completed", "seconds")}
     columns = ended | {name: values.astype(np.float32) for name, values in measured.items()}
-    for name, values in columns.items():
-        if not np.isfinite(values).all():
-            raise FloatingPointError(f"{track}: {name} is not finite; nothing of this track is written.")
+    if wrong := [name for name, values in columns.items() if not np.isfinite(values).all()]:
+        raise FloatingPointError(f"{track}: {', '.join(wrong)} is not finite; nothing of this track is written.")
     work.save(f"{track}.npz", columns)
     return columns
 
 
-def read_track(folder: Path, track: str, episodes: int) -> Columns:
+def read_track(folder: Path, track: str, episodes: int) -> Arrays:
     """The columns of a track with so many episodes, from its file: name -> (E,) or (E, 1 + S).
 
     Raises:
@@ -109,29 +154,27 @@ def read_track(folder: Path, track: str, episodes: int) -> Columns:
     file = folder / f"{track}.npz"
     try:
         columns = files.read_arrays(file, MAX_BYTES)
-        check_columns(columns, episodes, tracks.TRACKS[track]["time_limit"] + tracks.TRACKS[track]["time_step"])
+        check_columns(columns, episodes, TRACKS[track]["time_limit"] + TRACKS[track]["time_step"])
+        return columns
     except (FileError, ValueError) as error:
         text = str(error).rstrip(".")
         raise IncompleteError(f"{file} is damaged ({text}); remove it, and the same command makes it again.") from error
-    return columns
 
 
-def check_columns(columns: Columns, episodes: int, limit: float) -> None:
+def check_columns(columns: Arrays, episodes: int, limit: float) -> None:
     """Refuse columns that no episodes of at most ``limit`` s can have.
 
     Raises:
         ValueError: a column is missing or unknown, or has another shape or type, or an impossible number.
     """
-    alone = {"completed", "seconds", "path_efficiency"}
-    shapes = {name: (episodes,) if name in alone else (episodes, 1 + len(tracks.SITUATIONS)) for name in METRICS}
-    shapes |= {name: (episodes,) for name in alone}
+    shapes: dict[str, tuple[int, ...]] = dict.fromkeys(MEASURED, (episodes, 1 + len(shares.NAMES)))
+    shapes |= dict.fromkeys(("completed", "seconds", "path_efficiency"), (episodes,))
     if columns.keys() != shapes.keys():
         other = ", ".join(sorted(columns.keys() ^ shapes.keys()))
-        raise ValueError(f"its columns are not those of a track: {other:.100}")
+        raise ValueError(f"its columns are not the columns of a track: {other:.100}")
     for name, values in columns.items():
-        kind = "b" if name == "completed" else "f"
-        if values.shape != shapes[name] or values.dtype.kind != kind:
-            named = {"b": "bool", "f": "float"}[kind]
+        named = "bool" if name == "completed" else "float"
+        if values.shape != shapes[name] or values.dtype.kind != named[0]:
             raise ValueError(f"{name} is {values.dtype} {values.shape}, not {named} {shapes[name]}")
         if not np.isfinite(values).all() or (values < 0).any():
             raise ValueError(f"{name} has a number that is negative or not finite")
@@ -153,28 +196,32 @@ def check_columns(columns: Columns, episodes: int, limit: float) -> None:
 # ------------------------------------------------------------------ the result
 
 
-def write(options: BenchmarkConfig, measured: dict[str, Columns]) -> None:
+def write(options: BenchmarkConfig, measured: dict[str, Arrays]) -> None:
     """Write result.json and report.html.
 
     Raises:
         WriteError: another process writes one of the files.
     """
     folder = options.folder
-    by_track = {track: scores({track: columns}) for track, columns in measured.items()}
     content = {
-        "protocol": tracks.VERSION,
-        "content": tracks.CONTENT,
-        "complete": options.episodes == tracks.EPISODES,
+        "protocol": VERSION,
+        "content": CONTENT,
+        "complete": options.episodes == EPISODES,
         "policy": options.policy,
         "policy_digest": policy_digest(options.policy),
         "episodes": options.episodes,
         "versions": versions(),
         "files": {track: components.digest(folder / f"{track}.npz", MAX_BYTES) for track in measured},
-        "scores": _as_json(scores(measured)),
-        "tracks": {track: _as_json(each) for track, each in by_track.items()},
+        **_figures(measured),
     }
     writing.write(folder / RESULT, content | {"checksum": checksum(content)})
-    writing.write(folder / REPORT, page.benchmark(options, scores(measured), by_track))
+    writing.write(folder / REPORT, page.benchmark(options, scores(measured), scores_by_track(measured)))
+
+
+def _figures(measured: dict[str, Arrays]) -> dict[str, Any]:
+    """The entries of result.json that follow from the episodes."""
+    by_track = {track: _as_json(each) for track, each in scores_by_track(measured).items()}
+    return {"scores": _as_json(scores(measured)), "tracks": by_track}
 
 
 def _as_json(scores: Scores) -> dict[str, Any]:
@@ -183,7 +230,7 @@ def _as_json(scores: Scores) -> dict[str, Any]:
 
     figures = {name: numbers(each) for name, each in scores.figures.items()}
     by_situation = {"share_of_time": numbers(scores.shares), "violations_per_minute": numbers(scores.violations)}
-    return {"figures": figures, "situations": list(tracks.SITUATIONS), **by_situation}
+    return {"figures": figures, "situations": list(shares.NAMES), **by_situation}
 
 
 def policy_digest(policy: str) -> str:
@@ -195,7 +242,7 @@ def policy_digest(policy: str) -> str:
     described = validate(RunConfig, {"policy": policy}).policy
     if isinstance(described, OwnPart):
         return _digest(components.content(described.file).digest, described.name)
-    scenario = assembly.build(tracks.description(next(iter(tracks.TRACKS))))[0]
+    scenario = assembly.build(description(next(iter(TRACKS))))[0]
     numbers = fingerprint(load_policy(described, scenario).params)
     return _digest(numbers, described.kind) if described.kind in POLICIES else numbers
 
@@ -230,12 +277,12 @@ def check(folder: Path) -> dict[str, Any]:
         result = validate(Result, content)
     except InputError as error:
         raise InputError(f"{file} is no result ({str(error).rstrip('.')}); run the benchmark again.") from None
-    if (result.protocol, result.content) != (tracks.VERSION, tracks.CONTENT):
-        text = f"is of protocol {result.protocol} ({result.content}), not {tracks.VERSION} ({tracks.CONTENT})"
+    if (result.protocol, result.content) != (VERSION, CONTENT):
+        text = f"is of protocol {result.protocol} ({result.content}), not {VERSION} ({CONTENT})"
         raise InputError(f"{file} {text}; run it again with this version.")
     for part, names in (("files", result.files), ("tracks", result.tracks)):
-        if names.keys() != tracks.TRACKS.keys():
-            other = ", ".join(sorted(names.keys() ^ tracks.TRACKS.keys()))
+        if names.keys() != TRACKS.keys():
+            other = ", ".join(sorted(names.keys() ^ TRACKS.keys()))
             raise InputError(f"{file}: {part} lack, or should not have, {other:.200}; run the benchmark again.")
     mismatch = version_mismatch(result.versions)
     if result.policy in (*POLICIES, *AGENTS) and result.policy_digest != _digest_of_package(result.policy):
@@ -244,13 +291,9 @@ def check(folder: Path) -> dict[str, Any]:
     for track, digest in result.files.items():
         if components.digest(folder / f"{track}.npz", MAX_BYTES) != digest:
             raise InputError(f"{folder / track}.npz is not the file of the result; run the benchmark again.")
-    measured = {track: read_track(folder, track, result.episodes) for track in tracks.TRACKS}
-    again = {
-        "complete": result.episodes == tracks.EPISODES,
-        "scores": _as_json(scores(measured)),
-        "tracks": {track: _as_json(scores({track: columns})) for track, columns in measured.items()},
-    }
-    if any(again[name] != content[name] for name in again):
+    measured = {track: read_track(folder, track, result.episodes) for track in TRACKS}
+    expected = {"complete": result.episodes == EPISODES, **_figures(measured)}
+    if any(content[name] != value for name, value in expected.items()):
         other = mismatch or "other figures than its episodes have"
         raise InputError(f"{file} does not follow from its episodes ({other}); run the benchmark again.")
     return content
@@ -262,7 +305,7 @@ def table(content: dict[str, Any]) -> str:
     size = f"{len(content['tracks'])} tracks x {content['episodes']} episodes"
     lines = [f"{content['policy']} · protocol {content['protocol']} · {size}"]
     if not content["complete"]:
-        lines.append(f"not ranked: the protocol has {tracks.EPISODES} episodes a track")
+        lines.append(f"not ranked: the protocol has {EPISODES} episodes a track")
     for name, words in Scores.FIGURES.items():
         lines.append(f"  {words:<28}{_interval(scores['figures'][name])}")
     lines.append("  by situation: share of time; times a minute within 0.45 m by the robot")
@@ -284,7 +327,7 @@ def ranking(folders: list[Path]) -> list[dict[str, Any]]:
 
     Raises:
         InputError: ``check`` refuses a result, one is not complete, or two have the same policy or the same name.
-        IncompleteError: as of ``check``.
+        IncompleteError: as in ``check``.
     """
     results = [check(folder) for folder in folders]
     for folder, content in zip(folders, results, strict=True):

@@ -3,19 +3,26 @@
 For each behavior (G, R, H) several datasets of demonstrations are collected, and several networks are trained on each.
 These policies, one with balanced examples (B), ``social_costmap`` for the paper's navigation stack (N) and the
 demonstrator (E) are evaluated on the same numbered episodes (section V-C), in equal shares for the networks.
+
+The learning curve varies the data of policy G: more hours of demonstrations, more examples a second, situations as an
+input. The paper has an hour of G's demonstrations, and gives neither the rate of the examples nor the effect of more
+hours; its network may have the situations as an input.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import functools
+import itertools
 import math
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from sean_jax import learning, writing
@@ -24,17 +31,20 @@ from sean_jax.config import (
     Figure4Config,
     ImitationConfig,
     LearnedConfig,
+    LearningCurveConfig,
     Named,
     ScenarioConfig,
     validate,
 )
 from sean_jax.errors import InputError
 from sean_jax.files import listed
+from sean_jax.flags import number
 from sean_jax.learning.collection import check_collection, streams
 from sean_jax.learning.examples import balanced_probabilities
 from sean_jax.learning.policy import check_policy, load_policy
+from sean_jax.metrics import METRICS
 from sean_jax.runner import Runner, even_batch, max_batch
-from sean_jax.studies.experiments import page, pictures, shares, table1
+from sean_jax.studies.experiments import Part, page, pictures, run_parts, shares, write_csv
 from sean_jax.studies.experiments.measures import (
     BALANCED,
     DEMONSTRATOR,
@@ -44,27 +54,30 @@ from sean_jax.studies.experiments.measures import (
     METRIC_NAMES,
     NAVIGATION,
     Columns,
+    Curve,
     Results,
-    Training,
+    Variant,
     claims,
+    comparisons,
     episode_measures,
 )
-from sean_jax.studies.experiments.scheduler import Part, run_parts
 from sean_jax.studies.experiments.shares import BEHAVIORS
+from sean_jax.studies.experiments.table1 import description, fields
 from sean_jax.workspace import Workspace, identity
-
-LOADING = threading.Lock()
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from sean_jax.base import Policy, Scenario
-    from sean_jax.learning.imitation import TrainState
     from sean_jax.metrics import Estimate
 
+LOADING = threading.Lock()
+Drivers = Mapping[str, Sequence[Callable[["Scenario"], "Policy"]]]
+"""Name -> one policy, or several, each of which drives its share of the episodes."""
 
-def run(options: Figure4Config, console: Console | None = None) -> Path:
-    """Collect, train and evaluate what the folder lacks, and write the report.
+
+def run_figure4(options: Figure4Config, console: Console | None = None) -> Path:
+    """Collect, train and evaluate the missing parts of the folder, and write the report.
 
     Raises:
         InputError: the options are wrong, or the folder holds another experiment.
@@ -79,12 +92,15 @@ def run(options: Figure4Config, console: Console | None = None) -> Path:
     for name in baselines(options):
         check_policy(name, ScenarioConfig(), "--baselines")
     with Workspace(options.folder, identity(options)).open() as work:
-        _run(options, work, console)
+        places = scenarios(options)
+        work.begin()  # after all checks, so that wrong options leave no files
+        outcomes = run_parts(_parts(options, work, places), console, "figure 4")
+        write_figure4(options, _results(options, outcomes))
     return options.folder
 
 
 def baselines(options: Figure4Config) -> list[str]:
-    """Other policies than those of the paper, N and E: names, folders or FILE.py:NAME, each once.
+    """Policies besides the paper's, N and E: names, folders or FILE.py:NAME, each once.
 
     Raises:
         InputError: one has the name of a column.
@@ -96,52 +112,32 @@ def baselines(options: Figure4Config) -> list[str]:
     return names
 
 
-def _run(options: Figure4Config, work: Workspace, console: Console | None) -> None:
-    policies = (*LEARNED, BALANCED, NAVIGATION, DEMONSTRATOR, *baselines(options))
-    places = {
-        behavior: list(streams(CollectConfig(**description(options, behavior))).values()) for behavior in BEHAVIORS
-    }
-    work.begin()  # after all checks, so that wrong options leave no files
-    outcomes = run_parts(_parts(options, work, places), console, "figure 4")
-    measured = {
-        policy: {behavior: outcomes[_part_name(policy, behavior)][policy] for behavior in BEHAVIORS}
-        for policy in policies
-    }
-    trained = {policy: mean_training(outcomes[f"training {policy}"]) for policy in (*LEARNED, BALANCED)}
-    write(options, _results(options, policies, measured, trained))
-
-
-def _part_name(policy: str, behavior: str) -> str:
-    """The name of the part that simulates the policy. Learned policies have one part, since they share programs."""
-    return f"{'learned' if policy in LEARNED or policy == BALANCED else policy} in {behavior}"
+def scenarios(options: LearnedConfig) -> dict[str, list[Scenario]]:
+    """behavior -> the scenarios in which policies are evaluated."""
+    return {b: list(streams(description(options, b, options.people)).values()) for b in BEHAVIORS}
 
 
 def _parts(options: Figure4Config, work: Workspace, places: dict[str, list[Scenario]]) -> list[Part]:
     """The parts of the experiment, in an order in which they could run one by one."""
-    taught = {policy: learner(options, work, policy) for policy in (*LEARNED, BALANCED)}
-    data = {behavior: f"demonstrations in {behavior}" for behavior in reversed(BEHAVIORS)}  # two policies need graph
-    jobs: list[Part] = []
-    for behavior, name in data.items():
-        task = functools.partial(demonstrate, collection(options, behavior, options.hours), tuple(taught.values()))
-        jobs.append(Part(name, task))
+    names = {DEMONSTRATOR: options.demonstrator, NAVIGATION: "social_costmap"}
+    alone = names | {name: name for name in baselines(options)}
+    drivers = {name: {name: [functools.partial(load_policy, policy)]} for name, policy in alone.items()}
+    learners = {policy: learner(options, work, policy) for policy in (*LEARNED, BALANCED)}
+    trainings, last = learning_parts(learners)
+    every = {"learned": {policy: learner.loaders() for policy, learner in learners.items()}}  # they share programs
+    alike, learned = driving_parts(options, work, places, drivers), driving_parts(options, work, places, every, last)
+    return [*trainings, *alike, *learned]
 
-    def driving(several: tuple[Driver, ...], behavior: str, needs: tuple[str, ...] = ()) -> Part:
-        whole = math.prod(sizes(options))
-        job = several, work, behavior, places[behavior], options.seed, whole
-        return Part(_part_name(several[0].name, behavior), functools.partial(drive, *job), needs)
 
-    names = {NAVIGATION: "social_costmap", DEMONSTRATOR: options.demonstrator}
-    for policy in (DEMONSTRATOR, NAVIGATION, *baselines(options)):
-        alike = functools.partial(load_policy, names.get(policy, policy))  # the same driver in all episodes
-        jobs += [driving((Driver(policy, (alike,)),), behavior) for behavior in BEHAVIORS]
-    before: tuple[str, ...] = ()
-    for policy, learned in taught.items():  # one after the other: orbax mixes up what several threads save
-        needed = data[LEARNED.get(policy, "graph")]
-        jobs.append(Part(f"training {policy}", functools.partial(train, learned), (needed, *before)))
-        before = (jobs[-1].name,)
-    every = tuple(learned.driver(policy) for policy, learned in taught.items())
-    jobs += [driving(every, behavior, before) for behavior in BEHAVIORS]  # after the last of the trainings
-    return jobs
+def _results(options: Figure4Config, outcomes: dict[str, Any]) -> Results:
+    measured = {}
+    for policy in (*LEARNED, BALANCED, NAVIGATION, DEMONSTRATOR, *baselines(options)):
+        part = "learned" if policy in (*LEARNED, BALANCED) else policy
+        measured[policy] = {b: episode_measures(outcomes[f"{part} in {b}"][policy]) for b in BEHAVIORS}
+    values = {policy: {b: measures for b, (measures, _) in by.items()} for policy, by in measured.items()}
+    situations = {policy: {b: events for b, (_, events) in by.items()} for policy, by in measured.items()}
+    training = {policy: mean_training(outcomes[f"training {policy}"]) for policy in (*LEARNED, BALANCED)}
+    return Results(sizes(options), values, training, situations)
 
 
 def sizes(options: LearnedConfig) -> tuple[int, int, int]:
@@ -150,17 +146,12 @@ def sizes(options: LearnedConfig) -> tuple[int, int, int]:
     return datasets, trainings, math.ceil(options.episodes / (datasets * trainings))
 
 
-def description(options: LearnedConfig, behavior: str) -> dict[str, Any]:
-    """The scenario with people of a behavior: random, handcrafted or graph."""
-    return {"preset": options.preset, **table1.fields(options, behavior, options.people)}
-
-
 def collection(
     options: LearnedConfig, behavior: str, hours: float, name: str | None = None, rate: int = 1
 ) -> CollectConfig:
     """The demonstrations of all datasets together, since many episodes at once fill a GPU.
 
-    ``name`` is that of their folder, the behavior's by default.
+    ``name`` is the name of their folder, the behavior's by default.
 
     Raises:
         InputError: a value is out of range.
@@ -168,25 +159,58 @@ def collection(
     image: dict[str, Any] = dict(width=32, height=24) if options.quick else {}
     chosen: dict[str, Any] = dict(hours=hours * options.datasets, rate=rate, seed=options.seed) | image
     chosen |= dict(policy=Named(kind=options.demonstrator), out=options.folder / f"demonstrations-{name or behavior}")
-    return validate(CollectConfig, description(options, behavior) | chosen)
+    return validate(CollectConfig, fields(options, behavior, options.people) | chosen)
 
 
 def learner(options: Figure4Config, work: Workspace, policy: str) -> Learner:
     """The networks of a learned policy: G, R, H or B."""
     behavior = LEARNED.get(policy, "graph")
     name = "graph-balanced" if policy == BALANCED else behavior
-    chosen = training(options) | {"balance": policy == BALANCED}
-    return Learner(name, work, collection(options, behavior, options.hours), options.datasets, seeds(options), chosen)
+    data = collection(options, behavior, options.hours)
+    return Learner(name, work, data, options, {"balance": policy == BALANCED})
 
 
-def seeds(options: LearnedConfig) -> tuple[int, ...]:
-    """The seeds of the trainings on each dataset."""
-    return tuple(options.seed + more for more in range(options.trainings))
+def write_figure4(options: Figure4Config, results: Results) -> None:
+    """Write figure4.csv, claims.csv, the figure and report.html.
+
+    Raises:
+        WriteError: another process writes one of the files.
+    """
+    folder, rows, statements = options.folder, list[tuple](), claims(results)
+    for policy, by_behavior in results.cells.items():
+        for behavior, cells in by_behavior.items():
+            rows += estimate_rows(cells, policy, behavior)
+            rows += _by_situation(policy, behavior, results.by_situation[policy][behavior])
+    for policy, cells in results.means.items():
+        rows += estimate_rows(cells, policy, "mean")
+    for behavior, cells in results.more.items():
+        rows += estimate_rows(cells, f"{BALANCED}-G", behavior)
+    for behavior, cell in results.harm.items():
+        rows += estimate_rows({"violations": cell}, "".join(FOUR), behavior)
+    for policy, by_behavior in results.waiting.items():
+        for behavior, cell in by_behavior.items():
+            rows += estimate_rows({"time_not_moving_of_completed": cell}, policy, behavior) if cell.episodes else []
+    for behavior, less in results.balancing.items():
+        rows += _by_situation(f"{BALANCED}-G", behavior, less)
+    write_csv(folder / "figure4.csv", "policy,behavior,measure,mean,low,high", rows)
+    quoted = [
+        (*(f'"{row[name]}"' for name in ("statement", "paper", "ours")), row["holds"], f"{row['share']:.4f}")
+        for row in statements
+    ]
+    write_csv(folder / "claims.csv", "statement,paper,ours,holds,share_of_resamples", quoted)
+    grids = pictures.grids(results)
+    pictures.save(folder, {"figure4-grids": grids})
+    writing.write(folder / "report.html", page.figure4(options, results, statements, grids))
 
 
-def training(options: LearnedConfig) -> dict[str, Any]:
-    """The options of all trainings."""
-    return {"epochs": options.epochs, "batch": 256 if options.quick else 1024}
+def estimate_rows(cells: Mapping[str, Estimate], *head: Any) -> list[tuple]:
+    """Rows of a table, after ``head``: a measure, its mean and the interval."""
+    return [(*head, measure, *cell[:3]) for measure, cell in cells.items()]
+
+
+def _by_situation(policy: str, behavior: str, cells: Estimate) -> list[tuple]:
+    numbers = zip(shares.NAMES, *cells[:3], strict=True)
+    return [(policy, behavior, f"violations_{name}", *values) for name, *values in numbers]
 
 
 # ------------------------------------------------------------------ networks
@@ -194,75 +218,39 @@ def training(options: LearnedConfig) -> dict[str, Any]:
 
 @dataclasses.dataclass(frozen=True)
 class Learner:
-    """Networks with equal options, one for each dataset and seed; trained side by side, each in its own folder."""
+    """Networks with equal options, one for each dataset and seed; trained in parallel, each in its own folder."""
 
     name: str  # of their files
     work: Workspace  # of the experiment
-    data: CollectConfig  # of all demonstrations together
-    datasets: int  # equal parts of them, each for networks of its own
-    seeds: tuple[int, ...]
-    options: dict[str, Any]  # of all trainings
+    data: CollectConfig  # of all demonstrations together, equal parts of which are the datasets
+    experiment: LearnedConfig
+    options: dict[str, Any]  # of all trainings, beside those of the experiment
 
     @property
     def networks(self) -> list[tuple[int, int]]:
         """Number of the dataset and of the seed of each."""
-        return [(dataset, seed) for dataset in range(self.datasets) for seed in range(len(self.seeds))]
+        return list(itertools.product(range(self.experiment.datasets), range(self.experiment.trainings)))
 
     def summary(self, network: tuple[int, int]) -> str:
         """The name of the file that is written when a network is trained."""
         return f"trained-{self.name}-{network[0]}-{network[1]}.json"
 
+    def missing(self) -> list[tuple[int, int]]:
+        """The networks that are not trained yet."""
+        return [network for network in self.networks if self.work.load(self.summary(network)) is None]
+
     def training(self, network: tuple[int, int]) -> ImitationConfig:
         """How a network is trained."""
-        dataset, seed = network
+        (dataset, seed), options = network, self.experiment
+        chosen: dict[str, Any] = {"epochs": options.epochs, "batch": 256 if options.quick else 1024, **self.options}
         return ImitationConfig(
-            method="imitation", dataset=self.data.folder, part=(dataset + 1, self.datasets), seed=self.seeds[seed],
-            out=self.work.folder / f"policy-{self.name}-{dataset}-{seed}", **self.options,
+            method="imitation", dataset=self.data.folder, part=(dataset + 1, options.datasets),
+            seed=options.seed + seed, out=self.work.folder / f"policy-{self.name}-{dataset}-{seed}", **chosen,
         )  # fmt: skip
 
-    def driver(self, name: str) -> Driver:
-        """The networks as one driver; each network drives its share of the episodes."""
-        folders = [self.training(network).folder for network in self.networks]
-        return Driver(name, tuple(functools.partial(_load, folder) for folder in folders))
-
-
-def demonstrate(config: CollectConfig, learners: Sequence[Learner], tell: Callable[[float], None]) -> None:
-    """Collect demonstrations in their own folder, or resume it, if a network still needs them."""
-    needed = [learner for learner in learners if learner.data.folder == config.folder]
-    if any(learner.work.load(learner.summary(network)) is None for learner in needed for network in learner.networks):
-        learning.collect(config, tell)
-
-
-def train(learner: Learner, tell: Callable[[float], None]) -> list[Training]:
-    """Train the networks that are missing, side by side."""
-    missing = [network for network in learner.networks if learner.work.load(learner.summary(network)) is None]
-    if missing:
-        configs = [learner.training(network) for network in missing]
-        began = time.perf_counter()
-        states = learning.train_ensemble(configs, tell)
-        seconds = (time.perf_counter() - began) / len(missing)
-        for network, own, state in zip(missing, configs, states, strict=True):
-            learner.work.save(learner.summary(network), _summary(own, state) | {"seconds": seconds})
-    return [cast(Training, learner.work.load(learner.summary(network))) for network in learner.networks]
-
-
-def mean_training(summaries: Sequence[Training]) -> Training:
-    """The means over the trainings of a learner's networks."""
-    return cast(Training, {name: float(np.mean([each[name] for each in summaries])) for name in summaries[0]})
-
-
-def _summary(trained: ImitationConfig, state: TrainState) -> dict[str, Any]:
-    data = learning.open_dataset(trained.dataset, trained.part)
-    flags = data.read(data.episodes, ("situations",))["situations"]
-    odds = balanced_probabilities(flags) if trained.balance else np.full(len(flags), 1 / len(flags))
-    shared = odds @ (flags / np.maximum(flags.sum(1, keepdims=True), 1))
-    return {
-        "examples": int(data.example_count),
-        "entropy": float(shares.normalised_entropy(shared)),
-        "epochs": int(state.epoch),
-        "best_epoch": int(state.best_epoch),
-        "loss": float(state.best),
-    }
+    def loaders(self) -> list[Callable[[Scenario], Policy]]:
+        """A function that loads it for each network."""
+        return [functools.partial(_load, self.training(network).folder) for network in self.networks]
 
 
 def _load(folder: Path, scenario: Scenario) -> Policy:
@@ -270,19 +258,80 @@ def _load(folder: Path, scenario: Scenario) -> Policy:
         return dataclasses.replace(learning.load(folder, scenario), name="learned")
 
 
+def learning_parts(learners: Mapping[str, Learner]) -> tuple[list[Part], list[str]]:
+    """The parts that collect demonstrations and train networks, and the name of the last.
+
+    The trainings run one after the other, because orbax mixes up what several threads save.
+    """
+    every = list(learners.values())
+    data = {learner.data.folder.name: learner.data for learner in every}
+    parts = [Part(name, functools.partial(demonstrate, config, every)) for name, config in data.items()]
+    last: list[str] = []
+    for name, learner in learners.items():
+        needs = (learner.data.folder.name, *last)
+        parts.append(Part(f"training {name}", functools.partial(train, learner), needs))
+        last = [parts[-1].name]
+    return parts, last
+
+
+def demonstrate(config: CollectConfig, learners: Sequence[Learner], tell: Callable[[float], None]) -> None:
+    """Collect demonstrations in their own folder, or resume it, if a network still needs them."""
+    if any(learner.missing() for learner in learners if learner.data.folder == config.folder):
+        learning.collect(config, tell)
+
+
+def train(learner: Learner, tell: Callable[[float], None]) -> list[dict[str, float]]:
+    """Train the networks that are missing, side by side; the summaries of all."""
+    if missing := learner.missing():
+        configs = [learner.training(network) for network in missing]
+        began = time.perf_counter()
+        states = learning.train_ensemble(configs, tell)
+        seconds = (time.perf_counter() - began) / len(missing)
+        for network, config, state in zip(missing, configs, states, strict=True):
+            epochs = {"epochs": int(state.epoch), "best_epoch": int(state.best_epoch), "loss": float(state.best)}
+            learner.work.save(learner.summary(network), _examples(config) | epochs | {"seconds": seconds})
+    return [learner.work.load(learner.summary(network)) for network in learner.networks]
+
+
+def _examples(config: ImitationConfig) -> dict[str, Any]:
+    """The number of examples of a training, and the entropy of their situations, from 0 to 1."""
+    data = learning.open_dataset(config.dataset, config.part)
+    flags = data.read(data.episodes, ("situations",))["situations"]
+    odds = balanced_probabilities(flags) if config.balance else np.full(len(flags), 1 / len(flags))
+    shared = odds @ (flags / np.maximum(flags.sum(1, keepdims=True), 1))
+    return {"examples": int(data.example_count), "entropy": float(shares.normalised_entropy(shared))}
+
+
+def mean_training(summaries: Sequence[dict[str, float]]) -> dict[str, float]:
+    """The means over the trainings of a learner's networks."""
+    return {name: float(np.mean([each[name] for each in summaries])) for name in summaries[0]}
+
+
 # ------------------------------------------------------------------ driving
 
 
-@dataclasses.dataclass(frozen=True)
-class Driver:
-    """One policy, or several, each of which drives its share of the episodes."""
-
-    name: str
-    policies: tuple[Callable[[Scenario], Policy], ...]
+def driving_parts(
+    options: LearnedConfig,
+    work: Workspace,
+    places: Mapping[str, list[Scenario]],
+    groups: Mapping[str, Drivers],
+    needs: Sequence[str] = (),
+) -> list[Part]:
+    """A part for each group of drivers and behavior, after the parts ``needs``; drivers of a group share programs."""
+    whole = math.prod(sizes(options))
+    return [
+        Part(
+            f"{name} in {behavior}",
+            functools.partial(drive, drivers, work, behavior, places[behavior], options.seed, whole),
+            tuple(needs),
+        )
+        for name, drivers in groups.items()
+        for behavior in BEHAVIORS
+    ]
 
 
 def drive(
-    drivers: Sequence[Driver],
+    drivers: Drivers,
     work: Workspace,
     behavior: str,
     kinds: list[Scenario],
@@ -298,47 +347,37 @@ def drive(
     Raises:
         FloatingPointError: a measure is not finite; nothing of that driver is written.
     """
-    import jax
-    import jax.numpy as jnp
-
-    from sean_jax.metrics import METRICS
-
     metrics = tuple((name, METRICS[name]) for name in METRIC_NAMES if name in METRICS)
     kinds = [dataclasses.replace(kind, metrics=metrics) for kind in kinds]
-    runner = None
-    by_driver: dict[str, Columns] = {}
-    for turn, driver in enumerate(drivers):
-        file = f"episodes-{file_name(driver.name)}-{behavior}.json"
+    runner, by_driver = None, dict[str, Columns]()
+    for turn, (name, policies) in enumerate(drivers.items()):
+        file = f"episodes-{file_name(name)}-{behavior}.json"
         if work.load(file) is None:
-            each = episodes // len(driver.policies)
-            shared = at_once(len(driver.policies), each)
-            number, measured = each * shared, []
-            turns = [driver.policies[first : first + shared] for first in range(0, len(driver.policies), shared)]
-            for index, several in enumerate(turns):
-                now = [policy(kinds[0]) for policy in several]
-                policy = jax.tree.map(lambda *leaves: jnp.stack(leaves), *now) if shared > 1 else now[0]
+            shared = at_once(len(policies), episodes // len(policies))
+            number, starts, measured = episodes // len(policies) * shared, range(0, len(policies), shared), []
+            for index, first in enumerate(starts):
+                several = [load(kinds[0]) for load in policies[first : first + shared]]
+                policy = jax.tree.map(lambda *leaves: jnp.stack(leaves), *several) if shared > 1 else several[0]
                 if runner is None:
                     size = number if shared > 1 else even_batch(number)
                     runner = Runner(kinds, policy, size, "figure4", drivers=shared if shared > 1 else None)
                 runner.policy = policy  # of the same structure, so nothing is compiled again
-                done, count = turn * len(turns) + index, len(drivers) * len(turns)
+                done, count = turn * len(starts) + index, len(drivers) * len(starts)
                 report = functools.partial(lambda done, count, share: tell((done + share) / count), done, count)
                 measured.append(runner.measure(seed, index * number, number, report))
             columns = {
-                name: np.concatenate([np.asarray(one[name], float) for one in measured]) for name in METRIC_NAMES
+                each: np.concatenate([np.asarray(one[each], float) for one in measured]) for each in METRIC_NAMES
             }
-            if not all(np.isfinite(columns[name]).all() for name in ("completed", "seconds", *INTIMATE)):
-                text = f"{driver.name} in {behavior}: a metric is not finite; nothing of it is written."
+            if not all(np.isfinite(columns[each]).all() for each in ("completed", "seconds", *INTIMATE)):
+                text = f"{name} in {behavior}: a metric is not finite; nothing of it is written."
                 raise FloatingPointError(text)
-            work.save(file, {name: np.nan_to_num(values).tolist() for name, values in columns.items()})
-        by_driver[driver.name] = work.load(file)
+            work.save(file, {each: np.nan_to_num(values).tolist() for each, values in columns.items()})
+        by_driver[name] = work.load(file)
     return by_driver
 
 
 def at_once(policies: int, each: int) -> int:
     """How many policies drive ``each`` episodes in one batch: as many as fit and share the devices evenly."""
-    import jax
-
     fitting = (n for n in range(2, policies + 1) if policies % n == 0 and n * each <= max_batch())
     return max((n for n in fitting if n * each % jax.device_count() == 0), default=1)
 
@@ -348,62 +387,98 @@ def file_name(driver: str) -> str:
     return driver.strip("./").replace("/", "-").replace("\\", "-").replace(":", "-")
 
 
-# ------------------------------------------------------------------ results
+# ------------------------------------------------------------------ the learning curve
 
 
-def _results(
-    options: Figure4Config,
-    policies: tuple[str, ...],
-    measured: dict[str, dict[str, Columns]],
-    trained: dict[str, Training],
-) -> Results:
-    values: dict = {policy: {} for policy in policies}
-    situations: dict = {policy: {} for policy in policies}
-    for policy in policies:
-        for behavior in BEHAVIORS:
-            values[policy][behavior], situations[policy][behavior] = episode_measures(measured[policy][behavior])
-    results = Results(policies, sizes(options), values, situations, trained)
-    results.claims = claims(results)
-    return results
+def run_learning_curve(options: LearningCurveConfig, console: Console | None = None) -> Path:
+    """Collect, train and evaluate what the folder lacks, and write the report; raises as ``run_figure4``.
+
+    Each variant imitates the demonstrator on the Behavior Graph, as column G of Figure 4 does.
+
+    Source: section V-C.
+    """
+    compared = variants(options)
+    for variant in compared:
+        check_collection(variant_collection(options, variant))
+    with Workspace(options.folder, identity(options)).open() as work:
+        places = scenarios(options)
+        work.begin()  # after all checks, so that wrong options leave no files
+        by_size = sorted(compared, key=lambda each: each.examples)
+        learners = {variant.title: variant_learner(options, work, variant) for variant in by_size}
+        parts, last = learning_parts(learners)
+        groups = {flags: [each for each in compared if each.flags == flags] for flags in (False, True)}
+        drivers = {
+            _group(flags): {each.name: learners[each.title].loaders() for each in group}
+            for flags, group in groups.items()
+        }
+        parts += driving_parts(options, work, places, drivers, last)
+        write_learning_curve(options, _curve(options, compared, run_parts(parts, console, "learning curve")))
+    return options.folder
 
 
-def _by_situation(policy: str, behavior: str, cells: Estimate) -> list[str]:
-    return [
-        f"{policy},{behavior},violations_{situation},{cells.mean[k]:.5f},{cells.low[k]:.5f},{cells.high[k]:.5f}"
-        for k, situation in enumerate(shares.NAMES)
-    ]
+def _group(flags: bool) -> str:
+    """The name of the variants whose networks are equal, and share programs."""
+    return "driving with flags" if flags else "driving"
 
 
-def write(options: Figure4Config, results: Results) -> None:
-    """Write figure4.csv, claims.csv, the figure and report.html.
+def variants(options: LearningCurveConfig) -> tuple[Variant, ...]:
+    """The variants: each amount alone, the first amount at other rates, and the first with flags."""
+    hours, first = sorted(set(options.demonstration_hours)), options.demonstration_hours[0]
+    rates = (Variant(first, rate) for rate in options.rates)
+    return tuple(dict.fromkeys([*map(Variant, hours), *rates, Variant(first, flags=True)]))
+
+
+def variant_collection(options: LearningCurveConfig, variant: Variant) -> CollectConfig:
+    """The demonstrations of a variant.
+
+    Raises:
+        InputError: a value is out of range.
+    """
+    return collection(options, "graph", variant.hours, variant.data, variant.rate)
+
+
+def variant_learner(options: LearningCurveConfig, work: Workspace, variant: Variant) -> Learner:
+    """The networks of a variant, with so few epochs that the optimizer makes no more steps than ``--updates``."""
+    data = variant_collection(options, variant)
+    learner = Learner(variant.name, work, data, options, {"flags": variant.flags})
+    own = learner.training((0, 0))
+    steps = math.ceil((1.0 - own.validation) * variant.examples / own.batch)  # of an epoch
+    epochs = min(own.epochs, max(1, options.updates // steps))
+    return dataclasses.replace(learner, options=learner.options | {"epochs": epochs})
+
+
+def _curve(options: LearningCurveConfig, compared: tuple[Variant, ...], outcomes: dict[str, Any]) -> Curve:
+    values: dict = {}
+    for variant in compared:
+        measured = {b: outcomes[f"{_group(variant.flags)} in {b}"][variant.name] for b in BEHAVIORS}
+        measures = {b: episode_measures(columns)[0] for b, columns in measured.items()}
+        values[variant.name] = {b: {**each, "completed": 100.0 * each["completed"]} for b, each in measures.items()}
+    training = {variant.name: mean_training(outcomes[f"training {variant.title}"]) for variant in compared}
+    return Curve(sizes(options), values, training, compared)
+
+
+def write_learning_curve(options: LearningCurveConfig, curve: Curve) -> None:
+    """Write learning_curve.csv, differences.csv, verdicts.csv, the figure and report.html.
 
     Raises:
         WriteError: another process writes one of the files.
     """
-    folder, lines = options.folder, ["policy,behavior,measure,mean,low,high"]
-    for policy, by_behavior in results.cells.items():
-        for behavior, measured in by_behavior.items():
-            for name, cell in measured.items():
-                lines.append(f"{policy},{behavior},{name},{cell.mean:.5f},{cell.low:.5f},{cell.high:.5f}")
-            lines += _by_situation(policy, behavior, results.by_situation[policy][behavior])
-    more = [(policy, "mean", measured) for policy, measured in results.means.items()]
-    more += [(f"{BALANCED}-G", behavior, measured) for behavior, measured in results.more.items()]
-    more += [("".join(FOUR), behavior, {"violations": cell}) for behavior, cell in results.harm.items()]
-    for policy, behavior, measured in more:
-        for name, cell in measured.items():
-            lines.append(f"{policy},{behavior},{name},{cell.mean:.5f},{cell.low:.5f},{cell.high:.5f}")
-    for policy, by_behavior in results.waiting.items():
-        for behavior, cell in by_behavior.items():
-            if cell.episodes:
-                interval = f"{cell.mean:.5f},{cell.low:.5f},{cell.high:.5f}"
-                lines.append(f"{policy},{behavior},time_not_moving_of_completed,{interval}")
-    for behavior, less in results.balancing.items():
-        lines += _by_situation(f"{BALANCED}-G", behavior, less)
-    writing.write(folder / "figure4.csv", "\n".join(lines) + "\n")
-    claim_lines = ["statement,paper,ours,holds,share_of_resamples"]
-    for row in results.claims:
-        claim_lines.append(f'"{row["statement"]}","{row["paper"]}","{row["ours"]}",{row["holds"]},{row["share"]:.4f}')
-    writing.write(folder / "claims.csv", "\n".join(claim_lines) + "\n")
-    grids = pictures.grids(results)
-    pictures.save(folder, {"figure4-grids": grids})
-    writing.write(folder / "report.html", page.figure4(options, results, grids))
+    folder, rows, differences = options.folder, [], []
+    for variant in curve.variants:
+        head = variant.name, number(variant.hours), variant.rate, variant.flags
+        for behavior, cells in curve.cells[variant.name].items():
+            rows += estimate_rows(cells, *head, behavior)
+    write_csv(folder / "learning_curve.csv", "variant,hours,rate,flags,behavior,measure,mean,low,high", rows)
+    for one, other in comparisons(curve.variants):
+        for behavior, cells in curve.differences(one, other).items():
+            differences += estimate_rows(cells, one.name, other.name, behavior)
+    write_csv(folder / "differences.csv", "variant,other,behavior,measure,mean,low,high", differences)
+    verdicts = [
+        (row["variant"], row["other"], row["measure"], *row["difference"][:3], row["holds"], f"{row['share']:.4f}")
+        for row in curve.verdicts
+    ]
+    head = "variant,other,measure,difference,low,high,better,share_of_resamples"
+    write_csv(folder / "verdicts.csv", head, verdicts)
+    figure = pictures.learning_curve(curve)
+    pictures.save(folder, {"learning_curve": figure})
+    writing.write(folder / "report.html", page.learning_curve(options, curve, figure))

@@ -1,16 +1,17 @@
-"""The numbers of Figure 4 and of the learning curve (section V-C): measures with intervals, and claims about them."""
+"""Measures of Figure 4, of the learning curve (section V-C) and of the benchmark, with intervals, and claims."""
 
 import dataclasses
 import functools
 import itertools
 import math
-from typing import ClassVar, TypedDict
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
 from sean_jax.flags import number
 from sean_jax.metrics import Estimate, aggregate, aggregate_ratio
-from sean_jax.metrics.bootstrap import hierarchical_resamples, of_share, with_estimate
+from sean_jax.metrics.bootstrap import hierarchical_resamples, of_share, resamples, with_estimate
 from sean_jax.studies.experiments import shares
 from sean_jax.studies.experiments.shares import BEHAVIORS
 
@@ -35,7 +36,7 @@ FOUR = (*LEARNED, NAVIGATION)  # of the paper
 def episode_measures(columns: Columns) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """The ``MEASURES`` (E,) of episodes, and the violations (E, S) in each situation.
 
-    Violations and collisions are those of the robot and of people together.
+    Violations and collisions are by the robot and by people together.
     """
     values = {name: np.asarray(value, float) for name, value in columns.items()}
     violations = values[INTIMATE[0]] + values[INTIMATE[1]]
@@ -49,42 +50,17 @@ def episode_measures(columns: Columns) -> tuple[dict[str, np.ndarray], np.ndarra
     }, violations[:, 1:]
 
 
-class Training(TypedDict):
-    """A network's training, as trained-NAME.json has it, or the means over those of a policy."""
-
-    examples: float
-    entropy: float  # of the situations in the examples, from 0 to 1
-    epochs: float
-    best_epoch: float
-    loss: float  # in validation, of the best epoch
-    seconds: float
-
-
-class Claim(TypedDict):
-    """A statement of the paper, tested."""
-
-    statement: str
-    paper: str  # the paper's numbers
-    ours: str
-    holds: bool
-    share: float  # of the resamples in which it holds
-
-
 @dataclasses.dataclass
-class Results:
-    """Measures of every policy in every scenario. All intervals use the same resamples of the numbered episodes.
+class Measured:
+    """Measures in every scenario. All intervals use the same resamples of the numbered episodes.
 
-    Episodes are in the order of the datasets, seeds of training and numbers; N and E, which are not trained, drive the
-    same episodes. A resample draws datasets, with all networks and episodes of each; or seeds, if there is one dataset.
+    Episodes are in the order of the datasets, seeds of training and numbers. A resample draws datasets, with all
+    networks and episodes of each; or seeds, if there is one dataset.
     """
 
-    MEASURES: ClassVar[dict[str, str]] = MEASURES
-    policies: tuple[str, ...]
     sizes: tuple[int, int, int]  # datasets of each behavior, trainings on each, episodes of each network
-    values: dict[str, dict[str, dict[str, np.ndarray]]]  # policy -> behavior -> measure -> (E,)
-    situations: dict[str, dict[str, np.ndarray]]  # policy -> behavior -> (E, 5) violations in each situation
-    training: dict[str, Training]
-    claims: list[Claim] = dataclasses.field(default_factory=list)
+    values: dict[str, dict[str, dict[str, np.ndarray]]]  # policy or variant -> behavior -> measure -> (E,)
+    training: dict[str, dict[str, float]]  # policy or variant -> as trained-NAME.json, means over the networks
 
     @functools.cached_property
     def resamples(self) -> np.ndarray:
@@ -95,6 +71,17 @@ class Results:
     def episodes(self) -> int:
         """Episodes of each policy in each scenario."""
         return math.prod(self.sizes)
+
+    def estimate(self, values: np.ndarray) -> Estimate:
+        """The mean over episodes (E,) or (E, S)."""
+        return aggregate(values, weights=self.resamples)
+
+
+@dataclasses.dataclass
+class Results(Measured):
+    """Measures of every policy of Figure 4; N and E, which are not trained, drive the same episodes."""
+
+    situations: dict[str, dict[str, np.ndarray]]  # policy -> behavior -> (E, 5) violations in each situation
 
     @functools.cached_property
     def cells(self) -> dict[str, dict[str, dict[str, Estimate]]]:
@@ -115,35 +102,34 @@ class Results:
     @functools.cached_property
     def harm(self) -> dict[str, Estimate]:
         """behavior -> violations, the mean over the paper's four policies."""
-        return {b: self._estimate(np.mean([self.values[p][b]["violations"] for p in FOUR], 0)) for b in BEHAVIORS}
+        return {b: self.estimate(np.mean([self.values[p][b]["violations"] for p in FOUR], 0)) for b in BEHAVIORS}
 
     @functools.cached_property
     def waiting(self) -> dict[str, dict[str, Estimate]]:
         """policy -> behavior -> time not moving [s] in completed episodes; ``episodes`` is 0 if there are none."""
         return {
-            p: {b: self._of_completed(each["time_not_moving"], each["completed"]) for b, each in by.items()}
+            p: {b: self._waiting(each["time_not_moving"], each["completed"]) for b, each in by.items()}
             for p, by in self.values.items()
         }
 
     @functools.cached_property
     def by_situation(self) -> dict[str, dict[str, Estimate]]:
         """policy -> behavior -> (5,) violations per episode."""
-        return {p: {b: self._estimate(each) for b, each in by.items()} for p, by in self.situations.items()}
+        return {p: {b: self.estimate(each) for b, each in by.items()} for p, by in self.situations.items()}
 
     @functools.cached_property
     def balancing(self) -> dict[str, Estimate]:
         """behavior -> (5,) difference of violations per episode of the balanced policy and G, in the same episodes."""
-        return {b: self._estimate(self.situations[BALANCED][b] - self.situations["G"][b]) for b in BEHAVIORS}
+        return {b: self.estimate(self.situations[BALANCED][b] - self.situations["G"][b]) for b in BEHAVIORS}
 
     def _estimates(self, values: dict[str, np.ndarray]) -> dict[str, Estimate]:
-        each = {name: self._estimate(value) for name, value in values.items()}
-        return each | {"completed": _scaled(of_share(each["completed"]), self.episodes)}
+        estimates = {name: self.estimate(value) for name, value in values.items()}
+        completed = of_share(estimates["completed"])
+        mean, low, high = (end * self.episodes for end in completed[:3])
+        return estimates | {"completed": completed._replace(mean=mean, low=low, high=high)}
 
-    def _of_completed(self, values: np.ndarray, completed: np.ndarray) -> Estimate:
-        return aggregate_ratio(values * completed, completed, weights=self.resamples)
-
-    def _estimate(self, values: np.ndarray) -> Estimate:
-        return aggregate(values, weights=self.resamples)
+    def _waiting(self, seconds: np.ndarray, completed: np.ndarray) -> Estimate:
+        return aggregate_ratio(seconds * completed, completed, weights=self.resamples)
 
 
 def over_behaviors(by_behavior: dict[str, dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
@@ -151,20 +137,23 @@ def over_behaviors(by_behavior: dict[str, dict[str, np.ndarray]]) -> dict[str, n
     return {name: np.mean([by_behavior[b][name] for b in BEHAVIORS], 0) for name in by_behavior[BEHAVIORS[0]]}
 
 
-def _scaled(estimate: Estimate, by: float) -> Estimate:
-    return estimate._replace(mean=estimate.mean * by, low=estimate.low * by, high=estimate.high * by)
+def claims(results: Results) -> list[dict[str, Any]]:
+    """Test the paper's statements about its figure.
 
+    Returns:
+        For each the statement, the paper's numbers, ours, whether it holds, and the share of the resamples in which it
+        holds.
 
-def claims(results: Results) -> list[Claim]:
-    """Test the paper's statements about its figure. Source: section V-C, Figure 4."""
+    Source: section V-C, Figure 4.
+    """
     weights = with_estimate(results.resamples)
 
     def of(policy: str, behavior: str, name: str) -> np.ndarray:
         return weights @ results.values[policy][behavior][name]
 
-    wait = {p: np.mean([of(p, b, "time_not_moving") for b in BEHAVIORS], 0) for p in results.policies}
+    wait = {p: np.mean([of(p, b, "time_not_moving") for b in BEHAVIORS], 0) for p in results.values}
     harm = {b: np.mean([of(p, b, "violations") for p in FOUR], 0) for b in BEHAVIORS}
-    done = {p: results.episodes * np.mean([of(p, b, "completed") for b in BEHAVIORS], 0) for p in results.policies}
+    done = {p: results.episodes * np.mean([of(p, b, "completed") for b in BEHAVIORS], 0) for p in results.values}
     paths = np.mean([weights @ results.situations[p]["graph"][:, :2].sum(1) for p in FOUR], 0)
     paths = paths / np.maximum(harm["graph"], 1e-9)
     worst = int(results.by_situation["G"]["graph"].mean.argmax())
@@ -215,7 +204,7 @@ class Variant:
     """The demonstrations of networks, and whether the situations are an input."""
 
     hours: float
-    rate: int = 1  # examples a second
+    rate: int = 1  # examples per second
     flags: bool = False
 
     @property
@@ -240,57 +229,33 @@ class Variant:
         return 3600.0 * self.hours * self.rate
 
 
-class Verdict(TypedDict):
-    """Whether one variant is better than another, over the three scenarios."""
-
-    variant: str
-    other: str
-    measure: str
-    difference: Estimate
-    holds: bool
-    share: float  # of the resamples in which it holds
-
-
 @dataclasses.dataclass
-class Curve:
-    """Measures of every variant in every scenario. All intervals use the same resamples of the numbered episodes.
-
-    A resample draws datasets, with all networks and episodes of each, as in Figure 4.
-    """
+class Curve(Measured):
+    """Measures of every variant; those of completed tasks in percent."""
 
     variants: tuple[Variant, ...]
-    sizes: tuple[int, int, int]  # datasets, trainings on each, episodes of each network
-    values: dict[str, dict[str, dict[str, np.ndarray]]]  # variant -> behavior -> measure -> (E,), of completed percent
-    training: dict[str, Training]
 
     def __post_init__(self) -> None:
         """Add the means over the scenarios."""
         self.values = {name: {**by, MEAN: over_behaviors(by)} for name, by in self.values.items()}
 
     @functools.cached_property
-    def resamples(self) -> np.ndarray:
-        """(R, E) number of times that each episode is in each resample."""
-        return hierarchical_resamples(self.sizes)
-
-    @functools.cached_property
     def cells(self) -> dict[str, dict[str, dict[str, Estimate]]]:
         """variant -> behavior or mean -> measure -> estimate."""
         return {
-            name: {
-                b: {m: aggregate(value, weights=self.resamples) for m, value in each.items()} for b, each in by.items()
-            }
+            name: {b: {m: self.estimate(value) for m, value in each.items()} for b, each in by.items()}
             for name, by in self.values.items()
         }
 
     def differences(self, one: Variant, other: Variant) -> dict[str, dict[str, Estimate]]:
         """behavior or mean -> measure -> difference ``one - other`` in the same episodes."""
         ours, theirs = self.values[one.name], self.values[other.name]
-        return {b: {m: aggregate(ours[b][m] - theirs[b][m], weights=self.resamples) for m in ours[b]} for b in ours}
+        return {b: {m: self.estimate(ours[b][m] - theirs[b][m]) for m in ours[b]} for b in ours}
 
     @functools.cached_property
-    def verdicts(self) -> list[Verdict]:
-        """Whether each comparison is for the better."""
-        weights, verdicts = with_estimate(self.resamples), list[Verdict]()
+    def verdicts(self) -> list[dict[str, Any]]:
+        """For each comparison and measure the difference, whether it is for the better, and in how many resamples."""
+        weights, verdicts = with_estimate(self.resamples), []
         for one, other in comparisons(self.variants):
             differences = self.differences(one, other)[MEAN]
             for measure, sign in BETTER.items():
@@ -307,7 +272,7 @@ def comparisons(variants: tuple[Variant, ...]) -> list[tuple[Variant, Variant]]:
     """The pairs of variants that are compared.
 
     These are each amount and the next smaller one; other rates and flags and the variant without them; and a rate and
-    the amount at one example a second with as many examples, if there is one.
+    the amount at one example per second with as many examples, if any.
     """
     plain = [each for each in variants if each.rate == 1 and not each.flags]
     pairs = [(more, less) for less, more in itertools.pairwise(plain)]
@@ -318,3 +283,71 @@ def comparisons(variants: tuple[Variant, ...]) -> list[tuple[Variant, Variant]]:
                 (each, as_many) for as_many in plain if each.rate > 1 and math.isclose(as_many.examples, each.examples)
             ]
     return pairs
+
+
+# ------------------------------------------------------------------ the benchmark
+
+SCORE_RESAMPLES = 1_000
+ROBOTS_FAULT = "intimate_robot_on_person", "collision_robot_on_person", "collision_with_obstacle"
+COUNTED = (*ROBOTS_FAULT, "intimate_person_on_robot", "collision_person_on_robot")
+MEASURED = ("time_in_situation", *COUNTED, "time_not_moving", "path_efficiency")
+Arrays = dict[str, np.ndarray]  # of the E episodes of a track: (E,), or (E, 1 + S) overall and by situation
+
+
+@dataclasses.dataclass(frozen=True)
+class Scores:
+    """The scores of a policy, over all tracks or on one; each number has its 95 % interval."""
+
+    FIGURES = {
+        "polite": "completed politely %",
+        "completed": "completed %",
+        "seconds": "s",
+        "intimate_robot_on_person": "within 0.45 m, by the robot",
+        "intimate_person_on_robot": "by people",
+        "collision_robot_on_person": "touched people",
+        "collision_with_obstacle": "touched obstacles",
+    }
+    figures: dict[str, Estimate]  # name of FIGURES -> () mean of an episode
+    shares: Estimate  # (S,) of the time in each situation
+    violations: Estimate  # (S,) approaches within 0.45 m of a person per minute, in each situation
+
+
+def polite(columns: Arrays) -> np.ndarray:
+    """(E,) bool, tasks that were completed without an intimate violation or a collision by the robot's fault."""
+    return columns["completed"] & ~np.any([_overall(columns[name]) > 0 for name in ROBOTS_FAULT], axis=0)
+
+
+def scores(measured: dict[str, Arrays]) -> Scores:
+    """Scores over some tracks with equal weights; a resample draws as many episodes of each."""
+    each = list(measured.values())
+    sizes = [len(columns["completed"]) for columns in each]
+    weights = np.concatenate([resamples(size, seed, SCORE_RESAMPLES) for seed, size in enumerate(sizes)], axis=1)
+
+    def joined(take: Callable[[Arrays], np.ndarray]) -> np.ndarray:
+        return np.concatenate([np.asarray(take(columns), float) for columns in each])
+
+    def percent(take: Callable[[Arrays], np.ndarray]) -> Estimate:
+        share = of_share(aggregate(joined(take), weights=weights))
+        return share._replace(mean=100.0 * share.mean, low=100.0 * share.low, high=100.0 * share.high)
+
+    figures = {"polite": percent(polite), "completed": percent(lambda columns: columns["completed"])}
+    for name in Scores.FIGURES:
+        if name not in figures:
+            figures[name] = aggregate(joined(lambda columns, name=name: _overall(columns[name])), weights=weights)
+    time = joined(lambda columns: columns["time_in_situation"])
+    events = joined(lambda columns: columns["intimate_robot_on_person"][:, 1:])
+    whole = np.repeat(time[:, :1], time.shape[1] - 1, axis=1)
+    return Scores(
+        figures,
+        aggregate_ratio(time[:, 1:], whole, weights=weights),
+        aggregate_ratio(events, time[:, 1:] / 60.0, weights=weights),
+    )
+
+
+def scores_by_track(measured: dict[str, Arrays]) -> dict[str, Scores]:
+    """The scores on each track."""
+    return {track: scores({track: columns}) for track, columns in measured.items()}
+
+
+def _overall(values: np.ndarray) -> np.ndarray:
+    return values if values.ndim == 1 else values[:, 0]

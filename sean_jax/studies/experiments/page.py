@@ -1,13 +1,14 @@
-"""Reports of the experiments: one self-contained HTML page each, with the paper's numbers beside ours."""
+"""Reports of the experiments: one self-contained HTML page each, with the paper's numbers and ours."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Collection, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sean_jax import pages
+from sean_jax import files, pages
 from sean_jax.classifiers import MORE_SITUATIONS
 from sean_jax.config import (
     AblationConfig,
@@ -17,11 +18,11 @@ from sean_jax.config import (
     LearningCurveConfig,
     Table1Config,
 )
+from sean_jax.drawing.svg import svg
 from sean_jax.flags import command, number
 from sean_jax.pages import Cell, figure, note, section, table
-from sean_jax.report import svg
 from sean_jax.studies.experiments import pictures, shares
-from sean_jax.studies.experiments.measures import CURVE_MEASURES, comparisons
+from sean_jax.studies.experiments.measures import CURVE_MEASURES, MEASURES, comparisons
 from sean_jax.studies.experiments.shares import BEHAVIORS
 from sean_jax.versions import versions
 from sean_jax.workspace import IDENTITY, read_identity
@@ -30,10 +31,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from sean_jax.metrics import Estimate
-    from sean_jax.studies.experiments.measures import Claim, Curve, Results, Training, Verdict
-    from sean_jax.studies.experiments.shares import Ordering, Recorded
-    from sean_jax.studies.experiments.tracks import Scores
+    from sean_jax.studies.experiments.measures import Curve, Results, Scores
+    from sean_jax.studies.experiments.shares import Recorded
 
+TEXTS = files.read_yaml(Path(__file__).with_name("captions.yaml"))[1]
 SITUATIONS = [name.replace("_", " ") for name in shares.NAMES]
 
 
@@ -59,8 +60,8 @@ def _estimates(value: Estimate, form: str = ".3f", scale: float = 1.0) -> list[C
     return [_interval(*row, form, scale) for row in numbers]
 
 
-def _holds(row: Claim | Ordering | Verdict) -> Cell:
-    """Whether a statement holds, and in how many of the resamples."""
+def _holds(row: dict[str, Any]) -> Cell:
+    """Whether a statement holds, and in which share of the resamples."""
     sure = row["share"] >= 0.975 or row["share"] <= 0.025
     return Cell(("" if sure else "perhaps ") + ("yes" if row["holds"] else "no"), f"{100 * row['share']:.1f} %")
 
@@ -74,57 +75,31 @@ def table1(options: Table1Config, cells: list[shares.Cell], figures: dict[str, F
     Args:
         figures: by name, as ``pictures.table1`` draws them.
     """
-    policies = list(dict.fromkeys(cell.policy for cell in cells))
-    speed = options.speeds[0]
-    sections = []
+    by_policy = shares.by_policy(cells)
+    speed, sections = f"V = {number(options.speeds[0])} m/s", []
     if cells:
         legend = pages.legend(dict(zip(SITUATIONS, pictures.shades(), strict=True)))
-        rows = [_shares(cells, policy) for policy in policies]
+        rows = [_shares(cells, policy) for policy in by_policy]
         sections = [
-            section("Table I", figure(svg(figures["table1-bars"], "table1-bars"), BARS), legend),
-            section(f"Shares at V = {number(speed)} m/s", *rows, note(COUNTED)),
+            section("Table I", figure(svg(figures["table1-bars"], "table1-bars"), TEXTS["bars"]), legend),
+            section(f"Shares at {speed}", *rows, note(TEXTS["counted"])),
         ]
     if real:
-        sections.append(section("Recorded people", _recorded(options, real), note(RECORDED)))
-    sections.append(section("Beyond the five", _more(cells, policies, real), note(MORE)))
+        sections.append(section("Recorded people", _recorded(options, real), note(TEXTS["recorded"])))
+    sections.append(section("Beyond the five", _more(cells, list(by_policy), real), note(TEXTS["more"])))
     if cells:
-        statement = (
-            f"At V = {number(speed)} m/s, shares of flags. Below: the share of the resamples in which it holds; at "
-            "least 97.5 % counts as sure. orderings.csv has the other speeds and ways of counting."
-        )
-        sections.append(section("Orderings of the paper", _orderings(cells, policies), note(statement)))
-    for name, title, text in (
-        ("table1-speeds", "When does one count as walking?", SPEEDS),
-        ("table1-crowds", "How many people?", ""),
+        statement = note(f"At {speed}, {TEXTS['orderings']}")
+        sections.append(section("Orderings of the paper", _orderings(by_policy), statement))
+    for name, title, notes in (
+        ("table1-speeds", "When does one count as walking?", [note(TEXTS["speeds"])]),
+        ("table1-crowds", "How many people?", []),
     ):
         if name in figures:
-            picture = figure(svg(figures[name], name))
-            sections.append(section(title, picture, note(text)) if text else section(title, picture))
+            sections.append(section(title, figure(svg(figures[name], name)), *notes))
     minutes = 60.0 * options.hours * options.seeds
     title = f"Table I: social situations in {number(minutes)} minutes of each behavior and policy"
     title = title if cells else "Table I: social situations in recordings"
     return document(title, sections, options)
-
-
-BARS = "Dashed: the paper's Table I."
-COUNTED = (
-    "Percent of all flags: an example, one a second, has a flag for each situation that holds. In brackets, percent "
-    "of the examples; none are the examples without a flag. Small: 95 % bootstrap interval over minutes. Entropy is "
-    "over ln 5. The paper's rows are divided by their sum."
-)
-MORE = (
-    "Percent of the examples; several situations can hold at once. The paper names urgency and the configuration of "
-    "objects for later (VI). No figure: the recording does not have the places of objects."
-)
-RECORDED = (
-    "Each person in turn plays the robot, in every row of the recording; counted as in Table I. Without companions: "
-    "people who walk in one group with that person are left out. Small: 95 % bootstrap interval over these people. No "
-    "figure: the recording does not have groups in conversation."
-)
-SPEEDS = (
-    "The paper counts people as walking above 1.4 m/s. SEAN 2.0's code uses 0.4 m/s, and its people walk at 0.6 m/s. "
-    "People here prefer 1.34 ± 0.26 m/s."
-)
 
 
 def _shares(cells: list[shares.Cell], policy: str) -> str:
@@ -140,14 +115,18 @@ def _shares(cells: list[shares.Cell], policy: str) -> str:
 def _figures(estimate: shares.Shares, known: Collection[str] = shares.NAMES) -> list[str | Cell]:
     """Columns of the paper's situations, none, and entropy."""
     flags, examples, entropy = estimate.of("flags"), estimate.of("examples"), estimate.entropy()
-    low, high = shares.interval(flags)
-    ends = shares.interval(entropy)
     columns: list[str | Cell] = [
-        Cell(f"{100 * flags[0, k]:.1f} ({100 * examples[0, k]:.1f})", f"{100 * low[k]:.1f} – {100 * high[k]:.1f}",
-             "ours") if name in known else ""
-        for k, name in enumerate(shares.NAMES)
-    ]  # fmt: skip
-    return [*columns, f"{100 * estimate.none[0]:.1f}", _interval(entropy[0], float(ends[0]), float(ends[1]), ".3f")]
+        cell._replace(text=f"{cell.text} ({100 * share:.1f})") if isinstance(cell, Cell) else cell
+        for cell, share in zip(_samples(flags, shares.NAMES, known), examples[0], strict=True)
+    ]
+    low, high = shares.interval(entropy)
+    return [*columns, f"{100 * estimate.none[0]:.1f}", _interval(entropy[0], float(low), float(high), ".3f")]
+
+
+def _samples(samples: np.ndarray, names: Sequence[str], known: Collection[str]) -> list[str | Cell]:
+    """Percent of an estimate and its resamples (1 + R, S), of the situations that are known."""
+    numbers = zip(samples[0], *shares.interval(samples), strict=True)
+    return [_interval(*row, ".1f", 100.0) if name in known else "" for name, row in zip(names, numbers, strict=True)]
 
 
 def _recorded(options: Table1Config, real: list[Recorded]) -> str:
@@ -169,26 +148,16 @@ def _more(cells: list[shares.Cell], policies: list[str], real: list[Recorded]) -
         if cell.policy == policy
     ]
     estimates += [(each.name, each.further(), each.known) for each in real]
-    rows = []
-    for title, estimate, known in estimates:
-        numbers = zip(estimate.examples[0], *shares.interval(estimate.examples), strict=True)
-        columns = [
-            _interval(*row, ".1f", 100.0) if name in known else "" for name, row in zip(names, numbers, strict=True)
-        ]
-        rows.append([title, *columns])
+    rows = [[title, *_samples(estimate.examples, names, known)] for title, estimate, known in estimates]
     return table(["", *(name.replace("_", " ") for name in names)], rows)
 
 
-def _orderings(cells: list[shares.Cell], policies: list[str]) -> str:
-    by_policy = [
-        shares.orderings({cell.behavior: cell.shares() for cell in cells if cell.policy == policy})
-        for policy in policies
-    ]
+def _orderings(by_policy: dict[str, dict[str, shares.Shares]]) -> str:
     rows = []
-    for index, first in enumerate(by_policy[0]):
+    for first, *others in zip(*map(shares.orderings, by_policy.values()), strict=True):
         words = [first["name"], Cell(first["statement"], kind="text"), "hard" if first["hard"] else "soft"]
-        rows.append([*words, *(_holds(orderings[index]) for orderings in by_policy)])
-    return table(["", "statement", "", *policies], rows)
+        rows.append([*words, *map(_holds, (first, *others))])
+    return table(["", "statement", "", *by_policy], rows)
 
 
 # ------------------------------------------------------------------ ablation
@@ -201,37 +170,23 @@ def ablation(options: AblationConfig, by_world: dict[str, list[shares.Cell]], pi
         by_world: world -> cells of each policy and behavior; the first world is the reference.
         picture: as ``pictures.ablation`` draws it.
     """
-    policies = list(dict.fromkeys(cell.policy for cells in by_world.values() for cell in cells))
-    by_cell = [_worlds(by_world, behavior, policy) for policy in policies for behavior in BEHAVIORS]
-    orderings = [_changed_orderings(by_world, policy) for policy in policies]
+    tables = {world: shares.by_policy(cells) for world, cells in by_world.items()}
+    policies = list(next(iter(tables.values())))
+    by_cell = [_worlds(tables, behavior, policy) for policy in policies for behavior in BEHAVIORS]
+    orderings = [_changed_orderings(tables, policy) for policy in policies]
     sections = [
-        section("What each switch moves", figure(svg(picture, "ablation"), MOVED)),
-        section("Orderings of the paper", *orderings, note(DECIDED)),
-        section("Shares", *by_cell, note(WORLDS)),
+        section("What each switch moves", figure(svg(picture, "ablation"), TEXTS["moved"])),
+        section("Orderings of the paper", *orderings, note(TEXTS["decided"])),
+        section("Shares", *by_cell, note(TEXTS["worlds"])),
     ]
     return document("Table I: which of SEAN's conditions moves what", sections, options)
 
 
-MOVED = (
-    "Difference of the shares of flags from the default world, in percentage points, means over the policies. A row "
-    "is that world with one switch, the last with all of them."
-)
-DECIDED = (
-    "The percentage of the resamples in which an ordering holds, by shares of flags. Bold: the switch reverses the "
-    "default world's answer, each with 97.5 % or more. orderings.csv has the other ways of counting."
-)
-WORLDS = (
-    "Percent of all flags; none: percent of the examples without a flag. Small: 95 % bootstrap interval over minutes. "
-    "Bold: the interval of the difference from the default world leaves out 0."
-)
+Tables = dict[str, dict[str, dict[str, shares.Shares]]]  # world -> policy -> behavior -> shares
 
 
-def _worlds(by_world: dict[str, list[shares.Cell]], behavior: str, policy: str) -> str:
-    estimates = {
-        world: next(cell.shares() for cell in cells if (cell.behavior, cell.policy) == (behavior, policy))
-        for world, cells in by_world.items()
-    }
-    columns = {world: _columns(estimate) for world, estimate in estimates.items()}
+def _worlds(tables: Tables, behavior: str, policy: str) -> str:
+    columns = {world: _columns(by_policy[policy][behavior]) for world, by_policy in tables.items()}
     default, first = next(iter(columns.items()))
     paper = shares.paper()[behavior]
     numbers = [*(f"{100 * value:.1f}" for value in paper), "", f"{shares.normalised_entropy(paper):.3f}"]
@@ -253,20 +208,16 @@ def _columns(estimate: shares.Shares) -> np.ndarray:
     return np.concatenate([estimate.of("flags"), estimate.none[:, None], estimate.entropy()[:, None]], axis=1)
 
 
-def _changed_orderings(by_world: dict[str, list[shares.Cell]], policy: str) -> str:
-    orderings = {
-        world: shares.orderings({cell.behavior: cell.shares() for cell in cells if cell.policy == policy})
-        for world, cells in by_world.items()
-    }
+def _changed_orderings(tables: Tables, policy: str) -> str:
     rows = []
-    for index, first in enumerate(next(iter(orderings.values()))):
+    for first, *others in zip(*(shares.orderings(by_policy[policy]) for by_policy in tables.values()), strict=True):
         cells = []
-        for each in orderings.values():
-            share = each[index]["share"]
-            reversed_ = min(share, first["share"]) <= 0.025 and max(share, first["share"]) >= 0.975
-            cells.append(Cell(f"{100 * share:.0f}", kind="ours" if reversed_ else ""))
+        for each in (first, *others):
+            ends = sorted((each["share"], first["share"]))
+            reversal = ends[0] <= 0.025 and ends[1] >= 0.975
+            cells.append(Cell(f"{100 * each['share']:.0f}", kind="ours" if reversal else ""))
         rows.append([first["name"], Cell(first["statement"], kind="text"), *cells])
-    return table([policy, "statement", *orderings], rows)
+    return table([policy, "statement", *tables], rows)
 
 
 # ------------------------------------------------------------------ benchmark
@@ -280,7 +231,7 @@ def benchmark(options: BenchmarkConfig, whole: Scores, by_track: dict[str, Score
     time = [[name, *_estimates(scores.shares, ".1f", 100.0)] for name, scores in tracks.items()]
     head = ["track", *SITUATIONS]
     sections = [
-        section("By track", table(["track", *whole.FIGURES.values()], figures), note(POLITE)),
+        section("By track", table(["track", *whole.FIGURES.values()], figures), note(TEXTS["polite"])),
         section("By situation: times a minute within 0.45 m, by the robot", table(head, violations)),
         section("By situation: percent of the time", table(head, time)),
     ]
@@ -288,70 +239,55 @@ def benchmark(options: BenchmarkConfig, whole: Scores, by_track: dict[str, Score
     return document(title, sections, options)
 
 
-POLITE = (
-    "Politely: without coming within 0.45 m of a person, touching a person or touching an obstacle by the robot's "
-    "fault. Events are times an episode. Small: 95 % bootstrap interval over episodes."
-)
-
-
 # ------------------------------------------------------------------ Figure 4
 
 
-def figure4(options: Figure4Config, results: Results, grids: Figure) -> str:
+def figure4(options: Figure4Config, results: Results, claims: list[dict[str, Any]], grids: Figure) -> str:
     """The page of Figure 4.
 
     Args:
+        claims: of ``measures.claims``.
         grids: the figure that ``pictures.grids`` draws.
     """
-    claims = [
+    rows = [
         [Cell(claim["statement"], kind="text"), claim["paper"], Cell(claim["ours"], kind="ours"), _holds(claim)]
-        for claim in results.claims
+        for claim in claims
     ]
     sections = [
-        section("Figure 4", figure(svg(grids, "figure4-grids")), note(FIGURE)),
-        section("Numbers", *_numbers(results), note(BOOTSTRAP)),
-        section("By situation", *_by_situation(results), note(BOOTSTRAP)),
-        section("What the paper reports", table(["statement", "paper", "here", "holds"], claims)),
+        section("Figure 4", figure(svg(grids, "figure4-grids")), note(TEXTS["figure4"])),
+        section("Numbers", *_numbers(results), note(TEXTS["bootstrap"])),
+        section("By situation", *_by_situation(results), note(TEXTS["bootstrap"])),
+        section("What the paper reports", table(["statement", "paper", "here", "holds"], rows)),
     ]
     if results.training:
-        sections.append(section("Training", _training(results.training.items())))
+        sections.append(section("Training", _training(results.training)))
     datasets, trainings, _ = results.sizes
     networks = f"; {datasets * trainings} networks of each learner" if datasets * trainings > 1 else ""
     scenarios = f"{len(BEHAVIORS)} scenarios, {results.episodes} episodes each"
-    return document(f"Figure 4: {len(results.policies)} policies in {scenarios}{networks}", sections, options)
+    return document(f"Figure 4: {len(results.values)} policies in {scenarios}{networks}", sections, options)
 
 
-def _training(trainings: Iterable[tuple[str, Training]]) -> str:
+def _training(trainings: Mapping[str, dict[str, float]]) -> str:
     rows = []
-    for name, row in trainings:
+    for name, row in trainings.items():
         counts = f"{row['examples']:.0f}", f"{row['entropy']:.3f}", f"{row['epochs']:.0f}", f"{row['best_epoch']:.0f}"
         rows.append([name, *counts, f"{row['loss']:.4f}", f"{row['seconds']:.0f}"])
     head = ["policy", "examples", "entropy of situations", "epochs", "best", "validation loss", "seconds"]
     return table(head, rows)
 
 
-PAPER = {  # section V-C: means over the three scenarios
-    "completed": {"G": "112.7", "H": "112.7"},
-    "time_not_moving": {"G": "11", "R": "16.3", "H": "22", "N": "28.7"},
-}
-FIGURE = (
-    "G, R and H learned from demonstrations with the behaviors graph, random and handcrafted; B from those "
-    "of G resampled so that all situations are equally frequent. N is social_costmap, for the paper's navigation "
-    "stack, and E the demonstrator. Darker is more."
-)
-BOOTSTRAP = "Small: 95 % bootstrap interval over datasets, training seeds of each, and episodes of each."
-
-
 def _numbers(results: Results) -> list[str]:
-    policies, blocks = results.policies, []
-    for name, words in results.MEASURES.items():
+    policies, blocks = list(results.values), []
+    for name, words in MEASURES.items():
         rows: list[list[str | Cell]] = [
             [f"in {behavior}", *(_estimate(results.cells[policy][behavior][name]) for policy in policies)]
             for behavior in BEHAVIORS
         ]
         rows.append([Cell("mean", kind="none"), *(_estimate(results.means[policy][name]) for policy in policies)])
-        if name in PAPER:
-            rows.append([Cell("paper, mean", kind="none"), *(PAPER[name].get(policy, "") for policy in policies)])
+        if name in TEXTS["paper"]:
+            rows.append(
+                [Cell("paper, mean", kind="none"), *(TEXTS["paper"][name].get(policy, "") for policy in policies)]
+            )
         blocks.append(table([words, *policies], rows))
         if name == "time_not_moving":
             rows = []
@@ -366,17 +302,17 @@ def _by_situation(results: Results) -> list[str]:
     rows = [
         [f"{policy} in {behavior}", *_estimates(results.by_situation[policy][behavior])]
         for behavior in BEHAVIORS
-        for policy in results.policies
+        for policy in results.values
     ]
     balanced = [[f"in {behavior}", *_estimates(row, "+.3f")] for behavior, row in results.balancing.items()]
     measures = [
-        [f"in {behavior}", *(_estimate(row[name], "+.2f") for name in results.MEASURES)]
+        [f"in {behavior}", *(_estimate(row[name], "+.2f") for name in MEASURES)]
         for behavior, row in results.more.items()
     ]
     return [
         table(["intimate distance violations per episode", *SITUATIONS], rows),
         table(["B minus G, in the same episodes", *SITUATIONS], balanced),
-        table(["likewise", *results.MEASURES.values()], measures),
+        table(["likewise", *MEASURES.values()], measures),
     ]
 
 
@@ -406,11 +342,13 @@ def learning_curve(options: LearningCurveConfig, curve: Curve, picture: Figure) 
     ]  # fmt: skip
     titles = {each.name: each.title for each in curve.variants}
     sections = [
-        section("What more data does", figure(svg(picture, "learning-curve"), CURVE)),
-        section("Is it better?", table(["over the three scenarios", "difference", "holds"], verdicts), note(SURE)),
-        section("Numbers", *numbers, note(BOOTSTRAP)),
-        section("Differences in the same episodes", *differences, note(BOOTSTRAP)),
-        section("Training", _training((titles[name], row) for name, row in curve.training.items())),
+        section("What more data does", figure(svg(picture, "learning-curve"), TEXTS["curve"])),
+        section(
+            "Is it better?", table(["over the three scenarios", "difference", "holds"], verdicts), note(TEXTS["sure"])
+        ),
+        section("Numbers", *numbers, note(TEXTS["bootstrap"])),
+        section("Differences in the same episodes", *differences, note(TEXTS["bootstrap"])),
+        section("Training", _training({titles[name]: row for name, row in curve.training.items()})),
     ]
     datasets, trainings, each = curve.sizes
     several = f"{datasets} dataset{'s' * (datasets > 1)}, {trainings} network{'s' * (trainings > 1)} on each"
@@ -420,14 +358,3 @@ def learning_curve(options: LearningCurveConfig, curve: Curve, picture: Figure) 
 
 def _row(cells: Mapping[str, Mapping], columns: Sequence[str], name: str, form: str = ".2f") -> list[Cell]:
     return [_estimate(cells[column][name], form) for column in columns]
-
-
-CURVE = (
-    "Imitation of the demonstrator on the behavior graph, in three scenarios and their mean, by hours of "
-    "demonstrations. Bars are 95 % bootstrap intervals over datasets, training seeds of each, and episodes of each; "
-    "with few datasets they are too short."
-)
-SURE = (
-    "Below: the share of the resamples in which it holds; at least 97.5 % counts as sure. verdicts.csv and "
-    "differences.csv have these numbers."
-)

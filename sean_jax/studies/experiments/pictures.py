@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,6 +14,7 @@ from matplotlib.figure import Figure
 from sean_jax import writing
 from sean_jax.drawing import colors
 from sean_jax.studies.experiments import shares
+from sean_jax.studies.experiments.measures import MEASURES
 from sean_jax.studies.experiments.shares import BEHAVIORS
 
 if TYPE_CHECKING:
@@ -137,7 +139,7 @@ def crowds(cells: list[Cell], swept: list[Cell]) -> Figure:
 
 
 def ablation(by_world: dict[str, list[Cell]]) -> Figure:
-    """By how many points each world moves the shares of flags of the first, means over the policies."""
+    """Change of the shares of flags in each world from the first, in points, means over the policies."""
     worlds = list(by_world)
 
     def mean(world: str, behavior: str) -> np.ndarray:
@@ -147,51 +149,63 @@ def ablation(by_world: dict[str, list[Cell]]) -> Figure:
 
     figure, axes = _figure(3.4 * len(BEHAVIORS) + 1.2, 0.3 * len(worlds) + 1.2, 1, len(BEHAVIORS))
     names = [*(name.replace("_", "\n") for name in shares.NAMES), "100 x\nentropy"]
-    shade = matplotlib.colors.LinearSegmentedColormap.from_list("", [colors.ROBOT, colors.PAPER, colors.FLOW])
     for spot, behavior in zip(axes[0], BEHAVIORS, strict=True):
         first = mean(worlds[0], behavior)
         values = np.stack([mean(world, behavior) - first for world in worlds[1:]])
-        spot.imshow(values, cmap=shade, vmin=-30, vmax=30, aspect="auto")
-        for (row, column), value in np.ndenumerate(values):
-            spot.text(column, row, f"{value:+.0f}", ha="center", va="center", color=colors.INK, fontsize=8)
+        shades = [colors.ROBOT, colors.PAPER, colors.FLOW]
+        _heat(spot, values, shades, (-30, 30), lambda value: (f"{value:+.0f}", colors.INK), 8)
         spot.set_xticks(range(len(names)), names, fontsize=7)
         spot.set_yticks(range(len(worlds) - 1), worlds[1:] if spot is axes[0, 0] else [""] * (len(worlds) - 1))
         spot.set_title(behavior, loc="left", fontsize=9.5, color=colors.INK)
-        for side in ("left", "bottom"):
-            spot.spines[side].set_visible(False)
     return figure
+
+
+def _heat(
+    spot: Axes,
+    values: np.ndarray,
+    shades: list[str],
+    limits: tuple[float, float],
+    text: Callable[[float], tuple[str, str]],
+    size: float,
+) -> None:
+    """A matrix as colored cells without a frame; ``text`` gives a cell's text and its color."""
+    shade = matplotlib.colors.LinearSegmentedColormap.from_list("", shades)
+    spot.imshow(values, cmap=shade, vmin=limits[0], vmax=limits[1], aspect="auto")
+    for (row, column), value in np.ndenumerate(values):
+        words, ink = text(value)
+        spot.text(column, row, words, ha="center", va="center", color=ink, fontsize=size)
+    for side in ("left", "bottom"):
+        spot.spines[side].set_visible(False)
 
 
 def grids(results: Results) -> Figure:
     """Figure 4: a grid of scenarios and policies for each measure; below, violations in each situation."""
-    names = list(results.MEASURES)
-    figure, axes = _figure(5 * max(3.2, 0.4 * len(results.policies) + 0.4), 5.6, 2, 5)
+    names, policies = list(MEASURES), list(results.values)
+    figure, axes = _figure(5 * max(3.2, 0.4 * len(policies) + 0.4), 5.6, 2, 5)
     for spot, name in zip(axes[0], names, strict=False):
-        values = np.array([[results.cells[p][b][name].mean for p in results.policies] for b in BEHAVIORS])
-        _grid(spot, values, results.policies, results.MEASURES[name])
-    waits = np.array([[results.waiting[p][b].mean for p in results.policies] for b in BEHAVIORS])
-    _grid(axes[0][len(names)], waits, results.policies, "time not moving of completed, s")
-    by = np.array([[results.by_situation[p][b].mean for p in results.policies] for b in BEHAVIORS])
+        values = np.array([[results.cells[p][b][name].mean for p in policies] for b in BEHAVIORS])
+        _grid(spot, values, policies, MEASURES[name])
+    waits = np.array([[results.waiting[p][b].mean for p in policies] for b in BEHAVIORS])
+    _grid(axes[0][len(names)], waits, policies, "time not moving of completed, s")
+    by = np.array([[results.by_situation[p][b].mean for p in policies] for b in BEHAVIORS])
     for k, (spot, situation) in enumerate(zip(axes[1], shares.NAMES, strict=True)):
-        _grid(spot, by[:, :, k], results.policies, f"violations, {situation.replace('_', ' ')}", top=float(by.max()))
+        _grid(spot, by[:, :, k], policies, f"violations, {situation.replace('_', ' ')}", top=float(by.max()))
     return figure
 
 
-def _grid(spot: Axes, values: np.ndarray, policies: tuple[str, ...], title: str, top: float | None = None) -> None:
-    shade = matplotlib.colors.LinearSegmentedColormap.from_list("", ["#eef3fa", colors.FLOW, colors.FLOW_EDGE])
+def _grid(spot: Axes, values: np.ndarray, policies: Sequence[str], title: str, top: float | None = None) -> None:
     scale = max(float(values.max()) if top is None else top, 1e-9)
-    spot.imshow(values, cmap=shade, vmin=0, vmax=scale, aspect="auto")
-    for (row, column), value in np.ndenumerate(values):
-        ink = "#ffffff" if value > 0.45 * scale else colors.INK
-        text = f"{value:g}" if value == round(value) else f"{value:.{2 if value < 9.995 else 1}f}"
-        spot.text(column, row, text, ha="center", va="center", color=ink, fontsize=9)
+
+    def text(value: float) -> tuple[str, str]:
+        words = f"{value:g}" if value == round(value) else f"{value:.{2 if value < 9.995 else 1}f}"
+        return words, "#ffffff" if value > 0.45 * scale else colors.INK
+
+    _heat(spot, values, ["#eef3fa", colors.FLOW, colors.FLOW_EDGE], (0, scale), text, 9)
     spot.set_xticks(range(len(policies)), policies)
     if max(map(len, policies)) > 2:  # names and folders of further drivers
         spot.set_xticks(range(len(policies)), policies, rotation=50, ha="right", rotation_mode="anchor", fontsize=7)
     spot.set_yticks(range(len(BEHAVIORS)), [name[:1].upper() for name in BEHAVIORS])
     spot.set_title(title, loc="left", fontsize=9, color=colors.INK)
-    for side in ("left", "bottom"):
-        spot.spines[side].set_visible(False)
 
 
 def learning_curve(curve: Curve) -> Figure:

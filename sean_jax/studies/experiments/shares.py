@@ -2,7 +2,7 @@
 
 Examples are taken once a second, and each situation that holds is a flag of the example. Intervals come from the
 bootstrap of ``metrics.bootstrap`` over blocks of a minute (Kuensch 1989), because successive seconds are alike.
-Entropies are divided by ln 5, that of five equal shares; they are the same for all ways of counting.
+Entropies are divided by ln 5, the entropy of five equal shares; they are the same for all ways of counting.
 
 In a recording each person in turn plays the robot (section III), and every row in which the person is present is an
 example. Intervals are from a bootstrap over these persons. A robot walks alone; so where companions are annotated,
@@ -13,9 +13,9 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple, TypedDict
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -47,19 +47,9 @@ COUNTINGS = {
 GROUPS = "join_group", "leave_group"  # unknown where groups are not annotated
 
 
-class Ordering(TypedDict):
-    """An ordering of the paper's table, tested."""
-
-    name: str
-    hard: bool  # expected with any policy
-    statement: str
-    holds: bool
-    share: float  # of the resamples in which it holds
-
-
 @dataclasses.dataclass
 class Shares:
-    """Shares with one behavior and one policy: the estimate, followed by those of R bootstrap resamples."""
+    """Shares with one behavior and one policy: the estimate, then R bootstrap resamples."""
 
     examples: np.ndarray  # (1 + R, S), of all examples; S is 5 for the paper's situations
     none: np.ndarray  # (1 + R,), of the examples in which no situation holds
@@ -68,23 +58,32 @@ class Shares:
     def of(self, counting: str) -> np.ndarray:
         """The shares by one of ``COUNTINGS``, (1 + R, S) from 0 to 1; 0 where the divisor is 0."""
         flags = self.examples.sum(1)
-        whole = {
-            "flags": flags,
-            "flags_and_none": flags + self.none,
-            "examples": np.ones_like(flags),
-            "situated_examples": 1.0 - self.none,
-        }[counting]
+        by_counting = {"flags": flags, "flags_and_none": flags + self.none, "examples": np.ones_like(flags)}
+        whole = by_counting.get(counting, 1.0 - self.none)
         return self.examples / np.where(whole > 0, whole, 1.0)[:, None]
 
     def entropy(self) -> np.ndarray:
         """Normalised entropy of the shares, (1 + R,) from 0 to 1."""
         return normalised_entropy(self.examples)
 
+    def rows(self, *head: Any, known: Collection[str] = NAMES) -> list[tuple]:
+        """Rows of a table, after ``head``: counting, situation, share and interval, of the situations ``known``."""
+        return [row for name in COUNTINGS for row in interval_rows((*head, name), NAMES, self.of(name), known)]
+
+
+def interval_rows(
+    head: Sequence, names: Collection[str], samples: np.ndarray, known: Collection[str] | None = None
+) -> list[tuple]:
+    """Rows of a table, after ``head``: a name, its share and the interval, of the names ``known``, or of all."""
+    low, high = interval(samples)
+    values = zip(names, samples[0], low, high, strict=True)
+    return [(*head, *row) for row in values if known is None or row[0] in known]
+
 
 def count(flags: np.ndarray, seed: int = 0, streams: int = 1) -> Shares:
     """Shares of the situations and their bootstrap resamples, from flags (blocks, seconds, S) bool.
 
-    The blocks are those of ``streams`` of equal length, one after another; a resample draws equally many of each.
+    The blocks are ``streams`` of equal length, one after another; a resample draws equally many of each.
     """
     each = [seed + 1000 * stream for stream in range(streams)]
     drawn = [bootstrap.resamples(len(flags) // streams, seed, bootstrap.RESAMPLES) for seed in each]
@@ -107,7 +106,7 @@ def count_by_person(flags: np.ndarray, person: np.ndarray, seed: int = 0) -> Sha
 
 
 def normalised_entropy(shares: np.ndarray) -> np.ndarray:
-    """Entropy (...,) of shares (..., K), which need not add up to one, divided by that of equal shares.
+    """Entropy (...,) of shares (..., K), which need not add up to one, divided by the entropy of equal shares.
 
     It is from 0 to 1, and 0 if all shares are zero.
     """
@@ -121,14 +120,21 @@ def interval(samples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return bootstrap.interval(samples[1:])
 
 
-def orderings(by_behavior: dict[str, Shares], counting: str = "flags") -> list[Ordering]:
-    """Test the orderings of the paper's table by one of ``COUNTINGS``. Source: Table I."""
+def orderings(by_behavior: dict[str, Shares], counting: str = "flags") -> list[dict[str, Any]]:
+    """Test the orderings of the paper's table by one of ``COUNTINGS``.
+
+    Returns:
+        For each its name, whether it is hard (expected with any policy), its statement, whether it holds, and the share
+        of the resamples in which it holds.
+
+    Source: Table I.
+    """
     r, h, g = (by_behavior[name].of(counting) for name in ("random", "handcrafted", "graph"))
     hr, hh, hg = (normalised_entropy(each) for each in (r, h, g))
     cross, down, join, leave, empty = range(5)
     groups = g[:, join] + g[:, leave]
-    close = np.abs(g[:, : down + 1] - r[:, : down + 1]) <= 0.25 * r[:, : down + 1]
-    share = h[:, : down + 1] / np.minimum(r, g)[:, : down + 1].clip(1e-9)
+    close = np.abs(g[:, :join] - r[:, :join]) <= 0.25 * r[:, :join]
+    share = h[:, :join] / np.minimum(r, g)[:, :join].clip(1e-9)
     statements = [
         ("T1", True, "entropy: graph above random and handcrafted", (hg > hr) & (hg > hh)),
         ("T2", True, "random: join and leave group never", (r[:, join] == 0) & (r[:, leave] == 0)),
@@ -149,6 +155,14 @@ def orderings(by_behavior: dict[str, Shares], counting: str = "flags") -> list[O
         {"name": name, "hard": hard, "statement": words, "holds": bool(holds[0]), "share": float(holds[1:].mean())}
         for name, hard, words, holds in statements
     ]
+
+
+def ordering_rows(by_behavior: dict[str, Shares], *head: Any) -> Iterator[tuple]:
+    """Rows of a table, after ``head``: the orderings by each of ``COUNTINGS``."""
+    for counting in COUNTINGS:
+        for row in orderings(by_behavior, counting):
+            name, hard, statement, holds, share = row.values()
+            yield (*head, counting, name, hard, f'"{statement}"', holds, f"{share:.4f}")
 
 
 def paper() -> dict[str, np.ndarray]:
@@ -183,6 +197,14 @@ class Cell:
         return count(self.more, streams=self.streams)
 
 
+def by_policy(cells: Sequence[Cell], speed: int = 0) -> dict[str, dict[str, Shares]]:
+    """policy -> behavior -> shares of the paper's situations."""
+    return {
+        policy: {cell.behavior: cell.shares(speed) for cell in cells if cell.policy == policy}
+        for policy in dict.fromkeys(cell.policy for cell in cells)
+    }
+
+
 # ------------------------------------------------------------------ recorded
 
 
@@ -191,10 +213,10 @@ class Recorded:
     """The examples of one recording."""
 
     name: str
-    person: np.ndarray  # (E,) int, the person who plays the robot
+    person: np.ndarray  # (E,) int, the person in place of the robot
     flags: np.ndarray  # (V, E, 5) bool
     more: np.ndarray  # (E, M) bool
-    known: frozenset[str]  # situations that the recording can tell
+    known: frozenset[str]  # situations that the recording can have
 
     @property
     def people(self) -> int:
@@ -226,10 +248,9 @@ def read_recordings(paths: Sequence[str], frame_rate: float | None = None) -> di
     Raises:
         FileError: one sentence that names the file and the cure.
     """
-    people = {}
-    stems = [Path(path).stem for path in paths]
-    names = [stem if stems.count(stem) == 1 else path for stem, path in zip(stems, paths, strict=True)]
-    for name, path in zip(names, paths, strict=True):
+    people, stems = {}, [Path(path).stem for path in paths]
+    for stem, path in zip(stems, paths, strict=True):
+        name = stem if stems.count(stem) == 1 else path
         tracks = recordings.read(path, frame_rate=frame_rate)
         people[name] = People(tracks, np.full(tracks.present.shape[1], -1, np.int32))
         groups = Path(path).with_suffix(".groups.txt")
@@ -272,7 +293,7 @@ def count_recording(
 
 @functools.partial(jax.jit, static_argnums=0)
 def _flags(kind: str, people: People, robot: Array, rows: Array, speeds: Array) -> tuple[Array, Array]:
-    """(V, K, 5) and (K, M) situations of a person who plays the robot, in K rows."""
+    """(V, K, 5) and (K, M) situations of a person in place of the robot, in K rows."""
     snapshots, _ = recordings.snapshots_of(people.tracks, robot)
     snapshots = jax.tree.map(lambda leaf: leaf[rows], snapshots)
     own = people.companions[robot]

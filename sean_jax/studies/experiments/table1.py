@@ -3,6 +3,13 @@
 Each behavior and policy is simulated for an hour or more by the paper's protocol, with several seeds, and compared with
 the paper's row. Sweeps vary the number of people and the speed V above which people count as walking, since the paper's
 1.4 m/s is faster than most people walk. Further situations are counted too, and all of them in recordings of people.
+
+The time is split into chains: episodes without a break, many at once. The streams of the protocol differ in what a
+reset draws, but not in what a step reads. So each stream has its own pool of starts, and the chains of all streams run
+in one batch (``episodes.rollout_autoreset``).
+
+The ablation is Table I under several conditions: this package's, SEAN 2.0's, and this package's with one switch of SEAN
+2.0 each. So each cell, and each of the paper's orderings, is traced to the switch that moves it.
 """
 
 from __future__ import annotations
@@ -10,42 +17,54 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sean_jax import files, writing
-from sean_jax.classifiers import MORE_SITUATIONS
-from sean_jax.config import CollectConfig, ExperimentConfig, ScenarioConfig, SituationConfig, Table1Config
+from sean_jax import devices, episodes, files, prng, runner, writing
+from sean_jax.classifiers import MORE_SITUATIONS, classify
+from sean_jax.config import (
+    PRESETS,
+    AblationConfig,
+    CollectConfig,
+    ExperimentConfig,
+    ScenarioConfig,
+    SituationConfig,
+    Table1Config,
+    with_defaults,
+)
+from sean_jax.episodes import ResetPool
 from sean_jax.errors import InputError
 from sean_jax.files import listed
 from sean_jax.flags import number
 from sean_jax.learning.collection import check_collection, streams
 from sean_jax.learning.policy import check_policy, load_policy
-from sean_jax.studies.experiments import page, pictures, shares
-from sean_jax.studies.experiments.chains import MINUTE, Chains, Streams
-from sean_jax.studies.experiments.scheduler import Part, cached, run_parts
-from sean_jax.studies.experiments.shares import BEHAVIORS, Cell, Recorded
+from sean_jax.scenario import snapshot
+from sean_jax.studies.experiments import Part, cached, page, pictures, run_parts, shares, write_csv
+from sean_jax.studies.experiments.shares import BEHAVIORS, Cell, Recorded, interval_rows, ordering_rows
 from sean_jax.workspace import REMAKE, Workspace, identity
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from sean_jax.base import Array, Scenario, Snapshot
+    from sean_jax.base import Array, Policy, Scenario, Snapshot, State
     from sean_jax.classifiers import Situation, Thresholds
 
 SWEPT = "random", "graph"  # behaviors whose number of people can be chosen
 CHAIN = 6  # minutes of a chain, which an hour, a half and a fifth of it are multiples of
+MINUTE = 60  # s, of a block of the bootstrap
+LEAD = 1  # min at the start of each chain that are not counted, since all chains begin with a start of an episode
 SHARED = "environment", "robot", "dynamics", "time_limit"  # options of the experiment and of its scenarios
 MORE = tuple(MORE_SITUATIONS.items())
 STARTS = 64  # of each stream and seed, from which its chains restart
 
 
-def run(options: Table1Config, console: Console | None = None) -> Path:
-    """Simulate what the folder lacks, and write the report.
+def run_table1(options: Table1Config, console: Console | None = None) -> Path:
+    """Simulate the missing parts of the folder, and write the report.
 
     Raises:
         InputError: the options are wrong, or the folder holds another experiment.
@@ -72,18 +91,18 @@ def run(options: Table1Config, console: Console | None = None) -> Path:
             for name, each in real.items()
         ]
         recordings = run_parts(counting, console, "counting")
-        driving = [
-            Part(_part_name(*job), functools.partial(_cell, options, work, *job, places))
-            for job in dict.fromkeys([*jobs, *sweep])
-        ]
+        driving = []
+        for behavior, policy, people in dict.fromkeys([*jobs, *sweep]):
+            name, pool = _name(behavior, policy, people), functools.partial(places, behavior, people)
+            driving.append(Part(name, functools.partial(cell, options, work, name, behavior, policy, pool, more=MORE)))
         results = run_parts(driving, console, "driving")
-        cells, swept = ([results[_part_name(*job)] for job in each] for each in (jobs, sweep))
-        write(options, cells, swept, [recordings[name] for name in real])
+        cells, swept = ([results[_name(*job)] for job in each] for each in (jobs, sweep))
+        write_table1(options, cells, swept, [recordings[name] for name in real])
     return options.folder
 
 
-def _part_name(behavior: str, policy: str, people: int | None) -> str:
-    return f"{behavior}, {policy}" + ("" if people is None else f", {people} people")
+def _name(behavior: str, policy: str, people: int | None) -> str:
+    return f"{behavior}-{policy}{'' if people is None else f'-{people}'}"
 
 
 def policies(options: SituationConfig) -> list[str]:
@@ -100,67 +119,59 @@ def policies(options: SituationConfig) -> list[str]:
     return names
 
 
-def description(options: Table1Config, behavior: str, people: int | None) -> CollectConfig:
+def description(options: ExperimentConfig, behavior: str, people: int | None) -> CollectConfig:
     """The scenario with so many people of a behavior: random, handcrafted or graph."""
-    return CollectConfig(preset=options.preset, **fields(options, behavior, people))
+    return CollectConfig(**fields(options, behavior, people))
 
 
 def fields(options: ExperimentConfig, behavior: str, people: int | None) -> dict[str, Any]:
-    """The options of an experiment's scenarios; a preset may fill in the rest.
+    """The options of an experiment's scenarios; a preset fills in the rest.
 
     ``people`` None is the environment's number; handcrafted people have their own.
     """
     chosen = {name: getattr(options, name) for name in SHARED if name in options.model_fields_set}
-    return chosen | {"behavior": behavior, "people": None if behavior == "handcrafted" else people}
+    chosen |= {"preset": getattr(options, "preset", None), "behavior": behavior}
+    return chosen | {"people": None if behavior == "handcrafted" else people}
 
 
 def _places(options: Table1Config, behavior: str, people: int | None) -> Streams:
     """The streams of the protocol, with situations for each walking speed."""
     kinds = list(streams(description(options, behavior, people)).values())
-    situations = _at_speeds(kinds[0], options.speeds)
-    return with_starts(options, [dataclasses.replace(kind, situations=situations) for kind in kinds])
-
-
-def with_starts(options: SituationConfig, kinds: list[Scenario]) -> Streams:
-    """The streams of the protocol with their starts."""
+    situations = tuple(
+        (f"{name}_{number(speed)}", functools.partial(_at, holds, speed))
+        for speed in options.speeds
+        for name, holds in kinds[0].situations
+    )
+    kinds = [dataclasses.replace(kind, situations=situations) for kind in kinds]
     return Streams(kinds, options.seed, STARTS * options.seeds)
 
 
-def _cell(
-    options: Table1Config,
-    work: Workspace,
-    behavior: str,
-    policy: str,
-    people: int | None,
-    places: Callable[..., Streams],
-    tell: Callable[[float], None],
-) -> Cell:
-    file = f"{behavior}-{policy}{'' if people is None else f'-{people}'}.npz"
-    return cell(options, work, file, behavior, policy, lambda: places(behavior, people), tell, MORE)
+def _at(holds: Callable, speed: float, snapshot: Snapshot, thresholds: Thresholds) -> Array:
+    return holds(snapshot, dataclasses.replace(thresholds, walking=jnp.asarray(speed, float)))
 
 
 def cell(
     options: SituationConfig,
     work: Workspace,
-    file: str,
+    name: str,
     behavior: str,
     policy: str,
     places: Callable[[], Streams],
     tell: Callable[[float], None],
     more: tuple[tuple[str, Situation], ...] = (),
 ) -> Cell:
-    """A cell from its file, or simulated.
+    """A cell from its file ``name``.npz, or simulated.
 
     Args:
         places: gives the streams of the protocol, with situations of one or several walking speeds.
         tell: called with the finished share.
-        more: names and functions of further situations. A file without them is made anew.
+        more: names and functions of further situations. A file without them is computed again.
 
     Raises:
         FileError: the file is damaged.
         FloatingPointError: a position is not finite.
     """
-    names = tuple(name for name, _ in more)
+    file, names = f"{name}.npz", tuple(name for name, _ in more)
     arrays = work.load(file)
     if arrays is not None:
         with files.sentence(work.folder / file, REMAKE):
@@ -174,7 +185,7 @@ def cell(
     minutes = max(1, math.ceil(60.0 * options.hours / len(kinds) - 1e-6))
     each = min(CHAIN, minutes)
     chains = seeds * math.ceil(minutes / each)
-    flags, ended = Chains(load_policy(policy, kinds[0]), more).minutes(pool, chains, each, tell)
+    flags, ended = simulate_chains(load_policy(policy, kinds[0]), pool, chains, each, tell, more)
     flags, others = np.split(flags.reshape(-1, MINUTE, flags.shape[-1]), [flags.shape[-1] - len(names)], axis=-1)
     flags = np.moveaxis(flags.reshape(*flags.shape[:2], -1, len(shares.NAMES)), 2, 0)
     packed = {"flags": np.packbits(flags, axis=-1), "more": np.packbits(others, axis=-1), "names": np.array(names, str)}
@@ -182,20 +193,7 @@ def cell(
     return Cell(behavior, policy, kinds[0].people, flags, others, ended, len(kinds))
 
 
-def _at_speeds(scenario: Scenario, speeds: tuple[float, ...]) -> tuple:
-    """The scenario's situations, repeated for each walking speed."""
-    return tuple(
-        (f"{name}_{number(speed)}", functools.partial(_at, holds, speed))
-        for speed in speeds
-        for name, holds in scenario.situations
-    )
-
-
-def _at(holds: Callable, speed: float, snapshot: Snapshot, thresholds: Thresholds) -> Array:
-    return holds(snapshot, dataclasses.replace(thresholds, walking=jnp.asarray(speed, float)))
-
-
-def write(options: Table1Config, cells: list[Cell], swept: list[Cell], real: list[Recorded]) -> None:
+def write_table1(options: Table1Config, cells: list[Cell], swept: list[Cell], real: list[Recorded]) -> None:
     """Write shares.csv, more.csv, entropies.csv, orderings.csv, recordings.csv, the figures and report.html.
 
     ``cells`` have the experiment's number of people, ``swept`` other numbers.
@@ -203,58 +201,213 @@ def write(options: Table1Config, cells: list[Cell], swept: list[Cell], real: lis
     Raises:
         WriteError: another process writes one of the files.
     """
-    folder, lines = options.folder, ["policy,behavior,people,V,counting,situation,share,low,high"]
-    more = ["policy,behavior,people,situation,share,low,high"]
-    entropies = ["policy,behavior,people,V,entropy,low,high,examples,none,completed,not_completed"]
+    folder, rows, more, entropies = options.folder, [], [], []
     for cell in [*cells, *swept]:
-        more += _rows(f"{cell.policy},{cell.behavior},{cell.people}", list(MORE_SITUATIONS), cell.further().examples)
+        head = cell.policy, cell.behavior, cell.people
+        more += interval_rows(head, MORE_SITUATIONS, cell.further().examples)
         for index, speed in enumerate(options.speeds):
             estimate = cell.shares(index)
-            for counting in shares.COUNTINGS:
-                head = f"{cell.policy},{cell.behavior},{cell.people},{number(speed)},{counting}"
-                lines += _rows(head, shares.NAMES, estimate.of(counting))
+            rows += estimate.rows(*head, number(speed))
             entropy = estimate.entropy()
-            ends = shares.interval(entropy)
-            rest = f"{estimate.seconds},{estimate.none[0]:.5f},{cell.ended[0]},{cell.ended[1]}"
-            head = f"{cell.policy},{cell.behavior},{cell.people},{number(speed)}"
-            entropies.append(f"{head},{entropy[0]:.5f},{ends[0]:.5f},{ends[1]:.5f},{rest}")
-    writing.write(folder / "shares.csv", "\n".join(lines) + "\n")
-    writing.write(folder / "more.csv", "\n".join(more) + "\n")
-    writing.write(folder / "entropies.csv", "\n".join(entropies) + "\n")
-    if real:
-        writing.write(folder / "recordings.csv", "\n".join(_recorded(options, real)) + "\n")
-    ordering_lines = ["policy,V,counting,ordering,hard,statement,holds,share_of_resamples"]
-    for policy in dict.fromkeys(cell.policy for cell in cells):
-        for index, speed in enumerate(options.speeds):
-            by_behavior = {cell.behavior: cell.shares(index) for cell in cells if cell.policy == policy}
-            for counting in shares.COUNTINGS:
-                for row in shares.orderings(by_behavior, counting):
-                    ordering_lines.append(f'{policy},{number(speed)},{counting},{row["name"]},{row["hard"]},"{row["statement"]}",'
-                                f"{row['holds']},{row['share']:.4f}")  # fmt: skip
-    writing.write(folder / "orderings.csv", "\n".join(ordering_lines) + "\n")
+            values = entropy[0], *shares.interval(entropy), estimate.seconds, estimate.none[0], *cell.ended
+            entropies.append((*head, number(speed), *values))
+    write_csv(folder / "shares.csv", "policy,behavior,people,V,counting,situation,share,low,high", rows)
+    write_csv(folder / "more.csv", "policy,behavior,people,situation,share,low,high", more)
+    head = "policy,behavior,people,V,entropy,low,high,examples,none,completed,not_completed"
+    write_csv(folder / "entropies.csv", head, entropies)
+    if real:  # there is no V where a situation does not depend on it
+        head = "recording,people,V,counting,situation,share,low,high"
+        write_csv(folder / "recordings.csv", head, [row for each in real for row in _recorded(options, each)])
+    by_speed = [shares.by_policy(cells, index) for index in range(len(options.speeds))]
+    orderings = [
+        row
+        for policy in by_speed[0]
+        for speed, by_policy in zip(options.speeds, by_speed, strict=True)
+        for row in ordering_rows(by_policy[policy], policy, number(speed))
+    ]
+    head = "policy,V,counting,ordering,hard,statement,holds,share_of_resamples"
+    write_csv(folder / "orderings.csv", head, orderings)
     figures = pictures.table1(options, cells, swept)
     pictures.save(folder, figures)
     writing.write(folder / "report.html", page.table1(options, cells, figures, real))
 
 
-def _rows(head: str, names: Sequence[str], samples: np.ndarray, known: Collection[str] | None = None) -> list[str]:
-    """A line for each situation that is known: its share and the ends of its interval."""
-    low, high = shares.interval(samples)
-    return [
-        f"{head},{name},{samples[0, k]:.5f},{low[k]:.5f},{high[k]:.5f}"
-        for k, name in enumerate(names)
-        if known is None or name in known
+def _recorded(options: Table1Config, real: Recorded) -> list[tuple]:
+    rows = [
+        row
+        for index, speed in enumerate(options.speeds)
+        for row in real.shares(index).rows(real.name, real.people, number(speed), known=real.known)
     ]
+    head = real.name, real.people, "", "examples"
+    return rows + interval_rows(head, MORE_SITUATIONS, real.further().examples, real.known)
 
 
-def _recorded(options: Table1Config, real: list[Recorded]) -> list[str]:
-    lines = ["recording,people,V,counting,situation,share,low,high"]  # no V where a situation does not depend on it
-    for each in real:
-        for index, speed in enumerate(options.speeds):
-            estimate = each.shares(index)
-            for counting in shares.COUNTINGS:
-                head = f"{each.name},{each.people},{number(speed)},{counting}"
-                lines += _rows(head, shares.NAMES, estimate.of(counting), each.known)
-        head = f"{each.name},{each.people},,examples"
-        lines += _rows(head, list(MORE_SITUATIONS), each.further().examples, each.known)
-    return lines
+# ------------------------------------------------------------------ chains
+
+
+class Streams:
+    """C scenarios that differ in their resets alone, with ``size`` starts of each that all policies share."""
+
+    def __init__(self, scenarios: Sequence[Scenario], seed: int, size: int):
+        self.scenarios, self.seed, self.size = list(scenarios), seed, size
+        self.starts = cached(self._draw)  # once, since a reset compiles as long as a step
+
+    def _draw(self) -> State:
+        """(C, K, ...) without a policy's memory."""
+        key, number = prng.key("table1 starts", self.seed), len(self.scenarios)
+        keys = jnp.stack([jax.random.split(jax.random.fold_in(key, c), self.size) for c in range(number)])
+        draw = jax.jit(functools.partial(_starts, tuple(each.task for each in self.scenarios)))
+        return draw(self.scenarios[0], runner.varying_leaves(self.scenarios), keys)
+
+
+def _starts(tasks: tuple, scenario: Scenario, varying: dict[int, Array], keys: Array) -> State:
+    def stream(index_and_keys: tuple[Array, Array]) -> State:
+        index, keys = index_and_keys
+        return jax.vmap(lambda key: runner.first_state(tasks, scenario, varying, index, key))(keys)
+
+    return jax.lax.map(stream, (jnp.arange(len(tasks), dtype=jnp.int32), keys))
+
+
+def simulate_chains(
+    policy: Policy,
+    streams: Streams,
+    chains: int,
+    minutes: int,
+    tell: Callable[[float], None],
+    more: tuple[tuple[str, Situation], ...] = (),
+) -> tuple[np.ndarray, np.ndarray]:
+    """Situations once a second in chains of each stream, after ``LEAD`` minutes.
+
+    Args:
+        tell: called with the finished share.
+        more: situations that are noted besides those of the scenario.
+
+    Returns:
+        Whether each situation holds, (C * chains, minutes, 60, S) bool, the scenario's before ``more``; and the numbers
+        of completed and other episodes, (2,).
+
+    Raises:
+        FloatingPointError: the position of a robot or a person is not finite.
+    """
+    mesh, number, scenario = devices.mesh(), chains * len(streams.scenarios), streams.scenarios[0]
+    begin, run = devices.shard(mesh, _begin), devices.shard(mesh, functools.partial(_minute, more), donate=True)
+    size = -(-number // mesh.size) * mesh.size
+    pool = ResetPool(jax.jit(_init_policy)(scenario, policy, streams.starts()))
+    fixed = devices.replicate(mesh, (scenario, policy, pool))
+    stream = np.minimum(np.arange(size) // chains, len(streams.scenarios) - 1)
+    carry = begin(fixed, devices.keys(mesh, prng.key("table1", streams.seed), size), jnp.asarray(stream, jnp.int32))
+    situations, ended = [], np.zeros(2, int)
+    for minute in range(LEAD + minutes):
+        carry, flags, ends, finite = run(fixed, carry)
+        if not bool(np.asarray(finite).all()):
+            raise FloatingPointError("a robot's or a person's place is not finite; nothing more is written.")
+        if minute >= LEAD:
+            situations.append(np.asarray(flags)[:number])
+            ended += np.asarray(ends)[:number].sum(0)
+        tell((minute + 1) / (LEAD + minutes))
+    return np.stack(situations, 1), ended
+
+
+def _init_policy(scenario: Scenario, policy: Policy, starts: State) -> State:
+    """(C, K, ...) starts with the policy's memory."""
+    return jax.vmap(jax.vmap(lambda state: episodes.init_policy(scenario, policy, state)))(starts)
+
+
+def _begin(fixed: tuple, key: Array, stream: Array) -> tuple[Array, State]:
+    choice_key, streams_key = jax.random.split(key)
+    return stream, episodes.draw_start(fixed[2], choice_key, streams_key, stream)
+
+
+def _minute(more: tuple[tuple[str, Situation], ...], fixed: tuple, carry: tuple[Array, State]) -> tuple:
+    """One minute of a chain: ``episodes.rollout_autoreset`` with the pool of the chain's stream."""
+    scenario, policy, pool = fixed
+    stream, state = carry
+    ticks = round(1.0 / scenario.time_step)
+
+    def tick(before: State, _) -> tuple[State, Array]:
+        after, _ = episodes.policy_step(scenario, policy, before)
+        return episodes.autoreset(pool, after, stream), jnp.stack([after.completed, after.timed_out])
+
+    def second(state: State, _) -> tuple:
+        state, ended = jax.lax.scan(tick, state, length=ticks)
+        situations = state.situations
+        if more:  # evaluated once a second, as often as they are read
+            situations = jnp.concatenate([situations, classify(snapshot(scenario, state), scenario.thresholds, more)])
+        return state, (situations, ended.sum(0, dtype=jnp.int32))
+
+    state, (flags, ended) = jax.lax.scan(second, state, length=MINUTE)
+    finite = jnp.isfinite(state.robot.position).all() & jnp.isfinite(state.pedestrians.position).all()
+    return (stream, state), flags, ended.sum(0, dtype=jnp.int32), finite
+
+
+# ------------------------------------------------------------------ ablation
+
+DEFAULT, ALL = "default", "sean2"
+SWITCHES = {
+    name: value
+    for name, value in PRESETS[ALL].options.items()
+    if name not in CollectConfig.model_fields or CollectConfig.model_fields[name].get_default() != value
+}
+"""The options of preset ``sean2`` that differ from the defaults."""
+WORLDS = (DEFAULT, *SWITCHES, ALL)
+"""The conditions: the defaults, the defaults with one switch each, and SEAN 2.0's with all switches."""
+
+
+def run_ablation(options: AblationConfig, console: Console | None = None) -> Path:
+    """Simulate what the folder lacks, and write the report; raises as ``run_table1``."""
+    names = policies(options)
+    for world in WORLDS:
+        for behavior in BEHAVIORS:
+            check_collection(world_description(options, world, behavior))
+
+    @cached
+    def places(world: str, behavior: str) -> Streams:
+        kinds = streams(world_description(options, world, behavior)).values()
+        return Streams(list(kinds), options.seed, STARTS * options.seeds)
+
+    combinations = [(policy, behavior) for policy in names for behavior in BEHAVIORS]
+    jobs = {
+        world: [(simulated_world(options, world, behavior), behavior, policy) for policy, behavior in combinations]
+        for world in WORLDS
+    }
+    with Workspace(options.folder, identity(options)).open() as work:
+        work.begin()
+        parts = []
+        for world, behavior, policy in dict.fromkeys(job for each in jobs.values() for job in each):
+            name, pool = f"{world}-{behavior}-{policy}", functools.partial(places, world, behavior)
+            parts.append(Part(name, functools.partial(cell, options, work, name, behavior, policy, pool)))
+        cells = run_parts(parts, console, "ablation")
+        write_ablation(options, {world: [cells["-".join(job)] for job in each] for world, each in jobs.items()})
+    return options.folder
+
+
+def world_description(options: AblationConfig, world: str, behavior: str) -> CollectConfig:
+    """The scenario of one of ``WORLDS`` with people of a behavior, which may not have its switch."""
+    chosen = SWITCHES if world == ALL else {name: value for name, value in SWITCHES.items() if name == world}
+    return CollectConfig(**with_defaults(CollectConfig, fields(options, behavior, options.people), chosen))
+
+
+def simulated_world(options: AblationConfig, world: str, behavior: str) -> str:
+    """The world that is simulated for a world: the default if the switch changes nothing for people of the behavior."""
+    own, default = (world_description(options, each, behavior).identity() for each in (world, DEFAULT))
+    return DEFAULT if own == default else world
+
+
+def write_ablation(options: AblationConfig, by_world: dict[str, list[Cell]]) -> None:
+    """Write ablation.csv, orderings.csv, the figure and report.html.
+
+    Raises:
+        WriteError: another process writes one of the files.
+    """
+    folder, rows, orderings = options.folder, [], []
+    for world, cells in by_world.items():
+        for cell in cells:
+            rows += cell.shares().rows(world, cell.policy, cell.behavior)
+        for policy, by_behavior in shares.by_policy(cells).items():
+            orderings += ordering_rows(by_behavior, world, policy)
+    write_csv(folder / "ablation.csv", "world,policy,behavior,counting,situation,share,low,high", rows)
+    head = "world,policy,counting,ordering,hard,statement,holds,share_of_resamples"
+    write_csv(folder / "orderings.csv", head, orderings)
+    figure = pictures.ablation(by_world)
+    pictures.save(folder, {"ablation": figure})
+    writing.write(folder / "report.html", page.ablation(options, by_world, figure))

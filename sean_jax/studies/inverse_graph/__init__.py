@@ -80,7 +80,7 @@ WIDEST = 7.0  # points, of the arrow of the greatest flow
 def run(options: FitGraphConfig, console: "Console") -> list[str]:
     """Propose a graph, or fit one to people, and write it as an environment.
 
-    The folder holds graph.yaml beside the environment's own files, so that ``sean run --environment`` takes it, and, if
+    The folder holds graph.yaml and the environment's own files, so that ``sean run --environment`` takes it, and, if
     there were people, flows.png, flows.csv and fit.json.
 
     Raises:
@@ -100,7 +100,7 @@ def run(options: FitGraphConfig, console: "Console") -> list[str]:
             writing.write(folder / GRAPH, graph_yaml(words))
             return lines
         closed = options.recording is None
-        measured, held_out = _simulated(options, bar) if closed else _recorded(options, graph, bar)
+        measured, reference = _simulated(options, bar) if closed else _recorded(options, graph, bar)
         walks = float(measured.edges.sum())
         if walks < FEWEST:
             what = f"people walk {walks:.0f} times along edges of the graph, and {FEWEST} are the fewest to fit it to"
@@ -115,8 +115,8 @@ def run(options: FitGraphConfig, console: "Console") -> list[str]:
             fit = fit_flows(graph, measured, closed, options.temperature, calls, progress=bar)
             writing.write(folder / GRAPH, graph_yaml(annotate(words, fit, closed, source)))
         flow = np.asarray(fit.flows.edges, float)
-        scale = held_out.flow.sum() / max(flow.sum(), 1e-30)
-        panels = {HELD_OUT: held_out.flow, "fitted to": measured.flow, "flow model": flow * scale}
+        scale = reference.flow.sum() / max(flow.sum(), 1e-30)
+        panels = {HELD_OUT: reference.flow, "fitted to": measured.flow, "flow model": flow * scale}
         if closed:
             again, _ = _episodes(_scenario(options, folder), options, ANEW, bar, "simulating the fit")
             panels["simulated anew"] = again.flow
@@ -300,6 +300,6 @@ def _report(graph: BehaviorGraph, fit: GraphFit) -> list[str]:
     lines = [f"preferred speed: {mean:.2f} m/s, standard deviation {deviation:.2f} m/s"] if np.isfinite(mean) else []
     for number, node in enumerate(np.asarray(graph.groups)):
         shortest, longest = fit.stay[number]
-        stays = f"stays of {shortest:.1f} to {longest:.1f} s" if np.isfinite(shortest) else "hardly any stay was seen"
+        stays = f"stays of {shortest:.1f} to {longest:.1f} s" if np.isfinite(shortest) else "hardly any stays"
         lines.append(f"group {graph.names[node]}: {stays}, {fit.capacity[number]} people")
     return lines

@@ -2,16 +2,16 @@
 
 The model of flows is a Markov chain of people with goals, differentiable by its weights. A person at a node has a goal
 and goes on to it by ``graph.behavior_graph``, with a temperature. At the goal another one is drawn, and at any waypoint
-the person may be sent to a group instead. On the way there somebody else may take the place; then a goal is drawn at
+the person may be sent to a group instead. On the way there another person may take the seat; then a goal is drawn at
 the next node. So the expected number of walks along each edge, and of each turn, follows from linear equations. The
-behavior ``graph`` is this chain with temperature 0: how often somebody is sent to a group comes of the time for which
+behavior ``graph`` is this chain with temperature 0: the frequency of calls to a group follows from the time for which
 people stay there.
 
-Two kinds of population: in a *closed* one people stay and go on from goal to goal, as in a simulation, and as many go
+Two kinds of population: in a *closed* one people stay and walk from goal to goal, as in a simulation, and as many go
 to a node in the long run as leave it. In an *open* one people enter at their start and leave at their goal, as in most
 recordings.
 
-Weights follow the gradient of the likelihood of what was measured, with a temperature that falls from several metres to
+Weights follow the gradient of the likelihood of the measurements, with a temperature that falls from several metres to
 a fraction of one: at first all ways contribute gradients, and in the end people choose ways as in the behavior. Stays
 and speeds need no gradient: a few numbers describe their distributions.
 """
@@ -35,17 +35,17 @@ from sean_jax.progress import Progress
 from sean_jax.studies.inverse_graph.measuring import Calls, FlowMeasure
 
 RARE = 1e-6  # share of walks that no model explains, such as turning round on the way
-SELDOM = -3.0  # logarithm of the odds with which somebody at a node is sent to a group, before anything is known
+SELDOM = -3.0  # initial logarithm of the odds that a person at a node is sent to a group
 
 
 @struct.dataclass
 class FlowWeights:
-    """What the flows on a graph of M nodes with G groups depend on, all as logarithms."""
+    """The parameters of flows on a graph of M nodes with G groups, all as logarithms."""
 
     goal: Float[Array, "M"]  # chance of a node to be a goal, relative to the others; of a group: in an open population
-    start: Float[Array, "M"]  # chance to be where somebody enters, relative to the others, in an open population
+    start: Float[Array, "M"]  # weight of the node as an entrance, in an open population
     factor: Float[Array, "M M"]  # by which the length of the directed edge is multiplied
-    sent: Float[Array, "M G"]  # odds with which somebody at a node is sent to each group, in a closed population
+    sent: Float[Array, "M G"]  # odds that a person at a node is sent to each group, in a closed population
 
 
 class Flows(NamedTuple):
@@ -74,7 +74,7 @@ def layout(graph: BehaviorGraph) -> Layout:
 
 
 def weights_of(graph: BehaviorGraph) -> FlowWeights:
-    """The weights that a graph is annotated with, or 1 where it says nothing; people are seldom sent to groups."""
+    """The weights of a graph, or 1 if it has none; people are seldom called to groups."""
     distance = layout(graph).length
     joined = jnp.isfinite(distance)
     ratio = jnp.where(joined, graph.edge_cost, 1.0) / jnp.where(joined, jnp.maximum(distance, 1e-6), 1.0)
@@ -97,8 +97,8 @@ def expected_flows(
 
     Args:
         temperature: m, of ``route_choice``.
-        closed: whether people go on from goal to goal, or enter and leave.
-        replaced: (M, G) the probability that somebody who comes to a node on the way to a group is replaced by another,
+        closed: whether people walk from goal to goal, or enter and leave.
+        replaced: (M, G) the probability that a person at a node on the way to a group is replaced by another,
             in a closed population; never if None.
     """
     joined = jnp.isfinite(place.length)
@@ -128,7 +128,7 @@ def _open(place: Layout, weights: FlowWeights, onward: Float[Array, "M M M"]) ->
 
 
 def _closed(place: Layout, weights: FlowWeights, onward: Float[Array, "M M M"], replaced: Float[Array, "M G"]) -> Flows:
-    """People who go on from goal to goal. Shares are for one goal that is reached, or given up."""
+    """People who walk from goal to goal. Shares are per goal that is reached or abandoned."""
     count, group = place.is_group.shape[0], place.is_group
     itself = jnp.eye(count, dtype=bool)
     drawn = _goal_chances(place, jnp.where(group, -jnp.inf, weights.goal))  # (node, goal): waypoints alone
@@ -143,7 +143,7 @@ def _closed(place: Layout, weights: FlowWeights, onward: Float[Array, "M M M"], 
     departures = jnp.linalg.inv(balance)  # (goal, node, node where it began)
     arrivals = jnp.einsum("huv,hub->hvb", onward, departures)  # (goal, node, node where it began)
 
-    # Goals reached or given up, from one to the next: the stationary state of a chain of nodes.
+    # Goals reached or abandoned, from one to the next: the stationary distribution of a chain of nodes.
     begins = drawn * keeps[:, None]  # (node, goal) of arrivals at the node
     met = jnp.einsum("hvb,bh->vb", arrivals, begins)  # waypoints met on the way to the next goal, that one included
     called = jnp.where(group[:, None], jnp.eye(count), met)  # (node, node where it began): chances to be sent there
@@ -160,11 +160,13 @@ def _closed(place: Layout, weights: FlowWeights, onward: Float[Array, "M M M"], 
     leaving = jnp.einsum("hvb,bh->hv", departures, source)
     walks = leaving[:, :, None] * onward  # (goal, node, next)
     arriving = jnp.diagonal(walks, axis1=0, axis2=2)  # (node before, node that was the goal)
-    given_up = jnp.einsum("huv,hv->uv", walks, gives_up)  # (node before, node)
-    free = jnp.sum(jnp.where(group[:, None, None], 0.0, walks), axis=0) + given_up  # of people without a group to go to
+    abandoned = jnp.einsum("huv,hv->uv", walks, gives_up)  # (node before, node)
+    free = (
+        jnp.sum(jnp.where(group[:, None, None], 0.0, walks), axis=0) + abandoned
+    )  # of people without a group to go to
     candidates = jnp.where(group[None, :], arriving, free)
     turns = jnp.einsum("huv,hv,hvw->uvw", walks, passes, onward)
-    turns = turns + (arriving + given_up)[:, :, None] * jnp.einsum("vh,hvw->vw", begins, onward)[None]
+    turns = turns + (arriving + abandoned)[:, :, None] * jnp.einsum("vh,hvw->vw", begins, onward)[None]
     turns = turns + candidates[:, :, None] * jnp.einsum("vh,hvw->vw", sent, onward)[None]
     all_turns = jnp.zeros((count + 1, count, count + 1)).at[:count, :, :count].set(turns)
     return Flows(jnp.sum(walks, axis=0), all_turns)
@@ -191,7 +193,7 @@ def log_odds(chances: Float[Array, "M G"]) -> Float[Array, "M G"]:
 
 
 def log_likelihood(flows: Flows, edges: Float[Array, "M M"], turns: Float[Array, "U M U"]) -> Float[Array, ""]:
-    """The multinomial log-likelihood of measured turns plus that of walks, each a mean over its counts.
+    """The multinomial log-likelihood of measured turns plus the log-likelihood of walks, each a mean over its counts.
 
     Args:
         turns: (M + 1, M, M + 1) measured turns; in a closed population without entering and leaving.
@@ -211,7 +213,7 @@ TEMPERATURE = 0.25  # m, in the end
 LEARNING_RATE = 0.05
 STEPS = 600
 PARTS = 12  # progress is shown after each
-PLAIN = 2e-3  # by which factors are drawn to 1, and weights to one another, where there are no walks
+PLAIN = 2e-3  # weight of the prior: factors near 1, and equal weights, without walks
 FULL_SHARE = 0.5  # of the time, for which a group has as many members as its capacity
 FEWEST_STAYS = 5  # for a distribution
 
@@ -222,7 +224,7 @@ class GraphFit:
 
     weights: FlowWeights
     flows: Flows  # that these weights make, for one walk from a start to a goal
-    stay: Float[np.ndarray, "G 2"]  # s, minimum and maximum; NaN of a group where hardly any stay was seen
+    stay: Float[np.ndarray, "G 2"]  # s, minimum and maximum; NaN of a group with hardly any observed stay
     capacity: np.ndarray  # (G,) people at once; 0 where nobody stood
     speed: tuple[float, float]  # m/s, mean and standard deviation of the preferred speeds; NaN without walkers
     loss: Float[np.ndarray, "K"]  # minus the log likelihood, in the course of the fit
@@ -239,10 +241,10 @@ def fit_flows(
 ) -> GraphFit:
     """Find the weights with which people walk as was measured.
 
-    What a graph is annotated with, apart from its nodes and edges, is not used: all edges begin with their lengths.
+    Of a graph only nodes and edges are used: all edges start with their lengths as costs.
 
     Args:
-        closed: whether people go on from goal to goal, as in a simulation, or enter and leave, as in a recording.
+        closed: whether people walk from goal to goal, as in a simulation, or enter and leave, as in a recording.
         temperature: m, of route choice in the end.
         calls: how people were called to groups, if that is known and not to be fitted, in a closed population.
     """

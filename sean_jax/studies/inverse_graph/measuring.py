@@ -1,7 +1,7 @@
 """Ways, stays at groups and preferred speeds of people on a graph, measured from their positions alone.
 
 The same is measured of simulated and of recorded people. A person has walked the edge from u to v as ``congestion``
-counts it. The next edge from v, a *turn*, has more information than the flow of edges: a person who turns round had v
+counts it. The next edge from v, a *turn*, has more information than the flow of edges: a person who turns around had v
 as a goal.
 """
 
@@ -21,11 +21,11 @@ from sean_jax.behaviors.graph_choices import Memory
 from sean_jax.crowding import NO_NODE, track_nodes
 from sean_jax.graph import BehaviorGraph
 
-STANDING = 0.3  # m/s, below which somebody stands
-WALKING = 0.5  # m/s, above which somebody walks
+STANDING = 0.3  # m/s, below which a person stands
+WALKING = 0.5  # m/s, above which a person walks
 SPEED_TIME = 0.5  # s, over which a speed is measured
 SHORTEST_STAY = 1.0  # s; a shorter one is a hesitation
-SHIFT = 1.5  # s, for which somebody in a group may move, to make room for another, and still stay
+SHIFT = 1.5  # s, for which a person in a group may move, to make room, without an end of the stay
 UNHINDERED = 0.7  # share of the time walked at less than the preferred speed, for others are in the way at times
 MIN_WALK = 3.0  # s, of walking for a preferred speed
 
@@ -36,7 +36,7 @@ class FlowMeasure:
 
     edges: Float[np.ndarray, "M M"]  # people who walked from the row's node to the column's
     turns: Float[np.ndarray, "U M U"]  # people who came from the first node over the second to the third, U = M + 1:
-    # index M stands for entering or leaving
+    # index M means entering or leaving
     stays: tuple[np.ndarray, ...]  # (K,) s, of each group: stays observed from begin to end
     members: tuple[np.ndarray, ...]  # (K,) s, of each group: the time with 0, 1, 2, ... members
     speeds: Float[np.ndarray, "P"]  # m/s, the preferred speed of each person who walked for long enough
@@ -67,7 +67,7 @@ def measure_flows(
     """Ways, stays and speeds of people on a graph, from positions (T, N, 2) m, ``time_step`` s apart.
 
     Args:
-        present: (T, N); whoever is absent for a row is somebody else afterwards.
+        present: (T, N); after an absent row a person counts as another person.
     """
     last, walked = (np.asarray(part) for part in _nodes(graph, jnp.asarray(position, float), jnp.asarray(present)))
     edges, turns = _ways(last, walked, present, len(graph.names))
@@ -128,7 +128,7 @@ def _runs(flags: np.ndarray) -> Iterator[tuple[int, int, int]]:
 
 
 def _speeds(position: np.ndarray, present: np.ndarray, time_step: float) -> np.ndarray:
-    """(T, N) m/s, over half a second about each row, or as much of it as somebody is there."""
+    """(T, N) m/s, over half a second around each row, or the part of it in which the person is present."""
     half = max(1, round(SPEED_TIME / 2 / time_step))
     speed = np.zeros(present.shape)
     for column, begin, end in _runs(present):
@@ -149,7 +149,7 @@ def _joined(here: np.ndarray, within: np.ndarray, longest: int) -> np.ndarray:
 
 
 def _stays(here: np.ndarray, present: np.ndarray, time_step: float) -> np.ndarray:
-    """(K,) s, for how long people stood; without stays that had begun before, or ended after, what was measured."""
+    """(K,) s, stays of people; without stays that began before, or ended after, the measurement."""
     stays = []
     for column, begin, end in _runs(here):
         complete = begin > 0 and end < len(here) and present[begin - 1, column] and present[end, column]
@@ -187,7 +187,7 @@ class Calls:
     candidates: Float[Array, "M"]  # departures of people who were not on the way to a group
     sent: Float[Array, "M G"]  # of these, people sent to a group
     continued: Float[Array, "M G"]  # departures on the way to the same group
-    replaced: Float[Array, "M G"]  # people on the way there in whose place somebody else is sent
+    replaced: Float[Array, "M G"]  # people on the way there who are replaced
 
     def __add__(self, other: "Calls") -> "Calls":
         return jax.tree.map(jnp.add, self, other)
@@ -199,7 +199,7 @@ class Calls:
 
     @property
     def chance_replaced(self) -> Float[Array, "M G"]:
-        """(M, G) the probability that somebody who comes to a node on the way to a group is replaced by another."""
+        """(M, G) the probability that a person at a node on the way to a group is replaced by another."""
         return self.replaced / jnp.maximum(self.continued + self.replaced, 1.0)
 
 

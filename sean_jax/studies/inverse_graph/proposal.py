@@ -25,7 +25,7 @@ from sean_jax.navigation.arcs import pairs_are_free
 CELL = 0.25  # m, side of the cells in which the floor is looked at
 MAX_CELLS = 40_000  # on larger floors cells are wider
 MAX_RADIUS = 2.5  # m, of a node's disc; in SEAN's warehouse they are 1.6 to 3.2 m
-SIGHT = 8.0  # m, how far from a node the floor counts as seen; farther on floors that are larger ...
+SIGHT = 8.0  # m, range of sight from a node; larger on larger floors ...
 SIGHT_SHARE = 0.12  # ... than this share of the root of their area
 UNSEEN = 0.02  # share of the floor that no node has to see: corners
 MAX_NODES = 120
@@ -78,7 +78,7 @@ def propose(environment: Environment, ends: Float[np.ndarray, "K 2"] | None = No
 
 
 def _cells(environment: Environment) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Middles (K, 2) m of cells where a node can be, their clearance (K,) m, and pairs (L, 2) of cells side by side."""
+    """Centers (K, 2) m of possible cells of nodes, their clearance (K,) m, and pairs (L, 2) of neighboring cells."""
     x0, y0, x1, y1 = np.asarray(environment.floor, float)
     size = CELL * max(1.0, math.sqrt((x1 - x0) * (y1 - y0) / CELL**2 / MAX_CELLS))
     shape = max(1, round((x1 - x0) / size)), max(1, round((y1 - y0) / size))

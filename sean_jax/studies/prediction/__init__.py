@@ -115,7 +115,7 @@ def score(
 
 
 def _every_ten_frames(path: Path) -> np.ndarray:
-    """(T, N, 2) m at frames 0, 10, 20, ..., NaN of absent people, who begin at the moment before their first line."""
+    """(T, N, 2) m at frames 0, 10, 20, ..., NaN of absent people, who begin at the frame before their first line."""
     recorded = read_lines(path, "eth_ucy")
     order = np.lexsort((recorded.values["frame"], recorded.person))
     frame, x, y = (recorded.values[name][order] for name in ("frame", "x", "y"))

@@ -36,7 +36,7 @@ from sean_jax.studies import scenes
 
 CONTROL_STEP = 0.1  # s, at most, in which a pedestrian model moves people
 MARGIN = 50.0  # m of open floor around walls
-MOST_SETTLED = 0.1  # share of the velocity seen by which people may desire another
+MOST_SETTLED = 0.1  # maximum change of the desired velocity, as a share of the observed
 COMPANION_DISTANCE = 1.2  # m, within which people who walk together stay
 UNLIKE_SPEED = 0.25  # m/s, by which their mean velocities differ at most
 WALKING_SPEED = 0.3  # m/s; slower people stand
@@ -49,7 +49,7 @@ Predictable = str | Iterable[Term] | Callable[[Scenario, State], Pedestrians]
 
 def predict(
     model: Predictable,
-    seen: Float[Array, "*batch T N 2"],
+    observed: Float[Array, "*batch T N 2"],
     time_step: float,
     steps: int,
     *,
@@ -69,7 +69,7 @@ def predict(
     Args:
         model: a key of ``PRESETS``, a YAML file of constants, or forces; a key of ``MODELS``, or a function (scenario,
             state) -> Pedestrians.
-        seen: (..., T, N, 2) m, in the order of time; NaN where somebody was not observed.
+        observed: (..., T, N, 2) m, in the order of time; NaN where somebody was not observed.
         time_step: s between observed positions, and between predicted ones.
         present: (..., T, N) who was observed, besides NaN.
         weights: (K,) of the velocities in the last K steps, the latest first; unobserved steps do not count. People
@@ -88,8 +88,8 @@ def predict(
     Raises:
         InputError: no model has that name, or the terms do not make forces.
     """
-    seen = jnp.asarray(seen, float)
-    known = jnp.isfinite(seen).all(-1)
+    observed = jnp.asarray(observed, float)
+    known = jnp.isfinite(observed).all(-1)
     if present is not None:
         known = known & jnp.asarray(present, bool)
     people = scenes.Model("forces", model, social_forces.move) if isinstance(model, Forces) else scenes.model(model)
@@ -101,12 +101,12 @@ def predict(
         substeps = social_forces.substeps(forces, time_step / control)
     walk = partial(_walk, move, control, substeps, steps, time_step)
     each = (
-        seen,
+        observed,
         known,
         None if desired_velocity is None else jnp.asarray(desired_velocity, float),
         None if others is None else jnp.asarray(others, float),
     )
-    for _ in range(seen.ndim - 3):
+    for _ in range(observed.ndim - 3):
         walk = jax.vmap(walk, in_axes=(None, None, None, None, None, 0))
     plain = isinstance(settled, int | float) and settled == 0.0
     undone = None if plain or move is not social_forces.move else jnp.asarray(settled, float)
@@ -114,7 +114,7 @@ def predict(
 
 
 def observed_people(
-    seen: Float[Array, "T N 2"],
+    observed: Float[Array, "T N 2"],
     present: Bool[Array, "T N"],
     time_step: float,
     weights: Float[Array, "K"] | tuple[float, ...] = (1.0,),
@@ -125,14 +125,14 @@ def observed_people(
     People are present if they were observed at the last moment [T]; with one observation they stand.
 
     Args:
-        seen: (T, N, 2) m, ``time_step`` s apart.
+        observed: (T, N, 2) m, ``time_step`` s apart.
         weights: (K,) of the velocities in the last K steps, the latest first, as in ``predict``.
         least_speed: m/s, lower bound of the preferred speed.
     """
     weights = jnp.asarray(weights, float)
-    count = min(weights.shape[0], seen.shape[0] - 1)
+    count = min(weights.shape[0], observed.shape[0] - 1)
     both = present[1:] & present[:-1]
-    steps = jnp.where(both[..., None], seen[1:] - seen[:-1], 0.0) / time_step
+    steps = jnp.where(both[..., None], observed[1:] - observed[:-1], 0.0) / time_step
     share = weights[:count, None] * both[::-1][:count].astype(float)  # the latest first
     total = share.sum(0)
     share = share / jnp.where(total > 0.0, total, 1.0)[None, :]
@@ -140,7 +140,7 @@ def observed_people(
     there = present[-1]
     speed = length(velocity[:, 0], velocity[:, 1])
     return pedestrians_at(
-        jnp.where(there[:, None], seen[-1], 0.0),
+        jnp.where(there[:, None], observed[-1], 0.0),
         velocity,
         desired_velocity=weights.sum() * velocity,
         preferred_speed=jnp.maximum(speed, least_speed),
@@ -149,7 +149,7 @@ def observed_people(
 
 
 def walking_companions(
-    seen: Float[Array, "T N 2"], present: Bool[Array, "T N"], time_step: float
+    observed: Float[Array, "T N 2"], present: Bool[Array, "T N"], time_step: float
 ) -> tuple[Int[Array, "N"], Int[Array, "N 2"]]:
     """Walking groups: people who stayed near one another and walked alike whenever both were observed.
 
@@ -158,13 +158,13 @@ def walking_companions(
     Returns:
         (N,) the lowest index of the group, -1 alone; and (N, 2) indices of two companions, -1 none.
     """
-    count = seen.shape[1]
-    place = jnp.where(present[..., None], jax.lax.stop_gradient(seen), 0.0)
+    count = observed.shape[1]
+    place = jnp.where(present[..., None], jax.lax.stop_gradient(observed), 0.0)
     both = present[:, :, None] & present[:, None, :]
     apart = jnp.linalg.norm(place[:, :, None] - place[:, None, :], axis=-1)
     near = (jnp.where(both, apart, 0.0).max(0) < COMPANION_DISTANCE) & both[-1]
-    moment = jnp.arange(seen.shape[0], dtype=jnp.int32)
-    first = jnp.argmax(both, axis=0)  # since when both were seen
+    moment = jnp.arange(observed.shape[0], dtype=jnp.int32)
+    first = jnp.argmax(both, axis=0)  # first frame with both
     since = jnp.maximum(moment[-1] - first, 1).astype(float) * time_step
     index = jnp.arange(count, dtype=jnp.int32)
     walked = (place[-1][:, None] - place[first, index[:, None]]) / since[..., None]
@@ -207,13 +207,13 @@ def _walk(
     each: tuple[Array, Array, Array | None, Array | None],
 ) -> Array:
     """(steps, N, 2) of one scene."""
-    seen, present, desired, others = each
-    people = observed_people(seen, present, time_step, weights, least_speed)
+    observed, present, desired, others = each
+    people = observed_people(observed, present, time_step, weights, least_speed)
     if desired is not None:
         speed = jnp.maximum(length(desired[:, 0], desired[:, 1]), least_speed)
         people = replace(people, desired_velocity=desired, preferred_speed=speed)
-    number = seen.shape[1]
-    label, companions = walking_companions(seen, present, time_step)
+    number = observed.shape[1]
+    label, companions = walking_companions(observed, present, time_step)
     people = replace(people, walking_group=label)
     if forces.get(Cohesion) is not None:  # what draws companions together in simulations is in their tracks already
         off = {f"cohesion.{name}": 0.0 for name in ("gaze", "attraction", "repulsion")}
@@ -246,7 +246,7 @@ def _walk(
         return people, people.position[:number]
 
     places = jax.lax.scan(frame, people, jnp.arange(steps, dtype=jnp.int32))[1]
-    return jnp.where(people.present[None, :number, None], places, seen[-1][None])
+    return jnp.where(people.present[None, :number, None], places, observed[-1][None])
 
 
 def _replay(

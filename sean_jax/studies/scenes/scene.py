@@ -1,4 +1,4 @@
-"""Scenes: floor plans, walls, gates, walkers and how long; with a model of people a scene is a scenario without a task.
+"""Scenes: floor plans, walls, gates, walkers and duration; with a model of people a scene is a scenario without a task.
 
 A floor plan is an array (W, 5) with a row for each box: center x and y, half extents along and across [m], yaw [rad].
 Plans are joined by ``np.concatenate``.
@@ -93,7 +93,7 @@ def corridor(length: float, width: float, margin: float = 0.0) -> Float[np.ndarr
     """The two walls of a corridor along x from (0, 0), y from 0 to the width [m], with open ends.
 
     Args:
-        margin: by which the walls go on at both ends [m]; half a period of a periodic corridor.
+        margin: extension of the walls at both ends [m]; half a period of a periodic corridor.
     """
     return np.concatenate(
         [box((-margin, -THICK), (length + margin, 0.0)), box((-margin, width), (length + margin, width + THICK))]
@@ -155,7 +155,7 @@ TIME_STEP = 0.1  # s
 
 @dataclass(frozen=True)
 class Scene:
-    """What is simulated: a plan, people on it, and for how long."""
+    """A simulation: a plan, people on it, and a duration."""
 
     walls: np.ndarray  # (W, 5) floor plan
     walkers: Walkers  # N people
@@ -164,7 +164,7 @@ class Scene:
     period: float | None = None  # m along x, of a periodic scene
     exits: tuple[int, ...] = ()  # gates between which people choose
     robot: tuple[tuple[float, float], tuple[float, float]] | None = None  # place [m] and velocity [m/s], constant
-    seed: int = 0  # of what the simulation draws
+    seed: int = 0  # of the random numbers of the simulation
 
     def robot_path(self, time: np.ndarray) -> np.ndarray:
         """(T, 2) m, where the robot is at times (T,) s; the origin without one."""
@@ -187,7 +187,7 @@ def model(what: Any = None, name: str | None = None) -> Model:
     Args:
         what: a key of ``PRESETS`` or of ``MODELS``, a YAML file of constants, terms, or a function (scenario, state) ->
             Pedestrians; the default forces if None. A function has the radii of the default forces.
-        name: of the column in tables; by default that of the model.
+        name: of the column in tables; by default the model's.
 
     Raises:
         InputError: there is none of that name, or the terms do not make forces.
@@ -216,7 +216,7 @@ class Periodic:
     """A pedestrian model in a world that is periodic along x; equal for equal models, so that programs are shared.
 
     Each person has an image one period away, across the nearer seam: two people see each other over the shorter way if
-    that is less than half a period. People are at x from 0 to the period; walls must go on for half a period at both
+    that is less than half a period. People are at x from 0 to the period; walls must extend by half a period at both
     ends.
     """
 

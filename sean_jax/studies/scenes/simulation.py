@@ -1,6 +1,6 @@
 """Scenes simulated: the two people stages of the ordinary step, in spans that all scenes of one size share.
 
-Small scenes run side by side. People who have left a large crowd are dropped between two spans, so that the rest costs
+Small scenes run in parallel. People who have left a large crowd are dropped between two spans, so that the rest costs
 no more than a small crowd.
 """
 
@@ -19,8 +19,8 @@ from sean_jax.studies.scenes.scene import TIME_STEP, Model, Scene, model, scenar
 from sean_jax.studies.scenes.walkers import padded_size
 
 SPAN = 50  # control steps in one call
-BATCHES = 1, 4, 16, 64  # sizes to which numbers of scenes side by side are padded
-MAX_TOGETHER = 2048  # people in scenes side by side
+BATCHES = 1, 4, 16, 64  # sizes to which numbers of parallel scenes are padded
+MAX_TOGETHER = 2048  # people in parallel scenes
 LARGE = 256  # people, from which scenes run one after the other
 SMALLER = 64, 256, 512, 1024, 2048  # sizes to which a large crowd shrinks
 
@@ -30,7 +30,7 @@ def simulate(
     moved_by: Model | str | None = None,
     report: Callable[[float], None] | None = None,
 ) -> list[Tracks]:
-    """Simulate scenes until everybody has vanished or their time is over; scenes of one size run side by side.
+    """Simulate scenes until everybody has left or their time is over; scenes of one size run in parallel.
 
     Args:
         moved_by: the default forces if None.
@@ -77,7 +77,7 @@ _side_by_side = jax.jit(jax.vmap(_span))
 
 
 def _batches(scenes: list[Scene]) -> list[list[int]]:
-    """Indices of scenes that run side by side: of one size and kind."""
+    """Indices of scenes that run in parallel: of one size and kind."""
     kinds: dict[Any, list[int]] = {}
     for index, scene in enumerate(scenes):
         size = padded_size(len(scene.walkers.start))
@@ -93,7 +93,7 @@ def _batches(scenes: list[Scene]) -> list[list[int]]:
 
 
 def _together(scenes: list[Scene], chosen: Model, report: Callable[[float], None]) -> list[Tracks]:
-    """Scenes of one size, side by side."""
+    """Scenes of one size, in parallel."""
     scenarios = [scenario_of(scene, chosen) for scene in scenes]
     shapes = {tuple(np.shape(leaf) for leaf in jax.tree.leaves(each)) for each in scenarios}
     if len(shapes) > 1:  # of plans with few and with many walls
@@ -175,7 +175,7 @@ def _snapshot(state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _left(state: State) -> bool:
-    """Whether somebody is there or is still to come."""
+    """Whether people are present or still to come."""
     coming = ~np.asarray(state.memory.entered) & (np.asarray(state.memory.gate) >= 0)
     return bool((np.asarray(state.pedestrians.present) | coming).any())
 

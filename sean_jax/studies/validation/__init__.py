@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 
 from sean_jax import writing
 from sean_jax.config import ValidateConfig
+from sean_jax.drawing.svg import svg
 from sean_jax.errors import InputError
 from sean_jax.progress import Progress, progress
-from sean_jax.report import svg
 from sean_jax.studies.validation import checks, page
 from sean_jax.studies.validation.checks import FAILS, PASSES, SKIPPED, Check, CheckContext, CheckResult, Row, Skipped
 from sean_jax.workspace import refuse_others
@@ -41,7 +41,7 @@ def run(options: ValidateConfig, console: "Console | None" = None) -> list[str]:
     """
     selected, models = checks.select(options.only, options.quick), checks.models_of(options.models)
     if options.data is not None and not options.data.is_dir():
-        raise InputError(f"--data: {options.data} is no folder; give the one that holds the recordings.")
+        raise InputError(f"--data: {options.data} is no folder; give the folder of the recordings.")
     folder = options.folder
     refuse_others(folder, {checks.RESULTS, checks.PARTS, TABLE, REPORT})
     rows: list[Row] = []

@@ -45,7 +45,7 @@ class CheckResult:
 
     passed: bool
     measured: str  # the measured values, in words and numbers with units
-    reason: str = ""  # if it has not passed: what is missing
+    reason: str = ""  # of a failure or a skip
     numbers: dict[str, float] = field(default_factory=dict)  # the measured values by name, SI units
     curves: tuple[Curve, ...] = ()
     axes: tuple[str, str] = ("", "")  # of the curves: quantity and unit along x and y
@@ -57,16 +57,16 @@ class Skipped(Exception):
 
 @dataclass
 class CheckContext:
-    """What a check may use: the model, the recordings, if there are any, and a simulator of scenes."""
+    """The inputs of a check: the model, the recordings, if any, and a simulator of scenes."""
 
     model: Model
     data: Path | None = None  # folder of recordings
-    quick: bool = False  # fewer seeds and people where a check says so
+    quick: bool = False  # fewer seeds and people in some checks
     report: Callable[[float], None] | None = None  # called with the share of a simulation that is done
     pictures: list[tuple[str, Scene, Tracks]] = field(default_factory=list)  # for the report, with captions
 
     def simulate(self, scenes: Scene | Sequence[Scene], show: str | Sequence[str] = "") -> list[Tracks]:
-        """Simulate scenes with the model; scenes of one size run side by side.
+        """Simulate scenes with the model; scenes of one size run in parallel.
 
         Args:
             show: captions of the first scenes; scenes without one are not shown.
@@ -148,7 +148,7 @@ class Check:
 
 @dataclass(frozen=True)
 class Gate:
-    """A promise about the default crowd, kept if all of its checks pass."""
+    """A promise about the default crowd, fulfilled if all of its checks pass."""
 
     title: str
     promise: str
@@ -219,7 +219,7 @@ def models_of(names: str | None, source: Path | None = None) -> list[Model]:
 
 @dataclass(frozen=True)
 class Row:
-    """A check done for a model, as it is saved."""
+    """The saved result of a check of a model."""
 
     check: str
     model: str
@@ -237,7 +237,7 @@ def load(folder: Path, check: Check, model: Model, options: ValidateConfig) -> R
     """The row of an earlier run with the same code, versions and model; None without one, or if it was skipped."""
     try:
         content = files.read_json(_part(folder, check, model))
-        if content.pop("made_with") != _made_with(model, options) or content["verdict"] == SKIPPED:
+        if content.pop("made_with") != _provenance(model, options) or content["verdict"] == SKIPPED:
             return None
         content["curves"] = tuple(Curve(**curve) for curve in content["curves"])
         for name in ("axes", "pictures"):
@@ -250,7 +250,7 @@ def load(folder: Path, check: Check, model: Model, options: ValidateConfig) -> R
 def save(folder: Path, check: Check, model: Model, options: ValidateConfig, row: Row) -> None:
     """Keep a row."""
     (folder / PARTS).mkdir(exist_ok=True)
-    content = {"made_with": _made_with(model, options), **_finite(dataclasses.asdict(row))}
+    content = {"made_with": _provenance(model, options), **_finite(dataclasses.asdict(row))}
     writing.write(_part(folder, check, model), content)
 
 
@@ -267,7 +267,7 @@ def _part(folder: Path, check: Check, model: Model) -> Path:
     return folder / PARTS / f"{check.name}--{name}.json"
 
 
-def _made_with(model: Model, options: ValidateConfig) -> dict[str, Any]:
+def _provenance(model: Model, options: ValidateConfig) -> dict[str, Any]:
     """All that affects a row."""
     move = f"{getattr(model.move, '__module__', '')}.{getattr(model.move, '__qualname__', '')}"
     terms = [f"{type(term).__module__}.{type(term).__name__}" for term in model.forces]  # own ones have their digest

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sean_jax.recordings import Tracks, read_juelich
+from sean_jax.recordings import Tracks, read
 from sean_jax.studies.scenes import Gate, Scene, join, room, spread, walkers
 from sean_jax.studies.validation import plans
 from sean_jax.studies.validation.checks import PUBLISHED, CheckContext, CheckResult, Curve, by_name, listing, result
@@ -86,7 +86,7 @@ def corridor_diagram(context: CheckContext) -> CheckResult:
     recorded = []
     for run, (first, last) in STEADY.items():
         for path in _juelich(context, f"{run}*.csv")[:1]:
-            tracks = read_juelich(path)
+            tracks = read(path, "juelich")
             begin, end = np.searchsorted(np.asarray(tracks.frame), (first, last))
             rows = slice(int(begin), int(end), 4)
             recorded.append(area_means(tracks, (0.0, -4.0, 1.8, 4.0), (0.0, -2.0, 1.8, 0.0), rows))
@@ -171,7 +171,7 @@ DOORS = 0.6, 0.7, 0.8, 0.9, 1.0, 1.2  # m
 PASSABLE, SWIFT = 0.7, 1.0  # m: from where on one gets through, and nearly as fast as outside
 SWIFT_SHARE = 0.8  # of the free speed
 FREE = 1.34  # m/s
-ASIDE = 0.0, 0.3, -0.3  # m, from the middle of the door, where somebody starts 4 m before it
+ASIDE = 0.0, 0.3, -0.3  # m, from the middle of the door, of a person who starts 4 m before it
 
 
 def before_door(width: float, start: np.ndarray, speed: np.ndarray | float, seconds: float, **more) -> Scene:
@@ -210,7 +210,7 @@ def bottleneck(context: CheckContext) -> CheckResult:
     runs = {path: int(path.name.split("_")[0].split("-")[3]) / 100 for path in _juelich(context, BOTTLENECK_RUNS)}
     runs = {path: width for path, width in runs.items() if width < 1.8}  # else the corridor ends without a door
     if runs:
-        out = tuple(flow(crossing_times(read_juelich(path), line)) for path in runs)
+        out = tuple(flow(crossing_times(read(path, "juelich"), line)) for path in runs)
         curves.append(Curve("recordings", tuple(runs.values()), out, reference=True, points=True))
     return result(
         bool((off <= TOLERANCE).all()),
@@ -288,7 +288,7 @@ def lanes(context: CheckContext) -> CheckResult:
     curves.append(Curve("wanted", (0.1 * begin, end), (LANE_ORDER, LANE_ORDER), reference=True))
     for path in _juelich(context, "bo-360-*.csv"):
         name = f"recording {path.stem.split('_')[0]}"
-        curves.append(Curve(name, (0.0, end), (recorded_order(read_juelich(path)),) * 2, reference=True))
+        curves.append(Curve(name, (0.0, end), (recorded_order(read(path, "juelich")),) * 2, reference=True))
     return result(
         bool((last >= LANE_ORDER).all()),
         f"{listing(last)} at {listing(LANE_DENSITIES, form='g')} /m²",

@@ -48,7 +48,7 @@ def falling_speed(context: CheckContext) -> CheckResult:
 
 
 def _by_density(passed: bool, densities: Sequence[float], means: list[float], criterion: str) -> CheckResult:
-    """The result of mean speeds [m/s] at densities [1/m2], beside the fundamental diagram of Weidmann (1993)."""
+    """The result of mean speeds [m/s] at densities [1/m2], against the fundamental diagram of Weidmann (1993)."""
     known = np.arange(0.25, 5.3, 0.25)
     weidmann = Curve("Weidmann 1993", tuple(known.tolist()), tuple(crowds.weidmann(known).tolist()), reference=True)
     return result(
@@ -243,7 +243,7 @@ def one_after_another(context: CheckContext) -> CheckResult:
 
 
 def _by_width(passed: bool, measured: str, criterion: str, numbers: dict[str, float], curve: Curve) -> CheckResult:
-    """The result of a flow [people/s] by width [m], beside that of bottlenecks in Juelich."""
+    """The result of a flow [people/s] by width [m], against bottlenecks in Juelich."""
     known = Curve("1.9 w (Juelich)", curve.x, tuple(1.9 * width for width in curve.x), reference=True)
     axes = ("width [m]", "flow [people/s]")
     return result(passed, measured, criterion, numbers=numbers, curves=(curve, known), axes=axes)

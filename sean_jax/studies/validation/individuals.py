@@ -94,7 +94,7 @@ def pairs(context: CheckContext, name: str, angles: Sequence[float], quick: Sequ
 
 
 def _lost(scene: Scene, tracks: Tracks) -> float:
-    """By how many seconds the later of two is late at the end."""
+    """Delay [s] of the later of two people at the end."""
     position, speed = np.asarray(tracks.position), np.asarray(scene.walkers.preferred_speed)
     way = np.asarray(scene.walkers.velocity) / speed[:, None]
     gone = ((position[-1] - position[0]) * way).sum(-1)
@@ -104,7 +104,7 @@ def _lost(scene: Scene, tracks: Tracks) -> float:
 def passing_scenes(number: int) -> list[Scene]:
     """Encounters of a person with a robot that crosses their way at a right angle, from the right, and does not react.
 
-    Drawn: the speed of the person from N(1.34, 0.26) m/s, and by how much the two would miss each other.
+    Drawn: the speed of the person from N(1.34, 0.26) m/s, and the distance by which the two would miss each other.
     """
     random = np.random.default_rng([0, 29])
     scenes = []
@@ -120,7 +120,7 @@ def passing_scenes(number: int) -> list[Scene]:
 
 
 def passing_a_robot(context: CheckContext) -> CheckResult:
-    """How far a person keeps from a robot that crosses their way and does not react, and how often it touches them."""
+    """Clearance of a person from a crossing robot that does not react, and the share of contacts."""
     scenes = passing_scenes(64 if context.quick else 256)
     recorded = context.simulate(scenes, [f"encounter {k + 1}" for k in range(3)] + [""] * (len(scenes) - 3))
     nearest = [_nearest(scene, tracks)[0] for scene, tracks in zip(scenes, recorded, strict=True)]
@@ -141,7 +141,7 @@ def stream_scenes(number: int) -> list[Scene]:
 
 
 def passing_in_a_stream(context: CheckContext) -> CheckResult:
-    """How far people in a stream keep from a robot that crosses it, and how often it touches them.
+    """Clearance of people in a stream from a crossing robot, and the share of contacts.
 
     People count if the robot would miss them by less than ``MISS`` with everybody going straight on.
     """
@@ -156,7 +156,7 @@ def passing_in_a_stream(context: CheckContext) -> CheckResult:
 
 
 def _nearest(scene: Scene, tracks: Tracks) -> np.ndarray:
-    """(N,) m, how near the robot of a scene comes to each person; in a periodic scene, any image of it."""
+    """(N,) m, distance of closest approach of the robot to each person; in a periodic scene, of any image of it."""
     position, robot = np.asarray(tracks.position), scene.robot_path(_times(tracks))[:, None]
     if scene.period is None:
         return separation(position, np.broadcast_to(robot, position.shape))
@@ -269,7 +269,7 @@ FEWER = 50.0  # times fewer collisions than with constant velocity
 
 
 def prediction(context: CheckContext) -> CheckResult:
-    """Errors and collisions in each recorded scene, beside constant velocity.
+    """Errors and collisions in each recorded scene, against constant velocity.
 
     Raises:
         Skipped: there are no recordings.

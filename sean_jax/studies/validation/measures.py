@@ -1,6 +1,6 @@
 """Measures of recorded or simulated tracks: crossings and flow, density and speed, lanes, approaches, group occupancy.
 
-Density and speed of an area are those of Voronoi cells, by PedPy (extra ``validation``): B. Steffen & A. Seyfried,
+Density and speed of an area are from Voronoi cells, by PedPy (extra ``validation``): B. Steffen & A. Seyfried,
 Physica A 389, 1902 (2010).
 """
 
@@ -23,7 +23,7 @@ Bounds = tuple[float, float, float, float]  # m: x_min, y_min, x_max, y_max
 def crossing_times(tracks: Tracks, gate: Gate) -> Float[np.ndarray, "N"]:
     """(N,) s when each person first crosses a gate in its direction, interpolated between moments; inf if never.
 
-    People who vanish there cross at that moment.
+    People who leave there cross at that time.
     """
     position, present = np.asarray(tracks.position, float), np.asarray(tracks.present)
     left, right = np.asarray(gate.left, float), np.asarray(gate.right, float)
@@ -75,7 +75,7 @@ def trajectory_data(tracks: Tracks, period: float | None = None) -> Any:
     """``pedpy.TrajectoryData`` of tracks, with the columns id, frame, x and y [m].
 
     Args:
-        period: m along x, of a periodic scene: whoever comes around is another person from then on.
+        period: m along x, of a periodic scene: a person who comes around counts as another person.
 
     Raises:
         Skipped: PedPy is not installed.
@@ -118,7 +118,7 @@ def area_means(
 ) -> tuple[float, float]:
     """Voronoi density [1/m2] and speed [m/s] in an area, means over moments.
 
-    The speed is of moments with somebody in the area; NaN if nobody is ever there.
+    The speed is over frames with people in the area; NaN without any.
 
     Args:
         floor: to which cells are cut; people off it are left out.
@@ -159,7 +159,7 @@ def lane_order(
     present: Bool[np.ndarray, "T N"],
     width: float = LANE,
 ) -> Float[np.ndarray, "T"]:
-    """(T,) from 0 to 1: how well people who walk in two directions are sorted into lanes; NaN where nobody is.
+    """(T,) from 0 to 1: order of the lanes of people in two directions; NaN without people.
 
     The mean over people of ((s - o) / n)^2, where of the n people within ``width`` m across the corridor, themselves
     included, s walk in their direction and o in the other. It is 1 in lanes, and about 1 / n in a random mix.
@@ -214,7 +214,7 @@ def group_occupancy(
     time_step: float,
     warm_up: float = 20.0,
 ) -> GroupOccupancy:
-    """How full groups are, and how long their members stay.
+    """Occupancy of groups, and stays of their members.
 
     Args:
         group: (..., T, N) the group in which each person is at each step, -1 none; of one or more episodes.

@@ -15,11 +15,11 @@ from sean_jax import replay as player
 from sean_jax.base import Environment, Obstacles, Trajectory
 from sean_jax.config import ReplayConfig, ValidateConfig
 from sean_jax.drawing import colors
+from sean_jax.drawing.svg import svg
 from sean_jax.errors import InputError
 from sean_jax.files import listed
 from sean_jax.progress import progress
 from sean_jax.recordings import Tracks
-from sean_jax.report import svg
 from sean_jax.studies.scenes import Model, Scene
 from sean_jax.studies.validation.checks import (
     CHECKS,
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from rich.console import Console
 
-PATHS = 60  # of people who are drawn
+PATHS = 60  # maximum number of drawn people
 STRIDE = 5  # moments between two points of a path
 RADIUS = 0.2  # m, of the discs at the last moment that is drawn
 BORDER = 1.5  # m of floor around people
@@ -68,7 +68,7 @@ def gate_lines(rows: Sequence[Row], model: Model) -> list[str]:
 
 
 def gates(rows: Sequence[Row], model: str) -> list[tuple[str, str, str, str]]:
-    """Each gate's title, promise, verdict, and what was measured or which checks fail.
+    """Each gate's title, promise, verdict, and the measurement or the failed checks.
 
     The verdict is passes, fails, partly if a part was skipped or left out, or skipped.
     """
@@ -290,7 +290,7 @@ def recording(scene: Scene, tracks: Tracks) -> dict[str, Any]:
 
 
 def trajectory(scene: Scene, tracks: Tracks) -> Trajectory:
-    """People of a scene as frames (T, ...); whoever goes around a periodic scene is absent for a moment."""
+    """People of a scene as frames (T, ...); a person who goes around a periodic scene is absent for a frame."""
     people, present = np.asarray(tracks.position, float), np.array(tracks.present)
     if scene.period is not None:
         around = np.abs(np.diff(people[..., 0], axis=0)) > scene.period / 2.0

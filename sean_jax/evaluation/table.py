@@ -1,0 +1,132 @@
+"""The table of a run: its figures with their titles, units and intervals, overall and by situation."""
+
+import dataclasses
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from rich import box
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from sean_jax import files
+from sean_jax.drawing.colors import situation_colors
+from sean_jax.metrics import Metric
+from sean_jax.metrics.metric import MEAN
+
+
+class Figure(NamedTuple):
+    """The presentation of a figure."""
+
+    title: str
+    unit: str  # "%" shows a share in percent
+    digits: int
+    definition: str
+
+
+EPISODE_FIGURES = {
+    name: Figure(**figure) for name, figure in files.read_yaml(Path(__file__).with_suffix(".yaml"))[1].items()
+}
+"""Figures of the episode itself, which no metric measures; first in the table."""
+
+_UNITS = {"1": "", "m/s2": "m/s²", "m/s3": "m/s³"}  # as they are shown
+SECTIONS = {"intimate": "distances", "personal": "distances", "collision": "collisions"}  # first word -> section
+GAP = 3  # characters between columns
+
+
+@dataclasses.dataclass
+class Row:
+    """A row of the table, as text."""
+
+    name: str
+    title: str
+    unit: str
+    definition: str
+    cells: list[str]  # overall, then each situation; "" where there is no figure
+    intervals: list[str]  # 95 %, likewise
+
+
+def table_rows(summary: dict[str, Any], definitions: Mapping[str, Metric], complete: bool = False) -> list[Row]:
+    """The rows of a summary (``results.aggregate_episodes``): episode figures, then metrics in the scenario's order.
+
+    They are the headlines, or every metric if ``complete``, except the time in situations, which the share of robot
+    time shows.
+    """
+    figures = summary["metrics"]
+    shares = {"overall": {"mean": 1.0, "interval": [1.0, 1.0]}, **summary["situations"]}
+    columns = list(shares)
+    lines = [_row("share", EPISODE_FIGURES["share"], shares, columns)]
+    for name in ("completed", "seconds") if complete else ("completed",):
+        if name in figures:
+            lines.append(_row(name, EPISODE_FIGURES[name], figures[name], columns))
+    for name, metric in definitions.items():
+        if name in figures and name != "time_in_situation" and (complete or metric.headline):
+            lines.append(_row(name, metric_figure(name, metric), figures[name], columns))
+    return lines
+
+
+def metric_figure(name: str, metric: Metric) -> Figure:
+    """The title, unit, digits and definition of a metric."""
+    unit = "%" if metric.kind == "share" else _UNITS.get(metric.unit, metric.unit)
+    title, definition = metric.title or name.replace("_", " "), metric.definition or MEAN
+    return Figure(title, unit, metric.digits, definition)
+
+
+def _row(name: str, figure: Figure, values: dict[str, Any], columns: list[str]) -> Row:
+    scale = 100.0 if figure.unit == "%" else 1.0
+    cells, intervals = [], []
+    for column in columns:
+        value = values.get(column)
+        cells.append("" if value is None else f"{scale * value['mean']:.{figure.digits}f}")
+        low_high = (f"{scale * end:.{figure.digits}f}" for end in value["interval"]) if value else ()
+        intervals.append(" to ".join(low_high))
+    return Row(name, figure.title, figure.unit, figure.definition, cells, intervals)
+
+
+def print_table(
+    console: Console, summary: dict[str, Any], definitions: Mapping[str, Metric], title: str, none: float
+) -> None:
+    """Print the table of a summary in blocks as wide as the terminal; ``none`` is the share of time in no situation."""
+    names = list(summary["situations"])
+    shades = situation_colors(tuple(names))
+    lines = table_rows(summary, definitions)
+    margin = 1 + max(len(f"{row.title} {row.unit}".strip()) for row in lines)
+    longest = [max(len(row.cells[k]) for row in lines) for k in range(1 + len(names))]
+    widths = [max(cell, *map(len, name.split("_"))) for name, cell in zip(("overall", *names), longest, strict=True)]
+    for first, last in _blocks(widths, console.width - margin):
+        table = Table(box=box.SIMPLE_HEAD, title=Text(title), title_justify="left", title_style="bold", pad_edge=False)
+        table.add_column("", no_wrap=True)
+        if first == 0:
+            table.add_column("overall", justify="right", style="bold", no_wrap=True)
+        for name, color in zip(names[first:last], shades[first:last], strict=True):
+            table.add_column(Text(name.replace("_", "\n"), style=f"bold {color}"), justify="right", no_wrap=True)
+        last_section, title = "", ""
+        for row in lines:
+            section = SECTIONS.get(row.name.split("_")[0], "")
+            if section != last_section:
+                table.add_section()
+            last_section = section
+            head = Text.assemble(row.title, (f" {row.unit}" if row.unit else "", "dim"))
+            cells = row.cells[first + (first > 0) : last + 1]
+            table.add_row(head, *(Text(cell) if cell else Text("–", "dim") for cell in cells))
+        console.print(table)
+    console.print(f"In no situation: {100.0 * none:.1f} % of the robot's time.", highlight=False)
+    console.print(
+        "[dim]Violations and collisions are times per episode; 95 % intervals are in summary.json.[/]", soft_wrap=True
+    )
+
+
+def _blocks(widths: list[int], width: int) -> list[tuple[int, int]]:
+    """(first, last) situation of each block of ``width`` characters.
+
+    ``widths`` are the widths of the columns: overall, in the first block, and the situations.
+    """
+    overall, *situations = widths
+    blocks, first, left = [], 0, width - overall - GAP
+    for k, needed in enumerate(situations):
+        if needed + GAP > left and k > first:
+            blocks.append((first, k))
+            first, left = k, width
+        left -= needed + GAP
+    return [*blocks, (first, len(situations))]
