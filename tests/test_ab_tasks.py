@@ -5,12 +5,12 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+import programs
 import pytest
 from scipy.cluster.vq import kmeans2
 
 import sean_jax
 from sean_jax.assembly import with_task
-from sean_jax.environment import clearance
 from sean_jax.navigation import draw_places
 from sean_jax.tasks import TASKS
 from sean_jax.tasks.random_tasks import CANDIDATES, CLEAR, DETOUR, RING, SNAP, busiest, far_place, k_means
@@ -41,7 +41,7 @@ def test_places_are_free_clear_of_people_and_as_far_apart_as_asked(drawn):
     walk = np.asarray(tasks.geodesic)
     assert (walk >= 4.0).all() and (walk <= 20.0).all()
     for place in (tasks.start, tasks.goal):
-        assert np.asarray(clearance(scenario.environment, place)).min() >= scenario.robot.radius
+        assert np.asarray(programs.clearance(scenario.environment, place)).min() >= scenario.robot.radius
         gap = np.linalg.norm(np.asarray(people.position) - np.asarray(place)[:, None], axis=-1)
         assert gap.min() >= 1.0
     assert (np.asarray(tasks.goal_group) == -1).all() and (np.asarray(tasks.start_group) == -1).all()

@@ -5,6 +5,7 @@ import math
 import jax
 import jax.numpy as jnp
 import numpy as np
+import programs
 import pytest
 import scipy.stats
 
@@ -176,7 +177,7 @@ def test_one_episode_has_an_interval_of_no_width():
 @pytest.mark.slow
 def test_metrics_of_a_batch_of_episodes(scenario):
     """As a user has them: a dict of what ``results`` gives, vmapped over states."""
-    states = jax.jit(jax.vmap(lambda key: sean_jax.reset(scenario, key)))(jax.random.split(jax.random.key(0), 4))
+    states = programs.resets(scenario, jax.random.split(jax.random.key(0), 4))
     measured = jax.jit(jax.vmap(lambda state: sean_jax.results(scenario, state)))(states)
     found = jax.tree.map(sean_jax.aggregate, measured)
     assert set(found) == set(measured)

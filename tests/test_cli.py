@@ -13,6 +13,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
+import programs
 import pytest
 import yaml
 from rich.console import Console
@@ -286,7 +287,7 @@ def test_a_batch_equals_each_episode_alone():
         scenario = scenarios[tasks.index(task)]
         key = jax.random.fold_in(prng.key("run", 5), episode)
         last, frames = jax.jit(sean_jax.rollout, static_argnums=(1, 3))(scenario, drive, key, 20)
-        for name, value in sean_jax.results(scenario, last).items():
+        for name, value in programs.results(scenario, last).items():
             np.testing.assert_allclose(found.metrics[name][episode], value, atol=1e-3, err_msg=name)
         if episode < len(found.frames):
             np.testing.assert_allclose(found.frames[episode].people, frames.people, atol=1e-3)

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
+import programs
 import pytest
 
 from sean_jax import environment
@@ -41,7 +42,7 @@ def test_warehouse():
     }  # fmt: skip
     # Middles of the aisles between racks 4.8 m apart, then: inside a rack, beyond the wall, on the wall's surface.
     points = jnp.array([[-14.9, 4.0], [-4.9, 4.0], [-10.0, 4.0], [0.0, 21.0], [-19.8, -15.0]], jnp.float32)
-    found = environment.clearance(place, points)
+    found = programs.clearance(place, points)
     np.testing.assert_allclose(found, [2.4, 2.4, -2.5, -1.0, 0.0], atol=1e-5)
 
 
@@ -108,7 +109,7 @@ def test_clearance_is_differentiable_and_batched():
     gradient = jax.jit(jax.grad(lambda at: jnp.sum(environment.clearance(place, at))))(points)
     assert np.all(np.isfinite(gradient))
     each = jax.vmap(lambda at: environment.clearance(place, at[None])[0])(points)
-    np.testing.assert_allclose(each, environment.clearance(place, points), atol=1e-6)
+    np.testing.assert_allclose(each, programs.clearance(place, points), atol=1e-6)
 
 
 def test_free_points_are_free_uniform_and_repeatable():

@@ -5,6 +5,7 @@ import functools
 import jax
 import jax.numpy as jnp
 import numpy as np
+import programs
 import pytest
 import shortest_paths as oracle
 from quick import quick
@@ -26,14 +27,14 @@ def minute(name: str):
     """The scenario, and a minute of the people around a robot that drives to its goal, as numpy arrays."""
     scenario = sean_jax.make(name, dynamics="twin", time_limit=SECONDS, hold_time=2.0 * SECONDS)
     drive = policies.POLICIES["go_to_goal"]
-    _, frames = jax.jit(lambda key: sean_jax.rollout(scenario, drive, key, 10 * SECONDS))(jax.random.key(0))
+    _, frames = programs.rollout(scenario, drive, jax.random.key(0), 10 * SECONDS)
     return scenario, jax.tree.map(np.asarray, frames)
 
 
 @pytest.mark.parametrize("name", ROLLED_OUT)
 def test_resets_are_valid(name):
     scenario = minute(name)[0]
-    states = jax.jit(jax.vmap(lambda key: sean_jax.reset(scenario, key)))(jax.random.split(jax.random.key(1), 32))
+    states = programs.resets(scenario, jax.random.split(jax.random.key(1), 32))
     clearance = jax.jit(jax.vmap(environments.clearance, in_axes=(None, 0)))
     assert clearance(scenario.environment, states.pedestrians.position).min() > BODY
     for place in (states.task.start, states.task.goal):

@@ -12,6 +12,7 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
+import programs
 import pytest
 
 import sean_jax
@@ -233,7 +234,7 @@ def test_all_are_handed_over_without_touching_the_package(scenario):
         metrics=(*scenario.metrics[:2], ("turned_angle", turned_angle)),
         task=to_first_place,
     )
-    last, frames = jax.jit(lambda key: sean_jax.rollout(mine, dance, key, 40))(jax.random.key(2))
+    last, frames = programs.rollout(mine, dance, jax.random.key(2), 40)
     np.testing.assert_allclose(last.task.goal, scenario.navigation.places[0])
     np.testing.assert_allclose(np.asarray(frames.action)[:, 1], [2.0] * 10 + [-2.0] * 10 + [2.0] * 10 + [-2.0] * 10)
     np.testing.assert_allclose(frames.position[-1], last.task.start, atol=1e-2)  # it dances on the spot
@@ -244,7 +245,7 @@ def test_all_are_handed_over_without_touching_the_package(scenario):
     np.testing.assert_array_equal(frames.situations[:, 5], (looks & (distance < 2.4)).any(1))
     heading = np.concatenate([np.asarray(last.task.start_heading)[None], np.asarray(frames.heading)])
     angle = np.abs(np.diff(np.unwrap(np.arctan2(heading[:, 1], heading[:, 0])))).sum()
-    assert angle > 5.0 and sean_jax.results(mine, last)["turned_angle"][0] == pytest.approx(angle, rel=1e-3)
+    assert angle > 5.0 and programs.results(mine, last)["turned_angle"][0] == pytest.approx(angle, rel=1e-3)
 
 
 def test_a_force_pushes(scenario):
@@ -269,12 +270,12 @@ def test_a_robot_an_environment_a_behavior_and_a_model_by_name_and_path(files, a
     )
     assert mine.environment.name == "yard" and mine.robot.name == "puck" and mine.move is glide
     quick = dataclasses.replace(mine, metrics=mine.metrics[-1:])
-    last, frames = jax.jit(lambda key: sean_jax.rollout(quick, dance, key, 20))(jax.random.key(0))
+    last, frames = programs.rollout(quick, dance, jax.random.key(0), 20)
     moved = np.asarray(frames.people)[-1] - np.asarray(frames.people)[0]
     speed = np.asarray(last.pedestrians.preferred_speed)
     np.testing.assert_allclose(moved, np.stack([1.9 * speed, 0 * speed], -1), atol=1e-3)
     assert np.abs(np.asarray(frames.heading)[9] - np.asarray(frames.heading)[0]).max() > 0.5
-    assert float(sean_jax.results(quick, last)["turned_angle"][0]) > 1.0
+    assert float(programs.results(quick, last)["turned_angle"][0]) > 1.0
 
 
 def test_sean_list_shows_them(files, added, monkeypatch, capsys):

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import mujoco
 import networkx
 import numpy as np
+import programs
 import pytest
 import yaml
 
@@ -138,7 +139,7 @@ def test_places_are_free_and_seen_from_the_centre(graph, warehouse):
         away = np.maximum(np.abs(points[:, :, None] - boxes.center) - boxes.half_extent, 0)
         assert np.linalg.norm(away, axis=-1).min() >= 0.25 - 1e-4
     # Half of a free disc's points are in the inner half of its area.
-    free = np.asarray(environment.clearance(warehouse, graph.position)) > radius + 0.25
+    free = np.asarray(programs.clearance(warehouse, graph.position)) > radius + 0.25
     inner = np.linalg.norm(places - position[:, None], axis=-1)[free] < radius[free, None] / np.sqrt(2)
     assert free.sum() >= 3 and abs(np.mean(inner) - 0.5) < 4 * 0.5 / np.sqrt(inner.size)
     assert len(np.unique(places.reshape(-1, 2), axis=0)) > 900

@@ -6,12 +6,12 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
+import programs
 import pytest
 from quick import quick
 from scipy.optimize import linprog, minimize
 
 import sean_jax
-from sean_jax.environment import clearance
 from sean_jax.pedestrian_models import MODELS, VelocityProgram, best_velocity, half_plane
 from sean_jax.policies import go_to_goal
 
@@ -221,7 +221,7 @@ def test_people_keep_out_of_obstacles_and_walk_on(walked):
     scenario, last, frames = walked
     people = np.asarray(frames.people)
     assert np.isfinite(people).all()
-    assert np.asarray(clearance(scenario.environment, jnp.asarray(people.reshape(-1, 2)))).min() >= 0.2 - 1e-3
+    assert np.asarray(programs.clearance(scenario.environment, jnp.asarray(people.reshape(-1, 2)))).min() >= 0.2 - 1e-3
     speed = np.linalg.norm(np.asarray(frames.people_velocity), axis=-1)
     assert (speed.mean(0) > 0.7 * np.asarray(last.pedestrians.preferred_speed)).all()
     assert (speed <= 1.3 * np.asarray(last.pedestrians.preferred_speed) + 1e-3).all()

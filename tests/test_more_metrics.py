@@ -7,13 +7,13 @@ import jax
 import jax.numpy as jnp
 import metric_values
 import numpy as np
+import programs
 import pytest
 import shortest_paths as oracle
 from test_metrics import ROBOT_RADIUS, SITUATIONS, STEP, along, at, measure, wander
 from test_metrics import as_snapshot as of_wander
 
-import sean_jax
-from sean_jax import environment, metrics, navigation
+from sean_jax import metrics, navigation
 from sean_jax import scenario as scenario_module
 from sean_jax.base import Obstacles
 from sean_jax.metrics.proximity import collision_time, obstacle_distance
@@ -249,13 +249,13 @@ def test_rotation_of_the_shortest_path_equals_that_of_a_graph_search(scenario):
 
 def test_an_episode_fills_a_moment_with_all_that_metrics_read(scenario):
     """The rotation of the path, the goal radius, the top speed and the obstacles are those of the scenario."""
-    state = jax.jit(lambda key: sean_jax.reset(scenario, key))(jax.random.key(0))
+    state = programs.reset(scenario, jax.random.key(0))
     here = scenario_module.snapshot(scenario, state)
     assert float(here.path_rotation) == float(state.task.path_rotation) >= 0.0
     assert float(here.goal_radius) == pytest.approx(1.2) and float(here.robot_top_speed) == pytest.approx(0.5)
-    nearest = float(environment.clearance(scenario.environment, here.position[None, :])[0])
+    nearest = float(programs.clearance(scenario.environment, here.position[None, :])[0])
     assert float(obstacle_distance(here)) == pytest.approx(nearest, abs=1e-4)
-    found = {name: np.asarray(value) for name, value in sean_jax.results(scenario, state).items()}
+    found = {name: np.asarray(value) for name, value in programs.results(scenario, state).items()}
     assert all(np.isfinite(value.reshape(-1)[0]) for value in found.values())
 
 

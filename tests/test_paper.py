@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import networkx
 import numpy as np
+import programs
 import pytest
 from test_classifiers import AHEAD, BACK, LEFT, NAMES, occurring, snapshot, turned
 
@@ -66,7 +67,7 @@ def joining(scenario):
 def at_random(scenario):
     """States after reset of people who walk at random in the warehouse, for 40 keys."""
     wandering = sean_jax.make(behavior="random", task="random_ab_nav", people=16, dynamics="twin")
-    states = jax.jit(jax.vmap(lambda key: sean_jax.reset(wandering, key)))(jax.random.split(jax.random.key(5), 40))
+    states = programs.resets(wandering, jax.random.split(jax.random.key(5), 40))
     return wandering, states
 
 
@@ -465,7 +466,7 @@ def test_4e_random_ab_nav_draws_both_poses_from_the_navigable_plane(scenario, ta
     task = tasks[2]["random_ab_nav"]
     floor = np.asarray(scenario.environment.floor)
     for place in (task.start, task.goal):
-        assert np.asarray(clearance(scenario.environment, place)).min() >= scenario.robot.radius
+        assert np.asarray(programs.clearance(scenario.environment, place)).min() >= scenario.robot.radius
         share = (np.asarray(place) - floor[:2]) / (floor[2:] - floor[:2])
         assert (np.ptp(share, axis=0) > 0.7).all() and len(np.unique(share[:, 0])) > 30
     assert (np.asarray(task.start_group) == -1).all() and (np.asarray(task.goal_group) == -1).all()

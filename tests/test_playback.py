@@ -5,6 +5,7 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
+import programs
 import pytest
 
 import sean_jax
@@ -93,7 +94,7 @@ def test_the_robot_moves_among_them_and_is_measured(played):
     assert travelled > 2.0
     people, present = np.asarray(frames.people), np.asarray(frames.present)
     gap = np.linalg.norm(people - np.asarray(frames.position)[:, None], axis=-1)
-    measured = float(np.ravel(sean_jax.results(scenario, last)["min_distance_to_people"])[0])
+    measured = float(np.ravel(programs.results(scenario, last)["min_distance_to_people"])[0])
     before = min(np.linalg.norm(place - np.asarray(last.task.start)) for place in [where("7", 0.0)])
     active = np.asarray(frames.active)
     assert measured == pytest.approx(min(gap[active][present[active]].min(), before), abs=1e-3)

@@ -9,6 +9,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+import programs
 import pytest
 from quick import quick
 from scipy.sparse import coo_matrix
@@ -80,7 +81,7 @@ def room(tmp_path_factory):
         metrics=(),
         situations=made.situations[-1:],
     )
-    begin = jax.jit(lambda key: sean_jax.reset(scenario, key))(jax.random.key(0))
+    begin = programs.reset(scenario, jax.random.key(0))
     return scenario, jax.tree.map(lambda *leaves: jnp.stack(leaves), *(staged(begin, scene) for scene in SCENES))
 
 
@@ -342,10 +343,10 @@ def test_nobody_is_on_the_maps_of_seans_files(room):
         for scene in range(len(SCENES)):
             people = jax.tree.map(lambda leaf: leaf[scene], states).pedestrians  # noqa: B023
             nobody = people.replace(present=jnp.zeros_like(people.present))
-            costs = [np.asarray(cell_costs(scenario, layers, each, x, y)) for each in (people, nobody)]
+            costs = [np.asarray(jax.jit(cell_costs)(scenario, layers, each, x, y)) for each in (people, nobody)]
             np.testing.assert_array_equal(*costs)
         gap = np.linspace(0.01, 0.5, 99)
-        near = np.asarray(inflation_cost(layers, jnp.asarray(gap, jnp.float32)))
+        near = np.asarray(jax.jit(inflation_cost)(layers, jnp.asarray(gap, jnp.float32)))
         np.testing.assert_allclose(near, np.where(gap <= reach, 252 * np.exp(-3 * gap), 0), rtol=1e-5)
 
 

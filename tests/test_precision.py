@@ -7,6 +7,7 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
+import programs
 import pytest
 from quick import quick
 
@@ -205,7 +206,7 @@ def _without_key(scenario, key):
 def test_scenarios_run(make, name):
     """A second of each, compiled and run; finite, and the robot gets somewhere."""
     scenario = make(name)
-    last, frames = jax.jit(lambda key: sean_jax.rollout(scenario, POLICIES["go_to_goal"], key, 10))(jax.random.key(0))
+    last, frames = programs.rollout(scenario, POLICIES["go_to_goal"], jax.random.key(0), 10)
     assert all_double(last) and all_double(frames)
     assert np.isfinite(frames.position).all() and np.isfinite(frames.people).all()
     assert np.linalg.norm(frames.position[-1] - frames.position[0]) + np.abs(np.diff(frames.heading, axis=0)).sum() > 0

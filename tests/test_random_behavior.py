@@ -6,13 +6,13 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+import programs
 import pytest
 
 import sean_jax
 from sean_jax import navigation as paths
 from sean_jax.behaviors import random_behavior, starts
 from sean_jax.drawing import view
-from sean_jax.environment import clearance
 from sean_jax.policies import go_to_goal
 
 PEOPLE, STEPS = 12, 500
@@ -44,7 +44,7 @@ def test_people_walk_around_obstacles_to_their_goals_and_on_to_others(random_sce
     places = np.asarray(random_scenario.behavior.data.navigation.places)
     for step, person in np.argwhere(changed):
         assert np.linalg.norm(people[step, person] - places[goals[step, person]]) < random_behavior.ARRIVED + 0.01
-    room = np.asarray(clearance(random_scenario.environment, jnp.asarray(people.reshape(-1, 2))))
+    room = np.asarray(programs.clearance(random_scenario.environment, jnp.asarray(people.reshape(-1, 2))))
     assert room.min() >= 0.2 - 1e-3
     moved = np.linalg.norm(people[200:] - people[:-200], axis=-1)
     assert (moved.max(0) > 3.0).all()  # nobody is stuck for all the time

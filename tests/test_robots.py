@@ -13,12 +13,13 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+import programs
 import pytest
 import scipy.optimize
 from quick import quick
 
 import sean_jax
-from sean_jax import environment, robots
+from sean_jax import robots
 from sean_jax.base import Obstacles
 from sean_jax.errors import FileError
 from sean_jax.robots.drive import coordinates
@@ -545,9 +546,9 @@ def test_robot_wider_than_people_walk_has_its_own_paths(name, radius):
     """They stand off from obstacles by its radius, while people keep theirs."""
     scenario = sean_jax.make("warehouse", robot=name, people=8, dynamics="twin")
     assert float(scenario.navigation.radius) == pytest.approx(radius)
-    assert float(environment.clearance(scenario.environment, scenario.navigation.places).min()) > radius
-    state = jax.jit(lambda key: sean_jax.reset(scenario, key))(jax.random.key(0))
-    assert float(environment.clearance(scenario.environment, state.robot.position[None, :])[0]) > radius
+    assert float(programs.clearance(scenario.environment, scenario.navigation.places).min()) > radius
+    state = programs.reset(scenario, jax.random.key(0))
+    assert float(programs.clearance(scenario.environment, state.robot.position[None, :])[0]) > radius
 
 
 @pytest.mark.parametrize("path", robots.ROBOTS.values(), ids=list(robots.ROBOTS))

@@ -5,6 +5,7 @@ from dataclasses import replace
 import jax
 import jax.numpy as jnp
 import numpy as np
+import programs
 import pytest
 from quick import quick
 
@@ -19,7 +20,7 @@ SEEDS = 24
 def starts(scenario):
     """States after reset for many keys."""
     keys = jax.random.split(jax.random.key(0), SEEDS)
-    return jax.jit(jax.vmap(lambda key: sean_jax.reset(scenario, key)))(keys)
+    return programs.resets(scenario, keys)
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +40,7 @@ def test_nobody_starts_in_an_obstacle_or_in_somebody(scenario, starts):
 
 def test_robot_starts_free_and_clear_of_people(scenario, starts):
     robots = starts.robot.position
-    free = np.asarray(clearance(scenario.environment, robots))
+    free = np.asarray(programs.clearance(scenario.environment, robots))
     assert free.min() >= scenario.robot.radius
     gap = np.linalg.norm(np.asarray(starts.pedestrians.position) - np.asarray(robots)[:, None], axis=-1)
     assert gap.min() >= 0.5
@@ -66,7 +67,7 @@ def test_equal_keys_give_equal_episodes_and_others_do_not(episode):
 def test_a_batch_is_its_episodes(scenario, episode):
     _, last, frames = episode
     key = jax.random.split(jax.random.key(1), 2)[1]
-    alone_last, alone = jax.jit(lambda key: sean_jax.rollout(scenario, go_to_goal, key, 150))(key)
+    alone_last, alone = programs.rollout(scenario, go_to_goal, key, 150)
     np.testing.assert_allclose(np.asarray(alone.position[:60]), np.asarray(frames.position[1, :60]), atol=1e-3)
     assert int(alone_last.tick) == 150 == int(last.tick[1])
 
@@ -76,8 +77,8 @@ def test_a_rollout_stays_finite_out_of_obstacles_and_within_speed(scenario, epis
     for leaf in jax.tree.leaves((last.pedestrians, last.robot, last.metrics, frames)):
         assert np.isfinite(np.asarray(leaf, float)).all()
     everyone = jnp.asarray(np.asarray(frames.people).reshape(-1, 2))
-    assert np.asarray(clearance(scenario.environment, everyone)).min() >= 0.2 - 1e-3
-    assert np.asarray(clearance(scenario.environment, frames.position.reshape(-1, 2))).min() >= 0.16 - 0.02
+    assert np.asarray(programs.clearance(scenario.environment, everyone)).min() >= 0.2 - 1e-3
+    assert np.asarray(programs.clearance(scenario.environment, frames.position.reshape(-1, 2))).min() >= 0.16 - 0.02
     speed = np.linalg.norm(np.asarray(frames.people_velocity), axis=-1)
     assert speed.max() <= 1.3 * np.asarray(last.pedestrians.preferred_speed).max() + 0.3
 
@@ -134,14 +135,14 @@ def test_a_robot_is_placed_at_rest_and_its_task_goes_on(scenario):
 
 def test_metrics_stand_still_after_the_end(scenario):
     short = scenario.replace(time_limit=0.5)
-    last, frames = jax.jit(lambda key: sean_jax.rollout(short, go_to_goal, key, 20))(jax.random.key(3))
-    assert float(sean_jax.results(short, last)["time_in_situation"][0]) == pytest.approx(0.5)
+    last, frames = programs.rollout(short, go_to_goal, jax.random.key(3), 20)
+    assert float(programs.results(short, last)["time_in_situation"][0]) == pytest.approx(0.5)
     assert np.asarray(frames.active).sum() == 5
 
 
 def test_observation_is_in_the_robots_frame(scenario):
     state = jax.jit(sean_jax.reset)(scenario, jax.random.key(4))
-    seen = sean_jax.observe(scenario, state)
+    seen = programs.observe(scenario, state)
     heading, position = np.asarray(state.robot.heading), np.asarray(state.robot.position)
     left = np.array([-heading[1], heading[0]])
     gap = np.asarray(state.pedestrians.position) - position
@@ -178,7 +179,7 @@ def test_the_largest_number_that_fits_fits():
         sean_jax.make(people=10_000, dynamics="twin")
     most = int(str(refused.value).rstrip(".").split()[-1])
     full = sean_jax.make(people=most, dynamics="twin")
-    people = np.asarray(jax.jit(lambda key: sean_jax.reset(full, key))(jax.random.key(0)).pedestrians.position)
+    people = np.asarray(programs.reset(full, jax.random.key(0)).pedestrians.position)
     apart = np.linalg.norm(people[:, None] - people[None], axis=-1) + 9 * np.eye(most)
     assert apart.min() >= 0.5
     with pytest.raises(ValueError, match=f"the most that do is {most}"):
@@ -191,17 +192,13 @@ def test_a_crowd_that_warms_up_has_walked_before_the_task_begins(behavior):
     cold = sean_jax.make("lab", behavior=behavior, people=5, dynamics="twin")
     warm = replace(cold, warm_up=3.0)
     keys = jax.random.split(jax.random.key(5), 8)
-    first = jax.jit(jax.vmap(lambda key: sean_jax.reset(cold, key)))(keys)
-    then = jax.jit(jax.vmap(lambda key: sean_jax.reset(warm, key)))(keys)
+    first = programs.resets(cold, keys)
+    then = programs.resets(warm, keys)
 
-    def alone(state):
-        far = replace(state.robot, position=jnp.full(2, 1e4, state.robot.position.dtype))
-        after = sean_jax.step(cold, replace(state, robot=far), jnp.zeros(2))
-        return replace(after, robot=state.robot)
-
-    walk = jax.jit(jax.vmap(alone))
+    robot = first.robot
+    far = replace(robot, position=jnp.full_like(robot.position, 1e4))
     for _ in range(30):
-        first = walk(first)
+        first = programs.steps(cold, replace(first, robot=far), jnp.zeros(2))
     np.testing.assert_allclose(then.pedestrians.position, first.pedestrians.position, atol=1e-4)
     np.testing.assert_allclose(then.pedestrians.velocity, first.pedestrians.velocity, atol=1e-3)
     assert np.asarray(jnp.abs(then.pedestrians.velocity).max((1, 2)) > 0.2).all()
@@ -213,14 +210,12 @@ def test_a_crowd_that_warms_up_has_walked_before_the_task_begins(behavior):
 
 def test_the_next_task_leaves_the_crowd_as_it_is():
     scenario = sean_jax.make("lab", people=5, dynamics="twin")
-    keys = jax.random.split(jax.random.key(6), 4)
-    begin = jax.jit(jax.vmap(lambda key: sean_jax.reset(scenario, key)))
+    keys = jax.random.split(jax.random.key(6), 8)
     go_on = jax.jit(jax.vmap(lambda state, key: sean_jax.next_task(scenario, state, key)))
-    drive = jax.jit(jax.vmap(lambda state: sean_jax.step(scenario, state, jnp.asarray([0.3, 0.2]))))
-    state = begin(keys)
+    state = programs.resets(scenario, keys)
     for _ in range(15):
-        state = drive(state)
-    after = go_on(state, jax.random.split(jax.random.key(7), 4))
+        state = programs.steps(scenario, state, jnp.asarray([0.3, 0.2]))
+    after = go_on(state, jax.random.split(jax.random.key(7), 8))
     for name in ("pedestrians", "groups", "memory"):
         for one, other in zip(*map(jax.tree.leaves, (getattr(state, name), getattr(after, name))), strict=True):
             np.testing.assert_array_equal(one, other)

@@ -9,6 +9,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+import programs
 import pytest
 from quick import quick
 from test_raycast import mujoco_distances, mujoco_hits
@@ -27,7 +28,7 @@ PLACE, AHEAD = np.array([3.0, -2.0], np.float32), np.array([0.6, 0.8], np.float3
 
 @pytest.fixture(scope="module")
 def state(scenario):
-    return jax.jit(lambda key: sean_jax.reset(scenario, key))(jax.random.key(3))
+    return programs.reset(scenario, jax.random.key(3))
 
 
 def over_ground(ahead, left):

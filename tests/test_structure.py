@@ -44,17 +44,6 @@ def room(module: str) -> str:
     return (module.split(".") + [""])[1]
 
 
-def top_level_imports(path: Path) -> list[str]:
-    """Names imported when the module is, those guarded by TYPE_CHECKING left out."""
-    found = []
-    for node in ast.parse(path.read_text(encoding="utf-8")).body:
-        if isinstance(node, ast.Import):
-            found += [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom):
-            found.append(node.module or "")
-    return found
-
-
 def test_the_page_of_floors_is_the_contract_that_lint_imports_checks():
     text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
     floors: dict[int, set[str]] = {}
@@ -79,23 +68,6 @@ def test_an_environment_is_the_place():
         assert learns or "env" not in names, path
 
 
-def test_optional_packages_stay_in_their_rooms():
-    """orbax belongs to learning, optax to whatever fits, Gymnasium and its like to adapters; mujoco has three rooms."""
-    rooms = {
-        "optax": {"learning", "studies"},
-        "orbax": {"learning"},
-        "mujoco": {"files", "environment", "robots"},
-    }
-    rooms |= dict.fromkeys(("gymnasium", "brax", "rclpy", "stable_baselines3", "torch"), {"adapters"})
-    for path in MODULES:
-        nodes = list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
-        names = [alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names]
-        names += [node.module or "" for node in nodes if isinstance(node, ast.ImportFrom) and not node.level]
-        for name in names:
-            package = name.split(".")[0]
-            assert room(dotted(path)) in rooms.get(package, {room(dotted(path))}), f"{dotted(path)} imports {name}"
-
-
 def test_command_line_starts_without_heavy_imports():
     program = f"import sys, sean_jax.cli; print([name for name in {HEAVY!r} if name in sys.modules])"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, cwd=ROOT, check=False)
@@ -114,11 +86,6 @@ print(xla_bridge.backends_are_initialized())
 """
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, cwd=ROOT, check=False)
     assert done.stdout.split() == ["False"], done.stderr
-
-
-def test_mjx_is_imported_late():
-    """Importing mjx costs seconds: no module does so when it is itself imported."""
-    assert not [dotted(path) for path in MODULES if any("mjx" in name for name in top_level_imports(path))]
 
 
 def described_values(package: str) -> set[str]:

@@ -6,6 +6,7 @@ from typing import Any
 
 import jax
 import numpy as np
+import programs
 import pytest
 
 import sean_jax
@@ -85,7 +86,7 @@ def test_a_rollout_is_a_table_for_other_programs(tmp_path):
     """A row for the robot and for each person in each frame, in the columns that are documented."""
     scenario = sean_jax.make("lab", people=3, dynamics="twin")
     policy = sean_jax.POLICIES["go_to_goal"]
-    _, frames = jax.jit(lambda key: sean_jax.rollout(scenario, policy, key, steps=5))(jax.random.key(0))
+    _, frames = programs.rollout(scenario, policy, jax.random.key(0), 5)
     names = [name for name, _ in scenario.situations]
     sean_jax.save_trajectory(frames, tmp_path / "walk.csv", time_step=scenario.time_step, situations=names)
     text = (tmp_path / "walk.csv").read_text().splitlines()

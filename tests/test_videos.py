@@ -6,10 +6,10 @@ from typing import Any
 
 import jax
 import numpy as np
+import programs
 import pytest
 from PIL import Image
 
-import sean_jax
 from sean_jax import drawing, sensors
 from sean_jax.base import Array
 from sean_jax.drawing import gifs
@@ -20,7 +20,7 @@ from sean_jax.scenario import frame
 @pytest.fixture(scope="module")
 def frames(scenario):
     """21 frames in which person 0 walks from 1 m ahead of the robot to 1 m to its left; all others are absent."""
-    state = jax.jit(lambda key: sean_jax.reset(scenario, key))(jax.random.key(3))
+    state = programs.reset(scenario, jax.random.key(3))
     action: Array = jax.device_put(np.zeros(2, np.float32))
     still = jax.tree.map(np.asarray, frame(state, state, action))
     many: Any = jax.tree.map(lambda leaf: np.stack([leaf] * 21), still)

@@ -19,6 +19,12 @@ MEETINGS = 400
 
 
 @jax.jit
+def step(parameters, people, seconds):
+    """People alone after one step."""
+    return social_forces.integrate(parameters, people, None, None, None, seconds)
+
+
+@jax.jit
 def robot_gaps(parameters, distances, robot_speed):
     """Closest approaches (R, 40), and the slope (R,) of their means by the distances (R,)."""
 
@@ -67,6 +73,9 @@ def test_a_robot_that_sets_off_is_felt_at_once_or_over_a_ramp():
     """The speed of somebody 0.6 m before a robot, by the speed of the robot."""
     one = walkers.walkers(jnp.array([[-0.6, 0.0]]), jnp.array([[1.0, 0.0]]), 0.3)
 
+    @jax.jit
+    @functools.partial(jax.vmap, in_axes=(None, 0))
+    @functools.partial(jax.value_and_grad, argnums=1)
     def after(parameters, speed):
         robot = Robot(jnp.zeros(2), jnp.array([0.0, 1.0]), speed, jnp.float32(0.0), ())
         return social_forces.integrate(parameters, one, None, None, robot, 0.05, 0.16).velocity[0, 0]
@@ -76,9 +85,7 @@ def test_a_robot_that_sets_off_is_felt_at_once_or_over_a_ramp():
     found = {}
     for ramp in (0.0, 1e-6, 0.1):
         own = parameters.tree_replace({"robot_repulsion.ramp": ramp, "repulsion.anticipation": 0.0})
-        value, slope = (
-            np.asarray(part) for part in jax.vmap(jax.value_and_grad(functools.partial(after, own)))(speeds)
-        )
+        value, slope = (np.asarray(part) for part in after(own, speeds))
         assert np.isfinite(slope).all()
         found[ramp] = value, slope
     switched, slope = found[0.0]
@@ -106,14 +113,12 @@ def test_sixty_people_get_through_a_bottleneck_without_walking_into_one_another(
 
 def test_friction_slows_who_slides_past_another():
     """Two bodies that overlap by 2 cm and walk past one another, with and without it."""
-    still = functools.partial(walkers.walkers, jnp.array([[-0.3, 0.0], [0.3, 0.0]]))
-    speed = []
+    people = walkers.walkers(np.array([[0.0, 0.19], [0.0, -0.19]]), np.array([[1.0, 0.0], [-1.0, 0.0]], np.float32))
+    people, speed = jax.device_put(people), []
     for friction in (None, 3000.0):
         changes = {"contact.friction": friction, "sidestep.preference": 0.0}
         parameters = social_forces.preset("helbing2000").tree_replace(changes)
-        people = still(jnp.array([[1.0, 0.0], [-1.0, 0.0]]))
-        people = people.replace(position=jnp.array([[0.0, 0.19], [0.0, -0.19]]))
-        after = social_forces.integrate(parameters, people, None, None, None, 0.001)
+        after = step(parameters, people, 0.001)
         speed.append(float(after.velocity[0, 0]))
     assert speed[0] == pytest.approx(1.0, abs=1e-5)
     assert speed[1] == pytest.approx(1.0 - 0.001 * 3000 * 0.02 * 2.0, abs=1e-4)
