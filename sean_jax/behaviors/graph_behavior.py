@@ -58,10 +58,10 @@ class Tables:
     start_log_chance: Float[Array, "P"]  # log of its chance, relative to the others
     congestion_cost: Float[Array, ""] | None  # m2, see ``add_congestion_cost``; None: none
     temperature: Float[Array, ""] | None  # m, see ``graph_choices``; None: people take the cheapest way
-    spawn_clusters: Int[Array, "C 3"]  # starts beside one another, for walking groups
+    spawn_clusters: Int[Array, "C 3"]  # neighboring starts, for walking groups
     first_seats: tuple[int, ...] = struct.field(pytree_node=False)  # seats at which people start
     permanent: bool = struct.field(pytree_node=False)  # whether they stay there
-    walking_groups: WalkingGroups = struct.field(pytree_node=False)  # how many
+    walking_groups: WalkingGroups = struct.field(pytree_node=False)  # their numbers
 
 
 def build(
@@ -223,7 +223,7 @@ def direct(scenario: Scenario, state: State, key: Array) -> State:
 
 
 def direct_edge_by_edge(scenario: Scenario, state: State, key: Array) -> State:
-    """People choose anew at every node and walk one edge of the path, as in SEAN 2.0's code."""
+    """People choose again at every node and walk one edge of the path, as in SEAN 2.0's code."""
     return _direct(False, scenario, state, key)
 
 
@@ -279,7 +279,7 @@ def _direct(whole: bool, scenario: Scenario, state: State, key: Array) -> State:
 def _stay_or_leave(
     scenario: Scenario, people: Pedestrians, memory: Memory, chance: Float[Array, "N"], draws: Draws | None
 ) -> tuple[Memory, Bool[Array, "N"]]:
-    """Stays that begin, go on or end; and whether people are without a goal now.
+    """Stays that begin, continue or end; and whether people are without a goal now.
 
     A stay ends when its time is over and a successor is near, whose own stay begins then, or after some waiting.
     """
@@ -347,7 +347,7 @@ def _blend(
     seats: Seats,
     desired_velocity: Float[Array, "N 2"],
 ) -> Float[Array, "N 2"]:
-    """Velocities [m/s], partly still to the old target for people who reach it in this step: ``switched_share``."""
+    """Velocities [m/s], partly towards the old target for people who reach it in this step: ``switched_share``."""
     gap = before.target - people.position
     distance = length(gap[:, 0], gap[:, 1])
     closer = jnp.sum(gap * people.velocity, axis=1) / jnp.maximum(distance, 1e-6) * scenario.time_step

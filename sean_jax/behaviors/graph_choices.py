@@ -2,8 +2,8 @@
 
 The paper's Behavior Graph "maintains" group formations although each member stays for a few seconds only. So a seat has
 a holder, who stands there, and a successor, who walks there. The successor is chosen before the holder's stay ends,
-among people who pass a node, by the time at which they would arrive. When the stay is over the holder waits for the
-successor, for a bounded time. A person who is much better in time replaces a successor who is still nodes away.
+among people who pass a node, by arrival time. When the stay is over the holder waits for the
+successor, for a bounded time. A person with a much better arrival time replaces a successor who is nodes away.
 
 Goals, routes, seats and stay times are discrete: a small change of a weight changes nothing, or everything after it.
 With a temperature T each choice is sampled with a differentiable chance, and the state has the sum of the log chances
@@ -36,20 +36,20 @@ from sean_jax.graph.behavior_graph import hop_log_chances
 ARRIVED = 1.0  # m from the target, where a waypoint counts as reached (SEAN 2.0)
 MAX_WAIT = 5.0  # s, for which the holder of a seat waits for a successor; at most the longest stay at that group
 HAND_OVER = 1.0  # m between a successor and the seat, where a holder whose stay is over leaves
-STAND_BY = 0.9  # m from the seat, where a successor who is early waits
+STAND_BY = 0.9  # m from the seat, where an early successor waits
 CROWD = 1.1  # duration of a walk over its length at the preferred speed
 LAST_STEPS = 1.0  # s, in addition
 MAX_MISFIT = 8.0  # s between an arrival and the end of a stay, beyond which nobody is sent to a taken seat
-EARLY = 2.0  # cost of a second too early over that of a second too late
-RETURN = 2.0  # s, penalty of a person who was in that group just before
+EARLY = 2.0  # cost of a second too early over the cost of a second too late
+RETURN = 2.0  # s, penalty of a person who has just left the group
 MIN_GAIN = 2.0  # s, by which a person must be better in time to replace a successor
-MIN_PACE = 0.6  # of the preferred speed, for a successor who is early
+MIN_PACE = 0.6  # of the preferred speed, for an early successor
 WALK = 1.0  # m/s, converts a temperature in metres to seconds, for choices between times
 SHORTEST = 1e-3  # s, minimum difference of the limits of stays
 
 
 class Draws(NamedTuple):
-    """The additional uniform numbers, from 0 to 1, of a step with a temperature."""
+    """Additional uniform numbers, from 0 to 1, of a step with a temperature."""
 
     temperature: Float[Array, ""]  # m
     hop: Float[Array, "N"]  # route
@@ -110,14 +110,14 @@ def sample_stay(
 
 
 def switched_share(distance: Float[Array, "N"], before: Float[Array, "N"], radius: float) -> Float[Array, "N"]:
-    """The share of a step, from 0 to 1, that people walk towards their next target.
+    """The fraction of a step, from 0 to 1, that people walk towards their next target.
 
     People come within ``radius`` [m] of a target during a step, not at its end. With this share of the new direction
-    and the rest of the old one, positions do not jump as people arrive a step earlier or later.
+    and the rest of the old direction, positions are continuous in the step of arrival.
 
     Args:
         distance: m, to the target that is reached.
-        before: m, how much farther it was a step ago, at the present speed.
+        before: m, additional distance one step ago, at the present speed.
     """
     return jnp.clip((radius - distance) / jnp.maximum(before, 1e-6), 0.0, 1.0)
 
@@ -251,13 +251,13 @@ def send(
 ) -> tuple[Memory, Bool[Array, "N"]]:
     """Sends successors to seats; returns the memory with new seats and goals, and whether people have lost their seat.
 
-    A seat without a successor gets a person who would arrive about when the stay ends, or as soon as possible if nobody
+    A seat without a successor gets a person who arrives at the end of the stay, or as soon as possible if nobody
     stands there or the holder waits already. Each seeker asks for the seat that is due first, and each seat takes the
     seeker who is best in time, if that seeker asks for it. So nobody gets two seats, and no seat gets two successors.
 
     Args:
         arrival: s, of ``arrival_times``.
-        seekers: people at a node who go on from there.
+        seekers: people at a node who choose their next goal.
         draws: with a temperature, people ask and seats take by chances that decrease with the score.
     """
     number, none = memory.seat.shape[0], jnp.zeros(memory.seat.shape, bool)
@@ -298,7 +298,7 @@ def misfit(arrival: Float[Array, "..."], due: Float[Array, "..."]) -> Float[Arra
 
 
 def pace(graph: BehaviorGraph, arrival: Float[Array, "N G"], memory: Memory, seats: Seats) -> Float[Array, "N"]:
-    """Share of the preferred speed, from ``MIN_PACE`` to 1: successors who would be early walk slower."""
+    """Fraction of the preferred speed, from ``MIN_PACE`` to 1: early successors walk slower."""
     if graph.seat_group.shape[0] == 0:
         return jnp.ones(memory.seat.shape, float)
     expected = jnp.take_along_axis(arrival, of_seat(graph.seat_group, memory.seat)[:, None], axis=1)[:, 0]
@@ -318,8 +318,8 @@ def choose_whole(
 ) -> Memory:
     """New goals as in the paper (section IV-D): people keep a goal until they are there.
 
-    Seats without a successor come first, then waypoint nodes. People at a node can be sent to a seat whatever their
-    goal. A successor whose seat somebody else takes goes on to a waypoint node.
+    Seats without a successor come first, then waypoint nodes. People at a node can be sent to a seat with any
+    goal. A successor who is replaced walks to a waypoint node.
 
     Args:
         arrival: s, of ``arrival_times``.
@@ -426,7 +426,7 @@ def _passes(people: Pedestrians, memory: Memory) -> Bool[Array, "N"]:
 def _set_out(
     graph: BehaviorGraph, memory: Memory, onward: Bool[Array, "N"], chance: Float[Array, "N"], draws: Draws | None
 ) -> Memory:
-    """The next node on the way and a point of its disc, for people who go on from a node."""
+    """The next node of the path and a point of its disc, for people who leave a node."""
     following = graph.next_hop[memory.hop, memory.goal]
     if draws is not None:
         ways = hop_log_chances(graph.edge_cost, graph.cost, graph.is_group, draws.temperature)

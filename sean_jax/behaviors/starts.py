@@ -1,6 +1,6 @@
 """Starts of people: the place, free points far enough apart for any choice of them to be valid, and walking groups.
 
-Walking groups (section IV-D) are pairs and triples who walk together. The last people of a scenario are its walking
+Walking groups (section IV-D) are pairs and triples. The last people of a scenario are its walking
 groups, pairs before triples. The member with the lowest index leads: the leader decides where to go, the others follow
 with the same goal at the same preferred speed, and ``social_forces.Cohesion`` keeps them side by side.
 """
@@ -229,7 +229,7 @@ def choose_starts(
 
 
 def leaders(companions: Int[Array, "N 2"] | None, people: int) -> Int[Array, "N"]:
-    """The index of each person's leader, -1 for people who walk alone; ``companions`` as in ``WalkingGroups``."""
+    """The index of each person's leader, -1 for single people; ``companions`` as in ``WalkingGroups``."""
     if companions is None:
         return jnp.full(people, -1, jnp.int32)
     person = jnp.arange(people, dtype=jnp.int32)
@@ -238,7 +238,7 @@ def leaders(companions: Int[Array, "N 2"] | None, people: int) -> Int[Array, "N"
 
 
 def follow_leaders(walking_group: Int[Array, "N"], *values: Shaped[Array, "N ..."]) -> tuple[Array, ...]:
-    """The values, with those of the leader for all members of a walking group.
+    """The values, with the leader's values for all members of a walking group.
 
     Args:
         walking_group: index of each person's leader, -1 none.
@@ -263,7 +263,7 @@ def group_speeds(scenario: Scenario, walking_group: Int[Array, "N"], preferred: 
 
 
 def walk_abreast(people: Pedestrians, velocity: Float[Array, "N 2"]) -> Float[Array, "N 2"]:
-    """Desired velocities [m/s] in the leader's direction, for members near the leader who go about that way.
+    """Desired velocities [m/s] in the leader's direction, for members near the leader with a similar direction.
 
     If all members headed for the same point, they would arrive there in single file.
     """

@@ -35,7 +35,7 @@ METRICS, TOPICS = _read_metrics()
 
 
 def topic(name: str) -> str:
-    """What a metric is about, in a few words; "your own" for one that does not come with the package."""
+    """The topic of a metric in a few words; "your own" for metrics outside the package."""
     return next((topic for topic, group in TOPICS.items() if name in group), "your own")
 
 

@@ -1,7 +1,7 @@
 """Bootstrap intervals over many episodes (section V): of means, of ratios of sums, of any figure.
 
 Episodes are drawn with replacement and the figure is computed again for each resample (Efron 1979). The interval holds
-the middle 95 % of the results: how much the figure would change with other seeds. Table I draws blocks of a minute
+the middle 95 % of the results: the variation of the figure over seeds. Table I draws blocks of a minute
 instead of episodes, and figures of its own. All of this runs at the end, on the host and in double precision.
 """
 
@@ -101,7 +101,7 @@ def aggregate_ratio(
 
 
 def resamples(episodes: int, seed: int = 0, count: int | None = None) -> np.ndarray:
-    """(R, E) float32, how often each of E episodes (or blocks) is in each of R resamples.
+    """(R, E) float32, number of times that each of E episodes (or blocks) is in each of R resamples.
 
     R is 2000 if ``count`` is None, and less with more than 10,000 episodes.
     """
@@ -116,7 +116,7 @@ def hierarchical_resamples(sizes: Sequence[int]) -> np.ndarray:
 
     Networks that were trained with several seeds on several datasets are such groups. Only the outermost level with
     several groups is independent; the spread of their means contains the levels below, which would otherwise count
-    twice. There are few of them, so the weights are no counts but such that the interval of a mean is that of Student's
+    twice. There are few of them, so the weights are not counts: they make the interval of a mean equal to Student's
     distribution; a weight may be negative.
 
     Args:

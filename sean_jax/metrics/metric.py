@@ -1,4 +1,4 @@
-"""What a metric is (section IV-H): a value that is updated step by step over a robot's task, in constant memory.
+"""Metrics (section IV-H): values that are updated in each step of a robot's task, in constant memory.
 
 Most metrics are one line, a constructor of this module around a function of a snapshot:
 
@@ -33,7 +33,7 @@ from sean_jax.errors import InputError
 MEAN = "Mean over episodes."  # the definition of a metric that has none
 CURE = "give a Metric, a condition snapshot -> bool, or an amount (before, after) -> number."
 RESERVED = ("episode", "task", "completed", "timed_out", "seconds", "share")  # columns of every episodes.csv
-UNSET = float(np.finfo(np.float32).max)  # stands for no amount; finite, as everything in a state is
+UNSET = float(np.finfo(np.float32).max)  # no value yet; finite, like everything in a state
 
 Condition = Callable[[Snapshot], Array]  # snapshot -> () bool
 Quantity = Callable[[Snapshot], Array]  # snapshot -> () number
@@ -74,7 +74,7 @@ class Metric:
 
 
 def as_metric(value: Metric | Callable, name: str = "") -> Metric:
-    """A ``Metric`` as it is, or a metric of a function; equal arguments give the same one, so nothing compiles again.
+    """A ``Metric`` unchanged, or the metric of a function; equal arguments give the same metric, so it compiles once.
 
     A function of one snapshot is a condition: the metric is the time [s] during which it holds. A function of two
     snapshots, before and after a step, is an amount: the metric is its sum over the steps.
@@ -148,7 +148,7 @@ def share_of_time(condition: Condition, **words: Unpack[Words]) -> Metric:
 
 
 def count_onsets(condition: Condition, among: Condition | None = None, **words: Unpack[Words]) -> Metric:
-    """How often a condition begins to hold, overall and in each situation: it holds after a step and not before it.
+    """Number of onsets of a condition, overall and in each situation: it holds after a step and not before it.
 
     Args:
         condition: ``snapshot -> () bool``, or (N,) bool if each of N people counts by themselves.

@@ -97,7 +97,7 @@ Where seconds are no whole number of steps, the steps from one sample to the nex
 
 
 class SampledRotation(NamedTuple):
-    """How much the robot has turned by whole seconds, and how much its shortest path does."""
+    """Rotation of the robot at whole seconds, and rotation of its shortest path."""
 
     heading: Float[Array, "2"]  # unit vector, at the last whole second
     amount: Float[Array, ""]  # rad
@@ -163,7 +163,7 @@ time_in_situation = duration(_always)
 """Seconds of the episode and in each situation, from which the table makes shares of robot time."""
 
 reached_goal = final(_at_goal)
-"""1 if the last position is within the goal radius, else 0: SEAN's Completed, without the time to be held there."""
+"""1 if the last position is within the goal radius, else 0: SEAN's Completed, without the hold time."""
 
 
 # --- success weighted by how short the path or the time was ---

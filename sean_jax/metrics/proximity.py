@@ -1,7 +1,7 @@
 """Metrics of people and obstacles near the robot (section IV-H): violations of distance, collisions, comfort.
 
 An event is an entry: a person's distance to the robot (centre to centre, as in the paper; SEAN's code subtracts a
-person's radius) falls below the limit, having been above it a step before. The fault rule is SEAN's: robot on person if
+person's radius) falls below the limit, and was above it a step before. The fault rule is SEAN's: robot on person if
 the robot moves and its velocity has a part towards the person, else person on robot.
 """
 
@@ -113,7 +113,7 @@ def _touches_obstacle(snapshot: Snapshot) -> Array:
 
 
 collision_with_obstacle = count_onsets(_touches_obstacle)
-"""Times that the robot touched an obstacle, having touched none a step before: within its radius and 1 cm.
+"""Times that the robot touched an obstacle, after no contact one step before: within its radius and 1 cm.
 
 SEAN's code also counts obstacles that come within 1.2 m and 0.45 m; this counts the body alone.
 """
@@ -197,7 +197,7 @@ social_work = total(_work)
 """Social-force work: dt (|sum_i f_i| + sum_i |f_i|) summed over the steps, on the robot and on all people, per mass.
 
 The robot and person i push each other with f = (V0 / sigma) exp(-d / sigma) = 7 m/s2 exp(-d / 0.3 m), d between
-centres: the circular law of Helbing & Molnar (1995), whatever law moves the people, so that pedestrian models can be
+centres: the circular law of Helbing & Molnar (1995), with any law of people's motion, so that pedestrian models can be
 compared. A sum of force over time, which HuNavSim calls work.
 """
 

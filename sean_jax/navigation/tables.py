@@ -51,7 +51,7 @@ class Navigation:
     distance: Float[Array, "V V"]  # m, length of the path from the first arc to the second; inf if there is none
     departure_angle: Float[Array, "V V"]  # rad, where that path leaves the first
     arrival_angle: Float[Array, "V V"]  # rad, where it enters the second
-    rotation: Float[Array, "V V"]  # rad, how much it turns, left and right added up
+    rotation: Float[Array, "V V"]  # rad, total rotation, left plus right
     next_arc: Int[Array, "V V"]  # the arc that follows the first
     visible: Bool[Array, "X Y V"]  # whether the tangent from the middle of a cell to the arc is free
     origin: Float[Array, "2"]  # m, lower left corner of the grid of cells
@@ -59,7 +59,7 @@ class Navigation:
     places: Float[Array, "P 2"]  # m, uniform over all places that the disc can reach
     obstacles: Obstacles
     radius: Float[Array, ""]  # m
-    mesh_places: Int[Array, "M"] | None = None  # indices of places by how often they are drawn; None: uniform
+    mesh_places: Int[Array, "M"] | None = None  # indices of places, repeated by their probability; None: uniform
 
 
 class CommonTangents(NamedTuple):
@@ -251,7 +251,7 @@ def find_arcs(environment: Environment, radius: float) -> CornerArcs:
 
 
 def common_tangents(arcs: CornerArcs, radius: float) -> CommonTangents:
-    """The segments from arc to arc that touch both circles of a radius [m], whatever obstacles are in between."""
+    """The segments from arc to arc that touch both circles of a radius [m], through any obstacles in between."""
     corner, middle, side, first, last = (
         np.asarray(part) for part in (arcs.corner, arcs.middle, arcs.side, arcs.first, arcs.last)
     )

@@ -1,6 +1,6 @@
 """expert: a model-predictive controller that drives politely; it stands in for the human of section V.
 
-The paper's learned policies imitate a human who steers through SEAN. Here every control step searches a plan of the
+The paper's learned policies imitate a human operator. Here every control step searches a plan of the
 next seconds: robot and people are predicted (``prediction``), social costs are summed along the way, and the rest of
 the path is a shortest path (``cost_to_go``). The search samples in two rounds: widely around the last plan and over
 constant arcs, then narrowly around the best of these. The robot drives the weighted mean of the second round (G.
@@ -39,7 +39,7 @@ MIN_PROGRESS = 0.3  # m nearer to the goal
 INITIAL_DISTANCE = 1e6  # m, more than any path
 ARC_SPEEDS = (-0.4, 0.0, 0.35, 0.7, 1.0)  # of the limits: constant arcs
 ARC_TURN_RATES = (-1.0, -0.5, -0.2, 0.0, 0.2, 0.5, 1.0)
-OBSTACLE_MARGIN = 0.03  # m, kept from obstacles at high cost
+OBSTACLE_MARGIN = 0.03  # m, distance from obstacles with a high cost below it
 OBSTACLE_REACH = 0.15  # m, beyond it: the cost falls to 0
 PERSON_MARGIN = 0.07  # m, by which predictions may be wrong: added to the intimate distance and to contact
 STRETCH_TIME = 0.7  # s, by which the speed of people stretches their personal space ahead
@@ -80,7 +80,7 @@ class ExpertMemory(NamedTuple):
 
 
 def init(scenario: Scenario, params: ExpertParams, state: State) -> ExpertMemory:
-    """Plans seconds ahead by sampling, politely: people are predicted, and their distances and o-spaces kept."""
+    """Plans seconds ahead by sampling, with predicted people, and costs of their distances and o-spaces."""
     knots = jnp.zeros((KNOTS, 2), float)
     distance = jnp.full((), INITIAL_DISTANCE, float)
     return ExpertMemory(knots, corner_successors(scenario, state), distance, jnp.zeros((), jnp.int32))
@@ -220,7 +220,7 @@ def people_rate(
 ) -> Float[Array, "T P"]:
     """Cost [1/s] of being near people, at (x, y) [m]: contact, less than 0.45 m, and personal space.
 
-    Personal space reaches 1.2 m, and farther ahead of people who walk.
+    Personal space reaches 1.2 m, and farther ahead of walking people.
     """
     px, py, vx, vy = (part[:, None, :] for part in people)
     dx, dy = x[..., None] - px, y[..., None] - py
@@ -240,7 +240,7 @@ def people_rate(
 def group_rate(
     state: State, weights: SocialCosts, x: Float[Array, "T P"], y: Float[Array, "T P"]
 ) -> Float[Array, "T P"]:
-    """Cost [1/s] of being in o-spaces, at (x, y) [m]; less far in those of groups that the task joins or leaves."""
+    """Cost [1/s] of being in o-spaces, at (x, y) [m]; less far for groups that the task joins or leaves."""
     groups, task = state.groups, state.task
     index = jnp.arange(groups.radius.shape[0], dtype=jnp.int32)
     is_task_group = (index == task.goal_group) | (index == task.start_group)

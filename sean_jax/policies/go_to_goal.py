@@ -39,7 +39,7 @@ def go_to_goal(scenario: Scenario, state: State, key: Array) -> Float[Array, "2"
         aim = _wrap(jnp.where(in_way.any(), aside, bearing))
 
     ahead = observation.people_present & (jnp.abs(direction) < jnp.pi / 3)
-    closing = jnp.maximum(-observation.people_velocity[:, 0], 0.0)  # people who come closer need more distance
+    closing = jnp.maximum(-observation.people_velocity[:, 0], 0.0)  # approaching people need more distance
     free = jnp.min(jnp.where(ahead, distance - STOP_DISTANCE - 0.3 * closing, SLOW_DISTANCE), initial=SLOW_DISTANCE)
     share = jnp.clip(free / (SLOW_DISTANCE - STOP_DISTANCE), 0.0, 1.0) * jnp.clip(jnp.cos(aim), 0.0, 1.0)
     speed = (

@@ -1,6 +1,6 @@
 """orca: optimal reciprocal collision avoidance for a robot on two wheels (van den Berg et al., 2011).
 
-The half-planes are those of ``pedestrian_models``. The middle of the axle cannot move in any direction, but a
+The half-planes are defined in ``pedestrian_models``. The middle of the axle cannot move in any direction, but a
 point ahead of it can: J. Snape, J. van den Berg, S. J. Guy & D. Manocha, "Smooth and collision-free navigation for
 multiple robots under differential-drive constraints" (IROS 2010) steer that point, with a disc around it that contains
 the robot.
@@ -17,14 +17,14 @@ from sean_jax.policies.prediction import nearest_people
 from sean_jax.robots.drive import clip_speeds, clip_turn_rate
 from sean_jax.scenario import observe
 
-POINT = 0.6  # of the radius: how far ahead of the axle the point lies
+POINT = 0.6  # of the radius: distance of the point ahead of the axle
 PEOPLE_HORIZON = 4.0  # s, without a collision with people
 OBSTACLE_HORIZON = 0.5  # s, without a collision with obstacles
 MAX_PEOPLE = 8  # the nearest that are avoided
 MAX_OBSTACLES = 4  # the nearest that are avoided
 MAX_DISTANCE = 6.0  # m, of people that are avoided
-PEOPLE_MARGIN = 0.1  # m, kept from bodies
-OBSTACLE_MARGIN = 0.03  # m, kept from obstacles
+PEOPLE_MARGIN = 0.1  # m, distance from bodies
+OBSTACLE_MARGIN = 0.03  # m, distance from obstacles
 TURN_GAIN = 2.0  # 1/s
 DEVIATION = 0.3  # rad, of the direction that a standing robot wishes: two that meet head-on would stand forever
 GOAL_TOLERANCE = 0.1  # m from the goal, where it turns to the goal's heading

@@ -15,8 +15,8 @@ from sean_jax.geometry import rotate
 from sean_jax.robots.drive import limit_command
 from sean_jax.social_forces import integrate
 
-ABSENT_DISTANCE = 1e3  # m, how far away absent people are placed
-COINCIDENT_DISTANCE = 0.1  # m, a third of a body's radius: only people who were placed there are nearer to each other
+ABSENT_DISTANCE = 1e3  # m, distance of absent people
+COINCIDENT_DISTANCE = 0.1  # m, a third of a body's radius; the simulation keeps people farther apart
 
 
 class RobotMotion(NamedTuple):
@@ -47,7 +47,7 @@ def predict_robot(
 ) -> RobotMotion:
     """The motion of a robot, in its frame of now, after each of T commands of P plans.
 
-    Each step is the chord of an arc: its heading is that of its middle.
+    Each step is the chord of an arc, with the heading at its middle.
 
     Args:
         speed, turn_rate: m/s and rad/s, now.
@@ -78,7 +78,7 @@ def to_world(
 
 
 def nearest_people(state: State, count: int) -> Pedestrians:
-    """The ``count`` people who are nearest to the robot, or all; absent people come last, with ``present`` False."""
+    """The ``count`` people nearest to the robot, or all; absent people come last, with ``present`` False."""
     people = state.pedestrians
     gap = people.position - state.robot.position[None, :]
     square = jnp.where(people.present, gap[:, 0] * gap[:, 0] + gap[:, 1] * gap[:, 1], jnp.inf)
@@ -91,10 +91,10 @@ def predict_people(
 ) -> PeopleMotion:
     """The motion of people after each of several steps of ``time_step`` [s], by the social forces.
 
-    They keep their desired velocity and react to one another, obstacles and groups, but not to the robot: a planner
+    They keep their desired velocity and react to people, obstacles and groups, but not to the robot: a planner
     that counts on people to give way pushes them. Absent people are far away.
 
-    Derivatives are exact but for people within 0.1 m of one another, whose centers nearly coincide: where a force would
+    Derivatives are exact except within 0.1 m of another person, where centers nearly coincide: where a force would
     change its direction, it has no derivative. Over all these steps it would grow by a factor of thousands in each,
     beyond what single precision holds.
     """
@@ -103,7 +103,7 @@ def predict_people(
     def step(people: Pedestrians, _: None) -> tuple[Pedestrians, tuple]:
         fixed = jnp.where(_coincident(people)[:, None], jax.lax.stop_gradient(people.position), people.position)
         after = integrate(forces, replace(people, position=fixed), grid, groups, None, time_step)
-        after = replace(after, position=after.position + (people.position - fixed))  # 0, but for derivatives
+        after = replace(after, position=after.position + (people.position - fixed))  # 0, except for derivatives
         return after, (*after.position.T, *after.velocity.T)
 
     _, (px, py, vx, vy) = jax.lax.scan(step, people, length=steps)

@@ -1,10 +1,10 @@
 """social_costmap and move_base: a planner after ROS's navigation stack, with social cost layers [49] or without.
 
-Four parts follow one another in this file:
+This file has four parts:
 
 1. a cost map in layers: obstacles with their inflation, people's bodies likewise, as a lidar sees them, and the
    proxemic layer (D. V. Lu, D. Hershberger & W. D. Smart, "Layered costmaps for context-sensitive navigation", IROS
-   2014; the formula as in navigation_layers, the numbers as in SEAN 2.0's configuration). Costs are those of ROS: 0
+   2014; the formula as in navigation_layers, the numbers as in SEAN 2.0's configuration). Costs are as in ROS: 0
    is free, 252 is the highest beside an obstacle, 253 touches. A cell has the highest cost of all layers. Here no
    command may touch; ROS's local planner may enter 253 at its price, and only 254, the obstacle itself, stops it;
 2. a global plan on it, as of global_planner, by a wave that starts at the goal. ROS plans over the whole map. Here the
@@ -139,7 +139,7 @@ def sean2_params() -> SocialCostmapParams:
     """The maps of SEAN 2.0's public files: no people, and an inflation that falls slower and ends sooner.
 
     The weights of the local planner are theirs, but ``meter_scoring``, which they set, is left out. In ROS Noetic it
-    multiplies the weights of path and goal by a cell's side, and not that of cost.
+    multiplies the weights of path and goal by a cell's side, and not the weight of cost.
 
     Source: yale-sean/social_sim_ros, ``params/kuri``: ``costmap_common_params.yaml`` and ``map_nav_params/*.yaml``.
     """
@@ -258,7 +258,7 @@ def sweep_wave(
 ) -> Float[Array, "C C"]:
     """Move the wave [m], the distance to the goal so far, on by one cell of side ``cell`` [m] everywhere.
 
-    A cell gets the minimum of its own distance, and of those of its eight neighbors with the step there.
+    A cell gets the minimum of its own distance, and of its eight neighbors' distances plus the step there.
     """
     padded = jnp.pad(wave, 1, constant_values=UNREACHED)
     count = wave.shape[0]
@@ -345,7 +345,7 @@ def best_command(
 ) -> tuple[Float[Array, "2"], Bool[Array, ""]]:
     """The command (2,) [m/s, rad/s] of the dynamic window with the best score; and whether any command touches nothing.
 
-    If all commands touch something, the best is the one that ends where nothing is touched, or to stand.
+    If all commands have contact, the best command ends without contact, or is to stand.
 
     Args:
         path: x and y [m] of the plan inside the window.

@@ -1,7 +1,7 @@
 """The first body that each ray of a bundle meets (section IV-F), exact, without testing bodies out of sight.
 
 For each tile of rays, the bodies within its sector, reach and slopes are candidates. On a CPU one loop goes through the
-candidates of all tiles, so it takes as long as there is work; on a GPU each tile has a loop of its own, in one kernel
+candidates of all tiles, so it takes as long as there is work; on a GPU each tile has its own loop, in one kernel
 (``raycast.kernel``). The search has no gradient and needs none: ``surface`` computes the distance to the first body
 again.
 """
@@ -83,7 +83,7 @@ def _in_a_kernel(rays: Rays, numbers: bool, view: View) -> tuple[Array, ...]:
 
 
 def _starts(view: View) -> tuple[int, int, int, int, int]:
-    """The number of the first body of each family, and that of the floor."""
+    """The number of the first body of each family, and the number of the floor."""
     boxes, cylinders, spheres, people = view.counts
     return 0, boxes, boxes + cylinders, boxes + cylinders + spheres, boxes + cylinders + spheres + people
 
@@ -180,7 +180,7 @@ def _nearest(law: Law, table: Array, in_sight: Array, beams: Beams, distance: Ar
 def _first(
     law: Law, table: Array, in_sight: Array, start: int, beams: Beams, first: tuple[Array, Array]
 ) -> tuple[Array, Array]:
-    """Distances and numbers (tiles, rays) of the first bodies, with those of a table (K, F): one a tile at a time."""
+    """Distances and numbers (tiles, rays) of the first bodies, with a table (K, F): one body per tile at a time."""
     count = table.shape[0]
     ends = _ends(in_sight)
     padded = jnp.concatenate([table, table[-1:]])
@@ -201,7 +201,7 @@ def _first(
 def _max_of_batch(iterations: Array) -> Array:
     """The number () of iterations of a loop; in a batch the maximum, so that all loops end together.
 
-    With ends of their own, XLA stores the input of every iteration, to undo it where a loop has ended already.
+    With separate ends, XLA stores the input of every iteration, to undo it where a loop has ended already.
     """
     return iterations
 
@@ -212,7 +212,7 @@ def _max_of_batch_vmap(size: int, batched: list[bool], iterations: Array) -> tup
 
 
 def _ends(in_sight: Array) -> Array:
-    """(tiles, K) how many of the first bodies a tile has in sight."""
+    """(tiles, K) number of the first bodies in sight of a tile."""
     small = jnp.uint8 if in_sight.shape[1] < 256 else jnp.int32  # it is read again and again
     return jnp.cumsum(in_sight, axis=1, dtype=small)
 

@@ -22,7 +22,7 @@ from sean_jax.raycast.view import MISS, Beams, Rays, ground
 
 WIDTH = 128  # threads of a program, each of which has one ray
 HOPPER = 9.0  # compute capability of the oldest GPUs that the kernel was tried on
-BITS = 32  # bodies in a word, of which each bit says whether a tile has a body in sight
+BITS = 32  # bodies in a word; a bit is set if the tile has the body in sight
 
 
 class Family(NamedTuple):
@@ -35,7 +35,7 @@ class Family(NamedTuple):
 
 
 class _Shape(NamedTuple):
-    """What is fixed in a kernel."""
+    """Static parameters of a kernel."""
 
     rays: Rays
     laws: tuple[tuple[int, int, Callable], ...]  # (number of the first body, columns of its table, law) of each family
@@ -46,7 +46,7 @@ class _Shape(NamedTuple):
 
 @cache
 def available() -> bool:
-    """Whether the kernel runs on the GPU of this machine; without a GPU it is asked for another machine: yes."""
+    """Whether the kernel runs on the GPU of this machine; True without a GPU, for compilation for another machine."""
     try:
         import_module("jax.experimental.pallas.mosaic_gpu")
     except ImportError:
@@ -92,7 +92,7 @@ def _beams(shape: _Shape) -> Array:
 
 
 def _words(in_sight: Array) -> Array:
-    """(tiles, words) int32, whose bits say which bodies (tiles, K) are in sight."""
+    """(tiles, words) int32, a bit for each body (tiles, K) in sight."""
     tiles, count = in_sight.shape
     padded = jnp.pad(in_sight, ((0, 0), (0, -count % BITS))).reshape(tiles, -1, BITS)
     bit = jax.lax.bitcast_convert_type(np.uint32(1) << np.arange(BITS, dtype=np.uint32), jnp.int32)
@@ -187,7 +187,7 @@ def _kernel(shape: _Shape, index: Callable[[int], Any], *references: Any) -> Non
 
         def test(carry: tuple, word: Any, start=start, columns=columns, law=law, table=table) -> tuple:
             bits, *first = carry
-            body = word * BITS + (BITS - 1) - jax.lax.clz(bits & -bits)  # that of the lowest bit
+            body = word * BITS + (BITS - 1) - jax.lax.clz(bits & -bits)  # the body of the lowest bit
             row = tuple(table[body * columns + column] for column in range(columns))
             return bits & (bits - 1), *_nearer(tuple(first), law(row, beams, radius, height), start + body)
 

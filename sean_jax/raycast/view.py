@@ -60,7 +60,7 @@ def make_view(
     """Transform the bodies of the world to the frame of a sensor.
 
     Args:
-        people: m, in the world; absent people are not seen.
+        people: m, in the world; absent people are invisible.
         radius: m, of a person's body.
         position, heading: m and unit vector, of the robot.
         origin: m, of the sensor in the robot's frame.
@@ -119,7 +119,7 @@ class Rays:
 
 @struct.dataclass
 class Beams:
-    """The rays of some tiles as arrays; the fields are those of ``Rays``, vectors in components."""
+    """The rays of some tiles as arrays; the fields of ``Rays``, vectors in components."""
 
     direction: tuple[Array, Array, Array]  # (tiles, rays) each
     inverse_rise: Float[Array, "tiles rays"]

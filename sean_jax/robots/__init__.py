@@ -35,7 +35,7 @@ def load(robot: str | Path, dynamics: str = "mjx") -> RobotModel:
 
 
 def find(robot: str | Path, dynamics: str = "mjx") -> Path:
-    """The file of a robot; name and dynamics are those of ``load``.
+    """The file of a robot; name and dynamics as in ``load``.
 
     Raises:
         InputError: the name, the dynamics or the file does not exist.

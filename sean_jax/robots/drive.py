@@ -1,6 +1,6 @@
 """One control step of a differential-drive robot (Fig. 3): command (v, omega), limits, physics, odometry.
 
-The MJX robot and its closed-form twin differ only in the physics step. Derivatives through the MJX robot are those of
+The MJX robot and its closed-form twin differ only in the physics step. Derivatives through the MJX robot are from
 its twin, in forward and in reverse mode: they agree to rounding and cost a fraction. The kinematic robot has no
 inertia: within its limits it has the speeds of the command.
 
@@ -24,10 +24,10 @@ from sean_jax.robots.dynamics import Motion, Surroundings, kinematic_move, mjx_s
 
 
 class DriveState(NamedTuple):
-    """``Robot.drive_state``: everything beside pose, speed and turn rate that decides the motion of the robot."""
+    """``Robot.drive_state``: all state of the robot's motion besides pose, speed and turn rate."""
 
     wheels: Float[Array, "2"]  # rad, angles of the left and the right wheel
-    slip: Float[Array, "2"]  # rad/s, wheel speeds minus those of rolling without slip
+    slip: Float[Array, "2"]  # rad/s, wheel speeds minus the speeds of rolling without slip
     sideways: Float[Array, ""]  # m/s, velocity to the left: zero unless the robot is pushed
     command: Float[Array, "2"]  # m/s and rad/s, the last finite command
     age: Int[Array, ""]  # control steps since that command
@@ -82,9 +82,9 @@ def drive_kinematic(scenario: Scenario, state: State, action: Float[Array, "2"])
     """The robot one control step later, which has the speeds of the command at once, as in SEAN 2.0.
 
     Its limits of speed, turn rate and acceleration hold. Obstacles and people in its way stop it. Wheels are not moved.
-    Arguments and errors are those of ``drive_mjx``.
+    Arguments and errors as in ``drive_mjx``.
 
-    Source: SEAN 2.0, Control/VelocityController.cs; the limits are those of its ROS controllers.
+    Source: SEAN 2.0, Control/VelocityController.cs; the limits are from its ROS controllers.
     """
     model, robot, step = scenario.robot, state.robot, scenario.time_step
     command, age = active_command(model, robot.drive_state, action, step)
@@ -120,7 +120,7 @@ def _drive(physics: Callable, scenario: Scenario, state: State, action: Array) -
     steps, surroundings = physics_steps(model, scenario.time_step), _surroundings(scenario, state)
     position, velocity = physics(steps, model, surroundings, before, targets)
     cosine, sine = _turned(_direction(robot.heading), position[2] - before[0][2])
-    # Whole turns of the wheels are removed, so that they stay exact in single precision after many.
+    # Whole turns of the wheels are removed, so that the angles stay exact in single precision.
     wheels = position[3:] - 2.0 * jnp.pi * jnp.round(position[3:] / (2.0 * jnp.pi))
     speed, sideways = rotate(velocity[0], velocity[1], cosine, -sine)
     slip = velocity[3:] - _rolling(model, speed, velocity[2])

@@ -25,7 +25,7 @@ RECOVERY = 0.2  # share of an overlap that one physics step undoes (Baumgarte 19
 
 Motion = tuple[Float[Array, "5"], Float[Array, "5"]]
 """Generalised coordinates of a robot and their rates."""
-OVERLAP = 1e-4  # m, how deep a robot may press into an obstacle; a step that would go deeper is not made
+OVERLAP = 1e-4  # m, maximum penetration of an obstacle by a robot; a step beyond it is not taken
 
 
 @struct.dataclass
@@ -106,7 +106,7 @@ def touching(
 ) -> tuple[Float[Array, ""], Float[Array, ""]]:
     """The velocity (x, y) [m/s] that contacts leave the robot's disc, of the velocity (vx, vy) [m/s] without contacts.
 
-    A contact limits the approach speed to the one that closes the gap within the physics step, so that the robot comes
+    A contact limits the approach speed to the gap per physics step, so that the robot comes
     to rest at the surface. It undoes a share of an overlap. There is no friction: the robot slides along.
 
     Args:
@@ -173,7 +173,7 @@ def twin_substep(
 ) -> Motion:
     """One physics step of the closed-form twin, by semi-implicit Euler.
 
-    The equations of motion are those of the MJX robot: a planar base whose centre of mass lies above the middle of the
+    The equations of motion are the MJX robot's: a planar base whose centre of mass lies above the middle of the
     axle has a diagonal, constant mass matrix and no forces that depend on the velocity.
 
     Args:
@@ -217,7 +217,7 @@ def kinematic_move(
     """The result of a control step at constant speed [m/s] and turn rate [rad/s] from a position [m], without inertia.
 
     SEAN sets the velocity of the robot's body in each step of physics, and bodies in its way stop it. Here the way is
-    the arc of these speeds in closed form, and contacts are those of the other robots (``touching``).
+    the arc of these speeds in closed form, and contacts are the same as for other robots (``touching``).
     """
     turn = model.time_step * turn_rate  # rad in a step of physics
     chord = speed * jnp.sinc(turn / (2.0 * jnp.pi))  # m/s, along the straight line between the ends of its arc
@@ -253,7 +253,7 @@ def _gap(model: RobotModel, surroundings: Surroundings, place: Array) -> Array:
 
 @functools.cache
 def mjx() -> ModuleType:
-    """The module ``mujoco.mjx``. It is imported here because that takes a second and prints a message about Warp."""
+    """The module ``mujoco.mjx``. Imported here, since that takes a second and prints a message about Warp."""
     with contextlib.redirect_stdout(io.StringIO()):
         import mujoco.mjx as module
     return module
@@ -287,7 +287,7 @@ def mjx_substep(
 
 
 def _parametrized(model: RobotModel) -> Any:
-    """The MJX model with the parameters of the robot model, which may differ from those of its file.
+    """The MJX model with the parameters of the robot model, which may differ from its file.
 
     An armature is an inertia added to one joint. It changes the mass matrix without changing the geometry.
     """

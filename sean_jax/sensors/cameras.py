@@ -26,7 +26,7 @@ SECTOR = 15  # rays of a tile, likewise
 
 @dataclasses.dataclass(frozen=True)
 class Camera:
-    """A camera on a robot. ``origin`` and ``axes`` are those of ``base.Mount``."""
+    """A camera on a robot. ``origin`` and ``axes`` as in ``base.Mount``."""
 
     name: str
     origin: tuple[float, ...]  # (3,) m
@@ -60,7 +60,7 @@ def camera(
     Args:
         name: ``depth``, ``first_person``, ``third_person``, ``overhead``, or another camera of the robot's file.
         width, height: pixels.
-        fovy: degrees, vertical field of view; that of the file if None.
+        fovy: degrees, vertical field of view; the file's if None.
         near, far: m, along the view: nothing nearer or farther is visible; ``far`` is 20 for ``depth``, 200 for others.
         orthographic: m, height of the part of the floor that a view without perspective shows; 0 for perspective;
             if None 6 for ``overhead`` and 0 for the others.
@@ -161,7 +161,7 @@ def sensor_view(scenario: Scenario, state: State, rays: Rays, with_robot: bool =
 
 
 def _add_robot(view: View, solids: Solids, origin: np.ndarray) -> View:
-    """Append the bodies of the robot, whose frame differs from that of the view only by the origin (3,) m."""
+    """Append the bodies of the robot, whose frame differs from the view's only by the origin (3,) m."""
     place = jnp.asarray(origin, float)
 
     def shifted(table: Array) -> Array:
@@ -179,8 +179,8 @@ def _add_robot(view: View, solids: Solids, origin: np.ndarray) -> View:
 def pixels_of_people(scenario: Scenario, state: State, camera: Camera) -> Int[Array, "N"]:
     """How many pixels of a camera's picture show each person, as a perfect detector of people would count them.
 
-    Obstacles, decoration and other people hide people. It is 0 for people who are absent, hidden, outside of the
-    picture, or not between ``camera.near`` and ``camera.far``. Few pixels are enough to know who is visible. No
+    Obstacles, decoration and other people hide people. It is 0 for absent and hidden people, and outside of the
+    picture, or not between ``camera.near`` and ``camera.far``. Few pixels are enough to decide visibility. No
     derivatives.
     """
     bundles, cosine = bands(camera)

@@ -1,6 +1,6 @@
 """Sensors as values (section IV-F), the readings of all of them at once, and the errors of real sensors.
 
-A ``base.Sensor`` is a pure function with its parameters. ``SENSORS`` names those of every robot. ``depth_sensor``,
+A ``base.Sensor`` is a pure function with its parameters. ``SENSORS`` are every robot's. ``depth_sensor``,
 ``color_sensor`` and ``lidar_sensor`` make others from a camera or a lidar. ``as_sensor`` also reads YAML files. Noise,
 drop-outs, delays and rates are functions of images and scans of any shape.
 """
@@ -27,7 +27,7 @@ from sean_jax.sensors.cameras import Camera, Lidar, camera, depth, lidar, scan
 from sean_jax.sensors.pictures import render
 
 SensorLike = Sensor | str | Path
-"""What is accepted wherever a sensor is: a ``Sensor``, a name in ``SENSORS``, or a YAML file."""
+"""Any form of a sensor: a ``Sensor``, a name in ``SENSORS``, or a YAML file."""
 
 MAX_PIXELS = 8192  # of a side
 MAX_RAYS = 100_000
@@ -127,7 +127,7 @@ def sense(scenario: Scenario, state: State) -> dict[str, Any]:
     """The readings of all sensors of a scenario by name.
 
     Noise depends on the episode, the tick and the name of the sensor alone. So equal states give equal readings, and a
-    further sensor does not change those of others.
+    another sensor does not change them.
     """
     key = jax.random.fold_in(state.streams.sensors, state.tick)
     readings = {}
@@ -158,7 +158,7 @@ class Settings(pydantic.BaseModel):
 
     kind: Literal["depth", "color", "lidar"]
     name: Annotated[str, pydantic.Field(min_length=1, max_length=100)] | None = None  # of the reading
-    mount: str | None = None  # the camera in the robot's file; that of the kind if left out
+    mount: str | None = None  # the camera in the robot's file; by default the kind's
     width: Annotated[int, pydantic.Field(ge=1, le=MAX_PIXELS)] = 640  # pixels
     height: Annotated[int, pydantic.Field(ge=1, le=MAX_PIXELS)] = 480  # pixels
     fovy: Annotated[float, pydantic.Field(gt=0, lt=180)] | None = None  # degrees
@@ -177,7 +177,7 @@ MOUNTS = {"depth": "depth", "color": "first_person"}
 
 
 def as_sensor(value: SensorLike, robot: RobotModel) -> Sensor:
-    """A ``Sensor`` as it is, the one of a name in ``SENSORS``, or that of a YAML file with the keys of ``Settings``.
+    """The ``Sensor`` of a ``Sensor``, of a name in ``SENSORS``, or of a YAML file with the keys of ``Settings``.
 
     Raises:
         InputError: there is no sensor of that name, the file cannot be used, or the robot has no such mount.

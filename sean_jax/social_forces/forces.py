@@ -64,7 +64,7 @@ class Walking:
         "speed_min is more than speed_max": lambda term: term.speed_min > term.speed_max,
     }
 
-    radius: Float[Array, ""]  # m, of a body; obstacles are kept out of it
+    radius: Float[Array, ""]  # m, of a body; no obstacle enters it
     relaxation_time: Float[Array, ""]  # s, in which the desired velocity is taken up
     speed_mean: Float[Array, ""]  # m/s, of the preferred speeds drawn per person
     speed_deviation: Float[Array, ""]  # m/s, their standard deviation
@@ -121,7 +121,7 @@ def turn(
 
 
 class Pair(NamedTuple):
-    """One person who feels one other: another person, or the robot. Every array is a scalar."""
+    """A person and another body that acts on it: a person or the robot. Every array is a scalar."""
 
     dx: Float[Array, "..."]  # m, from the other to the person
     dy: Float[Array, "..."]
@@ -180,7 +180,7 @@ class GatherTerm(Protocol):
 class PersonTerm(Protocol):
     """A term that acts on each person.
 
-    Its result is subject to ``Walking.damp``, unless the class says ``damped = False``.
+    Its result is subject to ``Walking.damp``, unless the class has ``damped = False``.
     """
 
     def person(self, crowd: Crowd) -> Force | None:
@@ -282,7 +282,7 @@ class Forces:
 
 
 def term_name(term: object) -> str:
-    """The name of a term among the forces: that of its class in lower case, such as ``robot_repulsion``."""
+    """The name of a term among the forces: its class in lower case, such as ``robot_repulsion``."""
     return class_name(type(term))
 
 

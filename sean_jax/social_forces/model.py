@@ -25,9 +25,9 @@ from sean_jax.social_forces.neighbors import ABSENT, MIN_PEOPLE, Neighbors, find
 from sean_jax.social_forces.terms import Cohesion, Repulsion, RobotRepulsion
 from sean_jax.social_forces.walls import Contact, project_velocity
 
-SUMS = "pair sums"  # reverse mode keeps these of a step, beside the state; the rest is computed anew
+SUMS = "pair sums"  # reverse mode stores these of a step, and the state; the rest is recomputed
 ALONE = -2  # group of a person in none, on whom forces act; the other of a pair has -1, so the two differ
-WALKING_GROUPS = 1 << 20  # added to the number of a walking group, to tell it from a standing group
+WALKING_GROUPS = 1 << 20  # added to the number of a walking group, to distinguish it from a standing group
 
 
 def draw_traits(forces: Forces, key: Array, people: int) -> tuple[Float[Array, "N"], Float[Array, "N"]]:
@@ -122,7 +122,7 @@ def cutoff(forces: Forces) -> Float[Array, ""] | None:
 
 
 def neighbors(forces: Forces, people: Pedestrians, time: float) -> Neighbors | None:
-    """The pairs of people who feel one another within ``time`` [s]; None: sum all pairs, quicker in small crowds."""
+    """The pairs of people who interact within ``time`` [s]; None: sum all pairs, faster in small crowds."""
     distance = cutoff(forces)
     if distance is None or people.group.shape[0] < MIN_PEOPLE:
         return None
@@ -133,7 +133,7 @@ def neighbors(forces: Forces, people: Pedestrians, time: float) -> Neighbors | N
 def pair_forces(crowd: Crowd, near: Neighbors | None = None) -> Force | None:
     """The force (N,) [m/s2] of all other people on each person: pair terms and gather terms, in one sum; None without.
 
-    Standing members of one group do not feel one another: their formation keeps them apart (section IV-D). Nor do
+    Standing members of one group do not interact: their formation keeps them apart (section IV-D). Nor do
     companions, if there is ``Cohesion``, which keeps them together and apart. Gather terms count the robot as one of
     the others. ``near`` are the pairs of a large crowd; other pairs are left out.
     """

@@ -3,7 +3,7 @@
 Reverse mode would keep some hundred numbers for each pair and step. Here it keeps only the rows of each person, and
 computes the law again while it goes along the pairs on the way back.
 
-Neighbors: people are sorted into strips of floor, as high as the distance within which people feel one another. The
+Neighbors: people are sorted into strips of floor, as high as the distance within which people interact. The
 neighbors of a person then form three runs of the sorted people: one in the same strip and one in each of the two beside
 it. Sums go along all three at once, in parts of ``PART`` people. People are summed in blocks of similar run length,
 each in as many parts as its longest run needs. So no crowd is too dense, and a throng in one place does not slow down
@@ -24,10 +24,10 @@ from sean_jax.devices import by_platform
 from sean_jax.geometry import sum_in_pairs
 from sean_jax.gradients import linear_call
 
-ABSENT = 1e7  # all rows of a person who is not there: far from everybody, and of no group
+ABSENT = 1e7  # all rows of an absent person: far from everybody, and of no group
 TURNS = 4  # others over whom each thread of a GPU sums first, if the law gives more than two numbers
 MIN_PEOPLE = 256  # in smaller crowds it is quicker to sum all pairs
-PART = 8  # people of each run who are summed together, a power of two
+PART = 8  # people of a run that are summed together, a power of two
 BLOCKS = 4  # into which people are divided by the length of their runs
 
 
@@ -36,7 +36,7 @@ class Neighbors:
     """The neighbors of each person, as runs of the sorted crowd."""
 
     order: Int[Array, "N"]  # the people, strip by strip, in each from left to right
-    by_parts: Int[Array, "N"]  # the people, those with the most parts first
+    by_parts: Int[Array, "N"]  # the people, sorted by number of parts, the most first
     rank: Int[Array, "N"]  # where among those each person is
     first: Int[Array, "N 3"]  # by_parts: where in ``order`` the runs in the strips below, own and above begin ...
     last: Int[Array, "N 3"]  # ... and end, exclusively
@@ -168,7 +168,7 @@ def _over_parts(runs: Runs, add: Callable, sums: PyTree) -> PyTree:
 
 
 def _parts(first: Array, last: Array) -> Array:
-    """(N,) int32: how many parts the longest of each person's runs (N, 3) has."""
+    """(N,) int32: number of parts of the longest of each person's runs (N, 3)."""
     return (jnp.max(last - first, 1) + PART - 1) // PART
 
 
@@ -222,7 +222,7 @@ def sum_pairs(law: Callable, near: Neighbors | None, shared: PyTree, own: Rows, 
         near: the neighbors of each person; None: all others.
         shared: a pytree of floats, such as the parameters of the law.
         own: rows of the persons on whom the law acts.
-        other: rows of the others, ``ABSENT`` for people who are not there.
+        other: rows of the others, ``ABSENT`` for absent people.
     """
     return _sum(law, near, shared, own, other)
 
@@ -303,7 +303,7 @@ def _pull_back_at_once(law: Callable, shared: PyTree, own: Rows, other: Rows, pu
 def _pull_back_in_two(law: Callable, shared: PyTree, own: Rows, other: Rows, pulls: PyTree) -> tuple:
     """The cotangents by two sums, over the others and over the persons, each in one reduction.
 
-    XLA for a GPU writes fewer numbers of each pair than in ``_pull_back_at_once``: those that both sums share.
+    XLA for a GPU writes fewer numbers of each pair than in ``_pull_back_at_once``: the numbers that both sums share.
     """
 
     def of_pair(own: Rows, other: Rows, pulls: PyTree) -> tuple:

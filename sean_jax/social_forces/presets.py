@@ -78,7 +78,7 @@ class Constants(pydantic.BaseModel):
 
 
 def is_file(name: str) -> bool:
-    """Whether a name of forces is that of a YAML file of constants."""
+    """Whether a name of forces names a YAML file of constants."""
     return name.lower().endswith((".yaml", ".yml"))
 
 

@@ -1,7 +1,7 @@
 """The laws of the social forces (section IV-D, low level), one term a class. Walls and contact are in ``walls``.
 
 Laws of pairs are written in components, as printed: ``d`` leads from the other person to the person, ``w`` is the
-velocity of the other and ``v`` that of the person.
+velocity of the other and ``v`` the velocity of the person.
 
 [HM95] D. Helbing & P. Molnar, Phys. Rev. E 51, 4282 (1995). [J07] A. Johansson, D. Helbing & P. Shukla, Adv. Complex
 Syst. 10, 271 (2007). [M10] M. Moussaid, N. Perozo, S. Garnier, D. Helbing & G. Theraulaz, PLoS ONE 5(4), e10047 (2010).
@@ -63,7 +63,7 @@ class Repulsion:
         """The distance [m] beyond which the push is below 1e-4 m/s2; None for a user's law.
 
         A push of the elliptical law decays with b, and the ellipse of that b reaches sqrt(b^2 + (y / 2)^2) + y / 2 from
-        the other person, y being how far they walk in the time of the anticipation.
+        the other person; y is their walk in the time of the anticipation.
         """
         if self.law not in (elliptical, circular):
             return None
@@ -158,7 +158,7 @@ class Headway:
     length: Float[Array, ""]  # m, the gap at which people stand still
     range: Float[Array, ""]  # m, the gap from which on they walk freely
     width: Float[Array, ""]  # m, farther aside nobody is in the way
-    ramp: Float[Array, ""]  # m, ahead, over which somebody comes to be in the way
+    ramp: Float[Array, ""]  # m, ahead, over which the effect rises
 
     def gather(self, pair: Pair) -> tuple[Array]:
         """The share of the desired velocity that one other takes, times ``_scale`` [m7], which ``act`` divides by."""
@@ -185,7 +185,7 @@ class Headway:
         return self._ramp() * (self.range - self.length) ** 2 * jnp.maximum(self.width, SHORTEST) ** 4
 
     def cutoff(self, walking: Walking) -> Array:
-        """The distance [m] within which somebody is in the way."""
+        """The distance [m] within which a person is in the way."""
         return 2.0 * walking.radius + self.range
 
 
@@ -215,7 +215,7 @@ class Evasion:
     width: Float[Array, ""]  # m, nor does a wider one
     side: Float[Array, ""]  # m, by which people keep to the right
     speed: Float[Array, ""]  # m/s, of the relative speed at which an approach counts by half
-    ramp: Float[Array, ""]  # m, ahead, over which somebody comes in sight
+    ramp: Float[Array, ""]  # m, ahead, over which the effect rises
 
     def gather(self, pair: Pair) -> tuple[Array]:
         """The share of the push to the right (negative: left) by one other, times ``_scale`` [m6 s2]."""
@@ -254,14 +254,14 @@ class Evasion:
 
 @struct.dataclass
 class Sidestep:
-    """A push across the look of a person whom somebody approaches [44]. Standing members of groups do not step aside.
+    """A force across the look of a person whom another approaches [44]. Standing members of groups do not step aside.
 
     In SEAN 2.0's form: ``preference`` times the cosine of the bearing, while the other is within ``range`` and
     ``cosine`` ahead and the two are closing.
     """
 
     preference: Float[Array, ""]  # m/s2; positive to the right
-    cosine: Float[Array, ""]  # 1, cosine of the half angle within which somebody counts as oncoming
+    cosine: Float[Array, ""]  # 1, cosine of the half angle within which a person counts as oncoming
     range: Float[Array, ""]  # m, and the distance
     scaled_by_robot: bool = struct.field(pytree_node=False, default=False)  # whether by a moving robot's factor, too
 
@@ -321,7 +321,7 @@ class GroupSpace:
 
 @struct.dataclass
 class Cohesion:
-    """Gaze, attraction, repulsion and contact among companions, who do not feel one another's pair terms.
+    """Gaze, attraction, repulsion and contact among companions, who have no pair terms between them.
 
     In walking groups [M10] people slow down when they would have to turn their heads to see the others (gaze), are
     pulled to the middle of the group from afar (attraction), and keep a distance (repulsion). As printed the last two
@@ -342,7 +342,7 @@ class Cohesion:
     ramp: Float[Array, ""]  # m, over which pull and push fade in; [M10] has steps
 
     def person(self, crowd: Crowd) -> Force | None:
-        """The force (N,) [m/s2] by companions, zero for people who walk alone; None if nobody has companions."""
+        """The force (N,) [m/s2] by companions, zero for single people; None if nobody has companions."""
         people, companions = crowd.people, crowd.companions
         if companions is None:
             return None
@@ -379,7 +379,7 @@ def gaze(
 ) -> Force:
     """Push -beta1 alpha v [m/s2] against one's own velocity v; c leads to the middle of the others [m].
 
-    alpha [rad] is by how much that middle lies beyond ``view_angle`` off the look. Source: [M10], eq. (2).
+    alpha [rad] is the angle of that middle beyond ``view_angle`` off the look. Source: [M10], eq. (2).
     """
     angle = jnp.abs(angle_between(jnp.stack([look_x, look_y], -1), jnp.stack([cx, cy], -1)))
     square = cx * cx + cy * cy
@@ -429,7 +429,7 @@ class RobotRepulsion:
     factor_min: Float[Array, ""]  # 1, of the repulsion by a moving robot, drawn uniformly per person ...
     factor_max: Float[Array, ""]  # 1, ... up to here
     moving_speed: Float[Array, ""]  # m/s, a slower robot is avoided like a person
-    ramp: Float[Array, ""]  # m/s around it over which a robot comes to be felt as moving; 0: all at once
+    ramp: Float[Array, ""]  # m/s around it over which a robot becomes a moving robot; 0: a step
 
     def person(self, crowd: Crowd) -> Force | None:
         """The push (N,) [m/s2] of the robot on each person; None without a robot or pair terms."""

@@ -23,7 +23,7 @@ from sean_jax.social_forces.forces import MAX_EXPONENT, TINY, Crowd, Force, Forc
 SUBSTEP = 0.05  # s, at most: a tenth of the relaxation time
 NEIGHBORS = 6  # bodies that touch a body in the densest packing; they make its stiffest mode
 OVERLAP = 0.01  # m, up to which friction is stable in that packing; where fewer touch, at deeper overlaps
-SLACK = 1e-3  # m/s, or rounding would stop people who walk along a wall: 0.05 mm in a step of 0.05 s
+SLACK = 1e-3  # m/s, or rounding would stop people along a wall: 0.05 mm in a step of 0.05 s
 MIN_APPROACH = 1e-9  # m/s, a slower approach is none, for the gradient of a share of it would overflow
 
 

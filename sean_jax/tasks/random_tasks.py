@@ -18,11 +18,11 @@ from sean_jax.tasks.task import build_task, requires
 RING = 5.0  # m, from the person in the middle of the largest cluster (SEAN 2.0)
 SNAP = 1.0  # m, by which a place may be off the ring (SEAN 2.0)
 GOALS = 4  # goals for which starts are rated
-ROOM = 0.1  # m, to obstacles beside the robot's radius
+ROOM = 0.1  # m, to obstacles in addition to the robot's radius
 CANDIDATES = 64
 CLUSTERS, ITERATIONS = 3, 10  # of k-means
 CLEAR = 1.0  # m from the nearest person
-DETOUR = 10.0  # cost of a metre too little or too much to walk over that of a metre off the wanted place
+DETOUR = 10.0  # cost of a metre of excess or missing path over a metre of distance from the drawn place
 
 
 @requires("groups")
@@ -64,7 +64,7 @@ def random_ab_nav(scenario: Scenario, pedestrians: Pedestrians, groups: Groups, 
 def busy_ab_nav(scenario: Scenario, pedestrians: Pedestrians, groups: Groups, memory: Any, key: Array) -> RobotTask:
     """The robot starts and ends 5 m around the person in the middle of the largest of three clusters of people.
 
-    Clusters are those of k-means. If too little of the ring is free, the robot starts and ends near it. Without people
+    Clusters are from k-means. If too little of the ring is free, the robot starts and ends near it. Without people
     the ring is around any free place.
     """
     navigation = scenario.navigation

@@ -51,7 +51,7 @@ def check_requirement(scenario: Scenario) -> None:
     """Refuse a task that does not fit the scenario's behavior or robot.
 
     Raises:
-        InputError: the behavior does not offer what the task needs, or the task's own check fails.
+        InputError: the behavior lacks an offer that the task requires, or the task's own check fails.
     """
     needed = requirement(scenario.task)
     if needed is None:
@@ -129,7 +129,7 @@ class Mixture:
 
 
 def custom(scenario: Scenario, pedestrians: Pedestrians, groups: Groups, memory: Any, key: Array) -> RobotTask:
-    """The robot goes from the start to the goal that are given as (x, y) or (x, y, heading in degrees).
+    """The robot drives from a start to a goal, (x, y) or (x, y, heading in degrees).
 
     Raises:
         InputError: always; ``poses`` makes the task that takes its place.

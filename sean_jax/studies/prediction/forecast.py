@@ -37,7 +37,7 @@ from sean_jax.studies import scenes
 CONTROL_STEP = 0.1  # s, at most, in which a pedestrian model moves people
 MARGIN = 50.0  # m of open floor around walls
 MOST_SETTLED = 0.1  # maximum change of the desired velocity, as a share of the observed
-COMPANION_DISTANCE = 1.2  # m, within which people who walk together stay
+COMPANION_DISTANCE = 1.2  # m, maximum distance between companions
 UNLIKE_SPEED = 0.25  # m/s, by which their mean velocities differ at most
 WALKING_SPEED = 0.3  # m/s; slower people stand
 FAR = 1e4  # m, where the robot stands that no recording has
@@ -69,21 +69,21 @@ def predict(
     Args:
         model: a key of ``PRESETS``, a YAML file of constants, or forces; a key of ``MODELS``, or a function (scenario,
             state) -> Pedestrians.
-        observed: (..., T, N, 2) m, in the order of time; NaN where somebody was not observed.
+        observed: (..., T, N, 2) m, in the order of time; NaN of people who are not observed.
         time_step: s between observed positions, and between predicted ones.
-        present: (..., T, N) who was observed, besides NaN.
+        present: (..., T, N) people observed, besides NaN.
         weights: (K,) of the velocities in the last K steps, the latest first; unobserved steps do not count. People
             start with their weighted mean, and desire it times the sum of the weights: ``(0.97,)`` slows people down.
         least_speed: m/s, lower bound of the preferred speed, which limits how fast people give way.
         desired_velocity: (..., N, 2) m/s, where it is known; by default the observed velocity.
-        others: (..., steps + 1, M, 2) m, at the last observed and the predicted moments: people who walk as recorded,
+        others: (..., steps + 1, M, 2) m, at the last observed and the predicted times: replayed people,
             such as later arrivals; NaN where they are absent.
         settled: share, from 0 to 1, of the model's acceleration at the last observed moment that is already part of the
             observed velocity (following, walking side by side): the desired velocity is corrected by it, by a tenth at
             most. Social forces only.
 
     Returns:
-        (..., steps, N, 2) m. People who were not observed at the last moment stay as given there.
+        (..., steps, N, 2) m. People who are not observed at the last time stay in place.
 
     Raises:
         InputError: no model has that name, or the terms do not make forces.
@@ -151,9 +151,9 @@ def observed_people(
 def walking_companions(
     observed: Float[Array, "T N 2"], present: Bool[Array, "T N"], time_step: float
 ) -> tuple[Int[Array, "N"], Int[Array, "N 2"]]:
-    """Walking groups: people who stayed near one another and walked alike whenever both were observed.
+    """Walking groups: people who stayed near each other with similar velocities whenever both were observed.
 
-    Companions do not repel or evade one another, as walking groups in simulations.
+    Companions do not repel or evade each other, like walking groups in simulations.
 
     Returns:
         (N,) the lowest index of the group, -1 alone; and (N, 2) indices of two companions, -1 none.
@@ -252,7 +252,7 @@ def _walk(
 def _replay(
     people: Pedestrians, places: Array, there: Array, index: Array, share: Array, time_step: float
 ) -> Pedestrians:
-    """People with the last ones where they were recorded, a share of a step after the moment of that index."""
+    """People with the last of them at their recorded positions, a fraction of a step after the time of that index."""
     before, after = places[index], places[index + 1]
     present = there[index] & there[index + 1]
     velocity = jnp.where(present[:, None], after - before, 0.0) / time_step

@@ -1,4 +1,4 @@
-"""Walkers: people who start somewhere, at some time, and pass one gate after the other, until they vanish.
+"""Walkers: people who start at a place and a time, pass one gate after the other, and leave.
 
 A pedestrian behavior (section IV-D, high level) of a few arrays. A source is a number of walkers who enter as soon as
 it is their time and there is room; a sink is the last gate of a route. People with a choice of exits take the one
@@ -26,7 +26,7 @@ Point = tuple[float, float]  # m
 MARGIN = 0.3  # m from the ends of a gate, nobody aims at a point nearer to them: a body and some room
 AHEAD = 0.3  # m behind the line of a gate, where people aim
 DEPTH = 2.0  # m behind the line, within which a gate counts as passed
-ROOM = 0.5  # m, free around the place where somebody enters
+ROOM = 0.5  # m, free radius around the place of an entering person
 EXIT_FLOW = 1.9  # people/s/m through a door: Juelich bottlenecks, Seyfried et al., Transp. Sci. 43, 395 (2009)
 PATIENCE = 0.8  # share of the expected time that another exit must promise, for people to turn to it
 TURNS = 10  # ticks in which everybody looks once at the other exits
@@ -66,14 +66,14 @@ class Plan:
     gates: Float[Array, "G 2 2"]  # m, left and right end
     is_exit: Bool[Array, "G"]  # whether people choose between this gate and the others of which that is true
     period: Float[Array, ""]  # m along x, of a periodic scene
-    sources: bool = struct.field(pytree_node=False)  # whether somebody enters later than at the start
+    sources: bool = struct.field(pytree_node=False)  # whether people enter later than at the start
     choice: bool = struct.field(pytree_node=False)  # whether there are exits to choose between
 
 
 class Memory(NamedTuple):
     """How far each person is."""
 
-    leg: Int[Array, "N"]  # how many gates they have passed
+    leg: Int[Array, "N"]  # number of gates passed
     gate: Int[Array, "N"]  # to which they walk, -1 none is left
     entered: Bool[Array, "N"]
 
@@ -135,7 +135,7 @@ def join(*parts: Walkers) -> Walkers:
 def source(
     gate: Gate, number: int, rate: float, *, route: Sequence[int], speed: float | None = None, seed: int = 0
 ) -> Walkers:
-    """People who enter through a gate one after the other, ``rate`` a second, at first straight across it.
+    """People who enter through a gate one after the other, ``rate`` per second, at first straight across it.
 
     Args:
         speed: preferred speed [m/s]; drawn if None.
