@@ -334,7 +334,7 @@ def test_a_damaged_checkpoint_is_named(data, trained, tmp_path):
     for path in (folder / "checkpoints" / str(latest) / "state").rglob("*"):
         if path.is_file():
             path.write_bytes(b"broken")
-    with pytest.raises(IncompleteError, match=f"checkpoints/{latest} cannot be read .* remove it to go on"):
+    with pytest.raises(IncompleteError, match=f"checkpoints/{latest} cannot be read .* remove it to resume"):
         imitation.train(options(data, folder, epochs=14))
 
 
