@@ -69,7 +69,7 @@ def test_a_recorder_fed_with_the_drivers_commands_records_the_same(tmp_path):
         recorder.commit()
     data = record(Recorder(tmp_path / "two", scenario, width=16, height=12), [(0.3, 0.0)] * 12, 5)
     assert [episode.length for episode in data.episodes] == [2], "what was driven until the commands ended"
-    with pytest.raises(InputError, match="rate: 3 rows a second do not divide its 10 steps"):
+    with pytest.raises(InputError, match="rate: 3 rows per second do not divide its 10 steps"):
         Recorder(tmp_path / "three", scenario, width=16, height=12, rate=3)
     data = record(Recorder(tmp_path / "three", scenario, width=16, height=12, rate=5), [(0.3, 0.0)] * 12, 5)
     assert [episode.length for episode in data.episodes] == [6] and data.rate == 5
