@@ -83,7 +83,7 @@ def _read(path: Path, name: str) -> Tables | None:
     """The arrays of an intact file that was written under that name; None without one."""
     try:
         tables = files.read_arrays(path)
-        if str(tables.pop("name", "")) != name:
+        if str(tables.pop("name", "")) != f"{name} {_digest(tables)}":
             return None
         os.utime(path)  # the oldest are removed first
     except (FileError, OSError):
@@ -98,7 +98,7 @@ def _write(path: Path, name: str, tables: Tables) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile(dir=path.parent, prefix=".", suffix=".unfinished", delete=False) as stream:
             unfinished = stream.name
-            arrays: Any = dict(tables, name=np.array(name))
+            arrays: Any = dict(tables, name=np.array(f"{name} {_digest(tables)}"))
             np.savez_compressed(stream, **arrays)
         os.replace(unfinished, path)
         _remove_oldest(path.parent)
@@ -107,6 +107,15 @@ def _write(path: Path, name: str, tables: Tables) -> None:
     finally:
         if unfinished is not None:
             Path(unfinished).unlink(missing_ok=True)
+
+
+def _digest(tables: Tables) -> str:
+    """Digest of names, types, shapes and numbers; a zip file that was written anew has valid checksums."""
+    digest = hashlib.sha256()
+    for name in sorted(tables):
+        array = np.ascontiguousarray(tables[name])
+        digest.update(f"{name} {array.dtype} {array.shape}".encode() + array.tobytes())
+    return digest.hexdigest()[:32]
 
 
 def _remove_oldest(tables: Path) -> None:

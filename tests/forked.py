@@ -57,7 +57,7 @@ def _serve() -> None:
     heavy = (
         "optax orbax.checkpoint tensorstore matplotlib.figure mujoco.mjx scipy.sparse.csgraph rich.progress PIL.Image"
     )
-    own = "cli assembly drawing report evaluation progress runner"
+    own = "cli assembly drawing evaluation progress runner"
     with contextlib.redirect_stdout(sys.stderr):
         for name in [*heavy.split(), *(f"sean_jax.{name}" for name in own.split())]:
             importlib.import_module(name)
