@@ -211,10 +211,10 @@ class Runner:
                 rows.append(arrays)
 
         for done in range(self.chunk, self._steps + self.chunk, self.chunk):
-            running, kept = self._advance(fixed, running, turns, counted)
+            running, chunk_rows = self._advance(fixed, running, turns, counted)
             if waiting is not None:  # while the device computes
                 receive(waiting)
-            waiting = kept if keep_rows or callbacks.rows is not None else None
+            waiting = chunk_rows if keep_rows or callbacks.rows is not None else None
             over = bool(np.all(np.asarray(running.states.completed | running.states.timed_out)))
             simulated = float(np.asarray(running.steps).sum()) * scenario.time_step
             seconds = scenario.time_limit if over else min(done * scenario.time_step, scenario.time_limit)
@@ -373,8 +373,8 @@ def _advance(
             actions = actions[None]
         else:
             (states, steps, faulty), actions = jax.lax.scan(tick, carry, length=record.every)
-        total, kept = record.update(scenario, before, states, actions, active, running.total)
-        return LoopState(states, steps, faulty, total), kept
+        total, rows = record.update(scenario, before, states, actions, active, running.total)
+        return LoopState(states, steps, faulty, total), rows
 
     return jax.lax.scan(one, running, length=turns)
 

@@ -2,8 +2,8 @@
 
 The paper's Behavior Graph "maintains" group formations although each member stays for a few seconds only. So a seat has
 a holder, who stands there, and a successor, who walks there. The successor is chosen before the holder's stay ends,
-among people who pass a node, by arrival time. When the stay is over the holder waits for the
-successor, for a bounded time. A person with a much better arrival time replaces a successor who is nodes away.
+among people who pass a node, by arrival time. When the stay is over, the holder waits for the successor, for a bounded
+time. While a successor is still nodes away, a person with a much better arrival time takes the successor's place.
 
 Goals, routes, seats and stay times are discrete: a small change of a weight changes nothing, or everything after it.
 With a temperature T each choice is sampled with a differentiable chance, and the state has the sum of the log chances
@@ -318,8 +318,8 @@ def choose_whole(
 ) -> Memory:
     """New goals as in the paper (section IV-D): people keep a goal until they are there.
 
-    Seats without a successor come first, then waypoint nodes. People at a node can be sent to a seat with any
-    goal. A successor who is replaced walks to a waypoint node.
+    Seats without a successor come first, then waypoint nodes. People at a node can be sent to a seat whatever
+    their goal is. A successor whose place another person takes walks to a waypoint node.
 
     Args:
         arrival: s, of ``arrival_times``.

@@ -1,8 +1,8 @@
 """Starts of people: the place, free points far enough apart for any choice of them to be valid, and walking groups.
 
-Walking groups (section IV-D) are pairs and triples. The last people of a scenario are its walking
-groups, pairs before triples. The member with the lowest index leads: the leader decides where to go, the others follow
-with the same goal at the same preferred speed, and ``social_forces.Cohesion`` keeps them side by side.
+Walking groups (section IV-D) are pairs and triples. The last people of a scenario are its walking groups, pairs before
+triples. The member with the lowest index leads: the leader decides where to go, the others follow with the same goal at
+the same preferred speed, and ``social_forces.Cohesion`` keeps them side by side.
 """
 
 from dataclasses import dataclass

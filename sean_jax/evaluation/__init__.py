@@ -151,8 +151,8 @@ def _episodes(
                 batches.append(batch)
                 continue
             if runner is None:
-                kept = record(first, size, FRAMES if config.trajectories is None else size)
-                programs = Runner(scenarios, policy, size, "run", kept)
+                run_record = record(first, size, FRAMES if config.trajectories is None else size)
+                programs = Runner(scenarios, policy, size, "run", run_record)
                 programs.compile(Callbacks(compiling=bar.stage))
                 if console is not None:
                     console.print(f"[dim]compiled in {programs.compile_seconds:.1f} s[/]", highlight=False)
