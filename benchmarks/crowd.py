@@ -27,37 +27,38 @@ def measure(batch: int, people: int, walls: int, preset: str) -> dict:
 
 def loop(people: int, walls: int, preset: str, steps: int = 2) -> float:
     """Agent-steps per second of the float64 loop."""
-    p, law, state, boxes = exact(people, walls, preset)
+    p, state, boxes = exact(people, walls, preset)
     begun = time.perf_counter()
     for _ in range(steps):
-        state = crowd_loop.step(*state, boxes, p, law, STEP) + state[3:]
+        state = crowd_loop.step(*state, boxes, p, STEP) + state[3:]
     return people * steps / (time.perf_counter() - begun)
 
 
-def constants(forces: social_forces.Forces) -> dict[str, dict[str, float | None]]:
-    """The parameters of each term by name, in float64."""
-    return {
-        term_name(term): {k: None if v is None else float(v) for k, v in vars(term).items() if not callable(v)}
-        for term in forces
-    }
+def constants(forces: social_forces.Forces) -> dict[str, dict[str, float | str | None]]:
+    """The parameters of each term by name, in float64, and the names of its laws."""
+
+    def value(parameter):
+        return parameter.__name__ if callable(parameter) else None if parameter is None else float(parameter)
+
+    return {term_name(term): {name: value(one) for name, one in vars(term).items()} for term in forces}
 
 
 def exact(people: int, walls: int, preset: str):
-    """Constants, sight law, state and boxes of the workload in float64."""
+    """Constants, state and boxes of the workload in float64."""
     forces = social_forces.preset(preset)
     e = workload.crowd(people, walls)[2]
     state = e["x"], e["v"], e["heading"], e["desired"], e["preferred"]
-    return constants(forces), forces.repulsion.sight.__name__, state, (e["center"], e["half"], e["yaw"])
+    return constants(forces), state, (e["center"], e["half"], e["yaw"])
 
 
 def errors(people: int, walls: int, preset: str, steps: int) -> float:
     """Relative error of positions and velocities against the loop after a number of steps."""
-    p, law, state, boxes = exact(people, walls, preset)
+    p, state, boxes = exact(people, walls, preset)
     crowd, grid, _ = workload.crowd(people, walls)
     parameters = social_forces.preset(preset)
     integrate = jax.jit(lambda c: social_forces.integrate(parameters, c, grid, None, None, STEP))
     for _ in range(steps):
-        state = crowd_loop.step(*state, boxes, p, law, STEP) + state[3:]
+        state = crowd_loop.step(*state, boxes, p, STEP) + state[3:]
         crowd = integrate(crowd)
     ours = np.concatenate([crowd.position, crowd.velocity])
     theirs = np.concatenate(state[:2])

@@ -16,7 +16,7 @@ import numpy as np
 import sean_jax
 from sean_jax import scenario as stages
 from sean_jax.config import GraphBehavior
-from sean_jax.studies.validation.measures import group_occupancy
+from sean_jax.studies.validation.groups import group_occupancy
 
 WARM_UP = 20.0  # s
 

@@ -84,8 +84,8 @@ plt.show()
 # %% [markdown]
 # ## Calibration
 # With two constants and many positions, forward mode gives the whole Jacobian at the cost of two rollouts, and the
-# Gauss-Newton method needs a few Jacobians. (`sean calibrate` has more constants and real people, and uses Adam in
-# reverse mode.)
+# Gauss-Newton method needs a few Jacobians. (`sean calibrate` has more constants, real people and crowds, and
+# needs no gradient.)
 
 # %%
 jacobian = jax.jit(jax.jacfwd(walk))

@@ -24,6 +24,26 @@ else:  # every function takes arrays and scalars of numpy as well, so checks of 
 
 
 @struct.dataclass
+class Traits:
+    """What distinguishes people: standard normal numbers, which the deviations of the forces multiply."""
+
+    relaxation: Float[Array, "N"]
+    headway: Float[Array, "N"]
+    width: Float[Array, "N"]
+    side: Float[Array, "N"]
+
+
+@struct.dataclass
+class Reaction:
+    """How people react to the robot and to a phone in their hand, as ``social_forces.Reactions`` draws it."""
+
+    kind: Int[Array, "N"]  # of ``social_forces.Kind``
+    alertness: Float[Array, "N"]  # 1, share of the time ahead in which the person notices others; 1 without a phone
+    attention: Float[Array, "N"]  # 1, to the robot now, from 0 to 1
+    patience: Float[Array, "N"]  # s, for which the person still attends to the robot
+
+
+@struct.dataclass
 class Pedestrians:
     """The people of a scenario, present or not."""
 
@@ -36,6 +56,9 @@ class Pedestrians:
     present: Bool[Array, "N"]
     preferred_speed: Float[Array, "N"]  # m/s, drawn per episode
     robot_distance: Float[Array, "N"]  # m, drawn per episode: added distance to a moving robot
+    traits: Traits | None = None  # drawn per episode; None if the forces have no deviations
+    noise: Float[Array, "N 2"] | None = None  # 1, of the drive, forward and to the left; None without a term ``Noise``
+    reaction: Reaction | None = None  # drawn per episode; None without a term ``Reactions``
 
 
 @struct.dataclass
@@ -169,6 +192,7 @@ class Streams:
     policy: Array  # of the policy
     sensors: Array  # of the noise of sensors; ``sensors.sense`` folds in the name of each
     restart: Array  # of the episode that follows
+    noise: Array  # of the noise of people
 
 
 @struct.dataclass

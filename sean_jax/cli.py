@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 PICTURES = (".png", ".svg", ".pdf", ".jpg", ".jpeg", ".webp", ".tif", ".tiff")  # that matplotlib writes
-LEARNING = ("optax", "orbax", "tensorstore")  # packages of the extra "learning"
+LEARNING = ("cmaes", "optax", "orbax", "tensorstore")  # packages of the extra "learning"
 RESUMABLE = ("collect", "train", "experiment", "export", "calibrate", "benchmark", "validate")
 READERS = ("run", "collect", "train", "experiment", "export", "replay", "benchmark")  # may run code that a file names
 EXPERIMENTS = {"table1": "table1", "ablation": "table1", "figure4": "figure4", "learning_curve": "figure4"}  # -> module

@@ -31,13 +31,16 @@ USES = (
     "bench",
     "bench starts",
     "fit-graph",  # people to fit a graph to, and to judge it by
-    "calibrate",  # where fits start
-    "calibrate windows",  # the windows of a step of a fit
+    "calibrate",  # the candidates of a fit
     "draw",  # people on a contact sheet
     "groups",  # episodes in which it is measured whether groups last
     "scene",  # the traits of people in a scene
 )
 """The uses of a seed that a user gives, by name."""
+
+
+TRAITS = zlib.crc32(b"traits")  # folded into the key of an episode: the traits and the first noise of people
+NOISE = zlib.crc32(b"noise")  # and the noise of people in its steps
 
 
 def stream_id(use: str) -> int:
@@ -59,7 +62,7 @@ def generator(use: str, seed: int, *further: int) -> np.random.Generator:
 
 def streams(key: Array) -> Streams:
     """The streams of an episode, from a () typed key that is used for nothing else."""
-    return Streams(*jax.random.split(key, 4))
+    return Streams(*jax.random.split(key, 4), noise=jax.random.fold_in(key, NOISE))
 
 
 def as_numbers(tree: PyTree) -> PyTree:

@@ -10,6 +10,7 @@ from sean_jax import calls, clock, prng
 from sean_jax import navigation as paths
 from sean_jax.base import Array, Groups, Observation, Pedestrians, RobotTask, Scenario, Snapshot, State, Trajectory
 from sean_jax.geometry import length, rotate
+from sean_jax.social_forces import individualize
 
 NOWHERE = 1e4  # m, where the robot is while people warm up
 WARM_UP = 1  # folded into the key of an episode after its warm-up
@@ -31,6 +32,7 @@ def reset(scenario: Scenario, key: Array) -> State:
     pedestrians, groups, memory = people
     calls.check_type("behavior", begin, pedestrians, Pedestrians, N=scenario.people)
     calls.check_type("behavior", begin, groups, Groups)
+    pedestrians = individualize(scenario.forces, pedestrians, jax.random.fold_in(key, prng.TRAITS))
     state = _begin(scenario, pedestrians, groups, memory, task_key, streams_key)
     if clock.ceil_ticks(scenario.warm_up, scenario.time_step) == 0:
         return state

@@ -532,7 +532,7 @@ def kinds(folder: Path) -> dict[str, Kind]:
 
     NUMBERS.update(ranges=np.arange(40.0).reshape(5, 8), marks=np.array([True, False]))
     constants = "preset: calibrated\nparameters:\n  repulsion.range: 0.1\n  walking.relaxation_time: 0.3\n"
-    constants += "  headway.range: 1.5\n  evasion.horizon: 2.0\nprovenance: {fitted by: nobody}\n"
+    constants += "  headway.time: 0.7\n  evasion.horizon: 2.0\nprovenance: {fitted by: nobody}\n"
     agent = {name: (AGENTS["ppo"] / name).read_bytes() for name in ("config.json", "weights.npz")}
     read = lambda *names: {name: (ENVS / "lab" / name).read_bytes() for name in names}  # noqa: E731
     settings = "image: map.png\nresolution: 0.1\norigin: [-2.0, -1.5, 0.0]\nnegate: 0\noccupied_thresh: 0.65\n"

@@ -135,6 +135,11 @@ def test_damping_is_a_factor_for_each_step(scenario, start, monkeypatch):
             assert float(mode(last)(jnp.float32(0.0), factor)) == pytest.approx((1.1 * factor) ** STEPS, rel=1e-5)
 
 
+def _no_pull(leaf):
+    """The zero cotangent of an array."""
+    return np.zeros(leaf.shape, leaf.dtype if jnp.issubdtype(leaf.dtype, jnp.floating) else jax.dtypes.float0)
+
+
 def test_clipping_bounds_each_body_and_leaves_forward_mode(run, start):
     limit = 0.3
     state = start
@@ -146,7 +151,7 @@ def test_clipping_bounds_each_body_and_leaves_forward_mode(run, start):
     people = state.pedestrians
     random = np.random.default_rng(0)
     size = random.choice([0.0, 1e-20, 1e-3, 1.0, 1e15], len(people.position))[:, None]
-    pull = jax.tree.map(lambda leaf: np.zeros(leaf.shape, jax.dtypes.float0), people)
+    pull = jax.tree.map(_no_pull, people)
     floats = {
         name: jnp.asarray(
             random.normal(size=getattr(people, name).shape) * size.reshape(-1, *[1] * (getattr(people, name).ndim - 1)),

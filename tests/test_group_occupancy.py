@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from sean_jax.studies.validation.measures import group_occupancy
+from sean_jax.studies.validation.groups import group_occupancy
 
 
 def test_occupancy_and_stays_are_those_of_a_loop_over_people():

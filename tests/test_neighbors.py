@@ -19,9 +19,10 @@ find = jax.jit(neighbors.find)
 
 
 def pair_forces(forces, people, near=None):
-    """What people feel from one another."""
+    """What people feel from one another: pushes of pair terms and acts of gather terms."""
     crowd = Crowd(forces, people, *look_direction(people), None, None, None, 0.0, None)
-    return model.pair_forces(crowd, near)
+    parts = [part for part in model.pair_forces(crowd, near) if part is not None]
+    return sum(part[0] for part in parts), sum(part[1] for part in parts)
 
 
 def places(kind: str) -> np.ndarray:

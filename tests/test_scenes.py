@@ -107,6 +107,8 @@ def test_people_enter_when_there_is_room_and_vanish_once():
         gap = np.linalg.norm(tracks.position[moment][others] - scene.walkers.start[person], axis=-1)
         assert gap.min(initial=np.inf) >= ROOM - 1e-4
         assert moment * tracks.time_step >= scene.walkers.entry_time[person] - 1e-6
+        moved = tracks.position[moment + 1][person] - scene.walkers.start[person]
+        assert np.linalg.norm(moved) > 0.07 * scene.walkers.preferred_speed[person]  # they enter at their velocity
     out = present[:-1] & ~present[1:]
     where = np.asarray(tracks.position)[1:][out]
     assert (where[:, 0] > 6.0).all() and (where[:, 0] < 8.0).all()

@@ -11,7 +11,7 @@ from sean_jax import environment as environments
 from sean_jax import scenario as stages
 from sean_jax.behaviors import graph_choices
 from sean_jax.behaviors.graph_choices import Memory, seats_of
-from sean_jax.studies.validation.measures import group_occupancy
+from sean_jax.studies.validation.groups import group_occupancy
 
 PEOPLE, PATIENCE = 14, 50
 

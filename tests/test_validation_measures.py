@@ -5,6 +5,7 @@ import csv
 import numpy as np
 import pytest
 
+from sean_jax import preset
 from sean_jax import recordings as recorded
 from sean_jax.studies.scenes import Gate
 from sean_jax.studies.validation import crowds, measures
@@ -89,6 +90,93 @@ def test_separation_is_exact_between_rows():
     at_rows = np.hypot(*np.moveaxis(one - other, -1, 0)).min(0)
     assert (at_rows > exact + 0.1).mean() > 0.1  # rows alone would miss many of these encounters
     np.testing.assert_array_equal(measures.separation(one, one), 0.0)
+
+
+def test_bodies_overlap_by_a_known_depth_and_only_in_one_group_if_asked():
+    """Discs of .2 m; then shoulders of .2 m, and .1 m from back to front."""
+    discs, bodies = (preset("calibrated").tree_replace({"walking.depth": depth}).walking for depth in (0.2, 0.1))
+    place, facing = np.zeros((3000, 4, 2)), np.zeros((3000, 4, 2))
+    place[:, :, 0], facing[..., 0] = [0.0, 1.0, 2.0, 3.0], 1.0
+    present = np.ones((3000, 4), bool)
+    assert measures.overlap(place, facing, present, discs.radii) == 0.0
+    place[1234, 1, 0] = 0.37  # 3 cm into the first
+    place[2345, 2, 0] = 2.65  # 5 cm into the last
+    assert measures.overlap(place, facing, present, discs.radii) == pytest.approx(0.05, abs=1e-6)
+    group = np.broadcast_to([0, 0, 1, -1], present.shape)
+    assert measures.overlap(place, facing, present, discs.radii, group) == pytest.approx(0.03, abs=1e-6)
+    assert measures.overlap(place, facing, present, bodies.radii) == 0.0  # one behind the other
+    aside = facing[..., ::-1]
+    assert measures.overlap(place, aside, present, bodies.radii) == pytest.approx(0.05, abs=1e-6)
+
+
+def test_densities_count_people_in_a_square_and_a_peak_is_a_mean():
+    place = np.zeros((100, 8, 2))
+    place[:40, 2:] = 9.0  # two people in the square at first, then all
+    density = measures.densities(tracks_of(place), (-1.0, -1.0), (1.0, 1.0))
+    np.testing.assert_allclose(density, np.where(np.arange(100) < 40, 0.5, 2.0))
+    assert measures.peak(density, 20) == pytest.approx(2.0)
+    assert measures.peak(density, 80) == pytest.approx((60 * 2.0 + 20 * 0.5) / 80)
+    assert measures.peak(density, 500) == pytest.approx(density.mean())
+
+
+def test_a_lattice_has_no_deviation_in_time_and_no_wave():
+    speed = np.broadcast_to(np.linspace(0.3, 0.5, 20), (150, 20))  # each has an own speed that stays
+    assert measures.deviation_in_time(speed) == pytest.approx(0.0, abs=1e-12)
+    assert np.isnan(measures.wave(speed, 20.0, 0.4)).all()
+    swing = 0.4 + 0.1 * np.sin(np.arange(1000) / 10.0)[:, None] * np.ones(20)
+    assert measures.deviation_in_time(swing) == pytest.approx(0.1 / np.sqrt(2.0), rel=0.02)
+
+
+@pytest.mark.parametrize("backwards", [-0.5, -0.2, 0.1])
+def test_a_wave_in_a_single_file_has_its_speed(backwards):
+    """Speeds by the place in a wave of one length around the loop."""
+    loop, number, step = 25.0, 40, 0.02
+    x, rows = np.arange(number) * loop / number, []
+    for k in range(6000):
+        speed = 0.4 + 0.15 * np.sin(2.0 * np.pi * (x - backwards * step * k) / loop)
+        rows.append(speed)
+        x = x + step * speed
+    made = measures.wave(np.array(rows)[::20], loop, 0.4)
+    assert made.speed == pytest.approx(backwards, abs=0.06) and made.correlation > 0.9
+    gap = loop / number
+    assert made.delay == pytest.approx(gap / (np.mean(rows) - backwards), rel=0.2)
+
+
+def test_people_on_a_circle_accelerate_jerk_and_turn_as_geometry_says():
+    speed, radius, step = 1.2, 3.0, 0.1
+    angle = speed / radius * step * np.arange(200)[:, None]
+    place = radius * np.stack([np.cos(angle), np.sin(angle)], -1)
+    present = np.ones((200, 1), bool)
+    made = measures.motion(place, present, step)
+    np.testing.assert_allclose(made.acceleration, speed**2 / radius, rtol=1e-3)
+    np.testing.assert_allclose(made.jerk, speed**3 / radius**2, rtol=1e-3)
+    np.testing.assert_allclose(made.turn_rate, speed / radius, rtol=1e-3)
+    present[100] = False  # nothing is measured across a gap
+    assert len(measures.motion(place, present, step).acceleration) == 198 - 3
+    assert len(measures.motion(0.2 * place, present, step).turn_rate) == 0  # slower than people walk
+
+
+def test_ways_aside_and_slowest_steps():
+    along = np.linspace(0.0, 10.0, 51)
+    aside = 0.7 * np.sin(np.pi * along / 10.0)
+    slow = np.concatenate([np.linspace(0.0, 5.0, 26), np.linspace(5.1, 7.6, 25)])
+    place = np.stack([np.stack([along, aside], -1), np.stack([slow, 0 * slow], -1), np.zeros((51, 2))], 1)
+    present = np.ones((51, 3), bool)
+    np.testing.assert_allclose(measures.sideways(place, present), [0.7, 0.0, np.nan], atol=1e-3)
+    least = measures.slowest(place, present)
+    assert least[1] == pytest.approx(0.5) and np.isnan(least[2])
+    present[:, 1] = np.arange(51) < 20
+    assert measures.slowest(place, present)[1] == pytest.approx(1.0)
+
+
+def test_pairs_walk_side_by_side_or_one_behind_the_other():
+    beside = walkers([[0.0, 0.0], [0.0, 0.8], [0.0, 5.0], [1.1, 5.0]], [1.0, 0.0])
+    there = np.ones(beside.shape[:2], bool)
+    made = measures.company(beside, there, np.array([[0, 1], [2, 3]]), 0.1)
+    np.testing.assert_allclose(np.unique(made.spacing.round(6)), [0.8, 1.1])
+    assert made.beside.mean() == pytest.approx(0.5) and made.beside[made.spacing < 1.0].all()
+    still = np.broadcast_to(beside[:1], beside.shape)
+    assert not len(measures.company(still, there, np.array([[0, 1]]), 0.1).spacing)
 
 
 def test_steps_go_the_shorter_way_around_a_period():

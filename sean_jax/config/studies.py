@@ -8,7 +8,7 @@ import pydantic
 
 from sean_jax.config import fields
 from sean_jax.config.core import Config, Named
-from sean_jax.config.fields import Option
+from sean_jax.config.fields import Number, Option
 from sean_jax.config.scenario import DEFAULT_FORCES, RobotPart
 
 Preset = Annotated[
@@ -214,33 +214,36 @@ class ValidateConfig(Config):
 
 
 class CalibrateConfig(Config):
-    """Fit the constants of the social forces to recorded people, by gradient. An unfinished fit is resumed."""
+    """Fit the constants of the social forces to crowds and to recorded people. An unfinished fit is resumed."""
 
     data: Path
     """Folder of recordings: scenes of ETH and UCY, runs of Juelich's corridors."""
     forces: fields.Text = DEFAULT_FORCES
     """Start of the fit: a preset of social forces, or a YAML file of constants."""
     fit: fields.Names | None = None
-    """Constants to fit, separated by commas, such as repulsion.range; by default all that have bounds."""
+    """Constants to fit, separated by commas, such as repulsion.range; by default all that have bounds. none: the habits
+    of prediction alone, without crowds."""
     leave_out: fields.Names | None = None
     """Scenes of prediction, separated by commas, for leave-one-out fits, each judged by the scene that it lacks; all by
     default, or none."""
-    steps: fields.Count = 60
-    """Steps of gradient descent."""
-    starts: fields.Count = 1
-    """Starts of each fit, in parallel: the first from the constants of --forces. On a GPU try 64."""
-    batch: fields.Count = 8
-    """Windows per scene of prediction and step; corridors have a sixteenth, at least one."""
+    generations: fields.Count = 60
+    """Generations of the search (CMA-ES)."""
+    population: Annotated[int, Number(4, 4096)] = 32
+    """Candidates in a generation of each fit."""
+    draws: Annotated[int, Number(1, 100)] = 2
+    """Draws of people in each corridor, file and mix; half as many at each door."""
+    quick: bool = False
+    """A minute on a CPU: few crowds and windows, to try the command."""
     seed: fields.Seed = 0
     """The same seed gives the same constants."""
     out: fields.Out = None
-    """Folder for the results, runs/calibration by default."""
+    """Folder for the results, runs/calibration or runs/calibration-quick by default."""
     quiet: fields.Quiet = False
 
     @property
     def folder(self) -> Path:
         """The folder of the results."""
-        return self.out or Path("runs") / "calibration"
+        return self.out or Path("runs") / ("calibration-quick" if self.quick else "calibration")
 
 
 class FitGraphConfig(Config):

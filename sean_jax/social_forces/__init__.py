@@ -4,9 +4,19 @@ A sum of terms (``forces``), each with its own parameters: ``[*preset("helbing19
 """
 
 from sean_jax.social_forces.forces import Crowd, Forces, GatherTerm, Pair, PairTerm, PersonTerm, Term, Walking
-from sean_jax.social_forces.model import draw_traits, integrate, move
+from sean_jax.social_forces.model import draw_traits, individualize, integrate, move
 from sean_jax.social_forces.presets import PRESETS, build, preset
-from sean_jax.social_forces.terms import Cohesion, Evasion, GroupSpace, Headway, Repulsion, RobotRepulsion, Sidestep
+from sean_jax.social_forces.reactions import Kind, Reactions
+from sean_jax.social_forces.terms import (
+    Cohesion,
+    Evasion,
+    GroupSpace,
+    Headway,
+    Noise,
+    Repulsion,
+    RobotRepulsion,
+    Sidestep,
+)
 from sean_jax.social_forces.walls import SUBSTEP, Contact, Walls, longest_step, substeps
 
 __all__ = [
@@ -20,10 +30,13 @@ __all__ = [
     "GatherTerm",
     "GroupSpace",
     "Headway",
+    "Kind",
+    "Noise",
     "Pair",
     "PairTerm",
     "PersonTerm",
     "Repulsion",
+    "Reactions",
     "RobotRepulsion",
     "Sidestep",
     "Term",
@@ -31,6 +44,7 @@ __all__ = [
     "Walls",
     "build",
     "draw_traits",
+    "individualize",
     "integrate",
     "longest_step",
     "move",

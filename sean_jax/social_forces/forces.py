@@ -41,6 +41,7 @@ T = TypeVar("T")
 TINY = 1e-8  # m2: keeps lengths differentiable at zero, 1e-7 of the square of a distance of 0.3 m
 MAX_EXPONENT = 20.0  # a push e^20 times the usual one is as good as any, and its square is still a number
 MIN_SPEED = 0.1  # m/s: a slower body does not turn into its direction of motion
+STANDING_SPEED = 0.5  # m/s, desired: a faster member of a group walks to their place
 
 
 @struct.dataclass
@@ -59,9 +60,13 @@ class Walking:
         "perception": (0.0, 1e9),
         "lateral_damping": (1e-3, 1e6),
         "backward_scale": (0.0, 1e3),
+        "acceleration": (1e-2, 1e9),
+        "relaxation_deviation": (0.0, 2.0),
+        "depth": (0.01, 10.0),
     }
     relations: ClassVar[dict[str, Callable[[Any], Any]]] = {
         "speed_min is more than speed_max": lambda term: term.speed_min > term.speed_max,
+        "depth is more than radius": lambda term: term.depth is not None and term.depth > term.radius,
     }
 
     radius: Float[Array, ""]  # m, of a body; no obstacle enters it
@@ -76,6 +81,9 @@ class Walking:
     perception: Float[Array, ""]  # m, nobody and no wall farther away is felt
     lateral_damping: Float[Array, ""]  # 1, divides the part of the social force across the heading
     backward_scale: Float[Array, ""]  # 1, scales the part of the social force against the heading
+    acceleration: Float[Array, ""]  # m/s2, the bound of what people do on purpose: of all but pushes of other bodies
+    relaxation_deviation: Float[Array, ""] | None = None  # 1, of the logarithm of the relaxation time among people
+    depth: Float[Array, ""] | None = None  # m, half the body from back to front; ``radius`` is half the shoulders
 
     def damp(
         self, fx: Float[Array, "N"], fy: Float[Array, "N"], heading: Float[Array, "N 2"]
@@ -87,6 +95,29 @@ class Walking:
         across = across / self.lateral_damping
         return along * hx - across * hy, along * hy + across * hx
 
+    def relaxation(self, people: Pedestrians) -> Float[Array, ""] | Float[Array, "N"]:
+        """The relaxation time [s], of each person if they differ."""
+        if self.relaxation_deviation is None or people.traits is None:
+            return self.relaxation_time
+        return self.relaxation_time * jnp.exp(self.relaxation_deviation * people.traits.relaxation)
+
+    def radii(self, square: Float[Array, "..."], aside: Float[Array, "..."] | float) -> Float[Array, "..."]:
+        """How far [m] two bodies reach together along the line between their centres, of a squared length [m2].
+
+        A body is an oval that reaches ``depth`` along the look and ``radius`` across, between them by the squared sine
+        of the angle. ``aside`` [m2] is the mean of the squared parts of that line across the look of each.
+        """
+        if self.depth is None:
+            return 2.0 * self.radius
+        share = aside * jax.lax.rsqrt(square + TINY) ** 2  # cheaper than a division
+        return 2.0 * (self.depth + (self.radius - self.depth) * share)
+
+    def bound(self, ax: Float[Array, "N"], ay: Float[Array, "N"]) -> tuple[Float[Array, "N"], Float[Array, "N"]]:
+        """Accelerations [m/s2] shortened smoothly to less than ``acceleration``."""
+        square = (ax * ax + ay * ay) / (self.acceleration * self.acceleration)
+        scale = jax.lax.rsqrt(jnp.sqrt(1.0 + square * square))
+        return ax * scale, ay * scale
+
     def limit_speed(
         self, vx: Float[Array, "N"], vy: Float[Array, "N"], preferred_speed: Float[Array, "N"]
     ) -> tuple[Float[Array, "N"], Float[Array, "N"]]:
@@ -97,10 +128,16 @@ class Walking:
         return vx * slower, vy * slower
 
 
+def is_standing(people: Pedestrians) -> Bool[Array, "N"]:
+    """(N,) whether people stand in a group; members who walk to their place do not stand yet."""
+    square = (people.desired_velocity * people.desired_velocity).sum(-1)
+    return (people.group >= 0) & (square < STANDING_SPEED * STANDING_SPEED)
+
+
 def look_direction(people: Pedestrians) -> tuple[Float[Array, "N"], Float[Array, "N"]]:
     """The look of each person, a unit vector: along the desired velocity, or along the heading when they stand."""
     x, y = unit(people.desired_velocity[:, 0], people.desired_velocity[:, 1])
-    standing = (people.group >= 0) | ((x == 0.0) & (y == 0.0))
+    standing = is_standing(people) | ((x == 0.0) & (y == 0.0))
     return jnp.where(standing, people.heading[:, 0], x), jnp.where(standing, people.heading[:, 1], y)
 
 
@@ -115,7 +152,7 @@ def turn(
     within = cosine >= jnp.cos(most)
     cosine = jnp.where(within, cosine, jnp.cos(most))
     sine = jnp.where(within, sine, jnp.where(sine < 0.0, -jnp.sin(most), jnp.sin(most)))
-    walking = (people.group < 0) & (length(velocity[:, 0], velocity[:, 1]) > MIN_SPEED)
+    walking = ~is_standing(people) & (length(velocity[:, 0], velocity[:, 1]) > MIN_SPEED)
     x, y = rotate(x, y, jnp.where(walking, cosine, 1.0), jnp.where(walking, sine, 0.0))
     return jnp.stack(unit(x, y), -1)
 
@@ -135,6 +172,9 @@ class Pair(NamedTuple):
     standing: Bool[Array, "..."] | bool = False  # the person is a standing member of a group
     is_robot: bool = False  # the other is the robot; known when the program is traced
     repulsion_scale: Float[Array, "..."] | None = None  # 1, drawn factor of a moving robot's push; None for a person
+    width: Float[Array, "..."] | float = 1.0  # 1, the person's factor of the width of ``Evasion``
+    side: Float[Array, "..."] | float = 0.0  # m, added to its side
+    alertness: Float[Array, "..."] | float = 1.0  # 1, the person's factor of its horizon
 
 
 class Crowd(NamedTuple):

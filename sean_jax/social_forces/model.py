@@ -2,13 +2,14 @@
 
 from collections.abc import Iterable
 from dataclasses import replace
+from functools import partial
 
 import jax
 import jax.numpy as jnp
 from jax.ad_checkpoint import checkpoint_name
 from jaxtyping import Float, Int
 
-from sean_jax.base import Array, Groups, ObstacleGrid, Pedestrians, Robot, Scenario, State
+from sean_jax.base import Array, Groups, ObstacleGrid, Pedestrians, Robot, Scenario, State, Traits
 from sean_jax.social_forces.forces import (
     Crowd,
     Force,
@@ -17,16 +18,20 @@ from sean_jax.social_forces.forces import (
     PersonTerm,
     force_of,
     gather,
+    is_standing,
     look_direction,
     sum_pair_terms,
     turn,
 )
 from sean_jax.social_forces.neighbors import ABSENT, MIN_PEOPLE, Neighbors, find, sum_pairs
-from sean_jax.social_forces.terms import Cohesion, Repulsion, RobotRepulsion
+from sean_jax.social_forces.reactions import Reactions
+from sean_jax.social_forces.terms import Cohesion, Evasion, Noise, Repulsion, RobotRepulsion
 from sean_jax.social_forces.walls import Contact, project_velocity
 
 SUMS = "pair sums"  # reverse mode stores these of a step, and the state; the rest is recomputed
 ALONE = -2  # group of a person in none, on whom forces act; the other of a pair has -1, so the two differ
+DEVIATIONS = "relaxation_deviation", "deviation", "width_deviation", "side_deviation"  # parameters of traits
+MOST_UNLIKE = 2.0  # standard deviations, at which traits are truncated
 WALKING_GROUPS = 1 << 20  # added to the number of a walking group, to distinguish it from a standing group
 
 
@@ -49,9 +54,32 @@ def draw_traits(forces: Forces, key: Array, people: int) -> tuple[Float[Array, "
     return speed, repulsion.range * jnp.log(factor)
 
 
+def individualize(forces: Forces, people: Pedestrians, key: Array) -> Pedestrians:
+    """People with the traits, the noise and the reactions that the forces have use for, drawn once per episode."""
+    number, noise, reactions = people.present.shape[0], None, forces.get(Reactions)
+    trait_key, noise_key, reaction_key = jax.random.split(key, 3)
+    deviations = [getattr(term, name, None) for term in forces for name in DEVIATIONS]
+    traits = None
+    if any(deviation is not None for deviation in deviations):
+        keys = jax.random.split(trait_key, len(Traits.__dataclass_fields__))
+        draw = partial(jax.random.truncated_normal, lower=-MOST_UNLIKE, upper=MOST_UNLIKE, shape=(number,), dtype=float)
+        traits = Traits(*map(draw, keys))
+    if forces.get(Noise) is not None:
+        noise = jax.random.normal(noise_key, (number, 2), float)
+    reaction = None if reactions is None else reactions.draw(reaction_key, number)
+    return replace(people, traits=traits, noise=noise, reaction=reaction)
+
+
 def move(scenario: Scenario, state: State) -> Pedestrians:
     """People one control step later, in ``scenario.substeps`` steps of the social forces; the robot stays in place."""
     time_step = scenario.time_step / scenario.substeps
+    people, noise = state.pedestrians, scenario.forces.get(Noise)
+    if noise is not None and people.noise is not None:
+        key = jax.random.fold_in(state.streams.noise, state.tick)
+        people = replace(people, noise=noise.advance(people.noise, key, scenario.time_step))
+    reactions = scenario.forces.get(Reactions)
+    if reactions is not None and state.robot is not None:
+        people = reactions.attend(people, state.robot, scenario.environment.obstacles, scenario.time_step)
     grid, radius, companions = scenario.environment.obstacle_grid, scenario.robot.radius, scenario.behavior.companions
     near = neighbors(scenario.forces, state.pedestrians, scenario.time_step)
 
@@ -61,7 +89,7 @@ def move(scenario: Scenario, state: State) -> Pedestrians:
 
     keep = jax.checkpoint_policies.save_only_these_names(SUMS)
     substep = jax.checkpoint(substep, prevent_cse=False, policy=keep)
-    return jax.lax.scan(substep, state.pedestrians, length=scenario.substeps)[0]
+    return jax.lax.scan(substep, people, length=scenario.substeps)[0]
 
 
 def integrate(
@@ -85,20 +113,31 @@ def integrate(
         near: the result of ``neighbors`` for some steps; None: computed for this step.
     """
     near = neighbors(forces, people, 0.0) if near is None else near
-    walking, contact = forces.walking, forces.get(Contact)
+    walking, contact, reactions = forces.walking, forces.get(Contact), forces.get(Reactions)
+    gaze, usual = None, people.desired_velocity
+    if reactions is not None and robot is not None:
+        people = replace(people, desired_velocity=reactions.desire(people, robot))
+        gaze = reactions.gaze(people, robot)
     px, py = people.position[:, 0], people.position[:, 1]
     vx, vy = people.velocity[:, 0], people.velocity[:, 1]
     crowd = Crowd(forces, people, *look_direction(people), obstacle_grid, groups, robot, robot_radius, companions)
     damped = (_person_force(term, crowd) for term in forces.person_terms if getattr(term, "damped", True))
     undamped = (_person_force(term, crowd) for term in forces.person_terms if not getattr(term, "damped", True))
-    force = _add_up([pair_forces(crowd, near), *damped])
+    pushes, acts = pair_forces(crowd, near)
+    force = _add_up([pushes, acts, *damped])
     if force is not None:
         force = walking.damp(*force, people.heading)
+    if pushes is not None:
+        pushes = walking.damp(*pushes, people.heading)
     force = _add_up([force, *undamped])
     fx, fy = (jnp.zeros_like(px), jnp.zeros_like(py)) if force is None else force
-    drive_x, drive_y = (people.desired_velocity[:, 0] - vx), (people.desired_velocity[:, 1] - vy)
-    vx = vx + (drive_x / walking.relaxation_time + fx) * time_step
-    vy = vy + (drive_y / walking.relaxation_time + fy) * time_step
+    relaxation_time = walking.relaxation(people)
+    ax = (people.desired_velocity[:, 0] - vx) / relaxation_time + fx
+    ay = (people.desired_velocity[:, 1] - vy) / relaxation_time + fy
+    push_x, push_y = (0.0, 0.0) if pushes is None else pushes
+    ax, ay = walking.bound(ax - push_x, ay - push_y)
+    ax, ay = ax + push_x, ay + push_y
+    vx, vy = vx + ax * time_step, vy + ay * time_step
     vx, vy = walking.limit_speed(vx, vy, people.preferred_speed)
     if obstacle_grid is not None:
         friction = None
@@ -107,8 +146,9 @@ def integrate(
         vx, vy = project_velocity(px, py, vx, vy, obstacle_grid, walking.radius, time_step, friction)
         vx, vy = jax.lax.optimization_barrier((vx, vy))  # XLA for a GPU would compute both twice: for x and for y
     velocity = jnp.where(people.present[:, None], jnp.stack([vx, vy], -1), 0.0)
-    heading = turn(people, velocity, walking.turn_rate * time_step)
-    return replace(people, position=people.position + velocity * time_step, velocity=velocity, heading=heading)
+    heading = turn(people, velocity if gaze is None else velocity + gaze, walking.turn_rate * time_step)
+    position = people.position + velocity * time_step
+    return replace(people, position=position, velocity=velocity, heading=heading, desired_velocity=usual)
 
 
 def cutoff(forces: Forces) -> Float[Array, ""] | None:
@@ -130,27 +170,42 @@ def neighbors(forces: Forces, people: Pedestrians, time: float) -> Neighbors | N
     return find(people.position, people.present, distance + 2.0 * speed_max * time)
 
 
-def pair_forces(crowd: Crowd, near: Neighbors | None = None) -> Force | None:
-    """The force (N,) [m/s2] of all other people on each person: pair terms and gather terms, in one sum; None without.
+def pair_forces(crowd: Crowd, near: Neighbors | None = None) -> tuple[Force | None, Force | None]:
+    """The forces (N,) [m/s2] of all other people on each person: of pair terms and of gather terms, None without.
 
-    Standing members of one group do not interact: their formation keeps them apart (section IV-D). Nor do
-    companions, if there is ``Cohesion``, which keeps them together and apart. Gather terms count the robot as one of
-    the others. ``near`` are the pairs of a large crowd; other pairs are left out.
+    Between standing members of one group there is contact alone: their formation keeps them apart (section IV-D). The
+    same holds for companions, if there is ``Cohesion``, which keeps them together and apart. Gather terms count the
+    robot as one of the others. ``near`` are the pairs of a large crowd; other pairs are left out.
     """
     forces, people = crowd.forces, crowd.people
     if not forces.pair_terms and not forces.gather_terms:
-        return None
+        return None, None
+    apart = tuple(term for term in forces.pair_terms if not isinstance(term, Contact))
+    contact = forces.get(Contact)
+    evasion = forces.get(Evasion)
+    individual = (1.0, 0.0, 1.0) if evasion is None else evasion.individual(people)
+    individual = individual[: 2 if people.reaction is None else 3]
+    differ = any(not isinstance(each, float) for each in individual)
 
     def law(shared, own, other):
-        pair_terms, gather_terms, radius, perception = shared
-        (px, py, vx, vy, group, look_x, look_y, standing), (qx, qy, wx, wy, other_group) = own, other
+        apart, contact, gather_terms, walking, perception = shared
+        px, py, vx, vy, group, look_x, look_y, standing, *individual = own
+        qx, qy, wx, wy, other_group, *facing = other
         dx, dy = px - qx, py - qy
-        pair = Pair(dx, dy, wx, wy, vx, vy, look_x, look_y, 2.0 * radius, standing.astype(bool))
-        force = sum_pair_terms(pair_terms, pair) if pair_terms else None
-        numbers = force, gather(gather_terms, pair)
-        dd = dx * dx + dy * dy
-        felt = (dd > 0.0) & (dd < perception * perception) & (group != other_group)
-        return jax.tree.map(lambda number: jnp.where(felt, number, 0.0), numbers)
+        dd, aside = dx * dx + dy * dy, 0.0
+        if facing:
+            aside = 0.5 * ((dx * look_y - dy * look_x) ** 2 + (dx * facing[1] - dy * facing[0]) ** 2)
+        pair = Pair(dx, dy, wx, wy, vx, vy, look_x, look_y, walking.radii(dd, aside), standing.astype(bool))
+        if individual:
+            pair = pair._replace(**dict(zip(("width", "side", "alertness"), individual, strict=False)))
+        force = sum_pair_terms(apart, pair) if apart else None
+        within = (dd > 0.0) & (dd < perception * perception)
+        felt = within & (group != other_group)
+        force, numbers = jax.tree.map(lambda number: jnp.where(felt, number, 0.0), (force, gather(gather_terms, pair)))
+        if contact is not None:
+            touch = tuple(jnp.where(within, part, 0.0) for part in contact.pair(pair))
+            force = touch if force is None else (force[0] + touch[0], force[1] + touch[1])
+        return force, numbers
 
     group = people.group
     if crowd.companions is not None and forces.get(Cohesion) is not None:
@@ -159,9 +214,13 @@ def pair_forces(crowd: Crowd, near: Neighbors | None = None) -> Force | None:
     rows = position[:, 0], position[:, 1], velocity[:, 0], velocity[:, 1], group.astype(float)
     other = tuple(jnp.where(people.present, row, ABSENT) for row in rows)
     own_group = jnp.where(group >= 0, group, ALONE).astype(float)
-    own = *other[:-1], own_group, crowd.look_x, crowd.look_y, (people.group >= 0).astype(float)
+    own = *other[:-1], own_group, crowd.look_x, crowd.look_y, is_standing(people).astype(float)
+    if differ:
+        own = *own, *(jnp.broadcast_to(jnp.asarray(each, float), people.present.shape) for each in individual)
+    if forces.walking.depth is not None:
+        other = *other, crowd.look_x, crowd.look_y
     perception = jnp.minimum(forces.walking.perception, 0.1 * ABSENT)
-    shared = forces.pair_terms, forces.gather_terms, forces.walking.radius, perception
+    shared = apart, contact, forces.gather_terms, forces.walking, perception
     force, gathered = checkpoint_name(sum_pairs(law, near, shared, own, other), SUMS)
     robot = forces.get(RobotRepulsion)
     by_robot = None if robot is None or not gathered else robot.gathered(crowd)
@@ -171,7 +230,7 @@ def pair_forces(crowd: Crowd, near: Neighbors | None = None) -> Force | None:
         force_of(term.act, "crowd, " + ", ".join(f"sum_{k}" for k in range(len(numbers))), crowd, *numbers)
         for term, numbers in zip(forces.gather_terms, gathered, strict=True)
     ]
-    return _add_up([force, *acts])
+    return force, _add_up(acts)
 
 
 def _person_force(term: PersonTerm, crowd: Crowd) -> Force | None:

@@ -6,8 +6,11 @@ forces.yaml``, ``make(forces="forces.yaml")``.
     preset: calibrated
     parameters:
       repulsion.strength: 1.8
+      reactions.curious: 0.1
     provenance:
       command: sean calibrate --data recordings
+
+No preset has ``Reactions``; a file that names one of its parameters adds the term.
 """
 
 from collections.abc import Iterable, Mapping
@@ -22,12 +25,14 @@ from sean_jax import files
 from sean_jax.errors import FileError, InputError
 from sean_jax.social_forces import terms, walls
 from sean_jax.social_forces.forces import Forces, Term, Walking, class_name, collect
+from sean_jax.social_forces.reactions import Reactions
 
 TERMS: tuple[type, ...] = (
     Walking,
     terms.Repulsion,
     terms.Headway,
     terms.Evasion,
+    terms.Noise,
     terms.Sidestep,
     walls.Contact,
     terms.RobotRepulsion,
@@ -35,7 +40,7 @@ TERMS: tuple[type, ...] = (
     walls.Walls,
     terms.Cohesion,
 )
-LAWS = (terms.elliptical, terms.circular, terms.in_cone, terms.in_front, terms.all_round)
+LAWS = (terms.elliptical, terms.circular, terms.surface, terms.in_cone, terms.in_front, terms.all_round)
 
 
 def _read_presets() -> dict[str, Forces]:
@@ -115,6 +120,9 @@ def build(forces: str | Iterable[Term]) -> Forces:
         return preset(forces)
     constants = read(forces)
     try:
-        return collect(preset(constants.preset).tree_replace(dict(constants.parameters)))
+        terms = list(preset(constants.preset))
+        if any(name.startswith(f"{class_name(Reactions)}.") for name in constants.parameters):
+            terms.append(Reactions())
+        return collect(collect(terms).tree_replace(dict(constants.parameters)))
     except (InputError, AttributeError) as error:
         raise FileError(f"{files.short_name(Path(forces))}: {str(error).rstrip('.?')}; mend the file.") from None

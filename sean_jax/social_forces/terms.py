@@ -14,16 +14,28 @@ from typing import Any, ClassVar
 import jax
 import jax.numpy as jnp
 from flax import struct
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 
-from sean_jax.base import Array
+from sean_jax.base import Array, Pedestrians
 from sean_jax.geometry import angle_between, length, sum_vectors, unit
-from sean_jax.social_forces.forces import MAX_EXPONENT, TINY, Crowd, Force, Pair, Walking, gather, sum_pair_terms
+from sean_jax.social_forces.forces import (
+    MAX_EXPONENT,
+    TINY,
+    Crowd,
+    Force,
+    Pair,
+    Walking,
+    gather,
+    is_standing,
+    sum_pair_terms,
+)
+from sean_jax.social_forces.reactions import heed
 from sean_jax.social_forces.walls import Contact
 
 NEGLIGIBLE = 1e-4  # m/s2, of a push
 SHORTEST = 1e-3  # m, of a ramp or a width that is divided by; its tenth power is still a float
-MAX_SHARE = 0.95  # of the desired velocity; single files of 1.9 people/m still move at 0.05 m/s or more
+LEAST_GAP = 0.01  # m: a nearer person limits the speed as one at that gap
+SLOW = 0.1  # m/s, of the preferred speed by which the share of a desired speed is divided
 SOFTENING = 0.01  # m2: the direction of a companion fades out below a distance of 0.1 m
 
 
@@ -65,9 +77,10 @@ class Repulsion:
         A push of the elliptical law decays with b, and the ellipse of that b reaches sqrt(b^2 + (y / 2)^2) + y / 2 from
         the other person; y is their walk in the time of the anticipation.
         """
-        if self.law not in (elliptical, circular):
+        if self.law not in (elliptical, circular, surface):
             return None
-        b = self.reach + self.range * jnp.log(jnp.maximum(2.0 * self.strength / NEGLIGIBLE, 1.0))
+        bodies = 2.0 * walking.radius if self.law is surface else 0.0
+        b = bodies + self.reach + self.range * jnp.log(jnp.maximum(2.0 * self.strength / NEGLIGIBLE, 1.0))
         y = (1.0 + self.own_motion) * self.anticipation * walking.speed_ratio * walking.speed_max
         return jnp.sqrt(b * b + 0.25 * y * y) + 0.5 * y
 
@@ -107,6 +120,19 @@ def circular(parameters: Repulsion, pair: Pair) -> Force:
     return push * dx, push * dy
 
 
+def surface(parameters: Repulsion, pair: Pair) -> Force:
+    """Repulsion A exp((reach + radii - |d|) / B) [m/s2] along d: from body to body.
+
+    Source: [H00] in social_forces/presets.yaml.
+    """
+    dx, dy = pair.dx, pair.dy
+    dd = dx * dx + dy * dy + TINY
+    inverse = jax.lax.rsqrt(dd)
+    exponent = (parameters.reach + pair.radii - dd * inverse) * (1.0 / parameters.range)
+    push = parameters.strength * jnp.exp(jnp.minimum(exponent, MAX_EXPONENT)) * inverse
+    return push * dx, push * dy
+
+
 def in_cone(parameters: Repulsion, pair: Pair, fx: Array, fy: Array) -> Array:
     """Weight of a push (fx, fy): 1 from within the angle of sight, else ``back_weight``.
 
@@ -134,59 +160,68 @@ def all_round(parameters: Repulsion, pair: Pair, fx: Array, fy: Array) -> float:
 
 @struct.dataclass
 class Headway:
-    """Takes a share of the desired velocity for each person in the way: ((range - gap) / (range - length))^2.
+    """Limits the desired speed to (gap - length) / time behind the nearest people in the way, who may bring it to zero.
 
-    The gap is between the surfaces of the bodies: at ``range`` people walk freely, at ``length`` they stand still. A
-    person beside the line of sight counts less, by (1 - (aside / width)^2)^2. An oncoming person counts less, the
-    faster they come: ``Evasion`` deals with them. The shares of all others add up to 95 % of the desired velocity at
-    most, so people in a queue shuffle on.
+    The gap is between the surfaces of the bodies. A person beside the line of sight counts less, by (1 - (aside /
+    width)^2)^2. An oncoming person counts less, the faster they come: ``Evasion`` deals with them. The minimum of the
+    desired speed and of all limits is smooth: with limits v_i, v (1 + sum (v / v_i)^4)^(-1/4).
 
-    Source: A. Tordeux, M. Chraibi & A. Seyfried, Traffic and Granular Flow '15, 225 (2016), who limit the speed to
-    (gap - l) / T. Here the limit sets in smoothly.
+    Source: A. Tordeux, M. Chraibi & A. Seyfried, Traffic and Granular Flow '15, 225 (2016), for one person ahead.
     """
 
     limits: ClassVar[dict[str, tuple[float, float]]] = {
         "length": (-10.0, 10.0),
-        "range": (-10.0, 100.0),
+        "time": (1e-2, 100.0),
         "width": (0.0, 100.0),
         "ramp": (0.0, 100.0),
-    }
-    relations: ClassVar[dict[str, Callable[[Any], Any]]] = {
-        "range is less than 0.01 m more than length": lambda term: term.range - term.length < 0.0099,
+        "deviation": (0.0, 2.0),
+        "noise": (0.0, 2.0),
     }
 
     length: Float[Array, ""]  # m, the gap at which people stand still
-    range: Float[Array, ""]  # m, the gap from which on they walk freely
+    time: Float[Array, ""]  # s, in which they would walk the rest of the gap
     width: Float[Array, ""]  # m, farther aside nobody is in the way
     ramp: Float[Array, ""]  # m, ahead, over which the effect rises
+    deviation: Float[Array, ""] | None = None  # 1, of the logarithm of the time among people
+    noise: Float[Array, ""] | None = None  # 1, and in time: by the noise of ``Noise``
 
     def gather(self, pair: Pair) -> tuple[Array]:
-        """The share of the desired velocity that one other takes, times ``_scale`` [m7], which ``act`` divides by."""
+        """The part of one other in the sum of 1 / (gap - length)^4, times ``_scale`` [m], which ``act`` divides by."""
         dx, dy = pair.dx, pair.dy
         dd = dx * dx + dy * dy + TINY
-        near = jnp.maximum(self.range + pair.radii - dd * jax.lax.rsqrt(dd), 0.0)
         ahead = -(dx * pair.look_x + dy * pair.look_y)
         aside = dx * pair.look_y - dy * pair.look_x
         before = jnp.maximum(self.width * self.width - aside * aside, 0.0)
         following = jnp.clip(1.0 + (pair.wx * pair.look_x + pair.wy * pair.look_y), 0.0, 1.0)
-        return (jnp.clip(ahead, 0.0, self._ramp()) * following * (near * before) ** 2,)
+        room = jnp.maximum(dd * jax.lax.rsqrt(dd) - pair.radii - self.length, LEAST_GAP)
+        close = before * jax.lax.rsqrt(room * room) ** 2  # cheaper than a division
+        return (jnp.clip(ahead, 0.0, self._ramp()) * following * close * close,)
 
-    def act(self, crowd: Crowd, share: Float[Array, "N"]) -> Force:
-        """The braking (N,) [m/s2] that takes that share from the desired velocity."""
-        rate = -jnp.minimum(share * (1.0 / self._scale()), MAX_SHARE) / crowd.forces.walking.relaxation_time
-        desired = crowd.people.desired_velocity
-        return rate * desired[:, 0], rate * desired[:, 1]
+    def act(self, crowd: Crowd, total: Float[Array, "N"]) -> Force:
+        """The braking (N,) [m/s2] that takes up the limits in the relaxation time."""
+        people, time = crowd.people, self.time
+        if self.deviation is not None and people.traits is not None:
+            time = time * jnp.exp(self.deviation * people.traits.headway)
+        if self.noise is not None and people.noise is not None:
+            time = time * jnp.exp(-self.noise * people.noise[:, 0])
+        if people.reaction is not None:
+            time = time * people.reaction.alertness
+        desired_x, desired_y = people.desired_velocity[:, 0], people.desired_velocity[:, 1]
+        square = (desired_x * desired_x + desired_y * desired_y) * time * time
+        share = jax.lax.rsqrt(jnp.sqrt(1.0 + square * square * total * (1.0 / self._scale())))
+        rate = (share - 1.0) / crowd.forces.walking.relaxation(people)
+        return rate * desired_x, rate * desired_y
 
     def _ramp(self) -> Array:
         return jnp.maximum(self.ramp, SHORTEST)
 
     def _scale(self) -> Array:
         """The divisor of the sum over all others, so that not each pair divides."""
-        return self._ramp() * (self.range - self.length) ** 2 * jnp.maximum(self.width, SHORTEST) ** 4
+        return self._ramp() * jnp.maximum(self.width, SHORTEST) ** 4
 
     def cutoff(self, walking: Walking) -> Array:
-        """The distance [m] within which a person is in the way."""
-        return 2.0 * walking.radius + self.range
+        """The distance [m] at which the limit is four times the top speed, which takes 0.1 % of it."""
+        return 2.0 * walking.radius + self.length + 4.0 * self.time * walking.speed_max
 
 
 @struct.dataclass
@@ -207,6 +242,8 @@ class Evasion:
         "width": (0.0, 100.0),
         "speed": (1e-3, 100.0),
         "ramp": (0.0, 100.0),
+        "width_deviation": (0.0, 2.0),
+        "side_deviation": (0.0, 10.0),
     }
 
     strength: Float[Array, ""]  # m/s2, of the push when many come
@@ -216,28 +253,33 @@ class Evasion:
     side: Float[Array, ""]  # m, by which people keep to the right
     speed: Float[Array, ""]  # m/s, of the relative speed at which an approach counts by half
     ramp: Float[Array, ""]  # m, ahead, over which the effect rises
+    width_deviation: Float[Array, ""] | None = None  # 1, of the logarithm of the width among people
+    side_deviation: Float[Array, ""] | None = None  # m, of the side among people
 
     def gather(self, pair: Pair) -> tuple[Array]:
         """The share of the push to the right (negative: left) by one other, times ``_scale`` [m6 s2]."""
         dx, dy, look_x, look_y = pair.dx, pair.dy, pair.look_x, pair.look_y
         ux, uy = pair.vx - pair.wx, pair.vy - pair.wy
+        width = self.width * pair.width
         uu = ux * ux + uy * uy
         inverse = jax.lax.rsqrt(uu + self.speed * self.speed) ** 2  # cheaper than a division
         approach = -(dx * ux + dy * uy)
         time = jnp.maximum(approach, 0.0) * inverse
         mx, my = dx + ux * time, dy + uy * time
-        soon = jnp.maximum(self.horizon - time, 0.0)
-        near = jnp.maximum(self.width * self.width - (mx * mx + my * my), 0.0)
+        soon = jnp.maximum(self.horizon * pair.alertness - time, 0.0)
+        near = jnp.maximum(width * width - (mx * mx + my * my), 0.0)
         in_sight = jnp.clip(-(dx * look_x + dy * look_y), 0.0, self._ramp())
-        right = mx * look_y - my * look_x + self.side
+        right = mx * look_y - my * look_x + (self.side + pair.side)
         closing = jnp.where(approach > 0.0, uu * inverse, 0.0)
         return (in_sight * closing * (soon * near) ** 2 * right,)
 
     def act(self, crowd: Crowd, share: Float[Array, "N"]) -> Force:
         """The push to the side (N,) [m/s2], ``strength`` at most, from the sum of ``gather``."""
         share = share * (self.gain / self._scale())
+        factor, _, alertness = self.individual(crowd.people)
+        share = share / (factor * factor) ** 2 / factor / alertness**2
         push = self.strength * share * jax.lax.rsqrt(1.0 + share * share)
-        push = jnp.where(crowd.people.group >= 0, 0.0, push)
+        push = jnp.where(is_standing(crowd.people), 0.0, push)
         return push * crowd.look_y, -push * crowd.look_x
 
     def _ramp(self) -> Array:
@@ -247,9 +289,63 @@ class Evasion:
         """As in ``Headway``."""
         return self._ramp() * self.horizon**2 * jnp.maximum(self.width, SHORTEST) ** 5
 
+    def individual(self, people: Pedestrians) -> tuple[Array | float, Array | float, Array | float]:
+        """Each person's factor of the width, what is added to the side [m], and the factor of the horizon.
+
+        They are 1, 0 and 1 where people do not differ.
+        """
+        width, side, traits = self.width_deviation, self.side_deviation, people.traits
+        alertness = 1.0 if people.reaction is None else people.reaction.alertness
+        if traits is None:
+            return 1.0, 0.0, alertness
+        factor = 1.0 if width is None else jnp.exp(width * traits.width)
+        return factor, 0.0 if side is None else side * traits.side, alertness
+
     def cutoff(self, walking: Walking) -> Array:
         """The distance [m] beyond which nobody can come near within the horizon."""
         return self.width + 2.0 * walking.speed_ratio * walking.speed_max * self.horizon
+
+
+@struct.dataclass
+class Noise:
+    """Noise of the desired velocity of each person who walks, correlated in time (Ornstein-Uhlenbeck).
+
+    It makes stop-and-go waves, and keeps people from straight files. ``Pedestrians.noise`` has unit variance.
+
+    Source: A. Tordeux & A. Schadschneider, J. Phys. A 49, 185101 (2016).
+    """
+
+    limits: ClassVar[dict[str, tuple[float, float]]] = {
+        "speed": (0.0, 10.0),
+        "side": (0.0, 10.0),
+        "time": (1e-2, 1e6),
+    }
+
+    speed: Float[Array, ""]  # m/s, standard deviation forward
+    side: Float[Array, ""]  # m/s, and across
+    time: Float[Array, ""]  # s, in which the correlation decays to 1/e
+
+    def person(self, crowd: Crowd) -> Force | None:
+        """The accelerations (N,) [m/s2] by noise; None if people have none."""
+        people, look_x, look_y = crowd.people, crowd.look_x, crowd.look_y
+        if people.noise is None:
+            return None
+        desired = length(people.desired_velocity[:, 0], people.desired_velocity[:, 1])
+        preferred = jnp.maximum(people.preferred_speed, SLOW)
+        rate = jnp.minimum(desired / preferred, 1.0) / crowd.forces.walking.relaxation(people)
+        forward, left = rate * self.speed * people.noise[:, 0], rate * self.side * people.noise[:, 1]
+        return forward * look_x - left * look_y, forward * look_y + left * look_x
+
+    def advance(self, noise: Float[Array, "N 2"], key: Array, time_step: Float[Array, ""] | float) -> Array:
+        """The noise (N, 2) ``time_step`` [s] later.
+
+        The steps are uniform numbers of 16 bits. Their sum over the correlation time is normal.
+        """
+        bits = jax.random.bits(key, noise.shape[:1], jnp.uint32)
+        halves = jnp.stack([bits & 0xFFFF, bits >> 16], -1).astype(noise.dtype)
+        step = (halves * (1.0 / 0x8000) - (1.0 - 1.0 / 0x10000)) * 3.0**0.5
+        share = jnp.exp(-time_step / self.time)
+        return share * noise + jnp.sqrt(1.0 - share * share) * step
 
 
 @struct.dataclass
@@ -321,15 +417,18 @@ class GroupSpace:
 
 @struct.dataclass
 class Cohesion:
-    """Gaze, attraction, repulsion and contact among companions, who have no pair terms between them.
+    """Gaze, attraction and repulsion among companions, between whom contact is the only pair term.
 
     In walking groups [M10] people slow down when they would have to turn their heads to see the others (gaze), are
     pulled to the middle of the group from afar (attraction), and keep a distance (repulsion). As printed the last two
     switch on and off. Here they fade in over ``ramp``, so that people do not jerk and the law is differentiable.
+    With ``alignment`` people desire the mean velocity of their group rather than their own, and gaze does not slow the
+    group: as much as one in front brakes, the others hurry.
     """
 
     damped: ClassVar[bool] = False
     limits: ClassVar[dict[str, tuple[float, float]]] = {
+        "alignment": (0.0, 1.0),
         "ramp": (1e-3, 1e3),
     }
 
@@ -340,6 +439,7 @@ class Cohesion:
     repulsion: Float[Array, ""]  # m/s2, beta3 of [M10]: push from a companion ...
     repulsion_distance: Float[Array, ""]  # m, ... nearer than that
     ramp: Float[Array, ""]  # m, over which pull and push fade in; [M10] has steps
+    alignment: Float[Array, ""] | None = None  # 1, share of the group's mean in desired velocity and gaze; not in [M10]
 
     def person(self, crowd: Crowd) -> Force | None:
         """The force (N,) [m/s2] by companions, zero for single people; None if nobody has companions."""
@@ -355,17 +455,26 @@ class Cohesion:
         cx, cy = -dx.sum(1) * share, -dy.sum(1) * share  # to the middle of the others
         fx, fy = gaze(self, cx, cy, velocity[:, 0], velocity[:, 1], crowd.look_x, crowd.look_y)
         ax, ay = attraction(self, cx, cy, number)
-        wx, wy = velocity[companions, 0], velocity[companions, 1]
-        vx, vy = jnp.broadcast_to(velocity[:, :1], wx.shape), jnp.broadcast_to(velocity[:, 1:], wy.shape)
+        if self.alignment is not None:
+            rate, desired = self.alignment / crowd.forces.walking.relaxation(people), people.desired_velocity
+            mx, my = _to_mean(desired[:, 0], desired[:, 1], companions, there)
+            bx, by = _to_mean(fx, fy, companions, there)
+            ax, ay = ax + rate * mx - self.alignment * (fx + bx), ay + rate * my - self.alignment * (fy + by)
         rx, ry = companion_repulsion(self, dx, dy)
-        contact = crowd.forces.get(Contact)
-        if contact is not None:
-            radii = 2.0 * crowd.forces.walking.radius
-            bx, by = contact.pair(Pair(dx, dy, wx, wy, vx, vy, crowd.look_x[:, None], crowd.look_y[:, None], radii))
-            rx, ry = rx + bx, ry + by
         px, py = jnp.where(there, rx, 0.0).sum(1), jnp.where(there, ry, 0.0).sum(1)
         in_group = number > 0.0
         return jnp.where(in_group, fx + ax + px, 0.0), jnp.where(in_group, fy + ay + py, 0.0)
+
+
+def _to_mean(
+    x: Float[Array, "N"], y: Float[Array, "N"], companions: Int[Array, "N 2"], there: Bool[Array, "N 2"]
+) -> Force:
+    """(N,) each: from one's own vector (x, y) to the mean of it and the companions'."""
+    share = 1.0 / (1.0 + there.sum(1, dtype=jnp.int32).astype(float))
+    return (
+        share * jnp.where(there, x[companions] - x[:, None], 0.0).sum(1),
+        share * jnp.where(there, y[companions] - y[:, None], 0.0).sum(1),
+    )
 
 
 def gaze(
@@ -434,11 +543,18 @@ class RobotRepulsion:
     def person(self, crowd: Crowd) -> Force | None:
         """The push (N,) [m/s2] of the robot on each person; None without a robot or pair terms."""
         terms = crowd.forces.pair_terms
-        return self._over_people(crowd, partial(sum_pair_terms, terms)) if terms else None
+        factor, contact = heed(crowd.people, crowd.robot), crowd.forces.get(Contact)
+        force = self._over_people(crowd, partial(sum_pair_terms, terms)) if terms else None
+        if factor is None or force is None:
+            return force
+        touch = (0.0, 0.0) if contact is None else self._over_people(crowd, contact.pair)
+        return tuple(factor * one + (1.0 - factor) * body for one, body in zip(force, touch, strict=True))
 
     def gathered(self, crowd: Crowd) -> tuple[tuple[Array, ...], ...] | None:
         """The robot's contributions (N,) to the sums of each gather term; None without a robot."""
-        return self._over_people(crowd, partial(gather, crowd.forces.gather_terms))
+        sums = self._over_people(crowd, partial(gather, crowd.forces.gather_terms))
+        factor = heed(crowd.people, crowd.robot)
+        return sums if factor is None else jax.tree.map(partial(jnp.multiply, factor), sums)
 
     def _over_people(self, crowd: Crowd, law: Callable) -> Any:
         """(N,) each: the law for the pairs of each person and the robot; None without a robot."""
@@ -450,13 +566,23 @@ class RobotRepulsion:
         smooth = self.ramp > 0.0
         ramped = jnp.clip(0.5 + faster / jnp.where(smooth, self.ramp, 1.0), 0.0, 1.0)
         moving = jnp.where(smooth, ramped, (faster > 0.0).astype(float))
-        repulsion, radii = crowd.forces.get(Repulsion), crowd.forces.walking.radius + crowd.robot_radius
+        repulsion, walking = crowd.forces.get(Repulsion), crowd.forces.walking
 
-        def push(px, py, vx, vy, look_x, look_y, standing, distance):
+        evasion = crowd.forces.get(Evasion)
+        own = (1.0, 0.0, 1.0) if evasion is None else evasion.individual(people)
+        own = [jnp.broadcast_to(jnp.asarray(each, float), people.present.shape) for each in own]
+
+        def push(px, py, vx, vy, look_x, look_y, standing, distance, *own):
             dx, dy = px - robot.position[0], py - robot.position[1]
             scale = None if repulsion is None else jnp.exp(moving * distance / repulsion.range)
-            pair = Pair(dx, dy, wx, wy, vx, vy, look_x, look_y, radii, standing, True, scale)
+            dd, aside = dx * dx + dy * dy, dx * look_y - dy * look_x
+            radii = 0.5 * walking.radii(dd, aside * aside) + crowd.robot_radius
+            pair = Pair(dx, dy, wx, wy, vx, vy, look_x, look_y, radii, standing, True, scale, *own)
+            if evasion is not None:  # the extra distance widens the berth, too
+                pair = pair._replace(
+                    width=pair.width * (1.0 + moving * distance / jnp.maximum(evasion.width, SHORTEST))
+                )
             return law(pair)
 
         one = people.position[:, 0], people.position[:, 1], people.velocity[:, 0], people.velocity[:, 1]
-        return jax.vmap(push)(*one, crowd.look_x, crowd.look_y, people.group >= 0, people.robot_distance)
+        return jax.vmap(push)(*one, crowd.look_x, crowd.look_y, is_standing(people), people.robot_distance, *own)

@@ -187,6 +187,7 @@ class Contact:
     limits: ClassVar[dict[str, tuple[float, float]]] = {
         "stiffness": (0.0, 1e6),
         "friction": (0.0, 1e6),
+        "margin": (0.0, 10.0),
     }
 
     relations: ClassVar[dict[str, Callable[[Any], Any]]] = {
@@ -195,13 +196,15 @@ class Contact:
 
     stiffness: Float[Array, ""]  # 1/s2, by which overlapping bodies part: k / m of [H00]
     friction: Float[Array, ""] | None = None  # 1/(m s), of bodies that slide: kappa / m of [H00]; None: not computed
+    margin: Float[Array, ""] | None = None  # m, the gap at which bodies begin to push: clothes and arms; None: 0
 
     def pair(self, pair: Pair) -> Force:
-        """The push and the friction [m/s2], zero unless the two touch."""
+        """The push and the friction [m/s2], zero unless the two touch or are within ``margin``."""
         dx, dy = pair.dx, pair.dy
         dd = dx * dx + dy * dy + TINY
         inverse = jax.lax.rsqrt(dd)
-        overlap = jnp.maximum(pair.radii - dd * inverse, 0.0)
+        reach = pair.radii if self.margin is None else pair.radii + self.margin
+        overlap = jnp.maximum(reach - dd * inverse, 0.0)
         push = self.stiffness * overlap * inverse
         if self.friction is None:
             return push * dx, push * dy
@@ -210,8 +213,8 @@ class Contact:
         return push * dx - rub * dy, push * dy + rub * dx
 
     def cutoff(self, walking: Walking) -> Array:
-        """The distance [m] at which bodies touch: two radii."""
-        return 2.0 * walking.radius
+        """The distance [m] at which bodies begin to push."""
+        return 2.0 * walking.radius + (0.0 if self.margin is None else self.margin)
 
 
 def longest_step(forces: Forces) -> float:

@@ -1,7 +1,7 @@
-"""``sean calibrate``: the constants of the social forces, fitted by gradient to recorded people.
+"""``sean calibrate``: the constants of the social forces, by one loss of crowds and of recorded people.
 
-One fit is to all scenes. Each other one leaves out a scene of prediction, which tests it. Measurements of crowds
-(fundamental diagrams, flows, lanes) are not fitted: ``sean validate`` tests them. Importing this imports no JAX.
+One fit is to all scenes. Each other one leaves out a scene of prediction, which tests it. The loss has its rows and
+their sources in targets.yaml. Importing this imports no JAX.
 """
 
 from __future__ import annotations
@@ -19,10 +19,9 @@ from sean_jax.versions import versions
 from sean_jax.workspace import Workspace, identity
 
 if TYPE_CHECKING:
-    import numpy as np
     from rich.console import Console
 
-    from sean_jax.studies.calibration.fitting import Descent, Fit
+    from sean_jax.studies.calibration.search import Judge, Search
 
 __all__ = ["run"]
 
@@ -45,7 +44,8 @@ def run(options: CalibrateConfig, console: Console | None = None) -> Path:
         bar.stage("reading the recordings")
         from sean_jax.social_forces import build
         from sean_jax.studies.calibration import page, windows
-        from sean_jax.studies.calibration.fitting import Fit, names_of
+        from sean_jax.studies.calibration.fitting import names_of
+        from sean_jax.studies.calibration.search import Judge
 
         forces = build(options.forces)
         names = names_of(forces, listed(options.fit))
@@ -54,10 +54,11 @@ def run(options: CalibrateConfig, console: Console | None = None) -> Path:
         kinds = [windows.prediction_scenes(prediction)] if prediction else []
         kinds += [windows.corridor_scenes(corridors)] if corridors else []
         writing.write(folder / OPTIONS, {**work.identity, "versions": versions()})
-        fit = Fit(forces, names, kinds, options.steps, options.batch)
-        descent, history = _descend(fit, options, left_out, work, bar)
+        bar.stage("preparing the crowds")
+        judge = Judge(forces, names, kinds, options.draws, options.quick)
+        search = _search(judge, options, left_out, work, bar)
         bar.stage("judging by all windows")
-        results = _evaluate(fit, descent, left_out, history, prediction)
+        results = _evaluate(judge, search, left_out, prediction)
         for what, values in results["parameters"].items():
             if what != "before":
                 file = FORCES if what == "all" else f"forces-without-{what}.yaml"
@@ -79,72 +80,82 @@ def _left_out(options: CalibrateConfig, scenes: list[str]) -> list[str | None]:
     return [None, *(chosen or scenes if len(scenes) > 1 else [])]
 
 
-def _descend(
-    fit: Fit, options: CalibrateConfig, left_out: list, work: Workspace, bar: Any
-) -> tuple[Descent, np.ndarray]:
-    """All fits to their ends, from where an earlier command of the same options was stopped."""
-    import numpy as np
+def _search(judge: Judge, options: CalibrateConfig, left_out: list, work: Workspace, bar: Any) -> Search:
+    """All searches to their ends, from where an earlier command of the same options was stopped."""
+    from sean_jax.studies.calibration.search import Search
 
-    weights = np.array([[float(name != scene) for scene in fit.scenes] for name in left_out])
-    descent, history = _resume(fit.start(len(left_out), options.starts, options.seed), work)
-    bar.start("compiling and fitting", options.steps)
+    search = Search(judge.rows, judge.start, left_out, options.population, options.seed)
+    _resume(search, work)
+    bar.start("compiling and searching", options.generations)
     saved = time.monotonic()
     try:
-        while len(history) < options.steps:
-            descent, loss = fit.descend(descent, weights, fit.rows(options.seed, len(history)))
-            history.append(np.asarray(loss))
-            bar.update(len(history), f"loss {history[-1][0].min():.4f}")
+        while len(search.losses) < options.generations:
+            losses = search.generation()
+            bar.update(len(search.losses), f"loss {losses[0].min():.3f}")
             if time.monotonic() - saved > EVERY:
-                _save(descent, history, work)
+                _save(search, work)
                 saved = time.monotonic()
     except KeyboardInterrupt:
-        _save(descent, history, work)
+        _save(search, work)
         raise
-    return descent, np.stack(history)
+    return search
 
 
-def _evaluate(
-    fit: Fit, descent: Descent, left_out: list, history: np.ndarray, recordings: dict[str, Path]
-) -> dict[str, Any]:
-    """The best start of each fit, and how good its constants are in all scenes."""
+def _evaluate(judge: Judge, search: Search, left_out: list, recordings: dict[str, Path]) -> dict[str, Any]:
+    """The best constants of each fit, all rows of the loss with them and before, and how well they predict."""
     import numpy as np
 
-    from sean_jax.studies.calibration.fitting import BOUNDS, COLLISIONS, parts_of, values_of
+    from sean_jax.studies.calibration.fitting import BOUNDS, parts_of, values_of
+    from sean_jax.studies.calibration.loss import misses, target_of, total
+    from sean_jax.studies.calibration.search import left_out_rows
+
+    best = search.best()
+    tried = np.concatenate([judge.start[None], best.reshape(-1, best.shape[-1])])
+    rows = judge.rows(tried)
+    chosen = {"before": 0}
+    labels = ["all" if name is None else name for name in left_out]
+    for k, (label, scene) in enumerate(zip(labels, left_out, strict=True)):
+        own = [1 + 2 * k, 2 + 2 * k]
+        chosen[label] = own[int(total(rows, left_out_rows(scene))[own].argmin())]
+    fits = {label: parts_of(judge.forces, judge.names, tried[index]) for label, index in chosen.items()}
+    aims = {row: target_of(row) for row in rows}
+    off, loss = misses(rows), total(rows)
+    return {
+        "names": list(judge.names),
+        "bounds": {name: BOUNDS[name] for name in judge.names},
+        "parameters": {label: _floats(judge.names, values_of(fit[0], judge.names)) for label, fit in fits.items()},
+        "habits": {label: _floats(habits._fields, habits) for label, (_, habits) in fits.items() if label != "before"},
+        "loss": {label: float(loss[index]) for label, index in chosen.items()},
+        "rows": {
+            row: {
+                "target": None if aim is None else aim._asdict(),
+                **{label: float(rows[row][index]) for label, index in chosen.items()},
+                "miss": {label: float(off[row][index]) for label, index in chosen.items()} if aim else None,
+            }
+            for row, aim in aims.items()
+        },
+        "scores": _scores(judge.forces, fits, recordings),
+        "losses": {label: [each[k].tolist() for each in search.losses] for k, label in enumerate(labels)},
+    }
+
+
+def _scores(before: Any, fits: dict[str, Any], recordings: dict[str, Path]) -> dict[str, Any]:
+    """Errors of prediction over all windows, by constants fitted with and without the scene."""
     from sean_jax.studies.prediction import evaluate, read_windows
 
-    error, near = fit.errors(descent.mean)  # (F, K, E), (F, K)
-    weights = np.array([[float(name != scene) for scene in fit.scenes] for name in left_out])
-    total = (error * weights[:, None]).sum(-1) / weights.sum(-1)[:, None] + COLLISIONS * near
-    best = np.nanargmin(total, 1)
-    chosen = np.asarray(descent.mean)[np.arange(len(best)), best]
-    before, _ = fit.errors(fit.start(1, 1, 0).free[0])
-    labels = ["all" if name is None else name for name in left_out]
-    fits = {label: parts_of(fit.forces, fit.names, each) for label, each in zip(labels, chosen, strict=True)}
-    forces_of = {"before": fit.forces} | {label: forces for label, (forces, _) in fits.items()}
-    errors = {"before": before[0]} | {label: error[k, best[k]] for k, label in enumerate(labels)}
     scores: dict[str, Any] = {}
     for scene, file in recordings.items():
         for clock in ("social_gan", "recorded"):
             windows = read_windows(file, clock)
-            own = {
-                "constant velocity": evaluate("constant_velocity", windows),
-                "before": evaluate(fit.forces, windows),
-            }
+            own = {"constant velocity": evaluate("constant_velocity", windows), "before": evaluate(before, windows)}
             for name, label in (("all scenes", "all"), ("left out", scene)):
                 if label in fits:
                     forces, habits = fits[label]
-                    own[name] = evaluate(forces, windows, weights=habits.persistence[None], settled=habits.settled)
+                    same = {"weights": habits.persistence[None]}
+                    own[name] = evaluate(forces, windows, settled=habits.settled, **same)
+                    own[f"constant velocity, habits of {name}"] = evaluate("constant_velocity", windows, **same)
             scores[f"{scene} ({clock})"] = {name: each._asdict() for name, each in own.items()}
-    return {
-        "names": list(fit.names),
-        "bounds": {name: BOUNDS[name] for name in fit.names},
-        "parameters": {what: _floats(fit.names, values_of(each, fit.names)) for what, each in forces_of.items()},
-        "habits": {label: _floats(habits._fields, habits) for label, (_, habits) in fits.items()},
-        "errors": {what: _floats(fit.scenes, values) for what, values in errors.items()},
-        "scores": scores,
-        "losses": {label: history[:, k].tolist() for k, label in enumerate(labels)},
-        "best_start": dict(zip(labels, best.tolist(), strict=True)),
-    }
+    return scores
 
 
 def _constants(options: CalibrateConfig, what: str, values: dict[str, float], results: dict[str, Any]) -> str:
@@ -156,10 +167,10 @@ def _constants(options: CalibrateConfig, what: str, values: dict[str, float], re
     if presets.is_file(name):
         file = presets.read(name)
         name, others = file.preset, file.parameters
-    scenes = [scene for scene in results["errors"]["all"] if scene != what]
+    rows = [row for row in results["rows"] if row not in (f"prediction {what}",) and results["rows"][row]["target"]]
     provenance = {
         "fitted by": command("calibrate", options),
-        "fitted to": ", ".join(scenes),
+        "fitted to": ", ".join(rows),
         "versions": ", ".join(f"{package} {version}" for package, version in versions().items()),
     }
     return presets.text(name, {**others, **values}, provenance)
@@ -180,28 +191,17 @@ def _workspace(options: CalibrateConfig) -> Workspace:
     return Workspace(options.folder, about, OPTIONS)
 
 
-def _save(descent: Descent, history: list, work: Workspace) -> None:
-    import jax
+def _save(search: Search, work: Workspace) -> None:
     import numpy as np
 
-    leaves: dict[str, Any] = {f"leaf{index}": np.asarray(leaf) for index, leaf in enumerate(jax.tree.leaves(descent))}
-    work.save(UNFINISHED, {"history": np.stack(history) if history else np.zeros(0), **leaves})
+    if search.losses:
+        work.save(UNFINISHED, {"tried": np.stack(search.tried), "losses": np.stack(search.losses)})
 
 
-def _resume(descent: Descent, work: Workspace) -> tuple[Descent, list]:
-    """The saved descent and its history; the start without a file."""
-    import jax
-    import jax.numpy as jnp
-
-    leaves, structure = jax.tree.flatten(descent)
+def _resume(search: Search, work: Workspace) -> None:
+    """The search after the saved generations; from its start without a file."""
     try:
-        if (arrays := work.load(UNFINISHED)) is None:
-            return descent, []
-        restored = [arrays[f"leaf{index}"] for index in range(len(leaves))]
-        history = list(arrays["history"])
-        if [each.shape for each in restored] != [leaf.shape for leaf in leaves]:
-            raise ValueError
-    except (ValueError, KeyError, TypeError):
+        if (arrays := work.load(UNFINISHED)) is not None:
+            search.resume(arrays["tried"], arrays["losses"])
+    except (ValueError, KeyError, TypeError, AssertionError):
         raise InputError(f"{work.folder / UNFINISHED} is damaged; remove it to start again.") from None
-    same = [jnp.asarray(each, leaf.dtype) for each, leaf in zip(restored, leaves, strict=True)]
-    return structure.unflatten(same), history

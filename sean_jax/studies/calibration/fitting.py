@@ -1,8 +1,4 @@
-"""The fit: errors of predicted people as a loss, minimized from many starts in parallel.
-
-Each of F fits leaves other scenes out; each has K starts. All descend together, by one program, on the same windows:
-the first start from the preset's constants, the others drawn within the bounds.
-"""
+"""The constants that a fit may change, as free parameters, and the errors of predicted people by them."""
 
 import operator
 from collections.abc import Callable, Sequence
@@ -13,18 +9,16 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optax
-from flax import struct
 from jaxtyping import Float, Int
 
-from sean_jax import files, prng
+from sean_jax import files
 from sean_jax.base import Array, ObstacleGrid
 from sean_jax.errors import InputError
 from sean_jax.files import unknown_name
 from sean_jax.geometry import length
 from sean_jax.social_forces import Forces
 from sean_jax.social_forces.forces import term_name
-from sean_jax.studies.calibration.windows import Scenes
+from sean_jax.studies.calibration.windows import Scenes, thinned
 from sean_jax.studies.prediction import predict
 from sean_jax.studies.prediction.forecast import grid_around
 
@@ -32,32 +26,47 @@ _TABLE: Any = files.read_yaml(Path(__file__).with_name("bounds.yaml"))[1]
 BOUNDS: dict[str, tuple[float, float]] = {name: (low, high) for name, (low, high) in _TABLE.items()}
 """term.parameter -> the least and the greatest value"""
 
-INERT = {"circular": {"repulsion.anticipation", "repulsion.own_motion"}}
-"""name of a law of repulsion -> parameters that it does not read"""
+NO_ELLIPSE = {"repulsion.anticipation", "repulsion.own_motion"}
+INERT = {"circular": NO_ELLIPSE, "surface": NO_ELLIPSE, "all_round": {"repulsion.back_weight"}}
+"""name of a law or of a sight of repulsion -> parameters that it does not read"""
 
-EDGE = 1e-3  # share of the scale, next to a bound, in which no fit starts
+EDGE = 0.02  # share of the scale, next to a bound, in which no fit starts
+OFF = 1e5  # a constant as large switches something off, and is fitted only if it is chosen
 
 
 def names_of(forces: Forces, chosen: Sequence[str] = ()) -> list[str]:
     """The parameters to be fitted: names of ``BOUNDS``; all that the forces have and read if ``chosen`` is empty.
 
+    ``["none"]`` are none: a fit of the habits alone.
+
     Raises:
-        InputError: a name is not in the table, or the forces have no such term.
+        InputError: a name is not in the table, or the forces have no such parameter.
     """
-    there = {term_name(term): term for term in forces}
-    law = getattr(getattr(there.get("repulsion"), "law", None), "__name__", "")
+    terms = {term_name(term): term for term in forces}
+    values = {name: _value(terms, name) for name in BOUNDS}
+    repulsion = terms.get("repulsion")
+    parts = [getattr(getattr(repulsion, part, None), "__name__", "") for part in ("law", "sight")]
+    inert = set().union(*(INERT.get(part, set()) for part in parts))
+    if list(chosen) == ["none"]:
+        return []
     for name in chosen:
         if name not in BOUNDS:
             raise InputError(unknown_name("fit", name, BOUNDS))
-        if name.partition(".")[0] not in there:
-            raise InputError(f"fit: the forces have no {name}; there are the terms {', '.join(sorted(there))}.")
-    usual = [name for name in BOUNDS if name.partition(".")[0] in there and name not in INERT.get(law, ())]
-    return [name for name in BOUNDS if name in chosen] if chosen else usual
+        if values[name] is None:
+            raise InputError(f"fit: the forces have no {name}; there are the terms {', '.join(sorted(terms))}.")
+    usual = [name for name, value in values.items() if value is not None and float(value) < OFF]
+    return [name for name in BOUNDS if name in chosen] if chosen else [n for n in usual if n not in inert]
+
+
+def _value(terms: dict[str, Any], name: str) -> Any:
+    """A parameter of the terms; None if they lack it."""
+    term, _, field = name.partition(".")
+    return getattr(terms.get(term), field, None)
 
 
 def values_of(forces: Forces, names: Sequence[str]) -> Float[Array, "P"]:
     """(P,) parameters of forces, each in its unit."""
-    return jnp.stack([jnp.asarray(operator.attrgetter(name)(forces), float) for name in names])
+    return jnp.asarray([operator.attrgetter(name)(forces) for name in names], float)
 
 
 def to_free(names: Sequence[str], values: Float[Array, "*batch P"]) -> Float[Array, "*batch P"]:
@@ -80,16 +89,16 @@ def from_free(names: Sequence[str], free: Float[Array, "*batch P"]) -> Float[Arr
 
 def _scales(names: Sequence[str], ndim: int) -> tuple[Array, Array, Array]:
     """Bounds (1, ..., P), and whether the scale is logarithmic."""
-    bounds = np.array([BOUNDS[name] for name in names]).T.reshape((2,) + (1,) * (ndim - 1) + (-1,))
+    bounds = np.array([BOUNDS[name] for name in names], float).reshape(-1, 2).T
+    bounds = bounds.reshape((2,) + (1,) * (ndim - 1) + (len(names),))
     return jnp.asarray(bounds[0], float), jnp.asarray(bounds[1], float), jnp.asarray(bounds[0] > 0.0)
 
 
-# ------------------------------------------------------------------ the fit
+# ------------------------------------------------------------------ predictions
 
 MARGIN = 0.4  # m: a predicted pair nearer than this costs something, quadratically
-COLLISIONS = 1.0  # weight of that cost, in shares of the error of constant velocity
-LEARNING_RATE = 0.08
-SMOOTH = 1e-3  # m2: errors are differentiable where they vanish
+WINDOWS = 64  # of a scene, evenly spaced in time; a quarter in corridors
+TOGETHER = 32  # windows at a time; an eighth in corridors
 EMPTY = -1  # in place of a window
 
 
@@ -113,16 +122,6 @@ class Losses(NamedTuple):
     pairs: Float[Array, ""]
 
 
-@struct.dataclass
-class Descent:
-    """Where all fits are; F fits, K starts, P parameters."""
-
-    free: Float[Array, "F K P"]
-    mean: Float[Array, "F K P"]  # of the last steps
-    optimizer: optax.OptState
-    step: Int[Array, ""]
-
-
 def losses(scenes: Scenes, rows: Int[Array, "W"], grid: ObstacleGrid | None, forces: Forces, habits: Habits) -> Losses:
     """The errors of predictions of the windows ``rows`` (W,), ``EMPTY`` for none."""
     there = rows != EMPTY
@@ -136,8 +135,7 @@ def losses(scenes: Scenes, rows: Int[Array, "W"], grid: ObstacleGrid | None, for
         settled=habits.settled,
     )  # fmt: skip
     dx, dy = predicted[..., 0] - after[..., 0], predicted[..., 1] - after[..., 1]
-    away = jnp.sqrt(dx * dx + dy * dy + SMOOTH) - SMOOTH**0.5
-    away, ends = jnp.where(counted, away, 0.0), counted[:, -1].astype(float)
+    away, ends = jnp.where(counted, length(dx, dy), 0.0), counted[:, -1].astype(float)
     scene, number = pick(scenes.scene), len(scenes.names)
     total = partial(jax.ops.segment_sum, segment_ids=scene, num_segments=number)
     reference = jnp.asarray(scenes.reference, float)
@@ -156,27 +154,6 @@ def losses(scenes: Scenes, rows: Int[Array, "W"], grid: ObstacleGrid | None, for
     return Losses(0.5 * (mean_error + share * last_error), count, near.max(1).sum(), people)
 
 
-def objective(
-    free: Float[Array, "P"],
-    weights: Float[Array, "E"],
-    parts: Sequence[Callable[[Forces, Habits], Losses]],
-    forces: Forces,
-    names: Sequence[str],
-) -> Float[Array, ""]:
-    """The loss of one fit, by its parameters (P,), the three habits at the end.
-
-    Args:
-        parts: the losses of scenes of one shape each, by forces and habits.
-        weights: (E,) of all scenes, 0 for the scene that is left out.
-    """
-    constants = parts_of(forces, names, free)
-    losses_of = [part(*constants) for part in parts]
-    error = jnp.concatenate([each.error / jnp.maximum(each.weight, 1.0) for each in losses_of])
-    counted = jnp.concatenate([(each.weight > 0.0).astype(float) for each in losses_of]) * weights
-    collisions = sum(each.collisions / jnp.maximum(each.pairs, 1.0) for each in losses_of)
-    return (counted * error).sum() / jnp.maximum(counted.sum(), 1e-9) + COLLISIONS * collisions
-
-
 def parts_of(forces: Forces, names: Sequence[str], free: Float[Array, "*batch P"]) -> tuple[Forces, Habits]:
     """Forces and habits of unbounded parameters (P,), the three habits at the end."""
     number = len(HABITS)
@@ -186,95 +163,42 @@ def parts_of(forces: Forces, names: Sequence[str], free: Float[Array, "*batch P"
     return forces.tree_replace({name: values[..., k] for k, name in enumerate(names)}), habits
 
 
-class Fit:
-    """A descent on some scenes."""
+class Recordings:
+    """Recorded people, predicted by candidate constants.
 
-    def __init__(self, forces: Forces, names: Sequence[str], kinds: Sequence[Scenes], steps: int, batch: int):
-        self.forces, self.names, self.kinds, self.steps, self.batch = forces, tuple(names), tuple(kinds), steps, batch
-        self.scenes = tuple(name for kind in self.kinds for name in kind.names)
-        self.grids = [None if kind.walls is None else grid_around(kind.walls) for kind in self.kinds]
-        self.optimizer = optax.adam(optax.cosine_decay_schedule(LEARNING_RATE, steps, 0.05))
-        self._step = jax.jit(self._descend)
-        self._losses = jax.jit(self._losses_of, static_argnums=2)
+    Args:
+        forces: with the constants that are not fitted.
+        windows: of each scene.
+    """
 
-    def start(self, fits: int, starts: int, seed: int) -> Descent:
-        """The start of F fits with K starts each: the first from the constants, the others drawn within the bounds."""
-        random = prng.generator("calibrate", seed)
-        first = np.append(np.asarray(to_free(self.names, values_of(self.forces, self.names))), np.zeros(len(HABITS)))
-        free = np.where(
-            np.arange(starts)[None, :, None] == 0, first, random.normal(0.0, 1.2, (fits, starts, len(first)))
-        )
-        free = jnp.asarray(free, float)
-        with jax.numpy_dtype_promotion("standard"):
-            state = jax.vmap(jax.vmap(self.optimizer.init))(free)
-        return Descent(free=free, mean=free, optimizer=state, step=jnp.zeros((), jnp.int32))
+    def __init__(self, forces: Forces, names: Sequence[str], kinds: Sequence[Scenes], windows: int = WINDOWS):
+        self._batches: list[list[tuple[Callable, Array]]] = []
+        self._kinds = [thinned(kind, max(1, windows // (1 if kind.walls is None else 4))) for kind in kinds]
+        for kind in self._kinds:
+            size = TOGETHER if kind.walls is None else TOGETHER // 8
+            order = np.arange(len(kind.scene))
+            order = np.pad(order, (0, -len(order) % size), constant_values=EMPTY).reshape(-1, size)
+            program = _program(forces, names, kind)
+            self._batches.append([(program, jnp.asarray(rows, jnp.int32)) for rows in order])
 
-    def rows(self, seed: int, step: int) -> list[np.ndarray]:
-        """Random windows of a step, equally many of each scene."""
-        random = prng.generator("calibrate windows", seed, step)
-        batches = []
-        for kind in self.kinds:
-            each = max(1, self.batch // (1 if kind.walls is None else 16))
-            own = [np.flatnonzero(kind.scene == index) for index in range(len(kind.names))]
-            batches.append(np.concatenate([random.choice(rows, each, len(rows) < each) for rows in own]))
-        return batches
+    def rows(self, free: Float[Array, "L P"]) -> dict[str, np.ndarray]:
+        """The errors (L,) of each scene by the free parameters of L candidates, and the cost of near pairs."""
+        rows, near = {}, np.zeros(len(free))
+        for kind, batches in zip(self._kinds, self._batches, strict=True):
+            each = [program(free, rows) for program, rows in batches]
+            sums = jax.tree.map(lambda *leaves: np.sum([np.asarray(leaf) for leaf in leaves], axis=0), *each)
+            error = sums.error / np.maximum(sums.weight, 1.0)
+            what = "prediction" if kind.walls is None else "replay"
+            rows |= {f"{what} {name}": error[:, k] for k, name in enumerate(kind.names)}
+            near = near + sums.collisions / np.maximum(sums.pairs, 1.0)
+        return rows | {"near pairs": near}
 
-    def descend(self, descent: Descent, weights: np.ndarray, rows: list[np.ndarray]) -> tuple[Descent, np.ndarray]:
-        """One step of all fits.
 
-        Args:
-            weights: (F, E) of the scenes in each fit.
+def _program(forces: Forces, names: Sequence[str], kind: Scenes) -> Callable[[Array, Array], Losses]:
+    """The losses (L,) of some windows of one kind, by the free parameters (L, P) of L candidates."""
+    grid = None if kind.walls is None else grid_around(kind.walls)
 
-        Returns:
-            The descent after it, and the losses (F, K) before it.
-        """
-        indices = [jnp.asarray(each, jnp.int32) for each in rows]
-        return self._step(descent, jnp.asarray(weights, float), indices)
+    def one(free: Array, rows: Array) -> Losses:
+        return losses(kind, rows, grid, *parts_of(forces, names, free))
 
-    def errors(self, free: Float[Array, "*fits P"], most: int = 64, chunk: int = 32) -> tuple[np.ndarray, np.ndarray]:
-        """The errors of all scenes, over many of their windows.
-
-        Args:
-            most: windows of a scene, evenly spaced in time; a quarter of that in corridors.
-
-        Returns:
-            (..., E) errors relative to constant velocity, and (...) cost of near pairs.
-        """
-        totals: list[Losses] = []
-        for index, kind in enumerate(self.kinds):
-            crowded = kind.walls is not None
-            each, size = max(1, most // (4 if crowded else 1)), max(1, chunk // (8 if crowded else 1))
-            own = [np.flatnonzero(kind.scene == scene) for scene in range(len(kind.names))]
-            order = np.concatenate(
-                [rows[np.linspace(0, len(rows) - 1, min(each, len(rows))).astype(int)] for rows in own]
-            )
-            order = np.pad(order, (0, -len(order) % size), constant_values=EMPTY)
-            parts = [self._losses(free, jnp.asarray(rows, jnp.int32), index) for rows in order.reshape(-1, size)]
-            totals.append(jax.tree.map(lambda *leaves: sum(leaves), *parts))
-        error = np.concatenate([np.asarray(each.error / jnp.maximum(each.weight, 1.0)) for each in totals], -1)
-        return error, np.asarray(sum(each.collisions / jnp.maximum(each.pairs, 1.0) for each in totals))
-
-    def _descend(self, descent: Descent, weights: Array, rows: list[Array]) -> tuple[Descent, Array]:
-        kinds = zip(self.kinds, rows, self.grids, strict=True)
-        parts = [partial(losses, kind, own, grid) for kind, own, grid in kinds]
-
-        def one(free: Array, state: optax.OptState, weights: Array) -> tuple:
-            loss, slope = jax.value_and_grad(objective)(free, weights, parts, self.forces, self.names)
-            slope = jnp.where(jnp.isfinite(slope).all(), slope, 0.0)
-            with jax.numpy_dtype_promotion("standard"):  # optax raises floats to integer powers
-                change, state = self.optimizer.update(slope, state)
-            return loss, optax.apply_updates(free, change), state
-
-        each = jax.vmap(jax.vmap(one, (0, 0, None)))
-        loss, free, state = each(descent.free, descent.optimizer, weights)
-        share = 1.0 / jnp.maximum(descent.step.astype(float) - 0.7 * self.steps + 1.0, 1.0)
-        mean = descent.mean + share * (free - descent.mean)
-        return Descent(free=free, mean=mean, optimizer=state, step=descent.step + 1), loss
-
-    def _losses_of(self, free: Array, rows: Array, kind: int) -> Losses:
-        def one(free: Array) -> Losses:
-            return losses(self.kinds[kind], rows, self.grids[kind], *parts_of(self.forces, self.names, free))
-
-        for _ in range(free.ndim - 1):
-            one = jax.vmap(one)
-        return one(free)
+    return jax.jit(jax.vmap(one, (0, None)))

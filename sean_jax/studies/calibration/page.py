@@ -1,4 +1,4 @@
-"""The report of a calibration: losses, constants before and after, and errors in scenes that were left out."""
+"""The report of a calibration: rows of the loss and constants before and after, errors in scenes left out."""
 
 from typing import Any
 
@@ -27,9 +27,9 @@ CLOCKS = {
 def html(options: CalibrateConfig, results: dict[str, Any]) -> str:
     """The page."""
     sections = [
+        pages.section("The loss, row by row", _rows(results), pages.note(ROWS)),
         pages.section("Prediction, each scene left out once", *_scores(results)),
         pages.section("Constants", _parameters(results)),
-        pages.section("Errors in all scenes", _errors(results), pages.note(ERRORS)),
         pages.section("Losses", pages.figure(svg(_losses(results), "losses"), narrow=True), pages.note(LOSSES)),
         pages.origin(command("calibrate", options), versions()),
     ]
@@ -40,11 +40,11 @@ SCORES = (
     "Mean and last error in metres over 12 predicted moments after 8 observed ones, and the share of the tracks that "
     "come within 0.2 m of another. Left out: by constants fitted to all scenes but this one."
 )
-ERRORS = "Half of the mean and half of the final error, relative to constant velocity."
-LOSSES = (
-    "The mean over scenes of the errors of prediction, relative to constant velocity, and a cost of "
-    "predicted pairs nearer than 0.4 m. Each step draws new windows. One line for each start of a fit."
+ROWS = (
+    "Measured values, and in brackets how many tolerances they are off. The last line is the loss of all rows; fits "
+    "without a scene have not seen its row."
 )
+LOSSES = "The best loss of each generation of a fit."
 
 
 def _scores(results: dict[str, Any]) -> list[str]:
@@ -79,10 +79,17 @@ def _parameters(results: dict[str, Any]) -> str:
     return pages.table(["", "bounds", *_names(fits)], rows)
 
 
-def _errors(results: dict[str, Any]) -> str:
-    fits = results["errors"]
-    rows = [[scene, *(f"{values[scene]:.3f}" for values in fits.values())] for scene in fits["before"]]
-    return pages.table(["", *_names(fits)], rows)
+def _rows(results: dict[str, Any]) -> str:
+    fits = results["loss"]
+    lines = []
+    for row, values in results["rows"].items():
+        if (aim := values["target"]) is None:
+            continue
+        side = {"most": "≤ ", "least": "≥ "}.get(aim["side"], "")
+        cells = [f"{values[fit]:.3g} ({values['miss'][fit]:+.1f})" for fit in fits]
+        lines.append([row, f"{side}{aim['target']:.3g} ± {aim['tolerance']:.2g}", *cells])
+    lines.append(["loss", "", *(f"{loss:.2f}" for loss in fits.values())])
+    return pages.table(["", "target", *_names(fits)], lines)
 
 
 def _names(fits: dict[str, Any]) -> list[str]:
@@ -97,13 +104,9 @@ def _losses(results: dict[str, Any]) -> Figure:
     axes.set_facecolor(colors.PAPER)
     for (what, history), shade in zip(results["losses"].items(), SHADES, strict=False):
         label = "all scenes" if what == "all" else f"without {what}"
-        best = results["best_start"][what]
-        for start in range(len(history[0])):
-            values = [row[start] for row in history]
-            smooth = [sum(values[max(0, k - 9) : k + 1]) / min(k + 1, 10) for k in range(len(values))]
-            axes.plot(smooth, color=shade, lw=1.6 if start == best else 0.6, label=label if start == best else None)
-    axes.set_xlabel("step", color=colors.MUTED)
-    axes.set_ylabel("loss, mean of 10 steps", color=colors.MUTED)
+        axes.plot([min(generation) for generation in history], color=shade, lw=1.4, label=label)
+    axes.set_xlabel("generation", color=colors.MUTED)
+    axes.set_ylabel("loss", color=colors.MUTED)
     axes.tick_params(colors=colors.MUTED)
     axes.legend(frameon=False)
     return figure

@@ -6,6 +6,7 @@ Scenes are of two kinds. *Prediction*: ETH and UCY, people in the open who keep 
 """
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -26,6 +27,7 @@ CORRIDOR_SEEN, CORRIDOR_STEPS = 2, 6  # observed frames, the last of which is th
 STRIDE = 4  # moments from the beginning of a window to the beginning of the next
 NEARBY = 1.0  # m beyond the ends, within which people are replayed
 APART = 40.0  # m between two runs, which lie side by side on one floor
+HABIT = np.linspace(0.9, 1.02, 13)  # shares of the last observed speed that constant velocity may have
 WALL = 0.3  # m, thickness
 EXIT = 0.3  # m beyond the exit line, where people head for
 BODY = 0.25  # m, by which their way keeps off the posts of the exit
@@ -43,7 +45,7 @@ class Scenes:
     direction: Float[np.ndarray, "B N 2"] | None  # unit vector of the desired velocity where it is known
     others: Float[np.ndarray, "B moments M 2"] | None  # m, NaN where absent
     walls: Obstacles | None
-    reference: Float[np.ndarray, "E 2"]  # m, mean and last error of constant velocity in each scene
+    reference: Float[np.ndarray, "E 2"]  # m, mean and last error of constant velocity with the best habit
     names: tuple[str, ...] = struct.field(pytree_node=False)
     time_step: float = struct.field(pytree_node=False)  # s
 
@@ -183,18 +185,29 @@ def _walls(width: float, exit_width: float) -> list[tuple[float, float, float, f
     return boxes
 
 
+def thinned(scenes: Scenes, most: int) -> Scenes:
+    """At most so many windows of each scene, evenly spaced in time, with the errors of constant velocity in these."""
+    own = [np.flatnonzero(scenes.scene == index) for index in range(len(scenes.names))]
+    rows = np.concatenate([each[np.linspace(0, len(each) - 1, min(most, len(each))).astype(int)] for each in own])
+    fields = "observed", "known", "after", "counted", "scene", "direction", "others"
+    chosen = {name: None if (part := getattr(scenes, name)) is None else part[rows] for name in fields}
+    return _with_reference(replace(scenes, **chosen))
+
+
 def _with_reference(scenes: Scenes) -> Scenes:
-    """The scenes with the errors of constant velocity."""
-    observed, after = np.asarray(scenes.observed), np.asarray(scenes.after)
+    """The scenes with the errors of constant velocity, of the share of the last speed that is best in each."""
+    observed, after, counted = (np.asarray(part) for part in (scenes.observed, scenes.after, scenes.counted))
     steps = np.arange(1, after.shape[1] + 1)[:, None, None]
-    guess = observed[:, -1][:, None] + steps * (observed[:, -1] - observed[:, -2])[:, None]
-    away, counted = np.linalg.norm(guess - after, axis=-1), np.asarray(scenes.counted)
-    rows = []
-    for index in range(len(scenes.names)):
-        own = scenes.scene == index
-        end = counted[own][:, -1]
-        rows.append((away[own][counted[own]].mean(), away[own][:, -1][end].mean() if end.any() else 1.0))
-    return scenes.replace(reference=np.array(rows))  # pyright: ignore[reportAttributeAccessIssue]
+    rows = np.full((len(scenes.names), 2), np.inf)
+    for share in HABIT:
+        guess = observed[:, -1][:, None] + share * steps * (observed[:, -1] - observed[:, -2])[:, None]
+        away = np.linalg.norm(guess - after, axis=-1)
+        for index in range(len(scenes.names)):
+            own = scenes.scene == index
+            end = counted[own][:, -1]
+            errors = away[own][counted[own]].mean(), away[own][:, -1][end].mean() if end.any() else 1.0
+            rows[index] = min(rows[index], errors, key=sum)
+    return replace(scenes, reference=rows)
 
 
 def _pad(array: np.ndarray, axis: int, size: int, value: float = 0.0) -> np.ndarray:

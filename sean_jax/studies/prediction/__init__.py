@@ -9,22 +9,38 @@ same windows, the mark to beat.
 from pathlib import Path
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import struct
 from jaxtyping import Bool, Float
 
+from sean_jax import prng
+from sean_jax.base import Array
 from sean_jax.errors import InputError
 from sean_jax.files import short_name
 from sean_jax.recordings import read
 from sean_jax.recordings.reading import read_lines
 from sean_jax.studies.prediction.forecast import HABITS, Predictable, observed_people, predict
 
-__all__ = ["HABITS", "Scores", "Windows", "evaluate", "observed_people", "predict", "read_windows", "score"]
+__all__ = [
+    "HABITS",
+    "SampleScores",
+    "Scores",
+    "Windows",
+    "evaluate",
+    "evaluate_samples",
+    "observed_people",
+    "predict",
+    "read_windows",
+    "score",
+    "score_samples",
+]
 
 SEEN, PREDICTED, TIME_STEP = 8, 12, 0.4  # moments, moments, s
 FRAMES = 10  # of the recording, between two moments as [G18] takes them
 TOUCH = 0.2  # m: a predicted pair nearer than this has collided
+LEAST_LIKELY = -20.0  # the least logarithm of a density [S20b]
 
 
 @struct.dataclass
@@ -43,6 +59,15 @@ class Scores(NamedTuple):
     fde: float  # m, at the last predicted moment
     collisions: float  # share of the tracks that come within 0.2 m of another one of their window
     tracks: int
+
+
+class SampleScores(NamedTuple):
+    """How good K samples of a prediction are, over all tracks of some windows."""
+
+    best_ade: float  # m, of each track's best sample, mean over the tracks
+    best_fde: float  # m, likewise, at the last predicted moment
+    nll: float  # of positions in m: minus the mean logarithm of a Gaussian kernel density of the samples
+    samples: int
 
 
 def read_windows(path: str | Path, clock: str = "social_gan") -> Windows:
@@ -79,6 +104,25 @@ def evaluate(model: Predictable, windows: Windows, chunk: int = 256, **options) 
         chunk: windows at a time.
         **options: of ``predict``.
     """
+    predicted = _predicted(model, windows, chunk, **options)
+    return score(predicted, np.asarray(windows.position)[:, SEEN:], np.asarray(windows.present))
+
+
+def evaluate_samples(
+    model: Predictable, windows: Windows, samples: int = 20, seed: int = 0, chunk: int = 256, **options
+) -> SampleScores:
+    """Predict the later moments of windows several times, with the noise and the differences of people, and compare.
+
+    Args:
+        **options: of ``predict``.
+    """
+    keys = jax.random.split(prng.key("scene", seed), samples)
+    predicted = np.stack([_predicted(model, windows, chunk, key=key, **options) for key in keys])
+    return score_samples(predicted, np.asarray(windows.position)[:, SEEN:], np.asarray(windows.present))
+
+
+def _predicted(model: Predictable, windows: Windows, chunk: int, key: Array | None = None, **options) -> np.ndarray:
+    """(B, S, N, 2) m, a number of windows at a time."""
     steps = windows.position.shape[1] - SEEN
     parts = []
     for first in range(0, len(windows.position), chunk):
@@ -86,9 +130,11 @@ def evaluate(model: Predictable, windows: Windows, chunk: int = 256, **options) 
         missing = chunk - len(some) if len(windows.position) > chunk else 0  # one shape, compiled once
         some = np.pad(some, ((0, missing), (0, 0), (0, 0), (0, 0)))[:, :SEEN]
         there = np.broadcast_to(np.pad(there, ((0, missing), (0, 0)))[:, None], some.shape[:3])
-        predicted = predict(model, jnp.asarray(some), windows.time_step, steps, present=jnp.asarray(there), **options)
+        own = None if key is None else jax.random.fold_in(key, first)
+        places = jnp.asarray(some), windows.time_step, steps
+        predicted = predict(model, *places, present=jnp.asarray(there), key=own, **options)
         parts.append(np.asarray(predicted)[: chunk - missing])
-    return score(np.concatenate(parts), np.asarray(windows.position)[:, SEEN:], np.asarray(windows.present))
+    return np.concatenate(parts)
 
 
 def score(
@@ -112,6 +158,40 @@ def score(
         float(touched[present].mean()),
         int(present.sum()),
     )
+
+
+def score_samples(
+    predicted: Float[np.ndarray, "K B S N 2"],
+    recorded: Float[np.ndarray, "B S N 2"],
+    present: Bool[np.ndarray, "B N"],
+) -> SampleScores:
+    """The best of K samples of each track (B, N) present, and the likelihood of what was recorded, by moment [S20b].
+
+    The kernels have Scott's width. Where the samples lie on a line, the likelihood is the least.
+    """
+    predicted, recorded = (np.moveaxis(np.asarray(part, float), -2, -3) for part in (predicted, recorded))
+    predicted, recorded = predicted[:, present], recorded[present]  # (K, tracks, S, 2), (tracks, S, 2)
+    away = np.linalg.norm(predicted - recorded, axis=-1)
+    return SampleScores(
+        float(away.mean(-1).min(0).mean()),
+        float(away[..., -1].min(0).mean()),
+        -float(_log_density(predicted, recorded).mean()),
+        len(predicted),
+    )
+
+
+def _log_density(samples: np.ndarray, place: np.ndarray) -> np.ndarray:
+    """(...) logarithm of the density of K samples (K, ..., 2) at a place (..., 2), ``LEAST_LIKELY`` at least."""
+    number = len(samples)
+    away = samples - samples.mean(0)
+    spread = np.einsum("k...i,k...j->...ij", away, away) / max(number - 1, 1) * number ** (-1.0 / 3.0)  # Scott, squared
+    determinant = np.linalg.det(spread)
+    usable = determinant > 1e-12
+    inverse = np.linalg.inv(np.where(usable[..., None, None], spread, np.eye(2)))
+    gap = samples - place
+    power = -0.5 * np.einsum("k...i,...ij,k...j->k...", gap, inverse, gap)
+    density = np.exp(power).mean(0) / (2.0 * np.pi * np.sqrt(np.where(usable, determinant, 1.0)))
+    return np.where(usable, np.log(np.maximum(density, np.exp(LEAST_LIKELY))), LEAST_LIKELY)
 
 
 def _every_ten_frames(path: Path) -> np.ndarray:

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from jax.core import Tracer
 from jaxtyping import Bool, Float, Int
 
-from sean_jax import social_forces
+from sean_jax import prng, social_forces
 from sean_jax.base import (
     Array,
     Behavior,
@@ -42,7 +42,7 @@ UNLIKE_SPEED = 0.25  # m/s, by which their mean velocities differ at most
 WALKING_SPEED = 0.3  # m/s; slower people stand
 FAR = 1e4  # m, where the robot stands that no recording has
 
-HABITS = {"weights": (0.98,), "settled": 0.5}  # of ``predict``; ``sean calibrate`` finds .967 and .56 in all scenes
+HABITS = {"weights": (0.98,), "settled": 0.5}  # of ``predict``; ``sean calibrate`` finds .981 and .53 in all scenes
 T = TypeVar("T")
 Predictable = str | Iterable[Term] | Callable[[Scenario, State], Pedestrians]
 
@@ -60,6 +60,7 @@ def predict(
     desired_velocity: Float[Array, "*batch N 2"] | None = None,
     others: Float[Array, "*batch moments M 2"] | None = None,
     settled: Float[Array, ""] | float = 0.0,
+    key: Array | None = None,
 ) -> Float[Array, "*batch steps N 2"]:
     """Predict recorded people with a pedestrian model.
 
@@ -81,6 +82,7 @@ def predict(
         settled: share, from 0 to 1, of the model's acceleration at the last observed moment that is already part of the
             observed velocity (following, walking side by side): the desired velocity is corrected by it, by a tenth at
             most. Social forces only.
+        key: for a sample: people differ and have noise, as the forces have it; everybody is average and steady if None.
 
     Returns:
         (..., steps, N, 2) m. People who are not observed at the last time stay in place.
@@ -105,6 +107,7 @@ def predict(
         known,
         None if desired_velocity is None else jnp.asarray(desired_velocity, float),
         None if others is None else jnp.asarray(others, float),
+        None if key is None else jax.random.split(key, observed.shape[:-3]),
     )
     for _ in range(observed.ndim - 3):
         walk = jax.vmap(walk, in_axes=(None, None, None, None, None, 0))
@@ -204,10 +207,10 @@ def _walk(
     weights: Array,
     least_speed: Array,
     settled: Array | None,
-    each: tuple[Array, Array, Array | None, Array | None],
+    each: tuple[Array, Array, Array | None, Array | None, Array | None],
 ) -> Array:
     """(steps, N, 2) of one scene."""
-    observed, present, desired, others = each
+    observed, present, desired, others, key = each
     people = observed_people(observed, present, time_step, weights, least_speed)
     if desired is not None:
         speed = jnp.maximum(length(desired[:, 0], desired[:, 1]), least_speed)
@@ -228,19 +231,25 @@ def _walk(
     scenario, state = _world(move, forces, people, companions, grid, time_step / control, substeps)
     if settled is not None and desired is None:
         still = replace(people, desired_velocity=people.velocity)
-        change = (move(scenario, replace(state, pedestrians=still)).velocity - people.velocity) * (control / time_step)
+        apart = scenario  # the observed velocity has noise of one's own, and nothing of the companions' mean
+        if forces.get(Cohesion) is not None:
+            apart = replace(scenario, forces=forces.tree_replace({"cohesion.alignment": None}))
+        change = (move(apart, replace(state, pedestrians=still)).velocity - people.velocity) * (control / time_step)
         undone = settled * forces.walking.relaxation_time * change
         size = length(undone[:, 0], undone[:, 1])
         most = MOST_SETTLED * length(people.velocity[:, 0], people.velocity[:, 1])
         share = jnp.where(size > most, most / jnp.where(size > most, size, 1.0), 1.0)[:, None]
         people = replace(people, desired_velocity=people.desired_velocity - share * undone)
+    if key is not None:
+        people = social_forces.individualize(forces, people, jax.random.fold_in(key, prng.TRAITS))
+        state = replace(state, streams=prng.streams(key))
 
     def frame(people: Pedestrians, index: Array) -> tuple[Pedestrians, Array]:
         @jax.checkpoint
         def turn(people: Pedestrians, part: Array) -> tuple[Pedestrians, None]:
             if tracks is not None:
                 people = _replay(people, *tracks, index, part.astype(float) / control, time_step)
-            return move(scenario, replace(state, pedestrians=people)), None
+            return move(scenario, replace(state, pedestrians=people, tick=index * control + part)), None
 
         people = jax.lax.scan(turn, people, jnp.arange(control, dtype=jnp.int32))[0]
         return people, people.position[:number]
@@ -260,6 +269,9 @@ def _replay(
     speed = length(velocity[:, 0], velocity[:, 1])
     own = pedestrians_at(position, velocity, preferred_speed=speed, present=present)
     number = people.position.shape[0] - present.shape[0]
+    drawn = people.traits, people.noise, people.reaction
+    traits, noise, reaction = jax.tree.map(lambda leaf: leaf[number:], drawn)
+    own = replace(own, traits=traits, noise=noise, reaction=reaction)
     return jax.tree.map(lambda all_of_them, last: jnp.concatenate([all_of_them[:number], last]), people, own)
 
 

@@ -284,6 +284,7 @@ def stage(scenario: Scenario, scene: Scene) -> State:
 @jax.jit
 def _first_state(scenario: Scenario, key: Array, place: Array, velocity: Array) -> State:
     pedestrians, groups, memory = scenario.behavior.reset(scenario, key)
+    pedestrians = social_forces.individualize(scenario.forces, pedestrians, jax.random.fold_in(key, prng.TRAITS))
     speed = jnp.sqrt((velocity * velocity).sum())
     heading = jnp.where(speed > 0.0, velocity / jnp.where(speed > 0.0, speed, 1.0), jnp.asarray([1.0, 0.0], float))
     robot: Robot = replace(scenario.robot.place(scenario.robot, place, heading), speed=speed)

@@ -15,8 +15,9 @@ import numpy as np
 from sean_jax import scenario as steps
 from sean_jax.base import Array, Scenario, State
 from sean_jax.recordings import Tracks
+from sean_jax.social_forces.forces import look_direction
 from sean_jax.studies.scenes.scene import TIME_STEP, Model, Scene, model, scenario_of, stage
-from sean_jax.studies.scenes.walkers import padded_size
+from sean_jax.studies.scenes.walkers import GATES, padded_size
 
 SPAN = 50  # control steps in one call
 BATCHES = 1, 4, 16, 64  # sizes to which numbers of parallel scenes are padded
@@ -66,8 +67,7 @@ def advance(scenario: Scenario, state: State) -> State:
 def _span(scenario: Scenario, state: State) -> tuple[State, tuple[Array, Array, Array]]:
     def turn(state: State, _: None) -> tuple[State, tuple[Array, Array, Array]]:
         state = advance(scenario, state)
-        people = state.pedestrians
-        return state, (people.position, people.heading, people.present)
+        return state, _moment(state)
 
     return jax.lax.scan(turn, state, length=SPAN)
 
@@ -83,7 +83,8 @@ def _batches(scenes: list[Scene]) -> list[list[int]]:
         size = padded_size(len(scene.walkers.start))
         late = bool((np.asarray(scene.walkers.entry_time) > 0.0).any())
         company = bool((np.asarray(scene.walkers.companion) >= 0).any())
-        kind = size, scene.period is None, bool(scene.exits), late, company, index if size >= LARGE else -1
+        many = len(scene.gates) > GATES[0]
+        kind = size, scene.period is None, bool(scene.exits), late, company, many, index if size >= LARGE else -1
         kinds.setdefault(kind, []).append(index)
     batches = []
     for (size, *_), members in kinds.items():
@@ -168,10 +169,16 @@ def _stack(rows: tuple) -> Any:
     return jax.device_put(np.stack([np.asarray(row) for row in rows]))
 
 
-def _snapshot(state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(1, B, N, 2), (1, B, N, 2), (1, B, N): as a span of one moment."""
+def _moment(state: State) -> tuple[Array, Array, Array]:
+    """Positions (N, 2), looks (N, 2) and presence (N,) of people."""
     people = state.pedestrians
-    return np.asarray(people.position)[None], np.asarray(people.heading)[None], np.asarray(people.present)[None]
+    return people.position, jnp.stack(look_direction(people), -1), people.present
+
+
+def _snapshot(state: State) -> tuple[np.ndarray, ...]:
+    """(1, B, N, 2), (1, B, N, 2), (1, B, N): as a span of one moment."""
+    moment = _moment if state.pedestrians.present.ndim == 1 else jax.vmap(_moment)
+    return tuple(np.asarray(part)[None] for part in moment(state))
 
 
 def _left(state: State) -> bool:

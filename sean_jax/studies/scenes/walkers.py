@@ -34,7 +34,7 @@ SPEED = 1.34, 0.26  # m/s, mean and deviation: Helbing & Molnar, Phys. Rev. E 51
 TRIES = 20_000  # places tried by ``spread`` at a time
 NEVER = 1e9  # s, entry time of padding
 PEOPLE = 16, 64, 128, 256, 512, 1024, 2048, 4096  # sizes to which crowds are padded
-GATES, LEGS = 32, 8  # sizes to which gates, and gates of one route, are padded
+GATES, LEGS = (32, 256), 8  # sizes to which gates, and gates of one route, are padded
 AWAY = 1e3  # m, where absent people are, and the robot of a scene without one
 
 
@@ -194,13 +194,14 @@ def walkers_behavior(
         InputError: a route names a gate that does not exist, or there are too many gates.
     """
     route, number = np.asarray(people.route), len(gates)
-    if number > GATES or route.shape[1] > LEGS:
-        raise InputError(f"gates: {number}, of a route {route.shape[1]}; {GATES} and {LEGS} are the most.")
+    padded = next((gates for gates in GATES if gates >= number), None)
+    if padded is None or route.shape[1] > LEGS:
+        raise InputError(f"gates: {number}, of a route {route.shape[1]}; {GATES[-1]} and {LEGS} are the most.")
     if route.max(initial=-1) >= number:
         raise InputError(f"route: names gate {route.max()}, but there are {number} gates.")
-    table = np.zeros((GATES, 2, 2))
+    table = np.zeros((padded, 2, 2))
     table[:number] = np.asarray([tuple(gate) for gate in gates], float).reshape(-1, 2, 2)
-    is_exit = np.isin(np.arange(GATES), np.asarray(exits, int))
+    is_exit = np.isin(np.arange(padded), np.asarray(exits, int))
     late = bool((np.asarray(people.entry_time) > 0.0).any())
     size = padded_size(len(people.start))
     people = _padded(people, size)
@@ -269,7 +270,8 @@ def direct(scenario: Scenario, state: State, key: Array) -> State:
     if plan.sources:
         enters = _enters(table, people, entered, time)
         position = jnp.where(enters[:, None], table.start, people.position)
-        people = replace(people, present=people.present | enters, position=position)
+        velocity = jnp.where(enters[:, None], table.velocity, people.velocity)
+        people = replace(people, present=people.present | enters, position=position, velocity=velocity)
         entered = entered | enters
     aim = aim_at(plan.gates[jnp.maximum(gate, 0)], people.position)
     way = aim - people.position

@@ -1,33 +1,52 @@
-"""Checks of crowds: fundamental diagrams in a corridor and in a single file, flow through doors, and lanes.
+"""Checks of crowds: fundamental diagrams in a corridor and in a single file, stop-and-go waves, and lanes.
 
 [J] Project Hermes (Forschungszentrum Juelich, doi 10.34735/ped.2009.13 and .14): unidirectional runs through a corridor
-of 1.8 m, measured with PedPy; bottlenecks from 0.7 to 2 m, 1.9 people a second for each metre; bidirectional runs in a
-corridor of 3.6 m with free choice of the side, order 0.97 to 1.0 in its middle 4 m. [W93] U. Weidmann, Transporttechnik
+of 1.8 m, measured with PedPy; bidirectional runs in a corridor of 3.6 m with free choice of the side, order 0.97 to 1.0
+in its middle 4 m. [W93] U. Weidmann, Transporttechnik
 der Fussgaenger, ETH Zuerich (1993). Measured values are in published.yaml.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from scipy import stats
 
 from sean_jax.recordings import Tracks, read
-from sean_jax.studies.scenes import Gate, Scene, join, room, spread, walkers
+from sean_jax.studies.scenes import Scene, join, spread, walkers
 from sean_jax.studies.validation import plans
 from sean_jax.studies.validation.checks import PUBLISHED, CheckContext, CheckResult, Curve, by_name, listing, result
-from sean_jax.studies.validation.measures import area_means, crossing_times, flow, lane_order, pedpy, steps_along
+from sean_jax.studies.validation.measures import (
+    area_means,
+    area_series,
+    deviation_in_time,
+    lane_order,
+    pedpy,
+    steps_along,
+    wave,
+)
 
 HERMES = 1.55, 0.18  # m/s, free speed of these people, mean and deviation
-DENSITIES = 0.5, 1.0, 1.5, 2.0, 2.5  # 1/m2
-JUELICH: dict[float, list[float]] = PUBLISHED["corridor"]
-DRAWS = 5  # of people at each density
+DENSITIES = tuple(0.25 * k for k in range(2, 15))  # 1/m2
+FEW = 0.5, 1.0, 1.5, 2.0, 2.5  # 1/m2
+JUELICH: dict[str, dict[float, float]] = PUBLISHED["corridor"]
+DRAWS, WEIDMANN_DRAWS = 10, 5  # of people at each density
+SPREAD = 2.0  # times the measured range from the 10th to the 90th percentile, the most
+ROWS, ROWS_DENSITY = (2, 3), 1.5  # of people who start in straight rows; 1/m2
 TOLERANCE = 0.15
 WIDE_TOLERANCE = 0.25  # of a formula that was fitted to many kinds of places
 PERIOD, WIDTH = 20.0, 1.8  # m
+FLOOR, AREA = (0.0, 0.0, PERIOD, WIDTH), (PERIOD / 2 - 2.0, 0.0, PERIOD / 2 + 2.0, WIDTH)
 STEADY: dict[str, list[int]] = PUBLISHED["steady"]
 LOOP = 32.0  # m, of the single file
+FILE_WIDTH = 0.6  # m
 ENVELOPE: dict[float, list[float]] = PUBLISHED["single_file"]
+WAVES: dict[int, list[float]] = PUBLISHED["stop_and_go"]
+WAVE_LOOP = 25.71  # m, where they were measured
+WAVE_SECONDS, WAVE_COUNTED = 100.0, 60.0  # s
+WAVE_TOLERANCE = 0.3
+STEP = 4  # moments, over which speeds are measured as in recordings
 
 
 def hermes_speeds(number: int, seed: int) -> np.ndarray:
@@ -41,103 +60,150 @@ def weidmann(density: np.ndarray | float) -> np.ndarray:
     return 1.34 * (1.0 - np.exp(-1.913 * (1.0 / np.asarray(density, float) - 1.0 / 5.4)))
 
 
-def _juelich(context: CheckContext, pattern: str) -> list[Path]:
+def juelich_recordings(context: CheckContext, pattern: str) -> list[Path]:
     """The recordings of Juelich in the folder of recordings, measured by the same functions as the model."""
     return [] if context.data is None else sorted((context.data / "juelich").glob(pattern))
 
 
-def in_corridor(
-    context: CheckContext,
-    densities: tuple[float, ...],
-    speeds: Callable[[int, int], np.ndarray] | None,
-    seconds: float,
-    draws: int,
-) -> np.ndarray:
-    """(densities, draws, 2) density [1/m2] and speed [m/s] in the middle of a periodic corridor, in the second half.
+def juelich(density: Sequence[float], what: str = "speed") -> np.ndarray:
+    """(D,) m/s, the measured speed at densities [1/m2], or its ``percentile_10`` or ``percentile_90``; interpolated."""
+    known = JUELICH[what]
+    return np.interp(density, [*known], [*known.values()])
 
-    Args:
-        speeds: preferred speeds [m/s] by (number, seed); None for the usual ones.
+
+def in_corridor(context: CheckContext, scenes: Sequence[Scene], captions: Sequence[str]) -> np.ndarray:
+    """(S, K, 2) density [1/m2] and speed [m/s] in the middle of periodic corridors, each second of the second half.
 
     Raises:
         Skipped: PedPy is not installed.
     """
     pedpy()  # before what takes long
+    rows = slice(round(scenes[0].seconds * 5), None, 10)
+    return np.stack([area_series(each, FLOOR, AREA, rows, PERIOD) for each in context.simulate(scenes, captions)])
+
+
+def corridors(
+    densities: Sequence[float], draws: int, seconds: float, speeds: Callable[[int, int], np.ndarray] | None
+) -> tuple[list[Scene], list[str]]:
+    """Periodic corridors with people at random places, and captions for the first of each density.
+
+    Args:
+        speeds: preferred speeds [m/s] by (number, seed); None for the usual ones.
+    """
     scenes = []
     for seed, density in enumerate(np.repeat(densities, draws).tolist()):
         number = round(density * PERIOD * WIDTH)
         own = None if speeds is None else speeds(number, seed)
         scenes.append(plans.ring(PERIOD, WIDTH, number, seconds, own, seed, inset=0.25))
-    captions = [f"{density:g} people/m²" if draw == 0 else "" for density in densities for draw in range(draws)]
-    floor, area = (0.0, 0.0, PERIOD, WIDTH), (PERIOD / 2 - 2.0, 0.0, PERIOD / 2 + 2.0, WIDTH)
-    rows = slice(round(seconds * 5), None, 10)  # the second half, every second
-    means = [area_means(tracks, floor, area, rows, PERIOD) for tracks in context.simulate(scenes, captions)]
-    return np.array(means).reshape(len(densities), draws, 2)
+    return scenes, [f"{density:g} people/m²" if draw == 0 else "" for density in densities for draw in range(draws)]
+
+
+def in_rows(rows: int, seconds: float, seed: int) -> Scene:
+    """A periodic corridor with people in straight rows along it, at ``ROWS_DENSITY``."""
+    number = round(ROWS_DENSITY * PERIOD * WIDTH)
+    own = np.arange(number)
+    across = (own % rows + 0.5) * WIDTH / rows
+    start = np.stack([own * PERIOD / number, across], 1)
+    return plans.periodic(PERIOD, WIDTH, walkers(start, route=(0,), speed=hermes_speeds(number, seed)), seconds)
 
 
 def corridor_diagram(context: CheckContext) -> CheckResult:
-    """Speeds in a corridor against measurements in Juelich."""
-    densities = DENSITIES if context.quick else (*DENSITIES, 3.0)
-    seconds, draws = (40.0, 2) if context.quick else (60.0, DRAWS)
-    measured = in_corridor(context, densities, hermes_speeds, seconds, draws)
+    """Speeds in a corridor against measurements in Juelich: means, their spread, and a start in straight rows."""
+    densities, seconds, draws = (FEW, 40.0, 3) if context.quick else (DENSITIES, 60.0, DRAWS)
+    scenes, captions = corridors(densities, draws, seconds, hermes_speeds)
+    straight = [in_rows(rows, seconds, seed) for rows in ROWS for seed in range(1 if context.quick else 3)]
+    values = in_corridor(context, scenes + straight, captions)
+    random, rows = values[: len(scenes)].reshape(len(densities), draws, -1, 2), values[len(scenes) :]
     curves = [
-        Curve(f"Juelich{part}", tuple(JUELICH), tuple(row[k] for row in JUELICH.values()), reference=True)
-        for k, part in enumerate(("", ", 10 %", ", 90 %"))
+        Curve(f"Juelich{name}", tuple(JUELICH[what]), tuple(JUELICH[what].values()), reference=True)
+        for what, name in (("speed", ""), ("percentile_10", ", 10 %"), ("percentile_90", ", 90 %"))
     ]
-    recorded = []
-    for run, (first, last) in STEADY.items():
-        for path in _juelich(context, f"{run}*.csv")[:1]:
-            tracks = read(path, "juelich")
-            begin, end = np.searchsorted(np.asarray(tracks.frame), (first, last))
-            rows = slice(int(begin), int(end), 4)
-            recorded.append(area_means(tracks, (0.0, -4.0, 1.8, 4.0), (0.0, -2.0, 1.8, 0.0), rows))
+    recorded = [
+        _recorded(path, steady) for run, steady in STEADY.items() for path in juelich_recordings(context, f"{run}*.csv")
+    ]
     if recorded:
         curves.append(Curve("recordings", *zip(*recorded, strict=True), reference=True, points=True))
-    expected = np.array([JUELICH[density][0] for density in densities])
-    return _compared(measured, densities, expected, TOLERANCE, curves)
+    means = compare(random, densities, juelich(densities), TOLERANCE, curves)
+    low, high = np.nanquantile(random[..., 1], [0.1, 0.9], axis=(1, 2))
+    share = (high - low) / (juelich(densities, "percentile_90") - juelich(densities, "percentile_10"))
+    by_rows = np.nanmean(rows[..., 1].reshape(len(ROWS), -1), 1) / means.numbers[f"speed_{ROWS_DENSITY:g}"]
+    wide, stay = bool((share > SPREAD).any()), bool((np.abs(by_rows - 1.0) > TOLERANCE).any())
+    measured = (
+        f"{means.measured}; 10 to 90 % of speeds {listing(share)} times as wide as measured; from "
+        f"{' and '.join(map(str, ROWS))} straight rows {listing(by_rows)} times as fast"
+    )
+    wanted = (
+        f"within {100 * TOLERANCE:.0f} % of {listing(juelich(densities))} m/s, falling; at most {SPREAD:g} times as "
+        f"wide; from rows within {100 * TOLERANCE:.0f} % of random starts"
+    )
+    numbers = means.numbers | by_name("spread_", densities, share) | by_name("rows_", ROWS, by_rows)
+    fields = dict(curves=means.curves, axes=means.axes)
+    return result(means.passed and not wide and not stay, measured, wanted, numbers=numbers, **fields)
+
+
+def _recorded(path: Path, steady: list[int]) -> tuple[float, float]:
+    """Density [1/m2] and speed [m/s] of a recording between its steady frames."""
+    tracks = read(path, "juelich")
+    begin, end = np.searchsorted(np.asarray(tracks.frame), steady)
+    return area_means(tracks, (0.0, -4.0, 1.8, 4.0), (0.0, -2.0, 1.8, 0.0), slice(int(begin), int(end), 4))
 
 
 def weidmann_diagram(context: CheckContext) -> CheckResult:
     """Speeds in a corridor against Weidmann's formula."""
-    measured = in_corridor(context, DENSITIES, None, 60.0, DRAWS)
+    values = in_corridor(context, *corridors(FEW, WEIDMANN_DRAWS, 60.0, None))
     dense = np.linspace(0.25, 3.5, 27)
     curve = Curve("Weidmann 1993", tuple(dense), tuple(weidmann(dense)), reference=True)
-    comparison = _compared(measured, DENSITIES, weidmann(np.array(DENSITIES)), WIDE_TOLERANCE, [curve])
+    shape = len(FEW), WEIDMANN_DRAWS, -1, 2
+    comparison = compare(values.reshape(shape), FEW, weidmann(np.array(FEW)), WIDE_TOLERANCE, [curve])
     if comparison.passed:
         return comparison
-    expected = f"people in Juelich, whose free speed is 1.55 m/s, have {JUELICH[2.5][0]:.2f} m/s at 2.5 /m²"
+    expected = f"people in Juelich, whose free speed is 1.55 m/s, have {juelich([2.5])[0]:.2f} m/s at 2.5 /m²"
     return replace(comparison, reason=f"{comparison.reason}; {expected}")
 
 
-def _compared(
-    measured: np.ndarray, densities: tuple[float, ...], expected: np.ndarray, tolerance: float, curves: list[Curve]
+def compare(
+    values: np.ndarray, densities: Sequence[float], expected: np.ndarray, tolerance: float, curves: list[Curve]
 ) -> CheckResult:
-    """The result of densities and speeds (densities, draws, 2); mean speeds up to 2.5 people/m2 have to be right."""
-    density, each = measured[..., 0].mean(1), measured[..., 1]
-    speed, deviation, counted = each.mean(1), each.std(1, ddof=1), len(DENSITIES)
-    far = np.abs(each[:counted] / expected[:counted, None] - 1.0).max()
-    off = np.abs(speed[:counted] / expected[:counted] - 1.0)
-    falling = bool((np.diff(speed[:counted]) < 0.0).all())
-    words = ", ".join(f"{v:.2f} ± {d:.2f}" for v, d in zip(speed, deviation, strict=True))
+    """The result of densities and speeds (densities, draws, K, 2): means over draws with intervals of 95 %."""
+    each = np.nanmean(values, axis=2)
+    density, speed = np.moveaxis(each.mean(1), -1, 0)
+    draws = each.shape[1]
+    interval = stats.t.ppf(0.975, draws - 1) * each[..., 1].std(1, ddof=1) / np.sqrt(draws)
+    far = np.abs(each[..., 1] / expected[:, None] - 1.0).max()
+    off = np.abs(speed / expected - 1.0)
+    falling = bool((np.diff(speed) < 0.0).all())
+    words = ", ".join(f"{v:.2f} ± {d:.2f}" for v, d in zip(speed, interval, strict=True))
     return result(
         bool((off <= tolerance).all()) and falling,
         f"{words} m/s at {listing(densities, form='g')} /m² (off by {100 * off.max():.0f} % at most, one draw by "
         f"{100 * far:.0f} %{'' if falling else ', not falling'})",
-        f"within {100 * tolerance:.0f} % of {listing(expected[:counted])} m/s, falling",
+        f"within {100 * tolerance:.0f} % of {listing(expected)} m/s, falling",
         numbers=by_name("speed_", densities, speed)
-        | by_name("deviation_", densities, deviation)
+        | by_name("interval_", densities, interval)
         | by_name("density_", densities, density),
-        curves=(Curve("model", densities, tuple(speed)), *curves),
+        curves=(Curve("model", tuple(densities), tuple(speed)), *curves),
         axes=("density [1/m²]", "speed [m/s]"),
     )
 
 
+# ------------------------------------------------------------------ single file
+
+
+def in_file(number: int, length: float, seconds: float, seed: int = 0, jitter: float = 0.0) -> Scene:
+    """A closed single file: people one behind the other in a loop [m] in which nobody can pass.
+
+    Args:
+        jitter: share of the gap by which people start off an even distance.
+    """
+    gap = length / number
+    moved = jitter * gap * np.random.default_rng([seed, 31]).uniform(-1.0, 1.0, number)
+    start = np.stack([(np.arange(number) + 0.5) * gap + moved, np.full(number, FILE_WIDTH / 2)], 1)
+    return plans.periodic(length, FILE_WIDTH, walkers(start, route=(0,), seed=seed), seconds)
+
+
 def single_file_diagram(context: CheckContext) -> CheckResult:
     """Speeds of people who cannot pass each other, against 26 experiments."""
-    scenes, width = [], 0.6
-    for density in ENVELOPE:
-        number = round(density * LOOP)
-        start = np.stack([(np.arange(number) + 0.5) * LOOP / number, np.full(number, width / 2)], 1)
-        scenes.append(plans.periodic(LOOP, width, walkers(start, route=(0,)), 60.0))
+    scenes = [in_file(round(density * LOOP), LOOP, 60.0) for density in ENVELOPE]
     means = []
     for tracks in context.simulate(scenes, [f"{density:g} people/m" for density in ENVELOPE]):
         speed = np.asarray(steps_along(np.asarray(tracks.position)[..., 0], LOOP) / tracks.time_step, float)
@@ -160,96 +226,48 @@ def single_file_diagram(context: CheckContext) -> CheckResult:
     )
 
 
-# ------------------------------------------------------------------ doors
-
-DOOR_FLOW = 1.9  # 1/(s m) [J]
-DOOR_WIDTHS = 0.8, 1.0, 1.2, 1.6, 2.0, 2.4  # m, of bottlenecks
-BOTTLENECKS: dict[float, float] = PUBLISHED["bottlenecks"]
-BOTTLENECK_RUNS = "uo-*-180-*_4of16fps.csv"
-PEOPLE, SEEDS = 100, 5  # one crowd alone leaves by up to 5 % faster or slower than the mean
-DOORS = 0.6, 0.7, 0.8, 0.9, 1.0, 1.2  # m
-PASSABLE, SWIFT = 0.7, 1.0  # m: from where on one gets through, and nearly as fast as outside
-SWIFT_SHARE = 0.8  # of the free speed
-FREE = 1.34  # m/s
-ASIDE = 0.0, 0.3, -0.3  # m, from the middle of the door, of a person who starts 4 m before it
-
-
-def before_door(width: float, start: np.ndarray, speed: np.ndarray | float, seconds: float, **more) -> Scene:
-    """A room of 8 by 8 m with a door in the middle of its right wall, at x = 0; people vanish 3 m behind it.
-
-    Args:
-        width: of the door [m].
-        start: (N, 2) m.
-        speed: preferred speed [m/s], one for all or (N,).
-        **more: of ``walkers``.
-    """
-    door, behind = Gate((0.0, width / 2), (0.0, -width / 2)), Gate((3.0, 6.0), (3.0, -6.0))
-    walls = room((-8.0, -4.0), (0.0, 4.0), [door])
-    return Scene(walls, walkers(start, route=(0, 1), speed=speed, **more), (door, behind), seconds)
-
-
-def bottleneck(context: CheckContext) -> CheckResult:
-    """The flow of 100 people through doors."""
-    widths = (0.8, 1.2, 2.4) if context.quick else DOOR_WIDTHS
-    scenes = [
-        before_door(width, spread((-7.5, -3.5), (-1.0, 3.5), PEOPLE, seed), hermes_speeds(PEOPLE, seed), 150.0)
-        for width in widths
-        for seed in range(SEEDS)
+def stop_and_go(context: CheckContext) -> CheckResult:
+    """How much a person's speed changes in time in a single file, against a recording, and the wave that it makes."""
+    seeds = range(1 if context.quick else 4)
+    scenes = [in_file(number, WAVE_LOOP, WAVE_SECONDS, seed, 0.2) for number in WAVES for seed in seeds]
+    captions = ["" if seed else f"{number} people" for number in WAVES for seed in seeds]
+    each, shown = [], []
+    for tracks in context.simulate(scenes, captions):
+        x = np.asarray(tracks.position)[-round(WAVE_COUNTED / tracks.time_step) :: STEP, :, 0]
+        speed = np.asarray(steps_along(x, WAVE_LOOP) / (STEP * tracks.time_step), float)
+        each.append((speed.mean(), deviation_in_time(speed), *wave(speed, WAVE_LOOP, STEP * tracks.time_step)))
+        shown.append(speed)
+    mean, deviation, shared, delay, backwards = np.mean(np.reshape(each, (len(WAVES), len(seeds), -1)), axis=1).T
+    known, wanted, known_delay, known_wave = np.transpose([*WAVES.values()])
+    off, density = np.abs(deviation / wanted - 1.0), np.array([*WAVES]) / WAVE_LOOP
+    waves = [
+        f"a wave of {backwards[k]:.2f} m/s (recorded {known_wave[k]:.2f}), {delay[k]:.1f} s from one to the next "
+        f"(recorded {known_delay[k]:.1f})"
+        if np.isfinite(delay[k])
+        else "no wave in all draws"
+        for k in range(len(WAVES))
     ]
-    recorded = context.simulate(scenes, ["" if seed else f"{width:g} m" for width in widths for seed in range(SEEDS)])
-    each = [flow(crossing_times(tracks, scene.gates[0])) for scene, tracks in zip(scenes, recorded, strict=True)]
-    flows = np.nan_to_num(each).reshape(len(widths), SEEDS).mean(1)  # 0 where too few come through
-    known = DOOR_FLOW * np.array(widths)
-    off = np.abs(flows / known - 1.0)
-    curves = [
-        Curve("model", widths, tuple(flows)),
-        Curve("1.9 w", widths, tuple(known), reference=True),
-        Curve("Juelich", tuple(BOTTLENECKS), tuple(BOTTLENECKS.values()), reference=True, points=True),
-    ]
-    line = Gate((1.8 + 0.5, -4.0), (-0.5, -4.0))
-    runs = {path: int(path.name.split("_")[0].split("-")[3]) / 100 for path in _juelich(context, BOTTLENECK_RUNS)}
-    runs = {path: width for path, width in runs.items() if width < 1.8}  # else the corridor ends without a door
-    if runs:
-        out = tuple(flow(crossing_times(read(path, "juelich"), line)) for path in runs)
-        curves.append(Curve("recordings", tuple(runs.values()), out, reference=True, points=True))
+    words = "; ".join(
+        f"{rho:.2f} /m: {deviation[k]:.3f} m/s (recorded {wanted[k]:.3f}), mean {mean[k]:.2f} m/s (recorded "
+        f"{known[k]:.2f}), {waves[k]}"
+        for k, rho in enumerate(density)
+    )
+    names = {"speed": mean, "deviation": deviation, "correlation": shared, "delay": delay, "wave": backwards}
+    first = shown[:: len(seeds)]
     return result(
-        bool((off <= TOLERANCE).all()),
-        f"{listing(flows)} people/s at {listing(widths, form='g')} m (off by {100 * off.max():.0f} % at most)",
-        f"within {100 * TOLERANCE:.0f} % of {listing(known)} people/s",
-        numbers=by_name("flow_", widths, flows),
-        curves=tuple(curves),
-        axes=("width of the door [m]", "flow [people/s]"),
+        bool((off <= WAVE_TOLERANCE).all()),
+        f"deviation in time at {words}",
+        f"within {100 * WAVE_TOLERANCE:.0f} % of the recorded deviations",
+        numbers={key: number for name, row in names.items() for key, number in by_name(f"{name}_", WAVES, row).items()},
+        curves=(*(Curve(f"{number} people", *_ranked(speed)) for number, speed in zip(WAVES, first, strict=True)),),
+        axes=("speed [m/s]", "share of people and moments"),
     )
 
 
-def doors(context: CheckContext) -> CheckResult:
-    """One person alone walks through a door."""
-    cases = [(width, aside) for width in DOORS for aside in ASIDE]
-    scenes = [before_door(width, np.array([[-4.0, aside]]), FREE, 12.0, velocity=(FREE, 0.0)) for width, aside in cases]
-    least, through = dict.fromkeys(DOORS, 1.0), dict.fromkeys(DOORS, True)
-    recorded = context.simulate(scenes, ["" if aside else f"{width:g} m" for width, aside in cases])
-    for (width, _), tracks in zip(cases, recorded, strict=True):
-        position, present = np.asarray(tracks.position)[:, 0], np.asarray(tracks.present)[:, 0]
-        step = np.linalg.norm(np.diff(position, axis=0), axis=-1)[present[1:]] / tracks.time_step
-        near = position[1:][present[1:], 0] < 1.0
-        least[width] = min(least[width], float((step[near] / FREE).min()))
-        through[width] &= bool((position[present, 0] > 0.5).any())
-    blocked = [width for width in DOORS if not through[width]]
-    slow = [width for width in DOORS if width >= SWIFT and least[width] < SWIFT_SHARE]
-    words = "through " + (f"all but {listing(blocked, form='g')} m" if blocked else "all")
-    shares = listing([100 * share for share in least.values()], form=".0f")
-    return result(
-        not slow and all(width < PASSABLE for width in blocked),
-        f"{words}; at {listing(DOORS, form='g')} m never below {shares} % of the free speed",
-        f"through from {PASSABLE:g} m on, never below {100 * SWIFT_SHARE:.0f} % of the free speed from {SWIFT:g} m on",
-        numbers=by_name("least_speed_", DOORS, [FREE * share for share in least.values()])
-        | by_name("through_", DOORS, through.values()),
-        curves=(
-            Curve("model", DOORS, tuple(least.values())),
-            Curve("criterion", (SWIFT, DOORS[-1]), (SWIFT_SHARE, SWIFT_SHARE), True),
-        ),
-        axes=("width of the door [m]", "least speed / free speed"),
-    )
+def _ranked(speed: np.ndarray) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Speeds at a hundred shares of all."""
+    shares = np.linspace(0.005, 0.995, 100)
+    return tuple(np.quantile(speed, shares)), tuple(shares)
 
 
 # ------------------------------------------------------------------ lanes
@@ -281,22 +299,31 @@ def lanes(context: CheckContext) -> CheckResult:
     order = np.stack([_order(tracks) for tracks in recorded]).reshape(len(LANE_DENSITIES), len(seeds), -1)
     begin = int((1.0 - LANE_SHARE) * order.shape[-1])
     last = order[..., begin:].mean((1, 2))
+    until = np.array([np.mean([time_until(each, LANE_ORDER) for each in rows]) for rows in order])
     time, mean = (0.1 * np.arange(order.shape[-1]))[::20], order.mean(1)[:, ::20]
     end = 0.1 * (order.shape[-1] - 1)
     rows = zip(LANE_DENSITIES, mean, strict=True)
     curves = [Curve(f"{density:g} people/m²", tuple(time), tuple(row)) for density, row in rows]
     curves.append(Curve("wanted", (0.1 * begin, end), (LANE_ORDER, LANE_ORDER), reference=True))
-    for path in _juelich(context, "bo-360-*.csv"):
+    for path in juelich_recordings(context, "bo-360-*.csv"):
         name = f"recording {path.stem.split('_')[0]}"
         curves.append(Curve(name, (0.0, end), (recorded_order(read(path, "juelich")),) * 2, reference=True))
     return result(
         bool((last >= LANE_ORDER).all()),
-        f"{listing(last)} at {listing(LANE_DENSITIES, form='g')} /m²",
+        f"{listing(last)} at {listing(LANE_DENSITIES, form='g')} /m², {LANE_ORDER:g} after "
+        f"{listing(until, form='.0f')} s",
         f"{LANE_ORDER:g} or more",
-        numbers=by_name("order_", LANE_DENSITIES, last),
+        numbers=by_name("order_", LANE_DENSITIES, last) | by_name("time_", LANE_DENSITIES, until),
         curves=tuple(curves),
         axes=("time [s]", "order"),
     )
+
+
+def time_until(order: np.ndarray, wanted: float) -> float:
+    """When the order (T,), 0.1 s apart, first is as wanted for 5 s on average [s]; inf if never."""
+    total = np.concatenate([[0.0], np.cumsum(order)])
+    smooth = (total[50:] - total[:-50]) / 50
+    return 0.1 * float((smooth >= wanted).argmax()) if (smooth >= wanted).any() else float("inf")
 
 
 def _order(tracks: Tracks) -> np.ndarray:

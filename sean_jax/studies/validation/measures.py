@@ -1,11 +1,11 @@
-"""Measures of recorded or simulated tracks: crossings and flow, density and speed, lanes, approaches, group occupancy.
+"""Measures of recorded or simulated tracks: crossings and flow, density and speed, lanes, approaches, overlap, waves.
 
 Density and speed of an area are from Voronoi cells, by PedPy (extra ``validation``): B. Steffen & A. Seyfried,
 Physica A 389, 1902 (2010).
 """
 
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -16,6 +16,12 @@ from sean_jax.studies.validation.checks import Skipped
 
 LANE = 0.3  # m, people within that distance across a corridor walk in one lane
 SPEED_SPAN = 0.5  # s before and after, over which a speed is a difference of positions
+BEHIND = 4  # places in a single file, over which a wave is followed
+LATEST = 10.0  # s, of a wave over these places
+STEADY = 0.01  # m/s
+PAIRS = 4_000_000  # distances at a time
+WALKS = 0.5  # m/s; the direction of slower people does not count
+LONG = 3.0  # m, of a way whose sideways deviation counts
 
 Bounds = tuple[float, float, float, float]  # m: x_min, y_min, x_max, y_max
 
@@ -116,9 +122,19 @@ def steps_along(x: np.ndarray, period: float) -> np.ndarray:
 def area_means(
     tracks: Tracks, floor: Bounds, area: Bounds, rows: slice = slice(None), period: float | None = None
 ) -> tuple[float, float]:
-    """Voronoi density [1/m2] and speed [m/s] in an area, means over moments.
+    """Voronoi density [1/m2] and speed [m/s] in an area, means over the moments of ``area_series``; speed NaN if empty.
 
-    The speed is over frames with people in the area; NaN without any.
+    Raises:
+        Skipped: PedPy is not installed.
+    """
+    density, speed = area_series(tracks, floor, area, rows, period).T
+    return float(density.mean()), float(np.nanmean(speed)) if np.isfinite(speed).any() else float("nan")
+
+
+def area_series(
+    tracks: Tracks, floor: Bounds, area: Bounds, rows: slice = slice(None), period: float | None = None
+) -> Float[np.ndarray, "K 2"]:
+    """(K, 2) Voronoi density [1/m2] and speed [m/s] in an area at each moment of ``rows``; speed NaN without people.
 
     Args:
         floor: to which cells are cut; people off it are left out.
@@ -133,7 +149,7 @@ def area_means(
     chosen = range(*rows.indices(len(tracks.present)))
     counted = table[on_floor & table.frame.isin(chosen)]
     if not len(counted):
-        return 0.0, float("nan")
+        return np.stack([np.zeros(len(chosen)), np.full(len(chosen), np.nan)], 1)
     speed = package.compute_individual_speed(
         traj_data=everybody,
         frame_step=max(1, round(SPEED_SPAN * frame_rate)),
@@ -150,7 +166,21 @@ def area_means(
     )
     density, speeds = (part.reset_index().set_index("frame") for part in (density, speeds))
     density, speeds = density.density.reindex(chosen, fill_value=0.0), speeds.speed.reindex(chosen)
-    return float(density.mean()), float(speeds[density > 0.0].mean())
+    return np.stack([density, speeds.where(density > 0.0)], 1).astype(float)
+
+
+def densities(tracks: Tracks, lower: tuple[float, float], upper: tuple[float, float]) -> Float[np.ndarray, "T"]:
+    """(T,) 1/m2: people in a rectangle from ``lower`` to ``upper`` [m], over its area."""
+    position, present = np.asarray(tracks.position), np.asarray(tracks.present)
+    inside = present & (position >= np.asarray(lower)).all(-1) & (position <= np.asarray(upper)).all(-1)
+    return inside.sum(1) / ((upper[0] - lower[0]) * (upper[1] - lower[1]))
+
+
+def peak(values: Float[np.ndarray, "T"], span: int) -> float:
+    """The largest mean of ``span`` values in sequence, or of all if they are fewer."""
+    span = min(span, len(values))
+    total = np.concatenate([[0.0], np.cumsum(values)])
+    return float((total[span:] - total[:-span]).max() / span)
 
 
 def lane_order(
@@ -192,53 +222,150 @@ def separation(
     return np.asarray(np.sqrt((nearest**2).sum(-1)).min(0))
 
 
+def overlap(
+    position: Float[np.ndarray, "T N 2"],
+    facing: Float[np.ndarray, "T N 2"],
+    present: Bool[np.ndarray, "T N"],
+    radii: Callable[..., Any],
+    group: Int[np.ndarray, "T N"] | None = None,
+) -> float:
+    """The largest depth [m] to which two bodies overlap at any moment; 0 if none do.
+
+    Args:
+        position: m.
+        facing: unit vectors, across which shoulders are.
+        radii: how far two bodies reach, as ``Walking.radii``.
+        group: the group of each person, -1 none; then only bodies of one group count.
+    """
+    moments, number = np.shape(present)
+    span, nearest = max(1, PAIRS // max(number * number, 1)), np.inf
+    for first in range(0, moments, span):
+        some = slice(first, first + span)
+        x, y = np.moveaxis(np.asarray(position[some], np.float32), -1, 0)
+        look_x, look_y = np.moveaxis(np.asarray(facing[some], np.float32), -1, 0)[..., None]
+        both = present[some, :, None] & present[some, None, :] & ~np.eye(number, dtype=bool)
+        if group is not None:
+            both &= (group[some, :, None] == group[some, None, :]) & (group[some, :, None] >= 0)
+        dx, dy = x[:, :, None] - x[:, None, :], y[:, :, None] - y[:, None, :]
+        squared, aside = dx * dx + dy * dy, (dx * look_y - dy * look_x) ** 2
+        gap = np.sqrt(squared) - np.asarray(radii(squared, 0.5 * (aside + np.swapaxes(aside, 1, 2))))
+        nearest = min(nearest, float(gap.min(where=both, initial=np.inf)))
+    return max(0.0, -nearest)
+
+
+def deviation_in_time(speed: Float[np.ndarray, "T N"]) -> float:
+    """The standard deviation [m/s] of a person's speed in time: of speeds (T, N) m/s, root mean square over people."""
+    return float(np.sqrt(np.nanmean(np.nanvar(speed, axis=0))))
+
+
+class Wave(NamedTuple):
+    """A wave of speeds in a single file; NaN if speeds change by less than ``STEADY``."""
+
+    correlation: float  # of speeds with those ``BEHIND`` places behind, a delay later
+    delay: float  # s from one person to the next, at which that is largest
+    speed: float  # m/s along the file, negative upstream
+
+
+def wave(speed: Float[np.ndarray, "T N"], period: float, time_step: float) -> Wave:
+    """The wave of speeds in a single file that is closed.
+
+    Args:
+        speed: (T, N) m/s along the file, of people in their order: each walks behind the next, the last behind the
+            first.
+        period: m, length of the file.
+        time_step: s between moments.
+    """
+    speed = np.asarray(speed, float)
+    change = speed - speed.mean(0)
+    if deviation_in_time(speed) < STEADY:
+        return Wave(np.nan, np.nan, np.nan)
+    behind = np.roll(change, BEHIND, axis=1)
+    shared = []
+    for delay in range(round(LATEST / time_step) + 1):
+        one, other = change[: len(change) - delay], behind[delay:]
+        shared.append((one * other).sum() / np.sqrt((one**2).sum() * (other**2).sum()))
+    best = int(np.argmax(shared))
+    later = best * time_step
+    gap = BEHIND * period / speed.shape[1]
+    across = float(speed.mean()) - gap / later if best else np.nan
+    return Wave(float(shared[best]), later / BEHIND, across)
+
+
+class Motion(NamedTuple):
+    """How smoothly people move: magnitudes at all moments of all people."""
+
+    acceleration: Float[np.ndarray, "K"]  # m/s2
+    jerk: Float[np.ndarray, "J"]  # m/s3
+    turn_rate: Float[np.ndarray, "I"]  # rad/s, where people walk
+
+
+def motion(position: Float[np.ndarray, "T N 2"], present: Bool[np.ndarray, "T N"], time_step: float) -> Motion:
+    """Accelerations, jerk and turn rates, as differences of positions (T, N, 2) m, ``time_step`` s apart."""
+    place = np.where(np.asarray(present)[..., None], np.asarray(position, float), np.nan)
+    velocity = np.diff(place, axis=0) / time_step
+    acceleration = np.diff(velocity, axis=0) / time_step
+    size = lambda vector: np.linalg.norm(vector, axis=-1)  # noqa: E731
+    walks = (size(velocity[1:]) > WALKS) & (size(velocity[:-1]) > WALKS)
+    turned = np.diff(np.arctan2(velocity[..., 1], velocity[..., 0]), axis=0)
+    turned = np.abs((turned + np.pi) % (2.0 * np.pi) - np.pi) / time_step
+    values = size(acceleration), size(np.diff(acceleration, axis=0) / time_step), np.where(walks, turned, np.nan)
+    return Motion(*(each[np.isfinite(each)] for each in values))
+
+
+def sideways(position: Float[np.ndarray, "T N 2"], present: Bool[np.ndarray, "T N"]) -> Float[np.ndarray, "N"]:
+    """(N,) m, the largest distance of people (T, N, 2) m from the line from their first to their last place.
+
+    NaN of those whose line is shorter than ``LONG``.
+    """
+    position, present = np.asarray(position, float), np.asarray(present)
+    own, last = np.arange(present.shape[1]), len(present) - 1 - present[::-1].argmax(0)
+    first = position[present.argmax(0), own]
+    line = position[last, own] - first
+    far = np.linalg.norm(line, axis=-1)
+    gap = position - first
+    off = np.abs(gap[..., 0] * line[:, 1] - gap[..., 1] * line[:, 0]) / np.where(far > 0.0, far, 1.0)
+    return np.where(far >= LONG, np.where(present, off, 0.0).max(0), np.nan)
+
+
+def slowest(position: Float[np.ndarray, "T N 2"], present: Bool[np.ndarray, "T N"]) -> Float[np.ndarray, "N"]:
+    """(N,) the slowest step of each person over the first one; NaN of those with fewer than 5 steps."""
+    place = np.where(np.asarray(present)[..., None], np.asarray(position, float), np.nan)
+    step = np.linalg.norm(np.diff(place, axis=0), axis=-1)
+    there = np.isfinite(step)
+    first = step[there.argmax(0), np.arange(step.shape[1])]
+    least = step.min(0, where=there, initial=np.inf)
+    return np.where((there.sum(0) >= 5) & (first > 0.0), least / np.where(first > 0.0, first, 1.0), np.nan)
+
+
+class Company(NamedTuple):
+    """How people who walk together walk: values of all pairs at all moments."""
+
+    spacing: Float[np.ndarray, "K"]  # m
+    beside: Bool[np.ndarray, "K"]  # whether the other is more than 60 degrees off the way of both
+
+
+def company(
+    position: Float[np.ndarray, "T N 2"],
+    present: Bool[np.ndarray, "T N"],
+    pairs: Int[np.ndarray, "P 2"],
+    time_step: float,
+) -> Company:
+    """The company of pairs, at moments at which they walk.
+
+    Args:
+        position: (T, N, 2) m, ``time_step`` s apart.
+        pairs: (P, 2) columns of two who walk together.
+    """
+    place = np.where(np.asarray(present)[..., None], np.asarray(position, float), np.nan)
+    one, other = (place[:, np.asarray(pairs, int)[:, k]] for k in (0, 1))
+    way = np.diff(0.5 * (one + other), axis=0)
+    gap = (other - one)[:-1]
+    apart, far = np.linalg.norm(gap, axis=-1), np.linalg.norm(way, axis=-1)
+    along = np.abs((gap * way).sum(-1)) / np.where(apart * far > 0.0, apart * far, 1.0)
+    both = np.isfinite(along) & (far > WALKS * time_step)
+    return Company(apart[both], along[both] < 0.5)
+
+
 def _corners(bounds: Bounds) -> list[tuple[float, float]]:
     x0, y0, x1, y1 = bounds
     return [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
-
-
-@dataclass(frozen=True)
-class GroupOccupancy:
-    """Occupancy of G conversational groups (section IV-D) over time, and the stays that ended."""
-
-    mean: Float[np.ndarray, "G"]  # members over capacity, from 0 to 1
-    full: Float[np.ndarray, "G"]  # share of the time with all members
-    empty: Float[np.ndarray, "G"]  # share of the time without any
-    largest: Int[np.ndarray, "G"]  # most members at once
-    stays: tuple[Float[np.ndarray, "K"], ...]  # s, of each group: stays that were measured as a whole
-
-
-def group_occupancy(
-    group: Int[np.ndarray, "*B T N"],
-    capacity: Int[np.ndarray, "G"],
-    time_step: float,
-    warm_up: float = 20.0,
-) -> GroupOccupancy:
-    """Occupancy of groups, and stays of their members.
-
-    Args:
-        group: (..., T, N) the group in which each person is at each step, -1 none; of one or more episodes.
-        capacity: (G,) people that each group is for.
-        warm_up: s, at the beginning of each episode, that do not count.
-    """
-    group = np.asarray(group)
-    group = group.reshape(-1, *group.shape[-2:])[:, round(warm_up / time_step) :]
-    capacity = np.asarray(capacity)
-    members = np.stack([(group == g).sum(-1) for g in range(len(capacity))], -1).reshape(-1, len(capacity))
-    return GroupOccupancy(
-        mean=members.mean(0) / capacity,
-        full=(members >= capacity).mean(0),
-        empty=(members == 0).mean(0),
-        largest=members.max(0),
-        stays=tuple(_stays(group == g) * time_step for g in range(len(capacity))),
-    )
-
-
-def _stays(inside: np.ndarray) -> np.ndarray:
-    """(K,) steps of each whole stay in (B, T, N); stays cut by the beginning or the end do not count."""
-    outside = np.zeros((len(inside), 1, inside.shape[-1]), bool)
-    padded = np.concatenate([outside, inside, outside], axis=1).swapaxes(1, 2)  # (B, N, T + 2)
-    change = np.diff(padded.astype(np.int8), axis=-1)
-    began, ended = np.nonzero(change == 1)[-1], np.nonzero(change == -1)[-1]  # in pairs, as people come in their order
-    complete = (began > 0) & (ended < inside.shape[1])
-    return (ended - began)[complete]

@@ -110,7 +110,7 @@ def cabins() -> Scene:
         parts += [wall((left, side), (middle - half, side)), wall((middle + half, side), (left + wide, side))]
         if column:
             parts.append(wall((left, side), (left, back)))
-        inside = side - sign * 0.35  # in the corridor, so that nobody turns in the door
+        inside = side - sign * 0.05  # in the corridor; farther in people swing into the cabin on the other side
         ends = (middle + half, inside), (middle - half, inside)
         gates.append(Gate(*ends) if above else Gate(*ends[::-1]))
         number = 1 if cabin == 11 else 2
@@ -120,7 +120,7 @@ def cabins() -> Scene:
     return Scene(walls=np.concatenate(parts), gates=tuple(gates), walkers=join(*people), seconds=120.0)
 
 
-def two_rooms(passage: float) -> Scene:
+def two_rooms(passage: float, seed: int = 0) -> Scene:
     """Two rooms of 10 by 10 m, a passage of a width [m] 5 m long between them, 150 people in the first, an exit of 1 m.
 
     Gate 0 is the beginning of the passage, gate 1 its end, gate 2 the exit.
@@ -129,8 +129,8 @@ def two_rooms(passage: float) -> Scene:
     gates = Gate((10.0, high), (10.0, low)), Gate((15.0, high), (15.0, low)), Gate((25.0, 5.5), (25.0, 4.5))
     rooms = room((0.0, 0.0), (10.0, 10.0), gates[:1]), room((15.0, 0.0), (25.0, 10.0), gates[1:])
     walls = np.concatenate([*rooms, box((10.0, low - 0.2), (15.0, low)), box((10.0, high), (15.0, high + 0.2))])
-    people = walkers(spread((0.3, 0.3), (5.0, 9.7), 150), route=(0, 1, 2))
-    return Scene(walls, people, gates, seconds=400.0)
+    people = walkers(spread((0.3, 0.3), (5.0, 9.7), 150, seed), route=(0, 1, 2), seed=seed)
+    return Scene(walls, people, gates, seconds=400.0, seed=seed)
 
 
 def counterflow(against: int) -> Scene:

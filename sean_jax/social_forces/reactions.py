@@ -1,0 +1,195 @@
+"""Reactions of people to the robot, and people who look at a phone: the term ``Reactions``.
+
+[H] N. Perez-Higueras, R. Otero, F. Caballero & L. Merino, HuNavSim: A ROS 2 Human Navigation Simulator, IEEE Robotics
+and Automation Letters 8(11), 7130 (2023), arXiv 2305.01303: the kinds and what they do; distances are in its code.
+[M21] H. Murakami, C. Feliciani, Y. Nishiyama & K. Nishinari, Science Advances 7, eabe7758 (2021): people with a phone
+anticipate others less, and lanes form later.
+"""
+
+from dataclasses import replace
+from enum import IntEnum
+from typing import Any, ClassVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+from jaxtyping import Bool, Float
+
+from sean_jax.base import Array, Obstacles, Pedestrians, Reaction, Robot
+from sean_jax.geometry import crosses_box, length, unit
+from sean_jax.social_forces.forces import Crowd, Force
+
+RAMP = 1.0  # m, over which sight ends and an approach comes to a halt
+BEHIND = -0.34  # 1, cosine of 110 degrees: there sight is zero, and whole at 90; [H] has a step at 100
+PACE = 0.5  # s, in which a person would walk to the place before the robot
+SLOW = 0.1  # m/s, at least, of the speed by which is divided
+
+
+class Kind(IntEnum):
+    """What people do when they see the robot, after [H]."""
+
+    INDIFFERENT = 0  # avoid it like a person, as the other terms say
+    SURPRISED = 1  # stop and look at it
+    CURIOUS = 2  # walk up to it slowly, stop at a distance and look at it
+    CAUTIOUS = 3  # keep far away
+    IMPASSIVE = 4  # take no notice of it; only its body stops theirs
+    THREATENING = 5  # walk to a place before it and stay there, in its way
+
+
+ENGAGED = Kind.SURPRISED, Kind.CURIOUS, Kind.THREATENING  # they leave their way, and face the robot
+
+
+def _constant(value: float) -> Any:
+    return struct.field(default=np.float64(value))
+
+
+@struct.dataclass
+class Reactions:
+    """Reactions to the robot: each person draws one of the kinds of ``Kind``, and whether they look at a phone.
+
+    People see the robot within ``sight``, ahead or beside them and with no obstacle between. Then their attention
+    rises. Surprised, curious and threatening people want another velocity in its measure, until their patience ends.
+    An inattentive person notices others, and the robot, only within the share ``phone`` of the time and distance
+    ahead: ``Evasion`` and ``Headway`` act later. Standing members of groups do not react.
+
+    Source: [H] and [M21] above; constants without a name are ours.
+    """
+
+    limits: ClassVar[dict[str, tuple[float, float]]] = {
+        **dict.fromkeys((kind.name.lower() for kind in Kind if kind), (0.0, 1.0)),
+        "inattentive": (0.0, 1.0),
+        "phone": (0.01, 1.0),
+        "sight": (0.0, 1e3),
+        "delay": (1e-2, 100.0),
+        "duration": (0.0, 1e6),
+        "approach": (0.0, 10.0),
+        "stop": (0.0, 100.0),
+        "block": (0.0, 100.0),
+        "caution": (0.0, 100.0),
+        "clearance": (1e-2, 100.0),
+    }
+    relations: ClassVar[dict] = {
+        "the shares of surprised, curious, cautious, impassive and threatening people sum to more than 1": (
+            lambda term: np.sum([getattr(term, kind.name.lower()) for kind in Kind if kind], 0) > 1.0 + 1e-6
+        ),
+    }
+
+    surprised: Float[Array, ""] = _constant(0.0)  # 1, shares of people; the others are indifferent
+    curious: Float[Array, ""] = _constant(0.0)
+    cautious: Float[Array, ""] = _constant(0.0)
+    impassive: Float[Array, ""] = _constant(0.0)
+    threatening: Float[Array, ""] = _constant(0.0)
+    inattentive: Float[Array, ""] = _constant(0.0)  # 1, share of people with a phone, of any kind
+    phone: Float[Array, ""] = _constant(0.6)  # 1, of the time and distance ahead in which they notice others
+    sight: Float[Array, ""] = _constant(5.0)  # m, from where people see the robot; [H] has 3 to 10
+    delay: Float[Array, ""] = _constant(0.4)  # s, in which attention rises and falls
+    duration: Float[Array, ""] = _constant(30.0)  # s, of attention until people lose interest [H]
+    approach: Float[Array, ""] = _constant(0.6)  # m/s, of curious people
+    stop: Float[Array, ""] = _constant(1.5)  # m, from the robot, where they stop [H]
+    block: Float[Array, ""] = _constant(0.9)  # m, before the robot, where threatening people walk to
+    caution: Float[Array, ""] = _constant(2.5)  # m/s, by which cautious people want to get away from where it is ...
+    clearance: Float[Array, ""] = _constant(3.0)  # m, ... less at a distance, and not at all from here on [H]
+
+    def draw(self, key: Array, people: int) -> Reaction:
+        """The reactions of people at the start of an episode."""
+        kind_key, phone_key = jax.random.split(key)
+        shares = jnp.stack([jnp.asarray(getattr(self, kind.name.lower()), float) for kind in Kind if kind])
+        lots = jax.random.uniform(kind_key, (people,), float)
+        above = lots[:, None] >= jnp.cumsum(shares[::-1])[None]  # so the last interval is that of indifferent people
+        kind = len(shares) - above.sum(1, dtype=jnp.int32)
+        has_phone = jax.random.uniform(phone_key, (people,), float) < self.inattentive
+        alertness = jnp.where(has_phone, self.phone, 1.0).astype(float)
+        attention = jnp.zeros(people, float)
+        return Reaction(kind, alertness, attention, jnp.broadcast_to(self.duration, (people,)).astype(float))
+
+    def attend(
+        self, people: Pedestrians, robot: Robot, obstacles: Obstacles | None, time_step: Float[Array, ""] | float
+    ) -> Pedestrians:
+        """People with the attention and the patience that they have ``time_step`` [s] later."""
+        reaction = people.reaction
+        if reaction is None:
+            return people
+        dx, dy = _to_robot(people, robot)
+        ux, uy = unit(dx, dy)
+        near = jnp.clip((self.sight * reaction.alertness - length(dx, dy)) / RAMP, 0.0, 1.0)
+        cosine = ux * people.heading[:, 0] + uy * people.heading[:, 1]
+        seen = near * jnp.clip(1.0 - cosine / BEHIND, 0.0, 1.0)
+        if obstacles is not None:
+            seen = jnp.where(_hidden(people, robot, obstacles), 0.0, seen)
+        interest = jnp.clip(reaction.patience / self.delay, 0.0, 1.0)
+        aim = jnp.where(reaction.kind == Kind.CAUTIOUS, seen, seen * interest)
+        attention = reaction.attention + (1.0 - jnp.exp(-time_step / self.delay)) * (aim - reaction.attention)
+        patience = jnp.maximum(reaction.patience - time_step * attention, 0.0)
+        return replace(people, reaction=replace(reaction, attention=attention, patience=patience))
+
+    def desire(self, people: Pedestrians, robot: Robot) -> Float[Array, "N 2"]:
+        """The desired velocities [m/s] of people who see the robot."""
+        reaction = people.reaction
+        if reaction is None:
+            return people.desired_velocity
+        dx, dy = _to_robot(people, robot)
+        ux, uy = unit(dx, dy)
+        speed = self.approach * jnp.clip((length(dx, dy) - self.stop) / RAMP, -1.0, 1.0)
+        bx, by = (dx + self.block * robot.heading[0]) / PACE, (dy + self.block * robot.heading[1]) / PACE
+        preferred = jnp.maximum(people.preferred_speed, SLOW)
+        slower = jax.lax.rsqrt(1.0 + (bx * bx + by * by) / (preferred * preferred))
+        kind = reaction.kind
+        blocks, approaches = kind == Kind.THREATENING, kind == Kind.CURIOUS
+        x = jnp.where(blocks, bx * slower, jnp.where(approaches, speed * ux, 0.0))
+        y = jnp.where(blocks, by * slower, jnp.where(approaches, speed * uy, 0.0))
+        share = _share(people, reaction, *ENGAGED)[:, None]
+        return people.desired_velocity + share * (jnp.stack([x, y], -1) - people.desired_velocity)
+
+    def gaze(self, people: Pedestrians, robot: Robot) -> Float[Array, "N 2"]:
+        """What is added to the velocity [m/s] to which the body turns, so that people who attend face the robot."""
+        reaction = people.reaction
+        if reaction is None:
+            return jnp.zeros_like(people.heading)
+        ux, uy = unit(*_to_robot(people, robot))
+        return _share(people, reaction, *ENGAGED)[:, None] * jnp.stack([ux, uy], -1)
+
+    def person(self, crowd: Crowd) -> Force | None:
+        """The push (N,) [m/s2] on cautious people, away from the robot; None without one."""
+        people, robot, reaction = crowd.people, crowd.robot, crowd.people.reaction
+        if robot is None or reaction is None:
+            return None
+        dx, dy = _to_robot(people, robot)
+        ux, uy = unit(dx, dy)
+        near = jnp.maximum(1.0 - length(dx, dy) / self.clearance, 0.0)
+        push = self.caution / crowd.forces.walking.relaxation(people) * near * _share(people, reaction, Kind.CAUTIOUS)
+        return -push * ux, -push * uy
+
+
+def heed(people: Pedestrians, robot: Robot | None) -> Float[Array, "N"] | None:
+    """The factor (N,) of all pair terms but contact of the robot on each person; None without reactions or robot.
+
+    Impassive people take no notice of it, and threatening people do not give way to it once they are before it.
+    """
+    reaction = people.reaction
+    if reaction is None or robot is None:
+        return None
+    ux, uy = unit(*_to_robot(people, robot))
+    before = jnp.maximum(-(ux * robot.heading[0] + uy * robot.heading[1]), 0.0)
+    stays = _share(people, reaction, Kind.THREATENING) * before
+    return jnp.where(reaction.kind == Kind.IMPASSIVE, 0.0, 1.0 - stays)
+
+
+def _share(people: Pedestrians, reaction: Reaction, *kinds: Kind) -> Float[Array, "N"]:
+    """The attention (N,) of people of these kinds who do not stand in a group; zero of all others."""
+    of_kind = (reaction.kind[:, None] == jnp.asarray([kinds], jnp.int32)).any(1)
+    return jnp.where(of_kind & (people.group < 0), reaction.attention, 0.0)
+
+
+def _to_robot(people: Pedestrians, robot: Robot) -> tuple[Float[Array, "N"], Float[Array, "N"]]:
+    return robot.position[0] - people.position[:, 0], robot.position[1] - people.position[:, 1]
+
+
+def _hidden(people: Pedestrians, robot: Robot, obstacles: Obstacles) -> Bool[Array, "N"]:
+    """Whether an obstacle, other than an edge of the floor, is on the line from each person to the robot."""
+    x, y = people.position[:, 0], people.position[:, 1]
+    each = jax.vmap(crosses_box, in_axes=(None, None, None, None, 0, None))
+    hits = jax.vmap(each, in_axes=(0, 0, None, None, None, None))(
+        x, y, robot.position[0], robot.position[1], obstacles, 0.0
+    )
+    return (hits & (obstacles.height > 0.0)[None]).any(1)

@@ -1,0 +1,179 @@
+"""Checks of people on Behavior Graphs (section IV-D): how full their groups are, and how their bodies move."""
+
+from dataclasses import dataclass, replace
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float, Int
+
+from sean_jax import assembly, environment, prng, social_forces
+from sean_jax.base import Array, Scenario
+from sean_jax.behaviors.graph_choices import MAX_WAIT
+from sean_jax.scenario import reset
+from sean_jax.social_forces.forces import look_direction
+from sean_jax.studies.scenes import Model
+from sean_jax.studies.scenes.simulation import advance
+from sean_jax.studies.validation.checks import CheckContext, CheckResult, Curve, result
+from sean_jax.studies.validation.measures import overlap
+
+MEMBERS, FULL = 0.8, 0.5  # of the capacity on average; of the time
+SECONDS, EPISODES = 300.0, 16
+QUICK = 120.0, 4  # s, episodes
+AWAY = 1e3  # m, where the robot stands
+BODIES = "warehouse", "lab"  # environments in which bodies are measured
+DEPTH = 0.01  # m, by which two members of a group overlap at most
+STRONG = 8.0  # m/s2, which no person has
+LATER = 4  # control steps, over which accelerations are measured as in recordings
+
+
+@dataclass(frozen=True)
+class GroupOccupancy:
+    """Occupancy of G conversational groups (section IV-D) over time, and the stays that ended."""
+
+    mean: Float[np.ndarray, "G"]  # members over capacity, from 0 to 1
+    full: Float[np.ndarray, "G"]  # share of the time with all members
+    empty: Float[np.ndarray, "G"]  # share of the time without any
+    largest: Int[np.ndarray, "G"]  # most members at once
+    stays: tuple[Float[np.ndarray, "K"], ...]  # s, of each group: stays that were measured as a whole
+
+
+def group_occupancy(
+    group: Int[np.ndarray, "*B T N"],
+    capacity: Int[np.ndarray, "G"],
+    time_step: float,
+    warm_up: float = 20.0,
+) -> GroupOccupancy:
+    """Occupancy of groups, and stays of their members.
+
+    Args:
+        group: (..., T, N) the group in which each person is at each step, -1 none; of one or more episodes.
+        capacity: (G,) people that each group is for.
+        warm_up: s, at the beginning of each episode, that do not count.
+    """
+    group = np.asarray(group)
+    group = group.reshape(-1, *group.shape[-2:])[:, round(warm_up / time_step) :]
+    capacity = np.asarray(capacity)
+    members = np.stack([(group == g).sum(-1) for g in range(len(capacity))], -1).reshape(-1, len(capacity))
+    return GroupOccupancy(
+        mean=members.mean(0) / capacity,
+        full=(members >= capacity).mean(0),
+        empty=(members == 0).mean(0),
+        largest=members.max(0),
+        stays=tuple(_stays(group == g) * time_step for g in range(len(capacity))),
+    )
+
+
+def _stays(inside: np.ndarray) -> np.ndarray:
+    """(K,) steps of each whole stay in (B, T, N); stays cut by the beginning or the end do not count."""
+    outside = np.zeros((len(inside), 1, inside.shape[-1]), bool)
+    padded = np.concatenate([outside, inside, outside], axis=1).swapaxes(1, 2)  # (B, N, T + 2)
+    change = np.diff(padded.astype(np.int8), axis=-1)
+    began, ended = np.nonzero(change == 1)[-1], np.nonzero(change == -1)[-1]  # in pairs, as people come in their order
+    complete = (began > 0) & (ended < inside.shape[1])
+    return (ended - began)[complete]
+
+
+def occupancy(context: CheckContext) -> CheckResult:
+    """How full the groups of the Behavior Graph are in each environment."""
+    names = ["warehouse"] if context.quick else environment.available()
+    seconds, episodes = QUICK if context.quick else (SECONDS, EPISODES)
+    return compare_occupancy(
+        {name: in_environment(context.model, name, seconds, episodes) for name in context.progress(names)}
+    )
+
+
+def in_environment(model: Model, name: str, seconds: float, episodes: int) -> tuple[GroupOccupancy, np.ndarray]:
+    """The occupancy of groups in episodes after 20 s, and (G, 2) s, shortest and longest stay that are drawn."""
+    scenario = graph_scenario(model, name)
+    group = _walk(scenario, seconds, episodes)[0]
+    graph = jax.tree.map(np.asarray, scenario.behavior.data.graph)
+    return group_occupancy(group, graph.capacity[graph.groups], scenario.time_step), graph.stay[graph.groups]
+
+
+def graph_scenario(model: Model, name: str) -> Scenario:
+    """People of a model in an environment on its Behavior Graph, with a robot beside them."""
+    scenario = assembly.make(name, behavior="graph", task="random_ab_nav", robot="kuri", dynamics="twin")
+    substeps = social_forces.substeps(model.forces, scenario.time_step)
+    return replace(scenario, forces=model.forces, move=model.move, substeps=substeps)
+
+
+def _walk(scenario: Scenario, seconds: float, episodes: int) -> tuple[np.ndarray, ...]:
+    """Of some episodes (B, T, N): the group of each person, position [m], velocity [m/s] and look (B, T, N, 2)."""
+    keys = jax.random.split(prng.key("groups", 0), episodes)
+    return tuple(np.asarray(part) for part in _episodes(round(seconds / scenario.time_step), scenario, keys))
+
+
+@partial(jax.jit, static_argnums=0)
+@partial(jax.vmap, in_axes=(None, None, 0))
+def _episodes(steps: int, scenario: Scenario, key: Array) -> tuple[Array, ...]:
+    """Groups, positions, velocities and looks of people in an episode in which no robot is near."""
+    state = reset(scenario, key)
+    away = replace(state.robot, position=jnp.full(2, AWAY, float))
+
+    def step(state, _):
+        state = advance(scenario, state)
+        people = state.pedestrians
+        return state, (people.group, people.position, people.velocity, jnp.stack(look_direction(people), -1))
+
+    return jax.lax.scan(step, replace(state, robot=away), length=steps)[1]
+
+
+def compare_occupancy(by_name: dict[str, tuple[GroupOccupancy, np.ndarray]]) -> CheckResult:
+    """The result of occupancies by environment, of ``in_environment``."""
+    members = np.concatenate([each.mean for each, _ in by_name.values()])
+    full = np.concatenate([each.full for each, _ in by_name.values()])
+    stays = np.array([stays.mean() if len(stays) else np.inf for each, _ in by_name.values() for stays in each.stays])
+    shortest, longest = np.concatenate([drawn for _, drawn in by_name.values()]).T
+    changes = bool(((stays >= shortest) & (stays <= (shortest + longest) / 2 + MAX_WAIT)).all())
+    names = [f"{name} {k + 1}" for name, (each, _) in by_name.items() for k in range(len(each.mean))]
+    number = tuple(np.arange(1.0, len(names) + 1.0))
+    measured = {"members": members, "full": full, "stay": stays}
+    return result(
+        bool((members >= MEMBERS).all() and (full >= FULL).all() and changes),
+        f"{100 * members.min():.0f} % of the members on average at least, full {100 * full.min():.0f} % of the time at "
+        f"least, mean stays of {stays.min():.1f} to {stays.max():.1f} s",
+        f"{100 * MEMBERS:.0f} % of the members, full {100 * FULL:.0f} % of the time, stays as drawn",
+        numbers={f"{what}_{name}": float(each[k]) for what, each in measured.items() for k, name in enumerate(names)},
+        curves=(
+            Curve("members, share of the capacity", number, tuple(members), points=True),
+            Curve("full, share of the time", number, tuple(full), points=True),
+            Curve("members wanted", (number[0], number[-1]), (MEMBERS,) * 2, reference=True),
+            Curve("full wanted", (number[0], number[-1]), (FULL,) * 2, reference=True),
+        ),
+        axes=("group: " + ", ".join(names), "share"),
+    )
+
+
+def bodies(context: CheckContext) -> CheckResult:
+    """How deep members of one group overlap, and the accelerations of all, in two environments."""
+    radii = context.model.forces.walking.radii
+    numbers: dict[str, float] = {}
+    words = []
+    for name in context.progress(BODIES):
+        scenario = graph_scenario(context.model, name)
+        group, position, velocity, look = _walk(scenario, *QUICK)
+        there = np.ones(group.shape[1:], bool)
+        parts = zip(position, look, group, strict=True)
+        deep = max(overlap(place, facing, there, radii, own) for place, facing, own in parts)
+        each = accelerations(velocity, scenario.time_step)
+        usual, rare = np.quantile(accelerations(velocity[:, ::LATER], LATER * scenario.time_step), [0.95, 0.99])
+        a_minute = 60.0 / scenario.time_step * float((each > STRONG).mean())
+        parts = {"overlap": deep, "strong": a_minute, "largest": float(each.max()), "p95": usual, "p99": rare}
+        numbers |= {f"{what}_{name}": float(value) for what, value in parts.items()}
+        words.append(
+            f"{name}: members overlap by {1000 * deep:.0f} mm at most; above {STRONG:g} m/s² {a_minute:.2f} times a "
+            f"person and minute, {each.max():.0f} at most; at 0.4 s 95 % below {usual:.2f}, 99 % below {rare:.2f} m/s²"
+        )
+    return result(
+        all(numbers[f"overlap_{name}"] <= DEPTH and numbers[f"strong_{name}"] == 0.0 for name in BODIES),
+        "; ".join(words),
+        f"{1000 * DEPTH:g} mm at most, never above {STRONG:g} m/s²",
+        numbers=numbers,
+    )
+
+
+def accelerations(velocity: Float[np.ndarray, "B T N 2"], time_step: float) -> Float[np.ndarray, "B R N"]:
+    """(B, T - 1, N) m/s2, from velocities (B, T, N, 2) m/s at moments ``time_step`` s apart."""
+    return np.linalg.norm(np.diff(velocity, axis=1), axis=-1) / time_step
