@@ -45,9 +45,13 @@ def touching(own, other, way, depth):
 def radii(own, other, way, distance, depth):
     """(...) m, as ``model.pair_forces`` calls it."""
     dx, dy = -distance * np.cos(way), -distance * np.sin(way)
-    aside = 0.5 * sum((dx * np.sin(look) - dy * np.cos(look)) ** 2 for look in (own, other))
-    square = jnp.asarray(dx * dx + dy * dy, float)
-    return np.asarray(jax.jit(walking(depth).radii)(square, jnp.asarray(aside, float)), float)
+
+    @jax.jit
+    def reach(dx, dy, own, other):
+        shapes = (walking(depth).shape(jnp.cos(look), jnp.sin(look)) for look in (own, other))
+        return walking(depth).radii(dx, dy, tuple(map(jnp.add, *shapes)))
+
+    return np.asarray(reach(*(jnp.asarray(each, float) for each in (dx, dy, own, other))), float)
 
 
 @pytest.mark.parametrize("depth", [0.16, 0.14])

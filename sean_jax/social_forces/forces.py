@@ -101,16 +101,32 @@ class Walking:
             return self.relaxation_time
         return self.relaxation_time * jnp.exp(self.relaxation_deviation * people.traits.relaxation)
 
-    def radii(self, square: Float[Array, "..."], aside: Float[Array, "..."] | float) -> Float[Array, "..."]:
-        """How far [m] two bodies reach together along the line between their centres, of a squared length [m2].
+    def shape(
+        self, look_x: Float[Array, "..."], look_y: Float[Array, "..."]
+    ) -> tuple[Float[Array, "..."], Float[Array, "..."]] | None:
+        """The two numbers [m] of a body with that look that ``radii`` adds up; None for a disc.
 
         A body is an oval that reaches ``depth`` along the look and ``radius`` across, between them by the squared sine
-        of the angle. ``aside`` [m2] is the mean of the squared parts of that line across the look of each.
+        of the angle. In the doubled angle that is linear, so numbers of two bodies add up.
         """
         if self.depth is None:
+            return None
+        half = 0.5 * (self.radius - self.depth)
+        return half * (look_y * look_y - look_x * look_x), -4.0 * half * look_x * look_y
+
+    def radii(
+        self, dx: Float[Array, "..."], dy: Float[Array, "..."], shape: tuple[Array, Array] | None
+    ) -> Float[Array, "..."]:
+        """How far [m] two bodies reach together along the line (dx, dy) [m] between their centres.
+
+        ``shape`` is the sum of both bodies' ``shape``.
+        """
+        if self.depth is None or shape is None:
             return 2.0 * self.radius
-        share = aside * jax.lax.rsqrt(square + TINY) ** 2  # cheaper than a division
-        return 2.0 * (self.depth + (self.radius - self.depth) * share)
+        along, across = dx * dx, dy * dy
+        inverse = jax.lax.rsqrt(along + across + TINY)
+        turned = shape[0] * (along - across) + shape[1] * (dx * dy)
+        return (self.radius + self.depth) + turned * (inverse * inverse)
 
     def bound(self, ax: Float[Array, "N"], ay: Float[Array, "N"]) -> tuple[Float[Array, "N"], Float[Array, "N"]]:
         """Accelerations [m/s2] shortened smoothly to less than ``acceleration``."""

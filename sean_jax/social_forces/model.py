@@ -189,21 +189,25 @@ def pair_forces(crowd: Crowd, near: Neighbors | None = None) -> tuple[Force | No
 
     def law(shared, own, other):
         apart, contact, gather_terms, walking, perception = shared
-        px, py, vx, vy, group, look_x, look_y, standing, *individual = own
-        qx, qy, wx, wy, other_group, *facing = other
+        qx, qy, wx, wy, other_group, *other_shape = other
+        px, py, vx, vy, group, *own_rows = own
+        own_shape, (look_x, look_y, standing, *individual) = own_rows[: len(other_shape)], own_rows[len(other_shape) :]
         dx, dy = px - qx, py - qy
-        dd, aside = dx * dx + dy * dy, 0.0
-        if facing:
-            aside = 0.5 * ((dx * look_y - dy * look_x) ** 2 + (dx * facing[1] - dy * facing[0]) ** 2)
-        pair = Pair(dx, dy, wx, wy, vx, vy, look_x, look_y, walking.radii(dd, aside), standing.astype(bool))
+        dd = dx * dx + dy * dy
+        shape = tuple(map(jnp.add, own_shape, other_shape)) or None
+        # Radii that two sums share XLA for a GPU writes to memory, for each pair. So gather terms have them of dy, dx.
+        mirrored = None if shape is None else (-shape[0], shape[1])
+        radii, gather_radii = walking.radii(dx, dy, shape), walking.radii(dy, dx, mirrored)
+        pair = Pair(dx, dy, wx, wy, vx, vy, look_x, look_y, radii, standing.astype(bool))
         if individual:
             pair = pair._replace(**dict(zip(("width", "side", "alertness"), individual, strict=False)))
         force = sum_pair_terms(apart, pair) if apart else None
+        numbers = gather(gather_terms, pair._replace(radii=gather_radii))
         within = (dd > 0.0) & (dd < perception * perception)
         felt = within & (group != other_group)
-        force, numbers = jax.tree.map(lambda number: jnp.where(felt, number, 0.0), (force, gather(gather_terms, pair)))
+        force, numbers = jax.tree.map(lambda number: jnp.where(felt, number, 0.0), (force, numbers))
         if contact is not None:
-            touch = tuple(jnp.where(within, part, 0.0) for part in contact.pair(pair))
+            touch = contact.pair(pair._replace(radii=jnp.where(within, radii, -ABSENT)))  # no contact with oneself
             force = touch if force is None else (force[0] + touch[0], force[1] + touch[1])
         return force, numbers
 
@@ -214,11 +218,11 @@ def pair_forces(crowd: Crowd, near: Neighbors | None = None) -> tuple[Force | No
     rows = position[:, 0], position[:, 1], velocity[:, 0], velocity[:, 1], group.astype(float)
     other = tuple(jnp.where(people.present, row, ABSENT) for row in rows)
     own_group = jnp.where(group >= 0, group, ALONE).astype(float)
-    own = *other[:-1], own_group, crowd.look_x, crowd.look_y, is_standing(people).astype(float)
+    shape = forces.walking.shape(crowd.look_x, crowd.look_y) or ()
+    own = *other[:-1], own_group, *shape, crowd.look_x, crowd.look_y, is_standing(people).astype(float)
+    other = *other, *shape
     if differ:
         own = *own, *(jnp.broadcast_to(jnp.asarray(each, float), people.present.shape) for each in individual)
-    if forces.walking.depth is not None:
-        other = *other, crowd.look_x, crowd.look_y
     perception = jnp.minimum(forces.walking.perception, 0.1 * ABSENT)
     shared = apart, contact, forces.gather_terms, forces.walking, perception
     force, gathered = checkpoint_name(sum_pairs(law, near, shared, own, other), SUMS)

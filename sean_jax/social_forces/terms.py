@@ -575,8 +575,9 @@ class RobotRepulsion:
         def push(px, py, vx, vy, look_x, look_y, standing, distance, *own):
             dx, dy = px - robot.position[0], py - robot.position[1]
             scale = None if repulsion is None else jnp.exp(moving * distance / repulsion.range)
-            dd, aside = dx * dx + dy * dy, dx * look_y - dy * look_x
-            radii = 0.5 * walking.radii(dd, aside * aside) + crowd.robot_radius
+            shape = walking.shape(look_x, look_y)
+            twice = None if shape is None else (2.0 * shape[0], 2.0 * shape[1])
+            radii = 0.5 * walking.radii(dx, dy, twice) + crowd.robot_radius
             pair = Pair(dx, dy, wx, wy, vx, vy, look_x, look_y, radii, standing, True, scale, *own)
             if evasion is not None:  # the extra distance widens the berth, too
                 pair = pair._replace(

@@ -98,9 +98,10 @@ def nearest(before: Array, after: Array) -> Array:
 def gaps(scenario: Scenario, people: Pedestrians) -> Array:
     """(N, N) m between the surfaces of bodies, negative if they overlap; far from oneself and from absent people."""
     x, y = (jnp.where(people.present, part, FAR) for part in people.position.T)
-    dx, dy, (look_x, look_y) = x[:, None] - x[None], y[:, None] - y[None], look_direction(people)
-    squared, aside = dx * dx + dy * dy, (dx * look_y[:, None] - dy * look_x[:, None]) ** 2
-    gap = jnp.sqrt(squared) - scenario.forces.walking.radii(squared, 0.5 * (aside + aside.T))
+    dx, dy, walking = x[:, None] - x[None], y[:, None] - y[None], scenario.forces.walking
+    shape = walking.shape(*look_direction(people))
+    both = None if shape is None else tuple(part[:, None] + part[None] for part in shape)
+    gap = jnp.sqrt(dx * dx + dy * dy) - walking.radii(dx, dy, both)
     both = people.present[:, None] & people.present[None] & ~jnp.eye(len(x), dtype=bool)
     return jnp.where(both, gap, FAR)
 
