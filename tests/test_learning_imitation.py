@@ -41,7 +41,10 @@ def test_a_learned_driver_completes_most_of_what_its_teacher_does(tmp_path):
 
 
 def test_two_devices_collect_and_learn_what_one_does(tmp_path):
-    """Equal to rounding: what is recorded, and the losses."""
+    """Equal to rounding: what is recorded, and the losses of a training on the same records.
+
+    Crowds are chaotic: some records differ by more, which a loss shows.
+    """
     options = ["--environment", "lab", "--people", "4", "--dynamics", "twin", "--time-limit", "10", "--quiet"]
     options += ["--width", "16", "--height", "12", "--batch", "8", "--hours", "0.02"]
     runs = []
@@ -49,8 +52,8 @@ def test_two_devices_collect_and_learn_what_one_does(tmp_path):
         flags = f"--xla_force_host_platform_device_count={count}"
         variables = {**os.environ, "XLA_FLAGS": flags, "JAX_PLATFORMS": "cpu"}
         data, run = str(tmp_path / f"data{count}"), str(tmp_path / f"run{count}")
-        learn = ["train", "imitation", data, "--batch", "32", "--width", "16", "--epochs", "3", "--quiet"]
-        for command in (["collect", *options, "--out", data], [*learn, "--out", run]):
+        learn = ["train", "imitation", str(tmp_path / "data1"), "--batch", "32", "--width", "16", "--epochs", "3"]
+        for command in (["collect", *options, "--out", data], [*learn, "--quiet", "--out", run]):
             command = [sys.executable, "-m", "sean_jax.cli", *command]
             done = subprocess.run(command, env=variables, capture_output=True, text=True, check=False, timeout=600)
             assert done.returncode == 0, done.stderr
@@ -60,4 +63,4 @@ def test_two_devices_collect_and_learn_what_one_does(tmp_path):
     (pose, loss), (other_pose, other_loss) = runs
     assert pose.shape == other_pose.shape
     assert np.median(np.abs(pose - other_pose)) < 1e-4
-    np.testing.assert_allclose(loss, other_loss, rtol=0.02)
+    np.testing.assert_allclose(loss, other_loss, rtol=1e-3)
