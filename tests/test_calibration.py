@@ -265,7 +265,7 @@ def test_sums_of_doors_corridors_and_lanes_are_those_of_their_tracks(measured, m
     press = simulate(dataclasses.replace(scene, seed=1), "calibrated")[0]  # the second case has other people
     later = slice(round(doors.APART / 0.1), None)
     place, facing, there = (np.asarray(part)[later] for part in (press.position, press.facing, press.present))
-    deep = measures.overlap(place, facing, there, preset("calibrated").walking.radii)
+    deep = measures.overlap(place, facing, there, preset("calibrated").walking)
     assert rows["overlap"] == pytest.approx(deep, abs=1e-3)
     monkeypatch.setattr(families.Corridor, "seconds", 8.0)
     monkeypatch.setattr(families.Lanes, "seconds", 8.0)

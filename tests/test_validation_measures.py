@@ -98,15 +98,15 @@ def test_bodies_overlap_by_a_known_depth_and_only_in_one_group_if_asked():
     place, facing = np.zeros((3000, 4, 2)), np.zeros((3000, 4, 2))
     place[:, :, 0], facing[..., 0] = [0.0, 1.0, 2.0, 3.0], 1.0
     present = np.ones((3000, 4), bool)
-    assert measures.overlap(place, facing, present, discs.radii) == 0.0
+    assert measures.overlap(place, facing, present, discs) == 0.0
     place[1234, 1, 0] = 0.37  # 3 cm into the first
     place[2345, 2, 0] = 2.65  # 5 cm into the last
-    assert measures.overlap(place, facing, present, discs.radii) == pytest.approx(0.05, abs=1e-6)
+    assert measures.overlap(place, facing, present, discs) == pytest.approx(0.05, abs=1e-6)
     group = np.broadcast_to([0, 0, 1, -1], present.shape)
-    assert measures.overlap(place, facing, present, discs.radii, group) == pytest.approx(0.03, abs=1e-6)
-    assert measures.overlap(place, facing, present, bodies.radii) == 0.0  # one behind the other
+    assert measures.overlap(place, facing, present, discs, group) == pytest.approx(0.03, abs=1e-6)
+    assert measures.overlap(place, facing, present, bodies) == 0.0  # one behind the other
     aside = facing[..., ::-1]
-    assert measures.overlap(place, aside, present, bodies.radii) == pytest.approx(0.05, abs=1e-6)
+    assert measures.overlap(place, aside, present, bodies) == pytest.approx(0.05, abs=1e-6)
 
 
 def test_densities_count_people_in_a_square_and_a_peak_is_a_mean():

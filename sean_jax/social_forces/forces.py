@@ -115,7 +115,7 @@ class Walking:
         return half * (look_y * look_y - look_x * look_x), -4.0 * half * look_x * look_y
 
     def radii(
-        self, dx: Float[Array, "..."], dy: Float[Array, "..."], shape: tuple[Array, Array] | None
+        self, dx: Float[Array, "..."], dy: Float[Array, "..."], shape: tuple[Array, ...] | None
     ) -> Float[Array, "..."]:
         """How far [m] two bodies reach together along the line (dx, dy) [m] between their centres.
 

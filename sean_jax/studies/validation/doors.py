@@ -121,7 +121,7 @@ def _recorded_flows(context: CheckContext) -> list[Curve]:
 def _overlap(context: CheckContext, tracks: Tracks) -> float:
     later = slice(round(APART / tracks.time_step), None)
     place, facing, there = (np.asarray(part)[later] for part in (tracks.position, tracks.facing, tracks.present))
-    return overlap(place, facing, there, context.model.forces.walking.radii)
+    return overlap(place, facing, there, context.model.forces.walking)
 
 
 def press(context: CheckContext) -> CheckResult:

@@ -148,7 +148,7 @@ def compare_occupancy(by_name: dict[str, tuple[GroupOccupancy, np.ndarray]]) -> 
 
 def bodies(context: CheckContext) -> CheckResult:
     """How deep members of one group overlap, and the accelerations of all, in two environments."""
-    radii = context.model.forces.walking.radii
+    walking = context.model.forces.walking
     numbers: dict[str, float] = {}
     words = []
     for name in context.progress(BODIES):
@@ -156,7 +156,7 @@ def bodies(context: CheckContext) -> CheckResult:
         group, position, velocity, look = _walk(scenario, *QUICK)
         there = np.ones(group.shape[1:], bool)
         parts = zip(position, look, group, strict=True)
-        deep = max(overlap(place, facing, there, radii, own) for place, facing, own in parts)
+        deep = max(overlap(place, facing, there, walking, own) for place, facing, own in parts)
         each = accelerations(velocity, scenario.time_step)
         usual, rare = np.quantile(accelerations(velocity[:, ::LATER], LATER * scenario.time_step), [0.95, 0.99])
         a_minute = 60.0 / scenario.time_step * float((each > STRONG).mean())

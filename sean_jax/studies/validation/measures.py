@@ -4,13 +4,13 @@ Density and speed of an area are from Voronoi cells, by PedPy (extra ``validatio
 Physica A 389, 1902 (2010).
 """
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from sean_jax.recordings import Tracks
+from sean_jax.social_forces.forces import Walking
 from sean_jax.studies.scenes import Gate
 from sean_jax.studies.validation.checks import Skipped
 
@@ -226,7 +226,7 @@ def overlap(
     position: Float[np.ndarray, "T N 2"],
     facing: Float[np.ndarray, "T N 2"],
     present: Bool[np.ndarray, "T N"],
-    radii: Callable[..., Any],
+    walking: Walking,
     group: Int[np.ndarray, "T N"] | None = None,
 ) -> float:
     """The largest depth [m] to which two bodies overlap at any moment; 0 if none do.
@@ -234,7 +234,6 @@ def overlap(
     Args:
         position: m.
         facing: unit vectors, across which shoulders are.
-        radii: how far two bodies reach, as ``Walking.radii``.
         group: the group of each person, -1 none; then only bodies of one group count.
     """
     moments, number = np.shape(present)
@@ -247,8 +246,9 @@ def overlap(
         if group is not None:
             both &= (group[some, :, None] == group[some, None, :]) & (group[some, :, None] >= 0)
         dx, dy = x[:, :, None] - x[:, None, :], y[:, :, None] - y[:, None, :]
-        squared, aside = dx * dx + dy * dy, (dx * look_y - dy * look_x) ** 2
-        gap = np.sqrt(squared) - np.asarray(radii(squared, 0.5 * (aside + np.swapaxes(aside, 1, 2))))
+        shape = walking.shape(look_x, look_y)
+        both_shapes = None if shape is None else tuple(part + part.swapaxes(1, 2) for part in shape)
+        gap = np.sqrt(dx * dx + dy * dy) - np.asarray(walking.radii(dx, dy, both_shapes))
         nearest = min(nearest, float(gap.min(where=both, initial=np.inf)))
     return max(0.0, -nearest)
 
