@@ -195,7 +195,8 @@ def pair_forces(crowd: Crowd, near: Neighbors | None = None) -> tuple[Force | No
         dx, dy = px - qx, py - qy
         dd = dx * dx + dy * dy
         shape = tuple(map(jnp.add, own_shape, other_shape)) or None
-        # Radii that two sums share XLA for a GPU writes to memory, for each pair. So gather terms have them of dy, dx.
+        # If both sums use the same radii, XLA of jax 0.10 writes them to a GPU's memory for each pair. The radii of
+        # (dy, dx) are equal to rounding, and each sum computes its own.
         mirrored = None if shape is None else (-shape[0], shape[1])
         radii, gather_radii = walking.radii(dx, dy, shape), walking.radii(dy, dx, mirrored)
         pair = Pair(dx, dy, wx, wy, vx, vy, look_x, look_y, radii, standing.astype(bool))
