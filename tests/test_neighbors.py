@@ -10,7 +10,7 @@ import pytest
 
 from sean_jax import social_forces
 from sean_jax.bench import workload
-from sean_jax.social_forces import Crowd, Pair, model, neighbors
+from sean_jax.social_forces import Crowd, Pair, kernel, model, neighbors
 from sean_jax.social_forces.forces import look_direction
 from sean_jax.social_forces.neighbors import sum_pairs
 
@@ -124,7 +124,7 @@ def test_sums_have_forward_mode_too():
 
     def sums(shift, strength):
         own, other = tuple(places.at[:, 1].add(shift[0])), (*places.at[:, 2].add(shift[1]), weight)
-        return jnp.stack(sum_pairs(pull, near, strength, own, other))
+        return jnp.stack(sum_pairs(pull, near, jnp.float32(3.0), strength, own, other))
 
     at = jnp.zeros((2, 2), jnp.float32), jnp.float32(0.5)
     both = jax.jit(lambda *at: (jax.jacfwd(sums, (0, 1))(*at), jax.jacrev(sums, (0, 1))(*at)))
@@ -209,3 +209,56 @@ def test_a_batch_is_its_crowds_and_a_law_of_ones_own_sees_all():
     own = parameters.tree_replace({"repulsion.law": lambda *arguments: parameters.repulsion.law(*arguments)})
     assert model.neighbors(own, people, 0.1) is None
     assert model.neighbors(parameters, jax.tree.map(lambda leaf: leaf[:62], people), 0.1) is None
+
+
+@pytest.fixture
+def on_a_gpu(monkeypatch):
+    """The form of the sums for GPUs, on whatever is here."""
+    monkeypatch.setattr(jax.lax, "platform_dependent", lambda *given, cpu, default: default(*given))
+    monkeypatch.setattr(kernel, "_call", partial(kernel._call, interpret=True))
+
+
+@pytest.mark.parametrize(
+    ("preset", "number", "density"),
+    [
+        ("calibrated", 33, 7.0),
+        ("helbing1995", 9, 2.0),
+        *(
+            pytest.param(name, number, density, marks=pytest.mark.slow)
+            for name in social_forces.PRESETS
+            for number, density in ((1, 1.0), (2, 7.0), (32, 3.0), (70, 0.3))
+        ),
+    ],
+)
+def test_the_kernel_sums_what_all_pairs_sum(preset, number, density, on_a_gpu, monkeypatch):
+    """Forces, and derivatives of both modes, by everything that the sums depend on."""
+    parameters, people = social_forces.preset(preset), workload.crowd(70, 0)[0]
+    people = jax.tree.map(lambda leaf: leaf[:number], people)
+    present = jnp.arange(number) % 7 != 6
+    position = people.position * float(np.sqrt(workload.DENSITY / density))
+    position = jnp.where(present[:, None], position, 1e7).at[number // 2].set(position[0])  # two at one place
+    people = replace(people, position=position, present=present)
+
+    def forces(parameters, position, velocity):
+        x, y = pair_forces(parameters, replace(people, position=position, velocity=velocity))
+        return jnp.where(present, jnp.stack([x, y]), 0.0)
+
+    weights = jnp.asarray(np.random.default_rng(number).normal(size=(2, number)), jnp.float32)
+
+    def loss(*at):
+        return (weights * forces(*at)).sum()
+
+    def compute(at):
+        ones = jax.tree.map(jnp.ones_like, at)
+        return forces(*at), jax.jvp(loss, at, ones)[1], jax.grad(loss, (0, 1, 2))(*at)
+
+    at = parameters, people.position, people.velocity
+    launches = []
+    monkeypatch.setattr(kernel, "_call", partial(lambda call, *a: launches.append(1) or call(*a), kernel._call))
+    ours, *our_derivatives = jax.jit(compute)(at)
+    assert launches
+    monkeypatch.setattr(kernel, "supports", lambda *_: False)
+    exact, *derivatives = jax.jit(lambda at: compute(at))(at)
+    np.testing.assert_allclose(ours, exact, rtol=1e-5, atol=1e-5 * (1.0 + np.abs(exact).max()))
+    for one, other in zip(jax.tree.leaves(our_derivatives), jax.tree.leaves(derivatives), strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-4, atol=1e-4 * (1e-2 + np.abs(other).max()))

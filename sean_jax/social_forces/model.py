@@ -188,7 +188,7 @@ def pair_forces(crowd: Crowd, near: Neighbors | None = None) -> tuple[Force | No
     differ = any(not isinstance(each, float) for each in individual)
 
     def law(shared, own, other):
-        apart, contact, gather_terms, walking, perception = shared
+        apart, contact, gather_terms, walking, reach = shared
         qx, qy, wx, wy, other_group, *other_shape = other
         px, py, vx, vy, group, *own_rows = own
         own_shape, (look_x, look_y, standing, *individual) = own_rows[: len(other_shape)], own_rows[len(other_shape) :]
@@ -204,7 +204,7 @@ def pair_forces(crowd: Crowd, near: Neighbors | None = None) -> tuple[Force | No
             pair = pair._replace(**dict(zip(("width", "side", "alertness"), individual, strict=False)))
         force = sum_pair_terms(apart, pair) if apart else None
         numbers = gather(gather_terms, pair._replace(radii=gather_radii))
-        within = (dd > 0.0) & (dd < perception * perception)
+        within = (dd > 0.0) & (dd < reach * reach)
         felt = within & (group != other_group)
         force, numbers = jax.tree.map(lambda number: jnp.where(felt, number, 0.0), (force, numbers))
         if contact is not None:
@@ -224,9 +224,10 @@ def pair_forces(crowd: Crowd, near: Neighbors | None = None) -> tuple[Force | No
     other = *other, *shape
     if differ:
         own = *own, *(jnp.broadcast_to(jnp.asarray(each, float), people.present.shape) for each in individual)
-    perception = jnp.minimum(forces.walking.perception, 0.1 * ABSENT)
-    shared = apart, contact, forces.gather_terms, forces.walking, perception
-    force, gathered = checkpoint_name(sum_pairs(law, near, shared, own, other), SUMS)
+    known = cutoff(forces)
+    reach = jnp.minimum(forces.walking.perception if known is None else known, 0.1 * ABSENT)
+    shared = apart, contact, forces.gather_terms, forces.walking, reach
+    force, gathered = checkpoint_name(sum_pairs(law, near, reach, shared, own, other), SUMS)
     robot = forces.get(RobotRepulsion)
     by_robot = None if robot is None or not gathered else robot.gathered(crowd)
     if by_robot is not None:

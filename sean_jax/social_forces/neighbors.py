@@ -23,6 +23,7 @@ from sean_jax.base import Array
 from sean_jax.devices import by_platform
 from sean_jax.geometry import sum_in_pairs
 from sean_jax.gradients import linear_call
+from sean_jax.social_forces import kernel
 
 ABSENT = 1e7  # all rows of an absent person: far from everybody, and of no group
 TURNS = 4  # others over whom each thread of a GPU sums first, if the law gives more than two numbers
@@ -213,46 +214,80 @@ Rows = tuple[Float[Array, "N"], ...]
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
-def sum_pairs(law: Callable, near: Neighbors | None, shared: PyTree, own: Rows, other: Rows) -> PyTree:
+def sum_pairs(
+    law: Callable, near: Neighbors | None, reach: Float[Array, ""], shared: PyTree, own: Rows, other: Rows
+) -> PyTree:
     """Sums a law of one pair over the others, for each person: the numbers of the law as arrays (N,).
 
     Args:
         law: ``law(shared, own, other) -> numbers``, of one pair in scalars; a pytree of numbers, zero for a person with
-            itself, for absent people, and beyond the distance of ``near``. It closes over nothing that is traced.
-        near: the neighbors of each person; None: all others.
+            itself, for absent people, and beyond ``reach``. It closes over nothing that is traced.
+        near: the neighbors of each person within reach; None: not known.
+        reach: m.
         shared: a pytree of floats, such as the parameters of the law.
-        own: rows of the persons on whom the law acts.
-        other: rows of the others, ``ABSENT`` for absent people.
+        own: rows of the persons on whom the law acts; the first two are x and y [m].
+        other: rows of the others, ``ABSENT`` for absent people; the first two are x and y [m].
     """
-    return _sum(law, near, shared, own, other)
+    return _sum(law, near, reach, shared, own, other)
 
 
 @sum_pairs.defjvp
 def _jvp(law: Callable, primals: tuple, tangents: tuple) -> tuple:
     sums = sum_pairs(law, *primals)
-    change = linear_call(partial(_forward, law), partial(_backward, law), primals, tangents[1:], sums)
+    change = linear_call(partial(_forward, law), partial(_backward, law), primals, tangents[2:], sums)
     return sums, change
 
 
-def _sum(law: Callable, near: Neighbors | None, shared: PyTree, own: Rows, other: Rows) -> PyTree:
+def _sum(law: Callable, near: Neighbors | None, reach: Array, shared: PyTree, own: Rows, other: Rows) -> PyTree:
     if near is not None:
         return sum_near(law, near, shared, jnp.stack(own), jnp.stack(other))
-    return by_platform(partial(_sum_all, law, 1), partial(_sum_by_two, law))(shared, own, other)
+    default = partial(_sum_by_two, law)
+    if kernel.supports(law, shared, own, other):
+        default = partial(kernel.sum_pairs, law, reach)
+    return by_platform(partial(_sum_all, law, 1), default)(shared, own, other)
 
 
 def _forward(law: Callable, primals: tuple, tangents: tuple) -> PyTree:
-    return jax.jvp(partial(_sum, law, primals[0]), primals[1:], tangents)[1]
+    """The derivative of the sums: the sums of the derivative of the law."""
+    near, reach, *values = primals
+
+    def derivative(shared: tuple, own: Rows, other: Rows) -> PyTree:
+        halves = (own[: len(own) // 2], own[len(own) // 2 :]), (other[: len(other) // 2], other[len(other) // 2 :])
+        (own, d_own), (other, d_other) = halves
+        return jax.jvp(law, (shared[0], own, other), (shared[1], d_own, d_other))[1]
+
+    shared, own, other = zip(values, tangents, strict=True)
+    return sum_pairs(derivative, near, reach, shared, (*own[0], *own[1]), (*other[0], *other[1]))
 
 
 def _backward(law: Callable, primals: tuple, cotangents: PyTree) -> tuple:
     """Cotangents of shared, own and other."""
-    near, shared, own, other = primals
+    near, reach, shared, own, other = primals
     if near is not None:
         pulls = jnp.stack(jax.tree.leaves(cotangents))
         d_shared, d_own, d_other = pull_back_near(law, near, shared, jnp.stack(own), jnp.stack(other), pulls)
         return d_shared, tuple(d_own), tuple(d_other)
-    pull_back = by_platform(partial(_pull_back_at_once, law), partial(_pull_back_in_two, law))
-    return pull_back(shared, own, other, cotangents)
+    default = partial(_pull_back_in_two, law)
+    if kernel.supports(law, shared, own, other):
+        default = partial(_pull_back_in_kernel, law, reach)
+    return by_platform(partial(_pull_back_at_once, law), default)(shared, own, other, cotangents)
+
+
+def _pull_back_in_kernel(law: Callable, reach: Array, shared: PyTree, own: Rows, other: Rows, pulls: PyTree) -> tuple:
+    """The cotangents as sums over the others, of what each person does to them and they to it."""
+    pull_rows, structure = jax.tree.flatten(pulls)
+    rows = *own, *other, *pull_rows
+    first, second = len(own), len(own) + len(other)
+
+    def of_pair(shared: PyTree, person: Rows, another: Rows) -> tuple:
+        def pull_back(person: Rows, another: Rows) -> tuple:
+            pulls = structure.unflatten(person[second:])
+            return jax.vjp(law, shared, person[:first], another[first:second])[1](pulls)
+
+        return *pull_back(person, another)[:2], pull_back(another, person)[2]
+
+    d_shared, d_own, d_other = kernel.sum_pairs(of_pair, reach, shared, rows, rows)
+    return jax.tree.map(lambda leaf: leaf.sum(0), d_shared), d_own, d_other
 
 
 def _sum_all(law: Callable, turns: int, shared: PyTree, own: Rows, other: Rows) -> PyTree:

@@ -1,0 +1,214 @@
+"""Sums of a law of one pair on a GPU, in one kernel (Pallas, Mosaic GPU).
+
+Each thread has one person. It notes in words of 32 bits who is within reach, and evaluates the law for those only. The
+reach of the law is exact and nobody is left out. Threads of a warp wait for the person with the most neighbors.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
+from jaxtyping import PyTree
+
+from sean_jax import kernels
+from sean_jax.base import Array
+
+BITS = 32
+UNROLL = 8  # others whose distance is tested in one turn
+MOST = 256  # people of a crowd
+PRIMITIVES = frozenset(
+    "abs add add_any and atan2 broadcast_in_dim clamp convert_element_type copy cos div eq erf exp exp2 ge gt "
+    "integer_pow le log logistic lt max min mul ne neg not or pow rem rsqrt select_n sign sin sqrt square stop_gradient "
+    "sub tanh xor".split()
+)
+CALLS = frozenset(("custom_jvp_call", "jit", "pjit", "closed_call", "custom_vjp_call", "remat2", "checkpoint"))
+
+Rows = tuple[Array, ...]
+
+
+class _Shape(NamedTuple):
+    """Static parameters of a kernel."""
+
+    law: ClosedJaxpr
+    people: int
+    own: int  # rows of a person
+    other: int
+    shared: int  # numbers
+    outputs: int
+
+
+def supports(law: Callable, shared: PyTree, own: Rows, other: Rows) -> bool:
+    """Whether the kernel can sum the law: small crowds, in single precision, elementwise functions."""
+    if own[0].shape[0] > MOST or not kernels.available():
+        return False
+    leaves = [*jax.tree.leaves(shared), *(row[0] for row in (*own, *other))]
+    if any(leaf.shape or leaf.dtype != jnp.float32 for leaf in leaves):
+        return False
+    return _elementwise(_trace(law, shared, own, other).jaxpr)
+
+
+def sum_pairs(law: Callable, reach: Array, shared: PyTree, own: Rows, other: Rows) -> PyTree:
+    """The numbers of the law as (N,), summed over the others within reach [m]. The first two rows are x and y [m]."""
+    leaves, structure = jax.tree.flatten(jax.eval_shape(law, shared, _one(own), _one(other)))
+    numbers = jax.tree.leaves(shared)
+    shape = _Shape(_trace(law, shared, own, other), len(own[0]), len(own), len(other), len(numbers), len(leaves))
+    columns = jnp.stack([*other, *[jnp.zeros_like(other[0])] * (-len(other) % 4)], -1)
+    operands = jnp.stack([reach * reach, *numbers])[None], jnp.stack(own).reshape(1, -1), columns.reshape(1, -1)
+    return structure.unflatten([each[0] for each in kernels.batch(partial(_call, shape), len(leaves))(*operands)])
+
+
+def _one(rows: Rows) -> tuple:
+    return tuple(jax.ShapeDtypeStruct((), row.dtype) for row in rows)
+
+
+def _trace(law: Callable, shared: PyTree, own: Rows, other: Rows) -> ClosedJaxpr:
+    return jax.make_jaxpr(law)(shared, _one(own), _one(other))
+
+
+def _elementwise(jaxpr: Jaxpr) -> bool:
+    for equation in jaxpr.eqns:
+        inner = _inner(equation)
+        if inner is not None:
+            if inner.consts or not _elementwise(inner.jaxpr):
+                return False
+        elif equation.primitive.name not in PRIMITIVES or any(getattr(var.aval, "shape", ()) for var in equation.outvars):
+            return False
+    return True
+
+
+def _inner(equation: Any) -> ClosedJaxpr | None:
+    """The function that an equation calls; None if it calls none."""
+    if equation.primitive.name not in CALLS:
+        return None
+    inner = equation.params.get("jaxpr") or equation.params["call_jaxpr"]
+    return inner if isinstance(inner, ClosedJaxpr) else ClosedJaxpr(inner, ())
+
+
+def _evaluate(jaxpr: Jaxpr, values: list) -> list:
+    """The results of a program, by functions that Mosaic knows."""
+    known = dict(zip(jaxpr.invars, values, strict=True))
+    read = lambda var: jnp.asarray(var.val, var.aval.dtype) if isinstance(var, Literal) else known[var]  # noqa: E731
+    for equation in jaxpr.eqns:
+        arguments = list(map(read, equation.invars))
+        inner, name = _inner(equation), equation.primitive.name
+        if inner is not None:
+            results = _evaluate(inner.jaxpr, arguments)
+        elif name == "convert_element_type":
+            results = [_convert(arguments[0], equation.params["new_dtype"])]
+        elif name in OWN:
+            results = [OWN[name](*arguments)]
+        else:
+            results = [equation.primitive.bind(*arguments, **equation.params)]
+        known.update(zip(equation.outvars, results, strict=True))
+    return list(map(read, jaxpr.outvars))
+
+
+def _convert(x: Array, dtype: Any) -> Array:
+    if x.dtype == dtype:
+        return x
+    return x != 0 if dtype == bool else jnp.where(x, 1, 0).astype(dtype) if x.dtype == bool else x.astype(dtype)
+
+
+def _root(x: Array) -> Array:
+    return jnp.where(x > 0.0, x * jax.lax.rsqrt(jnp.where(x > 0.0, x, 1.0)), x)
+
+
+OWN: dict[str, Callable] = {
+    "add_any": jnp.add,
+    "copy": lambda x: x,
+    "stop_gradient": lambda x: x,
+    "sqrt": _root,
+    "pow": lambda x, y: jnp.exp(y * jnp.log(x)),
+}
+
+
+def _call(shape: _Shape, *operands: Array, interpret: bool = False) -> tuple[Array, ...]:
+    """The kernel, for operands of (scenarios, ...) or, where all scenarios have the same, (1, ...)."""
+    from jax.experimental import pallas
+    from jax.experimental.pallas import mosaic_gpu
+
+    scenarios = max(operand.shape[0] for operand in operands)
+    out = tuple(jax.ShapeDtypeStruct((scenarios, shape.people), jnp.float32) for _ in range(shape.outputs))
+    total = scenarios * shape.people
+    if interpret:  # on a CPU, by XLA
+        kernel = partial(_kernel, shape, lambda: pallas.program_id(0))
+        return tuple(pallas.pallas_call(kernel, grid=(total,), out_shape=out, interpret=True)(*operands))
+
+    def person() -> Any:
+        return jnp.minimum(jax.lax.axis_index("program") * kernels.WIDTH + kernels.thread_number(), total - 1)
+
+    return mosaic_gpu.kernel(
+        partial(_kernel, shape, person),
+        out_type=out,
+        grid=(-(-total // kernels.WIDTH),),
+        grid_names=("program",),
+        compiler_params=mosaic_gpu.CompilerParams(unsafe_no_auto_barriers=True),  # a thread reads nothing written
+        kernel_name="pairs",
+    )(*operands)
+
+
+def _kernel(shape: _Shape, number: Callable[[], Any], *references: Any) -> None:
+    """One thread: the sums of one person."""
+    numbers_of, own_of, other_of, *results = references
+    index = number()
+    people, columns = shape.people, shape.other + -shape.other % 4
+    scenario, person = jax.lax.div(index, jnp.int32(people)), jax.lax.rem(index, jnp.int32(people))
+
+    def of_scenario(reference: Any) -> Any:
+        return 0 if reference.shape[0] == 1 else scenario
+
+    numbers_at, own_at, other_at = map(of_scenario, (numbers_of, own_of, other_of))
+    square, *shared = (numbers_of[numbers_at, i] for i in range(shape.shared + 1))
+    own = [own_of[own_at, row * people + person] for row in range(shape.own)]
+
+    def bit(first: int, j: Any) -> Any:
+        dx = own[0] - other_of[other_at, (first + j) * columns]
+        dy = own[1] - other_of[other_at, (first + j) * columns + 1]
+        return jnp.where(dx * dx + dy * dy < square, jax.lax.shift_left(jnp.int32(1), jnp.int32(j)), jnp.int32(0))
+
+    def word(first: int) -> Any:
+        count = min(BITS, people - first)
+        turns = count // UNROLL
+
+        def turn(k: Any, bits: Any) -> Any:
+            for j in range(UNROLL):
+                bits = bits | bit(first, k * UNROLL + j)
+            return bits
+
+        bits = jax.lax.fori_loop(0, turns, turn, jnp.int32(0)) if turns else jnp.int32(0)
+        for j in range(turns * UNROLL, count):
+            bits = bits | bit(first, j)
+        self = jnp.where(person // BITS == first // BITS, jax.lax.shift_left(jnp.int32(1), person % BITS), jnp.int32(0))
+        return bits & ~self
+
+    firsts = range(0, people, BITS)
+    words = tuple(map(word, firsts))
+
+    def some(carry: tuple) -> Any:
+        words, _ = carry
+        left = words[0]
+        for each in words[1:]:
+            left = left | each
+        return left != 0
+
+    def add(carry: tuple) -> tuple:
+        words, sums = carry
+        current, first, rest, free = words[-1], jnp.int32(firsts[-1]), [], jnp.bool_(True)
+        for each, start in zip(words[-2::-1], firsts[-2::-1], strict=True):
+            current = jnp.where(each != 0, each, current)
+            first = jnp.where(each != 0, jnp.int32(start), first)
+        after = current & (current - 1)
+        for each, start in zip(words, firsts, strict=True):
+            rest.append(jnp.where(first == start, after, each) if len(words) > 1 else after)
+        j = first + (BITS - 1) - jax.lax.clz(current & -current)
+        other = [other_of[other_at, j * columns + row] for row in range(shape.other)]
+        pushes = _evaluate(shape.law.jaxpr, [*shared, *own, *other])
+        return tuple(rest), tuple(map(jnp.add, sums, pushes))
+
+    sums = tuple(jnp.float32(0.0) for _ in range(shape.outputs))
+    _, sums = jax.lax.while_loop(some, add, (words, sums))
+    for result, value in zip(results, sums, strict=True):
+        result[scenario, person] = value
