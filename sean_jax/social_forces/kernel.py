@@ -98,6 +98,8 @@ def _evaluate(jaxpr: Jaxpr, values: list) -> list:
             results = _evaluate(inner.jaxpr, arguments)
         elif name == "convert_element_type":
             results = [_convert(arguments[0], equation.params["new_dtype"])]
+        elif name == "integer_pow":
+            results = [_power(arguments[0], equation.params["y"])]
         elif name in OWN:
             results = [OWN[name](*arguments)]
         else:
@@ -110,6 +112,17 @@ def _convert(x: Array, dtype: Any) -> Array:
     if x.dtype == dtype:
         return x
     return x != 0 if dtype == bool else jnp.where(x, 1, 0).astype(dtype) if x.dtype == bool else x.astype(dtype)
+
+
+def _power(x: Array, exponent: int) -> Array:
+    if exponent < 0:
+        return 1.0 / _power(x, -exponent)
+    if exponent == 0:
+        return jnp.float32(1.0)
+    if exponent == 1:
+        return x
+    root = _power(x, exponent // 2)
+    return root * root * x if exponent % 2 else root * root
 
 
 def _root(x: Array) -> Array:
