@@ -35,7 +35,6 @@ class _Shape(NamedTuple):
     law: ClosedJaxpr
     people: int
     own: int  # rows of a person
-    other: int
     shared: int  # numbers
     outputs: int
 
@@ -54,9 +53,8 @@ def sum_pairs(law: Callable, reach: Array, shared: PyTree, own: Rows, other: Row
     """The numbers of the law as (N,), summed over the others within reach [m]. The first two rows are x and y [m]."""
     leaves, structure = jax.tree.flatten(jax.eval_shape(law, shared, _one(own), _one(other)))
     numbers = jax.tree.leaves(shared)
-    shape = _Shape(_trace(law, shared, own, other), len(own[0]), len(own), len(other), len(numbers), len(leaves))
-    columns = jnp.stack([*other, *[jnp.zeros_like(other[0])] * (-len(other) % 4)], -1)
-    operands = jnp.stack([reach * reach, *numbers])[None], jnp.stack(own).reshape(1, -1), columns.reshape(1, -1)
+    shape = _Shape(_trace(law, shared, own, other), len(own[0]), len(own), len(numbers), len(leaves))
+    operands = jnp.stack([reach * reach, *numbers])[None], *(row[None] for row in (*own, *other))
     return structure.unflatten([each[0] for each in kernels.batch(partial(_call, shape), len(leaves))(*operands)])
 
 
@@ -165,21 +163,22 @@ def _call(shape: _Shape, *operands: Array, interpret: bool = False) -> tuple[Arr
 
 def _kernel(shape: _Shape, number: Callable[[], Any], *references: Any) -> None:
     """One thread: the sums of one person."""
-    numbers_of, own_of, other_of, *results = references
-    index = number()
-    people, columns = shape.people, shape.other + -shape.other % 4
+    numbers_of, *references = references
+    rows, results = references[: -shape.outputs], references[-shape.outputs :]
+    index, people = number(), shape.people
     scenario, person = jax.lax.div(index, jnp.int32(people)), jax.lax.rem(index, jnp.int32(people))
 
-    def of_scenario(reference: Any) -> Any:
+    def scenario_of(reference: Any) -> Any:
         return 0 if reference.shape[0] == 1 else scenario
 
-    numbers_at, own_at, other_at = map(of_scenario, (numbers_of, own_of, other_of))
+    numbers_at = scenario_of(numbers_of)
     square, *shared = (numbers_of[numbers_at, i] for i in range(shape.shared + 1))
-    own = [own_of[own_at, row * people + person] for row in range(shape.own)]
+    own = [row[scenario_of(row), person] for row in rows[: shape.own]]
+    others = [(row, scenario_of(row)) for row in rows[shape.own :]]
 
     def bit(first: int, j: Any) -> Any:
-        dx = own[0] - other_of[other_at, (first + j) * columns]
-        dy = own[1] - other_of[other_at, (first + j) * columns + 1]
+        (x, x_at), (y, y_at) = others[:2]
+        dx, dy = own[0] - x[x_at, first + j], own[1] - y[y_at, first + j]
         return jnp.where(dx * dx + dy * dy < square, jax.lax.shift_left(jnp.int32(1), jnp.int32(j)), jnp.int32(0))
 
     def word(first: int) -> Any:
@@ -217,7 +216,7 @@ def _kernel(shape: _Shape, number: Callable[[], Any], *references: Any) -> None:
         for each, start in zip(words, firsts, strict=True):
             rest.append(jnp.where(first == start, after, each) if len(words) > 1 else after)
         j = first + (BITS - 1) - jax.lax.clz(current & -current)
-        other = [other_of[other_at, j * columns + row] for row in range(shape.other)]
+        other = [row[at, j] for row, at in others]
         pushes = _evaluate(shape.law.jaxpr, [*shared, *own, *other])
         return tuple(rest), tuple(map(jnp.add, sums, pushes))
 
