@@ -55,7 +55,7 @@ def _serve() -> None:
     import importlib
 
     heavy = (
-        "optax orbax.checkpoint tensorstore matplotlib.figure mujoco.mjx scipy.sparse.csgraph rich.progress PIL.Image"
+        "optax orbax.checkpoint tensorstore matplotlib.figure mujoco scipy.sparse.csgraph rich.progress PIL.Image"
     )
     own = "cli assembly drawing evaluation progress runner"
     with contextlib.redirect_stdout(sys.stderr):
