@@ -156,9 +156,7 @@ def facing(options: argparse.Namespace) -> None:
     """Violations in cross path and down path, with down path as in the paper and as in SEAN's code."""
     print()
     for situations in ("paper", "sean2"):
-        scenario = sean_jax.make(
-            "warehouse", behavior="graph", task="join_group", situations=situations
-        )
+        scenario = sean_jax.make("warehouse", behavior="graph", task="join_group", situations=situations)
         frames, results = drive(scenario, social_costmap, options.episodes, 120.0, options.seed)
         harm = (results["intimate_robot_on_person"] + results["intimate_person_on_robot"]).sum(0)
         shared = " ".join(
