@@ -91,7 +91,7 @@ def mean(values: np.ndarray, digits: int = 2) -> str:
 def crowds(options: argparse.Namespace) -> None:
     """Speeds of people, their number near the navigation stack, their approach to it, and the free floor."""
     for behavior, task in (("random", "random_ab_nav"), ("graph", "join_group"), ("graph", "leave_group")):
-        scenario = sean_jax.make("warehouse", behavior=behavior, task=task, dynamics="twin")
+        scenario = sean_jax.make("warehouse", behavior=behavior, task=task)
         floor = np.random.default_rng(0).uniform(-20, 20, (20000, 2)).astype(np.float32)
         room = np.asarray(jax.jit(environment.clearance)(scenario.environment, jnp.asarray(floor)))
         frames, _ = drive(scenario, social_costmap, options.episodes, 120.0, options.seed)
@@ -116,7 +116,7 @@ def crowds(options: argparse.Namespace) -> None:
 
 def groups(options: argparse.Namespace) -> None:
     """Join and leave group: time of the robot near the group, and its speed."""
-    join = sean_jax.make("warehouse", behavior="graph", task="join_group", dynamics="twin")
+    join = sean_jax.make("warehouse", behavior="graph", task="join_group")
     names = list(SITUATIONS)
     heads = f"{'episodes':>9} {'never %':>8} {'s near':>8} {'m/s there':>10} {'s in all':>9} {'at obstacle %':>14}"
     print(f"\n{'near the group':28} {heads}")
@@ -134,7 +134,7 @@ def groups(options: argparse.Namespace) -> None:
 
 def stacks(options: argparse.Namespace) -> None:
     """The navigation stack among people who give way to it, and among people who ignore it."""
-    scenario = sean_jax.make("warehouse", behavior="graph", task="join_group", dynamics="twin")
+    scenario = sean_jax.make("warehouse", behavior="graph", task="join_group")
     tiny = jnp.asarray(1e-3, jnp.float32)
     forces = scenario.forces.tree_replace({"robot_repulsion.factor_min": tiny, "robot_repulsion.factor_max": tiny})
     blind = replace(scenario, forces=forces)
@@ -156,9 +156,7 @@ def facing(options: argparse.Namespace) -> None:
     """Violations in cross path and down path, with down path as in the paper and as in SEAN's code."""
     print()
     for situations in ("paper", "sean2"):
-        scenario = sean_jax.make(
-            "warehouse", behavior="graph", task="join_group", dynamics="twin", situations=situations
-        )
+        scenario = sean_jax.make("warehouse", behavior="graph", task="join_group", situations=situations)
         frames, results = drive(scenario, social_costmap, options.episodes, 120.0, options.seed)
         harm = (results["intimate_robot_on_person"] + results["intimate_person_on_robot"]).sum(0)
         shared = " ".join(
@@ -173,7 +171,7 @@ def standing(options: argparse.Namespace) -> None:
     """Places where learned policies stand still, and their commands there."""
     from sean_jax import learning
 
-    join = sean_jax.make("warehouse", behavior="graph", task="join_group", dynamics="twin")
+    join = sean_jax.make("warehouse", behavior="graph", task="join_group")
     names = "graph", "random", "handcrafted", "graph-balanced"
     for task, name in ((task, name) for task in ("join_group", "leave_group") for name in names):
         scenario = with_task(join, task)

@@ -57,7 +57,6 @@ def main() -> None:
             people=options.people,
             routing=options.routing,
             congestion_cost=cost,
-            dynamics="twin",
         )
         keys = jax.random.split(jax.random.key(0), options.episodes)
         run = jax.jit(jax.vmap(lambda key, scenario=scenario: measure(scenario, key, options.steps)))

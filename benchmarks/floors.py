@@ -84,7 +84,7 @@ def bytes_of(tree: Any) -> int:
 
 def rows(people: int, turns: int) -> dict[str, tuple[str, Counter, float, float]]:
     """name -> (part of ``sean bench``, counts, bytes, number of items that these counts make)."""
-    scenario = sean_jax.make("warehouse", people=people, dynamics="twin")
+    scenario = sean_jax.make("warehouse", people=people)
     state = jax.eval_shape(lambda key: reset(scenario, key), jax.random.key(0))
     whole = jax.make_jaxpr(lambda s: step(scenario, s, programs.circles(scenario, s, s.streams.policy)))(state)
     eye = sensors.camera(scenario, "depth", width=64, height=48)

@@ -88,7 +88,7 @@ def print_walking_groups(presets) -> None:
         rows = {"open": {size: together(*in_the_open(parameters, size)).get(size, {}) for size in (1, 2, 3)}}
         for behavior, task in (("random", "random_ab_nav"), ("graph", "join_group")):
             scenario = sean_jax.make(
-                "warehouse", behavior=behavior, task=task, dynamics="twin", forces=parameters, walking_groups=(0.3, 0.3)
+                "warehouse", behavior=behavior, task=task, forces=parameters, walking_groups=(0.3, 0.3)
             )
             rows[behavior] = together(*in_scenario(scenario))
         for place, found in rows.items():

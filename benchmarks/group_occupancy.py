@@ -54,7 +54,6 @@ def main() -> None:
                 behavior=GraphBehavior(routing=options.routing, group_membership=options.group_membership),
                 people=people,
                 task="random_ab_nav",
-                dynamics="twin",
                 **({} if options.forces is None else {"forces": options.forces}),
             )
             graph = jax.tree.map(np.asarray, scenario.behavior.data.graph)

@@ -1,7 +1,7 @@
 """Steps with depth images on a GPU, by the kernel and by loops of XLA, on an idle and on a busy host.
 
     python benchmarks/rays_on_host.py                      # on a GPU, about two minutes
-    python benchmarks/rays_on_host.py --batches 2 --dynamics twin --seconds 0.1
+    python benchmarks/rays_on_host.py --batches 2 --seconds 0.1
 
 Loops of XLA end on the host, so they wait for it: a busy host has one process on each of its cores that computes
 without results. Before that, the images of both forms are compared.
@@ -90,7 +90,7 @@ def main() -> None:
     arguments.add_argument("--environment", default="warehouse")
     arguments.add_argument("--batches", nargs="+", type=int, default=[1, 1024, 8192])
     arguments.add_argument("--people", type=int, default=62)
-    arguments.add_argument("--dynamics", default="mjx", choices=("mjx", "twin"))
+    arguments.add_argument("--dynamics", default="twin", choices=("twin", "mjx"))
     arguments.add_argument("--seconds", type=float, default=0.25, help="of each of five timings, about")
     chosen = arguments.parse_args()
     began = time.perf_counter()

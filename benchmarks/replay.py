@@ -39,7 +39,7 @@ def main() -> None:
     browser = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
     if browser is None or not (WEB / "node_modules" / "playwright-core").is_dir():
         sys.exit("there is no Chromium, or web/node_modules is not there (`npm ci` in web/ makes it)")
-    scenario = sean_jax.make("warehouse", people=chosen.people, dynamics="twin", time_limit=chosen.frames / 10)
+    scenario = sean_jax.make("warehouse", people=chosen.people, time_limit=chosen.frames / 10)
 
     @jax.jit
     def walked(key):

@@ -46,7 +46,7 @@ def main() -> None:
     arguments.add_argument("--only", default="", help="beginning of the names of the cases")
     arguments.add_argument("--repeats", type=int, default=5)
     chosen = arguments.parse_args()
-    scenario = sean_jax.make(chosen.environment, people=chosen.people, dynamics="twin")
+    scenario = sean_jax.make(chosen.environment, people=chosen.people)
     device = jax.devices()[0]
     jax.config.update("jax_enable_compilation_cache", False)  # so compile times are those of a first run
     print(f"{device.device_kind}, jax {jax.__version__}, {chosen.environment}, {chosen.people} people")

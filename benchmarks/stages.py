@@ -79,7 +79,7 @@ def main() -> None:
     arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     arguments.add_argument("--batch", type=int, default=64)
     arguments.add_argument("--people", type=int, default=62)
-    arguments.add_argument("--dynamics", default="mjx")
+    arguments.add_argument("--dynamics", default="twin")
     arguments.add_argument("--depth", action="store_true", help="a depth image of 64x48 after each step")
     chosen = arguments.parse_args()
     scenario = sean_jax.make("warehouse", people=chosen.people, dynamics=chosen.dynamics)

@@ -58,7 +58,7 @@ def main() -> None:
     arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     arguments.add_argument("--batches", nargs="+", type=int, default=[64])
     arguments.add_argument("--people", type=int, default=62)
-    arguments.add_argument("--dynamics", nargs="+", default=["mjx", "twin"])
+    arguments.add_argument("--dynamics", nargs="+", default=["twin", "mjx"])
     arguments.add_argument("--forces", default="calibrated")
     arguments.add_argument("--only", nargs="+", default=None, help="names of parts")
     chosen = arguments.parse_args()

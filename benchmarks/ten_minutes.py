@@ -70,7 +70,7 @@ def main() -> None:
     print("| " + " | ".join(columns) + " |\n" + "|---" * len(columns) + "|")
     for environment in options.environments:
         for behavior in options.behaviors:
-            scenario = sean_jax.make(environment, behavior=behavior, task="random_ab_nav", dynamics="twin")
+            scenario = sean_jax.make(environment, behavior=behavior, task="random_ab_nav")
             found = conduct(scenario, options.minutes, options.seed)
             shares = " | ".join(f"{100 * found[name]:.3f}" for name in ("inside", "overlaps", "stuck", "grouped"))
             print(

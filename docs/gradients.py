@@ -121,7 +121,7 @@ def main() -> None:
     arguments.add_argument("--forces", default="calibrated")
     chosen = arguments.parse_args()
     matplotlib.use("Agg")
-    scenario = sean_jax.make("warehouse", behavior="graph", forces=chosen.forces, dynamics="twin")
+    scenario = sean_jax.make("warehouse", behavior="graph", forces=chosen.forces)
     constants = jnp.stack([operator.attrgetter(name)(scenario.forces) for name in CONSTANTS])
     keys = jax.random.split(jax.random.key(0), chosen.seeds)
     run = measured(scenario, chosen.steps)

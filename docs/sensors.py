@@ -79,7 +79,7 @@ def third_person(scenario, state) -> None:
     """All robots at one place, each from behind."""
     figure, panels = plt.subplots(1, len(robots.ROBOTS), figsize=(12, 2.2), layout="constrained")
     for axes, name in zip(panels, robots.ROBOTS, strict=True):
-        axes.imshow(smooth(dataclasses.replace(scenario, robot=robots.load(name, "twin")), state, "third_person"))
+        axes.imshow(smooth(dataclasses.replace(scenario, robot=robots.load(name)), state, "third_person"))
         axes.set(xticks=[], yticks=[])
         axes.set_title(name, fontsize=10)
     save(figure, "sensors-robots.png")
@@ -121,7 +121,7 @@ def main() -> None:
     matplotlib.use("agg")
     stages = {}
     for name in ("warehouse", "lab", "outdoor"):
-        scenario = sean_jax.make(name, task="busy_ab_nav", dynamics="twin")
+        scenario = sean_jax.make(name, task="busy_ab_nav")
         states = moments(scenario)
         index = best(scenario, states)
         stages[name] = scenario, jax.tree.map(lambda leaf, i=index: leaf[i], states)

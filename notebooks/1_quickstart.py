@@ -49,11 +49,10 @@ TRIALS = 20  # of the gradient
 # %% [markdown]
 # ## A scenario
 # A scenario is a physical environment, a pedestrian behavior and a robot task: everything that is constant. A *state*
-# holds everything that changes. Both are pytrees, so `jit`, `vmap` and `grad` accept them. `dynamics="twin"` moves the
-# robot in closed form, with the law of the default MuJoCo MJX, and compiles faster.
+# holds everything that changes. Both are pytrees, so `jit`, `vmap` and `grad` accept them.
 
 # %%
-scenario = sean_jax.make("warehouse", behavior="graph", task="join_group", robot="kuri", people=PEOPLE, dynamics="twin")
+scenario = sean_jax.make("warehouse", behavior="graph", task="join_group", robot="kuri", people=PEOPLE)
 start = state = jax.jit(sean_jax.reset)(scenario, jax.random.key(0))
 print("robot at", state.robot.position, "m, to go to", state.task.goal, "m,", state.task.geodesic, "m away by foot")
 

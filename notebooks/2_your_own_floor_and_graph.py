@@ -110,7 +110,7 @@ edges:
 def hall(south):
     """The scenario with that word on the southern edge: medium, high, low, forward or backward."""
     (folder / "graph.yaml").write_text(GRAPH.replace("SOUTH", south))
-    return sean_jax.make(folder, behavior="graph", task="join_group", people=PEOPLE, dynamics="twin")
+    return sean_jax.make(folder, behavior="graph", task="join_group", people=PEOPLE)
 
 
 # %% [markdown]

@@ -212,7 +212,7 @@ plt.show()
 # episode are written in the usual format, a table of frame, person, x and y, here every 0.4 s.
 
 # %%
-scenario = sean_jax.make("warehouse", behavior="graph", task="join_group", people=PEOPLE, dynamics="twin")
+scenario = sean_jax.make("warehouse", behavior="graph", task="join_group", people=PEOPLE)
 
 
 @jax.jit

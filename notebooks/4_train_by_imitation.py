@@ -63,7 +63,7 @@ folder = Path(mkdtemp())
 
 # %%
 asked = CollectConfig(
-    behavior="graph", environment="lab", people=PEOPLE, policy=TEACHER, hours=MINUTES / 60, dynamics="twin",
+    behavior="graph", environment="lab", people=PEOPLE, policy=TEACHER, hours=MINUTES / 60,
     time_limit=STEPS / 10, width=32, height=24, batch=8, out=folder / "demonstrations",
 )  # fmt: skip
 data = learning.collect(asked)
@@ -111,7 +111,7 @@ print(f"least loss in validation {float(state.best):.3f} after epoch {int(state.
 # A trained network is a policy like any other. Teacher and network drive the same new episodes.
 
 # %%
-scenario = sean_jax.make("lab", task="join_group", people=PEOPLE, dynamics="twin", time_limit=STEPS / 10)
+scenario = sean_jax.make("lab", task="join_group", people=PEOPLE, time_limit=STEPS / 10)
 pupil = learning.load(folder / "network", scenario)
 keys = jax.random.split(jax.random.key(7), EPISODES)
 

@@ -118,7 +118,7 @@ plt.show()
 # simulation.
 
 # %%
-lab = sean_jax.make("lab", people=PEOPLE, forces="calibrated", dynamics="twin")
+lab = sean_jax.make("lab", people=PEOPLE, forces="calibrated")
 drive = lambda scenario, state, key: jnp.asarray([0.3, 0.1])  # noqa: E731
 where = lambda before, after, action: after.pedestrians.position  # noqa: E731
 

@@ -61,7 +61,7 @@ folder = Path(mkdtemp()) / "ppo"
 # fractions of the top speed and of the top turn rate.
 
 # %%
-scenario = sean_jax.make("lab", task="join_group", people=PEOPLE, dynamics="twin", time_limit=STEPS / 10)
+scenario = sean_jax.make("lab", task="join_group", people=PEOPLE, time_limit=STEPS / 10)
 env = make_env(scenario)
 for name, box in env.observation_space.items():
     print(f"{name:12} {box.shape!s:8} from {box.low:g} to {box.high:g}")

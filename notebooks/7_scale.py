@@ -61,7 +61,7 @@ print(f"{len(jax.devices())} devices, such as {jax.devices()[0].device_kind}; {o
 # only the robot's position, since whole trajectories of so many scenarios would fill the memory.
 
 # %%
-lab = sean_jax.make("lab", task="join_group", people=PEOPLE, dynamics="twin")
+lab = sean_jax.make("lab", task="join_group", people=PEOPLE)
 
 
 def place(before, after, action):

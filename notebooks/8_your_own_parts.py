@@ -108,7 +108,6 @@ def careful(scenario, state, key):
 scenario = sean_jax.make(
     "lab",
     people=PEOPLE,
-    dynamics="twin",
     time_limit=STEPS / 10,
     forces=[*sean_jax.preset("helbing1995"), Distancing(strength=1.0, distance=1.5)],
     metrics={**sean_jax.METRICS, "near_time": near_time},

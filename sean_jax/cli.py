@@ -313,7 +313,7 @@ def _draw(options: config.DrawConfig, console: "Console") -> int:
     for name in names:
         task = "handcrafted" if options.handcrafted else "random_ab_nav"
         own = {"sets": options.sets} if options.handcrafted else {}
-        scenario = assembly.make(name, behavior=what, task=task, dynamics="twin", **own)
+        scenario = assembly.make(name, behavior=what, task=task, **own)
         graph = drawing.graph_of(scenario)
         sheet = drawing.graph_sheet(scenario.environment, graph) if graph else drawing.handcrafted_sheet(scenario)
         file = options.out or Path(f"{what}.png")

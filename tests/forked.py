@@ -54,9 +54,7 @@ def _serve() -> None:
     import gc
     import importlib
 
-    heavy = (
-        "optax orbax.checkpoint tensorstore matplotlib.figure mujoco.mjx scipy.sparse.csgraph rich.progress PIL.Image"
-    )
+    heavy = "optax orbax.checkpoint tensorstore matplotlib.figure mujoco scipy.sparse.csgraph rich.progress PIL.Image"
     own = "cli assembly drawing evaluation progress runner"
     with contextlib.redirect_stdout(sys.stderr):
         for name in [*heavy.split(), *(f"sean_jax.{name}" for name in own.split())]:

@@ -397,7 +397,7 @@ def test_worlds_of_the_ablation_differ_in_one_switch_each():
         for world in table1.WORLDS
     }
     default, whole = described["default"], described["sean2"]
-    assert default["graph"]["dynamics"] == "mjx" and whole["graph"]["dynamics"] == "kinematic"
+    assert default["graph"]["dynamics"] == "twin" and whole["graph"]["dynamics"] == "kinematic"
     for world in table1.SWITCHES:
         for behavior in BEHAVIORS:
             one, usual, all_of_them = described[world][behavior], default[behavior], whole[behavior]
@@ -411,7 +411,7 @@ def test_worlds_of_the_ablation_differ_in_one_switch_each():
     assert CollectConfig(preset="sean2", behavior="graph", environment="lab", dynamics="mjx").identity() == {
         **whole["graph"], "dynamics": "mjx"
     }  # fmt: skip
-    assert table1.world_description(options.replace(dynamics="twin"), "sean2", "graph").dynamics == "twin"
+    assert table1.world_description(options.replace(dynamics="mjx"), "sean2", "graph").dynamics == "mjx"
 
 
 def test_further_drivers_of_figure_4():

@@ -263,7 +263,7 @@ def test_a_force_pushes(scenario):
 
 
 def test_a_robot_an_environment_a_behavior_and_a_model_by_name_and_path(files, added):
-    """The robot by its twin, which compiles sooner; `sean run` below has it in MJX."""
+    """The robot by its twin; `sean run` below has it in MJX."""
     yard, puck = files
     mine = sean_jax.make(
         yard, behavior="parade", task="to_first_place", robot=puck, model="glide", people=4, dynamics="twin"
@@ -297,7 +297,7 @@ def test_sean_run_measures_and_reports_them(files, added, tmp_path, capsys):
     """All at once on the command line: columns of the table, of episodes.csv and of the report."""
     yard, puck = files
     common = ["run", "--environment", str(yard), "--robot", str(puck), "--policy", "dance", "--people", "4",
-              "--episodes", "2", "--time-limit", "3", "--forces", "magnetic"]  # fmt: skip
+              "--dynamics", "mjx", "--episodes", "2", "--time-limit", "3", "--forces", "magnetic"]  # fmt: skip
     for name, more in (
         ("parade", ["--behavior", "parade", "--task", "to_first_place", "--model", "glide"]),
         ("graph", ["--task", "to_first_place,join_group"]),

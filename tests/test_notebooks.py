@@ -64,7 +64,6 @@ def test_first_cell_installs_on_colab_and_there_alone(source, monkeypatch):
 def test_compiled_programs_are_kept_from_the_start(source):
     text = source.read_text()
     assert 0 < text.index("\ncompiler.configure()") < text.index("\nimport jax")
-    assert "sean_jax.make(" not in text or 'dynamics="twin"' in text
 
 
 def test_every_page_is_in_the_readme():

@@ -160,7 +160,7 @@ def test_what_cannot_be_is_one_sentence(capsys):
     assert cli.main(["run", "--preset", "sean3"]) == 2
     assert "--preset: 'sean3' is not one of sean2; did you mean 'sean2'?" in " ".join(capsys.readouterr().err.split())
     assert cli.main(["run", "--preset", "sean2", "--dynamics", "cinematic"]) == 2
-    assert "--dynamics: 'cinematic' is not one of mjx, twin, kinematic; did you mean 'kinematic'?" in " ".join(
+    assert "--dynamics: 'cinematic' is not one of twin, mjx, kinematic; did you mean 'kinematic'?" in " ".join(
         capsys.readouterr().err.split()
     )
     with pytest.raises(ValueError, match="preset: 3 is not one of sean2"):

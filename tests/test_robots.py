@@ -89,7 +89,7 @@ def run(model, actions, place=None, start=(0.0, 0.0, 0.0)):
 
 @pytest.fixture(scope="module")
 def kuri():
-    return robots.load("kuri")
+    return robots.load("kuri", "mjx")
 
 
 @pytest.fixture(scope="module")
@@ -255,7 +255,7 @@ def test_one_trace_strong_types_and_vmap_equals_a_loop(kuri, wild):
 
     starts, actions = wild
     together, _ = batched(kuri, leaves(CLUTTER), starts, actions)
-    for i, model in enumerate((kuri, kuri, robots.load("kuri"))):
+    for i, model in enumerate((kuri, kuri, robots.load("kuri", "mjx"))):
         robot = once(model, leaves(CLUTTER), starts[i], actions[i, 0])
         jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b[i, 0], atol=2e-6), robot, together)  # noqa: B023
     assert len(traces) == 1
@@ -334,7 +334,7 @@ def test_gradients_equal_differences_of_the_mjx_robot():
     """The gradient of the twin, against central differences in double precision of what MJX computes."""
     steps, change = 10, 1e-6
     with jax.enable_x64(True):
-        model = robots.load("kuri")
+        model = robots.load("kuri", "mjx")
         place = leaves(world([(1.0, 0.0, 0.5, 3.0, 0.4)], [(0.48, -0.46)]))
         target = jnp.array([[0.3, 0.4]])
 
@@ -529,7 +529,7 @@ OTHERS = quick([name for name in FIGURES if name != "kuri"], "jackal")
 @pytest.mark.parametrize("name", OTHERS)
 def test_every_other_twin_equals_its_mjx_robot(name, wild):
     """In free space and among walls and people, to rounding, which grows among sliding tyres."""
-    model, other = robots.load(name), robots.load(name, "twin")
+    model, other = robots.load(name, "mjx"), robots.load(name)
     starts, actions = wild
     actions = actions * jnp.stack([model.max_speed, model.max_turn_rate])[None, None, :]
     for place, steps in ((world(), 60), (CLUTTER, 20)):
@@ -764,10 +764,13 @@ def test_control_step_must_be_a_multiple_of_the_physics_step(twin):
 def test_mjx_is_imported_only_for_an_mjx_robot():
     code = """
 import sys
+import jax, sean_jax
 from sean_jax import robots
-robots.load("kuri", "twin")
+scenario = sean_jax.make("lab", people=2)
+state = jax.eval_shape(sean_jax.reset, scenario, jax.random.key(0))
+jax.eval_shape(sean_jax.step, scenario, state, jax.ShapeDtypeStruct((2,), "float32"))
 assert "mujoco.mjx" not in sys.modules
-robots.load("kuri")
+robots.load("kuri", "mjx")
 assert "mujoco.mjx" in sys.modules
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from brax.envs import base
 from brax.training import pmap
 
-from sean_jax import mdp
+from sean_jax import mdp, robots
 from sean_jax.adapters import load, typed
 from sean_jax.base import Array
 from sean_jax.mdp import observations
@@ -82,5 +82,6 @@ class SocialNavigation(base.Env):
 
     @property
     def backend(self) -> str:
-        """The physics of the robot."""
-        return "mjx"
+        """The dynamics of the robot: twin, mjx or kinematic; own for a function of your own."""
+        drive = self.env.scenario.robot.drive
+        return next((name for name, each in robots.DYNAMICS.items() if each is drive), "own")

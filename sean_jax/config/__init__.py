@@ -74,7 +74,7 @@ class BenchConfig(Config):
     environment: fields.EnvironmentName = "warehouse"
     people: fields.PeopleOrDefault = None
     robot: RobotPart = Named(kind="kuri")
-    dynamics: fields.Dynamics = "mjx"
+    dynamics: fields.Dynamics = "twin"
     only: fields.Names = "step,depth,images,pictures,crowd,compile,devices"
     """Measurements, separated by commas."""
     batches: tuple[fields.BatchSize, ...] = ()

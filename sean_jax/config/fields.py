@@ -148,10 +148,10 @@ PeopleOrDefault = Annotated[
     Field(description="Number of people; the environment's own number by default (62 in the warehouse)."),
 ]
 Dynamics = Annotated[
-    Literal["mjx", "twin", "kinematic"],
+    Literal["twin", "mjx", "kinematic"],
     Field(
-        description="Robot motion: mjx (MuJoCo's physics), twin (its closed form, faster) or kinematic (no inertia, "
-        "as in SEAN 2.0)."
+        description="Robot motion: twin (the law of MuJoCo's MJX in closed form), mjx (the same law by MJX, slower) "
+        "or kinematic (no inertia, as in SEAN 2.0)."
     ),
 ]
 RecordingFormat = Annotated[

@@ -153,7 +153,6 @@ Delays = Annotated[
 class EnvConfig(ScenarioConfig):
     """A scenario as an environment of reinforcement learning: observations, rewards and terminations."""
 
-    dynamics: fields.Dynamics = "twin"
     observations: Observations = tuple(Named(kind=name) for name in OBSERVED)
     """Observations of the agent: terms of `sean list`, and your own."""
     rewards: Rewards = (Named(kind="default"),)

@@ -136,7 +136,7 @@ class ScenarioConfig(Config):
     """Robot task; several, separated by commas, take turns. By default join_group,leave_group with behavior graph,
     handcrafted with handcrafted, custom if a start and a goal are set, else random_ab_nav."""
     robot: RobotPart = Named(kind="kuri")
-    dynamics: fields.Dynamics = "mjx"
+    dynamics: fields.Dynamics = "twin"
     people: fields.PeopleOrDefault = None
     model: Part = Named(kind="social_forces")
     """Model of how people move."""

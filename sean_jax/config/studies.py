@@ -31,7 +31,7 @@ class ExperimentConfig(Config):
     environment: fields.EnvironmentName = "warehouse"
     people: fields.PeopleOrDefault = None
     robot: RobotPart = Named(kind="kuri")
-    dynamics: fields.Dynamics = "mjx"
+    dynamics: fields.Dynamics = "twin"
     time_limit: fields.TimeLimit = 120.0
     """Longest duration of an episode in seconds."""
     seed: fields.Seed = 0

@@ -272,6 +272,6 @@ def _check(config: RunConfig) -> None:
     check_policy(config.policy, config)
     if config.camera is not None and not isinstance(config.robot, OwnPart | Value):
         try:
-            sensors.camera(robots.load(config.robot.kind, "twin"), config.camera)
+            sensors.camera(robots.load(config.robot.kind), config.camera)
         except ValueError as error:
             raise InputError(str(error)) from error

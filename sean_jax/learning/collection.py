@@ -53,7 +53,7 @@ def check_collection(config: CollectConfig) -> None:
     assembly.check(config)
     if isinstance(config.robot, OwnPart | Value):
         return
-    robot = robots.load(config.robot.kind, "twin")
+    robot = robots.load(config.robot.kind)
     sensors.camera(robot, "depth", width=config.width, height=config.height)
 
 

@@ -1,4 +1,4 @@
-"""Robots (Fig. 3): one MJCF file each in ``envs/robots``, simulated by MJX, by their closed-form twins or kinematic."""
+"""Robots (Fig. 3): one MJCF file each in ``envs/robots``, simulated by closed-form twins, by MJX or kinematic."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -14,15 +14,16 @@ from sean_jax.robots import dynamics as physics
 from sean_jax.robots.drive import drive_kinematic, drive_mjx, drive_twin, physics_steps, place
 
 ROBOTS: dict[str, Path] = {path.stem: path for path in sorted((ENVS / "robots").glob("*.xml"))}
-DYNAMICS = {"mjx": drive_mjx, "twin": drive_twin, "kinematic": drive_kinematic}
+DYNAMICS = {"twin": drive_twin, "mjx": drive_mjx, "kinematic": drive_kinematic}
 
 
-def load(robot: str | Path, dynamics: str = "mjx") -> RobotModel:
+def load(robot: str | Path, dynamics: str = "twin") -> RobotModel:
     """Load a robot.
 
     Args:
         robot: a name in ``ROBOTS``, or the path of an MJCF file.
-        dynamics: "mjx", "twin" for the closed form, or "kinematic" for a robot without inertia.
+        dynamics: "twin" for the closed form, "mjx" for the same law by MJX, or "kinematic" for a robot without
+            inertia.
 
     Raises:
         InputError: the name, the dynamics or the file does not exist, or the file does not describe a planar
@@ -34,7 +35,7 @@ def load(robot: str | Path, dynamics: str = "mjx") -> RobotModel:
     return RobotModel(**fields, data=data, name=path.stem, place=place, drive=DYNAMICS[dynamics])
 
 
-def find(robot: str | Path, dynamics: str = "mjx") -> Path:
+def find(robot: str | Path, dynamics: str = "twin") -> Path:
     """The file of a robot; name and dynamics as in ``load``.
 
     Raises:

@@ -1,8 +1,8 @@
 """One control step of a differential-drive robot (Fig. 3): command (v, omega), limits, physics, odometry.
 
-The MJX robot and its closed-form twin differ only in the physics step. Derivatives through the MJX robot are from
-its twin, in forward and in reverse mode: they agree to rounding and cost a fraction. The kinematic robot has no
-inertia: within its limits it has the speeds of the command.
+The default is the closed-form twin. The robot in MJX has the same law and differs only in the physics step.
+Derivatives through it are from the twin, in forward and in reverse mode: they agree to rounding and cost a fraction.
+The kinematic robot has no inertia: within its limits it has the speeds of the command.
 
 ``motion`` is a pair: generalised coordinates (5,), x, y [m], yaw, left and right wheel angle [rad], and their rates.
 """

@@ -173,7 +173,6 @@ def _scenario(options: FitGraphConfig, folder: Path) -> Scenario:
         behavior=GraphBehavior(routing=options.routing),
         task=(Named(kind="random_ab_nav"),),
         people=options.people,
-        dynamics="twin",
         time_step=ROW,
     )
     return assembly.build(described)[0]

@@ -237,7 +237,7 @@ class Periodic:
 
 @functools.cache
 def _robot(x64: bool) -> RobotModel:
-    return robots.load("kuri", "twin")
+    return robots.load("kuri")
 
 
 def scenario_of(scene: Scene, moved_by: Model | None = None) -> Scenario:

@@ -94,7 +94,7 @@ def in_environment(model: Model, name: str, seconds: float, episodes: int) -> tu
 
 def graph_scenario(model: Model, name: str) -> Scenario:
     """People of a model in an environment on its Behavior Graph, with a robot beside them."""
-    scenario = assembly.make(name, behavior="graph", task="random_ab_nav", robot="kuri", dynamics="twin")
+    scenario = assembly.make(name, behavior="graph", task="random_ab_nav", robot="kuri")
     substeps = social_forces.substeps(model.forces, scenario.time_step)
     return replace(scenario, forces=model.forces, move=model.move, substeps=substeps)
 
