@@ -19,9 +19,8 @@ from typing import Any
 import jax
 
 import sean_jax
-from sean_jax import sensors, social_forces
+from sean_jax import kernels, sensors, social_forces
 from sean_jax.bench import programs, workload
-from sean_jax.raycast import kernel
 from sean_jax.raycast.intersect import SHARE
 from sean_jax.scenario import reset, step
 
@@ -88,7 +87,7 @@ def rows(people: int, turns: int) -> dict[str, tuple[str, Counter, float, float]
     state = jax.eval_shape(lambda key: reset(scenario, key), jax.random.key(0))
     whole = jax.make_jaxpr(lambda s: step(scenario, s, programs.circles(scenario, s, s.streams.policy)))(state)
     eye = sensors.camera(scenario, "depth", width=64, height=48)
-    kernel.available = lambda: False  # the same law in loops that can be counted
+    kernels.available = lambda: False  # the same law in loops that can be counted
     image = count(jax.make_jaxpr(lambda s: sensors.depth(scenario, s, eye))(state).jaxpr, SHARE * turns)
     moved = 2.0 * bytes_of(state)
     pixels = 4.0 * 64 * 48

@@ -21,10 +21,9 @@ import jax
 import numpy as np
 
 import sean_jax
-from sean_jax import bench, sensors
+from sean_jax import bench, kernels, sensors
 from sean_jax.bench import programs
 from sean_jax.bench.programs import Program
-from sean_jax.raycast import kernel
 
 FORMS = "loops", "kernel"
 COMPARED = 256  # scenarios whose images are compared
@@ -33,7 +32,7 @@ COMPARED = 256  # scenarios whose images are compared
 def choose(form: str) -> None:
     """Use this form of rays on a GPU in all programs traced from now on."""
     jax.clear_caches()
-    kernel.available = lambda: form == "kernel"
+    kernels.available = lambda: form == "kernel"
 
 
 @contextlib.contextmanager

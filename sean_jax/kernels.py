@@ -90,7 +90,7 @@ def thread_number() -> Any:
     kind = mosaic_gpu.ShapeDtypeStruct((), jnp.int32, layout=mosaic_gpu.Layout.WG_SPLAT(()))
 
     @mosaic_gpu.inline_mgpu(return_type=kind)
-    def number(_: Any) -> Any:
+    def number(*_: Any) -> Any:
         return FragmentedArray.splat(utils.thread_idx(), (), is_signed=True)
 
     return number()

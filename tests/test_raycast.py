@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from quick import quick
 
-from sean_jax import environment, raycast
+from sean_jax import environment, kernels, raycast
 from sean_jax.base import Solids
 from sean_jax.raycast import intersect, kernel
 from sean_jax.raycast.view import HEAD, HEAD_RADIUS, SHOULDER
@@ -318,7 +318,7 @@ def test_no_loop_is_left_to_the_host_of_a_gpu():
         launches = re.findall(r"custom_call @mosaic_gpu.* : \((.*)\) ->", text)
         assert len(launches) == 1
         sizes = re.findall(r"tensor<(\d+)x(\d+)x", launches[0])
-        assert sizes[0] == ("1", str(2 * 5 * kernel.WIDTH)) and ("7", str(5 * 2)) in sizes
+        assert sizes[0] == ("1", str(2 * 5 * kernels.WIDTH)) and ("7", str(5 * 2)) in sizes
     with jax.enable_x64(True), jax.numpy_dtype_promotion("standard"):
         double = jax.ShapeDtypeStruct((7, 5, 2), jnp.float64)
         exact = lowered_for_gpu(jax.vmap(lambda people: intersect.nearest(in_double(view(people)), rays)), double)

@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Float, Int
 
+from sean_jax import kernels
 from sean_jax.base import Array
 from sean_jax.devices import by_platform
 from sean_jax.geometry import length
@@ -77,7 +78,7 @@ def _first_of_all(rays: Rays, view: View) -> tuple[Array, Array]:
 
 def _in_a_kernel(rays: Rays, numbers: bool, view: View) -> tuple[Array, ...]:
     """``nearest``, or with ``numbers`` ``search``, for GPUs."""
-    if any(leaf.dtype.itemsize > 4 for leaf in jax.tree.leaves(view)) or not kernel.available():
+    if any(leaf.dtype.itemsize > 4 for leaf in jax.tree.leaves(view)) or not kernels.available():
         return (_first_of_all if numbers else _nearest_of_all)(rays, view)
     return kernel.first(rays, list(_families(view, rays)), view.radius, view.height, _starts(view)[4], numbers)
 

@@ -6,22 +6,18 @@ host, which reads a flag after every turn: a busy host then holds up the card.
 """
 
 from collections.abc import Callable, Sequence
-from functools import cache, partial
-from importlib import import_module
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.experimental.custom_partitioning import custom_partitioning
-from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Bool
 
 from sean_jax.base import Array
+from sean_jax.kernels import WIDTH, batch
 from sean_jax.raycast.view import MISS, Beams, Rays, ground
 
-WIDTH = 128  # threads of a program, each of which has one ray
-HOPPER = 9.0  # compute capability of the oldest GPUs that the kernel was tried on
 BITS = 32  # bodies in a word; a bit is set if the tile has the body in sight
 
 
@@ -44,22 +40,6 @@ class _Shape(NamedTuple):
     parts: int  # programs of a tile
 
 
-@cache
-def available() -> bool:
-    """Whether the kernel runs on the GPU of this machine; True without a GPU, for compilation for another machine."""
-    try:
-        import_module("jax.experimental.pallas.mosaic_gpu")
-    except ImportError:
-        return False
-    device = jax.devices()[0]
-    if device.platform == "cpu":
-        return True
-    try:
-        return float(device.compute_capability) >= HOPPER
-    except (AttributeError, ValueError):  # not one of NVIDIA's
-        return False
-
-
 def first(
     rays: Rays, families: Sequence[Family], radius: Array, height: Array, floor: int, numbers: bool
 ) -> tuple[Array, ...]:
@@ -78,7 +58,9 @@ def first(
     operands = [_beams(shape), jnp.stack([radius, height])[None]]
     for family in families:
         operands += [family.table.reshape(1, -1), _words(family.in_sight).reshape(1, -1)]
-    return tuple(out.reshape(tiles, parts * WIDTH)[:, :count] for out in _launch(shape)(*operands))
+    return tuple(
+        out.reshape(tiles, parts * WIDTH)[:, :count] for out in batch(partial(_call, shape), 1 + numbers)(*operands)
+    )
 
 
 def _beams(shape: _Shape) -> Array:
@@ -97,52 +79,6 @@ def _words(in_sight: Array) -> Array:
     padded = jnp.pad(in_sight, ((0, 0), (0, -count % BITS))).reshape(tiles, -1, BITS)
     bit = jax.lax.bitcast_convert_type(np.uint32(1) << np.arange(BITS, dtype=np.uint32), jnp.int32)
     return jnp.where(padded, bit[None, None, :], 0).sum(-1, dtype=jnp.int32)
-
-
-def _launch(shape: _Shape) -> Callable:
-    """A function of operands (1, ...). Under ``vmap`` they become (scenarios, ...), which are one launch."""
-
-    @jax.custom_batching.custom_vmap
-    def launch(*operands: Array) -> tuple[Array, ...]:
-        return _split(shape, operands)(*operands)
-
-    @launch.def_vmap
-    def _(size: int, batched: list[bool], *operands: Array) -> tuple[tuple[Array, ...], tuple[bool, ...]]:
-        inner = max(
-            operand.shape[1] if one else operand.shape[0] for operand, one in zip(operands, batched, strict=True)
-        )
-        merged = []
-        for operand, one in zip(operands, batched, strict=True):
-            if not one and operand.shape[0] == 1:  # it stays one for all, and is not copied
-                merged.append(operand)
-                continue
-            operand = operand if one else operand[None]
-            all_of_batch = jnp.broadcast_to(operand, (size, inner, operand.shape[-1]))
-            merged.append(all_of_batch.reshape(size * inner, -1))
-        outputs = tuple(out.reshape(size, inner, -1) for out in launch(*merged))
-        return outputs, tuple(True for _ in outputs)
-
-    return launch
-
-
-def _split(shape: _Shape, operands: Sequence[Array]) -> Callable:
-    """The kernel for devices that share the scenarios. XLA, which cannot look into it, would run all on each device."""
-    call = custom_partitioning(lambda *operands: _call(shape, *operands))
-    of_all = [operand.shape[0] == 1 for operand in operands]
-
-    def partition(mesh: Mesh, given: Sequence, results: Sequence) -> tuple:
-        split = results[0].sharding
-        whole = NamedSharding(split.mesh, PartitionSpec())
-        arguments = tuple(whole if one else split for one in of_all)
-        return mesh, partial(_call, shape), tuple(split for _ in results), arguments
-
-    axes = [(f"one{i}" if one else "scenarios", f"column{i}") for i, one in enumerate(of_all)]
-    arguments, results = (
-        ", ".join(" ".join(each) for each in side) for side in (axes, [("scenarios", "ray")] * (1 + shape.numbers))
-    )
-    whole = [name for each in axes for name in each if name != "scenarios"]
-    call.def_partition(partition, sharding_rule=f"{arguments} -> {results}", need_replication_factors=(*whole, "ray"))
-    return call
 
 
 def _call(shape: _Shape, *operands: Array, interpret: bool = False) -> tuple[Array, ...]:

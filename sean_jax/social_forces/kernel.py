@@ -21,8 +21,8 @@ UNROLL = 8  # others whose distance is tested in one turn
 MOST = 256  # people of a crowd
 PRIMITIVES = frozenset(
     "abs add add_any and atan2 broadcast_in_dim clamp convert_element_type copy cos div eq erf exp exp2 ge gt "
-    "integer_pow le log logistic lt max min mul ne neg not or pow rem rsqrt select_n sign sin sqrt square stop_gradient "
-    "sub tanh xor".split()
+    "integer_pow le log logistic lt max min mul ne neg not or rem rsqrt select_n sign sin sqrt square "
+    "stop_gradient sub tanh xor".split()
 )
 CALLS = frozenset(("custom_jvp_call", "jit", "pjit", "closed_call", "custom_vjp_call", "remat2", "checkpoint"))
 
@@ -43,10 +43,12 @@ def supports(law: Callable, shared: PyTree, own: Rows, other: Rows) -> bool:
     """Whether the kernel can sum the law: small crowds, in single precision, elementwise functions."""
     if own[0].shape[0] > MOST or not kernels.available():
         return False
-    leaves = [*jax.tree.leaves(shared), *(row[0] for row in (*own, *other))]
-    if any(leaf.shape or leaf.dtype != jnp.float32 for leaf in leaves):
+    if any(jnp.shape(leaf) for leaf in jax.tree.leaves(shared)):
         return False
-    return _elementwise(_trace(law, shared, own, other).jaxpr)
+    if any(jnp.result_type(leaf) != jnp.float32 for leaf in jax.tree.leaves((shared, own, other))):
+        return False
+    traced = _trace(law, shared, own, other)
+    return not traced.consts and _elementwise(traced.jaxpr)
 
 
 def sum_pairs(law: Callable, reach: Array, shared: PyTree, own: Rows, other: Rows) -> PyTree:
@@ -72,7 +74,9 @@ def _elementwise(jaxpr: Jaxpr) -> bool:
         if inner is not None:
             if inner.consts or not _elementwise(inner.jaxpr):
                 return False
-        elif equation.primitive.name not in PRIMITIVES or any(getattr(var.aval, "shape", ()) for var in equation.outvars):
+        elif equation.primitive.name not in PRIMITIVES or any(
+            getattr(var.aval, "shape", ()) for var in equation.outvars
+        ):
             return False
     return True
 
@@ -85,10 +89,13 @@ def _inner(equation: Any) -> ClosedJaxpr | None:
     return inner if isinstance(inner, ClosedJaxpr) else ClosedJaxpr(inner, ())
 
 
-def _evaluate(jaxpr: Jaxpr, values: list) -> list:
+def _evaluate(jaxpr: Any, values: list) -> list:
     """The results of a program, by functions that Mosaic knows."""
     known = dict(zip(jaxpr.invars, values, strict=True))
-    read = lambda var: jnp.asarray(var.val, var.aval.dtype) if isinstance(var, Literal) else known[var]  # noqa: E731
+
+    def read(var: Any) -> Any:
+        return jnp.asarray(var.val, jnp.result_type(var.aval)) if isinstance(var, Literal) else known[var]
+
     for equation in jaxpr.eqns:
         arguments = list(map(read, equation.invars))
         inner, name = _inner(equation), equation.primitive.name
@@ -109,7 +116,9 @@ def _evaluate(jaxpr: Jaxpr, values: list) -> list:
 def _convert(x: Array, dtype: Any) -> Array:
     if x.dtype == dtype:
         return x
-    return x != 0 if dtype == bool else jnp.where(x, 1, 0).astype(dtype) if x.dtype == bool else x.astype(dtype)
+    if jnp.dtype(dtype) == jnp.dtype(bool):
+        return x != 0
+    return (jnp.where(x, 1, 0) if x.dtype == jnp.dtype(bool) else x).astype(dtype)
 
 
 def _power(x: Array, exponent: int) -> Array:
@@ -132,7 +141,6 @@ OWN: dict[str, Callable] = {
     "copy": lambda x: x,
     "stop_gradient": lambda x: x,
     "sqrt": _root,
-    "pow": lambda x, y: jnp.exp(y * jnp.log(x)),
 }
 
 
@@ -163,8 +171,8 @@ def _call(shape: _Shape, *operands: Array, interpret: bool = False) -> tuple[Arr
 
 def _kernel(shape: _Shape, number: Callable[[], Any], *references: Any) -> None:
     """One thread: the sums of one person."""
-    numbers_of, *references = references
-    rows, results = references[: -shape.outputs], references[-shape.outputs :]
+    numbers_of, *rows = references
+    rows, results = rows[: -shape.outputs], rows[-shape.outputs :]
     index, people = number(), shape.people
     scenario, person = jax.lax.div(index, jnp.int32(people)), jax.lax.rem(index, jnp.int32(people))
 
@@ -208,13 +216,12 @@ def _kernel(shape: _Shape, number: Callable[[], Any], *references: Any) -> None:
 
     def add(carry: tuple) -> tuple:
         words, sums = carry
-        current, first, rest, free = words[-1], jnp.int32(firsts[-1]), [], jnp.bool_(True)
+        current, first, rest = words[-1], jnp.int32(firsts[-1]), []
         for each, start in zip(words[-2::-1], firsts[-2::-1], strict=True):
             current = jnp.where(each != 0, each, current)
             first = jnp.where(each != 0, jnp.int32(start), first)
-        after = current & (current - 1)
         for each, start in zip(words, firsts, strict=True):
-            rest.append(jnp.where(first == start, after, each) if len(words) > 1 else after)
+            rest.append(jnp.where(first == start, current & (current - 1), each))
         j = first + (BITS - 1) - jax.lax.clz(current & -current)
         other = [row[at, j] for row, at in others]
         pushes = _evaluate(shape.law.jaxpr, [*shared, *own, *other])
