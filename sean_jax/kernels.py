@@ -8,12 +8,20 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 from jax.experimental.custom_partitioning import custom_partitioning
+from jax.extend.core import ClosedJaxpr, Literal
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from sean_jax.base import Array
 
 WIDTH = 128  # threads of a program
 HOPPER = 9.0  # compute capability of the oldest GPUs that the kernels were tried on
+
+PRIMITIVES = frozenset(
+    "abs add add_any and atan2 broadcast_in_dim clamp convert_element_type copy cos div eq erf exp exp2 ge gt "
+    "integer_pow le log logistic lt max min mul ne neg not or rem rsqrt select_n sign sin sqrt square "
+    "stop_gradient sub tanh xor".split()
+)
+CALLS = frozenset(("custom_jvp_call", "jit", "pjit", "closed_call", "custom_vjp_call", "remat2", "checkpoint"))
 
 Call = Callable[..., tuple[Array, ...]]
 """``call(*operands)`` of (scenarios, columns), or (1, columns) for all scenarios, gives arrays (scenarios, columns)."""
@@ -94,3 +102,97 @@ def thread_number() -> Any:
         return FragmentedArray.splat(utils.thread_idx(), (), is_signed=True)
 
     return number()
+
+
+def elementwise(program: ClosedJaxpr) -> bool:
+    """Whether a kernel can evaluate a program: elementwise functions of scalars, without constants of its own."""
+    if program.consts:
+        return False
+    for equation in program.jaxpr.eqns:
+        inner = _inner(equation)
+        if inner is not None:
+            if not elementwise(inner):
+                return False
+        elif equation.primitive.name not in PRIMITIVES or any(
+            getattr(var.aval, "shape", ()) for var in equation.outvars
+        ):
+            return False
+    return True
+
+
+def _inner(equation: Any) -> ClosedJaxpr | None:
+    """The function that an equation calls; None if it calls none."""
+    if equation.primitive.name not in CALLS:
+        return None
+    inner = equation.params.get("jaxpr") or equation.params["call_jaxpr"]
+    return inner if isinstance(inner, ClosedJaxpr) else ClosedJaxpr(inner, ())
+
+
+def evaluate(program: ClosedJaxpr, *values: Any) -> list:
+    """The results of a program of scalars, in functions that Mosaic knows."""
+    known: dict[Any, Any] = dict(zip(program.jaxpr.invars, values, strict=True))
+
+    def read(var: Any) -> Any:
+        return jnp.asarray(var.val, jnp.result_type(var.aval)) if isinstance(var, Literal) else known[var]
+
+    for equation in program.jaxpr.eqns:
+        arguments = list(map(read, equation.invars))
+        inner, name = _inner(equation), equation.primitive.name
+        if inner is not None:
+            results = evaluate(inner, *arguments)
+        elif name == "convert_element_type":
+            results = [_convert(arguments[0], equation.params["new_dtype"])]
+        elif name == "integer_pow":
+            results = [_power(arguments[0], equation.params["y"])]
+        elif name in OWN:
+            results = [OWN[name](*arguments)]
+        else:
+            results = [equation.primitive.bind(*arguments, **equation.params)]
+        known.update(zip(equation.outvars, results, strict=True))
+    return list(map(read, program.jaxpr.outvars))
+
+
+def _convert(x: Array, dtype: Any) -> Array:
+    if x.dtype == dtype:
+        return x
+    if jnp.dtype(dtype) == jnp.dtype(bool):
+        return x != 0
+    return (jnp.where(x, 1, 0) if x.dtype == jnp.dtype(bool) else x).astype(dtype)
+
+
+def _power(x: Array, exponent: int) -> Array:
+    if exponent < 0:
+        return 1.0 / _power(x, -exponent)
+    if exponent == 0:
+        return jnp.float32(1.0)
+    if exponent == 1:
+        return x
+    root = _power(x, exponent // 2)
+    return root * root * x if exponent % 2 else root * root
+
+
+def _root(x: Array) -> Array:
+    return jnp.where(x > 0.0, x * jax.lax.rsqrt(jnp.where(x > 0.0, x, 1.0)), x)
+
+
+OWN: dict[str, Callable] = {
+    "add_any": jnp.add,
+    "copy": lambda x: x,
+    "stop_gradient": lambda x: x,
+    "sqrt": _root,
+}
+
+
+def scalars(function: Callable) -> Callable:
+    """The function of pytrees of scalars, in functions that Mosaic knows."""
+
+    def known(*arguments: Any) -> Any:
+        values = jax.tree.leaves(arguments)
+        program, shape = jax.make_jaxpr(function, return_shape=True)(*jax.tree.map(_scalar, arguments))
+        return jax.tree.unflatten(jax.tree.structure(shape), evaluate(program, *values))
+
+    return known
+
+
+def _scalar(value: Any) -> jax.ShapeDtypeStruct:
+    return jax.ShapeDtypeStruct((), jnp.result_type(value))

@@ -18,8 +18,10 @@ from jaxtyping import Float, Int
 
 from sean_jax import clock
 from sean_jax.base import Array, Robot, RobotModel, Scenario, State
+from sean_jax.devices import by_platform
 from sean_jax.errors import InputError
 from sean_jax.geometry import rotate, unit_vectors
+from sean_jax.robots import kernel
 from sean_jax.robots.dynamics import Motion, Surroundings, kinematic_move, mjx_substep, twin_substep
 
 
@@ -75,7 +77,7 @@ def drive_mjx(scenario: Scenario, state: State, action: Float[Array, "2"]) -> Ro
 
 def drive_twin(scenario: Scenario, state: State, action: Float[Array, "2"]) -> Robot:
     """The robot one control step later, simulated by the closed-form twin; otherwise as ``drive_mjx``."""
-    return _drive(_simulate_twin, scenario, state, action)
+    return _drive(_twin, scenario, state, action)
 
 
 def drive_kinematic(scenario: Scenario, state: State, action: Float[Array, "2"]) -> Robot:
@@ -173,6 +175,15 @@ def _simulate_twin(steps: int, model: RobotModel, surroundings: Surroundings, mo
     """The motion after that many steps of the twin. Reverse mode computes them again rather than store all of them."""
     simulate = jax.checkpoint(functools.partial(_simulate, twin_substep, steps), prevent_cse=False)
     return simulate(model, surroundings, motion, targets)
+
+
+def _twin(steps: int, model: RobotModel, surroundings: Surroundings, motion: Motion, targets: Array) -> Motion:
+    """``_simulate_twin``, on a GPU in one kernel; derivatives are XLA's."""
+    loop = functools.partial(_simulate_twin, steps)
+    if not kernel.supports(model, surroundings, motion):
+        return loop(model, surroundings, motion, targets)
+    one = functools.partial(kernel.simulate, steps)
+    return by_platform(loop, one)(replace(model, data=(), solids=()), surroundings, motion, targets)
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))

@@ -18,13 +18,16 @@ from flax import struct
 from jaxtyping import Bool, Float
 
 from sean_jax.base import Array, Obstacles, RobotModel
-from sean_jax.geometry import from_box, length, rotate, unit
+from sean_jax.geometry import from_box, from_rectangle, length, rotate, unit
 
 GRAVITY = 9.81  # m/s2
+CORNER = 2  # walls that a robot can touch at once
 RECOVERY = 0.2  # share of an overlap that one physics step undoes (Baumgarte 1972); a larger one bounces
 
 Motion = tuple[Float[Array, "5"], Float[Array, "5"]]
 """Generalised coordinates of a robot and their rates."""
+Five = tuple[Array, ...]
+"""The five generalised coordinates, velocities or impulses as scalars."""
 OVERLAP = 1e-4  # m, maximum penetration of an obstacle by a robot; a step beyond it is not taken
 
 
@@ -58,16 +61,25 @@ def impulse(
         velocity: rates at the end of the physics step, if there were no impulse.
     """
     position, _ = motion
+    tyres, vx, vy = tyre_impulse(model, tuple(position), tuple(velocity))
+    after = touching(model, surroundings, time_left, position, vx, vy)
+    return jnp.stack(add_contacts(model, tyres, (vx, vy), after))
+
+
+def tyre_impulse(model: RobotModel, position: Five, velocity: Five) -> tuple[Five, Array, Array]:
+    """The impulse of the tyres, and the velocity (x, y) [m/s] of the base that it leaves."""
     middle = position[2] + 0.5 * model.time_step * velocity[2]  # yaw halfway through the step: else turning would slip
-    cosine, sine = jnp.cos(middle), jnp.sin(middle)
-    jx, jy, spin, left, right = _tyres(model, cosine, sine, velocity)
-    start = velocity[0] + jx / model.mass, velocity[1] + jy / model.mass
-    vx, vy = touching(model, surroundings, time_left, position, *start)
-    px, py = model.mass * (vx - start[0]), model.mass * (vy - start[1])
-    return jnp.stack([jx + px, jy + py, spin, left, right])
+    tyres = _tyres(model, jnp.cos(middle), jnp.sin(middle), velocity)
+    return tyres, velocity[0] + tyres[0] / model.mass, velocity[1] + tyres[1] / model.mass
 
 
-def _tyres(model: RobotModel, cosine: Array, sine: Array, velocity: Array) -> tuple[Array, ...]:
+def add_contacts(model: RobotModel, tyres: Five, start: tuple[Array, Array], after: tuple[Array, Array]) -> Five:
+    """The impulse of tyres and contacts, from the velocities [m/s] without and with contacts."""
+    px, py = model.mass * (after[0] - start[0]), model.mass * (after[1] - start[1])
+    return tyres[0] + px, tyres[1] + py, *tyres[2:]
+
+
+def _tyres(model: RobotModel, cosine: Array, sine: Array, velocity: Five) -> Five:
     """The impulses of two tyres that end all slip, each within its friction circle.
 
     The longitudinal impulses solve a symmetric 2x2 system, because a push on one wheel also moves the other.
@@ -114,25 +126,37 @@ def touching(
         position: its first two are x and y [m].
     """
     x, y = position[0], position[1]
-    px, py, ux, uy = *surroundings.position.T, *surroundings.velocity.T
-
-    def person(x: Array, y: Array, people: tuple) -> tuple[Array, Array, Array]:
-        px, py, ux, uy, present = people
-        dx, dy = x - (px - ux * time_left), y - (py - uy * time_left)
-        nx, ny = unit(dx, dy)
-        gap = length(dx, dy) - (surroundings.person_radius + model.radius)
-        allowed = _approach(model, gap) - (ux * nx + uy * ny)
-        return nx, ny, jnp.where(present, allowed, jnp.inf)
-
-    def obstacle(x: Array, y: Array, box: Obstacles) -> tuple[Array, Array, Array]:
-        distance, nx, ny = from_box(x, y, box)
-        return nx, ny, _approach(model, distance - model.radius)
-
+    people = *surroundings.position.T, *surroundings.velocity.T, surroundings.present
     if surroundings.present.shape[0]:
-        vx, vy = _touch(person, (px, py, ux, uy, surroundings.present), 1, x, y, vx, vy)
+        person = functools.partial(person_contact, model, surroundings.person_radius, time_left)
+        vx, vy = _touch(person, people, 1, x, y, vx, vy)
     if surroundings.obstacles.yaw.shape[0]:
-        vx, vy = _touch(obstacle, surroundings.obstacles, 2, x, y, vx, vy)  # a corner has two walls
+        obstacle = functools.partial(obstacle_contact, model)
+        vx, vy = _touch(obstacle, rectangles(surroundings.obstacles), CORNER, x, y, vx, vy)
     return vx, vy
+
+
+def person_contact(
+    model: RobotModel, person_radius: Array, time_left: Array, x: Array, y: Array, person: tuple[Array, ...]
+) -> tuple[Array, Array, Array]:
+    """Normal (x, y) and allowed approach speed [m/s] of a robot at (x, y) to a person: x, y, velocities, present."""
+    px, py, ux, uy, present = person
+    dx, dy = x - (px - ux * time_left), y - (py - uy * time_left)
+    nx, ny = unit(dx, dy)
+    gap = length(dx, dy) - (person_radius + model.radius)
+    allowed = _approach(model, gap) - (ux * nx + uy * ny)
+    return nx, ny, jnp.where(present, allowed, jnp.inf)
+
+
+def obstacle_contact(model: RobotModel, x: Array, y: Array, rectangle: tuple[Array, ...]) -> tuple[Array, Array, Array]:
+    """Normal (x, y) and allowed approach speed [m/s] of a robot at (x, y) to one of ``rectangles``."""
+    distance, nx, ny = from_rectangle(x, y, *rectangle)
+    return nx, ny, _approach(model, distance - model.radius)
+
+
+def rectangles(obstacles: Obstacles) -> tuple[Float[Array, "K"], ...]:
+    """Centre x and y [m], half extents [m], cosine and sine of the yaw of obstacles."""
+    return *obstacles.center.T, *obstacles.half_extent.T, jnp.cos(obstacles.yaw), jnp.sin(obstacles.yaw)
 
 
 def _approach(model: RobotModel, gap: Array) -> Array:
@@ -164,6 +188,10 @@ def _touch(contact: Callable, things: Any, times: int, x: Array, y: Array, vx: A
 # --- the closed-form twin ---
 
 
+def _same(function: Callable) -> Callable:
+    return function
+
+
 def twin_substep(
     model: RobotModel,
     surroundings: Surroundings,
@@ -180,11 +208,51 @@ def twin_substep(
         time_left: s, from the start of this physics step to the end of the control step.
         targets: rad/s, the wheel speeds that the servos aim at.
     """
-    position, velocity = motion
-    torque = jnp.clip(model.servo_gain * (targets - velocity[3:]), -model.servo_torque, model.servo_torque)
-    free = jnp.concatenate([velocity[:3], velocity[3:] + model.time_step * torque / model.wheel_inertia])
-    velocity = free + impulse(model, surroundings, time_left, motion, free) / diagonal(model)
-    return position + model.time_step * velocity, velocity
+    touch = functools.partial(touching, model, surroundings, time_left)
+    return tuple(map(jnp.stack, twin_step(model, touch, *map(tuple, motion), tuple(targets))))
+
+
+def twin_step(
+    model: RobotModel,
+    touch: Callable,
+    position: Five,
+    velocity: Five,
+    targets: tuple[Array, Array],
+    form: Callable = _same,
+) -> tuple[Five, Five]:
+    """``twin_substep`` in scalars.
+
+    Args:
+        touch: ``touch(position, vx, vy)`` gives the velocity that contacts leave, as ``touching``.
+        form: makes the functions that are evaluated, such as ``kernels.scalars``.
+    """
+    free, tyres, vx, vy = form(_without_contacts)(model, position, velocity, targets)
+    return form(_advance)(model, position, free, tyres, (vx, vy), touch(position, vx, vy))
+
+
+def _without_contacts(
+    model: RobotModel, position: Five, velocity: Five, targets: tuple[Array, Array]
+) -> tuple[Five, Five, Array, Array]:
+    """Velocities after the servos, impulse of the tyres, and the base's velocity after both."""
+    wheels = (
+        rate
+        + model.time_step
+        * jnp.clip(model.servo_gain * (target - rate), -model.servo_torque, model.servo_torque)
+        / model.wheel_inertia
+        for rate, target in zip(velocity[3:], targets, strict=True)
+    )
+    free = *velocity[:3], *wheels
+    return free, *tyre_impulse(model, position, free)
+
+
+def _advance(
+    model: RobotModel, position: Five, free: Five, tyres: Five, start: tuple[Array, Array], after: tuple[Array, Array]
+) -> tuple[Five, Five]:
+    """Coordinates and velocities at the end of a physics step."""
+    mass = model.mass, model.mass, model.inertia, model.wheel_inertia, model.wheel_inertia
+    pushes = add_contacts(model, tyres, start, after)
+    velocity = tuple(rate + push / of for rate, push, of in zip(free, pushes, mass, strict=True))
+    return tuple(at + model.time_step * rate for at, rate in zip(position, velocity, strict=True)), velocity
 
 
 def diagonal(model: RobotModel) -> Float[Array, "5"]:

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
+from jax.extend.core import ClosedJaxpr
 from jaxtyping import PyTree
 
 from sean_jax import kernels
@@ -19,13 +19,6 @@ from sean_jax.base import Array
 BITS = 32
 UNROLL = 8  # others whose distance is tested in one turn
 MOST = 256  # people of a crowd
-PRIMITIVES = frozenset(
-    "abs add add_any and atan2 broadcast_in_dim clamp convert_element_type copy cos div eq erf exp exp2 ge gt "
-    "integer_pow le log logistic lt max min mul ne neg not or rem rsqrt select_n sign sin sqrt square "
-    "stop_gradient sub tanh xor".split()
-)
-CALLS = frozenset(("custom_jvp_call", "jit", "pjit", "closed_call", "custom_vjp_call", "remat2", "checkpoint"))
-
 Rows = tuple[Array, ...]
 
 
@@ -47,8 +40,7 @@ def supports(law: Callable, shared: PyTree, own: Rows, other: Rows) -> bool:
         return False
     if any(jnp.result_type(leaf) != jnp.float32 for leaf in jax.tree.leaves((shared, own, other))):
         return False
-    traced = _trace(law, shared, own, other)
-    return not traced.consts and _elementwise(traced.jaxpr)
+    return kernels.elementwise(_trace(law, shared, own, other))
 
 
 def sum_pairs(law: Callable, reach: Array, shared: PyTree, own: Rows, other: Rows) -> PyTree:
@@ -66,82 +58,6 @@ def _one(rows: Rows) -> tuple:
 
 def _trace(law: Callable, shared: PyTree, own: Rows, other: Rows) -> ClosedJaxpr:
     return jax.make_jaxpr(law)(shared, _one(own), _one(other))
-
-
-def _elementwise(jaxpr: Jaxpr) -> bool:
-    for equation in jaxpr.eqns:
-        inner = _inner(equation)
-        if inner is not None:
-            if inner.consts or not _elementwise(inner.jaxpr):
-                return False
-        elif equation.primitive.name not in PRIMITIVES or any(
-            getattr(var.aval, "shape", ()) for var in equation.outvars
-        ):
-            return False
-    return True
-
-
-def _inner(equation: Any) -> ClosedJaxpr | None:
-    """The function that an equation calls; None if it calls none."""
-    if equation.primitive.name not in CALLS:
-        return None
-    inner = equation.params.get("jaxpr") or equation.params["call_jaxpr"]
-    return inner if isinstance(inner, ClosedJaxpr) else ClosedJaxpr(inner, ())
-
-
-def _evaluate(jaxpr: Any, values: list) -> list:
-    """The results of a program, by functions that Mosaic knows."""
-    known = dict(zip(jaxpr.invars, values, strict=True))
-
-    def read(var: Any) -> Any:
-        return jnp.asarray(var.val, jnp.result_type(var.aval)) if isinstance(var, Literal) else known[var]
-
-    for equation in jaxpr.eqns:
-        arguments = list(map(read, equation.invars))
-        inner, name = _inner(equation), equation.primitive.name
-        if inner is not None:
-            results = _evaluate(inner.jaxpr, arguments)
-        elif name == "convert_element_type":
-            results = [_convert(arguments[0], equation.params["new_dtype"])]
-        elif name == "integer_pow":
-            results = [_power(arguments[0], equation.params["y"])]
-        elif name in OWN:
-            results = [OWN[name](*arguments)]
-        else:
-            results = [equation.primitive.bind(*arguments, **equation.params)]
-        known.update(zip(equation.outvars, results, strict=True))
-    return list(map(read, jaxpr.outvars))
-
-
-def _convert(x: Array, dtype: Any) -> Array:
-    if x.dtype == dtype:
-        return x
-    if jnp.dtype(dtype) == jnp.dtype(bool):
-        return x != 0
-    return (jnp.where(x, 1, 0) if x.dtype == jnp.dtype(bool) else x).astype(dtype)
-
-
-def _power(x: Array, exponent: int) -> Array:
-    if exponent < 0:
-        return 1.0 / _power(x, -exponent)
-    if exponent == 0:
-        return jnp.float32(1.0)
-    if exponent == 1:
-        return x
-    root = _power(x, exponent // 2)
-    return root * root * x if exponent % 2 else root * root
-
-
-def _root(x: Array) -> Array:
-    return jnp.where(x > 0.0, x * jax.lax.rsqrt(jnp.where(x > 0.0, x, 1.0)), x)
-
-
-OWN: dict[str, Callable] = {
-    "add_any": jnp.add,
-    "copy": lambda x: x,
-    "stop_gradient": lambda x: x,
-    "sqrt": _root,
-}
 
 
 def _call(shape: _Shape, *operands: Array, interpret: bool = False) -> tuple[Array, ...]:
@@ -224,7 +140,7 @@ def _kernel(shape: _Shape, number: Callable[[], Any], *references: Any) -> None:
             rest.append(jnp.where(first == start, current & (current - 1), each))
         j = first + (BITS - 1) - jax.lax.clz(current & -current)
         other = [row[at, j] for row, at in others]
-        pushes = _evaluate(shape.law.jaxpr, [*shared, *own, *other])
+        pushes = kernels.evaluate(shape.law, *shared, *own, *other)
         return tuple(rest), tuple(map(jnp.add, sums, pushes))
 
     sums = tuple(jnp.float32(0.0) for _ in range(shape.outputs))

@@ -1,0 +1,137 @@
+"""A control step of the closed-form twin on a GPU, in one kernel (Pallas, Mosaic GPU): one thread for each scenario."""
+
+from dataclasses import replace
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax.tree_util import PyTreeDef
+
+from sean_jax import kernels
+from sean_jax.base import Array, RobotModel
+from sean_jax.robots.dynamics import (
+    CORNER,
+    Motion,
+    Surroundings,
+    obstacle_contact,
+    person_contact,
+    rectangles,
+    twin_step,
+)
+
+COORDINATES, WHEELS, BODY, BOX = 5, 2, 5, 6  # numbers of a motion, of targets, of a person and of an obstacle
+
+
+class _Shape(NamedTuple):
+    """Static parameters of a kernel."""
+
+    steps: int
+    model: PyTreeDef
+    people: int
+    obstacles: int
+
+
+def supports(model: RobotModel, surroundings: Surroundings, motion: Motion) -> bool:
+    """Whether the kernel can move the robot: in single precision."""
+    floats = (leaf for leaf in jax.tree.leaves((_bare(model), surroundings, motion)) if leaf.dtype != bool)
+    return kernels.available() and all(leaf.dtype == jnp.float32 for leaf in floats)
+
+
+def simulate(steps: int, model: RobotModel, surroundings: Surroundings, motion: Motion, targets: Array) -> Motion:
+    """The motion after that many physics steps."""
+    leaves, structure = jax.tree.flatten(_bare(model))
+    boxes, present = rectangles(surroundings.obstacles), surroundings.present.astype(motion[0].dtype)
+    shape = _Shape(steps, structure, len(present), len(boxes[0]))
+    numbers = jnp.stack([surroundings.person_radius, *leaves])
+    people = jnp.stack([*surroundings.position.T, *surroundings.velocity.T, present]) if shape.people else numbers
+    walls = jnp.stack(boxes) if shape.obstacles else numbers
+    operands = numbers, jnp.concatenate([*motion, targets]), people, walls
+    launch = kernels.batch(partial(_call, shape), 1)
+    (result,) = launch(*(operand.reshape(1, -1) for operand in operands))
+    return result[0, :COORDINATES], result[0, COORDINATES:]
+
+
+def _bare(model: RobotModel) -> RobotModel:
+    """The model without what does not move it."""
+    return replace(model, data=(), solids=())
+
+
+def _call(shape: _Shape, *operands: Array, interpret: bool = False) -> tuple[Array, ...]:
+    """The kernel, for operands of (scenarios, ...) or, where all scenarios have the same, (1, ...)."""
+    from jax.experimental import pallas
+    from jax.experimental.pallas import mosaic_gpu
+
+    scenarios = max(operand.shape[0] for operand in operands)
+    out = (jax.ShapeDtypeStruct((scenarios, 2 * COORDINATES), jnp.float32),)
+    if interpret:  # on a CPU, by XLA
+        kernel = partial(_kernel, shape, lambda: pallas.program_id(0))
+        return tuple(pallas.pallas_call(kernel, grid=(scenarios,), out_shape=out, interpret=True)(*operands))
+
+    def scenario() -> Any:
+        return jnp.minimum(jax.lax.axis_index("program") * kernels.WIDTH + kernels.thread_number(), scenarios - 1)
+
+    return mosaic_gpu.kernel(
+        partial(_kernel, shape, scenario),
+        out_type=out,
+        grid=(-(-scenarios // kernels.WIDTH),),
+        grid_names=("program",),
+        compiler_params=mosaic_gpu.CompilerParams(unsafe_no_auto_barriers=True),  # a thread reads nothing written
+        kernel_name="robot",
+    )(*operands)
+
+
+def _kernel(shape: _Shape, number: Any, *references: Any) -> None:
+    """One thread: the robot of one scenario."""
+    scenario, result = number(), references[-1]
+
+    def read(reference: Any, column: Any) -> Any:
+        return reference[0 if reference.shape[0] == 1 else scenario, column]
+
+    numbers, start, people, walls = (partial(read, reference) for reference in references[:-1])
+    person_radius = numbers(0)
+    model = jax.tree.unflatten(shape.model, [numbers(1 + i) for i in range(shape.model.num_leaves)])
+    motion = tuple(start(i) for i in range(2 * COORDINATES))
+    targets = tuple(start(2 * COORDINATES + i) for i in range(WHEELS))
+
+    def person(index: Any) -> tuple:
+        *body, present = (people(row * shape.people + index) for row in range(BODY))
+        return *body, present != 0.0
+
+    def obstacle(index: Any) -> tuple:
+        return tuple(walls(row * shape.obstacles + index) for row in range(BOX))
+
+    def touch(time_left: Any, position: tuple, vx: Any, vy: Any) -> tuple:
+        def by_person(index: Any) -> tuple:
+            contact = kernels.scalars(person_contact)
+            return contact(model, person_radius, time_left, *position[:2], person(index))
+
+        def by_obstacle(index: Any) -> tuple:
+            return kernels.scalars(obstacle_contact)(model, *position[:2], obstacle(index))
+
+        for contact, count, times in ((by_person, shape.people, 1), (by_obstacle, shape.obstacles, CORNER)):
+            for _ in range(times if count else 0):
+                vx, vy = _strongest(contact, count, vx, vy)
+        return vx, vy
+
+    def step(index: Any, motion: tuple) -> tuple:
+        time_left = model.time_step * (shape.steps - index).astype(jnp.float32)
+        position, velocity = motion[:COORDINATES], motion[COORDINATES:]
+        position, velocity = twin_step(model, partial(touch, time_left), position, velocity, targets, kernels.scalars)
+        return *position, *velocity
+
+    motion = jax.lax.fori_loop(0, shape.steps, step, motion)
+    for column, value in enumerate(motion):
+        result[scenario, column] = value
+
+
+def _strongest(contact: Any, count: int, vx: Any, vy: Any) -> tuple:
+    """The velocity after the most violated contact was enforced."""
+
+    def turn(index: Any, best: tuple) -> tuple:
+        nx, ny, allowed = contact(index)
+        excess = -(vx * nx + vy * ny) - allowed
+        return tuple(jnp.where(excess > best[0], new, old) for new, old in zip((excess, nx, ny), best, strict=True))
+
+    excess, nx, ny = jax.lax.fori_loop(0, count, turn, (jnp.float32(0.0),) * 3)  # a contact that is kept pushes by 0
+    return vx + excess * nx, vy + excess * ny
