@@ -163,8 +163,6 @@ def _convert(x: Array, dtype: Any) -> Array:
 def _power(x: Array, exponent: int) -> Array:
     if exponent < 0:
         return 1.0 / _power(x, -exponent)
-    if exponent == 0:
-        return jnp.float32(1.0)
     if exponent == 1:
         return x
     root = _power(x, exponent // 2)

@@ -183,7 +183,7 @@ def _twin(steps: int, model: RobotModel, surroundings: Surroundings, motion: Mot
     if not kernel.supports(model, surroundings, motion):
         return loop(model, surroundings, motion, targets)
     one = functools.partial(kernel.simulate, steps)
-    return by_platform(loop, one)(replace(model, data=(), solids=()), surroundings, motion, targets)
+    return by_platform(loop, one)(replace(model, data=()), surroundings, motion, targets)
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))

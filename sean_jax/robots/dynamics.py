@@ -31,6 +31,22 @@ Five = tuple[Array, ...]
 OVERLAP = 1e-4  # m, maximum penetration of an obstacle by a robot; a step beyond it is not taken
 
 
+class Body(NamedTuple):
+    """What the physics of a robot depend on: fields of ``RobotModel``."""
+
+    mass: Array
+    inertia: Array
+    wheel_radius: Array
+    wheel_inertia: Array
+    track: Array
+    friction: Array
+    servo_gain: Array
+    servo_torque: Array
+    max_speed: Array
+    radius: Array | float
+    time_step: Array | float
+
+
 @struct.dataclass
 class Surroundings:
     """Everything that a robot can touch during one control step."""
@@ -66,20 +82,20 @@ def impulse(
     return jnp.stack(add_contacts(model, tyres, (vx, vy), after))
 
 
-def tyre_impulse(model: RobotModel, position: Five, velocity: Five) -> tuple[Five, Array, Array]:
+def tyre_impulse(model: RobotModel | Body, position: Five, velocity: Five) -> tuple[Five, Array, Array]:
     """The impulse of the tyres, and the velocity (x, y) [m/s] of the base that it leaves."""
     middle = position[2] + 0.5 * model.time_step * velocity[2]  # yaw halfway through the step: else turning would slip
     tyres = _tyres(model, jnp.cos(middle), jnp.sin(middle), velocity)
     return tyres, velocity[0] + tyres[0] / model.mass, velocity[1] + tyres[1] / model.mass
 
 
-def add_contacts(model: RobotModel, tyres: Five, start: tuple[Array, Array], after: tuple[Array, Array]) -> Five:
+def add_contacts(model: RobotModel | Body, tyres: Five, start: tuple[Array, Array], after: tuple[Array, Array]) -> Five:
     """The impulse of tyres and contacts, from the velocities [m/s] without and with contacts."""
     px, py = model.mass * (after[0] - start[0]), model.mass * (after[1] - start[1])
     return tyres[0] + px, tyres[1] + py, *tyres[2:]
 
 
-def _tyres(model: RobotModel, cosine: Array, sine: Array, velocity: Five) -> Five:
+def _tyres(model: RobotModel | Body, cosine: Array, sine: Array, velocity: Five) -> Five:
     """The impulses of two tyres that end all slip, each within its friction circle.
 
     The longitudinal impulses solve a symmetric 2x2 system, because a push on one wheel also moves the other.
@@ -112,7 +128,7 @@ def touching(
     model: RobotModel,
     surroundings: Surroundings,
     time_left: Float[Array, ""],
-    position: Float[Array, "..."],
+    position: Float[Array, "..."] | Five,
     vx: Float[Array, ""],
     vy: Float[Array, ""],
 ) -> tuple[Float[Array, ""], Float[Array, ""]]:
@@ -137,7 +153,7 @@ def touching(
 
 
 def person_contact(
-    model: RobotModel, person_radius: Array, time_left: Array, x: Array, y: Array, person: tuple[Array, ...]
+    model: RobotModel | Body, person_radius: Array, time_left: Array, x: Array, y: Array, person: tuple[Array, ...]
 ) -> tuple[Array, Array, Array]:
     """Normal (x, y) and allowed approach speed [m/s] of a robot at (x, y) to a person: x, y, velocities, present."""
     px, py, ux, uy, present = person
@@ -148,7 +164,9 @@ def person_contact(
     return nx, ny, jnp.where(present, allowed, jnp.inf)
 
 
-def obstacle_contact(model: RobotModel, x: Array, y: Array, rectangle: tuple[Array, ...]) -> tuple[Array, Array, Array]:
+def obstacle_contact(
+    model: RobotModel | Body, x: Array, y: Array, rectangle: tuple[Array, ...]
+) -> tuple[Array, Array, Array]:
     """Normal (x, y) and allowed approach speed [m/s] of a robot at (x, y) to one of ``rectangles``."""
     distance, nx, ny = from_rectangle(x, y, *rectangle)
     return nx, ny, _approach(model, distance - model.radius)
@@ -159,7 +177,7 @@ def rectangles(obstacles: Obstacles) -> tuple[Float[Array, "K"], ...]:
     return *obstacles.center.T, *obstacles.half_extent.T, jnp.cos(obstacles.yaw), jnp.sin(obstacles.yaw)
 
 
-def _approach(model: RobotModel, gap: Array) -> Array:
+def _approach(model: RobotModel | Body, gap: Array) -> Array:
     """Maximum approach speed [m/s] at a contact with this gap [m]; negative for an overlap, where bodies separate.
 
     The speed of separation is limited to the robot's top speed, so that a deep overlap does not throw the robot out.
@@ -213,7 +231,7 @@ def twin_substep(
 
 
 def twin_step(
-    model: RobotModel,
+    model: RobotModel | Body,
     touch: Callable,
     position: Five,
     velocity: Five,
@@ -231,7 +249,7 @@ def twin_step(
 
 
 def _without_contacts(
-    model: RobotModel, position: Five, velocity: Five, targets: tuple[Array, Array]
+    model: RobotModel | Body, position: Five, velocity: Five, targets: tuple[Array, Array]
 ) -> tuple[Five, Five, Array, Array]:
     """Velocities after the servos, impulse of the tyres, and the base's velocity after both."""
     wheels = (
@@ -246,7 +264,12 @@ def _without_contacts(
 
 
 def _advance(
-    model: RobotModel, position: Five, free: Five, tyres: Five, start: tuple[Array, Array], after: tuple[Array, Array]
+    model: RobotModel | Body,
+    position: Five,
+    free: Five,
+    tyres: Five,
+    start: tuple[Array, Array],
+    after: tuple[Array, Array],
 ) -> tuple[Five, Five]:
     """Coordinates and velocities at the end of a physics step."""
     mass = model.mass, model.mass, model.inertia, model.wheel_inertia, model.wheel_inertia

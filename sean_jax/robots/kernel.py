@@ -1,17 +1,17 @@
 """A control step of the closed-form twin on a GPU, in one kernel (Pallas, Mosaic GPU): one thread for each scenario."""
 
-from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jax.tree_util import PyTreeDef
+import numpy as np
 
 from sean_jax import kernels
 from sean_jax.base import Array, RobotModel
 from sean_jax.robots.dynamics import (
     CORNER,
+    Body,
     Motion,
     Surroundings,
     obstacle_contact,
@@ -27,23 +27,21 @@ class _Shape(NamedTuple):
     """Static parameters of a kernel."""
 
     steps: int
-    model: PyTreeDef
     people: int
     obstacles: int
 
 
 def supports(model: RobotModel, surroundings: Surroundings, motion: Motion) -> bool:
     """Whether the kernel can move the robot: in single precision."""
-    floats = (leaf for leaf in jax.tree.leaves((_bare(model), surroundings, motion)) if leaf.dtype != bool)
-    return kernels.available() and all(leaf.dtype == jnp.float32 for leaf in floats)
+    floats = (leaf for leaf in jax.tree.leaves((_body(model), surroundings, motion)) if leaf.dtype != bool)
+    return kernels.available() and all(leaf.dtype == np.float32 for leaf in floats)
 
 
 def simulate(steps: int, model: RobotModel, surroundings: Surroundings, motion: Motion, targets: Array) -> Motion:
     """The motion after that many physics steps."""
-    leaves, structure = jax.tree.flatten(_bare(model))
     boxes, present = rectangles(surroundings.obstacles), surroundings.present.astype(motion[0].dtype)
-    shape = _Shape(steps, structure, len(present), len(boxes[0]))
-    numbers = jnp.stack([surroundings.person_radius, *leaves])
+    shape = _Shape(steps, len(present), len(boxes[0]))
+    numbers = jnp.stack([surroundings.person_radius, *_body(model)])
     people = jnp.stack([*surroundings.position.T, *surroundings.velocity.T, present]) if shape.people else numbers
     walls = jnp.stack(boxes) if shape.obstacles else numbers
     operands = numbers, jnp.concatenate([*motion, targets]), people, walls
@@ -52,9 +50,8 @@ def simulate(steps: int, model: RobotModel, surroundings: Surroundings, motion: 
     return result[0, :COORDINATES], result[0, COORDINATES:]
 
 
-def _bare(model: RobotModel) -> RobotModel:
-    """The model without what does not move it."""
-    return replace(model, data=(), solids=())
+def _body(model: RobotModel) -> Body:
+    return Body(*(jnp.asarray(getattr(model, name), float) for name in Body._fields))
 
 
 def _call(shape: _Shape, *operands: Array, interpret: bool = False) -> tuple[Array, ...]:
@@ -63,7 +60,7 @@ def _call(shape: _Shape, *operands: Array, interpret: bool = False) -> tuple[Arr
     from jax.experimental.pallas import mosaic_gpu
 
     scenarios = max(operand.shape[0] for operand in operands)
-    out = (jax.ShapeDtypeStruct((scenarios, 2 * COORDINATES), jnp.float32),)
+    out = (jax.ShapeDtypeStruct((scenarios, 2 * COORDINATES), operands[0].dtype),)
     if interpret:  # on a CPU, by XLA
         kernel = partial(_kernel, shape, lambda: pallas.program_id(0))
         return tuple(pallas.pallas_call(kernel, grid=(scenarios,), out_shape=out, interpret=True)(*operands))
@@ -90,7 +87,7 @@ def _kernel(shape: _Shape, number: Any, *references: Any) -> None:
 
     numbers, start, people, walls = (partial(read, reference) for reference in references[:-1])
     person_radius = numbers(0)
-    model = jax.tree.unflatten(shape.model, [numbers(1 + i) for i in range(shape.model.num_leaves)])
+    model = Body(*(numbers(1 + i) for i in range(len(Body._fields))))
     motion = tuple(start(i) for i in range(2 * COORDINATES))
     targets = tuple(start(2 * COORDINATES + i) for i in range(WHEELS))
 
@@ -115,7 +112,7 @@ def _kernel(shape: _Shape, number: Any, *references: Any) -> None:
         return vx, vy
 
     def step(index: Any, motion: tuple) -> tuple:
-        time_left = model.time_step * (shape.steps - index).astype(jnp.float32)
+        time_left = model.time_step * (shape.steps - index).astype(person_radius.dtype)
         position, velocity = motion[:COORDINATES], motion[COORDINATES:]
         position, velocity = twin_step(model, partial(touch, time_left), position, velocity, targets, kernels.scalars)
         return *position, *velocity
@@ -133,5 +130,5 @@ def _strongest(contact: Any, count: int, vx: Any, vy: Any) -> tuple:
         excess = -(vx * nx + vy * ny) - allowed
         return tuple(jnp.where(excess > best[0], new, old) for new, old in zip((excess, nx, ny), best, strict=True))
 
-    excess, nx, ny = jax.lax.fori_loop(0, count, turn, (jnp.float32(0.0),) * 3)  # a contact that is kept pushes by 0
+    excess, nx, ny = jax.lax.fori_loop(0, count, turn, (vx.dtype.type(0.0),) * 3)  # a contact that is kept pushes by 0
     return vx + excess * nx, vy + excess * ny

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.extend.core import ClosedJaxpr
 from jaxtyping import PyTree
 
@@ -33,12 +34,12 @@ class _Shape(NamedTuple):
 
 
 def supports(law: Callable, shared: PyTree, own: Rows, other: Rows) -> bool:
-    """Whether the kernel can sum the law: small crowds, in single precision, elementwise functions."""
-    if own[0].shape[0] > MOST or not kernels.available():
+    """Whether the kernel can sum the law: crowds of 1 to 256, in single precision, elementwise functions."""
+    if not 0 < own[0].shape[0] <= MOST or not kernels.available():
         return False
     if any(jnp.shape(leaf) for leaf in jax.tree.leaves(shared)):
         return False
-    if any(jnp.result_type(leaf) != jnp.float32 for leaf in jax.tree.leaves((shared, own, other))):
+    if any(jnp.result_type(leaf) != np.float32 for leaf in jax.tree.leaves((shared, own, other))):
         return False
     return kernels.elementwise(_trace(law, shared, own, other))
 
@@ -66,7 +67,7 @@ def _call(shape: _Shape, *operands: Array, interpret: bool = False) -> tuple[Arr
     from jax.experimental.pallas import mosaic_gpu
 
     scenarios = max(operand.shape[0] for operand in operands)
-    out = tuple(jax.ShapeDtypeStruct((scenarios, shape.people), jnp.float32) for _ in range(shape.outputs))
+    out = tuple(jax.ShapeDtypeStruct((scenarios, shape.people), operands[0].dtype) for _ in range(shape.outputs))
     total = scenarios * shape.people
     if interpret:  # on a CPU, by XLA
         kernel = partial(_kernel, shape, lambda: pallas.program_id(0))
@@ -143,7 +144,7 @@ def _kernel(shape: _Shape, number: Callable[[], Any], *references: Any) -> None:
         pushes = kernels.evaluate(shape.law, *shared, *own, *other)
         return tuple(rest), tuple(map(jnp.add, sums, pushes))
 
-    sums = tuple(jnp.float32(0.0) for _ in range(shape.outputs))
+    sums = (square.dtype.type(0.0),) * shape.outputs  # zeros_like is an array, which Mosaic refuses
     _, sums = jax.lax.while_loop(some, add, (words, sums))
     for result, value in zip(results, sums, strict=True):
         result[scenario, person] = value
