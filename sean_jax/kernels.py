@@ -104,6 +104,23 @@ def thread_number() -> Any:
     return number()
 
 
+def exchange(value: Any, distance: int) -> Any:
+    """The scalar of the thread whose number differs in that bit: 1, 2, 4, 8 or 16. All threads of a warp take part."""
+    from jax.experimental.mosaic.gpu import FragmentedArray, utils
+    from jax.experimental.pallas import mosaic_gpu
+
+    layout = mosaic_gpu.Layout.WG_SPLAT(())
+
+    @mosaic_gpu.inline_mgpu(
+        arg_types=(layout,), return_type=mosaic_gpu.ShapeDtypeStruct((), value.dtype, layout=layout)
+    )
+    def swap(_: Any, scalar: Any) -> Any:
+        other = utils.shfl_bfly(scalar.registers.flat[0], distance)
+        return FragmentedArray.splat(other, (), is_signed=scalar.is_signed)
+
+    return swap(value)
+
+
 def elementwise(program: ClosedJaxpr) -> bool:
     """Whether a kernel can evaluate a program: elementwise functions of scalars, without constants of its own."""
     if program.consts:

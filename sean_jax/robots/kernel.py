@@ -1,4 +1,7 @@
-"""A control step of the closed-form twin on a GPU, in one kernel (Pallas, Mosaic GPU): one thread for each scenario."""
+"""A control step of the closed-form twin on a GPU, in one kernel (Pallas, Mosaic GPU).
+
+``LANES`` threads have one scenario: each tests its share of people and obstacles, and all do the rest.
+"""
 
 from functools import partial
 from typing import Any, NamedTuple
@@ -20,6 +23,7 @@ from sean_jax.robots.dynamics import (
     twin_step,
 )
 
+LANES = 8  # a power of two, 32 at most
 COORDINATES, WHEELS, BODY, BOX = 5, 2, 5, 6  # numbers of a motion, of targets, of a person and of an obstacle
 
 
@@ -62,25 +66,27 @@ def _call(shape: _Shape, *operands: Array, interpret: bool = False) -> tuple[Arr
     scenarios = max(operand.shape[0] for operand in operands)
     out = (jax.ShapeDtypeStruct((scenarios, 2 * COORDINATES), operands[0].dtype),)
     if interpret:  # on a CPU, by XLA
-        kernel = partial(_kernel, shape, lambda: pallas.program_id(0))
+        kernel = partial(_kernel, shape, lambda: (pallas.program_id(0), 0), 1)
         return tuple(pallas.pallas_call(kernel, grid=(scenarios,), out_shape=out, interpret=True)(*operands))
 
-    def scenario() -> Any:
-        return jnp.minimum(jax.lax.axis_index("program") * kernels.WIDTH + kernels.thread_number(), scenarios - 1)
+    def number() -> tuple:
+        thread = jax.lax.axis_index("program") * kernels.WIDTH + kernels.thread_number()
+        lane = thread & (LANES - 1)
+        return jnp.minimum(jax.lax.div(thread, np.int32(LANES)), scenarios - 1), lane
 
     return mosaic_gpu.kernel(
-        partial(_kernel, shape, scenario),
+        partial(_kernel, shape, number, LANES),
         out_type=out,
-        grid=(-(-scenarios // kernels.WIDTH),),
+        grid=(-(-scenarios * LANES // kernels.WIDTH),),
         grid_names=("program",),
         compiler_params=mosaic_gpu.CompilerParams(unsafe_no_auto_barriers=True),  # a thread reads nothing written
         kernel_name="robot",
     )(*operands)
 
 
-def _kernel(shape: _Shape, number: Any, *references: Any) -> None:
-    """One thread: the robot of one scenario."""
-    scenario, result = number(), references[-1]
+def _kernel(shape: _Shape, number: Any, lanes: int, *references: Any) -> None:
+    """One of the threads of a scenario."""
+    (scenario, lane), result = number(), references[-1]
 
     def read(reference: Any, column: Any) -> Any:
         return reference[0 if reference.shape[0] == 1 else scenario, column]
@@ -108,7 +114,7 @@ def _kernel(shape: _Shape, number: Any, *references: Any) -> None:
 
         for contact, count, times in ((by_person, shape.people, 1), (by_obstacle, shape.obstacles, CORNER)):
             for _ in range(times if count else 0):
-                vx, vy = _strongest(contact, count, vx, vy)
+                vx, vy = _strongest(contact, count, lane, lanes, vx, vy)
         return vx, vy
 
     def step(index: Any, motion: tuple) -> tuple:
@@ -122,13 +128,23 @@ def _kernel(shape: _Shape, number: Any, *references: Any) -> None:
         result[scenario, column] = value
 
 
-def _strongest(contact: Any, count: int, vx: Any, vy: Any) -> tuple:
-    """The velocity after the most violated contact was enforced."""
+def _strongest(contact: Any, count: int, lane: Any, lanes: int, vx: Any, vy: Any) -> tuple:
+    """The velocity after the most violated contact was enforced; of several the first."""
 
-    def turn(index: Any, best: tuple) -> tuple:
-        nx, ny, allowed = contact(index)
-        excess = -(vx * nx + vy * ny) - allowed
-        return tuple(jnp.where(excess > best[0], new, old) for new, old in zip((excess, nx, ny), best, strict=True))
+    def better(best: tuple, other: tuple) -> tuple:
+        wins = (other[0] > best[0]) | ((other[0] == best[0]) & (other[1] < best[1]))
+        return tuple(jnp.where(wins, new, old) for new, old in zip(other, best, strict=True))
 
-    excess, nx, ny = jax.lax.fori_loop(0, count, turn, (vx.dtype.type(0.0),) * 3)  # a contact that is kept pushes by 0
+    def turn(k: Any, best: tuple) -> tuple:
+        index = k * lanes + lane
+        nx, ny, allowed = contact(jnp.minimum(index, count - 1))
+        return better(best, (-(vx * nx + vy * ny) - allowed, index, nx, ny))
+
+    nothing = vx.dtype.type(0.0)  # a contact that is not violated
+    best = jax.lax.fori_loop(0, -(-count // lanes), turn, (nothing, np.int32(-1), nothing, nothing))
+    distance = 1
+    while distance < lanes:
+        best = better(best, tuple(kernels.exchange(value, distance) for value in best))
+        distance *= 2
+    excess, _, nx, ny = best
     return vx + excess * nx, vy + excess * ny
