@@ -197,6 +197,7 @@ def test_brax(env):
     from sean_jax.adapters.brax import SocialNavigation
 
     adapted = SocialNavigation(env)
+    assert adapted.backend == "twin" and SocialNavigation(NAME, **SMALL, dynamics="mjx").backend == "mjx"
     state = jax.jit(adapted.reset)(jax.random.PRNGKey(0))
     assert state.obs.shape == (adapted.observation_size,)
     step = jax.jit(adapted.step)
