@@ -22,8 +22,9 @@ import sean_jax
 from sean_jax import robots
 from sean_jax.base import Obstacles
 from sean_jax.errors import FileError
+from sean_jax.robots import drive, kernel
 from sean_jax.robots.drive import coordinates
-from sean_jax.robots.dynamics import diagonal
+from sean_jax.robots.dynamics import Surroundings, diagonal
 
 mujoco: Any = import_module("mujoco")  # which has no type stubs
 BATCH, STEPS, TIME_STEP = 8, 200, 0.1
@@ -121,6 +122,31 @@ def test_twin_equals_mjx(kuri, twin, wild, place, steps, near):
         np.testing.assert_allclose(ours, theirs, rtol=0, atol=near, err_msg=name)
     travelled = np.abs(np.diff(np.asarray(mjx_robot.position), axis=1)).sum((1, 2))
     assert (travelled > 1.0).all()
+
+
+@pytest.mark.parametrize("robot", ["kuri", "jackal"])
+def test_the_kernel_for_a_gpu_moves_the_robot_as_the_loop(robot, monkeypatch):
+    """Among people and at obstacles, from random states; also without either. On a CPU XLA runs the kernel."""
+    monkeypatch.setattr(kernel, "_call", functools.partial(kernel._call, interpret=True))
+    model, random = robots.load(robot), np.random.default_rng(5)
+    loop, one = (jax.jit(functools.partial(form, 5, model)) for form in (drive._simulate_twin, kernel.simulate))
+    for people, boxes in ((6, 5), (6, 5), (6, 5), (6, 5), (0, 3), (3, 0), (0, 0)):
+        place, size = random.uniform(-2.0, 2.0, (boxes, 2)), random.uniform(0.1, 0.6, (boxes, 2))
+        obstacles = Obstacles(*map(jnp.asarray, (place, size, random.uniform(-3.0, 3.0, boxes), np.ones(boxes))))
+        around = Surroundings(
+            jax.tree.map(lambda leaf: leaf.astype(float), obstacles),
+            jnp.asarray(random.normal(size=(people, 2)), float),
+            jnp.asarray(random.normal(size=(people, 2)), float),
+            jnp.asarray(random.random(people) < 0.8),
+            jnp.asarray(0.3, float),
+        )
+        start = [*random.normal(size=2), random.uniform(-3.0, 3.0), 0.0, 0.0], random.normal(size=5) * [1, 1, 2, 5, 5]
+        motion, targets = (
+            tuple(jnp.asarray(each, float) for each in start),
+            jnp.asarray(random.normal(size=2) * 6, float),
+        )
+        for ours, theirs in zip(one(around, motion, targets), loop(around, motion, targets), strict=True):
+            np.testing.assert_allclose(ours, theirs, rtol=1e-5, atol=2e-5)
 
 
 def test_limits_hold_under_wild_commands(kuri, wild):
