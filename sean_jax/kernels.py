@@ -114,7 +114,8 @@ def exchange(value: Any, distance: int) -> Any:
     @mosaic_gpu.inline_mgpu(
         arg_types=(layout,), return_type=mosaic_gpu.ShapeDtypeStruct((), value.dtype, layout=layout)
     )
-    def swap(_: Any, scalar: Any) -> Any:
+    def swap(*context_and_scalar: Any) -> Any:
+        scalar = context_and_scalar[1]
         other = utils.shfl_bfly(scalar.registers.flat[0], distance)
         return FragmentedArray.splat(other, (), is_signed=scalar.is_signed)
 

@@ -227,7 +227,8 @@ def twin_substep(
         targets: rad/s, the wheel speeds that the servos aim at.
     """
     touch = functools.partial(touching, model, surroundings, time_left)
-    return tuple(map(jnp.stack, twin_step(model, touch, *map(tuple, motion), tuple(targets))))
+    position, velocity = twin_step(model, touch, tuple(motion[0]), tuple(motion[1]), (targets[0], targets[1]))
+    return jnp.stack(position), jnp.stack(velocity)
 
 
 def twin_step(
