@@ -211,8 +211,8 @@ class Crowd(NamedTuple):
 class PairTerm(Protocol):
     """A term that acts between two people.
 
-    It may also have ``cutoff(walking) -> () m``, the distance beyond which it is negligible. In crowds of 256 people or
-    more only pairs within the largest cutoff are evaluated, or all pairs if a pair term has no cutoff.
+    It may also have ``cutoff(walking) -> () m``, the distance beyond which it is negligible. Pairs beyond the largest
+    cutoff are left out, if every term has one.
     """
 
     def pair(self, pair: Pair) -> Force:

@@ -152,7 +152,10 @@ def integrate(
 
 
 def cutoff(forces: Forces) -> Float[Array, ""] | None:
-    """The distance [m] beyond which no pair term pushes by more than 1e-4 m/s2; None if a term has no cutoff."""
+    """The distance [m] beyond which pairs are left out, for no term pushes by more than 1e-4 m/s2 there.
+
+    None if a term has no cutoff.
+    """
     functions = [getattr(term, "cutoff", None) for term in (*forces.pair_terms, *forces.gather_terms)]
     cutoffs = [function(forces.walking) for function in functions if function is not None]
     known = [distance for distance in cutoffs if distance is not None]
