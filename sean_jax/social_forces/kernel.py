@@ -1,7 +1,7 @@
 """Sums of a law of one pair on a GPU, in one kernel (Pallas, Mosaic GPU).
 
-Each thread has one person. It notes in words of 32 bits who is within reach, and evaluates the law for those only. The
-reach of the law is exact and nobody is left out. Threads of a warp wait for the person with the most neighbors.
+Each thread has one person. A first loop sets a bit for each other person within reach; a second loop evaluates the law
+for the set bits. Threads of a warp wait for the person with the most neighbors.
 """
 
 from collections.abc import Callable
@@ -20,6 +20,7 @@ from sean_jax.base import Array
 BITS = 32
 UNROLL = 8  # others whose distance is tested in one turn
 MOST = 256  # people of a crowd
+
 Rows = tuple[Array, ...]
 
 
