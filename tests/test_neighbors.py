@@ -216,7 +216,8 @@ def test_a_batch_is_its_crowds_and_a_law_of_ones_own_sees_all():
 def on_a_gpu(monkeypatch):
     """The form of the sums for GPUs, on whatever is here."""
     monkeypatch.setattr(jax.lax, "platform_dependent", lambda *given, cpu, default: default(*given))
-    monkeypatch.setattr(kernel, "_call", partial(kernel._call, interpret=True))
+    for call in "_call", "_call_search":
+        monkeypatch.setattr(kernel, call, partial(getattr(kernel, call), interpret=True))
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@ bit for each of them within reach; a second loop evaluates the law for the set b
 person with the most neighbors.
 """
 
+import math
 from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
@@ -58,8 +59,8 @@ def sum_pairs(
     shape = _Shape(program, len(own[0]), len(own), len(other), len(shared))
     operands = [jnp.concatenate([(reach * reach)[None], shared])]
     if near is not None:
-        other = tuple(jnp.stack(other)[:, near.order])
-        operands += [near.order, near.first.T.reshape(-1), near.last.T.reshape(-1)]
+        places = jnp.stack(other[:2])[:, near.order]
+        operands += [near.order, near.first.T.reshape(-1), near.last.T.reshape(-1), *places]
     (sums,) = kernels.batch(partial(_call, shape), 1)(*(each[None] for each in (*operands, *own, *other)))
     return sums.reshape(-1, shape.people)
 
@@ -76,8 +77,10 @@ class _All(NamedTuple):
         return -(-self.people // BITS)
 
     def column(self, number: Any) -> Any:
-        """Where in the rows one is."""
+        """Where among the places one is."""
         return number
+
+    person = column
 
     def valid(self, number: Any, near: Any) -> Any:
         """Whether one is near, and there."""
@@ -98,17 +101,21 @@ class _Runs:
 
     words = WORDS
 
-    def __init__(self, first: list, last: list, place: Any, people: int) -> None:
+    def __init__(self, first: list, last: list, place: Any, people: int, person_at: Callable) -> None:
         below, own, above = (end - begin for begin, end in zip(first, last, strict=True))
         self.bounds, self.count = (below, below + own), below + own + above
         self.starts = first[0], first[1] - below, first[2] - below - own
-        self.itself, self.people = below + place - first[1], people
+        self.itself, self.people, self.person_at = below + place - first[1], people, person_at
 
     def column(self, number: Any) -> Any:
-        """Where in the sorted rows one is."""
+        """Where in the sorted crowd one is."""
         start = jnp.where(number < self.bounds[1], self.starts[1], self.starts[2])
         start = jnp.where(number < self.bounds[0], self.starts[0], start)
         return jnp.minimum(number + start, self.people - 1)
+
+    def person(self, number: Any) -> Any:
+        """Where in the rows one is."""
+        return self.person_at(self.column(number))
 
     def valid(self, number: Any, near: Any) -> Any:
         """Whether one is near, and there."""
@@ -148,16 +155,16 @@ def _kernel(shape: _Shape, number: Any, *references: Any) -> None:
     square, *shared = (numbers_of[numbers_at, i] for i in range(shape.shared + 1))
     own_of, other_of = inputs[-shape.own - shape.other : -shape.other], inputs[-shape.other :]
     if runs_of:
-        (order, order_at), *ends = runs_of
+        (order, order_at), *ends = runs_of[:3]
         person = order[order_at, place]
         first, last = ([each[each_at, run * people + place] for run in range(3)] for each, each_at in ends)
-        others = _Runs(first, last, place, people)
+        others = _Runs(first, last, place, people, lambda column: order[order_at, column])
     else:
         person, others = place, _All(place, people)
+    (x, x_at), (y, y_at) = runs_of[3:] or other_of[:2]
     own = [row[row_at, person] for row, row_at in own_of]
 
     def bit(at: Any, j: Any) -> Any:
-        (x, x_at), (y, y_at) = other_of[:2]
         column = others.column(at + j)
         dx, dy = own[0] - x[x_at, column], own[1] - y[y_at, column]
         inside = others.valid(at + j, dx * dx + dy * dy < square)
@@ -192,8 +199,8 @@ def _kernel(shape: _Shape, number: Any, *references: Any) -> None:
         for i, each in reversed(list(enumerate(words[:-1]))):
             current, which = jnp.where(each != 0, each, current), jnp.where(each != 0, np.int32(i), which)
         rest = [jnp.where(which == i, current & (current - 1), each) for i, each in enumerate(words)]
-        column = others.column(at + which * BITS + (BITS - 1) - jax.lax.clz(current & -current))
-        other = [row[row_at, column] for row, row_at in other_of]
+        one = others.person(at + which * BITS + (BITS - 1) - jax.lax.clz(current & -current))
+        other = [row[row_at, one] for row, row_at in other_of]
         pushes = kernels.evaluate(shape.law, *shared, *own, *other)
         return tuple(rest), tuple(map(jnp.add, sums, pushes))
 
@@ -205,3 +212,36 @@ def _kernel(shape: _Shape, number: Any, *references: Any) -> None:
     sums = others.over_parts(part, (zero,) * len(shape.law.out_avals))
     for row, value in enumerate(sums):
         result[scenario, row * people + person] = value
+
+
+def search(row: Float[Array, "N"], low: Float[Array, "..."], high: Float[Array, "..."]) -> tuple[Array, Array]:
+    """Where in a sorted row the values begin that are at least ``low``, and end that are at most ``high``."""
+    operands = (each.reshape(1, -1) for each in (row, low, high))
+    first, last = kernels.batch(_call_search, 2)(*operands)
+    return first.reshape(low.shape), last.reshape(low.shape)
+
+
+def _call_search(*operands: Array, interpret: bool = False) -> tuple[Array, ...]:
+    """The kernel, for operands of (scenarios, ...) or, where all scenarios have the same, (1, ...)."""
+    shape = max(operand.shape[0] for operand in operands), operands[1].shape[1]
+    out = (jax.ShapeDtypeStruct(shape, jnp.int32),) * 2
+    return kernels.launch_threads(_search, "search", math.prod(shape), out, *operands, interpret=interpret)
+
+
+def _search(number: Any, *references: Any) -> None:
+    """One thread: both ends of one run."""
+    queries = np.int32(references[1].shape[1])
+    scenario, query = jax.lax.div(number, queries), jax.lax.rem(number, queries)
+    (row, row_at), *bounds = ((each, 0 if each.shape[0] == 1 else scenario) for each in references[:3])
+    length = row.shape[1]
+    for (bound, bound_at), result, before in zip(bounds, references[3:], (jax.lax.lt, jax.lax.le), strict=True):
+        value = bound[bound_at, query]
+
+        def halve(_: Any, ends: tuple, value: Any = value, before: Callable = before) -> tuple:
+            low, high = ends
+            middle = jax.lax.div(low + high, np.int32(2))
+            later = before(row[row_at, jnp.minimum(middle, length - 1)], value) & (low < high)
+            return jnp.where(later, middle + 1, low), jnp.where(later, high, middle)
+
+        ends = jax.lax.fori_loop(0, length.bit_length(), halve, (np.int32(0), np.int32(length)))
+        result[scenario, query] = ends[0]

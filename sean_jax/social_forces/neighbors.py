@@ -16,10 +16,12 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from flax import struct
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Bool, Float, Int, PyTree
 
+from sean_jax import kernels
 from sean_jax.base import Array
 from sean_jax.devices import by_platform
 from sean_jax.geometry import sum_in_pairs
@@ -58,16 +60,20 @@ def find(position: Float[Array, "N 2"], present: Bool[Array, "N"], within: Float
     width = jnp.max(x) + 2.0 * within + 1.0
     along = strip * width + x
     numbers = jnp.arange(x.shape[0], dtype=jnp.int32)
-    along, order, below, above = jax.lax.sort((along, numbers, below, above), num_keys=1)
+    along, order = jax.lax.sort((along, numbers), num_keys=1)
     middle = jnp.stack([along - width, along, along + width], 1)
-    half = jnp.stack([below, jnp.full_like(below, within), above], 1)
-    where = partial(jnp.searchsorted, along, method="scan_unrolled")
-    first, last = (
-        where(query, side=side).astype(jnp.int32) for query, side in ((middle - half, "left"), (middle + half, "right"))
-    )
+    half = jnp.stack([below[order], jnp.full_like(below, within), above[order]], 1)
+    in_kernel = kernels.available() and along.dtype == np.float32
+    first, last = by_platform(_search, kernel.search if in_kernel else _search)(along, middle - half, middle + half)
     _, by_parts = jax.lax.sort((-_parts(first, last), numbers), num_keys=1)
     rank = jnp.zeros_like(order).at[order[by_parts]].set(numbers, unique_indices=True)
     return Neighbors(order, first, last, by_parts, rank)
+
+
+def _search(row: Array, low: Array, high: Array) -> tuple[Array, Array]:
+    """Where in a sorted row the values begin that are at least ``low``, and end that are at most ``high``."""
+    where = partial(jnp.searchsorted, row, method="scan_unrolled")
+    return where(low, side="left").astype(jnp.int32), where(high, side="right").astype(jnp.int32)
 
 
 def _half_chord(radius: Array, apart: Array) -> Array:
