@@ -1,4 +1,4 @@
-"""Sums of a law of one pair on a GPU, in one kernel (Pallas, Mosaic GPU).
+"""Sums over other people and over obstacles on a GPU, in one kernel each (Pallas, Mosaic GPU).
 
 Each thread has one person. The others are all people, or in a large crowd the person's neighbors. A first loop sets a
 bit for each of them within reach; a second loop evaluates the law for the set bits. Threads of a warp wait for the
@@ -17,12 +17,14 @@ from jax.extend.core import ClosedJaxpr
 from jaxtyping import Float
 
 from sean_jax import kernels
-from sean_jax.base import Array
+from sean_jax.base import Array, ObstacleGrid
+from sean_jax.geometry import FAR, obstacle_cells
 
 BITS = 32
 UNROLL = 8  # others whose distance is tested in one turn
 MOST = 256  # people of a crowd without known neighbors
 WORDS = 2  # in which the neighbors are tested at once
+COLUMNS = 6  # of an obstacle
 
 Rows = tuple[Array, ...]
 
@@ -245,3 +247,58 @@ def _search(number: Any, *references: Any) -> None:
 
         ends = jax.lax.fori_loop(0, length.bit_length(), halve, (np.int32(0), np.int32(length)))
         result[scenario, query] = ends[0]
+
+
+def at_obstacles(function: Callable, px: Array, py: Array, grid: ObstacleGrid, *arguments: Any) -> tuple[Array, ...]:
+    """(N,) the results of ``function(over, px, py, *arguments)``, in scalars of one person.
+
+    ``over(step, start)`` gives the total after ``total = step(total, row)`` for the rows of the obstacles of the
+    person's cell. Arguments are (N,) or for all people.
+    """
+    leaves, structure = jax.tree.flatten(arguments)
+    rows = px, py, *(leaf for leaf in leaves if jnp.ndim(leaf))
+    shared = [leaf for leaf in leaves if not jnp.ndim(leaf)]
+    own = tuple(bool(jnp.ndim(leaf)) for leaf in leaves)
+    cells = jnp.ravel_multi_index(obstacle_cells(grid, px, py), grid.rows.shape[:2], mode="clip").astype(jnp.int32)
+    operands = grid.rows.reshape(-1), jnp.stack([px.dtype.type(0.0), *shared]), cells, *rows
+    call = partial(_call_obstacles, function, structure, own, grid.rows.shape[2])
+    (results,) = kernels.batch(call, 1)(*(each[None] for each in operands))
+    return tuple(results.reshape(-1, len(px)))
+
+
+def _call_obstacles(
+    function: Callable, structure: Any, own: tuple[bool, ...], count: int, *operands: Array, interpret: bool = False
+) -> tuple[Array, ...]:
+    """The kernel, for operands of (scenarios, ...) or, where all scenarios have the same, (1, ...)."""
+    scenarios, people = max(operand.shape[0] for operand in operands), operands[2].shape[1]
+    out = (jax.ShapeDtypeStruct((scenarios, 2 * people), operands[0].dtype),)
+    kernel = partial(_obstacles, function, structure, own, count, people)
+    return kernels.launch_threads(kernel, "obstacles", scenarios * people, out, *operands, interpret=interpret)
+
+
+def _obstacles(
+    function: Callable, structure: Any, own: tuple[bool, ...], count: int, people: int, number: Any, *references: Any
+) -> None:
+    """One thread: the function of one person."""
+    scenario, person = jax.lax.div(number, np.int32(people)), jax.lax.rem(number, np.int32(people))
+    *inputs, result = references
+    (table, table_at), (shared, shared_at), (cells, cells_at), *rows = (
+        (each, 0 if each.shape[0] == 1 else scenario) for each in inputs
+    )
+    px, py, *each = (row[row_at, person] for row, row_at in rows)
+    numbers, each = (shared[shared_at, 1 + i] for i in range(len(own) - sum(own))), iter(each)
+    arguments = structure.unflatten([next(each if one else numbers) for one in own])
+    first, columns = cells[cells_at, person] * (count * COLUMNS), range(COLUMNS)
+
+    def over(step: Callable, start: Any) -> Any:
+        def some(carry: tuple) -> Any:
+            return (carry[0] < count) & (table[table_at, first + jnp.minimum(carry[0], count - 1) * COLUMNS] != FAR)
+
+        def turn(carry: tuple) -> tuple:
+            k, total = carry
+            return k + 1, step(total, tuple(table[table_at, first + k * COLUMNS + column] for column in columns))
+
+        return jax.lax.while_loop(some, turn, (np.int32(0), start))[1]
+
+    for part, value in enumerate(function(over, px, py, *arguments)):
+        result[scenario, part * people + person] = value
