@@ -5,6 +5,7 @@ Guy, M. Lin & D. Manocha, "Reciprocal n-body collision avoidance", Robotics Rese
 """
 
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -79,8 +80,10 @@ def orca(scenario: Scenario, state: State) -> Pedestrians:
     gap, wx, wy = (jnp.take_along_axis(part, near, 0) for part in (gap, wx, wy))
     wall = -jnp.maximum(gap - walking.radius, 0.0) / WALL_HORIZON
 
-    normal_x, normal_y = jnp.concatenate([nx, wx]), jnp.concatenate([ny, wy])
-    bound = jnp.concatenate([jnp.where(avoided, c, UNBOUNDED), wall])
+    # Not concatenated: XLA on a CPU would compute the half-planes again for each use.
+    empty = jnp.zeros((len(others) + len(near), number), px.dtype)
+    pairs = (nx, wx), (ny, wy), (jnp.where(avoided, c, UNBOUNDED), wall)
+    normal_x, normal_y, bound = (empty.at[: len(others)].set(a).at[len(others) :].set(b) for a, b in pairs)
     hard = jnp.arange(bound.shape[0], dtype=jnp.int32) >= len(others)
     limit = jnp.maximum(walking.speed_ratio * people.preferred_speed, 0.0)
     x, y = best_velocity(VelocityProgram(normal_x, normal_y, bound, hard, *people.desired_velocity.T, limit))
@@ -183,11 +186,26 @@ def _deciding(
     If so, i = j has the velocity on its border, or i = M: the preferred one is allowed. Under ``vmap`` all agents of
     the batch are one row.
     """
-    best, exists = _nearest(nx, ny, c, px, py, limit)
-    find = lambda _, *parts: _least_violating(*parts)  # noqa: E731
-    pair = jax.lax.platform_dependent(exists, nx, ny, c, hard, px, py, limit, cpu=_of_some, default=find)
-    i, j = pair % len(c), (pair + pair // len(c)) % len(c)
-    return jnp.where(exists, best, i), jnp.where(exists, best, j), exists
+    slower = _slower(px, py, limit)
+    free = (nx * (px * slower)[None] + ny * (py * slower)[None] >= c - TOLERANCE).all(0)
+
+    def search(free: Array, *parts: Array, on_cpu: bool) -> tuple[Array, Array, Array]:
+        nx, ny, c, _, px, py, limit = parts
+        best, exists = _nearest(nx, ny, c, px, py, limit)
+        best, exists = jnp.where(free, len(c), best), free | exists
+        pair = _of_some(exists, *parts) if on_cpu else _least_violating(*parts)
+        i, j = pair % len(c), (pair + pair // len(c)) % len(c)
+        return jnp.where(exists, best, i), jnp.where(exists, best, j), exists
+
+    def nothing(free: Array, *_: Array) -> tuple[Array, Array, Array]:
+        preferred = jnp.full(free.shape, len(c), jnp.int32)
+        return preferred, preferred, free
+
+    def on_cpu(free: Array, *parts: Array) -> tuple[Array, Array, Array]:
+        return jax.lax.cond(free.all(), nothing, partial(search, on_cpu=True), free, *parts)
+
+    parts = free, nx, ny, c, hard, px, py, limit
+    return jax.lax.platform_dependent(*parts, cpu=on_cpu, default=partial(search, on_cpu=False))
 
 
 @_deciding.def_vmap
@@ -205,8 +223,6 @@ def _nearest(nx: Array, ny: Array, c: Array, px: Array, py: Array, limit: Array)
     It is the preferred velocity, M, or lies on a border: on each there is one candidate, the nearest point of the
     segment that the others allow. A point of border i is c n + t (-ny, nx); there, half-plane j is rate t >= rest.
     """
-    slower = _slower(px, py, limit)
-    free = (nx * (px * slower)[None] + ny * (py * slower)[None] >= c - TOLERANCE).all(0)
     lower, upper = _chord(c, limit[None])
     possible = upper > 0.0
     rate = ny[None] * nx[:, None] - nx[None] * ny[:, None]  # (i, j, A)
@@ -221,7 +237,7 @@ def _nearest(nx: Array, ny: Array, c: Array, px: Array, py: Array, limit: Array)
     # The square root is for XLA: it computes one only once, and would repeat all above in both reductions.
     away = jnp.sqrt(jnp.where(possible, (x - px[None]) ** 2 + (y - py[None]) ** 2, jnp.inf))
     best, least = _argmin(away)
-    return jnp.where(free, len(c), best), free | (least < jnp.inf)
+    return best, least < jnp.inf
 
 
 def _argmin(values: Float[Array, "M A"]) -> tuple[Int[Array, "A"], Float[Array, "A"]]:
@@ -273,38 +289,35 @@ def _least_violating(
     Three dimensions, the velocity and the violation, have three bounds at their optimum: two half-planes and a third or
     the top speed, or one and the top speed (d = 0).
     """
-    number = len(c)
-    planes, (px, py, limit) = (nx, ny, c, hard), (part[None] for part in (px, py, limit))
-    twice = tuple(jnp.concatenate([part, part]) for part in planes)
-
-    def largest(d: Array) -> Array:  # (M, A), of the pairs with i
-        others = tuple(jax.lax.dynamic_slice_in_dim(part, d, number) for part in twice)
-        ix, iy, ic, _ = (jnp.where(hard, other, own) for own, other in zip(planes, others, strict=True))
-        jx, jy, jc, j_hard = (jnp.where(hard, own, other) for own, other in zip(planes, others, strict=True))
-        mx, my, b = (jnp.where(j_hard, j, j - i) for j, i in ((jx, ix), (jy, iy), (jc, ic)))
-        ax, ay, offset = _line(mx, my, b)
-        lower, upper = _chord(offset, limit)
-        mx, my, b = (
-            part[:, None] - jnp.where(hard[:, None], 0.0, i[None]) for part, i in ((nx, ix), (ny, iy), (c, ic))
-        )  # (k, M, A)
-        rate, rest = my * ax[None] - mx * ay[None], b - offset[None] * (mx * ax[None] + my * ay[None])
-        inverse = 1.0 / jnp.where(jnp.abs(rate) > PARALLEL, rate, jnp.inf)
-        for k in range(number):
-            lower, upper = _cut(lower, upper, rest[k], inverse[k])
-        x, y, opposite = _end(ix, iy, ax, ay, offset, lower, upper, px, py)
-        opposite = opposite & (d > 0)
-        x, y = jnp.where(d > 0, x, limit * nx), jnp.where(d > 0, y, limit * ny)
-        soft, forbidden = jnp.full_like(x, UNBOUNDED), length(x, y) - limit
-        for k in range(number):
-            each = c[k, None] - nx[k, None] * x - ny[k, None] * y
-            soft = jnp.where(hard[k, None] | (each < soft), soft, each)
-            forbidden = jnp.where(hard[k, None] & (each > forbidden), each, forbidden)
-        soft = soft + FORBIDDEN * jnp.maximum(forbidden - TOLERANCE, 0.0)
-        return soft - jnp.where(opposite, TOLERANCE, 0.0)  # other velocities are ends of the segment of these
-
-    offsets = jnp.arange(number // 2 + 1, dtype=jnp.int32)
-    each = jax.lax.platform_dependent(offsets, cpu=lambda d: jax.lax.map(largest, d), default=jax.vmap(largest))
-    return _argmin(each.reshape(-1, each.shape[-1]))[0]
+    number, planes = len(c), (nx, ny, c, hard)
+    px, py, limit = (part[None, None] for part in (px, py, limit))
+    offsets = range(number // 2 + 1)
+    first = tuple(jnp.stack([part for _ in offsets]) for part in planes)  # (d, i, A), as all below
+    second = tuple(jnp.stack([jnp.roll(part, -d, 0) for d in offsets]) for part in planes)
+    ix, iy, ic, _ = (jnp.where(first[3], other, own) for own, other in zip(first, second, strict=True))
+    jx, jy, jc, j_hard = (jnp.where(first[3], own, other) for own, other in zip(first, second, strict=True))
+    ax, ay, offset = _line(*(jnp.where(j_hard, j, j - i) for j, i in ((jx, ix), (jy, iy), (jc, ic))))
+    lower, upper = _chord(offset, limit)
+    mx, my, b = (
+        part[:, None, None] - jnp.where(hard[:, None, None], 0.0, i[None])
+        for part, i in ((nx, ix), (ny, iy), (c, ic))
+    )  # (k, d, i, A)
+    rate, rest = my * ax[None] - mx * ay[None], b - offset[None] * (mx * ax[None] + my * ay[None])
+    inverse = 1.0 / jnp.where(jnp.abs(rate) > PARALLEL, rate, jnp.inf)
+    for k in range(number):
+        lower, upper = _cut(lower, upper, rest[k], inverse[k])
+    x, y, opposite = _end(ix, iy, ax, ay, offset, lower, upper, px, py)
+    alone = jnp.arange(len(offsets), dtype=jnp.int32)[:, None, None] == 0
+    x, y, opposite = jnp.where(alone, limit * ix, x), jnp.where(alone, limit * iy, y), opposite & ~alone
+    soft, forbidden = jnp.full_like(x, UNBOUNDED), length(x, y) - limit
+    for k in range(number):
+        each = c[k, None, None] - nx[k, None, None] * x - ny[k, None, None] * y
+        is_hard = hard[k, None, None]
+        soft = jnp.where(is_hard | (each < soft), soft, each)
+        forbidden = jnp.where(is_hard & (each > forbidden), each, forbidden)
+    most = soft + FORBIDDEN * jnp.maximum(forbidden - TOLERANCE, 0.0)
+    most = most - jnp.where(opposite, TOLERANCE, 0.0)  # other velocities are ends of the segment of these
+    return _argmin(jnp.sqrt(jnp.maximum(most, 0.0)).reshape(-1, c.shape[1]))[0]  # the root as in ``_nearest``
 
 
 def _line(mx: Array, my: Array, b: Array) -> tuple[Array, Array, Array]:
@@ -359,10 +372,12 @@ def _on_line(numbers: Array, i: Array, j: Array, exists: Array, program: Velocit
 
 def _neighbors(people: Pedestrians) -> Int[Array, "K N"]:
     """The nearest others of each person."""
-    x, y = jax.lax.stop_gradient(people.position).T
-    dx, dy = x[:, None] - x[None], y[:, None] - y[None]
-    square = jnp.where(people.present[:, None], dx * dx + dy * dy, jnp.inf)
-    return smallest(jnp.where(jnp.eye(x.shape[0], dtype=bool), jnp.inf, square), NEIGHBORS)
+    (x, y), number = jax.lax.stop_gradient(people.position).T, people.present.shape[0]
+    more = -number % 8 if number > NEIGHBORS else 0  # as ``smallest`` would fill up
+    ox, oy, present = (jnp.pad(part, (0, more))[:, None] for part in (x, y, people.present))
+    dx, dy = x[None] - ox, y[None] - oy
+    square = jnp.where(present & ~jnp.eye(number + more, number, dtype=bool), dx * dx + dy * dy, jnp.inf)
+    return smallest(square, NEIGHBORS)
 
 
 def smallest(values: Float[Array, "J N"], count: int) -> Int[Array, "K N"]:
