@@ -5,7 +5,7 @@ Guy, M. Lin & D. Manocha, "Reciprocal n-body collision avoidance", Robotics Rese
 """
 
 from dataclasses import replace
-from functools import partial
+from functools import partial, reduce
 from typing import NamedTuple
 
 import jax
@@ -26,7 +26,7 @@ NEIGHBORS = 8  # the nearest people that are avoided; ours
 WALLS = 4  # the nearest obstacles that are avoided; ours
 RANGE = 10.0  # m, nobody farther away is avoided
 SPACE = 0.1  # m, kept between two bodies; ours
-TOGETHER = 32  # agents whose least violating velocities a CPU searches at once
+TOGETHER = 32, 128  # agents whose least violating velocities a CPU searches at once: in small and in large batches
 PARALLEL = 1e-6  # sine of the angle below which two borders count as parallel
 TOLERANCE = 1e-5  # m/s
 FORBIDDEN = 1e6  # times what is above the top speed or violates a hard half-plane counts as a violation
@@ -265,7 +265,7 @@ def _chord(c: Float[Array, "*M"], limit: Float[Array, "..."]) -> tuple[Float[Arr
 def _of_some(exists: Bool[Array, "A"], *parts: Array) -> Int[Array, "A"]:
     """``_least_violating`` of the agents for whom no velocity exists; without a meaning for others."""
     number = exists.shape[0]
-    size = min(TOGETHER, number)
+    size = min(number, TOGETHER[number > 8 * TOGETHER[0]])
     rank = jnp.cumsum(~exists, dtype=jnp.int32)
     turns = (rank[-1] + size - 1) // size
 
@@ -372,12 +372,10 @@ def _on_line(numbers: Array, i: Array, j: Array, exists: Array, program: Velocit
 
 def _neighbors(people: Pedestrians) -> Int[Array, "K N"]:
     """The nearest others of each person."""
-    (x, y), number = jax.lax.stop_gradient(people.position).T, people.present.shape[0]
-    more = -number % 8 if number > NEIGHBORS else 0  # as ``smallest`` would fill up
-    ox, oy, present = (jnp.pad(part, (0, more))[:, None] for part in (x, y, people.present))
-    dx, dy = x[None] - ox, y[None] - oy
-    square = jnp.where(present & ~jnp.eye(number + more, number, dtype=bool), dx * dx + dy * dy, jnp.inf)
-    return smallest(square, NEIGHBORS)
+    x, y = jax.lax.stop_gradient(people.position).T
+    dx, dy = x[:, None] - x[None], y[:, None] - y[None]
+    other = people.present[:, None] & ~jnp.eye(x.shape[0], dtype=bool)
+    return smallest(jnp.where(other, dx * dx + dy * dy, jnp.inf), NEIGHBORS)
 
 
 def smallest(values: Float[Array, "J N"], count: int) -> Int[Array, "K N"]:
@@ -395,10 +393,12 @@ def smallest(values: Float[Array, "J N"], count: int) -> Int[Array, "K N"]:
         whole = jnp.dtype(f"uint{8 * values.dtype.itemsize}")
         last = np.array((1 << (len(values) - 1).bit_length()) - 1, whole)
         keys = jax.lax.bitcast_convert_type(values, whole) & ~last | jnp.arange(len(values), dtype=whole)[:, None]
-        keys = jnp.pad(keys, ((0, -len(values) % 8), (0, 0)), constant_values=whole.type(np.iinfo(whole).max))
+        rows = -(-len(values) // 8)
+        filled = jnp.full((8 * rows, values.shape[1]), np.iinfo(whole).max, whole).at[: len(values)].set(keys)
 
         def turn(after: Array, _: None) -> tuple[Array, Array]:
-            found = after + (keys - after[None]).reshape(8, -1, after.shape[0]).min(0).min(0)
+            parts = (filled - after[None]).reshape(8, rows, -1)
+            found = after + reduce(jnp.minimum, [parts[part] for part in range(8)]).min(0)
             return found + np.array(1, whole), found
 
         found = jax.lax.scan(turn, jnp.zeros(values.shape[1], whole), length=count)[1]
