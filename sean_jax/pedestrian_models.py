@@ -63,16 +63,17 @@ def orca(scenario: Scenario, state: State) -> Pedestrians:
     px, py, vx, vy = jnp.concatenate([people.position, people.velocity], 1).T[:, None]  # (1, N)
     number = px.shape[1]
     others = _neighbors(people)
-    avoided = jnp.concatenate([_avoided(people, others), jnp.ones((1, number), bool)])
     # The robot is the last of the bodies and, for everybody, the last of the others.
     is_robot = jnp.arange(len(others) + 1, dtype=jnp.int32)[:, None] == len(others)
     others = jnp.concatenate([others, jnp.full((1, number), number, jnp.int32)])
     ahead_x, ahead_y = robot.speed * robot.heading[0], robot.speed * robot.heading[1]
     bodies = ((px, robot.position[0]), (py, robot.position[1]), (vx, ahead_x), (vy, ahead_y))
     ox, oy, ovx, ovy = (jnp.append(part, of_robot)[others] for part, of_robot in bodies)
+    dx, dy = ox - px, oy - py
+    avoided = is_robot | (_avoids(people, others) & (dx * dx + dy * dy < RANGE * RANGE))
     radii = walking.radius + jnp.where(is_robot, scenario.robot.radius, walking.radius) + SPACE
     first = jnp.arange(number, dtype=jnp.int32)[None] < others  # breaks the tie of two people at one place
-    nx, ny, out = half_plane(ox - px, oy - py, vx - ovx, vy - ovy, radii, HORIZON, scenario.time_step, first)
+    nx, ny, out = half_plane(dx, dy, vx - ovx, vy - ovy, radii, HORIZON, scenario.time_step, first)
     c = nx * vx + ny * vy + jnp.where(is_robot, 1.0, 0.5) * out
 
     gap, wx, wy = (part.T for part in distances(px[0], py[0], scenario.environment.obstacle_grid))
@@ -80,8 +81,9 @@ def orca(scenario: Scenario, state: State) -> Pedestrians:
     gap, wx, wy = (jnp.take_along_axis(part, near, 0) for part in (gap, wx, wy))
     wall = -jnp.maximum(gap - walking.radius, 0.0) / WALL_HORIZON
 
-    # Not concatenated: XLA on a CPU would compute the half-planes again for each use.
-    empty = jnp.zeros((len(others) + len(near), number), px.dtype)
+    # Written over any numbers that are no constant: concatenated or written over zeros, XLA on a CPU would compute the
+    # half-planes row by row, with a condition for each number.
+    empty = jnp.broadcast_to(px, (len(others) + len(near), number))
     pairs = (nx, wx), (ny, wy), (jnp.where(avoided, c, UNBOUNDED), wall)
     normal_x, normal_y, bound = (empty.at[: len(others)].set(a).at[len(others) :].set(b) for a, b in pairs)
     hard = jnp.arange(bound.shape[0], dtype=jnp.int32) >= len(others)
@@ -410,13 +412,15 @@ def smallest(values: Float[Array, "J N"], count: int) -> Int[Array, "K N"]:
     return jax.lax.platform_dependent(values, cpu=by_key, default=by_sort)
 
 
-def _avoided(people: Pedestrians, others: Int[Array, "K N"]) -> Bool[Array, "K N"]:
-    """Whether an other is present, near and not in the same standing group."""
-    x, y, group = people.position[:, 0], people.position[:, 1], people.group
-    dx, dy = x[others] - x[None], y[others] - y[None]
-    together = (group >= 0)[None] & (group[others] == group[None])
-    itself = others == jnp.arange(x.shape[0], dtype=jnp.int32)[None]
-    return people.present[others] & ~itself & ~together & (dx * dx + dy * dy < RANGE * RANGE)
+def _avoids(people: Pedestrians, others: Int[Array, "K N"]) -> Bool[Array, "K N"]:
+    """Whether an other is present, somebody else and not in the same standing group; the number N is nobody."""
+    number = people.present.shape[0]
+    alone, absent, nobody = -1, -2, -3  # one gather
+    group = jnp.where(people.present, jnp.maximum(people.group, alone), absent)
+    theirs = jnp.append(group, nobody)[others]
+    own = people.group[None]
+    itself = others == jnp.arange(number, dtype=jnp.int32)[None]
+    return (theirs >= alone) & ~itself & ((own < 0) | (theirs != own))
 
 
 MODELS = {"social_forces": social_forces.move, "constant_velocity": constant_velocity, "orca": orca}
