@@ -88,7 +88,8 @@ def orca(scenario: Scenario, state: State) -> Pedestrians:
     normal_x, normal_y, bound = (empty.at[: len(others)].set(a).at[len(others) :].set(b) for a, b in pairs)
     hard = jnp.arange(bound.shape[0], dtype=jnp.int32) >= len(others)
     limit = jnp.maximum(walking.speed_ratio * people.preferred_speed, 0.0)
-    x, y = best_velocity(VelocityProgram(normal_x, normal_y, bound, hard, *people.desired_velocity.T, limit))
+    desired_x, desired_y = people.desired_velocity.T
+    x, y = best_velocity(VelocityProgram(normal_x, normal_y, bound, hard, desired_x, desired_y, limit))
     return walk(scenario, people, jnp.stack([x, y], -1))
 
 
@@ -301,8 +302,7 @@ def _least_violating(
     ax, ay, offset = _line(*(jnp.where(j_hard, j, j - i) for j, i in ((jx, ix), (jy, iy), (jc, ic))))
     lower, upper = _chord(offset, limit)
     mx, my, b = (
-        part[:, None, None] - jnp.where(hard[:, None, None], 0.0, i[None])
-        for part, i in ((nx, ix), (ny, iy), (c, ic))
+        part[:, None, None] - jnp.where(hard[:, None, None], 0.0, i[None]) for part, i in ((nx, ix), (ny, iy), (c, ic))
     )  # (k, d, i, A)
     rate, rest = my * ax[None] - mx * ay[None], b - offset[None] * (mx * ax[None] + my * ay[None])
     inverse = 1.0 / jnp.where(jnp.abs(rate) > PARALLEL, rate, jnp.inf)
@@ -363,7 +363,10 @@ def _on_line(numbers: Array, i: Array, j: Array, exists: Array, program: Velocit
     mx, my, b = (part - jnp.where(eased, of(part, i)[None], 0.0) for part in (nx, ny, c))
     ax, ay, offset = _line(of(mx, j), of(my, j), of(b, j))
     lower, upper = _chord(offset, limit)
-    rate, rest = my * ax[None] - mx * ay[None], b - offset[None] * (mx * ax[None] + my * ay[None])  # there, t rate >= rest
+    rate, rest = (
+        my * ax[None] - mx * ay[None],
+        b - offset[None] * (mx * ax[None] + my * ay[None]),
+    )  # there, t rate >= rest
     others = (jnp.abs(rate) > PARALLEL) & (numbers != j[None])
     bound = rest / jnp.where(others, rate, 1.0)
     lower = jnp.maximum(lower, jnp.where(others & (rate > 0.0), bound, -jnp.inf).max(0))
