@@ -72,18 +72,6 @@ def test_peers(tmp_path):
 
 
 @pytest.mark.slow
-def test_floors(tmp_path):
-    rows = {line[:26].strip(): line[26:].split() for line in run("benchmarks/floors.py", "--people", "14")[1:]}
-    assert len(rows) == 6 and all(float(row[0]) > float(row[1]) > 0 for row in rows.values())
-    step, image, both = (float(rows[name][0]) for name in list(rows)[:3])
-    assert both == pytest.approx(step + image)
-    ours = tmp_path / "bench.json"
-    ours.write_text(json.dumps({"rows": [{"part": "step", "devices": 1, "people": 14, "per_second": 100.0}]}))
-    (first, *_) = run("benchmarks/floors.py", "--people", "14", "--simple", "1e9", "--measured", str(ours))[1:]
-    assert float(first.split()[-1].rstrip("%")) == pytest.approx(100 * 100.0 * step / 1e9, rel=0.1)
-
-
-@pytest.mark.slow
 def test_causes(tmp_path):
     """The parts of the protocol, of experiments with known numbers."""
     for behavior, parts in (("handcrafted", 5), ("graph", 2)):
