@@ -28,11 +28,11 @@ SPECIAL = frozenset(
 )
 FREE = frozenset(
     "abs axis_index bitcast_convert_type broadcast broadcast_in_dim complex concatenate convert_element_type copy "
-    "copy_p device_put dynamic_slice dynamic_update_slice empty expand_dims gather get imag inline_mgpu_p iota name neg "
-    "optimization_barrier pad platform_index random_unwrap random_wrap real reshape rev scatter sharding_constraint "
-    "slice split squeeze stop_gradient swap transpose".split()
+    "copy_p device_put dynamic_slice dynamic_update_slice empty expand_dims gather get imag inline_mgpu_p iota name "
+    "neg optimization_barrier pad platform_index random_unwrap random_wrap real reshape rev scatter "
+    "sharding_constraint slice split squeeze stop_gradient swap transpose".split()
 )
-OF_INPUTS = ("reduce_", "arg", "cum", "scatter")  # primitives that take an operation for each number given
+OF_INPUTS = ("reduce_", "arg", "cum")  # primitives that take an operation for each number given
 OF_KEYS = frozenset("random_bits random_fold_in random_seed random_split threefry2x32".split())
 THREEFRY = 40  # operations for 32 random bits: twenty rounds of three, and the keys, make two words
 
@@ -189,6 +189,8 @@ class _Count:
         if name == "sort":
             longest = inputs[0].aval.shape[equation.params["dimension"]]
             return self._size(inputs[:1]) * max(1.0, math.log2(max(longest, 2)))
+        if name.startswith("scatter"):
+            return self._size(inputs[-1:])
         return self._size(inputs if name.startswith(OF_INPUTS) else outputs)
 
     def _size(self, variables: Any) -> float:

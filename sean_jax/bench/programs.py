@@ -12,7 +12,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from sean_jax import devices, episodes, prng, sensors, social_forces
 from sean_jax.base import Array, Pedestrians, Scenario, State
@@ -179,7 +179,7 @@ def _pairs(forces: Forces, people: Pedestrians) -> dict[str, float]:
     known, numbers = model.cutoff(forces), []
     reach = float(forces.walking.perception if known is None else known)
     for position, present in zip(people.position[:SAMPLE], people.present[:SAMPLE], strict=True):
-        tree = cKDTree(np.asarray(position)[np.asarray(present)])
+        tree = KDTree(np.asarray(position)[np.asarray(present)])
         numbers.append((tree.count_neighbors(tree, reach) - tree.n) / len(position))
     within = float(np.mean(numbers))
     return {"pairs": within, "neighbors": within / (3 * neighbors.PART)}
