@@ -34,6 +34,7 @@ from sean_jax.social_forces import model
 STEP = 0.01  # s
 RADIUS = 0.3  # m
 SHELVES = 8
+MOST = 1000  # steps from the start; later people have passed one another and left the hall
 
 
 @dataclasses.dataclass(frozen=True)
@@ -131,15 +132,15 @@ def rate(begin: Callable, agents: int, steps: int, repeats: int) -> float:
 
 
 def enough(begin: Callable, seconds: float) -> int:
-    """The number of steps for about this time."""
+    """The number of steps for about this time, ``MOST`` at most."""
     steps = 1
     while True:
         advance = begin()
         before = time.perf_counter()
         advance(steps)
         spent = time.perf_counter() - before
-        if spent > 0.3 * seconds or steps >= 4096:
-            return max(1, min(4096, int(steps * seconds / max(spent, 1e-9))))
+        if spent > 0.3 * seconds or steps >= MOST:
+            return max(1, min(MOST, int(steps * seconds / max(spent, 1e-9))))
         steps *= 4
 
 
