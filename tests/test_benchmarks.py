@@ -2,6 +2,7 @@
 
 import argparse
 import importlib
+import importlib.util
 import json
 import subprocess
 import sys
@@ -63,7 +64,11 @@ def test_peers(tmp_path):
         "    return lambda: lambda steps: sum(range(20000 * steps)), 'counts'\n"
     )
     arguments = "--people", "12", "--batches", "1", "2", "--repeats", "1", "--seconds", "0.05", "--simulator", str(peer)
-    rows = [line.split() for line in run("benchmarks/peers.py", *arguments)[2:]]
+    lines = run("benchmarks/peers.py", *arguments)
+    if not importlib.util.find_spec("rvo2"):
+        assert any(line.startswith("rvo2: not installed; pip install") for line in lines)
+    rows = [line.split() for line in lines if line.split()[0] in ("open", "walls")]
+    assert sum(row[3] == "orca," for row in rows) == 4
     assert [row[0] for row in rows if "slowpoke" in row] == ["open", "walls"]
     best = {hall: max(float(r[6]) for r in rows if r[0] == hall and r[2] == "sean_jax,") for hall in ("open", "walls")}
     for row in rows:
