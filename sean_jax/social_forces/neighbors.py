@@ -168,6 +168,7 @@ def _over_blocks(near: Neighbors, block: Callable, rows: Array) -> tuple:
     return tuple(row.reshape(-1)[:number] for row in each), jax.tree.map(lambda leaf: leaf.sum(0), total)
 
 
+@jax.named_scope("neighbors")
 def _over_parts(runs: Runs, add: Callable, sums: PyTree) -> PyTree:
     """The sums after ``add(part, sums)`` for as many parts as the longest run has."""
     parts = jnp.max(_parts(runs.first, runs.last))
