@@ -87,9 +87,11 @@ def test_counts_of_a_kernel():
         return (own[0] - other[0]) * (own[1] - other[1])
 
     def sums(x):
-        return kernel.sum_pairs(law, jnp.ones(()), (), (x, x), (x, x))
+        rows = None, jnp.ones(1), (x, x), (x, x)
+        near, shared, *both = rows
+        return kernel.sum_pairs(kernel.trace(law, *rows), near, jnp.ones(()), shared, *both)
 
-    some, more = (needs(sums, jnp.ones(128), platform="gpu", pairs=turns)[0] for turns in (5.0, 6.0))
+    some, more = (needs(sums, jnp.ones(128), platform="gpu", within_reach=turns)[0] for turns in (5.0, 6.0))
     assert more - some == 128 * 4
     assert 128 * (128 * 6) <= some - 5 * (more - some) <= 128 * (128 * 6 + 3)
     program = programs.crowd(62, 4, 2)
@@ -103,7 +105,7 @@ def test_the_pairs_that_floors_count():
     forces = social_forces.preset("helbing1995")
     apart = np.linalg.norm(exact["x"][:, None] - exact["x"][None], axis=-1)
     reach = float(model.cutoff(forces))
-    found = programs.crowd(20, 2, 2, 0, "helbing1995").loops["pairs"]
+    found = programs.crowd(20, 2, 2, 0, "helbing1995").loops["within_reach"]
     assert found == pytest.approx(((apart < reach).sum() - 20) / 20) and found > 0
 
 

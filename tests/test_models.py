@@ -78,7 +78,9 @@ def test_between_two_who_come_from_opposite_sides_people_go_on_as_they_would_alo
     hard = jnp.zeros(3, bool)
     for third, wanted in ((-2.0, 0.8), (0.0, 0.5)):  # eased by 0.5 like the others
         bounds = jnp.asarray([0.4, 0.6, third], jnp.float32)
-        x, y = best_velocity(VelocityProgram(*normals.T, bounds, hard, *jnp.float32([0.2, 0.8, 1.5])))
+        x, y = best_velocity(
+            VelocityProgram(normals[:, 0], normals[:, 1], bounds, hard, *map(jnp.float32, (0.2, 0.8, 1.5)))
+        )
         np.testing.assert_allclose([x, y], [-0.1, wanted], atol=1e-3)
 
 
@@ -123,10 +125,11 @@ def test_agents_in_one_program_have_the_velocities_of_agents_alone(spread):
     normal, c, wanted = configurations(4 * 8 * TOGETHER[0], 9, 5, spread)
     alone = jax.jit(best_velocity)
     hard, limit = jnp.arange(9) >= 7, jnp.float32(LIMIT)
-    given = [jnp.asarray(part, jnp.float32) for part in (normal[..., 0], normal[..., 1], c, *wanted.T)]
-    each = [alone(VelocityProgram(*(part[k] for part in given[:3]), hard, *(part[k] for part in given[3:]), limit))
-            for k in range(0, len(c), 16)]  # fmt: skip
-    nx, ny, c, px, py = (jnp.moveaxis(part.reshape(4, -1, *part.shape[1:]), 1, -1) for part in given)
+    columns = normal[..., 0], normal[..., 1], c, *wanted.T
+    nx, ny, c, px, py = (jnp.asarray(part, jnp.float32) for part in columns)
+    some = range(0, len(c), 16)
+    each = [alone(VelocityProgram(nx[k], ny[k], c[k], hard, px[k], py[k], limit)) for k in some]
+    nx, ny, c, px, py = (jnp.moveaxis(part.reshape(4, -1, *part.shape[1:]), 1, -1) for part in (nx, ny, c, px, py))
 
     def crowd(nx, ny, c, px, py):
         return best_velocity(VelocityProgram(nx, ny, c, hard, px, py, jnp.full_like(px, LIMIT)))

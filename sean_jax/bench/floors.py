@@ -161,7 +161,7 @@ class _Count:
         if name == "scan":
             return _times(params["length"], parts[0][1])
         if name == "while":
-            words = [self.kernel, *re.findall(r"\w+", str(equation.source_info.name_stack))]
+            words = [*re.findall(r"\w+", str(equation.source_info.name_stack))[::-1], self.kernel]
             turns = next((self.turns[word] for word in words if word in self.turns), 1.0)
             return _times(turns, sum((part for _, part in parts), Counter()))
         if name == "mpmd_map":  # a kernel of this package; a thread has one number of each array

@@ -15,10 +15,10 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from sean_jax import devices, episodes, prng, sensors, social_forces
-from sean_jax.base import Array, Pedestrians, Scenario, State
+from sean_jax.base import Array, ObstacleGrid, Pedestrians, Scenario, State
 from sean_jax.bench import floors, workload
 from sean_jax.config import DEFAULT_FORCES
-from sean_jax.geometry import rotate
+from sean_jax.geometry import FAR, nearby_obstacles, rotate
 from sean_jax.raycast import Rays, intersect, kernel
 from sean_jax.scenario import reset
 from sean_jax.sensors import cameras
@@ -112,7 +112,7 @@ def stepping(
 
     size = (1, 1) if image is None else (image[1], image[0])
     blank = devices.shard(over, lambda _, tick: jnp.zeros(size, float))(fixed, states.tick)
-    loops = _pairs(scenario.forces, states.pedestrians)
+    loops = _pairs(scenario.forces, states.pedestrians, scenario.environment.obstacle_grid)
     if eye is not None:
         loops |= _rays(scenario, states, cameras.bands(eye)[0])
     return Program(devices.shard_jit(over, run, donate=True), (fixed,), (states, blank), batch * number, turns, loops)
@@ -170,19 +170,23 @@ def crowd(people: int, batch: int, turns: int, walls: int = 32, preset: str = DE
 
         return jax.lax.scan(turn, many, length=turns // 2)[0].position
 
-    loops = _pairs(parameters, many)
+    loops = _pairs(parameters, many, grid)
     return Program(jax.jit(run), (parameters, grid, many), many.position, batch * people, turns, loops)
 
 
-def _pairs(forces: Forces, people: Pedestrians) -> dict[str, float]:
-    """Turns of the loops over pairs of people (batch, N), if they visited only the others within reach."""
+def _pairs(forces: Forces, people: Pedestrians, grid: ObstacleGrid | None) -> dict[str, float]:
+    """Turns of the loops over pairs of people (batch, N) and obstacles, if they visited only those within reach."""
     known, numbers = model.cutoff(forces), []
     reach = float(forces.walking.perception if known is None else known)
     for position, present in zip(people.position[:SAMPLE], people.present[:SAMPLE], strict=True):
         tree = KDTree(np.asarray(position)[np.asarray(present)])
         numbers.append((tree.count_neighbors(tree, reach) - tree.n) / len(position))
     within = float(np.mean(numbers))
-    return {"pairs": within, "neighbors": within / (3 * neighbors.PART)}
+    loops = {"within_reach": within, "neighbors": within / (3 * neighbors.PART)}
+    if grid is None:
+        return loops
+    rows = nearby_obstacles(grid, people.position[:SAMPLE, :, 0], people.position[:SAMPLE, :, 1])
+    return loops | {"obstacles": float((np.asarray(rows[..., 0]) != FAR).sum(-1).mean())}
 
 
 def _rays(scenario: Scenario, states: State, bundles: Sequence[Rays]) -> dict[str, float]:

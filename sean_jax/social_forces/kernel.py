@@ -208,7 +208,8 @@ def _kernel(shape: _Shape, number: Any, *references: Any) -> None:
 
     def part(at: Any, sums: tuple) -> tuple:
         words = tuple(word(at + i * BITS) for i in range(others.words))
-        return jax.lax.while_loop(some, partial(add, at), (words, sums))[1]
+        with jax.named_scope("within_reach"):
+            return jax.lax.while_loop(some, partial(add, at), (words, sums))[1]
 
     zero = square.dtype.type(0.0)  # zeros_like is an array, which Mosaic refuses
     sums = others.over_parts(part, (zero,) * len(shape.law.out_avals))
