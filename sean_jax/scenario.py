@@ -104,6 +104,7 @@ def step(scenario: Scenario, state: State, action: Array) -> State:
 
     Source: sections III-A, IV-D, IV-E and IV-H.
     """
+    # Reverse mode stores the state and sums over pairs; it computes each stage again.
     key = jax.random.fold_in(state.streams.people, state.tick)
     after = direct_pedestrians(scenario, state, key)
     after = move_pedestrians(scenario, after)
@@ -140,7 +141,11 @@ def direct_pedestrians(scenario: Scenario, state: State, key: Array) -> State:
     Source: section IV-D, high level.
     """
     direct = scenario.behavior.direct
-    after = calls.call("behavior", direct, "scenario, state, key", scenario, state, key)
+
+    def call(state: State) -> State:
+        return calls.call("behavior", direct, "scenario, state, key", scenario, state, key)
+
+    after = jax.checkpoint(call, prevent_cse=False)(state)
     calls.check_like("behavior", direct, after, state, "a state whose")
     return after
 
@@ -169,12 +174,16 @@ def classify(scenario: Scenario, state: State) -> State:
 @jax.named_scope("measure")
 def measure(scenario: Scenario, before: State, after: State) -> State:
     """``after`` with new metrics; they do not change once the episode has ended. Source: section IV-H."""
-    earlier, now = snapshot(scenario, before), snapshot(scenario, after)
     done = before.completed | before.timed_out
-    values = {
-        name: calls.call("metrics", metric.update, "value, before, after", before.metrics[name], earlier, now)
-        for name, metric in scenario.metrics
-    }
+
+    def update(before: State, after: State) -> dict[str, Any]:
+        earlier, now = snapshot(scenario, before), snapshot(scenario, after)
+        return {
+            name: calls.call("metrics", metric.update, "value, before, after", before.metrics[name], earlier, now)
+            for name, metric in scenario.metrics
+        }
+
+    values = jax.checkpoint(update, prevent_cse=False)(before, after)
     for name, metric in scenario.metrics:
         calls.check_like("metrics", metric.update, values[name], before.metrics[name], "a value that is")
     values = jax.tree.map(lambda old, new: jnp.where(done, old, new), before.metrics, values)
