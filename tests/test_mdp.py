@@ -128,6 +128,53 @@ def test_counted_rewards_add_up_to_the_metrics(env, episodes):
     assert sum(np.asarray(info["rewards"][name]).sum() for name in COUNTED) > 0
 
 
+def test_no_metrics_change_nothing_but_the_work(env, episodes):
+    """The same episodes, bit by bit, by a program with fewer operations."""
+    bare = replace(env, scenario=sean_jax.make("lab", people=6, behavior="random", time_limit=LIMIT, metrics="none"))
+    _, (before, seen, after, action, reward, terminated, truncated, info) = episodes
+    key = jax.random.key(4)
+
+    def step(env, keys, state, action):
+        return jax.vmap(env.step)(keys, state, action)
+
+    state = jax.jit(jax.vmap(bare.reset))(jax.random.split(key, 8))[1]
+    run = jax.jit(step)
+    for tick in range(20):
+        _, follow = jax.random.split(jax.random.fold_in(key, tick))
+        shown, state, gained, *_, told = run(bare, jax.random.split(follow, 8), state, action[tick])
+        measured = jax.tree.map(lambda leaf, tick=tick: leaf[tick], replace(after.simulation, metrics={}))
+        jax.tree.map(np.testing.assert_array_equal, prng.as_numbers(state.simulation), prng.as_numbers(measured))
+        jax.tree.map(np.testing.assert_array_equal, shown, jax.tree.map(lambda leaf, tick=tick: leaf[tick], seen))
+        np.testing.assert_array_equal(gained, reward[tick])
+        assert told["metrics"] == {}
+    first = jax.tree.map(lambda leaf: leaf[0], before)
+    sizes = [
+        len(jax.make_jaxpr(step)(each, jax.random.split(key, 8), start, action[0]).jaxpr.eqns)
+        for each, start in ((env, first), (bare, state))
+    ]
+    assert sizes[1] < 0.9 * sizes[0], sizes
+
+
+@pytest.mark.parametrize("part", ["rewards", "terminations"])
+def test_a_metric_that_is_left_out_is_missed_in_one_sentence(part):
+    bare = sean_jax.make("lab", people=2, behavior="random", metrics="none")
+
+    def mine(scenario, before, after):
+        return after.metrics["path_length"][0] if part == "rewards" else after.metrics["path_length"][0] > 9.0
+
+    given = {"rewards": {"mine": mine}} if part == "rewards" else {"terminations": [mine]}
+    text = (
+        rf"^{part}: .*test_mdp.py:\d+: KeyError: 'path_length', a metric that is not measured here; take mdp.of_metric"
+    )
+    with pytest.raises(InputError, match=text):
+        make_env(bare, **given)
+
+
+def test_none_is_alone():
+    with pytest.raises(InputError, match="metrics: 'none' is beside others"):
+        sean_jax.make("lab", people=2, behavior="random", metrics=["none", "path_length"])
+
+
 def test_progress_adds_up_to_the_way(env, episodes):
     """From the first state of the first episode to its last: telescoping potentials."""
     _, (before, *_, terminated, truncated, info) = episodes
