@@ -1,12 +1,13 @@
 """Other crowd simulators and sean_jax, with the same people, walls and steps: agent-steps per core-second.
 
-pip install -e ".[peers]"
+pip install -e ".[peers]"; others: benchmarks/README.md
 python benchmarks/peers.py                                   all installed simulators, 62 and 1000 people
 python benchmarks/peers.py --people 62 --simulator my_peer.py   with your own (see peer_simulators.py)
 
 The hall is from ``workload.py``, open or with an outer wall and eight shelves; people are discs of 0.3 m, steps last
 0.01 s. A core-second is one second of one core: many cores bring no gain, and other programs on the machine no loss.
-This project's crowds are ``helbing1995``, B at once; large ones look for neighbors every ten steps.
+This project's crowds are ``helbing1995``, B at once; large ones look for neighbors every ten steps. Its ORCA stands
+beside RVO2.
 """
 
 import argparse
@@ -18,16 +19,22 @@ from collections.abc import Callable
 from pathlib import Path
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import peer_simulators
+from peer_simulators import Peer
 
+import sean_jax
 from sean_jax import social_forces
+from sean_jax.base import Obstacles
 from sean_jax.bench import workload
+from sean_jax.geometry import build_obstacle_grid
 from sean_jax.social_forces import model
 
 STEP = 0.01  # s
 RADIUS = 0.3  # m
 SHELVES = 8
+MOST = 1000  # steps from the start; later people have passed one another and left the hall
 
 
 @dataclasses.dataclass(frozen=True)
@@ -90,6 +97,28 @@ def ours(people: int, walls: bool, batch: int, steps: int) -> Callable[[], Calla
     return lambda: lambda _: jax.block_until_ready(run(many))
 
 
+def our_orca(people: int, walls: bool, batch: int, steps: int) -> Callable[[], Callable[[int], None]]:
+    """This project's ORCA; ``advance`` takes ``steps`` steps."""
+    many, grid, _ = workload.crowd(people, 4 + SHELVES)
+    if not walls:
+        nothing = Obstacles(jnp.zeros((0, 2)), jnp.zeros((0, 2)), jnp.zeros(0), jnp.zeros(0))
+        grid = build_obstacle_grid(nothing, jnp.asarray([-1.0, -1.0, 1.0, 1.0]))
+    lab = sean_jax.make("lab", model="orca", people=1)
+    scenario = dataclasses.replace(
+        lab, environment=dataclasses.replace(lab.environment, obstacle_grid=grid), time_step=STEP,
+        forces=lab.forces.tree_replace({"walking.radius": RADIUS}),
+    )  # fmt: skip
+    state = sean_jax.reset(scenario, jax.random.key(0))
+    state = dataclasses.replace(state, robot=dataclasses.replace(state.robot, position=jnp.asarray([1e4, 1e4])))
+    many = workload.repeat(many, batch)
+
+    def one(people):
+        return scenario.move(scenario, dataclasses.replace(state, pedestrians=people))
+
+    run = jax.jit(lambda many: jax.lax.scan(lambda c, _: (jax.vmap(one)(c), None), many, length=steps)[0])
+    return lambda: lambda _: jax.block_until_ready(run(many))
+
+
 def rate(begin: Callable, agents: int, steps: int, repeats: int) -> float:
     """Best agent-steps per core-second."""
     begin()(steps)
@@ -103,30 +132,33 @@ def rate(begin: Callable, agents: int, steps: int, repeats: int) -> float:
 
 
 def enough(begin: Callable, seconds: float) -> int:
-    """The number of steps for about this time."""
+    """The number of steps for about this time, ``MOST`` at most."""
     steps = 1
     while True:
         advance = begin()
         before = time.perf_counter()
         advance(steps)
         spent = time.perf_counter() - before
-        if spent > 0.3 * seconds or steps >= 4096:
-            return max(1, min(4096, int(steps * seconds / max(spent, 1e-9))))
+        if spent > 0.3 * seconds or steps >= MOST:
+            return max(1, min(MOST, int(steps * seconds / max(spent, 1e-9))))
         steps *= 4
 
 
-def installed(files: list[str]) -> dict[str, Callable]:
-    """The simulators that can be imported, and the simulators of the files."""
-    simulators = {
-        name: simulator for name, simulator in peer_simulators.SIMULATORS.items() if importlib.util.find_spec(name)
-    }
+def installed(files: list[str]) -> dict[str, Peer]:
+    """The simulators that can be imported, and the simulators of the files; says which are missing."""
+    simulators = {}
+    for name, peer in peer_simulators.SIMULATORS.items():
+        if importlib.util.find_spec(peer.module):
+            simulators[name] = peer
+        elif peer.crowds == 1:
+            print(f"{name}: not installed; {peer.install}")
     for file in files:
         spec = importlib.util.spec_from_file_location(Path(file).stem, file)
         if spec is None or spec.loader is None or not Path(file).is_file():
             raise SystemExit(f"--simulator: {file} is no Python file; give one with a function named simulator.")
         module = importlib.util.module_from_spec(spec)
         spec.loader.exec_module(module)
-        simulators[Path(file).stem] = module.simulator
+        simulators[Path(file).stem] = Peer(module.simulator)
     return simulators
 
 
@@ -145,27 +177,31 @@ def main() -> None:
     print(f"{'hall':>6} {'N':>6}  {'simulator':<22} {'agent-steps per core-second':>28} {'ours are faster by':>19}")
     for walls in (False, True):
         for people in chosen.people:
-            scene, measured = "walls" if walls else "open", {}
-            for batch in chosen.batches:
-                if batch * people > 20_000:
-                    continue
-                steps = 10 * int(np.clip(2e4 / (batch * people), 1, 100))
-                measured[f"sean_jax, B = {batch}"] = rate(
-                    ours(people, walls, batch, steps), batch * people, steps, chosen.repeats
-                )
-            best = max(measured.values())
-            for name, simulator in peers.items():
-                try:
-                    begin, _ = simulator(hall(people, walls))
-                    measured[name] = rate(begin, people, enough(begin, chosen.seconds), chosen.repeats)
-                except Exception as error:  # a failed simulator must not hide the others
-                    print(f"{scene:>6} {people:6d}  {name:<22} failed: {str(error)[:80]}")
-            for name, value in measured.items():
-                share = "" if name.startswith("sean_jax") else f"{best / value:18.1f}x"
+            scene, best = "walls" if walls else "open", {"social forces": 0.0, "orca": 0.0}
+
+            def show(name: str, value: float, law: str = "", people: int = people, scene: str = scene, best=best):
+                share = f"{best[law] / value:18.3g}x" if law else ""
                 print(f"{scene:>6} {people:6d}  {name:<22} {value:28.3g} {share}", flush=True)
                 rows.append(dict(hall=scene, people=people, simulator=name, rate=value))
+
+            for law, name, mine, most in (("social forces", "", ours, 100), ("orca", " orca", our_orca, 10)):
+                for batch in chosen.batches:
+                    if batch * people > 20_000:
+                        continue
+                    steps = 10 * int(np.clip(200 * most / (batch * people), 1, most))
+                    value = rate(mine(people, walls, batch, steps), batch * people, steps, chosen.repeats)
+                    best[law] = max(best[law], value)
+                    show(f"sean_jax{name}, B = {batch}", value)
+            for name, peer in peers.items():
+                try:
+                    begin, _ = peer.run(hall(people, walls))
+                    value = rate(begin, peer.crowds * people, enough(begin, chosen.seconds), chosen.repeats)
+                    show(name, value, peer.law)
+                except Exception as error:  # a failed simulator must not hide the others
+                    print(f"{scene:>6} {people:6d}  {name:<22} failed: {str(error)[:80]}")
     if chosen.json:
-        chosen.json.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+        about = {"device": jax.devices()[0].device_kind, "jax": jax.__version__, "rows": rows}
+        chosen.json.write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

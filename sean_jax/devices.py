@@ -7,6 +7,7 @@ compiles for two GPUs, with jax 0.11.2.)
 """
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import jax
@@ -14,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 from jax import Array
+from jax.custom_derivatives import SymbolicZero
 from jax.sharding import AxisType, Mesh, NamedSharding, PartitionSpec
 from jaxtyping import PyTree
 
@@ -30,9 +32,19 @@ def by_platform(cpu: Callable, default: Callable) -> Callable:
     def function(*arguments: PyTree) -> PyTree:
         return jax.lax.platform_dependent(*arguments, cpu=cpu, default=default)
 
-    @function.defjvp
+    @partial(function.defjvp, symbolic_zeros=True)
     def _(arguments: tuple, tangents: tuple) -> tuple:
-        return jax.jvp(cpu, arguments, tangents)
+        leaves, structure = jax.tree.flatten(arguments)
+        changes = dict(enumerate(jax.tree.leaves(tangents)))
+        changes = {i: change for i, change in changes.items() if not isinstance(change, SymbolicZero)}
+
+        def of_changing(*values: Array) -> PyTree:  # reverse mode would compute the cotangents of the others too
+            every = [*leaves]
+            for i, value in zip(changes, values, strict=True):
+                every[i] = value
+            return cpu(*structure.unflatten(every))
+
+        return jax.jvp(of_changing, [leaves[i] for i in changes], [*changes.values()])
 
     return function
 

@@ -12,6 +12,7 @@ from dataclasses import replace
 import jax
 import jax.numpy as jnp
 from flax import struct
+from jax.flatten_util import ravel_pytree
 from jaxtyping import Float, PyTree
 
 from sean_jax import calls, prng
@@ -63,9 +64,10 @@ def simulate(
 ) -> tuple[State, PyTree]:
     """As ``rollout``, from a state that has the memory of the policy (``init_policy``)."""
     policy = as_policy(policy)
+    numbers, forces = ravel_pytree(scenario.forces)  # reverse mode adds up one array, not one for each number
 
     def one(before: State, _) -> tuple[State, PyTree]:
-        after, action = policy_step(scenario, policy, before)
+        after, action = policy_step(replace(scenario, forces=forces(numbers)), policy, before)
         return after if between is None else between(after), record(before, after, action)
 
     return _scan(one, state, steps, checkpoint_every)

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from sean_jax.base import Array, Environment, ObstacleGrid, Obstacles
 from sean_jax.devices import to_device
@@ -208,11 +208,19 @@ def build_obstacle_grid(obstacles: Obstacles, floor: Float[Array, "4"], cell: fl
     return ObstacleGrid(*to_device((rows, lower, np.asarray(cell))))
 
 
+def obstacle_cells(
+    grid: ObstacleGrid, x: Float[Array, "*places"], y: Float[Array, "*places"]
+) -> tuple[Int[Array, "*places"], Int[Array, "*places"]]:
+    """The grid's cell of each place x, y [m], or the nearest cell for places off the grid."""
+    max_x, max_y = grid.rows.shape[0] - 1, grid.rows.shape[1] - 1
+    i = jnp.clip(jnp.floor((x - grid.origin[0]) / grid.cell).astype(jnp.int32), 0, max_x)
+    j = jnp.clip(jnp.floor((y - grid.origin[1]) / grid.cell).astype(jnp.int32), 0, max_y)
+    return i, j
+
+
 def nearby_obstacles(
     grid: ObstacleGrid, x: Float[Array, "*places"], y: Float[Array, "*places"]
 ) -> Float[Array, "*places K 6"]:
     """Rows of the grid's cell of each place x, y [m], or of the nearest cell for places off the grid."""
-    max_x, max_y = grid.rows.shape[0] - 1, grid.rows.shape[1] - 1
-    i = jnp.clip(jnp.floor((x - grid.origin[0]) / grid.cell).astype(jnp.int32), 0, max_x)
-    j = jnp.clip(jnp.floor((y - grid.origin[1]) / grid.cell).astype(jnp.int32), 0, max_y)
+    i, j = obstacle_cells(grid, x, y)
     return grid.rows[i, j]

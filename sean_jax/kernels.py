@@ -1,12 +1,13 @@
 """GPU kernels of this package, written in Pallas (Mosaic GPU): a launch for a whole batch, shared among devices."""
 
 from collections.abc import Callable, Sequence
-from functools import cache
+from functools import cache, partial
 from importlib import import_module
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.experimental.custom_partitioning import custom_partitioning
 from jax.extend.core import ClosedJaxpr, Literal
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
@@ -90,7 +91,46 @@ def _split(call: Call, outputs: int, operands: Sequence[Array]) -> Call:
     return split_call
 
 
-def thread_number() -> Any:
+def launch(
+    kernel: Callable, name: str, grid: tuple[int, ...], out: tuple, *operands: Array, interpret: bool
+) -> tuple[Array, ...]:
+    """Run ``kernel(index, *references)`` in each program of the grid; ``index(axis)`` gives the program's number.
+
+    ``interpret`` runs it in XLA, on a CPU as well.
+    """
+    from jax.experimental import pallas
+    from jax.experimental.pallas import mosaic_gpu
+
+    if interpret:
+        kernel = partial(kernel, pallas.program_id)
+        return tuple(pallas.pallas_call(kernel, grid=grid, out_shape=out, interpret=True)(*operands))
+    names = tuple(f"axis{axis}" for axis in range(len(grid)))
+    return mosaic_gpu.kernel(
+        partial(kernel, lambda axis: jax.lax.axis_index(names[axis])),
+        out_type=out,
+        grid=grid,
+        grid_names=names,
+        compiler_params=mosaic_gpu.CompilerParams(unsafe_no_auto_barriers=True),  # no program reads what it writes
+        kernel_name=name,
+    )(*operands)
+
+
+def launch_threads(
+    kernel: Callable, name: str, threads: int, out: tuple, *operands: Array, interpret: bool
+) -> tuple[Array, ...]:
+    """Run ``kernel(number, *references)`` in scalars, for each number of a thread."""
+
+    def program(index: Callable, *references: Any) -> None:
+        number = index(0)
+        if not interpret:  # threads of the last program that are too many repeat the first
+            number = jax.lax.rem(number * WIDTH + _thread_number(), np.int32(threads))
+        kernel(number, *references)
+
+    grid = (threads if interpret else -(-threads // WIDTH),)
+    return launch(program, name, grid, out, *operands, interpret=interpret)
+
+
+def _thread_number() -> Any:
     """() int32: the number of the thread in its program. Scalars of a kernel differ between threads from here on."""
     from jax.experimental.mosaic.gpu import FragmentedArray, utils
     from jax.experimental.pallas import mosaic_gpu

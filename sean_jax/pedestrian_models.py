@@ -5,6 +5,7 @@ Guy, M. Lin & D. Manocha, "Reciprocal n-body collision avoidance", Robotics Rese
 """
 
 from dataclasses import replace
+from functools import partial, reduce
 from typing import NamedTuple
 
 import jax
@@ -25,6 +26,7 @@ NEIGHBORS = 8  # the nearest people that are avoided; ours
 WALLS = 4  # the nearest obstacles that are avoided; ours
 RANGE = 10.0  # m, nobody farther away is avoided
 SPACE = 0.1  # m, kept between two bodies; ours
+TOGETHER = 32, 128  # agents whose least violating velocities a CPU searches at once: in small and in large batches
 PARALLEL = 1e-6  # sine of the angle below which two borders count as parallel
 TOLERANCE = 1e-5  # m/s
 FORBIDDEN = 1e6  # times what is above the top speed or violates a hard half-plane counts as a violation
@@ -58,51 +60,36 @@ def orca(scenario: Scenario, state: State) -> Pedestrians:
     these need not reciprocate.
     """
     people, walking, robot = state.pedestrians, scenario.forces.walking, state.robot
-    px, py = people.position[:, 0], people.position[:, 1]
-    vx, vy = people.velocity[:, 0], people.velocity[:, 1]
+    px, py, vx, vy = jnp.concatenate([people.position, people.velocity], 1).T[:, None]  # (1, N)
+    number = px.shape[1]
     others = _neighbors(people)
-    half_planes = jax.vmap(half_plane, in_axes=(0, 0, 0, 0, None, None, None, 0))
-    each = jax.vmap(half_planes, in_axes=(0, 0, 0, 0, None, None, None, 0))
-    index = jnp.arange(px.shape[0], dtype=jnp.int32)
-    first = index[:, None] < others  # breaks the tie of two people at one place
-    nx, ny, c = each(
-        px[others] - px[:, None],
-        py[others] - py[:, None],
-        vx[:, None] - vx[others],
-        vy[:, None] - vy[others],
-        2.0 * walking.radius + SPACE,
-        HORIZON,
-        scenario.time_step,
-        first,
-    )
-    c = nx * vx[:, None] + ny * vy[:, None] + 0.5 * c
-    avoided = _avoided(people, others)
+    # The robot is the last of the bodies and, for everybody, the last of the others.
+    is_robot = jnp.arange(len(others) + 1, dtype=jnp.int32)[:, None] == len(others)
+    others = jnp.concatenate([others, jnp.full((1, number), number, jnp.int32)])
+    ahead_x, ahead_y = robot.speed * robot.heading[0], robot.speed * robot.heading[1]
+    bodies = ((px, robot.position[0]), (py, robot.position[1]), (vx, ahead_x), (vy, ahead_y))
+    ox, oy, ovx, ovy = (jnp.append(part, of_robot)[others] for part, of_robot in bodies)
+    dx, dy = ox - px, oy - py
+    avoided = is_robot | (_avoids(people, others) & (dx * dx + dy * dy < RANGE * RANGE))
+    radii = walking.radius + jnp.where(is_robot, scenario.robot.radius, walking.radius) + SPACE
+    first = jnp.arange(number, dtype=jnp.int32)[None] < others  # breaks the tie of two people at one place
+    nx, ny, out = half_plane(dx, dy, vx - ovx, vy - ovy, radii, HORIZON, scenario.time_step, first)
+    c = nx * vx + ny * vy + jnp.where(is_robot, 1.0, 0.5) * out
 
-    robot_x, robot_y = robot.speed * robot.heading[0], robot.speed * robot.heading[1]
-    rx, ry, rc = half_planes(
-        robot.position[0] - px,
-        robot.position[1] - py,
-        vx - robot_x,
-        vy - robot_y,
-        walking.radius + scenario.robot.radius + SPACE,
-        HORIZON,
-        scenario.time_step,
-        jnp.ones_like(people.present),
-    )
-    rc = rx * vx + ry * vy + rc
+    gap, wx, wy = (part.T for part in distances(px[0], py[0], scenario.environment.obstacle_grid))
+    near = smallest(jnp.maximum(gap, 0.0), WALLS)
+    gap, wx, wy = (jnp.take_along_axis(part, near, 0) for part in (gap, wx, wy))
+    wall = -jnp.maximum(gap - walking.radius, 0.0) / WALL_HORIZON
 
-    gap, wx, wy = distances(px, py, scenario.environment.obstacle_grid)
-    closeness, nearest = jax.lax.top_k(-gap, min(WALLS, gap.shape[1]))
-    wx, wy = jnp.take_along_axis(wx, nearest, 1), jnp.take_along_axis(wy, nearest, 1)
-    wall = -jnp.maximum(-closeness - walking.radius, 0.0) / WALL_HORIZON
-
-    normal_x = jnp.concatenate([nx, rx[:, None], wx], 1)
-    normal_y = jnp.concatenate([ny, ry[:, None], wy], 1)
-    bound = jnp.concatenate([jnp.where(avoided, c, UNBOUNDED), rc[:, None], wall], 1)
-    hard = jnp.arange(bound.shape[1]) >= others.shape[1] + 1
-    desired, limit = people.desired_velocity, jnp.maximum(walking.speed_ratio * people.preferred_speed, 0.0)
-    program = VelocityProgram(normal_x, normal_y, bound, hard, desired[:, 0], desired[:, 1], limit)
-    x, y = jax.vmap(best_velocity, in_axes=(VelocityProgram(0, 0, 0, None, 0, 0, 0),))(program)  # pyright: ignore[reportArgumentType]
+    # Written over any numbers that are no constant: concatenated or written over zeros, XLA on a CPU would compute the
+    # half-planes row by row, with a condition for each number.
+    empty = jnp.broadcast_to(px, (len(others) + len(near), number))
+    pairs = (nx, wx), (ny, wy), (jnp.where(avoided, c, UNBOUNDED), wall)
+    normal_x, normal_y, bound = (empty.at[: len(others)].set(a).at[len(others) :].set(b) for a, b in pairs)
+    hard = jnp.arange(bound.shape[0], dtype=jnp.int32) >= len(others)
+    limit = jnp.maximum(walking.speed_ratio * people.preferred_speed, 0.0)
+    desired_x, desired_y = people.desired_velocity.T
+    x, y = best_velocity(VelocityProgram(normal_x, normal_y, bound, hard, desired_x, desired_y, limit))
     return walk(scenario, people, jnp.stack([x, y], -1))
 
 
@@ -152,131 +139,291 @@ def half_plane(
 
 
 class VelocityProgram(NamedTuple):
-    """The choice of a velocity v in M half-planes, n . v >= c, nearest to a preferred one."""
+    """The choice of a velocity v in M half-planes, n . v >= c, nearest to a preferred one, for each agent."""
 
-    nx: Float[Array, "M"]
-    ny: Float[Array, "M"]
-    c: Float[Array, "M"]  # m/s, bounds
+    nx: Float[Array, "M *agents"]
+    ny: Float[Array, "M *agents"]
+    c: Float[Array, "M *agents"]  # m/s, bounds
     hard: Bool[Array, "M"]  # never violated; these must contain the zero velocity
-    px: Float[Array, ""]  # m/s, the preferred velocity
-    py: Float[Array, ""]
-    limit: Float[Array, ""]  # m/s, the top speed
+    px: Float[Array, "*agents"]  # m/s, the preferred velocity
+    py: Float[Array, "*agents"]
+    limit: Float[Array, "*agents"]  # m/s, the top speed
 
 
-def nearest(program: VelocityProgram) -> tuple[Float[Array, ""], Float[Array, ""], Bool[Array, ""]]:
-    """The velocity (x, y) [m/s] in all half-planes that is nearest to the preferred one, and whether there is one.
+def best_velocity(program: VelocityProgram) -> tuple[Float[Array, "*agents"], Float[Array, "*agents"]]:
+    """The velocity (x, y) [m/s] in all half-planes that is nearest to the preferred one.
 
-    It is the preferred one, or lies on the border of some half-plane. So there is one candidate for each border: the
-    nearest point of its segment that the other half-planes allow. If there is none, (x, y) has no meaning.
+    If there is none, the velocity whose largest violation of a half-plane is smallest. The choice of the half-planes
+    that decide has no derivative, their velocity has one.
     """
-    nx, ny, c, _, px, py, limit = program
+    nx, ny, c, hard, px, py, limit = program
+    px, py, limit = (jnp.broadcast_to(part, c.shape[1:]) for part in (px, py, limit))
+    numbers = jnp.arange(c.shape[0], dtype=jnp.int32).reshape(-1, *(1 for _ in px.shape))
+    hard = jnp.broadcast_to(hard.reshape(numbers.shape), c.shape)
+    columns = (part.reshape(-1, px.size) for part in (nx, ny, c, hard))
+    fixed = jax.lax.stop_gradient((*columns, px.reshape(-1), py.reshape(-1), limit.reshape(-1)))
+    i, j, exists = (part.reshape(px.shape) for part in _deciding(*fixed))
+    x, y = _on_line(numbers, i, j, exists, VelocityProgram(nx, ny, c, hard, px, py, limit))
+    slower, free = _slower(px, py, limit), i == c.shape[0]
+    return jnp.where(free, px * slower, x), jnp.where(free, py * slower, y)
+
+
+def _slower(px: Array, py: Array, limit: Array) -> Array:
+    """The factor that brings a velocity to the top speed, if it is faster."""
     speed = length(px, py)
-    slower = jnp.where(speed > limit, limit / jnp.where(speed > limit, speed, 1.0), 1.0)
-    free_x, free_y = px * slower, py * slower
-    is_free = (nx * free_x + ny * free_y >= c - TOLERANCE).all()
-
-    lower, upper, possible = _border_segments(program)
-    t = jnp.clip(px * -ny + py * nx, lower, jnp.maximum(lower, upper))
-    x, y = c * nx - t * ny, c * ny + t * nx
-    away = jnp.where(possible, (x - px) ** 2 + (y - py) ** 2, jnp.inf)
-    best = jnp.argmin(away)
-    return jnp.where(is_free, free_x, x[best]), jnp.where(is_free, free_y, y[best]), is_free | (away[best] < jnp.inf)
+    return jnp.where(speed > limit, limit / jnp.where(speed > limit, speed, 1.0), 1.0)
 
 
-def _border_segments(
-    program: VelocityProgram,
-) -> tuple[Float[Array, "M"], Float[Array, "M"], Bool[Array, "M"]]:
-    """The segment (from t, to t) of each border that other half-planes and top speed allow, and whether there is one.
+@jax.custom_batching.custom_vmap
+def _deciding(
+    nx: Float[Array, "M A"],
+    ny: Float[Array, "M A"],
+    c: Float[Array, "M A"],
+    hard: Bool[Array, "M A"],
+    px: Float[Array, "A"],
+    py: Float[Array, "A"],
+    limit: Float[Array, "A"],
+) -> tuple[Int[Array, "A"], Int[Array, "A"], Bool[Array, "A"]]:
+    """The two half-planes (i, j) that decide, and whether a velocity in all of them exists.
 
-    A point of border i is c n + t (-ny, nx).
+    If so, i = j has the velocity on its border, or i = M: the preferred one is allowed. Under ``vmap`` all agents of
+    the batch are one row.
     """
-    nx, ny, c, _, _, _, limit = program
-    low, high = _chord(c, limit)
-    # There, half-plane j is rate t >= rest.
-    rate = ny[None, :] * nx[:, None] - nx[None, :] * ny[:, None]  # (i, j)
-    rest = c[None, :] - c[:, None] * (nx[:, None] * nx[None, :] + ny[:, None] * ny[None, :])
-    itself = jnp.eye(c.shape[0], dtype=bool)
-    slope = jnp.abs(rate) > PARALLEL
-    bound = rest / jnp.where(slope, rate, 1.0)
-    lower = jnp.where(slope & (rate > 0.0) & ~itself, bound, -jnp.inf).max(1)
-    upper = jnp.where(slope & (rate < 0.0) & ~itself, bound, jnp.inf).min(1)
-    lower, upper = jnp.maximum(lower, low), jnp.minimum(upper, high)
-    return lower, upper, (high > 0.0) & (lower <= upper + TOLERANCE) & (slope | itself | (rest <= TOLERANCE)).all(1)
+    slower = _slower(px, py, limit)
+    free = (nx * (px * slower)[None] + ny * (py * slower)[None] >= c - TOLERANCE).all(0)
+
+    def search(free: Array, *parts: Array, on_cpu: bool) -> tuple[Array, Array, Array]:
+        nx, ny, c, _, px, py, limit = parts
+        best, exists = _nearest(nx, ny, c, px, py, limit)
+        best, exists = jnp.where(free, len(c), best), free | exists
+        pair = _of_some(exists, *parts) if on_cpu else _least_violating(*parts)
+        i, j = pair % len(c), (pair + pair // len(c)) % len(c)
+        return jnp.where(exists, best, i), jnp.where(exists, best, j), exists
+
+    def nothing(free: Array, *_: Array) -> tuple[Array, Array, Array]:
+        preferred = jnp.full(free.shape, len(c), jnp.int32)
+        return preferred, preferred, free
+
+    def on_cpu(free: Array, *parts: Array) -> tuple[Array, Array, Array]:
+        return jax.lax.cond(free.all(), nothing, partial(search, on_cpu=True), free, *parts)
+
+    parts = free, nx, ny, c, hard, px, py, limit
+    return jax.lax.platform_dependent(*parts, cpu=on_cpu, default=partial(search, on_cpu=False))
 
 
-def _chord(c: Float[Array, "*M"], limit: Float[Array, ""]) -> tuple[Float[Array, "*M"], Float[Array, "*M"]]:
+@_deciding.def_vmap
+def _deciding_vmap(size: int, batched: list[bool], *parts: Array) -> tuple[tuple[Array, ...], tuple[bool, ...]]:
+    rows = []
+    for part, one in zip(parts, batched, strict=True):
+        part = jnp.moveaxis(part, 0, -2) if one else jnp.repeat(part[..., None, :], size, -2)
+        rows.append(part.reshape(*part.shape[:-2], -1))
+    return tuple(part.reshape(size, -1) for part in _deciding(*rows)), (True, True, True)
+
+
+def _nearest(nx: Array, ny: Array, c: Array, px: Array, py: Array, limit: Array) -> tuple[Array, Array]:
+    """The half-plane (A,) whose border has the nearest velocity in all of them, and whether there is such a velocity.
+
+    It is the preferred velocity, M, or lies on a border: on each there is one candidate, the nearest point of the
+    segment that the others allow. A point of border i is c n + t (-ny, nx); there, half-plane j is rate t >= rest.
+    """
+    lower, upper = _chord(c, limit[None])
+    possible = upper > 0.0
+    rate = ny[None] * nx[:, None] - nx[None] * ny[:, None]  # (i, j, A)
+    inverse = 1.0 / jnp.where(jnp.abs(rate) > PARALLEL, rate, jnp.inf)
+    for j in range(len(c)):  # sums of this loop over an array (i, j, A) would not use vector instructions of a CPU
+        rest = c[j, None] - c * (nx * nx[j, None] + ny * ny[j, None])
+        possible = possible & ((inverse[:, j] != 0.0) | (rest <= TOLERANCE))
+        lower, upper = _cut(lower, upper, rest, inverse[:, j])
+    possible = possible & (lower <= upper + TOLERANCE)
+    t = jnp.clip(py[None] * nx - px[None] * ny, lower, jnp.maximum(lower, upper))
+    x, y = c * nx - t * ny, c * ny + t * nx
+    # The square root is for XLA: it computes one only once, and would repeat all above in both reductions.
+    away = jnp.sqrt(jnp.where(possible, (x - px[None]) ** 2 + (y - py[None]) ** 2, jnp.inf))
+    best, least = _argmin(away)
+    return best, least < jnp.inf
+
+
+def _argmin(values: Float[Array, "M A"]) -> tuple[Int[Array, "A"], Float[Array, "A"]]:
+    """The number of the first smallest value of each column, and the value; on a CPU quicker than ``jnp.argmin``."""
+    least, numbers = values.min(0), jnp.arange(len(values), dtype=jnp.int32)
+    return jnp.where(values <= least[None], numbers[:, None], len(values)).min(0), least
+
+
+def _cut(lower: Array, upper: Array, rest: Array, inverse: Array) -> tuple[Array, Array]:
+    """The part of a segment where t / inverse >= rest; all of it where inverse is 0."""
+    bound = rest * inverse  # comparisons are quicker than ``maximum``, which passes NaN on
+    return (
+        jnp.where((inverse > 0.0) & (bound > lower), bound, lower),
+        jnp.where((inverse < 0.0) & (bound < upper), bound, upper),
+    )
+
+
+def _chord(c: Float[Array, "*M"], limit: Float[Array, "..."]) -> tuple[Float[Array, "*M"], Float[Array, "*M"]]:
     """The segment of a border within the top speed, from t to t; both are zero where there is none."""
     square = limit * limit - c * c
     half = jnp.where(square > 0.0, jnp.sqrt(jnp.where(square > 0.0, square, 1.0)), 0.0)
     return -half, half
 
 
-def best_velocity(program: VelocityProgram) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """As ``nearest``; if there is none, the velocity [m/s] whose largest violation of a half-plane is smallest."""
-    free_x, free_y, exists = nearest(program)
+def _of_some(exists: Bool[Array, "A"], *parts: Array) -> Int[Array, "A"]:
+    """``_least_violating`` of the agents for whom no velocity exists; without a meaning for others."""
+    number = exists.shape[0]
+    size = min(number, TOGETHER[number > 8 * TOGETHER[0]])
+    rank = jnp.cumsum(~exists, dtype=jnp.int32)
+    turns = (rank[-1] + size - 1) // size
 
-    def violation(i: Array, j: Array) -> Array:
-        fixed = jax.lax.stop_gradient(program)
-        nx, ny, c, hard, _, _, limit = fixed
-        x, y, opposite = _least_violating(i, j, fixed)
-        each = c - nx * x - ny * y
-        forbidden = jnp.maximum(jnp.where(hard, each, UNBOUNDED).max(), length(x, y) - limit)
-        largest = jnp.where(hard, UNBOUNDED, each).max() + FORBIDDEN * jnp.maximum(forbidden - TOLERANCE, 0.0)
-        return largest - jnp.where(opposite, TOLERANCE, 0.0)  # other velocities are ends of the segment of these
+    def turn(carry: tuple[Array, Array]) -> tuple[Array, Array]:
+        done, pairs = carry
+        ranks = done * size + jnp.arange(1, size + 1, dtype=jnp.int32)
+        agents = jnp.searchsorted(rank, ranks, method="scan_unrolled")
+        pair = _least_violating(*(part.take(agents, -1, mode="clip") for part in parts))
+        return done + 1, jax.lax.dynamic_update_slice(pairs, pair, (done * size,))
 
-    first, second = (jnp.asarray(index, jnp.int32) for index in np.triu_indices(program.c.shape[0]))
-    least = jnp.argmin(jax.vmap(violation)(first, second))
-    x, y, _ = _least_violating(first[least], second[least], program)
-    return jnp.where(exists, free_x, x), jnp.where(exists, free_y, y)
+    pairs = jnp.zeros(-(-number // size) * size, jnp.int32)
+    _, pairs = jax.lax.while_loop(lambda carry: carry[0] < turns, turn, (jnp.zeros((), jnp.int32), pairs))
+    return pairs.take(rank - 1, mode="clip")
 
 
 def _least_violating(
-    i: Int[Array, ""], j: Int[Array, ""], program: VelocityProgram
-) -> tuple[Float[Array, ""], Float[Array, ""], Bool[Array, ""]]:
-    """The velocity with the least equal violation of half-planes i and j and no larger one of others; if i opposes j.
+    nx: Array, ny: Array, c: Array, hard: Array, px: Array, py: Array, limit: Array
+) -> Int[Array, "A"]:
+    """The pair of half-planes on whose ``_line`` the largest violation is smallest: i + M d is the pair i, i + d mod M.
 
     Three dimensions, the velocity and the violation, have three bounds at their optimum: two half-planes and a third or
-    the top speed, or one and the top speed (i = j). If i and j oppose each other, all velocities of a segment are
-    equally good; the result is the one nearest to the preferred. If there is no such velocity, the result has no
-    meaning. A hard half-plane is not violated, but met on its border.
+    the top speed, or one and the top speed (d = 0).
+    """
+    number, planes = len(c), (nx, ny, c, hard)
+    px, py, limit = (part[None, None] for part in (px, py, limit))
+    offsets = range(number // 2 + 1)
+    first = tuple(jnp.stack([part for _ in offsets]) for part in planes)  # (d, i, A), as all below
+    second = tuple(jnp.stack([jnp.roll(part, -d, 0) for d in offsets]) for part in planes)
+    ix, iy, ic, _ = (jnp.where(first[3], other, own) for own, other in zip(first, second, strict=True))
+    jx, jy, jc, j_hard = (jnp.where(first[3], own, other) for own, other in zip(first, second, strict=True))
+    ax, ay, offset = _line(*(jnp.where(j_hard, j, j - i) for j, i in ((jx, ix), (jy, iy), (jc, ic))))
+    lower, upper = _chord(offset, limit)
+    mx, my, b = (
+        part[:, None, None] - jnp.where(hard[:, None, None], 0.0, i[None]) for part, i in ((nx, ix), (ny, iy), (c, ic))
+    )  # (k, d, i, A)
+    rate, rest = my * ax[None] - mx * ay[None], b - offset[None] * (mx * ax[None] + my * ay[None])
+    inverse = 1.0 / jnp.where(jnp.abs(rate) > PARALLEL, rate, jnp.inf)
+    for k in range(number):
+        lower, upper = _cut(lower, upper, rest[k], inverse[k])
+    x, y, opposite = _end(ix, iy, ax, ay, offset, lower, upper, px, py)
+    alone = jnp.arange(len(offsets), dtype=jnp.int32)[:, None, None] == 0
+    x, y, opposite = jnp.where(alone, limit * ix, x), jnp.where(alone, limit * iy, y), opposite & ~alone
+    soft, forbidden = jnp.full_like(x, UNBOUNDED), length(x, y) - limit
+    for k in range(number):
+        each = c[k, None, None] - nx[k, None, None] * x - ny[k, None, None] * y
+        is_hard = hard[k, None, None]
+        soft = jnp.where(is_hard | (each < soft), soft, each)
+        forbidden = jnp.where(is_hard & (each > forbidden), each, forbidden)
+    most = soft + FORBIDDEN * jnp.maximum(forbidden - TOLERANCE, 0.0)
+    most = most - jnp.where(opposite, TOLERANCE, 0.0)  # other velocities are ends of the segment of these
+    return _argmin(jnp.sqrt(jnp.maximum(most, 0.0)).reshape(-1, c.shape[1]))[0]  # the root as in ``_nearest``
+
+
+def _line(mx: Array, my: Array, b: Array) -> tuple[Array, Array, Array]:
+    """The unit normal and the offset of the line m . v = b; zeros if m is."""
+    size = length(mx, my)
+    return *unit(mx, my), jnp.where(size > 0.0, b / jnp.where(size > 0.0, size, 1.0), 0.0)
+
+
+def _end(
+    ix: Array, iy: Array, ax: Array, ay: Array, offset: Array, lower: Array, upper: Array, px: Array, py: Array
+) -> tuple[Array, Array, Array]:
+    """The point (x, y) of the segment of a line that violates half-plane i least, and whether all points do.
+
+    Then it is the point nearest to the preferred velocity.
+    """
+    gain = iy * ax - ix * ay
+    same = jnp.abs(gain) <= PARALLEL
+    upper = jnp.maximum(lower, upper)
+    t = jnp.where(same, jnp.clip(py * ax - px * ay, lower, upper), jnp.where(gain > 0.0, upper, lower))
+    return offset * ax - t * ay, offset * ay + t * ax, same
+
+
+def _on_line(numbers: Array, i: Array, j: Array, exists: Array, program: VelocityProgram) -> tuple[Array, Array]:
+    """The velocity that half-planes (i, j) decide.
+
+    If a velocity exists in all half-planes, it is the nearest to the preferred one on the border of j. Otherwise it
+    violates i and j equally and as little as the violations of others, which are no larger, allow. If i and j oppose
+    each other, all velocities of a segment are equally good, and it is the nearest to the preferred. A hard half-plane
+    is not violated, but met on its border.
     """
     nx, ny, c, hard, px, py, limit = program
-    i, j = jnp.where(hard[i], j, i), jnp.where(hard[i], i, j)
+
+    def of(part: Array, index: Array) -> Array:
+        return jnp.take_along_axis(part, index[None], 0, mode="clip")[0]
+
+    swapped = of(hard, i)
+    alone, (i, j) = ~exists & (i == j), (jnp.where(swapped, j, i), jnp.where(swapped, i, j))
+    ix, iy = of(nx, i), of(ny, i)
     # Half-plane k is violated by no more than i, where m . v >= b.
-    mx, my = nx - jnp.where(hard, 0.0, nx[i]), ny - jnp.where(hard, 0.0, ny[i])
-    b = c - jnp.where(hard, 0.0, c[i])
-    size = length(mx[j], my[j])
-    ax, ay = unit(mx[j], my[j])
-    offset = jnp.where(size > 0.0, b[j] / jnp.where(size > 0.0, size, 1.0), 0.0)
+    eased = ~(hard | exists[None])
+    mx, my, b = (part - jnp.where(eased, of(part, i)[None], 0.0) for part in (nx, ny, c))
+    ax, ay, offset = _line(of(mx, j), of(my, j), of(b, j))
     lower, upper = _chord(offset, limit)
-    rate, rest = my * ax - mx * ay, b - offset * (mx * ax + my * ay)  # there, t rate >= rest
-    others = (jnp.abs(rate) > PARALLEL) & (jnp.arange(c.shape[0], dtype=jnp.int32) != j)
+    rate, rest = (
+        my * ax[None] - mx * ay[None],
+        b - offset[None] * (mx * ax[None] + my * ay[None]),
+    )  # there, t rate >= rest
+    others = (jnp.abs(rate) > PARALLEL) & (numbers != j[None])
     bound = rest / jnp.where(others, rate, 1.0)
-    lower = jnp.maximum(lower, jnp.where(others & (rate > 0.0), bound, -jnp.inf).max())
-    upper = jnp.maximum(lower, jnp.minimum(upper, jnp.where(others & (rate < 0.0), bound, jnp.inf).min()))
-    gain = ny[i] * ax - nx[i] * ay
-    opposite = (jnp.abs(gain) <= PARALLEL) & (i != j)
-    t = jnp.where(opposite, jnp.clip(py * ax - px * ay, lower, upper), jnp.where(gain > 0.0, upper, lower))
-    x, y = offset * ax - t * ay, offset * ay + t * ax
-    return jnp.where(i == j, limit * nx[i], x), jnp.where(i == j, limit * ny[i], y), opposite
+    lower = jnp.maximum(lower, jnp.where(others & (rate > 0.0), bound, -jnp.inf).max(0))
+    upper = jnp.minimum(upper, jnp.where(others & (rate < 0.0), bound, jnp.inf).min(0))
+    x, y, _ = _end(ix, iy, ax, ay, offset, lower, upper, px, py)  # if it exists, i is parallel to the line
+    return jnp.where(alone, limit * ix, x), jnp.where(alone, limit * iy, y)
 
 
-def _neighbors(people: Pedestrians) -> Array:
-    """(N, K) the nearest others of each person."""
-    x, y = people.position[:, 0], people.position[:, 1]
-    dx, dy = x[:, None] - x[None, :], y[:, None] - y[None, :]
-    square = jnp.where(people.present[None, :], dx * dx + dy * dy, jnp.inf)
-    square = jnp.where(jnp.eye(x.shape[0], dtype=bool), jnp.inf, square)
-    return jax.lax.top_k(-square, min(NEIGHBORS, x.shape[0]))[1].astype(jnp.int32)
+def _neighbors(people: Pedestrians) -> Int[Array, "K N"]:
+    """The nearest others of each person."""
+    x, y = jax.lax.stop_gradient(people.position).T
+    dx, dy = x[:, None] - x[None], y[:, None] - y[None]
+    other = people.present[:, None] & ~jnp.eye(x.shape[0], dtype=bool)
+    return smallest(jnp.where(other, dx * dx + dy * dy, jnp.inf), NEIGHBORS)
 
 
-def _avoided(people: Pedestrians, others: Array) -> Array:
-    """(N, K) whether an other is present, near and not in the same standing group."""
-    x, y, group = people.position[:, 0], people.position[:, 1], people.group
-    dx, dy = x[others] - x[:, None], y[others] - y[:, None]
-    together = (group[:, None] >= 0) & (group[others] == group[:, None])
-    itself = others == jnp.arange(x.shape[0], dtype=jnp.int32)[:, None]
-    return people.present[others] & ~itself & ~together & (dx * dx + dy * dy < RANGE * RANGE)
+def smallest(values: Float[Array, "J N"], count: int) -> Int[Array, "K N"]:
+    """The numbers of the smallest values of each column, ascending; no value is negative.
+
+    On a CPU, values that differ by less than J / 2^23 of themselves may change places.
+    """
+    values = jax.lax.stop_gradient(values)
+    if len(values) <= count:
+        return jnp.broadcast_to(jnp.arange(len(values), dtype=jnp.int32)[:, None], values.shape)
+
+    def by_key(values: Array) -> Array:
+        # Whole numbers in the order of the values, with the number of each value in their last bits. Of the numbers
+        # from ``next`` on, the smallest is next: others wrap around to large ones.
+        whole = jnp.dtype(f"uint{8 * values.dtype.itemsize}")
+        last = np.array((1 << (len(values) - 1).bit_length()) - 1, whole)
+        keys = jax.lax.bitcast_convert_type(values, whole) & ~last | jnp.arange(len(values), dtype=whole)[:, None]
+        rows = -(-len(values) // 8)
+        filled = jnp.full((8 * rows, values.shape[1]), np.iinfo(whole).max, whole).at[: len(values)].set(keys)
+
+        def turn(after: Array, _: None) -> tuple[Array, Array]:
+            parts = (filled - after[None]).reshape(8, rows, -1)
+            found = after + reduce(jnp.minimum, [parts[part] for part in range(8)]).min(0)
+            return found + np.array(1, whole), found
+
+        found = jax.lax.scan(turn, jnp.zeros(values.shape[1], whole), length=count)[1]
+        return (found & last).astype(jnp.int32)
+
+    def by_sort(values: Array) -> Array:
+        return jax.lax.top_k(-values.T, count)[1].astype(jnp.int32).T
+
+    return jax.lax.platform_dependent(values, cpu=by_key, default=by_sort)
+
+
+def _avoids(people: Pedestrians, others: Int[Array, "K N"]) -> Bool[Array, "K N"]:
+    """Whether an other is present, somebody else and not in the same standing group; the number N is nobody."""
+    number = people.present.shape[0]
+    alone, absent, nobody = -1, -2, -3  # one gather
+    group = jnp.where(people.present, jnp.maximum(people.group, alone), absent)
+    theirs = jnp.append(group, nobody)[others]
+    own = people.group[None]
+    itself = others == jnp.arange(number, dtype=jnp.int32)[None]
+    return (theirs >= alone) & ~itself & ((own < 0) | (theirs != own))
 
 
 MODELS = {"social_forces": social_forces.move, "constant_velocity": constant_velocity, "orca": orca}

@@ -2,6 +2,7 @@
 
 import argparse
 import importlib
+import importlib.util
 import json
 import subprocess
 import sys
@@ -63,24 +64,16 @@ def test_peers(tmp_path):
         "    return lambda: lambda steps: sum(range(20000 * steps)), 'counts'\n"
     )
     arguments = "--people", "12", "--batches", "1", "2", "--repeats", "1", "--seconds", "0.05", "--simulator", str(peer)
-    rows = [line.split() for line in run("benchmarks/peers.py", *arguments)[2:]]
+    lines = run("benchmarks/peers.py", *arguments)
+    if not importlib.util.find_spec("rvo2"):
+        assert any(line.startswith("rvo2: not installed; pip install") for line in lines)
+    rows = [line.split() for line in lines if line.split()[0] in ("open", "walls")]
+    assert sum(row[3] == "orca," for row in rows) == 4
     assert [row[0] for row in rows if "slowpoke" in row] == ["open", "walls"]
     best = {hall: max(float(r[6]) for r in rows if r[0] == hall and r[2] == "sean_jax,") for hall in ("open", "walls")}
     for row in rows:
         if "slowpoke" in row:
             assert float(row[4].rstrip("x")) == pytest.approx(best[row[0]] / float(row[3]), rel=0.02)
-
-
-@pytest.mark.slow
-def test_floors(tmp_path):
-    rows = {line[:26].strip(): line[26:].split() for line in run("benchmarks/floors.py", "--people", "14")[1:]}
-    assert len(rows) == 6 and all(float(row[0]) > float(row[1]) > 0 for row in rows.values())
-    step, image, both = (float(rows[name][0]) for name in list(rows)[:3])
-    assert both == pytest.approx(step + image)
-    ours = tmp_path / "bench.json"
-    ours.write_text(json.dumps({"rows": [{"part": "step", "devices": 1, "people": 14, "per_second": 100.0}]}))
-    (first, *_) = run("benchmarks/floors.py", "--people", "14", "--simple", "1e9", "--measured", str(ours))[1:]
-    assert float(first.split()[-1].rstrip("%")) == pytest.approx(100 * 100.0 * step / 1e9, rel=0.1)
 
 
 @pytest.mark.slow

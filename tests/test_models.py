@@ -12,7 +12,7 @@ from quick import quick
 from scipy.optimize import linprog, minimize
 
 import sean_jax
-from sean_jax.pedestrian_models import MODELS, VelocityProgram, best_velocity, half_plane
+from sean_jax.pedestrian_models import MODELS, TOGETHER, VelocityProgram, best_velocity, half_plane, smallest
 from sean_jax.policies import go_to_goal
 
 LIMIT = 1.7
@@ -115,6 +115,37 @@ def test_where_nothing_is_left_the_least_violating_velocity_is_that_of_all_corne
             off.append(np.linalg.norm(v - exact))
     assert len(off) > 40
     assert np.quantile(off, 0.99) < 1e-3  # some are as good within float32, wherever along a border
+
+
+@pytest.mark.parametrize("spread", [0.0, 0.7, 3.0])
+def test_agents_in_one_program_have_the_velocities_of_agents_alone(spread):
+    """With and without velocities in all half-planes: nobody, some and more than are searched at once, in batches."""
+    normal, c, wanted = configurations(4 * 8 * TOGETHER[0], 9, 5, spread)
+    alone = jax.jit(best_velocity)
+    hard, limit = jnp.arange(9) >= 7, jnp.float32(LIMIT)
+    given = [jnp.asarray(part, jnp.float32) for part in (normal[..., 0], normal[..., 1], c, *wanted.T)]
+    each = [alone(VelocityProgram(*(part[k] for part in given[:3]), hard, *(part[k] for part in given[3:]), limit))
+            for k in range(0, len(c), 16)]  # fmt: skip
+    nx, ny, c, px, py = (jnp.moveaxis(part.reshape(4, -1, *part.shape[1:]), 1, -1) for part in given)
+
+    def crowd(nx, ny, c, px, py):
+        return best_velocity(VelocityProgram(nx, ny, c, hard, px, py, jnp.full_like(px, LIMIT)))
+
+    together = np.stack(jax.jit(jax.vmap(crowd))(nx, ny, c, px, py), -1).reshape(-1, 2)
+    np.testing.assert_allclose(together[::16], each, atol=2e-4)
+
+
+def test_smallest_values_are_those_of_a_sort():
+    """Among more and fewer values than asked for, with equal and infinite ones, in a batch."""
+    random = np.random.default_rng(6)
+    for number in (3, 8, 9, 62, 200):
+        values = random.choice(np.linspace(0.0, 40.0, 3 * number), (2, number, 5)).astype(np.float32)
+        values[random.uniform(size=values.shape) < 0.2] = np.inf
+        found = np.asarray(jax.jit(jax.vmap(lambda values: smallest(values, 8)))(values))
+        expected = np.argsort(values, 1, kind="stable")[:, :8]
+        np.testing.assert_array_equal(
+            np.sort(found, 1) if number <= 8 else found, np.sort(expected, 1) if number <= 8 else expected
+        )
 
 
 def test_faster_than_the_top_speed_is_out_of_reach_so_people_go_straight_away():

@@ -20,7 +20,7 @@ from rich.console import Console
 
 from sean_jax import assembly, writing
 from sean_jax.base import Scenario
-from sean_jax.bench import programs
+from sean_jax.bench import floors, programs
 from sean_jax.bench.programs import Program, measure
 from sean_jax.config import BenchConfig, ScenarioConfig
 from sean_jax.drawing import colors
@@ -33,8 +33,8 @@ __all__ = ["run"]
 IMAGE = 64, 48  # pixels of the image of a step
 SIZES = (16, 12), (32, 24), (64, 48), (160, 120), (320, 240), (640, 480)
 CROWDS = 62, 200, 1000, 10_000  # people
-HEAD = f"{'part':<9}{'B':>7}{'people':>8}{'pixels':>9}{'devices':>8}{'per second':>13}  {'of':<27}{'us a call':>11}" + (
-    f"{'compile s':>11}{'KiB a scenario':>16}"
+HEAD = f"{'part':<9}{'B':>7}{'people':>7}{'pixels':>7}{'devices':>8}{'per second':>11}  {'of':<15}{'floor /s':>9}" + (
+    f"{'share':>7}  {'bound by':<11}{'us a call':>9}{'compile s':>10}{'KiB each':>9}"
 )
 
 
@@ -49,6 +49,9 @@ class Row:
     pixels: int  # of an image, 0 for none
     devices: int
     per_second: float  # units; for the part "compile" the seconds themselves
+    floor: float  # units a second at the rates of the devices, NaN for none
+    bound: str  # what takes longest then: a key of ``needs``, "" for nothing
+    needs: dict[str, float]  # operations, special functions and bytes of a unit
     microseconds: float  # of one call for the whole batch
     compile_seconds: float
     scenario_bytes: float  # state and temporary memory of one scenario
@@ -69,7 +72,7 @@ def run(options: BenchConfig, console: Console) -> Path:
     writing.check_new_folder(folder)
     with writing.folder_lock(folder):
         writing.check_new_folder(folder)
-        with console.status("preparing the scenario"):
+        with console.status("preparing the scenario and the rates of the device"):
             scenario, setup = _prepare(options)
         rows: list[Row] = []
         _print(console, title(setup), HEAD)
@@ -119,6 +122,7 @@ def _prepare(options: BenchConfig) -> tuple[Scenario, dict[str, Any]]:
         "device": jax.devices()[0].device_kind,
         "devices": jax.device_count(),
         "memory": memory(),
+        "rates": floors.rates()._asdict(),
         "environment": options.environment,
         "people": scenario.people,
         "robot": options.robot.kind,
@@ -170,7 +174,10 @@ def _row(
     """Time a program of a batch."""
     figures = measure(program, options.repeats, options.seconds)
     scenario_bytes = figures.pop("bytes") / batch
-    return Row(part, what, batch, people, pixels, devices, **figures, scenario_bytes=scenario_bytes)
+    least, bound = floors.floor(figures["needs"], floors.rates(), 1 if on_cpu() else devices)
+    return Row(
+        part, what, batch, people, pixels, devices, floor=least, bound=bound, scenario_bytes=scenario_bytes, **figures
+    )
 
 
 def steps(
@@ -213,13 +220,16 @@ def compiling(options: BenchConfig, scenario: Scenario) -> Iterator[Row]:
     with tempfile.TemporaryDirectory() as folder:
         jax.config.update("jax_enable_compilation_cache", True)
         jax.config.update("jax_compilation_cache_dir", folder)
-        for what in ("seconds to compile, cold", "seconds to compile, cached"):
+        for what in ("seconds, cold", "seconds, cached"):
             jax.clear_caches()
             compilation_cache.reset_cache()
             began = time.perf_counter()
             program.run.lower(*program.fixed, program.carried).compile()
             spent = time.perf_counter() - began
-            yield Row("compile", what, 64, scenario.people, 0, 1, spent, 1e6 * spent, spent, float("nan"))
+            yield Row(
+                "compile", what, 64, scenario.people, 0, 1, per_second=spent, floor=float("nan"), bound="", needs={},
+                microseconds=1e6 * spent, compile_seconds=spent, scenario_bytes=float("nan"),
+            )  # fmt: skip
     for name, value in settings.items():
         jax.config.update(name, value)
     compilation_cache.reset_cache()
@@ -260,15 +270,32 @@ def line(row: Row) -> str:
     """A row of the table, as long as ``HEAD``."""
     pixels = str(row.pixels) if row.pixels else "-"
     kib = "-" if np.isnan(row.scenario_bytes) else f"{row.scenario_bytes / 1024:.1f}"
+    least = share = bound = "-"
+    if row.bound:
+        percent = 100 * row.per_second / row.floor
+        least, share, bound = f"{row.floor:.3g}", f"{percent:.{0 if percent >= 10 else 1}f} %", row.bound
     return (
-        f"{row.part:<9}{row.batch:7d}{row.people:8d}{pixels:>9}{row.devices:8d}{row.per_second:13.4g}  {row.what:<27}"
-        f"{row.microseconds:11.0f}{row.compile_seconds:11.1f}{kib:>16}"
+        f"{row.part:<9}{row.batch:7d}{row.people:7d}{pixels:>7}{row.devices:8d}{row.per_second:11.4g}  {row.what:<15}"
+        f"{least:>9}{share:>7}  {bound:<11}{row.microseconds:9.0f}{row.compile_seconds:10.1f}{kib:>9}"
     )
 
 
 def notes(rows: list[Row], setup: dict[str, Any]) -> list[str]:
-    """Estimate the largest batch that fits into memory, and compare several devices with one."""
+    """What the floors are made of and which batches fixed costs bind, the largest batch, several devices beside one."""
     lines = []
+    if any(row.bound for row in rows):
+        rates = ", ".join(f"{rate:.2g} {name}" for name, rate in setup["rates"].items())
+        lines.append(f"floor: what the program needs, at {rates} a second; bound by: what takes longest of these.")
+    for kind in dict.fromkeys((row.part, row.people, row.pixels) for row in rows if row.bound):
+        same = [row for row in rows if (row.part, row.people, row.pixels) == kind]
+        small = min(same, key=lambda row: row.batch)
+        flat = [row for row in same if row.batch >= 4 * small.batch and row.microseconds < 2 * small.microseconds]
+        if flat and kind[0] != "devices":
+            large = max(flat, key=lambda row: row.batch)
+            lines.append(
+                f"{kind[0]}, {kind[1]} people: a call takes {small.microseconds:.0f} us at B = {small.batch} and "
+                f"{large.microseconds:.0f} us at B = {large.batch}; so far launches and the host bind, not the floor."
+            )
     for part, name in (("step", "without images"), ("depth", "with a depth image each")):
         largest = max((row for row in rows if row.part == part), key=lambda row: row.batch, default=None)
         if largest is not None and setup["memory"] and largest.scenario_bytes > 0:

@@ -5,24 +5,28 @@ Each scenario is reset with its own key. The robot gets a constant command and d
 
 import dataclasses
 import time
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import field, replace
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy.spatial import KDTree
 
 from sean_jax import devices, episodes, prng, sensors, social_forces
-from sean_jax.base import Array, Scenario, State
-from sean_jax.bench import workload
+from sean_jax.base import Array, Pedestrians, Scenario, State
+from sean_jax.bench import floors, workload
 from sean_jax.config import DEFAULT_FORCES
 from sean_jax.geometry import rotate
+from sean_jax.raycast import Rays, intersect, kernel
 from sean_jax.scenario import reset
-from sean_jax.social_forces import model
+from sean_jax.sensors import cameras
+from sean_jax.social_forces import Forces, model, neighbors
 
 STARTS = 1024  # in the pool that ended episodes restart from
 CROWD_STEP = 0.05  # s
+SAMPLE = 64  # scenarios whose pairs and bodies in sight are counted
 LOOKING = 0.8, 0.6  # cosine and sine of the angle by which robots turn between two images
 
 
@@ -35,18 +39,22 @@ class Program:
     carried: Any
     count: int
     turns: int
+    loops: dict[str, float] = field(default_factory=dict)  # turns of loops that end by data, as of ``floors.count``
 
 
-def measure(program: Program, repeats: int, seconds: float) -> dict[str, float]:
+def measure(program: Program, repeats: int, seconds: float) -> dict[str, Any]:
     """Compile a program and time it ``repeats`` times for about so many seconds, after a warm-up.
 
     Returns:
-        ``per_second``, ``microseconds`` and ``compile_seconds`` as of a row of ``sean bench``, and ``bytes``, the state
-        and the temporary memory of the whole batch (NaN if the compiler does not report it).
+        ``per_second``, ``microseconds`` and ``compile_seconds`` as of a row of ``sean bench``; ``bytes``, the state
+        and the temporary memory of the whole batch (NaN if the compiler does not report it); and ``needs``, what one
+        unit needs, as of ``floors.count``.
     """
     began = time.perf_counter()
-    compiled = program.run.lower(*program.fixed, program.carried).compile()
+    traced = program.run.trace(*program.fixed, program.carried)
+    compiled = traced.lower().compile()
     compiling = time.perf_counter() - began
+    needs = floors.count(traced.jaxpr, program.loops, jax.devices()[0].platform)
     memory = compiled.memory_analysis()
     # Donated arguments count once: the results lie where the arguments were.
     arrays = [leaf for leaf in jax.tree.leaves(program.carried) if hasattr(leaf, "itemsize")]
@@ -69,6 +77,7 @@ def measure(program: Program, repeats: int, seconds: float) -> dict[str, float]:
         "microseconds": 1e6 * each,
         "compile_seconds": compiling,
         "bytes": used,
+        "needs": {name: need / program.count / program.turns for name, need in needs.items()},
     }
 
 
@@ -103,7 +112,10 @@ def stepping(
 
     size = (1, 1) if image is None else (image[1], image[0])
     blank = devices.shard(over, lambda _, tick: jnp.zeros(size, float))(fixed, states.tick)
-    return Program(devices.shard_jit(over, run, donate=True), (fixed,), (states, blank), batch * number, turns)
+    loops = _pairs(scenario.forces, states.pedestrians)
+    if eye is not None:
+        loops |= _rays(scenario, states, cameras.bands(eye)[0])
+    return Program(devices.shard_jit(over, run, donate=True), (fixed,), (states, blank), batch * number, turns, loops)
 
 
 def images(scenario: Scenario, name: str, batch: int, width: int, height: int, turns: int = 1) -> Program:
@@ -131,7 +143,9 @@ def images(scenario: Scenario, name: str, batch: int, width: int, height: int, t
 
     shape = jax.eval_shape(jax.vmap(one, (None, 0)), scenario, states)
     blank = jnp.zeros(shape.shape, shape.dtype)
-    return Program(jax.jit(run, donate_argnums=1), (scenario,), (states, blank), batch, turns)
+    bundles = cameras.bands(camera)[0] if name == "depth" else (cameras.rays(camera)[0],)
+    loops = _rays(scenario, states, bundles)
+    return Program(jax.jit(run, donate_argnums=1), (scenario,), (states, blank), batch, turns, loops)
 
 
 def crowd(people: int, batch: int, turns: int, walls: int = 32, preset: str = DEFAULT_FORCES) -> Program:
@@ -156,4 +170,36 @@ def crowd(people: int, batch: int, turns: int, walls: int = 32, preset: str = DE
 
         return jax.lax.scan(turn, many, length=turns // 2)[0].position
 
-    return Program(jax.jit(run), (parameters, grid, many), many.position, batch * people, turns)
+    loops = _pairs(parameters, many)
+    return Program(jax.jit(run), (parameters, grid, many), many.position, batch * people, turns, loops)
+
+
+def _pairs(forces: Forces, people: Pedestrians) -> dict[str, float]:
+    """Turns of the loops over pairs of people (batch, N), if they visited only the others within reach."""
+    known, numbers = model.cutoff(forces), []
+    reach = float(forces.walking.perception if known is None else known)
+    for position, present in zip(people.position[:SAMPLE], people.present[:SAMPLE], strict=True):
+        tree = KDTree(np.asarray(position)[np.asarray(present)])
+        numbers.append((tree.count_neighbors(tree, reach) - tree.n) / len(position))
+    within = float(np.mean(numbers))
+    return {"pairs": within, "neighbors": within / (3 * neighbors.PART)}
+
+
+def _rays(scenario: Scenario, states: State, bundles: Sequence[Rays]) -> dict[str, float]:
+    """Turns of the loops over bodies, if each tile of rays tested only those that it has in sight."""
+
+    def one(state: State) -> list[Array]:
+        view = cameras.sensor_view(scenario, state, bundles[0])
+        return [family.in_sight for bundle in bundles for family in intersect.families(view, bundle)]
+
+    each = [np.asarray(sight) for sight in jax.jit(jax.vmap(one))(jax.tree.map(lambda leaf: leaf[:SAMPLE], states))]
+    if not each:
+        return {}
+    bodies = [sight.sum(-1).mean() for sight in each]  # of a family that a tile has in sight
+    words = [-(-sight.shape[-1] // kernel.BITS) for sight in each]
+    tasks = [max(1, sight.shape[1] // intersect.SHARE) / sight.shape[1] * intersect.CHUNK for sight in each]
+    return {
+        "raycast": float(np.sum(bodies) / np.sum(words)),
+        "first": float(np.mean(bodies)),
+        "nearest": float(np.mean(np.divide(bodies, tasks))),
+    }

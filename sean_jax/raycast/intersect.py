@@ -61,7 +61,7 @@ def _nearest_of_all(rays: Rays, view: View) -> tuple[Array]:
     """``nearest`` in loops of XLA's, for CPUs."""
     beams = Beams.of(rays)
     distance = ground(view.height, beams.direction[2], beams.inverse_rise)
-    for family in _families(view, rays):
+    for family in families(view, rays):
         distance = _nearest(_law(family, view), family.table, family.in_sight, beams, distance)
     return (distance,)
 
@@ -71,7 +71,7 @@ def _first_of_all(rays: Rays, view: View) -> tuple[Array, Array]:
     beams, floor = Beams.of(rays), _starts(view)[4]
     distance = ground(view.height, beams.direction[2], beams.inverse_rise)
     first = distance, jnp.where(distance < MISS, floor, floor + 1).astype(jnp.int32)
-    for family in _families(view, rays):
+    for family in families(view, rays):
         first = _first(_law(family, view), family.table, family.in_sight, family.start, beams, first)
     return first
 
@@ -80,7 +80,7 @@ def _in_a_kernel(rays: Rays, numbers: bool, view: View) -> tuple[Array, ...]:
     """``nearest``, or with ``numbers`` ``search``, for GPUs."""
     if any(leaf.dtype.itemsize > 4 for leaf in jax.tree.leaves(view)) or not kernels.available():
         return (_first_of_all if numbers else _nearest_of_all)(rays, view)
-    return kernel.first(rays, list(_families(view, rays)), view.radius, view.height, _starts(view)[4], numbers)
+    return kernel.first(rays, list(families(view, rays)), view.radius, view.height, _starts(view)[4], numbers)
 
 
 def _starts(view: View) -> tuple[int, int, int, int, int]:
@@ -93,7 +93,7 @@ def _law(family: Family, view: View) -> Law:
     return lambda row, beams: family.law(row, beams, view.radius, view.height)
 
 
-def _families(view: View, rays: Rays) -> Iterator[Family]:
+def families(view: View, rays: Rays) -> Iterator[Family]:
     """The kinds of bodies that are there."""
     first_of = _starts(view)
     boxes, cylinders, spheres, people = view.boxes, view.cylinders, view.spheres, view.people
@@ -141,6 +141,7 @@ def _in_sight(rays: Rays, table: Array, edge: Callable, away: Array, top: Array)
     return possible & ((rays.slope_min[:, None] <= 0.0) | (top[None, :] >= rays.slope_min[:, None] * away[None, :]))
 
 
+@jax.named_scope("nearest")
 def _nearest(law: Law, table: Array, in_sight: Array, beams: Beams, distance: Array) -> Array:
     """The minimum of distances (tiles, rays) and those to the bodies of a table (K, F).
 
@@ -178,6 +179,7 @@ def _nearest(law: Law, table: Array, in_sight: Array, beams: Beams, distance: Ar
     return jax.lax.bitcast_convert_type(bits, real)
 
 
+@jax.named_scope("first")
 def _first(
     law: Law, table: Array, in_sight: Array, start: int, beams: Beams, first: tuple[Array, Array]
 ) -> tuple[Array, Array]:

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from sean_jax.base import Array
-from sean_jax.kernels import WIDTH, batch
+from sean_jax.kernels import WIDTH, batch, launch
 from sean_jax.raycast.view import MISS, Beams, Rays, ground
 
 BITS = 32  # bodies in a word; a bit is set if the tile has the body in sight
@@ -83,25 +83,10 @@ def _words(in_sight: Array) -> Array:
 
 def _call(shape: _Shape, *operands: Array, interpret: bool = False) -> tuple[Array, ...]:
     """The kernel, for operands of (scenarios, ...) or, where all scenarios have the same, (1, ...)."""
-    from jax.experimental import pallas
-    from jax.experimental.pallas import mosaic_gpu
-
     grid = max(operand.shape[0] for operand in operands), shape.rays.tiles * shape.parts
     kinds = (operands[0].dtype, jnp.int32)[: 1 + shape.numbers]
     out = tuple(jax.ShapeDtypeStruct((grid[0], grid[1] * WIDTH), kind) for kind in kinds)
-    if interpret:  # on a CPU, by XLA
-        kernel = partial(_kernel, shape, pallas.program_id)
-        return tuple(pallas.pallas_call(kernel, grid=grid, out_shape=out, interpret=True)(*operands))
-    names = "scenario", "program"
-    parameters = mosaic_gpu.CompilerParams(unsafe_no_auto_barriers=True)  # safe: a program reads nothing that it writes
-    return mosaic_gpu.kernel(
-        partial(_kernel, shape, lambda axis: jax.lax.axis_index(names[axis])),
-        out_type=out,
-        grid=grid,
-        grid_names=names,
-        compiler_params=parameters,
-        kernel_name="raycast",
-    )(*operands)
+    return launch(partial(_kernel, shape), "raycast", grid, out, *operands, interpret=interpret)
 
 
 def _kernel(shape: _Shape, index: Callable[[int], Any], *references: Any) -> None:

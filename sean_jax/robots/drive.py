@@ -168,6 +168,8 @@ def _simulate(
     def one(motion: Motion, index: Array) -> tuple[Motion, None]:
         return substep(model, surroundings, model.time_step * (steps - index), motion, targets), None
 
+    # Reverse mode would store a hundred numbers of each step in arrays of their own.
+    one = jax.checkpoint(one, prevent_cse=False)
     return jax.lax.scan(one, motion, jnp.arange(steps).astype(motion[0].dtype))[0]
 
 

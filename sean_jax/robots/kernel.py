@@ -60,33 +60,16 @@ def _body(model: RobotModel) -> Body:
 
 def _call(shape: _Shape, *operands: Array, interpret: bool = False) -> tuple[Array, ...]:
     """The kernel, for operands of (scenarios, ...) or, where all scenarios have the same, (1, ...)."""
-    from jax.experimental import pallas
-    from jax.experimental.pallas import mosaic_gpu
-
     scenarios = max(operand.shape[0] for operand in operands)
     out = (jax.ShapeDtypeStruct((scenarios, 2 * COORDINATES), operands[0].dtype),)
-    if interpret:  # on a CPU, by XLA
-        kernel = partial(_kernel, shape, lambda: (pallas.program_id(0), 0), 1)
-        return tuple(pallas.pallas_call(kernel, grid=(scenarios,), out_shape=out, interpret=True)(*operands))
-
-    def number() -> tuple:
-        thread = jax.lax.axis_index("program") * kernels.WIDTH + kernels.thread_number()
-        lane = thread & (LANES - 1)
-        return jnp.minimum(jax.lax.div(thread, np.int32(LANES)), scenarios - 1), lane
-
-    return mosaic_gpu.kernel(
-        partial(_kernel, shape, number, LANES),
-        out_type=out,
-        grid=(-(-scenarios * LANES // kernels.WIDTH),),
-        grid_names=("program",),
-        compiler_params=mosaic_gpu.CompilerParams(unsafe_no_auto_barriers=True),  # a thread reads nothing written
-        kernel_name="robot",
-    )(*operands)
+    lanes = 1 if interpret else LANES
+    kernel = partial(_kernel, shape, lanes)
+    return kernels.launch_threads(kernel, "robot", scenarios * lanes, out, *operands, interpret=interpret)
 
 
-def _kernel(shape: _Shape, number: Any, lanes: int, *references: Any) -> None:
+def _kernel(shape: _Shape, lanes: int, number: Any, *references: Any) -> None:
     """One of the threads of a scenario."""
-    (scenario, lane), result = number(), references[-1]
+    scenario, lane, result = jax.lax.div(number, np.int32(lanes)), number & (lanes - 1), references[-1]
 
     def read(reference: Any, column: Any) -> Any:
         return reference[0 if reference.shape[0] == 1 else scenario, column]

@@ -7,6 +7,7 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 from jax.ad_checkpoint import checkpoint_name
+from jax.flatten_util import ravel_pytree
 from jaxtyping import Float, Int
 
 from sean_jax.base import Array, Groups, ObstacleGrid, Pedestrians, Robot, Scenario, State, Traits
@@ -82,10 +83,11 @@ def move(scenario: Scenario, state: State) -> Pedestrians:
         people = reactions.attend(people, state.robot, scenario.environment.obstacles, scenario.time_step)
     grid, radius, companions = scenario.environment.obstacle_grid, scenario.robot.radius, scenario.behavior.companions
     near = neighbors(scenario.forces, state.pedestrians, scenario.time_step)
+    numbers, forces = ravel_pytree(scenario.forces)  # reverse mode adds up one array, not one for each number
 
     def substep(people: Pedestrians, _):
-        after = integrate(scenario.forces, people, grid, state.groups, state.robot, time_step, radius, companions, near)
-        return after, None
+        now = forces(numbers), people
+        return integrate(*now, grid, state.groups, state.robot, time_step, radius, companions, near), None
 
     keep = jax.checkpoint_policies.save_only_these_names(SUMS)
     substep = jax.checkpoint(substep, prevent_cse=False, policy=keep)

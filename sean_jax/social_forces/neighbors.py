@@ -10,15 +10,18 @@ each in as many parts as its longest run needs. So no crowd is too dense, and a 
 the sums elsewhere.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial, reduce
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from flax import struct
+from jax.flatten_util import ravel_pytree
 from jaxtyping import Bool, Float, Int, PyTree
 
+from sean_jax import kernels
 from sean_jax.base import Array
 from sean_jax.devices import by_platform
 from sean_jax.geometry import sum_in_pairs
@@ -37,10 +40,10 @@ class Neighbors:
     """The neighbors of each person, as runs of the sorted crowd."""
 
     order: Int[Array, "N"]  # the people, strip by strip, in each from left to right
-    by_parts: Int[Array, "N"]  # the people, sorted by number of parts, the most first
-    rank: Int[Array, "N"]  # where among those each person is
-    first: Int[Array, "N 3"]  # by_parts: where in ``order`` the runs in the strips below, own and above begin ...
+    first: Int[Array, "N 3"]  # in that order: where the runs of each in the strips below, own and above begin ...
     last: Int[Array, "N 3"]  # ... and end, exclusively
+    by_parts: Int[Array, "N"]  # places in that order, sorted by number of parts of the runs, the most first
+    rank: Int[Array, "N"]  # where among those each person is
 
 
 def find(position: Float[Array, "N 2"], present: Bool[Array, "N"], within: Float[Array, ""] | float) -> Neighbors:
@@ -57,17 +60,20 @@ def find(position: Float[Array, "N 2"], present: Bool[Array, "N"], within: Float
     width = jnp.max(x) + 2.0 * within + 1.0
     along = strip * width + x
     numbers = jnp.arange(x.shape[0], dtype=jnp.int32)
-    along, order, below, above = jax.lax.sort((along, numbers, below, above), num_keys=1)
+    along, order = jax.lax.sort((along, numbers), num_keys=1)
     middle = jnp.stack([along - width, along, along + width], 1)
-    half = jnp.stack([below, jnp.full_like(below, within), above], 1)
-    where = partial(jnp.searchsorted, along, method="scan_unrolled")
-    first, last = (
-        where(query, side=side).astype(jnp.int32) for query, side in ((middle - half, "left"), (middle + half, "right"))
-    )
-    _, place = jax.lax.sort((-_parts(first, last), numbers), num_keys=1)
-    by_parts = order[place]
-    rank = jnp.zeros_like(by_parts).at[by_parts].set(numbers, unique_indices=True)
-    return Neighbors(order, by_parts, rank, first[place], last[place])
+    half = jnp.stack([below[order], jnp.full_like(below, within), above[order]], 1)
+    in_kernel = kernels.available() and along.dtype == np.float32
+    first, last = by_platform(_search, kernel.search if in_kernel else _search)(along, middle - half, middle + half)
+    _, by_parts = jax.lax.sort((-_parts(first, last), numbers), num_keys=1)
+    rank = jnp.zeros_like(order).at[order[by_parts]].set(numbers, unique_indices=True)
+    return Neighbors(order, first, last, by_parts, rank)
+
+
+def _search(row: Array, low: Array, high: Array) -> tuple[Array, Array]:
+    """Where in a sorted row the values begin that are at least ``low``, and end that are at most ``high``."""
+    where = partial(jnp.searchsorted, row, method="scan_unrolled")
+    return where(low, side="left").astype(jnp.int32), where(high, side="right").astype(jnp.int32)
 
 
 def _half_chord(radius: Array, apart: Array) -> Array:
@@ -84,7 +90,7 @@ def _from_min(values: Array, present: Array) -> Array:
 def sum_near(
     law: Callable, near: Neighbors, shared: PyTree, own: Float[Array, "A N"], other: Float[Array, "B N"]
 ) -> PyTree:
-    """``sum_pairs`` over neighbors, with rows as arrays. Reverse mode needs ``pull_back_near``."""
+    """``sum_pairs`` over neighbors, with rows and shared numbers as arrays. Reverse mode needs ``pull_back_near``."""
     sorted_other = other[:, near.order]
     numbers, structure = jax.tree.flatten(jax.eval_shape(law, shared, own[:, 0], other[:, 0]))
 
@@ -147,7 +153,7 @@ class Runs(NamedTuple):
 def _over_blocks(near: Neighbors, block: Callable, rows: Array) -> tuple:
     """Applies ``block(runs, rows (R, n)) -> (tuple of (n,), totals)`` to all blocks of people.
 
-    The result is the tuple of (N,), in the order of ``near.by_parts``, and the sum of the totals.
+    The result is the tuple of (N,), by number of parts as ``near.by_parts``, and the sum of the totals.
     """
     number = near.by_parts.shape[0]
     size = -(-number // BLOCKS)
@@ -156,11 +162,13 @@ def _over_blocks(near: Neighbors, block: Callable, rows: Array) -> tuple:
         filled = jnp.pad(values, [(0, BLOCKS * size - number)] + [(0, 0)] * (values.ndim - 1))
         return filled.reshape(BLOCKS, size, *values.shape[1:])
 
-    blocks = Runs(split(near.first), split(near.last)), split(rows[:, near.by_parts].T)
+    people = near.order[near.by_parts]
+    blocks = Runs(split(near.first[near.by_parts]), split(near.last[near.by_parts])), split(rows[:, people].T)
     each, total = jax.lax.map(lambda one: block(one[0], one[1].T), blocks)
     return tuple(row.reshape(-1)[:number] for row in each), jax.tree.map(lambda leaf: leaf.sum(0), total)
 
 
+@jax.named_scope("neighbors")
 def _over_parts(runs: Runs, add: Callable, sums: PyTree) -> PyTree:
     """The sums after ``add(part, sums)`` for as many parts as the longest run has."""
     parts = jnp.max(_parts(runs.first, runs.last))
@@ -213,7 +221,6 @@ def _sum_by_halves(pushes: Array) -> Array:
 Rows = tuple[Float[Array, "N"], ...]
 
 
-@partial(jax.custom_jvp, nondiff_argnums=(0,))
 def sum_pairs(
     law: Callable, near: Neighbors | None, reach: Float[Array, ""], shared: PyTree, own: Rows, other: Rows
 ) -> PyTree:
@@ -228,66 +235,102 @@ def sum_pairs(
         own: rows of the persons on whom the law acts; the first two are x and y [m].
         other: rows of the others, ``ABSENT`` for absent people; the first two are x and y [m].
     """
-    return _sum(law, near, reach, shared, own, other)
+    # One array: reverse mode would sum the cotangent of each number over people and scenarios in a kernel of its own.
+    numbers, unravel = ravel_pytree(shared)
+    leaves, structure = jax.tree.flatten(shared)
+    scalars = not any(map(jnp.ndim, leaves))
+
+    def law_of_numbers(numbers: Sequence[Array], own: Rows, other: Rows) -> PyTree:
+        return law(structure.unflatten(numbers) if scalars else unravel(jnp.stack(numbers)), own, other)
+
+    return _sum_pairs(law_of_numbers, near, reach, numbers, own, other)
 
 
-@sum_pairs.defjvp
+@partial(jax.custom_jvp, nondiff_argnums=(0,))
+def _sum_pairs(law: Callable, near: Neighbors | None, reach: Array, shared: Array, own: Rows, other: Rows) -> PyTree:
+    """``sum_pairs``, of a law that takes the numbers of the vector ``shared`` as a sequence."""
+    program = kernel.trace(law, near, shared, own, other)
+
+    def on_cpu(near: Neighbors | None, shared: Array, own: Rows, other: Rows) -> PyTree:
+        numbers = jnp.unstack(shared)
+        if near is not None:
+            return sum_near(law, near, numbers, jnp.stack(own), jnp.stack(other))
+        return _sum_all(law, 1, numbers, own, other)
+
+    def default(near: Neighbors | None, shared: Array, own: Rows, other: Rows) -> PyTree:
+        if program is not None:
+            sums = kernel.sum_pairs(program, near, reach, shared, own, other)
+            return jax.tree.unflatten(_structure(law, jnp.unstack(shared), own, other), list(sums))
+        if near is not None:
+            return on_cpu(near, shared, own, other)
+        return _sum_by_two(law, jnp.unstack(shared), own, other)
+
+    return by_platform(on_cpu, default)(near, shared, own, other)
+
+
+@_sum_pairs.defjvp
 def _jvp(law: Callable, primals: tuple, tangents: tuple) -> tuple:
-    sums = sum_pairs(law, *primals)
+    sums = _sum_pairs(law, *primals)
     change = linear_call(partial(_forward, law), partial(_backward, law), primals, tangents[2:], sums)
     return sums, change
 
 
-def _sum(law: Callable, near: Neighbors | None, reach: Array, shared: PyTree, own: Rows, other: Rows) -> PyTree:
-    if near is not None:
-        return sum_near(law, near, shared, jnp.stack(own), jnp.stack(other))
-    default = partial(_sum_by_two, law)
-    if kernel.supports(law, shared, own, other):
-        default = partial(kernel.sum_pairs, law, reach)
-    return by_platform(partial(_sum_all, law, 1), default)(shared, own, other)
+def _structure(law: Callable, shared: PyTree, own: Rows, other: Rows) -> Any:
+    """The structure of the numbers of the law."""
+    one = (tuple(jax.ShapeDtypeStruct((), row.dtype) for row in rows) for rows in (own, other))
+    return jax.tree.structure(jax.eval_shape(law, shared, *one))
 
 
 def _forward(law: Callable, primals: tuple, tangents: tuple) -> PyTree:
     """The derivative of the sums: the sums of the derivative of the law."""
     near, reach, *values = primals
-
-    def derivative(shared: tuple, own: Rows, other: Rows) -> PyTree:
-        halves = (own[: len(own) // 2], own[len(own) // 2 :]), (other[: len(other) // 2], other[len(other) // 2 :])
-        (own, d_own), (other, d_other) = halves
-        return jax.jvp(law, (shared[0], own, other), (shared[1], d_own, d_other))[1]
-
     shared, own, other = zip(values, tangents, strict=True)
-    return sum_pairs(derivative, near, reach, shared, (*own[0], *own[1]), (*other[0], *other[1]))
+
+    def derivative(*rows: Sequence[Array]) -> PyTree:
+        values, changes = zip(*((each[: len(each) // 2], each[len(each) // 2 :]) for each in rows), strict=True)
+        return jax.jvp(law, values, changes)[1]
+
+    return _sum_pairs(derivative, near, reach, jnp.concatenate(shared), (*own[0], *own[1]), (*other[0], *other[1]))
 
 
 def _backward(law: Callable, primals: tuple, cotangents: PyTree) -> tuple:
     """Cotangents of shared, own and other."""
     near, reach, shared, own, other = primals
-    if near is not None:
-        pulls = jnp.stack(jax.tree.leaves(cotangents))
-        d_shared, d_own, d_other = pull_back_near(law, near, shared, jnp.stack(own), jnp.stack(other), pulls)
-        return d_shared, tuple(d_own), tuple(d_other)
-    default = partial(_pull_back_in_two, law)
-    if kernel.supports(law, shared, own, other):
-        default = partial(_pull_back_in_kernel, law, reach)
-    return by_platform(partial(_pull_back_at_once, law), default)(shared, own, other, cotangents)
-
-
-def _pull_back_in_kernel(law: Callable, reach: Array, shared: PyTree, own: Rows, other: Rows, pulls: PyTree) -> tuple:
-    """The cotangents as sums over the others, of what each person does to them and they to it."""
-    pull_rows, structure = jax.tree.flatten(pulls)
-    rows = *own, *other, *pull_rows
+    pulls, structure = jax.tree.flatten(cotangents)
+    rows = *own, *other, *pulls
     first, second = len(own), len(own) + len(other)
 
-    def of_pair(shared: PyTree, person: Rows, another: Rows) -> tuple:
+    def of_pair(shared: Sequence[Array], person: Rows, another: Rows) -> tuple:
+        """What each person does to the other, and the other to the person."""
+
         def pull_back(person: Rows, another: Rows) -> tuple:
             pulls = structure.unflatten(person[second:])
             return jax.vjp(law, shared, person[:first], another[first:second])[1](pulls)
 
         return *pull_back(person, another)[:2], pull_back(another, person)[2]
 
-    d_shared, d_own, d_other = kernel.sum_pairs(of_pair, reach, shared, rows, rows)
-    return jax.tree.map(lambda leaf: leaf.sum(0), d_shared), d_own, d_other
+    program = kernel.trace(of_pair, near, shared, rows, rows)
+
+    def on_cpu(near: Neighbors | None, shared: Array, own: Rows, other: Rows, pulls: Rows) -> tuple:
+        numbers = jnp.unstack(shared)
+        if near is None:
+            d_shared, d_own, d_other = _pull_back_at_once(law, numbers, own, other, structure.unflatten(pulls))
+        else:
+            d_shared, d_own, d_other = pull_back_near(law, near, numbers, *map(jnp.stack, (own, other, pulls)))
+        return jnp.stack(d_shared), tuple(d_own), tuple(d_other)
+
+    def default(near: Neighbors | None, shared: Array, own: Rows, other: Rows, pulls: Rows) -> tuple:
+        if program is not None:
+            rows = *own, *other, *pulls
+            sums = kernel.sum_pairs(program, near, reach, shared, rows, rows)
+            d_shared, d_own, d_other = jnp.split(sums, (len(shared), len(shared) + first))
+            return d_shared.sum(1), tuple(d_own), tuple(d_other)
+        if near is not None:
+            return on_cpu(near, shared, own, other, pulls)
+        d_shared, *d_rows = _pull_back_in_two(law, jnp.unstack(shared), own, other, structure.unflatten(pulls))
+        return jnp.stack(d_shared), *d_rows
+
+    return by_platform(on_cpu, default)(near, shared, own, other, tuple(pulls))
 
 
 def _sum_all(law: Callable, turns: int, shared: PyTree, own: Rows, other: Rows) -> PyTree:
@@ -314,8 +357,7 @@ def _sum_by_two(law: Callable, shared: PyTree, own: Rows, other: Rows) -> PyTree
     two numbers are a sum of their own behind a barrier, in which a thread takes ``TURNS`` others. XLA then makes one
     kernel of these sums as well, and writes no pair (``benchmarks/kernels.py`` shows it).
     """
-    pair = [tuple(jax.ShapeDtypeStruct((), row.dtype) for row in rows) for rows in (own, other)]
-    structure = jax.tree.structure(jax.eval_shape(law, shared, *pair))
+    structure = _structure(law, shared, own, other)
     if structure.num_leaves <= 2:
         return _sum_all(law, 2, shared, own, other)
     sums = []

@@ -7,6 +7,7 @@ that touch, and how short the steps of stiff bodies must be.
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import Any, ClassVar
 
 import jax
@@ -15,9 +16,11 @@ import numpy as np
 from flax import struct
 from jaxtyping import Float
 
+from sean_jax import kernels
 from sean_jax.base import Array, ObstacleGrid
 from sean_jax.devices import by_platform
 from sean_jax.geometry import from_rectangle, nearby_obstacles, sum_vectors
+from sean_jax.social_forces import kernel
 from sean_jax.social_forces.forces import MAX_EXPONENT, TINY, Crowd, Force, Forces, Pair, Walking
 
 SUBSTEP = 0.05  # s, at most: a tenth of the relaxation time
@@ -76,7 +79,10 @@ def wall_forces(
         size = jnp.where(distance < perception, size, 0.0)
         return size * nx, size * ny
 
-    return _sum(push, px, py, nearby_obstacles(grid, px, py), (), (parameters, perception))
+    def force(total, smallest, parameters, perception):
+        return total(push, parameters, perception)
+
+    return _at_obstacles(force, px, py, grid, parameters, perception)
 
 
 def project_velocity(
@@ -104,7 +110,6 @@ def project_velocity(
         radius: m, of the bodies.
         friction: s/m, kappa / k of [H00]; None without friction.
     """
-    rows = nearby_obstacles(grid, px, py)
 
     def excess(distance, nx, ny, vx, vy, radius, time_step):
         return jnp.maximum((radius - distance) / time_step - (nx * vx + ny * vy), 0.0)
@@ -123,57 +128,81 @@ def project_velocity(
         over = approach > allowed
         return jnp.where(over, allowed / jnp.where(over, approach, 1.0), 1.0)
 
-    shared = radius, time_step
-    x, y = _sum(correction, px, py, rows, (vx, vy), shared)
-    before, vx, vy = (vx, vy), vx + x, vy + y
-    if friction is not None:
-        x, y = _sum(rubbing, px, py, rows, (*before, vx, vy), (*shared, friction))
-        vx, vy = vx + x, vy + y
-    smallest = _min(share, px, py, rows, (vx, vy), shared)
-    return vx * smallest, vy * smallest
+    def project(total, smallest, vx, vy, radius, time_step, friction):
+        x, y = total(correction, vx, vy, radius, time_step)
+        before, vx, vy = (vx, vy), vx + x, vy + y
+        if friction is not None:
+            x, y = total(rubbing, *before, vx, vy, radius, time_step, friction)
+            vx, vy = vx + x, vy + y
+        least = smallest(share, vx, vy, radius, time_step)
+        return vx * least, vy * least
+
+    return _at_obstacles(project, px, py, grid, vx, vy, radius, time_step, friction)
 
 
-def _sum(law: Callable, px: Array, py: Array, rows: Array, each: tuple, shared: tuple) -> tuple[Array, Array]:
-    """(N,) x and y: the sums over obstacles, of ``rows`` (N, K, 6), of ``law(distance, nx, ny, *each, *shared)``."""
+def _at_obstacles(function: Callable, px: Array, py: Array, grid: ObstacleGrid, *arguments: Any) -> tuple[Array, Array]:
+    """``function(total, smallest, *arguments)`` of each person, elementwise; arguments are (N,) or for all people.
 
-    def add(total: tuple, one: tuple) -> tuple:
-        return total[0] + one[0], total[1] + one[1]
+    ``total(law, *arguments)`` gives the sums x and y, over the obstacles near the person, of
+    ``law(distance, nx, ny, *arguments)``; ``smallest`` gives the minimum of a law, at most 1.
+    """
 
-    nothing = jnp.zeros_like(px), jnp.zeros_like(px)
-    return _over_obstacles(
-        law, lambda pushes: sum_vectors(pushes[0], pushes[1], 1), add, nothing, px, py, rows, each, shared
-    )
+    def at_once(px: Array, py: Array, grid: ObstacleGrid, *arguments: Any) -> tuple[Array, Array]:
+        over = partial(_at_once, px, py, nearby_obstacles(grid, px, py))
+        total = partial(over, lambda pushes: sum_vectors(pushes[0], pushes[1], 1))
+        return function(total, partial(over, lambda values: values.min(1)), *arguments)
+
+    def one_by_one(px: Array, py: Array, grid: ObstacleGrid, *arguments: Any) -> tuple[Array, Array]:
+        over = partial(_one_by_one, px, py, nearby_obstacles(grid, px, py))
+        total = partial(over, _add, (jnp.zeros_like(px),) * 2)
+        return function(total, partial(over, jnp.minimum, jnp.ones_like(px)), *arguments)
+
+    default = one_by_one
+    if kernels.available() and all(jnp.result_type(leaf) == np.float32 for leaf in jax.tree.leaves((px, arguments))):
+        default = partial(kernel.at_obstacles, partial(_in_kernel, function))
+    return by_platform(at_once, default)(px, py, grid, *arguments)
 
 
-def _min(law: Callable, px: Array, py: Array, rows: Array, each: tuple, shared: tuple) -> Array:
-    """(N,) the minimum of the law over obstacles, at most 1."""
-    whole = jnp.ones_like(px)
-    return _over_obstacles(law, lambda values: values.min(1), jnp.minimum, whole, px, py, rows, each, shared)
+def _value(law: Callable, px: Array, py: Array, row: Any, arguments: tuple) -> Any:
+    """The law of one person and one obstacle."""
+    distance, nx, ny = from_rectangle(px, py, *row)
+    return law(distance, nx, ny, *arguments)
 
 
-def _over_obstacles(law: Callable, reduce: Callable, join: Callable, start: Any, *arguments: Any) -> Any:
-    """The law for all obstacles (N, K): on a CPU at once and then reduced, elsewhere joined to the start one by one.
+def _add(total: tuple, one: tuple) -> tuple:
+    return total[0] + one[0], total[1] + one[1]
+
+
+def _at_once(px: Array, py: Array, rows: Array, reduce: Callable, law: Callable, *arguments: Any) -> Any:
+    """The law for all obstacles (N, K), then reduced."""
+    each = jax.tree.map(lambda leaf: 0 if jnp.ndim(leaf) else None, arguments)
+    obstacles = jax.vmap(partial(_value, law), (None, None, 0, None))
+    return reduce(jax.vmap(obstacles, (0, 0, 0, each))(px, py, rows, arguments))
+
+
+def _one_by_one(px: Array, py: Array, rows: Array, join: Callable, start: Any, law: Callable, *arguments: Any) -> Any:
+    """The law joined to the start for one obstacle after the other.
 
     XLA for a GPU writes arrays (N, K) to memory and reads them again for each sum over K; one by one it makes a single
     kernel, which would be slow on a CPU.
     """
 
-    def value(px: Array, py: Array, row: Any, each: tuple, shared: tuple) -> Any:  # of one obstacle
-        distance, nx, ny = from_rectangle(px, py, *row)
-        return law(distance, nx, ny, *each, *shared)
+    def turn(total: Any, row: tuple) -> tuple:
+        return join(total, _value(law, px, py, row, arguments)), None
 
-    def at_once(start: Any, px: Array, py: Array, rows: Array, each: tuple, shared: tuple) -> Any:
-        obstacles = jax.vmap(value, (None, None, 0, None, None))
-        return reduce(jax.vmap(obstacles, (0, 0, 0, 0, None))(px, py, rows, each, shared))
+    columns = tuple(rows[..., column].T for column in range(rows.shape[2]))
+    return jax.lax.scan(turn, start, columns, unroll=rows.shape[1])[0]
 
-    def one_by_one(start: Any, px: Array, py: Array, rows: Array, each: tuple, shared: tuple) -> Any:
-        def turn(total: Any, row: tuple) -> tuple:
-            return join(total, value(px, py, row, each, shared)), None
 
-        columns = tuple(rows[..., column].T for column in range(rows.shape[2]))
-        return jax.lax.scan(turn, start, columns, unroll=rows.shape[1])[0]
+def _in_kernel(function: Callable, over: Callable, px: Any, py: Any, *arguments: Any) -> tuple:
+    """The function of one person in a kernel; ``over(step, start)`` goes through the rows of the obstacles."""
 
-    return by_platform(at_once, one_by_one)(start, *arguments)
+    def join(add: Callable, start: Any, law: Callable, *arguments: Any) -> Any:
+        value = kernels.scalars(partial(_value, law))
+        return over(lambda total, row: add(total, value(px, py, row, arguments)), start)
+
+    zero, one = px.dtype.type(0.0), px.dtype.type(1.0)
+    return function(partial(join, _add, (zero, zero)), partial(join, jnp.minimum, one), *arguments)
 
 
 @struct.dataclass
