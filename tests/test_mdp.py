@@ -129,29 +129,23 @@ def test_counted_rewards_add_up_to_the_metrics(env, episodes):
 
 
 def test_no_metrics_change_nothing_but_the_work(env, episodes):
-    """The same episodes, bit by bit, by a program with fewer operations."""
+    """Each step of the episodes by a program with fewer operations, to rounding: XLA fuses the two differently."""
     bare = replace(env, scenario=sean_jax.make("lab", people=6, behavior="random", time_limit=LIMIT, metrics="none"))
-    _, (before, seen, after, action, reward, terminated, truncated, info) = episodes
-    key = jax.random.key(4)
+    _, (before, seen, after, action, reward, terminated, truncated, _) = episodes
+    unmeasured = replace(before, simulation=replace(before.simulation, metrics={}))
+    ticks = jnp.arange(action.shape[0])
+    keys = jax.vmap(lambda tick: jax.random.split(jax.random.split(jax.random.fold_in(jax.random.key(4), tick))[1], 8))
 
-    def step(env, keys, state, action):
-        return jax.vmap(env.step)(keys, state, action)
+    def steps(env, states):
+        return jax.vmap(jax.vmap(env.step))(keys(ticks), states, action)
 
-    state = jax.jit(jax.vmap(bare.reset))(jax.random.split(key, 8))[1]
-    run = jax.jit(step)
-    for tick in range(20):
-        _, follow = jax.random.split(jax.random.fold_in(key, tick))
-        shown, state, gained, *_, told = run(bare, jax.random.split(follow, 8), state, action[tick])
-        measured = jax.tree.map(lambda leaf, tick=tick: leaf[tick], replace(after.simulation, metrics={}))
-        jax.tree.map(np.testing.assert_array_equal, prng.as_numbers(state.simulation), prng.as_numbers(measured))
-        jax.tree.map(np.testing.assert_array_equal, shown, jax.tree.map(lambda leaf, tick=tick: leaf[tick], seen))
-        np.testing.assert_array_equal(gained, reward[tick])
-        assert told["metrics"] == {}
-    first = jax.tree.map(lambda leaf: leaf[0], before)
-    sizes = [
-        len(jax.make_jaxpr(step)(each, jax.random.split(key, 8), start, action[0]).jaxpr.eqns)
-        for each, start in ((env, first), (bare, state))
-    ]
+    *found, told = jax.jit(steps)(bare, unmeasured)
+    assert told["metrics"] == {} and np.asarray(terminated | truncated).any()
+    expected = seen, replace(after, simulation=replace(after.simulation, metrics={})), reward, terminated, truncated
+    for ours, theirs in zip(*map(jax.tree.leaves, (prng.as_numbers(found), prng.as_numbers(expected))), strict=True):
+        exact = not jnp.issubdtype(ours.dtype, jnp.floating)
+        np.testing.assert_allclose(ours, theirs, rtol=0.0 if exact else 1e-5, atol=0.0 if exact else 1e-5)
+    sizes = [len(jax.make_jaxpr(steps)(*given).jaxpr.eqns) for given in ((env, before), (bare, unmeasured))]
     assert sizes[1] < 0.9 * sizes[0], sizes
 
 
