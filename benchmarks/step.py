@@ -27,6 +27,10 @@ def parts(scenario) -> dict:
     def step_with_policy(state):
         return stages.step(scenario, state, go_to_goal(scenario, state, state.streams.policy))
 
+    def step_without_metrics(state):
+        after = stages.step(replace(scenario, metrics=()), replace(state, metrics={}), command)
+        return replace(after, metrics=state.metrics)
+
     def policy(state):
         action = go_to_goal(scenario, state, state.streams.policy)
         return replace(state, robot=replace(state.robot, speed=state.robot.speed + 1e-6 * action[0]))
@@ -48,6 +52,7 @@ def parts(scenario) -> dict:
         "classify": classify,
         "measure": measure,
         "step": lambda s: stages.step(scenario, s, command),
+        "step, metrics none": step_without_metrics,
         "policy go_to_goal": policy,
         "step + policy": step_with_policy,
     }

@@ -328,11 +328,15 @@ def _situations(config: ScenarioConfig) -> tuple[tuple, classifiers.Thresholds]:
 def _metrics(config: ScenarioConfig) -> tuple:
     """((name, metric), ...)."""
     chosen: dict[str, metrics.Metric] = {}
+    if any(isinstance(part, Named) and part.kind == "none" for part in config.metrics):
+        if len(config.metrics) > 1:
+            raise InputError("metrics: 'none' is beside others; give it alone, or leave it out.")
+        return ()
     for part in config.metrics:
         if isinstance(part, Named) and part.kind == "all":
             chosen |= metrics.METRICS
         elif isinstance(part, Named):
-            chosen[part.kind] = components.resolve(part, {"all": None, **metrics.METRICS}, "metrics")
+            chosen[part.kind] = components.resolve(part, {"all": None, "none": None, **metrics.METRICS}, "metrics")
         else:
             chosen[part.label] = metrics.as_metric(components.resolve(part, {}, "metrics"), part.label)
     return tuple(chosen.items())

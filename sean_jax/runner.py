@@ -31,6 +31,10 @@ MAX_BATCH, MAX_BATCH_CPU = 4_200, 64  # default episodes per batch
 QUICK_COMPILE = {"cpu": {"xla_backend_optimization_level": 0}}
 
 
+batch_results = jax.jit(jax.vmap(results, (None, 0)))
+"""The ``results`` of states (B, ...) of a scenario; without jit each operation of each metric is a program."""
+
+
 class Record(NamedTuple):
     """The record of a batch of B episodes: a total over steps, and rows that are stacked over time.
 
@@ -238,8 +242,7 @@ class Runner:
         Raises:
             FloatingPointError: a number is not finite; the message names the episodes.
         """
-        scenario, batches = self.scenarios[0], []
-        compute, starts = jax.jit(jax.vmap(results, (None, 0))), range(first, first + count, self.size)
+        scenario, batches, starts = self.scenarios[0], [], range(first, first + count, self.size)
         for index, start in enumerate(starts):
 
             def advanced(seconds: float, _: float, index: int = index) -> None:
@@ -247,7 +250,7 @@ class Runner:
 
             batch = self.run(seed, start, min(self.size, first + count - start), callbacks=Callbacks(advanced=advanced))
             ended = {"completed": batch.states.completed, "seconds": batch.steps * scenario.time_step}
-            batches.append({**ended, **compute(scenario, batch.states)})
+            batches.append({**ended, **batch_results(scenario, batch.states)})
         return {name: np.concatenate([np.asarray(each[name]) for each in batches]) for name in batches[0]}
 
 

@@ -128,6 +128,47 @@ def test_counted_rewards_add_up_to_the_metrics(env, episodes):
     assert sum(np.asarray(info["rewards"][name]).sum() for name in COUNTED) > 0
 
 
+def test_no_metrics_change_nothing_but_the_work(env, episodes):
+    """Each step of the episodes by a program with fewer operations, to rounding: XLA fuses the two differently."""
+    bare = replace(env, scenario=sean_jax.make("lab", people=6, behavior="random", time_limit=LIMIT, metrics="none"))
+    _, (before, seen, after, action, reward, terminated, truncated, _) = episodes
+    unmeasured = replace(before, simulation=replace(before.simulation, metrics={}))
+    ticks = jnp.arange(action.shape[0])
+    keys = jax.vmap(lambda tick: jax.random.split(jax.random.split(jax.random.fold_in(jax.random.key(4), tick))[1], 8))
+
+    def steps(env, states):
+        return jax.vmap(jax.vmap(env.step))(keys(ticks), states, action)
+
+    *found, told = jax.jit(steps)(bare, unmeasured)
+    assert told["metrics"] == {} and np.asarray(terminated | truncated).any()
+    expected = seen, replace(after, simulation=replace(after.simulation, metrics={})), reward, terminated, truncated
+    for ours, theirs in zip(*map(jax.tree.leaves, (prng.as_numbers(found), prng.as_numbers(expected))), strict=True):
+        exact = not jnp.issubdtype(ours.dtype, jnp.floating)
+        np.testing.assert_allclose(ours, theirs, rtol=0.0 if exact else 1e-5, atol=0.0 if exact else 1e-5)
+    sizes = [len(jax.make_jaxpr(steps)(*given).jaxpr.eqns) for given in ((env, before), (bare, unmeasured))]
+    assert sizes[1] < 0.9 * sizes[0], sizes
+
+
+@pytest.mark.parametrize("part", ["rewards", "terminations"])
+def test_a_metric_that_is_left_out_is_missed_in_one_sentence(part):
+    bare = sean_jax.make("lab", people=2, behavior="random", metrics="none")
+
+    def mine(scenario, before, after):
+        return after.metrics["path_length"][0] if part == "rewards" else after.metrics["path_length"][0] > 9.0
+
+    given = {"rewards": {"mine": mine}} if part == "rewards" else {"terminations": [mine]}
+    text = (
+        rf"^{part}: .*test_mdp.py:\d+: KeyError: 'path_length', a metric that is not measured here; take mdp.of_metric"
+    )
+    with pytest.raises(InputError, match=text):
+        make_env(bare, **given)
+
+
+def test_none_is_alone():
+    with pytest.raises(InputError, match="metrics: 'none' is beside others"):
+        sean_jax.make("lab", people=2, behavior="random", metrics=["none", "path_length"])
+
+
 def test_progress_adds_up_to_the_way(env, episodes):
     """From the first state of the first episode to its last: telescoping potentials."""
     _, (before, *_, terminated, truncated, info) = episodes

@@ -147,7 +147,7 @@ class ScenarioConfig(Config):
     thresholds: dict[str, fields.Threshold] | None = None
     """Thresholds of the situation classifiers that differ from the set's."""
     metrics: Metrics = (Named(kind="all"),)
-    """Metrics: all of the package, and your own."""
+    """Metrics: all of the package, and your own; none for faster steps."""
     sensors: Sensors = ()
     """Sensors that a policy can read with sean_jax.sense."""
     time_step: fields.TimeStep = 0.1

@@ -25,6 +25,7 @@ Target = str | os.PathLike[str] | BinaryIO  # where a GIF is written
 COLORS = 255  # of the palette: one of GIF's 256 stays free, to mark pixels that have not changed
 FLAT_COLORS = 128  # of a picture from above: colors.py, and the colors between them at smooth edges
 MAX_SAMPLES = 24  # pictures from which the palette is made
+SAMPLE = 500_000  # pixels that stand for theirs; all ten million took most of the time of a film
 TAIL = 2.0  # s, of the line behind a person
 SUPERSAMPLING = 2  # a camera's pictures are rendered with this many times the pixels each way, then averaged
 RATE, SPEED = 5.0, 4.0  # pictures a second of a camera's film; films are as many times faster than the episode
@@ -105,13 +106,22 @@ def save(path: Target, number: int, picture: Callable[[int], Image.Image], pause
     from PIL import Image
 
     samples = np.linspace(0, number - 1, min(MAX_SAMPLES, number)).round().astype(int)
-    pixels = np.concatenate([np.asarray(picture(int(index)).convert("RGB")) for index in samples])
+    pixels = _fewer_pixels(np.concatenate([np.asarray(picture(int(index)).convert("RGB")) for index in samples]))
     palette = Image.fromarray(pixels).quantize(colors, method=Image.Quantize.MAXCOVERAGE, kmeans=1)
     images = [
         picture(index).convert("RGB").quantize(palette=palette, dither=Image.Dither.NONE) for index in range(number)
     ]
     pauses = [max(20, round(100 * pause) * 10)] * (number - 1) + [round(1000 * LAST)]
     images[0].save(path, format="GIF", save_all=True, append_images=images[1:], duration=pauses, loop=0, optimize=False)
+
+
+def _fewer_pixels(pixels: np.ndarray) -> np.ndarray:
+    """(1, P, 3) about ``SAMPLE`` pixels of pictures (H, W, 3): all of their colors, by their shares of the area."""
+    shades = pixels.reshape(-1, 3).astype(np.int32) @ np.array([1 << 16, 1 << 8, 1], np.int32)
+    counts = np.bincount(shades)
+    colors = np.flatnonzero(counts)
+    each = np.repeat(colors, -(-counts[colors] * SAMPLE // len(shades)))
+    return np.stack([each >> 16, each >> 8 & 255, each & 255], -1)[None].astype(np.uint8)
 
 
 # ------------------------------------------------------------------ from above

@@ -29,8 +29,8 @@ from sean_jax.base import Array, Policy, Scenario, State, Trajectory
 from sean_jax.config import RunConfig
 from sean_jax.errors import IncompleteError, InputError
 from sean_jax.graph import graph_of
-from sean_jax.runner import Batch, Record, not_finite
-from sean_jax.scenario import frame, results
+from sean_jax.runner import Batch, Record, batch_results, not_finite
+from sean_jax.scenario import frame
 from sean_jax.versions import fingerprint, versions
 from sean_jax.workspace import REMAKE, Workspace
 from sean_jax.writing import check_new_folder
@@ -131,7 +131,7 @@ def finish(scenario: Scenario, batch: Batch, base: int, seconds: float) -> Finis
     Raises:
         FloatingPointError: a metric is NaN; the message names the episodes.
     """
-    measured = jax.tree.map(np.asarray, jax.vmap(results, (None, 0))(scenario, batch.states))
+    measured = jax.tree.map(np.asarray, batch_results(scenario, batch.states))
     faulty = np.zeros(len(batch.steps), bool)
     for values in measured.values():
         faulty |= np.isnan(values.reshape(len(faulty), -1)[:, 0])

@@ -182,7 +182,7 @@ class Env:
         """The ``terminations`` of a step, besides completion and the time limit."""
         conditions = []
         for _, condition in self.terminations:
-            value = calls.call("terminations", condition, "scenario, before, after", scenario, before, after)
+            value = rewarding.call("terminations", condition, "scenario, before, after", scenario, before, after)
             calls.check_array("terminations", condition, value, bool, (), "compare numbers, and reduce with any or all")
             conditions.append(value)
         return conditions

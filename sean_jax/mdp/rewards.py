@@ -17,7 +17,7 @@ from jaxtyping import Float
 
 from sean_jax import calls, files, metrics, navigation
 from sean_jax.base import Array, Scenario, State
-from sean_jax.errors import InputError
+from sean_jax.errors import InputError, PartError
 from sean_jax.geometry import length
 from sean_jax.metrics.proximity import PERSONAL
 from sean_jax.scenario import snapshot
@@ -261,8 +261,20 @@ def potentials(terms: Terms, scenario: Scenario, state: State) -> dict[str, Floa
     }
 
 
-def _number(function: Callable, arguments: str, *values: Any) -> Array:
-    value = calls.call("rewards", function, arguments, *values)
+def call(part: str, function: Callable, arguments: str, scenario: Scenario, *states: State) -> Any:
+    """As ``calls.call``, of a function that may read a metric that the scenario leaves out."""
+    try:
+        return calls.call(part, function, arguments, scenario, *states)
+    except PartError as error:
+        missing, known = error.__cause__, metrics.METRICS.keys() - dict(scenario.metrics).keys()
+        if not isinstance(missing, KeyError) or missing.args[0] not in known:
+            raise
+        cure = f"take mdp.of_metric('{missing.args[0]}')"
+        raise PartError(f"{str(error).removesuffix('.')}, a metric that is not measured here; {cure}.") from missing
+
+
+def _number(function: Callable, arguments: str, scenario: Scenario, *states: State) -> Array:
+    value = call("rewards", function, arguments, scenario, *states)
     calls.check_array("rewards", function, value, None, (), "give one number, by sum(), mean() or an index")
     return value
 
