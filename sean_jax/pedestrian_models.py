@@ -158,6 +158,8 @@ def best_velocity(program: VelocityProgram) -> tuple[Float[Array, "*agents"], Fl
     """
     nx, ny, c, hard, px, py, limit = program
     px, py, limit = (jnp.broadcast_to(part, c.shape[1:]) for part in (px, py, limit))
+    if not px.size:
+        return px, py
     numbers = jnp.arange(c.shape[0], dtype=jnp.int32).reshape(-1, *(1 for _ in px.shape))
     hard = jnp.broadcast_to(hard.reshape(numbers.shape), c.shape)
     columns = (part.reshape(-1, px.size) for part in (nx, ny, c, hard))

@@ -1,5 +1,6 @@
 """What all tests share: strict array rules, one compilation cache, a small scenario, a folder of recordings."""
 
+import functools
 import gc
 import importlib.metadata
 import os
@@ -55,3 +56,13 @@ def recordings() -> Path:
     if not path.is_dir():
         pytest.fail(f"SEAN_JAX_DATA={folder} is not a folder")
     return path
+
+
+@pytest.fixture
+def on_a_gpu(monkeypatch):
+    """The forms of the social forces for a GPU, with their kernels interpreted on whatever is here."""
+    from sean_jax.social_forces import kernel
+
+    monkeypatch.setattr(jax.lax, "platform_dependent", lambda *given, cpu, default: default(*given))
+    for call in "_call", "_call_search", "_call_obstacles":
+        monkeypatch.setattr(kernel, call, functools.partial(getattr(kernel, call), interpret=True))

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sean_jax import social_forces
+from sean_jax import kernels, social_forces
 from sean_jax.bench import workload
 from sean_jax.social_forces import Crowd, Pair, kernel, model, neighbors
 from sean_jax.social_forces.forces import look_direction
@@ -81,7 +81,7 @@ def test_nobody_near_is_missed(kind, within):
 @pytest.mark.parametrize("on", ["cpu", "older gpu"])
 def test_forces_and_gradients_are_those_of_all_pairs(preset, on, monkeypatch):
     if on == "older gpu":  # its form of the sums, on whatever is here
-        monkeypatch.setattr(kernel, "trace", lambda *_: None)
+        monkeypatch.setattr(kernels, "available", lambda: False)
         monkeypatch.setattr(jax.lax, "platform_dependent", lambda *given, cpu, default: default(*given))
     parameters, people = social_forces.preset(preset), crowd()
     present = np.asarray(people.present)
@@ -210,14 +210,6 @@ def test_a_batch_is_its_crowds_and_a_law_of_ones_own_sees_all():
     own = parameters.tree_replace({"repulsion.law": lambda *arguments: parameters.repulsion.law(*arguments)})
     assert model.neighbors(own, people, 0.1) is None
     assert model.neighbors(parameters, jax.tree.map(lambda leaf: leaf[:62], people), 0.1) is None
-
-
-@pytest.fixture
-def on_a_gpu(monkeypatch):
-    """The form of the sums for GPUs, on whatever is here."""
-    monkeypatch.setattr(jax.lax, "platform_dependent", lambda *given, cpu, default: default(*given))
-    for call in "_call", "_call_search":
-        monkeypatch.setattr(kernel, call, partial(getattr(kernel, call), interpret=True))
 
 
 @pytest.mark.parametrize(

@@ -424,10 +424,10 @@ def test_traits_and_noise_under_jit_and_vmap():
 
 
 @pytest.mark.parametrize("on", ["cpu", "gpu"])
-def test_large_crowds_have_traits_noise_and_shoulders_too(on, monkeypatch):
+def test_large_crowds_have_traits_noise_and_shoulders_too(on, request):
     """Sums over the neighbors among 260 people are those over all pairs, in groups of both kinds."""
-    if on == "gpu":  # its form of the sums, on whatever is here
-        monkeypatch.setattr(jax.lax, "platform_dependent", lambda *given, cpu, default: default(*given))
+    if on == "gpu":
+        request.getfixturevalue("on_a_gpu")
     number, group, walking_group = 260, np.full(260, -1, np.int32), np.full(260, -1, np.int32)
     group[20:26], walking_group[:8] = [0, 0, 1, 1, 2, 2], [0, 0, 1, 1, 2, 2, 3, 3]
     walks_with = np.full((number, 2), -1, np.int32)

@@ -158,7 +158,8 @@ def _at_obstacles(function: Callable, px: Array, py: Array, grid: ObstacleGrid, 
         return function(total, partial(over, jnp.minimum, jnp.ones_like(px)), *arguments)
 
     default = one_by_one
-    if kernels.available() and all(jnp.result_type(leaf) == np.float32 for leaf in jax.tree.leaves((px, arguments))):
+    single = all(jnp.result_type(leaf) == np.float32 for leaf in jax.tree.leaves((px, arguments)))
+    if single and len(px) and kernels.available():
         default = partial(kernel.at_obstacles, partial(_in_kernel, function))
     return by_platform(at_once, default)(px, py, grid, *arguments)
 
