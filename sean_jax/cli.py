@@ -21,12 +21,13 @@ from sean_jax import config, interrupts
 from sean_jax.config import COMMANDS, GROUPS, Config
 from sean_jax.errors import IncompleteError, InputError, PartError
 from sean_jax.messages import suggest
-from sean_jax.writing import atomic_file, broken, check_file, check_new_folder, contents
+from sean_jax.writing import atomic_file, atomic_folder, broken, check_file, check_new_folder, contents
 
 if TYPE_CHECKING:
     from rich.console import Console
 
 PICTURES = (".png", ".svg", ".pdf", ".jpg", ".jpeg", ".webp", ".tif", ".tiff")  # that matplotlib writes
+MAX_FLOORS = 40  # of a picture
 LEARNING = ("cmaes", "optax", "orbax", "tensorstore")  # packages of the extra "learning"
 RESUMABLE = ("collect", "train", "experiment", "export", "calibrate", "benchmark", "validate")
 READERS = ("run", "collect", "train", "experiment", "export", "replay", "benchmark")  # may run code that a file names
@@ -385,6 +386,28 @@ def _import_map(options: config.ImportMapConfig, console: "Console") -> None:
     print(f"next: {command}, or write a graph.yaml.")
 
 
+def _worlds(options: config.WorldsConfig, console: "Console") -> None:
+    check_new_folder(options.out)
+    with console.status("importing JAX"):
+        from sean_jax import drawing, worlds
+        from sean_jax.graph import annotation
+        from sean_jax.progress import progress
+    words, sheet = worlds.parse(options.words) if options.words else None, []
+    with progress(console) as bar, atomic_folder(options.out) as folder:
+        bar.start(f"{options.number} floors of {options.family}", options.number)
+        for index in range(options.number):
+            world = worlds.generate(options.family, options.seed + index, words)
+            worlds.save(world, folder / world.settings.name)
+            if index < MAX_FLOORS:
+                sheet.append((world.environment, annotation.build(world.graph, None)))
+            bar.update(index + 1)
+        with atomic_file(folder / "floors.png") as stream:
+            drawing.floors_sheet(sheet).savefig(stream, dpi=130, format="png")
+    _print(console, "picture: ", options.out / "floors.png")
+    first = f"{options.family}_{options.seed}"
+    print(f"next: {shlex.join(['sean', 'run', '--environment', str(options.out / first)])}")
+
+
 def _list(options: config.ListConfig, console: "Console") -> None:
     from sean_jax.evaluation import list_command
 
@@ -396,7 +419,7 @@ def _schema(options: config.SchemaConfig, console: "Console") -> None:
 
 
 _COMMANDS = _run, _collect, _train, _experiment, _export, _fit_graph, _calibrate, _draw, _replay, _compare
-_COMMANDS += _import_map, _benchmark, _bench, _validate, _doctor, _list, _schema
+_COMMANDS += _import_map, _worlds, _benchmark, _bench, _validate, _doctor, _list, _schema
 _DO: dict[str, Any] = {command.__name__[1:].replace("_", "-"): command for command in _COMMANDS}
 
 

@@ -1,5 +1,6 @@
 """Physical environments (section IV-C): the files of a folder as obstacles on a floor, free places, scenery."""
 
+import json
 import os
 from importlib import import_module
 from pathlib import Path
@@ -101,11 +102,16 @@ def load(name_or_path: str | Path) -> Environment:
     """
     folder = find(name_or_path)
     settings = _settings(folder)
-    boxes, looks = _boxes(folder / SCENE)
+    return of_boxes(settings, *_boxes(folder / SCENE))
+
+
+def of_boxes(settings: Settings, boxes: Float[np.ndarray, "W 6"], looks: Scenery | None = None) -> Environment:
+    """The environment of boxes: center x, y, half extent x, y [m], yaw [rad], height [m]; grey without ``looks``."""
     if not settings.open:
         boxes = np.concatenate([boxes, _edges(boxes, settings.floor)])
     floor = to_device(np.array(settings.floor))
     obstacles = Obstacles(*to_device((boxes[:, :2], boxes[:, 2:4], *boxes[:, 4:].T)))
+    looks = plain_scenery(obstacles) if looks is None else looks
     return Environment(
         floor=floor,
         obstacles=obstacles,
@@ -114,6 +120,41 @@ def load(name_or_path: str | Path) -> Environment:
         name=settings.name,
         open=settings.open,
     )
+
+
+def write(folder: Path, settings: Settings, boxes: np.ndarray, colors: np.ndarray | None = None) -> None:
+    """Write the files of an environment without a graph to an existing folder.
+
+    Args:
+        boxes: (W, 6) center x, y, half extent x, y [m], yaw [rad], height [m].
+        colors: (W, 3) from 0 to 1.
+    """
+    x0, y0, x1, y1 = settings.floor
+    middle, half = f"{(x0 + x1) / 2:g} {(y0 + y1) / 2:g}", f"{(x1 - x0) / 2:g} {(y1 - y0) / 2:g}"
+    span = max(x1 - x0, y1 - y0)
+    lines = []
+    for number, (x, y, hx, hy, yaw, height) in enumerate(boxes):
+        turn = f' euler="0 0 {np.rad2deg(yaw):.9g}"' if yaw else ""
+        color = "" if colors is None else f' rgba="{" ".join(f"{part:g}" for part in colors[number])} 1"'
+        place = f'pos="{x:.9g} {y:.9g} {height / 2:g}" size="{hx:.9g} {hy:.9g} {height / 2:g}"'
+        lines.append(f'    <geom name="box_{number + 1}" type="box" {place}{turn}{color}/>')
+    scene = "\n".join([
+        '<mujoco model="map">',
+        f'  <statistic center="{middle} 0" extent="{span:g}"/>',
+        "  <worldbody>",
+        f'    <light name="sun" directional="true" pos="{middle} {span:g}" dir="-0.35 0.25 -0.9" castshadow="false"/>',
+        f'    <camera name="top" pos="{middle} {1.15 * span:g}" fovy="48"/>',
+        f'    <geom name="floor" type="plane" pos="{middle} 0" size="{half} 0.1" rgba="0.78 0.78 0.76 1"/>',
+        *lines,
+        "  </worldbody>",
+        "</mujoco>",
+        "",
+    ])  # fmt: skip
+    floor = ", ".join(f"{value:.9g}" for value in settings.floor)
+    text = f"name: {json.dumps(settings.name)}\nfloor: [{floor}]  # m: x_min, y_min, x_max, y_max\n"
+    text += f"people: {settings.people}  # default number\nsource: {json.dumps(settings.source)}\n"
+    (folder / SETTINGS).write_text(text, encoding="utf-8")
+    (folder / SCENE).write_text(scene, encoding="utf-8")
 
 
 def clearance(environment: Environment, points: Float[Array, "P 2"]) -> Float[Array, "P"]:

@@ -6,7 +6,6 @@ p = (255 - x) / 255 is how occupied a pixel of value x is, or x / 255 with ``neg
 
 import dataclasses
 import io
-import json
 import os
 import warnings
 from pathlib import Path
@@ -257,8 +256,14 @@ def import_map(
     with writing.atomic_folder(folder) as new_folder:
         name = folder.resolve().name
         source = f"ROS map {Path(path).name}, {raster.resolution:g} m a cell"
-        (new_folder / environments.SETTINGS).write_text(_settings(raster, name, count, source), encoding="utf-8")
-        (new_folder / environments.SCENE).write_text(_scene(raster, boxes, height), encoding="utf-8")
+        lower = np.asarray(raster.origin)
+        upper = lower + raster.resolution * np.asarray(solid.shape[::-1])
+        x0, y0, x1, y1 = (round(float(value), 6) for value in (*lower, *upper))
+        settings = environments.Settings(name=name, floor=(x0, y0, x1, y1), people=count, source=source)
+        ends = boxes.reshape(-1, 2, 2) * raster.resolution  # of each box: lower and upper corner, from the origin
+        rest = np.broadcast_to([0.0, height], (len(boxes), 2))
+        table = np.concatenate([lower + ends.mean(1), (ends[:, 1] - ends[:, 0]) / 2, rest], 1)
+        environments.write(new_folder, settings, table)
         agreement = float(np.mean(rasterize(environments.load(new_folder).obstacles, raster) == solid))
         if agreement < MIN_AGREEMENT:
             raise InputError(f"the boxes describe only {agreement:.2%} of the map's cells; nothing was written.")
@@ -274,41 +279,3 @@ def rasterize(obstacles: Obstacles, raster: Raster) -> np.ndarray:
     for (cx, cy), (hx, hy) in zip(np.asarray(obstacles.center), np.asarray(obstacles.half_extent), strict=True):
         inside[np.ix_(np.abs(y - cy) < hy, np.abs(x - cx) < hx)] = True
     return inside
-
-
-def _floor(raster: Raster) -> list[float]:
-    """x_min, y_min, x_max, y_max [m]"""
-    rows, columns = raster.occupied.shape
-    x, y = raster.origin
-    return [round(value, 6) for value in (x, y, x + columns * raster.resolution, y + rows * raster.resolution)]
-
-
-def _settings(raster: Raster, name: str, people: int, source: str) -> str:
-    floor = ", ".join(f"{value:.9g}" for value in _floor(raster))
-    return (
-        f"name: {json.dumps(name)}\nfloor: [{floor}]  # m: x_min, y_min, x_max, y_max\n"
-        f"people: {people}  # default number\nsource: {json.dumps(source)}\n"
-    )
-
-
-def _scene(raster: Raster, boxes: np.ndarray, height: float) -> str:
-    x0, y0, x1, y1 = _floor(raster)
-    middle, half = f"{(x0 + x1) / 2:g} {(y0 + y1) / 2:g}", f"{(x1 - x0) / 2:g} {(y1 - y0) / 2:g}"
-    span, size, lines = max(x1 - x0, y1 - y0), raster.resolution, []
-    for number, (left, low, right, high) in enumerate(boxes, 1):
-        center = raster.origin[0] + size * (left + right) / 2, raster.origin[1] + size * (low + high) / 2
-        position = f"{center[0]:.9g} {center[1]:.9g} {height / 2:g}"
-        extent = f"{size * (right - left) / 2:.9g} {size * (high - low) / 2:.9g} {height / 2:g}"
-        lines.append(f'    <geom name="box_{number}" type="box" pos="{position}" size="{extent}"/>')
-    return "\n".join([
-        '<mujoco model="map">',
-        f'  <statistic center="{middle} 0" extent="{span:g}"/>',
-        "  <worldbody>",
-        f'    <light name="sun" directional="true" pos="{middle} {span:g}" dir="-0.35 0.25 -0.9" castshadow="false"/>',
-        f'    <camera name="top" pos="{middle} {1.15 * span:g}" fovy="48"/>',
-        f'    <geom name="floor" type="plane" pos="{middle} 0" size="{half} 0.1" rgba="0.78 0.78 0.76 1"/>',
-        *lines,
-        "  </worldbody>",
-        "</mujoco>",
-        "",
-    ])  # fmt: skip

@@ -136,6 +136,21 @@ class ImportMapConfig(Config):
     """Meaning of the map's unknown cells."""
 
 
+class WorldsConfig(Config):
+    """Make floors of a family, with Behavior Graphs and people, as environment folders."""
+
+    family: Annotated[str, Option(positional=True)]
+    """Family: aisles, clutter, lobby, office, passages, rooms or square."""
+    out: Path
+    """Folder to write; it must be new or empty. A folder in it then serves as --environment."""
+    number: fields.Count = 12
+    """Number of floors."""
+    seed: fields.Seed = 0
+    """Seed of the first floor; the others follow it."""
+    words: Text | None = None
+    """Words of the family, separated by commas: values, or ranges to draw from, such as width=16,door=1.0:1.2."""
+
+
 class DoctorConfig(Config):
     """Show versions, devices and folders of this machine, and cures for slow or missing parts."""
 
@@ -166,6 +181,7 @@ COMMANDS: dict[str, type[Config]] = {
     "replay": ReplayConfig,
     "compare": CompareConfig,
     "import-map": ImportMapConfig,
+    "worlds": WorldsConfig,
     "benchmark": BenchmarkConfig,
     "bench": BenchConfig,
     "validate": ValidateConfig,

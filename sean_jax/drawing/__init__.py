@@ -31,7 +31,7 @@ from sean_jax.graph import FLOWS, NO_EDGE, BehaviorGraph, graph_of
 from sean_jax.graph.formation import formation
 from sean_jax.handcrafted import Sets
 
-__all__ = ["animate", "congestion_map", "empty_floor", "graph_of", "graph_sheet", "handcrafted_sheet"]
+__all__ = ["animate", "congestion_map", "empty_floor", "floors_sheet", "graph_of", "graph_sheet", "handcrafted_sheet"]
 __all__ += ["policy_colors", "situation_colors", "top_down", "video", "view"]
 
 if TYPE_CHECKING:
@@ -231,6 +231,28 @@ def graph_sheet(environment: Environment, graph: BehaviorGraph) -> Figure:
         frameon=False, labelcolor=colors.INK, handlelength=1.4, columnspacing=1.4, borderpad=0.1, labelspacing=0.35,
     )  # fmt: skip
     layers.draw_scale(axes, part)
+    return figure
+
+
+def floors_sheet(floors: Sequence[tuple[Environment, BehaviorGraph]]) -> Figure:
+    """Draw many floors with their graphs side by side, each with its name."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+    from matplotlib.patches import Rectangle
+
+    rows = -(-len(floors) // COLUMNS)
+    figure = Figure(figsize=(2.6 * COLUMNS, 2.2 * rows), layout="constrained", facecolor=colors.PAPER)
+    FigureCanvasAgg(figure)
+    panels = figure.subplots(rows, COLUMNS, squeeze=False).flatten()
+    for axes in panels:
+        axes.set_axis_off()
+    for axes, (environment, graph) in zip(panels, floors, strict=False):
+        x0, y0, x1, y1 = np.asarray(environment.floor, float)
+        axes.set(xlim=(x0 - 0.2, x1 + 0.2), ylim=(y0 - 0.2, y1 + 0.2), aspect="equal")
+        axes.add_patch(Rectangle((x0, y0), x1 - x0, y1 - y0, facecolor=colors.FLOOR, edgecolor=colors.MUTED))
+        layers.draw_obstacles(axes, environment)
+        layers.draw_graph(axes, graph, alone=False)
+        axes.set_title(environment.name.replace("_", " "), fontsize=8, color=colors.INK)
     return figure
 
 

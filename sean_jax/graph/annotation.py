@@ -1,5 +1,6 @@
 """The annotation of a Behavior Graph (section IV-D): graph.yaml, its checks, and the graph it defines."""
 
+import json
 import math
 from collections.abc import Iterator
 from pathlib import Path
@@ -100,8 +101,13 @@ def read(path: Path | str, environment: Environment) -> BehaviorGraph:
     return build(files.load(path, Annotation, check, lambda graph: check_against(graph, environment)), environment)
 
 
-def build(annotation: Annotation, environment: Environment, seed: int = 0) -> BehaviorGraph:
-    """Arrays and tables of a checked annotation. The seed draws the places in the nodes' discs."""
+def build(annotation: Annotation, environment: Environment | None, seed: int = 0) -> BehaviorGraph:
+    """Arrays and tables of a checked annotation.
+
+    Args:
+        environment: whose obstacles bound the places in the nodes' discs; None: all places are the centers.
+        seed: draws the places.
+    """
     nodes = list(annotation.nodes.values())
     position = np.array([node.position for node in nodes], np.float64)
     radius = np.array([node.radius for node in nodes], np.float64)
@@ -126,7 +132,7 @@ def build(annotation: Annotation, environment: Environment, seed: int = 0) -> Be
         groups=groups.astype(np.int32),
         seat_group=np.repeat(np.arange(len(groups)), capacity[groups]).astype(np.int32),
         seat_node=np.repeat(groups, capacity[groups]).astype(np.int32),
-        places=places(environment, position, radius, seed),
+        places=position[:, None] if environment is None else places(environment, position, radius, seed),
     )
     return BehaviorGraph(**to_device(arrays), names=tuple(annotation.nodes))
 
@@ -297,3 +303,27 @@ def check_against(annotation: Annotation, environment: Environment) -> Iterator[
         elif free < ring:
             cure = "move it or lower its capacity"
             yield here, f"{place} has {free:.2f} m of room where a group of {node.capacity} needs {ring:.2f} m; {cure}"
+
+
+def to_yaml(annotation: Annotation) -> str:
+    """An annotation without mistakes as graph.yaml, a node and an edge a line."""
+    lines = [f"version: {annotation.version}", f"source: {json.dumps(annotation.source)}"]
+    lines += [f"c_min: {annotation.c_min:g}", f"c_max: {annotation.c_max:g}", "", "nodes:"]
+    for name, node in annotation.nodes.items():
+        parts = [f"kind: {node.kind}", f"position: {_sequence(node.position)}", f"radius: {node.radius:.9g}"]
+        parts += [f"{key}: {getattr(node, key):.9g}" for key in ("id",) if getattr(node, key) is not None]
+        parts.append(f"spawn: {node.spawn:.9g}")
+        if node.weight is not None:
+            parts.append(f"weight: {node.weight:.9g}")
+        if node.kind == "group" and node.capacity is not None and node.stay is not None:
+            parts += [f"capacity: {node.capacity}", f"stay: {_sequence(node.stay)}"]
+        lines.append(f"  {json.dumps(name)}: {{{', '.join(parts)}}}")
+    lines += ["", "edges:" if annotation.edges else "edges: []"]
+    for edge in annotation.edges:
+        flow = f"weights: {_sequence(edge.weights)}" if edge.weights is not None else f"flow: {edge.flow or 'medium'}"
+        lines.append(f"  - {{between: [{', '.join(json.dumps(name) for name in edge.between)}], {flow}}}")
+    return "\n".join(lines) + "\n"
+
+
+def _sequence(values: tuple[float, ...]) -> str:
+    return "[" + ", ".join(f"{value:.9g}" for value in values) + "]"

@@ -1,7 +1,7 @@
 """The inverse Behavior Graph (section IV-D): from what people do, to the graph that makes them do it.
 
-``sean fit-graph`` proposes a graph for an environment (``proposal``), measures what recorded or simulated people do on
-it (``measuring``), finds the weights, stays and speeds with which a model of flows has people do the same
+``sean fit-graph`` proposes a graph for an environment (``worlds.proposal``), measures what recorded or simulated people
+do on it (``measuring``), finds the weights, stays and speeds with which a model of flows has people do the same
 (``fitting``), and checks them on other people.
 """
 
@@ -36,13 +36,12 @@ from sean_jax.studies.inverse_graph.fitting import (
     expected_flows,
     fit_flows,
     flow_error,
-    graph_yaml,
     layout,
     weights_of,
 )
 from sean_jax.studies.inverse_graph.measuring import Calls, FlowMeasure, measure_flows, people_alone, people_called
-from sean_jax.studies.inverse_graph.proposal import propose
 from sean_jax.versions import versions
+from sean_jax.worlds.proposal import propose
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -97,7 +96,7 @@ def run(options: FitGraphConfig, console: "Console") -> list[str]:
         graph = annotation.build(words, environment)
         lines = [f"{len(words.nodes)} nodes, {len(words.edges)} edges"]
         if options.recording is None and not options.simulate:
-            writing.write(folder / GRAPH, graph_yaml(words))
+            writing.write(folder / GRAPH, annotation.to_yaml(words))
             return lines
         closed = options.recording is None
         measured, reference = _simulated(options, bar) if closed else _recorded(options, graph, bar)
@@ -108,12 +107,12 @@ def run(options: FitGraphConfig, console: "Console") -> list[str]:
         what = f"recording {options.recording.name}" if options.recording else "people simulated on its own graph"
         source = f"fitted by sean fit-graph to {what}"
         fit = fit_flows(graph, measured, closed, options.temperature, progress=bar)
-        writing.write(folder / GRAPH, graph_yaml(annotate(words, fit, closed, source)))
+        writing.write(folder / GRAPH, annotation.to_yaml(annotate(words, fit, closed, source)))
         for turn in range(ROUNDS if closed and graph.groups.shape[0] else 0):
             title = "simulating how groups call people"
             _, calls = _episodes(_scenario(options, folder), options, CALLED + turn, bar, title)
             fit = fit_flows(graph, measured, closed, options.temperature, calls, progress=bar)
-            writing.write(folder / GRAPH, graph_yaml(annotate(words, fit, closed, source)))
+            writing.write(folder / GRAPH, annotation.to_yaml(annotate(words, fit, closed, source)))
         flow = np.asarray(fit.flows.edges, float)
         scale = reference.flow.sum() / max(flow.sum(), 1e-30)
         panels = {HELD_OUT: reference.flow, "fitted to": measured.flow, "flow model": flow * scale}

@@ -16,7 +16,6 @@ a fraction of one: at first all ways contribute gradients, and in the end people
 and speeds need no gradient: a few numbers describe their distributions.
 """
 
-import json
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -378,30 +377,6 @@ def annotate(annotation: Annotation, fit: GraphFit, closed: bool, source: str) -
         plain = max(abs(there - 1.0), abs(back - 1.0)) <= MEDIUM
         edges.append(Edge(between=edge.between, weights=None if plain else (there, back)))
     return annotation.model_copy(update={"nodes": nodes, "edges": edges, "source": source})
-
-
-def graph_yaml(annotation: Annotation) -> str:
-    """An annotation without mistakes as graph.yaml, a node and an edge a line."""
-    lines = [f"version: {annotation.version}", f"source: {json.dumps(annotation.source)}"]
-    lines += [f"c_min: {annotation.c_min:g}", f"c_max: {annotation.c_max:g}", "", "nodes:"]
-    for name, node in annotation.nodes.items():
-        parts = [f"kind: {node.kind}", f"position: {_list(node.position)}", f"radius: {node.radius:.9g}"]
-        parts += [f"{key}: {getattr(node, key):.9g}" for key in ("id",) if getattr(node, key) is not None]
-        parts.append(f"spawn: {node.spawn:.9g}")
-        if node.weight is not None:
-            parts.append(f"weight: {node.weight:.9g}")
-        if node.kind == "group" and node.capacity is not None and node.stay is not None:
-            parts += [f"capacity: {node.capacity}", f"stay: {_list(node.stay)}"]
-        lines.append(f"  {json.dumps(name)}: {{{', '.join(parts)}}}")
-    lines += ["", "edges:" if annotation.edges else "edges: []"]
-    for edge in annotation.edges:
-        flow = f"weights: {_list(edge.weights)}" if edge.weights is not None else f"flow: {edge.flow or 'medium'}"
-        lines.append(f"  - {{between: [{', '.join(json.dumps(name) for name in edge.between)}], {flow}}}")
-    return "\n".join(lines) + "\n"
-
-
-def _list(values: tuple[float, ...]) -> str:
-    return "[" + ", ".join(f"{value:.9g}" for value in values) + "]"
 
 
 def _relative(logarithm: np.ndarray, counted: np.ndarray) -> list[float]:

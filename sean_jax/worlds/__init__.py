@@ -1,0 +1,199 @@
+"""Worlds without end: floors of families such as rooms or aisles, as functions of a seed and a few words.
+
+Each world is an ordinary environment with a Behavior Graph: nodes that people and robots reach, groups with room for
+their members, people that fit.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from scipy import ndimage
+
+from sean_jax import environment as environments
+from sean_jax import files, quantities, writing
+from sean_jax.base import Environment
+from sean_jax.errors import InputError
+from sean_jax.geometry import signed_distances_on_host
+from sean_jax.graph import annotation
+from sean_jax.graph.annotation import Annotation, Edge, Node
+from sean_jax.graph.formation import reach
+from sean_jax.navigation.arcs import pairs_are_free
+from sean_jax.worlds.floors import FAMILIES, SIZE, Floor
+from sean_jax.worlds.proposal import propose
+
+__all__ = ["FAMILIES", "SIZE", "World", "generate", "parse", "save"]
+
+ROBOT = 0.4  # m, radius of the widest robot that passes everything
+CELL = 0.1  # m, in which the floor is looked at
+POCKETS = 0.02  # share of the free floor that may be out of reach
+MAX_DRAWS = 50  # of a floor, until one is valid
+AREA_PER_PERSON = (8.0, 25.0)  # m2 of free floor
+MAX_PEOPLE = 40
+CANDIDATES = 256  # places that are tried for groups
+GROUP_AREA = 60.0  # m2 of free floor for each group, at least
+GROUP_GAP, GROUP_SIGHT = 3.5, 6.0  # m, between two groups; to the waypoint from which a group is reached
+FLOWS = ("medium", "high", "low"), (0.7, 0.15, 0.15)  # of edges, and their chances
+
+
+class World(NamedTuple):
+    """A floor with its graph and people."""
+
+    family: str
+    seed: int
+    words: dict[str, float]
+    settings: environments.Settings
+    boxes: np.ndarray  # (W, 6) as of ``environment.write``
+    colors: np.ndarray  # (W, 3)
+    graph: Annotation
+
+    @property
+    def environment(self) -> Environment:
+        """The floor with its obstacles."""
+        return environments.of_boxes(self.settings, self.boxes)
+
+
+def generate(family: str, seed: int, words: Mapping[str, float | tuple[float, float]] | None = None) -> World:
+    """The world of a family and a seed. The same arguments give the same world.
+
+    Args:
+        family: a key of ``FAMILIES``.
+        words: values, or ranges to draw from, of ``width`` and ``depth`` [m] of the floor and of the family's words;
+            the others are drawn from the ranges of ``SIZE`` and ``FAMILIES``.
+
+    Raises:
+        InputError: there is no such family or word, or no floor of these words lets everybody pass.
+    """
+    if family not in FAMILIES:
+        raise InputError(f"worlds: '{family}' is not one of {', '.join(FAMILIES)}{files.suggest(family, FAMILIES)}")
+    build, ranges = FAMILIES[family]
+    ranges = {**SIZE, **ranges}
+    for word, value in (words or {}).items():
+        if word not in ranges:
+            raise InputError(f"worlds: {family} has no word '{word}'; its words are {', '.join(ranges)}.")
+        low, high = (value, value) if isinstance(value, int | float) else value
+        quantities.check_number(f"worlds: {word}", low, 0.0, high)
+        ranges[word] = (float(low), float(high))
+    generator = np.random.default_rng([list(FAMILIES).index(family), seed])
+    for _ in range(MAX_DRAWS):
+        drawn = {word: float(generator.uniform(*limits)) for word, limits in ranges.items()}
+        rest = {word: value for word, value in drawn.items() if word not in SIZE}
+        floor = Floor(generator, drawn["width"], drawn["depth"])
+        build(floor, **rest)
+        world = _world(family, seed, drawn, floor, generator)
+        if world is not None:
+            return world
+    text = ", ".join(f"{word} {low:g} to {high:g}" for word, (low, high) in ranges.items())
+    what = f"none of {MAX_DRAWS} floors of {family} with {text} lets everybody pass"
+    raise InputError(f"worlds: {what}; widen the ranges.")
+
+
+def parse(text: str) -> dict[str, tuple[float, float]]:
+    """Words from a text such as ``width=16,door=1.0:1.2``.
+
+    Raises:
+        InputError: a part of the text is no word with a number or a range.
+    """
+    words = {}
+    for part in text.split(","):
+        word, _, value = part.partition("=")
+        low, _, high = value.partition(":")
+        try:
+            words[word.strip()] = float(low), float(high or low)
+        except ValueError:
+            what = f"'{part}' is no word with a number or a range"
+            raise InputError(f"words: {what}; give door=1.2 or door=1.0:1.2.") from None
+    return words
+
+
+def save(world: World, folder: Path | str) -> None:
+    """Write the world as a new environment folder: environment.yaml, scene.xml and graph.yaml.
+
+    Raises:
+        WriteError: the folder is not empty or cannot be written.
+    """
+    with writing.atomic_folder(Path(folder)) as new_folder:
+        environments.write(new_folder, world.settings, world.boxes, world.colors)
+        writing.write(new_folder / "graph.yaml", annotation.to_yaml(world.graph))
+
+
+def _world(
+    family: str, seed: int, words: dict[str, float], floor: Floor, generator: np.random.Generator
+) -> World | None:
+    """The world of a floor; None if somebody cannot pass everywhere or has no room."""
+    things = floor.things
+    boxes = np.array([thing[:6] for thing in things], float).reshape(-1, 6)
+    colors = np.array([thing.color for thing in things], float).reshape(-1, 3)
+    name, size = f"{family}_{seed}", (0.0, 0.0, round(floor.width, 3), round(floor.depth, 3))
+    settings = environments.Settings(name=name, floor=size, people=0)
+    environment = environments.of_boxes(settings, boxes)
+    free = _free_area(environment)
+    if free is None:
+        return None
+    try:
+        graph = _with_groups(environment, propose(environment), free, generator)
+    except InputError:
+        return None
+    people = min(MAX_PEOPLE, max(3, round(free / generator.uniform(*AREA_PER_PERSON))))
+    text = ", ".join(f"{word} {value:.3g}" for word, value in words.items())
+    source = f"sean_jax worlds: {family}, seed {seed}, {text}"
+    settings = settings.model_copy(update={"people": people, "source": source})
+    return World(family, seed, words, settings, boxes, colors, graph.model_copy(update={"source": source}))
+
+
+def _free_area(environment: Environment) -> float | None:
+    """The floor [m2] where a person has room; None if the widest robot cannot go from everywhere to everywhere."""
+    x0, y0, x1, y1 = np.asarray(environment.floor, float)
+    x, y = np.arange(x0 + CELL / 2, x1, CELL), np.arange(y0 + CELL / 2, y1, CELL)
+    points = np.stack(np.meshgrid(x, y, indexing="ij"), -1).reshape(-1, 2)
+    clearance = np.minimum(*signed_distances_on_host(environment, points)).reshape(len(x), len(y))
+    passable = clearance >= ROBOT + CELL / 2
+    label = np.asarray(ndimage.label(passable)[0])  # pyright: ignore[reportIndexIssue]
+    sizes = np.bincount(label[passable], minlength=2)[1:]
+    if not passable.any() or sizes.max() < (1.0 - POCKETS) * passable.sum():
+        return None
+    return float((clearance >= annotation.PERSON).sum()) * CELL**2
+
+
+def _with_groups(
+    environment: Environment, graph: Annotation, free: float, generator: np.random.Generator
+) -> Annotation:
+    """The graph with flows drawn for its edges, and groups where there is room."""
+    nodes, edges = dict(graph.nodes), []
+    for edge in graph.edges:
+        flow = FLOWS[0][generator.choice(len(FLOWS[0]), p=FLOWS[1])]
+        edges.append(Edge(between=edge.between, flow=flow))  # pyright: ignore[reportArgumentType]
+    waypoints, names = np.array([node.position for node in graph.nodes.values()]), list(graph.nodes)
+    places = np.zeros((0, 2))
+    draw = int(generator.integers(2**31))
+    candidates = environments.free_points(environment, annotation.NODE_CLEARANCE, CANDIDATES, draw).astype(float)
+    clearance = np.minimum(*signed_distances_on_host(environment, candidates))
+    for point, room in zip(candidates, clearance, strict=True):
+        if len(places) >= max(1, free / GROUP_AREA):
+            break
+        capacity = int(generator.integers(2, 6))
+        gap = np.linalg.norm(waypoints - point, axis=1)
+        if room < reach(capacity) + annotation.PERSON + 0.3 or gap.min() < reach(capacity) + 0.8:
+            continue
+        if len(places) and np.linalg.norm(places - point, axis=1).min() < GROUP_GAP:
+            continue
+        starts = np.broadcast_to(point, waypoints.shape)
+        seen = np.asarray(pairs_are_free(environment.obstacles, annotation.PERSON, starts, waypoints))
+        if not (seen & (gap < GROUP_SIGHT)).any():
+            continue
+        name = f"group_{len(places) + 1}"
+        stay = sorted(float(generator.integers(4, 20)) for _ in range(2))
+        nodes[name] = Node(
+            kind="group",
+            position=(round(float(point[0]), 3), round(float(point[1]), 3)),
+            radius=round(min(1.0, float(room) - annotation.PERSON), 2),
+            spawn=1,
+            capacity=capacity,
+            stay=(stay[0], stay[1]),
+        )
+        edges.append(Edge(between=(names[int(np.argmin(np.where(seen, gap, np.inf)))], name)))
+        places = np.concatenate([places, point[None]])
+    if not len(places):
+        raise InputError("worlds: there is no room for a group.")
+    return graph.model_copy(update={"nodes": nodes, "edges": edges})

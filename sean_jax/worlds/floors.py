@@ -1,0 +1,238 @@
+"""Families of floors: walls, furniture and stalls as upright boxes, drawn from a few words.
+
+A gap between two boxes, and between a box and the edge of the floor, is nothing or at least ``GAP``. So whoever passes
+the doors passes everything.
+"""
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+GAP = 1.0  # m, between things; more than the widest robot of the package needs
+TOUCH = 0.02  # m, up to which two boxes count as one
+WALL = 0.12  # m, thickness
+WALL_HEIGHT, SHELF, COUNTER, DESK, SCREEN, POST = 2.5, 2.0, 1.1, 0.75, 1.4, 0.95  # m
+TRIES = 40  # places that are tried for a thing
+
+WALL_COLOR, WOOD, METAL, STONE, CLOTH = (
+    (0.85, 0.84, 0.80), (0.62, 0.48, 0.33), (0.45, 0.50, 0.56), (0.66, 0.64, 0.62), (0.36, 0.45, 0.58)
+)  # fmt: skip
+
+
+class Thing(NamedTuple):
+    """An upright box."""
+
+    x: float  # m, its center
+    y: float
+    hx: float  # m, half extents
+    hy: float
+    yaw: float  # rad
+    height: float  # m
+    color: tuple[float, float, float]
+
+
+class Floor:
+    """A floor from (0, 0) to (width, depth) [m] while things are put on it."""
+
+    def __init__(self, generator: np.random.Generator, width: float, depth: float) -> None:
+        self.generator, self.width, self.depth = generator, width, depth
+        self.things: list[Thing] = []
+        self.clear: list[tuple[float, float, float]] = []  # x, y, radius [m] of places that stay free, such as doors
+
+    def add(self, x: float, y: float, hx: float, hy: float, height: float, color: tuple, yaw: float = 0.0) -> None:
+        """Put a box there, whatever stands beside it."""
+        self.things.append(Thing(x, y, hx, hy, yaw, height, color))
+
+    def wall(self, x0: float, y0: float, x1: float, y1: float, height: float = WALL_HEIGHT) -> None:
+        """A wall along x or y between two points."""
+        half = WALL / 2
+        self.add((x0 + x1) / 2, (y0 + y1) / 2, abs(x1 - x0) / 2 + half, abs(y1 - y0) / 2 + half, height, WALL_COLOR)
+
+    def wall_with_doors(self, along_x: bool, at: float, start: float, end: float, doors: list, door: float) -> None:
+        """A wall along x or y with doors, whose middles are given in rising order."""
+        for middle in [*doors, None]:
+            stop = end if middle is None else middle - door / 2
+            if stop - start > WALL:
+                first, last = start + WALL / 2, stop - WALL / 2
+                self.wall(*((first, at, last, at) if along_x else (at, first, at, last)))
+            if middle is not None:
+                x, y = (middle, at) if along_x else (at, middle)
+                self.clear.append((x, y, 0.5 * door + GAP))
+                start = middle + door / 2
+
+    def fits(self, x: float, y: float, hx: float, hy: float, yaw: float = 0.0, gap: float = GAP) -> bool:
+        """Whether a box has a gap of nothing or at least ``gap`` to all others and to the edges, and blocks nothing."""
+        reach_x = abs(math.cos(yaw)) * hx + abs(math.sin(yaw)) * hy
+        reach_y = abs(math.sin(yaw)) * hx + abs(math.cos(yaw)) * hy
+        edges = (x - reach_x, y - reach_y, self.width - x - reach_x, self.depth - y - reach_y)
+        if not all(abs(edge) <= TOUCH or edge >= gap for edge in edges):
+            return False
+        for cx, cy, radius in self.clear:
+            if math.hypot(max(abs(cx - x) - reach_x, 0.0), max(abs(cy - y) - reach_y, 0.0)) < radius:
+                return False
+        for other in self.things:
+            far_x = abs(math.cos(other.yaw)) * other.hx + abs(math.sin(other.yaw)) * other.hy
+            far_y = abs(math.sin(other.yaw)) * other.hx + abs(math.cos(other.yaw)) * other.hy
+            dx, dy = abs(other.x - x) - reach_x - far_x, abs(other.y - y) - reach_y - far_y
+            between = math.hypot(max(dx, 0.0), max(dy, 0.0))
+            if max(dx, dy) < -TOUCH or TOUCH < between < gap:
+                return False
+        return True
+
+    def put(self, low: tuple, high: tuple, size: Callable, height: float, color: tuple, gap: float = GAP) -> bool:
+        """Put a box of ``size()``, half extents and yaw, where it fits between two corners; False without a place."""
+        for _ in range(TRIES):
+            hx, hy, yaw = size()
+            x, y = self.generator.uniform(low, high)
+            if self.fits(x, y, hx, hy, yaw, gap):
+                self.add(float(x), float(y), hx, hy, height, color, yaw)
+                return True
+        return False
+
+    def furnish(self, low: tuple, high: tuple, density: float) -> None:
+        """Tables and cabinets, against walls or free, until they cover that share of a room between two corners."""
+        area, covered = (high[0] - low[0]) * (high[1] - low[1]), 0.0
+        while covered < density * area:
+            tall = self.generator.random() < 0.4
+            long, short = self.generator.uniform(0.4, 0.8), self.generator.uniform(0.2, 0.4)
+            hx, hy = (long, short) if self.generator.random() < 0.5 else (short, long)
+            inside = (low[0] + hx, low[1] + hy), (high[0] - hx, high[1] - hy)
+            if inside[0][0] >= inside[1][0] or inside[0][1] >= inside[1][1]:
+                return
+            for _ in range(TRIES):
+                place = self.generator.uniform(*inside)
+                side = self.generator.integers(5)  # against one of four walls, or free
+                if side < 4:
+                    place[side % 2] = inside[side // 2][side % 2]
+                if self.fits(float(place[0]), float(place[1]), hx, hy):
+                    break
+            else:
+                return
+            self.add(float(place[0]), float(place[1]), hx, hy, SHELF if tall else DESK, METAL if tall else WOOD)
+            covered += 4 * hx * hy
+
+
+def rooms(floor: Floor, corridor: float, door: float, room: float, furniture: float) -> None:
+    """Rooms of about ``room`` [m] on both sides of a corridor, each with a door."""
+    draw = floor.generator
+    lower, upper = (floor.depth - corridor) / 2, (floor.depth + corridor) / 2
+    for side, (low, high), at in ((0, (0.0, lower), lower), (1, (upper, floor.depth), upper)):
+        number = max(2, round(floor.width / room))
+        cuts = np.linspace(0.0, floor.width, number + 1)
+        cuts[1:-1] += draw.uniform(-0.15, 0.15, number - 1) * room
+        for x in cuts[1:-1]:
+            inner = (low, high - WALL / 2) if side == 0 else (low + WALL / 2, high)
+            floor.wall(float(x), inner[0], float(x), inner[1])
+        ends = list(zip(cuts[:-1], cuts[1:], strict=True))
+        middles = [float(draw.uniform(a + 0.4 + door / 2, b - 0.4 - door / 2)) for a, b in ends]
+        floor.wall_with_doors(True, at, 0.0, floor.width, middles, door)
+        for a, b in ends:
+            half = WALL / 2
+            left, right = a + (half if a > 0 else 0.0), b - (half if b < floor.width else 0.0)
+            inner = (low, high - half) if side == 0 else (low + half, high)
+            floor.furnish((left, inner[0]), (right, inner[1]), furniture)
+
+
+def office(floor: Floor, aisle: float, desks: float, furniture: float) -> None:
+    """An open-plan office: double desks with a screen between them in rows, ``desks`` of the places taken."""
+    draw, half = floor.generator, (0.8, 0.8)
+    step = 2 * half[0] + aisle, 2 * half[1] + aisle
+    counts = int((floor.width - aisle) / step[0]), int((floor.depth - aisle) / step[1])
+    rest = floor.width - counts[0] * step[0] + aisle, floor.depth - counts[1] * step[1] + aisle
+    for i in range(counts[0]):
+        for j in range(counts[1]):
+            if draw.random() >= desks:
+                continue
+            x, y = rest[0] / 2 + half[0] + i * step[0], rest[1] / 2 + half[1] + j * step[1]
+            for side in (-1, 1):
+                floor.add(x, y + side * (half[1] + WALL / 2) / 2, half[0], (half[1] - WALL / 2) / 2, DESK, WOOD)
+            floor.add(x, y, half[0], WALL / 2, SCREEN, CLOTH)
+    floor.furnish((0.0, 0.0), (floor.width, floor.depth), furniture)
+
+
+def aisles(floor: Floor, aisle: float, cross: float, shelf: float) -> None:
+    """Shelves in rows, of ``shelf`` [m] each, with aisles between the rows and cross aisles between the shelves."""
+    half = 0.45
+    columns = max(1, int((floor.width - cross) / (shelf + cross)))
+    length = (floor.width - cross) / columns - cross
+    rows = max(1, int((floor.depth - aisle) / (2 * half + aisle)))
+    apart = (floor.depth - rows * 2 * half) / (rows + 1)
+    for i in range(columns):
+        for j in range(rows):
+            missing = length * (floor.generator.uniform(0.0, 0.5) if floor.generator.random() < 0.3 else 0.0)
+            left = cross + i * (length + cross) + missing * floor.generator.integers(2)
+            y = apart + half + j * (2 * half + apart)
+            floor.add(left + (length - missing) / 2, y, (length - missing) / 2, half, SHELF, METAL)
+
+
+def lobby(floor: Floor, lane: float, columns: float, furniture: float) -> None:
+    """A hall with a counter, lanes of posts before it where people queue, columns and benches."""
+    draw, width, depth = floor.generator, floor.width, floor.depth
+    half = float(draw.uniform(1.5, 0.2 * width))
+    middle, top = float(draw.uniform(half + 2.0, width - half - 2.0)), depth - float(draw.uniform(1.5, 2.2))
+    floor.add(middle, top, half, 0.35, COUNTER, WOOD)
+    length = float(draw.uniform(1.5, 0.3 * depth))
+    for x in np.arange(middle - half, middle + half + 1e-6, lane):
+        floor.add(float(x), top - 0.35 - lane - length / 2, 0.04, length / 2, POST, METAL)
+    if columns:
+        for x in np.arange(columns, width - 2.0, columns):
+            for y in np.arange(columns, depth - 2.0, columns):
+                if floor.fits(float(x), float(y), 0.25, 0.25):
+                    floor.add(float(x), float(y), 0.25, 0.25, WALL_HEIGHT, STONE)
+    floor.furnish((0.0, 0.0), (width, depth), furniture)
+
+
+def square(floor: Floor, stalls: float, passage: float) -> None:
+    """An open square with market stalls, ``stalls`` for each 100 m2, at least ``passage`` [m] apart."""
+    draw = floor.generator
+
+    def size() -> tuple[float, float, float]:
+        return float(draw.uniform(0.8, 1.5)), float(draw.uniform(0.5, 1.0)), float(draw.choice([0.0, np.pi / 2]))
+
+    for _ in range(round(stalls * floor.width * floor.depth / 100)):
+        floor.put((0.0, 0.0), (floor.width, floor.depth), size, float(draw.uniform(0.9, 2.2)), CLOTH, passage)
+
+
+def passages(floor: Floor, door: float, walls: float, furniture: float) -> None:
+    """A hall that ``walls`` divide, each with one or two doors: bottlenecks."""
+    draw, number = floor.generator, max(1, round(walls))
+    places = (np.arange(1, number + 1) + draw.uniform(-0.15, 0.15, number)) * floor.width / (number + 1)
+    for x in places:
+        middle = floor.depth / 2
+        halves = [(0.0, middle), (middle, floor.depth)] if draw.random() < 0.5 else [(0.0, floor.depth)]
+        doors = [float(draw.uniform(low + 0.6 + door, high - 0.6 - door)) for low, high in halves]
+        floor.wall_with_doors(False, float(x), 0.0, floor.depth, doors, door)
+    edges = [0.0, *(float(x) for x in places), floor.width]
+    for left, right in zip(edges[:-1], edges[1:], strict=True):
+        low = left + (WALL / 2 if left > 0 else 0.0)
+        high = right - (WALL / 2 if right < floor.width else 0.0)
+        floor.furnish((low, 0.0), (high, floor.depth), furniture)
+
+
+def clutter(floor: Floor, density: float) -> None:
+    """Boxes of all sizes and directions, until they cover that share of the floor."""
+    draw, covered = floor.generator, 0.0
+
+    def size() -> tuple[float, float, float]:
+        return float(draw.uniform(0.15, 0.9)), float(draw.uniform(0.15, 0.9)), float(draw.uniform(0.0, np.pi))
+
+    while covered < density * floor.width * floor.depth:
+        color = (WOOD, METAL, STONE, CLOTH)[draw.integers(4)]
+        if not floor.put((0.0, 0.0), (floor.width, floor.depth), size, float(draw.uniform(0.4, 1.9)), color):
+            return
+        covered += 4 * floor.things[-1].hx * floor.things[-1].hy
+
+
+SIZE = {"width": (14.0, 24.0), "depth": (10.0, 18.0)}  # m
+FAMILIES: dict[str, tuple[Callable[..., None], dict[str, tuple[float, float]]]] = {
+    "rooms": (rooms, {"corridor": (1.8, 3.0), "door": (1.0, 1.4), "room": (4.0, 6.5), "furniture": (0.0, 0.1)}),
+    "office": (office, {"aisle": (1.3, 2.2), "desks": (0.5, 0.9), "furniture": (0.0, 0.04)}),
+    "aisles": (aisles, {"aisle": (1.6, 3.0), "cross": (1.8, 3.0), "shelf": (4.0, 9.0)}),
+    "lobby": (lobby, {"lane": (1.1, 1.5), "columns": (4.0, 7.0), "furniture": (0.0, 0.06)}),
+    "square": (square, {"stalls": (3.0, 8.0), "passage": (1.4, 2.4)}),
+    "passages": (passages, {"door": (1.0, 1.8), "walls": (1.0, 3.0), "furniture": (0.0, 0.08)}),
+    "clutter": (clutter, {"density": (0.03, 0.12)}),
+}
+"""Name -> the family, and the range of each of its words."""

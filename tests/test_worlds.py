@@ -1,0 +1,102 @@
+"""Generated floors: the same for a seed, free for robots between all nodes, ordinary environments once written."""
+
+import itertools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.sparse.csgraph import connected_components
+
+import sean_jax
+from sean_jax import cli, navigation, worlds
+from sean_jax import environment as environments
+from sean_jax.errors import InputError
+from sean_jax.graph import annotation
+from sean_jax.policies import go_to_goal
+from sean_jax.worlds.floors import GAP, TOUCH
+
+QUICK = ("passages", 0), ("passages", 1), ("square", 3)
+CASES = [
+    pytest.param(*case, marks=() if case in QUICK else pytest.mark.slow)
+    for case in itertools.product(worlds.FAMILIES, range(5))
+]
+
+
+@pytest.mark.parametrize(("family", "seed"), CASES)
+def test_robots_and_people_reach_all_nodes(family, seed, tmp_path):
+    """By the tables of shortest paths, for a robot of 0.38 m; the files pass all checks and give the same floor."""
+    world = worlds.generate(family, seed)
+    environment = world.environment
+    nodes = jnp.asarray([node.position for node in world.graph.nodes.values()], float)
+    tables = navigation.build(environment, 0.38)
+    waypoints = np.array([node.kind == "waypoint" for node in world.graph.nodes.values()])
+    to_goal = jax.vmap(navigation.build_paths_to_goal, (None, 0))(tables, nodes)
+    from_all = jax.vmap(navigation.geodesic_approx, (None, 0, None, None))
+    length = jax.jit(jax.vmap(from_all, (None, None, 0, 0)))(tables, nodes, nodes, to_goal)
+    roomy = np.minimum(*environments.signed_distances_on_host(environment, np.asarray(nodes))) >= 0.4
+    assert roomy[~waypoints].all() and roomy.sum() > 3
+    assert np.isfinite(np.asarray(length)[np.ix_(roomy, roomy)]).all()
+
+    worlds.save(world, tmp_path / "world")
+    read = environments.load(tmp_path / "world")
+    np.testing.assert_allclose(read.obstacles.center, environment.obstacles.center, atol=1e-5)
+    np.testing.assert_allclose(read.obstacles.height, environment.obstacles.height, atol=1e-5)
+    graph = annotation.read(tmp_path / "world" / "graph.yaml", read)
+    assert graph.names == tuple(world.graph.nodes) and len(graph.groups)
+    assert environments.default_people(tmp_path / "world") == world.settings.people > 2
+
+
+@pytest.mark.parametrize("family", ["lobby", "office", "rooms", "square"])
+def test_gaps_between_things_are_doors_or_nothing(family):
+    """Between pieces of boxes that touch each other; these boxes lie along x or y."""
+    for seed in range(4):
+        boxes = worlds.generate(family, seed).boxes
+        reach = np.where(np.abs(np.sin(boxes[:, 4:5])) > 0.5, boxes[:, 3:1:-1], boxes[:, 2:4])
+        apart = np.abs(boxes[:, None, :2] - boxes[None, :, :2]) - reach[:, None] - reach[None]
+        gap = np.linalg.norm(np.maximum(apart, 0.0), axis=-1)
+        _, piece = connected_components(gap <= TOUCH + 1e-9)
+        assert (gap[piece[:, None] != piece[None]] >= GAP - 1e-9).all()
+
+
+def test_a_seed_is_a_floor_and_words_are_kept():
+    one, same, other = (worlds.generate("passages", seed) for seed in (7, 7, 8))
+    np.testing.assert_array_equal(one.boxes, same.boxes)
+    assert one.graph == same.graph and one.words == same.words
+    assert one.boxes.shape != other.boxes.shape or not np.allclose(one.boxes, other.boxes)
+    world = worlds.generate("passages", 3, {"width": 15.0, "door": (1.2, 1.3), "furniture": 0.0})
+    assert world.settings.floor[2] == 15.0 and 1.2 <= world.words["door"] <= 1.3
+
+
+@pytest.mark.parametrize(
+    ("family", "words", "sentence"),
+    [
+        ("room", {}, "'room' is not one of rooms, office"),
+        ("rooms", {"doors": 1.2}, "rooms has no word 'doors'; its words are width, depth, corridor, door"),
+        ("rooms", {"door": (1.4, 1.0)}, "door"),
+        ("passages", {"door": 0.5}, "none of 50 floors of passages"),
+    ],
+)
+def test_mistakes_are_one_sentence(family, words, sentence):
+    with pytest.raises(InputError, match=sentence):
+        worlds.generate(family, 0, words)
+
+
+def test_the_command_writes_environments_and_a_picture(tmp_path, capsys):
+    arguments = ["worlds", "square", "--number", "2", "--seed", "5", "--out", str(tmp_path / "floors")]
+    assert cli.main([*arguments, "--words", "stalls=2:3,width=14"]) == 0
+    assert "square_5" in capsys.readouterr().out
+    assert sorted(path.name for path in (tmp_path / "floors").iterdir()) == ["floors.png", "square_5", "square_6"]
+    assert environments.floor(tmp_path / "floors" / "square_6")[2] == 14.0
+    assert cli.main([*arguments[:-1], str(tmp_path / "no"), "--words", "stalls"]) == 2
+    assert "'stalls' is no word with a number" in capsys.readouterr().err and not (tmp_path / "no").exists()
+
+
+@pytest.mark.slow
+def test_people_and_a_robot_walk_there(tmp_path):
+    worlds.save(worlds.generate("rooms", 2), tmp_path / "rooms")
+    scenario = sean_jax.make(str(tmp_path / "rooms"), task="join_group")
+    last, frames = jax.jit(lambda key: sean_jax.rollout(scenario, go_to_goal, key, 300))(jax.random.key(0))
+    assert np.isfinite(np.asarray(frames.people)).all() and bool(last.completed | (last.tick == 300))
+    moved = np.linalg.norm(np.asarray(frames.people)[-1] - np.asarray(frames.people)[0], axis=-1)
+    assert np.median(moved) > 1.0
