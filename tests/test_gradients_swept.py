@@ -17,8 +17,9 @@ from sean_jax import classifiers, episodes, geometry, metrics, navigation, senso
 from sean_jax.base import Obstacles, Pedestrians, Policy, Snapshot
 from sean_jax.classifiers import more_situations, predicates
 from sean_jax.geometry import build_obstacle_grid
+from sean_jax.half_planes import VelocityProgram, best_velocity, half_plane
 from sean_jax.metrics import proximity
-from sean_jax.pedestrian_models import MODELS, VelocityProgram, best_velocity, half_plane
+from sean_jax.pedestrian_models import MODELS
 from sean_jax.policies import POLICIES, social_costmap
 from sean_jax.policies.prediction import predict_people
 from sean_jax.policies.social_costmap import arc_trajectories, distance_to_path, inflation_cost, proxemic_cost

@@ -12,7 +12,8 @@ from quick import quick
 from scipy.optimize import linprog, minimize
 
 import sean_jax
-from sean_jax.pedestrian_models import MODELS, TOGETHER, VelocityProgram, best_velocity, half_plane, smallest
+from sean_jax.half_planes import TOGETHER, VelocityProgram, best_velocity, half_plane
+from sean_jax.pedestrian_models import MODELS, smallest
 from sean_jax.policies import go_to_goal
 
 LIMIT = 1.7

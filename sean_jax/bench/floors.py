@@ -3,7 +3,7 @@
 They are counted in the jaxpr of the program that is timed, with its kernels: once for each number computed, whether by
 an addition, a product, a comparison or a choice. Equal expressions count once and unused ones never, as in XLA.
 Divisions, roots, exponentials and angles are special functions. Moving numbers is free, and so are integers in a
-kernel, which are addresses. The bytes are those that a turn of the outermost loop reads and writes, and no others.
+kernel, which are addresses. The bytes are the state that a turn of the outermost loop reads and writes.
 """
 
 import math

@@ -190,7 +190,7 @@ def _pairs(forces: Forces, people: Pedestrians, grid: ObstacleGrid | None) -> di
 
 
 def _rays(scenario: Scenario, states: State, bundles: Sequence[Rays]) -> dict[str, float]:
-    """Turns of the loops over bodies, if each tile of rays tested only those that it has in sight."""
+    """Turns of the loops over bodies, if each tile of rays tested only the bodies in its sight."""
 
     def one(state: State) -> list[Array]:
         view = cameras.sensor_view(scenario, state, bundles[0])

@@ -1,6 +1,6 @@
 """orca: optimal reciprocal collision avoidance for a robot on two wheels (van den Berg et al., 2011).
 
-The half-planes are defined in ``pedestrian_models``. The middle of the axle cannot move in any direction, but a
+The half-planes are defined in ``half_planes``. The middle of the axle cannot move in any direction, but a
 point ahead of it can: J. Snape, J. van den Berg, S. J. Guy & D. Manocha, "Smooth and collision-free navigation for
 multiple robots under differential-drive constraints" (IROS 2010) steer that point, with a disc around it that contains
 the robot.
@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from sean_jax.base import Array, Observation, Scenario, State
 from sean_jax.geometry import angle_between, from_rectangle, length, nearby_obstacles
-from sean_jax.pedestrian_models import UNBOUNDED, VelocityProgram, best_velocity, half_plane
+from sean_jax.half_planes import UNBOUNDED, VelocityProgram, best_velocity, half_plane
 from sean_jax.policies.prediction import nearest_people
 from sean_jax.robots.drive import clip_speeds, clip_turn_rate
 from sean_jax.scenario import observe
