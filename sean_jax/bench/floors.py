@@ -212,7 +212,9 @@ def _moved(jaxpr: Any) -> int:
     """Bytes that the turns of the outermost loop read of the loop's state and write to it."""
     for equation in jaxpr.eqns:
         if equation.primitive.name == "scan":
-            body, consts = equation.params["jaxpr"].jaxpr, equation.params["num_consts"]
+            params = equation.params
+            body = getattr(params["jaxpr"], "jaxpr", params["jaxpr"])
+            consts = params["num_consts"] if "num_consts" in params else len(params["ft_in"].unpack()[0])  # jax 0.12
             read = {var for inside in body.eqns for var in inside.invars if not isinstance(var, Literal)}
             state = set(body.invars[consts:])
             moved = [*(var for var in state & read), *(var for var in body.outvars if var not in state)]
