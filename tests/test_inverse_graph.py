@@ -329,7 +329,7 @@ def test_graphs_are_written_as_they_are_read(place, tmp_path):
     fit = inverse_graph.GraphFit(fit_weights, flows, stay, capacity, (1.3, 0.2), np.zeros(1))
     for closed in (True, False):
         fitted = fitting.annotate(words, fit, closed, "a test: with 'quotes'")
-        (tmp_path / "graph.yaml").write_text(fitting.to_yaml(fitted), encoding="utf-8")
+        (tmp_path / "graph.yaml").write_text(annotation.to_yaml(fitted), encoding="utf-8")
         again = files.load(tmp_path / "graph.yaml", annotation.Annotation, annotation.check)
         assert again == fitted
         built = annotation.build(again, place)
@@ -464,7 +464,7 @@ def test_weights_of_simulated_people_are_found_again(tmp_path):
     }
     edges = [edge.model_copy(update={"flow": "forward"}) if k == 2 else edge for k, edge in enumerate(words.edges)]
     words = words.model_copy(update={"nodes": nodes, "edges": edges})
-    (tmp_path / "ring" / "graph.yaml").write_text(fitting.to_yaml(words), encoding="utf-8")
+    (tmp_path / "ring" / "graph.yaml").write_text(annotation.to_yaml(words), encoding="utf-8")
     options = FitGraphConfig(
         environment=str(tmp_path / "ring"), simulate=True, people=10, minutes=240.0, out=tmp_path / "out"
     )
