@@ -14,7 +14,7 @@ import sean_jax
 from sean_jax import scenario as stages
 from sean_jax.behaviors import Place, graph_behavior, graph_choices
 from sean_jax.graph import rerouted
-from sean_jax.studies.inverse_graph.fitting import graph_yaml
+from sean_jax.graph.annotation import to_yaml
 from sean_jax.studies.inverse_graph.measuring import begin_alone
 
 STEPS = 160
@@ -30,7 +30,7 @@ def crowds(tmp_path_factory):
     place = Place(folder, environment, made.behavior.data.navigation)
 
     def crowd(people: int, temperature: float):
-        (folder / "graph.yaml").write_text(graph_yaml(ring(int(people > 1))), encoding="utf-8")
+        (folder / "graph.yaml").write_text(to_yaml(ring(int(people > 1))), encoding="utf-8")
         behavior = graph_behavior.build(place, people, temperature=temperature)
         return made.replace(behavior=behavior, people=people)
 
