@@ -1,5 +1,6 @@
 """Options of ``sean collect``, ``train`` and ``export``, and of environments of reinforcement learning."""
 
+import math
 from collections.abc import Iterable
 from numbers import Integral
 from pathlib import Path
@@ -144,6 +145,17 @@ class DaggerConfig(ImitationConfig):
     """Hours that each network drives."""
 
 
+def _is_weight(part: Component) -> bool:
+    return isinstance(part, Named) and "=" in part.kind
+
+
+def _is_number(text: str) -> bool:
+    try:
+        return math.isfinite(float(text))
+    except ValueError:
+        return False
+
+
 Delays = Annotated[
     tuple[fields.Delay, fields.Delay],
     pydantic.BeforeValidator(lambda value: (value, value) if isinstance(value, Integral) else value),
@@ -156,13 +168,36 @@ class EnvConfig(ScenarioConfig):
     observations: Observations = tuple(Named(kind=name) for name in OBSERVED)
     """Observations of the agent: terms of `sean list`, and your own."""
     rewards: Rewards = (Named(kind="default"),)
-    """Rewards: default, terms of `sean list`, and your own."""
+    """Rewards: default, terms of `sean list`, and your own; progress=2,time=-0.2 changes weights of the default."""
     terminations: Terminations = ()
     """Terminations besides completion and the time limit: collision, obstacle, intimate, and your own."""
     randomization: Part | None = None
     """Randomization of each episode: behavior, for people's behavior; or a function (key, scenario) -> scenario."""
     action_delay: Delays = (0, 0)
     """Least and largest delay of commands in control steps; drawn for each episode."""
+
+    @pydantic.field_validator("rewards")
+    @classmethod
+    def _weights(cls, parts: tuple[Component, ...]) -> tuple[Component, ...]:
+        weights = [part.kind.partition("=") for part in parts if _is_weight(part)]
+        fields.check_once([name for name, _, _ in weights])
+        for name, _, weight in weights:
+            if not _is_number(weight):
+                raise ValueError(f"{name}={weight} has no number as the weight; write {name}=2")
+        return parts
+
+    @property
+    def reward_weights(self) -> dict[str, float]:
+        """Weights of terms of the reward: name -> number, of NAME=NUMBER."""
+        pairs = (part.kind.partition("=") for part in self.rewards if _is_weight(part))
+        return {name: float(weight) for name, _, weight in pairs}
+
+    @property
+    def reward_parts(self) -> tuple[Component, ...]:
+        """The terms of the reward without those that only have a weight; default if no other term is named."""
+        parts = tuple(part for part in self.rewards if not _is_weight(part))
+        named = any(isinstance(part, Named) for part in parts)
+        return parts if named or len(parts) == len(self.rewards) else (Named(kind="default"), *parts)
 
     @pydantic.field_validator("action_delay")
     @classmethod

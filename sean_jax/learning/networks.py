@@ -376,6 +376,17 @@ def with_noise(agent: Agent, deviation: float) -> Agent:
     return Agent({**agent.parameters, "params": inner}, agent.statistics)
 
 
+def owners(parameters: VariableDict) -> VariableDict:
+    """Of each parameter "critic" if the value alone depends on it, else "actor": also of what both share."""
+    first = int("GRUCell_0" in parameters["params"])  # dense layers before the two trunks, whose layers alternate
+
+    def owner(path: tuple, _: Any) -> str:
+        kind, _, number = path[1].key.rpartition("_")
+        return "critic" if kind == "Dense" and int(number) >= first and (int(number) - first) % 2 else "actor"
+
+    return jax.tree_util.tree_map_with_path(owner, parameters)
+
+
 def apply(
     network: ActorCritic,
     agent: Agent,

@@ -11,7 +11,7 @@ import optax
 from sean_jax import mdp
 from sean_jax.base import Array
 from sean_jax.config import PPOConfig
-from sean_jax.learning import rollouts
+from sean_jax.learning import networks, rollouts
 from sean_jax.learning.networks import ActorCritic, Agent, NetworkOutput, entropy, log_density
 from sean_jax.learning.rollouts import EnvBatch, Optimization, Transition
 
@@ -19,7 +19,8 @@ VALUE_WEIGHT = 0.5  # of the critic's loss
 MAX_GRADIENT_NORM = 0.5
 EPSILON = 1e-8
 
-OPTIMIZER = optax.chain(optax.clip_by_global_norm(MAX_GRADIENT_NORM), optax.scale_by_adam(eps=1e-5))
+_ADAM = optax.chain(optax.clip_by_global_norm(MAX_GRADIENT_NORM), optax.scale_by_adam(eps=1e-5))
+OPTIMIZER = optax.partition({"actor": _ADAM, "critic": _ADAM}, networks.owners)  # each with a clip of its own
 
 
 def init(agent: Agent) -> optax.OptState:

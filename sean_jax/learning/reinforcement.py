@@ -93,8 +93,9 @@ def train(options: ReinforcementConfig, console: ProgressLike = None) -> TrainSt
         config = trainer.on_all_processes(lambda: method_config(options, devices=len(jax.devices())))
         trainer.on_first_process(lambda: check_config(options.folder, config))  # refuses before anything is written
         setting = trainer.on_all_processes(lambda: build(options))
+        agents = trainer.on_all_processes(lambda: _first_agents(options, setting))
         trainer.on_first_process(lambda: stack.enter_context(writing.folder_lock(options.folder)))
-        return _train(options, console, setting, config)
+        return _train(options, console, setting, agents, config)
 
 
 def build(options: ReinforcementConfig) -> Setting:
@@ -167,8 +168,8 @@ def programs(options: ReinforcementConfig, network: ActorCritic, mesh: Mesh) -> 
         def one(agent: Agent, optimizer: PyTree, batch: EnvBatch, curriculum: Curriculum | None, key: Array, own: dict):
             own = own | {"learning_rate": own["learning_rate"] * left}
             mine = envs if curriculum is None else (replace(envs[0], pool=curriculum.pool),)
-            mine = tuple(replace(env, rewards=rewards.reweighted(env.rewards, _weights(own))) for env in mine)
             key = jax.random.fold_in(key, number)
+            mine = _reweighted(mine, own)
             *changed, batch, transitions, log = method.update(options, own, mine, network, agent, optimizer, batch, key)
             curriculum, more = curricula.follow(envs[0], plan, curriculum, transitions.info, transitions.done)
             return *changed, batch, curriculum, log | more
@@ -189,12 +190,12 @@ def programs(options: ReinforcementConfig, network: ActorCritic, mesh: Mesh) -> 
     def evaluate(scenarios: tuple[Scenario, ...], envs: tuple[mdp.Env, ...], agents: Agent) -> tuple[Array, list]:
         episode_keys = jax.random.split(prng.key("evaluation", options.seed), options.evaluation_episodes)
 
-        def one(agent: Agent) -> list[dict[str, Any]]:
+        def one(agent: Agent, own: dict[str, Array]) -> list[dict[str, Any]]:
             policy = policies.agent_policy(network, agent, terms)
-            each = zip(scenarios, envs, strict=True)
+            each = zip(scenarios, _reweighted(envs, own), strict=True)
             return [_evaluate_policy(scenario, env, policy, episode_keys) for scenario, env in each]
 
-        each = jax.vmap(one)(agents)
+        each = jax.vmap(one)(agents, numbers)
         return jnp.stack([numbers["return"] for numbers in each]).mean(0), each
 
     whole, split = (NamedSharding(mesh, PartitionSpec(*axes)) for axes in ((), (None, devices.AXIS)))
@@ -210,6 +211,11 @@ def programs(options: ReinforcementConfig, network: ActorCritic, mesh: Mesh) -> 
 def _weights(numbers: dict[str, Any]) -> dict[str, Any]:
     """The weights of rewards among an agent's numbers."""
     return {name.removeprefix(REWARDS): value for name, value in numbers.items() if name.startswith(REWARDS)}
+
+
+def _reweighted(envs: tuple[mdp.Env, ...], numbers: dict[str, Any]) -> tuple[mdp.Env, ...]:
+    """The environments with an agent's own weights of rewards."""
+    return tuple(replace(env, rewards=rewards.reweighted(env.rewards, _weights(numbers))) for env in envs)
 
 
 def _evaluate_policy(scenario: Scenario, env: mdp.Env, policy: Policy, keys: Array) -> dict[str, Any]:
@@ -243,7 +249,9 @@ def _evaluate_policy(scenario: Scenario, env: mdp.Env, policy: Policy, keys: Arr
 # ------------------------------------------------------------------ the training
 
 
-def _train(options: ReinforcementConfig, console: ProgressLike, setting: Setting, config: dict[str, Any]) -> TrainState:
+def _train(
+    options: ReinforcementConfig, console: ProgressLike, setting: Setting, agents: Agent, config: dict[str, Any]
+) -> TrainState:
     """Train in a folder that this process has locked, or the first of the processes that train together."""
     scenarios, envs, network = setting
     resumes = trainer.on_first_process(lambda: check_config(options.folder, config))
@@ -253,7 +261,7 @@ def _train(options: ReinforcementConfig, console: ProgressLike, setting: Setting
         text += f" in {len(envs)} environments" if len(envs) > 1 else ""
         raise InputError(f"{text}; take a multiple.")
     run = programs(options, network, mesh)
-    agents, teachers = _first_agents(options, setting), ()
+    teachers = ()
     if options.imitate is not None and not (resumes and list((options.folder / "checkpoints").glob("[0-9]*"))):
         teachers = tuple(policies.load_policy(options.imitate, scenario, "imitate") for scenario in scenarios)
     with progress(console if trainer.is_first_process() else None) as tell:
@@ -315,7 +323,12 @@ def _advance(
 
 
 def _first_agents(options: ReinforcementConfig, setting: Setting) -> Agent:
-    """The agents before the first update, (A, ...)."""
+    """The agents before the first update, (A, ...).
+
+    Raises:
+        InputError: the pretrained agent is missing, or sees something else.
+        IncompleteError: its checkpoint cannot be read.
+    """
     (scenario, *_), (env, *_), network = setting
     keys = jnp.stack([prng.key("weights", int(agent["seed"])) for agent in options.agents])
     if options.pretrained is None:

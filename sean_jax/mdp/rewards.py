@@ -240,6 +240,18 @@ def _as_term(name: str, value: RewardLike) -> RewardTerm:
     raise InputError(f"rewards: {name} is {value!r:.60}; give a weight, a RewardTerm, or a function.")
 
 
+def weighted(values: Mapping[str, RewardLike], weights: Mapping[str, float]) -> Terms:
+    """The terms of a dict, some with other weights; a weight of another term of ``REWARDS`` adds that term.
+
+    Raises:
+        InputError: as of ``as_terms``.
+    """
+    terms = dict(as_terms(values))
+    for name, weight in weights.items():
+        terms[name] = dataclasses.replace(terms.get(name) or _as_term(name, 1.0), weight=weight)
+    return tuple(terms.items())
+
+
 def reweighted(terms: Terms, weights: Mapping[str, Float[Array, ""] | float]) -> Terms:
     """The terms with other weights, which may be arrays inside a traced function.
 
