@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterable
 from numbers import Integral
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import pydantic
 
@@ -222,14 +222,17 @@ class ReinforcementConfig(EnvConfig):
     """Observations of the critic alone, such as people: it does not drive, so they may be privileged."""
     scenarios: fields.BatchSize = 64
     """Scenarios that step in parallel, for each agent; on a GPU try 8192."""
-    steps: fields.Count = 2_000_000
-    """Scenario-steps of the whole training of an agent, over which the learning rate falls to 0."""
+    steps: fields.StepCount = 2_000_000
+    """Scenario-steps of the whole training of an agent."""
     horizon: fields.Count = 32
     """Steps of each scenario between two updates."""
     minibatches: fields.Count = 8
     """Minibatches of the collected transitions, one per optimizer step."""
     learning_rate: fields.LearningRate = 5e-4
     """Initial learning rate of Adam."""
+    learning_rate_schedule: Literal["linear", "constant"] = "linear"
+    """linear: the learning rate falls to 0 over the steps; constant: it stays, and a training goes on with more
+    steps."""
     discount: fields.Share = 0.99
     """Discount factor per step."""
     advantage_decay: fields.Share = 0.95
@@ -267,6 +270,8 @@ class ReinforcementConfig(EnvConfig):
     """Episodes of an evaluation, in each environment; the agent takes the mean of its actions."""
     seed: fields.Seed = 0
     """The same seed gives the same agent."""
+    callbacks: Annotated[tuple[Component, ...], Family((Named,), "callback"), NO_EFFECT] = ()
+    """Functions that are called with each line of metrics.jsonl, a dict: FILE.py:NAME."""
     out: fields.Out = None
     """Folder for checkpoints and metrics, runs/METHOD-<environment>-<behavior>-<seed> by default. A training of the
     same options is resumed."""
@@ -293,9 +298,22 @@ class ReinforcementConfig(EnvConfig):
         if self.curriculum != "none" and len(self.environments) > 1:
             text = f"{self.curriculum} samples the starts of one environment, not of {self.environment}"
             yield f"curriculum: {text}; choose one of the two"
+        if self.updates >= 2**31:
+            text = f"{self.steps} make {self.updates:,} updates, more than {2**31 - 1:,}"
+            yield f"steps: {text}; take more scenarios or a longer horizon"
         if self.seed + self.seeds > 2**32:
             text = f"{self.seeds} consecutive seeds from {self.seed} go beyond {2**32 - 1}"
             yield f"seeds: {text}; take a lesser seed"
+
+    def identity(self) -> dict[str, Any]:
+        """As of ``Config``; a training of a constant learning rate may go on with more steps."""
+        constant = self.learning_rate_schedule == "constant"
+        return {name: value for name, value in super().identity().items() if name != "steps" or not constant}
+
+    @property
+    def updates(self) -> int:
+        """The number of updates of a training."""
+        return max(1, -(-self.steps // (self.scenarios * self.horizon)))
 
     @property
     def environments(self) -> list[str]:

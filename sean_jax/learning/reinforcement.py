@@ -43,6 +43,8 @@ from sean_jax.scenario import reset, results
 
 REWARDS = "rewards."  # prefix of a sweep's numbers that are weights of rewards
 
+LOWEST = float(np.finfo(np.float32).min)  # value of agents that were never evaluated
+
 METHODS = {"ppo": ppo, "apg": shac}
 """Method -> the module that has its ``init`` and ``update``."""
 
@@ -93,9 +95,10 @@ def train(options: ReinforcementConfig, console: ProgressLike = None) -> TrainSt
         config = trainer.on_all_processes(lambda: method_config(options, devices=len(jax.devices())))
         trainer.on_first_process(lambda: check_config(options.folder, config))  # refuses before anything is written
         setting = trainer.on_all_processes(lambda: build(options))
+        callbacks = trainer.on_all_processes(lambda: _callbacks(options))
         agents = trainer.on_all_processes(lambda: _first_agents(options, setting))
         trainer.on_first_process(lambda: stack.enter_context(writing.folder_lock(options.folder)))
-        return _train(options, console, setting, agents, config)
+        return _train(options, console, setting, agents, callbacks, config)
 
 
 def build(options: ReinforcementConfig) -> Setting:
@@ -120,6 +123,15 @@ def build(options: ReinforcementConfig) -> Setting:
     return Setting(measured, tuple(replace(env, scenario=replace(env.scenario, metrics=())) for env in envs), network)
 
 
+def _callbacks(options: ReinforcementConfig) -> tuple[Callable, ...]:
+    """The functions that receive each line of the log."""
+    functions = tuple(components.resolve(part, {}, "callbacks") for part in options.callbacks)
+    for part, function in zip(options.callbacks, functions, strict=True):
+        if not callable(function):
+            raise InputError(f"callbacks: {part.label} is no function; give one that takes a dict.")
+    return functions
+
+
 def _check_alike(envs: Sequence[mdp.Env]) -> None:
     """Refuse environments of one name, whose evaluations would mix, and of other observation sizes."""
     names = [env.scenario.environment.name for env in envs]
@@ -132,11 +144,6 @@ def _check_alike(envs: Sequence[mdp.Env]) -> None:
             raise InputError(f"observations: {name} shows {sizes}; leave it out, or train in one of them.")
 
 
-def updates(options: ReinforcementConfig) -> int:
-    """The number of updates of a training."""
-    return max(1, math.ceil(options.steps / (options.scenarios * options.horizon)))
-
-
 def programs(options: ReinforcementConfig, network: ActorCritic, mesh: Mesh) -> Programs:
     """The compiled functions of a training on the devices of a mesh."""
     method: Any = METHODS[options.method]
@@ -147,7 +154,7 @@ def programs(options: ReinforcementConfig, network: ActorCritic, mesh: Mesh) -> 
         if name != "seed"
     }
     plan = None if options.curriculum == "none" else Plan(options.curriculum)
-    total, (terms, _) = updates(options), policies.agent_terms(options)
+    total, (terms, _) = options.updates, policies.agent_terms(options)
     curriculum_keys = jnp.stack([prng.key("curriculum", int(agent["seed"])) for agent in options.agents])
 
     def begin(envs: tuple[mdp.Env, ...], agents: Agent) -> TrainState:
@@ -158,12 +165,13 @@ def programs(options: ReinforcementConfig, network: ActorCritic, mesh: Mesh) -> 
 
         optimizer, batch, curriculum = jax.vmap(one)(agents, keys, curriculum_keys)
         count = keys.shape[0]
-        best = Best(agents, jnp.full(count, -jnp.inf, jnp.float32), jnp.zeros(count, jnp.int32))
+        best = Best(agents, jnp.full(count, LOWEST, jnp.float32), jnp.zeros(count, jnp.int32))
         return TrainState(agents, optimizer, batch, best, curriculum, jnp.zeros((), jnp.int32))
 
     def update(envs: tuple[mdp.Env, ...], state: TrainState) -> tuple[TrainState, dict[str, Any]]:
         number = state.update + 1
-        left = 1.0 - state.update.astype(jnp.float32) / total
+        falls = options.learning_rate_schedule == "linear"
+        left = 1.0 - state.update.astype(jnp.float32) / total if falls else jnp.ones((), jnp.float32)
 
         def one(agent: Agent, optimizer: PyTree, batch: EnvBatch, curriculum: Curriculum | None, key: Array, own: dict):
             own = own | {"learning_rate": own["learning_rate"] * left}
@@ -176,8 +184,10 @@ def programs(options: ReinforcementConfig, network: ActorCritic, mesh: Mesh) -> 
 
         parts = state.agent, state.optimizer, state.rows, state.curriculum
         agent, optimizer, batch, curriculum, log = jax.vmap(one)(*parts, keys, numbers)
+        unknown = state.best.update.max() == 0  # until the first evaluation, the latest agents are the best
+        best = jax.tree.map(lambda old, new: jnp.where(unknown, new, old), state.best.agent, agent)
         state = replace(state, agent=agent, optimizer=optimizer, rows=batch, curriculum=curriculum, update=number)
-        return state, log
+        return replace(state, best=replace(state.best, agent=best)), log
 
     def refill(envs: tuple[mdp.Env, ...], state: TrainState) -> TrainState:
         def one(agent: Agent, curriculum: Curriculum | None, start: Array) -> Curriculum:
@@ -250,12 +260,17 @@ def _evaluate_policy(scenario: Scenario, env: mdp.Env, policy: Policy, keys: Arr
 
 
 def _train(
-    options: ReinforcementConfig, console: ProgressLike, setting: Setting, agents: Agent, config: dict[str, Any]
+    options: ReinforcementConfig,
+    console: ProgressLike,
+    setting: Setting,
+    agents: Agent,
+    callbacks: tuple[Callable, ...],
+    config: dict[str, Any],
 ) -> TrainState:
     """Train in a folder that this process has locked, or the first of the processes that train together."""
     scenarios, envs, network = setting
     resumes = trainer.on_first_process(lambda: check_config(options.folder, config))
-    mesh, total = devices.mesh(), updates(options)
+    mesh, total = devices.mesh(), options.updates
     if options.scenarios // len(envs) % mesh.size:
         text = f"scenarios: {options.scenarios} do not spread evenly over {mesh.size} devices"
         text += f" in {len(envs)} environments" if len(envs) > 1 else ""
@@ -293,7 +308,7 @@ def _train(
             encode=_encode,
             decode=_decode,
         )
-        return trainer.fit(options.folder, config, state, loop, total, tell)
+        return trainer.fit(options.folder, config, state, loop, total, tell, callbacks)
 
 
 def _advance(
@@ -312,14 +327,14 @@ def _advance(
     rate = len(options.agents) * steps / seconds
     line: dict[str, Any] = {"epoch": number, "steps": number * steps, "seconds": seconds, "per_second": rate}
     line |= {part: _finite_means(values) for part, values in log.items()}
-    loss = None
-    if number % options.evaluate_every == 0 or number == updates(options):
+    due = number % options.evaluate_every == 0 or number == options.updates
+    if due:
         state, evaluation = _evaluate(run, setting, state)
         line |= evaluation
-        loss = -float(np.sum(np.asarray(state.best.value)))
+    loss = -float(np.sum(np.asarray(state.best.value, float)))
     episodes = line["episodes"]
     note = f"return {episodes.get('return', math.nan):.1f}, completed {episodes.get('completed', 0.0):.0%}"
-    return state, Report(number, line, loss, f"update {number} · {note} · {rate:,.0f} steps/s")
+    return state, Report(number, line, loss, due, f"update {number} · {note} · {rate:,.0f} steps/s")
 
 
 def _first_agents(options: ReinforcementConfig, setting: Setting) -> Agent:
