@@ -271,11 +271,68 @@ def test_the_clip_of_one_does_not_shorten_the_steps_of_the_other(env):
         gradient = jax.tree.map(
             lambda owner, leaf: jnp.full_like(leaf, size if owner == "critic" else 1e-6), owners, agent.parameters
         )
-        rate, optimizer = jnp.asarray(0.1), ppo.init(agent)
+        rate, optimizer = jnp.asarray(0.1), ppo.OPTIMIZER.init(agent.parameters)
         moved, _ = rollouts.apply_gradient(ppo.OPTIMIZER, rate, agent.parameters, optimizer, gradient)
         steps.append([new for owner, new in zip(*map(jax.tree.leaves, (owners, moved)), strict=True) if owner == "actor"])
     for one, other in zip(*steps, strict=True):
         np.testing.assert_array_equal(one, other)
+
+
+def test_first_episodes_end_at_different_times():
+    """Each row reaches the limit of 4 s by itself, after as many steps as were left; later episodes are whole."""
+    env = registry.load("Lab-Random-RandomAbNav-v0", config_overrides={"people": 0, "time_limit": 4.0})
+    env = jax.jit(mdp.Env.with_pool, static_argnums=2)(env, jax.random.key(0), 4)
+    network, rows = ActorCritic(4, 1), 64
+
+    @jax.jit
+    def play(key):
+        batch = rollouts.reset_envs((env,), network, key, rows)
+        batch = reinforcement.stagger((env,), batch, jax.random.fold_in(key, 1))
+        ages = batch.envs[0].simulation.tick
+
+        def one(states, tick):
+            keys = jax.random.split(jax.random.fold_in(key, tick), rows)
+            _, states, _, _, truncated, info = jax.vmap(env.step)(keys, states, jnp.zeros((rows, 2)))
+            return states, (truncated, info["episode_length"])
+
+        return ages, jax.lax.scan(one, batch.envs[0], jnp.arange(80))[1]
+
+    ages, (truncated, length) = jax.tree.map(np.asarray, play(jax.random.key(3)))
+    assert ages.min() >= 0 and ages.max() <= 39 and len(np.unique(ages)) > 25
+    first = truncated.argmax(0)
+    np.testing.assert_array_equal(first, 39 - ages)
+    np.testing.assert_array_equal(length[first, np.arange(rows)], 40 - ages)
+    np.testing.assert_array_equal(length[first + 40, np.arange(rows)], 40)
+    assert truncated[first + 40, np.arange(rows)].all() and truncated.sum() == 2 * rows
+    assert truncated.sum(1).max() < 10
+
+
+def test_the_critic_learns_alone_after_imitation(env):
+    """In an update whose actor does not move; and the value of the network stays that of returns in their own unit."""
+    config = options(None, observations=["goal"], rewards=["time"], epochs=1, minibatches=1)
+    network = ActorCritic(8, 1)
+    pooled = (jax.jit(mdp.Env.with_pool, static_argnums=2)(env, jax.random.key(1), 8),)
+    agent, numbers = begun(network, env), {name: jnp.asarray(0.01) for name in PPOConfig.SWEPT}
+
+    @jax.jit
+    def update(rate):
+        batch = rollouts.reset_envs(pooled, network, jax.random.key(0), 8)
+        own = numbers | {"actor_rate": rate}
+        return ppo.update(config, own, pooled, network, agent, ppo.init(agent), batch, jax.random.key(2))[0]
+
+    for rate, moves in ((0.0, False), (0.01, True)):
+        parts = networks.owners(agent.parameters), agent.parameters, update(jnp.asarray(rate)).parameters
+        for owner, old, new in zip(*map(jax.tree.leaves, parts), strict=True):
+            assert bool((old != new).any()) == (moves or owner == "critic")
+
+
+def test_a_value_is_scaled_and_nothing_else(env):
+    network = ActorCritic(8, 2)
+    agent, seen = begun(network, env), jnp.array([1.0, -2.0])
+    larger = replace(agent, parameters=networks.scale_value(agent.parameters, jnp.asarray(3.0)))
+    one, other = (networks.apply(network, each, seen, {}, jnp.zeros(0), jnp.ones((), bool)) for each in (agent, larger))
+    np.testing.assert_allclose(other.value, 3.0 * one.value, rtol=1e-6)
+    np.testing.assert_array_equal(other.mean, one.mean)
 
 
 @pytest.fixture

@@ -14,7 +14,7 @@ from sean_jax.config.fields import Option
 from sean_jax.config.scenario import Part, ScenarioConfig
 from sean_jax.messages import listed
 
-OBSERVED = ("goal", "goal_heading", "path", "distance", "speeds", "time", "obstacles", "people")
+OBSERVED = ("goal", "goal_heading", "path", "distance", "speeds", "hold", "obstacles", "people")
 """The terms of an agent's observation, where none are named."""
 
 NO_EFFECT = Option(affects_results=False)

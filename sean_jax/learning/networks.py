@@ -356,8 +356,12 @@ def init_agent(network: ActorCritic, terms: observations.Terms, space: dict[str,
     start = jnp.ones((), bool)
     memory = jnp.zeros(network.memory_size, jnp.float32)
     parameters = network.init(key, vector, {name: empty[name] for name in network.images}, memory, start)
-    statistics = Statistics(jnp.zeros_like(vector), jnp.ones_like(vector), jnp.full((), 1e-4, jnp.float32))
-    return Agent(parameters, statistics)
+    return Agent(parameters, init_statistics(vector))
+
+
+def init_statistics(vector: Float[Array, "F"]) -> Statistics:
+    """Statistics before the first vector."""
+    return Statistics(jnp.zeros_like(vector), jnp.ones_like(vector), jnp.full((), 1e-4, jnp.float32))
 
 
 def init_agents(network: ActorCritic, terms: observations.Terms, space: dict[str, Box], keys: Array) -> Agent:
@@ -385,6 +389,14 @@ def owners(parameters: VariableDict) -> VariableDict:
         return "critic" if kind == "Dense" and int(number) >= first and (int(number) - first) % 2 else "actor"
 
     return jax.tree_util.tree_map_with_path(owner, parameters)
+
+
+def scale_value(parameters: VariableDict, factor: Float[Array, ""]) -> VariableDict:
+    """The parameters of a network whose value is that many times as large, by its last layer."""
+    layers = dict(parameters["params"])
+    last = max((name for name in layers if name.startswith("Dense_")), key=lambda name: int(name[6:]))
+    layers[last] = jax.tree.map(lambda leaf: factor * leaf, layers[last])
+    return {**parameters, "params": layers}
 
 
 def apply(

@@ -26,6 +26,7 @@ from jaxtyping import Int, PyTree
 
 from sean_jax import components, devices, mdp, prng, registry, writing
 from sean_jax.base import Array, Policy, Scenario
+from sean_jax.clock import ceil_ticks
 from sean_jax.config import ReinforcementConfig
 from sean_jax.episodes import init_policy, policy_step
 from sean_jax.errors import InputError
@@ -44,6 +45,8 @@ from sean_jax.scenario import reset, results
 REWARDS = "rewards."  # prefix of a sweep's numbers that are weights of rewards
 
 LOWEST = float(np.finfo(np.float32).min)  # value of agents that were never evaluated
+
+CRITIC_UPDATES = 20  # after --imitate, in which the critic alone learns the returns of the imitating agent
 
 METHODS = {"ppo": ppo, "apg": shac}
 """Method -> the module that has its ``init`` and ``update``."""
@@ -157,9 +160,14 @@ def programs(options: ReinforcementConfig, network: ActorCritic, mesh: Mesh) -> 
     total, (terms, _) = options.updates, policies.agent_terms(options)
     curriculum_keys = jnp.stack([prng.key("curriculum", int(agent["seed"])) for agent in options.agents])
 
+    held = CRITIC_UPDATES if options.imitate is not None else 0
+
     def begin(envs: tuple[mdp.Env, ...], agents: Agent) -> TrainState:
         def one(agent: Agent, key: Array, start: Array) -> tuple[PyTree, EnvBatch, Curriculum | None]:
-            batch = rollouts.reset_envs(envs, network, jax.random.fold_in(key, 0), options.scenarios)
+            first, ages = jax.random.split(jax.random.fold_in(key, 0))
+            batch = rollouts.reset_envs(envs, network, first, options.scenarios)
+            if options.behavior.kind != "playback":  # whose people are where they are by the tick
+                batch = stagger(envs, batch, ages)
             policy, start = policies.agent_policy(network, agent, terms), jax.random.fold_in(start, 0)
             return method.init(agent), batch, plan and curricula.init(envs[0], plan, start, options.pool, policy)
 
@@ -174,7 +182,8 @@ def programs(options: ReinforcementConfig, network: ActorCritic, mesh: Mesh) -> 
         left = 1.0 - state.update.astype(jnp.float32) / total if falls else jnp.ones((), jnp.float32)
 
         def one(agent: Agent, optimizer: PyTree, batch: EnvBatch, curriculum: Curriculum | None, key: Array, own: dict):
-            own = own | {"learning_rate": own["learning_rate"] * left}
+            rate = own["learning_rate"] * left
+            own = own | {"learning_rate": rate, "actor_rate": jnp.where(number > held, rate, 0.0)}
             mine = envs if curriculum is None else (replace(envs[0], pool=curriculum.pool),)
             key = jax.random.fold_in(key, number)
             mine = _reweighted(mine, own)
@@ -216,6 +225,21 @@ def programs(options: ReinforcementConfig, network: ActorCritic, mesh: Mesh) -> 
         jax.jit(evaluate, out_shardings=whole),
         jax.jit(refill, donate_argnums=1, out_shardings=placed),
     )
+
+
+def stagger(envs: tuple[mdp.Env, ...], batch: EnvBatch, key: Array) -> EnvBatch:
+    """Scenarios whose first episodes are at random ages, or else all would reach the time limit in the same step.
+
+    The key is a typed PRNG key ().
+    """
+
+    def one(env: mdp.Env, states: mdp.EnvState, key: Array) -> mdp.EnvState:
+        last = ceil_ticks(env.scenario.time_limit, env.scenario.time_step)
+        tick = jax.random.randint(key, states.simulation.tick.shape, 0, last, jnp.int32)
+        return replace(states, simulation=replace(states.simulation, tick=tick))
+
+    keys = jax.random.split(key, len(envs))
+    return replace(batch, envs=tuple(map(one, envs, batch.envs, keys)))
 
 
 def _weights(numbers: dict[str, Any]) -> dict[str, Any]:

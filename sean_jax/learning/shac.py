@@ -74,7 +74,8 @@ def update(
     epochs; the transitions; and numbers for the log.
 
     Args:
-        numbers: this agent's values of ``APGConfig.SWEPT``; the learning rate is this update's.
+        numbers: this agent's values of ``APGConfig.SWEPT``; the learning rate is this update's, and ``actor_rate`` the
+            actor's.
         envs: with pools; scenarios are shared out equally.
         key: () typed PRNG key of this update.
     """
@@ -95,7 +96,7 @@ def update(
     finite = jnp.isfinite(norm)
     gradient = jax.tree.map(lambda part: jnp.where(finite, part, 0.0), gradient)
     rate = numbers["learning_rate"]
-    parameters, actor = rollouts.apply_gradient(ACTOR, rate, agent.parameters, optimizer.actor, gradient)
+    parameters, actor = rollouts.apply_gradient(ACTOR, numbers["actor_rate"], agent.parameters, optimizer.actor, gradient)
     agent = replace(agent, parameters=parameters)
 
     last = rollouts.forward(network, target_critic, envs[0].observations, batch)
