@@ -399,7 +399,9 @@ def test_progress_is_plain_lines_into_a_pipe_and_rarer_with_time(monkeypatch):
     lines = pipe.getvalue().splitlines()
     assert lines[0] == "training 0% · update 10 [/x] :smile: · 0:00:10, 1:59:50 left" and len(lines) < 160
     shown = [int(line.split("update ")[1].split()[0]) for line in lines]
-    assert all(10 <= after - before <= min(max(10, 0.11 * before), 60) for before, after in zip(shown, shown[1:], strict=False))
+    assert all(
+        10 <= after - before <= min(max(10, 0.11 * before), 60) for before, after in zip(shown, shown[1:], strict=False)
+    )
     assert shown[-1] > 7_100 and "\x1b" not in pipe.getvalue()
 
 

@@ -266,15 +266,16 @@ def test_the_clip_of_one_does_not_shorten_the_steps_of_the_other(env):
     network = ActorCritic(8, 1)
     agent = begun(network, env)
     owners = networks.owners(agent.parameters)
-    steps = []
-    for size in (1e-3, 1e3):
-        gradient = jax.tree.map(
-            lambda owner, leaf: jnp.full_like(leaf, size if owner == "critic" else 1e-6), owners, agent.parameters
-        )
+
+    def step_of_the_actor(size: float) -> list:
+        sizes = {"actor": 1e-6, "critic": size}
+        gradient = jax.tree.map(lambda owner, leaf: jnp.full_like(leaf, sizes[owner]), owners, agent.parameters)
         rate, optimizer = jnp.asarray(0.1), ppo.OPTIMIZER.init(agent.parameters)
         moved, _ = rollouts.apply_gradient(ppo.OPTIMIZER, rate, agent.parameters, optimizer, gradient)
-        steps.append([new for owner, new in zip(*map(jax.tree.leaves, (owners, moved)), strict=True) if owner == "actor"])
-    for one, other in zip(*steps, strict=True):
+        parts = zip(*map(jax.tree.leaves, (owners, moved)), strict=True)
+        return [new for owner, new in parts if owner == "actor"]
+
+    for one, other in zip(step_of_the_actor(1e-3), step_of_the_actor(1e3), strict=True):
         np.testing.assert_array_equal(one, other)
 
 

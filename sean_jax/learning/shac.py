@@ -96,7 +96,9 @@ def update(
     finite = jnp.isfinite(norm)
     gradient = jax.tree.map(lambda part: jnp.where(finite, part, 0.0), gradient)
     rate = numbers["learning_rate"]
-    parameters, actor = rollouts.apply_gradient(ACTOR, numbers["actor_rate"], agent.parameters, optimizer.actor, gradient)
+    parameters, actor = rollouts.apply_gradient(
+        ACTOR, numbers["actor_rate"], agent.parameters, optimizer.actor, gradient
+    )
     agent = replace(agent, parameters=parameters)
 
     last = rollouts.forward(network, target_critic, envs[0].observations, batch)

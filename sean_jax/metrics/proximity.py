@@ -134,7 +134,9 @@ def _is_intimate(snapshot: Snapshot) -> Array:
     return (_squares(snapshot) <= _intimate_limit(snapshot) ** 2).any()
 
 
-CONTACT_TIME = duration(_robot_touches_person, definition="Seconds in which the robot touches and moves towards a person.")
+CONTACT_TIME = duration(
+    _robot_touches_person, definition="Seconds in which the robot touches and moves towards a person."
+)
 OBSTACLE_TIME = duration(_touches_obstacle, definition="Seconds in which the robot touches an obstacle.")
 INTIMATE_TIME = duration(_is_intimate, definition="Seconds with a person within 0.45 m of the robot.")
 
