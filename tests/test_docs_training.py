@@ -1,7 +1,9 @@
 """docs/training.md: its tables have every term with its default, and its examples run."""
 
 import re
+import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -52,9 +54,22 @@ def test_examples_run(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     scope: dict = {}
     for block in examples():
-        if "stable_baselines3" not in block:
+        if "stable_baselines3" not in block and "wandb" not in block:
             exec(block, scope)  # noqa: S102
     assert scope["reward"].shape == (16,) and scope["driver"].name == "short" and scope["many"].num_envs == 16
+
+
+def test_the_example_of_a_callback_logs_numbers_by_their_names(monkeypatch):
+    (block,) = [block for block in examples() if "wandb" in block]
+    logged, begun = [], []
+    run = SimpleNamespace(log=lambda numbers, step: logged.append((numbers, step)))
+    monkeypatch.setitem(sys.modules, "wandb", SimpleNamespace(init=lambda project: begun.append(project) or run))
+    scope: dict = {}
+    exec(block, scope)  # noqa: S102
+    for epoch in (1, 2):
+        scope["log"]({"epoch": epoch, "steps": 64, "train": {"loss": 0.5, "actor": 0.1}})
+    assert begun == ["sean"] and [step for _, step in logged] == [1, 2]
+    assert logged[1][0] == {"epoch": 2, "steps": 64, "train/loss": 0.5, "train/actor": 0.1}
 
 
 @pytest.mark.slow

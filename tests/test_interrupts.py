@@ -206,3 +206,25 @@ def test_an_error_while_xla_compiles_ends_in_its_own_code(end, begin, code, text
     assert ended.returncode == code, ended.stderr
     assert text in ended.stderr and "terminate called" not in ended.stderr
     assert ended.stdout == "compiling\n"
+
+
+@pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGTERM])
+def test_the_first_signal_waits_for_the_end_of_a_block_and_the_second_does_not(kind):
+    before, done = signal.getsignal(kind), []
+    with interrupts.interruptible() as received:
+        outer = signal.getsignal(kind)
+        with pytest.raises(KeyboardInterrupt), interrupts.deferred() as waiting:
+            signal.raise_signal(kind)
+            assert waiting == [kind] and received == []
+            done.append("block")
+        assert done == ["block"] and received == [kind] and signal.getsignal(kind) == outer
+        with pytest.raises(KeyboardInterrupt), interrupts.deferred():
+            signal.raise_signal(kind)
+            signal.raise_signal(kind)
+            done.append("never")
+        with pytest.raises(OSError, match="full"), interrupts.deferred():
+            signal.raise_signal(kind)
+            raise OSError("full")  # which says more than the signal
+        with interrupts.deferred() as waiting:
+            assert waiting == []
+    assert done == ["block"] and signal.getsignal(kind) == before
