@@ -112,11 +112,12 @@ def fit(
                     for callback in callbacks:
                         name = getattr(callback, "__name__", type(callback).__name__)
                         calls.call(f"callback {name}", callback, "line", json.loads(json.dumps(line)))
-                if not compiled and jax.process_count() == 1:  # several processes must agree: ``must_stop``
-                    signals = stack.enter_context(interrupts.deferred())
                 if not compiled:
+                    compiled = True
                     tell.start("training", total)
-                compiled, unsaved = True, None if report.due else report
+                    if jax.process_count() == 1:  # several must agree, by ``must_stop``
+                        signals = stack.enter_context(interrupts.deferred())
+                unsaved = None if report.due else report
                 if report.due:
                     checkpoints.save(loop.encode(state), report.number, report.loss)
                     if log is not None and "evaluation" in report.metrics:
