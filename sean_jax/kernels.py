@@ -25,8 +25,8 @@ PRIMITIVES = frozenset(
 CALLS = frozenset(("custom_jvp_call", "jit", "pjit", "closed_call", "custom_vjp_call", "remat2", "checkpoint"))
 
 Call = Callable[..., tuple[Array, ...]]
-"""``call(*operands)`` gives arrays (scenarios, columns). An operand has a row for each scenario, one for all, or R rows:
-one for each of R equal parts of the scenarios, such as those on the same floor.
+"""``call(*operands)`` gives arrays (scenarios, columns). An operand has a row for each scenario, one for all, or R
+rows, one for each of R equal parts of the scenarios, such as the scenarios on one floor.
 """
 
 

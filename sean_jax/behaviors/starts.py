@@ -223,7 +223,8 @@ def choose_starts(
     alone = walkers - groups.members
     if not groups.number:
         return jax.lax.top_k(score, alone)[1]
-    chosen = spawn_clusters[jax.lax.top_k(score[spawn_clusters[:, 0]], groups.number)[1]]
+    first = jnp.where(spawn_clusters[:, 0] >= 0, score[spawn_clusters[:, 0]], -jnp.inf)
+    chosen = spawn_clusters[jax.lax.top_k(first, groups.number)[1]]
     grouped = jnp.concatenate([chosen[: groups.pairs, :2].ravel(), chosen[groups.pairs :].ravel()])
     return jnp.concatenate([jax.lax.top_k(score.at[grouped].set(-jnp.inf), alone)[1], grouped])
 

@@ -18,13 +18,12 @@ from jaxtyping import Bool, Float, Int, PyTree
 
 from sean_jax.base import Array, Obstacles
 from sean_jax.geometry import crosses_box, from_box, length
-from sean_jax.padding import common_sizes, pad
+from sean_jax.padding import in_programs
 
 ANGLE = 0.02  # rad, by which a tangent may touch beyond the end of an arc: at 0.25 m that is 0.05 mm off it
 NEAR = 1e-8  # m2, a tangent with a smaller square counts as one without length
 SLACK = 5e-4  # m, by which a path may pass nearer than the radius: far above rounding in float32, too little to matter
 BATCHES = 512, 2048, 8192  # rows computed at once on the host
-MULTIPLE = 32  # of arcs and of obstacles in programs for the host
 
 
 @struct.dataclass
@@ -152,12 +151,6 @@ def pairs_are_free(
 ) -> Bool[np.ndarray, "K"]:
     """``segment_is_free`` for many pairs [m], on the host."""
     return map_in_batches(_pair_is_free, (in_programs(boxes), jnp.asarray(radius, float)), starts, ends)
-
-
-def in_programs(tables: PyTree) -> PyTree:
-    """Tables with obstacles and arcs padded to a multiple of 32, so that programs for the host serve many floors."""
-    sizes = {axis: -(-size // MULTIPLE) * MULTIPLE for axis, size in common_sizes([tables]).items() if axis[1] in "VW"}
-    return jax.tree.map(lambda part: part.astype(float) if part.dtype.kind == "f" else part, pad(tables, sizes))
 
 
 def _pair_is_free(shared: tuple[Obstacles, Array], start: Array, end: Array) -> Array:

@@ -18,7 +18,6 @@ from sean_jax.geometry import from_box, length
 from sean_jax.navigation.arcs import (
     ANGLE,
     Tangent,
-    in_programs,
     map_in_batches,
     push_out_of_obstacles,
     segment_is_free,
@@ -28,12 +27,13 @@ from sean_jax.navigation.arcs import (
 )
 from sean_jax.navigation.shortest_paths import last_arcs
 from sean_jax.navigation.tables import CELL, CODE, Navigation, arc_bits, inputs
+from sean_jax.padding import in_programs
 
 CLOSE = 0.8  # of the radius: bodies of people have 0.2 m, their paths are for 0.25 m
 MIN_AHEAD = 0.5  # m ahead: the nearest place that people aim at
 CANDIDATES = 4  # arcs that ``next_point_approx`` tests
 MAX_DETOUR = 0.3  # m
-POINTS = 8  # the number of points is rounded up to a multiple, so that floors share programs
+POINTS = 16  # the number of points is rounded up to a multiple, so that floors share programs
 NEIGHBORS = ((1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, 1), (1, -1), (-1, -1))  # of a cell
 
 
@@ -209,7 +209,7 @@ def _paths_to_points(navigation: Navigation, points: Array) -> tuple:
 
 
 def _first_arcs(shared: tuple, spot: Array, words: Array) -> Array:
-    """(M,) int16 the best arc from a spot (2,) [m] on the way to each point, of the arcs that are visible from there."""
+    """(M,) int16 the best of the visible arcs on the way from a spot (2,) [m] to each point."""
     navigation, distance, departure_angle, (ends, end_radius) = shared
     obstacles, radius = navigation.obstacles, navigation.radius
     place, free_radius = push_out_of_obstacles(obstacles, spot, radius)

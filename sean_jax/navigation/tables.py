@@ -21,15 +21,15 @@ from sean_jax.navigation.arcs import (
     ANGLE,
     SLACK,
     CornerArcs,
-    in_programs,
     map_in_batches,
     pairs_are_free,
     push_out_of_obstacles,
     segments_are_free,
     tangents,
 )
+from sean_jax.padding import in_programs
 
-CODE = "navigation", "environment", "geometry"  # on which the tables depend
+CODE = "navigation", "environment", "geometry", "padding"  # on which the tables depend
 FIELDS = "corner", "middle", "side", "first", "last"
 CELL = 0.25  # m
 MAX_CELLS = 100_000  # of a visibility grid; larger floors have wider cells
