@@ -31,6 +31,7 @@ MAX_FLOORS = 40  # of a picture
 LEARNING = ("cmaes", "optax", "orbax", "tensorstore")  # packages of the extra "learning"
 RESUMABLE = ("collect", "train", "experiment", "export", "calibrate", "benchmark", "validate")
 READERS = ("run", "collect", "train", "experiment", "export", "replay", "benchmark")  # may run code that a file names
+CONFIGURABLE = ("run", "train")  # take their options from a file, too
 EXPERIMENTS = {"table1": "table1", "ablation": "table1", "figure4": "figure4", "learning_curve": "figure4"}  # -> module
 TRACEBACK = "--traceback"  # of any command
 WRONG, FAILED, STOPPED, TERMINATED = 2, 1, 130, 143  # exit codes: bad input, broken midway, Ctrl-C, SIGTERM
@@ -92,7 +93,7 @@ def _main(words: list[str], traced: bool) -> int:
         from sean_jax import flags
 
         word, arguments = words[0], words[1:]
-        parsed = flags.parse(word, model, arguments, configurable=word == "run", trust=word in READERS)
+        parsed = flags.parse(word, model, arguments, configurable=word in CONFIGURABLE, trust=word in READERS)
         from sean_jax import compiler, components
 
         with components.read_once(), components.trust() if getattr(parsed, "trust", False) else nullcontext():
@@ -170,7 +171,8 @@ def _read(model: type[Config], parsed: Any) -> Any:
         saved = read_config(parsed.config)
         base = saved.description
         try:
-            config.validate(model, base, source=parsed.config)
+            words = {name: getattr(parsed, name) for name in flags.positionals(model)}
+            config.validate(model, base | words, source=parsed.config)
         except InputError as error:
             raise InputError(f"{parsed.config}: {error}") from None
         for sentence in saved.changes:

@@ -284,9 +284,9 @@ def _named(file: str, code: Content) -> dict[str, str]:
 
 
 def _parts(config: Config) -> Iterator[tuple[str, OwnPart]]:
-    """The option and the part, of each of the user's own parts; names are separated by commas."""
+    """The option and the part, of each of the user's own parts; names are separated by commas. Callbacks are none."""
     for name in type(config).model_fields:
-        value = getattr(config, name)
+        value = None if name == "callbacks" else getattr(config, name)
         for part in value if isinstance(value, tuple) else files.listed(value) if isinstance(value, str) else (value,):
             if isinstance(part, OwnPart):
                 yield name, part

@@ -163,6 +163,11 @@ def read(
     return core.validate(model, core.gather(model, words, data, flag), flag, source)
 
 
+def positionals(model: type[Config]) -> list[str]:
+    """The fields of a command that are words without a flag."""
+    return [name for name, field in model.model_fields.items() if Option.of(field).positional]
+
+
 def _own(value: Any, family: Family) -> Any:
     """Components of flags; parts in the user's own files are marked as named by the user."""
     if not (family.several or family.singular):

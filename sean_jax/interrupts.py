@@ -81,6 +81,35 @@ def interruptible() -> Iterator[list[int]]:
 
 
 @contextlib.contextmanager
+def deferred() -> Iterator[list[int]]:
+    """Delay the first Ctrl-C or SIGTERM to the end of the block, which reads it in the list; a second acts at once.
+
+    Signals that are ignored, or have a handler outside Python, are left alone.
+    """
+    received: list[int] = []
+    if threading.current_thread() is not threading.main_thread():  # where no signal arrives
+        yield received
+        return
+    handlers = {kind: signal.getsignal(kind) for kind in (signal.SIGINT, signal.SIGTERM)}
+    before = {kind: handler for kind, handler in handlers.items() if callable(handler)}
+
+    def put_off(number: int, frame: FrameType | None) -> None:
+        received.append(number)
+        if len(received) > 1:
+            before[signal.Signals(number)](number, frame)
+
+    for kind in before:
+        signal.signal(kind, put_off)
+    try:
+        yield received
+    finally:
+        for kind, handler in before.items():
+            signal.signal(kind, handler)
+    if received:
+        before[signal.Signals(received[0])](received[0], None)
+
+
+@contextlib.contextmanager
 def unwrapped() -> Iterator[None]:
     """Raise the block's KeyboardInterrupt as itself, where code in C has turned it into another exception.
 

@@ -2,6 +2,7 @@
 
 import contextlib
 import datetime
+import threading
 import time
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -12,7 +13,7 @@ if TYPE_CHECKING:
 ProgressLike: TypeAlias = "Console | Callable[[float], None] | None"
 """A console on which progress is shown, or a function that receives the share that is done."""
 
-INTERVAL = 10.0  # s between two plain lines, at least
+INTERVAL, MAX_INTERVAL = 10.0, 60.0  # s between two plain lines, at least and at most
 
 
 class Progress:
@@ -56,25 +57,35 @@ class _Lines(Progress):
     def __init__(self, console: Any) -> None:
         self._console, self._text, self._total = console, "starting", 0.0
         self._begin = self._last = time.monotonic()
+        self._done, self._note, self._first = 0.0, "", (self._begin, 0.0)
 
     def stage(self, text: str) -> None:
-        self._text, self._total = text, 0.0
-        self._line("")
+        self.start(text, 0.0)
 
     def start(self, text: str, total: float) -> None:
-        self._text, self._total = text, max(total, 1e-9)
-        self._line("")
+        self._text, self._total, self._done, self._note = text, total, 0.0, ""
+        self.line()
 
     def update(self, done: float, note: str = "") -> None:
-        self._line(f" {min(1.0, done / self._total):.0%}" if self._total else "", note)
+        if not self._done:  # before it, programs were compiled, or a training was resumed
+            self._first = time.monotonic(), done
+        self._done, self._note = done, note
+        self.line()
 
-    def _line(self, share: str, note: str = "") -> None:
+    def line(self) -> None:
+        """Print a line if it is time for one."""
         now = time.monotonic()
-        if now - self._last >= max(INTERVAL, 0.1 * (self._last - self._begin)):
-            self._last = now
-            text = f"{self._text}{share}{note and ' · '}{note} · {datetime.timedelta(seconds=int(now - self._begin))}"
-            self._console.print(text, markup=False, emoji=False, highlight=False, soft_wrap=True)
-            self._console.file.flush()
+        if now - self._last < min(max(INTERVAL, 0.1 * (self._last - self._begin)), MAX_INTERVAL):
+            return
+        self._last = now
+        share = f" {min(1.0, self._done / self._total):.0%}" if self._total and self._done else ""
+        begin, first = self._first
+        rest = (now - begin) * (self._total - self._done) / (self._done - first) if self._done > first else 0.0
+        left = f", {datetime.timedelta(seconds=int(rest))} left" if share and rest > 0.0 else ""
+        text = f"{self._text}{share}{self._note and ' · '}{self._note}"
+        text += f" · {datetime.timedelta(seconds=int(now - self._begin))}{left}"
+        self._console.print(text, markup=False, emoji=False, highlight=False, soft_wrap=True)
+        self._console.file.flush()
 
 
 @contextlib.contextmanager
@@ -89,7 +100,17 @@ def progress(console: ProgressLike) -> Iterator[Progress]:
         yield Progress(console)  # pyright: ignore[reportArgumentType]
         return
     if not (console.is_terminal or console.is_jupyter):  # pyright: ignore[reportAttributeAccessIssue]
-        yield _Lines(console)
+        lines, ended = _Lines(console), threading.Event()
+
+        def repeat() -> None:  # while a program is compiled, nothing else calls
+            while not ended.wait(INTERVAL):
+                lines.line()
+
+        threading.Thread(target=repeat, name="sean-progress", daemon=True).start()
+        try:
+            yield lines
+        finally:
+            ended.set()
         return
     from rich.progress import BarColumn, SpinnerColumn, TextColumn, TimeElapsedColumn
     from rich.progress import Progress as Bar

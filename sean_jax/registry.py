@@ -133,7 +133,7 @@ def check(config: EnvConfig) -> dict[str, Any]:
         randomization = as_randomization(components.resolve(randomization, mdp.RANDOMIZATIONS, "randomization"))
     return {
         "observations": dict(observation_terms(config.observations)),
-        "rewards": dict(rewards.as_terms(_rewards(config))),
+        "rewards": dict(rewards.weighted(_rewards(config), config.reward_weights)),
         "terminations": terminations,
         "randomization": randomization,
     }
@@ -151,7 +151,7 @@ def observation_terms(parts: Sequence[Component], option: str = "observations") 
 
 def _rewards(config: EnvConfig) -> dict[str, Any]:
     terms: dict[str, Any] = {}
-    for part in config.rewards:
+    for part in config.reward_parts:
         if isinstance(part, Named) and part.kind == "default":
             terms |= rewards.DEFAULT
             continue

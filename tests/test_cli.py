@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import time
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -396,7 +397,20 @@ def test_progress_is_plain_lines_into_a_pipe_and_rarer_with_time(monkeypatch):
                 now[0] = float(second)
                 tell.update(second, f"update {second} [/x] :smile:")
     lines = pipe.getvalue().splitlines()
-    assert lines[0] == "training 0% · update 10 [/x] :smile: · 0:00:10" and len(lines) < 80
+    assert lines[0] == "training 0% · update 10 [/x] :smile: · 0:00:10, 1:59:50 left" and len(lines) < 160
     shown = [int(line.split("update ")[1].split()[0]) for line in lines]
-    assert all(10 <= after - before <= max(10, 0.11 * before) for before, after in zip(shown, shown[1:], strict=False))
-    assert shown[-1] > 6_400 and "\x1b" not in pipe.getvalue()
+    assert all(
+        10 <= after - before <= min(max(10, 0.11 * before), 60) for before, after in zip(shown, shown[1:], strict=False)
+    )
+    assert shown[-1] > 7_100 and "\x1b" not in pipe.getvalue()
+
+
+def test_progress_goes_on_while_nothing_is_told(monkeypatch):
+    """As while a program is compiled: lines of the stage come by themselves."""
+    monkeypatch.setattr(progress_of, "INTERVAL", 0.01)
+    pipe, deadline = io.StringIO(), time.monotonic() + 60.0
+    with progress_of.progress(Console(file=pipe)) as tell:
+        tell.stage("compiling")
+        while pipe.getvalue().count("compiling") < 3 and time.monotonic() < deadline:
+            time.sleep(0.01)
+    assert pipe.getvalue().count("compiling · 0:00:0") >= 3

@@ -117,8 +117,8 @@ def test_commands_parse(page, words, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     _, word, *arguments = shlex.split(words, comments=True)
     model = cli._model([word, *arguments])
-    given = flags.parse(word, model, arguments, configurable=word == "run", trust=word in cli.READERS)
-    if word != "run" or given.config is None:
+    given = flags.parse(word, model, arguments, configurable=word in cli.CONFIGURABLE, trust=word in cli.READERS)
+    if getattr(given, "config", None) is None:
         flags.read(model, given)
 
 

@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 
 import sean_jax
-from sean_jax import mdp, prng, registry
+from sean_jax import mdp, metrics, prng, registry
 from sean_jax.errors import InputError
 from sean_jax.mdp import REWARDS, Env, delayed, make_env, of_metric, rewards, stacked
+from sean_jax.mdp import observations as observing
+from sean_jax.scenario import snapshot
 
 LIMIT = 3.0  # s, of an episode
 
@@ -320,6 +322,59 @@ def test_every_term_works():
     assert lie_within(env.observation_space, out[1])
     flat = jax.vmap(lambda one: mdp.flatten(env.observations, one))(observation)
     assert flat.shape == (2, sum(math.prod(box.shape) for box in env.observation_space.values()) - 48 * 64 * 4)
+
+
+def test_contacts_cost_by_their_time(scenario, episodes):
+    """Against distances by numpy, of a robot and a person placed by hand: also in steps after the onset."""
+    state = jax.tree.map(lambda leaf: leaf[0, 0], episodes[1][0].simulation)
+    reach = float(scenario.robot.radius) + float(scenario.forces.walking.radius)
+    for gap, speed, contact, intimate in [
+        (reach - 0.05, 0.3, True, reach - 0.05 <= 0.45),
+        (reach - 0.05, 0.0, False, reach - 0.05 <= 0.45),  # the person's fault
+        (reach - 0.05, -0.3, False, reach - 0.05 <= 0.45),
+        (0.44, 0.0, False, True),
+        (0.46, 0.0, False, False),
+        (5.0, 0.3, False, False),
+    ]:
+        robot = replace(state.robot, speed=jnp.asarray(speed))
+        ahead = robot.position + gap * robot.heading
+        position = jnp.full_like(state.pedestrians.position, 1e3).at[0].set(ahead)
+        people = replace(state.pedestrians, position=position, present=jnp.ones_like(state.pedestrians.present))
+        after = replace(state, robot=robot, pedestrians=people)
+        found = {name: float(REWARDS[name].step(scenario, after, after)) for name in ("contact_time", "intimate_time")}
+        assert found == pytest.approx({"contact_time": 0.1 * contact, "intimate_time": 0.1 * intimate}), (gap, speed)
+        nobody = replace(people, present=jnp.zeros_like(people.present))
+        alone = replace(after, pedestrians=nobody)
+        assert not any(float(REWARDS[name].step(scenario, alone, alone)) for name in found)
+
+
+def test_a_robot_that_stays_at_an_obstacle_goes_on_to_pay(scenario, episodes):
+    """The count is of the onset alone; the time is of each step."""
+    state = jax.tree.map(lambda leaf: leaf[0, 0], episodes[1][0].simulation)
+    distance = lambda place: metrics.proximity.obstacle_distance(  # noqa: E731
+        snapshot(scenario, replace(state, robot=replace(state.robot, position=place)))
+    )
+    spots = state.robot.position[None] + 8.0 * jax.random.uniform(jax.random.key(0), (2000, 2), float, -1.0, 1.0)
+    far = np.asarray(jax.vmap(distance)(spots)) - float(scenario.robot.radius)
+    for row in (int(np.argmin(np.abs(far))), int(np.argmax(far))):
+        at = replace(state, robot=replace(state.robot, position=spots[row]))
+        found = [float(REWARDS[name].step(scenario, at, at)) for name in ("obstacle_time", "collision_with_obstacle")]
+        assert found == pytest.approx([0.1 if far[row] <= 0.01 else 0.0, 0.0])
+    assert far.min() < 0.01 < far.max()
+
+
+def test_the_default_agent_sees_its_hold_and_no_clock(scenario, episodes):
+    """Its episodes are bootstrapped at the time limit, which would be another end if it saw it come."""
+    state = jax.tree.map(lambda leaf: leaf[0, 0], episodes[1][0].simulation)
+    late = replace(state, tick=state.tick + 20, ticks_at_goal=jnp.asarray(3, jnp.int32))
+    seen = [dict(observing.begin(make_env(scenario).observations, scenario, one, jax.random.key(0))[0]) for one in
+            (replace(late, tick=state.tick), late)]  # fmt: skip
+    for name in seen[0]:
+        np.testing.assert_array_equal(seen[0][name], seen[1][name])
+    share = 3 * 0.1 / max(float(scenario.hold_time), 0.1)
+    assert float(seen[0]["hold"][0]) == pytest.approx(min(share, 1.0))
+    shown = observing.begin(observing.as_terms(["time"]), scenario, late, jax.random.key(0))[0]["time"]
+    np.testing.assert_allclose(shown, [float(late.tick) * 0.1 / LIMIT, min(share, 1.0)], rtol=1e-5)
 
 
 def test_situations_weigh(scenario, episodes):

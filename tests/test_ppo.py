@@ -1,7 +1,9 @@
 """``sean train ppo``: its parts against plain loops, resuming to the same curve, driving, and failing in sentences."""
 
 import json
+import shlex
 import shutil
+import signal
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -13,12 +15,13 @@ import pytest
 from quick import quick
 
 import sean_jax
-from sean_jax import cli, devices, learning, mdp, registry
+from sean_jax import cli, devices, flags, learning, mdp, registry
 from sean_jax.config import APGConfig, PPOConfig
 from sean_jax.errors import InputError
-from sean_jax.learning import networks, reinforcement, rollouts
+from sean_jax.learning import networks, ppo, reinforcement, rollouts, shac
 from sean_jax.learning.networks import ActorCritic, Agent, Statistics
 from sean_jax.learning.policy import Best
+from sean_jax.mdp import rewards
 
 SMALL = dict(
     method="ppo", environment="lab", behavior="random", people=2, time_limit=4.0, scenarios=8, horizon=8, minibatches=2,
@@ -215,6 +218,284 @@ def test_programs_of_a_training_fit_together(method):
         assert (one.shape, one.dtype) == (other.shape, other.dtype)
     assert all(leaf.shape == (1,) for leaf in jax.tree.leaves((told["train"]["loss"], told["episodes"])))
     assert value.shape == found["completed"].shape == (1,) and found["mean_speed"].shape == (1, 6)
+
+
+def test_evaluations_use_the_weights_of_each_agent():
+    """Two agents with the same parameters, whose rewards are k and -2 k: returns of the step in the same proportion."""
+    config = options(None, sweep=["rewards.time=1,-2"], rewards=["time"], evaluation_episodes=1, time_limit=0.5)
+    scenarios, envs, network = reinforcement.build(config)
+    agent = begun(network, envs[0])
+    agents = jax.tree.map(lambda leaf: jnp.stack([leaf, leaf]), agent)
+    value, (found,) = reinforcement.programs(config, network, devices.mesh()).evaluate(scenarios, envs, agents)
+    np.testing.assert_allclose(value, [0.5, -1.0], rtol=1e-5)
+    np.testing.assert_allclose(found["return"], value)
+
+
+@pytest.mark.parametrize("words", [{}, {"recurrent": True}, {"images": ("depth",)}, {"layers": 3, "private": 2}])
+def test_a_parameter_has_one_owner(words):
+    """The value alone depends on what the critic owns, and on all of that; the action on all else."""
+    network = ActorCritic(8, **words)
+    vector, images = jnp.linspace(-1.0, 1.0, 6), {"depth": jnp.full((16, 16), 2.0)}
+    memory = jnp.full(network.memory_size, 0.3)
+    inputs = vector, images if network.images else {}, memory, jnp.zeros((), bool)
+    parameters = network.init(jax.random.key(0), *inputs)
+    of = lambda name: jax.grad(  # noqa: E731
+        lambda parameters: sum(part.sum() for part in [getattr(network.apply(parameters, *inputs), name)])
+    )(parameters)
+    moved = [jax.tree.map(lambda leaf: bool((leaf != 0).any()), of(name)) for name in ("mean", "log_std", "value")]
+    owners = networks.owners(parameters)
+    for owner, *by in zip(*map(jax.tree.leaves, (owners, *moved)), strict=True):
+        assert owner == ("actor" if by[0] or by[1] else "critic") and any(by)
+
+
+@pytest.mark.parametrize("owner", ["actor", "critic"])
+def test_an_optimizer_of_shac_moves_its_own_part_alone(env, owner):
+    network = ActorCritic(8, 1, recurrent=True)
+    agent = begun(network, env)
+    optimizer = {"actor": shac.ACTOR, "critic": shac.CRITIC}[owner]
+    ones = jax.tree.map(jnp.ones_like, agent.parameters)
+    rate = jnp.asarray(0.1)
+    moved, _ = rollouts.apply_gradient(optimizer, rate, agent.parameters, optimizer.init(agent.parameters), ones)
+    parts = map(jax.tree.leaves, (networks.owners(agent.parameters), agent.parameters, moved))
+    for mine, old, new in zip(*parts, strict=True):
+        assert bool((old != new).all() if mine == owner else (old == new).all())
+
+
+def test_the_clip_of_one_does_not_shorten_the_steps_of_the_other(env):
+    """A gradient of the critic a million times as large leaves the actor's step as it is."""
+    network = ActorCritic(8, 1)
+    agent = begun(network, env)
+    owners = networks.owners(agent.parameters)
+
+    def step_of_the_actor(size: float) -> list:
+        sizes = {"actor": 1e-6, "critic": size}
+        gradient = jax.tree.map(lambda owner, leaf: jnp.full_like(leaf, sizes[owner]), owners, agent.parameters)
+        rate, optimizer = jnp.asarray(0.1), ppo.OPTIMIZER.init(agent.parameters)
+        moved, _ = rollouts.apply_gradient(ppo.OPTIMIZER, rate, agent.parameters, optimizer, gradient)
+        parts = zip(*map(jax.tree.leaves, (owners, moved)), strict=True)
+        return [new for owner, new in parts if owner == "actor"]
+
+    for one, other in zip(step_of_the_actor(1e-3), step_of_the_actor(1e3), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_first_episodes_end_at_different_times():
+    """Each row reaches the limit of 4 s by itself, after as many steps as were left; later episodes are whole."""
+    env = registry.load("Lab-Random-RandomAbNav-v0", config_overrides={"people": 0, "time_limit": 4.0})
+    env = jax.jit(mdp.Env.with_pool, static_argnums=2)(env, jax.random.key(0), 4)
+    network, rows = ActorCritic(4, 1), 64
+
+    @jax.jit
+    def play(key):
+        batch = rollouts.reset_envs((env,), network, key, rows)
+        batch = reinforcement.stagger((env,), batch, jax.random.fold_in(key, 1))
+        ages = batch.envs[0].simulation.tick
+
+        def one(states, tick):
+            keys = jax.random.split(jax.random.fold_in(key, tick), rows)
+            _, states, _, _, truncated, info = jax.vmap(env.step)(keys, states, jnp.zeros((rows, 2)))
+            return states, (truncated, info["episode_length"])
+
+        return ages, jax.lax.scan(one, batch.envs[0], jnp.arange(80))[1]
+
+    ages, (truncated, length) = jax.tree.map(np.asarray, play(jax.random.key(3)))
+    assert ages.min() >= 0 and ages.max() <= 39 and len(np.unique(ages)) > 25
+    first = truncated.argmax(0)
+    np.testing.assert_array_equal(first, 39 - ages)
+    np.testing.assert_array_equal(length[first, np.arange(rows)], 40 - ages)
+    np.testing.assert_array_equal(length[first + 40, np.arange(rows)], 40)
+    assert truncated[first + 40, np.arange(rows)].all() and truncated.sum() == 2 * rows
+    assert truncated.sum(1).max() < 10
+
+
+def test_the_critic_learns_alone_after_imitation(env):
+    """In an update whose actor does not move; and the value of the network stays that of returns in their own unit."""
+    config = options(None, observations=["goal"], rewards=["time"], epochs=1, minibatches=1)
+    network = ActorCritic(8, 1)
+    pooled = (jax.jit(mdp.Env.with_pool, static_argnums=2)(env, jax.random.key(1), 8),)
+    agent, numbers = begun(network, env), {name: jnp.asarray(0.01) for name in PPOConfig.SWEPT}
+
+    @jax.jit
+    def update(rate):
+        batch = rollouts.reset_envs(pooled, network, jax.random.key(0), 8)
+        own = numbers | {"actor_rate": rate}
+        return ppo.update(config, own, pooled, network, agent, ppo.init(agent), batch, jax.random.key(2))[0]
+
+    for rate, moves in ((0.0, False), (0.01, True)):
+        parts = networks.owners(agent.parameters), agent.parameters, update(jnp.asarray(rate)).parameters
+        for owner, old, new in zip(*map(jax.tree.leaves, parts), strict=True):
+            assert bool((old != new).any()) == (moves or owner == "critic")
+
+
+def test_a_value_is_scaled_and_nothing_else(env):
+    network = ActorCritic(8, 2)
+    agent, seen = begun(network, env), jnp.array([1.0, -2.0])
+    larger = replace(agent, parameters=networks.scale_value(agent.parameters, jnp.asarray(3.0)))
+    one, other = (networks.apply(network, each, seen, {}, jnp.zeros(0), jnp.ones((), bool)) for each in (agent, larger))
+    np.testing.assert_allclose(other.value, 3.0 * one.value, rtol=1e-6)
+    np.testing.assert_array_equal(other.mean, one.mean)
+
+
+@pytest.fixture
+def quiet(monkeypatch):
+    """Trainings in which nobody moves."""
+    monkeypatch.setattr(reinforcement, "programs", standing)
+    monkeypatch.setattr(mdp.Env, "with_pool", lambda env, key, size: env)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_leaves_a_checkpoint_of_the_present_update(number, quiet, tmp_path, monkeypatch, capsys):
+    """Between two evaluations; the same command goes on from there, and the exit code is that of the signal."""
+    means = reinforcement._finite_means
+
+    def send(values):
+        calls.append(values)
+        if len(calls) == 2 * 3:  # twice an update
+            signal.raise_signal(number)
+        return means(values)
+
+    words = ["train", "ppo", "--environment", "lab", "--behavior", "random", "--people", "2", "--scenarios", "8",
+             "--minibatches", "2", "--horizon", "8", "--steps", "384", "--width", "16", "--evaluate-every", "10",
+             "--out", str(tmp_path / "run"), "--quiet"]  # fmt: skip
+    for already in (0, 3):
+        calls = []
+        monkeypatch.setattr(reinforcement, "_finite_means", send)
+        assert cli.main(words) == {signal.SIGINT: 130, signal.SIGTERM: 143}[number]
+        assert "the same command resumes" in " ".join(capsys.readouterr().err.split())
+        if already == 0:
+            assert [line["epoch"] for line in curve(tmp_path / "run")] == [1, 2, 3]
+        assert sorted(path.name for path in (tmp_path / "run" / "checkpoints").iterdir())[-1] == str(already + 3)
+    monkeypatch.setattr(reinforcement, "_finite_means", means)
+    assert cli.main(words) == 0 and [line["epoch"] for line in curve(tmp_path / "run")] == [1, 2, 3, 4, 5, 6]
+
+
+CALLBACKS = """
+seen = []
+
+def log(line):
+    seen.append(line)
+
+def broken(line):
+    return line["no such number"]
+"""
+
+
+def test_callbacks_get_each_line_of_the_log(quiet, tmp_path, capsys):
+    """A function of Python, and one of a file, whose content is no part of the training: it may change."""
+    (tmp_path / "my.py").write_text(CALLBACKS)
+    lines, folder = [], tmp_path / "run"
+    reinforcement.train(options(folder, callbacks=[lines.append, f"{tmp_path}/my.py:log"]))
+    assert lines == [json.loads(line) for line in (folder / "metrics.jsonl").read_text().splitlines()]
+    assert json.loads((folder / "config.json").read_text())["parts"] == {} and lines[0]["epoch"] == 1
+    with pytest.raises(InputError, match=r"callback broken: .*my.py:8: .*no such number"):
+        reinforcement.train(options(tmp_path / "other", callbacks=[f"{tmp_path}/my.py:broken"]))
+    with pytest.raises(InputError, match="callbacks: 'nothing'"):
+        reinforcement.train(options(tmp_path / "third", callbacks=["nothing"]))
+    assert not (tmp_path / "third").exists()
+
+
+def test_an_error_of_a_callback_keeps_the_checkpoints(quiet, tmp_path):
+    def broken(line):
+        if line["epoch"] == 3:
+            raise OSError("no network")
+
+    config = options(tmp_path / "run", callbacks=[broken])
+    with pytest.raises(InputError, match=r"callback broken: .*test_ppo.py:\d+: OSError: no network"):
+        reinforcement.train(config)
+    assert int(reinforcement.train(config.replace(callbacks=())).update) == 6
+    assert [line["epoch"] for line in curve(tmp_path / "run")] == [1, 2, 3, 4, 5, 6]
+
+
+def test_a_training_of_a_constant_learning_rate_goes_on_with_more_steps(quiet, tmp_path):
+    for schedule in ("constant", "linear"):
+        folder = tmp_path / schedule
+        config = options(folder, learning_rate_schedule=schedule)
+        reinforcement.train(config)
+        longer = config.replace(steps=8 * 8 * 9)
+        if schedule == "constant":
+            assert int(reinforcement.train(longer).update) == 9
+            assert [line["epoch"] for line in curve(folder)] == list(range(1, 10))
+        else:
+            with pytest.raises(InputError, match="with steps 384, not 576"):
+                reinforcement.train(longer)
+
+
+def test_steps_beyond_a_thousand_million():
+    config = options(None, steps=10**12, scenarios=8192)
+    assert config.updates == -(-(10**12) // (8192 * 8)) and config.updates < 2**31
+    with pytest.raises(InputError, match="steps: .* make 15,625,000,000 updates, more than 2,147,483,647; take more"):
+        options(None, steps=10**12)
+
+
+@pytest.mark.parametrize(
+    ("words", "wanted"),
+    [
+        (["progress=2,time=-0.2"], {**rewards.DEFAULT, "progress": 2.0, "time": -0.2}),
+        (["default,at_goal=0.5"], {**rewards.DEFAULT, "at_goal": 0.5}),
+        (["progress,time=-0.2"], {"progress": 1.0, "time": -0.2}),
+        (["progress,time"], {"progress": 1.0, "time": 1.0}),
+        (["time=-3", "--reward", "my.py:gain"], {**rewards.DEFAULT, "time": -3.0, "gain": 1.0}),
+        (["gain=4", "--reward", "my.py:gain"], {**rewards.DEFAULT, "gain": 4.0}),
+    ],
+)
+def test_weights_of_rewards_on_the_command_line(words, wanted, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("my.py").write_text("def gain(scenario, before, after):\n    return after.robot.speed\n")
+    given = ["ppo", "--environment", "lab", "--behavior", "random", "--people", "2", "--rewards", *words]
+    config = flags.read(PPOConfig, flags.parse("train", PPOConfig, given, configurable=True))
+    terms = registry.check(config.per_environment[0])["rewards"]
+    assert {name: term.weight for name, term in terms.items()} == wanted
+    again = flags.parse("train", PPOConfig, shlex.split(flags.command("train", config))[2:], configurable=True)
+    assert flags.read(PPOConfig, again).identity() == config.identity()
+
+
+FILE = """
+environment: lab
+behavior: {kind: random}
+people: 2
+rewards: [progress=2, time=-0.2]
+scenarios: 10
+minibatches: 5
+seeds: 2
+"""
+
+
+def test_options_of_a_training_from_a_file(tmp_path, monkeypatch, capsys):
+    """Flags override its values, and an option that is none is refused with the file."""
+    monkeypatch.chdir(tmp_path)
+    Path("mine.yaml").write_text(FILE)
+    model = cli._model(["train", "ppo"])
+
+    def read(*words):
+        given = ["ppo", "--config", "mine.yaml", *words]
+        return cli._read(model, flags.parse("train", model, given, configurable=True, trust=True))
+
+    config = read("--seeds", "3", "--people", "4")
+    assert (config.scenarios, config.minibatches, config.seeds, config.people) == (10, 5, 3, 4)
+    assert config.reward_weights == {"progress": 2.0, "time": -0.2} and config.behavior.kind == "random"
+    assert read("--rewards", "progress").reward_weights == {}
+    for text, message in [("secnarios: 3\n", "mine.yaml: 'secnarios'"), ("clip: 3\n", "mine.yaml: clip: 3")]:
+        Path("mine.yaml").write_text(FILE + text)
+        assert cli.main(["train", "ppo", "--config", "mine.yaml"]) == 2
+        assert message in " ".join(capsys.readouterr().err.split())
+    assert [path.name for path in tmp_path.iterdir()] == ["mine.yaml"]
+
+
+def test_a_pretrained_agent_that_does_not_fit_is_refused_first(trained, tmp_path, monkeypatch):
+    """Before starts are drawn and anything is written: of another size, with other inputs, or without weights."""
+    never = lambda *_: pytest.fail("it was built")  # noqa: E731
+    monkeypatch.setattr(reinforcement, "programs", never)
+    monkeypatch.setattr(mdp.Env, "with_pool", never)
+    shutil.copytree(trained[1], tmp_path / "empty")
+    shutil.rmtree(tmp_path / "empty" / "checkpoints")
+    for folder, other, message in [
+        (trained[1], {"width": 32}, "width 16, not 32"),
+        (trained[1], {"observations": ["goal", "path"]}, "observations"),
+        (tmp_path / "empty", {}, "no checkpoint"),
+    ]:
+        with pytest.raises(InputError, match=message):
+            reinforcement.train(options(tmp_path / "next", pretrained=folder, **other))
+    assert not (tmp_path / "next").exists()
 
 
 @pytest.mark.slow
@@ -456,6 +737,10 @@ def test_what_the_critic_alone_sees_never_reaches_the_actor(several):
         (["--sweep", "clip=0.1,7"], "sweep: clip=0.1,7 must be numbers"),
         (["--sweep", "clip=0.1", "--sweep", "entropy=0"], "--sweep is repeated; give it once"),
         (["--sweep", "rewards.time=inf"], "sweep: rewards.time=inf must be numbers"),
+        (["--rewards", "tine=1"], "rewards: 'tine' is not one of progress"),
+        (["--rewards", "time=many"], "--rewards: time=many has no number as the weight; write time=2"),
+        (["--rewards", "time=1,time=2"], "--rewards: 'time' is listed twice"),
+        (["--callback", "none.py:log"], "none.py: there is no such file"),
         (["--sweep", "rewards.tine=1"], "rewards: 'tine' is not one of progress"),
         (["--critic", "depth"], "critic: depth is an image"),
         (["--critic", "goal"], "critic: goal is already an observation of the actor"),

@@ -1,9 +1,10 @@
 """Options of ``sean collect``, ``train`` and ``export``, and of environments of reinforcement learning."""
 
+import math
 from collections.abc import Iterable
 from numbers import Integral
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import pydantic
 
@@ -13,7 +14,7 @@ from sean_jax.config.fields import Option
 from sean_jax.config.scenario import Part, ScenarioConfig
 from sean_jax.messages import listed
 
-OBSERVED = ("goal", "goal_heading", "path", "distance", "speeds", "time", "obstacles", "people")
+OBSERVED = ("goal", "goal_heading", "path", "distance", "speeds", "hold", "obstacles", "people")
 """The terms of an agent's observation, where none are named."""
 
 NO_EFFECT = Option(affects_results=False)
@@ -144,6 +145,17 @@ class DaggerConfig(ImitationConfig):
     """Hours that each network drives."""
 
 
+def _is_weight(part: Component) -> bool:
+    return isinstance(part, Named) and "=" in part.kind
+
+
+def _is_number(text: str) -> bool:
+    try:
+        return math.isfinite(float(text))
+    except ValueError:
+        return False
+
+
 Delays = Annotated[
     tuple[fields.Delay, fields.Delay],
     pydantic.BeforeValidator(lambda value: (value, value) if isinstance(value, Integral) else value),
@@ -156,13 +168,36 @@ class EnvConfig(ScenarioConfig):
     observations: Observations = tuple(Named(kind=name) for name in OBSERVED)
     """Observations of the agent: terms of `sean list`, and your own."""
     rewards: Rewards = (Named(kind="default"),)
-    """Rewards: default, terms of `sean list`, and your own."""
+    """Rewards: default, terms of `sean list`, and your own; progress=2,time=-0.2 changes weights of the default."""
     terminations: Terminations = ()
     """Terminations besides completion and the time limit: collision, obstacle, intimate, and your own."""
     randomization: Part | None = None
     """Randomization of each episode: behavior, for people's behavior; or a function (key, scenario) -> scenario."""
     action_delay: Delays = (0, 0)
     """Least and largest delay of commands in control steps; drawn for each episode."""
+
+    @pydantic.field_validator("rewards")
+    @classmethod
+    def _weights(cls, parts: tuple[Component, ...]) -> tuple[Component, ...]:
+        weights = [part.kind.partition("=") for part in parts if _is_weight(part)]
+        fields.check_once([name for name, _, _ in weights])
+        for name, _, weight in weights:
+            if not _is_number(weight):
+                raise ValueError(f"{name}={weight} has no number as the weight; write {name}=2")
+        return parts
+
+    @property
+    def reward_weights(self) -> dict[str, float]:
+        """Weights of terms of the reward: name -> number, of NAME=NUMBER."""
+        pairs = (part.kind.partition("=") for part in self.rewards if _is_weight(part))
+        return {name: float(weight) for name, _, weight in pairs}
+
+    @property
+    def reward_parts(self) -> tuple[Component, ...]:
+        """The terms of the reward without those that only have a weight; default if no other term is named."""
+        parts = tuple(part for part in self.rewards if not _is_weight(part))
+        named = any(isinstance(part, Named) for part in parts)
+        return parts if named or len(parts) == len(self.rewards) else (Named(kind="default"), *parts)
 
     @pydantic.field_validator("action_delay")
     @classmethod
@@ -187,14 +222,17 @@ class ReinforcementConfig(EnvConfig):
     """Observations of the critic alone, such as people: it does not drive, so they may be privileged."""
     scenarios: fields.BatchSize = 64
     """Scenarios that step in parallel, for each agent; on a GPU try 8192."""
-    steps: fields.Count = 2_000_000
-    """Scenario-steps of the whole training of an agent, over which the learning rate falls to 0."""
+    steps: fields.StepCount = 2_000_000
+    """Scenario-steps of the whole training of an agent."""
     horizon: fields.Count = 32
     """Steps of each scenario between two updates."""
     minibatches: fields.Count = 8
     """Minibatches of the collected transitions, one per optimizer step."""
     learning_rate: fields.LearningRate = 5e-4
     """Initial learning rate of Adam."""
+    learning_rate_schedule: Literal["linear", "constant"] = "linear"
+    """linear: the learning rate falls to 0 over the steps; constant: it stays, and a training goes on with more
+    steps."""
     discount: fields.Share = 0.99
     """Discount factor per step."""
     advantage_decay: fields.Share = 0.95
@@ -232,6 +270,8 @@ class ReinforcementConfig(EnvConfig):
     """Episodes of an evaluation, in each environment; the agent takes the mean of its actions."""
     seed: fields.Seed = 0
     """The same seed gives the same agent."""
+    callbacks: Annotated[tuple[Component, ...], Family((Named,), "callback"), NO_EFFECT] = ()
+    """Functions that are called with each line of metrics.jsonl, a dict: FILE.py:NAME."""
     out: fields.Out = None
     """Folder for checkpoints and metrics, runs/METHOD-<environment>-<behavior>-<seed> by default. A training of the
     same options is resumed."""
@@ -258,9 +298,22 @@ class ReinforcementConfig(EnvConfig):
         if self.curriculum != "none" and len(self.environments) > 1:
             text = f"{self.curriculum} samples the starts of one environment, not of {self.environment}"
             yield f"curriculum: {text}; choose one of the two"
+        if self.updates >= 2**31:
+            text = f"{self.steps} make {self.updates:,} updates, more than {2**31 - 1:,}"
+            yield f"steps: {text}; take more scenarios or a longer horizon"
         if self.seed + self.seeds > 2**32:
             text = f"{self.seeds} consecutive seeds from {self.seed} go beyond {2**32 - 1}"
             yield f"seeds: {text}; take a lesser seed"
+
+    def identity(self) -> dict[str, Any]:
+        """As of ``Config``; a training of a constant learning rate may go on with more steps."""
+        constant = self.learning_rate_schedule == "constant"
+        return {name: value for name, value in super().identity().items() if name != "steps" or not constant}
+
+    @property
+    def updates(self) -> int:
+        """The number of updates of a training."""
+        return max(1, -(-self.steps // (self.scenarios * self.horizon)))
 
     @property
     def environments(self) -> list[str]:

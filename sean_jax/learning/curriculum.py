@@ -29,7 +29,7 @@ from sean_jax.base import Array, PolicyLike, State
 from sean_jax.episodes import init_policy, policy_step
 from sean_jax.errors import InputError
 
-SOCIAL = ("personal_space", "o_space", "personal_", "intimate_", "collision_")
+SOCIAL = ("personal_space", "o_space", "personal_", "intimate_", "collision_", "contact_")
 """Prefixes of rewards whose negative part is the cost that an agent causes to people."""
 FEW_EPISODES = 2  # from one start, before its regret is known
 PRIOR = 5.0  # s, for which a situation that has not been met counts as costly as all together

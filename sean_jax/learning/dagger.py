@@ -156,7 +156,7 @@ def clone(
         agent, optimizer, error = rollouts.optimize(how, _action_error, *learner, (steps,), memory, turn)
         return (rollouts.with_statistics(agent, steps), optimizer, batch), error
 
-    carry = agent, ppo.init(agent), batch
+    carry = agent, ppo.OPTIMIZER.init(agent.parameters), batch
     (agent, _, _), errors = jax.lax.scan(update, carry, jnp.arange(UPDATES, dtype=jnp.int32))
     return agent, errors
 

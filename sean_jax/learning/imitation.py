@@ -298,7 +298,7 @@ def _train(training: Training, tell: Progress) -> TrainState:
         due = best_number == number or number % CHECKPOINT_INTERVAL == 0 or is_over(state)
         best = f"best {float(state.best):.4f} after {best_number}"
         note = f"epoch {number} · loss {loss:.4f}, {best}, {time.time() - start:.2f} s an epoch"
-        return state, Report(number, _line(number, *losses), loss if due else None, note)
+        return state, Report(number, _line(number, *losses), loss, due, note)
 
     def is_over(state: TrainState) -> bool:
         epoch = int(state.epoch)

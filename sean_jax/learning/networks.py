@@ -356,8 +356,12 @@ def init_agent(network: ActorCritic, terms: observations.Terms, space: dict[str,
     start = jnp.ones((), bool)
     memory = jnp.zeros(network.memory_size, jnp.float32)
     parameters = network.init(key, vector, {name: empty[name] for name in network.images}, memory, start)
-    statistics = Statistics(jnp.zeros_like(vector), jnp.ones_like(vector), jnp.full((), 1e-4, jnp.float32))
-    return Agent(parameters, statistics)
+    return Agent(parameters, init_statistics(vector))
+
+
+def init_statistics(vector: Float[Array, "F"]) -> Statistics:
+    """Statistics before the first vector."""
+    return Statistics(jnp.zeros_like(vector), jnp.ones_like(vector), jnp.full((), 1e-4, jnp.float32))
 
 
 def init_agents(network: ActorCritic, terms: observations.Terms, space: dict[str, Box], keys: Array) -> Agent:
@@ -374,6 +378,25 @@ def with_noise(agent: Agent, deviation: float) -> Agent:
     inner = dict(agent.parameters["params"])
     inner["log_std"] = jnp.full_like(inner["log_std"], np.log(deviation))
     return Agent({**agent.parameters, "params": inner}, agent.statistics)
+
+
+def owners(parameters: VariableDict) -> VariableDict:
+    """Of each parameter "critic" if the value alone depends on it, else "actor": also of what both share."""
+    first = int("GRUCell_0" in parameters["params"])  # dense layers before the two trunks, whose layers alternate
+
+    def owner(path: tuple, _: Any) -> str:
+        kind, _, number = path[1].key.rpartition("_")
+        return "critic" if kind == "Dense" and int(number) >= first and (int(number) - first) % 2 else "actor"
+
+    return jax.tree_util.tree_map_with_path(owner, parameters)
+
+
+def scale_value(parameters: VariableDict, factor: Float[Array, ""]) -> VariableDict:
+    """The parameters of a network whose value is that many times as large, by its last layer."""
+    layers = dict(parameters["params"])
+    last = max((name for name in layers if name.startswith("Dense_")), key=lambda name: int(name[6:]))
+    layers[last] = jax.tree.map(lambda leaf: factor * leaf, layers[last])
+    return {**parameters, "params": layers}
 
 
 def apply(

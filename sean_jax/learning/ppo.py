@@ -3,28 +3,41 @@
 Source: J. Schulman et al., "Proximal policy optimization algorithms", 2017.
 """
 
+from dataclasses import replace
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import optax
+from flax import struct
 
 from sean_jax import mdp
 from sean_jax.base import Array
 from sean_jax.config import PPOConfig
-from sean_jax.learning import rollouts
-from sean_jax.learning.networks import ActorCritic, Agent, NetworkOutput, entropy, log_density
+from sean_jax.learning import networks, rollouts
+from sean_jax.learning.networks import ActorCritic, Agent, NetworkOutput, Statistics, entropy, log_density
 from sean_jax.learning.rollouts import EnvBatch, Optimization, Transition
 
 VALUE_WEIGHT = 0.5  # of the critic's loss
 MAX_GRADIENT_NORM = 0.5
 EPSILON = 1e-8
+MEMORY = 100.0  # updates, of the statistics of returns
 
-OPTIMIZER = optax.chain(optax.clip_by_global_norm(MAX_GRADIENT_NORM), optax.scale_by_adam(eps=1e-5))
+_ADAM = optax.chain(optax.clip_by_global_norm(MAX_GRADIENT_NORM), optax.scale_by_adam(eps=1e-5))
+OPTIMIZER = optax.partition({"actor": _ADAM, "critic": _ADAM}, networks.owners)  # each with a clip of its own
 
 
-def init(agent: Agent) -> optax.OptState:
+@struct.dataclass
+class Optimizer:
+    """The state between updates besides the agent. Checkpoints have these field names."""
+
+    steps: optax.OptState
+    returns: Statistics  # (1,) of estimated returns
+
+
+def init(agent: Agent) -> Optimizer:
     """The optimizer before the first update."""
-    return OPTIMIZER.init(agent.parameters)
+    return Optimizer(OPTIMIZER.init(agent.parameters), networks.init_statistics(jnp.zeros(1, jnp.float32)))
 
 
 def update(
@@ -33,14 +46,15 @@ def update(
     envs: tuple[mdp.Env, ...],
     network: ActorCritic,
     agent: Agent,
-    optimizer: optax.OptState,
+    optimizer: Optimizer,
     batch: EnvBatch,
     key: Array,
-) -> tuple[Agent, optax.OptState, EnvBatch, Transition, dict[str, Any]]:
+) -> tuple[Agent, Optimizer, EnvBatch, Transition, dict[str, Any]]:
     """The agent, optimizer and scenarios after a rollout and its epochs, the transitions, and numbers for the log.
 
     Args:
-        numbers: this agent's values of ``PPOConfig.SWEPT``; the learning rate is this update's.
+        numbers: this agent's values of ``PPOConfig.SWEPT``; the learning rate is this update's, and ``actor_rate`` the
+            actor's.
         envs: with pools; scenarios are shared out equally.
         key: () typed PRNG key of this update.
     """
@@ -49,6 +63,9 @@ def update(
     last = rollouts.forward(network, agent, envs[0].observations, batch)
     advantage = rollouts.advantages(transitions, last.value, numbers["discount"], numbers["advantage_decay"])
     target = advantage + transitions.value
+    returns = networks.update_statistics(optimizer.returns, target.reshape(-1, 1))
+    returns = replace(returns, count=jnp.minimum(returns.count, MEMORY * target.size))
+    scale = jnp.sqrt(returns.variance[0] + EPSILON)  # the critic learns in units of it, and its value stays the same
 
     def loss(output: NetworkOutput, steps: Transition, gain: Array, target: Array) -> tuple[Array, dict[str, Array]]:
         change = log_density(output, steps.action) - steps.log_density
@@ -56,7 +73,7 @@ def update(
         gain = (gain - gain.mean()) / (gain.std() + EPSILON)
         clipped = jnp.clip(ratio, 1.0 - clip, 1.0 + clip)
         actor = -jnp.minimum(ratio * gain, clipped * gain).mean()
-        critic = 0.5 * ((output.value - target) ** 2).mean()
+        critic = 0.5 * ((output.value - target / scale) ** 2).mean()
         spread = entropy(output).mean()
         total = actor + VALUE_WEIGHT * critic - numbers["entropy"] * spread
         log = {
@@ -69,9 +86,14 @@ def update(
         }
         return total, log
 
-    how = Optimization(OPTIMIZER, numbers["learning_rate"], options.epochs, options.minibatches)
+    rates = {"actor": numbers["actor_rate"], "critic": numbers["learning_rate"]}
+    rate = jax.tree.map(rates.get, networks.owners(agent.parameters))
+    how = Optimization(OPTIMIZER, rate, options.epochs, options.minibatches)
     data = transitions._replace(info={}), advantage, target
-    agent, optimizer, losses = rollouts.optimize(how, loss, network, agent, optimizer, data, memory, key)
+    agent = replace(agent, parameters=networks.scale_value(agent.parameters, 1.0 / scale))
+    agent, steps, losses = rollouts.optimize(how, loss, network, agent, optimizer.steps, data, memory, key)
+    agent = replace(agent, parameters=networks.scale_value(agent.parameters, scale))
     explained = 1.0 - (target - transitions.value).var() / jnp.maximum(target.var(), EPSILON)
     log = {"train": losses | {"explained_variance": explained}, **rollouts.log_numbers(transitions)}
-    return rollouts.with_statistics(agent, transitions), optimizer, batch, transitions, log
+    agent = rollouts.with_statistics(agent, transitions)
+    return agent, Optimizer(steps, returns), batch, transitions, log

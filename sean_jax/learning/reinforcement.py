@@ -26,6 +26,7 @@ from jaxtyping import Int, PyTree
 
 from sean_jax import components, devices, mdp, prng, registry, writing
 from sean_jax.base import Array, Policy, Scenario
+from sean_jax.clock import ceil_ticks
 from sean_jax.config import ReinforcementConfig
 from sean_jax.episodes import init_policy, policy_step
 from sean_jax.errors import InputError
@@ -42,6 +43,10 @@ from sean_jax.progress import ProgressLike, progress
 from sean_jax.scenario import reset, results
 
 REWARDS = "rewards."  # prefix of a sweep's numbers that are weights of rewards
+
+LOWEST = float(np.finfo(np.float32).min)  # value of agents that were never evaluated
+
+CRITIC_UPDATES = 20  # after --imitate, in which the critic alone learns the returns of the imitating agent
 
 METHODS = {"ppo": ppo, "apg": shac}
 """Method -> the module that has its ``init`` and ``update``."""
@@ -93,8 +98,10 @@ def train(options: ReinforcementConfig, console: ProgressLike = None) -> TrainSt
         config = trainer.on_all_processes(lambda: method_config(options, devices=len(jax.devices())))
         trainer.on_first_process(lambda: check_config(options.folder, config))  # refuses before anything is written
         setting = trainer.on_all_processes(lambda: build(options))
+        callbacks = trainer.on_all_processes(lambda: _callbacks(options))
+        agents = trainer.on_all_processes(lambda: _first_agents(options, setting))
         trainer.on_first_process(lambda: stack.enter_context(writing.folder_lock(options.folder)))
-        return _train(options, console, setting, config)
+        return _train(options, console, setting, agents, callbacks, config)
 
 
 def build(options: ReinforcementConfig) -> Setting:
@@ -119,6 +126,15 @@ def build(options: ReinforcementConfig) -> Setting:
     return Setting(measured, tuple(replace(env, scenario=replace(env.scenario, metrics=())) for env in envs), network)
 
 
+def _callbacks(options: ReinforcementConfig) -> tuple[Callable, ...]:
+    """The functions that receive each line of the log."""
+    functions = tuple(components.resolve(part, {}, "callbacks") for part in options.callbacks)
+    for part, function in zip(options.callbacks, functions, strict=True):
+        if not callable(function):
+            raise InputError(f"callbacks: {part.label} is no function; give one that takes a dict.")
+    return functions
+
+
 def _check_alike(envs: Sequence[mdp.Env]) -> None:
     """Refuse environments of one name, whose evaluations would mix, and of other observation sizes."""
     names = [env.scenario.environment.name for env in envs]
@@ -131,11 +147,6 @@ def _check_alike(envs: Sequence[mdp.Env]) -> None:
             raise InputError(f"observations: {name} shows {sizes}; leave it out, or train in one of them.")
 
 
-def updates(options: ReinforcementConfig) -> int:
-    """The number of updates of a training."""
-    return max(1, math.ceil(options.steps / (options.scenarios * options.horizon)))
-
-
 def programs(options: ReinforcementConfig, network: ActorCritic, mesh: Mesh) -> Programs:
     """The compiled functions of a training on the devices of a mesh."""
     method: Any = METHODS[options.method]
@@ -146,37 +157,46 @@ def programs(options: ReinforcementConfig, network: ActorCritic, mesh: Mesh) -> 
         if name != "seed"
     }
     plan = None if options.curriculum == "none" else Plan(options.curriculum)
-    total, (terms, _) = updates(options), policies.agent_terms(options)
+    total, (terms, _) = options.updates, policies.agent_terms(options)
     curriculum_keys = jnp.stack([prng.key("curriculum", int(agent["seed"])) for agent in options.agents])
+
+    held = CRITIC_UPDATES if options.imitate is not None else 0
 
     def begin(envs: tuple[mdp.Env, ...], agents: Agent) -> TrainState:
         def one(agent: Agent, key: Array, start: Array) -> tuple[PyTree, EnvBatch, Curriculum | None]:
-            batch = rollouts.reset_envs(envs, network, jax.random.fold_in(key, 0), options.scenarios)
+            first, ages = jax.random.split(jax.random.fold_in(key, 0))
+            batch = rollouts.reset_envs(envs, network, first, options.scenarios)
+            if options.behavior.kind != "playback":  # whose people are where they are by the tick
+                batch = stagger(envs, batch, ages)
             policy, start = policies.agent_policy(network, agent, terms), jax.random.fold_in(start, 0)
             return method.init(agent), batch, plan and curricula.init(envs[0], plan, start, options.pool, policy)
 
         optimizer, batch, curriculum = jax.vmap(one)(agents, keys, curriculum_keys)
         count = keys.shape[0]
-        best = Best(agents, jnp.full(count, -jnp.inf, jnp.float32), jnp.zeros(count, jnp.int32))
+        best = Best(agents, jnp.full(count, LOWEST, jnp.float32), jnp.zeros(count, jnp.int32))
         return TrainState(agents, optimizer, batch, best, curriculum, jnp.zeros((), jnp.int32))
 
     def update(envs: tuple[mdp.Env, ...], state: TrainState) -> tuple[TrainState, dict[str, Any]]:
         number = state.update + 1
-        left = 1.0 - state.update.astype(jnp.float32) / total
+        falls = options.learning_rate_schedule == "linear"
+        left = 1.0 - state.update.astype(jnp.float32) / total if falls else jnp.ones((), jnp.float32)
 
         def one(agent: Agent, optimizer: PyTree, batch: EnvBatch, curriculum: Curriculum | None, key: Array, own: dict):
-            own = own | {"learning_rate": own["learning_rate"] * left}
+            rate = own["learning_rate"] * left
+            own = own | {"learning_rate": rate, "actor_rate": jnp.where(number > held, rate, 0.0)}
             mine = envs if curriculum is None else (replace(envs[0], pool=curriculum.pool),)
-            mine = tuple(replace(env, rewards=rewards.reweighted(env.rewards, _weights(own))) for env in mine)
             key = jax.random.fold_in(key, number)
+            mine = _reweighted(mine, own)
             *changed, batch, transitions, log = method.update(options, own, mine, network, agent, optimizer, batch, key)
             curriculum, more = curricula.follow(envs[0], plan, curriculum, transitions.info, transitions.done)
             return *changed, batch, curriculum, log | more
 
         parts = state.agent, state.optimizer, state.rows, state.curriculum
         agent, optimizer, batch, curriculum, log = jax.vmap(one)(*parts, keys, numbers)
+        unknown = state.best.update.max() == 0  # until the first evaluation, the latest agents are the best
+        best = jax.tree.map(lambda old, new: jnp.where(unknown, new, old), state.best.agent, agent)
         state = replace(state, agent=agent, optimizer=optimizer, rows=batch, curriculum=curriculum, update=number)
-        return state, log
+        return replace(state, best=replace(state.best, agent=best)), log
 
     def refill(envs: tuple[mdp.Env, ...], state: TrainState) -> TrainState:
         def one(agent: Agent, curriculum: Curriculum | None, start: Array) -> Curriculum:
@@ -189,12 +209,12 @@ def programs(options: ReinforcementConfig, network: ActorCritic, mesh: Mesh) -> 
     def evaluate(scenarios: tuple[Scenario, ...], envs: tuple[mdp.Env, ...], agents: Agent) -> tuple[Array, list]:
         episode_keys = jax.random.split(prng.key("evaluation", options.seed), options.evaluation_episodes)
 
-        def one(agent: Agent) -> list[dict[str, Any]]:
+        def one(agent: Agent, own: dict[str, Array]) -> list[dict[str, Any]]:
             policy = policies.agent_policy(network, agent, terms)
-            each = zip(scenarios, envs, strict=True)
+            each = zip(scenarios, _reweighted(envs, own), strict=True)
             return [_evaluate_policy(scenario, env, policy, episode_keys) for scenario, env in each]
 
-        each = jax.vmap(one)(agents)
+        each = jax.vmap(one)(agents, numbers)
         return jnp.stack([numbers["return"] for numbers in each]).mean(0), each
 
     whole, split = (NamedSharding(mesh, PartitionSpec(*axes)) for axes in ((), (None, devices.AXIS)))
@@ -207,9 +227,29 @@ def programs(options: ReinforcementConfig, network: ActorCritic, mesh: Mesh) -> 
     )
 
 
+def stagger(envs: tuple[mdp.Env, ...], batch: EnvBatch, key: Array) -> EnvBatch:
+    """Scenarios whose first episodes are at random ages, or else all would reach the time limit in the same step.
+
+    The key is a typed PRNG key ().
+    """
+
+    def one(env: mdp.Env, states: mdp.EnvState, key: Array) -> mdp.EnvState:
+        last = ceil_ticks(env.scenario.time_limit, env.scenario.time_step)
+        tick = jax.random.randint(key, states.simulation.tick.shape, 0, last, jnp.int32)
+        return replace(states, simulation=replace(states.simulation, tick=tick))
+
+    keys = jax.random.split(key, len(envs))
+    return replace(batch, envs=tuple(map(one, envs, batch.envs, keys)))
+
+
 def _weights(numbers: dict[str, Any]) -> dict[str, Any]:
     """The weights of rewards among an agent's numbers."""
     return {name.removeprefix(REWARDS): value for name, value in numbers.items() if name.startswith(REWARDS)}
+
+
+def _reweighted(envs: tuple[mdp.Env, ...], numbers: dict[str, Any]) -> tuple[mdp.Env, ...]:
+    """The environments with an agent's own weights of rewards."""
+    return tuple(replace(env, rewards=rewards.reweighted(env.rewards, _weights(numbers))) for env in envs)
 
 
 def _evaluate_policy(scenario: Scenario, env: mdp.Env, policy: Policy, keys: Array) -> dict[str, Any]:
@@ -243,17 +283,24 @@ def _evaluate_policy(scenario: Scenario, env: mdp.Env, policy: Policy, keys: Arr
 # ------------------------------------------------------------------ the training
 
 
-def _train(options: ReinforcementConfig, console: ProgressLike, setting: Setting, config: dict[str, Any]) -> TrainState:
+def _train(
+    options: ReinforcementConfig,
+    console: ProgressLike,
+    setting: Setting,
+    agents: Agent,
+    callbacks: tuple[Callable, ...],
+    config: dict[str, Any],
+) -> TrainState:
     """Train in a folder that this process has locked, or the first of the processes that train together."""
     scenarios, envs, network = setting
     resumes = trainer.on_first_process(lambda: check_config(options.folder, config))
-    mesh, total = devices.mesh(), updates(options)
+    mesh, total = devices.mesh(), options.updates
     if options.scenarios // len(envs) % mesh.size:
         text = f"scenarios: {options.scenarios} do not spread evenly over {mesh.size} devices"
         text += f" in {len(envs)} environments" if len(envs) > 1 else ""
         raise InputError(f"{text}; take a multiple.")
     run = programs(options, network, mesh)
-    agents, teachers = _first_agents(options, setting), ()
+    teachers = ()
     if options.imitate is not None and not (resumes and list((options.folder / "checkpoints").glob("[0-9]*"))):
         teachers = tuple(policies.load_policy(options.imitate, scenario, "imitate") for scenario in scenarios)
     with progress(console if trainer.is_first_process() else None) as tell:
@@ -285,7 +332,7 @@ def _train(options: ReinforcementConfig, console: ProgressLike, setting: Setting
             encode=_encode,
             decode=_decode,
         )
-        return trainer.fit(options.folder, config, state, loop, total, tell)
+        return trainer.fit(options.folder, config, state, loop, total, tell, callbacks)
 
 
 def _advance(
@@ -304,18 +351,23 @@ def _advance(
     rate = len(options.agents) * steps / seconds
     line: dict[str, Any] = {"epoch": number, "steps": number * steps, "seconds": seconds, "per_second": rate}
     line |= {part: _finite_means(values) for part, values in log.items()}
-    loss = None
-    if number % options.evaluate_every == 0 or number == updates(options):
+    due = number % options.evaluate_every == 0 or number == options.updates
+    if due:
         state, evaluation = _evaluate(run, setting, state)
         line |= evaluation
-        loss = -float(np.sum(np.asarray(state.best.value)))
+    loss = -float(np.sum(np.asarray(state.best.value, float)))
     episodes = line["episodes"]
     note = f"return {episodes.get('return', math.nan):.1f}, completed {episodes.get('completed', 0.0):.0%}"
-    return state, Report(number, line, loss, f"update {number} · {note} · {rate:,.0f} steps/s")
+    return state, Report(number, line, loss, due, f"update {number} · {note} · {rate:,.0f} steps/s")
 
 
 def _first_agents(options: ReinforcementConfig, setting: Setting) -> Agent:
-    """The agents before the first update, (A, ...)."""
+    """The agents before the first update, (A, ...).
+
+    Raises:
+        InputError: the pretrained agent is missing, or sees something else.
+        IncompleteError: its checkpoint cannot be read.
+    """
     (scenario, *_), (env, *_), network = setting
     keys = jnp.stack([prng.key("weights", int(agent["seed"])) for agent in options.agents])
     if options.pretrained is None:

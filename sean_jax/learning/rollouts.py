@@ -201,7 +201,7 @@ class Optimization(NamedTuple):
     """How an update learns from its transitions."""
 
     optimizer: optax.GradientTransformation  # with a learning rate of -1
-    learning_rate: Float[Array, ""]
+    learning_rate: PyTree  # of all parameters, or of each
     epochs: int
     minibatches: int  # of whole scenarios in an epoch, each for one step of the optimizer
 
@@ -244,9 +244,12 @@ def optimize(
 
 
 def apply_gradient(
-    optimizer: optax.GradientTransformation, rate: Array, parameters: PyTree, state: optax.OptState, gradient: PyTree
+    optimizer: optax.GradientTransformation, rate: PyTree, parameters: PyTree, state: optax.OptState, gradient: PyTree
 ) -> tuple[PyTree, optax.OptState]:
-    """Parameters and state after a step of an optimizer with a learning rate of -1, times the traced ``rate``."""
+    """Parameters and state after a step of an optimizer with a learning rate of -1, times the traced ``rate`` of all
+    parameters, or of each.
+    """
     with jax.numpy_dtype_promotion("standard"):  # optax raises floats to integer powers
         change, state = optimizer.update(gradient, state, parameters)
-    return optax.apply_updates(parameters, jax.tree.map(lambda part: -rate * part, change)), state
+    steps = jax.tree.map(lambda rate, part: jax.tree.map(lambda leaf: -rate * leaf, part), rate, change)
+    return optax.apply_updates(parameters, steps), state

@@ -23,14 +23,15 @@ from jaxtyping import PyTree
 from sean_jax import mdp
 from sean_jax.base import Array, Pedestrians, Scenario, State
 from sean_jax.config import APGConfig
-from sean_jax.learning import rollouts
+from sean_jax.learning import networks, rollouts
 from sean_jax.learning.networks import ActorCritic, Agent, NetworkOutput, draw_action
 from sean_jax.learning.rollouts import EnvBatch, Optimization, Transition
 
 MAX_GRADIENT_NORM = 1.0
 
-ACTOR = optax.chain(optax.clip_by_global_norm(MAX_GRADIENT_NORM), optax.scale_by_adam(b1=0.7, b2=0.95))
-CRITIC = optax.chain(optax.clip_by_global_norm(MAX_GRADIENT_NORM), optax.scale_by_adam(b1=0.7, b2=0.95))
+_ADAM = optax.chain(optax.clip_by_global_norm(MAX_GRADIENT_NORM), optax.scale_by_adam(b1=0.7, b2=0.95))
+ACTOR = optax.partition({"actor": _ADAM, "critic": optax.set_to_zero()}, networks.owners)
+CRITIC = optax.partition({"actor": optax.set_to_zero(), "critic": _ADAM}, networks.owners)
 
 
 @struct.dataclass
@@ -73,7 +74,8 @@ def update(
     epochs; the transitions; and numbers for the log.
 
     Args:
-        numbers: this agent's values of ``APGConfig.SWEPT``; the learning rate is this update's.
+        numbers: this agent's values of ``APGConfig.SWEPT``; the learning rate is this update's, and ``actor_rate`` the
+            actor's.
         envs: with pools; scenarios are shared out equally.
         key: () typed PRNG key of this update.
     """
@@ -94,7 +96,9 @@ def update(
     finite = jnp.isfinite(norm)
     gradient = jax.tree.map(lambda part: jnp.where(finite, part, 0.0), gradient)
     rate = numbers["learning_rate"]
-    parameters, actor = rollouts.apply_gradient(ACTOR, rate, agent.parameters, optimizer.actor, gradient)
+    parameters, actor = rollouts.apply_gradient(
+        ACTOR, numbers["actor_rate"], agent.parameters, optimizer.actor, gradient
+    )
     agent = replace(agent, parameters=parameters)
 
     last = rollouts.forward(network, target_critic, envs[0].observations, batch)

@@ -16,7 +16,7 @@ import shutil
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
@@ -26,7 +26,7 @@ import orbax.checkpoint as ocp
 from jax.experimental import multihost_utils
 from orbax.checkpoint.checkpoint_managers import AnyPreservationPolicy, BestN, LatestN
 
-from sean_jax import components, files, writing
+from sean_jax import calls, components, files, interrupts, writing
 from sean_jax.config import DaggerConfig, ReinforcementConfig, present_names
 from sean_jax.errors import IncompleteError, InputError, SeanError
 from sean_jax.flags import command
@@ -53,7 +53,8 @@ class Report(NamedTuple):
 
     number: int  # epochs or updates done
     metrics: dict[str, Any]  # a line of metrics.jsonl without its time
-    loss: float | None  # by which checkpoints are compared; None: none is due
+    loss: float  # by which checkpoints are compared
+    due: bool  # whether a checkpoint is due
     note: str
 
 
@@ -68,15 +69,28 @@ class Loop(NamedTuple):
     decode: Callable[[Any, Any], Any] = lambda saved, state: saved  # its inverse, for the structure of a state
 
 
-def fit(folder: Path, config: dict[str, Any], state: Tree, loop: Loop, total: int, tell: Any) -> Tree:
+def fit(
+    folder: Path,
+    config: dict[str, Any],
+    state: Tree,
+    loop: Loop,
+    total: int,
+    tell: Any,
+    callbacks: Sequence[Callable[[dict[str, Any]], object]] = (),
+) -> Tree:
     """The state at the end of a training in a locked folder, from its latest checkpoint if it has one.
+
+    The first Ctrl-C or SIGTERM ends it after the present epoch, with a checkpoint; until the first epoch has ended, and
+    the second time, it ends at once.
 
     Args:
         config: of the folder, as ``check_config`` compares it.
         state: before the first epoch.
         total: epochs or updates, for the progress ``tell``.
+        callbacks: are called with each line of metrics.jsonl.
 
     Raises:
+        PartError: a callback fails. The checkpoints stay.
         IncompleteError: a file is damaged or cannot be written. The checkpoints stay.
     """
     resumes = on_first_process(lambda: check_config(folder, config))
@@ -86,21 +100,35 @@ def fit(folder: Path, config: dict[str, Any], state: Tree, loop: Loop, total: in
     saved = checkpoints.latest(loop.encode(state)) if resumes else None
     state = loop.place(state if saved is None else loop.decode(saved, state))
     log = Log(folder, loop.done(state)) if is_first_process() else None
-    tell.start("training", total)
-    try:
-        while not loop.is_over(state):
-            state, report = loop.advance(state)
-            if log is not None:  # before the checkpoint: later lines are dropped at a restart
-                log.add(report.metrics | {"time": time.time()})
-            if report.loss is not None:
-                checkpoints.save(loop.encode(state), report.number, report.loss)
-                if log is not None and "evaluation" in report.metrics:
-                    draw_curve(folder)
-            if must_stop(report.number):
-                raise KeyboardInterrupt
-            tell.update(report.number, report.note)
-    finally:
-        checkpoints.wait()
+    tell.stage("compiling")
+    signals, stops, compiled, unsaved = [], False, False, None
+    with contextlib.ExitStack() as stack:
+        try:
+            while not (loop.is_over(state) or signals or stops):
+                state, report = loop.advance(state)
+                if log is not None:  # before the checkpoint: later lines are dropped at a restart
+                    line = report.metrics | {"time": time.time()}
+                    log.add(line)
+                    for callback in callbacks:
+                        name = getattr(callback, "__name__", type(callback).__name__)
+                        calls.call(f"callback {name}", callback, "line", json.loads(json.dumps(line)))
+                if not compiled and jax.process_count() == 1:  # several processes must agree: ``must_stop``
+                    signals = stack.enter_context(interrupts.deferred())
+                if not compiled:
+                    tell.start("training", total)
+                compiled, unsaved = True, None if report.due else report
+                if report.due:
+                    checkpoints.save(loop.encode(state), report.number, report.loss)
+                    if log is not None and "evaluation" in report.metrics:
+                        draw_curve(folder)
+                tell.update(report.number, report.note)
+                stops = must_stop(report.number)
+            if unsaved is not None:
+                checkpoints.save(loop.encode(state), unsaved.number, unsaved.loss)
+        finally:
+            checkpoints.wait()
+        if stops:
+            raise KeyboardInterrupt
     return state
 
 

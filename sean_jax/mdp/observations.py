@@ -126,6 +126,11 @@ def _time(scenario: Scenario, state: State, prepared: tuple) -> Array:
     return jnp.stack([passed, hold])
 
 
+def _hold(scenario: Scenario, state: State, prepared: tuple) -> Array:
+    """Share of the hold time at the goal that has passed: (1,)."""
+    return _time(scenario, state, prepared)[1:]
+
+
 def _situations(scenario: Scenario, state: State, prepared: tuple) -> Array:
     """Which social situations occur: (S,) 0 or 1."""
     return state.situations.astype(float)
@@ -219,6 +224,7 @@ OBSERVATIONS: dict[str, ObservationTerm] = {
     "distance": ObservationTerm(_distance, 0.0, 10 * FAR_GOAL),
     "speeds": ObservationTerm(_speeds, -10.0, 10.0),
     "time": ObservationTerm(_time, 0.0, 1.0),
+    "hold": ObservationTerm(_hold, 0.0, 1.0),
     "situations": ObservationTerm(_situations, 0.0, 1.0),
     "people": people(),
     "obstacles": ObservationTerm(_obstacles, -NEAR, NEAR),

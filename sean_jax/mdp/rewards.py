@@ -19,6 +19,7 @@ from sean_jax import calls, files, metrics, navigation
 from sean_jax.base import Array, Scenario, State
 from sean_jax.errors import InputError, PartError
 from sean_jax.geometry import length
+from sean_jax.metrics import proximity
 from sean_jax.metrics.proximity import PERSONAL
 from sean_jax.scenario import snapshot
 
@@ -138,7 +139,10 @@ def of_metric(name: str) -> RewardTerm:
     if name not in metrics.METRICS:
         hint = files.suggest(name, metrics.METRICS) or "."
         raise InputError(f"rewards: '{name}' is no metric, of {', '.join(metrics.METRICS)}{hint}")
-    metric = metrics.METRICS[name]
+    return _of(metrics.METRICS[name])
+
+
+def _of(metric: metrics.Metric) -> RewardTerm:
     return RewardTerm(step=_Growth(metric), privileged=True, definition=metric.definition)
 
 
@@ -191,6 +195,9 @@ REWARDS: dict[str, RewardTerm] = {
     "reverse": RewardTerm(step=_reverse),
     "personal_space": RewardTerm(step=_personal_space, privileged=True),
     "o_space": RewardTerm(step=_o_space, privileged=True),
+    "contact_time": _of(proximity.CONTACT_TIME),
+    "obstacle_time": _of(proximity.OBSTACLE_TIME),
+    "intimate_time": _of(proximity.INTIMATE_TIME),
     **{name: of_metric(name) for name, metric in metrics.METRICS.items() if metric.kind == "count"},
 }
 """Terms of rewards by name; a term that counts has the name of the metric that counts the same."""
@@ -207,8 +214,11 @@ DEFAULT = {
     "intimate_person_on_robot": -10.0,
     "collision_robot_on_person": -20.0,
     "collision_with_obstacle": -10.0,
+    "contact_time": -10.0,
+    "obstacle_time": -5.0,
+    "intimate_time": -5.0,
 }
-"""The weights of the default reward."""
+"""The weights of the default reward: of contacts their number, and their time, so that none is worth keeping up."""
 
 
 def as_terms(values: Mapping[str, RewardLike]) -> Terms:
@@ -238,6 +248,18 @@ def _as_term(name: str, value: RewardLike) -> RewardTerm:
     if callable(value):
         return RewardTerm(step=value)
     raise InputError(f"rewards: {name} is {value!r:.60}; give a weight, a RewardTerm, or a function.")
+
+
+def weighted(values: Mapping[str, RewardLike], weights: Mapping[str, float]) -> Terms:
+    """The terms of a dict, some with other weights; a weight of another term of ``REWARDS`` adds that term.
+
+    Raises:
+        InputError: as of ``as_terms``.
+    """
+    terms = dict(as_terms(values))
+    for name, weight in weights.items():
+        terms[name] = dataclasses.replace(terms.get(name) or _as_term(name, 1.0), weight=weight)
+    return tuple(terms.items())
 
 
 def reweighted(terms: Terms, weights: Mapping[str, Float[Array, ""] | float]) -> Terms:

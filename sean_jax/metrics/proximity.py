@@ -122,6 +122,25 @@ min_distance_to_obstacles = minimum(obstacle_distance)
 """Minimum distance from the robot's centre to the surface of an obstacle; 1000 where there is none."""
 
 
+# --- seconds of contact, for rewards ---
+
+
+def _robot_touches_person(snapshot: Snapshot) -> Array:
+    touching = _squares(snapshot) <= _touch_limit(snapshot) ** 2
+    return (touching & _robot_at_fault(snapshot)).any()
+
+
+def _is_intimate(snapshot: Snapshot) -> Array:
+    return (_squares(snapshot) <= _intimate_limit(snapshot) ** 2).any()
+
+
+CONTACT_TIME = duration(
+    _robot_touches_person, definition="Seconds in which the robot touches and moves towards a person."
+)
+OBSTACLE_TIME = duration(_touches_obstacle, definition="Seconds in which the robot touches an obstacle.")
+INTIMATE_TIME = duration(_is_intimate, definition="Seconds with a person within 0.45 m of the robot.")
+
+
 # --- comfort ---
 
 
