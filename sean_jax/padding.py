@@ -84,7 +84,8 @@ def _pad(tree: Any, sizes: Sizes, memo: dict[tuple, np.ndarray]) -> Any:
         if axes is None:
             changed[field] = _pad(value, sizes, memo)
         elif any((name, axis) in sizes for axis in axes):
-            target = tuple(sizes.get((name, axis), size) for axis, size in zip(axes, np.shape(value), strict=True))
+            shape: tuple[int, ...] = value.shape
+            target = tuple(sizes.get((name, axis), size) for axis, size in zip(axes, shape, strict=True))
             key = id(value), target
             if key not in memo:
                 memo[key] = _padded(np.asarray(value), target, axes, FILLS.get((name, field), 0))

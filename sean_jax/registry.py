@@ -104,7 +104,7 @@ def build_stack(config: EnvConfig, limit: int | None = None) -> Stack[mdp.Env]:
     floors = assembly.build_stack(config, limit)
     scenario = _mixed(assembly.with_tasks(config, floors.member))
     env = mdp.make_env(scenario, **parts, action_delay=config.action_delay)
-    return replace(floors, member=env)  # the scenario's leaves come first in an environment
+    return floors.map_member(lambda _: env)  # the scenario's leaves come first in an environment
 
 
 def _mixed(scenarios: Sequence[Scenario]) -> Scenario:

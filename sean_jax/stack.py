@@ -4,9 +4,9 @@ A batch has as many rows of each member of the stack, one member after the other
 each row: the program maps over the members, and for each member over its rows.
 """
 
-import dataclasses
 import functools
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any, Generic, TypeVar
 
 import jax
@@ -42,10 +42,10 @@ class Stack(Generic[T]):
     def take(self, index: np.ndarray) -> "Stack[T]":
         """The stack of some members, in that order."""
         if not self.own:
-            return dataclasses.replace(self, size=len(index))
+            return replace(self, size=len(index))
         names = tuple(self.names[k] for k in index) if self.names else ()
         own = {place: values[jnp.asarray(index)] for place, values in self.own.items()}
-        return Stack(dataclasses.replace(self, own=own).at(0), own, len(index), names)
+        return Stack(replace(self, own=own).at(0), own, len(index), names)
 
     def over_members(self, function: Callable[..., PyTree]) -> Callable[..., PyTree]:
         """``function(member, *values)`` of each member, with values (K, ...); results (K, ...)."""
@@ -73,6 +73,10 @@ class Stack(Generic[T]):
 
         return call
 
+    def map_member(self, function: Callable[[T], Any]) -> "Stack":
+        """The stack whose members have other static fields, by ``function(member)``."""
+        return replace(self, member=function(self.member))
+
     def with_fields(self, **fields: Any) -> "Stack":
         """The stack with other fields of the members: values for all, or a stack of K values."""
         marks = jax.tree.unflatten(jax.tree.structure(self.member), range(len(jax.tree.leaves(self.member))))
@@ -83,9 +87,9 @@ class Stack(Generic[T]):
             sources |= {f"{name} {number}": own for number, own in getattr(value, "own", {}).items()}
             fields[name] = jax.tree.unflatten(jax.tree.structure(first[name]), marked)
         sources |= self.own
-        places = jax.tree.leaves(dataclasses.replace(marks, **fields))  # pyright: ignore[reportArgumentType]
+        places = jax.tree.leaves(replace(marks, **fields))  # pyright: ignore[reportArgumentType]
         own = {place: sources[mark] for place, mark in enumerate(places) if mark in sources}
-        return dataclasses.replace(self, member=dataclasses.replace(self.member, **first), own=own)  # pyright: ignore
+        return replace(self, member=replace(self.member, **first), own=own)  # pyright: ignore
 
 
 def of_arrays(values: PyTree) -> Stack:
@@ -129,15 +133,16 @@ def with_common_shapes(scenarios: Sequence[Scenario], name: str) -> list[Scenari
     for scenario in scenarios:
         behavior, graph = scenario.behavior, graph_of(scenario)
         if graph is not None:
-            behavior = behavior.replace(data=behavior.data.replace(graph=graph.replace(names=())))
+            behavior = replace(behavior, data=replace(behavior.data, graph=replace(graph, names=())))
         present = scenario.people_present
         if not equal and present is None:
-            present = np.int32(scenario.people)
-        scenario = scenario.replace(
-            environment=scenario.environment.replace(name=name),
-            behavior=behavior.replace(people=None if behavior.people is None else people),
+            present = np.asarray(scenario.people, np.int32)
+        scenario = replace(
+            scenario,
+            environment=replace(scenario.environment, name=name),
+            behavior=replace(behavior, people=None if behavior.people is None else people),
             people=people,
-            people_present=present,
+            people_present=present,  # pyright: ignore[reportArgumentType]
         )
         padded.append(pad(scenario, sizes))
     return padded
