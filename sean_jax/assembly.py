@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import hashlib
 import json
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,6 +13,7 @@ import jax.numpy as jnp
 
 from sean_jax import (
     behaviors,
+    cache,
     calls,
     classifiers,
     components,
@@ -123,7 +125,8 @@ def build_stack(config: ScenarioConfig, limit: int | None = None) -> Stack[Scena
     if getattr(config.behavior, "walking_groups", (0.0, 0.0)) != (0.0, 0.0) and config.people is None:
         raise InputError("people: floors have different numbers, and walking groups need the same; give a number.")
     options = json.dumps({"behavior": config.behavior.kind, "goal_sampling": config.goal_sampling})
-    worlds.in_processes("sean_jax.assembly", "make_tables", [options], folders)
+    missing = [folder for folder in folders if not _made(options, folder).is_file()]
+    worlds.in_processes("sean_jax.assembly", "make_tables", [options], missing)
     with jax.default_device(jax.devices("cpu")[0]):
         scenarios = [_scenario(config, parts, robot, folder) for folder in folders]
         padded = with_common_shapes(scenarios, config.environment)
@@ -134,6 +137,15 @@ def make_tables(options: str, *folders: str) -> None:
     """Leave the tables of environment folders in the user's cache. For other processes."""
     for folder in folders:
         build(validate(ScenarioConfig, {"environment": folder, "task": "random_ab_nav", **json.loads(options)}))
+        _made(options, Path(folder)).touch()
+
+
+def _made(options: str, folder: Path) -> Path:
+    """The file in the user's cache that says that the tables of a folder are there."""
+    digest = hashlib.sha256((options + cache.source("navigation", "behaviors", "graph", "environment")).encode())
+    for path in environments.sources(folder):
+        digest.update(files.read_bytes(path))
+    return cache.folder() / "tables" / f"{digest.hexdigest()[:32]}.made"
 
 
 def _scenario(config: ScenarioConfig, parts: dict[str, Any], robot: RobotModel, folder: Path) -> Scenario:

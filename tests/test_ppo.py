@@ -22,6 +22,7 @@ from sean_jax.learning import networks, ppo, reinforcement, rollouts, shac
 from sean_jax.learning.networks import ActorCritic, Agent, Statistics
 from sean_jax.learning.policy import Best
 from sean_jax.mdp import rewards
+from sean_jax.stack import Stack
 
 SMALL = dict(
     method="ppo", environment="lab", behavior="random", people=2, time_limit=4.0, scenarios=8, horizon=8, minibatches=2,
@@ -831,7 +832,6 @@ def test_a_packed_agent_drives_as_its_training(trained, tmp_path, capsys):
 WITH_HELPER = """import jax.numpy as jnp
 import helper
 from sean_jax.mdp.rewards import RewardTerm
-from sean_jax.stack import Stack
 
 seen = lambda scenario, state: helper.scale * state.robot.position
 near = RewardTerm(lambda scenario, before, after: after.robot.speed, weight=1000.0)
