@@ -23,6 +23,7 @@ from sean_jax.errors import InputError
 from sean_jax.learning import reinforcement, rollouts
 from sean_jax.learning.networks import init_agent
 from sean_jax.mdp import observations, rewards
+from sean_jax.stack import Stack
 
 
 def seconds(call: Callable[[], Any], times: int = 3) -> float:
@@ -42,8 +43,8 @@ def main(names: list[str], options: PPOConfig) -> None:
     if others:
         raise InputError("environment: parts are timed in one environment; name one.")
     batch, steps = options.scenarios, options.horizon
-    env = jax.jit(mdp.Env.with_pool, static_argnums=2)(env, jax.random.key(0), options.pool)
-    agent = init_agent(network, env.observations, env.observation_space, jax.random.key(1))
+    env = jax.jit(rollouts.with_pool, static_argnums=2)(env, jax.random.key(0), options.pool)
+    agent = init_agent(network, env.member.observations, env.member.observation_space, jax.random.key(1))
     rows = jax.jit(rollouts.reset_envs, static_argnums=(1, 3))((env,), network, jax.random.key(2), batch)
     keys = jax.random.split(jax.random.key(3), batch)
     command = jnp.array([0.3, 0.1])
@@ -51,11 +52,11 @@ def main(names: list[str], options: PPOConfig) -> None:
     def repeated(one: Callable[[mdp.Env, mdp.EnvState], tuple[mdp.EnvState, Any]]) -> Callable[[], Any]:
         """``steps`` steps of the batch; their results are summed, so that all are computed."""
 
-        def turn(env: mdp.Env, carry: tuple, key: Any) -> tuple[tuple, None]:
-            state, given = jax.vmap(lambda state: one(env, state))(carry[0])
+        def turn(env: Stack[mdp.Env], carry: tuple, key: Any) -> tuple[tuple, None]:
+            state, given = env.vmap(one)(carry[0])
             return (state, carry[1] + sum(leaf.sum(dtype=jnp.float32) for leaf in jax.tree.leaves(given))), None
 
-        def whole(env: mdp.Env, state: mdp.EnvState) -> tuple:
+        def whole(env: Stack[mdp.Env], state: mdp.EnvState) -> tuple:
             return jax.lax.scan(lambda carry, key: turn(env, carry, key), (state, jnp.zeros(())), length=steps)[0]
 
         run = jax.jit(whole)
@@ -97,7 +98,9 @@ def main(names: list[str], options: PPOConfig) -> None:
         "collect": lambda: gather((env,), network, agent, rows, steps, jax.random.key(4)),
         "update": update,
     }
-    print(f"{jax.devices()[0].device_kind}, {batch} scenarios, {steps} steps, {', '.join(dict(env.observations))}")
+    print(
+        f"{jax.devices()[0].device_kind}, {batch} scenarios, {steps} steps, {', '.join(dict(env.member.observations))}"
+    )
     for name in names or parts:
         call = parts[name]
         took = seconds(call)

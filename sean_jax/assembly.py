@@ -2,6 +2,8 @@
 
 import contextlib
 import dataclasses
+import hashlib
+import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -11,6 +13,7 @@ import jax.numpy as jnp
 
 from sean_jax import (
     behaviors,
+    cache,
     calls,
     classifiers,
     components,
@@ -23,6 +26,7 @@ from sean_jax import (
     sensors,
     social_forces,
     tasks,
+    worlds,
 )
 from sean_jax import environment as environments
 from sean_jax.base import Array, Behavior, RobotModel, Scenario
@@ -43,6 +47,7 @@ from sean_jax.errors import InputError
 from sean_jax.messages import shorten
 from sean_jax.recordings import check_clock
 from sean_jax.scenario import direct_pedestrians, measure, move_pedestrians, reset, results
+from sean_jax.stack import Stack, stack, with_common_shapes
 
 MAX_SITUATIONS = 20  # the time in each of their 2 ** 20 sets is counted
 PARTS = ("behavior", "model", "forces", "situations", "metrics", "sensors")  # that a scenario calls
@@ -91,9 +96,61 @@ def build(config: ScenarioConfig) -> list[Scenario]:
     Raises:
         InputError: one sentence that names the value and the cure.
     """
-    parts = check(config)
-    folder = environments.find(config.environment)
-    scene, robot = environments.load(folder), _robot(config)
+    parts, folders = check(config), worlds.find(config.environment)
+    if len(folders) > 1:
+        raise InputError(f"environment: {config.environment} is {len(folders)} floors; this takes one of them.")
+    scenarios = with_tasks(config, _scenario(config, parts, _robot(config), folders[0]))
+    values = {name: getattr(config, name) for name in PARTS}
+    lists = {name: value if isinstance(value, tuple) else (value,) for name, value in values.items()}
+    if own := {name for name, parts in lists.items() if any(isinstance(part, OwnPart | Value) for part in parts)}:
+        _try_parts(scenarios[0], own)
+    return scenarios
+
+
+@_one_sentence()
+def build_stack(config: ScenarioConfig, limit: int | None = None) -> Stack[Scenario]:
+    """The scenarios of a description on each floor of its environment, without a task, for one program.
+
+    Args:
+        limit: maximum number of floors; the first ones.
+
+    Raises:
+        InputError: one sentence that names the value and the cure.
+    """
+    parts, folders, robot = check(config), worlds.find(config.environment)[:limit], _robot(config)
+    if len(folders) == 1:
+        return Stack(_scenario(config, parts, robot, folders[0]), {}, names=(folders[0].name,))
+    if config.behavior.kind not in ("graph", "random"):
+        raise InputError(f"behavior: '{config.behavior.kind}' is not for several floors; choose graph or random.")
+    if getattr(config.behavior, "walking_groups", (0.0, 0.0)) != (0.0, 0.0) and config.people is None:
+        raise InputError("people: floors have different numbers, and walking groups need the same; give a number.")
+    options = json.dumps({"behavior": config.behavior.kind, "goal_sampling": config.goal_sampling})
+    missing = [folder for folder in folders if not _made(options, folder).is_file()]
+    worlds.in_processes("sean_jax.assembly", "make_tables", [options], missing)
+    with jax.default_device(jax.devices("cpu")[0]):
+        scenarios = [_scenario(config, parts, robot, folder) for folder in folders]
+        padded = with_common_shapes(scenarios, config.environment)
+    return stack(padded, tuple(folder.name for folder in folders))
+
+
+def make_tables(options: str, *folders: str) -> None:
+    """Leave the tables of environment folders in the user's cache. For other processes."""
+    for folder in folders:
+        build(validate(ScenarioConfig, {"environment": folder, "task": "random_ab_nav", **json.loads(options)}))
+        _made(options, Path(folder)).touch()
+
+
+def _made(options: str, folder: Path) -> Path:
+    """The file in the user's cache that says that the tables of a folder are there."""
+    digest = hashlib.sha256((options + cache.source("navigation", "behaviors", "graph", "environment")).encode())
+    for path in environments.sources(folder):
+        digest.update(files.read_bytes(path))
+    return cache.folder() / "tables" / f"{digest.hexdigest()[:32]}.made"
+
+
+def _scenario(config: ScenarioConfig, parts: dict[str, Any], robot: RobotModel, folder: Path) -> Scenario:
+    """The scenario of a description in the environment of a folder, without a task."""
+    scene = environments.load(folder)
     robots.physics_steps(robot, config.time_step)  # refuses a control step that is no multiple
     walking = navigation.build(scene, PERSON_CLEARANCE)
     driving = walking if robot.radius <= PERSON_CLEARANCE else navigation.build(scene, robot.radius)
@@ -102,7 +159,7 @@ def build(config: ScenarioConfig) -> list[Scenario]:
     place = behaviors.Place(folder, scene, walking, config.time_step)
     behavior = _behavior(config, place)
     people = config.people if behavior.people is None else behavior.people
-    scenario = Scenario(
+    return Scenario(
         environment=scene,
         navigation=driving,
         behavior=behavior,
@@ -124,12 +181,11 @@ def build(config: ScenarioConfig) -> list[Scenario]:
         sensors=sensors.as_sensors((components.resolve(part, _ANY, "sensors") for part in config.sensors), robot),
         warm_up=config.warm_up,
     )
-    scenarios = [with_task(scenario, task) for task in config.tasks]
-    values = {name: getattr(config, name) for name in PARTS}
-    lists = {name: value if isinstance(value, tuple) else (value,) for name, value in values.items()}
-    if own := {name for name, parts in lists.items() if any(isinstance(part, OwnPart | Value) for part in parts)}:
-        _try_parts(scenarios[0], own)
-    return scenarios
+
+
+def with_tasks(config: ScenarioConfig, scenario: Scenario) -> list[Scenario]:
+    """The scenario with each task of a description."""
+    return [with_task(scenario, task) for task in config.tasks]
 
 
 def _try_parts(scenario: Scenario, own: set[str]) -> None:
@@ -209,8 +265,10 @@ def check(config: ScenarioConfig) -> dict[str, Any]:
         raise InputError(f"warm_up: {config.warm_up:g} s, but a recording begins with its own people; leave it out.")
     if not isinstance(config.robot, OwnPart | Value):
         robots.find(config.robot.kind, config.dynamics)
-    folder, forces = environments.find(config.environment), _forces(config)
-    _check_people(config, folder, float(forces.walking.radius))
+    forces = _forces(config)
+    if not worlds.parse_set(config.environment):
+        for folder in worlds.find(config.environment):
+            _check_people(config, folder, float(forces.walking.radius))
     if isinstance(behavior, PlaybackBehavior):
         _check_recording(behavior)
     return parts | {"forces": forces}

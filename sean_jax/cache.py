@@ -6,6 +6,7 @@ the files it depends on. If the folder cannot be read or written, tables are bui
 
 import functools
 import hashlib
+import itertools
 import os
 import tempfile
 import time
@@ -20,9 +21,12 @@ from sean_jax import files
 from sean_jax.errors import FileError
 
 PACKAGE = Path(__file__).resolve().parent
-MAX_SIZE, MAX_FILES = 1 << 29, 500  # bytes and files in the folder, beyond which the oldest are removed
+MAX_SIZE, MAX_FILES = 1 << 31, 20_000  # bytes and files in the folder, beyond which the oldest are removed
 MAX_RECENT = 16  # tables that this process keeps in memory
 ABANDONED_AFTER = 3600.0  # s, after which an unfinished file is removed
+
+WRITES = 64  # of a process, between two looks at the folder's size
+_writes = itertools.count()
 
 Tables = Mapping[str, np.ndarray]
 _recent: OrderedDict[str, Tables] = OrderedDict()
@@ -50,7 +54,7 @@ def load_or_build(kind: str, code: tuple[str, ...], inputs: Iterable[Any], build
     """
     import jax.numpy as jnp  # here, for the command line configures jax's own cache before it is imported
 
-    digest = hashlib.sha256(f"{kind} {jnp.result_type(float)} {_source(code)}".encode())
+    digest = hashlib.sha256(f"{kind} {jnp.result_type(float)} {source(*code)}".encode())
     for value in inputs:
         array = np.ascontiguousarray(value, np.float32)
         digest.update(f"{array.shape}".encode() + array.tobytes())
@@ -69,7 +73,7 @@ def load_or_build(kind: str, code: tuple[str, ...], inputs: Iterable[Any], build
 
 
 @functools.cache
-def _source(code: tuple[str, ...]) -> str:
+def source(*code: str) -> str:
     """Digest of source files and folders of the package."""
     digest = hashlib.sha256()
     for part in code:
@@ -101,7 +105,8 @@ def _write(path: Path, name: str, tables: Tables) -> None:
             arrays: Any = dict(tables, name=np.array(f"{name} {_digest(tables)}"))
             np.savez_compressed(stream, **arrays)
         os.replace(unfinished, path)
-        _remove_oldest(path.parent)
+        if next(_writes) % WRITES == 0:
+            _remove_oldest(path.parent)
     except OSError:
         pass  # a full or read-only disk
     finally:

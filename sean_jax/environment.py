@@ -6,6 +6,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pydantic
@@ -284,12 +285,11 @@ def _refusal(model: Any, data: Any, index: int, kind: str) -> str:
 
 def plain_scenery(obstacles: Obstacles) -> Scenery:
     """The scenery of obstacles without colors: grey boxes on the default floor, under the default sky."""
-    number = obstacles.height.shape[0]
-    half = jnp.concatenate([obstacles.half_extent, 0.5 * obstacles.height[:, None]], 1)
-    middle = jnp.concatenate([obstacles.center, 0.5 * obstacles.height[:, None]], 1)
-    turn = jnp.stack([jnp.cos(obstacles.yaw), jnp.sin(obstacles.yaw)], -1)
-    color = jnp.broadcast_to(jnp.asarray(OBSTACLE, float), (number, 3))
-    return _scenery(_solids(jnp.concatenate([middle, half, turn], 1), np.zeros((0, 8)), np.zeros((0, 4)), color))
+    center, extent, yaw, height = (np.asarray(part, float) for part in jax.tree.leaves(obstacles))
+    half = np.column_stack([extent, 0.5 * height])
+    boxes = np.column_stack([center, 0.5 * height, half, np.cos(yaw), np.sin(yaw)])
+    color = np.tile(OBSTACLE, (len(height), 1))
+    return _scenery(_solids(boxes, np.zeros((0, 8)), np.zeros((0, 4)), color))
 
 
 def scenery_from_mjcf(model: Any, data: Any, obstacles: list[int]) -> Scenery:

@@ -25,7 +25,17 @@ PRIMITIVES = frozenset(
 CALLS = frozenset(("custom_jvp_call", "jit", "pjit", "closed_call", "custom_vjp_call", "remat2", "checkpoint"))
 
 Call = Callable[..., tuple[Array, ...]]
-"""``call(*operands)`` of (scenarios, columns), or (1, columns) for all scenarios, gives arrays (scenarios, columns)."""
+"""``call(*operands)`` gives arrays (scenarios, columns). An operand has a row for each scenario, one for all, or R
+rows, one for each of R equal parts of the scenarios, such as the scenarios on one floor.
+"""
+
+
+def row(operand: Any, scenario: Any, scenarios: int) -> Any:
+    """The row of a scenario in an operand or its reference."""
+    rows = operand.shape[0]
+    if rows == scenarios:
+        return scenario
+    return 0 if rows == 1 else jax.lax.div(scenario, np.int32(scenarios // rows))
 
 
 @cache
@@ -49,25 +59,31 @@ def batch(call: Call, outputs: int) -> Call:
 
     @jax.custom_batching.custom_vmap
     def launch(*operands: Array) -> tuple[Array, ...]:
+        operands = _even(operands)
         return _split(call, outputs, operands)(*operands)
 
     @launch.def_vmap
     def _(size: int, batched: list[bool], *operands: Array) -> tuple[tuple[Array, ...], tuple[bool, ...]]:
-        inner = max(
-            operand.shape[1] if one else operand.shape[0] for operand, one in zip(operands, batched, strict=True)
-        )
         merged = []
         for operand, one in zip(operands, batched, strict=True):
-            if not one and operand.shape[0] == 1:  # it stays one for all, and is not copied
-                merged.append(operand)
-                continue
-            operand = operand if one else operand[None]
-            all_of_batch = jnp.broadcast_to(operand, (size, inner, operand.shape[-1]))
-            merged.append(all_of_batch.reshape(size * inner, -1))
-        results = tuple(out.reshape(size, inner, -1) for out in launch(*merged))
+            if not one and operand.shape[0] > 1:
+                operand = jnp.broadcast_to(operand, (size, *operand.shape))
+            merged.append(operand.reshape(-1, operand.shape[-1]))  # rows that are shared are not copied
+        results = tuple(out.reshape(size, -1, out.shape[-1]) for out in launch(*merged))
         return results, tuple(True for _ in results)
 
     return launch
+
+
+def _even(operands: Sequence[Array]) -> list[Array]:
+    """The operands, with rows of their own for all scenarios where devices would not have equally many rows."""
+    scenarios = max(operand.shape[0] for operand in operands)
+    return [
+        operand
+        if operand.shape[0] in (1, scenarios) or operand.shape[0] % jax.device_count() == 0
+        else jnp.repeat(operand, scenarios // operand.shape[0], axis=0)
+        for operand in operands
+    ]
 
 
 def _split(call: Call, outputs: int, operands: Sequence[Array]) -> Call:
@@ -81,11 +97,16 @@ def _split(call: Call, outputs: int, operands: Sequence[Array]) -> Call:
         arguments = tuple(whole if one else split for one in of_all)
         return mesh, call, tuple(split for _ in results), arguments
 
-    axes = [(f"one{i}" if one else "scenarios", f"column{i}") for i, one in enumerate(of_all)]
+    scenarios = max(operand.shape[0] for operand in operands)
+    rows = [
+        f"one{i}" if one else "scenarios" if operand.shape[0] == scenarios else f"part{i}"
+        for i, (one, operand) in enumerate(zip(of_all, operands, strict=True))
+    ]
+    axes = [(name, f"column{i}") for i, name in enumerate(rows)]
     arguments, results = (
         ", ".join(" ".join(each) for each in side) for side in (axes, [("scenarios", "result")] * outputs)
     )
-    whole = [name for each in axes for name in each if name != "scenarios"]
+    whole = [name for each in axes for name in each if name != "scenarios" and not name.startswith("part")]
     factors = (*whole, "result")
     split_call.def_partition(partition, sharding_rule=f"{arguments} -> {results}", need_replication_factors=factors)
     return split_call

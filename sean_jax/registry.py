@@ -9,11 +9,13 @@ from dataclasses import replace
 from typing import Any
 
 from sean_jax import assembly, components, files, mdp, tasks
+from sean_jax.base import Scenario
 from sean_jax.config import USUAL_TASKS, Component, EnvConfig, Named, gather, validate
 from sean_jax.errors import InputError
 from sean_jax.mdp import observations, rewards
 from sean_jax.mdp.env import as_termination
 from sean_jax.mdp.randomization import as_randomization
+from sean_jax.stack import Stack
 
 PLACES = ("warehouse", "lab", "outdoor")
 TASKS = {
@@ -86,12 +88,31 @@ def build(config: EnvConfig) -> mdp.Env:
         InputError: one sentence that names the value and the cure.
     """
     parts = check(config)
-    scenarios = assembly.build(config)
-    scenario = scenarios[0]
-    if len(scenarios) > 1:
-        mixed = tasks.Mixture(tuple(each.task for each in scenarios))
-        scenario = replace(scenario, task=mixed, task_name=",".join(each.task_name for each in scenarios))
-    return mdp.make_env(scenario, **parts, action_delay=config.action_delay)
+    return mdp.make_env(_mixed(assembly.build(config)), **parts, action_delay=config.action_delay)
+
+
+def build_stack(config: EnvConfig, limit: int | None = None) -> Stack[mdp.Env]:
+    """The environments of options on each floor, without pools, for one program.
+
+    Args:
+        limit: maximum number of floors; the first ones.
+
+    Raises:
+        InputError: one sentence that names the value and the cure.
+    """
+    parts = check(config)
+    floors = assembly.build_stack(config, limit)
+    scenario = _mixed(assembly.with_tasks(config, floors.member))
+    env = mdp.make_env(scenario, **parts, action_delay=config.action_delay)
+    return floors.map_member(lambda _: env)  # the scenario's leaves come first in an environment
+
+
+def _mixed(scenarios: Sequence[Scenario]) -> Scenario:
+    """One scenario, with one of several tasks in each episode."""
+    if len(scenarios) == 1:
+        return scenarios[0]
+    mixed = tasks.Mixture(tuple(each.task for each in scenarios))
+    return replace(scenarios[0], task=mixed, task_name=",".join(each.task_name for each in scenarios))
 
 
 def check(config: EnvConfig) -> dict[str, Any]:

@@ -24,6 +24,7 @@ from sean_jax import clock, devices, interrupts, prng
 from sean_jax.base import Array, PolicyLike, RobotTask, Scenario, State, as_policy
 from sean_jax.episodes import init_policy, policy_step
 from sean_jax.scenario import reset, results
+from sean_jax.stack import Stack
 
 CHUNK = 10.0  # s, between two looks at the progress
 MAX_BATCH, MAX_BATCH_CPU = 4_200, 64  # default episodes per batch
@@ -87,7 +88,7 @@ class Runner:
 
     def __init__(
         self,
-        scenarios: Scenario | Sequence[Scenario],
+        scenarios: Scenario | Stack[Scenario] | Sequence[Scenario] | Sequence[Stack[Scenario]],
         policy: PolicyLike,
         size: int,
         use: str,
@@ -97,6 +98,8 @@ class Runner:
         drivers: int | None = None,
     ):
         """Scenarios take turns; they may differ in leaves and in their task, and in nothing else.
+
+        Floors of a stack take turns as well: episode i is on floor (i // scenarios) % floors.
 
         Args:
             policy: one policy, or ``drivers`` of them along a leading axis of its leaves.
@@ -109,10 +112,12 @@ class Runner:
         Raises:
             ValueError: the static structure of the scenarios differs.
         """
-        self.scenarios = [scenarios] if isinstance(scenarios, Scenario) else list(scenarios)
+        each = [scenarios] if isinstance(scenarios, Scenario | Stack) else list(scenarios)
+        stacks = [part if isinstance(part, Stack) else Stack(part, {}) for part in each]
+        self.scenarios, self.floors = [part.member for part in stacks], stacks[0]
         self.policy, self.use, self.record = as_policy(policy), use, record
         self.mesh = devices.mesh() if mesh is None else mesh
-        shares = math.lcm(self.mesh.size, drivers or 1)
+        shares = math.lcm(self.mesh.size, drivers or 1, 1 if self.floors.size == 1 else len(stacks))
         self.size = -(-size // shares) * shares
         self.compile_seconds = 0.0
         first = self.scenarios[0]
@@ -158,7 +163,14 @@ class Runner:
 
     @property
     def _places(self) -> tuple:
-        return self.scenarios[0], self._varying
+        return self._floors_from(0), self._varying
+
+    def _floors_from(self, first: int) -> Stack[Scenario]:
+        """The floors of a batch that begins with an episode of that number."""
+        if self.floors.size == 1:
+            return self.floors
+        turns = np.arange(first, first + self.size, len(self.scenarios)) // len(self.scenarios)
+        return self.floors.take(turns % self.floors.size)
 
     def compile(self, callbacks: Callbacks) -> None:
         """Compile everything now, in a thread that Ctrl-C need not wait for."""
@@ -201,7 +213,8 @@ class Runner:
         scenario = self.scenarios[0]
         numbers = np.arange(first, first + self.size)
         turn = numbers % len(self.scenarios) if index is None else np.resize(index, self.size)
-        fixed = self._fixed if self.mesh.size == 1 else devices.replicate(self.mesh, self._fixed)
+        fixed = self._floors_from(first), self._varying, self.policy
+        fixed = fixed if self.mesh.size == 1 else devices.replicate(self.mesh, fixed)
         turns = jnp.asarray(turn, jnp.int32)
         states = self._draw(fixed[:-1], jnp.uint32(seed), jnp.asarray(numbers, jnp.uint32), turns)
         running = self._begin(fixed, states, turns)
@@ -296,15 +309,17 @@ def _select(scenario: Scenario, varying: dict[int, Array], index: Array) -> Scen
     return jax.tree.unflatten(tree, leaves)
 
 
-def _of_each_driver(function: Callable, drivers: int | None) -> Callable:
-    """(policy, rows (B, ...), ...) -> ``function(policy, row, ...)`` of each row, with the policy of its share."""
+def _of_each_driver(function: Callable, floors: Stack[Scenario], drivers: int | None) -> Callable:
+    """(policy, rows (B, ...), ...) -> ``function(policy, scenario, row, ...)`` of each row, with the policy of its
+    share.
+    """
     if drivers is None:
-        return lambda policy, *rows: jax.vmap(functools.partial(function, policy))(*rows)
+        return lambda policy, *rows: floors.vmap(functools.partial(function, policy))(*rows)
 
     def shared(policy: PyTree, *rows: PyTree) -> PyTree:
         size = jax.tree.leaves(rows)[0].shape[0]
         rows = jax.tree.map(lambda leaf: leaf.reshape(drivers, size // drivers, *leaf.shape[1:]), rows)
-        found = jax.vmap(_of_each_driver(function, None))(policy, *rows)
+        found = jax.vmap(_of_each_driver(function, floors, None))(policy, *rows)
         return jax.tree.map(lambda leaf: leaf.reshape(size, *leaf.shape[2:]), found)
 
     return shared
@@ -330,40 +345,40 @@ def _drawing(tasks: tuple, use: str, structure: Any, shapes: tuple) -> Any:
 
 def _draw(tasks: tuple, use: str, places: tuple, seed: Array, numbers: Array, index: Array) -> State:
     """The reset episodes of these numbers (B,), without the policy's memory."""
-    scenario, varying = places
+    floors, varying = places
 
-    def one(number: Array, turn: Array) -> State:
+    def one(scenario: Scenario, number: Array, turn: Array) -> State:
         return first_state(tasks, scenario, varying, turn, jax.random.fold_in(prng.key(use, seed), number))
 
-    return jax.vmap(one)(numbers, index)
+    return floors.vmap(one)(numbers, index)
 
 
 def _begin(record: Record, drivers: int | None, fixed: tuple, states: State, index: Array) -> LoopState:
     """Episodes before their first step."""
-    scenario, varying, policy = fixed
+    floors, varying, policy = fixed
 
-    def one(policy: PyTree, state: State, turn: Array) -> State:
+    def one(policy: PyTree, scenario: Scenario, state: State, turn: Array) -> State:
         return init_policy(_select(scenario, varying, turn), policy, state)
 
-    states = _of_each_driver(one, drivers)(policy, states, index)
+    states = _of_each_driver(one, floors, drivers)(policy, states, index)
     steps, faulty = jnp.zeros(index.shape, jnp.int32), jnp.zeros(index.shape, bool)
-    return LoopState(states, steps, faulty, record.init(scenario, states))
+    return LoopState(states, steps, faulty, record.init(floors.member, states))
 
 
 def _advance(
     record: Record, turns: int, drivers: int | None, fixed: tuple, running: LoopState, index: Array, counted: Array
 ) -> tuple:
     """The state ``turns * record.every`` steps later, and the rows of the record, (turns, ...)."""
-    scenario, varying, policy = fixed
+    floors, varying, policy = fixed
 
-    def step(policy: PyTree, state: State, turn: Array = index[0]) -> tuple[State, Array]:
+    def step(policy: PyTree, scenario: Scenario, state: State, turn: Array = index[0]) -> tuple[State, Array]:
         after, action = policy_step(_select(scenario, varying, turn), policy, state)
         return after, action if record.command is None else record.command(after)
 
     def tick(carry: tuple, _: None) -> tuple[tuple, Array]:
         before, steps, faulty = carry
         rows = (before, index) if varying else (before,)  # an index that is the same for all needs no axis
-        states, actions = _of_each_driver(step, drivers)(policy, *rows)
+        states, actions = _of_each_driver(step, floors, drivers)(policy, *rows)
         active = ~(before.completed | before.timed_out) & counted
         return (states, steps + active.astype(jnp.int32), faulty | (~_sound(states) & active)), actions
 
@@ -376,7 +391,7 @@ def _advance(
             actions = actions[None]
         else:
             (states, steps, faulty), actions = jax.lax.scan(tick, carry, length=record.every)
-        total, rows = record.update(scenario, before, states, actions, active, running.total)
+        total, rows = record.update(floors.member, before, states, actions, active, running.total)
         return LoopState(states, steps, faulty, total), rows
 
     return jax.lax.scan(one, running, length=turns)

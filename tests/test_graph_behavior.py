@@ -155,10 +155,10 @@ def test_the_rest_of_a_stay_is_as_at_a_random_moment_of_many_stays():
         moments = draw.uniform(0.0, ends[-2], 20_000)
         expected = ends[np.searchsorted(ends, moments)] - moments
         limits = jnp.tile(jnp.asarray([shortest, longest], jnp.float32), (20_000, 1))
-        chance = jax.random.uniform(jax.random.key(1), (2, 20_000), jnp.float32)
+        chance = jax.random.uniform(jax.random.key(1), (20_000, 2), jnp.float32)
         found = graph_behavior._residual_stay(limits, chance)
         shares = [0.1, 0.5, 0.9]
         np.testing.assert_allclose(
             np.quantile(found, shares), np.quantile(expected, shares), rtol=0.01, atol=0.015 * longest
         )
-    assert not np.asarray(graph_behavior._residual_stay(jnp.zeros((3, 2)), jnp.ones((2, 3)))).any()
+    assert not np.asarray(graph_behavior._residual_stay(jnp.zeros((3, 2)), jnp.ones((3, 2)))).any()

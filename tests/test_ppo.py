@@ -22,6 +22,7 @@ from sean_jax.learning import networks, ppo, reinforcement, rollouts, shac
 from sean_jax.learning.networks import ActorCritic, Agent, Statistics
 from sean_jax.learning.policy import Best
 from sean_jax.mdp import rewards
+from sean_jax.stack import Stack
 
 SMALL = dict(
     method="ppo", environment="lab", behavior="random", people=2, time_limit=4.0, scenarios=8, horizon=8, minibatches=2,
@@ -207,8 +208,8 @@ def test_programs_of_a_training_fit_together(method):
     run = reinforcement.programs(config, network, devices.mesh())
 
     def together(key):
-        pooled = (env.with_pool(key, config.pool),)
-        several = networks.init_agents(network, env.observations, env.observation_space, key[None])
+        pooled = (rollouts.with_pool(env, key, config.pool),)
+        several = networks.init_agents(network, env.member.observations, env.member.observation_space, key[None])
         before = run.begin(pooled, several)
         return before, *run.update(pooled, before), run.evaluate(scenarios, (env,), several)
 
@@ -224,7 +225,7 @@ def test_evaluations_use_the_weights_of_each_agent():
     """Two agents with the same parameters, whose rewards are k and -2 k: returns of the step in the same proportion."""
     config = options(None, sweep=["rewards.time=1,-2"], rewards=["time"], evaluation_episodes=1, time_limit=0.5)
     scenarios, envs, network = reinforcement.build(config)
-    agent = begun(network, envs[0])
+    agent = begun(network, envs[0].member)
     agents = jax.tree.map(lambda leaf: jnp.stack([leaf, leaf]), agent)
     value, (found,) = reinforcement.programs(config, network, devices.mesh()).evaluate(scenarios, envs, agents)
     np.testing.assert_allclose(value, [0.5, -1.0], rtol=1e-5)
@@ -287,8 +288,8 @@ def test_first_episodes_end_at_different_times():
 
     @jax.jit
     def play(key):
-        batch = rollouts.reset_envs((env,), network, key, rows)
-        batch = reinforcement.stagger((env,), batch, jax.random.fold_in(key, 1))
+        batch = rollouts.reset_envs((Stack(env, {}),), network, key, rows)
+        batch = reinforcement.stagger((Stack(env, {}),), batch, jax.random.fold_in(key, 1))
         ages = batch.envs[0].simulation.tick
 
         def one(states, tick):
@@ -312,7 +313,7 @@ def test_the_critic_learns_alone_after_imitation(env):
     """In an update whose actor does not move; and the value of the network stays that of returns in their own unit."""
     config = options(None, observations=["goal"], rewards=["time"], epochs=1, minibatches=1)
     network = ActorCritic(8, 1)
-    pooled = (jax.jit(mdp.Env.with_pool, static_argnums=2)(env, jax.random.key(1), 8),)
+    pooled = (jax.jit(rollouts.with_pool, static_argnums=2)(Stack(env, {}), jax.random.key(1), 8),)
     agent, numbers = begun(network, env), {name: jnp.asarray(0.01) for name in PPOConfig.SWEPT}
 
     @jax.jit
@@ -340,7 +341,7 @@ def test_a_value_is_scaled_and_nothing_else(env):
 def quiet(monkeypatch):
     """Trainings in which nobody moves."""
     monkeypatch.setattr(reinforcement, "programs", standing)
-    monkeypatch.setattr(mdp.Env, "with_pool", lambda env, key, size: env)
+    monkeypatch.setattr(rollouts, "with_pool", lambda env, key, size: env)
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -485,7 +486,7 @@ def test_a_pretrained_agent_that_does_not_fit_is_refused_first(trained, tmp_path
     """Before starts are drawn and anything is written: of another size, with other inputs, or without weights."""
     never = lambda *_: pytest.fail("it was built")  # noqa: E731
     monkeypatch.setattr(reinforcement, "programs", never)
-    monkeypatch.setattr(mdp.Env, "with_pool", never)
+    monkeypatch.setattr(rollouts, "with_pool", never)
     shutil.copytree(trained[1], tmp_path / "empty")
     shutil.rmtree(tmp_path / "empty" / "checkpoints")
     for folder, other, message in [
@@ -615,13 +616,15 @@ def varied(out, mine, **others) -> PPOConfig:
 
 
 def test_randomization_delay_and_ends_reach_the_environment_of_a_training(mine, tmp_path):
-    _, (env,), _ = reinforcement.build(varied(tmp_path, mine))
+    _, (floors,), _ = reinforcement.build(varied(tmp_path, mine))
+    env = floors.member
     assert [name for name, _ in env.terminations] == ["obstacle", "backward"] and env.action_delay == (1, 2)
     assert env.randomization is not None
     keys = jax.random.split(jax.random.key(0), 32)
     drawn = jax.vmap(lambda key: env.scenario_of(key).robot.max_speed)(keys) / env.scenario.robot.max_speed
     assert drawn.min() < 0.6 and drawn.max() > 0.9
-    (_, (usual,), _) = reinforcement.build(options(tmp_path, randomization="behavior", action_delay=3))
+    (_, (floors,), _) = reinforcement.build(options(tmp_path, randomization="behavior", action_delay=3))
+    usual = floors.member
     assert usual.randomization == mdp.randomize_behavior() and usual.action_delay == (3, 3)
 
 
@@ -759,8 +762,9 @@ def test_analytic_gradients_are_those_of_differences():
 
     config = analytic(None, horizon=4, scenarios=2)
     _, (env,), network = reinforcement.build(config)
-    env = jax.jit(mdp.Env.with_pool, static_argnums=2)(env, jax.random.key(1), 4).with_transition_gradients()
-    agent = networks.init_agent(network, env.observations, env.observation_space, jax.random.key(2))
+    env = jax.jit(rollouts.with_pool, static_argnums=2)(env, jax.random.key(1), 4)
+    env, member = env.map_member(mdp.Env.with_transition_gradients), env.member
+    agent = networks.init_agent(network, member.observations, member.observation_space, jax.random.key(2))
     rows = jax.jit(rollouts.reset_envs, static_argnums=(1, 3))((env,), network, jax.random.key(3), 2)
 
     def lost(change):
@@ -839,7 +843,7 @@ def own(tmp_path, monkeypatch):
     """A training with an observation and a reward of files of one's own, and a folder that has them."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(reinforcement, "programs", standing)
-    monkeypatch.setattr(mdp.Env, "with_pool", lambda env, key, size: env)
+    monkeypatch.setattr(rollouts, "with_pool", lambda env, key, size: env)
     (tmp_path / "mine.py").write_text(WITH_HELPER)
     (tmp_path / "helper.py").write_text("scale = 0.1\n")
     parts = {"observations": ["goal", "mine.py:seen"], "rewards": ["progress", "mine.py:near"]}
@@ -954,7 +958,7 @@ def test_one_agent_learns_in_several_environments(cell, tmp_path, monkeypatch):
     look = jax.jit(jax.vmap(mdp.observations.begin, (None, None, 0, 0)), static_argnums=0)
     for number, seen in enumerate(rollouts.split_by_env(of_one.observation, 2)):
         there = of_one.envs[number].simulation
-        now, _ = look(envs[number].observations, scenarios[number], there, there.streams.sensors)
+        now, _ = look(envs[number].member.observations, scenarios[number], there, there.streams.sensors)
         assert now["goal"].shape == (4, 2)
         np.testing.assert_allclose(now["goal"], seen["goal"], atol=1e-5)
     inside = np.asarray(state.rows.envs[1].simulation.robot.position)

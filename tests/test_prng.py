@@ -16,6 +16,7 @@ from sean_jax.base import Behavior, PathsToGoal, Pedestrians, RobotTask
 from sean_jax.behaviors.starts import no_groups
 from sean_jax.episodes import init_policy, policy_step
 from sean_jax.policies import POLICIES
+from sean_jax.stack import Stack
 
 TICKS = 4
 
@@ -198,7 +199,9 @@ def test_commands_draw_other_episodes(scenario):
     @jax.jit  # of which nothing but the keys is compiled
     def drawn(numbers):
         def people(use):
-            return runner._draw((quiet.task,), use, (quiet, {}), jnp.uint32(0), numbers, index).streams.people
+            return runner._draw(
+                (quiet.task,), use, (Stack(quiet, {}), {}), jnp.uint32(0), numbers, index
+            ).streams.people
 
         return [people(use) for use in ("run", "collect", "figure4")]
 

@@ -59,7 +59,8 @@ class Tables:
     congestion_cost: Float[Array, ""] | None  # m2, see ``add_congestion_cost``; None: none
     temperature: Float[Array, ""] | None  # m, see ``graph_choices``; None: people take the cheapest way
     spawn_clusters: Int[Array, "C 3"]  # neighboring starts, for walking groups
-    first_seats: tuple[int, ...] = struct.field(pytree_node=False)  # seats at which people start
+    first_seats: Int[Array, "F"]  # seats at which people start
+    seated: Int[Array, ""]  # number of these
     permanent: bool = struct.field(pytree_node=False)  # whether they stay there
     walking_groups: WalkingGroups = struct.field(pytree_node=False)  # their numbers
 
@@ -103,25 +104,28 @@ def build(
     number = count_walking_groups(people, walking_groups)
     permanent = group_membership == "permanent"
     first_seats = _first_seats(np.asarray(graph.seat_group), permanent)
-    max_people = len(start) + min(len(first_seats), people - number.members)
+    seated = min(len(first_seats), people - number.members)
+    max_people = len(start) + seated
     if people > max_people:
         where = f"on the graph of {environment.name}"
         raise InputError(f"people: {people} do not fit {where}; the most that do is {max_people}.")
     start_chance = np.asarray(graph.spawn)[node] / np.bincount(node, minlength=len(graph.spawn))[node]
+    missing = max(people - len(start), 0)  # rows for people at seats
     tables = Tables(
         graph=graph,
         navigation=navigation,
         next_corners=paths.build_next_corner_table(navigation, graph.position),
         walk=to_device(graph_choices.walking_lengths(graph, navigation)),
         patience=to_device(_patience(graph, routing, place.time_step)),
-        start=to_device(start),
-        start_node=to_device(node.astype(np.int32)),
-        start_log_chance=to_device(np.log(start_chance)),
+        start=to_device(np.pad(start, [(0, missing), (0, 0)])),
+        start_node=to_device(np.pad(node.astype(np.int32), (0, missing))),
+        start_log_chance=to_device(np.pad(np.log(start_chance), (0, missing), constant_values=-np.inf)),
         congestion_cost=to_device(np.asarray(congestion_cost)) if congestion_cost else None,
         temperature=to_device(np.asarray(temperature)) if temperature else None,
         spawn_clusters=to_device(find_spawn_clusters(navigation, start, number)),
         walking_groups=number,
-        first_seats=first_seats,
+        first_seats=to_device(np.array(first_seats, np.int32)),
+        seated=to_device(np.array(seated, np.int32)),
         permanent=permanent,
     )
     return Behavior(
@@ -144,25 +148,26 @@ def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Memory]:
     seat_position, seat_heading, radius, opening = formation(
         form_key, graph.capacity[graph.groups], center, graph.seat_group
     )
-    first_seats = np.array(tables.first_seats, np.int32)[: people - tables.walking_groups.members]
-    seated = len(first_seats)
     log_chance = tables.start_log_chance
     score = log_chance + jax.random.gumbel(place_key, log_chance.shape, float)
-    chosen = choose_starts(score, tables.spawn_clusters, people - seated, tables.walking_groups)
+    chosen = choose_starts(score, tables.spawn_clusters, people, tables.walking_groups)
     walking_group = leaders(scenario.behavior.companions, people)
-    angle = jax.random.uniform(turn_key, (people - seated,), float, 0.0, 2 * jnp.pi)
+    person = jnp.arange(people, dtype=jnp.int32)
+    sits, number = person < tables.seated, jnp.maximum(person - tables.seated, 0)
+    alone = person < people - tables.walking_groups.members
+    chosen = chosen[jnp.where(alone, number, person)]
+    angle = jax.random.uniform(turn_key, (people,), float, 0.0, 2 * jnp.pi)[number]
     facing = jnp.stack([jnp.cos(angle), jnp.sin(angle)], -1)
-    position = jnp.concatenate([seat_position[first_seats], tables.start[chosen]])
-    node = jnp.concatenate([graph.seat_node[first_seats], tables.start_node[chosen]])
-    seat = jnp.concatenate([first_seats, jnp.full(people - seated, -1, jnp.int32)])
+    seat = jnp.where(sits, of_seat(tables.first_seats, person), -1)
+    position = jnp.where(sits[:, None], of_seat(seat_position, seat), tables.start[chosen])
+    node = jnp.where(sits, of_seat(graph.seat_node, seat), tables.start_node[chosen])
     preferred_speed, robot_distance = draw_traits(scenario.forces, trait_key, people)
     present = present_people(scenario)
-    if scenario.people_present is not None:
-        seat = jnp.where(present, seat, -1)
+    seat = jnp.where(present, seat, -1)
     pedestrians = Pedestrians(
         position=position,
         velocity=jnp.zeros_like(position),
-        heading=jnp.concatenate([seat_heading[first_seats], facing]),
+        heading=jnp.where(sits[:, None], of_seat(seat_heading, seat), facing),
         desired_velocity=jnp.zeros_like(position),
         group=jnp.where(seat >= 0, of_seat(graph.seat_group, seat), -1),
         walking_group=walking_group,
@@ -170,11 +175,11 @@ def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Memory]:
         preferred_speed=group_speeds(scenario, walking_group, preferred_speed),
         robot_distance=robot_distance,
     )
-    groups = Groups(center=center, radius=radius, opening=opening, present=jnp.ones(radius.shape, bool))
-    left = _residual_stay(graph.stay[graph.seat_node[first_seats]], jax.random.uniform(stay_key, (2, seated), float))
+    groups = Groups(center=center, radius=radius, opening=opening, present=graph.groups >= 0)
+    limits = graph.stay[of_seat(graph.seat_node, seat)]
+    left = _residual_stay(limits, jax.random.uniform(stay_key, (people, 2), float))
     stay = _stay(scenario, jnp.full_like(left, jnp.inf) if tables.permanent else left)
-    stay = jnp.where(stay > 0, stay + tables.patience[first_seats], 0)
-    stay = jnp.concatenate([stay, jnp.zeros(people - seated, jnp.int32)])
+    stay = jnp.where(stay > 0, stay + of_seat(tables.patience, seat), 0)
     stay = jnp.where(seat >= 0, stay, 0)
     memory = Memory(node, node, node, position, seat, stay, seat_position, seat_heading)
     if tables.temperature is not None:
@@ -197,11 +202,11 @@ def _patience(graph: BehaviorGraph, routing: str, time_step: float) -> np.ndarra
     return np.floor(wait / time_step + 1e-3).astype(np.int32)
 
 
-def _residual_stay(limits: Float[Array, "K 2"], chance: Float[Array, "2 K"]) -> Float[Array, "K"]:
+def _residual_stay(limits: Float[Array, "K 2"], chance: Float[Array, "K 2"]) -> Float[Array, "K"]:
     """Remaining stay times [s], drawn from the stationary residual distribution."""
     shortest = limits[:, 0] / jnp.maximum(limits[:, 1], 1e-6)
-    whole = limits[:, 1] * jnp.sqrt(shortest**2 + chance[0] * (1.0 - shortest**2))
-    return chance[1] * whole
+    whole = limits[:, 1] * jnp.sqrt(shortest**2 + chance[:, 0] * (1.0 - shortest**2))
+    return chance[:, 1] * whole
 
 
 def _send_at_start(scenario: Scenario, people: Pedestrians, memory: Memory) -> Memory:
@@ -210,9 +215,12 @@ def _send_at_start(scenario: Scenario, people: Pedestrians, memory: Memory) -> M
     arrival = graph_choices.arrival_times(tables.graph, tables.walk, people, memory)
     seekers = people.present & (people.walking_group < 0)
 
-    def one(_: Array, memory: Memory) -> Memory:
+    number = (tables.graph.seat_node >= 0).sum(dtype=jnp.int32)
+
+    def one(turn: Array, memory: Memory) -> Memory:
         seats = seats_of(memory, tables.patience, scenario.time_step)
-        return graph_choices.send(tables.graph, arrival, memory, seats, seekers)[0]
+        sent = graph_choices.send(tables.graph, arrival, memory, seats, seekers)[0]
+        return jax.tree.map(lambda old, new: jnp.where(turn < number, new, old), memory, sent)
 
     return jax.lax.fori_loop(0, min(tables.patience.shape[0], scenario.people), one, memory)
 

@@ -19,6 +19,7 @@ Source: P. W. Glynn, Likelihood ratio gradient estimation for stochastic systems
 1990; W. Kool, H. van Hoof & M. Welling, Buy 4 REINFORCE samples, get a baseline for free!, 2019 (b: the others' mean).
 """
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import jax
@@ -31,7 +32,9 @@ from sean_jax import navigation as paths
 from sean_jax.base import Array, Pedestrians
 from sean_jax.geometry import length
 from sean_jax.graph import BehaviorGraph
+from sean_jax.graph.annotation import NODES
 from sean_jax.graph.behavior_graph import hop_log_chances
+from sean_jax.padding import in_programs
 
 ARRIVED = 1.0  # m from the target, where a waypoint counts as reached (SEAN 2.0)
 MAX_WAIT = 5.0  # s, for which the holder of a seat waits for a successor; at most the longest stay at that group
@@ -200,7 +203,7 @@ def walking_lengths(graph: BehaviorGraph, navigation: paths.Navigation) -> np.nd
         "edge_lengths",
         code,
         [*paths.inputs(navigation), position],
-        lambda: {"length": np.asarray(_geodesics(navigation, jnp.asarray(position, float)))},
+        lambda: {"length": _node_distances(navigation, position)},
     )
     straight = np.linalg.norm(position[:, None] - position[None, :], axis=-1)
     edge = np.where(np.isfinite(table["length"]), table["length"], straight)
@@ -210,6 +213,13 @@ def walking_lengths(graph: BehaviorGraph, navigation: paths.Navigation) -> np.nd
         onward = np.where(onward < 0, groups[None, :], onward)
         walk, node = walk + np.where(node == onward, 0.0, edge[node, onward]), onward
     return walk
+
+
+def _node_distances(navigation: paths.Navigation, position: np.ndarray) -> np.ndarray:
+    """(M, M) m of shortest paths around obstacles between nodes."""
+    padded = np.pad(position, [(0, -len(position) % NODES), (0, 0)], mode="edge")
+    tables = in_programs(replace(navigation, visible=None, places=None, mesh_places=None))
+    return np.asarray(_geodesics(tables, jnp.asarray(padded, float)))[: len(position), : len(position)]
 
 
 @jax.jit
@@ -273,6 +283,7 @@ def send(
     returns = jnp.where(memory.origin[:, None] == node[None, :], RETURN, 0.0)
     off = misfit(arrival[:, graph.seat_group], due[None, :]) + returns
     may = (seekers & (memory.seat < 0))[:, None] & (memory.hop[:, None] != node[None, :]) & (off < limit[None, :])
+    may = may & (node >= 0)[None, :]
     score = jnp.where(may, off + 2.0 * seats.time_left[None, :], jnp.inf)
     if draws is None:
         seat, taker = jnp.argmin(score, axis=1).astype(jnp.int32), jnp.argmin(score, axis=0).astype(jnp.int32)
@@ -359,7 +370,7 @@ def choose_edge(
     seat = jnp.where(onward, -1, memory.seat)
     goal, to_waypoint = _other_waypoint(graph, memory.hop, chance[0]), onward
     if graph.groups.shape[0]:
-        empty = ~_taken(memory, graph.seat_group.shape[0])
+        empty = ~_taken(memory, graph.seat_group.shape[0]) & (graph.seat_node >= 0)
         group = jnp.arange(graph.groups.shape[0], dtype=jnp.int32)
         of_group = graph.seat_group[:, None] == group[None, :]  # (Q, G)
         lack = jnp.sum(of_group & empty[:, None], axis=0, dtype=jnp.int32)
@@ -395,12 +406,13 @@ def _other_waypoint(graph: BehaviorGraph, hop: Int[Array, "N"], chance: Float[Ar
     """A random waypoint node other than ``hop`` if there is one, in proportion to the weights."""
     below = jnp.cumsum(_goal_odds(graph, hop), axis=1)
     index = jnp.sum(below <= chance[:, None] * below[:, -1:], axis=1, dtype=jnp.int32)
-    return graph.waypoints[jnp.minimum(index, graph.waypoints.shape[0] - 1)]
+    number = (graph.waypoints >= 0).sum(dtype=jnp.int32)
+    return graph.waypoints[jnp.minimum(index, number - 1)]
 
 
 def _goal_odds(graph: BehaviorGraph, hop: Int[Array, "N"]) -> Float[Array, "N Mw"]:
     """The odds with which people at ``hop`` draw each waypoint."""
-    other = (graph.waypoints[None, :] != hop[:, None]).astype(float)
+    other = ((graph.waypoints[None, :] != hop[:, None]) & (graph.waypoints >= 0)[None, :]).astype(float)
     odds = other * graph.weight[graph.waypoints][None, :]
     return jnp.where(jnp.sum(odds, axis=1, keepdims=True) > 0.0, odds, other)  # else all others have weight 0
 

@@ -33,7 +33,7 @@ from sean_jax.behaviors.starts import (
 )
 from sean_jax.devices import to_device
 from sean_jax.errors import InputError
-from sean_jax.geometry import length
+from sean_jax.geometry import FAR, length
 from sean_jax.social_forces import draw_traits
 
 ARRIVED = 1.0  # m from the goal (SEAN 2.0)
@@ -44,8 +44,8 @@ class Tables:
     """The tables of the behavior."""
 
     navigation: paths.Navigation
-    start: Float[Array, "Q 2"]  # m, possible starts, none too close to another
-    paths_to_goal: PathsToGoal  # (P, V) to each of the navigation's places
+    start: Float[Array, "P 2"]  # m, possible starts, none too close to another
+    paths_to_goal: PathsToGoal  # (K, V) to each of the navigation's places
     spawn_clusters: Int[Array, "C 3"]  # neighboring starts, for walking groups
     walking_groups: WalkingGroups = struct.field(pytree_node=False)  # their numbers
 
@@ -98,6 +98,7 @@ def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Memory]:
     people = scenario.people
     place_key, goal_key, trait_key, turn_key = jax.random.split(key, 4)
     score = jax.random.uniform(place_key, tables.start.shape[:1], float)
+    score = jnp.where(tables.start[:, 0] < FAR, score, -jnp.inf)  # not of padding
     chosen = choose_starts(score, tables.spawn_clusters, people, tables.walking_groups)
     walking_group = leaders(scenario.behavior.companions, people)
     angle = jax.random.uniform(turn_key, (people,), float, 0.0, 2 * jnp.pi)

@@ -81,6 +81,23 @@ def in_discs(
         chance: of each disc; discs with 0 get no starts.
         avoid: centre (2,) m and radius m of discs without starts.
     """
+    boxes, code = environment.obstacles, ("behaviors/starts", "geometry")
+    shape = environment.floor, boxes.center, boxes.half_extent, boxes.yaw, navigation.radius
+    around = [np.append(middle, size) for middle, size in avoid]
+    inputs = *shape, center, radius, chance, np.reshape(around, (-1, 3))
+    draw = lambda: _in_discs(environment, float(navigation.radius), center, radius, chance, avoid)  # noqa: E731
+    table = cache.load_or_build("starts", code, inputs, draw)
+    return table["start"], table["disc"]
+
+
+def _in_discs(
+    environment: Environment,
+    clearance: float,
+    center: Array,
+    radius: Array,
+    chance: Array,
+    avoid: list[tuple[np.ndarray, float]],
+) -> dict[str, np.ndarray]:
     generator = np.random.default_rng(0)
     middle, size, odds = (np.asarray(values, float) for values in (center, radius, chance))
     number = np.ceil(TRIES * size**2 / MIN_DISTANCE**2).astype(int) * (odds > 0)
@@ -90,12 +107,12 @@ def in_discs(
     distance = size[disc] * np.sqrt(generator.uniform(size=len(disc)))
     angle = generator.uniform(0, 2 * np.pi, len(disc))
     spots = middle[disc] + distance[:, None] * np.stack([np.cos(angle), np.sin(angle)], -1)
-    free = np.minimum(*signed_distances_on_host(environment, spots)) > float(navigation.radius)
+    free = np.minimum(*signed_distances_on_host(environment, spots)) > clearance
     for other, reach in avoid:
         free &= np.linalg.norm(spots - np.asarray(other, float), axis=-1) > reach
     spots, disc = spots[free], disc[free]
     chosen = choose_apart(spots, generator)
-    return spots[chosen], disc[chosen]
+    return {"start": spots[chosen], "disc": disc[chosen]}
 
 
 def anywhere(environment: Environment, navigation: Navigation, people: int, dense: bool = False) -> np.ndarray:
@@ -223,7 +240,8 @@ def choose_starts(
     alone = walkers - groups.members
     if not groups.number:
         return jax.lax.top_k(score, alone)[1]
-    chosen = spawn_clusters[jax.lax.top_k(score[spawn_clusters[:, 0]], groups.number)[1]]
+    first = jnp.where(spawn_clusters[:, 0] >= 0, score[spawn_clusters[:, 0]], -jnp.inf)
+    chosen = spawn_clusters[jax.lax.top_k(first, groups.number)[1]]
     grouped = jnp.concatenate([chosen[: groups.pairs, :2].ravel(), chosen[groups.pairs :].ravel()])
     return jnp.concatenate([jax.lax.top_k(score.at[grouped].set(-jnp.inf), alone)[1], grouped])
 

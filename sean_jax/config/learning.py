@@ -1,6 +1,7 @@
 """Options of ``sean collect``, ``train`` and ``export``, and of environments of reinforcement learning."""
 
 import math
+import re
 from collections.abc import Iterable
 from numbers import Integral
 from pathlib import Path
@@ -162,6 +163,9 @@ Delays = Annotated[
 ]
 
 
+WORLDS = re.compile(r"worlds:[^:]*(?::\d+)+")  # sets of worlds in a list: families have commas between them
+
+
 class EnvConfig(ScenarioConfig):
     """A scenario as an environment of reinforcement learning: observations, rewards and terminations."""
 
@@ -216,8 +220,8 @@ class ReinforcementConfig(EnvConfig):
     method: Annotated[str, METHOD]
     """Method."""
     environment: fields.Names = "warehouse"
-    """Physical environment: a name, or the folder of your own; several, separated by commas, share the scenarios, and
-    one agent learns in all of them."""
+    """Physical environment: a name, the folder of your own or of many, or generated floors such as
+    worlds:rooms,aisles:512; several, separated by commas, share the scenarios, and one agent learns in all of them."""
     critic: Annotated[tuple[Component, ...], Family((Named,), "critic_term")] = ()
     """Observations of the critic alone, such as people: it does not drive, so they may be privileged."""
     scenarios: fields.BatchSize = 64
@@ -318,7 +322,8 @@ class ReinforcementConfig(EnvConfig):
     @property
     def environments(self) -> list[str]:
         """The environments in which one agent learns."""
-        return listed(self.environment) or [self.environment]
+        parts = WORLDS.findall(self.environment) + listed(WORLDS.sub("", self.environment))
+        return parts or [self.environment]
 
     @property
     def per_environment(self) -> list[Self]:
@@ -355,7 +360,7 @@ class ReinforcementConfig(EnvConfig):
     @property
     def folder(self) -> Path:
         """The folder for checkpoints and metrics."""
-        environments = (Path(name).name for name in self.environments)
+        environments = (Path(name).name.replace(":", "-") for name in self.environments)
         names = self.method, *environments, Path(self.behavior.kind).stem, str(self.seed)
         return self.out or Path("runs") / "-".join(names)
 

@@ -13,11 +13,12 @@ import pydantic
 from jaxtyping import Bool, Float
 
 from sean_jax import cache, files
-from sean_jax.base import Array, Environment
+from sean_jax.base import Array, Environment, Obstacles
 from sean_jax.devices import to_device
 from sean_jax.geometry import crosses_box, signed_distances_on_host
 from sean_jax.graph.behavior_graph import FLOWS, NO_EDGE, BehaviorGraph, routes
 from sean_jax.graph.formation import reach
+from sean_jax.padding import in_programs
 from sean_jax.quantities import Coordinate, Duration, Radius, RelativeChance
 
 NODE_CLEARANCE = 0.3  # m, from a node's centre to obstacles and to the floor's edge
@@ -28,6 +29,7 @@ CODE = "graph/annotation", "geometry"  # that the places depend on
 PERSON = 0.25  # m, free radius around a place: a body of 0.2 m and a margin
 N_PLACES = 64  # of a node
 ROUND = 256  # candidates a node in one round
+NODES = 16  # the number of nodes is rounded up to a multiple, so that floors share programs
 FULL_ROUNDS = 4  # with candidates from the whole disc, before discs shrink
 SHRINK = 0.7  # of the disc's radius, each later round
 
@@ -158,12 +160,13 @@ def _edges(annotation: Annotation, position: np.ndarray) -> tuple[np.ndarray, np
     return flow, cost
 
 
-def in_sight(environment: Environment, center: Float[Array, "P 2"], points: Float[Array, "P 2"]) -> Bool[Array, "P"]:
+@jax.jit
+def in_sight(boxes: Obstacles, center: Float[Array, "P 2"], points: Float[Array, "P 2"]) -> Bool[Array, "P"]:
     """Whether a person can walk straight from a centre [m] to a point [m], pair by pair."""
     each_box = jax.vmap(crosses_box, in_axes=(None, None, None, None, 0, None))
     each_pair = jax.vmap(each_box, in_axes=(0, 0, 0, 0, None, None))
     px, py, qx, qy = center[:, 0], center[:, 1], points[:, 0], points[:, 1]
-    return ~jnp.any(each_pair(px, py, qx, qy, environment.obstacles, PERSON), axis=1)
+    return ~jnp.any(each_pair(px, py, qx, qy, boxes, PERSON), axis=1)
 
 
 def places(environment: Environment, position: np.ndarray, radius: np.ndarray, seed: int = 0) -> np.ndarray:
@@ -191,16 +194,20 @@ def _draw_places(environment: Environment, position: np.ndarray, radius: np.ndar
     generator = np.random.default_rng(seed)
     chosen = [np.zeros((0, 2), np.float32) for _ in range(count)]
     radius = np.array(radius, np.float64)
-    center = jnp.asarray(np.repeat(np.asarray(position, np.float32), ROUND, axis=0), float)
+    position = np.asarray(position, np.float32)
+    spare = -count % NODES
+    center = jnp.asarray(np.repeat(np.pad(position, [(0, spare), (0, 0)], mode="edge"), ROUND, axis=0), float)
+    boxes = in_programs(environment.obstacles)
     rounds = 0
     while min(len(points) for points in chosen) < N_PLACES:
         distance = np.sqrt(generator.uniform(size=(count, ROUND))) * radius[:, None]
         angle = generator.uniform(0.0, 2.0 * np.pi, (count, ROUND))
         offset = np.stack([distance * np.cos(angle), distance * np.sin(angle)], -1)
         drawn = (np.asarray(position, np.float64)[:, None, :] + offset).astype(np.float32)
-        flat = drawn.reshape(-1, 2)
-        visible = jax.jit(in_sight)(environment, center, jnp.asarray(flat, float))  # seconds less than op by op
-        free = (np.asarray(visible) & (signed_distances_on_host(environment, flat)[1] >= PERSON)).reshape(count, ROUND)
+        flat = np.pad(drawn, [(0, spare), (0, 0), (0, 0)]).reshape(-1, 2)
+        visible = np.asarray(in_sight(boxes, center, jnp.asarray(flat, float))).reshape(-1, ROUND)[:count]
+        to_edge = signed_distances_on_host(environment, drawn.reshape(-1, 2))[1]
+        free = visible & (to_edge.reshape(count, ROUND) >= PERSON)
         chosen = [np.concatenate([old, new[ok]])[:N_PLACES] for old, new, ok in zip(chosen, drawn, free, strict=True)]
         rounds += 1
         if rounds >= FULL_ROUNDS:

@@ -9,6 +9,7 @@ Source: S. Ross, G. Gordon & J. Bagnell, "A reduction of imitation learning and 
 online learning", AISTATS 2011, with networks that drive by themselves from the first round on.
 """
 
+import functools
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -25,9 +26,10 @@ from sean_jax.learning.dataset import Dataset, open_dataset
 from sean_jax.learning.imitation import TrainState
 from sean_jax.learning.networks import ActorCritic, Agent, NetworkOutput
 from sean_jax.learning.policy import check_policy
-from sean_jax.learning.rollouts import EnvBatch, Optimization, Transition
+from sean_jax.learning.rollouts import EnvBatch, Envs, Optimization, Transition
 from sean_jax.learning.trainer import check_config, method_config, write_config
 from sean_jax.progress import ProgressLike
+from sean_jax.stack import Stack
 
 UPDATES = 100  # of ``clone``
 EPOCHS = 4
@@ -99,7 +101,7 @@ def _part_of_progress(console: Any, part: int, rounds: int) -> Any:
 def clone(
     options: ReinforcementConfig,
     network: ActorCritic,
-    envs: tuple[mdp.Env, ...],
+    envs: Envs,
     teachers: tuple[Policy, ...],
     agent: Agent,
     key: Array,
@@ -116,22 +118,24 @@ def clone(
     pool_key, batch_key, key = jax.random.split(key, 3)
     pool_keys = pool_key, *(jax.random.fold_in(key, 2**31 - turn) for turn in range(1, len(envs)))
 
-    def with_memory(env: mdp.Env, teacher: Policy, states: mdp.EnvState) -> mdp.EnvState:
-        simulation = jax.vmap(lambda state: episodes.init_policy(env.scenario, teacher, state))(states.simulation)
-        return replace(states, simulation=simulation)
+    def with_memory(teacher: Policy, env: mdp.Env, state: mdp.EnvState) -> mdp.EnvState:
+        return replace(state, simulation=episodes.init_policy(env.scenario, teacher, state.simulation))
 
-    def with_pool(env: mdp.Env, teacher: Policy, key: Array) -> mdp.Env:
-        env = env.with_pool(key, options.pool)
-        assert env.pool is not None
-        return replace(env, pool=replace(env.pool, states=with_memory(env, teacher, env.pool.states)))
+    def with_pool(env: Stack[mdp.Env], teacher: Policy, key: Array) -> Stack[mdp.Env]:
+        def change(env: mdp.Env, pool: mdp.Pool) -> mdp.Pool:
+            return replace(pool, states=jax.vmap(functools.partial(with_memory, teacher, env))(pool.states))
+
+        return rollouts.with_pool(env, key, options.pool, change)
 
     envs = tuple(map(with_pool, envs, teachers, pool_keys))
     batch = rollouts.reset_envs(envs, network, batch_key, options.scenarios)
-    batch = replace(batch, envs=tuple(map(with_memory, envs, teachers, batch.envs)))
+    each = zip(envs, teachers, batch.envs, strict=True)
+    begun = (env.vmap(functools.partial(with_memory, teacher))(states) for env, teacher, states in each)
+    batch = replace(batch, envs=tuple(begun))
     rate = jnp.asarray(options.learning_rate, jnp.float32)
     how = Optimization(ppo.OPTIMIZER, rate, EPOCHS, options.minibatches)
 
-    def label(env: mdp.Env, teacher: Policy, before: mdp.EnvState) -> tuple[Array, mdp.EnvState]:
+    def label(teacher: Policy, env: mdp.Env, before: mdp.EnvState) -> tuple[Array, mdp.EnvState]:
         state = before.simulation
         policy_key = jax.random.fold_in(state.streams.policy, state.tick)
         command, memory = episodes.command(env.scenario, teacher, state, policy_key)
@@ -143,8 +147,9 @@ def clone(
         memory, turn = batch.memory, jax.random.fold_in(key, number)
 
         def one(batch: EnvBatch, tick: Array) -> tuple[EnvBatch, Transition]:
-            output = rollouts.forward(network, agent, envs[0].observations, batch)
-            each = [jax.vmap(label, (None, None, 0))(*part) for part in zip(envs, teachers, batch.envs, strict=True)]
+            output = rollouts.forward(network, agent, envs[0].member.observations, batch)
+            parts = zip(envs, teachers, batch.envs, strict=True)
+            each = [env.vmap(functools.partial(label, teacher))(states) for env, teacher, states in parts]
             labels, states = rollouts.merge_envs([actions for actions, _ in each]), tuple(after for _, after in each)
             action = jnp.where(number >= UPDATES // 2, output.mean, labels)
             next_key = jax.random.fold_in(turn, tick)

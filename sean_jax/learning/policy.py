@@ -299,7 +299,7 @@ def pack(folder: Path | str, out: Path | str) -> Path:
     if is_packed(folder):
         raise InputError(f"{folder} is packed already; copy it.")
     components.check_trust(options)
-    _, agent, _ = load_agent(folder, registry.build(options.per_environment[0]).scenario)
+    _, agent, _ = load_agent(folder, registry.build_stack(options.per_environment[0], limit=1).member.scenario)
     facts = {**_best_evaluation(folder), "weights": "float16", "packed_with": versions()}
     with writing.atomic_folder(out) as target:
         copies, hashes = components.copy(target, options)

@@ -11,12 +11,11 @@ import jax.numpy as jnp
 import optax
 from flax import struct
 
-from sean_jax import mdp
 from sean_jax.base import Array
 from sean_jax.config import PPOConfig
 from sean_jax.learning import networks, rollouts
 from sean_jax.learning.networks import ActorCritic, Agent, NetworkOutput, Statistics, entropy, log_density
-from sean_jax.learning.rollouts import EnvBatch, Optimization, Transition
+from sean_jax.learning.rollouts import EnvBatch, Envs, Optimization, Transition
 
 VALUE_WEIGHT = 0.5  # of the critic's loss
 MAX_GRADIENT_NORM = 0.5
@@ -43,7 +42,7 @@ def init(agent: Agent) -> Optimizer:
 def update(
     options: PPOConfig,
     numbers: dict[str, Array],
-    envs: tuple[mdp.Env, ...],
+    envs: Envs,
     network: ActorCritic,
     agent: Agent,
     optimizer: Optimizer,
@@ -60,7 +59,7 @@ def update(
     """
     memory = batch.memory
     batch, transitions = rollouts.rollout(envs, network, agent, batch, options.horizon, key)
-    last = rollouts.forward(network, agent, envs[0].observations, batch)
+    last = rollouts.forward(network, agent, envs[0].member.observations, batch)
     advantage = rollouts.advantages(transitions, last.value, numbers["discount"], numbers["advantage_decay"])
     target = advantage + transitions.value
     returns = networks.update_statistics(optimizer.returns, target.reshape(-1, 1))

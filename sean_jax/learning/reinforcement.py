@@ -36,11 +36,12 @@ from sean_jax.learning import policy as policies
 from sean_jax.learning.curriculum import Curriculum, Plan
 from sean_jax.learning.networks import ActorCritic, Agent, init_agents, with_noise
 from sean_jax.learning.policy import Best
-from sean_jax.learning.rollouts import EnvBatch
+from sean_jax.learning.rollouts import EnvBatch, Envs
 from sean_jax.learning.trainer import Loop, Report, check_config, method_config
 from sean_jax.mdp import rewards
 from sean_jax.progress import ProgressLike, progress
 from sean_jax.scenario import reset, results
+from sean_jax.stack import Stack
 
 REWARDS = "rewards."  # prefix of a sweep's numbers that are weights of rewards
 
@@ -77,7 +78,7 @@ class Setting(NamedTuple):
     """What agents are trained with: for each environment the scenario of evaluations and its ``Env``; the network."""
 
     scenarios: tuple[Scenario, ...]
-    envs: tuple[mdp.Env, ...]
+    envs: Envs
     network: ActorCritic
 
 
@@ -117,13 +118,28 @@ def build(options: ReinforcementConfig) -> Setting:
     for config in options.per_environment:
         registry.check(config)
     terms = sum(policies.agent_terms(options), ())
-    envs = [curricula.prepare(registry.build(config), options.curriculum) for config in options.per_environment]
-    envs = [replace(env, observations=terms) for env in envs]
-    rewards.reweighted(envs[0].rewards, _weights(options.agents[0]))  # refuses unknown terms
-    _check_alike(envs)
-    network = policies.agent_network(options, envs[0].observation_space)
-    measured = tuple(env.scenario for env in envs)
-    return Setting(measured, tuple(replace(env, scenario=replace(env.scenario, metrics=())) for env in envs), network)
+    envs = [registry.build_stack(config) for config in options.per_environment]
+
+    def prepare(env: mdp.Env) -> mdp.Env:
+        return replace(curricula.prepare(env, options.curriculum), observations=terms)
+
+    def without_metrics(env: mdp.Env) -> mdp.Env:
+        return replace(env, scenario=replace(env.scenario, metrics=()))
+
+    envs = [env.map_member(prepare) for env in envs]
+    first = envs[0].member
+    rewards.reweighted(first.rewards, _weights(options.agents[0]))  # refuses unknown terms
+    _check_alike([env.member for env in envs])
+    for env in envs:
+        if options.scenarios // len(envs) % env.size:
+            text = f"{options.scenarios // len(envs)} do not divide equally among {env.size} floors"
+            raise InputError(f"scenarios: {text}; take a multiple.")
+        if env.size > 1 and options.curriculum != "none":
+            text = f"{options.curriculum} samples the starts of one floor, not of {env.size}"
+            raise InputError(f"curriculum: {text}; choose one of the two.")
+    network = policies.agent_network(options, first.observation_space)
+    measured = tuple(env.member.scenario for env in envs)
+    return Setting(measured, tuple(env.map_member(without_metrics) for env in envs), network)
 
 
 def _callbacks(options: ReinforcementConfig) -> tuple[Callable, ...]:
@@ -162,21 +178,21 @@ def programs(options: ReinforcementConfig, network: ActorCritic, mesh: Mesh) -> 
 
     held = CRITIC_UPDATES if options.imitate is not None else 0
 
-    def begin(envs: tuple[mdp.Env, ...], agents: Agent) -> TrainState:
+    def begin(envs: Envs, agents: Agent) -> TrainState:
         def one(agent: Agent, key: Array, start: Array) -> tuple[PyTree, EnvBatch, Curriculum | None]:
             first, ages = jax.random.split(jax.random.fold_in(key, 0))
             batch = rollouts.reset_envs(envs, network, first, options.scenarios)
             if options.behavior.kind != "playback":  # whose people are where they are by the tick
                 batch = stagger(envs, batch, ages)
             policy, start = policies.agent_policy(network, agent, terms), jax.random.fold_in(start, 0)
-            return method.init(agent), batch, plan and curricula.init(envs[0], plan, start, options.pool, policy)
+            return method.init(agent), batch, plan and curricula.init(envs[0].member, plan, start, options.pool, policy)
 
         optimizer, batch, curriculum = jax.vmap(one)(agents, keys, curriculum_keys)
         count = keys.shape[0]
         best = Best(agents, jnp.full(count, LOWEST, jnp.float32), jnp.zeros(count, jnp.int32))
         return TrainState(agents, optimizer, batch, best, curriculum, jnp.zeros((), jnp.int32))
 
-    def update(envs: tuple[mdp.Env, ...], state: TrainState) -> tuple[TrainState, dict[str, Any]]:
+    def update(envs: Envs, state: TrainState) -> tuple[TrainState, dict[str, Any]]:
         number = state.update + 1
         falls = options.learning_rate_schedule == "linear"
         left = 1.0 - state.update.astype(jnp.float32) / total if falls else jnp.ones((), jnp.float32)
@@ -184,11 +200,11 @@ def programs(options: ReinforcementConfig, network: ActorCritic, mesh: Mesh) -> 
         def one(agent: Agent, optimizer: PyTree, batch: EnvBatch, curriculum: Curriculum | None, key: Array, own: dict):
             rate = own["learning_rate"] * left
             own = own | {"learning_rate": rate, "actor_rate": jnp.where(number > held, rate, 0.0)}
-            mine = envs if curriculum is None else (replace(envs[0], pool=curriculum.pool),)
+            mine = envs if curriculum is None else (envs[0].with_fields(pool=curriculum.pool),)
             key = jax.random.fold_in(key, number)
             mine = _reweighted(mine, own)
             *changed, batch, transitions, log = method.update(options, own, mine, network, agent, optimizer, batch, key)
-            curriculum, more = curricula.follow(envs[0], plan, curriculum, transitions.info, transitions.done)
+            curriculum, more = curricula.follow(envs[0].member, plan, curriculum, transitions.info, transitions.done)
             return *changed, batch, curriculum, log | more
 
         parts = state.agent, state.optimizer, state.rows, state.curriculum
@@ -198,15 +214,15 @@ def programs(options: ReinforcementConfig, network: ActorCritic, mesh: Mesh) -> 
         state = replace(state, agent=agent, optimizer=optimizer, rows=batch, curriculum=curriculum, update=number)
         return replace(state, best=replace(state.best, agent=best)), log
 
-    def refill(envs: tuple[mdp.Env, ...], state: TrainState) -> TrainState:
+    def refill(envs: Envs, state: TrainState) -> TrainState:
         def one(agent: Agent, curriculum: Curriculum | None, start: Array) -> Curriculum:
             policy, key = policies.agent_policy(network, agent, terms), jax.random.fold_in(start, state.update)
             assert plan is not None and curriculum is not None
-            return curricula.refill(envs[0], plan, curriculum, key, policy)
+            return curricula.refill(envs[0].member, plan, curriculum, key, policy)
 
         return replace(state, curriculum=jax.vmap(one)(state.agent, state.curriculum, curriculum_keys))
 
-    def evaluate(scenarios: tuple[Scenario, ...], envs: tuple[mdp.Env, ...], agents: Agent) -> tuple[Array, list]:
+    def evaluate(scenarios: tuple[Scenario, ...], envs: Envs, agents: Agent) -> tuple[Array, list]:
         episode_keys = jax.random.split(prng.key("evaluation", options.seed), options.evaluation_episodes)
 
         def one(agent: Agent, own: dict[str, Array]) -> list[dict[str, Any]]:
@@ -227,14 +243,14 @@ def programs(options: ReinforcementConfig, network: ActorCritic, mesh: Mesh) -> 
     )
 
 
-def stagger(envs: tuple[mdp.Env, ...], batch: EnvBatch, key: Array) -> EnvBatch:
+def stagger(envs: Envs, batch: EnvBatch, key: Array) -> EnvBatch:
     """Scenarios whose first episodes are at random ages, or else all would reach the time limit in the same step.
 
     The key is a typed PRNG key ().
     """
 
-    def one(env: mdp.Env, states: mdp.EnvState, key: Array) -> mdp.EnvState:
-        last = ceil_ticks(env.scenario.time_limit, env.scenario.time_step)
+    def one(env: Stack[mdp.Env], states: mdp.EnvState, key: Array) -> mdp.EnvState:
+        last = ceil_ticks(env.member.scenario.time_limit, env.member.scenario.time_step)
         tick = jax.random.randint(key, states.simulation.tick.shape, 0, last, jnp.int32)
         return replace(states, simulation=replace(states.simulation, tick=tick))
 
@@ -247,16 +263,24 @@ def _weights(numbers: dict[str, Any]) -> dict[str, Any]:
     return {name.removeprefix(REWARDS): value for name, value in numbers.items() if name.startswith(REWARDS)}
 
 
-def _reweighted(envs: tuple[mdp.Env, ...], numbers: dict[str, Any]) -> tuple[mdp.Env, ...]:
+def _reweighted(envs: Envs, numbers: dict[str, Any]) -> Envs:
     """The environments with an agent's own weights of rewards."""
-    return tuple(replace(env, rewards=rewards.reweighted(env.rewards, _weights(numbers))) for env in envs)
+
+    def change(env: mdp.Env) -> mdp.Env:
+        return replace(env, rewards=rewards.reweighted(env.rewards, _weights(numbers)))
+
+    return tuple(env.map_member(change) for env in envs)
 
 
-def _evaluate_policy(scenario: Scenario, env: mdp.Env, policy: Policy, keys: Array) -> dict[str, Any]:
-    """Means over episodes in which the agent takes the mean of its actions: return, and all metrics."""
-    steps = math.ceil(scenario.time_limit / scenario.time_step) + 1
+def _evaluate_policy(measured: Scenario, envs: Stack[mdp.Env], policy: Policy, keys: Array) -> dict[str, Any]:
+    """Means over episodes in which the agent takes the mean of its actions: return, and the metrics of ``measured``.
 
-    def episode(key: Array) -> tuple[Array, Array, dict[str, Array]]:
+    They are on the first floors.
+    """
+    steps = math.ceil(measured.time_limit / measured.time_step) + 1
+
+    def episode(env: mdp.Env, key: Array) -> tuple[Array, Array, dict[str, Array]]:
+        scenario = replace(env.scenario, metrics=measured.metrics)
         state = init_policy(scenario, policy, reset(scenario, key))
         potentials = rewards.potentials(env.rewards, scenario, state)
 
@@ -275,9 +299,11 @@ def _evaluate_policy(scenario: Scenario, env: mdp.Env, policy: Policy, keys: Arr
         (last, _, total, _), _ = jax.lax.scan(one, carry, length=steps)
         return total, last.completed, results(scenario, last)
 
-    total, completed, measured = jax.vmap(episode)(keys)
+    floors = min(envs.size, len(keys))
+    keys = keys[: len(keys) // floors * floors]
+    total, completed, values = envs.take(np.arange(floors)).vmap(episode)(keys)
     numbers = {"return": total.mean(), "completed": completed.mean(dtype=jnp.float32)}
-    return numbers | {name: jnp.nanmean(value, 0) for name, value in measured.items()}
+    return numbers | {name: jnp.nanmean(value, 0) for name, value in values.items()}
 
 
 # ------------------------------------------------------------------ the training
@@ -305,7 +331,7 @@ def _train(
         teachers = tuple(policies.load_policy(options.imitate, scenario, "imitate") for scenario in scenarios)
     with progress(console if trainer.is_first_process() else None) as tell:
         tell.stage("drawing starts")
-        key, draw = prng.key("training", options.seed), jax.jit(mdp.Env.with_pool, static_argnums=2)
+        key, draw = prng.key("training", options.seed), jax.jit(rollouts.with_pool, static_argnums=2)
         if options.curriculum == "none":
             keys = [jax.random.fold_in(key, 2**31 - 1 - turn) for turn in range(len(envs))]
             envs = tuple(draw(env, pool_key, options.pool) for env, pool_key in zip(envs, keys, strict=True))
@@ -368,7 +394,7 @@ def _first_agents(options: ReinforcementConfig, setting: Setting) -> Agent:
         InputError: the pretrained agent is missing, or sees something else.
         IncompleteError: its checkpoint cannot be read.
     """
-    (scenario, *_), (env, *_), network = setting
+    (scenario, *_), env, network = setting.scenarios, setting.envs[0].member, setting.network
     keys = jnp.stack([prng.key("weights", int(agent["seed"])) for agent in options.agents])
     if options.pretrained is None:
         return jax.jit(lambda keys: init_agents(network, env.observations, env.observation_space, keys))(keys)
@@ -391,7 +417,7 @@ def _evaluate(run: Programs, setting: Setting, state: TrainState) -> tuple[Train
     """The state with its best agents, and the evaluation: means of all environments and agents, and, if there are
     several, of each environment and of each agent."""
     scenarios, envs, _ = setting
-    value, each = run.evaluate(scenarios, tuple(replace(env, pool=None) for env in envs), state.agent)
+    value, each = run.evaluate(scenarios, tuple(env.with_fields(pool=None) for env in envs), state.agent)
     value, each = jnp.asarray(value, jnp.float32), jax.tree.map(np.asarray, each)
     better = value > state.best.value
     now = Best(state.agent, value, jnp.broadcast_to(state.update, value.shape))

@@ -19,7 +19,11 @@ from sean_jax.base import Array
 from sean_jax.learning import networks
 from sean_jax.learning.networks import ActorCritic, Agent, NetworkOutput
 from sean_jax.mdp import observations
+from sean_jax.stack import Stack, of_arrays
 
+MIN_POOL = 8  # starts on each of several floors
+Envs = tuple[Stack[mdp.Env], ...]
+"""Environments that share the scenarios equally, each on one floor or on several."""
 INFO_KEYS = ("rewards", "completed", "episode_return", "episode_length", "start", "situations")  # of a step's info
 
 
@@ -65,10 +69,31 @@ def merge_envs(parts: Sequence[PyTree]) -> PyTree:
     return jax.tree.map(lambda *leaves: jnp.stack(leaves, 1).reshape(-1, *leaves[0].shape[1:]), *parts)
 
 
-def reset_envs(envs: tuple[mdp.Env, ...], network: ActorCritic, key: Array, number: int) -> EnvBatch:
+def with_pool(
+    env: Stack[mdp.Env], key: Array, size: int, change: Callable[[mdp.Env, mdp.Pool], mdp.Pool] = lambda _, pool: pool
+) -> Stack[mdp.Env]:
+    """The environments with starts that are drawn now: ``size`` in all, and on each floor ``MIN_POOL`` at least.
+
+    Args:
+        key: () typed PRNG key.
+        change: (env, pool) -> the pool that it gets.
+    """
+    number = max(min(MIN_POOL, size), size // env.size)
+
+    def draw(env: mdp.Env, key: Array) -> mdp.Pool:
+        pool = env.with_pool(key, number).pool
+        assert pool is not None
+        return change(env, pool)
+
+    if env.size == 1:
+        return env.with_fields(pool=draw(env.member, key))
+    return env.with_fields(pool=of_arrays(env.over_members(draw)(jax.random.split(key, env.size))))
+
+
+def reset_envs(envs: Envs, network: ActorCritic, key: Array, number: int) -> EnvBatch:
     """``number`` scenarios at the start of their first episodes; the key is a typed PRNG key ()."""
     keys = split_by_env(jax.random.split(key, number), len(envs))
-    first = [jax.vmap(env.reset)(env_keys) for env, env_keys in zip(envs, keys, strict=True)]
+    first = [env.vmap(mdp.Env.reset)(env_keys) for env, env_keys in zip(envs, keys, strict=True)]
     observation, states = merge_envs([observation for observation, _ in first]), tuple(states for _, states in first)
     return EnvBatch(states, observation, jnp.zeros((number, network.memory_size), jnp.float32), jnp.ones(number, bool))
 
@@ -89,7 +114,7 @@ def _images(network: ActorCritic, batch: EnvBatch) -> dict[str, Array]:
 
 
 def step(
-    envs: tuple[mdp.Env, ...],
+    envs: Envs,
     network: ActorCritic,
     target_critic: Agent,
     batch: EnvBatch,
@@ -105,9 +130,9 @@ def step(
         output: of the agent, for its value and the log density of the action.
         key: () typed PRNG key of the episodes that begin.
     """
-    terms, keys = envs[0].observations, jax.random.split(key, batch.start.shape[0])
+    terms, keys = envs[0].member.observations, jax.random.split(key, batch.start.shape[0])
     each = zip(envs, split_by_env(keys, len(envs)), batch.envs, split_by_env(action, len(envs)), strict=True)
-    stepped = [jax.vmap(env.step)(env_keys, states, actions) for env, env_keys, states, actions in each]
+    stepped = [env.vmap(mdp.Env.step)(env_keys, states, actions) for env, env_keys, states, actions in each]
     following, reward, terminated, truncated, info = merge_envs([(shown, *rest) for shown, _, *rest in stepped])
     states, done = tuple(result[1] for result in stepped), terminated | truncated
     ended = EnvBatch(states, info["final_observation"], output.memory, jnp.zeros_like(done))
@@ -127,7 +152,7 @@ def step(
 
 
 def rollout(
-    envs: tuple[mdp.Env, ...], network: ActorCritic, agent: Agent, batch: EnvBatch, steps: int, key: Array
+    envs: Envs, network: ActorCritic, agent: Agent, batch: EnvBatch, steps: int, key: Array
 ) -> tuple[EnvBatch, Transition]:
     """T = ``steps`` transitions (T, B, ...) of an agent with the noise of its actions, and the scenarios afterwards.
 
@@ -136,7 +161,7 @@ def rollout(
 
     def one(batch: EnvBatch, tick: Array) -> tuple[EnvBatch, Transition]:
         action_key, next_key = jax.random.split(jax.random.fold_in(key, tick))
-        output = forward(network, agent, envs[0].observations, batch)
+        output = forward(network, agent, envs[0].member.observations, batch)
         return step(envs, network, agent, batch, output, networks.draw_action(output, action_key), next_key)
 
     return jax.lax.scan(one, batch, jnp.arange(steps, dtype=jnp.int32))

@@ -25,7 +25,7 @@ from sean_jax.base import Array, Pedestrians, Scenario, State
 from sean_jax.config import APGConfig
 from sean_jax.learning import networks, rollouts
 from sean_jax.learning.networks import ActorCritic, Agent, NetworkOutput, draw_action
-from sean_jax.learning.rollouts import EnvBatch, Optimization, Transition
+from sean_jax.learning.rollouts import EnvBatch, Envs, Optimization, Transition
 
 MAX_GRADIENT_NORM = 1.0
 
@@ -54,6 +54,11 @@ class StopGradient:
         return jax.lax.stop_gradient(self.move(scenario, state))
 
 
+def _without_people(env: mdp.Env) -> mdp.Env:
+    scenario = env.scenario
+    return replace(env, scenario=replace(scenario, move=StopGradient(scenario.move)))
+
+
 def init(agent: Agent) -> Optimizers:
     """The optimizers before the first update."""
     parameters = agent.parameters
@@ -63,7 +68,7 @@ def init(agent: Agent) -> Optimizers:
 def update(
     options: APGConfig,
     numbers: dict[str, Array],
-    envs: tuple[mdp.Env, ...],
+    envs: Envs,
     network: ActorCritic,
     agent: Agent,
     optimizer: Optimizers,
@@ -79,10 +84,9 @@ def update(
         envs: with pools; scenarios are shared out equally.
         key: () typed PRNG key of this update.
     """
-    envs = tuple(env.with_transition_gradients() for env in envs)
+    envs = tuple(env.map_member(mdp.Env.with_transition_gradients) for env in envs)
     if not options.through_people:
-        scenarios = (replace(env.scenario, move=StopGradient(env.scenario.move)) for env in envs)
-        envs = tuple(replace(env, scenario=scenario) for env, scenario in zip(envs, scenarios, strict=True))
+        envs = tuple(env.map_member(_without_people) for env in envs)
     memory = batch.memory
     target_critic = replace(agent, parameters=optimizer.target)
 
@@ -101,7 +105,7 @@ def update(
     )
     agent = replace(agent, parameters=parameters)
 
-    last = rollouts.forward(network, target_critic, envs[0].observations, batch)
+    last = rollouts.forward(network, target_critic, envs[0].member.observations, batch)
     advantage = rollouts.advantages(transitions, last.value, numbers["discount"], numbers["advantage_decay"])
 
     def critic_loss(output: NetworkOutput, steps: Transition, target: Array) -> tuple[Array, Array]:
@@ -126,7 +130,7 @@ def update(
 
 
 def _actor_loss(
-    envs: tuple[mdp.Env, ...],
+    envs: Envs,
     network: ActorCritic,
     actor: Agent,
     target_critic: Agent,
@@ -136,7 +140,7 @@ def _actor_loss(
     discount: Array,
 ) -> tuple[Array, tuple[EnvBatch, Transition]]:
     """Minus the discounted reward of some steps and the value after them, divided by the steps; the scenarios then."""
-    terms = envs[0].observations
+    terms = envs[0].member.observations
 
     @jax.checkpoint  # a step is recomputed in the backward pass
     def one(carry: tuple[EnvBatch, Array], tick: Array) -> tuple[tuple[EnvBatch, Array], tuple[Array, Transition]]:

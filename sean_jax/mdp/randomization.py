@@ -80,8 +80,9 @@ class Parameter(NamedTuple):
 
 def _people(scenario: Scenario, value: Array) -> Scenario:
     """Share of the scenario's people who are present, at least one person."""
-    number = jnp.ceil(value * scenario.people - 1e-4).astype(jnp.int32)
-    return replace(scenario, people_present=jnp.clip(number, min(1, scenario.people), scenario.people))
+    people = jnp.asarray(scenario.people if scenario.people_present is None else scenario.people_present, jnp.int32)
+    number = jnp.ceil(value * people - 1e-4).astype(jnp.int32)
+    return replace(scenario, people_present=jnp.clip(number, jnp.minimum(1, people), people))
 
 
 def _speed(scenario: Scenario, value: Array) -> Scenario:
@@ -132,7 +133,8 @@ def _waypoints(scenario: Scenario, value: Float[Array, "Mw"]) -> Scenario:
     graph = graph_of(scenario)
     if graph is None:
         return scenario
-    return _with_graph(scenario, replace(graph, weight=graph.weight.at[graph.waypoints].multiply(value)))
+    node = jnp.where(graph.waypoints >= 0, graph.waypoints, graph.weight.shape[0])  # padding is dropped
+    return _with_graph(scenario, replace(graph, weight=graph.weight.at[node].multiply(value, mode="drop")))
 
 
 def _scaled(scenario: Scenario, kind: type, name: str, value: Array) -> Scenario:

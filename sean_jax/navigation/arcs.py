@@ -18,16 +18,17 @@ from jaxtyping import Bool, Float, Int, PyTree
 
 from sean_jax.base import Array, Obstacles
 from sean_jax.geometry import crosses_box, from_box, length
+from sean_jax.padding import in_programs
 
 ANGLE = 0.02  # rad, by which a tangent may touch beyond the end of an arc: at 0.25 m that is 0.05 mm off it
 NEAR = 1e-8  # m2, a tangent with a smaller square counts as one without length
 SLACK = 5e-4  # m, by which a path may pass nearer than the radius: far above rounding in float32, too little to matter
-BATCH = 8192  # rows computed at once on the host
+BATCHES = 512, 2048, 8192  # rows computed at once on the host
 
 
 @struct.dataclass
 class CornerArcs:
-    """V corner arcs: first those passed on the left, counter-clockwise, then those passed on the right."""
+    """V corner arcs, two for each corner: passed on the left, counter-clockwise, and on the right."""
 
     corner: Float[Array, "V 2"]  # m, of an obstacle
     middle: Float[Array, "V 2"]  # unit vector from the corner to the middle of its quarter
@@ -149,7 +150,7 @@ def pairs_are_free(
     boxes: Obstacles, radius: float, starts: Float[np.ndarray, "K 2"], ends: Float[np.ndarray, "K 2"]
 ) -> Bool[np.ndarray, "K"]:
     """``segment_is_free`` for many pairs [m], on the host."""
-    return map_in_batches(_pair_is_free, (boxes, jnp.asarray(radius, float)), starts, ends)
+    return map_in_batches(_pair_is_free, (in_programs(boxes), jnp.asarray(radius, float)), starts, ends)
 
 
 def _pair_is_free(shared: tuple[Obstacles, Array], start: Array, end: Array) -> Array:
@@ -164,10 +165,11 @@ def map_in_batches(function: Callable, shared: PyTree, *rows: np.ndarray) -> PyT
     """
     rows = tuple(row.astype(float) if row.dtype.kind == "f" else row for row in rows)  # jit casts to its precision
     parts = []
-    for start in range(0, max(len(rows[0]), 1), BATCH):
-        batch = [row[start : start + BATCH] for row in rows]
+    for start in range(0, max(len(rows[0]), 1), BATCHES[-1]):
+        batch = [row[start : start + BATCHES[-1]] for row in rows]
         count = len(batch[0])
-        padded = [np.pad(row, [(0, BATCH - count)] + [(0, 0)] * (row.ndim - 1)) for row in batch]
+        size = next(size for size in BATCHES if size >= count)
+        padded = [np.pad(row, [(0, size - count)] + [(0, 0)] * (row.ndim - 1)) for row in batch]
         parts.append(jax.tree.map(lambda leaf: np.asarray(leaf)[:count], _map(function, shared, *padded)))  # noqa: B023
     return jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
 

@@ -3,6 +3,8 @@
 Looking up a table is cheaper than the robot's search over all arcs (``shortest_paths``).
 """
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -24,21 +26,23 @@ from sean_jax.navigation.arcs import (
     tangents,
 )
 from sean_jax.navigation.shortest_paths import last_arcs
-from sean_jax.navigation.tables import CELL, CODE, Navigation, inputs
+from sean_jax.navigation.tables import CELL, CODE, Navigation, arc_bits, inputs
+from sean_jax.padding import in_programs
 
 CLOSE = 0.8  # of the radius: bodies of people have 0.2 m, their paths are for 0.25 m
 MIN_AHEAD = 0.5  # m ahead: the nearest place that people aim at
 CANDIDATES = 4  # arcs that ``next_point_approx`` tests
 MAX_DETOUR = 0.3  # m
+POINTS = 16  # the number of points is rounded up to a multiple, so that floors share programs
 NEIGHBORS = ((1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, 1), (1, -1), (-1, -1))  # of a cell
 
 
 @struct.dataclass
 class NextCornerTable:
-    """The next arc on the way to each of M points, as the index of an arc, or V for the point itself."""
+    """The next arc on the way to each of M points, as the index of an arc, or -1 for the point itself."""
 
     point: Float[Array, "M 2"]  # m
-    first_arc: Int[Array, "X Y M"]  # from a cell of 0.25 m; V also where there is no path
+    first_arc: Int[Array, "X Y M"]  # from a cell of 0.25 m; -1 also where there is no path
     next_arc: Int[Array, "M V"]  # after an arc
     departure_angle: Float[Array, "M V"]  # rad, where the path leaves that arc
 
@@ -56,8 +60,8 @@ def next_corner(
     index_max = jnp.asarray(table.first_arc.shape[:2], jnp.int32) - 1
     cell = jnp.clip(jnp.floor((position - navigation.origin) / CELL).astype(jnp.int32), 0, index_max)
     arc, tangent = _next_arc(navigation, table, position, index, table.first_arc[cell[0], cell[1], index])
-    aim = _past(navigation, jnp.minimum(arc, navigation.arcs.side.shape[0] - 1), position, tangent)
-    return jnp.where(arc < navigation.arcs.side.shape[0], aim, table.point[index])
+    aim = _past(navigation, jnp.maximum(arc, 0), position, tangent)
+    return jnp.where(arc >= 0, aim, table.point[index])
 
 
 def next_point_approx(
@@ -72,7 +76,8 @@ def next_point_approx(
     cell = jnp.floor((position - navigation.origin) / navigation.cell - 0.5).astype(jnp.int32)
     (i, j), (k, m) = jnp.clip(cell, 0, index_max), jnp.clip(cell + 1, 0, index_max)
     visible = navigation.visible
-    visible_here = visible[i, j] | visible[k, j] | visible[i, m] | visible[k, m]
+    words = visible[i, j] | visible[k, j] | visible[i, m] | visible[k, m]
+    visible_here = arc_bits(words, navigation.arcs.side.shape[0])
     spot, _ = push_out_of_obstacles(boxes, position, radius)
     far, angle, _, _, on_arc = tangents(navigation.arcs, spot, radius, True)
     reachable = visible_here & on_arc & (angle <= paths_to_goal.departure_angle + ANGLE)
@@ -110,12 +115,11 @@ def _next_arc(
     navigation: Navigation, table: NextCornerTable, position: Array, index: Array, arc: Array
 ) -> tuple[Array, Tangent]:
     """() int32 the arc, or the one after it if the position (2,) is past it; and the tangent to it."""
-    none, radius = navigation.arcs.side.shape[0], navigation.radius
-    before = jnp.minimum(arc.astype(jnp.int32), none - 1)
+    radius, before = navigation.radius, jnp.maximum(arc.astype(jnp.int32), 0)
     angle = tangent_to_arc(navigation.arcs, before, position, radius).angle
-    past = (arc < none) & (angle > table.departure_angle[index, before])
+    past = (arc >= 0) & (angle > table.departure_angle[index, before])
     arc = jnp.where(past, table.next_arc[index, before], arc).astype(jnp.int32)
-    return arc, tangent_to_arc(navigation.arcs, jnp.minimum(arc, none - 1), position, radius)
+    return arc, tangent_to_arc(navigation.arcs, jnp.maximum(arc, 0), position, radius)
 
 
 def _make(navigation: Navigation, points: Array) -> dict[str, np.ndarray]:
@@ -126,31 +130,39 @@ def _make(navigation: Navigation, points: Array) -> dict[str, np.ndarray]:
     free from most corners; but none with a much longer path, or people would walk to and fro between two cells.
     """
     scale = round(float(navigation.cell) / CELL)
-    best, distance, departure_angle, next_arc, ends = _best(navigation, points)
-    best = np.repeat(np.repeat(np.asarray(best), scale, 0), scale, 1)  # (X, Y, M)
-    table = NextCornerTable(
-        point=jnp.asarray(points, float),
-        first_arc=jnp.asarray(best),
-        next_arc=next_arc,
-        departure_angle=departure_angle,
-    )
+    cells, number, size = navigation.visible.shape[:2], len(points), navigation.arcs.side.shape[0]
+    words = np.asarray(navigation.visible).reshape(cells[0] * cells[1], -1)
+    navigation = in_programs(replace(navigation, visible=None, places=None, mesh_places=None))  # rows have visibility
+    words = np.pad(words, [(0, 0), (0, navigation.arcs.side.shape[0] // 8 - words.shape[1])])
+    points = jnp.asarray(np.pad(np.asarray(points), [(0, -number % POINTS), (0, 0)], mode="edge"), float)
+    distance, departure_angle, next_arc, ends = _paths_to_points(navigation, points)
+    middle = np.stack(np.meshgrid(*map(np.arange, cells), indexing="ij"), -1).reshape(-1, 2) + 0.5
+    shared = navigation, distance, departure_angle, ends
+    spots = np.asarray(navigation.origin) + middle * float(navigation.cell)
+    best = map_in_batches(_first_arcs, shared, spots, words)[:, :number].reshape(*cells, number)
+    best = np.repeat(np.repeat(best, scale, 0), scale, 1)  # (X, Y, M)
+    table = NextCornerTable(point=points, first_arc=None, next_arc=next_arc, departure_angle=departure_angle)  # pyright: ignore[reportArgumentType]
     corners = [np.arange(count + 1, dtype=np.float32) * CELL for count in best.shape[:2]]
     spots = np.stack(np.meshgrid(*corners, indexing="ij"), -1).reshape(-1, 2) + np.asarray(navigation.origin)
     place, free_radius, weight = map_in_batches(_corner_of_cell, (navigation.obstacles, navigation.radius), spots)
-    row = best.shape[1] + 1
+    row, arcs = best.shape[1] + 1, navigation.arcs.side.shape[0] + 1
+    shared = navigation, table, distance, ends
 
     def rate(cells: np.ndarray, arc: np.ndarray) -> tuple[np.ndarray, ...]:
         """The weight of the corners of cells (K, 3) for and against an arc (K,), and the mean length of path [m]."""
         yes, no, far = np.zeros(len(cells)), np.zeros(len(cells)), np.zeros(len(cells))
-        for corner in (0, 1, row, row + 1):
-            spot = cells[:, 0] * row + cells[:, 1] + corner
-            shared = navigation, table, distance, ends
-            clear, length = map_in_batches(
-                _path_from, shared, place[spot], free_radius[spot], cells[:, 2].astype(np.int32), arc
-            )
-            yes += weight[spot] * clear
-            no += weight[spot] * ~clear
-            far += weight[spot] * length
+        spot = cells[:, :1] * row + cells[:, 1:2] + np.array([0, 1, row, row + 1])
+        key = (spot * number + cells[:, 2:]) * arcs + arc[:, None] + 1  # cells beside each other share their corners
+        each, inverse = np.unique(key[weight[spot] > 0.0], return_inverse=True)
+        rest, of = each // arcs, each % arcs - 1
+        at, index = rest // number, (rest % number).astype(np.int32)
+        clear, length = map_in_batches(_path_from, shared, place[at], free_radius[at], index, of.astype(best.dtype))
+        counted = np.nonzero(weight[spot] > 0.0)
+        where, share = counted[0], weight[spot][counted]
+        clear, length = clear[inverse], length[inverse]
+        np.add.at(yes, where, share * clear)
+        np.add.at(no, where, share * ~clear)
+        np.add.at(far, where, share * length)
         return yes, no, far / np.maximum(yes + no, 1e-3)
 
     every = np.stack(np.meshgrid(*map(np.arange, best.shape), indexing="ij"), -1).reshape(-1, 3)
@@ -167,52 +179,49 @@ def _make(navigation: Navigation, points: Array) -> dict[str, np.ndarray]:
         yes = np.where(better, more, yes)
     return {
         "first_arc": result,
-        "next_arc": np.asarray(next_arc),
-        "departure_angle": np.asarray(departure_angle),
+        "next_arc": np.asarray(next_arc)[:number, :size],
+        "departure_angle": np.asarray(departure_angle)[:number, :size],
     }
 
 
 def _path_from(shared: tuple, place: Array, free_radius: Array, index: Array, arc: Array) -> tuple[Array, Array]:
     """() bool whether the path from a place (2,) by that arc begins free; and () its length [m], free or not."""
     navigation, table, distance, (ends, end_radius) = shared
-    none = navigation.arcs.side.shape[0]
     arc, (angle, on_arc, touch, _) = _next_arc(navigation, table, place, index, arc)
-    is_arc = arc < none
+    is_arc = arc >= 0
     touch = jnp.where(is_arc, touch, ends[index])
     free_radius = jnp.where(is_arc, free_radius, jnp.minimum(free_radius, end_radius[index]))
-    rest = distance[index, jnp.minimum(arc, none - 1)] - navigation.radius * angle
+    rest = distance[index, jnp.maximum(arc, 0)] - navigation.radius * angle
     far = length(touch[0] - place[0], touch[1] - place[1]) + jnp.where(is_arc, rest, 0.0)
     return (on_arc | ~is_arc) & segment_is_free(navigation.obstacles, place, touch, free_radius), far
 
 
 @jax.jit
-def _best(navigation: Navigation, points: Array) -> tuple:
-    """(X, Y, M) int16 the best arc from the middle of each cell of the visibility grid.
-
-    And (M, V) lengths [m] from the arcs, ``departure_angle`` and ``next_arc``; and the points, pushed out of obstacles.
+def _paths_to_points(navigation: Navigation, points: Array) -> tuple:
+    """(M, V) lengths [m] from the arcs to the points, ``departure_angle`` and ``next_arc``; and the points, pushed out
+    of obstacles.
     """
-    none, obstacles, radius = navigation.arcs.side.shape[0], navigation.obstacles, navigation.radius
     distance, last, departure_angle = jax.vmap(last_arcs, in_axes=(None, 0))(navigation, points)
-    first = jnp.arange(none, dtype=jnp.int32)[None, :]
-    next_arc = jnp.where(last == first, none, navigation.next_arc[first, last].astype(jnp.int32)).astype(jnp.int16)
-    ends, end_radius = jax.vmap(push_out_of_obstacles, in_axes=(None, 0, None))(obstacles, points, radius)
+    first = jnp.arange(navigation.arcs.side.shape[0], dtype=jnp.int32)[None, :]
+    next_arc = jnp.where(last == first, -1, navigation.next_arc[first, last].astype(jnp.int32)).astype(jnp.int16)
+    ends = jax.vmap(push_out_of_obstacles, in_axes=(None, 0, None))(navigation.obstacles, points, navigation.radius)
+    return distance, departure_angle, next_arc, ends
 
-    def from_cell(cell: Array) -> Array:
-        spot = navigation.origin + (cell.astype(float) + 0.5) * navigation.cell
-        place, free_radius = push_out_of_obstacles(obstacles, spot, radius)
-        clear = jax.vmap(segment_is_free, in_axes=(None, None, 0, 0))(
-            obstacles, place, ends, jnp.minimum(free_radius, end_radius)
-        )
-        far, angle, *_ = tangents(navigation.arcs, place, radius, True)
-        reachable = navigation.visible[cell[0], cell[1]][None, :] & (angle[None, :] <= departure_angle + ANGLE)
-        total = jnp.where(reachable, (far - radius * angle)[None, :] + distance, jnp.inf)
-        no_path = ~jnp.isfinite(jnp.min(total, axis=1))
-        return jnp.where(clear | no_path, none, jnp.argmin(total, axis=1).astype(jnp.int32)).astype(jnp.int16)
 
-    count = navigation.visible.shape[:2]
-    cells = jnp.stack(jnp.meshgrid(*(jnp.arange(n, dtype=jnp.int32) for n in count), indexing="ij"), -1)
-    best = jax.lax.map(from_cell, cells.reshape(-1, 2), batch_size=1024)
-    return best.reshape(*count, points.shape[0]), distance, departure_angle, next_arc, (ends, end_radius)
+def _first_arcs(shared: tuple, spot: Array, words: Array) -> Array:
+    """(M,) int16 the best of the visible arcs on the way from a spot (2,) [m] to each point."""
+    navigation, distance, departure_angle, (ends, end_radius) = shared
+    obstacles, radius = navigation.obstacles, navigation.radius
+    place, free_radius = push_out_of_obstacles(obstacles, spot, radius)
+    clear = jax.vmap(segment_is_free, in_axes=(None, None, 0, 0))(
+        obstacles, place, ends, jnp.minimum(free_radius, end_radius)
+    )
+    far, angle, *_ = tangents(navigation.arcs, place, radius, True)
+    visible = arc_bits(words, navigation.arcs.side.shape[0])
+    reachable = visible[None, :] & (angle[None, :] <= departure_angle + ANGLE)
+    total = jnp.where(reachable, (far - radius * angle)[None, :] + distance, jnp.inf)
+    no_path = ~jnp.isfinite(jnp.min(total, axis=1))
+    return jnp.where(clear | no_path, -1, jnp.argmin(total, axis=1).astype(jnp.int32)).astype(jnp.int16)
 
 
 def _corner_of_cell(shared: tuple, spot: Array) -> tuple[Array, Array, Array]:

@@ -20,7 +20,7 @@ from sean_jax.navigation.arcs import (
     tangent_to_arc,
     tangents,
 )
-from sean_jax.navigation.tables import Navigation
+from sean_jax.navigation.tables import Navigation, visible_arcs
 
 STRIDE = 10.0  # degrees, of an arc: the next point lies up to that far ahead, which adds 1 % to the arc
 MIN_STRIDE = 5e-3  # m, by which the next point is at least ahead
@@ -73,7 +73,7 @@ def geodesic_approx(
     index_max = jnp.asarray(navigation.visible.shape[:2], jnp.int32) - 1
     index = jnp.clip(jnp.floor((position - navigation.origin) / navigation.cell).astype(jnp.int32), 0, index_max)
     far, angle, *_ = tangents(navigation.arcs, position, navigation.radius, True)
-    begin = jnp.where(navigation.visible[index[0], index[1]], far - navigation.radius * angle, jnp.inf)
+    begin = jnp.where(visible_arcs(navigation, index[0], index[1]), far - navigation.radius * angle, jnp.inf)
     # With the barrier, the minimum of a sum is some 20 times faster on a CPU than the minimum of a choice.
     around = jnp.min(jax.lax.optimization_barrier(begin) + paths_to_goal.distance)
     return jnp.where(straight, length(gap[0], gap[1]), around)
@@ -131,12 +131,11 @@ def first_arc(
     reachable = on_arc & (angle <= paths_to_goal.departure_angle + ANGLE)
     total = jnp.where(reachable, far - radius * angle + paths_to_goal.distance, jnp.inf)
     # Of the two arcs of a corner only the better one can be on the shortest path.
-    half = total.shape[0] // 2
-    right = total[half:] < total[:half]
-    total, x, y = (jnp.where(right, part[half:], part[:half]) for part in (total, x, y))
+    right = total[1::2] < total[::2]
+    total, x, y = (jnp.where(right, part[1::2], part[::2]) for part in (total, x, y))
     total = jnp.where(segments_are_free(navigation.obstacles, spot, x, y, free_radius), total, jnp.inf)
     best = jnp.argmin(total).astype(jnp.int32)
-    return PathStart(straight, total[best], best + jnp.where(right[best], half, 0), spot, free_radius)
+    return PathStart(straight, total[best], 2 * best + right[best].astype(jnp.int32), spot, free_radius)
 
 
 def last_arcs(navigation: Navigation, goal: Float[Array, "2"]) -> ArcsToGoal:

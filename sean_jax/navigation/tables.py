@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import struct
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, UInt8
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
@@ -27,8 +27,9 @@ from sean_jax.navigation.arcs import (
     segments_are_free,
     tangents,
 )
+from sean_jax.padding import in_programs
 
-CODE = "navigation", "environment", "geometry"  # on which the tables depend
+CODE = "navigation", "environment", "geometry", "padding"  # on which the tables depend
 FIELDS = "corner", "middle", "side", "first", "last"
 CELL = 0.25  # m
 MAX_CELLS = 100_000  # of a visibility grid; larger floors have wider cells
@@ -53,13 +54,24 @@ class Navigation:
     arrival_angle: Float[Array, "V V"]  # rad, where it enters the second
     rotation: Float[Array, "V V"]  # rad, total rotation, left plus right
     next_arc: Int[Array, "V V"]  # the arc that follows the first
-    visible: Bool[Array, "X Y V"]  # whether the tangent from the middle of a cell to the arc is free
+    visible: UInt8[Array, "X Y V8"]  # a bit for each arc: whether the tangent from the middle of a cell to it is free
     origin: Float[Array, "2"]  # m, lower left corner of the grid of cells
     cell: Float[Array, ""]  # m, side of a cell
     places: Float[Array, "P 2"]  # m, uniform over all places that the disc can reach
     obstacles: Obstacles
     radius: Float[Array, ""]  # m
     mesh_places: Int[Array, "M"] | None = None  # indices of places, repeated by their probability; None: uniform
+
+
+def visible_arcs(navigation: Navigation, i: Int[Array, "*places"], j: Int[Array, "*places"]) -> Bool[Array, "..."]:
+    """Whether the tangent from the middle of a cell (i, j) to each of the V arcs is free."""
+    return arc_bits(navigation.visible[i, j], navigation.arcs.side.shape[0])
+
+
+def arc_bits(words: UInt8[Array, "*places V8"], number: int) -> Bool[Array, "..."]:
+    """The bits of ``Navigation.visible``, for each of so many arcs."""
+    bits = words[..., None] & (1 << np.arange(8)).astype(np.uint8).reshape((1,) * words.ndim + (8,))
+    return (bits != 0).reshape(*words.shape[:-1], -1)[..., :number]
 
 
 class CommonTangents(NamedTuple):
@@ -111,7 +123,6 @@ def _make(environment: Environment, radius: float, cell: float | None) -> dict[s
     clear = pairs_are_free(boxes, max(radius - SLACK, 0.0), links.begin, links.end)
     links = CommonTangents(*(part[clear] for part in links))
     paths = _shortest_chains(len(exact.side), links, radius)
-    arcs = jax.tree.map(lambda part: jnp.asarray(part, float), exact)
     floor = np.asarray(environment.floor)
     if cell is None:
         area = float(np.prod(floor[2:] - floor[:2]))
@@ -119,11 +130,12 @@ def _make(environment: Environment, radius: float, cell: float | None) -> dict[s
     count = np.ceil((floor[2:] - floor[:2]) / cell).astype(int)
     middle = [floor[k] + (np.arange(count[k]) + 0.5) * cell for k in (0, 1)]
     spots = np.stack(np.meshgrid(*middle, indexing="ij"), -1).reshape(-1, 2).astype(np.float32)
-    visible = map_in_batches(_visible_arcs, (boxes, arcs, jnp.asarray(radius, float)), np.concatenate([drawn, spots]))
+    shared = in_programs(boxes), in_programs(exact), jnp.asarray(radius, float)
+    visible = map_in_batches(_visible_arcs, shared, np.concatenate([drawn, spots]))[:, : len(exact.side)]
     return {
         **{name: getattr(exact, name) for name in FIELDS},
         **paths,
-        "visible": visible[FREE_POINTS:].reshape(*count, -1),
+        "visible": np.packbits(visible[FREE_POINTS:].reshape(*count, -1), axis=-1, bitorder="little"),
         "cell": np.asarray(cell),
         "places": drawn[_connected(visible[:FREE_POINTS], links)],
     }
@@ -135,12 +147,11 @@ def _visible_arcs(shared: tuple[Obstacles, CornerArcs, Array], spot: Array) -> A
     Within 0.4 of the radius of a corner, both of its arcs can be visible; then only one of the two tangents is tested.
     """
     boxes, arcs, radius = shared
-    half = arcs.side.shape[0] // 2
     start, free_radius = push_out_of_obstacles(boxes, spot, radius)
     _, _, x, y, on_arc = tangents(arcs, start, radius, True)
-    x, y = (jnp.where(on_arc[half:], part[half:], part[:half]) for part in (x, y))
+    x, y = (jnp.where(on_arc[1::2], part[1::2], part[::2]) for part in (x, y))
     clear = segments_are_free(boxes, start, x, y, free_radius)
-    return on_arc & jnp.concatenate([clear, clear])
+    return on_arc & jnp.repeat(clear, 2)
 
 
 def _shortest_chains(number: int, links: CommonTangents, radius: float) -> dict[str, np.ndarray]:
@@ -195,8 +206,8 @@ def _connected(visible: np.ndarray, links: CommonTangents) -> np.ndarray:
     number = visible.shape[1]
     if not visible.any():
         return np.ones(len(visible), bool)
-    first = np.arange(number // 2)  # the two arcs of a corner are connected
-    ends = np.append(links.source, first), np.append(links.target, first + number // 2)
+    first = np.arange(0, number, 2)  # the two arcs of a corner are connected
+    ends = np.append(links.source, first), np.append(links.target, first + 1)
     graph = coo_matrix((np.ones(len(ends[0])), ends), shape=(number, number))
     part = connected_components(graph, directed=False)[1]
     count = np.array([(visible[:, part == label]).any(1).sum() for label in range(part.max() + 1)])
@@ -241,11 +252,11 @@ def find_arcs(environment: Environment, radius: float) -> CornerArcs:
         corner, middle, where = np.zeros((1, 2)), np.array([[1.0, 0.0]]), np.zeros(1, int)
         low, high = np.full(1, 9.0), np.full(1, -9.0)  # an arc that no path touches: the tables must not be empty
     parts = {
-        "corner": np.concatenate([corner[where]] * 2),
-        "middle": np.concatenate([middle[where]] * 2),
-        "side": np.repeat([1.0, -1.0], len(where)),
-        "first": np.concatenate([low, -high]),
-        "last": np.concatenate([high, -low]),
+        "corner": np.repeat(corner[where], 2, axis=0),
+        "middle": np.repeat(middle[where], 2, axis=0),
+        "side": np.tile([1.0, -1.0], len(where)),
+        "first": np.stack([low, -high], 1).ravel(),
+        "last": np.stack([high, -low], 1).ravel(),
     }
     return CornerArcs(**cast(dict[str, Any], parts))  # numpy's float64, until the tables are complete
 

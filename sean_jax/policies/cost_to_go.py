@@ -87,7 +87,8 @@ def _path_lengths(
     stop = jax.lax.stop_gradient
     i = jnp.clip(jnp.floor((stop(x) - navigation.origin[0]) / navigation.cell).astype(jnp.int32), 0, max_x)
     j = jnp.clip(jnp.floor((stop(y) - navigation.origin[1]) / navigation.cell).astype(jnp.int32), 0, max_y)
-    visible = navigation.visible[i[:, None], j[:, None], index[None, :]]
+    words = navigation.visible[i[:, None], j[:, None], index[None, :] // 8]
+    visible = (words >> (index % 8).astype(words.dtype)[None, :]) & 1 != 0
 
     def from_place(px: Array, py: Array) -> tuple[Array, Array]:
         far, angle, _, _, on = tangents(corners, jnp.stack([px, py]), navigation.radius, True)

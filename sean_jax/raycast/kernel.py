@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from sean_jax.base import Array
-from sean_jax.kernels import WIDTH, batch, launch
+from sean_jax.kernels import WIDTH, batch, launch, row
 from sean_jax.raycast.view import MISS, Beams, Rays, ground
 
 BITS = 32  # bodies in a word; a bit is set if the tile has the body in sight
@@ -82,7 +82,7 @@ def _words(in_sight: Array) -> Array:
 
 
 def _call(shape: _Shape, *operands: Array, interpret: bool = False) -> tuple[Array, ...]:
-    """The kernel, for operands of (scenarios, ...) or, where all scenarios have the same, (1, ...)."""
+    """The kernel, for operands of ``kernels.Call``."""
     grid = max(operand.shape[0] for operand in operands), shape.rays.tiles * shape.parts
     kinds = (operands[0].dtype, jnp.int32)[: 1 + shape.numbers]
     out = tuple(jax.ShapeDtypeStruct((grid[0], grid[1] * WIDTH), kind) for kind in kinds)
@@ -94,7 +94,8 @@ def _kernel(shape: _Shape, index: Callable[[int], Any], *references: Any) -> Non
     from jax.experimental import pallas
 
     scenario, program = index(0), index(1)
-    inputs = [each.at[0 if each.shape[0] == 1 else scenario] for each in references[: 2 + 2 * len(shape.laws)]]
+    scenarios = references[-1].shape[0]
+    inputs = [each.at[row(each, scenario, scenarios)] for each in references[: 2 + 2 * len(shape.laws)]]
     beams_of, numbers_of, *bodies = inputs
     radius, height = numbers_of[0], numbers_of[1]
     columns = 5 if shape.rays.offset is None else 8
@@ -109,8 +110,8 @@ def _kernel(shape: _Shape, index: Callable[[int], Any], *references: Any) -> Non
         def test(carry: tuple, word: Any, start=start, columns=columns, law=law, table=table) -> tuple:
             bits, *first = carry
             body = word * BITS + (BITS - 1) - jax.lax.clz(bits & -bits)  # the body of the lowest bit
-            row = tuple(table[body * columns + column] for column in range(columns))
-            return bits & (bits - 1), *_nearer(tuple(first), law(row, beams, radius, height), start + body)
+            numbers = tuple(table[body * columns + column] for column in range(columns))
+            return bits & (bits - 1), *_nearer(tuple(first), law(numbers, beams, radius, height), start + body)
 
         def of_word(word: Any, first: tuple, words_of=words_of, words=words, test=test) -> tuple:
             bits = words_of[program // shape.parts * words + word]

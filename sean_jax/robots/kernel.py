@@ -59,7 +59,7 @@ def _body(model: RobotModel) -> Body:
 
 
 def _call(shape: _Shape, *operands: Array, interpret: bool = False) -> tuple[Array, ...]:
-    """The kernel, for operands of (scenarios, ...) or, where all scenarios have the same, (1, ...)."""
+    """The kernel, for operands of ``kernels.Call``."""
     scenarios = max(operand.shape[0] for operand in operands)
     out = (jax.ShapeDtypeStruct((scenarios, 2 * COORDINATES), operands[0].dtype),)
     lanes = 1 if interpret else LANES
@@ -72,7 +72,7 @@ def _kernel(shape: _Shape, lanes: int, number: Any, *references: Any) -> None:
     scenario, lane, result = jax.lax.div(number, np.int32(lanes)), number & (lanes - 1), references[-1]
 
     def read(reference: Any, column: Any) -> Any:
-        return reference[0 if reference.shape[0] == 1 else scenario, column]
+        return reference[kernels.row(reference, scenario, result.shape[0]), column]
 
     numbers, start, people, walls = (partial(read, reference) for reference in references[:-1])
     person_radius = numbers(0)

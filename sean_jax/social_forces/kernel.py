@@ -139,7 +139,7 @@ class _Runs:
 
 
 def _call(shape: _Shape, *operands: Array, interpret: bool = False) -> tuple[Array, ...]:
-    """The kernel, for operands of (scenarios, ...) or, where all scenarios have the same, (1, ...)."""
+    """The kernel, for operands of ``kernels.Call``."""
     scenarios = max(operand.shape[0] for operand in operands)
     columns = len(shape.law.out_avals) * shape.people
     out = (jax.ShapeDtypeStruct((scenarios, columns), operands[0].dtype),)
@@ -152,7 +152,7 @@ def _kernel(shape: _Shape, number: Any, *references: Any) -> None:
     people = shape.people
     scenario, place = jax.lax.div(number, np.int32(people)), jax.lax.rem(number, np.int32(people))
     *inputs, result = references
-    inputs = [(each, 0 if each.shape[0] == 1 else scenario) for each in inputs]
+    inputs = [(each, kernels.row(each, scenario, result.shape[0])) for each in inputs]
     (numbers_of, numbers_at), *runs_of = inputs[: -shape.own - shape.other]
     square, *shared = (numbers_of[numbers_at, i] for i in range(shape.shared + 1))
     own_of, other_of = inputs[-shape.own - shape.other : -shape.other], inputs[-shape.other :]
@@ -225,7 +225,7 @@ def search(row: Float[Array, "N"], low: Float[Array, "..."], high: Float[Array, 
 
 
 def _call_search(*operands: Array, interpret: bool = False) -> tuple[Array, ...]:
-    """The kernel, for operands of (scenarios, ...) or, where all scenarios have the same, (1, ...)."""
+    """The kernel, for operands of ``kernels.Call``."""
     shape = max(operand.shape[0] for operand in operands), operands[1].shape[1]
     out = (jax.ShapeDtypeStruct(shape, jnp.int32),) * 2
     return kernels.launch_threads(_search, "search", math.prod(shape), out, *operands, interpret=interpret)
@@ -235,7 +235,8 @@ def _search(number: Any, *references: Any) -> None:
     """One thread: both ends of one run."""
     queries = np.int32(references[1].shape[1])
     scenario, query = jax.lax.div(number, queries), jax.lax.rem(number, queries)
-    (row, row_at), *bounds = ((each, 0 if each.shape[0] == 1 else scenario) for each in references[:3])
+    scenarios = references[3].shape[0]
+    (row, row_at), *bounds = ((each, kernels.row(each, scenario, scenarios)) for each in references[:3])
     length = row.shape[1]
     for (bound, bound_at), result, before in zip(bounds, references[3:], (jax.lax.lt, jax.lax.le), strict=True):
         value = bound[bound_at, query]
@@ -270,7 +271,7 @@ def at_obstacles(function: Callable, px: Array, py: Array, grid: ObstacleGrid, *
 def _call_obstacles(
     function: Callable, structure: Any, own: tuple[bool, ...], count: int, *operands: Array, interpret: bool = False
 ) -> tuple[Array, ...]:
-    """The kernel, for operands of (scenarios, ...) or, where all scenarios have the same, (1, ...)."""
+    """The kernel, for operands of ``kernels.Call``."""
     scenarios, people = max(operand.shape[0] for operand in operands), operands[2].shape[1]
     out = (jax.ShapeDtypeStruct((scenarios, 2 * people), operands[0].dtype),)
     kernel = partial(_obstacles, function, structure, own, count, people)
@@ -284,7 +285,7 @@ def _obstacles(
     scenario, person = jax.lax.div(number, np.int32(people)), jax.lax.rem(number, np.int32(people))
     *inputs, result = references
     (table, table_at), (shared, shared_at), (cells, cells_at), *rows = (
-        (each, 0 if each.shape[0] == 1 else scenario) for each in inputs
+        (each, kernels.row(each, scenario, result.shape[0])) for each in inputs
     )
     px, py, *each = (row[row_at, person] for row, row_at in rows)
     numbers, each = (shared[shared_at, 1 + i] for i in range(len(own) - sum(own))), iter(each)

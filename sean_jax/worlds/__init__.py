@@ -4,15 +4,18 @@ Each world is an ordinary environment with a Behavior Graph: nodes that people a
 their members, people that fit.
 """
 
-from collections.abc import Mapping
+import os
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from scipy import ndimage
 
+from sean_jax import cache, files, quantities, writing
 from sean_jax import environment as environments
-from sean_jax import files, quantities, writing
 from sean_jax.base import Environment
 from sean_jax.errors import InputError
 from sean_jax.geometry import signed_distances_on_host
@@ -23,7 +26,7 @@ from sean_jax.navigation.arcs import pairs_are_free
 from sean_jax.worlds.floors import FAMILIES, SIZE, Floor
 from sean_jax.worlds.proposal import propose
 
-__all__ = ["FAMILIES", "SIZE", "World", "generate", "parse", "save"]
+__all__ = ["FAMILIES", "SIZE", "World", "WorldSet", "find", "generate", "in_processes", "parse", "parse_set", "save"]
 
 ROBOT = 0.4  # m, radius of the widest robot that passes everything
 CELL = 0.1  # m, in which the floor is looked at
@@ -31,6 +34,8 @@ POCKETS = 0.02  # share of the free floor that may be out of reach
 MAX_DRAWS = 50  # of a floor, until one is valid
 AREA_PER_PERSON = (8.0, 25.0)  # m2 of free floor
 MAX_PEOPLE = 40
+MAX_WORLDS = 100_000
+SHARE = 16  # floors, at least, for a process of its own
 CANDIDATES = 256  # places that are tried for groups
 GROUP_AREA = 60.0  # m2 of free floor for each group, at least
 GROUP_GAP, GROUP_SIGHT = 3.5, 6.0  # m, between two groups; to the waypoint from which a group is reached
@@ -116,6 +121,96 @@ def save(world: World, folder: Path | str) -> None:
     with writing.atomic_folder(Path(folder)) as new_folder:
         environments.write(new_folder, world.settings, world.boxes, world.colors)
         writing.write(new_folder / "graph.yaml", annotation.to_yaml(world.graph))
+
+
+# ------------------------------------------------------------------ sets of worlds
+
+
+class WorldSet(NamedTuple):
+    """Worlds of families in turn, with consecutive seeds."""
+
+    families: tuple[str, ...]
+    number: int
+    seed: int
+
+
+def parse_set(name: str) -> WorldSet | None:
+    """The set of a name such as ``worlds:rooms,aisles:512`` or, with the first seed, ``worlds:all:512:1000``; None for
+    another environment.
+
+    Raises:
+        InputError: there is no such family, or no number.
+    """
+    word, *parts = name.split(":")
+    if word != "worlds":
+        return None
+    cure = "give worlds:FAMILIES:NUMBER or worlds:FAMILIES:NUMBER:SEED, such as worlds:rooms,aisles:512"
+    if len(parts) not in (2, 3) or not all(part.isdecimal() for part in parts[1:]):
+        raise InputError(f"environment: '{name}' is no set of worlds; {cure}.")
+    families = tuple(FAMILIES) if parts[0] == "all" else tuple(parts[0].split(","))
+    for family in families:
+        if family not in FAMILIES:
+            hint = files.suggest(family, FAMILIES)
+            raise InputError(f"environment: '{family}' in {name} is not one of all, {', '.join(FAMILIES)}{hint}")
+    number, seed = int(parts[1]), int(parts[2]) if len(parts) == 3 else 0
+    quantities.check_number(f"environment: number in {name}", number, 1, MAX_WORLDS)
+    quantities.check_number(f"environment: seed in {name}", seed, 0, 2**31)
+    return WorldSet(families, number, seed)
+
+
+def find(name: str | Path) -> list[Path]:
+    """The environment folders of a name: a set of worlds, a folder of environments, or one environment.
+
+    Worlds are generated into the user's cache.
+
+    Raises:
+        InputError: there is no such environment.
+    """
+    worlds = parse_set(str(name))
+    if worlds is None:
+        folder = Path(name).expanduser()
+        parts = sorted(path.parent for path in folder.glob(f"*/{environments.SETTINGS}"))
+        is_set = parts and not (folder / environments.SETTINGS).is_file()
+        return parts if is_set and str(name) not in environments.available() else [environments.find(name)]
+    source = cache.source("worlds", "environment", "geometry", "graph/annotation", "graph/formation")
+    place = cache.folder() / "worlds" / source[:16]
+    count = len(worlds.families)
+    folders = [
+        place / f"{worlds.families[turn % count]}_{worlds.seed + turn // count}" for turn in range(worlds.number)
+    ]
+    missing = [folder for folder in folders if not folder.is_dir()]
+    in_processes("sean_jax.worlds", "save_all", [], missing)
+    save_all(*(str(folder) for folder in missing if not folder.is_dir()))
+    return folders
+
+
+def save_all(*folders: str) -> None:
+    """Write worlds whose folders are named FAMILY_SEED, as ``save``."""
+    for folder in map(Path, folders):
+        family, _, seed = folder.name.rpartition("_")
+        save(generate(family, int(seed)), folder)
+
+
+def in_processes(module: str, function: str, arguments: Sequence[str], folders: Sequence[Path]) -> None:
+    """Call a function with many folders in several processes without a GPU, if that is faster.
+
+    A process that fails leaves its folders to the caller.
+    """
+    number = min(os.cpu_count() or 1, len(folders) // SHARE)
+    if number < 2:
+        return
+    code = f"import sys; from {module} import {function}; {function}(*sys.argv[1:])"
+    command, environment = [sys.executable, "-c", code, *arguments], {**os.environ, "JAX_PLATFORMS": "cpu"}
+    processes = [
+        subprocess.Popen([*command, *map(str, folders[turn::number])], env=environment, stderr=subprocess.DEVNULL)
+        for turn in range(number)
+    ]
+    try:
+        for process in processes:
+            process.wait()
+    finally:
+        for process in processes:
+            process.kill()
 
 
 def _world(

@@ -1,0 +1,157 @@
+"""Arrays of different sizes padded to common ones, so that scenarios of different floors have equal shapes.
+
+The letters of the annotations say which axes are alike. Padding has no effect: obstacles lie far away, arcs of shortest
+paths have no place that a path could touch, nodes have no edges. The numbers of what is there stay the same.
+"""
+
+import dataclasses
+import typing
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any
+
+import jax
+import numpy as np
+
+from sean_jax.geometry import FAR
+
+MULTIPLES = {"V": 64, "W": 32}  # of arcs and of obstacles in programs for the host
+SMALL = 0.01  # m, size of bodies far away
+FILLS: Mapping[tuple[str, str], Any] = {
+    ("Obstacles", "center"): FAR,
+    ("Obstacles", "half_extent"): 1.0,
+    ("ObstacleGrid", "rows"): (FAR, FAR, 0.0, 0.0, 1.0, 0.0),
+    ("Solids", "boxes"): (FAR, FAR, FAR, SMALL, SMALL, SMALL, 1.0, 0.0),
+    ("Solids", "cylinders"): (FAR, FAR, FAR, 0.0, 0.0, 1.0, SMALL, SMALL),
+    ("Solids", "spheres"): (FAR, FAR, FAR, SMALL),
+    ("CornerArcs", "corner"): FAR,
+    ("CornerArcs", "middle"): (1.0, 0.0),
+    ("CornerArcs", "side"): 1.0,
+    ("CornerArcs", "first"): 9.0,
+    ("CornerArcs", "last"): -9.0,
+    ("Navigation", "distance"): np.inf,
+    ("Navigation", "arrival_angle"): -np.inf,
+    ("PathsToGoal", "distance"): np.inf,
+    ("NextCornerTable", "first_arc"): -1,
+    ("NextCornerTable", "next_arc"): -1,
+    ("BehaviorGraph", "flow"): -1,
+    ("BehaviorGraph", "edge_cost"): np.inf,
+    ("BehaviorGraph", "cost"): np.inf,
+    ("BehaviorGraph", "next_hop"): -1,
+    ("BehaviorGraph", "waypoints"): -1,
+    ("BehaviorGraph", "groups"): -1,
+    ("BehaviorGraph", "seat_group"): -1,
+    ("BehaviorGraph", "seat_node"): -1,
+    ("Tables", "walk"): np.inf,
+    ("Tables", "start"): FAR,
+    ("Tables", "start_log_chance"): -np.inf,
+    ("Tables", "spawn_clusters"): -1,
+}
+"""(class, field) -> the number or row that fills it; 0 without an entry."""
+EDGE = "X", "Y"  # axes of grids: places off the floor have the last cell on it
+
+Sizes = dict[tuple[str, str], int]
+"""(class, letter of an axis) -> its size."""
+
+
+def common_sizes(trees: Iterable[Any]) -> Sizes:
+    """The greatest size of each axis among trees of dataclasses."""
+    sizes: Sizes = {}
+    for tree in trees:
+        for name, value, axes in _arrays(tree):
+            for axis, size in zip(axes, np.shape(value), strict=True):
+                sizes[name, axis] = max(size, sizes.get((name, axis), 0))
+    return sizes
+
+
+def pad(tree: Any, sizes: Sizes) -> Any:
+    """A tree of dataclasses whose arrays have these sizes, as arrays on the host. Other arrays stay as they are.
+
+    An array that is in several places stays one array.
+    """
+    return _pad(tree, sizes, {})
+
+
+def _pad(tree: Any, sizes: Sizes, memo: dict[tuple, np.ndarray]) -> Any:
+    if isinstance(tree, tuple | list):
+        values = [_pad(each, sizes, memo) for each in tree]
+        return type(tree)(*values) if hasattr(tree, "_fields") else type(tree)(values)
+    if isinstance(tree, dict):
+        return {key: _pad(value, sizes, memo) for key, value in tree.items()}
+    if not dataclasses.is_dataclass(tree) or isinstance(tree, type):
+        return tree
+    name, changed = type(tree).__name__, {}
+    for field, value, axes in _fields(tree):
+        if axes is None:
+            changed[field] = _pad(value, sizes, memo)
+        elif any((name, axis) in sizes for axis in axes):
+            shape: tuple[int, ...] = value.shape
+            target = tuple(sizes.get((name, axis), size) for axis, size in zip(axes, shape, strict=True))
+            key = id(value), target
+            if key not in memo:
+                memo[key] = _padded(np.asarray(value), target, axes, FILLS.get((name, field), 0))
+            changed[field] = memo[key]
+    if name == "Solids" and ("Solids", "solids") in sizes:
+        changed["color"] = _colors(tree, sizes)
+    return dataclasses.replace(tree, **changed)
+
+
+def in_programs(tables: Any) -> Any:
+    """Tables with obstacles and arcs padded to a multiple, so that programs for the host serve many floors."""
+    sizes = {
+        axis: -(-size // MULTIPLES[axis[1]]) * MULTIPLES[axis[1]]
+        for axis, size in common_sizes([tables]).items()
+        if axis[1] in MULTIPLES
+    }
+    return jax.tree.map(lambda part: part.astype(float) if part.dtype.kind == "f" else part, pad(tables, sizes))
+
+
+def _padded(array: np.ndarray, target: tuple[int, ...], axes: tuple[str, ...], fill: Any) -> np.ndarray:
+    missing = [(0, size - old) for size, old in zip(target, array.shape, strict=True)]
+    edge = [width if axis in EDGE else (0, 0) for width, axis in zip(missing, axes, strict=True)]
+    array = np.pad(array, edge, mode="edge")
+    result = np.empty(target, array.dtype)
+    result[...] = fill
+    result[tuple(slice(size) for size in array.shape)] = array
+    return result
+
+
+def _colors(solids: Any, sizes: Sizes) -> np.ndarray:
+    """The colors of padded bodies: of boxes, then cylinders, then spheres."""
+    colors, parts, start = np.asarray(solids.color), [], 0
+    for kind in ("boxes", "cylinders", "spheres"):
+        number = len(getattr(solids, kind))
+        missing = sizes.get(("Solids", kind), number) - number
+        parts.append(np.pad(colors[start : start + number], [(0, missing), (0, 0)]))
+        start += number
+    return np.concatenate(parts)
+
+
+def _arrays(tree: Any) -> Iterator[tuple[str, Any, tuple[str, ...]]]:
+    """Class, array and letters of its axes, of all arrays in a tree of dataclasses."""
+    if isinstance(tree, tuple | list | dict):
+        for value in tree.values() if isinstance(tree, dict) else tree:
+            yield from _arrays(value)
+    elif dataclasses.is_dataclass(tree) and not isinstance(tree, type):
+        for _, value, axes in _fields(tree):
+            if axes is None:
+                yield from _arrays(value)
+            else:
+                yield type(tree).__name__, value, axes
+
+
+def _fields(tree: Any) -> Iterator[tuple[str, Any, tuple[str, ...] | None]]:
+    """Name, value and letters of the axes of each field that is a node of the pytree; None for the letters of a part.
+
+    Axes before the annotated ones have the letters batch0, batch1 and so on.
+    """
+    for field in dataclasses.fields(tree):
+        value = getattr(tree, field.name)
+        if value is None or not field.metadata.get("pytree_node", True):
+            continue
+        kinds = [field.type, *typing.get_args(field.type)]
+        letters = next((kind.dim_str.split() for kind in kinds if hasattr(kind, "dim_str")), None)
+        if letters is None or not hasattr(value, "shape"):
+            yield field.name, value, None
+        else:
+            more = value.ndim - len(letters)
+            yield field.name, value, (*(f"batch{i}" for i in range(more)), *letters)

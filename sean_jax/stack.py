@@ -1,0 +1,148 @@
+"""A stack of scenarios that differ in numbers alone, such as different floors, for one program.
+
+A batch has as many rows of each member of the stack, one member after the other. Tables of floors are not copied for
+each row: the program maps over the members, and for each member over its rows.
+"""
+
+import functools
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any, Generic, TypeVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+from jaxtyping import Int, PyTree
+
+from sean_jax.base import Array, Scenario
+from sean_jax.devices import to_device
+from sean_jax.graph import graph_of
+from sean_jax.padding import common_sizes, pad
+
+T = TypeVar("T")
+
+
+@struct.dataclass
+class Stack(Generic[T]):
+    """K pytrees of one structure."""
+
+    member: T  # the first
+    own: dict[int, Array]  # index of a leaf -> its values (K, ...), of leaves in which members differ
+    size: int = struct.field(pytree_node=False, default=1)  # K
+    names: tuple[str, ...] = struct.field(pytree_node=False, default=())  # of the members
+
+    def at(self, index: Int[Array, ""] | int) -> T:
+        """One member."""
+        leaves, tree = jax.tree.flatten(self.member)
+        for place, values in self.own.items():
+            leaves[place] = values[index]
+        return jax.tree.unflatten(tree, leaves)
+
+    def take(self, index: np.ndarray) -> "Stack[T]":
+        """The stack of some members, in that order."""
+        if not self.own:
+            return replace(self, size=len(index))
+        names = tuple(self.names[k] for k in index) if self.names else ()
+        own = {place: values[jnp.asarray(index)] for place, values in self.own.items()}
+        return Stack(replace(self, own=own).at(0), own, len(index), names)
+
+    def over_members(self, function: Callable[..., PyTree]) -> Callable[..., PyTree]:
+        """``function(member, *values)`` of each member, with values (K, ...); results (K, ...)."""
+        leaves, tree = jax.tree.flatten(self.member)
+
+        def one(own: dict[int, Array], *values: PyTree) -> PyTree:
+            return function(
+                jax.tree.unflatten(tree, [own.get(place, leaf) for place, leaf in enumerate(leaves)]), *values
+            )
+
+        return lambda *values: jax.vmap(one, axis_size=self.size)(self.own, *values)
+
+    def vmap(self, function: Callable[..., PyTree]) -> Callable[..., PyTree]:
+        """``function(member, *row)`` of rows (B, ...), of which each member has B / K, one member after the other."""
+        if self.size == 1:
+            return jax.vmap(functools.partial(function, self.member))
+
+        def of_member(member: T, *rows: PyTree) -> PyTree:
+            return jax.vmap(functools.partial(function, member))(*rows)
+
+        def call(*rows: PyTree) -> PyTree:
+            parts = jax.tree.map(lambda leaf: leaf.reshape(self.size, -1, *leaf.shape[1:]), rows)
+            results = self.over_members(of_member)(*parts)
+            return jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), results)
+
+        return call
+
+    def map_member(self, function: Callable[[T], Any]) -> "Stack":
+        """The stack whose members have other static fields, by ``function(member)``."""
+        return replace(self, member=function(self.member))
+
+    def with_fields(self, **fields: Any) -> "Stack":
+        """The stack with other fields of the members: values for all, or a stack of K values."""
+        marks = jax.tree.unflatten(jax.tree.structure(self.member), range(len(jax.tree.leaves(self.member))))
+        first, sources = {}, {}
+        for name, value in fields.items():
+            first[name] = value.member if isinstance(value, Stack) else value
+            marked = [f"{name} {number}" for number in range(len(jax.tree.leaves(first[name])))]
+            sources |= {f"{name} {number}": own for number, own in getattr(value, "own", {}).items()}
+            fields[name] = jax.tree.unflatten(jax.tree.structure(first[name]), marked)
+        sources |= self.own
+        places = jax.tree.leaves(replace(marks, **fields))  # pyright: ignore[reportArgumentType]
+        own = {place: sources[mark] for place, mark in enumerate(places) if mark in sources}
+        return replace(self, member=replace(self.member, **first), own=own)  # pyright: ignore
+
+
+def of_arrays(values: PyTree) -> Stack:
+    """The stack of the K rows of arrays (K, ...)."""
+    leaves = jax.tree.leaves(values)
+    first = jax.tree.map(lambda leaf: leaf[0], values)
+    return Stack(first, dict(enumerate(leaves)), leaves[0].shape[0])
+
+
+def stack(members: Sequence[T], names: tuple[str, ...] = ()) -> Stack[T]:
+    """The stack of pytrees of one structure, such as scenarios of floors after ``with_common_shapes``.
+
+    Raises:
+        ValueError: the structure or a shape differs.
+    """
+    first, *others = (jax.tree.flatten(member) for member in members)
+    if any(tree != first[1] for _, tree in others):
+        raise ValueError("stack: the static structure of members differs; run them separately.")
+    own: dict[int, Array] = {}
+    stacked: dict[tuple[int, ...], Array] = {}  # members have one array in several places, such as obstacles
+    for place, leaves in enumerate(zip(first[0], *(each for each, _ in others), strict=True)):
+        if all(leaf is leaves[0] or np.array_equal(leaf, leaves[0]) for leaf in leaves):
+            continue
+        key = tuple(map(id, leaves))
+        if key not in stacked:
+            stacked[key] = to_device(np.stack(leaves)) if isinstance(leaves[0], np.ndarray) else jnp.stack(leaves)
+        own[place] = stacked[key]
+    return Stack(jax.tree.unflatten(first[1], first[0]), own, len(members), names)
+
+
+def with_common_shapes(scenarios: Sequence[Scenario], name: str) -> list[Scenario]:
+    """The scenarios with arrays padded to common sizes, on the host, and ``name`` as the name of their environment.
+
+    Each has as many people as the most crowded, and those are present that were there.
+    """
+    people = max(scenario.people for scenario in scenarios)
+    equal = all(scenario.people == people for scenario in scenarios)
+    sizes = common_sizes(scenarios)
+    sizes["Tables", "P"] = max(people, sizes.get(("Tables", "P"), 0))
+    padded = []
+    for scenario in scenarios:
+        behavior, graph = scenario.behavior, graph_of(scenario)
+        if graph is not None:
+            behavior = replace(behavior, data=replace(behavior.data, graph=replace(graph, names=())))
+        present = scenario.people_present
+        if not equal and present is None:
+            present = np.asarray(scenario.people, np.int32)
+        scenario = replace(
+            scenario,
+            environment=replace(scenario.environment, name=name),
+            behavior=replace(behavior, people=None if behavior.people is None else people),
+            people=people,
+            people_present=present,  # pyright: ignore[reportArgumentType]
+        )
+        padded.append(pad(scenario, sizes))
+    return padded
