@@ -69,7 +69,7 @@ def trained(tmp_path_factory):
     folder = tmp_path_factory.mktemp("ppo") / "whole"
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(reinforcement, "programs", standing)
-        patched.setattr(mdp.Env, "with_pool", lambda env, key, size: env)
+        patched.setattr(rollouts, "with_pool", lambda env, key, size: env)
         return reinforcement.train(options(folder)), folder
 
 
