@@ -81,7 +81,7 @@ class Parameter(NamedTuple):
 def _people(scenario: Scenario, value: Array) -> Scenario:
     """Share of the scenario's people who are present, at least one person."""
     people = jnp.asarray(scenario.people if scenario.people_present is None else scenario.people_present, jnp.int32)
-    number = jnp.ceil(value * people - 1e-4).astype(jnp.int32)
+    number = jnp.ceil(value * jnp.asarray(people, value.dtype) - 1e-4).astype(jnp.int32)
     return replace(scenario, people_present=jnp.clip(number, jnp.minimum(1, people), people))
 
 
