@@ -1,10 +1,10 @@
-"""PyTorch's interface: the ``VecEnv`` of rsl_rl, whose tensors share memory with jax by DLPack, on CPU or GPU.
+"""rsl_rl's interface: its ``VecEnv``, whose tensors of PyTorch share memory with jax by DLPack, on CPU or GPU.
 
 Observations are a ``TensorDict``: ``policy`` is one vector, and images are beside it by their names. Row ``k`` with
 seed ``s`` is the environment of ``adapters.gymnasium`` with seed ``s + k``; or it takes starts of ``Env.with_pool``.
 """
 
-# The packages are further extras, which the type checker may not have.
+# The packages are a further extra, which the type checker may not have.
 # pyright: reportMissingImports=false
 
 from dataclasses import replace
