@@ -56,7 +56,7 @@ class VecSocialNavigation:
         done = terminated | truncated
         told = {"reward": reward.astype(jnp.float32), "done": done, "truncated": truncated}
         told["completed"] = info["completed"].astype(jnp.float32)
-        return (states, episodes + done), self._groups(observation), told
+        return (states, episodes + done.astype(jnp.int32)), self._groups(observation), told
 
     def _groups(self, observation: dict[str, Array]) -> dict[str, Array]:
         terms = self.env.observations
