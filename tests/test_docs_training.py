@@ -80,7 +80,7 @@ def test_the_example_of_stable_baselines_runs():
 @pytest.mark.slow
 def test_the_example_of_rejax_learns():
     returns = run_example("rejax", {"262_144": "32_768", "65_536": "16_384", "30.0": "6.0"})["returns"].mean(1)
-    assert returns[-1] > 0.6 * returns[0], returns  # which are negative
+    assert returns[-1] > 0.8 * returns[0], returns  # which are negative
 
 
 @pytest.mark.slow
