@@ -1,4 +1,4 @@
-"""rsl_rl's interface: its ``VecEnv``, whose tensors of PyTorch share memory with jax by DLPack, on CPU or GPU.
+"""rsl_rl's interface: its ``VecEnv``, whose tensors of PyTorch share memory with jax by DLPack.
 
 Observations are a ``TensorDict``: ``policy`` is one vector, and images are beside it by their names. Row ``k`` with
 seed ``s`` is the environment of ``adapters.gymnasium`` with seed ``s + k``; or it takes starts of ``Env.with_pool``.
