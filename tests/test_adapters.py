@@ -1,8 +1,11 @@
 """Adapters: each passes its own project's checker, and rows are what single environments are."""
 
+import functools
 import importlib
+import json
 import re
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import jax
@@ -90,11 +93,12 @@ def test_wrappers_of_gymnasium_take_the_vector_environment(gymnasium):
 
     made = gymnasium.make_vec(f"sean/{NAME}", num_envs=2, autoreset_mode="NextStep", **SMALL)
     flat = gymnasium.wrappers.vector.FlattenObservation(gymnasium.wrappers.vector.RecordEpisodeStatistics(made))
-    observation, _ = flat.reset(seed=0)
-    assert flat.observation_space.contains(observation) and observation.ndim == 2
+    normal = gymnasium.wrappers.vector.NormalizeObservation(flat)
+    observation, _ = normal.reset(seed=0)
+    assert observation.shape == flat.observation_space.shape
     for _ in range(16):
-        observation, _, _, truncated, info = flat.step(np.ones((2, 2), np.float32))
-        assert flat.observation_space.contains(observation)
+        observation, _, _, truncated, info = normal.step(np.ones((2, 2), np.float32))
+        assert np.isfinite(observation).all()
         if truncated.any():
             assert info["episode"]["l"].tolist() == [15, 15]
     assert not truncated.any()
@@ -202,11 +206,101 @@ def test_brax(env):
     assert state.obs.shape == (adapted.observation_size,)
     step = jax.jit(adapted.step)
     state = state.replace(info=state.info | {"of a wrapper": jnp.zeros(())})
-    for tick in range(15):
+    for tick in range(16):
         after = step(state, jnp.ones(2))
         assert jax.tree.structure(after) == jax.tree.structure(state)
         state = after
-        assert bool(state.done) == (tick == 14) == bool(state.info["truncation"])
+        assert bool(state.info["truncation"]) == (tick >= 14) and bool(state.done) == (tick == 15)
+
+
+def test_trainers_of_brax_bootstrap_at_the_time_limit(env):
+    """``EpisodeWrapper`` takes no episode for truncated that has ``done`` already."""
+    training = pytest.importorskip("brax.envs.wrappers.training")
+    from sean_jax.adapters.brax import SocialNavigation
+
+    adapted = SocialNavigation(env)
+    assert adapted.episode_length == 15
+    wrapped = training.AutoResetWrapper(training.EpisodeWrapper(adapted, adapted.episode_length, 1))
+    with jax.numpy_dtype_promotion("standard"):  # its own arithmetic is not strict
+        first = state = jax.jit(wrapped.reset)(jax.random.PRNGKey(0))
+        step = jax.jit(wrapped.step)
+        for tick in range(16):
+            state = step(state, jnp.ones(2))
+            assert bool(state.done) == (tick == 14) == bool(state.info["truncation"])
+            assert bool((state.obs == first.obs).all()) == (tick == 14)
+
+
+def test_playground(env):
+    """By its own registry, whose config is JSON; its wrapper ends episodes at their time limit, and starts others."""
+    theirs = pytest.importorskip("mujoco_playground")
+    from sean_jax.adapters import playground
+
+    config = theirs.registry.get_default_config(f"sean/{NAME}")
+    assert json.loads(json.dumps(config.to_dict()))["episode_length"] == 1200
+    config.people = 2
+    assert playground.load(NAME, config).mjx_model.people == 2
+    made = theirs.registry.load(f"sean/{NAME}", config, SMALL | {"impl": "jax"})
+    assert made.mjx_model.people == 3 and made.dt == 0.1 and made.n_substeps == 5
+    assert made.xml_path.endswith("kuri.xml") and made.mj_model.nu == made.action_size == 2
+    wrapped = theirs.wrapper.wrap_for_brax_training(made, episode_length=15)
+    with jax.numpy_dtype_promotion("standard"):  # its own arithmetic is not strict
+        first = state = jax.jit(wrapped.reset)(jax.random.split(jax.random.PRNGKey(0), 2))
+        step = jax.jit(wrapped.step)
+        for _ in range(15):
+            assert not state.done.any()
+            state = step(state, jnp.ones((2, 2)))
+    assert state.obs.shape == (2, made.observation_size) and bool((state.obs == first.obs).all())
+    assert state.done.all() and state.info["truncation"].all()
+    (picture,) = made.render([jax.tree.map(lambda leaf: leaf[0], state)])
+    assert picture.dtype == np.uint8 and picture.shape[-1] == 3 and picture.std() > 0
+
+
+def test_rows_of_playground_have_people_of_their_own():
+    """Each is the environment of its scenario; what does not differ is there once."""
+    theirs = pytest.importorskip("mujoco_playground")
+    from sean_jax.adapters import playground
+
+    made = playground.load(NAME, config_overrides=SMALL)
+    randomize = functools.partial(playground.get_domain_randomizer(NAME), rng=jax.random.split(jax.random.key(1), 3))
+    model, axes = randomize(made.mjx_model)
+    assert len(np.unique(model.forces.walking.speed_mean)) == 3 and not jax.tree.leaves(axes.environment)
+    wrapped = theirs.wrapper.BraxDomainRandomizationVmapWrapper(made, randomize)
+    keys = jax.random.split(jax.random.key(0), 3)
+    state = wrapped.step(wrapped.reset(keys), jnp.ones((3, 2)))
+    assert made.mjx_model is made.env.scenario
+    for row, key in enumerate(keys):
+        pick = functools.partial(jax.tree.map, is_leaf=lambda leaf: leaf is None)
+        scenario = pick(lambda axis, leaf, row=row: leaf if axis is None else leaf[row], axes, model)
+        alone = replace(made.env, scenario=scenario)
+        _, observation, *_ = alone.advance(alone.reset(key)[1], jnp.ones(2))
+        wanted = np.concatenate([np.ravel(observation[name]) for name, _ in alone.observations])
+        np.testing.assert_allclose(state.obs[row], wanted, atol=1e-4)
+
+
+def test_rows_of_rsl_rl_are_those_of_gymnasium(env):
+    """Over the ends of episodes; and tensors are arrays of jax."""
+    torch = pytest.importorskip("torch")
+    pytest.importorskip("tensordict")
+    from sean_jax.adapters.gymnasium import VectorSocialNavigation
+    from sean_jax.adapters.rsl_rl import VecSocialNavigation
+
+    rows, vector = VecSocialNavigation(env, 2, seed=7), VectorSocialNavigation(env, 2)
+    assert (rows.num_envs, rows.num_actions, rows.max_episode_length) == (2, 2, 15)
+    wanted, ends = vector.reset(seed=7)[0], 0
+    for action in np.random.default_rng(0).uniform(-1, 1, (40, 2, 2)).astype(np.float32):
+        flat = np.concatenate([wanted[name].reshape(2, -1) for name, _ in env.observations], axis=1)
+        np.testing.assert_allclose(rows.get_observations()["policy"], flat, atol=2e-4)
+        _, reward, done, extras = rows.step(torch.from_numpy(action))
+        wanted, expected, terminated, truncated, told = vector.step(action)
+        np.testing.assert_allclose(reward, expected, atol=2e-5)
+        np.testing.assert_array_equal(done, terminated | truncated)
+        np.testing.assert_array_equal(extras["time_outs"], truncated)
+        assert len(extras["log"]["/completed"]) == done.sum()
+        ends += int(done.sum())
+    assert ends >= 4
+    assert rows.episode_length_buf.data_ptr() == rows._states.simulation.tick.unsafe_buffer_pointer()
+    rows.episode_length_buf = torch.tensor([14, 0])
+    assert rows.step(torch.zeros(2, 2))[3]["time_outs"].tolist() == [True, False]
 
 
 def test_brax_is_imported_with_a_warning_where_its_trainers_cannot_run(monkeypatch):

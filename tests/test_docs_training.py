@@ -5,6 +5,7 @@ import sys
 from pathlib import Path
 from types import SimpleNamespace
 
+import jax
 import pytest
 
 from sean_jax import config, mdp
@@ -54,7 +55,7 @@ def test_examples_run(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     scope: dict = {}
     for block in examples():
-        if "stable_baselines3" not in block and "wandb" not in block:
+        if not any(package in block for package in ("stable_baselines3", "rejax", "rsl_rl", "wandb")):
             exec(block, scope)  # noqa: S102
     assert scope["reward"].shape == (16,) and scope["driver"].name == "short" and scope["many"].num_envs == 16
 
@@ -72,10 +73,32 @@ def test_the_example_of_a_callback_logs_numbers_by_their_names(monkeypatch):
     assert logged[1][0] == {"epoch": 2, "steps": 64, "train/loss": 0.5, "train/actor": 0.1}
 
 
+def run_example(package: str, changes: dict[str, str]) -> dict:
+    """What the example of an optional package defines, with smaller numbers."""
+    pytest.importorskip(package)
+    (block,) = [block for block in examples() if package in block]
+    for old, new in changes.items():
+        assert old in block
+        block = block.replace(old, new)
+    scope: dict = {}
+    with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):  # theirs are not strict
+        exec(block, scope)  # noqa: S102
+    return scope
+
+
 @pytest.mark.slow
 def test_the_example_of_stable_baselines_runs():
-    pytest.importorskip("stable_baselines3")
-    (block,) = [block for block in examples() if "stable_baselines3" in block]
-    scope: dict = {}
-    exec(block.replace("80_000", "64 * 32").replace("verbose=1", "verbose=0"), scope)  # noqa: S102
+    scope = run_example("stable_baselines3", {"80_000": "64 * 32", "verbose=1": "verbose=0"})
     assert scope["model"].num_timesteps == 64 * 32
+
+
+@pytest.mark.slow
+def test_the_example_of_rejax_learns():
+    returns = run_example("rejax", {"262_144": "32_768", "65_536": "16_384", "30.0": "6.0"})["returns"].mean(1)
+    assert returns[-1] > 0.8 * returns[0], returns  # which are negative
+
+
+@pytest.mark.slow
+def test_the_example_of_rsl_rl_runs():
+    scope = run_example("rsl_rl", {"learn(60": "learn(2", '"num_steps_per_env": 64': '"num_steps_per_env": 8'})
+    assert scope["runner"].current_learning_iteration == 1

@@ -1,13 +1,16 @@
-"""Interfaces of other projects to the same environments: Gymnasium, gymnax, Brax, each imported at first use."""
+"""Interfaces of other projects to the same environments, each in its module, which imports that project's package."""
 
 from collections.abc import Hashable, Mapping
 from typing import Any
 
 import jax
+import numpy as np
 
 from sean_jax import mdp, prng, registry
 from sean_jax.base import Array
+from sean_jax.drawing import view
 from sean_jax.errors import InputError
+from sean_jax.scenario import frame
 from sean_jax.versions import fingerprint
 
 NAMESPACE = "sean"
@@ -35,3 +38,13 @@ def load(env: mdp.Env | str, config: Mapping[str, Any]) -> mdp.Env:
 def typed(key: Array) -> Array:
     """A typed PRNG key; the key may be typed or not."""
     return key if jax.numpy.issubdtype(key.dtype, jax.dtypes.prng_key) else jax.random.wrap_key_data(key)
+
+
+def picture(env: mdp.Env, state: mdp.EnvState) -> np.ndarray:
+    """A picture (height, width, 3) uint8 of the scenario from above."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    shown = frame(state.simulation, state.simulation, state.commands[0])
+    canvas = FigureCanvasAgg(view(jax.tree.map(lambda leaf: leaf[None], shown), env.scenario))
+    canvas.draw()
+    return np.asarray(canvas.buffer_rgba())[..., :3].copy()

@@ -1,7 +1,8 @@
 """Brax's interface: ``reset(rng) -> State`` and ``step(State, action) -> State``, for its wrappers and trainers.
 
-An ended episode has ``done`` and waits for a wrapper to reset it; ``info["truncation"]`` is 1 if the time limit ended
-it. Observations are vectors, or with ``flat=False`` dicts.
+A completed or terminated episode has ``done`` and waits for a wrapper to reset it. The time limit is left to Brax's
+``EpisodeWrapper``, whose trainers else would not bootstrap there: give them ``episode_length=env.episode_length``. A
+longer episode is ``done`` in the step after. Observations are vectors, or with ``flat=False`` dicts.
 """
 
 # pyright: reportMissingImports=false, reportArgumentType=false, reportAttributeAccessIssue=false
@@ -15,7 +16,7 @@ import jax.numpy as jnp
 from brax.envs import base
 from brax.training import pmap
 
-from sean_jax import mdp, robots
+from sean_jax import clock, mdp, robots
 from sean_jax.adapters import load, typed
 from sean_jax.base import Array
 from sean_jax.mdp import observations
@@ -54,20 +55,26 @@ class SocialNavigation(base.Env):
 
     def step(self, state: base.State, action: Array) -> base.State:
         """The state after a control step, with all keys of ``metrics`` and ``info`` of the previous state."""
-        after, observation, reward, terminated, truncated, info = self.env.advance(state.pipeline_state, action)
+        before = state.pipeline_state
+        after, observation, reward, terminated, truncated, info = self.env.advance(before, action)
         parts = {f"reward/{name}": part.astype(jnp.float32) for name, part in info["rewards"].items()}
         metrics = state.metrics | parts | {"completed": info["completed"].astype(jnp.float32)}
         return state.replace(
             pipeline_state=after,
             obs=self._shown(observation),
             reward=reward.astype(jnp.float32),
-            done=(terminated | truncated).astype(jnp.float32),
+            done=(terminated | before.simulation.timed_out).astype(jnp.float32),
             metrics=metrics,
             info=state.info | {"truncation": truncated.astype(jnp.float32)},
         )
 
     def _shown(self, observation: dict[str, Array]) -> Any:
         return observations.flatten(self.env.observations, observation) if self.flat else observation
+
+    @property
+    def episode_length(self) -> int:
+        """The time limit in steps."""
+        return clock.ceil_ticks(self.env.scenario.time_limit, self.env.scenario.time_step)
 
     @property
     def observation_size(self) -> Any:

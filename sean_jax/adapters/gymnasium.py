@@ -17,11 +17,10 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from jaxtyping import PyTree
 
 from sean_jax import mdp, prng, registry
-from sean_jax.adapters import NAMESPACE, identity, load
+from sean_jax.adapters import NAMESPACE, identity, load, picture
 from sean_jax.base import Array
-from sean_jax.drawing import view
 from sean_jax.errors import InputError
-from sean_jax.scenario import frame, results
+from sean_jax.scenario import results
 
 MAX_RECENT = 8  # environments whose compiled programs are remembered
 
@@ -171,9 +170,7 @@ class SocialNavigation(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
         """A picture (height, width, 3) uint8 of the scenario from above; None without a render_mode."""
         if self.render_mode is None or self._state is None:
             return None
-        state = self._run.unpack(self._state)
-        shown = frame(state.simulation, state.simulation, state.commands[0])
-        return _pixels(view(jax.tree.map(lambda leaf: leaf[None], shown), self.env.scenario))
+        return picture(self.env, self._run.unpack(self._state))
 
 
 class VectorSocialNavigation(VectorEnv):
@@ -298,14 +295,6 @@ def _seed(seed: int | None, random: np.random.Generator) -> int:
     if seed is not None and not 0 <= seed < 2**32:
         raise InputError(f"seed: {seed} must be a whole number from 0 to {2**32 - 1:,}.")
     return int(random.integers(2**31)) if seed is None else int(seed)
-
-
-def _pixels(figure: Any) -> np.ndarray:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-
-    canvas = FigureCanvasAgg(figure)
-    canvas.draw()
-    return np.asarray(canvas.buffer_rgba())[..., :3].copy()
 
 
 for _name in registry.ALL_ENVS:
