@@ -282,6 +282,12 @@ class ReinforcementConfig(EnvConfig):
     distributed: Annotated[bool, NO_EFFECT] = False
     """Join the other processes of this training, on one or more hosts, as SLURM and MPI start them."""
     quiet: fields.Quiet = False
+    network: Part = Named(kind="mlp")
+    """Network: mlp, layers alone; attention, over people; conv, strided convolutions of images; or FILE.py:NAME, a
+    flax module that gives the features of an observation."""
+    distribution: Literal["gaussian", "squashed"] = "gaussian"
+    """Distribution of actions: gaussian, clipped to the robot's limits; or squashed, tanh of a Gaussian, which never
+    exceeds them."""
 
     @pydantic.model_validator(mode="after")
     def _check_numbers(self) -> Self:

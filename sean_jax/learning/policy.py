@@ -15,10 +15,11 @@ from typing import Any, cast
 import jax
 import jax.numpy as jnp
 import numpy as np
+from flax import linen as nn
 from flax import struct
 from jaxtyping import Float, Int, PyTree
 
-from sean_jax import components, episodes, files, navigation, registry, sensors, writing
+from sean_jax import calls, components, episodes, files, navigation, registry, sensors, writing
 from sean_jax.base import Array, Policy, PolicyLike, Scenario, State, as_policy
 from sean_jax.classifiers import SITUATION_SETS
 from sean_jax.config import (
@@ -101,7 +102,9 @@ def check_policy(value: PolicyLike | Component | str, config: ScenarioConfig, op
         folder = _agent_folder(description.kind, option)
         method = networks.read_method(folder)
         if issubclass(METHODS[method], ReinforcementConfig):
-            agent_terms(read_options(folder))
+            options = read_options(folder)
+            agent_terms(options)
+            _encoder(options)
         if method != "imitation":
             return
         sets = [part.kind for part in config.situations if isinstance(part, Named)]
@@ -181,11 +184,57 @@ def agent_terms(options: ReinforcementConfig) -> tuple[observations.Terms, obser
 
 
 def agent_network(options: ReinforcementConfig, space: dict[str, Box]) -> ActorCritic:
-    """The network of a description."""
+    """The network of a description.
+
+    Raises:
+        InputError: there is none of that name, or it does not fit the observations.
+        PartError: a network of the user's own does not take them, or gives no features.
+    """
     actor_terms, private = agent_terms(options)
     images = tuple(name for name, term in actor_terms if term.image)
-    hidden = sum(math.prod(space[name].shape) for name, _ in private)
-    return ActorCritic(options.width, options.layers, images, options.recurrent, hidden, options.bfloat16)
+    parts = tuple((name, space[name].shape) for name, term in actor_terms if not term.image)
+    people = tuple(name for name, term in actor_terms if term.people and not term.image)
+    network = ActorCritic(
+        width=options.width,
+        layers=options.layers,
+        images=images,
+        recurrent=options.recurrent,
+        private=sum(math.prod(space[name].shape) for name, _ in private),
+        bfloat16=options.bfloat16,
+        squashed=options.distribution == "squashed",
+    )
+    encoder, kind = _encoder(options), options.network.kind
+    if encoder is None:
+        return network
+    if isinstance(encoder, nn.Module):
+        networks.check_encoder(encoder, {**dict(parts), **{name: space[name].shape for name in images}})
+    else:
+        encoder = encoder(options.width, images, people, network.image_dtype)
+    if kind == "conv" and not images:
+        raise InputError("network: conv is for images, and none is observed; add one, such as depth, or take mlp.")
+    if kind == "attention" and (not people or len(people) == len(parts)):
+        raise InputError("network: attention needs observations of people and others, such as people and goal; add them.")
+    return network.clone(encoder=encoder, parts=parts, raw=() if kind == "conv" else people)
+
+
+def _encoder(options: ReinforcementConfig) -> Any:
+    """The user's flax module, made without arguments if it is a class; else a value of ``NETWORKS``."""
+    value, name = components.resolve(options.network, networks.NETWORKS, "network"), options.network.label
+    if isinstance(options.network, Named):
+        return value
+    if isinstance(value, type) and issubclass(value, nn.Module):
+        try:
+            value = value()
+        except TypeError as error:
+            raise InputError(f"network: {name} cannot be made: {error}; give its fields defaults.") from error
+    if not isinstance(value, nn.Module):
+        text = f"network: {name} is {calls.describe(value)}, not a module of flax.linen"
+        raise InputError(f"{text}; give a class, such as class Net(nn.Module).")
+    try:
+        hash(value)
+    except TypeError as error:
+        raise InputError(f"network: {name} has a field that cannot be hashed; give a tuple for a list.") from error
+    return value
 
 
 def load_agent(folder: Path, scenario: Scenario) -> tuple[ActorCritic, Agent, observations.Terms]:
@@ -242,6 +291,9 @@ def _check_sizes(folder: Path, options: ReinforcementConfig, saved: dict[str, tu
     mean = f"{STATISTICS}mean"
     learned, present = (name.get(mean, (0,))[0] for name in (saved, shapes))
     what = f"{learned} numbers, and this scenario shows {present}"
+    if learned == present and options.network.kind != "mlp":
+        cure = f"restore the network of its training (its {CONFIG})"
+        raise InputError(f"{folder}: its weights are not those of the network {options.network.label}; {cure}.")
     if learned == present:
         what = "images of another size than this scenario's"
     terms = ", ".join(part.kind for part in options.observations)
