@@ -1,10 +1,9 @@
-"""Networks of agents: attention over people, convolutions, the user's own, and squashed actions, each against its law."""
+"""Networks of agents: attention over people, convolutions, the user's own, and squashed actions."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from flax import linen as nn
 from scipy.stats import norm
 
 import sean_jax
@@ -181,7 +180,9 @@ def say(env, network, agent, seen) -> NetworkOutput:
     flat = jax.vmap(lambda each: sean_jax.mdp.flatten(env.observations, each))(seen).astype(jnp.float32)
     number = flat.shape[0]
     images = {name: seen[name] for name in network.images}
-    return networks.apply(network, agent, flat, images, jnp.zeros((number, network.memory_size)), jnp.ones(number, bool))
+    return networks.apply(
+        network, agent, flat, images, jnp.zeros((number, network.memory_size)), jnp.ones(number, bool)
+    )
 
 
 @pytest.mark.parametrize("recurrent", [False, True])
@@ -189,7 +190,7 @@ def test_an_agent_sees_people_in_any_order(recurrent):
     """Also after it has seen others in the first row than in the last, so their statistics differ."""
     env, network, agent, seen = described("attention", recurrent=recurrent)
     mean = jnp.arange(agent.statistics.mean.shape[0], dtype=jnp.float32)
-    agent = networks.Agent(agent.parameters, agent.statistics.replace(mean=0.1 * mean, variance=1.0 + mean))
+    agent = agent.replace(statistics=agent.statistics.replace(mean=0.1 * mean, variance=1.0 + mean))
     flipped = seen | {"people": seen["people"][:, ::-1]}
     for one, other in zip(say(env, network, agent, seen)[:4], say(env, network, agent, flipped)[:4], strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-4, atol=1e-5)
@@ -202,9 +203,9 @@ def test_convolutions_see_all_of_an_image(dtype):
     for shape in ((48, 64), (48, 64, 3), (20, 31)):
         image = jax.random.uniform(jax.random.key(0), shape, jnp.float32, 0.0, 1.0)
         seen = {"goal": jnp.ones(2), "depth": image}
-        variables = encoder.init(jax.random.key(1), seen)
-        slope = jax.grad(lambda image: (encoder.apply(variables, seen | {"depth": image}) ** 2).sum())(image)
-        found = encoder.apply(variables, seen)
+        found, variables = encoder.init_with_output(jax.random.key(1), seen)
+        loss = jax.grad(lambda seen, variables: (encoder.apply(variables, seen) ** 2).sum())
+        slope = loss(seen, variables)["depth"]
         assert found.shape == (18,) and found.dtype == jnp.float32 and bool(jnp.isfinite(slope).all())
         share = (jnp.abs(slope.reshape(*shape[:2], -1)).sum(-1) > 0.0).mean()
         assert float(share) > 0.9
@@ -278,10 +279,12 @@ def test_an_agent_with_an_own_network_is_loaded_from_its_folder(mine, tmp_path):
     with sean_jax.trust():
         driver = load_policy("run", env.scenario)
         assert driver.params.network == network and driver.params.network.squashed
-        command = jax.eval_shape(
-            lambda key: episodes.policy_step(env.scenario, driver, episodes.init_policy(env.scenario, driver, sean_jax.reset(env.scenario, key)))[1],
-            jax.random.key(0),
-        )
+
+        def drive(key):
+            state = episodes.init_policy(env.scenario, driver, sean_jax.reset(env.scenario, key))
+            return episodes.policy_step(env.scenario, driver, state)[1]
+
+        command = jax.eval_shape(drive, jax.random.key(0))
         assert command.shape == (2,)
         text = (tmp_path / mine).read_text()
         (tmp_path / mine).write_text(text.replace("width: int = 8", "width: int = 9"))
@@ -329,7 +332,9 @@ def test_the_density_of_squashed_actions_integrates_to_one(location, log_std):
     before = np.linspace(location - 8 * np.exp(log_std), location + 8 * np.exp(log_std), 200_001)
     before = before[np.abs(before) < 7.0]
     action = np.tanh(before)
-    said = output(np.broadcast_to([location, 0.0], (len(action), 2)), np.broadcast_to([log_std, -0.7], (len(action), 2)))
+    said = output(
+        np.broadcast_to([location, 0.0], (len(action), 2)), np.broadcast_to([log_std, -0.7], (len(action), 2))
+    )
     found = networks.log_density(said, jnp.stack([jnp.asarray(action, jnp.float32), jnp.zeros(len(action))], -1))
     other = norm(0.0, np.exp(-0.7)).logpdf(0.0)  # of the other action, 0
     np.testing.assert_allclose(np.trapezoid(np.exp(np.asarray(found, float) - other), action), 1.0, atol=3e-3)
@@ -342,7 +347,9 @@ def test_the_density_of_squashed_actions_integrates_to_one(location, log_std):
 def test_squashed_actions_are_drawn_from_their_density_within_the_limits(location, log_std):
     """Against the distribution function, and the entropy against the mean of -log density in float64."""
     said = output([location, -location], [log_std, log_std])
-    drawn = np.asarray(jax.vmap(lambda key: networks.draw_action(said, key))(jax.random.split(jax.random.key(0), 20_000)))
+    drawn = np.asarray(
+        jax.vmap(lambda key: networks.draw_action(said, key))(jax.random.split(jax.random.key(0), 20_000))
+    )
     assert (np.abs(drawn) < 1.0).all() and np.abs(said.mean).max() < 1.0
     spread = norm(location, np.exp(log_std))
     for quantile in (0.1, 0.5, 0.9):
@@ -370,7 +377,9 @@ def test_gradients_of_squashed_actions_are_finite_at_extremes():
 def test_the_mean_action_of_an_agent_stays_within_the_limits():
     env, network, agent, seen = described("mlp", distribution="squashed")
     inner = agent.parameters["params"]
-    far = agent.replace(parameters={"params": inner | {"Dense_4": jax.tree.map(lambda leaf: leaf + 1e4, inner["Dense_4"])}})
+    far = agent.replace(
+        parameters={"params": inner | {"Dense_4": jax.tree.map(lambda leaf: leaf + 1e4, inner["Dense_4"])}}
+    )
     for each in (agent, far):
         found = say(env, network, each, seen)
         assert float(jnp.abs(found.mean).max()) < 1.0 and float(jnp.abs(found.location).max()) <= networks.FAR_LOCATION

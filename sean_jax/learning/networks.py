@@ -13,7 +13,6 @@ encoder, one of ``ENCODERS`` or the user's own, may take the place of all before
 [50] A. Pokle et al., "Deep Local Trajectory Replanning and Control for Robot Navigation", ICRA 2019.
 """
 
-import functools
 import math
 import os
 from collections.abc import Callable, Iterator
@@ -606,8 +605,9 @@ def entropy(output: NetworkOutput) -> Float[Array, "*batch"]:
     each = output.log_std + 0.5 * np.log(2.0 * np.pi * np.e)
     if output.location is not None:
         nodes, weights = (jnp.asarray(part, each.dtype) for part in (NODES, NODE_WEIGHTS / NODE_WEIGHTS.sum()))
-        before = output.location[..., None] + jnp.exp(output.log_std)[..., None] * nodes
-        each = each + (_log_slope(before) * weights).sum(-1)
+        location, deviation = output.location, jnp.exp(output.log_std)
+        slopes = jax.vmap(lambda node: _log_slope(location + node * deviation))(nodes)
+        each = each + jnp.tensordot(weights, slopes, 1)
     return each.sum(-1)
 
 

@@ -213,7 +213,9 @@ def agent_network(options: ReinforcementConfig, space: dict[str, Box]) -> ActorC
     if kind == "conv" and not images:
         raise InputError("network: conv is for images, and none is observed; add one, such as depth, or take mlp.")
     if kind == "attention" and (not people or len(people) == len(parts)):
-        raise InputError("network: attention needs observations of people and others, such as people and goal; add them.")
+        raise InputError(
+            "network: attention needs observations of people and others; add them, such as people and goal."
+        )
     return network.clone(encoder=encoder, parts=parts, raw=() if kind == "conv" else people)
 
 
