@@ -412,14 +412,15 @@ METHODS: dict[str, type[Config]] = {
 
 
 class ExportConfig(Config):
-    """Write a dataset in another project's format, or the best agent of a training as a small folder."""
+    """Write a dataset in another project's format, or the best agent of a training as a small folder or a model."""
 
-    format: Annotated[Literal["lerobot", "agent"], Option(positional=True)]
-    """lerobot: a dataset as LeRobotDataset v3.0; agent: a trained agent in two small files."""
+    format: Annotated[Literal["lerobot", "agent", "onnx"], Option(positional=True)]
+    """lerobot: a dataset as LeRobotDataset v3.0; agent: a trained agent in two small files; onnx: a trained agent as an
+    ONNX model, which needs neither jax nor this package."""
     source: Annotated[Path, Option(positional=True)]
-    """Folder of `sean collect`, or for agent of `sean train ppo`."""
+    """Folder of `sean collect`, or for agent and onnx of `sean train ppo`; for onnx also the name of an agent."""
     out: Path
-    """Folder to write; it must be new or empty."""
+    """Folder to write, which must be new or empty; for onnx a file that ends in .onnx."""
     quiet: fields.Quiet = False
 
     @property

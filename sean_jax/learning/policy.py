@@ -57,7 +57,7 @@ def load_policy(value: PolicyLike | Component | str, scenario: Scenario, option:
     """
     description = _description(value)
     if isinstance(description, Named) and description.kind not in POLICIES:
-        return load(_agent_folder(description.kind, option), scenario)
+        return load(agent_folder(description.kind, option), scenario)
     part = components.resolve(description, POLICIES, option)
     try:
         policy = as_policy(part)
@@ -80,7 +80,7 @@ def load(folder: Path | str, scenario: Scenario) -> Policy:
         IncompleteError: the checkpoint cannot be read.
     """
     if isinstance(folder, str) and folder in AGENTS:
-        folder = _agent_folder(folder, "folder")
+        folder = agent_folder(folder, "folder")
     folder = Path(folder)
     if not is_packed(folder) and networks.read_method(folder) in ("imitation", "dagger"):
         return load_imitation(folder, scenario)
@@ -99,7 +99,7 @@ def check_policy(value: PolicyLike | Component | str, config: ScenarioConfig, op
         if not (isinstance(part, Policy) or callable(part)):
             raise InputError(f"{option}: {description.kind} must be a Policy or a function (scenario, state, key).")
     elif description.kind not in POLICIES:
-        folder = _agent_folder(description.kind, option)
+        folder = agent_folder(description.kind, option)
         method = networks.read_method(folder)
         if issubclass(METHODS[method], ReinforcementConfig):
             options = read_options(folder)
@@ -116,7 +116,7 @@ def _description(value: Any) -> Component:
     return value if isinstance(value, Component) else validate(RunConfig, {"policy": value}).policy
 
 
-def _agent_folder(name: str, option: str) -> Path:
+def agent_folder(name: str, option: str) -> Path:
     """The folder of an agent of the package, or of one's own; a name that may mean both is refused."""
     path = Path(name)
     if name in AGENTS:
