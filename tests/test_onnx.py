@@ -63,7 +63,7 @@ def saved(folder: Path, config: PPOConfig):
     agent = init(jax.random.key(0))
     size = agent.statistics.mean.shape[0]
     statistics = agent.statistics.replace(mean=jnp.linspace(-1.0, 2.0, size), variance=jnp.linspace(0.1, 5.0, size))
-    louder = lambda leaf: leaf * (30.0 if leaf.shape[1:] == (2,) else 1.0) + 0.05  # noqa: E731
+    louder = lambda leaf: leaf + 0.05 if leaf.ndim == 1 else leaf * (30.0 if leaf.shape[1:] == (2,) else 1.0)  # noqa: E731
     parameters = jax.tree.map(louder, agent.parameters)
     folder.mkdir()
     save_agent(folder, networks.Agent(parameters, statistics), config.identity() | {"method": "ppo"})
