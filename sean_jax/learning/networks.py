@@ -382,7 +382,8 @@ class AttentionEncoder(nn.Module):
         crowds = []
         for name in self.people:
             *earlier, _, columns = observation[name].shape  # readings of other times, attended to each by itself
-            each = nn.vmap(_attend, in_axes=(0, None), variable_axes={"params": None}, split_rngs={"params": False})
+            axes: Any = (0, None)
+            each = nn.vmap(_attend, in_axes=axes, variable_axes={"params": None}, split_rngs={"params": False})
             rows = observation[name].reshape(-1, observation[name].shape[-2], columns)
             crowds.append(each(PeopleAttention(), rows, query).reshape(-1))
         seen = [_Images(self.width, self.dtype)(observation[name].astype(self.dtype)) for name in self.images]

@@ -175,7 +175,7 @@ class _Translation:
         infos = [
             [helper.make_tensor_value_info(name, _kind(each.dtype), each.shape) for name, each in end] for end in ends
         ]
-        return helper.make_graph(nodes[::-1], "policy", *infos, arrays)
+        return helper.make_graph(nodes[::-1], "policy", infos[0], infos[1], arrays)
 
     def run(self, closed: Any, arguments: Sequence[Any]) -> list[Any]:
         """The values of a program with its constants."""
@@ -307,7 +307,7 @@ class _Translation:
         )  # fmt: skip
         return self.node("Transpose", result, perm=[int(axis) for axis in np.argsort(order.out_spec)])
 
-    def reshape(self, value: Any, shape: Sequence[int]) -> Any:
+    def reshape(self, value: Any, shape: Sequence[int] | np.ndarray) -> Any:
         """The value in another shape."""
         return self.node("Reshape", value, np.asarray(shape, np.int64))
 

@@ -35,7 +35,7 @@ from sean_jax.config import (
 from sean_jax.errors import InputError
 from sean_jax.learning import networks
 from sean_jax.learning.examples import SECONDS, depth_image, plan_ahead
-from sean_jax.learning.networks import CONFIG, ActorCritic, Agent, Decision, Network, Weights
+from sean_jax.learning.networks import CONFIG, ActorCritic, Agent, ConvEncoder, Decision, Network, Weights
 from sean_jax.mdp import observations, to_command
 from sean_jax.mdp.spaces import Box
 from sean_jax.policies import POLICIES
@@ -102,9 +102,7 @@ def check_policy(value: PolicyLike | Component | str, config: ScenarioConfig, op
         folder = agent_folder(description.kind, option)
         method = networks.read_method(folder)
         if issubclass(METHODS[method], ReinforcementConfig):
-            options = read_options(folder)
-            agent_terms(options)
-            _encoder(options)
+            agent_terms(read_options(folder))
         if method != "imitation":
             return
         sets = [part.kind for part in config.situations if isinstance(part, Named)]
@@ -172,7 +170,7 @@ def agent_terms(options: ReinforcementConfig) -> tuple[observations.Terms, obser
     """The observation terms of the actor, and the critic's further ones.
 
     Raises:
-        InputError: there is no term of a name, or the critic's are images or the actor's.
+        InputError: there is no term of a name, the critic's are images or the actor's, or the network is none for them.
     """
     actor_terms = registry.observation_terms(options.observations)
     private = registry.observation_terms(options.critic, "critic")
@@ -180,6 +178,7 @@ def agent_terms(options: ReinforcementConfig) -> tuple[observations.Terms, obser
         if term.image or name in dict(actor_terms):
             why = "is an image" if term.image else "is already an observation of the actor"
             raise InputError(f"critic: {name} {why}; choose another term.")
+    _encoder(options, actor_terms)
     return actor_terms, private
 
 
@@ -203,26 +202,29 @@ def agent_network(options: ReinforcementConfig, space: dict[str, Box]) -> ActorC
         bfloat16=options.bfloat16,
         squashed=options.distribution == "squashed",
     )
-    encoder, kind = _encoder(options), options.network.kind
+    encoder = _encoder(options, actor_terms)
     if encoder is None:
         return network
     if isinstance(encoder, nn.Module):
         networks.check_encoder(encoder, {**dict(parts), **{name: space[name].shape for name in images}})
     else:
         encoder = encoder(options.width, images, people, network.image_dtype)
-    if kind == "conv" and not images:
-        raise InputError("network: conv is for images, and none is observed; add one, such as depth, or take mlp.")
-    if kind == "attention" and (not people or len(people) == len(parts)):
-        raise InputError(
-            "network: attention needs observations of people and others; add them, such as people and goal."
-        )
-    return network.clone(encoder=encoder, parts=parts, raw=() if kind == "conv" else people)
+    return network.clone(encoder=encoder, parts=parts, raw=() if isinstance(encoder, ConvEncoder) else people)
 
 
-def _encoder(options: ReinforcementConfig) -> Any:
-    """The user's flax module, made without arguments if it is a class; else a value of ``NETWORKS``."""
+def _encoder(options: ReinforcementConfig, terms: observations.Terms) -> Any:
+    """A value of ``NETWORKS``, or the user's flax module, made without arguments if it is a class.
+
+    Raises:
+        InputError: there is none, it is no module, or it does not fit the observations.
+    """
     value, name = components.resolve(options.network, networks.NETWORKS, "network"), options.network.label
     if isinstance(options.network, Named):
+        if name == "conv" and not any(term.image for _, term in terms):
+            raise InputError("network: conv is for images, and none is observed; add one, such as depth, or take mlp.")
+        crowds = [term.people for _, term in terms if not term.image]
+        if name == "attention" and (not any(crowds) or all(crowds)):
+            raise InputError("network: attention needs observations of people and others; add people or goal.")
         return value
     if isinstance(value, type) and issubclass(value, nn.Module):
         try:
