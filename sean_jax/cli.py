@@ -278,6 +278,11 @@ def _benchmark(options: config.BenchmarkConfig, console: "Console") -> None:
 
 
 def _export(options: config.ExportConfig, console: "Console") -> None:
+    if options.format == "onnx":
+        check_file(options.out, [".onnx"])
+        from sean_jax.learning import onnx
+
+        return _print(console, "written: ", onnx.export(options.source, options.out))
     check_new_folder(options.out)
     from sean_jax import components, learning
 

@@ -13,6 +13,7 @@ from sean_jax.versions import versions
 EXTRAS = {
     "learning": "orbax.checkpoint",
     "lerobot": "pyarrow",
+    "export": "onnx",
     "gymnasium": "gymnasium",
     "adapters": "brax",
     "stable-baselines3": "stable_baselines3",

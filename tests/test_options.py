@@ -246,6 +246,14 @@ export lerobot nope --out full | --out; the folder full is not empty
 export lerobot nope --out file | --out; file is a file
 export agent nope --out full | --out; the folder full is not empty
 export agent nope --out new | nope has no trained agent; sean train ppo
+export onnx ppo --out sheet | --out: sheet has no ending; must end in one of .onnx
+export onnx ppo --out nope/agent.onnx | there is no folder nope; make it first
+train ppo --environment lab --network atention | network: 'atention' is not one of; did you mean 'attention'
+train ppo --environment lab --network conv | network: conv is for images; add one
+train ppo --environment lab --costs colision_with_obstacle=1 | costs: 'colision_with_obstacle'; did you mean
+train ppo --environment lab --costs progress=1 | costs: progress is a potential; choose a term of each step
+train ppo --costs time | --costs: time has no limit above 0 per minute; write time=0.1
+train ppo --distribution squash | --distribution: 'squash' is not; did you mean
 train ppo --environment lab,nope | environment 'nope' is not one of; give one of them
 train ppo --environment lab,lab | --environment: 'lab' is listed twice; list it once
 train ppo --pretrained nope | nope has no trained agent; sean train ppo

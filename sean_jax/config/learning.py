@@ -282,6 +282,15 @@ class ReinforcementConfig(EnvConfig):
     distributed: Annotated[bool, NO_EFFECT] = False
     """Join the other processes of this training, on one or more hosts, as SLURM and MPI start them."""
     quiet: fields.Quiet = False
+    network: Part = Named(kind="mlp")
+    """Network: mlp, layers alone; attention, over people; conv, strided convolutions of images; or FILE.py:NAME, a
+    flax module that gives the features of an observation."""
+    distribution: Literal["gaussian", "squashed"] = "gaussian"
+    """Distribution of actions: gaussian, clipped to the robot's limits; or squashed, tanh of a Gaussian, which never
+    exceeds them."""
+    costs: tuple[fields.Text, ...] = ()
+    """Costs with a limit per minute, such as intimate_robot_on_person=0.1: terms of the reward, whose weights are
+    learned so that the limits are kept."""
 
     @pydantic.model_validator(mode="after")
     def _check_numbers(self) -> Self:
@@ -305,6 +314,10 @@ class ReinforcementConfig(EnvConfig):
         if self.updates >= 2**31:
             text = f"{self.steps} make {self.updates:,} updates, more than {2**31 - 1:,}"
             yield f"steps: {text}; take more scenarios or a longer horizon"
+        if both := [
+            name for name in self.cost_limits if any(text.startswith(f"rewards.{name}=") for text in self.sweep)
+        ]:
+            yield f"sweep: the weight of the cost {both[0]} is learned; leave rewards.{both[0]} out"
         if self.seed + self.seeds > 2**32:
             text = f"{self.seeds} consecutive seeds from {self.seed} go beyond {2**32 - 1}"
             yield f"seeds: {text}; take a lesser seed"
@@ -318,6 +331,25 @@ class ReinforcementConfig(EnvConfig):
     def updates(self) -> int:
         """The number of updates of a training."""
         return max(1, -(-self.steps // (self.scenarios * self.horizon)))
+
+    @pydantic.field_validator("costs")
+    @classmethod
+    def _check_costs(cls, costs: tuple[str, ...]) -> tuple[str, ...]:
+        fields.check_once([text.partition("=")[0] for text in costs])
+        for text in costs:
+            name, _, limit = text.partition("=")
+            try:
+                possible = 0.0 < float(limit) < math.inf
+            except ValueError:
+                possible = False
+            if not possible:
+                raise ValueError(f"{text} has no limit above 0 per minute; write {name}=0.1")
+        return costs
+
+    @property
+    def cost_limits(self) -> dict[str, float]:
+        """Cost -> its limit per minute."""
+        return {name: float(limit) for name, _, limit in (text.partition("=") for text in self.costs)}
 
     @property
     def environments(self) -> list[str]:
@@ -406,14 +438,15 @@ METHODS: dict[str, type[Config]] = {
 
 
 class ExportConfig(Config):
-    """Write a dataset in another project's format, or the best agent of a training as a small folder."""
+    """Write a dataset in another project's format, or the best agent of a training as a small folder or a model."""
 
-    format: Annotated[Literal["lerobot", "agent"], Option(positional=True)]
-    """lerobot: a dataset as LeRobotDataset v3.0; agent: a trained agent in two small files."""
+    format: Annotated[Literal["lerobot", "agent", "onnx"], Option(positional=True)]
+    """lerobot: a dataset as LeRobotDataset v3.0; agent: a trained agent in two small files; onnx: a trained agent as an
+    ONNX model, which needs neither jax nor this package."""
     source: Annotated[Path, Option(positional=True)]
-    """Folder of `sean collect`, or for agent of `sean train ppo`."""
+    """Folder of `sean collect`, or for agent and onnx of `sean train ppo`; for onnx also the name of an agent."""
     out: Path
-    """Folder to write; it must be new or empty."""
+    """Folder to write, which must be new or empty; for onnx a file that ends in .onnx."""
     quiet: fields.Quiet = False
 
     @property

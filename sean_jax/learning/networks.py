@@ -7,11 +7,13 @@ encodings and gives the command. The paper states no layer sizes; these were cho
 pixels and width 64 there are 139,825 parameters, 152,691 with situations.
 
 ``ActorCritic`` normalizes the numbers of an observation by their running mean and deviation. Images are cut into
-squares and go through dense layers, after distances have become nearness. Its memory is a gated recurrent unit.
+squares and go through dense layers, after distances have become nearness. Its memory is a gated recurrent unit. An
+encoder, one of ``ENCODERS`` or the user's own, may take the place of all before the memory.
 
 [50] A. Pokle et al., "Deep Local Trajectory Replanning and Control for Robot Navigation", ICRA 2019.
 """
 
+import math
 import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -25,7 +27,7 @@ from flax import struct
 from flax.typing import VariableDict
 from jaxtyping import Bool, Float, UInt16
 
-from sean_jax import files
+from sean_jax import calls, files
 from sean_jax.base import Array
 from sean_jax.config import MAX_PIXELS, METHODS
 from sean_jax.errors import FileError, InputError
@@ -247,6 +249,11 @@ def read_network(folder: Path, situations: list[str]) -> tuple[Network, int]:
 
 CLIP = 10.0  # deviations, at which normalized numbers are clipped
 INITIAL_LOG_STD = -0.7  # of actions from -1 to 1
+FAR_LOCATION = 4.0  # tanh of it is 0.9993: nearer to 1, 32 bits do not tell actions apart
+MAX_ACTION = 1.0 - 1e-6  # of squashed actions
+NODES, NODE_WEIGHTS = np.polynomial.hermite_e.hermegauss(16)  # of an integral over a normal distribution
+EMBEDDING, HEADS = 64, 4  # of attention over people
+CONVOLUTIONS = ((5, 16), (3, 32), (3, 32), (3, 32))  # side of the kernel, and features of each, at a stride of 2
 
 
 # ------------------------------------------------------------------ reinforcement learning
@@ -255,10 +262,11 @@ INITIAL_LOG_STD = -0.7  # of actions from -1 to 1
 class NetworkOutput(NamedTuple):
     """The output of the actor and the critic."""
 
-    mean: Float[Array, "*batch 2"]  # of the action
-    log_std: Float[Array, "*batch 2"]  # of the action
+    mean: Float[Array, "*batch 2"]  # of the action; of squashed actions the median
+    log_std: Float[Array, "*batch 2"]  # of the action; of squashed actions before tanh
     value: Float[Array, "*batch"]  # expected return
     memory: Float[Array, "*batch M"]  # for the next step; M = 0 without a memory
+    location: Float[Array, "*batch 2"] | None = None  # mean of squashed actions before tanh; None: they are Gaussian
 
 
 class ActorCritic(nn.Module):
@@ -270,6 +278,10 @@ class ActorCritic(nn.Module):
     recurrent: bool = False
     private: int = 0  # numbers at the end of the vector, for the critic alone
     bfloat16: bool = False  # of images
+    squashed: bool = False  # whether actions are tanh of a Gaussian
+    encoder: nn.Module | None = None  # dict of one observation -> features; None: numbers, and squares of images
+    parts: tuple[tuple[str, tuple[int, ...]], ...] = ()  # name and shape of each part of the vector, for an encoder
+    raw: tuple[str, ...] = ()  # names of parts that an encoder gets without normalization
 
     @property
     def memory_size(self) -> int:
@@ -298,9 +310,11 @@ class ActorCritic(nn.Module):
         """
         shared = vector.shape[-1] - self.private
         vector, private = vector[..., :shared], vector[..., shared:]
-        features = jnp.concatenate(
-            [vector, *(_Images(self.width, self.image_dtype)(images[name]) for name in self.images)], -1
-        )
+        if self.encoder is None:
+            seen = [_Images(self.width, self.image_dtype)(images[name]) for name in self.images]
+            features = jnp.concatenate([vector, *seen], -1)
+        else:
+            features = self._encode(self.encoder, vector, images)
         if self.recurrent:
             memory = jnp.where(start[..., None], 0.0, memory)
             features = nn.tanh(_dense(self.width)(features))
@@ -311,7 +325,21 @@ class ActorCritic(nn.Module):
         mean, value = _dense(2, 0.01)(actor), _dense(1, 1.0)(critic)
         start_value = nn.initializers.constant(INITIAL_LOG_STD)
         log_std = jnp.broadcast_to(self.param("log_std", start_value, (2,)), mean.shape)
-        return NetworkOutput(mean, log_std, value[..., 0], memory)
+        if not self.squashed:
+            return NetworkOutput(mean, log_std, value[..., 0], memory)
+        location = FAR_LOCATION * nn.tanh(mean / FAR_LOCATION)
+        return NetworkOutput(nn.tanh(location), log_std, value[..., 0], memory, location)
+
+    def _encode(self, encoder: nn.Module, vector: Array, images: dict[str, Array]) -> Array:
+        """Features (..., K) of the actor's part of the vector and of images; the encoder sees one observation."""
+        lead = vector.shape[:-1]
+        sizes = np.cumsum([np.prod(shape, dtype=int) for _, shape in self.parts])
+        numbers = jnp.split(vector, sizes[:-1], -1)
+        seen = {name: part.reshape(-1, *shape) for (name, shape), part in zip(self.parts, numbers, strict=True)}
+        for name in self.images:
+            seen[name] = images[name].astype(jnp.float32).reshape(-1, *images[name].shape[len(lead) :])
+        each = nn.vmap(_call, variable_axes={"params": None}, split_rngs={"params": False})
+        return each(encoder, seen).reshape(*lead, -1)
 
 
 class _Images(nn.Module):
@@ -322,10 +350,130 @@ class _Images(nn.Module):
 
     @nn.compact
     def __call__(self, image: Array) -> Array:
-        values = 1.0 / (1.0 + image[..., None]) if image.shape[-1] > 4 else image  # near things matter most
+        values = _nearness(image)
         for side, features in PATCHES:
             values = nn.relu(_dense(features, dtype=self.dtype)(squares(values, side)))
         return nn.relu(_dense(self.width, dtype=self.dtype)(values.reshape(*values.shape[:-3], -1))).astype(jnp.float32)
+
+
+def _call(encoder: nn.Module, observation: dict[str, Array]) -> Array:
+    call: Callable = encoder
+    return call(observation)
+
+
+class AttentionEncoder(nn.Module):
+    """The numbers, squares of images, and people: of all who are present, weighted by attention, so that their order
+    and number do not matter. The other numbers ask.
+
+    Source: C. Chen et al., "Crowd-robot interaction: crowd-aware robot navigation with attention-based deep
+    reinforcement learning", ICRA 2019.
+    """
+
+    width: int  # of images
+    images: tuple[str, ...]
+    people: tuple[str, ...]  # names of parts with rows of people
+    dtype: Any  # of images
+
+    @nn.compact
+    def __call__(self, observation: dict[str, Array]) -> Float[Array, "F"]:
+        """The features of one observation."""
+        others = [name for name in observation if name not in (*self.people, *self.images)]
+        query = jnp.concatenate([observation[name].reshape(-1) for name in others])
+        crowds = []
+        for name in self.people:
+            *earlier, _, columns = observation[name].shape  # readings of other times, attended to each by itself
+            axes: Any = (0, None)
+            each = nn.vmap(_attend, in_axes=axes, variable_axes={"params": None}, split_rngs={"params": False})
+            rows = observation[name].reshape(-1, observation[name].shape[-2], columns)
+            crowds.append(each(PeopleAttention(), rows, query).reshape(-1))
+        seen = [_Images(self.width, self.dtype)(observation[name].astype(self.dtype)) for name in self.images]
+        return jnp.concatenate([query, *crowds, *seen])
+
+
+class PeopleAttention(nn.Module):
+    """Attention of several heads over people, whose last column is 1 if there is one."""
+
+    @nn.compact
+    def __call__(self, rows: Float[Array, "N C"], query: Float[Array, "F"]) -> Float[Array, "E"]:
+        """(EMBEDDING,), 0 if nobody is present. Absent people have no effect, whatever their numbers are."""
+        present = rows[:, -1] > 0.5
+        hidden = jnp.where(present[:, None], rows, 0.0) / observations.REACH
+        for _ in range(2):
+            hidden = nn.relu(_dense(EMBEDDING)(hidden))
+        heads = HEADS, EMBEDDING // HEADS
+        keys, values = (_dense(EMBEDDING, 1.0)(hidden).reshape(-1, *heads) for _ in range(2))
+        asked = _dense(EMBEDDING, 1.0)(query).reshape(1, *heads)
+        scores = jnp.where(present[:, None], (keys * asked).sum(-1) / math.sqrt(heads[1]), -jnp.inf)  # (N, HEADS)
+        anybody = present.any()
+        shares = nn.softmax(jnp.where(anybody, scores, 0.0), 0)
+        return jnp.where(anybody, (shares[..., None] * values).sum(0), 0.0).reshape(-1)
+
+
+def _attend(attention: PeopleAttention, rows: Array, query: Array) -> Array:
+    return attention(rows, query)
+
+
+class ConvEncoder(nn.Module):
+    """The numbers, and images through strided convolutions."""
+
+    width: int  # of the encoding of an image
+    images: tuple[str, ...]
+    dtype: Any  # of images
+
+    @nn.compact
+    def __call__(self, observation: dict[str, Array]) -> Float[Array, "F"]:
+        """The features of one observation."""
+        features = [part.reshape(-1) for name, part in observation.items() if name not in self.images]
+        for name in self.images:
+            values = _nearness(observation[name].astype(self.dtype))
+            for side, channels in CONVOLUTIONS:
+                start = nn.initializers.orthogonal(np.sqrt(2.0))
+                values = nn.Conv(channels, (side, side), strides=2, dtype=self.dtype, kernel_init=start)(values)
+                values = nn.relu(values)
+            features.append(nn.relu(_dense(self.width, dtype=self.dtype)(values.reshape(-1))).astype(jnp.float32))
+        return jnp.concatenate(features)
+
+
+NETWORKS: dict[str, Callable[..., nn.Module] | None] = {
+    "mlp": None,
+    "attention": AttentionEncoder,
+    "conv": lambda width, images, people, dtype: ConvEncoder(width, images, dtype),
+}
+"""name -> encoder of (width, names of images, names of people, type of images); None: the network's own"""
+
+
+class _Checked(NamedTuple):
+    """The call of a user's encoder, for sentences about its mistakes."""
+
+    function: nn.Module
+
+    def __call__(self, observation: dict[str, Array]) -> tuple[Array, VariableDict]:
+        return self.function.init_with_output(jax.random.key(0), observation)  # pyright: ignore
+
+
+def check_encoder(encoder: nn.Module, observation: dict[str, tuple[int, ...]]) -> None:
+    """Refuse an encoder of the user's own that does not take an observation of these shapes, or gives no features.
+
+    Raises:
+        PartError: in one sentence with its class, file and line.
+    """
+
+    def check(observation: dict[str, Array]) -> None:
+        result, variables = calls.call("network", _Checked(encoder), "observation", observation)
+        actual, expected = calls.describe(result), "float32 (features,)"
+        if not (isinstance(result, jax.Array) and result.ndim == 1 and result.dtype == jnp.float32):
+            cure = "give the features of one observation, as by x.reshape(-1); the trainer adds batch and outputs"
+            raise calls.wrong("network", encoder, actual, expected, cure)
+        if others := sorted(variables.keys() - {"params"}):
+            cure = "leave out layers with a state, such as BatchNorm"
+            raise calls.wrong("network", encoder, f"{', '.join(others)}", "parameters alone", cure)
+
+    jax.eval_shape(check, {name: jax.ShapeDtypeStruct(shape, jnp.float32) for name, shape in observation.items()})
+
+
+def _nearness(image: Array) -> Array:
+    """Distances (..., H, W) m as (..., H, W, 1), 1 for near, since near things matter most; colors as they are."""
+    return 1.0 / (1.0 + image[..., None]) if image.shape[-1] > 4 else image
 
 
 def _dense(features: int, gain: float = np.sqrt(2.0), dtype: Any = jnp.float32) -> nn.Dense:
@@ -411,9 +559,12 @@ def apply(
     images.
     """
     mean, variance = (jnp.broadcast_to(row, vector.shape) for row in (agent.statistics.mean, agent.statistics.variance))
-    scaled = (vector - mean) * jax.lax.rsqrt(variance + 1e-8)
+    scaled = jnp.clip((vector - mean) * jax.lax.rsqrt(variance + 1e-8), -CLIP, CLIP)
+    if network.raw:
+        own = [np.full(np.prod(shape, dtype=int), name in network.raw) for name, shape in network.parts]
+        scaled = jnp.where(np.concatenate([*own, np.zeros(network.private, bool)]), vector, scaled)
     call: Callable = network.apply
-    return call(agent.parameters, jnp.clip(scaled, -CLIP, CLIP), images, memory, start)
+    return call(agent.parameters, scaled, images, memory, start)
 
 
 def update_statistics(before: Statistics, vectors: Float[Array, "K F"]) -> Statistics:
@@ -432,15 +583,35 @@ def update_statistics(before: Statistics, vectors: Float[Array, "K F"]) -> Stati
 def draw_action(output: NetworkOutput, key: Array) -> Float[Array, "*batch 2"]:
     """An action with its noise."""
     noise = jax.random.normal(key, output.mean.shape, output.mean.dtype)
-    return output.mean + jnp.exp(output.log_std) * noise
+    if output.location is None:
+        return output.mean + jnp.exp(output.log_std) * noise
+    return jnp.clip(jnp.tanh(output.location + jnp.exp(output.log_std) * noise), -MAX_ACTION, MAX_ACTION)
 
 
 def log_density(output: NetworkOutput, action: Float[Array, "*batch 2"]) -> Float[Array, "*batch"]:
-    """Logarithm of the density with which an action is taken."""
-    gap = (action - output.mean) * jnp.exp(-output.log_std)
-    return -(0.5 * gap * gap + output.log_std + 0.5 * np.log(2.0 * np.pi)).sum(-1)
+    """Logarithm of the density with which an action is taken.
+
+    Source, of squashed actions: T. Haarnoja et al., "Soft actor-critic", ICML 2018, appendix C.
+    """
+    center, wide = output.mean, jnp.zeros_like(action)
+    if output.location is not None:
+        action = jnp.arctanh(jnp.clip(action, -MAX_ACTION, MAX_ACTION))
+        center, wide = output.location, _log_slope(action)
+    gap = (action - center) * jnp.exp(-output.log_std)
+    return -(0.5 * gap * gap + output.log_std + 0.5 * np.log(2.0 * np.pi) + wide).sum(-1)
 
 
 def entropy(output: NetworkOutput) -> Float[Array, "*batch"]:
-    """Entropy of the actions."""
-    return (output.log_std + 0.5 * np.log(2.0 * np.pi * np.e)).sum(-1)
+    """Entropy of the actions; of squashed ones by Gauss-Hermite quadrature, so it needs no samples."""
+    each = output.log_std + 0.5 * np.log(2.0 * np.pi * np.e)
+    if output.location is not None:
+        nodes, weights = (jnp.asarray(part, each.dtype) for part in (NODES, NODE_WEIGHTS / NODE_WEIGHTS.sum()))
+        location, deviation = output.location, jnp.exp(output.log_std)
+        slopes = jax.vmap(lambda node: _log_slope(location + node * deviation))(nodes)
+        each = each + jnp.tensordot(weights, slopes, 1)
+    return each.sum(-1)
+
+
+def _log_slope(value: Array) -> Array:
+    """Logarithm of the derivative of tanh, 1 - tanh(value)^2, finite for all values."""
+    return 2.0 * (math.log(2.0) - value - nn.softplus(-2.0 * value))

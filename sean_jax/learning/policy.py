@@ -15,10 +15,11 @@ from typing import Any, cast
 import jax
 import jax.numpy as jnp
 import numpy as np
+from flax import linen as nn
 from flax import struct
 from jaxtyping import Float, Int, PyTree
 
-from sean_jax import components, episodes, files, navigation, registry, sensors, writing
+from sean_jax import calls, components, episodes, files, navigation, registry, sensors, writing
 from sean_jax.base import Array, Policy, PolicyLike, Scenario, State, as_policy
 from sean_jax.classifiers import SITUATION_SETS
 from sean_jax.config import (
@@ -34,7 +35,7 @@ from sean_jax.config import (
 from sean_jax.errors import InputError
 from sean_jax.learning import networks
 from sean_jax.learning.examples import SECONDS, depth_image, plan_ahead
-from sean_jax.learning.networks import CONFIG, ActorCritic, Agent, Decision, Network, Weights
+from sean_jax.learning.networks import CONFIG, ActorCritic, Agent, ConvEncoder, Decision, Network, Weights
 from sean_jax.mdp import observations, to_command
 from sean_jax.mdp.spaces import Box
 from sean_jax.policies import POLICIES
@@ -56,7 +57,7 @@ def load_policy(value: PolicyLike | Component | str, scenario: Scenario, option:
     """
     description = _description(value)
     if isinstance(description, Named) and description.kind not in POLICIES:
-        return load(_agent_folder(description.kind, option), scenario)
+        return load(agent_folder(description.kind, option), scenario)
     part = components.resolve(description, POLICIES, option)
     try:
         policy = as_policy(part)
@@ -79,7 +80,7 @@ def load(folder: Path | str, scenario: Scenario) -> Policy:
         IncompleteError: the checkpoint cannot be read.
     """
     if isinstance(folder, str) and folder in AGENTS:
-        folder = _agent_folder(folder, "folder")
+        folder = agent_folder(folder, "folder")
     folder = Path(folder)
     if not is_packed(folder) and networks.read_method(folder) in ("imitation", "dagger"):
         return load_imitation(folder, scenario)
@@ -98,7 +99,7 @@ def check_policy(value: PolicyLike | Component | str, config: ScenarioConfig, op
         if not (isinstance(part, Policy) or callable(part)):
             raise InputError(f"{option}: {description.kind} must be a Policy or a function (scenario, state, key).")
     elif description.kind not in POLICIES:
-        folder = _agent_folder(description.kind, option)
+        folder = agent_folder(description.kind, option)
         method = networks.read_method(folder)
         if issubclass(METHODS[method], ReinforcementConfig):
             agent_terms(read_options(folder))
@@ -113,7 +114,7 @@ def _description(value: Any) -> Component:
     return value if isinstance(value, Component) else validate(RunConfig, {"policy": value}).policy
 
 
-def _agent_folder(name: str, option: str) -> Path:
+def agent_folder(name: str, option: str) -> Path:
     """The folder of an agent of the package, or of one's own; a name that may mean both is refused."""
     path = Path(name)
     if name in AGENTS:
@@ -169,7 +170,7 @@ def agent_terms(options: ReinforcementConfig) -> tuple[observations.Terms, obser
     """The observation terms of the actor, and the critic's further ones.
 
     Raises:
-        InputError: there is no term of a name, or the critic's are images or the actor's.
+        InputError: there is no term of a name, the critic's are images or the actor's, or the network is none for them.
     """
     actor_terms = registry.observation_terms(options.observations)
     private = registry.observation_terms(options.critic, "critic")
@@ -177,15 +178,67 @@ def agent_terms(options: ReinforcementConfig) -> tuple[observations.Terms, obser
         if term.image or name in dict(actor_terms):
             why = "is an image" if term.image else "is already an observation of the actor"
             raise InputError(f"critic: {name} {why}; choose another term.")
+    _encoder(options, actor_terms)
     return actor_terms, private
 
 
 def agent_network(options: ReinforcementConfig, space: dict[str, Box]) -> ActorCritic:
-    """The network of a description."""
+    """The network of a description.
+
+    Raises:
+        InputError: there is none of that name, or it does not fit the observations.
+        PartError: a network of the user's own does not take them, or gives no features.
+    """
     actor_terms, private = agent_terms(options)
     images = tuple(name for name, term in actor_terms if term.image)
-    hidden = sum(math.prod(space[name].shape) for name, _ in private)
-    return ActorCritic(options.width, options.layers, images, options.recurrent, hidden, options.bfloat16)
+    parts = tuple((name, space[name].shape) for name, term in actor_terms if not term.image)
+    people = tuple(name for name, term in actor_terms if term.people and not term.image)
+    network = ActorCritic(
+        width=options.width,
+        layers=options.layers,
+        images=images,
+        recurrent=options.recurrent,
+        private=sum(math.prod(space[name].shape) for name, _ in private),
+        bfloat16=options.bfloat16,
+        squashed=options.distribution == "squashed",
+    )
+    encoder = _encoder(options, actor_terms)
+    if encoder is None:
+        return network
+    if isinstance(encoder, nn.Module):
+        networks.check_encoder(encoder, {**dict(parts), **{name: space[name].shape for name in images}})
+    else:
+        encoder = encoder(options.width, images, people, network.image_dtype)
+    return network.clone(encoder=encoder, parts=parts, raw=() if isinstance(encoder, ConvEncoder) else people)
+
+
+def _encoder(options: ReinforcementConfig, terms: observations.Terms) -> Any:
+    """A value of ``NETWORKS``, or the user's flax module, made without arguments if it is a class.
+
+    Raises:
+        InputError: there is none, it is no module, or it does not fit the observations.
+    """
+    value, name = components.resolve(options.network, networks.NETWORKS, "network"), options.network.label
+    if isinstance(options.network, Named):
+        if name == "conv" and not any(term.image for _, term in terms):
+            raise InputError("network: conv is for images, and none is observed; add one, such as depth, or take mlp.")
+        crowds = [term.people for _, term in terms if not term.image]
+        if name == "attention" and (not any(crowds) or all(crowds)):
+            raise InputError("network: attention needs observations of people and others; add people or goal.")
+        return value
+    if isinstance(value, type) and issubclass(value, nn.Module):
+        try:
+            value = value()
+        except TypeError as error:
+            raise InputError(f"network: {name} cannot be made: {error}; give its fields defaults.") from error
+    if not isinstance(value, nn.Module):
+        text = f"network: {name} is {calls.describe(value)}, not a module of flax.linen"
+        raise InputError(f"{text}; give a class, such as class Net(nn.Module).")
+    try:
+        hash(value)
+    except TypeError as error:
+        raise InputError(f"network: {name} has a field that cannot be hashed; give a tuple for a list.") from error
+    return value
 
 
 def load_agent(folder: Path, scenario: Scenario) -> tuple[ActorCritic, Agent, observations.Terms]:
@@ -242,6 +295,9 @@ def _check_sizes(folder: Path, options: ReinforcementConfig, saved: dict[str, tu
     mean = f"{STATISTICS}mean"
     learned, present = (name.get(mean, (0,))[0] for name in (saved, shapes))
     what = f"{learned} numbers, and this scenario shows {present}"
+    if learned == present and options.network.kind != "mlp":
+        cure = f"restore the network of its training (its {CONFIG})"
+        raise InputError(f"{folder}: its weights are not those of the network {options.network.label}; {cure}.")
     if learned == present:
         what = "images of another size than this scenario's"
     terms = ", ".join(part.kind for part in options.observations)

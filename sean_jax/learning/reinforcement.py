@@ -30,6 +30,7 @@ from sean_jax.clock import ceil_ticks
 from sean_jax.config import ReinforcementConfig
 from sean_jax.episodes import init_policy, policy_step
 from sean_jax.errors import InputError
+from sean_jax.learning import costs as bounds
 from sean_jax.learning import curriculum as curricula
 from sean_jax.learning import dagger, ppo, rollouts, shac, trainer
 from sean_jax.learning import policy as policies
@@ -63,6 +64,7 @@ class TrainState:
     best: Best
     curriculum: Curriculum | None  # (A, ...); None: all starts of the pool are alike
     update: Int[Array, ""]  # updates done
+    multipliers: bounds.Multipliers | None = None  # of costs; None without any
 
 
 class Programs(NamedTuple):
@@ -116,12 +118,13 @@ def build(options: ReinforcementConfig) -> Setting:
     if options.pretrained is not None:
         _check_pretrained(options, options.pretrained)
     for config in options.per_environment:
-        registry.check(config)
+        bounds.with_costs(tuple(registry.check(config)["rewards"].items()), options.cost_limits)
     terms = sum(policies.agent_terms(options), ())
     envs = [registry.build_stack(config) for config in options.per_environment]
 
     def prepare(env: mdp.Env) -> mdp.Env:
-        return replace(curricula.prepare(env, options.curriculum), observations=terms)
+        env = replace(env, observations=terms, rewards=bounds.with_costs(env.rewards, options.cost_limits))
+        return curricula.prepare(env, options.curriculum)
 
     def without_metrics(env: mdp.Env) -> mdp.Env:
         return replace(env, scenario=replace(env.scenario, metrics=()))
@@ -176,7 +179,7 @@ def programs(options: ReinforcementConfig, network: ActorCritic, mesh: Mesh) -> 
     total, (terms, _) = options.updates, policies.agent_terms(options)
     curriculum_keys = jnp.stack([prng.key("curriculum", int(agent["seed"])) for agent in options.agents])
 
-    held = CRITIC_UPDATES if options.imitate is not None else 0
+    held, limits = CRITIC_UPDATES if options.imitate is not None else 0, options.cost_limits
 
     def begin(envs: Envs, agents: Agent) -> TrainState:
         def one(agent: Agent, key: Array, start: Array) -> tuple[PyTree, EnvBatch, Curriculum | None]:
@@ -190,7 +193,8 @@ def programs(options: ReinforcementConfig, network: ActorCritic, mesh: Mesh) -> 
         optimizer, batch, curriculum = jax.vmap(one)(agents, keys, curriculum_keys)
         count = keys.shape[0]
         best = Best(agents, jnp.full(count, LOWEST, jnp.float32), jnp.zeros(count, jnp.int32))
-        return TrainState(agents, optimizer, batch, best, curriculum, jnp.zeros((), jnp.int32))
+        multipliers = bounds.init(envs[0].member.rewards, limits, count)
+        return TrainState(agents, optimizer, batch, best, curriculum, jnp.zeros((), jnp.int32), multipliers)
 
     def update(envs: Envs, state: TrainState) -> tuple[TrainState, dict[str, Any]]:
         number = state.update + 1
@@ -208,11 +212,14 @@ def programs(options: ReinforcementConfig, network: ActorCritic, mesh: Mesh) -> 
             return *changed, batch, curriculum, log | more
 
         parts = state.agent, state.optimizer, state.rows, state.curriculum
-        agent, optimizer, batch, curriculum, log = jax.vmap(one)(*parts, keys, numbers)
+        learned = {REWARDS + name: weight for name, weight in bounds.weights(state.multipliers, limits).items()}
+        agent, optimizer, batch, curriculum, log = jax.vmap(one)(*parts, keys, numbers | learned)
+        time_step = envs[0].member.scenario.time_step
+        multipliers, told = bounds.follow(state.multipliers, limits, log["rewards"], time_step)
         unknown = state.best.update.max() == 0  # until the first evaluation, the latest agents are the best
         best = jax.tree.map(lambda old, new: jnp.where(unknown, new, old), state.best.agent, agent)
         state = replace(state, agent=agent, optimizer=optimizer, rows=batch, curriculum=curriculum, update=number)
-        return replace(state, best=replace(state.best, agent=best)), log
+        return replace(state, best=replace(state.best, agent=best), multipliers=multipliers), log | told
 
     def refill(envs: Envs, state: TrainState) -> TrainState:
         def one(agent: Agent, curriculum: Curriculum | None, start: Array) -> Curriculum:
@@ -228,13 +235,14 @@ def programs(options: ReinforcementConfig, network: ActorCritic, mesh: Mesh) -> 
         def one(agent: Agent, own: dict[str, Array]) -> list[dict[str, Any]]:
             policy = policies.agent_policy(network, agent, terms)
             each = zip(scenarios, _reweighted(envs, own), strict=True)
-            return [_evaluate_policy(scenario, env, policy, episode_keys) for scenario, env in each]
+            return [_evaluate_policy(scenario, env, policy, episode_keys, limits) for scenario, env in each]
 
         each = jax.vmap(one)(agents, numbers)
-        return jnp.stack([numbers["return"] for numbers in each]).mean(0), each
+        return jnp.stack([numbers.pop("value") for numbers in each]).mean(0), each
 
     whole, split = (NamedSharding(mesh, PartitionSpec(*axes)) for axes in ((), (None, devices.AXIS)))
     placed: Any = TrainState(agent=whole, optimizer=whole, rows=split, best=whole, curriculum=whole, update=whole)  # pyright: ignore
+    placed = replace(placed, multipliers=whole)
     return Programs(
         jax.jit(begin),
         jax.jit(update, donate_argnums=1, out_shardings=(placed, whole)),
@@ -272,37 +280,46 @@ def _reweighted(envs: Envs, numbers: dict[str, Any]) -> Envs:
     return tuple(env.map_member(change) for env in envs)
 
 
-def _evaluate_policy(measured: Scenario, envs: Stack[mdp.Env], policy: Policy, keys: Array) -> dict[str, Any]:
-    """Means over episodes in which the agent takes the mean of its actions: return, and the metrics of ``measured``.
+def _evaluate_policy(
+    measured: Scenario, envs: Stack[mdp.Env], policy: Policy, keys: Array, limits: dict[str, float]
+) -> dict[str, Any]:
+    """Means over episodes in which the agent takes the mean of its actions: return without costs, costs a minute, the
+    metrics of ``measured``, and the value by which agents are compared.
 
     They are on the first floors.
     """
     steps = math.ceil(measured.time_limit / measured.time_step) + 1
 
-    def episode(env: mdp.Env, key: Array) -> tuple[Array, Array, dict[str, Array]]:
+    def episode(env: mdp.Env, key: Array) -> tuple[tuple, Array, dict[str, Array]]:
         scenario = replace(env.scenario, metrics=measured.metrics)
         state = init_policy(scenario, policy, reset(scenario, key))
         potentials = rewards.potentials(env.rewards, scenario, state)
 
         def one(carry: tuple, _) -> tuple[tuple, None]:
-            before, then, total, going = carry
+            before, then, total, spent, number, going = carry
             after, _ = policy_step(scenario, policy, before)
             now = rewards.potentials(env.rewards, scenario, after)
             parts = rewards.of_step(env.rewards, scenario, before, after, then, now)
-            total += jnp.where(going, jnp.stack(list(parts.values())).sum(), 0.0)
+            spent = {name: spent[name] + jnp.where(going, parts.pop(name), 0.0) for name in limits}
+            total += jnp.where(going, jnp.stack(list(parts.values())).sum(), 0.0) if parts else 0.0
             ends = jnp.stack([after.completed, after.timed_out, *env.ends(scenario, before, after)])
             if env.terminations:  # completed and timed-out episodes are constant anyway
                 after = jax.tree.map(lambda old, new: jnp.where(going, new, old), before, after)
-            return (after, now, total, going & ~ends.any()), None
+            return (after, now, total, spent, number + going.astype(jnp.int32), going & ~ends.any()), None
 
-        carry = state, potentials, jnp.zeros((), float), jnp.ones((), bool)
-        (last, _, total, _), _ = jax.lax.scan(one, carry, length=steps)
-        return total, last.completed, results(scenario, last)
+        nothing = {name: jnp.zeros((), float) for name in limits}
+        carry = state, potentials, jnp.zeros((), float), nothing, jnp.zeros((), jnp.int32), jnp.ones((), bool)
+        (last, _, total, spent, number, _), _ = jax.lax.scan(one, carry, length=steps)
+        return (total, spent, number), last.completed, results(scenario, last)
 
     floors = min(envs.size, len(keys))
     keys = keys[: len(keys) // floors * floors]
-    total, completed, values = envs.take(np.arange(floors)).vmap(episode)(keys)
+    (total, spent, lasted), completed, values = envs.take(np.arange(floors)).vmap(episode)(keys)
+    minutes, terms = lasted.sum().astype(float) * (measured.time_step / 60.0), dict(envs.member.rewards)
+    rates = {name: part.sum() / terms[name].weight / minutes for name, part in spent.items()}
     numbers = {"return": total.mean(), "completed": completed.mean(dtype=jnp.float32)}
+    numbers |= {"value": total.mean() - bounds.penalty(rates, limits)}
+    numbers |= {f"{name} a minute": rate for name, rate in rates.items()}
     return numbers | {name: jnp.nanmean(value, 0) for name, value in values.items()}
 
 
@@ -468,6 +485,6 @@ def _decode(saved: PyTree, like: PyTree) -> PyTree:
 def _check_pretrained(options: ReinforcementConfig, folder: Path) -> None:
     """Refuse an agent with other observations or of another size."""
     saved, current = components.by_content(policies.read_options(folder)), components.by_content(options)
-    for name in ("observations", "critic", "width", "layers", "recurrent", "bfloat16"):
+    for name in ("observations", "critic", "width", "layers", "recurrent", "bfloat16", "network", "distribution"):
         if saved[name] != current[name]:
             raise InputError(f"pretrained: {folder} has {name} {saved[name]}, not {current[name]}; ask for the same.")
