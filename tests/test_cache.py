@@ -172,6 +172,7 @@ def test_no_folder_and_no_room_are_done_without(made, monkeypatch, tmp_path):
 def test_the_oldest_are_removed(made, monkeypatch):
     """By number and by bytes, least recently used first; what somebody left unfinished long ago as well."""
     monkeypatch.setattr(cache, "MAX_FILES", 3)
+    monkeypatch.setattr(cache, "WRITES", 1)
     old = time.time() - 10 * cache.ABANDONED_AFTER
     for number in range(3):
         cache.load_or_build("numbers", (), [number], numbers(50))

@@ -199,10 +199,11 @@ def in_processes(module: str, function: str, arguments: Sequence[str], folders: 
     number = min(os.cpu_count() or 1, len(folders) // SHARE)
     if number < 2:
         return
-    code = f"import sys; from {module} import {function}; {function}(*sys.argv[1:])"
-    command, environment = [sys.executable, "-c", code, *arguments], {**os.environ, "JAX_PLATFORMS": "cpu"}
+    without_gpu = "import os, sys; os.environ['JAX_PLATFORMS'] = 'cpu'"
+    code = f"{without_gpu}; from {module} import {function}; {function}(*sys.argv[1:])"
+    command = [sys.executable, "-c", code, *arguments]
     processes = [
-        subprocess.Popen([*command, *map(str, folders[turn::number])], env=environment, stderr=subprocess.DEVNULL)
+        subprocess.Popen([*command, *map(str, folders[turn::number])], stderr=subprocess.DEVNULL)
         for turn in range(number)
     ]
     try:

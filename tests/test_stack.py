@@ -1,0 +1,164 @@
+"""Stacks of floors: the same results as each floor alone, tables that are not copied, sets of worlds by name."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import sean_jax
+from sean_jax import assembly, kernels, padding, registry, reset, runner, stack, step, worlds
+from sean_jax.base import Obstacles
+from sean_jax.config import EnvConfig, PPOConfig, ScenarioConfig, validate
+from sean_jax.errors import InputError
+from sean_jax.geometry import FAR
+from sean_jax.policies import go_to_goal
+
+SET = "worlds:passages,aisles,square:3"
+
+
+def options(**more) -> ScenarioConfig:
+    return validate(ScenarioConfig, {"environment": SET, "people": 20, "task": "join_group", **more})
+
+
+@pytest.fixture(scope="module")
+def floors() -> stack.Stack:
+    config = options()
+    floors = assembly.build_stack(config)
+    return floors.map_member(lambda scenario: assembly.with_tasks(config, scenario)[0])
+
+
+def drive(scenario, key):
+    def one(state, _):
+        state = step(scenario, state, jnp.array([0.4, 0.2]))
+        return state, (state.pedestrians.position, state.robot.position, state.metrics)
+
+    return jax.lax.scan(one, reset(scenario, key), length=60)
+
+
+def test_each_floor_is_as_it_is_alone(floors):
+    """Tasks, people, robots and metrics, from equal keys, with other numbers of obstacles, arcs, nodes and seats."""
+    keys = jax.random.split(jax.random.key(1), 6)
+    state, (people, robots, metrics) = jax.jit(lambda floors, keys: floors.vmap(drive)(keys))(floors, keys)
+    for number, folder in enumerate(worlds.find(SET)):
+        rows = slice(2 * number, 2 * number + 2)
+        alone = sean_jax.make(str(folder), people=20, task="join_group")
+        assert alone.environment.obstacles.yaw.shape <= floors.member.environment.obstacles.yaw.shape
+        last, (each_people, each_robots, each_metrics) = jax.jit(jax.vmap(drive, (None, 0)))(alone, keys[rows])
+        np.testing.assert_allclose(last.task.goal, state.task.goal[rows], atol=1e-5)
+        np.testing.assert_allclose(last.task.geodesic, state.task.geodesic[rows], rtol=1e-5)
+        np.testing.assert_allclose(each_people, people[rows], atol=1e-4)
+        np.testing.assert_allclose(each_robots, robots[rows], atol=1e-4)
+        for one, other in zip(*map(jax.tree.leaves, (each_metrics, metrics)), strict=True):
+            np.testing.assert_allclose(one, other[rows], rtol=1e-3, atol=1e-3)
+    assert np.abs(np.diff(people, axis=1)).max() > 0.01
+
+
+def test_a_member_is_its_floor(floors):
+    for number, name in enumerate(floors.names):
+        member = floors.at(number)
+        alone = sean_jax.make(str(worlds.find(SET)[number]), people=20, task="join_group")
+        count = alone.environment.obstacles.yaw.shape[0]
+        np.testing.assert_array_equal(member.environment.obstacles.center[:count], alone.environment.obstacles.center)
+        assert (np.asarray(member.environment.obstacles.center[count:]) == FAR).all() and name in str(worlds.find(SET))
+    some = floors.take(np.array([2, 0, 2]))
+    np.testing.assert_array_equal(some.at(1).environment.floor, floors.at(0).environment.floor)
+    np.testing.assert_array_equal(some.member.environment.floor, floors.at(2).environment.floor)
+
+
+def test_people_who_are_not_there_stay_away():
+    """Without a number of people each floor has its own, and places for as many as the most crowded."""
+    floors = assembly.build_stack(options(people=None))
+    config = options()
+    floors = floors.map_member(lambda scenario: assembly.with_tasks(config, scenario)[0])
+    state = jax.jit(lambda floors, keys: floors.vmap(reset)(keys))(floors, jax.random.split(jax.random.key(0), 3))
+    own = [sean_jax.make(str(folder)).people for folder in worlds.find(SET)]
+    assert floors.member.people == max(own) and len(set(own)) > 1
+    np.testing.assert_array_equal(state.pedestrians.present.sum(1), own)
+
+
+def test_padding_keeps_numbers_and_fills_the_rest():
+    boxes = Obstacles(jnp.ones((2, 2)), jnp.ones((2, 2)), jnp.zeros(2), jnp.ones(2))
+    sizes = padding.common_sizes([boxes, Obstacles(jnp.ones((5, 2)), jnp.ones((5, 2)), jnp.zeros(5), jnp.ones(5))])
+    padded = padding.pad((boxes, {"again": boxes}), sizes)
+    assert padded[0].center.shape == (5, 2) and (padded[0].center[2:] == FAR).all()
+    assert padded[1]["again"].center is padded[0].center
+
+
+def test_fields_of_a_stack_are_replaced():
+    two = stack.stack([Obstacles(*(jnp.full(3, float(k)) for k in (i, 5, 6, 7))) for i in range(2)])
+    assert list(two.own) == [0]
+    changed = two.with_fields(yaw=stack.of_arrays(jnp.arange(6.0).reshape(2, 3)), height=jnp.zeros(1))
+    np.testing.assert_array_equal(changed.at(1).center, [1.0, 1.0, 1.0])
+    np.testing.assert_array_equal(changed.at(1).yaw, [3.0, 4.0, 5.0])
+    np.testing.assert_array_equal(changed.vmap(lambda one, x: one.yaw[0] + x)(jnp.arange(4.0)), [0.0, 1.0, 5.0, 6.0])
+
+
+def test_a_kernel_gets_a_row_for_each_floor():
+    """Rows of floors are not copied for each scenario, under nested maps in either order."""
+    shapes = []
+
+    def call(*operands):
+        shapes.append([each.shape[0] for each in operands])
+        total = max(shapes[-1])
+        scenarios = jax.lax.iota(jnp.int32, total)
+        return (sum(jax.vmap(lambda i, each=each: each[kernels.row(each, i, total)])(scenarios) for each in operands),)
+
+    def one(floor, lane, shared):
+        return kernels.batch(call, 1)(floor[None, None], lane[None, None], shared[None, None])[0][0, 0]
+
+    floor, lane, shared = jnp.arange(3.0), jnp.arange(12.0).reshape(3, 4), jnp.asarray(100.0)
+    found = jax.vmap(jax.vmap(one, (None, 0, None)), (0, 0, None))(floor, lane, shared)
+    np.testing.assert_array_equal(found, floor[:, None] + lane + 100.0)
+    assert shapes[-1] == ([3, 12, 1] if jax.device_count() == 1 else [12, 12, 1])
+    found = jax.vmap(jax.vmap(one, (0, 0, None)), (None, 1, None))(floor, lane, shared)
+    np.testing.assert_array_equal(found, (floor[:, None] + lane + 100.0).T)
+
+
+def test_a_runner_takes_floors_in_turn(floors):
+    """Episode i is on floor i modulo their number, whatever the size of a batch."""
+    quick = floors.map_member(lambda scenario: scenario.replace(time_limit=1.0))
+    several = runner.Runner(quick, go_to_goal, 6, "run").run(3, first=0)
+    alone = runner.Runner(quick, go_to_goal, 2, "run").run(3, first=4)
+    np.testing.assert_allclose(alone.states.robot.position, several.states.robot.position[4:], atol=1e-5)
+    edges = np.asarray(floors.own[0] if 0 in floors.own else [floors.at(k).environment.floor for k in range(3)])[:, 2:]
+    inside = np.asarray(several.states.robot.position) <= np.tile(edges, (2, 1))
+    assert inside.all()
+
+
+def test_sets_are_named():
+    assert worlds.parse_set("lab") is None
+    assert worlds.parse_set("worlds:all:7:30") == (tuple(worlds.FAMILIES), 7, 30)
+    for name, message in [
+        ("worlds:rooms", "worlds:FAMILIES:NUMBER"),
+        ("worlds:roms:3", "'roms' in worlds:roms:3 is not one of .*rooms"),
+        ("worlds:rooms:0", "number in worlds:rooms:0"),
+    ]:
+        with pytest.raises(InputError, match=message):
+            worlds.parse_set(name)
+    names = [folder.name for folder in worlds.find("worlds:passages,aisles:3:5")]
+    assert names == ["passages_5", "aisles_5", "passages_6"]
+    with pytest.raises(InputError, match="is 3 floors; this takes one"):
+        sean_jax.make(SET)
+    with pytest.raises(InputError, match="handcrafted' is not for several"):
+        assembly.build_stack(options(behavior="handcrafted", people=None, task="handcrafted"))
+
+
+def test_a_folder_of_environments_is_a_set(tmp_path):
+    for seed in (1, 2):
+        worlds.save(worlds.generate("passages", seed), tmp_path / f"hall_{seed}")
+    assert worlds.find(tmp_path) == [tmp_path / "hall_1", tmp_path / "hall_2"]
+    assert worlds.find(tmp_path / "hall_1") == [tmp_path / "hall_1"]
+
+
+def test_trainings_name_sets_beside_others():
+    config = PPOConfig(environment="lab,worlds:rooms,aisles:512,warehouse", scenarios=24)
+    assert sorted(config.environments) == ["lab", "warehouse", "worlds:rooms,aisles:512"]
+    assert ":" not in config.folder.name
+
+
+def test_environments_of_a_set_share_their_parts():
+    config = validate(EnvConfig, {"environment": SET, "people": 4, "observations": ["goal", "path"]})
+    envs = registry.build_stack(config)
+    shown, _ = jax.eval_shape(lambda envs, keys: envs.vmap(type(envs.member).reset)(keys), envs,
+                              jax.eval_shape(lambda: jax.random.split(jax.random.key(0), 6)))  # fmt: skip
+    assert shown["goal"].shape == (6, 2) and envs.size == 3
