@@ -59,8 +59,8 @@ def batch(call: Call, outputs: int) -> Call:
 
     @jax.custom_batching.custom_vmap
     def launch(*operands: Array) -> tuple[Array, ...]:
-        operands = _even(operands)
-        return _split(call, outputs, operands)(*operands)
+        parts = _even(operands)
+        return _split(call, outputs, parts)(*parts)
 
     @launch.def_vmap
     def _(size: int, batched: list[bool], *operands: Array) -> tuple[tuple[Array, ...], tuple[bool, ...]]:

@@ -5,6 +5,7 @@ a batch; if it then ends at another time than in the folder, the page gives the 
 show.
 """
 
+import dataclasses
 import functools
 import shlex
 from collections.abc import Callable, Sequence
@@ -205,14 +206,18 @@ def _of_training(folder: Path, numbers: list[int]) -> Source:
             f"episodes: they take turns in {len(envs)} environments, and those are in {names}; ask for one's."
         )
     place = turns.pop()
-    scenario, mdp_env = scenarios[place], envs[place]
+    scenario, floors, count = scenarios[place], envs[place], options.evaluation_episodes
+    of_floor = count // min(floors.size, count)  # episodes of an evaluation on each floor
+    needed = sorted({number // len(envs) // of_floor % floors.size for number in numbers})
+    members = [dataclasses.replace(floors.at(k).scenario, metrics=scenario.metrics) for k in needed]
+    mdp_env = floors.member
     return Source(
-        scenarios=[scenario],
+        scenarios=members,
         policy=load(folder, scenario),
         use="evaluation",  # its i-th key of a split is the key of number i
         seed=options.seed,
-        turn=lambda number: 0,
-        names=[scenario.task_name],
+        turn=lambda number: needed.index(number // len(envs) // of_floor % floors.size),
+        names=[scenario.task_name] * len(members),
         number=lambda number: number // len(envs),
         ends=mdp_env.ends if mdp_env.terminations else None,
     )
