@@ -67,9 +67,9 @@ class Stack(Generic[T]):
             return jax.vmap(functools.partial(function, member))(*rows)
 
         def call(*rows: PyTree) -> PyTree:
-            parts = jax.tree.map(lambda leaf: leaf.reshape(self.size, -1, *leaf.shape[1:]), rows)
+            parts = jax.tree.map(lambda leaf: leaf.reshape(self.size, len(leaf) // self.size, *leaf.shape[1:]), rows)
             results = self.over_members(of_member)(*parts)
-            return jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), results)
+            return jax.tree.map(lambda leaf: leaf.reshape(len(leaf) * leaf.shape[1], *leaf.shape[2:]), results)
 
         return call
 

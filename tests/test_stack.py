@@ -91,6 +91,7 @@ def test_fields_of_a_stack_are_replaced():
     np.testing.assert_array_equal(changed.at(1).center, [1.0, 1.0, 1.0])
     np.testing.assert_array_equal(changed.at(1).yaw, [3.0, 4.0, 5.0])
     np.testing.assert_array_equal(changed.vmap(lambda one, x: one.yaw[0] + x)(jnp.arange(4.0)), [0.0, 1.0, 5.0, 6.0])
+    assert changed.vmap(lambda one, x: x)(jnp.zeros((4, 0))).shape == (4, 0)
 
 
 def test_a_kernel_gets_a_row_for_each_floor():
