@@ -163,3 +163,29 @@ def test_environments_of_a_set_share_their_parts():
     shown, _ = jax.eval_shape(lambda envs, keys: envs.vmap(type(envs.member).reset)(keys), envs,
                               jax.eval_shape(lambda: jax.random.split(jax.random.key(0), 6)))  # fmt: skip
     assert shown["goal"].shape == (6, 2) and envs.size == 3
+
+
+@pytest.mark.slow
+def test_one_agent_learns_on_several_floors(tmp_path):
+    """Restarts stay on their floor; the best agent is loaded for another floor; its evaluation is replayed."""
+    from sean_jax import learning
+    from sean_jax.evaluation import replay_command
+    from sean_jax.learning import reinforcement
+
+    config = PPOConfig(
+        method="ppo", environment=SET, people=3, task="random_ab_nav", observations=["goal", "path"], scenarios=6,
+        minibatches=2, horizon=8, steps=96, width=8, layers=1, pool=6, time_limit=0.5, evaluation_episodes=6,
+        out=tmp_path,
+    )  # fmt: skip
+    state = reinforcement.train(config)
+    rows = jax.tree.map(lambda leaf: leaf[0], state.rows).envs[0].simulation
+    floors = assembly.build_stack(options(people=3))
+    for row, position in enumerate(np.asarray(rows.robot.position)):
+        x0, y0, x1, y1 = np.asarray(floors.at(row // 2).environment.floor)
+        assert x0 <= position[0] <= x1 and y0 <= position[1] <= y1
+    assert np.isfinite(np.asarray(state.best.value)).all()
+    driver = learning.load(tmp_path, sean_jax.make("lab", people=3))
+    assert driver.name
+    source = replay_command._of_training(tmp_path, [4, 5])
+    assert [source.turn(number) for number in (4, 5)] == [0, 1] and len(source.scenarios) == 2
+    np.testing.assert_array_equal(source.scenarios[1].environment.floor, floors.at(2).environment.floor)

@@ -206,9 +206,8 @@ def _of_training(folder: Path, numbers: list[int]) -> Source:
             f"episodes: they take turns in {len(envs)} environments, and those are in {names}; ask for one's."
         )
     place = turns.pop()
-    scenario, floors, count = scenarios[place], envs[place], options.evaluation_episodes
-    of_floor = count // min(floors.size, count)  # episodes of an evaluation on each floor
-    needed = sorted({number // len(envs) // of_floor % floors.size for number in numbers})
+    scenario, floors = scenarios[place], envs[place]
+    needed = sorted({number // len(envs) % floors.size for number in numbers})
     members = [dataclasses.replace(floors.at(k).scenario, metrics=scenario.metrics) for k in needed]
     mdp_env = floors.member
     return Source(
@@ -216,7 +215,7 @@ def _of_training(folder: Path, numbers: list[int]) -> Source:
         policy=load(folder, scenario),
         use="evaluation",  # its i-th key of a split is the key of number i
         seed=options.seed,
-        turn=lambda number: needed.index(number // len(envs) // of_floor % floors.size),
+        turn=lambda number: needed.index(number // len(envs) % floors.size),
         names=[scenario.task_name] * len(members),
         number=lambda number: number // len(envs),
         ends=mdp_env.ends if mdp_env.terminations else None,

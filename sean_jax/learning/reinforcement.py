@@ -313,7 +313,7 @@ def _evaluate_policy(
         return (total, spent, number), last.completed, results(scenario, last)
 
     floors = min(envs.size, len(keys))
-    keys = keys[: len(keys) // floors * floors]
+    keys = keys[: len(keys) // floors * floors].reshape(-1, floors).T.ravel()  # episode i is on floor i % floors
     (total, spent, lasted), completed, values = envs.take(np.arange(floors)).vmap(episode)(keys)
     minutes, terms = lasted.sum().astype(float) * (measured.time_step / 60.0), dict(envs.member.rewards)
     rates = {name: part.sum() / terms[name].weight / minutes for name, part in spent.items()}
