@@ -54,9 +54,9 @@ class VecSocialNavigation:
         following = jax.vmap(jax.random.fold_in)(keys, episodes)
         observation, states, reward, terminated, truncated, info = jax.vmap(self.env.step)(following, states, actions)
         done = terminated | truncated
-        told = {"reward": reward.astype(jnp.float32), "done": done, "truncated": truncated}
-        told["completed"] = info["completed"].astype(jnp.float32)
-        return (states, episodes + done.astype(jnp.int32)), self._groups(observation), told
+        results = {"reward": reward.astype(jnp.float32), "done": done, "truncated": truncated}
+        results["completed"] = info["completed"].astype(jnp.float32)
+        return (states, episodes + done.astype(jnp.int32)), self._groups(observation), results
 
     def _groups(self, observation: dict[str, Array]) -> dict[str, Array]:
         terms = self.env.observations
@@ -83,11 +83,11 @@ class VecSocialNavigation:
         """
         actions = jax.dlpack.from_dlpack(actions.detach().contiguous())
         rows = self._states, self._episodes
-        (self._states, self._episodes), observation, told = self._advance(self._keys, rows, actions)
+        (self._states, self._episodes), observation, results = self._advance(self._keys, rows, actions)
         self._observation = TensorDict(_tensors(observation), batch_size=[self.num_envs])
-        told = _tensors(told)
-        extras = {"time_outs": told["truncated"], "log": {"/completed": told["completed"][told["done"]]}}
-        return self._observation, told["reward"], told["done"], extras
+        results = _tensors(results)
+        extras = {"time_outs": results["truncated"], "log": {"/completed": results["completed"][results["done"]]}}
+        return self._observation, results["reward"], results["done"], extras
 
     @property
     def episode_length_buf(self) -> torch.Tensor:

@@ -402,8 +402,8 @@ class PeopleAttention(nn.Module):
             hidden = nn.relu(_dense(EMBEDDING)(hidden))
         heads = HEADS, EMBEDDING // HEADS
         keys, values = (_dense(EMBEDDING, 1.0)(hidden).reshape(-1, *heads) for _ in range(2))
-        asked = _dense(EMBEDDING, 1.0)(query).reshape(1, *heads)
-        scores = jnp.where(present[:, None], (keys * asked).sum(-1) / math.sqrt(heads[1]), -jnp.inf)  # (N, HEADS)
+        queries = _dense(EMBEDDING, 1.0)(query).reshape(1, *heads)
+        scores = jnp.where(present[:, None], (keys * queries).sum(-1) / math.sqrt(heads[1]), -jnp.inf)  # (N, HEADS)
         anybody = present.any()
         shares = nn.softmax(jnp.where(anybody, scores, 0.0), 0)
         return jnp.where(anybody, (shares[..., None] * values).sum(0), 0.0).reshape(-1)
