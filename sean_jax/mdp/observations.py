@@ -164,11 +164,12 @@ def _visible_people(nearest: int, reach: float, scenario: Scenario, state: State
     """The nearest people without those behind obstacles: where, how fast and whether there is one, (k, 5) m, m/s and
     0 or 1.
     """
-    rows = _people(nearest, reach, scenario, state, prepared)
-    hx, hy = state.robot.heading[0], state.robot.heading[1]
-    x, y = rotate(rows[:, 0], rows[:, 1], hx, hy)
-    place = jax.lax.stop_gradient(state.robot.position)
-    free = navigation.segments_are_free(scenario.environment.obstacles, place, place[0] + x, place[1] + y, 0.0)
+    rows, position = _people(nearest, reach, scenario, state, prepared), state.robot.position
+    x, y = rotate(rows[:, 0], rows[:, 1], state.robot.heading[0], state.robot.heading[1])
+    ends = position[0] + x, position[1] + y
+    # Without the barrier XLA for GPUs computes the ends again for each obstacle, and compiles for minutes.
+    position, ends = jax.lax.optimization_barrier(jax.lax.stop_gradient((position, ends)))
+    free = navigation.segments_are_free(scenario.environment.obstacles, position, *ends, 0.0)
     return jnp.where(free[:, None], rows, 0.0)
 
 
