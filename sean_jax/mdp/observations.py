@@ -260,6 +260,7 @@ OBSERVATIONS: dict[str, ObservationTerm] = {
     "obstacles": ObservationTerm(_obstacles, -NEAR, NEAR),
     "plan": ObservationTerm(plan_ahead, -PLAN_POINTS * SPACING, PLAN_POINTS * SPACING, prepare=_last_arc),
     "lidar": ObservationTerm(_lidar, 0.0, FAR_LIDAR),
+    "lidar_stack": ObservationTerm(_lidar, 0.0, FAR_LIDAR, stack=4),
     "depth": ObservationTerm(_depth, 0.0, FAR_DEPTH, image=True),
     "rgb": ObservationTerm(_rgb, 0.0, 1.0, image=True),
 }
