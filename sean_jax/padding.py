@@ -35,6 +35,7 @@ FILLS: Mapping[tuple[str, str], Any] = {
     ("CornerArcs", "side"): 1.0,
     ("CornerArcs", "first"): 9.0,
     ("CornerArcs", "last"): -9.0,
+    ("Navigation", "places"): FAR,
     ("PathsToGoal", "distance"): np.inf,
     ("NextCornerTable", "next_arc"): -1,
     ("BehaviorGraph", "flow"): -1,
