@@ -1,4 +1,7 @@
-"""Draws the pictures of docs/worlds.md, docs/pictures/worlds-*.png, five floors of each family: python docs/worlds.py."""
+"""Draws the pictures of docs/worlds.md, docs/pictures/worlds-*.png: python docs/worlds.py.
+
+Five floors of each family.
+"""
 
 from pathlib import Path
 

@@ -12,11 +12,13 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from flax import struct
 from jaxtyping import Int, Shaped
 
 from sean_jax.base import Array
+from sean_jax.devices import to_device
 from sean_jax.errors import InputError
 from sean_jax.geometry import FAR
 
@@ -67,11 +69,11 @@ class FlatTable:
     shape: Int[Array, "_"]  # of the table
 
     def __getitem__(self, index: tuple[Array, ...]) -> Shaped[Array, "..."]:
-        return self.values.at[self._place(index)].get(mode="promise_in_bounds")
+        return jnp.asarray(self.values).at[self._place(index)].get(mode="promise_in_bounds")
 
     def row(self, index: tuple[Array, ...], size: int) -> Shaped[Array, "{size}"]:
         """So many numbers along the last axis; those after the end of the row may be any."""
-        return jax.lax.dynamic_slice(self.values, (self._place((*index, np.int32(0))),), (size,))
+        return jax.lax.dynamic_slice(self.values, (self._place((*index, jnp.zeros((), jnp.int32))),), (size,))
 
     def on_host(self) -> np.ndarray:
         """The table as an array of numpy."""
@@ -86,8 +88,8 @@ class FlatTable:
 
 
 def flat_table(array: np.ndarray) -> FlatTable:
-    """The flat table of an array, on the host."""
-    return FlatTable(np.ravel(array), np.zeros((), np.int32), np.asarray(array.shape, np.int32))
+    """The flat table of an array, on the default device."""
+    return FlatTable(*to_device((np.ravel(array), np.zeros((), np.int32), np.asarray(array.shape, np.int32))))
 
 
 def join_tables(trees: Sequence[Any]) -> list[Any]:
@@ -112,7 +114,7 @@ def join_tables(trees: Sequence[Any]) -> list[Any]:
             memo[key] = np.concatenate([*parts, np.zeros(longest, parts[0].dtype)])
         starts = np.cumsum([0, *sizes[:-1]]).astype(np.int32)
         for (leaves, _), table, start in zip(each, tables, starts, strict=True):
-            leaves[place] = FlatTable(memo[key], start, np.asarray(table.shape))
+            leaves[place] = dataclasses.replace(table, values=memo[key], start=start, shape=np.asarray(table.shape))
     return [jax.tree.unflatten(structure, leaves) for leaves, structure in each]
 
 

@@ -109,7 +109,7 @@ def stack(members: Sequence[T], names: tuple[str, ...] = ()) -> Stack[T]:
     if any(tree != first[1] for _, tree in others):
         raise ValueError("stack: the static structure of members differs; run them separately.")
     own: dict[int, Array] = {}
-    moved: dict[tuple[int, ...], Array] = {}  # members have one array in several places, such as obstacles
+    moved: dict[tuple[int, ...], Any] = {}  # members have one array in several places, such as obstacles
     for place, leaves in enumerate(zip(first[0], *(each for each, _ in others), strict=True)):
         equal = all(leaf is leaves[0] or np.array_equal(leaf, leaves[0]) for leaf in leaves)
         on_host = isinstance(leaves[0], np.ndarray)
@@ -117,7 +117,7 @@ def stack(members: Sequence[T], names: tuple[str, ...] = ()) -> Stack[T]:
             continue
         key = tuple(map(id, leaves[:1] if equal else leaves))
         if key not in moved:
-            array = leaves[0] if equal else np.stack(leaves) if on_host else jnp.stack(leaves)
+            array: Any = leaves[0] if equal else np.stack(leaves) if on_host else jnp.stack(leaves)
             moved[key] = to_device(array) if on_host else array
         (first[0] if equal else own)[place] = moved[key]
     return Stack(jax.tree.unflatten(first[1], first[0]), own, len(members), names)

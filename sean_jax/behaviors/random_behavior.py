@@ -79,7 +79,7 @@ def build(place: Place, people: int | None = None, *, walking_groups: tuple[floa
     tables = Tables(
         navigation=navigation,
         start=to_device(start),
-        **{name: to_device(flat_table(values)) for name, values in table.items()},
+        **{name: flat_table(values) for name, values in table.items()},
         spawn_clusters=to_device(find_spawn_clusters(navigation, start, number)),
         walking_groups=number,
     )

@@ -51,7 +51,7 @@ class NextCornerTable:
 def build_next_corner_table(navigation: Navigation, points: Float[Array, "M 2"]) -> NextCornerTable:
     """Build the table for points [m] on the host, or read it from the user's cache."""
     fields = cache.load_or_build("next_corner", CODE, [*inputs(navigation), points], lambda: _make(navigation, points))
-    return NextCornerTable(points, **to_device({name: flat_table(table) for name, table in fields.items()}))
+    return NextCornerTable(to_device(points), **{name: flat_table(table) for name, table in fields.items()})
 
 
 def next_corner(

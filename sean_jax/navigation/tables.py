@@ -109,9 +109,9 @@ def build(environment: Environment, radius: float, cell: float | None = None) ->
     boxes = environment.obstacles
     inputs = environment.floor, boxes.center, boxes.half_extent, boxes.yaw, radius, 0.0 if cell is None else cell
     fields = dict(cache.load_or_build("navigation", CODE, inputs, lambda: _make(environment, radius, cell)))
-    fields |= {name: flat_table(fields[name]) for name in TABLES}
+    tables = {name: flat_table(fields.pop(name)) for name in TABLES}
     fields |= {"origin": np.asarray(environment.floor)[:2], "radius": np.asarray(radius)}
-    fields = to_device(fields)
+    fields = to_device(fields) | tables
     arcs = CornerArcs(*(fields.pop(name) for name in FIELDS))
     return Navigation(**fields, arcs=arcs, obstacles=boxes)
 
