@@ -1,9 +1,11 @@
 """Steps per second on many floors in one program, beside the harmonic mean of some of these floors alone.
 
     python benchmarks/worlds.py worlds:all:128 --batches 65536 8192
-    python benchmarks/worlds.py worlds:all:128 --batches 8192 --depth
+    python benchmarks/worlds.py worlds:all:128 --batches 8192 --observe depth
 
-A floor alone is padded to the same sizes, so both programs do the same work. The ratio is 1 if nothing is lost.
+With ``--observe`` a step has observations and rewards as in a training, with the nearest people or a depth image of
+64 x 48 pixels. A floor alone is padded to the same sizes, so both programs do the same work. The ratio is 1 if nothing
+is lost.
 """
 
 import argparse
@@ -15,26 +17,32 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sean_jax import assembly, reset, step
+from sean_jax import assembly, mdp, registry, reset, step
 from sean_jax.base import Scenario, State
-from sean_jax.config import ScenarioConfig, validate
-from sean_jax.mdp.observations import OBSERVATIONS
+from sean_jax.config import EnvConfig, validate
 from sean_jax.stack import Stack
 
 STEPS, REPEATS, FLOORS = 16, 4, 12  # of a call; calls; floors that run alone
-COMMAND = (0.3, 0.1)  # m/s, rad/s
+COMMAND, ACTION = (0.3, 0.1), (0.6, 0.1)  # m/s, rad/s; shares of the top speeds
+OBSERVATIONS = {"people": ("goal", "path", "people"), "depth": ("goal", "path", "depth")}
 
 
-def program(depth: bool) -> Callable[..., Any]:
-    """``STEPS`` steps of all scenarios, with a depth image of each step if asked for."""
+def moved(scenario: Scenario, state: State) -> tuple[State, jax.Array]:
+    """A step without observations."""
+    return step(scenario, state, jnp.array(COMMAND)), jnp.zeros(())
 
-    def one(scenario: Scenario, state: State) -> tuple[State, jax.Array]:
-        after = step(scenario, state, jnp.array(COMMAND))
-        shown = OBSERVATIONS["depth"].read(scenario, after, ()).sum() if depth else jnp.zeros(())
-        return after, shown
 
-    def run(floors: Stack[Scenario], states: State) -> tuple[State, jax.Array]:
-        def turn(states: State, _: None) -> tuple[State, jax.Array]:
+def observed(env: mdp.Env, state: mdp.EnvState) -> tuple[mdp.EnvState, jax.Array]:
+    """A step with observations and rewards, which are added up so that they are computed."""
+    state, observation, reward, *_ = env.advance(state, jnp.array(ACTION))
+    return state, reward + sum(term.sum() for term in observation.values())
+
+
+def program(one: Callable[..., Any]) -> Callable[..., Any]:
+    """``STEPS`` steps of all scenarios."""
+
+    def run(floors: Stack, states: Any) -> tuple[Any, jax.Array]:
+        def turn(states: Any, _: None) -> tuple[Any, jax.Array]:
             states, shown = floors.vmap(one)(states)
             return states, shown.sum()
 
@@ -43,7 +51,7 @@ def program(depth: bool) -> Callable[..., Any]:
     return jax.jit(run, donate_argnums=1)
 
 
-def rate(compiled: Any, floors: Stack[Scenario], states: State, batch: int) -> float:
+def rate(compiled: Any, floors: Stack, states: Any, batch: int) -> float:
     """Scenario-steps per second, the best of some calls."""
     best = 0.0
     for _ in range(REPEATS):
@@ -53,33 +61,46 @@ def rate(compiled: Any, floors: Stack[Scenario], states: State, batch: int) -> f
     return best
 
 
+def size(floors: Stack) -> float:
+    """Bytes for each floor: of what is its own, and its share of what all have."""
+    own = {id(each): each for place, each in enumerate(jax.tree.leaves(floors.member)) if place not in floors.own}
+    own |= {id(each): each for each in floors.own.values()}
+    return sum(np.asarray(each).nbytes for each in own.values()) / floors.size
+
+
 def main() -> None:
     """Print a line for each batch."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("floors", help="a set of floors, such as worlds:all:128")
     parser.add_argument("--batches", type=int, nargs="+", default=[65536])
-    parser.add_argument("--depth", action="store_true", help="with a depth image of 64 x 48 pixels")
+    parser.add_argument(
+        "--observe", choices=["none", *OBSERVATIONS], default="none", help="an image has 64 x 48 pixels"
+    )
     options = parser.parse_args()
-    config = validate(ScenarioConfig, {"environment": options.floors, "task": "random_ab_nav", "metrics": "none"})
+    words = {"environment": options.floors, "task": "random_ab_nav", "metrics": "none"}
+    config = validate(EnvConfig, {**words, "observations": OBSERVATIONS.get(options.observe, ("goal",))})
     begun = time.perf_counter()
-    floors = assembly.build_stack(config).map_member(lambda scenario: assembly.with_tasks(config, scenario)[0])
-    size = sum(values.nbytes for values in {id(each): each for each in floors.own.values()}.values()) / floors.size
-    text = f"{floors.size} floors in {time.perf_counter() - begun:.0f} s, {size / 1e6:.2f} MB each"
-    print(f"{jax.devices()[0].device_kind}, {text}, {floors.member.people} people at most", flush=True)
+    if options.observe == "none":
+        floors, start, one = assembly.build_stack(config), reset, moved
+        floors = floors.map_member(lambda scenario: assembly.with_tasks(config, scenario)[0])
+    else:
+        floors, start, one = registry.build_stack(config), lambda env, key: env.reset(key)[1], observed
+    text = f"{floors.size} floors in {time.perf_counter() - begun:.0f} s, {size(floors) / 1e6:.2f} MB each"
+    print(f"{jax.devices()[0].device_kind}, {text}, observations: {options.observe}", flush=True)
     host, device = jax.devices("cpu")[0], jax.devices()[0]
     with jax.default_device(host):  # a reset compiles faster there
-        draw = jax.jit(lambda floors, keys: floors.over_members(reset)(keys))
+        draw = jax.jit(lambda floors, keys: floors.over_members(start)(keys))
         starts = draw(jax.device_put(floors, host), jax.random.split(jax.random.key(0), floors.size))
     floors, starts = jax.device_put((floors, starts), device)
     for batch in options.batches:
         states = jax.tree.map(lambda leaf: jnp.repeat(leaf, batch // floors.size, axis=0), starts)  # noqa: B023
-        together = rate(program(options.depth).lower(floors, states).compile(), floors, states, batch)
+        together = rate(program(one).lower(floors, states).compile(), floors, states, batch)
         alone, compiled = [], None
         for index in np.linspace(0, floors.size - 1, FLOORS).astype(int):
-            one = Stack(jax.tree.map(jnp.asarray, floors.at(int(index))), {})
+            floor = Stack(jax.tree.map(jnp.asarray, floors.at(int(index))), {})
             states = jax.tree.map(lambda leaf: jnp.repeat(leaf[index][None], batch, axis=0), starts)  # noqa: B023
-            compiled = compiled or program(options.depth).lower(one, states).compile()
-            alone.append(rate(compiled, one, states, batch))
+            compiled = compiled or program(one).lower(floor, states).compile()
+            alone.append(rate(compiled, floor, states, batch))
         mean = FLOORS / sum(1.0 / each for each in alone)
         print(f"{batch}: {together:.4g} steps/s, alone {mean:.4g}, ratio {together / mean:.3f}", flush=True)
 

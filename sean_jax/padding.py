@@ -1,20 +1,29 @@
 """Arrays of different sizes padded to common ones, so that scenarios of different floors have equal shapes.
 
+Large tables are not padded: one array has the tables of all floors, one after the other (``FlatTable``).
+
 The letters of the annotations say which axes are alike. Padding has no effect: obstacles lie far away, arcs of shortest
 paths have no place that a path could touch, nodes have no edges. The numbers of what is there stay the same.
 """
 
 import dataclasses
 import typing
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
+from flax import struct
+from jaxtyping import Int, Shaped
 
+from sean_jax.base import Array
+from sean_jax.devices import to_device
+from sean_jax.errors import InputError
 from sean_jax.geometry import FAR
 
 MULTIPLES = {"V": 64, "W": 32}  # of arcs and of obstacles in programs for the host
+MAX_NUMBERS = 2**31 - 1  # of the tables of all floors, counted in int32
 SMALL = 0.01  # m, size of bodies far away
 FILLS: Mapping[tuple[str, str], Any] = {
     ("Obstacles", "center"): FAR,
@@ -28,10 +37,8 @@ FILLS: Mapping[tuple[str, str], Any] = {
     ("CornerArcs", "side"): 1.0,
     ("CornerArcs", "first"): 9.0,
     ("CornerArcs", "last"): -9.0,
-    ("Navigation", "distance"): np.inf,
-    ("Navigation", "arrival_angle"): -np.inf,
+    ("Navigation", "places"): FAR,
     ("PathsToGoal", "distance"): np.inf,
-    ("NextCornerTable", "first_arc"): -1,
     ("NextCornerTable", "next_arc"): -1,
     ("BehaviorGraph", "flow"): -1,
     ("BehaviorGraph", "edge_cost"): np.inf,
@@ -51,6 +58,68 @@ EDGE = "X", "Y"  # axes of grids: places off the floor have the last cell on it
 
 Sizes = dict[tuple[str, str], int]
 """(class, letter of an axis) -> its size."""
+
+
+@struct.dataclass
+class FlatTable:
+    """A table of one floor, in an array that has such tables of many floors: looked up by indices of all its axes."""
+
+    values: Shaped[Array, "_"]  # of all floors
+    start: Int[Array, ""]  # where the table of this floor begins
+    shape: Int[Array, "_"]  # of the table
+
+    def __getitem__(self, index: tuple[Array, ...]) -> Shaped[Array, "..."]:
+        return jnp.asarray(self.values).at[self._place(index)].get(mode="promise_in_bounds")
+
+    def row(self, index: tuple[Array, ...], size: int) -> Shaped[Array, "{size}"]:
+        """So many numbers along the last axis; those after the end of the row may be any."""
+        return jax.lax.dynamic_slice(self.values, (self._place((*index, jnp.zeros((), jnp.int32))),), (size,))
+
+    def on_host(self) -> np.ndarray:
+        """The table as an array of numpy."""
+        shape = np.asarray(self.shape)
+        return np.asarray(self.values)[self.start : self.start + np.prod(shape)].reshape(shape)
+
+    def _place(self, index: tuple[Array, ...]) -> Array:
+        place = index[0]
+        for axis, each in enumerate(index[1:], 1):
+            place = place * self.shape[axis] + each
+        return self.start + place
+
+
+def flat_table(array: np.ndarray) -> FlatTable:
+    """The flat table of an array, on the default device."""
+    return FlatTable(*to_device((np.ravel(array), np.zeros((), np.int32), np.asarray(array.shape, np.int32))))
+
+
+def join_tables(trees: Sequence[Any]) -> list[Any]:
+    """Trees of one structure whose ``FlatTable`` share their values, on the host.
+
+    Raises:
+        InputError: there are too many.
+    """
+    each = [jax.tree.flatten(tree, is_leaf=_is_table) for tree in trees]
+    memo: dict[tuple[int, ...], np.ndarray] = {}
+    for place, tables in enumerate(zip(*(leaves for leaves, _ in each), strict=True)):
+        if not _is_table(tables[0]):
+            continue
+        key = tuple(id(table.values) for table in tables)
+        sizes = [int(np.prod(table.shape)) for table in tables]
+        longest = max(int(table.shape[-1]) for table in tables)  # rows of all floors are read in this length
+        if sum(sizes) + longest > MAX_NUMBERS:
+            what = f"tables of {len(trees)} floors have {sum(sizes):,} numbers, and {MAX_NUMBERS:,} are the most"
+            raise InputError(f"environment: {what}; take fewer or smaller floors.")
+        if key not in memo:
+            parts = [np.asarray(table.values) for table in tables]
+            memo[key] = np.concatenate([*parts, np.zeros(longest, parts[0].dtype)])
+        starts = np.cumsum([0, *sizes[:-1]]).astype(np.int32)
+        for (leaves, _), table, start in zip(each, tables, starts, strict=True):
+            leaves[place] = dataclasses.replace(table, values=memo[key], start=start, shape=np.asarray(table.shape))
+    return [jax.tree.unflatten(structure, leaves) for leaves, structure in each]
+
+
+def _is_table(value: Any) -> bool:
+    return isinstance(value, FlatTable)
 
 
 def common_sizes(trees: Iterable[Any]) -> Sizes:
@@ -77,7 +146,7 @@ def _pad(tree: Any, sizes: Sizes, memo: dict[tuple, np.ndarray]) -> Any:
         return type(tree)(*values) if hasattr(tree, "_fields") else type(tree)(values)
     if isinstance(tree, dict):
         return {key: _pad(value, sizes, memo) for key, value in tree.items()}
-    if not dataclasses.is_dataclass(tree) or isinstance(tree, type):
+    if not dataclasses.is_dataclass(tree) or isinstance(tree, type | FlatTable):
         return tree
     name, changed = type(tree).__name__, {}
     for field, value, axes in _fields(tree):
@@ -102,7 +171,16 @@ def in_programs(tables: Any) -> Any:
         for axis, size in common_sizes([tables]).items()
         if axis[1] in MULTIPLES
     }
-    return jax.tree.map(lambda part: part.astype(float) if part.dtype.kind == "f" else part, pad(tables, sizes))
+    tables = jax.tree.map(_in_programs, pad(tables, sizes), is_leaf=_is_table)
+    return jax.tree.map(lambda part: part.astype(float) if part.dtype.kind == "f" else part, tables)
+
+
+def _in_programs(part: Any) -> Any:
+    """A flat table of arcs with room for a multiple of arcs along each axis."""
+    if not _is_table(part):
+        return part
+    room = np.prod(-(-np.asarray(part.shape) // MULTIPLES["V"]) * MULTIPLES["V"]) - len(part.values)
+    return dataclasses.replace(part, values=np.pad(np.asarray(part.values), (0, int(room))))
 
 
 def _padded(array: np.ndarray, target: tuple[int, ...], axes: tuple[str, ...], fill: Any) -> np.ndarray:
@@ -131,7 +209,7 @@ def _arrays(tree: Any) -> Iterator[tuple[str, Any, tuple[str, ...]]]:
     if isinstance(tree, tuple | list | dict):
         for value in tree.values() if isinstance(tree, dict) else tree:
             yield from _arrays(value)
-    elif dataclasses.is_dataclass(tree) and not isinstance(tree, type):
+    elif dataclasses.is_dataclass(tree) and not isinstance(tree, type | FlatTable):
         for _, value, axes in _fields(tree):
             if axes is None:
                 yield from _arrays(value)

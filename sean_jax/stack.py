@@ -18,7 +18,7 @@ from jaxtyping import Int, PyTree
 from sean_jax.base import Array, Scenario
 from sean_jax.devices import to_device
 from sean_jax.graph import graph_of
-from sean_jax.padding import common_sizes, pad
+from sean_jax.padding import common_sizes, join_tables, pad
 
 T = TypeVar("T")
 
@@ -109,21 +109,28 @@ def stack(members: Sequence[T], names: tuple[str, ...] = ()) -> Stack[T]:
     if any(tree != first[1] for _, tree in others):
         raise ValueError("stack: the static structure of members differs; run them separately.")
     own: dict[int, Array] = {}
-    stacked: dict[tuple[int, ...], Array] = {}  # members have one array in several places, such as obstacles
+    moved: dict[tuple[int, ...], Any] = {}  # members have one array in several places, such as obstacles
     for place, leaves in enumerate(zip(first[0], *(each for each, _ in others), strict=True)):
-        if all(leaf is leaves[0] or np.array_equal(leaf, leaves[0]) for leaf in leaves):
+        equal = all(leaf is leaves[0] or np.array_equal(leaf, leaves[0]) for leaf in leaves)
+        on_host = isinstance(leaves[0], np.ndarray)
+        if equal and not (on_host and leaves[0].ndim):
             continue
-        key = tuple(map(id, leaves))
-        if key not in stacked:
-            stacked[key] = to_device(np.stack(leaves)) if isinstance(leaves[0], np.ndarray) else jnp.stack(leaves)
-        own[place] = stacked[key]
+        key = tuple(map(id, leaves[:1] if equal else leaves))
+        if key not in moved:
+            array: Any = leaves[0] if equal else np.stack(leaves) if on_host else jnp.stack(leaves)
+            moved[key] = to_device(array) if on_host else array
+        (first[0] if equal else own)[place] = moved[key]
     return Stack(jax.tree.unflatten(first[1], first[0]), own, len(members), names)
 
 
 def with_common_shapes(scenarios: Sequence[Scenario], name: str) -> list[Scenario]:
     """The scenarios with arrays padded to common sizes, on the host, and ``name`` as the name of their environment.
 
-    Each has as many people as the most crowded, and those are present that were there.
+    Each has as many people as the most crowded, and those are present that were there. Large tables are not padded:
+    all have the same array with the tables of all.
+
+    Raises:
+        InputError: the tables are too large.
     """
     people = max(scenario.people for scenario in scenarios)
     equal = all(scenario.people == people for scenario in scenarios)
@@ -145,4 +152,4 @@ def with_common_shapes(scenarios: Sequence[Scenario], name: str) -> list[Scenari
             people_present=present,  # pyright: ignore[reportArgumentType]
         )
         padded.append(pad(scenario, sizes))
-    return padded
+    return join_tables(padded)

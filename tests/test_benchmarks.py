@@ -4,6 +4,7 @@ import argparse
 import importlib
 import importlib.util
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -42,6 +43,17 @@ def test_adapters():
     small = "--name", "Lab-Random-RandomAbNav-v0", "--rows", "2", "--seconds", "0.01"
     first, second = run("benchmarks/adapters.py", *small)
     assert "one environment" in first and second.split()[:2] == ["2", "rows"] and second.endswith("steps/s")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("observe", ["none", "depth"])
+def test_worlds(observe):
+    """Two floors, in one program and alone."""
+    first, last = run("benchmarks/worlds.py", "worlds:passages:2", "--batches", "4", "--observe", observe)
+    assert "2 floors in" in first and first.endswith(f"observations: {observe}")
+    together, alone, ratio = re.fullmatch(r"4: (\S+) steps/s, alone (\S+), ratio (\S+)", last).groups()
+    assert 0.01 < float(first.split(" MB each")[0].split()[-1]) < 1.0
+    assert float(together) > 0 and float(ratio) == pytest.approx(float(together) / float(alone), rel=0.01)
 
 
 @pytest.mark.slow

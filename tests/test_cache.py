@@ -96,7 +96,7 @@ def test_paths_follow_the_scene_and_a_second_process_makes_nothing(made, hall):
     gap = np.asarray(moved.navigation.arcs.corner)[:, 0] - np.asarray(before.navigation.arcs.corner)[:, 0]
     np.testing.assert_allclose(gap, 1.0, atol=1e-6)
     fresh = tables._make(moved.environment, 0.25, None)
-    np.testing.assert_array_equal(moved.navigation.visible, fresh["visible"])
+    np.testing.assert_array_equal(moved.navigation.visible.on_host(), fresh["visible"])
     scene(hall, 0.0)
     make()
     assert all(made[kind] == 2 for kind in first)
@@ -206,14 +206,14 @@ def refuse(*_): raise AssertionError("made again")
 if sys.argv[2] == "reads":
     navigation.tables._make = navigation.next_corner_table._make = refuse
 scenario = sean_jax.make(sys.argv[1], behavior="graph", task="random_ab_nav", dynamics="twin")
-print(int(scenario.navigation.visible.sum()))
+print(int(scenario.navigation.visible.values.sum()))
 """
     scenario = sean_jax.make(hall, behavior="graph", task="random_ab_nav", dynamics="twin")
     for wide, does in (("false", "reads"), ("true", "makes"), ("true", "reads")):
         environ, words = {**os.environ, "JAX_ENABLE_X64": wide}, [program, str(hall), does]
         done = subprocess.run([sys.executable, "-c", *words], env=environ, capture_output=True, text=True)
         assert done.returncode == 0, done.stderr
-        assert int(done.stdout.split()[-1]) == int(scenario.navigation.visible.sum())
+        assert int(done.stdout.split()[-1]) == int(scenario.navigation.visible.values.sum())
 
 
 def test_tables_depend_on_the_code_that_makes_them(made, hall, monkeypatch):

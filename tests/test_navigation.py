@@ -143,7 +143,7 @@ def test_tables_of_bends():
     count = tables.arcs.side.shape[0]
     back = np.arange(count) ^ 1  # the other arc of the corner
     np.testing.assert_array_equal(np.asarray(tables.arcs.side)[back], -np.asarray(tables.arcs.side))
-    distance, turn = np.asarray(tables.distance), np.asarray(tables.rotation)
+    distance, turn = tables.distance.on_host().T, tables.rotation.on_host()
     # Not quite everywhere: for loops that are on no shortest path, one of the two may be missed.
     assert np.isclose(distance.T[back][:, back], distance, atol=1e-4).mean() > 0.99
     there = np.isfinite(distance) & np.isfinite(distance.T[back][:, back])
@@ -256,7 +256,7 @@ def test_a_place_without_a_way_is_infinitely_far():
     assert np.isfinite(following).all()
     ways, count = navigation.build_next_corner_table(tables, goal), tables.arcs.side.shape[0]
     for table in (ways.first_arc, ways.next_arc):
-        assert (np.asarray(table) >= -1).all() and (np.asarray(table) < count).all()
+        assert (table.values >= -1).all() and (table.values < count).all()
 
 
 def test_a_room_without_corners_to_go_around():
@@ -265,7 +265,7 @@ def test_a_room_without_corners_to_go_around():
     tables = navigation.build(yard(walls, (-4.0, -4.0, 4.0, 4.0)), RADIUS)
     start, goal = jnp.array([[3.0, 0.5], [-2.0, -3.0]]), jnp.array([[-3.0, 0.5], [1.0, 1.0]])
     np.testing.assert_allclose(oracle.lengths(tables, start, goal), [6.0, 5.0], rtol=1e-5)
-    first = np.asarray(navigation.build_next_corner_table(tables, goal).first_arc)
+    first = navigation.build_next_corner_table(tables, goal).first_arc.on_host()
     assert (first[4:-4, 4:-4] == -1).all()
     assert len(tables.places) > 500
 

@@ -68,7 +68,7 @@ def still(scenario):
 
     def task(scenario, people, groups, memory, key):
         index, zero = jnp.full((), -1, jnp.int32), jnp.zeros(())
-        ways = PathsToGoal(*jnp.zeros((2, scenario.navigation.distance.shape[0])))
+        ways = PathsToGoal(*jnp.zeros((2, scenario.navigation.arcs.side.shape[0])))
         return RobotTask(draws(key, 2), pair[0], pair[0] + 9.0, pair[0], index, index, zero, ways)
 
     robot = dataclasses.replace(scenario.robot, drive=lambda scenario, state, action: state.robot)

@@ -1,5 +1,6 @@
 """Random behavior (section IV-D): uniform starts and goals that can be reached, ways around obstacles, no groups."""
 
+import functools
 from types import SimpleNamespace
 from typing import Any
 
@@ -12,6 +13,7 @@ import pytest
 import sean_jax
 from sean_jax import navigation as paths
 from sean_jax.behaviors import random_behavior, starts
+from sean_jax.behaviors.random_behavior import paths_to_place
 from sean_jax.drawing import view
 from sean_jax.policies import go_to_goal
 
@@ -68,7 +70,7 @@ def test_next_points_lead_along_shortest_paths(random_scenario):
     spots, goals = navigation.places[:60], jnp.arange(100, 160, dtype=jnp.int32)
 
     def both(spot, goal):
-        place, row = navigation.places[goal], jax.tree.map(lambda leaf: leaf[goal], tables.paths_to_goal)
+        place, row = navigation.places[goal], paths_to_place(tables, goal)
         ahead = paths.next_point_approx(navigation, spot, place, row)
         through = jnp.sqrt(((ahead - spot) ** 2).sum()) + paths.geodesic(navigation, ahead, place, row)
         return through, paths.geodesic(navigation, spot, place, row), paths.build_paths_to_goal(navigation, place)
@@ -76,7 +78,7 @@ def test_next_points_lead_along_shortest_paths(random_scenario):
     through, shortest, rows = jax.jit(jax.vmap(both))(spots, goals)
     (length, angle), (kept, kept_angle) = (
         (np.asarray(each.distance), np.asarray(each.departure_angle))
-        for each in (rows, jax.tree.map(lambda leaf: leaf[goals], tables.paths_to_goal))
+        for each in (rows, jax.vmap(functools.partial(paths_to_place, tables))(goals))
     )
     np.testing.assert_allclose(length, kept, rtol=1e-5, atol=1e-4)
     turned = np.angle(np.exp(1j * (angle - kept_angle).astype(float)))  # angles near zero have no relative error

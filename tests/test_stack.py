@@ -11,6 +11,7 @@ from sean_jax.base import Obstacles
 from sean_jax.config import EnvConfig, PPOConfig, ScenarioConfig, validate
 from sean_jax.errors import InputError
 from sean_jax.geometry import FAR
+from sean_jax.navigation import draw_places
 from sean_jax.policies import go_to_goal
 
 SET = "worlds:passages,aisles,square:3"
@@ -82,6 +83,42 @@ def test_padding_keeps_numbers_and_fills_the_rest():
     padded = padding.pad((boxes, {"again": boxes}), sizes)
     assert padded[0].center.shape == (5, 2) and (padded[0].center[2:] == FAR).all()
     assert padded[1]["again"].center is padded[0].center
+
+
+def test_tables_of_floors_lie_one_after_the_other():
+    """Elements and rows are those of each floor, and an array that is in two places stays one."""
+    each = [np.arange(6.0).reshape(2, 3), 10.0 + np.arange(20.0).reshape(4, 5)]
+    flat = [padding.flat_table(table) for table in each]
+    joined = padding.join_tables([(table, {"again": table}) for table in flat])
+    for table, (first, more) in zip(each, joined, strict=True):
+        assert first.values is more["again"].values is joined[0][0].values
+        np.testing.assert_array_equal(first.on_host(), table)
+        i, j = np.indices(table.shape)
+        np.testing.assert_array_equal(first[i, j], table)
+        for row in range(len(table)):
+            np.testing.assert_array_equal(first.row((row,), 5)[: table.shape[1]], table[row])
+
+
+def test_places_of_padding_are_not_drawn(floors):
+    navigation, key = floors.member.navigation, jax.random.key(0)
+    fewer = navigation.replace(places=np.asarray(navigation.places)[:10])
+    padded = padding.pad(fewer, padding.common_sizes([navigation, fewer]))
+    assert padded.places.shape == navigation.places.shape
+    np.testing.assert_array_equal(draw_places(padded, key, 99), draw_places(fewer, key, 99))
+
+
+@pytest.mark.slow
+def test_each_floor_is_as_it_is_alone_with_random_people():
+    config = options(behavior="random", task="random_ab_nav")
+    floors = assembly.build_stack(config)
+    floors = floors.map_member(lambda scenario: assembly.with_tasks(config, scenario)[0])
+    keys = jax.random.split(jax.random.key(1), 3)
+    _, (people, robots, _) = jax.jit(lambda floors, keys: floors.vmap(drive)(keys))(floors, keys)
+    for number, folder in enumerate(worlds.find(SET)):
+        alone = sean_jax.make(str(folder), people=20, behavior="random", task="random_ab_nav")
+        _, (each_people, each_robots, _) = jax.jit(drive)(alone, keys[number])
+        np.testing.assert_allclose(each_robots, robots[number], atol=1e-4)
+        np.testing.assert_allclose(each_people, people[number], atol=1e-4)
 
 
 def test_fields_of_a_stack_are_replaced():

@@ -1,6 +1,11 @@
 """Generated floors: the same for a seed, free for robots between all nodes, ordinary environments once written."""
 
 import itertools
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -90,6 +95,35 @@ def test_the_command_writes_environments_and_a_picture(tmp_path, capsys):
     assert environments.floor(tmp_path / "floors" / "square_6")[2] == 14.0
     assert cli.main([*arguments[:-1], str(tmp_path / "no"), "--words", "stalls"]) == 2
     assert "'stalls' is no word with a number" in capsys.readouterr().err and not (tmp_path / "no").exists()
+
+
+def test_two_processes_make_the_same_set(tmp_path):
+    """Both have it, whichever was first, and nothing else remains."""
+    code = "import sys, time; from sean_jax import worlds; time.sleep(max(0, float(sys.argv[1]) - time.time()));" + (
+        "print(*worlds.find('worlds:passages,clutter:4:20'))"
+    )
+    variables = {**os.environ, "XDG_CACHE_HOME": str(tmp_path), "JAX_PLATFORMS": "cpu"}
+    command = [sys.executable, "-c", code, str(time.time() + 6.0)]
+    both = [subprocess.Popen(command, env=variables, stdout=subprocess.PIPE, text=True) for _ in range(2)]
+    said = [process.communicate(timeout=300)[0].split() for process in both]
+    assert [process.returncode for process in both] == [0, 0] and said[0] == said[1] and len(said[0]) == 4
+    assert sorted(Path(said[0][0]).parent.iterdir()) == sorted(map(Path, said[0]))
+    for folder in said[0]:
+        assert sorted(path.name for path in Path(folder).iterdir()) == ["environment.yaml", "graph.yaml", "scene.xml"]
+
+
+def test_a_floor_of_another_process_is_kept(tmp_path, monkeypatch):
+    """It was made between the look for it and the end of writing."""
+    world = worlds.generate("square", 3)
+
+    def generate(*_):
+        (tmp_path / "square_3").mkdir()
+        (tmp_path / "square_3" / "first").touch()
+        return world
+
+    monkeypatch.setattr(worlds, "generate", generate)
+    worlds.save_all(str(tmp_path / "square_3"))
+    assert [path.name for path in tmp_path.rglob("*")] == ["square_3", "first"]
 
 
 @pytest.mark.slow

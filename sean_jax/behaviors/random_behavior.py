@@ -34,6 +34,7 @@ from sean_jax.behaviors.starts import (
 from sean_jax.devices import to_device
 from sean_jax.errors import InputError
 from sean_jax.geometry import FAR, length
+from sean_jax.padding import FlatTable, flat_table
 from sean_jax.social_forces import draw_traits
 
 ARRIVED = 1.0  # m from the goal (SEAN 2.0)
@@ -45,7 +46,8 @@ class Tables:
 
     navigation: paths.Navigation
     start: Float[Array, "P 2"]  # m, possible starts, none too close to another
-    paths_to_goal: PathsToGoal  # (K, V) to each of the navigation's places
+    distance: FlatTable  # (P, V) m, of ``PathsToGoal``, to each of the navigation's places
+    departure_angle: FlatTable  # (P, V) rad, likewise
     spawn_clusters: Int[Array, "C 3"]  # neighboring starts, for walking groups
     walking_groups: WalkingGroups = struct.field(pytree_node=False)  # their numbers
 
@@ -77,12 +79,18 @@ def build(place: Place, people: int | None = None, *, walking_groups: tuple[floa
     tables = Tables(
         navigation=navigation,
         start=to_device(start),
-        paths_to_goal=PathsToGoal(**to_device(dict(table))),
+        **{name: flat_table(values) for name, values in table.items()},
         spawn_clusters=to_device(find_spawn_clusters(navigation, start, number)),
         walking_groups=number,
     )
     companions = number.companions(people)
     return Behavior(data=tables, name="random", reset=reset, direct=direct, companions=companions, people=people)
+
+
+def paths_to_place(tables: Tables, index: Int[Array, ""]) -> PathsToGoal:
+    """The shortest paths to one of the navigation's places; those from arcs that are padding may be any."""
+    arcs = tables.navigation.arcs.side.shape[0]
+    return PathsToGoal(*(table.row((index,), arcs) for table in (tables.distance, tables.departure_angle)))
 
 
 def _paths_to_places(navigation: paths.Navigation) -> dict[str, np.ndarray]:
@@ -130,7 +138,7 @@ def direct(scenario: Scenario, state: State, key: Array) -> State:
     if scenario.behavior.companions is not None:
         (goal,) = follow_leaders(people.walking_group, goal)
     ahead = jax.vmap(paths.next_point_approx, in_axes=(None, 0, 0, 0))(
-        tables.navigation, people.position, places[goal], jax.tree.map(lambda leaf: leaf[goal], tables.paths_to_goal)
+        tables.navigation, people.position, places[goal], jax.vmap(functools.partial(paths_to_place, tables))(goal)
     )
     gap = ahead - people.position
     speed = people.preferred_speed / jnp.maximum(length(gap[:, 0], gap[:, 1]), 1e-6)

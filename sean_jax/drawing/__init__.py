@@ -235,7 +235,7 @@ def graph_sheet(environment: Environment, graph: BehaviorGraph) -> Figure:
 
 
 def floors_sheet(floors: Sequence[tuple[Environment, BehaviorGraph]]) -> Figure:
-    """Draw many floors with their graphs side by side, each with its name."""
+    """Draw many floors with their graphs side by side, in one scale, each with its name."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
     from matplotlib.patches import Rectangle
@@ -244,11 +244,13 @@ def floors_sheet(floors: Sequence[tuple[Environment, BehaviorGraph]]) -> Figure:
     figure = Figure(figsize=(2.6 * COLUMNS, 2.2 * rows), layout="constrained", facecolor=colors.PAPER)
     FigureCanvasAgg(figure)
     panels = figure.subplots(rows, COLUMNS, squeeze=False).flatten()
+    edges = np.array([environment.floor for environment, _ in floors], float).reshape(-1, 2, 2)
+    wide, deep = (edges[:, 1] - edges[:, 0]).max(0, initial=0.0) + 0.4
     for axes in panels:
         axes.set_axis_off()
-    for axes, (environment, graph) in zip(panels, floors, strict=False):
-        x0, y0, x1, y1 = np.asarray(environment.floor, float)
-        axes.set(xlim=(x0 - 0.2, x1 + 0.2), ylim=(y0 - 0.2, y1 + 0.2), aspect="equal")
+    for axes, (environment, graph), ((x0, y0), (x1, y1)) in zip(panels, floors, edges, strict=False):
+        middle = (x0 + x1 - wide) / 2
+        axes.set(xlim=(middle, middle + wide), ylim=(y0 - 0.2, y0 - 0.2 + deep), aspect="equal")
         axes.add_patch(Rectangle((x0, y0), x1 - x0, y1 - y0, facecolor=colors.FLOOR, edgecolor=colors.MUTED))
         layers.draw_obstacles(axes, environment)
         layers.draw_graph(axes, graph, alone=False)

@@ -8,7 +8,7 @@ from sean_jax.navigation.next_corner_table import (
     next_corner,
     next_point_approx,
 )
-from sean_jax.navigation.places import PLACES, draw_places, mesh_corners
+from sean_jax.navigation.places import PLACES, draw_places, draw_uniform_places, mesh_corners
 from sean_jax.navigation.shortest_paths import (
     build_paths_to_goal,
     geodesic,
@@ -31,6 +31,7 @@ __all__ = [
     "build_next_corner_table",
     "build_paths_to_goal",
     "draw_places",
+    "draw_uniform_places",
     "geodesic",
     "geodesic_approx",
     "inputs",

@@ -3,6 +3,7 @@
 Looking up a table is cheaper than the robot's search over all arcs (``shortest_paths``).
 """
 
+import functools
 from dataclasses import replace
 
 import jax
@@ -26,8 +27,8 @@ from sean_jax.navigation.arcs import (
     tangents,
 )
 from sean_jax.navigation.shortest_paths import last_arcs
-from sean_jax.navigation.tables import CELL, CODE, Navigation, arc_bits, inputs
-from sean_jax.padding import in_programs
+from sean_jax.navigation.tables import CELL, CODE, Navigation, arc_bits, cell_of, inputs, visible_words
+from sean_jax.padding import FlatTable, flat_table, in_programs
 
 CLOSE = 0.8  # of the radius: bodies of people have 0.2 m, their paths are for 0.25 m
 MIN_AHEAD = 0.5  # m ahead: the nearest place that people aim at
@@ -42,24 +43,23 @@ class NextCornerTable:
     """The next arc on the way to each of M points, as the index of an arc, or -1 for the point itself."""
 
     point: Float[Array, "M 2"]  # m
-    first_arc: Int[Array, "X Y M"]  # from a cell of 0.25 m; -1 also where there is no path
-    next_arc: Int[Array, "M V"]  # after an arc
-    departure_angle: Float[Array, "M V"]  # rad, where the path leaves that arc
+    first_arc: FlatTable  # (X, Y, M) int16, from a cell of 0.25 m; -1 also where there is no path
+    next_arc: FlatTable  # (M, V) int16, after an arc
+    departure_angle: FlatTable  # (M, V) rad, where the path leaves that arc
 
 
 def build_next_corner_table(navigation: Navigation, points: Float[Array, "M 2"]) -> NextCornerTable:
     """Build the table for points [m] on the host, or read it from the user's cache."""
     fields = cache.load_or_build("next_corner", CODE, [*inputs(navigation), points], lambda: _make(navigation, points))
-    return NextCornerTable(**to_device({"point": points, **fields}))
+    return NextCornerTable(to_device(points), **{name: flat_table(table) for name, table in fields.items()})
 
 
 def next_corner(
     navigation: Navigation, table: NextCornerTable, position: Float[Array, "2"], index: Int[Array, ""]
 ) -> Float[Array, "2"]:
     """A place [m] ahead on the way from a position [m] to a point of the table: the point, or on an arc's tangent."""
-    index_max = jnp.asarray(table.first_arc.shape[:2], jnp.int32) - 1
-    cell = jnp.clip(jnp.floor((position - navigation.origin) / CELL).astype(jnp.int32), 0, index_max)
-    arc, tangent = _next_arc(navigation, table, position, index, table.first_arc[cell[0], cell[1], index])
+    cell = cell_of(table.first_arc, navigation.origin, CELL, position)
+    arc, tangent = _next_arc(navigation, table, position, index, table.first_arc[*cell, index])
     aim = _past(navigation, jnp.maximum(arc, 0), position, tangent)
     return jnp.where(arc >= 0, aim, table.point[index])
 
@@ -72,11 +72,10 @@ def next_point_approx(
     It is the goal if that is in sight or if there is no path.
     """
     boxes, radius = navigation.obstacles, navigation.radius
-    index_max = jnp.asarray(navigation.visible.shape[:2], jnp.int32) - 1
-    cell = jnp.floor((position - navigation.origin) / navigation.cell - 0.5).astype(jnp.int32)
-    (i, j), (k, m) = jnp.clip(cell, 0, index_max), jnp.clip(cell + 1, 0, index_max)
-    visible = navigation.visible
-    words = visible[i, j] | visible[k, j] | visible[i, m] | visible[k, m]
+    grid = navigation.visible, navigation.origin, navigation.cell
+    i, j = cell_of(*grid, position - 0.5 * navigation.cell)
+    k, m = cell_of(*grid, position + 0.5 * navigation.cell)
+    words = functools.reduce(jnp.bitwise_or, (visible_words(navigation, x, y) for x in (i, k) for y in (j, m)))
     visible_here = arc_bits(words, navigation.arcs.side.shape[0])
     spot, _ = push_out_of_obstacles(boxes, position, radius)
     far, angle, _, _, on_arc = tangents(navigation.arcs, spot, radius, True)
@@ -130,8 +129,8 @@ def _make(navigation: Navigation, points: Array) -> dict[str, np.ndarray]:
     free from most corners; but none with a much longer path, or people would walk to and fro between two cells.
     """
     scale = round(float(navigation.cell) / CELL)
-    cells, number, size = navigation.visible.shape[:2], len(points), navigation.arcs.side.shape[0]
-    words = np.asarray(navigation.visible).reshape(cells[0] * cells[1], -1)
+    visible, number, size = navigation.visible.on_host(), len(points), navigation.arcs.side.shape[0]
+    cells, words = visible.shape[:2], visible.reshape(-1, visible.shape[2])
     navigation = in_programs(replace(navigation, visible=None, places=None, mesh_places=None))  # rows have visibility
     words = np.pad(words, [(0, 0), (0, navigation.arcs.side.shape[0] // 8 - words.shape[1])])
     points = jnp.asarray(np.pad(np.asarray(points), [(0, -number % POINTS), (0, 0)], mode="edge"), float)
@@ -141,7 +140,8 @@ def _make(navigation: Navigation, points: Array) -> dict[str, np.ndarray]:
     spots = np.asarray(navigation.origin) + middle * float(navigation.cell)
     best = map_in_batches(_first_arcs, shared, spots, words)[:, :number].reshape(*cells, number)
     best = np.repeat(np.repeat(best, scale, 0), scale, 1)  # (X, Y, M)
-    table = NextCornerTable(point=points, first_arc=None, next_arc=next_arc, departure_angle=departure_angle)  # pyright: ignore[reportArgumentType]
+    tables = {"next_arc": flat_table(next_arc), "departure_angle": flat_table(departure_angle)}
+    table = NextCornerTable(point=points, first_arc=None, **tables)  # pyright: ignore[reportArgumentType]
     corners = [np.arange(count + 1, dtype=np.float32) * CELL for count in best.shape[:2]]
     spots = np.stack(np.meshgrid(*corners, indexing="ij"), -1).reshape(-1, 2) + np.asarray(navigation.origin)
     place, free_radius, weight = map_in_batches(_corner_of_cell, (navigation.obstacles, navigation.radius), spots)

@@ -18,7 +18,7 @@ from sean_jax import cache
 from sean_jax.base import Array, Environment
 from sean_jax.devices import to_device
 from sean_jax.errors import InputError
-from sean_jax.geometry import signed_distances_on_host
+from sean_jax.geometry import FAR, signed_distances_on_host
 from sean_jax.navigation.arcs import SLACK, pairs_are_free
 from sean_jax.navigation.tables import CODE, Navigation, inputs
 
@@ -34,9 +34,15 @@ CORNERS = np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)])
 def draw_places(navigation: Navigation, key: Array, number: int) -> Int[Array, "{number}"]:
     """Draw indices of ``navigation.places``, with replacement."""
     if navigation.mesh_places is None:
-        return jax.random.randint(key, (number,), 0, navigation.places.shape[0], jnp.int32)
+        return draw_uniform_places(navigation, key, number)
     index = jax.random.randint(key, (number,), 0, navigation.mesh_places.shape[0], jnp.int32)
     return navigation.mesh_places[index]
+
+
+def draw_uniform_places(navigation: Navigation, key: Array, number: int) -> Int[Array, "{number}"]:
+    """Draw indices of ``navigation.places``, each as likely."""
+    count = (navigation.places[:, 0] < FAR).sum(dtype=jnp.int32)  # without padding
+    return jax.random.randint(key, (number,), 0, count, jnp.int32)
 
 
 def uniform_places(environment: Environment, navigation: Navigation) -> Navigation:

@@ -20,7 +20,7 @@ from sean_jax.navigation.arcs import (
     tangent_to_arc,
     tangents,
 )
-from sean_jax.navigation.tables import Navigation, visible_arcs
+from sean_jax.navigation.tables import Navigation, arc_bits, cell_of, visible_words
 
 STRIDE = 10.0  # degrees, of an arc: the next point lies up to that far ahead, which adds 1 % to the arc
 MIN_STRIDE = 5e-3  # m, by which the next point is at least ahead
@@ -70,10 +70,10 @@ def geodesic_approx(
     """Length [m] of the shortest path within about a cell of the visibility grid: cheap for many positions at once."""
     gap = goal - position
     straight = segment_is_free(navigation.obstacles, position, goal, NARROW * navigation.radius)
-    index_max = jnp.asarray(navigation.visible.shape[:2], jnp.int32) - 1
-    index = jnp.clip(jnp.floor((position - navigation.origin) / navigation.cell).astype(jnp.int32), 0, index_max)
+    cell = cell_of(navigation.visible, navigation.origin, navigation.cell, position)
+    visible = arc_bits(visible_words(navigation, *cell), navigation.arcs.side.shape[0])
     far, angle, *_ = tangents(navigation.arcs, position, navigation.radius, True)
-    begin = jnp.where(visible_arcs(navigation, index[0], index[1]), far - navigation.radius * angle, jnp.inf)
+    begin = jnp.where(visible, far - navigation.radius * angle, jnp.inf)
     # With the barrier, the minimum of a sum is some 20 times faster on a CPU than the minimum of a choice.
     around = jnp.min(jax.lax.optimization_barrier(begin) + paths_to_goal.distance)
     return jnp.where(straight, length(gap[0], gap[1]), around)
@@ -145,17 +145,19 @@ def last_arcs(navigation: Navigation, goal: Float[Array, "2"]) -> ArcsToGoal:
     far, angle, x, y, on_arc = tangents(navigation.arcs, end, radius, False)
     clear = segments_are_free(navigation.obstacles, end, x, y, free_radius)
     rest = jnp.where(on_arc & clear, far + radius * angle, jnp.inf)
-    first = jnp.arange(rest.shape[0], dtype=jnp.int32)
+    number, tables = rest.shape[0], (navigation.distance, navigation.arrival_angle)
+    first = jnp.arange(number, dtype=jnp.int32)
 
     def by(best: tuple[Array, Array], arc: tuple[Array, ...]) -> tuple[tuple[Array, Array], None]:
-        index, distance, arrival, angle, rest = arc
+        index, angle, rest = arc
+        distance, arrival = (table.row((index,), number) for table in tables)
         total = jnp.where(arrival <= angle + ANGLE, distance + rest, jnp.inf)
         shorter = total < best[0]
         return (jnp.where(shorter, total, best[0]), jnp.where(shorter, index, best[1])), None
 
     # In a loop: XLA on a CPU takes 30 times longer for an argmin over a square of arcs.
-    rows = first, navigation.distance.T, navigation.arrival_angle.T, angle, rest
-    (total, last), _ = jax.lax.scan(by, (jnp.full_like(rest, jnp.inf), first), rows)
+    (total, last), _ = jax.lax.scan(by, (jnp.full_like(rest, jnp.inf), first), (first, angle, rest))
+    total = jnp.where(first < navigation.distance.shape[0], total, jnp.inf)
     return ArcsToGoal(total, last, jnp.where(last == first, angle[last], navigation.departure_angle[first, last]))
 
 

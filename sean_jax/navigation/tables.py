@@ -27,10 +27,11 @@ from sean_jax.navigation.arcs import (
     segments_are_free,
     tangents,
 )
-from sean_jax.padding import in_programs
+from sean_jax.padding import FlatTable, flat_table, in_programs
 
 CODE = "navigation", "environment", "geometry", "padding"  # on which the tables depend
 FIELDS = "corner", "middle", "side", "first", "last"
+TABLES = "distance", "arrival_angle", "departure_angle", "rotation", "next_arc", "visible"
 CELL = 0.25  # m
 MAX_CELLS = 100_000  # of a visibility grid; larger floors have wider cells
 MAX_ARCS = 2_500  # the tables have all pairs of them
@@ -45,16 +46,16 @@ class Navigation:
     """Tables of shortest paths for a disc of one radius.
 
     A path from arc to arc goes from the middle of the first to the middle of the second. Angles on an arc are counted
-    from its middle, in the direction of travel.
+    from its middle, in the direction of travel. The tables know nothing of arcs that are padding.
     """
 
     arcs: CornerArcs  # V of them
-    distance: Float[Array, "V V"]  # m, length of the path from the first arc to the second; inf if there is none
-    departure_angle: Float[Array, "V V"]  # rad, where that path leaves the first
-    arrival_angle: Float[Array, "V V"]  # rad, where it enters the second
-    rotation: Float[Array, "V V"]  # rad, total rotation, left plus right
-    next_arc: Int[Array, "V V"]  # the arc that follows the first
-    visible: UInt8[Array, "X Y V8"]  # a bit for each arc: whether the tangent from the middle of a cell to it is free
+    distance: FlatTable  # (V, V) m, length of the path to the first arc from the second; inf if there is none
+    arrival_angle: FlatTable  # (V, V) rad, where that path enters the first
+    departure_angle: FlatTable  # (V, V) rad, where the path from the first arc to the second leaves the first
+    rotation: FlatTable  # (V, V) rad, its total rotation, left plus right
+    next_arc: FlatTable  # (V, V) int16, the arc that follows the first
+    visible: FlatTable  # (X, Y, V8) uint8, a bit for each arc: whether the tangent from the middle of a cell is free
     origin: Float[Array, "2"]  # m, lower left corner of the grid of cells
     cell: Float[Array, ""]  # m, side of a cell
     places: Float[Array, "P 2"]  # m, uniform over all places that the disc can reach
@@ -63,9 +64,18 @@ class Navigation:
     mesh_places: Int[Array, "M"] | None = None  # indices of places, repeated by their probability; None: uniform
 
 
-def visible_arcs(navigation: Navigation, i: Int[Array, "*places"], j: Int[Array, "*places"]) -> Bool[Array, "..."]:
-    """Whether the tangent from the middle of a cell (i, j) to each of the V arcs is free."""
-    return arc_bits(navigation.visible[i, j], navigation.arcs.side.shape[0])
+def visible_words(navigation: Navigation, i: Int[Array, ""], j: Int[Array, ""]) -> UInt8[Array, "V8"]:
+    """The bits of a cell (i, j): whether the tangent from its middle to each of the V arcs is free."""
+    return navigation.visible.row((i, j), -(-navigation.arcs.side.shape[0] // 8))
+
+
+def cell_of(
+    table: FlatTable, origin: Float[Array, "2"], cell: Float[Array, ""] | float, position: Float[Array, "2"]
+) -> tuple[Int[Array, ""], Int[Array, ""]]:
+    """The cell of a table over the floor in which a position [m] is, or the nearest to it."""
+    index = jnp.floor((position - origin) / cell).astype(jnp.int32)
+    index = jnp.clip(index, 0, table.shape[:2] - 1)
+    return index[0], index[1]
 
 
 def arc_bits(words: UInt8[Array, "*places V8"], number: int) -> Bool[Array, "..."]:
@@ -98,17 +108,19 @@ def build(environment: Environment, radius: float, cell: float | None = None) ->
     """
     boxes = environment.obstacles
     inputs = environment.floor, boxes.center, boxes.half_extent, boxes.yaw, radius, 0.0 if cell is None else cell
-    fields = to_device(dict(cache.load_or_build("navigation", CODE, inputs, lambda: _make(environment, radius, cell))))
+    fields = dict(cache.load_or_build("navigation", CODE, inputs, lambda: _make(environment, radius, cell)))
+    tables = {name: flat_table(fields.pop(name)) for name in TABLES}
+    fields |= {"origin": np.asarray(environment.floor)[:2], "radius": np.asarray(radius)}
+    fields = to_device(fields) | tables
     arcs = CornerArcs(*(fields.pop(name) for name in FIELDS))
-    origin, size = to_device((np.asarray(environment.floor)[:2], np.asarray(radius)))
-    return Navigation(**fields, arcs=arcs, origin=origin, obstacles=boxes, radius=size)
+    return Navigation(**fields, arcs=arcs, obstacles=boxes)
 
 
 def inputs(navigation: Navigation) -> list:
     """The key of these tables in the cache, for tables that are computed from them."""
     boxes, grid = navigation.obstacles, (navigation.origin, navigation.cell, navigation.visible.shape)
     shape = boxes.center, boxes.half_extent, boxes.yaw, navigation.radius
-    return [*shape, *jax.tree.leaves(navigation.arcs), navigation.distance, navigation.places, *grid]
+    return [*shape, *jax.tree.leaves(navigation.arcs), navigation.distance.values, navigation.places, *grid]
 
 
 def _make(environment: Environment, radius: float, cell: float | None) -> dict[str, np.ndarray]:
@@ -193,9 +205,9 @@ def _shortest_chains(number: int, links: CommonTangents, radius: float) -> dict[
             departure[rows, target] = np.where(starts, leave[link], departure[rows, before[best]])
             next_arc[rows, target] = np.where(starts, target, next_arc[rows, before[best]])
     return {
-        "distance": distance,
+        "distance": distance.T,
+        "arrival_angle": arrival.T,
         "departure_angle": departure,
-        "arrival_angle": arrival,
         "rotation": rotation,
         "next_arc": next_arc.astype(np.int16),
     }

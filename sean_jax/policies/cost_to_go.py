@@ -4,6 +4,8 @@
 control step. Each place then uses only these, by the table of cells that see them.
 """
 
+import functools
+
 import jax
 import jax.numpy as jnp
 from flax import struct
@@ -14,6 +16,7 @@ from sean_jax.geometry import from_rectangle, length, nearby_obstacles
 from sean_jax.navigation import segment_is_free
 from sean_jax.navigation.arcs import ANGLE, CornerArcs, tangents
 from sean_jax.navigation.shortest_paths import last_arcs
+from sean_jax.navigation.tables import cell_of
 
 NEAR_CORNERS = 6  # chosen because they are near
 CHAIN_CORNERS = 3  # chosen as consecutive corners
@@ -83,10 +86,8 @@ def _path_lengths(
     """(P, K) m from places by each of the corners to the goal; inf by corners that are not in sight."""
     navigation = scenario.navigation
     x, y = _push_out(scenario, x, y)
-    max_x, max_y = navigation.visible.shape[0] - 1, navigation.visible.shape[1] - 1
-    stop = jax.lax.stop_gradient
-    i = jnp.clip(jnp.floor((stop(x) - navigation.origin[0]) / navigation.cell).astype(jnp.int32), 0, max_x)
-    j = jnp.clip(jnp.floor((stop(y) - navigation.origin[1]) / navigation.cell).astype(jnp.int32), 0, max_y)
+    grid = navigation.visible, navigation.origin, navigation.cell
+    i, j = jax.vmap(functools.partial(cell_of, *grid))(jax.lax.stop_gradient(jnp.stack([x, y], -1)))
     words = navigation.visible[i[:, None], j[:, None], index[None, :] // 8]
     visible = (words >> (index % 8).astype(words.dtype)[None, :]) & 1 != 0
 

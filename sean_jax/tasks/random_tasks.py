@@ -69,8 +69,7 @@ def busy_ab_nav(scenario: Scenario, pedestrians: Pedestrians, groups: Groups, me
     """
     navigation = scenario.navigation
     cluster_key, ring_key, draw_key, goal_key, choice_key, turn_key = jax.random.split(key, 6)
-    index = jax.random.randint(draw_key, (CANDIDATES,), 0, navigation.places.shape[0], jnp.int32)
-    anywhere = navigation.places[index]
+    anywhere = navigation.places[paths.draw_uniform_places(navigation, draw_key, CANDIDATES)]
     middle = anywhere[0]
     if pedestrians.present.shape[0]:
         busy = pedestrians.position[busiest(pedestrians.position, pedestrians.present, cluster_key)]

@@ -7,6 +7,7 @@ their members, people that fit.
 import os
 import subprocess
 import sys
+import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -185,10 +186,18 @@ def find(name: str | Path) -> list[Path]:
 
 
 def save_all(*folders: str) -> None:
-    """Write worlds whose folders are named FAMILY_SEED, as ``save``."""
+    """Write worlds whose folders are named FAMILY_SEED, as ``save``; a folder of another process is kept."""
     for folder in map(Path, folders):
         family, _, seed = folder.name.rpartition("_")
-        save(generate(family, int(seed)), folder)
+        world = generate(family, int(seed))
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix=".", dir=folder.parent) as own:
+            save(world, Path(own) / folder.name)
+            try:
+                (Path(own) / folder.name).rename(folder)
+            except OSError:
+                if not folder.is_dir():
+                    raise
 
 
 def in_processes(module: str, function: str, arguments: Sequence[str], folders: Sequence[Path]) -> None:
