@@ -14,7 +14,7 @@ from sean_jax.base import as_policy
 from sean_jax.errors import InputError
 from sean_jax.learning import curriculum as curricula
 from sean_jax.learning.curriculum import Plan, Record
-from sean_jax.mdp import Env, make_env, randomize_behavior
+from sean_jax.mdp import Env, make_env
 from sean_jax.mdp.env import _choose
 from sean_jax.policies import POLICIES
 
@@ -32,7 +32,7 @@ step = jax.jit(Env.step)
 @pytest.fixture(scope="module")
 def env():
     scenario = sean_jax.make("lab", people=5, dynamics="twin", time_limit=3.0, metrics=[])
-    randomization = randomize_behavior(people=(0.2, 1.0), speed=(0.5, 2.0), waypoints=(0.5, 2.0))
+    randomization = {"people": (0.2, 1.0), "speed": (0.5, 2.0), "waypoints": (0.5, 2.0)}
     return make_env(scenario, ["goal"], {"progress": 1.0, "personal_space": -1.0}, randomization=randomization)
 
 
@@ -164,7 +164,7 @@ def test_mutations_are_near_and_within_bounds(env):
 )
 def test_bad_bounds(bounds, message):
     with pytest.raises(InputError, match=message):
-        randomize_behavior(**bounds)
+        mdp.as_randomization(bounds)
 
 
 # ------------------------------------------------------------------ by situation

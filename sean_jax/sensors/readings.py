@@ -56,12 +56,13 @@ class _Distances:
 
     def __call__(self, scenario: Scenario, params: DistanceErrors | tuple, state: State, key: Array) -> Array:
         distance = self.measure(scenario, state, self.device)
-        if not isinstance(params, DistanceErrors):
+        errors = params if isinstance(params, DistanceErrors) else scenario.sensor_errors
+        if errors is None:
             return distance
         noise_key, drop_key = jax.random.split(key)
         far = self.device.far
-        distance = noise(noise_key, distance, far=far, min_deviation=params.min_deviation, growth=params.growth)
-        return drop_outs(drop_key, distance, params.drop_out, far)
+        distance = noise(noise_key, distance, far=far, min_deviation=errors.min_deviation, growth=errors.growth)
+        return drop_outs(drop_key, distance, errors.drop_out, far)
 
 
 @dataclasses.dataclass(frozen=True)
