@@ -215,7 +215,6 @@ class EnvConfig(ScenarioConfig):
             raise ValueError(f"{value[0]} is more than {value[1]}; give the least steps first")
         return value
 
-
     @pydantic.field_validator("randomization", mode="before")
     @classmethod
     def _as_bounds(cls, value: object) -> object:
