@@ -15,6 +15,7 @@ from sean_jax.errors import InputError
 from sean_jax.mdp import observations, rewards
 from sean_jax.mdp.env import as_termination
 from sean_jax.mdp.randomization import as_randomization
+from sean_jax.social_forces.presets import is_file
 from sean_jax.stack import Stack
 
 PLACES = ("warehouse", "lab", "outdoor")
@@ -151,7 +152,7 @@ def with_law(config: EnvConfig, law: str) -> EnvConfig:
     """
     if law in pedestrian_models.MODELS:
         return config.replace(model=law)
-    if law not in social_forces.PRESETS and not social_forces.presets.is_file(law):
+    if law not in social_forces.PRESETS and not is_file(law):
         raise InputError(files.unknown_name("laws", law, (*social_forces.PRESETS, *pedestrian_models.MODELS)))
     return config.replace(model="social_forces", forces=law)
 

@@ -292,10 +292,11 @@ def _problems(bounds: Mapping[str, Range]) -> Iterable[files.Problem]:
 
 
 def _of_bounds(bounds: Mapping[str, Range]) -> ParameterRandomization:
-    return ParameterRandomization(tuple((name, *map(float, bounds[name])) for name in PARAMETERS if name in bounds))
+    pairs = ((name, bounds[name]) for name in PARAMETERS if name in bounds)
+    return ParameterRandomization(tuple((name, float(low), float(high)) for name, (low, high) in pairs))
 
 
-RANDOMIZATIONS: Mapping[str, Randomization] = MappingProxyType({
+RANDOMIZATIONS: Mapping[str, ParameterRandomization] = MappingProxyType({
     "behavior": _of_bounds({
         "people": (0.25, 1.0),
         "speed": (0.6, 1.4),
