@@ -301,13 +301,13 @@ def test_laws_are_environments():
 
 @pytest.mark.slow
 def test_a_training_keeps_its_randomization(file, tmp_path):
-    """On the floors of a set, under two laws: it is logged by law, goes on, and its agent needs no file."""
+    """On the floors of a set, under two laws: logged by law, refused with other bounds; its agent needs no file."""
     from sean_jax import learning
     from sean_jax.evaluation import replay_command
 
     config = training(
         tmp_path / "run", environment=SET, laws="calibrated,orca", randomization=str(file), scenarios=8, pool=8,
-        observation_delay=["people=0:2"], steps=8 * 8 * 2, evaluate_every=1, learning_rate_schedule="constant",
+        observation_delay=["people=0:2"], steps=8 * 8,
     )  # fmt: skip
     state = reinforcement.train(config)
     line = learning.trainer.read_metrics(tmp_path / "run")[-1]
@@ -315,11 +315,9 @@ def test_a_training_keeps_its_randomization(file, tmp_path):
     assert line["evaluation"]["return"] == pytest.approx(np.mean(returns), abs=1e-5)
     for env in state.rows.envs:
         assert set(env.randomization) == set(BOUNDS) and env.randomization["people"].shape == (1, 4)
-    state = reinforcement.train(config.replace(steps=8 * 8 * 3))
-    assert int(state.update) == 3
     file.write_text(FILE.replace("0.25", "0.5"))
     with pytest.raises(InputError, match="randomization"):
-        reinforcement.train(config.replace(steps=8 * 8 * 4))
+        reinforcement.train(config)
     file.unlink()
     saved = learning.policy.read_options(tmp_path / "run")
     assert registry.check(saved)["randomization"] == as_randomization(BOUNDS)

@@ -76,12 +76,12 @@ class _Color:
 
 
 def depth_sensor(device: Camera, errors: DistanceErrors | None = None, name: str | None = None) -> Sensor:
-    """A depth camera, whose reading is (H, W) m, with errors or exact; the reading has the camera's name by default."""
+    """A depth camera, whose reading is (H, W) m and has the camera's name by default; without errors, with the scenario's."""
     return Sensor(() if errors is None else errors, name or device.name, _Distances(device, depth))
 
 
 def lidar_sensor(device: Lidar, errors: DistanceErrors | None = None, name: str = "lidar") -> Sensor:
-    """A lidar, whose reading is (rays,) m, with errors or exact."""
+    """A lidar, whose reading is (rays,) m; without errors of its own, with the scenario's."""
     return Sensor(() if errors is None else errors, name, _Distances(device, scan))
 
 
