@@ -76,12 +76,12 @@ class _Color:
 
 
 def depth_sensor(device: Camera, errors: DistanceErrors | None = None, name: str | None = None) -> Sensor:
-    """A depth camera, whose reading is (H, W) m and has the camera's name by default; without errors, with the scenario's."""
+    """A depth camera, whose reading is (H, W) m, with the scenario's errors if it has none; its name is the camera's."""
     return Sensor(() if errors is None else errors, name or device.name, _Distances(device, depth))
 
 
 def lidar_sensor(device: Lidar, errors: DistanceErrors | None = None, name: str = "lidar") -> Sensor:
-    """A lidar, whose reading is (rays,) m; without errors of its own, with the scenario's."""
+    """A lidar, whose reading is (rays,) m, with the scenario's errors if it has none."""
     return Sensor(() if errors is None else errors, name, _Distances(device, scan))
 
 
