@@ -76,7 +76,7 @@ class _Color:
 
 
 def depth_sensor(device: Camera, errors: DistanceErrors | None = None, name: str | None = None) -> Sensor:
-    """A depth camera, whose reading is (H, W) m, with the scenario's errors if it has none; the name is the camera's."""
+    """A depth camera, whose reading is (H, W) m; without errors it has the scenario's, without a name the camera's."""
     return Sensor(() if errors is None else errors, name or device.name, _Distances(device, depth))
 
 
