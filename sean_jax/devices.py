@@ -62,6 +62,22 @@ def to_device(tree: PyTree) -> PyTree:
     return jax.device_put(jax.tree.map(convert, tree))
 
 
+def on_host(function: Callable) -> Callable:
+    """The function of arrays computed by the CPU, with its result on the default device: for a program that runs once,
+    and that XLA compiles for minutes for a GPU.
+    """
+
+    def call(*arguments: Any) -> PyTree:
+        if jax.default_backend() == "cpu":
+            return function(*arguments)
+        cpu = jax.local_devices(backend="cpu")[0]
+        with jax.default_device(cpu):
+            result = function(*jax.device_put(arguments, cpu))
+        return jax.device_put(result, jax.local_devices()[0])
+
+    return call
+
+
 def scalar(value: float) -> Any:  # a numpy array, for the fields of dataclasses of jax arrays
     """A () float parameter of a module-level table; programs use it in the default precision, unknown at import."""
     return np.asarray(value, float)

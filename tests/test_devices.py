@@ -244,3 +244,14 @@ def test_several_environments_on_two_devices_are_those_on_one(tmp_path):
     assert "4 do not spread evenly over 4 devices in 2 environments; take a multiple" in " ".join(
         refused.communicate(timeout=600)[1].split()
     )
+
+
+def test_on_host_computes_on_the_cpu_and_gives_arrays_of_the_default_device(monkeypatch):
+    """As on a GPU."""
+    run = devices.on_host(jax.jit(lambda key, pair: (jax.random.split(key, 2), pair[0] + pair[1])))
+    arguments = jax.random.key(3), (jnp.arange(3.0), np.ones(3, np.float32))
+    wanted = run(*arguments)
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    keys, total = run(*arguments)
+    assert (jax.random.key_data(keys) == jax.random.key_data(wanted[0])).all() and total.devices() == {jax.devices()[0]}
+    np.testing.assert_array_equal(total, wanted[1])

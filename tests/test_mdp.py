@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import sean_jax
-from sean_jax import mdp, metrics, prng, registry
+from sean_jax import mdp, metrics, prng, registry, robots
 from sean_jax.errors import InputError
 from sean_jax.mdp import REWARDS, Env, delayed, make_env, of_metric, rewards, stacked
 from sean_jax.mdp import observations as observing
@@ -96,6 +96,40 @@ def test_terms_are_those_of_observe(scenario, episodes):
         rows = np.concatenate([wanted.people[row][near], wanted.people_velocity[row][near], np.ones((3, 1))], 1)
         rows[np.linalg.norm(rows[:, :2], axis=1) > mdp.observations.REACH] = 0.0
         np.testing.assert_allclose(flat["people"][row], rows, atol=1e-4)
+
+
+def test_visible_people_are_not_behind_obstacles(scenario, episodes):
+    """Against 400 points of each line of sight, in MuJoCo's boxes of the lab."""
+    _, (_, seen, after, *_) = episodes
+    state = jax.tree.map(_merged, after.simulation)
+    term = mdp.observations.people(3, visible=True)
+    rows = np.asarray(jax.jit(jax.vmap(lambda state: term.read(scenario, state, ())))(state), float)
+    people = np.asarray(_merged(seen["people"]), float)
+    boxes, share = scenario.environment.obstacles, np.linspace(0.0, 1.0, 400)[:, None]
+    center, half, yaw = (np.asarray(part, float) for part in (boxes.center, boxes.half_extent, boxes.yaw))
+    turn = np.stack([np.stack([np.cos(yaw), np.sin(yaw)], -1), np.stack([-np.sin(yaw), np.cos(yaw)], -1)], 1)
+    hidden = 0
+    for row in range(0, len(rows), 5):
+        heading = np.asarray(state.robot.heading[row], float)
+        for shown, person in zip(rows[row], people[row], strict=True):
+            ahead = person[:2] @ np.array([heading, [-heading[1], heading[0]]])
+            line = np.asarray(state.robot.position[row], float) + share * ahead
+            inside = np.abs(np.einsum("kij,pkj->pki", turn, line[:, None] - center)) - half
+            depth = inside.max(-1).min()  # m, negative in a box
+            if abs(depth) > 1e-2:
+                np.testing.assert_allclose(shown, person * (depth > 0.0), atol=1e-4)
+                hidden += person[4] > 0.0 and depth < 0.0
+    assert hidden > 5
+
+
+def test_the_term_robot_has_its_limits(scenario):
+    state = jax.eval_shape(sean_jax.reset, scenario, jax.random.key(0))
+    kuri = mdp.observations.OBSERVATIONS["robot"].read(scenario, state, ())
+    np.testing.assert_allclose(kuri, [0.16, 0.5, 0.5, 5.0, 5.0, 3.0, 10.0])
+    other = replace(scenario, robot=robots.load("turtlebot3"))
+    np.testing.assert_allclose(
+        mdp.observations.OBSERVATIONS["robot"].read(other, state, ()), [0.11, 1.0, 0.5, 0.8, 0.4, 1.7, 1.5]
+    )
 
 
 def test_episodes_end_and_others_begin(env, episodes):

@@ -54,7 +54,7 @@ def standing(config: PPOConfig, network: ActorCritic, over) -> reinforcement.Pro
         told = {"train": {"loss": none}, "episodes": {"return": none, "completed": none}}
         return replace(state, agent=agent, update=state.update + 1), told
 
-    def evaluate(scenarios, envs, several: Agent):
+    def evaluate(scenarios, envs, starts, several: Agent):
         value = jnp.sin(10.0 * several.statistics.mean[:, 0])  # of update 2 highest
         found = {"return": value, "completed": value**2, "mean_speed": jnp.ones((number, 6)) * value[:, None]}
         return value, [found] * len(envs)
@@ -69,7 +69,7 @@ def trained(tmp_path_factory):
     folder = tmp_path_factory.mktemp("ppo") / "whole"
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(reinforcement, "programs", standing)
-        patched.setattr(rollouts, "with_pool", lambda env, key, size: env)
+        patched.setattr(reinforcement, "draw_starts", lambda options, scenarios, envs: (envs, ()))
         return reinforcement.train(options(folder)), folder
 
 
@@ -208,10 +208,11 @@ def test_programs_of_a_training_fit_together(method):
     run = reinforcement.programs(config, network, devices.mesh())
 
     def together(key):
+        starts = reinforcement.evaluation_starts(config, scenarios, (env,))
         pooled = (rollouts.with_pool(env, key, config.pool),)
         several = networks.init_agents(network, env.member.observations, env.member.observation_space, key[None])
         before = run.begin(pooled, several)
-        return before, *run.update(pooled, before), run.evaluate(scenarios, (env,), several)
+        return before, *run.update(pooled, before), run.evaluate(scenarios, (env,), starts, several)
 
     before, after, told, (value, (found,)) = jax.eval_shape(together, jax.random.key(0))
     assert jax.tree.structure(before) == jax.tree.structure(after)
@@ -227,7 +228,8 @@ def test_evaluations_use_the_weights_of_each_agent():
     scenarios, envs, network = reinforcement.build(config)
     agent = begun(network, envs[0].member)
     agents = jax.tree.map(lambda leaf: jnp.stack([leaf, leaf]), agent)
-    value, (found,) = reinforcement.programs(config, network, devices.mesh()).evaluate(scenarios, envs, agents)
+    starts = reinforcement.evaluation_starts(config, scenarios, envs)
+    value, (found,) = reinforcement.programs(config, network, devices.mesh()).evaluate(scenarios, envs, starts, agents)
     np.testing.assert_allclose(value, [0.5, -1.0], rtol=1e-5)
     np.testing.assert_allclose(found["return"], value)
 
@@ -341,7 +343,7 @@ def test_a_value_is_scaled_and_nothing_else(env):
 def quiet(monkeypatch):
     """Trainings in which nobody moves."""
     monkeypatch.setattr(reinforcement, "programs", standing)
-    monkeypatch.setattr(rollouts, "with_pool", lambda env, key, size: env)
+    monkeypatch.setattr(reinforcement, "draw_starts", lambda options, scenarios, envs: (envs, ()))
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -486,7 +488,7 @@ def test_a_pretrained_agent_that_does_not_fit_is_refused_first(trained, tmp_path
     """Before starts are drawn and anything is written: of another size, with other inputs, or without weights."""
     never = lambda *_: pytest.fail("it was built")  # noqa: E731
     monkeypatch.setattr(reinforcement, "programs", never)
-    monkeypatch.setattr(rollouts, "with_pool", never)
+    monkeypatch.setattr(reinforcement, "draw_starts", never)
     shutil.copytree(trained[1], tmp_path / "empty")
     shutil.rmtree(tmp_path / "empty" / "checkpoints")
     for folder, other, message in [
@@ -843,7 +845,7 @@ def own(tmp_path, monkeypatch):
     """A training with an observation and a reward of files of one's own, and a folder that has them."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(reinforcement, "programs", standing)
-    monkeypatch.setattr(rollouts, "with_pool", lambda env, key, size: env)
+    monkeypatch.setattr(reinforcement, "draw_starts", lambda options, scenarios, envs: (envs, ()))
     (tmp_path / "mine.py").write_text(WITH_HELPER)
     (tmp_path / "helper.py").write_text("scale = 0.1\n")
     parts = {"observations": ["goal", "mine.py:seen"], "rewards": ["progress", "mine.py:near"]}

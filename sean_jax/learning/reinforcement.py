@@ -26,7 +26,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Int, PyTree
 
 from sean_jax import components, devices, mdp, prng, registry, writing
-from sean_jax.base import Array, Policy, Scenario
+from sean_jax.base import Array, Policy, Scenario, State
 from sean_jax.clock import ceil_ticks
 from sean_jax.config import ReinforcementConfig
 from sean_jax.episodes import init_policy, policy_step
@@ -74,7 +74,7 @@ class Programs(NamedTuple):
 
     begin: Callable  # (envs, agents) -> TrainState
     update: Callable  # (envs, state) -> (state, numbers for the log, (A, ...)); donates the state
-    evaluate: Callable  # (scenarios, envs, agents) -> mean return, (A,), and numbers for the log, (A, ...)
+    evaluate: Callable  # (scenarios, envs, starts, agents) -> mean return, (A,), and numbers for the log, (A, ...)
     refill: Callable  # (envs, state) -> state with other starts; donates the state
 
 
@@ -240,13 +240,13 @@ def programs(options: ReinforcementConfig, network: ActorCritic, mesh: Mesh) -> 
 
         return replace(state, curriculum=jax.vmap(one)(state.agent, state.curriculum, curriculum_keys))
 
-    def evaluate(scenarios: tuple[Scenario, ...], envs: Envs, agents: Agent) -> tuple[Array, list]:
-        episode_keys = jax.random.split(prng.key("evaluation", options.seed), options.evaluation_episodes)
-
+    def evaluate(
+        scenarios: tuple[Scenario, ...], envs: Envs, starts: tuple[State, ...], agents: Agent
+    ) -> tuple[Array, list]:
         def one(agent: Agent, own: dict[str, Array]) -> list[dict[str, Any]]:
             policy = policies.agent_policy(network, agent, terms)
-            each = zip(scenarios, _reweighted(envs, own), strict=True)
-            return [_evaluate_policy(scenario, env, policy, episode_keys, limits) for scenario, env in each]
+            each = zip(scenarios, _reweighted(envs, own), starts, strict=True)
+            return [_evaluate_policy(scenario, env, policy, first, limits) for scenario, env, first in each]
 
         each = jax.vmap(one)(agents, numbers)
         return jnp.stack([numbers.pop("value") for numbers in each]).mean(0), each
@@ -292,18 +292,16 @@ def _reweighted(envs: Envs, numbers: dict[str, Any]) -> Envs:
 
 
 def _evaluate_policy(
-    measured: Scenario, envs: Stack[mdp.Env], policy: Policy, keys: Array, limits: dict[str, float]
+    measured: Scenario, envs: Stack[mdp.Env], policy: Policy, starts: State, limits: dict[str, float]
 ) -> dict[str, Any]:
     """Means over episodes in which the agent takes the mean of its actions: return without costs, costs a minute, the
     metrics of ``measured``, and the value by which agents are compared.
-
-    They are on the first floors.
     """
     steps = math.ceil(measured.time_limit / measured.time_step) + 1
 
-    def episode(env: mdp.Env, key: Array) -> tuple[tuple, Array, dict[str, Array]]:
+    def episode(env: mdp.Env, start: State) -> tuple[tuple, Array, dict[str, Array]]:
         scenario = replace(env.scenario, metrics=measured.metrics)
-        state = init_policy(scenario, policy, reset(scenario, key))
+        state = init_policy(scenario, policy, start)
         potentials = rewards.potentials(env.rewards, scenario, state)
 
         def one(carry: tuple, _) -> tuple[tuple, None]:
@@ -323,9 +321,8 @@ def _evaluate_policy(
         (last, _, total, spent, number, _), _ = jax.lax.scan(one, carry, length=steps)
         return (total, spent, number), last.completed, results(scenario, last)
 
-    floors = min(envs.size, len(keys))
-    keys = keys[: len(keys) // floors * floors].reshape(-1, floors).T.ravel()  # episode i is on floor i % floors
-    (total, spent, lasted), completed, values = envs.take(np.arange(floors)).vmap(episode)(keys)
+    floors = np.arange(min(envs.size, len(starts.tick)))
+    (total, spent, lasted), completed, values = envs.take(floors).vmap(episode)(starts)
     minutes, terms = lasted.sum().astype(float) * (measured.time_step / 60.0), dict(envs.member.rewards)
     rates = {name: part.sum() / terms[name].weight / minutes for name, part in spent.items()}
     numbers = {"return": total.mean(), "completed": completed.mean(dtype=jnp.float32)}
@@ -335,6 +332,35 @@ def _evaluate_policy(
 
 
 # ------------------------------------------------------------------ the training
+
+
+def draw_starts(
+    options: ReinforcementConfig, scenarios: tuple[Scenario, ...], envs: Envs
+) -> tuple[Envs, tuple[State, ...]]:
+    """The environments with pools, unless a curriculum has its own, and the first states of evaluations."""
+    key = prng.key("training", options.seed)
+    if options.curriculum == "none":
+        draw = devices.on_host(jax.jit(lambda env, key: rollouts.draw_pool(env, key, options.pool)))
+        keys = [jax.random.fold_in(key, 2**31 - 1 - turn) for turn in range(len(envs))]
+        pools = map(draw, envs, keys)
+        envs = tuple(env.with_fields(pool=pool) for env, pool in zip(envs, pools, strict=True))
+    first = devices.on_host(jax.jit(functools.partial(evaluation_starts, options)))
+    return envs, first(scenarios, tuple(env.with_fields(pool=None) for env in envs))
+
+
+def evaluation_starts(options: ReinforcementConfig, scenarios: tuple[Scenario, ...], envs: Envs) -> tuple[State, ...]:
+    """The first states (E, ...) of the episodes of an evaluation in each environment, on its first floors: episode i
+    is on floor i modulo their number.
+    """
+    keys = jax.random.split(prng.key("evaluation", options.seed), options.evaluation_episodes)
+
+    def draw(measured: Scenario, env: Stack[mdp.Env]) -> State:
+        floors = min(env.size, len(keys))
+        sorted_keys = keys[: len(keys) // floors * floors].reshape(-1, floors).T.ravel()
+        first = env.take(np.arange(floors))
+        return first.vmap(lambda env, key: reset(replace(env.scenario, metrics=measured.metrics), key))(sorted_keys)
+
+    return tuple(draw(measured, env) for measured, env in zip(scenarios, envs, strict=True))
 
 
 def _train(
@@ -359,10 +385,7 @@ def _train(
         teachers = tuple(policies.load_policy(options.imitate, scenario, "imitate") for scenario in scenarios)
     with progress(console if trainer.is_first_process() else None) as tell:
         tell.stage("drawing starts")
-        key, draw = prng.key("training", options.seed), jax.jit(rollouts.with_pool, static_argnums=2)
-        if options.curriculum == "none":
-            keys = [jax.random.fold_in(key, 2**31 - 1 - turn) for turn in range(len(envs))]
-            envs = tuple(draw(env, pool_key, options.pool) for env, pool_key in zip(envs, keys, strict=True))
+        envs, starts = draw_starts(options, scenarios, envs)
         if teachers:
             assert options.imitate is not None
             tell.stage(f"imitating {options.imitate.kind}")
@@ -370,7 +393,7 @@ def _train(
         if options.noise is not None:
             agents = with_noise(agents, options.noise)
         state = run.begin(envs, agents)
-        scenarios, envs = devices.replicate(mesh, (scenarios, envs))
+        scenarios, envs, starts = devices.replicate(mesh, (scenarios, envs, starts))
         setting = Setting(scenarios, envs, network)
 
         def place(state: TrainState) -> TrainState:
@@ -379,7 +402,7 @@ def _train(
             return replace(whole, rows=devices.split(mesh, state.rows, axis=1))
 
         loop = Loop(
-            advance=lambda state: _advance(options, run, setting, state),
+            advance=lambda state: _advance(options, run, setting, starts, state),
             is_over=lambda state: int(state.update) >= total,
             done=lambda state: int(state.update),
             place=place,
@@ -390,7 +413,7 @@ def _train(
 
 
 def _advance(
-    options: ReinforcementConfig, run: Programs, setting: Setting, state: TrainState
+    options: ReinforcementConfig, run: Programs, setting: Setting, starts: tuple[State, ...], state: TrainState
 ) -> tuple[TrainState, Report]:
     """An update, and an evaluation if it is due."""
     start = time.time()
@@ -407,7 +430,7 @@ def _advance(
     line |= {part: _finite_means(values) for part, values in log.items()}
     due = number % options.evaluate_every == 0 or number == options.updates
     if due:
-        state, evaluation = _evaluate(options, run, setting, state)
+        state, evaluation = _evaluate(options, run, setting, starts, state)
         line |= evaluation
     loss = -float(np.sum(np.asarray(state.best.value, float)))
     episodes = line["episodes"]
@@ -442,12 +465,12 @@ def _imitate(options: ReinforcementConfig, setting: Setting, teachers: tuple[Pol
 
 
 def _evaluate(
-    options: ReinforcementConfig, run: Programs, setting: Setting, state: TrainState
+    options: ReinforcementConfig, run: Programs, setting: Setting, starts: tuple[State, ...], state: TrainState
 ) -> tuple[TrainState, dict[str, dict]]:
     """The state with its best agents, and the evaluation: means of all environments and agents, and, if there are
     several, of each environment and of each agent."""
     scenarios, envs, _ = setting
-    value, each = run.evaluate(scenarios, tuple(env.with_fields(pool=None) for env in envs), state.agent)
+    value, each = run.evaluate(scenarios, tuple(env.with_fields(pool=None) for env in envs), starts, state.agent)
     value, each = jnp.asarray(value, jnp.float32), jax.tree.map(np.asarray, each)
     better = value > state.best.value
     now = Best(state.agent, value, jnp.broadcast_to(state.update, value.shape))

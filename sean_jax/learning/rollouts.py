@@ -69,14 +69,14 @@ def merge_envs(parts: Sequence[PyTree]) -> PyTree:
     return jax.tree.map(lambda *leaves: jnp.stack(leaves, 1).reshape(-1, *leaves[0].shape[1:]), *parts)
 
 
-def with_pool(
+def draw_pool(
     env: Stack[mdp.Env], key: Array, size: int, change: Callable[[mdp.Env, mdp.Pool], mdp.Pool] = lambda _, pool: pool
-) -> Stack[mdp.Env]:
-    """The environments with starts that are drawn now: ``size`` in all, and on each floor ``MIN_POOL`` at least.
+) -> Stack[mdp.Pool] | mdp.Pool:
+    """Starts of episodes: ``size`` in all, and on each floor ``MIN_POOL`` at least.
 
     Args:
         key: () typed PRNG key.
-        change: (env, pool) -> the pool that it gets.
+        change: (env, pool) -> the pool in its place.
     """
     number = max(min(MIN_POOL, size), size // env.size)
 
@@ -86,14 +86,19 @@ def with_pool(
         return change(env, pool)
 
     if env.size == 1:
-        return env.with_fields(pool=draw(env.member, key))
-    return env.with_fields(pool=of_arrays(env.over_members(draw)(jax.random.split(key, env.size))))
+        return draw(env.member, key)
+    return of_arrays(env.over_members(draw)(jax.random.split(key, env.size)))
+
+
+def with_pool(env: Stack[mdp.Env], *arguments: Any) -> Stack[mdp.Env]:
+    """The environments with the starts of ``draw_pool``."""
+    return env.with_fields(pool=draw_pool(env, *arguments))
 
 
 def reset_envs(envs: Envs, network: ActorCritic, key: Array, number: int) -> EnvBatch:
-    """``number`` scenarios at the start of their first episodes; the key is a typed PRNG key ()."""
+    """``number`` scenarios at the start of their first episodes, from the pools; the key is a typed PRNG key ()."""
     keys = split_by_env(jax.random.split(key, number), len(envs))
-    first = [env.vmap(mdp.Env.reset)(env_keys) for env, env_keys in zip(envs, keys, strict=True)]
+    first = [env.vmap(mdp.Env.start)(env_keys) for env, env_keys in zip(envs, keys, strict=True)]
     observation, states = merge_envs([observation for observation, _ in first]), tuple(states for _, states in first)
     return EnvBatch(states, observation, jnp.zeros((number, network.memory_size), jnp.float32), jnp.ones(number, bool))
 

@@ -131,7 +131,7 @@ class Env:
         """
         ended, observation, reward, terminated, truncated, info = self.advance(state, action)
         done = terminated | truncated
-        first, start = self._start(key)
+        first, start = self.start(key)
         following = jax.tree.map(lambda old, new: jnp.where(done, new, old), ended, start)
         shown = jax.tree.map(lambda old, new: jnp.where(done, new, old), observation, first)
         return shown, following, reward, terminated, truncated, info | {"final_observation": observation}
@@ -230,7 +230,8 @@ class Env:
             )
         return scenario
 
-    def _start(self, key: Array) -> tuple[dict[str, Array], EnvState]:
+    def start(self, key: Array) -> tuple[dict[str, Array], EnvState]:
+        """The first observation and state of an episode: a start of the pool, or, without a pool, a reset."""
         if self.pool is None:
             return self.reset(key)
         choice_key, streams_key = jax.random.split(key)

@@ -20,6 +20,7 @@ from sean_jax.base import Array, Scenario, Sensor, State
 from sean_jax.errors import InputError
 from sean_jax.geometry import from_rectangle, length, nearby_obstacles, rotate
 from sean_jax.mdp.spaces import Box
+from sean_jax.robots.drive import max_reverse_speed
 
 NEAREST = 12  # people of the term "people"
 REACH = 8.0  # m, range of the observation
@@ -119,6 +120,16 @@ def _speeds(scenario: Scenario, state: State, prepared: tuple) -> Array:
     return jnp.stack([state.robot.speed, state.robot.turn_rate])
 
 
+def _robot(scenario: Scenario, state: State, prepared: tuple) -> Array:
+    """The robot's radius, top speeds ahead and backward, acceleration, deceleration, top turn rate and turn
+    acceleration: (7,) m, m/s, m/s2, rad/s, rad/s2.
+    """
+    model = scenario.robot
+    deceleration = model.max_acceleration if model.max_deceleration is None else model.max_deceleration
+    speeds = model.max_speed, max_reverse_speed(model), model.max_acceleration, deceleration
+    return jnp.stack([jnp.asarray(model.radius, float), *speeds, model.max_turn_rate, model.max_turn_acceleration])
+
+
 def _time(scenario: Scenario, state: State, prepared: tuple) -> Array:
     """Share of the time limit that has passed, and of the hold at the goal: (2,)."""
     passed = state.tick.astype(float) * scenario.time_step / scenario.time_limit
@@ -136,13 +147,30 @@ def _situations(scenario: Scenario, state: State, prepared: tuple) -> Array:
     return state.situations.astype(float)
 
 
-def people(nearest: int = NEAREST, reach: float = REACH) -> ObservationTerm:
+def people(nearest: int = NEAREST, reach: float = REACH, visible: bool = False) -> ObservationTerm:
     """The nearest people, the nearest first, within ``reach`` m.
 
     A term of (nearest, 5): a person's place (x ahead, y to the left) [m], velocity over the ground [m/s], and 1; all 0
     for nobody.
+
+    Args:
+        visible: leave out people to whom the straight line from the robot crosses an obstacle.
     """
-    return ObservationTerm(functools.partial(_people, nearest, reach), -reach, reach, people=True)
+    read = _visible_people if visible else _people
+    return ObservationTerm(functools.partial(read, nearest, reach), -reach, reach, people=True)
+
+
+def _visible_people(nearest: int, reach: float, scenario: Scenario, state: State, prepared: tuple) -> Array:
+    """The nearest people without those behind obstacles: where, how fast and whether there is one, (k, 5) m, m/s and
+    0 or 1.
+    """
+    rows, position = _people(nearest, reach, scenario, state, prepared), state.robot.position
+    x, y = rotate(rows[:, 0], rows[:, 1], state.robot.heading[0], state.robot.heading[1])
+    ends = position[0] + x, position[1] + y
+    # Without the barrier XLA for GPUs computes the ends again for each obstacle, and compiles for minutes.
+    position, ends = jax.lax.optimization_barrier(jax.lax.stop_gradient((position, ends)))
+    free = navigation.segments_are_free(scenario.environment.obstacles, position, *ends, 0.0)
+    return jnp.where(free[:, None], rows, 0.0)
 
 
 def _people(nearest: int, reach: float, scenario: Scenario, state: State, prepared: tuple) -> Array:
@@ -228,10 +256,12 @@ OBSERVATIONS: dict[str, ObservationTerm] = {
     "path": ObservationTerm(_path, -FAR_GOAL, FAR_GOAL),
     "distance": ObservationTerm(_distance, 0.0, 10 * FAR_GOAL),
     "speeds": ObservationTerm(_speeds, -10.0, 10.0),
+    "robot": ObservationTerm(_robot, 0.0, 100.0),
     "time": ObservationTerm(_time, 0.0, 1.0),
     "hold": ObservationTerm(_hold, 0.0, 1.0),
     "situations": ObservationTerm(_situations, 0.0, 1.0),
     "people": people(),
+    "visible_people": people(visible=True),
     "obstacles": ObservationTerm(_obstacles, -NEAR, NEAR),
     "plan": ObservationTerm(plan_ahead, -PLAN_POINTS * SPACING, PLAN_POINTS * SPACING, prepare=_last_arc),
     "lidar": ObservationTerm(_lidar, 0.0, FAR_LIDAR),

@@ -1,6 +1,6 @@
 """Shortest paths around obstacles, exact for discs: tables over the corners of inflated obstacles, looked up in jit."""
 
-from sean_jax.navigation.arcs import segment_is_free
+from sean_jax.navigation.arcs import segment_is_free, segments_are_free
 from sean_jax.navigation.next_corner_table import (
     CLOSE,
     NextCornerTable,
@@ -42,4 +42,5 @@ __all__ = [
     "path_rotation",
     "plan",
     "segment_is_free",
+    "segments_are_free",
 ]
