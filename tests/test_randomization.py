@@ -213,6 +213,7 @@ def test_errors_of_the_scenarios_own_sensors(scenario):
     assert env.observation_space["own"].shape == (90,)
 
 
+@pytest.mark.slow
 def test_derivatives_by_parameters_are_finite(scenario):
     """At ends of the bounds, too: of the robot's motion, and of a noisy reading."""
     bounds = {name: each for name, each in BOUNDS.items() if name != "people"} | {"robot.friction": (0.5, 2.0)}
