@@ -311,6 +311,7 @@ class Scenario:
     substeps: int = struct.field(pytree_node=False)  # of the social forces in a step of control
     task_name: str = struct.field(pytree_node=False)
     sensors: tuple[Sensor, ...] = ()  # of the robot, read by ``sensors.sense``
+    sensor_errors: Any = None  # sensors.DistanceErrors of the sensors that have none; None: they are exact
     people_present: Int[Array, ""] | None = None  # number of people present, the first ones; None: all
     warm_up: float = struct.field(pytree_node=False, default=0.0)  # s, for which people walk before there is a robot
 

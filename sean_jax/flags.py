@@ -15,7 +15,7 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from sean_jax.config import core
-from sean_jax.config.core import Config, Described, Family, OwnPart, Value, families, family_of
+from sean_jax.config.core import Bounds, Config, Described, Family, OwnPart, Value, families, family_of
 from sean_jax.config.fields import Option
 from sean_jax.config.scenario import usual
 from sean_jax.errors import InputError
@@ -206,7 +206,7 @@ def _words_of_parts(name: str, value: Any, family: Family) -> list[str]:
         known = [part.kind for part in parts if not isinstance(part, OwnPart | Value)]
         words = _words(name, ",".join(known)) if known else []
         return words + [word for part in own for word in _words(family.singular, part.kind)]
-    words = _words(name, ",".join(part.kind for part in parts if not isinstance(part, Value)))
+    words = _words(name, ",".join(part.kind for part in parts if not isinstance(part, Value | Bounds)))
     for part in parts:
         for option in type(part).model_fields if not isinstance(part, Value) else ():
             if option != "kind" and getattr(part, option) is not None:

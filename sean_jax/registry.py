@@ -8,13 +8,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from sean_jax import assembly, components, files, mdp, tasks
+from sean_jax import assembly, components, files, mdp, pedestrian_models, social_forces, tasks
 from sean_jax.base import Scenario
-from sean_jax.config import USUAL_TASKS, Component, EnvConfig, Named, gather, validate
+from sean_jax.config import USUAL_TASKS, Bounds, Component, EnvConfig, Named, gather, validate
 from sean_jax.errors import InputError
 from sean_jax.mdp import observations, rewards
 from sean_jax.mdp.env import as_termination
 from sean_jax.mdp.randomization import as_randomization
+from sean_jax.social_forces.presets import is_file
 from sean_jax.stack import Stack
 
 PLACES = ("warehouse", "lab", "outdoor")
@@ -128,15 +129,32 @@ def check(config: EnvConfig) -> dict[str, Any]:
     ]
     for each in terminations:
         as_termination(each)
-    randomization = config.randomization
-    if randomization is not None:
-        randomization = as_randomization(components.resolve(randomization, mdp.RANDOMIZATIONS, "randomization"))
+    terms = observation_terms(config.observations)
     return {
-        "observations": dict(observation_terms(config.observations)),
+        "observations": dict(observations.with_delays(terms, config.observation_delays)),
         "rewards": dict(rewards.weighted(_rewards(config), config.reward_weights)),
         "terminations": terminations,
-        "randomization": randomization,
+        "randomization": as_randomization(_randomization(config.randomization)),
     }
+
+
+def _randomization(part: Component | None) -> Any:
+    if part is None or isinstance(part, Bounds):
+        return part
+    return part.kind if isinstance(part, Named) else components.resolve(part, {}, "randomization")
+
+
+def with_law(config: EnvConfig, law: str) -> EnvConfig:
+    """The options with a law of people's motion: a model, a preset of social forces, or a file of constants.
+
+    Raises:
+        InputError: there is no such law.
+    """
+    if law in pedestrian_models.MODELS:
+        return config.replace(model=law)
+    if law not in social_forces.PRESETS and not is_file(law):
+        raise InputError(files.unknown_name("laws", law, (*social_forces.PRESETS, *pedestrian_models.MODELS)))
+    return config.replace(model="social_forces", forces=law)
 
 
 def observation_terms(parts: Sequence[Component], option: str = "observations") -> observations.Terms:

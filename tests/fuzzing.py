@@ -452,6 +452,17 @@ def load_forces(folder: Path) -> Any:
     return forces, jax.jit(_lab_step())(scenario.replace(forces=forces), state).pedestrians
 
 
+def load_randomization(folder: Path) -> Any:
+    """Bounds, with which a scenario is randomized."""
+    import jax
+
+    from sean_jax.mdp import as_randomization
+
+    randomization, (scenario, _) = as_randomization(str(folder / "my.yaml")), _start()
+    assert randomization is not None
+    return randomization.apply(randomization.draw(jax.random.key(0), scenario), scenario).robot
+
+
 @functools.cache
 def _start() -> Any:
     import jax
@@ -533,6 +544,7 @@ def kinds(folder: Path) -> dict[str, Kind]:
     NUMBERS.update(ranges=np.arange(40.0).reshape(5, 8), marks=np.array([True, False]))
     constants = "preset: calibrated\nparameters:\n  repulsion.range: 0.1\n  walking.relaxation_time: 0.3\n"
     constants += "  headway.time: 0.7\n  evasion.horizon: 2.0\nprovenance: {fitted by: nobody}\n"
+    bounds = "people: [0.25, 1.0]\nspeed: [0.6, 1.4]\nrobot.max_speed: [0.6, 1.2]\nsensors.drop_out: [0.0, 0.05]\n"
     agent = {name: (AGENTS["ppo"] / name).read_bytes() for name in ("config.json", "weights.npz")}
     read = lambda *names: {name: (ENVS / "lab" / name).read_bytes() for name in names}  # noqa: E731
     settings = "image: map.png\nresolution: 0.1\norigin: [-2.0, -1.5, 0.0]\nnegate: 0\noccupied_thresh: 0.65\n"
@@ -563,6 +575,7 @@ def kinds(folder: Path) -> dict[str, Kind]:
         "result": Kind(ranked, ("result.json", *(name for name in ranked if name.endswith(".npz"))), load_result, 10),
         "run": Kind(measured, ("episodes.csv", "episodes.csv", "report.html"), load_run, 12),
         "forces": Kind({"forces.yaml": constants.encode()}, ("forces.yaml",), load_forces, 10),
+        "randomization": Kind({"my.yaml": bounds.encode()}, ("my.yaml",), load_randomization, 6),
     }
 
 

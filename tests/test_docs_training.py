@@ -30,6 +30,16 @@ def test_observations_are_told():
     assert f"The default is `{', '.join(config.OBSERVED)}`" in TEXT
 
 
+def test_randomization_is_told(tmp_path):
+    section = TEXT.split("### Randomization\n")[1].split("\n## ")[0]
+    told = {name for cells in table("key | factor of") for name in re.findall(r"`([\w.]+)`", cells[0])}
+    told |= set(re.findall(r"`(sensors\.\w+)`", section)) & set(mdp.PARAMETERS)
+    assert told == set(mdp.PARAMETERS)
+    file = tmp_path / "my.yaml"
+    file.write_text(re.findall(r"```yaml\n(.*?)```", section, re.S)[0])
+    assert len(mdp.as_randomization(file).bounds) == 7
+
+
 def test_rewards_are_told():
     told = {}
     for first, _, weights, privileged in table("name | value per step"):

@@ -265,6 +265,11 @@ train ppo --rewards progres | rewards: 'progres' is not one of; did you mean 'pr
 train ppo --terminations colision | terminations: 'colision' is not one of; did you mean 'collision'
 train ppo --termination nope.py:fall | terminations: ; nope.py: there is no such file
 train ppo --randomization people | randomization: 'people' is not one of behavior
+train ppo --randomization bounds | randomization: there are no bounds; give some
+train ppo --randomization nope.yaml | nope.yaml; there is no such file
+train ppo --laws calibrated,orka --environment lab | laws: 'orka' is not one of; did you mean 'orca'
+train ppo --observation-delay gaol=1 | observation_delay: 'gaol' is not one of; did you mean 'goal'
+train ppo --observation-delay goal=3:1 | --observation-delay: goal=3:1 has no steps from 0 to 1,000; the least first
 train ppo --action-delay 3 1 | --action-delay: 3 is more than 1; give the least steps first
 train ppo --action-delay -1 1 | --action-delay: -1 must be from 0 to 1,000 steps
 train ppo --sweep clip=0.1,0.1 | --sweep: clip=0.1,0.1 has a number twice

@@ -627,7 +627,7 @@ def test_randomization_delay_and_ends_reach_the_environment_of_a_training(mine, 
     assert drawn.min() < 0.6 and drawn.max() > 0.9
     (_, (floors,), _) = reinforcement.build(options(tmp_path, randomization="behavior", action_delay=3))
     usual = floors.member
-    assert usual.randomization == mdp.randomize_behavior() and usual.action_delay == (3, 3)
+    assert usual.randomization == mdp.RANDOMIZATIONS["behavior"] and usual.action_delay == (3, 3)
 
 
 @pytest.mark.parametrize(

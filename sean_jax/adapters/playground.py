@@ -109,7 +109,7 @@ class SocialNavigation(MjxEnv):
 
 def get_domain_randomizer(name: str) -> Callable[[Scenario, Array], tuple[Scenario, Scenario]]:
     """A function (scenario, PRNG keys (B,)) -> (B scenarios, their axes for ``vmap``) for Playground's
-    ``randomization_fn``: people behave differently in each row, as of ``mdp.randomize_behavior``.
+    ``randomization_fn``: people behave differently in each row, as of ``mdp.RANDOMIZATIONS``.
 
     Raises:
         InputError: there is no such name.
@@ -119,7 +119,7 @@ def get_domain_randomizer(name: str) -> Callable[[Scenario, Array], tuple[Scenar
 
 
 def _randomize(model: Scenario, rng: Array) -> tuple[Scenario, Scenario]:
-    randomization = mdp.randomize_behavior()
+    randomization = mdp.RANDOMIZATIONS["behavior"]
 
     def draw(key: Array) -> Scenario:
         return randomization.apply(randomization.draw(key, model), model)

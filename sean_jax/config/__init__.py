@@ -9,6 +9,7 @@ import pydantic
 from sean_jax.config import fields
 from sean_jax.config.core import (
     RENAMED,
+    Bounds,
     Component,
     Config,
     Family,
@@ -23,7 +24,7 @@ from sean_jax.config.core import (
     validate,
     with_defaults,
 )
-from sean_jax.config.fields import MAX_HOURS, MAX_PIXELS, MAX_RATE, MAX_SHARD, MAX_SIDE, Number, Option, Text
+from sean_jax.config.fields import MAX_HOURS, MAX_PIXELS, MAX_RATE, MAX_SHARD, MAX_SIDE, Number, Option, Range, Text
 from sean_jax.config.learning import (
     METHODS,
     OBSERVED,

@@ -24,7 +24,7 @@ from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, ErrorDetails, core_schema
 
 from sean_jax import files
-from sean_jax.config.fields import Option, Text, check_once
+from sean_jax.config.fields import Option, Range, Text, check_once
 from sean_jax.errors import InputError
 from sean_jax.messages import error_clause, listed, shorten, suggest
 
@@ -162,6 +162,20 @@ class Value(Component):
     @classmethod
     def __get_pydantic_json_schema__(cls, schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
         return {"not": {}}
+
+
+class Bounds(Component):
+    """Numbers that differ between episodes: name -> least and greatest value."""
+
+    model_config = pydantic.ConfigDict(extra="allow")
+    __pydantic_extra__: dict[str, Range]  # pyright: ignore
+
+    kind: Literal["bounds"] = "bounds"
+
+    @property
+    def bounds(self) -> dict[str, Range]:
+        """The further keys."""
+        return dict(self.model_extra or {})
 
 
 @dataclass(frozen=True)

@@ -127,6 +127,7 @@ Hours = Annotated[float, Number(1e-6, MAX_HOURS, "h")]
 HoursOfMinutes = Annotated[float, Number(0.0166, MAX_HOURS, "h")]
 WalkingSpeed = Annotated[float, Number(0.0, 100.0, "m/s")]
 Threshold = Annotated[float, Number(-MAX_MAGNITUDE, MAX_MAGNITUDE)]
+Range = tuple[Threshold, Threshold]  # least and greatest value
 Noise = Annotated[float, Number(1e-3, 1.0)]
 Delay = Annotated[int, Number(0, 1_000, "steps")]
 LearningRate = Annotated[float, Number(1e-12, 1.0)]

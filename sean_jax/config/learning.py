@@ -2,15 +2,16 @@
 
 import math
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from numbers import Integral
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 import pydantic
 
+from sean_jax import files
 from sean_jax.config import fields
-from sean_jax.config.core import Component, Config, Family, Named
+from sean_jax.config.core import Bounds, Component, Config, Family, Named, OwnPart, Value
 from sean_jax.config.fields import Option
 from sean_jax.config.scenario import Part, ScenarioConfig
 from sean_jax.messages import listed
@@ -23,6 +24,7 @@ METHOD = Option(positional=True, affects_results=False)
 
 Observations = Annotated[tuple[Component, ...], Family((Named,), "observation")]
 Rewards = Annotated[tuple[Component, ...], Family((Named,), "reward")]
+RandomizationPart = Annotated[Bounds | Named | OwnPart | Value, Family((Bounds, Named))]
 Terminations = Annotated[tuple[Component, ...], Family((Named,), "termination")]
 
 
@@ -175,10 +177,13 @@ class EnvConfig(ScenarioConfig):
     """Rewards: default, terms of `sean list`, and your own; progress=2,time=-0.2 changes weights of the default."""
     terminations: Terminations = ()
     """Terminations besides completion and the time limit: collision, obstacle, intimate, and your own."""
-    randomization: Part | None = None
-    """Randomization of each episode: behavior, for people's behavior; or a function (key, scenario) -> scenario."""
+    randomization: RandomizationPart | None = None
+    """Randomization of each episode: behavior, for people's behavior; a .yaml file with bounds of numbers of people,
+    robot and sensors; or a function (key, scenario) -> scenario."""
     action_delay: Delays = (0, 0)
     """Least and largest delay of commands in control steps; drawn for each episode."""
+    observation_delay: tuple[fields.Text, ...] = ()
+    """Least and largest delays of observations in control steps, such as people=0:3 lidar=1; drawn for each episode."""
 
     @pydantic.field_validator("rewards")
     @classmethod
@@ -209,6 +214,38 @@ class EnvConfig(ScenarioConfig):
         if value[0] > value[1]:
             raise ValueError(f"{value[0]} is more than {value[1]}; give the least steps first")
         return value
+
+    @pydantic.field_validator("randomization", mode="before")
+    @classmethod
+    def _as_bounds(cls, value: object) -> object:
+        """A mapping without a kind, as files of bounds have it."""
+        bounds = isinstance(value, Mapping) and "kind" not in value
+        return {"kind": "bounds", **value} if bounds else value  # pyright: ignore
+
+    @pydantic.field_validator("observation_delay")
+    @classmethod
+    def _check_delays(cls, delays: tuple[str, ...]) -> tuple[str, ...]:
+        fields.check_once([text.partition("=")[0] for text in delays])
+        for text in delays:
+            name, _, steps = text.partition("=")
+            least, _, most = steps.partition(":")
+            if not (least.isdecimal() and (most or least).isdecimal() and int(least) <= int(most or least) <= 1_000):
+                raise ValueError(f"{text} has no steps from 0 to 1,000; write {name}=0:3, the least first, or {name}=2")
+        return delays
+
+    @property
+    def observation_delays(self) -> dict[str, tuple[int, int]]:
+        """Observation -> least and largest delay in control steps."""
+        pairs = (text.partition("=") for text in self.observation_delay)
+        parts = {name: steps.partition(":") for name, _, steps in pairs}
+        return {name: (int(least), int(most or least)) for name, (least, _, most) in parts.items()}
+
+    def identity(self) -> dict[str, Any]:
+        """As of ``Config``, with the bounds of a randomization in place of the name of their file."""
+        part = self.randomization
+        if isinstance(part, Named) and Path(part.kind).suffix in (".yaml", ".yml"):
+            return self.replace(randomization=files.read_yaml(Path(part.kind))[1]).identity()
+        return super().identity()
 
 
 class ReinforcementConfig(EnvConfig):
@@ -288,6 +325,9 @@ class ReinforcementConfig(EnvConfig):
     distribution: Literal["gaussian", "squashed"] = "gaussian"
     """Distribution of actions: gaussian, clipped to the robot's limits; or squashed, tanh of a Gaussian, which never
     exceeds them."""
+    laws: fields.Names | None = None
+    """Laws of people's motion in place of model and forces: models and presets of forces, such as
+    calibrated,sean2,orca; several share the scenarios, and one agent learns among people of all of them."""
     costs: tuple[fields.Text, ...] = ()
     """Costs with a limit per minute, such as intimate_robot_on_person=0.1: terms of the reward, whose weights are
     learned so that the limits are kept."""
@@ -305,9 +345,13 @@ class ReinforcementConfig(EnvConfig):
             yield f"minibatches: {text}; choose a divisor"
         if self.imitate is not None and self.pretrained is not None:
             yield f"imitate: {self.imitate.kind} and --pretrained {self.pretrained} exclude each other; choose one"
-        if self.scenarios % len(self.environments):
-            text = f"{self.scenarios} do not divide equally among {len(self.environments)} environments"
-            yield f"scenarios: {text}; take a multiple"
+        laws = max(1, len(listed(self.laws)))
+        if self.scenarios % (count := len(self.environments) * laws):
+            text = f"{self.scenarios} do not divide equally among {count} environments"
+            yield f"scenarios: {text}{' with their laws' if laws > 1 else ''}; take a multiple"
+        if self.curriculum != "none" and laws > 1:
+            text = f"{self.curriculum} samples the starts of one environment, not of the laws {self.laws}"
+            yield f"curriculum: {text}; choose one of the two"
         if self.curriculum != "none" and len(self.environments) > 1:
             text = f"{self.curriculum} samples the starts of one environment, not of {self.environment}"
             yield f"curriculum: {text}; choose one of the two"

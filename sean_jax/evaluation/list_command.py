@@ -77,7 +77,8 @@ def choices() -> Iterator[tuple[str, dict[str, str]]]:
     yield "observations", {name: _sentence(term.definition) for name, term in mdp.OBSERVATIONS.items()}
     yield "rewards", {name: _sentence(term.definition) for name, term in mdp.REWARDS.items()}
     yield "terminations", _lines(mdp.TERMINATIONS)
-    yield "randomization", _lines({name: type(value) for name, value in mdp.RANDOMIZATIONS.items()})
+    bounds = {name: [key for key, _, _ in each.bounds] for name, each in mdp.RANDOMIZATIONS.items()}
+    yield "randomization", {name: f"Bounds of {', '.join(keys)}." for name, keys in bounds.items()}
     yield "dynamics", {name: TEXTS["dynamics"].get(name, "") for name in robots.DYNAMICS}
 
 

@@ -201,7 +201,8 @@ def _of_training(folder: Path, numbers: list[int]) -> Source:
     scenarios, envs, _ = reinforcement.build(options)
     turns = {number % len(envs) for number in numbers}
     if len(turns) > 1:
-        names = " and ".join(scenarios[each].environment.name for each in sorted(turns))
+        places = reinforcement.environment_names(options, scenarios)
+        names = " and ".join(places[each] for each in sorted(turns))
         raise InputError(
             f"episodes: they take turns in {len(envs)} environments, and those are in {names}; ask for one's."
         )

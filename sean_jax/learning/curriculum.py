@@ -6,7 +6,7 @@
   leads to such situations. Starts that seldom do so make room for new ones that do so more.
 - ``regret``: a start weighs by the agent's best return from it minus its mean return. Starts with low
   regret are replaced by new starts and mutations of the best starts: the same start among people who behave a little
-  differently (``mdp.randomize_behavior``).
+  differently (``mdp.RANDOMIZATIONS``).
 
 All functions are pure and of fixed shapes. A ``Curriculum`` is a pytree of arrays with everything that the rest depends
 on, and all chance comes from keys: a training that was stopped is resumed to the same curve.
@@ -128,7 +128,7 @@ def social_cost(parts: Mapping[str, Float[Array, "*batch"]]) -> Float[Array, "*b
 
 def prepare(env: mdp.Env, name: str) -> mdp.Env:
     """An environment, without a pool, in which the plan of that name has something to vary: by regret, with
-    ``mdp.randomize_behavior()`` unless it has its own randomization.
+    ``mdp.RANDOMIZATIONS["behavior"]`` unless it has its own randomization.
 
     Raises:
         InputError: by situations, no term of the reward is about people.
@@ -136,7 +136,7 @@ def prepare(env: mdp.Env, name: str) -> mdp.Env:
     if name == "situations":
         social_cost({name: jnp.zeros(()) for name, _ in env.rewards})
     if name == "regret" and env.randomization is None:
-        env = replace(env, randomization=mdp.randomize_behavior())
+        env = replace(env, randomization=mdp.RANDOMIZATIONS["behavior"])
     return env
 
 

@@ -9,6 +9,7 @@ that ``jax.distributed`` has joined train together: scenarios are spread over th
 
 import contextlib
 import functools
+import itertools
 import math
 import time
 import warnings
@@ -40,6 +41,7 @@ from sean_jax.learning.policy import Best
 from sean_jax.learning.rollouts import EnvBatch, Envs
 from sean_jax.learning.trainer import Loop, Report, check_config, method_config
 from sean_jax.mdp import rewards
+from sean_jax.messages import listed
 from sean_jax.progress import ProgressLike, progress
 from sean_jax.scenario import reset, results
 from sean_jax.stack import Stack
@@ -117,12 +119,16 @@ def build(options: ReinforcementConfig) -> Setting:
         policies.check_policy(options.imitate, options, "imitate")
     if options.pretrained is not None:
         _check_pretrained(options, options.pretrained)
-    for config in options.per_environment:
+    configs = options.per_environment
+    if options.laws is not None:
+        configs = [registry.with_law(config, law) for config in configs for law in listed(options.laws)]
+    for config in configs:
         bounds.with_costs(tuple(registry.check(config)["rewards"].items()), options.cost_limits)
-    terms = sum(policies.agent_terms(options), ())
-    envs = [registry.build_stack(config) for config in options.per_environment]
+    _, private = policies.agent_terms(options)
+    envs = [registry.build_stack(config) for config in configs]
 
     def prepare(env: mdp.Env) -> mdp.Env:
+        terms = (*env.observations, *private)
         env = replace(env, observations=terms, rewards=bounds.with_costs(env.rewards, options.cost_limits))
         return curricula.prepare(env, options.curriculum)
 
@@ -132,7 +138,7 @@ def build(options: ReinforcementConfig) -> Setting:
     envs = [env.map_member(prepare) for env in envs]
     first = envs[0].member
     rewards.reweighted(first.rewards, _weights(options.agents[0]))  # refuses unknown terms
-    _check_alike([env.member for env in envs])
+    _check_alike(environment_names(options, [env.member.scenario for env in envs]), [env.member for env in envs])
     for env in envs:
         if options.scenarios // len(envs) % env.size:
             text = f"{options.scenarios // len(envs)} do not divide equally among {env.size} floors"
@@ -154,9 +160,14 @@ def _callbacks(options: ReinforcementConfig) -> tuple[Callable, ...]:
     return functions
 
 
-def _check_alike(envs: Sequence[mdp.Env]) -> None:
+def environment_names(options: ReinforcementConfig, scenarios: Sequence[Scenario]) -> list[str]:
+    """The name of each environment in the log, with the law of its people if there are several."""
+    laws, names = listed(options.laws), [scenario.environment.name for scenario in scenarios]
+    return [f"{name}, {law}" for name, law in zip(names, itertools.cycle(laws), strict=False)] if laws else names
+
+
+def _check_alike(names: Sequence[str], envs: Sequence[mdp.Env]) -> None:
     """Refuse environments of one name, whose evaluations would mix, and of other observation sizes."""
-    names = [env.scenario.environment.name for env in envs]
     if twice := [name for name in names if names.count(name) > 1]:
         raise InputError(f"environment: {twice[0]} is listed more than once; list each once.")
     first, *others = [{name: box.shape for name, box in env.observation_space.items()} for env in envs]
@@ -419,7 +430,7 @@ def _advance(
     line |= {part: _finite_means(values) for part, values in log.items()}
     due = number % options.evaluate_every == 0 or number == options.updates
     if due:
-        state, evaluation = _evaluate(run, setting, starts, state)
+        state, evaluation = _evaluate(options, run, setting, starts, state)
         line |= evaluation
     loss = -float(np.sum(np.asarray(state.best.value, float)))
     episodes = line["episodes"]
@@ -454,7 +465,7 @@ def _imitate(options: ReinforcementConfig, setting: Setting, teachers: tuple[Pol
 
 
 def _evaluate(
-    run: Programs, setting: Setting, starts: tuple[State, ...], state: TrainState
+    options: ReinforcementConfig, run: Programs, setting: Setting, starts: tuple[State, ...], state: TrainState
 ) -> tuple[TrainState, dict[str, dict]]:
     """The state with its best agents, and the evaluation: means of all environments and agents, and, if there are
     several, of each environment and of each agent."""
@@ -472,8 +483,8 @@ def _evaluate(
         mean, *places = [{name: np.nanmean(part, 0) for name, part in one.items()} for one in (agents, *each)]
     line = {"evaluation": _by_situation(names, mean)}
     if len(places) > 1:
-        pairs = zip(scenarios, places, strict=True)
-        line |= {f"evaluation in {one.environment.name}": _by_situation(names, part) for one, part in pairs}
+        pairs = zip(environment_names(options, scenarios), places, strict=True)
+        line |= {f"evaluation in {place}": _by_situation(names, part) for place, part in pairs}
     if (count := value.shape[0]) > 1:
         parts = [{name: part[number] for name, part in agents.items()} for number in range(count)]
         line |= {f"agent {number}": _by_situation(names, part) for number, part in enumerate(parts)}

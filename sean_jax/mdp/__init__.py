@@ -6,15 +6,15 @@ from sean_jax.mdp.observations import OBSERVATIONS, ObservationTerm, as_term, de
 from sean_jax.mdp.randomization import (
     PARAMETERS,
     RANDOMIZATIONS,
-    BehaviorRandomization,
+    ParameterRandomization,
     Randomization,
-    randomize_behavior,
+    as_randomization,
 )
 from sean_jax.mdp.rewards import REWARDS, RewardTerm, in_situations, of_metric
 from sean_jax.mdp.spaces import Box, to_action, to_command
 
 __all__ = [
-    "OBSERVATIONS", "OBSERVED", "PARAMETERS", "RANDOMIZATIONS", "REWARDS", "TERMINATIONS", "BehaviorRandomization",
-    "Box", "Env", "EnvState", "ObservationTerm", "Pool", "Randomization", "RewardTerm", "as_term", "delayed",
-    "flatten", "in_situations", "make_env", "of_metric", "randomize_behavior", "stacked", "to_action", "to_command",
+    "OBSERVATIONS", "OBSERVED", "PARAMETERS", "RANDOMIZATIONS", "REWARDS", "TERMINATIONS", "Box", "Env", "EnvState",
+    "ObservationTerm", "ParameterRandomization", "Pool", "Randomization", "RewardTerm", "as_randomization", "as_term",
+    "delayed", "flatten", "in_situations", "make_env", "of_metric", "stacked", "to_action", "to_command",
 ]  # fmt: skip

@@ -290,8 +290,8 @@ def make_env(
             None.
         terminations: ends of episodes besides completion: names in ``TERMINATIONS``, or functions
             (scenario, before, after) -> () bool.
-        randomization: of each episode, such as ``randomize_behavior()``; or (key, scenario) -> scenario
-            with other leaves.
+        randomization: of each episode: a name in ``RANDOMIZATIONS``, bounds by the names of ``PARAMETERS`` such as
+            ``{"speed": (0.5, 2.0)}``, a YAML file of them, or (key, scenario) -> scenario with other leaves.
         action_delay: delay of commands in steps of control: a number, or (least, most), drawn for each episode.
 
     Raises:

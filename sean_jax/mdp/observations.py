@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from jaxtyping import Float, Int, PyTree
 
 from sean_jax import calls, files, navigation, sensors
-from sean_jax.base import Array, Scenario, State
+from sean_jax.base import Array, Scenario, Sensor, State
 from sean_jax.errors import InputError
 from sean_jax.geometry import from_rectangle, length, nearby_obstacles, rotate
 from sean_jax.mdp.spaces import Box
@@ -227,12 +227,17 @@ def _sensor(name: str, scenario: Scenario, state: State, prepared: tuple) -> Arr
     if name not in known:
         listed = ", ".join(known) or "none"
         raise InputError(f"observations: the scenario has no sensor '{name}', but {listed}; give make that sensor.")
-    return sensors.sense(dataclasses.replace(scenario, sensors=(known[name],)), state)[name]
+    return _reading(scenario, state, known[name])
+
+
+def _reading(scenario: Scenario, state: State, device: Sensor) -> Array:
+    return sensors.sense(dataclasses.replace(scenario, sensors=(device,)), state)[device.name]
 
 
 def _depth(scenario: Scenario, state: State, prepared: tuple) -> Array:
-    """The robot's depth camera, without noise: (height, width) m."""
-    return sensors.depth(scenario, state, sensors.camera(scenario, "depth", **IMAGE, far=FAR_DEPTH))
+    """The robot's depth camera, with the scenario's errors: (height, width) m."""
+    camera = sensors.camera(scenario, "depth", **IMAGE, far=FAR_DEPTH)
+    return _reading(scenario, state, sensors.depth_sensor(camera))
 
 
 def _rgb(scenario: Scenario, state: State, prepared: tuple) -> Array:
@@ -241,8 +246,8 @@ def _rgb(scenario: Scenario, state: State, prepared: tuple) -> Array:
 
 
 def _lidar(scenario: Scenario, state: State, prepared: tuple) -> Array:
-    """The robot's lidar, without noise: (rays,) m."""
-    return sensors.scan(scenario, state, sensors.lidar(scenario, count=RAYS, far=FAR_LIDAR))
+    """The robot's lidar, with the scenario's errors: (rays,) m."""
+    return _reading(scenario, state, sensors.lidar_sensor(sensors.lidar(scenario, count=RAYS, far=FAR_LIDAR)))
 
 
 OBSERVATIONS: dict[str, ObservationTerm] = {
@@ -269,6 +274,9 @@ OBSERVATIONS: dict[str, ObservationTerm] = {
 
 # ------------------------------------------------------------------ dicts of terms
 
+Terms = tuple[tuple[str, ObservationTerm], ...]
+"""Name and term, of each part of an observation."""
+
 
 def delayed(term: ObservationLike, least: int, most: int | None = None) -> ObservationTerm:
     """A term with delayed readings, ``least`` to ``most`` steps of control, drawn for each episode; ``least`` if
@@ -281,6 +289,18 @@ def delayed(term: ObservationLike, least: int, most: int | None = None) -> Obser
     if not 0 <= least <= most:
         raise InputError(f"delay: {least} to {most} steps must be a lesser and a greater number, 0 or more.")
     return dataclasses.replace(as_term(term), delay=(least, most))
+
+
+def with_delays(terms: Terms, delays: Mapping[str, tuple[int, int]]) -> Terms:
+    """Terms of which some are ``delayed``: name -> least and largest delay.
+
+    Raises:
+        InputError: a name is of none of the terms.
+    """
+    for name in delays:
+        if name not in dict(terms):
+            raise InputError(files.unknown_name("observation_delay", name, dict(terms)))
+    return tuple((name, delayed(term, *delays[name]) if name in delays else term) for name, term in terms)
 
 
 def stacked(term: ObservationLike, number: int) -> ObservationTerm:
@@ -322,10 +342,6 @@ class _Plain:
 
     def __call__(self, scenario: Scenario, state: State, prepared: tuple) -> Array:
         return self.function(scenario, state)
-
-
-Terms = tuple[tuple[str, ObservationTerm], ...]
-"""Name and term, of each part of an observation."""
 
 
 def as_terms(values: Mapping[str, ObservationLike] | tuple[str, ...] | list[str]) -> Terms:

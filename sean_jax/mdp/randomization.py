@@ -1,21 +1,31 @@
 """Randomization of episodes: parameters drawn for each episode, and the scenario with them.
 
-Parameters are leaves of the state of an episode, so they can be inspected and mutated (``learning.curriculum``).
+Parameters are leaves of the state of an episode, so they can be inspected and mutated (``learning.curriculum``). A YAML
+file, or a mapping, has the bounds of some of ``PARAMETERS``:
+
+    people: [0.25, 1.0]
+    robot.max_speed: [0.6, 1.2]
+    sensors.drop_out: [0.0, 0.05]
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
 from types import MappingProxyType
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
+import pydantic
 from jaxtyping import Float, PyTree
 
 from sean_jax import calls, files
 from sean_jax.base import Array, Scenario
+from sean_jax.config import Bounds, Range
 from sean_jax.errors import InputError
 from sean_jax.graph import graph_of
+from sean_jax.sensors import DistanceErrors
 from sean_jax.social_forces import Evasion, Repulsion, RobotRepulsion, Sidestep
 
 MUTATION = 0.15  # of a parameter's range, standard deviation of a mutation
@@ -40,8 +50,8 @@ class Randomization(Protocol):
         ...
 
 
-RandomizationLike = Randomization | Callable[[Array, Scenario], Scenario]
-"""A ``Randomization``, or a function (key, scenario) -> scenario."""
+RandomizationLike = Randomization | Callable[[Array, Scenario], Scenario] | Mapping[str, Any] | str | Path
+"""A ``Randomization``, a function (key, scenario) -> scenario, bounds by name, a YAML file of them, or a name."""
 
 
 @dataclass(frozen=True)
@@ -63,18 +73,16 @@ class OfKey:
         return key
 
 
-# ------------------------------------------------------------------ how people behave
+# ------------------------------------------------------------------ parameters
 
 
 class Parameter(NamedTuple):
-    """A parameter of how people behave."""
+    """A number that may differ between episodes."""
 
     apply: Callable[[Scenario, Array], Scenario]
-    low: float
-    high: float
-    ratio: bool = True  # drawn evenly in the logarithm
     least: float = 0.0  # what bounds may be
     most: float = float("inf")
+    ratio: bool = True  # drawn evenly in the logarithm
     of_waypoints: bool = False  # one number for each waypoint of the Behavior Graph
 
 
@@ -151,28 +159,70 @@ def _with_graph(scenario: Scenario, graph: PyTree) -> Scenario:
     return replace(scenario, behavior=replace(behavior, data=data))
 
 
+INSTEAD = {"max_deceleration": "max_acceleration", "max_reverse_speed": "max_speed"}  # of robots without the first
+
+
+def _of_robot(name: str, scenario: Scenario, value: Array) -> Scenario:
+    """Factor of a number of the robot."""
+    model = scenario.robot
+    usual = getattr(model, name) if getattr(model, name) is not None else getattr(model, INSTEAD[name])
+    return replace(scenario, robot=replace(model, **{name: value * usual}))
+
+
+def _of_sensors(name: str, scenario: Scenario, value: Array) -> Scenario:
+    """An error of all sensors that measure distances."""
+    none, change = jnp.zeros_like(value), {name: value}
+    common = scenario.sensor_errors or DistanceErrors(none, none, none)
+    sensors = tuple(
+        replace(each, params=replace(each.params, **change)) if isinstance(each.params, DistanceErrors) else each
+        for each in scenario.sensors
+    )
+    return replace(scenario, sensor_errors=replace(common, **change), sensors=sensors)
+
+
+def _robot(name: str) -> Parameter:
+    return Parameter(partial(_of_robot, name), least=0.05, most=20.0)
+
+
+def _sensors(name: str, most: float) -> Parameter:
+    return Parameter(partial(_of_sensors, name), most=most, ratio=False)
+
+
 PARAMETERS: Mapping[str, Parameter] = MappingProxyType({
-    "people": Parameter(_people, 0.25, 1.0, ratio=False, most=1.0),
-    "speed": Parameter(_speed, 0.6, 1.4, least=0.05, most=4.0),
-    "repulsion_strength": Parameter(_repulsion_strength, 0.5, 2.0),
-    "repulsion_range": Parameter(_repulsion_range, 0.7, 1.5, least=0.1),
-    "evasion": Parameter(_evasion, 0.2, 1.5),
-    "side": Parameter(_side, -2.0, 2.0, ratio=False, least=float("-inf")),
-    "robot_distance": Parameter(_robot_distance, 0.0, 1.5, ratio=False),
-    "stay": Parameter(_stay, 0.3, 3.0),
-    "waypoints": Parameter(_waypoints, 0.2, 5.0, of_waypoints=True),
+    "people": Parameter(_people, most=1.0, ratio=False),
+    "speed": Parameter(_speed, least=0.05, most=4.0),
+    "repulsion_strength": Parameter(_repulsion_strength),
+    "repulsion_range": Parameter(_repulsion_range, least=0.1),
+    "evasion": Parameter(_evasion),
+    "side": Parameter(_side, least=float("-inf"), ratio=False),
+    "robot_distance": Parameter(_robot_distance, ratio=False),
+    "stay": Parameter(_stay),
+    "waypoints": Parameter(_waypoints, of_waypoints=True),
+    "robot.max_reverse_speed": _robot("max_reverse_speed"),  # before the numbers that stand in for it
+    "robot.max_speed": _robot("max_speed"),
+    "robot.max_turn_rate": _robot("max_turn_rate"),
+    "robot.max_deceleration": _robot("max_deceleration"),
+    "robot.max_acceleration": _robot("max_acceleration"),
+    "robot.max_turn_acceleration": _robot("max_turn_acceleration"),
+    "robot.friction": _robot("friction"),
+    "robot.servo_gain": _robot("servo_gain"),
+    "robot.servo_torque": _robot("servo_torque"),
+    "sensors.min_deviation": _sensors("min_deviation", 10.0),  # m
+    "sensors.growth": _sensors("growth", 10.0),  # 1/m
+    "sensors.drop_out": _sensors("drop_out", 1.0),  # share
 })  # fmt: skip
-"""Parameters of people's behavior by name: factors of the scenario's values, with their usual bounds.
+"""Parameters by name, in the order in which they are applied: factors of the scenario's numbers, and the errors of
+sensors themselves.
 
 Contact between bodies is none of them: the time step of forces was chosen for it.
 """
 
 
 @dataclass(frozen=True)
-class BehaviorRandomization:
-    """People behave differently in each episode. Made by ``randomize_behavior``."""
+class ParameterRandomization:
+    """Numbers of ``PARAMETERS`` are drawn between bounds for each episode. ``as_randomization`` makes one."""
 
-    bounds: tuple[tuple[str, float, float], ...]  # name in ``PARAMETERS``, least and greatest value
+    bounds: tuple[tuple[str, float, float], ...]  # name, least and greatest value, in the order of ``PARAMETERS``
 
     def draw(self, key: Array, scenario: Scenario) -> dict[str, Array]:
         """Name -> number (), or (Mw,) of the waypoints."""
@@ -225,40 +275,69 @@ def _share(name: str, low: float, high: float, value: Array) -> Array:
     return (value - low) / (high - low)
 
 
-def randomize_behavior(**bounds: tuple[float, float]) -> BehaviorRandomization:
-    """People behave differently in each episode: how many, how fast, how far from others and from the robot.
+class _File(pydantic.RootModel[dict[str, Range]]):
+    """The content of a YAML file."""
 
-    Numbers are factors of the scenario's values: ``randomize_behavior(speed=(0.5, 2.0))``. They are drawn evenly
-    between their bounds, most of them in the logarithm.
 
-    Args:
-        bounds: name in ``PARAMETERS`` -> least and greatest value; all of them with their usual bounds by default.
-
-    Raises:
-        InputError: there is no parameter of a name, or bounds are impossible.
-    """
-    ranges = bounds or {name: (each.low, each.high) for name, each in PARAMETERS.items()}
-    for name, (low, high) in ranges.items():
+def _problems(bounds: Mapping[str, Range]) -> Iterable[files.Problem]:
+    """Unknown names and impossible bounds."""
+    if not bounds:
+        yield (), "there are no bounds; give some, such as people: [0.5, 1.0]"
+    for name, (low, high) in bounds.items():
         if name not in PARAMETERS:
-            hint = files.suggest(name, PARAMETERS) or "."
-            raise InputError(f"randomize_behavior: '{name}' is not one of {', '.join(PARAMETERS)}{hint}")
-        least, most = PARAMETERS[name].least, PARAMETERS[name].most
-        if not least <= low <= high <= most or not abs(low) + abs(high) < float("inf"):
-            limits = f"{least:g} to {most:g}"
-            raise InputError(f"randomize_behavior: {name} {low:g} to {high:g} must be a range within {limits}.")
-    return BehaviorRandomization(tuple((name, float(low), float(high)) for name, (low, high) in ranges.items()))
+            yield (name,), f"is not one of {', '.join(PARAMETERS)}{files.suggest(name, PARAMETERS)}"
+        elif not PARAMETERS[name].least <= low <= high <= PARAMETERS[name].most:
+            limits = f"{PARAMETERS[name].least:g} to {PARAMETERS[name].most:g}"
+            yield (name,), f"[{low:g}, {high:g}] must be a lesser and a greater number within {limits}"
 
 
-RANDOMIZATIONS: Mapping[str, Randomization] = MappingProxyType({"behavior": randomize_behavior()})
-"""Randomizations by name."""
+def _of_bounds(bounds: Mapping[str, Range]) -> ParameterRandomization:
+    pairs = ((name, bounds[name]) for name in PARAMETERS if name in bounds)
+    return ParameterRandomization(tuple((name, float(low), float(high)) for name, (low, high) in pairs))
 
 
-def as_randomization(value: RandomizationLike | None) -> Randomization | None:
-    """The randomization of a value: a ``Randomization``, a function (key, scenario) -> scenario, or None.
+RANDOMIZATIONS: Mapping[str, ParameterRandomization] = MappingProxyType({
+    "behavior": _of_bounds({
+        "people": (0.25, 1.0),
+        "speed": (0.6, 1.4),
+        "repulsion_strength": (0.5, 2.0),
+        "repulsion_range": (0.7, 1.5),
+        "evasion": (0.2, 1.5),
+        "side": (-2.0, 2.0),
+        "robot_distance": (0.0, 1.5),
+        "stay": (0.3, 3.0),
+        "waypoints": (0.2, 5.0),
+    }),
+})  # fmt: skip
+"""Randomizations by name: behavior, of how many people there are and how they behave."""
+
+
+def as_randomization(value: RandomizationLike | Bounds | None) -> Randomization | None:
+    """The randomization of a value: a ``Randomization``, a function (key, scenario) -> scenario, bounds by the names of
+    ``PARAMETERS`` such as ``{"speed": (0.5, 2.0)}``, the path of a YAML file of them, a name, or None.
+
+    Numbers are drawn evenly between their bounds, most of the factors in the logarithm.
 
     Raises:
-        InputError: it is none of these.
+        InputError: it is none of these, or bounds are impossible.
     """
+    if isinstance(value, str | Path):
+        if str(value) in RANDOMIZATIONS:
+            return RANDOMIZATIONS[str(value)]
+        if Path(value).suffix not in (".yaml", ".yml"):
+            known = ", ".join(RANDOMIZATIONS)
+            raise InputError(f"randomization: '{value}' is not one of {known}, nor a .yaml file with bounds.")
+        return _of_bounds(files.load(Path(value), _File, lambda file: _problems(file.root)).root)
+    if isinstance(value, Mapping):
+        try:
+            value = Bounds(**value)
+        except InputError as error:
+            raise InputError(f"randomization.{error}") from None
+    if isinstance(value, Bounds):
+        for keys, text in _problems(value.bounds):
+            end = "" if text.endswith("?") else "."
+            raise InputError(f"{'.'.join(('randomization', *map(str, keys)))}: {text}{end}")
+        return _of_bounds(value.bounds)
     if value is None or isinstance(value, Randomization):
         return value
     if callable(value):

@@ -56,12 +56,13 @@ class _Distances:
 
     def __call__(self, scenario: Scenario, params: DistanceErrors | tuple, state: State, key: Array) -> Array:
         distance = self.measure(scenario, state, self.device)
-        if not isinstance(params, DistanceErrors):
+        errors = params if isinstance(params, DistanceErrors) else scenario.sensor_errors
+        if errors is None:
             return distance
         noise_key, drop_key = jax.random.split(key)
         far = self.device.far
-        distance = noise(noise_key, distance, far=far, min_deviation=params.min_deviation, growth=params.growth)
-        return drop_outs(drop_key, distance, params.drop_out, far)
+        distance = noise(noise_key, distance, far=far, min_deviation=errors.min_deviation, growth=errors.growth)
+        return drop_outs(drop_key, distance, errors.drop_out, far)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -75,12 +76,12 @@ class _Color:
 
 
 def depth_sensor(device: Camera, errors: DistanceErrors | None = None, name: str | None = None) -> Sensor:
-    """A depth camera, whose reading is (H, W) m, with errors or exact; the reading has the camera's name by default."""
+    """A depth camera, whose reading is (H, W) m; without errors it has the scenario's, without a name the camera's."""
     return Sensor(() if errors is None else errors, name or device.name, _Distances(device, depth))
 
 
 def lidar_sensor(device: Lidar, errors: DistanceErrors | None = None, name: str = "lidar") -> Sensor:
-    """A lidar, whose reading is (rays,) m, with errors or exact."""
+    """A lidar, whose reading is (rays,) m, with the scenario's errors if it has none."""
     return Sensor(() if errors is None else errors, name, _Distances(device, scan))
 
 
