@@ -187,5 +187,5 @@ def test_one_agent_learns_on_several_floors(tmp_path):
     driver = learning.load(tmp_path, sean_jax.make("lab", people=3))
     assert driver.name
     source = replay_command._of_training(tmp_path, [4, 5])
-    assert [source.turn(number) for number in (4, 5)] == [0, 1] and len(source.scenarios) == 2
-    np.testing.assert_array_equal(source.scenarios[1].environment.floor, floors.at(2).environment.floor)
+    assert [source.place(number) for number in (4, 5)] == [1, 2] and len(source.floors) == 1
+    np.testing.assert_array_equal(source.floors[0].at(2).environment.floor, floors.at(2).environment.floor)
