@@ -80,6 +80,12 @@ class Stack(Generic[T]):
 
         return call
 
+    def paired(self, values: PyTree) -> "Stack[tuple[T, PyTree]]":
+        """The stack of pairs of a member and its row of arrays (K, ...)."""
+        leaves, count = jax.tree.leaves(values), len(jax.tree.leaves(self.member))
+        own = self.own | {count + number: leaf for number, leaf in enumerate(leaves)}
+        return replace(self, member=(self.member, jax.tree.map(lambda leaf: leaf[0], values)), own=own)  # pyright: ignore
+
     def map_member(self, function: Callable[[T], Any]) -> "Stack":
         """The stack whose members have other static fields, by ``function(member)``."""
         return replace(self, member=function(self.member))
