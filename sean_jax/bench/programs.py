@@ -102,7 +102,7 @@ def stepping(
     size = max(1, min(STARTS, batch) // stack.size)
     draw = jax.jit(lambda stack, key: stack.over_members(lambda one: episodes.reset_pool(one, key, size))())
     stack = devices.replicate(over, stack.paired(draw(stack, prng.key("bench starts", 0))))
-    scenario, _ = stack.member
+    scenario: Scenario = stack.member[0]  # pyright: ignore
     keys = devices.keys(over, prng.key("bench", 0), batch * number)
     states = _on_floors(over, lambda fixed, key: reset(fixed[0], key))(stack, (keys,))
     eye = None if image is None else sensors.camera(scenario, "depth", width=image[0], height=image[1])

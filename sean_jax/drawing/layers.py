@@ -127,7 +127,7 @@ def draw_graph(axes: Axes, graph: BehaviorGraph, alone: bool) -> None:
     """
     from matplotlib.collections import LineCollection
 
-    count = graph.nodes
+    count = len(graph.names) or graph.nodes
     position, radius = np.asarray(graph.position)[:count], np.asarray(graph.radius)[:count]
     group, flows = np.asarray(graph.is_group, bool)[:count], np.asarray(graph.flow)
     color = colors.EDGE if alone else colors.FAINT_EDGE

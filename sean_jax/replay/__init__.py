@@ -155,7 +155,7 @@ def _place(environment: Environment) -> dict[str, Any]:
 
 
 def _graph(graph: BehaviorGraph) -> dict[str, Any]:
-    flows, count = np.asarray(graph.flow), graph.nodes
+    flows, count = np.asarray(graph.flow), len(graph.names) or graph.nodes
     return {
         "names": list(graph.names) or [f"node {number}" for number in range(count)],
         "position": np.round(np.asarray(graph.position)[:count], 2).tolist(),
