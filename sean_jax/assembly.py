@@ -135,6 +135,8 @@ def build_stack(config: ScenarioConfig, limit: int | None = None) -> Stack[Scena
         InputError: one sentence that names the value and the cure.
     """
     parts, folders, robot = check(config), worlds.find(config.environment, limit), _robot(config)
+    for folder in folders:
+        _check_people(config, folder, float(parts["forces"].walking.radius))
     if len(folders) == 1:
         return Stack(_scenario(config, parts, robot, folders[0]), {}, names=(folders[0].name,))
     if config.behavior.kind not in ("graph", "random"):

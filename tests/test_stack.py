@@ -181,8 +181,10 @@ def test_sets_are_named():
         sean_jax.make(SET)
     with pytest.raises(InputError, match="handcrafted' is not for several"):
         assembly.build_stack(options(behavior="handcrafted", people=None, task="handcrafted"))
+    with pytest.raises(InputError, match="people: 5000 do not fit on a floor of"):
+        assembly.build_floors(options(people=5000))
     with pytest.raises(InputError, match="'custom' has places on one floor"):
-        assembly.build_floors(options(task=None, start=(1.0, 1.0), goal=(2.0, 2.0)))
+        assembly.build_floors(options(task=[{"kind": "custom", "start": (1.0, 1.0), "goal": (2.0, 2.0)}]))
 
 
 def test_a_folder_of_environments_is_a_set(tmp_path):
