@@ -171,7 +171,9 @@ class Runner:
         Raises:
             ValueError: the batch begins within the turn of a floor.
         """
-        if self.floors.size > 1 and first % self.floors.turn:
+        if self.floors.size == 1:
+            return self.floors
+        if first % self.floors.turn:
             raise ValueError(f"first: {first} is no multiple of the {self.floors.turn} scenarios, which share a floor.")
         index, number = self.floor_indices(first)[:: self.floors.turn], self.floors.size
         index = index[:number] if self.size % (number * self.floors.turn) == 0 else index
