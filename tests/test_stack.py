@@ -299,7 +299,7 @@ def test_a_run_of_a_set_is_resumed_and_names_its_floors(monkeypatch, tmp_path):
     assert (summary["floors"], summary["floors_wanted"]) == (2, 2) and "largest_groups" not in summary["checks"]
     assert summary["environments"] == ["passages_0", "passages_1"]
     report = (tmp_path / "made" / "report.html").read_text()
-    assert "Episode 1 · passages 1" in report and "Where people were" not in report
+    assert "Episode 0 · passages 0 · random ab nav" in report and "Where people were" not in report
     assert cli.main(["compare", "made", "whole", "--quiet"]) == 0
     assert cli.main(["replay", "made", "--episodes", "0", "1", "2", "--quiet"]) == 0
     first, second = test_replay_folders.played(tmp_path / "made" / "replay.html")

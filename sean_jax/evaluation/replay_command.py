@@ -216,7 +216,7 @@ def _of_training(folder: Path, numbers: list[int]) -> Source:
         )
     place = turns.pop()
     scenario, envs_on_floors = scenarios[place], envs[place]
-    floors = envs_on_floors.map_member(lambda env: dataclasses.replace(env.scenario, metrics=scenario.metrics))
+    floors = envs_on_floors.map_member(lambda each: dataclasses.replace(each.scenario, metrics=scenario.metrics))
     mdp_env, count = envs_on_floors.member, len(envs)
     return Source(
         floors=[floors],
