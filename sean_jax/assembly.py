@@ -47,7 +47,7 @@ from sean_jax.errors import InputError
 from sean_jax.messages import shorten
 from sean_jax.recordings import check_clock
 from sean_jax.scenario import direct_pedestrians, measure, move_pedestrians, reset, results
-from sean_jax.stack import Stack, stack, with_common_shapes
+from sean_jax.stack import Stack, as_stacks, stack, with_common_shapes
 
 MAX_SITUATIONS = 20  # the time in each of their 2 ** 20 sets is counted
 PARTS = ("behavior", "model", "forces", "situations", "metrics", "sensors")  # that a scenario calls
@@ -100,11 +100,28 @@ def build(config: ScenarioConfig) -> list[Scenario]:
     if len(folders) > 1:
         raise InputError(f"environment: {config.environment} is {len(folders)} floors; this takes one of them.")
     scenarios = with_tasks(config, _scenario(config, parts, _robot(config), folders[0]))
-    values = {name: getattr(config, name) for name in PARTS}
-    lists = {name: value if isinstance(value, tuple) else (value,) for name, value in values.items()}
-    if own := {name for name, parts in lists.items() if any(isinstance(part, OwnPart | Value) for part in parts)}:
-        _try_parts(scenarios[0], own)
+    _try_own_parts(config, scenarios[0])
     return scenarios
+
+
+@_one_sentence()
+def build_floors(config: ScenarioConfig, episodes: int | None = None) -> list[Stack[Scenario]]:
+    """The scenarios of a description on its floors, one stack for each task, for a ``Runner`` or ``evaluate``.
+
+    Args:
+        episodes: number of episodes, for which the first floors may be enough; None for all floors.
+
+    Raises:
+        InputError: one sentence that names the value and the cure.
+    """
+    if worlds.count(config.environment) == 1:
+        return as_stacks(build(config))
+    if any(isinstance(task, CustomTask) for task in config.tasks):
+        raise InputError("task: 'custom' has places on one floor; choose another task, or one floor.")
+    floors = build_stack(config, None if episodes is None else -(-episodes // len(config.tasks)))
+    scenarios = with_tasks(config, floors.member)
+    _try_own_parts(config, scenarios[0])
+    return [floors.map_member(lambda _, each=each: each) for each in scenarios]
 
 
 @_one_sentence()
@@ -117,7 +134,9 @@ def build_stack(config: ScenarioConfig, limit: int | None = None) -> Stack[Scena
     Raises:
         InputError: one sentence that names the value and the cure.
     """
-    parts, folders, robot = check(config), worlds.find(config.environment)[:limit], _robot(config)
+    parts, folders, robot = check(config), worlds.find(config.environment, limit), _robot(config)
+    for folder in folders:
+        _check_people(config, folder, float(parts["forces"].walking.radius))
     if len(folders) == 1:
         return Stack(_scenario(config, parts, robot, folders[0]), {}, names=(folders[0].name,))
     if config.behavior.kind not in ("graph", "random"):
@@ -186,6 +205,14 @@ def _scenario(config: ScenarioConfig, parts: dict[str, Any], robot: RobotModel, 
 def with_tasks(config: ScenarioConfig, scenario: Scenario) -> list[Scenario]:
     """The scenario with each task of a description."""
     return [with_task(scenario, task) for task in config.tasks]
+
+
+def _try_own_parts(config: ScenarioConfig, scenario: Scenario) -> None:
+    """Try the parts of a description that are the user's own."""
+    values = {name: getattr(config, name) for name in PARTS}
+    lists = {name: value if isinstance(value, tuple) else (value,) for name, value in values.items()}
+    if own := {name for name, parts in lists.items() if any(isinstance(part, OwnPart | Value) for part in parts)}:
+        _try_parts(scenario, own)
 
 
 def _try_parts(scenario: Scenario, own: set[str]) -> None:

@@ -11,6 +11,7 @@ import gc
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import jax
@@ -24,7 +25,7 @@ from sean_jax import clock, devices, interrupts, prng
 from sean_jax.base import Array, PolicyLike, RobotTask, Scenario, State, as_policy
 from sean_jax.episodes import init_policy, policy_step
 from sean_jax.scenario import reset, results
-from sean_jax.stack import Stack
+from sean_jax.stack import Stack, as_stacks
 
 CHUNK = 10.0  # s, between two looks at the progress
 MAX_BATCH, MAX_BATCH_CPU = 4_200, 64  # default episodes per batch
@@ -39,14 +40,15 @@ batch_results = jax.jit(jax.vmap(results, (None, 0)))
 class Record(NamedTuple):
     """The record of a batch of B episodes: a total over steps, and rows that are stacked over time.
 
-    ``init(scenario, states)`` is the total before the first step; ``update(scenario, before, after, actions, active,
-    total)`` gives the new total and a row, every ``every`` steps of control. ``before`` and ``after`` are states
-    (B, ...), ``actions`` the commands (every, B, 2) in between, ``active`` (B,) whether an episode had not yet ended.
-    ``command(state)``, with the state after a step, replaces the command of that step in ``actions``.
+    ``init(floors, states)`` is the total before the first step; ``update(floors, before, after, actions, active,
+    total)`` gives the new total and a row, every ``every`` steps of control. ``floors.vmap`` maps over rows. ``before``
+    and ``after`` are states (B, ...), ``actions`` the commands (every, B, 2) in between, ``active`` (B,) whether an
+    episode had not yet ended. ``command(state)``, with the state after a step, replaces the command of that step in
+    ``actions``.
     """
 
-    init: Callable[[Scenario, State], PyTree]
-    update: Callable[[Scenario, State, State, Array, Array, PyTree], tuple[PyTree, PyTree]]
+    init: Callable[[Stack[Scenario], State], PyTree]
+    update: Callable[[Stack[Scenario], State, State, Array, Array, PyTree], tuple[PyTree, PyTree]]
     every: int = 1
     command: Callable[[State], Array] | None = None
 
@@ -88,7 +90,7 @@ class Runner:
 
     def __init__(
         self,
-        scenarios: Scenario | Stack[Scenario] | Sequence[Scenario] | Sequence[Stack[Scenario]],
+        scenarios: Scenario | Stack[Scenario] | Sequence[Scenario | Stack[Scenario]],
         policy: PolicyLike,
         size: int,
         use: str,
@@ -103,7 +105,7 @@ class Runner:
 
         Args:
             policy: one policy, or ``drivers`` of them along a leading axis of its leaves.
-            size: episodes at once, rounded up to a multiple of the devices and drivers.
+            size: episodes at once, rounded up to a multiple of the devices and drivers (``batch_size``).
             use: of the seed, one of ``prng.USES``.
             mesh: devices that share the work; all if None.
             chunk: s between two looks at the progress.
@@ -112,13 +114,11 @@ class Runner:
         Raises:
             ValueError: the static structure of the scenarios differs.
         """
-        each = [scenarios] if isinstance(scenarios, Scenario | Stack) else list(scenarios)
-        stacks = [part if isinstance(part, Stack) else Stack(part, {}) for part in each]
-        self.scenarios, self.floors = [part.member for part in stacks], stacks[0]
+        stacks = as_stacks(scenarios)
+        self.scenarios, self.floors = [part.member for part in stacks], replace(stacks[0], names=(), turn=len(stacks))
         self.policy, self.use, self.record = as_policy(policy), use, record
         self.mesh = devices.mesh() if mesh is None else mesh
-        shares = math.lcm(self.mesh.size, drivers or 1, 1 if self.floors.size == 1 else len(stacks))
-        self.size = -(-size // shares) * shares
+        self.size = batch_size(size, self.floors, math.lcm(self.mesh.size, drivers or 1))
         self.compile_seconds = 0.0
         first = self.scenarios[0]
         self._steps = clock.ceil_ticks(first.time_limit, first.time_step)
@@ -166,11 +166,22 @@ class Runner:
         return self._floors_from(0), self._varying
 
     def _floors_from(self, first: int) -> Stack[Scenario]:
-        """The floors of a batch that begins with an episode of that number."""
+        """The floors of a batch that begins with an episode of that number; each once, if their turns fill it.
+
+        Raises:
+            ValueError: the batch begins within the turn of a floor.
+        """
         if self.floors.size == 1:
             return self.floors
-        turns = np.arange(first, first + self.size, len(self.scenarios)) // len(self.scenarios)
-        return self.floors.take(turns % self.floors.size)
+        if first % self.floors.turn:
+            raise ValueError(f"first: {first} is no multiple of the {self.floors.turn} scenarios, which share a floor.")
+        index, number = self.floor_indices(first)[:: self.floors.turn], self.floors.size
+        index = index[:number] if self.size % (number * self.floors.turn) == 0 else index
+        return self.floors if np.array_equal(index, np.arange(number)) else self.floors.take(index)
+
+    def floor_indices(self, first: int) -> np.ndarray:
+        """(B,) index of the floor of each episode of a batch that begins with an episode of that number."""
+        return np.arange(first, first + self.size) // self.floors.turn % self.floors.size
 
     def compile(self, callbacks: Callbacks) -> None:
         """Compile everything now, in a thread that Ctrl-C need not wait for."""
@@ -199,12 +210,14 @@ class Runner:
         index: np.ndarray | None = None,
         callbacks: Callbacks | None = None,
         keep_rows: bool = True,
+        turn: int | None = None,
     ) -> Batch:
         """The episodes from number ``first`` on until all have ended.
 
         Args:
             count: episodes that count, the others fill the batch; all if None.
             index: (B,) index of each episode's scenario; they take turns by number if None.
+            turn: number of the episode on whose floor the first one is; its own if None.
 
         Raises:
             FloatingPointError: a number is not finite; the message names the episodes.
@@ -212,10 +225,10 @@ class Runner:
         callbacks, count = callbacks or Callbacks(), self.size if count is None else count
         scenario = self.scenarios[0]
         numbers = np.arange(first, first + self.size)
-        turn = numbers % len(self.scenarios) if index is None else np.resize(index, self.size)
-        fixed = self._floors_from(first), self._varying, self.policy
+        index = numbers % len(self.scenarios) if index is None else np.resize(index, self.size)
+        fixed = self._floors_from(first if turn is None else turn), self._varying, self.policy
         fixed = fixed if self.mesh.size == 1 else devices.replicate(self.mesh, fixed)
-        turns = jnp.asarray(turn, jnp.int32)
+        turns = jnp.asarray(index, jnp.int32)
         states = self._draw(fixed[:-1], jnp.uint32(seed), jnp.asarray(numbers, jnp.uint32), turns)
         running = self._begin(fixed, states, turns)
         counted, rows, waiting = jnp.asarray(np.arange(self.size) < count), list[PyTree](), None
@@ -267,6 +280,19 @@ class Runner:
         return {name: np.concatenate([np.asarray(each[name]) for each in batches]) for name in batches[0]}
 
 
+def batch_size(size: int, floors: Stack[Scenario], shares: int = 1) -> int:
+    """The size of a batch, rounded up to a multiple of ``shares``, and of the floors' turns if that is near.
+
+    Otherwise a batch has tables of its own for each turn, which take more memory.
+    """
+    if floors.size == 1:
+        return -(-size // shares) * shares
+    shares = math.lcm(shares, floors.turn)
+    period = math.lcm(shares, floors.turn * floors.size)
+    size, even = (-(-size // part) * part for part in (shares, period))
+    return even if even <= 1.25 * size else size
+
+
 def max_batch() -> int:
     """Most episodes at once on this kind of device."""
     return MAX_BATCH_CPU if jax.default_backend() == "cpu" else MAX_BATCH
@@ -289,7 +315,7 @@ def varying_leaves(scenarios: Sequence[Scenario]) -> dict[int, Array]:
     Raises:
         ValueError: the scenarios differ in more.
     """
-    first, *others = (jax.tree.flatten(dataclasses.replace(each, task=None, task_name="")) for each in scenarios)
+    first, *others = (jax.tree.flatten(replace(each, task=None, task_name="")) for each in scenarios)
     if any(tree != first[1] for _, tree in others):
         raise ValueError("scenarios: their static structure differs; run them separately.")
     varying = {}
@@ -334,7 +360,7 @@ def first_state(tasks: tuple, scenario: Scenario, varying: dict[int, Array], ind
     def task(scenario: Scenario, *others: PyTree) -> RobotTask:
         return jax.lax.switch(index, [functools.partial(each, scenario) for each in tasks], *others)
 
-    return reset(dataclasses.replace(_select(scenario, varying, index), task=task), key)
+    return reset(replace(_select(scenario, varying, index), task=task), key)
 
 
 @functools.lru_cache(8)  # bounded, so that a long session does not keep all programs
@@ -362,7 +388,7 @@ def _begin(record: Record, drivers: int | None, fixed: tuple, states: State, ind
 
     states = _of_each_driver(one, floors, drivers)(policy, states, index)
     steps, faulty = jnp.zeros(index.shape, jnp.int32), jnp.zeros(index.shape, bool)
-    return LoopState(states, steps, faulty, record.init(floors.member, states))
+    return LoopState(states, steps, faulty, record.init(floors, states))
 
 
 def _advance(
@@ -391,7 +417,7 @@ def _advance(
             actions = actions[None]
         else:
             (states, steps, faulty), actions = jax.lax.scan(tick, carry, length=record.every)
-        total, rows = record.update(floors.member, before, states, actions, active, running.total)
+        total, rows = record.update(floors, before, states, actions, active, running.total)
         return LoopState(states, steps, faulty, total), rows
 
     return jax.lax.scan(one, running, length=turns)

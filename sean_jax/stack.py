@@ -1,7 +1,7 @@
 """A stack of scenarios that differ in numbers alone, such as different floors, for one program.
 
-A batch has as many rows of each member of the stack, one member after the other. Tables of floors are not copied for
-each row: the program maps over the members, and for each member over its rows.
+A batch has as many rows of each member of the stack, one member after the other or in turn. Tables of floors are not
+copied for each row: the program maps over the members, and for each member over its rows.
 """
 
 import functools
@@ -31,6 +31,7 @@ class Stack(Generic[T]):
     own: dict[int, Array]  # index of a leaf -> its values (K, ...), of leaves in which members differ
     size: int = struct.field(pytree_node=False, default=1)  # K
     names: tuple[str, ...] = struct.field(pytree_node=False, default=())  # of the members
+    turn: int = struct.field(pytree_node=False, default=0)  # rows of a member until the next one's turn; 0: all of them
 
     def at(self, index: Int[Array, ""] | int) -> T:
         """One member."""
@@ -41,11 +42,9 @@ class Stack(Generic[T]):
 
     def take(self, index: np.ndarray) -> "Stack[T]":
         """The stack of some members, in that order."""
-        if not self.own:
-            return replace(self, size=len(index))
         names = tuple(self.names[k] for k in index) if self.names else ()
         own = {place: values[jnp.asarray(index)] for place, values in self.own.items()}
-        return Stack(replace(self, own=own).at(0), own, len(index), names)
+        return replace(self, member=replace(self, own=own).at(0), own=own, size=len(index), names=names)
 
     def over_members(self, function: Callable[..., PyTree]) -> Callable[..., PyTree]:
         """``function(member, *values)`` of each member, with values (K, ...); results (K, ...)."""
@@ -59,19 +58,33 @@ class Stack(Generic[T]):
         return lambda *values: jax.vmap(one, axis_size=self.size)(self.own, *values)
 
     def vmap(self, function: Callable[..., PyTree]) -> Callable[..., PyTree]:
-        """``function(member, *row)`` of rows (B, ...), of which each member has B / K, one member after the other."""
+        """``function(member, *row)`` of rows (B, ...), of which each member has B / K."""
         if self.size == 1:
             return jax.vmap(functools.partial(function, self.member))
+
+        def split(leaf: Array) -> Array:  # (B, ...) -> (K, B / K, ...)
+            turn = self.turn or len(leaf) // self.size
+            each = leaf.reshape(len(leaf) // turn // self.size, self.size, turn, *leaf.shape[1:])
+            return each.swapaxes(0, 1).reshape(self.size, len(leaf) // self.size, *leaf.shape[1:])
+
+        def join(leaf: Array) -> Array:
+            turn = self.turn or leaf.shape[1]
+            each = leaf.reshape(self.size, leaf.shape[1] // turn, turn, *leaf.shape[2:])
+            return each.swapaxes(0, 1).reshape(len(leaf) * leaf.shape[1], *leaf.shape[2:])
 
         def of_member(member: T, *rows: PyTree) -> PyTree:
             return jax.vmap(functools.partial(function, member))(*rows)
 
         def call(*rows: PyTree) -> PyTree:
-            parts = jax.tree.map(lambda leaf: leaf.reshape(self.size, len(leaf) // self.size, *leaf.shape[1:]), rows)
-            results = self.over_members(of_member)(*parts)
-            return jax.tree.map(lambda leaf: leaf.reshape(len(leaf) * leaf.shape[1], *leaf.shape[2:]), results)
+            return jax.tree.map(join, self.over_members(of_member)(*jax.tree.map(split, rows)))
 
         return call
+
+    def paired(self, values: PyTree) -> "Stack[tuple[T, PyTree]]":
+        """The stack of pairs of a member and its row of arrays (K, ...)."""
+        leaves, count = jax.tree.leaves(values), len(jax.tree.leaves(self.member))
+        own = self.own | {count + number: leaf for number, leaf in enumerate(leaves)}
+        return replace(self, member=(self.member, jax.tree.map(lambda leaf: leaf[0], values)), own=own)  # pyright: ignore
 
     def map_member(self, function: Callable[[T], Any]) -> "Stack":
         """The stack whose members have other static fields, by ``function(member)``."""
@@ -97,6 +110,12 @@ def of_arrays(values: PyTree) -> Stack:
     leaves = jax.tree.leaves(values)
     first = jax.tree.map(lambda leaf: leaf[0], values)
     return Stack(first, dict(enumerate(leaves)), leaves[0].shape[0])
+
+
+def as_stacks(scenarios: Scenario | Stack[Scenario] | Sequence[Scenario | Stack[Scenario]]) -> list[Stack[Scenario]]:
+    """The stacks of scenarios that take turns; a scenario has one floor."""
+    each = [scenarios] if isinstance(scenarios, Scenario | Stack) else scenarios
+    return [part if isinstance(part, Stack) else Stack(part, {}) for part in each]
 
 
 def stack(members: Sequence[T], names: tuple[str, ...] = ()) -> Stack[T]:

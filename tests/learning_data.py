@@ -13,6 +13,7 @@ from sean_jax.learning.collection import row_record, simulate_shard, streams
 from sean_jax.learning.dataset import Dataset
 from sean_jax.learning.policy import load_policy
 from sean_jax.policies import go_to_goal
+from sean_jax.stack import as_stacks
 
 EPISODES, SEED, SECONDS = 16, 3, 20
 DRIVE = go_to_goal
@@ -49,7 +50,8 @@ def begin(config: CollectConfig, parts: dict[str, Scenario] | None = None) -> Da
     own, camera = setting()
     parts = own if parts is None else parts
     policy = load_policy(config.policy, next(iter(parts.values())))
-    return collection._open(config, parts, policy, camera)
+    stacks = dict(zip(parts, as_stacks(list(parts.values())), strict=True))
+    return collection._open(config, stacks, policy, camera)
 
 
 def write(folder: Path, hours: float = 0.05) -> Dataset:

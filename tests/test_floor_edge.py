@@ -19,6 +19,7 @@ from sean_jax.policies import POLICIES
 from sean_jax.policies.expert import obstacle_rate
 from sean_jax.policies.social_costmap import cell_costs
 from sean_jax.scenario import reset, snapshot
+from sean_jax.stack import Stack
 
 FLOOR = -6.0, -5.0, 6.0, 5.0
 SETTINGS = "name: plaza\nfloor: [-6, -5, 6, 5]\npeople: 6\n"
@@ -132,8 +133,8 @@ def test_the_check_measures_the_edge(scenarios):
         states = jax.tree.map(lambda leaf: jnp.zeros((1, *leaf.shape), leaf.dtype), shapes)
         people = dataclasses.replace(states.pedestrians, position=spots, present=jnp.ones((1, 3), bool))
         states, actions = dataclasses.replace(states, pedestrians=people), jnp.zeros((1, 1, 2))
-        empty = batches._init((4, 4), three, states)
-        found, _ = batches._update(1, three, states, states, actions, jnp.ones(1, bool), empty)
+        empty = batches._init((4, 4), Stack(three, {}), states)
+        found, _ = batches._update((4, 4), 1, Stack(three, {}), states, states, actions, jnp.ones(1, bool), empty)
         found = found.penetration
         assert (found < wanted) if scenario.environment.open else (abs(found - wanted) < 1e-5)
 

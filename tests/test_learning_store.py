@@ -66,7 +66,7 @@ def test_a_collection_that_was_interrupted_goes_on(data, tmp_path, monkeypatch):
     whole = files(data.folder)
     simulated = []
 
-    def simulate(runner, seed, shard, stream, watch):
+    def simulate(runner, seed, shard, stream, watch, turn):
         assert stream == shard
         simulated.append(shard)
         return learning_data.batches()[shard]
@@ -128,7 +128,7 @@ def test_two_collections_into_one_folder(tmp_path, monkeypatch):
     """The later one is refused before it simulates anything, and the earlier one's dataset is whole."""
     folder, refused = tmp_path / "data", []
 
-    def simulate(runner, seed, shard, stream, watch):
+    def simulate(runner, seed, shard, stream, watch, turn):
         with pytest.raises(writing.WriteError, match="data is being written by process"):
             collection.collect(learning_data.options(folder))
         refused.append(shard)

@@ -389,9 +389,9 @@ def test_ever_so_many_batches_are_no_list():
 
     asked: Any = SimpleNamespace(load=load)
     with pytest.raises(Stop):
-        scenario: Any = SimpleNamespace(time_limit=1.0)
+        stack: Any = SimpleNamespace(member=SimpleNamespace(time_limit=1.0), size=1)
         config = RunConfig(episodes=2**31 - 1, batch=1)
-        evaluation._episodes([scenario], asked, config, Progress(), asked, None)
+        evaluation._episodes([stack], asked, config, Progress(), asked, None)
 
 
 def test_a_resumed_run_replaces_the_parts_of_its_earlier_report(tmp_path):

@@ -62,10 +62,10 @@ def test_scenarios_take_turns_and_a_record_keeps_what_it_is_asked_for(quiet):
     second = first.replace(goal_radius=first.goal_radius * 2.0)
     radii = np.asarray([first.goal_radius, second.goal_radius])
 
-    def init(scenario, states):
+    def init(floors, states):
         return jnp.zeros((), jnp.int32)
 
-    def update(scenario, before, after, actions, active, total):
+    def update(floors, before, after, actions, active, total):
         assert actions.shape == (2, SIZE, 2)
         return total + active.sum(dtype=jnp.int32), (before.tick, active, after.robot.speed)
 
@@ -121,7 +121,7 @@ def test_scenarios_of_different_shapes_are_refused(quiet):
 
 TWO = """
 import jax, numpy as np, sean_jax
-from sean_jax import devices
+from sean_jax import devices, stack
 from sean_jax.evaluation import batches
 from sean_jax.runner import Runner, Callbacks
 assert len(jax.devices()) == 2
@@ -130,7 +130,7 @@ scenarios = [sean_jax.make("lab", task=task, **asked) for task in ("random_ab_na
 drive = lambda scenario, state, key: jax.numpy.asarray([0.2, 0.1])
 found = []
 for mesh in (devices.mesh(jax.devices()[:1]), devices.mesh()):
-    runner = Runner(scenarios, drive, 3, "run", batches.record(scenarios[0], 3), mesh)
+    runner = Runner(scenarios, drive, 3, "run", batches.record(stack.as_stacks(scenarios)[0], 3), mesh)
     runner.compile(Callbacks())
     found.append([runner.run(1, first, count) for first, count in ((0, 3), (3, 2))])
 for one, two in zip(*found):

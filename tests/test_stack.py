@@ -1,16 +1,25 @@
 """Stacks of floors: the same results as each floor alone, tables that are not copied, sets of worlds by name."""
 
+import csv
+import hashlib
+import json
+import signal
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import test_replay_folders
+import test_resume
 
 import sean_jax
-from sean_jax import assembly, kernels, padding, registry, reset, runner, stack, step, worlds
+from sean_jax import assembly, cli, devices, environment, kernels, padding, registry, reset, runner, stack, step, worlds
 from sean_jax.base import Obstacles
-from sean_jax.config import EnvConfig, PPOConfig, ScenarioConfig, validate
+from sean_jax.config import EnvConfig, PPOConfig, RunConfig, ScenarioConfig, validate
 from sean_jax.errors import InputError
+from sean_jax.evaluation import saved
 from sean_jax.geometry import FAR
+from sean_jax.learning.policy import load_policy
 from sean_jax.navigation import draw_places
 from sean_jax.policies import go_to_goal
 
@@ -131,6 +140,34 @@ def test_fields_of_a_stack_are_replaced():
     assert changed.vmap(lambda one, x: x)(jnp.zeros((4, 0))).shape == (4, 0)
 
 
+def test_rows_of_a_stack_take_turns():
+    """Rows of members in turn, two of each, and pairs with other rows."""
+    three = stack.of_arrays(jnp.asarray([10.0, 20.0, 30.0]))
+    rows = jnp.arange(12.0)
+    np.testing.assert_array_equal(three.vmap(jnp.add)(rows), rows + np.repeat([10.0, 20.0, 30.0], 4))
+    in_turn = three.replace(turn=2)
+    np.testing.assert_array_equal(in_turn.vmap(jnp.add)(rows), rows + np.tile(np.repeat([10.0, 20.0, 30.0], 2), 2))
+    assert in_turn.take(np.array([2, 0])).turn == 2
+    pairs = three.paired(jnp.asarray([1.0, 2.0, 3.0]))
+    np.testing.assert_array_equal(pairs.vmap(lambda pair, x: pair[0] * pair[1] + x)(jnp.zeros(3)), [10.0, 40.0, 90.0])
+
+
+def test_batches_have_whole_turns_of_floors_where_they_are_near(floors):
+    """Each floor once if its turns fill the batch, else a floor for each turn; two tasks share a floor."""
+    one = devices.mesh(jax.devices()[:1])
+    for asked, size, members in [(6, 6, 3), (11, 12, 3), (2, 2, 1), (7, 8, 4), (25, 30, 3)]:
+        running = runner.Runner([floors, floors], go_to_goal, asked, "run", mesh=one)
+        assert (running.size, running._floors_from(0).size) == (size, members)
+        assert runner.batch_size(size, running.floors) == size
+        for first in (0, 2, 8):
+            found = running._floors_from(first).vmap(lambda floor, _: floor.environment.floor)(jnp.zeros(size))
+            wanted = [floors.at(int(k)).environment.floor for k in np.arange(first, first + size) // 2 % 3]
+            np.testing.assert_array_equal(found, wanted)
+            np.testing.assert_array_equal(running.floor_indices(first), np.arange(first, first + size) // 2 % 3)
+        with pytest.raises(ValueError, match="first: 3 is no multiple of the 2 scenarios"):
+            running._floors_from(3)
+
+
 def test_a_kernel_gets_a_row_for_each_floor():
     """Rows of floors are not copied for each scenario, under nested maps in either order."""
     shapes = []
@@ -175,10 +212,16 @@ def test_sets_are_named():
             worlds.parse_set(name)
     names = [folder.name for folder in worlds.find("worlds:passages,aisles:3:5")]
     assert names == ["passages_5", "aisles_5", "passages_6"]
+    assert [folder.name for folder in worlds.find("worlds:passages,aisles:9:5", 2)] == names[:2]
+    assert worlds.count("worlds:passages,aisles:9:5") == 9 and worlds.count("lab") == 1
     with pytest.raises(InputError, match="is 3 floors; this takes one"):
         sean_jax.make(SET)
     with pytest.raises(InputError, match="handcrafted' is not for several"):
         assembly.build_stack(options(behavior="handcrafted", people=None, task="handcrafted"))
+    with pytest.raises(InputError, match="people: 5000 do not fit on a floor of"):
+        assembly.build_floors(options(people=5000))
+    with pytest.raises(InputError, match="'custom' has places on one floor"):
+        assembly.build_floors(options(task=[{"kind": "custom", "start": (1.0, 1.0), "goal": (2.0, 2.0)}]))
 
 
 def test_a_folder_of_environments_is_a_set(tmp_path):
@@ -186,6 +229,18 @@ def test_a_folder_of_environments_is_a_set(tmp_path):
         worlds.save(worlds.generate("passages", seed), tmp_path / f"hall_{seed}")
     assert worlds.find(tmp_path) == [tmp_path / "hall_1", tmp_path / "hall_2"]
     assert worlds.find(tmp_path / "hall_1") == [tmp_path / "hall_1"]
+    assert worlds.find(tmp_path, 1) == [tmp_path / "hall_1"] and worlds.count(str(tmp_path)) == 2
+    inputs = saved.read_inputs(RunConfig(environment=str(tmp_path)))
+    copies = [f"environment/{tmp_path.name}/hall_{k}/{name}" for k in (1, 2) for name in ("graph.yaml", "scene.xml")]
+    assert set(copies) < set(inputs.content) and inputs.description["environment"] == str(tmp_path)
+    inputs.write(tmp_path / "run")
+    hashes = {name: hashlib.sha256(data).hexdigest() for name, data in inputs.content.items()}
+    assert saved.locate(inputs.copies, hashes, tmp_path / "run") == ({}, [])
+    (tmp_path / "hall_2" / "graph.yaml").write_text("other\n")
+    names, (sentence,) = saved.locate(inputs.copies, hashes, tmp_path / "run")
+    assert names == {str(tmp_path): str(tmp_path / "run" / "environment" / tmp_path.name)}
+    assert "(hall_2/graph.yaml)" in sentence
+    assert not saved.read_inputs(RunConfig(environment="worlds:passages:2")).content
 
 
 def test_trainings_name_sets_beside_others():
@@ -224,5 +279,117 @@ def test_one_agent_learns_on_several_floors(tmp_path):
     driver = learning.load(tmp_path, sean_jax.make("lab", people=3))
     assert driver.name
     source = replay_command._of_training(tmp_path, [4, 5])
-    assert [source.turn(number) for number in (4, 5)] == [0, 1] and len(source.scenarios) == 2
-    np.testing.assert_array_equal(source.scenarios[1].environment.floor, floors.at(2).environment.floor)
+    assert [source.place(number) for number in (4, 5)] == [1, 2] and len(source.floors) == 1
+    np.testing.assert_array_equal(source.floors[0].at(2).environment.floor, floors.at(2).environment.floor)
+
+
+TWO = "worlds:passages:2"
+SMALL = f"--environment {TWO} --behavior random --task random_ab_nav --people 2 --time-limit 0.5".split()
+
+
+@pytest.mark.parametrize("command", ["run", "collect", "bench"])
+@pytest.mark.parametrize(
+    "name, message", [("worlds:roms:3", "'roms'"), ("worlds:rooms:0", "number in"), ("worlds:rooms", "no set")]
+)
+def test_mistakes_in_the_name_of_a_set_are_told_at_once(monkeypatch, tmp_path, capsys, command, name, message):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(worlds, "generate", None)
+    assert cli.main([command, "--environment", name]) == 2
+    assert message in capsys.readouterr().err
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["go_to_goal", "expert", "sensing_expert", "social_costmap", "orca"])
+def test_policies_drive_on_floors_of_a_set_as_on_each_alone(name):
+    """The same episodes by number, of the second floor."""
+    config = options(environment=TWO, behavior="random", task="random_ab_nav", people=4, time_limit=2.0)
+    stacks = assembly.build_floors(config)
+    policy = load_policy(name, stacks[0].member)
+    several = runner.Runner(stacks, policy, 4, "run").run(3, first=0)
+    alone = sean_jax.make(config.replace(environment=str(worlds.find(TWO)[1])))
+    states = runner.Runner(alone, policy, 4, "run").run(3, first=0).states
+    found = several.states
+    for one, other in ((found.robot.position, states.robot.position), (found.task.goal, states.task.goal)):
+        np.testing.assert_allclose(one[1::2], other[1::2], atol=1e-3)
+    measured = runner.batch_results(alone, states)
+    for key, values in runner.batch_results(stacks[0].member, found).items():
+        np.testing.assert_allclose(values[1::2], measured[key][1::2], rtol=1e-2, atol=1e-2, err_msg=key)
+    assert np.abs(np.asarray(found.robot.position - found.task.start)).max() > 0.05
+
+
+@pytest.mark.slow
+def test_a_run_of_a_set_is_resumed_and_names_its_floors(monkeypatch, tmp_path):
+    """Of three episodes on two floors; batches of one; the second batch is interrupted."""
+    monkeypatch.chdir(tmp_path)
+    words = ["run", *SMALL, "--episodes", "3", "--batch", "1", "--trajectories", "csv", "--quiet"]
+    assert cli.main([*words, "--out", "whole"]) == 0
+    with monkeypatch.context() as patched:
+        test_resume.at_second_batch(patched, lambda _: signal.raise_signal(signal.SIGTERM))
+        assert cli.main([*words, "--out", "made"]) == 143
+    assert (tmp_path / "made" / "unfinished").is_dir()
+    assert cli.main([*words, "--out", "made"]) == 0
+    for name in ("episodes.csv", "trajectories.csv", "episode.gif"):
+        assert (tmp_path / "made" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
+    rows = list(csv.DictReader((tmp_path / "made" / "episodes.csv").open()))
+    assert [row["environment"] for row in rows] == ["passages_0", "passages_1", "passages_0"]
+    summary = json.loads((tmp_path / "made" / "summary.json").read_text())
+    assert (summary["floors"], summary["set_floors"]) == (2, 2) and "largest_groups" not in summary["checks"]
+    assert summary["environments"] == ["passages_0", "passages_1"]
+    report = (tmp_path / "made" / "report.html").read_text()
+    assert "Episode 0 · passages 0 · random ab nav" in report and "Where people were" not in report
+    assert cli.main(["compare", "made", "whole", "--quiet"]) == 0
+    assert cli.main(["replay", "made", "--episodes", "0", "1", "2", "--quiet"]) == 0
+    first, second = test_replay_folders.played(tmp_path / "made" / "replay.html")
+    assert [each["title"] for each in first["episodes"]] == [f"episode {k} · random ab nav" for k in (0, 2)]
+    for page, folder in zip((first, second), worlds.find(TWO), strict=True):
+        alone = environment.load(folder)
+        np.testing.assert_allclose(page["place"]["floor"], alone.floor, atol=1e-3)
+        assert len(page["place"]["obstacles"]) == len(alone.obstacles.yaw)
+        assert not any("in the run" in each["outcome"] for each in page["episodes"])
+
+
+@pytest.mark.slow
+def test_evaluate_takes_floors():
+    """In Python; two episodes on the first floors of three, padded and with frames on their own floors."""
+    config = options(time_limit=0.5, people=2, task=["join_group", "leave_group"])
+    floors = assembly.build_floors(config)
+    made = sean_jax.evaluate(floors, episodes=4)
+    assert list(made.floors) == ["passages_0", "passages_0", "aisles_0", "aisles_0"]
+    assert made.tasks == ["join_group", "leave_group"] * 2 and made.wanted_floors == 3
+    np.testing.assert_array_equal(made.place(2).environment.floor, floors[0].at(1).environment.floor)
+    assert "on 2 floors" in made.title and made.summary()["floors"] == 2
+    (only,) = assembly.build_floors(config.replace(task="join_group"), episodes=1)
+    assert only.size == 1 and only.names == ("passages_0",)
+
+
+@pytest.mark.slow
+def test_demonstrations_of_a_set_name_the_floor_of_each_episode(monkeypatch, tmp_path, capsys):
+    """An extended collection equals one at once; an episode is driven again on its floor."""
+    pytest.importorskip("tensorstore")
+    from sean_jax.learning import dataset
+
+    monkeypatch.chdir(tmp_path)
+    words = ["collect", *SMALL, "--width", "16", "--height", "12", "--quiet"]
+    assert cli.main([*words, "--batch", "9", "--out", "uneven"]) == 2
+    assert "9 episodes do not spread evenly over 2 floors; take 10" in capsys.readouterr().err
+    for hours in ("0.001", "0.002"):
+        assert cli.main([*words, "--batch", "2", "--hours", hours, "--out", "data"]) == 0
+    manifest = json.loads((tmp_path / "data" / "dataset.json").read_text())
+    assert manifest["environments"] == ["passages_0", "passages_1"] and len(manifest["shards"]) == 4
+    assert all(shard["floors"] == [0, 1] for shard in manifest["shards"])
+    assert cli.main(["replay", "data", "--episodes", "3", "--quiet"]) == 0
+    (page,) = test_replay_folders.played(tmp_path / "data" / "replay.html")
+    np.testing.assert_allclose(page["place"]["floor"], environment.load(worlds.find(TWO)[1]).floor, atol=1e-3)
+    (episode,), data = page["episodes"], dataset.open_dataset(tmp_path / "data")
+    rows = data.read([each for each in data.episodes if each.number == 3])
+    np.testing.assert_allclose(episode["columns"]["robot x"][0], rows["pose"][0, 0], atol=0.1)
+    assert "in the dataset" not in episode["outcome"]
+
+
+@pytest.mark.slow
+def test_a_set_is_timed_as_one_program(tmp_path):
+    words = f"bench --environment {TWO} --people 2 --only step --batches 1 3 --seconds 0.01 --repeats 1 --quiet --out"
+    assert cli.main([*words.split(), str(tmp_path / "made")]) == 0
+    found = json.loads((tmp_path / "made" / "bench.json").read_text())
+    assert found["floors"] == 2 and [row["batch"] for row in found["rows"]] == [1, 4]
+    assert all(row["per_second"] > 0 for row in found["rows"])

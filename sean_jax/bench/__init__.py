@@ -26,6 +26,7 @@ from sean_jax.config import BenchConfig, ScenarioConfig
 from sean_jax.drawing import colors
 from sean_jax.errors import IncompleteError
 from sean_jax.flags import command
+from sean_jax.stack import Stack
 from sean_jax.versions import versions
 
 __all__ = ["run"]
@@ -73,13 +74,13 @@ def run(options: BenchConfig, console: Console) -> Path:
     with writing.folder_lock(folder):
         writing.check_new_folder(folder)
         with console.status("preparing the scenario and the rates of the device"):
-            scenario, setup = _prepare(options)
+            stack, setup = _prepare(options)
         rows: list[Row] = []
         _print(console, title(setup), HEAD)
         try:
             for part in options.parts:
                 with console.status(f"compiling and timing: {part}"):
-                    for row in CASES[part](options, scenario):
+                    for row in CASES[part](options, stack):
                         rows.append(row)
                         _print(console, line(row))
                         _save(folder, rows, setup)
@@ -113,17 +114,19 @@ def _save(folder: Path, rows: list[Row], setup: dict[str, Any]) -> None:
     writing.write(folder / "bench.json", json.dumps({**setup, "rows": finite}, indent=2, allow_nan=False) + "\n")
 
 
-def _prepare(options: BenchConfig) -> tuple[Scenario, dict[str, Any]]:
-    """The scenario, and the setup of the measurement: machine and scenario, as in bench.json."""
+def _prepare(options: BenchConfig) -> tuple[Stack[Scenario], dict[str, Any]]:
+    """The scenario on each floor, and the setup of the measurement: machine and scenario, as in bench.json."""
     choices = {name: getattr(options, name) for name in ("environment", "people", "robot", "dynamics")}
-    scenario = assembly.build(ScenarioConfig(**choices))[0]
-    return scenario, {
+    stack = assembly.build_floors(ScenarioConfig(**choices))[0]
+    scenario = stack.member
+    return stack, {
         "command": command("bench", options),
         "device": jax.devices()[0].device_kind,
         "devices": jax.device_count(),
         "memory": memory(),
         "rates": floors.rates()._asdict(),
         "environment": options.environment,
+        "floors": stack.size,
         "people": scenario.people,
         "robot": options.robot.kind,
         "dynamics": options.dynamics,
@@ -167,6 +170,13 @@ def turns(batch: int) -> int:
     return int(np.clip((4e3 if on_cpu() else 4e5) / batch, 2, 200))
 
 
+def _fitting(stack: Stack[Scenario], batch: int) -> tuple[Stack[Scenario], int]:
+    """The floors of a batch, the first ones of a small batch, and its size, rounded up to a multiple of them."""
+    number = min(stack.size, batch)
+    stack = stack if number == stack.size else stack.take(np.arange(number))
+    return stack, -(-batch // number) * number
+
+
 def _row(
     options: BenchConfig, part: str, what: str, batch: int, people: int, program: Program, pixels: int = 0,
     devices: int = 1,
@@ -181,27 +191,29 @@ def _row(
 
 
 def steps(
-    options: BenchConfig, scenario: Scenario, part: str = "step", image: tuple[int, int] | None = None
+    options: BenchConfig, stack: Stack[Scenario], part: str = "step", image: tuple[int, int] | None = None
 ) -> Iterator[Row]:
     """Time the whole step with restarts; with an ``image``, one depth image of that size for each scenario."""
-    for batch in batches(options):
-        program = programs.stepping(scenario, batch, turns(batch), image)
+    for size in batches(options):
+        some, batch = _fitting(stack, size)
+        program = programs.stepping(some, batch, turns(batch), image)
         pixels = image[0] * image[1] if image else 0
-        yield _row(options, part, "scenario-steps", batch, scenario.people, program, pixels)
+        yield _row(options, part, "scenario-steps", batch, stack.member.people, program, pixels)
 
 
-def images(options: BenchConfig, scenario: Scenario, part: str, camera: str, what: str) -> Iterator[Row]:
+def images(options: BenchConfig, stack: Stack[Scenario], part: str, camera: str, what: str) -> Iterator[Row]:
     """Time images alone, by size of the image; those of the part ``images`` by batch as well."""
     cases = [(batch, *IMAGE) for batch in batches(options)] if part == "images" else []
     pixels = max(batches(options)) * IMAGE[0] * IMAGE[1] // (1 if part == "images" else 8)
     cases += [(max(1, min(max(batches(options)), pixels // (w * h))), w, h) for w, h in SIZES]
-    for batch, width, height in dict.fromkeys(cases):
+    for size, width, height in dict.fromkeys(cases):
+        some, batch = _fitting(stack, size)
         often = int(np.clip((1e6 if on_cpu() else 1e9) / (batch * width * height), 1, 200))
-        program = programs.images(scenario, camera, batch, width, height, often)
-        yield _row(options, part, what, batch, scenario.people, program, width * height)
+        program = programs.images(some, camera, batch, width, height, often)
+        yield _row(options, part, what, batch, stack.member.people, program, width * height)
 
 
-def crowd(options: BenchConfig, scenario: Scenario) -> Iterator[Row]:
+def crowd(options: BenchConfig, stack: Stack[Scenario]) -> Iterator[Row]:
     """Time the social forces alone, in a hall with 32 walls, by number of people and of crowds at once."""
     totals = (2**14,) if on_cpu() else (2**19, 2**21)
     for people in CROWDS:
@@ -210,13 +222,14 @@ def crowd(options: BenchConfig, scenario: Scenario) -> Iterator[Row]:
             yield _row(options, "crowd", "agent-steps", batch, people, programs.crowd(people, batch, number))
 
 
-def compiling(options: BenchConfig, scenario: Scenario) -> Iterator[Row]:
+def compiling(options: BenchConfig, stack: Stack[Scenario]) -> Iterator[Row]:
     """Time tracing and compiling of the whole step of 64 scenarios, without and with a cache on the disk."""
     from jax.experimental.compilation_cache import compilation_cache
 
     names = "jax_compilation_cache_dir", "jax_enable_compilation_cache"
     settings = {name: getattr(jax.config, name) for name in names}
-    program = programs.stepping(scenario, 64, 10)
+    some, batch = _fitting(stack, 64)
+    program = programs.stepping(some, batch, 10)
     with tempfile.TemporaryDirectory() as folder:
         jax.config.update("jax_enable_compilation_cache", True)
         jax.config.update("jax_compilation_cache_dir", folder)
@@ -227,24 +240,24 @@ def compiling(options: BenchConfig, scenario: Scenario) -> Iterator[Row]:
             program.run.lower(*program.fixed, program.carried).compile()
             spent = time.perf_counter() - began
             yield Row(
-                "compile", what, 64, scenario.people, 0, 1, per_second=spent, floor=float("nan"), bound="", needs={},
-                microseconds=1e6 * spent, compile_seconds=spent, scenario_bytes=float("nan"),
+                "compile", what, batch, stack.member.people, 0, 1, per_second=spent, floor=float("nan"), bound="",
+                needs={}, microseconds=1e6 * spent, compile_seconds=spent, scenario_bytes=float("nan"),
             )  # fmt: skip
     for name, value in settings.items():
         jax.config.update(name, value)
     compilation_cache.reset_cache()
 
 
-def scaling(options: BenchConfig, scenario: Scenario) -> Iterator[Row]:
+def scaling(options: BenchConfig, stack: Stack[Scenario]) -> Iterator[Row]:
     """Time the whole step on 1, 2, 4 and more devices, with equally many scenarios on each."""
-    number, each = 1, batches(options)[-1] if on_cpu() else 32768
+    number, (some, each) = 1, _fitting(stack, batches(options)[-1] if on_cpu() else 32768)
     while number <= jax.device_count():
-        program = programs.stepping(scenario, each, turns(each), None, number)
-        yield _row(options, "devices", "scenario-steps", each * number, scenario.people, program, 0, number)
+        program = programs.stepping(some, each, turns(each), None, number)
+        yield _row(options, "devices", "scenario-steps", each * number, stack.member.people, program, 0, number)
         number *= 2
 
 
-CASES: dict[str, Callable[[BenchConfig, Scenario], Iterator[Row]]] = {
+CASES: dict[str, Callable[[BenchConfig, Stack[Scenario]], Iterator[Row]]] = {
     "step": steps,
     "depth": partial(steps, part="depth", image=IMAGE),
     "images": partial(images, part="images", camera="depth", what="depth images"),
@@ -260,9 +273,10 @@ CASES: dict[str, Callable[[BenchConfig, Scenario], Iterator[Row]]] = {
 
 def title(setup: dict[str, Any]) -> str:
     """The machine and the scenario."""
+    most = "up to " if setup.get("floors", 1) > 1 else ""
     return (
         f"{setup['device']} ({setup['devices']}), jax {setup['versions']['jax']}; {setup['environment']}, "
-        f"{setup['people']} people, {setup['robot']} ({setup['dynamics']})"
+        f"{most}{setup['people']} people, {setup['robot']} ({setup['dynamics']})"
     )
 
 

@@ -1,6 +1,7 @@
 """The timed programs: the step with restarts, the step with a depth image, images alone, and the crowd alone.
 
-Each scenario is reset with its own key. The robot gets a constant command and drives in circles.
+Scenarios are on the floors of a stack. Each is reset with its own key. The robot gets a constant command and drives in
+circles.
 """
 
 import dataclasses
@@ -12,6 +13,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from scipy.spatial import KDTree
 
 from sean_jax import devices, episodes, prng, sensors, social_forces
@@ -23,6 +25,7 @@ from sean_jax.raycast import Rays, intersect, kernel
 from sean_jax.scenario import reset
 from sean_jax.sensors import cameras
 from sean_jax.social_forces import Forces, model, neighbors
+from sean_jax.stack import Stack
 
 STARTS = 1024  # in the pool that ended episodes restart from
 CROWD_STEP = 0.05  # s
@@ -87,17 +90,21 @@ def circles(scenario: Scenario, state: State, key: Array) -> Array:
 
 
 def stepping(
-    scenario: Scenario, batch: int, turns: int, image: tuple[int, int] | None = None, number: int = 1
+    stack: Stack[Scenario], batch: int, turns: int, image: tuple[int, int] | None = None, number: int = 1
 ) -> Program:
     """Control steps with restarts on ``number`` devices; the unit is one step of one scenario.
 
-    ``image`` is the width and height [px] of a depth image of each scenario after each step.
+    Each device has ``batch`` scenarios, of which each floor of the stack has as many. ``image`` is the width and height
+    [px] of a depth image of each scenario after each step.
     """
-    over = devices.mesh(jax.devices()[:number])
-    starts = jax.jit(episodes.reset_pool, static_argnums=2)(scenario, prng.key("bench starts", 0), min(STARTS, batch))
-    fixed = devices.replicate(over, (scenario, starts))
+    over, each = devices.mesh(jax.devices()[:number]), batch // stack.size
+    stack = replace(stack, names=(), turn=each)
+    size = max(1, min(STARTS, batch) // stack.size)
+    draw = jax.jit(lambda stack, key: stack.over_members(lambda one: episodes.reset_pool(one, key, size))())
+    stack = devices.replicate(over, stack.paired(draw(stack, prng.key("bench starts", 0))))
+    scenario: Scenario = stack.member[0]  # pyright: ignore
     keys = devices.keys(over, prng.key("bench", 0), batch * number)
-    states = devices.shard(over, lambda fixed, key: reset(fixed[0], key))(fixed, keys)
+    states = _on_floors(over, lambda fixed, key: reset(fixed[0], key))(stack, (keys,))
     eye = None if image is None else sensors.camera(scenario, "depth", width=image[0], height=image[1])
 
     def run(fixed: tuple, state: State, last: Array) -> tuple[State, Array]:
@@ -110,42 +117,58 @@ def stepping(
 
         return jax.lax.scan(turn, (state, last), length=turns)[0]
 
-    size = (1, 1) if image is None else (image[1], image[0])
-    blank = devices.shard(over, lambda _, tick: jnp.zeros(size, float))(fixed, states.tick)
-    loops = _pairs(scenario.forces, states.pedestrians, scenario.environment.obstacle_grid)
+    size_of_image = (1, 1) if image is None else (image[1], image[0])
+    blank = _on_floors(over, lambda _, tick: jnp.zeros(size_of_image, float))(stack, (states.tick,))
+    seen = jax.tree.map(lambda leaf: leaf[: min(SAMPLE, each)], states)  # on the first floor
+    loops = _pairs(scenario.forces, seen.pedestrians, scenario.environment.obstacle_grid)
     if eye is not None:
-        loops |= _rays(scenario, states, cameras.bands(eye)[0])
-    return Program(devices.shard_jit(over, run, donate=True), (fixed,), (states, blank), batch * number, turns, loops)
+        loops |= _rays(scenario, seen, cameras.bands(eye)[0])
+    run = _on_floors(over, run, donate=True)
+    return Program(run, (stack,), (states, blank), batch * number, turns, loops)
 
 
-def images(scenario: Scenario, name: str, batch: int, width: int, height: int, turns: int = 1) -> Program:
+def _on_floors(over: Mesh, function: Callable, donate: bool = False) -> Any:
+    """``jit`` of a stack's ``vmap``, as ``devices.shard_jit`` of a function of one scenario."""
+    split, whole = NamedSharding(over, PartitionSpec(devices.AXIS)), NamedSharding(over, PartitionSpec())
+
+    def on_all(stack: Stack, rows: tuple) -> Any:
+        return stack.vmap(function)(*rows)
+
+    donated = (1,) if donate else ()
+    return jax.jit(on_all, in_shardings=(whole, split), out_shardings=split, donate_argnums=donated)
+
+
+def images(stack: Stack[Scenario], name: str, batch: int, width: int, height: int, turns: int = 1) -> Program:
     """Images of ``width`` x ``height`` [px] alone; the unit is one image. Robots turn between two images.
 
-    The camera "depth" gives depth images, any other color images.
+    The camera "depth" gives depth images, any other color images. Each floor of the stack has as many of the batch.
     """
+    scenario, stack = stack.member, replace(stack, names=())
     camera = sensors.camera(scenario, name, width=width, height=height)
-    states = jax.jit(jax.vmap(reset, (None, 0)))(scenario, jax.random.split(prng.key("bench", 0), batch))
+    keys = jax.random.split(prng.key("bench", 0), batch)
+    states = jax.jit(lambda stack, keys: stack.vmap(reset)(keys))(stack, keys)
 
     def one(scenario: Scenario, state: State) -> Array:
         if name == "depth":
             return sensors.depth(scenario, state, camera)
         return sensors.render(scenario, state, camera).rgb
 
-    def run(scenario: Scenario, carried: tuple[State, Array]) -> tuple[State, Array]:
+    def run(stack: Stack[Scenario], carried: tuple[State, Array]) -> tuple[State, Array]:
         def turn(carry: tuple[State, Array], _) -> tuple:
             states, _ = carry
             cosine, sine = jnp.asarray(LOOKING, float)
             x, y = rotate(states.robot.heading[:, 0], states.robot.heading[:, 1], cosine, sine)
             states = replace(states, robot=replace(states.robot, heading=jnp.stack([x, y], -1)))
-            return (states, jax.vmap(one, (None, 0))(scenario, states)), None
+            return (states, stack.vmap(one)(states)), None
 
         return jax.lax.scan(turn, carried, length=turns)[0]
 
-    shape = jax.eval_shape(jax.vmap(one, (None, 0)), scenario, states)
+    shape = jax.eval_shape(lambda stack, states: stack.vmap(one)(states), stack, states)
     blank = jnp.zeros(shape.shape, shape.dtype)
     bundles = cameras.bands(camera)[0] if name == "depth" else (cameras.rays(camera)[0],)
-    loops = _rays(scenario, states, bundles)
-    return Program(jax.jit(run, donate_argnums=1), (scenario,), (states, blank), batch, turns, loops)
+    seen = jax.tree.map(lambda leaf: leaf[: min(SAMPLE, batch // stack.size)], states)  # on the first floor
+    loops = _rays(scenario, seen, bundles)
+    return Program(jax.jit(run, donate_argnums=1), (stack,), (states, blank), batch, turns, loops)
 
 
 def crowd(people: int, batch: int, turns: int, walls: int = 32, preset: str = DEFAULT_FORCES) -> Program:

@@ -127,8 +127,9 @@ def draw_graph(axes: Axes, graph: BehaviorGraph, alone: bool) -> None:
     """
     from matplotlib.collections import LineCollection
 
-    position, radius = np.asarray(graph.position), np.asarray(graph.radius)
-    group, flows = np.asarray(graph.is_group, bool), np.asarray(graph.flow)
+    count = len(graph.names) or graph.nodes
+    position, radius = np.asarray(graph.position)[:count], np.asarray(graph.radius)[:count]
+    group, flows = np.asarray(graph.is_group, bool)[:count], np.asarray(graph.flow)
     color = colors.EDGE if alone else colors.FAINT_EDGE
     lines, styles, widths = [], [], []
     for u, v in np.argwhere(np.triu(flows != NO_EDGE, 1)):

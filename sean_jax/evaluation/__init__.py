@@ -16,7 +16,7 @@ import numpy as np
 from rich.console import Console
 from rich.text import Text
 
-from sean_jax import assembly, components, interrupts, robots, sensors, trajectories, writing
+from sean_jax import assembly, components, interrupts, robots, sensors, trajectories, worlds, writing
 from sean_jax.base import Policy, PolicyLike, Scenario, Trajectory
 from sean_jax.config import OwnPart, RunConfig, Value
 from sean_jax.errors import InputError
@@ -37,6 +37,7 @@ from sean_jax.learning.policy import check_policy, load_policy
 from sean_jax.progress import Progress, progress
 from sean_jax.replay.live import Live, serve
 from sean_jax.runner import Callbacks, Runner
+from sean_jax.stack import Stack, as_stacks
 from sean_jax.versions import fingerprint
 from sean_jax.writing import check_new_folder
 
@@ -44,7 +45,7 @@ __all__ = ["Evaluation", "evaluate", "run"]
 
 
 def evaluate(
-    scenario: Scenario | Sequence[Scenario],
+    scenario: Scenario | Stack[Scenario] | Sequence[Scenario | Stack[Scenario]],
     policy: PolicyLike | str = "go_to_goal",
     *,
     episodes: int = 64,
@@ -56,7 +57,8 @@ def evaluate(
     """Simulate episodes and measure them.
 
     Args:
-        scenario: one, or several that take turns and differ in their task or in leaves alone.
+        scenario: one, or several that take turns and differ in their task or in leaves alone; or a stack for each, with
+            floors that take turns (``assembly.build_floors``).
         policy: a ``Policy``, a function (scenario, state, key) -> (2,) [m/s, rad/s], a name, the folder of a training,
             or FILE.py:NAME.
         seed: equal seeds give equal episodes, the episodes of ``sean run``.
@@ -66,13 +68,13 @@ def evaluate(
         InputError: the scenarios do not go together, there is no such policy, or the folder is not empty.
         FloatingPointError: a number is not finite; the message names the episodes.
     """
-    scenarios = [scenario] if isinstance(scenario, Scenario) else list(scenario)
+    stacks = as_stacks(scenario)
     config = RunConfig(episodes=episodes, seed=seed, batch=batch)
-    loaded = load_policy(policy, scenarios[0])
+    loaded = load_policy(policy, stacks[0].member)
     if out is not None:
         check_new_folder(Path(out), "out")
     with progress(console) as bar:
-        evaluation = _episodes(scenarios, loaded, config, bar, None, console)
+        evaluation = _episodes(stacks, loaded, config, bar, None, console)
     if out is not None:
         evaluation.save(out)
     return evaluation
@@ -102,29 +104,36 @@ def run(config: RunConfig, console: Console) -> tuple[Path, Evaluation]:
         with console.status("preparing the scenario"):
             _check(config)
             inputs = saved.read_inputs(config)
-            scenarios = assembly.build(config)
-            policy = load_policy(config.policy, scenarios[0])
-        folder.check_content(scenarios[0], policy)
-        inputs = inputs._replace(fingerprint=fingerprint(scenarios[0], policy.params))
-        title = results.title(scenarios[0], [scenario.task_name for scenario in scenarios], config.episodes)
+            stacks, wanted = assembly.build_floors(config, config.episodes), worlds.count(config.environment)
+            floors, first = stacks[0], stacks[0].member
+            policy = load_policy(config.policy, first)
+        content = first if floors.size == 1 else floors
+        folder.check_content(content, policy)
+        inputs = inputs._replace(fingerprint=fingerprint(content, policy.params))
+        tasks, several = [each.member.task_name for each in stacks], floors.size if wanted > 1 else 0
+        title = results.title(first, tasks, config.episodes, several)
         devices = f"{len(jax.devices())} × {jax.devices()[0].device_kind}"
         about = f"{number(config.time_limit)} s each, policy {policy.name}, seed {config.seed}, on {devices}"
         console.print(Text(title, "bold"), soft_wrap=True)
         console.print(Text(about, "dim"), soft_wrap=True)
+        if floors.size < wanted:
+            few = f"{config.episodes} episodes are on the first {floors.size} of {wanted} floors"
+            console.print(Text(few, "dim"), soft_wrap=True)
         if folder.episodes:
             console.print(f"[dim]going on after {folder.episodes} finished episodes[/]", highlight=False)
         live = None
         if config.live:
-            live = stack.enter_context(serve(scenarios[0], f"{path.name} · live"))
+            live = stack.enter_context(serve(first, f"{path.name} · live"))
             console.print(f"live: {live.url}", highlight=False, soft_wrap=True)
         with progress(console) as bar:
-            evaluation = _episodes(scenarios, policy, config, bar, folder, console, live)
+            evaluation = _episodes(stacks, policy, config, bar, folder, console, live)
+        evaluation.wanted_floors = wanted
         evaluation.print_table(console)
         count = len(evaluation.tasks)
         with console.status("drawing the report"), folder.results(count == config.episodes) as stage:
             results.write_all(stage, evaluation, config, inputs)
             if config.trajectories is not None:
-                size = min(config.episodes, config.batch)
+                size = _batch_size(config, stacks)
                 parts = [folder.frames(base, min(size, config.episodes - base)) for base in range(0, count, size)]
                 whole = stage / f"trajectories.{config.trajectories}"
                 trajectories.join_trajectories([part for part in parts if part is not None], whole)
@@ -132,7 +141,7 @@ def run(config: RunConfig, console: Console) -> tuple[Path, Evaluation]:
 
 
 def _episodes(
-    scenarios: list[Scenario],
+    stacks: list[Stack[Scenario]],
     policy: Policy,
     config: RunConfig,
     bar: Progress,
@@ -141,7 +150,7 @@ def _episodes(
     live: Live | None = None,
 ) -> Evaluation:
     """Batch after batch; finished ones are loaded from ``folder``, and new ones are saved there."""
-    episodes, size, first = config.episodes, min(config.episodes, config.batch), scenarios[0]
+    episodes, size, first = config.episodes, _batch_size(config, stacks), stacks[0].member
     starts = range(0, episodes, size)
     runner, batches, simulated, began = None, list[FinishedBatch](), 0.0, 0.0
     try:
@@ -151,8 +160,8 @@ def _episodes(
                 batches.append(batch)
                 continue
             if runner is None:
-                run_record = record(first, size, FRAMES if config.trajectories is None else size)
-                programs = Runner(scenarios, policy, size, "run", run_record)
+                run_record = record(stacks[0], size, FRAMES if config.trajectories is None else size)
+                programs = Runner(stacks, policy, size, "run", run_record)
                 programs.compile(Callbacks(compiling=bar.stage))
                 if console is not None:
                     console.print(f"[dim]compiled in {programs.compile_seconds:.1f} s[/]", highlight=False)
@@ -170,7 +179,16 @@ def _episodes(
     except KeyboardInterrupt:
         if not batches or runner is None:
             raise
-    return _join(scenarios, policy, batches, episodes, 0.0 if runner is None else runner.compile_seconds)
+    return _join(stacks, policy, batches, episodes, 0.0 if runner is None else runner.compile_seconds)
+
+
+def _batch_size(config: RunConfig, stacks: list[Stack[Scenario]]) -> int:
+    """Episodes of a batch; of several floors, a batch has whole turns if there is another batch."""
+    size, turn = min(config.episodes, config.batch), len(stacks)
+    if stacks[0].size == 1 or size == config.episodes:
+        return size
+    period = turn * stacks[0].size
+    return size - size % period if size >= period else max(turn, size - size % turn)
 
 
 def _simulate(
@@ -211,9 +229,9 @@ def _simulate(
 
 
 def _join(
-    scenarios: list[Scenario], policy: Policy, batches: list[FinishedBatch], wanted: int, compile_seconds: float
+    stacks: list[Stack[Scenario]], policy: Policy, batches: list[FinishedBatch], wanted: int, compile_seconds: float
 ) -> Evaluation:
-    first, totals = scenarios[0], [batch.totals for batch in batches]
+    floors, first, totals = stacks[0], stacks[0].member, [batch.totals for batch in batches]
 
     def joined(name: str) -> np.ndarray:
         return np.concatenate([getattr(batch, name) for batch in batches])
@@ -221,12 +239,14 @@ def _join(
     def total(name: str) -> np.ndarray:
         return np.stack([getattr(each, name) for each in totals]).sum(0, dtype=np.int64)
 
-    completed = joined("completed")
+    completed, frames = joined("completed"), batches[0].frames
+    is_set = floors.size > 1 or bool(floors.names)
+    turns = [i // len(stacks) % floors.size for i in range(len(completed))] if is_set else []
     return Evaluation(
         scenario=first,
         policy=policy.name,
         situations=tuple(name for name, _ in first.situations),
-        tasks=[scenarios[i % len(scenarios)].task_name for i in range(len(completed))],
+        tasks=[stacks[i % len(stacks)].member.task_name for i in range(len(completed))],
         completed=completed,
         timed_out=joined("timed_out"),
         seconds=joined("steps") * first.time_step,
@@ -237,10 +257,13 @@ def _join(
         together=total("together") * first.time_step,
         penetration=max(float(each.penetration) for each in totals),
         group_size=np.max([each.group_size for each in totals], 0),
-        frames=batches[0].frames,
+        frames=frames,
         compile_seconds=compile_seconds,
         run_seconds=sum(batch.seconds for batch in batches),
         wanted=wanted,
+        floors=[floors.names[turn] if floors.names else f"floor_{turn}" for turn in turns],
+        places=[floors.at(turn) for turn in turns[: len(frames)]],
+        wanted_floors=floors.size,
     )
 
 

@@ -31,6 +31,7 @@ from sean_jax.errors import IncompleteError, InputError
 from sean_jax.graph import graph_of
 from sean_jax.runner import Batch, Record, batch_results, not_finite
 from sean_jax.scenario import frame
+from sean_jax.stack import Stack
 from sean_jax.versions import fingerprint, versions
 from sean_jax.workspace import REMAKE, Workspace
 from sean_jax.writing import check_new_folder
@@ -40,7 +41,7 @@ FRAMES = 4  # episodes whose frames the report shows
 
 @struct.dataclass
 class Totals:
-    """Counts over the steps in which an episode of a batch of B was active."""
+    """Counts over the steps in which an episode of a batch of B was active; of several floors none by place."""
 
     heat: Array  # (rows, columns) int32 person-steps per cell of the floor, row 0 lowest
     walks: Array  # (M, M) int32 people who walked the edge from the row's node to the column's
@@ -63,57 +64,81 @@ class FinishedBatch:
     seconds: float  # s of computing
 
 
-def record(scenario: Scenario, size: int, frames: int = FRAMES) -> Record:
+def record(floors: Stack[Scenario], size: int, frames: int = FRAMES) -> Record:
     """The record of a run's batches: ``Totals``, and the frames of the first episodes."""
-    cells = crowding.grid_shape(scenario.environment)
-    return Record(functools.partial(_init, cells), functools.partial(_update, min(frames, size)))
+    cells = crowding.grid_shape(floors.member.environment) if floors.size == 1 else None
+    return Record(functools.partial(_init, cells), functools.partial(_update, cells, min(frames, size)))
 
 
-def _init(cells: tuple[int, int], scenario: Scenario, states: State) -> Totals:
-    size, graph = states.tick.shape[0], graph_of(scenario)
+def _init(cells: tuple[int, int] | None, floors: Stack[Scenario], states: State) -> Totals:
+    scenario, size = floors.member, states.tick.shape[0]
+    graph = None if cells is None else graph_of(scenario)
     nodes = 0 if graph is None else len(graph.names)
+    groups = (0,) if cells is None else states.groups.radius.shape[-1:]
     return Totals(
-        heat=jnp.zeros(cells, jnp.int32),
+        heat=jnp.zeros(cells or (0, 0), jnp.int32),
         walks=jnp.zeros((nodes, nodes), jnp.int32),
         node=jnp.full((size, scenario.people), crowding.NO_NODE, jnp.int32),
         together=jnp.zeros((2 ** len(scenario.situations),), jnp.int32),
         penetration=jnp.full((), -1e9, float),
-        group_size=jnp.zeros(states.groups.radius.shape[-1:], jnp.int32),
+        group_size=jnp.zeros(groups, jnp.int32),
     )
 
 
 def _update(
-    count: int, scenario: Scenario, before: State, after: State, actions: Array, active: Array, totals: Totals
+    cells: tuple[int, int] | None,
+    count: int,
+    floors: Stack[Scenario],
+    before: State,
+    after: State,
+    actions: Array,
+    active: Array,
+    totals: Totals,
 ) -> tuple[Totals, Trajectory]:
     """One more step of B episodes, and the frames of the first ``count``."""
     frames = jax.vmap(frame)(before, after, actions[0])
     present = after.pedestrians.present
     here = present & active[:, None]
-    x, y = frames.people[..., 0], frames.people[..., 1]
-    rows, columns = totals.heat.shape
-    cell = crowding.cell_of(scenario.environment, (rows, columns), frames.people)
+    inside = jnp.where(here, floors.vmap(_depth)(frames.people), -jnp.inf)
+    bits = jnp.asarray(2 ** np.arange(frames.situations.shape[-1]), jnp.int32)
+    situations = jnp.sum(jnp.where(frames.situations, bits[None, :], 0), -1)
+    totals = dataclasses.replace(
+        totals,
+        together=totals.together.at[situations].add(active.astype(jnp.int32)),
+        penetration=jnp.maximum(totals.penetration, jnp.max(inside, initial=-jnp.inf)),
+    )
+    if cells is not None:
+        totals = _on_floor(cells, floors.member, frames, present, active, totals)
+    return totals, jax.tree.map(lambda leaf: leaf[:count], frames)
+
+
+def _depth(scenario: Scenario, people: Array) -> Array:
+    """(N,) m, by which the bodies of people (N, 2) are in an obstacle or off the floor; negative: a distance."""
+    x, y = people[..., 0], people[..., 1]
+    distance, _, _ = jax.vmap(geometry.from_box, (None, None, 0))(x, y, scenario.environment.obstacles)
+    edge = geometry.to_border(scenario.environment, x, y)
+    return scenario.forces.walking.radius - jnp.minimum(jnp.min(distance, 0, initial=jnp.inf), edge)
+
+
+def _on_floor(
+    cells: tuple[int, int], scenario: Scenario, frames: Trajectory, present: Array, active: Array, totals: Totals
+) -> Totals:
+    """What is counted by place, which is of one floor."""
+    here = present & active[:, None]
+    cell = crowding.cell_of(scenario.environment, cells, frames.people)
     node, walks = totals.node, totals.walks
     if (graph := graph_of(scenario)) is not None:
         node, walked = jax.vmap(crowding.track_nodes, (None, 0, 0, 0))(graph, totals.node, frames.people, present)
         walks = walks.at[totals.node, node].add((walked & active[:, None]).astype(jnp.int32))
-    distance, _, _ = jax.vmap(geometry.from_box, (None, None, 0))(x, y, scenario.environment.obstacles)
-    edge = geometry.to_border(scenario.environment, x, y)
-    nearest = jnp.minimum(jnp.min(distance, 0, initial=jnp.inf), edge)
-    inside = jnp.where(here, scenario.forces.walking.radius - nearest, -jnp.inf)
-    bits = jnp.asarray(2 ** np.arange(frames.situations.shape[-1]), jnp.int32)
-    situations = jnp.sum(jnp.where(frames.situations, bits[None, :], 0), -1)
     index = jnp.arange(totals.group_size.shape[0], dtype=jnp.int32)
     members = jnp.sum((frames.group[..., None] == index[None, None, :]) & here[..., None], 1, dtype=jnp.int32)
-    totals = dataclasses.replace(
+    return dataclasses.replace(
         totals,
-        heat=totals.heat.ravel().at[cell].add(here.astype(jnp.int32)).reshape(rows, columns),
+        heat=totals.heat.ravel().at[cell].add(here.astype(jnp.int32)).reshape(cells),
         walks=walks,
         node=node,
-        together=totals.together.at[situations].add(active.astype(jnp.int32)),
-        penetration=jnp.maximum(totals.penetration, jnp.max(inside, initial=-jnp.inf)),
         group_size=jnp.maximum(totals.group_size, jnp.max(members, 0)),
     )
-    return totals, jax.tree.map(lambda leaf: leaf[:count], frames)
 
 
 def episode_frames(chunks: list[Trajectory], count: int) -> list[Trajectory]:
@@ -227,8 +252,8 @@ class RunFolder:
         check_run_folder(folder, locked=True)
         self.work.begun()
 
-    def check_content(self, scenario: Scenario, policy: Policy) -> None:
-        """Add versions, device, scenario and policy to the identity.
+    def check_content(self, scenario: Scenario | Stack[Scenario], policy: Policy) -> None:
+        """Add versions, device, scenario or floors, and policy to the identity.
 
         Raises:
             InputError: the finished batches were made with others.

@@ -6,14 +6,12 @@ show.
 """
 
 import dataclasses
-import functools
 import shlex
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from rich.console import Console
@@ -24,11 +22,12 @@ from sean_jax.base import Array, Policy, Scenario, State, Trajectory
 from sean_jax.config import CollectConfig, ReplayConfig, RunConfig, validate
 from sean_jax.errors import InputError
 from sean_jax.evaluation import batches, results, saved
-from sean_jax.learning.collection import load_driver, streams
+from sean_jax.learning.collection import content, load_driver, stream_floors
 from sean_jax.learning.networks import CONFIG, read_method
 from sean_jax.learning.policy import load, load_policy, read_options
 from sean_jax.progress import progress
 from sean_jax.runner import Callbacks, Record, Runner
+from sean_jax.stack import Stack
 from sean_jax.versions import fingerprint, version_mismatch
 
 MANIFEST = "dataset.json"
@@ -39,7 +38,7 @@ CURE = "give a folder that `sean run`, `collect`, `train` or `validate` has writ
 class Source:
     """The episodes of a folder; a ``Runner`` simulates them by number."""
 
-    scenarios: list[Scenario]
+    floors: list[Stack[Scenario]]  # a stack for each scenario
     policy: Policy
     use: str  # of the seed
     seed: int
@@ -49,6 +48,7 @@ class Source:
     ends: Callable | None = None  # (scenario, before, after) -> terminations of the training, which end episodes early
     deviation: Callable[[int, int], str] = lambda number, steps: ""  # note if the folder has other than so many steps
     changes: Sequence[str] = ()  # a sentence on each file that has changed
+    place: Callable[[int], int] = lambda number: 0  # the user's number of an episode -> index of its floor
 
 
 def write(options: ReplayConfig, console: Console) -> Path:
@@ -71,11 +71,12 @@ def write(options: ReplayConfig, console: Console) -> Path:
         source = readers[file](folder, numbers)
     for sentence in source.changes:
         console.print(Text(sentence), soft_wrap=True)
-    shown = []
-    scenario = source.scenarios[source.turn(numbers[0])]
-    record = batches.record(source.scenarios[0], 1)
+    shown: dict[int, list[replay.Episode]] = {}  # by floor
+    first = source.floors[0]
+    scenario, several = first.member, len(source.floors)
+    record = batches.record(first, 1)
     record = record if source.ends is None else _until_terminated(record, source.ends)
-    runner = Runner(source.scenarios, source.policy, 1, source.use, record)
+    runner = Runner(source.floors, source.policy, 1, source.use, record)
     with progress(console) as bar:
         runner.compile(Callbacks(compiling=bar.stage))
         bar.start("simulating", len(numbers) * scenario.time_limit)
@@ -84,8 +85,9 @@ def write(options: ReplayConfig, console: Console) -> Path:
             def advanced(seconds: float, _: float, done: int = done, number: int = number) -> None:
                 bar.update(done * scenario.time_limit + seconds, f"episode {number}")
 
-            index = np.full(runner.size, source.turn(number))
-            batch = runner.run(source.seed, source.number(number), 1, index, Callbacks(advanced=advanced))
+            index, place = np.full(runner.size, source.turn(number)), source.place(number)
+            callbacks = Callbacks(advanced=advanced)
+            batch = runner.run(source.seed, source.number(number), 1, index, callbacks, turn=place * several)
             (frames,) = batches.episode_frames(batch.rows, 1)
             seconds = len(frames.active) * scenario.time_step
             if len(frames.active) < batch.steps[0]:
@@ -94,9 +96,13 @@ def write(options: ReplayConfig, console: Console) -> Path:
                 outcome = results.outcome(bool(batch.states.completed[0]), seconds)
             outcome += source.deviation(number, len(frames.active))
             name = source.names[source.turn(number)].replace("_", " ")
-            shown.append(replay.Episode(frames, f"episode {number} · {name}", outcome))
-    content = replay.of_scenario(scenario, shown, folder.resolve().name)
-    writing.write(path, replay.html(content))
+            shown.setdefault(place, []).append(replay.Episode(frames, f"episode {number} · {name}", outcome))
+    title, players = folder.resolve().name, []
+    for place, each in shown.items():
+        name = first.names[place].replace("_", " ") if first.size > 1 and first.names else ""
+        on_floor = source.floors[source.turn(numbers[0])].at(place)
+        players.append((name, replay.of_scenario(on_floor, each, f"{title} · {name}" if name else title)))
+    writing.write(path, replay.html(players[0][1]) if len(players) == 1 else replay.html_of_several(players, title))
     return path
 
 
@@ -115,10 +121,11 @@ def _of_run(folder: Path, numbers: list[int]) -> Source:
     before = saved.read_config(path)
     config = validate(RunConfig, before.description, source=path)
     _check(numbers, config.episodes, folder)
-    scenarios = assembly.build(config)
-    policy = load_policy(config.policy, scenarios[0])
-    ended, step = _ended(folder / "episodes.csv"), scenarios[0].time_step
-    cause = _cause(before.versions, before.fingerprint, fingerprint(scenarios[0], policy.params))
+    stacks = assembly.build_floors(config, config.episodes)
+    floors, count = stacks[0], len(stacks)
+    policy, content = load_policy(config.policy, floors.member), floors if floors.size > 1 else floors.member
+    ended, step = _ended(folder / "episodes.csv"), floors.member.time_step
+    cause = _cause(before.versions, before.fingerprint, fingerprint(content, policy.params))
 
     def deviation(number: int, steps: int) -> str:
         if number not in ended or abs(ended[number] - steps * step) <= 0.5 * step:
@@ -126,14 +133,15 @@ def _of_run(folder: Path, numbers: list[int]) -> Source:
         return f" ({ended[number]:.1f} s in the run: {cause})"
 
     return Source(
-        scenarios=scenarios,
+        floors=stacks,
         policy=policy,
         use="run",
         seed=config.seed,
-        turn=lambda number: number % len(scenarios),
-        names=[scenario.task_name for scenario in scenarios],
+        turn=lambda number: number % count,
+        names=[each.member.task_name for each in stacks],
         deviation=deviation,
         changes=before.changes,
+        place=lambda number: number // count % floors.size,
     )
 
 
@@ -164,12 +172,12 @@ def _of_dataset(folder: Path, numbers: list[int]) -> Source:
     data = open_dataset(folder)
     manifest, size, config = data.manifest, data.batch, data.description()
     _check(numbers, size * len(manifest["shards"]), folder)
-    parts = streams(config)
-    scenarios = list(parts.values())
-    policy = load_driver(config, scenarios[0])
-    now = fingerprint(scenarios[0], [scenario.behavior for scenario in scenarios], policy.params)
-    cause = _cause(manifest.get("versions"), manifest.get("content", ""), now)
-    every = round(1.0 / scenarios[0].time_step) // config.rate
+    parts = stream_floors(config)
+    stacks = list(parts.values())
+    first = stacks[0].member
+    policy = load_driver(config, first)
+    cause = _cause(manifest.get("versions"), manifest.get("content", ""), content(stacks, policy))
+    every = round(1.0 / first.time_step) // config.rate
 
     def deviation(number: int, steps: int) -> str:
         rows = manifest["shards"][number // size]["lengths"][number % size]
@@ -178,13 +186,14 @@ def _of_dataset(folder: Path, numbers: list[int]) -> Source:
         return f" ({rows / config.rate:.0f} s in the dataset: {cause})"
 
     return Source(
-        scenarios=scenarios,
+        floors=stacks,
         policy=policy,
         use="collect",
         seed=config.seed,
         turn=lambda number: manifest["shards"][number // size]["stream"],
         names=list(parts),
         deviation=deviation,
+        place=lambda number: manifest["shards"][number // size].get("floors", [0] * size)[number % size],
     )
 
 
@@ -207,19 +216,19 @@ def _of_training(folder: Path, numbers: list[int]) -> Source:
             f"episodes: they take turns in {len(envs)} environments, and those are in {names}; ask for one's."
         )
     place = turns.pop()
-    scenario, floors = scenarios[place], envs[place]
-    needed = sorted({number // len(envs) % floors.size for number in numbers})
-    members = [dataclasses.replace(floors.at(k).scenario, metrics=scenario.metrics) for k in needed]
-    mdp_env = floors.member
+    scenario, envs_on_floors = scenarios[place], envs[place]
+    floors = envs_on_floors.map_member(lambda each: dataclasses.replace(each.scenario, metrics=scenario.metrics))
+    mdp_env, count = envs_on_floors.member, len(envs)
     return Source(
-        scenarios=members,
+        floors=[floors],
         policy=load(folder, scenario),
         use="evaluation",  # its i-th key of a split is the key of number i
         seed=options.seed,
-        turn=lambda number: needed.index(number // len(envs) % floors.size),
-        names=[scenario.task_name] * len(members),
-        number=lambda number: number // len(envs),
+        turn=lambda number: 0,
+        names=[scenario.task_name],
+        number=lambda number: number // count,
         ends=mdp_env.ends if mdp_env.terminations else None,
+        place=lambda number: number // count % floors.size,
     )
 
 
@@ -234,30 +243,31 @@ def _of_imitation(folder: Path) -> Source:
         )
     config = flags.read(CollectConfig, flags.parse("collect", CollectConfig, words[2:]))
     config = validate(CollectConfig, config.model_dump(mode="json"), source=folder / CONFIG)
-    parts = streams(config)
-    scenarios = list(parts.values())
+    parts = stream_floors(config)
+    stacks = list(parts.values())
     return Source(
-        scenarios=scenarios,
-        policy=load(folder, scenarios[0]),
+        floors=stacks,
+        policy=load(folder, stacks[0].member),
         use="evaluation",
         seed=config.seed,
-        turn=lambda number: number % len(scenarios),
+        turn=lambda number: number % len(stacks),
         names=list(parts),
+        place=lambda number: number // len(stacks) % stacks[0].size,
     )
 
 
 def _until_terminated(record: Record, ends: Callable) -> Record:
     """A record whose frames are active until a termination of the training ends the episode."""
 
-    def init(scenario: Scenario, states: State) -> tuple[Any, Array]:
-        return record.init(scenario, states), jnp.zeros(states.tick.shape, bool)
+    def init(floors: Stack[Scenario], states: State) -> tuple[Any, Array]:
+        return record.init(floors, states), jnp.zeros(states.tick.shape, bool)
 
     def update(
-        scenario: Scenario, before: State, after: State, actions: Array, active: Array, total: tuple
+        floors: Stack[Scenario], before: State, after: State, actions: Array, active: Array, total: tuple
     ) -> tuple[tuple, Trajectory]:
         inner, done = total
-        ended = jax.vmap(functools.partial(ends, scenario))(before, after)
-        inner, frames = record.update(scenario, before, after, actions, active, inner)
+        ended = floors.vmap(ends)(before, after)
+        inner, frames = record.update(floors, before, after, actions, active, inner)
         frames = frames.replace(active=frames.active & ~done[: frames.active.shape[0]])
         return (inner, done | jnp.stack(ended).any(0)), frames
 

@@ -9,6 +9,7 @@ import csv
 import dataclasses
 import io
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +33,7 @@ from sean_jax.versions import versions
 class Evaluation:
     """The results of E episodes of a policy with S situations, as numpy arrays."""
 
-    scenario: Scenario  # the first, if several took turns
+    scenario: Scenario  # the first, if several took turns; on the first of several floors
     policy: str
     situations: tuple[str, ...]
     tasks: list[str]  # per episode
@@ -41,7 +42,7 @@ class Evaluation:
     seconds: np.ndarray  # (E,) s, until the episode ended
     metrics: dict[str, np.ndarray]  # name -> (E,) or (E, 1 + S): overall, then by situation
     definitions: dict[str, Metric]  # name -> the metric, in the scenario's order
-    heat: np.ndarray  # (rows, columns) s that people spent in each cell of the floor
+    heat: np.ndarray  # (rows, columns) s that people spent in each cell of the floor; (0, 0) of several floors
     walks: np.ndarray  # (M, M) people who walked the edge from the row's node to the column's, (0, 0) without a graph
     together: np.ndarray  # (2 ** S,) s of robot time per set of situations
     penetration: float  # m, deepest that a body was in an obstacle
@@ -50,12 +51,23 @@ class Evaluation:
     compile_seconds: float
     run_seconds: float
     wanted: int  # requested episodes; Ctrl-C leaves fewer
+    floors: Sequence[str] = ()  # name per episode, if there are several
+    places: Sequence[Scenario] = ()  # of the frames, if there are several floors
+    wanted_floors: int = 1  # of the set; fewer episodes are on the first ones
+
+    def place(self, index: int) -> Scenario:
+        """The scenario of the frames of an episode, on its floor."""
+        return self.places[index] if self.places else self.scenario
 
     def summary(self) -> dict[str, Any]:
         """Shares of the situations, means of the metrics with 95 % bootstrap intervals, checks and timing."""
         simulated = float(self.seconds.sum())
+        floors = list(dict.fromkeys(self.floors))
+        of_set = {"floors": len(floors), "set_floors": self.wanted_floors, "environments": floors} if floors else {}
+        groups = {} if floors else {"largest_groups": [int(size) for size in self.group_size]}
         return {
             "scenario": self.names(),
+            **of_set,
             "episodes": len(self.tasks),
             "episodes_wanted": self.wanted,
             "simulated_seconds": round(simulated, 3),
@@ -63,7 +75,7 @@ class Evaluation:
             "checks": {
                 "largest_penetration_mm": round(max(1000.0 * self.penetration, 0.0), 4),
                 "people_inside_obstacles": bool(self.penetration > float(self.scenario.forces.walking.radius)),
-                "largest_groups": [int(size) for size in self.group_size],
+                **groups,
                 "not_finite": 0,
             },
             "timing": {
@@ -89,7 +101,7 @@ class Evaluation:
     @property
     def title(self) -> str:
         """The names in one line."""
-        return title(self.scenario, list(dict.fromkeys(self.tasks)), len(self.tasks))
+        return title(self.scenario, list(dict.fromkeys(self.tasks)), len(self.tasks), len(set(self.floors)))
 
     def print_table(self, console: Console) -> None:
         """Print the table."""
@@ -125,9 +137,11 @@ class Evaluation:
         return folder
 
 
-def title(scenario: Scenario, tasks: list[str], episodes: int) -> str:
-    """A run in one line."""
+def title(scenario: Scenario, tasks: list[str], episodes: int, floors: int = 0) -> str:
+    """A run in one line; ``floors`` is their number, 0 without a set."""
     what = f"{scenario.environment.name} · {scenario.behavior.name} · {' / '.join(tasks)} · {scenario.robot.name}"
+    if floors:
+        return f"{what} · up to {scenario.people} people · {episodes} episodes on {floors} floors"
     return f"{what} · {scenario.people} people · {episodes} episodes"
 
 
@@ -203,24 +217,27 @@ def write_all(
     summary = evaluation.summary()
     (folder / "summary.json").write_text(json.dumps(summary, indent=2, allow_nan=False) + "\n", encoding="utf-8")
     scenario = evaluation.scenario
+    first = evaluation.place(0)
     if evaluation.frames:
         drawing.animate(
-            scenario.environment,
+            first.environment,
             evaluation.frames[0],
             folder / "episode.gif",
-            graph=drawing.graph_of(scenario),
+            graph=drawing.graph_of(first),
             situations=evaluation.situations,
             time_step=scenario.time_step,
             robot_radius=scenario.robot.radius,
             title=evaluation.tasks[0].replace("_", " "),
         )
     if evaluation.frames and config is not None and config.camera is not None:
-        drawing.video(evaluation.frames[0], scenario, folder / "camera.gif", view=config.camera)
+        drawing.video(evaluation.frames[0], first, folder / "camera.gif", view=config.camera)
     shown = []
     for i, frames in enumerate(evaluation.frames):
+        if evaluation.floors and evaluation.floors[i] != evaluation.floors[0]:
+            continue  # the player has one floor
         name = f"episode {i} · {evaluation.tasks[i].replace('_', ' ')}"
         shown.append(replay.Episode(frames, name, outcome(evaluation.completed[i], evaluation.seconds[i])))
-    recording = replay.of_scenario(scenario, shown) if shown else None
+    recording = replay.of_scenario(first, shown) if shown else None
     line = "sean_jax.evaluate, in a Python program" if config is None else command("run", config)
     text = report_page(evaluation, summary, recording, line, packages)
     (folder / "report.html").write_text(text, encoding="utf-8")
@@ -234,8 +251,10 @@ def outcome(completed: Any, seconds: float) -> str:
 def write_episodes(path: Path, evaluation: Evaluation) -> None:
     """Write episodes.csv: a row for each episode, with metrics overall and as ``metric__situation``.
 
-    Equal results give equal bytes. A value that is not finite is an empty cell.
+    Equal results give equal bytes. A value that is not finite is an empty cell. With several floors, ``environment`` is
+    the floor of an episode.
     """
+    several = bool(evaluation.floors)
     columns: dict[str, np.ndarray] = {}
     for name, values in evaluation.metrics.items():
         if name in ("completed", "timed_out"):
@@ -249,11 +268,11 @@ def write_episodes(path: Path, evaluation: Evaluation) -> None:
             columns[f"{name}__{situation}"] = values[:, k + 1]
     with path.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(["episode", "task", "completed", "timed_out", "seconds", *columns])
+        writer.writerow(["episode", *["environment"] * several, "task", "completed", "timed_out", "seconds", *columns])
         for i, task in enumerate(evaluation.tasks):
             ended = str(bool(evaluation.completed[i])), str(bool(evaluation.timed_out[i]))
             cells = (_cell(values[i]) for values in columns.values())
-            writer.writerow([i, task, *ended, f"{evaluation.seconds[i]:.3f}", *cells])
+            writer.writerow([i, *evaluation.floors[i : i + 1], task, *ended, f"{evaluation.seconds[i]:.3f}", *cells])
 
 
 def _cell(value: Any) -> str:
@@ -314,8 +333,9 @@ def report_page(
 
 def _episodes(evaluation: Evaluation) -> list[tuple[str, str]]:
     """Pictures of the first episodes, and their captions."""
-    scenario, pictures = evaluation.scenario, []
+    pictures = []
     for i, frames in enumerate(evaluation.frames):
+        scenario = evaluation.place(i)
         figure = drawing.top_down(
             scenario.environment,
             graph=drawing.graph_of(scenario),
@@ -324,13 +344,16 @@ def _episodes(evaluation: Evaluation) -> list[tuple[str, str]]:
             time_step=scenario.time_step,
             robot_radius=scenario.robot.radius,
         )
-        end = outcome(evaluation.completed[i], evaluation.seconds[i])
-        pictures.append((svg(figure, f"episode-{i}"), f"Episode {i} · {evaluation.tasks[i].replace('_', ' ')} · {end}"))
+        words = [f"Episode {i}", *evaluation.floors[i : i + 1], evaluation.tasks[i]]
+        words = [word.replace("_", " ") for word in words] + [outcome(evaluation.completed[i], evaluation.seconds[i])]
+        pictures.append((svg(figure, f"episode-{i}"), " · ".join(words)))
     return pictures
 
 
 def _people(evaluation: Evaluation) -> list[tuple[str, str]]:
-    """Where people were, and the behavior graph, with captions."""
+    """Where people were, and the behavior graph, with captions; nothing of several floors."""
+    if evaluation.floors:
+        return []
     environment, graph = evaluation.scenario.environment, drawing.graph_of(evaluation.scenario)
     seconds = max(float(evaluation.seconds.sum()), 1e-9)
     x0, y0, x1, y1 = (float(v) for v in np.asarray(environment.floor))
@@ -347,9 +370,12 @@ def _people(evaluation: Evaluation) -> list[tuple[str, str]]:
 
 def _checks(summary: dict[str, Any]) -> dict[str, str]:
     checks, timing = summary["checks"], summary["timing"]
+    groups, facts = checks.get("largest_groups"), {}
+    if groups is not None:
+        facts["most people in each group"] = ", ".join(map(str, groups)) or "there are no groups"
     return {
         "deepest penetration of a person into an obstacle": f"{checks['largest_penetration_mm']:.3f} mm",
-        "most people in each group": ", ".join(map(str, checks["largest_groups"])) or "there are no groups",
+        **facts,
         "numbers that are not finite": str(checks["not_finite"]),
         "simulated": f"{summary['simulated_seconds']:,.0f} s of robot time, "
         f"{timing['simulated_seconds_per_second']:,.0f} s per second on {timing['device']}",

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import yaml
 
-from sean_jax import components, environment, files
+from sean_jax import components, environment, files, worlds
 from sean_jax.config import Named, PlaybackBehavior, RunConfig, present_names
 from sean_jax.errors import FileError, InputError
 from sean_jax.files import mjcf
@@ -36,6 +36,7 @@ OPTIONS = (*COPIED, "policy", "behavior")  # that name files
 LIMITS = {"episode": (0, 2**31), "completed": (0, 1), "timed_out": (0, 1), "seconds": (0, MAX_DURATION)}
 """Column of episodes.csv -> least and most; none of its cells is empty."""
 
+TEXTS = "task", "environment"  # columns without numbers
 CELLS = {"True": 1.0, "False": 0.0, "": math.nan}  # of episodes.csv
 
 
@@ -109,7 +110,7 @@ def locate(copies: Mapping[str, str], hashes: Mapping[str, str], folder: Path) -
         inside = f"{copy}/" if option == "environment" else f"{Path(copy).parent.as_posix()}/"
         then = {part.removeprefix(inside): value for part, value in hashes.items() if part.startswith(inside)}
         try:
-            path = environment.find(name) if option == "environment" else Path(name)
+            path = _environment(name) if option == "environment" else Path(name)
             root, sources = _sources(option, path)
             now = {part.relative_to(root).as_posix(): components.digest(part, MAX_FILE) for part in sources}
         except (ValueError, OSError):  # it is missing, or is another kind of file now
@@ -124,7 +125,8 @@ def locate(copies: Mapping[str, str], hashes: Mapping[str, str], folder: Path) -
 
 def _named(config: RunConfig) -> Iterator[tuple[str, str, Path]]:
     """Option, name and path of each file and folder of a description."""
-    yield "environment", config.environment, environment.find(config.environment)
+    if not worlds.parse_set(config.environment):  # which is made by its name
+        yield "environment", config.environment, _environment(config.environment)
     if isinstance(config.robot, Named) and config.robot.kind not in ROBOTS:
         yield "robot", config.robot.kind, Path(config.robot.kind)
     for option, parts in (("forces", config.forces), ("sensors", config.sensors)):
@@ -138,10 +140,16 @@ def _named(config: RunConfig) -> Iterator[tuple[str, str, Path]]:
         yield "behavior", behavior.recording, Path(behavior.recording)
 
 
+def _environment(name: str) -> Path:
+    """The folder of an environment, or of a set of them."""
+    folders = worlds.find(name)
+    return folders[0] if len(folders) == 1 else folders[0].parent
+
+
 def _sources(option: str, path: Path) -> tuple[Path, list[Path]]:
     """The folder of a file or folder, and the files that are read for it; a policy's are in the fingerprint."""
     if option == "environment":
-        sources = environment.sources(path)
+        sources = [source for folder in worlds.find(path) for source in environment.sources(folder)]
     elif option == "robot":
         sources = [path, *mjcf.sources(path)]
     else:
@@ -234,7 +242,7 @@ def _texts(path: Path, content: dict[str, Any], key: str, what: str) -> dict[str
 
 
 def read_episodes(path: Path) -> tuple[list[str], dict[str, np.ndarray]]:
-    """The E tasks of an episodes.csv, and its columns (E,) of numbers, NaN for an empty cell.
+    """The E tasks of an episodes.csv, and its columns (E,) of numbers, NaN for an empty cell; without its floors.
 
     Raises:
         FileError: the file cannot be read, its episodes do not count from 0, or a value is out of range.
@@ -244,12 +252,13 @@ def read_episodes(path: Path) -> tuple[list[str], dict[str, np.ndarray]]:
     for name in ("episode", "task", "completed", "seconds"):
         if name not in head:
             raise FileError(f"{place}: has no column {name}; restore the file.")
-    tasks, numbers = [], {name: array.array("d") for name in head if name != "task"}
+    tasks, numbers = [], {name: array.array("d") for name in head if name not in TEXTS}
     limits = {name: _limits(name) for name in numbers}
     for number, row in enumerate(rows):
         for name, cell in zip(head, row, strict=True):
             if name == "task":
                 tasks.append(cell)
+            if name in TEXTS:
                 continue
             low, high = limits[name]
             value = _number(cell)

@@ -55,6 +55,11 @@ class BehaviorGraph:
     places: Float[Array, "M P 2"]  # m, points of the node's disc where a person can stand and see its centre
     names: tuple[str, ...] = struct.field(pytree_node=False)
 
+    @property
+    def nodes(self) -> int:
+        """The number of nodes without padding, on the host."""
+        return int(sum((np.asarray(each) >= 0).sum() for each in (self.waypoints, self.groups)))
+
 
 def graph_of(scenario: Scenario) -> BehaviorGraph | None:
     """The Behavior Graph of a scenario: the behavior's ``data`` or its field ``graph``; None if neither is a graph."""

@@ -23,7 +23,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sean_jax import assembly, components, devices, navigation, prng, robots, sensors, writing
+from sean_jax import assembly, components, devices, navigation, prng, robots, sensors, worlds, writing
 from sean_jax.base import Array, Policy, Scenario, State
 from sean_jax.config import MAX_PIXELS, CollectConfig, HandcraftedBehavior, OwnPart, Value, present_names
 from sean_jax.errors import InputError
@@ -33,8 +33,9 @@ from sean_jax.learning.dataset import Dataset, EpisodeBatch, stream_seconds
 from sean_jax.learning.examples import Row, row
 from sean_jax.learning.policy import check_policy, label, labelled, load_policy
 from sean_jax.progress import ProgressLike, progress
-from sean_jax.runner import Callbacks, Record, Runner, not_finite
+from sean_jax.runner import Callbacks, Record, Runner, batch_size, not_finite
 from sean_jax.scenario import reset, step
+from sean_jax.stack import Stack, as_stacks
 from sean_jax.versions import fingerprint, versions
 from sean_jax.workspace import CONTENT, refuse_difference, refuse_others
 
@@ -70,6 +71,19 @@ def streams(config: CollectConfig) -> dict[str, Scenario]:
         if len(situations) > 1:
             return {name: _only(first, name) for name in situations}
     return {scenario.task_name: scenario for scenario in scenarios}
+
+
+def stream_floors(config: CollectConfig) -> dict[str, Stack[Scenario]]:
+    """Name of a stream -> its scenario on each floor, as ``streams``.
+
+    Raises:
+        InputError: unknown names, or impossible combinations.
+    """
+    if worlds.count(config.environment) == 1:
+        parts = streams(config)
+        return dict(zip(parts, as_stacks(list(parts.values())), strict=True))
+    floors = [each.map_member(lambda scenario: replace(scenario, metrics=())) for each in assembly.build_floors(config)]
+    return {each.member.task_name: each for each in floors}
 
 
 def _only(scenario: Scenario, situation: str) -> Scenario:
@@ -109,20 +123,22 @@ def steps_per_row(scenario: Scenario, rate: int) -> int:
 
 
 def simulate_shard(
-    runner: Runner, seed: int, shard: int, stream: int, watch: Callable[[int], None] | None = None
+    runner: Runner, seed: int, shard: int, stream: int, watch: Callable[[int], None] | None = None, turn: int = 0
 ) -> EpisodeBatch:
     """A shard: the episodes from number ``shard * runner.size`` on, all of one stream.
 
     Args:
         runner: with the record of ``row_record``.
         watch: is called with the seconds that are simulated.
+        turn: number of shards of the stream before this one; each stream has the floors in turn.
 
     Raises:
         FloatingPointError: a number is not finite; the message names the episodes.
     """
     callbacks = Callbacks(advanced=lambda seconds, simulated: watch(round(seconds)) if watch is not None else None)
     first = shard * runner.size
-    batch = runner.run(seed, first, index=np.full(runner.size, stream), callbacks=callbacks)
+    place = turn * runner.size
+    batch = runner.run(seed, first, index=np.full(runner.size, stream), callbacks=callbacks, turn=place)
     scenario = runner.scenarios[0]
     rate = round(1.0 / scenario.time_step) // runner.record.every
     most = rate * math.ceil(scenario.time_limit - 1e-6)
@@ -136,7 +152,8 @@ def simulate_shard(
     faulty = np.any([~np.isfinite(values.reshape(len(values), -1)).all(1) for values in floats], 0)
     if faulty.any():
         raise FloatingPointError(not_finite(first + np.flatnonzero(faulty), runner.size))
-    return EpisodeBatch(rows, lengths, np.asarray(batch.states.completed))
+    floors = runner.floor_indices(place) if runner.floors.size > 1 else None
+    return EpisodeBatch(rows, lengths, np.asarray(batch.states.completed), floors)
 
 
 def _put_rows(arrays: dict[str, np.ndarray], rows: Row, active: np.ndarray, begin: int, most: int) -> np.ndarray:
@@ -152,18 +169,24 @@ def _put_rows(arrays: dict[str, np.ndarray], rows: Row, active: np.ndarray, begi
     return active.sum(1)
 
 
-def _init_rows(scenario: Scenario, states: State) -> tuple[Array, Array]:
+def _init_rows(floors: Stack[Scenario], states: State) -> tuple[Array, Array]:
     """The way to the goal of each episode, and no command yet."""
-    last = jax.vmap(lambda goal: navigation.last_arc_to_goal(scenario.navigation, goal))(states.task.goal)
+    last = floors.vmap(lambda scenario, goal: navigation.last_arc_to_goal(scenario.navigation, goal))(states.task.goal)
     return last, jnp.zeros((*states.tick.shape, 2), float)
 
 
 def _update_rows(
-    camera: sensors.Camera, scenario: Scenario, before: State, after: State, actions: Array, active: Array, total: tuple
+    camera: sensors.Camera,
+    floors: Stack[Scenario],
+    before: State,
+    after: State,
+    actions: Array,
+    active: Array,
+    total: tuple,
 ) -> tuple[tuple[Array, Array], tuple[Row, Array]]:
     """The rows before the latest steps, with whether the episodes had not ended by then."""
 
-    def one(before: State, actions: Array, last: Array, latest: Array) -> tuple[Array, Row]:
+    def one(scenario: Scenario, before: State, actions: Array, last: Array, latest: Array) -> tuple[Array, Row]:
         finite = jnp.isfinite(actions).all(-1)
         command = jnp.where(finite[0], actions[0], latest)  # a command that is not finite is no new one
         newest = jnp.max(jnp.where(finite, jnp.arange(len(actions), dtype=jnp.int32), -1))
@@ -171,7 +194,7 @@ def _update_rows(
         return latest, row(scenario, before, command, camera, last)
 
     last, latest = total
-    latest, rows = jax.vmap(one, (0, 1, 0, 0))(before, actions, last, latest)
+    latest, rows = floors.vmap(one)(before, actions.swapaxes(0, 1), last, latest)
     return (last, latest), (rows, active)
 
 
@@ -212,24 +235,30 @@ def load_driver(config: CollectConfig, scenario: Scenario) -> Policy:
 
 def _collect(config: CollectConfig, console: ProgressLike) -> Dataset:
     """Record in a folder that this process has locked."""
-    parts = streams(config)
-    scenarios = list(parts.values())
-    policy = load_driver(config, scenarios[0])
-    camera = sensors.camera(scenarios[0], "depth", width=config.width, height=config.height)
+    parts = stream_floors(config)
+    stacks = list(parts.values())
+    first = stacks[0].member
+    policy = load_driver(config, first)
+    camera = sensors.camera(first, "depth", width=config.width, height=config.height)
     mesh = devices.mesh()
     if (config.batch or 0) % mesh.size:
         uneven = f"{config.batch} episodes do not spread evenly over {mesh.size} devices"
         raise InputError(f"--batch: {uneven}; take a multiple.")
+    even = _even(config.batch or 1, stacks)
+    if config.batch not in (None, even):
+        uneven = f"{config.batch} episodes do not spread evenly over {stacks[0].size} floors"
+        raise InputError(f"--batch: {uneven}; take {even}.")
     data = _open(config, parts, policy, camera)
     if data.batch % mesh.size:
         batch = f"--batch {data.batch}, which does not spread evenly over {mesh.size} devices"
         raise InputError(f"{data.folder} was begun with {batch}; choose another --out.")
     is_labelled = config.labels is not None or config.noise is not None
-    record = row_record(scenarios[0], camera, label if is_labelled else None, config.rate)
-    runner = Runner(scenarios, policy, data.batch, "collect", record, mesh)
+    record = row_record(first, camera, label if is_labelled else None, config.rate)
+    runner = Runner(stacks, policy, data.batch, "collect", record, mesh)
     target_rows = config.rate * stream_seconds(config.hours, len(parts))
     total = target_rows * len(parts) // config.rate
-    recorded, first_new = data.stream_rows, len(data.manifest["shards"])
+    recorded, order = data.stream_rows, [shard["stream"] for shard in data.manifest["shards"]]
+    first_new = len(order)
     with progress(console) as tell, ThreadPoolExecutor(1, thread_name_prefix="sean-commit") as pool:
         tell.start("recording", total)
         commit: Future | None = None
@@ -241,11 +270,12 @@ def _collect(config: CollectConfig, console: ProgressLike) -> Dataset:
         show("compiling")
         for stream, shard in _due(data, recorded, target_rows):
             began = time.perf_counter()
+            order += [stream] if shard == len(order) else []
 
             def watch(seconds: int, shard: int = shard) -> None:
-                show(f"shard {shard}: {data.batch} episodes of {scenarios[0].people} people at {seconds} s")
+                show(f"shard {shard}: {data.batch} episodes of {first.people} people at {seconds} s")
 
-            batch = simulate_shard(runner, config.seed, shard, stream, watch)
+            batch = simulate_shard(runner, config.seed, shard, stream, watch, order[:shard].count(stream))
             if commit is not None:
                 commit.result()  # raises the error of the shard before
             commit = pool.submit(data.commit, stream, batch, shard)
@@ -268,7 +298,7 @@ def _due(data: Dataset, recorded: list[int], target_rows: int) -> Iterator[tuple
         number += 1
 
 
-def _open(config: CollectConfig, parts: dict[str, Scenario], policy: Policy, camera: sensors.Camera) -> Dataset:
+def _open(config: CollectConfig, parts: dict[str, Stack[Scenario]], policy: Policy, camera: sensors.Camera) -> Dataset:
     """The dataset of the folder, if it was begun with the same description and content, or an empty one."""
     folder, manifest = config.folder, _manifest(config, parts, policy, camera)
     check_folder(folder)
@@ -312,19 +342,27 @@ def _check_same(config: CollectConfig, data: Dataset, manifest: dict[str, Any]) 
 
 
 def _manifest(
-    config: CollectConfig, parts: dict[str, Scenario], policy: Policy, camera: sensors.Camera
+    config: CollectConfig, parts: dict[str, Stack[Scenario]], policy: Policy, camera: sensors.Camera
 ) -> dict[str, Any]:
-    scenarios, size = list(parts.values()), _batch_size(config, len(parts))
+    stacks = list(parts.values())
+    floors, size = stacks[0], _batch_size(config, stacks)
     return {
         "command": _command(config, size),
         "options": config.identity(),
-        **scenario_facts(scenarios[0], camera, config.policy.kind, config.rate),
-        "content": fingerprint(scenarios[0], [scenario.behavior for scenario in scenarios], policy.params),
+        **scenario_facts(floors.member, camera, config.policy.kind, config.rate),
+        **({"environments": list(floors.names)} if floors.size > 1 else {}),
+        "content": content(stacks, policy),
         "parts": components.digests(config),
         "hours": config.hours,
         "batch": size,
         "streams": list(parts),
     }
+
+
+def content(stacks: list[Stack[Scenario]], policy: Policy) -> str:
+    """The digest of the numbers of scenarios and a policy."""
+    first = stacks[0].member if stacks[0].size == 1 else stacks[0]
+    return fingerprint(first, [each.member.behavior for each in stacks], policy.params)
 
 
 def _command(config: CollectConfig, batch: int) -> str:
@@ -350,15 +388,21 @@ def scenario_facts(scenario: Scenario, camera: sensors.Camera, policy: str, rate
     }
 
 
-def _batch_size(config: CollectConfig, parts: int) -> int:
+def _even(batch: int, stacks: list[Stack[Scenario]]) -> int:
+    """The batch, or the next larger one that has equal turns of floors."""
+    floors = replace(stacks[0], turn=len(stacks))
+    return batch if floors.size == 1 else batch_size(batch, floors, len(jax.devices()))
+
+
+def _batch_size(config: CollectConfig, stacks: list[Stack[Scenario]]) -> int:
     """Episodes at once, a multiple of the number of devices."""
     count = len(jax.devices())
     if config.batch is not None:
         return config.batch
     largest = MAX_BATCH_CPU if jax.default_backend() == "cpu" else MAX_BATCH
     largest = min(largest, max(MIN_BATCH, largest // config.rate))
-    needed = math.ceil(stream_seconds(config.hours, parts) / TYPICAL)
-    return math.ceil(min(largest, max(4, needed)) / count) * count
+    needed = math.ceil(stream_seconds(config.hours, len(stacks)) / TYPICAL)
+    return _even(math.ceil(min(largest, max(4, needed)) / count) * count, stacks)
 
 
 # ------------------------------------------------------------------ commands from outside

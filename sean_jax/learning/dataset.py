@@ -63,6 +63,7 @@ class Shard(Keys):
     lengths: list[Count]  # rows
     completed: list[bool]
     bytes: dict[str, Annotated[int, pydantic.Field(ge=0, lt=2**62)]]  # of the file of each field
+    floors: list[Count] | None = None  # index of each episode's floor, if there are several
 
 
 class Robot(Keys):
@@ -85,6 +86,7 @@ class Manifest(Keys):
     camera: Camera
     robot: Robot
     shards: list[Shard]
+    environments: Names = []  # of the floors, if there are several
 
 
 def check_manifest(path: Path, data: Any, fields: tuple[str, ...]) -> None:
@@ -108,6 +110,13 @@ def _check_relations(manifest: Manifest, fields: tuple[str, ...]) -> Iterator[fi
         for name, values in (("lengths", shard.lengths), ("completed", shard.completed)):
             if len(values) != manifest.batch:
                 yield (*here, name), f"has {len(values)} values, and a batch has {manifest.batch} episodes"
+        several = len(manifest.environments)
+        if shard.floors is not None or several:
+            floors = shard.floors or []
+            if len(floors) != manifest.batch:
+                yield (*here, "floors"), f"has {len(floors)} values, and a batch has {manifest.batch} episodes"
+            if max(floors, default=0) >= several:
+                yield (*here, "floors"), f"{max(floors)} is none of the {several} environments"
         longest = max(shard.lengths, default=0)
         if longest > manifest.rate * manifest.seconds:
             seconds = f"{longest / manifest.rate:g} s long, and {manifest.seconds} s are the most"
@@ -239,6 +248,7 @@ class EpisodeBatch:
     rows: dict[str, np.ndarray]  # field of Row -> (B, T, ...)
     lengths: np.ndarray  # (B,) rows of each episode
     completed: np.ndarray  # (B,) bool
+    floors: np.ndarray | None = None  # (B,) index of each episode's floor, if there are several
 
 
 @dataclasses.dataclass
@@ -388,6 +398,8 @@ class Dataset:
         sizes = write_shard(self.folder, index, batch.rows)
         lengths, completed = batch.lengths.tolist(), batch.completed.tolist()
         entry = {"stream": stream, "lengths": lengths, "completed": completed, "bytes": sizes}
+        if batch.floors is not None:
+            entry["floors"] = batch.floors.tolist()
         shards = list(self.manifest["shards"])
         shards[index : index + 1] = [entry]
         self.save({**self.manifest, "shards": shards})

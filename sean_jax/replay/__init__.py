@@ -29,6 +29,7 @@ from sean_jax.base import Environment, Scenario, Trajectory
 from sean_jax.drawing import colors
 from sean_jax.drawing.layers import first_episode, one_episode, situation_names
 from sean_jax.errors import InputError
+from sean_jax.geometry import FAR
 from sean_jax.graph import FLOWS, NO_EDGE, BehaviorGraph, graph_of
 from sean_jax.metrics.proximity import INTIMATE, PERSONAL
 
@@ -145,6 +146,7 @@ def _plans(table: navigation.Navigation, places: jax.Array, goals: jax.Array) ->
 def _place(environment: Environment) -> dict[str, Any]:
     boxes = jax.tree.map(np.asarray, environment.obstacles)
     rows = np.concatenate([boxes.center, boxes.half_extent, boxes.yaw[:, None], boxes.height[:, None]], 1)
+    rows = rows[boxes.center[:, 0] < FAR]  # without padding
     return {
         "name": environment.name,
         "floor": [round(float(value), 3) for value in np.asarray(environment.floor)],
@@ -153,12 +155,12 @@ def _place(environment: Environment) -> dict[str, Any]:
 
 
 def _graph(graph: BehaviorGraph) -> dict[str, Any]:
-    flows = np.asarray(graph.flow)
+    flows, count = np.asarray(graph.flow), len(graph.names) or graph.nodes
     return {
-        "names": list(graph.names),
-        "position": np.round(np.asarray(graph.position), 2).tolist(),
-        "radius": np.round(np.asarray(graph.radius), 2).tolist(),
-        "group": np.asarray(graph.is_group, bool).tolist(),
+        "names": list(graph.names) or [f"node {number}" for number in range(count)],
+        "position": np.round(np.asarray(graph.position)[:count], 2).tolist(),
+        "radius": np.round(np.asarray(graph.radius)[:count], 2).tolist(),
+        "group": np.asarray(graph.is_group, bool)[:count].tolist(),
         "edges": [[int(u), int(v), FLOWS[flows[u, v]]] for u, v in np.argwhere(np.triu(flows != NO_EDGE, 1))],
     }
 

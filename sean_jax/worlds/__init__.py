@@ -27,7 +27,19 @@ from sean_jax.navigation.arcs import pairs_are_free
 from sean_jax.worlds.floors import FAMILIES, SIZE, Floor
 from sean_jax.worlds.proposal import propose
 
-__all__ = ["FAMILIES", "SIZE", "World", "WorldSet", "find", "generate", "in_processes", "parse", "parse_set", "save"]
+__all__ = [
+    "FAMILIES",
+    "SIZE",
+    "World",
+    "WorldSet",
+    "count",
+    "find",
+    "generate",
+    "in_processes",
+    "parse",
+    "parse_set",
+    "save",
+]
 
 ROBOT = 0.4  # m, radius of the widest robot that passes everything
 CELL = 0.1  # m, in which the floor is looked at
@@ -159,10 +171,23 @@ def parse_set(name: str) -> WorldSet | None:
     return WorldSet(families, number, seed)
 
 
-def find(name: str | Path) -> list[Path]:
+def count(name: str) -> int:
+    """The number of floors of a name, as of ``find``.
+
+    Raises:
+        InputError: there is no such environment.
+    """
+    worlds = parse_set(name)
+    return len(find(name)) if worlds is None else worlds.number
+
+
+def find(name: str | Path, limit: int | None = None) -> list[Path]:
     """The environment folders of a name: a set of worlds, a folder of environments, or one environment.
 
     Worlds are generated into the user's cache.
+
+    Args:
+        limit: maximum number of folders; the first ones.
 
     Raises:
         InputError: there is no such environment.
@@ -172,12 +197,13 @@ def find(name: str | Path) -> list[Path]:
         folder = Path(name).expanduser()
         parts = sorted(path.parent for path in folder.glob(f"*/{environments.SETTINGS}"))
         is_set = parts and not (folder / environments.SETTINGS).is_file()
-        return parts if is_set and str(name) not in environments.available() else [environments.find(name)]
+        return parts[:limit] if is_set and str(name) not in environments.available() else [environments.find(name)]
     source = cache.source("worlds", "environment", "geometry", "graph/annotation", "graph/formation")
     place = cache.folder() / "worlds" / source[:16]
-    count = len(worlds.families)
+    families = len(worlds.families)
     folders = [
-        place / f"{worlds.families[turn % count]}_{worlds.seed + turn // count}" for turn in range(worlds.number)
+        place / f"{worlds.families[turn % families]}_{worlds.seed + turn // families}"
+        for turn in range(worlds.number)[:limit]
     ]
     missing = [folder for folder in folders if not folder.is_dir()]
     in_processes("sean_jax.worlds", "save_all", [], missing)
