@@ -153,7 +153,8 @@ def _scenario(config: ScenarioConfig, parts: dict[str, Any], robot: RobotModel, 
     scene = environments.load(folder)
     robots.physics_steps(robot, config.time_step)  # refuses a control step that is no multiple
     walking = navigation.build(scene, PERSON_CLEARANCE)
-    driving = walking if robot.radius <= PERSON_CLEARANCE else navigation.build(scene, robot.radius)
+    radius = robots.radius(robot)
+    driving = walking if radius <= PERSON_CLEARANCE else navigation.build(scene, radius)
     draw = navigation.PLACES[config.goal_sampling]
     walking, driving = draw(scene, walking), draw(scene, driving)
     place = behaviors.Place(folder, scene, walking, config.time_step)

@@ -114,7 +114,7 @@ def stepping(
     blank = devices.shard(over, lambda _, tick: jnp.zeros(size, float))(fixed, states.tick)
     loops = _pairs(scenario.forces, states.pedestrians, scenario.environment.obstacle_grid)
     if eye is not None:
-        loops |= _rays(scenario, states, cameras.bands(eye)[0])
+        loops |= _rays(scenario, states, eye, cameras.bands(eye)[0])
     return Program(devices.shard_jit(over, run, donate=True), (fixed,), (states, blank), batch * number, turns, loops)
 
 
@@ -144,7 +144,7 @@ def images(scenario: Scenario, name: str, batch: int, width: int, height: int, t
     shape = jax.eval_shape(jax.vmap(one, (None, 0)), scenario, states)
     blank = jnp.zeros(shape.shape, shape.dtype)
     bundles = cameras.bands(camera)[0] if name == "depth" else (cameras.rays(camera)[0],)
-    loops = _rays(scenario, states, bundles)
+    loops = _rays(scenario, states, camera, bundles)
     return Program(jax.jit(run, donate_argnums=1), (scenario,), (states, blank), batch, turns, loops)
 
 
@@ -189,11 +189,11 @@ def _pairs(forces: Forces, people: Pedestrians, grid: ObstacleGrid | None) -> di
     return loops | {"obstacles": float((np.asarray(rows[..., 0]) != FAR).sum(-1).mean())}
 
 
-def _rays(scenario: Scenario, states: State, bundles: Sequence[Rays]) -> dict[str, float]:
+def _rays(scenario: Scenario, states: State, device: cameras.Camera, bundles: Sequence[Rays]) -> dict[str, float]:
     """Turns of the loops over bodies, if each tile of rays tested only the bodies in its sight."""
 
     def one(state: State) -> list[Array]:
-        view = cameras.sensor_view(scenario, state, bundles[0])
+        view = cameras.sensor_view(scenario, state, device)
         return [family.in_sight for bundle in bundles for family in intersect.families(view, bundle)]
 
     each = [np.asarray(sight) for sight in jax.jit(jax.vmap(one))(jax.tree.map(lambda leaf: leaf[:SAMPLE], states))]

@@ -50,9 +50,14 @@ def find(robot: str | Path, dynamics: str = "twin") -> Path:
     return path
 
 
+def radius(model: RobotModel) -> float:
+    """The radius [m] of a robot on the host, to a micrometre, as its file has it."""
+    return round(float(model.radius), 6)
+
+
 def _hint(name: str, choices: Iterable[str]) -> str:
     """The end of a message about an unknown name: the choice most like it, or all choices."""
     return files.suggest(name, choices) or f"; there are: {', '.join(choices)}."
 
 
-__all__ = ["DYNAMICS", "ROBOTS", "find", "load", "physics_steps"]
+__all__ = ["DYNAMICS", "ROBOTS", "find", "load", "physics_steps", "radius"]
