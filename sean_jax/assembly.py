@@ -96,10 +96,12 @@ def build(config: ScenarioConfig) -> list[Scenario]:
     Raises:
         InputError: one sentence that names the value and the cure.
     """
-    parts, folders = check(config), worlds.find(config.environment)
+    parts, folders, models = check(config), worlds.find(config.environment), _robots(config)
     if len(folders) > 1:
         raise InputError(f"environment: {config.environment} is {len(folders)} floors; this takes one of them.")
-    scenarios = with_tasks(config, _scenario(config, parts, _robot(config), folders[0]))
+    if len(models) > 1:
+        raise InputError(f"robot: {config.robot.kind} are {len(models)} robots; this takes one of them.")
+    scenarios = with_tasks(config, _scenario(config, parts, models[0], folders[0]))
     _try_own_parts(config, scenarios[0])
     return scenarios
 
@@ -114,7 +116,7 @@ def build_floors(config: ScenarioConfig, episodes: int | None = None) -> list[St
     Raises:
         InputError: one sentence that names the value and the cure.
     """
-    if worlds.count(config.environment) == 1:
+    if worlds.count(config.environment) == len(config.robots) == 1:
         return as_stacks(build(config))
     if any(isinstance(task, CustomTask) for task in config.tasks):
         raise InputError("task: 'custom' has places on one floor; choose another task, or one floor.")
@@ -128,28 +130,36 @@ def build_floors(config: ScenarioConfig, episodes: int | None = None) -> list[St
 def build_stack(config: ScenarioConfig, limit: int | None = None) -> Stack[Scenario]:
     """The scenarios of a description on each floor of its environment, without a task, for one program.
 
+    Floors and robots take turns: scenario k of as many as there are floors, or robots if these are more, is on floor
+    k modulo their number, with robot k modulo theirs.
+
     Args:
-        limit: maximum number of floors; the first ones.
+        limit: maximum number of scenarios; the first ones.
 
     Raises:
         InputError: one sentence that names the value and the cure.
     """
-    parts, folders, robot = check(config), worlds.find(config.environment, limit), _robot(config)
+    parts, folders, models = check(config), worlds.find(config.environment, limit), _robots(config)
     for folder in folders:
         _check_people(config, folder, float(parts["forces"].walking.radius))
-    if len(folders) == 1:
-        return Stack(_scenario(config, parts, robot, folders[0]), {}, names=(folders[0].name,))
+    number = max(len(folders), len(models))
+    members = [(folders[k % len(folders)], k % len(models)) for k in range(number)][:limit]
+    names = tuple(folder.name + f" {models[k].name}" * (len(models) > 1) for folder, k in members)
+    if len(members) == 1:
+        return Stack(_scenario(config, parts, models[0], folders[0]), {}, names=names)
     if config.behavior.kind not in ("graph", "random"):
-        raise InputError(f"behavior: '{config.behavior.kind}' is not for several floors; choose graph or random.")
+        what = "several floors or robots"
+        raise InputError(f"behavior: '{config.behavior.kind}' is not for {what}; choose graph or random.")
     if getattr(config.behavior, "walking_groups", (0.0, 0.0)) != (0.0, 0.0) and config.people is None:
         raise InputError("people: floors have different numbers, and walking groups need the same; give a number.")
     options = json.dumps({"behavior": config.behavior.kind, "goal_sampling": config.goal_sampling})
-    missing = [folder for folder in folders if not _made(options, folder).is_file()]
+    missing = [folder for folder in folders[:limit] if not _made(options, folder).is_file()]
     worlds.in_processes("sean_jax.assembly", "make_tables", [options], missing)
     with jax.default_device(jax.devices("cpu")[0]):
-        scenarios = [_scenario(config, parts, robot, folder) for folder in folders]
+        models = robots.alike(models)
+        scenarios = [_scenario(config, parts, models[k], folder) for folder, k in members]
         padded = with_common_shapes(scenarios, config.environment)
-    return stack(padded, tuple(folder.name for folder in folders))
+    return stack(padded, names)
 
 
 def make_tables(options: str, *folders: str) -> None:
@@ -172,7 +182,8 @@ def _scenario(config: ScenarioConfig, parts: dict[str, Any], robot: RobotModel, 
     scene = environments.load(folder)
     robots.physics_steps(robot, config.time_step)  # refuses a control step that is no multiple
     walking = navigation.build(scene, PERSON_CLEARANCE)
-    driving = walking if robot.radius <= PERSON_CLEARANCE else navigation.build(scene, robot.radius)
+    radius = robots.radius(robot)
+    driving = walking if radius <= PERSON_CLEARANCE else navigation.build(scene, radius)
     draw = navigation.PLACES[config.goal_sampling]
     walking, driving = draw(scene, walking), draw(scene, driving)
     place = behaviors.Place(folder, scene, walking, config.time_step)
@@ -290,8 +301,11 @@ def check(config: ScenarioConfig) -> dict[str, Any]:
         raise InputError(f"model: '{name}' moves nobody in behavior 'playback', where people walk as recorded.")
     if behavior.kind == "playback" and config.warm_up:
         raise InputError(f"warm_up: {config.warm_up:g} s, but a recording begins with its own people; leave it out.")
-    if not isinstance(config.robot, OwnPart | Value):
-        robots.find(config.robot.kind, config.dynamics)
+    for robot in config.robots:
+        if not isinstance(robot, OwnPart | Value):
+            robots.find(robot.kind, config.dynamics)
+    if len(config.robots) > 1 and config.dynamics == "mjx":
+        raise InputError("dynamics: MJX moves one robot in a program, not several; choose twin or kinematic.")
     forces = _forces(config)
     if not worlds.parse_set(config.environment):
         for folder in worlds.find(config.environment):
@@ -362,8 +376,12 @@ def _behavior(config: ScenarioConfig, place: behaviors.Place) -> Behavior:
     return behavior
 
 
-def _robot(config: ScenarioConfig) -> RobotModel:
-    robot = components.resolve(config.robot, _ANY, "robot")
+def _robots(config: ScenarioConfig) -> list[RobotModel]:
+    return [_robot(config, part) for part in config.robots]
+
+
+def _robot(config: ScenarioConfig, part: Component) -> RobotModel:
+    robot = components.resolve(part, _ANY, "robot")
     if isinstance(robot, str | Path):  # a user's file may name the MJCF file beside it
         robot = robots.load(robot, config.dynamics)
     if not isinstance(robot, RobotModel):

@@ -10,7 +10,7 @@ episodes, ``P`` places. No type has a batch axis: ``jax.vmap`` adds it. Tests ch
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import jax
 import numpy as np
@@ -233,13 +233,16 @@ class Behavior:
     offers: tuple[str, ...] = struct.field(pytree_node=False, default=())  # what tasks may need: "groups", ...
 
 
-class Mount(NamedTuple):
-    """The place of a sensor on a robot."""
+@struct.dataclass
+class Mount:
+    """The place of a sensor on a robot. Its rotation is static, for the rays of a sensor are made before a program."""
 
-    name: str
-    origin: tuple[float, ...]  # (3,) m in the robot's frame: x ahead, y to the left, z up from the floor
-    axes: tuple[float, ...]  # (9,) unit vectors x, y, z (a camera's right, up and back), as columns row by row
-    fovy: float  # degrees, vertical field of view; 0 if it is no camera
+    origin: Float[Array, "3"]  # m in the robot's frame: x ahead, y to the left, z up from the floor
+    name: str = struct.field(pytree_node=False)
+    axes: tuple[float, ...] = struct.field(pytree_node=False)  # (9,) unit vectors x, y, z (a camera's right, up and
+    # back), as columns row by row
+    fovy: float = struct.field(pytree_node=False)  # degrees, vertical field of view; 0 if it is no camera
+    low: bool = struct.field(pytree_node=False)  # whether it stays below people's shoulders, where less has to be seen
 
 
 @struct.dataclass
@@ -263,11 +266,11 @@ class RobotModel:
     max_acceleration: Float[Array, ""]  # m/s2
     max_turn_acceleration: Float[Array, ""]  # rad/s2
     command_timeout: Float[Array, ""]  # s, until the robot stops if no finite command follows
+    radius: Float[Array, ""]  # m, of the disc that people and obstacles touch
     data: PyTree  # the MJX model, or ()
     solids: Solids  # its looks, in its own frame
+    mounts: tuple[Mount, ...]  # of its sensors
     name: str = struct.field(pytree_node=False)
-    mounts: tuple[Mount, ...] = struct.field(pytree_node=False)
-    radius: float = struct.field(pytree_node=False)  # m, of the disc that people and obstacles touch
     time_step: float = struct.field(pytree_node=False)  # s, of the physics
     place: Callable = struct.field(pytree_node=False)
     drive: Callable = struct.field(pytree_node=False)

@@ -220,7 +220,7 @@ def snapshot(scenario: Scenario, state: State) -> Snapshot:
         geodesic=task.geodesic,
         situations=state.situations,
         tick=state.tick,
-        robot_radius=jnp.asarray(scenario.robot.radius, float),
+        robot_radius=scenario.robot.radius,
         person_radius=scenario.forces.walking.radius,
         time_step=scenario.time_step,
         obstacles=scenario.environment.obstacles,

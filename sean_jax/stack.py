@@ -153,7 +153,7 @@ def with_common_shapes(scenarios: Sequence[Scenario], name: str) -> list[Scenari
     """
     people = max(scenario.people for scenario in scenarios)
     equal = all(scenario.people == people for scenario in scenarios)
-    sizes = common_sizes(scenarios)
+    sizes = common_sizes(replace(scenario, robot=()) for scenario in scenarios)  # robots have their own sizes
     sizes["Tables", "P"] = max(people, sizes.get(("Tables", "P"), 0))
     padded = []
     for scenario in scenarios:
@@ -163,12 +163,13 @@ def with_common_shapes(scenarios: Sequence[Scenario], name: str) -> list[Scenari
         present = scenario.people_present
         if not equal and present is None:
             present = np.asarray(scenario.people, np.int32)
-        scenario = replace(
+        others = replace(
             scenario,
+            robot=(),  # pyright: ignore[reportArgumentType]
             environment=replace(scenario.environment, name=name),
             behavior=replace(behavior, people=None if behavior.people is None else people),
             people=people,
             people_present=present,  # pyright: ignore[reportArgumentType]
         )
-        padded.append(pad(scenario, sizes))
+        padded.append(replace(pad(others, sizes), robot=scenario.robot))
     return join_tables(padded)

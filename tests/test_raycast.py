@@ -65,12 +65,10 @@ def test_equal_to_mujoco(name):
     across = np.stack(np.meshgrid(np.linspace(-0.8, 0.8, 64), np.linspace(0.9, -0.9, 48)), -1).reshape(-1, 2)
     heights = (0.3, 0.9, 1.5, 2.5)
 
-    def measured(rays, position, heading):
+    def measured(rays, place, position, heading):
         present = jnp.ones(number, bool)
         seen = jnp.asarray(people, jnp.float32)
-        view = raycast.make_view(
-            scene.scenery.solids, seen, present, jnp.float32(RADIUS), position, heading, rays.origin
-        )
+        view = raycast.make_view(scene.scenery.solids, seen, present, jnp.float32(RADIUS), position, heading, place)
         return raycast.by_rows(rays, raycast.distance(view, rays)).reshape(-1)
 
     checked = 0
@@ -83,10 +81,12 @@ def test_equal_to_mujoco(name):
         # A wide picture in tiles, tilted down and jittered, so that it is not the picture of any camera.
         jitter = across + random.uniform(-0.02, 0.02, across.shape)
         ways = np.stack([np.ones(len(jitter)), jitter[:, 0], jitter[:, 1] - 0.1], -1)
-        rays = raycast.bundle(mount + [0, 0, height], ways.reshape(48, 64, 3), (16, 8), 1e3)
-        ours = np.asarray(jax.jit(measured, static_argnums=0)(rays, jnp.asarray(place), jnp.asarray(heading)))
+        rays = raycast.bundle(ways.reshape(48, 64, 3), (16, 8), 1e3, low=height < SHOULDER)
+        on_robot = mount + [0, 0, height]
+        where = jnp.asarray(on_robot, jnp.float32), jnp.asarray(place), jnp.asarray(heading)
+        ours = np.asarray(jax.jit(measured, static_argnums=0)(rays, *where))
         turned = np.array([[heading[0], -heading[1], 0], [heading[1], heading[0], 0], [0, 0, 1]], float)
-        origin = np.array([*place, 0.0]) + turned @ rays.origin.astype(float)
+        origin = np.array([*place, 0.0]) + turned @ on_robot
         ways = (ways / np.linalg.norm(ways, axis=-1, keepdims=True)) @ turned.T
         theirs = mujoco_distances(name, people, origin, ways)
         near = theirs < 200.0
@@ -102,14 +102,15 @@ def yard(boxes=(), cylinders=(), spheres=()):
     return Solids(*(jnp.asarray(np.asarray(rows, np.float32).reshape(-1, width)) for rows, width in shapes))
 
 
-def fan(origin, *ways, tile=(1, 1)):
-    return raycast.bundle(origin, np.array([ways], float), tile, 100.0)
+def fan(*ways, tile=(1, 1), low=True):
+    return raycast.bundle(np.array([ways], float), tile, 100.0, low=low)
 
 
-def seen_from(rays, solids, people=((900.0, 0.0),), position=(0.0, 0.0), heading=(1.0, 0.0)):
+def seen_from(rays, solids, people=((900.0, 0.0),), position=(0.0, 0.0), heading=(1.0, 0.0), height=0.5):
     crowd = jnp.asarray(people, jnp.float32)
     place, way = jnp.asarray(position, jnp.float32), jnp.asarray(heading, jnp.float32)
-    return raycast.make_view(solids, crowd, jnp.ones(len(people), bool), jnp.float32(RADIUS), place, way, rays.origin)
+    sensor = jnp.asarray([0.0, 0.0, height], jnp.float32)
+    return raycast.make_view(solids, crowd, jnp.ones(len(people), bool), jnp.float32(RADIUS), place, way, sensor)
 
 
 def test_closed_forms():
@@ -119,20 +120,21 @@ def test_closed_forms():
         cylinders=[[0, 5, 0.3, 1, 0, 0, 0.3, 2], [0, -5, 1, 0, 0, 1, 0.5, 1]],
         spheres=[[0, 0, 9, 1]],
     )
-    rays = fan([0, 0, 0.3], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [1, 1, 0], [0, 0, -1], [1, 3, 9])
-    found = jax.jit(lambda: raycast.distance(seen_from(rays, solids, [(2.0, 2.0)]), rays))()[:, 0]
+    rays = fan([1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [1, 1, 0], [0, 0, -1], [1, 3, 9])
+    found = jax.jit(lambda: raycast.distance(seen_from(rays, solids, [(2.0, 2.0)], height=0.3), rays))()[:, 0]
     walked = np.sqrt(8) - RADIUS
     assert np.allclose(found[:7], [4, 5.01 - np.sqrt(2), 4.7, 4.5, 7.7, walked, 0.3], atol=1e-5)
     assert found[7] == raycast.MISS
-    high = fan([0, 0, HEAD], [1, 1, 0])
-    assert np.allclose(raycast.distance(seen_from(high, yard(), [(2.0, 2.0)]), high), np.sqrt(8) - 0.13, atol=1e-5)
+    high = fan([1, 1, 0], low=False)
+    view = seen_from(high, yard(), [(2.0, 2.0)], height=HEAD)
+    assert np.allclose(raycast.distance(view, high), np.sqrt(8) - 0.13, atol=1e-5)
 
 
 def test_who_is_absent_is_not_seen():
-    rays = fan([0, 0, 0.5], [1, 0, 0])
+    rays, sensor = fan([1, 0, 0]), jnp.asarray([0.0, 0.0, 0.5], jnp.float32)
     crowd = jnp.asarray([[2.0, 0.0], [1.0, 0.0]], jnp.float32)
     zero, ahead = jnp.zeros(2, jnp.float32), jnp.asarray([1.0, 0.0], jnp.float32)
-    view = raycast.make_view(yard(), crowd, jnp.asarray([True, False]), jnp.float32(RADIUS), zero, ahead, rays.origin)
+    view = raycast.make_view(yard(), crowd, jnp.asarray([True, False]), jnp.float32(RADIUS), zero, ahead, sensor)
     assert np.allclose(raycast.distance(view, rays), 1.8, atol=1e-6)
 
 
@@ -146,9 +148,13 @@ def test_tiles_leave_out_nothing_that_is_seen():
     ways = np.stack([np.cos(angle), np.sin(angle), rise], -1)
     images = []
     for tile in ((24, 120), (6, 7), (5, 12)):
-        rays = raycast.bundle([0.0, 0.0, 0.4], ways, tile, 50.0)
+        rays = raycast.bundle(ways, tile, 50.0, low=True)
         images.append(
-            jax.jit(lambda rays=rays: raycast.by_rows(rays, raycast.distance(seen_from(rays, solids, people), rays)))()
+            jax.jit(
+                lambda rays=rays: raycast.by_rows(
+                    rays, raycast.distance(seen_from(rays, solids, people, height=0.4), rays)
+                )
+            )()
         )
     for image in images[1:]:
         near = np.asarray(images[0]) < 40.0
@@ -156,36 +162,38 @@ def test_tiles_leave_out_nothing_that_is_seen():
 
 
 def test_gradients_equal_central_differences():
-    """Of distances by the robot's pose and by a person's position, away from edges."""
+    """Of distances by the robot's pose, a person's position and the sensor's place, away from edges."""
     random = np.random.default_rng(2)
     solids = yard(
         boxes=[[4, 1, 0.5, 0.8, 0.6, 0.5, np.cos(0.4), np.sin(0.4)]],
         cylinders=[[4, -3, 1, 0, 0, 1, 0.5, 1]],
         spheres=[[3, -1, 0.5, 0.4]],
     )
-    ways = np.stack([np.ones(200), random.uniform(-1.5, 1.5, 200), random.uniform(-0.3, 0.5, 200)], -1)
-    rays = raycast.bundle([0.1, 0.0, 0.4], ways[None], (1, 20), 50.0)
+    ways = np.stack([np.ones(240), random.uniform(-1.5, 1.5, 240), random.uniform(-0.3, 0.5, 240)], -1)
+    rays = raycast.bundle(ways[None], (1, 20), 50.0, low=True)
 
-    def along(pose, person):
+    def along(pose, person, sensor):
         way = jnp.stack([jnp.cos(pose[2]), jnp.sin(pose[2])])
         people = jnp.stack([person, jnp.asarray([900.0, 0.0], person.dtype)])
         present = jnp.ones(2, bool)
-        view = raycast.make_view(solids, people, present, jnp.float32(RADIUS), pose[:2], way, rays.origin)
+        view = raycast.make_view(solids, people, present, jnp.float32(RADIUS), pose[:2], way, sensor)
         return raycast.by_rows(rays, raycast.distance(view, rays))[0]
 
     pose, person = jnp.asarray([0.05, -0.1, 0.02], jnp.float32), jnp.asarray([2.5, 2.0], jnp.float32)
-    forward, backward = jax.jit(jax.jacfwd(along, (0, 1))), jax.jit(jax.jacrev(along, (0, 1)))
-    slopes = np.concatenate([np.asarray(part) for part in forward(pose, person)], -1)
+    inputs = pose, person, jnp.asarray([0.1, 0.0, 0.4], jnp.float32)
+    forward, backward = jax.jit(jax.jacfwd(along, (0, 1, 2))), jax.jit(jax.jacrev(along, (0, 1, 2)))
+    slopes = np.concatenate([np.asarray(part) for part in forward(*inputs)], -1)
     assert np.isfinite(slopes).all()
-    assert np.allclose(slopes, np.concatenate([np.asarray(part) for part in backward(pose, person)], -1), atol=1e-4)
+    assert np.allclose(slopes, np.concatenate([np.asarray(part) for part in backward(*inputs)], -1), atol=1e-4)
     step, measured = 1e-3, []
     run = jax.jit(along)
-    for axis in range(5):
-        shift = np.eye(5, dtype=np.float32)[axis] * step
-        ahead, behind = (run(pose + sign * shift[:3], person + sign * shift[3:]) for sign in (1, -1))
+    for axis in range(8):
+        shifts = np.split(np.eye(8, dtype=np.float32)[axis] * step, [3, 5])
+        moved = ([each + sign * shift for each, shift in zip(inputs, shifts, strict=True)] for sign in (1, -1))
+        ahead, behind = (run(*each) for each in moved)
         measured.append((np.asarray(ahead, float) - np.asarray(behind, float)) / (2 * step))
     measured = np.stack(measured, -1)
-    seen = np.asarray(run(pose, person)) < 40.0
+    seen = np.asarray(run(*inputs)) < 40.0
     smooth = seen & (np.abs(measured).max(-1) < 20.0)  # a ray that crosses an edge in the step jumps
     assert smooth.sum() >= 100
     close = np.abs(slopes - measured)[smooth] <= 0.02 + 0.02 * np.abs(measured)[smooth]
@@ -200,12 +208,12 @@ def test_gradients_are_finite_on_edges():
         spheres=[[0, -3, 0.5, 1]],
     )
     ways = [[1, 1, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [0, 0, -1], [1, 3, 0], [-1, -3, 0], [-1, 0, 0]]
-    rays = fan([0, 0, 0.5], *ways)
+    rays, sensor = fan(*ways), jnp.asarray([0.0, 0.0, 0.5], jnp.float32)
 
     def total(position):
         crowd = jnp.asarray([[-2.0, RADIUS], [0.0, 0.0]], jnp.float32)
         heading = jnp.asarray([1.0, 0.0], jnp.float32)
-        view = raycast.make_view(solids, crowd, jnp.ones(2, bool), jnp.float32(RADIUS), position, heading, rays.origin)
+        view = raycast.make_view(solids, crowd, jnp.ones(2, bool), jnp.float32(RADIUS), position, heading, sensor)
         found = raycast.distance(view, rays)
         return jnp.where(found < 90.0, found, 0.0).sum()
 
@@ -218,7 +226,7 @@ def test_who_else_is_in_the_batch_changes_nothing():
     random = np.random.default_rng(7)
     solids = yard(boxes=[[*random.uniform(-6, 6, 2), 0.6, 0.3, 0.3, 0.6, 1.0, 0.0] for _ in range(9)])
     ways = np.stack(np.broadcast_arrays(1.0, np.linspace(-0.6, 0.6, 40)[None], np.linspace(0.4, -0.4, 6)[:, None]), -1)
-    rays = raycast.bundle([0.0, 0.0, 0.5], ways, (6, 4), 50.0)
+    rays = raycast.bundle(ways, (6, 4), 50.0, low=True)
     away = np.array([60.0, 4.0, 1.0, 0.3])[:, None, None]
     people = jnp.asarray(away * random.uniform([1.0, -0.5], [2.0, 0.5], (4, 30, 2)), jnp.float32)
 
@@ -259,15 +267,16 @@ def test_a_gpu_finds_what_a_cpu_finds(interpreted, parallel):
     ways = np.stack(np.broadcast_arrays(1.0, across, down), -1)
     starts = np.stack(np.broadcast_arrays(0.0, 3 * across, 3 * down), -1)
     # In parallel all rays are one tile of 180, two programs of 96; else there are four tiles of 50, one of 64 each.
-    rays = raycast.bundle([0.0, 0.0, 0.4], ways, (10, 5), 50.0)
+    rays, height = raycast.bundle(ways, (10, 5), 50.0, low=True), 0.4
     if parallel:
-        rays = raycast.bundle([0.0, 0.0, 1.4], np.broadcast_to([1.0, 0.0, -0.01], ways.shape), (18, 10), 50.0, starts)
+        ways, height = np.broadcast_to([1.0, 0.0, -0.01], ways.shape), 1.4
+        rays = raycast.bundle(ways, (18, 10), 50.0, starts)
     crowds = jnp.asarray(random.uniform([0.6, -6.0], [9.0, 6.0], (2, 34, 2)), jnp.float32)
     angle = random.uniform(0, 2 * np.pi, 3)
     ahead = jnp.asarray(np.stack([np.cos(angle), np.sin(angle)], -1), jnp.float32)
 
     def by(form, people, heading):
-        return form(rays, seen_from(rays, solids, people, heading=heading))
+        return form(rays, seen_from(rays, solids, people, heading=heading, height=height))
 
     # Numbers come with the distances of the loops, which are those that equal MuJoCo's.
     loops = partial(by, intersect._first_of_all)
@@ -297,7 +306,7 @@ def test_no_loop_is_left_to_the_host_of_a_gpu():
     """Distances, numbers and gradients are launches of the kernel; the rays are there once for the whole batch."""
     solids = cluttered(np.random.default_rng(3))
     ways = np.stack(np.broadcast_arrays(1.0, np.linspace(-0.5, 0.5, 8)[None], np.linspace(0.4, -0.4, 8)[:, None]), -1)
-    rays = raycast.bundle([0.0, 0.0, 0.5], ways, (8, 4), 50.0)
+    rays = raycast.bundle(ways, (8, 4), 50.0, low=True)
 
     def view(people):
         return seen_from(rays, solids, people)
@@ -339,11 +348,12 @@ from sean_jax.raycast import intersect, kernel
 kernel._call = partial(kernel._call, interpret=True)
 random = np.random.default_rng(4)
 ways = np.stack(np.broadcast_arrays(1.0, np.linspace(-0.5, 0.5, 8)[None], np.linspace(0.4, -0.4, 8)[:, None]), -1)
-rays = raycast.bundle([0.0, 0.0, 0.5], ways, (8, 4), 50.0)
+rays = raycast.bundle(ways, (8, 4), 50.0, low=True)
 def image(solids, people):
     place, way = jnp.zeros(2, jnp.float32), jnp.asarray([1.0, 0.0], jnp.float32)
     present = jnp.ones(5, bool)
-    view = raycast.make_view(solids, people, present, jnp.float32(RADIUS), place, way, rays.origin)
+    sensor = jnp.asarray([0.0, 0.0, 0.5], jnp.float32)
+    view = raycast.make_view(solids, people, present, jnp.float32(RADIUS), place, way, sensor)
     return intersect._in_a_kernel(rays, True, view)
 over, solids = devices.mesh(), cluttered(random)
 people = jnp.asarray(random.uniform(1.0, 5.0, (4, 5, 2)), jnp.float32)

@@ -165,10 +165,11 @@ def test_the_depth_of_a_wall_straight_ahead_is_flat(scenario, state):
     camera = level(scenario)
     yard, here = put(scenario, state, [(4.0, 0.0, 1.0, 30.0, 9.0)], [])
     image = np.asarray(jax.jit(lambda state: sensors.depth(yard, state, camera))(here))
-    height, focal = camera.origin[2], 6 / np.tan(np.pi / 6)
+    ahead, _, height = np.asarray(next(each for each in scenario.robot.mounts if each.name == "depth").origin)
+    focal = 6 / np.tan(np.pi / 6)
     down = np.arange(12) + 0.5 - 6
     floor = height * focal / np.where(down > 0, down, 1e-9)  # the depth of a row that meets the floor
-    wall = 3.0 - camera.origin[0]
+    wall = 3.0 - ahead
     assert np.allclose(image, np.minimum(wall, floor)[:, None], atol=1e-4)
     assert np.ptp(image[:6]) <= 1e-4 and (image[:6] > 2.9).all()
 

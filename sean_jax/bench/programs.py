@@ -122,7 +122,7 @@ def stepping(
     seen = jax.tree.map(lambda leaf: leaf[: min(SAMPLE, each)], states)  # on the first floor
     loops = _pairs(scenario.forces, seen.pedestrians, scenario.environment.obstacle_grid)
     if eye is not None:
-        loops |= _rays(scenario, seen, cameras.bands(eye)[0])
+        loops |= _rays(scenario, seen, eye, cameras.bands(eye)[0])
     run = _on_floors(over, run, donate=True)
     return Program(run, (stack,), (states, blank), batch * number, turns, loops)
 
@@ -167,7 +167,7 @@ def images(stack: Stack[Scenario], name: str, batch: int, width: int, height: in
     blank = jnp.zeros(shape.shape, shape.dtype)
     bundles = cameras.bands(camera)[0] if name == "depth" else (cameras.rays(camera)[0],)
     seen = jax.tree.map(lambda leaf: leaf[: min(SAMPLE, batch // stack.size)], states)  # on the first floor
-    loops = _rays(scenario, seen, bundles)
+    loops = _rays(scenario, seen, camera, bundles)
     return Program(jax.jit(run, donate_argnums=1), (stack,), (states, blank), batch, turns, loops)
 
 
@@ -212,11 +212,11 @@ def _pairs(forces: Forces, people: Pedestrians, grid: ObstacleGrid | None) -> di
     return loops | {"obstacles": float((np.asarray(rows[..., 0]) != FAR).sum(-1).mean())}
 
 
-def _rays(scenario: Scenario, states: State, bundles: Sequence[Rays]) -> dict[str, float]:
+def _rays(scenario: Scenario, states: State, device: cameras.Camera, bundles: Sequence[Rays]) -> dict[str, float]:
     """Turns of the loops over bodies, if each tile of rays tested only the bodies in its sight."""
 
     def one(state: State) -> list[Array]:
-        view = cameras.sensor_view(scenario, state, bundles[0])
+        view = cameras.sensor_view(scenario, state, device)
         return [family.in_sight for bundle in bundles for family in intersect.families(view, bundle)]
 
     each = [np.asarray(sight) for sight in jax.jit(jax.vmap(one))(jax.tree.map(lambda leaf: leaf[:SAMPLE], states))]

@@ -11,6 +11,7 @@ import pydantic
 from sean_jax.config import fields
 from sean_jax.config.core import Component, Config, Family, Named, OwnPart, Value, compact, with_defaults
 from sean_jax.config.fields import Option
+from sean_jax.messages import listed
 
 USUAL_TASKS = {"graph": ("join_group", "leave_group"), "handcrafted": ("handcrafted",)}
 """behavior -> its robot tasks in the paper's protocol (section V-B); with other behaviors it is random_ab_nav."""
@@ -135,7 +136,8 @@ class ScenarioConfig(Config):
     task: Tasks | None = None
     """Robot task; several, separated by commas, take turns. By default join_group,leave_group with behavior graph,
     handcrafted with handcrafted, custom if a start and a goal are set, else random_ab_nav."""
-    robot: RobotPart = Named(kind="kuri")
+    robot: Part = Named(kind="kuri")
+    """Robot: a name, or an MJCF file; in trainings several, separated by commas, take turns with the floors."""
     dynamics: fields.Dynamics = "twin"
     people: fields.PeopleOrDefault = None
     model: Part = Named(kind="social_forces")
@@ -176,6 +178,19 @@ class ScenarioConfig(Config):
             return with_defaults(cls, rest, PRESETS[data["preset"]].options)
         return data
 
+    @pydantic.field_validator("robot", mode="before")
+    @classmethod
+    def _join(cls, value: object) -> object:
+        several = isinstance(value, list | tuple) and all(isinstance(each, str | Path) for each in value)
+        return ",".join(map(str, value)) if several else value  # pyright: ignore[reportArgumentType]
+
+    @pydantic.field_validator("robot")
+    @classmethod
+    def _check_robots(cls, value: Component) -> Component:
+        if isinstance(value, Named):
+            fields.check_once(listed(value.kind))
+        return value
+
     @pydantic.field_validator("thresholds", mode="before")
     @classmethod
     def _as_dict(cls, value: object) -> object:
@@ -197,6 +212,13 @@ class ScenarioConfig(Config):
         if self.task is not None:
             return self.task
         return tuple(Named(kind=name) for name in USUAL_TASKS.get(self.behavior.kind, ("random_ab_nav",)))
+
+    @property
+    def robots(self) -> tuple[Component, ...]:
+        """The robots, one or more."""
+        if isinstance(self.robot, Named):
+            return tuple(Named(kind=name) for name in listed(self.robot.kind))
+        return (self.robot,)
 
     def identity(self) -> dict[str, Any]:
         """As in ``Config``, with the default tasks filled in."""

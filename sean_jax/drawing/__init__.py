@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from sean_jax import navigation as paths
-from sean_jax import prng
+from sean_jax import prng, robots
 from sean_jax.base import Array, Environment, Groups, Obstacles, Scenario, Trajectory
 from sean_jax.drawing import colors, gifs, layers
 from sean_jax.drawing.colors import policy_colors, situation_colors
@@ -122,7 +122,7 @@ def view(trajectory: Trajectory, scenario: Scenario | None = None, animate: bool
     else:
         environment, graph, time_step = scenario.environment, graph_of(scenario), scenario.time_step
         names = tuple(name for name, _ in scenario.situations)
-    radius = layers.ROBOT_RADIUS if scenario is None else scenario.robot.radius
+    radius = layers.ROBOT_RADIUS if scenario is None else robots.radius(scenario.robot)
     shown: dict[str, Any] = dict(graph=graph, situations=names, time_step=time_step, robot_radius=radius)
     if not animate:
         return top_down(environment, frames=frames, **shown)

@@ -293,8 +293,9 @@ def _check(config: RunConfig) -> None:
         trajectories.check_packages(f".{config.trajectories}")
     assembly.check(config)
     check_policy(config.policy, config)
-    if config.camera is not None and not isinstance(config.robot, OwnPart | Value):
-        try:
-            sensors.camera(robots.load(config.robot.kind), config.camera)
-        except ValueError as error:
-            raise InputError(str(error)) from error
+    for robot in config.robots:
+        if config.camera is not None and not isinstance(robot, OwnPart | Value):
+            try:
+                sensors.camera(robots.load(robot.kind), config.camera)
+            except ValueError as error:
+                raise InputError(str(error)) from error

@@ -17,7 +17,7 @@ import jax
 import numpy as np
 from rich.console import Console
 
-from sean_jax import drawing, metrics, pages, replay, writing
+from sean_jax import drawing, metrics, pages, replay, robots, writing
 from sean_jax.base import Scenario, Trajectory
 from sean_jax.config import RunConfig
 from sean_jax.drawing.colors import NO_SITUATION, situation_colors
@@ -226,7 +226,7 @@ def write_all(
             graph=drawing.graph_of(first),
             situations=evaluation.situations,
             time_step=scenario.time_step,
-            robot_radius=scenario.robot.radius,
+            robot_radius=robots.radius(scenario.robot),
             title=evaluation.tasks[0].replace("_", " "),
         )
     if evaluation.frames and config is not None and config.camera is not None:
@@ -342,7 +342,7 @@ def _episodes(evaluation: Evaluation) -> list[tuple[str, str]]:
             frames=frames,
             situations=evaluation.situations,
             time_step=scenario.time_step,
-            robot_radius=scenario.robot.radius,
+            robot_radius=robots.radius(scenario.robot),
         )
         words = [f"Episode {i}", *evaluation.floors[i : i + 1], evaluation.tasks[i]]
         words = [word.replace("_", " ") for word in words] + [outcome(evaluation.completed[i], evaluation.seconds[i])]

@@ -92,7 +92,9 @@ def rename(description: dict[str, Any], names: Mapping[str, str]) -> dict[str, A
             return [renamed(each) for each in value]
         if isinstance(value, Mapping):
             return {key: renamed(each) for key, each in value.items()}
-        return names.get(value, value) if isinstance(value, str) else value
+        if not isinstance(value, str) or value in names:
+            return names.get(value, value)
+        return ",".join(names.get(part, part) for part in value.split(","))  # of several robots
 
     return {field: renamed(value) if field in OPTIONS else value for field, value in description.items()}
 
@@ -127,8 +129,9 @@ def _named(config: RunConfig) -> Iterator[tuple[str, str, Path]]:
     """Option, name and path of each file and folder of a description."""
     if not worlds.parse_set(config.environment):  # which is made by its name
         yield "environment", config.environment, _environment(config.environment)
-    if isinstance(config.robot, Named) and config.robot.kind not in ROBOTS:
-        yield "robot", config.robot.kind, Path(config.robot.kind)
+    for robot in config.robots:
+        if isinstance(robot, Named) and robot.kind not in ROBOTS:
+            yield "robot", robot.kind, Path(robot.kind)
     for option, parts in (("forces", config.forces), ("sensors", config.sensors)):
         for part in parts:
             if isinstance(part, Named) and part.kind.lower().endswith(ENDINGS):

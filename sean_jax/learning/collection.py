@@ -52,10 +52,9 @@ def check_collection(config: CollectConfig) -> None:
     if config.labels is not None:
         check_policy(config.labels, config, "labels")
     assembly.check(config)
-    if isinstance(config.robot, OwnPart | Value):
-        return
-    robot = robots.load(config.robot.kind)
-    sensors.camera(robot, "depth", width=config.width, height=config.height)
+    for robot in config.robots:
+        if not isinstance(robot, OwnPart | Value):
+            sensors.camera(robots.load(robot.kind), "depth", width=config.width, height=config.height)
 
 
 def streams(config: CollectConfig) -> dict[str, Scenario]:

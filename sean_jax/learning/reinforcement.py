@@ -141,7 +141,7 @@ def build(options: ReinforcementConfig) -> Setting:
     _check_alike(environment_names(options, [env.member.scenario for env in envs]), [env.member for env in envs])
     for env in envs:
         if options.scenarios // len(envs) % env.size:
-            text = f"{options.scenarios // len(envs)} do not divide equally among {env.size} floors"
+            text = f"{options.scenarios // len(envs)} do not divide equally among {env.size} floors and robots"
             raise InputError(f"scenarios: {text}; take a multiple.")
         if env.size > 1 and options.curriculum != "none":
             text = f"{options.curriculum} samples the starts of one floor, not of {env.size}"

@@ -39,7 +39,7 @@ def orca(scenario: Scenario, state: State, key: Array) -> Float[Array, "2"]:
     """
     robot, model = state.robot, scenario.robot
     hx, hy = robot.heading[0], robot.heading[1]
-    lever = jnp.asarray(POINT * model.radius, float)
+    lever = POINT * model.radius
     observation = observe(scenario, state)
     stuck = 1.0 - jnp.clip(jnp.abs(robot.speed) / model.max_speed, 0.0, 1.0)
     wish = _wish(scenario, observation, lever, DEVIATION * stuck * jax.random.normal(key, (), float))

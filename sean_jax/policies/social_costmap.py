@@ -427,7 +427,7 @@ def _start_plan(
     scenario: Scenario, params: SocialCostmapParams, state: State, successors: Array
 ) -> tuple[Window, Array, Array]:
     """The window around the robot now, its resistance, and the wave before the first sweep."""
-    cell = jnp.full((), max(GLOBAL_CELL, 0.5 * scenario.robot.radius), float)
+    cell = jnp.maximum(GLOBAL_CELL, 0.5 * scenario.robot.radius)
     here = state.robot.position
     window = rolling_window(here, cell, GLOBAL_CELLS)
     x, y = cell_centers(window, GLOBAL_CELLS)

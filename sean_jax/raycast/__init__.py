@@ -5,6 +5,18 @@ meets. ``surface`` gives distance and normal there.
 """
 
 from sean_jax.raycast.intersect import along, distance, search, surface
-from sean_jax.raycast.view import MISS, Rays, View, bundle, by_rows, make_view
+from sean_jax.raycast.view import MISS, SHOULDER, Rays, View, bundle, by_rows, make_view
 
-__all__ = ["MISS", "Rays", "View", "along", "bundle", "by_rows", "distance", "make_view", "search", "surface"]
+__all__ = [
+    "MISS",
+    "SHOULDER",
+    "Rays",
+    "View",
+    "along",
+    "bundle",
+    "by_rows",
+    "distance",
+    "make_view",
+    "search",
+    "surface",
+]

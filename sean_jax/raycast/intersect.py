@@ -11,6 +11,7 @@ from functools import partial
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Float, Int
 
 from sean_jax import kernels
@@ -95,7 +96,7 @@ def _law(family: Family, view: View) -> Law:
 
 def families(view: View, rays: Rays) -> Iterator[Family]:
     """The kinds of bodies that are there."""
-    first_of = _starts(view)
+    first_of, reach = _starts(view), _reach(view, rays)
     boxes, cylinders, spheres, people = view.boxes, view.cylinders, view.spheres, view.people
 
     def box_extent(x: Array, y: Array) -> Array:  # (tiles, K) m, of each box in a direction
@@ -107,34 +108,41 @@ def families(view: View, rays: Rays) -> Iterator[Family]:
     zero = jnp.zeros((), float)
     away = length(jnp.maximum(jnp.abs(u) - boxes[:, 3], zero), jnp.maximum(jnp.abs(v) - boxes[:, 4], zero))
     if len(boxes):
-        in_sight = _in_sight(rays, boxes, box_extent, away, boxes[:, 2] + boxes[:, 5])
+        in_sight = _in_sight(reach, rays, boxes, box_extent, away, boxes[:, 2] + boxes[:, 5])
         yield Family(first_of[0], boxes, _box, in_sight)
 
     flat = length(cylinders[:, 3], cylinders[:, 4]) * cylinders[:, 7]
     out = cylinders[:, 6] + flat
     top = cylinders[:, 2] + jnp.abs(cylinders[:, 5]) * cylinders[:, 7] + cylinders[:, 6]
     if len(cylinders):
-        yield Family(first_of[1], cylinders, _cylinder, _round_in_sight(rays, cylinders, out, top))
+        yield Family(first_of[1], cylinders, _cylinder, _round_in_sight(reach, rays, cylinders, out, top))
 
     out = spheres[:, 3]
     if len(spheres):
-        yield Family(first_of[2], spheres, _sphere, _round_in_sight(rays, spheres, out, spheres[:, 2] + out))
+        yield Family(first_of[2], spheres, _sphere, _round_in_sight(reach, rays, spheres, out, spheres[:, 2] + out))
 
     out = jnp.broadcast_to(view.radius, people.shape[:1])
     if len(people):
-        in_sight = _round_in_sight(rays, people, out, PERSON_HEIGHT - view.height)
+        in_sight = _round_in_sight(reach, rays, people, out, PERSON_HEIGHT - view.height)
         yield Family(first_of[3], people, _person_low if rays.low else _person, in_sight)
 
 
-def _round_in_sight(rays: Rays, table: Array, radius: Array, top: Array) -> Array:
+def _round_in_sight(reach: Array, rays: Rays, table: Array, radius: Array, top: Array) -> Array:
     away = jnp.maximum(length(table[:, 0], table[:, 1]) - radius, 0.0)
-    return _in_sight(rays, table, lambda x, y: radius[None, :], away, jnp.broadcast_to(top, away.shape))
+    return _in_sight(reach, rays, table, lambda x, y: radius[None, :], away, jnp.broadcast_to(top, away.shape))
 
 
-def _in_sight(rays: Rays, table: Array, edge: Callable, away: Array, top: Array) -> Array:
+def _reach(view: View, rays: Rays) -> Float[Array, "tiles"]:
+    """The maximum horizontal distance [m] that the rays of each tile go, until they meet the floor."""
+    falls = rays.slope_max < 0.0
+    meets = jnp.where(falls, view.height / np.where(falls, np.maximum(-rays.slope_max, 1e-9), 1.0), MISS)
+    return jnp.minimum(meets, rays.reach) + rays.spread
+
+
+def _in_sight(reach: Array, rays: Rays, table: Array, edge: Callable, away: Array, top: Array) -> Array:
     """(tiles, K) bool: the body may meet a ray of the tile. ``away`` (K,) m is its minimum horizontal distance."""
     x, y = table[None, :, 0], table[None, :, 1]
-    possible = rays.reach[:, None] >= away[None, :]
+    possible = reach[:, None] >= away[None, :]
     for normal in (rays.left, rays.right):
         nx, ny = normal[:, :1], normal[:, 1:]
         possible &= nx * x + ny * y + edge(nx, ny) >= 0.0

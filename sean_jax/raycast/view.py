@@ -6,7 +6,6 @@ Distances are in metres, ``MISS`` where a ray meets nothing ahead.
 """
 
 import dataclasses
-from collections.abc import Sequence
 
 import jax
 import jax.numpy as jnp
@@ -40,7 +39,12 @@ class View:
     spheres: Float[Array, "spheres 4"]  # middle x, y, z, radius [m]
     people: Float[Array, "N 2"]  # m
     radius: Float[Array, ""]  # m, of a person's body
-    height: Float[Array, ""]  # m, of the sensor above the floor
+    place: Float[Array, "3"]  # m, of the sensor in the robot's frame
+
+    @property
+    def height(self) -> Array:
+        """() m, of the sensor above the floor."""
+        return self.place[2]
 
     @property
     def counts(self) -> tuple[int, int, int, int]:
@@ -55,7 +59,7 @@ def make_view(
     radius: Float[Array, ""],
     position: Float[Array, "2"],
     heading: Float[Array, "2"],
-    origin: Float[np.ndarray, "3"],
+    origin: Float[Array, "3"],
 ) -> View:
     """Transform the bodies of the world to the frame of a sensor.
 
@@ -85,7 +89,7 @@ def make_view(
         spheres=jnp.stack([sx, sy, spheres[:, 2] - place[2], spheres[:, 3]], -1),
         people=jnp.where(present[:, None], jnp.stack([px, py], -1), AWAY),
         radius=radius,
-        height=place[2],
+        place=place,
     )
 
 
@@ -96,17 +100,20 @@ def ground(height: Array, dz: Array, inverse_dz: Array) -> Array:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Rays:
-    """Tiles of rays in the robot's frame: x ahead, y to the left, z up from the floor."""
+    """Tiles of rays of a sensor, anywhere on a robot, in its axes: x ahead, y to the left, z up from the floor."""
 
-    origin: Float[np.ndarray, "3"]  # m, of the sensor
-    offset: Float[np.ndarray, "3 tiles rays"] | None  # m, from there to the start of each ray; None: all start there
+    offset: (
+        Float[np.ndarray, "3 tiles rays"] | None
+    )  # m, from the sensor to the start of each ray; None: all start there
     direction: Float[np.ndarray, "3 tiles rays"]  # unit vectors
     inverse_rise: Float[np.ndarray, "tiles rays"]  # 1 / the vertical component of the direction
     inverse_run: Float[np.ndarray, "tiles rays"]  # 1 / the square of the horizontal component; 0 for vertical rays
     left: Float[np.ndarray, "tiles 2"]  # inward normal of the left edge of the tile's sector; 0 if it has none
     right: Float[np.ndarray, "tiles 2"]  # inward normal of the right edge
     slope_min: Float[np.ndarray, "tiles"]  # rise over run
-    reach: Float[np.ndarray, "tiles"]  # m, maximum horizontal distance before the rays meet the floor
+    slope_max: Float[np.ndarray, "tiles"]
+    reach: float  # m, horizontal range of the sensor
+    spread: float  # m, greatest horizontal distance from the sensor to the start of a ray
     low: bool  # whether all rays stay below people's shoulders
     grid: tuple[int, int, int, int]  # rows and columns of tiles, rows and columns of a tile
     shape: tuple[int, int]  # rows and columns of the sensor; the last tiles may be larger than needed
@@ -142,21 +149,17 @@ def _components(parts: np.ndarray) -> tuple[Array, Array, Array]:
 
 
 def bundle(
-    origin: Sequence[float] | np.ndarray,
-    direction: np.ndarray,
-    tile: tuple[int, int],
-    reach: float,
-    offset: np.ndarray | None = None,
+    direction: np.ndarray, tile: tuple[int, int], reach: float, offset: np.ndarray | None = None, low: bool = False
 ) -> Rays:
     """Arrange the rays of a sensor in tiles.
 
     Args:
-        origin: (3,) m, of the sensor in the robot's frame.
         direction: (H, W, 3) of any length.
         reach: m, horizontal range of the sensor.
-        offset: (H, W, 3) m, from the origin to the start of each ray; None if all start there.
+        offset: (H, W, 3) m, from the sensor to the start of each ray; None if all start there.
+        low: whether the sensor is below people's shoulders; then rays that do not rise are searched faster.
     """
-    origin, direction = np.asarray(origin, np.float64), np.asarray(direction, np.float64)
+    direction = np.asarray(direction, np.float64)
     direction = direction / np.linalg.norm(direction, axis=-1, keepdims=True)
     rows, columns = direction.shape[:2]
     grid, places = _tiles(rows, columns, tile)
@@ -167,11 +170,8 @@ def bundle(
     rise = np.where(np.abs(flat[..., 2]) < STEEP, STEEP, flat[..., 2])
     slope = flat[..., 2] / np.maximum(run, 1e-9)
     highest = slope.max(1)
-    with np.errstate(divide="ignore"):
-        meets = np.where(highest < 0.0, origin[2] / np.maximum(-highest, 1e-9), np.inf)
     spread = 0.0 if starts is None else float(np.linalg.norm(starts[..., :2], axis=-1).max())
     return Rays(
-        origin=origin,
         offset=None if starts is None else _to_components(starts),
         direction=_to_components(flat),
         inverse_rise=(1.0 / rise),
@@ -179,8 +179,10 @@ def bundle(
         left=left,
         right=right,
         slope_min=slope.min(1),
-        reach=(np.minimum(meets, reach) + spread),
-        low=starts is None and float(highest.max()) <= 0.0 and origin[2] < SHOULDER,
+        slope_max=highest,
+        reach=reach,
+        spread=spread,
+        low=low and starts is None and float(highest.max()) <= 0.0,
         grid=grid,
         shape=(rows, columns),
     )

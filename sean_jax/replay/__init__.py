@@ -24,7 +24,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sean_jax import drawing, files, navigation, pages, writing
+from sean_jax import drawing, files, navigation, pages, robots, writing
 from sean_jax.base import Environment, Scenario, Trajectory
 from sean_jax.drawing import colors
 from sean_jax.drawing.layers import first_episode, one_episode, situation_names
@@ -174,7 +174,7 @@ def _robot(scenario: Scenario | None) -> dict[str, Any]:
         if mount.name == "depth" and mount.fovy > 0.0:
             half = np.tan(np.radians(mount.fovy) / 2.0) * 4.0 / 3.0  # of its pictures' sides
             views.append({"name": "depth", "angle": round(float(2.0 * np.arctan(half)), 4), "range": 20.0})
-    return {"name": robot.name, "radius": robot.radius, "views": views}
+    return {"name": robot.name, "radius": robots.radius(robot), "views": views}
 
 
 def encoded(episode: Episode, names: Sequence[str], robot: bool = True) -> dict[str, Any]:

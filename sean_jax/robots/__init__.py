@@ -1,11 +1,13 @@
 """Robots (Fig. 3): one MJCF file each in ``envs/robots``, simulated by closed-form twins, by MJX or kinematic."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
+import jax
 import jax.numpy as jnp
 
-from sean_jax import files
+from sean_jax import files, padding
 from sean_jax.base import RobotModel
 from sean_jax.environment import ENVS
 from sean_jax.errors import InputError
@@ -14,6 +16,8 @@ from sean_jax.robots import dynamics as physics
 from sean_jax.robots.drive import drive_kinematic, drive_mjx, drive_twin, physics_steps, place
 
 ROBOTS: dict[str, Path] = {path.stem: path for path in sorted((ENVS / "robots").glob("*.xml"))}
+BACKWARD = {"max_reverse_speed": "max_speed", "max_deceleration": "max_acceleration"}
+"""Limit that a robot may lack -> the limit that holds then."""
 DYNAMICS = {"twin": drive_twin, "mjx": drive_mjx, "kinematic": drive_kinematic}
 
 
@@ -50,9 +54,49 @@ def find(robot: str | Path, dynamics: str = "twin") -> Path:
     return path
 
 
+def radius(model: RobotModel) -> float:
+    """The radius [m] of a robot on the host, to a micrometre, as its file has it."""
+    return round(float(model.radius), 6)
+
+
+def alike(models: Sequence[RobotModel]) -> list[RobotModel]:
+    """Robots that differ in numbers alone, for one program: each moves as before, under the names of all.
+
+    They keep the mounts of sensors that all of them have, with the same rotation and field of view.
+
+    Raises:
+        InputError: they do not go together.
+    """
+    first, *others = models
+    if not others:
+        return [first]
+    for model in others:
+        both = f"robot: {first.name} and {model.name}"
+        if model.time_step != first.time_step:
+            steps = f"{first.time_step:g} and {model.time_step:g} s"
+            raise InputError(f"{both} have physics steps of {steps}; robots of one program need the same.")
+        if (model.place, model.drive) != (first.place, first.drive):
+            raise InputError(f"{both} move by different functions; robots of one program need the same.")
+    if any(jax.tree.leaves(model.data) for model in models):
+        raise InputError(f"dynamics: MJX moves one robot in a program, not {len(models)}; choose twin or kinematic.")
+    given = [name for name in BACKWARD if any(getattr(model, name) is not None for model in models)]
+    models = [
+        replace(model, **{name: getattr(model, BACKWARD[name]) for name in given if getattr(model, name) is None})
+        for model in models
+    ]
+    mounts = [{(mount.name, mount.axes, mount.fovy): mount for mount in model.mounts} for model in models]
+    low = {key: all(each[key].low for each in mounts) for key in mounts[0] if all(key in each for each in mounts)}
+    shared = [tuple(replace(each[key], low=low[key]) for key in low) for each in mounts]
+    names, sizes = ",".join(dict.fromkeys(model.name for model in models)), padding.common_sizes(models)
+    return [
+        padding.pad(replace(model, name=names, mounts=mounts), sizes)
+        for model, mounts in zip(models, shared, strict=True)
+    ]
+
+
 def _hint(name: str, choices: Iterable[str]) -> str:
     """The end of a message about an unknown name: the choice most like it, or all choices."""
     return files.suggest(name, choices) or f"; there are: {', '.join(choices)}."
 
 
-__all__ = ["DYNAMICS", "ROBOTS", "find", "load", "physics_steps"]
+__all__ = ["DYNAMICS", "ROBOTS", "alike", "find", "load", "physics_steps", "radius"]

@@ -12,6 +12,7 @@ from sean_jax import environment, quantities
 from sean_jax.base import Mount, Solids
 from sean_jax.errors import FileError
 from sean_jax.files import mjcf
+from sean_jax.raycast.view import SHOULDER
 
 RANGES = {  # minimum, maximum and unit of each number: wider than for any robot among people
     "max_speed": (0.01, 30.0, "m/s"),
@@ -83,7 +84,7 @@ def read(path: Path) -> tuple[Any, dict[str, Any], np.ndarray]:
         "track": left[1] - right[1],
         "servo_gain": model.actuator_gainprm[0, 0],
         "servo_torque": model.actuator_forcerange[0, 1],
-        **{key: value for key, value in numerics.items() if key != "radius"},
+        **numerics,
     }
     for key, value in numbers.items():
         _check_range(path, f"its {key.replace('_', ' ')}", value, *RANGES[key])
@@ -91,9 +92,9 @@ def read(path: Path) -> tuple[Any, dict[str, Any], np.ndarray]:
     fields = {key: jnp.asarray(value, jnp.result_type(float)) for key, value in numbers.items()}
     sensors = {"mounts": mounts(model, data), "solids": _solids(model, data)}
     for mount in sensors["mounts"]:
-        far = max(map(abs, mount.origin))
+        far = float(np.abs(mount.origin).max())
         _check_range(path, f"the largest coordinate of its mount '{mount.name}'", far, 0.0, MAX_MOUNT, "m")
-    return model, {**fields, **sensors, "radius": numerics["radius"], "time_step": float(model.opt.timestep)}, mass
+    return model, {**fields, **sensors, "time_step": float(model.opt.timestep)}, mass
 
 
 def mounts(model: Any, data: Any) -> tuple[Mount, ...]:
@@ -106,7 +107,8 @@ def mounts(model: Any, data: Any) -> tuple[Mount, ...]:
     for name, place, axes, fovy in places:
         origin = to_base(model, data, place)
         axes = np.round(frame.T @ axes.reshape(3, 3), 12) + 0.0  # so that level axes are level to the bit
-        result.append(Mount(name, tuple(origin.tolist()), tuple(axes.ravel().tolist()), float(fovy)))
+        where = jnp.asarray(origin, jnp.result_type(float))
+        result.append(Mount(where, name, tuple(axes.ravel().tolist()), float(fovy), bool(origin[2] < SHOULDER)))
     return tuple(result)
 
 

@@ -43,7 +43,7 @@ class Body(NamedTuple):
     servo_gain: Array
     servo_torque: Array
     max_speed: Array
-    radius: Array | float
+    radius: Array
     time_step: Array | float
 
 

@@ -16,7 +16,7 @@ from jaxtyping import Float, Int
 from sean_jax import files
 from sean_jax.base import Array, RobotModel, Scenario, Solids, State
 from sean_jax.errors import InputError
-from sean_jax.raycast import Rays, View, bundle, by_rows, distance, make_view, search
+from sean_jax.raycast import SHOULDER, Rays, View, bundle, by_rows, distance, make_view, search
 
 OVERHEAD = "overhead"
 SEES_ROBOT = ("third_person", OVERHEAD)
@@ -26,10 +26,10 @@ SECTOR = 15  # rays of a tile, likewise
 
 @dataclasses.dataclass(frozen=True)
 class Camera:
-    """A camera on a robot. ``origin`` and ``axes`` as in ``base.Mount``."""
+    """A camera on a robot. ``axes`` as in ``base.Mount``."""
 
-    name: str
-    origin: tuple[float, ...]  # (3,) m
+    name: str  # of its mount on the robot
+    origin: tuple[float, ...] | None  # (3,) m in the robot's frame; None: of the mount on the scenario's robot
     axes: tuple[float, ...]  # (9,)
     width: int  # pixels
     height: int  # pixels
@@ -38,6 +38,7 @@ class Camera:
     far: float  # m, along the view: farther bodies are invisible
     orthographic: float  # m, height of the picture without perspective; 0: with perspective
     sees_robot: bool  # whether the robot itself is in the picture
+    low: bool = False  # as of ``base.Mount``; with an origin, its height counts
 
     def resized(self, width: int, height: int) -> "Camera":
         """The same camera with another resolution in pixels."""
@@ -86,7 +87,7 @@ def camera(
     if not extent >= 0.0:
         raise InputError(f"orthographic: {extent:g} m must be the height of the picture, or 0 for perspective.")
     sees_robot = name in SEES_ROBOT
-    return Camera(name, mount.origin, mount.axes, width, height, angle, near, limit, extent, sees_robot)
+    return Camera(name, None, mount.axes, width, height, angle, near, limit, extent, sees_robot, mount.low)
 
 
 @functools.lru_cache(maxsize=64)
@@ -126,7 +127,7 @@ def _directions(view: Camera) -> tuple[np.ndarray, np.ndarray | None, np.ndarray
 def _bundle(view: Camera, direction: np.ndarray, offset: np.ndarray | None) -> Rays:
     cosine = -(direction @ np.asarray(view.axes).reshape(3, 3)[:, 2])
     over_ground = np.linalg.norm(direction[..., :2], axis=-1) / cosine
-    return bundle(view.origin, direction, TILE, view.far * float(over_ground.max()), offset)
+    return bundle(direction, TILE, view.far * float(over_ground.max()), offset, _is_low(view))
 
 
 def focal_length(view: Camera) -> float:
@@ -145,27 +146,41 @@ def depth(scenario: Scenario, state: State, camera: Camera) -> Float[Array, "H W
     robot's pose and in people's positions: exact within the outline of each body, and finite on its edges.
     """
     bundles, cosine = bands(camera)
-    view = sensor_view(scenario, state, bundles[0], camera.sees_robot)
+    view = sensor_view(scenario, state, camera, camera.sees_robot)
     parts = [by_rows(bundle, distance(view, bundle)) for bundle in bundles]
     image = jnp.concatenate(parts) * cosine
     return jnp.where((image >= camera.near) & (image <= camera.far), image, camera.far)
 
 
-def sensor_view(scenario: Scenario, state: State, rays: Rays, with_robot: bool = False) -> View:
-    """The bodies around the origin of a sensor's rays."""
-    people, robot = state.pedestrians, state.robot
+def sensor_view(scenario: Scenario, state: State, device: "Camera | Lidar", with_robot: bool = False) -> View:
+    """The bodies around a sensor."""
+    people, robot, origin = state.pedestrians, state.robot, _origin(scenario.robot, device)
     solids = scenario.environment.scenery.solids
     radius = scenario.forces.walking.radius
-    view = make_view(solids, people.position, people.present, radius, robot.position, robot.heading, rays.origin)
-    return _add_robot(view, scenario.robot.solids, rays.origin) if with_robot else view
+    view = make_view(solids, people.position, people.present, radius, robot.position, robot.heading, origin)
+    return _add_robot(view, scenario.robot.solids) if with_robot else view
 
 
-def _add_robot(view: View, solids: Solids, origin: np.ndarray) -> View:
-    """Append the bodies of the robot, whose frame differs from the view's only by the origin (3,) m."""
-    place = jnp.asarray(origin, float)
+def _origin(robot: RobotModel, device: "Camera | Lidar") -> Float[Array, "3"]:
+    """m, of a sensor in the robot's frame."""
+    if device.origin is not None:
+        return jnp.asarray(device.origin, float)
+    origin = next((mount.origin for mount in robot.mounts if mount.name == device.name), None)
+    if origin is None:
+        raise InputError(f"sensors: robot '{robot.name}' has no mount '{device.name}'; add one to its file.")
+    return origin
+
+
+def _is_low(device: "Camera | Lidar") -> bool:
+    """Whether a sensor stays below people's shoulders."""
+    return device.low if device.origin is None else device.origin[2] < SHOULDER
+
+
+def _add_robot(view: View, solids: Solids) -> View:
+    """Append the bodies of the robot, whose frame differs from the view's only by the place of the sensor."""
 
     def shifted(table: Array) -> Array:
-        return table.at[:, :3].add(-place[None, :])
+        return table.at[:, :3].add(-view.place[None, :])
 
     return dataclasses.replace(
         view,
@@ -184,7 +199,7 @@ def pixels_of_people(scenario: Scenario, state: State, camera: Camera) -> Int[Ar
     derivatives.
     """
     bundles, cosine = bands(camera)
-    view = jax.lax.stop_gradient(sensor_view(scenario, state, bundles[0], camera.sees_robot))
+    view = jax.lax.stop_gradient(sensor_view(scenario, state, camera, camera.sees_robot))
     parts = [[by_rows(bundle, part) for part in search(view, bundle)] for bundle in bundles]
     distance, number = (jnp.concatenate(part) for part in zip(*parts, strict=True))
     image = distance * cosine
@@ -201,13 +216,15 @@ def pixels_of_people(scenario: Scenario, state: State, camera: Camera) -> Int[Ar
 class Lidar:
     """A planar lidar on a robot."""
 
-    origin: tuple[float, ...]  # (3,) m in the robot's frame
+    name = "lidar"  # of its mount
+    origin: tuple[float, ...] | None  # (3,) m in the robot's frame; None: of the mount on the scenario's robot
     count: int  # rays
     first: float  # rad, of the first ray, counter-clockwise from x about z of the site
     span: float  # rad, that the rays cover together, beginning with the first
     near: float  # m, nearer bodies are invisible
     far: float  # m, farther bodies are invisible
     axes: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)  # (9,) of ``base.Mount``: level, ahead
+    low: bool = False  # as of ``base.Mount``; with an origin, its height counts
 
 
 def lidar(
@@ -238,7 +255,7 @@ def lidar(
         raise InputError(f"count: {count} rays see nothing; give 1 or more.")
     if not 0.0 <= near < far:
         raise InputError(f"near, far: {near:g} and {far:g} m must be a lesser and a greater distance.")
-    return Lidar(mount.origin, count, first, span, near, far, mount.axes)
+    return Lidar(None, count, first, span, near, far, mount.axes, mount.low)
 
 
 @functools.lru_cache(maxsize=64)
@@ -247,7 +264,7 @@ def lidar_rays(sensor: Lidar) -> Rays:
     angle = sensor.first + sensor.span * np.arange(sensor.count) / sensor.count
     direction = np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], -1)
     direction = direction @ np.asarray(sensor.axes).reshape(3, 3).T
-    return bundle(sensor.origin, direction[None], (1, SECTOR), sensor.far)
+    return bundle(direction[None], (1, SECTOR), sensor.far, low=_is_low(sensor))
 
 
 @jax.named_scope("scan")
@@ -257,5 +274,5 @@ def scan(scenario: Scenario, state: State, sensor: Lidar) -> Float[Array, "rays"
     Differentiable in the robot's pose and in people's positions.
     """
     fan = lidar_rays(sensor)
-    distances = by_rows(fan, distance(sensor_view(scenario, state, fan), fan))[0]
+    distances = by_rows(fan, distance(sensor_view(scenario, state, sensor), fan))[0]
     return jnp.where((distances >= sensor.near) & (distances <= sensor.far), distances, sensor.far)

@@ -43,7 +43,7 @@ class Picture:
 def render(scenario: Scenario, state: State, camera: Camera) -> Picture:
     """The picture of a camera. Depth and color are differentiable as in ``depth``; class and instance are not."""
     bundle, cosine = rays(camera)
-    view = sensor_view(scenario, state, bundle, camera.sees_robot)
+    view = sensor_view(scenario, state, camera, camera.sees_robot)
     number = search(jax.lax.stop_gradient(view), bundle)[1]
     distance, nx, ny, nz = surface(view, bundle, number)
     # Without the barriers XLA computes all of this again for each color.
@@ -126,7 +126,7 @@ def colors(
     facing = jnp.maximum(normal[0] * sun_x + normal[1] * sun_y + normal[2] * looks.sun[2], 0.0)
     light = (AMBIENT + SUN * facing) * jnp.where(is_floor, _beside_bodies(view, x, y), 1.0)
     light = jax.lax.optimization_barrier(light)
-    ground_x, ground_y = rotate(x + bundle.origin[0], y + bundle.origin[1], heading[0], heading[1])
+    ground_x, ground_y = rotate(x + view.place[0], y + view.place[1], heading[0], heading[1])
     ground = _floor(looks, ground_x + state.robot.position[0], ground_y + state.robot.position[1])
     clothes = _clothes(state, view, number, x, y, z + view.height)
     rise = jnp.clip(jnp.asarray(bundle.direction[2]), 0.0, 1.0)

@@ -203,7 +203,7 @@ class Crowd(NamedTuple):
     obstacle_grid: ObstacleGrid | None
     groups: Groups | None
     robot: Robot | None
-    robot_radius: float  # m
+    robot_radius: Float[Array, ""] | float  # m
     companions: Int[Array, "N 2"] | None  # indices of each person's companions, -1 none
 
 

@@ -101,7 +101,7 @@ def integrate(
     groups: Groups | None,
     robot: Robot | None,
     time_step: Float[Array, ""] | float,
-    robot_radius: float = 0.0,
+    robot_radius: Float[Array, ""] | float = 0.0,
     companions: Int[Array, "N 2"] | None = None,
     near: Neighbors | None = None,
 ) -> Pedestrians:

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from sean_jax import cache, files
+from sean_jax import cache, files, robots
 from sean_jax import navigation as paths
 from sean_jax.base import Array, Groups, Pedestrians, RobotTask, Scenario
 from sean_jax.errors import InputError
@@ -27,7 +27,7 @@ def check_room(scenario: Scenario) -> None:
     for word, place in (("starts", sets.start), ("goals", sets.goal)):
         room = np.minimum(*signed_distances_on_host(scenario.environment, np.asarray(place).reshape(-1, 2)))
         room = room.reshape(place.shape[:2])
-        for number, index in np.argwhere(room < scenario.robot.radius):
+        for number, index in np.argwhere(room < robots.radius(scenario.robot)):
             where = f"set '{sets.names[number]}' has {room[number, index]:.2f} m of room at {word}[{index}]"
             raise InputError(f"robot: {where}, too little for {scenario.robot.name}; choose a smaller robot or a set.")
     ends = scenario.navigation, sets.start, sets.goal

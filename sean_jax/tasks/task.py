@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int, PyTree
 
-from sean_jax import cache
+from sean_jax import cache, robots
 from sean_jax import navigation as paths
 from sean_jax.base import Array, Groups, PathsToGoal, Pedestrians, RobotTask, Scenario
 from sean_jax.errors import InputError
@@ -175,7 +175,7 @@ def poses(scenario: Scenario, start: tuple[float, ...], goal: tuple[float, ...])
         for part, number, limit in zip(("x", "y", "heading"), pose, bounds, strict=False):
             check_number(f"{name}: {part}", number, -limit, limit, "degrees" if part == "heading" else "m")
         room = float(np.min(signed_distances_on_host(scenario.environment, np.array([pose[:2]]))))
-        radius = scenario.robot.radius
+        radius = robots.radius(scenario.robot)
         if not room >= radius:
             where = f"({pose[0]:g}, {pose[1]:g})"
             lies = "off the floor or inside an obstacle" if room < 0 else f"{room:.2f} m from an obstacle or the edge"

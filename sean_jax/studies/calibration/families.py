@@ -353,7 +353,7 @@ def families(forces: Any, draws: int, quick: bool) -> list[Family]:
         Corridor([Case(*each) for each in zip(names, scenes, strict=True)]),
         Street([Case("", scene) for scene in street]),
         Pairs([Case(f"{a}", individuals.two(np.deg2rad(a), o, s)) for a, o, s in meeting], 2.0 * radius),
-        Passing([Case("", scene) for scene in encounters], radius + load("kuri").radius),
+        Passing([Case("", scene) for scene in encounters], radius + float(load("kuri").radius)),
     ]
     if quick:
         return chosen

@@ -180,7 +180,7 @@ def compare_clearance(
         within: m, from the measured mean.
         deviation: m, smallest and largest standard deviation.
     """
-    bodies = float(context.model.forces.walking.radius) + load("kuri").radius
+    bodies = float(context.model.forces.walking.radius) + float(load("kuri").radius)
     touched, clearance, spread_out = float((nearest < bodies).mean()), float(nearest.mean()), float(nearest.std())
     least, most = deviation
     wanted = f", with a deviation of {least:g} to {most:g} m" if np.isfinite(most) else ""
