@@ -204,6 +204,7 @@ PARAMETERS: Mapping[str, Parameter] = MappingProxyType({
     "robot.max_deceleration": _robot("max_deceleration"),
     "robot.max_acceleration": _robot("max_acceleration"),
     "robot.max_turn_acceleration": _robot("max_turn_acceleration"),
+    "robot.radius": Parameter(partial(_of_robot, "radius"), least=0.05, most=1.0),  # paths are for its own width
     "robot.friction": _robot("friction"),
     "robot.servo_gain": _robot("servo_gain"),
     "robot.servo_torque": _robot("servo_torque"),
