@@ -26,6 +26,7 @@ from sean_jax.base import Array, PolicyLike, RobotTask, Scenario, State, as_poli
 from sean_jax.episodes import init_policy, policy_step
 from sean_jax.scenario import reset, results
 from sean_jax.stack import Stack, as_stacks
+from sean_jax.tasks import choose
 
 CHUNK = 10.0  # s, between two looks at the progress
 MAX_BATCH, MAX_BATCH_CPU = 4_200, 64  # default episodes per batch
@@ -358,7 +359,7 @@ def first_state(tasks: tuple, scenario: Scenario, varying: dict[int, Array], ind
     """
 
     def task(scenario: Scenario, *others: PyTree) -> RobotTask:
-        return jax.lax.switch(index, [functools.partial(each, scenario) for each in tasks], *others)
+        return choose(index, [each(scenario, *others) for each in tasks])
 
     return reset(replace(_select(scenario, varying, index), task=task), key)
 

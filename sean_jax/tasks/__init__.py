@@ -2,7 +2,7 @@
 
 from sean_jax.tasks.handcrafted_task import handcrafted, pair
 from sean_jax.tasks.random_tasks import busy_ab_nav, join_group, leave_group, random_ab_nav
-from sean_jax.tasks.task import Mixture, build_task, check_requirement, custom, poses, requirement, requires
+from sean_jax.tasks.task import Mixture, build_task, check_requirement, choose, custom, poses, requirement, requires
 
 TASKS = {
     "join_group": join_group,
@@ -17,4 +17,4 @@ TASKS = {
 A task that does not fit every behavior is decorated with ``requires``.
 """
 
-__all__ = ["TASKS", "Mixture", "build_task", "check_requirement", "pair", "poses", "requirement", "requires"]
+__all__ = ["TASKS", "Mixture", "build_task", "check_requirement", "choose", "pair", "poses", "requirement", "requires"]

@@ -2,7 +2,7 @@
 
 import dataclasses
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, TypeVar
 
 import jax
@@ -121,8 +121,17 @@ class Mixture:
         """The task of an episode."""
         choice_key, task_key = jax.random.split(key)
         which = jax.random.randint(choice_key, (), 0, len(self.tasks), jnp.int32)
-        branches = [lambda key, task=task: task(scenario, pedestrians, groups, memory, key) for task in self.tasks]
-        return jax.lax.switch(which, branches, task_key)
+        return choose(which, [task(scenario, pedestrians, groups, memory, task_key) for task in self.tasks])
+
+
+def choose(index: Int[Array, ""], tasks: Sequence[RobotTask]) -> RobotTask:
+    """The task of that index.
+
+    ``lax.switch`` computes all tasks of a batch as well, and copies the tables of the floor for each row.
+    """
+    if len(tasks) == 1:
+        return tasks[0]
+    return jax.tree.map(lambda *cases: jax.lax.select_n(index, *cases), *tasks)
 
 
 # --- custom start and goal, the same in every episode ---
