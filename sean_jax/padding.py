@@ -77,12 +77,12 @@ class FlatTable:
 
     def on_host(self) -> np.ndarray:
         """The table as an array of numpy."""
-        shape = np.asarray(self.shape)
-        return np.asarray(self.values)[self.start : self.start + np.prod(shape)].reshape(shape)
+        shape, start = np.asarray(self.shape), int(self.start)
+        return np.asarray(self.values)[start : start + int(np.prod(shape))].reshape(shape)
 
     def _place(self, index: tuple[Array, ...]) -> Array:
-        place = index[0]
-        for axis, each in enumerate(index[1:], 1):
+        place, *others = (jnp.asarray(each, jnp.int32) for each in index)
+        for axis, each in enumerate(others, 1):
             place = place * self.shape[axis] + each
         return self.start + place
 

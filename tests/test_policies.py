@@ -329,7 +329,7 @@ def test_inflation_and_people_on_the_map(room):
     x = jnp.asarray([0.0, 0.0, 0.0, 3.0, 4.9, 0.0], jnp.float32)
     y = jnp.asarray([2.95, 2.7, 2.0, -2.0, 0.0, 0.65], jnp.float32)
     cost = np.asarray(jax.jit(lambda x, y: cell_costs(scenario, layers, state.pedestrians, x, y))(x, y))
-    radius = scenario.robot.radius
+    radius = float(scenario.robot.radius)
     assert cost[0] == cost[4] == 253  # touches the pillar; the edge of the floor
     assert cost[1] == pytest.approx(252 * np.exp(-10 * (3.1 - 2.7 - radius)), rel=1e-3)
     assert cost[2] == cost[3] == 0

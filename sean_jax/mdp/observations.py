@@ -250,6 +250,11 @@ def _lidar(scenario: Scenario, state: State, prepared: tuple) -> Array:
     return _reading(scenario, state, sensors.lidar_sensor(sensors.lidar(scenario, count=RAYS, far=FAR_LIDAR)))
 
 
+def _lidar_stack(scenario: Scenario, state: State, prepared: tuple) -> Array:
+    """The last four scans of the robot's lidar, the newest first, with the scenario's errors: (4, rays) m."""
+    return _lidar(scenario, state, prepared)
+
+
 OBSERVATIONS: dict[str, ObservationTerm] = {
     "goal": ObservationTerm(_goal, -FAR_GOAL, FAR_GOAL),
     "goal_heading": ObservationTerm(_goal_heading, -1.0, 1.0),
@@ -265,7 +270,7 @@ OBSERVATIONS: dict[str, ObservationTerm] = {
     "obstacles": ObservationTerm(_obstacles, -NEAR, NEAR),
     "plan": ObservationTerm(plan_ahead, -PLAN_POINTS * SPACING, PLAN_POINTS * SPACING, prepare=_last_arc),
     "lidar": ObservationTerm(_lidar, 0.0, FAR_LIDAR),
-    "lidar_stack": ObservationTerm(_lidar, 0.0, FAR_LIDAR, stack=4),
+    "lidar_stack": ObservationTerm(_lidar_stack, 0.0, FAR_LIDAR, stack=4),
     "depth": ObservationTerm(_depth, 0.0, FAR_DEPTH, image=True),
     "rgb": ObservationTerm(_rgb, 0.0, 1.0, image=True),
 }
