@@ -13,9 +13,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import yaml
 
 import sean_jax
 from sean_jax import cli, learning
+from sean_jax.config import PPOConfig, validate
 from sean_jax.errors import FileError, InputError
 from sean_jax.learning.policy import AGENTS, MAX_WEIGHTS_BYTES, WEIGHTS, load_agent, load_policy, save_agent
 from sean_jax.learning.trainer import check_config
@@ -43,6 +45,16 @@ def test_each_is_small_and_says_what_it_is():
         assert told["agent"]["steps"] > 0 and told["agent"]["weights"] == "float16"
         assert 0.0 <= told["agent"]["evaluation"]["completed"] <= 1.0
         assert "sean-jax" in told["versions"] or "sean-jax" in told["agent"]["packed_with"]
+
+
+def test_the_file_of_a_training_has_the_options_of_its_agent():
+    """benchmarks/ppo_lidar.yaml, besides the agent that the training begins with."""
+    path = Path(__file__).parents[1] / "benchmarks" / "ppo_lidar.yaml"
+    options = validate(PPOConfig, yaml.safe_load(path.read_text()))
+    saved = json.loads((AGENTS["ppo_lidar"] / "config.json").read_text())
+    for name, value in json.loads(json.dumps(options.identity())).items():
+        if name not in ("out", "pretrained") and name in saved:
+            assert saved[name] == value, name
 
 
 def test_one_is_loaded_by_its_name(lab):

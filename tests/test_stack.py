@@ -19,6 +19,7 @@ from sean_jax.config import EnvConfig, PPOConfig, RunConfig, ScenarioConfig, val
 from sean_jax.errors import InputError
 from sean_jax.evaluation import saved
 from sean_jax.geometry import FAR
+from sean_jax.learning import rollouts
 from sean_jax.learning.policy import load_policy
 from sean_jax.navigation import draw_places
 from sean_jax.policies import go_to_goal
@@ -393,3 +394,15 @@ def test_a_set_is_timed_as_one_program(tmp_path):
     found = json.loads((tmp_path / "made" / "bench.json").read_text())
     assert found["floors"] == 2 and [row["batch"] for row in found["rows"]] == [1, 4]
     assert all(row["per_second"] > 0 for row in found["rows"])
+
+
+@pytest.mark.slow
+def test_starts_of_several_tasks_do_not_copy_the_tables():
+    """With 4 or 16 floors as much memory for as many starts."""
+    memory = {}
+    for floors in (4, 16):
+        options = {"environment": f"worlds:rooms,aisles:{floors}", "task": ["join_group", "leave_group"]}
+        env = registry.build_stack(validate(EnvConfig, options | {"observations": ["goal"], "metrics": "none"}))
+        draw = jax.jit(lambda env, key: rollouts.draw_pool(env, key, 128))
+        memory[floors] = draw.lower(env, jax.random.key(0)).compile().memory_analysis().temp_size_in_bytes
+    assert memory[16] < 2.5 * memory[4], memory  # 3.9 times with a copy for each start
