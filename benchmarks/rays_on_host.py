@@ -24,6 +24,7 @@ import sean_jax
 from sean_jax import bench, kernels, sensors
 from sean_jax.bench import programs
 from sean_jax.bench.programs import Program
+from sean_jax.stack import Stack
 
 FORMS = "loops", "kernel"
 COMPARED = 256  # scenarios whose images are compared
@@ -96,9 +97,9 @@ def main() -> None:
     scenario = sean_jax.make(chosen.environment, people=chosen.people, dynamics=chosen.dynamics)
     print(f"{jax.devices()[0].device_kind}, jax {jax.__version__}, {chosen.environment}, {chosen.people} people")
     compare(scenario)
-    timed = {
-        batch: programs.stepping(scenario, batch, min(bench.turns(batch), 100), bench.IMAGE) for batch in chosen.batches
-    }
+    timed, floors = {}, Stack(scenario, {})
+    for batch in chosen.batches:
+        timed[batch] = programs.stepping(floors, batch, min(bench.turns(batch), 100), bench.IMAGE)
     compiled: dict[tuple[int, str], Future] = {}
     with ThreadPoolExecutor() as pool:  # XLA compiles them in parallel
         for form in FORMS:

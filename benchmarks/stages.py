@@ -18,6 +18,7 @@ from jax.profiler import ProfileData
 
 import sean_jax
 from sean_jax.bench import programs
+from sean_jax.stack import Stack
 
 STAGES = "direct_pedestrians", "move_pedestrians", "move_robot", "classify", "measure", "restart", "depth"
 TURNS = 4
@@ -83,7 +84,7 @@ def main() -> None:
     arguments.add_argument("--depth", action="store_true", help="a depth image of 64x48 after each step")
     chosen = arguments.parse_args()
     scenario = sean_jax.make("warehouse", people=chosen.people, dynamics=chosen.dynamics)
-    program = programs.stepping(scenario, chosen.batch, TURNS, (64, 48) if chosen.depth else None)
+    program = programs.stepping(Stack(scenario, {}), chosen.batch, TURNS, (64, 48) if chosen.depth else None)
     compiled = program.run.lower(*program.fixed, program.carried).compile()
     carried = jax.block_until_ready(compiled(*program.fixed, program.carried))
     with tempfile.TemporaryDirectory() as folder:

@@ -64,7 +64,7 @@ def to_device(tree: PyTree) -> PyTree:
 
 def on_host(function: Callable) -> Callable:
     """The function of arrays computed by the CPU, with its result on the default device: for a program that runs once,
-    and that XLA compiles for minutes for a GPU.
+    and that takes longer to compile for a GPU than to run on a CPU.
     """
 
     def call(*arguments: Any) -> PyTree:

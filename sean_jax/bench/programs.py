@@ -119,10 +119,10 @@ def stepping(
 
     size_of_image = (1, 1) if image is None else (image[1], image[0])
     blank = _on_floors(over, lambda _, tick: jnp.zeros(size_of_image, float))(stack, (states.tick,))
-    seen = jax.tree.map(lambda leaf: leaf[: min(SAMPLE, each)], states)  # on the first floor
-    loops = _pairs(scenario.forces, seen.pedestrians, scenario.environment.obstacle_grid)
+    sample = jax.tree.map(lambda leaf: leaf[: min(SAMPLE, each)], states)  # on the first floor
+    loops = _pairs(scenario.forces, sample.pedestrians, scenario.environment.obstacle_grid)
     if eye is not None:
-        loops |= _rays(scenario, seen, eye, cameras.bands(eye)[0])
+        loops |= _rays(scenario, sample, eye, cameras.bands(eye)[0])
     run = _on_floors(over, run, donate=True)
     return Program(run, (stack,), (states, blank), batch * number, turns, loops)
 
@@ -166,8 +166,8 @@ def images(stack: Stack[Scenario], name: str, batch: int, width: int, height: in
     shape = jax.eval_shape(lambda stack, states: stack.vmap(one)(states), stack, states)
     blank = jnp.zeros(shape.shape, shape.dtype)
     bundles = cameras.bands(camera)[0] if name == "depth" else (cameras.rays(camera)[0],)
-    seen = jax.tree.map(lambda leaf: leaf[: min(SAMPLE, batch // stack.size)], states)  # on the first floor
-    loops = _rays(scenario, seen, camera, bundles)
+    sample = jax.tree.map(lambda leaf: leaf[: min(SAMPLE, batch // stack.size)], states)  # on the first floor
+    loops = _rays(scenario, sample, camera, bundles)
     return Program(jax.jit(run, donate_argnums=1), (stack,), (states, blank), batch, turns, loops)
 
 
