@@ -324,7 +324,7 @@ def test_a_training_keeps_its_randomization(file, tmp_path):
     assert registry.check(saved)["randomization"] == as_randomization(BOUNDS)
     assert learning.load(tmp_path / "run", sean_jax.make("lab", people=3)).name == "run"
     source = replay_command._of_training(tmp_path / "run", [1, 3])  # of the second law
-    assert source.scenarios[0].move is sean_jax.pedestrian_models.MODELS["orca"]
+    assert source.floors[0].member.move is sean_jax.pedestrian_models.MODELS["orca"]
     with pytest.raises(InputError, match=f"in {SET}, calibrated and {SET}, orca"):
         replay_command._of_training(tmp_path / "run", [0, 1])
     learning.pack(tmp_path / "run", tmp_path / "packed")
