@@ -128,7 +128,7 @@ def test_each_floor_is_as_it_is_alone_with_random_people():
         alone = sean_jax.make(str(folder), people=20, behavior="random", task="random_ab_nav")
         _, (each_people, each_robots, _) = jax.jit(drive)(alone, keys[number])
         np.testing.assert_allclose(each_robots, robots[number], atol=1e-4)
-        np.testing.assert_allclose(each_people, people[number], atol=1e-4)
+        np.testing.assert_allclose(each_people, people[number], atol=1e-3)  # rounding grows in encounters
 
 
 def test_fields_of_a_stack_are_replaced():
