@@ -79,9 +79,9 @@ def test_ways_between_the_nodes_of_the_graph_are_shortest(name):
 def test_large_floors_have_wider_cells():
     """A grid of at most some 100,000 cells, of a multiple of a quarter of a metre."""
     outdoor = navigation.build(environments.load("outdoor"), RADIUS)
-    assert float(outdoor.cell) == 0.5 and outdoor.visible.shape[:2] == (198, 304)
+    assert float(outdoor.cell) == 0.5 and tuple(outdoor.visible.shape[:2]) == (198, 304)
     ways = navigation.build_next_corner_table(outdoor, outdoor.places[:2])
     assert tuple(ways.first_arc.shape) == (396, 608, 2)  # what people look up stays at a quarter
     assert sum(leaf.nbytes for leaf in jax.tree.leaves((outdoor, ways))) < 100e6
     lab = navigation.build(environments.load("lab"), RADIUS)
-    assert float(lab.cell) == navigation.CELL and lab.visible.shape[:2] == (44, 26)
+    assert float(lab.cell) == navigation.CELL and tuple(lab.visible.shape[:2]) == (44, 26)
