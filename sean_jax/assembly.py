@@ -153,7 +153,7 @@ def build_stack(config: ScenarioConfig, limit: int | None = None) -> Stack[Scena
     if getattr(config.behavior, "walking_groups", (0.0, 0.0)) != (0.0, 0.0) and config.people is None:
         raise InputError("people: floors have different numbers, and walking groups need the same; give a number.")
     options = json.dumps({"behavior": config.behavior.kind, "goal_sampling": config.goal_sampling})
-    missing = [folder for folder in folders[:limit] if not _made(options, folder).is_file()]
+    missing = [folder for folder in folders if not _made(options, folder).is_file()]
     worlds.in_processes("sean_jax.assembly", "make_tables", [options], missing)
     with jax.default_device(jax.devices("cpu")[0]):
         models = robots.alike(models)

@@ -166,7 +166,7 @@ def _visible_people(nearest: int, reach: float, scenario: Scenario, state: State
     """
     rows, position = _people(nearest, reach, scenario, state, prepared), state.robot.position
     x, y = rotate(rows[:, 0], rows[:, 1], state.robot.heading[0], state.robot.heading[1])
-    # Without the barrier XLA for GPUs computes the places of people again for each obstacle.
+    # The barrier keeps the places of people out of the loop over obstacles.
     ends = jax.lax.stop_gradient((position, position[0] + x, position[1] + y))
     position, x, y = jax.lax.optimization_barrier(ends)
     free = navigation.segments_are_free(scenario.environment.obstacles, position, x, y, 0.0)

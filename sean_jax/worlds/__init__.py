@@ -212,7 +212,7 @@ def find(name: str | Path, limit: int | None = None) -> list[Path]:
 
 
 def save_all(*folders: str) -> None:
-    """Write worlds whose folders are named FAMILY_SEED, as ``save``; a folder of another process is kept."""
+    """Write worlds whose folders are named FAMILY_SEED, as ``save``; an existing folder stays as it is."""
     for folder in map(Path, folders):
         family, _, seed = folder.name.rpartition("_")
         world = generate(family, int(seed))
