@@ -268,6 +268,7 @@ train ppo --randomization people | randomization: 'people' is not one of behavio
 train ppo --randomization bounds | randomization: there are no bounds; give some
 train ppo --randomization nope.yaml | nope.yaml; there is no such file
 train ppo --laws calibrated,orka --environment lab | laws: 'orka' is not one of; did you mean 'orca'
+train ppo --laws calibrated,orca --forces sean2 | laws: calibrated,orca would replace the option forces; leave one
 train ppo --observation-delay gaol=1 | observation_delay: 'gaol' is not one of; did you mean 'goal'
 train ppo --observation-delay goal=3:1 | --observation-delay: goal=3:1 has no steps from 0 to 1,000; the least first
 train ppo --action-delay 3 1 | --action-delay: 3 is more than 1; give the least steps first

@@ -356,7 +356,7 @@ def test_evaluate_takes_floors():
     floors = assembly.build_floors(config)
     made = sean_jax.evaluate(floors, episodes=4)
     assert list(made.floors) == ["passages_0", "passages_0", "aisles_0", "aisles_0"]
-    assert made.tasks == ["join_group", "leave_group"] * 2 and made.wanted_floors == 3
+    assert made.tasks == ["join_group", "leave_group"] * 2 and made.set_floors == 3
     np.testing.assert_array_equal(made.place(2).environment.floor, floors[0].at(1).environment.floor)
     assert "on 2 floors" in made.title and made.summary()["floors"] == 2
     (only,) = assembly.build_floors(config.replace(task="join_group"), episodes=1)

@@ -345,6 +345,10 @@ class ReinforcementConfig(EnvConfig):
             yield f"minibatches: {text}; choose a divisor"
         if self.imitate is not None and self.pretrained is not None:
             yield f"imitate: {self.imitate.kind} and --pretrained {self.pretrained} exclude each other; choose one"
+        options = type(self).model_fields
+        other = [name for name in ("model", "forces") if getattr(self, name) != options[name].get_default()]
+        if self.laws is not None and other:
+            yield f"laws: {self.laws} would replace the option {other[0]}; leave one of the two out"
         laws = max(1, len(listed(self.laws)))
         if self.scenarios % (count := len(self.environments) * laws):
             text = f"{self.scenarios} do not divide equally among {count} environments"

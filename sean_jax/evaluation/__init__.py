@@ -74,7 +74,7 @@ def evaluate(
     if out is not None:
         check_new_folder(Path(out), "out")
     with progress(console) as bar:
-        evaluation = _episodes(stacks, loaded, config, bar, None, console)
+        evaluation = _episodes(stacks, loaded, config, stacks[0].size, bar, None, console)
     if out is not None:
         evaluation.save(out)
     return evaluation
@@ -126,8 +126,7 @@ def run(config: RunConfig, console: Console) -> tuple[Path, Evaluation]:
             live = stack.enter_context(serve(first, f"{path.name} · live"))
             console.print(f"live: {live.url}", highlight=False, soft_wrap=True)
         with progress(console) as bar:
-            evaluation = _episodes(stacks, policy, config, bar, folder, console, live)
-        evaluation.wanted_floors = wanted
+            evaluation = _episodes(stacks, policy, config, wanted, bar, folder, console, live)
         evaluation.print_table(console)
         count = len(evaluation.tasks)
         with console.status("drawing the report"), folder.results(count == config.episodes) as stage:
@@ -144,6 +143,7 @@ def _episodes(
     stacks: list[Stack[Scenario]],
     policy: Policy,
     config: RunConfig,
+    set_floors: int,
     bar: Progress,
     folder: RunFolder | None,
     console: Console | None,
@@ -179,7 +179,7 @@ def _episodes(
     except KeyboardInterrupt:
         if not batches or runner is None:
             raise
-    return _join(stacks, policy, batches, episodes, 0.0 if runner is None else runner.compile_seconds)
+    return _join(stacks, policy, batches, episodes, set_floors, 0.0 if runner is None else runner.compile_seconds)
 
 
 def _batch_size(config: RunConfig, stacks: list[Stack[Scenario]]) -> int:
@@ -229,7 +229,12 @@ def _simulate(
 
 
 def _join(
-    stacks: list[Stack[Scenario]], policy: Policy, batches: list[FinishedBatch], wanted: int, compile_seconds: float
+    stacks: list[Stack[Scenario]],
+    policy: Policy,
+    batches: list[FinishedBatch],
+    wanted: int,
+    set_floors: int,
+    compile_seconds: float,
 ) -> Evaluation:
     floors, first, totals = stacks[0], stacks[0].member, [batch.totals for batch in batches]
 
@@ -263,7 +268,7 @@ def _join(
         wanted=wanted,
         floors=[floors.names[turn] if floors.names else f"floor_{turn}" for turn in turns],
         places=[floors.at(turn) for turn in turns[: len(frames)]],
-        wanted_floors=floors.size,
+        set_floors=set_floors,
     )
 
 

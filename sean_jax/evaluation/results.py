@@ -53,7 +53,7 @@ class Evaluation:
     wanted: int  # requested episodes; Ctrl-C leaves fewer
     floors: Sequence[str] = ()  # name per episode, if there are several
     places: Sequence[Scenario] = ()  # of the frames, if there are several floors
-    wanted_floors: int = 1  # of the set; fewer episodes are on the first ones
+    set_floors: int = 1  # of the set; fewer episodes are on the first ones
 
     def place(self, index: int) -> Scenario:
         """The scenario of the frames of an episode, on its floor."""
@@ -63,7 +63,7 @@ class Evaluation:
         """Shares of the situations, means of the metrics with 95 % bootstrap intervals, checks and timing."""
         simulated = float(self.seconds.sum())
         floors = list(dict.fromkeys(self.floors))
-        of_set = {"floors": len(floors), "set_floors": self.wanted_floors, "environments": floors} if floors else {}
+        of_set = {"floors": len(floors), "set_floors": self.set_floors, "environments": floors} if floors else {}
         groups = {} if floors else {"largest_groups": [int(size) for size in self.group_size]}
         return {
             "scenario": self.names(),

@@ -121,7 +121,8 @@ def build(options: ReinforcementConfig) -> Setting:
         _check_pretrained(options, options.pretrained)
     configs = options.per_environment
     if options.laws is not None:
-        configs = [registry.with_law(config, law) for config in configs for law in listed(options.laws)]
+        plain = [config.replace(laws=None) for config in configs]
+        configs = [registry.with_law(config, law) for config in plain for law in listed(options.laws)]
     for config in configs:
         bounds.with_costs(tuple(registry.check(config)["rewards"].items()), options.cost_limits)
     _, private = policies.agent_terms(options)

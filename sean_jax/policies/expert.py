@@ -171,7 +171,7 @@ def _commands(shares: Array, limits: tuple[Array, Array, Array]) -> Array:
 
 def _simulate(scenario: Scenario, state: State, knots: Array, limits: tuple[Array, Array, Array]) -> RobotMotion:
     """The motion on the floor of plans (P, KNOTS, 2)."""
-    commands = _commands(jnp.einsum("tk,pkc->tpc", jnp.asarray(INTERPOLATION), knots), limits)
+    commands = _commands(jnp.einsum("tk,pkc->tpc", jnp.asarray(INTERPOLATION, float), knots), limits)
     robot = state.robot
     x, y, yaw, speed, turn = prediction.predict_robot(
         scenario.robot, robot.speed, robot.turn_rate, (commands[..., 0], commands[..., 1]), TIME_STEP

@@ -266,7 +266,7 @@ def along(
     rays: Rays, distance: Float[Array, "tiles rays"]
 ) -> tuple[Float[Array, "tiles rays"], Float[Array, "tiles rays"], Float[Array, "tiles rays"]]:
     """x, y and z [m] from the sensor of places at a distance [m] along each ray."""
-    x, y, z = (distance * jnp.asarray(part) for part in rays.direction)
+    x, y, z = (distance * jnp.asarray(part, float) for part in rays.direction)
     if rays.offset is None:
         return x, y, z
     return x + rays.offset[0], y + rays.offset[1], z + rays.offset[2]

@@ -137,7 +137,8 @@ class Beams:
     def of(cls, rays: Rays) -> "Beams":
         """All rays as arrays."""
         offset = None if rays.offset is None else _components(rays.offset)
-        return cls(_components(rays.direction), jnp.asarray(rays.inverse_rise), jnp.asarray(rays.inverse_run), offset)
+        slopes = jnp.asarray(rays.inverse_rise, float), jnp.asarray(rays.inverse_run, float)
+        return cls(_components(rays.direction), *slopes, offset)
 
     def of_tiles(self, tile: Int[Array, "tasks"]) -> "Beams":
         """The rays of chosen tiles (tasks,)."""
@@ -145,7 +146,7 @@ class Beams:
 
 
 def _components(parts: np.ndarray) -> tuple[Array, Array, Array]:
-    return jnp.asarray(parts[0]), jnp.asarray(parts[1]), jnp.asarray(parts[2])
+    return jnp.asarray(parts[0], float), jnp.asarray(parts[1], float), jnp.asarray(parts[2], float)
 
 
 def bundle(

@@ -148,7 +148,7 @@ def depth(scenario: Scenario, state: State, camera: Camera) -> Float[Array, "H W
     bundles, cosine = bands(camera)
     view = sensor_view(scenario, state, camera, camera.sees_robot)
     parts = [by_rows(bundle, distance(view, bundle)) for bundle in bundles]
-    image = jnp.concatenate(parts) * cosine
+    image = jnp.concatenate(parts) * jnp.asarray(cosine, float)
     return jnp.where((image >= camera.near) & (image <= camera.far), image, camera.far)
 
 
@@ -202,7 +202,7 @@ def pixels_of_people(scenario: Scenario, state: State, camera: Camera) -> Int[Ar
     view = jax.lax.stop_gradient(sensor_view(scenario, state, camera, camera.sees_robot))
     parts = [[by_rows(bundle, part) for part in search(view, bundle)] for bundle in bundles]
     distance, number = (jnp.concatenate(part) for part in zip(*parts, strict=True))
-    image = distance * cosine
+    image = distance * jnp.asarray(cosine, float)
     in_range = (image >= camera.near) & (image <= camera.far)
     boxes, cylinders, spheres, people = view.counts
     person = jnp.where(in_range, number - (boxes + cylinders + spheres), -1).reshape(-1)

@@ -55,7 +55,7 @@ def render(scenario: Scenario, state: State, camera: Camera) -> Picture:
     picture = jnp.zeros((*cosine.shape, 3), float)
     for channel, part in enumerate(rgb):  # not jnp.stack: XLA would compute their common parts once for each
         picture = picture.at[..., channel].set(by_rows(bundle, part))
-    image = by_rows(bundle, distance) * cosine
+    image = by_rows(bundle, distance) * jnp.asarray(cosine, float)
     in_range = (image >= camera.near) & (image <= camera.far)
     return Picture(
         rgb=picture,
