@@ -152,7 +152,14 @@ def build_stack(config: ScenarioConfig, limit: int | None = None) -> Stack[Scena
         raise InputError(f"behavior: '{config.behavior.kind}' is not for {what}; choose graph or random.")
     if getattr(config.behavior, "walking_groups", (0.0, 0.0)) != (0.0, 0.0) and config.people is None:
         raise InputError("people: floors have different numbers, and walking groups need the same; give a number.")
-    options = json.dumps({"behavior": config.behavior.kind, "goal_sampling": config.goal_sampling})
+    named = [
+        (part.kind, robots.radius(model))
+        for part, model in zip(config.robots, models, strict=True)
+        if isinstance(part, Named)
+    ]
+    wide = {name: radius for name, radius in named if radius > PERSON_CLEARANCE}
+    tables = {"behavior": config.behavior.kind, "goal_sampling": config.goal_sampling, "robots": wide}
+    options = json.dumps(tables, sort_keys=True)
     missing = [folder for folder in folders if not _made(options, folder).is_file()]
     worlds.in_processes("sean_jax.assembly", "make_tables", [options], missing)
     with jax.default_device(jax.devices("cpu")[0]):
@@ -164,8 +171,11 @@ def build_stack(config: ScenarioConfig, limit: int | None = None) -> Stack[Scena
 
 def make_tables(options: str, *folders: str) -> None:
     """Leave the tables of environment folders in the user's cache. For other processes."""
+    values = json.loads(options)
+    wide = values.pop("robots")  # others have the paths of people
     for folder in folders:
-        build(validate(ScenarioConfig, {"environment": folder, "task": "random_ab_nav", **json.loads(options)}))
+        for robot in wide or ["kuri"]:
+            build(validate(ScenarioConfig, {**values, "environment": folder, "task": "random_ab_nav", "robot": robot}))
         _made(options, Path(folder)).touch()
 
 

@@ -416,7 +416,7 @@ def test_worlds_of_the_ablation_differ_in_one_switch_each():
 
 def test_further_drivers_of_figure_4():
     asked = Figure4Config()
-    assert figure4.baselines(asked) == ["move_base", "ppo", "ppo_depth", "sensing_expert"]
+    assert figure4.baselines(asked) == ["move_base", "ppo", "ppo_lidar", "sensing_expert"]
     assert figure4.baselines(asked.replace(quick=True)) == [] == figure4.baselines(asked.replace(baselines="none"))
     assert figure4.baselines(asked.replace(baselines="orca,ppo")) == ["orca", "ppo"]
     with pytest.raises(InputError, match="--baselines: 'N' is a column of the figure already"):

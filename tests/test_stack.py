@@ -225,6 +225,25 @@ def test_sets_are_named():
         assembly.build_floors(options(task=[{"kind": "custom", "start": (1.0, 1.0), "goal": (2.0, 2.0)}]))
 
 
+def test_tables_of_wide_robots_are_computed_by_the_other_processes(monkeypatch, tmp_path):
+    """They leave nothing to this process but to read: the paths of people and those of each wide robot."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    before = []
+
+    def in_this_process(module, function, arguments, folders):
+        if function == "make_tables":
+            assembly.make_tables(*arguments, *map(str, folders))
+            before.extend(tables())
+
+    def tables():
+        return sorted(path for path in (tmp_path / "sean_jax" / "tables").iterdir() if path.suffix != ".made")
+
+    monkeypatch.setattr(worlds, "in_processes", in_this_process)
+    options = {"environment": "worlds:passages:2", "robot": "kuri,jackal", "task": "random_ab_nav"}
+    assembly.build_stack(validate(ScenarioConfig, options))
+    assert tables() == before != []
+
+
 def test_a_folder_of_environments_is_a_set(tmp_path):
     for seed in (1, 2):
         worlds.save(worlds.generate("passages", seed), tmp_path / f"hall_{seed}")

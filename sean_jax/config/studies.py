@@ -130,7 +130,7 @@ class Figure4Config(LearnedConfig):
     """Figure 4."""
     hours: fields.HoursOfMinutes = 1.0
     """Hours of demonstrations for each behavior."""
-    baselines: Annotated[fields.Names, Option(affects_results=False)] = "move_base,ppo,ppo_depth,sensing_expert"
+    baselines: Annotated[fields.Names, Option(affects_results=False)] = "move_base,ppo,ppo_lidar,sensing_expert"
     """Other policies in the same episodes, separated by commas, or none: names, folders of `sean train`, such as
     runs/dagger or runs/apg, or FILE.py:NAME. They can be added to a finished figure."""
 
