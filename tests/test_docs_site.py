@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+import test_structure
 import yaml
 
 from sean_jax.config import COMMANDS
@@ -37,6 +38,14 @@ def test_links_and_pictures_are_there():
     for path in DOCS.rglob("*.md"):
         for link in re.findall(r"\]\(([^)#\s]+)", path.read_text(encoding="utf-8")):
             assert "://" in link or (path.parent / link).exists(), f"{path.name}: {link}"
+
+
+def test_files_with_results_are_in_the_repository():
+    """Ignored files are on the machine of a measurement alone."""
+    names = {name for path in DOCS.rglob("*.md") for name in re.findall(r"benchmarks/[\w/]+\.\w+", path.read_text())}
+    assert {"benchmarks/results/ppo_lidar.json", "benchmarks/worlds.py"} <= names
+    files = {path.relative_to(ROOT).as_posix() for path in test_structure.repository_files()}
+    assert names <= files
 
 
 def anchors(page: Path) -> set[str]:
