@@ -20,7 +20,7 @@ from sean_jax.config import APGConfig, PPOConfig
 from sean_jax.errors import InputError
 from sean_jax.learning import networks, ppo, reinforcement, rollouts, shac
 from sean_jax.learning.networks import ActorCritic, Agent, Statistics
-from sean_jax.learning.policy import Best
+from sean_jax.learning.policy import AGENTS, Best
 from sean_jax.mdp import rewards
 from sean_jax.stack import Stack
 
@@ -495,6 +495,7 @@ def test_a_pretrained_agent_that_does_not_fit_is_refused_first(trained, tmp_path
         (trained[1], {"width": 32}, "width 16, not 32"),
         (trained[1], {"observations": ["goal", "path"]}, "observations"),
         (tmp_path / "empty", {}, "no checkpoint"),
+        (Path("ppo"), {}, "ppo has observations"),
     ]:
         with pytest.raises(InputError, match=message):
             reinforcement.train(options(tmp_path / "next", pretrained=folder, **other))
@@ -654,13 +655,20 @@ def test_a_training_with_randomization_delay_and_own_ends_goes_on(mine, tmp_path
 
 
 @pytest.mark.slow
-def test_it_goes_on_with_another_agent(learned, tmp_path):
-    state, folder = learned
-    config = options(tmp_path / "next", pretrained=folder, learning_rate=1e-12, steps=8 * 8, evaluate_every=1)
+@pytest.mark.parametrize("of_package", [False, True])
+def test_it_goes_on_with_another_agent(learned, tmp_path, of_package):
+    folder, other = learned[1], {}
+    if of_package:
+        saved = json.loads((AGENTS["ppo"] / "config.json").read_text())
+        folder, other = "ppo", {name: saved[name] for name in ("observations", "width", "layers")}
+    same = {"learning_rate": 1e-12, "steps": 8 * 8, "evaluate_every": 1}
+    config = options(tmp_path / "next", pretrained=folder, **same, **other)
     agent = reinforcement.train(config).agent
     best = learning.load(folder, registry.build(config).scenario).params.agent
     for one, other in zip(*map(jax.tree.leaves, (agent.parameters, best.parameters)), strict=True):
         np.testing.assert_allclose(one[0], other, atol=1e-6)
+    if of_package:
+        return
     with pytest.raises(InputError, match="width 16, not 32"):
         reinforcement.train(options(tmp_path / "wide", pretrained=folder, width=32))
     with pytest.raises(InputError, match="no trained agent"):

@@ -297,7 +297,7 @@ class ReinforcementConfig(EnvConfig):
     curriculum_every: fields.Count = 20
     """Updates between two replacements of the least useful starts by a curriculum."""
     pretrained: Path | None = None
-    """Folder of a training; its agent is the initial agent."""
+    """Folder of a training, or an agent of the package; the initial agent."""
     imitate: Part | None = None
     """Policy to imitate at first: a name, or the folder of a training, such as one of sean train dagger."""
     seeds: fields.Count = 1

@@ -118,7 +118,7 @@ def build(options: ReinforcementConfig) -> Setting:
     if options.imitate is not None:
         policies.check_policy(options.imitate, options, "imitate")
     if options.pretrained is not None:
-        _check_pretrained(options, options.pretrained)
+        _check_pretrained(options, _agent_folder(options.pretrained))
     configs = options.per_environment
     if options.laws is not None:
         plain = [config.replace(laws=None) for config in configs]
@@ -450,7 +450,7 @@ def _first_agents(options: ReinforcementConfig, setting: Setting) -> Agent:
     keys = jnp.stack([prng.key("weights", int(agent["seed"])) for agent in options.agents])
     if options.pretrained is None:
         return jax.jit(lambda keys: init_agents(network, env.observations, env.observation_space, keys))(keys)
-    agent = policies.load_agent(options.pretrained, scenario)[1]
+    agent = policies.load_agent(_agent_folder(options.pretrained), scenario)[1]
     return jax.tree.map(lambda part: jnp.broadcast_to(part[None], (keys.shape[0], *part.shape)), agent)
 
 
@@ -517,6 +517,11 @@ def _encode(tree: PyTree) -> PyTree:
 def _decode(saved: PyTree, like: PyTree) -> PyTree:
     """The inverse of ``_encode``."""
     return prng.as_keys(jax.tree.map(lambda leaf, one: leaf if one.size else one, saved, like), like)
+
+
+def _agent_folder(folder: Path) -> Path:
+    """A folder with an agent; without one, that of the package's agent of this name."""
+    return folder if (folder / policies.CONFIG).is_file() else policies.AGENTS.get(str(folder), folder)
 
 
 def _check_pretrained(options: ReinforcementConfig, folder: Path) -> None:
