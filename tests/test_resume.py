@@ -391,7 +391,7 @@ def test_ever_so_many_batches_are_no_list():
     with pytest.raises(Stop):
         stack: Any = SimpleNamespace(member=SimpleNamespace(time_limit=1.0), size=1)
         config = RunConfig(episodes=2**31 - 1, batch=1)
-        evaluation._episodes([stack], asked, config, Progress(), asked, None)
+        evaluation._episodes([stack], asked, config, 1, Progress(), asked, None)
 
 
 def test_a_resumed_run_replaces_the_parts_of_its_earlier_report(tmp_path):
