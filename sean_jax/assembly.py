@@ -197,7 +197,7 @@ def _scenario(config: ScenarioConfig, parts: dict[str, Any], robot: RobotModel, 
     draw = navigation.PLACES[config.goal_sampling]
     walking, driving = draw(scene, walking), draw(scene, driving)
     place = behaviors.Place(folder, scene, walking, config.time_step)
-    behavior = _behavior(config, place)
+    behavior = behavior_of(config, place)
     people = config.people if behavior.people is None else behavior.people
     return Scenario(
         environment=scene,
@@ -371,7 +371,12 @@ def _check_recording(behavior: PlaybackBehavior) -> None:
 # ------------------------------------------------------------------ parts
 
 
-def _behavior(config: ScenarioConfig, place: behaviors.Place) -> Behavior:
+def behavior_of(config: ScenarioConfig, place: behaviors.Place) -> Behavior:
+    """The pedestrian behavior of a description in a place.
+
+    Raises:
+        InputError: the files of the place or the options have a mistake.
+    """
     description = config.behavior
     if isinstance(description, OwnPart | Value):
         behavior = components.resolve(description, {}, "behavior")

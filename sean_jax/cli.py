@@ -343,6 +343,12 @@ def _replay(options: config.ReplayConfig, console: "Console") -> None:
     _print(console, "replay: ", write(options, console))
 
 
+def _studio(options: config.StudioConfig, console: "Console") -> None:
+    from sean_jax import studio
+
+    studio.run(options, console)
+
+
 def _compare(options: config.CompareConfig, console: "Console") -> None:
     from sean_jax.evaluation import compare
 
@@ -425,7 +431,7 @@ def _schema(options: config.SchemaConfig, console: "Console") -> None:
     print(json.dumps(config.RunConfig.model_json_schema(), indent=2))
 
 
-_COMMANDS = _run, _collect, _train, _experiment, _export, _fit_graph, _calibrate, _draw, _replay, _compare
+_COMMANDS = _run, _collect, _train, _experiment, _export, _fit_graph, _calibrate, _draw, _replay, _studio, _compare
 _COMMANDS += _import_map, _worlds, _benchmark, _bench, _validate, _doctor, _list, _schema
 _DO: dict[str, Any] = {command.__name__[1:].replace("_", "-"): command for command in _COMMANDS}
 

@@ -1,5 +1,6 @@
 """What all tests share: strict array rules, one compilation cache, a small scenario, a folder of recordings."""
 
+import ctypes
 import functools
 import gc
 import importlib.metadata
@@ -36,6 +37,20 @@ shapes.install("sean_jax")  # before anything of it is imported
 # Silent broadcasting of (N,) against (N, N), and silent changes of type, are errors here.
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
+
+
+MOST = 4e9  # bytes of a process, beyond which it forgets its programs: two processes of slow tests would take 24 GB
+
+
+@pytest.fixture(autouse=True, scope="module")
+def bounded_memory():
+    """Compiled programs go after a module that leaves the process large; those on the disk are read again."""
+    yield
+    statm = Path("/proc/self/statm")
+    if statm.is_file() and int(statm.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") > MOST:
+        jax.clear_caches()
+        gc.collect()
+        getattr(ctypes.CDLL(None), "malloc_trim", id)(0)  # glibc keeps what is freed
 
 
 @pytest.fixture(scope="session")

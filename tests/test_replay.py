@@ -1,9 +1,11 @@
 """Replays: numbers survive the page's format, the page refers to nothing outside, and a browser plays it."""
 
+import base64
 import json
 import re
 import shutil
 import subprocess
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +17,7 @@ from matplotlib.figure import Figure
 from replay_columns import decode
 
 import sean_jax
-from sean_jax import cli, replay
+from sean_jax import cli, pages, replay
 from sean_jax.base import Trajectory
 from sean_jax.errors import InputError
 from sean_jax.policies import go_to_goal
@@ -61,7 +63,9 @@ def random_columns(seed: int) -> tuple[dict, dict, int]:
 @pytest.mark.parametrize("seed", range(12))
 def test_numbers_survive(seed):
     columns, kinds, frames = random_columns(seed)
-    found = decode(json.loads(json.dumps(encode(columns, kinds))), frames)
+    heads, numbers = encode(columns, kinds)
+    data = base64.b64encode(zlib.compress(numbers)).decode()
+    found = decode(json.loads(json.dumps({"columns": heads, "data": data})), frames)
     for name, values in columns.items():
         values = np.asarray(values, float).reshape(frames, -1)
         assert found[name].shape == values.shape
@@ -78,8 +82,8 @@ def test_a_crowd_takes_few_bytes():
     random = np.random.default_rng(0)
     turn = np.cumsum(random.normal(0, 0.05, (1200, 62)), 0)
     x, y = (np.cumsum(0.1 * part(turn), 0) for part in (np.cos, np.sin))
-    encoded = encode({"x": x, "y": y, "heading": turn}, {"x": "place", "y": "place", "heading": "angle"})
-    assert len(encoded["data"]) < 450_000
+    _, numbers = encode({"x": x, "y": y, "heading": turn}, {"x": "place", "y": "place", "heading": "angle"})
+    assert len(base64.b64encode(zlib.compress(numbers, 9))) < 450_000
 
 
 def test_the_page_is_whole_and_refers_to_nothing_outside(content):
@@ -203,10 +207,11 @@ def test_the_built_program_is_that_of_its_source(tmp_path):
         pytest.skip("web/node_modules is not there; `npm ci` in web/ makes it")
     subprocess.run(["npm", "run", "-s", "check"], cwd=WEB, check=True, timeout=120)
     built = subprocess.run(
-        ["npm", "run", "-s", "build", "--", f"--outfile={tmp_path / 'page.js'}"], cwd=WEB, timeout=120, check=True
+        ["npm", "run", "-s", "build", "--", f"--outdir={tmp_path}"], cwd=WEB, timeout=120, check=True
     )
     assert built.returncode == 0
-    assert (tmp_path / "page.js").read_text() == replay.script(), "run `npm run build` in web/"
+    for page in "replay/page.js", "studio/page.js":
+        assert (tmp_path / page).read_text() == (pages.PACKAGE / page).read_text(), "run `npm run build` in web/"
 
 
 def test_a_browser_plays_it(content, tmp_path):
@@ -218,4 +223,44 @@ def test_a_browser_plays_it(content, tmp_path):
     assert seen["errors"] == [] and len(seen["requests"]) == 1, "nothing but the page itself is loaded"
     assert (seen["linked"], seen["opened"], seen["stepped"]) == (2.0, 0.0, 1.0)
     assert seen["scrubbed"] == pytest.approx(seen["duration"] / 2, abs=0.3)
+    assert "what its depth camera can see" in seen["legend"]
+    assert "" in seen["named"] and any(re.match(r"obstacle, \d+\.\d × ", text) for text in seen["named"])
+    assert any(re.match(r"person \d+: \d\.\d\d m/s|kuri: ", text) for text in seen["named"])
     assert 0.5 < seen["played"] < 3.0 and seen["frames"] > 5 and seen["drawn"] > 20
+
+
+def test_players_of_a_comparison_share_one_clock(walked, content, tmp_path):
+    """Play, pause, time and episode; and they go to 2 s before the robots part, here after 4 s."""
+    if CHROMIUM is None or not (WEB / "node_modules" / "playwright-core").is_dir():
+        pytest.skip("there is no Chromium, or web/node_modules is not there")
+    scenario, frames = walked
+    late = np.arange(60)[:, None] >= 40
+    others = [each.replace(position=each.position + np.where(late, 0.6, 0.0)) for each in frames]
+    shown = [replay.Episode(each, f"episode {k}") for k, each in enumerate(others)]
+    contents = content, replay.of_scenario(scenario, shown, "other")
+    players = [replay.element(each, f"r{k}", False, k == 1, True) for k, each in enumerate(contents)]
+    page = pages.render(
+        replay.TEMPLATE, title="", kicker="", players=[("", each) for each in players], instead="", script=""
+    )
+    (tmp_path / "page.html").write_text(page, encoding="utf-8")
+    words = ["node", "test/compare.mjs", str(tmp_path / "page.html"), CHROMIUM]
+    seen = json.loads(subprocess.run(words, cwd=WEB, check=True, capture_output=True, timeout=120).stdout)
+    assert seen["errors"] == []
+    for moment in "played", "sought", "parted", "opened":
+        assert seen[moment][0] == pytest.approx(seen[moment][1], abs=0.2), moment
+    assert 0.3 < seen["played"][0] and seen["sought"][0] == 3.0 and seen["opened"][0] == 0.0
+    assert seen["parted"][0] == pytest.approx(2.0, abs=0.11)
+
+
+def test_everybody_can_read_the_pages(content, tmp_path):
+    """No serious finding of axe: contrast in light and dark, names of controls, keyboards."""
+    if CHROMIUM is None or not (WEB / "node_modules" / "axe-core").is_dir():
+        pytest.skip("there is no Chromium, or web/node_modules is not there")
+    table = pages.table(["name", "value"], [["one", "1.0"]])
+    (tmp_path / "page.html").write_text(replay.html(content), encoding="utf-8")
+    report = pages.page("A report", "kicker", [pages.section("Table", table, replay.element(content))])
+    (tmp_path / "report.html").write_text(report, encoding="utf-8")
+    for name in "page.html", "report.html":
+        words = ["node", "test/axe.mjs", (tmp_path / name).as_uri(), CHROMIUM]
+        done = subprocess.run(words, cwd=WEB, check=True, capture_output=True, timeout=120)
+        assert json.loads(done.stdout) == [], name

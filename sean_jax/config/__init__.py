@@ -51,6 +51,7 @@ from sean_jax.config.scenario import (
     RobotPart,
     RunConfig,
     ScenarioConfig,
+    StudioConfig,
 )
 from sean_jax.config.studies import (
     EXPERIMENTS,
@@ -180,6 +181,7 @@ COMMANDS: dict[str, type[Config]] = {
     "calibrate": CalibrateConfig,
     "draw": DrawConfig,
     "replay": ReplayConfig,
+    "studio": StudioConfig,
     "compare": CompareConfig,
     "import-map": ImportMapConfig,
     "worlds": WorldsConfig,

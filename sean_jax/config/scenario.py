@@ -272,6 +272,21 @@ class RunConfig(ScenarioConfig):
         return self.out or Path("runs") / f"{now}-{label}"
 
 
+class StudioConfig(ScenarioConfig):
+    """Serve a page on this computer for driving the robot among the people of a scenario, and for recording drives."""
+
+    policy: Part = Named(kind="go_to_goal")
+    """Policy that drives while no person does: a name, or a folder of `sean train` or `sean export agent`."""
+    seed: fields.Seed = 0
+    """The same seed gives the same episodes."""
+    warm_up: fields.Duration = 5.0
+    """Seconds for which people walk before a task begins."""
+    record: Annotated[Path | None, Option(affects_results=False)] = None
+    """Folder for recorded drives: their commands in trials/, and demonstrations for `sean train imitation`."""
+    port: Annotated[int, fields.Number(0, 65535), Option(affects_results=False)] = 0
+    """Port of the page on 127.0.0.1; 0 for a free one."""
+
+
 class ReplayConfig(Config):
     """Write a page that plays episodes of a run, a dataset or a training, or tests of a validation. They are simulated
     again with the options in the folder."""

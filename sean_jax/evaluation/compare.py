@@ -208,7 +208,7 @@ def page(differences: list[Difference], runs: tuple[SavedRun, SavedRun], summary
         cells = [pages.Cell(cell, kind="ours" if row.significant else "") for cell in difference]
         rows.append([pages.Cell(row.title, row.unit and f" {row.unit}"), one, other, *cells])
     players = [
-        (run.name, replay.element(run.replay, f"replay-{index}", linked=False, program=False))
+        (run.name, replay.element(run.replay, f"replay-{index}", linked=False, program=False, clock=True))
         for index, run in enumerate(runs)
         if run.replay is not None
     ]

@@ -444,7 +444,7 @@ class Recorder:
         self.scenario, self.seed, self.rate = scenario, seed, rate
         self.camera = sensors.camera(scenario, "depth", width=width, height=height)
         self.data = self._opened(folder, driver)
-        self._begin, self._step = jax.jit(_begin_episode), jax.jit(step)
+        self._begin, self._step = jax.jit(begin_episode), jax.jit(step)
         self._row = jax.jit(lambda scenario, state, command, last: row(scenario, state, command, self.camera, last))
         self.discard()
 
@@ -452,6 +452,10 @@ class Recorder:
     def number(self) -> int:
         """Of the next episode."""
         return len(self.data.manifest["shards"])
+
+    def episode_key(self, number: int) -> Array:
+        """The () typed key of an episode of the recorder's own stream."""
+        return jax.random.fold_in(prng.key("record", self.seed), jnp.uint32(number))
 
     def begin(self, key: Array | None = None) -> State:
         """A new episode; one that was not committed is forgotten.
@@ -461,8 +465,7 @@ class Recorder:
                 recorder's own stream, which no other episodes have.
         """
         self.discard()
-        if key is None:
-            key = jax.random.fold_in(prng.key("record", self.seed), jnp.uint32(self.number))
+        key = self.episode_key(self.number) if key is None else key
         self.state, self._last = self._begin(self.scenario, key)
         return self.state
 
@@ -565,6 +568,7 @@ def record(recorder: Recorder, commands: Callable[[State], Any] | Iterable[Any],
     return recorder.data
 
 
-def _begin_episode(scenario: Scenario, key: Array) -> tuple[State, Array]:
+def begin_episode(scenario: Scenario, key: Array) -> tuple[State, Array]:
+    """The first state of an episode, and the last arc of the way to its goal."""
     state = reset(scenario, key)
     return state, navigation.last_arc_to_goal(scenario.navigation, state.task.goal)

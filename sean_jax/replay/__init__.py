@@ -101,7 +101,7 @@ def recording(
         "version": VERSION,
         "title": title,
         "place": _place(environment),
-        "graph": None if graph is None else _graph(graph),
+        "graph": None if graph is None else graph_of_page(graph),
         "robot": _robot(scenario) if robot else None,
         "person": {"radius": 0.2 if scenario is None else float(scenario.forces.walking.radius)},
         "situations": [{"name": name, "color": shade} for name, shade in zip(names, shades, strict=True)],
@@ -154,12 +154,13 @@ def _place(environment: Environment) -> dict[str, Any]:
     }
 
 
-def _graph(graph: BehaviorGraph) -> dict[str, Any]:
+def graph_of_page(graph: BehaviorGraph) -> dict[str, Any]:
+    """A graph as the page draws it."""
     flows, count = np.asarray(graph.flow), len(graph.names) or graph.nodes
     return {
         "names": list(graph.names) or [f"node {number}" for number in range(count)],
-        "position": np.round(np.asarray(graph.position)[:count], 2).tolist(),
-        "radius": np.round(np.asarray(graph.radius)[:count], 2).tolist(),
+        "position": np.round(np.asarray(graph.position, float)[:count], 2).tolist(),
+        "radius": np.round(np.asarray(graph.radius, float)[:count], 2).tolist(),
         "group": np.asarray(graph.is_group, bool)[:count].tolist(),
         "edges": [[int(u), int(v), FLOWS[flows[u, v]]] for u, v in np.argwhere(np.triu(flows != NO_EDGE, 1))],
     }
@@ -183,6 +184,12 @@ def encoded(episode: Episode, names: Sequence[str], robot: bool = True) -> dict[
     Raises:
         InputError: it has a batch axis or other situations.
     """
+    head, numbers = packed(episode, names, robot)
+    return head | {"data": base64.b64encode(zlib.compress(numbers, 9)).decode("ascii")}
+
+
+def packed(episode: Episode, names: Sequence[str], robot: bool = True) -> tuple[dict[str, Any], bytes]:
+    """An episode, or a part of one, as a head of JSON values and bytes; errors as of ``encoded``."""
     frames: Any = one_episode(episode.frames)  # numpy arrays
     situation_names(frames, names)  # refuses another number
     columns = {
@@ -197,7 +204,8 @@ def encoded(episode: Episode, names: Sequence[str], robot: bool = True) -> dict[
     if episode.plan is not None:
         columns |= {"plan x": episode.plan[..., 0], "plan y": episode.plan[..., 1]}
     head = {"title": episode.title, "outcome": episode.outcome, "frames": len(frames.active)}
-    return head | encode(columns, KINDS)
+    columns, numbers = encode(columns, KINDS)
+    return head | {"columns": columns}, numbers
 
 
 def _of_people(frames: Any) -> dict[str, np.ndarray]:
@@ -234,8 +242,8 @@ def _filled(values: np.ndarray, present: np.ndarray) -> np.ndarray:
     return np.where(present.any(0), filled, 0.0)
 
 
-def encode(columns: Mapping[str, np.ndarray], kinds: Mapping[str, str]) -> dict[str, Any]:
-    """Columns of an episode, (T,) or (T, K) by name, as the list of (name, count, scale, offset) and base64 data.
+def encode(columns: Mapping[str, np.ndarray], kinds: Mapping[str, str]) -> tuple[list[dict[str, Any]], bytes]:
+    """Columns of an episode, (T,) or (T, K) by name, as the list of (name, count, scale, offset) and their numbers.
 
     Args:
         kinds: name -> ``place`` [m], to a centimetre; ``angle`` [rad]; ``index``, whole numbers from -1 on; any other
@@ -250,9 +258,7 @@ def encode(columns: Mapping[str, np.ndarray], kinds: Mapping[str, str]) -> dict[
         heads.append({"name": name, "count": values.shape[1], "scale": scale, "offset": offset})
     steps = [np.diff(each, axis=1, prepend=0).astype(np.uint16).ravel() for each in levels]
     whole = np.concatenate([*steps, np.zeros(0, np.uint16)])
-    halves = np.concatenate([whole & 0xFF, whole >> 8]).astype(np.uint8)
-    packed = base64.b64encode(zlib.compress(halves.tobytes(), 9)).decode("ascii")
-    return {"columns": heads, "data": packed}
+    return heads, np.concatenate([whole & 0xFF, whole >> 8]).astype(np.uint8).tobytes()
 
 
 def _scale(values: np.ndarray, kind: str) -> tuple[float, float]:
@@ -269,13 +275,17 @@ def _scale(values: np.ndarray, kind: str) -> tuple[float, float]:
     return max((high - low) / LEVELS, 1e-9), low
 
 
-def element(content: dict[str, Any], name: str = "replay", linked: bool = True, program: bool = True) -> str:
+def element(
+    content: dict[str, Any], name: str = "replay", linked: bool = True, program: bool = True, clock: bool = False
+) -> str:
     """A player of a recording inside a page.
 
     Args:
         program: whether the script follows; a page of several players has it once, after the last of them.
+        clock: whether it shares one clock with the others that do: episode, moment and speed.
     """
-    return pages.macro("replay/player.html", "player", name, embedded(content), linked, script() if program else "")
+    after = script() if program else ""
+    return pages.macro("replay/player.html", "player", name, embedded(content), linked, after, clock)
 
 
 def embedded(content: Any) -> str:

@@ -37,7 +37,7 @@ export class Camera {
     return [this.width / 2 + (x - this.center[0]) * this.scale, this.height / 2 - (y - this.center[1]) * this.scale];
   }
 
-  private toPlan(px: number, py: number): [number, number] {
+  toPlan(px: number, py: number): [number, number] {
     return [
       this.center[0] + (px - this.width / 2) / this.scale,
       this.center[1] - (py - this.height / 2) / this.scale,

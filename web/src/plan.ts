@@ -11,6 +11,7 @@ export interface Shown {
   sight: boolean;
 }
 
+const SCALES = [0.5, 1, 2, 5, 10, 20, 50]; // m
 const TRAIL = 3; // s, of people
 const SHOULDERS = 0.23; // m, half of the width of a person; depth is that of the body
 
@@ -56,6 +57,23 @@ export function drawPlan(
   if (robot) drawPath();
   drawPeople();
   if (robot) drawRobot(robot.radius);
+  drawScale();
+
+  function drawScale(): void {
+    const length = SCALES.find((each) => each * metre > 60) ?? 100;
+    const [left, bottom] = [10, paint.canvas.clientHeight - 10];
+    paint.beginPath();
+    paint.moveTo(left, bottom - 5);
+    paint.lineTo(left, bottom);
+    paint.lineTo(left + length * metre, bottom);
+    paint.lineTo(left + length * metre, bottom - 5);
+    line(1.5, palette.muted);
+    paint.font = "12px system-ui, sans-serif";
+    paint.textBaseline = "alphabetic";
+    [paint.lineWidth, paint.strokeStyle, paint.fillStyle] = [3, palette.paper, palette.muted];
+    paint.strokeText(`${length} m`, left + 6, bottom - 5);
+    paint.fillText(`${length} m`, left + 6, bottom - 5);
+  }
 
   function drawObstacles(): void {
     for (const [cx, cy, hx, hy, yaw, height] of recording.place.obstacles) {

@@ -68,18 +68,30 @@ export class Episode {
     this.frames = head.frames;
   }
 
-  /** Frames that follow. */
-  append(more: Episode): void {
+  /** Frames that follow, without the first `skip` of them. */
+  append(more: Episode, skip = 0): void {
+    const frames = this.frames + more.frames - skip;
     for (const [name, columns] of this.columns) {
-      const joined = columns.map((column, k) => {
-        const both = new Float32Array(this.frames + more.frames);
-        both.set(column);
-        both.set(more.of(name)[k], this.frames);
-        return both;
+      const grown = columns.map((column, k) => {
+        let room = new Float32Array(column.buffer as ArrayBuffer);
+        if (room.length < frames) {
+          room = new Float32Array(2 * frames);
+          room.set(column);
+        }
+        room.set(more.of(name)[k].subarray(skip), this.frames);
+        return room.subarray(0, frames);
       });
-      this.columns.set(name, joined);
+      this.columns.set(name, grown);
     }
-    this.frames += more.frames;
+    this.frames = frames;
+  }
+
+  /** Forget all but the first frames. */
+  cut(frames: number): void {
+    this.frames = Math.min(this.frames, frames);
+    for (const [name, columns] of this.columns) {
+      this.columns.set(name, columns.map((column) => column.subarray(0, this.frames)));
+    }
   }
 
   /** s, of the last frame. */
@@ -97,11 +109,17 @@ export class Episode {
     return Math.max(0, Math.min(this.frames - 1, Math.floor(time / this.timeStep + 1e-6)));
   }
 
+  /** Steps beyond the last frame, for which motion goes on: a live episode is drawn more often than it is simulated. */
+  private beyond(time: number): number {
+    return Math.min(1, (time - this.duration) / this.timeStep);
+  }
+
   /** The value of a column at a time [s], between two frames. */
   at(column: Float32Array, time: number): number {
     const frame = this.frameAt(time);
     const next = Math.min(frame + 1, this.frames - 1);
     const share = Math.max(0, Math.min(1, time / this.timeStep - frame));
+    if (time > this.duration && frame > 0) return column[frame] + this.beyond(time) * (column[frame] - column[frame - 1]);
     return column[frame] + share * (column[next] - column[frame]);
   }
 
@@ -110,8 +128,9 @@ export class Episode {
     const frame = this.frameAt(time);
     const next = Math.min(frame + 1, this.frames - 1);
     const share = Math.max(0, Math.min(1, time / this.timeStep - frame));
-    const turn = ((column[next] - column[frame] + 3 * Math.PI) % (2 * Math.PI)) - Math.PI;
-    return column[frame] + share * turn;
+    const turn = (from: number, to: number): number => ((column[to] - column[from] + 3 * Math.PI) % (2 * Math.PI)) - Math.PI;
+    if (time > this.duration && frame > 0) return column[frame] + this.beyond(time) * turn(frame - 1, frame);
+    return column[frame] + share * turn(frame, next);
   }
 }
 
@@ -120,6 +139,11 @@ export async function decode(head: EpisodeHead, timeStep: number): Promise<Episo
   const packed = Uint8Array.from(atob(head.data), (letter) => letter.charCodeAt(0));
   const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
   const bytes = new Uint8Array(await new Response(stream).arrayBuffer());
+  return unpack(head, timeStep, bytes);
+}
+
+/** The numbers of an episode, or of a part, whose bytes are not deflated. */
+export function unpack(head: EpisodeHead, timeStep: number, bytes: Uint8Array): Episode {
   const length = bytes.length / 2; // low bytes first, then high bytes
   const columns = new Map<string, Float32Array[]>();
   let place = 0;

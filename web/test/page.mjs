@@ -46,6 +46,16 @@ seen.frames = await page.evaluate(async () => {
 });
 seen.played = await clock();
 await page.getByLabel("pause").click();
+await page.getByLabel("legend").check();
+seen.legend = await page.locator(".replay-legend").innerText();
+seen.named = [];
+const plan = await page.locator(".replay-plan").boundingBox();
+for (let k = 0; k < 900; k++) {
+  const [across, down] = [(k % 30) / 30, Math.floor(k / 30) / 30];
+  await page.mouse.move(plan.x + across * plan.width, plan.y + down * plan.height);
+  seen.named.push(await page.locator(".replay-tip").textContent());
+}
+seen.named = [...new Set(seen.named)];
 await page.getByLabel("follow").check();
 await page.waitForTimeout(100);
 seen.drawn = await page.evaluate(() => {

@@ -1,0 +1,369 @@
+"""A live scenario: control steps at the pace of the clock, commands of a person or a policy, and the way back.
+
+Steps are those of ``learning.Recorder``, in the same programs, so a drive that is simulated again from its commands is
+equal to the byte. The last states are kept: one can return to a moment and go on from there.
+"""
+
+from __future__ import annotations
+
+import collections
+import dataclasses
+import functools
+import math
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple, cast
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import PyTree
+
+from sean_jax import assembly, episodes, prng, replay, sensors, worlds
+from sean_jax import scenario as scenarios
+from sean_jax.base import Array, Policy, Scenario, State, Trajectory
+from sean_jax.config import StudioConfig
+from sean_jax.errors import InputError
+from sean_jax.graph import graph_of
+from sean_jax.learning import load_policy
+from sean_jax.learning.collection import begin_episode
+from sean_jax.robots.drive import max_reverse_speed
+from sean_jax.studio.editor import Editor, same_shapes
+from sean_jax.studio.trial import Trial
+
+MEMORY = 120.0  # s, for which one can return
+DEAD_MAN = 0.5  # s without a command after which the robot brakes
+SPEEDS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0)  # times the clock
+SHADE = 4.0  # m, after which a picture of depth is darker by a factor of e
+LAG = 0.5  # s behind the clock from which on the clock waits
+
+
+class Moment(NamedTuple):
+    """The state after a step."""
+
+    state: State
+    memory: PyTree  # of the policy
+
+
+@jax.jit
+def _command(scenario: Scenario, policy: Policy, state: State, memory: PyTree) -> tuple[Array, PyTree]:
+    key = jax.random.fold_in(state.streams.policy, state.tick)
+    return episodes.command(scenario, policy, dataclasses.replace(state, policy_state=memory), key)
+
+
+@functools.partial(jax.jit, static_argnums=2)
+def _picture(scenario: Scenario, state: State, camera: sensors.Camera) -> Array:
+    if camera.name != "depth":
+        return jnp.round(255.0 * jnp.clip(sensors.render(scenario, state, camera).rgb, 0.0, 1.0)).astype(jnp.uint8)
+    near = jnp.exp(-sensors.depth(scenario, state, camera) / SHADE)
+    return jnp.broadcast_to(jnp.round(255.0 * near).astype(jnp.uint8)[..., None], (camera.height, camera.width, 3))
+
+
+class Session:
+    """An episode that a person or a policy drives. Methods may be called from any thread."""
+
+    send: Callable[[str, Any], None]
+    """Called with a kind of news and its content: ``frames``, the number of the first one and the frames; ``cut``, the
+    number of frames that remain; ``status``; ``graph``."""
+
+    def __init__(self, config: StudioConfig):
+        """Build the scenario and compile its programs.
+
+        Raises:
+            InputError: one sentence that names the value and the cure.
+        """
+        self.config, self.send = config, lambda kind, content: None
+        self.scenario = assembly.build(config)[0]
+        self.policy = load_policy(config.policy, self.scenario)
+        robot = self.scenario.robot
+        self.limits = float(robot.max_speed), float(max_reverse_speed(robot)), float(robot.max_turn_rate)
+        self.playing, self.human, self.speed, self.number = False, False, 1.0, 0
+        self.trial: Trial | None = None
+        self.editor: Editor | None = None
+        self.slowdown = 1.0  # of the clock
+        self._lock = threading.RLock()
+        self._wake = threading.Condition(self._lock)
+        self._closed, self._single = False, 0
+        self._latest = np.zeros(2), -np.inf  # the person's latest command, and its time
+        self._begin, self._step, self._frame = jax.jit(begin_episode), jax.jit(scenarios.step), jax.jit(scenarios.frame)
+        self._results = jax.jit(scenarios.results)
+        self._init = jax.jit(lambda scenario, policy, state: episodes.init_policy(scenario, policy, state).policy_state)
+        self.restart(0)
+        self._advance(np.zeros(2))  # compile
+        self._advance(None)
+        self.restart(0)
+
+    # ------------------------------------------------------------------ what clients ask for
+
+    def restart(self, number: int) -> None:
+        """Begin the episode of a number."""
+        with self._lock:
+            self.end_trial()
+            state, _ = self._begin(self.scenario, self._key(number))
+            self.number, self.commands, self.frames = number, list[tuple[float, float]](), list[Trajectory]()
+            self.by_person = list[bool]()  # who gave each command
+            first = Moment(state, self._init(self.scenario, self.policy, state))
+            keep = 1 + round(MEMORY / self.scenario.time_step)
+            self.moments: collections.deque[Moment] = collections.deque([first], maxlen=keep)
+            still = self._frame(state, state, jnp.zeros(2, float))
+            self.frames.append(jax.tree.map(np.asarray, still))
+            self.send("cut", 0)
+            self.send("frames", (0, self.frames[:]))
+            self._send_status()
+
+    def play(self, on: bool) -> None:
+        """Let time pass, or not."""
+        with self._wake:
+            self.playing = on and not self.over
+            self._wake.notify()
+            self._send_status()
+
+    def step(self) -> None:
+        """One control step, while time does not pass."""
+        with self._wake:
+            self._single += not (self.playing or self.over)
+            self._wake.notify()
+
+    def set_speed(self, speed: float) -> None:
+        """Speed of time, in times of the clock."""
+        with self._wake:
+            self.speed = min(max(speed, SPEEDS[0]), SPEEDS[-1])
+            self._wake.notify()
+            self._send_status()
+
+    def drive(self, on: bool) -> None:
+        """A person drives, or the policy, which then begins with a new memory."""
+        with self._lock:
+            if self.human and not on:
+                state = self.moments[-1].state
+                memory = self._init(self.scenario, self.policy, state)
+                self.moments[-1] = Moment(state, memory)
+            self.human = on
+            self._latest = np.zeros(2), -np.inf
+            self._send_status()
+
+    def command(self, ahead: float, left: float) -> None:
+        """The person's command, from -1 to 1 of the robot's limits each; it holds for ``DEAD_MAN``."""
+        forward, backward, turn = self.limits
+        speed = ahead * (forward if ahead >= 0.0 else backward)
+        self._latest = np.array([speed, left * turn]), time.monotonic()  # at once: a step may hold the lock
+
+    def rewind(self, tick: int) -> int:
+        """Return to the moment after ``tick`` steps, or to the first that is kept; the later ones are gone."""
+        with self._lock:
+            now = len(self.commands)
+            tick = min(max(tick, now + 1 - len(self.moments)), now)
+            for _ in range(now - tick):
+                self.moments.pop()
+            del self.commands[tick:], self.by_person[tick:], self.frames[tick + 1 :]
+            if self.trial is not None:
+                self.trial.rewind(tick)
+            self.playing = False
+            self.send("cut", tick + 1)
+            self._send_status()
+            return tick
+
+    def record(self) -> None:
+        """Record this drive: from now on each second is on disk.
+
+        Raises:
+            InputError: there is no folder for it.
+        """
+        with self._lock:
+            if self.config.record is None:
+                raise InputError("record: there is no folder for drives; start the studio with --record FOLDER.")
+            if self.editor is not None and self.editor.changed:
+                raise InputError("record: the graph has changes that are not saved; save or undo them.")
+            if self.trial is None:
+                self.trial = Trial.begin(self.config, self.number)
+                self.trial.add(self.commands)
+            self._send_status()
+
+    def end_trial(self) -> Path | None:
+        """End the recording; its file, if there was one."""
+        with self._lock:
+            trial, self.trial = self.trial, None
+            if trial is None:
+                return None
+            trial.end(self.outcome)
+            self._send_status()
+            return trial.file
+
+    # ------------------------------------------------------------------ the graph
+
+    def edit(self, change: Mapping[str, Any] | None) -> None:
+        """Change the Behavior Graph, or take the latest change back; people go on with it.
+
+        Raises:
+            InputError: there is no graph, or the change has a mistake.
+        """
+        editor = self._editor()
+        with self._lock:
+            if self.trial is not None:
+                raise InputError("edit: this drive is recorded on the graph as it is; stop the recording first.")
+            before = self.scenario
+        made = editor.undo(self.config, before) if change is None else editor.change(change, self.config, before)
+        with self._lock:
+            self.scenario = dataclasses.replace(before, behavior=made)
+            self.send("graph", self.graph())
+            if not same_shapes(before.behavior.data, made.data):  # such as another capacity: other seats
+                self.restart(self.number)
+
+    def save(self) -> None:
+        """Write the graph to the environment's file, and begin the episode anew on it.
+
+        Raises:
+            InputError: it is a file of the package, or has changed meanwhile.
+        """
+        self._editor().save()
+        with self._lock:
+            self.scenario = assembly.build(self.config)[0]
+            self.send("graph", self.graph())
+            self.restart(self.number)
+
+    def graph(self) -> dict[str, Any]:
+        """The graph as the page draws it, its nodes as in the file, and what is not saved."""
+        graph = graph_of(self.scenario)
+        assert graph is not None
+        numbers = {name: np.asarray(getattr(graph, name)).tolist() for name in ("spawn", "weight", "capacity", "stay")}
+        difference = "" if self.editor is None else self.editor.difference()
+        return {"graph": replay.graph_of_page(graph), "numbers": numbers, "difference": difference}
+
+    def _editor(self) -> Editor:
+        if graph_of(self.scenario) is None:
+            raise InputError(f"edit: behavior '{self.scenario.behavior.name}' has no graph.")
+        if self.editor is None:
+            self.editor = Editor(worlds.find(self.config.environment)[0])
+        return self.editor
+
+    # ------------------------------------------------------------------ time
+
+    @property
+    def state(self) -> State:
+        """After the latest step."""
+        return self.moments[-1].state
+
+    @property
+    def over(self) -> bool:
+        """Whether the episode has ended."""
+        return bool(self.state.completed) or bool(self.state.timed_out)
+
+    @property
+    def outcome(self) -> str:
+        """Of the episode: completed, timed out, or nothing yet."""
+        if bool(self.state.completed):
+            return "completed"
+        return "timed out" if bool(self.state.timed_out) else ""
+
+    def status(self) -> dict[str, Any]:
+        """What the page shows beside the frames."""
+        with self._lock:
+            return {
+                "playing": self.playing,
+                "human": self.human,
+                "speed": self.speed,
+                "slowdown": round(self.slowdown, 2),
+                "episode": self.number,
+                "tick": len(self.commands),
+                "first": len(self.commands) + 1 - len(self.moments),
+                "outcome": self.outcome,
+                "recording": self.trial is not None,
+            }
+
+    def picture(self, name: str, width: int, height: int) -> np.ndarray:
+        """What a camera of the robot sees now, (height, width, 3) bytes; of ``depth``, near is bright."""
+        with self._lock:
+            state = self.state
+        return np.asarray(
+            _picture(self.scenario, state, sensors.camera(self.scenario, name, width=width, height=height))
+        )
+
+    def baselines(self, names: Sequence[str]) -> Iterator[tuple[str, dict[str, float]]]:
+        """The metrics of this episode, then those of policies in the same one; empty if another episode begins."""
+        with self._lock:
+            number, state, scenario = self.number, self.state, self.scenario
+            driver = "you" if any(self.by_person) else self.policy.name
+        yield driver, self._summary(scenario, state)
+        for name in names:
+            policy = load_policy(name, scenario)
+            state, _ = self._begin(scenario, self._key(number))
+            memory = self._init(scenario, policy, state)
+            while not (bool(state.completed) or bool(state.timed_out)):
+                if self.number != number or self._closed:
+                    return
+                action, memory = _command(scenario, policy, state, memory)
+                state = self._step(scenario, state, action)
+            yield name, self._summary(scenario, state)
+
+    def _summary(self, scenario: Scenario, state: State) -> dict[str, float]:
+        """The overall metrics of an episode, those that are numbers, and its seconds."""
+        values = {name: float(np.ravel(value)[0]) for name, value in self._results(scenario, state).items()}
+        seconds = int(state.tick) * scenario.time_step
+        known = {"completed": float(state.completed), "seconds": seconds}
+        return known | {name: value for name, value in values.items() if math.isfinite(value)}
+
+    def _key(self, number: int) -> Array:
+        return jax.random.fold_in(prng.key("record", self.config.seed), jnp.uint32(number))
+
+    def run(self) -> None:
+        """Let time pass until ``close``; for a thread of its own."""
+        due, sent = time.monotonic(), 0.0
+        while True:
+            with self._wake:
+                while not (self._closed or self.playing or self._single):
+                    self._wake.wait()
+                    due = time.monotonic()
+                if self._closed:
+                    self.end_trial()
+                    return
+                wait = due - time.monotonic() if self.playing else 0.0
+                if wait > 0.0:
+                    self._wake.wait(wait)  # a change of speed, or a pause, ends it
+                    continue
+                self._single -= bool(self._single)
+                command, received = self._latest
+                command = command if time.monotonic() - received < DEAD_MAN else np.zeros(2)
+                self._advance(command if self.human else None)
+                due += self.scenario.time_step / self.speed
+                late = time.monotonic() - due
+                self.slowdown = 0.9 * self.slowdown + 0.1 * (
+                    1.0 + max(0.0, late) * self.speed / self.scenario.time_step
+                )
+                if late > LAG:
+                    due = time.monotonic()
+                if self.over:
+                    self.playing = False
+                    self.end_trial()
+                if self.over or time.monotonic() - sent > 0.5:
+                    sent = time.monotonic()
+                    self._send_status()
+
+    def close(self) -> None:
+        """End ``run``."""
+        with self._wake:
+            self._closed = True
+            self._wake.notify()
+
+    def _advance(self, command: np.ndarray | None) -> None:
+        """One control step, by a person's command or by the policy's."""
+        before, memory = self.moments[-1]
+        if command is None:
+            action, memory = _command(self.scenario, self.policy, before, memory)
+        else:
+            action = jnp.asarray(command, float)
+        after = self._step(self.scenario, before, action)
+        frame = jax.tree.map(np.asarray, self._frame(before, after, action))
+        self.moments.append(Moment(after, memory))
+        self.frames.append(frame)
+        pair = cast(tuple[float, float], tuple(np.asarray(action, np.float64).tolist()))
+        self.commands.append(pair)
+        self.by_person.append(command is not None)
+        if self.trial is not None:
+            self.trial.add([pair])
+        self.send("frames", (len(self.frames) - 1, [frame]))
+
+    def _send_status(self) -> None:
+        if hasattr(self, "moments"):
+            self.send("status", self.status())

@@ -1,0 +1,636 @@
+"""``sean studio``: drives are simulated again to the byte, the server is for this computer alone, Chromium drives."""
+
+import asyncio
+import contextlib
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+import urllib.error
+import urllib.request
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+
+from sean_jax import assembly, learning, pages
+from sean_jax.config import StudioConfig, validate
+from sean_jax.errors import FileError, InputError
+from sean_jax.learning import Recorder
+from sean_jax.studio import editor, server, trial
+from sean_jax.studio.server import Studio
+from sean_jax.studio.session import DEAD_MAN, Session
+
+pytest.importorskip("websockets")
+pytest.importorskip("ruamel.yaml")
+from websockets.asyncio.client import connect  # noqa: E402
+from websockets.exceptions import ConnectionClosed, InvalidStatus  # noqa: E402
+
+WEB = Path(__file__).parent.parent / "web"
+CHROMIUM = next((found for name in ("chromium", "google-chrome") if (found := shutil.which(name))), None)
+OPTIONS = {"environment": "lab", "people": 3, "time_limit": 20.0, "warm_up": 1.0}
+
+
+@pytest.fixture(scope="module")
+def session():
+    """A session whose time passes in a thread."""
+    made = Session(validate(StudioConfig, OPTIONS))
+    thread = threading.Thread(target=made.run, daemon=True)
+    thread.start()
+    yield made
+    made.close()
+    thread.join(10)
+    assert not thread.is_alive()
+
+
+@pytest.fixture
+def fresh(session, tmp_path):
+    """The session at the beginning of episode 0, with a folder for drives."""
+    session.config = session.config.replace(record=tmp_path / "drives")
+    session.play(False)
+    session.drive(False)
+    session.restart(0)
+    session.set_speed(16.0)
+    yield session
+    session.play(False)
+    session.end_trial()
+
+
+def wait(condition, seconds=20.0):
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "it does not happen"
+        time.sleep(0.005)
+
+
+def drive(session, steps, ahead, left):
+    """Let a person drive for at least so many steps."""
+    session.drive(True)
+    until = len(session.commands) + steps
+    session.command(ahead, left)
+    session.play(True)
+    while len(session.commands) < until and not session.over:
+        session.command(ahead, left)
+        time.sleep(0.005)
+    session.play(False)
+
+
+def equal(one, other):
+    leaves = zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True)
+    return all(np.array_equal(np.asarray(a), np.asarray(b), equal_nan=True) for a, b in leaves if a.dtype.kind == "f")
+
+
+# ------------------------------------------------------------------ a session
+
+
+def test_a_drive_is_simulated_again_to_the_byte(fresh, tmp_path):
+    """Also one that returned to an earlier moment, in which person and policy take turns."""
+    fresh.record()
+    drive(fresh, 12, 1.0, 0.3)
+    fresh.drive(False)
+    fresh.play(True)
+    wait(lambda: len(fresh.commands) >= 30)
+    fresh.play(False)
+    fresh.rewind(7)
+    assert len(fresh.commands) == 7 and len(fresh.frames) == 8 and int(fresh.state.tick) == 7
+    drive(fresh, 15, -0.5, 1.0)
+    state, commands = fresh.state, list(fresh.commands)
+    file = fresh.end_trial()
+    head, again, outcome = trial.read(file)
+    assert outcome == trial.STOPPED and head["episode"] == 0
+    np.testing.assert_array_equal(again, commands)
+    recorder = Recorder(tmp_path / "again", fresh.scenario, seed=0)
+    repeated = trial.replay(recorder, 0, again)
+    assert equal(repeated.robot, state.robot) and equal(repeated.pedestrians, state.pedestrians)
+
+
+def test_a_person_has_the_robots_limits_and_a_dead_man_switch(fresh):
+    forward, backward, turn = fresh.limits
+    drive(fresh, 8, 1.0, -1.0)
+    assert fresh.commands[-1] == pytest.approx((forward, -turn)) and all(fresh.by_person)
+    drive(fresh, 4, -1.0, 0.0)
+    assert fresh.commands[-1] == pytest.approx((-backward, 0.0))
+    fresh.play(True)
+    time.sleep(DEAD_MAN + 0.3)
+    fresh.play(False)
+    assert fresh.commands[-1] == (0.0, 0.0)
+
+
+def test_one_step_at_a_time_and_no_further_than_memory(fresh, monkeypatch):
+    for number in range(1, 4):
+        fresh.step()
+        wait(lambda number=number: len(fresh.commands) == number)
+    time.sleep(0.1)
+    assert len(fresh.commands) == 3 and not any(fresh.by_person)
+    fresh.moments.popleft()  # as if it had been longer ago than MEMORY
+    assert fresh.rewind(0) == 1 and fresh.status()["first"] == 1
+    assert fresh.rewind(99) == 1
+
+
+def test_time_passes_as_fast_as_asked(fresh):
+    """Real time, and four times that, on a busy machine never faster."""
+    for speed in (1.0, 4.0):
+        fresh.restart(0)
+        fresh.set_speed(speed)
+        began = time.monotonic()
+        fresh.play(True)
+        time.sleep(1.0)
+        fresh.play(False)
+        simulated = len(fresh.commands) * fresh.scenario.time_step
+        assert 0.3 < simulated <= speed * (time.monotonic() - began) + 2 * fresh.scenario.time_step
+
+
+def test_an_episode_ends_and_is_compared_with_policies(fresh):
+    fresh.play(True)
+    wait(lambda: fresh.over, 60.0)
+    assert fresh.outcome in ("completed", "timed out")
+    wait(lambda: not fresh.status()["playing"])
+    length = len(fresh.commands)
+    fresh.play(True)
+    time.sleep(0.1)
+    assert len(fresh.commands) == length and not fresh.status()["playing"]
+    cards = dict(fresh.baselines(["go_to_goal"]))
+    mine = next(iter(cards.values()))
+    assert list(cards) == ["go_to_goal"]  # the policy drove, and is its own baseline
+    assert mine["seconds"] == pytest.approx(length * fresh.scenario.time_step)
+    assert {"completed", "path_length", "intimate_robot_on_person"} <= set(mine)
+
+
+def test_pictures_of_the_robots_cameras(fresh):
+    for name in server.VIEWS:
+        picture = fresh.picture(name, 32, 24)
+        assert picture.shape == (24, 32, 3) and picture.dtype == np.uint8 and np.ptp(picture) > 20
+
+
+# ------------------------------------------------------------------ trials
+
+
+def test_trials_become_demonstrations(fresh, tmp_path):
+    """Each once, also those of a later session; one without a step leaves no file."""
+    folder = fresh.config.record
+    for number in range(2):
+        fresh.restart(number)
+        fresh.record()
+        drive(fresh, 25, 0.8, 0.2)
+        fresh.end_trial()
+    fresh.restart(2)
+    fresh.record()
+    assert fresh.status()["recording"]
+    fresh.end_trial()
+    assert len(list((folder / trial.TRIALS).iterdir())) == 2
+    data = trial.demonstrations(folder)
+    assert len(data.episodes) == 2 and data.example_count >= 2 * 2
+    assert len(trial.demonstrations(folder).episodes) == 2
+    fresh.restart(2)
+    fresh.record()
+    drive(fresh, 12, 0.8, -0.2)
+    fresh.end_trial()
+    assert len(trial.demonstrations(folder).episodes) == 3
+    assert trial.demonstrations(tmp_path / "none") is None
+
+
+def test_a_folder_has_drives_of_the_same_options(fresh):
+    fresh.record()
+    drive(fresh, 3, 1.0, 0.0)
+    fresh.end_trial()
+    other = fresh.config.replace(people=5)
+    with pytest.raises(InputError, match="record: .* has drives with people 3, not 5; choose another folder"):
+        trial.Trial.begin(other, 0)
+    fresh.config = fresh.config.replace(record=None)
+    with pytest.raises(InputError, match="start the studio with --record FOLDER"):
+        fresh.record()
+
+
+@pytest.mark.parametrize("cut", range(0, 60, 7))
+def test_a_killed_trial_ends_after_its_last_whole_second(tmp_path, cut):
+    config = validate(StudioConfig, OPTIONS).replace(record=tmp_path)
+    killed = trial.Trial.begin(config, 4)
+    rows = [(0.1 * step, -0.2) for step in range(37)]
+    killed.add(rows)
+    killed._stream.close()
+    whole = killed.file.read_bytes()
+    head = whole.index(b"\n") + 1
+    killed.file.write_bytes(whole[: max(head, len(whole) - cut)])
+    seconds = killed.file.read_bytes().count(b"\n") - 1
+    recovered = trial.recover(tmp_path)
+    if seconds == 0:
+        assert recovered == [] and not killed.file.exists()
+        return
+    told, commands, outcome = trial.read(killed.file)
+    assert recovered == [killed.file] and outcome == trial.STOPPED and told["episode"] == 4
+    np.testing.assert_array_equal(commands, rows[: 10 * seconds])
+    assert trial.recover(tmp_path) == []
+
+
+@pytest.mark.parametrize("text", ["nonsense\n", '{"version": 2}\n', "[1]\n", "", '{"commands": [[1, 2]]}\n'])
+def test_files_that_are_no_trials_are_refused(tmp_path, text):
+    file = tmp_path / "000000.jsonl"
+    file.write_text(text)
+    with pytest.raises(FileError, match="000000.jsonl"):
+        trial.read(file)
+
+
+# ------------------------------------------------------------------ the server
+
+
+@pytest.fixture
+def served(fresh, monkeypatch):
+    """The studio of the session, in a thread of its own: its address and token."""
+    monkeypatch.setattr(server, "Session", lambda config: fresh)
+    monkeypatch.setattr(Studio, "close", lambda self: None)  # the session goes on for other tests
+    monkeypatch.setattr(fresh, "run", lambda: None)  # in its thread already
+    studio = Studio(fresh.config, "<p>the page</p>")
+    ready = threading.Event()
+
+    def serve():
+        with contextlib.suppress(asyncio.CancelledError):
+            loop.run_until_complete(task)
+
+    loop = asyncio.new_event_loop()
+    task = loop.create_task(studio.run(0, ready.set))
+    thread = threading.Thread(target=serve, daemon=True)
+    thread.start()
+    assert ready.wait(10)
+    yield studio
+    loop.call_soon_threadsafe(task.cancel)
+    thread.join(10)
+    fresh.send = lambda kind, content: None
+
+
+def get(address, **headers):
+    try:
+        with urllib.request.urlopen(urllib.request.Request(address, headers=headers), timeout=5) as answer:
+            return answer.status, answer.read().decode()
+    except urllib.error.HTTPError as error:
+        return error.code, error.read().decode()
+
+
+def socket_of(studio, token=None, origin=None, path="socket"):
+    address = f"ws://127.0.0.1:{studio.port}/{path}?token={token or studio.token}"
+    return connect(address, origin=origin or f"http://127.0.0.1:{studio.port}", compression=None)
+
+
+async def until(tab, kind):
+    """The next message of a kind; frames are decoded no further than their head."""
+    while True:
+        message = await asyncio.wait_for(tab.recv(), 60)
+        if isinstance(message, bytes):
+            length = int.from_bytes(message[:4], "little")
+            news = json.loads(message[4 : 4 + length]) | {"bytes": message[4 + length :]}
+        else:
+            news = json.loads(message)
+        if news["kind"] == kind:
+            return news
+
+
+def test_the_page_is_for_this_computer_and_for_the_token(served):
+    base = f"http://127.0.0.1:{served.port}"
+    assert get(served.url) == (200, "<p>the page</p>")
+    assert get(base + "/")[0] == get(base + "/?token=no")[0] == 403
+    assert get(served.url, Host="evil.example")[0] == 403
+    assert get(f"{base}/other?token={served.token}")[0] == 404
+
+
+def test_a_socket_is_for_the_page_alone(served):
+    async def refused(**options):
+        with pytest.raises(InvalidStatus) as raised:
+            await socket_of(served, **options).__aenter__()
+        return raised.value.response.status_code
+
+    async def all_of_them():
+        assert await refused(token="no") == 403
+        assert await refused(origin="http://evil.example") == 403
+        assert await refused(path="other") == 404
+
+    asyncio.run(all_of_them())
+
+
+def test_tabs_see_the_same_and_one_drives(served, fresh):
+    async def go():
+        async with socket_of(served) as one, socket_of(served) as two:
+            for tab in one, two:
+                assert (await until(tab, "hello"))["record"]
+                assert (await until(tab, "frames"))["frames"] == 1
+            await one.send(json.dumps({"do": "drive", "on": True}))
+            await one.send(json.dumps({"do": "play", "on": True}))
+            await one.send(json.dumps({"do": "command", "ahead": 1.0, "left": 5}))
+            for tab in one, two:
+                news = await until(tab, "frames")
+                assert news["first"] >= 1 and len(news["bytes"]) % 2 == 0
+            await two.send(json.dumps({"do": "rewind", "tick": 0}))
+            assert "another tab drives" in (await until(two, "error"))["content"]
+            for bad in ("x", "[]", "{}", '{"do": 3}', '{"do": "fly"}', '{"do": "command", "ahead": "fast"}',
+                        '{"do": "speed", "speed": NaN}', '{"do": "rewind"}', b"\x00"):  # fmt: skip
+                await one.send(bad)
+                assert (await until(one, "error"))["content"]
+            assert fresh.commands and abs(fresh.commands[-1][1]) <= fresh.limits[2]
+        for _ in range(100):  # the driver's tab is closed: time stands still, and another may drive
+            if not fresh.playing:
+                break
+            await asyncio.sleep(0.02)
+        assert not fresh.playing
+        length = len(fresh.commands)
+        async with socket_of(served) as three:
+            assert (await until(three, "frames"))["frames"] == length + 1
+            await three.send(json.dumps({"do": "step"}))
+            assert (await until(three, "frames"))["first"] == length + 1
+
+    asyncio.run(go())
+
+
+def test_large_messages_and_many_tabs_hurt_nobody(served):
+    async def go():
+        async with socket_of(served) as good:
+            await until(good, "hello")
+            async with socket_of(served) as bad:
+                await bad.send("x" * 1_000_000)
+                with pytest.raises(ConnectionClosed):
+                    while True:
+                        await asyncio.wait_for(bad.recv(), 10)
+            async with contextlib.AsyncExitStack() as stack:
+                refused = 0
+                for _ in range(100):
+                    try:
+                        await stack.enter_async_context(socket_of(served))
+                    except InvalidStatus as error:
+                        assert error.response.status_code == 503
+                        refused += 1
+                assert refused == 100 - server.CONNECTIONS + 1
+                await good.send(json.dumps({"do": "step"}))
+                assert (await until(good, "frames"))["frames"] == 1
+        await asyncio.sleep(0.1)
+        async with socket_of(served) as last:
+            await until(last, "hello")
+
+    asyncio.run(go())
+
+
+def test_a_tab_gets_pictures_while_it_shows_them(served):
+    async def go():
+        async with socket_of(served) as tab:
+            await tab.send(json.dumps({"do": "view", "name": "depth"}))
+            news = await until(tab, "picture")
+            width, height = server.VIEWS["depth"]
+            assert len(news["bytes"]) == width * height * 3 and (news["width"], news["height"]) == (width, height)
+            await tab.send(json.dumps({"do": "view", "name": "none"}))
+
+    asyncio.run(go())
+
+
+# ------------------------------------------------------------------ the command
+
+
+def start(folder, *more, environment="lab"):
+    """`sean studio` in a process of its own, and the address that it prints."""
+    words = ["studio", "--environment", environment, "--people", "3", "--record", "drives", *more]
+    process = subprocess.Popen([sys.executable, "-u", "-m", "sean_jax", *words], cwd=folder, stdout=subprocess.PIPE,
+                               stderr=subprocess.STDOUT, text=True, env=os.environ)  # fmt: skip
+    line = ""
+    while not (found := re.search(r"http://\S+", line)):
+        line = process.stdout.readline()
+        assert line, "it ended"
+    return process, found.group()
+
+
+async def record_one(address, steps):
+    port, token = re.search(r":(\d+)/\?token=(\S+)", address).groups()
+    async with connect(f"ws://127.0.0.1:{port}/socket?token={token}", origin=f"http://127.0.0.1:{port}") as tab:
+        first = (await until(tab, "status"))["content"]
+        await asyncio.sleep(0.3)  # until the server has noticed that the tab before is closed
+        await tab.send(json.dumps({"do": "episode", "episode": first["episode"] + bool(first["tick"])}))
+        await until(tab, "cut")
+        for request in ({"do": "record", "on": True}, {"do": "drive", "on": True}, {"do": "speed", "speed": 16},
+                        {"do": "play", "on": True}):  # fmt: skip
+            await tab.send(json.dumps(request))
+        while True:
+            await tab.send(json.dumps({"do": "command", "ahead": 0.5, "left": 0.1}))
+            news = await until(tab, "frames")
+            if news["first"] >= steps:
+                return tab
+
+
+@pytest.mark.slow
+def test_a_killed_studio_loses_one_second_and_no_finished_drive(tmp_path):
+    process, address = start(tmp_path)
+    for _ in range(2):
+        asyncio.run(record_one(address, 30))
+    asyncio.run(record_one(address, 45))
+    process.kill()
+    process.wait(10)
+    trials = sorted((tmp_path / "drives" / trial.TRIALS).iterdir())
+    lengths = [len(trial.read(file)[1]) for file in trials]
+    assert len(trials) == 3 and min(lengths[:2]) >= 30 and lengths[2] >= 36
+    process, _ = start(tmp_path)
+    process.send_signal(signal.SIGTERM)
+    output, _ = process.communicate(timeout=120)
+    assert process.returncode == 0 and "3 demonstrations: drives/demonstrations" in " ".join(output.split()), output
+    data = learning.open_dataset(tmp_path / "drives" / trial.DATASET)
+    assert len(data.episodes) == 3
+
+
+@pytest.mark.slow
+def test_another_scenario_is_opened(tmp_path):
+    """All tabs get it; one that is refused leaves the present one as it is."""
+    process, address = start(tmp_path)
+    port, token = re.search(r":(\d+)/\?token=(\S+)", address).groups()
+
+    async def go():
+        def tab():
+            return connect(f"ws://127.0.0.1:{port}/socket?token={token}", origin=f"http://127.0.0.1:{port}")
+
+        async with tab() as one, tab() as two:
+            first = await until(one, "hello")
+            assert (
+                first["options"]["environment"] == "lab"
+                and first["options"]["environment"] in first["choices"]["environment"]
+            )
+            await until(two, "hello")
+            for options, message in [
+                ({"behavior": "handcrafted", "task": "join_group"}, "needs groups"),
+                ({"people": -1}, "people"),
+                ({"policy": "nobody"}, "nobody"),
+                ({"record": "/tmp"}, "options that the page does not have"),
+                (3, "options that the page does not have"),
+            ]:
+                await one.send(json.dumps({"do": "open", "options": options}))
+                assert message in (await until(one, "error"))["content"]
+            await one.send(json.dumps({"do": "step"}))
+            assert (await until(one, "frames"))["first"] <= 1
+            await one.send(
+                json.dumps(
+                    {"do": "open", "options": {"robot": "jackal", "behavior": "random", "task": "", "people": 2}}
+                )
+            )
+            for each in one, two:
+                hello = await asyncio.wait_for(until(each, "hello"), 60)
+                assert hello["recording"]["robot"]["name"] == "jackal" and "--robot jackal" in hello["command"]
+                assert (await until(each, "frames"))["frames"] == 1
+                assert (await until(each, "status"))["content"]["tick"] == 0
+
+    asyncio.run(go())
+    process.terminate()
+    process.communicate(timeout=60)
+    assert process.returncode == 0
+
+
+@pytest.mark.slow
+def test_a_taken_port_is_refused(tmp_path):
+    process, address = start(tmp_path)
+    port = re.search(r":(\d+)/", address).group(1)
+    words = ["studio", "--environment", "lab", "--people", "3", "--port", port]
+    done = subprocess.run(
+        [sys.executable, "-m", "sean_jax", *words], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    process.terminate()
+    process.wait(60)
+    assert done.returncode == 2 and f"port: {port} of 127.0.0.1 is not free (Address already in use)" in done.stderr, (
+        done.stderr
+    )
+
+
+@pytest.mark.slow
+def test_a_browser_drives(tmp_path):
+    """Keys, a rewind, a take-over and two recorded drives in Chromium; the drives train a network."""
+    if CHROMIUM is None or not (WEB / "node_modules" / "playwright-core").is_dir():
+        pytest.skip("there is no Chromium, or web/node_modules is not there")
+    process, address = start(tmp_path)
+    try:
+        done = subprocess.run(["node", "test/studio.mjs", address, CHROMIUM, str(tmp_path)], cwd=WEB, timeout=300,
+                              capture_output=True, text=True, check=False)  # fmt: skip
+    finally:
+        process.terminate()
+        output, _ = process.communicate(timeout=120)
+    assert done.returncode == 0, done.stderr[-3000:]
+    seen = json.loads(done.stdout)
+    assert seen["errors"] == [] and set(seen["hosts"]) == {address.split("/")[2]}
+    assert seen["outcomes"] == ["completed", "completed"] and seen["cards"] == ["you", "go_to_goal", "expert"]
+    assert seen["gamepad"] > 0.1 and seen["rewound"] < seen["before"] and seen["picture"] == "third_person"
+    assert "2 demonstrations" in " ".join(output.split())
+    words = ["train", "imitation", "drives/demonstrations", "--epochs", "1", "--out", "network", "--quiet"]
+    subprocess.run([sys.executable, "-m", "sean_jax", *words], cwd=tmp_path, check=True)
+
+
+@pytest.mark.slow
+def test_a_browser_edits_the_graph(tmp_path):
+    """A node is dragged, an edge clicked, a number typed, a mistake refused, a change undone; comments are kept."""
+    if CHROMIUM is None or not (WEB / "node_modules" / "playwright-core").is_dir():
+        pytest.skip("there is no Chromium, or web/node_modules is not there")
+    before = (Path(__file__).parent.parent / "envs" / "lab" / "graph.yaml").read_text()
+    shutil.copytree(Path(__file__).parent.parent / "envs" / "lab", tmp_path / "mine")
+    process, address = start(tmp_path, environment="mine")
+    try:
+        words = ["node", "test/axe.mjs", address, CHROMIUM]
+        assert json.loads(subprocess.run(words, cwd=WEB, timeout=120, capture_output=True, check=True).stdout) == []
+        done = subprocess.run(["node", "test/edit.mjs", address, CHROMIUM, str(tmp_path)], cwd=WEB, timeout=300,
+                              capture_output=True, text=True, check=False)  # fmt: skip
+    finally:
+        process.terminate()
+        process.communicate(timeout=120)
+    assert done.returncode == 0, done.stderr[-3000:]
+    seen = json.loads(done.stdout)
+    assert seen["errors"] == [] and seen["after"] > seen["before"] > 0
+    assert re.match(r"graph.yaml:\d+:\d+: nodes.door.position: .* is inside an obstacle", seen["note"])
+    after = (tmp_path / "mine" / "graph.yaml").read_text()
+    other = [(old, new) for old, new in zip(before.split("\n"), after.split("\n"), strict=True) if old != new]
+    assert len(other) == 2 and "position: [-2.5, -0.5], radius: 1," in other[0][1] and "flow: high" in other[1][1]
+
+
+def test_the_page_has_its_program():
+    assert (pages.PACKAGE / "studio" / "page.js").stat().st_size < 60_000
+    assert assembly.build(validate(StudioConfig, OPTIONS))[0].warm_up == 1.0
+
+
+# ------------------------------------------------------------------ the graph
+
+
+@pytest.fixture(scope="module")
+def edited(tmp_path_factory):
+    """A session on a copy of the lab whose time stands still, with three people."""
+    folder = tmp_path_factory.mktemp("edited") / "mine"
+    shutil.copytree(Path(__file__).parent.parent / "envs" / "lab", folder)
+    options = OPTIONS | {"environment": str(folder), "warm_up": 0.0, "record": str(folder.parent / "drives")}
+    return Session(validate(StudioConfig, options))
+
+
+GOOD = [
+    {"node": "door", "position": [-2.9, -0.7004]},
+    {"node": "door", "radius": 0.8},
+    {"node": "meeting", "stay": [2, 3.5]},
+    {"edge": ["corner", "door"], "flow": "high"},
+    {"edge": ["corner", "door"], "flow": None},
+]
+BAD = [
+    ({"node": "door", "position": [-6.0, -2.9]}, r"graph.yaml:\d+:\d+: nodes.door.position: .* is inside an obstacle"),
+    ({"node": "door", "radius": -1}, "radius"),
+    ({"node": "door", "radius": "wide"}, "radius: 'wide' is no number"),
+    ({"node": "door", "position": [1.0]}, "position has two numbers"),
+    ({"node": "door", "stay": [1, 2]}, "door has no stay"),
+    ({"node": "door", "id": 3}, "'id' of a node is not for the page"),
+    ({"node": "nobody", "radius": 1}, "there is no node 'nobody'"),
+    ({"edge": ["door", "corner"], "flow": "fast"}, "'fast' is not one of"),
+    ({"edge": ["door"], "flow": "low"}, "are no two nodes"),
+    ({}, "it names no node and no edge"),
+]
+
+
+def test_a_changed_text_keeps_comments_and_layout():
+    text = (Path(__file__).parent.parent / "envs" / "lab" / "graph.yaml").read_text()
+    for change in GOOD:
+        lines, new = text.split("\n"), editor.changed(text, change).split("\n")
+        assert sum(line not in lines for line in new) <= 1 and text.count("#") == "\n".join(new).count("#")
+    assert "position: [-2.9, -0.7]" in editor.changed(text, GOOD[0])
+    assert "{between: [corner, door], flow: low}" in editor.changed(
+        editor.changed(text, GOOD[-1]), {"edge": ["corner", "door"], "flow": "low"}
+    )
+
+
+def test_people_go_on_with_a_changed_graph(edited):
+    """In the same programs; what is refused changes nothing; undo leads back to the file."""
+    edited.restart(0)
+    edited._advance(None)
+    programs = edited._step._cache_size()
+    for change in GOOD[:4]:
+        edited.edit(change)
+        edited._advance(None)
+    graph = edited.graph()["graph"]
+    assert graph["position"][graph["names"].index("door")] == [-2.9, -0.7] and len(edited.commands) == 5
+    before = edited.editor.text
+    for change, message in BAD:
+        with pytest.raises(InputError, match=message):
+            edited.edit(change)
+    assert edited.editor.text == before
+    with pytest.raises(InputError, match="changes that are not saved"):
+        edited.record()
+    for _ in GOOD[:4]:
+        assert edited.graph()["difference"]
+        edited.edit(None)
+    assert edited.graph()["difference"] == "" and edited._step._cache_size() == programs
+    with pytest.raises(InputError, match="there is no change"):
+        edited.edit(None)
+
+
+def test_a_graph_is_saved_where_it_was_read(edited):
+    file = edited.editor.folder / "graph.yaml"
+    edited.edit({"node": "meeting", "capacity": 3})  # other seats: the episode begins anew
+    assert len(edited.commands) == 0
+    edited._advance(None)
+    edited.save()
+    assert "capacity: 3" in file.read_text() and edited.graph()["difference"] == ""
+    edited.edit({"node": "door", "radius": 0.9})
+    file.write_text(file.read_text() + "\n# a colleague\n")
+    with pytest.raises(InputError, match="has changed meanwhile"):
+        edited.save()
+    assert file.read_text().endswith("# a colleague\n")
+
+
+def test_files_of_the_package_are_not_saved(fresh):
+    fresh.edit({"node": "door", "radius": 0.9})
+    with pytest.raises(InputError, match="an environment of the package; copy the folder"):
+        fresh.save()
+    fresh.edit(None)

@@ -1,0 +1,428 @@
+// The studio's page: a live scenario, driven by keys, a gamepad or a touch (sean_jax/studio/server.py).
+
+import { Editor, type GraphNews } from "./edit";
+import { add, Player } from "./player";
+import { type EpisodeHead, type Episode, type Recording, unpack } from "./recording";
+
+interface Hello {
+  recording: Recording;
+  views: string[];
+  policy: string;
+  command: string;
+  record: boolean;
+  options: Record<string, string | number>;
+  choices: Record<string, string[]>;
+}
+
+interface Status {
+  playing: boolean;
+  human: boolean;
+  speed: number;
+  slowdown: number; // of the clock
+  episode: number;
+  tick: number;
+  first: number; // the earliest moment to return to
+  outcome: string;
+  recording: boolean;
+}
+
+interface Card {
+  driver: string;
+  metrics: Record<string, number>;
+}
+
+const ROWS: [string, string, number][] = [
+  ["completed", "completed", 0],
+  ["seconds", "time, s", 1],
+  ["path_length", "path, m", 1],
+  ["time_not_moving", "not moving, s", 1],
+  ["intimate_robot_on_person", "closer than 0.45 m, robot's fault", 0],
+  ["intimate_person_on_robot", "closer than 0.45 m, person's fault", 0],
+  ["collision_robot_on_person", "people touched", 0],
+  ["collision_with_obstacle", "obstacles touched", 0],
+];
+
+type News =
+  | ({ kind: "hello" } & Hello)
+  | { kind: "status"; content: Status }
+  | { kind: "cut"; content: number }
+  | { kind: "card"; content: Card }
+  | { kind: "graph"; content: GraphNews }
+  | { kind: "error"; content: string };
+
+const COMMAND_INTERVAL = 50; // ms from one command to the next
+const RAMP = 4; // 1/s, at which keys reach their full command
+const DEAD_ZONE = 0.12; // of a stick
+const KEYS: Record<string, [number, number]> = {
+  w: [1, 0],
+  ArrowUp: [1, 0],
+  s: [-1, 0],
+  ArrowDown: [-1, 0],
+  a: [0, 1],
+  ArrowLeft: [0, 1],
+  d: [0, -1],
+  ArrowRight: [0, -1],
+};
+
+/** The person's command, from keys that are down, a stick or a touch: shares of the limits, ahead and to the left. */
+class Controls {
+  private readonly down = new Set<string>();
+  private stick: [number, number] | null = null; // of the touch joystick
+  private command: [number, number] = [0, 0];
+
+  constructor(joystick: HTMLElement, changed: () => void) {
+    const isText = (event: Event): boolean =>
+      event.target instanceof HTMLInputElement || event.target instanceof HTMLSelectElement;
+    window.addEventListener("keydown", (event) => {
+      const key = event.key.length === 1 ? event.key.toLowerCase() : event.key;
+      if (!(key in KEYS) || event.ctrlKey || event.metaKey || event.altKey || isText(event)) return;
+      event.preventDefault();
+      if (this.down.has(key)) return; // held down
+      this.down.add(key);
+      changed();
+    });
+    window.addEventListener("keyup", (event) => {
+      if (this.down.delete(event.key.length === 1 ? event.key.toLowerCase() : event.key)) changed();
+    });
+    window.addEventListener("blur", () => {
+      this.down.clear();
+      changed();
+    });
+    const knob = add(joystick, "span");
+    const move = (event: PointerEvent): void => {
+      const box = joystick.getBoundingClientRect();
+      const x = (2 * (event.clientX - box.left)) / box.width - 1;
+      const y = (2 * (event.clientY - box.top)) / box.height - 1;
+      const far = Math.max(1, Math.hypot(x, y));
+      this.stick = [-y / far, -x / far];
+      knob.style.transform = `translate(${(x / far) * 40}px, ${(y / far) * 40}px)`;
+    };
+    const leave = (): void => {
+      this.stick = null;
+      knob.style.transform = "";
+    };
+    joystick.addEventListener("pointerdown", (event) => {
+      joystick.setPointerCapture(event.pointerId);
+      move(event);
+    });
+    joystick.addEventListener("pointermove", (event) => this.stick && move(event));
+    joystick.addEventListener("pointerup", leave);
+    joystick.addEventListener("pointercancel", leave);
+  }
+
+  /** The command after some more seconds. */
+  next(seconds: number): [number, number] {
+    const pad = this.gamepad();
+    if (pad) this.command = pad;
+    else if (this.stick) this.command = this.stick;
+    else {
+      const sum: [number, number] = [0, 0];
+      for (const key of this.down) {
+        sum[0] += KEYS[key][0];
+        sum[1] += KEYS[key][1];
+      }
+      this.command = this.command.map((now, k) => {
+        const goal = Math.max(-1, Math.min(1, sum[k]));
+        if (goal === 0) return 0; // a key that is released stops at once
+        return now + Math.max(-RAMP * seconds, Math.min(RAMP * seconds, goal - now));
+      }) as [number, number];
+    }
+    return this.command;
+  }
+
+  /** The first gamepad's left stick while one of its shoulder buttons is held: it may lie on a table. */
+  private gamepad(): [number, number] | null {
+    for (const pad of navigator.getGamepads?.() ?? []) {
+      if (!pad || !(pad.buttons[4]?.pressed || pad.buttons[5]?.pressed)) continue;
+      const share = (value: number): number =>
+        Math.abs(value) < DEAD_ZONE ? 0 : (Math.sign(value) * (Math.abs(value) - DEAD_ZONE)) / (1 - DEAD_ZONE);
+      return [-share(pad.axes[1]), -share(pad.axes[0])];
+    }
+    return null;
+  }
+}
+
+class Studio {
+  private player: Player | null = null;
+  private episode: Episode | null = null;
+  private status: Status | null = null;
+  private recording: Recording | null = null;
+  private timeStep = 0.1;
+  private sent = 0; // ms, time of the latest command
+  private readonly socket: WebSocket;
+  private readonly note: HTMLElement;
+  private readonly buttons: Record<"drive" | "record" | "step" | "next" | "live" | "edit", HTMLButtonElement>;
+  private readonly controls: Controls;
+  private readonly state: HTMLElement;
+  private readonly card: HTMLElement;
+  private readonly side: HTMLElement;
+  private readonly form: HTMLDetailsElement;
+  private cards: Card[] = [];
+  private editor: Editor | null = null;
+  private readonly picture: HTMLCanvasElement;
+  private readonly view: HTMLSelectElement;
+
+  constructor(private readonly root: HTMLElement) {
+    const bar = add(root, "div", "studio-bar");
+    const button = (text: string, act: () => void): HTMLButtonElement => {
+      const made = add(bar, "button");
+      made.textContent = text;
+      made.addEventListener("click", act);
+      return made;
+    };
+    this.buttons = {
+      drive: button("drive", () => this.takeOver()),
+      step: button("step", () => this.request({ do: "step" })),
+      live: button("newest moment", () => this.player?.toEdge()),
+      record: button("record", () => this.request({ do: "record", on: !this.status?.recording })),
+      edit: button("edit graph", () => this.buttons.edit.classList.toggle("on", this.editor?.toggle() ?? false)),
+      next: button("next episode", () => this.request({ do: "episode", episode: (this.status?.episode ?? 0) + 1 })),
+    };
+    this.state = add(bar, "output", "studio-state");
+    this.note = add(root, "p", "studio-note");
+    this.note.setAttribute("role", "status");
+    this.form = add(root, "details", "studio-open");
+    this.card = add(root, "div", "studio-card");
+    const stage = add(root, "div", "studio-stage");
+    const place = add(stage, "div");
+    this.side = add(stage, "div", "studio-side");
+    const label = add(this.side, "label");
+    label.append("view ");
+    this.view = add(label, "select");
+    this.view.addEventListener("change", () => {
+      this.picture.hidden = this.view.value === "none";
+      this.request({ do: "view", name: this.view.value });
+    });
+    this.picture = add(this.side, "canvas");
+    this.picture.hidden = true;
+    this.picture.setAttribute("role", "img");
+    this.picture.setAttribute("aria-label", "what the robot sees");
+    const joystick = add(root, "div", "studio-joystick");
+    joystick.setAttribute("aria-hidden", "true"); // keys do the same
+    this.controls = new Controls(joystick, () => this.sendCommand());
+    const address = new URL("socket", location.href);
+    address.search = location.search;
+    address.protocol = "ws:";
+    this.socket = new WebSocket(address);
+    this.socket.binaryType = "arraybuffer";
+    this.socket.addEventListener("message", (event) => this.receive(event.data as string | ArrayBuffer, place));
+    this.socket.addEventListener("close", (event) => {
+      this.notify(event.reason ? `the studio has closed this tab: ${event.reason}` : "the studio has ended");
+      this.root.dataset.open = "no";
+    });
+    setInterval(() => this.sendCommand(), COMMAND_INTERVAL);
+  }
+
+  /** Send the person's command; keys have some effect at once. */
+  private sendCommand(): void {
+    const now = performance.now();
+    this.name();
+    const [ahead, left] = this.controls.next(Math.max(COMMAND_INTERVAL, now - this.sent) / 1000);
+    this.sent = now;
+    if (this.status?.human && this.status.playing) this.request({ do: "command", ahead, left });
+  }
+
+  /** What the first button does now. */
+  private name(): void {
+    const past = this.player?.moment && !this.player.moment.newest;
+    this.buttons.drive.textContent = past ? "drive from here" : this.status?.human ? "give back" : "drive";
+    this.buttons.live.disabled = !past;
+  }
+
+  private request(request: Record<string, unknown>): void {
+    if (this.socket.readyState === WebSocket.OPEN) this.socket.send(JSON.stringify(request));
+  }
+
+  private notify(text: string): void {
+    this.note.textContent = text;
+  }
+
+  /** From the moment that is shown; or give back to the policy. */
+  private takeOver(): void {
+    const moment = this.player?.moment;
+    if (this.status?.human && moment?.newest) {
+      this.request({ do: "drive", on: false });
+      return;
+    }
+    if (moment && !moment.newest) this.request({ do: "rewind", tick: moment.frame });
+    this.player?.toEdge();
+    this.request({ do: "drive", on: true });
+    this.request({ do: "play", on: true });
+  }
+
+  private receive(data: string | ArrayBuffer, place: HTMLElement): void {
+    if (typeof data !== "string") {
+      this.grow(data);
+      return;
+    }
+    const news = JSON.parse(data) as News;
+    if (news.kind === "hello") this.begin(news, place);
+    else if (news.kind === "status") this.show(news.content);
+    else if (news.kind === "cut") this.cut(news.content);
+    else if (news.kind === "card") this.compare([...this.cards, news.content]);
+    else if (news.kind === "graph") this.redrawGraph(news.content);
+    else {
+      this.notify(news.content);
+      this.editor?.refuse();
+    }
+  }
+
+  private redrawGraph(news: GraphNews): void {
+    if (!this.recording) return;
+    this.recording.graph = structuredClone(news.graph);
+    this.notify("");
+    this.editor?.show(news);
+    this.root.dataset.difference = news.difference;
+  }
+
+  /** The scenario's options, to open another one. */
+  private options(hello: Hello): void {
+    const opened = this.form.open;
+    this.form.textContent = "";
+    add(this.form, "summary").textContent = "open another scenario";
+    const form = add(this.form, "form", "studio-fields");
+    for (const [name, value] of Object.entries(hello.options)) {
+      const label = add(form, "label");
+      label.append(name);
+      const choices = hello.choices[name];
+      const input = choices ? add(label, "select") : add(label, "input");
+      input.name = name;
+      if (input instanceof HTMLSelectElement) {
+        for (const each of new Set([...choices, String(value)])) input.add(new Option(each, each));
+      } else {
+        input.type = "number";
+        input.min = "0";
+      }
+      input.value = String(value);
+    }
+    // a task belongs to a behavior: with another behavior, the usual one
+    const field = (name: string): HTMLSelectElement => form.elements.namedItem(name) as HTMLSelectElement;
+    field("task").add(new Option("as usual for the behavior", ""));
+    field("behavior").addEventListener("change", () => (field("task").value = ""));
+    field("environment").addEventListener("change", () => ((form.elements.namedItem("people") as HTMLInputElement).value = ""));
+    add(form, "button").textContent = "open";
+    form.addEventListener("submit", (event) => {
+      event.preventDefault();
+      const options: Record<string, string | number> = {};
+      for (const [name, value] of new FormData(form)) options[name] = hello.choices[name] || value === "" ? String(value) : Number(value);
+      this.notify("opening: this compiles for some seconds");
+      this.request({ do: "open", options });
+    });
+    this.form.open = opened;
+    const command = add(this.form, "p", "studio-command");
+    add(command, "code").textContent = hello.command;
+  }
+
+  private begin(hello: Hello, place: HTMLElement): void {
+    this.player?.close();
+    this.episode = null;
+    this.compare([]);
+    this.notify("");
+    document.querySelector("h1")!.textContent = hello.recording.title;
+    this.options(hello);
+    const stage = document.createElement("div");
+    place.replaceChildren(stage);
+    this.recording = hello.recording;
+    this.timeStep = hello.recording.timeStep;
+    this.player = new Player(stage, hello.recording, false, {
+      play: (on) => this.request({ do: "play", on }),
+      setSpeed: (speed) => this.request({ do: "speed", speed }),
+    });
+    this.buttons.edit.hidden = !hello.recording.graph;
+    this.buttons.edit.classList.remove("on");
+    this.editor?.close();
+    this.editor = new Editor(this.side, this.player, () => hello.recording.graph!, (request) => {
+      this.notify("checking");
+      this.request(request);
+    });
+    this.buttons.record.hidden = !hello.record;
+    if (!this.view.length) {
+      for (const name of ["none", ...hello.views]) this.view.add(new Option(name.replace("_", " "), name));
+    }
+    this.root.dataset.open = "yes";
+    this.root.dataset.title = hello.recording.title;
+  }
+
+  private grow(data: ArrayBuffer): void {
+    const length = new DataView(data).getUint32(0, true);
+    const text = new TextDecoder().decode(new Uint8Array(data, 4, length));
+    const bytes = new Uint8Array(data, 4 + length);
+    if (JSON.parse(text).kind === "picture") {
+      this.paint(JSON.parse(text) as { name: string; width: number; height: number }, bytes);
+      return;
+    }
+    const head = JSON.parse(text) as EpisodeHead & { first: number };
+    const more = unpack(head, this.timeStep, bytes);
+    if (!this.episode) {
+      this.episode = more;
+      this.player?.watch(more);
+      return;
+    }
+    const skip = this.episode.frames - head.first;
+    if (skip < 0 || skip >= more.frames) return; // frames that a newer message has made void
+    this.episode.append(more, skip);
+    this.player?.grow(this.episode);
+    this.root.dataset.frames = String(this.episode.frames);
+    this.root.dataset.speed = String(this.episode.of("speed")[0][this.episode.frames - 1]);
+  }
+
+  private paint(head: { name: string; width: number; height: number }, bytes: Uint8Array): void {
+    [this.picture.width, this.picture.height] = [head.width, head.height];
+    const image = new ImageData(head.width, head.height);
+    for (let k = 0, p = 0; k < image.data.length; k += 4, p += 3) {
+      image.data.set(bytes.subarray(p, p + 3), k);
+      image.data[k + 3] = 255;
+    }
+    this.picture.getContext("2d")!.putImageData(image, 0, 0);
+    this.root.dataset.picture = head.name;
+  }
+
+  /** This drive beside policies on the same episode. */
+  private compare(cards: Card[]): void {
+    this.cards = cards;
+    this.card.textContent = "";
+    if (!cards.length) return;
+    const table = add(this.card, "table");
+    const top = add(add(table, "thead"), "tr");
+    add(top, "th").textContent = "this episode";
+    for (const card of cards) add(top, "th").textContent = card.driver;
+    const body = add(table, "tbody");
+    for (const [name, text, digits] of ROWS) {
+      const row = add(body, "tr");
+      const head = add(row, "th");
+      head.textContent = text;
+      head.scope = "row";
+      for (const { metrics } of cards) {
+        const value = metrics[name];
+        add(row, "td").textContent = value === undefined ? "–" : value.toFixed(digits);
+      }
+    }
+  }
+
+  private cut(frames: number): void {
+    this.compare([]);
+    if (!this.episode) return;
+    if (frames === 0) this.episode = null;
+    else {
+      this.episode.cut(frames);
+      this.player?.grow(this.episode);
+    }
+    this.player?.toEdge();
+  }
+
+  private show(status: Status): void {
+    this.status = status;
+    this.player?.setClock(status.playing, status.speed);
+    this.name();
+    this.buttons.record.textContent = status.recording ? "stop recording" : "record";
+    this.buttons.record.classList.toggle("on", status.recording);
+    this.root.dataset.human = status.human ? "yes" : "no";
+    this.root.dataset.tick = String(status.tick);
+    const late = status.slowdown > 1.2 ? ` · ${status.slowdown.toFixed(1)} times slower than asked` : "";
+    const driver = status.human ? "you drive" : "the policy drives";
+    this.state.textContent = status.outcome || `episode ${status.episode} · ${driver}${late}`;
+    this.root.dataset.outcome = status.outcome;
+  }
+}
+
+for (const root of document.querySelectorAll<HTMLElement>("[data-studio]")) new Studio(root);
