@@ -184,15 +184,27 @@ def test_trials_become_demonstrations(fresh, tmp_path):
     assert fresh.status()["recording"]
     fresh.end_trial()
     assert len(list((folder / trial.TRIALS).iterdir())) == 2
-    data = trial.demonstrations(folder)
+    data = trial.demonstrations(fresh.config)
     assert len(data.episodes) == 2 and data.example_count >= 2 * 2
-    assert len(trial.demonstrations(folder).episodes) == 2
+    assert len(trial.demonstrations(fresh.config).episodes) == 2
     fresh.restart(2)
     fresh.record()
     drive(fresh, 12, 0.8, -0.2)
     fresh.end_trial()
-    assert len(trial.demonstrations(folder).episodes) == 3
-    assert trial.demonstrations(tmp_path / "none") is None
+    assert len(trial.demonstrations(fresh.config).episodes) == 3
+    assert trial.demonstrations(fresh.config.replace(record=tmp_path / "none")) is None
+
+
+def test_code_that_a_trial_names_is_not_run(tmp_path):
+    """Drives from elsewhere may name a file; only the command line's own files are run."""
+    (tmp_path / "mine.py").write_text("raise SystemExit('it ran')\ndef move(*_): pass\n")
+    config = validate(StudioConfig, OPTIONS | {"model": f"{tmp_path}/mine.py:move"}).replace(record=tmp_path)
+    one = trial.Trial.begin(config, 0)
+    one.add([(0.1, 0.0)] * 10)
+    one.end("")
+    plain = validate(StudioConfig, OPTIONS).replace(record=tmp_path)
+    with pytest.raises(InputError, match="need the code .*mine.py; start the studio with the same options"):
+        trial.demonstrations(plain)
 
 
 def test_a_folder_has_drives_of_the_same_options(fresh):

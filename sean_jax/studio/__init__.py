@@ -35,7 +35,7 @@ def run(config: StudioConfig, console: Console) -> None:
         try:
             serve(config, console)
         finally:
-            if config.record is not None and (data := trial.demonstrations(config.record)) is not None:
+            if config.record is not None and (data := trial.demonstrations(config)) is not None:
                 text = f"{len(data.episodes)} demonstrations: {data.folder}"
                 console.print(text, highlight=False, soft_wrap=True)
 

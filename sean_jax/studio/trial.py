@@ -16,7 +16,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from sean_jax import assembly, files
+from sean_jax import assembly, components, files
 from sean_jax.config import StudioConfig, validate
 from sean_jax.errors import FileError, InputError
 from sean_jax.learning.collection import Recorder
@@ -139,17 +139,22 @@ def recover(folder: Path) -> list[Path]:
     return recovered
 
 
-def demonstrations(folder: Path) -> Dataset | None:
-    """The dataset of a folder's trials, each simulated again; None without one. Earlier trials are in it already.
+def demonstrations(config: StudioConfig) -> Dataset | None:
+    """The dataset of the trials in a studio's folder, each simulated again; None without one. Earlier ones are in it.
 
     Raises:
-        InputError: the dataset is another's.
+        InputError: the dataset is another's, or a trial names code that the studio's own options do not.
     """
+    folder = config.record
+    assert folder is not None
     trials = [(head, commands) for head, commands, outcome in _all(folder) if outcome is not None]
     if not trials:
         return None
-    config = validate(StudioConfig, trials[0][0]["options"])
-    recorder = Recorder(folder / DATASET, assembly.build(config)[0], driver="human", seed=config.seed)
+    recorded = validate(StudioConfig, trials[0][0]["options"])
+    if foreign := sorted(set(components.digests(recorded)) - set(components.digests(config))):
+        text = f"the drives in {folder} need the code {foreign[0]}"
+        raise InputError(f"record: {text}; start the studio with the same options to use them.")
+    recorder = Recorder(folder / DATASET, assembly.build(recorded)[0], driver="human", seed=recorded.seed)
     for head, commands in trials[recorder.number :]:
         replay(recorder, head["episode"], commands)
         recorder.commit()
