@@ -174,7 +174,11 @@ def test_a_notebook_shows_it(walked, tmp_path):
         shown = sean_jax.view(given, *more)
         assert isinstance(shown.figure, Figure)
         text = shown._repr_html_()
-        assert text.startswith("<iframe srcdoc=") and "data:image/png;base64," in text and "<script" not in text
+        assert (
+            text.startswith('<iframe data-fit="yes" srcdoc=')
+            and "data:image/png;base64," in text
+            and "<script" not in text
+        )
         assert shown._repr_png_().startswith(b"\x89PNG"), "for readers that show no HTML"
         shown.save(tmp_path / "page.html")
         assert "data-replay" in (tmp_path / "page.html").read_text()
@@ -264,3 +268,15 @@ def test_everybody_can_read_the_pages(content, tmp_path):
         words = ["node", "test/axe.mjs", (tmp_path / name).as_uri(), CHROMIUM]
         done = subprocess.run(words, cwd=WEB, check=True, capture_output=True, timeout=120)
         assert json.loads(done.stdout) == [], name
+
+
+def test_a_notebook_shows_the_whole_page(walked, tmp_path):
+    """Wide and narrow: the frame has the height of the page."""
+    if CHROMIUM is None or not (WEB / "node_modules" / "playwright-core").is_dir():
+        pytest.skip("there is no Chromium, or web/node_modules is not there")
+    scenario, frames = walked
+    (tmp_path / "cell.html").write_text(replay.view(frames[0], scenario)._repr_html_(), encoding="utf-8")
+    words = ["node", "test/frame.mjs", str(tmp_path / "cell.html"), CHROMIUM]
+    heights = json.loads(subprocess.run(words, cwd=WEB, check=True, capture_output=True, timeout=120).stdout)
+    for frame, inside in heights:
+        assert inside > 400 and abs(frame - inside) <= 2

@@ -343,8 +343,8 @@ class Replay:
         picture = f'<img alt="episode from above" style="max-width:100%" src="data:image/png;base64,{data}">'
         page = markup.escape(html(self.content, picture, linked=False))
         x0, y0, x1, y1 = self.content["place"]["floor"]
-        height = round(min(640, 900 * (y1 - y0) / (x1 - x0))) + 330
-        return f'<iframe srcdoc="{page}" width="100%" height="{height}" style="border:0"></iframe>'
+        height = round(min(640, 900 * (y1 - y0) / (x1 - x0))) + 330  # until the page sets it, if it may
+        return f'<iframe data-fit="yes" srcdoc="{page}" width="100%" height="{height}" style="border:0"></iframe>'
 
 
 def view(trajectory: Trajectory, scenario: Scenario | None = None, animate: bool = False) -> Any:

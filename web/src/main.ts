@@ -23,3 +23,14 @@ if (together.length === 2) {
     one.jump(time === null ? 0 : Math.max(0, time - BEFORE));
   });
 }
+
+/** In a notebook the page is a frame, which gets the height of the page. */
+function fitFrame(): void {
+  try {
+    const frame = window.frameElement as HTMLElement | null;
+    if (frame?.dataset.fit) frame.style.height = `${document.documentElement.scrollHeight}px`;
+  } catch {
+    // a frame of another origin keeps its height
+  }
+}
+new ResizeObserver(fitFrame).observe(document.body);
