@@ -162,6 +162,21 @@ def test_an_episode_ends_and_is_compared_with_policies(fresh):
     assert {"completed", "path_length", "intimate_robot_on_person"} <= set(mine)
 
 
+def test_an_error_stops_the_episode_and_not_the_studio(fresh, monkeypatch):
+    news = []
+    fresh.send = lambda kind, content: news.append((kind, content))
+    step = fresh._step
+    monkeypatch.setattr(fresh, "_step", lambda *_: (_ for _ in ()).throw(ValueError("a part of one's own broke")))
+    fresh.play(True)
+    wait(lambda: not fresh.playing)
+    assert ("error", "the episode has stopped: a part of one's own broke") in news
+    monkeypatch.setattr(fresh, "_step", step)
+    fresh.restart(0)
+    fresh.step()
+    wait(lambda: len(fresh.commands) == 1)
+    fresh.send = lambda kind, content: None
+
+
 def test_pictures_of_the_robots_cameras(fresh):
     for name in server.VIEWS:
         picture = fresh.picture(name, 32, 24)
@@ -205,6 +220,27 @@ def test_code_that_a_trial_names_is_not_run(tmp_path):
     plain = validate(StudioConfig, OPTIONS).replace(record=tmp_path)
     with pytest.raises(InputError, match="need the code .*mine.py; start the studio with the same options"):
         trial.demonstrations(plain)
+
+
+def test_a_full_disk_ends_the_recording_alone(fresh, monkeypatch):
+    """Time goes on, the page says why, and the seconds before are a drive."""
+    news = []
+    fresh.send = lambda kind, content: news.append((kind, content))
+    fresh.record()
+    drive(fresh, 15, 0.5, 0.0)
+    file, fsync = fresh.trial.file, os.fsync
+
+    def full(number):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    before = len(fresh.commands)
+    drive(fresh, 15, 0.5, 0.0)
+    monkeypatch.setattr(os, "fsync", fsync)
+    assert len(fresh.commands) >= before + 15 and not fresh.status()["recording"]
+    assert ("error", "record: No space left on device; the recording has ended after its last whole second.") in news
+    assert trial.recover(fresh.config.record) == [file] and len(trial.read(file)[1]) >= 10
+    fresh.send = lambda kind, content: None
 
 
 def test_a_folder_has_drives_of_the_same_options(fresh):
@@ -623,6 +659,8 @@ def test_people_go_on_with_a_changed_graph(edited):
         assert edited.graph()["difference"]
         edited.edit(None)
     assert edited.graph()["difference"] == "" and edited._step._cache_size() == programs
+    with pytest.raises(InputError, match="was changed in this episode; begin another one"):
+        edited.record()
     with pytest.raises(InputError, match="there is no change"):
         edited.edit(None)
 

@@ -80,6 +80,7 @@ class Session:
         robot = self.scenario.robot
         self.limits = float(robot.max_speed), float(max_reverse_speed(robot)), float(robot.max_turn_rate)
         self.playing, self.human, self.speed, self.number = False, False, 1.0, 0
+        self.on_file = True  # whether all of this episode is on the graph of the file
         self.trial: Trial | None = None
         self.editor: Editor | None = None
         self.slowdown = 1.0  # of the clock
@@ -102,6 +103,7 @@ class Session:
         with self._lock:
             self.end_trial()
             state, _ = self._begin(self.scenario, self._key(number))
+            self.on_file = self.editor is None or not self.editor.changed
             self.number, self.commands, self.frames = number, list[tuple[float, float]](), list[Trajectory]()
             self.by_person = list[bool]()  # who gave each command
             first = Moment(state, self._init(self.scenario, self.policy, state))
@@ -169,13 +171,15 @@ class Session:
         """Record this drive: from now on each second is on disk.
 
         Raises:
-            InputError: there is no folder for it.
+            InputError: there is no folder for it, or the graph differs from its file.
         """
         with self._lock:
             if self.config.record is None:
                 raise InputError("record: there is no folder for drives; start the studio with --record FOLDER.")
             if self.editor is not None and self.editor.changed:
                 raise InputError("record: the graph has changes that are not saved; save or undo them.")
+            if not self.on_file:
+                raise InputError("record: the graph was changed in this episode; begin another one.")
             if self.trial is None:
                 self.trial = Trial.begin(self.config, self.number)
                 self.trial.add(self.commands)
@@ -206,7 +210,7 @@ class Session:
             before = self.scenario
         made = editor.undo(self.config, before) if change is None else editor.change(change, self.config, before)
         with self._lock:
-            self.scenario = dataclasses.replace(before, behavior=made)
+            self.scenario, self.on_file = dataclasses.replace(before, behavior=made), False
             self.send("graph", self.graph())
             if not same_shapes(before.behavior.data, made.data):  # such as another capacity: other seats
                 self.restart(self.number)
@@ -325,7 +329,13 @@ class Session:
                 self._single -= bool(self._single)
                 command, received = self._latest
                 command = command if time.monotonic() - received < DEAD_MAN else np.zeros(2)
-                self._advance(command if self.human else None)
+                try:
+                    self._advance(command if self.human else None)
+                except Exception as error:  # of a user's own part: the page says so, and another episode may begin
+                    self.playing = False
+                    self.send("error", f"the episode has stopped: {error}")
+                    self._send_status()
+                    continue
                 due += self.scenario.time_step / self.speed
                 late = time.monotonic() - due
                 self.slowdown = 0.9 * self.slowdown + 0.1 * (
@@ -360,9 +370,14 @@ class Session:
         pair = cast(tuple[float, float], tuple(np.asarray(action, np.float64).tolist()))
         self.commands.append(pair)
         self.by_person.append(command is not None)
-        if self.trial is not None:
-            self.trial.add([pair])
         self.send("frames", (len(self.frames) - 1, [frame]))
+        if self.trial is not None:
+            try:
+                self.trial.add([pair])
+            except OSError as error:  # such as a full disk: time goes on, and earlier drives are whole
+                self.trial = None
+                self.send("error", f"record: {error.strerror}; the recording has ended after its last whole second.")
+                self._send_status()
 
     def _send_status(self) -> None:
         if hasattr(self, "moments"):
