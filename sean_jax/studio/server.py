@@ -16,6 +16,7 @@ import secrets
 import signal
 import threading
 import urllib.parse
+import weakref
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -27,11 +28,10 @@ from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
 from sean_jax import behaviors, environment, flags, policies, replay, robots, tasks
-from sean_jax.base import Trajectory
 from sean_jax.config import StudioConfig, validate
 from sean_jax.errors import InputError
 from sean_jax.learning.policy import AGENTS
-from sean_jax.studio.session import Session
+from sean_jax.studio.session import Frame, Session
 
 HOST = "127.0.0.1"
 SOCKET = "/socket"
@@ -68,7 +68,7 @@ class Studio:
         self._views: dict[ServerConnection, str] = {}  # which picture a tab shows
         self._driver: ServerConnection | None = None
         self._card: tuple[int, asyncio.Task[None]] | None = None  # of the episode that has ended
-        self._frames: list[Trajectory] = []  # not yet sent
+        self._frames: list[Frame] = []  # not yet sent
         self._first, self._sent = 0, 0.0  # number of the first of them, and time of the latest message
         self._flush: asyncio.TimerHandle | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
@@ -129,7 +129,7 @@ class Studio:
 
     async def _picture(self) -> None:
         """Send pictures of the present moment to the tabs that show them."""
-        sent: dict[ServerConnection, tuple[str, int, int]] = {}
+        sent = weakref.WeakKeyDictionary[ServerConnection, tuple[str, int, int]]()
         while True:
             await asyncio.sleep(VIEW_INTERVAL)
             for name in set(self._views.values()):
@@ -164,10 +164,10 @@ class Studio:
                 del self._tabs[tab]
                 asyncio.ensure_future(tab.close(1013, "too slow"))
 
-    def _encoded(self, first: int, frames: list[Trajectory]) -> bytes:
-        stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *frames)
+    def _encoded(self, first: int, frames: list[Frame]) -> bytes:
+        stacked, path = jax.tree.map(lambda *leaves: np.stack(leaves), *frames)
         names = [each["name"] for each in self.hello["recording"]["situations"]]
-        head, numbers = replay.packed(replay.Episode(stacked, ""), names)
+        head, numbers = replay.packed(replay.Episode(stacked, "", plan=path), names)
         return framed(head | {"kind": "frames", "first": first}, numbers)
 
     # ------------------------------------------------------------------ requests

@@ -21,7 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import PyTree
 
-from sean_jax import assembly, episodes, prng, replay, sensors, worlds
+from sean_jax import assembly, episodes, navigation, prng, replay, sensors, worlds
 from sean_jax import scenario as scenarios
 from sean_jax.base import Array, Policy, Scenario, State, Trajectory
 from sean_jax.config import StudioConfig
@@ -40,6 +40,13 @@ SHADE = 4.0  # m, after which a picture of depth is darker by a factor of e
 LAG = 0.5  # s behind the clock from which on the clock waits
 
 
+class Frame(NamedTuple):
+    """What the page draws of a moment."""
+
+    trajectory: Trajectory
+    path: np.ndarray  # (K, 2) m, the shortest way to the goal
+
+
 class Moment(NamedTuple):
     """The state after a step."""
 
@@ -51,6 +58,17 @@ class Moment(NamedTuple):
 def _command(scenario: Scenario, policy: Policy, state: State, memory: PyTree) -> tuple[Array, PyTree]:
     key = jax.random.fold_in(state.streams.policy, state.tick)
     return episodes.command(scenario, policy, dataclasses.replace(state, policy_state=memory), key)
+
+
+@jax.jit
+def _way(table: navigation.Navigation, goal: Array) -> tuple[PyTree, Array]:
+    return navigation.build_paths_to_goal(table, goal), navigation.last_arc_to_goal(table, goal)
+
+
+@jax.jit
+def _path(table: navigation.Navigation, place: Array, goal: Array, way: tuple) -> Array:
+    points, apart = replay.PLAN_POINTS, replay.PLAN_SPACING
+    return navigation.plan(table, place, goal, *way, points=points, apart=apart)
 
 
 @functools.partial(jax.jit, static_argnums=2)
@@ -104,13 +122,13 @@ class Session:
             self.end_trial()
             state, _ = self._begin(self.scenario, self._key(number))
             self.on_file = self.editor is None or not self.editor.changed
-            self.number, self.commands, self.frames = number, list[tuple[float, float]](), list[Trajectory]()
+            self.number, self.commands, self.frames = number, list[tuple[float, float]](), list[Frame]()
             self.by_person = list[bool]()  # who gave each command
             first = Moment(state, self._init(self.scenario, self.policy, state))
             keep = 1 + round(MEMORY / self.scenario.time_step)
             self.moments: collections.deque[Moment] = collections.deque([first], maxlen=keep)
-            still = self._frame(state, state, jnp.zeros(2, float))
-            self.frames.append(jax.tree.map(np.asarray, still))
+            self._way = _way(self.scenario.navigation, state.task.goal)
+            self._append(self._frame(state, state, jnp.zeros(2, float)))
             self.send("cut", 0)
             self.send("frames", (0, self.frames[:]))
             self._send_status()
@@ -364,13 +382,12 @@ class Session:
         else:
             action = jnp.asarray(command, float)
         after = self._step(self.scenario, before, action)
-        frame = jax.tree.map(np.asarray, self._frame(before, after, action))
         self.moments.append(Moment(after, memory))
-        self.frames.append(frame)
+        self._append(self._frame(before, after, action))
         pair = cast(tuple[float, float], tuple(np.asarray(action, np.float64).tolist()))
         self.commands.append(pair)
         self.by_person.append(command is not None)
-        self.send("frames", (len(self.frames) - 1, [frame]))
+        self.send("frames", (len(self.frames) - 1, self.frames[-1:]))
         if self.trial is not None:
             try:
                 self.trial.add([pair])
@@ -378,6 +395,16 @@ class Session:
                 self.trial = None
                 self.send("error", f"record: {error.strerror}; the recording has ended after its last whole second.")
                 self._send_status()
+
+    def _append(self, trajectory: Trajectory) -> None:
+        """Another frame; its path is new once a second."""
+        every = max(1, round(1.0 / self.scenario.time_step))
+        if len(self.frames) % every == 0 or not self.frames:
+            table, robot = self.scenario.navigation, self.state.robot
+            path = np.asarray(_path(table, robot.position, self.state.task.goal, self._way))
+        else:
+            path = self.frames[-1].path
+        self.frames.append(Frame(jax.tree.map(np.asarray, trajectory), path))
 
     def _send_status(self) -> None:
         if hasattr(self, "moments"):
