@@ -100,7 +100,7 @@ def recording(
     content = {
         "version": VERSION,
         "title": title,
-        "place": _place(environment),
+        "place": place_of_page(environment),
         "graph": None if graph is None else graph_of_page(graph),
         "robot": _robot(scenario) if robot else None,
         "person": {"radius": 0.2 if scenario is None else float(scenario.forces.walking.radius)},
@@ -143,7 +143,8 @@ def _plans(table: navigation.Navigation, places: jax.Array, goals: jax.Array) ->
     return jax.lax.map(one, (places, goals))
 
 
-def _place(environment: Environment) -> dict[str, Any]:
+def place_of_page(environment: Environment) -> dict[str, Any]:
+    """The floor and the obstacles of an environment as the page draws them."""
     boxes = jax.tree.map(np.asarray, environment.obstacles)
     rows = np.concatenate([boxes.center, boxes.half_extent, boxes.yaw[:, None], boxes.height[:, None]], 1)
     rows = rows[boxes.center[:, 0] < FAR]  # without padding

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import functools
 import http
 import json
 import math
@@ -331,6 +332,12 @@ def _signals(loop: asyncio.AbstractEventLoop, stop: Callable[[], None]) -> Itera
             signal.signal(kind, handler)
 
 
+@functools.cache
+def _places() -> dict[str, Any]:
+    """Name -> floor and obstacles, of the environments of the package."""
+    return {name: replay.place_of_page(environment.load(environment.find(name))) for name in CHOICES["environment"]}
+
+
 def _hello(session: Session) -> dict[str, Any]:
     """What a page needs to know of a scenario: first of all messages."""
     config, scenario = session.config, session.scenario
@@ -346,6 +353,7 @@ def _hello(session: Session) -> dict[str, Any]:
         "record": config.record is not None,
         "options": options,
         "choices": CHOICES,
+        "places": _places(),
     }
 
 

@@ -1,7 +1,7 @@
 // The plan view: floor, obstacles, graph, trails, people, groups, robot.
 
 import type { Camera } from "./camera";
-import type { Episode, Recording, View } from "./recording";
+import type { Episode, Place, Recording, View } from "./recording";
 import { sight } from "./sight";
 import type { Palette } from "./palette";
 
@@ -14,6 +14,25 @@ export interface Shown {
 const SCALES = [0.5, 1, 2, 5, 10, 20, 50]; // m
 const TRAIL = 3; // s, of people
 const SHOULDERS = 0.23; // m, half of the width of a person; depth is that of the body
+
+/** The obstacles of a place; higher ones are darker. */
+export function drawObstacles(paint: CanvasRenderingContext2D, camera: Camera, palette: Palette, place: Place): void {
+  for (const [cx, cy, hx, hy, yaw, height] of place.obstacles) {
+    if (height <= 0) continue;
+    const [c, s] = [Math.cos(yaw), Math.sin(yaw)];
+    paint.beginPath();
+    for (const [a, b] of [[1, 1], [-1, 1], [-1, -1], [1, -1]]) {
+      paint.lineTo(...camera.toScreen(cx + c * a * hx - s * b * hy, cy + s * a * hx + c * b * hy));
+    }
+    paint.closePath();
+    paint.globalAlpha = 0.25 + 0.45 * Math.min(1, height / 4) ** 0.7;
+    paint.fillStyle = palette.obstacle;
+    paint.fill();
+    [paint.lineWidth, paint.strokeStyle] = [1, palette.obstacle];
+    paint.stroke();
+    paint.globalAlpha = 1;
+  }
+}
 
 export function drawPlan(
   paint: CanvasRenderingContext2D,
@@ -51,7 +70,7 @@ export function drawPlan(
   line(1, palette.line);
   if (robot && shown.sight) drawSight(robot.views);
   if (shown.graph && recording.graph) drawGraph();
-  drawObstacles();
+  drawObstacles(paint, camera, palette, recording.place);
   drawGroups();
   if (shown.trails) drawTrails();
   if (robot) drawPath();
@@ -73,24 +92,6 @@ export function drawPlan(
     [paint.lineWidth, paint.strokeStyle, paint.fillStyle] = [3, palette.paper, palette.muted];
     paint.strokeText(`${length} m`, left + 6, bottom - 5);
     paint.fillText(`${length} m`, left + 6, bottom - 5);
-  }
-
-  function drawObstacles(): void {
-    for (const [cx, cy, hx, hy, yaw, height] of recording.place.obstacles) {
-      if (height <= 0) continue;
-      const [c, s] = [Math.cos(yaw), Math.sin(yaw)];
-      const corners = [[1, 1], [-1, 1], [-1, -1], [1, -1]].flatMap(([a, b]) => [
-        cx + c * a * hx - s * b * hy,
-        cy + s * a * hx + c * b * hy,
-      ]);
-      outline(corners);
-      paint.closePath();
-      paint.globalAlpha = 0.25 + 0.45 * Math.min(1, height / 4) ** 0.7;
-      paint.fillStyle = palette.obstacle;
-      paint.fill();
-      line(1, palette.obstacle);
-      paint.globalAlpha = 1;
-    }
   }
 
   function drawGraph(): void {

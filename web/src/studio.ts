@@ -1,8 +1,11 @@
 // The studio's page: a live scenario, driven by keys, a gamepad or a touch (sean_jax/studio/server.py).
 
 import { Editor, type GraphNews } from "./edit";
-import { add, Player } from "./player";
-import { type EpisodeHead, type Episode, type Recording, unpack } from "./recording";
+import { Camera } from "./camera";
+import { palette } from "./palette";
+import { drawObstacles } from "./plan";
+import { add, fit, Player } from "./player";
+import { type EpisodeHead, type Episode, type Place, type Recording, unpack } from "./recording";
 
 interface Hello {
   recording: Recording;
@@ -12,6 +15,7 @@ interface Hello {
   record: boolean;
   options: Record<string, string | number>;
   choices: Record<string, string[]>;
+  places: Record<string, Place>;
 }
 
 interface Status {
@@ -300,6 +304,26 @@ class Studio {
     field("task").add(new Option("as usual for the behavior", ""));
     field("behavior").addEventListener("change", () => (field("task").value = ""));
     field("environment").addEventListener("change", () => ((form.elements.namedItem("people") as HTMLInputElement).value = ""));
+    const cards = document.createElement("div");
+    cards.className = "studio-places";
+    form.before(cards);
+    for (const [name, place] of Object.entries(hello.places)) {
+      const card = add(cards, "button");
+      card.type = "button";
+      const canvas = add(card, "canvas");
+      add(card, "span").textContent = name;
+      const [width, height] = [150, 110];
+      canvas.style.width = `${width}px`;
+      canvas.style.height = `${height}px`;
+      const camera = new Camera(place.floor, width, height);
+      drawObstacles(fit(canvas, width, height), camera, palette(canvas), place);
+      card.addEventListener("click", () => {
+        field("environment").value = name;
+        field("environment").dispatchEvent(new Event("change"));
+        for (const other of cards.children) other.classList.toggle("on", other === card);
+      });
+      card.classList.toggle("on", name === hello.options.environment);
+    }
     add(form, "button").textContent = "open";
     form.addEventListener("submit", (event) => {
       event.preventDefault();
