@@ -419,13 +419,18 @@ def test_large_messages_and_many_tabs_hurt_nobody(served):
     asyncio.run(go())
 
 
-def test_a_tab_gets_pictures_while_it_shows_them(served):
+def test_a_tab_gets_pictures_while_it_shows_them(served, fresh):
     async def go():
         async with socket_of(served) as tab:
             await tab.send(json.dumps({"do": "view", "name": "depth"}))
             news = await until(tab, "picture")
             width, height = server.VIEWS["depth"]
             assert len(news["bytes"]) == width * height * 3 and (news["width"], news["height"]) == (width, height)
+            await tab.send(json.dumps({"do": "view", "name": "lidar"}))
+            news = await until(tab, "scan")
+            distances = np.frombuffer(news["bytes"], "<u2") / 1000.0
+            np.testing.assert_allclose(distances, fresh.scan(server.RAYS)[0], atol=2e-3)
+            assert len(distances) == server.RAYS and distances.max() <= news["far"] + 1e-3
             await tab.send(json.dumps({"do": "view", "name": "none"}))
 
     asyncio.run(go())

@@ -40,6 +40,7 @@ LONGEST = 4096  # bytes of a message from a page
 CONNECTIONS = 32
 INTERVAL = 1 / 30  # s, shortest between two messages with frames
 VIEWS = {"first_person": (240, 180), "third_person": (240, 180), "depth": (160, 120)}  # pixels
+LIDAR, RAYS = "lidar", 180
 VIEW_INTERVAL = 0.1  # s
 BASELINES = ("go_to_goal", "expert")  # policies beside a person's drive
 CHOICES = {
@@ -138,13 +139,21 @@ class Studio:
                 tabs = [tab for tab, view in self._views.items() if view == name and sent.get(tab) != moment]
                 if not tabs:
                     continue
-                width, height = VIEWS[name]
-                pixels = await asyncio.to_thread(self.session.picture, name, width, height)
-                message = framed({"kind": "picture", "name": name, "width": width, "height": height}, pixels.tobytes())
+                message = await asyncio.to_thread(self._view, name)
                 for tab in tabs:
                     sent[tab] = moment
                     if tab in self._tabs and self._tabs[tab].empty():  # a slow tab misses some
                         self._tabs[tab].put_nowait(message)
+
+    def _view(self, name: str) -> bytes:
+        """The message with a picture, or with a scan in mm."""
+        if name == LIDAR:
+            distances, far = self.session.scan(RAYS)
+            head = {"kind": "scan", "name": name, "far": far}
+            return framed(head, np.minimum(1000.0 * distances, 65535.0).astype("<u2").tobytes())
+        width, height = VIEWS[name]
+        head = {"kind": "picture", "name": name, "width": width, "height": height}
+        return framed(head, self.session.picture(name, width, height).tobytes())
 
     def _send_frames(self) -> None:
         if self._flush is not None:
@@ -259,7 +268,7 @@ class Studio:
         session, request = self.session, _request(message)
         if request["do"] == "view":
             self._views.pop(tab, None)
-            if request.get("name") in VIEWS:
+            if request.get("name") in (*VIEWS, LIDAR):
                 self._views[tab] = request["name"]
             return
         if self._driver is None:
@@ -347,7 +356,7 @@ def _hello(session: Session) -> dict[str, Any]:
                "people": scenario.people}  # fmt: skip
     return {
         "recording": replay.of_scenario(scenario, [], title, live="frames"),
-        "views": list(VIEWS),
+        "views": [*VIEWS, LIDAR],
         "policy": session.policy.name,
         "command": flags.command("studio", config),
         "record": config.record is not None,

@@ -71,6 +71,9 @@ def _path(table: navigation.Navigation, place: Array, goal: Array, way: tuple) -
     return navigation.plan(table, place, goal, *way, points=points, apart=apart)
 
 
+_scan = jax.jit(sensors.scan, static_argnums=2)
+
+
 @functools.partial(jax.jit, static_argnums=2)
 def _picture(scenario: Scenario, state: State, camera: sensors.Camera) -> Array:
     if camera.name != "depth":
@@ -301,6 +304,13 @@ class Session:
         return np.asarray(
             _picture(self.scenario, state, sensors.camera(self.scenario, name, width=width, height=height))
         )
+
+    def scan(self, count: int) -> tuple[np.ndarray, float]:
+        """(count,) m along rays of the robot's lidar, from ahead to the left; and its range."""
+        with self._lock:
+            state, scenario = self.state, self.scenario
+        device = sensors.lidar(scenario, count=count, first=0.0)
+        return np.asarray(_scan(scenario, state, device)), device.far
 
     def baselines(self, names: Sequence[str]) -> Iterator[tuple[str, dict[str, float]]]:
         """The metrics of this episode, then those of policies in the same one; empty if another episode begins."""

@@ -371,6 +371,10 @@ class Studio {
     const length = new DataView(data).getUint32(0, true);
     const text = new TextDecoder().decode(new Uint8Array(data, 4, length));
     const bytes = new Uint8Array(data, 4 + length);
+    if (JSON.parse(text).kind === "scan") {
+      this.plot(JSON.parse(text) as { name: string; far: number }, bytes);
+      return;
+    }
     if (JSON.parse(text).kind === "picture") {
       this.paint(JSON.parse(text) as { name: string; width: number; height: number }, bytes);
       return;
@@ -398,6 +402,29 @@ class Studio {
       image.data[k + 3] = 255;
     }
     this.picture.getContext("2d")!.putImageData(image, 0, 0);
+    this.root.dataset.picture = head.name;
+  }
+
+  /** A scan of the lidar, with ahead at the top; circles are 1 m apart, or 5 m. */
+  private plot(head: { name: string; far: number }, bytes: Uint8Array): void {
+    const size = 240;
+    const paint = fit(this.picture, size, size);
+    const colors = palette(this.picture);
+    const scale = size / 2 / head.far;
+    const ring = head.far > 6 ? 5 : 1;
+    [paint.strokeStyle, paint.fillStyle] = [colors.line, colors.robot];
+    for (let radius = ring; radius <= head.far; radius += ring) {
+      paint.beginPath();
+      paint.arc(size / 2, size / 2, radius * scale, 0, 2 * Math.PI);
+      paint.stroke();
+    }
+    const count = bytes.length / 2;
+    for (let k = 0; k < count; k++) {
+      const distance = (bytes[2 * k] + 256 * bytes[2 * k + 1]) / 1000;
+      const angle = (2 * Math.PI * k) / count;
+      const [x, y] = [size / 2 - distance * scale * Math.sin(angle), size / 2 - distance * scale * Math.cos(angle)];
+      if (distance < head.far - 0.01) paint.fillRect(x - 1.5, y - 1.5, 3, 3);
+    }
     this.root.dataset.picture = head.name;
   }
 
