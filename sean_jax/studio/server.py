@@ -32,7 +32,7 @@ from sean_jax import behaviors, environment, flags, policies, replay, robots, ta
 from sean_jax.config import StudioConfig, validate
 from sean_jax.errors import InputError
 from sean_jax.learning.policy import AGENTS
-from sean_jax.studio.session import Frame, Session
+from sean_jax.studio.session import SPEED_RANGE, Frame, Session
 
 HOST = "127.0.0.1"
 SOCKET = "/socket"
@@ -69,7 +69,7 @@ class Studio:
         self._tabs: dict[ServerConnection, asyncio.Queue[str | bytes]] = {}
         self._views: dict[ServerConnection, str] = {}  # which picture a tab shows
         self._driver: ServerConnection | None = None
-        self._card: tuple[int, asyncio.Task[None]] | None = None  # of the episode that has ended
+        self._card: asyncio.Task[None] | None = None  # metrics of the episode that has ended
         self._frames: list[Frame] = []  # not yet sent
         self._first, self._sent = 0, 0.0  # number of the first of them, and time of the latest message
         self._flush: asyncio.TimerHandle | None = None
@@ -121,7 +121,7 @@ class Studio:
         if kind == "cut":
             self._card = None
         elif kind == "status" and content["outcome"] and self._card is None:
-            self._card = content["episode"], asyncio.ensure_future(self._compare())
+            self._card = asyncio.ensure_future(self._compare())
 
     async def _compare(self) -> None:
         """Send the metrics of the episode that has ended, and those of policies in it."""
@@ -303,7 +303,7 @@ class Studio:
         elif word == "step":
             session.step()
         elif word == "speed":
-            session.set_speed(_number(request, "speed", 0.25, 16.0))
+            session.set_speed(_number(request, "speed", *SPEED_RANGE))
         elif word == "drive":
             session.drive(bool(request.get("on")))
         elif word == "rewind":

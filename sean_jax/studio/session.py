@@ -1,7 +1,7 @@
 """A live scenario: control steps at the pace of the clock, commands of a person or a policy, and the way back.
 
 Steps are those of ``learning.Recorder``, in the same programs, so a drive that is simulated again from its commands is
-equal to the byte. The last states are kept: one can return to a moment and go on from there.
+equal to the byte. The states of the last two minutes stay in memory: a session can return to each of them.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from sean_jax.studio.trial import Trial
 
 MEMORY = 120.0  # s, for which one can return
 DEAD_MAN = 0.5  # s without a command after which the robot brakes
-SPEEDS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0)  # times the clock
+SPEED_RANGE = 0.25, 16.0  # times the clock
 SHADE = 4.0  # m, after which a picture of depth is darker by a factor of e
 LAG = 0.5  # s behind the clock from which on the clock waits
 
@@ -150,9 +150,9 @@ class Session:
             self._wake.notify()
 
     def set_speed(self, speed: float) -> None:
-        """Speed of time, in times of the clock."""
+        """Speed of time, in ``SPEED_RANGE``."""
         with self._wake:
-            self.speed = min(max(speed, SPEEDS[0]), SPEEDS[-1])
+            self.speed = speed
             self._wake.notify()
             self._send_status()
 
@@ -174,7 +174,7 @@ class Session:
         self._latest = np.array([speed, left * turn]), time.monotonic()  # at once: a step may hold the lock
 
     def rewind(self, tick: int) -> int:
-        """Return to the moment after ``tick`` steps, or to the first that is kept; the later ones are gone."""
+        """Return to the moment after ``tick`` steps, or to the earliest in memory, and forget all later moments."""
         with self._lock:
             now = len(self.commands)
             tick = min(max(tick, now + 1 - len(self.moments)), now)
@@ -330,7 +330,7 @@ class Session:
             yield name, self._summary(scenario, state)
 
     def _summary(self, scenario: Scenario, state: State) -> dict[str, float]:
-        """The overall metrics of an episode, those that are numbers, and its seconds."""
+        """The finite overall metrics of an episode, and its duration in seconds."""
         values = {name: float(np.ravel(value)[0]) for name, value in self._results(scenario, state).items()}
         seconds = int(state.tick) * scenario.time_step
         known = {"completed": float(state.completed), "seconds": seconds}
@@ -409,7 +409,7 @@ class Session:
     def _append(self, trajectory: Trajectory) -> None:
         """Another frame; its path is new once a second."""
         every = max(1, round(1.0 / self.scenario.time_step))
-        if len(self.frames) % every == 0 or not self.frames:
+        if len(self.frames) % every == 0:
             table, robot = self.scenario.navigation, self.state.robot
             path = np.asarray(_path(table, robot.position, self.state.task.goal, self._way))
         else:
