@@ -10,6 +10,7 @@ from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
+import learning_data
 import numpy as np
 import pytest
 
@@ -19,13 +20,13 @@ from sean_jax.base import as_policy
 from sean_jax.classifiers import MORE_SITUATIONS
 from sean_jax.config import AblationConfig, CollectConfig, Figure4Config, Table1Config, validate
 from sean_jax.errors import FileError, InputError
-from sean_jax.learning.collection import streams
+from sean_jax.learning.collection import Recorder, record, streams
 from sean_jax.metrics import METRICS
 from sean_jax.policies import POLICIES, go_to_goal
 from sean_jax.runner import Runner, even_batch
 from sean_jax.scenario import results
 from sean_jax.studies import experiments
-from sean_jax.studies.experiments import figure4, shares, table1
+from sean_jax.studies.experiments import demonstrations, figure4, shares, table1
 from sean_jax.studies.experiments.shares import BEHAVIORS
 from sean_jax.workspace import Workspace, identity
 
@@ -360,6 +361,64 @@ def test_table1(tmp_path, monkeypatch):
     assert cli.main(["experiment", "table1", *given]) == 0
     after = {path.name: path.read_bytes() for path in out.iterdir() if path.suffix == ".csv"}
     assert all(before[name] == content for name, content in after.items())
+
+
+def test_demonstrations_in_table1(tmp_path):
+    """Each example counts once, in the rows of its behavior and driver; a recorder's and a collection's alike."""
+    collected = learning_data.write(tmp_path / "collected")
+    studio = tmp_path / "drives" / "demonstrations"
+    scenario = learning_data.setting()[0]["join_group"]
+    record(Recorder(studio, scenario, width=16, height=12), lambda _: (0.5, 0.2), 2)
+    given = ["--policies", "none", "--demonstrations", str(tmp_path / "drives"), str(collected.folder)]
+    assert cli.main(["experiment", "table1", *given, "--out", str(tmp_path / "out")]) == 0
+    lines = (tmp_path / "out" / "demonstrations.csv").read_text(encoding="utf-8").splitlines()[1:]
+    rows = [line.split(",") for line in lines]
+    both = [demonstrations.open_datasets([folder]) for folder in (studio, collected.folder)]
+    flags = np.concatenate([data.read(data.episodes, ("situations",))["situations"] for data in both])
+    ours = {row[-4]: float(row[-3]) for row in rows if row[-5] == "examples"}
+    assert ours == pytest.approx(dict(zip(both[0].manifest["situations"], flags.mean(0), strict=True)), abs=1e-5)
+    assert f"human, {collected.manifest['policy']}" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+
+
+def test_demonstrations_of_other_scenarios_are_refused(tmp_path):
+    collected = learning_data.write(tmp_path / "collected")
+    data = demonstrations.read([collected.folder])
+    assert list(data) == ["graph"]
+    scenario = learning_data.setting()[0]["join_group"]
+    demonstrations.check(data, "graph", scenario)
+    demonstrations.check(data, "random", scenario)
+    longer = dataclasses.replace(scenario, time_limit=30.0)
+    with pytest.raises(InputError, match="has time_limit 20, and the experiment 30; give the experiment --time-limit"):
+        demonstrations.check(data, "graph", longer)
+    with pytest.raises(InputError, match="has no dataset.json"):
+        demonstrations.read([tmp_path])
+    options = validate(Figure4Config, {"demonstrations": (collected.folder,), "out": tmp_path / "out", "datasets": 2})
+    with pytest.raises(InputError, match="--datasets: all demonstrations of a behavior are one dataset"):
+        figure4.run_figure4(options)
+    options = validate(Figure4Config, {"demonstrations": (collected.folder,), "out": tmp_path / "out"})
+    with pytest.raises(InputError, match="has environment lab, and the experiment warehouse"):
+        figure4.run_figure4(options)
+    assert not (tmp_path / "out").exists()
+
+
+def test_demonstrations_in_figure4(tmp_path):
+    """G and B learn from them; R and H from the demonstrator, in images of the same size."""
+    data = learning_data.write(tmp_path / "collected")
+    options = validate(Figure4Config, {"demonstrations": (data.folder,), "out": tmp_path / "out"})
+    datasets, work = demonstrations.read(options.demonstrations), Workspace(options.folder, identity(options))
+    learners = {policy: figure4.learner(options, work, policy, datasets) for policy in "GRHB"}
+    parts = [part.name for part in figure4.learning_parts(learners)[0]]
+    assert [name for name in parts if name.startswith("demon")] == [
+        "demonstrations-random",
+        "demonstrations-handcrafted",
+    ]
+    for policy in "GB":
+        training = learners[policy].training((0, 1))
+        assert (training.dataset, training.part, training.balance) == (data.folder, (1, 1), policy == "B")
+        assert figure4._examples(training)["examples"] == data.example_count
+    collected = learners["R"].data
+    assert (collected.width, collected.height, collected.rate) == (16, 12, 1)
+    assert learners["R"].training((0, 1)).dataset == collected.folder
 
 
 @pytest.mark.slow

@@ -15,6 +15,7 @@ Preset = Annotated[
     Literal["sean2"] | None,
     pydantic.Field(description="Experimental conditions: sean2 for SEAN 2.0. Explicit options override it."),
 ]
+Demonstrations = Annotated[tuple[Path, ...], Option(affects_results=False)]  # their content does
 SPEEDS = (1.4, 1.2, 1.0, 0.8, 0.6, 0.4)  # m/s
 
 
@@ -90,6 +91,9 @@ class Table1Config(SituationConfig):
     """CSV files of recorded people, separated by commas; each person in turn takes the place of the robot."""
     frame_rate: fields.FrameRate | None = None
     """Frames per second of the recordings; by default the clocks of their formats."""
+    demonstrations: Demonstrations = ()
+    """Folders of demonstrations, of `sean studio --record`, `sean collect` or a `learning.Recorder`: rows of the
+    table."""
 
     @classmethod
     def defaults(cls, data: Mapping[str, Any]) -> dict[str, Any]:
@@ -133,6 +137,14 @@ class Figure4Config(LearnedConfig):
     baselines: Annotated[fields.Names, Option(affects_results=False)] = "move_base,ppo,ppo_lidar,sensing_expert"
     """Other policies in the same episodes, separated by commas, or none: names, folders of `sean train`, such as
     runs/dagger or runs/apg, or FILE.py:NAME. They can be added to a finished figure."""
+    demonstrations: Demonstrations = ()
+    """Folders of demonstrations, of `sean studio --record`, `sean collect` or a `learning.Recorder`, in place of those
+    of the demonstrator; all with one behavior of people are one dataset."""
+
+    @classmethod
+    def defaults(cls, data: Mapping[str, Any]) -> dict[str, Any]:
+        """One dataset of each behavior with demonstrations."""
+        return super().defaults(data) | ({"datasets": 1} if data.get("demonstrations") else {})
 
 
 class LearningCurveConfig(LearnedConfig):

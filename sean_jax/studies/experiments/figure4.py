@@ -40,11 +40,12 @@ from sean_jax.errors import InputError
 from sean_jax.files import listed
 from sean_jax.flags import number
 from sean_jax.learning.collection import check_collection, streams
+from sean_jax.learning.dataset import ConcatDataset, open_datasets
 from sean_jax.learning.examples import balanced_probabilities
 from sean_jax.learning.policy import check_policy, load_policy
 from sean_jax.metrics import METRICS
 from sean_jax.runner import Runner, even_batch, max_batch
-from sean_jax.studies.experiments import Part, page, pictures, run_parts, shares, write_csv
+from sean_jax.studies.experiments import Part, demonstrations, page, pictures, run_parts, shares, write_csv
 from sean_jax.studies.experiments.measures import (
     BALANCED,
     DEMONSTRATOR,
@@ -61,7 +62,7 @@ from sean_jax.studies.experiments.measures import (
     comparisons,
     episode_measures,
 )
-from sean_jax.studies.experiments.shares import BEHAVIORS
+from sean_jax.studies.experiments.shares import BEHAVIORS, DemonstrationCell
 from sean_jax.studies.experiments.table1 import description, fields
 from sean_jax.workspace import Workspace, identity
 
@@ -91,11 +92,19 @@ def run_figure4(options: Figure4Config, console: Console | None = None) -> Path:
         check_collection(collection(options, behavior, options.hours))
     for name in baselines(options):
         check_policy(name, ScenarioConfig(), "--baselines")
-    with Workspace(options.folder, identity(options)).open() as work:
+    datasets = demonstrations.read(options.demonstrations)
+    if datasets and options.datasets > 1:
+        raise InputError("--datasets: all demonstrations of a behavior are one dataset; leave --datasets out.")
+    known = identity(options)
+    known["options"]["demonstrations"] = [data.fingerprint() for data in datasets.values()]
+    with Workspace(options.folder, known).open() as work:
         places = scenarios(options)
+        for behavior in BEHAVIORS:
+            demonstrations.check(datasets, behavior, places[behavior][0])
         work.begin()  # after all checks, so that wrong options leave no files
-        outcomes = run_parts(_parts(options, work, places), console, "figure 4")
-        write_figure4(options, _results(options, outcomes))
+        outcomes = run_parts(_parts(options, work, places, datasets), console, "figure 4")
+        driven = [demonstrations.cell(*each) for each in datasets.items()]
+        write_figure4(options, _results(options, outcomes), driven)
     return options.folder
 
 
@@ -117,12 +126,17 @@ def scenarios(options: LearnedConfig) -> dict[str, list[Scenario]]:
     return {b: list(streams(description(options, b, options.people)).values()) for b in BEHAVIORS}
 
 
-def _parts(options: Figure4Config, work: Workspace, places: dict[str, list[Scenario]]) -> list[Part]:
+def _parts(
+    options: Figure4Config,
+    work: Workspace,
+    places: dict[str, list[Scenario]],
+    datasets: Mapping[str, ConcatDataset],
+) -> list[Part]:
     """The parts of the experiment, in an order in which they could run one by one."""
     names = {DEMONSTRATOR: options.demonstrator, NAVIGATION: "social_costmap"}
     alone = names | {name: name for name in baselines(options)}
     drivers = {name: {name: [functools.partial(load_policy, policy)]} for name, policy in alone.items()}
-    learners = {policy: learner(options, work, policy) for policy in (*LEARNED, BALANCED)}
+    learners = {policy: learner(options, work, policy, datasets) for policy in (*LEARNED, BALANCED)}
     trainings, last = learning_parts(learners)
     every = {"learned": {policy: learner.loaders() for policy, learner in learners.items()}}  # they share programs
     alike, learned = driving_parts(options, work, places, drivers), driving_parts(options, work, places, every, last)
@@ -162,15 +176,26 @@ def collection(
     return validate(CollectConfig, fields(options, behavior, options.people) | chosen)
 
 
-def learner(options: Figure4Config, work: Workspace, policy: str) -> Learner:
-    """The networks of a learned policy: G, R, H or B."""
+def learner(
+    options: Figure4Config, work: Workspace, policy: str, datasets: Mapping[str, ConcatDataset] | None = None
+) -> Learner:
+    """The networks of a learned policy: G, R, H or B.
+
+    ``datasets`` are demonstrations by behavior; those of the other behaviors are collected, with images as large.
+    """
     behavior = LEARNED.get(policy, "graph")
     name = "graph-balanced" if policy == BALANCED else behavior
-    data = collection(options, behavior, options.hours)
-    return Learner(name, work, data, options, {"balance": policy == BALANCED})
+    data, more = collection(options, behavior, options.hours), {"balance": policy == BALANCED}
+    if not datasets:
+        return Learner(name, work, data, options, more)
+    first = next(iter(datasets.values()))
+    height, width = first.image_shape
+    data = data.model_copy(update={"width": width, "height": height, "rate": first.rate})
+    folders = tuple(part.folder for part in datasets[behavior].parts) if behavior in datasets else ()
+    return Learner(name, work, data, options, more, folders)
 
 
-def write_figure4(options: Figure4Config, results: Results) -> None:
+def write_figure4(options: Figure4Config, results: Results, driven: Sequence[DemonstrationCell] = ()) -> None:
     """Write figure4.csv, claims.csv, the figure and report.html.
 
     Raises:
@@ -200,7 +225,7 @@ def write_figure4(options: Figure4Config, results: Results) -> None:
     write_csv(folder / "claims.csv", "statement,paper,ours,holds,share_of_resamples", quoted)
     grids = pictures.grids(results)
     pictures.save(folder, {"figure4-grids": grids})
-    writing.write(folder / "report.html", page.figure4(options, results, statements, grids))
+    writing.write(folder / "report.html", page.figure4(options, results, statements, grids, driven))
 
 
 def estimate_rows(cells: Mapping[str, Estimate], *head: Any) -> list[tuple]:
@@ -225,6 +250,7 @@ class Learner:
     data: CollectConfig  # of all demonstrations together, equal parts of which are the datasets
     experiment: LearnedConfig
     options: dict[str, Any]  # of all trainings, beside those of the experiment
+    demonstrations: tuple[Path, ...] = ()  # datasets in place of ``data``
 
     @property
     def networks(self) -> list[tuple[int, int]]:
@@ -243,8 +269,9 @@ class Learner:
         """How a network is trained."""
         (dataset, seed), options = network, self.experiment
         chosen: dict[str, Any] = {"epochs": options.epochs, "batch": 256 if options.quick else 1024, **self.options}
+        first, *others = self.demonstrations or (self.data.folder,)
         return ImitationConfig(
-            method="imitation", dataset=self.data.folder, part=(dataset + 1, options.datasets),
+            method="imitation", dataset=first, datasets=tuple(others), part=(dataset + 1, options.datasets),
             seed=options.seed + seed, out=self.work.folder / f"policy-{self.name}-{dataset}-{seed}", **chosen,
         )  # fmt: skip
 
@@ -264,12 +291,12 @@ def learning_parts(learners: Mapping[str, Learner]) -> tuple[list[Part], list[st
     The trainings run one after the other, because orbax mixes up what several threads save.
     """
     every = list(learners.values())
-    data = {learner.data.folder.name: learner.data for learner in every}
+    data = {learner.data.folder.name: learner.data for learner in every if not learner.demonstrations}
     parts = [Part(name, functools.partial(demonstrate, config, every)) for name, config in data.items()]
     last: list[str] = []
     for name, learner in learners.items():
-        needs = (learner.data.folder.name, *last)
-        parts.append(Part(f"training {name}", functools.partial(train, learner), needs))
+        needs = last if learner.demonstrations else [learner.data.folder.name, *last]
+        parts.append(Part(f"training {name}", functools.partial(train, learner), tuple(needs)))
         last = [parts[-1].name]
     return parts, last
 
@@ -295,7 +322,7 @@ def train(learner: Learner, tell: Callable[[float], None]) -> list[dict[str, flo
 
 def _examples(config: ImitationConfig) -> dict[str, Any]:
     """The number of examples of a training, and the entropy of their situations, from 0 to 1."""
-    data = learning.open_dataset(config.dataset, config.part)
+    data = open_datasets([config.dataset, *config.datasets], config.part)
     flags = data.read(data.episodes, ("situations",))["situations"]
     odds = balanced_probabilities(flags) if config.balance else np.full(len(flags), 1 / len(flags))
     shared = odds @ (flags / np.maximum(flags.sum(1, keepdims=True), 1))

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
     from sean_jax.metrics import Estimate
     from sean_jax.studies.experiments.measures import Curve, Results, Scores
-    from sean_jax.studies.experiments.shares import Recorded
+    from sean_jax.studies.experiments.shares import DemonstrationCell, Recorded
 
 TEXTS = files.read_yaml(Path(__file__).with_name("captions.yaml"))[1]
 SITUATIONS = [name.replace("_", " ") for name in shares.NAMES]
@@ -69,7 +69,13 @@ def _holds(row: dict[str, Any]) -> Cell:
 # ------------------------------------------------------------------ Table I
 
 
-def table1(options: Table1Config, cells: list[shares.Cell], figures: dict[str, Figure], real: list[Recorded]) -> str:
+def table1(
+    options: Table1Config,
+    cells: list[shares.Cell],
+    figures: dict[str, Figure],
+    real: list[Recorded],
+    driven: Sequence[DemonstrationCell] = (),
+) -> str:
     """The page of Table I.
 
     Args:
@@ -84,10 +90,16 @@ def table1(options: Table1Config, cells: list[shares.Cell], figures: dict[str, F
             section("Table I", figure(svg(figures["table1-bars"], "table1-bars"), TEXTS["bars"]), legend),
             section(f"Shares at {speed}", *rows, note(TEXTS["counted"])),
         ]
+    if driven:
+        rows = [_shares(driven, policy) for policy in dict.fromkeys(each.policy for each in driven)]
+        sections.append(section("Demonstrations", *rows, note(TEXTS["demonstrated"])))
     if real:
         sections.append(section("Recorded people", _recorded(options, real), note(TEXTS["recorded"])))
-    sections.append(section("Beyond the five", _more(cells, list(by_policy), real), note(TEXTS["more"])))
-    if cells:
+    if cells or real:
+        sections.append(section("Beyond the five", _more(cells, list(by_policy), real), note(TEXTS["more"])))
+    if len(driven) == len(BEHAVIORS) and len({each.policy for each in driven}) == 1:
+        by_policy = {**shares.by_policy(driven), **by_policy}
+    if by_policy:
         statement = note(f"At {speed}, {TEXTS['orderings']}")
         sections.append(section("Orderings of the paper", _orderings(by_policy), statement))
     for name, title, notes in (
@@ -98,11 +110,11 @@ def table1(options: Table1Config, cells: list[shares.Cell], figures: dict[str, F
             sections.append(section(title, figure(svg(figures[name], name)), *notes))
     minutes = 60.0 * options.hours * options.seeds
     title = f"Table I: social situations in {number(minutes)} minutes of each behavior and policy"
-    title = title if cells else "Table I: social situations in recordings"
+    title = title if cells else f"Table I: social situations in {'recordings' if real else 'demonstrations'}"
     return document(title, sections, options)
 
 
-def _shares(cells: list[shares.Cell], policy: str) -> str:
+def _shares(cells: Sequence[shares.Cell | DemonstrationCell], policy: str) -> str:
     rows: list[list[str | Cell]] = []
     for cell in (cell for cell in cells if cell.policy == policy):
         paper = shares.paper()[cell.behavior]
@@ -242,7 +254,13 @@ def benchmark(options: BenchmarkConfig, whole: Scores, by_track: dict[str, Score
 # ------------------------------------------------------------------ Figure 4
 
 
-def figure4(options: Figure4Config, results: Results, claims: list[dict[str, Any]], grids: Figure) -> str:
+def figure4(
+    options: Figure4Config,
+    results: Results,
+    claims: list[dict[str, Any]],
+    grids: Figure,
+    driven: Sequence[DemonstrationCell] = (),
+) -> str:
     """The page of Figure 4.
 
     Args:
@@ -259,6 +277,10 @@ def figure4(options: Figure4Config, results: Results, claims: list[dict[str, Any
         section("By situation", *_by_situation(results), note(TEXTS["bootstrap"])),
         section("What the paper reports", table(["statement", "paper", "here", "holds"], rows)),
     ]
+    if driven:
+        counts = [[each.behavior, each.policy, f"{each.ended.sum()}", f"{each.ended[0]}"] for each in driven]
+        head = ["people", "driver", "episodes", "completed"]
+        sections.append(section("Demonstrations", table(head, counts), note(TEXTS["replaced"])))
     if results.training:
         sections.append(section("Training", _training(results.training)))
     datasets, trainings, _ = results.sizes

@@ -197,7 +197,23 @@ class Cell:
         return count(self.more, streams=self.streams)
 
 
-def by_policy(cells: Sequence[Cell], speed: int = 0) -> dict[str, dict[str, Shares]]:
+@dataclasses.dataclass
+class DemonstrationCell:
+    """Examples of demonstrations with one behavior, at the walking speed V with which they were recorded."""
+
+    behavior: str
+    policy: str  # the driver that the dataset names
+    people: int
+    episode: np.ndarray  # (E,) int
+    flags: np.ndarray  # (E, 5) bool
+    ended: np.ndarray  # (2,) episodes completed and not
+
+    def shares(self, speed: int = 0) -> Shares:
+        """Shares of the paper's situations; resamples are of episodes."""
+        return count_by_person(self.flags, self.episode)
+
+
+def by_policy(cells: Sequence[Cell | DemonstrationCell], speed: int = 0) -> dict[str, dict[str, Shares]]:
     """policy -> behavior -> shares of the paper's situations."""
     return {
         policy: {cell.behavior: cell.shares(speed) for cell in cells if cell.policy == policy}

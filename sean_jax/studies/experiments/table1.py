@@ -44,8 +44,15 @@ from sean_jax.flags import number
 from sean_jax.learning.collection import check_collection, streams
 from sean_jax.learning.policy import check_policy, load_policy
 from sean_jax.scenario import snapshot
-from sean_jax.studies.experiments import Part, cached, page, pictures, run_parts, shares, write_csv
-from sean_jax.studies.experiments.shares import BEHAVIORS, Cell, Recorded, interval_rows, ordering_rows
+from sean_jax.studies.experiments import Part, cached, demonstrations, page, pictures, run_parts, shares, write_csv
+from sean_jax.studies.experiments.shares import (
+    BEHAVIORS,
+    Cell,
+    DemonstrationCell,
+    Recorded,
+    interval_rows,
+    ordering_rows,
+)
 from sean_jax.workspace import REMAKE, Workspace, identity
 
 if TYPE_CHECKING:
@@ -74,13 +81,15 @@ def run_table1(options: Table1Config, console: Console | None = None) -> Path:
 
     Source: section V-B, Table I.
     """
-    names = [] if listed(options.policies) == ["none"] and listed(options.recordings) else policies(options)
+    others = listed(options.recordings) or options.demonstrations
+    names = [] if listed(options.policies) == ["none"] and others else policies(options)
     jobs = [(behavior, policy, options.people) for policy in names for behavior in BEHAVIORS]
     sweep = [(behavior, policy, crowd) for policy in names[:1] for crowd in options.crowds for behavior in SWEPT]
     for behavior, _, people in [*jobs, *sweep]:
         check_collection(description(options, behavior, people))
     kind = description(options, "random", None).situations[0].kind
     real = shares.read_recordings(listed(options.recordings), options.frame_rate)
+    driven = [demonstrations.cell(*each) for each in demonstrations.read(options.demonstrations).items()]
     with Workspace(options.folder, identity(options)).open() as work:
         places = cached(functools.partial(_places, options))
         for behavior, _, people in [] if work.begun() else dict.fromkeys([*jobs, *sweep]):
@@ -97,7 +106,7 @@ def run_table1(options: Table1Config, console: Console | None = None) -> Path:
             driving.append(Part(name, functools.partial(cell, options, work, name, behavior, policy, pool, more=MORE)))
         results = run_parts(driving, console, "driving")
         cells, swept = ([results[_name(*job)] for job in each] for each in (jobs, sweep))
-        write_table1(options, cells, swept, [recordings[name] for name in real])
+        write_table1(options, cells, swept, [recordings[name] for name in real], driven)
     return options.folder
 
 
@@ -193,10 +202,17 @@ def cell(
     return Cell(behavior, policy, kinds[0].people, flags, others, ended, len(kinds))
 
 
-def write_table1(options: Table1Config, cells: list[Cell], swept: list[Cell], real: list[Recorded]) -> None:
-    """Write shares.csv, more.csv, entropies.csv, orderings.csv, recordings.csv, the figures and report.html.
+def write_table1(
+    options: Table1Config,
+    cells: list[Cell],
+    swept: list[Cell],
+    real: list[Recorded],
+    driven: list[DemonstrationCell],
+) -> None:
+    """Write shares.csv, more.csv, entropies.csv, orderings.csv, the figures and report.html.
 
-    ``cells`` have the experiment's number of people, ``swept`` other numbers.
+    ``cells`` have the experiment's number of people, ``swept`` other numbers. recordings.csv and demonstrations.csv are
+    written if there are any.
 
     Raises:
         WriteError: another process writes one of the files.
@@ -218,6 +234,10 @@ def write_table1(options: Table1Config, cells: list[Cell], swept: list[Cell], re
     if real:  # there is no V where a situation does not depend on it
         head = "recording,people,V,counting,situation,share,low,high"
         write_csv(folder / "recordings.csv", head, [row for each in real for row in _recorded(options, each)])
+    if driven:
+        head = "policy,behavior,people,counting,situation,share,low,high"
+        rows = [row for each in driven for row in each.shares().rows(each.policy, each.behavior, each.people)]
+        write_csv(folder / "demonstrations.csv", head, rows)
     by_speed = [shares.by_policy(cells, index) for index in range(len(options.speeds))]
     orderings = [
         row
@@ -229,7 +249,7 @@ def write_table1(options: Table1Config, cells: list[Cell], swept: list[Cell], re
     write_csv(folder / "orderings.csv", head, orderings)
     figures = pictures.table1(options, cells, swept)
     pictures.save(folder, figures)
-    writing.write(folder / "report.html", page.table1(options, cells, figures, real))
+    writing.write(folder / "report.html", page.table1(options, cells, figures, real, driven))
 
 
 def _recorded(options: Table1Config, real: Recorded) -> list[tuple]:
