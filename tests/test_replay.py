@@ -5,6 +5,7 @@ import json
 import re
 import shutil
 import subprocess
+import sys
 import zlib
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from PIL import Image
 from replay_columns import decode
 
 import sean_jax
@@ -224,12 +226,20 @@ def test_a_browser_plays_it(content, tmp_path):
     (tmp_path / "page.html").write_text(replay.html(content), encoding="utf-8")
     words = ["node", "test/page.mjs", str(tmp_path / "page.html"), CHROMIUM]
     seen = json.loads(subprocess.run(words, cwd=WEB, check=True, capture_output=True, timeout=120).stdout)
-    assert seen["errors"] == [] and len(seen["requests"]) == 1, "nothing but the page itself is loaded"
+    assert seen["errors"] == [] and len(set(seen["requests"])) == 1, "nothing but the page itself is loaded"
     assert (seen["linked"], seen["opened"], seen["stepped"]) == (2.0, 0.0, 1.0)
     assert seen["scrubbed"] == pytest.approx(seen["duration"] / 2, abs=0.3)
     assert "what its depth camera can see" in seen["legend"]
     assert "" in seen["named"] and any(re.match(r"obstacle, \d+\.\d × ", text) for text in seen["named"])
     assert any(re.match(r"person \d+: \d\.\d\d m/s|kuri: ", text) for text in seen["named"])
+    flags, names = decode(content["episodes"][0], content["episodes"][0]["frames"])["situation"], content["situations"]
+    held = flags[int(seen["scrubbed"] / 0.1 + 1e-6)]
+    assert seen["lit"] == [each["name"].replace("_", " ") for each, on in zip(names, held, strict=True) if on]
+    tops = [each["top"] for each in seen["labels"]]
+    assert len(tops) == len(names) and min(np.diff(tops)) >= 17 and max(each["height"] for each in seen["labels"]) <= 17
+    number = re.match(r"person \d+", seen["pinned"])
+    assert number and seen["later"].startswith(number[0]) and seen["later"] != seen["pinned"] and seen["unpinned"] == ""
+    assert seen["moves"] == [True, False], "#play plays, but not for readers who want no motion"
     assert 0.5 < seen["played"] < 3.0 and seen["frames"] > 5 and seen["drawn"] > 20
 
 
@@ -270,13 +280,158 @@ def test_everybody_can_read_the_pages(content, tmp_path):
         assert json.loads(done.stdout) == [], name
 
 
-def test_a_notebook_shows_the_whole_page(walked, tmp_path):
-    """Wide and narrow: the frame has the height of the page."""
+def test_the_film_of_a_page_follows_the_robot(content, tmp_path):
+    """900 x 500 pixels, the robot in the middle, 0.2 s of the episode from one picture to the next."""
+    if CHROMIUM is None or not (WEB / "node_modules" / "playwright-core").is_dir():
+        pytest.skip("there is no Chromium, or web/node_modules is not there")
+    (tmp_path / "page.html").write_text(replay.html(content), encoding="utf-8")
+    words = ["node", "film.mjs", str(tmp_path / "page.html"), CHROMIUM, str(tmp_path / "film"), "1", "1.0", "3.0"]
+    subprocess.run(words, cwd=WEB, check=True, timeout=120)
+    subprocess.run([sys.executable, "film.py", str(tmp_path / "film"), str(tmp_path / "film.gif")], cwd=WEB, check=True)
+    with Image.open(tmp_path / "film.gif") as film:
+        assert film.size == (900, 500) and getattr(film, "n_frames", 1) == 11
+        for number in range(11):
+            film.seek(number)
+            pixels = np.asarray(film.convert("RGB"), int)[240:260, 440:460].reshape(-1, 3)
+            assert (np.abs(pixels - [0xF5, 0x8A, 0x07]).max(1) < 12).sum() > 50, "the robot is orange"
+
+
+@pytest.fixture(scope="module")
+def notebook(walked, tmp_path_factory):
+    """What a notebook's frame shows in Chromium."""
     if CHROMIUM is None or not (WEB / "node_modules" / "playwright-core").is_dir():
         pytest.skip("there is no Chromium, or web/node_modules is not there")
     scenario, frames = walked
-    (tmp_path / "cell.html").write_text(replay.view(frames[0], scenario)._repr_html_(), encoding="utf-8")
-    words = ["node", "test/frame.mjs", str(tmp_path / "cell.html"), CHROMIUM]
-    heights = json.loads(subprocess.run(words, cwd=WEB, check=True, capture_output=True, timeout=120).stdout)
-    for frame, inside in heights:
+    page = tmp_path_factory.mktemp("notebook") / "cell.html"
+    page.write_text(replay.view(frames[0], scenario)._repr_html_(), encoding="utf-8")
+    words = ["node", "test/frame.mjs", str(page), CHROMIUM]
+    return json.loads(subprocess.run(words, cwd=WEB, check=True, capture_output=True, timeout=120).stdout)
+
+
+def test_a_notebook_shows_the_whole_page(notebook):
+    """Wide and narrow: the frame has the height of the page."""
+    for frame, inside in notebook["heights"]:
         assert inside > 400 and abs(frame - inside) <= 2
+
+
+def test_a_notebook_opens_in_a_situation(notebook, walked):
+    """The first that holds after 3 s and is not "empty"; without one, the middle of the episode."""
+    scenario, frames = walked
+    names = [name for name, _ in scenario.situations]
+    flags = frames[0].situations[frames[0].active][:, [name != "empty" for name in names]].any(1)
+    moments = [t for t in range(30, len(flags)) if flags[t]]
+    expected = moments[0] * 0.1 if moments else (len(flags) - 1) * 0.05
+    assert notebook["opened"] == pytest.approx(expected, abs=0.06) and notebook["paused"] == 1
+
+
+def test_the_replay_follows_the_theme_of_its_host(notebook):
+    """JupyterLab, mkdocs-material, VS Code and Colab over the system's; the plan is drawn again."""
+    dark = {"false", "slate", "vscode-dark", "dark"}
+    assert len(notebook["themes"]) == 18
+    for each in notebook["themes"]:
+        is_dark = each["value"] in dark
+        assert each["paper"] == ("rgb(24, 29, 39)" if is_dark else "rgb(255, 255, 254)"), each
+        if each["name"]:
+            assert (each["floor"] < 128) == is_dark, each
+
+
+def test_states_and_next_nodes_of_people(tmp_path):
+    """Random walks against loops of the definitions: of the legend, and the node that a person enters next."""
+    if not (WEB / "node_modules" / "esbuild").is_dir():
+        pytest.skip("web/node_modules is not there")
+    random = np.random.default_rng(3)
+    frames, people = 120, 12
+    speed = np.repeat(random.choice([0.05, 0.4, 0.9, 1.3], (frames // 20, people)), 20, 0)
+    angle = np.cumsum(random.normal(0, 0.15, (frames, people)), 0) + random.uniform(-3, 3, people)
+    heading = np.stack([np.cos(angle), np.sin(angle)], -1)
+    places = np.cumsum(0.1 * speed[..., None] * heading, 0) + random.uniform(-2, 2, (people, 2))
+    present = np.ones((frames, people), bool)
+    present[:40, 0], present[80:, 1] = False, False
+    group = np.where(random.uniform(size=(frames // 20, people)) < 0.2, 1, -1).repeat(20, 0)
+    robot = np.cumsum(random.normal(0, 0.05, (frames, 2)), 0)
+    arrays: Any = dict(
+        position=robot, heading=np.tile([1.0, 0.0], (frames, 1)), velocity=robot, action=robot, people=places,
+        people_velocity=heading, people_heading=heading, group=group, present=present, goal=robot,
+        situations=np.zeros((frames, 5), bool), active=np.ones(frames, bool),
+    )  # fmt: skip
+    one = Trajectory(**arrays)
+    nodes = random.uniform(-3, 3, (6, 2)).round(2)
+    graph = {
+        "names": list("abcdef"),
+        "position": nodes.tolist(),
+        "radius": [0.8] * 6,
+        "group": [False] * 6,
+        "edges": [],
+    }
+    content = replay.recording([replay.Episode(one, "one")], replay.drawing.empty_floor(one)) | {"graph": graph}
+    (tmp_path / "page.html").write_text(replay.html(content), encoding="utf-8")
+    words = ["node", "test/state.mjs", str(tmp_path / "page.html")]
+    seen = json.loads(subprocess.run(words, cwd=WEB, check=True, capture_output=True, timeout=60).stdout)
+    states, following = np.array(seen["states"]).T, np.array(seen["next"]).T
+    columns = decode(content["episodes"][0], frames)
+    x, y, turn = columns["person x"], columns["person y"], columns["person heading"]
+    around = np.zeros((frames, people))
+    for t, n in np.argwhere(present):
+        some = [s for s in range(max(0, t - 3), min(frames, t + 4)) if present[s, n]]
+        way = np.hypot(x[some[-1], n] - x[some[0], n], y[some[-1], n] - y[some[0], n])
+        around[t, n] = way / (0.1 * (len(some) - 1))
+    expected = np.full((frames, people), "person", dtype=object)
+    unsure = ~present
+    for n in range(people):
+        walked = sorted(value for value in around[::5, n] if value > 0.3)
+        usual = walked[len(walked) // 2] if walked else 0.0
+        for t in range(frames):
+            gap = np.array([columns["robot x"][t, 0] - x[t, n], columns["robot y"][t, 0] - y[t, n]])
+            ahead = gap @ [np.cos(turn[t, n]), np.sin(turn[t, n])]
+            unsure[t, n] |= min(abs(np.hypot(*gap) - 2.0), abs(ahead), abs(around[t, n] - usual / 2)) < 1e-3
+            if group[t, n] >= 0:
+                expected[t, n] = "member"
+            elif np.hypot(*gap) <= 2.0 and ahead > 0.0 and around[t, n] < usual / 2:
+                expected[t, n] = "yielding"
+    assert (states == expected)[~unsure].all()
+    assert all(np.sum(expected[~unsure] == name) > 20 for name in ("person", "member", "yielding"))
+    apart = np.linalg.norm(np.stack([x, y], -1)[:, :, None] - nodes, axis=-1) - 0.8
+    inside = np.where((apart < 0).any(-1), (apart < 0).argmax(-1), -1)
+    for t, n in np.argwhere(present & (np.abs(apart) > 1e-3).all(-1).all(0)):
+        ends = np.flatnonzero(~present[t:, n])
+        later = inside[t + 1 : t + ends[0] if len(ends) else None, n]
+        enters = later[(later >= 0) & (later != inside[t, n])]
+        assert following[t, n] == (enters[0] if len(enters) else -1)
+    assert len(np.unique(following)) > 4
+
+
+MACHADO = {
+    "all": np.eye(3),
+    "protanopia": [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]],
+    "deuteranopia": [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.01182, 0.04294, 0.968881]],
+    "tritanopia": [[1.255528, -0.076749, -0.178779], [-0.078411, 0.930809, 0.147602], [0.004733, 0.691367, 0.3039]],
+}
+"""linear RGB as people see it; source: Machado, Oliveira and Fernandes 2009, table 1, severity 1"""
+
+
+@pytest.mark.parametrize("sight", MACHADO)
+@pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
+def test_states_differ_for_all_eyes(sight, dark):
+    """States and the robot differ from one another, and people from the floor by 3 to 1 (WCAG 1.4.11)."""
+    style = (pages.PACKAGE / "pages" / "style.css").read_text()
+
+    def linear(name: str) -> np.ndarray:
+        (value,) = re.findall(rf"--{name}:(?:light-dark\()?(#\w{{6}}(?:,#\w{{6}})?)", style)
+        digits = value.split(",")[-1 if dark else 0]
+        code = np.array([int(digits[k : k + 2], 16) for k in (1, 3, 5)]) / 255
+        plain = np.where(code <= 0.04045, code / 12.92, ((code + 0.055) / 1.055) ** 2.4)
+        return np.clip(np.array(MACHADO[sight]) @ plain, 0.0, 1.0)
+
+    def lab(color: np.ndarray) -> np.ndarray:
+        xyz = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]) @ color
+        f = np.cbrt(np.maximum(xyz / [0.9505, 1.0, 1.089], 0.00886))
+        return np.array([116 * f[1] - 16, 500 * (f[0] - f[1]), 200 * (f[1] - f[2])])
+
+    shades = {name: linear(name) for name in ("person", "member", "yielding", "robot")}
+    for one in shades:
+        for other in shades:
+            assert one == other or np.linalg.norm(lab(shades[one]) - lab(shades[other])) > 20, (one, other)
+    light = [0.2126, 0.7152, 0.0722]
+    for name in ("person", "member", "yielding"):
+        pair = sorted([light @ linear(name) + 0.05, light @ linear("floor") + 0.05])
+        assert pair[1] / pair[0] >= 3.0, name

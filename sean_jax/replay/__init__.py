@@ -1,8 +1,8 @@
 """Replays: episodes on a page that plays them, as one file of HTML that needs no network.
 
 The plan from above with people's headings and trails, their groups, the robot with what its sensors have in sight, its
-planned path, the graph, the lights of the situations (Fig. 2) and metrics as curves below a timeline. ``page.js`` is
-built of the TypeScript in ``web/`` (``npm run build``).
+planned path, the graph, a timeline of the situations (Fig. 2), whose labels are their lights, and metrics as curves.
+``page.js`` is built of the TypeScript in ``web/`` (``npm run build``).
 
 The page reads episodes as whole numbers: differences from frame to frame, deflated, as text. A column is T numbers.
 They are rounded to 16 bits, and each is the difference from the one before it, modulo 2**16: differences of people who
@@ -344,7 +344,8 @@ class Replay:
         picture = f'<img alt="episode from above" style="max-width:100%" src="data:image/png;base64,{data}">'
         page = markup.escape(html(self.content, picture, linked=False))
         x0, y0, x1, y1 = self.content["place"]["floor"]
-        height = round(min(640, 900 * (y1 - y0) / (x1 - x0))) + 330  # until the page sets it, if it may
+        below = 18 * len(self.content["situations"]) + 54 * len(self.content["curves"])
+        height = round(min(640, 900 * (y1 - y0) / (x1 - x0))) + below + 140  # until the page sets it, if it may
         return f'<iframe data-fit="yes" srcdoc="{page}" width="100%" height="{height}" style="border:0"></iframe>'
 
 

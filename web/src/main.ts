@@ -10,7 +10,7 @@ for (const place of document.querySelectorAll<HTMLElement>("[data-replay]")) {
   const text = document.getElementById(place.dataset.replay!)!.textContent!;
   const player = new Player(place, JSON.parse(text) as Recording, place.dataset.linked !== "no");
   if (place.dataset.clock) together.push(player);
-  void player.start();
+  void player.start(window.parent !== window && !place.dataset.clock); // in a frame, such as a notebook's
 }
 for (const player of together) {
   const others = together.filter((other) => other !== player);
@@ -28,7 +28,7 @@ if (together.length === 2) {
 function fitFrame(): void {
   try {
     const frame = window.frameElement as HTMLElement | null;
-    if (frame?.dataset.fit) frame.style.height = `${document.documentElement.scrollHeight}px`;
+    if (frame?.dataset.fit) frame.style.height = `${Math.ceil(document.body.getBoundingClientRect().height)}px`;
   } catch {
     // a frame of another origin keeps its height
   }

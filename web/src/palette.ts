@@ -1,37 +1,24 @@
 // The colors of the page, light or dark, from the variables of its style.
 
-export interface Palette {
-  paper: string;
-  floor: string;
-  ink: string;
-  muted: string;
-  line: string;
-  trail: string;
-  faint: string;
-  obstacle: string;
-  robot: string;
-  robotEdge: string;
-  person: string;
-  member: string;
-  none: string;
-}
+const NAMES = [
+  "paper", "floor", "ink", "muted", "line", "trail", "faint", "obstacle",
+  "robot", "robot-edge", "person", "member", "yielding", "none",
+] as const;
+
+type Names = (typeof NAMES)[number];
+
+export type Palette = Record<Names, string>;
 
 export function palette(element: Element): Palette {
-  const style = getComputedStyle(element);
-  const color = (name: string): string => style.getPropertyValue(`--${name}`).trim();
-  return {
-    paper: color("paper"),
-    floor: color("floor"),
-    ink: color("ink"),
-    muted: color("muted"),
-    line: color("line"),
-    trail: color("trail"),
-    faint: color("faint"),
-    obstacle: color("obstacle"),
-    robot: color("robot"),
-    robotEdge: color("robot-edge"),
-    person: color("person"),
-    member: color("member"),
-    none: color("none"),
+  const probe = document.createElement("i"); // a color of a variable is one of two until an element has it
+  probe.hidden = true;
+  element.append(probe);
+  const style = getComputedStyle(probe);
+  const color = (name: Names): [Names, string] => {
+    probe.style.color = `var(--${name})`;
+    return [name, style.color];
   };
+  const colors = Object.fromEntries(NAMES.map(color)) as Palette;
+  probe.remove();
+  return colors;
 }

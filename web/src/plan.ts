@@ -4,16 +4,20 @@ import type { Camera } from "./camera";
 import type { Episode, Place, Recording, View } from "./recording";
 import { sight } from "./sight";
 import type { Palette } from "./palette";
+import { stateOf } from "./state";
 
 export interface Shown {
   trails: boolean;
   graph: boolean;
   sight: boolean;
+  person: number; // whose whole way is drawn, -1 none
 }
 
 const SCALES = [0.5, 1, 2, 5, 10, 20, 50]; // m
-const TRAIL = 3; // s, of people
+export const TRAIL = 3; // s, of people
 const SHOULDERS = 0.23; // m, half of the width of a person; depth is that of the body
+const HEADS = 24; // pixels in a metre, from which on people have heads; darts below
+const STATES = ["person", "member", "yielding"] as const;
 
 /** The obstacles of a place; higher ones are darker. */
 export function drawObstacles(paint: CanvasRenderingContext2D, camera: Camera, palette: Palette, place: Place): void {
@@ -224,31 +228,67 @@ export function drawPlan(
   }
 
   function drawPeople(): void {
-    const body = recording.person.radius;
-    const count = episode.of("person x").length;
-    for (let n = 0; n < count; n++) {
+    if (shown.person >= 0) drawPerson(shown.person);
+    const crowd: Record<(typeof STATES)[number], [number, number, number][]> = { person: [], member: [], yielding: [] };
+    for (let n = 0; n < episode.of("person x").length; n++) {
       if (!present(n, frame)) continue;
-      const [px, py] = camera.toScreen(here("person x", n), here("person y", n));
       const angle = -episode.angleAt(episode.of("person heading")[n], time);
-      const member = episode.of("person group")[n][frame] >= 0;
-      paint.save();
-      paint.translate(px, py);
-      paint.rotate(angle);
-      paint.beginPath();
-      paint.ellipse(0, 0, Math.max(2, 0.7 * body * metre), Math.max(3.4, SHOULDERS * metre), 0, 0, 2 * Math.PI);
-      paint.fillStyle = member ? palette.member : palette.person;
-      paint.fill();
-      line(1, palette.ink);
-      paint.beginPath(); // the head, a little ahead of the shoulders, with the nose
-      paint.arc(0.05 * metre, 0, Math.max(1.6, 0.1 * metre), 0, 2 * Math.PI);
-      paint.fillStyle = palette.ink;
-      paint.fill();
-      paint.beginPath();
-      paint.moveTo(0, 0);
-      paint.lineTo(Math.max(6, 1.5 * body * metre), 0);
-      line(1, palette.ink);
-      paint.restore();
+      crowd[stateOf(episode, n, frame)].push([...camera.toScreen(here("person x", n), here("person y", n)), angle]);
     }
+    for (const state of STATES) {
+      paint.fillStyle = palette[state];
+      for (const [x, y, angle] of crowd[state]) {
+        paint.beginPath(); // one each: a path of all takes twice as long to fill
+        (metre < HEADS ? dart : shoulders)(x, y, angle);
+        paint.fill();
+        if (metre >= HEADS) line(1, palette.ink);
+      }
+    }
+    if (metre < HEADS) return;
+    paint.beginPath(); // heads, a little ahead of the shoulders, with noses
+    for (const [x, y, angle] of Object.values(crowd).flat()) {
+      const [c, s] = [Math.cos(angle) * metre, Math.sin(angle) * metre];
+      paint.moveTo(x + 0.21 * c, y + 0.21 * s);
+      paint.lineTo(x + 0.09 * s, y - 0.09 * c);
+      paint.arc(x + 0.03 * c, y + 0.03 * s, 0.1 * metre, angle - Math.PI / 2, angle + Math.PI / 2, true);
+      paint.closePath();
+    }
+    paint.fillStyle = palette.paper;
+    paint.fill();
+    line(1, palette.ink);
+  }
+
+  function dart(x: number, y: number, angle: number): void {
+    const size = Math.max(6, 0.36 * metre);
+    const [c, s] = [size * Math.cos(angle), size * Math.sin(angle)];
+    paint.moveTo(x + 1.1 * c, y + 1.1 * s);
+    paint.lineTo(x - 0.8 * c - 0.7 * s, y - 0.8 * s + 0.7 * c);
+    paint.lineTo(x - 0.4 * c, y - 0.4 * s);
+    paint.lineTo(x - 0.8 * c + 0.7 * s, y - 0.8 * s - 0.7 * c);
+    paint.closePath();
+  }
+
+  function shoulders(x: number, y: number, angle: number): void {
+    const depth = 0.7 * recording.person.radius * metre;
+    paint.moveTo(x + depth * Math.cos(angle), y + depth * Math.sin(angle));
+    paint.ellipse(x, y, depth, SHOULDERS * metre, angle, 0, 2 * Math.PI);
+  }
+
+  /** The way of a person so far, and a ring. */
+  function drawPerson(n: number): void {
+    const [xs, ys] = [episode.of("person x")[n], episode.of("person y")[n]];
+    paint.beginPath();
+    for (let t = 0; t <= frame; t++) {
+      if (!present(n, t)) continue;
+      const point = camera.toScreen(xs[t], ys[t]);
+      if (t > 0 && present(n, t - 1)) paint.lineTo(...point);
+      else paint.moveTo(...point);
+    }
+    if (present(n, frame)) paint.lineTo(...camera.toScreen(here("person x", n), here("person y", n)));
+    line(2, palette.ink);
+    if (!present(n, frame)) return;
+    disc(here("person x", n), here("person y", n), Math.max(10, 0.45 * metre));
+    line(2, palette.ink);
   }
 
   function drawRobot(body: number): void {
@@ -261,11 +301,11 @@ export function drawPlan(
     disc(rx, ry, radius);
     paint.fillStyle = palette.robot;
     paint.fill();
-    line(1.5, palette.robotEdge);
+    line(1.5, palette["robot-edge"]);
     const [px, py] = camera.toScreen(rx, ry);
     paint.beginPath();
     paint.moveTo(px, py);
     paint.lineTo(px + 1.7 * radius * Math.cos(heading), py - 1.7 * radius * Math.sin(heading));
-    line(2, palette.robotEdge);
+    line(2, palette["robot-edge"]);
   }
 }

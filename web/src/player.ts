@@ -1,15 +1,17 @@
-// A player: a plan view with its controls, a timeline, and the lights of the situations.
+// A player: a plan view with its controls, and a timeline, whose labels are the lights of the situations.
 
 import { Camera } from "./camera";
 import { palette, type Palette } from "./palette";
-import { pick } from "./pick";
-import { drawPlan, type Shown } from "./plan";
+import { describe, pick, placeOf, type Thing } from "./pick";
+import { drawPlan, TRAIL, type Shown } from "./plan";
 import { decode, type Episode, type Recording } from "./recording";
 import { Stream } from "./stream";
-import { drawTimeline, LABELS, timelineHeight } from "./timeline";
+import { followTheme } from "./theme";
+import { drawTimeline, LABELS, STRIP, timelineHeight } from "./timeline";
 
 const SPEEDS = [0.25, 0.5, 1, 2, 4, 8, 16];
 const POLL = 500; // ms
+const DRAG = 4; // pixels: a shorter one is a click
 const DIVERGENCE = 0.5; // m, between robots that have parted
 const LEGEND = [
   ["robot-body", "robot, with its heading"],
@@ -17,8 +19,9 @@ const LEGEND = [
   ["robot-plan", "its shortest path"],
   ["robot-sight", "what its depth camera can see"],
   ["robot-track", "its way, in the color of the situation"],
-  ["person", "person, with the nose ahead"],
+  ["person", "person; the dart or the nose points ahead"],
   ["member", "member of a group"],
+  ["yielding", "person who yields: the robot is ahead within 2 m, and the speed below half of the usual one"],
   ["group", "a group that stands together"],
   ["trail", "people's last 3 seconds"],
 ];
@@ -39,7 +42,7 @@ export class Player {
   private colors!: Palette;
   private stale = true; // something is to be drawn
   private readonly camera: Camera;
-  private readonly shown: Shown = { trails: true, graph: false, sight: true };
+  private readonly shown: Shown = { trails: true, graph: false, sight: true, person: -1 };
   private readonly cache: Map<number, Promise<Episode>> = new Map();
   private number = 0;
   private stream: Stream | null = null;
@@ -48,9 +51,11 @@ export class Player {
   private arrival = 0; // ms, of its newest frame
 
   private pointer: [number, number] | null = null; // pixels of the plan
+  private pinned: Thing | null = null; // by a click
 
   readonly plan: HTMLCanvasElement;
-  private readonly tip: HTMLElement;
+  private readonly tip: HTMLElement; // of what is below the pointer
+  private readonly pin: HTMLElement; // of what a click has chosen
   private readonly line: HTMLCanvasElement;
   private readonly scrub: HTMLInputElement;
   private readonly cursor: HTMLElement;
@@ -92,6 +97,7 @@ export class Player {
     this.plan.setAttribute("role", "img");
     this.plan.setAttribute("aria-label", "plan of the episode from above");
     this.camera.listen(this.plan, () => (this.stale = true));
+    this.pin = add(root, "div", "replay-pin");
     this.tip = add(root, "div", "replay-tip");
     for (const kind of ["pointermove", "pointerdown"] as const) {
       this.plan.addEventListener(kind, (event) => {
@@ -99,6 +105,11 @@ export class Player {
         this.point();
       });
     }
+    let down: [number, number] = [0, 0];
+    this.plan.addEventListener("pointerdown", (event) => (down = [event.offsetX, event.offsetY]));
+    this.plan.addEventListener("click", (event) => {
+      if (Math.hypot(event.offsetX - down[0], event.offsetY - down[1]) < DRAG) this.choose(event.offsetX, event.offsetY);
+    });
     this.plan.addEventListener("pointerleave", () => {
       this.pointer = null;
       this.point();
@@ -107,20 +118,12 @@ export class Player {
     const legend = add(root, "div", "replay-legend");
     legend.hidden = true;
     for (const [kind, text] of LEGEND) {
-      if (!recording.robot && kind.startsWith("robot")) continue;
+      if (!recording.robot && (kind.startsWith("robot") || kind === "yielding")) continue;
       const entry = add(legend, "span");
       add(entry, "i", kind);
       entry.append(text);
     }
     this.toggle(toggles, "legend", false, (on) => (legend.hidden = !on));
-
-    const lights = add(root, "div", "replay-lights");
-    this.lights = recording.situations.map(({ name, color }) => {
-      const light = add(lights, "span");
-      light.textContent = name.replace(/_/g, " ");
-      light.style.setProperty("--light", color);
-      return light;
-    });
 
     const controls = add(root, "div", "replay-controls");
     this.play = add(controls, "button");
@@ -136,6 +139,13 @@ export class Player {
 
     const track = add(root, "div", "replay-track");
     this.line = add(track, "canvas");
+    this.lights = recording.situations.map(({ name, color }, index) => {
+      const light = add(track, "span", "replay-light");
+      light.textContent = name.replace(/_/g, " ");
+      light.style.setProperty("--light", color);
+      [light.style.top, light.style.width] = [`${index * STRIP}px`, `${LABELS - 8}px`];
+      return light;
+    });
     this.scrub = add(track, "input");
     this.scrub.type = "range";
     this.scrub.min = "0";
@@ -167,14 +177,29 @@ export class Player {
     if (!live) root.addEventListener("keydown", (event) => this.key(event));
     if (linked) window.addEventListener("hashchange", () => void this.fromAddress());
     new ResizeObserver(() => this.resize()).observe(root);
-    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.resize());
+    followTheme(() => this.resize());
     this.run(false);
   }
 
-  async start(): Promise<void> {
+  /** Begin, at the first situation if `amid`. */
+  async start(amid: boolean): Promise<void> {
     if (this.recording.live) await this.listen(new Stream(this.recording.live, this.recording.timeStep));
-    else if (!(this.linked && (await this.fromAddress()))) await this.open(0, 0);
+    else if (!(this.linked && (await this.fromAddress()))) {
+      await this.open(0, 0);
+      if (amid) this.seek(this.firstSituation());
+      const still = matchMedia("(prefers-reduced-motion: reduce)").matches;
+      if (this.linked && new URLSearchParams(location.hash.slice(1)).has("play") && !still) this.run(true);
+    }
     requestAnimationFrame((now) => this.tick(now));
+  }
+
+  /** s, when the robot is first in a situation, with people's trails behind them; the middle if it never is. */
+  private firstSituation(): number {
+    const flags = this.episode.of("situation").filter((_, k) => this.recording.situations[k].name !== "empty");
+    for (let t = this.episode.frameAt(TRAIL); t < this.episode.frames; t++) {
+      if (flags.some((flag) => flag[t] > 0.5)) return t * this.recording.timeStep;
+    }
+    return this.episode.duration / 2;
   }
 
   /** Play an episode while it is simulated; returns when there is a first frame. */
@@ -289,14 +314,36 @@ export class Player {
     this.root.dataset.frames = String(episode.frames);
   }
 
-  /** Name what is below the pointer. */
+  /** What lies at a pixel of the plan. */
+  private thingAt(px: number, py: number): Thing | null {
+    if (!this.episode) return null;
+    return pick(this.recording, this.episode, this.time, this.shown.graph, ...this.camera.toPlan(px, py), this.pixel);
+  }
+
+  /** Keep the description of what lies at a pixel until another click. */
+  private choose(px: number, py: number): void {
+    this.pinned = this.thingAt(px, py);
+    this.shown.person = this.pinned?.kind === "person" ? this.pinned.index : -1;
+    this.stale = true;
+    this.point();
+  }
+
+  /** Describe what a click has chosen, and what is below the pointer. */
   private point(): void {
-    const place = this.pointer && this.episode ? this.camera.toPlan(...this.pointer) : null;
-    const text = place ? pick(this.recording, this.episode, this.time, this.shown.graph, ...place) : "";
-    this.tip.textContent = text;
-    if (!text || !this.pointer) return;
-    this.tip.style.left = `${this.plan.offsetLeft + Math.min(this.pointer[0], this.plan.clientWidth - 240) + 12}px`;
-    this.tip.style.top = `${this.plan.offsetTop + this.pointer[1] + 14}px`;
+    const below = this.pointer && this.thingAt(...this.pointer);
+    const { pinned } = this;
+    const place = pinned && placeOf(pinned, this.recording, this.episode, this.time);
+    this.label(this.pin, place && pinned, place ? this.camera.toScreen(...place) : [0, 0]);
+    const same = below?.kind === pinned?.kind && below?.index === pinned?.index;
+    this.label(this.tip, same ? null : below, this.pointer ?? [0, 0]);
+  }
+
+  private label(tip: HTMLElement, thing: Thing | null, [x, y]: [number, number]): void {
+    tip.textContent = thing ? describe(thing, this.recording, this.episode, this.time) : "";
+    if (!thing) return;
+    const left = Math.max(0, Math.min(x + 12, this.plan.clientWidth - tip.offsetWidth));
+    const top = Math.max(0, Math.min(y + 14, this.plan.clientHeight - tip.offsetHeight));
+    [tip.style.left, tip.style.top] = [`${this.plan.offsetLeft + left}px`, `${this.plan.offsetTop + top}px`];
   }
 
   private toggle(place: HTMLElement, name: string, on: boolean, change: (on: boolean) => void): void {
@@ -314,6 +361,7 @@ export class Player {
   /** Show an episode from a time [s] on. */
   private async open(number: number, time: number): Promise<void> {
     this.number = Math.max(0, Math.min(this.recording.episodes.length - 1, number));
+    if (this.episode && this.root.dataset.ready !== String(this.number)) [this.pinned, this.shown.person] = [null, -1];
     const asked = this.number;
     if (!this.cache.has(asked)) this.cache.set(asked, decode(this.recording.episodes[asked], this.recording.timeStep));
     const episode = await this.cache.get(asked)!;
@@ -429,7 +477,7 @@ export class Player {
     drawPlan(paint, this.camera, this.colors, this.recording, episode, time, this.shown);
     const frame = episode.frameAt(time);
     episode.of("situation").forEach((flag, k) => this.lights[k].classList.toggle("on", flag[frame] > 0.5));
-    if (this.pointer) this.point();
+    if (this.pointer || this.pinned) this.point();
     this.clock.textContent = `${Math.min(time, episode.duration).toFixed(1)} of ${episode.duration.toFixed(1)} s`;
     this.scrub.value = String(Math.min(time, episode.duration));
     const share = Math.min(1, time / Math.max(episode.duration, 1e-9));

@@ -3,7 +3,7 @@
 import type { Palette } from "./palette";
 import type { Episode, Recording } from "./recording";
 
-const STRIP = 13; // pixels, of a situation
+export const STRIP = 18; // pixels, of a situation
 const CURVE = 46; // of a curve
 const GAP = 8;
 export const LABELS = 118; // pixels at the left
@@ -30,17 +30,16 @@ export function drawTimeline(
     paint.fillText(text, 0, y, LABELS - 8);
   };
 
-  recording.situations.forEach(({ name, color }, index) => {
+  recording.situations.forEach(({ color }, index) => {
     const [top, flags] = [index * STRIP, episode.of("situation")[index]];
-    label(name.replace(/_/g, " "), top + STRIP / 2, palette.muted);
     paint.fillStyle = palette.floor;
-    paint.fillRect(LABELS, top + 2, width - LABELS, STRIP - 4);
+    paint.fillRect(LABELS, top + 2, width - LABELS, STRIP - 5);
     paint.fillStyle = color;
     for (let t = 0; t < episode.frames; ) {
       const first = t;
       while (t < episode.frames && flags[t] > 0.5) t++;
       if (t > first) {
-        paint.fillRect(across(first - 0.5), top + 2, Math.max(1.5, across(t - 0.5) - across(first - 0.5)), STRIP - 4);
+        paint.fillRect(across(first - 0.5), top + 2, Math.max(1.5, across(t - 0.5) - across(first - 0.5)), STRIP - 5);
       }
       t++;
     }

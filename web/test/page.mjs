@@ -10,7 +10,7 @@ const page = await browser.newPage({ viewport: { width: 1100, height: 900 } });
 const seen = { errors: [], requests: [] };
 page.on("console", (message) => message.type() === "error" && seen.errors.push(message.text()));
 page.on("pageerror", (error) => seen.errors.push(String(error)));
-page.on("request", (request) => request.url().startsWith("data:") || seen.requests.push(request.url()));
+page.on("request", (request) => request.url().startsWith("data:") || seen.requests.push(request.url().split("#")[0]));
 const clock = async () => Number.parseFloat(await page.locator(".replay-clock").first().textContent());
 
 await page.goto(`${pathToFileURL(file)}#episode=1&t=2`);
@@ -31,7 +31,8 @@ await track.click({ position: { x: width / 2, y: height / 2 } });
 await page.waitForTimeout(200);
 seen.scrubbed = await clock();
 seen.duration = Number.parseFloat((await page.locator(".replay-clock").first().textContent()).split("of")[1]);
-seen.lit = await page.locator(".replay-lights .on").allTextContents();
+seen.lit = await page.locator(".replay-light.on").allTextContents();
+seen.labels = await page.locator(".replay-light").evaluateAll((all) => all.map((each) => each.getBoundingClientRect().toJSON()));
 await page.keyboard.press("Home");
 await page.selectOption(".replay-controls select", "1");
 await page.getByLabel("play").click();
@@ -50,12 +51,26 @@ await page.getByLabel("legend").check();
 seen.legend = await page.locator(".replay-legend").innerText();
 seen.named = [];
 const plan = await page.locator(".replay-plan").boundingBox();
+const tip = () => page.locator(".replay-tip").textContent();
+let person = null;
 for (let k = 0; k < 900; k++) {
   const [across, down] = [(k % 30) / 30, Math.floor(k / 30) / 30];
   await page.mouse.move(plan.x + across * plan.width, plan.y + down * plan.height);
-  seen.named.push(await page.locator(".replay-tip").textContent());
+  seen.named.push(await tip());
+  if (seen.named.at(-1).startsWith("person")) person = [plan.x + across * plan.width, plan.y + down * plan.height];
 }
 seen.named = [...new Set(seen.named)];
+if (person) {
+  const pin = () => page.locator(".replay-pin").textContent();
+  await page.mouse.click(...person);
+  await page.mouse.move(plan.x + 2, plan.y + 2);
+  seen.pinned = await pin();
+  await page.keyboard.press("End");
+  await page.waitForTimeout(100);
+  seen.later = await pin();
+  await page.mouse.click(plan.x + 2, plan.y + 2);
+  seen.unpinned = await pin();
+}
 await page.getByLabel("follow").check();
 await page.waitForTimeout(100);
 seen.drawn = await page.evaluate(() => {
@@ -63,6 +78,14 @@ seen.drawn = await page.evaluate(() => {
   const pixels = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height).data;
   return new Set(new Uint32Array(pixels.buffer)).size;
 });
+for (const reducedMotion of ["no-preference", "reduce"]) {
+  await page.emulateMedia({ reducedMotion });
+  await page.goto("about:blank");
+  await page.goto(`${pathToFileURL(file)}#play`);
+  await page.waitForSelector("[data-ready]");
+  await page.waitForTimeout(100);
+  (seen.moves ??= []).push((await page.getByLabel("pause").count()) > 0);
+}
 if (picture) await page.screenshot({ path: picture, fullPage: true });
 await browser.close();
 console.log(JSON.stringify(seen));
