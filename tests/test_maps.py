@@ -105,7 +105,7 @@ def test_shades_mean_what_map_server_says(tmp_path, settings, shade, means):
     assert raster.unknown.all() == raster.unknown.any() == (means == "unknown")
 
 
-def test_colours_are_averaged_and_transparent_pixels_are_unknown(tmp_path):
+def test_colors_are_averaged_and_transparent_pixels_are_unknown(tmp_path):
     shades = np.zeros((1, 3, 4), np.uint8)
     shades[0, 0] = (0, 0, 255, 255)  # mean 85: p = 0.67
     shades[0, 1] = (255, 255, 120, 255)  # mean 210: p = 0.18

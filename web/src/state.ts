@@ -1,4 +1,4 @@
-// What a person does, by colour: walks, stands in a group, yields to the robot.
+// What a person does, by color: walks, stands in a group, yields to the robot.
 
 import type { Episode } from "./recording";
 
