@@ -1,18 +1,22 @@
 """``sean studio``: drives are simulated again to the byte, the server is for this computer alone, Chromium drives."""
 
 import asyncio
+import base64
 import contextlib
+import gzip
 import json
 import os
 import re
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 import threading
 import time
 import urllib.error
 import urllib.request
+import zlib
 from pathlib import Path
 
 import jax
@@ -25,7 +29,7 @@ from sean_jax.errors import FileError, InputError
 from sean_jax.learning import Recorder
 from sean_jax.studio import editor, server, trial
 from sean_jax.studio.server import Studio
-from sean_jax.studio.session import DEAD_MAN, Session
+from sean_jax.studio.session import DEAD_MAN, Choice, Session
 
 pytest.importorskip("websockets")
 pytest.importorskip("ruamel.yaml")
@@ -160,6 +164,39 @@ def test_an_episode_ends_and_is_compared_with_policies(fresh):
     assert list(cards) == ["go_to_goal"]  # the policy drove, and is its own baseline
     assert mine["seconds"] == pytest.approx(length * fresh.scenario.time_step)
     assert {"completed", "path_length", "intimate_robot_on_person"} <= set(mine)
+
+
+def columns_of(episode):
+    """The numbers of an encoded episode by name, (K, T), decoded by the format's description alone."""
+    numbers = np.frombuffer(zlib.decompress(base64.b64decode(episode["data"])), np.uint8).reshape(2, -1).astype(int)
+    levels, columns = numbers[0] + 256 * numbers[1], {}
+    for each in episode["columns"]:
+        size = each["count"] * episode["frames"]
+        steps, levels = levels[:size].reshape(each["count"], -1), levels[size:]
+        columns[each["name"]] = np.cumsum(steps, 1) % 2**16 * each["scale"] + each["offset"]
+    return columns
+
+
+def test_whole_episodes_are_compared(fresh):
+    """The first is the episode that the policy drives here; another seed and another number are other episodes."""
+    fresh.play(True)
+    wait(lambda: fresh.over, 60.0)
+    driven = np.stack([frame.trajectory.position for frame in fresh.frames])
+    (_, summary) = next(fresh.baselines([]))
+    choices = [Choice("go_to_goal", 0, 0), Choice("go_to_goal", 7, 0), Choice("go_to_goal", 0, 3)]
+    *progress, result = fresh.compare(choices)
+    assert {each["index"] for each in progress} == {0, 1, 2}
+    assert progress[0]["seconds"] == 0.0 and all(each["seconds"] <= each["limit"] for each in progress)
+    assert result["metrics"][0] == summary
+    starts = []
+    for recording, metrics in zip(result["recordings"], result["metrics"], strict=True):
+        (episode,) = recording["episodes"]
+        columns = columns_of(episode)
+        assert episode["frames"] == round(metrics["seconds"] / fresh.scenario.time_step) + 1
+        starts.append((columns["robot x"][0, 0], columns["robot y"][0, 0], columns["person x"][0, 0]))
+    first = columns_of(result["recordings"][0]["episodes"][0])
+    np.testing.assert_allclose(np.stack([first["robot x"][0], first["robot y"][0]], 1), driven, atol=0.0051)
+    assert len(set(starts)) == 3 and "seed 7" in result["recordings"][1]["title"]
 
 
 def test_an_error_stops_the_episode_and_not_the_studio(fresh, monkeypatch):
@@ -311,6 +348,13 @@ def served(fresh, monkeypatch):
     fresh.send = lambda kind, content: None
 
 
+@pytest.fixture
+def impatient(monkeypatch, request):
+    """``served``, with half a second of patience."""
+    monkeypatch.setattr(server, "PATIENCE", 0.5)
+    return request.getfixturevalue("served")
+
+
 def get(address, **headers):
     try:
         with urllib.request.urlopen(urllib.request.Request(address, headers=headers), timeout=5) as answer:
@@ -343,6 +387,9 @@ def test_the_page_is_for_this_computer_and_for_the_token(served):
     assert get(base + "/")[0] == get(base + "/?token=no")[0] == 403
     assert get(served.url, Host="evil.example")[0] == 403
     assert get(f"{base}/other?token={served.token}")[0] == 404
+    with urllib.request.urlopen(served.url, timeout=5) as answer:
+        policy = answer.headers["Content-Security-Policy"]
+    assert "default-src 'none'" in policy and f"connect-src ws://127.0.0.1:{served.port} " in policy
 
 
 def test_a_socket_is_for_the_page_alone(served):
@@ -432,6 +479,145 @@ def test_a_tab_gets_pictures_while_it_shows_them(served, fresh):
             np.testing.assert_allclose(distances, fresh.scan(server.RAYS)[0], atol=2e-3)
             assert len(distances) == server.RAYS and distances.max() <= news["far"] + 1e-3
             await tab.send(json.dumps({"do": "view", "name": "none"}))
+
+    asyncio.run(go())
+
+
+def test_a_comparison_goes_to_the_tab_that_asks_and_ends_with_it(served, fresh):
+    async def go():
+        async with socket_of(served) as one, socket_of(served) as two:
+            pair = [{"policy": "go_to_goal", "seed": 0, "episode": number} for number in (0, 1)]
+            for choices, message in [
+                ([pair[0], pair[0]], "both episodes are the same"),
+                ([pair[0] | {"policy": "/tmp/mine.py:drive"}, pair[1]], "is not on the page"),
+                ([pair[0] | {"policy": ["go_to_goal"]}, pair[1]], "is not on the page"),
+                ([pair[0] | {"seed": None}, pair[1]], "seed: None is no number"),
+                ([pair[0], 3], "no two episodes"),
+                (pair * 2, "no two episodes"),
+                ("all", "no two episodes"),
+            ]:
+                await one.send(json.dumps({"do": "compare", "choices": choices}))
+                assert message in (await until(one, "error"))["content"]
+            await one.send(json.dumps({"do": "play", "on": True}))
+            await one.send(json.dumps({"do": "compare", "choices": pair}))
+            assert (await until(one, "comparison"))["content"]["index"] == 0
+            assert not fresh.playing, "time stands still meanwhile"
+            await one.send(json.dumps({"do": "compare", "choices": []}))
+            await one.send(json.dumps({"do": "fly"}))
+            assert "no request" in (await until(one, "error"))["content"]
+            assert served._comparison is None
+            await one.send(json.dumps({"do": "compare", "choices": pair}))
+            while "recordings" not in (content := (await until(one, "comparison"))["content"]):
+                assert set(content) == {"index", "seconds", "limit"}
+            assert len(content["recordings"]) == len(content["metrics"]) == 2
+            await two.send(json.dumps({"do": "fly"}))  # the other tab has no news of it
+            while True:
+                news = await asyncio.wait_for(two.recv(), 10)
+                kind = json.loads(news)["kind"] if isinstance(news, str) else "frames"
+                assert kind != "comparison"
+                if kind == "error":
+                    break
+            await one.send(json.dumps({"do": "compare", "choices": pair}))
+            await until(one, "comparison")
+            running = served._comparison
+        await asyncio.wait_for(asyncio.to_thread(wait, lambda: running.done()), 20)
+        assert running.cancelled() or running.done()
+
+    asyncio.run(go())
+
+
+def raw(studio, text=b""):
+    """A TCP connection that has sent some bytes, and no more."""
+    plain = socket.socket()
+    plain.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+    plain.settimeout(20)
+    plain.connect(("127.0.0.1", studio.port))
+    plain.sendall(text)
+    return plain
+
+
+def upgrade(studio):
+    """The bytes that open a web socket."""
+    lines = [f"GET /socket?token={studio.token} HTTP/1.1", f"Host: 127.0.0.1:{studio.port}", "Upgrade: websocket",
+             f"Origin: http://127.0.0.1:{studio.port}", "Connection: Upgrade", "Sec-WebSocket-Version: 13",
+             "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ=="]  # fmt: skip
+    return "\r\n".join([*lines, "", ""]).encode()
+
+
+@pytest.mark.parametrize("text", [b"", b"GET / HTTP/1.1\r\nHost:"])
+def test_a_connection_without_a_handshake_is_closed(impatient, text):
+    """Also a hundred of them at once, which are no tabs; the service goes on."""
+    silent = [raw(impatient, text) for _ in range(100)]
+
+    async def go():
+        async with socket_of(impatient) as tab:
+            await until(tab, "hello")
+
+    asyncio.run(go())
+    for each in silent:
+        while each.recv(4096):
+            pass
+        each.close()
+
+
+def test_a_tab_that_answers_no_longer_is_closed(impatient, fresh):
+    """It drove: time stands still, and another tab may drive."""
+    fresh.set_speed(1.0)
+    half_open = raw(impatient, upgrade(impatient))
+    wait(lambda: len(impatient._tabs) == 1)
+    request = json.dumps({"do": "play", "on": True}).encode()
+    half_open.sendall(bytes([0x81, 0x80 | len(request), 0, 0, 0, 0]) + request)  # a frame with the mask 0
+    wait(lambda: len(fresh.commands) > 0)
+
+    async def go():
+        async with socket_of(impatient) as tab:
+            reading = asyncio.ensure_future(until(tab, "nothing"))  # or it would not answer either
+            await asyncio.to_thread(wait, lambda: impatient._driver is None)
+            assert len(impatient._tabs) == 1 and not fresh.playing
+            length = len(fresh.commands)
+            await tab.send(json.dumps({"do": "step"}))
+            await asyncio.to_thread(wait, lambda: len(fresh.commands) == length + 1)
+            assert not fresh.over and set(impatient._tabs) == {impatient._driver}
+            reading.cancel()
+
+    asyncio.run(go())
+    half_open.close()
+
+
+def test_a_tab_that_stops_reading_holds_up_nobody(served):
+    """Its queue is bounded: it is closed when that is full, while another tab gets all messages."""
+    half_open = raw(served, upgrade(served))
+    wait(lambda: len(served._tabs) == 1)
+
+    async def go():
+        async with socket_of(served) as tab:
+            await until(tab, "status")
+            for number in range(600):
+                content = {"number": number, "text": 50_000 * "x"}
+                served._loop.call_soon_threadsafe(served._put, {"kind": "flood", "content": content})
+                assert (await until(tab, "flood"))["content"]["number"] == number
+            assert len(served._tabs) == 1
+
+    asyncio.run(go())
+    half_open.close()
+
+
+def test_tabs_that_come_at_once_are_no_more_than_allowed(served):
+    async def come():
+        try:
+            tab = await socket_of(served).__aenter__()
+            await until(tab, "hello")
+        except (InvalidStatus, ConnectionClosed) as error:
+            return error
+        return tab
+
+    async def go():
+        came = await asyncio.gather(*(come() for _ in range(100)))
+        tabs = [each for each in came if not isinstance(each, Exception)]
+        assert len(tabs) == server.CONNECTIONS == len(served._tabs)
+        await asyncio.gather(*(tab.close() for tab in tabs))
+        async with socket_of(served) as tab:
+            await until(tab, "hello")
 
     asyncio.run(go())
 
@@ -570,6 +756,40 @@ def test_a_browser_drives(tmp_path):
 
 
 @pytest.mark.slow
+def test_a_browser_compares_and_has_a_3d_view(tmp_path):
+    """Two episodes on one clock, one above the other on a narrow screen; the robot in the middle of the 3-D view."""
+    if CHROMIUM is None or not (WEB / "node_modules" / "playwright-core").is_dir():
+        pytest.skip("there is no Chromium, or web/node_modules is not there")
+    process, address = start(tmp_path)
+    results = []
+    try:
+        for script in "scene", "comparison":
+            done = subprocess.run(["node", f"test/{script}.mjs", address, CHROMIUM, str(tmp_path)], cwd=WEB,
+                                  timeout=300, capture_output=True, text=True, check=False)  # fmt: skip
+            assert done.returncode == 0, done.stderr[-3000:]
+            results.append(json.loads(done.stdout))
+    finally:
+        process.terminate()
+        process.communicate(timeout=120)
+    for seen in results:
+        assert seen["errors"] == [] and seen["findings"] == [] and set(seen["hosts"]) == {address.split("/")[2]}
+    scene, compared = results
+    (first, scrolled, dragged, near, again), (narrow,) = scene["views"]
+    for view in first, narrow:
+        assert view["orange"] > 100, "the robot is in the middle"
+    assert first["bright"] > narrow["bright"] + 0.1, "a dark page has a dark view"
+    assert scrolled == first == again and dragged != first, "the wheel turns nothing before the view has the focus"
+    assert near["orange"] > 2 * dragged["orange"] and scene["removed"] == 0
+    assert scene["without"] == ["3-D (this browser has no WebGL)", True]
+    assert "both episodes are the same" in compared["same"] and compared["canceled"] == 0 and compared["paused"]
+    assert compared["titles"] == ["go_to_goal · seed 0 · episode 0", "expert · seed 0 · episode 0"]
+    assert all(one == other for one, other in compared["clocks"]) and compared["clocks"][1][0] == 9.0
+    (wide, narrow), rows = compared["tops"], compared["columns"]
+    assert wide[0] == wide[1] and narrow[1] > narrow[0] + 200 and compared["width"] == 0
+    assert rows[1:3] == compared["titles"] and "time, s" in rows
+
+
+@pytest.mark.slow
 def test_a_browser_edits_the_graph(tmp_path):
     """A node is dragged, an edge clicked, a number typed, a mistake refused, a change undone; comments are kept."""
     if CHROMIUM is None or not (WEB / "node_modules" / "playwright-core").is_dir():
@@ -595,7 +815,8 @@ def test_a_browser_edits_the_graph(tmp_path):
 
 
 def test_the_page_has_its_program():
-    assert (pages.PACKAGE / "studio" / "page.js").stat().st_size < 60_000
+    assert len(gzip.compress((pages.PACKAGE / "studio" / "page.js").read_bytes())) < 180_000
+    assert (pages.PACKAGE / "replay" / "page.js").stat().st_size < 30_000, "three.js is for the studio alone"
     assert assembly.build(validate(StudioConfig, OPTIONS))[0].warm_up == 1.0
 
 

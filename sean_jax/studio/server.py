@@ -32,7 +32,7 @@ from sean_jax import behaviors, environment, flags, policies, replay, robots, ta
 from sean_jax.config import StudioConfig, validate
 from sean_jax.errors import InputError
 from sean_jax.learning.policy import AGENTS
-from sean_jax.studio.session import SPEED_RANGE, Frame, Session
+from sean_jax.studio.session import SPEED_RANGE, Choice, Frame, Session
 
 HOST = "127.0.0.1"
 SOCKET = "/socket"
@@ -51,6 +51,18 @@ CHOICES = {
     "policy": [*policies.POLICIES, *AGENTS],
 }
 OPENED = {*CHOICES, "people", "seed"}  # options that a page can change
+CONTENT_POLICY = "; ".join(
+    [
+        "default-src 'none'",
+        "script-src 'unsafe-inline'",
+        "style-src 'unsafe-inline'",
+        "img-src data:",
+        "connect-src ws://{0}:{1} ws://localhost:{1}",
+        "base-uri 'none'",
+        "form-action 'none'",
+        "frame-ancestors 'none'",
+    ]
+)  # what the page may load: nothing but its socket
 PATIENCE = 5.0  # s, until a connection that does not answer is closed
 
 
@@ -70,6 +82,7 @@ class Studio:
         self._views: dict[ServerConnection, str] = {}  # which picture a tab shows
         self._driver: ServerConnection | None = None
         self._card: asyncio.Task[None] | None = None  # metrics of the episode that has ended
+        self._comparison: asyncio.Task[None] | None = None
         self._frames: list[Frame] = []  # not yet sent
         self._first, self._sent = 0, 0.0  # number of the first of them, and time of the latest message
         self._flush: asyncio.TimerHandle | None = None
@@ -116,18 +129,34 @@ class Studio:
             for message in self._first_messages():
                 self._put(message)
             self._card = None
+            self._end_comparison()
             return
         self._put({"kind": kind, "content": content})
         if kind == "cut":
             self._card = None
         elif kind == "status" and content["outcome"] and self._card is None:
-            self._card = asyncio.ensure_future(self._compare())
+            self._card = asyncio.ensure_future(self._baselines())
 
-    async def _compare(self) -> None:
+    async def _baselines(self) -> None:
         """Send the metrics of the episode that has ended, and those of policies in it."""
         cards = self.session.baselines(BASELINES)
         while (card := await asyncio.to_thread(next, cards, None)) is not None:
             self._put({"kind": "card", "content": {"driver": card[0], "metrics": card[1]}})
+
+    async def _compare(self, tab: ServerConnection, choices: list[Choice]) -> None:
+        """Send the progress and the recordings of a comparison to the tab that asks for it; time stands still."""
+        await asyncio.to_thread(self.session.play, False)
+        steps = self.session.compare(choices)
+        try:
+            while (content := await asyncio.to_thread(next, steps, None)) is not None:
+                self._put_to(tab, json.dumps({"kind": "comparison", "content": content}, allow_nan=False))
+        except Exception as error:  # a policy does not fit, or a user's own part fails
+            self._put_to(tab, json.dumps({"kind": "error", "content": f"compare: {error}"}))
+
+    def _end_comparison(self) -> None:
+        if self._comparison is not None:
+            self._comparison.cancel()
+            self._comparison = None
 
     async def _picture(self) -> None:
         """Send pictures of the present moment to the tabs that show them."""
@@ -167,12 +196,17 @@ class Studio:
 
     def _put(self, message: dict[str, Any] | bytes) -> None:
         data = message if isinstance(message, bytes) else json.dumps(message, allow_nan=False)
-        for tab, queue in list(self._tabs.items()):
-            try:
-                queue.put_nowait(data)
-            except asyncio.QueueFull:  # a tab that does not read; it may come again
-                del self._tabs[tab]
-                asyncio.ensure_future(tab.close(1013, "too slow"))
+        for tab in list(self._tabs):
+            self._put_to(tab, data)
+
+    def _put_to(self, tab: ServerConnection, data: str | bytes) -> None:
+        try:
+            self._tabs[tab].put_nowait(data)
+        except KeyError:  # it is closed
+            pass
+        except asyncio.QueueFull:  # a tab that does not read; it may come again
+            del self._tabs[tab]
+            asyncio.ensure_future(tab.close(1013, "too slow"))
 
     def _encoded(self, first: int, frames: list[Frame]) -> bytes:
         stacked, path = jax.tree.map(lambda *leaves: np.stack(leaves), *frames)
@@ -221,7 +255,9 @@ class Studio:
             return None
         if url.path != "/":
             return _response(http.HTTPStatus.NOT_FOUND, b"not found")
-        return _response(http.HTTPStatus.OK, self._page, "text/html; charset=utf-8")
+        response = _response(http.HTTPStatus.OK, self._page, "text/html; charset=utf-8")
+        response.headers["Content-Security-Policy"] = CONTENT_POLICY.format(HOST, self.port)
+        return response
 
     async def _serve_tab(self, tab: ServerConnection) -> None:
         """A tab, from its first message to its last."""
@@ -243,6 +279,7 @@ class Studio:
             self._views.pop(tab, None)
             writer.cancel()
             if self._driver is tab:  # nobody drives until a tab is there again
+                self._end_comparison()
                 await asyncio.to_thread(self.session.play, False)
                 self._driver = None
 
@@ -278,6 +315,11 @@ class Studio:
         word = request["do"]
         if word == "command":
             session.command(_number(request, "ahead", -1.0, 1.0), _number(request, "left", -1.0, 1.0))
+        elif word == "compare":
+            choices = _choices(request.get("choices"), session)
+            self._end_comparison()
+            if choices:
+                self._comparison = asyncio.ensure_future(self._compare(tab, choices))
         else:
             await asyncio.to_thread(self._apply, session, word, request)
 
@@ -394,6 +436,26 @@ def _request(message: str | bytes) -> dict[str, Any]:
     if not isinstance(request, dict) or not isinstance(request.get("do"), str):
         raise InputError("a message that is no request; reload the page.")
     return request
+
+
+def _choices(rows: Any, session: Session) -> list[Choice]:
+    """The episodes that a page compares; none ends a comparison.
+
+    Raises:
+        InputError: a policy that the page does not have, a seed or episode that is no number, or twice the same.
+    """
+    if not isinstance(rows, list) or len(rows) > 2 or not all(isinstance(row, dict) for row in rows):
+        raise InputError("compare: the message has no two episodes; reload the page.")
+    policies = {*CHOICES["policy"], session.config.policy.kind}
+    if unknown := [row.get("policy") for row in rows if str(row.get("policy")) not in policies]:
+        raise InputError(f"compare: policy {unknown[0]!r} is not on the page; reload the page.")
+    last = 2**32 - 1
+    made = [
+        Choice(row["policy"], int(_number(row, "seed", 0, last)), int(_number(row, "episode", 0, last))) for row in rows
+    ]
+    if len(set(made)) < len(made):
+        raise InputError("compare: both episodes are the same; choose another policy, seed or episode.")
+    return made
 
 
 def _number(request: dict[str, Any], name: str, low: float, high: float) -> float:

@@ -54,6 +54,14 @@ class Moment(NamedTuple):
     memory: PyTree  # of the policy
 
 
+class Choice(NamedTuple):
+    """An episode to compare."""
+
+    policy: str
+    seed: int
+    episode: int
+
+
 @jax.jit
 def _command(scenario: Scenario, policy: Policy, state: State, memory: PyTree) -> tuple[Array, PyTree]:
     key = jax.random.fold_in(state.streams.policy, state.tick)
@@ -319,15 +327,46 @@ class Session:
             driver = "you" if any(self.by_person) else self.policy.name
         yield driver, self._summary(scenario, state)
         for name in names:
-            policy = load_policy(name, scenario)
-            state, _ = self._begin(scenario, self._key(number))
-            memory = self._init(scenario, policy, state)
-            while not (bool(state.completed) or bool(state.timed_out)):
+            for step in self._steps(scenario, load_policy(name, scenario), self._key(number)):
                 if self.number != number or self._closed:
                     return
-                action, memory = _command(scenario, policy, state, memory)
-                state = self._step(scenario, state, action)
+                state = step[1]
             yield name, self._summary(scenario, state)
+
+    def compare(self, choices: Sequence[Choice]) -> Iterator[dict[str, Any]]:
+        """Whole episodes of this scenario: the progress after each second, and at last recordings and metrics.
+
+        Raises:
+            InputError: a policy does not fit the scenario.
+        """
+        with self._lock:
+            scenario = self.scenario
+        every, recordings, metrics = max(1, round(1.0 / scenario.time_step)), [], []
+        for index, (name, seed, number) in enumerate(choices):
+            policy = self.policy if name == self.config.policy.kind else load_policy(name, scenario)
+            frames, state = list[Trajectory](), self.state
+            for before, state, action in self._steps(scenario, policy, self._key(number, seed)):
+                frames.append(jax.tree.map(np.asarray, self._frame(before, state, action)))
+                if len(frames) % every == 1:
+                    seconds = int(state.tick) * scenario.time_step
+                    yield {"index": index, "seconds": seconds, "limit": scenario.time_limit}
+            metrics.append(self._summary(scenario, state))
+            outcome = f"{'completed' if bool(state.completed) else 'timed out'} · {metrics[-1]['seconds']:.1f} s"
+            episode = replay.Episode(jax.tree.map(lambda *leaves: np.stack(leaves), *frames), "", outcome)
+            title = f"{name} · seed {seed} · episode {number}"
+            recordings.append(replay.of_scenario(scenario, [episode], title))
+        yield {"recordings": recordings, "metrics": metrics}
+
+    def _steps(self, scenario: Scenario, policy: Policy, key: Array) -> Iterator[tuple[State, State, Array]]:
+        """States before and after each step of a policy's episode, and the action; first of all its first state."""
+        state, _ = self._begin(scenario, key)
+        memory, action = self._init(scenario, policy, state), jnp.zeros(2, float)
+        yield state, state, action
+        while not (bool(state.completed) or bool(state.timed_out)):
+            before = state
+            action, memory = _command(scenario, policy, before, memory)
+            state = self._step(scenario, before, action)
+            yield before, state, action
 
     def _summary(self, scenario: Scenario, state: State) -> dict[str, float]:
         """The finite overall metrics of an episode, and its duration in seconds."""
@@ -336,8 +375,9 @@ class Session:
         known = {"completed": float(state.completed), "seconds": seconds}
         return known | {name: value for name, value in values.items() if math.isfinite(value)}
 
-    def _key(self, number: int) -> Array:
-        return jax.random.fold_in(prng.key("record", self.config.seed), jnp.uint32(number))
+    def _key(self, number: int, seed: int | None = None) -> Array:
+        root = prng.key("record", self.config.seed if seed is None else seed)
+        return jax.random.fold_in(root, jnp.uint32(number))
 
     def run(self) -> None:
         """Let time pass until ``close``; for a thread of its own."""

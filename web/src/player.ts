@@ -34,6 +34,7 @@ export interface Clock {
 
 export class Player {
   changed: (() => void) | null = null; // called when the viewer has changed episode, time, speed, or plays or pauses
+  drawn: ((episode: Episode, time: number) => void) | null = null; // called with each moment [s] that is drawn
   private episode!: Episode;
   private time = 0;
   private playing = false;
@@ -478,6 +479,7 @@ export class Player {
     const frame = episode.frameAt(time);
     episode.of("situation").forEach((flag, k) => this.lights[k].classList.toggle("on", flag[frame] > 0.5));
     if (this.pointer || this.pinned) this.point();
+    this.drawn?.(episode, time);
     this.clock.textContent = `${Math.min(time, episode.duration).toFixed(1)} of ${episode.duration.toFixed(1)} s`;
     this.scrub.value = String(Math.min(time, episode.duration));
     const share = Math.min(1, time / Math.max(episode.duration, 1e-9));

@@ -27,7 +27,8 @@ function toEdge(floor: Place["floor"], x: number, y: number, dx: number, dy: num
   return Math.max(0, Math.min(alongX, alongY));
 }
 
-function toBox([cx, cy, hx, hy, yaw]: number[], x: number, y: number, dx: number, dy: number): number {
+/** m along a ray from x, y to a box; infinite if it misses the box or begins inside. */
+export function toBox([cx, cy, hx, hy, yaw]: number[], x: number, y: number, dx: number, dy: number): number {
   const [c, s] = [Math.cos(yaw), Math.sin(yaw)];
   const [px, py] = [(x - cx) * c + (y - cy) * s, (y - cy) * c - (x - cx) * s];
   const [ux, uy] = [dx * c + dy * s, dy * c - dx * s];

@@ -2,9 +2,11 @@
 
 import { Editor, type GraphNews } from "./edit";
 import { Camera } from "./camera";
+import { addMetrics, type Card, Comparison, type ComparisonNews } from "./compare";
 import { palette } from "./palette";
 import { drawObstacles } from "./plan";
 import { add, fit, Player } from "./player";
+import { graphics, Scene } from "./scene";
 import { type EpisodeHead, type Episode, type Place, type Recording, unpack } from "./recording";
 
 interface Hello {
@@ -30,30 +32,16 @@ interface Status {
   recording: boolean;
 }
 
-interface Card {
-  driver: string;
-  metrics: Record<string, number>;
-}
-
-const ROWS: [string, string, number][] = [
-  ["completed", "completed", 0],
-  ["seconds", "time, s", 1],
-  ["path_length", "path, m", 1],
-  ["time_not_moving", "not moving, s", 1],
-  ["intimate_robot_on_person", "closer than 0.45 m, robot's fault", 0],
-  ["intimate_person_on_robot", "closer than 0.45 m, person's fault", 0],
-  ["collision_robot_on_person", "people touched", 0],
-  ["collision_with_obstacle", "obstacles touched", 0],
-];
-
 type News =
   | ({ kind: "hello" } & Hello)
   | { kind: "status"; content: Status }
   | { kind: "cut"; content: number }
   | { kind: "card"; content: Card }
+  | { kind: "comparison"; content: ComparisonNews }
   | { kind: "graph"; content: GraphNews }
   | { kind: "error"; content: string };
 
+const SCENE = "3-D"; // a view that the page draws by itself
 const COMMAND_INTERVAL = 50; // ms from one command to the next
 const RAMP = 4; // 1/s, at which keys reach their full command
 const DEAD_ZONE = 0.12; // of a stick
@@ -161,6 +149,9 @@ class Studio {
   private readonly card: HTMLElement;
   private readonly side: HTMLElement;
   private readonly form: HTMLDetailsElement;
+  private readonly graphics = graphics();
+  private scene: Scene | null = null;
+  private readonly comparison: Comparison;
   private cards: Card[] = [];
   private editor: Editor | null = null;
   private readonly picture: HTMLCanvasElement;
@@ -186,6 +177,10 @@ class Studio {
     this.note = add(root, "p", "studio-note");
     this.note.setAttribute("role", "status");
     this.form = add(root, "details", "studio-open");
+    this.comparison = new Comparison(add(root, "details", "studio-open"), (request) => {
+      this.notify("");
+      this.request(request);
+    });
     this.card = add(root, "div", "studio-card");
     const stage = add(root, "div", "studio-stage");
     const place = add(stage, "div");
@@ -194,8 +189,10 @@ class Studio {
     label.append("view ");
     this.view = add(label, "select");
     this.view.addEventListener("change", () => {
-      this.picture.hidden = this.view.value === "none";
+      this.closeScene();
+      this.picture.hidden = this.view.value === "none" || this.view.value === SCENE;
       this.request({ do: "view", name: this.view.value });
+      this.player?.redraw(false);
     });
     this.picture = add(this.side, "canvas");
     this.picture.hidden = true;
@@ -263,11 +260,13 @@ class Studio {
     if (news.kind === "hello") this.begin(news, place);
     else if (news.kind === "status") this.show(news.content);
     else if (news.kind === "cut") this.cut(news.content);
-    else if (news.kind === "card") this.compare([...this.cards, news.content]);
+    else if (news.kind === "card") this.showCards([...this.cards, news.content]);
+    else if (news.kind === "comparison") this.comparison.show(news.content);
     else if (news.kind === "graph") this.redrawGraph(news.content);
     else {
       this.notify(news.content);
       this.editor?.refuse();
+      this.comparison.refuse();
     }
   }
 
@@ -337,13 +336,21 @@ class Studio {
     add(command, "code").textContent = hello.command;
   }
 
+  private closeScene(): void {
+    this.scene?.close();
+    this.scene = null;
+  }
+
   private begin(hello: Hello, place: HTMLElement): void {
     this.player?.close();
+    this.closeScene();
     this.episode = null;
-    this.compare([]);
+    this.showCards([]);
     this.notify("");
     document.querySelector("h1")!.textContent = hello.recording.title;
     this.options(hello);
+    const { policy, seed } = hello.options;
+    this.comparison.begin(hello.choices.policy, String(policy), Number(seed), () => this.status?.episode ?? 0);
     const stage = document.createElement("div");
     place.replaceChildren(stage);
     this.recording = hello.recording;
@@ -352,6 +359,11 @@ class Studio {
       play: (on) => this.request({ do: "play", on }),
       setSpeed: (speed) => this.request({ do: "speed", speed }),
     });
+    this.player.drawn = (episode, time) => {
+      if (this.view.value !== SCENE) return;
+      this.scene ??= new Scene(this.side, hello.recording, episode.of("person x").length, this.graphics === "card");
+      this.scene.draw(episode, time);
+    };
     this.buttons.edit.hidden = !hello.recording.graph;
     this.buttons.edit.classList.remove("on");
     this.editor?.close();
@@ -362,6 +374,9 @@ class Studio {
     this.buttons.record.hidden = !hello.record;
     if (!this.view.length) {
       for (const name of ["none", ...hello.views]) this.view.add(new Option(name.replace("_", " "), name));
+      const option = new Option(this.graphics ? SCENE : `${SCENE} (this browser has no WebGL)`, SCENE);
+      option.disabled = !this.graphics;
+      this.view.add(option, 1);
     }
     this.root.dataset.open = "yes";
     this.root.dataset.title = hello.recording.title;
@@ -429,29 +444,15 @@ class Studio {
   }
 
   /** This drive beside policies on the same episode. */
-  private compare(cards: Card[]): void {
+  private showCards(cards: Card[]): void {
     this.cards = cards;
     this.card.textContent = "";
     if (!cards.length) return;
-    const table = add(this.card, "table");
-    const top = add(add(table, "thead"), "tr");
-    add(top, "th").textContent = "this episode";
-    for (const card of cards) add(top, "th").textContent = card.driver;
-    const body = add(table, "tbody");
-    for (const [name, text, digits] of ROWS) {
-      const row = add(body, "tr");
-      const head = add(row, "th");
-      head.textContent = text;
-      head.scope = "row";
-      for (const { metrics } of cards) {
-        const value = metrics[name];
-        add(row, "td").textContent = value === undefined ? "–" : value.toFixed(digits);
-      }
-    }
+    addMetrics(this.card, "this episode", cards);
   }
 
   private cut(frames: number): void {
-    this.compare([]);
+    this.showCards([]);
     if (!this.episode) return;
     if (frames === 0) this.episode = null;
     else {

@@ -14,6 +14,7 @@ for (const colorScheme of ["light", "dark"]) {
   await page.waitForSelector("[data-open=yes], [data-ready]");
   const edit = page.getByRole("button", { name: "edit graph" });
   if (await edit.count()) await edit.click();
+  for (const panel of await page.locator(".studio-open summary").all()) await panel.click();
   await page.waitForTimeout(300);
   await page.addScriptTag({ path: axe });
   const { violations } = await page.evaluate(() => window.axe.run());
