@@ -69,7 +69,8 @@ def parser(model: type[Config], configurable: bool = False, trust: bool = False)
             continue
         literal = typing.get_origin(field.annotation) is Literal
         if Option.of(field).positional:
-            fields.append(_field(name, tyro.conf.Positional[field.annotation if literal else kind], text))
+            several = "PATH PATH ..." if typing.get_origin(kind) is tuple else None
+            fields.append(_field(name, tyro.conf.Positional[field.annotation if literal else kind], text, several))
         elif kind is bool:
             fields.append(_field(name, bool, text, default=False))
         elif field.is_required():
@@ -176,20 +177,21 @@ def _own(value: Any, family: Family) -> Any:
     return [OwnPart(kind=word) if core.is_own_part(word) else word for word in words]
 
 
-def command(word: str, config: Config) -> str:
+def command(word: str, config: Config, chosen: bool = False) -> str:
     """The command that gives the same results, without options that do not affect them.
 
     Args:
         word: such as ``run``.
+        chosen: leave out options with their default value, as this version of the package has it.
     """
     first, words = ["sean", word], []
     for name, field in type(config).model_fields.items():
         value = getattr(config, name)
         mark = Option.of(field)
         if mark.positional:
-            first.append(str(value))
+            first += map(str, value if isinstance(value, tuple) else (value,))
             continue
-        if value is None or not mark.affects_results:
+        if value is None or not mark.affects_results or (chosen and name not in config.model_fields_set):
             continue
         family = family_of(field)
         if family is not None:

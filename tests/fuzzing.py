@@ -385,9 +385,13 @@ def run(folder: Path) -> dict[str, bytes]:
     from sean_jax import replay
 
     page = replay.element({"title": "mine", "episodes": [{"frames": 3}]})
-    head = "episode,task,completed,timed_out,seconds,path_length,intimate_robot_on_person,path_length__empty"
-    rows = [f"{k},join_group,{'True,False' if k % 2 else 'False,True'},{20 + k}.000,5.{k},{k},1.5" for k in range(4)]
+    head = "episode,task,completed,timed_out,seconds,path_length,intimate_robot_on_person,near,path_length__empty"
+    rows = [
+        f"{k},join_group,{'True,False' if k % 2 else 'False,True'},{20 + k}.000,5.{k},{k},.{k},1.5" for k in range(4)
+    ]
     given = {"episodes.csv": "\n".join([head, *rows, ""]), "report.html": f"<html>{page}</html>"}
+    own = {"title": "near", "unit": "s", "digits": 2, "definition": "Near.", "better": "lower", "completed_only": False}
+    given["summary.json"] = json.dumps({"own_metrics": {"near": own}})
     return {"config.yaml": described(), **{name: text.encode() for name, text in given.items()}}
 
 
@@ -402,7 +406,7 @@ def load_run(folder: Path) -> Any:
     for row, seconds, done in zip(rows, found.columns["seconds"], found.columns["completed"], strict=True):
         assert 0 <= float(row["seconds"]) == seconds <= 86_400 and done in (0, 1)
     assert (found.replay is None) == bool(found.no_replay)
-    compare.page(compare.differences(found, found), (found, found), compare.summarize(found, found))
+    compare.page(compare.differences([found, found]), [found, found], compare.summarize([found, found]))
     if found.no_replay:
         raise Refused(found.no_replay)
     return None
@@ -573,7 +577,7 @@ def kinds(folder: Path) -> dict[str, Kind]:
         "cache": Kind(table(folder / "cache"), ("table.npz",), load_table, 6),
         "checkpoint": Kind(trained, tuple(kept), load_policy, 10),
         "result": Kind(ranked, ("result.json", *(name for name in ranked if name.endswith(".npz"))), load_result, 10),
-        "run": Kind(measured, ("episodes.csv", "episodes.csv", "report.html"), load_run, 12),
+        "run": Kind(measured, ("episodes.csv", "episodes.csv", "report.html", "summary.json"), load_run, 12),
         "forces": Kind({"forces.yaml": constants.encode()}, ("forces.yaml",), load_forces, 10),
         "randomization": Kind({"my.yaml": bounds.encode()}, ("my.yaml",), load_randomization, 6),
     }

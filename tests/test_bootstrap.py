@@ -81,14 +81,25 @@ def test_one_group_of_many_episodes_is_the_plain_bootstrap(normal):
 
 @pytest.mark.parametrize("number", [1, 16, 400])
 @pytest.mark.parametrize("level", [0.5, 0.95])
-def test_shares_of_none_or_all_have_the_interval_of_wilson(number, level):
-    for value in (0, 1):
-        found = bootstrap.of_share(aggregate(np.full(number, float(value))), level)
-        exact = scipy.stats.binomtest(value * number, number).proportion_ci(level, "wilson")
+def test_shares_of_episodes_have_the_interval_of_wilson(number, level):
+    random = np.random.default_rng(number)
+    for count in {0, 1, number, int(random.integers(number + 1)), int(random.integers(number + 1))}:
+        found = bootstrap.of_share(aggregate(np.arange(number) < count), level)
+        exact = scipy.stats.binomtest(count, number).proportion_ci(level, "wilson")
         np.testing.assert_allclose([found.low, found.high], [exact.low, exact.high], atol=1e-9)
     some = aggregate(np.arange(20) % 3 == 0)
-    assert bootstrap.of_share(some) == some
+    assert bootstrap.of_share(some, where=False) == some
     assert bootstrap.of_share(aggregate(np.full(3, np.nan))) == (0, 0, 0, 0)
+
+
+@pytest.mark.parametrize("level", [0.5, 0.95])
+def test_counts_of_no_event_have_the_exact_interval(level):
+    """The largest Poisson rate under which no event in all episodes is as probable as the tail of the level."""
+    for number in (1, 16, 400):
+        found = bootstrap.of_count(aggregate(np.zeros(number)), level)
+        assert found.low == 0 and scipy.stats.poisson.cdf(0, number * found.high) == pytest.approx((1 - level) / 2)
+    some = aggregate(np.arange(20) % 3)
+    assert bootstrap.of_count(some) == some
 
 
 def test_interval_of_a_ratio_is_that_of_the_delta_method():

@@ -1,19 +1,24 @@
 """``sean compare``: paired where episodes are the same, by means where they are not; and the page of both."""
 
 import csv
+import json
 import re
 from pathlib import Path
 
 import numpy as np
 import pytest
+import scipy.stats
 import yaml
+from rich.console import Console
 
-from sean_jax import cli, replay
+from sean_jax import cli, metrics, replay
 from sean_jax.classifiers import SITUATION_SETS
+from sean_jax.config import CompareConfig
 from sean_jax.errors import InputError
-from sean_jax.evaluation import compare
+from sean_jax.evaluation import compare, table
 from sean_jax.files.reading import MAX_BYTES
 from sean_jax.metrics import METRICS
+from sean_jax.metrics.differences import difference, holm, p_value
 
 NAMES = ("completed", "seconds", "path_length", "intimate_robot_on_person", "time_looked_at")
 
@@ -35,37 +40,166 @@ def run(folder: Path, chance: int, shift: float = 0.0, episodes: int = 40, **opt
     return folder
 
 
+def rows(*runs: compare.SavedRun, view: str = "overall") -> dict[str, compare.Row]:
+    """The rows of the last run."""
+    return {row.name: row for row in compare.differences(runs)[view][-1]}
+
+
 def test_the_same_episodes_are_compared_one_by_one(tmp_path):
     """What is the same in each episode cancels: the interval is that of the differences alone."""
     one, other = run(tmp_path / "one", 0), run(tmp_path / "other", 0, shift=0.7, policy="orca")
     pair = compare.read(one), compare.read(other)
     assert compare.paired(*pair) == 40 and compare.differing_options(*pair) == ["policy"]
-    found = {row.name: row for row in compare.differences(*pair)}
-    assert set(found) == set(NAMES)
+    found = rows(*pair)
+    assert list(found)[0] == "seconds" and set(found) == set(NAMES), "the largest effect comes first"
     seconds = found["seconds"]
-    assert seconds.difference == pytest.approx(0.7, abs=1e-6) and seconds.significant
-    assert seconds.low == pytest.approx(0.7, abs=1e-6) == pytest.approx(seconds.high, abs=1e-6)
-    assert found["completed"].unit == "%" and found["completed"].first == 100 * pair[0].columns["completed"].mean()
-    assert found["path_length"].difference == 0.0 and not found["path_length"].significant
-    assert "--policy" in compare.summarize(*pair)
+    assert seconds.values.difference == pytest.approx(0.7, abs=1e-6) and seconds.verdict == "worse"
+    assert seconds.values.low == pytest.approx(0.7, abs=1e-6) == pytest.approx(seconds.values.high, abs=1e-6)
+    assert seconds.texts()[2:] == ("+0.7", "")
+    assert found["completed"].figure.unit == "%"
+    assert found["completed"].values.first == pair[0].columns["completed"].mean()
+    assert found["path_length"].values.difference == 0.0 and not found["path_length"].clear
+    assert not found["path_length"].tested and set(rows(*pair, view="empty")) == {"path_length"}
+    assert "--policy" in compare.summarize(pair)
 
 
 def test_other_episodes_are_compared_by_their_means(tmp_path):
     one, other = run(tmp_path / "one", 0, episodes=300), run(tmp_path / "other", 1, 3.0, episodes=200, seed=1)
     pair = compare.read(one), compare.read(other)
     assert compare.paired(*pair) == 0
-    row = next(row for row in compare.differences(*pair) if row.name == "seconds")
+    row = rows(*pair)["seconds"].values
     parts = [each.columns["seconds"] for each in pair]
     assert row.difference == pytest.approx(parts[1].mean() - parts[0].mean())
     error = 1.96 * np.sqrt(sum(part.var() / len(part) for part in parts))
     assert row.high - row.low == pytest.approx(2 * error, rel=0.15)
-    assert "have different episodes" in compare.summarize(*pair)
+    assert row.p == pytest.approx(scipy.stats.ttest_ind(*parts, equal_var=False).pvalue)
+    assert "have different episodes" in compare.summarize(pair)
 
 
 def test_fewer_episodes_are_those_that_both_have(tmp_path):
     pair = compare.read(run(tmp_path / "one", 0)), compare.read(run(tmp_path / "two", 0, episodes=25))
     assert compare.paired(*pair) == 25
-    assert all(row.difference == 0.0 for row in compare.differences(*pair))
+    assert all(row.values.difference == 0.0 and not row.tested for row in rows(*pair).values())
+
+
+def test_each_of_several_runs_is_compared_with_the_first(tmp_path):
+    """One with worse times, one with better; equal names are told apart by their folders."""
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+    folders = run(tmp_path / "a" / "go", 0), run(tmp_path / "b" / "go", 0, 5.0, policy="orca"), run(
+        tmp_path / "shy", 0, -5.0, policy="social_costmap")  # fmt: skip
+    path = compare.compare(CompareConfig(runs=folders, out=tmp_path / "page.html"), Console(quiet=True))
+    text = path.read_text(encoding="utf-8")
+    views = compare.differences([compare.read(folder) for folder in folders])
+    verdicts = [{row.name: row.verdict for row in each}["seconds"] for each in views["overall"]]
+    assert verdicts == ["worse", "better"]
+    for other in folders[1], "shy":
+        assert f"{other} minus {folders[0]}" in text
+    assert text.count("1 better, 0 worse") == 1 == text.count("0 better, 1 worse")
+    assert "✓ better" in text and "✗ worse" in text and "2 figures were tested" in text
+    options = text.split("<h2>The runs</h2>")[1]
+    assert "--policy" in options and all(name in options for name in ("go_to_goal", "orca", "social_costmap"))
+    with pytest.raises(InputError, match="needs the folders of two or more runs, not of 1"):
+        compare.compare(CompareConfig(runs=folders[:1]), Console(quiet=True))
+
+
+def test_a_figure_without_a_direction_is_neither_better_nor_worse(tmp_path):
+    pair = [compare.read(run(tmp_path / str(k), 0)) for k in range(2)]
+    pair[1].columns["path_length"] = pair[1].columns["path_length"] + 2.0
+    assert rows(*pair)["path_length"].verdict == "differs"
+
+
+def test_own_metrics_keep_their_title_unit_and_direction(tmp_path):
+    """As `sean run` writes them to summary.json; a run without them is compared all the same."""
+    runs = []
+    own = table.metric_figure("near", metrics.duration(lambda snapshot: True, title="time near", better="lower"))
+    for name in ("one", "two"):
+        folder = run(tmp_path / name, 0)
+        (folder / "summary.json").write_text(json.dumps({"own_metrics": {"near": own._asdict()}}))
+        runs.append(compare.read(folder))
+        runs[-1].columns["near"] = np.arange(40.0) % 7 + 3.0 * len(runs)
+    row = rows(*runs)["near"]
+    assert row.figure == own and row.verdict == "worse" and (own.title, own.unit) == ("time near", "s")
+    runs[0].figures = {}
+    assert rows(*runs)["near"].verdict == "differs"
+    for content in ('{"own_metrics": 3}', "[]", '{"own_metrics": {"near": {"title": 1}}}', "{"):
+        (tmp_path / "one" / "summary.json").write_text(content)
+        with pytest.raises(InputError, match=r"one/summary.json: ?.*(is damaged|is not JSON)"):
+            compare.read(tmp_path / "one")
+
+
+@pytest.mark.parametrize("same", [True, False])
+def test_false_marks_are_rare_among_many_figures(same):
+    """Two equal policies, 24 figures of several kinds and 200 pairs of runs: at most 5 % of the pairs have any mark."""
+    false = 0
+    for seed in range(200):
+        random = np.random.default_rng(seed)
+        places = random.normal(size=30)  # of the episodes, which the figures of both runs have in common
+        p = []
+        for k in range(24):
+            one, other = (
+                [places + random.normal(size=30), random.poisson(np.exp(places - 1)), random.exponential(size=30) ** 2,
+                 random.uniform(size=30) < 0.9][k % 4].astype(float) for _ in range(2)
+            )  # fmt: skip
+            p.append(p_value(one, other, same))
+        false += any(holm(p))
+    assert false / 200 <= 0.07
+
+
+def test_holm_is_the_step_down_of_adjusted_p_values():
+    """As written down by statsmodels: the largest of (m - rank) p so far is at most the level."""
+    for seed in range(100):
+        random = np.random.default_rng(seed)
+        p = random.uniform(size=int(random.integers(1, 30))) ** random.integers(1, 6)
+        p[random.uniform(size=len(p)) < 0.2] = np.nan
+        finite = np.flatnonzero(np.isfinite(p))
+        order = finite[np.argsort(p[finite])]
+        adjusted = np.maximum.accumulate(p[order] * np.arange(len(order), 0, -1))
+        assert np.flatnonzero(holm(p.tolist())).tolist() == sorted(order[adjusted <= 0.05].tolist())
+
+
+@pytest.mark.parametrize("number", [4, 40, 400])
+def test_differences_of_shares_have_newcombes_interval_and_exact_tests(number):
+    """Newcombe's formulas in terms of the four cells of the table; McNemar and Fisher by scipy."""
+    for seed in range(20):
+        random = np.random.default_rng(seed)
+        one = random.uniform(size=number) < random.uniform(0.3, 1)
+        other = np.where(random.uniform(size=number) < 0.6, one, random.uniform(size=number) < random.uniform(0.3, 1))
+        a, b, c, d = (int(x.sum()) for x in (one & other, one & ~other, ~one & other, ~one & ~other))
+        ends = [scipy.stats.binomtest(k, number).proportion_ci(0.95, "wilson") for k in (a + b, a + c)]
+        p, q = (a + b) / number, (a + c) / number
+        top = a * d - b * c
+        top = max(top - number / 2, 0) if top > 0 else top
+        product = (a + b) * (c + d) * (a + c) * (b + d)
+        for paired in True, False:
+            phi = top / product**0.5 if paired and product else 0.0
+            (x, y), (u, v) = (q - ends[1].low, ends[0].high - p), (ends[1].high - q, p - ends[0].low)
+            low, high = (
+                q - p - np.sqrt(x * x - 2 * phi * x * y + y * y),
+                q - p + np.sqrt(u * u - 2 * phi * u * v + v * v),
+            )
+            found = difference(one.astype(float), other.astype(float), paired)
+            assert found is not None
+            np.testing.assert_allclose([found.low, found.high], [low, high], atol=1e-12)
+            if paired and b + c:
+                assert found.p == pytest.approx(scipy.stats.binomtest(b, b + c).pvalue)
+            elif not paired and 0 < p + q < 2:
+                assert found.p == pytest.approx(scipy.stats.fisher_exact([[a + b, c + d], [a + c, b + d]]).pvalue)
+
+
+def test_tests_of_means_are_scipys_unless_the_episodes_are_too_few():
+    random = np.random.default_rng(0)
+    for number in (12, 100):
+        one, other = random.normal(size=number), random.normal(size=number) + 0.5
+        same, means = difference(one, other, True), difference(one, other, False)
+        assert same is not None and means is not None
+        assert same.p == pytest.approx(scipy.stats.ttest_rel(one, other).pvalue)
+        assert means.p == pytest.approx(scipy.stats.ttest_ind(one, other, equal_var=False).pvalue)
+        gaps = other - one
+        assert same.effect == pytest.approx(gaps.mean() / gaps.std(ddof=1))
+    few = difference(np.zeros(3), np.full(3, 2.0), True)
+    assert few is not None and few.p == 0.25, "of 8 signs of three equal differences, 2 give as large a mean"
+    assert few.effect == np.inf and difference(np.full(3, np.nan), np.zeros(3), True) is None
 
 
 def test_the_page_names_both_and_refers_to_nothing_outside(tmp_path, capsys, monkeypatch):
@@ -75,8 +209,15 @@ def test_the_page_names_both_and_refers_to_nothing_outside(tmp_path, capsys, mon
     assert cli.main(["compare", "a<b>", "other"]) == 0
     text = Path("compare-a<b>-other.html").read_text(encoding="utf-8")
     assert "a&lt;b&gt;" in text and "<b>" not in text.split("<body>")[1] and "://" not in text
+    pairs = re.findall(r"([-+\d.]+) to ([-+\d.]+)</", text)
+    assert pairs and all(low != high for low, high in pairs) and ">+0.0<" not in text and ">-0.0<" not in text
     said = capsys.readouterr().out
     assert "40 common episodes" in said and "duration" in said
+    assert cli.main(["compare", "a<b>", "other", "--situation", "empty"]) == 0
+    said = capsys.readouterr().out
+    assert "path length" in said and "duration" not in said and "figures within situations were tested" in said
+    assert cli.main(["compare", "a<b>", "other", "--situation", "emty"]) == 2
+    assert "--situation: 'emty' is not one of overall, empty." in capsys.readouterr().err
     assert cli.main(["compare", "a<b>", "missing"]) == 2
     assert "holds no config.yaml" in capsys.readouterr().err
     Path("other/episodes.csv").write_text("episode,task,completed,timed_out,seconds\n0,join_group,True,False,abc\n")
@@ -126,7 +267,7 @@ def test_the_largest_run_of_the_docs_is_compared_with_its_replay(tmp_path):
     assert min(file.stat().st_size for file in folder.iterdir() if file.suffix != ".yaml") > MAX_BYTES
     found = compare.read(folder)
     assert len(found.tasks) == 4096 and found.replay == content and not found.no_replay
-    assert "No replay" not in compare.summarize(found, found)
+    assert "No replay" not in compare.summarize([found, found])
 
 
 @pytest.mark.parametrize(

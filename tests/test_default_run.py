@@ -55,9 +55,11 @@ def test_a_run_in_mjx_is_the_run_of_its_twin(tmp_path):
     runs = {}
     for dynamics in ("twin", "mjx"):
         out = tmp_path / dynamics
-        assert cli.main(["run", *words.split(), "--dynamics", dynamics, "--out", str(out)]) == 0
+        before = ["--baseline", str(tmp_path / "twin")] if dynamics == "mjx" else []
+        assert cli.main(["run", *words.split(), "--dynamics", dynamics, "--out", str(out), *before]) == 0
         assert yaml.safe_load((out / "config.yaml").read_text(encoding="utf-8"))["config"]["dynamics"] == dynamics
         runs[dynamics] = saved.read_episodes(out / "episodes.csv")
+    assert "is compared with twin in 6 common episodes" in (tmp_path / "mjx" / "report.html").read_text("utf-8")
     (tasks, twin), (others, mjx) = runs.values()
     assert tasks == others and len(tasks) == 6 and twin["completed"].any()
     np.testing.assert_array_equal(twin["seconds"], mjx["seconds"])

@@ -1,12 +1,14 @@
 """Replays: numbers survive the page's format, the page refers to nothing outside, and a browser plays it."""
 
 import base64
+import dataclasses
 import json
 import re
 import shutil
 import subprocess
 import sys
 import zlib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +19,13 @@ import pytest
 from matplotlib.figure import Figure
 from PIL import Image
 from replay_columns import decode
+from test_compare import run
 
 import sean_jax
 from sean_jax import cli, pages, replay
 from sean_jax.base import Trajectory
 from sean_jax.errors import InputError
+from sean_jax.evaluation import compare
 from sean_jax.policies import go_to_goal
 from sean_jax.replay import CENTIMETRE, TURN, encode
 
@@ -243,19 +247,22 @@ def test_a_browser_plays_it(content, tmp_path):
     assert 0.5 < seen["played"] < 3.0 and seen["frames"] > 5 and seen["drawn"] > 20
 
 
+def comparison(folder: Path, replays: Sequence[dict]) -> str:
+    """The page of two runs with random figures and these replays."""
+    runs = [dataclasses.replace(compare.read(run(folder / name, 0, shift)), replay=each)
+            for name, shift, each in zip(("one", "two"), (0.0, 5.0), replays, strict=True)]  # fmt: skip
+    return compare.page(compare.differences(runs), runs, compare.summarize(runs))
+
+
 def test_players_of_a_comparison_share_one_clock(walked, content, tmp_path):
-    """Play, pause, time and episode; and they go to 2 s before the robots part, here after 4 s."""
+    """Play, pause, time and episode; they go to 2 s before the robots part, here after 4 s. Situations are chosen."""
     if CHROMIUM is None or not (WEB / "node_modules" / "playwright-core").is_dir():
         pytest.skip("there is no Chromium, or web/node_modules is not there")
     scenario, frames = walked
     late = np.arange(60)[:, None] >= 40
     others = [each.replace(position=each.position + np.where(late, 0.6, 0.0)) for each in frames]
     shown = [replay.Episode(each, f"episode {k}") for k, each in enumerate(others)]
-    contents = content, replay.of_scenario(scenario, shown, "other")
-    players = [replay.element(each, f"r{k}", False, k == 1, True) for k, each in enumerate(contents)]
-    page = pages.render(
-        replay.TEMPLATE, title="", kicker="", players=[("", each) for each in players], instead="", script=""
-    )
+    page = comparison(tmp_path, (content, replay.of_scenario(scenario, shown, "other")))
     (tmp_path / "page.html").write_text(page, encoding="utf-8")
     words = ["node", "test/compare.mjs", str(tmp_path / "page.html"), CHROMIUM]
     seen = json.loads(subprocess.run(words, cwd=WEB, check=True, capture_output=True, timeout=120).stdout)
@@ -264,6 +271,9 @@ def test_players_of_a_comparison_share_one_clock(walked, content, tmp_path):
         assert seen[moment][0] == pytest.approx(seen[moment][1], abs=0.2), moment
     assert 0.3 < seen["played"][0] and seen["sought"][0] == 3.0 and seen["opened"][0] == 0.0
     assert seen["parted"][0] == pytest.approx(2.0, abs=0.11)
+    assert seen["views"] == [["overall"], ["empty"]]
+    assert seen["plain"] == ["overall", "empty"] and seen["folded"] == ["Within empty"], "it needs no script"
+    assert seen["right"] < 420, "the difference is in sight on a telephone"
 
 
 def test_everybody_can_read_the_pages(content, tmp_path):
@@ -274,7 +284,8 @@ def test_everybody_can_read_the_pages(content, tmp_path):
     (tmp_path / "page.html").write_text(replay.html(content), encoding="utf-8")
     report = pages.page("A report", "kicker", [pages.section("Table", table, replay.element(content))])
     (tmp_path / "report.html").write_text(report, encoding="utf-8")
-    for name in "page.html", "report.html":
+    (tmp_path / "compare.html").write_text(comparison(tmp_path, (content, content)), encoding="utf-8")
+    for name in "page.html", "report.html", "compare.html":
         words = ["node", "test/axe.mjs", (tmp_path / name).as_uri(), CHROMIUM]
         done = subprocess.run(words, cwd=WEB, check=True, capture_output=True, timeout=120)
         assert json.loads(done.stdout) == [], name

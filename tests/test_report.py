@@ -4,17 +4,24 @@ import dataclasses
 import html.parser
 import io
 import json
+import re
+from collections.abc import Sequence
 from types import SimpleNamespace
 from typing import Any
 from unittest import mock
 
 import numpy as np
 import pytest
+import scipy.stats
 from rich.console import Console
+from test_compare import run
 from test_drawing import Graph, environment, frames
 
 from sean_jax import pages, replay
-from sean_jax.evaluation import Evaluation, results, table
+from sean_jax.config import RunConfig
+from sean_jax.errors import InputError
+from sean_jax.evaluation import Evaluation, compare, results, table
+from sean_jax.evaluation import run as start
 from sean_jax.metrics import METRICS
 
 NAMES = ("cross_path", "down_path", "join_group", "leave_group", "empty")
@@ -76,10 +83,17 @@ def test_means_equal_plain_ones():
     json.dumps(found, allow_nan=False)
 
 
-def test_exclusive_shares_divide_shared_time_and_add_up_to_one():
-    shares = evaluation().exclusive_shares()  # 1 s of none, 2 s of the first, 4 s of the first two
-    assert shares["cross_path"] == pytest.approx(4 / 7) and shares["down_path"] == pytest.approx(2 / 7)
-    assert shares["none"] == pytest.approx(1 / 7) and sum(shares.values()) == pytest.approx(1.0)
+def test_situations_overlap_and_every_second_is_counted_once_as_alone_several_or_none():
+    shares = evaluation().concurrence()  # 1 s of none, 2 s of the first, 4 s of the first two
+    assert shares["cross_path"] == pytest.approx((2 / 7, 4 / 7)) and shares["down_path"] == pytest.approx((0, 4 / 7))
+    assert shares["none"][0] == pytest.approx(1 / 7) and shares["several"][1] == pytest.approx(4 / 7)
+    seconds = np.random.default_rng(5).integers(0, 9, 32).astype(float)
+    shares = dataclasses.replace(evaluation(), together=seconds).concurrence()
+    alone = sum(shares[name][0] for name in NAMES)
+    assert alone + shares["none"][0] + shares["several"][1] == pytest.approx(1.0)
+    for bit, name in enumerate(NAMES):
+        inside = sum(value for index, value in enumerate(seconds) if format(index, "05b")[::-1][bit] == "1")
+        assert sum(shares[name]) == pytest.approx(inside / seconds.sum())
 
 
 @pytest.mark.parametrize("width", [60, 76, 80, 100, 200])
@@ -136,8 +150,8 @@ class Reader(html.parser.HTMLParser):
         self.text += data
 
 
-def page(given: Evaluation) -> str:
-    """The report of those results."""
+def page(given: Evaluation, runs: Sequence[compare.SavedRun] = ()) -> str:
+    """The report of those results, beside a baseline."""
     there = dataclasses.replace(environment(), name="yard <1>")
     robot = SimpleNamespace(name="kuri", radius=0.16)
     scenario: Any = SimpleNamespace(
@@ -157,7 +171,9 @@ def page(given: Evaluation) -> str:
     shown = [replay.Episode(frames, f"episode {k}") for k, frames in enumerate(given.frames)]
     recording = replay.recording(shown, environment(), graph=Graph, situations=given.situations)
     with mock.patch.object(results.drawing, "graph_of", lambda scenario: Graph):
-        return results.report_page(given, summary, recording, "sean run --environment yard", {"jax": "1.2.3"})
+        return results.report_page(
+            given, summary, recording, "sean run --environment yard", {"jax": "1.2.3"}, runs=runs
+        )
 
 
 def test_report_is_whole_and_refers_to_nothing_outside():
@@ -173,11 +189,48 @@ def test_report_is_whole_and_refers_to_nothing_outside():
         assert row.title in reader.text and row.definition in reader.text
     for said in ("yard <1>", "sean run --environment yard", "1.2.3", "Episode 0 · join group · not completed"):
         assert said in reader.text
-    topics = [part.split("</details>")[0] for part in text.split("<details")[1:]]
+    results_section = text.split("<div class=topics>")[1].split("</section>")[0]
+    topics = [part.split("</details>")[0] for part in results_section.split("<details")[1:]]
     assert sum(each.count("<tr>") - 1 for each in topics) == len(rows), "each row is in one topic"
     assert [each.startswith(" open") for each in topics].count(True) == 2 < len(topics)
     ids = [part.split('"')[0] for part in text.split(' id="')[1:]]
     assert len(set(ids)) == len(ids)
+
+
+def test_one_number_for_each_share_and_no_interval_without_width():
+    given = evaluation()
+    counts = np.zeros_like(given.metrics["intimate_robot_on_person"])
+    counts[2, 0] = counts[2, 4] = 1
+    given = dataclasses.replace(given, metrics=given.metrics | {"intimate_robot_on_person": counts})
+    found, text = results.aggregate_episodes(given), page(given)
+    bars = re.findall(r"</i></dd>\s*<dd>([\d.]+) %</dd>", text)
+    cells = next(row for row in table.table_rows(found, given.definitions) if row.name == "share").cells[1:]
+    assert bars[: len(NAMES)] == cells and len(bars) == len(NAMES) + 2
+    pairs = re.findall(r"([-\d.]+) to ([-\d.]+)</", text)
+    assert pairs and all(low != high for low, high in pairs)
+    line = text.split("<th>intimate, robot on person</th>")[1].split("</tr>")[0]
+    assert line.count("<td class=zero>0.00</td>") == 4 and "0.08<small>0.00 to 0.25</small>" in line
+    none = found["metrics"]["intimate_robot_on_person"]["cross_path"]
+    assert none["interval"][1] == pytest.approx(-np.log(0.025) / EPISODES) and "fewer than 0.31 per episode" in text
+    done = scipy.stats.binomtest(8, 12).proportion_ci(0.95, "wilson")
+    assert found["metrics"]["completed"]["overall"]["interval"] == pytest.approx([done.low, done.high])
+
+
+def test_cards_say_better_or_worse_than_the_baseline(tmp_path):
+    text = page(evaluation())
+    assert "lower is better" in text and "than" not in text.split("<div class=tiles>")[1].split("<section>")[0]
+    for shift, verdict in ((5.0, "✗ worse"), (-5.0, "✓ better")):
+        folder = tmp_path / verdict
+        folder.mkdir()
+        runs = [compare.read(run(folder / "before", 0)), compare.read(run(folder / "now", 0, shift))]
+        reader = Reader()
+        reader.feed(page(evaluation(), runs))
+        before, now = (each.columns["seconds"].mean() for each in runs)
+        said = " ".join(reader.text.split())
+        assert f"{verdict} than before: {now:.1f} against {before:.1f} difference {shift:+.1f}" in said
+        assert "no clear difference from before:" in reader.text and "in 40 common episodes" in reader.text
+    with pytest.raises(InputError, match="missing: holds no config.yaml"):
+        start(RunConfig(baseline=tmp_path / "missing", out=tmp_path / "out"), Console(quiet=True))
 
 
 def test_pages_escape_every_text_and_mark_cells():

@@ -240,6 +240,8 @@ class RunConfig(ScenarioConfig):
     """Also write camera.gif, the first episode as first_person, third_person, overhead or depth sees it."""
     trajectories: Literal["csv", "parquet"] | None = None
     """Also write the frames of all episodes, robot and people, as trajectories.csv or .parquet."""
+    baseline: Annotated[Path | None, Option(affects_results=False)] = None
+    """Folder of another run, with which the report compares its headline figures."""
     live: Annotated[bool, Option(affects_results=False)] = False
     """Serve a page on this computer that plays the first episode during its simulation."""
     name: Annotated[str, Option(affects_results=False)] = ""
@@ -304,12 +306,12 @@ class ReplayConfig(Config):
 
 
 class CompareConfig(Config):
-    """Compare two runs: differences in their common episodes, with intervals, and their replays side by side."""
+    """Compare runs with the first of them: differences of all figures, and replays on one clock."""
 
-    first: Annotated[Path, Option(positional=True)]
-    """Folder of a run."""
-    second: Annotated[Path, Option(positional=True)]
-    """Folder of another run."""
+    runs: Annotated[tuple[Path, ...], Option(positional=True)]
+    """Folders of two or more runs."""
+    situation: fields.Text = "overall"
+    """Situation whose table is printed; the page has all of them."""
     out: Path | None = None
     """Page to write, compare-FIRST-SECOND.html by default."""
     quiet: fields.Quiet = False

@@ -20,7 +20,7 @@ from sean_jax import assembly, components, interrupts, robots, sensors, trajecto
 from sean_jax.base import Policy, PolicyLike, Scenario, Trajectory
 from sean_jax.config import OwnPart, RunConfig, Value
 from sean_jax.errors import InputError
-from sean_jax.evaluation import results, saved
+from sean_jax.evaluation import compare, results, saved
 from sean_jax.evaluation.batches import (
     FRAMES,
     FinishedBatch,
@@ -294,6 +294,8 @@ def _locked_folder(config: RunConfig, stack: contextlib.ExitStack) -> Path:
 
 def _check(config: RunConfig) -> None:
     """Refuse wrong options before the scenario is built, which takes long."""
+    if config.baseline is not None:
+        compare.read(config.baseline)
     if config.trajectories is not None:
         trajectories.check_packages(f".{config.trajectories}")
     assembly.check(config)

@@ -1,4 +1,4 @@
-"""``sean compare``: two runs side by side, by the paired differences of their common episodes.
+"""``sean compare``: runs against the first of them, overall and within each situation.
 
 Runs that differ only in options that do not draw an episode, such as the policy, have the same episodes. They are
 compared episode by episode, so the difficulty of an episode cancels. Other runs are compared by their means.
@@ -6,11 +6,14 @@ compared episode by episode, so the difficulty of an episode cancels. Other runs
 
 import dataclasses
 import json
+import math
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import yaml
 from rich import box
 from rich.console import Console
 from rich.table import Table
@@ -20,15 +23,19 @@ from sean_jax import components, files, pages, replay, writing
 from sean_jax.config import CompareConfig, RunConfig, validate
 from sean_jax.errors import InputError
 from sean_jax.evaluation import saved
-from sean_jax.evaluation.table import EPISODE_FIGURES, metric_figure
-from sean_jax.flags import flag
-from sean_jax.metrics import METRICS, aggregate, resamples
-from sean_jax.metrics.bootstrap import interval
+from sean_jax.evaluation.table import EPISODE_FIGURES, Figure, metric_figure
+from sean_jax.flags import command, flag
+from sean_jax.metrics import METRICS
+from sean_jax.metrics.differences import Difference, difference, holm
 
 UNDRAWN = ("policy", "dynamics", "robot", "metrics", "sensors", "situations", "thresholds", "camera")
 """Options that do not change the draw of an episode."""
 
 REPLAY = re.compile(r'<script type="application/json" id="replay">(.*?)</script>', re.S)
+OVERALL = "overall"
+SYMBOLS = {"better": "✓ better", "worse": "✗ worse", "differs": "≠ differs", "": ""}
+LONGEST = 100  # characters of the page's default name
+WIDEST = 3.0  # standard deviations that a plot shows
 
 
 @dataclasses.dataclass
@@ -36,63 +43,88 @@ class SavedRun:
     """A run, read from its folder."""
 
     folder: Path
+    name: str
     config: RunConfig
     description: dict[str, Any]  # option -> value, with digests in place of files
     tasks: list[str]
     columns: dict[str, np.ndarray]  # name, or metric__situation -> (E,), NaN for an empty cell
-    replay: dict[str, Any] | None  # of its report
+    figures: dict[str, Figure]  # of the user's own metrics
+    replay: dict[str, Any] | None = None  # of its report
     no_replay: str = ""  # why there is none
 
-    @property
-    def name(self) -> str:
-        """The name of its folder."""
-        return self.folder.resolve().name
 
-
-class Difference(NamedTuple):
-    """A figure of both runs, and of the second less the first."""
+class Row(NamedTuple):
+    """A figure of two runs."""
 
     name: str
-    title: str
-    unit: str
-    digits: int
-    first: float
-    second: float
-    difference: float
-    low: float  # of the 95 % interval of ``difference``
-    high: float
+    figure: Figure
+    values: Difference
+    clear: bool  # whether the difference is significant among all that are tested
 
     @property
-    def significant(self) -> bool:
-        """Whether the interval excludes 0."""
-        return self.low > 0.0 or self.high < 0.0
+    def tested(self) -> bool:
+        """Whether any episode differs."""
+        return math.isfinite(self.values.p)
+
+    @property
+    def verdict(self) -> str:
+        """The second run is "better" or "worse", it "differs" in a figure without a direction, or ""."""
+        if not self.clear:
+            return ""
+        if not self.figure.better:
+            return "differs"
+        return "better" if (self.values.difference > 0) == (self.figure.better == "higher") else "worse"
+
+    def texts(self) -> tuple[str, str, str, str]:
+        """Both means, the difference, and its interval, which is empty where both ends are the same."""
+        scale, digits = 100.0 if self.figure.unit == "%" else 1.0, self.figure.digits
+        one, other = (f"{scale * mean:.{digits}f}" for mean in self.values[:2])
+        middle, *ends = (_signed(scale * value, digits) for value in self.values[2:5])
+        return one, other, middle, "" if ends[0] == ends[1] else " to ".join(ends)
+
+
+def _signed(value: float, digits: int) -> str:
+    text = f"{value:+.{digits}f}"
+    return text if float(text) else text[1:]
+
+
+Views = dict[str, list[list[Row]]]
+"""OVERALL or a situation -> for each run but the first, its rows by the size of their effect."""
 
 
 def compare(options: CompareConfig, console: Console) -> Path:
-    """Print the table and write the page.
+    """Print the tables and write the page.
 
     Raises:
-        InputError: a folder holds no run.
+        InputError: there are fewer than two folders, one holds no run, or none has the situation.
     """
-    path = options.out or Path(f"compare-{options.first.resolve().name}-{options.second.resolve().name}.html")
+    if len(options.runs) < 2:
+        raise InputError(f"compare: needs the folders of two or more runs, not of {len(options.runs)}.")
+    names = [folder.resolve().name for folder in options.runs]
+    path = options.out or Path(f"compare-{'-'.join(names)[:LONGEST]}.html")
     writing.check_file(path, (".html",))
-    runs = read(options.first), read(options.second)
-    rows, summary = differences(*runs), summarize(*runs)
-    console.print(_table(rows, [each.name for each in runs]))
-    console.print(Text(summary, "dim"), soft_wrap=True)
-    writing.write(path, page(rows, runs, summary))
+    names = [name if names.count(name) == 1 else str(folder) for name, folder in zip(names, options.runs, strict=True)]
+    runs = [read(folder, name) for folder, name in zip(options.runs, names, strict=True)]
+    views, words = differences(runs), summarize(runs)
+    if options.situation not in views:
+        raise InputError(f"--situation: '{options.situation}' is not one of {', '.join(views)}.")
+    for other, rows in zip(runs[1:], views[options.situation], strict=True):
+        console.print(_table(rows, runs[0].name, other.name))
+    family = OVERALL if options.situation == OVERALL else "situations"
+    console.print(Text(f"{words} {tested(views)[family]}", "dim"), soft_wrap=True)
+    writing.write(path, page(views, runs, words))
     return path
 
 
-def read(folder: Path) -> SavedRun:
-    """The run in a folder.
+def read(folder: Path, name: str = "") -> SavedRun:
+    """The run in a folder; its name is by default that of the folder.
 
     Raises:
         InputError: the folder holds no run.
     """
-    for name in ("config.yaml", "episodes.csv"):
-        if not (folder / name).is_file():
-            raise InputError(f"{folder}: holds no {name}; give a folder that `sean run` has finished.")
+    for file in ("config.yaml", "episodes.csv"):
+        if not (folder / file).is_file():
+            raise InputError(f"{folder}: holds no {file}; give a folder that `sean run` has finished.")
     content = saved.read_config(folder / "config.yaml", check=False)
     config = validate(RunConfig, content.description)
     description = components.relocate(saved.rename(config.identity(), content.identities), content.identities)
@@ -101,10 +133,28 @@ def read(folder: Path) -> SavedRun:
         what = f"has {len(tasks):,} episodes and config.yaml {config.episodes:,}"
         raise InputError(f"{folder / 'episodes.csv'}: {what}; restore the files.")
     columns.pop("timed_out", None)
+    figures = _own_figures(folder / "summary.json")
+    run = SavedRun(folder, name or folder.resolve().name, config, description, tasks, columns, figures)
     try:
-        return SavedRun(folder, config, description, tasks, columns, _replay(folder / "report.html"))
+        return dataclasses.replace(run, replay=_replay(folder / "report.html"))
     except InputError as error:
-        return SavedRun(folder, config, description, tasks, columns, None, str(error))
+        return dataclasses.replace(run, no_replay=str(error))
+
+
+def _own_figures(path: Path) -> dict[str, Figure]:
+    """The user's own metrics in a summary.json; {} if there is none, or it is of an earlier version."""
+    if not path.is_file():
+        return {}
+    content = files.read_json(path)
+    with files.sentence(path, "restore it, or remove it"):
+        figures = {name: Figure(**fields) for name, fields in content.get("own_metrics", {}).items()}
+        for figure in figures.values():
+            is_text = all(isinstance(text, str) for text in figure[:2])
+            if not (is_text and type(figure.digits) is int and 0 <= figure.digits < 10):
+                raise ValueError
+            if figure.better not in ("", "lower", "higher"):
+                raise ValueError
+    return figures
 
 
 def _replay(page: Path) -> dict[str, Any]:
@@ -134,91 +184,150 @@ def differing_options(first: SavedRun, second: SavedRun) -> list[str]:
     return [name for name in one if name != "episodes" and one[name] != other.get(name)]
 
 
-def differences(first: SavedRun, second: SavedRun) -> list[Difference]:
-    """The differences of all figures that both runs have."""
+def differences(runs: Sequence[SavedRun]) -> Views:
+    """The figures of all runs beside those of the first, overall and in each situation.
+
+    The overall figures of all runs are one family of tests, and those within situations are another. In each family,
+    the probability of any false difference is 5 % at most (``metrics.differences.holm``).
+    """
+    names = [name for name in runs[0].columns if all(name in run.columns for run in runs)]
+    situations = list(dict.fromkeys(name.partition("__")[2] or OVERALL for name in names))
+    views = {view: [_rows(runs[0], run, names, view) for run in runs[1:]] for view in (OVERALL, *situations)}
+    for family in ((OVERALL,), [view for view in views if view != OVERALL]):
+        rows = [row for view in family for each in views[view] for row in each]
+        clear = iter(holm([row.values.p for row in rows]))
+        for view in family:
+            views[view] = [[row._replace(clear=next(clear)) for row in each] for each in views[view]]
+    return views
+
+
+def _rows(first: SavedRun, second: SavedRun, names: list[str], view: str) -> list[Row]:
     number, rows = paired(first, second), []
-    for name in first.columns:
-        if "__" in name or name not in second.columns:
+    for column in names:
+        name, _, situation = column.partition("__")
+        if (situation or OVERALL) != view or (name == "time_in_situation" and not situation):  # the duration
             continue
-        pair = [each.columns[name][: number or None] for each in (first, second)]
-        metric = METRICS.get(name)
-        if metric is not None and metric.completed_only:
-            pair = [np.where(each.columns["completed"][: len(part)] > 0, part, np.nan)
-                    for part, each in zip(pair, (first, second), strict=True)]  # fmt: skip
-        if (row := _difference(name, pair, number > 0)) is not None:
-            rows.append(row)
-    return rows
+        pair = tuple(run.columns[column][: number or None] for run in (first, second))
+        known = METRICS.get(name)
+        figure = EPISODE_FIGURES.get(name) or (metric_figure(name, known) if known else first.figures.get(name))
+        figure = figure or Figure(name.replace("_", " "), "", 3, "")
+        if figure.completed_only:
+            pair = tuple(np.where(run.columns["completed"][: len(part)] > 0, part, np.nan)
+                         for part, run in zip(pair, (first, second), strict=True))  # fmt: skip
+        if (values := difference(pair[0], pair[1], number > 0)) is not None:
+            rows.append(Row(name, figure, values, False))
+    return sorted(rows, key=lambda row: (not row.tested, -abs(row.values.effect)))
 
 
-def _difference(name: str, pair: list[np.ndarray], same: bool) -> Difference | None:
-    figure = EPISODE_FIGURES.get(name) or (metric_figure(name, METRICS[name]) if name in METRICS else None)
-    title, unit, digits = figure[:3] if figure else (name.replace("_", " "), "", 3)
-    scale = 100.0 if unit == "%" else 1.0
-    if same:
-        both = np.isfinite(pair[0]) & np.isfinite(pair[1])
-        if not both.any():
-            return None
-        one, other = (part[both] for part in pair)
-        difference = aggregate(other - one)
-        low, high, middle = float(difference.low), float(difference.high), float(difference.mean)
-    else:
-        one, other = (part[np.isfinite(part)] for part in pair)
-        if not (len(one) and len(other)):
-            return None
-        drawn = [(resamples(len(part), seed) @ part) / len(part) for seed, part in enumerate((one, other))]
-        count = min(map(len, drawn))
-        ends = interval((drawn[1][:count] - drawn[0][:count])[:, None])
-        low, high, middle = float(ends[0][0]), float(ends[1][0]), float(other.mean() - one.mean())
-    numbers = (scale * float(value) for value in (one.mean(), other.mean(), middle, low, high))
-    return Difference(name, title, unit, digits, *numbers)
+def summarize(runs: Sequence[SavedRun]) -> str:
+    """The episodes and the options in words."""
+    first, *others = runs
+    sentences = []
+    for other in others:
+        number, names = paired(first, other), differing_options(first, other)
+        what = f"{other.name} and {first.name}" if len(others) > 1 else "The runs"
+        how = f"have {number} common episodes, compared one by one" if number else (
+            "have different episodes, so their means are compared")  # fmt: skip
+        rest = f"differ in {', '.join(map(flag, names))}" if names else "have equal options"
+        sentences.append(f"{what} {how}; they {rest}.")
+    return " ".join([*sentences, *(f"No replay of {run.name}: {run.no_replay}" for run in runs if run.no_replay)])
 
 
-def summarize(first: SavedRun, second: SavedRun) -> str:
-    """The comparison in words."""
-    number, options = paired(first, second), differing_options(first, second)
-    rest = f"The runs differ in {', '.join(map(flag, options))}." if options else "The runs have equal options."
-    rest += "".join(f" No replay of {each.name}: {each.no_replay}" for each in (first, second) if each.no_replay)
-    if number:
-        return f"{number} common episodes, compared one by one. {rest}"
-    return f"The runs have different episodes, so their means are compared. {rest}"
+def tested(views: Views) -> dict[str, str]:
+    """OVERALL and "situations" -> the number of tests and the correction in words."""
+    words = {}
+    for name, where in ((OVERALL, [OVERALL]), ("situations", [view for view in views if view != OVERALL])):
+        number = sum(row.tested for view in where for rows in views[view] for row in rows)
+        which = "figures" if name == OVERALL else "figures within situations"
+        words[name] = (
+            f"{number} {which} were tested and marked after Holm's correction: the probability of any false mark among "
+            f"them is 5 % at most."
+        )
+    return words
 
 
-def _cells(row: Difference) -> tuple[str, str, str, str]:
-    one, other = f"{row.first:.{row.digits}f}", f"{row.second:.{row.digits}f}"
-    return one, other, f"{row.difference:+.{row.digits}f}", f"{row.low:+.{row.digits}f} to {row.high:+.{row.digits}f}"
-
-
-def _table(rows: list[Difference], names: list[str]) -> Table:
-    lines = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    lines.add_column("", no_wrap=True)
-    for name in (*names, "second minus first", "95 % interval"):
-        lines.add_column(Text(name), justify="right", no_wrap=name == "95 % interval")
-    for row in rows:
-        head = Text.assemble(row.title, (f" {row.unit}" if row.unit else "", "dim"))
-        lines.add_row(head, *(Text(cell, "bold" if row.significant else "") for cell in _cells(row)))
+def _table(rows: list[Row], first: str, second: str) -> Table:
+    title = Text(f"{second} minus {first}: {_counts(rows)}")
+    lines = Table(box=box.SIMPLE_HEAD, title=title, title_justify="left", title_style="bold", pad_edge=False)
+    lines.add_column("")
+    body = [(*row.texts(), SYMBOLS[row.verdict]) for row in rows]
+    for k, name in enumerate((first, second, "change", "95 % interval", "")):
+        width = max((len(texts[k]) for texts in body), default=0)
+        justify = "right" if name else "left"
+        lines.add_column(Text(name, overflow="fold"), justify=justify, width=max(width, 6 if name else 0))
+    for row, texts in zip(rows, body, strict=True):
+        head = Text.assemble(row.figure.title, (f" {row.figure.unit}" if row.figure.unit else "", "dim"))
+        lines.add_row(head, *(Text(text, "bold" if row.clear else "") for text in texts))
     return lines
 
 
-def page(differences: list[Difference], runs: tuple[SavedRun, SavedRun], summary: str) -> str:
-    """The comparison as a page, with the replays of both."""
-    names = [run.name for run in runs]
-    rows = []
-    for row in differences:
-        one, other, *difference = _cells(row)
-        cells = [pages.Cell(cell, kind="ours" if row.significant else "") for cell in difference]
-        rows.append([pages.Cell(row.title, row.unit and f" {row.unit}"), one, other, *cells])
+def _counts(rows: list[Row]) -> str:
+    """How many figures are better, worse, or neither, in words."""
+    number = {verdict: sum(row.verdict == verdict for row in rows) for verdict in SYMBOLS}
+    different = f", {number['differs']} different without a better direction" if number["differs"] else ""
+    return f"{number['better']} better, {number['worse']} worse{different}, {number['']} without a clear difference"
+
+
+# ------------------------------------------------------------------ the page
+
+
+def page(views: Views, runs: Sequence[SavedRun], words: str) -> str:
+    """The comparison as a page, with the replays of all runs on one clock."""
     players = [
         (run.name, replay.element(run.replay, f"replay-{index}", linked=False, program=False, clock=True))
         for index, run in enumerate(runs)
         if run.replay is not None
     ]
+    differing = [name for name in runs[0].description if any(name in differing_options(runs[0], run) for run in runs)]
     return pages.render(
         "evaluation/compare.html",
-        title=" and ".join(names),
-        kicker="sean_jax · two runs",
-        table=pages.table(["", *names, "second minus first", "95 % interval"], rows, "units"),
-        note=f"{summary} Bold: the interval excludes 0.",
+        title=" and ".join([", ".join(run.name for run in runs[:-1]), runs[-1].name]),
+        kicker=f"sean_jax · {len(runs)} runs",
+        views={
+            view: [_Side.of(run, rows) for run, rows in zip(runs[1:], each, strict=True)]
+            for view, each in views.items()
+        },  # fmt: skip
+        first=runs[0],
+        note=words,
+        tested=tested(views),
+        symbols=SYMBOLS,
         players=players,
         script=replay.script(),
         runs=runs,
+        head=["option", *(run.name for run in runs)],
+        options=[[flag(name), *_values(name, runs)] for name in differing],
+        commands=[command("run", run.config).replace(" --", "\n--") for run in runs],
     )
+
+
+class _Side(NamedTuple):
+    """A run beside the first."""
+
+    run: SavedRun
+    clear: list[Row]
+    others: list[Row]
+    scale: float  # standard deviations at the edge of a plot
+    counts: str
+
+    @classmethod
+    def of(cls, run: SavedRun, rows: list[Row]) -> "_Side":
+        sizes = [abs(end) / row.values.deviation for row in rows if row.values.deviation for end in row.values[3:5]]
+        clear, others = ([row for row in rows if row.clear is is_clear] for is_clear in (True, False))
+        return cls(run, clear, others, min(max([*sizes, 0.5]), WIDEST), _counts(rows))
+
+    def at(self, row: Row, value: float) -> float:
+        """The place of a difference or an end of its interval in a plot, from -1 to 1."""
+        size = (
+            value / row.values.deviation if row.values.deviation else math.copysign(math.inf, value) if value else 0.0
+        )
+        return max(-1.0, min(1.0, size / self.scale))
+
+
+def _values(name: str, runs: Sequence[SavedRun]) -> list[str]:
+    """The value of an option in each run as text."""
+    values = [run.config.identity()[name] for run in runs]
+    texts = [value if isinstance(value, str) else yaml.safe_dump(value, default_flow_style=True, width=1000)
+             .removesuffix("...\n").strip() for value in values]  # fmt: skip
+    if len(set(texts)) == 1:  # files of one name
+        texts = [f"{text} ({run.folder}'s)" for text, run in zip(texts, runs, strict=True)]
+    return texts

@@ -1,6 +1,7 @@
 """The results of a run: ``Evaluation``, its figures with intervals, its files and its report.
 
-Every figure is a ratio of two sums over episodes, so one bootstrap (``metrics.bootstrap``) serves all.
+Every figure is a ratio of two sums over episodes, so one bootstrap (``metrics.bootstrap``) serves all but shares of
+episodes and counts without an event, whose intervals are exact or Wilson's.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import io
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -22,10 +23,11 @@ from sean_jax.base import Scenario, Trajectory
 from sean_jax.config import RunConfig
 from sean_jax.drawing.colors import NO_SITUATION, situation_colors
 from sean_jax.drawing.svg import svg
-from sean_jax.evaluation import saved, table
+from sean_jax.evaluation import compare, saved, table
+from sean_jax.evaluation.compare import SavedRun
 from sean_jax.flags import command
 from sean_jax.metrics import Estimate, Metric, aggregate_ratio, resamples
-from sean_jax.metrics.bootstrap import of_share
+from sean_jax.metrics.bootstrap import of_count, of_share
 from sean_jax.versions import versions
 
 
@@ -60,11 +62,12 @@ class Evaluation:
         return self.places[index] if self.places else self.scenario
 
     def summary(self) -> dict[str, Any]:
-        """Shares of the situations, means of the metrics with 95 % bootstrap intervals, checks and timing."""
+        """Shares of the situations, means of the metrics with 95 % intervals, checks and timing."""
         simulated = float(self.seconds.sum())
         floors = list(dict.fromkeys(self.floors))
         of_set = {"floors": len(floors), "set_floors": self.set_floors, "environments": floors} if floors else {}
         groups = {} if floors else {"largest_groups": [int(size) for size in self.group_size]}
+        own = {name: metric for name, metric in self.definitions.items() if name not in metrics.METRICS}
         return {
             "scenario": self.names(),
             **of_set,
@@ -72,6 +75,7 @@ class Evaluation:
             "episodes_wanted": self.wanted,
             "simulated_seconds": round(simulated, 3),
             **aggregate_episodes(self),
+            "own_metrics": {name: table.metric_figure(name, metric)._asdict() for name, metric in own.items()},
             "checks": {
                 "largest_penetration_mm": round(max(1000.0 * self.penetration, 0.0), 4),
                 "people_inside_obstacles": bool(self.penetration > float(self.scenario.forces.walking.radius)),
@@ -105,7 +109,7 @@ class Evaluation:
 
     def print_table(self, console: Console) -> None:
         """Print the table."""
-        table.print_table(console, self.summary(), self.definitions, self.title, self.exclusive_shares()["none"])
+        table.print_table(console, self.summary(), self.definitions, self.title, self.concurrence()["none"][0])
 
     def table(self, width: int = 120) -> str:
         """The table as text."""
@@ -113,15 +117,18 @@ class Evaluation:
         self.print_table(Console(file=stream, width=width, color_system=None))
         return stream.getvalue()
 
-    def exclusive_shares(self) -> dict[str, float]:
-        """Situation, or "none" -> its share of robot time; time in several situations is divided equally among them."""
-        total = max(float(self.together.sum()), 1e-9)
-        shares = dict.fromkeys((*self.situations, "none"), 0.0)
-        for index in np.flatnonzero(self.together):
-            names = [name for bit, name in enumerate(self.situations) if index >> bit & 1] or ["none"]
-            for name in names:
-                shares[name] += float(self.together[index]) / len(names) / total
-        return shares
+    def concurrence(self) -> dict[str, tuple[float, float]]:
+        """Situation -> the shares of robot time in it alone, and in it and others at once.
+
+        "none" has the share of time in no situation, and "several" that of all time in two or more at once.
+        """
+        times = self.together / max(float(self.together.sum()), 1e-9)
+        number = np.array([index.bit_count() for index in range(len(times))])
+        shares = {}
+        for bit, name in enumerate(self.situations):
+            inside = np.arange(len(times)) >> bit & 1 == 1
+            shares[name] = float(times[inside & (number == 1)].sum()), float(times[inside & (number > 1)].sum())
+        return shares | {"none": (float(times[0]), 0.0), "several": (0.0, float(times[number > 1].sum()))}
 
     def save(self, folder: Path | str) -> Path:
         """Write the files of ``sean run`` to a new or empty folder: report, episodes.csv, summary.json, animation.
@@ -146,7 +153,10 @@ def title(scenario: Scenario, tasks: list[str], episodes: int, floors: int = 0) 
 
 
 def aggregate_episodes(results: Evaluation) -> dict[str, Any]:
-    """Means with 95 % bootstrap intervals over episodes, overall and by situation (Table I, Figure 4).
+    """Means with 95 % intervals over episodes, overall and by situation (Table I, Figure 4).
+
+    Shares of episodes have Wilson's interval, counts without an event the exact one, and all else, with shares of time,
+    that of the bootstrap over episodes.
 
     By situation, a time or a count is the mean per episode of its part in that situation. ``completed`` and metrics of
     completed episodes are means over the episodes in which the situation occurred. Without the metric
@@ -160,9 +170,12 @@ def aggregate_episodes(results: Evaluation) -> dict[str, Any]:
     weights = resamples(len(results.completed))
     every = np.ones(len(results.completed))
 
-    def by_column(values: np.ndarray, applies: np.ndarray, shares: bool = False) -> dict[str, Any]:
+    def by_column(values: np.ndarray, applies: np.ndarray, kind: str = "number") -> dict[str, Any]:
         estimate = aggregate_ratio(values * applies, applies, weights=weights)
-        estimate = of_share(estimate) if shares else estimate
+        if kind == "share":  # of episodes, where each is 0 or 1; else of time
+            estimate = of_share(estimate, where=np.all((values == 0) | (values == 1) | (applies == 0), 0))
+        elif kind == "count":
+            estimate = of_count(estimate)
         return {
             name: _figure(Estimate(*(part[k] for part in estimate)))
             for k, name in enumerate(columns[: values.shape[1]])
@@ -176,7 +189,7 @@ def aggregate_episodes(results: Evaluation) -> dict[str, Any]:
         }
         among = np.concatenate([among, spent[:, 1:] > 0], 1).astype(float)
     number = among.shape[1]
-    figures = {"completed": by_column(np.repeat(results.completed[:, None], number, 1).astype(float), among, True)}
+    figures = {"completed": by_column(np.repeat(results.completed[:, None], number, 1).astype(float), among, "share")}
     for name, values in results.metrics.items():
         if name in ("completed", "timed_out"):
             continue
@@ -187,7 +200,8 @@ def aggregate_episodes(results: Evaluation) -> dict[str, Any]:
         applies = np.isfinite(cells).astype(float)
         if completed_only:
             applies = applies * among * results.completed[:, None]
-        figures[name] = by_column(np.where(np.isfinite(cells), cells, 0.0), applies)
+        kind = results.definitions[name].kind
+        figures[name] = by_column(np.where(np.isfinite(cells), cells, 0.0), applies, kind)
     figures["seconds"] = by_column(results.seconds[:, None].astype(float), every[:, None])
     return {"situations": shares, "metrics": figures}
 
@@ -238,8 +252,11 @@ def write_all(
         name = f"episode {i} · {evaluation.tasks[i].replace('_', ' ')}"
         shown.append(replay.Episode(frames, name, outcome(evaluation.completed[i], evaluation.seconds[i])))
     recording = replay.of_scenario(first, shown) if shown else None
-    line = "sean_jax.evaluate, in a Python program" if config is None else command("run", config)
-    text = report_page(evaluation, summary, recording, line, packages)
+    lines = ["sean_jax.evaluate, in a Python program"] * 2
+    if config is not None:
+        lines = [command("run", config, chosen=chosen) for chosen in (True, False)]
+    runs = [compare.read(config.baseline), compare.read(folder)] if config is not None and config.baseline else []
+    text = report_page(evaluation, summary, recording, lines[0], packages, lines[1], runs)
     (folder / "report.html").write_text(text, encoding="utf-8")
 
 
@@ -294,6 +311,8 @@ def report_page(
     recording: dict[str, Any] | None,
     command: str,
     packages: dict[str, str],
+    complete: str = "",
+    runs: Sequence[SavedRun] = (),
 ) -> str:
     """The report: one self-contained HTML page for light and dark screens and for paper.
 
@@ -303,7 +322,10 @@ def report_page(
     Args:
         summary: of ``Evaluation.summary``.
         recording: the first episodes, of ``replay.of_scenario``.
+        complete: the command with every option.
+        runs: the baseline and this run, or none.
     """
+    against = compare.differences(runs)[compare.OVERALL][0] if runs else []
     rows = table.table_rows(summary, evaluation.definitions, complete=True)
     by_name, topics = {row.name: row for row in rows}, dict[str, list[table.Row]]()
     for row in rows:
@@ -315,9 +337,16 @@ def report_page(
         title=evaluation.title,
         kicker="sean_jax · report of a run",
         situations=evaluation.situations,
-        shares=evaluation.exclusive_shares(),
+        bars=_bars(evaluation, by_name["share"].cells[1:]),
         command=command,
+        complete=complete,
         versions=packages,
+        against={row.name: row for row in against},
+        against_note=_against(runs),
+        baseline=runs[0].name if runs else "",
+        symbols=compare.SYMBOLS,
+        number=len(evaluation.tasks),
+        fewest=f"{float(of_count(Estimate(*map(np.array, (0.0, 0.0, 0.0, len(evaluation.tasks))))).high):.2g}",
         player="" if recording is None else replay.element(recording),
         tiles=[by_name[name] for name in TILES if name in by_name],
         shades=shades | {"none": NO_SITUATION},
@@ -329,6 +358,40 @@ def report_page(
         checks=_checks(summary),
         definitions={row.title + (f" [{row.unit}]" if row.unit else ""): row.definition for row in rows},
     )
+
+
+def _against(runs: Sequence[SavedRun]) -> str:
+    """The comparison with the baseline in words; "" without one."""
+    if not runs:
+        return ""
+    number = compare.paired(*runs)
+    how = f"in {number} common episodes" if number else "by their means, for the episodes differ"
+    return (
+        f"The run is compared with {runs[0].name} {how}. Marks follow Holm's correction for all figures, which "
+        f"sean compare shows: the probability of any false mark is 5 % at most."
+    )
+
+
+class Bar(NamedTuple):
+    """A bar of the situations; lengths are parts of the longest bar."""
+
+    name: str
+    text: str
+    color: str
+    alone: float
+    shared: float  # in other situations at the same time
+
+
+def _bars(evaluation: Evaluation, cells: list[str]) -> list[Bar]:
+    """A bar for each situation, as long as its share of robot time, with the text of its cell in the table."""
+    shares = evaluation.concurrence()
+    longest = max(map(sum, shares.values())) or 1.0
+    colors = *situation_colors(evaluation.situations), NO_SITUATION, NO_SITUATION
+    texts = dict(zip(evaluation.situations, cells, strict=True))
+    return [
+        Bar(name, texts.get(name) or f"{100 * (alone + shared):.1f}", color, alone / longest, shared / longest)
+        for (name, (alone, shared)), color in zip(shares.items(), colors, strict=True)
+    ]
 
 
 def _episodes(evaluation: Evaluation) -> list[tuple[str, str]]:
@@ -395,5 +458,5 @@ def _durations(evaluation: Evaluation) -> str:
         for kind, top, height in (("done", base - lower, lower), ("late", base - lower - upper, upper)):
             if height:
                 bars.append((kind, left + k * step + 1.0, top, step - 2.0, height))
-    ticks = [(left + k * step, f"{edges[k]:g}") for k in range(0, len(edges), 4)]
+    ticks = [(left + k * step, f"{edges[k]:.3g}") for k in range(0, len(edges), 4)]
     return pages.render("evaluation/durations.html", bars=bars, ticks=ticks, highest=highest)

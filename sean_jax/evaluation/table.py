@@ -23,6 +23,8 @@ class Figure(NamedTuple):
     unit: str  # "%" shows a share in percent
     digits: int
     definition: str
+    better: str = ""  # "lower" or "higher" values; "" if neither is better
+    completed_only: bool = False  # means leave out episodes that were not completed
 
 
 EPISODE_FIGURES = {
@@ -44,7 +46,8 @@ class Row:
     unit: str
     definition: str
     cells: list[str]  # overall, then each situation; "" where there is no figure
-    intervals: list[str]  # 95 %, likewise
+    intervals: list[str]  # 95 %, likewise; "" where both ends are the same, or for a count of 0
+    better: str
 
 
 def table_rows(summary: dict[str, Any], definitions: Mapping[str, Metric], complete: bool = False) -> list[Row]:
@@ -70,7 +73,7 @@ def metric_figure(name: str, metric: Metric) -> Figure:
     """The title, unit, digits and definition of a metric."""
     unit = "%" if metric.kind == "share" else _UNITS.get(metric.unit, metric.unit)
     title, definition = metric.title or name.replace("_", " "), metric.definition or MEAN
-    return Figure(title, unit, metric.digits, definition)
+    return Figure(title, unit, metric.digits, definition, metric.better, metric.completed_only)
 
 
 def _row(name: str, figure: Figure, values: dict[str, Any], columns: list[str]) -> Row:
@@ -79,9 +82,10 @@ def _row(name: str, figure: Figure, values: dict[str, Any], columns: list[str]) 
     for column in columns:
         value = values.get(column)
         cells.append("" if value is None else f"{scale * value['mean']:.{figure.digits}f}")
-        low_high = (f"{scale * end:.{figure.digits}f}" for end in value["interval"]) if value else ()
-        intervals.append(" to ".join(low_high))
-    return Row(name, figure.title, figure.unit, figure.definition, cells, intervals)
+        ends = [f"{scale * end:.{figure.digits}f}" for end in value["interval"]] if value else []
+        shown = value is not None and (value["mean"] != 0 or figure.unit == "%")
+        intervals.append(" to ".join(ends) if shown and len(set(ends)) > 1 else "")
+    return Row(name, figure.title, figure.unit, figure.definition, cells, intervals, figure.better)
 
 
 def print_table(

@@ -59,6 +59,7 @@ class Metric:
         kind: "count" of events, "share" from 0 to 1, shown in percent, else "number".
         completed_only: means leave out episodes that were not completed.
         headline: the table in the terminal has it; the report and episodes.csv have every metric.
+        better: "lower" or "higher" values are better; "" if neither is, as of a speed.
     """
 
     init: Callable[[Snapshot], PyTree]
@@ -71,6 +72,7 @@ class Metric:
     kind: Literal["number", "count", "share"] = "number"
     completed_only: bool = False
     headline: bool = True
+    better: Literal["lower", "higher", ""] = ""
 
 
 def as_metric(value: Metric | Callable, name: str = "") -> Metric:
@@ -119,6 +121,7 @@ class Words(TypedDict, total=False):
     definition: str
     digits: int
     headline: bool
+    better: Literal["lower", "higher", ""]
 
 
 class WordsAndUnit(Words, total=False):

@@ -11,7 +11,7 @@ import numpy as np
 
 from sean_jax.flags import number
 from sean_jax.metrics import Estimate, aggregate, aggregate_ratio
-from sean_jax.metrics.bootstrap import hierarchical_resamples, of_share, resamples, with_estimate
+from sean_jax.metrics.bootstrap import hierarchical_resamples, of_count, of_share, resamples, with_estimate
 from sean_jax.studies.experiments import shares
 from sean_jax.studies.experiments.shares import BEHAVIORS
 
@@ -124,7 +124,9 @@ class Results(Measured):
 
     def _estimates(self, values: dict[str, np.ndarray]) -> dict[str, Estimate]:
         estimates = {name: self.estimate(value) for name, value in values.items()}
-        completed = of_share(estimates["completed"])
+        completed = estimates["completed"]
+        even = (completed.mean == 0) | (completed.mean == 1)  # else groups of episodes differ, which resamples show
+        completed = of_share(completed, where=even)
         mean, low, high = (end * self.episodes for end in completed[:3])
         return estimates | {"completed": completed._replace(mean=mean, low=low, high=high)}
 
@@ -333,7 +335,8 @@ def scores(measured: dict[str, Arrays]) -> Scores:
     figures = {"polite": percent(polite), "completed": percent(lambda columns: columns["completed"])}
     for name in Scores.FIGURES:
         if name not in figures:
-            figures[name] = aggregate(joined(lambda columns, name=name: _overall(columns[name])), weights=weights)
+            estimate = aggregate(joined(lambda columns, name=name: _overall(columns[name])), weights=weights)
+            figures[name] = estimate if name == "seconds" else of_count(estimate)
     time = joined(lambda columns: columns["time_in_situation"])
     events = joined(lambda columns: columns["intimate_robot_on_person"][:, 1:])
     whole = np.repeat(time[:, :1], time.shape[1] - 1, axis=1)
