@@ -257,6 +257,25 @@ def _boxes(path: Path) -> tuple[np.ndarray, Scenery]:
     return np.column_stack([position[:, :2], half[:, :2], yaw, height]), scenery_from_mjcf(model, data, boxes)
 
 
+def named_boxes(path: Path) -> dict[str, tuple[tuple[float, ...], tuple[float, ...], float]]:
+    """Center, half sides [m] and yaw [degrees] of the obstacles of an MJCF file that have a name.
+
+    Raises:
+        FileError: MuJoCo cannot read the file.
+    """
+    model = mjcf.read(path)
+    mujoco: Any = import_module("mujoco")
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    boxes = {}
+    for index in np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_BOX):
+        if (name := model.geom(index).name) and (model.geom_contype[index] or model.geom_conaffinity[index]):
+            turn = data.geom_xmat[index]
+            yaw = float(np.rad2deg(np.arctan2(turn[3], turn[0])))
+            boxes[name] = tuple(data.geom_xpos[index].tolist()), tuple(model.geom_size[index].tolist()), yaw
+    return boxes
+
+
 def _refusal(model: Any, data: Any, index: int, kind: str) -> str:
     """Why a geom cannot be an obstacle, as a clause that follows its name; empty if it can, or is the floor."""
     tilt = data.geom_xmat[index, 8]  # cosine of the angle between its z axis and the vertical

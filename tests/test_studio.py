@@ -22,17 +22,17 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
+from PIL import Image
 
 from sean_jax import assembly, learning, pages
 from sean_jax.config import StudioConfig, validate
 from sean_jax.errors import FileError, InputError
 from sean_jax.learning import Recorder
-from sean_jax.studio import editor, server, trial
+from sean_jax.studio import server, trial
 from sean_jax.studio.server import Studio
 from sean_jax.studio.session import DEAD_MAN, Choice, Session
 
 pytest.importorskip("websockets")
-pytest.importorskip("ruamel.yaml")
 from websockets.asyncio.client import connect  # noqa: E402
 from websockets.exceptions import ConnectionClosed, InvalidStatus  # noqa: E402
 
@@ -625,9 +625,10 @@ def test_tabs_that_come_at_once_are_no_more_than_allowed(served):
 # ------------------------------------------------------------------ the command
 
 
-def start(folder, *more, environment="lab"):
+def start(folder, *more, environment="lab", people=3):
     """`sean studio` in a process of its own, and the address that it prints."""
-    words = ["studio", "--environment", environment, "--people", "3", "--record", "drives", *more]
+    number = [] if people is None else ["--people", str(people)]
+    words = ["studio", "--environment", environment, *number, "--record", "drives", *more]
     process = subprocess.Popen([sys.executable, "-u", "-m", "sean_jax", *words], cwd=folder, stdout=subprocess.PIPE,
                                stderr=subprocess.STDOUT, text=True, env=os.environ)  # fmt: skip
     line = ""
@@ -790,28 +791,42 @@ def test_a_browser_compares_and_has_a_3d_view(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_browser_edits_the_graph(tmp_path):
-    """A node is dragged, an edge clicked, a number typed, a mistake refused, a change undone; comments are kept."""
+@pytest.mark.parametrize("behavior", ["graph", "handcrafted"])
+def test_a_browser_edits_the_files(tmp_path, behavior):
+    """By a mouse that is real: nodes, edges, obstacles and a picture below, or the sets; comments are kept."""
     if CHROMIUM is None or not (WEB / "node_modules" / "playwright-core").is_dir():
         pytest.skip("there is no Chromium, or web/node_modules is not there")
-    before = (Path(__file__).parent.parent / "envs" / "lab" / "graph.yaml").read_text()
-    shutil.copytree(Path(__file__).parent.parent / "envs" / "lab", tmp_path / "mine")
-    process, address = start(tmp_path, environment="mine")
+    lab, mine = Path(__file__).parent.parent / "envs" / "lab", tmp_path / "mine"
+    shutil.copytree(lab, mine)
+    Image.new("RGB", (40, 20), (220, 30, 30)).save(tmp_path / "red.png")
+    people = 3 if behavior == "graph" else None  # sets have their own
+    process, address = start(tmp_path, "--behavior", behavior, environment="mine", people=people)
     try:
         words = ["node", "test/axe.mjs", address, CHROMIUM]
         assert json.loads(subprocess.run(words, cwd=WEB, timeout=120, capture_output=True, check=True).stdout) == []
-        done = subprocess.run(["node", "test/edit.mjs", address, CHROMIUM, str(tmp_path)], cwd=WEB, timeout=300,
-                              capture_output=True, text=True, check=False)  # fmt: skip
+        words = ["node", "test/edit.mjs", address, CHROMIUM, str(tmp_path), str(tmp_path / "red.png")]
+        done = subprocess.run(words, cwd=WEB, timeout=900, capture_output=True, text=True, check=False)
     finally:
         process.terminate()
         process.communicate(timeout=120)
     assert done.returncode == 0, done.stderr[-3000:]
     seen = json.loads(done.stdout)
     assert seen["errors"] == [] and seen["after"] > seen["before"] > 0
-    assert re.match(r"graph.yaml:\d+:\d+: nodes.door.position: .* is inside an obstacle", seen["note"])
-    after = (tmp_path / "mine" / "graph.yaml").read_text()
-    other = [(old, new) for old, new in zip(before.split("\n"), after.split("\n"), strict=True) if old != new]
-    assert len(other) == 2 and "position: [-2.5, -0.5], radius: 1," in other[0][1] and "flow: high" in other[1][1]
+    names = "graph.yaml", "handcrafted.yaml", "scene.xml"
+    old, new = ({name: (folder / name).read_text().split("\n") for name in names} for folder in (lab, mine))
+    lines = {name: [line for line in new[name] if line not in old[name]] for name in new}
+    if behavior == "graph":
+        assert re.match(r"graph.yaml:\d+:\d+: nodes.door.position: .* is inside an obstacle", seen["note"])
+        assert seen["red"] == [True, False] and 0.0 < seen["scale"] < 6.4 / 20 / 1.9
+        assert lines["handcrafted.yaml"] == [] and [len(lines[name]) for name in ("graph.yaml", "scene.xml")] == [5, 1]
+        text = "\n".join(lines["graph.yaml"])
+        for part in ("position: [-2.5, -0.5], radius: 1,", "flow: high", "[corner, east]", "[east, meeting]"):
+            assert part in text
+        assert 'pos="1.9 2.05 0.9" size="0.35 0.05 0.9" euler="0 0 90"' in lines["scene.xml"][0]
+    else:
+        assert re.search(r"handcrafted.yaml:\d+:\d+: sets.empty_1.goals\[0\]: .* is inside an obstacle", seen["note"])
+        assert lines["graph.yaml"] == lines["scene.xml"] == [] and len(lines["handcrafted.yaml"]) == 1
+        assert "goals: [[2.7, -0.2, 45]," in lines["handcrafted.yaml"][0]
 
 
 def test_the_page_has_its_program():
@@ -849,19 +864,8 @@ BAD = [
     ({"node": "nobody", "radius": 1}, "there is no node 'nobody'"),
     ({"edge": ["door", "corner"], "flow": "fast"}, "'fast' is not one of"),
     ({"edge": ["door"], "flow": "low"}, "are no two nodes"),
-    ({}, "it names no node and no edge"),
+    ({}, "it names no node, edge, set or box"),
 ]
-
-
-def test_a_changed_text_keeps_comments_and_layout():
-    text = (Path(__file__).parent.parent / "envs" / "lab" / "graph.yaml").read_text()
-    for change in GOOD:
-        lines, new = text.split("\n"), editor.changed(text, change).split("\n")
-        assert sum(line not in lines for line in new) <= 1 and text.count("#") == "\n".join(new).count("#")
-    assert "position: [-2.9, -0.7]" in editor.changed(text, GOOD[0])
-    assert "{between: [corner, door], flow: low}" in editor.changed(
-        editor.changed(text, GOOD[-1]), {"edge": ["corner", "door"], "flow": "low"}
-    )
 
 
 def test_people_go_on_with_a_changed_graph(edited):
@@ -872,23 +876,41 @@ def test_people_go_on_with_a_changed_graph(edited):
     for change in GOOD[:4]:
         edited.edit(change)
         edited._advance(None)
-    graph = edited.graph()["graph"]
+    graph = edited.edits()["graph"]
     assert graph["position"][graph["names"].index("door")] == [-2.9, -0.7] and len(edited.commands) == 5
-    before = edited.editor.text
+    before = dict(edited.editor.texts)
     for change, message in BAD:
         with pytest.raises(InputError, match=message):
             edited.edit(change)
-    assert edited.editor.text == before
+    assert edited.editor.texts == before
     with pytest.raises(InputError, match="changes that are not saved"):
         edited.record()
     for _ in GOOD[:4]:
-        assert edited.graph()["difference"]
+        assert edited.edits()["difference"]
         edited.edit(None)
-    assert edited.graph()["difference"] == "" and edited._step._cache_size() == programs
+    assert edited.edits()["difference"] == "" and edited._step._cache_size() == programs
     with pytest.raises(InputError, match="was changed in this episode; begin another one"):
         edited.record()
     with pytest.raises(InputError, match="there is no change"):
         edited.edit(None)
+
+
+def test_people_begin_anew_on_another_graph_and_floor(edited):
+    """A node and a box more: other tables, in which time goes on; undo leads back to the files."""
+    edited.restart(0)
+    for change in ({"node": "east", "add": "waypoint", "position": [0.6, 1.2], "edge": "corner"},
+                   {"box": "box_1", "add": True, "position": [-5.2, 1.0]}):  # fmt: skip
+        edited._advance(None)
+        edited.edit(change)
+        assert len(edited.commands) == 0
+        edited._advance(None)
+    news = edited.edits()
+    assert "east" in news["graph"]["names"] and [-5.2, 1.0, 0.4, 0.4, 0.0, 1.0] in news["place"]["obstacles"]
+    box = np.asarray(edited.scenario.environment.obstacles.center)
+    assert (np.abs(box - [-5.2, 1.0]).max(1) < 1e-6).any()
+    edited.edit(None)
+    edited.edit(None)
+    assert edited.edits()["difference"] == "" and edited.on_file
 
 
 def test_a_graph_is_saved_where_it_was_read(edited):
@@ -897,7 +919,7 @@ def test_a_graph_is_saved_where_it_was_read(edited):
     assert len(edited.commands) == 0
     edited._advance(None)
     edited.save()
-    assert "capacity: 3" in file.read_text() and edited.graph()["difference"] == ""
+    assert "capacity: 3" in file.read_text() and edited.edits()["difference"] == ""
     edited.edit({"node": "door", "radius": 0.9})
     file.write_text(file.read_text() + "\n# a colleague\n")
     with pytest.raises(InputError, match="has changed meanwhile"):

@@ -151,7 +151,7 @@ def place_of_page(environment: Environment) -> dict[str, Any]:
     return {
         "name": environment.name,
         "floor": [round(float(value), 3) for value in np.asarray(environment.floor)],
-        "obstacles": np.round(rows, 3).tolist(),
+        "obstacles": np.round(rows.astype(float), 3).tolist(),
     }
 
 

@@ -1,10 +1,13 @@
-"""Changes of a Behavior Graph in ``graph.yaml`` that keep its comments, checked as the file is."""
+"""Changes of an environment's files, ``graph.yaml``, ``handcrafted.yaml`` and ``scene.xml``, checked as the files are.
+
+The texts keep their comments: only the place of a change is another one.
+"""
 
 from __future__ import annotations
 
 import dataclasses
 import difflib
-import io
+import json
 import math
 import re
 import shutil
@@ -16,90 +19,174 @@ from typing import Any
 import jax
 import numpy as np
 
-from sean_jax import assembly, behaviors, files, pages, writing
-from sean_jax.base import Behavior, Scenario
+from sean_jax import assembly, behaviors, environment, files, pages, replay, worlds, writing
+from sean_jax.base import Scenario
 from sean_jax.behaviors.graph_behavior import Tables
 from sean_jax.config import StudioConfig
+from sean_jax.environment import SCENE
 from sean_jax.errors import FileError, InputError
+from sean_jax.graph import graph_of
+from sean_jax.graph.formation import reach
+from sean_jax.handcrafted import annotation
+from sean_jax.studio import scene_text, yaml_text
 
-FILE = "graph.yaml"
+GRAPH, SETS = "graph.yaml", annotation.FILE
+FILES = GRAPH, SETS, SCENE
 KEYS = ("position", "radius", "spawn", "weight", "capacity", "stay")  # of a node that can be changed
 DIGITS = 3  # of numbers from a page
+WAYPOINT = "{{kind: waypoint, position: [{}, {}], radius: 0.5, spawn: 1}}"
+GROUP = "{{kind: group, position: [{}, {}], radius: 0.5, spawn: 1, capacity: 2, stay: [5, 10]}}"
 
 
 class Editor:
-    """The text of a graph, with its earlier texts."""
+    """The texts of an environment's files, with their earlier texts."""
 
-    def __init__(self, folder: Path):
-        self.folder = folder
-        self._read()
+    def __init__(self, config: StudioConfig):
+        self.config, self.folder = config, worlds.find(config.environment)[0]
+        self.saved = {name: files.read_text(self.folder / name) for name in FILES if (self.folder / name).is_file()}
+        self.texts, self.history = dict(self.saved), list[tuple[str, str]]()  # file, and its text before a change
         self._scratch = tempfile.TemporaryDirectory(prefix="sean-studio-")
-        shutil.copytree(folder, self._scratch.name, dirs_exist_ok=True)
-
-    def _read(self) -> None:
-        self.saved = files.read_text(self.folder / FILE)
-        self.text, self.history = self.saved, list[str]()
+        folder = self.folder.resolve()
+        for path in map(Path.resolve, environment.sources(self.folder)):
+            if path.is_relative_to(folder):  # a change of a scene that reads others is refused
+                copy = Path(self._scratch.name) / path.relative_to(folder)
+                copy.parent.mkdir(parents=True, exist_ok=True)
+                shutil.copyfile(path, copy)
+        self.boxes: dict[str, scene_text.Box] = {}  # obstacles that can be changed
+        self.sets: annotation.Annotation | None = None  # of behavior handcrafted
+        for name in self.texts:
+            self._take(self.folder / name)
 
     @property
     def changed(self) -> bool:
-        """Whether there are changes that are not in the file."""
-        return self.text != self.saved
+        """Whether there are changes that are not in the files."""
+        return self.texts != self.saved
 
-    def change(self, change: Mapping[str, Any], config: StudioConfig, scenario: Scenario) -> Behavior:
-        """The behavior on the graph with a change: keys of a ``node``, or the ``flow`` of an ``edge``; None removes it.
+    def change(self, change: Mapping[str, Any], scenario: Scenario) -> Scenario:
+        """The scenario with a change of a ``node``, an ``edge``, a ``set`` or a ``box``; docs/studio.md has their keys.
 
         Raises:
-            InputError: the change or the graph has a mistake; the text stays as it was.
+            InputError: the change or a file has a mistake; the texts stay as they were.
         """
-        text = changed(self.text, change)
-        behavior = self._build(text, config, scenario)
-        self.history.append(self.text)
-        self.text = text
-        return behavior
+        word = next((word for word in ("node", "edge", "set", "box") if word in change), None)
+        if word is None:
+            raise InputError("edit: it names no node, edge, set or box; reload the page.")
+        if word in ("node", "edge"):
+            if graph_of(scenario) is None:
+                raise InputError(f"edit: behavior '{scenario.behavior.name}' has no graph.")
+            name, text = GRAPH, changed_graph(self.texts[GRAPH], change)
+        elif word == "set":
+            if self.sets is None:
+                raise InputError(f"edit: behavior '{scenario.behavior.name}' has no sets.")
+            name, text = SETS, changed_sets(self.texts[SETS], self.sets, change)
+        else:
+            self._check_own()
+            name, text = SCENE, changed_scene(self.texts[SCENE], self.boxes, change)
+        made = self._build(name, text, scenario)
+        self.history.append((name, self.texts[name]))
+        self.texts[name] = text
+        self._take(Path(self._scratch.name) / name)
+        return made
 
-    def undo(self, config: StudioConfig, scenario: Scenario) -> Behavior:
-        """The behavior without the latest change.
+    def undo(self, scenario: Scenario) -> Scenario:
+        """The scenario without the latest change.
 
         Raises:
             InputError: there is none.
         """
         if not self.history:
             raise InputError("undo: there is no change.")
-        behavior = self._build(self.history[-1], config, scenario)
-        self.text = self.history.pop()
-        return behavior
+        name, text = self.history[-1]
+        made = self._build(name, text, scenario)
+        self.texts[name] = text
+        self._take(Path(self._scratch.name) / name)
+        self.history.pop()
+        return made
 
     def difference(self) -> str:
-        """The changes that are not in the file, line by line."""
-        lines = [text.splitlines() for text in (self.saved, self.text)]
-        return "\n".join(difflib.unified_diff(lines[0], lines[1], FILE, f"{FILE}, changed", lineterm="", n=1))
+        """The changes that are not in the files, line by line."""
+        parts = []
+        for name, text in self.texts.items():
+            old, new = self.saved[name].splitlines(), text.splitlines()
+            parts += difflib.unified_diff(old, new, name, f"{name}, changed", lineterm="", n=1)
+        return "\n".join(parts)
 
-    def save(self) -> Path:
-        """Write the file.
+    def save(self) -> list[Path]:
+        """Write the files that have changes.
 
         Raises:
-            InputError: it is the package's, or has changed since it was read.
+            InputError: they are the package's, or one has changed since it was read; then none is written.
         """
-        file = self.folder / FILE
-        if pages.PACKAGE in file.resolve().parents or pages.PACKAGE.parent / "envs" in file.resolve().parents:
-            copy = f"copy the folder {self.folder} and name the copy with --environment"
-            raise InputError(f"save: {self.folder.name} is an environment of the package; {copy}.")
-        if files.read_text(file) != self.saved:
-            raise InputError(f"save: {file} has changed meanwhile; start the studio again to see it.")
-        writing.write(file, self.text)
-        self.saved = self.text
-        return file
+        self._check_own()
+        changed = [name for name in self.texts if self.texts[name] != self.saved[name]]
+        for name in changed:
+            if files.read_text(self.folder / name) != self.saved[name]:
+                file = self.folder / name
+                raise InputError(f"save: {file} has changed meanwhile; start the studio again to see it.")
+        for name in changed:
+            writing.write(self.folder / name, self.texts[name])
+            self.saved[name] = self.texts[name]
+        return [self.folder / name for name in changed]
 
-    def _build(self, text: str, config: StudioConfig, scenario: Scenario) -> Behavior:
+    def of_page(self, scenario: Scenario) -> dict[str, Any]:
+        """What the page draws and changes: graph, sets and boxes where there are any, and what is not saved."""
+        graph = graph_of(scenario)
+        names = ("spawn", "weight", "capacity", "stay")
+        boxes = {
+            name: [round(value, 4) for value in (*box.center[:2], *box.half[:2], math.radians(box.yaw),
+                                                 box.center[2] + box.half[2])]
+            for name, box in self.boxes.items()
+        }  # fmt: skip
+        return {
+            "place": replay.place_of_page(scenario.environment),
+            "graph": None if graph is None else replay.graph_of_page(graph),
+            "numbers": {} if graph is None else {name: np.asarray(getattr(graph, name)).tolist() for name in names},
+            "sets": None if self.sets is None else _sets_of_page(self.sets),
+            "boxes": boxes if self._refusal is None else None,
+            "difference": self.difference(),
+            "changes": len(self.history),
+        }
+
+    @property
+    def _refusal(self) -> str | None:
+        """Why the folder is not the user's own."""
+        file = (self.folder / SCENE).resolve()
+        of_package = pages.PACKAGE in file.parents or pages.PACKAGE.parent / "envs" in file.parents
+        if not of_package and worlds.parse_set(self.config.environment) is None:
+            return None
+        what = "an environment of the package" if of_package else "made from a seed"
+        return f"{self.folder.name} is {what}; copy the folder {self.folder} and name the copy with --environment."
+
+    def _check_own(self) -> None:
+        if self._refusal is not None:
+            raise InputError(f"save: {self._refusal}")
+
+    def _take(self, file: Path) -> None:
+        """Read what the page changes in a file that is checked."""
+        if file.name == SCENE and self._refusal is None:
+            self.boxes = scene_text.boxes(file, self.texts[SCENE])
+        elif file.name == SETS and self.config.behavior.kind == "handcrafted":
+            self.sets = files.load(file, annotation.Annotation)
+
+    def _build(self, name: str, text: str, scenario: Scenario) -> Scenario:
+        """The scenario with another text of a file; the files in the scratch folder stay if it has a mistake."""
         folder = Path(self._scratch.name)
-        writing.write(folder / FILE, text)
-        tables: Tables = scenario.behavior.data
-        place = behaviors.Place(folder, scenario.environment, tables.navigation, scenario.time_step)
+        writing.write(folder / name, text)
         try:
-            made = assembly.behavior_of(config, place)
-        except FileError as error:
-            raise InputError(re.sub(rf"\S*{re.escape(FILE)}", FILE, str(error))) from None
-        return dataclasses.replace(made, data=_with_starts_like(tables, made.data))
+            if name == SCENE:
+                return assembly.build(self.config.replace(environment=str(folder)))[0]
+            tables = scenario.behavior.data if name == GRAPH else scenario.behavior.data.ways or scenario
+            place = behaviors.Place(folder, scenario.environment, tables.navigation, scenario.time_step)
+            made = assembly.behavior_of(self.config, place)
+        except BaseException as error:
+            writing.write(folder / name, self.texts[name])
+            if not isinstance(error, InputError | FileError):
+                raise
+            known = "|".join(map(re.escape, FILES))
+            raise InputError(re.sub(rf"\S*?({known})", r"\1", str(error))) from None
+        if name == GRAPH:
+            made = dataclasses.replace(made, data=_with_starts_like(scenario.behavior.data, made.data))
+        return dataclasses.replace(scenario, behavior=made)
 
 
 def _with_starts_like(before: Tables, after: Tables) -> Tables:
@@ -117,35 +204,31 @@ def same_shapes(one: Any, other: Any) -> bool:
     return shapes[0] == shapes[1] and jax.tree.structure(one) == jax.tree.structure(other)
 
 
-def changed(text: str, change: Mapping[str, Any]) -> str:
-    """The text of a graph.yaml with a change; comments and layout stay.
+# ------------------------------------------------------------------ graph.yaml
+
+
+def changed_graph(text: str, change: Mapping[str, Any]) -> str:
+    """The text of a graph.yaml with a change of a ``node`` or an ``edge``.
+
+    A node has ``KEYS``; or ``add`` with its kind, a ``position`` and the name of another node for an ``edge``; or
+    ``remove``. An edge, two names, has a ``flow``; None removes it.
 
     Raises:
         InputError: there is no such node, edge or key, or a value is no number.
     """
-    from ruamel.yaml import YAML
-
-    document = YAML()
-    document.preserve_quotes, document.width = True, 10_000
-    document.indent(mapping=2, sequence=4, offset=2)
-    content = document.load(text)
-    if "node" in change:
-        _change_node(content, change)
-    elif "edge" in change:
-        _change_edge(content, change)
-    else:
-        raise InputError("edit: it names no node and no edge; reload the page.")
-    stream = io.StringIO()
-    document.dump(content, stream)
-    before = {" ".join(line.split()): line for line in text.split("\n")}  # with the author's spaces
-    return "\n".join(before.get(" ".join(line.split()), line) for line in stream.getvalue().split("\n"))
-
-
-def _change_node(content: Any, change: Mapping[str, Any]) -> None:
+    names = yaml_text.names_at(text, ["nodes"])
+    if "node" not in change:
+        return _changed_edge(text, change["edge"], change.get("flow"), names)
     name = change["node"]
-    if name not in content["nodes"]:
+    if "add" in change:
+        return _with_node(text, name, change, names)
+    if name not in names:
         raise InputError(f"edit: there is no node {name!r}; reload the page.")
-    node = content["nodes"][name]
+    if change.get("remove"):
+        for index in reversed(range(len(yaml_text.node_at(text, ["edges"]).value))):
+            if name in _ends(text, index):
+                text = yaml_text.removed(text, ["edges", index])
+        return yaml_text.removed(text, ["nodes", name])
     for key in (key for key in change if key != "node"):
         value = change[key]
         if key not in KEYS:
@@ -153,40 +236,148 @@ def _change_node(content: Any, change: Mapping[str, Any]) -> None:
         if isinstance(value, list):
             if len(value) != 2:
                 raise InputError(f"edit: {key} has two numbers; reload the page.")
-            if key not in node:
-                raise InputError(f"edit: {name} has no {key}; edit the file.")
             for index in (0, 1):
-                node[key][index] = _number(key, value[index])
+                try:
+                    yaml_text.node_at(text, ["nodes", name, key, index])
+                except KeyError:
+                    raise InputError(f"edit: {name} has no {key}; edit the file.") from None
+                text = yaml_text.replaced(text, ["nodes", name, key, index], _number(key, value[index]))
         else:
-            node[key] = _number(key, value)
+            text = yaml_text.replaced(text, ["nodes", name, key], _number(key, value))
+    return text
 
 
-def _change_edge(content: Any, change: Mapping[str, Any]) -> None:
-    pair, flow = change["edge"], change.get("flow")
-    if not (isinstance(pair, list) and len(pair) == 2 and all(name in content["nodes"] for name in pair)):
+def _with_node(text: str, name: Any, change: Mapping[str, Any], names: list[str]) -> str:
+    if not isinstance(name, str) or _word(name) != name:
+        raise InputError(f"edit: {name!r} is no name for a node; give letters, digits and _.")
+    if name in names:
+        raise InputError(f"edit: there is a node {name!r} already; give another name.")
+    form = GROUP if change["add"] == "group" else WAYPOINT
+    entry = form.format(*_pair("position", change.get("position")))
+    text = yaml_text.extended(text, ["nodes"], f"{name}: {entry}")
+    return _changed_edge(text, [change.get("edge"), name], "medium", [*names, name])
+
+
+def _changed_edge(text: str, pair: Any, flow: Any, names: list[str]) -> str:
+    if not (isinstance(pair, list) and len(pair) == 2 and all(name in names for name in pair)):
         raise InputError(f"edit: {pair!r} are no two nodes; reload the page.")
-    index = next((k for k, each in enumerate(content["edges"]) if set(each["between"]) == set(pair)), None)
+    count = len(yaml_text.node_at(text, ["edges"]).value)
+    index = next((k for k in range(count) if set(_ends(text, k)) == set(pair)), None)
     if flow is None:
         if index is None:
             raise InputError(f"edit: there is no edge between {pair[0]} and {pair[1]}.")
-        del content["edges"][index]
-        return
+        return yaml_text.removed(text, ["edges", index])
     if index is None:
-        from ruamel.yaml.comments import CommentedMap, CommentedSeq
-
-        names = CommentedSeq(pair)
-        edge = CommentedMap({"between": names, "flow": flow})
-        for part in (names, edge):
-            part.fa.set_flow_style()
-        content["edges"].append(edge)
-        return
-    edge = content["edges"][index]
-    edge.pop("weights", None)
-    edge["flow"] = flow
+        entry = f"{{between: [{_word(pair[0])}, {_word(pair[1])}], flow: {_word(str(flow))}}}"
+        return yaml_text.extended(text, ["edges"], entry)
+    if "weights" in yaml_text.names_at(text, ["edges", index]):
+        text = yaml_text.removed(text, ["edges", index, "weights"])
+    return yaml_text.replaced(text, ["edges", index, "flow"], _word(str(flow)))
 
 
-def _number(key: str, value: Any) -> float | int:
+def _ends(text: str, index: int) -> list[str]:
+    return [node.value for node in yaml_text.node_at(text, ["edges", index, "between"]).value]
+
+
+def _word(name: str) -> str:
+    """A word as YAML has it."""
+    plain = re.fullmatch(r"[A-Za-z_][\w-]*", name, re.ASCII) and name not in ("null", "true", "false")
+    return name if plain else json.dumps(name)
+
+
+def _number(key: str, value: Any) -> str:
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         raise InputError(f"{key}: {value!r} is no number.")
     value = round(float(value), DIGITS)
-    return int(value) if value.is_integer() else value
+    return str(int(value) if value.is_integer() else value)
+
+
+def _pair(key: str, value: Any) -> tuple[str, str]:
+    if not isinstance(value, list) or len(value) != 2:
+        raise InputError(f"edit: {key} has two numbers; reload the page.")
+    return _number(key, value[0]), _number(key, value[1])
+
+
+# ------------------------------------------------------------------ handcrafted.yaml
+
+
+def changed_sets(text: str, sets: annotation.Annotation, change: Mapping[str, Any]) -> str:
+    """The text of a handcrafted.yaml with a ``position`` or a ``heading`` of a ``point`` of a ``set``.
+
+    A point is ``["starts", 0]``, ``["goals", 0]``, ``["walkers", 0, "loop", 0]`` or ``["groups", NAME, "center"]``.
+
+    Raises:
+        InputError: there is no such point, or a value is no number.
+    """
+    place = next((where for where, label, _ in sets.each() if label == change["set"]), None)
+    point = change.get("point")
+    forms = (("starts", int), ("goals", int), ("walkers", int, "loop", int), ("groups", str, "center"))
+    if place is None or not isinstance(point, list) or not any(_has_form(point, form) for form in forms):
+        raise InputError(f"edit: there is no point {point!r} in set {change['set']!r}; reload the page.")
+    values = {}
+    if "position" in change:
+        values |= dict(enumerate(_pair("position", change["position"])))
+    if "heading" in change:
+        values[2] = _number("heading", change["heading"])
+    try:
+        for index, value in values.items():
+            keys = [*place, *point, index]
+            yaml_text.node_at(text, keys)
+            text = yaml_text.replaced(text, keys, value)
+    except KeyError:
+        raise InputError(f"edit: there is no point {point!r} in set {change['set']!r}; reload the page.") from None
+    return text
+
+
+def _has_form(point: list, form: tuple) -> bool:
+    """Whether the parts of a point are the words and of the types of a form."""
+    pairs = list(zip(point, form, strict=False))
+    return len(point) == len(form) and all(type(a) is b if isinstance(b, type) else a == b for a, b in pairs)
+
+
+def _sets_of_page(sets: annotation.Annotation) -> dict[str, Any]:
+    return {
+        label: {
+            "situation": one.situation,
+            "starts": one.starts,
+            "goals": one.goals,
+            "loops": [walkers.loop for walkers in one.walkers],
+            "groups": {name: [*group.center, reach(group.people)] for name, group in one.groups.items()},
+        }
+        for _, label, one in sets.each()
+    }
+
+
+# ------------------------------------------------------------------ scene.xml
+
+
+def changed_scene(text: str, boxes: Mapping[str, scene_text.Box], change: Mapping[str, Any]) -> str:
+    """The text of a scene.xml with a change of a ``box``.
+
+    A box has a ``position`` [m], a ``size`` of two sides [m], a ``height`` [m] and a ``turn`` [degrees], or ``add``
+    with a ``position``, or ``remove``.
+
+    Raises:
+        InputError: there is no such box, or a value is no number.
+    """
+    name = str(change["box"])
+    if change.get("add"):
+        x, y = _pair("position", change.get("position"))
+        return scene_text.added(text, name, float(x), float(y))
+    if name not in boxes:
+        raise InputError(f"edit: there is no box {name!r} that the page can change; edit the file.")
+    if change.get("remove"):
+        return scene_text.removed(text, name)
+    before = after = boxes[name]
+    if "position" in change:
+        x, y = map(float, _pair("position", change["position"]))
+        after = after._replace(center=(x, y, after.center[2]))
+    if "size" in change:
+        x, y = (float(side) / 2 for side in _pair("size", change["size"]))
+        after = after._replace(half=(x, y, after.half[2]))
+    if "height" in change:
+        z = float(_number("height", change["height"])) / 2
+        after = after._replace(center=(*after.center[:2], z), half=(*after.half[:2], z))
+    if "turn" in change:
+        after = after._replace(yaw=float(_number("turn", change["turn"])))
+    return scene_text.moved(text, name, before, after)

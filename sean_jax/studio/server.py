@@ -284,11 +284,10 @@ class Studio:
                 self._driver = None
 
     def _first_messages(self) -> list[dict[str, Any] | bytes]:
-        """What a tab needs to begin: the scenario, the frames so far, the graph and the status."""
+        """What a tab needs to begin: the scenario, the frames so far, what it can change, and the status."""
         messages: list[dict[str, Any] | bytes] = [self.hello | {"kind": "hello"}]
         messages.append(self._encoded(0, self.session.frames[:]))
-        if self.hello["recording"]["graph"] is not None:
-            messages.append({"kind": "graph", "content": self.session.graph()})
+        messages.append({"kind": "edit", "content": self.session.edits()})
         return [*messages, {"kind": "status", "content": self.session.status()}]
 
     async def _write(self, tab: ServerConnection, queue: asyncio.Queue[str | bytes]) -> None:

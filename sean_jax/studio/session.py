@@ -21,12 +21,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import PyTree
 
-from sean_jax import assembly, episodes, navigation, prng, replay, sensors, worlds
+from sean_jax import assembly, episodes, navigation, prng, replay, sensors
 from sean_jax import scenario as scenarios
 from sean_jax.base import Array, Policy, Scenario, State, Trajectory
 from sean_jax.config import StudioConfig
 from sean_jax.errors import InputError
-from sean_jax.graph import graph_of
 from sean_jax.learning import load_policy
 from sean_jax.learning.collection import begin_episode
 from sean_jax.robots.drive import max_reverse_speed
@@ -95,7 +94,7 @@ class Session:
 
     send: Callable[[str, Any], None]
     """Called with a kind of news and its content: ``frames``, the number of the first one and the frames; ``cut``, the
-    number of frames that remain; ``status``; ``graph``."""
+    number of frames that remain; ``status``; ``edit``, what the page can change."""
 
     def __init__(self, config: StudioConfig):
         """Build the scenario and compile its programs.
@@ -111,7 +110,7 @@ class Session:
         self.playing, self.human, self.speed, self.number = False, False, 1.0, 0
         self.on_file = True  # whether all of this episode is on the graph of the file
         self.trial: Trial | None = None
-        self.editor: Editor | None = None
+        self.editor = Editor(config)
         self.slowdown = 1.0  # of the clock
         self._lock = threading.RLock()
         self._wake = threading.Condition(self._lock)
@@ -120,9 +119,7 @@ class Session:
         self._begin, self._step, self._frame = jax.jit(begin_episode), jax.jit(scenarios.step), jax.jit(scenarios.frame)
         self._results = jax.jit(scenarios.results)
         self._init = jax.jit(lambda scenario, policy, state: episodes.init_policy(scenario, policy, state).policy_state)
-        self.restart(0)
-        self._advance(np.zeros(2))  # compile
-        self._advance(None)
+        self._compile(self.scenario)
         self.restart(0)
 
     # ------------------------------------------------------------------ what clients ask for
@@ -132,7 +129,7 @@ class Session:
         with self._lock:
             self.end_trial()
             state, _ = self._begin(self.scenario, self._key(number))
-            self.on_file = self.editor is None or not self.editor.changed
+            self.on_file = not self.editor.changed
             self.number, self.commands, self.frames = number, list[tuple[float, float]](), list[Frame]()
             self.by_person = list[bool]()  # who gave each command
             first = Moment(state, self._init(self.scenario, self.policy, state))
@@ -205,10 +202,10 @@ class Session:
         with self._lock:
             if self.config.record is None:
                 raise InputError("record: there is no folder for drives; start the studio with --record FOLDER.")
-            if self.editor is not None and self.editor.changed:
-                raise InputError("record: the graph has changes that are not saved; save or undo them.")
+            if self.editor.changed:
+                raise InputError("record: the files have changes that are not saved; save or undo them.")
             if not self.on_file:
-                raise InputError("record: the graph was changed in this episode; begin another one.")
+                raise InputError("record: a file was changed in this episode; begin another one.")
             if self.trial is None:
                 self.trial = Trial.begin(self.config, self.number)
                 self.trial.add(self.commands)
@@ -224,52 +221,51 @@ class Session:
             self._send_status()
             return trial.file
 
-    # ------------------------------------------------------------------ the graph
+    # ------------------------------------------------------------------ the files of the environment
 
     def edit(self, change: Mapping[str, Any] | None) -> None:
-        """Change the Behavior Graph, or take the latest change back; people go on with it.
+        """Change a file of the environment as ``Editor.change``, or take the latest change back.
+
+        People go on if the programs take the new tables; the episode begins anew if not, and on another floor.
 
         Raises:
-            InputError: there is no graph, or the change has a mistake.
+            InputError: the change has a mistake.
         """
-        editor = self._editor()
         with self._lock:
             if self.trial is not None:
-                raise InputError("edit: this drive is recorded on the graph as it is; stop the recording first.")
-            before = self.scenario
-        made = editor.undo(self.config, before) if change is None else editor.change(change, self.config, before)
+                raise InputError("edit: this drive is recorded on the files as they are; stop the recording first.")
+            before, playing = self.scenario, self.playing
+        after = self.editor.undo(before) if change is None else self.editor.change(change, before)
+        anew = before.environment is not after.environment or not same_shapes(before.behavior.data, after.behavior.data)
+        if anew:
+            self._compile(after)
         with self._lock:
-            self.scenario, self.on_file = dataclasses.replace(before, behavior=made), False
-            self.send("graph", self.graph())
-            if not same_shapes(before.behavior.data, made.data):  # such as another capacity: other seats
+            self.scenario, self.on_file = after, False
+            if anew:
                 self.restart(self.number)
+                self.play(playing)  # the episode may have ended meanwhile
+            self.send("edit", self.edits())
 
     def save(self) -> None:
-        """Write the graph to the environment's file, and begin the episode anew on it.
+        """Write the changes to the environment's files, and begin the episode anew on them.
 
         Raises:
-            InputError: it is a file of the package, or has changed meanwhile.
+            InputError: they are files of the package, or one has changed meanwhile.
         """
-        self._editor().save()
+        self.editor.save()
+        scenario = assembly.build(self.config)[0]
+        self._compile(scenario)
         with self._lock:
-            self.scenario = assembly.build(self.config)[0]
-            self.send("graph", self.graph())
+            self.scenario = scenario
             self.restart(self.number)
+            self.send("edit", self.edits())
 
-    def graph(self) -> dict[str, Any]:
-        """The graph as the page draws it, its nodes as in the file, and what is not saved."""
-        graph = graph_of(self.scenario)
-        assert graph is not None
-        numbers = {name: np.asarray(getattr(graph, name)).tolist() for name in ("spawn", "weight", "capacity", "stay")}
-        difference = "" if self.editor is None else self.editor.difference()
-        return {"graph": replay.graph_of_page(graph), "numbers": numbers, "difference": difference}
-
-    def _editor(self) -> Editor:
-        if graph_of(self.scenario) is None:
-            raise InputError(f"edit: behavior '{self.scenario.behavior.name}' has no graph.")
-        if self.editor is None:
-            self.editor = Editor(worlds.find(self.config.environment)[0])
-        return self.editor
+    def edits(self) -> dict[str, Any]:
+        """What the page draws and changes, as ``Editor.of_page``, and the handcrafted set of the episode."""
+        edits = self.editor.of_page(self.scenario)
+        if edits["sets"] is not None:
+            edits["set"] = self.scenario.behavior.data.names[int(self.state.memory.set)]
+        return edits
 
     # ------------------------------------------------------------------ time
 
@@ -374,6 +370,17 @@ class Session:
         seconds = int(state.tick) * scenario.time_step
         known = {"completed": float(state.completed), "seconds": seconds}
         return known | {name: value for name, value in values.items() if math.isfinite(value)}
+
+    def _compile(self, scenario: Scenario) -> None:
+        """Compile the programs of a scenario; time passes meanwhile."""
+        state, _ = self._begin(scenario, self._key(0))
+        memory, before = self._init(scenario, self.policy, state), state
+        for _ in range(2):  # a state that begins, and one of a step
+            action, memory = _command(scenario, self.policy, state, memory)
+            before, state = state, self._step(scenario, state, action)
+            self._frame(before, state, action)
+        goal = state.task.goal
+        _path(scenario.navigation, state.robot.position, goal, _way(scenario.navigation, goal))
 
     def _key(self, number: int, seed: int | None = None) -> Array:
         root = prng.key("record", self.config.seed if seed is None else seed)

@@ -6,11 +6,16 @@ import { sight } from "./sight";
 import type { Palette } from "./palette";
 import { stateOf } from "./state";
 
+/** Draws more on the plan. */
+export type Brush = (paint: CanvasRenderingContext2D, camera: Camera, palette: Palette) => void;
+
 export interface Shown {
   trails: boolean;
   graph: boolean;
   sight: boolean;
   person: number; // whose whole way is drawn, -1 none
+  under?: Brush; // on the floor, below all else
+  over?: Brush; // above all else
 }
 
 const SCALES = [0.5, 1, 2, 5, 10, 20, 50]; // m
@@ -72,6 +77,7 @@ export function drawPlan(
   paint.fillStyle = palette.floor;
   paint.fill();
   line(1, palette.line);
+  shown.under?.(paint, camera, palette);
   if (robot && shown.sight) drawSight(robot.views);
   if (shown.graph && recording.graph) drawGraph();
   drawObstacles(paint, camera, palette, recording.place);
@@ -80,6 +86,7 @@ export function drawPlan(
   if (robot) drawPath();
   drawPeople();
   if (robot) drawRobot(robot.radius);
+  shown.over?.(paint, camera, palette);
   drawScale();
 
   function drawScale(): void {

@@ -3,7 +3,7 @@
 import { Camera } from "./camera";
 import { palette, type Palette } from "./palette";
 import { describe, pick, placeOf, type Thing } from "./pick";
-import { drawPlan, TRAIL, type Shown } from "./plan";
+import { type Brush, drawPlan, TRAIL, type Shown } from "./plan";
 import { decode, type Episode, type Recording } from "./recording";
 import { Stream } from "./stream";
 import { followTheme } from "./theme";
@@ -252,6 +252,17 @@ export class Player {
   /** Metres of a pixel of the plan. */
   get pixel(): number {
     return 1 / this.camera.scale;
+  }
+
+  /** The pixel of the plan at a place [m]. */
+  pixelOf(x: number, y: number): [number, number] {
+    return this.camera.toScreen(x, y);
+  }
+
+  /** Draw more, on the floor and above all else; or nothing more. */
+  drawMore(under?: Brush, over?: Brush): void {
+    [this.shown.under, this.shown.over] = [under, over];
+    this.stale = true;
   }
 
   /** Draw the recording anew, with the graph if `graph`. */

@@ -1,6 +1,6 @@
 // The studio's page: a live scenario, driven by keys, a gamepad or a touch (sean_jax/studio/server.py).
 
-import { Editor, type GraphNews } from "./edit";
+import { Editor, type Edits } from "./edit";
 import { Camera } from "./camera";
 import { addMetrics, type Card, Comparison, type ComparisonNews } from "./compare";
 import { palette } from "./palette";
@@ -38,7 +38,7 @@ type News =
   | { kind: "cut"; content: number }
   | { kind: "card"; content: Card }
   | { kind: "comparison"; content: ComparisonNews }
-  | { kind: "graph"; content: GraphNews }
+  | { kind: "edit"; content: Edits }
   | { kind: "error"; content: string };
 
 const SCENE = "3-D"; // a view that the page draws by itself
@@ -138,7 +138,6 @@ class Studio {
   private player: Player | null = null;
   private episode: Episode | null = null;
   private status: Status | null = null;
-  private recording: Recording | null = null;
   private timeStep = 0.1;
   private sent = 0; // ms, time of the latest command
   private readonly socket: WebSocket;
@@ -170,7 +169,7 @@ class Studio {
       step: button("step", () => this.request({ do: "step" })),
       live: button("newest moment", () => this.player?.toEdge()),
       record: button("record", () => this.request({ do: "record", on: !this.status?.recording })),
-      edit: button("edit graph", () => this.buttons.edit.classList.toggle("on", this.editor?.toggle() ?? false)),
+      edit: button("edit", () => this.buttons.edit.classList.toggle("on", this.editor?.toggle() ?? false)),
       next: button("next episode", () => this.request({ do: "episode", episode: (this.status?.episode ?? 0) + 1 })),
     };
     this.state = add(bar, "output", "studio-state");
@@ -262,20 +261,16 @@ class Studio {
     else if (news.kind === "cut") this.cut(news.content);
     else if (news.kind === "card") this.showCards([...this.cards, news.content]);
     else if (news.kind === "comparison") this.comparison.show(news.content);
-    else if (news.kind === "graph") this.redrawGraph(news.content);
-    else {
+    else if (news.kind === "edit") {
+      this.notify("");
+      this.editor?.show(news.content);
+      this.scene?.close(); // obstacles may have moved
+      this.scene = null;
+    } else {
       this.notify(news.content);
-      this.editor?.refuse();
+      this.editor?.refuse(news.content);
       this.comparison.refuse();
     }
-  }
-
-  private redrawGraph(news: GraphNews): void {
-    if (!this.recording) return;
-    this.recording.graph = structuredClone(news.graph);
-    this.notify("");
-    this.editor?.show(news);
-    this.root.dataset.difference = news.difference;
   }
 
   /** The scenario's options, to open another one. */
@@ -353,7 +348,6 @@ class Studio {
     this.comparison.begin(hello.choices.policy, String(policy), Number(seed), () => this.status?.episode ?? 0);
     const stage = document.createElement("div");
     place.replaceChildren(stage);
-    this.recording = hello.recording;
     this.timeStep = hello.recording.timeStep;
     this.player = new Player(stage, hello.recording, false, {
       play: (on) => this.request({ do: "play", on }),
@@ -364,11 +358,10 @@ class Studio {
       this.scene ??= new Scene(this.side, hello.recording, episode.of("person x").length, this.graphics === "card");
       this.scene.draw(episode, time);
     };
-    this.buttons.edit.hidden = !hello.recording.graph;
     this.buttons.edit.classList.remove("on");
     this.editor?.close();
-    this.editor = new Editor(this.side, this.player, () => hello.recording.graph!, (request) => {
-      this.notify("checking");
+    this.editor = new Editor(this.side, this.player, hello.recording, (request, note) => {
+      this.notify(note);
       this.request(request);
     });
     this.buttons.record.hidden = !hello.record;

@@ -12,7 +12,7 @@ for (const colorScheme of ["light", "dark"]) {
   const page = await browser.newPage({ viewport: { width: 420, height: 900 }, colorScheme });
   await page.goto(address);
   await page.waitForSelector("[data-open=yes], [data-ready], [data-views]");
-  const edit = page.getByRole("button", { name: "edit graph" });
+  const edit = page.getByRole("button", { name: "edit", exact: true });
   if (await edit.count()) await edit.click();
   for (const panel of await page.locator(".studio-open summary").all()) await panel.click();
   await page.waitForTimeout(300);
