@@ -12,15 +12,16 @@ import jax
 import matplotlib
 import numpy as np
 from matplotlib import pyplot as plt
+from matplotlib.collections import LineCollection
 from PIL import Image
 
 import sean_jax
-from sean_jax import drawing, robots, sensors
+from sean_jax import robots, sensors
 from sean_jax.policies import POLICIES
 
 FOLDER = Path(__file__).parent / "pictures"
 WIDTH, HEIGHT, FINER = 288, 216, 2  # pixels of a panel, drawn twice as fine
-TRIES = 64  # moments of which the one with most to see is shown
+TRIES = 32  # moments of which the one with most to see is shown
 NEAR = 6.0  # m, people farther away are too small to count
 MOST = 0.3  # of the picture that people may fill
 
@@ -89,20 +90,34 @@ def lidar(scenario, state) -> None:
     """A scan over the floor plan."""
     device = sensors.lidar(scenario)
     scan = np.asarray(jax.jit(lambda state: sensors.scan(scenario, state, device))(state))
-    figure = drawing.top_down(scenario.environment, width=5.5)
-    axes = figure.axes[0]
     place, heading = np.asarray(state.robot.position), np.asarray(state.robot.heading)
     turn = np.arctan2(heading[1], heading[0]) + device.span * np.arange(device.count) / device.count
     ends = place + scan[:, None] * np.stack([np.cos(turn), np.sin(turn)], -1)
-    for end in ends[::3]:
-        axes.plot(*zip(place, end, strict=True), color="#ee6677", lw=0.4, alpha=0.5, zorder=20)
-    axes.scatter(*ends[scan < device.far].T, s=5, color="#cc1133", lw=0, zorder=23)
-    for person in np.asarray(state.pedestrians.position):
-        body = plt.Circle(person, float(scenario.forces.walking.radius), fc="white", ec="#2b3448", lw=1, zorder=22)
+    hits, extent = scan < device.far, 4.0
+    figure, axes = plt.subplots(figsize=(5.4, 5.6), layout="constrained")
+    fan = plt.Polygon(ends, fc="#4477aa", alpha=0.14, lw=0, zorder=1, label="free along the rays")
+    axes.add_patch(fan)
+    axes.add_collection(LineCollection([(place, end) for end in ends[::6]], color="#4477aa", lw=0.4, alpha=0.5))
+    obstacles = jax.tree.map(np.asarray, scenario.environment.obstacles)
+    for center, half, yaw, height in zip(*jax.tree.leaves(obstacles), strict=True):
+        if height > 0:
+            box = plt.Rectangle(
+                center - half, *(2 * half), angle=np.rad2deg(yaw), rotation_point="center", fc="#8a94a6", ec="#4c5566"
+            )
+            axes.add_patch(box)
+    box.set_label("obstacle")
+    for person in np.asarray(state.pedestrians.position)[np.asarray(state.pedestrians.present)]:
+        body = plt.Circle(person, float(scenario.forces.walking.radius), fc="#ddcc77", ec="#665500", lw=1, zorder=3)
         axes.add_patch(body)
-    axes.add_patch(plt.Circle(place, scenario.robot.radius, fc="#f58a07", ec="#5e3200", lw=1, zorder=22))
-    axes.plot(*zip(place, place + 0.3 * heading, strict=True), color="#5e3200", lw=1.5, zorder=24)
-    axes.set(xlim=(place[0] - 4.2, place[0] + 4.2), ylim=(place[1] - 3.8, place[1] + 3.8), aspect="equal")
+    body.set_label("person")
+    axes.add_patch(plt.Circle(place, scenario.robot.radius, fc="#222222", lw=0, zorder=4, label="robot and heading"))
+    axes.plot(*zip(place, place + 0.45 * heading, strict=True), color="#222222", lw=2, zorder=4)
+    axes.scatter(*ends[hits].T, s=9, color="#cc1133", lw=0, zorder=5, label="hit")
+    far = plt.Circle(place, device.far, fill=False, ec="#4477aa", lw=1, ls="--", label=f"range, {device.far:g} m")
+    axes.add_patch(far)
+    axes.set(xlim=place[0] + np.array([-extent, extent]), ylim=place[1] + np.array([-extent, extent]), aspect="equal")
+    axes.set(xlabel="x [m]", ylabel="y [m]")
+    figure.legend(loc="outside lower center", ncols=3, fontsize=9, frameon=False)
     save(figure, "sensors-lidar.png")
 
 

@@ -104,6 +104,10 @@ class ObstacleGrid:
     cell: Float[Array, ""]  # m, side of a cell
 
 
+PATTERNS = ("plain", "wall", "shelf", "facade")
+"""What color cameras see on the sides of a body."""
+
+
 @struct.dataclass
 class Solids:
     """Bodies as rays see them."""
@@ -111,7 +115,7 @@ class Solids:
     boxes: Float[Array, "boxes 8"]  # middle x, y, z, half extent x, y, z [m], cosine and sine of the yaw
     cylinders: Float[Array, "cylinders 8"]  # middle x, y, z [m], axis x, y, z (unit), radius, half length [m]
     spheres: Float[Array, "spheres 4"]  # middle x, y, z, radius [m]
-    color: Float[Array, "solids 3"]  # red, green, blue from 0 to 1: of boxes, then cylinders, then spheres
+    color: Float[Array, "solids 4"]  # red, green, blue from 0 to 1, index into PATTERNS: boxes, cylinders, spheres
 
 
 @struct.dataclass
@@ -119,8 +123,10 @@ class Scenery:
     """The looks of an environment."""
 
     solids: Solids  # first the obstacles that have a height, then decoration
-    floor: Float[Array, "2 3"]  # the two colors of its squares
-    square: Float[Array, ""]  # m, side of a square
+    floor: Float[Array, "3 3"]  # the two colors of its squares, and of the joints
+    square: Float[Array, ""]  # m, side of a square; a joint follows every second one
+    joint: Float[Array, ""]  # m, width of a joint; 0: none
+    ceiling: Float[Array, ""]  # m, height of the ceiling, which color cameras see; 0: none, but sky
     sky: Float[Array, "2 3"]  # colors at the zenith and at the horizon
     sun: Float[Array, "3"]  # unit vector towards the light
 

@@ -1,7 +1,9 @@
 """Physical environments (section IV-C): the files of a folder as obstacles on a floor, free places, scenery."""
 
+import dataclasses
 import json
 import os
+from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any
@@ -14,7 +16,7 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from sean_jax import files
-from sean_jax.base import Array, Environment, Obstacles, Scenery, Solids
+from sean_jax.base import PATTERNS, Array, Environment, Obstacles, Scenery, Solids
 from sean_jax.devices import to_device
 from sean_jax.errors import FileError, InputError
 from sean_jax.files import mjcf
@@ -39,6 +41,9 @@ FLOOR = ((0.78, 0.78, 0.76), (0.74, 0.74, 0.72))
 SKY = ((0.55, 0.70, 0.88), (0.92, 0.95, 0.97))
 SUN = (0.35, -0.25, 0.9)
 SQUARE = 1.0  # m
+LOWEST_CEILING, HIGHEST_CEILING = 1.8, 100.0  # m; people are 1.73 m tall
+PATTERN_OF = {"wall": "wall", "shelf": "shelf", "rack": "shelf", "facade": "facade"}
+"""First word of the name of a material, or of a geom without one -> its pattern."""
 
 
 class Settings(pydantic.BaseModel):
@@ -51,6 +56,7 @@ class Settings(pydantic.BaseModel):
     people: Annotated[int, pydantic.Field(ge=0, le=MAX_PEOPLE)]  # default number of people
     source: str = ""
     open: bool = False  # whether people and robots may leave the floor
+    ceiling: Annotated[float, pydantic.Field(ge=LOWEST_CEILING, le=HIGHEST_CEILING)] | None = None  # m; None: sky
 
 
 def available() -> list[str]:
@@ -113,6 +119,8 @@ def of_boxes(settings: Settings, boxes: Float[np.ndarray, "W 6"], looks: Scenery
     floor = to_device(np.array(settings.floor))
     obstacles = Obstacles(*to_device((boxes[:, :2], boxes[:, 2:4], *boxes[:, 4:].T)))
     looks = plain_scenery(obstacles) if looks is None else looks
+    if settings.ceiling is not None:
+        looks = dataclasses.replace(looks, ceiling=to_device(np.asarray(settings.ceiling)))
     return Environment(
         floor=floor,
         obstacles=obstacles,
@@ -123,12 +131,19 @@ def of_boxes(settings: Settings, boxes: Float[np.ndarray, "W 6"], looks: Scenery
     )
 
 
-def write(folder: Path, settings: Settings, boxes: np.ndarray, colors: np.ndarray | None = None) -> None:
+def write(
+    folder: Path,
+    settings: Settings,
+    boxes: np.ndarray,
+    colors: np.ndarray | None = None,
+    kinds: Sequence[str] | None = None,
+) -> None:
     """Write the files of an environment without a graph to an existing folder.
 
     Args:
         boxes: (W, 6) center x, y, half extent x, y [m], yaw [rad], height [m].
         colors: (W, 3) from 0 to 1.
+        kinds: first words of the names of the boxes, as of ``PATTERN_OF``; ``box`` if None.
     """
     x0, y0, x1, y1 = settings.floor
     middle, half = f"{(x0 + x1) / 2:g} {(y0 + y1) / 2:g}", f"{(x1 - x0) / 2:g} {(y1 - y0) / 2:g}"
@@ -138,14 +153,15 @@ def write(folder: Path, settings: Settings, boxes: np.ndarray, colors: np.ndarra
         turn = f' euler="0 0 {np.rad2deg(yaw):.9g}"' if yaw else ""
         color = "" if colors is None else f' rgba="{" ".join(f"{part:g}" for part in colors[number])} 1"'
         place = f'pos="{x:.9g} {y:.9g} {height / 2:g}" size="{hx:.9g} {hy:.9g} {height / 2:g}"'
-        lines.append(f'    <geom name="box_{number + 1}" type="box" {place}{turn}{color}/>')
+        kind = "box" if kinds is None else kinds[number]
+        lines.append(f'    <geom name="{kind}_{number + 1}" type="box" {place}{turn}{color}/>')
     scene = "\n".join([
         '<mujoco model="map">',
         f'  <statistic center="{middle} 0" extent="{span:g}"/>',
         "  <worldbody>",
         f'    <light name="sun" directional="true" pos="{middle} {span:g}" dir="-0.35 0.25 -0.9" castshadow="false"/>',
         f'    <camera name="top" pos="{middle} {1.15 * span:g}" fovy="48"/>',
-        f'    <geom name="floor" type="plane" pos="{middle} 0" size="{half} 0.1" rgba="0.78 0.78 0.76 1"/>',
+        f'    <geom name="floor" type="plane" pos="{middle} 0" size="{half} 0.1"/>',
         *lines,
         "  </worldbody>",
         "</mujoco>",
@@ -154,6 +170,7 @@ def write(folder: Path, settings: Settings, boxes: np.ndarray, colors: np.ndarra
     floor = ", ".join(f"{value:.9g}" for value in settings.floor)
     text = f"name: {json.dumps(settings.name)}\nfloor: [{floor}]  # m: x_min, y_min, x_max, y_max\n"
     text += f"people: {settings.people}  # default number\nsource: {json.dumps(settings.source)}\n"
+    text += "" if settings.ceiling is None else f"ceiling: {settings.ceiling:g}  # m\n"
     (folder / SETTINGS).write_text(text, encoding="utf-8")
     (folder / SCENE).write_text(scene, encoding="utf-8")
 
@@ -307,7 +324,7 @@ def plain_scenery(obstacles: Obstacles) -> Scenery:
     center, extent, yaw, height = (np.asarray(part, float) for part in jax.tree.leaves(obstacles))
     half = np.column_stack([extent, 0.5 * height])
     boxes = np.column_stack([center, 0.5 * height, half, np.cos(yaw), np.sin(yaw)])
-    color = np.tile(OBSTACLE, (len(height), 1))
+    color = np.tile((*OBSTACLE, 0.0), (len(height), 1))
     return _scenery(_solids(boxes, np.zeros((0, 8)), np.zeros((0, 4)), color))
 
 
@@ -315,10 +332,10 @@ def scenery_from_mjcf(model: Any, data: Any, obstacles: list[int]) -> Scenery:
     """The scenery of a ``mujoco.MjModel`` with its ``mujoco.MjData``; geoms of the indices ``obstacles`` come first."""
     rest = [index for index in range(model.ngeom) if index not in set(obstacles)]
     shape = solids_from_mjcf(model, data, [*obstacles, *rest])
-    floor, sky = _texture(model, "2d"), _texture(model, "skybox")
+    sky = _texture(model, "skybox")
     sun = -model.light_dir[0] if model.nlight else np.array(SUN)
-    floor, sky = FLOOR if floor is None else floor, SKY if sky is None else sky
-    return _scenery(shape, (floor[0], floor[-1]), (sky[0], sky[-1]), sun)
+    sky = SKY if sky is None else sky
+    return _scenery(shape, _floor_of(model), (sky[0], sky[-1]), sun)
 
 
 def solids_from_mjcf(model: Any, data: Any, geoms: list[int]) -> Solids:
@@ -335,33 +352,84 @@ def solids_from_mjcf(model: Any, data: Any, geoms: list[int]) -> Solids:
         shade = model.geom_rgba[index] if material < 0 else model.mat_rgba[material]
         if shade[3] < 0.5:
             continue
+        name = model.geom(index).name if material < 0 else model.mat(material).name
+        pattern = PATTERN_OF.get(name.split("_")[0], "plain")
+        shade = [*shade[:3], PATTERNS.index(pattern)]
         geom_type = kind(int(model.geom_type[index]))
         if geom_type == kind.mjGEOM_BOX:
             boxes.append([*place, *size, turn[0, 0], turn[1, 0]])
-            colors[0].append(shade[:3])
+            colors[0].append(shade)
         elif geom_type in (kind.mjGEOM_CYLINDER, kind.mjGEOM_CAPSULE):
             longer = size[0] if geom_type == kind.mjGEOM_CAPSULE else 0.0
             cylinders.append([*place, *turn[:, 2], size[0], size[1] + longer])
-            colors[1].append(shade[:3])
+            colors[1].append(shade)
         elif geom_type == kind.mjGEOM_SPHERE:
             spheres.append([*place, size[0]])
-            colors[2].append(shade[:3])
+            colors[2].append(shade)
     return _solids(boxes, cylinders, spheres, [*colors[0], *colors[1], *colors[2]])
 
 
 def _solids(boxes: ArrayLike, cylinders: ArrayLike, spheres: ArrayLike, color: ArrayLike) -> Solids:
-    shapes = (("boxes", boxes, 8), ("cylinders", cylinders, 8), ("spheres", spheres, 4), ("color", color, 3))
+    shapes = (("boxes", boxes, 8), ("cylinders", cylinders, 8), ("spheres", spheres, 4), ("color", color, 4))
     return Solids(**{name: to_device(np.asarray(rows, float).reshape(-1, width)) for name, rows, width in shapes})
 
 
-def _scenery(shape: Solids, floor: ArrayLike = FLOOR, sky: ArrayLike = SKY, sun: ArrayLike = SUN) -> Scenery:
+Floor = tuple[np.ndarray, float, float]  # (3, 3) colors, m side of a square, m width of a joint
+PLAIN_FLOOR: Floor = (np.array((*FLOOR, FLOOR[0])), SQUARE, 0.0)
+UNPAINTED = np.array([0.5, 0.5, 0.5, 1.0])  # the color of geoms in MJCF that give none
+
+
+def _scenery(shape: Solids, floor: Floor = PLAIN_FLOOR, sky: ArrayLike = SKY, sun: ArrayLike = SUN) -> Scenery:
     towards = np.asarray(sun, float)
-    looks = np.asarray(floor), np.asarray(SQUARE), np.asarray(sky)
-    return Scenery(shape, *to_device((*looks, towards / np.linalg.norm(towards))))
+    towards = towards / np.linalg.norm(towards)
+    looks = to_device((*map(np.asarray, floor), np.zeros(()), np.asarray(sky), towards))
+    return Scenery(shape, *looks)
+
+
+def _floor_of(model: Any) -> Floor:
+    """The colors of the first texture, repeated as the first plane's material says; without one the plane's color."""
+    kinds = import_module("mujoco").mjtGeom
+    planes = [index for index in range(model.ngeom) if model.geom_type[index] == kinds.mjGEOM_PLANE]
+    material = int(model.geom_matid[planes[0]]) if planes else -1
+    colors = _texture(model, "2d")
+    if colors is None:
+        color = model.mat_rgba[material] if material >= 0 else model.geom_rgba[planes[0]] if planes else UNPAINTED
+        same = np.allclose(color, UNPAINTED)
+        return PLAIN_FLOOR if same else (np.tile(color[:3], (3, 1)), SQUARE, 0.0)
+    period, side = 2 * SQUARE, model.geom_size[planes[0], 0] if planes else 0.0
+    if material >= 0 and model.mat_texuniform[material]:
+        period = 1 / model.mat_texrepeat[material, 0]
+    elif material >= 0 and side > 0:
+        period = 2 * side / model.mat_texrepeat[material, 0]
+    edge, width = _edge(model)
+    colors = np.array([colors[0], colors[-1], colors[-1] if edge is None else edge])
+    return colors, period / 2, 0.0 if edge is None else 2 * period / width
+
+
+def _edge(model: Any) -> tuple[np.ndarray | None, int]:
+    """(3,) the color of the first texture's mark along its edges, if it has one; and the texture's width in pixels."""
+    pixels = _pixels(model, "2d")
+    assert pixels is not None
+    border = np.concatenate([pixels[0], pixels[-1], pixels[:, 0], pixels[:, -1]])
+    marked = (border == border[0]).all() and (pixels[1:-1, 1:-1] != border[0]).any()
+    return border[0] / 255 if marked else None, pixels.shape[1]
 
 
 def _texture(model: Any, kind: str) -> np.ndarray | None:
     """(n, 3) colors of the first texture of a kind: a floor's darkest and lightest, or a sky from its top down."""
+    pixels = _pixels(model, kind)
+    if pixels is None:
+        return None
+    if kind == "skybox":
+        return pixels[:, pixels.shape[1] // 2] / 255.0
+    inner = pixels[1:-1, 1:-1] if min(pixels.shape[:2]) > 2 else pixels  # without a mark along the edges
+    shades = inner.reshape(-1, 3)
+    light = shades.sum(-1, dtype=np.int32)
+    return shades[[light.argmin(), light.argmax()]] / 255
+
+
+def _pixels(model: Any, kind: str) -> np.ndarray | None:
+    """(H, W, 3) pixels from 0 to 255 of the first texture of a kind."""
     mujoco: Any = import_module("mujoco")
     texture = {"2d": mujoco.mjtTexture.mjTEXTURE_2D, "skybox": mujoco.mjtTexture.mjTEXTURE_SKYBOX}[kind]
     for index in range(model.ntex):
@@ -369,10 +437,5 @@ def _texture(model: Any, kind: str) -> np.ndarray | None:
             start, channels = model.tex_adr[index], model.tex_nchannel[index]
             pixels = model.tex_data[start : start + model.tex_height[index] * model.tex_width[index] * channels]
             pixels = pixels.reshape(model.tex_height[index], -1, channels)
-            pixels = pixels[:, :, :3] if channels >= 3 else np.repeat(pixels[:, :, :1], 3, axis=-1)  # grey
-            if kind == "skybox":
-                return pixels[:, pixels.shape[1] // 2] / 255.0
-            shades = pixels.reshape(-1, 3)
-            light = shades.sum(-1, dtype=np.int32)
-            return shades[[light.argmin(), light.argmax()]] / 255
+            return pixels[:, :, :3] if channels >= 3 else np.repeat(pixels[:, :, :1], 3, axis=-1)  # grey
     return None

@@ -8,6 +8,7 @@ import programs
 import pytest
 
 from sean_jax import environment
+from sean_jax.base import PATTERNS
 from sean_jax.errors import FileError
 
 FLOOR = '<geom name="floor" type="plane" size="5 5 0.1"/>'
@@ -38,7 +39,7 @@ def test_warehouse():
     assert np.allclose(place.floor, [-20, -20, 20, 20])
     heights = dict(zip(*np.unique(np.asarray(place.obstacles.height), return_counts=True), strict=True))
     assert {round(float(height), 2): int(number) for height, number in heights.items()} == {
-        4.0: 7, 0.9: 9, 0.8: 6, 0.2: 4, 2.0: 1
+        6.0: 4, 4.0: 3, 0.9: 9, 0.8: 6, 0.2: 4, 2.0: 1
     }  # fmt: skip
     # Middles of the aisles between racks 4.8 m apart, then: inside a rack, beyond the wall, on the wall's surface.
     points = jnp.array([[-14.9, 4.0], [-4.9, 4.0], [-10.0, 4.0], [0.0, 21.0], [-19.8, -15.0]], jnp.float32)
@@ -133,3 +134,47 @@ def test_free_points_are_free_uniform_and_repeatable():
     assert environment.free_points(place, 0.3, 0).shape == (0, 2)
     with pytest.raises(ValueError, match="use a smaller radius"):
         environment.free_points(place, 6.0, 10)
+
+
+def looks_of(tmp_path, assets: str, floor: str, name: str = "place"):
+    """The scenery of a room of one wall, one shelf and a plane."""
+    geoms = '<geom name="wall_1" type="box" pos="1 2 0.5" size="1 0.2 0.5"/>'
+    geoms += '<geom name="table" type="box" pos="-1 2 0.5" size="0.4 0.2 0.5" material="rack_blue"/>'
+    asset = f'<asset><material name="rack_blue" rgba="0 0 1 1"/>{assets}</asset>'
+    (tmp_path / name).mkdir()
+    scene = f"<mujoco>{asset}<worldbody>{floor}{geoms}</worldbody></mujoco>"
+    (tmp_path / name / "scene.xml").write_text(scene, encoding="utf-8")
+    settings = "name: place\nfloor: [-5, -4, 5, 4]\npeople: 1\nceiling: 2.5\n"
+    (tmp_path / name / "environment.yaml").write_text(settings, encoding="utf-8")
+    return jax.tree.map(np.asarray, environment.load(tmp_path / name).scenery)
+
+
+def test_floor_patterns_and_ceiling_come_from_the_files(tmp_path):
+    """Squares of half of the texture, joints of its mark, a plain color without a texture; names give patterns."""
+    squares = 'builtin="checker" rgb1="0.2 0.2 0.2" rgb2="0.4 0.4 0.4" width="50" height="50"'
+    tiles = f'<texture name="t" type="2d" {squares} {{}}/>'
+    material = '<material name="floor" texture="t" texrepeat="4 4" {}/>'
+    plane = '<geom type="plane" size="5 4 0.1" {}/>'
+    marked = tiles.format('mark="edge" markrgb="1 0 0"') + material.format("")
+    looks = looks_of(tmp_path, marked, plane.format('material="floor"'))
+    np.testing.assert_allclose(looks.floor, [[0.2] * 3, [0.4] * 3, [1, 0, 0]], atol=0.01)
+    assert looks.square == pytest.approx(10 / 4 / 2) and looks.joint == pytest.approx(2 * 2.5 / 50)
+    assert looks.ceiling == 2.5
+    assert [PATTERNS[int(number)] for number in looks.solids.color[:, 3]] == ["wall", "shelf"]
+    uniform = tiles.format("") + material.format('texuniform="true"')
+    looks = looks_of(tmp_path, uniform, plane.format('material="floor"'), "uniform")
+    assert looks.square == pytest.approx(1 / 4 / 2) and looks.joint == 0
+    looks = looks_of(tmp_path, "", plane.format('rgba="0.1 0.2 0.3 1"'), "plain")
+    np.testing.assert_allclose(looks.floor, [[0.1, 0.2, 0.3]] * 3, atol=1e-6)
+    looks = looks_of(tmp_path, "", plane.format(""), "default")
+    np.testing.assert_allclose(looks.floor[:2], environment.FLOOR, atol=1e-6)
+
+
+@pytest.mark.parametrize("height", ["0.5", "low", "1000"])
+def test_a_ceiling_nobody_stands_below_is_refused(tmp_path, height):
+    looks_of(tmp_path, "", "")
+    file = tmp_path / "place" / "environment.yaml"
+    file.write_text(file.read_text(encoding="utf-8").replace("2.5", height), encoding="utf-8")
+    with pytest.raises(FileError) as error:
+        environment.load(tmp_path / "place")
+    assert "environment.yaml:4" in str(error.value) and "ceiling" in str(error.value) and height in str(error.value)

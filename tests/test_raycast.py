@@ -279,18 +279,22 @@ def test_a_gpu_finds_what_a_cpu_finds(interpreted, parallel):
         return form(rays, seen_from(rays, solids, people, heading=heading, height=height))
 
     # Numbers come with the distances of the loops, which are those that equal MuJoCo's.
-    loops = partial(by, intersect._first_of_all)
+    loops = partial(by, partial(intersect._first_of_all, behind=True))
     expected = jax.jit(jax.vmap(jax.vmap(loops, (None, 0)), (0, None)))(crowds, ahead)
     assert 0.2 < (np.asarray(expected[0]) < 40.0).mean()
-    for numbers in (False, True):
-        launch = partial(by, lambda _, view, numbers=numbers: intersect._in_a_kernel(rays, numbers, view))
+    assert (np.asarray(expected[0]) < np.asarray(expected[2])).any()
+    for results in (1, 2, 4):
+        launch = partial(by, lambda _, view, results=results: intersect._in_a_kernel(rays, results, view))
         nested = jax.jit(jax.vmap(jax.vmap(launch, (None, 0)), (0, None)))(crowds, ahead)
         found: list[tuple[Any, Any]] = [(nested, slice(None))]
-        if numbers and not parallel:
+        if results == 4 and not parallel:
             found.append((jax.jit(launch)(crowds[1], ahead[2]), (1, 2)))
         for image, of in found:
-            assert np.allclose(image[0], np.asarray(expected[0])[of], rtol=2e-6, atol=0)
-            assert not numbers or np.array_equal(image[1], np.asarray(expected[1])[of])
+            assert len(image) == results
+            for part in range(0, results, 2):
+                assert np.allclose(image[part], np.asarray(expected[part])[of], rtol=2e-6, atol=0)
+            for part in range(1, results, 2):
+                assert np.array_equal(image[part], np.asarray(expected[part])[of])
 
 
 def lowered_for_gpu(function, *arguments):
@@ -318,6 +322,7 @@ def test_no_loop_is_left_to_the_host_of_a_gpu():
     programs = (
         jax.vmap(lambda people: raycast.distance(view(people), rays)),
         jax.vmap(lambda people: raycast.search(view(people), rays)),
+        jax.vmap(lambda people: raycast.search_behind(view(people), rays)),
         jax.vmap(jax.grad(total)),
         jax.vmap(jax.grad(jax.jit(jax.checkpoint(total)))),
     )

@@ -15,11 +15,11 @@ from quick import quick
 from test_raycast import mujoco_distances, mujoco_hits
 
 import sean_jax
-from sean_jax import robots, sensors
-from sean_jax.base import Obstacles, Sensor
+from sean_jax import environment, robots, sensors
+from sean_jax.base import PATTERNS, Obstacles, Sensor
 from sean_jax.environment import ENVS, plain_scenery
 from sean_jax.errors import InputError
-from sean_jax.sensors import cameras, pictures
+from sean_jax.sensors import cameras, figures, pictures
 
 LEVEL = (0.0, 0.0, -1.0, -1.0, 0.0, 0.0, 0.0, 1.0, 0.0)  # axes of a camera that looks straight ahead
 SKY, FLOOR, OBSTACLE, PERSON, ROBOT = range(5)
@@ -282,7 +282,7 @@ def test_people_are_where_they_belong_seen_from_above(shots):
 
 
 def test_each_person_has_a_color_and_a_face(shots, scenario):
-    shirts = np.array(jax.jit(lambda: jnp.stack(pictures.shirts(scenario.people)))())
+    shirts = np.array(jax.jit(lambda: jnp.stack(figures.shirts(scenario.people)))())
     assert (
         np.linalg.norm(shirts[:, :, None] - shirts[:, None], axis=0)[~np.eye(scenario.people, dtype=bool)].min() > 0.02
     )
@@ -535,28 +535,170 @@ def test_wrong_names_of_sensors_are_refused(scenario):
         sensors.as_sensor("nowhere.yaml", scenario.robot)
 
 
-def test_legs_are_where_a_ray_passes_them_and_stride_as_people_walk():
-    """Against lines and points of the plane in double precision; who stands has both feet below the body."""
+def reach(point, start, end, radius):
+    """(...) m from points (..., 3) to a capsule, in double precision."""
+    axis = end - start
+    share = np.clip(((point - start) * axis).sum(-1) / (axis * axis).sum(-1), 0.0, 1.0)
+    return np.linalg.norm(point - start - share[..., None] * axis, axis=-1) - radius
+
+
+def figure_of(ahead, height):
+    """Part, start, end, radius and flatness of capsules; the ``height`` [m] of a ray decides on arms or legs."""
+    look = figures
+    yield look.BODY, (0, 0, look.TRUNK_ENDS[0]), (0, 0, look.TRUNK_ENDS[1]), look.TRUNK, look.FLAT
+    yield look.HEAD, (0, 0, look.CRANIUM_ENDS[0]), (0, 0, look.CRANIUM_ENDS[1]), look.CRANIUM, 1.0
+    for side in (1, -1):
+        ankle, hand = (side * ahead, side * look.APART, look.ANKLE), (-look.SWING * side * ahead, side * look.HAND[0])
+        if height > look.GROIN:
+            yield look.LIMB, (0, side * look.SHOULDERS, look.ARMPIT), (*hand, look.HAND[1]), look.ARM, 1.0
+        else:
+            yield look.LOWER, (0, side * look.APART, look.HIP), ankle, look.LEG, 1.0
+
+
+def test_figures_are_where_a_march_meets_them():
+    """Distances, parts and normals against steps of 1 mm along random rays in double precision."""
     chance = np.random.default_rng(4)
-    seen, away = chance.normal(size=(2, 500, 2)) * [[[3.0, 3.0]], [[0.2, 0.2]]] + [[[5.0, 0.0]], [[0.0, 0.0]]]
-    look = chance.normal(size=(500, 2))
-    look /= np.linalg.norm(look, axis=-1, keepdims=True)
-    ahead = chance.uniform(-0.3, 0.3, 500)
-    feet = [
-        seen - away + side * (ahead[:, None] * look + pictures.APART * np.stack([-look[:, 1], look[:, 0]], -1))
-        for side in (1.0, -1.0)
-    ]
-    gaps = [np.abs(seen[:, 0] * foot[:, 1] - seen[:, 1] * foot[:, 0]) / np.linalg.norm(seen, axis=-1) for foot in feet]
-    clear = np.abs(np.stack(gaps) - pictures.LEG).min(0) > 1e-4
-    given = [jnp.asarray(each, jnp.float32) for each in (ahead, *look.T, *seen.T, *away.T)]
-    found = np.asarray(jax.jit(pictures._on_leg)(*given))
-    np.testing.assert_array_equal(found[clear], (np.min(gaps, 0) < pictures.LEG)[clear])
-    assert 0.1 < found.mean() < 0.9
+    turn, height = chance.uniform(0, 2 * np.pi, 300), chance.uniform(0.0, 1.75, 300)
+    here = np.stack([0.45 * np.cos(turn), 0.45 * np.sin(turn), height], -1)
+    aim = np.stack([*chance.uniform(-0.2, 0.2, (2, 300)), np.clip(height + chance.normal(0, 0.3, 300), 0, 1.7)], -1)
+    way = (aim - here) / np.linalg.norm(aim - here, axis=1, keepdims=True)
+    ahead = chance.uniform(-figures.SPREAD, figures.SPREAD, 300)
+    steps = np.arange(0.0, 1.2, 1e-3)
+    at = here[:, None] + steps[:, None] * way[:, None]
+    distance, part, least = np.full(300, np.inf), np.full(300, -1), np.full(300, np.inf)
+    for ray in range(300):
+        for kind, start, end, radius, flat in figure_of(ahead[ray], here[ray, 2] + figures.MIDDLE * way[ray, 2]):
+            squeezed = at[ray] * [flat, 1, 1]
+            gap = reach(squeezed, np.array(start, float), np.array(end, float), radius)
+            inside = np.flatnonzero(gap < 0)
+            if gap.min() > -0.004:
+                least[ray] = min(least[ray], abs(gap.min()))
+            if len(inside) and steps[inside[0]] < distance[ray]:
+                distance[ray], part[ray] = steps[inside[0]], kind
+    given = [tuple(jnp.asarray(column, jnp.float32) for column in vector.T) for vector in (here, way)]
+    found, normal, kind = jax.jit(figures._limbs)(*given, jnp.asarray(ahead, jnp.float32))
+    clear = least > 0.004  # no limb is grazed
+    met = np.isfinite(distance)
+    np.testing.assert_array_equal((np.asarray(found) < 1e8)[clear], met[clear])
+    both = clear & met
+    assert both.sum() > 60 and (clear & ~met).sum() > 30 and set(part[both]) == set(range(4))
+    assert np.abs(np.asarray(found) - distance)[both].max() < 2e-3
+    assert (np.asarray(kind).astype(int) == part)[both].mean() > 0.97  # else two limbs begin within a step
+    normal = np.stack(normal, -1)[both]
+    np.testing.assert_allclose(np.linalg.norm(normal, axis=1), 1.0, atol=1e-4)
+    assert ((normal * way[both]).sum(1) < 0.05).all()
+
+
+def test_beside_limbs_is_what_stands_behind(scenario, state):
+    """Pixels of a person are those of the figure, or equal those of the picture without the person."""
+    camera = level(scenario, width=96, height=72)
+    wall = [(6.0, 0.0, 0.5, 30.0, 9.0)]
+    look = jax.jit(lambda yard, here: sensors.render(yard, here, camera))
+    with_one = look(*put(scenario, state, wall, [(2.0, 0.1)]))
+    without = look(*put(scenario, state, wall, []))
+    person = np.asarray((with_one.semantic == PERSON) & (without.semantic == OBSTACLE))
+    same = np.abs(np.asarray(with_one.rgb) - np.asarray(without.rgb)).max(-1) < 1e-5
+    assert 0.1 < same[person].mean() < 0.6
+    rows, columns = np.nonzero(person)
+    middle = np.abs(columns - columns.mean()) < 2
+    trunk = middle & (rows < rows.min() + 0.3 * np.ptp(rows))
+    assert not same[rows[trunk], columns[trunk]].any()
+
+
+def test_a_ceiling_is_where_rays_meet_its_height(scenario, state):
+    """Against points and tiles of the plane in double precision; without a ceiling there is sky; depth sees neither."""
+    camera, height = level(scenario, width=48, height=36), 2.6
+    yard, here = put(scenario, state, [(60.0, 9.0, 0.1, 0.1, 0.1)], [])
+    look = jax.jit(lambda yard: sensors.render(yard, here, camera))
+    looks = dataclasses.replace(yard.environment.scenery, ceiling=jnp.float32(height))
+    room = yard.replace(environment=dataclasses.replace(yard.environment, scenery=looks))
+    indoors, outdoors = look(room), look(yard)
+    for part in ("depth", "semantic", "instance"):
+        np.testing.assert_array_equal(getattr(indoors, part), getattr(outdoors, part))
+    mount = np.asarray(next(each for each in scenario.robot.mounts if each.name == "depth").origin, float)
+    focal = 18 / np.tan(np.pi / 6)
+    columns, rows = np.meshgrid(np.arange(48) + 0.5 - 24, np.arange(18) + 0.5 - 18)
+    forward = -(height - mount[2]) * focal / rows
+    left = -forward * columns / focal
+    place, ahead = PLACE.astype(float), AHEAD.astype(float)
+    side = np.array([-ahead[1], ahead[0]])
+    at = place + (forward + mount[0])[..., None] * ahead + (left + mount[1])[..., None] * side
+    u, v = np.moveaxis(at / (pictures.TILE * height), -1, 0)
+    to_edge = np.minimum(np.abs(u - np.round(u)), np.abs(v - np.round(v)))
+    lamp = (np.mod(u, pictures.LAMP[0]) < 2) & (np.mod(v, pictures.LAMP[1]) < 1) & (to_edge > 0.02)
+    rgb = np.asarray(indoors.rgb)[:18]
+    clear = (np.abs(to_edge - 0.02) > 0.01) & (forward < 12)
+    assert (lamp & clear).sum() > 10 and (~lamp & clear).sum() > 100
+    is_lamp = np.abs(rgb - pictures.LAMPS).max(-1) < 1e-4
+    np.testing.assert_array_equal(is_lamp[clear], lamp[clear])
+    assert np.abs(rgb - np.asarray(outdoors.rgb)[:18]).max(-1).min() > 0.01
+    np.testing.assert_array_equal(np.asarray(indoors.rgb)[19:], np.asarray(outdoors.rgb)[19:])
+
+
+def test_a_ceiling_below_the_camera_hides_nothing(scenario, state):
+    camera = level(scenario, origin=(0.0, 0.0, 3.0))
+    yard, here = put(scenario, state, [(5.0, 0.0, 0.5, 3.0, 6.0)], [])
+    looks = dataclasses.replace(yard.environment.scenery, ceiling=jnp.float32(2.0))
+    low = yard.replace(environment=dataclasses.replace(yard.environment, scenery=looks))
+    look = jax.jit(lambda yard: sensors.render(yard, here, camera).rgb)
+    np.testing.assert_array_equal(look(low), look(yard))
+
+
+@pytest.mark.parametrize("name", quick(["warehouse", "lab", "outdoor"], "warehouse"))
+def test_floors_have_the_squares_and_joints_of_their_texture(name):
+    """Near by, against a loop over places; squares repeat after two, and lose contrast far away."""
+    looks = environment.load(name).scenery
+    colors, square, joint = (np.asarray(part, float) for part in (looks.floor, looks.square, looks.joint))
+    places = np.random.default_rng(2).uniform(-20, 20, (400, 2))
+    paint = jax.jit(lambda x, y, away: jnp.stack(pictures._floor(looks, x, y, away), -1))
+
+    def painted(at, away):
+        x, y = jnp.asarray(at, jnp.float32).T
+        return np.asarray(paint(x, y, jnp.full(len(at), away, jnp.float32)))
+
+    found, checked = painted(places, 0.0), 0
+    for at, color in zip(places, found, strict=True):
+        cell, to_edge = at / square, np.abs(at - 2 * square * np.round(at / (2 * square))).min()
+        if np.abs(cell - np.round(cell)).min() < 1e-3 or abs(to_edge - joint / 2) < 1e-3:
+            continue
+        odd = int(np.floor(cell).sum()) % 2
+        np.testing.assert_allclose(color, colors[2] if to_edge < joint / 2 else colors[odd], atol=1e-5)
+        checked += 1
+    assert checked > 300
+    clear = (np.abs(places / square - np.round(places / square)) > 2e-2).all(1)
+    np.testing.assert_allclose(painted(places + 2 * square, 0.0)[clear], found[clear], atol=1e-5)
+    assert np.ptp(painted(places, 60.0), axis=0).max() < 0.1 * np.ptp(colors[:2], axis=0).max() + 1e-6 + joint
+
+
+def test_shelves_repeat_and_only_sides_with_a_pattern_have_one():
+    """Uprights and beams after a bay and a level; a plain body has its own color everywhere."""
+    chance = np.random.default_rng(3)
+    across, up = (jnp.asarray(chance.uniform(*ends, 500), jnp.float32) for ends in ((-9, 9), (0.0, 4.0)))
+    own = tuple(jnp.full(500, part, jnp.float32) for part in (0.2, 0.4, 0.6))
+
+    def paint(pattern, across, up):
+        number = jnp.full(500, PATTERNS.index(pattern), jnp.float32)
+        return np.stack(jax.jit(pictures._pattern)(own, number, across, up), -1)
+
+    np.testing.assert_array_equal(paint("plain", across, up), np.stack(own, -1))
+    shelf = paint("shelf", across, up)
+    bay, level = np.asarray(across, float) / pictures.BAY, np.asarray(up, float) / pictures.LEVEL
+    upright = np.abs(bay - np.round(bay)) * pictures.BAY < pictures.UPRIGHT / 2
+    beam = ~upright & (np.mod(level, 1.0) * pictures.LEVEL < pictures.BEAM)
+    assert upright.sum() > 5 and beam.sum() > 10
+    np.testing.assert_allclose(shelf[upright], np.stack(own, -1)[upright], atol=1e-6)
+    np.testing.assert_allclose(shelf[beam], np.broadcast_to(pictures.BEAM_COLOR, (beam.sum(), 3)), atol=1e-6)
+    assert (np.abs(shelf - np.stack(own, -1)).max(1) > 0.05)[~upright].all()
+    later = paint("shelf", across + pictures.BAY, up + pictures.LEVEL)
+    np.testing.assert_allclose(later[upright | beam], shelf[upright | beam], atol=1e-6)
+    wall = paint("wall", across, up)
+    assert (wall[np.asarray(up) > pictures.DADO[0]] == np.stack(own, -1)[0]).all()
+    assert (wall[np.asarray(up) < pictures.BOARD[0]] < np.stack(own, -1)[0]).all()
 
 
 def test_feet_swing_by_the_way_that_is_walked(scenario):
     state = jax.jit(sean_jax.reset)(scenario, jax.random.key(0))
-    people, foot = state.pedestrians, jax.jit(pictures._foot)
+    people, foot = state.pedestrians, jax.jit(figures.foot)
 
     def after(way, speed):
         walked = people.replace(position=people.position + way * people.heading, velocity=speed * people.heading)
@@ -564,7 +706,7 @@ def test_feet_swing_by_the_way_that_is_walked(scenario):
 
     assert np.abs(after(0.3, 0.0)).max() < 1e-5
     first = after(0.0, 1.0)
-    np.testing.assert_allclose(after(pictures.STRIDE / 2, 1.0), -first, atol=2e-3)  # the other foot is ahead
-    np.testing.assert_allclose(after(pictures.STRIDE, 1.0), first, atol=2e-3)
+    np.testing.assert_allclose(after(figures.STRIDE / 2, 1.0), -first, atol=2e-3)  # the other foot is ahead
+    np.testing.assert_allclose(after(figures.STRIDE, 1.0), first, atol=2e-3)
     np.testing.assert_allclose(after(0.0, 0.5), 0.5 * first, atol=1e-3)
-    assert np.abs(first).max() <= pictures.SPREAD + 1e-6 and np.abs(first).max() > 0.1
+    assert np.abs(first).max() <= figures.SPREAD + 1e-6 and np.abs(first).max() > 0.1

@@ -16,9 +16,11 @@ from scipy.sparse.csgraph import connected_components
 import sean_jax
 from sean_jax import cli, navigation, worlds
 from sean_jax import environment as environments
+from sean_jax.base import PATTERNS
 from sean_jax.errors import InputError
 from sean_jax.graph import annotation
 from sean_jax.policies import go_to_goal
+from sean_jax.worlds import floors
 from sean_jax.worlds.floors import GAP, TOUCH
 
 QUICK = ("passages", 0), ("passages", 1), ("square", 3)
@@ -134,3 +136,15 @@ def test_people_and_a_robot_walk_there(tmp_path):
     assert np.isfinite(np.asarray(frames.people)).all() and bool(last.completed | (last.tick == 300))
     moved = np.linalg.norm(np.asarray(frames.people)[-1] - np.asarray(frames.people)[0], axis=-1)
     assert np.median(moved) > 1.0
+
+
+@pytest.mark.parametrize(("family", "ceiling"), [("aisles", floors.WALL_HEIGHT), ("square", 0.0)])
+def test_pictures_of_a_written_world_have_its_ceiling_and_shelves(tmp_path, family, ceiling):
+    world = worlds.generate(family, 3)
+    worlds.save(world, tmp_path / "place")
+    looks = environments.load(tmp_path / "place").scenery
+    assert float(looks.ceiling) == ceiling
+    patterns = [PATTERNS[int(number)] for number in np.asarray(looks.solids.color)[:, 3]]
+    tall = np.isclose(world.boxes[:, 5], floors.SHELF) & np.isclose(world.colors, floors.METAL).all(1)
+    np.testing.assert_array_equal([name == "shelf" for name in patterns], tall)
+    assert tall.any() == (family == "aisles")

@@ -4,7 +4,7 @@
 meets. ``surface`` gives distance and normal there.
 """
 
-from sean_jax.raycast.intersect import along, distance, search, surface
+from sean_jax.raycast.intersect import along, attach, distance, search, search_behind, surface
 from sean_jax.raycast.view import MISS, SHOULDER, Rays, View, bundle, by_rows, make_view
 
 __all__ = [
@@ -13,10 +13,12 @@ __all__ = [
     "Rays",
     "View",
     "along",
+    "attach",
     "bundle",
     "by_rows",
     "distance",
     "make_view",
     "search",
+    "search_behind",
     "surface",
 ]

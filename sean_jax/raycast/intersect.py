@@ -33,17 +33,35 @@ PERSON_HEIGHT = HEAD + HEAD_RADIUS  # m
 
 def nearest(view: View, rays: Rays) -> Float[Array, "tiles rays"]:
     """The distance [m] along each ray to the first body, ``MISS`` without one."""
-    return by_platform(partial(_nearest_of_all, rays), partial(_in_a_kernel, rays, False))(view)[0]
+    return by_platform(partial(_nearest_of_all, rays), partial(_in_a_kernel, rays, 1))(view)[0]
 
 
 def search(view: View, rays: Rays) -> tuple[Float[Array, "tiles rays"], Int[Array, "tiles rays"]]:
     """The distance [m] along each ray to the first body, ``MISS`` without one; and its number in the view."""
-    return by_platform(partial(_first_of_all, rays), partial(_in_a_kernel, rays, True))(view)
+    return by_platform(partial(_first_of_all, rays), partial(_in_a_kernel, rays, 2))(view)
+
+
+def search_behind(view: View, rays: Rays) -> tuple[Array, Array, Array, Array]:
+    """Distances [m] and numbers of ``search``, then those of the first body that is no person; (tiles, rays) each."""
+    loops = partial(_first_of_all, rays, behind=True)
+    return by_platform(loops, partial(_in_a_kernel, rays, 4))(view)
 
 
 def distance(view: View, rays: Rays) -> Float[Array, "tiles rays"]:
     """The distance of ``search`` [m], with the gradient of ``surface``: exact within outlines, finite on edges."""
     return _distance(rays, view)
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(0,))
+def attach(rays: Rays, view: View, distance: Array, number: Array) -> Array:
+    """The distance of ``search`` along each ray to the body of a number, with the gradient of ``surface``."""
+    return distance
+
+
+@attach.defjvp
+def _move_along(rays: Rays, primals: tuple, tangents: tuple) -> tuple[Array, Array]:
+    view, distance, number = primals
+    return distance, jax.jvp(lambda view: surface(view, rays, number)[0], (view,), (tangents[0],))[1]
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
@@ -67,21 +85,23 @@ def _nearest_of_all(rays: Rays, view: View) -> tuple[Array]:
     return (distance,)
 
 
-def _first_of_all(rays: Rays, view: View) -> tuple[Array, Array]:
-    """``search`` in loops of XLA's, for CPUs."""
+def _first_of_all(rays: Rays, view: View, behind: bool = False) -> tuple[Array, ...]:
+    """``search``, or ``search_behind``, in loops of XLA's, for CPUs."""
     beams, floor = Beams.of(rays), _starts(view)[4]
     distance = ground(view.height, beams.direction[2], beams.inverse_rise)
     first = distance, jnp.where(distance < MISS, floor, floor + 1).astype(jnp.int32)
+    of_scenery = first
     for family in families(view, rays):
         first = _first(_law(family, view), family.table, family.in_sight, family.start, beams, first)
-    return first
+        of_scenery = first if family.scenery else of_scenery
+    return (*first, *of_scenery) if behind else first
 
 
-def _in_a_kernel(rays: Rays, numbers: bool, view: View) -> tuple[Array, ...]:
-    """``nearest``, or with ``numbers`` ``search``, for GPUs."""
+def _in_a_kernel(rays: Rays, results: int, view: View) -> tuple[Array, ...]:
+    """``nearest`` (1 result), ``search`` (2) or ``search_behind`` (4), for GPUs."""
     if any(leaf.dtype.itemsize > 4 for leaf in jax.tree.leaves(view)) or not kernels.available():
-        return (_first_of_all if numbers else _nearest_of_all)(rays, view)
-    return kernel.first(rays, list(families(view, rays)), view.radius, view.height, _starts(view)[4], numbers)
+        return _nearest_of_all(rays, view) if results == 1 else _first_of_all(rays, view, results == 4)
+    return kernel.first(rays, list(families(view, rays)), view.radius, view.height, _starts(view)[4], results)
 
 
 def _starts(view: View) -> tuple[int, int, int, int, int]:
@@ -124,7 +144,7 @@ def families(view: View, rays: Rays) -> Iterator[Family]:
     out = jnp.broadcast_to(view.radius, people.shape[:1])
     if len(people):
         in_sight = _round_in_sight(reach, rays, people, out, PERSON_HEIGHT - view.height)
-        yield Family(first_of[3], people, _person_low if rays.low else _person, in_sight)
+        yield Family(first_of[3], people, _person_low if rays.low else _person, in_sight, scenery=False)
 
 
 def _round_in_sight(reach: Array, rays: Rays, table: Array, radius: Array, top: Array) -> Array:

@@ -28,38 +28,40 @@ class Family(NamedTuple):
     table: Array  # (K, F), one row for each body
     law: Callable  # (row, beams, (radius, height) of the view) -> distances
     in_sight: Bool[Array, "tiles K"]
+    scenery: bool = True  # whether they are no people
 
 
 class _Shape(NamedTuple):
     """Static parameters of a kernel."""
 
     rays: Rays
-    laws: tuple[tuple[int, int, Callable], ...]  # (number of the first body, columns of its table, law) of each family
+    laws: tuple[tuple[int, int, Callable, bool], ...]  # first number, columns of the table, law, scenery of each family
     floor: int  # number of the floor
-    numbers: bool  # whether it also gives the numbers of bodies
+    results: int  # of a ray: its distance; the number of the body; distance and number of the first of the scenery
     parts: int  # programs of a tile
 
 
 def first(
-    rays: Rays, families: Sequence[Family], radius: Array, height: Array, floor: int, numbers: bool
+    rays: Rays, families: Sequence[Family], radius: Array, height: Array, floor: int, results: int
 ) -> tuple[Array, ...]:
-    """The distance [m] along each ray to the first body, ``MISS`` without one; and with ``numbers`` its number.
+    """The distance [m] along each ray to the first body, ``MISS`` without one; its number; and both of the scenery.
 
     Args:
         families: the bodies, none of them empty.
         radius: m, of a person's body.
         height: m, of the sensor above the floor.
         floor: the number of the floor; the sky has the next.
+        results: how many of these: 1, 2 or 4.
     """
     tiles, count = rays.direction.shape[1:]
     parts = -(-count // WIDTH)
-    fixed = tuple((family.start, family.table.shape[1], family.law) for family in families)
-    shape = _Shape(rays, fixed, floor, numbers, parts)
+    fixed = tuple((family.start, family.table.shape[1], family.law, family.scenery) for family in families)
+    shape = _Shape(rays, fixed, floor, results, parts)
     operands = [_beams(shape), jnp.stack([radius, height])[None]]
     for family in families:
         operands += [family.table.reshape(1, -1), _words(family.in_sight).reshape(1, -1)]
     return tuple(
-        out.reshape(tiles, parts * WIDTH)[:, :count] for out in batch(partial(_call, shape), 1 + numbers)(*operands)
+        out.reshape(tiles, parts * WIDTH)[:, :count] for out in batch(partial(_call, shape), results)(*operands)
     )
 
 
@@ -84,7 +86,7 @@ def _words(in_sight: Array) -> Array:
 def _call(shape: _Shape, *operands: Array, interpret: bool = False) -> tuple[Array, ...]:
     """The kernel, for operands of ``kernels.Call``."""
     grid = max(operand.shape[0] for operand in operands), shape.rays.tiles * shape.parts
-    kinds = (operands[0].dtype, jnp.int32)[: 1 + shape.numbers]
+    kinds = ((operands[0].dtype, jnp.int32) * 2)[: shape.results]
     out = tuple(jax.ShapeDtypeStruct((grid[0], grid[1] * WIDTH), kind) for kind in kinds)
     return launch(partial(_kernel, shape), "raycast", grid, out, *operands, interpret=interpret)
 
@@ -103,8 +105,8 @@ def _kernel(shape: _Shape, index: Callable[[int], Any], *references: Any) -> Non
     beams = Beams(tuple(parts[:3]), parts[3], parts[4], tuple(parts[5:]) or None)
     distance = ground(height, beams.direction[2], beams.inverse_rise)
     number = shape.floor + (distance >= MISS).astype(jnp.int32)
-    first = (distance, number) if shape.numbers else (distance,)
-    for (start, columns, law), table, words_of in zip(shape.laws, bodies[::2], bodies[1::2], strict=True):
+    first = of_scenery = (distance, number)[: shape.results]
+    for (start, columns, law, scenery), table, words_of in zip(shape.laws, bodies[::2], bodies[1::2], strict=True):
         words = words_of.shape[0] // shape.rays.tiles
 
         def test(carry: tuple, word: Any, start=start, columns=columns, law=law, table=table) -> tuple:
@@ -118,7 +120,9 @@ def _kernel(shape: _Shape, index: Callable[[int], Any], *references: Any) -> Non
             return jax.lax.while_loop(lambda carry: carry[0] != 0, partial(test, word=word), (bits, *first))[1:]
 
         first = jax.lax.fori_loop(0, words, of_word, first)
-    for result, values in zip(references[2 + 2 * len(shape.laws) :], first, strict=True):
+        of_scenery = first if scenery else of_scenery
+    results = (*first, *of_scenery)[: shape.results]
+    for result, values in zip(references[2 + 2 * len(shape.laws) :], results, strict=True):
         result.at[scenario][pallas.ds(program * WIDTH, WIDTH)] = values
 
 

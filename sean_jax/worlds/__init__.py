@@ -24,7 +24,7 @@ from sean_jax.graph import annotation
 from sean_jax.graph.annotation import Annotation, Edge, Node
 from sean_jax.graph.formation import reach
 from sean_jax.navigation.arcs import pairs_are_free
-from sean_jax.worlds.floors import FAMILIES, SIZE, Floor
+from sean_jax.worlds.floors import FAMILIES, OPEN_AIR, SIZE, WALL_HEIGHT, Floor, kind_of
 from sean_jax.worlds.proposal import propose
 
 __all__ = [
@@ -132,7 +132,8 @@ def save(world: World, folder: Path | str) -> None:
         WriteError: the folder is not empty or cannot be written.
     """
     with writing.atomic_folder(Path(folder)) as new_folder:
-        environments.write(new_folder, world.settings, world.boxes, world.colors)
+        kinds = [kind_of(box[5], color) for box, color in zip(world.boxes, world.colors, strict=True)]
+        environments.write(new_folder, world.settings, world.boxes, world.colors, kinds)
         writing.write(new_folder / "graph.yaml", annotation.to_yaml(world.graph))
 
 
@@ -257,7 +258,8 @@ def _world(
     boxes = np.array([thing[:6] for thing in things], float).reshape(-1, 6)
     colors = np.array([thing.color for thing in things], float).reshape(-1, 3)
     name, size = f"{family}_{seed}", (0.0, 0.0, round(floor.width, 3), round(floor.depth, 3))
-    settings = environments.Settings(name=name, floor=size, people=0)
+    ceiling = None if family in OPEN_AIR else WALL_HEIGHT
+    settings = environments.Settings(name=name, floor=size, people=0, ceiling=ceiling)
     environment = environments.of_boxes(settings, boxes)
     free = _free_area(environment)
     if free is None:

@@ -5,7 +5,7 @@ the doors passes everything.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -31,6 +31,13 @@ class Thing(NamedTuple):
     yaw: float  # rad
     height: float  # m
     color: tuple[float, float, float]
+
+
+def kind_of(height: float, color: Sequence[float]) -> str:
+    """What a box of a height [m] and a color is: ``wall``, ``shelf`` or ``box``."""
+    if np.allclose(color, WALL_COLOR):
+        return "wall"
+    return "shelf" if np.isclose(height, SHELF) and np.allclose(color, METAL) else "box"
 
 
 class Floor:
@@ -236,3 +243,4 @@ FAMILIES: dict[str, tuple[Callable[..., None], dict[str, tuple[float, float]]]] 
     "clutter": (clutter, {"density": (0.03, 0.12)}),
 }
 """Name -> the family, and the range of each of its words."""
+OPEN_AIR = "square", "clutter"  # families without a ceiling
