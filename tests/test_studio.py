@@ -180,7 +180,7 @@ def columns_of(episode):
 def test_whole_episodes_are_compared(fresh):
     """The first is the episode that the policy drives here; another seed and another number are other episodes."""
     fresh.play(True)
-    wait(lambda: fresh.over, 60.0)
+    wait(lambda: fresh.over and not fresh.playing, 60.0)  # the last frame comes after the last state
     driven = np.stack([frame.trajectory.position for frame in fresh.frames])
     (_, summary) = next(fresh.baselines([]))
     choices = [Choice("go_to_goal", 0, 0), Choice("go_to_goal", 7, 0), Choice("go_to_goal", 0, 3)]
