@@ -39,7 +39,8 @@ export function drawTimeline(
       const first = t;
       while (t < episode.frames && flags[t] > 0.5) t++;
       if (t > first) {
-        paint.fillRect(across(first - 0.5), top + 2, Math.max(1.5, across(t - 0.5) - across(first - 0.5)), STRIP - 5);
+        const [from, to] = [Math.max(LABELS, across(first - 0.5)), Math.min(width, across(t - 0.5))];
+        paint.fillRect(from, top + 2, Math.max(1.5, to - from), STRIP - 5);
       }
       t++;
     }
