@@ -30,7 +30,16 @@ PICTURES = (".png", ".svg", ".pdf", ".jpg", ".jpeg", ".webp", ".tif", ".tiff")  
 MAX_FLOORS = 40  # of a picture
 LEARNING = ("cmaes", "optax", "orbax", "tensorstore")  # packages of the extra "learning"
 RESUMABLE = ("collect", "train", "experiment", "export", "calibrate", "benchmark", "validate")
-READERS = ("run", "collect", "train", "experiment", "export", "replay", "benchmark")  # may run code that a file names
+READERS = (
+    "run",
+    "collect",
+    "train",
+    "experiment",
+    "export",
+    "replay",
+    "benchmark",
+    "studio",
+)  # may run code that a file names
 CONFIGURABLE = ("run", "train")  # take their options from a file, too
 EXPERIMENTS = {"table1": "table1", "ablation": "table1", "figure4": "figure4", "learning_curve": "figure4"}  # -> module
 TRACEBACK = "--traceback"  # of any command
@@ -344,9 +353,27 @@ def _replay(options: config.ReplayConfig, console: "Console") -> None:
 
 
 def _studio(options: config.StudioConfig, console: "Console") -> None:
+    if options.survey is not None:
+        from sean_jax import survey
+
+        return survey.run(options, console)
     from sean_jax import studio
 
     studio.run(options, console)
+
+
+def _survey(options: config.SurveyExportConfig | config.SurveyReportConfig, console: "Console") -> None:
+    from sean_jax.survey.answers import FILE, Answers
+
+    answers = Answers(options.folder / FILE)
+    if isinstance(options, config.SurveyReportConfig):
+        from sean_jax.survey import report
+
+        return _print(console, "report: ", report.run(answers, options, console))
+    from sean_jax.survey import export
+
+    for file in export.export(answers, options.out or options.folder / "tables"):
+        print(file)
 
 
 def _compare(options: config.CompareConfig, console: "Console") -> None:
@@ -431,8 +458,8 @@ def _schema(options: config.SchemaConfig, console: "Console") -> None:
     print(json.dumps(config.RunConfig.model_json_schema(), indent=2))
 
 
-_COMMANDS = _run, _collect, _train, _experiment, _export, _fit_graph, _calibrate, _draw, _replay, _studio, _compare
-_COMMANDS += _import_map, _worlds, _benchmark, _bench, _validate, _doctor, _list, _schema
+_COMMANDS = _run, _collect, _train, _experiment, _export, _fit_graph, _calibrate, _draw, _replay, _studio, _survey
+_COMMANDS += _compare, _import_map, _worlds, _benchmark, _bench, _validate, _doctor, _list, _schema
 _DO: dict[str, Any] = {command.__name__[1:].replace("_", "-"): command for command in _COMMANDS}
 
 

@@ -220,7 +220,7 @@ def test_the_built_program_is_that_of_its_source(tmp_path):
         ["npm", "run", "-s", "build", "--", f"--outdir={tmp_path}"], cwd=WEB, timeout=120, check=True
     )
     assert built.returncode == 0
-    for page in "replay/page.js", "studio/page.js":
+    for page in "replay/page.js", "studio/page.js", "survey/page.js":
         assert (tmp_path / page).read_text() == (pages.PACKAGE / page).read_text(), "run `npm run build` in web/"
 
 

@@ -28,7 +28,7 @@ from sean_jax import assembly, learning, pages
 from sean_jax.config import StudioConfig, validate
 from sean_jax.errors import FileError, InputError
 from sean_jax.learning import Recorder
-from sean_jax.studio import server, trial
+from sean_jax.studio import server, trial, web
 from sean_jax.studio.server import Studio
 from sean_jax.studio.session import DEAD_MAN, Choice, Session
 
@@ -351,7 +351,7 @@ def served(fresh, monkeypatch):
 @pytest.fixture
 def impatient(monkeypatch, request):
     """``served``, with half a second of patience."""
-    monkeypatch.setattr(server, "PATIENCE", 0.5)
+    monkeypatch.setattr(web, "PATIENCE", 0.5)
     return request.getfixturevalue("served")
 
 

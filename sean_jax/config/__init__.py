@@ -52,6 +52,8 @@ from sean_jax.config.scenario import (
     RunConfig,
     ScenarioConfig,
     StudioConfig,
+    SurveyExportConfig,
+    SurveyReportConfig,
 )
 from sean_jax.config.studies import (
     EXPERIMENTS,
@@ -168,6 +170,7 @@ class SchemaConfig(Config):
 GROUPS = {
     "train": "Train a network, by imitation or by reinforcement learning.",
     "experiment": "Reproduce Table I or Figure 4 of the paper, or vary them.",
+    "survey": "Export or report the answers of a study that `sean studio --survey` has run.",
 }
 """Word of the command line that needs a second word -> its summary."""
 
@@ -182,6 +185,8 @@ COMMANDS: dict[str, type[Config]] = {
     "draw": DrawConfig,
     "replay": ReplayConfig,
     "studio": StudioConfig,
+    "survey export": SurveyExportConfig,
+    "survey report": SurveyReportConfig,
     "compare": CompareConfig,
     "import-map": ImportMapConfig,
     "worlds": WorldsConfig,

@@ -287,6 +287,20 @@ class StudioConfig(ScenarioConfig):
     """Folder for recorded drives: their commands in trials/, and demonstrations for `sean train imitation`."""
     port: Annotated[int, fields.Number(0, 65535), Option(affects_results=False)] = 0
     """Port of the page on 127.0.0.1; 0 for a free one."""
+    survey: Annotated[Path | None, Option(affects_results=False)] = None
+    """Study to run with participants: a study.yaml, which has all options of its episodes. Needs --out."""
+    out: fields.Out = None
+    """Folder for the answers to --survey: new, or with the same study, which goes on."""
+
+    @pydantic.model_validator(mode="after")
+    def _check_survey(self) -> "StudioConfig":
+        if (self.survey is None) != (self.out is None):
+            missing, there = ("survey", "out") if self.survey is None else ("out", "survey")
+            raise ValueError(f"{missing}: {there} needs it, too; add --{missing}")
+        others = sorted(self.model_fields_set - {"survey", "out", "port"}) if self.survey is not None else []
+        if others:
+            raise ValueError(f"{others[0]}: a study has its own options; write it into {self.survey}")
+        return self
 
 
 class ReplayConfig(Config):
@@ -302,6 +316,29 @@ class ReplayConfig(Config):
     """Tests of a validation, separated by commas, such as rimea-6,imo-1; by default its first."""
     out: Path | None = None
     """File to write, replay.html in the folder by default."""
+    quiet: fields.Quiet = False
+
+
+class SurveyExportConfig(Config):
+    """Write the answers of a study as CSV files, and its drives as pages that replay them."""
+
+    what: Annotated[Literal["export"], Option(positional=True)] = "export"
+    """Tables and replays."""
+    folder: Annotated[Path, Option(positional=True)]
+    """Folder of `sean studio --survey`."""
+    out: Path | None = None
+    """Folder to write, tables in the study's folder by default; files of the same names are replaced."""
+
+
+class SurveyReportConfig(Config):
+    """Compare the ratings of a study with the metrics of its episodes: correlations and means, with intervals."""
+
+    what: Annotated[Literal["report"], Option(positional=True)] = "report"
+    """Correlations and means."""
+    folder: Annotated[Path, Option(positional=True)]
+    """Folder of `sean studio --survey`."""
+    out: Path | None = None
+    """Page to write, report.html in the study's folder by default."""
     quiet: fields.Quiet = False
 
 

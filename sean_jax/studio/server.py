@@ -12,19 +12,15 @@ import contextlib
 import functools
 import http
 import json
-import math
 import secrets
-import signal
 import threading
 import urllib.parse
 import weakref
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
-import jax
 import numpy as np
-from websockets.asyncio.server import ServerConnection, serve
-from websockets.datastructures import Headers
+from websockets.asyncio.server import ServerConnection
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
@@ -32,10 +28,10 @@ from sean_jax import behaviors, environment, flags, policies, replay, robots, ta
 from sean_jax.config import StudioConfig, validate
 from sean_jax.errors import InputError
 from sean_jax.learning.policy import AGENTS
-from sean_jax.studio.session import SPEED_RANGE, Choice, Frame, Session
+from sean_jax.studio import web
+from sean_jax.studio.session import SPEED_RANGE, Choice, Frame, Session, episode
+from sean_jax.studio.web import HOST, SOCKET
 
-HOST = "127.0.0.1"
-SOCKET = "/socket"
 LONGEST = 4096  # bytes of a message from a page
 CONNECTIONS = 32
 INTERVAL = 1 / 30  # s, shortest between two messages with frames
@@ -51,19 +47,6 @@ CHOICES = {
     "policy": [*policies.POLICIES, *AGENTS],
 }
 OPENED = {*CHOICES, "people", "seed"}  # options that a page can change
-CONTENT_POLICY = "; ".join(
-    [
-        "default-src 'none'",
-        "script-src 'unsafe-inline'",
-        "style-src 'unsafe-inline'",
-        "img-src data:",
-        "connect-src ws://{0}:{1} ws://localhost:{1}",
-        "base-uri 'none'",
-        "form-action 'none'",
-        "frame-ancestors 'none'",
-    ]
-)  # what the page may load: nothing but its socket
-PATIENCE = 5.0  # s, until a connection that does not answer is closed
 
 
 class Studio:
@@ -179,10 +162,10 @@ class Studio:
         if name == LIDAR:
             distances, far = self.session.scan(RAYS)
             head = {"kind": "scan", "name": name, "far": far}
-            return framed(head, np.minimum(1000.0 * distances, 65535.0).astype("<u2").tobytes())
+            return web.framed(head, np.minimum(1000.0 * distances, 65535.0).astype("<u2").tobytes())
         width, height = VIEWS[name]
         head = {"kind": "picture", "name": name, "width": width, "height": height}
-        return framed(head, self.session.picture(name, width, height).tobytes())
+        return web.framed(head, self.session.picture(name, width, height).tobytes())
 
     def _send_frames(self) -> None:
         if self._flush is not None:
@@ -209,10 +192,9 @@ class Studio:
             asyncio.ensure_future(tab.close(1013, "too slow"))
 
     def _encoded(self, first: int, frames: list[Frame]) -> bytes:
-        stacked, path = jax.tree.map(lambda *leaves: np.stack(leaves), *frames)
         names = [each["name"] for each in self.hello["recording"]["situations"]]
-        head, numbers = replay.packed(replay.Episode(stacked, "", plan=path), names)
-        return framed(head | {"kind": "frames", "first": first}, numbers)
+        head, numbers = replay.packed(episode(frames), names)
+        return web.framed(head | {"kind": "frames", "first": first}, numbers)
 
     # ------------------------------------------------------------------ requests
 
@@ -223,41 +205,31 @@ class Studio:
             OSError: the port is taken.
         """
         self._loop = asyncio.get_running_loop()
-        stopped = asyncio.Event()
-        async with serve(
-            self._serve_tab, HOST, port, process_request=self._answer, max_size=LONGEST, open_timeout=PATIENCE,
-            ping_interval=PATIENCE, ping_timeout=2 * PATIENCE, compression=None, server_header=None,
-        ) as server:  # fmt: skip
-            self.port = server.sockets[0].getsockname()[1]
-            ready()
-            pictures = asyncio.ensure_future(self._picture())
-            try:
-                with _signals(self._loop, stopped.set):
+        with web.signals() as stopped:  # before anybody knows the address
+            async with web.listen(self._serve_tab, self._answer, port, LONGEST) as self.port:
+                ready()
+                pictures = asyncio.ensure_future(self._picture())
+                try:
                     await stopped.wait()
-            finally:
-                pictures.cancel()
+                finally:
+                    pictures.cancel()
 
     def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
         """The page, a refusal, or None for a web socket."""
         url = urllib.parse.urlsplit(request.path)
-        hosts = {f"{name}:{self.port}" for name in (HOST, "localhost")}
-        if request.headers.get("Host") not in hosts:  # a page elsewhere whose name was turned to this computer
-            return _response(http.HTTPStatus.FORBIDDEN, b"wrong host")
+        if (refused := web.refusal(request, self.port)) is not None:
+            return refused
         token = urllib.parse.parse_qs(url.query).get("token", [""])[0]
         if not secrets.compare_digest(token.encode(), self.token.encode()):
             text = b"wrong token: open the address that sean studio has printed"
-            return _response(http.HTTPStatus.FORBIDDEN, text)
+            return web.response(http.HTTPStatus.FORBIDDEN, text)
         if url.path == SOCKET:
-            if request.headers.get("Origin") not in {f"http://{host}" for host in hosts}:
-                return _response(http.HTTPStatus.FORBIDDEN, b"wrong origin")
             if len(self._tabs) >= CONNECTIONS:
-                return _response(http.HTTPStatus.SERVICE_UNAVAILABLE, b"too many tabs")
+                return web.response(http.HTTPStatus.SERVICE_UNAVAILABLE, b"too many tabs")
             return None
         if url.path != "/":
-            return _response(http.HTTPStatus.NOT_FOUND, b"not found")
-        response = _response(http.HTTPStatus.OK, self._page, "text/html; charset=utf-8")
-        response.headers["Content-Security-Policy"] = CONTENT_POLICY.format(HOST, self.port)
-        return response
+            return web.response(http.HTTPStatus.NOT_FOUND, b"not found")
+        return web.page(self._page, self.port)
 
     async def _serve_tab(self, tab: ServerConnection) -> None:
         """A tab, from its first message to its last."""
@@ -301,7 +273,7 @@ class Studio:
         Raises:
             InputError: there is no such request, or another tab drives.
         """
-        session, request = self.session, _request(message)
+        session, request = self.session, web.parse(message)
         if request["do"] == "view":
             self._views.pop(tab, None)
             if request.get("name") in (*VIEWS, LIDAR):
@@ -313,7 +285,7 @@ class Studio:
             raise InputError("another tab drives; close it, or watch.")
         word = request["do"]
         if word == "command":
-            session.command(_number(request, "ahead", -1.0, 1.0), _number(request, "left", -1.0, 1.0))
+            session.command(web.number(request, "ahead", -1.0, 1.0), web.number(request, "left", -1.0, 1.0))
         elif word == "compare":
             choices = _choices(request.get("choices"), session)
             self._end_comparison()
@@ -344,11 +316,11 @@ class Studio:
         elif word == "step":
             session.step()
         elif word == "speed":
-            session.set_speed(_number(request, "speed", *SPEED_RANGE))
+            session.set_speed(web.number(request, "speed", *SPEED_RANGE))
         elif word == "drive":
             session.drive(bool(request.get("on")))
         elif word == "rewind":
-            session.rewind(int(_number(request, "tick", 0, 1e9)))
+            session.rewind(int(web.number(request, "tick", 0, 1e9)))
         elif word == "record":
             session.record() if request.get("on") else session.end_trial()
         elif word == "open":
@@ -360,26 +332,9 @@ class Studio:
         elif word == "save":
             session.save()
         elif word == "episode":
-            session.restart(int(_number(request, "episode", 0, 2**32 - 1)))
+            session.restart(int(web.number(request, "episode", 0, 2**32 - 1)))
         else:
             raise InputError(f"'{word}' is no request; reload the page.")
-
-
-@contextlib.contextmanager
-def _signals(loop: asyncio.AbstractEventLoop, stop: Callable[[], None]) -> Iterator[None]:
-    """Ctrl-C and SIGTERM call ``stop`` within the block, unless they are ignored; other threads get none."""
-    kinds = [kind for kind in (signal.SIGINT, signal.SIGTERM) if signal.getsignal(kind) is not signal.SIG_IGN]
-    if threading.current_thread() is not threading.main_thread():
-        kinds = []
-    before = {kind: signal.getsignal(kind) for kind in kinds}
-    for kind in kinds:
-        loop.add_signal_handler(kind, stop)
-    try:
-        yield
-    finally:
-        for kind, handler in before.items():
-            loop.remove_signal_handler(kind)
-            signal.signal(kind, handler)
 
 
 @functools.cache
@@ -407,36 +362,6 @@ def _hello(session: Session) -> dict[str, Any]:
     }
 
 
-def framed(head: dict[str, Any], content: bytes) -> bytes:
-    """Bytes with a JSON head."""
-    text = json.dumps(head, allow_nan=False).encode()
-    return len(text).to_bytes(4, "little") + text + content
-
-
-def _response(status: http.HTTPStatus, body: bytes, kind: str = "text/plain; charset=utf-8") -> Response:
-    headers = Headers(
-        {
-            "Content-Type": kind,
-            "Content-Length": str(len(body)),
-            "Cache-Control": "no-store",
-            "Connection": "close",
-            "Referrer-Policy": "no-referrer",
-            "X-Content-Type-Options": "nosniff",
-        }
-    )
-    return Response(status.value, status.phrase, headers, body)
-
-
-def _request(message: str | bytes) -> dict[str, Any]:
-    try:
-        request = json.loads(message)
-    except ValueError:
-        request = None
-    if not isinstance(request, dict) or not isinstance(request.get("do"), str):
-        raise InputError("a message that is no request; reload the page.")
-    return request
-
-
 def _choices(rows: Any, session: Session) -> list[Choice]:
     """The episodes that a page compares; none ends a comparison.
 
@@ -450,15 +375,9 @@ def _choices(rows: Any, session: Session) -> list[Choice]:
         raise InputError(f"compare: policy {unknown[0]!r} is not on the page; reload the page.")
     last = 2**32 - 1
     made = [
-        Choice(row["policy"], int(_number(row, "seed", 0, last)), int(_number(row, "episode", 0, last))) for row in rows
+        Choice(row["policy"], int(web.number(row, "seed", 0, last)), int(web.number(row, "episode", 0, last)))
+        for row in rows
     ]
     if len(set(made)) < len(made):
         raise InputError("compare: both episodes are the same; choose another policy, seed or episode.")
     return made
-
-
-def _number(request: dict[str, Any], name: str, low: float, high: float) -> float:
-    value = request.get(name)
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise InputError(f"{name}: {value!r} is no number; reload the page.")
-    return min(max(float(value), low), high)

@@ -46,6 +46,12 @@ class Frame(NamedTuple):
     path: np.ndarray  # (K, 2) m, the shortest way to the goal
 
 
+def episode(frames: Sequence[Frame], title: str = "", outcome: str = "") -> replay.Episode:
+    """Frames as an episode of a page."""
+    stacked, path = jax.tree.map(lambda *leaves: np.stack(leaves), *frames)
+    return replay.Episode(stacked, title, outcome, plan=path)
+
+
 class Moment(NamedTuple):
     """The state after a step."""
 
@@ -78,6 +84,14 @@ def _path(table: navigation.Navigation, place: Array, goal: Array, way: tuple) -
     return navigation.plan(table, place, goal, *way, points=points, apart=apart)
 
 
+@jax.jit
+def _memory(scenario: Scenario, policy: Policy, state: State) -> PyTree:
+    return episodes.init_policy(scenario, policy, state).policy_state
+
+
+# sessions of equal options share these programs
+_begin, _step, _frame = jax.jit(begin_episode), jax.jit(scenarios.step), jax.jit(scenarios.frame)
+_results = jax.jit(scenarios.results)
 _scan = jax.jit(sensors.scan, static_argnums=2)
 
 
@@ -96,14 +110,17 @@ class Session:
     """Called with a kind of news and its content: ``frames``, the number of the first one and the frames; ``cut``, the
     number of frames that remain; ``status``; ``edit``, what the page can change."""
 
-    def __init__(self, config: StudioConfig):
+    def __init__(self, config: StudioConfig, scenario: Scenario | None = None):
         """Build the scenario and compile its programs.
+
+        Args:
+            scenario: of a session whose options differ in the policy and the seed alone.
 
         Raises:
             InputError: one sentence that names the value and the cure.
         """
         self.config, self.send = config, lambda kind, content: None
-        self.scenario = assembly.build(config)[0]
+        self.scenario = assembly.build(config)[0] if scenario is None else scenario
         self.policy = load_policy(config.policy, self.scenario)
         robot = self.scenario.robot
         self.limits = float(robot.max_speed), float(max_reverse_speed(robot)), float(robot.max_turn_rate)
@@ -116,9 +133,7 @@ class Session:
         self._wake = threading.Condition(self._lock)
         self._closed, self._single = False, 0
         self._latest = np.zeros(2), -np.inf  # the person's latest command, and its time
-        self._begin, self._step, self._frame = jax.jit(begin_episode), jax.jit(scenarios.step), jax.jit(scenarios.frame)
-        self._results = jax.jit(scenarios.results)
-        self._init = jax.jit(lambda scenario, policy, state: episodes.init_policy(scenario, policy, state).policy_state)
+        self._step = _step
         self._compile(self.scenario)
         self.restart(0)
 
@@ -128,15 +143,15 @@ class Session:
         """Begin the episode of a number."""
         with self._lock:
             self.end_trial()
-            state, _ = self._begin(self.scenario, self._key(number))
+            state, _ = _begin(self.scenario, self._key(number))
             self.on_file = not self.editor.changed
             self.number, self.commands, self.frames = number, list[tuple[float, float]](), list[Frame]()
             self.by_person = list[bool]()  # who gave each command
-            first = Moment(state, self._init(self.scenario, self.policy, state))
+            first = Moment(state, _memory(self.scenario, self.policy, state))
             keep = 1 + round(MEMORY / self.scenario.time_step)
             self.moments: collections.deque[Moment] = collections.deque([first], maxlen=keep)
             self._way = _way(self.scenario.navigation, state.task.goal)
-            self._append(self._frame(state, state, jnp.zeros(2, float)))
+            self._append(_frame(state, state, jnp.zeros(2, float)))
             self.send("cut", 0)
             self.send("frames", (0, self.frames[:]))
             self._send_status()
@@ -166,7 +181,7 @@ class Session:
         with self._lock:
             if self.human and not on:
                 state = self.moments[-1].state
-                memory = self._init(self.scenario, self.policy, state)
+                memory = _memory(self.scenario, self.policy, state)
                 self.moments[-1] = Moment(state, memory)
             self.human = on
             self._latest = np.zeros(2), -np.inf
@@ -316,6 +331,17 @@ class Session:
         device = sensors.lidar(scenario, count=count, first=0.0)
         return np.asarray(_scan(scenario, state, device)), device.far
 
+    def complete(self) -> None:
+        """The rest of the episode, driven by the policy, without the clock."""
+        while not self.over:
+            with self._lock:
+                self._advance(None)
+
+    def metrics(self) -> dict[str, float]:
+        """The finite overall metrics of the episode so far, and its duration in seconds."""
+        with self._lock:
+            return self._summary(self.scenario, self.state)
+
     def baselines(self, names: Sequence[str]) -> Iterator[tuple[str, dict[str, float]]]:
         """The metrics of this episode, then those of policies in the same one; empty if another episode begins."""
         with self._lock:
@@ -342,7 +368,7 @@ class Session:
             policy = self.policy if name == self.config.policy.kind else load_policy(name, scenario)
             frames, state = list[Trajectory](), self.state
             for before, state, action in self._steps(scenario, policy, self._key(number, seed)):
-                frames.append(jax.tree.map(np.asarray, self._frame(before, state, action)))
+                frames.append(jax.tree.map(np.asarray, _frame(before, state, action)))
                 if len(frames) % every == 1:
                     seconds = int(state.tick) * scenario.time_step
                     yield {"index": index, "seconds": seconds, "limit": scenario.time_limit}
@@ -355,8 +381,8 @@ class Session:
 
     def _steps(self, scenario: Scenario, policy: Policy, key: Array) -> Iterator[tuple[State, State, Array]]:
         """States before and after each step of a policy's episode, and the action; first of all its first state."""
-        state, _ = self._begin(scenario, key)
-        memory, action = self._init(scenario, policy, state), jnp.zeros(2, float)
+        state, _ = _begin(scenario, key)
+        memory, action = _memory(scenario, policy, state), jnp.zeros(2, float)
         yield state, state, action
         while not (bool(state.completed) or bool(state.timed_out)):
             before = state
@@ -366,19 +392,19 @@ class Session:
 
     def _summary(self, scenario: Scenario, state: State) -> dict[str, float]:
         """The finite overall metrics of an episode, and its duration in seconds."""
-        values = {name: float(np.ravel(value)[0]) for name, value in self._results(scenario, state).items()}
+        values = {name: float(np.ravel(value)[0]) for name, value in _results(scenario, state).items()}
         seconds = int(state.tick) * scenario.time_step
         known = {"completed": float(state.completed), "seconds": seconds}
         return known | {name: value for name, value in values.items() if math.isfinite(value)}
 
     def _compile(self, scenario: Scenario) -> None:
         """Compile the programs of a scenario; time passes meanwhile."""
-        state, _ = self._begin(scenario, self._key(0))
-        memory, before = self._init(scenario, self.policy, state), state
+        state, _ = _begin(scenario, self._key(0))
+        memory, before = _memory(scenario, self.policy, state), state
         for _ in range(2):  # a state that begins, and one of a step
             action, memory = _command(scenario, self.policy, state, memory)
             before, state = state, self._step(scenario, state, action)
-            self._frame(before, state, action)
+            _frame(before, state, action)
         goal = state.task.goal
         _path(scenario.navigation, state.robot.position, goal, _way(scenario.navigation, goal))
 
@@ -440,7 +466,7 @@ class Session:
             action = jnp.asarray(command, float)
         after = self._step(self.scenario, before, action)
         self.moments.append(Moment(after, memory))
-        self._append(self._frame(before, after, action))
+        self._append(_frame(before, after, action))
         pair = cast(tuple[float, float], tuple(np.asarray(action, np.float64).tolist()))
         self.commands.append(pair)
         self.by_person.append(command is not None)

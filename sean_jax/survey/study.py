@@ -1,0 +1,296 @@
+"""The description of a study, ``study.yaml``: participants, trials and questions.
+
+A participant goes through the steps of the study: the questions before, the trials in the participant's order, the
+questions after. A trial is an episode to watch, two episodes to choose from, or a drive.
+"""
+
+from __future__ import annotations
+
+import functools
+import urllib.parse
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import pydantic
+
+from sean_jax import files
+from sean_jax.config import StudioConfig, validate
+from sean_jax.errors import InputError
+from sean_jax.files import Problem
+from sean_jax.messages import suggest
+
+VIEWS = ("plan", "first_person", "third_person")
+BEFORE, AFTER, CHOICE = "before", "after", "choice"
+MAX_TEXT = 2_000  # characters of an answer
+MAX_PARTICIPANTS = 1_000
+NAME = r"^[A-Za-z][A-Za-z0-9_-]{0,39}$"
+
+Name = Annotated[str, pydantic.Field(pattern=NAME)]
+Text = Annotated[str, pydantic.Field(min_length=1, max_length=10_000)]
+
+
+class Part(pydantic.BaseModel):
+    """A mapping of the file."""
+
+    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
+
+
+class Template(Part):
+    """A questionnaire: Likert items, and the scales that they belong to."""
+
+    source: str
+    text: str
+    points: int
+    ends: tuple[str, str]
+    scales: dict[str, dict[str, str]]  # scale -> item -> text
+    reversed: tuple[str, ...] = ()
+
+    def score(self, scale: str, values: dict[str, float]) -> float | None:
+        """The mean of a scale's items, from item -> answer; None if one is missing."""
+        items = self.scales[scale]
+        if not set(items) <= set(values):
+            return None
+        turned = [self.points + 1 - values[item] if item in self.reversed else values[item] for item in items]
+        return sum(turned) / len(turned)
+
+
+@functools.cache
+def templates() -> dict[str, Template]:
+    """The questionnaires of the package."""
+    data = files.read_yaml(Path(__file__).with_name("templates.yaml"))[1]
+    return {name: Template(**values) for name, values in data.items()}
+
+
+class Question(Part):
+    """A question, or a questionnaire by the name of its template."""
+
+    kind: Literal["likert", "choice", "text", "number", "template"]
+    name: Name
+    text: Text | None = None
+    points: Annotated[int, pydantic.Field(ge=2, le=11)] = 7
+    ends: Annotated[list[str], pydantic.Field(min_length=2, max_length=2)] = ["strongly disagree", "strongly agree"]
+    choices: Annotated[list[Text], pydantic.Field(max_length=50)] = []
+    range: Annotated[list[float], pydantic.Field(min_length=2, max_length=2)] | None = None
+    required: bool = True
+
+    @pydantic.model_validator(mode="before")
+    @classmethod
+    def _named(cls, value: Any) -> Any:
+        return {"kind": "template", "name": value} if isinstance(value, str) else value
+
+    def problems(self) -> Iterator[Problem]:
+        """Mistakes that no single field shows."""
+        if self.name == CHOICE:
+            yield ("name",), f"'{CHOICE}' is the name of the choice between two robots; choose another name"
+        if self.kind == "template":
+            if self.name not in templates():
+                known = ", ".join(templates())
+                cure = suggest(self.name, templates()) or "; give one of these, or a question of your own"
+                yield (), f"'{self.name}' is not one of {known}{cure}"
+            return
+        if self.text is None:
+            yield (), f"the question '{self.name}' has no text; add text: What do you think?"
+        if self.kind == "choice" and len(self.choices) < 2:
+            yield (), f"the question '{self.name}' has {len(self.choices)} choices; give two or more"
+        if self.range is not None and not self.range[0] < self.range[1]:
+            yield ("range",), f"{self.range} must be a lower and a higher number"
+
+    def items(self) -> list[dict[str, Any]]:
+        """The questions as the page shows them: a template has one for each item."""
+        if self.kind == "template":
+            template = templates()[self.name]
+            items = [item for scale in template.scales.values() for item in scale.items()]
+            shared = {"kind": "likert", "points": template.points, "ends": template.ends, "required": True}
+            return [shared | {"name": f"{self.name}.{item}", "text": text, "group": template.text}
+                    for item, text in items]  # fmt: skip
+        used = {"likert": ("points", "ends"), "choice": ("choices",), "number": ("range",), "text": ()}
+        names = ("kind", "name", "text", "required", *used[self.kind])
+        return [{name: getattr(self, name) for name in names} | {"group": ""}]
+
+
+Questions = Annotated[tuple[Question, ...], pydantic.Field(max_length=100)]
+Options = dict[str, Any]
+
+
+class Trial(Part):
+    """An episode to watch, a drive, or two episodes to choose from, and the questions after it."""
+
+    name: Name
+    watch: Options | None = None
+    drive: Options | None = None
+    choose: Annotated[tuple[Options, ...], pydantic.Field(min_length=2, max_length=2)] | None = None
+    text: Text | None = None
+    questions: Questions | None = None
+
+    @property
+    def kind(self) -> str:
+        """watch, drive or choose."""
+        return next((kind for kind in ("watch", "drive", "choose") if getattr(self, kind) is not None), "")
+
+    @property
+    def episodes(self) -> tuple[Options, ...]:
+        """The options of each episode."""
+        content = getattr(self, self.kind)
+        return content if self.kind == "choose" else (content,)
+
+    @property
+    def view(self) -> str:
+        """What a driver sees."""
+        return (self.drive or {}).get("view", "plan")
+
+
+class Step(Part):
+    """A page of a participant: a trial and its questions, or questions alone."""
+
+    name: str
+    kind: str  # questions, or the trial's kind
+    trial: int | None  # index of the trial
+    text: str
+    questions: tuple[dict[str, Any], ...]
+    view: str = "plan"
+    swapped: bool = False  # of two episodes, whether the second one is on the left
+
+    def question(self, name: object) -> dict[str, Any] | None:
+        """The question of a name."""
+        return next((each for each in self.questions if each["name"] == name), None)
+
+
+class Study(Part):
+    """A study."""
+
+    title: Text
+    consent: Text
+    thanks: Text = "Thank you. Your answers are stored. You can close this page."
+    participants: Annotated[int, pydantic.Field(ge=1, le=MAX_PARTICIPANTS)]
+    order: Literal["fixed", "balanced"] = "balanced"
+    options: Options = {}
+    questions: Questions = ()
+    before: Questions = ()
+    after: Questions = ()
+    trials: Annotated[tuple[Trial, ...], pydantic.Field(min_length=1, max_length=100)]
+    drivers: Annotated[int, pydantic.Field(ge=1, le=100)] = 8
+    address: Text | None = None
+
+    def identity(self) -> dict[str, Any]:
+        """What must not change while a study runs."""
+        return self.model_dump(mode="json", exclude={"drivers", "address"})
+
+    def config(self, options: Options, source: Path) -> StudioConfig:
+        """The options of an episode of the study.
+
+        Args:
+            source: the file of the study, whose own parts run if the user trusts it.
+
+        Raises:
+            InputError: one sentence that names the option, the value and the cure.
+        """
+        given = {name: value for name, value in options.items() if name not in ("view", "name")}
+        return validate(StudioConfig, {**self.options, **given}, source=source)
+
+    def steps(self, participant: int) -> list[Step]:
+        """The pages of a participant, whose number begins at 0."""
+        count = len(self.trials)
+        order = sequence(count, participant) if self.order == "balanced" else range(count)
+        before, after = (
+            [Step(name=name, kind="questions", trial=None, text="", questions=_items(questions))] if questions else []
+            for name, questions in ((BEFORE, self.before), (AFTER, self.after))
+        )
+        return [*before, *(self._step(participant, index) for index in order), *after]
+
+    def _step(self, participant: int, index: int) -> Step:
+        trial = self.trials[index]
+        questions = _items(self.questions if trial.questions is None else trial.questions)
+        swapped = False
+        if trial.kind == "choose":
+            questions = (_choice(trial.text or "Which robot do you prefer?"), *questions)
+            swapped = bool((participant + participant // rows(len(self.trials)) + index) % 2)
+        return Step(name=trial.name, kind=trial.kind, trial=index, text=trial.text or "", questions=questions,
+                    view=trial.view, swapped=swapped)  # fmt: skip
+
+
+def _items(questions: Iterable[Question]) -> tuple[dict[str, Any], ...]:
+    return tuple(item for question in questions for item in question.items())
+
+
+def _choice(text: str) -> dict[str, Any]:
+    return {"kind": "choice", "name": CHOICE, "text": text, "choices": ("A", "B"), "required": True, "group": ""}
+
+
+def read(path: Path) -> Study:
+    """The study of a file.
+
+    Raises:
+        FileError: file, line, key, value and cure of each mistake.
+    """
+    return files.load(path, Study, functools.partial(_problems, path=path))
+
+
+def _problems(study: Study, path: Path) -> Iterator[Problem]:
+    places: list[tuple[tuple[str | int, ...], Sequence[Question]]] = [
+        ((name,), getattr(study, name)) for name in ("questions", "before", "after")
+    ]
+    places += [(("trials", k, "questions"), trial.questions or ()) for k, trial in enumerate(study.trials)]
+    for loc, questions in places:
+        for k, question in enumerate(questions):
+            yield from (((*loc, k, *inner), clause) for inner, clause in question.problems())
+        yield from _repeated(loc, [question.name for question in questions])
+    yield from _repeated(("trials",), [trial.name for trial in study.trials])
+    for k, trial in enumerate(study.trials):
+        yield from _trial_problems(study, trial, ("trials", k), path)
+    if study.address is not None:
+        parts = urllib.parse.urlsplit(study.address)
+        if parts.scheme not in ("http", "https") or not parts.netloc or parts.path or parts.query:
+            yield ("address",), f"'{study.address}' is no address; write it as https://study.example.org"
+
+
+def _trial_problems(study: Study, trial: Trial, loc: tuple[str | int, ...], path: Path) -> Iterator[Problem]:
+    kinds = [kind for kind in ("watch", "drive", "choose") if getattr(trial, kind) is not None]
+    if len(kinds) != 1:
+        yield (
+            loc,
+            f"the trial '{trial.name}' has {' and '.join(kinds) or 'no episode'}; give one of watch, drive, choose",
+        )
+        return
+    if trial.name in (BEFORE, AFTER):
+        yield (
+            (*loc, "name"),
+            f"'{trial.name}' is the name of the questions {trial.name} the trials; choose another name",
+        )
+    if trial.kind == "drive" and trial.view not in VIEWS:
+        yield (
+            (*loc, "drive", "view"),
+            f"'{trial.view}' is not one of {', '.join(VIEWS)}{suggest(str(trial.view), VIEWS)}",
+        )
+    for k, options in enumerate(trial.episodes):
+        where = (*loc, trial.kind, k) if trial.kind == "choose" else (*loc, trial.kind)
+        try:
+            study.config(options, path)
+        except InputError as error:
+            yield where, str(error)
+
+
+def _repeated(loc: tuple[str | int, ...], names: list[str]) -> Iterator[Problem]:
+    for k, name in enumerate(names):
+        if name in names[:k]:
+            yield (*loc, k), f"the name '{name}' is used twice; choose another name"
+
+
+# ------------------------------------------------------------------ balance
+
+
+def rows(count: int) -> int:
+    """Participants after which all orders of so many trials have occurred."""
+    return count if count % 2 == 0 or count == 1 else 2 * count
+
+
+def sequence(count: int, participant: int) -> list[int]:
+    """The order of the trials of a participant: each trial is as often at each place, and after each other trial.
+
+    Source: E. Williams, "Experimental designs balanced for the estimation of residual effects of treatments",
+    Australian Journal of Scientific Research 2 (1949).
+    """
+    row = participant % rows(count)
+    zigzag = [(k + 1) // 2 if k % 2 else -(k // 2) for k in range(count)]
+    order = [(row + shift) % count for shift in zigzag]
+    return order[::-1] if row >= count else order

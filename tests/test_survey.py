@@ -1,0 +1,691 @@
+"""``sean studio --survey``: orders are balanced, no confirmed answer is lost, nobody sees more than the own page."""
+
+import asyncio
+import contextlib
+import csv
+import html
+import io
+import itertools
+import json
+import os
+import re
+import shutil
+import signal
+import sqlite3
+import subprocess
+import sys
+import threading
+import urllib.error
+import urllib.request
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.stats
+from rich.console import Console
+
+from sean_jax import cli, pages
+from sean_jax.config import StudioConfig, SurveyReportConfig, validate
+from sean_jax.errors import FileError, InputError
+from sean_jax.survey import export, report, study
+from sean_jax.survey.answers import BROKEN_OFF, FILE, Answers
+
+pytest.importorskip("websockets")
+from websockets.asyncio.client import connect  # noqa: E402
+from websockets.exceptions import ConnectionClosed, InvalidStatus  # noqa: E402
+
+from sean_jax.survey import server  # noqa: E402
+
+ROOT = Path(__file__).parent.parent
+WEB = ROOT / "web"
+CHROMIUM = next((found for name in ("chromium", "google-chrome") if (found := shutil.which(name))), None)
+STUDY = """
+title: Robots in a lab
+consent: You may stop at any time.
+participants: 60
+options: {environment: lab, people: 2, time_limit: 3, warm_up: 1}
+questions: [navigation]
+before:
+  - {kind: number, name: age, text: "How old are you?", range: [18, 99], required: false}
+trials:
+  - {name: calm, watch: {policy: go_to_goal, seed: 3}}
+  - name: mine
+    drive: {seed: 4}
+    questions:
+      - {kind: likert, name: easy, text: It was easy., points: 5}
+  - name: pair
+    choose: [{policy: go_to_goal, seed: 5}, {policy: expert, seed: 5}]
+    questions: [{kind: text, name: why, text: "Why?", required: false}]
+after:
+  - {kind: choice, name: car, text: "Do you drive a car?", choices: [often, never]}
+drivers: 8
+"""
+
+
+def read(folder, text=STUDY):
+    (folder / "study.yaml").write_text(text)
+    return study.read(folder / "study.yaml")
+
+
+# ------------------------------------------------------------------ the description
+
+
+@pytest.mark.parametrize("count", range(1, 10))
+def test_orders_are_balanced(count):
+    """Each trial is as often at each place, and as often after each other one."""
+    total = study.rows(count)
+    orders = [study.sequence(count, number) for number in range(total)]
+    assert all(sorted(order) == list(range(count)) for order in orders)
+    for place in range(count):
+        assert np.all(np.bincount([order[place] for order in orders], minlength=count) == total / count)
+    pairs = [pair for order in orders for pair in itertools.pairwise(order)]
+    counts = [pairs.count(pair) for pair in itertools.permutations(range(count), 2)]
+    assert len(set(counts)) <= 1
+
+
+def test_sides_are_balanced_at_each_place(tmp_path):
+    made = read(tmp_path)
+    places = [(number, step) for number in range(2 * study.rows(3)) for step in made.steps(number)]
+    for order in range(study.rows(3)):
+        sides = [step.swapped for number, step in places if step.kind == "choose" and number % study.rows(3) == order]
+        assert sorted(sides) == [False, True]
+
+
+MISTAKES = [
+    ("drivers: 8", "drivers: 0", r"study.yaml:\d+:10: drivers: 0 is less than 1"),
+    ("[navigation]", "[navigaton]", r"study.yaml:6:\d+: questions\[0\]: 'navigaton' is not one of rosas, navigation"),
+    ("[navigation]", "[rosas, rosas]", r"questions\[1\]: the name 'rosas' is used twice"),
+    ("{seed: 4}", "{seed: 4, view: bird}", r"trials\[1\].drive.view: 'bird' is not one of plan, first_person"),
+    ("{seed: 4}", "{sed: 4}", r"trials\[1\].drive: .*sed.*did you mean 'seed'"),
+    ("people: 2", "people: -1", r"people: -1 must be from 0"),
+    ("choices: [often, never]", "choices: [often]", r"after\[0\]: the question 'car' has 1 choices; give two"),
+    ("text: It was easy., ", "", r"the question 'easy' has no text"),
+    ("range: [18, 99]", "range: [99, 18]", r"before\[0\].range: \[99.*, 18.*\] must be a lower and a higher"),
+    ("watch: {policy: go_to_goal, seed: 3}", "text: nothing", r"the trial 'calm' has no episode; give one of watch"),
+    ("title: Robots in a lab", "titel: x", r"titel.*did you mean 'title'"),
+    ("drivers: 8", "address: example.org", r"address: 'example.org' is no address; write it as https://"),
+    ("drivers: 8", "address: https://example.org/study", r"address: 'https://example.org/study' is no address"),
+    ("name: why", "name: choice", r"trials\[2\].questions\[0\].name: 'choice' is the name of the choice"),
+    ("name: mine", "name: before", r"'before' is the name of the questions before the trials"),
+]
+
+
+@pytest.mark.parametrize(("before", "after", "message"), MISTAKES)
+def test_mistakes_name_file_line_and_cure(tmp_path, before, after, message):
+    assert before in STUDY
+    with pytest.raises(FileError, match=message) as raised:
+        read(tmp_path, STUDY.replace(before, after))
+    assert "study.yaml:" in str(raised.value)
+
+
+def test_the_example_of_the_page_is_a_study(tmp_path):
+    text = (ROOT / "docs" / "survey.md").read_text(encoding="utf-8")
+    made = read(tmp_path, re.search(r"```yaml\n(.*?)```", text, re.S)[1])
+    assert [trial.kind for trial in made.trials] == ["watch", "watch", "drive", "choose"] and len(made.steps(0)) == 6
+    for name, template in study.templates().items():
+        items = sum(map(len, template.scales.values()))
+        assert re.search(rf"\| `{name}` \| {items} .*\| {template.points} \| {', '.join(template.scales)} \|", text)
+
+
+def test_code_that_a_study_names_is_not_run(tmp_path):
+    (tmp_path / "mine.py").write_text("raise SystemExit('it ran')\n")
+    made = read(tmp_path, STUDY.replace("policy: go_to_goal, seed: 3", f"policy: '{tmp_path}/mine.py:go'"))
+    with pytest.raises(InputError, match="is code, and .*study.yaml names it, not you"):
+        server.Survey(Answers.begin(tmp_path, made), "", tmp_path / "study.yaml")
+
+
+def test_scores_are_means_of_items():
+    rosas, own = study.templates()["rosas"], study.templates()["navigation"]
+    assert {name: len(items) for name, items in rosas.scales.items()} == dict.fromkeys(
+        ("warmth", "competence", "discomfort"), 6
+    )
+    values = {f"rosas.{item}": k + 1 for k, item in enumerate(rosas.scales["warmth"])}
+    assert export.scores(values) == {"rosas.warmth": 3.5}
+    values = {f"navigation.{item}": 2 for item in own.scales["legibility"]}
+    assert export.scores(values) == {"navigation.legibility": (2 + 6) / 2}  # one of the two is reversed
+    assert not export.scores({"navigation.safe": 2})
+    assert {item for scale in own.scales.values() for item in scale} >= set(own.reversed)
+
+
+def test_a_study_has_its_own_options(tmp_path):
+    for words, message in [
+        (["--survey", "study.yaml"], "--out"),
+        (["--out", "x"], "--survey"),
+        (["--survey", "study.yaml", "--out", "x", "--people", "3"], "people: a study has its own options"),
+    ]:
+        done = subprocess.run([sys.executable, "-m", "sean_jax", "studio", *words], cwd=tmp_path, capture_output=True,
+                              text=True, check=False)  # fmt: skip
+        assert done.returncode == 2 and message in done.stderr, done.stderr
+
+
+# ------------------------------------------------------------------ the file
+
+
+def test_a_study_goes_on_with_the_same_links(tmp_path):
+    made = read(tmp_path)
+    answers = Answers.begin(tmp_path, made)
+    secrets, researcher = answers.secrets(), answers.researcher
+    assert len(set(secrets.values())) == 60 and min(map(len, secrets.values())) >= 20
+    answers.consent(7)
+    for value in (3, 4, None, 5):
+        answers.answer(7, 0, "age", value)
+    drive = answers.begin_drive(7, 1)
+    answers.close()
+    more = made.model_copy(update={"drivers": 3})
+    answers = Answers.begin(tmp_path, more)
+    assert (answers.secrets(), answers.researcher, answers.study.drivers) == (secrets, researcher, 3)
+    assert answers.answers_of(7, 0) == {"age": 5} and answers.progress(7) == (True, 0, False)
+    answers.recover()
+    assert [row["outcome"] for row in answers.drives() if row["id"] == drive] == [BROKEN_OFF]
+    with pytest.raises(InputError, match="has a study with other title; choose another folder"):
+        Answers.begin(tmp_path, made.model_copy(update={"title": "other"}))
+    (tmp_path / "other").mkdir()
+    with pytest.raises(FileError, match="holds no study.sqlite"):
+        Answers(tmp_path / "other" / FILE)
+    (tmp_path / "other" / FILE).write_text("nonsense" * 100)
+    with pytest.raises(FileError, match="is no study"):
+        Answers(tmp_path / "other" / FILE)
+
+
+@pytest.mark.parametrize(
+    ("question", "good", "bad"),
+    [
+        ({"kind": "likert", "points": 5}, [1, 5], [0, 6, 1.5, "1", True, [1], float("nan")]),
+        ({"kind": "choice", "choices": ["a", "b"]}, ["a"], ["c", 1, ["a"]]),
+        ({"kind": "text"}, ["x" * 2000], ["x" * 2001, 3]),
+        ({"kind": "number", "range": [0.0, 1.0]}, [0, 0.5], [2, "0", float("inf")]),
+    ],
+)
+def test_answers_are_checked(question, good, bad):
+    question = {"name": "one"} | question
+    for value in good:
+        assert server.checked(question, value) == value
+    for value in bad:
+        with pytest.raises(InputError, match="one: "):
+            server.checked(question, value)
+    assert server.checked(question, None) is None and server.checked(question, "") is None
+
+
+# ------------------------------------------------------------------ the server
+
+
+@pytest.fixture(scope="module")
+def served(tmp_path_factory):
+    """An open study in a thread of its own."""
+    folder = tmp_path_factory.mktemp("study")
+    answers = Answers.begin(folder, read(folder))
+    survey = server.Survey(answers, "<p>the page</p>", folder / "study.yaml")
+    ready = threading.Event()
+
+    def serve():
+        with contextlib.suppress(asyncio.CancelledError):
+            loop.run_until_complete(task)
+
+    loop = asyncio.new_event_loop()
+    task = loop.create_task(survey.run(0, ready.set))
+    thread = threading.Thread(target=serve, daemon=True)
+    thread.start()
+    assert ready.wait(20)
+    yield survey
+    loop.call_soon_threadsafe(task.cancel)
+    thread.join(20)
+    assert not thread.is_alive()
+    answers.close()
+
+
+def get(address, **headers):
+    try:
+        with urllib.request.urlopen(urllib.request.Request(address, headers=headers), timeout=10) as answer:
+            return answer.status, answer.read().decode()
+    except urllib.error.HTTPError as error:
+        return error.code, error.read().decode()
+
+
+def tab_of(link, origin=None):
+    base, query = link.split("/?")
+    return connect(f"{base.replace('http', 'ws')}/socket?{query}", origin=origin or base, compression=None)
+
+
+async def until(tab, *kinds):
+    """The next message of a kind."""
+    while True:
+        message = await asyncio.wait_for(tab.recv(), 120)
+        if isinstance(message, bytes):
+            length = int.from_bytes(message[:4], "little")
+            news = json.loads(message[4 : 4 + length]) | {"bytes": message[4 + length :]}
+        else:
+            news = json.loads(message)
+        if news["kind"] in kinds:
+            return news
+
+
+async def send(tab, word, **more):
+    await tab.send(json.dumps({"do": word, **more}))
+
+
+def reply(question, draw):
+    """A random answer."""
+    kind = question["kind"]
+    if kind == "likert":
+        return int(draw.integers(1, question["points"] + 1))
+    if kind == "choice":
+        return str(draw.choice(question["choices"]))
+    return int(draw.integers(18, 99)) if kind == "number" else f'because {draw.integers(10**9)}; "ü", =1'
+
+
+async def take_part(link, draw, sent, stop_after=None):
+    """Go through a study; ``sent`` gets each answer that the server has confirmed."""
+    async with tab_of(link) as tab:
+        page = await until(tab, "consent", "step", "end")
+        if page["kind"] == "consent":
+            await send(tab, "consent")
+            page = await until(tab, "step")
+        while page["kind"] == "step":
+            number = page["number"]
+            if not page["shown"] and page["what"] == "drive":
+                await send(tab, "start", step=number)
+                await until(tab, "go")
+                driving = asyncio.ensure_future(until(tab, "over"))
+                while not driving.done():
+                    await send(tab, "command", ahead=float(draw.uniform(-1, 1)), left=float(draw.uniform(-1, 1)))
+                    await asyncio.sleep(0.05)
+                assert driving.result()["content"] in ("completed", "timed out")
+            elif not page["shown"]:
+                await send(tab, "shown", step=number)
+            for question in page["questions"]:
+                value = reply(question, draw)
+                await send(tab, "answer", step=number, question=question["name"], value=value)
+                assert (await until(tab, "stored", "error"))["kind"] == "stored"
+                sent[number, question["name"]] = value
+                if stop_after is not None and len(sent) >= stop_after:
+                    return page
+            await send(tab, "done", step=number)
+            page = await until(tab, "step", "end")
+        return page
+
+
+def test_links_open_the_own_page_alone(served):
+    mine, researcher = served.links()[0], served.researcher_link
+    base, secret = mine.split("/?participant=")
+    assert get(mine) == get(researcher) == (200, "<p>the page</p>")
+    for wrong in (
+        "",
+        "/?participant=no",
+        f"/?participant={secret[:-1]}",
+        f"/?researcher={secret}",
+        f"/?token={secret}",
+    ):
+        assert get(f"{base}{wrong}")[0] == 403
+    assert get(mine, Host="evil.example")[0] == 403
+    for name in export.TABLES:
+        assert get(f"{base}/{name}?participant={secret}")[0] == 404
+        status, text = get(f"{base}/{name}?{researcher.split('?')[1]}")
+        assert status == 200 and (name != "participants.csv" or len(list(csv.DictReader(io.StringIO(text)))) == 60)
+
+    async def refused(link, **more):
+        with pytest.raises(InvalidStatus) as raised:
+            await tab_of(link, **more).__aenter__()
+        return raised.value.response.status_code
+
+    async def sockets():
+        assert await refused(mine, origin="http://evil.example") == 403
+        assert await refused(f"{base}/?participant=wrong") == 403
+
+    asyncio.run(sockets())
+
+
+def test_a_page_has_nothing_of_policies_metrics_and_others(served):
+    """Also not in the recordings that it plays."""
+
+    async def go():
+        async with tab_of(served.links()[1]) as tab:
+            texts = [await tab.recv()]
+            await send(tab, "consent")
+            texts.append(await tab.recv())
+            return texts
+
+    texts = "".join(asyncio.run(go()))
+    secrets = served.answers.secrets()
+    for private in ("go_to_goal", "expert", "policy", "intimate", "lab", "kuri", *list(secrets.values())):
+        assert private not in texts.replace("Robots in a lab", ""), private
+    for content in served._episodes.values():
+        text = json.dumps(content)
+        assert "go_to_goal" not in text and "expert" not in text and content["situations"] == content["curves"] == []
+
+
+def test_a_reload_goes_on_and_a_second_tab_takes_over(served):
+    link, sent, draw = served.links()[2], {}, np.random.default_rng(2)
+
+    async def go():
+        stopped = await take_part(link, draw, sent, stop_after=4)
+        async with tab_of(link) as one:
+            page = await until(one, "step")
+            assert page["number"] == stopped["number"] and page["shown"] == (page["what"] != "drive")
+            assert page["answers"] == {
+                name: value for (number, name), value in sent.items() if number == page["number"]
+            }
+            await send(one, "answer", step=page["number"] + 1, question="easy", value=1)  # of a page that is ahead
+            assert (await until(one, "step"))["number"] == page["number"]
+            await send(one, "done", step=page["number"])
+            assert (await until(one, "missing"))["content"]
+            for bad in ("x", "[]", '{"do": 3}', '{"do": "fly"}', b"\x00"):
+                await one.send(bad)
+                assert (await until(one, "error", "step"))["kind"]
+            async with tab_of(link) as two:
+                assert (await until(two, "step"))["number"] == page["number"]
+                with pytest.raises(ConnectionClosed) as raised:
+                    while True:
+                        await asyncio.wait_for(one.recv(), 10)
+                assert raised.value.rcvd.code == server.REPLACED
+        return await take_part(link, draw, sent)
+
+    assert asyncio.run(go())["kind"] == "end"
+    stored = {(row["step"], row["question"]): row["value"] for row in served.answers.all_answers()
+              if row["participant"] == 2}  # fmt: skip
+    assert stored == sent
+
+
+def test_a_drive_that_is_broken_off_begins_anew_and_can_be_simulated_again(served):
+    number = 3
+    steps = served.study.steps(number)
+    link, sent, draw = served.links()[number], {}, np.random.default_rng(3)
+    place = next(k for k, step in enumerate(steps) if step.kind == "drive")
+
+    async def go():
+        before = sum(len(step.questions) for step in steps[:place])
+        await take_part(link, draw, sent, stop_after=before)
+        async with tab_of(link) as tab:
+            page = await until(tab, "step")
+            await send(tab, "done", step=page["number"])
+            assert (await until(tab, "step"))["what"] == "drive"
+            await send(tab, "start", step=place)
+            await until(tab, "go")
+            for _ in range(12):
+                await send(tab, "command", ahead=1.0, left=0.2)
+                await until(tab, "frames")
+        return await take_part(link, draw, sent)
+
+    assert asyncio.run(go())["kind"] == "end"
+    first, second = (row for row in served.answers.drives() if row["participant"] == number)
+    assert (
+        first["outcome"] == BROKEN_OFF and first["metrics"] is None and len(served.answers.moments(first["id"])) >= 10
+    )
+    assert second["outcome"] == "timed out" and second["metrics"]["seconds"] == pytest.approx(3.0)
+    moments = np.array(served.answers.moments(second["id"]))
+    assert moments.shape == (30, 5) and np.ptp(moments[:, 0]) > 0
+    session = served._session(steps[place].trial)
+    for row in moments:
+        session._advance(jnp.asarray(row[:2]))
+    np.testing.assert_allclose(np.asarray(session.state.robot.position), moments[-1, 2:4], atol=1e-4)
+    assert session.metrics() == second["metrics"]
+    assert served.answers.recording(second["id"])["episodes"][0]["frames"] == 31
+
+
+def test_drivers_wait_for_a_place(served, monkeypatch):
+    monkeypatch.setattr(served, "_places", asyncio.Semaphore(1))
+    numbers = 57, 59
+    places = [[step.kind for step in served.study.steps(number)].index("drive") for number in numbers]
+    for number, place in zip(numbers, places, strict=True):  # as if all before it were answered
+        served.answers.consent(number)
+        for step in range(place):
+            served.answers.finish(number, step, False)
+
+    async def go():
+        async with tab_of(served.links()[numbers[1]]) as two:
+            async with tab_of(served.links()[numbers[0]]) as one:
+                await send(one, "start", step=places[0])
+                await until(one, "go")
+                await send(two, "start", step=places[1])
+                assert (await until(two, "wait", "go"))["content"] == server.WAIT
+            assert (await until(two, "go"))["content"] == 0.1  # the first page is closed
+
+    asyncio.run(go())
+
+
+def test_an_answer_that_cannot_be_stored_is_not_confirmed(served, monkeypatch):
+    def full(*_):
+        raise sqlite3.OperationalError("database or disk is full")
+
+    async def go():
+        async with tab_of(served.links()[58]) as tab:
+            await send(tab, "consent")
+            page = await until(tab, "step")
+            monkeypatch.setattr(served.answers, "answer", full)
+            await send(tab, "answer", step=page["number"], question="age", value=20)
+            assert (await until(tab, "stored", "error"))["content"] == server.NOT_STORED
+            monkeypatch.undo()
+            await send(tab, "answer", step=page["number"], question="age", value=21)
+            assert (await until(tab, "stored", "error"))["kind"] == "stored"
+
+    asyncio.run(go())
+
+
+def test_too_many_and_too_large_messages_close_the_tab(served):
+    async def go():
+        for count, text in ((1000, '{"do": "command", "ahead": 0, "left": 0}'), (1, "x" * 1_000_000)):
+            async with tab_of(served.links()[4]) as tab:
+                with pytest.raises(ConnectionClosed):
+                    for _ in range(count):
+                        await tab.send(text)
+                    while True:
+                        await asyncio.wait_for(tab.recv(), 20)
+        async with tab_of(served.links()[4]) as tab:
+            await until(tab, "consent")
+
+    asyncio.run(go())
+
+
+def test_the_researcher_sees_progress(served):
+    async def go():
+        async with tab_of(served.researcher_link) as page, tab_of(served.links()[5]) as tab:
+            assert (await until(page, "study"))["links"] == served.links()
+            await send(page, "consent")
+            assert "only shows the study" in (await until(page, "error"))["content"]
+            await send(tab, "consent")
+            while True:
+                row = (await until(page, "progress"))["content"][5]
+                if row["consented"]:
+                    return row
+
+    row = asyncio.run(go())
+    assert row["open"] and not row["finished"] and (row["done"], row["steps"]) == (0, 5)
+
+
+@pytest.mark.slow
+def test_fifty_participants_lose_nothing(served):
+    """At once, with more drivers than places."""
+    numbers, sent = range(6, 56), {number: {} for number in range(6, 56)}
+
+    async def go():
+        links = served.links()
+        parts = [take_part(links[k], np.random.default_rng(k), sent[k]) for k in numbers]
+        return await asyncio.wait_for(asyncio.gather(*parts), 400)
+
+    assert all(page["kind"] == "end" for page in asyncio.run(go()))
+    stored = {number: {} for number in numbers}
+    for row in served.answers.all_answers():
+        if row["participant"] in stored:
+            stored[row["participant"]][row["step"], row["question"]] = row["value"]
+    assert stored == sent and {len(each) for each in sent.values()} == {14}
+    drives = [row for row in served.answers.drives() if row["participant"] in stored]
+    assert len(drives) == 50 and all(len(served.answers.moments(row["id"])) == 30 for row in drives)
+    rows = [row for row in export.participants(served.answers) if row["participant"] - 1 in stored]
+    assert all(row["finished"] for row in rows)
+
+
+# ------------------------------------------------------------------ tables and report
+
+
+def simulated(folder, participants=24, seed=0):
+    """A file with answers that follow one metric of four episodes, and one rating of chance."""
+    text = STUDY.split("questions:")[0].replace("participants: 60", f"participants: {participants}")
+    trials = "".join(f"\n  - {{name: t{k}, watch: {{seed: {k}}}}}" for k in range(6))
+    questions = "[{kind: likert, name: near, text: Near it., points: 11}, {kind: likert, name: luck, text: Luck.}]"
+    answers = Answers.begin(folder, read(folder, f"{text}questions: {questions}\ntrials:{trials}\n"))
+    draw = np.random.default_rng(seed)
+    for k in range(6):
+        answers.add_episode(k, 0, "go_to_goal", "completed", {"path_length": float(k), "min_distance": 1.0}, {})
+    for number in range(participants):
+        offset = draw.normal(0, 1.5)
+        for place, step in enumerate(answers.study.steps(number)):
+            near = int(np.clip(round(3 + step.trial + offset + draw.normal(0, 0.7)), 1, 11))
+            answers.show(number, place)
+            answers.answer(number, place, "near", near)
+            answers.answer(number, place, "luck", int(draw.integers(1, 8)))
+            answers.finish(number, place, place == 5)
+    return answers
+
+
+def test_ratings_join_metrics(tmp_path, capsys):
+    answers = simulated(tmp_path)
+    rows = report.rated(answers)
+    assert len(rows) == 24 * 6
+    found = {(each.rating, each.metric): each for each in report.correlations(rows)}
+    assert set(found) == {("near", "path_length"), ("luck", "path_length")}  # a constant metric has none
+    for (rating, metric), each in found.items():
+        pairs = [(row["ratings"][rating], row["metrics"][metric]) for row in rows]
+        assert each.value == pytest.approx(scipy.stats.spearmanr(*zip(*pairs, strict=True)).statistic)
+        assert each.low < each.value < each.high and (each.pairs, each.participants) == (144, 24)
+    assert found["near", "path_length"].p < 0.001 and found["near", "path_length"].low > 0.4
+    assert found["luck", "path_length"].p > 0.05
+    for each in report.means(rows):
+        values = [row["ratings"][each.rating] for row in rows if row["trial"] == each.trial]
+        assert each.value == pytest.approx(np.mean(values)) and each.low <= each.value <= each.high
+    answers.close()
+    assert cli.main(["survey", "report", str(tmp_path)]) == 0
+    printed = capsys.readouterr().out
+    assert "2 correlations were computed" in " ".join(printed.split())
+    assert "after Holm's correction" in html.unescape((tmp_path / "report.html").read_text())
+    assert cli.main(["survey", "export", str(tmp_path)]) == 0
+    table = list(csv.DictReader((tmp_path / "tables" / "answers.csv").open()))
+    assert len(table) == 24 * 6 * 2 and {row["kind"] for row in table} == {"likert"}
+
+
+def test_participants_are_the_units_of_the_interval():
+    """Equal trials of a participant, many times, do not make the interval narrower."""
+    draw = np.random.default_rng(1)
+    rows = [{"participant": k, "trial": "one", "ratings": {"a": draw.normal()}, "metrics": {"b": draw.normal()}}
+            for k in range(20)]  # fmt: skip
+    (one,), (many,) = report.correlations(rows), report.correlations(rows * 9)
+    assert many.pairs == 9 * one.pairs and many.high - many.low == pytest.approx(one.high - one.low, rel=0.05)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_weighted_correlations_are_those_of_repeated_pairs(seed):
+    draw = np.random.default_rng(seed)
+    one, other = draw.integers(1, 8, 30).astype(float), draw.normal(size=30).round(1)
+    weights = draw.integers(0, 4, (5, 30))
+    for row, value in zip(weights, report.spearman(one, other, weights), strict=True):
+        expected = scipy.stats.spearmanr(np.repeat(one, row), np.repeat(other, row)).statistic
+        assert value == pytest.approx(expected, abs=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_holm(seed):
+    """Each corrected value against the definition, term by term."""
+    values = np.random.default_rng(seed).uniform(0, 0.2, 7)
+    corrected = report.holm(values.tolist())
+    for value, got in zip(values, corrected, strict=True):
+        smaller = sorted(values)[: 1 + sorted(values).index(value)]
+        assert got == pytest.approx(min(1.0, max((7 - k) * p for k, p in enumerate(smaller))))
+
+
+def test_choices_have_shares(served):
+    for each in report.preferences(served.answers):
+        assert each.policies == ("go_to_goal", "expert") and 0.0 <= each.low <= each.value <= each.high <= 1.0
+    rows = [row for row in export.trials(served.answers) if row["kind"] == "choose" and row["chosen"] != ""]
+    assert rows and all(a["chosen"] + b["chosen"] == 1 for a, b in zip(rows[::2], rows[1::2], strict=True))
+    step = {row["participant"]: served.study.steps(row["participant"] - 1)[row["place"] - 1] for row in rows}
+    values = {
+        row["participant"]: row["value"] for row in export.answers_table(served.answers) if row["question"] == "choice"
+    }
+    for first in rows[::2]:  # of the file's first episode, which is on the right if swapped
+        side = "B" if step[first["participant"]].swapped else "A"
+        assert first["chosen"] == (values[first["participant"]] == side)
+
+
+def test_a_study_without_ratings_has_no_report(tmp_path):
+    answers = Answers.begin(tmp_path, read(tmp_path))
+    with pytest.raises(InputError, match="has no ratings yet"):
+        report.run(answers, SurveyReportConfig(folder=tmp_path), Console(quiet=True))
+
+
+def test_formulas_of_participants_stay_text():
+    assert [export._guarded(value) for value in ("=1+1", "@x", "plain", -3, "")] == ["'=1+1", "'@x", "plain", -3, ""]
+
+
+# ------------------------------------------------------------------ the command
+
+
+def start(folder):
+    """`sean studio --survey` in a process of its own, and the links that it prints."""
+    words = [sys.executable, "-u", "-m", "sean_jax", "studio", "--survey", "study.yaml", "--out", "out"]
+    process = subprocess.Popen(words, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+                               env=os.environ)  # fmt: skip
+    links = []
+    for line in process.stdout:
+        if found := re.search(r"(participant \d+|researcher): (\S+)", line):
+            links.append(found.group(2))
+        if "researcher: " in line:
+            return process, links
+    raise AssertionError("it ended")
+
+
+@pytest.mark.slow
+def test_a_killed_study_loses_no_stored_answer(tmp_path):
+    """kill -9 while six participants answer and drive; the same links go on."""
+    read(tmp_path)
+    process, links = start(tmp_path)
+    sent = [{} for _ in range(6)]
+
+    async def go():
+        parts = [asyncio.ensure_future(take_part(links[k], np.random.default_rng(k), sent[k])) for k in range(6)]
+        while sum(map(len, sent)) < 40:
+            await asyncio.sleep(0.01)
+        process.send_signal(signal.SIGKILL)
+        await asyncio.gather(*parts, return_exceptions=True)
+
+    asyncio.run(go())
+    process.wait(10)
+    answers = Answers(tmp_path / "out" / FILE)
+    for number, values in enumerate(sent):
+        steps = {step for step, _ in values}
+        stored = {(step, name): value for step in steps for name, value in answers.answers_of(number, step).items()}
+        assert values.items() <= stored.items()
+    answers.close()
+    process, again = start(tmp_path)
+    assert again == links
+    assert asyncio.run(take_part(again[0], np.random.default_rng(9), {}))["kind"] == "end"
+    process.terminate()
+    process.communicate(timeout=60)
+    assert process.returncode == 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("scheme", "width"), [("light", "1100"), ("dark", "420")])
+def test_a_browser_goes_through_a_study(tmp_path, scheme, width):
+    """Watch, drive, choose, answer, reload; without serious findings of axe and without another address."""
+    if CHROMIUM is None or not (WEB / "node_modules" / "playwright-core").is_dir():
+        pytest.skip("there is no Chromium, or web/node_modules is not there")
+    read(tmp_path, STUDY.replace("time_limit: 3", "time_limit: 8"))
+    process, links = start(tmp_path)
+    try:
+        words = ["node", "test/survey.mjs", links[0], CHROMIUM, str(tmp_path), scheme, width]
+        done = subprocess.run(words, cwd=WEB, timeout=300, capture_output=True, text=True, check=False)
+    finally:
+        process.terminate()
+        process.communicate(timeout=120)
+    assert done.returncode == 0, done.stderr[-3000:]
+    seen = json.loads(done.stdout)
+    assert seen["errors"] == seen["findings"] == seen["wide"] == []
+    assert set(seen["hosts"]) == {links[0].split("/")[2]}
+    assert seen["steps"] == 5 and seen["kept"] == "33" and "no answer yet" in seen["missing"]
+    assert seen["outcomes"] == ["The time is over."] and seen["broken"] > 5
+    drives = Answers(tmp_path / "out" / FILE).drives()
+    assert [row["outcome"] for row in drives] == [BROKEN_OFF, "timed out"]
+
+
+def test_the_page_has_its_program():
+    assert (pages.PACKAGE / "survey" / "page.js").stat().st_size < 60_000
+    assert validate(StudioConfig, {"survey": "a.yaml", "out": "b"}).survey == Path("a.yaml")
