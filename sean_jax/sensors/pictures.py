@@ -202,8 +202,8 @@ def _beside(view: View, x: Array, y: Array) -> Array:
         return jnp.minimum(nearest, u * u + v * v + below * below), None
 
     far = jnp.full_like(x, 1e6)
-    people = jax.lax.scan(person, far, jax.lax.stop_gradient(view.people), unroll=4)[0]
-    boxes = jax.lax.scan(box, far, jax.lax.stop_gradient(view.boxes), unroll=4)[0]
+    people = jax.lax.scan(person, far, jax.lax.stop_gradient(view.people), unroll=16)[0]
+    boxes = jax.lax.scan(box, far, jax.lax.stop_gradient(view.boxes), unroll=16)[0]
     away = jnp.minimum(jnp.maximum(jnp.sqrt(people) - 0.6 * view.radius, 0.0), jnp.sqrt(boxes))
     return 1.0 - SHADOW * jnp.exp(-jax.lax.stop_gradient(away) / SHADOW_REACH)
 
