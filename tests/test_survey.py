@@ -581,16 +581,6 @@ def test_weighted_correlations_are_those_of_repeated_pairs(seed):
         assert value == pytest.approx(expected, abs=1e-9)
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_holm(seed):
-    """Each corrected value against the definition, term by term."""
-    values = np.random.default_rng(seed).uniform(0, 0.2, 7)
-    corrected = report.holm(values.tolist())
-    for value, got in zip(values, corrected, strict=True):
-        smaller = sorted(values)[: 1 + sorted(values).index(value)]
-        assert got == pytest.approx(min(1.0, max((7 - k) * p for k, p in enumerate(smaller))))
-
-
 def test_choices_have_shares(served):
     for each in report.preferences(served.answers):
         assert each.policies == ("go_to_goal", "expert") and 0.0 <= each.low <= each.value <= each.high <= 1.0

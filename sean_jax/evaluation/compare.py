@@ -33,6 +33,7 @@ UNDRAWN = ("policy", "dynamics", "robot", "metrics", "sensors", "situations", "t
 
 REPLAY = re.compile(r'<script type="application/json" id="replay">(.*?)</script>', re.S)
 OVERALL = "overall"
+LEVEL = 0.05  # of corrected p-values
 SYMBOLS = {"better": "✓ better", "worse": "✗ worse", "differs": "≠ differs", "": ""}
 LONGEST = 100  # characters of the page's default name
 WIDEST = 3.0  # standard deviations that a plot shows
@@ -195,9 +196,9 @@ def differences(runs: Sequence[SavedRun]) -> Views:
     views = {view: [_rows(runs[0], run, names, view) for run in runs[1:]] for view in (OVERALL, *situations)}
     for family in ((OVERALL,), [view for view in views if view != OVERALL]):
         rows = [row for view in family for each in views[view] for row in each]
-        clear = iter(holm([row.values.p for row in rows]))
+        corrected = iter(holm([row.values.p for row in rows]))
         for view in family:
-            views[view] = [[row._replace(clear=next(clear)) for row in each] for each in views[view]]
+            views[view] = [[row._replace(clear=next(corrected) <= LEVEL) for row in each] for each in views[view]]
     return views
 
 

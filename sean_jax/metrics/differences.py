@@ -88,19 +88,20 @@ def p_value(one: np.ndarray, other: np.ndarray, paired: bool) -> float:
     return min(max(p, fewest), 1.0)
 
 
-def holm(p: Sequence[float], level: float = 0.05) -> list[bool]:
-    """Whether each p-value is significant when the probability of any false one is at most ``level``; NaN is no test.
+def holm(p: Sequence[float]) -> list[float]:
+    """P-values that are corrected for their number; NaN is no test.
+
+    The probability of any false one below 0.05 is at most 5 %.
 
     Source: S. Holm, "A simple sequentially rejective multiple test procedure", Scandinavian Journal of Statistics 6
     (1979).
     """
     tests = sorted((value, k) for k, value in enumerate(p) if math.isfinite(value))
-    found = [False] * len(p)
+    largest, corrected = 0.0, [math.nan] * len(p)
     for rank, (value, k) in enumerate(tests):
-        if value > level / (len(tests) - rank):
-            break
-        found[k] = True
-    return found
+        largest = max(largest, min(1.0, (len(tests) - rank) * value))
+        corrected[k] = largest
+    return corrected
 
 
 def _is_share(one: np.ndarray, other: np.ndarray) -> bool:

@@ -25,6 +25,7 @@ from sean_jax.errors import InputError
 from sean_jax.evaluation.table import EPISODE_FIGURES, Figure, metric_figure
 from sean_jax.metrics import METRICS, aggregate, resamples
 from sean_jax.metrics.bootstrap import interval, of_share
+from sean_jax.metrics.differences import holm
 from sean_jax.survey import export
 from sean_jax.survey.answers import Answers
 
@@ -128,8 +129,7 @@ def correlations(rows: Sequence[dict[str, Any]]) -> list[Correlation]:
     Pairs with a constant rating or metric have none.
 
     Source: intervals and p-values: B. Efron, "Bootstrap methods", Annals of Statistics 7 (1979), with participants as
-    the units; the p-value is that of Fisher's z over its standard deviation in the resamples. S. Holm, "A simple
-    sequentially rejective multiple test procedure", Scandinavian Journal of Statistics 6 (1979).
+    the units; the p-value is that of Fisher's z over its standard deviation in the resamples.
     """
     ratings = list(dict.fromkeys(name for row in rows for name in row["ratings"]))
     names = list(dict.fromkeys(name for row in rows for name in row["metrics"]))
@@ -176,16 +176,6 @@ def _ranks(values: np.ndarray, weights: np.ndarray) -> np.ndarray:
     for k, g in enumerate(group):
         sizes[:, g] += weights[:, k]
     return (np.cumsum(sizes, 1) - (sizes - 1.0) / 2.0)[:, group]
-
-
-def holm(values: Sequence[float]) -> list[float]:
-    """P-values, corrected for their number."""
-    order = np.argsort(values)
-    count, largest, corrected = len(values), 0.0, [0.0] * len(values)
-    for k, index in enumerate(order):
-        largest = max(largest, min(1.0, (count - k) * values[index]))
-        corrected[index] = largest
-    return corrected
 
 
 def means(rows: Sequence[dict[str, Any]]) -> list[Mean]:
