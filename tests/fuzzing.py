@@ -21,7 +21,6 @@ import traceback
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 from xml.etree import ElementTree
 
@@ -119,7 +118,7 @@ def dataset(folder: Path) -> dict[str, bytes]:
     made = dataset.create_dataset(folder, manifest)
     for stream in (0, 1):
         rows = {name: np.zeros((2, 6, *shape), kind) for name, (shape, kind) in made.fields.items()}
-        made.commit(stream, SimpleNamespace(rows=rows, lengths=np.array([6, 4]), completed=np.array([True, False])))
+        made.commit(stream, dataset.EpisodeBatch(rows, np.array([6, 4]), np.array([True, False])))
     return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
