@@ -38,20 +38,20 @@ def test_pictures_are_those_of_the_frames(scenario, frames, tmp_path):
     """At 4 times the pace and 5 pictures a second every 8th frame of 0.1 s is shown, and the last."""
     scene = dataclasses.replace(scenario.environment, scenery=plain_scenery(scenario.environment.obstacles))
     grey = dataclasses.replace(scenario, environment=scene)
-    eye = sensors.camera(scenario, "overhead", width=64, height=48)  # 8 pixels to the metre, ahead is up
+    eye = sensors.camera(scenario, "overhead", width=256, height=192)  # 32 pixels to the metre, ahead is up
     drawing.video(frames, grey, tmp_path / "camera.gif", view=eye)
     spots = []
     with Image.open(tmp_path / "camera.gif") as gif:
-        assert gif.size == (64, 48) and gif.n_frames == 4  # pyright: ignore[reportAttributeAccessIssue]
+        assert gif.size == (256, 192) and gif.n_frames == 4  # pyright: ignore[reportAttributeAccessIssue]
         for index in range(4):
             gif.seek(index)
             assert gif.info["duration"] == (2000 if index == 3 else 200)
             image = np.asarray(gif.convert("RGB"), int)
-            spots.append(image.max(-1) - image.min(-1))  # all is grey but for the shirt
+            spots.append(image.max(-1) - image.min(-1))  # all is grey but for shirt and skin
     for spot, share in zip(spots, (0.0, 0.4, 0.8, 1.0), strict=True):
         rows, columns = np.nonzero(spot > 40)
-        assert np.mean(rows + 0.5) == pytest.approx(24 - 8 * (1 - share), abs=0.7)
-        assert np.mean(columns + 0.5) == pytest.approx(32 - 8 * share, abs=0.7)
+        assert np.mean(rows + 0.5) == pytest.approx(96 - 32 * (1 - share), abs=2.8)
+        assert np.mean(columns + 0.5) == pytest.approx(128 - 32 * share, abs=2.8)
 
 
 def test_depth_is_shown_in_colors():
