@@ -3,6 +3,7 @@
     python benchmarks/kernels.py                    # a step of the crowd alone, for an H200
     python benchmarks/kernels.py --part step        # the whole step
     python benchmarks/kernels.py --part gradient    # reverse mode of a control step of the crowd, by its constants
+    python benchmarks/kernels.py --part picture --batch 1024    # color pictures of 160 x 120 pixels
 
 XLA compiles for a described GPU. That needs JAX's CUDA plugin and NVIDIA's assembler, but no driver:
 `pip install jax-cuda12-plugin jax-cuda12-pjrt nvidia-cuda-nvcc-cu12`, in the version of jax. Kernels inside a loop
@@ -84,6 +85,9 @@ def program(part: str, batch: int, people: int, forces: str) -> tuple[Callable, 
     if part == "step":
         action = jnp.asarray((0.3, 0.1), float)
         return jax.vmap(lambda state: sean_jax.step(scenario, state, action)), (states,)
+    if part == "picture":
+        camera = sean_jax.sensors.camera(scenario, "first_person", width=160, height=120)
+        return jax.vmap(lambda state: sean_jax.sensors.render(scenario, state, camera).rgb), (states,)
     if part == "crowd":
         grid, step = scenario.environment.obstacle_grid, scenario.time_step / scenario.substeps
         move = lambda people: sean_jax.social_forces.integrate(scenario.forces, people, grid, None, None, step)  # noqa: E731
@@ -143,7 +147,7 @@ def counted(folder: str) -> dict[str, int]:
 def main() -> None:
     """Print the kernels."""
     arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    arguments.add_argument("--part", choices=("crowd", "step", "gradient"), default="crowd")
+    arguments.add_argument("--part", choices=("crowd", "step", "gradient", "picture"), default="crowd")
     arguments.add_argument("--batch", type=int, default=8192)
     arguments.add_argument("--people", type=int, default=62)
     arguments.add_argument("--forces", default="calibrated")

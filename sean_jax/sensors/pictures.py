@@ -7,6 +7,7 @@ is darker beside bodies that stand on it, and bodies are darker near the floor.
 """
 
 import dataclasses
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -61,9 +62,7 @@ def render(scenario: Scenario, state: State, camera: Camera) -> Picture:
     semantic, instance = (jnp.asarray(table)[number] for table in _labels(scenario, view, camera.sees_robot))
     body_color = _body_colors(scenario, view, camera.sees_robot)
     rgb = colors(scenario, state, view, bundle, number, distance, behind, body_color)
-    picture = jnp.zeros((*cosine.shape, 3), float)
-    for channel, part in enumerate(rgb):  # not jnp.stack: XLA would compute their common parts once for each
-        picture = picture.at[..., channel].set(by_rows(bundle, part))
+    picture = jax.lax.platform_dependent(rgb, cpu=partial(_one_by_one, bundle), default=partial(_at_once, bundle))
     image = by_rows(bundle, distance) * jnp.asarray(cosine, float)
     in_range = (image >= camera.near) & (image <= camera.far)
     return Picture(
@@ -72,6 +71,19 @@ def render(scenario: Scenario, state: State, camera: Camera) -> Picture:
         semantic=by_rows(bundle, semantic),
         instance=by_rows(bundle, instance),
     )
+
+
+# XLA computes the common parts of the channels once for each, unless one is written after the other on a CPU, or all
+# are written before they are put together on a GPU.
+def _one_by_one(bundle: Rays, rgb: Color) -> Array:
+    picture = jnp.zeros((*bundle.shape, 3), float)
+    for channel, part in enumerate(rgb):
+        picture = picture.at[..., channel].set(by_rows(bundle, part))
+    return picture
+
+
+def _at_once(bundle: Rays, rgb: Color) -> Array:
+    return jnp.stack([by_rows(bundle, part) for part in jax.lax.optimization_barrier(rgb)], -1)
 
 
 def _counts(solids: Solids) -> tuple[int, int, int]:
@@ -183,11 +195,11 @@ def colors(
 def _beside_bodies(view: View, bundle: Rays, x: Array, y: Array) -> Array:
     """Share of the light that reaches places of the floor, which is less beside bodies; 1 for rays that rise."""
     falls = np.flatnonzero((bundle.direction[2] < 0.0).any(1))  # tiles
-    if len(falls) < len(x):
-        if not len(falls):
-            return jnp.ones_like(x)
-        return jnp.ones_like(x).at[falls].set(_beside(view, x[falls], y[falls]))
-    return _beside(view, x, y)
+    if not len(falls):
+        return jnp.ones_like(x)
+    first, last = falls[0], falls[-1] + 1
+    light = _beside(view, x[first:last], y[first:last])
+    return jnp.pad(light, ((first, len(x) - last), (0, 0)), constant_values=1.0)
 
 
 def _beside(view: View, x: Array, y: Array) -> Array:
