@@ -354,12 +354,13 @@ kernel._call = partial(kernel._call, interpret=True)
 random = np.random.default_rng(4)
 ways = np.stack(np.broadcast_arrays(1.0, np.linspace(-0.5, 0.5, 8)[None], np.linspace(0.4, -0.4, 8)[:, None]), -1)
 rays = raycast.bundle(ways, (8, 4), 50.0, low=True)
-def image(solids, people):
+def view_of(solids, people):
     place, way = jnp.zeros(2, jnp.float32), jnp.asarray([1.0, 0.0], jnp.float32)
     present = jnp.ones(5, bool)
     sensor = jnp.asarray([0.0, 0.0, 0.5], jnp.float32)
-    view = raycast.make_view(solids, people, present, jnp.float32(RADIUS), place, way, sensor)
-    return intersect._in_a_kernel(rays, True, view)
+    return raycast.make_view(solids, people, present, jnp.float32(RADIUS), place, way, sensor)
+def image(solids, people):
+    return intersect._in_a_kernel(rays, 4, view_of(solids, people))
 over, solids = devices.mesh(), cluttered(random)
 people = jnp.asarray(random.uniform(1.0, 5.0, (4, 5, 2)), jnp.float32)
 compiled = devices.shard_jit(over, image).lower(devices.replicate(over, solids), (people,)).compile()
@@ -368,7 +369,11 @@ halves = jax.device_put(people, jax.sharding.NamedSharding(over, jax.sharding.Pa
 found = compiled(devices.replicate(over, solids), (halves,))
 assert [part.data.shape[0] for part in found[0].addressable_shards] == [2, 2]
 alone = jax.jit(jax.vmap(image, (None, 0)))(solids, people)
-assert np.allclose(found[0], alone[0], rtol=2e-6, atol=0) and np.array_equal(found[1], alone[1])
+loops = lambda people: intersect._first_of_all(rays, view_of(solids, people), True)
+loops = jax.jit(jax.vmap(loops))(people)
+for k in range(4):
+    assert np.allclose(found[k], alone[k], rtol=2e-6, atol=0) and np.allclose(found[k], loops[k], rtol=1e-5, atol=0), k
+assert np.any(found[1] != found[3])
 """
 
 
