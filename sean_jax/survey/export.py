@@ -28,8 +28,8 @@ def participants(answers: Answers) -> list[Row]:
 def trials(answers: Answers) -> list[Row]:
     """A row for each episode of a trial that a participant has watched or driven, with its metrics.
 
-    A trial with a choice has two rows, of which one is ``chosen``. ``drive`` counts the drives of a trial; those that
-    were broken off have no metrics.
+    A trial with a choice has two rows, of which one is ``chosen``. ``drive`` counts the drives of a trial; a drive
+    that was broken off has no metrics.
     """
     study, episodes, rows = answers.study, answers.episodes(), list[Row]()
     values = {(each["participant"], each["step"], each["question"]): each["value"] for each in answers.all_answers()}
