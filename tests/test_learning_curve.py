@@ -183,7 +183,7 @@ def test_columns_of_figure_4_are_folders_of_other_trainings(tmp_path, monkeypatc
     assert figure4.baselines(options) == ["runs/dagger", "runs/apg"]
     description = figure4.collection(options, "graph", options.hours)
     places = dict.fromkeys(BEHAVIORS, list(figure4.streams(description).values()))
-    jobs = {part.name: part.work for part in figure4._parts(options, Workspace(options.folder, {}), places)}
+    jobs = {part.name: part.work for part in figure4._parts(options, Workspace(options.folder, {}), places, {})}
     options.folder.mkdir()
     for name in figure4.baselines(options):
         check_policy(name, description, "--baselines")
