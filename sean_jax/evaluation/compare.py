@@ -130,8 +130,8 @@ def read(folder: Path, name: str = "") -> SavedRun:
     config = validate(RunConfig, content.description)
     description = components.relocate(saved.rename(config.identity(), content.identities), content.identities)
     tasks, columns = saved.read_episodes(folder / "episodes.csv")
-    if len(tasks) > config.episodes * (len(config.team) or 1):
-        what = f"has {len(tasks):,} rows and config.yaml {config.episodes:,} episodes"
+    if len(tasks) > config.episodes:
+        what = f"has {len(tasks):,} episodes and config.yaml {config.episodes:,}"
         raise InputError(f"{folder / 'episodes.csv'}: {what}; restore the files.")
     columns.pop("timed_out", None)
     figures = _own_figures(folder / "summary.json")
