@@ -817,7 +817,7 @@ def test_a_browser_edits_the_files(tmp_path, behavior):
     lines = {name: [line for line in new[name] if line not in old[name]] for name in new}
     if behavior == "graph":
         assert re.match(r"graph.yaml:\d+:\d+: nodes.door.position: .* is inside an obstacle", seen["note"])
-        assert seen["red"] == [True, False] and 0.0 < seen["scale"] < 6.4 / 20 / 1.9
+        assert not seen["far"] and 0.0 < seen["scale"] < 6.4 / 20 / 1.9
         assert lines["handcrafted.yaml"] == [] and [len(lines[name]) for name in ("graph.yaml", "scene.xml")] == [5, 1]
         text = "\n".join(lines["graph.yaml"])
         for part in ("position: [-2.5, -0.5], radius: 1,", "flow: high", "[corner, east]", "[east, meeting]"):

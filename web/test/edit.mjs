@@ -57,15 +57,11 @@ const click = async (x, y) => {
   await page.mouse.click(...at(x, y));
 };
 await measure();
-const pixels = (x, y, color) =>
-  page.evaluate(
-    ([x, y, color]) => {
-      const plan = document.querySelector(".replay-plan");
-      const [r, g, b] = plan.getContext("2d").getImageData(x * devicePixelRatio, y * devicePixelRatio, 1, 1).data;
-      return color === "red" ? r > g + 40 && r > b + 40 : false;
-    },
-    [x, y, color],
-  );
+const red = ([x, y]) => {
+  const plan = document.querySelector(".replay-plan");
+  const [r, g, b] = plan.getContext("2d").getImageData(x * devicePixelRatio, y * devicePixelRatio, 1, 1).data;
+  return r > g + 40 && r > b + 40;
+};
 seen.sets = await page.getByRole("button", { name: "sets", exact: true }).count();
 
 if (seen.sets) {
@@ -149,9 +145,9 @@ if (seen.sets) {
   await press("backdrop");
   await page.getByLabel("picture").setInputFiles(picture);
   await page.getByText("40 × 20").waitFor();
-  await page.waitForTimeout(200);
-  const far = [box.width / 2 + 3.9 * scale, 12];
-  seen.red = [await pixels(box.width / 2, box.height / 2, "red"), await pixels(...far, "red")];
+  await measure();
+  await page.waitForFunction(red, [box.width / 2, box.height / 2], LONG); // a person may stand on it for a while
+  seen.far = await page.evaluate(red, [box.width / 2 + 3.9 * scale, 12]);
   await press("two points");
   await click(-2, 0);
   await click(-1, 0);
