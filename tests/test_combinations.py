@@ -21,6 +21,7 @@ from sean_jax.assembly import with_task
 from sean_jax.behaviors import BEHAVIORS
 from sean_jax.environment import clearance
 from sean_jax.robots import ROBOTS
+from sean_jax.robots.drive import command_size
 from sean_jax.scenario import reset
 from sean_jax.tasks import TASKS
 
@@ -94,7 +95,7 @@ def after_two_steps(made: list):
             return jax.lax.switch(turn, [functools.partial(each, scenario) for each in tasks], *others)
 
         scenario = dataclasses.replace(scenario, task=task)
-        drive = jnp.asarray([0.2, 0.1], jnp.float32)
+        drive = jnp.asarray([0.2, 0.1, 0.1][: command_size(scenario.robot)], jnp.float32)
         state = reset(scenario, key)
         return state, jax.lax.fori_loop(0, 2, lambda _, state: sean_jax.step(scenario, state, drive), state)
 

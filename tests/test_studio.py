@@ -24,11 +24,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from sean_jax import assembly, learning, pages
+from sean_jax import assembly, learning, pages, web
 from sean_jax.config import StudioConfig, validate
 from sean_jax.errors import FileError, InputError
 from sean_jax.learning import Recorder
-from sean_jax.studio import server, trial, web
+from sean_jax.studio import server, trial
 from sean_jax.studio.server import Studio
 from sean_jax.studio.session import DEAD_MAN, Choice, Session
 

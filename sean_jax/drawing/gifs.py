@@ -171,6 +171,9 @@ class _Scene:
         self.people, self.group, self.present = pixels(frames.people), frames.group, np.asarray(frames.present, bool)
         self.heading_ends = self.people + flip * frames.people_heading * (1.9 * layers.PERSON_RADIUS * self.metre)
         self.path, self.heading, self.goal = pixels(frames.position), flip * frames.heading, pixels(frames.goal[-1])
+        robots = np.zeros((len(self.path), 0, 4)) if frames.robots is None else np.asarray(frames.robots)
+        self.others = pixels(robots[..., :2]).swapaxes(0, 1)  # other robots of a team
+        self.noses = self.others + flip * robots[..., 2:].swapaxes(0, 1) * (2.2 * self.radius)
         self.shades = layers.step_colors(frames, situations)
         self.flags = np.asarray(frames.situations, bool)
         self.names, self.name_colors = situations, colors.situation_colors(situations)
@@ -206,6 +209,10 @@ class _Scene:
             ahead = (end - place) / max(float(np.hypot(*(end - place))), 1e-9)
             outline = place + layers.PERSON_RADIUS * metre * (self.body @ np.stack([ahead, (-ahead[1], ahead[0])]))
             draw.polygon([tuple(corner) for corner in outline], fill=face, outline=colors.PERSON_EDGE, width=line)
+        for path, ends in zip(self.others, self.noses, strict=True):
+            disc(path[t], layers.HALO * metre, outline=colors.ROBOT, width=line)
+            disc(path[t], self.radius, fill=colors.ROBOT, outline=colors.ROBOT_EDGE, width=line)
+            draw.line([*path[t], *ends[t]], fill=colors.ROBOT_EDGE, width=line)
         disc(self.path[t], layers.HALO * metre, outline=colors.ROBOT, width=line)
         disc(self.path[t], self.radius, fill=colors.ROBOT, outline=colors.ROBOT_EDGE, width=line)
         nose = self.path[t] + self.heading[t] * 2.2 * self.radius

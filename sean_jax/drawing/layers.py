@@ -248,11 +248,18 @@ def draw_robot(axes: Axes, frames: Trajectory, situations: Sequence[str], radius
     )
     axes.add_patch(Circle(path[0], 0.42, facecolor=colors.PAPER, edgecolor=colors.ROBOT, linewidth=1.8, zorder=10))
     goal = (float(frames.goal[-1][0]), float(frames.goal[-1][1]))
-    for radius, face in ((0.75, "none"), (0.28, colors.ROBOT)):
-        axes.add_patch(Circle(goal, radius, facecolor=face, edgecolor=colors.ROBOT, linewidth=1.8, zorder=10))
+    for ring, face in ((0.75, "none"), (0.28, colors.ROBOT)):
+        axes.add_patch(Circle(goal, ring, facecolor=face, edgecolor=colors.ROBOT, linewidth=1.8, zorder=10))
     here = (float(path[-1][0]), float(path[-1][1]))
     axes.add_patch(Circle(here, HALO, facecolor=colors.ROBOT, edgecolor="none", alpha=0.35, zorder=11))
     axes.add_patch(Circle(here, radius, facecolor=colors.ROBOT, edgecolor=colors.ROBOT_EDGE, linewidth=1.0, zorder=11))
+    for other in [] if frames.robots is None else np.asarray(frames.robots).swapaxes(0, 1):  # of a team
+        axes.plot(*other[:, :2].T, color=colors.ROBOT, linewidth=1.4, linestyle="--", zorder=8)
+        last = (float(other[-1, 0]), float(other[-1, 1]))
+        body: Any = dict(facecolor=colors.ROBOT, edgecolor=colors.ROBOT_EDGE, linewidth=1.0, zorder=11)
+        axes.add_patch(Circle(last, radius, **body))
+        axes.plot(*zip(last, other[-1, :2] + 2.2 * radius * other[-1, 2:], strict=True), color=colors.ROBOT_EDGE,
+                  linewidth=1.4, zorder=12)  # fmt: skip
     nose = path[-1] + 2.2 * radius * frames.heading[-1]
     axes.plot(*zip(path[-1], nose, strict=True), color=colors.ROBOT_EDGE, linewidth=1.4, zorder=12)
 

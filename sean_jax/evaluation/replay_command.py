@@ -61,21 +61,18 @@ def write(options: ReplayConfig, console: Console) -> Path:
     folder, numbers = options.folder, list(dict.fromkeys(options.episodes))
     if options.only is not None:
         raise InputError(f"only: {folder} holds no tests of `sean validate`; name episodes with --episodes.")
-    readers = {"config.yaml": _of_run, MANIFEST: _of_dataset, CONFIG: _of_training}
-    file = next((name for name in readers if (folder / name).is_file()), None)
-    if file is None:
-        raise InputError(f"{folder}: holds no {', '.join(readers)}; {CURE}")
     path = options.out or folder / "replay.html"
+    check_source(folder)
     writing.check_file(path, (".html",))
     with console.status("preparing the scenario"):
-        source = readers[file](folder, numbers)
+        source = read_source(folder, numbers)
     for sentence in source.changes:
         console.print(Text(sentence), soft_wrap=True)
     shown: dict[int, list[replay.Episode]] = {}  # by floor
     first = source.floors[0]
     scenario, several = first.member, len(source.floors)
     record = batches.record(first, 1)
-    record = record if source.ends is None else _until_terminated(record, source.ends)
+    record = record if source.ends is None else until_terminated(record, source.ends)
     runner = Runner(source.floors, source.policy, 1, source.use, record)
     with progress(console) as bar:
         runner.compile(Callbacks(compiling=bar.stage))
@@ -106,6 +103,23 @@ def write(options: ReplayConfig, console: Console) -> Path:
     return path
 
 
+def check_source(folder: Path) -> str:
+    """The file by which the episodes of a folder are simulated again; InputError if there is none."""
+    file = next((name for name in READERS if (folder / name).is_file()), None)
+    if file is None:
+        raise InputError(f"{folder}: holds no {', '.join(READERS)}; {CURE}")
+    return file
+
+
+def read_source(folder: Path, numbers: list[int]) -> Source:
+    """The episodes of a folder, of which those numbers are wanted.
+
+    Raises:
+        InputError: the folder has no episodes, or none of that number.
+    """
+    return READERS[check_source(folder)](folder, numbers)
+
+
 def _check(numbers: list[int], count: int, folder: Path) -> None:
     for number in numbers:
         if number >= count:
@@ -121,6 +135,8 @@ def _of_run(folder: Path, numbers: list[int]) -> Source:
     before = saved.read_config(path)
     config = validate(RunConfig, before.description, source=path)
     _check(numbers, config.episodes, folder)
+    if config.team:
+        raise InputError(f"{folder}: has a team of robots, which is not replayed; report.html plays its first episode.")
     stacks = assembly.build_floors(config, config.episodes)
     floors, count = stacks[0], len(stacks)
     policy, content = load_policy(config.policy, floors.member), floors if floors.size > 1 else floors.member
@@ -256,7 +272,7 @@ def _of_imitation(folder: Path) -> Source:
     )
 
 
-def _until_terminated(record: Record, ends: Callable) -> Record:
+def until_terminated(record: Record, ends: Callable) -> Record:
     """A record whose frames are active until a termination of the training ends the episode."""
 
     def init(floors: Stack[Scenario], states: State) -> tuple[Any, Array]:
@@ -272,3 +288,11 @@ def _until_terminated(record: Record, ends: Callable) -> Record:
         return (inner, done | jnp.stack(ended).any(0)), frames
 
     return Record(init, update)
+
+
+READERS: dict[str, Callable[[Path, list[int]], Source]] = {
+    "config.yaml": _of_run,
+    MANIFEST: _of_dataset,
+    CONFIG: _of_training,
+}
+"""File of a folder -> the reader of its episodes."""

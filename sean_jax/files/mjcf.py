@@ -123,7 +123,7 @@ class _Scan:
     def element(self, name: str, attributes: dict[str, str], times: int) -> int:
         """Check an element; returns the number of copies of its content. Raises _ElementError."""
         if name == "robot":
-            raise _ElementError("is URDF and not MJCF; write it as MJCF, as envs/robots/kuri.xml is")
+            raise _ElementError("is URDF and not MJCF; sean import-robot makes a robot file of it")
         if name in REFUSED:
             raise _ElementError(f"<{name}> has no place in a scene or a robot; write its bodies and geoms instead")
         for key, value in attributes.items():

@@ -30,8 +30,8 @@ def load(robot: str | Path, dynamics: str = "twin") -> RobotModel:
             inertia.
 
     Raises:
-        InputError: the name, the dynamics or the file does not exist, or the file does not describe a planar
-            differential-drive base with all of its limits.
+        InputError: the name, the dynamics or the file does not exist, or the file does not describe a planar base of
+            its drive with all of its limits.
     """
     path = find(robot, dynamics)
     model, fields, mass = description.read(path)
@@ -75,6 +75,9 @@ def alike(models: Sequence[RobotModel]) -> list[RobotModel]:
         if model.time_step != first.time_step:
             steps = f"{first.time_step:g} and {model.time_step:g} s"
             raise InputError(f"{both} have physics steps of {steps}; robots of one program need the same.")
+        if model.drive_type != first.drive_type:
+            kinds = f"{first.drive_type} and {model.drive_type}"
+            raise InputError(f"{both} are {kinds}; robots of one program need the same drive.")
         if (model.place, model.drive) != (first.place, first.drive):
             raise InputError(f"{both} move by different functions; robots of one program need the same.")
     if any(jax.tree.leaves(model.data) for model in models):
