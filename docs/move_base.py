@@ -14,7 +14,7 @@ from sean_jax.policies import costmap
 from sean_jax.policies.social_costmap import apply, init, sean2_params
 
 PICTURE = Path(__file__).resolve().parent / "pictures" / "move_base-fixed-point.png"
-PLACE, GOAL = (9.315, 5.453), (11.90, -14.50)
+PLACE, GOAL = (9.315, 5.453), (-11.90, -14.50)
 HEADINGS = np.array([-1, -2, -3, -4, 6]) * np.pi / 8
 SPAN = 0.75  # m, to each side of the robot
 COLORS = ["#ffffff", "#f2b27a", "#5b6470"]  # free, 253, 254
@@ -52,8 +52,8 @@ for axis, heading, (speed, rate) in zip(axes, HEADINGS, commands, strict=True):
     axis.annotate("", np.array(PLACE) + ahead, PLACE, arrowprops={"arrowstyle": "->", "color": "#224466", "lw": 1.5})
     to_goal = np.array(GOAL) - PLACE
     tip = np.array(PLACE) + 0.62 * to_goal / np.hypot(*to_goal)
-    axis.plot(*np.stack([PLACE, tip]).T, ":", color="#228833")
-    axis.text(tip[0] + 0.04, tip[1], "to the goal", color="#228833", fontsize=8)
+    axis.plot(*np.stack([PLACE, tip]).T, ":", color="#44bb55", linewidth=1.8)
+    axis.text(tip[0] + 0.04, tip[1], "to the goal", color="#ffffff", fontsize=8)
     stands = not np.any(np.abs([speed, rate]) > 1e-6)
     axis.set_title(f"heading {heading:+.2f}\n" + ("(0, 0): stands" if stands else f"({speed:.2f}, {rate:.2f})"),
                    color="#bb2233" if stands else "black")  # fmt: skip

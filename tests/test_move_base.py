@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 import importlib
+import itertools
 import json
 import math
 import os
@@ -16,10 +17,12 @@ import jax.numpy as jnp
 import numpy as np
 import programs
 import pytest
+import scipy.sparse.csgraph
 import scipy.stats
 
 import sean_jax
-from sean_jax import robots
+from sean_jax import robots, sensors
+from sean_jax.base import State
 from sean_jax.policies import costmap, trajectory_planner
 from sean_jax.policies.costmap import UNREACHED, WINDOW, CostmapParams, Window
 from sean_jax.policies.social_costmap import (
@@ -84,15 +87,16 @@ def test_potentials_are_the_fixed_point_of_the_quadratic_rule():
     cost = np.where(costs >= 252, np.inf, np.minimum(50 + 3 * costs, 252))
     wave = np.full(costs.shape, np.inf)
     wave[3, 4] = 0.0
-    for _ in range(200):
-        for i, j in np.ndindex(costs.shape):
-            if np.isfinite(cost[i, j]):
-                padded = np.pad(wave, 1, constant_values=np.inf)[i : i + 3, j : j + 3]
-                one, other = min(padded[0, 1], padded[2, 1]), min(padded[1, 0], padded[1, 2])
-                low, high = min(one, other), max(one, other)
-                share = (high - low) / cost[i, j] if np.isfinite(high) else np.inf
-                part = 1.0 if share >= 1 else -0.2301 * share**2 + 0.5307 * share + 0.7040
-                wave[i, j] = min(wave[i, j], low + cost[i, j] * part)
+    padded, before = np.pad(wave, 1, constant_values=np.inf), None
+    wave = padded[1:-1, 1:-1]
+    while before is None or (before != wave).any():
+        before = wave.copy()
+        for i, j in np.argwhere(np.isfinite(cost)):
+            one, other = min(padded[i, j + 1], padded[i + 2, j + 1]), min(padded[i + 1, j], padded[i + 1, j + 2])
+            low, high = min(one, other), max(one, other)
+            share = (high - low) / cost[i, j] if np.isfinite(high) else np.inf
+            part = 1.0 if share >= 1 else -0.2301 * share**2 + 0.5307 * share + 0.7040
+            wave[i, j] = min(wave[i, j], low + cost[i, j] * part)
     start = jnp.full(costs.shape, UNREACHED).at[3, 4].set(0.0)
     mine = np.asarray(jax.jit(lambda: costmap.potentials(start, costmap.resistance(jnp.asarray(costs, float))))())
     reached = np.isfinite(wave)
@@ -102,6 +106,8 @@ def test_potentials_are_the_fixed_point_of_the_quadratic_rule():
 
 def bresenham(di, dj, most):
     """Offsets of the cells of a line by an accumulated error, up to a length [cells]."""
+    if not (di or dj):
+        return {(0, 0)}
     long, short = max(abs(di), abs(dj)), min(abs(di), abs(dj))
     end = int(min(1.0, most / math.hypot(di, dj)) * long)
     error, across, cells = long // 2, 0, []
@@ -125,28 +131,161 @@ def test_rays_clear_the_cells_of_bresenhams_lines():
         assert set(zip(a.tolist(), b.tolist(), strict=True)) == bresenham(di, dj, 30), (di, dj)
 
 
+def marks_after(distance, pose, origin, marks, lidar, offset, radius):
+    """The least and the most marks after a scan, ray by ray, in a window with a corner at ``origin`` [m].
+
+    A hit or a corner of the footprint within 0.1 mm of a cell's edge may count for either cell.
+    """
+    x, y, yaw = pose
+    turn = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
+    eye = np.array([x, y]) + turn @ offset
+    cleared, marked, own = np.zeros((3, 2, WINDOW, WINDOW), bool)  # for sure, and perhaps
+
+    def cells(place):
+        return [
+            tuple(np.floor((place - origin) / 0.1 + shift).astype(int))
+            for shift in itertools.product((-1e-3, 1e-3), repeat=2)
+        ]
+
+    def add(grid, each):
+        for choice, cells in enumerate((set.intersection(*each), set.union(*each))):
+            for cell in cells:
+                grid[choice][cell] = True
+
+    for k, far in enumerate(distance):
+        if far >= lidar.far:
+            continue  # a miss
+        angle = lidar.first + lidar.span * k / lidar.count
+        ends = cells(eye + far * turn @ (np.cos(angle), np.sin(angle)))
+        (first,) = set(cells(eye))
+        add(
+            cleared,
+            [
+                {(first[0] + i, first[1] + j) for i, j in bresenham(end[0] - first[0], end[1] - first[1], 30)}
+                for end in set(ends)
+            ],
+        )
+        if far < 2.5:
+            add(marked, [{end} for end in ends])
+    for angle in yaw + 2 * np.pi / 16 * np.arange(16):
+        add(own, [{cell} for cell in cells(np.array([x, y]) + radius * np.array([np.cos(angle), np.sin(angle)]))])
+    middles = origin[:, None] + 0.1 * (np.arange(WINDOW) + 0.5)
+    own |= np.hypot(middles[0][:, None] - x, middles[1] - y) <= radius
+    return ((marks & ~cleared[1]) | marked[0]) & ~own[1], ((marks & ~cleared[0]) | marked[1]) & ~own[0]
+
+
+def test_marks_are_cleared_by_rays_that_hit_something_alone(scenario, monkeypatch):
+    """Random marks, poses and scans; misses, and hits beyond the window."""
+    random, lidar = np.random.default_rng(7), sensors.lidar(scenario)
+    offset = next(np.array(mount.origin[:2], float) for mount in scenario.robot.mounts if mount.name == lidar.name)
+
+    @jax.jit
+    def run(x, y, yaw, corner, marks, distance):
+        monkeypatch.setattr(sensors, "scan", lambda *_: distance)
+        state = object.__new__(State)  # its robot is all that matters
+        robot = scenario.robot.place(scenario.robot, jnp.stack([x, y]), jnp.stack([jnp.cos(yaw), jnp.sin(yaw)]))
+        object.__setattr__(state, "robot", robot)
+        window = Window(jnp.zeros(2, jnp.int32), corner, jnp.asarray(0.1))
+        return costmap.update_marks(scenario, state, window, marks)
+
+    either = 0
+    for _ in range(12):
+        pose, marks = random.uniform(-3, 3, 3), random.random((WINDOW, WINDOW)) < 0.3
+        corner = pose[:2] - 3.2 - random.uniform(0.0, 0.1, 2)
+        distance = random.uniform(0.3, lidar.far, lidar.count)
+        distance[random.random(lidar.count) < random.random()] = lidar.far
+        pose, corner, distance = (np.asarray(part, np.float32) for part in (pose, corner, distance))
+        mine = np.asarray(run(*pose, corner, marks, distance))
+        known = marks, lidar, offset, float(scenario.robot.radius)
+        least, most = marks_after(*(part.astype(float) for part in (distance, pose, corner)), *known)
+        assert (mine >= least).all() and (mine <= most).all(), pose
+        either += (least != most).sum()
+    assert either < 250, either
+
+
+def least_costs(cost, place):
+    """Dijkstra's least costs from a place: a step to one of eight neighbors costs its length by the mean of its cells.
+
+    Diagonal steps pass between free cells alone.
+    """
+    node, rows = np.arange(cost.size).reshape(cost.shape), []
+    ends = slice(None, -1), slice(1, None)
+    straight = [((slice(None), ends[0]), (slice(None), ends[1])), ((ends[0], slice(None)), (ends[1], slice(None)))]
+    four = [(a, b) for a in ends for b in ends]
+    beside = np.max([cost[corner] for corner in four], 0)
+    for one, other, length in [
+        *((*pair, 1.0) for pair in straight),
+        (four[0], four[3], 2**0.5),
+        (four[1], four[2], 2**0.5),
+    ]:
+        both = np.isfinite(cost[one] + cost[other] + (beside if length > 1 else 0.0))
+        rows.append((node[one][both], node[other][both], length * (cost[one] + cost[other])[both] / 2))
+    i, j, weight = map(np.concatenate, zip(*rows, strict=True))
+    graph = scipy.sparse.csr_array((weight, (i, j)), (cost.size, cost.size))
+    return scipy.sparse.csgraph.dijkstra(graph, directed=False, indices=node[place]).reshape(cost.shape)
+
+
+def test_plans_cost_as_much_as_shortest_paths():
+    """Plans among random obstacles and people, and their potentials, against Dijkstra's least costs."""
+    random, ratios, errors, detours = np.random.default_rng(8), [], [], []
+    params = dataclasses.replace(CostmapParams(), inflation=jnp.asarray(0.3), covariance=jnp.asarray(0.25))
+
+    @jax.jit
+    def run(costs, places):
+        cost = costmap.resistance(costs)
+        potential = costmap.potentials(jnp.full(costs.shape, UNREACHED).at[32, 32].set(0.0), cost)
+        return *jax.vmap(lambda place: costmap.descend(potential, place[0], place[1], 400))(places), potential
+
+    for number in range(8):
+        lethal = random.random((WINDOW, WINDOW)) < 0.01 * number
+        lethal[[0, -1]] = lethal[:, [0, -1]] = True
+        lethal[30:35, 30:35] = False
+        costs = np.asarray(costmap.inflate(params, jnp.asarray(0.16), jnp.asarray(0.1), jnp.asarray(lethal)))
+        middles = 0.1 * np.indices(costs.shape)
+        for place in random.uniform(0.5, 5.9, (4, 2)):
+            gap = middles - place[:, None, None]
+            costs = np.maximum(costs, np.floor(77 * np.exp(-(gap**2).sum(0) / 0.5)))
+        costs[32, 32] = 0
+        free, cost = costs < 252, np.where(costs < 252, np.minimum(50 + 3 * costs, 252), np.inf)
+        least = least_costs(cost, (32, 32))
+        places = random.permutation(np.argwhere(np.isfinite(least) & (least > 500)))[:60]
+        x, y, potential = map(np.asarray, run(jnp.asarray(costs, float), jnp.asarray(places, float)))
+        cells = np.round(x).astype(int), np.round(y).astype(int)
+        assert free[cells].all() and (cells[0][:, -1] == 32).all() and (cells[1][:, -1] == 32).all(), number
+        gaps, priced = np.hypot(np.diff(x), np.diff(y)), cost[cells]
+        mine = (gaps * (priced[:, 1:] + priced[:, :-1]) / 2).sum(1)
+        there = tuple(places.T)
+        ratios.append(mine / least[there])
+        errors.append(potential[there] / least[there])
+        detours.append(least[there] / 50 / np.hypot(*(places.T - 32)))
+    ratios, errors, detours = map(np.concatenate, (ratios, errors, detours))
+    assert ratios.min() > 0.88 and ratios.mean() < 1.08 and np.quantile(ratios, 0.99) < 1.3, ratios
+    assert errors.min() > 0.88 and errors.mean() < 1.15 and np.quantile(errors, 0.99) < 1.4, errors
+    assert detours.max() > 2.0, "no obstacles are in the way"
+
+
 # --- the local planner, as a loop ---
 
 
-def score(cost, path, goal, robot, command, weights, model):
-    """Score and result of a trajectory at 25 points up to the last point of ROS's own."""
-    x, y, yaw, speed, rate = robot
-    count = max(int(max(abs(command[0]) * 2 / 0.025, abs(command[1]) / 0.01) + 0.5), 1)
-    step, highest = (2.0 - 2.0 / count) / 24, 0.0
+def score(cost, path, goal, robot, commands, weights, model):
+    """Scores and results of trajectories at 25 points up to the last point of ROS's own."""
+    speeds, rates = np.asarray(commands, float)
+    x, y, yaw, speed, rate = (np.full(len(speeds), part) for part in robot)
+    count = np.maximum((np.maximum(abs(speeds) * 2 / 0.025, abs(rates) / 0.01) + 0.5).astype(int), 1)
+    step, highest, result = (2.0 - 2.0 / count) / 24, np.zeros(len(speeds)), np.zeros(len(speeds), int)
     for _ in range(25):
-        angles = yaw + 2 * np.pi / 16 * np.arange(16)
-        corners = zip(x + model.radius * np.cos(angles), y + model.radius * np.sin(angles), strict=True)
-        edge = max(cost[int(a / 0.1), int(b / 0.1)] for a, b in corners)
-        here = int(x / 0.1), int(y / 0.1)
-        if edge >= 254:
-            return np.inf, 1
-        if path[here] >= UNREACHED or goal[here] >= UNREACHED:
-            return np.inf, 2
-        highest = max(highest, edge, cost[here])
+        angles = yaw[:, None] + 2 * np.pi / 16 * np.arange(16)
+        corners = x[:, None] + model.radius * np.cos(angles), y[:, None] + model.radius * np.sin(angles)
+        edge = cost[tuple((part / 0.1).astype(int) for part in corners)].max(1)
+        here = (x / 0.1).astype(int), (y / 0.1).astype(int)
+        closed = (path[here] >= UNREACHED) | (goal[here] >= UNREACHED)
+        result = np.where(result > 0, result, np.where(edge >= 254, 1, np.where(closed, 2, 0)))
+        highest = np.maximum(highest, np.maximum(edge, cost[here]))
         up, turn = model.max_acceleration * step, model.max_turn_acceleration * step
-        speed, rate = np.clip(command[0], speed - up, speed + up), np.clip(command[1], rate - turn, rate + turn)
+        speed, rate = np.clip(speeds, speed - up, speed + up), np.clip(rates, rate - turn, rate + turn)
         x, y, yaw = x + step * speed * np.cos(yaw), y + step * speed * np.sin(yaw), yaw + step * rate
-    return weights[0] * 0.1 * path[here] + weights[1] * 0.1 * goal[here] + weights[2] * highest, 0
+    value = weights[0] * 0.1 * path[here] + weights[1] * 0.1 * goal[here] + weights[2] * highest
+    return np.where(result > 0, np.inf, value), result
 
 
 def scene(random):
@@ -193,9 +332,9 @@ def test_trajectories_score_as_a_loop_over_the_footprints_edge():
         commands = random.uniform(0, 0.3, 24) * (random.random(24) < 0.8), random.uniform(-3, 3, 24)
         distances = Distances(*(jnp.asarray(part, float) for part in (cost, path, goal)))
         mine = map(np.asarray, run(state_of(robot), distances, tuple(jnp.asarray(part, float) for part in commands)))
-        for value, result, *command in zip(*mine, *commands, strict=True):
-            wanted = score(cost, path, goal, robot, command, (0.75, 1.0, 0.1), numpy_model())
-            alike.append(result == wanted[1] and (result > 0 or abs(value - wanted[0]) < 1e-3))
+        wanted = score(cost, path, goal, robot, commands, (0.75, 1.0, 0.1), numpy_model())
+        for value, result, *other in zip(*mine, *wanted, strict=True):
+            alike.append(result == other[1] and (result > 0 or abs(value - other[0]) < 1e-3))
             legal += result == 0
     assert np.mean(alike) > 0.97, np.mean(alike)  # a point on a cell's edge may be rounded to the next cell
     assert 0.2 * len(alike) < legal < len(alike)
@@ -208,17 +347,18 @@ def choose(cost, path, goal, robot, flags, model):
     right, left = max(-3.0, robot[4] - 1.0), min(3.0, robot[4] + 1.0)
     turn = (left - right) / 39
     best, best_score = None, np.inf
+    rates = right + turn * np.arange(40)
     if not flags[2]:
-        for k in range(20):
-            for rate in [0.0, *(right + turn * np.arange(39))]:
-                command = low + k * (high - low) / 19, rate
-                value, _ = score(cost, path, goal, robot, command, weights, model)
-                if value < best_score - 1e-6:
-                    best, best_score = command, value
+        commands = [(low + k * (high - low) / 19, rate) for k in range(20) for rate in [0.0, *rates[:-1]]]
+        values, _ = score(cost, path, goal, robot, np.transpose(commands), weights, model)
+        for command, value in zip(commands, values, strict=True):
+            if value < best_score - 1e-6:
+                best, best_score = command, value
     look = np.inf
-    for rate in right + turn * np.arange(40):
-        command = 0.0, max(rate, 0.5) if rate > 0 else min(rate, -0.5)
-        value, result = score(cost, path, goal, robot, command, weights, model)
+    spins = np.where(rates > 0, np.maximum(rates, 0.5), np.minimum(rates, -0.5))
+    scores = score(cost, path, goal, robot, (0 * spins, spins), weights, model)
+    for rate, spin, value, result in zip(rates, spins, *scores, strict=True):
+        command = 0.0, spin
         if result == 0 and value <= best_score + 1e-6 and abs(rate) > turn:
             last = 2 - 2 / max(int(abs(command[1]) / 0.01 + 0.5), 1)
             yaw, now, step = robot[2], robot[4], last / 24
@@ -229,7 +369,7 @@ def choose(cost, path, goal, robot, flags, model):
             if ahead < look and not flags[1 if rate < 0 else 0]:
                 best, best_score, look = command, value, ahead
     if best is None:
-        result = score(cost, path, goal, robot, (-0.5, 0.0), weights, model)[1]
+        result = score(cost, path, goal, robot, ([-0.5], [0.0]), weights, model)[1]
         return ((0.0, 0.0), False) if result == 2 else ((-0.5, 0.0), True)
     return best, True
 
@@ -362,7 +502,7 @@ def commands_at_headings(path):
 
 @pytest.mark.slow
 def test_it_stands_at_the_headings_at_which_the_real_one_stands():
-    """At rest 0.3 m from a shelf. The map of the log has the shelf's last cell filled, by a rounded edge."""
+    """At rest 0.3 m from a shelf, at three scales of obstacles. The log's map has the shelf's last cell filled."""
     log = LOGS / "commands_at_headings.txt"
     if not log.is_file():
         pytest.skip("needs move_base/commands_at_headings.txt in the folder of SEAN_JAX_DATA")
@@ -378,40 +518,43 @@ def test_it_stands_at_the_headings_at_which_the_real_one_stands():
         params = params.replace(local_planner=params.local_planner.replace(obstacle=scale))
         ahead = jnp.stack([jnp.cos(heading), jnp.sin(heading)])
         robot = scenario.robot.place(scenario.robot, jnp.asarray([9.315, 5.453]), ahead)
-        task = begin.task.replace(goal=jnp.asarray([11.90, -14.50]))
+        task = begin.task.replace(goal=jnp.asarray([-11.90, -14.50]))
         state = begin.replace(robot=robot, task=task)
         state = state.replace(policy_state=init(scenario, params, state))
         return apply(scenario, params, state, jax.random.key(0))[0]
 
     scales, headings = jnp.asarray(np.array(list(real)).T, float)
     mine = np.asarray(jax.jit(jax.vmap(one))(scales, jnp.round(headings / (np.pi / 8)) * (np.pi / 8)))
-    stands = {key: not np.any(command) for key, command in zip(real, mine, strict=True)}
-    for key, command in real.items():
-        if key[1] != 2.36 or key[0] == 0.0:  # backward along the plan: there the re-make stands too
-            assert stands[key] == (not any(command)), key
-    at = dict(zip(real, mine, strict=True))
-    np.testing.assert_allclose(at[0.1, -0.39], real[0.1, -0.39], atol=0.006)
+    there = np.array(list(real.values()))
+    np.testing.assert_array_equal(mine.any(1), there.any(1))
+    assert there.any(1).any() and not there.any(1).all()
+    # The plans differ by a few cells, so two commands without obstacles are those of samples nearby.
+    alike = np.abs(mine - there).max(1) < 0.006
+    assert alike[scales > 0.0].all() and alike.mean() > 0.8, (mine, there)
 
 
-def test_the_real_one_and_the_remake_stand_alike():
+@pytest.mark.parametrize(("file", "policy"), [("laser_join", "social_costmap"), ("public_join", "move_base")])
+def test_the_real_one_and_the_remake_stand_alike(file, policy):
     """The shares of episodes that stand for 20 s, and long stops of the real one near walls.
 
     By Fisher's exact test the shares of a version that never stands differ from those with the lidar.
     """
-    log = LOGS / "laser_join.json"
+    log = LOGS / f"{file}.json"
     if not log.is_file():
         pytest.skip(f"needs move_base/{log.name} in the folder of SEAN_JAX_DATA")
     program = importlib.import_module("move_base")
     content = program.read(log)
     real = np.array([episode["results"]["time_not_moving"][0] for episode in content["episodes"]])
     remake = json.loads((Path(__file__).parents[1] / "benchmarks/results/move_base_remake.json").read_text())
-    mine = np.array([episode["time_not_moving"] for episode in remake["policies"]["social_costmap"]["episodes"]])
+    mine = np.array([episode["time_not_moving"] for episode in remake["policies"][policy]["episodes"]])
 
     def differ(one, other):
         counts = [[int((still >= 20).sum()), int((still < 20).sum())] for still in (one, other)]
         return scipy.stats.fisher_exact(counts).pvalue < 0.05
 
     assert not differ(real, mine), (real, mine)
+    if policy == "move_base":
+        return  # in five episodes the real one never stood
     assert differ(real, 0 * mine)
     stops = [stop for episode in content["episodes"] for stop in program.stops(episode, content["columns"], 20.0)]
     environment = sean_jax.make("warehouse", task="join_group", preset="sean2").environment

@@ -167,7 +167,11 @@ def update_marks(scenario: Scenario, state: State, window: Window, marks: Bool[A
     eye_x, eye_y = rotate(mount[0], mount[1], robot.heading[0], robot.heading[1])
     i, j = cell_index(window, robot.position[0] + x, robot.position[1] + y)
     i0, j0 = cell_index(window, robot.position[0] + eye_x, robot.position[1] + eye_y)
-    cleared = jnp.zeros_like(marks).at[ray_cells(i0, j0, i, j, window.cell)].max(hit[:, None])
+    # A line to a cell beyond the window keeps its direction; its cells end at 3 m.
+    end_i = jnp.floor((robot.position[0] + x - window.origin[0]) / window.cell).astype(jnp.int32)
+    end_j = jnp.floor((robot.position[1] + y - window.origin[1]) / window.cell).astype(jnp.int32)
+    cells = (jnp.clip(part, 0, WINDOW - 1) for part in ray_cells(i0, j0, end_i, end_j, window.cell))
+    cleared = jnp.zeros_like(marks).at[tuple(cells)].max(hit[:, None])
     marked = jnp.zeros_like(marks).at[i, j].max(hit & (distance < MARK_RANGE))
     return ((marks & ~cleared) | marked) & ~footprint_cells(scenario, state, window)
 
@@ -338,22 +342,25 @@ def descend(
     ahead = jnp.stack([part / norm for part in ahead])
     around = jnp.asarray([(i, j) for i in (0, -1, 1) for j in (0, -1, 1)], jnp.int32)
 
-    def step(here: Array, _: None) -> tuple[Array, Array]:
+    def step(last: tuple[Array, Array, Array], _: None) -> tuple[tuple[Array, Array, Array], Array]:
+        here, before, earlier = last
         middle = jnp.clip(jnp.round(here).astype(jnp.int32), 1, WINDOW - 2)
         near = potential[middle[0] + around[:, 0], middle[1] + around[:, 1]]
         lowest = (middle + around[jnp.argmin(near)]).astype(here.dtype)
         corner = jnp.clip(jnp.floor(here).astype(jnp.int32), 0, WINDOW - 2)
         share = here - corner.astype(here.dtype)
-        four = jax.lax.dynamic_slice(ahead, (0, corner[0], corner[1]), (2, 2, 2))
+        four = jax.lax.dynamic_slice(ahead, (jnp.zeros_like(corner[0]), corner[0], corner[1]), (2, 2, 2))
         rows = four[:, 0] * (1.0 - share[0]) + four[:, 1] * share[0]
         direction = rows[:, 0] * (1.0 - share[1]) + rows[:, 1] * share[1]
         smooth = here + 0.5 * direction / jnp.maximum(length(direction[0], direction[1]), 1e-6)
-        after = jnp.where((near < UNREACHED).all() & (near[0] > near.min()), smooth, lowest)
+        returns = length(*(here - earlier)) < 0.05  # back and forth over a crease
+        after = jnp.where((near < UNREACHED).all() & (near[0] > near.min()) & ~returns, smooth, lowest)
         inside = (here >= 1.0).all() & (here <= WINDOW - 2.0).all()
         after = jnp.where(inside & (near[0] > 0.0), after, here)
-        return after, after
+        return (after, here, before), after
 
     start = jnp.stack([x, y])
-    _, path = jax.lax.scan(step, start, length=points - 1)
+    nowhere = jnp.full_like(start, -1.0)
+    _, path = jax.lax.scan(step, (start, nowhere, nowhere), length=points - 1)
     path = jnp.concatenate([start[None], path])
     return path[:, 0], path[:, 1]

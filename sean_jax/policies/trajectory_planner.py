@@ -16,13 +16,14 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from flax import struct
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, UInt8
 
 from sean_jax.base import Array, Robot, RobotModel
 from sean_jax.devices import parameter
 from sean_jax.geometry import length
-from sean_jax.policies.costmap import LETHAL, UNREACHED, WINDOW, Window, cell_index, footprint
+from sean_jax.policies.costmap import FOOTPRINT_CORNERS, LETHAL, UNREACHED, WINDOW, Window, cell_index
 from sean_jax.robots.drive import clip_turn_rate, reachable
 
 SPEED_SAMPLES, TURN_RATE_SAMPLES = 20, 40
@@ -66,7 +67,7 @@ class Oscillation(NamedTuple):
 class Distances(NamedTuple):
     """The window's cells, as the local planner reads them."""
 
-    costs: Float[Array, "W W"]
+    costs: Float[Array, "W W"]  # whole numbers up to 255
     path: Float[Array, "W W"]  # steps from the plan
     goal: Float[Array, "W W"]  # steps to the goal
 
@@ -129,42 +130,66 @@ def score_trajectories(
     highest cost on the way.
     """
     step = last_time(*commands) / (POINTS - 1)
+    pairs = _pair_costs(distances.costs)
     costs, path, goal = (part.reshape(-1) for part in distances)
     closed = (path >= UNREACHED) | (goal >= UNREACHED)
     still = jnp.zeros_like(commands[0])
     yaw = jnp.arctan2(robot.heading[1], robot.heading[0])
     deceleration = model.max_acceleration if model.max_deceleration is None else model.max_deceleration
+    angle = 2.0 * np.pi / FOOTPRINT_CORNERS * np.arange(FOOTPRINT_CORNERS // 4)
+    radius = model.radius / window.cell
+    quarter = [(radius * float(np.cos(turn)), radius * float(np.sin(turn))) for turn in angle]
 
-    def number(x: Array, y: Array) -> Array:  # of a cell; trajectories stay in the window
-        i, j = (((part - low) / window.cell).astype(jnp.int32) for part, low in zip((x, y), window.origin, strict=True))
-        return i * WINDOW + j
+    def number(x: Array, y: Array) -> tuple[Array, Array]:  # of a cell; trajectories stay in the window
+        return x.astype(jnp.int32), y.astype(jnp.int32)
+
+    def read(cells: Array, index: Array) -> Array:
+        return cells.at[index].get(mode="promise_in_bounds")
+
+    def edge_cost(x: Array, y: Array, cosine: Array, sine: Array) -> Array:
+        """The highest cost at the 16 corners, two at a time."""
+        corners = [(ahead * cosine - left * sine, ahead * sine + left * cosine) for ahead, left in quarter]
+        for _ in range(3):
+            corners += [(-dy, dx) for dx, dy in corners[-len(quarter) :]]
+        highest = jnp.zeros_like(x, jnp.uint8)
+        for one, other in zip(corners[::2], corners[1::2], strict=True):
+            (i, j), (k, m) = (number(x + dx, y + dy) for dx, dy in (one, other))
+            beside = (k - i + 1) * 3 + (m - j + 1)
+            highest = jnp.maximum(highest, read(pairs, (beside * WINDOW + i) * WINDOW + j))
+        return highest.astype(x.dtype)
 
     def ramp(speed: Array, target: Array, up: Array, down: Array) -> Array:
         return jnp.clip(target, speed - down * step, speed + up * step)
 
     def point(now: tuple[Array, ...], _: Any) -> tuple[tuple[Array, ...], None]:
-        x, y, yaw, speed, rate, highest, result = now[:7]
-        middle = number(x, y)
-        edge = jnp.max(costs[number(*footprint(model.radius, x, y, yaw))], -1)
-        failure = jnp.where(edge >= LETHAL, COLLIDES, jnp.where(closed[middle], NO_WAY, LEGAL))
+        x, y, yaw, speed, rate, highest, result = now[:7]  # x and y in cells
+        cosine, sine = jnp.cos(yaw), jnp.sin(yaw)
+        i, j = number(x, y)
+        middle, edge = i * WINDOW + j, edge_cost(x, y, cosine, sine)
+        failure = jnp.where(edge >= LETHAL, COLLIDES, jnp.where(read(closed, middle), NO_WAY, LEGAL))
         result = jnp.where(result == LEGAL, failure, result)
-        highest = jnp.maximum(highest, jnp.maximum(edge, costs[middle]))
+        highest = jnp.maximum(highest, jnp.maximum(edge, read(costs, middle)))
         speed = ramp(speed, commands[0], model.max_acceleration, deceleration)
         rate = ramp(rate, commands[1], model.max_turn_acceleration, model.max_turn_acceleration)
-        after = x + step * speed * jnp.cos(yaw), y + step * speed * jnp.sin(yaw), yaw + step * rate
+        gap = step * speed / window.cell
+        after = x + gap * cosine, y + gap * sine, yaw + step * rate
         return (*after, speed, rate, highest, result, middle), None
 
-    begin = (robot.position[0], robot.position[1], yaw, robot.speed, robot.turn_rate)
-    begin = (
-        *(still + part for part in begin),
-        still,
-        jnp.zeros_like(still, jnp.int32),
-        jnp.zeros_like(still, jnp.int32),
-    )
-    (_, _, yaw, _, rate, highest, result, last), _ = jax.lax.scan(point, begin, length=POINTS)
+    place = (robot.position - window.origin) / window.cell
+    begin = [still + part for part in (place[0], place[1], yaw, robot.speed, robot.turn_rate)]
+    none = jnp.zeros_like(still, jnp.int32)
+    (_, _, yaw, _, rate, highest, result, last), _ = jax.lax.scan(point, (*begin, still, none, none), length=POINTS)
     weights = params.path * window.cell, params.goal * window.cell
     score = weights[0] * path[last] + weights[1] * goal[last] + params.obstacle * highest
     return Trajectories(score, result, yaw - step * rate)
+
+
+def _pair_costs(costs: Float[Array, "W W"]) -> UInt8[Array, "cells"]:
+    """The higher cost of each cell and of one of nine cells around it, for two corners of the footprint at once."""
+    whole = jnp.round(costs).astype(jnp.uint8)
+    padded = jnp.pad(whole, 1)
+    around = [padded[i : i + WINDOW, j : j + WINDOW] for i in range(3) for j in range(3)]
+    return jnp.stack([jnp.maximum(whole, other) for other in around]).reshape(-1)
 
 
 def last_time(speed: Float[Array, "P"], turn_rate: Float[Array, "P"]) -> Float[Array, "P"]:
