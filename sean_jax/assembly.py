@@ -69,6 +69,13 @@ def make(environment: str | Path | ScenarioConfig = "warehouse", **options: Any)
     Raises:
         InputError: one sentence that names the value and the cure.
     """
+    return build(_with_one_task(environment, options, "a scenario", "evaluate a list of scenarios, one for each task"))[
+        0
+    ]
+
+
+def _with_one_task(environment: str | Path | ScenarioConfig, options: dict, what: str, cure: str) -> ScenarioConfig:
+    """The options of ``make``; InputError if they have several tasks."""
     config = environment if isinstance(environment, ScenarioConfig) else None
     if config is None:
         config = validate(ScenarioConfig, gather(ScenarioConfig, {"environment": str(environment), **options}))
@@ -76,8 +83,8 @@ def make(environment: str | Path | ScenarioConfig = "warehouse", **options: Any)
         config = config.replace(**options)
     if len(config.tasks) > 1 and config.task is not None:
         names = ", ".join(task.kind for task in config.tasks)
-        raise InputError(f"task: a scenario has one, not {names}; evaluate a list of scenarios, one for each task.")
-    return build(config)[0]
+        raise InputError(f"task: {what} has one, not {names}; {cure}.")
+    return config
 
 
 @contextlib.contextmanager
@@ -184,14 +191,7 @@ def make_team(
     Raises:
         InputError: one sentence that names the value and the cure.
     """
-    config = environment if isinstance(environment, ScenarioConfig) else None
-    if config is None:
-        config = validate(ScenarioConfig, gather(ScenarioConfig, {"environment": str(environment), **options}))
-    elif options:
-        config = config.replace(**options)
-    if len(config.tasks) > 1 and config.task is not None:
-        names = ", ".join(task.kind for task in config.tasks)
-        raise InputError(f"task: a team has one, not {names}; evaluate with `sean run --robots`, or choose one.")
+    config = _with_one_task(environment, options, "a team", "evaluate with `sean run --robots`, or choose one")
     return build_team(config, listed(robots) if isinstance(robots, str) else list(robots))[0]
 
 

@@ -221,6 +221,7 @@ class State:
     timed_out: Bool[Array, ""]  # latched; never together with completed
     policy_state: PyTree = ()  # memory of the policy
     others: Robot | None = None  # (R, ...) the other robots of a team; None: no team
+    goals_of_others: Float[Array, "R 2"] | None = None  # m
 
 
 @struct.dataclass
@@ -393,7 +394,7 @@ class Trajectory:
     goal: Float[Array, "2"]  # m
     situations: Bool[Array, "S"]
     active: Bool[Array, ""]  # the episode had not ended before this step
-    robots: Float[Array, "R 4"] | None = None  # other robots of a team: x, y [m], heading x, y; None: no team
+    robots: Float[Array, "R 6"] | None = None  # other robots of a team: x, y [m], heading x, y, goal x, y [m]
 
 
 @struct.dataclass

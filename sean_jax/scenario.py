@@ -273,7 +273,9 @@ def observe(scenario: Scenario, state: State) -> Observation:
 
 def frame(before: State, after: State, action: Array) -> Trajectory:
     """The record of a step, after the command [m/s, rad/s] that led there."""
-    robot, people = after.robot, after.pedestrians
+    robot, people, others = after.robot, after.pedestrians, None
+    if after.others is not None and after.goals_of_others is not None:
+        others = jnp.concatenate([after.others.position, after.others.heading, after.goals_of_others], -1)
     return Trajectory(
         position=robot.position,
         heading=robot.heading,
@@ -287,5 +289,5 @@ def frame(before: State, after: State, action: Array) -> Trajectory:
         goal=after.task.goal,
         situations=after.situations,
         active=~(before.completed | before.timed_out),
-        robots=None if after.others is None else jnp.concatenate([after.others.position, after.others.heading], -1),
+        robots=others,
     )

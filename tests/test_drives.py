@@ -220,24 +220,24 @@ def test_mjx_equals_the_closed_form(name):
             np.testing.assert_allclose(one, other, atol=1e-5)
 
 
+@pytest.mark.parametrize("dynamics", ["twin", pytest.param("kinematic", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", ["hsr", "f1tenth"])
-def test_gradients_are_finite_at_rest_straight_and_at_every_limit(name):
+def test_gradients_are_finite_at_rest_straight_and_at_every_limit(name, dynamics):
     """In all dynamics but MJX, whose derivatives are those of the closed form."""
-    for dynamics in ("twin", "kinematic"):
-        model = robots.load(name, dynamics)
-        size = drive.command_size(model)
+    model = robots.load(name, dynamics)
+    size = drive.command_size(model)
 
-        def end(action, start, model=model):
-            robot = model.place(model, start, jnp.asarray([1.0, 0.0]))
-            robot = advance(model, robot, action)
-            return robot.position.sum() + robot.heading[1] + robot.speed + robot.turn_rate + robot.sideways
+    def end(action, start):
+        robot = model.place(model, start, jnp.asarray([1.0, 0.0]))
+        robot = advance(model, robot, action)
+        return robot.position.sum() + robot.heading[1] + robot.speed + robot.turn_rate + robot.sideways
 
-        slopes = jax.jit(jax.vmap(jax.grad(end, (0, 1)), (0, None)))
-        edges = np.array(np.meshgrid(*[[-9.0, -0.1, 0.0, 0.1, 9.0]] * size)).reshape(size, -1).T
-        for slope in slopes(jnp.asarray(edges, float), jnp.zeros(2)):
-            assert np.isfinite(slope).all()
-        by_speed, _ = slopes(jnp.asarray([[0.02] * size], float), jnp.zeros(2))
-        assert (np.abs(by_speed) > 1e-6).all()
+    slopes = jax.jit(jax.vmap(jax.grad(end, (0, 1)), (0, None)))
+    edges = np.array(np.meshgrid(*[[-9.0, -0.1, 0.0, 0.1, 9.0]] * size)).reshape(size, -1).T
+    actions = np.concatenate([edges, [[0.02] * size]])  # the last one is within all limits
+    by_action, by_start = slopes(jnp.asarray(actions, float), jnp.zeros(2))
+    assert np.isfinite(by_action).all() and np.isfinite(by_start).all()
+    assert (np.abs(by_action[-1]) > 1e-6).all()
 
 
 @pytest.mark.parametrize("dynamics", ["twin", "kinematic"])
@@ -367,9 +367,10 @@ def room(tmp_path_factory):
 
 
 POLICIES_OF = [
-    ("f1tenth", "go_to_goal"),
+    pytest.param("f1tenth", "go_to_goal", marks=pytest.mark.slow),
     pytest.param("hsr", "go_to_goal", marks=pytest.mark.slow),
     pytest.param("a1", "orca", marks=pytest.mark.slow),
+    pytest.param("a1", "sensing_expert", marks=pytest.mark.slow),
     pytest.param("a1", "expert", marks=pytest.mark.slow),
     pytest.param("f1tenth", "expert", marks=pytest.mark.slow),
 ]
@@ -379,7 +380,7 @@ POLICIES_OF = [
 def test_goals_everywhere_are_reached_from_any_heading(robot, name, room):
     """In an empty room; goals lie behind and beside the robot as often as ahead."""
     scenario, policy = room(robot), POLICIES[name]
-    episodes_, steps = (60, 700) if name == "go_to_goal" else (16, 400)
+    episodes_, steps = (60, 700) if robot == "hsr" else (32, 400) if name == "go_to_goal" else (16, 400)
 
     @jax.jit
     @jax.vmap
@@ -427,7 +428,6 @@ def test_velocity_over_the_ground_counts_the_sideways_part():
 
 @pytest.mark.parametrize(("name", "shape"), [("kuri", (3,)), ("hsr", (2,)), ("f1tenth", (3,))])
 def test_an_action_of_another_shape_is_refused(name, shape):
-    scenario = sean_jax.make("lab", people=0, behavior="random", robot=name)
-    state = jax.eval_shape(lambda key: sean_jax.reset(scenario, key), jax.random.key(0))
+    model = robots.load(name, "twin")
     with pytest.raises(InputError, match=f"action: its shape is .*{name} takes"):
-        jax.eval_shape(lambda state: sean_jax.step(scenario, state, jnp.zeros(shape)), state)
+        advance(model, model.place(model, jnp.zeros(2), jnp.asarray([1.0, 0.0])), jnp.zeros(shape))

@@ -191,6 +191,35 @@ def test_mjcf_with_a_freejoint(tmp_path):
     assert full[2, 2] == pytest.approx(about, rel=0.01)  # the capsule's ends are round
 
 
+ARM = """<body name="arm" pos="0 0 0.4"><joint name="shoulder" axis="0 0 1"/>
+    <geom type="box" size="0.5 0.02 0.1" mass="1"/><camera name="hand" pos="0.5 0 0" xyaxes="-1 0 0 0 0 1"/>
+    <camera name="top" xyaxes="0 -1 0 1 0 0"/><camera name="head" pos="0 0 0.3" xyaxes="0 -1 0 0 0 1"/></body>"""
+
+
+def planar(tmp_path, inner):
+    path = tmp_path / "planar.xml"
+    path.write_text(
+        f"""<mujoco><worldbody><body name="base"><joint type="slide" axis="1 0 0"/><joint type="slide" axis="0 1 0"/>
+        <joint axis="0 0 1"/><geom type="box" size="0.3 0.2 0.1" pos="0 0 0.1" mass="9"/>{inner}
+        </body></worldbody></mujoco>"""
+    )
+    return path
+
+
+def test_a_planar_base_without_wheels_needs_the_name_of_its_drive(tmp_path):
+    with pytest.raises(InputError, match="planar.xml: none of its hinges looks like a wheel .* --drive omni"):
+        base_of(planar(tmp_path, ""))
+    limits = {"drive": "omnidirectional", "max_speed": 1.0, "max_acceleration": 2.0, "max_turn_rate": 1.5}
+    base = base_of(planar(tmp_path, ARM), **limits)
+    model = loaded(base, tmp_path)
+    assert float(model.radius) == pytest.approx(np.hypot(0.3, 0.2), rel=1e-4)
+    assert float(model.max_turn_acceleration) == pytest.approx(2.0 / float(model.radius), rel=1e-4)
+    assert "links that move reach 0.5 m" in base.notes[0]
+    origins = {mount.name: np.asarray(mount.origin) for mount in model.mounts}
+    np.testing.assert_allclose(origins["lidar"], [0.0, 0.0, 0.2], atol=1e-5)  # on the base and not on the arm
+    np.testing.assert_allclose(origins["depth"], [0.0, 0.0, 0.7], atol=1e-5)  # the camera that looks ahead
+
+
 def stl(path: Path, corners: np.ndarray, ascii_text: bool = False):
     triangles = corners[: len(corners) // 3 * 3].reshape(-1, 3, 3)
     if ascii_text:
@@ -283,7 +312,7 @@ BARE = PAIR.replace(LIMIT, "")
         (link("base_link", 0.0) + wheel("a", "0 0.2 0").replace('value="0.5"', 'value="0"')
          + wheel("b", "0 -0.2 0").replace('value="0.5"', 'value="0"'), {}, "--mass"),
         (BASE + wheel("left_wheel", "0 0.2 0", "") + wheel("right_wheel", "0 -0.2 0", ""), {}, "give --wheel-radius"),
-        (BASE, {}, "of its hinges, none may be a driven wheel, which is too few; name the joints of the left"),
+        (BASE, {}, "none of its hinges looks like a wheel on the floor; name the hinges of the left and the right"),
         (PAIR, {"wheels": ("left_joint", "rigth_joint")}, "has no hinge 'rigth_joint'; did you mean 'right_joint'?"),
         (BASE + wheel("a", "0 0.2 0") + wheel("b", "0.3 0.2 0"), {}, "all wheels (a_joint and b_joint) are on one"),
         (PAIR.replace('type="continuous"', 'type="round"', 1), {}, '<joint name="left_joint"> has the type \'round\''),
@@ -333,6 +362,8 @@ def test_the_command_writes_a_robot_that_drives(tmp_path, capsys, monkeypatch):
     robot(tmp_path, PAIR + CASTER + LASER)
     assert cli.main(["import-robot", "bot.urdf", "--out", "made.xml", "--max-turn-rate", "2"]) == 0
     text = capsys.readouterr().out
+    gap, lag = map(float, re.findall(r"(\S+) mm from", text))
+    assert gap <= 0.01 and 0.0 < lag < 100.0
     assert "differential (wheels left_joint and right_joint)" in text and "next: sean run --robot made.xml" in text
     assert (tmp_path / "made.png").stat().st_size > 10_000
     assert float(robots.load(tmp_path / "made.xml").max_turn_rate) == 2.0
@@ -340,17 +371,15 @@ def test_the_command_writes_a_robot_that_drives(tmp_path, capsys, monkeypatch):
     assert cli.main(["import-robot", "bot.urdf", "--out", "made.xml", "--wheels", "none,right_joint"]) == 2
     assert "--wheels: bot.urdf has no hinge 'none'" in capsys.readouterr().err
     assert (tmp_path / "made.xml").read_text() == before
-    result = import_robot(tmp_path / "bot.urdf", tmp_path / "more.xml")
-    assert result.gap <= 1e-5 and 0.0 < result.lag < 0.1
-    words = "run --robot made.xml --people 3 --episodes 1 --time-limit 5 --out r --quiet"
-    assert cli.main(words.split()) == 0
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("parts", [PAIR + STEERED, BASE + SWIVELS], ids=["car", "swerve"])
-def test_cars_and_swerves_drive_in_mjx_as_in_closed_form(parts, tmp_path):
+@pytest.mark.parametrize("parts", [PAIR, PAIR + STEERED, BASE + SWIVELS], ids=["pair", "car", "swerve"])
+def test_imported_robots_drive_in_mjx_as_in_closed_form(parts, tmp_path):
     result = import_robot(robot(tmp_path, parts), tmp_path / "made.xml")
     assert result.gap <= 1e-5 and 0.0 < result.lag < 0.1
+    words = f"run --robot {tmp_path / 'made.xml'} --people 3 --episodes 1 --time-limit 5 --out {tmp_path / 'r'} --quiet"
+    assert cli.main(words.split()) == 0
 
 
 def test_urdf_is_a_tree_at_rest(tmp_path):

@@ -405,7 +405,7 @@ def test_forward_mode_equals_reverse_mode(kuri):
 
 
 FIGURES = {  # mass, wheel radius, track; greatest speed, turn rate, acceleration, turn acceleration; radius
-    "fetch": (113.3, 0.0613, 0.37476, 1.0, 1.5, 0.75, 3.0, 0.28),
+    "fetch": (121.3, 0.0613, 0.37476, 1.0, 1.5, 0.75, 3.0, 0.29),
     "jackal": (18.431, 0.098, 0.37559, 0.5, 8.0, 5.0, 25.0, 0.27),
     "kuri": (6.0, 0.035, 0.175, 0.5, 3.0, 5.0, 10.0, 0.16),
     "pioneer3dx": (9.0, 0.0975, 0.33, 1.2, 5.24, 1.0, 5.0, 0.25),

@@ -20,7 +20,7 @@ def robot_sheet(robot: Result) -> Figure:
     from matplotlib.patches import Circle
 
     figure = Figure(figsize=(13, 5), layout="compressed")
-    side, above, text = figure.subplots(1, 3, width_ratios=(1, 1, 1.7))
+    side, above, text = figure.subplots(1, 3, width_ratios=(1, 1, 1.9))
     for axes, columns, title in ((side, (0, 2), "from the right"), (above, (0, 1), "from above")):
         for shape in sorted(
             robot.shapes, key=lambda shape: shape.place[3 - columns[1]] * (1 if columns[1] == 1 else -1)
@@ -41,8 +41,8 @@ def robot_sheet(robot: Result) -> Figure:
     for number, (name, value, source) in enumerate(rows):
         y = 1.0 - (number + 0.5) / max(len(rows), 14)
         text.text(0.0, y, name, fontsize=9, va="center", color="#444444", transform=text.transAxes)
-        text.text(0.31, y, _short(value, 26), fontsize=9, va="center", weight="bold", transform=text.transAxes)
-        text.text(0.58, y, _short(source, 48), fontsize=7.5, va="center", color="#666666", transform=text.transAxes)
+        text.text(0.36, y, _short(value, 26), fontsize=9, va="center", weight="bold", transform=text.transAxes)
+        text.text(0.64, y, _short(source, 48), fontsize=7.5, va="center", color="#666666", transform=text.transAxes)
     figure.suptitle(robot.path.stem, fontsize=12)
     return figure
 

@@ -151,7 +151,7 @@ def simulate_shard(
     floats = [values for values in rows.values() if values.dtype.kind == "f"]
     faulty = np.any([~np.isfinite(values.reshape(len(values), -1)).all(1) for values in floats], 0)
     if faulty.any():
-        raise FloatingPointError(not_finite(first + np.flatnonzero(faulty), runner.size))
+        raise FloatingPointError(not_finite(first, faulty))
     floors = runner.floor_indices(place) if runner.floors.size > 1 else None
     return EpisodeBatch(rows, lengths, np.asarray(batch.states.completed), floors)
 

@@ -6,9 +6,10 @@ from pathlib import Path
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from sean_jax import files, padding
-from sean_jax.base import RobotModel
+from sean_jax.base import RobotModel, Scenario
 from sean_jax.environment import ENVS
 from sean_jax.errors import InputError
 from sean_jax.robots import description
@@ -57,6 +58,12 @@ def find(robot: str | Path, dynamics: str = "twin") -> Path:
 def radius(model: RobotModel) -> float:
     """The radius [m] of a robot on the host, to a micrometre, as its file has it."""
     return round(float(model.radius), 6)
+
+
+def radii(scenario: Scenario) -> list[float]:
+    """The radii [m] of the robot, and of the other robots of its team."""
+    others = [] if scenario.others is None else np.round(np.asarray(scenario.others.radius, float), 6).tolist()
+    return [radius(scenario.robot), *others]
 
 
 def alike(models: Sequence[RobotModel]) -> list[RobotModel]:

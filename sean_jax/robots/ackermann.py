@@ -14,41 +14,28 @@ from jaxtyping import Float
 
 from sean_jax.base import Array, RobotModel, Steering
 from sean_jax.geometry import rotate
-from sean_jax.robots.dynamics import GRAVITY, Motion, Surroundings, clip_length, mjx_advance, touching
+from sean_jax.robots.dynamics import GRAVITY, Motion, Touch, clip_length, mjx_advance
 
 
-def twin_substep(
-    model: RobotModel,
-    surroundings: Surroundings,
-    time_left: Float[Array, ""],
-    motion: Motion,
-    targets: Float[Array, "2"],
-) -> Motion:
+def twin_substep(model: RobotModel, touch: Touch, motion: Motion, targets: Float[Array, "2"]) -> Motion:
     """One physics step of the closed form, by semi-implicit Euler.
 
     Args:
-        time_left: s, from the start of this physics step to the end of the control step.
         targets: rad/s of the rear wheels, and the steering angle [rad].
     """
     (position, velocity), mass = motion, diagonal(model)
     servo = jnp.clip(model.servo_gain * (targets[0] - velocity[3]), -model.servo_torque, model.servo_torque)
     free = velocity[:4].at[3].add(model.time_step * servo / model.wheel_inertia)
     angle, rate = _steer(model, position[4], targets[1])
-    velocity = free + ground_impulse(model, surroundings, time_left, position, angle, free) / mass
+    velocity = free + ground_impulse(model, touch, position, angle, free) / mass
     return jnp.append(position[:4] + model.time_step * velocity, angle), jnp.append(velocity, rate)
 
 
-def mjx_substep(
-    model: RobotModel,
-    surroundings: Surroundings,
-    time_left: Float[Array, ""],
-    motion: Motion,
-    targets: Float[Array, "2"],
-) -> Motion:
+def mjx_substep(model: RobotModel, touch: Touch, motion: Motion, targets: Float[Array, "2"]) -> Motion:
     """One physics step by MJX; arguments as of ``twin_substep``."""
     position, velocity = motion
     angle, rate = _steer(model, position[4], targets[1])
-    ground = functools.partial(ground_impulse, model, surroundings, time_left, position, angle)
+    ground = functools.partial(ground_impulse, model, touch, position, angle)
     servo = model.servo_gain, model.servo_torque
     joints = position[:4], velocity[:4]
     position, velocity = mjx_advance(model, diagonal(model), servo, joints, targets[:1], ground)
@@ -64,8 +51,7 @@ def _steer(model: RobotModel, angle: Array, target: Array) -> tuple[Array, Array
 
 def ground_impulse(
     model: RobotModel,
-    surroundings: Surroundings,
-    time_left: Float[Array, ""],
+    touch: Touch,
     position: Float[Array, "5"],
     angle: Float[Array, ""],
     free: Float[Array, "4"],
@@ -101,7 +87,7 @@ def ground_impulse(
     steer = jnp.clip(steer, -grip * rear, grip * rear)
     jx, jy = rotate(push - s * steer, hold + c * steer, cosine, sine)
     vx, vy = free[0] + jx / mass, free[1] + jy / mass
-    x, y = touching(model, surroundings, time_left, position, vx, vy)
+    x, y = touch(position, vx, vy)
     turn, wheel = front * c * steer - rear * hold, -model.wheel_radius * push
     return jnp.stack([jx + mass * (x - vx), jy + mass * (y - vy), turn, wheel])
 

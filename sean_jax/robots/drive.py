@@ -27,7 +27,7 @@ from sean_jax.devices import by_platform
 from sean_jax.errors import InputError
 from sean_jax.geometry import ground_velocity, rotate, unit_vectors
 from sean_jax.robots import ackermann, kernel, omnidirectional
-from sean_jax.robots.dynamics import Motion, Surroundings, kinematic_move, mjx_substep, twin_substep
+from sean_jax.robots.dynamics import Motion, Surroundings, kinematic_move, mjx_substep, touching, twin_substep
 
 
 class DriveState(NamedTuple):
@@ -270,7 +270,8 @@ def _simulate(
     substep: Callable, steps: int, model: RobotModel, surroundings: Surroundings, motion: Motion, targets: Array
 ) -> Motion:
     def one(motion: Motion, index: Array) -> tuple[Motion, None]:
-        return substep(model, surroundings, model.time_step * (steps - index), motion, targets), None
+        touch = functools.partial(touching, model, surroundings, model.time_step * (steps - index))
+        return substep(model, touch, motion, targets), None
 
     # Reverse mode would store a hundred numbers of each step in arrays of their own.
     one = jax.checkpoint(one, prevent_cse=False)

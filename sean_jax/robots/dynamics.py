@@ -28,6 +28,8 @@ Motion = tuple[Float[Array, "5"], Float[Array, "5"]]
 """Generalised coordinates of a robot and their rates."""
 Five = tuple[Array, ...]
 """The five generalised coordinates, velocities or impulses as scalars."""
+Touch = Callable[..., tuple[Array, Array]]
+"""``touch(position, vx, vy)`` gives the velocity (x, y) [m/s] that contacts leave, as ``touching``."""
 OVERLAP = 1e-4  # m, maximum penetration of an obstacle by a robot; a step beyond it is not taken
 
 
@@ -61,24 +63,17 @@ class Surroundings:
 # --- tyres and contacts ---
 
 
-def impulse(
-    model: RobotModel,
-    surroundings: Surroundings,
-    time_left: Float[Array, ""],
-    motion: Motion,
-    velocity: Float[Array, "5"],
-) -> Float[Array, "5"]:
+def impulse(model: RobotModel, touch: Touch, motion: Motion, velocity: Float[Array, "5"]) -> Float[Array, "5"]:
     """Generalised impulse (5,) [N s, N m s] of the ground and of all contacts.
 
     The tyres act first, then people, then obstacles, so that no wall is ever passed.
 
     Args:
-        time_left: s, from the start of this physics step to the end of the control step.
         velocity: rates at the end of the physics step, if there were no impulse.
     """
     position, _ = motion
     tyres, vx, vy = tyre_impulse(model, tuple(position), tuple(velocity))
-    after = touching(model, surroundings, time_left, position, vx, vy)
+    after = touch(position, vx, vy)
     return jnp.stack(add_contacts(model, tyres, (vx, vy), after))
 
 
@@ -210,30 +205,22 @@ def _same(function: Callable) -> Callable:
     return function
 
 
-def twin_substep(
-    model: RobotModel,
-    surroundings: Surroundings,
-    time_left: Float[Array, ""],
-    motion: Motion,
-    targets: Float[Array, "2"],
-) -> Motion:
+def twin_substep(model: RobotModel, touch: Touch, motion: Motion, targets: Float[Array, "2"]) -> Motion:
     """One physics step of the closed-form twin, by semi-implicit Euler.
 
     The equations of motion are the MJX robot's: a planar base whose centre of mass lies above the middle of the
     axle has a diagonal, constant mass matrix and no forces that depend on the velocity.
 
     Args:
-        time_left: s, from the start of this physics step to the end of the control step.
         targets: rad/s, the wheel speeds that the servos aim at.
     """
-    touch = functools.partial(touching, model, surroundings, time_left)
     position, velocity = twin_step(model, touch, tuple(motion[0]), tuple(motion[1]), (targets[0], targets[1]))
     return jnp.stack(position), jnp.stack(velocity)
 
 
 def twin_step(
     model: RobotModel | Body,
-    touch: Callable,
+    touch: Touch,
     position: Five,
     velocity: Five,
     targets: tuple[Array, Array],
@@ -242,7 +229,6 @@ def twin_step(
     """``twin_substep`` in scalars.
 
     Args:
-        touch: ``touch(position, vx, vy)`` gives the velocity that contacts leave, as ``touching``.
         form: makes the functions that are evaluated, such as ``kernels.scalars``.
     """
     free, tyres, vx, vy = form(_without_contacts)(model, position, velocity, targets)
@@ -364,15 +350,9 @@ def mjx_data(model: Any, mass: Float[Array, "dof"]) -> tuple:
     return mjx().put_model(model, impl="jax"), mass
 
 
-def mjx_substep(
-    model: RobotModel,
-    surroundings: Surroundings,
-    time_left: Float[Array, ""],
-    motion: Motion,
-    targets: Float[Array, "2"],
-) -> Motion:
+def mjx_substep(model: RobotModel, touch: Touch, motion: Motion, targets: Float[Array, "2"]) -> Motion:
     """One physics step by MJX; arguments as of ``twin_substep``."""
-    ground = functools.partial(impulse, model, surroundings, time_left, motion)
+    ground = functools.partial(impulse, model, touch, motion)
     return mjx_advance(model, diagonal(model), (model.servo_gain, model.servo_torque), motion, targets, ground)
 
 

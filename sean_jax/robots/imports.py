@@ -41,6 +41,7 @@ LIDAR, CAMERA = (
     re.compile(r"camera|kinect|realsense|depth", re.I),
 )
 CASTER, ROLLER, OMNI = re.compile(r"cast[eo]r", re.I), re.compile(r"roller", re.I), re.compile(r"mecanum|omni", re.I)
+AHEAD = 0.7  # cosine: a camera with a smaller one looks elsewhere
 SPARE = re.compile(r"steering_?wheel$", re.I)
 
 
@@ -122,10 +123,8 @@ def drive_briefly(path: Path, drive: str) -> tuple[float, float]:
     """
     models = [robots.load(path, dynamics) for dynamics in ("mjx", "twin", "kinematic")]
     real = jnp.result_type(float)
-    far = Obstacles(*(jnp.asarray(part, real) for part in ([[1e3, 1e3]], [[1.0, 1.0]], [0.0], [1.0])))
-    crowd = SimpleNamespace(
-        position=jnp.full((1, 2), 1e3, real), velocity=jnp.zeros((1, 2), real), present=jnp.zeros(1, bool)
-    )
+    pairs, numbers = jnp.zeros((0, 2), real), jnp.zeros(0, real)
+    nobody = SimpleNamespace(position=pairs, velocity=pairs, present=jnp.zeros(0, bool))
     ends = []
     for model in models:
         speed, turn = 0.5 * model.max_speed, 0.25 * model.max_turn_rate
@@ -134,14 +133,14 @@ def drive_briefly(path: Path, drive: str) -> tuple[float, float]:
         straight, curve = jnp.stack([speed, *aside, still]), jnp.stack([speed, *aside, turn])
         commands = jnp.stack([straight] * 15 + [curve] * 15)
         scenario: Any = SimpleNamespace(
-            environment=SimpleNamespace(obstacles=far),
+            environment=SimpleNamespace(obstacles=Obstacles(pairs, pairs, numbers, numbers)),
             robot=model,
             time_step=0.1,
             forces=SimpleNamespace(walking=SimpleNamespace(radius=jnp.asarray(0.3, real))),
         )
 
         def advance(robot: Any, command: Any, scenario: Any = scenario, model: Any = model) -> tuple[Any, None]:
-            state: Any = SimpleNamespace(robot=robot, pedestrians=crowd)
+            state: Any = SimpleNamespace(robot=robot, pedestrians=nobody)
             return model.drive(scenario, state, command), None
 
         start = model.place(model, jnp.zeros(2, real), jnp.asarray([1.0, 0.0], real))
@@ -266,9 +265,9 @@ def drive_of(file: Path, body: Body, wheels: list[Wheel], settings: Settings) ->
         return "ackermann"
     if len(fixed) >= 2:
         return "differential"
-    joints = _listed([wheel.name for wheel in wheels]) if wheels else "none"
-    cure = "name the joints of the left and the right wheel by --wheels, or give --drive omnidirectional"
-    raise FileError(f"{file}: of its hinges, {joints} may be a driven wheel, which is too few; {cure}.")
+    what = f"only '{wheels[0].name}' of its hinges looks" if wheels else "none of its hinges looks"
+    cure = "name the hinges of the left and the right wheel by --wheels, or give --drive omnidirectional"
+    raise FileError(f"{file}: {what} like a wheel on the floor; {cure}.")
 
 
 # --- the base: one rigid body with wheels ---
@@ -371,8 +370,8 @@ class _Base:
         reach = float(np.hypot(corners[:, 0], corners[:, 1]).max()) if len(corners) else 0.0
         if far > reach + 0.01 and settings.radius is None:
             self.notes.append(f"links that move reach {far:.3g} m from the origin, beyond the radius")
-        self.top = float(points[:, 2].max()) if len(points) else 0.3
-        self.front = float(points[:, 0].max()) if len(points) else 0.1
+        self.top = float(corners[:, 2].max()) if len(corners) else 0.3
+        self.front = float(corners[:, 0].max()) if len(corners) else 0.1
         self.radius = self._number("radius", settings.radius, reach, "m", "outline of base and wheels", "--radius")
         own = sum(
             (link.inertia[2, 2] + link.mass * float(link.center[:2] @ link.center[:2]) for link in body.links), 0.0
@@ -436,15 +435,15 @@ class _Base:
             lever = float(np.mean(places)) if places else 0.0
         if self.drive != "ackermann" and (self.max_speed or not lever):
             turn = rim / lever if lever else 0.0
-            source = "speed of the wheels at their distance"
+            source = "of the wheels at their distance" if lever else "at the radius"
             self.max_turn_rate = self._number(
-                "max turn rate", settings.max_turn_rate, min(turn, 100.0), "rad/s", source, "--max-turn-rate"
+                "max turn rate", settings.max_turn_rate, min(turn, 100.0), "rad/s", f"speed {source}", "--max-turn-rate"
             )
             self.max_turn_acceleration = min(self.max_acceleration / (lever or self.radius or 1.0), 1e4)
             self._add(
                 "max turn acceleration",
                 f"{self.max_turn_acceleration:.4g} rad/s2",
-                "acceleration of the wheels at their distance",
+                f"acceleration {source}",
             )
 
     def _number(self, name: str, given: float | None, own: float, unit: str, source: str, option: str) -> float:
@@ -605,7 +604,7 @@ class _Base:
         eyes = [(name, place, axes[:, 0], axes[:, 1]) for name, place, axes in self.body.cameras] or [
             (name, place, *_view(name, axes)) for name, place, axes in self.body.frames if CAMERA.search(name)
         ]
-        eyes.sort(key=lambda each: "optical" in each[0])
+        eyes.sort(key=lambda each: (np.cross(each[3], each[2])[0] < AHEAD, "optical" in each[0]))
         eye = np.array([self.front, 0.0, 0.9 * self.top]), np.array([0.0, -1.0, 0.0]), np.array([-0.0872, 0.0, 0.9962])
         place, right, up = eyes[0][1:] if eyes else eye
         self._add("camera", f"{place[2]:.3g} m high", eyes[0][0] if eyes else "none in the file: in front")

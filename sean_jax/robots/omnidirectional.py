@@ -12,23 +12,16 @@ from jaxtyping import Float
 
 from sean_jax.base import Array, Lateral, RobotModel
 from sean_jax.geometry import rotate
-from sean_jax.robots.dynamics import GRAVITY, Surroundings, clip_length, mjx_advance, touching
+from sean_jax.robots.dynamics import GRAVITY, Touch, clip_length, mjx_advance
 
 Motion = tuple[Float[Array, "3"], Float[Array, "3"]]
 """x, y [m] and yaw [rad], and their rates."""
 
 
-def twin_substep(
-    model: RobotModel,
-    surroundings: Surroundings,
-    time_left: Float[Array, ""],
-    motion: Motion,
-    targets: Float[Array, "3"],
-) -> Motion:
+def twin_substep(model: RobotModel, touch: Touch, motion: Motion, targets: Float[Array, "3"]) -> Motion:
     """One physics step of the closed form, by semi-implicit Euler.
 
     Args:
-        time_left: s, from the start of this physics step to the end of the control step.
         targets: m/s ahead, m/s to the left and rad/s.
     """
     (position, velocity), (gain, force) = motion, _servo(model)
@@ -38,29 +31,17 @@ def twin_substep(
     push = jnp.stack([*rotate(push[0], push[1], cosine, sine), push[2]])
     mass = diagonal(model)
     free = velocity + model.time_step * push / mass
-    velocity = free + ground_impulse(model, surroundings, time_left, motion, free) / mass
+    velocity = free + ground_impulse(model, touch, motion, free) / mass
     return position + model.time_step * velocity, velocity
 
 
-def mjx_substep(
-    model: RobotModel,
-    surroundings: Surroundings,
-    time_left: Float[Array, ""],
-    motion: Motion,
-    targets: Float[Array, "3"],
-) -> Motion:
+def mjx_substep(model: RobotModel, touch: Touch, motion: Motion, targets: Float[Array, "3"]) -> Motion:
     """One physics step by MJX; arguments as of ``twin_substep``."""
-    ground = functools.partial(ground_impulse, model, surroundings, time_left, motion)
+    ground = functools.partial(ground_impulse, model, touch, motion)
     return mjx_advance(model, diagonal(model), _servo(model), motion, targets, ground)
 
 
-def ground_impulse(
-    model: RobotModel,
-    surroundings: Surroundings,
-    time_left: Float[Array, ""],
-    motion: Motion,
-    free: Float[Array, "3"],
-) -> Float[Array, "3"]:
+def ground_impulse(model: RobotModel, touch: Touch, motion: Motion, free: Float[Array, "3"]) -> Float[Array, "3"]:
     """Generalised impulse (3,) [N s, N s, N m s] of the ground, besides the servos', and of all contacts.
 
     Args:
@@ -73,7 +54,7 @@ def ground_impulse(
     x, y = rotate(free[0], free[1], jnp.cos(turned), jnp.sin(turned))
     limit = model.friction * GRAVITY * model.time_step
     dx, dy = clip_length(x - velocity[0], y - velocity[1], limit)
-    x, y = touching(model, surroundings, time_left, position, velocity[0] + dx, velocity[1] + dy)
+    x, y = touch(position, velocity[0] + dx, velocity[1] + dy)
     return jnp.stack([model.mass * (x - free[0]), model.mass * (y - free[1]), jnp.zeros_like(x)])
 
 
