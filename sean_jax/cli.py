@@ -26,6 +26,8 @@ from sean_jax.writing import atomic_file, atomic_folder, broken, check_file, che
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from sean_jax.base import Scenario
+
 PICTURES = (".png", ".svg", ".pdf", ".jpg", ".jpeg", ".webp", ".tif", ".tiff")  # that matplotlib writes
 MAX_FLOORS = 40  # of a picture
 LEARNING = ("cmaes", "optax", "orbax", "tensorstore")  # packages of the extra "learning"
@@ -221,8 +223,8 @@ def _run(options: config.RunConfig, console: "Console") -> int:
         from sean_jax import evaluation
     folder, results = evaluation.run(options, console, _outside(options.policy, console))
     _print(console, "report: ", folder / "report.html")
-    if len(results.tasks) < options.episodes:
-        text = f"stopped; the {len(results.tasks)} finished episodes are in {folder}"
+    if results.episodes < options.episodes:
+        text = f"stopped; the {results.episodes} finished episodes are in {folder}"
         return _fail(f"{text}, and the same command with --out {folder} resumes it.", STOPPED)
     return 0
 
@@ -234,7 +236,14 @@ def _outside(policy: config.Component, console: "Console") -> Any:
         return None
     from sean_jax.ros import bridge
 
-    return lambda scenario: bridge.Driver(scenario, policy.kind, place, console)
+    last: bridge.Driver | None = None
+
+    def connect(scenario: "Scenario") -> "bridge.Driver":
+        nonlocal last
+        last = bridge.Driver(scenario, policy.kind, place, console, last.now if last else 0)  # time never goes back
+        return last
+
+    return connect
 
 
 def _collect(options: config.CollectConfig, console: "Console") -> None:

@@ -1,6 +1,7 @@
 """A live robot: what comes in is checked and bounded, and what goes out reaches rosbridge's and DDS's real clients."""
 
 import asyncio
+import contextlib
 import json
 import math
 import socket
@@ -440,6 +441,19 @@ def test_a_half_open_client_is_bounded_and_closed(impatient):
     assert not server.wanted("/scan")
 
 
+def test_sockets_that_send_nothing_are_closed_and_others_are_served(impatient, mailbox):
+    host, port = impatient.address.removeprefix("ws://").split(":")
+    with contextlib.ExitStack() as stack:
+        silent = [stack.enter_context(socket.create_connection((host, int(port)), LIMIT)) for _ in range(100)]
+
+        async def scene(connection):
+            await ask(connection, op="publish", topic="/cmd_vel", msg=twist(0.1, 0.2))
+            await asyncio.to_thread(until, lambda: mailbox.commands == 1)
+
+        talk(impatient, scene)
+        assert not any(each.recv(1) for each in silent)  # the end of the connection
+
+
 @pytest.mark.parametrize("origin", ["http://example.org", "null", "http://127.0.0.1.example.org"])
 def test_pages_from_elsewhere_are_refused(server, origin):
     with pytest.raises(InvalidStatus) as error:
@@ -476,7 +490,7 @@ async def greet(address):
 # ------------------------------------------------------------------ clients of others
 
 ROSLIBPY = """
-import json, sys, threading, time
+import json, sys, threading
 import roslibpy
 
 client = roslibpy.Ros(sys.argv[1])
@@ -491,12 +505,11 @@ roslibpy.Topic(client, "/goal", "geometry_msgs/PoseStamped").subscribe(receive)
 here.wait(20)
 topics = client.get_topics()
 kind = client.get_topic_type("/odom")
-answer = roslibpy.Service(client, "/sean_jax/new_task", "std_srvs/Trigger").call(roslibpy.ServiceRequest(), timeout=20)
 topic = roslibpy.Topic(client, "/cmd_vel", "geometry_msgs/Twist")
 topic.advertise()
 topic.publish(roslibpy.Message({"linear": {"x": 0.3, "y": 0, "z": 0}, "angular": {"x": 0, "y": 0, "z": -0.2}}))
-print(json.dumps([got[0], topics, kind, dict(answer)]), flush=True)
-time.sleep(1)
+answer = roslibpy.Service(client, "/sean_jax/new_task", "std_srvs/Trigger").call(roslibpy.ServiceRequest(), timeout=20)
+print(json.dumps([got[0], topics, kind, dict(answer)]))  # the command is there, as the answer came after it
 client.terminate()
 """
 

@@ -1,6 +1,7 @@
 """The bridge with a real ROS 1 master of Debian's packages; skipped where they are missing."""
 
 import contextlib
+import json
 import os
 import shutil
 import signal
@@ -10,6 +11,7 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from sean_jax.errors import InputError
@@ -110,6 +112,35 @@ def test_the_tutorial_controller_outside_equals_the_same_controller_inside(ros, 
     assert outside == inside and len(outside.splitlines()) == 3
 
 
+BENCHMARK = """
+import sys
+from sean_jax import cli
+from sean_jax.studies.experiments import benchmark
+
+names = ("lab-random_ab_nav", "lab-join_group")  # two tracks, so that the controller is connected twice
+benchmark.TRACKS = {name: benchmark.TRACKS[name] | {"time_limit": 12.0} for name in names}
+for policy, folder in zip(sys.argv[1::2], sys.argv[2::2]):
+    assert cli.main(["benchmark", policy, "--episodes", "1", "--out", folder]) == 0
+"""
+
+
+def test_a_controller_outside_gets_a_result_of_the_benchmark(ros, tmp_path):
+    """The measurements of the same controller inside; two compiled programs may round a metric differently."""
+    controller = ROOT / "examples" / "ros1_controller.py"
+    words = ("ros1:", tmp_path / "outside", f"{controller}:inside", tmp_path / "inside")
+    with started([PYTHON, controller], ros):
+        command = [sys.executable, "-c", BENCHMARK, *map(str, words)]
+        done = subprocess.run(command, env=ros, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "no command came" not in done.stdout
+    outside, inside = (json.loads((tmp_path / name / "result.json").read_text()) for name in ("outside", "inside"))
+    assert outside["policy"] == "ros1:" and outside["scores"] == inside["scores"]
+    for track in outside["tracks"]:
+        ours, theirs = (np.load(tmp_path / name / f"{track}.npz") for name in ("outside", "inside"))
+        for name in theirs.files:
+            np.testing.assert_allclose(ours[name], theirs[name], rtol=1e-6, err_msg=f"{track} {name}")
+
+
 LISTEN = """
 import sys, threading
 import rospy
@@ -150,6 +181,16 @@ print(len(scan.ranges), image.encoding, len(image.data) == 4 * image.width * ima
 """
 
 
+STUCK = """
+import rospy
+from sensor_msgs.msg import Image
+
+rospy.init_node("stuck", anonymous=True)
+rospy.Subscriber("/depth/image_raw", Image, lambda message: print("got", flush=True), queue_size=1)
+rospy.spin()
+"""
+
+
 def read_line(process, word, lines):
     """Read the process's output until a line has a word."""
     while word not in (line := process.stdout.readline()):
@@ -159,7 +200,7 @@ def read_line(process, word, lines):
     return line
 
 
-def test_publish_subscribe_record_play_and_a_killed_master(ros, tmp_path):
+def test_publish_subscribe_record_play_a_stuck_subscriber_and_a_killed_master(ros, tmp_path):
     variables, lines = ros, []
     bridge = [sys.executable, "-m", "sean_jax", "bridge", "--ros1", *SCENARIO, "--factor", "2", "--time-limit", "20"]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
@@ -183,6 +224,10 @@ def test_publish_subscribe_record_play_and_a_killed_master(ros, tmp_path):
             recorder.wait(LIMIT)
         read = "import rosbag, sys; print(sorted({topic for topic, _, _ in rosbag.Bag(sys.argv[1])}))"
         assert program(ros, read, bag).strip() == str(["/clock", "/cmd_vel", "/map", "/odom", "/people", "/tf"])
+        stuck = stack.enter_context(started([PYTHON, "-c", STUCK], ros, **pipes))
+        read_line(stuck, "got", [])
+        stuck.send_signal(signal.SIGSTOP)  # it keeps its connection and reads nothing more
+        stack.callback(stuck.kill)
         with started(["rosbag", "play", "-l", bag, "--topics", "/cmd_vel"], ros):
             assert program(ros, LISTEN).split()[-1] == "True"
         if not any("x is nan" in line for line in lines):

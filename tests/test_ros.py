@@ -25,11 +25,13 @@ from sean_jax.errors import InputError
 from sean_jax.geometry import signed_distances_on_host
 from sean_jax.ros import bags, messages
 from sean_jax.scenario import snapshot
+from sean_jax.studies.calibration.windows import find
+from sean_jax.studies.prediction import read_windows
 from sean_jax.trajectories import load_trajectory
 
 pytest.importorskip("rosbags")
 DEBIAN = Path("/usr/bin/python3")
-STEPS = 4
+STEPS = 3
 START = messages.SECOND
 
 
@@ -38,8 +40,8 @@ def has_debian_rosbag() -> bool:
 
 
 @pytest.fixture(scope="module")
-def scenario():
-    scenario = sean_jax.make("lab", people=4, task="join_group")
+def scenario(scenario):
+    """The scenario that all tests share, with sensors; the episode is simulated without them."""
     depth = sensors.depth_sensor(sensors.camera(scenario, "depth", width=8, height=6))
     color = sensors.color_sensor(sensors.camera(scenario, "first_person", width=8, height=6))
     lidar = sensors.lidar_sensor(sensors.lidar(scenario, count=24))
@@ -50,20 +52,24 @@ def scenario():
 
 @pytest.fixture(scope="module")
 def states(scenario):
-    """Some states of an episode and the quantities of each on the host."""
-
-    @jax.jit
-    def episode(key):
-        def one(state, _):
-            command = jnp.asarray([0.4, 0.3])
-            state = sean_jax.step(scenario, state, command)
-            return state, (state, messages.step(scenario, state, command))
-
-        return jax.lax.scan(one, sean_jax.reset(scenario, key), length=STEPS)[1]
-
-    found, steps = jax.device_get(episode(jax.random.key(3)))
-    pick = lambda tree, t: jax.tree.map(lambda leaf: leaf[t], tree)  # noqa: E731
-    return [(pick(found, t), pick(steps, t)) for t in range(STEPS)]
+    """Some states of an episode and the quantities of each on the host; what sensors but the lidar read is random."""
+    random, (lidar, depth, color, rings) = np.random.default_rng(7), scenario.sensors
+    draws = {
+        "depth": lambda: np.minimum(random.uniform(0.3, 2 * depth.read.device.far, (6, 8)), depth.read.device.far),
+        "first_person": lambda: random.uniform(0.0, 1.0, (6, 8, 3)),
+        "rings": lambda: np.minimum(random.uniform(0.5, 30.0, (3, 24)), rings.read.device.far),
+    }
+    assert list(draws) == [depth.name, color.name, rings.name]
+    seeing = dataclasses.replace(scenario, sensors=(lidar,))
+    advance, quantities = jax.jit(sean_jax.step), jax.jit(messages.step)
+    bare, command, found = dataclasses.replace(scenario, sensors=()), jnp.asarray([0.4, 0.3]), []
+    state = jax.jit(sean_jax.reset)(bare, jax.random.key(3))
+    for _ in range(STEPS):
+        state = advance(bare, state, command)
+        step = quantities(seeing, state, command)
+        more = {name: draw().astype(np.float32) for name, draw in draws.items()}
+        found.append(jax.device_get((state, dataclasses.replace(step, readings=step.readings | more))))
+    return found
 
 
 def time_of(step, scenario) -> int:
@@ -109,6 +115,9 @@ def differences(ours, theirs, path=""):
             other = next((o for o in map(get, (name, name.upper(), aliases.get(name, name))) if o is not None), None)
             found += differences(value, other, f"{path}.{name}")
         return found
+    if isinstance(ours, np.ndarray) and ours.dtype.kind in "iu":  # a map or a picture
+        theirs = list(theirs) if isinstance(theirs, bytes | bytearray) else theirs
+        return [] if np.array_equal(ours, np.asarray(theirs)) else [f"{path}: other numbers"]
     ours = plain(ours)
     if isinstance(ours, list):
         theirs = list(theirs) if not isinstance(theirs, bytes | bytearray) else list(theirs)
@@ -157,6 +166,54 @@ def test_mcap_reads_every_field(bag):
         )
 
 
+def records(data):
+    """The records of a bag of rosbag 1, or of a chunk in it: (fields of the header, content)."""
+    at = 0
+    while at < len(data):
+        parts = []
+        for _ in range(2):
+            length = int.from_bytes(data[at : at + 4], "little")
+            parts.append(data[at + 4 : at + 4 + length])
+            at += 4 + length
+        yield fields(parts[0]), parts[1]
+
+
+def fields(header):
+    """The fields of a header."""
+    at, found = 0, {}
+    while at < len(header):
+        length = int.from_bytes(header[at : at + 4], "little")
+        name, _, value = header[at + 4 : at + 4 + length].partition(b"=")
+        found[name.decode()] = value
+        at += 4 + length
+    return found
+
+
+def test_the_definitions_in_a_bag_decode_every_field(bag):
+    """Rosbag 1 record by record, decoded by mcap's package for ROS 1 with the definitions that the bag has."""
+    ros1, records_of_mcap = pytest.importorskip("mcap_ros1.decoder"), pytest.importorskip("mcap.records")
+    folder, _, rows = bag
+    head, _, data = (folder / "walk.bag").read_bytes().partition(b"\n")
+    assert head == b"#ROSBAG V2.0"
+    factory, decoders, read = ros1.DecoderFactory(), {}, []
+    for outer, content in records(data):
+        if outer["op"] != b"\x05":  # a chunk
+            continue
+        assert outer["compression"] == b"none"
+        for header, body in records(content):
+            if header["op"] == b"\x07":  # a connection
+                about = fields(body)
+                schema = records_of_mcap.Schema(
+                    id=len(decoders), encoding="ros1msg", name=about["type"].decode(), data=about["message_definition"]
+                )
+                decoders[header["conn"]] = header["topic"].decode(), factory.decoder_for("ros1", schema)
+            elif header["op"] == b"\x02":  # a message
+                topic, decode = decoders[header["conn"]]
+                second, nanosecond = np.frombuffer(header["time"], "<u4").tolist()
+                read.append((second * 10**9 + nanosecond, topic, decode(body)))
+    compare(rows, read)
+
+
 DUMP = """
 import json, math, sys, rosbag
 def plain(value):
@@ -189,7 +246,7 @@ def test_debian_rosbag_reads_every_field(bag):
 
 
 def test_messages_are_the_state(scenario, states):
-    table, sense = messages.topics(scenario), jax.jit(sensors.sense)
+    table = messages.topics(scenario)
     for state, step in states:
         now = time_of(step, scenario)
         content = {**messages.messages(table, step, now, True), **messages.messages(table, step, now)}
@@ -203,7 +260,7 @@ def test_messages_are_the_state(scenario, states):
         assert linked == {"odom": "map", "base_link": "odom"}
         names = {each["child_frame_id"] for each in content["/tf_static"]["transforms"]}
         assert names == {"lidar", "rings", "depth_optical_frame", "first_person_optical_frame"}
-        scan, readings = content["/scan"], sense(scenario, state)
+        scan, readings = content["/scan"], step.readings
         points, ring = sensors.point_cloud(scenario.sensors[3].read.device, np.asarray(readings["rings"]))
         rows = np.frombuffer(content["/rings/points"]["data"].tobytes(), [("xyz", "<f4", 3), ("ring", "<u2")])
         assert len(rows) > 20 and np.allclose(rows["xyz"], points, atol=1e-4) and np.array_equal(rows["ring"], ring)
@@ -213,7 +270,10 @@ def test_messages_are_the_state(scenario, states):
         assert np.isclose(scan["angle_min"] + 23 * scan["angle_increment"], scan["angle_max"])
         depth = np.frombuffer(content["/depth/image_raw"]["data"].tobytes(), "<f4").reshape(6, 8)
         near = np.isfinite(depth)
+        assert np.array_equal(near, readings["depth"] < scenario.sensors[1].read.device.far) and 0 < near.sum() < 48
         assert np.allclose(depth[near], np.asarray(readings["depth"])[near], atol=1e-4)
+        color = np.asarray(content["/first_person/image_raw"]["data"]).reshape(6, 8, 3)
+        assert np.allclose(color, 255 * np.asarray(readings["first_person"]), atol=0.5 + 1e-3)
         people = content["/people"]["people"]
         assert len(people) == int(state.pedestrians.present.sum())
         assert content["/goal"]["pose"]["position"]["x"] == pytest.approx(float(state.task.goal[0]))
@@ -252,12 +312,13 @@ def test_optical_frames_look_along_the_view(scenario):
 
 
 def test_plan_is_the_shortest_path(scenario, states):
+    plan, way = messages.topics(scenario)["/plan"], jax.jit(sean_jax.navigation.geodesic)
     for state, step in states:
-        poses = messages.topics(scenario)["/plan"].message(step, 0)["poses"]
+        poses = plan.message(step, 0)["poses"]
         points = np.array([[each["pose"]["position"][axis] for axis in "xy"] for each in poses])
         legs = np.linalg.norm(np.diff(points, axis=0), axis=1)
         task = state.task
-        length = sean_jax.navigation.geodesic(scenario.navigation, state.robot.position, task.goal, task.paths_to_goal)
+        length = way(scenario.navigation, state.robot.position, task.goal, task.paths_to_goal)
         assert np.allclose(points[0], state.robot.position, atol=1e-6)
         assert np.allclose(points[-1], task.goal, atol=1e-6)
         assert legs.max() <= messages.SPACING + 1e-6
@@ -345,7 +406,8 @@ def test_import_gives_back_positions_and_situations(bag, scenario, states, tmp_p
     for name in ("walk.bag", "walk", "walk/walk.mcap"):
         out = tmp_path / name.replace("/", "-")
         result = bags.import_bag(folder / name, out)
-        assert (result.frames, result.people, result.robot, result.frame) == (STEPS, 4, True, "map")
+        assert (result.frames, result.robot, result.frame) == (STEPS, True, "map")
+        assert result.people == states[0][0].pedestrians.present.sum()
         frames = load_trajectory(out / bags.ROBOT)
         expect = lambda get: np.stack([np.asarray(get(state), float) for state, _ in states])  # noqa: E731
         assert np.allclose(frames.position, expect(lambda s: s.robot.position), atol=1e-6)
@@ -356,7 +418,7 @@ def test_import_gives_back_positions_and_situations(bag, scenario, states, tmp_p
         assert np.allclose(frames.people_heading, expect(lambda s: s.pedestrians.heading), atol=1e-5)
         assert np.allclose(frames.goal, expect(lambda s: s.task.goal), atol=1e-6)
         assert np.allclose(frames.action, [0.4, 0.3], atol=1e-6)
-        tracks = recordings.read(out / bags.PEOPLE, frame_rate=10.0)
+        tracks = recordings.read(out / bags.PEOPLE, frame_rate=100.0)
         assert np.allclose(tracks.position, expect(lambda s: s.pedestrians.position), atol=1e-6)
         if "/social_sim/metrics" in table:
             names = sorted(each for each, _ in scenario.situations)
@@ -467,9 +529,76 @@ def test_other_messages_of_people_and_gaps(tmp_path, kind):
     write_bag(tmp_path / "people.bag", rows)
     result = bags.import_bag(tmp_path / "people.bag", tmp_path / "out")
     assert not result.robot and sorted(each.name for each in result.folder.iterdir()) == [bags.PEOPLE]
-    tracks = recordings.read(result.folder / bags.PEOPLE, frame_rate=10.0)
+    tracks = recordings.read(result.folder / bags.PEOPLE, frame_rate=100.0)
     assert np.array_equal(np.flatnonzero(~np.asarray(tracks.present[:, 0])), list(gone))
     assert np.allclose(np.asarray(tracks.position)[:5, 0, 0], 0.1 * np.arange(5))
+
+
+@pytest.fixture(scope="module")
+def walks(tmp_path_factory):
+    """A folder with a square and a bag of two people who walk past a robot; the bag's velocities are zeros."""
+    folder, rows = tmp_path_factory.mktemp("walks"), []
+    (folder / "square").mkdir()
+    (folder / "square" / "environment.yaml").write_text("name: square\nfloor: [-9, -9, 9, 9]\npeople: 2\n")
+    box = '<geom type="box" pos="0 -3 0.5" size="0.5 0.5 0.5"/>'
+    (folder / "square" / "scene.xml").write_text(f"<mujoco><worldbody>{box}</worldbody></mujoco>")
+    at = lambda x, y: {"x": float(x), "y": float(y), "z": 0.0}  # noqa: E731
+    for k in range(101):
+        time = START + k * 10**8
+        head = {"stamp": messages.stamp(time), "frame_id": "map"}
+        people = [{"name": name, "position": at(*walk(k / 10, name))} for name in "ab"]
+        pose = {"pose": {"position": at(0.02 * k, -1), "orientation": quaternion(0.0)}}
+        odometry = {"header": head, "child_frame_id": "base_link", "pose": pose}
+        rows.append(("/people", "people_msgs/msg/People", time, {"header": head, "people": people}))
+        rows.append(("/odom", "nav_msgs/msg/Odometry", time, odometry))
+    write_bag(folder / "walks.bag", rows)
+    for name, step in (("tenths", 0.1), ("moments", 0.4)):
+        bags.import_bag(folder / "walks.bag", folder / name, step)
+    return folder
+
+
+def walk(seconds, name):
+    """The place of a person of ``walks``."""
+    return (-6 + 1.2 * seconds, 0.0) if name == "a" else (5 - 0.9 * seconds, 2.0)
+
+
+def test_people_of_a_bag_are_recordings_for_prediction(walks):
+    """In both clocks of the windows; people who keep their velocity are predicted without error."""
+    prediction, corridors = find(walks / "moments")
+    assert list(prediction) == ["people"] and not corridors
+    for clock in ("social_gan", "recorded"):
+        windows = read_windows(walks / "moments" / bags.PEOPLE, clock)
+        position = np.asarray(windows.position)  # (B, T, N, 2), 0.4 s apart
+        assert position.shape[1:] == (20, 2, 2) and np.asarray(windows.present).all()
+        np.testing.assert_allclose(np.diff(position, axis=1)[..., 0], [[[0.48, -0.36]] * 19] * len(position), atol=1e-6)
+    text = (walks / "tenths" / bags.PEOPLE).read_text().splitlines()
+    assert text[0].split(",")[4:6] == ["vx_mps", "vy_mps"] and text[1].startswith("0,0,-6.0,0.0,")
+    np.testing.assert_allclose([float(each) for each in text[1].split(",")[4:6]], [1.2, 0.0], atol=1e-6)
+
+
+@pytest.mark.slow
+def test_people_of_a_bag_are_played_back_measured_calibrated_on_and_shown(walks, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    people, rate = str(walks / "tenths" / bags.PEOPLE), ("--frame-rate", "100")
+    run = ["run", "--environment", str(walks / "square"), "--behavior", "playback", "--task", "random_ab_nav", *rate]
+    run += ["--recording", people, "--time-limit", "3", "--episodes", "1", "--trajectories", "csv", "--quiet"]
+    assert cli.main([*run, "--out", "run"]) == 0
+    frames = load_trajectory("run/trajectories.csv")
+    place = np.asarray(frames.people)[0]
+    x = np.take_along_axis(place[..., 0], place[..., 1].argsort(-1), -1)  # of a, who walks along y = 0, and of b
+    begin = (x[0, 0] + 6) / 1.2  # s of the recording
+    times = begin + 0.1 * np.arange(len(x))
+    np.testing.assert_allclose(x, np.stack([-6 + 1.2 * times, 5 - 0.9 * times], -1), atol=1e-3)
+    study = ["experiment", "table1", "--policies", "none", "--recordings", people, *rate, "--quiet", "--out", "table1"]
+    assert cli.main([*study, "--speeds", "1.4"]) == 0
+    rows = Path("table1/recordings.csv").read_text().splitlines()
+    assert len(rows) > 3 and all(row.startswith("people,") for row in rows[1:])
+    fit = ["calibrate", "--data", str(walks / "moments"), "--fit", "none", "--generations", "1", "--population", "4"]
+    assert cli.main([*fit, "--leave-out", "none", "--quick", "--quiet", "--out", "fit"]) == 0
+    scores = json.loads(Path("fit/results.json").read_text())["scores"]["people (social_gan)"]
+    assert scores["constant velocity"]["ade"] < 1e-5  # m
+    sean_jax.view(load_trajectory(walks / "tenths" / bags.ROBOT)).save("page.html")
+    assert Path("page.html").stat().st_size > 10_000
 
 
 def test_bad_bags_are_sentences_and_write_nothing(bag, tmp_path, monkeypatch, capsys):

@@ -27,6 +27,7 @@ from sean_jax.trajectories import save_trajectory
 
 Version = Literal["1", "2", "both"]
 PEOPLE, ROBOT = "people.csv", "trajectory.csv"  # of an import
+FRAMES = 10  # frame numbers from row to row of people.csv, as in UCY's recordings
 LONGEST_GAP = 2.0  # s: a person without messages for longer has left
 MAX_CELLS = 20_000_000  # of times and people
 BASES = ("base_link", "base_footprint")  # frames of a robot
@@ -401,9 +402,10 @@ def import_bag(
     """Write the people of a bag as a recording, and with its robot as a trajectory.
 
     Args:
-        folder: new or empty; ``people.csv`` is for playback and ``recordings.read`` with 1 / time_step frames a second,
-            ``trajectory.csv`` for ``load_trajectory``.
-        time_step: s between rows, between which the bag's positions are interpolated.
+        folder: new or empty; ``people.csv`` is for playback and ``recordings.read`` with ``FRAMES`` / time_step frames
+            a second, ``trajectory.csv`` for ``load_trajectory``.
+        time_step: s between rows, between which the bag's positions are interpolated; 0.4 makes people.csv a
+            recording in the format of ETH and UCY.
         people, robot: topics, as of ``read``.
 
     Raises:
@@ -417,20 +419,25 @@ def import_bag(
     here = np.asarray(frames.present)
     with writing.atomic_folder(Path(folder)) as new:
         if contents.people:
-            writing.write(new / PEOPLE, _recording(frames))
+            writing.write(new / PEOPLE, _recording(frames, time_step))
         if contents.robot:
             save_trajectory(frames, new / ROBOT, time_step=time_step, situations=names)
     return Import(Path(folder), len(here), here.shape[1], bool(contents.robot), contents.frame)
 
 
-def _recording(frames: Trajectory) -> str:
-    """The people of frames as a recording."""
+def _recording(frames: Trajectory, time_step: float) -> str:
+    """The people of frames as a recording; velocities are those of the positions, as some trackers send zeros."""
     present, place, group = (np.asarray(part) for part in (frames.present, frames.people, frames.group))
     yaw = np.arctan2(*np.moveaxis(np.asarray(frames.people_heading, float), -1, 0)[::-1])
-    lines = ["frame,id,x_m,y_m,theta_rad,group_id"]
+    flow = np.zeros(place.shape)
+    both = present[1:] & present[:-1]
+    flow[1:][both] = (np.diff(place, axis=0) / time_step)[both]
+    first = both & ~np.concatenate([np.zeros_like(both[:1]), both[:-1]])
+    flow[:-1][first] = flow[1:][first]
+    lines = ["frame,id,x_m,y_m,vx_mps,vy_mps,theta_rad,group_id"]
     for t, n in np.argwhere(present):
-        x, y = (repr(float(value)) for value in place[t, n])
-        lines.append(f"{t},{n},{x},{y},{float(yaw[t, n])!r},{group[t, n]}")
+        numbers = ",".join(repr(float(value)) for value in (*place[t, n], *flow[t, n], yaw[t, n]))
+        lines.append(f"{FRAMES * t},{n},{numbers},{group[t, n]}")
     return "\n".join(lines) + "\n"
 
 

@@ -75,8 +75,11 @@ def connect(place: tuple[str, str], mailbox: Mailbox, outputs: dict[str, Output]
 class Bridge:
     """The states of a scenario as messages, and the commands that answer them."""
 
-    def __init__(self, scenario: Scenario, place: tuple[str, str], write: Callable[[str], None]):
+    def __init__(self, scenario: Scenario, place: tuple[str, str], write: Callable[[str], None], now: int = 0):
         """Connect, and compile what messages need.
+
+        Args:
+            now: steps of control on the clock so far.
 
         Raises:
             InputError: a package is missing, or nothing answers there.
@@ -84,7 +87,7 @@ class Bridge:
         missing = [SENSORS[name] for name in NAMES if name not in {each.name for each in scenario.sensors}]
         self.scenario = replace(scenario, sensors=(*scenario.sensors, *(make(scenario.robot) for make in missing)))
         self._plain = replace(scenario, sensors=())
-        self._number, self._fresh, self._goal, self._start, self._now = 0, True, False, 1, 0
+        self._number, self._fresh, self._goal, self._start, self.now = 0, True, False, now + 1, now
         self._table = self._topics()
         size = command_size(scenario.robot)
         self.mailbox, self.no_command = Mailbox(Log(write), size), np.full(size, np.nan, np.float32)
@@ -108,7 +111,7 @@ class Bridge:
         """Another episode, or another task, begins; ``scenario`` has its task. Time goes on."""
         self.scenario = replace(scenario, sensors=self.scenario.sensors)
         self._plain, self._number = replace(scenario, sensors=()), number
-        self._fresh, self._start = True, self._now + 1
+        self._fresh, self._start = True, self.now + 1
         self.missed = 0
 
     def stand(self) -> None:
@@ -119,8 +122,8 @@ class Bridge:
     def publish(self, state: State, command: np.ndarray) -> None:
         """Send the messages of a state to all who subscribe; latched ones once an episode."""
         step = jax.device_get(_quantities(self._plain, state, jnp.asarray(command, float)))
-        self._now = self._start + int(step.tick)
-        moment = round(self._now * self.scenario.time_step * messages.SECOND)
+        self.now = self._start + int(step.tick)
+        moment = round(self.now * self.scenario.time_step * messages.SECOND)
         wanted = [name for name, topic in self._table.items() if not topic.latched and self.transport.wanted(name)]
         readings = {}
         for sensor in self.scenario.sensors:
@@ -165,14 +168,14 @@ def _command(scenario: Scenario, params: Array, state: State, key: Array) -> tup
 class Driver:
     """A controller outside of this program as the policy of a runner with one episode at a time, in lock-step."""
 
-    def __init__(self, scenario: Scenario, name: str, place: tuple[str, str], console: Console):
+    def __init__(self, scenario: Scenario, name: str, place: tuple[str, str], console: Console, now: int = 0):
         """Connect; arguments as of ``Bridge``.
 
         Raises:
             InputError: a package is missing, or nothing answers there.
         """
         write = functools.partial(console.print, highlight=False, markup=False, soft_wrap=True)
-        self._bridge = Bridge(scenario, place, write)
+        self._bridge = Bridge(scenario, place, write, now)
         self.policy = Policy(jnp.asarray(self._bridge.no_command, float), name, no_memory, _command)
         self._console, self._write, self._command = console, write, self._bridge.no_command
         self._answered, self._late = False, False
@@ -225,6 +228,11 @@ class Driver:
             )
         if (request := bridge.mailbox.take_request()) is not None:
             request.answer(False, "sean run measures whole episodes; use sean bridge.")
+
+    @property
+    def now(self) -> int:
+        """Steps of control on the clock so far."""
+        return self._bridge.now
 
     @property
     def time_step(self) -> float:
