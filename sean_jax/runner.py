@@ -263,7 +263,7 @@ class Runner:
             receive(waiting)
         steps, faulty = (np.asarray(part)[:count] for part in (running.steps, running.faulty))
         if faulty.any():
-            raise FloatingPointError(not_finite(first + np.flatnonzero(faulty), count))
+            raise FloatingPointError(not_finite(first, faulty, self.robots))
         states = running.states if count == self.size else jax.tree.map(lambda leaf: leaf[:count], running.states)
         return Batch(states, steps, jax.tree.map(np.asarray, running.total), rows)
 
@@ -321,8 +321,10 @@ def even_batch(count: int) -> int:
     return math.ceil(count / math.ceil(count / max_batch()))
 
 
-def not_finite(numbers: np.ndarray, count: int) -> str:
-    """The sentence on the episodes, of ``count``, that hold numbers that are not finite."""
+def not_finite(first: int, faulty: np.ndarray, robots: int = 1) -> str:
+    """The sentence on faulty episodes, by their rows from number ``first`` on, ``robots`` for each episode."""
+    episodes = np.any(faulty.reshape(-1, robots), 1, keepdims=True)[:, 0]
+    numbers, count = first // robots + np.flatnonzero(episodes), len(episodes)
     names = ", ".join(map(str, numbers[:8])) + (f" and {len(numbers) - 8} more" if len(numbers) > 8 else "")
     return f"{len(numbers)} of {count} episodes hold numbers that are not finite: {names}."
 

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from jaxtyping import Float, PyTree
 
 from sean_jax import episodes, metrics, prng, scenario
-from sean_jax.base import Array, Policy, PolicyLike, Robot, Scenario, State, as_policy
+from sean_jax.base import Array, Policy, PolicyLike, Scenario, State, as_policy
 from sean_jax.errors import InputError
 from sean_jax.geometry import length
 from sean_jax.others import models_of_others, others_of, with_contacts
@@ -128,8 +128,11 @@ def step(team: Stack[Scenario], states: State, actions: Float[Array, "M command"
 
 def meet(states: State) -> State:
     """The states (M, ...) in which each robot has the others where they are, after robots were moved by hand."""
-    robots: Robot = states.robot
-    return replace(states, others=jax.tree.map(lambda leaf: leaf[others_of(len(leaf))], robots))
+
+    def of_others(values: PyTree) -> PyTree:
+        return jax.tree.map(lambda leaf: leaf[others_of(len(leaf))], values)
+
+    return replace(states, others=of_others(states.robot), goals_of_others=of_others(states.task.goal))
 
 
 def init_policy(team: Stack[Scenario], policy: PolicyLike, states: State) -> State:

@@ -895,6 +895,7 @@ def test_people_go_on_with_a_changed_graph(edited):
         edited.edit(None)
 
 
+@pytest.mark.slow
 def test_people_begin_anew_on_another_graph_and_floor(edited):
     """A node and a box more: other tables, in which time goes on; undo leads back to the files."""
     edited.restart(0)

@@ -1,33 +1,99 @@
 """Several robots in a scenario (sean_jax.team)."""
 
+import csv
+import json
+import signal
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import test_replay_folders
+import test_resume
 
-from sean_jax import assembly, cli, make, make_team, metrics, rollout, sensors, social_forces, team
+from sean_jax import (
+    assembly,
+    cli,
+    evaluation,
+    make,
+    make_team,
+    metrics,
+    reset,
+    rollout,
+    sensors,
+    social_forces,
+    step,
+    team,
+)
 from sean_jax.adapters.multi_agent import TeamEnv
 from sean_jax.base import Robot, Scenario, State
 from sean_jax.config import RunConfig, validate
 from sean_jax.others import with_bodies
-from sean_jax.pedestrian_models import pedestrians_at
+from sean_jax.pedestrian_models import orca, pedestrians_at
 from sean_jax.policies import POLICIES
 from sean_jax.robots import ROBOTS
+from sean_jax.runner import Callbacks, Runner
+from sean_jax.scenario import snapshot
 from sean_jax.stack import Stack
 
 OPTIONS = dict(behavior="random", people=6, time_limit=12.0)
+CASES = 24
 
 
 @pytest.fixture(scope="module")
 def scenario() -> Scenario:
-    return make("lab", **OPTIONS)
+    """Without metrics, which are compiled slowly; a team has its own two."""
+    return make("lab", metrics="none", **OPTIONS)
 
 
 def of(scenario: Scenario, number: int) -> Stack[Scenario]:
     return team.of_scenarios(Stack(scenario, {}, number))
+
+
+@pytest.fixture(scope="module")
+def members(scenario: Scenario) -> Stack[Scenario]:
+    return of(scenario, 3)
+
+
+@pytest.fixture(scope="module")
+def begun(scenario: Scenario) -> State:
+    """The first states of the plain scenario."""
+    return jax.jit(jax.vmap(partial(reset, scenario)))(jax.random.split(jax.random.key(1), CASES))
+
+
+@pytest.fixture(scope="module")
+def plain_step(scenario: Scenario) -> Callable:
+    return jax.jit(jax.vmap(partial(step, scenario)))
+
+
+@pytest.fixture(scope="module")
+def team_step(members: Stack[Scenario]) -> Callable:
+    """The program of all steps of three robots here."""
+    return jax.jit(jax.vmap(partial(team.step, members)))
+
+
+@pytest.fixture(scope="module")
+def teams(members: Stack[Scenario]) -> Callable:
+    """Plain states, with three robots at places (CASES, 3, 2) with angles (CASES, 3) -> states of teams."""
+
+    def measured(member: Scenario, state: State) -> State:
+        return replace(state, metrics={name: metric.init(snapshot(member, state)) for name, metric in member.metrics})
+
+    def one(state: State, place: jax.Array, angle: jax.Array) -> State:
+        robot, heading = members.member.robot, jnp.stack([jnp.cos(angle), jnp.sin(angle)], -1)
+        placed = jax.vmap(robot.place, (None, 0, 0))(robot, place, heading)
+        states = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (3, *leaf.shape)), state)
+        return members.over_members(measured)(team.meet(replace(states, robot=placed)))
+
+    return jax.jit(jax.vmap(one))
+
+
+def without_people(state: State) -> State:
+    return replace(state, pedestrians=replace(state.pedestrians, present=jnp.zeros((CASES, 6), bool)))
 
 
 def close(one, other, tolerance: float) -> None:
@@ -41,22 +107,69 @@ def close(one, other, tolerance: float) -> None:
 def alone(states: State) -> State:
     """The states without what only a team has."""
     own = {name: value for name, value in states.metrics.items() if name not in metrics.OF_TEAMS}
-    return replace(states, others=None, metrics=own)
+    return replace(states, others=None, goals_of_others=None, metrics=own)
 
 
 def both(before: State, after: State, action) -> tuple:
     return before, after, action
 
 
-@pytest.fixture(scope="module")
-def three(scenario: Scenario) -> tuple:
-    """A team of three and the states (E, T, M, ...) of four episodes that ORCA drives, with their commands."""
-    members = of(scenario, 3)
-    episode = jax.jit(jax.vmap(lambda key: team.rollout(members, POLICIES["orca"], key, 40, both)[1]))
-    return members, episode(jax.random.split(jax.random.key(3), 4))
+def test_a_robot_far_from_the_others_is_as_the_plain_scenario(scenario, begun, plain_step, teams, team_step) -> None:
+    """Robot, people, situations and task, in random drives; the other robots stand 1 km away."""
+    random, state = np.random.default_rng(0), begun
+    far = jnp.asarray([[1000.0, 1000.0], [1000.0, 1010.0]])
+    arranged = jax.jit(lambda state: jnp.concatenate([state.robot.position[:, None], jnp.tile(far, (CASES, 1, 1))], 1))
+    angle = jnp.arctan2(*state.robot.heading.T[::-1])
+    states = teams(state, arranged(state), jnp.tile(angle[:, None], (1, 3)))
+    first = jax.jit(lambda states: alone(jax.tree.map(lambda leaf: leaf[:, 0], states)))
+    close(first(states), state, 1e-6)
+    begin = np.asarray(state.robot.position)
+    for _ in range(12):
+        actions = random.uniform([0.0, -1.0], [1.0, 1.0], (CASES, 3, 2)).astype(np.float32)
+        state, states = plain_step(state, actions[:, 0]), team_step(states, actions)
+        close(first(states), state, 1e-4)
+    assert np.linalg.norm(np.asarray(state.robot.position) - begin, axis=-1).max() > 0.2
 
 
-def test_a_team_of_one_is_the_plain_scenario(scenario: Scenario) -> None:
+def test_robots_in_another_order_have_the_same_steps(begun, teams, team_step) -> None:
+    """Near each other and near a person, some of them in contact."""
+    random, order = np.random.default_rng(1), np.array([2, 0, 1])
+    near = np.asarray(begun.pedestrians.position)[:, :1] + random.uniform(-0.6, 0.6, (CASES, 3, 2))
+    angle = random.uniform(-np.pi, np.pi, (CASES, 3))
+    states, turned = (teams(begun, jnp.asarray(near[:, k]), jnp.asarray(angle[:, k])) for k in (np.arange(3), order))
+    for _ in range(4):
+        actions = random.uniform([0.0, -1.0], [1.0, 1.0], (CASES, 3, 2)).astype(np.float32)
+        states, turned = team_step(states, actions), team_step(turned, actions[:, order])
+    for name in ("robot", "situations", "metrics", "pedestrians"):
+        one, other = getattr(states, name), getattr(turned, name)
+        close(jax.tree.map(lambda leaf: np.asarray(leaf)[:, order], one), other, 1e-4)
+    gap = np.linalg.norm(states.others.position - states.robot.position[:, :, None], axis=-1)
+    assert (gap < 0.33).any() and (gap > 0.5).any()
+    for k, rest in enumerate(([1, 2], [0, 2], [0, 1])):
+        np.testing.assert_array_equal(states.others.position[:, k], states.robot.position[:, rest])
+        np.testing.assert_array_equal(states.goals_of_others[:, k], states.task.goal[:, rest])
+
+
+def test_two_robots_stop_each_other(scenario, begun, teams, team_step) -> None:
+    """They face each other at 0.5 m, aside by up to a radius, with nobody near; a third one is elsewhere."""
+    radius, random = float(scenario.robot.radius), np.random.default_rng(2)
+    aside = random.uniform(-radius, radius, CASES)
+    half, zero = np.full(CASES, radius + 0.25), np.zeros(CASES)
+    place = np.stack([np.stack([-half, -aside / 2], -1), np.stack([half, aside / 2], -1), np.full((CASES, 2), 1e3)], 1)
+    states = teams(without_people(begun), jnp.asarray(place), jnp.asarray(np.stack([zero, zero + np.pi, zero], 1)))
+    ahead, gaps = jnp.tile(jnp.array([1.0, 0.0]), (CASES, 3, 1)), []
+    for _ in range(40):
+        states = team_step(states, ahead)
+        gaps.append(np.linalg.norm(states.robot.position[:, 0] - states.robot.position[:, 1], axis=-1) - 2 * radius)
+    assert np.min(gaps) > -0.02 and np.min(gaps, 0).max() < 0.05
+    counts = np.asarray(states.metrics["collision_with_robot"])[:, :, 0]
+    assert (counts[:, :2] >= 1).all() and (counts[:, 0] == counts[:, 1]).all() and not counts[:, 2].any()
+
+
+@pytest.mark.slow
+def test_a_team_of_one_is_the_plain_scenario() -> None:
+    """Its reset, and each step from a state of the plain scenario, with all metrics."""
+    scenario = make("lab", **OPTIONS)
     one = of(scenario, 1)
     keys = jax.random.split(jax.random.key(1), 3)
     first = jax.jit(jax.vmap(partial(team.reset, one)))(keys)
@@ -66,7 +179,7 @@ def test_a_team_of_one_is_the_plain_scenario(scenario: Scenario) -> None:
     def stepped(before: State, action: jax.Array, like: State) -> State:
         states = jax.tree.map(lambda leaf: leaf[None], before)
         more = {name: like.metrics[name] for name in metrics.OF_TEAMS}
-        states = replace(states, others=like.others, metrics=states.metrics | more)
+        states = team.meet(replace(states, metrics=states.metrics | more))
         return jax.tree.map(lambda leaf: leaf[0], team.step(one, states, action[None]))
 
     each = jax.jit(jax.vmap(jax.vmap(stepped, (0, 0, None))))
@@ -75,20 +188,6 @@ def test_a_team_of_one_is_the_plain_scenario(scenario: Scenario) -> None:
     here = jax.tree.map(lambda leaf: leaf[~ended], (result, after))
     assert (~ended).sum() > 100
     close(*here, 5e-6)
-
-
-def test_robots_in_another_order_have_the_same_steps(three: tuple) -> None:
-    members, (before, after, action) = three
-    before, after, action = jax.tree.map(lambda leaf: leaf.reshape(160, *leaf.shape[2:]), (before, after, action))
-    order = jnp.array([2, 0, 1])
-
-    def stepped(states: State, actions: jax.Array) -> State:
-        turned = team.meet(jax.tree.map(lambda leaf: leaf[order], states))
-        return team.step(members, turned, actions[order])
-
-    result = jax.jit(jax.vmap(stepped))(before, action)
-    expected = jax.vmap(lambda states: team.meet(jax.tree.map(lambda leaf: leaf[order], states)))(after)
-    close(result, expected, 2e-5)
 
 
 def test_people_react_to_each_robot_as_to_one_alone() -> None:
@@ -136,31 +235,18 @@ def test_people_react_to_each_robot_as_to_one_alone() -> None:
     np.testing.assert_allclose(result, expected, atol=2e-4)
 
 
-def test_robots_far_apart_are_as_alone(scenario: Scenario, three: tuple) -> None:
-    """The robot moves as in the plain scenario among the same people, with the same command, if no robot is near."""
-    members, (before, after, action) = three
-    before, after, action = jax.tree.map(lambda leaf: leaf.reshape(160, *leaf.shape[2:]), (before, after, action))
-    gap = np.linalg.norm(np.asarray(before.others.position) - np.asarray(before.robot.position)[:, :, None], axis=-1)
-    far = (gap.min(-1) > 1.5) & ~np.asarray(before.completed)
-
-    def moved(before: State, after: State, action: jax.Array) -> Robot:
-        state = replace(before, pedestrians=after.pedestrians)
-        return scenario.robot.drive(scenario, state, action)
-
-    robots = jax.jit(jax.vmap(jax.vmap(moved)))(before, after, action)
-    assert far.sum() > 50
-    close(*jax.tree.map(lambda leaf: leaf[far], (robots, after.robot)), 1e-5)
-
-
-def test_starts_are_apart_and_tasks_differ(scenario: Scenario) -> None:
-    members = of(scenario, 4)
-    states = jax.jit(jax.vmap(partial(team.reset, members)))(jax.random.split(jax.random.key(5), 64))
+@pytest.mark.slow
+def test_starts_are_apart_and_tasks_differ(scenario: Scenario, begun: State) -> None:
+    """The first robot begins as alone."""
+    four = of(scenario, 4)
+    states = jax.jit(jax.vmap(partial(team.reset, four)))(jax.random.split(jax.random.key(1), CASES))
     start = np.asarray(states.task.start)
     gap = np.linalg.norm(start[:, :, None] - start[:, None], axis=-1) + 1e3 * np.eye(4)
     assert gap.min() > 2.0 * float(scenario.robot.radius) + 0.29
     goal = np.asarray(states.task.goal)
     assert (np.linalg.norm(goal[:, 0] - goal[:, 1], axis=-1) > 0.1).mean() > 0.9
     np.testing.assert_array_equal(states.others.position[:, 1, 1:], states.robot.position[:, 2:])
+    close(alone(jax.tree.map(lambda leaf: leaf[:, 0], states)), begun, 1e-6)
 
 
 def facing(scenario: Scenario, members: Stack[Scenario], gap: float, offset: float = 0.0) -> State:
@@ -178,9 +264,9 @@ def facing(scenario: Scenario, members: Stack[Scenario], gap: float, offset: flo
 FREE = (0.0, 0.0)
 
 
-@pytest.mark.parametrize("names", [("kuri", "kuri"), ("kuri", "jackal")])
-def test_two_robots_stop_each_other(names: tuple[str, str]) -> None:
-    members = make_team("lab", robots=names, **OPTIONS)
+@pytest.mark.slow
+def test_robots_of_different_size_stop_each_other() -> None:
+    members = make_team("lab", robots="kuri,jackal", **OPTIONS)
     scenario = members.member
     states = facing(scenario, members, 0.5)
     ahead = jnp.array([[1.0, 0.0], [1.0, 0.0]])
@@ -198,13 +284,69 @@ def test_two_robots_stop_each_other(names: tuple[str, str]) -> None:
     assert (counts >= 1).all() and counts[0] == counts[1]
 
 
-def test_rays_meet_the_solids_of_other_robots(scenario: Scenario) -> None:
+def test_people_attend_to_the_nearest_robot() -> None:
+    """With the term Reactions they move as with the nearest of three alone; each robot pushes cautious people."""
+    reactions = social_forces.Reactions()
+    forces = social_forces.build([social_forces.preset("calibrated").walking, reactions])
+    random, cases, kind = np.random.default_rng(3), 200, social_forces.Kind
+    places, angles = random.uniform(-3.0, 3.0, (cases, 3, 2)), random.uniform(-np.pi, np.pi, (cases, 3))
+    kinds = random.integers(len(kind), size=cases)
+
+    def one(place: jax.Array, angle: jax.Array, kind: jax.Array) -> jax.Array:
+        people = pedestrians_at(jnp.zeros((1, 2)), jnp.array([[0.6, 0.0]]), preferred_speed=jnp.array([1.3]))
+        reaction = reactions.draw(jax.random.key(0), 1)
+        people = replace(people, reaction=replace(reaction, kind=kind[None], attention=jnp.ones(1)))
+        robots = Robot(place, jnp.stack([jnp.cos(angle), jnp.sin(angle)], -1), jnp.zeros(3), jnp.zeros(3), ())
+
+        def after(robot: Robot | None, radius: jax.Array) -> jax.Array:
+            return social_forces.integrate(forces, people, None, None, robot, 0.02, radius).velocity[0]
+
+        radii = jnp.full(3, 0.2)
+        each = jax.vmap(after)(robots, radii)
+        return jnp.concatenate([after(robots, radii)[None], after(None, radii[0])[None], each])
+
+    result = np.asarray(jax.jit(jax.vmap(one))(jnp.asarray(places), jnp.asarray(angles), jnp.asarray(kinds)))
+    nearest = result[np.arange(cases), 2 + (places**2).sum(-1).argmin(1)]
+    cautious = kinds == kind.CAUTIOUS
+    np.testing.assert_allclose(result[~cautious, 0], nearest[~cautious], atol=1e-6)
+    added = result[:, 1] + (result[:, 2:] - result[:, 1:2]).sum(1) - nearest  # by the other two
+    pushed = cautious & (np.linalg.norm(added, axis=-1) > 0.01)
+    assert pushed.sum() > 10 and (((result[:, 0] - nearest) * added).sum(-1) > 0.0)[pushed].all()
+
+
+def test_people_of_the_model_orca_avoid_all_robots(scenario: Scenario, begun: State) -> None:
+    """A person comes no nearer than their radii to any of three robots that keep their velocities for a second."""
+    random, radius = np.random.default_rng(4), 0.3
+    people, others = np.asarray(begun.pedestrians.position), np.zeros((CASES, 3, 2))
+    angle = random.uniform(-np.pi, np.pi, (CASES, 3))
+    others = people[:, :1] + random.uniform(0.9, 1.6, (CASES, 3, 1)) * np.stack([np.cos(angle), np.sin(angle)], -1)
+    present = np.arange(6)[None] == np.zeros((CASES, 1))
+    wide = replace(scenario, robot=replace(scenario.robot, radius=jnp.full(3, radius)))
+
+    def one(state: State, place: jax.Array, angle: jax.Array, present: jax.Array) -> jax.Array:
+        heading = jnp.stack([jnp.cos(angle), jnp.sin(angle)], -1)
+        robot = jax.vmap(scenario.robot.place, (None, 0, 0))(scenario.robot, place, heading)
+        robot = replace(robot, speed=jnp.full(3, -0.4))  # towards the person
+        desired = jnp.zeros((6, 2)).at[0].set(1.2 * heading[0])
+        walkers = replace(state.pedestrians, present=present, velocity=desired, desired_velocity=desired)
+        return orca(wide, replace(state, pedestrians=walkers, robot=robot)).velocity[0]
+
+    arguments = jnp.asarray(others), jnp.asarray(angle), jnp.asarray(present)
+    velocity = np.asarray(jax.jit(jax.vmap(one))(begun, *arguments))
+    own = -0.4 * np.stack([np.cos(angle), np.sin(angle)], -1)
+    seconds = np.linspace(0.0, 1.0, 21)[:, None, None, None]
+    gap = np.linalg.norm(others - people[:, :1] + seconds * (own - velocity[:, None]), axis=-1) - 0.2 - radius
+    straight = 1.2 * np.stack([np.cos(angle[:, :1]), np.sin(angle[:, :1])], -1)
+    without = np.linalg.norm(others - people[:, :1] + seconds * (own - straight), axis=-1) - 0.2 - radius
+    assert gap.min() > 0.05 and (without.min((0, 1)) < 0.0).all()
+
+
+def test_rays_meet_the_solids_of_other_robots(scenario: Scenario, begun: State) -> None:
     """The lidar of a robot, against MuJoCo's own rays on the file of the other robot, at random poses of both."""
     import mujoco
 
     members, random, cases = of(scenario, 2), np.random.default_rng(2), 12
-    states = team.reset(members, jax.random.key(0))
-    people = replace(states.pedestrians, present=jnp.zeros_like(states.pedestrians.present))
+    first = jax.tree.map(lambda leaf: leaf[0], without_people(begun))
     places, angles = random.uniform(-0.9, 0.9, (cases, 2)), random.uniform(-np.pi, np.pi, (cases, 2))
     device = sensors.lidar(scenario, count=40, near=0.02)
 
@@ -212,8 +354,8 @@ def test_rays_meet_the_solids_of_other_robots(scenario: Scenario) -> None:
         both = jnp.stack([jnp.zeros(2), place])
         heading = jnp.stack([jnp.cos(angle), jnp.sin(angle)], -1)
         robot = jax.vmap(scenario.robot.place, (None, 0, 0))(scenario.robot, both, heading)
-        moved = team.meet(replace(states, robot=robot, pedestrians=people))
-        state = jax.tree.map(lambda leaf: leaf[0], moved)
+        states = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (2, *leaf.shape)), first)
+        state = jax.tree.map(lambda leaf: leaf[0], team.meet(replace(states, robot=robot)))
         return sensors.scan(*with_bodies(members.at(0), state), device), sensors.scan(scenario, state, device)
 
     seen, empty = jax.jit(jax.vmap(scans))(jnp.asarray(places, float), jnp.asarray(angles, float))
@@ -235,6 +377,7 @@ def test_rays_meet_the_solids_of_other_robots(scenario: Scenario) -> None:
     assert met > 30
 
 
+@pytest.mark.slow
 def test_gradients_are_finite_and_a_step_is_traced_once(scenario: Scenario) -> None:
     """By the commands of two robots that drive into each other, one of which starts on a person."""
     members, traces = of(scenario, 2), []
@@ -284,6 +427,55 @@ def test_a_team_that_cannot_be_is_refused_in_one_sentence(words, message, tmp_pa
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
+def test_a_run_of_a_team_is_resumed_and_replayed(monkeypatch, tmp_path, capsys) -> None:
+    """The second of two batches is interrupted; the replay shows what the report does; a bag is refused."""
+    monkeypatch.chdir(tmp_path)
+    scenario = "--environment lab --behavior random --people 2 --time-limit 1 --metrics none --robots kuri,jackal"
+    words = ["run", *scenario.split(), "--policy", "go_to_goal,orca", "--episodes", "2", "--batch", "1", "--quiet"]
+    made = list[Runner]()
+
+    def once(*arguments, **named) -> Runner:
+        """All runs here have one program."""
+        if not made:
+            made.append(Runner(*arguments, **named))
+            made[0].compile(Callbacks())
+            monkeypatch.setattr(made[0], "compile", lambda callbacks: None)
+        return made[0]
+
+    with monkeypatch.context() as patched:
+        patched.setattr(evaluation, "Runner", once)
+        assert cli.main([*words, "--out", "whole"]) == 0
+        with monkeypatch.context() as disturbed:
+            test_resume.at_second_batch(disturbed, lambda _: signal.raise_signal(signal.SIGTERM))
+            assert cli.main([*words, "--out", "made"]) == 143
+        assert "the 1 finished episodes are in" in capsys.readouterr().err
+        assert cli.main([*words, "--out", "made"]) == 0
+    assert not Path("made/unfinished").exists()
+    for name in ("episodes.csv", "episode.gif"):
+        assert Path("made", name).read_bytes() == Path("whole", name).read_bytes()
+    rows = list(csv.DictReader(Path("made/episodes.csv").open()))
+    assert [(row["episode"], row["robot"]) for row in rows] == [
+        (episode, robot) for episode in "01" for robot in ("kuri_0", "jackal_1")
+    ]
+    summary = json.loads(Path("made/summary.json").read_text())
+    assert summary["episodes"] == 2 and summary["robots"] == ["kuri_0", "jackal_1"]
+    report = Path("made/report.html").read_text()
+    assert "Episode 0 kuri 0 · random ab nav" in report and "Episode 0 jackal 1 · random ab nav" in report
+    assert cli.main(["replay", "made", "--episodes", "1", "0", "--quiet"]) == 0
+    ((shown,), (first, *_)) = (
+        test_replay_folders.played(Path("made", name)) for name in ("replay.html", "report.html")
+    )
+    assert [each["title"] for each in shown["episodes"]] == [f"episode {k} kuri_0 · random ab nav" for k in (1, 0)]
+    one, other = shown["episodes"][1], first["episodes"][0]
+    assert one["outcome"] == other["outcome"] == "not completed in 1.0 s" and shown["robot"] == first["robot"]
+    assert {"robot x", "other x", "other goal x", "person x"} < one["columns"].keys()
+    for name, values in one["columns"].items():
+        np.testing.assert_allclose(values, other["columns"][name], atol=0.02, err_msg=name)
+    assert cli.main(["export", "bag", "made", "--out", "bags", "--quiet"]) == 2
+    assert "made: has a team of robots; a bag is of one robot" in capsys.readouterr().err
+
+
 def test_a_run_builds_robots_of_different_kinds() -> None:
     config = validate(RunConfig, {"environment": "lab", "behavior": "random", "people": 2, "robots": "kuri,jackal"})
     (members,) = assembly.build_team(config, config.team)
@@ -296,6 +488,11 @@ def test_actions_of_omnidirectional_robots_have_three_numbers() -> None:
     members = make_team("lab", robots="hsr,hsr", behavior="random", people=2)
     env = TeamEnv(members)
     assert env.action_space.shape == (3,) and env.rows({"hsr_1": [0.0, 1.0, 0.0]}).shape == (2, 3)
+
+
+@pytest.mark.slow
+def test_omnidirectional_robots_of_a_team_move_aside() -> None:
+    env = TeamEnv(make_team("lab", robots="hsr,hsr", behavior="random", people=2))
     result = jax.jit(lambda state, actions: env.step(state, actions)[1])
     command = result(env.reset(jax.random.key(0)), env.rows({"hsr_1": [0.0, 1.0, 0.0]})).info["command"]
     assert float(command[1, 1]) > 0.0 and not command[0].any()

@@ -147,8 +147,7 @@ def run(
             few = f"{config.episodes} episodes are on the first {floors.size} of {wanted} floors"
             console.print(Text(few, "dim"), soft_wrap=True)
         if folder.episodes:
-            finished = folder.episodes // robots_of_team
-            console.print(f"[dim]going on after {finished} finished episodes[/]", highlight=False)
+            console.print(f"[dim]going on after {folder.episodes} finished episodes[/]", highlight=False)
         live = None
         if config.live:
             live = stack.enter_context(serve(first, f"{path.name} · live"))

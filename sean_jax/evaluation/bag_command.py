@@ -15,6 +15,7 @@ from rich.text import Text
 from sean_jax import files, sensors, writing
 from sean_jax.base import Array, Scenario, State
 from sean_jax.config import ExportBagConfig
+from sean_jax.errors import InputError
 from sean_jax.evaluation.replay_command import Source, read_source, until_terminated
 from sean_jax.progress import progress
 from sean_jax.ros import bags, messages
@@ -46,6 +47,8 @@ def write(options: ExportBagConfig, console: Console) -> tuple[Path, int]:
     numbers = list(dict.fromkeys(options.episodes))
     with console.status("preparing the scenario"):
         source = read_source(options.source, numbers)
+        if source.robots > 1:
+            raise InputError(f"{options.source}: has a team of robots; a bag is of one robot; give a run with one.")
         floors = [with_sensors(each, options.sensors) for each in source.floors]
     for sentence in source.changes:
         console.print(Text(sentence), soft_wrap=True)

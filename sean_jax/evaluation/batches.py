@@ -166,12 +166,12 @@ def finish(scenario: Scenario, batch: Batch, base: int, seconds: float) -> Finis
     """
     measured = jax.tree.map(np.asarray, batch_results(scenario, batch.states))
     faulty = np.zeros(len(batch.steps), bool)
+    robots = 1 if scenario.others is None else 1 + scenario.others.radius.shape[0]
     for values in measured.values():
         faulty |= np.isnan(values.reshape(len(faulty), -1)[:, 0])
     if faulty.any():
-        raise FloatingPointError(not_finite(base + np.flatnonzero(faulty), len(faulty)))
+        raise FloatingPointError(not_finite(base, faulty, robots))
     ended = np.asarray(batch.states.completed), np.asarray(batch.states.timed_out)
-    robots = 1 if scenario.others is None else 1 + scenario.others.radius.shape[0]
     frames = episode_frames(batch.rows, len(batch.steps), robots)
     return FinishedBatch(*ended, batch.steps, measured, batch.total, frames, seconds)
 
@@ -244,7 +244,7 @@ SHAPES = {
     **{f"frame:{name}": ("f", "T 2") for name in ("position", "heading", "velocity", "goal")},
     "frame:action": ("f", "T command"),
     **{f"frame:{name}": ("f", "T N 2") for name in ("people", "people_velocity", "people_heading")},
-    "frame:robots": ("f", "T R 4"),
+    "frame:robots": ("f", "T R 6"),
     **{f"frame:{name}": (kind, "T N") for name, kind in (("group", "i"), ("present", "b"))},
     **{f"frame:{name}": ("b", shape) for name, shape in (("situations", "T S"), ("active", "T"))},
 }
@@ -259,7 +259,7 @@ class RunFolder:
 
     def __init__(self, folder: Path, config: RunConfig):
         self.folder, self.place, self.complete = folder, folder / PLACE, False
-        self.trajectories = config.trajectories
+        self.trajectories, self.robots = config.trajectories, len(config.team) or 1
         self.work = Workspace(folder, _identity(config), IDENTITY)
         check_run_folder(folder, locked=True)
         self.work.begun()
@@ -278,7 +278,7 @@ class RunFolder:
     @property
     def episodes(self) -> int:
         """Number of finished episodes."""
-        return _count_episodes(self.place)
+        return _count_rows(self.place) // self.robots
 
     def load(self, base: int, count: int) -> FinishedBatch | None:
         """The batch of ``count`` episodes from number ``base`` on; None if it is not finished.
@@ -388,7 +388,7 @@ def unfinished_runs(config: RunConfig, beside: Path) -> list[tuple[Path, int]]:
                     continue
             had = None if writing.is_locked(folder) else workspace.read_identity(folder / IDENTITY)
             if had is not None and workspace.difference(had, identity) is None:
-                runs.append((folder, _count_episodes(folder / PLACE)))
+                runs.append((folder, _count_rows(folder / PLACE) // (len(config.team) or 1)))
     return runs
 
 
@@ -396,7 +396,8 @@ def _is_leftover(file: Path) -> bool:
     return file.name == STAGE or file.name.startswith((".batch-", "batch-", f".{Path(IDENTITY).name}"))
 
 
-def _count_episodes(place: Path) -> int:
+def _count_rows(place: Path) -> int:
+    """Rows of finished batches: episodes, or of a team as many for each as it has robots."""
     named = (re.fullmatch(r"batch-\d{8,}-(\d+)\.npz", file.name) for file in place.glob("batch-*.npz"))
     return sum(int(match[1]) for match in named if match)
 

@@ -253,7 +253,7 @@ def write_all(
             graph=drawing.graph_of(first),
             situations=evaluation.situations,
             time_step=scenario.time_step,
-            robot_radius=robots.radius(scenario.robot),
+            robot_radius=robots.radii(first),
             title=evaluation.tasks[0].replace("_", " "),
         )
     if evaluation.frames and config is not None and config.camera is not None:
@@ -369,8 +369,8 @@ def report_page(
         against_note=_against(runs),
         baseline=runs[0].name if runs else "",
         symbols=compare.SYMBOLS,
-        number=len(evaluation.tasks),
-        fewest=f"{float(of_count(Estimate(*map(np.array, (0.0, 0.0, 0.0, len(evaluation.tasks))))).high):.2g}",
+        number=evaluation.episodes,
+        fewest=f"{float(of_count(Estimate(*map(np.array, (0.0, 0.0, 0.0, evaluation.episodes)))).high):.2g}",
         player="" if recording is None else replay.element(recording),
         tiles=[by_name[name] for name in TILES if name in by_name],
         shades=shades | {"none": NO_SITUATION},
@@ -429,7 +429,7 @@ def _episodes(evaluation: Evaluation) -> list[tuple[str, str]]:
             frames=frames,
             situations=evaluation.situations,
             time_step=scenario.time_step,
-            robot_radius=robots.radius(scenario.robot),
+            robot_radius=robots.radii(scenario),
         )
         words = [_label(evaluation, i).capitalize(), *evaluation.floors[i : i + 1], evaluation.tasks[i]]
         words = [word.replace("_", " ") for word in words] + [outcome(evaluation.completed[i], evaluation.seconds[i])]

@@ -210,12 +210,19 @@ export function drawPlan(
     const [xs, ys] = [episode.of("robot x")[0], episode.of("robot y")[0]];
     disc(xs[0], ys[0], Math.max(5, 0.3 * metre));
     line(2, palette.robot);
-    const [gx, gy] = ["goal x", "goal y"].map((name) => episode.of(name)[0][frame]);
-    disc(gx, gy, Math.max(8, 0.5 * metre));
-    line(2, palette.robot);
-    disc(gx, gy, Math.max(3, 0.16 * metre));
-    paint.fillStyle = palette.robot;
-    paint.fill();
+    const goals = ["", "other "].flatMap((whose) => {
+      const [x, y] = ["x", "y"].map((axis) => episode.of(`${whose}goal ${axis}`));
+      return x.map((column, k) => [column[frame], y[k][frame]]);
+    });
+    goals.forEach(([gx, gy], k) => {
+      disc(gx, gy, Math.max(8, 0.5 * metre));
+      paint.setLineDash(k ? [4, 3] : []); // of the other robots of a team
+      line(2, palette.robot);
+      paint.setLineDash([]);
+      disc(gx, gy, Math.max(3, 0.16 * metre));
+      paint.fillStyle = palette.robot;
+      paint.fill();
+    });
     const plan = episode.of("plan x").map((column, k) => [column[frame], episode.of("plan y")[k][frame]]);
     if (plan.length) {
       outline([rx, ry, ...plan.flat()]);
