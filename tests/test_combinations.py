@@ -153,15 +153,22 @@ def test_everything_legal_can_be_traced_again_and_again(behavior, recording):
         assert jax.tree.structure(state) == jax.tree.structure(after)
 
 
+DRIVES = "kuri", "warthog", "hsr", "f1tenth"  # one of each drive, and the widest
+
+
 # Any two of an environment, a behavior and a robot meet in one of these; all three together would take thrice as long.
 MEETINGS = [
-    (ENVIRONMENTS[(i + j) % len(ENVIRONMENTS)], behavior, robot)
+    pytest.param(
+        ENVIRONMENTS[(i + j) % len(ENVIRONMENTS)],
+        behavior,
+        robot,
+        marks=pytest.mark.slow if robot in DRIVES or j % len(BEHAVIORS) == i else pytest.mark.night,
+    )
     for i, behavior in enumerate(BEHAVIORS)
     for j, robot in enumerate(ROBOTS)
 ]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("environment", "behavior", "robot"), MEETINGS)
 def test_everything_legal_with_every_robot(environment, behavior, robot, recording):
     try:
