@@ -12,7 +12,7 @@ from typing import Any
 import jax
 import numpy as np
 from gymnasium import spaces
-from pettingzoo import ParallelEnv
+from pettingzoo.utils.env import ParallelEnv
 
 from sean_jax.adapters.multi_agent import TeamEnv, TeamState
 from sean_jax.base import Scenario
