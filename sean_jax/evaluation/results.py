@@ -56,16 +56,10 @@ class Evaluation:
     floors: Sequence[str] = ()  # name per episode, if there are several
     places: Sequence[Scenario] = ()  # of the frames, if there are several floors
     set_floors: int = 1  # of the set; fewer episodes are on the first ones
-    robots: Sequence[str] = ()  # of a team, whose E rows are the robots of an episode in turn; empty without one
 
     def place(self, index: int) -> Scenario:
         """The scenario of the frames of an episode, on its floor."""
         return self.places[index] if self.places else self.scenario
-
-    @property
-    def episodes(self) -> int:
-        """The number of episodes; a team has as many rows for each as it has robots."""
-        return len(self.tasks) // (len(self.robots) or 1)
 
     def summary(self) -> dict[str, Any]:
         """Shares of the situations, means of the metrics with 95 % intervals, checks and timing."""
@@ -77,9 +71,8 @@ class Evaluation:
         return {
             "scenario": self.names(),
             **of_set,
-            "episodes": self.episodes,
-            "episodes_wanted": self.wanted // (len(self.robots) or 1),
-            **({"robots": list(self.robots)} if self.robots else {}),
+            "episodes": len(self.tasks),
+            "episodes_wanted": self.wanted,
             "simulated_seconds": round(simulated, 3),
             **aggregate_episodes(self),
             "own_metrics": {name: table.metric_figure(name, metric)._asdict() for name, metric in own.items()},
@@ -112,8 +105,7 @@ class Evaluation:
     @property
     def title(self) -> str:
         """The names in one line."""
-        tasks = list(dict.fromkeys(self.tasks))
-        return title(self.scenario, tasks, self.episodes, len(set(self.floors)), self.robots)
+        return title(self.scenario, list(dict.fromkeys(self.tasks)), len(self.tasks), len(set(self.floors)))
 
     def print_table(self, console: Console) -> None:
         """Print the table."""
@@ -152,12 +144,9 @@ class Evaluation:
         return folder
 
 
-def title(
-    scenario: Scenario, tasks: list[str], episodes: int, floors: int = 0, robots_of_team: Sequence[str] = ()
-) -> str:
+def title(scenario: Scenario, tasks: list[str], episodes: int, floors: int = 0) -> str:
     """A run in one line; ``floors`` is their number, 0 without a set."""
-    robot = " + ".join(robots_of_team) or scenario.robot.name
-    what = f"{scenario.environment.name} · {scenario.behavior.name} · {' / '.join(tasks)} · {robot}"
+    what = f"{scenario.environment.name} · {scenario.behavior.name} · {' / '.join(tasks)} · {scenario.robot.name}"
     if floors:
         return f"{what} · up to {scenario.people} people · {episodes} episodes on {floors} floors"
     return f"{what} · {scenario.people} people · {episodes} episodes"
@@ -167,7 +156,7 @@ def aggregate_episodes(results: Evaluation) -> dict[str, Any]:
     """Means with 95 % intervals over episodes, overall and by situation (Table I, Figure 4).
 
     Shares of episodes have Wilson's interval, counts without an event the exact one, and all else, with shares of time,
-    that of the bootstrap over episodes. The robots of a team in one episode are drawn together.
+    that of the bootstrap over episodes.
 
     By situation, a time or a count is the mean per episode of its part in that situation. ``completed`` and metrics of
     completed episodes are means over the episodes in which the situation occurred. Without the metric
@@ -178,17 +167,15 @@ def aggregate_episodes(results: Evaluation) -> dict[str, Any]:
         situations. A figure has a mean, an interval and its number of episodes; it is None without episodes.
     """
     columns = ("overall", *results.situations)
-    cluster = len(results.robots) or 1
-    weights = resamples(len(results.completed), cluster=cluster)
+    weights = resamples(len(results.completed))
     every = np.ones(len(results.completed))
 
     def by_column(values: np.ndarray, applies: np.ndarray, kind: str = "number") -> dict[str, Any]:
         estimate = aggregate_ratio(values * applies, applies, weights=weights)
         if kind == "share":  # of episodes, where each is 0 or 1; else of time
-            is_share = np.all((values == 0) | (values == 1) | (applies == 0), 0)
-            estimate = of_share(estimate, where=is_share, cluster=cluster)
+            estimate = of_share(estimate, where=np.all((values == 0) | (values == 1) | (applies == 0), 0))
         elif kind == "count":
-            estimate = of_count(estimate, cluster=cluster)
+            estimate = of_count(estimate)
         return {
             name: _figure(Estimate(*(part[k] for part in estimate)))
             for k, name in enumerate(columns[: values.shape[1]])
@@ -253,7 +240,7 @@ def write_all(
             graph=drawing.graph_of(first),
             situations=evaluation.situations,
             time_step=scenario.time_step,
-            robot_radius=robots.radii(first),
+            robot_radius=robots.radius(scenario.robot),
             title=evaluation.tasks[0].replace("_", " "),
         )
     if evaluation.frames and config is not None and config.camera is not None:
@@ -262,9 +249,7 @@ def write_all(
     for i, frames in enumerate(evaluation.frames):
         if evaluation.floors and evaluation.floors[i] != evaluation.floors[0]:
             continue  # the player has one floor
-        if evaluation.robots and i % len(evaluation.robots):
-            continue  # the frames of the first robot have the others, too
-        name = f"{_label(evaluation, i)} · {evaluation.tasks[i].replace('_', ' ')}"
+        name = f"episode {i} · {evaluation.tasks[i].replace('_', ' ')}"
         shown.append(replay.Episode(frames, name, outcome(evaluation.completed[i], evaluation.seconds[i])))
     recording = replay.of_scenario(first, shown) if shown else None
     lines = ["sean_jax.evaluate, in a Python program"] * 2
@@ -273,12 +258,6 @@ def write_all(
     runs = [compare.read(config.baseline), compare.read(folder)] if config is not None and config.baseline else []
     text = report_page(evaluation, summary, recording, lines[0], packages, lines[1], runs)
     (folder / "report.html").write_text(text, encoding="utf-8")
-
-
-def _label(evaluation: Evaluation, row: int) -> str:
-    """The episode of a row, and its robot in a team."""
-    names = evaluation.robots
-    return f"episode {row // len(names)} {names[row % len(names)]}" if names else f"episode {row}"
 
 
 def outcome(completed: Any, seconds: float) -> str:
@@ -290,9 +269,9 @@ def write_episodes(path: Path, evaluation: Evaluation) -> None:
     """Write episodes.csv: a row for each episode, with metrics overall and as ``metric__situation``.
 
     Equal results give equal bytes. A value that is not finite is an empty cell. With several floors, ``environment`` is
-    the floor of an episode. A team has a row for each robot, named in the column ``robot``.
+    the floor of an episode.
     """
-    several, names = bool(evaluation.floors), evaluation.robots
+    several = bool(evaluation.floors)
     columns: dict[str, np.ndarray] = {}
     for name, values in evaluation.metrics.items():
         if name in ("completed", "timed_out"):
@@ -306,14 +285,11 @@ def write_episodes(path: Path, evaluation: Evaluation) -> None:
             columns[f"{name}__{situation}"] = values[:, k + 1]
     with path.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream, lineterminator="\n")
-        texts = [*["robot"] * bool(names), *["environment"] * several]
-        writer.writerow(["episode", *texts, "task", "completed", "timed_out", "seconds", *columns])
+        writer.writerow(["episode", *["environment"] * several, "task", "completed", "timed_out", "seconds", *columns])
         for i, task in enumerate(evaluation.tasks):
             ended = str(bool(evaluation.completed[i])), str(bool(evaluation.timed_out[i]))
             cells = (_cell(values[i]) for values in columns.values())
-            first = [i // len(names), names[i % len(names)]] if names else [i]
-            texts = [*first, *evaluation.floors[i : i + 1], task, *ended]
-            writer.writerow([*texts, f"{evaluation.seconds[i]:.3f}", *cells])
+            writer.writerow([i, *evaluation.floors[i : i + 1], task, *ended, f"{evaluation.seconds[i]:.3f}", *cells])
 
 
 def _cell(value: Any) -> str:
@@ -369,8 +345,8 @@ def report_page(
         against_note=_against(runs),
         baseline=runs[0].name if runs else "",
         symbols=compare.SYMBOLS,
-        number=evaluation.episodes,
-        fewest=f"{float(of_count(Estimate(*map(np.array, (0.0, 0.0, 0.0, evaluation.episodes)))).high):.2g}",
+        number=len(evaluation.tasks),
+        fewest=f"{float(of_count(Estimate(*map(np.array, (0.0, 0.0, 0.0, len(evaluation.tasks))))).high):.2g}",
         player="" if recording is None else replay.element(recording),
         tiles=[by_name[name] for name in TILES if name in by_name],
         shades=shades | {"none": NO_SITUATION},
@@ -429,9 +405,9 @@ def _episodes(evaluation: Evaluation) -> list[tuple[str, str]]:
             frames=frames,
             situations=evaluation.situations,
             time_step=scenario.time_step,
-            robot_radius=robots.radii(scenario),
+            robot_radius=robots.radius(scenario.robot),
         )
-        words = [_label(evaluation, i).capitalize(), *evaluation.floors[i : i + 1], evaluation.tasks[i]]
+        words = [f"Episode {i}", *evaluation.floors[i : i + 1], evaluation.tasks[i]]
         words = [word.replace("_", " ") for word in words] + [outcome(evaluation.completed[i], evaluation.seconds[i])]
         pictures.append((svg(figure, f"episode-{i}"), " · ".join(words)))
     return pictures

@@ -1,1 +1,0 @@
-"""ROS without ROS: messages of a scenario's state, and bags of them."""
