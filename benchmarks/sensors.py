@@ -3,6 +3,7 @@
 python benchmarks/sensors.py --batches 1 64                     on a CPU
 python benchmarks/sensors.py --batches 1 --sizes 640x480        in full, on a CPU
 python benchmarks/sensors.py --batches 1024 8192 --only depth   on a GPU
+python benchmarks/sensors.py --batches 64 256 --only vlp16      on a GPU
 
 Each scenario is reset with its own key, so robots and people stand in different places.
 """
@@ -27,6 +28,9 @@ def cases(scenario, sizes: list[str]) -> dict:
             found[f"{name} {size}"] = _image(scenario, camera)
     lidar = sensors.lidar(scenario)
     found["lidar 360"] = lambda state: sensors.scan(scenario, state, lidar)
+    for count in (360, 1800):
+        rings = sensors.lidar(scenario, **{**sensors.VLP16, "count": count})
+        found[f"vlp16 16x{count}"] = lambda state, rings=rings: sensors.scan(scenario, state, rings)
     return found
 
 

@@ -1,7 +1,7 @@
 """Draws the pictures of docs/sensors.md, docs/pictures/sensors-*.png: python docs/sensors.py.
 
-All cameras in all environments, the third-person view of all robots, and a lidar scan over the floor plan. It takes a
-minute or two, most of it compiling.
+All cameras in all environments, the third-person view of all robots, a lidar scan over the floor plan, and a point
+cloud. It takes a minute or two, most of it compiling.
 """
 
 import dataclasses
@@ -121,6 +121,46 @@ def lidar(scenario, state) -> None:
     save(figure, "sensors-lidar.png")
 
 
+def point_cloud(scenario, state) -> None:
+    """The points of a VLP-16 on a Jackal, by what they lie on."""
+    scenario = dataclasses.replace(scenario, robot=robots.load("jackal"))
+    device = sensors.lidar(scenario, **sensors.VLP16)
+    scan = np.asarray(jax.jit(lambda state: sensors.scan(scenario, state, device))(state))
+    points, ring = sensors.point_cloud(device, scan)
+    (mount,) = [np.asarray(each.origin) for each in scenario.robot.mounts if each.name == "lidar"]
+    ahead, left, height = (points + mount).T
+    heading, position = np.asarray(state.robot.heading), np.asarray(state.robot.position)
+    people = np.asarray(state.pedestrians.position)[np.asarray(state.pedestrians.present)] - position
+    people = people @ np.stack([heading, [-heading[1], heading[0]]], -1)  # in the robot's frame
+    radius = float(scenario.forces.walking.radius) + 0.02
+    on_people = (np.hypot(ahead[:, None] - people[:, 0], left[:, None] - people[:, 1]) < radius).any(1) & (
+        height > 0.02
+    )
+    floor = (height < 0.02) & ~on_people
+    near = (np.abs(ahead - 2.0) < 7.0) & (np.abs(left) < 7.0) & (height < 3.0)
+    figure = plt.figure(figsize=(9, 5.4))
+    axes = figure.add_axes((-0.14, -0.3, 1.28, 1.62), projection="3d")
+    axes.set_axis_off()
+    for chosen, color, size, label in (
+        (floor, "#6b7385", 0.9, "floor"),
+        (~floor & ~on_people, "#4477aa", 0.9, "obstacle"),
+        (on_people, "#cc1133", 2.5, "person"),
+    ):
+        shown = chosen & near
+        places = ahead[shown], left[shown], height[shown]
+        axes.scatter(*places, s=size, color=color, lw=0, depthshade=False, label=label)
+    axes.scatter([mount[0]], [mount[1]], [mount[2]], s=40, color="#222222", depthshade=False, label="lidar")
+    axes.quiver(*mount, 1.0, 0.0, 0.0, color="#222222", lw=1.5)
+    axes.set(xlim=(-5, 9), ylim=(-7, 7), zlim=(0, 3))
+    axes.set_box_aspect((14, 14, 3))
+    axes.view_init(elev=28, azim=205)
+    legend = figure.legend(loc="lower center", ncols=4, fontsize=9, frameon=False, markerscale=1.0)
+    for handle in legend.legend_handles:
+        handle.set_sizes([24])
+    save(figure, "sensors-points.png")
+    print(f"{len(points)} points, {on_people.sum()} on people, {len(np.unique(ring))} rings")
+
+
 def save(figure, name: str) -> None:
     """Without transparency, as small as it gets."""
     stream = io.BytesIO()
@@ -143,6 +183,7 @@ def main() -> None:
     cameras(stages)
     third_person(*stages["warehouse"])
     lidar(*stages["warehouse"])
+    point_cloud(*stages["warehouse"])
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """The public names of sean_jax and their modules: type checkers read them here, and `__init__.py` too."""
 
-from sean_jax import gradients as gradients, mdp as mdp, registry as registry, sensors as sensors
-from sean_jax.assembly import make as make, with_task as with_task
+from sean_jax import gradients as gradients, mdp as mdp, registry as registry, sensors as sensors, team as team
+from sean_jax.assembly import make as make, make_team as make_team, with_task as with_task
 from sean_jax.base import (
     Behavior as Behavior,
     Environment as Environment,

@@ -4,12 +4,13 @@ import contextlib
 import dataclasses
 import hashlib
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from sean_jax import (
     behaviors,
@@ -26,6 +27,7 @@ from sean_jax import (
     sensors,
     social_forces,
     tasks,
+    team,
     worlds,
 )
 from sean_jax import environment as environments
@@ -44,7 +46,7 @@ from sean_jax.config import (
     validate,
 )  # fmt: skip
 from sean_jax.errors import InputError
-from sean_jax.messages import shorten
+from sean_jax.messages import listed, shorten
 from sean_jax.recordings import check_clock
 from sean_jax.scenario import direct_pedestrians, measure, move_pedestrians, reset, results
 from sean_jax.stack import Stack, as_stacks, stack, with_common_shapes
@@ -67,6 +69,13 @@ def make(environment: str | Path | ScenarioConfig = "warehouse", **options: Any)
     Raises:
         InputError: one sentence that names the value and the cure.
     """
+    return build(_with_one_task(environment, options, "a scenario", "evaluate a list of scenarios, one for each task"))[
+        0
+    ]
+
+
+def _with_one_task(environment: str | Path | ScenarioConfig, options: dict, what: str, cure: str) -> ScenarioConfig:
+    """The options of ``make``; InputError if they have several tasks."""
     config = environment if isinstance(environment, ScenarioConfig) else None
     if config is None:
         config = validate(ScenarioConfig, gather(ScenarioConfig, {"environment": str(environment), **options}))
@@ -74,8 +83,8 @@ def make(environment: str | Path | ScenarioConfig = "warehouse", **options: Any)
         config = config.replace(**options)
     if len(config.tasks) > 1 and config.task is not None:
         names = ", ".join(task.kind for task in config.tasks)
-        raise InputError(f"task: a scenario has one, not {names}; evaluate a list of scenarios, one for each task.")
-    return build(config)[0]
+        raise InputError(f"task: {what} has one, not {names}; {cure}.")
+    return config
 
 
 @contextlib.contextmanager
@@ -116,7 +125,7 @@ def build_floors(config: ScenarioConfig, episodes: int | None = None) -> list[St
     Raises:
         InputError: one sentence that names the value and the cure.
     """
-    if worlds.count(config.environment) == len(config.robots) == 1:
+    if worlds.count(config.environment) == len(config.robot_parts) == 1:
         return as_stacks(build(config))
     if any(isinstance(task, CustomTask) for task in config.tasks):
         raise InputError("task: 'custom' has places on one floor; choose another task, or one floor.")
@@ -154,7 +163,7 @@ def build_stack(config: ScenarioConfig, limit: int | None = None) -> Stack[Scena
         raise InputError("people: floors have different numbers, and walking groups need the same; give a number.")
     named = [
         (part.kind, robots.radius(model))
-        for part, model in zip(config.robots, models, strict=True)
+        for part, model in zip(config.robot_parts, models, strict=True)
         if isinstance(part, Named)
     ]
     wide = {name: radius for name, radius in named if radius > PERSON_CLEARANCE}
@@ -167,6 +176,61 @@ def build_stack(config: ScenarioConfig, limit: int | None = None) -> Stack[Scena
         scenarios = [_scenario(config, parts, models[k], folder) for folder, k in members]
         padded = with_common_shapes(scenarios, config.environment)
     return stack(padded, names)
+
+
+def make_team(
+    environment: str | Path | ScenarioConfig = "warehouse", *, robots: str | Sequence[str], **options: Any
+) -> Stack[Scenario]:
+    """A team of robots in one scenario, for the functions of ``team``.
+
+    Args:
+        environment: as in ``make``.
+        robots: names of robots, a name as often as there are robots of it.
+        options: as in ``make``.
+
+    Raises:
+        InputError: one sentence that names the value and the cure.
+    """
+    config = _with_one_task(environment, options, "a team", "evaluate with `sean run --robots`, or choose one")
+    return build_team(config, listed(robots) if isinstance(robots, str) else list(robots))[0]
+
+
+@_one_sentence()
+def check_team(config: ScenarioConfig, names: Sequence[str]) -> None:
+    """Refuse a team that cannot be built, as far as it shows in a moment.
+
+    Raises:
+        InputError: one sentence that names the value and the cure.
+    """
+    if not 1 <= len(names) <= team.MAX_ROBOTS:
+        raise InputError(f"robots: {len(names)} are not from 1 to {team.MAX_ROBOTS}; give as many names.")
+    if worlds.count(config.environment) > 1:
+        raise InputError(f"environment: {config.environment} is several floors; a team takes one of them.")
+    for task in config.tasks:
+        if task.kind in ("custom", "handcrafted") or config.behavior.kind == "handcrafted":
+            what = f"task: '{task.kind}' with behavior '{config.behavior.kind}' has a start of one robot"
+            raise InputError(f"{what}; choose behavior random or graph, and another task.")
+    if config.dynamics == "mjx":
+        raise InputError("dynamics: MJX moves one robot in a program, not a team; choose twin or kinematic.")
+    for name in dict.fromkeys(names):
+        robots.find(name, config.dynamics)
+
+
+@_one_sentence()
+def build_team(config: ScenarioConfig, names: Sequence[str]) -> list[Stack[Scenario]]:
+    """The teams of a description, which differ in their task alone, with robots of these names.
+
+    Raises:
+        InputError: one sentence that names the value and the cure.
+    """
+    check_team(config, names)
+    kinds = list(dict.fromkeys(names))
+    robot = validate(ScenarioConfig, {"robot": ",".join(kinds)}).robot
+    stacks = build_floors(config.model_copy(update={"robot": robot}))  # a run refuses robot beside robots
+    index = np.array([kinds.index(name) for name in names])
+    labels = tuple(f"{Path(name).stem}_{number}" for number, name in enumerate(names))
+    stacks = [each.take(index) if len(kinds) > 1 else each for each in stacks]
+    return [team.of_scenarios(dataclasses.replace(each, size=len(names), names=labels)) for each in stacks]
 
 
 def make_tables(options: str, *folders: str) -> None:
@@ -311,10 +375,10 @@ def check(config: ScenarioConfig) -> dict[str, Any]:
         raise InputError(f"model: '{name}' moves nobody in behavior 'playback', where people walk as recorded.")
     if behavior.kind == "playback" and config.warm_up:
         raise InputError(f"warm_up: {config.warm_up:g} s, but a recording begins with its own people; leave it out.")
-    for robot in config.robots:
+    for robot in config.robot_parts:
         if not isinstance(robot, OwnPart | Value):
             robots.find(robot.kind, config.dynamics)
-    if len(config.robots) > 1 and config.dynamics == "mjx":
+    if len(config.robot_parts) > 1 and config.dynamics == "mjx":
         raise InputError("dynamics: MJX moves one robot in a program, not several; choose twin or kinematic.")
     forces = _forces(config)
     if not worlds.parse_set(config.environment):
@@ -392,7 +456,7 @@ def behavior_of(config: ScenarioConfig, place: behaviors.Place) -> Behavior:
 
 
 def _robots(config: ScenarioConfig) -> list[RobotModel]:
-    return [_robot(config, part) for part in config.robots]
+    return [_robot(config, part) for part in config.robot_parts]
 
 
 def _robot(config: ScenarioConfig, part: Component) -> RobotModel:

@@ -80,6 +80,7 @@ class Robot:
     speed: Float[Array, ""]  # m/s, along the heading
     turn_rate: Float[Array, ""]  # rad/s, counter-clockwise
     drive_state: PyTree  # more state of the robot model, such as wheel angles, slip and the last command
+    sideways: Float[Array, ""] | None = None  # m/s, to the left; None: of a differential drive, which rolls ahead
 
 
 @struct.dataclass
@@ -188,6 +189,7 @@ class Snapshot:
     path_rotation: Float[Array, ""] | None = None  # rad, of navigation.path_rotation; None: of a straight path
     goal_radius: Float[Array, ""] | None = None  # m, within which the goal is reached; None: SEAN's 1.2
     robot_top_speed: Float[Array, ""] | None = None  # m/s; None: Kuri's 0.5
+    robots: Float[Array, "R 3"] | None = None  # m: x, y and radius of the other robots of a team; None: no team
 
 
 @struct.dataclass
@@ -218,6 +220,8 @@ class State:
     completed: Bool[Array, ""]  # latched
     timed_out: Bool[Array, ""]  # latched; never together with completed
     policy_state: PyTree = ()  # memory of the policy
+    others: Robot | None = None  # (R, ...) the other robots of a team; None: no team
+    goals_of_others: Float[Array, "R 2"] | None = None  # m
 
 
 @struct.dataclass
@@ -252,8 +256,31 @@ class Mount:
 
 
 @struct.dataclass
+class Lateral:
+    """Motion to the left of an omnidirectional robot, and the servo of its turn rate."""
+
+    max_speed: Float[Array, ""]  # m/s
+    max_acceleration: Float[Array, ""]  # m/s2
+    turn_gain: Float[Array, ""]  # N m s/rad
+    turn_torque: Float[Array, ""]  # N m, at most
+
+
+@struct.dataclass
+class Steering:
+    """The steered front axle of a car. The robot's position lies between its axles."""
+
+    wheelbase: Float[Array, ""]  # m
+    rear_axle: Float[Array, ""]  # m, of the rear axle behind the robot's position
+    max_angle: Float[Array, ""]  # rad, of the front wheel in the middle (bicycle law)
+    max_rate: Float[Array, ""]  # rad/s
+
+
+@struct.dataclass
 class RobotModel:
     """A robot (Fig. 3): its limits and how it moves.
+
+    An omnidirectional robot has no wheels of its own: their radius, inertia and track are 0, and its servos push the
+    base [N s/m, N]. A car has one driven wheel, the rear axle, and its track is 0.
 
     ``place(model, position, heading) -> Robot`` at rest;
     ``drive(scenario, state, action) -> Robot`` one control step later.
@@ -282,6 +309,15 @@ class RobotModel:
     drive: Callable = struct.field(pytree_node=False)
     max_reverse_speed: Float[Array, ""] | None = None  # m/s, backward; None: max_speed
     max_deceleration: Float[Array, ""] | None = None  # m/s2, of the forward speed; None: max_acceleration
+    lateral: Lateral | None = None  # None: the robot does not drive sideways
+    steering: Steering | None = None  # None: the robot is no car
+
+    @property
+    def drive_type(self) -> str:
+        """``differential``, ``omnidirectional`` or ``ackermann``."""
+        if self.lateral is not None:
+            return "omnidirectional"
+        return "differential" if self.steering is None else "ackermann"
 
 
 @struct.dataclass
@@ -323,6 +359,8 @@ class Scenario:
     sensor_errors: Any = None  # sensors.DistanceErrors of the sensors that have none; None: they are exact
     people_present: Int[Array, ""] | None = None  # number of people present, the first ones; None: all
     warm_up: float = struct.field(pytree_node=False, default=0.0)  # s, for which people walk before there is a robot
+    others: RobotModel | None = None  # (R, ...) models of the other robots of a team; None: no team
+    robot_number: Int[Array, ""] | None = None  # of the robot in its team
 
 
 @struct.dataclass
@@ -347,7 +385,7 @@ class Trajectory:
     position: Float[Array, "2"]  # m, of the robot
     heading: Float[Array, "2"]  # unit vector
     velocity: Float[Array, "2"]  # m/s
-    action: Float[Array, "2"]  # m/s and rad/s, the command that led here
+    action: Float[Array, "command"]  # m/s and rad/s, the command that led here
     people: Float[Array, "N 2"]  # m
     people_velocity: Float[Array, "N 2"]  # m/s
     people_heading: Float[Array, "N 2"]  # unit vector
@@ -356,6 +394,7 @@ class Trajectory:
     goal: Float[Array, "2"]  # m
     situations: Bool[Array, "S"]
     active: Bool[Array, ""]  # the episode had not ended before this step
+    robots: Float[Array, "R 6"] | None = None  # other robots of a team: x, y [m], heading x, y, goal x, y [m]
 
 
 @struct.dataclass

@@ -26,6 +26,8 @@ from sean_jax.writing import atomic_file, atomic_folder, broken, check_file, che
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from sean_jax.base import Scenario
+
 PICTURES = (".png", ".svg", ".pdf", ".jpg", ".jpeg", ".webp", ".tif", ".tiff")  # that matplotlib writes
 MAX_FLOORS = 40  # of a picture
 LEARNING = ("cmaes", "optax", "orbax", "tensorstore")  # packages of the extra "learning"
@@ -39,6 +41,7 @@ READERS = (
     "replay",
     "benchmark",
     "studio",
+    "bridge",
 )  # may run code that a file names
 CONFIGURABLE = ("run", "train")  # take their options from a file, too
 EXPERIMENTS = {"table1": "table1", "ablation": "table1", "figure4": "figure4", "learning_curve": "figure4"}  # -> module
@@ -218,12 +221,29 @@ def _execute(word: str, options: Any) -> int:
 def _run(options: config.RunConfig, console: "Console") -> int:
     with console.status("importing JAX"):
         from sean_jax import evaluation
-    folder, results = evaluation.run(options, console)
+    folder, results = evaluation.run(options, console, _outside(options.policy, console))
     _print(console, "report: ", folder / "report.html")
-    if len(results.tasks) < options.episodes:
-        text = f"stopped; the {len(results.tasks)} finished episodes are in {folder}"
+    if results.episodes < options.episodes:
+        text = f"stopped; the {results.episodes} finished episodes are in {folder}"
         return _fail(f"{text}, and the same command with --out {folder} resumes it.", STOPPED)
     return 0
+
+
+def _outside(policy: config.Component, console: "Console") -> Any:
+    """A function of a scenario that connects the controller of a policy's name; None if the policy is inside."""
+    place = config.outside(policy)
+    if place is None:
+        return None
+    from sean_jax.ros import bridge
+
+    last: bridge.Driver | None = None
+
+    def connect(scenario: "Scenario") -> "bridge.Driver":
+        nonlocal last
+        last = bridge.Driver(scenario, policy.kind, place, console, last.now if last else 0)  # time never goes back
+        return last
+
+    return connect
 
 
 def _collect(options: config.CollectConfig, console: "Console") -> None:
@@ -281,12 +301,21 @@ def _experiment(options: config.ExperimentConfig, console: "Console") -> None:
 def _benchmark(options: config.BenchmarkConfig, console: "Console") -> None:
     from sean_jax.studies.experiments import benchmark
 
-    folder = benchmark.run(options, console)
+    outside = _outside(config.Named(kind=options.policy), console)
+    folder = benchmark.run(options, console, outside)
     console.print(benchmark.table(benchmark.check(folder)), highlight=False, markup=False)
     _print(console, "report: ", folder / benchmark.REPORT)
 
 
 def _export(options: config.ExportConfig, console: "Console") -> None:
+    if isinstance(options, config.ExportMapConfig):
+        return _export_map(options, console)
+    if isinstance(options, config.ExportBagConfig):
+        check_new_folder(options.out)
+        from sean_jax.evaluation import bag_command
+
+        folder, count = bag_command.write(options, console)
+        return _print(console, f"{count} messages: ", folder)
     if options.format == "onnx":
         check_file(options.out, [".onnx"])
         from sean_jax.learning import onnx
@@ -299,6 +328,15 @@ def _export(options: config.ExportConfig, console: "Console") -> None:
     _print(console, "written: ", write(options.source, options.out))
     if options.format == "agent":
         _print(console, "next: ", _drive(options.out, (options.out / components.PARTS).is_dir()))
+
+
+def _export_map(options: config.ExportMapConfig, console: "Console") -> None:
+    check_file(options.out, [".yaml"])
+    from sean_jax import environment, maps
+
+    raster = maps.export_map(environment.load(options.source), options.out, options.resolution, options.height)
+    rows, columns = raster.occupied.shape
+    _print(console, f"{columns} x {rows} cells of {options.resolution:g} m: ", options.out)
 
 
 def _calibrate(options: config.CalibrateConfig, console: "Console") -> None:
@@ -360,6 +398,12 @@ def _studio(options: config.StudioConfig, console: "Console") -> None:
     from sean_jax import studio
 
     studio.run(options, console)
+
+
+def _bridge(options: config.BridgeConfig, console: "Console") -> None:
+    from sean_jax.ros import bridge
+
+    bridge.run(options, console)
 
 
 def _survey(options: config.SurveyExportConfig | config.SurveyReportConfig, console: "Console") -> None:
@@ -426,6 +470,39 @@ def _import_map(options: config.ImportMapConfig, console: "Console") -> None:
     print(f"next: {command}, or write a graph.yaml.")
 
 
+def _import_bag(options: config.ImportBagConfig, console: "Console") -> None:
+    check_new_folder(options.out)
+    from sean_jax.ros import bags
+
+    result = bags.import_bag(options.bag, options.out, options.time_step, options.people_topic, options.robot_topic)
+    robot = "with a robot" if result.robot else "without a robot"
+    where = f"in frame {result.frame!r}" if result.frame else "in one frame"
+    print(f"{result.folder}: {result.frames} rows of {result.people} people, {robot}, {where}.")
+
+
+def _import_robot(options: config.ImportRobotConfig, console: "Console") -> None:
+    check_file(options.out, (".xml",))
+    with console.status("importing JAX"):
+        from sean_jax.drawing.robot_sheet import robot_sheet
+        from sean_jax.robots import imports
+    given = options.model_dump(exclude={"file", "out", "wheels"})
+    wheels = tuple(name.strip() for name in options.wheels.split(",")) if options.wheels else ()
+    with console.status("driving it in MJX"):
+        robot = imports.import_robot(options.file, options.out, imports.Settings(**given, wheels=wheels))
+    width = max(len(name) for name, _, _ in robot.numbers)
+    for name, value, source in robot.numbers:
+        print(f"{name:{width}}  {value} ({source})")
+    for note in robot.notes:
+        print(f"note: {note}.")
+    ends = f"{1e3 * robot.gap:.2g} mm from the closed form, {1e3 * robot.lag:.2g} mm from a robot without inertia"
+    print(f"3 s in MJX end {ends}.")
+    picture = options.out.with_suffix(".png")
+    with atomic_file(picture) as stream:
+        robot_sheet(robot).savefig(stream, dpi=110, format="png")
+    _print(console, "picture: ", picture)
+    print(f"next: {shlex.join(['sean', 'run', '--robot', str(options.out)])}")
+
+
 def _worlds(options: config.WorldsConfig, console: "Console") -> None:
     check_new_folder(options.out)
     with console.status("importing JAX"):
@@ -459,7 +536,8 @@ def _schema(options: config.SchemaConfig, console: "Console") -> None:
 
 
 _COMMANDS = _run, _collect, _train, _experiment, _export, _fit_graph, _calibrate, _draw, _replay, _studio, _survey
-_COMMANDS += _compare, _import_map, _worlds, _benchmark, _bench, _validate, _doctor, _list, _schema
+_COMMANDS += _bridge, _compare, _import_map, _import_bag, _import_robot, _worlds
+_COMMANDS += _benchmark, _bench, _validate, _doctor, _list, _schema
 _DO: dict[str, Any] = {command.__name__[1:].replace("_", "-"): command for command in _COMMANDS}
 
 

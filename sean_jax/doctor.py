@@ -14,6 +14,7 @@ EXTRAS = {
     "learning": "orbax.checkpoint",
     "lerobot": "pyarrow",
     "export": "onnx",
+    "ros": "rosbags",
     "gymnasium": "gymnasium",
     "adapters": "brax",
     "stable-baselines3": "stable_baselines3",

@@ -18,6 +18,8 @@ from jaxtyping import Float, PyTree
 from sean_jax import calls, prng
 from sean_jax.base import Array, Policy, PolicyLike, Scenario, State, as_policy, no_memory
 from sean_jax.errors import InputError
+from sean_jax.others import with_bodies
+from sean_jax.robots.drive import command_size
 from sean_jax.scenario import frame, reset, step
 
 
@@ -76,12 +78,13 @@ def simulate(
 def init_policy(scenario: Scenario, policy: PolicyLike, state: State) -> State:
     """The state with a new ``policy_state``: the initial memory of a policy, at the start of an episode or later."""
     policy = as_policy(policy)
-    memory = calls.call("policy", policy.init, "scenario, params, state", scenario, policy.params, state)
+    view = with_bodies(scenario, state)
+    memory = calls.call("policy", policy.init, "scenario, params, state", view[0], policy.params, view[1])
     return replace(state, policy_state=memory)
 
 
 def policy_step(scenario: Scenario, policy: PolicyLike, state: State) -> tuple[State, Array]:
-    """One control step with the command of a policy: the state, and the command (2,) [m/s, rad/s].
+    """One control step with the command of a policy: the state, and the command [m/s, rad/s].
 
     Args:
         state: with the memory of the policy (``init_policy``). The policy's randomness is a stream of the episode.
@@ -92,19 +95,22 @@ def policy_step(scenario: Scenario, policy: PolicyLike, state: State) -> tuple[S
     return step(scenario, replace(state, policy_state=memory), action), action
 
 
-def command(scenario: Scenario, policy: Policy, state: State, key: Array) -> tuple[Float[Array, "2"], PyTree]:
-    """The command (2,) [m/s, rad/s] of a policy, and its new memory.
+def command(scenario: Scenario, policy: Policy, state: State, key: Array) -> tuple[Float[Array, "command"], PyTree]:
+    """The command [m/s, rad/s] of a policy, and its new memory.
 
     Raises:
         PartError: a policy of the user's own raised an exception, or gives no such command or another memory.
     """
     apply = policy.apply
+    scenario, state = with_bodies(scenario, state)
     output = calls.call("policy", apply, "scenario, params, state, key", scenario, policy.params, state, key)
-    cure = "give jnp.stack([speed, turn_rate]), in m/s and rad/s"
+    size = command_size(scenario.robot)
+    names = "speed, turn_rate" if size == 2 else "speed, speed_to_the_left, turn_rate"
+    cure = f"give jnp.stack([{names}]), in m/s and rad/s"
     if not isinstance(output, tuple) or len(output) != 2:
         got = calls.describe(output)
         raise calls.wrong("policy", apply, got, "(command, memory)", "give both; the memory is () if there is none")
-    calls.check_array("policy", apply, output[0], float, (2,), cure)
+    calls.check_array("policy", apply, output[0], float, (size,), cure)
     if policy.init is not no_memory:
         calls.check_like("policy", apply, output[1], state.policy_state, "a memory that is")
     return jnp.asarray(output[0], state.robot.position.dtype), output[1]

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from sean_jax.base import Array, Environment, ObstacleGrid, Obstacles
+from sean_jax.base import Array, Environment, ObstacleGrid, Obstacles, Robot
 from sean_jax.devices import to_device
 from sean_jax.errors import InputError
 
@@ -41,6 +41,14 @@ def unit(x: Array, y: Array) -> tuple[Array, Array]:
 def rotate(x: Array, y: Array, cosine: Array, sine: Array) -> tuple[Array, Array]:
     """(x, y) turned counter-clockwise by an angle of that cosine and sine."""
     return cosine * x - sine * y, sine * x + cosine * y
+
+
+def ground_velocity(robot: Robot) -> Float[Array, "... 2"]:
+    """Velocity [m/s] of a robot over the ground; of a differential drive it is along the heading."""
+    along = robot.speed[..., None] * robot.heading
+    if robot.sideways is None:
+        return along
+    return along + robot.sideways[..., None] * jnp.stack([-robot.heading[..., 1], robot.heading[..., 0]], -1)
 
 
 def sum_vectors(x: Array, y: Array, axis: int) -> tuple[Array, Array]:

@@ -1,4 +1,4 @@
-"""Import of ROS maps as environments (section IV-C): an occupancy image becomes few upright boxes.
+"""ROS maps (section IV-C): an occupancy image becomes an environment of few upright boxes, and boxes become an image.
 
 Conventions of map_server: the origin is the lower left corner of the image, whose rows run from top to bottom;
 p = (255 - x) / 255 is how occupied a pixel of value x is, or x / 255 with ``negate``.
@@ -6,23 +6,26 @@ p = (255 - x) / 255 is how occupied a pixel of value x is, or x / 255 with ``neg
 
 import dataclasses
 import io
+import json
 import os
 import warnings
 from pathlib import Path
 from typing import Annotated, Literal
 
+import jax
 import numpy as np
 import pydantic
 from PIL import Image, UnidentifiedImageError
 
 from sean_jax import environment as environments
 from sean_jax import files, quantities, writing
-from sean_jax.base import Obstacles
+from sean_jax.base import Environment, Obstacles
 from sean_jax.errors import FileError, InputError
 from sean_jax.quantities import MAX_FLOOR_SIDE, MAX_OBSTACLES, Coordinate
 
 MIN_AGREEMENT = 0.995  # share of cells that are equal in the map and in the boxes
 SLIVER_SHARE = 0.2  # of the cells that may differ: so many slivers along larger boxes are left out at most
+WORTH = 0.25  # share of boxes that slivers have to save to be left out
 OCCUPIED_PERCENT = 65  # occupancy [%] from which a cell of a "scale" or "raw" map is an obstacle; map_saver's default
 AREA_PER_PERSON = 25.0  # m2 of free floor, as in the warehouse
 MAX_BOXES = MAX_OBSTACLES  # more are noise, and no path could be planned among them
@@ -154,7 +157,7 @@ def rectangles(occupied: np.ndarray, spare: int = 0) -> np.ndarray:
 
     Args:
         occupied: (rows, columns) bool.
-        spare: number of cells of slivers that may stay uncovered.
+        spare: number of cells of slivers that may stay uncovered, if that saves a fifth of the rectangles.
 
     Raises:
         InputError: more than ``MAX_BOXES`` rectangles are needed.
@@ -176,7 +179,9 @@ def rectangles(occupied: np.ndarray, spare: int = 0) -> np.ndarray:
             if len(boxes) > MAX_BOXES:
                 cure = "smooth its image, or lower its resolution"
                 raise InputError(f"the map needs more than {MAX_BOXES} boxes; {cure}.")
-    return np.array(_without_slivers(boxes, covered, spare), int).reshape(-1, 4)
+    whole, rest = _without_slivers(boxes, covered.copy(), 0), _without_slivers(boxes, covered, spare)
+    few = len(whole) <= (1 + WORTH) * len(rest)  # as in a map that was made of boxes, which comes back exactly
+    return np.array(whole if few else rest, int).reshape(-1, 4)
 
 
 def _best(run: np.ndarray, covered: np.ndarray, row: int, column: int) -> tuple[int, int, int, int]:
@@ -271,11 +276,71 @@ def import_map(
 
 
 def rasterize(obstacles: Obstacles, raster: Raster) -> np.ndarray:
-    """(rows, columns) bool: cells of a map whose middle lies in one of the boxes, which have no yaw."""
+    """(rows, columns) bool: cells of a map whose middle lies in one of the boxes."""
     rows, columns = raster.occupied.shape
     x = raster.origin[0] + (np.arange(columns) + 0.5) * raster.resolution
     y = raster.origin[1] + (np.arange(rows) + 0.5) * raster.resolution
     inside = np.zeros((rows, columns), bool)
-    for (cx, cy), (hx, hy) in zip(np.asarray(obstacles.center), np.asarray(obstacles.half_extent), strict=True):
-        inside[np.ix_(np.abs(y - cy) < hy, np.abs(x - cx) < hx)] = True
+    boxes = (np.asarray(part, float) for part in (obstacles.center, obstacles.half_extent, obstacles.yaw))
+    for (cx, cy), (hx, hy), yaw in zip(*boxes, strict=True):
+        cosine, sine = np.cos(yaw), np.sin(yaw)
+        reach = abs(cosine) * hx + abs(sine) * hy, abs(sine) * hx + abs(cosine) * hy
+        window = np.ix_(np.abs(y - cy) < reach[1] + 1e-9, np.abs(x - cx) < reach[0] + 1e-9)
+        dy, dx = y[window[0][:, 0], None] - cy, x[window[1][0]] - cx
+        inside[window] |= (np.abs(cosine * dx + sine * dy) < hx) & (np.abs(cosine * dy - sine * dx) < hy)
     return inside
+
+
+def of_environment(environment: Environment, resolution: float = 0.05, height: float = 0.0) -> Raster:
+    """The map of an environment: cells whose middle lies in an obstacle that is at least so high.
+
+    Args:
+        resolution: m, side of a cell.
+        height: m; SEAN's short map has all obstacles, its tall map those of 1 m and more.
+
+    Raises:
+        InputError: the map has too many cells.
+    """
+    x0, y0, x1, y1 = (round(float(value), 6) for value in np.asarray(environment.floor, float))
+    columns, rows = (max(1, round(side / resolution)) for side in (x1 - x0, y1 - y0))
+    if columns * rows > MAX_CELLS:
+        what = f"cells of {resolution:g} m would be {columns * rows:,}"
+        raise InputError(f"resolution: {what}; {MAX_CELLS:,} are the most, so give larger ones.")
+    empty = np.zeros((rows, columns), bool)
+    raster = Raster(empty, empty, resolution, (x0, y0))
+    boxes = environment.obstacles
+    tall = (np.asarray(boxes.height) > 0.0) & (np.asarray(boxes.height) >= height - 1e-6)
+    occupied = rasterize(jax.tree.map(lambda part: np.asarray(part)[tall], boxes), raster)
+    return dataclasses.replace(raster, occupied=occupied)
+
+
+def export_map(environment: Environment, path: Path, resolution: float = 0.05, height: float = 0.0) -> Raster:
+    """Write the map of an environment for map_server: a YAML file, and its image, a PGM, beside it.
+
+    Args:
+        path: of the YAML file.
+        resolution, height: m, as of ``of_environment``.
+
+    Raises:
+        InputError: a number is out of range.
+        WriteError: a file cannot be written.
+    """
+    quantities.check_number("resolution", resolution, 1e-3, MAX_RESOLUTION, "m")
+    quantities.check_number("height", height, 0.0, 100.0, "m")
+    raster = of_environment(environment, resolution, height)
+    image = path.with_suffix(".pgm")
+    shades = np.where(raster.occupied, 0, 254).astype(np.uint8)[::-1]  # map_saver's
+    rows, columns = shades.shape
+    writing.write(image, f"P5\n{columns} {rows}\n255\n".encode() + shades.tobytes())
+    x, y = raster.origin
+    lines = [
+        f"image: {json.dumps(image.name)}",
+        "mode: trinary",
+        f"resolution: {resolution:.9g}",
+        f"origin: [{x:.9g}, {y:.9g}, 0.0]",
+        "negate: 0",
+        "occupied_thresh: 0.65",
+        "free_thresh: 0.196",
+    ]
+    writing.write(path, "\n".join(lines) + "\n")
+    return raster

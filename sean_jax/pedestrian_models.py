@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float, Int
 from sean_jax import social_forces
 from sean_jax.base import Array, Pedestrians, Scenario, State
 from sean_jax.errors import InputError
-from sean_jax.geometry import length, unit
+from sean_jax.geometry import ground_velocity, length, unit
 from sean_jax.half_planes import UNBOUNDED, VelocityProgram, best_velocity, half_plane
 from sean_jax.social_forces.forces import turn
 from sean_jax.social_forces.walls import distances, project_velocity
@@ -55,18 +55,26 @@ def orca(scenario: Scenario, state: State) -> Pedestrians:
     these need not reciprocate.
     """
     people, walking, robot = state.pedestrians, scenario.forces.walking, state.robot
+    robots = robot.speed.size  # 1, or of a team
     px, py, vx, vy = jnp.concatenate([people.position, people.velocity], 1).T[:, None]  # (1, N)
     number = px.shape[1]
     others = _neighbors(people)
-    # The robot is the last of the bodies and, for everybody, the last of the others.
-    is_robot = jnp.arange(len(others) + 1, dtype=jnp.int32)[:, None] == len(others)
-    others = jnp.concatenate([others, jnp.full((1, number), number, jnp.int32)])
-    ahead_x, ahead_y = robot.speed * robot.heading[0], robot.speed * robot.heading[1]
-    bodies = ((px, robot.position[0]), (py, robot.position[1]), (vx, ahead_x), (vy, ahead_y))
+    # The robots are the last of the bodies and, for everybody, the last of the others.
+    is_robot = jnp.arange(len(others) + robots, dtype=jnp.int32)[:, None] >= len(others)
+    last = number + jnp.arange(robots, dtype=jnp.int32)[:, None]
+    others = jnp.concatenate([others, jnp.broadcast_to(last, (robots, number))])
+    over_ground = ground_velocity(robot)
+    bodies = (
+        (px, robot.position[..., 0]),
+        (py, robot.position[..., 1]),
+        (vx, over_ground[..., 0]),
+        (vy, over_ground[..., 1]),
+    )
     ox, oy, ovx, ovy = (jnp.append(part, of_robot)[others] for part, of_robot in bodies)
     dx, dy = ox - px, oy - py
     avoided = is_robot | (_avoids(people, others) & (dx * dx + dy * dy < RANGE * RANGE))
-    radii = walking.radius + jnp.where(is_robot, scenario.robot.radius, walking.radius) + SPACE
+    radius = jnp.append(jnp.full(len(others) - robots, walking.radius), scenario.robot.radius)[:, None]
+    radii = walking.radius + radius + SPACE
     first = jnp.arange(number, dtype=jnp.int32)[None] < others  # breaks the tie of two people at one place
     nx, ny, out = half_plane(dx, dy, vx - ovx, vy - ovy, radii, HORIZON, scenario.time_step, first)
     c = nx * vx + ny * vy + jnp.where(is_robot, 1.0, 0.5) * out
@@ -133,7 +141,7 @@ def _avoids(people: Pedestrians, others: Int[Array, "K N"]) -> Bool[Array, "K N"
     number = people.present.shape[0]
     alone, absent, nobody = -1, -2, -3  # one gather
     group = jnp.where(people.present, jnp.maximum(people.group, alone), absent)
-    theirs = jnp.append(group, nobody)[others]
+    theirs = jnp.append(group, jnp.full(1, nobody, jnp.int32))[jnp.minimum(others, number)]
     own = people.group[None]
     itself = others == jnp.arange(number, dtype=jnp.int32)[None]
     return (theirs >= alone) & ~itself & ((own < 0) | (theirs != own))

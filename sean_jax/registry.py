@@ -103,7 +103,7 @@ def build_stack(config: EnvConfig, limit: int | None = None) -> Stack[mdp.Env]:
     """
     parts = check(config)
     floors = assembly.build_stack(config, limit)
-    if len(config.robots) > 1:  # a start or goal of the user's needs room for the widest
+    if len(config.robot_parts) > 1:  # a start or goal of the user's needs room for the widest
         radii = floors.over_members(lambda scenario: scenario.robot.radius)()
         assembly.with_tasks(config, floors.at(int(radii.argmax())))
     scenario = _mixed(assembly.with_tasks(config, floors.member))

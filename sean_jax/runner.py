@@ -21,8 +21,8 @@ from flax import struct
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import PyTree
 
-from sean_jax import clock, devices, interrupts, prng
-from sean_jax.base import Array, PolicyLike, RobotTask, Scenario, State, as_policy
+from sean_jax import clock, devices, interrupts, prng, team
+from sean_jax.base import Array, Policy, PolicyLike, RobotTask, Scenario, State, as_policy
 from sean_jax.episodes import init_policy, policy_step
 from sean_jax.scenario import reset, results
 from sean_jax.stack import Stack, as_stacks
@@ -75,6 +75,8 @@ class Callbacks:
     compiling: Callable[[str], None] = lambda what: None
     advanced: Callable[[float, float], None] = lambda seconds, simulated: None  # s of each episode, s of all together
     rows: Callable[[PyTree], None] | None = None  # the record's rows of a chunk, as numpy arrays (T, ...)
+    drive: Callable[[int, State], Policy] | None = None  # number of the first episode, states (B, ...) -> the policy
+    # of the next chunk, in place of the runner's, from which it differs in its leaves alone
 
 
 class Batch(NamedTuple):
@@ -102,7 +104,8 @@ class Runner:
     ):
         """Scenarios take turns; they may differ in leaves and in their task, and in nothing else.
 
-        Floors of a stack take turns as well: episode i is on floor (i // scenarios) % floors.
+        Floors of a stack take turns as well: episode i is on floor (i // scenarios) % floors. Of a team of M robots
+        (``team.of_scenarios``), rows i M to i M + M - 1 are the robots of episode i, and "episodes" are rows here.
 
         Args:
             policy: one policy, or ``drivers`` of them along a leading axis of its leaves.
@@ -116,10 +119,12 @@ class Runner:
             ValueError: the static structure of the scenarios differs.
         """
         stacks = as_stacks(scenarios)
-        self.scenarios, self.floors = [part.member for part in stacks], replace(stacks[0], names=(), turn=len(stacks))
+        self.robots = stacks[0].size if stacks[0].member.others is not None else 1  # of a team
+        turn = 1 if stacks[0].member.others is not None else len(stacks)
+        self.scenarios, self.floors = [part.member for part in stacks], replace(stacks[0], names=(), turn=turn)
         self.policy, self.use, self.record = as_policy(policy), use, record
         self.mesh = devices.mesh() if mesh is None else mesh
-        self.size = batch_size(size, self.floors, math.lcm(self.mesh.size, drivers or 1))
+        self.size = batch_size(size, self.floors, self.robots * math.lcm(self.mesh.size, drivers or 1))
         self.compile_seconds = 0.0
         first = self.scenarios[0]
         self._steps = clock.ceil_ticks(first.time_limit, first.time_step)
@@ -226,7 +231,7 @@ class Runner:
         callbacks, count = callbacks or Callbacks(), self.size if count is None else count
         scenario = self.scenarios[0]
         numbers = np.arange(first, first + self.size)
-        index = numbers % len(self.scenarios) if index is None else np.resize(index, self.size)
+        index = numbers // self.robots % len(self.scenarios) if index is None else np.resize(index, self.size)
         fixed = self._floors_from(first if turn is None else turn), self._varying, self.policy
         fixed = fixed if self.mesh.size == 1 else devices.replicate(self.mesh, fixed)
         turns = jnp.asarray(index, jnp.int32)
@@ -242,6 +247,8 @@ class Runner:
                 rows.append(arrays)
 
         for done in range(self.chunk, self._steps + self.chunk, self.chunk):
+            if callbacks.drive is not None:
+                fixed = *fixed[:-1], callbacks.drive(first, running.states)
             running, chunk_rows = self._advance(fixed, running, turns, counted)
             if waiting is not None:  # while the device computes
                 receive(waiting)
@@ -256,12 +263,21 @@ class Runner:
             receive(waiting)
         steps, faulty = (np.asarray(part)[:count] for part in (running.steps, running.faulty))
         if faulty.any():
-            raise FloatingPointError(not_finite(first + np.flatnonzero(faulty), count))
+            raise FloatingPointError(not_finite(first, faulty, self.robots))
         states = running.states if count == self.size else jax.tree.map(lambda leaf: leaf[:count], running.states)
         return Batch(states, steps, jax.tree.map(np.asarray, running.total), rows)
 
-    def measure(self, seed: int, first: int, count: int, tell: Callable[[float], None]) -> dict[str, np.ndarray]:
+    def measure(
+        self,
+        seed: int,
+        first: int,
+        count: int,
+        tell: Callable[[float], None],
+        drive: Callable[[int, State], Policy] | None = None,
+    ) -> dict[str, np.ndarray]:
         """Results of numbered episodes, in as many batches as they need; ``tell`` is called with the finished share.
+
+        ``drive`` is as in ``Callbacks``.
 
         Returns:
             ``completed``, ``seconds`` [s], and the metrics by name, (count, ...) each.
@@ -275,7 +291,8 @@ class Runner:
             def advanced(seconds: float, _: float, index: int = index) -> None:
                 tell((index + seconds / scenario.time_limit) / len(starts))
 
-            batch = self.run(seed, start, min(self.size, first + count - start), callbacks=Callbacks(advanced=advanced))
+            callbacks = Callbacks(advanced=advanced, drive=drive)
+            batch = self.run(seed, start, min(self.size, first + count - start), callbacks=callbacks)
             ended = {"completed": batch.states.completed, "seconds": batch.steps * scenario.time_step}
             batches.append({**ended, **batch_results(scenario, batch.states)})
         return {name: np.concatenate([np.asarray(each[name]) for each in batches]) for name in batches[0]}
@@ -304,8 +321,10 @@ def even_batch(count: int) -> int:
     return math.ceil(count / math.ceil(count / max_batch()))
 
 
-def not_finite(numbers: np.ndarray, count: int) -> str:
-    """The sentence on the episodes, of ``count``, that hold numbers that are not finite."""
+def not_finite(first: int, faulty: np.ndarray, robots: int = 1) -> str:
+    """The sentence on faulty episodes, by their rows from number ``first`` on, ``robots`` for each episode."""
+    episodes = np.any(faulty.reshape(-1, robots), 1, keepdims=True)[:, 0]
+    numbers, count = first // robots + np.flatnonzero(episodes), len(episodes)
     names = ", ".join(map(str, numbers[:8])) + (f" and {len(numbers) - 8} more" if len(numbers) > 8 else "")
     return f"{len(numbers)} of {count} episodes hold numbers that are not finite: {names}."
 
@@ -373,11 +392,28 @@ def _drawing(tasks: tuple, use: str, structure: Any, shapes: tuple) -> Any:
 def _draw(tasks: tuple, use: str, places: tuple, seed: Array, numbers: Array, index: Array) -> State:
     """The reset episodes of these numbers (B,), without the policy's memory."""
     floors, varying = places
+    if floors.member.others is not None:
+        return _draw_team(tasks, use, floors, seed, numbers, index)
 
     def one(scenario: Scenario, number: Array, turn: Array) -> State:
         return first_state(tasks, scenario, varying, turn, jax.random.fold_in(prng.key(use, seed), number))
 
     return floors.vmap(one)(numbers, index)
+
+
+def _draw_team(tasks: tuple, use: str, floors: Stack[Scenario], seed: Array, numbers: Array, index: Array) -> State:
+    """The reset episodes of a team: a row for each of its robots."""
+
+    def one(number: Array, turn: Array) -> State:
+        def task(scenario: Scenario, *others: PyTree) -> RobotTask:
+            return choose(turn, [each(scenario, *others) for each in tasks])
+
+        members = floors.map_member(lambda member: replace(member, task=task))
+        return team.reset(members, jax.random.fold_in(prng.key(use, seed), number))
+
+    every, rows = floors.size, numbers.shape
+    states = jax.vmap(one)(numbers[::every] // every, index[::every])
+    return jax.tree.map(lambda leaf: leaf.reshape(rows + leaf.shape[2:]), states)
 
 
 def _begin(record: Record, drivers: int | None, fixed: tuple, states: State, index: Array) -> LoopState:
@@ -402,10 +438,20 @@ def _advance(
         after, action = policy_step(_select(scenario, varying, turn), policy, state)
         return after, action if record.command is None else record.command(after)
 
+    def step_teams(before: State) -> tuple[State, Array]:
+        def one(states: State) -> tuple[State, Array]:
+            after, actions = team.policy_step(floors, policy, states)
+            return after, actions if record.command is None else jax.vmap(record.command)(after)
+
+        size, rows = floors.size, index.shape
+        teams = jax.tree.map(lambda leaf: leaf.reshape(rows[0] // size, size, *leaf.shape[1:]), before)
+        return jax.tree.map(lambda leaf: leaf.reshape(rows + leaf.shape[2:]), jax.vmap(one)(teams))
+
     def tick(carry: tuple, _: None) -> tuple[tuple, Array]:
         before, steps, faulty = carry
         rows = (before, index) if varying else (before,)  # an index that is the same for all needs no axis
-        states, actions = _of_each_driver(step, floors, drivers)(policy, *rows)
+        is_team = floors.member.others is not None
+        states, actions = step_teams(before) if is_team else _of_each_driver(step, floors, drivers)(policy, *rows)
         active = ~(before.completed | before.timed_out) & counted
         return (states, steps + active.astype(jnp.int32), faulty | (~_sound(states) & active)), actions
 
@@ -421,7 +467,22 @@ def _advance(
         total, rows = record.update(floors, before, states, actions, active, running.total)
         return LoopState(states, steps, faulty, total), rows
 
-    return jax.lax.scan(one, running, length=turns)
+    return jax.lax.scan(one, running, length=turns) if turns > 1 else _once(one, running, counted)
+
+
+def _once(one: Callable, running: LoopState, counted: Array) -> tuple[LoopState, PyTree]:
+    """As a scan of one step, in a loop that the compiler keeps: so a step is rounded as in a scan of many.
+
+    The compiler cannot know that the loop runs once, as an episode that counts, of (B,), is what it depends on.
+    """
+    rows = jax.tree.map(lambda leaf: jnp.zeros((1, *leaf.shape), leaf.dtype), jax.eval_shape(one, running, None)[1])
+
+    def body(index: Array, carry: tuple) -> tuple:
+        running, row = one(carry[0], None)
+        write = jax.lax.dynamic_update_index_in_dim
+        return running, jax.tree.map(lambda rows, leaf: write(rows, leaf, index, 0), carry[1], row)
+
+    return jax.lax.fori_loop(jnp.int32(0), counted.any().astype(jnp.int32), body, (running, rows))
 
 
 def _sound(states: State) -> Array:

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from sean_jax import calls, clock, prng
 from sean_jax import navigation as paths
 from sean_jax.base import Array, Groups, Observation, Pedestrians, RobotTask, Scenario, Snapshot, State, Trajectory
-from sean_jax.geometry import length, rotate
+from sean_jax.geometry import ground_velocity, length, rotate
 from sean_jax.social_forces import individualize
 
 NOWHERE = 1e4  # m, where the robot is while people warm up
@@ -100,7 +100,8 @@ def step(scenario: Scenario, state: State, action: Array) -> State:
     """The state ``scenario.time_step`` later.
 
     Args:
-        action: (2,) commanded linear [m/s] and angular [rad/s] velocity; one that is not finite is no new command.
+        action: (2,) commanded linear [m/s] and angular [rad/s] velocity, or (3,) for an omnidirectional robot, with the
+            velocity to the left in the middle; one that is not finite is no new command.
 
     Source: sections III-A, IV-D, IV-E and IV-H.
     """
@@ -160,7 +161,7 @@ def move_pedestrians(scenario: Scenario, state: State) -> State:
 
 @jax.named_scope("move_robot")
 def move_robot(scenario: Scenario, state: State, action: Array) -> State:
-    """The robot's dynamics under a command (2,) [m/s, rad/s], among people after their step. Source: Fig. 3."""
+    """The robot's dynamics under a command [m/s, rad/s], among people after their step. Source: Fig. 3."""
     return replace(state, robot=scenario.robot.drive(scenario, state, action))
 
 
@@ -212,7 +213,7 @@ def snapshot(scenario: Scenario, state: State) -> Snapshot:
         people=state.pedestrians,
         position=robot.position,
         heading=robot.heading,
-        velocity=robot.speed * robot.heading,
+        velocity=ground_velocity(robot),
         start=task.start,
         goal=task.goal,
         start_group=task.start_group,
@@ -227,7 +228,15 @@ def snapshot(scenario: Scenario, state: State) -> Snapshot:
         path_rotation=task.path_rotation,
         goal_radius=scenario.goal_radius,
         robot_top_speed=scenario.robot.max_speed,
+        robots=_discs(scenario, state),
     )
+
+
+def _discs(scenario: Scenario, state: State) -> Array | None:
+    """(R, 3) m, x, y and radius of the other robots of a team; None without a team."""
+    if state.others is None or scenario.others is None:
+        return None
+    return jnp.concatenate([state.others.position, scenario.others.radius[:, None]], 1)
 
 
 def results(scenario: Scenario, state: State) -> dict[str, Array]:
@@ -263,12 +272,14 @@ def observe(scenario: Scenario, state: State) -> Observation:
 
 
 def frame(before: State, after: State, action: Array) -> Trajectory:
-    """The record of a step, after the command (2,) [m/s, rad/s] that led there."""
-    robot, people = after.robot, after.pedestrians
+    """The record of a step, after the command [m/s, rad/s] that led there."""
+    robot, people, others = after.robot, after.pedestrians, None
+    if after.others is not None and after.goals_of_others is not None:
+        others = jnp.concatenate([after.others.position, after.others.heading, after.goals_of_others], -1)
     return Trajectory(
         position=robot.position,
         heading=robot.heading,
-        velocity=robot.speed * robot.heading,
+        velocity=ground_velocity(robot),
         action=action,
         people=people.position,
         people_velocity=people.velocity,
@@ -278,4 +289,5 @@ def frame(before: State, after: State, action: Array) -> Trajectory:
         goal=after.task.goal,
         situations=after.situations,
         active=~(before.completed | before.timed_out),
+        robots=others,
     )

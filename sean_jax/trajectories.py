@@ -28,6 +28,7 @@ COLUMNS: dict[str, str] = files.read_yaml(Path(__file__).with_suffix(".yaml"))[1
 
 PERSON = ("x", "y", "vx", "vy", "heading_x", "heading_y")
 OF_ROBOT = ("goal_x", "goal_y", "command_speed", "command_turn_rate", "active")
+LEFT = "command_left"  # column of an omnidirectional robot
 NUMBERS = ("episode", "frame", "id", "group")  # columns of whole numbers
 SITUATION = "situation_"  # how the columns of situations begin
 SUFFIXES = (".csv", ".parquet")
@@ -84,7 +85,7 @@ def save_trajectory(
     """
     path = Path(path)
     writer = _writer(path)
-    arrays = {name: np.asarray(value) for name, value in vars(trajectory).items()}
+    arrays = {name: np.asarray(value) for name, value in vars(trajectory).items() if value is not None}
     if arrays["active"].ndim not in (1, 2):
         raise InputError(f"trajectory: frames with {arrays['active'].ndim} leading axes; give (T, ...) or (E, T, ...).")
     number = arrays["situations"].shape[-1]
@@ -146,7 +147,9 @@ class TrajectoryWriter:
 
     def add(self, trajectory: Trajectory) -> None:
         """Write the next episode, frames (T, ...); those after ``steps`` are left out."""
-        arrays = {name: np.asarray(value)[None, : self.steps] for name, value in vars(trajectory).items()}
+        arrays = {
+            name: np.asarray(value)[None, : self.steps] for name, value in vars(trajectory).items() if value is not None
+        }
         table = _table(arrays, self.header)
         table["episode"] = table["episode"] + self.episode
         self._file.write(table)
@@ -221,9 +224,11 @@ def _table(arrays: dict[str, np.ndarray], header: Header) -> dict[str, np.ndarra
         "group": group,
     }
     robots = np.where(column_of == 0)[0]
-    robot_columns = (*np.moveaxis(arrays["goal"], -1, 0), *np.moveaxis(arrays["action"], -1, 0), arrays["active"])
+    action = np.moveaxis(arrays["action"], -1, 0)
+    left = {} if len(action) == 2 else {LEFT: action[1]}
+    robot_columns = (*np.moveaxis(arrays["goal"], -1, 0), action[0], action[-1], arrays["active"], *left.values())
     flags = np.moveaxis(arrays["situations"], -1, 0)
-    labels = [*OF_ROBOT, *(f"{SITUATION}{name}" for name in header.situations)]
+    labels = [*OF_ROBOT, *left, *(f"{SITUATION}{name}" for name in header.situations)]
     for name, values in zip(labels, (*robot_columns, *flags), strict=True):
         column = np.full(len(column_of), np.nan, np.float32)
         column[robots] = values.reshape(-1)
@@ -234,12 +239,12 @@ def _table(arrays: dict[str, np.ndarray], header: Header) -> dict[str, np.ndarra
 def _check_columns(path: Path, names: Iterable[str], header: Header) -> None:
     """FileError unless these are the columns of a table, in any order."""
     columns = {*names}
-    needed = [name for name in COLUMNS if name not in ("episode", "situation_NAME")]
+    needed = [name for name in COLUMNS if name not in ("episode", "situation_NAME", LEFT)]
     needed += [f"{SITUATION}{name}" for name in header.situations]
     for name in needed:
         if name not in columns:
             raise FileError(f"{files.short_name(path)}: has no column {name}; {CURE}.")
-    for name in sorted(columns - {*needed, "episode"}):
+    for name in sorted(columns - {*needed, "episode", LEFT}):
         raise FileError(f"{files.short_name(path)}: column {name[:60]!r} is not known; {CURE}.")
 
 
@@ -257,7 +262,7 @@ def _check_rows(path: Path, columns: dict[str, np.ndarray], header: Header, firs
         flag = name == "active" or name.startswith(SITUATION)
         if name in NUMBERS:
             refuse(~(values == np.floor(values)), name, "is no whole number")
-        if name in OF_ROBOT or flag:
+        if name in (*OF_ROBOT, LEFT) or flag:
             refuse(~robot & ~np.isnan(values), name, "stands in the row of a person")
         if flag:
             refuse(robot & (values != 0) & (values != 1), name, "is not 0 or 1")
@@ -311,7 +316,7 @@ def _frames(path: Path, table: dict[str, np.ndarray], header: Header) -> Traject
         position=of_robot("x", "y"),
         heading=of_robot("heading_x", "heading_y"),
         velocity=of_robot("vx", "vy"),
-        action=of_robot("command_speed", "command_turn_rate"),
+        action=of_robot("command_speed", *([LEFT] if LEFT in table else []), "command_turn_rate"),
         people=of_people("x", "y"),
         people_velocity=of_people("vx", "vy"),
         people_heading=of_people("heading_x", "heading_y"),

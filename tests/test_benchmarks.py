@@ -186,3 +186,121 @@ def test_goldens_of_a_program():
 def test_programs_name_what_exists(name):
     """Each imports what it needs of the package; their figures are for people to read."""
     assert importlib.import_module(name).__doc__
+
+
+def refusal(program, *arguments: object) -> str:
+    """The sentence with which a program ends."""
+    with pytest.raises(SystemExit) as caught:
+        program.main([str(argument) for argument in arguments])
+    return str(caught.value)
+
+
+def test_move_base_refusals(tmp_path, monkeypatch):
+    """One sentence each without a checkout, a package, a build or ROS, and the last lines of a build that fails."""
+    program = importlib.import_module("move_base")
+    places = "--sources", tmp_path / "sources", "--workspace", tmp_path / "workspace"
+    drive = ("drive", *places, "--out", tmp_path / "logs")
+    said = refusal(program, "build", *places)
+    assert "sources/navigation is missing; git clone https://github.com/ros-planning/navigation" in said
+    for name, packages in program.ROS_PACKAGES.items():
+        for package in packages.split():
+            file = tmp_path / "sources" / name / package / "CMakeLists.txt"
+            file.parent.mkdir(parents=True)
+            file.write_text("-Wall;-Werror")
+    assert "social_sim_ros is missing; git clone" in refusal(program, "build", *places)
+    (tmp_path / "sources" / "social_sim_ros").mkdir()
+    assert "move_base is missing; build it" in refusal(program, *drive)
+
+    monkeypatch.setattr(program, "DEBIAN_PACKAGES", ["no-such-package"])
+    said = refusal(program, "build", *places)
+    assert said.endswith("apt-get install --no-install-recommends no-such-package") or "needs Debian 12" in said
+    monkeypatch.setattr(program, "check_debian", lambda: None)
+    monkeypatch.setattr(program, "SYSTEM_PATH", f"{tmp_path}:/usr/bin:/bin")
+    maker = tmp_path / "catkin_make"
+    maker.write_text("#!/bin/sh\necho '[ 40%] costmap_2d'\necho no compiler\nexit 3\n")
+    maker.chmod(0o755)
+    said = refusal(program, "build", *places)
+    assert "catkin_make failed (3)" in said and said.endswith("no compiler")
+    copies = sorted((tmp_path / "workspace" / "src").glob("*/CMakeLists.txt"))
+    assert len(copies) == sum(len(packages.split()) for packages in program.ROS_PACKAGES.values())
+    assert {copy.parent.name for copy in copies if "Werror" not in copy.read_text()} == {"social_navigation_layers"}
+
+    binary = tmp_path / "workspace" / "devel" / "lib" / "move_base" / "move_base"
+    binary.parent.mkdir(parents=True)
+    binary.touch()
+    monkeypatch.setitem(sys.modules, "rospy", None)
+    monkeypatch.setattr("sean_jax.ros.ros1.DEBIAN", str(tmp_path))
+    assert "rospy cannot be imported" in refusal(program, *drive)
+    subprocess.run(["git", "init", "-q", str(tmp_path / "sources" / "people")], check=True)
+    assert "people is at no commit; git -C" in refusal(program, "build", *places)
+
+
+def test_move_base_parameters(tmp_path):
+    """The layers are added to both maps, and the files are not changed otherwise."""
+    program = importlib.import_module("move_base")
+    assert program.patch("f_ = boost::bind(&Layer::set, this, _1, _2);\n") == (
+        "#include <boost/bind/bind.hpp>\n"
+        "f_ = boost::bind(&Layer::set, this, boost::placeholders::_1, boost::placeholders::_2);\n"
+    )
+    folder = tmp_path / "social_sim_ros" / "social_sim_ros" / "params" / "kuri"
+    files = {
+        "costmap_common_params.yaml": "plugins: [{name: static_layer}]\ninflation_radius: 0.5\n",
+        "map_nav_params/local_costmap_params.yaml": "local_costmap: {obstacles_layer: {enabled: false, rays: 360}}\n",
+        "map_nav_params/global_costmap_params.yaml": "global_costmap: {inflation_radius: 0.3}\n",
+        "base_local_planner_params.yaml": "TrajectoryPlannerROS: {sim_time: 2.0}\n",
+    }
+    (folder / "map_nav_params").mkdir(parents=True)
+    for name, text in files.items():
+        (folder / name).write_text(text)
+    with pytest.raises(program.InputError, match=r"move_base_params.yaml is missing"):
+        program.parameters(tmp_path, [])
+    (folder / "move_base_params.yaml").write_text("controller_frequency: 10.0\n")
+    local = {"plugins": [{"name": "static_layer"}], "inflation_radius": 0.5}
+    local["obstacles_layer"] = {"enabled": False, "rays": 360}
+    whole = {"plugins": [{"name": "static_layer"}], "inflation_radius": 0.3}
+    tree = program.parameters(tmp_path, [])
+    assert tree == {"local_costmap": local, "global_costmap": whole, "controller_frequency": 10.0,
+                    "TrajectoryPlannerROS": {"sim_time": 2.0}}  # fmt: skip
+    tree = program.parameters(tmp_path, ["social", "lidar"])
+    for costmap in (tree["local_costmap"], tree["global_costmap"]):
+        assert [plugin["name"] for plugin in costmap["plugins"]] == ["static_layer", "social_layer"]
+        assert costmap["obstacles_layer"] == {"enabled": True, "rays": 360}
+
+
+def test_move_base_summary(tmp_path, capsys):
+    """Means, and where the robot stood with which commands; a log of earlier columns too."""
+    program = importlib.import_module("move_base")
+
+    def episode(number: int, still: float, rows: list) -> dict:
+        names = ("intimate", "personal")
+        counts = {f"{name}_{side}": [1.0] for name in names for side in ("robot_on_person", "person_on_robot")}
+        results = counts | {"time_not_moving": [still], "collision_robot_on_person": [0.0]}
+        return {"episode": number, "completed": still < 10, "seconds": len(rows) / 10, "rtf": 0.5, "silent": 6,
+                "plans_per_s": 16.0, "recovery": [[3.0, "rotate_recovery"]] * number,
+                "result": [[1.0, 2, ""], [5.0, 4, ""]], "results": results, "log": rows}  # fmt: skip
+
+    walk = [[k / 10, 0.03 * k, 0.0, 0.0, 0.3, 0.0, 1, 1, 2.0, 3] for k in range(40)]
+    wait = [[4 + k / 10, 1.2, 0.0, 0.0, 0.0, 0.0, 1, 1, 2.0, 3] for k in range(100)]
+    for row in wait[10:30]:
+        row[4:6] = None, None
+    for row in wait[30:40]:
+        row[5] = -1.0
+    content = {"options": {"task": "join_group"}, "versions": {}, "columns": program.COLUMNS}
+    content["episodes"] = [episode(0, 0.0, walk), episode(1, 10.0, walk + wait)]
+    (tmp_path / "new.json").write_text(json.dumps(content))
+    old = [[each | {"log": [row[:3] + row[4:9] for row in each["log"]]} for each in content["episodes"]]]
+    (tmp_path / "old.json").write_text(json.dumps(old[0]))
+    paths = [str(tmp_path / name) for name in ("new.json", "old.json")]
+    program.main(["summary", *paths, "--out", str(tmp_path / "summary.json")])
+    assert "still s: 0 10" in capsys.readouterr().out
+    rows = json.loads((tmp_path / "summary.json").read_text())["conditions"]
+    for row in rows:
+        assert row["still_mean"] == 5.0 and row["completed"] == 0.5 and row["silent"] == pytest.approx(12 / 180)
+        assert (row["recoveries"], row["aborts"], row["personal"]) == (1, 2, 2.0)
+        assert sum(row["stop_seconds"].values()) == pytest.approx(10.0, abs=0.01)
+        (stop,) = row["stops"]
+        assert stop["episode"] == 1 and stop["seconds"] == 10.0 and stop["place"] == [1.2, 0.0]
+        assert stop["none"] == pytest.approx(20 / 99, abs=1e-3) and stop["turn"] == pytest.approx(10 / 99, abs=1e-3)
+        assert stop["zero"] == pytest.approx(69 / 99, abs=1e-3)
+    (tmp_path / "new.json").write_text("[]")
+    assert "no episodes that `drive` wrote" in refusal(program, "summary", paths[0])

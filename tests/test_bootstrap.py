@@ -217,3 +217,20 @@ def test_what_cannot_be_aggregated_is_refused_in_one_sentence(call, words):
     with pytest.raises(ValueError, match=words) as refused:
         call()
     assert "\n" not in str(refused.value)
+
+
+def test_rows_of_a_cluster_are_drawn_together():
+    """Copies of each episode tell nothing new: intervals are those of the episodes alone."""
+    weights = resamples(60, 2, cluster=3)
+    assert weights.shape == (2000, 60) and (weights.sum(1) == 60).all()
+    np.testing.assert_array_equal(weights[:, ::3], weights[:, 2::3])
+    values = np.random.default_rng(0).random(20)
+    one, copies = aggregate(values), aggregate(np.repeat(values, 3), weights=resamples(60, cluster=3))
+    np.testing.assert_allclose(copies[:3], one[:3], rtol=1e-6)
+    for number in (0, 20):
+        share = np.repeat(np.arange(20) < number, 3).astype(float)
+        one = bootstrap.of_share(aggregate(share[::3]))
+        copies = bootstrap.of_share(aggregate(share, weights=resamples(60, cluster=3)), cluster=3)
+        np.testing.assert_allclose(copies[:3], one[:3], rtol=1e-6, atol=1e-12)
+    none = aggregate(np.zeros(60), weights=resamples(60, cluster=3))
+    assert bootstrap.of_count(none, cluster=3).high == bootstrap.of_count(aggregate(np.zeros(20))).high

@@ -149,6 +149,8 @@ REFUSED = [
     ["draw", "--graph", "--out", "new/sheet.png"],
     ["import-map", "none.yaml", "--out", "new"],
     ["import-map", "kept/letter.txt", "--out", "new/deep"],
+    ["import-robot", "none.urdf", "--out", "robot.xml"],
+    ["import-robot", "kept/letter.txt", "--out", "robot.xml"],
     ["bench", "--environment", "nope"],
     ["bench", "--only", "nope"],
     ["bench", "--out", "kept"],
@@ -172,7 +174,7 @@ def test_a_refused_command_leaves_no_trace(commands, capsys, monkeypatch, tmp_pa
     (Path("kept") / "letter.txt").write_text("dear")
     before = found()
     for command in commands:
-        code = cli.main([*command, *([] if command[0] in ("draw", "import-map") else ["--quiet"])])
+        code = cli.main([*command, *([] if command[0] in ("draw", "import-map", "import-robot") else ["--quiet"])])
         error = capsys.readouterr().err
         assert code == 2 and error.startswith("sean: ") and len(error.splitlines()) == 1, (command, code, error)
         assert found() == before, command

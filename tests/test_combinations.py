@@ -21,6 +21,7 @@ from sean_jax.assembly import with_task
 from sean_jax.behaviors import BEHAVIORS
 from sean_jax.environment import clearance
 from sean_jax.robots import ROBOTS
+from sean_jax.robots.drive import command_size
 from sean_jax.scenario import reset
 from sean_jax.tasks import TASKS
 
@@ -94,7 +95,7 @@ def after_two_steps(made: list):
             return jax.lax.switch(turn, [functools.partial(each, scenario) for each in tasks], *others)
 
         scenario = dataclasses.replace(scenario, task=task)
-        drive = jnp.asarray([0.2, 0.1], jnp.float32)
+        drive = jnp.asarray([0.2, 0.1, 0.1][: command_size(scenario.robot)], jnp.float32)
         state = reset(scenario, key)
         return state, jax.lax.fori_loop(0, 2, lambda _, state: sean_jax.step(scenario, state, drive), state)
 
@@ -152,15 +153,22 @@ def test_everything_legal_can_be_traced_again_and_again(behavior, recording):
         assert jax.tree.structure(state) == jax.tree.structure(after)
 
 
+DRIVES = "kuri", "warthog", "hsr", "f1tenth"  # one of each drive, and the widest
+
+
 # Any two of an environment, a behavior and a robot meet in one of these; all three together would take thrice as long.
 MEETINGS = [
-    (ENVIRONMENTS[(i + j) % len(ENVIRONMENTS)], behavior, robot)
+    pytest.param(
+        ENVIRONMENTS[(i + j) % len(ENVIRONMENTS)],
+        behavior,
+        robot,
+        marks=pytest.mark.slow if robot in DRIVES or j % len(BEHAVIORS) == i else pytest.mark.night,
+    )
     for i, behavior in enumerate(BEHAVIORS)
     for j, robot in enumerate(ROBOTS)
 ]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("environment", "behavior", "robot"), MEETINGS)
 def test_everything_legal_with_every_robot(environment, behavior, robot, recording):
     try:

@@ -56,6 +56,10 @@ from pathlib import Path
 Path("runs/floors").mkdir(parents=True)
 Path("runs/floors/episodes.csv").write_text("episode,environment,task,completed\\n0,rooms_3,join_group,True\\n")
 """,
+    "docs/robots.md": """
+from pathlib import Path
+Path("envs").symlink_to(Path(sean_jax.__file__).parent.parent / "envs")
+""",
     "docs/validation.md": "my_terms = list(sean_jax.preset('helbing1995'))\n",
 }
 SMALLER = {

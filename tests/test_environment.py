@@ -74,7 +74,7 @@ def test_turned_box_and_boxes_in_bodies(tmp_path):
         (BOX.replace("0 0.5", "0 -0.6", 1), "geom 'box' lies below the floor"),
         (f"<body><freejoint/>{BOX}</body>", "geom 'box' is on a body with a joint"),
         (BOX + '<geom name="wall" type="plane" size="1 1 1" euler="90 0 0"/>', "geom 'wall' is a tilted plane"),
-        ("<geom/>", "MuJoCo cannot read it: Error: "),
+        ("<geom/>", "MuJoCo cannot read it: size 0 must be positive in geom (line 1, element '')"),
     ],
 )
 def test_unusable_scenes(tmp_path, geoms, message):

@@ -363,6 +363,7 @@ def test_table1(tmp_path, monkeypatch):
     assert all(before[name] == content for name, content in after.items())
 
 
+@pytest.mark.slow
 def test_demonstrations_in_table1(tmp_path):
     """Each example counts once, in the rows of its behavior and driver; a recorder's and a collection's alike."""
     collected = learning_data.write(tmp_path / "collected")

@@ -16,8 +16,8 @@ from sean_jax.behaviors.starts import anywhere
 from sean_jax.evaluation import batches
 from sean_jax.geometry import from_box, to_edge
 from sean_jax.policies import POLICIES
+from sean_jax.policies.costmap import map_frame, static_cells
 from sean_jax.policies.expert import obstacle_rate
-from sean_jax.policies.social_costmap import cell_costs
 from sean_jax.scenario import reset, snapshot
 from sean_jax.stack import Stack
 
@@ -151,11 +151,10 @@ def test_a_plaza_has_free_places_and_straight_ways(scenarios):
 
 def test_planners_mind_the_edge_where_it_holds_people_alone(scenarios):
     x, y = jnp.array([0.0, 5.9, 8.0]), jnp.zeros(3)  # in the middle, at the edge, off the floor
-    layers: Any = POLICIES["social_costmap"]
     expert: Any = POLICIES["expert"]
     for scenario in scenarios:
-        state = jax.eval_shape(lambda key, scenario=scenario: reset(scenario, key), jax.random.key(0))
-        nobody = jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), state.pedestrians)
         rates = obstacle_rate(scenario, expert.params.weights, x[None], y[None])[0]
-        for cost in (rates, cell_costs(scenario, layers.params.local_costmap, nobody, x, y)):
+        (origin, cell), cells = map_frame(scenario.environment), jax.jit(static_cells)(scenario.environment)
+        places = (np.stack([x + 0.15, y], -1) - np.asarray(origin)) // np.asarray(cell)  # the cell beyond the edge
+        for cost in (rates, np.asarray(cells)[tuple(places.astype(int).T)]):
             assert (np.asarray(cost) > 0).tolist() == [False, *2 * [not scenario.environment.open]]

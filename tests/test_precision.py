@@ -16,6 +16,7 @@ from sean_jax import classifiers, pedestrian_models, robots, sensors, social_for
 from sean_jax.base import Policy
 from sean_jax.episodes import init_policy, policy_step
 from sean_jax.policies import POLICIES
+from sean_jax.robots.drive import command_size
 
 ACTION = jax.ShapeDtypeStruct((2,), np.float64)
 # What make takes, beside the environment: each behavior, task and option that adds arrays.
@@ -94,8 +95,9 @@ def test_scenarios_reset_and_step(make, name):
 @pytest.mark.parametrize("name", quick(robots.ROBOTS, "kuri"))
 def test_robots_step(small, state, name, dynamics):
     model = robots.load(name, dynamics)
-    placed = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype), state.robot)
-    driven = traced(lambda state, action: model.drive(small.replace(robot=model), state, action), state, ACTION)
+    placed = jax.eval_shape(functools.partial(model.place, model), state.robot.position, state.robot.heading)
+    state, action = state.replace(robot=placed), jax.ShapeDtypeStruct((command_size(model),), np.float64)
+    driven = traced(lambda state, action: model.drive(small.replace(robot=model), state, action), state, action)
     assert jax.tree.map(lambda leaf: leaf.dtype, driven) == jax.tree.map(lambda leaf: leaf.dtype, placed)
 
 
@@ -229,7 +231,7 @@ def test_robots_run(make, name, dynamics):
     def run(action):
         return scenario.robot.drive(scenario, state, action).speed
 
-    speed, slope = run(jnp.asarray([0.3, 0.2]))
+    speed, slope = run(jnp.full(command_size(scenario.robot), 0.2).at[0].set(0.3))
     assert speed.dtype == np.float64 and slope.dtype == np.float64
     assert float(speed) > 0.0 and np.isfinite(slope).all()
 

@@ -133,6 +133,7 @@ def test_the_scenario_is_the_one_of_its_parts():
     assert mine.robot.drive is robots.DYNAMICS["twin"] and mine.navigation.mesh_places is not None
 
 
+@pytest.mark.slow
 def test_a_run_is_repeated_to_the_byte(tmp_path):
     first, again = tmp_path / "first", tmp_path / "again"
     words = ["--environment", "lab", "--people", "2", "--behavior", "random", "--time-limit", "2", "--episodes", "2"]

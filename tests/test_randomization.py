@@ -161,6 +161,7 @@ def test_limits_that_a_robot_shares_are_factors_of_the_robots_own(scenario):
     assert changed.max_reverse_speed is None
 
 
+@pytest.mark.slow
 def test_episodes_have_their_own_robots(scenario):
     """The command is a share of the top speed of the episode, which the robot reaches."""
     env = make_env(scenario, ["speeds"], randomization={"robot.max_speed": (0.5, 1.0), "robot.friction": (0.8, 1.2)})
@@ -175,6 +176,7 @@ def test_episodes_have_their_own_robots(scenario):
     np.testing.assert_allclose(seen["speeds"][free, 0], tops[free], rtol=0.02)
 
 
+@pytest.mark.slow
 def test_errors_of_the_sensors_of_observations(scenario):
     """Against the exact readings: the deviation and the share of misses of the episode, from the state alone."""
     bounds = {"sensors.min_deviation": (0.05, 0.1), "sensors.drop_out": (0.1, 0.3)}

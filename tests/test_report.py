@@ -161,6 +161,7 @@ def page(given: Evaluation, runs: Sequence[compare.SavedRun] = ()) -> str:
         people=3,
         time_step=0.1,
         time_limit=25.0,
+        others=None,
     )
     given = dataclasses.replace(given, scenario=scenario)
     summary = results.aggregate_episodes(given) | {

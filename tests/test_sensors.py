@@ -92,7 +92,7 @@ def test_numbers_are_those_of_sean(scenario):
         8.0 * 63 / 64
     )
     # The middles of the first and the last ray of a lidar are a degree apart, the first straight ahead.
-    fan = cameras.lidar_rays(sensors.lidar(scenario))
+    (fan,) = cameras.lidar_rays(sensors.lidar(scenario))
     angle = np.rad2deg(np.arctan2(fan.direction[1], fan.direction[0])).reshape(-1)
     assert np.allclose(np.mod(angle + 0.5, 360.0) - 0.5, np.arange(360), atol=1e-3)
 
@@ -326,8 +326,9 @@ def test_a_lidar_looks_where_its_site_is_turned(scenario, state):
     plain_one = sensors.lidar(scenario, count=30, first=0.3, far=9.0)
     turned = dataclasses.replace(plain_one, axes=(c, -s, 0.0, s, c, 0.0, 0.0, 0.0, 1.0))
     shifted = dataclasses.replace(plain_one, first=0.3 + yaw)
-    np.testing.assert_allclose(cameras.lidar_rays(turned).direction, cameras.lidar_rays(shifted).direction, atol=1e-6)
-    assert cameras.lidar_rays(turned).low == cameras.lidar_rays(plain_one).low
+    (there,), (same,), (plain_rays,) = (cameras.lidar_rays(each) for each in (turned, shifted, plain_one))
+    np.testing.assert_allclose(there.direction, same.direction, atol=1e-6)
+    assert there.low == plain_rays.low
     c, s = np.cos(pitch), np.sin(pitch)
     axes = c, 0.0, s, 0.0, 1.0, 0.0, -s, 0.0, c
     down = dataclasses.replace(plain_one, first=0.0, origin=(0.1, 0.0, 0.5), axes=axes)
@@ -337,6 +338,104 @@ def test_a_lidar_looks_where_its_site_is_turned(scenario, state):
     with np.errstate(divide="ignore"):
         wanted = np.where(fall > 1e-6, 0.5 / fall, np.inf)
     np.testing.assert_allclose(found, np.minimum(wanted, 9.0), rtol=1e-5)
+
+
+def rings_of(scenario, count=120, **changes) -> sensors.Lidar:
+    """A VLP-16 with fewer rays in each ring."""
+    return sensors.lidar(scenario, **{**sensors.VLP16, "count": count, **changes})
+
+
+def ring_directions(lidar):
+    """(rings, rays, 3) by the angles of the manual: ring by ring from -15 to 15 degrees, to the left from ahead."""
+    rise, turn = np.meshgrid(np.deg2rad(np.arange(-15, 16, 2)), 2 * np.pi * np.arange(lidar.count) / lidar.count,
+                             indexing="ij")  # fmt: skip
+    return np.stack([np.cos(rise) * np.cos(turn), np.cos(rise) * np.sin(turn), np.sin(rise)], -1)
+
+
+def test_rings_are_the_distances_of_mujoco(scenario, state):
+    """Robots anywhere in the warehouse with people around them; a lidar below and one above people's shoulders."""
+    random, places = np.random.default_rng(6), np.asarray(scenario.navigation.places, float)
+    radius, on_people, on_floor = float(scenario.forces.walking.radius), 0, 0
+    low = rings_of(scenario)
+    (place,) = [np.asarray(mount.origin, float) for mount in scenario.robot.mounts if mount.name == "lidar"]
+    high = dataclasses.replace(low, origin=(0.05, -0.02, 1.4))
+    look = jax.jit(lambda state: [sensors.scan(scenario, state, lidar) for lidar in (low, high)])
+    for _ in range(3):
+        angle, here = random.uniform(0, 2 * np.pi), random.choice(places)
+        away = np.linalg.norm(places - here, axis=1)
+        near = random.choice(places[(away > 0.8) & (away < 6.0)], scenario.people)
+        spots = np.asarray(near + random.uniform(-0.1, 0.1, near.shape), np.float32)
+        heading = np.array([np.cos(angle), np.sin(angle)], np.float32)
+        robot = state.robot.replace(position=jnp.asarray(here, jnp.float32), heading=jnp.asarray(heading))
+        there = state.replace(robot=robot, pedestrians=state.pedestrians.replace(position=jnp.asarray(spots)))
+        turned = np.array([[heading[0], -heading[1], 0], [heading[1], heading[0], 0], [0, 0, 1]], float)
+        for lidar, mount, scan in zip((low, high), (place, np.array(high.origin)), look(there), strict=True):
+            ways = (ring_directions(lidar) @ turned.T).reshape(-1, 3)
+            origin = np.array([*np.float32(here), 0.0]) + turned @ mount
+            distance, who = mujoco_hits("warehouse", spots.astype(float), origin, ways, radius)
+            in_range = (distance >= 0.4) & (distance <= 100.0)
+            wanted = np.where(in_range, distance, 100.0).reshape(16, 120)
+            assert scan.shape == (16, 120)
+            gap = np.abs(np.asarray(scan) - wanted)
+            # A ray that grazes an outline may meet it by rounding.
+            assert (gap <= 1e-4 + 2e-5 * wanted).mean() >= 0.999 and (gap[wanted < 5.0] <= 1e-4).mean() >= 0.999
+            on_people += (who[in_range] >= 0).sum()
+            # The cloud is in the frame of the lidar: on the floor its points are as far below it as it is high.
+            xyz, ring = sensors.point_cloud(lidar, np.asarray(scan))
+            hits = np.asarray(scan) < 100.0
+            np.testing.assert_allclose(xyz, (ring_directions(lidar) * np.asarray(scan)[..., None])[hits], atol=1e-4)
+            np.testing.assert_array_equal(ring, np.nonzero(hits)[0])
+            np.testing.assert_allclose(sensors.points(lidar, scan)[hits], xyz, atol=1e-5)
+            floor = (ring == 0) & (np.abs(xyz[:, 2] + mount[2]) < 1e-3)
+            assert xyz[:, 2].min() >= -mount[2] - 1e-3
+            on_floor += floor.sum()
+    assert on_people > 300 and on_floor > 50
+
+
+def test_rings_are_differentiable_and_traced_once(scenario, state):
+    lidar, traces = rings_of(scenario, 24), []
+
+    def look(position, people):
+        traces.append(0)
+        robot = dataclasses.replace(state.robot, position=position)
+        crowd = dataclasses.replace(state.pedestrians, position=people)
+        return sensors.scan(scenario, dataclasses.replace(state, robot=robot, pedestrians=crowd), lidar)
+
+    one, people = jax.jit(look), state.pedestrians.position
+    moved = state.robot.position[None] + jnp.asarray([[0.0, 0.0], [0.3, 0.1], [-0.2, 0.5]], jnp.float32)
+    each = np.stack([one(position, people) for position in moved])
+    assert len(traces) == 1
+    np.testing.assert_allclose(jax.jit(jax.vmap(look, (0, None)))(moved, people), each, atol=1e-4, rtol=1e-5)
+    slopes = jax.jit(jax.jacfwd(look, (0, 1)))(state.robot.position, people)
+    assert all(np.isfinite(part).all() for part in slopes) and np.abs(slopes[0]).max() > 0.5
+    backward = jax.jit(jax.grad(lambda position: look(position, people).mean()))(state.robot.position)
+    np.testing.assert_allclose(backward, np.asarray(slopes[0]).mean((0, 1)), atol=1e-4)
+
+
+def test_rings_without_tilt_are_the_planar_lidar(scenario, state):
+    planar = sensors.lidar(scenario, count=90, far=20.0)
+    rings = sensors.lidar(scenario, count=90, far=20.0, elevations=[-0.2, 0.0, 0.2])
+    scans = jax.jit(lambda state: [sensors.scan(scenario, state, each) for each in (planar, rings)])(state)
+    np.testing.assert_allclose(scans[1][1], scans[0], rtol=1e-6)
+    assert not np.allclose(scans[1][0], scans[0])
+    assert sensors.points(planar, scans[0]).shape == (90, 3)
+    xyz, ring = sensors.point_cloud(planar, np.asarray(scans[0]))
+    assert len(xyz) == (np.asarray(scans[0]) < 20.0).sum() and not ring.any() and not xyz[:, 2].any()
+
+
+def test_the_named_vlp16_has_the_noise_of_its_manual(scenario, state):
+    robot = sensors.as_sensor("vlp16", scenario.robot)
+    small = dataclasses.replace(robot, read=dataclasses.replace(robot.read, device=rings_of(scenario, 180)))
+    exact = dataclasses.replace(small, params=sensors.distance_errors(0.0, 0.0))
+    lost = dataclasses.replace(small, params=sensors.distance_errors(0.03, 0.0, 0.25))
+    sense = jax.jit(lambda suite, state: sensors.sense(scenario.replace(sensors=(suite,)), state)["vlp16"])
+    true, noisy, holed = (np.asarray(sense(each, state), float) for each in (exact, small, lost))
+    hits = (true > 0.6) & (true < 99.0)
+    assert (noisy - true)[hits].std() == pytest.approx(0.03, rel=0.08)
+    assert (holed[hits] == 100.0).mean() == pytest.approx(0.25, abs=0.04)
+    assert (
+        robot.read.device.count * len(robot.read.device.elevations) == 28_800
+    )  # ten times a second: the manual's 0.3 M
 
 
 def test_noise_and_drop_outs():
@@ -410,6 +509,10 @@ def test_a_lidar_that_measures_nothing_is_refused(scenario, tmp_path):
         sensors.lidar(scenario, count=0)
     with pytest.raises(ValueError, match="4 and 3.5 m"):
         sensors.lidar(scenario, near=4.0)
+    with pytest.raises(ValueError, match="elevations: 0, -10 degrees must ascend, each more than -90"):
+        sensors.lidar(scenario, elevations=np.deg2rad([0.0, -10.0]))
+    with pytest.raises(ValueError, match="elevations: nan degrees must ascend"):
+        sensors.lidar(scenario, elevations=[np.nan])
     text = (ENVS / "robots" / "kuri.xml").read_text(encoding="utf-8")
     file = tmp_path / "blind.xml"
     file.write_text("\n".join(line for line in text.splitlines() if "<site" not in line and "<camera" not in line))
@@ -504,6 +607,10 @@ def test_sensors_from_files(scenario, tmp_path):
     fan = sensors.as_sensor(str(file), scenario.robot)
     device = sensors.lidar(scenario, count=90, span=np.pi, first=-np.pi / 2)
     assert jax.tree.structure(fan) == jax.tree.structure(sensors.lidar_sensor(device))
+    file.write_text("kind: lidar\ncount: 90\nelevations: [-10, 0, 10]\n")
+    rings = sensors.as_sensor(str(file), scenario.robot)
+    device = sensors.lidar(scenario, count=90, elevations=np.deg2rad([-10.0, 0.0, 10.0]))
+    assert jax.tree.structure(rings) == jax.tree.structure(sensors.lidar_sensor(device))
     file.write_text("kind: color\nmount: overhead\nwidth: 8\nheight: 8\n")
     assert sensors.as_sensor(file, scenario.robot).name == "overhead"
 
@@ -513,6 +620,10 @@ def test_sensors_from_files(scenario, tmp_path):
     [
         ("kind: dept\n", "'dept' is not one of depth, color, lidar"),
         ("kind: lidar\nwidth: 8\n", "width: is no key of the kind 'lidar'; remove it"),
+        ("kind: depth\nelevations: [1]\n", "elevations: is no key of the kind 'depth'; remove it"),
+        ("kind: lidar\nelevations: [1, 1]\n", "elevations: do not ascend; begin with the lowest ring"),
+        ("kind: lidar\nelevations: [0, 90]\n", "elevations[1]: 90 is not less than 90"),
+        ("kind: lidar\ncount: 60000\nelevations: [0, 1]\n", "elevations: and count give more than 100,000 rays"),
         ("kind: depth\ncount: 8\n", "count: is no key of the kind 'depth'; remove it"),
         ("kind: color\nerrors: {}\n", "errors of distances, which the kind 'color' does not measure"),
         ("kind: depth\nerrors: {drop_out: 2}\n", "errors.drop_out: 2"),

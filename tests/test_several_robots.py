@@ -7,7 +7,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from quick import quick
 
 import sean_jax
 from sean_jax import assembly, registry, reset, robots, sense, stack, step, worlds
@@ -38,22 +37,56 @@ def small(tmp_path_factory) -> list[str]:
     return ["lidar", str(folder / "depth.yaml"), str(folder / "overhead.yaml")]
 
 
-def drive(scenario, key):
+@pytest.fixture(scope="module")
+def lab() -> tuple:
+    """The robots on one floor, and first states of each, (6, ...)."""
+    floors = build(options(environment="lab", robot=[*NAMES]))
+    keys = jax.random.split(jax.random.key(1), 6)
+    return floors, jax.jit(lambda floors, keys: floors.vmap(reset)(keys))(floors, keys)
+
+
+def command(tick):
     """Six seconds ahead, braking, backward and turning."""
-
-    def one(state, tick):
-        ahead = jnp.where(tick < 25, 2.0, jnp.where(tick < 40, -2.0, 0.3))
-        state = step(scenario, state, jnp.stack([ahead, 0.5 * jnp.sin(0.2 * tick)]))
-        return state, (state.robot.position, state.robot.speed)
-
-    return jax.lax.scan(one, reset(scenario, key), jnp.arange(60.0))
+    ahead = jnp.where(tick < 25, 2.0, jnp.where(tick < 40, -2.0, 0.3))
+    return jnp.stack([ahead, 0.5 * jnp.sin(0.2 * tick)])
 
 
-@pytest.mark.parametrize("dynamics", quick(["twin", "kinematic"], "twin"))
+def test_each_robot_moves_as_alone(lab):
+    floors, states = lab
+
+    def drive(scenario, state):
+        def one(state, tick):
+            state = dataclasses.replace(state, robot=scenario.robot.drive(scenario, state, command(tick)))
+            return state, (state.robot.position, state.robot.speed)
+
+        return jax.lax.scan(one, state, jnp.arange(60.0))[1]
+
+    places, speeds = jax.jit(lambda floors, states: floors.vmap(drive)(states))(floors, states)
+    for number, name in [*enumerate(NAMES)][1:]:
+        alone, rows = sean_jax.make("lab", **OWN, robot=name), slice(2 * number, 2 * number + 2)
+        here = jax.tree.map(lambda leaf, rows=rows: leaf[rows], states)
+        own_places, own_speeds = jax.jit(jax.vmap(drive, (None, 0)))(alone, here)
+        np.testing.assert_allclose(places[rows], own_places, atol=1e-5)
+        np.testing.assert_allclose(speeds[rows], own_speeds, atol=1e-5)
+        np.testing.assert_allclose(floors.at(number).navigation.radius, alone.navigation.radius, rtol=1e-6)
+    reached = [float(np.abs(each).max()) for each in np.split(np.asarray(speeds), 3)]
+    assert max(reached) > 0.9 and min(reached) < 0.6  # each has its own top speed
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("dynamics", ["twin", "kinematic"])
 def test_each_robot_is_as_it_is_alone(dynamics, small):
-    """Motion, and readings at the same state; one is wider than people's clearance and has a navigation of its own."""
+    """Whole steps, and readings at the same state; one is wider than people's clearance and has its own navigation."""
     floors = build(options(dynamics=dynamics, sensors=small))
     keys = jax.random.split(jax.random.key(1), 6)
+
+    def drive(scenario, key):
+        def one(state, tick):
+            state = step(scenario, state, command(tick))
+            return state, (state.robot.position, state.robot.speed)
+
+        return jax.lax.scan(one, reset(scenario, key), jnp.arange(60.0))
+
     states, (places, speeds) = jax.jit(lambda floors, keys: floors.vmap(drive)(keys))(floors, keys)
     readings = jax.jit(lambda floors, states: floors.vmap(sense)(states))(floors, states)
     for number, (folder, name) in enumerate(zip(worlds.find(SET), NAMES, strict=True)):
@@ -66,28 +99,27 @@ def test_each_robot_is_as_it_is_alone(dynamics, small):
         for sensor, seen in jax.jit(jax.vmap(sense, (None, 0)))(alone, here).items():
             np.testing.assert_allclose(readings[sensor][rows], seen, atol=1e-5, err_msg=sensor)
             assert np.ptp(seen) > 0.1
-        np.testing.assert_allclose(floors.at(number).navigation.radius, alone.navigation.radius, rtol=1e-6)
-    reached = [float(np.abs(each).max()) for each in np.split(np.asarray(speeds), 3)]
-    assert max(reached) > 0.9 and min(reached) < 0.6  # each has its own top speed
 
 
-def test_one_compilation_serves_all_robots():
+def test_one_compilation_serves_all_robots(lab):
     """A stack is one program, and so are its members one after the other."""
-    floors, traces = build(options(environment="lab", robot=["kuri", "jackal"])), []
+    (floors, states), traces = lab, []
+    state = jax.tree.map(lambda leaf: leaf[0], states)
 
     @jax.jit
-    def forward(scenario, key):
+    def forward(scenario, state):
         traces.append(1)
-        return step(scenario, reset(scenario, key), jnp.array([9.0, 0.0])).robot.speed
+        return scenario.robot.drive(scenario, state, jnp.array([9.0, 0.0])).speed
 
-    speeds = [float(forward(floors.at(number), jax.random.key(0))) for number in range(2)]
+    speeds = [float(forward(floors.at(number), state)) for number in range(3)]
     wider = dataclasses.replace(floors.at(0), robot=floors.at(0).robot.replace(radius=jnp.asarray(0.3, float)))
-    forward(wider, jax.random.key(0))
-    assert len(traces) == 1 and floors.size == 2 and floors.names == ("lab kuri", "lab jackal")
-    assert min(speeds) > 0.1
-    assert floors.member.robot.name == "kuri,jackal"
+    forward(wider, state)
+    assert len(traces) == 1 and floors.names == tuple(f"lab {name}" for name in NAMES)
+    assert min(speeds) > 0.05 and len(set(speeds)) == 3
+    assert floors.member.robot.name == ",".join(NAMES)
 
 
+@pytest.mark.slow
 def test_gradients_by_everything_that_describes_a_robot(small):
     """They are finite; by the radius, of a robot that a wall has stopped, it is the whole radius."""
     floors = build(options(environment="lab", robot="turtlebot3,jackal", sensors=small))

@@ -911,6 +911,7 @@ def test_terms_of_ones_own_move_people_in_a_rollout():
     assert float(slope.wind.y) > 0.1 and np.isfinite(float(slope.magnet.strength)) and float(slope.magnet.strength)
 
 
+@pytest.mark.slow
 def test_the_terms_in_the_documents_work(scenario):
     """Each block of docs/social_forces.md, with a small scenario."""
     text = (Path(__file__).resolve().parent.parent / "docs" / "social_forces.md").read_text(encoding="utf-8")

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import test_replay_folders
 import test_resume
+from quick import quick
 
 import sean_jax
 from sean_jax import assembly, cli, devices, environment, kernels, padding, registry, reset, runner, stack, step, worlds
@@ -31,11 +32,16 @@ def options(**more) -> ScenarioConfig:
     return validate(ScenarioConfig, {"environment": SET, "people": 20, "task": "join_group", **more})
 
 
+CHEAP = {"metrics": "none", "dynamics": "kinematic", "forces": "helbing1995"}  # compiled sooner than the usual ones
+
+
+def build(config: ScenarioConfig) -> stack.Stack:
+    return assembly.build_stack(config).map_member(lambda scenario: assembly.with_tasks(config, scenario)[0])
+
+
 @pytest.fixture(scope="module")
 def floors() -> stack.Stack:
-    config = options()
-    floors = assembly.build_stack(config)
-    return floors.map_member(lambda scenario: assembly.with_tasks(config, scenario)[0])
+    return build(options(**CHEAP))
 
 
 def drive(scenario, key):
@@ -46,20 +52,22 @@ def drive(scenario, key):
     return jax.lax.scan(one, reset(scenario, key), length=60)
 
 
-def test_each_floor_is_as_it_is_alone(floors):
+@pytest.mark.parametrize("more, alone_too", quick([(CHEAP, [1]), ({}, [0, 1, 2])], (CHEAP, [1])))
+def test_each_floor_is_as_it_is_alone(floors, more, alone_too):
     """Tasks, people, robots and metrics, from equal keys, with other numbers of obstacles, arcs, nodes and seats."""
+    floors, folders = floors if more else build(options()), worlds.find(SET)
     keys = jax.random.split(jax.random.key(1), 6)
-    state, (people, robots, metrics) = jax.jit(lambda floors, keys: floors.vmap(drive)(keys))(floors, keys)
-    for number, folder in enumerate(worlds.find(SET)):
+    state, (people, robots, measured) = jax.jit(lambda floors, keys: floors.vmap(drive)(keys))(floors, keys)
+    for number in alone_too:
         rows = slice(2 * number, 2 * number + 2)
-        alone = sean_jax.make(str(folder), people=20, task="join_group")
+        alone = sean_jax.make(str(folders[number]), people=20, task="join_group", **more)
         assert alone.environment.obstacles.yaw.shape <= floors.member.environment.obstacles.yaw.shape
         last, (each_people, each_robots, each_metrics) = jax.jit(jax.vmap(drive, (None, 0)))(alone, keys[rows])
         np.testing.assert_allclose(last.task.goal, state.task.goal[rows], atol=1e-5)
         np.testing.assert_allclose(last.task.geodesic, state.task.geodesic[rows], rtol=1e-5)
         np.testing.assert_allclose(each_people, people[rows], atol=1e-4)
         np.testing.assert_allclose(each_robots, robots[rows], atol=1e-4)
-        for one, other in zip(*map(jax.tree.leaves, (each_metrics, metrics)), strict=True):
+        for one, other in zip(*map(jax.tree.leaves, (each_metrics, measured)), strict=True):
             np.testing.assert_allclose(one, other[rows], rtol=1e-3, atol=1e-3)
     assert np.abs(np.diff(people, axis=1)).max() > 0.01
 
@@ -78,13 +86,12 @@ def test_a_member_is_its_floor(floors):
 
 def test_people_who_are_not_there_stay_away():
     """Without a number of people each floor has its own, and places for as many as the most crowded."""
-    floors = assembly.build_stack(options(people=None))
-    config = options()
-    floors = floors.map_member(lambda scenario: assembly.with_tasks(config, scenario)[0])
-    state = jax.jit(lambda floors, keys: floors.vmap(reset)(keys))(floors, jax.random.split(jax.random.key(0), 3))
+    floors = build(options(people=None, metrics="none"))
+    there = jax.jit(lambda floors, keys: floors.vmap(lambda floor, key: reset(floor, key).pedestrians.present)(keys))
+    present = there(floors, jax.random.split(jax.random.key(0), 3))
     own = [sean_jax.make(str(folder)).people for folder in worlds.find(SET)]
     assert floors.member.people == max(own) and len(set(own)) > 1
-    np.testing.assert_array_equal(state.pedestrians.present.sum(1), own)
+    np.testing.assert_array_equal(present.sum(1), own)
 
 
 def test_padding_keeps_numbers_and_fills_the_rest():
@@ -120,8 +127,7 @@ def test_places_of_padding_are_not_drawn(floors):
 @pytest.mark.slow
 def test_each_floor_is_as_it_is_alone_with_random_people():
     config = options(behavior="random", task="random_ab_nav")
-    floors = assembly.build_stack(config)
-    floors = floors.map_member(lambda scenario: assembly.with_tasks(config, scenario)[0])
+    floors = build(config)
     keys = jax.random.split(jax.random.key(1), 3)
     _, (people, robots, _) = jax.jit(lambda floors, keys: floors.vmap(drive)(keys))(floors, keys)
     for number, folder in enumerate(worlds.find(SET)):
@@ -190,12 +196,13 @@ def test_a_kernel_gets_a_row_for_each_floor():
     np.testing.assert_array_equal(found, (floor[:, None] + lane + 100.0).T)
 
 
+@pytest.mark.slow
 def test_a_runner_takes_floors_in_turn(floors):
-    """Episode i is on floor i modulo their number, whatever the size of a batch."""
-    quick = floors.map_member(lambda scenario: scenario.replace(time_limit=1.0))
-    several = runner.Runner(quick, go_to_goal, 6, "run").run(3, first=0)
-    alone = runner.Runner(quick, go_to_goal, 2, "run").run(3, first=4)
-    np.testing.assert_allclose(alone.states.robot.position, several.states.robot.position[4:], atol=1e-5)
+    """Episode i is on floor i modulo their number, wherever a batch begins."""
+    short = floors.map_member(lambda scenario: scenario.replace(time_limit=1.0))
+    running = runner.Runner(short, go_to_goal, 6, "run")
+    several, later = running.run(3, first=0), running.run(3, first=4, count=2)
+    np.testing.assert_allclose(later.states.robot.position, several.states.robot.position[4:], atol=1e-5)
     edges = np.asarray(floors.own[0] if 0 in floors.own else [floors.at(k).environment.floor for k in range(3)])[:, 2:]
     inside = np.asarray(several.states.robot.position) <= np.tile(edges, (2, 1))
     assert inside.all()
@@ -225,6 +232,7 @@ def test_sets_are_named():
         assembly.build_floors(options(task=[{"kind": "custom", "start": (1.0, 1.0), "goal": (2.0, 2.0)}]))
 
 
+@pytest.mark.slow
 def test_tables_of_wide_robots_are_computed_by_the_other_processes(monkeypatch, tmp_path):
     """They leave nothing to this process but to read: the paths of people and those of each wide robot."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))

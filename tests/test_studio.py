@@ -24,11 +24,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from sean_jax import assembly, learning, pages
+from sean_jax import assembly, learning, pages, web
 from sean_jax.config import StudioConfig, validate
 from sean_jax.errors import FileError, InputError
 from sean_jax.learning import Recorder
-from sean_jax.studio import server, trial, web
+from sean_jax.studio import server, trial
 from sean_jax.studio.server import Studio
 from sean_jax.studio.session import DEAD_MAN, Choice, Session
 
@@ -895,6 +895,7 @@ def test_people_go_on_with_a_changed_graph(edited):
         edited.edit(None)
 
 
+@pytest.mark.slow
 def test_people_begin_anew_on_another_graph_and_floor(edited):
     """A node and a box more: other tables, in which time goes on; undo leads back to the files."""
     edited.restart(0)

@@ -54,7 +54,7 @@ class _Programs:
         observation, self.state = jax.eval_shape(lambda: env.reset(jax.random.key(0)))
         self.states = states = _Packing(jax.eval_shape(prng.as_numbers, self.state))
         shapes = dict.fromkeys(("reward", "terminated", "truncated", "completed"), ())
-        shapes |= {"command": (2,), "situations": (len(env.scenario.situations),)}
+        shapes |= {"command": env.action_space.shape, "situations": (len(env.scenario.situations),)}
         zeros = {name: np.zeros(shape, np.float32) for name, shape in shapes.items()}
         observed = {name: np.zeros(part.shape, np.float32) for name, part in observation.items()}
         self.results = results_of = _Packing(zeros | {"observation": observed})
@@ -122,7 +122,7 @@ class SocialNavigation(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
             raise InputError(f"render_mode: '{render_mode}' is not rgb_array or None.")
         self.render_mode = render_mode
         self.observation_space = _space(self.env)
-        self.action_space = spaces.Box(-1.0, 1.0, (2,), np.float32)
+        self.action_space = spaces.Box(-1.0, 1.0, self.env.action_space.shape, np.float32)
         self._run = _programs(self.env, rows=False)
         self._seed: int | None = None
         self._episodes = 0
@@ -142,7 +142,7 @@ class SocialNavigation(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
         return self._run.read(packed)["observation"], {}
 
     def step(self, action: np.ndarray) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
-        """One step of control, of an action (2,) from -1 to 1.
+        """One step of control, of an action from -1 to 1.
 
         Returns:
             The observation, the reward, ``terminated``, ``truncated``, and a dict: whether the task is ``completed``,
@@ -199,7 +199,7 @@ class VectorSocialNavigation(VectorEnv):
         rate = round(1.0 / self.env.scenario.time_step)
         self.metadata = self.metadata | {"render_fps": rate, "autoreset_mode": self._mode}
         self.single_observation_space = _space(self.env)
-        self.single_action_space = spaces.Box(-1.0, 1.0, (2,), np.float32)
+        self.single_action_space = spaces.Box(-1.0, 1.0, self.env.action_space.shape, np.float32)
         self.observation_space = gymnasium.vector.utils.batch_space(self.single_observation_space, num_envs)
         self.action_space = gymnasium.vector.utils.batch_space(self.single_action_space, num_envs)
         self._run = _programs(self.env, rows=True)

@@ -107,11 +107,11 @@ class SocialNavigation(gymnax_environment.Environment[EnvState, EnvParams]):
     @property
     def num_actions(self) -> int:
         """The size of an action."""
-        return 2
+        return self.env.action_space.shape[0]
 
     def action_space(self, params: EnvParams | None = None) -> spaces.Box:
-        """A box of (2,) from -1 to 1."""
-        return spaces.Box(-1.0, 1.0, (2,))
+        """A box from -1 to 1."""
+        return spaces.Box(-1.0, 1.0, self.env.action_space.shape)
 
     def observation_space(self, params: EnvParams | None = None) -> spaces.Dict | spaces.Box:
         """A box for each term, or one box for a flat observation."""

@@ -30,7 +30,7 @@ class VecSocialNavigation(VecEnv):
         self.rows = VectorSocialNavigation(env, num_envs, **config)
         self.render_mode = None
         super().__init__(num_envs, self.rows.single_observation_space, self.rows.single_action_space)
-        self._actions = np.zeros((num_envs, 2), np.float32)
+        self._actions = np.zeros((num_envs, *self.rows.env.action_space.shape), np.float32)
 
     def reset(self) -> dict[str, np.ndarray]:
         """The first observations (B, ...) of an episode in each row, with the seeds of ``seed`` if there were any."""
@@ -40,7 +40,7 @@ class VecSocialNavigation(VecEnv):
         return observation
 
     def step_async(self, actions: np.ndarray) -> None:
-        """Store the actions (B, 2) from -1 to 1 for ``step_wait``."""
+        """Store the actions from -1 to 1 for ``step_wait``."""
         self._actions = actions
 
     def step_wait(self) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, list[dict[str, Any]]]:

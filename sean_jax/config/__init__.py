@@ -26,13 +26,16 @@ from sean_jax.config.core import (
 )
 from sean_jax.config.fields import MAX_HOURS, MAX_PIXELS, MAX_RATE, MAX_SHARD, MAX_SIDE, Number, Option, Range, Text
 from sean_jax.config.learning import (
+    EXPORTS,
     METHODS,
     OBSERVED,
     APGConfig,
     CollectConfig,
     DaggerConfig,
     EnvConfig,
+    ExportBagConfig,
     ExportConfig,
+    ExportMapConfig,
     ImitationConfig,
     PPOConfig,
     ReinforcementConfig,
@@ -40,7 +43,9 @@ from sean_jax.config.learning import (
 from sean_jax.config.scenario import (
     DEFAULT_FORCES,
     PRESETS,
+    TRANSPORTS,
     USUAL_TASKS,
+    BridgeConfig,
     CompareConfig,
     CustomTask,
     GraphBehavior,
@@ -54,6 +59,7 @@ from sean_jax.config.scenario import (
     StudioConfig,
     SurveyExportConfig,
     SurveyReportConfig,
+    outside,
 )
 from sean_jax.config.studies import (
     EXPERIMENTS,
@@ -140,6 +146,48 @@ class ImportMapConfig(Config):
     """Meaning of the map's unknown cells."""
 
 
+class ImportBagConfig(Config):
+    """Take people and the robot out of a ROS bag, as a recording and a trajectory."""
+
+    bag: Annotated[Path, Option(positional=True)]
+    """File of rosbag 1, or folder of rosbag2."""
+    out: Path
+    """Folder to write; it must be new or empty."""
+    time_step: Annotated[float, fields.Number(0.001, 10.0, "s")] = 0.1
+    """Seconds between rows; positions of the bag are interpolated."""
+    people_topic: fields.Text | None = None
+    """Topic of the people; by default the first one with people."""
+    robot_topic: fields.Text | None = None
+    """Topic of the robot's pose; by default odometry, else transforms, else a pose with covariance."""
+
+
+class ImportRobotConfig(Config):
+    """Make a robot file of the URDF file, or of the MJCF file with a freejoint, of a robot."""
+
+    file: Annotated[Path, Option(positional=True)]
+    """URDF or MJCF file of the robot."""
+    out: Path
+    """Robot file to write, such as robot.xml, with a picture beside it. Its path then serves as --robot."""
+    drive: Literal["differential", "omnidirectional", "ackermann"] | None = None
+    """Drive; by default by the places and axes of the wheels."""
+    wheels: fields.Names | None = None
+    """Joints of the driven wheels, separated by commas; by default the wheels on the floor."""
+    wheel_radius: fields.Radius | None = None
+    """Radius of the wheels in metres; by default of their shapes."""
+    wheel_separation: fields.Radius | None = None
+    """Distance in metres of the left and right wheels, as odometry uses it; by default of their joints."""
+    mass: fields.Mass | None = None
+    """Mass in kilograms; by default of all links."""
+    radius: fields.Radius | None = None
+    """Radius in metres of the disc that touches people and obstacles; by default around base and wheels."""
+    max_speed: fields.RobotSpeed | None = None
+    """Top speed in m/s; by default by the velocity limit of the wheels' joints."""
+    max_turn_rate: fields.RobotTurnRate | None = None
+    """Top turn rate in rad/s; by default that of a turn in place at the top speed of the wheels."""
+    max_acceleration: fields.RobotAcceleration | None = None
+    """Greatest acceleration in m/s2; by default by the effort limit of the wheels' joints and the grip of tyres."""
+
+
 class WorldsConfig(Config):
     """Make floors of a family, with Behavior Graphs and people, as environment folders."""
 
@@ -170,6 +218,7 @@ class SchemaConfig(Config):
 GROUPS = {
     "train": "Train a network, by imitation or by reinforcement learning.",
     "experiment": "Reproduce Table I or Figure 4 of the paper, or vary them.",
+    "export": "Write datasets, agents, episodes and environments in the formats of other projects.",
     "survey": "Export or report the answers of a study that `sean studio --survey` has run.",
 }
 """Word of the command line that needs a second word -> its summary."""
@@ -179,16 +228,19 @@ COMMANDS: dict[str, type[Config]] = {
     "collect": CollectConfig,
     **{f"train {name}": options for name, options in METHODS.items()},
     **{f"experiment {name}": options for name, options in EXPERIMENTS.items()},
-    "export": ExportConfig,
+    **{f"export {name}": options for name, options in EXPORTS.items()},
     "fit-graph": FitGraphConfig,
     "calibrate": CalibrateConfig,
     "draw": DrawConfig,
     "replay": ReplayConfig,
     "studio": StudioConfig,
+    "bridge": BridgeConfig,
     "survey export": SurveyExportConfig,
     "survey report": SurveyReportConfig,
     "compare": CompareConfig,
     "import-map": ImportMapConfig,
+    "import-bag": ImportBagConfig,
+    "import-robot": ImportRobotConfig,
     "worlds": WorldsConfig,
     "benchmark": BenchmarkConfig,
     "bench": BenchConfig,

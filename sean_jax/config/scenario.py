@@ -214,8 +214,8 @@ class ScenarioConfig(Config):
         return tuple(Named(kind=name) for name in USUAL_TASKS.get(self.behavior.kind, ("random_ab_nav",)))
 
     @property
-    def robots(self) -> tuple[Component, ...]:
-        """The robots, one or more."""
+    def robot_parts(self) -> tuple[Component, ...]:
+        """The robots that take turns, one or more."""
         if isinstance(self.robot, Named):
             return tuple(Named(kind=name) for name in listed(self.robot.kind))
         return (self.robot,)
@@ -230,6 +230,9 @@ class RunConfig(ScenarioConfig):
 
     policy: Part = Named(kind="go_to_goal")
     """Policy of the robot: a name, or a folder of `sean train` or `sean export agent`."""
+    robots: fields.Text | None = None
+    """Several robots at once, each with its own task, separated by commas, such as kuri,kuri; without it, one robot.
+    The policy is that of all, or as many policies, separated by commas."""
     episodes: fields.EpisodeCount = 64
     """Number of episodes."""
     seed: fields.Seed = 0
@@ -260,6 +263,38 @@ class RunConfig(ScenarioConfig):
         if data["renderer"] not in (None, "rays"):
             raise ValueError("renderer: there is only one, which draws camera.gif by rays; leave the option out")
         return {name: value for name, value in data.items() if name != "renderer"}
+
+    @pydantic.field_validator("robots", mode="before")
+    @classmethod
+    def _join_robots(cls, value: object) -> object:
+        return ScenarioConfig._join(value)
+
+    @property
+    def team(self) -> list[str]:
+        """The robots of a team; empty without one."""
+        return [] if self.robots is None else listed(self.robots)
+
+    @property
+    def policies(self) -> list[Component]:
+        """The policies of the robots, or the one of all."""
+        several = self.team and isinstance(self.policy, Named) and "," in self.policy.kind
+        return [Named(kind=name) for name in listed(self.policy.kind)] if several else [self.policy]
+
+    @pydantic.model_validator(mode="after")
+    def _check_team(self) -> "RunConfig":
+        if self.robots is None:
+            return self
+        if "robot" in self.model_fields_set and self.robot != Named(kind="kuri"):
+            raise ValueError("robots: a robot is given as well; leave one of the two out")
+        if not self.team:
+            raise ValueError("robots: there is none; give names, separated by commas, such as kuri,kuri")
+        if len(self.policies) not in (1, len(self.team)):
+            number = len(self.policies)
+            raise ValueError(f"policy: {number} policies for {len(self.team)} robots; give one of all, or one for each")
+        for name, value in (("live", self.live), ("camera", self.camera), ("trajectories", self.trajectories)):
+            if value:
+                raise ValueError(f"{name}: is for one robot, not for a team; leave it out")
+        return self
 
     @pydantic.model_validator(mode="after")
     def _check_live(self) -> "RunConfig":
@@ -301,6 +336,55 @@ class StudioConfig(ScenarioConfig):
         if others:
             raise ValueError(f"{others[0]}: a study has its own options; write it into {self.survey}")
         return self
+
+
+TRANSPORTS = ("ros1", "rosbridge", "dds")
+"""Ways to a robot's controller outside of this program."""
+
+
+def outside(policy: Component) -> tuple[str, str] | None:
+    """Transport and place of a controller outside of this program: "rosbridge:127.0.0.1:9090", "ros1:", "dds:0"."""
+    transport, colon, place = policy.kind.partition(":")
+    return (transport, place) if colon and transport in TRANSPORTS else None
+
+
+class BridgeConfig(ScenarioConfig):
+    """Let a controller outside of this program drive the robot: over ROS 1, a rosbridge websocket, or DDS."""
+
+    ros1: Annotated[bool, Option(affects_results=False)] = False
+    """Connect to the ROS 1 master of ROS_MASTER_URI, by rospy."""
+    rosbridge: Annotated[bool, Option(affects_results=False)] = False
+    """Serve the rosbridge protocol, version 2, on a websocket."""
+    dds: Annotated[bool, Option(affects_results=False)] = False
+    """Join a DDS domain with the types and topic names of ROS 2, by Cyclone DDS."""
+    address: Annotated[fields.Text, Option(affects_results=False)] = "127.0.0.1:9090"
+    """For rosbridge: address and port. If other computers reach it, clients need the token that is printed."""
+    domain: Annotated[int, fields.Number(0, 230), Option(affects_results=False)] = 0
+    """For DDS: its domain, as ROS_DOMAIN_ID."""
+    pace: Literal["real", "fast", "lockstep", "service"] = "real"
+    """Advance of time: by the clock; as fast as possible; after each command; or by the service step alone."""
+    factor: Annotated[float, fields.Number(0.01, 1000.0)] = 1.0
+    """For pace real: simulated seconds per second."""
+    patience: fields.Duration = 0.5
+    """For pace lockstep: seconds of waiting for a command; without one the robot's command timeout acts."""
+    episodes: fields.EpisodeCount | None = None
+    """Number of episodes; by default they go on until Ctrl-C."""
+    seed: fields.Seed = 0
+    """The same seed gives the same episodes, which are the episodes of sean run."""
+    quiet: fields.Quiet = False
+
+    @pydantic.model_validator(mode="after")
+    def _check_transport(self) -> "BridgeConfig":
+        if sum((self.ros1, self.rosbridge, self.dds)) != 1:
+            raise ValueError("ros1: a bridge has one transport; give one of --ros1, --rosbridge and --dds")
+        return self
+
+    @property
+    def place(self) -> tuple[str, str]:
+        """The transport and its place, as of ``outside``."""
+        if self.ros1:
+            return "ros1", ""
+        return ("rosbridge", self.address) if self.rosbridge else ("dds", str(self.domain))
 
 
 class ReplayConfig(Config):

@@ -37,6 +37,7 @@ __all__ += ["policy_colors", "situation_colors", "top_down", "video", "view"]
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from numpy.typing import ArrayLike
 
 COLUMNS, PANEL = 5, 3.2  # of a sheet, and inches of a panel's width
 TRAIL = 40.0  # s, length of people's trails
@@ -53,7 +54,7 @@ def top_down(
     frames: Trajectory | None = None,
     situations: Sequence[str] | None = None,
     time_step: float = 0.1,
-    robot_radius: float = layers.ROBOT_RADIUS,
+    robot_radius: ArrayLike = layers.ROBOT_RADIUS,
     width: float = 6.4,
 ) -> Figure:
     """Draw an environment from above, and one episode: trails of people, their last positions, the robot's path.
@@ -62,7 +63,7 @@ def top_down(
         frames: (T, ...) of one episode, or None.
         situations: names of the frames' situations; the paper's five, or numbers, if None.
         time_step: s, between two frames.
-        robot_radius: m.
+        robot_radius: m, of all robots, or (1 + R,) of the robot and the other ones of its team.
 
     Raises:
         InputError: the frames have a batch axis, or another number of situations.
@@ -122,7 +123,7 @@ def view(trajectory: Trajectory, scenario: Scenario | None = None, animate: bool
     else:
         environment, graph, time_step = scenario.environment, graph_of(scenario), scenario.time_step
         names = tuple(name for name, _ in scenario.situations)
-    radius = layers.ROBOT_RADIUS if scenario is None else robots.radius(scenario.robot)
+    radius = layers.ROBOT_RADIUS if scenario is None else robots.radii(scenario)
     shown: dict[str, Any] = dict(graph=graph, situations=names, time_step=time_step, robot_radius=radius)
     if not animate:
         return top_down(environment, frames=frames, **shown)

@@ -41,7 +41,7 @@ def animate(
     graph: BehaviorGraph | None = None,
     situations: Sequence[str] | None = None,
     time_step: float = 0.1,
-    robot_radius: float = layers.ROBOT_RADIUS,
+    robot_radius: ArrayLike = layers.ROBOT_RADIUS,
     every: int = 5,
     size: int = 640,
     title: str = "",
@@ -52,7 +52,7 @@ def animate(
         path: a path or a binary file.
         situations: names of the frames' situations; the paper's five, or numbers, if None.
         time_step: s, between two frames.
-        robot_radius: m.
+        robot_radius: m, of all robots, or (1 + R,) of the robot and the other ones of its team.
         every: frames from one picture to the next; the last frame is always shown.
         size: width in pixels.
 
@@ -137,7 +137,7 @@ class _Scene:
         graph: BehaviorGraph | None,
         situations: tuple[str, ...],
         time_step: float,
-        robot_radius: float,
+        robot_radius: ArrayLike,
         size: int,
         title: str,
         every: int,
@@ -165,12 +165,17 @@ class _Scene:
         self.line = max(2, round(self.metre * 0.07))
         font = Path(get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf"
         self.font, self.small = (ImageFont.truetype(str(font), round(size / part)) for part in (22, 32))
-        self.radius = max(robot_radius * self.metre, 2.0 * self.line)
+        others = layers.of_others(frames)
+        sizes = np.maximum(np.broadcast_to(robot_radius, 1 + len(others)) * self.metre, 2.0 * self.line)
+        self.radius, self.radii = float(sizes[0]), sizes[1:]
         around = np.linspace(0.0, 2.0 * np.pi, 25)[:-1]
         self.body = np.stack([layers.DEPTH * np.cos(around), np.sin(around)], 1)  # (24, 2) ahead and aside
         self.people, self.group, self.present = pixels(frames.people), frames.group, np.asarray(frames.present, bool)
         self.heading_ends = self.people + flip * frames.people_heading * (1.9 * layers.PERSON_RADIUS * self.metre)
         self.path, self.heading, self.goal = pixels(frames.position), flip * frames.heading, pixels(frames.goal[-1])
+        self.others = pixels(others[..., :2])
+        self.noses = self.others + flip * others[..., 2:4] * (2.2 * self.radii[:, None, None])
+        self.goals = [self.goal, *pixels(others[:, -1, 4:])]
         self.shades = layers.step_colors(frames, situations)
         self.flags = np.asarray(frames.situations, bool)
         self.names, self.name_colors = situations, colors.situation_colors(situations)
@@ -188,8 +193,9 @@ class _Scene:
             draw.ellipse((place[0] - radius, place[1] - radius, place[0] + radius, place[1] + radius), **style)
 
         disc(self.path[0], 0.42 * metre, outline=colors.ROBOT, width=2 * line)
-        disc(self.goal, 0.75 * metre, outline=colors.ROBOT, width=2 * line)
-        disc(self.goal, 0.28 * metre, fill=colors.ROBOT)
+        for number, goal in enumerate(self.goals):
+            disc(goal, 0.75 * metre, outline=colors.ROBOT, width=line if number else 2 * line)
+            disc(goal, 0.28 * metre, fill=colors.ROBOT)
         for first in range(0, t, self.every):
             last = min(first + self.every, t)
             draw.line([*self.path[first], *self.path[last]], fill=self.shades[last], width=3 * line)
@@ -206,6 +212,10 @@ class _Scene:
             ahead = (end - place) / max(float(np.hypot(*(end - place))), 1e-9)
             outline = place + layers.PERSON_RADIUS * metre * (self.body @ np.stack([ahead, (-ahead[1], ahead[0])]))
             draw.polygon([tuple(corner) for corner in outline], fill=face, outline=colors.PERSON_EDGE, width=line)
+        for path, ends, radius in zip(self.others, self.noses, self.radii, strict=True):
+            disc(path[t], layers.HALO * metre, outline=colors.ROBOT, width=line)
+            disc(path[t], radius, fill=colors.ROBOT, outline=colors.ROBOT_EDGE, width=line)
+            draw.line([*path[t], *ends[t]], fill=colors.ROBOT_EDGE, width=line)
         disc(self.path[t], layers.HALO * metre, outline=colors.ROBOT, width=line)
         disc(self.path[t], self.radius, fill=colors.ROBOT, outline=colors.ROBOT_EDGE, width=line)
         nose = self.path[t] + self.heading[t] * 2.2 * self.radius

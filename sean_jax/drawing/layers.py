@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import jax
 import numpy as np
+from numpy.typing import ArrayLike
 
 from sean_jax.base import Environment, Trajectory
 from sean_jax.drawing import colors
@@ -228,17 +229,20 @@ def _draw_ellipses(
     axes.add_collection(EllipseCollection(width, height, angle, **place, **style))
 
 
-def draw_robot(axes: Axes, frames: Trajectory, situations: Sequence[str], radius: float = ROBOT_RADIUS) -> None:
+def draw_robot(axes: Axes, frames: Trajectory, situations: Sequence[str], radius: ArrayLike = ROBOT_RADIUS) -> None:
     """Draw the robot's path in the colors of situations, its start (ring), goal (target) and last pose, to scale.
+
+    Other robots of a team have dashed paths and goals.
 
     Args:
         frames: (T, ...) of one episode.
-        radius: m.
+        radius: m, of all robots, or (1 + R,) of the robot and the other ones.
     """
     from matplotlib.collections import LineCollection
     from matplotlib.patches import Circle
 
-    path = np.asarray(frames.position)
+    path, others = np.asarray(frames.position), of_others(frames)
+    radius, *radii = map(float, np.broadcast_to(radius, 1 + len(others)))
     shades = step_colors(frames, situations)
     axes.plot(*path.T, color=colors.PAPER, linewidth=5.0, solid_capstyle="round", zorder=8)
     runs = np.flatnonzero([True, *(a != b for a, b in zip(shades[1:], shades[:-1], strict=True))])
@@ -248,13 +252,28 @@ def draw_robot(axes: Axes, frames: Trajectory, situations: Sequence[str], radius
     )
     axes.add_patch(Circle(path[0], 0.42, facecolor=colors.PAPER, edgecolor=colors.ROBOT, linewidth=1.8, zorder=10))
     goal = (float(frames.goal[-1][0]), float(frames.goal[-1][1]))
-    for radius, face in ((0.75, "none"), (0.28, colors.ROBOT)):
-        axes.add_patch(Circle(goal, radius, facecolor=face, edgecolor=colors.ROBOT, linewidth=1.8, zorder=10))
+    for ring, face in ((0.75, "none"), (0.28, colors.ROBOT)):
+        axes.add_patch(Circle(goal, ring, facecolor=face, edgecolor=colors.ROBOT, linewidth=1.8, zorder=10))
     here = (float(path[-1][0]), float(path[-1][1]))
     axes.add_patch(Circle(here, HALO, facecolor=colors.ROBOT, edgecolor="none", alpha=0.35, zorder=11))
     axes.add_patch(Circle(here, radius, facecolor=colors.ROBOT, edgecolor=colors.ROBOT_EDGE, linewidth=1.0, zorder=11))
+    for other, size in zip(others, radii, strict=True):
+        axes.plot(*other[:, :2].T, color=colors.ROBOT, linewidth=1.4, linestyle="--", zorder=8)
+        x, y, hx, hy, *goal = map(float, other[-1])
+        body: Any = dict(facecolor=colors.ROBOT, edgecolor=colors.ROBOT_EDGE, linewidth=1.0, zorder=11)
+        axes.add_patch(Circle((x, y), size, **body))
+        axes.plot([x, x + 2.2 * size * hx], [y, y + 2.2 * size * hy], color=colors.ROBOT_EDGE, linewidth=1.4, zorder=12)
+        ring: Any = dict(facecolor="none", edgecolor=colors.ROBOT, linewidth=1.4, linestyle="--", zorder=10)
+        axes.add_patch(Circle((goal[0], goal[1]), 0.75, **ring))
+        axes.add_patch(Circle((goal[0], goal[1]), 0.28, facecolor=colors.ROBOT, edgecolor="none", zorder=10))
     nose = path[-1] + 2.2 * radius * frames.heading[-1]
     axes.plot(*zip(path[-1], nose, strict=True), color=colors.ROBOT_EDGE, linewidth=1.4, zorder=12)
+
+
+def of_others(frames: Trajectory) -> np.ndarray:
+    """(R, T, 6) of the other robots of a team, as ``Trajectory.robots``; R is 0 without a team."""
+    robots = np.zeros((len(frames.position), 0, 6)) if frames.robots is None else np.asarray(frames.robots)
+    return robots.swapaxes(0, 1)
 
 
 def draw_scale(axes: Axes, environment: Environment) -> None:

@@ -7,18 +7,20 @@ from __future__ import annotations
 
 import contextlib
 import datetime
+import functools
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Protocol
 
 import jax
 import numpy as np
 from rich.console import Console
 from rich.text import Text
 
-from sean_jax import assembly, components, interrupts, robots, sensors, trajectories, worlds, writing
-from sean_jax.base import Policy, PolicyLike, Scenario, Trajectory
-from sean_jax.config import OwnPart, RunConfig, Value
+from sean_jax import assembly, components, files, interrupts, robots, sensors, trajectories, worlds, writing
+from sean_jax.base import Policy, PolicyLike, Scenario, State, Trajectory
+from sean_jax.config import OwnPart, RunConfig, Value, outside
 from sean_jax.errors import InputError
 from sean_jax.evaluation import compare, results, saved
 from sean_jax.evaluation.batches import (
@@ -33,10 +35,10 @@ from sean_jax.evaluation.batches import (
 )
 from sean_jax.evaluation.results import Evaluation
 from sean_jax.flags import number
-from sean_jax.learning.policy import check_policy, load_policy
+from sean_jax.learning.policy import check_policy, load_policies, load_policy
 from sean_jax.progress import Progress, progress
 from sean_jax.replay.live import Live, serve
-from sean_jax.runner import Callbacks, Runner
+from sean_jax.runner import CHUNK, Callbacks, Runner
 from sean_jax.stack import Stack, as_stacks
 from sean_jax.versions import fingerprint
 from sean_jax.writing import check_new_folder
@@ -80,11 +82,30 @@ def evaluate(
     return evaluation
 
 
-def run(config: RunConfig, console: Console) -> tuple[Path, Evaluation]:
+class Driver(Protocol):
+    """A controller outside of this program that drives one episode at a time."""
+
+    policy: Policy
+
+    def __call__(self, scenario: Scenario, number: int, states: State) -> Policy:
+        """The policy, with its command for the next step; ``states`` are of a batch of one."""
+        ...
+
+    def close(self) -> None:
+        """End the connection."""
+        ...
+
+
+def run(
+    config: RunConfig, console: Console, connect: Callable[[Scenario], Driver] | None = None
+) -> tuple[Path, Evaluation]:
     """``sean run``: simulate, summarize, write.
 
     Ctrl-C between two batches leaves fewer episodes. Finished batches stay in the folder; the same description and
     folder resume the run.
+
+    Args:
+        connect: gives the driver of a scenario if the policy is outside of this program (``config.outside``).
 
     Raises:
         InputError: the description cannot be met.
@@ -102,21 +123,27 @@ def run(config: RunConfig, console: Console) -> tuple[Path, Evaluation]:
             text = f"{other} has {episodes} of {config.episodes} episodes of such a run; --out {other} resumes it"
             console.print(Text(text, "dim"), soft_wrap=True)
         with console.status("preparing the scenario"):
-            _check(config)
+            _check(config, connect is not None)
             inputs = saved.read_inputs(config)
-            stacks, wanted = assembly.build_floors(config, config.episodes), worlds.count(config.environment)
+            teams = assembly.build_team(config, config.team) if config.team else None
+            stacks = teams or assembly.build_floors(config, config.episodes)
+            wanted = worlds.count(config.environment)
             floors, first = stacks[0], stacks[0].member
-            policy = load_policy(config.policy, first)
+            if connect is not None and floors.size > 1:
+                raise InputError(f"policy: {config.policy.kind} drives on one floor or robot, not on {floors.size}.")
+        driver = None if connect is None else stack.enter_context(contextlib.closing(connect(first)))
+        policy = load_policies(config.policies, first) if driver is None else driver.policy
         content = first if floors.size == 1 else floors
         folder.check_content(content, policy)
         inputs = inputs._replace(fingerprint=fingerprint(content, policy.params))
         tasks, several = [each.member.task_name for each in stacks], floors.size if wanted > 1 else 0
-        title = results.title(first, tasks, config.episodes, several)
+        robots_of_team = len(config.team) or 1
+        title = results.title(first, tasks, config.episodes, several, floors.names if config.team else ())
         devices = f"{len(jax.devices())} × {jax.devices()[0].device_kind}"
         about = f"{number(config.time_limit)} s each, policy {policy.name}, seed {config.seed}, on {devices}"
         console.print(Text(title, "bold"), soft_wrap=True)
         console.print(Text(about, "dim"), soft_wrap=True)
-        if floors.size < wanted:
+        if floors.size < wanted and not config.team:
             few = f"{config.episodes} episodes are on the first {floors.size} of {wanted} floors"
             console.print(Text(few, "dim"), soft_wrap=True)
         if folder.episodes:
@@ -126,9 +153,9 @@ def run(config: RunConfig, console: Console) -> tuple[Path, Evaluation]:
             live = stack.enter_context(serve(first, f"{path.name} · live"))
             console.print(f"live: {live.url}", highlight=False, soft_wrap=True)
         with progress(console) as bar:
-            evaluation = _episodes(stacks, policy, config, wanted, bar, folder, console, live)
+            evaluation = _episodes(stacks, policy, config, wanted, bar, folder, console, live, driver)
         evaluation.print_table(console)
-        count = len(evaluation.tasks)
+        count = len(evaluation.tasks) // robots_of_team
         with console.status("drawing the report"), folder.results(count == config.episodes) as stage:
             results.write_all(stage, evaluation, config, inputs)
             if config.trajectories is not None:
@@ -148,9 +175,13 @@ def _episodes(
     folder: RunFolder | None,
     console: Console | None,
     live: Live | None = None,
+    driver: Driver | None = None,
 ) -> Evaluation:
     """Batch after batch; finished ones are loaded from ``folder``, and new ones are saved there."""
-    episodes, size, first = config.episodes, _batch_size(config, stacks), stacks[0].member
+    robots_of_team = len(config.team) or 1  # each has rows of its own
+    episodes, first = config.episodes * robots_of_team, stacks[0].member
+    size = _batch_size(config, stacks) * robots_of_team
+    shown = -(-FRAMES // robots_of_team) * robots_of_team
     starts = range(0, episodes, size)
     runner, batches, simulated, began = None, list[FinishedBatch](), 0.0, 0.0
     try:
@@ -160,8 +191,10 @@ def _episodes(
                 batches.append(batch)
                 continue
             if runner is None:
-                run_record = record(stacks[0], size, FRAMES if config.trajectories is None else size)
-                programs = Runner(stacks, policy, size, "run", run_record)
+                run_record = record(stacks[0], size, shown if config.trajectories is None else size)
+                programs = Runner(
+                    stacks, policy, size, "run", run_record, chunk=CHUNK if driver is None else first.time_step
+                )
                 programs.compile(Callbacks(compiling=bar.stage))
                 if console is not None:
                     console.print(f"[dim]compiled in {programs.compile_seconds:.1f} s[/]", highlight=False)
@@ -173,7 +206,7 @@ def _episodes(
                 done = base // size * first.time_limit + seconds
                 bar.update(done, f"{done:.0f} s of each episode · {speed:,.0f} simulated s per s")
 
-            batches.append(_simulate(runner, config.seed, base, count, advanced, folder, live))
+            batches.append(_simulate(runner, config.seed, base, count, advanced, folder, live, driver))
             live = None  # the page shows the first batch only
             simulated += float(batches[-1].steps.sum()) * first.time_step
     except KeyboardInterrupt:
@@ -184,8 +217,8 @@ def _episodes(
 
 def _batch_size(config: RunConfig, stacks: list[Stack[Scenario]]) -> int:
     """Episodes of a batch; of several floors, a batch has whole turns if there is another batch."""
-    size, turn = min(config.episodes, config.batch), len(stacks)
-    if stacks[0].size == 1 or size == config.episodes:
+    size, turn = min(config.episodes, 1 if outside(config.policy) else config.batch), len(stacks)
+    if stacks[0].size == 1 or size == config.episodes or config.team:
         return size
     period = turn * stacks[0].size
     return size - size % period if size >= period else max(turn, size - size % turn)
@@ -199,9 +232,11 @@ def _simulate(
     advanced: Callable[[float, float], None],
     folder: RunFolder | None,
     live: Live | None,
+    driver: Driver | None,
 ) -> FinishedBatch:
     """A batch of ``count`` episodes, saved in the folder; ``live`` shows its first episode meanwhile."""
     scenario, start = runner.scenarios[0], time.perf_counter()
+    shown = -(-FRAMES // runner.robots) * runner.robots
     file = None if folder is None else folder.frames(base, count)
     report_frames, receivers = list[Trajectory](), list[Callable[[Trajectory], None]]()
     with contextlib.ExitStack() as stack, interrupts.unwrapped():
@@ -212,11 +247,13 @@ def _simulate(
 
         def rows(chunk: Trajectory) -> None:
             if base == 0:  # a copy of the episodes that the report shows, of a chunk of time (T, B, ...)
-                report_frames.append(jax.tree.map(lambda leaf: np.array(leaf[:, :FRAMES]), chunk))
+                report_frames.append(jax.tree.map(lambda leaf: np.array(leaf[:, :shown]), chunk))
             for receive in receivers:
                 receive(chunk)
 
-        callbacks = Callbacks(advanced=advanced, rows=rows if receivers or base == 0 else None)
+        own = runner.scenarios[base % len(runner.scenarios)]
+        drive = None if driver is None else functools.partial(driver, own)
+        callbacks = Callbacks(advanced=advanced, rows=rows if receivers or base == 0 else None, drive=drive)
         batch = runner.run(seed, base, count, callbacks=callbacks, keep_rows=False)
     seconds = time.perf_counter() - start
     finished = finish(scenario, batch._replace(rows=report_frames), base, seconds)
@@ -245,13 +282,15 @@ def _join(
         return np.stack([getattr(each, name) for each in totals]).sum(0, dtype=np.int64)
 
     completed, frames = joined("completed"), batches[0].frames
-    is_set = floors.size > 1 or bool(floors.names)
+    team = first.others is not None
+    is_set = not team and (floors.size > 1 or bool(floors.names))
     turns = [i // len(stacks) % floors.size for i in range(len(completed))] if is_set else []
+    robots_of_team = floors.size if team else 1
     return Evaluation(
         scenario=first,
         policy=policy.name,
         situations=tuple(name for name, _ in first.situations),
-        tasks=[stacks[i % len(stacks)].member.task_name for i in range(len(completed))],
+        tasks=[stacks[i // robots_of_team % len(stacks)].member.task_name for i in range(len(completed))],
         completed=completed,
         timed_out=joined("timed_out"),
         seconds=joined("steps") * first.time_step,
@@ -267,8 +306,9 @@ def _join(
         run_seconds=sum(batch.seconds for batch in batches),
         wanted=wanted,
         floors=[floors.names[turn] if floors.names else f"floor_{turn}" for turn in turns],
-        places=[floors.at(turn) for turn in turns[: len(frames)]],
+        places=[floors.at(i % floors.size if team else turns[i]) for i in range(len(frames)) if team or is_set],
         set_floors=set_floors,
+        robots=floors.names if team else (),
     )
 
 
@@ -292,15 +332,21 @@ def _locked_folder(config: RunConfig, stack: contextlib.ExitStack) -> Path:
         folder = config.folder(f"{now}-{attempt}")
 
 
-def _check(config: RunConfig) -> None:
-    """Refuse wrong options before the scenario is built, which takes long."""
+def _check(config: RunConfig, driven: bool) -> None:
+    """Refuse wrong options before the scenario is built, which takes long; the policy too, unless it is driven."""
     if config.baseline is not None:
         compare.read(config.baseline)
     if config.trajectories is not None:
         trajectories.check_packages(f".{config.trajectories}")
     assembly.check(config)
-    check_policy(config.policy, config)
-    for robot in config.robots:
+    if config.team:
+        for name in config.team:
+            if name not in robots.ROBOTS:  # a file of a robot is not copied beside the results
+                raise InputError(files.unknown_name("robots", name, robots.ROBOTS))
+        assembly.check_team(config, config.team)
+    for policy in config.policies if not driven else []:
+        check_policy(policy, config)
+    for robot in config.robot_parts:
         if config.camera is not None and not isinstance(robot, OwnPart | Value):
             try:
                 sensors.camera(robots.load(robot.kind), config.camera)

@@ -66,7 +66,8 @@ class FinishedBatch:
 
 def record(floors: Stack[Scenario], size: int, frames: int = FRAMES) -> Record:
     """The record of a run's batches: ``Totals``, and the frames of the first episodes."""
-    cells = crowding.grid_shape(floors.member.environment) if floors.size == 1 else None
+    one_floor = floors.size == 1 or floors.member.others is not None
+    cells = crowding.grid_shape(floors.member.environment) if one_floor else None
     return Record(functools.partial(_init, cells), functools.partial(_update, cells, min(frames, size)))
 
 
@@ -141,12 +142,19 @@ def _on_floor(
     )
 
 
-def episode_frames(chunks: list[Trajectory], count: int) -> list[Trajectory]:
-    """Frames (T, ...) of each episode until its end, from chunks of time (T, F, ...)."""
+def episode_frames(chunks: list[Trajectory], count: int, robots: int = 1) -> list[Trajectory]:
+    """Frames (T, ...) of each episode until its end, from chunks of time (T, F, ...).
+
+    Of a team of ``robots``, the frames of all robots, successive ones, are active until the episode of the last ends.
+    """
     if not chunks:
         return []
     frames = jax.tree.map(lambda *xs: np.concatenate(xs), *chunks)
-    lengths = [max(1, int(frames.active[:, i].sum())) for i in range(min(count, frames.active.shape[1]))]
+    number = min(count, frames.active.shape[1])
+    own = [max(1, int(frames.active[:, i].sum())) for i in range(number)]
+    lengths = [max(own[i // robots * robots : (i // robots + 1) * robots]) for i in range(number)]
+    if robots > 1:
+        frames = dataclasses.replace(frames, active=np.ones_like(frames.active))
     return [jax.tree.map(lambda leaf: leaf[:n, i], frames) for i, n in enumerate(lengths)]  # noqa: B023
 
 
@@ -158,14 +166,14 @@ def finish(scenario: Scenario, batch: Batch, base: int, seconds: float) -> Finis
     """
     measured = jax.tree.map(np.asarray, batch_results(scenario, batch.states))
     faulty = np.zeros(len(batch.steps), bool)
+    robots = 1 if scenario.others is None else 1 + scenario.others.radius.shape[0]
     for values in measured.values():
         faulty |= np.isnan(values.reshape(len(faulty), -1)[:, 0])
     if faulty.any():
-        raise FloatingPointError(not_finite(base + np.flatnonzero(faulty), len(faulty)))
+        raise FloatingPointError(not_finite(base, faulty, robots))
     ended = np.asarray(batch.states.completed), np.asarray(batch.states.timed_out)
-    return FinishedBatch(
-        *ended, batch.steps, measured, batch.total, episode_frames(batch.rows, len(batch.steps)), seconds
-    )
+    frames = episode_frames(batch.rows, len(batch.steps), robots)
+    return FinishedBatch(*ended, batch.steps, measured, batch.total, frames, seconds)
 
 
 class BatchFrames:
@@ -180,6 +188,8 @@ class BatchFrames:
         """Append a chunk of time (T, B, ...), of the first ``count`` episodes."""
         end = min(self.steps, self.done + len(chunk.active))
         for name, values in vars(chunk).items():
+            if values is None:  # no other robots
+                continue
             if name not in self.arrays:
                 kind, shape = values.dtype, (self.count, self.steps, *values.shape[2:])
                 file = self.folder / f"{name}.npy"  # an empty one cannot be mapped
@@ -231,8 +241,10 @@ SHAPES = {
     "tally:together": ("i", "K"),
     "tally:penetration": ("f", ""),
     "tally:group_size": ("i", "G"),
-    **{f"frame:{name}": ("f", "T 2") for name in ("position", "heading", "velocity", "action", "goal")},
+    **{f"frame:{name}": ("f", "T 2") for name in ("position", "heading", "velocity", "goal")},
+    "frame:action": ("f", "T command"),
     **{f"frame:{name}": ("f", "T N 2") for name in ("people", "people_velocity", "people_heading")},
+    "frame:robots": ("f", "T R 6"),
     **{f"frame:{name}": (kind, "T N") for name, kind in (("group", "i"), ("present", "b"))},
     **{f"frame:{name}": ("b", shape) for name, shape in (("situations", "T S"), ("active", "T"))},
 }
@@ -247,7 +259,7 @@ class RunFolder:
 
     def __init__(self, folder: Path, config: RunConfig):
         self.folder, self.place, self.complete = folder, folder / PLACE, False
-        self.trajectories = config.trajectories
+        self.trajectories, self.robots = config.trajectories, len(config.team) or 1
         self.work = Workspace(folder, _identity(config), IDENTITY)
         check_run_folder(folder, locked=True)
         self.work.begun()
@@ -266,7 +278,7 @@ class RunFolder:
     @property
     def episodes(self) -> int:
         """Number of finished episodes."""
-        return _count_episodes(self.place)
+        return _count_rows(self.place) // self.robots
 
     def load(self, base: int, count: int) -> FinishedBatch | None:
         """The batch of ``count`` episodes from number ``base`` on; None if it is not finished.
@@ -376,7 +388,7 @@ def unfinished_runs(config: RunConfig, beside: Path) -> list[tuple[Path, int]]:
                     continue
             had = None if writing.is_locked(folder) else workspace.read_identity(folder / IDENTITY)
             if had is not None and workspace.difference(had, identity) is None:
-                runs.append((folder, _count_episodes(folder / PLACE)))
+                runs.append((folder, _count_rows(folder / PLACE) // (len(config.team) or 1)))
     return runs
 
 
@@ -384,7 +396,8 @@ def _is_leftover(file: Path) -> bool:
     return file.name == STAGE or file.name.startswith((".batch-", "batch-", f".{Path(IDENTITY).name}"))
 
 
-def _count_episodes(place: Path) -> int:
+def _count_rows(place: Path) -> int:
+    """Rows of finished batches: episodes, or of a team as many for each as it has robots."""
     named = (re.fullmatch(r"batch-\d{8,}-(\d+)\.npz", file.name) for file in place.glob("batch-*.npz"))
     return sum(int(match[1]) for match in named if match)
 
@@ -398,7 +411,10 @@ def _to_arrays(batch: FinishedBatch) -> dict[str, Any]:
     """A batch as named arrays: its own, and its totals and frames as ``group:name``."""
     arrays = {name: getattr(batch, name) for name in ("completed", "timed_out", "steps", "seconds")}
     groups = {"metrics": batch.metrics, "tally": vars(batch.totals)}
-    groups |= {f"frame{k}": vars(frame) for k, frame in enumerate(batch.frames)}
+    groups |= {
+        f"frame{k}": {name: value for name, value in vars(frame).items() if value is not None}
+        for k, frame in enumerate(batch.frames)
+    }
     return arrays | {f"{group}:{name}": each for group, named in groups.items() for name, each in named.items()}
 
 

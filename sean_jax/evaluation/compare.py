@@ -53,6 +53,11 @@ class SavedRun:
     replay: dict[str, Any] | None = None  # of its report
     no_replay: str = ""  # why there is none
 
+    @property
+    def robots(self) -> int:
+        """The number of rows of an episode."""
+        return len(self.config.team) or 1
+
 
 class Row(NamedTuple):
     """A figure of two runs."""
@@ -130,8 +135,8 @@ def read(folder: Path, name: str = "") -> SavedRun:
     config = validate(RunConfig, content.description)
     description = components.relocate(saved.rename(config.identity(), content.identities), content.identities)
     tasks, columns = saved.read_episodes(folder / "episodes.csv")
-    if len(tasks) > config.episodes:
-        what = f"has {len(tasks):,} episodes and config.yaml {config.episodes:,}"
+    if len(tasks) > config.episodes * (len(config.team) or 1):
+        what = f"has {len(tasks):,} rows and config.yaml {config.episodes:,} episodes"
         raise InputError(f"{folder / 'episodes.csv'}: {what}; restore the files.")
     columns.pop("timed_out", None)
     figures = _own_figures(folder / "summary.json")
@@ -172,11 +177,14 @@ def _replay(page: Path) -> dict[str, Any]:
 
 
 def paired(first: SavedRun, second: SavedRun) -> int:
-    """The number of common episodes, from episode 0 on; 0 if the runs draw other episodes."""
+    """The number of common episodes, from episode 0 on; 0 if the runs draw other episodes.
+
+    A team has a row for each robot of an episode.
+    """
     if [name for name in differing_options(first, second) if name not in UNDRAWN]:
         return 0
     number = min(len(first.tasks), len(second.tasks))
-    return number if first.tasks[:number] == second.tasks[:number] else 0
+    return number // first.robots if first.tasks[:number] == second.tasks[:number] else 0
 
 
 def differing_options(first: SavedRun, second: SavedRun) -> list[str]:
@@ -208,16 +216,26 @@ def _rows(first: SavedRun, second: SavedRun, names: list[str], view: str) -> lis
         name, _, situation = column.partition("__")
         if (situation or OVERALL) != view or (name == "time_in_situation" and not situation):  # the duration
             continue
-        pair = tuple(run.columns[column][: number or None] for run in (first, second))
+        pair = tuple(run.columns[column][: number * run.robots or None] for run in (first, second))
         known = METRICS.get(name)
         figure = EPISODE_FIGURES.get(name) or (metric_figure(name, known) if known else first.figures.get(name))
         figure = figure or Figure(name.replace("_", " "), "", 3, "")
         if figure.completed_only:
             pair = tuple(np.where(run.columns["completed"][: len(part)] > 0, part, np.nan)
                          for part, run in zip(pair, (first, second), strict=True))  # fmt: skip
+        pair = [_by_episode(part, run.robots) for part, run in zip(pair, (first, second), strict=True)]
         if (values := difference(pair[0], pair[1], number > 0)) is not None:
             rows.append(Row(name, figure, values, False))
     return sorted(rows, key=lambda row: (not row.tested, -abs(row.values.effect)))
+
+
+def _by_episode(values: np.ndarray, robots: int) -> np.ndarray:
+    """The means (E,) over the robots of each episode that have a value; they depend on each other."""
+    if robots == 1:
+        return values
+    rows = values.reshape(-1, robots)
+    number = np.isfinite(rows).sum(1)
+    return np.where(number > 0, np.nansum(rows, 1) / np.maximum(number, 1), np.nan)
 
 
 def summarize(runs: Sequence[SavedRun]) -> str:

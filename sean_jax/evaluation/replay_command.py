@@ -24,7 +24,7 @@ from sean_jax.errors import InputError
 from sean_jax.evaluation import batches, results, saved
 from sean_jax.learning.collection import content, load_driver, stream_floors
 from sean_jax.learning.networks import CONFIG, read_method
-from sean_jax.learning.policy import load, load_policy, read_options
+from sean_jax.learning.policy import load, load_policies, read_options
 from sean_jax.progress import progress
 from sean_jax.runner import Callbacks, Record, Runner
 from sean_jax.stack import Stack
@@ -49,6 +49,7 @@ class Source:
     deviation: Callable[[int, int], str] = lambda number, steps: ""  # note if the folder has other than so many steps
     changes: Sequence[str] = ()  # a sentence on each file that has changed
     place: Callable[[int], int] = lambda number: 0  # the user's number of an episode -> index of its floor
+    robots: int = 1  # of a team
 
 
 def write(options: ReplayConfig, console: Console) -> Path:
@@ -61,21 +62,18 @@ def write(options: ReplayConfig, console: Console) -> Path:
     folder, numbers = options.folder, list(dict.fromkeys(options.episodes))
     if options.only is not None:
         raise InputError(f"only: {folder} holds no tests of `sean validate`; name episodes with --episodes.")
-    readers = {"config.yaml": _of_run, MANIFEST: _of_dataset, CONFIG: _of_training}
-    file = next((name for name in readers if (folder / name).is_file()), None)
-    if file is None:
-        raise InputError(f"{folder}: holds no {', '.join(readers)}; {CURE}")
     path = options.out or folder / "replay.html"
+    check_source(folder)
     writing.check_file(path, (".html",))
     with console.status("preparing the scenario"):
-        source = readers[file](folder, numbers)
+        source = read_source(folder, numbers)
     for sentence in source.changes:
         console.print(Text(sentence), soft_wrap=True)
     shown: dict[int, list[replay.Episode]] = {}  # by floor
     first = source.floors[0]
-    scenario, several = first.member, len(source.floors)
-    record = batches.record(first, 1)
-    record = record if source.ends is None else _until_terminated(record, source.ends)
+    scenario, several, robots = first.member, len(source.floors), source.robots
+    record = batches.record(first, robots)
+    record = record if source.ends is None else until_terminated(record, source.ends)
     runner = Runner(source.floors, source.policy, 1, source.use, record)
     with progress(console) as bar:
         runner.compile(Callbacks(compiling=bar.stage))
@@ -87,23 +85,42 @@ def write(options: ReplayConfig, console: Console) -> Path:
 
             index, place = np.full(runner.size, source.turn(number)), source.place(number)
             callbacks = Callbacks(advanced=advanced)
-            batch = runner.run(source.seed, source.number(number), 1, index, callbacks, turn=place * several)
-            (frames,) = batches.episode_frames(batch.rows, 1)
-            seconds = len(frames.active) * scenario.time_step
+            row = source.number(number) * robots
+            batch = runner.run(source.seed, row, robots, index, callbacks, turn=place * several)
+            frames = batches.episode_frames(batch.rows, robots, robots)[0]  # of the first robot, with the others
+            seconds = min(len(frames.active), int(batch.steps[0])) * scenario.time_step
             if len(frames.active) < batch.steps[0]:
                 outcome = f"ended in {seconds:.1f} s by a termination of the training"
             else:
                 outcome = results.outcome(bool(batch.states.completed[0]), seconds)
             outcome += source.deviation(number, len(frames.active))
             name = source.names[source.turn(number)].replace("_", " ")
-            shown.setdefault(place, []).append(replay.Episode(frames, f"episode {number} · {name}", outcome))
+            label = f"episode {number} {first.names[0]}" if robots > 1 else f"episode {number}"
+            shown.setdefault(place, []).append(replay.Episode(frames, f"{label} · {name}", outcome))
     title, players = folder.resolve().name, []
     for place, each in shown.items():
-        name = first.names[place].replace("_", " ") if first.size > 1 and first.names else ""
+        name = first.names[place].replace("_", " ") if first.size > robots and first.names else ""
         on_floor = source.floors[source.turn(numbers[0])].at(place)
         players.append((name, replay.of_scenario(on_floor, each, f"{title} · {name}" if name else title)))
     writing.write(path, replay.html(players[0][1]) if len(players) == 1 else replay.html_of_several(players, title))
     return path
+
+
+def check_source(folder: Path) -> str:
+    """The file by which the episodes of a folder are simulated again; InputError if there is none."""
+    file = next((name for name in READERS if (folder / name).is_file()), None)
+    if file is None:
+        raise InputError(f"{folder}: holds no {', '.join(READERS)}; {CURE}")
+    return file
+
+
+def read_source(folder: Path, numbers: list[int]) -> Source:
+    """The episodes of a folder, of which those numbers are wanted.
+
+    Raises:
+        InputError: the folder has no episodes, or none of that number.
+    """
+    return READERS[check_source(folder)](folder, numbers)
 
 
 def _check(numbers: list[int], count: int, folder: Path) -> None:
@@ -121,10 +138,11 @@ def _of_run(folder: Path, numbers: list[int]) -> Source:
     before = saved.read_config(path)
     config = validate(RunConfig, before.description, source=path)
     _check(numbers, config.episodes, folder)
-    stacks = assembly.build_floors(config, config.episodes)
+    teams, robots = assembly.build_team(config, config.team) if config.team else None, len(config.team) or 1
+    stacks = teams or assembly.build_floors(config, config.episodes)
     floors, count = stacks[0], len(stacks)
-    policy, content = load_policy(config.policy, floors.member), floors if floors.size > 1 else floors.member
-    ended, step = _ended(folder / "episodes.csv"), floors.member.time_step
+    policy, content = load_policies(config.policies, floors.member), floors if floors.size > 1 else floors.member
+    ended, step = _ended(folder / "episodes.csv", robots), floors.member.time_step
     cause = _cause(before.versions, before.fingerprint, fingerprint(content, policy.params))
 
     def deviation(number: int, steps: int) -> str:
@@ -141,7 +159,8 @@ def _of_run(folder: Path, numbers: list[int]) -> Source:
         names=[each.member.task_name for each in stacks],
         deviation=deviation,
         changes=before.changes,
-        place=lambda number: number // count % floors.size,
+        place=lambda number: 0 if teams else number // count % floors.size,
+        robots=robots,
     )
 
 
@@ -154,10 +173,10 @@ def _cause(versions: Any, then: str, now: str) -> str:
     return "its rounding differs" if then == now else "its scenario or its policy was another"
 
 
-def _ended(path: Path) -> dict[int, float]:
-    """Episode -> s, of the finished episodes."""
+def _ended(path: Path, robots: int) -> dict[int, float]:
+    """Episode -> s, of the finished episodes; of a team until the episode of the last robot ends."""
     try:
-        return dict(enumerate(saved.read_episodes(path)[1]["seconds"].tolist()))
+        return dict(enumerate(saved.read_episodes(path)[1]["seconds"].reshape(-1, robots).max(1).tolist()))
     except InputError:
         return {}
 
@@ -256,7 +275,7 @@ def _of_imitation(folder: Path) -> Source:
     )
 
 
-def _until_terminated(record: Record, ends: Callable) -> Record:
+def until_terminated(record: Record, ends: Callable) -> Record:
     """A record whose frames are active until a termination of the training ends the episode."""
 
     def init(floors: Stack[Scenario], states: State) -> tuple[Any, Array]:
@@ -272,3 +291,11 @@ def _until_terminated(record: Record, ends: Callable) -> Record:
         return (inner, done | jnp.stack(ended).any(0)), frames
 
     return Record(init, update)
+
+
+READERS: dict[str, Callable[[Path, list[int]], Source]] = {
+    "config.yaml": _of_run,
+    MANIFEST: _of_dataset,
+    CONFIG: _of_training,
+}
+"""File of a folder -> the reader of its episodes."""

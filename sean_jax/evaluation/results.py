@@ -56,10 +56,16 @@ class Evaluation:
     floors: Sequence[str] = ()  # name per episode, if there are several
     places: Sequence[Scenario] = ()  # of the frames, if there are several floors
     set_floors: int = 1  # of the set; fewer episodes are on the first ones
+    robots: Sequence[str] = ()  # of a team, whose E rows are the robots of an episode in turn; empty without one
 
     def place(self, index: int) -> Scenario:
         """The scenario of the frames of an episode, on its floor."""
         return self.places[index] if self.places else self.scenario
+
+    @property
+    def episodes(self) -> int:
+        """The number of episodes; a team has as many rows for each as it has robots."""
+        return len(self.tasks) // (len(self.robots) or 1)
 
     def summary(self) -> dict[str, Any]:
         """Shares of the situations, means of the metrics with 95 % intervals, checks and timing."""
@@ -71,8 +77,9 @@ class Evaluation:
         return {
             "scenario": self.names(),
             **of_set,
-            "episodes": len(self.tasks),
-            "episodes_wanted": self.wanted,
+            "episodes": self.episodes,
+            "episodes_wanted": self.wanted // (len(self.robots) or 1),
+            **({"robots": list(self.robots)} if self.robots else {}),
             "simulated_seconds": round(simulated, 3),
             **aggregate_episodes(self),
             "own_metrics": {name: table.metric_figure(name, metric)._asdict() for name, metric in own.items()},
@@ -105,7 +112,8 @@ class Evaluation:
     @property
     def title(self) -> str:
         """The names in one line."""
-        return title(self.scenario, list(dict.fromkeys(self.tasks)), len(self.tasks), len(set(self.floors)))
+        tasks = list(dict.fromkeys(self.tasks))
+        return title(self.scenario, tasks, self.episodes, len(set(self.floors)), self.robots)
 
     def print_table(self, console: Console) -> None:
         """Print the table."""
@@ -144,9 +152,12 @@ class Evaluation:
         return folder
 
 
-def title(scenario: Scenario, tasks: list[str], episodes: int, floors: int = 0) -> str:
+def title(
+    scenario: Scenario, tasks: list[str], episodes: int, floors: int = 0, robots_of_team: Sequence[str] = ()
+) -> str:
     """A run in one line; ``floors`` is their number, 0 without a set."""
-    what = f"{scenario.environment.name} · {scenario.behavior.name} · {' / '.join(tasks)} · {scenario.robot.name}"
+    robot = " + ".join(robots_of_team) or scenario.robot.name
+    what = f"{scenario.environment.name} · {scenario.behavior.name} · {' / '.join(tasks)} · {robot}"
     if floors:
         return f"{what} · up to {scenario.people} people · {episodes} episodes on {floors} floors"
     return f"{what} · {scenario.people} people · {episodes} episodes"
@@ -156,7 +167,7 @@ def aggregate_episodes(results: Evaluation) -> dict[str, Any]:
     """Means with 95 % intervals over episodes, overall and by situation (Table I, Figure 4).
 
     Shares of episodes have Wilson's interval, counts without an event the exact one, and all else, with shares of time,
-    that of the bootstrap over episodes.
+    that of the bootstrap over episodes. The robots of a team in one episode are drawn together.
 
     By situation, a time or a count is the mean per episode of its part in that situation. ``completed`` and metrics of
     completed episodes are means over the episodes in which the situation occurred. Without the metric
@@ -167,15 +178,17 @@ def aggregate_episodes(results: Evaluation) -> dict[str, Any]:
         situations. A figure has a mean, an interval and its number of episodes; it is None without episodes.
     """
     columns = ("overall", *results.situations)
-    weights = resamples(len(results.completed))
+    cluster = len(results.robots) or 1
+    weights = resamples(len(results.completed), cluster=cluster)
     every = np.ones(len(results.completed))
 
     def by_column(values: np.ndarray, applies: np.ndarray, kind: str = "number") -> dict[str, Any]:
         estimate = aggregate_ratio(values * applies, applies, weights=weights)
         if kind == "share":  # of episodes, where each is 0 or 1; else of time
-            estimate = of_share(estimate, where=np.all((values == 0) | (values == 1) | (applies == 0), 0))
+            is_share = np.all((values == 0) | (values == 1) | (applies == 0), 0)
+            estimate = of_share(estimate, where=is_share, cluster=cluster)
         elif kind == "count":
-            estimate = of_count(estimate)
+            estimate = of_count(estimate, cluster=cluster)
         return {
             name: _figure(Estimate(*(part[k] for part in estimate)))
             for k, name in enumerate(columns[: values.shape[1]])
@@ -240,7 +253,7 @@ def write_all(
             graph=drawing.graph_of(first),
             situations=evaluation.situations,
             time_step=scenario.time_step,
-            robot_radius=robots.radius(scenario.robot),
+            robot_radius=robots.radii(first),
             title=evaluation.tasks[0].replace("_", " "),
         )
     if evaluation.frames and config is not None and config.camera is not None:
@@ -249,7 +262,9 @@ def write_all(
     for i, frames in enumerate(evaluation.frames):
         if evaluation.floors and evaluation.floors[i] != evaluation.floors[0]:
             continue  # the player has one floor
-        name = f"episode {i} · {evaluation.tasks[i].replace('_', ' ')}"
+        if evaluation.robots and i % len(evaluation.robots):
+            continue  # the frames of the first robot have the others, too
+        name = f"{_label(evaluation, i)} · {evaluation.tasks[i].replace('_', ' ')}"
         shown.append(replay.Episode(frames, name, outcome(evaluation.completed[i], evaluation.seconds[i])))
     recording = replay.of_scenario(first, shown) if shown else None
     lines = ["sean_jax.evaluate, in a Python program"] * 2
@@ -258,6 +273,12 @@ def write_all(
     runs = [compare.read(config.baseline), compare.read(folder)] if config is not None and config.baseline else []
     text = report_page(evaluation, summary, recording, lines[0], packages, lines[1], runs)
     (folder / "report.html").write_text(text, encoding="utf-8")
+
+
+def _label(evaluation: Evaluation, row: int) -> str:
+    """The episode of a row, and its robot in a team."""
+    names = evaluation.robots
+    return f"episode {row // len(names)} {names[row % len(names)]}" if names else f"episode {row}"
 
 
 def outcome(completed: Any, seconds: float) -> str:
@@ -269,9 +290,9 @@ def write_episodes(path: Path, evaluation: Evaluation) -> None:
     """Write episodes.csv: a row for each episode, with metrics overall and as ``metric__situation``.
 
     Equal results give equal bytes. A value that is not finite is an empty cell. With several floors, ``environment`` is
-    the floor of an episode.
+    the floor of an episode. A team has a row for each robot, named in the column ``robot``.
     """
-    several = bool(evaluation.floors)
+    several, names = bool(evaluation.floors), evaluation.robots
     columns: dict[str, np.ndarray] = {}
     for name, values in evaluation.metrics.items():
         if name in ("completed", "timed_out"):
@@ -285,11 +306,14 @@ def write_episodes(path: Path, evaluation: Evaluation) -> None:
             columns[f"{name}__{situation}"] = values[:, k + 1]
     with path.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(["episode", *["environment"] * several, "task", "completed", "timed_out", "seconds", *columns])
+        texts = [*["robot"] * bool(names), *["environment"] * several]
+        writer.writerow(["episode", *texts, "task", "completed", "timed_out", "seconds", *columns])
         for i, task in enumerate(evaluation.tasks):
             ended = str(bool(evaluation.completed[i])), str(bool(evaluation.timed_out[i]))
             cells = (_cell(values[i]) for values in columns.values())
-            writer.writerow([i, *evaluation.floors[i : i + 1], task, *ended, f"{evaluation.seconds[i]:.3f}", *cells])
+            first = [i // len(names), names[i % len(names)]] if names else [i]
+            texts = [*first, *evaluation.floors[i : i + 1], task, *ended]
+            writer.writerow([*texts, f"{evaluation.seconds[i]:.3f}", *cells])
 
 
 def _cell(value: Any) -> str:
@@ -345,8 +369,8 @@ def report_page(
         against_note=_against(runs),
         baseline=runs[0].name if runs else "",
         symbols=compare.SYMBOLS,
-        number=len(evaluation.tasks),
-        fewest=f"{float(of_count(Estimate(*map(np.array, (0.0, 0.0, 0.0, len(evaluation.tasks))))).high):.2g}",
+        number=evaluation.episodes,
+        fewest=f"{float(of_count(Estimate(*map(np.array, (0.0, 0.0, 0.0, evaluation.episodes)))).high):.2g}",
         player="" if recording is None else replay.element(recording),
         tiles=[by_name[name] for name in TILES if name in by_name],
         shades=shades | {"none": NO_SITUATION},
@@ -405,9 +429,9 @@ def _episodes(evaluation: Evaluation) -> list[tuple[str, str]]:
             frames=frames,
             situations=evaluation.situations,
             time_step=scenario.time_step,
-            robot_radius=robots.radius(scenario.robot),
+            robot_radius=robots.radii(scenario),
         )
-        words = [f"Episode {i}", *evaluation.floors[i : i + 1], evaluation.tasks[i]]
+        words = [_label(evaluation, i).capitalize(), *evaluation.floors[i : i + 1], evaluation.tasks[i]]
         words = [word.replace("_", " ") for word in words] + [outcome(evaluation.completed[i], evaluation.seconds[i])]
         pictures.append((svg(figure, f"episode-{i}"), " · ".join(words)))
     return pictures

@@ -17,7 +17,7 @@ import numpy as np
 import yaml
 
 from sean_jax import components, environment, files, worlds
-from sean_jax.config import Named, PlaybackBehavior, RunConfig, present_names
+from sean_jax.config import Named, PlaybackBehavior, RunConfig, outside, present_names
 from sean_jax.errors import FileError, InputError
 from sean_jax.files import mjcf
 from sean_jax.flags import command
@@ -36,7 +36,7 @@ OPTIONS = (*COPIED, "policy", "behavior")  # that name files
 LIMITS = {"episode": (0, 2**31), "completed": (0, 1), "timed_out": (0, 1), "seconds": (0, MAX_DURATION)}
 """Column of episodes.csv -> least and most; none of its cells is empty."""
 
-TEXTS = "task", "environment"  # columns without numbers
+TEXTS = "task", "environment", "robot"  # columns without numbers
 CELLS = {"True": 1.0, "False": 0.0, "": math.nan}  # of episodes.csv
 
 
@@ -129,16 +129,17 @@ def _named(config: RunConfig) -> Iterator[tuple[str, str, Path]]:
     """Option, name and path of each file and folder of a description."""
     if not worlds.parse_set(config.environment):  # which is made by its name
         yield "environment", config.environment, _environment(config.environment)
-    for robot in config.robots:
+    for robot in config.robot_parts:
         if isinstance(robot, Named) and robot.kind not in ROBOTS:
             yield "robot", robot.kind, Path(robot.kind)
     for option, parts in (("forces", config.forces), ("sensors", config.sensors)):
         for part in parts:
             if isinstance(part, Named) and part.kind.lower().endswith(ENDINGS):
                 yield option, part.kind, Path(part.kind)
-    policy, behavior = config.policy, config.behavior
-    if isinstance(policy, Named) and policy.kind not in POLICIES and policy.kind not in AGENTS:
-        yield "policy", policy.kind, Path(policy.kind)
+    behavior = config.behavior
+    for policy in config.policies:
+        if isinstance(policy, Named) and not (policy.kind in POLICIES or policy.kind in AGENTS or outside(policy)):
+            yield "policy", policy.kind, Path(policy.kind)
     if isinstance(behavior, PlaybackBehavior) and behavior.recording is not None:
         yield "behavior", behavior.recording, Path(behavior.recording)
 
@@ -247,6 +248,8 @@ def _texts(path: Path, content: dict[str, Any], key: str, what: str) -> dict[str
 def read_episodes(path: Path) -> tuple[list[str], dict[str, np.ndarray]]:
     """The E tasks of an episodes.csv, and its columns (E,) of numbers, NaN for an empty cell; without its floors.
 
+    Of a team there is a row for each robot, in the order of the team.
+
     Raises:
         FileError: the file cannot be read, its episodes do not count from 0, or a value is out of range.
     """
@@ -255,12 +258,15 @@ def read_episodes(path: Path) -> tuple[list[str], dict[str, np.ndarray]]:
     for name in ("episode", "task", "completed", "seconds"):
         if name not in head:
             raise FileError(f"{place}: has no column {name}; restore the file.")
+    team = list[str]()  # robots of episode 0
     tasks, numbers = [], {name: array.array("d") for name in head if name not in TEXTS}
     limits = {name: _limits(name) for name in numbers}
     for number, row in enumerate(rows):
         for name, cell in zip(head, row, strict=True):
             if name == "task":
                 tasks.append(cell)
+            if name == "robot" and cell not in team:
+                team.append(cell)
             if name in TEXTS:
                 continue
             low, high = limits[name]
@@ -269,10 +275,13 @@ def read_episodes(path: Path) -> tuple[list[str], dict[str, np.ndarray]]:
                 what = f"{name}: {cell[:40]!r} is no number from {low:,g} to {high:,g}"
                 raise FileError(f"{place}: episode {number}: {what}; restore the file.")
             numbers[name].append(value)
-        if numbers["episode"][-1] != number:
+        if "robot" not in head and numbers["episode"][-1] != number:
             raise FileError(f"{place}: episode {number} is missing; restore the file.")
     if not tasks:
         raise FileError(f"{place}: holds no episode; run it again.")
+    number = len(tasks)
+    if team and (number % len(team) or not np.array_equal(numbers["episode"], np.arange(number) // len(team))):
+        raise FileError(f"{place}: its episodes do not have a row for each of {', '.join(team)}; restore the file.")
     return tasks, {name: np.array(values) for name, values in numbers.items() if name != "episode"}
 
 

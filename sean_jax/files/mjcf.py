@@ -51,8 +51,7 @@ def read(path: Path) -> Any:
     try:
         model = mujoco.MjModel.from_xml_path(str(path))
     except (ValueError, RuntimeError, MemoryError) as error:
-        cause = " ".join(str(error).split()).rstrip(".") or "it is too large"
-        raise file_error(path, f"MuJoCo cannot read it: {cause}") from None
+        raise file_error(path, f"MuJoCo cannot read it: {_cause(str(error))}") from None
     finally:
         mujoco.set_mju_user_warning(before)
     if warnings:
@@ -63,6 +62,15 @@ def read(path: Path) -> Any:
             cure = "look for numbers that are very large or very small"
             raise file_error(path, f"MuJoCo makes a number of it ({name}) that is not finite; {cure}")
     return model
+
+
+def _cause(message: str) -> str:
+    """MuJoCo's message about a file, in one clause."""
+    text, _, place = re.sub(r"^(XML )?(Error: )*", "", message).partition("\nElement ")
+    text = " ".join(text.split()).strip(" .").replace(" . T", "; t")
+    text = text.replace("Error opening file", "it cannot open the file") or "it is too large"
+    where = re.search(r"'(.*?)'.* line (\d+)", place)
+    return f"{text} (line {where[2]}, element '{where[1]}')" if where else text
 
 
 def sources(path: Path) -> list[Path]:
@@ -123,7 +131,7 @@ class _Scan:
     def element(self, name: str, attributes: dict[str, str], times: int) -> int:
         """Check an element; returns the number of copies of its content. Raises _ElementError."""
         if name == "robot":
-            raise _ElementError("is URDF and not MJCF; write it as MJCF, as envs/robots/kuri.xml is")
+            raise _ElementError("is URDF and not MJCF; sean import-robot makes a robot file of it")
         if name in REFUSED:
             raise _ElementError(f"<{name}> has no place in a scene or a robot; write its bodies and geoms instead")
         for key, value in attributes.items():

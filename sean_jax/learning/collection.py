@@ -33,6 +33,7 @@ from sean_jax.learning.dataset import Dataset, EpisodeBatch, stream_seconds
 from sean_jax.learning.examples import Row, row
 from sean_jax.learning.policy import check_policy, label, labelled, load_policy
 from sean_jax.progress import ProgressLike, progress
+from sean_jax.robots.drive import require
 from sean_jax.runner import Callbacks, Record, Runner, batch_size, not_finite
 from sean_jax.scenario import reset, step
 from sean_jax.stack import Stack, as_stacks
@@ -52,7 +53,7 @@ def check_collection(config: CollectConfig) -> None:
     if config.labels is not None:
         check_policy(config.labels, config, "labels")
     assembly.check(config)
-    for robot in config.robots:
+    for robot in config.robot_parts:
         if not isinstance(robot, OwnPart | Value):
             sensors.camera(robots.load(robot.kind), "depth", width=config.width, height=config.height)
 
@@ -150,7 +151,7 @@ def simulate_shard(
     floats = [values for values in rows.values() if values.dtype.kind == "f"]
     faulty = np.any([~np.isfinite(values.reshape(len(values), -1)).all(1) for values in floats], 0)
     if faulty.any():
-        raise FloatingPointError(not_finite(first + np.flatnonzero(faulty), runner.size))
+        raise FloatingPointError(not_finite(first, faulty))
     floors = runner.floor_indices(place) if runner.floors.size > 1 else None
     return EpisodeBatch(rows, lengths, np.asarray(batch.states.completed), floors)
 
@@ -370,7 +371,12 @@ def _command(config: CollectConfig, batch: int) -> str:
 
 
 def scenario_facts(scenario: Scenario, camera: sensors.Camera, policy: str, rate: int = 1) -> dict[str, Any]:
-    """A manifest's entries about a scenario and its policy; ``rate`` in rows per second."""
+    """A manifest's entries about a scenario and its policy; ``rate`` in rows per second.
+
+    Raises:
+        InputError: the robot is no differential drive.
+    """
+    require(scenario.robot, ("differential",), "demonstrations are recorded with")
     image = {"width": camera.width, "height": camera.height, "fovy": camera.fovy, "far": camera.far}
     limits = {"max_speed": float(scenario.robot.max_speed), "max_turn_rate": float(scenario.robot.max_turn_rate)}
     return {

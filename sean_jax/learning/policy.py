@@ -8,6 +8,7 @@ range is wider, in 32. All policies run under ``jit`` and ``vmap``.
 
 import functools
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
@@ -19,7 +20,7 @@ from flax import linen as nn
 from flax import struct
 from jaxtyping import Float, Int, PyTree
 
-from sean_jax import calls, components, episodes, files, navigation, registry, sensors, writing
+from sean_jax import calls, components, episodes, files, navigation, registry, sensors, team, writing
 from sean_jax.base import Array, Policy, PolicyLike, Scenario, State, as_policy
 from sean_jax.classifiers import SITUATION_SETS
 from sean_jax.config import (
@@ -29,6 +30,7 @@ from sean_jax.config import (
     ReinforcementConfig,
     RunConfig,
     ScenarioConfig,
+    outside,
     present_names,
     validate,
 )
@@ -39,6 +41,7 @@ from sean_jax.learning.networks import CONFIG, ActorCritic, Agent, ConvEncoder, 
 from sean_jax.mdp import observations, to_command
 from sean_jax.mdp.spaces import Box
 from sean_jax.policies import POLICIES
+from sean_jax.robots.drive import require
 from sean_jax.scenario import reset
 from sean_jax.versions import versions
 from sean_jax.writing import check_new_folder
@@ -66,6 +69,12 @@ def load_policy(value: PolicyLike | Component | str, scenario: Scenario, option:
     if not isinstance(description, Named):
         episodes.check_policy(scenario, policy)
     return policy
+
+
+def load_policies(values: Sequence[PolicyLike | Component | str], scenario: Scenario) -> Policy:
+    """The policy of one value; of several, the policy of a team of which each robot has its own (``load_policy``)."""
+    policies = [load_policy(value, scenario) for value in values]
+    return policies[0] if len(policies) == 1 else team.one_each(policies)
 
 
 def load(folder: Path | str, scenario: Scenario) -> Policy:
@@ -116,6 +125,10 @@ def _description(value: Any) -> Component:
 
 def agent_folder(name: str, option: str) -> Path:
     """The folder of an agent of the package, or of one's own; a name that may mean both is refused."""
+    if outside(Named(kind=name)):
+        raise InputError(
+            f"{option}: {name} is a controller outside of this program; sean run and sean benchmark take it."
+        )
     path = Path(name)
     if name in AGENTS:
         if (path / CONFIG).is_file():
@@ -245,9 +258,11 @@ def load_agent(folder: Path, scenario: Scenario) -> tuple[ActorCritic, Agent, ob
     """The best agent of a training, or a packed agent: the network, the agent, and the terms of its observation.
 
     Raises:
-        InputError: there is no agent, a file cannot be read, or the scenario lacks something that the agent sees.
+        InputError: there is no agent, a file cannot be read, the robot is no differential drive, or the scenario lacks
+            something that the agent sees.
         IncompleteError: the checkpoint cannot be read.
     """
+    require(scenario.robot, ("differential",), f"{folder}: agents drive")
     options = read_options(folder)
     shapes = jax.eval_shape(lambda scenario: reset(scenario, jax.random.key(0)), scenario)
     try:
@@ -410,8 +425,9 @@ def network_policy(network: Network, weights: Weights, scenario: Scenario, name:
     local plan and the attention, which SEAN displays too.
 
     Raises:
-        InputError: the robot has no depth camera.
+        InputError: the robot has no depth camera or is no differential drive.
     """
+    require(scenario.robot, ("differential",), f"{name}: networks drive")
     height, width = network.image
     camera = sensors.camera(scenario, "depth", width=width, height=height)
     return Policy(params=PolicyParams(weights, network, camera), name=name, init=_init_network, apply=_apply_network)

@@ -43,6 +43,7 @@ from sean_jax.learning.trainer import Loop, Report, check_config, method_config
 from sean_jax.mdp import rewards
 from sean_jax.messages import listed
 from sean_jax.progress import ProgressLike, progress
+from sean_jax.robots.drive import require
 from sean_jax.scenario import reset, results
 from sean_jax.stack import Stack
 
@@ -129,6 +130,7 @@ def build(options: ReinforcementConfig) -> Setting:
     envs = [registry.build_stack(config) for config in configs]
 
     def prepare(env: mdp.Env) -> mdp.Env:
+        require(env.scenario.robot, ("differential",), "agents drive")
         terms = (*env.observations, *private)
         env = replace(env, observations=terms, rewards=bounds.with_costs(env.rewards, options.cost_limits))
         return curricula.prepare(env, options.curriculum)

@@ -11,10 +11,11 @@ from sean_jax.mdp.randomization import (
     as_randomization,
 )
 from sean_jax.mdp.rewards import REWARDS, RewardTerm, in_situations, of_metric
-from sean_jax.mdp.spaces import Box, to_action, to_command
+from sean_jax.mdp.spaces import Box, action_space, to_action, to_command
 
 __all__ = [
     "OBSERVATIONS", "OBSERVED", "PARAMETERS", "RANDOMIZATIONS", "REWARDS", "TERMINATIONS", "Box", "Env", "EnvState",
-    "ObservationTerm", "ParameterRandomization", "Pool", "Randomization", "RewardTerm", "as_randomization", "as_term",
-    "delayed", "flatten", "in_situations", "make_env", "of_metric", "stacked", "to_action", "to_command",
+    "ObservationTerm", "ParameterRandomization", "Pool", "Randomization", "RewardTerm", "action_space",
+    "as_randomization", "as_term", "delayed", "flatten", "in_situations", "make_env", "of_metric", "stacked",
+    "to_action", "to_command",
 ]  # fmt: skip

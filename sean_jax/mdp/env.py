@@ -23,7 +23,7 @@ from sean_jax.mdp import rewards as rewarding
 from sean_jax.mdp.observations import ObservationLike
 from sean_jax.mdp.randomization import Randomization, RandomizationLike, as_randomization
 from sean_jax.mdp.rewards import RewardLike
-from sean_jax.mdp.spaces import Box, to_command
+from sean_jax.mdp.spaces import Box, action_space, to_command
 from sean_jax.scenario import reset, results, step
 
 CHANCES = 2**30  # parts of the total probability; their sums are exact, and 0 is never taken
@@ -38,7 +38,7 @@ class EnvState:
     start: Int[Array, ""]  # number of the start in its pool, K more for each start that was there before; -1: of none
     observed: PyTree  # memory of the terms of the observation
     potentials: dict[str, Float[Array, ""]]  # of the terms of the reward that have one
-    commands: Float[Array, "L 2"]  # m/s, rad/s: the last commands, newest first
+    commands: Float[Array, "L command"]  # m/s, rad/s: the last commands, newest first
     late: Int[Array, ""]  # steps of control, delay of commands in this episode
     episode_return: Float[Array, ""]  # sum of the rewards so far
     episode_length: Int[Array, ""]  # steps so far
@@ -74,8 +74,11 @@ class Env:
 
     @property
     def action_space(self) -> Box:
-        """(2,) from -1 to 1: shares of the top speed and of the top turn rate."""
-        return Box(-1.0, 1.0, (2,))
+        """(2,) from -1 to 1: shares of the top speed and of the top turn rate, or of a car's steering angle.
+
+        An omnidirectional robot has (3,), with the share of the top speed to the left in the middle.
+        """
+        return action_space(self.scenario.robot)
 
     @property
     def observation_space(self) -> dict[str, Box]:
@@ -106,7 +109,7 @@ class Env:
             start=jnp.full((), -1, jnp.int32),
             observed=memory,
             potentials=rewarding.potentials(self.rewards, scenario, simulation),
-            commands=jnp.zeros((most + 1, 2), float),
+            commands=jnp.zeros((most + 1, *action_space(scenario.robot).shape), float),
             late=jax.random.randint(second, (), least, most + 1, jnp.int32),
             episode_return=jnp.zeros((), float),
             episode_length=jnp.zeros((), jnp.int32),
@@ -121,7 +124,7 @@ class Env:
         Args:
             key: () typed PRNG key of the next episode, if this one ends; within an episode all chance comes from its
                 state.
-            action: (2,) from -1 to 1.
+            action: from -1 to 1, of ``action_space``.
 
         Returns:
             The observation, the state, the reward, ``terminated``, ``truncated`` (by the time limit), and ``info``:
@@ -139,7 +142,7 @@ class Env:
     def advance(
         self, state: EnvState, action: Float[Array, "2"]
     ) -> tuple[EnvState, dict[str, Array], Float[Array, ""], Bool[Array, ""], Bool[Array, ""], dict[str, Any]]:
-        """As ``step``, without the next episode, for callers that reset by themselves; the action (2,) is from -1 to 1.
+        """As ``step``, without the next episode, for callers that reset by themselves; the action is from -1 to 1.
 
         Returns:
             The state, the observation, the reward, ``terminated``, ``truncated``, and ``info``.

@@ -116,8 +116,15 @@ def _distance(scenario: Scenario, state: State, prepared: tuple) -> Array:
 
 
 def _speeds(scenario: Scenario, state: State, prepared: tuple) -> Array:
-    """The robot's speed and turn rate: (2,) m/s, rad/s."""
-    return jnp.stack([state.robot.speed, state.robot.turn_rate])
+    """The robot's speed and turn rate: (2,) m/s, rad/s; (3,) with the speed to the left of an omnidirectional robot in
+    the middle, or with the steering angle [rad] of a car at the end.
+    """
+    robot = state.robot
+    if scenario.robot.lateral is not None and robot.sideways is not None:
+        return jnp.stack([robot.speed, robot.sideways, robot.turn_rate])
+    if scenario.robot.steering is not None:
+        return jnp.stack([robot.speed, robot.turn_rate, robot.drive_state.steering])
+    return jnp.stack([robot.speed, robot.turn_rate])
 
 
 def _robot(scenario: Scenario, state: State, prepared: tuple) -> Array:
@@ -250,6 +257,12 @@ def _lidar(scenario: Scenario, state: State, prepared: tuple) -> Array:
     return _reading(scenario, state, sensors.lidar_sensor(sensors.lidar(scenario, count=RAYS, far=FAR_LIDAR)))
 
 
+def _rings(scenario: Scenario, state: State, prepared: tuple) -> Array:
+    """The robot's lidar with the rings of a VLP-16, with the scenario's errors: (16, 72) m."""
+    device = sensors.lidar(scenario, count=RAYS, far=FAR_LIDAR, elevations=sensors.VLP16["elevations"])
+    return _reading(scenario, state, sensors.lidar_sensor(device))
+
+
 def _lidar_stack(scenario: Scenario, state: State, prepared: tuple) -> Array:
     """The last four scans of the robot's lidar, the newest first, with the scenario's errors: (4, rays) m."""
     return _lidar(scenario, state, prepared)
@@ -270,6 +283,7 @@ OBSERVATIONS: dict[str, ObservationTerm] = {
     "obstacles": ObservationTerm(_obstacles, -NEAR, NEAR),
     "plan": ObservationTerm(plan_ahead, -PLAN_POINTS * SPACING, PLAN_POINTS * SPACING, prepare=_last_arc),
     "lidar": ObservationTerm(_lidar, 0.0, FAR_LIDAR),
+    "lidar_rings": ObservationTerm(_rings, 0.0, FAR_LIDAR),
     "lidar_stack": ObservationTerm(_lidar_stack, 0.0, FAR_LIDAR, stack=4),
     "depth": ObservationTerm(_depth, 0.0, FAR_DEPTH, image=True),
     "rgb": ObservationTerm(_rgb, 0.0, 1.0, image=True),

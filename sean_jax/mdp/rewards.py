@@ -136,6 +136,8 @@ def of_metric(name: str) -> RewardTerm:
     Raises:
         InputError: there is no metric of that name.
     """
+    if name in metrics.OF_TEAMS:
+        return _of(metrics.OF_TEAMS[name])
     if name not in metrics.METRICS:
         hint = files.suggest(name, metrics.METRICS) or "."
         raise InputError(f"rewards: '{name}' is no metric, of {', '.join(metrics.METRICS)}{hint}")

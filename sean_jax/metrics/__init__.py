@@ -34,13 +34,23 @@ METRICS, TOPICS = _read_metrics()
 """All metrics, in the order of the columns of episodes.csv; and topic -> metrics, for the sections of the report."""
 
 
+OF_TEAMS: dict[str, Metric] = {
+    "collision_with_robot": proximity.collision_with_robot,
+    "min_distance_to_robots": proximity.min_distance_to_robots,
+}
+"""The metrics that robots of a team have besides those of their scenario."""
+
+
 def topic(name: str) -> str:
     """The topic of a metric in a few words; "your own" for metrics outside the package."""
+    if name in OF_TEAMS:
+        return "distances and collisions"
     return next((topic for topic, group in TOPICS.items() if name in group), "your own")
 
 
 __all__ = [
     "METRICS",
+    "OF_TEAMS",
     "TOPICS",
     "Estimate",
     "Metric",

@@ -100,15 +100,20 @@ def aggregate_ratio(
     return Estimate(mean, low, high, np.count_nonzero(below, axis=0) * np.ones(shape, np.int64))
 
 
-def resamples(episodes: int, seed: int = 0, count: int | None = None) -> np.ndarray:
+def resamples(episodes: int, seed: int = 0, count: int | None = None, cluster: int = 1) -> np.ndarray:
     """(R, E) float32, number of times that each of E episodes (or blocks) is in each of R resamples.
 
     R is 2000 if ``count`` is None, and less with more than 10,000 episodes.
+
+    Args:
+        cluster: number of successive rows that are drawn together, such as the robots of a team; it divides E.
     """
     if count is None:
         count = int(np.clip(ENTRIES // episodes, MIN_RESAMPLES, RESAMPLES))
     draw = np.random.default_rng(seed)
-    return draw.multinomial(episodes, np.full(episodes, 1 / episodes), size=count).astype(np.float32)
+    number = episodes // cluster
+    drawn = draw.multinomial(number, np.full(number, 1 / number), size=count).astype(np.float32)
+    return np.repeat(drawn, cluster, axis=1)
 
 
 def hierarchical_resamples(sizes: Sequence[int]) -> np.ndarray:
@@ -136,20 +141,28 @@ def hierarchical_resamples(sizes: Sequence[int]) -> np.ndarray:
     return np.repeat(1.0 + student, number // groups, axis=1).astype(np.float32)
 
 
-def of_share(estimate: Estimate, level: float = 0.95, where: ArrayLike = True) -> Estimate:
+def of_share(estimate: Estimate, level: float = 0.95, where: ArrayLike = True, cluster: int = 1) -> Estimate:
     """The estimate of a share of independent episodes, with Wilson's interval: 80.6 to 100 % for 16 of 16 episodes.
+
+    Rows of a cluster depend on each other. Their effective number follows from the width of the bootstrap interval
+    (Kish's design effect); it is between the number of clusters and the number of rows.
 
     Args:
         where: bool; the interval of other entries stays as it is.
+        cluster: number of rows that the bootstrap of the estimate has drawn together.
 
     Raises:
         InputError: the level does not lie between 0 and 1.
 
-    Source: E. Wilson, "Probable inference", Journal of the American Statistical Association 22 (1927).
+    Sources: E. Wilson, "Probable inference", Journal of the American Statistical Association 22 (1927); L. Kish,
+    "Survey Sampling" (1965), section 8.2.
     """
     _check_level(level)
     square = NormalDist().inv_cdf((1 + level) / 2) ** 2
     share, number = estimate.mean, np.maximum(estimate.episodes, 1)
+    if cluster > 1:
+        width = np.maximum(estimate.high - estimate.low, 1e-9)
+        number = np.clip(4 * square * share * (1 - share) / width**2, number / cluster, number)
     middle = (share + square / (2 * number)) / (1 + square / number)
     half = np.sqrt(square * (share * (1 - share) + square / (4 * number)) / number) / (1 + square / number)
     inside = (estimate.episodes > 0) & np.asarray(where)
@@ -158,10 +171,13 @@ def of_share(estimate: Estimate, level: float = 0.95, where: ArrayLike = True) -
     return estimate._replace(low=low, high=high)
 
 
-def of_count(estimate: Estimate, level: float = 0.95) -> Estimate:
+def of_count(estimate: Estimate, level: float = 0.95, cluster: int = 1) -> Estimate:
     """The estimate of a count per episode, with the exact interval of a Poisson number where no event occurred.
 
     Other counts keep their bootstrap interval, for events of one episode depend on each other.
+
+    Args:
+        cluster: number of rows that depend on each other; together they are one number.
 
     Raises:
         InputError: the level does not lie between 0 and 1.
@@ -170,7 +186,7 @@ def of_count(estimate: Estimate, level: float = 0.95) -> Estimate:
     """
     _check_level(level)
     none = (estimate.mean == 0) & (estimate.episodes > 0)
-    high = -math.log((1 - level) / 2) / np.maximum(estimate.episodes, 1)
+    high = -math.log((1 - level) / 2) / np.maximum(estimate.episodes / cluster, 1)
     return estimate._replace(high=np.where(none, high, estimate.high))
 
 

@@ -122,6 +122,41 @@ min_distance_to_obstacles = minimum(obstacle_distance)
 """Minimum distance from the robot's centre to the surface of an obstacle; 1000 where there is none."""
 
 
+# --- other robots of a team ---
+
+
+def _gaps_to_robots(snapshot: Snapshot) -> Array:
+    """(R,) m, from the surface of the robot to that of each other robot of its team."""
+    if snapshot.robots is None:
+        return jnp.zeros(0, snapshot.position.dtype)
+    x, y = (snapshot.robots[:, :2] - snapshot.position[None, :]).T
+    return length(x, y) - snapshot.robots[:, 2] - snapshot.robot_radius
+
+
+def _distance_to_robots(snapshot: Snapshot) -> Array:
+    return jnp.min(_gaps_to_robots(snapshot), initial=NONE)
+
+
+collision_with_robot = count_onsets(
+    lambda snapshot: _gaps_to_robots(snapshot) <= TOUCH,
+    title="collisions with robots",
+    definition="Number of times that the robot and another robot touched: within 1 cm, and not one step before.",
+    better="lower",
+)
+"""Number of times that the robot and another robot of its team touched; each of the two counts it."""
+
+min_distance_to_robots = minimum(
+    _distance_to_robots,
+    by_situation=False,
+    title="minimum distance to robots",
+    unit="m",
+    definition="Distance between the surfaces of the robot and of the nearest other robot, when it was nearest.",
+    better="higher",
+    headline=False,
+)
+"""Minimum distance between the surfaces of the robot and of another robot of its team; 1000 where there is none."""
+
+
 # --- seconds of contact, for rewards ---
 
 

@@ -18,14 +18,15 @@ import numpy as np
 from flax import struct
 from jaxtyping import Float, Int
 
-from sean_jax.base import Array, Policy, Robot, Scenario, State
+from sean_jax.base import Array, Policy, Robot, RobotModel, Scenario, State
 from sean_jax.devices import parameter
 from sean_jax.geometry import from_rectangle, length, nearby_obstacles, to_border
 from sean_jax.metrics.proximity import INTIMATE, PERSONAL
 from sean_jax.policies import prediction
 from sean_jax.policies.cost_to_go import CostToGo, build_cost_to_go, corner_successors, distance_to_goal
 from sean_jax.policies.prediction import PeopleMotion, RobotMotion
-from sean_jax.robots.drive import max_reverse_speed
+from sean_jax.robots import ackermann
+from sean_jax.robots.drive import LAWS, command_size, max_reverse_speed
 
 STEPS, TIME_STEP = 16, 0.2  # of a plan, and s of each: 3.2 s ahead
 KNOTS = 5  # commands of a plan, interpolated linearly
@@ -39,6 +40,7 @@ MIN_PROGRESS = 0.3  # m nearer to the goal
 INITIAL_DISTANCE = 1e6  # m, more than any path
 ARC_SPEEDS = (-0.4, 0.0, 0.35, 0.7, 1.0)  # of the limits: constant arcs
 ARC_TURN_RATES = (-1.0, -0.5, -0.2, 0.0, 0.2, 0.5, 1.0)
+SIDE_SPEEDS = (-1.0, -0.5, 0.5, 1.0)  # of an omnidirectional robot, without turning
 OBSTACLE_MARGIN = 0.03  # m, distance from obstacles with a high cost below it
 OBSTACLE_REACH = 0.15  # m, beyond it: the cost falls to 0
 PERSON_MARGIN = 0.07  # m, by which predictions may be wrong: added to the intimate distance and to contact
@@ -73,7 +75,7 @@ class ExpertParams:
 class ExpertMemory(NamedTuple):
     """The expert's memory."""
 
-    knots: Float[Array, "knots 2"]  # of the last plan, shares of the limits
+    knots: Float[Array, "knots command"]  # of the last plan, shares of the limits
     successors: Int[Array, "V"]  # of ``cost_to_go.corner_successors``
     distance_min: Float[Array, ""]  # m, the path that was left at the last progress
     waiting_ticks: Int[Array, ""]  # since then
@@ -81,13 +83,15 @@ class ExpertMemory(NamedTuple):
 
 def init(scenario: Scenario, params: ExpertParams, state: State) -> ExpertMemory:
     """Plans seconds ahead by sampling, with predicted people, and costs of their distances and o-spaces."""
-    knots = jnp.zeros((KNOTS, 2), float)
+    knots = jnp.zeros((KNOTS, command_size(scenario.robot)), float)
     distance = jnp.full((), INITIAL_DISTANCE, float)
     return ExpertMemory(knots, corner_successors(scenario, state), distance, jnp.zeros((), jnp.int32))
 
 
-def apply(scenario: Scenario, params: ExpertParams, state: State, key: Array) -> tuple[Float[Array, "2"], ExpertMemory]:
-    """The command (2,) [m/s, rad/s] of the best plan, and the new memory."""
+def apply(
+    scenario: Scenario, params: ExpertParams, state: State, key: Array
+) -> tuple[Float[Array, "command"], ExpertMemory]:
+    """The command [m/s, rad/s] of the best plan, and the new memory."""
     nearest = prediction.nearest_people(state, MAX_PEOPLE)
     people = prediction.predict_people(scenario, nearest, state.groups, STEPS, TIME_STEP)
     return plan(scenario, params, state, people, key)
@@ -95,8 +99,8 @@ def apply(scenario: Scenario, params: ExpertParams, state: State, key: Array) ->
 
 def plan(
     scenario: Scenario, params: ExpertParams, state: State, people: PeopleMotion, key: Array
-) -> tuple[Float[Array, "2"], ExpertMemory]:
-    """The command (2,) [m/s, rad/s] and the new memory, by a search with any prediction of people.
+) -> tuple[Float[Array, "command"], ExpertMemory]:
+    """The command [m/s, rad/s] and the new memory, by a search with any prediction of people.
 
     Args:
         state: now, with an ``ExpertMemory``; its groups are used, its people are not.
@@ -117,16 +121,18 @@ def plan(
     def cost(knots: Array) -> Array:
         return _cost(scenario, params, state, table, people, _simulate(scenario, state, knots, limits))
 
-    noise = jax.random.normal(key, (WIDE_SAMPLES + CLOSE_SAMPLES, KNOTS, 2), float)
+    noise = jax.random.normal(key, (WIDE_SAMPLES + CLOSE_SAMPLES, *last.shape), float)
     wide = jnp.clip(last[None] + DEVIATION[0] * noise[:WIDE_SAMPLES], -1.0, 1.0)
-    wide = jnp.concatenate([last[None], wide, jnp.asarray(ARCS, float)])
+    wide = jnp.concatenate([last[None], wide, jnp.asarray(_arcs(last.shape[1]), float)])
     best = wide[jnp.argmin(cost(wide))]
     close = jnp.clip(best[None] + DEVIATION[1] * noise[WIDE_SAMPLES:], -1.0, 1.0)
     close = jnp.concatenate([best[None], close])
     costs = cost(close)
     weight = jax.nn.softmax(-(costs - jnp.min(costs)) / params.temperature)
     knots = (weight[:, None, None] * close).sum(0)
-    return _commands(knots[0], limits), ExpertMemory(knots, memory.successors, distance_min, waiting_ticks)
+    return _commands(scenario.robot, knots[0], limits), ExpertMemory(
+        knots, memory.successors, distance_min, waiting_ticks
+    )
 
 
 def plan_limits(scenario: Scenario) -> tuple[Array, Array, Array]:
@@ -152,8 +158,14 @@ ARCS = np.stack([  # (A, KNOTS, 2): constant arcs, and turns on the spot after w
     *(np.tile([ahead, turn], (KNOTS, 1)) for ahead in ARC_SPEEDS for turn in ARC_TURN_RATES),
     *(np.array([(0.0, turn)] * 2 + [(1.0, 0.0)] * (KNOTS - 2)) for turn in ARC_TURN_RATES),
 ])  # fmt: skip
+SIDE_ARCS = np.stack([np.tile([ahead, left, 0.0], (KNOTS, 1)) for ahead in ARC_SPEEDS for left in SIDE_SPEEDS])
 INTERPOLATION = np.stack([np.interp(np.arange(STEPS) * TIME_STEP, np.linspace(0, STEPS * TIME_STEP, KNOTS), one)
                           for one in np.eye(KNOTS)], -1)  # fmt: skip
+
+
+def _arcs(size: int) -> np.ndarray:
+    """(A, KNOTS, size): the constant arcs of commands of that size."""
+    return ARCS if size == 2 else np.concatenate([np.insert(ARCS, 1, 0.0, axis=2), SIDE_ARCS])
 
 
 def _shift(knots: Array, seconds: float) -> Array:
@@ -162,20 +174,26 @@ def _shift(knots: Array, seconds: float) -> Array:
     return knots + share * jnp.diff(knots, axis=0, append=knots[-1:])
 
 
-def _commands(shares: Array, limits: tuple[Array, Array, Array]) -> Array:
-    """(..., 2) m/s and rad/s of the shares (..., 2) of the limits."""
+def _commands(model: RobotModel, shares: Array, limits: tuple[Array, Array, Array]) -> Array:
+    """Commands [m/s, rad/s] of shares of the limits; the second share of a car is of its steering angle."""
     ahead, back, turn = limits
     speed = jnp.where(shares[..., 0] > 0.0, ahead, back) * shares[..., 0]
+    if model.lateral is not None:
+        left = jnp.minimum(model.lateral.max_speed, ahead) * shares[..., 1]
+        return jnp.stack([speed, left, turn * shares[..., 2]], -1)
+    if model.steering is not None:
+        angle = model.steering.max_angle * shares[..., 1]
+        return jnp.stack([speed, ackermann.turn_rate_of(model, speed, angle)], -1)
     return jnp.stack([speed, turn * shares[..., 1]], -1)
 
 
 def _simulate(scenario: Scenario, state: State, knots: Array, limits: tuple[Array, Array, Array]) -> RobotMotion:
-    """The motion on the floor of plans (P, KNOTS, 2)."""
-    commands = _commands(jnp.einsum("tk,pkc->tpc", jnp.asarray(INTERPOLATION, float), knots), limits)
-    robot = state.robot
-    x, y, yaw, speed, turn = prediction.predict_robot(
-        scenario.robot, robot.speed, robot.turn_rate, (commands[..., 0], commands[..., 1]), TIME_STEP
-    )
+    """The motion on the floor of plans (P, KNOTS, command)."""
+    model, robot = scenario.robot, state.robot
+    commands = _commands(model, jnp.einsum("tk,pkc->tpc", jnp.asarray(INTERPOLATION, float), knots), limits)
+    parts = tuple(commands[..., index] for index in range(commands.shape[-1]))
+    speeds = LAWS[model.drive_type].speeds(model, robot)
+    x, y, yaw, speed, turn = prediction.predict_robot(model, speeds, parts, TIME_STEP)
     x, y = prediction.to_world(robot.position, robot.heading, x, y)
     return RobotMotion(x, y, yaw + jnp.arctan2(robot.heading[1], robot.heading[0]), speed, turn)
 

@@ -1,9 +1,9 @@
-"""orca: optimal reciprocal collision avoidance for a robot on two wheels (van den Berg et al., 2011).
+"""orca: optimal reciprocal collision avoidance for robots on two wheels and omnidirectional ones (van den Berg, 2011).
 
 The half-planes are defined in ``half_planes``. The middle of the axle cannot move in any direction, but a
 point ahead of it can: J. Snape, J. van den Berg, S. J. Guy & D. Manocha, "Smooth and collision-free navigation for
 multiple robots under differential-drive constraints" (IROS 2010) steer that point, with a disc around it that contains
-the robot.
+the robot. An omnidirectional robot is steered at its middle. No such point of a car at rest can move sideways.
 """
 
 import jax
@@ -11,10 +11,10 @@ import jax.numpy as jnp
 from jaxtyping import Float
 
 from sean_jax.base import Array, Observation, Scenario, State
-from sean_jax.geometry import angle_between, from_rectangle, length, nearby_obstacles
+from sean_jax.geometry import angle_between, from_rectangle, length, nearby_obstacles, rotate
 from sean_jax.half_planes import UNBOUNDED, VelocityProgram, best_velocity, half_plane
 from sean_jax.policies.prediction import nearest_people
-from sean_jax.robots.drive import clip_speeds, clip_turn_rate
+from sean_jax.robots.drive import clip_speeds, clip_turn_rate, max_reverse_speed, require
 from sean_jax.scenario import observe
 
 POINT = 0.6  # of the radius: distance of the point ahead of the axle
@@ -30,16 +30,19 @@ DEVIATION = 0.3  # rad, of the direction that a standing robot wishes: two that 
 GOAL_TOLERANCE = 0.1  # m from the goal, where it turns to the goal's heading
 
 
-def orca(scenario: Scenario, state: State, key: Array) -> Float[Array, "2"]:
+def orca(scenario: Scenario, state: State, key: Array) -> Float[Array, "command"]:
     """Drives along the shortest path, at the nearest velocity without a collision with people within 4 s (ORCA).
 
     The robot takes all of the avoidance, for people need not reciprocate, as far as its speed allows; otherwise it
-    takes the velocity that violates the half-planes least. Obstacles bound its speed, ahead and backward. The command
-    is (2,) [m/s, rad/s].
+    takes the velocity that violates the half-planes least. Obstacles bound its speed. The command is in m/s and rad/s.
+
+    Raises:
+        InputError: the robot is a car.
     """
     robot, model = state.robot, scenario.robot
+    require(model, ("differential", "omnidirectional"), "orca steers")
     hx, hy = robot.heading[0], robot.heading[1]
-    lever = POINT * model.radius
+    lever = POINT * model.radius if robot.sideways is None else jnp.zeros_like(robot.speed)
     observation = observe(scenario, state)
     stuck = 1.0 - jnp.clip(jnp.abs(robot.speed) / model.max_speed, 0.0, 1.0)
     wish = _wish(scenario, observation, lever, DEVIATION * stuck * jax.random.normal(key, (), float))
@@ -48,7 +51,7 @@ def orca(scenario: Scenario, state: State, key: Array) -> Float[Array, "2"]:
     gap, motion = people.position - robot.position[None, :], people.velocity
     dx, dy = gap[:, 0] * hx + gap[:, 1] * hy - lever, gap[:, 1] * hx - gap[:, 0] * hy
     vx, vy = motion[:, 0] * hx + motion[:, 1] * hy, motion[:, 1] * hx - motion[:, 0] * hy
-    own_x, own_y = robot.speed, lever * robot.turn_rate
+    own_x, own_y = robot.speed, lever * robot.turn_rate if robot.sideways is None else robot.sideways
     reach = model.radius + lever + scenario.forces.walking.radius + PEOPLE_MARGIN
     each = jax.vmap(half_plane, in_axes=(0, 0, 0, 0, None, None, None, None))
     first = jnp.ones((), bool)
@@ -56,12 +59,18 @@ def orca(scenario: Scenario, state: State, key: Array) -> Float[Array, "2"]:
     near = people.present & (gap[:, 0] * gap[:, 0] + gap[:, 1] * gap[:, 1] < MAX_DISTANCE * MAX_DISTANCE)
     c = jnp.where(near, nx * own_x + ny * own_y + out, UNBOUNDED)
 
-    wall_x, wall = _obstacle_half_planes(scenario, state)
-    nx, ny = jnp.concatenate([nx, wall_x]), jnp.concatenate([ny, jnp.zeros_like(wall_x)])
+    wall_x, wall_y, wall = _obstacle_half_planes(scenario, state)
+    nx, ny = jnp.concatenate([nx, wall_x]), jnp.concatenate([ny, wall_y])
     bounds, hard = jnp.concatenate([c, wall]), jnp.arange(c.shape[0] + wall.shape[0]) >= c.shape[0]
     x, y = best_velocity(VelocityProgram(nx, ny, bounds, hard, *wish, model.max_speed))
-    speed, turn = clip_speeds(model, x, y / lever)
     arrived = length(observation.goal[0], observation.goal[1]) < GOAL_TOLERANCE
+    if model.lateral is not None:
+        most = model.lateral.max_speed
+        ahead, left = jnp.clip(x, -max_reverse_speed(model), model.max_speed), jnp.clip(y, -most, most)
+        toward = jnp.where(arrived, observation.goal_heading, observation.path)
+        turn = clip_turn_rate(model, TURN_GAIN * angle_between(_ahead(), toward))
+        return jnp.stack([jnp.where(arrived, 0.0, ahead), jnp.where(arrived, 0.0, left), turn])
+    speed, turn = clip_speeds(model, x, y / lever)
     final = clip_turn_rate(model, TURN_GAIN * angle_between(_ahead(), observation.goal_heading))
     return jnp.stack([jnp.where(arrived, 0.0, speed), jnp.where(arrived, final, turn)])
 
@@ -72,23 +81,31 @@ def _wish(scenario: Scenario, observation: Observation, lever: Array, aside: Arr
     bearing = angle_between(_ahead(), observation.path) + aside
     turn = clip_turn_rate(model, TURN_GAIN * bearing)
     slower = jnp.clip(length(observation.goal[0], observation.goal[1]) / 0.5, 0.0, 1.0)
+    if model.lateral is not None:
+        speed = jnp.minimum(model.max_speed, model.lateral.max_speed) * slower
+        return speed * jnp.cos(bearing), speed * jnp.sin(bearing)
     return model.max_speed * jnp.clip(jnp.cos(bearing), 0.0, 1.0) * slower, lever * turn
 
 
-def _obstacle_half_planes(scenario: Scenario, state: State) -> tuple[Array, Array]:
-    """(W,) 1 or -1 and (W,) m/s: half-planes that bound the speed along the heading, so that obstacles stay clear.
+def _obstacle_half_planes(scenario: Scenario, state: State) -> tuple[Array, Array, Array]:
+    """(W,) normals x, y and (W,) m/s: half-planes that bound the velocity in the robot's frame, clear of obstacles.
 
-    Only the speed moves a disc, not how it turns: n . h v >= -gap / horizon for the normal n away from an obstacle.
+    Only the velocity moves a disc, not how it turns: n . v >= -gap / horizon for the normal n away from an obstacle.
+    The velocity of a differential drive is along its heading, so that its normals are (1, 0) or (-1, 0).
     """
     (x, y), heading = state.robot.position, state.robot.heading
     rows = nearby_obstacles(scenario.environment.obstacle_grid, x, y)
     distance, nx, ny = from_rectangle(x, y, *(rows[:, part] for part in range(6)))
     _, index = jax.lax.top_k(-jax.lax.stop_gradient(distance), min(MAX_OBSTACLES, distance.shape[0]))
     gap = jnp.maximum(distance[index] - scenario.robot.radius - OBSTACLE_MARGIN, 0.0)
+    if state.robot.sideways is not None:
+        x, y = rotate(nx[index], ny[index], heading[0], -heading[1])
+        return x, y, -gap / OBSTACLE_HORIZON
     toward = nx[index] * heading[0] + ny[index] * heading[1]
     steep = jnp.abs(toward) > 1e-3
     bound = -gap / (OBSTACLE_HORIZON * jnp.where(steep, jnp.abs(toward), 1.0))
-    return jnp.where(toward < 0.0, -1.0, 1.0), jnp.where(steep, bound, UNBOUNDED)
+    side = jnp.where(toward < 0.0, -1.0, 1.0)
+    return side, jnp.zeros_like(side), jnp.where(steep, bound, UNBOUNDED)
 
 
 def _ahead() -> Array:

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float
 
 from sean_jax.base import Array, Groups, Pedestrians, RobotModel, Scenario, State
 from sean_jax.geometry import rotate
-from sean_jax.robots.drive import limit_command
+from sean_jax.robots.drive import LAWS, Speeds
 from sean_jax.social_forces import integrate
 
 ABSENT_DISTANCE = 1e3  # m, distance of absent people
@@ -40,9 +40,8 @@ class PeopleMotion(NamedTuple):
 
 def predict_robot(
     model: RobotModel,
-    speed: Float[Array, ""],
-    turn_rate: Float[Array, ""],
-    commands: tuple[Float[Array, "T P"], Float[Array, "T P"]],
+    speeds: Speeds,
+    commands: tuple[Float[Array, "T P"], ...],
     time_step: float,
 ) -> RobotMotion:
     """The motion of a robot, in its frame of now, after each of T commands of P plans.
@@ -50,20 +49,25 @@ def predict_robot(
     Each step is the chord of an arc, with the heading at its middle.
 
     Args:
-        speed, turn_rate: m/s and rad/s, now.
-        commands: speeds [m/s] and turn rates [rad/s].
+        speeds: of now, as the law of the robot's drive has them.
+        commands: the numbers of the commands [m/s, rad/s].
         time_step: s, between two commands.
     """
-    start = jnp.full(commands[0].shape[1:], speed), jnp.full(commands[1].shape[1:], turn_rate)
+    law = LAWS[model.drive_type]
+    start = tuple(jnp.full(commands[0].shape[1:], part) for part in speeds)
 
-    def step(now: tuple[Array, Array], command: tuple[Array, Array]) -> tuple[tuple, tuple]:
-        after = limit_command(model, now[0], now[1], command, time_step)
+    def step(now: Speeds, command: Speeds) -> tuple[Speeds, Speeds]:
+        after = law.limit(model, now, command, time_step)
         return after, after
 
-    _, (ahead, rate) = jax.lax.scan(step, start, commands)
+    _, reached = jax.lax.scan(step, start, commands)
+    ahead, left, rate = law.velocity(model, reached)
     rotation = time_step * rate
     yaw = jnp.cumsum(rotation, axis=0)
     middle = yaw - 0.5 * rotation
+    if left is not None:
+        x, y = rotate(time_step * ahead, time_step * left, jnp.cos(middle), jnp.sin(middle))
+        return RobotMotion(jnp.cumsum(x, axis=0), jnp.cumsum(y, axis=0), yaw, ahead, rate)
     x = jnp.cumsum(time_step * ahead * jnp.cos(middle), axis=0)
     y = jnp.cumsum(time_step * ahead * jnp.sin(middle), axis=0)
     return RobotMotion(x, y, yaw, ahead, rate)

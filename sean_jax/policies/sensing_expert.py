@@ -60,8 +60,8 @@ def init(scenario: Scenario, params: SensingParams, state: State) -> SensingMemo
 
 def apply(
     scenario: Scenario, params: SensingParams, state: State, key: Array
-) -> tuple[Float[Array, "2"], SensingMemory]:
-    """The command (2,) [m/s, rad/s] of the best plan among the known people, and the new memory."""
+) -> tuple[Float[Array, "command"], SensingMemory]:
+    """The command [m/s, rad/s] of the best plan among the known people, and the new memory."""
     memory: SensingMemory = state.policy_state
     people = known_people(scenario, params, state, memory.people)
     state = replace(_as_known(state, people), policy_state=memory.search)
@@ -80,6 +80,8 @@ def known_people(scenario: Scenario, params: SensingParams, state: State, before
     eye = sensors.camera(scenario, "depth", width=WIDTH, height=HEIGHT)
     pixels = sensors.pixels_of_people(scenario, state, eye)
     visible = people.present & (pixels.astype(people.position.dtype) >= params.min_pixels)
+    if state.others is not None:  # robots of a team know where the others are
+        visible = visible | (jnp.arange(visible.shape[0], dtype=jnp.int32) >= scenario.people)
     unseen_ticks = jnp.where(visible, 0, before.unseen_ticks + 1)
     fresh = unseen_ticks.astype(people.position.dtype) <= to_ticks(params.memory_time, time_step)
     return KnownPeople(

@@ -44,6 +44,7 @@ PLAN_POINTS, PLAN_SPACING = 24, 0.5  # of the planned path; m
 NOBODY = 20.0  # m, drawn as the distance of the nearest person where there is none
 KINDS = {
     "robot x": "place", "robot y": "place", "robot heading": "angle", "goal x": "place", "goal y": "place",
+    "other x": "place", "other y": "place", "other heading": "angle", "other goal x": "place", "other goal y": "place",
     "person x": "place", "person y": "place", "person heading": "angle", "person group": "index",
     "person present": "index", "situation": "index", "plan x": "place", "plan y": "place",
 }  # fmt: skip
@@ -176,7 +177,9 @@ def _robot(scenario: Scenario | None) -> dict[str, Any]:
         if mount.name == "depth" and mount.fovy > 0.0:
             half = np.tan(np.radians(mount.fovy) / 2.0) * 4.0 / 3.0  # of its pictures' sides
             views.append({"name": "depth", "angle": round(float(2.0 * np.arctan(half)), 4), "range": 20.0})
-    return {"name": robot.name, "radius": robots.radius(robot), "views": views}
+    radius, *others = robots.radii(scenario)
+    about = {"name": robot.name, "radius": radius, "views": views}
+    return about | {"others": others} if others else about
 
 
 def encoded(episode: Episode, names: Sequence[str], robot: bool = True) -> dict[str, Any]:
@@ -218,7 +221,18 @@ def _of_people(frames: Any) -> dict[str, np.ndarray]:
 def _of_robot(frames: Any) -> dict[str, np.ndarray]:
     gaps = np.linalg.norm(frames.people - frames.position[:, None], axis=-1)
     nearest = np.min(np.where(frames.present, gaps, NOBODY), 1, initial=NOBODY)
+    others = {}
+    if frames.robots is not None:  # of a team
+        x, y, hx, hy, gx, gy = np.moveaxis(frames.robots, -1, 0)
+        others = {
+            "other x": x,
+            "other y": y,
+            "other heading": np.arctan2(hy, hx),
+            "other goal x": gx,
+            "other goal y": gy,
+        }
     return {
+        **others,
         "robot x": frames.position[:, 0],
         "robot y": frames.position[:, 1],
         "robot heading": _angle(frames.heading),

@@ -6,9 +6,10 @@ from pathlib import Path
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from sean_jax import files, padding
-from sean_jax.base import RobotModel
+from sean_jax.base import RobotModel, Scenario
 from sean_jax.environment import ENVS
 from sean_jax.errors import InputError
 from sean_jax.robots import description
@@ -30,8 +31,8 @@ def load(robot: str | Path, dynamics: str = "twin") -> RobotModel:
             inertia.
 
     Raises:
-        InputError: the name, the dynamics or the file does not exist, or the file does not describe a planar
-            differential-drive base with all of its limits.
+        InputError: the name, the dynamics or the file does not exist, or the file does not describe a planar base of
+            its drive with all of its limits.
     """
     path = find(robot, dynamics)
     model, fields, mass = description.read(path)
@@ -59,6 +60,12 @@ def radius(model: RobotModel) -> float:
     return round(float(model.radius), 6)
 
 
+def radii(scenario: Scenario) -> list[float]:
+    """The radii [m] of the robot, and of the other robots of its team."""
+    others = [] if scenario.others is None else np.round(np.asarray(scenario.others.radius, float), 6).tolist()
+    return [radius(scenario.robot), *others]
+
+
 def alike(models: Sequence[RobotModel]) -> list[RobotModel]:
     """Robots that differ in numbers alone, for one program: each moves as before, under the names of all.
 
@@ -75,6 +82,9 @@ def alike(models: Sequence[RobotModel]) -> list[RobotModel]:
         if model.time_step != first.time_step:
             steps = f"{first.time_step:g} and {model.time_step:g} s"
             raise InputError(f"{both} have physics steps of {steps}; robots of one program need the same.")
+        if model.drive_type != first.drive_type:
+            kinds = f"{first.drive_type} and {model.drive_type}"
+            raise InputError(f"{both} are {kinds}; robots of one program need the same drive.")
         if (model.place, model.drive) != (first.place, first.drive):
             raise InputError(f"{both} move by different functions; robots of one program need the same.")
     if any(jax.tree.leaves(model.data) for model in models):

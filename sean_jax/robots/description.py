@@ -3,13 +3,13 @@
 from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 
 from sean_jax import environment, quantities
-from sean_jax.base import Mount, Solids
+from sean_jax.base import Lateral, Mount, Solids, Steering
 from sean_jax.errors import FileError
 from sean_jax.files import mjcf
 from sean_jax.raycast.view import SHOULDER
@@ -31,16 +31,62 @@ RANGES = {  # minimum, maximum and unit of each number: wider than for any robot
     "track": (0.01, 10.0, "m"),
     "servo_gain": (1e-6, 1e6, "N m s/rad"),
     "servo_torque": (1e-6, 1e6, "N m"),
+    "max_lateral_speed": (0.001, 30.0, "m/s"),
+    "max_lateral_acceleration": (0.01, 1e3, "m/s2"),
+    "wheelbase": (0.01, 10.0, "m"),
+    "max_steering_angle": (0.01, 1.5, "rad"),
+    "max_steering_rate": (0.01, 100.0, "rad/s"),
 }
 MAX_MOUNT = 100.0  # m
 LIMITS = ("max_speed", "max_turn_rate", "max_acceleration", "max_turn_acceleration", "command_timeout")
 NUMERICS = (*LIMITS, "radius", "friction")
 OPTIONAL = ("max_reverse_speed", "max_deceleration")  # without them, the forward limits apply backward too
-BUILD = (
-    "a base with the joints slide x, slide y and hinge z, then a left and a right wheel hinge with a velocity servo "
-    "each, without springs, damping and friction losses in the joints"
-)
-JOINTS = (("slide", "x"), ("slide", "y"), ("hinge", "z"), ("hinge", "y"), ("hinge", "y"))
+
+
+class Build(NamedTuple):
+    """The joints, servos and numbers that a robot of one drive must have."""
+
+    text: str  # follows "a robot must be"
+    joints: tuple[tuple[str, str], ...]  # kind and axis
+    numerics: tuple[str, ...]
+    example: str  # name of a file in ``envs/robots``
+
+
+PLANE = ("slide", "x"), ("slide", "y"), ("hinge", "z")
+LOSSLESS = "without springs, damping and friction losses in the joints"
+BUILDS = {
+    "differential": Build(
+        "a base with the joints slide x, slide y and hinge z, then a left and a right wheel hinge with a velocity "
+        f"servo each, {LOSSLESS}",
+        (*PLANE, ("hinge", "y"), ("hinge", "y")),
+        NUMERICS,
+        "kuri",
+    ),
+    "omnidirectional": Build(
+        "a base with the joints slide x, slide y and hinge z, and three velocity servos on one site of it, with the "
+        f"gears 1 0 0 0 0 0, 0 1 0 0 0 0 and 0 0 0 0 0 1, {LOSSLESS}",
+        PLANE,
+        (*NUMERICS, "max_lateral_speed", "max_lateral_acceleration"),
+        "hsr",
+    ),
+    "ackermann": Build(
+        "a base with the joints slide x, slide y and hinge z, then one hinge for the rear wheels with a velocity "
+        f"servo, {LOSSLESS}",
+        (*PLANE, ("hinge", "y")),
+        (
+            "max_speed",
+            "max_acceleration",
+            "command_timeout",
+            "radius",
+            "friction",
+            "wheelbase",
+            "max_steering_angle",
+            "max_steering_rate",
+        ),
+        "f1tenth",
+    ),
+}
+"""Type of a drive -> its build. The ``<text name="drive">`` of a file names it; without it, it is differential."""
 AXES = dict(zip("xyz", np.eye(3), strict=True))
 UPRIGHT = 1e-6  # maximum deviation of the cosine of the base's tilt from 1
 BESIDE = 1e-4  # m, maximum distance of a wheel ahead of the base's hinge
@@ -52,10 +98,10 @@ def read(path: Path) -> tuple[Any, dict[str, Any], np.ndarray]:
     """Read a robot.
 
     Returns:
-        ``mujoco.MjModel``; fields of ``RobotModel`` by name; and (5,) the diagonal of the mass matrix.
+        ``mujoco.MjModel``; fields of ``RobotModel`` by name; and the diagonal of the mass matrix.
 
     Raises:
-        FileError: the file is no MJCF, lacks a number, or does not describe a planar differential-drive base.
+        FileError: the file is no MJCF, lacks a number, or does not describe a planar base of its drive.
     """
     mujoco: Any = import_module("mujoco")  # late, for it takes time; Any, for it has no type stubs
     model = mjcf.read(path)
@@ -65,44 +111,101 @@ def read(path: Path) -> tuple[Any, dict[str, Any], np.ndarray]:
     data = mujoco.MjData(model)
     for stage in (mujoco.mj_kinematics, mujoco.mj_comPos, mujoco.mj_camlight):
         stage(model, data)
-    numerics = _numerics(path, model)
+    drive = _drive(path, model)
+    build, numerics = BUILDS[drive], _numerics(path, model, BUILDS[drive])
     for key, value in numerics.items():
         _check_range(path, f"the numeric {key}", value, *RANGES[key])
-    clauses, problems = faults(model, data, numerics.get("radius", np.inf)), _missing(numerics)
+    clauses = faults(model, data, numerics.get("radius", np.inf), drive)
+    problems = _missing(numerics, build)
     if clauses:
-        problems.append(f"a robot must be {BUILD}, but {', '.join(clauses)} (see envs/robots/kuri.xml)")
+        problems.append(f"a robot must be {build.text}, but {', '.join(clauses)} (see envs/robots/{build.example}.xml)")
     if problems:
         raise FileError(f"{path}: {'; '.join(problems)}.")
     _check_mounts(path, model)
     mass = _mass_matrix(path, model)
-    left, right = (to_base(model, data, data.xanchor[joint]) for joint in (3, 4))
-    numbers = {
-        "mass": mass[0],
-        "inertia": mass[2],
-        "wheel_radius": model.geom_size[wheel_geoms(model)[0], 0],
-        "wheel_inertia": mass[3],
-        "track": left[1] - right[1],
-        "servo_gain": model.actuator_gainprm[0, 0],
-        "servo_torque": model.actuator_forcerange[0, 1],
-        **numerics,
-    }
+    numbers = {"mass": mass[0], "inertia": mass[2], **_of_drive(model, data, mass, drive), **numerics}
     for key, value in numbers.items():
         _check_range(path, f"its {key.replace('_', ' ')}", value, *RANGES[key])
     _check_range(path, "the timestep of its <option>", model.opt.timestep, *quantities.TIME_STEP_RANGE, "s")
-    fields = {key: jnp.asarray(value, jnp.result_type(float)) for key, value in numbers.items()}
+    extra = {}
+    if drive == "omnidirectional":
+        extra["lateral"] = _lateral(model, numbers)
+        numbers |= dict.fromkeys(("wheel_radius", "wheel_inertia", "track"), 0.0)
+    if drive == "ackermann":
+        extra["steering"] = _steering(path, model, data, numbers)
+        turn = np.tan(numbers.pop("max_steering_angle")) / numbers["wheelbase"]
+        rate = numbers.pop("max_steering_rate") / numbers.pop("wheelbase")
+        top = numbers["max_speed"]
+        numbers |= {"max_turn_rate": top * turn, "max_turn_acceleration": top * rate, "track": 0.0}
+    fields = {key: _array(value) for key, value in numbers.items()}
     sensors = {"mounts": mounts(model, data), "solids": _solids(model, data)}
     for mount in sensors["mounts"]:
         far = float(np.abs(mount.origin).max())
         _check_range(path, f"the largest coordinate of its mount '{mount.name}'", far, 0.0, MAX_MOUNT, "m")
-    return model, {**fields, **sensors, "time_step": float(model.opt.timestep)}, mass
+    return model, {**fields, **extra, **sensors, "time_step": float(model.opt.timestep)}, mass
+
+
+def _drive(path: Path, model: Any) -> str:
+    """The type of the drive, by the text ``drive`` of the file."""
+    mujoco: Any = import_module("mujoco")
+    texts = {}
+    for k in range(model.ntext):
+        begin, size = model.text_adr[k], model.text_size[k]
+        text = bytes(model.text_data[begin : begin + size]).rstrip(b"\0").decode()
+        texts[mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_TEXT, k)] = text
+    drive = texts.get("drive", "differential")
+    if drive not in BUILDS:
+        raise FileError(f'{path}: the text drive is "{drive}", but must be one of {", ".join(BUILDS)}.')
+    return drive
+
+
+def _array(value: float) -> Any:
+    return jnp.asarray(value, jnp.result_type(float))
+
+
+def _of_drive(model: Any, data: Any, mass: np.ndarray, drive: str) -> dict[str, float]:
+    """The numbers of wheels and servos."""
+    servo = {"servo_gain": model.actuator_gainprm[0, 0], "servo_torque": model.actuator_forcerange[0, 1]}
+    if drive == "omnidirectional":
+        return servo
+    wheels = {"wheel_radius": model.geom_size[wheel_geoms(model)[0], 0], "wheel_inertia": mass[3], **servo}
+    if drive == "differential":
+        left, right = (to_base(model, data, data.xanchor[joint]) for joint in (3, 4))
+        wheels["track"] = left[1] - right[1]
+    return wheels
+
+
+def _lateral(model: Any, numbers: dict[str, float]) -> Lateral:
+    """The numbers of sideways motion, which leave ``numbers``."""
+    speed, acceleration = numbers.pop("max_lateral_speed"), numbers.pop("max_lateral_acceleration")
+    turn = model.actuator_gainprm[2, 0], model.actuator_forcerange[2, 1]
+    return Lateral(*map(_array, (speed, acceleration, *turn)))
+
+
+def _steering(path: Path, model: Any, data: Any, numbers: dict[str, float]) -> Steering:
+    rear = -to_base(model, data, data.xanchor[3])[0]
+    if not 0.0 <= rear < numbers["wheelbase"]:
+        what = f"its rear wheels lie {rear:g} m behind the base's hinge"
+        raise FileError(f"{path}: {what}, but must be from 0 to less than the wheelbase of {numbers['wheelbase']:g} m.")
+    keys = "max_steering_angle", "max_steering_rate"
+    return Steering(_array(numbers["wheelbase"]), _array(rear), *(_array(numbers[key]) for key in keys))
 
 
 def mounts(model: Any, data: Any) -> tuple[Mount, ...]:
-    """The cameras and sites of a robot in a ``mujoco.MjModel``, whose ``MjData`` has their poses."""
+    """The cameras and sites of a robot in a ``mujoco.MjModel``, whose ``MjData`` has their poses.
+
+    The site of servos is no mount.
+    """
+    site = int(import_module("mujoco").mjtTrn.mjTRN_SITE)
+    servos = {int(model.actuator_trnid[k, 0]) for k in range(model.nu) if model.actuator_trntype[k] == site}
     result, frame = [], base_rotation(model, data)
     places = [
         *((model.camera(k).name, data.cam_xpos[k], data.cam_xmat[k], model.cam_fovy[k]) for k in range(model.ncam)),
-        *((model.site(k).name, data.site_xpos[k], data.site_xmat[k], 0.0) for k in range(model.nsite)),
+        *(
+            (model.site(k).name, data.site_xpos[k], data.site_xmat[k], 0.0)
+            for k in range(model.nsite)
+            if k not in servos
+        ),
     ]
     for name, place, axes, fovy in places:
         origin = to_base(model, data, place)
@@ -133,10 +236,10 @@ def _solids(model: Any, data: Any) -> Solids:
     return environment.solids_from_mjcf(model, data, list(range(model.ngeom)))
 
 
-def _numerics(path: Path, model: Any) -> dict[str, float]:
+def _numerics(path: Path, model: Any, build: Build) -> dict[str, float]:
     """The numerics of the file that a robot uses, one number each."""
     numerics = {model.numeric(i).name: model.numeric(i).data for i in range(model.nnumeric)}
-    numerics = {key: numerics[key] for key in (*NUMERICS, *OPTIONAL) if key in numerics}
+    numerics = {key: numerics[key] for key in (*build.numerics, *OPTIONAL) if key in numerics}
     for key, data in numerics.items():
         if len(data) != 1:
             numbers = " ".join(f"{value:g}" for value in data[:9])
@@ -144,9 +247,9 @@ def _numerics(path: Path, model: Any) -> dict[str, float]:
     return {key: float(data[0]) for key, data in numerics.items()}
 
 
-def _missing(numerics: dict[str, float]) -> list[str]:
+def _missing(numerics: dict[str, float], build: Build) -> list[str]:
     """A clause that names all missing numbers, if there are any."""
-    missing = [f'<numeric name="{key}" data="..."/>' for key in NUMERICS if key not in numerics]
+    missing = [f'<numeric name="{key}" data="..."/>' for key in build.numerics if key not in numerics]
     return [f"<custom> lacks {' and '.join(missing)}, which every robot needs"] if missing else []
 
 
@@ -156,22 +259,22 @@ def _check_range(path: Path, what: str, value: float, low: float, high: float, u
 
 
 def _mass_matrix(path: Path, model: Any) -> np.ndarray:
-    """The diagonal (5,) of the mass matrix, which must be diagonal and independent of the pose."""
+    """The diagonal of the mass matrix, which must be diagonal and independent of the pose."""
     mujoco: Any = import_module("mujoco")
-    data = mujoco.MjData(model)
+    data, size = mujoco.MjData(model), model.nv
     matrices = []
-    for position in (np.zeros(5), np.array([1.0, -2.0, 0.7, 1.9, -0.4])):
+    for position in (np.zeros(size), np.array([1.0, -2.0, 0.7, 1.9, -0.4])[:size]):
         data.qpos[:] = position
         mujoco.mj_forward(model, data)
-        matrix = np.zeros((5, 5))
-        for i, axis in enumerate(np.eye(5)):
+        matrix = np.zeros((size, size))
+        for i, axis in enumerate(np.eye(size)):
             mujoco.mj_mulM(model, data, matrix[i], axis)
         matrices.append(matrix)
     diagonal = np.diag(matrices[0]).copy()
     scale = np.sqrt(np.outer(diagonal, diagonal))
     if max(np.max(np.abs(matrix - np.diag(diagonal)) / scale) for matrix in matrices) > 1e-6:
         raise FileError(f"{path}: the centre of mass must lie above the middle of the axle, the origin of the base")
-    if not np.isclose(diagonal[3], diagonal[4]):
+    if size == 5 and not np.isclose(diagonal[3], diagonal[4]):
         raise FileError(f"{path}: the left and the right wheel must have the same inertia, armature included")
     return diagonal
 
@@ -179,7 +282,7 @@ def _mass_matrix(path: Path, model: Any) -> np.ndarray:
 # --- checks of joints, bodies and servos ---
 
 
-def faults(model: Any, data: Any, radius: float) -> list[str]:
+def faults(model: Any, data: Any, radius: float, drive: str = "differential") -> list[str]:
     """Where a model differs from the equations of motion: clauses that follow "a robot must be ..., but".
 
     If joints or servos are missing, nothing that depends on them is checked.
@@ -188,17 +291,19 @@ def faults(model: Any, data: Any, radius: float) -> list[str]:
         model: ``mujoco.MjModel``.
         data: ``mujoco.MjData`` with the poses of its bodies.
         radius: m, of the disc that touches people and obstacles.
+        drive: its type.
     """
-    problems = [*_joints(model), *_servos(model)]
+    problems = [*_joints(model, drive), *_servos(model, drive)]
     return problems or [*_bodies(model, data, radius), *_losses(model)]
 
 
-def _joints(model: Any) -> Iterator[str]:
+def _joints(model: Any, drive: str) -> Iterator[str]:
     mujoco: Any = import_module("mujoco")  # late, for it takes time; Any, for it has no type stubs
-    if model.njnt != len(JOINTS):
-        yield f"it has {model.njnt} joints and not {len(JOINTS)}"
+    joints = BUILDS[drive].joints
+    if model.njnt != len(joints):
+        yield f"it has {model.njnt} joints and not {len(joints)}"
         return
-    for number, (kind, axis) in enumerate(JOINTS):
+    for number, (kind, axis) in enumerate(joints):
         has = mujoco.mjtJoint(int(model.jnt_type[number])).name.removeprefix("mjJNT_").lower()
         if has != kind:
             yield f"joint {_label(model.joint(number), number)} is a {has} and not a {kind}"
@@ -207,42 +312,82 @@ def _joints(model: Any) -> Iterator[str]:
             yield f"the axis of joint {_label(model.joint(number), number)} is ({along}), not {axis}"
 
 
-def _servos(model: Any) -> Iterator[str]:
+def _servos(model: Any, drive: str) -> Iterator[str]:
     affine = int(import_module("mujoco").mjtBias.mjBIAS_AFFINE)
-    if model.nu != 2:
-        yield f"it has {model.nu} actuators and not 2"
+    count = {"differential": 2, "omnidirectional": 3, "ackermann": 1}[drive]
+    if model.nu != count:
+        yield f"it has {model.nu} actuators and not {count}"
         return
-    if model.actuator_trnid[:, 0].tolist() != [3, 4] or model.actuator_trntype.any():
-        yield "its actuators do not drive the left and then the right wheel, the fourth and the fifth joint"
-    if not np.allclose(model.actuator_gear[:, 0], 1.0):
-        yield "the gear of an actuator is not 1"
+    yield from _transmission(model, drive)
     gain = model.actuator_gainprm[:, 0]
-    if not np.allclose(model.actuator_biasprm[:, :3], np.outer(gain, [0.0, 0.0, -1.0])) or not np.isclose(*gain):
+    alike = np.isclose(gain[:2], gain[0]).all()  # the third servo of an omnidirectional base turns it
+    if not np.allclose(model.actuator_biasprm[:, :3], np.outer(gain, [0.0, 0.0, -1.0])) or not alike:
         yield "its actuators are no velocity servos of one and the same gain kv"
     elif model.actuator_dyntype.any() or model.actuator_gaintype.any() or (model.actuator_biastype != affine).any():
         yield "its actuators are not of the kind that <velocity> makes"
     if model.actuator_ctrllimited.any():
         yield "its actuators have a ctrlrange, which limits are not read from; use the numeric max_speed"
     low, high = model.actuator_forcerange.T
-    if not model.actuator_forcelimited.all() or not (np.allclose(low, -high) and np.isclose(*high)):
+    alike = np.allclose(low, -high) and np.isclose(high[:2], high[0]).all()
+    if not model.actuator_forcelimited.all() or not alike:
         yield "its actuators lack one and the same forcerange, as much backward as ahead"
 
 
+def _transmission(model: Any, drive: str) -> Iterator[str]:
+    """Where the servos do not drive what they should."""
+    if drive == "omnidirectional":
+        site = int(import_module("mujoco").mjtTrn.mjTRN_SITE)
+        on_one = (model.actuator_trntype == site).all() and len({*model.actuator_trnid[:, 0].tolist()}) == 1
+        if not on_one or (model.actuator_trnid[:, 1] >= 0).any():
+            yield "its actuators do not all drive one and the same site"
+        elif not np.allclose(model.actuator_gear, np.eye(6)[[0, 1, 5]]):
+            yield "the gears of its actuators are not 1 0 0 0 0 0, 0 1 0 0 0 0 and 0 0 0 0 0 1"
+        elif not _in_the_middle(model, int(model.actuator_trnid[0, 0])):
+            yield "the site of its actuators is not at the base's hinge with the axes of the base"
+        return
+    wheels, those = ([3], "rear wheels, the fourth joint") if drive == "ackermann" else ([3, 4], "")
+    if model.actuator_trnid[:, 0].tolist() != wheels or model.actuator_trntype.any():
+        those = those or "left and then the right wheel, the fourth and the fifth joint"
+        yield f"its actuators do not drive the {those}"
+    if not np.allclose(model.actuator_gear[:, 0], 1.0):
+        yield "the gear of an actuator is not 1"
+
+
+def _in_the_middle(model: Any, site: int) -> bool:
+    """Whether a site is on the base above its hinge, with the axes of the base."""
+    mujoco: Any = import_module("mujoco")
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    turned = base_rotation(model, data).T @ data.site_xmat[site].reshape(3, 3)
+    base = model.body_weldid[model.site_bodyid[site]] == model.jnt_bodyid[2]
+    above = np.allclose(data.site_xpos[site, :2], data.xanchor[2, :2], atol=BESIDE)
+    return bool(base and above and np.allclose(turned, np.eye(3), atol=UPRIGHT))
+
+
 def _bodies(model: Any, data: Any, radius: float) -> Iterator[str]:
-    base, *others = model.jnt_bodyid[[0, 3, 4]].tolist()
+    base, *others = model.jnt_bodyid[[0, *range(3, model.njnt)]].tolist()
     if (model.jnt_bodyid[:3] != base).any():
         yield "its first three joints are not all in one body, the base"
         return
     upright = data.xmat[base, 8] >= 1.0 - UPRIGHT
     if not upright:
         yield f"its base is tilted by {np.degrees(np.arccos(min(data.xmat[base, 8], 1.0))):.3g} degrees"
-    if len({base, *others}) < 3 or any(model.body_weldid[model.body_parentid[wheel]] != base for wheel in others):
-        yield "its wheels are not two bodies on the base"
+    names = _wheel_names(model)
+    if len({base, *others}) < 1 + len(names) or any(
+        model.body_weldid[model.body_parentid[wheel]] != base for wheel in others
+    ):
+        yield "its wheels are not two bodies on the base" if len(names) == 2 else "its wheels are no body on the base"
         return
-    for what, body in zip(("base", "left wheel", "right wheel"), (base, *others), strict=True):
+    for what, body in zip(("base", *names), (base, *others), strict=True):
         if (mass := float(model.body_mass[model.body_weldid == body].sum())) < MIN_MASS:
             yield f"its {what} has {mass:g} kg, less than {MIN_MASS:g} kg"
     yield from list(_wheels(model)) or _places(model, data, radius)
+    if len(names) == 1:
+        (aside,) = (to_base(model, data, data.xanchor[joint])[1] for joint in (3,))
+        if abs(aside) > BESIDE:
+            yield f"the hinge of its rear wheels lies {aside:g} m left of the base's hinge"
+    if len(names) != 2:
+        return
     left, right = (to_base(model, data, data.xanchor[joint])[:2] for joint in (3, 4))
     if not (left[1] > 0.0 and np.isclose(left[1], -right[1])):
         yield f"its wheels lie {left[1]:g} m and {right[1]:g} m left of the base's hinge, not as far left as right"
@@ -254,35 +399,42 @@ def _wheels(model: Any) -> Iterator[str]:
     mujoco: Any = import_module("mujoco")
     round_kinds = mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_SPHERE
     geoms = wheel_geoms(model)
-    for side, geom in zip(("left", "right"), geoms, strict=True):
+    for wheel, geom in zip(_wheel_names(model), geoms, strict=True):
         if geom is None:
-            yield f"its {side} wheel has no geom, whose size is the wheel's radius"
+            yield f"its {wheel} has no geom, whose size is the wheel's radius"
         elif model.geom_type[geom] not in map(int, round_kinds):
             kind = mujoco.mjtGeom(int(model.geom_type[geom])).name.removeprefix("mjGEOM_").lower()
-            yield f"the first geom of its {side} wheel is a {kind} and not a cylinder or a sphere"
-    if None not in geoms and not np.isclose(*model.geom_size[geoms, 0]):
+            yield f"the first geom of its {wheel} is a {kind} and not a cylinder or a sphere"
+    if len(geoms) == 2 and None not in geoms and not np.isclose(*model.geom_size[geoms, 0]):
         left, right = model.geom_size[geoms, 0]
         yield f"the radii of its wheels are {left:g} m and {right:g} m, not the same"
 
 
 def _places(model: Any, data: Any, radius: float) -> Iterator[str]:
     """Where round wheels are not between the base and the floor."""
-    for side, joint, geom in zip(("left", "right"), (3, 4), wheel_geoms(model), strict=True):
+    for number, (wheel, geom) in enumerate(zip(_wheel_names(model), wheel_geoms(model), strict=True)):
+        joint = 3 + number
         axis, offset = data.xaxis[joint], data.geom_xpos[geom] - data.xanchor[joint]
         bottom, away = data.geom_xpos[geom, 2] - model.geom_size[geom, 0], to_base(model, data, data.geom_xpos[geom])
         cylinder = model.geom_type[geom] == int(import_module("mujoco").mjtGeom.mjGEOM_CYLINDER)
         turns = not cylinder or abs(data.geom_xmat[geom].reshape(3, 3)[:, 2] @ axis) >= 1.0 - UPRIGHT
         if not turns or np.linalg.norm(offset - (offset @ axis) * axis) > BESIDE:
-            yield f"the first geom of its {side} wheel is not round about its hinge"
+            yield f"the first geom of its {wheel} is not round about its hinge"
         elif abs(bottom) > ON_FLOOR:
-            yield f"its {side} wheel begins {bottom:.4g} m above the floor and does not touch it"
+            yield f"its {wheel} begins {bottom:.4g} m above the floor and does not touch it"
         elif (distance := float(np.hypot(*away[:2]))) > radius:
-            yield f"its {side} wheel is {distance:.4g} m from the base's hinge, beyond its radius of {radius:g} m"
+            yield f"its {wheel} is {distance:.4g} m from the base's hinge, beyond its radius of {radius:g} m"
 
 
 def wheel_geoms(model: Any) -> list[int | None]:
     """The first geom of the left and of the right wheel, whose size is its radius; None for a wheel without a geom."""
-    return [next(iter(np.flatnonzero(model.geom_bodyid == model.jnt_bodyid[joint]).tolist()), None) for joint in (3, 4)]
+    bodies = model.jnt_bodyid[3:]
+    return [next(iter(np.flatnonzero(model.geom_bodyid == body).tolist()), None) for body in bodies]
+
+
+def _wheel_names(model: Any) -> tuple[str, ...]:
+    """Names of the hinges after those of the base, for messages."""
+    return {3: (), 4: ("rear wheel",), 5: ("left wheel", "right wheel")}[model.njnt]
 
 
 def _losses(model: Any) -> Iterator[str]:

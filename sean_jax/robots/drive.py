@@ -1,10 +1,15 @@
-"""One control step of a differential-drive robot (Fig. 3): command (v, omega), limits, physics, odometry.
+"""One control step of a robot (Fig. 3): command, limits, physics, odometry, by the law of its drive (``LAWS``).
+
+Commands are (2,) speed [m/s] and turn rate [rad/s] of a differential drive and of a car, and (3,) speed ahead, speed to
+the left [m/s] and turn rate [rad/s] of an omnidirectional robot. A car steers to the angle that gives this turn rate at
+this speed.
 
 The default is the closed-form twin. The robot in MJX has the same law and differs only in the physics step.
 Derivatives through it are from the twin, in forward and in reverse mode: they agree to rounding and cost a fraction.
 The kinematic robot has no inertia: within its limits it has the speeds of the command.
 
-``motion`` is a pair: generalised coordinates (5,), x, y [m], yaw, left and right wheel angle [rad], and their rates.
+``motion`` is a pair: generalised coordinates and their rates. Those of a differential drive are (5,): x, y [m], yaw,
+left and right wheel angle [rad].
 """
 
 import functools
@@ -20,26 +25,67 @@ from sean_jax import clock
 from sean_jax.base import Array, Robot, RobotModel, Scenario, State
 from sean_jax.devices import by_platform
 from sean_jax.errors import InputError
-from sean_jax.geometry import rotate, unit_vectors
-from sean_jax.robots import kernel
-from sean_jax.robots.dynamics import Motion, Surroundings, kinematic_move, mjx_substep, twin_substep
+from sean_jax.geometry import ground_velocity, rotate, unit_vectors
+from sean_jax.robots import ackermann, kernel, omnidirectional
+from sean_jax.robots.dynamics import Motion, Surroundings, kinematic_move, mjx_substep, touching, twin_substep
 
 
 class DriveState(NamedTuple):
     """``Robot.drive_state``: all state of the robot's motion besides pose, speed and turn rate."""
 
-    wheels: Float[Array, "2"]  # rad, angles of the left and the right wheel
-    slip: Float[Array, "2"]  # rad/s, wheel speeds minus the speeds of rolling without slip
-    sideways: Float[Array, ""]  # m/s, velocity to the left: zero unless the robot is pushed
-    command: Float[Array, "2"]  # m/s and rad/s, the last finite command
+    wheels: Float[Array, "wheels"]  # rad, angles of the left and the right wheel, of the rear wheels of a car, or none
+    slip: Float[Array, "wheels"]  # rad/s, wheel speeds minus the speeds of rolling without slip
+    sideways: (
+        Float[Array, ""] | None
+    )  # m/s, velocity to the left: zero unless the robot is pushed; None: Robot.sideways
+    command: Float[Array, "command"]  # m/s and rad/s, the last finite command
     age: Int[Array, ""]  # control steps since that command
+    steering: Float[Array, ""] | None = None  # rad, the steering angle of a car
+
+
+Speeds = tuple[Array, ...]
+"""What limits of acceleration act on: speed, for an omnidirectional robot speed to the left, and turn rate; for a car
+speed and steering angle [m/s, rad/s, rad]."""
+
+
+class Law(NamedTuple):
+    """How the robots of one drive move."""
+
+    command_size: int
+    speeds: Callable  # (model, robot) -> Speeds now
+    limit: Callable  # (model, speeds, command, time_step) -> Speeds nearest to the command after that time [s]
+    velocity: Callable  # (model, speeds) -> speed ahead, speed to the left or None [m/s], turn rate [rad/s]
+    targets: Callable  # (model, speeds) -> array, of the servos
+    coordinates: Callable  # (model, robot) -> motion
+    odometry: Callable  # (model, motion, heading, command, age) -> Robot
+    twin: Callable  # the physics step of the closed form
+    mjx: Callable  # the physics step by MJX
+    wheels: int  # numbers of ``DriveState.wheels``
 
 
 def place(model: RobotModel, position: Float[Array, "2"], heading: Float[Array, "2"]) -> Robot:
     """A robot at rest at a position [m], without a command; a zero heading counts as the x axis."""
-    pair = jnp.zeros((2,), position.dtype)
-    drive_state = DriveState(pair, pair, pair[0], pair, jnp.zeros((), jnp.int32))
-    return Robot(position, _direction(heading), pair[0], pair[0], drive_state)
+    law, zeros = LAWS[model.drive_type], functools.partial(jnp.zeros, dtype=position.dtype)
+    wheels, command, age = zeros(law.wheels), zeros(law.command_size), jnp.zeros((), jnp.int32)
+    differential, steering = model.drive_type == "differential", None if model.steering is None else zeros(())
+    drive_state = DriveState(wheels, wheels, zeros(()) if differential else None, command, age, steering)
+    sideways = None if differential else zeros(())
+    return Robot(position, _direction(heading), zeros(()), zeros(()), drive_state, sideways)
+
+
+def command_size(model: RobotModel) -> int:
+    """Numbers of a command: 3 for an omnidirectional robot, else 2."""
+    return LAWS[model.drive_type].command_size
+
+
+def require(model: RobotModel, drives: tuple[str, ...], what: str) -> None:
+    """InputError unless the robot has one of these drives; ``what`` begins the sentence, as "orca steers"."""
+    if model.drive_type not in drives:
+        kinds, kind = " and ".join(drives), model.drive_type
+        raise InputError(f"{what} {kinds} robots, but the drive of {model.name} is {kind}; choose another of the two.")
+
+
+# --- the law of each drive ---
 
 
 def coordinates(model: RobotModel, robot: Robot) -> tuple[Float[Array, "5"], Float[Array, "5"]]:
@@ -57,11 +103,61 @@ def _rolling(model: RobotModel, speed: Array, turn_rate: Array) -> Array:
     return jnp.stack([speed - rim, speed + rim]) / model.wheel_radius
 
 
+def _odometry(model: RobotModel, motion: Motion, heading: Array, command: Array, age: Array) -> Robot:
+    (position, velocity), (cosine, sine) = motion, heading
+    wheels = _whole_turns_removed(position[3:])
+    speed, sideways = rotate(velocity[0], velocity[1], cosine, -sine)
+    slip = velocity[3:] - _rolling(model, speed, velocity[2])
+    drive_state = DriveState(wheels, slip, sideways, command, age)
+    return Robot(position[:2], jnp.stack([cosine, sine]), speed, velocity[2], drive_state)
+
+
+def _whole_turns_removed(wheels: Array) -> Array:
+    """Angles [rad] of wheels that stay exact in single precision."""
+    return wheels - 2.0 * jnp.pi * jnp.round(wheels / (2.0 * jnp.pi))
+
+
+def _omni_coordinates(model: RobotModel, robot: Robot) -> omnidirectional.Motion:
+    cosine, sine = heading = _direction(robot.heading)
+    velocity = jnp.append(ground_velocity(replace(robot, heading=heading)), robot.turn_rate)
+    return jnp.append(robot.position, jnp.arctan2(sine, cosine)), velocity
+
+
+def _omni_odometry(
+    model: RobotModel, motion: omnidirectional.Motion, heading: Array, command: Array, age: Array
+) -> Robot:
+    position, velocity = motion
+    speed, sideways = rotate(velocity[0], velocity[1], heading[0], -heading[1])
+    none = jnp.zeros((0,), speed.dtype)
+    return Robot(position[:2], heading, speed, velocity[2], DriveState(none, none, None, command, age), sideways)
+
+
+def _car_coordinates(model: RobotModel, robot: Robot) -> Motion:
+    state = robot.drive_state
+    position, velocity = _omni_coordinates(model, robot)
+    wheel = robot.speed / model.wheel_radius + state.slip[0]
+    position = jnp.concatenate([position, state.wheels, state.steering[None]])
+    return position, jnp.concatenate([velocity, jnp.stack([wheel, jnp.zeros_like(wheel)])])
+
+
+def _car_odometry(model: RobotModel, motion: Motion, heading: Array, command: Array, age: Array) -> Robot:
+    position, velocity = motion
+    speed, sideways = rotate(velocity[0], velocity[1], heading[0], -heading[1])
+    slip = velocity[3:4] - speed / model.wheel_radius
+    drive_state = DriveState(_whole_turns_removed(position[3:4]), slip, None, command, age, position[4])
+    return Robot(position[:2], heading, speed, velocity[2], drive_state, sideways)
+
+
+def _car_velocity(model: RobotModel, speeds: Speeds) -> tuple[Array, Array, Array]:
+    turn_rate = ackermann.turn_rate_of(model, *speeds)
+    return speeds[0], ackermann.steering(model).rear_axle * turn_rate, turn_rate
+
+
 def _direction(heading: Array) -> Array:
     return unit_vectors(heading, jnp.asarray([1.0, 0.0], heading.dtype))
 
 
-def drive_mjx(scenario: Scenario, state: State, action: Float[Array, "2"]) -> Robot:
+def drive_mjx(scenario: Scenario, state: State, action: Float[Array, "command"]) -> Robot:
     """The robot one control step later, simulated by MJX.
 
     Args:
@@ -75,12 +171,12 @@ def drive_mjx(scenario: Scenario, state: State, action: Float[Array, "2"]) -> Ro
     return _drive(_physics, scenario, state, action)
 
 
-def drive_twin(scenario: Scenario, state: State, action: Float[Array, "2"]) -> Robot:
+def drive_twin(scenario: Scenario, state: State, action: Float[Array, "command"]) -> Robot:
     """The robot one control step later, simulated by the closed-form twin; otherwise as ``drive_mjx``."""
     return _drive(_twin, scenario, state, action)
 
 
-def drive_kinematic(scenario: Scenario, state: State, action: Float[Array, "2"]) -> Robot:
+def drive_kinematic(scenario: Scenario, state: State, action: Float[Array, "command"]) -> Robot:
     """The robot one control step later, which has the speeds of the command at once, as in SEAN 2.0.
 
     Its limits of speed, turn rate and acceleration hold. Obstacles and people in its way stop it. Wheels are not moved.
@@ -89,23 +185,31 @@ def drive_kinematic(scenario: Scenario, state: State, action: Float[Array, "2"])
     Source: SEAN 2.0, Control/VelocityController.cs; the limits are from its ROS controllers.
     """
     model, robot, step = scenario.robot, state.robot, scenario.time_step
+    law = LAWS[model.drive_type]
     command, age = active_command(model, robot.drive_state, action, step)
-    speed, turn_rate = limit_command(model, robot.speed, robot.turn_rate, (command[0], command[1]), step)
+    speeds = law.limit(model, law.speeds(model, robot), _parts(law, command), step)
+    speed, sideways, turn_rate = law.velocity(model, speeds)
     heading = _direction(robot.heading)
     steps, surroundings = physics_steps(model, step), _surroundings(scenario, state)
-    way = kinematic_move(steps, model, surroundings, robot.position, heading, speed, turn_rate)
-    still = jnp.zeros_like(robot.position)
-    drive_state = DriveState(still, still, way.sideways, command, age)
-    return Robot(way.position, _turned(heading, step * turn_rate), way.speed, turn_rate, drive_state)
+    way = kinematic_move(steps, model, surroundings, robot.position, heading, speed, turn_rate, sideways)
+    still = jnp.zeros_like(robot.drive_state.wheels)
+    steering = None if model.steering is None else speeds[1]
+    pushed, driven = (way.sideways, None) if sideways is None else (None, way.sideways)
+    drive_state = DriveState(still, still, pushed, command, age, steering)
+    return Robot(way.position, _turned(heading, step * turn_rate), way.speed, turn_rate, drive_state, driven)
 
 
 def active_command(
-    model: RobotModel, drive_state: DriveState, action: Float[Array, "2"], time_step: float
-) -> tuple[Float[Array, "2"], Int[Array, ""]]:
+    model: RobotModel, drive_state: DriveState, action: Float[Array, "command"], time_step: float
+) -> tuple[Float[Array, "command"], Int[Array, ""]]:
     """The command [m/s, rad/s] that acts now, and its age in control steps of ``time_step`` [s].
 
     It is the action if that is finite, else the last command, or after ``model.command_timeout`` a stop.
     """
+    size = command_size(model)
+    if jnp.shape(action) != (size,):
+        numbers = "speed and turn rate" if size == 2 else "speed, speed to the left and turn rate"
+        raise InputError(f"action: its shape is {jnp.shape(action)}; {model.name} takes ({size},), {numbers}.")
     finite = jnp.isfinite(action).all()
     age = jnp.where(finite, 0, drive_state.age + 1)
     limit = clock.to_ticks(model.command_timeout, time_step)
@@ -115,19 +219,19 @@ def active_command(
 
 def _drive(physics: Callable, scenario: Scenario, state: State, action: Array) -> Robot:
     model, robot = scenario.robot, state.robot
+    law = LAWS[model.drive_type]
     command, age = active_command(model, robot.drive_state, action, scenario.time_step)
-    speeds = limit_command(model, robot.speed, robot.turn_rate, (command[0], command[1]), scenario.time_step)
-    targets = _rolling(model, *speeds)
-    before = coordinates(model, robot)
+    speeds = law.limit(model, law.speeds(model, robot), _parts(law, command), scenario.time_step)
+    targets = law.targets(model, *speeds)
+    before = law.coordinates(model, robot)
     steps, surroundings = physics_steps(model, scenario.time_step), _surroundings(scenario, state)
-    position, velocity = physics(steps, model, surroundings, before, targets)
-    cosine, sine = _turned(_direction(robot.heading), position[2] - before[0][2])
-    # Whole turns of the wheels are removed, so that the angles stay exact in single precision.
-    wheels = position[3:] - 2.0 * jnp.pi * jnp.round(position[3:] / (2.0 * jnp.pi))
-    speed, sideways = rotate(velocity[0], velocity[1], cosine, -sine)
-    slip = velocity[3:] - _rolling(model, speed, velocity[2])
-    drive_state = DriveState(wheels, slip, sideways, command, age)
-    return Robot(position[:2], jnp.stack([cosine, sine]), speed, velocity[2], drive_state)
+    motion = physics(steps, model, surroundings, before, targets)
+    heading = _turned(_direction(robot.heading), motion[0][2] - before[0][2])
+    return law.odometry(model, motion, heading, command, age)
+
+
+def _parts(law: Law, command: Array) -> Speeds:
+    return tuple(command[index] for index in range(law.command_size))
 
 
 def _surroundings(scenario: Scenario, state: State) -> Surroundings:
@@ -166,7 +270,8 @@ def _simulate(
     substep: Callable, steps: int, model: RobotModel, surroundings: Surroundings, motion: Motion, targets: Array
 ) -> Motion:
     def one(motion: Motion, index: Array) -> tuple[Motion, None]:
-        return substep(model, surroundings, model.time_step * (steps - index), motion, targets), None
+        touch = functools.partial(touching, model, surroundings, model.time_step * (steps - index))
+        return substep(model, touch, motion, targets), None
 
     # Reverse mode would store a hundred numbers of each step in arrays of their own.
     one = jax.checkpoint(one, prevent_cse=False)
@@ -175,14 +280,14 @@ def _simulate(
 
 def _simulate_twin(steps: int, model: RobotModel, surroundings: Surroundings, motion: Motion, targets: Array) -> Motion:
     """The motion after that many steps of the twin. Reverse mode computes them again rather than store all of them."""
-    simulate = jax.checkpoint(functools.partial(_simulate, twin_substep, steps), prevent_cse=False)
+    simulate = jax.checkpoint(functools.partial(_simulate, LAWS[model.drive_type].twin, steps), prevent_cse=False)
     return simulate(model, surroundings, motion, targets)
 
 
 def _twin(steps: int, model: RobotModel, surroundings: Surroundings, motion: Motion, targets: Array) -> Motion:
     """``_simulate_twin``, on a GPU in one kernel; derivatives are XLA's."""
     loop = functools.partial(_simulate_twin, steps)
-    if not kernel.supports(model, surroundings, motion):
+    if model.drive_type != "differential" or not kernel.supports(model, surroundings, motion):
         return loop(model, surroundings, motion, targets)
     one = functools.partial(kernel.simulate, steps)
     return by_platform(loop, one)(replace(model, data=()), surroundings, motion, targets)
@@ -191,7 +296,7 @@ def _twin(steps: int, model: RobotModel, surroundings: Surroundings, motion: Mot
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
 def _physics(steps: int, model: RobotModel, surroundings: Surroundings, motion: Motion, targets: Array) -> Motion:
     """The motion after that many physics steps of MJX."""
-    return _simulate(mjx_substep, steps, model, surroundings, motion, targets)
+    return _simulate(LAWS[model.drive_type].mjx, steps, model, surroundings, motion, targets)
 
 
 @_physics.defjvp
@@ -254,3 +359,66 @@ def limit_command(
     ahead = jnp.clip(command[0], reach.speed_min, reach.speed_max)
     turn = jnp.clip(command[1], reach.turn_rate_min, reach.turn_rate_max)
     return clip_speeds(model, ahead, turn)
+
+
+def _limit(model: RobotModel, speeds: Speeds, command: Speeds, time_step: float) -> Speeds:
+    return limit_command(model, speeds[0], speeds[1], (command[0], command[1]), time_step)
+
+
+def _omni_limit(model: RobotModel, speeds: Speeds, command: Speeds, time_step: float) -> Speeds:
+    ahead, turn = limit_command(model, speeds[0], speeds[2], (command[0], command[2]), time_step)
+    assert model.lateral is not None
+    change, most = model.lateral.max_acceleration * time_step, model.lateral.max_speed
+    return ahead, jnp.clip(jnp.clip(command[1], speeds[1] - change, speeds[1] + change), -most, most), turn
+
+
+def _car_limit(model: RobotModel, speeds: Speeds, command: Speeds, time_step: float) -> Speeds:
+    """Limited speed and steering; the path has the curvature of the command also while the speed still changes."""
+    shape, (speed, angle) = ackermann.steering(model), speeds
+    wanted, rate = clip_speeds(model, *command)
+    aim = ackermann.steering_angle(model, wanted, rate, angle)
+    change = shape.max_rate * time_step
+    reach = reachable(model, speed, rate, time_step)
+    ahead = jnp.clip(jnp.clip(wanted, reach.speed_min, reach.speed_max), -max_reverse_speed(model), model.max_speed)
+    return ahead, jnp.clip(jnp.clip(aim, angle - change, angle + change), -shape.max_angle, shape.max_angle)
+
+
+LAWS = {
+    "differential": Law(
+        command_size=2,
+        speeds=lambda model, robot: (robot.speed, robot.turn_rate),
+        limit=_limit,
+        velocity=lambda model, speeds: (speeds[0], None, speeds[1]),
+        targets=_rolling,
+        coordinates=coordinates,
+        odometry=_odometry,
+        twin=twin_substep,
+        mjx=mjx_substep,
+        wheels=2,
+    ),
+    "omnidirectional": Law(
+        command_size=3,
+        speeds=lambda model, robot: (robot.speed, robot.sideways, robot.turn_rate),
+        limit=_omni_limit,
+        velocity=lambda model, speeds: speeds,
+        targets=lambda model, *speeds: jnp.stack(speeds),
+        coordinates=_omni_coordinates,
+        odometry=_omni_odometry,
+        twin=omnidirectional.twin_substep,
+        mjx=omnidirectional.mjx_substep,
+        wheels=0,
+    ),
+    "ackermann": Law(
+        command_size=2,
+        speeds=lambda model, robot: (robot.speed, robot.drive_state.steering),
+        limit=_car_limit,
+        velocity=_car_velocity,
+        targets=lambda model, speed, angle: jnp.stack([speed / model.wheel_radius, angle]),
+        coordinates=_car_coordinates,
+        odometry=_car_odometry,
+        twin=ackermann.twin_substep,
+        mjx=ackermann.mjx_substep,
+        wheels=1,
+    ),
+}
+"""Type of a drive -> its law."""

@@ -28,6 +28,8 @@ Motion = tuple[Float[Array, "5"], Float[Array, "5"]]
 """Generalised coordinates of a robot and their rates."""
 Five = tuple[Array, ...]
 """The five generalised coordinates, velocities or impulses as scalars."""
+Touch = Callable[..., tuple[Array, Array]]
+"""``touch(position, vx, vy)`` gives the velocity (x, y) [m/s] that contacts leave, as ``touching``."""
 OVERLAP = 1e-4  # m, maximum penetration of an obstacle by a robot; a step beyond it is not taken
 
 
@@ -61,24 +63,17 @@ class Surroundings:
 # --- tyres and contacts ---
 
 
-def impulse(
-    model: RobotModel,
-    surroundings: Surroundings,
-    time_left: Float[Array, ""],
-    motion: Motion,
-    velocity: Float[Array, "5"],
-) -> Float[Array, "5"]:
+def impulse(model: RobotModel, touch: Touch, motion: Motion, velocity: Float[Array, "5"]) -> Float[Array, "5"]:
     """Generalised impulse (5,) [N s, N m s] of the ground and of all contacts.
 
     The tyres act first, then people, then obstacles, so that no wall is ever passed.
 
     Args:
-        time_left: s, from the start of this physics step to the end of the control step.
         velocity: rates at the end of the physics step, if there were no impulse.
     """
     position, _ = motion
     tyres, vx, vy = tyre_impulse(model, tuple(position), tuple(velocity))
-    after = touching(model, surroundings, time_left, position, vx, vy)
+    after = touch(position, vx, vy)
     return jnp.stack(add_contacts(model, tyres, (vx, vy), after))
 
 
@@ -110,13 +105,13 @@ def _tyres(model: RobotModel | Body, cosine: Array, sine: Array, velocity: Five)
     determinant = own * own - other * other
     sideways = -0.5 * model.mass * across  # of each tyre: they share it
     limit = 0.5 * model.friction * model.mass * GRAVITY * model.time_step
-    left, left_side = _clip_length((other * slip_right - own * slip_left) / determinant, sideways, limit)
-    right, right_side = _clip_length((other * slip_left - own * slip_right) / determinant, sideways, limit)
+    left, left_side = clip_length((other * slip_right - own * slip_left) / determinant, sideways, limit)
+    right, right_side = clip_length((other * slip_left - own * slip_right) / determinant, sideways, limit)
     jx, jy = rotate(left + right, left_side + right_side, cosine, sine)
     return jx, jy, half * (right - left), -model.wheel_radius * left, -model.wheel_radius * right
 
 
-def _clip_length(x: Array, y: Array, limit: Array) -> tuple[Array, Array]:
+def clip_length(x: Array, y: Array, limit: Array) -> tuple[Array, Array]:
     """(x, y), shortened to the length ``limit`` if it is longer: the friction circle."""
     size = length(x, y)
     over = size > limit
@@ -210,30 +205,22 @@ def _same(function: Callable) -> Callable:
     return function
 
 
-def twin_substep(
-    model: RobotModel,
-    surroundings: Surroundings,
-    time_left: Float[Array, ""],
-    motion: Motion,
-    targets: Float[Array, "2"],
-) -> Motion:
+def twin_substep(model: RobotModel, touch: Touch, motion: Motion, targets: Float[Array, "2"]) -> Motion:
     """One physics step of the closed-form twin, by semi-implicit Euler.
 
     The equations of motion are the MJX robot's: a planar base whose centre of mass lies above the middle of the
     axle has a diagonal, constant mass matrix and no forces that depend on the velocity.
 
     Args:
-        time_left: s, from the start of this physics step to the end of the control step.
         targets: rad/s, the wheel speeds that the servos aim at.
     """
-    touch = functools.partial(touching, model, surroundings, time_left)
     position, velocity = twin_step(model, touch, tuple(motion[0]), tuple(motion[1]), (targets[0], targets[1]))
     return jnp.stack(position), jnp.stack(velocity)
 
 
 def twin_step(
     model: RobotModel | Body,
-    touch: Callable,
+    touch: Touch,
     position: Five,
     velocity: Five,
     targets: tuple[Array, Array],
@@ -242,7 +229,6 @@ def twin_step(
     """``twin_substep`` in scalars.
 
     Args:
-        touch: ``touch(position, vx, vy)`` gives the velocity that contacts leave, as ``touching``.
         form: makes the functions that are evaluated, such as ``kernels.scalars``.
     """
     free, tyres, vx, vy = form(_without_contacts)(model, position, velocity, targets)
@@ -305,25 +291,33 @@ def kinematic_move(
     heading: Float[Array, "2"],
     speed: Float[Array, ""],
     turn_rate: Float[Array, ""],
+    sideways: Float[Array, ""] | None = None,
 ) -> Way:
     """The result of a control step at constant speed [m/s] and turn rate [rad/s] from a position [m], without inertia.
+
+    ``sideways`` is the speed [m/s] to the left of a robot that is no differential drive.
 
     SEAN sets the velocity of the robot's body in each step of physics, and bodies in its way stop it. Here the way is
     the arc of these speeds in closed form, and contacts are the same as for other robots (``touching``).
     """
     turn = model.time_step * turn_rate  # rad in a step of physics
-    chord = speed * jnp.sinc(turn / (2.0 * jnp.pi))  # m/s, along the straight line between the ends of its arc
+    share = jnp.sinc(turn / (2.0 * jnp.pi))
+    chord = speed * share  # m/s, along the straight line between the ends of its arc
 
     def one(carry: tuple[Way, Array], index: Array) -> tuple[tuple[Way, Array], None]:
         (place, _, _), gap = carry
         angle = (index + 0.5) * turn
         cosine, sine = rotate(heading[0], heading[1], jnp.cos(angle), jnp.sin(angle))
         vx, vy = chord * cosine, chord * sine
+        if sideways is not None:
+            vx, vy = rotate(chord, sideways * share, cosine, sine)
         ux, uy = touching(model, surroundings, model.time_step * (steps - index), place, vx, vy)
         there = place + model.time_step * jnp.stack([ux, uy])
         left = _gap(model, surroundings, there)
         free = left >= jnp.minimum(gap, -OVERLAP)
         along, across = rotate(ux - vx, uy - vy, cosine, -sine)
+        if sideways is not None:
+            across = sideways + across
         along, across = jnp.where(free, speed + along, 0.0), jnp.where(free, across, 0.0)
         return (Way(jnp.where(free, there, place), along, across), jnp.where(free, left, gap)), None
 
@@ -351,43 +345,54 @@ def mjx() -> ModuleType:
     return module
 
 
-def mjx_data(model: Any, mass: Float[Array, "5"]) -> tuple:
+def mjx_data(model: Any, mass: Float[Array, "dof"]) -> tuple:
     """``RobotModel.data`` of the MJX robot of a ``mujoco.MjModel``."""
     return mjx().put_model(model, impl="jax"), mass
 
 
-def mjx_substep(
-    model: RobotModel,
-    surroundings: Surroundings,
-    time_left: Float[Array, ""],
-    motion: Motion,
-    targets: Float[Array, "2"],
-) -> Motion:
+def mjx_substep(model: RobotModel, touch: Touch, motion: Motion, targets: Float[Array, "2"]) -> Motion:
     """One physics step by MJX; arguments as of ``twin_substep``."""
+    ground = functools.partial(impulse, model, touch, motion)
+    return mjx_advance(model, diagonal(model), (model.servo_gain, model.servo_torque), motion, targets, ground)
+
+
+def mjx_advance(
+    model: RobotModel,
+    diagonal: Float[Array, "dof"],
+    servo: tuple[Array, Array],
+    motion: tuple[Float[Array, "dof"], Float[Array, "dof"]],
+    targets: Float[Array, "targets"],
+    ground: Callable,
+) -> tuple[Float[Array, "dof"], Float[Array, "dof"]]:
+    """One physics step by MJX.
+
+    Args:
+        diagonal: kg, kg m2, of the mass matrix.
+        servo: gain and maximum force of the actuators: one for all, or one for each.
+        ground: ``ground(velocity)`` gives the generalised impulse of ground and contacts.
+    """
     # MJX mixes ranks and dtypes on purpose; a caller may have forbidden that for its own code.
     with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
-        physics = _parametrized(model)
+        physics = _parametrized(model, diagonal, *servo)
         data = mjx().make_data(physics, impl="jax").replace(qpos=motion[0], qvel=motion[1], ctrl=targets)
         for stage in ("kinematics", "com_pos", "crb", "transmission", "fwd_velocity", "fwd_actuation"):
             data = getattr(mjx(), stage)(physics, data)
         mass = jnp.diagonal(mjx().full_m(physics, data))
         free = (data.qfrc_actuator + data.qfrc_passive - data.qfrc_bias) / mass
-        ground = impulse(model, surroundings, time_left, motion, data.qvel + model.time_step * free)
-        data = data.replace(qacc=free + ground / (model.time_step * mass))
+        data = data.replace(qacc=free + ground(data.qvel + model.time_step * free) / (model.time_step * mass))
         data = mjx().euler(physics, data)
         return data.qpos, data.qvel
 
 
-def _parametrized(model: RobotModel) -> Any:
+def _parametrized(model: RobotModel, diagonal: Array, gain: Array, torque: Array) -> Any:
     """The MJX model with the parameters of the robot model, which may differ from its file.
 
     An armature is an inertia added to one joint. It changes the mass matrix without changing the geometry.
     """
     physics, mass = model.data
-    gain, torque = model.servo_gain, model.servo_torque
     return physics.replace(
-        dof_armature=physics.dof_armature + (diagonal(model) - mass),
+        dof_armature=physics.dof_armature + (diagonal - mass),
         actuator_gainprm=physics.actuator_gainprm.at[:, 0].set(gain),
         actuator_biasprm=physics.actuator_biasprm.at[:, 2].set(-gain),
-        actuator_forcerange=jnp.broadcast_to(jnp.stack([-torque, torque]), physics.actuator_forcerange.shape),
+        actuator_forcerange=jnp.broadcast_to(jnp.stack([-torque, torque], -1), physics.actuator_forcerange.shape),
     )

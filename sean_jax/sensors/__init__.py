@@ -1,6 +1,18 @@
-"""Sensors (section IV-F): depth, color from three views, and a lidar, on every robot, all from the same rays."""
+"""Sensors (section IV-F): depth, color from three views, and lidars, on every robot, all from the same rays."""
 
-from sean_jax.sensors.cameras import Camera, Lidar, camera, depth, focal_length, lidar, pixels_of_people, scan
+from sean_jax.sensors.cameras import (
+    VLP16,
+    Camera,
+    Lidar,
+    camera,
+    depth,
+    focal_length,
+    lidar,
+    pixels_of_people,
+    point_cloud,
+    points,
+    scan,
+)
 from sean_jax.sensors.pictures import CLASSES, Picture, render
 from sean_jax.sensors.readings import (
     SENSORS,
@@ -29,6 +41,7 @@ __all__ = [
     "CAMERAS",
     "CLASSES",
     "SENSORS",
+    "VLP16",
     "Camera",
     "Delay",
     "DistanceErrors",
@@ -51,6 +64,8 @@ __all__ = [
     "lidar_sensor",
     "noise",
     "pixels_of_people",
+    "point_cloud",
+    "points",
     "push",
     "render",
     "scan",

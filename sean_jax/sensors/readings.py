@@ -6,6 +6,7 @@ drop-outs, delays and rates are functions of images and scans of any shape.
 """
 
 import dataclasses
+import itertools
 import math
 import zlib
 from collections.abc import Callable, Iterable
@@ -23,7 +24,7 @@ from sean_jax import calls, clock, files
 from sean_jax.base import Array, RobotModel, Scenario, Sensor, State
 from sean_jax.devices import to_device
 from sean_jax.errors import InputError
-from sean_jax.sensors.cameras import Camera, Lidar, camera, depth, lidar, scan
+from sean_jax.sensors.cameras import VLP16, VLP16_DEVIATION, Camera, Lidar, camera, depth, lidar, scan
 from sean_jax.sensors.pictures import render
 
 SensorLike = Sensor | str | Path
@@ -31,6 +32,7 @@ SensorLike = Sensor | str | Path
 
 MAX_PIXELS = 8192  # of a side
 MAX_RAYS = 100_000
+MAX_RINGS = 256
 
 
 @struct.dataclass
@@ -81,7 +83,7 @@ def depth_sensor(device: Camera, errors: DistanceErrors | None = None, name: str
 
 
 def lidar_sensor(device: Lidar, errors: DistanceErrors | None = None, name: str = "lidar") -> Sensor:
-    """A lidar, whose reading is (rays,) m, with the scenario's errors if it has none."""
+    """A lidar, whose reading is that of ``scan``, with the scenario's errors if it has none."""
     return Sensor(() if errors is None else errors, name, _Distances(device, scan))
 
 
@@ -115,12 +117,18 @@ def _lidar(robot: RobotModel) -> Sensor:
     return lidar_sensor(lidar(robot))
 
 
+def _vlp16(robot: RobotModel) -> Sensor:
+    """A Velodyne VLP-16, with its noise, in place of the robot's lidar."""
+    return lidar_sensor(lidar(robot, **VLP16), distance_errors(VLP16_DEVIATION, growth=0.0), "vlp16")
+
+
 SENSORS: dict[str, Callable[[RobotModel], Sensor]] = {
     "depth": _depth,
     "first_person": _first_person,
     "third_person": _third_person,
     "overhead": _overhead,
     "lidar": _lidar,
+    "vlp16": _vlp16,
 }
 
 
@@ -169,11 +177,14 @@ class Settings(pydantic.BaseModel):
     count: Annotated[int, pydantic.Field(ge=1, le=MAX_RAYS)] = 360  # rays
     first: Annotated[float, pydantic.Field(ge=-360, le=360)] = 0.0  # degrees
     span: Annotated[float, pydantic.Field(gt=0, le=360)] = 360.0  # degrees
+    elevations: Annotated[
+        list[Annotated[float, pydantic.Field(gt=-90, lt=90)]], pydantic.Field(max_length=MAX_RINGS)
+    ] = []  # degrees
     errors: Errors | None = None
 
 
 CAMERA_KEYS = ("mount", "width", "height", "fovy", "orthographic")
-LIDAR_KEYS = ("count", "first", "span")
+LIDAR_KEYS = ("count", "first", "span", "elevations")
 MOUNTS = {"depth": "depth", "color": "first_person"}
 
 
@@ -225,6 +236,10 @@ def _problems(settings: Settings) -> list[files.Problem]:
     problems: list[files.Problem] = [
         ((key,), f"is no key of the kind '{settings.kind}'; remove it") for key in foreign if key in keys
     ]
+    if any(below >= above for below, above in itertools.pairwise(settings.elevations)):
+        problems.append((("elevations",), "do not ascend; begin with the lowest ring"))
+    if settings.count * len(settings.elevations) > MAX_RAYS:
+        problems.append((("elevations",), f"and count give more than {MAX_RAYS:,} rays; give fewer"))
     if settings.kind == "color" and settings.errors is not None:
         problems.append((("errors",), "are errors of distances, which the kind 'color' does not measure; remove them"))
     return problems
@@ -236,6 +251,7 @@ def _from_settings(settings: Settings, robot: RobotModel) -> Sensor:
     fields: dict[str, Any] = settings.model_dump(exclude=others, exclude_unset=True, exclude_none=True)
     if settings.kind == "lidar":
         fields |= {key: math.radians(fields[key]) for key in ("first", "span") if key in fields}
+        fields["elevations"] = [math.radians(angle) for angle in settings.elevations]
         return lidar_sensor(lidar(robot, **fields), errors, settings.name or "lidar")
     device = camera(robot, settings.mount or MOUNTS[settings.kind], **fields)
     if settings.kind == "depth":

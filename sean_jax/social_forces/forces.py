@@ -194,7 +194,7 @@ class Pair(NamedTuple):
 
 
 class Crowd(NamedTuple):
-    """All people at one moment, and their surroundings."""
+    """All people at one moment, and their surroundings; of several robots a term gets one at a time."""
 
     forces: "Forces"  # all terms, with their parameters
     people: Pedestrians
@@ -203,7 +203,7 @@ class Crowd(NamedTuple):
     obstacle_grid: ObstacleGrid | None
     groups: Groups | None
     robot: Robot | None
-    robot_radius: Float[Array, ""] | float  # m
+    robot_radius: Float[Array, "*M"] | float  # m
     companions: Int[Array, "N 2"] | None  # indices of each person's companions, -1 none
 
 
@@ -354,6 +354,14 @@ def sum_pair_terms(terms: tuple[PairTerm, ...], pair: Pair) -> Force:
         gx, gy = force_of(term.pair, "pair", pair)
         fx, fy = fx + gx, fy + gy
     return fx, fy
+
+
+def over_robots(crowd: Crowd, law: Callable[[Crowd], Any]) -> Any:
+    """``law(crowd)``; of several robots (M, ...) with radii (M,), the sum of the law with each."""
+    if crowd.robot is None or crowd.robot.position.ndim == 1:
+        return law(crowd)
+    each = jax.vmap(lambda robot, radius: law(crowd._replace(robot=robot, robot_radius=radius)))
+    return jax.tree.map(lambda leaf: leaf.sum(0), each(crowd.robot, crowd.robot_radius))
 
 
 def gather(terms: tuple[GatherTerm, ...], pair: Pair) -> tuple[tuple[Array, ...], ...]:

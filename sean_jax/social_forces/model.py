@@ -21,11 +21,12 @@ from sean_jax.social_forces.forces import (
     gather,
     is_standing,
     look_direction,
+    over_robots,
     sum_pair_terms,
     turn,
 )
 from sean_jax.social_forces.neighbors import ABSENT, MIN_PEOPLE, Neighbors, find, sum_pairs
-from sean_jax.social_forces.reactions import Reactions
+from sean_jax.social_forces.reactions import Reactions, nearest_robot
 from sean_jax.social_forces.terms import Cohesion, Evasion, Noise, Repulsion, RobotRepulsion
 from sean_jax.social_forces.walls import Contact, project_velocity
 
@@ -80,7 +81,8 @@ def move(scenario: Scenario, state: State) -> Pedestrians:
         people = replace(people, noise=noise.advance(people.noise, key, scenario.time_step))
     reactions = scenario.forces.get(Reactions)
     if reactions is not None and state.robot is not None:
-        people = reactions.attend(people, state.robot, scenario.environment.obstacles, scenario.time_step)
+        robot = nearest_robot(people, state.robot)
+        people = reactions.attend(people, robot, scenario.environment.obstacles, scenario.time_step)
     grid, radius, companions = scenario.environment.obstacle_grid, scenario.robot.radius, scenario.behavior.companions
     near = neighbors(scenario.forces, state.pedestrians, scenario.time_step)
     numbers, forces = ravel_pytree(scenario.forces)  # reverse mode adds up one array, not one for each number
@@ -101,7 +103,7 @@ def integrate(
     groups: Groups | None,
     robot: Robot | None,
     time_step: Float[Array, ""] | float,
-    robot_radius: Float[Array, ""] | float = 0.0,
+    robot_radius: Float[Array, "*M"] | float = 0.0,
     companions: Int[Array, "N 2"] | None = None,
     near: Neighbors | None = None,
 ) -> Pedestrians:
@@ -109,8 +111,9 @@ def integrate(
 
     Args:
         groups: people avoid their o-spaces.
+        robot: or several, (M, ...), of a team: each acts on people as one alone.
         time_step: s.
-        robot_radius: m.
+        robot_radius: m, or (M,).
         companions: indices of each person's companions, -1 none; None if nobody has any.
         near: the result of ``neighbors`` for some steps; None: computed for this step.
     """
@@ -118,8 +121,9 @@ def integrate(
     walking, contact, reactions = forces.walking, forces.get(Contact), forces.get(Reactions)
     gaze, usual = None, people.desired_velocity
     if reactions is not None and robot is not None:
-        people = replace(people, desired_velocity=reactions.desire(people, robot))
-        gaze = reactions.gaze(people, robot)
+        nearest = nearest_robot(people, robot)
+        people = replace(people, desired_velocity=reactions.desire(people, nearest))
+        gaze = reactions.gaze(people, nearest)
     px, py = people.position[:, 0], people.position[:, 1]
     vx, vy = people.velocity[:, 0], people.velocity[:, 1]
     crowd = Crowd(forces, people, *look_direction(people), obstacle_grid, groups, robot, robot_radius, companions)
@@ -234,7 +238,7 @@ def pair_forces(crowd: Crowd, near: Neighbors | None = None) -> tuple[Force | No
     shared = apart, contact, forces.gather_terms, forces.walking, reach
     force, gathered = checkpoint_name(sum_pairs(law, near, reach, shared, own, other), SUMS)
     robot = forces.get(RobotRepulsion)
-    by_robot = None if robot is None or not gathered else robot.gathered(crowd)
+    by_robot = None if robot is None or not gathered else over_robots(crowd, robot.gathered)
     if by_robot is not None:
         gathered = jax.tree.map(jnp.add, gathered, by_robot)
     acts = [
@@ -245,7 +249,16 @@ def pair_forces(crowd: Crowd, near: Neighbors | None = None) -> tuple[Force | No
 
 
 def _person_force(term: PersonTerm, crowd: Crowd) -> Force | None:
-    return force_of(term.person, "crowd", crowd, optional=True)
+    def law(crowd: Crowd) -> Force | None:
+        return force_of(term.person, "crowd", crowd, optional=True)
+
+    if crowd.robot is None or crowd.robot.position.ndim == 1:
+        return law(crowd)
+    without = law(crowd._replace(robot=None, robot_radius=0.0))
+    if without is None:
+        return over_robots(crowd, law)
+    more = over_robots(crowd, lambda one: jax.tree.map(jnp.subtract, law(one), without))
+    return jax.tree.map(jnp.add, without, more)
 
 
 def _add_up(parts: Iterable[Force | None]) -> Force | None:

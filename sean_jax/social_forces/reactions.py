@@ -185,11 +185,21 @@ def _to_robot(people: Pedestrians, robot: Robot) -> tuple[Float[Array, "N"], Flo
     return robot.position[0] - people.position[:, 0], robot.position[1] - people.position[:, 1]
 
 
+def nearest_robot(people: Pedestrians, robot: Robot) -> Robot:
+    """The robot; of several (M, ...) the nearest to each person, with people as the last axis (2, N)."""
+    if robot.position.ndim == 1:
+        return robot
+    dx, dy = (robot.position[:, axis, None] - people.position[None, :, axis] for axis in (0, 1))
+    index = jax.lax.stop_gradient(dx * dx + dy * dy).argmin(0)
+    return jax.tree.map(lambda leaf: jnp.moveaxis(leaf[index], 0, -1), robot)
+
+
 def _hidden(people: Pedestrians, robot: Robot, obstacles: Obstacles) -> Bool[Array, "N"]:
     """Whether an obstacle, other than an edge of the floor, is on the line from each person to the robot."""
     x, y = people.position[:, 0], people.position[:, 1]
     each = jax.vmap(crosses_box, in_axes=(None, None, None, None, 0, None))
-    hits = jax.vmap(each, in_axes=(0, 0, None, None, None, None))(
+    each_robot = None if robot.position.ndim == 1 else 0
+    hits = jax.vmap(each, in_axes=(0, 0, each_robot, each_robot, None, None))(
         x, y, robot.position[0], robot.position[1], obstacles, 0.0
     )
     return (hits & (obstacles.height > 0.0)[None]).any(1)

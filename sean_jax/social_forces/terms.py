@@ -17,7 +17,7 @@ from flax import struct
 from jaxtyping import Bool, Float, Int
 
 from sean_jax.base import Array, Pedestrians
-from sean_jax.geometry import angle_between, length, sum_vectors, unit
+from sean_jax.geometry import angle_between, ground_velocity, length, sum_vectors, unit
 from sean_jax.social_forces.forces import (
     MAX_EXPONENT,
     TINY,
@@ -562,7 +562,10 @@ class RobotRepulsion:
         if robot is None:
             return None
         wx, wy = robot.speed * robot.heading[0], robot.speed * robot.heading[1]
-        faster = jnp.abs(robot.speed) - self.moving_speed
+        if robot.sideways is not None:
+            wx, wy = ground_velocity(robot)
+        pace = jnp.abs(robot.speed) if robot.sideways is None else length(wx, wy)
+        faster = pace - self.moving_speed
         smooth = self.ramp > 0.0
         ramped = jnp.clip(0.5 + faster / jnp.where(smooth, self.ramp, 1.0), 0.0, 1.0)
         moving = jnp.where(smooth, ramped, (faster > 0.0).astype(float))

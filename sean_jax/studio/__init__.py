@@ -12,7 +12,7 @@ from sean_jax.config import StudioConfig
 from sean_jax.errors import InputError
 from sean_jax.studio import trial
 from sean_jax.studio.server import Studio
-from sean_jax.studio.web import HOST
+from sean_jax.web import HOST
 
 if TYPE_CHECKING:
     from rich.console import Console

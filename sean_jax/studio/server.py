@@ -24,13 +24,12 @@ from websockets.asyncio.server import ServerConnection
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
-from sean_jax import behaviors, environment, flags, policies, replay, robots, tasks
+from sean_jax import behaviors, environment, flags, policies, replay, robots, tasks, web
 from sean_jax.config import StudioConfig, validate
 from sean_jax.errors import InputError
 from sean_jax.learning.policy import AGENTS
-from sean_jax.studio import web
 from sean_jax.studio.session import SPEED_RANGE, Choice, Frame, Session, episode
-from sean_jax.studio.web import HOST, SOCKET
+from sean_jax.web import HOST, SOCKET
 
 LONGEST = 4096  # bytes of a message from a page
 CONNECTIONS = 32

@@ -28,7 +28,7 @@ from sean_jax.config import StudioConfig
 from sean_jax.errors import InputError
 from sean_jax.learning import load_policy
 from sean_jax.learning.collection import begin_episode
-from sean_jax.robots.drive import max_reverse_speed
+from sean_jax.robots.drive import command_size, max_reverse_speed
 from sean_jax.studio.editor import Editor, same_shapes
 from sean_jax.studio.trial import Trial
 
@@ -132,7 +132,7 @@ class Session:
         self._lock = threading.RLock()
         self._wake = threading.Condition(self._lock)
         self._closed, self._single = False, 0
-        self._latest = np.zeros(2), -np.inf  # the person's latest command, and its time
+        self._latest = np.zeros(command_size(self.scenario.robot)), -np.inf  # the person's latest command, and its time
         self._step = _step
         self._compile(self.scenario)
         self.restart(0)
@@ -151,7 +151,7 @@ class Session:
             keep = 1 + round(MEMORY / self.scenario.time_step)
             self.moments: collections.deque[Moment] = collections.deque([first], maxlen=keep)
             self._way = _way(self.scenario.navigation, state.task.goal)
-            self._append(_frame(state, state, jnp.zeros(2, float)))
+            self._append(_frame(state, state, jnp.zeros(command_size(self.scenario.robot), float)))
             self.send("cut", 0)
             self.send("frames", (0, self.frames[:]))
             self._send_status()
@@ -184,14 +184,19 @@ class Session:
                 memory = _memory(self.scenario, self.policy, state)
                 self.moments[-1] = Moment(state, memory)
             self.human = on
-            self._latest = np.zeros(2), -np.inf
+            self._latest = np.zeros(command_size(self.scenario.robot)), -np.inf
             self._send_status()
 
     def command(self, ahead: float, left: float) -> None:
         """The person's command, from -1 to 1 of the robot's limits each; it holds for ``DEAD_MAN``."""
         forward, backward, turn = self.limits
-        speed = ahead * (forward if ahead >= 0.0 else backward)
-        self._latest = np.array([speed, left * turn]), time.monotonic()  # at once: a step may hold the lock
+        speed, steering = ahead * (forward if ahead >= 0.0 else backward), self.scenario.robot.steering
+        if steering is not None:
+            turn = speed * float(np.tan(left * steering.max_angle) / steering.wheelbase)
+        else:
+            turn = left * turn
+        sides = np.zeros(command_size(self.scenario.robot) - 2)  # nobody drives sideways by two keys
+        self._latest = np.array([speed, *sides, turn]), time.monotonic()  # at once: a step may hold the lock
 
     def rewind(self, tick: int) -> int:
         """Return to the moment after ``tick`` steps, or to the earliest in memory, and forget all later moments."""
@@ -382,7 +387,7 @@ class Session:
     def _steps(self, scenario: Scenario, policy: Policy, key: Array) -> Iterator[tuple[State, State, Array]]:
         """States before and after each step of a policy's episode, and the action; first of all its first state."""
         state, _ = _begin(scenario, key)
-        memory, action = _memory(scenario, policy, state), jnp.zeros(2, float)
+        memory, action = _memory(scenario, policy, state), jnp.zeros(command_size(self.scenario.robot), float)
         yield state, state, action
         while not (bool(state.completed) or bool(state.timed_out)):
             before = state
@@ -429,7 +434,9 @@ class Session:
                     continue
                 self._single -= bool(self._single)
                 command, received = self._latest
-                command = command if time.monotonic() - received < DEAD_MAN else np.zeros(2)
+                command = (
+                    command if time.monotonic() - received < DEAD_MAN else np.zeros(command_size(self.scenario.robot))
+                )
                 try:
                     self._advance(command if self.human else None)
                 except Exception as error:  # of a user's own part: the page says so, and another episode may begin

@@ -6,10 +6,9 @@ import asyncio
 import os
 from typing import TYPE_CHECKING
 
-from sean_jax import components, files, pages, writing
+from sean_jax import components, files, pages, web, writing
 from sean_jax.config import StudioConfig
 from sean_jax.errors import InputError
-from sean_jax.studio import web
 from sean_jax.survey import study
 from sean_jax.survey.answers import Answers
 from sean_jax.survey.server import Survey

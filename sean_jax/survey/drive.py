@@ -12,10 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from sean_jax import replay
+from sean_jax import replay, web
 from sean_jax.base import Scenario
 from sean_jax.config import StudioConfig
-from sean_jax.studio import web
 from sean_jax.studio.session import Frame, Session, episode
 from sean_jax.survey.answers import BROKEN_OFF, Answers
 

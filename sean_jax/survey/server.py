@@ -25,8 +25,8 @@ from websockets.asyncio.server import ServerConnection
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
+from sean_jax import web
 from sean_jax.errors import InputError
-from sean_jax.studio import web
 from sean_jax.studio.session import Session
 from sean_jax.survey import export
 from sean_jax.survey.answers import Answers

@@ -85,7 +85,13 @@ export function drawPlan(
   if (shown.trails) drawTrails();
   if (robot) drawPath();
   drawPeople();
-  if (robot) drawRobot(robot.radius);
+  if (robot) {
+    const [xs, ys, angles] = ["other x", "other y", "other heading"].map((name) => episode.of(name));
+    xs.forEach((x, k) => {
+      drawRobot(robot.others?.[k] ?? robot.radius, episode.at(x, time), episode.at(ys[k], time), episode.angleAt(angles[k], time));
+    });
+    drawRobot(robot.radius, rx, ry, heading);
+  }
   shown.over?.(paint, camera, palette);
   drawScale();
 
@@ -204,12 +210,19 @@ export function drawPlan(
     const [xs, ys] = [episode.of("robot x")[0], episode.of("robot y")[0]];
     disc(xs[0], ys[0], Math.max(5, 0.3 * metre));
     line(2, palette.robot);
-    const [gx, gy] = ["goal x", "goal y"].map((name) => episode.of(name)[0][frame]);
-    disc(gx, gy, Math.max(8, 0.5 * metre));
-    line(2, palette.robot);
-    disc(gx, gy, Math.max(3, 0.16 * metre));
-    paint.fillStyle = palette.robot;
-    paint.fill();
+    const goals = ["", "other "].flatMap((whose) => {
+      const [x, y] = ["x", "y"].map((axis) => episode.of(`${whose}goal ${axis}`));
+      return x.map((column, k) => [column[frame], y[k][frame]]);
+    });
+    goals.forEach(([gx, gy], k) => {
+      disc(gx, gy, Math.max(8, 0.5 * metre));
+      paint.setLineDash(k ? [4, 3] : []); // of the other robots of a team
+      line(2, palette.robot);
+      paint.setLineDash([]);
+      disc(gx, gy, Math.max(3, 0.16 * metre));
+      paint.fillStyle = palette.robot;
+      paint.fill();
+    });
     const plan = episode.of("plan x").map((column, k) => [column[frame], episode.of("plan y")[k][frame]]);
     if (plan.length) {
       outline([rx, ry, ...plan.flat()]);
@@ -298,18 +311,18 @@ export function drawPlan(
     line(2, palette.ink);
   }
 
-  function drawRobot(body: number): void {
-    disc(rx, ry, Math.max(15, 1.8 * body * metre)); // a halo, so that it is found at its true size
+  function drawRobot(body: number, x: number, y: number, heading: number): void {
+    disc(x, y, Math.max(15, 1.8 * body * metre)); // a halo, so that it is found at its true size
     paint.globalAlpha = 0.25;
     paint.fillStyle = palette.robot;
     paint.fill();
     paint.globalAlpha = 1;
     const radius = Math.max(4, body * metre);
-    disc(rx, ry, radius);
+    disc(x, y, radius);
     paint.fillStyle = palette.robot;
     paint.fill();
     line(1.5, palette["robot-edge"]);
-    const [px, py] = camera.toScreen(rx, ry);
+    const [px, py] = camera.toScreen(x, y);
     paint.beginPath();
     paint.moveTo(px, py);
     paint.lineTo(px + 1.7 * radius * Math.cos(heading), py - 1.7 * radius * Math.sin(heading));

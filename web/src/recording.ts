@@ -47,7 +47,7 @@ export interface Recording {
   title: string;
   place: Place;
   graph: Graph | null;
-  robot: { name: string; radius: number; views: View[] } | null; // null: people alone
+  robot: { name: string; radius: number; views: View[]; others?: number[] } | null; // null: people alone; others: m, radii
   person: { radius: number };
   situations: { name: string; color: string }[];
   curves: Curve[];

@@ -68,14 +68,14 @@ def workers() -> int:
     return max(1, min(MAX_PARTS, cores, int(memory // BYTES)))
 
 
-def run_parts(parts: Sequence[Part], console: Console | None, title: str) -> dict[str, Any]:
-    """Run parts, several at once, under one progress bar; name -> result.
+def run_parts(parts: Sequence[Part], console: Console | None, title: str, at_once: int | None = None) -> dict[str, Any]:
+    """Run parts, several at once, under one progress bar; name -> result. ``at_once`` is the number of threads.
 
     After the first failure, or Ctrl-C, each other part stops when it next reports progress; then the failure is raised.
     Files that parts have written stay. The order of the list is one in which parts could run one by one.
     """
     shares, stop, lock = dict[str, float](), threading.Event(), threading.Lock()
-    at_once = min(workers(), len(parts))
+    at_once = min(workers(), len(parts)) if at_once is None else at_once
     with progress(console) as bar:
         bar.start(title, len(parts))
 

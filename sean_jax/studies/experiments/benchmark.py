@@ -8,6 +8,7 @@ constants of the social forces: if it differs, results are not comparable, and n
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import functools
 import hashlib
@@ -20,12 +21,14 @@ import jax
 import numpy as np
 
 from sean_jax import assembly, components, environment, files, robots, writing
-from sean_jax.config import BenchmarkConfig, CollectConfig, Config, Number, OwnPart, RunConfig, Text, validate
+from sean_jax.base import Scenario
+from sean_jax.config import BenchmarkConfig, CollectConfig, Config, Number, OwnPart, RunConfig, Text, outside, validate
 from sean_jax.errors import FileError, IncompleteError, InputError
+from sean_jax.evaluation import Driver
 from sean_jax.learning.policy import AGENTS, check_policy, load_policy
 from sean_jax.metrics import METRICS, Estimate
 from sean_jax.policies import POLICIES
-from sean_jax.runner import Runner, even_batch
+from sean_jax.runner import Callbacks, Runner, even_batch
 from sean_jax.social_forces import preset
 from sean_jax.studies.experiments import Part, page, run_parts, shares
 from sean_jax.studies.experiments.measures import COUNTED, MEASURED, Arrays, Scores, scores, scores_by_track
@@ -99,8 +102,13 @@ class Result(Config):
     checksum: Text
 
 
-def run(options: BenchmarkConfig, console: Console | None = None) -> Path:
+def run(
+    options: BenchmarkConfig, console: Console | None = None, connect: Callable[[Scenario], Driver] | None = None
+) -> Path:
     """Drive the tracks that the folder lacks, and write the result and the report.
+
+    Args:
+        connect: as of ``evaluation.run``; then one episode runs at a time.
 
     Raises:
         InputError: there is no such policy, the folder holds something else, there are more episodes than the protocol
@@ -116,27 +124,39 @@ def run(options: BenchmarkConfig, console: Console | None = None) -> Path:
     if (options.episodes or 0) > EPISODES:
         text = f"{options.episodes} are more than the {EPISODES} of a track of protocol {VERSION}"
         raise InputError(f"--episodes: {text}; ask for fewer.")
-    for track in TRACKS:
+    for track in TRACKS if connect is None else ():
         check_policy(options.policy, description(track))
     with Workspace(options.folder, identity(options)).open() as work:
         parts = work.identity["parts"] | {options.policy: policy_digest(options.policy)}  # a training may have gone on
         work = dataclasses.replace(work, identity=work.identity | {"parts": parts})
         work.begin()
-        jobs = [Part(track, functools.partial(_drive, work, options, track)) for track in TRACKS]
-        measured: dict[str, Arrays] = run_parts(jobs, console, "benchmark")
+        jobs = [Part(track, functools.partial(_drive, work, options, track, connect)) for track in TRACKS]
+        measured: dict[str, Arrays] = run_parts(jobs, console, "benchmark", None if connect is None else 1)
         write(options, {track: measured[track] for track in TRACKS})
     return options.folder
 
 
-def _drive(work: Workspace, options: BenchmarkConfig, track: str, tell: Callable[[float], None]) -> Arrays:
+def _drive(
+    work: Workspace,
+    options: BenchmarkConfig,
+    track: str,
+    connect: Callable[[Scenario], Driver] | None,
+    tell: Callable[[float], None],
+) -> Arrays:
     """The columns of a track, from its file or simulated."""
     if (work.folder / f"{track}.npz").is_file():
         return read_track(work.folder, track, options.episodes or 1)
     scenario = assembly.build(description(track))[0]
     scenario = dataclasses.replace(scenario, metrics=tuple((name, METRICS[name]) for name in MEASURED))
     number = options.episodes or 1
-    runner = Runner(scenario, load_policy(options.policy, scenario), even_batch(number), "benchmark")
-    measured = runner.measure(SEED, 0, number, tell)
+    if connect is None:
+        runner = Runner(scenario, load_policy(options.policy, scenario), even_batch(number), "benchmark")
+        measured = runner.measure(SEED, 0, number, tell)
+    else:
+        with contextlib.closing(connect(scenario)) as driver:
+            runner = Runner(scenario, driver.policy, 1, "benchmark", chunk=scenario.time_step)
+            runner.compile(Callbacks())  # before the controller gets a state
+            measured = runner.measure(SEED, 0, number, tell, functools.partial(driver, scenario))
     ended = {name: measured.pop(name) for name in ("completed", "seconds")}
     columns = ended | {name: values.astype(np.float32) for name, values in measured.items()}
     if wrong := [name for name, values in columns.items() if not np.isfinite(values).all()]:
@@ -240,6 +260,8 @@ def policy_digest(policy: str) -> str:
     own file and the name in it.
     """
     described = validate(RunConfig, {"policy": policy}).policy
+    if outside(described):  # nothing is known but the name
+        return _digest("outside", described.kind)
     if isinstance(described, OwnPart):
         return _digest(components.content(described.file).digest, described.name)
     scenario = assembly.build(description(next(iter(TRACKS))))[0]

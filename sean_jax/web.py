@@ -42,17 +42,19 @@ async def listen(
     answer: Callable[[ServerConnection, Request], Response | None | Awaitable[Response | None]],
     port: int,
     longest: int,
+    host: str = HOST,
 ) -> AsyncIterator[int]:
     """Serve a port of this computer within the block, which gets its number; 0 is a free one.
 
     Args:
         longest: bytes of a message from a page.
+        host: address of this computer; by default other computers cannot connect.
 
     Raises:
         OSError: the port is taken.
     """
     async with serve(
-        serve_tab, HOST, port, process_request=answer, max_size=longest, open_timeout=PATIENCE,
+        serve_tab, host, port, process_request=answer, max_size=longest, open_timeout=PATIENCE,
         ping_interval=PATIENCE, ping_timeout=2 * PATIENCE, close_timeout=1.0, compression=None, server_header=None,
     ) as server:  # fmt: skip
         yield server.sockets[0].getsockname()[1]

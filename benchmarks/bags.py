@@ -1,0 +1,90 @@
+"""Bags of ROS messages: messages per second from arrays to a file, and megabytes per minute of an episode.
+
+    python benchmarks/bags.py --out benchmarks/results/bags.json
+
+The steps are simulated first and are not in the time. One process, one core. The share of the markers is the
+time that a bag without them saves.
+"""
+
+import argparse
+import dataclasses
+import json
+import os
+import platform
+import tempfile
+import time
+from importlib.metadata import version as version_of
+from pathlib import Path
+from typing import Literal
+
+import jax
+import jax.numpy as jnp
+
+import sean_jax
+from sean_jax import sensors
+from sean_jax.base import Scenario
+from sean_jax.ros import bags, messages
+from sean_jax.versions import versions
+
+STEPS = 100
+
+
+def written(
+    scenario: Scenario, steps: list[messages.Step], table: dict[str, messages.Topic], version: Literal["1", "2"]
+) -> tuple[int, float, int]:
+    """Number of messages, s of the processor, and bytes of a bag of these steps."""
+    with tempfile.TemporaryDirectory() as folder:
+        began = time.process_time()
+        with bags.Bag(Path(folder), "episode", table, version) as bag:
+            for step in steps:
+                now = round(int(step.tick) * scenario.time_step * messages.SECOND) + messages.SECOND
+                bag.write(messages.messages(table, step, now), now)
+        seconds = time.process_time() - began
+        return bag.count, seconds, sum(path.stat().st_size for path in Path(folder).rglob("*") if path.is_file())
+
+
+def main() -> None:
+    """Measure, print and write."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--environment", default="lab")
+    parser.add_argument("--people", type=int, default=12)
+    parser.add_argument("--out", type=Path)
+    options = parser.parse_args()
+    scenario = sean_jax.make(options.environment, people=options.people)
+    scenario = dataclasses.replace(scenario, sensors=(sensors.SENSORS["lidar"](scenario.robot),))
+
+    def one(state, _):  # noqa: ANN001, ANN202
+        command = jnp.asarray([0.3, 0.1])
+        state = sean_jax.step(scenario, state, command)
+        return state, messages.step(scenario, state, command)
+
+    run = jax.jit(lambda key: jax.lax.scan(one, sean_jax.reset(scenario, key), length=STEPS)[1])
+    stacked = jax.device_get(run(jax.random.key(0)))
+    steps = [jax.tree.map(lambda leaf: leaf[t], stacked) for t in range(STEPS)]  # noqa: B023
+    table = messages.topics(scenario)
+    rows = {}
+    for version, name in (("1", "rosbag 1"), ("2", "rosbag2 MCAP")):
+        count, seconds, size = written(scenario, steps, table, version)
+        without = {topic: each for topic, each in table.items() if topic != "/markers"}
+        rows[name] = {
+            "messages per second": round(count / seconds),
+            "times real time": round(STEPS * scenario.time_step / seconds, 1),
+            "MB per minute": round(60 * size / 1e6 / (STEPS * scenario.time_step), 1),
+            "share of markers": round(1 - written(scenario, steps, without, version)[1] / seconds, 2),
+        }
+        print(name, rows[name])
+    if options.out is not None:
+        about = {"environment": options.environment, "people": scenario.people, "topics": len(table)}
+        machine = {"processor": platform.processor() or platform.machine(), "cores": os.cpu_count()}
+        content = {
+            "command": "python benchmarks/bags.py",
+            **about,
+            **machine,
+            "versions": versions() | {"rosbags": version_of("rosbags")},
+            "bags": rows,
+        }
+        options.out.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,113 @@
+"""``sean export bag``: simulate episodes of a folder again, and write them as bags of ROS messages."""
+
+import functools
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+from flax import struct
+from jaxtyping import Bool
+from rich.console import Console
+from rich.text import Text
+
+from sean_jax import files, sensors, writing
+from sean_jax.base import Array, Scenario, State
+from sean_jax.config import ExportBagConfig
+from sean_jax.errors import InputError
+from sean_jax.evaluation.replay_command import Source, read_source, until_terminated
+from sean_jax.progress import progress
+from sean_jax.ros import bags, messages
+from sean_jax.runner import Callbacks, Record, Runner
+from sean_jax.stack import Stack
+
+CHUNK = 2.0  # s of messages in memory
+START = messages.SECOND  # ns, of the first state, as a time of 0 means no time in ROS
+VIEW = Path(__file__).parents[1] / "ros" / "view.rviz"
+
+
+@struct.dataclass
+class Row:
+    """A step of the episodes of a batch."""
+
+    step: messages.Step
+    active: Bool[Array, "B"]
+
+
+def write(options: ExportBagConfig, console: Console) -> tuple[Path, int]:
+    """Simulate the episodes and write their bags; the folder and the number of messages.
+
+    Raises:
+        InputError: the folder has no episodes, or none of that number, or a sensor is unknown.
+        FloatingPointError: a number is not finite.
+    """
+    bags.check_package()
+    writing.check_new_folder(options.out)
+    numbers = list(dict.fromkeys(options.episodes))
+    with console.status("preparing the scenario"):
+        source = read_source(options.source, numbers)
+        if source.robots > 1:
+            raise InputError(f"{options.source}: has a team of robots; a bag is of one robot; give a run with one.")
+        floors = [with_sensors(each, options.sensors) for each in source.floors]
+    for sentence in source.changes:
+        console.print(Text(sentence), soft_wrap=True)
+    count, limit = 0, floors[0].member.time_limit
+    record = Record(lambda *_: (), _rows)
+    record = record if source.ends is None else until_terminated(record, source.ends)
+    runner = Runner(floors, source.policy, 1, source.use, record, chunk=CHUNK)
+    with progress(console) as bar, writing.atomic_folder(options.out) as folder:
+        runner.compile(Callbacks(compiling=bar.stage))
+        bar.start("simulating", len(numbers) * limit)
+        for done, number in enumerate(numbers):
+            scenario = floors[source.turn(number)].at(source.place(number))
+            table = messages.topics(scenario, options.naming, number)
+            with bags.Bag(folder, f"episode_{number}", table, options.ros) as bag:
+
+                def advanced(seconds: float, _: float, done: int = done, number: int = number) -> None:
+                    bar.update(done * limit + seconds, f"episode {number}")
+
+                rows = functools.partial(_add, bag, scenario)
+                _simulate(runner, source, number, len(floors), Callbacks(advanced=advanced, rows=rows))
+            count += bag.count
+        writing.write(folder / VIEW.name, files.read_text(VIEW))
+    return options.out, count
+
+
+def _simulate(runner: Runner, source: Source, number: int, several: int, callbacks: Callbacks) -> None:
+    index = np.full(runner.size, source.turn(number))
+    turn = source.place(number) * several
+    runner.run(source.seed, source.number(number), 1, index, callbacks, keep_rows=False, turn=turn)
+
+
+def with_sensors(floors: Stack[Scenario], names: str | None) -> Stack[Scenario]:
+    """The floors with more sensors: those of the names, or without names the robot's lidar if it has one.
+
+    Raises:
+        InputError: a sensor is unknown, or the robot lacks its mount.
+    """
+    member = floors.member
+    robot, own = member.robot, {sensor.name for sensor in member.sensors}
+    if names is None:
+        more = ["lidar"] if any(mount.name == "lidar" for mount in robot.mounts) else []
+    else:
+        more = [name.strip() for name in names.split(",") if name.strip() not in ("", "none")]
+    made = [sensor for sensor in sensors.as_sensors(more, robot) if sensor.name not in own]
+    return floors.with_fields(sensors=(*member.sensors, *made)) if made else floors
+
+
+def _rows(
+    floors: Stack[Scenario], before: State, after: State, actions: Array, active: Array, total: Any
+) -> tuple[Any, Row]:
+    return total, Row(floors.vmap(messages.step)(after, actions[-1]), active)
+
+
+def _add(bag: bags.Bag, scenario: Scenario, rows: Row) -> None:
+    """Write the messages of a chunk of time (T, 1, ...) until the episode's end."""
+    pick: Callable[[int], messages.Step] = lambda t: jax.tree.map(lambda leaf: leaf[t, 0], rows.step)  # noqa: E731
+    for t in np.flatnonzero(rows.active[:, 0]):
+        step = pick(int(t))
+        time = START + round(int(step.tick) * scenario.time_step * messages.SECOND)
+        if bag.count == 0:
+            bag.write(messages.messages(bag.table, step, time, latched=True), time)
+        bag.write(messages.messages(bag.table, step, time), time)

@@ -1,0 +1,71 @@
+"""The physics of an omnidirectional base: mecanum wheels, swerve modules or legs, as one body that is pushed.
+
+Generalised coordinates are x, y [m] and yaw [rad]. Three servos push the base ahead, to the left and about the
+vertical. The body carries its velocity along when it turns, as ideal wheels do. All horizontal force of the ground is
+limited by friction.
+"""
+
+import functools
+
+import jax.numpy as jnp
+from jaxtyping import Float
+
+from sean_jax.base import Array, Lateral, RobotModel
+from sean_jax.geometry import rotate
+from sean_jax.robots.dynamics import GRAVITY, Touch, clip_length, mjx_advance
+
+Motion = tuple[Float[Array, "3"], Float[Array, "3"]]
+"""x, y [m] and yaw [rad], and their rates."""
+
+
+def twin_substep(model: RobotModel, touch: Touch, motion: Motion, targets: Float[Array, "3"]) -> Motion:
+    """One physics step of the closed form, by semi-implicit Euler.
+
+    Args:
+        targets: m/s ahead, m/s to the left and rad/s.
+    """
+    (position, velocity), (gain, force) = motion, _servo(model)
+    cosine, sine = jnp.cos(position[2]), jnp.sin(position[2])
+    own = jnp.stack([*rotate(velocity[0], velocity[1], cosine, -sine), velocity[2]])
+    push = jnp.clip(gain * (targets - own), -force, force)
+    push = jnp.stack([*rotate(push[0], push[1], cosine, sine), push[2]])
+    mass = diagonal(model)
+    free = velocity + model.time_step * push / mass
+    velocity = free + ground_impulse(model, touch, motion, free) / mass
+    return position + model.time_step * velocity, velocity
+
+
+def mjx_substep(model: RobotModel, touch: Touch, motion: Motion, targets: Float[Array, "3"]) -> Motion:
+    """One physics step by MJX; arguments as of ``twin_substep``."""
+    ground = functools.partial(ground_impulse, model, touch, motion)
+    return mjx_advance(model, diagonal(model), _servo(model), motion, targets, ground)
+
+
+def ground_impulse(model: RobotModel, touch: Touch, motion: Motion, free: Float[Array, "3"]) -> Float[Array, "3"]:
+    """Generalised impulse (3,) [N s, N s, N m s] of the ground, besides the servos', and of all contacts.
+
+    Args:
+        free: rates at the end of the physics step, of the servos alone.
+    """
+    position, velocity = motion
+    turned = (
+        0.5 * model.time_step * (velocity[2] + free[2])
+    )  # rad, from the middle of the last step to that of this one
+    x, y = rotate(free[0], free[1], jnp.cos(turned), jnp.sin(turned))
+    limit = model.friction * GRAVITY * model.time_step
+    dx, dy = clip_length(x - velocity[0], y - velocity[1], limit)
+    x, y = touch(position, velocity[0] + dx, velocity[1] + dy)
+    return jnp.stack([model.mass * (x - free[0]), model.mass * (y - free[1]), jnp.zeros_like(x)])
+
+
+def diagonal(model: RobotModel) -> Float[Array, "3"]:
+    """The diagonal of the mass matrix: kg, kg, kg m2."""
+    return jnp.stack([model.mass, model.mass, model.inertia])
+
+
+def _servo(model: RobotModel) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
+    """Gain and maximum force of the servos: ahead, to the left, about the vertical."""
+    lateral = model.lateral
+    assert isinstance(lateral, Lateral)
+    gain = jnp.stack([model.servo_gain, model.servo_gain, lateral.turn_gain])
+    return gain, jnp.stack([model.servo_torque, model.servo_torque, lateral.turn_torque])

@@ -1,0 +1,370 @@
+"""A live robot: a controller outside of this program drives it, over ROS 1, a rosbridge websocket or DDS.
+
+``sean bridge`` runs numbered episodes at the pace of the clock, of commands or of a service. ``Driver`` is the policy
+of ``sean run --policy ros1:``: in lock-step, so that the runner measures an outside controller as any policy.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import itertools
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from sean_jax import assembly, prng
+from sean_jax import scenario as scenarios
+from sean_jax.base import Array, Policy, Scenario, State, no_memory
+from sean_jax.config import BridgeConfig
+from sean_jax.errors import InputError
+from sean_jax.robots.drive import command_size
+from sean_jax.ros import messages
+from sean_jax.ros.transport import COMMAND, REQUESTS, Log, Mailbox, Output, Request, Transport
+from sean_jax.runner import first_state, varying_leaves
+from sean_jax.sensors import SENSORS, sense
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+NAMES = ("lidar", "depth")  # sensors that every robot has for its controller
+PATIENCE = 5.0  # s, of a driver in lock-step: within which a controller that answers has its next command ready
+REPEAT = 0.1  # s, after which the first state is sent again, a step later, while nobody has answered yet
+GOAL_STEPS = 50  # such steps, after which the goal is sent again: move_base drops goals that come while it starts
+WAITING = ("lockstep", "service")  # paces at which time stands still until something comes
+LAG = 0.5  # s behind the clock from which on the clock waits
+
+_step, _reset, _teleport = jax.jit(scenarios.step), jax.jit(first_state, static_argnums=0), jax.jit(scenarios.teleport)
+_next_task, _quantities, _sense = jax.jit(scenarios.next_task), jax.jit(messages.step), jax.jit(sense)
+
+
+@jax.jit
+def _only(states: State) -> State:
+    """The state of a batch of one."""
+    return jax.tree.map(lambda leaf: leaf[0], states)
+
+
+def connect(place: tuple[str, str], mailbox: Mailbox, outputs: dict[str, Output]) -> Transport:
+    """A transport by its name and place, as of ``config.outside``.
+
+    Raises:
+        InputError: a package is missing, or nothing answers there.
+    """
+    name, where = place
+    if name == "ros1":
+        from sean_jax.ros.ros1 import Node
+
+        return Node(mailbox, outputs)
+    try:
+        if name == "dds":
+            from sean_jax.ros.dds import Participant
+
+            return Participant(where or "0", mailbox, outputs)
+        from sean_jax.ros.rosbridge import Server
+    except ModuleNotFoundError as error:
+        extra = "dds" if name == "dds" else "ros"
+        raise InputError(f'{name}: {error.name} is missing; pip install "sean_jax[{extra}]".') from None
+    return Server(where or BridgeConfig.model_fields["address"].default, mailbox, outputs)
+
+
+class Bridge:
+    """The states of a scenario as messages, and the commands that answer them."""
+
+    def __init__(self, scenario: Scenario, place: tuple[str, str], write: Callable[[str], None], now: int = 0):
+        """Connect, and compile what messages need.
+
+        Args:
+            now: steps of control on the clock so far.
+
+        Raises:
+            InputError: a package is missing, or nothing answers there.
+        """
+        missing = [SENSORS[name] for name in NAMES if name not in {each.name for each in scenario.sensors}]
+        self.scenario = replace(scenario, sensors=(*scenario.sensors, *(make(scenario.robot) for make in missing)))
+        self._plain = replace(scenario, sensors=())
+        self._number, self._fresh, self._goal, self._start, self.now = 0, True, False, now + 1, now
+        self._table = self._topics()
+        size = command_size(scenario.robot)
+        self.mailbox, self.no_command = Mailbox(Log(write), size), np.full(size, np.nan, np.float32)
+        outputs = {name: Output(topic.type, topic.latched) for name, topic in self._table.items()}
+        self.transport = connect(place, self.mailbox, outputs)
+        self.missed = 0  # commands that did not come in time, in lock-step
+
+    def _topics(self) -> dict[str, messages.Topic]:
+        table = messages.topics(self.scenario, number=self._number)
+        return {name: topic for name, topic in table.items() if name not in (COMMAND, "/clock")} | {
+            "/clock": table["/clock"]
+        }
+
+    def compile(self, state: State) -> None:
+        """Compile everything that a subscription may need, so that time does not stand still later."""
+        _quantities(self._plain, state, jnp.asarray(self.no_command, float))
+        for sensor in self.scenario.sensors:
+            _sense(replace(self.scenario, sensors=(sensor,)), state)
+
+    def begin(self, scenario: Scenario, number: int) -> None:
+        """Another episode, or another task, begins; ``scenario`` has its task. Time goes on."""
+        self.scenario = replace(scenario, sensors=self.scenario.sensors)
+        self._plain, self._number = replace(scenario, sensors=()), number
+        self._fresh, self._start = True, self.now + 1
+        self.missed = 0
+
+    def stand(self) -> None:
+        """A step passes on the clock and not for the robot, for nodes that wait for time before they answer."""
+        self._start += 1
+        self._goal = self._start % GOAL_STEPS == 0
+
+    def publish(self, state: State, command: np.ndarray) -> None:
+        """Send the messages of a state to all who subscribe; latched ones once an episode."""
+        step = jax.device_get(_quantities(self._plain, state, jnp.asarray(command, float)))
+        self.now = self._start + int(step.tick)
+        moment = round(self.now * self.scenario.time_step * messages.SECOND)
+        wanted = [name for name, topic in self._table.items() if not topic.latched and self.transport.wanted(name)]
+        readings = {}
+        for sensor in self.scenario.sensors:
+            if any(_belongs(name, sensor.name) for name in wanted):
+                readings |= _sense(replace(self.scenario, sensors=(sensor,)), state)
+        step = replace(step, readings=jax.device_get(readings))
+        latched = [
+            name
+            for name, topic in self._table.items()
+            if topic.latched and (self._fresh or (self._goal and name == "/goal"))
+        ]
+        self._fresh = self._goal = False
+        for name in (*latched, *wanted):
+            self.transport.publish(name, self._table[name].message(step, moment))
+
+    def answer(self, seconds: float) -> np.ndarray | None:
+        """The command that comes within so many seconds; None if none came, or something else was asked."""
+        self.mailbox.wait(seconds, for_command=True)
+        return self.mailbox.take_command()
+
+    def close(self) -> None:
+        """End all connections; requests that wait are refused."""
+        for _ in range(REQUESTS):
+            if (request := self.mailbox.take_request()) is not None:
+                request.answer(False, "the bridge ends.")
+        self.transport.close()
+
+
+def _belongs(topic: str, sensor: str) -> bool:
+    """Whether a topic has the readings of a sensor."""
+    return topic.startswith(f"/{sensor}/") or (topic == "/scan" and sensor == "lidar")
+
+
+# ------------------------------------------------------------------ sean run --policy ros1:
+
+
+def _command(scenario: Scenario, params: Array, state: State, key: Array) -> tuple[Array, tuple]:
+    """The command that has come from outside."""
+    return params, ()
+
+
+class Driver:
+    """A controller outside of this program as the policy of a runner with one episode at a time, in lock-step."""
+
+    def __init__(self, scenario: Scenario, name: str, place: tuple[str, str], console: Console, now: int = 0):
+        """Connect; arguments as of ``Bridge``.
+
+        Raises:
+            InputError: a package is missing, or nothing answers there.
+        """
+        write = functools.partial(console.print, highlight=False, markup=False, soft_wrap=True)
+        self._bridge = Bridge(scenario, place, write, now)
+        self.policy = Policy(jnp.asarray(self._bridge.no_command, float), name, no_memory, _command)
+        self._console, self._write, self._command = console, write, self._bridge.no_command
+        self._answered, self._late = False, False
+        write(f"controller: {self._bridge.transport.address}")
+
+    def __call__(self, scenario: Scenario, number: int, states: State) -> Policy:
+        """The policy for the next step of an episode, after its state was sent and answered.
+
+        Args:
+            states: of a batch of one.
+        """
+        bridge, state = self._bridge, _only(states)
+        if int(state.tick) == 0:
+            bridge.begin(scenario, number)
+            self._command = bridge.no_command
+        bridge.mailbox.take_command()  # of an earlier state
+        bridge.publish(state, self._command)
+        self._command = self._wait(state)
+        return replace(self.policy, params=jnp.asarray(self._command, float))
+
+    def _wait(self, state: State) -> np.ndarray:
+        """The command that answers a state; NaN if there is none in time. The first one may come at any time."""
+        bridge = self._bridge
+        if not self._answered:
+            self._write(f"waiting for the first command on {COMMAND}")
+            while (command := bridge.answer(REPEAT)) is None:
+                self._refuse()
+                bridge.stand()
+                bridge.publish(state, self._command)
+            time.sleep(REPEAT)  # answers to the states that were sent before, as none may count for the next one
+            last, self._answered = bridge.mailbox.take_command(), True
+            return command if last is None else last
+        end = time.monotonic() + (self.time_step if self._late else PATIENCE)
+        while (command := bridge.answer(end - time.monotonic())) is None and time.monotonic() < end:
+            self._refuse()
+        self._late = command is None
+        if command is None:
+            bridge.missed += 1
+            text = f"no command came for a state of episode {bridge._number}; the robot's command timeout acts."
+            bridge.mailbox.log("missed", text)
+            return bridge.no_command
+        return command
+
+    def _refuse(self) -> None:
+        """Refuse what would change the episode, as sean run measures it."""
+        bridge = self._bridge
+        if bridge.mailbox.take_pose() is not None:
+            bridge.mailbox.log(
+                "pose", "/initialpose: sean run measures whole episodes; use sean bridge to move the robot."
+            )
+        if (request := bridge.mailbox.take_request()) is not None:
+            request.answer(False, "sean run measures whole episodes; use sean bridge.")
+
+    @property
+    def now(self) -> int:
+        """Steps of control on the clock so far."""
+        return self._bridge.now
+
+    @property
+    def time_step(self) -> float:
+        """Seconds of a control step."""
+        return self._bridge.scenario.time_step
+
+    def close(self) -> None:
+        """End all connections."""
+        self._bridge.close()
+
+
+# ------------------------------------------------------------------ sean bridge
+
+
+class Live:
+    """Numbered episodes of a scenario that go on until they are stopped."""
+
+    def __init__(self, config: BridgeConfig, console: Console):
+        """Build the scenario, connect and compile.
+
+        Raises:
+            InputError: the options cannot be met, a package is missing, or nothing answers.
+        """
+        self.config = config
+        self.scenarios = assembly.build(config)
+        self._varying, self._tasks = varying_leaves(self.scenarios), tuple(each.task for each in self.scenarios)
+        self._write = functools.partial(console.print, highlight=False, markup=False, soft_wrap=True)
+        self.bridge = Bridge(self.scenarios[0], config.place, self._write)
+        self._due = 0.0
+        state = self._begin(0)
+        self.bridge.compile(state)
+        for _ in range(2):  # a state that begins, and one of a step
+            state = _step(self.scenarios[0], state, jnp.asarray(self.bridge.no_command, float))
+        for scenario in self.scenarios:  # so that time does not stand still later
+            _next_task(scenario, state, state.streams.restart)
+        _teleport(self.scenarios[0], state, state.robot.position, state.robot.heading)
+
+    def run(self) -> None:
+        """Episode after episode."""
+        numbers = itertools.count() if self.config.episodes is None else range(self.config.episodes)
+        self._write(f"bridge: {self.bridge.transport.address}")
+        for number in numbers:
+            while not self._episode(number):
+                pass
+
+    def close(self) -> None:
+        """End all connections."""
+        self.bridge.close()
+
+    def _begin(self, number: int) -> State:
+        """The first state of an episode, as ``sean run`` has it."""
+        key = jax.random.fold_in(prng.key("run", self.config.seed), number)
+        index = jnp.asarray(number % len(self.scenarios), jnp.int32)
+        return _reset(self._tasks, self.scenarios[0], self._varying, index, key)
+
+    def _episode(self, number: int) -> bool:
+        """One episode; False if it shall begin again."""
+        scenario, bridge = self.scenarios[number % len(self.scenarios)], self.bridge
+        state, command, tasks = self._begin(number), bridge.no_command, 0
+        bridge.begin(scenario, number)
+        self._due = time.monotonic()
+        while not (bool(state.completed) or bool(state.timed_out)):
+            if self.config.pace == "lockstep":
+                bridge.mailbox.take_command()  # of an earlier state
+            bridge.publish(state, command)
+            command, request, pose = self._wait()
+            if pose is not None:
+                state = _teleport(scenario, state, *(jnp.asarray(part, float) for part in pose))
+                if self.config.pace in WAITING and request is None:
+                    command = bridge.no_command
+                    continue
+            if request is not None and request.name == "reset":
+                request.answer(True, f"episode {number} begins again.")
+                return False
+            if request is not None and request.name == "new_task":
+                tasks += 1
+                key = jax.random.fold_in(state.streams.restart, tasks)
+                state, command = _next_task(scenario, state, key), bridge.no_command
+                bridge.begin(scenario, number)
+                request.answer(True, f"task {tasks + 1} of episode {number} begins.")
+                continue
+            command = bridge.no_command if command is None else command
+            state = _step(scenario, state, jnp.asarray(command, float))
+            if request is not None:
+                request.answer(True, f"{int(state.tick) * scenario.time_step:.3g} s of episode {number} have passed.")
+        self._report(scenario, state, f"episode {number}" + (f", task {tasks + 1}" if tasks else ""))
+        return True
+
+    def _wait(self) -> tuple[np.ndarray | None, Request | None, tuple[np.ndarray, np.ndarray] | None]:
+        """Wait as the pace says; the command for the next step, a request and a pose that came meanwhile.
+
+        A request of the service ``step`` ends the waiting of the pace ``service``, and is refused otherwise.
+        """
+        pace, mailbox, pose = self.config.pace, self.bridge.mailbox, None
+        end = time.monotonic() + self.config.patience
+        if pace == "real":
+            if time.monotonic() - self._due > LAG:
+                self._due = time.monotonic()
+            self._due += self.scenarios[0].time_step / self.config.factor
+            end = self._due
+        while True:
+            if pace != "fast":
+                rest = REPEAT if pace == "service" else end - time.monotonic()
+                mailbox.wait(rest, for_command=pace == "lockstep")
+            pose, request = mailbox.take_pose() or pose, mailbox.take_request()
+            if request is not None and request.name == "step" and pace != "service":
+                request.answer(False, "time passes by itself; start sean bridge with --pace service.")
+            elif request is not None:
+                return mailbox.take_command() if request.name == "step" else None, request, pose
+            if pose is not None and pace in WAITING:
+                return None, None, pose
+            late = pace == "fast" or (pace != "service" and time.monotonic() >= end)
+            command = mailbox.take_command() if late or pace == "lockstep" else None
+            if command is not None or late:
+                self.bridge.missed += command is None
+                return command, None, pose
+
+    def _report(self, scenario: Scenario, state: State, what: str) -> None:
+        """A line on an episode that has ended."""
+        outcome = "completed" if bool(state.completed) else "timed out"
+        seconds = int(state.tick) * scenario.time_step
+        missed = f", {self.bridge.missed} states without a command" if self.config.pace == "lockstep" else ""
+        self._write(f"{what}, {scenario.task_name}: {outcome} after {seconds:.1f} s{missed}")
+
+
+def run(config: BridgeConfig, console: Console) -> None:
+    """``sean bridge``: episodes until Ctrl-C.
+
+    Raises:
+        InputError: the options cannot be met, a package is missing, or nothing answers.
+    """
+    with console.status("compiling"):
+        live = Live(config, console)
+    with contextlib.closing(live):
+        live.run()

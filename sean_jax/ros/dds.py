@@ -1,0 +1,168 @@
+"""DDS with the names and types of ROS 2, by Cyclone DDS: Twist is geometry_msgs::msg::dds_::Twist_ on rt/cmd_vel.
+
+The types are made of the definitions of the package ``rosbags``. Without CYCLONEDDS_URI the participant is on this
+computer alone, as with ROS 2's ROS_LOCALHOST_ONLY.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from sean_jax.errors import InputError
+from sean_jax.ros.messages import fill, typestore
+from sean_jax.ros.transport import INPUTS, SERVICES, Mailbox, Output
+
+REQUEST = "/sean_jax/request"  # topic of a std_msgs/String, for services: DDS has none of its own
+LOCAL = """<CycloneDDS><Domain><General><Interfaces><NetworkInterface address="127.0.0.1"/></Interfaces>
+<AllowMulticast>false</AllowMulticast></General><Discovery><ParticipantIndex>auto</ParticipantIndex>
+<MaxAutoParticipantIndex>32</MaxAutoParticipantIndex><Peers><Peer address="localhost"/></Peers></Discovery>
+</Domain></CycloneDDS>"""
+POLL = 0.2  # s, after which the reading thread looks whether it should end
+
+
+class Participant:
+    """A participant of a domain as a ``Transport``."""
+
+    def __init__(self, domain: str, mailbox: Mailbox, outputs: Mapping[str, Output]):
+        """Join a domain, whose number is a text.
+
+        Raises:
+            InputError: Cyclone DDS is missing, or cannot join.
+        """
+        try:
+            from cyclonedds import core, pub, sub, topic
+            from cyclonedds.domain import Domain, DomainParticipant
+        except ImportError as error:
+            raise InputError(f'dds: {error.name} is missing; pip install "sean_jax[dds]".') from None
+        if not (domain.isdecimal() and int(domain) <= 230):
+            raise InputError(f"dds: {domain!r} is no number of a domain; give one from 0 to 230.")
+        self.address = f"DDS domain {domain}"
+        self._mailbox = mailbox
+        types = Types()
+        self._types, self._kinds = types, {name: output.type for name, output in outputs.items()}
+        try:
+            self._domain = None if "CYCLONEDDS_URI" in os.environ else Domain(int(domain), LOCAL)
+            self._participant = DomainParticipant(int(domain))
+        except core.DDSException as error:
+            raise InputError(f"dds: domain {domain} cannot be joined: {error}; see CYCLONEDDS_URI.") from None
+        policy, second = core.Policy, 1_000_000_000
+        reliable = core.Qos(
+            policy.Reliability.Reliable(second), policy.Durability.Volatile, policy.History.KeepLast(10)
+        )
+        latched = core.Qos(
+            policy.Reliability.Reliable(second), policy.Durability.TransientLocal, policy.History.KeepLast(1)
+        )
+        newest = core.Qos(policy.Reliability.Reliable(second), policy.Durability.Volatile, policy.History.KeepLast(1))
+        self._writers, self._latched = {}, {name for name, output in outputs.items() if output.latched}
+        for name, output in outputs.items():
+            qos = latched if output.latched else reliable
+            made = topic.Topic(self._participant, f"rt{name}", types.struct(output.type), qos=qos)
+            self._writers[name] = pub.DataWriter(self._participant, made, qos=qos)
+        self._readers, self._wait = {}, core.WaitSet(self._participant)
+        for name, kind in {**INPUTS, REQUEST: "std_msgs/msg/String"}.items():
+            made = topic.Topic(self._participant, f"rt{name}", types.struct(kind), qos=newest)
+            reader = self._readers[name] = sub.DataReader(self._participant, made, qos=newest)
+            self._wait.attach(
+                core.ReadCondition(reader, core.SampleState.NotRead | core.InstanceState.Any | core.ViewState.Any)
+            )
+        self._closed = threading.Event()
+        self._thread = threading.Thread(target=self._read, name="sean-dds", daemon=True)
+        self._thread.start()
+
+    def wanted(self, topic: str) -> bool:
+        """Whether a reader of a topic is there; latched ones are kept for later."""
+        return topic in self._latched or self._writers[topic].get_publication_matched_status().current_count > 0
+
+    def publish(self, topic: str, message: dict[str, Any]) -> None:
+        """Send a message; one that no reader takes within a second is left out, and named in the log."""
+        try:
+            self._writers[topic].write(self._types.fill(self._kinds[topic], message))
+        except Exception as error:  # DDSException: a reliable reader does not answer
+            self._mailbox.log("dds write", f"dds: a message of {topic} was left out: {error}.")
+
+    def close(self) -> None:
+        """Leave the domain."""
+        self._closed.set()
+        self._thread.join(5.0)
+        self._readers.clear()
+        self._writers.clear()
+        self._wait = self._participant = self._domain = None
+
+    def _read(self) -> None:
+        while not self._closed.is_set():
+            self._wait.wait(int(POLL * 1e9))  # pyright: ignore[reportOptionalMemberAccess]
+            for name, reader in self._readers.items():  # pyright: ignore[reportOptionalMemberAccess]
+                try:
+                    for sample in reader.take(16):
+                        self._receive(name, sample)
+                except Exception as error:  # bytes that are no message of the type
+                    self._mailbox.log("dds read", f"dds: a message of {name} was dropped: {str(error)[:200]}.")
+
+    def _receive(self, name: str, sample: Any) -> None:
+        if type(sample).__name__ == "InvalidSample":  # a writer that has ended
+            return
+        if name != REQUEST:
+            return self._mailbox.receive(name, _as_dict(sample))
+        word = sample.data
+        if word not in SERVICES.values():
+            known = ", ".join(SERVICES.values())
+            return self._mailbox.log("dds request", f"dds: the request {word[:40]!r} is not one of {known}.")
+        threading.Thread(target=self._mailbox.request, args=(word,), name="sean-dds-request", daemon=True).start()
+
+
+class Types:
+    """Classes of Cyclone DDS for ROS 2's message types, made of their definitions."""
+
+    def __init__(self) -> None:
+        self._store = typestore(2)
+        self._structs: dict[str, type] = {}
+
+    def struct(self, kind: str) -> type:
+        """The class of a message type, such as geometry_msgs/msg/Twist."""
+        if kind not in self._structs:
+            from cyclonedds.idl import make_idl_struct
+
+            package, _, name = kind.split("/")
+            fields = {field: self._annotation(about) for field, about in self._store.fielddefs[kind][1]}
+            self._structs[kind] = make_idl_struct(name, f"{package}::msg::dds_::{name}_", fields)
+        return self._structs[kind]
+
+    def _annotation(self, about: tuple) -> Any:
+        from cyclonedds.idl import types
+
+        kind, inner = about
+        if kind.name == "NAME":
+            return self.struct(inner)
+        if kind.name == "BASE":
+            base = {"byte": "uint8", "char": "uint8", "octet": "uint8"}.get(inner[0], str(inner[0]))
+            return str if base == "string" else bool if base == "bool" else getattr(types, base)
+        element, count = inner
+        inside = self._annotation(element)
+        return types.array[inside, count] if kind.name == "ARRAY" else types.sequence[inside]
+
+    def fill(self, kind: str, message: dict[str, Any]) -> Any:
+        """The object of a message type with the fields of a message; missing ones are 0 or empty."""
+        return self._convert(kind, fill(self._store, kind, message))
+
+    def _convert(self, kind: str, value: Any) -> Any:
+        values = {}
+        for field, about in self._store.fielddefs[kind][1]:
+            part, (form, inner) = getattr(value, field), about
+            if form.name == "NAME":
+                part = self._convert(inner, part)
+            elif form.name != "BASE" and inner[0][0].name == "NAME":
+                part = [self._convert(inner[0][1], each) for each in part]
+            elif isinstance(part, np.ndarray):
+                part = part.tolist()
+            values[field] = part
+        return self.struct(kind)(**values)
+
+
+def _as_dict(value: Any) -> Any:
+    """A sample as nested dicts."""
+    return {name: _as_dict(each) for name, each in vars(value).items()} if hasattr(value, "__idl__") else value

@@ -1,0 +1,172 @@
+"""ROS 1: a node of rospy, as Debian's packages or a ROS installation bring it.
+
+The messages are written by the package ``rosbags``, so a type that the installation lacks, such as people_msgs/People,
+can be published too: each publisher has its definition. When the master ends, connections stay; when another one
+begins, the node registers there.
+"""
+
+from __future__ import annotations
+
+import atexit
+import os
+import sys
+import threading
+import xmlrpc.client
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from sean_jax.errors import InputError
+from sean_jax.ros.messages import fill, typestore
+from sean_jax.ros.transport import COMMAND, INPUTS, SERVICES, Mailbox, Output
+
+NODE = "sean_jax"
+QUEUE = 100  # messages of a topic that may wait for its subscribers
+WATCH = 2.0  # s, between two looks at the master
+DEBIAN = "/usr/lib/python3/dist-packages"
+
+
+def import_rospy() -> Any:
+    """The module rospy; also where Debian has it, behind this Python's own packages.
+
+    Raises:
+        InputError: there is none for this Python.
+    """
+    try:
+        import rospy  # pyright: ignore[reportMissingImports]
+    except ImportError as first:
+        if DEBIAN in sys.path or not Path(DEBIAN, "rospy").is_dir():
+            cure = "on Debian: apt-get install ros-core python3-rospy python3-std-srvs"
+            raise InputError(f"ros1: rospy cannot be imported ({first}); {cure}.") from None
+        sys.path.append(DEBIAN)
+        try:
+            import rospy  # pyright: ignore[reportMissingImports]
+        except ImportError as error:
+            sys.path.remove(DEBIAN)
+            version = f"Python {sys.version_info.major}.{sys.version_info.minor}"
+            raise InputError(f"ros1: rospy of {DEBIAN} is not for {version} ({error}); use Debian's version.") from None
+    return rospy
+
+
+class Node:
+    """A node of rospy as a ``Transport``. A process has one."""
+
+    def __init__(self, mailbox: Mailbox, outputs: Mapping[str, Output]):
+        """Connect to the master of ROS_MASTER_URI.
+
+        Raises:
+            InputError: there is no rospy, or no master.
+        """
+        rospy = import_rospy()
+        import genpy  # pyright: ignore[reportMissingImports]
+        import rosgraph  # pyright: ignore[reportMissingImports]
+        from geometry_msgs.msg import PoseWithCovarianceStamped, Twist  # pyright: ignore[reportMissingImports]
+        from std_srvs.srv import Trigger, TriggerResponse  # pyright: ignore[reportMissingImports]
+
+        self.address = os.environ.get("ROS_MASTER_URI", "")
+        if not self.address:
+            raise InputError("ros1: ROS_MASTER_URI is not set; set it to the master, such as http://127.0.0.1:11311.")
+        if not rosgraph.is_master_online():
+            raise InputError(f"ros1: no ROS master answers at {self.address}; start roscore, or set ROS_MASTER_URI.")
+        rospy.init_node(NODE, disable_signals=True)
+        rospy.set_param("/use_sim_time", True)
+        atexit.register(rospy.signal_shutdown, "the program ends")
+        self._rospy, self._rosgraph, self._mailbox = rospy, rosgraph, mailbox
+        self._store, self._types = typestore(1), {topic: output.type for topic, output in outputs.items()}
+        self._classes = {kind: self._raw(genpy.Message, kind) for kind in set(self._types.values())}
+        self._publishers = {
+            topic: rospy.Publisher(
+                topic, self._classes[kind], queue_size=QUEUE, latch=outputs[topic].latched, tcp_nodelay=True
+            )
+            for topic, kind in self._types.items()
+        }
+
+        def command(message: Any) -> None:
+            linear = {"x": message.linear.x, "y": message.linear.y}
+            mailbox.receive(COMMAND, {"linear": linear, "angular": {"z": message.angular.z}})
+
+        def pose(message: Any) -> None:
+            inside = message.pose.pose
+            position = {"x": inside.position.x, "y": inside.position.y}
+            turn = {"z": inside.orientation.z, "w": inside.orientation.w}
+            mailbox.receive("/initialpose", {"pose": {"pose": {"position": position, "orientation": turn}}})
+
+        receivers = {"/cmd_vel": (Twist, command), "/initialpose": (PoseWithCovarianceStamped, pose)}
+        self._subscribers = [
+            rospy.Subscriber(topic, *receivers[topic], queue_size=1, tcp_nodelay=True) for topic in INPUTS
+        ]
+        self._services = [
+            rospy.Service(service, Trigger, lambda _, name=name: TriggerResponse(*mailbox.request(name)))
+            for service, name in SERVICES.items()
+        ]
+        self._closed = threading.Event()
+        self._thread = threading.Thread(target=self._watch, name="sean-ros1", daemon=True)
+        self._thread.start()
+
+    def _raw(self, base: type, kind: str) -> type:
+        """A class of rospy's messages whose only field is the message as bytes."""
+        text, digest = self._store.generate_msgdef(kind)
+
+        def init(self: Any, content: bytes = b"") -> None:
+            self.content = content
+
+        fields = {"__slots__": ["content"], "_slot_types": ["uint8[]"], "_has_header": False, "__init__": init}
+        about = {"_type": kind.replace("/msg/", "/"), "_md5sum": digest, "_full_text": text}
+        return type("Raw", (base,), {**fields, **about, "serialize": lambda self, buffer: buffer.write(self.content)})
+
+    def wanted(self, topic: str) -> bool:
+        """Whether a node subscribes to a topic; latched ones are kept for later."""
+        publisher = self._publishers[topic]
+        return publisher.impl.is_latch or publisher.get_num_connections() > 0
+
+    def publish(self, topic: str, message: dict[str, Any]) -> None:
+        """Send a message to all subscribers."""
+        kind = self._types[topic]
+        content = self._store.serialize_ros1(fill(self._store, kind, message), kind)
+        self._publishers[topic].publish(self._classes[kind](bytes(content)))
+
+    def close(self) -> None:
+        """End all connections; the node itself ends with the process."""
+        self._closed.set()
+        for service in self._services:
+            service.shutdown("the bridge ends")
+        for each in (*self._publishers.values(), *self._subscribers):
+            each.unregister()
+        self._thread.join(5.0)
+
+    def _watch(self) -> None:
+        """Register again when a master has ended and another one has begun."""
+        was_online, master_id = True, self._master_id()
+        while not self._closed.wait(WATCH):
+            now = self._master_id()
+            if now is None and was_online:
+                text = f"ros1: the master at {self.address} does not answer; existing connections go on."
+                self._mailbox.log("ros1 lost", text)
+            elif now is not None and now != master_id:
+                try:
+                    self._register()
+                except Exception as error:  # the new master has ended, too
+                    self._mailbox.log("ros1 error", f"ros1: registration at the new master failed: {error}.")
+                    now = None
+                else:
+                    master_id = now
+                    self._mailbox.log("ros1 back", f"ros1: the node is registered at a new master at {self.address}.")
+            was_online = now is not None
+
+    def _master_id(self) -> int | None:
+        """The process of the master; None if it does not answer."""
+        try:
+            return int(self._rosgraph.Master(f"/{NODE}").getPid())
+        except Exception:  # of sockets, XML and HTTP
+            return None
+
+    def _register(self) -> None:
+        master, uri = self._rosgraph.Master(self._rospy.get_name()), self._rospy.get_node_uri()
+        self._rospy.set_param("/use_sim_time", True)
+        for topic, kind in self._types.items():
+            master.registerPublisher(topic, kind.replace("/msg/", "/"), uri)
+        for each in self._subscribers:
+            publishers = master.registerSubscriber(each.resolved_name, each.type, uri)
+            xmlrpc.client.ServerProxy(uri).publisherUpdate("/master", each.resolved_name, publishers)
+        for service in self._services:
+            master.registerService(service.resolved_name, service.uri, uri)

@@ -1,0 +1,333 @@
+"""The rosbridge protocol, version 2, on a websocket: for controllers without ROS, such as roslibpy and roslibjs.
+
+The server has a thread and an event loop of its own. Each client has a short queue for each topic, from which the
+oldest message falls when the client is slow. A client that sends more than ``RATE`` messages per second is read later,
+so TCP slows it down.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import base64
+import collections
+import contextlib
+import http
+import ipaddress
+import json
+import math
+import secrets
+import threading
+import urllib.parse
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from websockets.asyncio.server import ServerConnection
+from websockets.exceptions import ConnectionClosed
+from websockets.http11 import Request, Response
+
+from sean_jax import web
+from sean_jax.errors import InputError
+from sean_jax.ros.transport import INPUTS, SERVICES, Mailbox, Output
+
+CONNECTIONS = 128
+LONGEST = 65_536  # bytes of a message from a client
+QUEUE = 100  # messages of a topic that may wait for a client
+RATE = 2_000  # messages per second from a client
+BACKLOG = 1_000  # messages that may wait for the event loop
+OPENING = 20.0  # s, within which the server starts
+ROSAPI = {"/rosapi/topics", "/rosapi/topic_type", "/rosapi/services"}
+
+
+class Server:
+    """A rosbridge server as a ``Transport``."""
+
+    def __init__(self, place: str, mailbox: Mailbox, outputs: Mapping[str, Output]):
+        """Serve an ADDRESS:PORT; port 0 is a free one.
+
+        Raises:
+            InputError: the address is none, or not free.
+        """
+        self._mailbox, self._outputs = mailbox, dict(outputs)
+        self._host, self._port = _address(place)
+        self._is_local = ipaddress.ip_address(self._host).is_loopback
+        self.token = "" if self._is_local else secrets.token_urlsafe(16)
+        self._clients: dict[ServerConnection, Client] = {}
+        self._subscribed: collections.Counter[str] = collections.Counter()
+        self._latest: dict[str, str] = {}  # of latched topics
+        self._backlog = 0
+        self._loop = asyncio.new_event_loop()
+        self._ready, self._failed = threading.Event(), list[OSError]()
+        self._thread = threading.Thread(target=self._run, name="sean-rosbridge", daemon=True)
+        self._thread.start()
+        self._ready.wait(OPENING)
+        if self._failed:
+            reason = self._failed[0].strerror or self._failed[0]
+            raise InputError(f"rosbridge: {place} is not free ({reason}); give another address with --address.")
+        token = f"/?token={self.token}" if self.token else ""
+        host = f"[{self._host}]" if ":" in self._host else self._host
+        self.address = f"ws://{host}:{self._port}{token}"
+
+    # ------------------------------------------------------------------ of the simulation's thread
+
+    def wanted(self, topic: str) -> bool:
+        """Whether a client subscribes to a topic; latched ones are kept for later."""
+        return self._outputs[topic].latched or self._subscribed[topic] > 0
+
+    def publish(self, topic: str, message: dict[str, Any]) -> None:
+        """Send a message to all clients that subscribe."""
+        if self._backlog > BACKLOG:  # the loop is busy: what is sent later is newer
+            self._mailbox.log(
+                "rosbridge busy", "rosbridge: clients send faster than they are served; messages are left out."
+            )
+            return
+        text = json.dumps({"op": "publish", "topic": topic, "msg": _plain(message)}, separators=(",", ":"))
+        self._backlog += 1
+        with contextlib.suppress(RuntimeError):  # the loop has ended
+            self._loop.call_soon_threadsafe(self._spread, topic, text)
+
+    def close(self) -> None:
+        """End the server."""
+        with contextlib.suppress(RuntimeError):
+            self._loop.call_soon_threadsafe(self._stopped.set)
+        self._thread.join(5.0)
+
+    # ------------------------------------------------------------------ of the loop's thread
+
+    def _run(self) -> None:
+        asyncio.set_event_loop(self._loop)
+        try:
+            self._loop.run_until_complete(self._serve())
+        except OSError as error:
+            self._failed.append(error)
+        finally:
+            self._ready.set()
+            self._loop.close()
+
+    async def _serve(self) -> None:
+        self._stopped = asyncio.Event()
+        async with web.listen(self._client, self._answer, self._port, LONGEST, self._host) as self._port:
+            self._ready.set()
+            await self._stopped.wait()
+
+    def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
+        """A refusal, or None for a web socket."""
+        url = urllib.parse.urlsplit(request.path)
+        token = urllib.parse.parse_qs(url.query).get("token", [""])[0]
+        if self.token and not secrets.compare_digest(token.encode(), self.token.encode()):
+            text = b"wrong token: connect to the address that sean bridge has printed"
+            return web.response(http.HTTPStatus.FORBIDDEN, text)
+        origin = request.headers.get("Origin")  # of the page that connects; "null" of a sandbox or a file
+        names = [f"//{request.headers.get('Host', '')}", *([] if origin is None else [origin])]
+        if not self.token and not all(_is_local(urllib.parse.urlsplit(name).hostname) for name in names):
+            text = b"wrong host or origin: only programs and pages of this computer may connect"
+            return web.response(http.HTTPStatus.FORBIDDEN, text)
+        if len(self._clients) >= CONNECTIONS:
+            return web.response(http.HTTPStatus.SERVICE_UNAVAILABLE, b"too many clients")
+        return None
+
+    def _spread(self, topic: str, text: str) -> None:
+        self._backlog -= 1
+        if self._outputs[topic].latched:
+            self._latest[topic] = text
+        for client in self._clients.values():
+            client.put(topic, text)
+
+    async def _client(self, connection: ServerConnection) -> None:
+        """A client, from its first message to its last."""
+        client = self._clients[connection] = Client(connection)
+        writer = asyncio.ensure_future(client.write())
+        allowance, before = float(RATE), self._loop.time()
+        try:
+            async for text in connection:
+                now = self._loop.time()
+                allowance, before = min(float(RATE), allowance + RATE * (now - before)) - 1.0, now
+                if allowance < 0.0:
+                    self._mailbox.log(
+                        "rosbridge flood", f"rosbridge: a client sends more than {RATE} messages/s; it is slowed down."
+                    )
+                    await asyncio.sleep(0.1)
+                try:
+                    self._handle(client, text)
+                except (ValueError, TypeError, RecursionError) as error:
+                    reason = str(error)[:200]
+                    self._mailbox.log("rosbridge message", f"rosbridge: a message was dropped: {reason}.")
+                    client.status("error", reason)
+        except ConnectionClosed:
+            pass
+        finally:
+            del self._clients[connection]
+            for topic in client.topics:
+                self._subscribed[topic] -= 1
+            writer.cancel()
+            for task in client.calls:
+                task.cancel()
+
+    def _handle(self, client: Client, text: str | bytes) -> None:
+        """One operation of a client.
+
+        Raises:
+            ValueError: it is none, or malformed.
+        """
+        request = json.loads(text)
+        if not isinstance(request, dict) or not isinstance(request.get("op"), str):
+            raise ValueError("a message without an op")
+        op = request["op"]
+        if op in ("advertise", "unadvertise", "unadvertise_service", "set_level"):
+            return
+        if op in ("subscribe", "unsubscribe", "publish"):
+            topic = request.get("topic")
+            if not isinstance(topic, str):
+                raise ValueError(f"{op}: the topic is {str(topic)[:40]!r}, and no name")
+            topic = f"/{topic.removeprefix('/')}"
+        if op == "publish":
+            if topic not in INPUTS:
+                raise ValueError(f"{topic[:80]} is not one of {', '.join(INPUTS)}")
+            message = request.get("msg")
+            self._mailbox.receive(topic, message if isinstance(message, dict) else {})
+        elif op == "subscribe":
+            if topic not in self._outputs:
+                raise ValueError(f"{topic[:80]} is not one of {', '.join(self._outputs)}")
+            if topic not in client.topics:
+                self._subscribed[topic] += 1
+            client.subscribe(topic, _whole(request, "throttle_rate", 0), _whole(request, "queue_length", 0))
+            if topic in self._latest:
+                client.put(topic, self._latest[topic])
+        elif op == "unsubscribe":
+            if client.topics.pop(topic, None) is not None:
+                self._subscribed[topic] -= 1
+        elif op == "call_service":
+            if len(client.calls) >= 4:
+                raise ValueError("four services of this client are running already")
+            task = asyncio.ensure_future(self._call(client, request))
+            client.calls.add(task)
+            task.add_done_callback(client.calls.discard)
+        else:
+            raise ValueError(f"the op {op[:40]!r} is not supported")
+
+    async def _call(self, client: Client, request: dict[str, Any]) -> None:
+        """Answer the call of a service."""
+        name, arguments = str(request.get("service")), request.get("args")
+        known = SERVICES.get(f"/{name.removeprefix('/')}")
+        values: Any
+        if known is not None:
+            answer = await asyncio.to_thread(self._mailbox.request, known)
+            values, result = answer._asdict(), True
+        elif name in ROSAPI:
+            values, result = self._rosapi(name, arguments if isinstance(arguments, dict) else {}), True
+        else:
+            values, result = f"there is no service {name[:80]}", False
+        response = {"op": "service_response", "service": name, "values": values, "result": result}
+        client.send(response | ({"id": request["id"]} if "id" in request else {}))
+
+    def _rosapi(self, name: str, arguments: Mapping[str, Any]) -> dict[str, Any]:
+        """What rosapi's services of these names say of the topics."""
+        types = {topic: output.type for topic, output in self._outputs.items()} | INPUTS
+        short = {topic: kind.replace("/msg/", "/") for topic, kind in types.items()}
+        if name == "/rosapi/topics":
+            return {"topics": list(short), "types": list(short.values())}
+        if name == "/rosapi/services":
+            return {"services": list(SERVICES)}
+        return {"type": short.get(str(arguments.get("topic")), "")}
+
+
+class Client:
+    """A client: its topics, and what waits to be sent to it."""
+
+    def __init__(self, connection: ServerConnection):
+        self.connection = connection
+        self.topics: dict[str, float] = {}  # subscribed -> s between two messages
+        self.calls: set[asyncio.Task[None]] = set()
+        self._queues: dict[str, collections.deque[str]] = {"": collections.deque(maxlen=QUEUE)}
+        self._due: dict[str, float] = {}
+        self._there = asyncio.Event()
+
+    def subscribe(self, topic: str, throttle: int, length: int) -> None:
+        """Send messages of a topic, at least ``throttle`` ms apart; the newest ``length`` ones wait for the client."""
+        self.topics[topic] = throttle / 1000.0
+        self._queues[topic] = collections.deque(maxlen=min(length, QUEUE) or QUEUE)
+        self._due[topic] = 0.0
+
+    def put(self, topic: str, text: str) -> None:
+        """A message of a topic; without effect if the client does not subscribe, or too early."""
+        if topic not in self.topics:
+            return
+        now = asyncio.get_running_loop().time()
+        if now >= self._due[topic]:
+            self._due[topic] = now + self.topics[topic]
+            self._queues[topic].append(text)
+            self._there.set()
+
+    def send(self, message: dict[str, Any]) -> None:
+        """A message that belongs to no topic."""
+        self._queues[""].append(json.dumps(message))
+        self._there.set()
+
+    def status(self, level: str, text: str) -> None:
+        """A status message."""
+        self.send({"op": "status", "level": level, "msg": text})
+
+    async def write(self) -> None:
+        """Send what waits, until the connection ends; a client that reads nothing for a while is disconnected."""
+        with contextlib.suppress(ConnectionClosed):
+            while True:
+                await self._there.wait()
+                self._there.clear()
+                while waiting := [queue for queue in list(self._queues.values()) if queue]:
+                    for queue in waiting:
+                        if queue:
+                            try:  # a ping would wait behind it
+                                await asyncio.wait_for(self.connection.send(queue.popleft()), 2 * web.PATIENCE)
+                            except TimeoutError:
+                                return self.connection.transport.abort()
+
+
+def _address(place: str) -> tuple[str, int]:
+    """The address and the port of ADDRESS:PORT.
+
+    Raises:
+        InputError: it is none.
+    """
+    host, _, port = place.rpartition(":")
+    host = {"localhost": web.HOST, "": web.HOST}.get(host, host.strip("[]"))
+    try:
+        ipaddress.ip_address(host)
+        if not 0 <= int(port) < 65_536:
+            raise ValueError
+    except ValueError:
+        raise InputError(f"rosbridge: {place} is no address and port; give one such as {web.HOST}:9090.") from None
+    return host, int(port)
+
+
+def _is_local(name: str | None) -> bool:
+    """Whether a name or an address is this computer's alone."""
+    with contextlib.suppress(ValueError):
+        return ipaddress.ip_address(name or "").is_loopback
+    return name == "localhost"
+
+
+def _whole(request: dict[str, Any], name: str, default: int) -> int:
+    value = request.get(name, default)
+    value = default if value is None else value
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value <= 1e9:
+        raise ValueError(f"{name} is {str(value)[:40]!r}, and no number from 0")
+    return int(value)
+
+
+def _plain(value: Any) -> Any:
+    """A message for JSON, as rosbridge writes it: bytes in base64, null for what is not finite, both names of times."""
+    if isinstance(value, dict):
+        if value.keys() == {"sec", "nanosec"}:  # ROS 1 says secs and nsecs
+            return {**value, "secs": value["sec"], "nsecs": value["nanosec"]}
+        return {name: _plain(each) for name, each in value.items()}
+    if isinstance(value, list):
+        return [_plain(each) for each in value]
+    if isinstance(value, np.ndarray):
+        if value.dtype == np.uint8:
+            return base64.b64encode(value.tobytes()).decode("ascii")
+        if value.dtype.kind != "f" or np.isfinite(value).all():
+            return value.tolist()
+        return [each if math.isfinite(each) else None for each in value.tolist()]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value

@@ -1,0 +1,258 @@
+"""The bridge with a real ROS 1 master of Debian's packages; skipped where they are missing."""
+
+import contextlib
+import json
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sean_jax.errors import InputError
+from sean_jax.ros.ros1 import DEBIAN, import_rospy
+
+pytestmark = pytest.mark.slow
+ROOT = Path(__file__).resolve().parent.parent
+SCENARIO = ("--environment", "lab", "--people", "6", "--dynamics", "twin", "--seed", "3")
+PYTHON = "/usr/bin/python3"  # of Debian's ROS
+LIMIT = 120.0  # s, for anything that has to happen
+
+
+def ros_is_missing():
+    """Why there is no ROS 1 here; empty if there is one."""
+    if shutil.which("rosmaster") is None:
+        return "Debian's ROS is not installed"
+    try:
+        subprocess.run(
+            [sys.executable, "-c", "from sean_jax.ros.ros1 import import_rospy as i; i()"], cwd=ROOT, check=True
+        )
+    except (subprocess.CalledProcessError, InputError):
+        return f"rospy of {DEBIAN} is not for this Python"
+    return ""
+
+
+@pytest.fixture(scope="module")
+def ros(tmp_path_factory):
+    """The environment variables of a master on a free port, which the fixture starts."""
+    if reason := ros_is_missing():
+        pytest.skip(reason)
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    folder = tmp_path_factory.mktemp("ros")
+    here = {"ROS_IP": "127.0.0.1", "ROS_HOSTNAME": "127.0.0.1", "ROS_LOG_DIR": str(folder), "PYTHONUNBUFFERED": "1"}
+    variables = {**os.environ, **here, "ROS_MASTER_URI": f"http://127.0.0.1:{port}", "PORT": str(port)}
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(master(variables))
+        yield variables
+
+
+@contextlib.contextmanager
+def master(ros):
+    with started(["rosmaster", "--core", "-p", ros["PORT"]], ros) as process:
+        end = time.monotonic() + LIMIT
+        while True:
+            with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", int(ros["PORT"]))):
+                break
+            assert time.monotonic() < end, "the master has not begun"
+            time.sleep(0.05)
+        yield process
+
+
+@contextlib.contextmanager
+def started(words, ros, **options):
+    """A process that is ended with the block."""
+    with subprocess.Popen([*map(str, words)], env=ros, cwd=ROOT, text=True, **options) as process:
+        try:
+            yield process
+        finally:
+            process.terminate()
+            try:
+                process.wait(20)
+            except subprocess.TimeoutExpired:
+                process.kill()
+
+
+def sean(ros, *words):
+    done = subprocess.run(
+        [sys.executable, "-m", "sean_jax", *map(str, words)],
+        env=ros,
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def program(ros, text, *words):
+    """What a program of rospy prints."""
+    command = [PYTHON, "-c", text, *map(str, words)]
+    done = subprocess.run(command, env=ros, cwd=ROOT, capture_output=True, text=True, timeout=LIMIT, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def test_the_tutorial_controller_outside_equals_the_same_controller_inside(ros, tmp_path):
+    """To the byte, in all metrics of all episodes: no command is missed, and the programs round alike."""
+    options = (*SCENARIO, "--episodes", "2", "--time-limit", "30")
+    controller = ROOT / "examples" / "ros1_controller.py"
+    with started([PYTHON, controller], ros):
+        said = sean(ros, "run", "--policy", "ros1:", *options, "--out", tmp_path / "outside")
+    assert "no command came" not in said
+    sean(ros, "run", "--policy", f"{controller}:inside", "--batch", "1", *options, "--out", tmp_path / "inside")
+    outside, inside = ((tmp_path / name / "episodes.csv").read_bytes() for name in ("outside", "inside"))
+    assert outside == inside and len(outside.splitlines()) == 3
+
+
+BENCHMARK = """
+import sys
+from sean_jax import cli
+from sean_jax.studies.experiments import benchmark
+
+names = ("lab-random_ab_nav", "lab-join_group")  # two tracks, so that the controller is connected twice
+benchmark.TRACKS = {name: benchmark.TRACKS[name] | {"time_limit": 12.0} for name in names}
+for policy, folder in zip(sys.argv[1::2], sys.argv[2::2]):
+    assert cli.main(["benchmark", policy, "--episodes", "1", "--out", folder]) == 0
+"""
+
+
+def test_a_controller_outside_gets_a_result_of_the_benchmark(ros, tmp_path):
+    """The measurements of the same controller inside; two compiled programs may round a metric differently."""
+    controller = ROOT / "examples" / "ros1_controller.py"
+    words = ("ros1:", tmp_path / "outside", f"{controller}:inside", tmp_path / "inside")
+    with started([PYTHON, controller], ros):
+        command = [sys.executable, "-c", BENCHMARK, *map(str, words)]
+        done = subprocess.run(command, env=ros, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "no command came" not in done.stdout
+    outside, inside = (json.loads((tmp_path / name / "result.json").read_text()) for name in ("outside", "inside"))
+    assert outside["policy"] == "ros1:" and outside["scores"] == inside["scores"]
+    for track in outside["tracks"]:
+        ours, theirs = (np.load(tmp_path / name / f"{track}.npz") for name in ("outside", "inside"))
+        for name in theirs.files:
+            np.testing.assert_allclose(ours[name], theirs[name], rtol=1e-6, err_msg=f"{track} {name}")
+
+
+LISTEN = """
+import sys, threading
+import rospy
+from nav_msgs.msg import OccupancyGrid, Odometry
+from sensor_msgs.msg import Image, LaserScan
+from geometry_msgs.msg import Twist
+from std_srvs.srv import Trigger
+
+rospy.init_node("listener", anonymous=True)
+topics = {"/odom": Odometry, "/scan": LaserScan, "/depth/image_raw": Image, "/map": OccupancyGrid}
+got, moved = {}, threading.Event()
+
+def receive(topic):
+    def one(message):
+        got[topic] = message
+        if topic == "/odom" and message.twist.twist.linear.x > 0.2:
+            moved.set()
+    return one
+
+subscribers = [rospy.Subscriber(topic, kind, receive(topic)) for topic, kind in topics.items()]
+publisher = rospy.Publisher("/cmd_vel", Twist, queue_size=1)
+twist = Twist()
+if "drive" in sys.argv:
+    twist.linear.x = 0.3
+rest = 50 if "record" in sys.argv else 0  # messages that the recorder gets, which is connected then
+while not (len(got) == len(topics) and moved.is_set() and rest <= 0):
+    rest -= publisher.get_num_connections() > 1
+    if "drive" in sys.argv:
+        twist.linear.y = float("nan")  # of no use to this robot
+        publisher.publish(twist)
+        broken = Twist()
+        broken.linear.x = float("nan")
+        publisher.publish(broken)
+    rospy.sleep(0.02)
+answer = rospy.ServiceProxy("/sean_jax/reset", Trigger)()
+scan, image = got["/scan"], got["/depth/image_raw"]
+print(len(scan.ranges), image.encoding, len(image.data) == 4 * image.width * image.height, answer.success)
+"""
+
+
+STUCK = """
+import rospy
+from sensor_msgs.msg import Image
+
+rospy.init_node("stuck", anonymous=True)
+rospy.Subscriber("/depth/image_raw", Image, lambda message: print("got", flush=True), queue_size=1)
+rospy.spin()
+"""
+
+
+def read_line(process, word, lines):
+    """Read the process's output until a line has a word."""
+    while word not in (line := process.stdout.readline()):
+        assert line, "".join(lines)
+        lines.append(line)
+    lines.append(line)
+    return line
+
+
+def test_publish_subscribe_record_play_a_stuck_subscriber_and_a_killed_master(ros, tmp_path):
+    variables, lines = ros, []
+    bridge = [sys.executable, "-m", "sean_jax", "bridge", "--ros1", *SCENARIO, "--factor", "2", "--time-limit", "20"]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    ros = {**variables, "ROS_MASTER_URI": f"http://127.0.0.1:{port}", "PORT": str(port)}
+    with contextlib.ExitStack() as stack, contextlib.ExitStack() as first:
+        first.enter_context(master(ros))
+        process = stack.enter_context(started(bridge, ros, **pipes))
+        read_line(process, "bridge: ", lines)
+        bag = tmp_path / "drive.bag"
+        record = ["rosbag", "record", "-O", bag, "/odom", "/cmd_vel", "/people", "/tf", "/clock", "/map"]
+        with started(record, ros) as recorder:
+            end = time.monotonic() + LIMIT
+            while not bag.with_suffix(".bag.active").exists():
+                assert time.monotonic() < end, "rosbag does not record"
+                time.sleep(0.05)
+            assert program(ros, LISTEN, "drive", "record").split() == ["360", "32FC1", "True", "True"]
+            recorder.send_signal(signal.SIGINT)
+            recorder.wait(LIMIT)
+        read = "import rosbag, sys; print(sorted({topic for topic, _, _ in rosbag.Bag(sys.argv[1])}))"
+        assert program(ros, read, bag).strip() == str(["/clock", "/cmd_vel", "/map", "/odom", "/people", "/tf"])
+        stuck = stack.enter_context(started([PYTHON, "-c", STUCK], ros, **pipes))
+        read_line(stuck, "got", [])
+        stuck.send_signal(signal.SIGSTOP)  # it keeps its connection and reads nothing more
+        stack.callback(stuck.kill)
+        with started(["rosbag", "play", "-l", bag, "--topics", "/cmd_vel"], ros):
+            assert program(ros, LISTEN).split()[-1] == "True"
+        if not any("x is nan" in line for line in lines):
+            read_line(process, "/cmd_vel: a message was dropped: x is nan", lines)
+        first.close()  # the master ends
+        read_line(process, "does not answer", lines)
+        read_line(process, "episode", lines)  # the simulation goes on
+        stack.enter_context(master(ros))
+        read_line(process, "registered at a new master", lines)
+        assert program(ros, LISTEN, "drive").split()[-1] == "True"
+
+
+def test_there_has_to_be_a_master(ros):
+    nobody = {**ros, "ROS_MASTER_URI": "http://127.0.0.1:1"}
+    words = [sys.executable, "-m", "sean_jax", "bridge", "--ros1", *SCENARIO]
+    done = subprocess.run(words, env=nobody, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 2 and "no ROS master answers at http://127.0.0.1:1" in done.stderr.replace("\n", " ")
+
+
+def test_rospy_leaves_no_trace_where_it_is_missing():
+    """The search path is as before if the import fails."""
+    if not ros_is_missing():
+        assert import_rospy().__name__ == "rospy"
+        return
+    before = list(sys.path)
+    with pytest.raises(InputError, match="ros1: rospy"):
+        import_rospy()
+    assert sys.path == before
