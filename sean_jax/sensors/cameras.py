@@ -336,7 +336,7 @@ def points(sensor: Lidar, distances: Float[Array, "*shape"]) -> Float[Array, "*s
 
 
 def point_cloud(
-    sensor: Lidar, distances: Float[np.ndarray, "*shape"]
+    sensor: Lidar, distances: Float[Array, "*shape"] | Float[np.ndarray, "*shape"]
 ) -> tuple[Float[np.ndarray, "n 3"], Int[np.ndarray, "n"]]:
     """The points [m] of the rays of a scan that meet a body, and the number of the ring of each, 0 for the lowest.
 
