@@ -399,7 +399,7 @@ def test_the_command_writes_constants_figures_and_a_report(scenes, tmp_path):
     assert "repulsion.strength" in page and "without north" in page
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_a_fit_that_was_stopped_goes_on(scenes, tmp_path, monkeypatch):
     """And gives the same constants."""
     results = json.loads((calibration.run(options(scenes, tmp_path / "one")) / "results.json").read_text())

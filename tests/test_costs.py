@@ -116,7 +116,7 @@ def test_costs_that_are_none_are_refused():
             reinforcement.build(options(costs=[f"{name}=1"]))
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_a_training_learns_multipliers_and_goes_on_with_them(tmp_path, monkeypatch):
     """Of a cost that no reward names and of one that does; resumed, the curve is the same; each seed has its own."""
     more = {"costs": ["time=30", "personal_space=1000"], "seeds": 2}

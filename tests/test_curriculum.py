@@ -289,7 +289,7 @@ def test_what_people_are_cost():
 # ------------------------------------------------------------------ in a training
 
 
-@pytest.mark.slow
+@pytest.mark.night
 @pytest.mark.parametrize("kind", ["situations", "regret"])
 def test_a_training_with_a_curriculum_goes_on_to_the_same_curve(kind, tmp_path, monkeypatch):
     """Stopped between two draws of new starts, it ends with the same agent and the same starts."""

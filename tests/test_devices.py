@@ -206,7 +206,7 @@ def curve(folder):
     return [{f"{part} {name}": line[part][name] for part in parts for name in line.get(part, {})} for line in lines]
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_two_processes_train_as_one_with_two_devices(tmp_path):
     """Stopped and given again, they come to the same curve, and leave the same files, each once."""
     alone, both = tmp_path / "alone", tmp_path / "both"
@@ -229,7 +229,7 @@ def test_two_processes_train_as_one_with_two_devices(tmp_path):
     assert driver.name == "both"  # one process reads what two have written
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_several_environments_on_two_devices_are_those_on_one(tmp_path):
     cell = tmp_path / "cell"
     cell.mkdir()

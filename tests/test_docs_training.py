@@ -59,7 +59,7 @@ def test_agents_of_the_package_are_told():
     assert {name for cells in table("name | command") for name in names(cells[0])} == set(AGENTS)
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_examples_run(tmp_path, monkeypatch):
     pytest.importorskip("gymnasium")
     monkeypatch.chdir(tmp_path)

@@ -108,7 +108,7 @@ def test_options_of_the_curve_are_its_own(tmp_path):
 SMALL = ["--environment", "lab", "--people", "4", "--dynamics", "twin", "--quiet"]
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_learning_curve(tmp_path, monkeypatch):
     """With three parts at once, and what is missing one by one, to the same bytes."""
     monkeypatch.setattr(experiments, "workers", lambda: 3)

@@ -643,7 +643,7 @@ def test_a_randomization_that_gives_something_else_is_refused(mine, name, text, 
         reinforcement.build(options(tmp_path, randomization=f"{mine}:{name}"))
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_a_training_with_randomization_delay_and_own_ends_goes_on(mine, tmp_path):
     half, whole = tmp_path / "half", tmp_path / "whole"
     reinforcement.train(varied(whole, mine))
@@ -944,7 +944,7 @@ def test_environments_that_do_not_go_together_are_refused(cell, tmp_path):
         reinforcement.build(config)
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_one_agent_learns_in_several_environments(cell, tmp_path, monkeypatch):
     """Stopped and given again, with two seeds: it sees each place as it is, is judged in each, and drives in each."""
     config = options(tmp_path / "run", environment=f"lab,{cell}", seeds=2, steps=8 * 8 * 4)
@@ -996,7 +996,7 @@ def test_one_agent_learns_in_several_environments(cell, tmp_path, monkeypatch):
         np.testing.assert_allclose(*ways, atol=1e-2)
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_all_ways_to_learn_know_several_environments(cell, tmp_path):
     """Imitation at first, and then derivatives, of both."""
     config = analytic(

@@ -302,7 +302,7 @@ def test_laws_are_environments():
         config.replace(curriculum="regret")
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_a_training_keeps_its_randomization(file, tmp_path):
     """On the floors of a set, under two laws: logged by law, refused with other bounds; its agent needs no file."""
     from sean_jax import learning

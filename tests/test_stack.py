@@ -232,7 +232,7 @@ def test_sets_are_named():
         assembly.build_floors(options(task=[{"kind": "custom", "start": (1.0, 1.0), "goal": (2.0, 2.0)}]))
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_tables_of_wide_robots_are_computed_by_the_other_processes(monkeypatch, tmp_path):
     """They leave nothing to this process but to read: the paths of people and those of each wide robot."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
