@@ -52,24 +52,34 @@ seen.legend = await page.locator(".replay-legend").innerText();
 seen.named = [];
 const plan = await page.locator(".replay-plan").boundingBox();
 const tip = () => page.locator(".replay-tip").textContent();
-let person = null;
+const places = []; // where a person may be: the label is that of the last drawing, which may lag by a place
 for (let k = 0; k < 900; k++) {
-  const [across, down] = [(k % 30) / 30, Math.floor(k / 30) / 30];
-  await page.mouse.move(plan.x + across * plan.width, plan.y + down * plan.height);
+  const place = [plan.x + ((k % 30) / 30) * plan.width, plan.y + (Math.floor(k / 30) / 30) * plan.height];
+  await page.mouse.move(...place);
   seen.named.push(await tip());
-  if (seen.named.at(-1).startsWith("person")) person = [plan.x + across * plan.width, plan.y + down * plan.height];
+  if (seen.named.at(-1).startsWith("person")) places.push(place, [place[0] - plan.width / 30, place[1]]);
 }
 seen.named = [...new Set(seen.named)];
+let person = null;
+while (!person && places.length) {
+  const place = places.pop();
+  await page.mouse.move(...place);
+  await page.evaluate(() => new Promise((drawn) => requestAnimationFrame(() => requestAnimationFrame(drawn))));
+  if ((await tip()).startsWith("person")) person = place;
+}
 if (person) {
-  const pin = () => page.locator(".replay-pin").textContent();
+  const change = async (before) => { // the label after the next drawing, or unchanged after 30 s
+    const other = (text) => document.querySelector(".replay-pin").textContent !== text;
+    await page.waitForFunction(other, before).catch(() => {});
+    return page.locator(".replay-pin").textContent();
+  };
   await page.mouse.click(...person);
   await page.mouse.move(plan.x + 2, plan.y + 2);
-  seen.pinned = await pin();
+  seen.pinned = await change("");
   await page.keyboard.press("End");
-  await page.waitForTimeout(100);
-  seen.later = await pin();
+  seen.later = await change(seen.pinned);
   await page.mouse.click(plan.x + 2, plan.y + 2);
-  seen.unpinned = await pin();
+  seen.unpinned = await change(seen.later);
 }
 await page.getByLabel("follow").check();
 await page.waitForTimeout(100);
