@@ -9,6 +9,7 @@ import socket
 import subprocess
 import sys
 import time
+import types
 from pathlib import Path
 
 import numpy as np
@@ -28,12 +29,11 @@ def ros_is_missing():
     """Why there is no ROS 1 here; empty if there is one."""
     if shutil.which("rosmaster") is None:
         return "Debian's ROS is not installed"
+    words = "from sean_jax.ros.ros1 import import_rospy as i; i(); import nav_msgs.msg, sensor_msgs.msg, tf2_msgs.msg"
     try:
-        subprocess.run(
-            [sys.executable, "-c", "from sean_jax.ros.ros1 import import_rospy as i; i()"], cwd=ROOT, check=True
-        )
-    except (subprocess.CalledProcessError, InputError):
-        return f"rospy of {DEBIAN} is not for this Python"
+        subprocess.run([sys.executable, "-c", words], cwd=ROOT, check=True)
+    except subprocess.CalledProcessError:
+        return f"rospy of {DEBIAN} or its messages are missing or not for this Python"
     return ""
 
 
@@ -256,3 +256,11 @@ def test_rospy_leaves_no_trace_where_it_is_missing():
     with pytest.raises(InputError, match="ros1: rospy"):
         import_rospy()
     assert sys.path == before
+
+
+def test_messages_that_are_missing_are_named(monkeypatch):
+    for name in ("rospy", "geometry_msgs", "geometry_msgs.msg"):
+        monkeypatch.setitem(sys.modules, name, types.ModuleType(name))
+    monkeypatch.setitem(sys.modules, "std_srvs", None)
+    with pytest.raises(InputError, match="ros1: rospy cannot be imported .*std_srvs.*apt-get install .*python3-std-srvs"):
+        import_rospy()

@@ -8,6 +8,7 @@ begins, the node registers there.
 from __future__ import annotations
 
 import atexit
+import importlib
 import os
 import sys
 import threading
@@ -24,28 +25,37 @@ NODE = "sean_jax"
 QUEUE = 100  # messages of a topic that may wait for its subscribers
 WATCH = 2.0  # s, between two looks at the master
 DEBIAN = "/usr/lib/python3/dist-packages"
+MESSAGES = {"geometry_msgs": "msg", "std_srvs": "srv"}  # packages of the node's topics and services
 
 
 def import_rospy() -> Any:
-    """The module rospy; also where Debian has it, behind this Python's own packages.
+    """The module rospy, beside its ``MESSAGES``; also where Debian has them, behind this Python's own packages.
 
     Raises:
-        InputError: there is none for this Python.
+        InputError: there is none for this Python, or a package of messages is missing.
     """
     try:
-        import rospy  # pyright: ignore[reportMissingImports]
-    except ImportError as first:
-        if DEBIAN in sys.path or not Path(DEBIAN, "rospy").is_dir():
-            cure = "on Debian: apt-get install ros-core python3-rospy python3-std-srvs"
-            raise InputError(f"ros1: rospy cannot be imported ({first}); {cure}.") from None
+        return _import()
+    except ImportError as error:
+        missing = error
+    if DEBIAN not in sys.path and Path(DEBIAN, "rospy").is_dir():
         sys.path.append(DEBIAN)
         try:
-            import rospy  # pyright: ignore[reportMissingImports]
+            return _import()
         except ImportError as error:
             sys.path.remove(DEBIAN)
+            missing = error
+        if (missing.name or "").partition(".")[0] not in MESSAGES:
             version = f"Python {sys.version_info.major}.{sys.version_info.minor}"
-            raise InputError(f"ros1: rospy of {DEBIAN} is not for {version} ({error}); use Debian's version.") from None
-    return rospy
+            raise InputError(f"ros1: rospy of {DEBIAN} is not for {version} ({missing}); use Debian's version.")
+    cure = "on Debian: apt-get install ros-core python3-rospy python3-geometry-msgs python3-std-srvs"
+    raise InputError(f"ros1: rospy cannot be imported ({missing}); {cure}.")
+
+
+def _import() -> Any:
+    for package, module in MESSAGES.items():
+        importlib.import_module(f"{package}.{module}")
+    return importlib.import_module("rospy")
 
 
 class Node:
