@@ -261,6 +261,6 @@ def test_rospy_leaves_no_trace_where_it_is_missing():
 def test_messages_that_are_missing_are_named(monkeypatch):
     for name in ("rospy", "geometry_msgs", "geometry_msgs.msg"):
         monkeypatch.setitem(sys.modules, name, types.ModuleType(name))
-    monkeypatch.setitem(sys.modules, "std_srvs", None)
+    monkeypatch.setitem(sys.modules, "std_srvs.srv", None)
     with pytest.raises(InputError, match=r"ros1: rospy cannot be imported \(.*std_srvs.*\); .* python3-std-srvs"):
         import_rospy()
