@@ -122,26 +122,40 @@ def test_interval_of_evenly_spaced_samples(level):
     np.testing.assert_allclose([low[1], high[1]], -2 * ends[::-1])
 
 
-def test_shares_of_table_1_have_the_intervals_of_their_blocks():
-    """Seconds of a minute are all alike here, so the error is that of 400 draws, not of 24,000."""
-    block = np.random.default_rng(8).uniform(size=(400, 1, 5)) < [0.1, 0.2, 0.3, 0.4, 0.5]
-    found = shares.count(np.broadcast_to(block, (400, 60, 5)))
-    share = block.mean((0, 1))
+def test_shares_of_table_1_have_the_intervals_of_their_chains():
+    """Seconds of a chain are all alike here, so the error is that of 400 draws, not of 24,000."""
+    chain = np.random.default_rng(8).uniform(size=(400, 1, 5)) < [0.1, 0.2, 0.3, 0.4, 0.5]
+    found = shares.count(np.broadcast_to(chain, (400, 60, 5)), resamples(400))
+    share = chain.mean((0, 1))
     np.testing.assert_allclose(found.examples[0], share, rtol=1e-12)
     half = 1.96 * np.sqrt(share * (1 - share) / 400)
     np.testing.assert_allclose(shares.interval(found.examples), [share - half, share + half], atol=0.12 * half.max())
-    by_aggregate = aggregate(block[:, 0].astype(float))
+    by_aggregate = aggregate(chain[:, 0].astype(float))
     np.testing.assert_allclose(shares.interval(found.examples), [by_aggregate.low, by_aggregate.high], rtol=1e-9)
-    assert found.seconds == 24_000 and found.none[0] == pytest.approx((~block.any(-1)).mean())
+    assert found.seconds == 24_000 and found.none[0] == pytest.approx((~chain.any(-1)).mean())
 
 
-def test_shares_of_table_1_are_resampled_within_each_stream():
-    """Each of two streams is all alike, so no resample differs; blocks of both together would."""
-    flags = np.zeros((40, 60, 5), bool)
-    flags[20:, :, 0] = True
-    found = shares.count(flags, streams=2)
-    np.testing.assert_allclose(found.examples[:, 0], 0.5, rtol=1e-6)
-    assert shares.count(flags).examples[:, 0].std() > 0.05
+@pytest.mark.parametrize(("strata", "size"), [(1, 4), (2, 5), (5, 20), (2, 50)])
+def test_stratified_intervals_hold_the_truth_as_often_as_they_say(strata, size):
+    """2,000 experiments with strata of different means and deviations; and their means are Student's."""
+    random, means, deviations = np.random.default_rng(9), np.arange(strata), 1.0 + np.arange(strata) % 2
+    weights = bootstrap.with_estimate(bootstrap.stratified_resamples(strata, size))
+    np.testing.assert_allclose(weights.sum(1), 1.0, atol=1e-4)
+    data = random.normal(means[:, None], deviations[:, None], (2000, strata, size)).reshape(2000, -1)
+    samples = weights @ data.T
+    np.testing.assert_allclose(samples[0], data.mean(1))
+    low, high = interval(samples[1:])
+    assert 0.93 <= ((low <= means.mean()) & (means.mean() <= high)).mean() <= 0.97
+
+
+@pytest.mark.parametrize(("strata", "size", "future"), [(1, 100, 10), (2, 50, 5), (5, 20, 2), (1, 5, 2)])
+def test_predictive_intervals_hold_new_means_as_often_as_they_say(strata, size, future):
+    random, means = np.random.default_rng(10), np.arange(strata)
+    weights = bootstrap.with_estimate(bootstrap.predictive_resamples(strata, size, future))
+    data = random.normal(means[:, None], 1.0, (2000, strata, size)).reshape(2000, -1)
+    new = random.normal(means[:, None], 1.0, (2000, strata, future)).mean((1, 2))
+    low, high = interval((weights @ data.T)[1:])
+    assert 0.93 <= ((low <= new) & (new <= high)).mean() <= 0.97
 
 
 def test_intervals_hold_the_truth_as_often_as_they_say():

@@ -22,11 +22,13 @@ from sean_jax.config import AblationConfig, CollectConfig, Figure4Config, Table1
 from sean_jax.errors import FileError, InputError
 from sean_jax.learning.collection import Recorder, record, streams
 from sean_jax.metrics import METRICS
+from sean_jax.metrics.bootstrap import resamples
 from sean_jax.policies import POLICIES, go_to_goal
 from sean_jax.runner import Runner, even_batch
 from sean_jax.scenario import results
 from sean_jax.studies import experiments
 from sean_jax.studies.experiments import demonstrations, figure4, shares, table1
+from sean_jax.studies.experiments.measures import MEASURES, Results, claims, has_learned
 from sean_jax.studies.experiments.shares import BEHAVIORS
 from sean_jax.workspace import Workspace, identity
 
@@ -43,7 +45,7 @@ def test_ways_of_counting():
     flags = np.zeros((2, 4, 5), bool)
     flags[0, 0, :2] = True  # cross and down path together
     flags[0, 1, 4] = flags[0, 2, 4] = flags[1, 0, 4] = True
-    found = shares.count(flags)
+    found = shares.count(flags, resamples(2))
     each = np.array([1, 1, 0, 0, 3])
     for counting, whole in {"flags": 5, "flags_and_none": 9, "examples": 8, "situated_examples": 4}.items():
         np.testing.assert_allclose(found.of(counting)[0], each / whole)
@@ -51,20 +53,46 @@ def test_ways_of_counting():
     assert found.seconds == 8 and found.none[0] == 0.5
     low, high = shares.interval(found.examples)
     assert (low <= found.examples[0]).all() and (found.examples[0] <= high).all()
-    nothing = shares.count(np.zeros((2, 4, 5), bool))
+    nothing = shares.count(np.zeros((2, 4, 5), bool), resamples(2))
     assert all(np.all(nothing.of(counting) == 0.0) for counting in shares.COUNTINGS) and np.all(nothing.none == 1.0)
 
 
-def test_intervals_hold_what_they_promise():
-    """Blocks of a known share: the 95 % interval has it in about 95 of 100 draws, and one over seconds has it less."""
-    random = np.random.default_rng(0)
-    inside = []
-    for seed in range(100):
-        flags = np.zeros((60, 60, 5), bool)
-        flags[..., 4] = (random.random(60) < 0.3)[:, None]  # a whole minute at a time
-        low, high = shares.interval(shares.count(flags, seed).examples)
-        inside.append(low[4] <= 0.3 <= high[4])
-    assert 88 <= sum(inside) <= 100
+def chains(random: np.random.Generator, streams: int, number: int, minutes: int) -> shares.Cell:
+    """Chains of random people: minutes are random as a whole, and join group occurs in the last stream alone."""
+    rates = random.beta(2.0, 4.0, (streams, number, 1))  # successive minutes of a chain are alike
+    flags = random.random((streams, number, minutes)) < rates
+    several = np.zeros((1, streams, number, 60 * minutes, 5), bool)
+    several[0, ..., 4] = np.repeat(flags, 60, axis=-1)
+    several[0, -1, ..., 2] = True
+    several = several.reshape(1, streams * number, 60 * minutes, 5)
+    return shares.Cell("graph", "go_to_goal", 9, several, several[0], np.array([1, 0]), streams)
+
+
+def test_intervals_of_the_mean_and_of_an_hour_hold_as_often_as_they_say():
+    """The share of empty is 1/3 of the examples, of two streams of half an hour; join group never varies."""
+    random, mean, hour = np.random.default_rng(0), [], []
+    for _ in range(300):
+        cell = chains(random, 2, 25, 6)
+        for shares_of, truth, inside in (
+            (cell.shares, 1 / 3, mean),
+            (cell.hour, chains(random, 2, 5, 6).flags[0, ..., 4].mean(), hour),
+        ):
+            low, high = shares.interval(shares_of().examples)
+            inside.append(low[4] <= truth <= high[4])
+            assert low[2] == pytest.approx(0.5) == high[2]
+    assert 0.92 <= np.mean(mean) <= 0.98 and 0.92 <= np.mean(hour) <= 0.98
+
+
+def test_the_papers_hour_is_tested_against_an_hour():
+    """A figure of the paper within our hours fits, another does not; Holm's correction is of one policy's figures."""
+    random = np.random.default_rng(1)
+    rows = shares.hours([chains(random, 2, 50, 6)])
+    assert [row["figure"] for row in rows] == [*shares.NAMES, "entropy"]
+    by = {row["figure"]: row for row in rows}
+    assert by["empty"]["low"] < by["empty"]["paper"] < by["empty"]["high"] and by["empty"]["p"] > 0.05
+    assert by["cross_path"]["p"] == pytest.approx(2 / 2001) and by["cross_path"]["holm"] < 0.05
+    assert by["cross_path"]["holm"] == pytest.approx(6 * by["cross_path"]["p"], rel=0.7)
+    assert all(row["holm"] >= row["p"] for row in rows)
 
 
 def row(*percent: float) -> shares.Shares:
@@ -86,8 +114,6 @@ def test_other_tables_have_not():
 
 
 def test_claims_of_figure_4():
-    from sean_jax.studies.experiments.measures import Results, claims
-
     def cell(wait: float, harm: float, done: float) -> dict:
         names = ("time_not_moving", wait), ("violations", harm), ("completed", done), ("collisions", 0.0)
         return {name: np.full(10, value) for name, value in names}
@@ -279,12 +305,12 @@ def test_numbered_episodes_are_those_of_their_streams(monkeypatch):
 def test_chains_restart_from_their_own_stream():
     asked = CollectConfig(behavior="handcrafted", environment="lab", dynamics="twin", time_limit=20.0)
     kinds = list(streams(asked).values())
-    there = table1.Streams(kinds, 3, 3)
+    there = table1.Streams(kinds, 3, 2, 3)
     pools = there.starts()
     assert there.starts() is pools
-    for index, kind in enumerate(kinds):  # as each stream alone would draw them
-        key = jax.random.fold_in(prng.key("table1 starts", 3), index)
-        alone = jax.jit(episodes.reset_pool, static_argnums=2)(kind, key, 3).starts
+    for index, (kind, seed) in enumerate((kind, seed) for kind in range(5) for seed in (3, 4)):
+        key = jax.random.fold_in(prng.key("table1 starts", seed), kind)  # as each stream and seed alone would draw them
+        alone = jax.jit(episodes.reset_pool, static_argnums=2)(kinds[kind], key, 3).starts
         np.testing.assert_allclose(pools.robot.position[index], alone.robot.position, atol=1e-5)
         np.testing.assert_allclose(pools.pedestrians.position[index], alone.pedestrians.position, atol=1e-5)
 
@@ -292,7 +318,7 @@ def test_chains_restart_from_their_own_stream():
         return episodes.draw_start(episodes.ResetPool(pools), *jax.random.split(key), stream)
 
     starts = jax.vmap(starts, (None, 0, 0))
-    stream = jnp.repeat(jnp.arange(5, dtype=jnp.int32), 8)
+    stream = jnp.repeat(jnp.arange(10, dtype=jnp.int32), 4)
     drawn = starts(pools, stream, jax.random.split(jax.random.key(1), 40))
     for each, place in zip(np.asarray(stream), np.asarray(drawn.robot.position), strict=True):
         assert (np.asarray(pools.robot.position[each]) == place).all(-1).any()
@@ -300,17 +326,20 @@ def test_chains_restart_from_their_own_stream():
 
 
 @pytest.mark.slow
-def test_further_situations_are_noted_beside_the_scenarios_own():
+def test_chains_of_a_seed_do_not_depend_on_other_seeds_and_further_situations():
     """Those of the scenario stay as they are, and a further one that is one of them equals it in every second."""
     asked = CollectConfig(behavior="random", environment="lab", dynamics="twin", time_limit=20.0, people=6)
     kinds = list(streams(asked).values())
     further = tuple(kinds[0].situations[::2])
 
-    def minutes(*more):
-        return table1.simulate_chains(as_policy(go_to_goal), table1.Streams(kinds, 0, 4), 2, 1, lambda _: None, *more)
+    def minutes(seed, seeds, *more):
+        there = table1.Streams(kinds, seed, seeds, 4)
+        return table1.simulate_chains(as_policy(go_to_goal), there, 2, 1, lambda _: None, *more)
 
-    alone, ended = minutes()
-    both, again = minutes(further)
+    alone, ended = minutes(5, 1)
+    several, _ = minutes(4, 2)
+    np.testing.assert_array_equal(several.reshape(len(kinds), 2, 2, 1, 60, 5)[:, 1].reshape(alone.shape), alone)
+    both, again = minutes(5, 1, further)
     assert alone.shape == (2 * len(kinds), 1, 60, 5) and both.shape == (*alone.shape[:3], 8)
     np.testing.assert_array_equal(both[..., :5], alone)
     np.testing.assert_array_equal(both[..., 5:], alone[..., ::2])
@@ -353,9 +382,9 @@ def test_table1(tmp_path, monkeypatch):
     before = {path.name: path.read_bytes() for path in out.iterdir() if path.suffix == ".csv"}
     for behavior in BEHAVIORS[:2]:
         (out / f"{behavior}-go_to_goal-4.npz").unlink()
-    old = out / "graph-go_to_goal-4.npz"  # of a version that had no further situations
+    old = out / "graph-go_to_goal-4.npz"  # of a version that did not write the number of chains
     with np.load(old) as cell:
-        kept = {name: cell[name] for name in ("flags", "people", "ended")}
+        kept = {name: cell[name] for name in cell if name != "chains"}
     np.savez_compressed(old, **kept)
     monkeypatch.setattr(experiments, "workers", lambda: 1)
     assert cli.main(["experiment", "table1", *given]) == 0
@@ -450,6 +479,35 @@ def test_figure4(tmp_path, monkeypatch):
     assert all((out / name).read_bytes() == content for name, content in before.items())
 
 
+def test_contrasts_of_figure_4():
+    """Networks are compared by datasets and other policies by episodes, as scipy does; Holm's correction is of all."""
+    from scipy import stats
+
+    random, sizes = np.random.default_rng(2), (5, 2, 8)
+    shifts = {"G": 0.0, "R": 2.0, "H": 0.5, "B": 0.0, "N": 1.0, "E": 3.0}
+
+    def cell(policy: str) -> dict:
+        own = random.normal(shifts[policy], 0.5, (5, 1)) if has_learned(policy) else np.full((5, 1), shifts[policy])
+        cells = {name: (own + random.normal(0.0, 1.0, (5, 16))).ravel() for name in MEASURES}
+        return {**cells, "completed": (cells["completed"] > 0.0).astype(float)}
+
+    values = {policy: {b: cell(policy) for b in BEHAVIORS} for policy in shifts}
+    found = Results(sizes, values, {}, {})
+    rows = {(row["one"], row["other"], row["measure"]): row for row in found.contrasts}
+    assert len(rows) == 7 * len(MEASURES) and rows["G", "R", "violations"]["holm"] < 0.05
+    for one, other, units in ("G", "R", 5), ("G", "N", 5), ("E", "N", 80):
+        ours, theirs = (np.mean([values[p][b]["violations"] for b in BEHAVIORS], 0) for p in (one, other))
+        gaps = (ours - theirs).reshape(units, -1).mean(1)
+        row, student = rows[one, other, "violations"], stats.ttest_1samp(gaps, 0.0)
+        assert row["p"] == pytest.approx(student.pvalue)
+        assert row["effect"] == pytest.approx(gaps.mean() / gaps.std(ddof=1))
+        estimate, ends = row["difference"], student.confidence_interval()
+        assert estimate.mean == pytest.approx(gaps.mean())
+        np.testing.assert_allclose([estimate.low, estimate.high], ends, atol=0.1 * (ends[1] - ends[0]))
+        assert row["holm"] >= row["p"]
+    assert found.cells["E"]["graph"]["violations"].high - found.cells["E"]["graph"]["violations"].low < 0.6
+
+
 def test_worlds_of_the_ablation_differ_in_one_switch_each():
     options = AblationConfig(environment="lab", quick=True)
     described = {
@@ -457,6 +515,14 @@ def test_worlds_of_the_ablation_differ_in_one_switch_each():
         for world in table1.WORLDS
     }
     default, whole = described["default"], described["sean2"]
+    assert len(table1.WORLDS) == 2 + 2 * len(table1.SWITCHES)
+    for world in table1.SWITCHES:  # the same values are changed from the default and changed back from sean2
+        missing = described[f"sean2-without-{world}"]
+        for behavior in BEHAVIORS:
+            changed = [name for name, value in missing[behavior].items() if value != whole[behavior][name]]
+            assert changed == [n for n, v in described[world][behavior].items() if v != default[behavior][n]]
+            simulated = table1.simulated_world(options, f"sean2-without-{world}", behavior)
+            assert simulated == (f"sean2-without-{world}" if changed else "sean2")
     assert default["graph"]["dynamics"] == "twin" and whole["graph"]["dynamics"] == "kinematic"
     for world in table1.SWITCHES:
         for behavior in BEHAVIORS:
@@ -495,7 +561,7 @@ def test_the_preset_reaches_both_experiments():
 
 @pytest.mark.slow
 def test_ablation(tmp_path, monkeypatch):
-    monkeypatch.setattr(table1, "WORLDS", ("default", "goal_sampling", "sean2"))
+    monkeypatch.setattr(table1, "WORLDS", {name: table1.WORLDS[name] for name in ("default", "goal_sampling", "sean2")})
     out = tmp_path / "ablation"
     given = [
         "--environment",

@@ -70,6 +70,14 @@ def breadth_first(start, free):
     return np.where(np.isfinite(steps), steps, UNREACHED)
 
 
+@pytest.fixture(params=["sweeps", "at once"])
+def rounds(request, monkeypatch):
+    """Waves as on a CPU, and as elsewhere."""
+    if request.param == "at once":
+        monkeypatch.setattr(costmap, "_four_sweeps", costmap._at_once)
+
+
+@pytest.mark.usefixtures("rounds")
 def test_steps_are_those_of_a_breadth_first_search():
     random, run = np.random.default_rng(1), jax.jit(costmap.steps_from)
     for _ in range(8):
@@ -80,6 +88,7 @@ def test_steps_are_those_of_a_breadth_first_search():
         np.testing.assert_array_equal(run(jnp.asarray(start, float), jnp.asarray(free)), breadth_first(start, free))
 
 
+@pytest.mark.usefixtures("rounds")
 def test_potentials_are_the_fixed_point_of_the_quadratic_rule():
     random = np.random.default_rng(2)
     costs = np.where(random.random((30, 26)) < 0.2, 254, random.integers(0, 120, (30, 26))).astype(float)
@@ -225,6 +234,7 @@ def least_costs(cost, place):
     return scipy.sparse.csgraph.dijkstra(graph, directed=False, indices=node[place]).reshape(cost.shape)
 
 
+@pytest.mark.usefixtures("rounds")
 def test_plans_cost_as_much_as_shortest_paths():
     """Plans among random obstacles and people, and their potentials, against Dijkstra's least costs."""
     random, ratios, errors, detours = np.random.default_rng(8), [], [], []

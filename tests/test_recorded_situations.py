@@ -146,7 +146,8 @@ def test_resamples_take_people_with_all_their_examples():
         drawn = np.concatenate([flags[person == name] for name, n in times.items() for _ in range(n)])
         np.testing.assert_allclose(found.examples[1 + row], drawn.mean(0))
         assert found.none[1 + row] == pytest.approx((~drawn.any(1)).mean())
-    whole = shares.count(flags[:20].reshape(4, 5, 5), seed=3)  # people with equally many are blocks
+    blocks = flags[:20].reshape(4, 5, 5)  # of people with equally many examples
+    whole = shares.count(blocks, bootstrap.resamples(4, 3, 2000))
     same = shares.count_by_person(flags[:20], np.repeat(range(4), 5), seed=3)
     np.testing.assert_allclose(whole.examples, same.examples)
     np.testing.assert_allclose(whole.of("flags_and_none"), same.of("flags_and_none"))

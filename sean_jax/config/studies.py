@@ -67,9 +67,16 @@ class SituationConfig(ExperimentConfig):
     hours: fields.HoursOfMinutes = 1.0
     """Hours for each behavior and each of --seeds."""
     seeds: fields.Count = 10
-    """Simulations of these hours, all drawn from --seed."""
+    """Simulations of these hours, with --seed and the next seeds."""
     speeds: Annotated[tuple[fields.WalkingSpeed, ...], pydantic.Field(min_length=1)] = SPEEDS
     """Walking thresholds V in m/s; the table uses the first."""
+
+    @pydantic.model_validator(mode="after")
+    def _check_seeds(self) -> Self:
+        if self.seed + self.seeds > 2**32:
+            text = f"{self.seeds} consecutive seeds from {self.seed} go beyond {2**32 - 1}"
+            raise ValueError(f"seed: {text}; choose a smaller seed or fewer seeds.")
+        return self
 
 
 class Table1Config(SituationConfig):

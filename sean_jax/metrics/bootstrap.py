@@ -1,7 +1,7 @@
 """Bootstrap intervals over many episodes (section V): of means, of ratios of sums, of any figure.
 
 Episodes are drawn with replacement and the figure is computed again for each resample (Efron 1979). The interval holds
-the middle 95 % of the results: the variation of the figure over seeds. Table I draws blocks of a minute
+the middle 95 % of the results: the variation of the figure over seeds. Table I draws chains of episodes
 instead of episodes, and figures of its own. All of this runs at the end, on the host and in double precision.
 """
 
@@ -114,6 +114,42 @@ def resamples(episodes: int, seed: int = 0, count: int | None = None, cluster: i
     number = episodes // cluster
     drawn = draw.multinomial(number, np.full(number, 1 / number), size=count).astype(np.float32)
     return np.repeat(drawn, cluster, axis=1)
+
+
+def stratified_resamples(strata: int, size: int, seed: int = 0) -> np.ndarray:
+    """(R, strata * size) float32 weights of independent blocks in resamples, with mean 1 in each stratum.
+
+    The share of each stratum is fixed, so only blocks within a stratum vary. Weights are rescaled to an unbiased
+    variance and to Student's distribution, so they are no counts, and a weight may be negative.
+
+    Args:
+        strata: number of strata, whose blocks come one stratum after another.
+        size: number of blocks of each, 2 or more.
+
+    Source: J. Rao and C. Wu, "Resampling inference with complex survey data", Journal of the American Statistical
+    Association 83 (1988), with size - 1 draws.
+    """
+    draw = np.random.default_rng(seed)
+    counts = draw.multinomial(size - 1, np.full(size, 1 / size), size=(RESAMPLES, strata))
+    return _students(size / (size - 1) * counts, strata * (size - 1), draw)
+
+
+def predictive_resamples(strata: int, size: int, future: int, seed: int = 0) -> np.ndarray:
+    """(R, strata * size) float32 weights as of ``stratified_resamples``, for the mean of ``future`` new blocks.
+
+    The resamples vary by as much as a mean over so few new blocks of each stratum differs from the mean over all: by
+    the blocks' variance times (1 / future + 1 / size).
+    """
+    draw = np.random.default_rng(seed)
+    counts = draw.multinomial(future, np.full(size, 1 / size), size=(RESAMPLES, strata))
+    wider = math.sqrt((size + future) / (size - 1))
+    return _students(1.0 + wider * (size / future * counts - 1.0), strata * (size - 1), draw)
+
+
+def _students(weights: np.ndarray, freedom: int, draw: np.random.Generator) -> np.ndarray:
+    """(R, strata * size) of weights (R, strata, size) of mean 1, so that normal means have Student's distribution."""
+    factor = np.sqrt(freedom / draw.chisquare(freedom, (len(weights), 1, 1)))
+    return (1.0 + factor * (weights - 1.0)).reshape(len(weights), -1).astype(np.float32)
 
 
 def hierarchical_resamples(sizes: Sequence[int]) -> np.ndarray:

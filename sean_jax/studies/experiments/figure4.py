@@ -196,7 +196,7 @@ def learner(
 
 
 def write_figure4(options: Figure4Config, results: Results, driven: Sequence[DemonstrationCell] = ()) -> None:
-    """Write figure4.csv, claims.csv, the figure and report.html.
+    """Write figure4.csv, contrasts.csv, claims.csv, the figure and report.html.
 
     Raises:
         WriteError: another process writes one of the files.
@@ -218,6 +218,11 @@ def write_figure4(options: Figure4Config, results: Results, driven: Sequence[Dem
     for behavior, less in results.balancing.items():
         rows += _by_situation(f"{BALANCED}-G", behavior, less)
     write_csv(folder / "figure4.csv", "policy,behavior,measure,mean,low,high", rows)
+    contrasts = [
+        (row["one"], row["other"], row["measure"], *row["difference"][:3], row["effect"], row["p"], row["holm"])
+        for row in results.contrasts
+    ]
+    write_csv(folder / "contrasts.csv", "policy,other,measure,difference,low,high,d,p,holm", contrasts)
     quoted = [
         (*(f'"{row[name]}"' for name in ("statement", "paper", "ours")), row["holds"], f"{row['share']:.4f}")
         for row in statements

@@ -12,6 +12,7 @@ import numpy as np
 from sean_jax.flags import number
 from sean_jax.metrics import Estimate, aggregate, aggregate_ratio
 from sean_jax.metrics.bootstrap import hierarchical_resamples, of_count, of_share, resamples, with_estimate
+from sean_jax.metrics.differences import holm
 from sean_jax.studies.experiments import shares
 from sean_jax.studies.experiments.shares import BEHAVIORS
 
@@ -52,10 +53,10 @@ def episode_measures(columns: Columns) -> tuple[dict[str, np.ndarray], np.ndarra
 
 @dataclasses.dataclass
 class Measured:
-    """Measures in every scenario. All intervals use the same resamples of the numbered episodes.
+    """Measures in every scenario. Intervals use the same resamples of the numbered episodes.
 
-    Episodes are in the order of the datasets, seeds of training and numbers. A resample draws datasets, with all
-    networks and episodes of each; or seeds, if there is one dataset.
+    Episodes are in the order of the datasets, seeds of training and numbers. For networks a resample draws datasets,
+    with all networks and episodes of each; or seeds, if there is one dataset. For other policies it draws episodes.
     """
 
     sizes: tuple[int, int, int]  # datasets of each behavior, trainings on each, episodes of each network
@@ -72,9 +73,17 @@ class Measured:
         """Episodes of each policy in each scenario."""
         return math.prod(self.sizes)
 
-    def estimate(self, values: np.ndarray) -> Estimate:
-        """The mean over episodes (E,) or (E, S)."""
-        return aggregate(values, weights=self.resamples)
+    def estimate(self, values: np.ndarray, learned: bool = True) -> Estimate:
+        """The mean over episodes (E,) or (E, S), of networks or of a policy that has not learned in the experiment."""
+        return aggregate(values, weights=self._resamples(learned))
+
+    def _resamples(self, learned: bool) -> np.ndarray:
+        several = learned and any(size > 1 for size in self.sizes[:2])
+        return self.resamples if several else self._of_episodes
+
+    @functools.cached_property
+    def _of_episodes(self) -> np.ndarray:
+        return resamples(self.episodes)
 
 
 @dataclasses.dataclass
@@ -86,12 +95,14 @@ class Results(Measured):
     @functools.cached_property
     def cells(self) -> dict[str, dict[str, dict[str, Estimate]]]:
         """policy -> behavior -> measure -> mean with interval; of completed tasks the number."""
-        return {p: {b: self._estimates(each) for b, each in by.items()} for p, by in self.values.items()}
+        return {
+            p: {b: self._estimates(each, has_learned(p)) for b, each in by.items()} for p, by in self.values.items()
+        }
 
     @functools.cached_property
     def means(self) -> dict[str, dict[str, Estimate]]:
         """policy -> measure -> over the three scenarios."""
-        return {policy: self._estimates(over_behaviors(by)) for policy, by in self.values.items()}
+        return {policy: self._estimates(over_behaviors(by), has_learned(policy)) for policy, by in self.values.items()}
 
     @functools.cached_property
     def more(self) -> dict[str, dict[str, Estimate]]:
@@ -108,30 +119,74 @@ class Results(Measured):
     def waiting(self) -> dict[str, dict[str, Estimate]]:
         """policy -> behavior -> time not moving [s] in completed episodes; ``episodes`` is 0 if there are none."""
         return {
-            p: {b: self._waiting(each["time_not_moving"], each["completed"]) for b, each in by.items()}
+            p: {
+                b: aggregate_ratio(
+                    each["time_not_moving"] * each["completed"],
+                    each["completed"],
+                    weights=self._resamples(has_learned(p)),
+                )
+                for b, each in by.items()
+            }
             for p, by in self.values.items()
         }
 
     @functools.cached_property
     def by_situation(self) -> dict[str, dict[str, Estimate]]:
         """policy -> behavior -> (5,) violations per episode."""
-        return {p: {b: self.estimate(each) for b, each in by.items()} for p, by in self.situations.items()}
+        return {
+            p: {b: self.estimate(each, has_learned(p)) for b, each in by.items()} for p, by in self.situations.items()
+        }
 
     @functools.cached_property
     def balancing(self) -> dict[str, Estimate]:
         """behavior -> (5,) difference of violations per episode of the balanced policy and G, in the same episodes."""
         return {b: self.estimate(self.situations[BALANCED][b] - self.situations["G"][b]) for b in BEHAVIORS}
 
-    def _estimates(self, values: dict[str, np.ndarray]) -> dict[str, Estimate]:
-        estimates = {name: self.estimate(value) for name, value in values.items()}
+    @functools.cached_property
+    def contrasts(self) -> list[dict[str, Any]]:
+        """Differences between policies in the same episodes, over the three scenarios, and their tests.
+
+        G against R and H, and all policies against N. The unit is the dataset where a network is compared (its seed of
+        training, if there is one dataset), else the episode.
+
+        Returns:
+            For each its names, measure, difference, interval, Cohen's d of the units, p-value of Student's test and the
+            same corrected for all rows (Holm); NaN where the units do not differ.
+        """
+        from scipy import stats
+
+        rows = []
+        pairs = [("G", "R"), ("G", "H"), *((policy, NAVIGATION) for policy in self.values if policy != NAVIGATION)]
+        for one, other in pairs:
+            learned = has_learned(one) or has_learned(other)
+            units = next((size for size in self.sizes[:2] if size > 1), self.episodes) if learned else self.episodes
+            ours, theirs = (over_behaviors(self.values[policy]) for policy in (one, other))
+            for measure in MEASURES:
+                gaps = (ours[measure] - theirs[measure]).reshape(units, -1).mean(1)
+                spread = gaps.std(ddof=1) if units > 1 else 0.0
+                effect = gaps.mean() / spread if spread else math.nan
+                rows.append({
+                    "one": one, "other": other, "measure": measure,
+                    "difference": self.estimate(ours[measure] - theirs[measure], learned),
+                    "effect": effect,
+                    "p": 2.0 * float(stats.t.sf(math.sqrt(units) * abs(effect), units - 1)),
+                })  # fmt: skip
+        for row, corrected in zip(rows, holm([row["p"] for row in rows]), strict=True):
+            row["holm"] = corrected
+        return rows
+
+    def _estimates(self, values: dict[str, np.ndarray], learned: bool = True) -> dict[str, Estimate]:
+        estimates = {name: self.estimate(value, learned) for name, value in values.items()}
         completed = estimates["completed"]
         even = (completed.mean == 0) | (completed.mean == 1)  # else groups of episodes differ, which resamples show
         completed = of_share(completed, where=even)
         mean, low, high = (end * self.episodes for end in completed[:3])
         return estimates | {"completed": completed._replace(mean=mean, low=low, high=high)}
 
-    def _waiting(self, seconds: np.ndarray, completed: np.ndarray) -> Estimate:
-        return aggregate_ratio(seconds * completed, completed, weights=self.resamples)
+
+def has_learned(policy: str) -> bool:
+    """Whether a column of Figure 4 is networks of the experiment."""
+    return policy in (*LEARNED, BALANCED)
 
 
 def over_behaviors(by_behavior: dict[str, dict[str, np.ndarray]]) -> dict[str, np.ndarray]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -73,6 +74,7 @@ def table1(
     options: Table1Config,
     cells: list[shares.Cell],
     figures: dict[str, Figure],
+    compared: list[dict[str, Any]],
     real: list[Recorded],
     driven: Sequence[DemonstrationCell] = (),
 ) -> str:
@@ -80,6 +82,7 @@ def table1(
 
     Args:
         figures: by name, as ``pictures.table1`` draws them.
+        compared: of ``shares.hours``.
     """
     by_policy = shares.by_policy(cells)
     speed, sections = f"V = {number(options.speeds[0])} m/s", []
@@ -89,6 +92,7 @@ def table1(
         sections = [
             section("Table I", figure(svg(figures["table1-bars"], "table1-bars"), TEXTS["bars"]), legend),
             section(f"Shares at {speed}", *rows, note(TEXTS["counted"])),
+            section(f"The paper's hour at {speed}", *_hours(compared), note(TEXTS["hours"])),
         ]
     if driven:
         rows = [_shares(driven, policy) for policy in dict.fromkeys(each.policy for each in driven)]
@@ -122,6 +126,24 @@ def _shares(cells: Sequence[shares.Cell | DemonstrationCell], policy: str) -> st
         numbers = (f"{100 * value:.2f}" for value in paper)
         rows.append([Cell("paper", kind="none"), *numbers, "", f"{shares.normalised_entropy(paper):.3f}", ""])
     return table([policy, *SITUATIONS, "none", "entropy", "completed"], rows)
+
+
+def _hours(compared: list[dict[str, Any]]) -> list[str]:
+    """A table for each policy: the paper's figures, and the interval of an hour of the policy."""
+    figures, tables = [*shares.NAMES, "entropy"], []
+    for policy in dict.fromkeys(row["policy"] for row in compared):
+        rows = []
+        for behavior in BEHAVIORS:
+            by_figure = {r["figure"]: r for r in compared if (r["policy"], r["behavior"]) == (policy, behavior)}
+            cells = []
+            for name in figures:
+                row, (scale, form) = by_figure[name], (1.0, ".3f") if name == "entropy" else (100.0, ".1f")
+                apart, printed = row["holm"] < 0.05, f"{scale * row['paper']:{form}}"
+                cell = _interval(row["mean"], row["low"], row["high"], form, scale)
+                cells.append(cell._replace(text=f"{printed} ({cell.text})", kind="ours" if apart else ""))
+            rows.append([behavior, *cells])
+        tables.append(table([policy, *SITUATIONS, "entropy"], rows))
+    return tables
 
 
 def _figures(estimate: shares.Shares, known: Collection[str] = shares.NAMES) -> list[str | Cell]:
@@ -167,7 +189,7 @@ def _more(cells: list[shares.Cell], policies: list[str], real: list[Recorded]) -
 def _orderings(by_policy: dict[str, dict[str, shares.Shares]]) -> str:
     rows = []
     for first, *others in zip(*map(shares.orderings, by_policy.values()), strict=True):
-        words = [first["name"], Cell(first["statement"], kind="text"), "hard" if first["hard"] else "soft"]
+        words = [first["name"], Cell(first["statement"], kind="text"), first["source"]]
         rows.append([*words, *map(_holds, (first, *others))])
     return table(["", "statement", "", *by_policy], rows)
 
@@ -175,17 +197,20 @@ def _orderings(by_policy: dict[str, dict[str, shares.Shares]]) -> str:
 # ------------------------------------------------------------------ ablation
 
 
-def ablation(options: AblationConfig, by_world: dict[str, list[shares.Cell]], picture: Figure) -> str:
+def ablation(
+    options: AblationConfig, by_world: dict[str, list[shares.Cell]], references: dict[str, str], picture: Figure
+) -> str:
     """The page of Table I in several worlds.
 
     Args:
-        by_world: world -> cells of each policy and behavior; the first world is the reference.
+        by_world: world -> cells of each policy and behavior.
+        references: world -> the world that it is compared with; the default has itself.
         picture: as ``pictures.ablation`` draws it.
     """
     tables = {world: shares.by_policy(cells) for world, cells in by_world.items()}
     policies = list(next(iter(tables.values())))
-    by_cell = [_worlds(tables, behavior, policy) for policy in policies for behavior in BEHAVIORS]
-    orderings = [_changed_orderings(tables, policy) for policy in policies]
+    by_cell = [_worlds(tables, references, behavior, policy) for policy in policies for behavior in BEHAVIORS]
+    orderings = [_changed_orderings(tables, references, policy) for policy in policies]
     sections = [
         section("What each switch moves", figure(svg(picture, "ablation"), TEXTS["moved"])),
         section("Orderings of the paper", *orderings, note(TEXTS["decided"])),
@@ -197,19 +222,18 @@ def ablation(options: AblationConfig, by_world: dict[str, list[shares.Cell]], pi
 Tables = dict[str, dict[str, dict[str, shares.Shares]]]  # world -> policy -> behavior -> shares
 
 
-def _worlds(tables: Tables, behavior: str, policy: str) -> str:
+def _worlds(tables: Tables, references: dict[str, str], behavior: str, policy: str) -> str:
     columns = {world: _columns(by_policy[policy][behavior]) for world, by_policy in tables.items()}
-    default, first = next(iter(columns.items()))
     paper = shares.paper()[behavior]
     numbers = [*(f"{100 * value:.1f}" for value in paper), "", f"{shares.normalised_entropy(paper):.3f}"]
     rows: list[list[str | Cell]] = [[Cell("paper", kind="none"), *numbers]]
     for world, samples in columns.items():
         low, high = shares.interval(samples)
-        below, above = shares.interval(samples - first)
+        below, above = shares.interval(samples - columns[references[world]])
         cells = []
         for k, value in enumerate(samples[0]):
             scale, form = (1.0, ".3f") if k == len(shares.NAMES) + 1 else (100.0, ".1f")
-            moved = world != default and not below[k] <= 0.0 <= above[k]
+            moved = world != references[world] and not below[k] <= 0.0 <= above[k]
             cells.append(_interval(value, low[k], high[k], form, scale)._replace(kind="ours" if moved else ""))
         rows.append([world, *cells])
     return table([f"{behavior} · {policy}", *SITUATIONS, "none", "entropy"], rows)
@@ -220,14 +244,15 @@ def _columns(estimate: shares.Shares) -> np.ndarray:
     return np.concatenate([estimate.of("flags"), estimate.none[:, None], estimate.entropy()[:, None]], axis=1)
 
 
-def _changed_orderings(tables: Tables, policy: str) -> str:
-    rows = []
-    for first, *others in zip(*(shares.orderings(by_policy[policy]) for by_policy in tables.values()), strict=True):
+def _changed_orderings(tables: Tables, references: dict[str, str], policy: str) -> str:
+    rows, by_world = [], {world: shares.orderings(by_policy[policy]) for world, by_policy in tables.items()}
+    for k, first in enumerate(next(iter(by_world.values()))):
         cells = []
-        for each in (first, *others):
-            ends = sorted((each["share"], first["share"]))
+        for world, orderings in by_world.items():
+            share = orderings[k]["share"]
+            ends = sorted((share, by_world[references[world]][k]["share"]))
             reversal = ends[0] <= 0.025 and ends[1] >= 0.975
-            cells.append(Cell(f"{100 * each['share']:.0f}", kind="ours" if reversal else ""))
+            cells.append(Cell(f"{100 * share:.0f}", kind="ours" if reversal else ""))
         rows.append([first["name"], Cell(first["statement"], kind="text"), *cells])
     return table([policy, "statement", *tables], rows)
 
@@ -275,6 +300,7 @@ def figure4(
         section("Figure 4", figure(svg(grids, "figure4-grids")), note(TEXTS["figure4"])),
         section("Numbers", *_numbers(results), note(TEXTS["bootstrap"])),
         section("By situation", *_by_situation(results), note(TEXTS["bootstrap"])),
+        section("Differences", _contrasts(results), note(TEXTS["contrasts"])),
         section("What the paper reports", table(["statement", "paper", "here", "holds"], rows)),
     ]
     if driven:
@@ -287,6 +313,20 @@ def figure4(
     networks = f"; {datasets * trainings} networks of each learner" if datasets * trainings > 1 else ""
     scenarios = f"{len(BEHAVIORS)} scenarios, {results.episodes} episodes each"
     return document(f"Figure 4: {len(results.values)} policies in {scenarios}{networks}", sections, options)
+
+
+def _contrasts(results: Results) -> str:
+    """A row for each pair of policies, a column for each measure."""
+    rows = []
+    for pair in dict.fromkeys((row["one"], row["other"]) for row in results.contrasts):
+        cells = []
+        for row in (row for row in results.contrasts if (row["one"], row["other"]) == pair):
+            cell = _estimate(row["difference"], "+.3g")
+            p = "" if math.isnan(row["holm"]) else f", d {row['effect']:+.2f}, p {row['holm']:.2g}"
+            kind = "ours" if row["holm"] < 0.05 else ""
+            cells.append(cell._replace(small=f"{cell.small}{p}", kind=kind))
+        rows.append([" − ".join(pair), *cells])
+    return table(["", *MEASURES.values()], rows)
 
 
 def _training(trainings: Mapping[str, dict[str, float]]) -> str:

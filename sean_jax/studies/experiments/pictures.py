@@ -138,24 +138,23 @@ def crowds(cells: list[Cell], swept: list[Cell]) -> Figure:
     return figure
 
 
-def ablation(by_world: dict[str, list[Cell]]) -> Figure:
-    """Change of the shares of flags in each world from the first, in points, means over the policies."""
-    worlds = list(by_world)
+def ablation(by_world: dict[str, list[Cell]], references: dict[str, str]) -> Figure:
+    """Change of the shares of flags in each world from its reference, in points, means over the policies."""
+    worlds = [world for world in by_world if world != references[world]]
 
     def mean(world: str, behavior: str) -> np.ndarray:
         chosen = [cell.shares() for cell in by_world[world] if cell.behavior == behavior]
         flags = np.mean([each.of("flags")[0] for each in chosen], 0)
         return 100 * np.append(flags, np.mean([each.entropy()[0] for each in chosen]))
 
-    figure, axes = _figure(3.4 * len(BEHAVIORS) + 1.2, 0.3 * len(worlds) + 1.2, 1, len(BEHAVIORS))
+    figure, axes = _figure(3.4 * len(BEHAVIORS) + 1.2, 0.3 * len(worlds) + 1.5, 1, len(BEHAVIORS))
     names = [*(name.replace("_", "\n") for name in shares.NAMES), "100 x\nentropy"]
     for spot, behavior in zip(axes[0], BEHAVIORS, strict=True):
-        first = mean(worlds[0], behavior)
-        values = np.stack([mean(world, behavior) - first for world in worlds[1:]])
+        values = np.stack([mean(world, behavior) - mean(references[world], behavior) for world in worlds])
         shades = [colors.ROBOT, colors.PAPER, colors.FLOW]
         _heat(spot, values, shades, (-30, 30), lambda value: (f"{value:+.0f}", colors.INK), 8)
         spot.set_xticks(range(len(names)), names, fontsize=7)
-        spot.set_yticks(range(len(worlds) - 1), worlds[1:] if spot is axes[0, 0] else [""] * (len(worlds) - 1))
+        spot.set_yticks(range(len(worlds)), worlds if spot is axes[0, 0] else [""] * len(worlds))
         spot.set_title(behavior, loc="left", fontsize=9.5, color=colors.INK)
     return figure
 

@@ -1,8 +1,11 @@
 """Shares of social situations (Table I), in simulation and in recordings of people.
 
 Examples are taken once a second, and each situation that holds is a flag of the example. Intervals come from the
-bootstrap of ``metrics.bootstrap`` over blocks of a minute (Kuensch 1989), because successive seconds are alike.
+bootstrap of ``metrics.bootstrap`` over chains of episodes, because successive examples are alike.
 Entropies are divided by ln 5, the entropy of five equal shares; they are the same for all ways of counting.
+
+The paper's rows are an hour of one person each. So the interval of our mean is not the interval of such an hour, which
+is wider; ``hours`` compares the paper's rows with the latter.
 
 In a recording each person in turn plays the robot (section III), and every row in which the person is present is an
 example. Intervals are from a bootstrap over these persons. A robot walks alone; so where companions are annotated,
@@ -24,6 +27,7 @@ import numpy as np
 from sean_jax import classifiers, recordings
 from sean_jax.classifiers import MORE_SITUATIONS, OBJECT_SITUATIONS, SITUATIONS
 from sean_jax.metrics import bootstrap
+from sean_jax.metrics.differences import holm
 
 if TYPE_CHECKING:
     from sean_jax.base import Array
@@ -80,15 +84,14 @@ def interval_rows(
     return [(*head, *row) for row in values if known is None or row[0] in known]
 
 
-def count(flags: np.ndarray, seed: int = 0, streams: int = 1) -> Shares:
-    """Shares of the situations and their bootstrap resamples, from flags (blocks, seconds, S) bool.
+def count(flags: np.ndarray, weights: np.ndarray) -> Shares:
+    """Shares of the situations, and their resamples.
 
-    The blocks are ``streams`` of equal length, one after another; a resample draws equally many of each.
+    Args:
+        flags: (chains, seconds, S) bool.
+        weights: (R, chains) of the chains in each resample.
     """
-    each = [seed + 1000 * stream for stream in range(streams)]
-    drawn = [bootstrap.resamples(len(flags) // streams, seed, bootstrap.RESAMPLES) for seed in each]
-    weights = bootstrap.with_estimate(np.concatenate(drawn, axis=1))
-    none = ~flags.any(-1)
+    weights, none = bootstrap.with_estimate(weights), ~flags.any(-1)
     return Shares(weights @ flags.mean(1), weights @ none.mean(1), flags.shape[0] * flags.shape[1])
 
 
@@ -108,8 +111,9 @@ def count_by_person(flags: np.ndarray, person: np.ndarray, seed: int = 0) -> Sha
 def normalised_entropy(shares: np.ndarray) -> np.ndarray:
     """Entropy (...,) of shares (..., K), which need not add up to one, divided by the entropy of equal shares.
 
-    It is from 0 to 1, and 0 if all shares are zero.
+    It is from 0 to 1, and 0 if all shares are zero. Negative shares, as resamples may have, count as 0.
     """
+    shares = np.maximum(shares, 0.0)
     total = shares.sum(-1, keepdims=True)
     p = np.where(total > 0, shares / np.where(total > 0, total, 1), 0)
     return -(p * np.log(np.where(p > 0, p, 1))).sum(-1) / np.log(shares.shape[-1])
@@ -124,10 +128,10 @@ def orderings(by_behavior: dict[str, Shares], counting: str = "flags") -> list[d
     """Test the orderings of the paper's table by one of ``COUNTINGS``.
 
     Returns:
-        For each its name, whether it is hard (expected with any policy), its statement, whether it holds, and the share
-        of the resamples in which it holds.
+        For each its name, its source (a statement of the paper's text, or read from its table, with thresholds that
+        are ours), its statement, whether it holds, and the share of the resamples in which it holds.
 
-    Source: Table I.
+    Source: Table I, and its discussion in section V-B.
     """
     r, h, g = (by_behavior[name].of(counting) for name in ("random", "handcrafted", "graph"))
     hr, hh, hg = (normalised_entropy(each) for each in (r, h, g))
@@ -136,24 +140,25 @@ def orderings(by_behavior: dict[str, Shares], counting: str = "flags") -> list[d
     close = np.abs(g[:, :join] - r[:, :join]) <= 0.25 * r[:, :join]
     share = h[:, :join] / np.minimum(r, g)[:, :join].clip(1e-9)
     statements = [
-        ("T1", True, "entropy: graph above random and handcrafted", (hg > hr) & (hg > hh)),
-        ("T2", True, "random: join and leave group never", (r[:, join] == 0) & (r[:, leave] == 0)),
-        ("T3", True, "empty: handcrafted > random > graph", (h[:, empty] > r[:, empty]) & (r[:, empty] > g[:, empty])),
-        ("T4", True, "cross and down path of handcrafted below a fifth of the others'",
+        ("T1", "text", "entropy: graph above random and handcrafted", (hg > hr) & (hg > hh)),
+        ("T2", "text", "random: join and leave group never", (r[:, join] == 0) & (r[:, leave] == 0)),
+        ("T3", "table", "empty: handcrafted > random > graph",
+         (h[:, empty] > r[:, empty]) & (r[:, empty] > g[:, empty])),
+        ("T4", "table", "cross and down path of handcrafted below a fifth of the others'",
          (share < 0.2).all(1)),
-        ("T5", False, "entropy: random above handcrafted", hr > hh),
-        ("T6", False, "leave above join group, in handcrafted and graph",
+        ("T5", "text", "entropy: random above handcrafted", hr > hh),
+        ("T6", "table", "leave above join group, in handcrafted and graph",
          (h[:, leave] > h[:, join]) & (g[:, leave] > g[:, join])),
-        ("T7", False, "down above cross path, in random and graph", 
+        ("T7", "table", "down above cross path, in random and graph", 
          (r[:, down] > r[:, cross]) & (g[:, down] > g[:, cross])),
-        ("T8", False, "cross and down path of graph within 25 % of random", close.all(1)),
-        ("T9", False, "what empty loses from random to graph is join and leave group, within a fifth",
+        ("T8", "table", "cross and down path of graph within 25 % of random", close.all(1)),
+        ("T9", "table", "what empty loses from random to graph is join and leave group, within a fifth",
          np.abs((r[:, empty] - g[:, empty]) - groups) <= 0.2 * groups),
-        ("T10", False, "entropy of graph at least 0.85", hg >= 0.85),
+        ("T10", "table", "entropy of graph at least 0.85", hg >= 0.85),
     ]  # fmt: skip
     return [
-        {"name": name, "hard": hard, "statement": words, "holds": bool(holds[0]), "share": float(holds[1:].mean())}
-        for name, hard, words, holds in statements
+        {"name": name, "source": source, "statement": words, "holds": bool(holds[0]), "share": float(holds[1:].mean())}
+        for name, source, words, holds in statements
     ]
 
 
@@ -161,8 +166,8 @@ def ordering_rows(by_behavior: dict[str, Shares], *head: Any) -> Iterator[tuple]
     """Rows of a table, after ``head``: the orderings by each of ``COUNTINGS``."""
     for counting in COUNTINGS:
         for row in orderings(by_behavior, counting):
-            name, hard, statement, holds, share = row.values()
-            yield (*head, counting, name, hard, f'"{statement}"', holds, f"{share:.4f}")
+            name, source, statement, holds, share = row.values()
+            yield (*head, counting, name, source, f'"{statement}"', holds, f"{share:.4f}")
 
 
 def paper() -> dict[str, np.ndarray]:
@@ -183,18 +188,58 @@ class Cell:
     behavior: str
     policy: str
     people: int
-    flags: np.ndarray  # (V, blocks, 60, 5) bool
-    more: np.ndarray  # (blocks, 60, M) bool, the further situations, which do not depend on V
+    flags: np.ndarray  # (V, chains, seconds, 5) bool
+    more: np.ndarray  # (chains, seconds, M) bool, the further situations, which do not depend on V
     ended: np.ndarray  # (2,) episodes completed and not
-    streams: int  # of the protocol, each with as many blocks
+    streams: int  # of the protocol, each with as many chains, one stream after another
 
     def shares(self, speed: int = 0) -> Shares:
         """Shares of the paper's situations."""
-        return count(self.flags[speed], streams=self.streams)
+        return count(self.flags[speed], self._resamples)
 
     def further(self) -> Shares:
         """Shares of the situations beyond the paper's five."""
-        return count(self.more, streams=self.streams)
+        return count(self.more, self._resamples)
+
+    def hour(self, speed: int = 0) -> Shares:
+        """Shares of the paper's situations; the resamples are those of one further hour."""
+        chains, seconds = self.more.shape[:2]
+        future = max(1, round(3600 / (seconds * self.streams)))
+        weights = bootstrap.predictive_resamples(self.streams, chains // self.streams, future)
+        return count(self.flags[speed], weights)
+
+    @functools.cached_property
+    def _resamples(self) -> np.ndarray:
+        return bootstrap.stratified_resamples(self.streams, len(self.more) // self.streams)
+
+
+def hours(cells: Sequence[Cell], speed: int = 0) -> list[dict[str, Any]]:
+    """The paper's hour of each behavior beside the 95 % interval of one hour of a policy, by shares of flags.
+
+    Returns:
+        For each cell, and each situation and the entropy: names, mean, interval, the paper's figure, the p-value of the
+        paper's figure in the distribution of an hour, and the same corrected for all figures of the policy (Holm).
+
+    Source: Table I.
+    """
+    rows = []
+    for cell in cells:
+        hour, printed = cell.hour(speed), paper()[cell.behavior]
+        samples = np.column_stack([hour.of("flags"), hour.entropy()])
+        low, high = interval(samples)
+        values = [*printed, float(normalised_entropy(printed))]
+        for k, name in enumerate((*NAMES, "entropy")):
+            above, below = (1 + (samples[1:, k] >= values[k]).sum(), 1 + (samples[1:, k] <= values[k]).sum())
+            p = min(1.0, 2.0 * min(above, below) / len(samples))
+            rows.append({
+                "policy": cell.policy, "behavior": cell.behavior, "figure": name, "mean": samples[0, k], "low": low[k],
+                "high": high[k], "paper": values[k], "p": p,
+            })  # fmt: skip
+    for policy in dict.fromkeys(row["policy"] for row in rows):
+        mine = [row for row in rows if row["policy"] == policy]
+        for row, corrected in zip(mine, holm([row["p"] for row in mine]), strict=True):
+            row["holm"] = corrected
+    return rows
 
 
 @dataclasses.dataclass

@@ -1,15 +1,17 @@
 """Table I: the share of time of a robot in each social situation, with people of three behaviors (section V-B).
 
-Each behavior and policy is simulated for an hour or more by the paper's protocol, with several seeds, and compared with
-the paper's row. Sweeps vary the number of people and the speed V above which people count as walking, since the paper's
-1.4 m/s is faster than most people walk. Further situations are counted too, and all of them in recordings of people.
+Each behavior and policy is simulated for an hour or more by the paper's protocol, with several seeds, and the paper's
+row is compared with the interval of one hour. Sweeps vary the number of people and the speed V above which people count
+as walking, since the paper's 1.4 m/s is faster than most people walk. Further situations are counted too, and all of
+them in recordings of people.
 
 The time is split into chains: episodes without a break, many at once. The streams of the protocol differ in what a
 reset draws, but not in what a step reads. So each stream has its own pool of starts, and the chains of all streams run
 in one batch (``episodes.rollout_autoreset``).
 
-The ablation is Table I under several conditions: this package's, SEAN 2.0's, and this package's with one switch of SEAN
-2.0 each. So each cell, and each of the paper's orderings, is traced to the switch that moves it.
+The ablation is Table I under several conditions: this package's, SEAN 2.0's, the former with one switch of SEAN 2.0
+each, and the latter without one switch each. So each cell, and each of the paper's orderings, is traced to the switch
+that moves it, also where switches depend on each other.
 """
 
 from __future__ import annotations
@@ -63,7 +65,7 @@ if TYPE_CHECKING:
 
 SWEPT = "random", "graph"  # behaviors whose number of people can be chosen
 CHAIN = 6  # minutes of a chain, which an hour, a half and a fifth of it are multiples of
-MINUTE = 60  # s, of a block of the bootstrap
+MINUTE = 60  # s
 LEAD = 1  # min at the start of each chain that are not counted, since all chains begin with a start of an episode
 SHARED = "environment", "robot", "dynamics", "time_limit"  # options of the experiment and of its scenarios
 MORE = tuple(MORE_SITUATIONS.items())
@@ -152,7 +154,7 @@ def _places(options: Table1Config, behavior: str, people: int | None) -> Streams
         for name, holds in kinds[0].situations
     )
     kinds = [dataclasses.replace(kind, situations=situations) for kind in kinds]
-    return Streams(kinds, options.seed, STARTS * options.seeds)
+    return Streams(kinds, options.seed, options.seeds)
 
 
 def _at(holds: Callable, speed: float, snapshot: Snapshot, thresholds: Thresholds) -> Array:
@@ -182,23 +184,26 @@ def cell(
     """
     file, names = f"{name}.npz", tuple(name for name, _ in more)
     arrays = work.load(file)
-    if arrays is not None:
+    if arrays is not None and "chains" in arrays:
         with files.sentence(work.folder / file, REMAKE):
             flags = np.unpackbits(arrays["flags"], axis=-1, count=len(shares.NAMES)).astype(bool)
-            if not more or tuple(arrays["names"] if "names" in arrays else ()) == names:
+            if not more or tuple(arrays["names"]) == names:
                 others = np.unpackbits(arrays["more"], axis=-1, count=len(names)).astype(bool)
-                number = int(arrays["streams"]) if "streams" in arrays else len(places().scenarios)
-                return Cell(behavior, policy, int(arrays["people"]), flags, others, arrays["ended"], number)
-    pool, seeds = places(), options.seeds
+                chains = int(arrays["chains"])
+                return Cell(
+                    behavior, policy, int(arrays["people"]), flags, others, arrays["ended"], flags.shape[1] // chains
+                )
+    pool = places()
     kinds = pool.scenarios
     minutes = max(1, math.ceil(60.0 * options.hours / len(kinds) - 1e-6))
     each = min(CHAIN, minutes)
-    chains = seeds * math.ceil(minutes / each)
+    chains = max(math.ceil(minutes / each), 2 if options.seeds == 1 else 1)  # one chain alone has no interval
     flags, ended = simulate_chains(load_policy(policy, kinds[0]), pool, chains, each, tell, more)
-    flags, others = np.split(flags.reshape(-1, MINUTE, flags.shape[-1]), [flags.shape[-1] - len(names)], axis=-1)
+    flags = flags.reshape(len(flags), -1, flags.shape[-1])
+    flags, others = np.split(flags, [flags.shape[-1] - len(names)], axis=-1)
     flags = np.moveaxis(flags.reshape(*flags.shape[:2], -1, len(shares.NAMES)), 2, 0)
     packed = {"flags": np.packbits(flags, axis=-1), "more": np.packbits(others, axis=-1), "names": np.array(names, str)}
-    work.save(file, packed | {"people": kinds[0].people, "ended": ended, "streams": len(kinds)})
+    work.save(file, packed | {"people": kinds[0].people, "ended": ended, "chains": chains * options.seeds})
     return Cell(behavior, policy, kinds[0].people, flags, others, ended, len(kinds))
 
 
@@ -209,7 +214,7 @@ def write_table1(
     real: list[Recorded],
     driven: list[DemonstrationCell],
 ) -> None:
-    """Write shares.csv, more.csv, entropies.csv, orderings.csv, the figures and report.html.
+    """Write shares.csv, more.csv, entropies.csv, hours.csv, orderings.csv, the figures and report.html.
 
     ``cells`` have the experiment's number of people, ``swept`` other numbers. recordings.csv and demonstrations.csv are
     written if there are any.
@@ -231,6 +236,9 @@ def write_table1(
     write_csv(folder / "more.csv", "policy,behavior,people,situation,share,low,high", more)
     head = "policy,behavior,people,V,entropy,low,high,examples,none,completed,not_completed"
     write_csv(folder / "entropies.csv", head, entropies)
+    compared = shares.hours(cells)
+    head = "policy,behavior,figure,mean,low,high,paper,p,holm"
+    write_csv(folder / "hours.csv", head, [tuple(row.values()) for row in compared])
     if real:  # there is no V where a situation does not depend on it
         head = "recording,people,V,counting,situation,share,low,high"
         write_csv(folder / "recordings.csv", head, [row for each in real for row in _recorded(options, each)])
@@ -245,11 +253,11 @@ def write_table1(
         for speed, by_policy in zip(options.speeds, by_speed, strict=True)
         for row in ordering_rows(by_policy[policy], policy, number(speed))
     ]
-    head = "policy,V,counting,ordering,hard,statement,holds,share_of_resamples"
+    head = "policy,V,counting,ordering,source,statement,holds,share_of_resamples"
     write_csv(folder / "orderings.csv", head, orderings)
     figures = pictures.table1(options, cells, swept)
     pictures.save(folder, figures)
-    writing.write(folder / "report.html", page.table1(options, cells, figures, real, driven))
+    writing.write(folder / "report.html", page.table1(options, cells, figures, compared, real, driven))
 
 
 def _recorded(options: Table1Config, real: Recorded) -> list[tuple]:
@@ -266,26 +274,37 @@ def _recorded(options: Table1Config, real: Recorded) -> list[tuple]:
 
 
 class Streams:
-    """C scenarios that differ in their resets alone, with ``size`` starts of each that all policies share."""
+    """C scenarios that differ in their resets alone, with ``size`` starts of each and each seed that policies share.
 
-    def __init__(self, scenarios: Sequence[Scenario], seed: int, size: int):
-        self.scenarios, self.seed, self.size = list(scenarios), seed, size
+    The seeds are ``seed``, ``seed + 1`` and so on. What belongs to a seed does not depend on the others.
+    """
+
+    def __init__(self, scenarios: Sequence[Scenario], seed: int, seeds: int = 1, size: int = STARTS):
+        self.scenarios, self.seeds, self.size = list(scenarios), range(seed, seed + seeds), size
         self.starts = cached(self._draw)  # once, since a reset compiles as long as a step
 
     def _draw(self) -> State:
-        """(C, K, ...) without a policy's memory."""
-        key, number = prng.key("table1 starts", self.seed), len(self.scenarios)
-        keys = jnp.stack([jax.random.split(jax.random.fold_in(key, c), self.size) for c in range(number)])
+        """(C * seeds, K, ...) without a policy's memory."""
+        keys = [prng.key("table1 starts", seed) for seed in self.seeds]
+        number = len(self.scenarios)
+        folded = [jax.random.fold_in(key, stream) for stream in range(number) for key in keys]
+        drawn = jnp.stack([jax.random.split(key, self.size) for key in folded])
+        index = jnp.repeat(jnp.arange(number, dtype=jnp.int32), len(keys))
         draw = jax.jit(functools.partial(_starts, tuple(each.task for each in self.scenarios)))
-        return draw(self.scenarios[0], runner.varying_leaves(self.scenarios), keys)
+        return draw(self.scenarios[0], runner.varying_leaves(self.scenarios), index, drawn)
+
+    def chain_keys(self, chains: int) -> Array:
+        """(C * seeds * chains,) keys of the chains, of which each seed has ``chains`` in each stream."""
+        every = [jax.random.split(prng.key("table1", seed), len(self.scenarios) * chains) for seed in self.seeds]
+        return jnp.stack([keys.reshape(-1, chains) for keys in every], axis=1).reshape(-1)
 
 
-def _starts(tasks: tuple, scenario: Scenario, varying: dict[int, Array], keys: Array) -> State:
+def _starts(tasks: tuple, scenario: Scenario, varying: dict[int, Array], streams: Array, keys: Array) -> State:
     def stream(index_and_keys: tuple[Array, Array]) -> State:
         index, keys = index_and_keys
         return jax.vmap(lambda key: runner.first_state(tasks, scenario, varying, index, key))(keys)
 
-    return jax.lax.map(stream, (jnp.arange(len(tasks), dtype=jnp.int32), keys))
+    return jax.lax.map(stream, (streams, keys))
 
 
 def simulate_chains(
@@ -296,26 +315,27 @@ def simulate_chains(
     tell: Callable[[float], None],
     more: tuple[tuple[str, Situation], ...] = (),
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Situations once a second in chains of each stream, after ``LEAD`` minutes.
+    """Situations once a second in ``chains`` of each stream and seed, after ``LEAD`` minutes.
 
     Args:
         tell: called with the finished share.
         more: situations that are noted besides those of the scenario.
 
     Returns:
-        Whether each situation holds, (C * chains, minutes, 60, S) bool, the scenario's before ``more``; and the numbers
-        of completed and other episodes, (2,).
+        Whether each situation holds, (C * seeds * chains, minutes, 60, S) bool, the scenario's before ``more``; and the
+        numbers of completed and other episodes, (2,).
 
     Raises:
         FloatingPointError: the position of a robot or a person is not finite.
     """
-    mesh, number, scenario = devices.mesh(), chains * len(streams.scenarios), streams.scenarios[0]
+    mesh, scenario, keys = devices.mesh(), streams.scenarios[0], streams.chain_keys(chains)
     begin, run = devices.shard(mesh, _begin), devices.shard(mesh, functools.partial(_minute, more), donate=True)
-    size = -(-number // mesh.size) * mesh.size
+    number = len(keys)
+    padded = np.minimum(np.arange(-(-number // mesh.size) * mesh.size), number - 1)
     pool = ResetPool(jax.jit(_init_policy)(scenario, policy, streams.starts()))
     fixed = devices.replicate(mesh, (scenario, policy, pool))
-    stream = np.minimum(np.arange(size) // chains, len(streams.scenarios) - 1)
-    carry = begin(fixed, devices.keys(mesh, prng.key("table1", streams.seed), size), jnp.asarray(stream, jnp.int32))
+    row = jnp.asarray(padded // chains, jnp.int32)  # of the pool: a stream and a seed
+    carry = begin(fixed, *devices.split(mesh, (keys[padded], row)))
     situations, ended = [], np.zeros(2, int)
     for minute in range(LEAD + minutes):
         carry, flags, ends, finite = run(fixed, carry)
@@ -333,20 +353,20 @@ def _init_policy(scenario: Scenario, policy: Policy, starts: State) -> State:
     return jax.vmap(jax.vmap(lambda state: episodes.init_policy(scenario, policy, state)))(starts)
 
 
-def _begin(fixed: tuple, key: Array, stream: Array) -> tuple[Array, State]:
+def _begin(fixed: tuple, key: Array, row: Array) -> tuple[Array, State]:
     choice_key, streams_key = jax.random.split(key)
-    return stream, episodes.draw_start(fixed[2], choice_key, streams_key, stream)
+    return row, episodes.draw_start(fixed[2], choice_key, streams_key, row)
 
 
 def _minute(more: tuple[tuple[str, Situation], ...], fixed: tuple, carry: tuple[Array, State]) -> tuple:
-    """One minute of a chain: ``episodes.rollout_autoreset`` with the pool of the chain's stream."""
+    """One minute of a chain: ``episodes.rollout_autoreset`` with the starts of the chain's row of the pool."""
     scenario, policy, pool = fixed
-    stream, state = carry
+    row, state = carry
     ticks = round(1.0 / scenario.time_step)
 
     def tick(before: State, _) -> tuple[State, Array]:
         after, _ = episodes.policy_step(scenario, policy, before)
-        return episodes.autoreset(pool, after, stream), jnp.stack([after.completed, after.timed_out])
+        return episodes.autoreset(pool, after, row), jnp.stack([after.completed, after.timed_out])
 
     def second(state: State, _) -> tuple:
         state, ended = jax.lax.scan(tick, state, length=ticks)
@@ -357,7 +377,7 @@ def _minute(more: tuple[tuple[str, Situation], ...], fixed: tuple, carry: tuple[
 
     state, (flags, ended) = jax.lax.scan(second, state, length=MINUTE)
     finite = jnp.isfinite(state.robot.position).all() & jnp.isfinite(state.pedestrians.position).all()
-    return (stream, state), flags, ended.sum(0, dtype=jnp.int32), finite
+    return (row, state), flags, ended.sum(0, dtype=jnp.int32), finite
 
 
 # ------------------------------------------------------------------ ablation
@@ -369,8 +389,14 @@ SWITCHES = {
     if name not in CollectConfig.model_fields or CollectConfig.model_fields[name].get_default() != value
 }
 """The options of preset ``sean2`` that differ from the defaults."""
-WORLDS = (DEFAULT, *SWITCHES, ALL)
-"""The conditions: the defaults, the defaults with one switch each, and SEAN 2.0's with all switches."""
+WORLDS: dict[str, tuple[str, dict[str, Any]]] = {
+    DEFAULT: (DEFAULT, {}),
+    **{name: (DEFAULT, {name: value}) for name, value in SWITCHES.items()},
+    ALL: (DEFAULT, SWITCHES),
+    **{f"{ALL}-without-{name}": (ALL, {k: v for k, v in SWITCHES.items() if k != name}) for name in SWITCHES},
+}
+"""The conditions, with the one that each is compared with and its switches: the defaults, the defaults with one switch
+each, SEAN 2.0's with all switches, and those without one switch each."""
 
 
 def run_ablation(options: AblationConfig, console: Console | None = None) -> Path:
@@ -383,7 +409,7 @@ def run_ablation(options: AblationConfig, console: Console | None = None) -> Pat
     @cached
     def places(world: str, behavior: str) -> Streams:
         kinds = streams(world_description(options, world, behavior)).values()
-        return Streams(list(kinds), options.seed, STARTS * options.seeds)
+        return Streams(list(kinds), options.seed, options.seeds)
 
     combinations = [(policy, behavior) for policy in names for behavior in BEHAVIORS]
     jobs = {
@@ -403,14 +429,15 @@ def run_ablation(options: AblationConfig, console: Console | None = None) -> Pat
 
 def world_description(options: AblationConfig, world: str, behavior: str) -> CollectConfig:
     """The scenario of one of ``WORLDS`` with people of a behavior, which may not have its switch."""
-    chosen = SWITCHES if world == ALL else {name: value for name, value in SWITCHES.items() if name == world}
-    return CollectConfig(**with_defaults(CollectConfig, fields(options, behavior, options.people), chosen))
+    _, switches = WORLDS[world]
+    return CollectConfig(**with_defaults(CollectConfig, fields(options, behavior, options.people), switches))
 
 
 def simulated_world(options: AblationConfig, world: str, behavior: str) -> str:
-    """The world that is simulated for a world: the default if the switch changes nothing for people of the behavior."""
-    own, default = (world_description(options, each, behavior).identity() for each in (world, DEFAULT))
-    return DEFAULT if own == default else world
+    """The world that is simulated for a world: its reference if they are equal for people of the behavior."""
+    reference, _ = WORLDS[world]
+    own, other = (world_description(options, each, behavior).identity() for each in (world, reference))
+    return reference if own == other else world
 
 
 def write_ablation(options: AblationConfig, by_world: dict[str, list[Cell]]) -> None:
@@ -426,8 +453,9 @@ def write_ablation(options: AblationConfig, by_world: dict[str, list[Cell]]) -> 
         for policy, by_behavior in shares.by_policy(cells).items():
             orderings += ordering_rows(by_behavior, world, policy)
     write_csv(folder / "ablation.csv", "world,policy,behavior,counting,situation,share,low,high", rows)
-    head = "world,policy,counting,ordering,hard,statement,holds,share_of_resamples"
+    head = "world,policy,counting,ordering,source,statement,holds,share_of_resamples"
     write_csv(folder / "orderings.csv", head, orderings)
-    figure = pictures.ablation(by_world)
+    references = {world: WORLDS[world][0] for world in by_world}
+    figure = pictures.ablation(by_world, references)
     pictures.save(folder, {"ablation": figure})
-    writing.write(folder / "report.html", page.ablation(options, by_world, figure))
+    writing.write(folder / "report.html", page.ablation(options, by_world, references, figure))

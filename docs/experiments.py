@@ -1,0 +1,140 @@
+"""Tables of docs/results/experiments.md, from the files in results/: python docs/experiments.py.
+
+A table stands between the lines `<!-- NAME FOLDER -->` and `<!-- end -->`. NAME is a key of ``TABLES``, FOLDER a
+folder of results/. The tables are written anew, the text between them stays.
+"""
+
+import csv
+import re
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+
+DOCS = Path(__file__).parent
+PAGE, RESULTS = DOCS / "results" / "experiments.md", DOCS.parent / "results"
+BEHAVIORS = "random", "handcrafted", "graph"
+SITUATIONS = "cross_path", "down_path", "join_group", "leave_group", "empty"
+Row = dict[str, str]
+
+
+def read(folder: str, name: str) -> list[Row]:
+    """The rows of a table in results/."""
+    with (RESULTS / folder / f"{name}.csv").open(encoding="utf-8", newline="") as stream:
+        return list(csv.DictReader(stream))
+
+
+def markdown(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A table."""
+    lines = [head, ["---"] * len(head), *rows]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
+
+
+def plus_minus(row: Row, mean: str, scale: float, digits: int) -> str:
+    """A mean and half of its interval."""
+    half = scale * (float(row["high"]) - float(row["low"])) / 2
+    text = f"{scale * float(row[mean]):.{digits}f}"
+    return f"{text} ± {half:.{digits}f}" if half else text
+
+
+def shares(folder: str) -> str:
+    """Table I: percent of all flags at the first V, and entropies, beside the paper's."""
+    hours = read(folder, "hours")
+    flags = [row for row in read(folder, "shares") if row["counting"] == "flags"]
+    entropies, speed = read(folder, "entropies"), flags[0]["V"]
+    rows = []
+    for behavior in BEHAVIORS:
+        printed = {row["figure"]: float(row["paper"]) for row in hours if row["behavior"] == behavior}
+        numbers = [f"{100 * printed[name]:.1f}" for name in SITUATIONS]
+        rows.append([f"**{behavior}**, paper", *numbers, f"{printed['entropy']:.3f}"])
+        for policy in dict.fromkeys(row["policy"] for row in flags):
+            mine = [r for r in flags if (r["policy"], r["behavior"], r["V"]) == (policy, behavior, speed)][:5]
+            entropy = next(r for r in entropies if (r["policy"], r["behavior"], r["V"]) == (policy, behavior, speed))
+            cells = [plus_minus(row, "share", 100, 1) for row in mine]
+            rows.append([f"`{policy}`", *cells, plus_minus(entropy, "entropy", 1, 3)])
+    return markdown(["", *(name.replace("_", " ") for name in SITUATIONS), "entropy"], rows)
+
+
+def hours(folder: str) -> str:
+    """The paper's figures beside the interval of one hour; bold where they do not fit."""
+    rows, every = [], read(folder, "hours")
+    for behavior in BEHAVIORS:
+        for policy in dict.fromkeys(row["policy"] for row in every):
+            cells = []
+            for row in (r for r in every if (r["policy"], r["behavior"]) == (policy, behavior)):
+                scale, digits = (1, 3) if row["figure"] == "entropy" else (100, 1)
+                low, high, paper = (f"{scale * float(row[end]):.{digits}f}" for end in ("low", "high", "paper"))
+                paper = f"**{paper}**" if float(row["holm"]) < 0.05 else paper
+                cells.append(f"{paper} [{low}, {high}]")
+            rows.append([f"{behavior}, `{policy}`", *cells])
+    return markdown(["", *(name.replace("_", " ") for name in SITUATIONS), "entropy"], rows)
+
+
+def orderings(folder: str) -> str:
+    """Whether the paper's orderings hold, at the first V by flags, and in which share of the resamples."""
+    every = [row for row in read(folder, "orderings") if row["counting"] == "flags"]
+    every = [row for row in every if row["V"] == every[0]["V"]]
+    policies, rows = list(dict.fromkeys(row["policy"] for row in every)), []
+    for name in dict.fromkeys(row["ordering"] for row in every):
+        several = {row["policy"]: row for row in every if row["ordering"] == name}
+        first, cells = several[policies[0]], []
+        for policy in policies:
+            share = float(several[policy]["share_of_resamples"])
+            words = "yes" if several[policy]["holds"] == "True" else "no"
+            sure = "" if share >= 0.975 or share <= 0.025 else "perhaps "
+            cells.append(f"{sure}{words}, {100 * share:.4g} %")
+        rows.append([name, first["source"], first["statement"], *cells])
+    return markdown(["", "source", "ordering of the paper", *(f"`{policy}`" for policy in policies)], rows)
+
+
+def select(rows: list[Row], **values: str) -> list[Row]:
+    """The rows with these values."""
+    return [row for row in rows if all(row[name] == value for name, value in values.items())]
+
+
+def speeds(folder: str) -> str:
+    """Cross path and entropy of the first policy by V."""
+    shares, entropies = read(folder, "shares"), read(folder, "entropies")
+    first, every = shares[0], list(dict.fromkeys(row["V"] for row in shares))
+    rows = []
+    for behavior in BEHAVIORS:
+        own = next(row for row in shares if row["behavior"] == behavior)
+        mine = {name: own[name] for name in ("policy", "behavior", "people")}
+        cross = [select(shares, **mine, V=v, counting="examples", situation="cross_path")[0]["share"] for v in every]
+        rows.append([f"cross path, {behavior}, % of examples", *(f"{100 * float(share):.1f}" for share in cross)])
+        entropy = [select(entropies, **mine, V=v)[0]["entropy"] for v in every]
+        rows.append([f"entropy, {behavior}", *(f"{float(value):.3f}" for value in entropy)])
+    return markdown([f"V, m/s (`{first['policy']}`)", *every], rows)
+
+
+def crowds(folder: str) -> str:
+    """Shares of examples and entropy of the first policy by the number of people, at the first V."""
+    shares, entropies = read(folder, "shares"), read(folder, "entropies")
+    first = {"policy": shares[0]["policy"], "V": shares[0]["V"]}
+    people = sorted({int(row["people"]) for row in select(shares, **first, behavior="graph")})
+    rows = []
+    for behavior in ("random", "graph"):
+        for situation in SITUATIONS if behavior == "graph" else ("cross_path", "down_path", "empty"):
+            mine = {**first, "behavior": behavior, "counting": "examples", "situation": situation}
+            cells = [f"{100 * float(select(shares, **mine, people=str(n))[0]['share']):.1f}" for n in people]
+            rows.append([f"{situation.replace('_', ' ')}, {behavior}, %", *cells])
+        values = [select(entropies, **first, behavior=behavior, people=str(n))[0]["entropy"] for n in people]
+        rows.append([f"entropy, {behavior}", *(f"{float(value):.3f}" for value in values)])
+    return markdown([f"people (`{first['policy']}`)", *map(str, people)], rows)
+
+
+TABLES: dict[str, Callable[[str], str]] = {
+    "shares": shares,
+    "hours": hours,
+    "orderings": orderings,
+    "speeds": speeds,
+    "crowds": crowds,
+}
+MARK = re.compile(r"(<!-- (\w+) ([\w-]+) -->\n).*?(<!-- end -->)", re.S)
+
+
+def fill(text: str) -> str:
+    """The page with the tables of results/."""
+    return MARK.sub(lambda match: match[1] + TABLES[match[2]](match[3]) + match[4], text)
+
+
+if __name__ == "__main__":
+    PAGE.write_text(fill(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
