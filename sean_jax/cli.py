@@ -406,7 +406,15 @@ def _bridge(options: config.BridgeConfig, console: "Console") -> None:
     bridge.run(options, console)
 
 
-def _survey(options: config.SurveyExportConfig | config.SurveyReportConfig, console: "Console") -> None:
+def _survey(
+    options: config.SurveyExportConfig | config.SurveyReportConfig | config.SurveyRatingsConfig, console: "Console"
+) -> None:
+    if isinstance(options, config.SurveyRatingsConfig):
+        check_new_folder(options.out)
+        with console.status("importing JAX"):
+            from sean_jax.survey import ratings
+
+        return _print(console, "report: ", ratings.run(options, console))
     from sean_jax.survey.answers import FILE, Answers
 
     answers = Answers(options.folder / FILE)

@@ -91,6 +91,19 @@ def walks() -> bytes:
     return ("\n".join(lines) + "\n").encode()
 
 
+def robot_among_people() -> bytes:
+    """A robot that passes a person and a table, in the format of SocNav3."""
+    goal = {"type": "go-to", "human": None, "x": 2.0, "y": 0.0, "angle": 0.0, "pos_threshold": 0.3}
+    disc = {"type": "circle", "width": 0.6, "length": 0.6}
+    table = {"id": 1, "type": "table", "x": 1.0, "y": 2.0, "angle": 0.5, "shape": {**disc, "type": "rectangle"}}
+    sequence = [
+        {"timestamp": 0.2 * k, "robot": {"shape": disc, "x": 0.1 * k, "y": 0.0, "angle": 0.0}, "goal": goal,
+         "people": [{"id": 4, "x": 2.0 - 0.2 * k, "y": 1.0, "angle": 3.1}], "objects": [table]}
+        for k in range(12)
+    ]  # fmt: skip
+    return json.dumps({"walls": [[-1.0, -2.0, 5.0, -2.0]], "sequence": sequence}, indent=1).encode()
+
+
 def image() -> bytes:
     """A map of 40 x 30 cells with walls and a pillar."""
     import numpy as np
@@ -202,6 +215,19 @@ def load_recording(folder: Path) -> Any:
     if not found and refused is not None:
         raise refused
     return found
+
+
+def load_trajectory(folder: Path) -> Any:
+    from sean_jax.survey import ratings
+
+    episode = ratings.read(folder / "trajectory.json")
+    return episode._asdict(), ratings.measure(episode)
+
+
+def load_ratings(folder: Path) -> Any:
+    from sean_jax.survey import ratings
+
+    return ratings.read_answers(folder / "ratings.json", {1: None, 2: None}).model_dump()
 
 
 def load_map(folder: Path) -> Any:
@@ -498,6 +524,12 @@ def _lab() -> Any:
     return sean_jax.make("lab", behavior="random", people=2, dynamics="twin")
 
 
+RATINGS = {
+    "indices": [1, 2, 1],
+    "descriptions": ["A robot."] * 3,
+    "answers": {"0": 0.5, "1": 0.25, "2": 1},
+    "age": "30",
+}
 OPTIONS = {
     "time_step": 0.1, "time_limit": 60.0, "goal_radius": 1.2, "hold_time": 5.0, "task_distance": [1.0, 6.0],
     "people": 4, "walking_groups": [0.5, 0.0], "congestion_cost": 1.0, "substeps": 2,
@@ -564,6 +596,8 @@ def kinds(folder: Path) -> dict[str, Kind]:
         "handcrafted": Kind(read("handcrafted.yaml"), ("handcrafted.yaml",), load_handcrafted, 10),
         "robot": Kind({"robot.xml": (ENVS / "robots/kuri.xml").read_bytes()}, ("robot.xml",), load_robot, 14),
         "recording": Kind({"people.csv": walks()}, ("people.csv",), load_recording, 14),
+        "trajectory": Kind({"trajectory.json": robot_among_people()}, ("trajectory.json",), load_trajectory, 8),
+        "ratings": Kind({"ratings.json": json.dumps(RATINGS, indent=1).encode()}, ("ratings.json",), load_ratings, 6),
         "map": Kind(chart, ("map.yaml", "map.yaml", "map.png"), load_map, 10),
         "manifest": Kind(dataset(folder / "dataset"), ("dataset.json",), load_dataset, 9),
         "policy": Kind(trained, ("config.json",), load_policy, 6),

@@ -58,6 +58,7 @@ from sean_jax.config.scenario import (
     ScenarioConfig,
     StudioConfig,
     SurveyExportConfig,
+    SurveyRatingsConfig,
     SurveyReportConfig,
     outside,
 )
@@ -219,7 +220,7 @@ GROUPS = {
     "train": "Train a network, by imitation or by reinforcement learning.",
     "experiment": "Reproduce Table I or Figure 4 of the paper, or vary them.",
     "export": "Write datasets, agents, episodes and environments in the formats of other projects.",
-    "survey": "Export or report the answers of a study that `sean studio --survey` has run.",
+    "survey": "Export or report the answers of a study that `sean studio --survey` has run, or published ratings.",
 }
 """Word of the command line that needs a second word -> its summary."""
 
@@ -237,6 +238,7 @@ COMMANDS: dict[str, type[Config]] = {
     "bridge": BridgeConfig,
     "survey export": SurveyExportConfig,
     "survey report": SurveyReportConfig,
+    "survey ratings": SurveyRatingsConfig,
     "compare": CompareConfig,
     "import-map": ImportMapConfig,
     "import-bag": ImportBagConfig,

@@ -426,6 +426,20 @@ class SurveyReportConfig(Config):
     quiet: fields.Quiet = False
 
 
+class SurveyRatingsConfig(Config):
+    """Compare ratings of recorded robots, in the format of SocNav3, with the metrics of their trajectories."""
+
+    what: Annotated[Literal["ratings"], Option(positional=True)] = "ratings"
+    """Correlations of ratings from elsewhere."""
+    trajectories: Annotated[Path, Option(positional=True)]
+    """Folder of trajectories, one JSON file each."""
+    ratings: Annotated[Path, Option(positional=True)]
+    """Folder of ratings, a JSON file for each rater."""
+    out: Path
+    """Folder to write; it must be new or empty."""
+    quiet: fields.Quiet = False
+
+
 class CompareConfig(Config):
     """Compare runs with the first of them: differences of all figures, and replays on one clock."""
 

@@ -111,8 +111,12 @@ def read_text(path: Path | str, max_bytes: int = MAX_BYTES) -> str:
         raise file_error(path, f"byte {error.start} is not UTF-8 text; save the file as UTF-8", line) from None
 
 
-def read_json(path: Path | str) -> Any:
-    """The content of a JSON file, without NaN and infinities; FileError if it cannot be read or is not JSON."""
+def read_json(path: Path | str, strict: bool = True) -> Any:
+    """The content of a JSON file, without NaN and infinities; FileError if it cannot be read or is not JSON.
+
+    Args:
+        strict: words must not contain the ends of lines and other control characters.
+    """
     path = Path(path)
     text = read_text(path, MAX_RECORD)
 
@@ -120,7 +124,7 @@ def read_json(path: Path | str) -> Any:
         raise ValueError(f"{word} is not JSON")
 
     try:
-        return json.loads(text, parse_constant=refuse)
+        return json.loads(text, parse_constant=refuse, strict=strict)
     except json.JSONDecodeError as error:
         text = f"is not JSON: {error.msg[:1].lower()}{error.msg[1:]}"
         raise file_error(path, text, error.lineno, error.colno) from None

@@ -112,7 +112,11 @@ TABLES: dict[str, Callable[[Answers], list[Row]]] = {
 
 def table(answers: Answers, name: str) -> str:
     """A table as CSV."""
-    rows = TABLES[name](answers)
+    return to_csv(TABLES[name](answers))
+
+
+def to_csv(rows: list[Row]) -> str:
+    """Rows as CSV, with a column for each key of any row."""
     stream = io.StringIO()
     writer = csv.DictWriter(stream, list(dict.fromkeys(key for row in rows for key in row)), restval="")
     writer.writeheader()

@@ -32,6 +32,7 @@ from sean_jax.survey.answers import Answers
 MIN_PARTICIPANTS = 5  # fewer have no interval
 RESAMPLES = 1000
 NAMES = {"participant", "place", "trial", "kind", "policy", "drive", "outcome", "chosen", "shown", "done"}
+LARGEST = 1 - 1e-6  # correlation of which Fisher's z is taken
 LEVEL = 0.05  # of corrected p-values
 
 
@@ -83,9 +84,9 @@ def run(answers: Answers, options: SurveyReportConfig, console: Console) -> Path
         raise InputError(f"survey: {options.folder} has no ratings yet; wait for the first participants.")
     found, levels, choices = correlations(rows), means(rows), preferences(answers)
     tables = [("Means of ratings", *_means(levels))] * bool(levels) + [("Choices", *_choices(choices))] * bool(choices)
-    tables += [("Correlations of ratings with metrics", *_correlations(found))] * bool(found)
+    tables += [("Correlations of ratings with metrics", *correlation_table(found))] * bool(found)
     for title, head, cells in tables:
-        _print(console, title, head, cells)
+        print_table(console, title, head, cells)
     note = summary(found)
     console.print(Text(note, "dim"), soft_wrap=True)
     sections = [pages.section(title, pages.table(head, cells)) for title, head, cells in tables]
@@ -123,13 +124,20 @@ def rated(answers: Answers) -> list[dict[str, Any]]:
     ]
 
 
-def correlations(rows: Sequence[dict[str, Any]]) -> list[Correlation]:
+def correlations(
+    rows: Sequence[dict[str, Any]], units: tuple[str] | tuple[str, str] = ("participant",)
+) -> list[Correlation]:
     """Spearman's correlation of each rating with each metric, the smallest p-values first.
 
-    Pairs with a constant rating or metric have none.
+    Pairs with a constant rating or metric have none. The p-value is that of Fisher's z over its standard deviation in
+    the resamples.
 
-    Source: intervals and p-values: B. Efron, "Bootstrap methods", Annals of Statistics 7 (1979), with participants as
-    the units; the p-value is that of Fisher's z over its standard deviation in the resamples.
+    Args:
+        units: keys of the rows whose values are drawn. The interval is the bootstrap's for one, Fisher's for two.
+
+    Sources: B. Efron, "Bootstrap methods", Annals of Statistics 7 (1979); for the variance with two units C. Cameron,
+    J. Gelbach and D. Miller, "Robust inference with multiway clustering", Journal of Business & Economic Statistics 29
+    (2011).
     """
     ratings = list(dict.fromkeys(name for row in rows for name in row["ratings"]))
     names = list(dict.fromkeys(name for row in rows for name in row["metrics"]))
@@ -139,22 +147,36 @@ def correlations(rows: Sequence[dict[str, Any]]) -> list[Correlation]:
             some = [row for row in rows if rating in row["ratings"] and name in row["metrics"]]
             one = np.array([row["ratings"][rating] for row in some])
             other = np.array([row["metrics"][name] for row in some])
-            people, who = np.unique([row["participant"] for row in some], return_inverse=True)
-            if len(people) < MIN_PARTICIPANTS or np.ptp(one) == 0 or np.ptp(other) == 0:
+            labels = [np.unique([row[unit] for row in some], return_inverse=True)[1] for unit in units] if some else []
+            if not some or min(map(np.max, labels)) + 1 < MIN_PARTICIPANTS or np.ptp(one) == 0 or np.ptp(other) == 0:
                 continue
             value = float(spearman(one, other)[0])
-            drawn = spearman(one, other, resamples(len(people), count=RESAMPLES)[:, who])
-            drawn = drawn[np.isfinite(drawn)]
-            if len(drawn) < RESAMPLES / 2:
+            if len(labels) == 2:
+                labels.append(np.unique(labels[0] * len(some) + labels[1], return_inverse=True)[1])
+            drawn = [_resampled(one, other, label) for label in labels]
+            if min(map(len, drawn)) < RESAMPLES / 2:
                 continue
-            low, high = interval(drawn)
-            z = np.arctanh(np.clip(drawn, -1 + 1e-6, 1 - 1e-6))
-            size = abs(math.atanh(min(abs(value), 1 - 1e-6))) / max(float(np.std(z)), 1e-6)
-            p = 2.0 * (1.0 - NormalDist().cdf(size))
-            found.append(Correlation(rating, name, value, float(low), float(high), len(some), len(people), p))
+            z = math.atanh(max(-LARGEST, min(value, LARGEST)))
+            variances = [float(np.var(np.arctanh(np.clip(each, -LARGEST, LARGEST)))) for each in drawn]
+            if len(variances) == 1:
+                variance = variances[0]
+                low, high = interval(drawn[0])
+            else:
+                variance = max(variances[0] + variances[1] - variances[2], *variances[:2])
+                half = NormalDist().inv_cdf(0.975) * math.sqrt(variance)
+                low, high = math.tanh(z - half), math.tanh(z + half)
+            p = 2.0 * (1.0 - NormalDist().cdf(abs(z) / max(math.sqrt(variance), 1e-6)))
+            number = int(labels[0].max()) + 1
+            found.append(Correlation(rating, name, value, float(low), float(high), len(some), number, p))
     corrected = holm([each.p for each in found])
     found = [each._replace(p=p) for each, p in zip(found, corrected, strict=True)]
     return sorted(found, key=lambda each: (each.p, -abs(each.value)))
+
+
+def _resampled(one: np.ndarray, other: np.ndarray, label: np.ndarray) -> np.ndarray:
+    """(R,) correlations in which all pairs of a label (N,) are drawn together; those that are defined."""
+    drawn = spearman(one, other, resamples(int(label.max()) + 1, count=RESAMPLES)[:, label])
+    return drawn[np.isfinite(drawn)]
 
 
 def spearman(one: np.ndarray, other: np.ndarray, weights: np.ndarray | None = None) -> np.ndarray:
@@ -172,9 +194,8 @@ def spearman(one: np.ndarray, other: np.ndarray, weights: np.ndarray | None = No
 def _ranks(values: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """(R, N) ranks of values (N,), each counted as often as its weight; equal ones have the mean of their ranks."""
     _, group = np.unique(values, return_inverse=True)
-    sizes = np.zeros((len(weights), group.max() + 1))
-    for k, g in enumerate(group):
-        sizes[:, g] += weights[:, k]
+    order = np.argsort(group, kind="stable")
+    sizes = np.add.reduceat(weights[:, order], np.searchsorted(group[order], np.arange(group.max() + 1)), axis=1)
     return (np.cumsum(sizes, 1) - (sizes - 1.0) / 2.0)[:, group]
 
 
@@ -215,13 +236,19 @@ def preferences(answers: Answers) -> list[Preference]:
 
 def summary(found: Sequence[Correlation]) -> str:
     """What the numbers are, in words."""
+    return (
+        f"{counted(found)} Correlations are Spearman's over trials; all intervals are of a bootstrap over "
+        "participants, and wide or too narrow with fewer than ten of them. A trial that all participants watch has the "
+        "same metrics for all: its correlations are those of few episodes. A correlation is no cause."
+    )
+
+
+def counted(found: Sequence[Correlation]) -> str:
+    """How many correlations there are, and how many of them are clear, in words."""
     clear = sum(each.p < LEVEL for each in found)
     return (
         f"{len(found)} correlations were computed. By chance alone, about {LEVEL * len(found):.1f} of them have an "
-        f"interval without 0. With a p-value below {LEVEL:g} after Holm's correction: {clear}, in bold. "
-        "Correlations are Spearman's over trials; all intervals are of a bootstrap over participants, and wide or too "
-        "narrow with fewer than ten of them. A trial that all participants watch has the same metrics for all: its "
-        "correlations are those of few episodes. A correlation is no cause."
+        f"interval without 0. With a p-value below {LEVEL:g} after Holm's correction: {clear}, in bold."
     )
 
 
@@ -231,7 +258,8 @@ def _figure(name: str) -> Figure:
     return metric_figure(name, METRICS[name]) if name in METRICS else Figure(name.replace("_", " "), "", 3, "")
 
 
-def _correlations(found: Sequence[Correlation]) -> tuple[list[str], list[list[str | pages.Cell]]]:
+def correlation_table(found: Sequence[Correlation]) -> tuple[list[str], list[list[str | pages.Cell]]]:
+    """The names of the columns, and the rows; p-values below ``LEVEL`` are marked."""
     head = ["rating", "metric", "Spearman", "95 % interval", "p, corrected", "pairs", "participants"]
     rows = []
     for each in found:
@@ -260,7 +288,8 @@ def _choices(found: Sequence[Preference]) -> tuple[list[str], list[list[str | pa
     return ["trial", "choice", "share", "95 % interval", "participants"], rows
 
 
-def _print(console: Console, title: str, head: list[str], rows: list[list[str | pages.Cell]]) -> None:
+def print_table(console: Console, title: str, head: list[str], rows: list[list[str | pages.Cell]]) -> None:
+    """Print a table; cells with a kind are bold."""
     table = Table(box=box.SIMPLE_HEAD, title=Text(title), title_justify="left", title_style="bold", pad_edge=False)
     for k, name in enumerate(head):
         table.add_column(Text(name), justify="left" if k < 2 else "right")
