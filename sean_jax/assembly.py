@@ -284,6 +284,7 @@ def _scenario(config: ScenarioConfig, parts: dict[str, Any], robot: RobotModel, 
         task_name="",
         sensors=sensors.as_sensors((components.resolve(part, _ANY, "sensors") for part in config.sensors), robot),
         warm_up=config.warm_up,
+        to_surface=config.violation_distance == "surface",
     )
 
 

@@ -190,6 +190,7 @@ class Snapshot:
     goal_radius: Float[Array, ""] | None = None  # m, within which the goal is reached; None: SEAN's 1.2
     robot_top_speed: Float[Array, ""] | None = None  # m/s; None: Kuri's 0.5
     robots: Float[Array, "R 3"] | None = None  # m: x, y and radius of the other robots of a team; None: no team
+    to_surface: bool = struct.field(pytree_node=False, default=False)  # as of Scenario
 
 
 @struct.dataclass
@@ -359,6 +360,7 @@ class Scenario:
     sensor_errors: Any = None  # sensors.DistanceErrors of the sensors that have none; None: they are exact
     people_present: Int[Array, ""] | None = None  # number of people present, the first ones; None: all
     warm_up: float = struct.field(pytree_node=False, default=0.0)  # s, for which people walk before there is a robot
+    to_surface: bool = struct.field(pytree_node=False, default=False)  # whether violations are of a person's surface
     others: RobotModel | None = None  # (R, ...) models of the other robots of a team; None: no team
     robot_number: Int[Array, ""] | None = None  # of the robot in its team
 

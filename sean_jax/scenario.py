@@ -229,6 +229,7 @@ def snapshot(scenario: Scenario, state: State) -> Snapshot:
         goal_radius=scenario.goal_radius,
         robot_top_speed=scenario.robot.max_speed,
         robots=_discs(scenario, state),
+        to_surface=scenario.to_surface,
     )
 
 

@@ -236,8 +236,8 @@ def test_split_by_situation():
     assert found["time_in_situation"][1:].sum() == pytest.approx(found["time_in_situation"][0])
 
 
-def by_loop(sequence) -> dict[str, np.ndarray]:
-    """The same metrics in plain Python and double precision, from a list of dicts."""
+def by_loop(sequence, body: float = 0.0) -> dict[str, np.ndarray]:
+    """The same metrics in plain Python and double precision; the limits of violations are ``body`` [m] more."""
     out = {name: np.zeros(1 + SITUATIONS) for name in (*EVENTS, "path_length", "time_not_moving", "time_in_situation")}
     sampled = sequence[0]["position"]
     least, near_goal = np.inf, np.inf
@@ -255,7 +255,7 @@ def by_loop(sequence) -> dict[str, np.ndarray]:
             out["time_not_moving"] += (moved <= 0.05) * weights
             sampled = now["position"]
         for k in range(PEOPLE):
-            for name, limit in (("intimate", 0.45), ("personal", 1.2), ("collision", 0.37)):
+            for name, limit in (("intimate", 0.45 + body), ("personal", 1.2 + body), ("collision", 0.37)):
                 was = then["present"][k] and np.linalg.norm(then["people"][k] - then["position"]) <= limit
                 inside = now["present"][k] and np.linalg.norm(now["people"][k] - now["position"]) <= limit
                 if inside and not was:
@@ -323,6 +323,17 @@ def test_random_paths_equal_a_plain_loop_and_vmap_equals_a_loop():
 
     for name, value in jax.jit(jax.vmap(run))(together).items():
         np.testing.assert_allclose(value, np.stack([one[name] for one in found]), rtol=1e-5, atol=1e-6, err_msg=name)
+
+
+def test_violations_to_the_surface_of_people():
+    """SEAN 2.0's distance: a person's radius less than between the centers; contact and distances stay as they are."""
+    sequence = wander(7)
+    snapshots = [replace(as_snapshot(tick, now), to_surface=True) for tick, now in enumerate(sequence)]
+    found, theirs = measure(snapshots), by_loop(sequence, PERSON_RADIUS)
+    centers = by_loop(sequence)
+    for name in (*EVENTS, "min_distance_to_people"):
+        np.testing.assert_allclose(found[name], theirs[name], rtol=1e-6, err_msg=name)
+    assert any(theirs[name][0] != centers[name][0] for name in EVENTS)
 
 
 def test_units_shapes_and_types():

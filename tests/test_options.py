@@ -89,7 +89,7 @@ FITTING = {"thresholds": None, "task_distance": (1.0, 2.0), "time_step": 0.1, "t
             {**FITTING, "behavior": "random", "task": None, "width": 30, "height": 20, "metrics": (), "rate": 5},
         ),
         ("train imitation", {"dataset": Path("runs/a b"), "part": (2, 3)}),
-        ("experiment table1", {}),
+        ("experiment table1", {"seeds": 7}),
         ("experiment figure4", {}),
         ("experiment learning_curve", {}),
         ("bench", {"only": "step,crowd"}),
@@ -280,6 +280,7 @@ train ppo --action-delay -1 1 | --action-delay: -1 must be from 0 to 1,000 steps
 train ppo --sweep clip=0.1,0.1 | --sweep: clip=0.1,0.1 has a number twice
 train ppo --sweep clip=0.1 clip=0.2 | --sweep: 'clip' is listed twice; with all of its numbers
 train ppo --seed 4294967295 --seeds 2 | --seeds: 2 consecutive seeds from 4294967295
+experiment table1 --seed 4294967295 --seeds 2 | --seed: 2 consecutive seeds from 4294967295
 train ppo --num-envs 8 | --num-envs: there is no such option; did you mean '--scenarios'
 train apg --total_timesteps=100 | --total_timesteps: there is no such option; did you mean '--steps'
 run --num-episodes 8 | --num-episodes: there is no such option; did you mean '--episodes'

@@ -32,7 +32,7 @@ OTHER = {  # a value of each option that is neither the preset's nor the default
     "routing": "whole", "group_membership": "turnover", "forces": "johansson2007", "situations": "more",
     "goal_sampling": "uniform",
     "task_distance": (1.0, 5.5), "dynamics": "twin", "goal_radius": 0.7, "hold_time": 2.5, "time_limit": 33.0,
-    "warm_up": 1.5,
+    "warm_up": 1.5, "violation_distance": "centers",
 }  # fmt: skip
 SEAN2 = PRESETS["sean2"].options
 
@@ -120,6 +120,7 @@ def test_the_scenario_is_the_one_of_its_parts():
     np.testing.assert_array_equal(scenario.task_distance, [0.0, np.inf])
     times = float(scenario.goal_radius), float(scenario.hold_time), scenario.time_limit
     assert times == (np.float32(1.2), 5.0, 120.0)
+    assert scenario.to_surface and not sean_jax.make("lab", people=3).to_surface
     parts = {
         "behavior": GraphBehavior(routing="edge", group_membership="permanent"),
         "goal_sampling": "mesh",

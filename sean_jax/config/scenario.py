@@ -39,6 +39,7 @@ PRESETS: dict[str, Preset] = {
             "goal_sampling": "mesh",  # Navmesh.cs
             "task_distance": (0.0, math.inf),  # RandomABNav.cs: independent start and goal
             "dynamics": "kinematic",  # VelocityController.cs
+            "violation_distance": "surface",  # CountCollisions.cs: 0.2 m less than between the centers
             "warm_up": 120.0,  # one task after another in one lasting crowd, which is older than a task
             "goal_radius": 1.2,  # Tasks.prefab: completionDistance
             "hold_time": 5.0,  # Tasks.prefab: debounceTimeoutSec
@@ -165,6 +166,9 @@ class ScenarioConfig(Config):
     goal_sampling: Literal["uniform", "mesh"] = "uniform"
     """How free places are drawn, for goals of random people and for starts and goals of the robot: uniform over the
     floor, or mesh, as SEAN 2.0 draws points on its navigation mesh."""
+    violation_distance: Literal["centers", "surface"] = "centers"
+    """Violations of intimate and personal distance are measured between the centers of robot and person, or from the
+    robot's center to the person's surface, as in SEAN 2.0."""
     substeps: fields.Substeps | None = None
     """Steps of the social forces in a control step; by default as many as their stiffness needs."""
     warm_up: fields.Duration = 0.0

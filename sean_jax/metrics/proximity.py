@@ -1,8 +1,9 @@
 """Metrics of people and obstacles near the robot (section IV-H): violations of distance, collisions, comfort.
 
-An event is an entry: a person's distance to the robot (centre to centre, as in the paper; SEAN's code subtracts a
-person's radius) falls below the limit, and was above it a step before. The fault rule is SEAN's: robot on person if
-the robot moves and its velocity has a part towards the person, else person on robot.
+An event is an entry: a person's distance to the robot falls below the limit, and was above it a step before. The
+distance of violations is that of the centres, as in the paper, or, with ``Snapshot.to_surface``, a person's radius
+less, as in SEAN's code. The fault rule is SEAN's: robot on person if the robot moves and its velocity has a part
+towards the person, else person on robot.
 """
 
 from collections.abc import Callable
@@ -31,13 +32,17 @@ VISIBLE = 3.6  # m, the end of social distance [Hall]: people farther away do no
 
 
 def _intimate_limit(snapshot: Snapshot) -> Float[Array, ""]:
-    """Intimate distance [m]."""
-    return jnp.full_like(snapshot.robot_radius, INTIMATE)
+    """Intimate distance [m] of the centres."""
+    return _limit(snapshot, INTIMATE)
 
 
 def _personal_limit(snapshot: Snapshot) -> Float[Array, ""]:
-    """Personal distance [m]."""
-    return jnp.full_like(snapshot.robot_radius, PERSONAL)
+    """Personal distance [m] of the centres."""
+    return _limit(snapshot, PERSONAL)
+
+
+def _limit(snapshot: Snapshot, distance: float) -> Array:
+    return snapshot.person_radius + distance if snapshot.to_surface else jnp.full_like(snapshot.robot_radius, distance)
 
 
 def _touch_limit(snapshot: Snapshot) -> Float[Array, ""]:

@@ -383,17 +383,19 @@ def _minute(more: tuple[tuple[str, Situation], ...], fixed: tuple, carry: tuple[
 # ------------------------------------------------------------------ ablation
 
 DEFAULT, ALL = "default", "sean2"
-SWITCHES = {
+CHANGED = {
     name: value
     for name, value in PRESETS[ALL].options.items()
     if name not in CollectConfig.model_fields or CollectConfig.model_fields[name].get_default() != value
 }
 """The options of preset ``sean2`` that differ from the defaults."""
+SWITCHES = {name: value for name, value in CHANGED.items() if name != "violation_distance"}
+"""Those that a situation may depend on."""
 WORLDS: dict[str, tuple[str, dict[str, Any]]] = {
     DEFAULT: (DEFAULT, {}),
     **{name: (DEFAULT, {name: value}) for name, value in SWITCHES.items()},
-    ALL: (DEFAULT, SWITCHES),
-    **{f"{ALL}-without-{name}": (ALL, {k: v for k, v in SWITCHES.items() if k != name}) for name in SWITCHES},
+    ALL: (DEFAULT, CHANGED),
+    **{f"{ALL}-without-{name}": (ALL, {k: v for k, v in CHANGED.items() if k != name}) for name in SWITCHES},
 }
 """The conditions, with the one that each is compared with and its switches: the defaults, the defaults with one switch
 each, SEAN 2.0's with all switches, and those without one switch each."""
