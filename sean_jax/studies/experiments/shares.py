@@ -85,14 +85,15 @@ def interval_rows(
 
 
 def count(flags: np.ndarray, weights: np.ndarray) -> Shares:
-    """Shares of the situations, and their resamples.
+    """Shares of the situations, and their resamples, from 0 to 1 also where weights are negative.
 
     Args:
         flags: (chains, seconds, S) bool.
         weights: (R, chains) of the chains in each resample.
     """
-    weights, none = bootstrap.with_estimate(weights), ~flags.any(-1)
-    return Shares(weights @ flags.mean(1), weights @ none.mean(1), flags.shape[0] * flags.shape[1])
+    weights, parts = bootstrap.with_estimate(weights), (flags.mean(1), (~flags.any(-1)).mean(1))
+    examples, none = (np.clip(weights @ part, 0.0, 1.0) for part in parts)
+    return Shares(examples, none, flags.shape[0] * flags.shape[1])
 
 
 def count_by_person(flags: np.ndarray, person: np.ndarray, seed: int = 0) -> Shares:
@@ -111,9 +112,8 @@ def count_by_person(flags: np.ndarray, person: np.ndarray, seed: int = 0) -> Sha
 def normalised_entropy(shares: np.ndarray) -> np.ndarray:
     """Entropy (...,) of shares (..., K), which need not add up to one, divided by the entropy of equal shares.
 
-    It is from 0 to 1, and 0 if all shares are zero. Negative shares, as resamples may have, count as 0.
+    It is from 0 to 1, and 0 if all shares are zero.
     """
-    shares = np.maximum(shares, 0.0)
     total = shares.sum(-1, keepdims=True)
     p = np.where(total > 0, shares / np.where(total > 0, total, 1), 0)
     return -(p * np.log(np.where(p > 0, p, 1))).sum(-1) / np.log(shares.shape[-1])
