@@ -412,6 +412,15 @@ class Policy:
     name: str = struct.field(pytree_node=False)
     init: Callable = struct.field(pytree_node=False)
     apply: Callable = struct.field(pytree_node=False)
+    sensing: str = struct.field(pytree_node=False, default="all-knowing")  # one of SENSING
+
+
+SENSING = {
+    "all-knowing": "knows people whom no sensor of the robot shows, or their goals",
+    "tracks": "knows positions and velocities of visible people",
+    "raw": "knows of people what its sensors read, or nothing",
+}
+"""Class of a policy -> its knowledge of people. The map, the robot's pose and its goal are known in each class."""
 
 
 PolicyLike = Policy | Callable[[Scenario, State, Array], Array]
@@ -441,4 +450,5 @@ def as_policy(policy: PolicyLike) -> Policy:
     if not callable(policy):
         raise TypeError(f"policy: {policy!r:.60} must be a Policy or a function (scenario, state, key) -> (2,).")
     name = getattr(policy, "__name__", type(policy).__name__)
-    return Policy(params=(), name=name, init=no_memory, apply=_Stateless(policy))
+    sensing = getattr(policy, "sensing", "all-knowing")
+    return Policy(params=(), name=name, init=no_memory, apply=_Stateless(policy), sensing=sensing)

@@ -209,7 +209,7 @@ def _execute(word: str, options: Any) -> int:
         with interrupts.unwrapped():
             return _DO[word](options, Console(quiet=getattr(options, "quiet", False))) or 0
     except (OSError, KeyboardInterrupt) as error:
-        if word not in RESUMABLE:
+        if word not in RESUMABLE or isinstance(options, config.BenchmarkRankConfig | config.BenchmarkVerifyConfig):
             raise
         rest = f"finished parts are in {options.folder}, and the same command resumes"
         rest = f"{rest if contents(options.folder) else 'nothing was written'}."
@@ -298,13 +298,28 @@ def _experiment(options: config.ExperimentConfig, console: "Console") -> None:
     _print(console, "report: ", folder / "report.html")
 
 
-def _benchmark(options: config.BenchmarkConfig, console: "Console") -> None:
+def _benchmark(
+    options: config.BenchmarkConfig | config.BenchmarkRankConfig | config.BenchmarkVerifyConfig, console: "Console"
+) -> int:
+    if isinstance(options, config.BenchmarkRankConfig):
+        from sean_jax.studies.experiments import ranking
+
+        console.print(ranking.run(options).table(), highlight=False, markup=False)
+        _print(console, "report: ", options.folder / ranking.REPORT)
+        return 0
+    if isinstance(options, config.BenchmarkVerifyConfig):
+        from sean_jax.studies.experiments import verification
+
+        lines, failed = verification.verify(options, console)
+        console.print("\n".join(lines), highlight=False, markup=False)
+        return _fail(f"{options.result}: {failed}", FAILED) if failed else 0
     from sean_jax.studies.experiments import benchmark
 
     outside = _outside(config.Named(kind=options.policy), console)
     folder = benchmark.run(options, console, outside)
     console.print(benchmark.table(benchmark.check(folder)), highlight=False, markup=False)
     _print(console, "report: ", folder / benchmark.REPORT)
+    return 0
 
 
 def _export(options: config.ExportConfig, console: "Console") -> None:

@@ -463,9 +463,9 @@ def load_result(folder: Path) -> Any:
     except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
         pass  # it is read as it is
     found = benchmark.check(folder)
-    assert (found["policy"] != "orca") and found["episodes"] == 20 and found["tracks"].keys() == benchmark.TRACKS.keys()
-    for name, figure in found["scores"]["figures"].items():
-        assert figure["low"] <= figure["mean"] <= figure["high"], name
+    assert (found.policy != "orca") and found.episodes == 20 and found.tracks.keys() == benchmark.TRACKS.keys()
+    for name, figure in found.scores.figures.items():
+        assert figure.low <= figure.mean <= figure.high, name
     benchmark.table(found)
     return None
 

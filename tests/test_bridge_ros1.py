@@ -118,9 +118,11 @@ from sean_jax import cli
 from sean_jax.studies.experiments import benchmark
 
 names = ("lab-random_ab_nav", "lab-join_group")  # two tracks, so that the controller is connected twice
-benchmark.TRACKS = {name: benchmark.TRACKS[name] | {"time_limit": 12.0} for name in names}
+for name, track in list(benchmark.TRACKS.items()):
+    track.options["time_limit"] = 12.0
+benchmark.TRACKS = {name: benchmark.TRACKS[name] for name in names}
 for policy, folder in zip(sys.argv[1::2], sys.argv[2::2]):
-    assert cli.main(["benchmark", policy, "--episodes", "1", "--out", folder]) == 0
+    assert cli.main(["benchmark", "run", policy, "--episodes", "1", "--out", folder]) == 0
 """
 
 

@@ -307,3 +307,45 @@ def test_means_and_extremes_are_unknown_only_where_a_situation_never_occurred():
             assert np.isfinite(value[[0, 2]]).all(), name
             unknown = np.isnan(value[[1, 3, 4, 5]])
             assert unknown.all() or not unknown.any(), name
+
+
+def test_o_spaces_and_walking_groups_equal_a_plain_loop():
+    """Groups of two to four among eight people; the robot's own group is not counted, nor a robot that stands."""
+    random, people, steps = np.random.default_rng(5), 8, 200
+    groups = np.array([0, 0, 0, 1, 1, -1, 2, 3])
+    expected, snapshots, inside = np.zeros(2), [], np.zeros((2, 4), bool)
+    for tick in range(steps):
+        place, velocity = random.normal(0, 1, 2), random.normal(0, 0.3, 2) * (random.uniform() < 0.8)
+        position = random.normal(0, 0.8, (people, 2))
+        present = random.uniform(size=people) < 0.9
+        here = at(tick, place, velocity)
+        persons = jax.tree.map(lambda leaf: jnp.zeros((people, *leaf.shape[1:]), leaf.dtype), here.people)
+        persons = replace(
+            persons,
+            position=jnp.asarray(position, jnp.float32),
+            present=jnp.asarray(present),
+            group=jnp.asarray(groups, jnp.int32),
+            walking_group=jnp.asarray(groups, jnp.int32),
+        )
+        snapshots.append(replace(here, people=persons, goal_group=jnp.int32(1)))
+        before, inside = inside, np.zeros((2, 4), bool)
+        for group in range(4):
+            members = [position[k] for k in range(people) if groups[k] == group and present[k]]
+            if len(members) < 2 or not velocity.any():
+                continue
+            middle = sum(members) / len(members)
+            radius = sum(np.hypot(*(member - middle)) for member in members) / len(members)
+            gap = np.hypot(*(place - middle))
+            inside[0, group] = group != 1 and gap < radius - 0.2
+            inside[1, group] = gap < radius
+        if tick:
+            expected += (inside & ~before).sum(1)
+    found = []
+    for metric in metrics.OF_GROUPS.values():
+        value = metric.init(snapshots[0])
+        for before, after in zip(snapshots[:-1], snapshots[1:], strict=True):
+            value = metric.update(value, before, after)
+        found.append(float(metric.compute(value)[0]))
+    assert list(metrics.OF_GROUPS) == ["o_spaces_crossed", "groups_split"]
+    np.testing.assert_array_equal(found, expected)
+    assert (expected > 5).all()

@@ -343,7 +343,7 @@ NAMED = {  # command -> the option whose code it would run
     "train dagger dataset --expert expert --hours 0.02": "task",
     "experiment table1 --quick --policies agent": "observations",
     "experiment figure4 --quick --baselines training": "critic",
-    "benchmark agent --quick": "observations",
+    "benchmark run agent --quick": "observations",
     "export agent training --out new": "critic",
     "replay training": "critic",
     "replay imitates": "imitate",

@@ -66,6 +66,8 @@ from sean_jax.config.studies import (
     EXPERIMENTS,
     AblationConfig,
     BenchmarkConfig,
+    BenchmarkRankConfig,
+    BenchmarkVerifyConfig,
     CalibrateConfig,
     ExperimentConfig,
     Figure4Config,
@@ -220,6 +222,7 @@ GROUPS = {
     "train": "Train a network, by imitation or by reinforcement learning.",
     "experiment": "Reproduce Table I or Figure 4 of the paper, or vary them.",
     "export": "Write datasets, agents, episodes and environments in the formats of other projects.",
+    "benchmark": "Drive fixed tracks with a policy, rank such results, or verify them.",
     "survey": "Export or report the answers of a study that `sean studio --survey` has run, or published ratings.",
 }
 """Word of the command line that needs a second word -> its summary."""
@@ -244,7 +247,9 @@ COMMANDS: dict[str, type[Config]] = {
     "import-bag": ImportBagConfig,
     "import-robot": ImportRobotConfig,
     "worlds": WorldsConfig,
-    "benchmark": BenchmarkConfig,
+    "benchmark run": BenchmarkConfig,
+    "benchmark rank": BenchmarkRankConfig,
+    "benchmark verify": BenchmarkVerifyConfig,
     "bench": BenchConfig,
     "validate": ValidateConfig,
     "doctor": DoctorConfig,

@@ -21,7 +21,7 @@ from flax import struct
 from jaxtyping import Float, Int, PyTree
 
 from sean_jax import calls, components, episodes, files, navigation, registry, sensors, team, writing
-from sean_jax.base import Array, Policy, PolicyLike, Scenario, State, as_policy
+from sean_jax.base import SENSING, Array, Policy, PolicyLike, Scenario, State, as_policy
 from sean_jax.classifiers import SITUATION_SETS
 from sean_jax.config import (
     METHODS,
@@ -67,6 +67,10 @@ def load_policy(value: PolicyLike | Component | str, scenario: Scenario, option:
     except TypeError as error:
         raise InputError(str(error)) from error
     if not isinstance(description, Named):
+        if policy.sensing not in SENSING:
+            raise InputError(
+                f"{option}: sensing of {policy.name}, {policy.sensing!r:.40}, is not one of {', '.join(SENSING)}."
+            )
         episodes.check_policy(scenario, policy)
     return policy
 
@@ -430,7 +434,9 @@ def network_policy(network: Network, weights: Weights, scenario: Scenario, name:
     require(scenario.robot, ("differential",), f"{name}: networks drive")
     height, width = network.image
     camera = sensors.camera(scenario, "depth", width=width, height=height)
-    return Policy(params=PolicyParams(weights, network, camera), name=name, init=_init_network, apply=_apply_network)
+    sensing = "all-knowing" if network.flags else "raw"  # flags are of all people
+    params = PolicyParams(weights, network, camera)
+    return Policy(params=params, name=name, init=_init_network, apply=_apply_network, sensing=sensing)
 
 
 def load_imitation(folder: Path | str, scenario: Scenario) -> Policy:
@@ -524,7 +530,8 @@ def agent_policy(network: ActorCritic, agent: Agent, terms: observations.Terms, 
 
     Its state holds the memory of the observation, so that delays and stacks are as in training, and the network's.
     """
-    return Policy(params=AgentParams(agent, network, terms), name=name, init=_init_agent, apply=_apply_agent)
+    params, sensing = AgentParams(agent, network, terms), observations.sensing(terms)
+    return Policy(params=params, name=name, init=_init_agent, apply=_apply_agent, sensing=sensing)
 
 
 def _init_agent(scenario: Scenario, params: AgentParams, state: State) -> AgentState:

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from jaxtyping import Float, Int, PyTree
 
 from sean_jax import calls, files, navigation, sensors
-from sean_jax.base import Array, Scenario, Sensor, State
+from sean_jax.base import SENSING, Array, Scenario, Sensor, State
 from sean_jax.errors import InputError
 from sean_jax.geometry import from_rectangle, length, nearby_obstacles, rotate
 from sean_jax.mdp.spaces import Box
@@ -52,6 +52,7 @@ class ObservationTerm:
             without that axis.
         people: whether it contains positions of people, for tables of agents.
         image: whether it is a picture, (height, width) or with colors, which ``flatten`` leaves out.
+        sensing: knowledge of people that it needs, one of ``base.SENSING``.
     """
 
     read: Callable[[Scenario, State, Any], Array]
@@ -62,6 +63,7 @@ class ObservationTerm:
     stack: int = 0
     people: bool = False
     image: bool = False
+    sensing: str = "all-knowing"
 
     @property
     def definition(self) -> str:
@@ -163,8 +165,8 @@ def people(nearest: int = NEAREST, reach: float = REACH, visible: bool = False) 
     Args:
         visible: leave out people to whom the straight line from the robot crosses an obstacle.
     """
-    read = _visible_people if visible else _people
-    return ObservationTerm(functools.partial(read, nearest, reach), -reach, reach, people=True)
+    read, sensing = (_visible_people, "tracks") if visible else (_people, "all-knowing")
+    return ObservationTerm(functools.partial(read, nearest, reach), -reach, reach, people=True, sensing=sensing)
 
 
 def _visible_people(nearest: int, reach: float, scenario: Scenario, state: State, prepared: tuple) -> Array:
@@ -225,7 +227,7 @@ def _last_arc(scenario: Scenario, state: State) -> Array:
 
 def sensor(name: str, low: float, high: float, image: bool = False) -> ObservationTerm:
     """The reading of one of ``scenario.sensors``, with its noise."""
-    return ObservationTerm(functools.partial(_sensor, name), low, high, image=image)
+    return ObservationTerm(functools.partial(_sensor, name), low, high, image=image, sensing="raw")
 
 
 def _sensor(name: str, scenario: Scenario, state: State, prepared: tuple) -> Array:
@@ -268,25 +270,27 @@ def _lidar_stack(scenario: Scenario, state: State, prepared: tuple) -> Array:
     return _lidar(scenario, state, prepared)
 
 
+_sensed = functools.partial(ObservationTerm, sensing="raw")
+
 OBSERVATIONS: dict[str, ObservationTerm] = {
-    "goal": ObservationTerm(_goal, -FAR_GOAL, FAR_GOAL),
-    "goal_heading": ObservationTerm(_goal_heading, -1.0, 1.0),
-    "path": ObservationTerm(_path, -FAR_GOAL, FAR_GOAL),
-    "distance": ObservationTerm(_distance, 0.0, 10 * FAR_GOAL),
-    "speeds": ObservationTerm(_speeds, -10.0, 10.0),
-    "robot": ObservationTerm(_robot, 0.0, 100.0),
-    "time": ObservationTerm(_time, 0.0, 1.0),
-    "hold": ObservationTerm(_hold, 0.0, 1.0),
+    "goal": _sensed(_goal, -FAR_GOAL, FAR_GOAL),
+    "goal_heading": _sensed(_goal_heading, -1.0, 1.0),
+    "path": _sensed(_path, -FAR_GOAL, FAR_GOAL),
+    "distance": _sensed(_distance, 0.0, 10 * FAR_GOAL),
+    "speeds": _sensed(_speeds, -10.0, 10.0),
+    "robot": _sensed(_robot, 0.0, 100.0),
+    "time": _sensed(_time, 0.0, 1.0),
+    "hold": _sensed(_hold, 0.0, 1.0),
     "situations": ObservationTerm(_situations, 0.0, 1.0),
     "people": people(),
     "visible_people": people(visible=True),
-    "obstacles": ObservationTerm(_obstacles, -NEAR, NEAR),
-    "plan": ObservationTerm(plan_ahead, -PLAN_POINTS * SPACING, PLAN_POINTS * SPACING, prepare=_last_arc),
-    "lidar": ObservationTerm(_lidar, 0.0, FAR_LIDAR),
-    "lidar_rings": ObservationTerm(_rings, 0.0, FAR_LIDAR),
-    "lidar_stack": ObservationTerm(_lidar_stack, 0.0, FAR_LIDAR, stack=4),
-    "depth": ObservationTerm(_depth, 0.0, FAR_DEPTH, image=True),
-    "rgb": ObservationTerm(_rgb, 0.0, 1.0, image=True),
+    "obstacles": _sensed(_obstacles, -NEAR, NEAR),
+    "plan": _sensed(plan_ahead, -PLAN_POINTS * SPACING, PLAN_POINTS * SPACING, prepare=_last_arc),
+    "lidar": _sensed(_lidar, 0.0, FAR_LIDAR),
+    "lidar_rings": _sensed(_rings, 0.0, FAR_LIDAR),
+    "lidar_stack": _sensed(_lidar_stack, 0.0, FAR_LIDAR, stack=4),
+    "depth": _sensed(_depth, 0.0, FAR_DEPTH, image=True),
+    "rgb": _sensed(_rgb, 0.0, 1.0, image=True),
 }
 """Terms of observations by name."""
 
@@ -295,6 +299,11 @@ OBSERVATIONS: dict[str, ObservationTerm] = {
 
 Terms = tuple[tuple[str, ObservationTerm], ...]
 """Name and term, of each part of an observation."""
+
+
+def sensing(terms: Terms) -> str:
+    """The class of a policy that reads these terms, one of ``base.SENSING``."""
+    return next(each for each in SENSING if each == "raw" or any(term.sensing == each for _, term in terms))
 
 
 def delayed(term: ObservationLike, least: int, most: int | None = None) -> ObservationTerm:

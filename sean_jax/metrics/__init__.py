@@ -41,15 +41,23 @@ OF_TEAMS: dict[str, Metric] = {
 """The metrics that robots of a team have besides those of their scenario."""
 
 
+OF_GROUPS: dict[str, Metric] = {
+    "o_spaces_crossed": proximity.o_spaces_crossed,
+    "groups_split": proximity.groups_split,
+}
+"""The metrics of groups, which compare all pairs of people; the benchmark measures them."""
+
+
 def topic(name: str) -> str:
     """The topic of a metric in a few words; "your own" for metrics outside the package."""
-    if name in OF_TEAMS:
+    if name in OF_TEAMS | OF_GROUPS:
         return "distances and collisions"
     return next((topic for topic, group in TOPICS.items() if name in group), "your own")
 
 
 __all__ = [
     "METRICS",
+    "OF_GROUPS",
     "OF_TEAMS",
     "TOPICS",
     "Estimate",

@@ -7,6 +7,8 @@ towards the person, else person on robot.
 """
 
 from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -160,6 +162,63 @@ min_distance_to_robots = minimum(
     headline=False,
 )
 """Minimum distance between the surfaces of the robot and of another robot of its team; 1000 where there is none."""
+
+
+# --- groups of people ---
+
+
+def _entries_of_groups(
+    groups: Callable[[Snapshot], Array], margin: Callable[[Snapshot], Array], **words: Any
+) -> Metric:
+    """Entries of the moving robot's centre into the circles of groups of two or more.
+
+    A circle is around the members' mean, and its radius is their mean distance from it less ``margin`` [m].
+    ``groups`` are (N,) numbers of groups, -1 none.
+    """
+
+    def inside(snapshot: Snapshot) -> tuple[Array, Array]:
+        """(N, N) bool, who is in one group; and (N,) bool, in whose group's circle the robot is."""
+        people = snapshot.people
+        group = jnp.where(people.present, groups(snapshot), -1)
+        same = (group[:, None] == group[None, :]) & (group >= 0)[:, None]
+        number = jnp.maximum(same.sum(1), 1).astype(float)
+        middle = jnp.where(same[..., None], people.position[None], 0.0).sum(1) / number[:, None]
+        dx, dy = (people.position[None] - middle[:, None]).transpose(2, 0, 1)
+        radius = jnp.where(same, length(dx, dy), 0.0).sum(1) / number - margin(snapshot)
+        gap = snapshot.position[None, :] - middle
+        moving = (snapshot.velocity * snapshot.velocity).sum() > MOVING * MOVING
+        return same, (number > 1.0) & moving & (length(gap[:, 0], gap[:, 1]) < radius)
+
+    def entries(before: Snapshot, after: Snapshot) -> Array:
+        same, now = inside(after)
+        first = jnp.argmax(same, axis=1) == jnp.arange(len(now))  # so that each group counts once
+        still = (groups(after)[:, None] == groups(before)[None, :]) & inside(before)[1][None, :]
+        return (now & first & ~still.any(1)).sum().astype(float)
+
+    return replace(total(entries, better="lower", headline=False, **words), kind="count")
+
+
+def _other_groups(snapshot: Snapshot) -> Array:
+    """(N,) numbers of standing groups; -1 for those of the robot's task."""
+    group = snapshot.people.group
+    return jnp.where((group == snapshot.start_group) | (group == snapshot.goal_group), -1, group)
+
+
+o_spaces_crossed = _entries_of_groups(
+    _other_groups,
+    lambda snapshot: snapshot.person_radius,
+    title="o-spaces crossed",
+    definition="Number of times that the moving robot came between the members of a standing group, its task's aside.",
+)
+"""Times that the robot's centre entered a standing group's circle, within the members' bodies (Kendon's o-space)."""
+
+groups_split = _entries_of_groups(
+    lambda snapshot: snapshot.people.walking_group,
+    lambda snapshot: jnp.zeros_like(snapshot.person_radius),
+    title="groups split",
+    definition="Number of times that the moving robot came between people who walk together.",
+)
+"""Times that the robot's centre entered the circle of people who walk together."""
 
 
 # --- seconds of contact, for rewards ---

@@ -109,5 +109,5 @@ def _as_known(state: State, people: KnownPeople) -> State:
     return replace(state, pedestrians=crowd, groups=replace(groups, present=groups.present & has_known))
 
 
-sensing_expert = Policy(params=SensingParams(), name="sensing_expert", init=init, apply=apply)
+sensing_expert = Policy(params=SensingParams(), name="sensing_expert", init=init, apply=apply, sensing="tracks")
 """The sensing expert with its usual parameters; others by ``replace(sensing_expert, params=...)``."""

@@ -299,5 +299,5 @@ def _select(condition: Array, chosen: Tree, other: Tree) -> Tree:
 social_costmap = Policy(params=default_params(), name="social_costmap", init=init, apply=apply)
 """The stack of the paper's text; otherwise by ``replace(social_costmap, params=default_params(top_speed=1.0))``."""
 
-move_base = Policy(params=sean2_params(), name="move_base", init=init, apply=apply)
+move_base = Policy(params=sean2_params(), name="move_base", init=init, apply=apply, sensing="raw")
 """The same stack with the maps of SEAN 2.0's public files, on which nobody is."""

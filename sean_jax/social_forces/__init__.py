@@ -5,7 +5,7 @@ A sum of terms (``forces``), each with its own parameters: ``[*preset("helbing19
 
 from sean_jax.social_forces.forces import Crowd, Forces, GatherTerm, Pair, PairTerm, PersonTerm, Term, Walking
 from sean_jax.social_forces.model import draw_traits, individualize, integrate, move
-from sean_jax.social_forces.presets import PRESETS, build, preset
+from sean_jax.social_forces.presets import PRESETS, build, preset, with_parameters
 from sean_jax.social_forces.reactions import Kind, Reactions
 from sean_jax.social_forces.terms import (
     Cohesion,
@@ -50,4 +50,5 @@ __all__ = [
     "move",
     "preset",
     "substeps",
+    "with_parameters",
 ]

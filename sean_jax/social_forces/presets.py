@@ -103,6 +103,19 @@ def text(name: str, parameters: Mapping[str, float], provenance: Mapping[str, st
     return yaml.safe_dump(content, sort_keys=False, width=110)
 
 
+def with_parameters(name: str, parameters: Mapping[str, float]) -> Forces:
+    """The forces of a key of ``PRESETS`` with other values of some parameters, term.parameter -> value in its unit.
+
+    Raises:
+        AttributeError: there is no such parameter.
+        InputError: no preset has that name, or a value is out of range.
+    """
+    terms = list(preset(name))
+    if any(key.startswith(f"{class_name(Reactions)}.") for key in parameters):
+        terms.append(Reactions())
+    return collect(collect(terms).tree_replace(dict(parameters)))
+
+
 def build(forces: str | Iterable[Term]) -> Forces:
     """The forces of a scenario, with float arrays on the default device.
 
@@ -120,9 +133,6 @@ def build(forces: str | Iterable[Term]) -> Forces:
         return preset(forces)
     constants = read(forces)
     try:
-        terms = list(preset(constants.preset))
-        if any(name.startswith(f"{class_name(Reactions)}.") for name in constants.parameters):
-            terms.append(Reactions())
-        return collect(collect(terms).tree_replace(dict(constants.parameters)))
+        return with_parameters(constants.preset, constants.parameters)
     except (InputError, AttributeError) as error:
         raise FileError(f"{files.short_name(Path(forces))}: {str(error).rstrip('.?')}; mend the file.") from None

@@ -1,9 +1,10 @@
-"""``sean benchmark POLICY``: a policy on the tracks of a frozen protocol, a table by situation and a result to rank.
+"""``sean benchmark run POLICY``: a policy on the tracks of a frozen protocol, with a table and a result to rank.
 
-A track is an environment with people of a behavior and a task for the robot. All policies drive the same numbered
-episodes, so two of them are compared in pairs. The options of the tracks are written out in ``tracks.yaml``, and not
-left to this package's defaults, which may change. A digest covers the files of environments and robots and the
-constants of the social forces: if it differs, results are not comparable, and nothing is run.
+A track is an environment with people of a behavior and a task for the robot. Tracks form groups, such as more and fewer
+people or other laws of people. All policies drive the same numbered episodes, so two of them are compared in pairs
+(``ranking``). The options of the tracks are written out in ``tracks.yaml``, and not left to this package's defaults,
+which may change. A digest covers the files of environments and robots and the constants of the social forces: if it
+differs, results are not comparable, and nothing is run.
 """
 
 from __future__ import annotations
@@ -13,23 +14,39 @@ import dataclasses
 import functools
 import hashlib
 import json
-from collections.abc import Callable
+import platform
+import re
+from collections.abc import Callable, Collection
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 import jax
 import numpy as np
 
-from sean_jax import assembly, components, environment, files, robots, writing
+from sean_jax import assembly, components, files, robots, social_forces, worlds, writing
 from sean_jax.base import Scenario
-from sean_jax.config import BenchmarkConfig, CollectConfig, Config, Number, OwnPart, RunConfig, Text, outside, validate
+from sean_jax.config import (
+    METHODS,
+    BenchmarkConfig,
+    Config,
+    Named,
+    Number,
+    OwnPart,
+    ReinforcementConfig,
+    RunConfig,
+    ScenarioConfig,
+    Text,
+    outside,
+    validate,
+)
 from sean_jax.errors import FileError, IncompleteError, InputError
 from sean_jax.evaluation import Driver
-from sean_jax.learning.policy import AGENTS, check_policy, load_policy
-from sean_jax.metrics import METRICS, Estimate
+from sean_jax.learning.networks import read_method
+from sean_jax.learning.policy import AGENTS, agent_folder, check_policy, load_policy, read_options
+from sean_jax.metrics import METRICS, OF_GROUPS, Estimate
 from sean_jax.policies import POLICIES
 from sean_jax.runner import Callbacks, Runner, even_batch
-from sean_jax.social_forces import preset
+from sean_jax.stack import Stack, as_stacks
 from sean_jax.studies.experiments import Part, page, run_parts, shares
 from sean_jax.studies.experiments.measures import COUNTED, MEASURED, Arrays, Scores, scores, scores_by_track
 from sean_jax.versions import fingerprint, version_mismatch, versions
@@ -43,125 +60,315 @@ MAX_BYTES = 10_000_000  # of the measurements of a track
 
 # ------------------------------------------------------------------ the protocol
 
-VERSION = 2
-EPISODES = 8_400  # of each track; 100,800 of all
+VERSION = 3
+EPISODES = 5_040  # of each track; 100,800 of all
 SEED = 20_260  # of all episodes
 QUICK = 16  # episodes of each track, enough on a CPU to see that a policy works
 
-CONTENT = "5a6ac9d6cf58607f"
+CONTENT = "ae1859fe2b71ca4f"
 """The digest of all files and constants that the tracks of this version read."""
 
-OPTIONS = files.read_yaml(Path(__file__).with_name("tracks.yaml"))[1]
-TRACKS: dict[str, dict[str, Any]] = {
-    f"{place}-{task}": {
-        **OPTIONS["common"],
-        "environment": place,
-        "behavior": behavior,
-        "task": task,
-        "people": None if task == "handcrafted" else people,
-    }
-    for place, people in OPTIONS["people"].items()
-    for task, behavior in OPTIONS["behavior_by_task"].items()
-}
-"""name -> the options that make its scenario"""
+FIRST_SEED = 2_000_000_000
+"""The first seed of the generated floors."""
+
+HERE = Path(__file__).parent
+FLOORS = "floors/"  # first letters of environments beside this file
 
 
-def description(track: str) -> CollectConfig:
-    """The scenario of one of ``TRACKS``."""
-    return CollectConfig(**TRACKS[track])
+class Track(NamedTuple):
+    """A track; all its options decide its episodes."""
+
+    group: str
+    options: dict[str, Any]  # of its scenario
+    parameters: dict[str, float]  # of the social forces that differ from the preset: term.parameter -> value
+    recording: str  # the file of recorded people; "" if people are simulated
+
+
+def _read_tracks() -> dict[str, Track]:
+    """The tracks of tracks.yaml by name."""
+    content = files.read_yaml(HERE / "tracks.yaml")[1]
+    tracks = {}
+    for group, members in content["groups"].items():
+        for name, fields in members.items():
+            options = {**content["common"], **fields}
+            parameters, recording = options.pop("parameters", {}), options.pop("recording", "")
+            if options["environment"].startswith(FLOORS):
+                options["environment"] = str(HERE / options["environment"])
+            tracks[name] = Track(group, options, parameters, recording)
+    return tracks
+
+
+TRACKS = _read_tracks()
+
+
+def description(track: str, recordings: Path | None = None) -> ScenarioConfig:
+    """The scenario of one of ``TRACKS``.
+
+    Args:
+        recordings: folder of the files of recorded people.
+
+    Raises:
+        InputError: the track has recorded people, and the folder lacks their file.
+    """
+    _, given, parameters, recording = TRACKS[track]
+    options: dict[str, Any] = dict(given)
+    if parameters:
+        options["forces"] = list(social_forces.with_parameters(options["forces"], parameters))
+    if recording:
+        options["behavior"] = options["behavior"] | {"recording": str(_recording(recording, recordings))}
+    return validate(ScenarioConfig, options)
+
+
+def _recording(name: str, folder: Path | None) -> Path:
+    """The file of a recording."""
+    file = (folder or Path()) / name
+    if folder is None or not file.is_file():
+        raise InputError(f"recordings: {folder} has no {name}; give a folder with {', '.join(recorded().values())}.")
+    return file
+
+
+def recorded() -> dict[str, str]:
+    """Track with recorded people -> the name of the recording."""
+    return {name: track.recording for name, track in TRACKS.items() if track.recording}
+
+
+def members() -> dict[str, list[str]]:
+    """Group -> its tracks."""
+    groups: dict[str, list[str]] = {}
+    for name, track in TRACKS.items():
+        groups.setdefault(track.group, []).append(name)
+    return groups
 
 
 def protocol_digest() -> str:
-    """The digest, 16 letters, of all inputs of the tracks besides their options."""
-    digest = hashlib.sha256()
-    folders = [environment.find(place) for place in OPTIONS["people"]]
+    """The digest, 16 letters, of all inputs of the tracks besides their options and the recordings."""
+    digest, tracks = hashlib.sha256(), _read_tracks().values()
+    places = dict.fromkeys(track.options["environment"] for track in tracks)
+    folders = [folder for place in places for folder in worlds.find(place)]
     read = [file for folder in folders for file in sorted(folder.iterdir()) if file.is_file()]
     for file in [*read, robots.ROBOTS["kuri"]]:
         digest.update(f"{file.name}\n{files.read_text(file)}".encode())
-    for leaf in jax.tree.leaves(preset("calibrated")):
-        digest.update(" ".join(f"{value:.5g}" for value in np.ravel(np.asarray(leaf))).encode())
+    for track in tracks:
+        for leaf in jax.tree.leaves(social_forces.with_parameters(track.options["forces"], track.parameters)):
+            digest.update(" ".join(f"{value:.5g}" for value in np.ravel(np.asarray(leaf))).encode())
     return digest.hexdigest()[:16]
+
+
+def skipped(tracks: Collection[str]) -> str:
+    """A sentence on the tracks of the protocol that a result lacks; "" if it has all."""
+    missing = [name for name in TRACKS if name not in tracks]
+    names = ", ".join(dict.fromkeys(recorded().get(name, name) for name in missing))
+    return f"Without {', '.join(missing)}, which need the recordings {names} (--recordings)." if missing else ""
+
+
+# ------------------------------------------------------------------ the policy
+
+
+class Described(NamedTuple):
+    """What a result says of its policy."""
+
+    policy_digest: str  # 16 letters
+    sensing: str  # one of ``base.SENSING``
+    trained: bool  # whether it is a network of a training
+
+
+def describe(policy: str, sensing: str | None = None, source: Path | None = None) -> Described:
+    """What a result says of a policy by name, folder, or FILE.py:NAME.
+
+    The digest covers the numbers of an agent or a training, the numbers and the name of a policy of the package, or the
+    user's own file and the name in it.
+
+    Args:
+        sensing: class of a policy of the user's own or of a controller outside; by default the attribute ``sensing`` of
+            the policy.
+        source: the file that names the policy, whose code runs if the user trusts it; None if the user does.
+
+    Raises:
+        InputError: there is no such policy, the class is that of a policy of the package or of an agent, or an agent
+            was trained on floors of the benchmark.
+    """
+    described = validate(RunConfig, {"policy": policy}, source=source).policy
+    if outside(described):  # nothing is known but the name
+        return Described(_digest("outside", described.kind), sensing or "all-knowing", False)
+    if isinstance(described, Named) and sensing is not None:
+        raise InputError(f"sensing: {policy} says itself what it senses; leave {sensing} out.")
+    scenario = assembly.build(description(next(iter(TRACKS))))[0]
+    loaded = load_policy(described, scenario)
+    if isinstance(described, OwnPart):
+        digest = _digest(components.content(described.file).digest, described.name)
+        return Described(digest, sensing or loaded.sensing, False)
+    numbers, is_known = fingerprint(loaded.params), described.kind in POLICIES
+    if not is_known:
+        check_training(policy, agent_folder(described.kind, "policy"))
+    return Described(_digest(numbers, described.kind) if is_known else numbers, loaded.sensing, not is_known)
+
+
+def check_training(policy: str, folder: Path) -> None:
+    """Refuse an agent of reinforcement learning that was trained on floors of the benchmark.
+
+    Raises:
+        InputError: the floors.
+    """
+    if not issubclass(METHODS[read_method(folder)], ReinforcementConfig):
+        return
+    for name in read_options(folder).environments:
+        place = worlds.parse_set(name)
+        if place is not None and place.seed + place.number > FIRST_SEED:
+            text = f"was trained on {name}, and seeds from {FIRST_SEED:,} on are for the benchmark"
+            raise InputError(f"policy: {policy} {text}; train on other seeds.")
+
+
+describe_of_package = functools.cache(describe)
+"""Of names of ``POLICIES`` and ``AGENTS``, which stay what they are."""
+
+
+def _digest(*texts: str) -> str:
+    return hashlib.sha256(" ".join(texts).encode()).hexdigest()[:16]
 
 
 # ------------------------------------------------------------------ the episodes
 
 
-class Result(Config):
-    """The content of result.json."""
-
-    protocol: Annotated[int, Number(1, 2**31)]
-    content: Text
-    complete: bool
-    policy: Text
-    policy_digest: Text
-    episodes: Annotated[int, Number(1, EPISODES)]
-    versions: dict[str, str]
-    files: dict[str, str]
-    scores: dict[str, Any]
-    tracks: dict[str, dict[str, Any]]
-    checksum: Text
+Connect = Callable[[Scenario], Driver]
 
 
-def run(
-    options: BenchmarkConfig, console: Console | None = None, connect: Callable[[Scenario], Driver] | None = None
-) -> Path:
+def run(options: BenchmarkConfig, console: Console | None = None, connect: Connect | None = None) -> Path:
     """Drive the tracks that the folder lacks, and write the result and the report.
 
     Args:
         connect: as of ``evaluation.run``; then one episode runs at a time.
 
     Raises:
-        InputError: there is no such policy, the folder holds something else, there are more episodes than the protocol
-            has, or this package is not the protocol's.
+        InputError: there is no such policy or recording, the folder holds something else, there are more episodes than
+            the protocol has, or this package is not the protocol's.
         WriteError: another process writes in the folder.
         IncompleteError: a file in the folder is damaged.
         FloatingPointError: a number is not finite. Finished tracks stay.
     """
-    if (digest := protocol_digest()) != CONTENT:
-        text = f"places, robot or forces have the digest {digest}, and protocol {VERSION} has {CONTENT}"
-        raise InputError(f"benchmark: {text}; take a version of sean_jax whose protocol it is.")
+    check_protocol()
     options = options.replace(episodes=options.episodes or (QUICK if options.quick else EPISODES))
     if (options.episodes or 0) > EPISODES:
         text = f"{options.episodes} are more than the {EPISODES} of a track of protocol {VERSION}"
         raise InputError(f"--episodes: {text}; ask for fewer.")
-    for track in TRACKS if connect is None else ():
-        check_policy(options.policy, description(track))
-    with Workspace(options.folder, identity(options)).open() as work:
-        parts = work.identity["parts"] | {options.policy: policy_digest(options.policy)}  # a training may have gone on
+    tracks = [name for name, track in TRACKS.items() if options.recordings or not track.recording]
+    described = {track: description(track, options.recordings) for track in tracks}
+    for each in described.values() if connect is None else ():
+        check_policy(options.policy, each)
+    policy = describe(options.policy, options.sensing)
+    with Workspace(options.folder, identity(options) | {"the device": device()}).open() as work:
+        parts = {options.policy: policy.policy_digest, **recording_digests(tracks, options.recordings)}
+        parts = work.identity["parts"] | parts  # a training may have gone on
         work = dataclasses.replace(work, identity=work.identity | {"parts": parts})
         work.begin()
-        jobs = [Part(track, functools.partial(_drive, work, options, track, connect)) for track in TRACKS]
+        jobs = [Part(track, functools.partial(_drive, work, options, track, connect)) for track in tracks]
         measured: dict[str, Arrays] = run_parts(jobs, console, "benchmark", None if connect is None else 1)
-        write(options, {track: measured[track] for track in TRACKS})
+        write(options, {track: measured[track] for track in tracks}, policy)
     return options.folder
+
+
+def check_protocol() -> None:
+    """Refuse a package whose places, robot or forces are not those of the protocol.
+
+    Raises:
+        InputError: both digests.
+    """
+    if (digest := protocol_digest()) != CONTENT:
+        text = f"places, robot or forces have the digest {digest}, and protocol {VERSION} has {CONTENT}"
+        raise InputError(f"benchmark: {text}; take a version of sean_jax whose protocol it is.")
+
+
+def recording_digests(tracks: list[str], folder: Path | None) -> dict[str, str]:
+    """Name of the recording of each of these tracks -> its SHA-256.
+
+    Raises:
+        InputError: the folder lacks a recording.
+    """
+    names = [recorded()[track] for track in tracks if track in recorded()]
+    return {name: components.digest(_recording(name, folder), files.MAX_TABLE) for name in names}
 
 
 def _drive(
     work: Workspace,
     options: BenchmarkConfig,
     track: str,
-    connect: Callable[[Scenario], Driver] | None,
+    connect: Connect | None,
     tell: Callable[[float], None],
 ) -> Arrays:
     """The columns of a track, from its file or simulated."""
-    if (work.folder / f"{track}.npz").is_file():
-        return read_track(work.folder, track, options.episodes or 1)
-    scenario = assembly.build(description(track))[0]
-    scenario = dataclasses.replace(scenario, metrics=tuple((name, METRICS[name]) for name in MEASURED))
     number = options.episodes or 1
+    if (work.folder / f"{track}.npz").is_file():
+        return read_track(work.folder, track, number)
+    floors = _floors(track, options.recordings, number)
     if connect is None:
-        runner = Runner(scenario, load_policy(options.policy, scenario), even_batch(number), "benchmark")
-        measured = runner.measure(SEED, 0, number, tell)
+        runner = _runner(options.policy, floors, number)
+        columns = _columns(track, runner.measure(SEED, 0, number, tell))
     else:
-        with contextlib.closing(connect(scenario)) as driver:
-            runner = Runner(scenario, driver.policy, 1, "benchmark", chunk=scenario.time_step)
+        columns = _columns(track, _measure_outside(floors, connect, number, tell))
+    work.save(f"{track}.npz", columns)
+    return columns
+
+
+def _floors(track: str, recordings: Path | None, number: int) -> Stack[Scenario]:
+    """The floors of a track with so many episodes, with the metrics of the benchmark."""
+    known = METRICS | OF_GROUPS
+    metrics = tuple((name, known[name]) for name in MEASURED)
+    floors = as_stacks(assembly.build_floors(description(track, recordings), number))[0]
+    return floors.map_member(lambda member: dataclasses.replace(member, metrics=metrics))
+
+
+def _runner(policy: str, floors: Stack[Scenario], number: int) -> Runner:
+    return Runner(floors, load_policy(policy, floors.member), even_batch(number), "benchmark")
+
+
+def batch_again(
+    policy: str,
+    track: str,
+    recordings: Path | None,
+    number: int,
+    episode: int,
+    tell: Callable[[float], None],
+) -> tuple[range, Arrays]:
+    """The batch with an episode of a track with so many: the numbers of its episodes and their columns.
+
+    It is the same program with the same inputs as in ``run``, so the same device kind and versions give equal numbers.
+
+    Raises:
+        FloatingPointError: a number is not finite.
+    """
+    runner = _runner(policy, _floors(track, recordings, number), number)
+    first = episode // runner.size * runner.size
+    numbers = range(first, min(first + runner.size, number))
+    return numbers, _columns(track, runner.measure(SEED, first, len(numbers), tell))
+
+
+def _measure_outside(
+    floors: Stack[Scenario], connect: Connect, number: int, tell: Callable[[float], None]
+) -> dict[str, np.ndarray]:
+    """As ``Runner.measure`` of a controller outside, which is connected anew for each floor."""
+    rows: dict[int, dict[str, np.ndarray]] = {}
+    for index in range(min(floors.size, number)):
+        floor = floors.take(np.array([index]))
+        with contextlib.closing(connect(floor.member)) as driver:
+            runner = Runner(floor, driver.policy, 1, "benchmark", chunk=floor.member.time_step)
             runner.compile(Callbacks())  # before the controller gets a state
-            measured = runner.measure(SEED, 0, number, tell, functools.partial(driver, scenario))
+            for episode in range(index, number, floors.size):
+                done = len(rows)
+                rows[episode] = runner.measure(
+                    SEED,
+                    episode,
+                    1,
+                    lambda share, done=done: tell((done + share) / number),
+                    functools.partial(driver, floor.member),
+                )
+    return {name: np.concatenate([rows[k][name] for k in range(number)]) for name in rows[0]}
+
+
+def _columns(track: str, measured: dict[str, np.ndarray]) -> Arrays:
+    """What a track's file holds of the results of a runner."""
     ended = {name: measured.pop(name) for name in ("completed", "seconds")}
     columns = ended | {name: values.astype(np.float32) for name, values in measured.items()}
     if wrong := [name for name, values in columns.items() if not np.isfinite(values).all()]:
         raise FloatingPointError(f"{track}: {', '.join(wrong)} is not finite; nothing of this track is written.")
-    work.save(f"{track}.npz", columns)
     return columns
 
 
@@ -171,10 +378,10 @@ def read_track(folder: Path, track: str, episodes: int) -> Arrays:
     Raises:
         IncompleteError: the file is missing or damaged, or no episodes can have what it holds.
     """
-    file = folder / f"{track}.npz"
+    file, options = folder / f"{track}.npz", TRACKS[track].options
     try:
         columns = files.read_arrays(file, MAX_BYTES)
-        check_columns(columns, episodes, TRACKS[track]["time_limit"] + TRACKS[track]["time_step"])
+        check_columns(columns, episodes, options["time_limit"] + options["time_step"])
         return columns
     except (FileError, ValueError) as error:
         text = str(error).rstrip(".")
@@ -215,33 +422,128 @@ def check_columns(columns: Arrays, episodes: int, limit: float) -> None:
 
 # ------------------------------------------------------------------ the result
 
+Real = Annotated[float, Number(-1e9, 1e9)]
 
-def write(options: BenchmarkConfig, measured: dict[str, Arrays]) -> None:
+
+class Figure(Config):
+    """A mean over episodes and the ends of its 95 % interval."""
+
+    mean: Real
+    low: Real
+    high: Real
+
+
+class Figures(Config):
+    """A mean for each situation, and the ends of their 95 % intervals."""
+
+    mean: list[Real]
+    low: list[Real]
+    high: list[Real]
+
+
+class Tables(Config):
+    """The scores of some tracks."""
+
+    figures: dict[str, Figure]
+    situations: list[Text]
+    share_of_time: Figures
+    violations_per_minute: Figures
+
+
+class Result(Config):
+    """The content of result.json; ``Result.model_json_schema()`` is its JSON schema."""
+
+    protocol: Annotated[int, Number(1, 2**31)]
+    """Version of the protocol."""
+    content: Text
+    """Digest of the places, the robot and the forces."""
+    complete: bool
+    """Whether each track has the protocol's episodes."""
+    name: Text
+    """Entry of the ranking; results of one name are the training seeds of one agent."""
+    policy: Text
+    """Policy: a name, a folder, or FILE.py:NAME."""
+    policy_digest: Text
+    """Digest of its code or weights."""
+    sensing: Literal["all-knowing", "tracks", "raw"]
+    """Class of the policy by its knowledge of people."""
+    trained: bool
+    """Whether it is a network of a training."""
+    episodes: Annotated[int, Number(1, EPISODES)]
+    """Episodes of each track."""
+    device: Text
+    """Devices that simulated the episodes."""
+    versions: dict[str, str]
+    """Versions of the package and of the packages that it uses."""
+    recordings: dict[str, str]
+    """File of recorded people -> its SHA-256; empty if the recorded tracks are skipped."""
+    files: dict[str, str]
+    """Track -> SHA-256 of the file of its episodes."""
+    scores: Tables
+    """Scores over all tracks."""
+    groups: dict[str, Tables]
+    """Group of tracks -> its scores."""
+    tracks: dict[str, Tables]
+    """Track -> its scores."""
+    checksum: Text
+    """SHA-256 of this file without the checksum."""
+
+
+def write(options: BenchmarkConfig, measured: dict[str, Arrays], policy: Described) -> None:
     """Write result.json and report.html.
 
     Raises:
         WriteError: another process writes one of the files.
     """
-    folder = options.folder
+    folder, scored = options.folder, _scored(measured)
     content = {
         "protocol": VERSION,
         "content": CONTENT,
         "complete": options.episodes == EPISODES,
+        "name": options.name or options.policy,
         "policy": options.policy,
-        "policy_digest": policy_digest(options.policy),
+        **policy._asdict(),
         "episodes": options.episodes,
+        "device": device(),
         "versions": versions(),
+        "recordings": recording_digests(list(measured), options.recordings),
         "files": {track: components.digest(folder / f"{track}.npz", MAX_BYTES) for track in measured},
-        **_figures(measured),
+        **_figures(scored),
     }
     writing.write(folder / RESULT, content | {"checksum": checksum(content)})
-    writing.write(folder / REPORT, page.benchmark(options, scores(measured), scores_by_track(measured)))
+    writing.write(folder / REPORT, page.benchmark(options, *scored, skipped(measured)))
 
 
-def _figures(measured: dict[str, Arrays]) -> dict[str, Any]:
+def device() -> str:
+    """Number and kind of the devices, such as "1 x NVIDIA H200"; of a CPU the processor, for which XLA compiles."""
+    kind = jax.devices()[0].device_kind
+    if jax.default_backend() == "cpu":
+        kind = f"{kind} {platform.processor() or platform.machine()}"
+        with contextlib.suppress(FileError):  # of Linux alone
+            models = re.findall(r"(?m)^model name\s*:\s*(.+)$", files.read_text("/proc/cpuinfo"))
+            kind = models[0] if models else kind
+    return f"{len(jax.devices())} x {kind}"
+
+
+class Scored(NamedTuple):
+    """The scores of a result."""
+
+    whole: Scores
+    groups: dict[str, Scores]  # of tracks
+    tracks: dict[str, Scores]
+
+
+def _scored(measured: dict[str, Arrays]) -> Scored:
+    """The scores of all tracks that are measured, of each group with any, and of each track."""
+    groups = {group: [track for track in tracks if track in measured] for group, tracks in members().items()}
+    by_group = {group: scores({track: measured[track] for track in each}) for group, each in groups.items() if each}
+    return Scored(scores(measured), by_group, scores_by_track(measured))
+
+
+def _figures(scored: Scored) -> dict[str, Any]:
     """The entries of result.json that follow from the episodes."""
-    by_track = {track: _as_json(each) for track, each in scores_by_track(measured).items()}
-    return {"scores": _as_json(scores(measured)), "tracks": by_track}
+    by_group, by_track = ({name: _as_json(each) for name, each in scores.items()} for scores in scored[1:])
+    return {"scores": _as_json(scored.whole), "groups": by_group, "tracks": by_track}
 
 
 def _as_json(scores: Scores) -> dict[str, Any]:
@@ -253,39 +555,16 @@ def _as_json(scores: Scores) -> dict[str, Any]:
     return {"figures": figures, "situations": list(shares.NAMES), **by_situation}
 
 
-def policy_digest(policy: str) -> str:
-    """A digest, 16 letters, of a policy by name, folder, or FILE.py:NAME.
-
-    It covers the numbers of an agent or a training, the numbers and the name of a policy of the package, or the user's
-    own file and the name in it.
-    """
-    described = validate(RunConfig, {"policy": policy}).policy
-    if outside(described):  # nothing is known but the name
-        return _digest("outside", described.kind)
-    if isinstance(described, OwnPart):
-        return _digest(components.content(described.file).digest, described.name)
-    scenario = assembly.build(description(next(iter(TRACKS))))[0]
-    numbers = fingerprint(load_policy(described, scenario).params)
-    return _digest(numbers, described.kind) if described.kind in POLICIES else numbers
-
-
-_digest_of_package = functools.cache(policy_digest)
-
-
-def _digest(*texts: str) -> str:
-    return hashlib.sha256(" ".join(texts).encode()).hexdigest()[:16]
-
-
 def checksum(content: dict[str, Any]) -> str:
     """The SHA-256, 64 hexadecimal digits, of result.json without its checksum; it shows accidental changes only."""
     text = json.dumps({name: content[name] for name in content if name != "checksum"}, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def check(folder: Path) -> dict[str, Any]:
-    """The result in a folder, if it is complete and its checksum, policy, files and figures agree.
+def check(folder: Path) -> Result:
+    """The result in a folder, if it has its schema, and checksum, policy, files and figures agree.
 
-    This finds accidents; it does not prove which policy drove. To verify a result, run its command again.
+    This finds accidents; it does not prove which policy drove: ``verification.verify`` simulates episodes again.
 
     Raises:
         InputError: something was changed or is missing, or it is of another version of the protocol.
@@ -293,75 +572,71 @@ def check(folder: Path) -> dict[str, Any]:
     """
     file = folder / RESULT
     content = files.read_json(file)
-    if not isinstance(content, dict) or content.get("checksum") != checksum(content):
-        raise InputError(f"{file} was changed after it was written; run the benchmark again.")
+    if not isinstance(content, dict):
+        raise InputError(f"{file} is no result; run the benchmark again.")
+    if content.get("checksum") != checksum(content):
+        raise InputError(f"{file} was changed after it was written: its checksum differs; run the benchmark again.")
+    protocol = content.get("protocol"), content.get("content")
+    if protocol != (VERSION, CONTENT) and isinstance(protocol[0], int) and isinstance(protocol[1], str):
+        text = f"is of protocol {protocol[0]} ({protocol[1]:.16}), not {VERSION} ({CONTENT})"
+        raise InputError(f"{file} {text}; run it again with this version.")
     try:
         result = validate(Result, content)
     except InputError as error:
-        raise InputError(f"{file} is no result ({str(error).rstrip('.')}); run the benchmark again.") from None
-    if (result.protocol, result.content) != (VERSION, CONTENT):
-        text = f"is of protocol {result.protocol} ({result.content}), not {VERSION} ({CONTENT})"
-        raise InputError(f"{file} {text}; run it again with this version.")
-    for part, names in (("files", result.files), ("tracks", result.tracks)):
-        if names.keys() != TRACKS.keys():
-            other = ", ".join(sorted(names.keys() ^ TRACKS.keys()))
-            raise InputError(f"{file}: {part} lack, or should not have, {other:.200}; run the benchmark again.")
+        raise InputError(f"{file}: {str(error).rstrip('.')}; run the benchmark again.") from None
+    names = [track for track in TRACKS if track not in recorded() or result.recordings]
+    groups = [group for group, tracks in members().items() if set(tracks) & set(names)]
+    parts = (("files", names), ("tracks", names), ("groups", groups))
+    recordings = [recorded()[track] for track in names if track in recorded()]
+    for part, expected in (*parts, ("recordings", recordings)):
+        if other := sorted(set(getattr(result, part)) ^ set(expected)):
+            raise InputError(
+                f"{file}: {part} lack, or should not have, {', '.join(other):.200}; run the benchmark again."
+            )
     mismatch = version_mismatch(result.versions)
-    if result.policy in (*POLICIES, *AGENTS) and result.policy_digest != _digest_of_package(result.policy):
-        text = f"{result.policy} of this package has another digest ({mismatch or result.policy_digest})"
-        raise InputError(f"{file}: {text}; run the benchmark again.")
+    if result.policy in (*POLICIES, *AGENTS):
+        expected = describe_of_package(result.policy)
+        for key, value in expected._asdict().items():
+            if (had := getattr(result, key)) != value:
+                text = f"{key} {had} is not that of {result.policy} of this package, {value}"
+                raise InputError(f"{file}: {text}{mismatch and f' ({mismatch})' or ''}; run the benchmark again.")
     for track, digest in result.files.items():
         if components.digest(folder / f"{track}.npz", MAX_BYTES) != digest:
             raise InputError(f"{folder / track}.npz is not the file of the result; run the benchmark again.")
-    measured = {track: read_track(folder, track, result.episodes) for track in TRACKS}
-    expected = {"complete": result.episodes == EPISODES, **_figures(measured)}
+    measured = measurements(folder, result)
+    expected = {"complete": result.episodes == EPISODES, **_figures(_scored(measured))}
     if any(content[name] != value for name, value in expected.items()):
         other = mismatch or "other figures than its episodes have"
         raise InputError(f"{file} does not follow from its episodes ({other}); run the benchmark again.")
-    return content
+    return result
 
 
-def table(content: dict[str, Any]) -> str:
+def measurements(folder: Path, result: Result) -> dict[str, Arrays]:
+    """Track -> the columns of a result's episodes.
+
+    Raises:
+        IncompleteError: as of ``read_track``.
+    """
+    return {track: read_track(folder, track, result.episodes) for track in result.files}
+
+
+def table(result: Result) -> str:
     """A result as text."""
-    scores = content["scores"]
-    size = f"{len(content['tracks'])} tracks x {content['episodes']} episodes"
-    lines = [f"{content['policy']} · protocol {content['protocol']} · {size}"]
-    if not content["complete"]:
+    size = f"{len(result.tracks)} tracks x {result.episodes} episodes"
+    lines = [f"{result.name} · {result.sensing} · protocol {result.protocol} · {size}"]
+    if not result.complete:
         lines.append(f"not ranked: the protocol has {EPISODES} episodes a track")
-    for name, words in Scores.FIGURES.items():
-        lines.append(f"  {words:<28}{_interval(scores['figures'][name])}")
+    lines += [skipped(result.tracks)] if skipped(result.tracks) else []
+    lines += [f"  {words:<28}{_interval(result.scores.figures[name])}" for name, words in Scores.FIGURES.items()]
+    lines.append(f"  {Scores.FIGURES['polite']} by group of tracks")
+    lines += [f"  {group:<28}{_interval(each.figures['polite'])}" for group, each in result.groups.items()]
     lines.append("  by situation: share of time; times a minute within 0.45 m by the robot")
-    for k, situation in enumerate(scores["situations"]):
-        share, rate = (
-            {end: values[k] for end, values in scores[name].items()}
-            for name in ("share_of_time", "violations_per_minute")
-        )
-        lines.append(f"  {situation.replace('_', ' '):<28}{100 * share['mean']:5.1f} %   {_interval(rate)}")
+    share, rate = result.scores.share_of_time, result.scores.violations_per_minute
+    for k, situation in enumerate(result.scores.situations):
+        figure = Figure(mean=rate.mean[k], low=rate.low[k], high=rate.high[k])
+        lines.append(f"  {situation.replace('_', ' '):<28}{100 * share.mean[k]:5.1f} %   {_interval(figure)}")
     return "\n".join(lines)
 
 
-def _interval(figure: dict[str, float]) -> str:
-    return f"{figure['mean']:8.3f}  ({figure['low']:.3f} to {figure['high']:.3f})"
-
-
-def ranking(folders: list[Path]) -> list[dict[str, Any]]:
-    """Results in the order of their share of tasks completed politely.
-
-    Raises:
-        InputError: ``check`` refuses a result, one is not complete, or two have the same policy or the same name.
-        IncompleteError: as in ``check``.
-    """
-    results = [check(folder) for folder in folders]
-    for folder, content in zip(folders, results, strict=True):
-        if not content["complete"]:
-            raise InputError(
-                f"{folder} has {content['episodes']} episodes a track, too few to rank it; run it in full."
-            )
-    for key, what in (("policy_digest", "driver"), ("policy", "name")):
-        by_value: dict[str, Path] = {}
-        for folder, content in zip(folders, results, strict=True):
-            if content[key] in by_value:
-                both = f"{by_value[content[key]]} and {folder}"
-                raise InputError(f"{both} have the same {what}, {content[key]}; rank one of them.")
-            by_value[content[key]] = folder
-    return sorted(results, key=lambda content: -content["scores"]["figures"]["polite"]["mean"])
+def _interval(figure: Figure) -> str:
+    return f"{figure.mean:8.3f}  ({figure.low:.3f} to {figure.high:.3f})"

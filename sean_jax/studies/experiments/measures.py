@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from sean_jax.flags import number
-from sean_jax.metrics import Estimate, aggregate, aggregate_ratio
+from sean_jax.metrics import OF_GROUPS, Estimate, aggregate, aggregate_ratio
 from sean_jax.metrics.bootstrap import hierarchical_resamples, of_count, of_share, resamples, with_estimate
 from sean_jax.metrics.differences import holm
 from sean_jax.studies.experiments import shares
@@ -346,7 +346,7 @@ def comparisons(variants: tuple[Variant, ...]) -> list[tuple[Variant, Variant]]:
 
 SCORE_RESAMPLES = 1_000
 ROBOTS_FAULT = "intimate_robot_on_person", "collision_robot_on_person", "collision_with_obstacle"
-COUNTED = (*ROBOTS_FAULT, "intimate_person_on_robot", "collision_person_on_robot")
+COUNTED = (*ROBOTS_FAULT, "intimate_person_on_robot", "collision_person_on_robot", *OF_GROUPS)
 MEASURED = ("time_in_situation", *COUNTED, "time_not_moving", "path_efficiency")
 Arrays = dict[str, np.ndarray]  # of the E episodes of a track: (E,), or (E, 1 + S) overall and by situation
 
@@ -363,6 +363,8 @@ class Scores:
         "intimate_person_on_robot": "by people",
         "collision_robot_on_person": "touched people",
         "collision_with_obstacle": "touched obstacles",
+        "o_spaces_crossed": "crossed o-spaces",
+        "groups_split": "split groups",
     }
     figures: dict[str, Estimate]  # name of FIGURES -> () mean of an episode
     shares: Estimate  # (S,) of the time in each situation
@@ -378,7 +380,12 @@ def scores(measured: dict[str, Arrays]) -> Scores:
     """Scores over some tracks with equal weights; a resample draws as many episodes of each."""
     each = list(measured.values())
     sizes = [len(columns["completed"]) for columns in each]
-    weights = np.concatenate([resamples(size, seed, SCORE_RESAMPLES) for seed, size in enumerate(sizes)], axis=1)
+    weights, ends = (
+        np.empty((SCORE_RESAMPLES, sum(sizes))),
+        np.cumsum(sizes),
+    )  # products with float64 need no copy of it
+    for seed, (size, end) in enumerate(zip(sizes, ends, strict=True)):
+        weights[:, end - size : end] = resamples(size, seed, SCORE_RESAMPLES)
 
     def joined(take: Callable[[Arrays], np.ndarray]) -> np.ndarray:
         return np.concatenate([np.asarray(take(columns), float) for columns in each])

@@ -10,10 +10,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sean_jax import files, pages
+from sean_jax.base import SENSING
 from sean_jax.classifiers import MORE_SITUATIONS
 from sean_jax.config import (
     AblationConfig,
     BenchmarkConfig,
+    BenchmarkRankConfig,
     ExperimentConfig,
     Figure4Config,
     LearningCurveConfig,
@@ -24,6 +26,7 @@ from sean_jax.flags import command, number
 from sean_jax.pages import Cell, figure, note, section, table
 from sean_jax.studies.experiments import pictures, shares
 from sean_jax.studies.experiments.measures import CURVE_MEASURES, MEASURES, comparisons
+from sean_jax.studies.experiments.ranks import ALL
 from sean_jax.studies.experiments.shares import BEHAVIORS
 from sean_jax.versions import versions
 from sean_jax.workspace import IDENTITY, read_identity
@@ -33,6 +36,7 @@ if TYPE_CHECKING:
 
     from sean_jax.metrics import Estimate
     from sean_jax.studies.experiments.measures import Curve, Results, Scores
+    from sean_jax.studies.experiments.ranks import Ranking
     from sean_jax.studies.experiments.shares import DemonstrationCell, Recorded
 
 TEXTS = files.read_yaml(Path(__file__).with_name("captions.yaml"))[1]
@@ -260,20 +264,70 @@ def _changed_orderings(tables: Tables, references: dict[str, str], policy: str) 
 # ------------------------------------------------------------------ benchmark
 
 
-def benchmark(options: BenchmarkConfig, whole: Scores, by_track: dict[str, Scores]) -> str:
-    """The page of a benchmark."""
+def benchmark(
+    options: BenchmarkConfig,
+    whole: Scores,
+    by_group: dict[str, Scores],
+    by_track: dict[str, Scores],
+    skipped: str,
+) -> str:
+    """The page of a benchmark.
+
+    Args:
+        skipped: a sentence on tracks that are left out, or "".
+    """
     tracks = {"all": whole, **by_track}
+    groups = [[name, *map(_estimate, scores.figures.values())] for name, scores in {"all": whole, **by_group}.items()]
     figures = [[name, *map(_estimate, scores.figures.values())] for name, scores in tracks.items()]
     violations = [[name, *_estimates(scores.violations)] for name, scores in tracks.items()]
     time = [[name, *_estimates(scores.shares, ".1f", 100.0)] for name, scores in tracks.items()]
     head = ["track", *SITUATIONS]
     sections = [
-        section("By track", table(["track", *whole.FIGURES.values()], figures), note(TEXTS["polite"])),
+        section(
+            "By group of tracks",
+            table(["group", *whole.FIGURES.values()], groups),
+            *([note(skipped)] if skipped else []),
+            note(TEXTS["polite"]),
+        ),
+        section("By track", table(["track", *whole.FIGURES.values()], figures)),
         section("By situation: times a minute within 0.45 m, by the robot", table(head, violations)),
         section("By situation: percent of the time", table(head, time)),
     ]
     title = f"{options.policy}: {len(by_track)} tracks, {options.episodes} episodes each"
     return document(title, sections, options)
+
+
+def ranking(options: BenchmarkRankConfig, ranks: Ranking, figures: dict[str, Figure]) -> str:
+    """The page of a ranking.
+
+    Args:
+        figures: class of sensing -> the figure that ``pictures.situations`` draws.
+    """
+    sections = []
+    for sensing, rows in ranks.by_class().items():
+        head = ["rank", "policy", "seeds", *ranks.groups]
+        table_rows = [
+            [str(row.rank), Cell(row.entry.name, kind="text"), row.seeds, *(_estimate(row.of[each]) for each in row.of)]
+            for row in rows
+        ]
+        pairs = [
+            [Cell(f"{each.second} - {each.first}", kind="text"), _interval(*each.difference), f"{each.p:.2g}"]
+            for each in ranks.pairs
+            if each.sensing == sensing
+        ]
+        title = f"{sensing}: {SENSING[sensing]}"
+        parts = [
+            table(head, table_rows),
+            figure(svg(figures[sensing], f"ranking-{sensing}"), TEXTS["ranked_situations"]),
+        ]
+        if pairs:
+            parts.insert(1, table(["difference", "politely completed, % points", "p"], pairs))
+        sections.append(section(title, *parts))
+    notes = [TEXTS["ranked"], *ranks.notes]
+    sections.append(section("How ranks are made", *map(note, notes)))
+    title = f"Ranking of {len(ranks.rows)} policies on {len(ranks.groups[ALL])} tracks"
+    words = command("benchmark", options)
+    return pages.page(title, "sean_jax · benchmark", [*sections, pages.origin(words, versions())])
 
 
 # ------------------------------------------------------------------ Figure 4

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
     from sean_jax.config import Table1Config
     from sean_jax.studies.experiments.measures import Curve, Results, Variant
+    from sean_jax.studies.experiments.ranks import Row
     from sean_jax.studies.experiments.shares import Cell
 
 
@@ -251,4 +252,22 @@ def learning_curve(curve: Curve) -> Figure:
         if column == 0:
             spot.set_ylabel(names[measure], color=colors.MUTED)
     axes[0, -1].legend(fontsize=7, frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    return figure
+
+
+def situations(rows: Sequence[Row]) -> Figure:
+    """Violations a minute in each situation of the entries of a ranking, with intervals."""
+    figure, axes = _figure(9.0, 2.6, 1, 1)
+    spot, x = axes[0, 0], np.arange(len(shares.NAMES))
+    width = 0.8 / len(rows)
+    for number, row in enumerate(rows):
+        at = x + (number - (len(rows) - 1) / 2) * width
+        value, low, high = row.violations[:3]
+        ends = [np.maximum(value - low, 0), np.maximum(high - value, 0)]
+        color = matplotlib.colormaps["viridis"](number / max(len(rows) - 1, 1) * 0.9)
+        spot.errorbar(at, value, ends, fmt="o", ms=4, capsize=2, color=color, label=f"{row.rank}. {row.entry.name}")
+    spot.set_xticks(x, [name.replace("_", " ") for name in shares.NAMES])
+    spot.set_ylim(bottom=0)
+    spot.set_ylabel("a minute", color=colors.MUTED)
+    spot.legend(fontsize=7, frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
     return figure

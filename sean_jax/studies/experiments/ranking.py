@@ -1,0 +1,89 @@
+"""``sean benchmark rank FOLDERS``: results of the benchmark by class of sensing, with ties (``ranks``)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from sean_jax import writing
+from sean_jax.config import BenchmarkRankConfig
+from sean_jax.errors import InputError
+from sean_jax.studies.experiments import benchmark, page, pictures, ranks, write_csv
+from sean_jax.studies.experiments.benchmark import Result
+from sean_jax.studies.experiments.ranks import Entry, Ranking
+
+REPORT, TABLE, PAIRS = "report.html", "ranking.csv", "differences.csv"
+
+
+def run(options: BenchmarkRankConfig) -> Ranking:
+    """Rank results, and write ranking.csv, differences.csv and report.html.
+
+    Raises:
+        InputError: as of ``rank``.
+        IncompleteError: a file of episodes is damaged.
+        WriteError: another process writes in the folder.
+    """
+    found, folder = rank(list(options.results)), options.folder
+    with writing.folder_lock(folder):
+        rows = [
+            (row.entry.sensing, row.rank, row.entry.name, len(row.entry.measured), name, *map(float, each[:3]))
+            for row in found.rows
+            for name, each in row.of.items()
+        ]
+        write_csv(folder / TABLE, "class,rank,policy,results,tracks,polite_percent,low,high", rows)
+        pairs = [(each.sensing, each.first, each.second, *each.difference, f"{each.p:.3g}") for each in found.pairs]
+        write_csv(folder / PAIRS, "class,first,second,difference_percent,low,high,p_holm", pairs)
+        figures = {sensing: pictures.situations(rows) for sensing, rows in found.by_class().items()}
+        writing.write(folder / REPORT, page.ranking(options, found, figures))
+    return found
+
+
+def rank(folders: list[Path]) -> Ranking:
+    """The ranking of results, on the tracks that all of them have.
+
+    Raises:
+        InputError: ``benchmark.check`` refuses a result, one has fewer episodes than the protocol, two are of one
+            policy, results of one name are no training seeds of one class, or recordings differ.
+        IncompleteError: as in ``benchmark.check``.
+    """
+    results = {folder: benchmark.check(folder) for folder in folders}
+    entries = _entries(results)
+    tracks = [track for track in benchmark.TRACKS if all(track in result.tracks for result in results.values())]
+    groups = {group: [track for track in names if track in tracks] for group, names in benchmark.members().items()}
+    skipped = benchmark.skipped(tracks)
+    return ranks.rank(entries, {group: names for group, names in groups.items() if names}, [skipped] * bool(skipped))
+
+
+def _entries(results: dict[Path, Result]) -> list[Entry]:
+    """The results by name.
+
+    Raises:
+        InputError: as of ``rank``.
+    """
+    by_name: dict[str, list[Path]] = {}
+    digests: dict[str, Path] = {}
+    recordings: dict[str, Path] = {}
+    for folder, result in results.items():
+        if not result.complete:
+            raise InputError(f"{folder} has {result.episodes} episodes a track, too few to rank it; run it in full.")
+        if (other := digests.setdefault(result.policy_digest, folder)) != folder:
+            raise InputError(f"{other} and {folder} have the same policy, {result.policy_digest}; rank one of them.")
+        by_name.setdefault(result.name, []).append(folder)
+        first = by_name[result.name][0]
+        both, had = f"{first} and {folder} have the same name, {result.name}", results[first]
+        if first != folder and not (had.trained and result.trained):
+            raise InputError(f"{both}, but are no trainings; run one with another --name.")
+        if had.sensing != result.sensing:
+            text = f"but their sensing is {had.sensing} and {result.sensing}"
+            raise InputError(f"{both}, {text}; run one with another --name.")
+        for file, digest in result.recordings.items():
+            if results[other := recordings.setdefault(file, folder)].recordings[file] != digest:
+                raise InputError(f"{other} and {folder} have different recordings {file}; run both with one.")
+    return [
+        Entry(
+            name,
+            results[same[0]].sensing,
+            results[same[0]].trained,
+            [benchmark.measurements(folder, results[folder]) for folder in same],
+        )
+        for name, same in by_name.items()
+    ]
