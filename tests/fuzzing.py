@@ -196,6 +196,15 @@ def load_robot(folder: Path) -> Any:
     return robots.load(folder / "robot.xml", "twin")
 
 
+def load_body(folder: Path) -> Any:
+    from sean_jax import robots
+
+    def controller(command: Any, data: Any, memory: Any) -> Any:
+        return data.ctrl, memory
+
+    return robots.articulated(folder / "body.xml", controller, radius=0.3, max_speed=1.0, max_turn_rate=1.0)
+
+
 def load_recording(folder: Path) -> Any:
     from sean_jax import recordings
 
@@ -524,6 +533,22 @@ def _lab() -> Any:
     return sean_jax.make("lab", behavior="random", people=2, dynamics="twin")
 
 
+BODY = """<mujoco>
+  <option timestep="0.005"/>
+  <worldbody>
+    <geom type="plane" size="0 0 0.01"/>
+    <body pos="0 0 0.1">
+      <freejoint/>
+      <geom type="box" size="0.2 0.12 0.04" mass="6" contype="0" conaffinity="0"/>
+      <geom type="sphere" size="0.05" pos="-0.18 0 -0.05" mass="0.2" friction="0.001" condim="1"/>
+      <site name="lidar" pos="0 0 0.2"/>
+      <body pos="0.08 0 0"><joint name="wheel" axis="0 1 0"/><geom size="0.1" mass="0.5"/></body>
+    </body>
+  </worldbody>
+  <actuator><velocity joint="wheel" kv="2" forcerange="-4 4"/></actuator>
+  <keyframe><key name="home" qpos="0 0 0.1 1 0 0 0 0"/></keyframe>
+</mujoco>
+"""
 RATINGS = {
     "indices": [1, 2, 1],
     "descriptions": ["A robot."] * 3,
@@ -595,6 +620,7 @@ def kinds(folder: Path) -> dict[str, Kind]:
         "graph": Kind(read("graph.yaml"), ("graph.yaml",), load_graph, 13),
         "handcrafted": Kind(read("handcrafted.yaml"), ("handcrafted.yaml",), load_handcrafted, 10),
         "robot": Kind({"robot.xml": (ENVS / "robots/kuri.xml").read_bytes()}, ("robot.xml",), load_robot, 14),
+        "body": Kind({"body.xml": BODY.encode()}, ("body.xml",), load_body, 6),
         "recording": Kind({"people.csv": walks()}, ("people.csv",), load_recording, 14),
         "trajectory": Kind({"trajectory.json": robot_among_people()}, ("trajectory.json",), load_trajectory, 8),
         "ratings": Kind({"ratings.json": json.dumps(RATINGS, indent=1).encode()}, ("ratings.json",), load_ratings, 6),

@@ -5,6 +5,7 @@ Elements without use in a scene or a robot, and larger numbers than any of them 
 
 import math
 import re
+from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -37,8 +38,11 @@ FOLDERS = ("meshdir", "texturedir", "assetdir")  # attributes of <compiler>
 WORDS = ("name", "class", "childclass", "file", "filename", "model", "prefix")  # attributes that are no numbers
 
 
-def read(path: Path) -> Any:
+def read(path: Path, edit: Callable[[Any], None] | None = None) -> Any:
     """The ``mujoco.MjModel`` of an MJCF file, in which every number is finite.
+
+    Args:
+        edit: changes its ``mujoco.MjSpec`` before it is compiled.
 
     Raises:
         FileError: one sentence that names the file, the line where there is one, and the cure.
@@ -49,7 +53,12 @@ def read(path: Path) -> Any:
     before = mujoco.get_mju_user_warning()
     mujoco.set_mju_user_warning(warnings.append)  # or it prints, and writes a log where the program was started
     try:
-        model = mujoco.MjModel.from_xml_path(str(path))
+        if edit is None:
+            model = mujoco.MjModel.from_xml_path(str(path))
+        else:
+            spec = mujoco.MjSpec.from_file(str(path))
+            edit(spec)
+            model = spec.compile()
     except (ValueError, RuntimeError, MemoryError) as error:
         raise file_error(path, f"MuJoCo cannot read it: {_cause(str(error))}") from None
     finally:

@@ -1,4 +1,4 @@
-"""Robots (Fig. 3): one MJCF file each in ``envs/robots``, simulated by closed-form twins, by MJX or kinematic."""
+"""Robots (Fig. 3): one MJCF file each in ``envs/robots``, closed-form, in MJX or kinematic; and whole bodies in MJX."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
@@ -15,6 +15,7 @@ from sean_jax.errors import InputError
 from sean_jax.robots import description
 from sean_jax.robots import dynamics as physics
 from sean_jax.robots.drive import drive_kinematic, drive_mjx, drive_twin, physics_steps, place
+from sean_jax.robots.whole_body import articulated
 
 ROBOTS: dict[str, Path] = {path.stem: path for path in sorted((ENVS / "robots").glob("*.xml"))}
 BACKWARD = {"max_reverse_speed": "max_speed", "max_deceleration": "max_acceleration"}
@@ -109,4 +110,4 @@ def _hint(name: str, choices: Iterable[str]) -> str:
     return files.suggest(name, choices) or f"; there are: {', '.join(choices)}."
 
 
-__all__ = ["DYNAMICS", "ROBOTS", "alike", "find", "load", "physics_steps", "radius"]
+__all__ = ["DYNAMICS", "ROBOTS", "alike", "articulated", "find", "load", "physics_steps", "radius"]

@@ -138,7 +138,7 @@ def read(path: Path) -> tuple[Any, dict[str, Any], np.ndarray]:
         top = numbers["max_speed"]
         numbers |= {"max_turn_rate": top * turn, "max_turn_acceleration": top * rate, "track": 0.0}
     fields = {key: _array(value) for key, value in numbers.items()}
-    sensors = {"mounts": mounts(model, data), "solids": _solids(model, data)}
+    sensors = {"mounts": mounts(model, data), "solids": solids(model, data)}
     for mount in sensors["mounts"]:
         far = float(np.abs(mount.origin).max())
         _check_range(path, f"the largest coordinate of its mount '{mount.name}'", far, 0.0, MAX_MOUNT, "m")
@@ -194,17 +194,21 @@ def _steering(path: Path, model: Any, data: Any, numbers: dict[str, float]) -> S
 def mounts(model: Any, data: Any) -> tuple[Mount, ...]:
     """The cameras and sites of a robot in a ``mujoco.MjModel``, whose ``MjData`` has their poses.
 
-    The site of servos is no mount.
+    The site of servos is no mount, nor is one on a moving part.
     """
     site = int(import_module("mujoco").mjtTrn.mjTRN_SITE)
     servos = {int(model.actuator_trnid[k, 0]) for k in range(model.nu) if model.actuator_trntype[k] == site}
-    result, frame = [], base_rotation(model, data)
+    result, frame, fixed = [], base_rotation(model, data), model.body_weldid == model.jnt_bodyid[0]
     places = [
-        *((model.camera(k).name, data.cam_xpos[k], data.cam_xmat[k], model.cam_fovy[k]) for k in range(model.ncam)),
+        *(
+            (model.camera(k).name, data.cam_xpos[k], data.cam_xmat[k], model.cam_fovy[k])
+            for k in range(model.ncam)
+            if fixed[model.cam_bodyid[k]]
+        ),
         *(
             (model.site(k).name, data.site_xpos[k], data.site_xmat[k], 0.0)
             for k in range(model.nsite)
-            if k not in servos
+            if fixed[model.site_bodyid[k]] and k not in servos
         ),
     ]
     for name, place, axes, fovy in places:
@@ -229,7 +233,8 @@ def _check_mounts(path: Path, model: Any) -> None:
             raise FileError(f"{path}: {what}, but must be more than 0 and less than 180 degrees.")
 
 
-def _solids(model: Any, data: Any) -> Solids:
+def solids(model: Any, data: Any) -> Solids:
+    """The looks of a robot in a ``mujoco.MjModel``, whose ``MjData`` has the poses of its geoms, without planes."""
     frame = base_rotation(model, data)
     data.geom_xpos[:] = to_base(model, data, data.geom_xpos)
     data.geom_xmat[:] = (frame.T @ data.geom_xmat.reshape(-1, 3, 3)).reshape(-1, 9)
@@ -454,14 +459,19 @@ def _losses(model: Any) -> Iterator[str]:
 
 def to_base(model: Any, data: Any, points: np.ndarray) -> np.ndarray:
     """Points (..., 3) [m] of the world in the robot's frame: x ahead, from the floor below the base's hinge."""
-    return (points - data.xanchor[2] * [1.0, 1.0, 0.0]) @ base_rotation(model, data)
+    return (points - data.xanchor[_pivot(model)] * [1.0, 1.0, 0.0]) @ base_rotation(model, data)
 
 
 def base_rotation(model: Any, data: Any) -> np.ndarray:
     """The rotation matrix (3, 3) from the robot's frame to the world, about the vertical."""
-    matrix = data.xmat[model.jnt_bodyid[2]].reshape(3, 3)
+    matrix = data.xmat[model.jnt_bodyid[_pivot(model)]].reshape(3, 3)
     yaw = np.arctan2(matrix[1, 0], matrix[0, 0])
     return np.array([[np.cos(yaw), -np.sin(yaw), 0.0], [np.sin(yaw), np.cos(yaw), 0.0], [0.0, 0.0, 1.0]])
+
+
+def _pivot(model: Any) -> int:
+    """The joint that turns the base about the vertical: a freejoint, or the third in the plane."""
+    return 0 if model.jnt_type[0] == int(import_module("mujoco").mjtJoint.mjJNT_FREE) else 2
 
 
 def _label(item: Any, number: int) -> str:

@@ -190,7 +190,7 @@ def drive_kinematic(scenario: Scenario, state: State, action: Float[Array, "comm
     speeds = law.limit(model, law.speeds(model, robot), _parts(law, command), step)
     speed, sideways, turn_rate = law.velocity(model, speeds)
     heading = _direction(robot.heading)
-    steps, surroundings = physics_steps(model, step), _surroundings(scenario, state)
+    steps, surroundings = physics_steps(model, step), surroundings_of(scenario, state)
     way = kinematic_move(steps, model, surroundings, robot.position, heading, speed, turn_rate, sideways)
     still = jnp.zeros_like(robot.drive_state.wheels)
     steering = None if model.steering is None else speeds[1]
@@ -224,7 +224,7 @@ def _drive(physics: Callable, scenario: Scenario, state: State, action: Array) -
     speeds = law.limit(model, law.speeds(model, robot), _parts(law, command), scenario.time_step)
     targets = law.targets(model, *speeds)
     before = law.coordinates(model, robot)
-    steps, surroundings = physics_steps(model, scenario.time_step), _surroundings(scenario, state)
+    steps, surroundings = physics_steps(model, scenario.time_step), surroundings_of(scenario, state)
     motion = physics(steps, model, surroundings, before, targets)
     heading = _turned(_direction(robot.heading), motion[0][2] - before[0][2])
     return law.odometry(model, motion, heading, command, age)
@@ -234,7 +234,8 @@ def _parts(law: Law, command: Array) -> Speeds:
     return tuple(command[index] for index in range(law.command_size))
 
 
-def _surroundings(scenario: Scenario, state: State) -> Surroundings:
+def surroundings_of(scenario: Scenario, state: State) -> Surroundings:
+    """Obstacles and people of a scenario, as robots touch them."""
     people = state.pedestrians
     return Surroundings(
         obstacles=scenario.environment.obstacles,

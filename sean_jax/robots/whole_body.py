@@ -1,0 +1,353 @@
+"""Bodies with arms, legs or wheels of their own: an MJCF file stepped whole by MJX, under a controller of the user.
+
+The body stands on its ground plane, with the contacts of its feet or wheels. Obstacles and people touch its disc, as
+that of the kinematic robot.
+"""
+
+import functools
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from importlib import import_module
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+from jaxtyping import Bool, Float, Int, PyTree
+
+from sean_jax import calls, quantities
+from sean_jax.base import Array, Lateral, Robot, RobotModel, Scenario, State
+from sean_jax.errors import FileError, InputError
+from sean_jax.files import mjcf
+from sean_jax.geometry import rotate, unit_vectors
+from sean_jax.robots import description, drive
+from sean_jax.robots.dynamics import kinematic_move, mjx
+
+WHOLE = 1e-6  # s, maximum deviation of a period from a multiple of the physics step
+
+
+class BodyState(NamedTuple):
+    """``Robot.drive_state``: the body's state besides pose and speeds on the floor, which ``Robot`` has."""
+
+    physics: dict[str, Array]  # the changing fields of ``mjx.Data``: qpos, qvel, act, qacc_warmstart, sensordata, time
+    memory: PyTree  # of the controller
+    command: Float[Array, "command"]  # m/s and rad/s, the last finite command
+    age: Int[Array, ""]  # control steps since that command
+    target: Float[Array, "command"]  # m/s and rad/s, the command within the limits, which the controller follows
+    fallen: Bool[Array, ""]  # the body lies where it fell
+
+
+@struct.dataclass
+class Body:
+    """``RobotModel.data`` of an articulated body."""
+
+    model: PyTree  # mjx.Model
+    home: Float[Array, "nq"]  # qpos of the posture at the start, at the origin, ahead along x
+    memory: PyTree  # of the controller, at the start
+    min_height: Float[Array, ""]  # m, of the base
+    max_tilt: Float[Array, ""]  # rad
+    controller: Callable = struct.field(pytree_node=False)
+    steps: int = struct.field(pytree_node=False)  # physics steps in a period of the controller
+
+
+def articulated(
+    file: str | Path,
+    controller: Callable,
+    *,
+    radius: float,
+    max_speed: float,
+    max_turn_rate: float,
+    max_lateral_speed: float | None = None,
+    max_acceleration: float = 2.0,
+    max_turn_acceleration: float = 4.0,
+    command_timeout: float = 0.25,
+    control_period: float = 0.02,
+    memory: PyTree = (),
+    min_height: float | None = None,
+    max_tilt: float = 1.0,
+) -> RobotModel:
+    """A robot of an MJCF file whose base has a freejoint, with all of its joints and contacts, by MJX.
+
+    Args:
+        file: a horizontal plane at height 0 is its ground; one is added if it has none. Its posture at the start is
+            the keyframe "home", else the first, else that of the file. Meshes without contacts are left out.
+        controller: ``(command, data, memory) -> (ctrl, memory)``, with the command (2,), m/s ahead and rad/s, or (3,)
+            with m/s to the left between the two, and ``mjx.Data`` as MuJoCo's control callback has it.
+        radius: m, of the disc that obstacles and people touch.
+        max_speed: m/s, ahead and backward.
+        max_turn_rate: rad/s.
+        max_lateral_speed: m/s; with it, the drive is omnidirectional and commands are (3,), else differential.
+        max_acceleration: m/s2, of the command that the controller follows.
+        max_turn_acceleration: rad/s2, likewise.
+        command_timeout: s, until the command is a stop if no finite command follows.
+        control_period: s between two calls of the controller, a multiple of the file's timestep.
+        memory: of the controller at the start.
+        min_height: m; a base below it has fallen; None: half of its height at the start.
+        max_tilt: rad between the base's z and the vertical, beyond which it has fallen.
+
+    Raises:
+        InputError: a number is out of range, the controller gives another array, or the file is no such body.
+    """
+    path = Path(file)
+    numbers = {
+        "radius": radius,
+        "max_speed": max_speed,
+        "max_turn_rate": max_turn_rate,
+        "max_acceleration": max_acceleration,
+        "max_turn_acceleration": max_turn_acceleration,
+        "command_timeout": command_timeout,
+    }
+    sideways = {} if max_lateral_speed is None else {"max_lateral_speed": max_lateral_speed}
+    for key, value in {**numbers, **sideways}.items():
+        quantities.check_number(key, value, *description.RANGES[key])
+    model = mjcf.read(path, _prepare)
+    data, home = _at_home(path, model)
+    steps = round(control_period / model.opt.timestep)
+    if steps < 1 or abs(steps * model.opt.timestep - control_period) > WHOLE:
+        what = f"{control_period:g} s is no multiple of the timestep of {path}, {model.opt.timestep:g} s"
+        raise InputError(f"control_period: {what}; give one.")
+    array = functools.partial(jnp.asarray, dtype=jnp.result_type(float))
+    lowest = home[2] / 2 if min_height is None else quantities.check_number("min_height", min_height, 0.0, 10.0, "m")
+    body = Body(
+        model=_to_mjx(path, model),
+        home=array(home),
+        memory=jax.tree.map(_strong, memory),
+        min_height=array(lowest),
+        max_tilt=array(quantities.check_number("max_tilt", max_tilt, 0.01, 3.0, "rad")),
+        controller=controller,
+        steps=steps,
+    )
+    lateral = map(array, (*sideways.values(), max_acceleration, 0.0, 0.0))
+    absent = "wheel_radius", "wheel_inertia", "track", "friction", "servo_gain", "servo_torque"
+    fields: dict[str, Any] = {key: array(value) for key, value in {**numbers, **dict.fromkeys(absent, 0.0)}.items()}
+    result = RobotModel(
+        mass=array(model.body_subtreemass[model.jnt_bodyid[0]]),
+        inertia=array(_inertia(model, data)),
+        **fields,
+        data=body,
+        solids=description.solids(model, data),
+        mounts=description.mounts(model, data),
+        name=path.stem,
+        time_step=control_period,
+        place=place_body,
+        drive=drive_body,
+        lateral=Lateral(*lateral) if sideways else None,
+    )
+    start = place_body(result, jnp.zeros(2, float), jnp.asarray([1.0, 0.0], float)).drive_state
+    jax.eval_shape(functools.partial(_simulate, result, 1), start.physics, start.memory, start.target)
+    return result
+
+
+# --- its file ---
+
+
+def _prepare(spec: Any) -> None:
+    """Leave out meshes that only look, which no ray sees, and add a ground if there is none."""
+    mujoco: Any = import_module("mujoco")  # late, for it takes time; Any, for it has no type stubs
+    kind = mujoco.mjtGeom
+    for geom in list(spec.geoms):
+        if geom.type == kind.mjGEOM_MESH and not (geom.contype or geom.conaffinity) and geom.parent.explicitinertial:
+            spec.delete(geom)
+    used = {geom.meshname for geom in spec.geoms}
+    for mesh in list(spec.meshes):
+        if mesh.name not in used:
+            spec.delete(mesh)
+    if not any(geom.type == kind.mjGEOM_PLANE for geom in spec.worldbody.geoms):
+        spec.worldbody.add_geom(type=kind.mjGEOM_PLANE, size=[0.0, 0.0, 0.01])
+
+
+def _at_home(path: Path, model: Any) -> tuple[Any, np.ndarray]:
+    """``mujoco.MjData`` in the posture at the start, and its qpos; FileError if the file is no such body."""
+    mujoco: Any = import_module("mujoco")
+    free, plane = int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtGeom.mjGEOM_PLANE)
+    if list(model.jnt_type).count(free) != 1 or model.jnt_type[0] != free:
+        raise FileError(
+            f"{path}: a body with a controller must have one freejoint, its first joint; give its base one."
+        )
+    base = int(model.jnt_bodyid[0])
+    if model.body_parentid[base] != 0 or (model.body_rootid[1:] != base).any():
+        raise FileError(f"{path}: all bodies must hang on the one with the freejoint; leave the others out.")
+    if not model.nu:
+        raise FileError(f"{path}: it has no actuator for the controller; give each driven joint one.")
+    if model.opt.integrator not in (mujoco.mjtIntegrator.mjINT_EULER, mujoco.mjtIntegrator.mjINT_IMPLICITFAST):
+        raise FileError(f"{path}: the integrator of its <option> must be Euler or implicitfast; choose one of the two.")
+    kind, other = model.geom_contype, model.geom_conaffinity
+    ground = np.flatnonzero((model.geom_bodyid == 0) & ((kind > 0) | (other > 0)))
+    level = (model.geom_pos[ground, 2] == 0.0) & ~model.geom_quat[ground, 1:3].any(1)
+    if len(ground) != 1 or model.geom_type[ground[0]] != plane or not level[0]:
+        raise FileError(f"{path}: the ground must be one horizontal plane at height 0; leave all other things out.")
+    touched = (kind & other[ground[0]]) | (other & kind[ground[0]])
+    if not touched[model.geom_bodyid > 0].any() and not model.npair:
+        cure = "give its feet or wheels contype and conaffinity"
+        raise FileError(f"{path}: nothing of the body touches the ground; {cure}.")
+    data = mujoco.MjData(model)
+    keys = [model.key(k).name for k in range(model.nkey)]
+    if keys:
+        mujoco.mj_resetDataKeyframe(model, data, keys.index("home") if "home" in keys else 0)
+    w, x, y, z = data.qpos[3:7] / np.linalg.norm(data.qpos[3:7])
+    half = 0.5 * math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    turned = np.zeros(4)
+    mujoco.mju_mulQuat(turned, np.array([math.cos(half), 0.0, 0.0, -math.sin(half)]), np.array([w, x, y, z]))
+    data.qpos[:2], data.qpos[3:7] = 0.0, turned
+    mujoco.mj_forward(model, data)
+    return data, data.qpos.copy()
+
+
+def _to_mjx(path: Path, model: Any) -> Any:
+    try:
+        return mjx().put_model(model, impl="jax")
+    except NotImplementedError as error:
+        raise FileError(f"{path}: MJX cannot step it: {error}; leave that out.") from None
+
+
+def _inertia(model: Any, data: Any) -> float:
+    """kg m2 about the vertical through the center of mass."""
+    total, center = 0.0, data.subtree_com[model.jnt_bodyid[0]]
+    for body in range(1, model.nbody):
+        axes = data.ximat[body].reshape(3, 3)
+        away = (data.xipos[body] - center)[:2]
+        total += axes[2] ** 2 @ model.body_inertia[body] + model.body_mass[body] * away @ away
+    return total
+
+
+def _strong(value: Any) -> Array:
+    """A number of Python as an array whose type does not depend on the context: else a second step is traced again."""
+    return jnp.asarray(value, jnp.result_type(value))
+
+
+# --- how it moves ---
+
+
+def place_body(model: RobotModel, position: Float[Array, "2"], heading: Float[Array, "2"]) -> Robot:
+    """The body at rest in its posture at the start, at a position [m]; a zero heading counts as the x axis."""
+    heading, zero = unit_vectors(heading, jnp.asarray([1.0, 0.0], heading.dtype)), jnp.zeros((), position.dtype)
+    body, command = model.data, jnp.zeros(drive.command_size(model), position.dtype)
+    fresh = mjx().make_data(body.model, impl="jax")
+    names = "qvel", "act", "qacc_warmstart", "sensordata", "time"
+    physics = {"qpos": body.home, **{name: jnp.asarray(getattr(fresh, name)) for name in names}}
+    state = BodyState(physics, body.memory, command, jnp.zeros((), jnp.int32), command, jnp.zeros((), bool))
+    robot = Robot(position, heading, zero, zero, state, None if model.lateral is None else zero)
+    return replace(robot, drive_state=state._replace(physics=_on_floor(robot)))
+
+
+def drive_body(scenario: Scenario, state: State, action: Float[Array, "command"]) -> Robot:
+    """The body one control step later; a body that has fallen stays where it lies.
+
+    MJX moves it as if it were alone. Then obstacles and people stop its disc on the straight way of this step, as in
+    ``drive_kinematic``, and shift the whole body. Derivatives of the way by MJX are zero.
+
+    Args:
+        action: m/s and rad/s. If it is not finite, the last command holds until ``command_timeout``, then a stop.
+
+    Raises:
+        InputError: the control step is no multiple of the controller's period.
+    """
+    model, robot, step = scenario.robot, state.robot, scenario.time_step
+    before, law = robot.drive_state, drive.LAWS[model.drive_type]
+    command, age = drive.active_command(model, before, action, step)
+    target = jnp.stack(law.limit(model, tuple(before.target), tuple(command), step))
+    steps, surroundings = drive.physics_steps(model, step), drive.surroundings_of(scenario, state)
+    held = jax.lax.stop_gradient((model, _on_floor(robot), before.memory, target))
+    physics, memory = _simulate(held[0], steps, *held[1:])
+
+    finite = jnp.stack([jnp.isfinite(value).all() for value in physics.values()]).all()
+    last = before.physics, before.memory
+    physics, memory = jax.tree.map(lambda old, new: jnp.where(finite, new, old), last, (physics, memory))
+    qpos, qvel = physics["qpos"], physics["qvel"]
+    rows = _rotation(qpos[3:7])
+    down = ~finite | (qpos[2] < model.data.min_height) | (rows[2, 2] < jnp.cos(model.data.max_tilt))
+    fallen = before.fallen | down
+
+    own, (cosine, sine) = unit_vectors(robot.heading, jnp.asarray([1.0, 0.0], qpos.dtype)), _ahead(rows)
+    moved = (qpos[:2] - jax.lax.stop_gradient(robot.position)) / step
+    ahead, left = rotate(moved[0], moved[1], own[0], -own[1])
+    way = kinematic_move(steps, model, surroundings, robot.position, own, ahead, jnp.zeros_like(ahead), left)
+    shift = (way.position - qpos[:2]) / step  # m/s that contacts take or give
+    speed, sideways = rotate(qvel[0] + shift[0], qvel[1] + shift[1], cosine, -sine)
+    physics = {**physics, "qvel": qvel.at[:2].add(shift)}
+
+    new = Robot(
+        way.position,
+        jnp.stack([cosine, sine]),
+        jnp.where(down, 0.0, speed),
+        jnp.where(down, 0.0, rows[2] @ qvel[3:6]),
+        BodyState(physics, memory, command, age, target, fallen),
+        None if robot.sideways is None else jnp.where(down, 0.0, sideways),
+    )
+    lying = replace(robot, drive_state=before)
+    return jax.tree.map(lambda old, new: jnp.where(before.fallen, old, new), lying, new)
+
+
+def _simulate(
+    model: RobotModel, periods: int, physics: dict[str, Array], memory: PyTree, command: Array
+) -> tuple[dict[str, Array], PyTree]:
+    """The changing fields of ``mjx.Data`` and the controller's memory after that many periods.
+
+    Stages and order are those of MuJoCo's mj_step, in which the control callback precedes the actuators.
+    """
+    body = model.data
+    nu = body.model.nu
+
+    def control(data: Any, memory: PyTree) -> tuple[Array, PyTree]:
+        result = calls.call("controller", body.controller, "command, data, memory", command, data, memory)
+        if not isinstance(result, tuple) or len(result) != 2:
+            expected, cure = "a control and a memory", "return both, and () as the memory if there is none"
+            raise calls.wrong("controller", body.controller, calls.describe(result), expected, cure)
+        calls.check_array("controller", body.controller, result[0], float, (nu,), "give a number for each actuator")
+        calls.check_like("controller", body.controller, result[1], memory, "a memory that is")
+        return result[0].astype(data.ctrl.dtype), jax.tree.map(_strong, result[1])
+
+    def one(carry: tuple, index: Array) -> tuple[tuple, None]:
+        physics, ctrl, memory = carry
+        data = mjx().make_data(body.model, impl="jax").replace(**physics)
+        for stage in ("fwd_position", "sensor_pos", "fwd_velocity", "sensor_vel"):
+            data = getattr(mjx(), stage)(body.model, data)
+        now = index % body.steps == 0
+        ctrl, memory = jax.lax.cond(now, control, lambda data, memory: (ctrl, memory), data, memory)
+        data = data.replace(ctrl=ctrl)
+        for stage in ("fwd_actuation", "fwd_acceleration", "solve", "sensor_acc"):
+            data = getattr(mjx(), stage)(body.model, data)
+        euler = body.model.opt.integrator == mjx().IntegratorType.EULER
+        data = (mjx().euler if euler else mjx().implicit)(body.model, data)
+        return ({name: getattr(data, name) for name in physics}, ctrl, memory), None
+
+    # MJX mixes ranks and dtypes on purpose; a caller may have forbidden that for its own code.
+    with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
+        ctrl = jnp.zeros(nu, physics["qpos"].dtype)
+        (physics, _, memory), _ = jax.lax.scan(one, (physics, ctrl, memory), jnp.arange(periods * body.steps))
+    return physics, memory
+
+
+def _on_floor(robot: Robot) -> dict[str, Array]:
+    """The fields of ``mjx.Data`` with the pose and the speeds on the floor that ``Robot`` has."""
+    physics = robot.drive_state.physics
+    qpos, qvel = physics["qpos"], physics["qvel"]
+    rows = _rotation(qpos[3:7])
+    was, now = _ahead(rows), unit_vectors(robot.heading, jnp.asarray([1.0, 0.0], qpos.dtype))
+    half = 0.5 * jnp.arctan2(was[0] * now[1] - was[1] * now[0], was[0] * now[0] + was[1] * now[1])
+    cosine, sine = jnp.cos(half), jnp.sin(half)
+    w, x, y, z = qpos[3:7]
+    turned = [cosine * w - sine * z, cosine * x - sine * y, cosine * y + sine * x, cosine * z + sine * w]
+    sideways = rotate(qvel[0], qvel[1], was[0], -was[1])[1] if robot.sideways is None else robot.sideways
+    velocity = jnp.stack(rotate(robot.speed, sideways, now[0], now[1]))
+    turning = qvel[3:6] + rows[2] * (robot.turn_rate - rows[2] @ qvel[3:6])
+    qpos = jnp.concatenate([robot.position, qpos[2:3], jnp.stack(turned), qpos[7:]])
+    return {**physics, "qpos": qpos, "qvel": jnp.concatenate([velocity, qvel[2:3], turning, qvel[6:]])}
+
+
+def _ahead(rows: Float[Array, "3 3"]) -> Float[Array, "2"]:
+    """The direction of the base's x axis on the floor."""
+    return unit_vectors(rows[:2, 0], jnp.asarray([1.0, 0.0], rows.dtype))
+
+
+def _rotation(quaternion: Float[Array, "4"]) -> Float[Array, "3 3"]:
+    """The rotation matrix of a quaternion (w, x, y, z)."""
+    w, x, y, z = quaternion / jnp.linalg.norm(quaternion)
+    return jnp.stack([
+        jnp.stack([1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)]),
+        jnp.stack([2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)]),
+        jnp.stack([2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)]),
+    ])  # fmt: skip
