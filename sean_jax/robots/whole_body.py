@@ -250,8 +250,8 @@ def drive_body(scenario: Scenario, state: State, action: Float[Array, "command"]
     command, age = drive.active_command(model, before, action, step)
     target = jnp.stack(law.limit(model, tuple(before.target), tuple(command), step))
     steps, surroundings = drive.physics_steps(model, step), drive.surroundings_of(scenario, state)
-    held = jax.lax.stop_gradient((model, _on_floor(robot), before.memory, target))
-    physics, memory = _simulate(held[0], steps, *held[1:])
+    fixed = jax.lax.stop_gradient((model, _on_floor(robot), before.memory, target))
+    physics, memory = _simulate(fixed[0], steps, *fixed[1:])
 
     finite = jnp.stack([jnp.isfinite(value).all() for value in physics.values()]).all()
     last = before.physics, before.memory

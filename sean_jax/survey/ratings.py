@@ -131,7 +131,7 @@ def run(options: SurveyRatingsConfig, console: Console) -> Path:
     note = (
         f"{report.counted(found)} Correlations are Spearman's over ratings. The variance of Fisher's z is that of a "
         "bootstrap over raters plus that over trajectories, less that over pairs of both; variants of a trajectory "
-        "count as one. Raters were told different contexts, which no metric knows. A correlation is no cause."
+        "count as one. Raters read different contexts, which no metric knows. A correlation is no cause."
     )
     console.print(Text(note, "dim"), soft_wrap=True)
     numbers = {"raters": "participant", "trajectories": "trajectory", "trajectories without their variants": "trial"}

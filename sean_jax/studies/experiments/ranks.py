@@ -98,7 +98,7 @@ def rank(entries: list[Entry], groups: dict[str, list[str]], notes: list[str]) -
     """The ranking of entries.
 
     Args:
-        groups: group of tracks -> its tracks, of those that all entries have.
+        groups: group of tracks -> the tracks of it that all entries have.
         notes: sentences on what the ranking lacks.
     """
     groups = {ALL: [track for tracks in groups.values() for track in tracks], **groups}
