@@ -284,7 +284,7 @@ def test_vmap_equals_a_loop(rover):
         alone = one(actions[index])
         ours, theirs = many[0].position[index], alone[0].position  # later, contacts have made rounding larger
         np.testing.assert_allclose(ours[:20], theirs[:20], atol=1e-3)
-        np.testing.assert_allclose(many[0].heading[index], alone[0].heading, atol=5e-3)
+        np.testing.assert_allclose(many[0].heading[index][:20], alone[0].heading[:20], atol=5e-3)
 
 
 @pytest.mark.slow
