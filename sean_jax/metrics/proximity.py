@@ -177,7 +177,7 @@ def _entries_of_groups(
     """
 
     def inside(snapshot: Snapshot) -> tuple[Array, Array]:
-        """(N, N) bool, who is in one group; and (N,) bool, in whose group's circle the robot is."""
+        """(N, N) bool, pairs of people in one group; (N,) bool, whether the robot is in the circle of their group."""
         people = snapshot.people
         group = jnp.where(people.present, groups(snapshot), -1)
         same = (group[:, None] == group[None, :]) & (group >= 0)[:, None]

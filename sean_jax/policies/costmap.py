@@ -46,7 +46,7 @@ class CostmapParams:
 
     amplitude: Float[Array, ""] = parameter(77.0)  # A, cost in the middle of a person
     cutoff: Float[Array, ""] = parameter(10.0)  # lower costs become 0
-    covariance: Float[Array, ""] = parameter(0.1)  # m2, C of a person who stands; ROS's default is 0.25
+    covariance: Float[Array, ""] = parameter(0.1)  # m2, C of a standing person; ROS's default is 0.25
     factor: Float[Array, ""] = parameter(5.0)  # s/m, by how much longer the Gaussian is ahead for each m/s
     inflation: Float[Array, ""] = parameter(0.1)  # m, reach of inflation (inflation_radius), 3 cells at most
     decay: Float[Array, ""] = parameter(3.0)  # 1/m, of the inflation's cost (cost_scaling_factor)
