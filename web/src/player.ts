@@ -384,6 +384,7 @@ export class Player {
     this.scrub.max = String(episode.duration);
     this.seek(time);
     this.resize();
+    if (this.plan.clientWidth > 0) this.draw(); // what says ready shows this episode
     this.root.dataset.ready = String(asked);
   }
 

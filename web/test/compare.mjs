@@ -3,6 +3,7 @@
 
 import { chromium } from "playwright-core";
 import { pathToFileURL } from "node:url";
+import { drawn } from "./drawn.mjs";
 
 const [file, executablePath, picture] = process.argv.slice(2);
 const browser = await chromium.launch({ executablePath, args: ["--no-sandbox"] });
@@ -17,16 +18,16 @@ await page.waitForFunction(() => document.querySelectorAll("[data-ready]").lengt
 await first.getByLabel("play").click();
 await page.waitForTimeout(800);
 await page.locator(".replay").last().getByLabel("pause").click();
-await page.waitForTimeout(200);
+await drawn(page);
 seen.played = await clocks();
 await first.getByLabel("time").evaluate((slider) => {
   slider.value = "3";
   slider.dispatchEvent(new Event("input"));
 });
-await page.waitForTimeout(200);
+await drawn(page);
 seen.sought = await clocks();
 await first.getByRole("button", { name: "where they part" }).click();
-await page.waitForTimeout(200);
+await drawn(page);
 seen.parted = await clocks();
 await first.getByLabel("episode", { exact: true }).selectOption("1");
 await page.waitForFunction(() => document.querySelectorAll("[data-ready='1']").length === 2);

@@ -3,6 +3,7 @@
 
 import { chromium } from "playwright-core";
 import { pathToFileURL } from "node:url";
+import { drawn } from "./drawn.mjs";
 
 const [file, executablePath, picture] = process.argv.slice(2);
 const browser = await chromium.launch({ executablePath, args: ["--no-sandbox"] });
@@ -15,20 +16,20 @@ const clock = async () => Number.parseFloat(await page.locator(".replay-clock").
 
 await page.goto(`${pathToFileURL(file)}#episode=1&t=2`);
 await page.waitForSelector("[data-ready='1']");
-await page.waitForTimeout(200);
+await drawn(page);
 seen.linked = await clock();
 await page.selectOption(".replay-bar select", "0");
 await page.waitForSelector("[data-ready='0']");
-await page.waitForTimeout(200);
+await drawn(page);
 seen.opened = await clock();
 await page.locator(".replay-plan").focus();
 await page.keyboard.press("Shift+ArrowRight");
-await page.waitForTimeout(200);
+await drawn(page);
 seen.stepped = await clock();
 const track = page.locator(".replay-track input");
 const { width, height } = await track.boundingBox();
 await track.click({ position: { x: width / 2, y: height / 2 } });
-await page.waitForTimeout(200);
+await drawn(page);
 seen.scrubbed = await clock();
 seen.duration = Number.parseFloat((await page.locator(".replay-clock").first().textContent()).split("of")[1]);
 seen.lit = await page.locator(".replay-light.on").allTextContents();
@@ -36,16 +37,16 @@ seen.labels = await page.locator(".replay-light").evaluateAll((all) => all.map((
 await page.keyboard.press("Home");
 await page.selectOption(".replay-controls select", "1");
 await page.getByLabel("play").click();
-seen.frames = await page.evaluate(async () => {
-  let count = 0;
-  const began = performance.now();
-  while (performance.now() - began < 1000) {
-    await new Promise(requestAnimationFrame);
-    count++;
+[seen.played, seen.passed, seen.slowest] = await page.evaluate(async () => {
+  const clock = () => Number.parseFloat(document.querySelector(".replay-clock").textContent);
+  const [began, first] = [await new Promise(requestAnimationFrame), clock()];
+  let [now, slowest] = [began, 0];
+  for (let count = 0; count < 6 || now - began < 1000; count++) {
+    const next = await new Promise(requestAnimationFrame);
+    [now, slowest] = [next, Math.max(slowest, next - now)];
   }
-  return count;
+  return [clock() - first, (now - began) / 1000, slowest / 1000];
 });
-seen.played = await clock();
 await page.getByLabel("pause").click();
 await page.getByLabel("legend").check();
 seen.legend = await page.locator(".replay-legend").innerText();
@@ -64,7 +65,7 @@ let person = null;
 while (!person && places.length) {
   const place = places.pop();
   await page.mouse.move(...place);
-  await page.evaluate(() => new Promise((drawn) => requestAnimationFrame(() => requestAnimationFrame(drawn))));
+  await drawn(page);
   if ((await tip()).startsWith("person")) person = place;
 }
 if (person) {
@@ -82,7 +83,7 @@ if (person) {
   seen.unpinned = await change(seen.later);
 }
 await page.getByLabel("follow").check();
-await page.waitForTimeout(100);
+await drawn(page);
 seen.drawn = await page.evaluate(() => {
   const canvas = document.querySelector(".replay-plan");
   const pixels = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height).data;
@@ -93,7 +94,7 @@ for (const reducedMotion of ["no-preference", "reduce"]) {
   await page.goto("about:blank");
   await page.goto(`${pathToFileURL(file)}#play`);
   await page.waitForSelector("[data-ready]");
-  await page.waitForTimeout(100);
+  await drawn(page);
   (seen.moves ??= []).push((await page.getByLabel("pause").count()) > 0);
 }
 if (picture) await page.screenshot({ path: picture, fullPage: true });
