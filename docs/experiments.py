@@ -5,6 +5,9 @@ folder of results/. The tables are written anew, the text between them stays.
 """
 
 import csv
+import functools
+import json
+import math
 import re
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
@@ -29,10 +32,11 @@ def markdown(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 
 def plus_minus(row: Row, mean: str, scale: float, digits: int) -> str:
-    """A mean and half of its interval."""
-    half = scale * (float(row["high"]) - float(row["low"])) / 2
-    text = f"{scale * float(row[mean]):.{digits}f}"
-    return f"{text} ± {half:.{digits}f}" if half else text
+    """A mean and half of its interval; the interval itself if the mean is one of its ends."""
+    middle, low, high = (scale * float(row[name]) for name in (mean, "low", "high"))
+    if low < high and not low < middle < high:
+        return f"{middle:.{digits}f} [{low:.{digits}f}, {high:.{digits}f}]"
+    return f"{middle:.{digits}f}" + (f" ± {(high - low) / 2:.{digits}f}" if low < high else "")
 
 
 def shares(folder: str) -> str:
@@ -121,12 +125,123 @@ def crowds(folder: str) -> str:
     return markdown([f"people (`{first['policy']}`)", *map(str, people)], rows)
 
 
+def driven(measure: str, folder: str) -> str:
+    """A measure of Figure 4: policies by behaviors, and their mean; completed tasks in percent."""
+    options = json.loads((RESULTS / folder / "experiment.json").read_text(encoding="utf-8"))["options"]
+    networks = options["datasets"] * options["trainings"]
+    episodes = networks * math.ceil(options["episodes"] / networks)
+    scale, digits = (100 / episodes, 1) if measure == "completed" else (1.0, 2)
+    cells = select(read(folder, "figure4"), measure=measure)
+    rows = []
+    for policy in dict.fromkeys(row["policy"] for row in cells):
+        mine = [select(cells, policy=policy, behavior=name) for name in (*BEHAVIORS, "mean")]
+        if all(mine):
+            texts = [plus_minus(row, "mean", scale, digits) for (row,) in mine]
+            rows.append(
+                [policy if policy in PRINTED else f"`{policy}`", *texts, PRINTED.get(policy, {}).get(measure, "")]
+            )
+    return markdown(["", *BEHAVIORS, "mean", "paper, mean"], rows)
+
+
+def interval(row: Row, name: str, digits: int = 2) -> str:
+    """A number and its interval."""
+    return "{} [{}, {}]".format(*(f"{float(row[each]):.{digits}f}" for each in (name, "low", "high")))
+
+
+def contrasts(folder: str) -> str:
+    """Differences of Figure 4's policies over the three scenarios."""
+    rows = []
+    for row in read(folder, "contrasts"):
+        if row["measure"] != "collisions":
+            holm = float(row["holm"])
+            p = "" if math.isnan(holm) else f"{holm:.2g}" if holm >= 1e-4 else "< 0.0001"
+            names = f"{row['policy']} - {row['other']}", row["measure"].replace("_", " ")
+            rows.append([*names, interval(row, "difference"), f"{float(row['d']):.2f}", p])
+    return markdown(["policies", "measure", "difference", "d", "p (Holm)"], rows)
+
+
+def claims(folder: str) -> str:
+    """The paper's statements on Figure 4, and the share of the resamples in which each holds."""
+    rows = []
+    for row in read(folder, "claims"):
+        share = float(row["share_of_resamples"])
+        sure = "" if share >= 0.975 or share <= 0.025 else "perhaps "
+        holds = f"{sure}{'yes' if row['holds'] == 'True' else 'no'}, {100 * share:.4g} %"
+        rows.append([row["statement"], row["paper"], row["ours"], holds])
+    return markdown(["statement of the paper", "paper", "here", "holds"], rows)
+
+
+def conditions(folder: str) -> str:
+    """The ablation: shares of flags and entropy of the first policy, under each world's conditions."""
+    shares, entropies, rows = read(folder, "ablation"), read(folder, "entropies"), []
+    for behavior in BEHAVIORS:
+        for world in dict.fromkeys(row["world"] for row in shares):
+            mine = {"policy": shares[0]["policy"], "behavior": behavior, "world": world}
+            cells = [select(shares, **mine, counting="flags", situation=name)[0] for name in SITUATIONS]
+            entropy = select(entropies, **mine)[0]
+            texts = [plus_minus(cell, "share", 100, 1) for cell in cells]
+            rows.append([behavior, f"`{world}`", *texts, plus_minus(entropy, "entropy", 1, 3)])
+    return markdown(["", "conditions", *(name.replace("_", " ") for name in SITUATIONS), "entropy"], rows)
+
+
+def verdicts(folder: str) -> str:
+    """Differences between networks of the learning curve, over the three scenarios."""
+    rows = []
+    for row in read(folder, "verdicts"):
+        share = float(row["share_of_resamples"])
+        names = row["variant"], row["other"], row["measure"].replace("_", " ")
+        rows.append([*names, interval(row, "difference"), f"{100 * share:.4g} %"])
+    return markdown(["networks with", "against", "measure", "difference", "better in"], rows)
+
+
+def curve(folder: str) -> str:
+    """The learning curve: means over the three scenarios."""
+    every = select(read(folder, "learning_curve"), behavior="mean")
+    rows = []
+    for variant in dict.fromkeys(row["variant"] for row in every):
+        cells = [
+            select(every, variant=variant, measure=name)[0] for name in ("completed", "time_not_moving", "violations")
+        ]
+        texts = [plus_minus(cell, "mean", 1, digits) for cell, digits in zip(cells, (1, 2, 2), strict=True)]
+        rows.append([f"`{variant}`", *texts])
+    return markdown(["demonstrations", "completed, %", "time not moving, s", "violations"], rows)
+
+
+def ranking(folder: str) -> str:
+    """The benchmark: rank and percent of tasks completed politely, by class of sensing and group of tracks."""
+    every = read(folder, "ranking")
+    groups, rows = list(dict.fromkeys(row["tracks"] for row in every)), []
+    for row in select(every, tracks="all"):
+        mine = {name: row[name] for name in ("class", "policy")}
+        cells = [select(every, **mine, tracks=name)[0] for name in groups]
+        texts = [plus_minus(cell, "polite_percent", 1, 1) for cell in cells]
+        rows.append([row["class"], row["rank"], f"`{row['policy']}`", row["results"], *texts])
+    return markdown(["class", "rank", "policy", "results", *groups], rows)
+
+
+PRINTED = {  # Section V-C: means over the scenarios, of 123 tasks and in seconds
+    "G": {"completed": "91.6", "time_not_moving": "11"},
+    "R": {"time_not_moving": "16.3"},
+    "H": {"completed": "91.6", "time_not_moving": "22"},
+    "N": {"time_not_moving": "28.7"},
+    "E": {},
+    "B": {},
+}
 TABLES: dict[str, Callable[[str], str]] = {
     "shares": shares,
     "hours": hours,
     "orderings": orderings,
     "speeds": speeds,
     "crowds": crowds,
+    "completed": functools.partial(driven, "completed"),
+    "time_not_moving": functools.partial(driven, "time_not_moving"),
+    "violations": functools.partial(driven, "violations"),
+    "contrasts": contrasts,
+    "claims": claims,
+    "conditions": conditions,
+    "curve": curve,
+    "verdicts": verdicts,
+    "ranking": ranking,
 }
 MARK = re.compile(r"(<!-- (\w+) ([\w-]+) -->\n).*?(<!-- end -->)", re.S)
 

@@ -588,6 +588,9 @@ def test_ablation(tmp_path, monkeypatch):
         if counting == "flags":
             flags[world, behavior] = flags.get((world, behavior), 0.0) + float(share)
     assert all(total == pytest.approx(1.0, abs=1e-4) for total in flags.values())
+    entropies = [line.split(",") for line in (out / "entropies.csv").read_text(encoding="utf-8").splitlines()[1:]]
+    assert {(world, behavior) for world, _, behavior, *_ in entropies} == set(flags)
+    assert all(0.0 <= float(low) <= float(mean) <= float(high) <= 1.0 for *_, mean, low, high in entropies)
     text = (out / "report.html").read_text(encoding="utf-8")
     assert all(world in text for world in ("goal_sampling", "sean2")) and (out / "ablation.png").is_file()
     before = (out / "ablation.csv").read_bytes()

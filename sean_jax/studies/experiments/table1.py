@@ -443,18 +443,22 @@ def simulated_world(options: AblationConfig, world: str, behavior: str) -> str:
 
 
 def write_ablation(options: AblationConfig, by_world: dict[str, list[Cell]]) -> None:
-    """Write ablation.csv, orderings.csv, the figure and report.html.
+    """Write ablation.csv, entropies.csv, orderings.csv, the figure and report.html.
 
     Raises:
         WriteError: another process writes one of the files.
     """
-    folder, rows, orderings = options.folder, [], []
+    folder, rows, entropies, orderings = options.folder, [], [], []
     for world, cells in by_world.items():
         for cell in cells:
-            rows += cell.shares().rows(world, cell.policy, cell.behavior)
+            estimate, head = cell.shares(), (world, cell.policy, cell.behavior)
+            rows += estimate.rows(*head)
+            entropy = estimate.entropy()
+            entropies.append((*head, entropy[0], *shares.interval(entropy)))
         for policy, by_behavior in shares.by_policy(cells).items():
             orderings += ordering_rows(by_behavior, world, policy)
     write_csv(folder / "ablation.csv", "world,policy,behavior,counting,situation,share,low,high", rows)
+    write_csv(folder / "entropies.csv", "world,policy,behavior,entropy,low,high", entropies)
     head = "world,policy,counting,ordering,source,statement,holds,share_of_resamples"
     write_csv(folder / "orderings.csv", head, orderings)
     references = {world: WORLDS[world][0] for world in by_world}
