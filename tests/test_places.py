@@ -6,11 +6,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import shapely
 from scipy import stats
+from shapely import affinity
 
 import sean_jax
 from sean_jax import environment as environments
-from sean_jax import navigation
+from sean_jax import navigation, worlds
+from sean_jax.base import Environment
+from sean_jax.navigation.triangulation import free_triangles
 
 RADIUS, MESH, EDGE = 0.25, 0.5, 0.25
 FLOOR = (-6.0, -4.0, 7.0, 5.0)
@@ -42,11 +46,11 @@ def clearance(x: float, y: float) -> float:
     return min(away)
 
 
-def by_hand(places: np.ndarray, number: int) -> np.ndarray:
-    """So many draws, one at a time: how often each of the places stands for one."""
+def by_hand(vertices: np.ndarray, places: np.ndarray, number: int) -> np.ndarray:
+    """So many draws between vertices, one at a time: how often each of the places stands for one."""
     random, count = np.random.default_rng(7), np.zeros(len(places), int)
     while count.sum() < number:
-        (x1, y1), (x2, y2) = (CORNERS[random.integers(len(CORNERS))] for _ in range(2))
+        (x1, y1), (x2, y2) = (vertices[random.integers(len(vertices))] for _ in range(2))
         if int(x1) == int(x2) or int(y1) == int(y2):
             continue
         share = random.uniform(0.05, 0.95)
@@ -66,18 +70,69 @@ def chance_of(counts: np.ndarray) -> float:
     return float(stats.chi2_contingency(counts)[1])  # pyright: ignore[reportArgumentType]
 
 
-def test_corners_are_those_of_the_free_floor(hall):
-    found = navigation.mesh_corners(environments.load(hall), MESH)
-    assert {(round(x, 4), round(y, 4)) for x, y in found.tolist()} == set(CORNERS)
+def make(boxes: list, floor: tuple, open: bool) -> Environment:
+    """Boxes of center, half extent and yaw."""
+    settings = environments.Settings(name="boxes", floor=floor, people=1, open=open)
+    return environments.of_boxes(settings, np.reshape([[*box, 1.0] for box in boxes], (-1, 6)))
 
 
-def test_corners_of_a_box_that_is_turned(tmp_path):
-    (tmp_path / "environment.yaml").write_text("name: turned\nfloor: [-5, -5, 5, 5]\npeople: 1\nopen: true\n")
-    box = '<geom type="box" size="1 0.5 1" pos="1 0 1" euler="0 0 90"/>'
-    (tmp_path / "scene.xml").write_text(f"<mujoco><worldbody>{box}</worldbody></mujoco>")
-    found = navigation.mesh_corners(environments.load(tmp_path), 0.5)
-    room, around = {(x, y) for x in (-4.5, 4.5) for y in (-4.5, 4.5)}, {(x, y) for x in (0.0, 2.0) for y in (-1.5, 1.5)}
-    assert {(round(x, 4) + 0.0, round(y, 4) + 0.0) for x, y in found.tolist()} == room | around
+def free_floor(scene: Environment, radius: float):
+    """The same by shapely: the room, shrunk, without the boxes, grown."""
+    x0, y0, x1, y1 = np.asarray(scene.floor, float)
+    free = shapely.box(x0 + radius, y0 + radius, x1 - radius, y1 - radius)
+    free = free if min(x1 - x0, y1 - y0) > 2 * radius else shapely.Polygon()
+    boxes = scene.obstacles
+    center, half_extent, angle = (np.asarray(each, float) for each in (boxes.center, boxes.half_extent, boxes.yaw))
+    for (x, y), half, yaw in zip(center, half_extent, angle, strict=True):
+        grown = shapely.box(*(-half - radius), *(half + radius))
+        free = free.difference(affinity.translate(affinity.rotate(grown, yaw, (0, 0), use_radians=True), x, y))
+    return free
+
+
+def check_triangles(scene: Environment, radius: float = MESH) -> np.ndarray:
+    """Triangles cover the free floor, and nothing else or twice, up to the rounding of corners."""
+    triangles, free = free_triangles(scene, radius), free_floor(scene, radius)
+    polygons = shapely.polygons(triangles)
+    assert shapely.is_ccw(shapely.get_exterior_ring(polygons)).all()
+    assert shapely.area(polygons).sum() == pytest.approx(free.area, abs=1e-3)
+    assert shapely.union_all(polygons).symmetric_difference(free).area < 1e-3
+    return triangles
+
+
+def test_triangles_are_those_of_the_free_floor(hall):
+    """Their vertices are its corners, and as many as triangles, as in any triangulation of a floor with one hole."""
+    triangles = check_triangles(environments.load(hall))
+    assert {(round(x, 4), round(y, 4)) for x, y in triangles.reshape(-1, 2).tolist()} == set(CORNERS)
+    assert len(triangles) == len(CORNERS)
+
+
+@pytest.mark.parametrize("family", worlds.FAMILIES)
+def test_triangles_of_worlds(family):
+    for seed in range(3):
+        check_triangles(worlds.generate(family, seed).environment)
+
+
+def test_triangles_of_random_boxes():
+    random = np.random.default_rng(0)
+    for case in range(40):
+        number = random.integers(0, 30)
+        center, half = random.uniform(-1.0, 13.0, (number, 2)), random.uniform(0.05, 2.0, (number, 2))
+        yaw = random.choice([0.0, np.pi / 4, np.pi / 2, random.uniform(0.0, 6.0)], number)
+        if case % 3 == 0:  # sides on common lines
+            center, half, yaw = np.round(center), np.round(half * 2) / 2 + 0.5, 0.0 * yaw
+        boxes = np.concatenate([center, half, yaw[:, None]], 1)
+        check_triangles(make(list(boxes), (0.0, 0.0, 12.0, 9.0), bool(case % 2)), random.choice([0.5, 0.25, 0.0]))
+
+
+def test_triangles_of_degenerate_floors():
+    assert len(check_triangles(make([], (0.0, 0.0, 5.0, 4.0), True))) == 2
+    assert len(check_triangles(make([], (0.0, 0.0, 9.0, 1.2), False))) == 2  # a corridor
+    assert len(check_triangles(make([], (0.0, 0.0, 9.0, 1.0), True))) == 0  # as wide as the disc
+    assert len(check_triangles(make([], (0.0, 0.0, 9.0, 0.8), False))) == 0
+    assert len(check_triangles(make([(2.0, 2.0, 3.0, 3.0, 0.3)], (0.0, 0.0, 4.0, 4.0), True))) == 0  # no floor is free
+    check_triangles(make([(2.0, 2.0, 0.5, 1.5, 0.0)] * 2, (0.0, 0.0, 4.0, 4.0), True))  # the same box twice
+    touching = [(3.0, 0.5, 0.5, 0.5, 0.0), (3.0, 3.5, 0.5, 1.0, 0.0)]  # the disc just fits between
+    assert len(check_triangles(make(touching, (0.0, 0.0, 6.0, 4.5), True), 0.75)) == 6  # of two separate floors
 
 
 def test_mesh_draws_places_as_often_as_a_loop_by_hand(hall):
@@ -85,7 +140,7 @@ def test_mesh_draws_places_as_often_as_a_loop_by_hand(hall):
     tables = navigation.build(scene, RADIUS)
     mesh = navigation.PLACES["mesh"](scene, tables)
     places = np.asarray(tables.places, float)
-    expected = by_hand(places, 4000)
+    expected = by_hand(check_triangles(scene).reshape(-1, 2), places, 4000)
     drawn = jax.jit(lambda key: navigation.draw_places(mesh, key, 40_000))(jax.random.key(0))
     ours = np.bincount(np.asarray(drawn), minlength=len(places))
     cell = np.floor(places / 1.5).astype(int)

@@ -8,7 +8,7 @@ from sean_jax.navigation.next_corner_table import (
     next_corner,
     next_point_approx,
 )
-from sean_jax.navigation.places import PLACES, draw_places, draw_uniform_places, mesh_corners
+from sean_jax.navigation.places import PLACES, draw_places, draw_uniform_places
 from sean_jax.navigation.shortest_paths import (
     build_paths_to_goal,
     geodesic,
@@ -36,7 +36,6 @@ __all__ = [
     "geodesic_approx",
     "inputs",
     "last_arc_to_goal",
-    "mesh_corners",
     "next_corner",
     "next_point",
     "next_point_approx",

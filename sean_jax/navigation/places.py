@@ -1,8 +1,8 @@
 """Free places, from which starts and goals are drawn: uniformly, or as SEAN 2.0 draws points of its navigation mesh.
 
 SEAN takes a point between two random vertices of the mesh's triangles, which lies the more often in the middle of a
-floor and on lines between corners. Its mesh is Unity's, of which the corners are known and the triangles are not: here
-each corner of the free floor counts once.
+floor and on lines between corners. It draws from the list of triangles, three vertices each, so a vertex is the more
+likely, the more triangles it has. Unity's meshes of SEAN's scenes are binary files: here the floor is triangulated.
 """
 
 from collections.abc import Callable
@@ -11,7 +11,7 @@ from dataclasses import replace
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Int
 from scipy.spatial import KDTree
 
 from sean_jax import cache
@@ -21,14 +21,13 @@ from sean_jax.errors import InputError
 from sean_jax.geometry import FAR, signed_distances_on_host
 from sean_jax.navigation.arcs import SLACK, pairs_are_free
 from sean_jax.navigation.tables import CODE, Navigation, inputs
+from sean_jax.navigation.triangulation import free_triangles
 
 MESH_RADIUS = 0.5  # m, distance of edges of SEAN's mesh from obstacles; a larger robot's radius instead
 MESH_EDGE = 0.25  # m, from a point to the nearest edge of the mesh, at least (SEAN 2.0)
 MESH_SHARE = 0.05, 0.95  # of the way from the first vertex to the second (SEAN 2.0)
 MESH_DRAWS = 65_536  # points that are tabulated, 64 for each place
 NEAREST = 8  # candidates for the place of a point: the nearest visible place
-SAME = 1e-6  # m, nearer corners are one
-CORNERS = np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)])
 
 
 def draw_places(navigation: Navigation, key: Array, number: int) -> Int[Array, "{number}"]:
@@ -53,8 +52,8 @@ def uniform_places(environment: Environment, navigation: Navigation) -> Navigati
 def mesh_places(environment: Environment, navigation: Navigation) -> Navigation:
     """Places are as likely as points that SEAN 2.0 draws on its navigation mesh are near to them.
 
-    A point lies between two random corners of the free floor whose whole metres differ in x and in y, at least 0.25 m
-    from the nearest edge. The nearest visible free place replaces it.
+    A point lies between two random vertices of the triangles of the free floor whose whole metres differ in x and in y,
+    at least 0.25 m from the nearest edge. The nearest visible free place replaces it.
 
     Raises:
         InputError: hardly any such point is free.
@@ -70,53 +69,17 @@ PLACES: dict[str, Callable[[Environment, Navigation], Navigation]] = {"uniform":
 """How starts and goals are drawn from the free places."""
 
 
-def mesh_corners(environment: Environment, radius: float) -> Float[np.ndarray, "K 2"]:
-    """The corners (K, 2) [m] of the floor that is free for a disc of a radius [m], in order and without doubles.
-
-    They are corners of the room and of obstacles that are grown by the radius, without rounding, and where the sides of
-    two of them meet.
-    """
-    boxes, floor = environment.obstacles, np.asarray(environment.floor, float)
-    center, half, yaw = (np.asarray(part, float) for part in (boxes.center, boxes.half_extent, boxes.yaw))
-    center = np.concatenate([center, [(floor[:2] + floor[2:]) / 2]])  # the last is the room
-    half = np.concatenate([half + radius, [(floor[2:] - floor[:2]) / 2 - radius]])
-    yaw = np.append(yaw, 0.0)
-    cosine, sine = np.cos(yaw)[:, None], np.sin(yaw)[:, None]
-    x, y = np.moveaxis(half[:, None] * CORNERS, -1, 0)
-    corner = center[:, None] + np.stack([cosine * x - sine * y, sine * x + cosine * y], -1)
-    begin, way = corner.reshape(-1, 2), (np.roll(corner, -1, 1) - corner).reshape(-1, 2)
-    crossings = [begin]
-    for origin, along in zip(begin, way, strict=True):
-        gap = begin - origin
-        cross = along[0] * way[:, 1] - along[1] * way[:, 0]
-        crosses = np.abs(cross) > 1e-9 * (1.0 + np.abs(way).max(1))
-        scale = 1.0 / np.where(crosses, cross, 1.0)
-        mine = (gap[:, 0] * way[:, 1] - gap[:, 1] * way[:, 0]) * scale
-        other = (gap[:, 0] * along[1] - gap[:, 1] * along[0]) * scale
-        meets = crosses & (np.minimum(mine, other) >= 0.0) & (np.maximum(mine, other) <= 1.0)
-        crossings.append(origin + mine[meets, None] * along)
-    spots = np.unique(np.round(np.concatenate(crossings) / SAME).astype(np.int64), axis=0) * SAME
-    free = np.empty(len(spots), bool)
-    for part in np.array_split(np.arange(len(spots)), max(1, len(spots) // 1024)):
-        gap = spots[part][:, None] - center
-        u = cosine[:, 0] * gap[..., 0] + sine[:, 0] * gap[..., 1]
-        v = cosine[:, 0] * gap[..., 1] - sine[:, 0] * gap[..., 0]
-        over = np.maximum(np.abs(u) - half[:, 0], np.abs(v) - half[:, 1])  # negative inside
-        free[part] = (over[:, :-1] >= -2 * SAME).all(1) & (over[:, -1] <= 2 * SAME)
-    return spots[free]
-
-
 def _nearest_to_draws(environment: Environment, navigation: Navigation) -> np.ndarray:
     """(M,) int32, for each of many points of the mesh the nearest free place in sight."""
     generator = np.random.default_rng(2)
     radius = max(float(navigation.radius), MESH_RADIUS)
-    corners, places = mesh_corners(environment, radius), np.asarray(navigation.places, float)
+    vertices, places = free_triangles(environment, radius).reshape(-1, 2), np.asarray(navigation.places, float)
     tree, free_radius = KDTree(places), max(float(navigation.radius) - SLACK, 0.0)
     nearest: list[np.ndarray] = []
     number, tried = 0, 0
     while number < MESH_DRAWS:
         tried += MESH_DRAWS
-        points = _points_between(corners, generator)
+        points = _points_between(vertices, generator)
         points = points[np.minimum(*signed_distances_on_host(environment, points)) >= radius + MESH_EDGE]
         number_near = min(NEAREST, len(places))
         near = tree.query(points, number_near)[1].reshape(len(points), number_near)
@@ -136,10 +99,10 @@ def _nearest_to_draws(environment: Environment, navigation: Navigation) -> np.nd
     return np.concatenate(nearest)[:MESH_DRAWS].astype(np.int32)
 
 
-def _points_between(corners: np.ndarray, generator: np.random.Generator) -> np.ndarray:
-    """Points (P, 2) [m] between two of the corners (K, 2) [m] that differ in the whole metres of x and of y."""
-    if len(corners) == 0:
+def _points_between(vertices: np.ndarray, generator: np.random.Generator) -> np.ndarray:
+    """Points (P, 2) [m] between two of the vertices (K, 2) [m] that differ in the whole metres of x and of y."""
+    if len(vertices) == 0:
         return np.zeros((0, 2))
-    ends = corners[generator.integers(len(corners), size=(2, MESH_DRAWS))]
+    ends = vertices[generator.integers(len(vertices), size=(2, MESH_DRAWS))]
     first, second = ends[:, (np.trunc(ends[0]) != np.trunc(ends[1])).all(1)]
     return first + generator.uniform(*MESH_SHARE, (len(first), 1)) * (second - first)
