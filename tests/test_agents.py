@@ -21,6 +21,7 @@ from sean_jax.config import PPOConfig, validate
 from sean_jax.errors import FileError, InputError
 from sean_jax.learning.policy import AGENTS, MAX_WEIGHTS_BYTES, WEIGHTS, load_agent, load_policy, save_agent
 from sean_jax.learning.trainer import check_config
+from sean_jax.mdp import observations
 
 WITHOUT = """
 import sys
@@ -55,6 +56,16 @@ def test_the_file_of_a_training_has_the_options_of_its_agent():
     for name, value in json.loads(json.dumps(options.identity())).items():
         if name not in ("out", "pretrained") and name in saved:
             assert saved[name] == value, name
+
+
+@pytest.mark.parametrize("name", ["sarl", "ds_rnn"])
+def test_entries_of_others_papers_see_visible_people_alone(name):
+    """benchmarks/sarl.yaml and ds_rnn.yaml: attention over people; one has a memory."""
+    path = Path(__file__).parents[1] / "benchmarks" / f"{name}.yaml"
+    options = validate(PPOConfig, yaml.safe_load(path.read_text()))
+    terms = dict(observations.as_terms([term.kind for term in options.observations]))
+    assert observations.sensing(tuple(terms.items())) == "tracks" and terms["visible_people"].people
+    assert options.network.kind == "attention" and options.recurrent == (name == "ds_rnn")
 
 
 def test_one_is_loaded_by_its_name(lab):

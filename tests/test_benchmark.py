@@ -327,7 +327,8 @@ def test_an_agent_that_knows_the_floors_is_refused(tmp_path):
 def test_policies_say_what_they_sense():
     scenario = sean_jax.make("lab", people=3)
     found = {name: load_policy(name, scenario).sensing for name in (*POLICIES, *AGENTS)}
-    classes = {"move_base": "raw", "sensing_expert": "tracks", "ppo_lidar": "raw"}
+    tracks = dict.fromkeys(("sensing_expert", "dwa", "social_force", "mppi"), "tracks")
+    classes = {"move_base": "raw", "ppo_lidar": "raw", **tracks}
     assert found == {name: classes.get(name, "all-knowing") for name in found}
 
 

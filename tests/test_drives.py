@@ -333,7 +333,7 @@ def test_robots_of_two_drives_are_no_one_program():
         robots.alike([robots.load("kuri"), robots.load("hsr")])
 
 
-@pytest.mark.parametrize("name", ["orca", "social_costmap", "move_base", "ppo"])
+@pytest.mark.parametrize("name", ["orca", "dwa", "social_force", "social_costmap", "move_base", "ppo"])
 def test_a_policy_that_cannot_drive_a_car_says_so(name, room):
     scenario = room("f1tenth")
     with pytest.raises(InputError, match="the drive of f1tenth is ackermann"):
@@ -373,6 +373,10 @@ POLICIES_OF = [
     pytest.param("a1", "sensing_expert", marks=pytest.mark.slow),
     pytest.param("a1", "expert", marks=pytest.mark.slow),
     pytest.param("f1tenth", "expert", marks=pytest.mark.slow),
+    pytest.param("a1", "dwa", marks=pytest.mark.slow),
+    pytest.param("a1", "social_force", marks=pytest.mark.slow),
+    pytest.param("a1", "mppi", marks=pytest.mark.slow),
+    pytest.param("f1tenth", "mppi", marks=pytest.mark.slow),
 ]
 
 

@@ -23,7 +23,7 @@ from sean_jax.geometry import FAR
 from sean_jax.learning import rollouts
 from sean_jax.learning.policy import load_policy
 from sean_jax.navigation import draw_places
-from sean_jax.policies import go_to_goal
+from sean_jax.policies import POLICIES, go_to_goal
 
 SET = "worlds:passages,aisles,square:3"
 
@@ -327,7 +327,7 @@ def test_mistakes_in_the_name_of_a_set_are_told_at_once(monkeypatch, tmp_path, c
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["go_to_goal", "expert", "sensing_expert", "social_costmap", "orca"])
+@pytest.mark.parametrize("name", [name for name in POLICIES if name != "move_base"])
 def test_policies_drive_on_floors_of_a_set_as_on_each_alone(name):
     """The same episodes by number, of the second floor."""
     config = options(environment=TWO, behavior="random", task="random_ab_nav", people=4, time_limit=2.0)

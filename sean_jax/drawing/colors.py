@@ -22,6 +22,9 @@ POLICY_COLORS = {
     "social_costmap": "#ee6677",
     "move_base": "#ff9da7",
     "orca": "#228833",
+    "social_force": "#44aa99",
+    "dwa": "#66ccee",
+    "mppi": "#332288",
     "expert": "#aa3377",
     "sensing_expert": "#ccbb44",
 }

@@ -9,6 +9,7 @@ expert knows more than a robot's sensors: all people and their goals; ``sensing_
 some three million operations.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -106,6 +107,25 @@ def plan(
         state: now, with an ``ExpertMemory``; its groups are used, its people are not.
         people: ``STEPS`` steps of ``TIME_STEP``.
     """
+    last, cost, end = begin_search(scenario, params, state, people)
+    noise = jax.random.normal(key, (WIDE_SAMPLES + CLOSE_SAMPLES, *last.shape), float)
+    wide = jnp.clip(last[None] + DEVIATION[0] * noise[:WIDE_SAMPLES], -1.0, 1.0)
+    wide = jnp.concatenate([last[None], wide, jnp.asarray(_arcs(last.shape[1]), float)])
+    best = wide[jnp.argmin(cost(wide))]
+    close = jnp.clip(best[None] + DEVIATION[1] * noise[WIDE_SAMPLES:], -1.0, 1.0)
+    close = jnp.concatenate([best[None], close])
+    weights = importance(cost(close), params.temperature)
+    return end((weights[:, None, None] * close).sum(0))
+
+
+def begin_search(
+    scenario: Scenario, params: ExpertParams, state: State, people: PeopleMotion
+) -> tuple[Float[Array, "knots command"], Callable, Callable]:
+    """The last plan, continued; the costs (P,) of plans (P, KNOTS, command); and what follows from the chosen plan.
+
+    Plans are shares of the limits. The last function gives the command [m/s, rad/s] and the new memory. Arguments as in
+    ``plan``.
+    """
     memory: ExpertMemory = state.policy_state
     limits = plan_limits(scenario)
     last = _shift(memory.knots, scenario.time_step)
@@ -121,18 +141,16 @@ def plan(
     def cost(knots: Array) -> Array:
         return _cost(scenario, params, state, table, people, _simulate(scenario, state, knots, limits))
 
-    noise = jax.random.normal(key, (WIDE_SAMPLES + CLOSE_SAMPLES, *last.shape), float)
-    wide = jnp.clip(last[None] + DEVIATION[0] * noise[:WIDE_SAMPLES], -1.0, 1.0)
-    wide = jnp.concatenate([last[None], wide, jnp.asarray(_arcs(last.shape[1]), float)])
-    best = wide[jnp.argmin(cost(wide))]
-    close = jnp.clip(best[None] + DEVIATION[1] * noise[WIDE_SAMPLES:], -1.0, 1.0)
-    close = jnp.concatenate([best[None], close])
-    costs = cost(close)
-    weight = jax.nn.softmax(-(costs - jnp.min(costs)) / params.temperature)
-    knots = (weight[:, None, None] * close).sum(0)
-    return _commands(scenario.robot, knots[0], limits), ExpertMemory(
-        knots, memory.successors, distance_min, waiting_ticks
-    )
+    def end(knots: Array) -> tuple[Array, ExpertMemory]:
+        command = _commands(scenario.robot, knots[0], limits)
+        return command, ExpertMemory(knots, memory.successors, distance_min, waiting_ticks)
+
+    return last, cost, end
+
+
+def importance(costs: Float[Array, "P"], temperature: Float[Array, ""]) -> Float[Array, "P"]:
+    """Weights of plans, which sum to 1: exp(-cost / temperature). Source: Williams et al., ICRA 2017."""
+    return jax.nn.softmax(-(costs - jnp.min(costs)) / temperature)
 
 
 def plan_limits(scenario: Scenario) -> tuple[Array, Array, Array]:
@@ -224,13 +242,18 @@ def obstacle_rate(
     scenario: Scenario, weights: SocialCosts, x: Float[Array, "T P"], y: Float[Array, "T P"]
 ) -> Float[Array, "T P"]:
     """Cost [1/s] of being near obstacles or the edge of the floor, at (x, y) [m]."""
-    edge = to_border(scenario.environment, x, y)
-    rows = nearby_obstacles(scenario.environment.obstacle_grid, x, y)
-    walls = from_rectangle(x[..., None], y[..., None], *(rows[..., part] for part in range(6)))[0]
-    gap = jnp.minimum(jnp.min(walls, -1), edge) - scenario.robot.radius - OBSTACLE_MARGIN
+    gap = obstacle_gap(scenario, x, y)
     near = jnp.clip(1.0 - gap / OBSTACLE_REACH, 0.0, 1.0)
     inside = jnp.clip(-gap / OBSTACLE_MARGIN, 0.0, 10.0)
     return weights.obstacle * near * near + weights.contact * (inside + jnp.where(gap < 0.0, 1.0, 0.0))
+
+
+def obstacle_gap(scenario: Scenario, x: Float[Array, "T P"], y: Float[Array, "T P"]) -> Float[Array, "T P"]:
+    """Distance [m] of the robot at (x, y) [m] from obstacles and the edge of the floor, less ``OBSTACLE_MARGIN``."""
+    edge = to_border(scenario.environment, x, y)
+    rows = nearby_obstacles(scenario.environment.obstacle_grid, x, y)
+    walls = from_rectangle(x[..., None], y[..., None], *(rows[..., part] for part in range(6)))[0]
+    return jnp.minimum(jnp.min(walls, -1), edge) - scenario.robot.radius - OBSTACLE_MARGIN
 
 
 def people_rate(

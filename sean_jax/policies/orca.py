@@ -1,9 +1,7 @@
 """orca: optimal reciprocal collision avoidance for robots on two wheels and omnidirectional ones (van den Berg, 2011).
 
-The half-planes are defined in ``half_planes``. The middle of the axle cannot move in any direction, but a
-point ahead of it can: J. Snape, J. van den Berg, S. J. Guy & D. Manocha, "Smooth and collision-free navigation for
-multiple robots under differential-drive constraints" (IROS 2010) steer that point, with a disc around it that contains
-the robot. An omnidirectional robot is steered at its middle. No such point of a car at rest can move sideways.
+The half-planes are defined in ``half_planes``. They are those of a disc around the point of ``steering`` that contains
+the robot (J. Snape et al., IROS 2010).
 """
 
 import jax
@@ -11,13 +9,13 @@ import jax.numpy as jnp
 from jaxtyping import Float
 
 from sean_jax.base import Array, Observation, Scenario, State
-from sean_jax.geometry import angle_between, from_rectangle, length, nearby_obstacles, rotate
+from sean_jax.geometry import from_rectangle, nearby_obstacles, rotate
 from sean_jax.half_planes import UNBOUNDED, VelocityProgram, best_velocity, half_plane
+from sean_jax.policies import steering
 from sean_jax.policies.prediction import nearest_people
-from sean_jax.robots.drive import clip_speeds, clip_turn_rate, max_reverse_speed, require
+from sean_jax.robots.drive import clip_turn_rate, require
 from sean_jax.scenario import observe
 
-POINT = 0.6  # of the radius: distance of the point ahead of the axle
 PEOPLE_HORIZON = 4.0  # s, without a collision with people
 OBSTACLE_HORIZON = 0.5  # s, without a collision with obstacles
 MAX_PEOPLE = 8  # the nearest that are avoided
@@ -25,9 +23,6 @@ MAX_OBSTACLES = 4  # the nearest that are avoided
 MAX_DISTANCE = 6.0  # m, of people that are avoided
 PEOPLE_MARGIN = 0.1  # m, distance from bodies
 OBSTACLE_MARGIN = 0.03  # m, distance from obstacles
-TURN_GAIN = 2.0  # 1/s
-DEVIATION = 0.3  # rad, of the direction that a standing robot wishes: two that meet head-on would stand forever
-GOAL_TOLERANCE = 0.1  # m from the goal, where it turns to the goal's heading
 
 
 def orca(scenario: Scenario, state: State, key: Array) -> Float[Array, "command"]:
@@ -42,16 +37,14 @@ def orca(scenario: Scenario, state: State, key: Array) -> Float[Array, "command"
     robot, model = state.robot, scenario.robot
     require(model, ("differential", "omnidirectional"), "orca steers")
     hx, hy = robot.heading[0], robot.heading[1]
-    lever = POINT * model.radius if robot.sideways is None else jnp.zeros_like(robot.speed)
     observation = observe(scenario, state)
-    stuck = 1.0 - jnp.clip(jnp.abs(robot.speed) / model.max_speed, 0.0, 1.0)
-    wish = _wish(scenario, observation, lever, DEVIATION * stuck * jax.random.normal(key, (), float))
+    lever, own_x, own_y = steering.point_ahead(model, robot)
+    wish = _wish(scenario, observation, lever, steering.bearing(model, robot, observation, key))
 
     people = nearest_people(state, MAX_PEOPLE)
     gap, motion = people.position - robot.position[None, :], people.velocity
     dx, dy = gap[:, 0] * hx + gap[:, 1] * hy - lever, gap[:, 1] * hx - gap[:, 0] * hy
     vx, vy = motion[:, 0] * hx + motion[:, 1] * hy, motion[:, 1] * hx - motion[:, 0] * hy
-    own_x, own_y = robot.speed, lever * robot.turn_rate if robot.sideways is None else robot.sideways
     reach = model.radius + lever + scenario.forces.walking.radius + PEOPLE_MARGIN
     each = jax.vmap(half_plane, in_axes=(0, 0, 0, 0, None, None, None, None))
     first = jnp.ones((), bool)
@@ -63,28 +56,16 @@ def orca(scenario: Scenario, state: State, key: Array) -> Float[Array, "command"
     nx, ny = jnp.concatenate([nx, wall_x]), jnp.concatenate([ny, wall_y])
     bounds, hard = jnp.concatenate([c, wall]), jnp.arange(c.shape[0] + wall.shape[0]) >= c.shape[0]
     x, y = best_velocity(VelocityProgram(nx, ny, bounds, hard, *wish, model.max_speed))
-    arrived = length(observation.goal[0], observation.goal[1]) < GOAL_TOLERANCE
-    if model.lateral is not None:
-        most = model.lateral.max_speed
-        ahead, left = jnp.clip(x, -max_reverse_speed(model), model.max_speed), jnp.clip(y, -most, most)
-        toward = jnp.where(arrived, observation.goal_heading, observation.path)
-        turn = clip_turn_rate(model, TURN_GAIN * angle_between(_ahead(), toward))
-        return jnp.stack([jnp.where(arrived, 0.0, ahead), jnp.where(arrived, 0.0, left), turn])
-    speed, turn = clip_speeds(model, x, y / lever)
-    final = clip_turn_rate(model, TURN_GAIN * angle_between(_ahead(), observation.goal_heading))
-    return jnp.stack([jnp.where(arrived, 0.0, speed), jnp.where(arrived, final, turn)])
+    return steering.follow(scenario, robot, observation, x, y)
 
 
-def _wish(scenario: Scenario, observation: Observation, lever: Array, aside: Array) -> tuple[Array, Array]:
-    """The velocity [m/s] of the point ahead that leads to the goal or ``aside`` [rad] of it, in the robot's frame."""
-    model = scenario.robot
-    bearing = angle_between(_ahead(), observation.path) + aside
-    turn = clip_turn_rate(model, TURN_GAIN * bearing)
-    slower = jnp.clip(length(observation.goal[0], observation.goal[1]) / 0.5, 0.0, 1.0)
+def _wish(scenario: Scenario, observation: Observation, lever: Array, bearing: Array) -> tuple[Array, Array]:
+    """The velocity [m/s] of the point ahead in the robot's frame, at which it turns to the bearing [rad]."""
+    model, speed = scenario.robot, steering.top_speed(scenario.robot, observation)
     if model.lateral is not None:
-        speed = jnp.minimum(model.max_speed, model.lateral.max_speed) * slower
         return speed * jnp.cos(bearing), speed * jnp.sin(bearing)
-    return model.max_speed * jnp.clip(jnp.cos(bearing), 0.0, 1.0) * slower, lever * turn
+    turn = clip_turn_rate(model, steering.TURN_GAIN * bearing)
+    return speed * jnp.clip(jnp.cos(bearing), 0.0, 1.0), lever * turn
 
 
 def _obstacle_half_planes(scenario: Scenario, state: State) -> tuple[Array, Array, Array]:
@@ -106,7 +87,3 @@ def _obstacle_half_planes(scenario: Scenario, state: State) -> tuple[Array, Arra
     bound = -gap / (OBSTACLE_HORIZON * jnp.where(steep, jnp.abs(toward), 1.0))
     side = jnp.where(toward < 0.0, -1.0, 1.0)
     return side, jnp.zeros_like(side), jnp.where(steep, bound, UNBOUNDED)
-
-
-def _ahead() -> Array:
-    return jnp.asarray([1.0, 0.0], float)

@@ -2,45 +2,26 @@
 
 ``expert`` knows all people, also behind walls and behind its back, and their goals. Networks that see a depth image
 (section V) cannot imitate its consequences. This expert knows the people in its depth image, remembers them for a
-while after, and expects everybody to walk on at constant velocity. It knows the map, its pose and the goal, as a
-navigation stack does. Search and costs are the same as in ``expert``.
+while after, and expects everybody to walk on at constant velocity. Search and costs are the same as in ``expert``.
 """
 
 from dataclasses import replace
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 from flax import struct
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float
 
-from sean_jax import sensors
 from sean_jax.base import Array, Policy, Scenario, State
-from sean_jax.clock import to_ticks
-from sean_jax.devices import parameter
 from sean_jax.policies.expert import MAX_PEOPLE, STEPS, TIME_STEP, ExpertMemory, ExpertParams, expert, plan
+from sean_jax.policies.known_people import KnownPeople, Sight, as_known, known_people, nobody
 from sean_jax.policies.prediction import nearest_people, predict_straight
-
-WIDTH, HEIGHT = 64, 48  # pixels of the depth image that shows people, each a bit more than a degree
 
 
 @struct.dataclass
-class SensingParams:
+class SensingParams(Sight):
     """Parameters of the sensing expert; all leaves are () floats."""
 
     expert: ExpertParams = struct.field(default_factory=ExpertParams)
-    min_pixels: Float[Array, ""] = parameter(1.0)  # of the 64 x 48, in which a person is visible; 0: all are
-    memory_time: Float[Array, ""] = parameter(2.0)  # s, for which people out of sight are remembered
-
-
-class KnownPeople(NamedTuple):
-    """The robot's knowledge of people."""
-
-    position: Float[Array, "N 2"]  # m, where they are, or would be if they had walked on
-    velocity: Float[Array, "N 2"]  # m/s, when they were last visible
-    group: Int[Array, "N"]  # of then, -1 none
-    unseen_ticks: Int[Array, "N"]  # since then
-    known: Bool[Array, "N"]  # visible or remembered
 
 
 class SensingMemory(NamedTuple):
@@ -52,10 +33,7 @@ class SensingMemory(NamedTuple):
 
 def init(scenario: Scenario, params: SensingParams, state: State) -> SensingMemory:
     """Plans as ``expert`` does, with a robot's knowledge: people whom its depth camera shows or has just shown."""
-    position, group = jnp.zeros_like(state.pedestrians.position), jnp.full_like(state.pedestrians.group, -1)
-    known = jnp.zeros(group.shape, bool)
-    nobody = KnownPeople(position, jnp.zeros_like(position), group, known.astype(jnp.int32), known)
-    return SensingMemory(expert.init(scenario, params.expert, state), nobody)
+    return SensingMemory(expert.init(scenario, params.expert, state), nobody(state))
 
 
 def apply(
@@ -64,49 +42,10 @@ def apply(
     """The command [m/s, rad/s] of the best plan among the known people, and the new memory."""
     memory: SensingMemory = state.policy_state
     people = known_people(scenario, params, state, memory.people)
-    state = replace(_as_known(state, people), policy_state=memory.search)
+    state = replace(as_known(state, people), policy_state=memory.search)
     motion = predict_straight(nearest_people(state, MAX_PEOPLE), STEPS, TIME_STEP)
     command, search = plan(scenario, params.expert, state, motion, key)
     return command, SensingMemory(search, people)
-
-
-@jax.named_scope("known_people")
-def known_people(scenario: Scenario, params: SensingParams, state: State, before: KnownPeople) -> KnownPeople:
-    """The known people: exact for people in the depth image, others from memory.
-
-    Positions and velocities of visible people are exact, and identities are never confused.
-    """
-    people, time_step = state.pedestrians, scenario.time_step
-    eye = sensors.camera(scenario, "depth", width=WIDTH, height=HEIGHT)
-    pixels = sensors.pixels_of_people(scenario, state, eye)
-    visible = people.present & (pixels.astype(people.position.dtype) >= params.min_pixels)
-    if state.others is not None:  # robots of a team know where the others are
-        visible = visible | (jnp.arange(visible.shape[0], dtype=jnp.int32) >= scenario.people)
-    unseen_ticks = jnp.where(visible, 0, before.unseen_ticks + 1)
-    fresh = unseen_ticks.astype(people.position.dtype) <= to_ticks(params.memory_time, time_step)
-    return KnownPeople(
-        position=jnp.where(visible[:, None], people.position, before.position + time_step * before.velocity),
-        velocity=jnp.where(visible[:, None], people.velocity, before.velocity),
-        group=jnp.where(visible, people.group, before.group),
-        unseen_ticks=unseen_ticks,
-        known=visible | (before.known & fresh),
-    )
-
-
-def _as_known(state: State, people: KnownPeople) -> State:
-    """The state with the known people and the groups that have a known member; all others are absent."""
-    groups = state.groups
-    index = jnp.arange(groups.present.shape[0], dtype=people.group.dtype)
-    has_known = (people.known[:, None] & (people.group[:, None] == index[None, :])).any(0)
-    crowd = replace(
-        state.pedestrians,
-        position=people.position,
-        velocity=people.velocity,
-        desired_velocity=people.velocity,
-        group=people.group,
-        present=people.known,
-    )
-    return replace(state, pedestrians=crowd, groups=replace(groups, present=groups.present & has_known))
 
 
 sensing_expert = Policy(params=SensingParams(), name="sensing_expert", init=init, apply=apply, sensing="tracks")
