@@ -39,7 +39,7 @@ FORBIDDEN = 1e3  # s/m: no objective is worth an inadmissible speed
 class DwaParams(Sight):
     """Parameters of the dynamic window; all leaves are () floats."""
 
-    heading: Float[Array, ""] = parameter(0.4)  # 1, alpha of the paper
+    heading: Float[Array, ""] = parameter(0.4)  # 1, weight alpha of the paper
     distance: Float[Array, ""] = parameter(0.4)  # 1, beta
     velocity: Float[Array, ""] = parameter(0.2)  # 1, gamma
 
@@ -141,4 +141,4 @@ def free_way(scenario: Scenario, state: State, motion: RobotMotion, people: Peop
 
 
 dwa = Policy(params=DwaParams(), name="dwa", init=init, apply=apply, sensing="tracks")
-"""The robot with the paper's weights; others by ``replace(dwa, params=...)``."""
+"""The robot with weights of this package (docs/policies.md); others by ``replace(dwa, params=...)``."""
