@@ -11,9 +11,17 @@ It needs Debian 12 with ROS of Debian's packages, Python 3.11, and checkouts of 
     python benchmarks/move_base.py drive --sources SOURCES --workspace WORKSPACE --layers social lidar --out LOGS
     python benchmarks/move_base.py summary LOGS/*.json --out benchmarks/results/move_base.json
 
+and the same beside its re-makes, on the episodes of `sean experiment figure4 --preset sean2`, each in turn for graph,
+random and handcrafted:
+
+    python benchmarks/move_base.py drive --sources SOURCES --workspace WORKSPACE --figure4 graph --seed 0 --episodes 50
+        --out results/figure4-real
+    python benchmarks/move_base.py compare results/figure4-real
+
 `build` copies the packages it needs into WORKSPACE and compiles them there, five minutes on one core; it names the
 packages that apt-get has to install. `drive` writes LOGS/TASK-LAYERS-SEED.json after each episode, and goes on from
-there if it is started again. `summary` prints a table of such files and writes it.
+there if it is started again. `summary` prints a table of such files and writes it. `compare` drives `social_costmap`
+(N) and `move_base` on the CPU, prints the differences in equal episodes, and writes figure4.csv and contrasts.csv.
 
 Lock-step: the state is published, the clock goes on by 0.1 s in five ticks, and the simulation waits up to 0.4 s for a
 command. Without one the robot keeps its last command until its own time-out. Each episode has a fresh move_base.
@@ -26,8 +34,9 @@ differ. `sean run --policy ros1:` drives move_base, too, with the remaps odom:=/
 A file is {"options", "versions", "columns", "episodes"}. An episode has `episode`, `completed`, `seconds`, `start`,
 `goal` [m], `geodesic` [m], `still` [s] (time_not_moving), `rtf` (simulated seconds a second), `silent` (steps without a
 command), `plans_per_s`, `recovery` [[s, name]], `result` [[s, status, text]] (2 preempted, 3 succeeded, 4 aborted),
-`results` (all metrics) and `log`, a row a step with these columns: time s, x m, y m, heading rad, command m/s, rad/s
-(null without one), number of commands, number of feedback messages, nearest person m, people within 3.5 m.
+`results` (metrics), `stops` (of 5 s and more) and, without --figure4, `log`, a row a step with these columns: time s,
+x m, y m, heading rad, command m/s, rad/s (null without one), number of commands, number of feedback messages, nearest
+person m, people within 3.5 m.
 """
 
 import argparse
@@ -46,6 +55,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -55,13 +65,20 @@ import jax.numpy as jnp
 import numpy as np
 
 import sean_jax
-from sean_jax import maps, prng, writing
+from sean_jax import maps, metrics, prng, writing
+from sean_jax.config import Figure4Config, validate
 from sean_jax.errors import IncompleteError, InputError, SeanError
+from sean_jax.learning.policy import load_policy
+from sean_jax.metrics import bootstrap
+from sean_jax.metrics.differences import difference, holm
 from sean_jax.ros import messages
 from sean_jax.ros.ros1 import Node, import_rospy
 from sean_jax.ros.transport import Log, Mailbox, Output
+from sean_jax.runner import first_state, varying_leaves
 from sean_jax.sensors import lidar, lidar_sensor
+from sean_jax.studies.experiments import figure4, measures, write_csv
 from sean_jax.versions import versions
+from sean_jax.workspace import IDENTITY, Workspace, identity, refuse_difference
 
 CHECKOUTS = {
     "navigation": ("https://github.com/ros-planning/navigation", "9ad644198e132d0e950579a3bc72c29da46e60b0"),
@@ -98,6 +115,7 @@ MAP_CELL = 0.1  # m, of SEAN's maps
 GOAL = "/move_base_simple/goal"
 STATE = "/tf", "/robot_odom", "/laser/scan", "/people"  # topics, each control step
 LATCHED = "/map", "/tf_static"
+OPTIONS = "environment", "task", "people", "seed", "layers"
 SETTLE = 20  # control steps at rest before an episode, in which the maps fill
 GOAL_PERIOD = 10.0  # s, after which SEAN publishes the goal again
 NEAR = 3.5  # m, in which people are counted; the lidar's range
@@ -105,6 +123,9 @@ COLUMNS = ("time", "x", "y", "heading", "speed", "turn_rate", "commands", "feedb
 OLD_COLUMNS = ("time", "x", "y", "speed", "turn_rate", "commands", "feedback", "nearest")  # of files that are a list
 ANSWERS = "zero", "turn", "none"  # of move_base where the robot stands: (0, 0), a turn on the spot, no command
 PAPER = 28.7  # s, Table III: time not moving of N
+PERSONAL = "personal_robot_on_person", "personal_person_on_robot"
+REAL, REMAKES = "real", {measures.NAVIGATION: "social_costmap", "move_base": "move_base"}  # drivers of `compare`
+MEAN = measures.MEAN  # over the three scenarios
 
 
 # --- build ---
@@ -234,21 +255,41 @@ class World:
     """The simulation: ``reset(number)`` and ``step(state, action)`` return a state and what is published of it."""
 
     def __init__(self, chosen: argparse.Namespace) -> None:
-        options = {"behavior": "graph", "task": chosen.task, "people": chosen.people, "preset": "sean2"}
-        scenario = sean_jax.make(chosen.environment, robot="kuri", **options)
-        self.scenario = replace(scenario, sensors=(lidar_sensor(lidar(scenario), name="laser"),))
-        root = prng.key("run", chosen.seed)
+        if chosen.figure4:
+            names = (*measures.METRIC_NAMES, *PERSONAL)
+            known = tuple((name, metrics.METRICS[name]) for name in names if name in metrics.METRICS)
+            scenarios, use = figure4.scenarios(figure4_options(chosen))[chosen.figure4], "figure4"
+            scenarios = [replace(scenario, metrics=known) for scenario in scenarios]
+        else:
+            options = {"behavior": "graph", "task": chosen.task, "people": chosen.people, "preset": "sean2"}
+            scenarios, use = [sean_jax.make(chosen.environment, robot="kuri", **options)], "run"
+        laser = lidar_sensor(lidar(scenarios[0]), name="laser")
+        scenarios = [replace(scenario, sensors=(laser,)) for scenario in scenarios]
+        self.scenario = first = scenarios[0]
+        self._tasks, self._varying = tuple(each.task for each in scenarios), varying_leaves(scenarios)
+        self._alike = [replace(each, task=first.task, task_name=first.task_name) for each in scenarios]  # one program
+        self._root = prng.key(use, chosen.seed)
+        self._first = jax.jit(first_state, static_argnums=0)
+        self._step, self._quantities = jax.jit(sean_jax.step), jax.jit(messages.step)
+        self.results = jax.jit(functools.partial(sean_jax.results, first))
 
-        def reset(number):
-            state = sean_jax.reset(self.scenario, jax.random.fold_in(root, number))
-            return state, messages.step(self.scenario, state, jnp.zeros(2))
+    def reset(self, number: int):
+        """Episode ``number``, which the scenarios take in turn, as a ``Runner`` draws it."""
+        turn, key = number % len(self._alike), jax.random.fold_in(self._root, number)
+        self._place = self._alike[turn]
+        state = self._first(self._tasks, self.scenario, self._varying, jnp.int32(turn), key)
+        return state, self._quantities(self._place, state, jnp.zeros(2))
 
-        def step(state, action):
-            state = sean_jax.step(self.scenario, state, action)
-            return state, messages.step(self.scenario, state, action)
+    def step(self, state, action):
+        """One control step."""
+        state = self._step(self._place, state, action)
+        return state, self._quantities(self._place, state, action)
 
-        self.reset, self.step = jax.jit(reset), jax.jit(step)
-        self.results = jax.jit(functools.partial(sean_jax.results, self.scenario))
+
+def figure4_options(chosen: argparse.Namespace) -> Figure4Config:
+    """The experiment whose episodes are driven."""
+    options = {"environment": chosen.environment, "people": chosen.people, "seed": chosen.seed, "preset": "sean2"}
+    return validate(Figure4Config, options | {"out": chosen.out})
 
 
 def occupancy_grid(scenario) -> dict[str, Any]:
@@ -266,7 +307,9 @@ class Ros:
     """A master, the node of the bridge, and a move_base that can be started anew."""
 
     def __init__(self, world: World, chosen: argparse.Namespace, tree: dict[str, Any]) -> None:
-        self.workspace, self.folder = chosen.workspace.resolve(), chosen.out
+        self.workspace = chosen.workspace.resolve()
+        self.folder = self.workspace / f"logs-{chosen.port}"  # of processes
+        self.folder.mkdir(exist_ok=True)
         self.table = messages.topics(world.scenario, naming="sean")
         self.processes: list[subprocess.Popen] = []
         self.ticks, self.feedback, self.plans, self.active = 0, 0, 0, False
@@ -446,8 +489,24 @@ def drive_episode(world: World, ros: Ros, number: int) -> dict[str, Any]:
         "recovery": [[round(at - first, 2), name] for at, name in ros.recovery],
         "result": [[round(at - first, 2), status, text] for at, status, text in ros.result],
         "results": values,
+        "stops": stops(rows, COLUMNS),
         "log": [[part if not isinstance(part, float) else round(part, 5) for part in row] for row in rows],
     }
+
+
+def check_starts(world: World, driven: list[dict[str, Any]], file: Path) -> None:
+    """Refuse episodes of a version whose episodes begin elsewhere.
+
+    Raises:
+        InputError: the first, the middle or the last of them.
+    """
+    for episode in driven[:: max(1, len(driven) // 2)]:
+        start = np.asarray(world.reset(episode["episode"])[0].robot.position)
+        if not np.allclose(start, episode["start"][:2], atol=1e-3):
+            text = (
+                f"episode {episode['episode']} began at {episode['start'][:2]}, and begins at {start.round(3).tolist()}"
+            )
+            raise InputError(f"{file}: {text} in this version; drive all anew with another --out.")
 
 
 def drive(chosen: argparse.Namespace) -> Path:
@@ -462,10 +521,12 @@ def drive(chosen: argparse.Namespace) -> Path:
         raise InputError("/usr/bin/rosmaster is missing; apt-get install python3-rosmaster")
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # so that the processes end too
     tree = parameters(chosen.sources, chosen.layers)
-    names = ("environment", "task", "people", "seed", "layers")
-    options = {name: getattr(chosen, name) for name in names} | {"preset": "sean2", "behavior": "graph"}
+    names = ("environment", "people", "seed", "layers") if chosen.figure4 else OPTIONS
+    options = {name: getattr(chosen, name) for name in names}
+    options |= {"preset": "sean2", "behavior": chosen.figure4 or "graph"}
     chosen.out.mkdir(parents=True, exist_ok=True)
-    file = chosen.out / f"{chosen.task}-{'_'.join(chosen.layers) or 'public'}-{chosen.seed}.json"
+    layers = "_".join(chosen.layers) or "public"
+    file = chosen.out / f"{chosen.figure4 or chosen.task}-{layers}-{chosen.seed}.json"
     commits = {name: commit for name, (_, commit) in CHECKOUTS.items()}
     content = {"options": options, "versions": versions() | commits, "columns": COLUMNS, "episodes": []}
     if file.is_file():
@@ -477,9 +538,12 @@ def drive(chosen: argparse.Namespace) -> Path:
     if not missing:
         return file
     world = World(chosen)
+    check_starts(world, content["episodes"], file)
     with contextlib.closing(Ros(world, chosen, tree)) as ros:
         for number in missing:
             episode = drive_episode(world, ros, number)
+            if chosen.figure4:
+                del episode["log"]
             content["episodes"] = sorted([*content["episodes"], episode], key=lambda each: each["episode"])
             writing.write(file, content)
             print(f"{file.stem}: {line(episode)}", flush=True)
@@ -506,9 +570,9 @@ def read(file: Path) -> dict[str, Any]:
     return content
 
 
-def stops(episode: dict[str, Any], columns: list[str], shortest: float = 5.0) -> list[dict[str, Any]]:
+def stops(rows: list, columns: Sequence[str], shortest: float = 5.0) -> list[dict[str, Any]]:
     """Where the robot stood for ``shortest`` seconds or more, and the shares of its answers there."""
-    column = {name: np.array([row[k] if row[k] is not None else math.nan for row in episode["log"]], float)
+    column = {name: np.array([row[k] if row[k] is not None else math.nan for row in rows], float)
               for k, name in enumerate(columns)}  # fmt: skip
     moves = np.hypot(np.diff(column["x"]), np.diff(column["y"])) > 1e-3
     edges = np.flatnonzero(np.concatenate([[True], moves, [True]]))
@@ -542,10 +606,11 @@ def summary(file: Path) -> dict[str, Any]:
 
     still = np.array([episode["results"]["time_not_moving"][0] for episode in episodes])
     draws = np.random.default_rng(0).choice(still, (10_000, len(still))).mean(1)
-    steps = sum(len(episode["log"]) for episode in episodes)
-    places = [
-        {"episode": episode["episode"], **each} for episode in episodes for each in stops(episode, content["columns"])
-    ]
+    steps = sum(round(episode["seconds"] / 0.1) for episode in episodes)
+    places = []
+    for episode in episodes:
+        found = episode["stops"] if "stops" in episode else stops(episode["log"], content["columns"])
+        places += [{"episode": episode["episode"], **each} for each in found]
     return {
         "file": file.name,
         **content["options"],
@@ -584,8 +649,97 @@ def show(rows: list[dict[str, Any]]) -> None:
     print(f"paper: {PAPER} s")
 
 
+# --- compare ---
+
+
+def compare(chosen: argparse.Namespace) -> None:
+    """Drive the re-makes, write the tables and print them.
+
+    Raises:
+        InputError: a file of the real move_base is missing, or the folder has another experiment.
+    """
+    experiment = figure4_options(chosen)
+    work = Workspace(chosen.out, identity(experiment))
+    files = {behavior: chosen.out / f"{behavior}-social_lidar-{chosen.seed}.json" for behavior in measures.BEHAVIORS}
+    real = {behavior: read(file)["episodes"] for behavior, file in files.items()}
+    numbers = {behavior: [each["episode"] for each in episodes] for behavior, episodes in real.items()}
+    if (had := work.load(IDENTITY)) is not None:
+        refuse_difference(chosen.out, had, {"options": work.identity["options"]})
+    else:
+        work.save(IDENTITY, work.identity)
+    kinds = figure4.scenarios(experiment)
+    values: dict[str, dict[str, dict[str, np.ndarray]]] = {REAL: {}, **{name: {} for name in REMAKES}}
+    for behavior, episodes in real.items():
+        columns, count = {}, max(numbers[behavior]) + 1
+        for name, policy in REMAKES.items():  # one after the other: their programs differ
+            file = f"episodes-{name}-{behavior}.json"
+            if len((work.load(file) or {"completed": ()})["completed"]) < count:
+                (work.folder / file).unlink(missing_ok=True)
+            loaders = {name: [functools.partial(load_policy, policy)]}
+            columns |= figure4.drive(loaders, work, behavior, kinds[behavior], chosen.seed, count, lambda share: None)
+        values[REAL][behavior] = measures.episode_measures(columns_of(episodes))[0]
+        for name, each in columns.items():
+            found = measures.episode_measures(each)[0]
+            values[name][behavior] = {measure: value[numbers[behavior]] for measure, value in found.items()}
+    common = list(set.intersection(*map(set, numbers.values())))
+    shared = {behavior: np.isin(each, common) for behavior, each in numbers.items()}
+    for by in values.values():
+        cut = {b: {measure: value[shared[b]] for measure, value in each.items()} for b, each in by.items()}
+        by[MEAN] = measures.over_behaviors(cut)
+    for name, head, rows in (
+        ("figure4", "policy,behavior,episodes,measure,mean,low,high", estimates(values)),
+        ("contrasts", "policy,other,behavior,episodes,measure,difference,low,high,d,p,holm", differences(values)),
+    ):
+        write_csv(chosen.out / f"{name}.csv", head, rows)
+        for row in (head.split(","), *rows):
+            print(*(f"{part:.3f}" if isinstance(part, float | np.ndarray) else part for part in row))
+    for behavior, episodes in real.items():
+        steady = [each for each in episodes if not each["recovery"]]  # after an abort there are no commands
+        silent = sum(each["silent"] for each in steady) / max(sum(10.0 * each["seconds"] for each in steady), 1.0)
+        speed = np.mean([each["rtf"] for each in episodes])
+        missing = f"{100 * silent:.1f} % of commands missing in {len(steady)} without recoveries"
+        print(f"{behavior}: {len(episodes)} episodes, {missing}, {speed:.2f} x real time")
+
+
+def columns_of(episodes: list[dict[str, Any]]) -> measures.Columns:
+    """The metrics of episodes that ``drive`` wrote, as those of the experiment: 0 where there is none."""
+    columns = {}
+    for name in measures.METRIC_NAMES:
+        values = [each[name] if name in each else each["results"][name] for each in episodes]
+        columns[name] = np.nan_to_num(np.array(values, float))
+    return columns
+
+
+def estimates(values: dict[str, dict[str, dict[str, np.ndarray]]]) -> list[tuple]:
+    """Rows of each driver, scenario and measure, with the intervals of the experiment."""
+    rows = []
+    for name, by in values.items():
+        for behavior, each in by.items():
+            for measure, value in each.items():
+                estimate = bootstrap.aggregate(value)
+                if measure == "completed":  # a mean over scenarios is no share
+                    estimate = bootstrap.of_share(estimate, where=behavior != MEAN)
+                elif measure != "time_not_moving":
+                    estimate = bootstrap.of_count(estimate)
+                rows.append((name, behavior, len(value), measure, *estimate[:3]))
+    return rows
+
+
+def differences(values: dict[str, dict[str, dict[str, np.ndarray]]]) -> list[tuple]:
+    """Rows of the real move_base less each re-make in the same episodes, with the tests of ``metrics.differences``."""
+    rows = []
+    for name in REMAKES:
+        for behavior, each in values[REAL].items():
+            for measure, value in each.items():
+                gap = difference(values[name][behavior][measure], value, paired=True)
+                assert gap is not None  # there are episodes
+                figures = gap.difference, gap.low, gap.high, gap.effect, gap.p
+                rows.append((REAL, name, behavior, len(value), measure, *figures))
+    return [(*row, corrected) for row, corrected in zip(rows, holm([row[-1] for row in rows]), strict=True)]
+
+
 def main(arguments: list[str] | None = None) -> None:
-    """Build, drive or summarize."""
+    """Build, drive, summarize or compare."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parts = parser.add_subparsers(dest="part", required=True)
     builder = parts.add_parser("build", help="compile move_base in a workspace")
@@ -596,6 +750,7 @@ def main(arguments: list[str] | None = None) -> None:
     driver.add_argument("--out", type=Path, required=True, help="folder of the logs")
     driver.add_argument("--layers", nargs="*", choices=["social", "lidar"], default=["social", "lidar"])
     driver.add_argument("--task", choices=["join_group", "leave_group"], default="join_group")
+    driver.add_argument("--figure4", choices=measures.BEHAVIORS, help="drive this scenario of Figure 4 instead")
     driver.add_argument("--environment", default="warehouse")
     driver.add_argument("--people", type=int, default=62)
     driver.add_argument("--seed", type=int, default=5)
@@ -604,12 +759,17 @@ def main(arguments: list[str] | None = None) -> None:
     table = parts.add_parser("summary", help="print and write figures")
     table.add_argument("files", nargs="+", type=Path)
     table.add_argument("--out", type=Path)
+    pairs = parts.add_parser("compare", help="the real move_base and its re-makes in the same episodes of Figure 4")
+    pairs.add_argument("out", type=Path, help="folder of `drive --figure4`")
+    pairs.set_defaults(environment="warehouse", people=62, seed=0)
     chosen = parser.parse_args(arguments)
     try:
         if chosen.part == "build":
             build(chosen.sources.resolve(), chosen.workspace.resolve())
         elif chosen.part == "drive":
             show([summary(drive(chosen))])
+        elif chosen.part == "compare":
+            compare(chosen)
         else:
             rows = [summary(file) for file in chosen.files]
             show(rows)

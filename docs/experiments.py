@@ -227,6 +227,37 @@ PRINTED = {  # Section V-C: means over the scenarios, of 123 tasks and in second
     "E": {},
     "B": {},
 }
+
+
+MEASURES = {  # of `stacks`: title, scale, digits
+    "completed": ("completed, %", 100, 0),
+    "time_not_moving": ("not moving, s", 1, 1),
+    "violations": ("violations", 1, 2),
+}
+
+
+def stacks(folder: str) -> str:
+    """The real move_base beside its re-makes in the same episodes, and the differences; bold where they are certain."""
+    cells, contrasts, rows = read(folder, "figure4"), read(folder, "contrasts"), []
+
+    def text(row: Row, mean: str, sign: str = "") -> str:
+        _, scale, digits = MEASURES[row["measure"]]
+        middle, low, high = (f"{scale * float(row[end]) + 0.0:{sign}.{digits}f}" for end in (mean, "low", "high"))
+        return f"{middle} [{low}, {high}]"
+
+    for measure, (title, *_) in MEASURES.items():
+        for behavior in ("graph", "random", "handcrafted", "mean"):
+            place = {"behavior": behavior, "measure": measure}
+            own = [select(cells, policy=name, **place)[0] for name in ("real", "N", "move_base")]
+            gaps = [select(contrasts, other=name, **place)[0] for name in ("N", "move_base")]
+            sure = ("**" if float(gap["holm"]) < 0.05 else "" for gap in gaps)
+            differences = [f"{mark}{text(gap, 'difference', '+')}{mark}" for mark, gap in zip(sure, gaps, strict=True)]
+            name = f"**{title}**, {behavior}" if behavior == "graph" else behavior
+            rows.append([name, own[0]["episodes"], *(text(row, "mean") for row in own), *differences])
+    head = ["", "episodes", "real move_base", "N", "`move_base`", "real less N", "real less `move_base`"]
+    return markdown(head, rows)
+
+
 TABLES: dict[str, Callable[[str], str]] = {
     "shares": shares,
     "hours": hours,
@@ -242,6 +273,7 @@ TABLES: dict[str, Callable[[str], str]] = {
     "curve": curve,
     "verdicts": verdicts,
     "ranking": ranking,
+    "stacks": stacks,
 }
 MARK = re.compile(r"(<!-- (\w+) ([\w-]+) -->\n).*?(<!-- end -->)", re.S)
 

@@ -1,6 +1,8 @@
 """The benchmark programs run, at toy size, and print the table that they promise."""
 
 import argparse
+import dataclasses
+import functools
 import importlib
 import importlib.util
 import json
@@ -13,6 +15,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.stats
+
+from sean_jax import prng
+from sean_jax.config import Figure4Config
+from sean_jax.learning.policy import load_policy
+from sean_jax.runner import Record, Runner
+from sean_jax.studies.experiments import figure4
+from sean_jax.workspace import Workspace
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -304,3 +314,101 @@ def test_move_base_summary(tmp_path, capsys):
         assert stop["zero"] == pytest.approx(69 / 99, abs=1e-3)
     (tmp_path / "new.json").write_text("[]")
     assert "no episodes that `drive` wrote" in refusal(program, "summary", paths[0])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("behavior", ["graph", "handcrafted"])
+def test_move_base_drives_the_episodes_of_figure4(behavior, tmp_path, monkeypatch):
+    """Starts, people and streams of each numbered episode are those of the experiment, to the bit."""
+    program = importlib.import_module("move_base")
+    chosen = argparse.Namespace(figure4=behavior, environment="warehouse", people=62, seed=0, out=tmp_path)
+    options = Figure4Config(preset="sean2", out=tmp_path)
+    starts = []
+
+    class Watched(Runner):
+        def __init__(self, scenarios, policy, size, use, drivers=None):
+            record = Record(lambda floors, states: prng.as_numbers(states), lambda *args: (args[-1], ()))
+            super().__init__(scenarios, policy, size, use, record, drivers=drivers)
+
+        def run(self, *args, **named):
+            starts.append(super().run(*args, **named))
+            return starts[-1]
+
+    monkeypatch.setattr(figure4, "Runner", Watched)
+    kinds = [dataclasses.replace(kind, time_limit=1.0) for kind in figure4.scenarios(options)[behavior]]
+    drivers = {"still": [functools.partial(load_policy, "go_to_goal")]}
+    figure4.drive(drivers, Workspace(tmp_path, {}), behavior, kinds, options.seed, 6, lambda share: None)
+    (batch,) = starts
+    world = program.World(chosen)
+    for number in range(6):
+        mine = world.reset(number)[0]
+        theirs = jax.tree.map(lambda leaf, number=number: leaf[number], batch.total)
+        theirs = dataclasses.replace(theirs, policy_state=mine.policy_state, metrics=mine.metrics)
+        jax.tree.map(np.testing.assert_array_equal, prng.as_numbers(mine), theirs)
+    x, y = map(float, world.reset(5)[0].robot.position)
+    program.check_starts(world, [{"episode": 5, "start": [x, y]}], tmp_path)
+    with pytest.raises(program.InputError, match="episode 5 began at"):
+        program.check_starts(world, [{"episode": 5, "start": [x + 1.0, y]}], tmp_path)
+
+
+def test_move_base_compare(tmp_path, monkeypatch, capsys):
+    """Means and paired differences equal those of numpy and scipy, and episodes without a partner do not count."""
+    program, random = importlib.import_module("move_base"), np.random.default_rng(0)
+    monkeypatch.setattr(program.figure4, "scenarios", lambda options: dict.fromkeys(program.measures.BEHAVIORS, ()))
+    metrics = [name for name in program.measures.METRIC_NAMES if name in program.metrics.METRICS]
+    truth = {}
+
+    def numbers(name: str, count: int) -> np.ndarray:
+        return random.exponential(20, count) if name == "time_not_moving" else random.poisson(0.5, count).astype(float)
+
+    for behavior, count in (("random", 12), ("handcrafted", 9), ("graph", 15)):
+        for driver, size in (("real", count), ("N", 20), ("move_base", 20)):
+            columns = {name: np.tile(numbers(name, size)[:, None], 6) for name in metrics}
+            columns |= {"completed": random.integers(0, 2, size), "seconds": np.full(size, 120.0)}
+            driven = [k for k in range(count) if (behavior, k) != ("graph", 3)]
+            truth[driver, behavior] = {name: values[driven] for name, values in columns.items()}
+            if driver != "real":
+                file = tmp_path / f"episodes-{driver}-{behavior}.json"
+                file.write_text(json.dumps({name: values.tolist() for name, values in columns.items()}))
+                continue
+            episodes = [
+                {"episode": k, "silent": 12, "rtf": 1.0, "recovery": [], "seconds": 120.0,
+                 "completed": bool(columns["completed"][k]),
+                 "results": {name: columns[name][k].tolist() for name in metrics}}
+                for k in driven
+            ]  # fmt: skip
+            file = tmp_path / f"{behavior}-social_lidar-0.json"
+            file.write_text(json.dumps({"options": {}, "episodes": episodes}))
+    program.main(["compare", str(tmp_path)])
+    assert "graph: 14 episodes, 1.0 % of commands missing in 14 without recoveries, 1.00 x" in capsys.readouterr().out
+    tables = {}
+    for name in ("figure4", "contrasts"):
+        lines = (tmp_path / f"{name}.csv").read_text().splitlines()
+        tables[name] = [dict(zip(lines[0].split(","), line.split(","), strict=True)) for line in lines[1:]]
+
+    def violations(columns: dict) -> np.ndarray:
+        return columns["intimate_robot_on_person"][:, 0] + columns["intimate_person_on_robot"][:, 0]
+
+    ways = {"time_not_moving": lambda columns: columns["time_not_moving"][:, 0], "violations": violations,
+            "completed": lambda columns: columns["completed"].astype(float)}  # fmt: skip
+    for behavior in ("random", "handcrafted", "graph"):
+        for measure, take in ways.items():
+            place = {"behavior": behavior, "measure": measure}
+            mine = take(truth["real", behavior])
+            (cell,) = [row for row in tables["figure4"] if row.items() >= (place | {"policy": "real"}).items()]
+            assert int(cell["episodes"]) == len(mine)
+            assert float(cell["mean"]) == pytest.approx(mine.mean(), abs=1e-4)
+            for other in ("N", "move_base"):
+                theirs = take(truth[other, behavior])
+                (row,) = [row for row in tables["contrasts"] if row.items() >= (place | {"other": other}).items()]
+                assert float(row["difference"]) == pytest.approx((mine - theirs).mean(), abs=1e-4)
+                if measure == "time_not_moving":
+                    assert float(row["p"]) == pytest.approx(scipy.stats.ttest_rel(mine, theirs).pvalue, abs=1e-4)
+    place = {"random": [0, 1, 2, 4, 5, 6, 7, 8], "handcrafted": [0, 1, 2, 4, 5, 6, 7, 8], "graph": range(8)}
+    gaps = [ways["time_not_moving"](truth["real", b])[k] - ways["time_not_moving"](truth["N", b])[k]
+            for b in place for k in (list(place[b]),)]  # fmt: skip
+    (row,) = [row for row in tables["contrasts"] if (row["other"], row["behavior"], row["measure"])
+              == ("N", "mean", "time_not_moving")]  # fmt: skip
+    assert int(row["episodes"]) == 8 and float(row["difference"]) == pytest.approx(np.mean(gaps), abs=1e-4)
+    (tmp_path / "graph-social_lidar-0.json").unlink()
+    assert "graph-social_lidar-0.json has no episodes that `drive` wrote" in refusal(program, "compare", tmp_path)
