@@ -102,15 +102,12 @@ def objective(
     people = predict_straight(nearest_people(state, MAX_PEOPLE), STEPS, INTERVAL)
     free = free_way(scenario, state, motion, people).reshape(shape)
     if model.lateral is None:
-        speed, course = (
-            commands[0],
-            motion.yaw[0] + motion.turn_rate[0] * jnp.abs(motion.turn_rate[0]) / (2.0 * model.max_turn_acceleration),
-        )  # once the robot has braked
+        speed, braking = commands[0], motion.turn_rate[0] * jnp.abs(motion.turn_rate[0]) / 2.0
+        course = motion.yaw[0] + braking / model.max_turn_acceleration  # once the robot has braked
     else:
         speed, course = length(commands[0], commands[1]), jnp.arctan2(commands[1], commands[0]).reshape(-1)
     off = jnp.arctan2(target[1], target[0]) - course
-    heading = 1.0 - jnp.abs((off + jnp.pi) % (2.0 * jnp.pi) - jnp.pi) / jnp.pi
-    heading = heading.reshape(shape)
+    heading = (1.0 - jnp.abs((off + jnp.pi) % (2.0 * jnp.pi) - jnp.pi) / jnp.pi).reshape(shape)
     # Of all directions: the speed toward the target, or a robot that drives away from it would go on.
     toward = speed if model.lateral is None else speed * jnp.cos(off).reshape(shape)
     value = params.heading * heading + params.velocity * toward / model.max_speed

@@ -1,4 +1,4 @@
-"""A robot's knowledge of people: who is in its depth image, and who just was.
+"""The people whom a robot knows: people in its depth image, and people who were in it in the last seconds.
 
 Policies of the class ``tracks`` know people in this way. They know the map, their pose and the goal, as a navigation
 stack does.
