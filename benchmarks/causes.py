@@ -242,7 +242,7 @@ def episodes(options: argparse.Namespace) -> None:
     """Figure 4 by part of the protocol: episodes that were not completed, and violations per minute."""
     print(f"\n{'Figure 4':34} {'not completed':>14} {'their s still':>13} {'violations/min':>15}")
     for file in sorted(options.figure4.glob("episodes-*.json")):
-        _, policy, behavior = file.stem.split("-")
+        policy, behavior = file.stem.removeprefix("episodes-").rsplit("-", 1)
         figures = {name: np.array(values) for name, values in json.loads(file.read_text(encoding="utf-8")).items()}
         harm = figures["intimate_robot_on_person"] + figures["intimate_person_on_robot"]
         late, still = figures["completed"] == 0, over_all(figures["time_not_moving"])
