@@ -6,6 +6,7 @@ import json
 import shutil
 import threading
 import time
+import weakref
 from typing import Any, cast
 
 import jax
@@ -257,6 +258,43 @@ def test_a_failure_stops_the_other_parts_and_is_raised(error, monkeypatch):
     with pytest.raises(error, match="nowhere"):
         experiments.run_parts(parts, None, "at work")
     assert stopped == [True] and not never
+
+
+def test_parts_that_are_out_of_memory_run_again_beside_fewer(monkeypatch):
+    lock, running, failures, gone = threading.Lock(), set(), [], []
+
+    class Array:
+        """What a part has on the device."""
+
+    def work(name: str, fitting: int, tell) -> str:
+        array = Array()
+        weakref.finalize(array, gone.append, name)
+        with lock:
+            running.add(name)
+            full = len(running) > fitting
+        try:
+            if full:
+                failures.append(name)
+                raise jax.errors.JaxRuntimeError("RESOURCE_EXHAUSTED: Out of memory while trying to allocate 6.60GiB.")
+            if name == "last":
+                assert set(gone) >= set(failures)
+            for _ in range(20):
+                time.sleep(0.01)
+                tell(0.5)
+            return name
+        finally:
+            with lock:
+                running.remove(name)
+
+    def parts(fitting: int) -> list:
+        own = [experiments.Part(name, functools.partial(work, name, fitting)) for name in "abcdefghij"]
+        return [*own, experiments.Part("last", functools.partial(work, "last", fitting), tuple("abcdefghij"))]
+
+    monkeypatch.setattr(experiments, "workers", lambda: 8)
+    results = experiments.run_parts(parts(2), None, "at work")
+    assert results == {name: name for name in [*"abcdefghij", "last"]} and failures and not running
+    with pytest.raises(jax.errors.JaxRuntimeError, match=r"6\.60GiB"):  # a part that does not fit alone
+        experiments.run_parts(parts(0), None, "at work")
 
 
 def test_several_devices_or_few_cores_work_one_by_one(monkeypatch):

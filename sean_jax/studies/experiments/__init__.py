@@ -8,6 +8,7 @@ beside it.
 from __future__ import annotations
 
 import functools
+import gc
 import os
 import threading
 from collections.abc import Callable, Iterable, Sequence
@@ -101,16 +102,31 @@ def run_parts(parts: Sequence[Part], console: Console | None, title: str, at_onc
 def _in_threads(
     parts: Sequence[Part], run: Callable[[Part], Any], at_once: int, stop: threading.Event
 ) -> dict[str, Any]:
+    """Parts in ``at_once`` threads, in half as many once a part is out of device memory; that part runs again."""
+    from jax.errors import JaxRuntimeError
+
     results: dict[str, Any] = {}
-    waiting, running = list(parts), dict[Future, Part]()
+    waiting, running = list(parts), dict[Future, tuple[Part, int]]()
     with ThreadPoolExecutor(at_once, thread_name_prefix="sean-part") as pool:
         try:
             while waiting or running:
-                for part in [part for part in waiting if results.keys() >= set(part.needs)]:
+                ready = [part for part in waiting if results.keys() >= set(part.needs)]
+                for part in ready[: max(0, at_once - len(running))]:
                     waiting.remove(part)
-                    running[pool.submit(run, part)] = part
-                for future in wait(running, return_when=FIRST_COMPLETED).done:
-                    results[running.pop(future).name] = future.result()
+                    running[pool.submit(run, part)] = part, at_once
+                done = wait(running, return_when=FIRST_COMPLETED).done
+                while done:  # a variable that stays would keep the arrays of a failed part
+                    future = done.pop()
+                    part, threads = running.pop(future)
+                    try:
+                        results[part.name] = future.result()
+                    except JaxRuntimeError as error:
+                        if threads == 1 or "RESOURCE_EXHAUSTED" not in str(error):
+                            raise
+                        waiting.insert(0, part)
+                        at_once = min(at_once, threads // 2)
+                    del future
+                gc.collect()
         except BaseException:
             stop.set()
             pool.shutdown(wait=False, cancel_futures=True)
