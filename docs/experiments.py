@@ -171,17 +171,16 @@ def claims(folder: str) -> str:
     return markdown(["statement of the paper", "paper", "here", "holds"], rows)
 
 
-def conditions(folder: str) -> str:
-    """The ablation: shares of flags and entropy of the first policy, under each world's conditions."""
-    shares, entropies, rows = read(folder, "ablation"), read(folder, "entropies"), []
-    for behavior in BEHAVIORS:
-        for world in dict.fromkeys(row["world"] for row in shares):
-            mine = {"policy": shares[0]["policy"], "behavior": behavior, "world": world}
-            cells = [select(shares, **mine, counting="flags", situation=name)[0] for name in SITUATIONS]
-            entropy = select(entropies, **mine)[0]
-            texts = [plus_minus(cell, "share", 100, 1) for cell in cells]
-            rows.append([behavior, f"`{world}`", *texts, plus_minus(entropy, "entropy", 1, 3)])
-    return markdown(["", "conditions", *(name.replace("_", " ") for name in SITUATIONS), "entropy"], rows)
+def switches(folder: str) -> str:
+    """The ablation: the share of resamples in which each of the paper's orderings holds, under each world's conditions."""
+    every = select(read(folder, "orderings"), counting="flags")
+    every = select(every, policy=every[0]["policy"])
+    names = list(dict.fromkeys(row["ordering"] for row in every))
+    rows = []
+    for world in dict.fromkeys(row["world"] for row in every):
+        cells = {row["ordering"]: f"{100 * float(row['share_of_resamples']):.4g}" for row in select(every, world=world)}
+        rows.append([f"`{world}`", *(cells[name] for name in names)])
+    return markdown(["conditions", *names], rows)
 
 
 def verdicts(folder: str) -> str:
@@ -269,7 +268,7 @@ TABLES: dict[str, Callable[[str], str]] = {
     "violations": functools.partial(driven, "violations"),
     "contrasts": contrasts,
     "claims": claims,
-    "conditions": conditions,
+    "switches": switches,
     "curve": curve,
     "verdicts": verdicts,
     "ranking": ranking,
