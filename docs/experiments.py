@@ -1,4 +1,4 @@
-"""Tables of docs/results/experiments.md, from the files in results/: python docs/experiments.py.
+"""Tables of docs/results/, from the files in results/: python docs/experiments.py.
 
 A table stands between the lines `<!-- NAME FOLDER -->` and `<!-- end -->`. NAME is a key of ``TABLES``, FOLDER a
 folder of results/. The tables are written anew, the text between them stays.
@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 DOCS = Path(__file__).parent
-PAGE, RESULTS = DOCS / "results" / "experiments.md", DOCS.parent / "results"
+PAGES, RESULTS = sorted((DOCS / "results").glob("*.md")), DOCS.parent / "results"
 BEHAVIORS = "random", "handcrafted", "graph"
 SITUATIONS = "cross_path", "down_path", "join_group", "leave_group", "empty"
 Row = dict[str, str]
@@ -283,4 +283,5 @@ def fill(text: str) -> str:
 
 
 if __name__ == "__main__":
-    PAGE.write_text(fill(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
+    for page in PAGES:
+        page.write_text(fill(page.read_text(encoding="utf-8")), encoding="utf-8")
