@@ -172,7 +172,7 @@ def claims(folder: str) -> str:
 
 
 def switches(folder: str) -> str:
-    """The ablation: the share of resamples in which each of the paper's orderings holds, under each world's conditions."""
+    """The ablation: the share of resamples, in percent, in which each ordering holds under each world's conditions."""
     every = select(read(folder, "orderings"), counting="flags")
     every = select(every, policy=every[0]["policy"])
     names = list(dict.fromkeys(row["ordering"] for row in every))

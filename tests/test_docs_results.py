@@ -21,4 +21,5 @@ def test_tables_are_those_of_the_results():
     for folder in folders:
         results = [json.loads(file.read_text(encoding="utf-8")) for file in (tables.RESULTS / folder).glob("*.json")]
         assert any(result.get("versions") for result in results), folder
-        assert re.search(rf"\| `{folder}` \| `(sean (experiment|benchmark)|python benchmarks/\w+\.py) ", origins), folder
+        command = r"`(sean (experiment|benchmark)|python benchmarks/\w+\.py) "
+        assert re.search(rf"\| `{folder}` \| {command}", origins), folder
