@@ -56,6 +56,30 @@ def test_inflation_is_that_of_costmap_2d(reach):
         assert mine[i, j] == wanted, (i, j, gap)
 
 
+def test_a_window_of_a_packed_map_is_that_of_its_cells():
+    """Windows at all places of a byte and at the map's ends; cells outside of the window stay."""
+    random = np.random.default_rng(9)
+
+    @jax.jit
+    def run(cells, steps, new, first):
+        window, packed = dataclasses.replace(WINDOW_0, first=first), costmap.pack(cells)
+        after, other = costmap.update_bits(packed, window, new), dataclasses.replace(window, first=first // 2)
+        far = costmap.crop_steps(costmap.pack_steps(steps), window)
+        return costmap.crop_bits(packed, window), costmap.crop_bits(after, other), far
+
+    for number in range(16):
+        shape, new = (80, 2 * WINDOW + number), random.random((WINDOW, WINDOW)) < 0.5
+        cells, steps = random.random(shape) < 0.5, random.integers(0, 2 * costmap.MOST_STEPS, shape).astype(float)
+        steps[cells] = UNREACHED
+        first = np.array([16, number + random.integers(0, 2) * (WINDOW - number)])
+        whole = slice(first[0], first[0] + WINDOW), slice(first[1], first[1] + WINDOW)
+        mine = run(cells, jnp.asarray(steps, float), new, jnp.asarray(first, jnp.int32))
+        np.testing.assert_array_equal(mine[0], cells[whole])
+        np.testing.assert_array_equal(mine[2], np.where(steps < costmap.MOST_STEPS, steps, UNREACHED)[whole])
+        cells[whole], (i, j) = new, first // 2
+        np.testing.assert_array_equal(mine[1], cells[i : i + WINDOW, j : j + WINDOW])
+
+
 def breadth_first(start, free):
     """Steps from the cells of finite values, one by one in order."""
     steps = np.where(start < UNREACHED, start, np.inf)

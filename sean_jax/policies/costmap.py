@@ -20,7 +20,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import struct
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, UInt8, UInt16
 
 from sean_jax import sensors
 from sean_jax.base import Array, Environment, Pedestrians, Scenario, State
@@ -34,6 +34,7 @@ MARGIN = WINDOW // 2  # cells around the floor
 LETHAL, INSCRIBED, MAX_COST = 254.0, 253.0, 252.0
 NEUTRAL_COST, COST_FACTOR = 50.0, 3.0  # of global_planner: cost of a free cell, and weight of the map
 UNREACHED, BLOCKED = 1e6, 2e6  # distance of cells that no wave reaches, and cost of cells that stop a wave
+MOST_STEPS = 65_535  # in a memory; as many or more count as UNREACHED (6.5 km)
 TOUCH = 1e-4  # m, by which obstacles may reach into a cell
 MAX_INFLATION = 3  # cells
 MARK_RANGE, CLEAR_RANGE = 2.5, 3.0  # m (obstacle_range, raytrace_range)
@@ -110,6 +111,41 @@ def window_around(environment: Environment, place: Float[Array, "2"]) -> Window:
 def crop(cells: Array, window: Window) -> Array:
     """The window of a map."""
     return jax.lax.dynamic_slice(cells, (window.first[0], window.first[1]), (WINDOW, WINDOW))
+
+
+def pack(cells: Bool[Array, "X Y"]) -> UInt8[Array, "X B"]:
+    """A map of bits, with a byte more than it needs: a window may begin within a byte."""
+    return jnp.packbits(jnp.pad(cells, ((0, 0), (0, 8))), axis=1, bitorder="little")
+
+
+def crop_bits(packed: UInt8[Array, "X B"], window: Window) -> Bool[Array, "W W"]:
+    """The window of a map of bits."""
+    i, j = window.first
+    return jax.lax.dynamic_slice(_unpack(packed, window), (jnp.zeros_like(i), j % 8), (WINDOW, WINDOW))
+
+
+def update_bits(packed: UInt8[Array, "X B"], window: Window, cells: Bool[Array, "W W"]) -> UInt8[Array, "X B"]:
+    """The map of bits with other cells in the window."""
+    i, j = window.first
+    rows = jax.lax.dynamic_update_slice(_unpack(packed, window), cells, (jnp.zeros_like(i), j % 8))
+    return jax.lax.dynamic_update_slice(packed, jnp.packbits(rows, axis=1, bitorder="little"), (i, j // 8))
+
+
+def _unpack(packed: Array, window: Window) -> Array:
+    """(WINDOW, WINDOW + 8) bool, the bytes of the window."""
+    rows = jax.lax.dynamic_slice(packed, (window.first[0], window.first[1] // 8), (WINDOW, WINDOW // 8 + 1))
+    return jnp.unpackbits(rows, axis=1, bitorder="little").astype(bool)
+
+
+def pack_steps(steps: Float[Array, "X Y"]) -> UInt16[Array, "X Y"]:
+    """Steps as whole numbers, ``MOST_STEPS`` at most."""
+    return jnp.minimum(steps, MOST_STEPS).astype(jnp.uint16)
+
+
+def crop_steps(steps: UInt16[Array, "X Y"], window: Window) -> Float[Array, "W W"]:
+    """The window of a map of ``pack_steps``."""
+    cells = crop(steps, window).astype(float)
+    return jnp.where(cells < MOST_STEPS, cells, UNREACHED)
 
 
 def cell_index(

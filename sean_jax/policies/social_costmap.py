@@ -26,7 +26,7 @@ from typing import NamedTuple, TypeVar
 import jax
 import jax.numpy as jnp
 from flax import struct
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, UInt8, UInt16
 
 from sean_jax import clock
 from sean_jax.base import Array, Policy, Robot, Scenario, State
@@ -80,10 +80,10 @@ class Progress(NamedTuple):
 class SocialCostmapMemory(NamedTuple):
     """The policy's memory: X x Y cells of the whole map, the plan and the states."""
 
-    obstacles: Bool[Array, "X Y"]
+    obstacles: UInt8[Array, "X B"]  # of ``costmap.pack``
     potential: Float[Array, "X Y"]  # of the global plan to the goal, without people and marks
-    steps: Float[Array, "X Y"]  # to the goal over free cells of the local map, without marks
-    marks: Bool[Array, "X Y"]  # of the lidar
+    steps: UInt16[Array, "X Y"]  # to the goal over free cells of the local map, without marks; of ``pack_steps``
+    marks: UInt8[Array, "X B"]  # of the lidar, of ``costmap.pack``
     path: Float[Array, "2 points"]  # m, x and y of the last plan
     progress: Progress
     oscillation: Oscillation
@@ -125,11 +125,12 @@ def init(scenario: Scenario, params: SocialCostmapParams, state: State) -> Socia
     wide, near = _inflated(scenario, params, obstacles)
     cost = costmap.resistance(wide)
     potential = costmap.potentials(jnp.where(cost < costmap.BLOCKED, start, UNREACHED), cost)
-    steps = costmap.steps_from(start, near < costmap.INSCRIBED)
+    steps = costmap.pack_steps(costmap.steps_from(start, near < costmap.INSCRIBED))
     path = jnp.broadcast_to(state.robot.position[:, None], (2, PATH_POINTS))
     zero = jnp.zeros((), jnp.int32)
     progress = Progress(zero + PLANNING, zero, zero, jnp.zeros((), bool), zero)
     oscillation = initial_oscillation(state.robot)
+    obstacles = costmap.pack(obstacles)
     return SocialCostmapMemory(obstacles, potential, steps, jnp.zeros_like(obstacles), path, progress, oscillation)
 
 
@@ -174,11 +175,11 @@ def _update_maps(
 ) -> tuple[SocialCostmapMemory, Array, Array]:
     """The memory with the marks of now, and the costs of the window on the global and on the local map."""
     memory: SocialCostmapMemory = state.policy_state
-    lethal = costmap.crop(memory.obstacles, window)
+    lethal = costmap.crop_bits(memory.obstacles, window)
     if params.lidar:
-        marks = costmap.update_marks(scenario, state, window, costmap.crop(memory.marks, window))
-        whole = jax.lax.dynamic_update_slice(memory.marks, marks, (window.first[0], window.first[1]))
-        memory, lethal = memory._replace(marks=whole), lethal | marks
+        marks = costmap.update_marks(scenario, state, window, costmap.crop_bits(memory.marks, window))
+        memory = memory._replace(marks=costmap.update_bits(memory.marks, window, marks))
+        lethal = lethal | marks
     wide, near = _inflated(scenario, params, lethal)
     if params.social:
         people = nearest_people(state, MAX_PEOPLE)
@@ -215,7 +216,7 @@ def _distances(
 ) -> Distances:
     """What the local planner reads of each cell of the window."""
     free = costs < costmap.INSCRIBED
-    goal = costmap.crop(memory.steps, window)
+    goal = costmap.crop_steps(memory.steps, window)
     if params.lidar:
         goal = costmap.steps_from(costmap.from_border(goal, free), free)
     start = jnp.full((WINDOW, WINDOW), UNREACHED, float).at[costmap.cell_index(window, path[0], path[1])].set(0.0)
