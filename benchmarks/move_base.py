@@ -494,6 +494,17 @@ def drive_episode(world: World, ros: Ros, number: int) -> dict[str, Any]:
     }
 
 
+def elsewhere(world: World, episodes: list[dict[str, Any]]) -> dict[int, list[float]]:
+    """Number -> place [m] of the episodes that have another start or goal in this version or on this machine."""
+    others = {}
+    for episode in episodes:
+        state, _ = world.reset(episode["episode"])
+        start, geodesic = np.asarray(state.robot.position), float(state.task.geodesic)
+        if not np.allclose([*start, geodesic], [*episode["start"][:2], episode["geodesic"]], atol=1e-3):
+            others[episode["episode"]] = start.round(3).tolist()
+    return others
+
+
 def check_starts(world: World, driven: list[dict[str, Any]], file: Path) -> None:
     """Refuse episodes of a version whose episodes begin elsewhere.
 
@@ -501,12 +512,9 @@ def check_starts(world: World, driven: list[dict[str, Any]], file: Path) -> None
         InputError: the first, the middle or the last of them.
     """
     for episode in driven[:: max(1, len(driven) // 2)]:
-        start = np.asarray(world.reset(episode["episode"])[0].robot.position)
-        if not np.allclose(start, episode["start"][:2], atol=1e-3):
-            text = (
-                f"episode {episode['episode']} began at {episode['start'][:2]}, and begins at {start.round(3).tolist()}"
-            )
-            raise InputError(f"{file}: {text} in this version; drive all anew with another --out.")
+        for number, start in elsewhere(world, [episode]).items():
+            text = f"episode {number} began at {episode['start'][:2]}, and begins at {start} in this version"
+            raise InputError(f"{file}: {text}; drive all anew with another --out.")
 
 
 def drive(chosen: argparse.Namespace) -> Path:
@@ -681,14 +689,16 @@ def compare(chosen: argparse.Namespace) -> None:
         for name, each in columns.items():
             found = measures.episode_measures(each)[0]
             values[name][behavior] = {measure: value[numbers[behavior]] for measure, value in found.items()}
-    common = list(set.intersection(*map(set, numbers.values())))
-    shared = {behavior: np.isin(each, common) for behavior, each in numbers.items()}
-    for by in values.values():
-        cut = {b: {measure: value[shared[b]] for measure, value in each.items()} for b, each in by.items()}
-        by[MEAN] = measures.over_behaviors(cut)
+    equal = dict[str, list[int]]()  # numbers of the episodes that are the same here
+    for behavior, episodes in real.items():
+        others = elsewhere(World(argparse.Namespace(**vars(chosen) | {"figure4": behavior})), episodes)
+        equal[behavior] = [number for number in numbers[behavior] if number not in others]
+        print(f"{behavior}: {len(others)} of {len(episodes)} episodes begin elsewhere here, and have no pairs")
+    pairs = {name: selected(by, numbers, equal) for name, by in values.items()}
+    values = {name: selected(by, numbers, numbers) for name, by in values.items()}
     for name, head, rows in (
         ("figure4", "policy,behavior,episodes,measure,mean,low,high", estimates(values)),
-        ("contrasts", "policy,other,behavior,episodes,measure,difference,low,high,d,p,holm", differences(values)),
+        ("contrasts", "policy,other,behavior,episodes,measure,difference,low,high,d,p,holm", differences(pairs)),
     ):
         write_csv(chosen.out / f"{name}.csv", head, rows)
         for row in (head.split(","), *rows):
@@ -699,6 +709,20 @@ def compare(chosen: argparse.Namespace) -> None:
         speed = np.mean([each["rtf"] for each in episodes])
         missing = f"{100 * silent:.1f} % of commands missing in {len(steady)} without recoveries"
         print(f"{behavior}: {len(episodes)} episodes, {missing}, {speed:.2f} x real time")
+
+
+def selected(
+    by_behavior: dict[str, dict[str, np.ndarray]], numbers: dict[str, list[int]], chosen: dict[str, list[int]]
+) -> dict[str, dict[str, np.ndarray]]:
+    """behavior -> measure -> (E,) of the chosen episodes, and their mean over the scenarios, of the common numbers."""
+    common = set.intersection(*map(set, chosen.values()))
+
+    def cut(behavior: str, of: set[int] | list[int]) -> dict[str, np.ndarray]:
+        here = np.isin(numbers[behavior], list(of))
+        return {measure: value[here] for measure, value in by_behavior[behavior].items()}
+
+    mean = measures.over_behaviors({behavior: cut(behavior, common) for behavior in by_behavior})
+    return {behavior: cut(behavior, chosen[behavior]) for behavior in by_behavior} | {MEAN: mean}
 
 
 def columns_of(episodes: list[dict[str, Any]]) -> measures.Columns:

@@ -252,8 +252,9 @@ def stacks(folder: str) -> str:
             sure = ("**" if float(gap["holm"]) < 0.05 else "" for gap in gaps)
             differences = [f"{mark}{text(gap, 'difference', '+')}{mark}" for mark, gap in zip(sure, gaps, strict=True)]
             name = f"**{title}**, {behavior}" if behavior == "graph" else behavior
-            rows.append([name, own[0]["episodes"], *(text(row, "mean") for row in own), *differences])
-    head = ["", "episodes", "real move_base", "N", "`move_base`", "real less N", "real less `move_base`"]
+            counts = own[0]["episodes"], gaps[0]["episodes"]
+            rows.append([name, *counts, *(text(row, "mean") for row in own), *differences])
+    head = ["", "episodes", "the same", "real move_base", "N", "`move_base`", "real less N", "real less `move_base`"]
     return markdown(head, rows)
 
 
