@@ -345,16 +345,21 @@ def test_move_base_drives_the_episodes_of_figure4(behavior, tmp_path, monkeypatc
         theirs = jax.tree.map(lambda leaf, number=number: leaf[number], batch.total)
         theirs = dataclasses.replace(theirs, policy_state=mine.policy_state, metrics=mine.metrics)
         jax.tree.map(np.testing.assert_array_equal, prng.as_numbers(mine), theirs)
-    x, y = map(float, world.reset(5)[0].robot.position)
-    program.check_starts(world, [{"episode": 5, "start": [x, y]}], tmp_path)
-    with pytest.raises(program.InputError, match="episode 5 began at"):
-        program.check_starts(world, [{"episode": 5, "start": [x + 1.0, y]}], tmp_path)
+    state = world.reset(5)[0]
+    (x, y), geodesic = map(float, state.robot.position), float(state.task.geodesic)
+    same = {"episode": 5, "start": [x, y, 0.0], "geodesic": geodesic}
+    program.check_starts(world, [same], tmp_path)
+    for other in ({"start": [x + 1.0, y, 0.0]}, {"geodesic": geodesic + 1.0}):  # another start, another goal
+        with pytest.raises(program.InputError, match="episode 5 began at"):
+            program.check_starts(world, [same | other], tmp_path)
 
 
 def test_move_base_compare(tmp_path, monkeypatch, capsys):
-    """Means and paired differences equal those of numpy and scipy, and episodes without a partner do not count."""
+    """Means and paired differences equal those of numpy and scipy; an episode with another start here has no pair."""
     program, random = importlib.import_module("move_base"), np.random.default_rng(0)
     monkeypatch.setattr(program.figure4, "scenarios", lambda options: dict.fromkeys(program.measures.BEHAVIORS, ()))
+    monkeypatch.setattr(program, "World", lambda chosen: chosen.figure4)
+    monkeypatch.setattr(program, "elsewhere", lambda world, episodes: {4: [0.0, 0.0]} if world == "random" else {})
     metrics = [name for name in program.measures.METRIC_NAMES if name in program.metrics.METRICS]
     truth = {}
 
@@ -380,7 +385,9 @@ def test_move_base_compare(tmp_path, monkeypatch, capsys):
             file = tmp_path / f"{behavior}-social_lidar-0.json"
             file.write_text(json.dumps({"options": {}, "episodes": episodes}))
     program.main(["compare", str(tmp_path)])
-    assert "graph: 14 episodes, 1.0 % of commands missing in 14 without recoveries, 1.00 x" in capsys.readouterr().out
+    text = capsys.readouterr().out
+    assert "graph: 14 episodes, 1.0 % of commands missing in 14 without recoveries, 1.00 x" in text
+    assert "random: 1 of 12 episodes begin elsewhere here" in text
     tables = {}
     for name in ("figure4", "contrasts"):
         lines = (tmp_path / f"{name}.csv").read_text().splitlines()
@@ -399,16 +406,18 @@ def test_move_base_compare(tmp_path, monkeypatch, capsys):
             assert int(cell["episodes"]) == len(mine)
             assert float(cell["mean"]) == pytest.approx(mine.mean(), abs=1e-4)
             for other in ("N", "move_base"):
-                theirs = take(truth[other, behavior])
+                theirs, same = take(truth[other, behavior]), np.arange(len(mine)) != (4 if behavior == "random" else -1)
                 (row,) = [row for row in tables["contrasts"] if row.items() >= (place | {"other": other}).items()]
-                assert float(row["difference"]) == pytest.approx((mine - theirs).mean(), abs=1e-4)
+                assert int(row["episodes"]) == same.sum()
+                assert float(row["difference"]) == pytest.approx((mine - theirs)[same].mean(), abs=1e-4)
                 if measure == "time_not_moving":
-                    assert float(row["p"]) == pytest.approx(scipy.stats.ttest_rel(mine, theirs).pvalue, abs=1e-4)
-    place = {"random": [0, 1, 2, 4, 5, 6, 7, 8], "handcrafted": [0, 1, 2, 4, 5, 6, 7, 8], "graph": range(8)}
+                    p = scipy.stats.ttest_rel(mine[same], theirs[same]).pvalue
+                    assert float(row["p"]) == pytest.approx(p, abs=1e-4)
+    place = {"random": [0, 1, 2, 5, 6, 7, 8], "handcrafted": [0, 1, 2, 5, 6, 7, 8], "graph": [0, 1, 2, 4, 5, 6, 7]}
     gaps = [ways["time_not_moving"](truth["real", b])[k] - ways["time_not_moving"](truth["N", b])[k]
             for b in place for k in (list(place[b]),)]  # fmt: skip
     (row,) = [row for row in tables["contrasts"] if (row["other"], row["behavior"], row["measure"])
               == ("N", "mean", "time_not_moving")]  # fmt: skip
-    assert int(row["episodes"]) == 8 and float(row["difference"]) == pytest.approx(np.mean(gaps), abs=1e-4)
+    assert int(row["episodes"]) == 7 and float(row["difference"]) == pytest.approx(np.mean(gaps), abs=1e-4)
     (tmp_path / "graph-social_lidar-0.json").unlink()
     assert "graph-social_lidar-0.json has no episodes that `drive` wrote" in refusal(program, "compare", tmp_path)
