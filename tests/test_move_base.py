@@ -590,7 +590,8 @@ def test_the_real_one_and_the_remake_stand_alike(file, policy):
     if policy == "move_base":
         return  # in five episodes the real one never stood
     assert differ(real, 0 * mine)
-    stops = [stop for episode in content["episodes"] for stop in program.stops(episode["log"], content["columns"], 20.0)]
+    logs = [episode["log"] for episode in content["episodes"]]
+    stops = [stop for log in logs for stop in program.stops(log, content["columns"], 20.0)]
     environment = sean_jax.make("warehouse", task="join_group", preset="sean2").environment
     gaps = np.asarray(programs.clearance(environment, jnp.asarray([stop["place"] for stop in stops], float)))
     seconds = np.array([stop["seconds"] for stop in stops])
