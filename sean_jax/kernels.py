@@ -15,6 +15,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from sean_jax.base import Array
 
 WIDTH = 128  # threads of a program
+WARP = 32  # threads that exchange scalars
 HOPPER = 9.0  # compute capability of the oldest GPUs that the kernels were tried on
 
 PRIMITIVES = frozenset(
@@ -151,6 +152,23 @@ def launch_threads(
     return launch(program, name, grid, out, *operands, interpret=interpret)
 
 
+def launch_warps(
+    kernel: Callable, name: str, warps: int, lanes: int, out: tuple, *operands: Array, interpret: bool
+) -> tuple[Array, ...]:
+    """Run ``kernel(warp, lane, *references)`` in scalars of each thread; interpreted, in vectors of ``lanes`` threads, 32 on a GPU."""
+    if interpret:
+
+        def program(index: Callable, *references: Any) -> None:
+            kernel(index(0), jax.lax.iota(jnp.int32, lanes), *references)
+
+        return launch(program, name, (warps,), out, *operands, interpret=True)
+
+    def thread(number: Any, *references: Any) -> None:
+        kernel(jax.lax.div(number, np.int32(WARP)), number & (WARP - 1), *references)
+
+    return launch_threads(thread, name, warps * WARP, out, *operands, interpret=False)
+
+
 def _thread_number() -> Any:
     """() int32: the number of the thread in its program. Scalars of a kernel differ between threads from here on."""
     from jax.experimental.mosaic.gpu import FragmentedArray, utils
@@ -165,22 +183,32 @@ def _thread_number() -> Any:
     return number()
 
 
-def exchange(value: Any, distance: int) -> Any:
-    """The scalar of the thread whose number differs in that bit: 1, 2, 4, 8 or 16. All threads of a warp take part."""
+def uniform(value: Any) -> Any:
+    """The scalar that all threads of a warp have alike."""
+    return value[0] if value.ndim else value
+
+
+def exchange(value: Any, distance: Any) -> Any:
+    """The scalar of the thread whose number differs in those bits, below ``WARP``. All threads of a warp take part."""
+    if value.ndim:
+        return value[jax.lax.iota(jnp.int32, value.size) ^ distance]
     from jax.experimental.mosaic.gpu import FragmentedArray, utils
     from jax.experimental.pallas import mosaic_gpu
 
     layout = mosaic_gpu.Layout.WG_SPLAT(())
+    fixed = isinstance(distance, int)
 
     @mosaic_gpu.inline_mgpu(
-        arg_types=(layout,), return_type=mosaic_gpu.ShapeDtypeStruct((), value.dtype, layout=layout)
+        arg_types=(layout,) if fixed else (layout, layout),
+        return_type=mosaic_gpu.ShapeDtypeStruct((), value.dtype, layout=layout),
     )
-    def swap(*context_and_scalar: Any) -> Any:
-        scalar = context_and_scalar[1]
-        other = utils.shfl_bfly(scalar.registers.flat[0], distance)
+    def swap(*context_and_scalars: Any) -> Any:
+        scalar = context_and_scalars[1]
+        bits = distance if fixed else context_and_scalars[2].registers.flat[0]
+        other = utils.shfl_bfly(scalar.registers.flat[0], bits)
         return FragmentedArray.splat(other, (), is_signed=scalar.is_signed)
 
-    return swap(value)
+    return swap(value) if fixed else swap(value, distance)
 
 
 def elementwise(program: ClosedJaxpr) -> bool:

@@ -26,6 +26,7 @@ from sean_jax import sensors
 from sean_jax.base import Array, Environment, Pedestrians, Scenario, State
 from sean_jax.devices import parameter
 from sean_jax.geometry import from_rectangle, length, nearby_obstacles, rotate, to_border
+from sean_jax.policies import wave_kernel
 
 CELLS_PER_BIN = 10  # cells along a side of a cell of the environment's obstacle grid, which is 1 m wide
 MAX_MAP_CELLS = 1_000_000  # larger floors have wider cells
@@ -326,8 +327,8 @@ def steps_from(start: Float[Array, "X Y"], free: Bool[Array, "X Y"]) -> Float[Ar
 def _settle(wave: Array, cost: Array, rule: Callable[[Array, Array, Array], Array], tolerance: float) -> Array:
     """The wave when a round lowers no cell by more than a tolerance.
 
-    On a CPU a round is four sweeps, which need the fewest operations; elsewhere all cells at once, which needs the
-    fewest programs one after another.
+    On a CPU a round is four sweeps, which need the fewest operations; on a GPU likewise, for windows, in a kernel.
+    Elsewhere it is all cells at once, which needs the fewest programs one after another.
     """
 
     def settle(round_: Callable, wave: Array, cost: Array) -> Array:
@@ -337,8 +338,10 @@ def _settle(wave: Array, cost: Array, rule: Callable[[Array, Array, Array], Arra
 
         return jax.lax.while_loop(lambda now: now[1], body, (wave, jnp.ones((), bool)))[0]
 
-    sweeps, at_once = (functools.partial(settle, each) for each in (_four_sweeps, _at_once))
-    return jax.lax.platform_dependent(wave, cost, cpu=sweeps, default=at_once)
+    sweeps, other = (functools.partial(settle, each) for each in (_four_sweeps, _at_once))
+    if wave_kernel.supports(wave):
+        other = functools.partial(wave_kernel.settle, rule, tolerance, UNREACHED)
+    return jax.lax.platform_dependent(wave, cost, cpu=sweeps, default=other)
 
 
 def _four_sweeps(wave: Array, cost: Array, rule: Callable[[Array, Array, Array], Array]) -> Array:
