@@ -155,7 +155,10 @@ def launch_threads(
 def launch_warps(
     kernel: Callable, name: str, warps: int, lanes: int, out: tuple, *operands: Array, interpret: bool
 ) -> tuple[Array, ...]:
-    """Run ``kernel(warp, lane, *references)`` in scalars of each thread; interpreted, in vectors of ``lanes`` threads, 32 on a GPU."""
+    """Run ``kernel(warp, lane, *references)`` in scalars of each thread of that many warps.
+
+    ``interpret`` runs it in vectors of a warp's scalars. There a warp may have fewer lanes than ``WARP``.
+    """
     if interpret:
 
         def program(index: Callable, *references: Any) -> None:

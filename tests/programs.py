@@ -1,5 +1,7 @@
 """Programs that tests share: each is compiled once for all scenarios that differ in their numbers alone."""
 
+import warnings
+
 import jax
 
 import sean_jax
@@ -12,3 +14,12 @@ observe = jax.jit(sean_jax.observe)
 results = jax.jit(sean_jax.results)
 rollout = jax.jit(sean_jax.rollout, static_argnames=("policy", "steps"))  # of policies that are functions
 clearance = jax.jit(environment.clearance)
+
+
+def lowered_for_gpu(function, *arguments):
+    """The program as XLA gets it for an H200; nothing that jax will remove may be in it."""
+    h200 = jax.sharding.AbstractDevice(device_kind="NVIDIA H200", num_cores=None, platform="cuda")
+    mesh = jax.sharding.AbstractMesh((), (), abstract_device=h200)
+    with warnings.catch_warnings(), jax.sharding.use_abstract_mesh(mesh):
+        warnings.simplefilter("error", DeprecationWarning)
+        return jax.jit(function).trace(*arguments).lower(lowering_platforms=("cuda",)).as_text()

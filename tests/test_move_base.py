@@ -23,7 +23,7 @@ import scipy.stats
 import sean_jax
 from sean_jax import robots, sensors
 from sean_jax.base import State
-from sean_jax.policies import costmap, trajectory_planner
+from sean_jax.policies import costmap, trajectory_planner, wave_kernel
 from sean_jax.policies.costmap import UNREACHED, WINDOW, CostmapParams, Window
 from sean_jax.policies.social_costmap import (
     CLEARING,
@@ -135,6 +135,52 @@ def test_potentials_are_the_fixed_point_of_the_quadratic_rule():
     reached = np.isfinite(wave)
     np.testing.assert_allclose(mine[reached], wave[reached], rtol=1e-3)
     assert (mine[~reached] >= UNREACHED).all() and reached.sum() > 400
+
+
+def test_the_kernel_for_a_gpu_settles_windows_as_the_sweeps(monkeypatch):
+    """Small windows with several starts and walls, one of them without a start. On a CPU XLA runs the kernel."""
+    monkeypatch.setattr(wave_kernel, "_call", functools.partial(wave_kernel._call, interpret=True))
+    random, shape = np.random.default_rng(11), (12, 8, 8)
+    costs = np.where(random.random(shape) < 0.3, 254, random.integers(0, 120, shape)).astype(float)
+    start = np.where(random.random(shape) < 0.05, random.integers(0, 4, shape), UNREACHED)
+    start[0] = UNREACHED
+    costs[1], costs[1, 1::4, :-1], costs[1, 3::4, 1:] = 0.0, 254.0, 254.0  # one long way
+    start[1], start[1, 0, 0] = UNREACHED, 0.0
+    free, cost = costs < 252, jax.vmap(costmap.resistance)(jnp.asarray(costs, float))
+    waves = jnp.asarray(np.where(free, start, UNREACHED), float), jnp.asarray(start, float)
+
+    def run():
+        both = costmap.potentials, costmap.steps_from
+        return jax.jit(lambda *cells: [jax.vmap(wave)(*each) for wave, *each in zip(both, waves, cells, strict=True)])(
+            cost, jnp.asarray(free)
+        )
+
+    sweeps = run()
+    monkeypatch.setattr(wave_kernel, "supports", lambda _: True)
+    monkeypatch.setattr(jax.lax, "platform_dependent", lambda *given, cpu, default: default(*given))
+    potentials, steps = map(np.asarray, run())
+    np.testing.assert_allclose(potentials, sweeps[0], rtol=3e-3)  # the rule's fixed point depends on the order of cells
+    np.testing.assert_array_equal(steps, [breadth_first(*each) for each in zip(start, free, strict=True)])
+    assert (np.asarray(sweeps[1]) == steps).all() and steps[1].max() == UNREACHED and 20 < steps[1][free[1]].max() < 64
+
+
+def test_waves_are_launches_of_the_kernel_on_a_gpu():
+    """Under vmap and in derivatives, which do not go through waves; a whole map and double precision have loops."""
+
+    def total(scale, start, cost):
+        waves = costmap.potentials(*jax.lax.stop_gradient((scale * start, cost)))
+        return scale * waves.sum()
+
+    windows = jax.ShapeDtypeStruct((7, WINDOW, WINDOW), jnp.float32)
+    scales = jax.ShapeDtypeStruct((7,), jnp.float32)
+    derived = jax.vmap(costmap.potentials), jax.vmap(jax.grad(total)), jax.vmap(jax.grad(jax.checkpoint(total)))
+    for program, arguments in zip(derived, [(windows,) * 2] + [(scales, windows, windows)] * 2, strict=True):
+        text = programs.lowered_for_gpu(program, *arguments)
+        assert "stablehlo.while" not in text
+        assert len(re.findall(r"custom_call @mosaic_gpu", text)) == 1
+    maps = jax.ShapeDtypeStruct((2, 70, 90), jnp.float32)
+    text = programs.lowered_for_gpu(jax.vmap(costmap.potentials), maps, maps)
+    assert "stablehlo.while" in text and "mosaic_gpu" not in text
 
 
 def bresenham(di, dj, most):

@@ -4,7 +4,6 @@ import os
 import re
 import subprocess
 import sys
-import warnings
 from functools import partial
 from importlib import import_module
 from typing import Any
@@ -13,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from programs import lowered_for_gpu
 from quick import quick
 
 from sean_jax import environment, kernels, raycast
@@ -295,15 +295,6 @@ def test_a_gpu_finds_what_a_cpu_finds(interpreted, parallel):
                 assert np.allclose(image[part], np.asarray(expected[part])[of], rtol=2e-6, atol=0)
             for part in range(1, results, 2):
                 assert np.array_equal(image[part], np.asarray(expected[part])[of])
-
-
-def lowered_for_gpu(function, *arguments):
-    """The program as XLA gets it for an H200; nothing that jax will remove may be in it."""
-    h200 = jax.sharding.AbstractDevice(device_kind="NVIDIA H200", num_cores=None, platform="cuda")
-    mesh = jax.sharding.AbstractMesh((), (), abstract_device=h200)
-    with warnings.catch_warnings(), jax.sharding.use_abstract_mesh(mesh):
-        warnings.simplefilter("error", DeprecationWarning)
-        return jax.jit(function).trace(*arguments).lower(lowering_platforms=("cuda",)).as_text()
 
 
 def test_no_loop_is_left_to_the_host_of_a_gpu():
