@@ -1,7 +1,8 @@
 """The waves of a cost map's window on a GPU, in one kernel (Pallas, Mosaic GPU).
 
-A warp has one window, in registers: a thread has two columns. A sweep goes down the rows; then the window is turned by
-90 degrees, so four sweeps go in all directions. No window waits until another one has settled.
+A warp has one window, in registers: a thread has two columns. Each thread is one row behind its left neighbor, so a
+sweep has new values from above and from the left. Then rows or columns are flipped, in turn, so four sweeps go in all
+directions. No window waits until another one has settled.
 """
 
 import math
@@ -34,8 +35,15 @@ def settle(rule: Callable, tolerance: float, far: float, wave: Array, cost: Arra
         far: value beyond the window.
     """
     call = kernels.batch(partial(_call, rule, tolerance, far), 1)
-    (result,) = call(wave.reshape(1, -1), jnp.stack([cost, cost.T]).reshape(1, -1))
+    (result,) = call(wave.reshape(1, -1), jnp.stack([_skew(cost), _skew(cost[::-1])]).reshape(1, -1))
     return result.reshape(wave.shape)
+
+
+def _skew(cells: Array) -> Array:
+    """The cells in the order in which the threads of a sweep read them: row t - l of the columns 2l and 2l + 1."""
+    side = len(cells)
+    columns = np.arange(side)
+    return cells[(np.arange(side + side // 2 - 1)[:, None] - columns // 2) % side, columns]
 
 
 def _call(rule: Callable, tolerance: float, far: float, *operands: Array, interpret: bool = False) -> tuple[Array, ...]:
@@ -58,50 +66,58 @@ def _kernel(rule: Callable, tolerance: float, far: Any, lanes: int, window: Any,
         turn, change, rows = carry
         quarter = turn & 3
         change = jnp.where(quarter == 0, none, change)
-        # The costs are there as they are, and transposed; one or both of their axes are reversed.
-        upwards, leftwards = (quarter == 1) | (quarter == 2), quarter >= 2
-        first = (quarter & 1) * (side * side) + jnp.where(upwards, side * (side - 1), 0)
-        first = first + jnp.where(leftwards, side - 1 - 2 * lane, 2 * lane)
-        down, across = jnp.where(upwards, -side, side), jnp.where(leftwards, -1, 1)
-        before, swept = (far, far), []
-        for row, (own, after) in enumerate(zip(rows, [*rows[1:], (far, far)], strict=True)):
-            at = first + row * down
-            beside = (
-                jnp.minimum(jnp.where(lane == 0, far, kernels.exchange(own[1], to_left)), own[1]),
-                jnp.minimum(jnp.where(lane == lanes - 1, far, kernels.exchange(own[0], to_right)), own[0]),
-            )
-            costs = cost[cost_at, at], cost[cost_at, at + across]
-            before = tuple(map(jnp.minimum, own, map(rule, map(jnp.minimum, before, after), beside, costs)))
-            for old, new in zip(own, before, strict=True):
+        # The costs are there as they are, and with their rows flipped; both axes of either may be reversed.
+        reverse, times = quarter >= 2, side + lanes - 1
+        down, across = jnp.where(reverse, -side, side), jnp.where(reverse, -1, 1)
+        first = jnp.where(reverse, times * side - 1 - 2 * lane, 2 * lane) + (quarter & 1) * (times * side)
+        rows = [*rows]
+        for time in range(times):
+            slot, before, after = (number % side for number in (time, time - 1, time + 1))
+            at = first + time * down
+            above, own, below = rows[before], rows[slot], rows[after]
+            left = jnp.where(lane == 0, far, kernels.exchange(above[1], to_left))
+            right = jnp.where(lane == lanes - 1, far, kernels.exchange(below[0], to_right))
+            if time < lanes:
+                above = tuple(jnp.where(lane == time, far, value) for value in above)
+            if time >= side - 1:
+                below = tuple(jnp.where(lane == time - side + 1, far, value) for value in below)
+            near = tuple(map(jnp.minimum, above, below))
+            one = jnp.minimum(own[0], rule(near[0], jnp.minimum(left, own[1]), cost[cost_at, at]))
+            other = jnp.minimum(own[1], rule(near[1], jnp.minimum(one, right), cost[cost_at, at + across]))
+            if not lanes - 1 <= time < side:  # some threads have not begun, or have ended
+                runs = lane <= time if time < lanes else lane > time - side
+                one, other = jnp.where(runs, one, own[0]), jnp.where(runs, other, own[1])
+            for old, new in zip(own, (one, other), strict=True):
                 change = jnp.maximum(change, old - new)
-            swept.append(before)
+            rows[slot] = one, other
         for distance in _distances(lanes):
             change = jnp.maximum(change, kernels.exchange(change, distance))
-        return turn + 1, change, _transpose(swept, lane)[::-1]
+        return turn + 1, change, _flip(rows, (quarter & 1) != 0, lane)
 
     def goes_on(carry: tuple) -> Any:
         return ((carry[0] & 3) != 0) | (kernels.uniform(carry[1]) > tolerance)
 
-    places = [(row * side + 2 * lane, row * side + 2 * lane + 1) for row in range(side)]
-    rows = [(wave[wave_at, left], wave[wave_at, right]) for left, right in places]
+    places = [((slot - lane) & (side - 1)) * side + 2 * lane for slot in range(side)]
+    rows = [(wave[wave_at, place], wave[wave_at, place + 1]) for place in places]
     change = jnp.where(lane >= 0, far, none)
     _, _, rows = jax.lax.while_loop(goes_on, body, (np.int32(0), change, rows))
-    for (left, right), values in zip(places, rows, strict=True):
-        result[window, left], result[window, right] = values
+    for place, (left, right) in zip(places, rows, strict=True):
+        result[window, place], result[window, place + 1] = left, right
 
 
 def _distances(lanes: int) -> list[int]:
     return [1 << bit for bit in range((lanes - 1).bit_length())]
 
 
-def _transpose(rows: Rows, lane: Any) -> Rows:
-    """The transposed window: bit by bit, the number of a thread changes places with the number of a pair of rows."""
-    cells = [[*row] for row in rows]
-    for distance in _distances(len(rows) // 2):
-        upper = (lane & distance) != 0
-        for row, here in enumerate(cells):
-            for k in () if row & 2 * distance else (0, 1):
-                there = cells[row + 2 * distance]
-                come = kernels.exchange(jnp.where(upper, here[k], there[k]), distance)
-                here[k], there[k] = jnp.where(upper, come, here[k]), jnp.where(upper, there[k], come)
-    return [(cells[row & ~1][row & 1], cells[row | 1][row & 1]) for row in range(len(rows))]
+def _flip(rows: Rows, columns: Any, lane: Any) -> Rows:
+    """The window with its columns flipped, or else its rows. The order of the slots spares registers."""
+    side, lanes = len(rows), len(rows) // 2
+    cells: list = [None] * side
+    for slot in sorted(range(side), key=lambda slot: min(slot, (lanes - slot) % side)):
+        here, there = rows[side - 1 - slot], rows[(slot + lanes - 1) % side]
+        cells[slot] = tuple(jnp.where(columns, kernels.exchange(there[1 - k], lanes - 1), here[k]) for k in (0, 1))
+    for distance in _distances(lanes):  # a thread's rows go on by twice its number
+        moves, before = (lane & distance) != 0, [*cells]
+        for slot in sorted(range(side), key=lambda slot: (slot % (2 * distance), -slot)):
+            cells[slot] = tuple(map(partial(jnp.where, moves), before[slot - 2 * distance], before[slot]))
+    return cells
