@@ -456,8 +456,9 @@ def test_intervals_over_seeds_are_students():
     row = next(row for row in found.rows if row.entry.name == "agent")
     means = 100.0 * seeds.mean((1, 2))
     low, high = stats.t.interval(0.95, 2, means.mean(), stats.sem(means))
-    np.testing.assert_allclose([float(row.of["all"].low), float(row.of["all"].high)], [low, high])
-    assert row.seeds == "3" and found.rows[0].rank == found.rows[1].rank == 1  # three seeds that vary tell little
+    np.testing.assert_allclose([float(row.of["all"].low), float(row.of["all"].high)], [low, min(high, 100.0)])
+    assert high > 100.0 and row.seeds == "3"
+    assert found.rows[0].rank == found.rows[1].rank == 1  # three seeds that vary tell little
     (pair,) = found.pairs
     assert pair.difference[1] < 0 < pair.difference[2] and pair.difference[0] == pytest.approx(
         100.0 * same.mean() - means.mean()

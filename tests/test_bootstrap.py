@@ -70,6 +70,20 @@ def test_hierarchical_intervals_hold_the_truth_as_often_as_they_say(sizes, sprea
     assert 0.92 <= ((found.low <= 0) & (found.high >= 0)).mean() <= 0.97
 
 
+def test_intervals_of_networks_stay_within_the_values():
+    """Student's interval of three networks would go beyond 100 % and below 0 s. Numbers that are equal stay so."""
+    random, weights = np.random.default_rng(5), bootstrap.hierarchical_resamples((3, 1, 40))
+    share = (random.random((3, 40)) < [[0.7], [0.98], [0.99]]).ravel()
+    seconds = np.where(random.random((3, 40)) < [[0.9], [0.05], [0.0]], random.exponential(9.0, (3, 40)), 0.0).ravel()
+    values = np.stack([share, seconds, np.full(120, 0.1), np.zeros(120)], 1)
+    found = aggregate(values, weights=weights)
+    np.testing.assert_allclose(found.mean, values.mean(0))
+    assert found.low[0] > 0.0 and found.high[0] == 1.0 and found.low[1] == 0.0 and found.high[1] < seconds.max()
+    np.testing.assert_allclose(found.low[2:], found.high[2:], rtol=1e-12)
+    assert (found.low <= found.mean).all() and (found.mean <= found.high).all()
+    assert bootstrap.interval(weights @ share / 120)[1] > 1.0 and bootstrap.interval(weights @ seconds / 120)[0] < 0.0
+
+
 def test_one_group_of_many_episodes_is_the_plain_bootstrap(normal):
     found = aggregate(normal, weights=bootstrap.hierarchical_resamples((1, 1, 400)))
     for k in range(3):
@@ -89,6 +103,8 @@ def test_shares_of_episodes_have_the_interval_of_wilson(number, level):
         np.testing.assert_allclose([found.low, found.high], [exact.low, exact.high], atol=1e-9)
     some = aggregate(np.arange(20) % 3 == 0)
     assert bootstrap.of_share(some, where=False) == some
+    counts = aggregate(np.arange(20.0))  # no share, so the square root of Wilson's interval does not exist
+    assert bootstrap.of_share(counts, where=False) == counts
     assert bootstrap.of_share(aggregate(np.full(3, np.nan))) == (0, 0, 0, 0)
 
 

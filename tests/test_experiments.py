@@ -260,7 +260,11 @@ def test_a_failure_stops_the_other_parts_and_is_raised(error, monkeypatch):
     assert stopped == [True] and not never
 
 
-def test_parts_that_are_out_of_memory_run_again_beside_fewer(monkeypatch):
+@pytest.mark.parametrize(
+    "message",
+    ["RESOURCE_EXHAUSTED: Out of memory while trying to allocate 6.60GiB.", "INTERNAL: out of memory [jit_bitwise_or]"],
+)
+def test_parts_that_are_out_of_memory_run_again_beside_fewer(monkeypatch, message):
     lock, running, failures, gone = threading.Lock(), set(), [], []
 
     class Array:
@@ -275,7 +279,7 @@ def test_parts_that_are_out_of_memory_run_again_beside_fewer(monkeypatch):
         try:
             if full:
                 failures.append(name)
-                raise jax.errors.JaxRuntimeError("RESOURCE_EXHAUSTED: Out of memory while trying to allocate 6.60GiB.")
+                raise jax.errors.JaxRuntimeError(message)
             if name == "last":
                 assert set(gone) >= set(failures)
             for _ in range(20):
@@ -293,7 +297,7 @@ def test_parts_that_are_out_of_memory_run_again_beside_fewer(monkeypatch):
     monkeypatch.setattr(experiments, "workers", lambda: 8)
     results = experiments.run_parts(parts(2), None, "at work")
     assert results == {name: name for name in [*"abcdefghij", "last"]} and failures and not running
-    with pytest.raises(jax.errors.JaxRuntimeError, match=r"6\.60GiB"):  # a part that does not fit alone
+    with pytest.raises(jax.errors.JaxRuntimeError, match="emory"):  # a part that does not fit alone
         experiments.run_parts(parts(0), None, "at work")
 
 

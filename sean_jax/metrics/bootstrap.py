@@ -158,7 +158,7 @@ def hierarchical_resamples(sizes: Sequence[int]) -> np.ndarray:
     Networks that were trained with several seeds on several datasets are such groups. Only the outermost level with
     several groups is independent; the spread of their means contains the levels below, which would otherwise count
     twice. There are few of them, so the weights are not counts: they make the interval of a mean equal to Student's
-    distribution; a weight may be negative.
+    distribution; a weight may be negative. ``aggregate`` cuts such an interval off at the least and the largest value.
 
     Args:
         sizes: number of groups at each level, and last the number of episodes of each innermost group: (10, 3, 410).
@@ -195,13 +195,13 @@ def of_share(estimate: Estimate, level: float = 0.95, where: ArrayLike = True, c
     """
     _check_level(level)
     square = NormalDist().inv_cdf((1 + level) / 2) ** 2
-    share, number = estimate.mean, np.maximum(estimate.episodes, 1)
+    inside = (estimate.episodes > 0) & np.asarray(where)
+    share, number = np.where(inside, estimate.mean, 0.0), np.maximum(estimate.episodes, 1)
     if cluster > 1:
         width = np.maximum(estimate.high - estimate.low, 1e-9)
         number = np.clip(4 * square * share * (1 - share) / width**2, number / cluster, number)
     middle = (share + square / (2 * number)) / (1 + square / number)
     half = np.sqrt(square * (share * (1 - share) + square / (4 * number)) / number) / (1 + square / number)
-    inside = (estimate.episodes > 0) & np.asarray(where)
     low = np.where(inside, np.where(share == 0, 0.0, middle - half), estimate.low)
     high = np.where(inside, np.where(share == 1, 1.0, middle + half), estimate.high)
     return estimate._replace(low=low, high=high)
@@ -250,9 +250,12 @@ def _check_level(level: float) -> None:
 
 def _column(above: np.ndarray, below: np.ndarray, weights: np.ndarray, level: float) -> tuple[float, float, float]:
     """Ratio and ends of the interval of (E,) over (E,)."""
-    total = below.sum()
+    total, counts = below.sum(), below > 0
     if total <= 0:
         return 0.0, 0.0, 0.0
     bottom = weights @ below
-    low, high = interval((weights @ above)[bottom > 0] / bottom[bottom > 0], level)
-    return above.sum() / total, float(low), float(high)
+    ends, ratio = interval((weights @ above)[bottom > 0] / bottom[bottom > 0], level), above.sum() / total
+    if not above[~counts].any():  # weights of Student's distribution may be negative, and leave the range
+        each = above[counts] / below[counts]
+        ends = np.clip(ends, min(each.min(), ratio), max(each.max(), ratio))
+    return ratio, float(ends[0]), float(ends[1])

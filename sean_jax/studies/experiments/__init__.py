@@ -10,6 +10,7 @@ from __future__ import annotations
 import functools
 import gc
 import os
+import re
 import threading
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
@@ -121,7 +122,7 @@ def _in_threads(
                     try:
                         results[part.name] = future.result()
                     except JaxRuntimeError as error:
-                        if threads == 1 or "RESOURCE_EXHAUSTED" not in str(error):
+                        if threads == 1 or not re.search("RESOURCE_EXHAUSTED|out of memory", str(error), re.IGNORECASE):
                             raise
                         waiting.insert(0, part)
                         at_once = min(at_once, threads // 2)

@@ -159,7 +159,7 @@ def _share(sums: list[Sums]) -> Estimate:
     share = _over_seeds(shares, episodes)
     even = (len(shares) == 1) & ((share.mean == 0.0) | (share.mean == 1.0))
     share = of_share(share, where=even)
-    return share._replace(mean=100.0 * share.mean, low=100.0 * share.low, high=100.0 * share.high)
+    return share._replace(mean=100.0 * share.mean, low=100.0 * share.low, high=100.0 * np.minimum(share.high, 1.0))
 
 
 def _violations(sums: list[Sums]) -> Estimate:
@@ -169,13 +169,13 @@ def _violations(sums: list[Sums]) -> Estimate:
 
 
 def _over_seeds(values: np.ndarray, number: int) -> Estimate:
-    """The mean of figures (seeds, 1 + R, ...) over seeds, and its interval."""
+    """The mean of figures (seeds, 1 + R, ...), not negative, over seeds, and its interval."""
     seeds, middle = values[:, 0], values[:, 0].mean(0)
     if len(seeds) == 1:
         low, high = interval(values[0, 1:])
     else:
         half = stats.t.ppf(0.975, len(seeds) - 1) * seeds.std(0, ddof=1) / len(seeds) ** 0.5
-        low, high = middle - half, middle + half
+        low, high = np.maximum(middle - half, 0.0), middle + half
     return Estimate(middle, low, high, np.full(np.shape(middle), number))
 
 
