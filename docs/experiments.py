@@ -32,9 +32,9 @@ def markdown(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 
 def plus_minus(row: Row, mean: str, scale: float, digits: int) -> str:
-    """A mean and half of its interval; the interval itself if the mean is one of its ends."""
+    """A mean and half of its interval; the interval itself if the mean is far from its middle."""
     middle, low, high = (scale * float(row[name]) for name in (mean, "low", "high"))
-    if low < high and not low < middle < high:
+    if low < high and not 0.3 <= (middle - low) / (high - low) <= 0.7:
         return f"{middle:.{digits}f} [{low:.{digits}f}, {high:.{digits}f}]"
     return f"{middle:.{digits}f}" + (f" ± {(high - low) / 2:.{digits}f}" if low < high else "")
 
@@ -149,10 +149,10 @@ def interval(row: Row, name: str, digits: int = 2) -> str:
 
 
 def contrasts(folder: str) -> str:
-    """Differences of Figure 4's policies over the three scenarios."""
+    """Differences of the paper's policies over the three scenarios."""
     rows = []
     for row in read(folder, "contrasts"):
-        if row["measure"] != "collisions":
+        if row["measure"] != "collisions" and row["policy"] in PRINTED:
             holm = float(row["holm"])
             p = "" if math.isnan(holm) else f"{holm:.2g}" if holm >= 1e-4 else "< 0.0001"
             names = f"{row['policy']} - {row['other']}", row["measure"].replace("_", " ")
@@ -214,7 +214,8 @@ def ranking(folder: str) -> str:
         mine = {name: row[name] for name in ("class", "policy")}
         cells = [select(every, **mine, tracks=name)[0] for name in groups]
         texts = [plus_minus(cell, "polite_percent", 1, 1) for cell in cells]
-        rows.append([row["class"], row["rank"], f"`{row['policy']}`", row["results"], *texts])
+        rank = row["first_rank"] + (f"-{row['last_rank']}" if row["last_rank"] != row["first_rank"] else "")
+        rows.append([row["class"], rank, f"`{row['policy']}`", row["results"], *texts])
     return markdown(["class", "rank", "policy", "results", *groups], rows)
 
 

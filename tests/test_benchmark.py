@@ -171,8 +171,8 @@ def test_results_are_ranked(ranked, tmp_path, capsys):
         np.testing.assert_allclose(row.violations.mean, result.scores.violations_per_minute.mean, atol=1e-4)
         assert benchmark.table(result).startswith(f"{row.entry.name} · all-knowing · protocol 3 · 2 tracks x 20")
     rows = (out / "ranking.csv").read_text(encoding="utf-8").splitlines()
-    assert rows[0] == "class,rank,policy,results,tracks,polite_percent,low,high"
-    assert len(rows) == 1 + 2 * 2 and {row.split(",")[4] for row in rows[1:]} == {"all", "floor"}
+    assert rows[0] == "class,first_rank,last_rank,policy,results,tracks,polite_percent,low,high"
+    assert len(rows) == 1 + 2 * 2 and {row.split(",")[5] for row in rows[1:]} == {"all", "floor"}
     assert (out / "differences.csv").read_text(encoding="utf-8").startswith("class,first,second,difference_percent,low")
     page = (out / "report.html").read_text(encoding="utf-8")
     assert "all-knowing" in page and "<svg" in page and "src=" not in page
@@ -406,7 +406,7 @@ def test_equal_policies_share_a_rank_and_others_do_not():
               for name, share in shares.items()}  # fmt: skip
     groups = {"one": ["0"], "others": ["1", "2"]}
     found = ranks.rank([entry(name, each) for name, each in polite.items()], groups, [])
-    assert {row.entry.name: row.rank for row in found.rows} == {"a": 1, "b": 1, "c": 3, "d": 4}
+    assert {row.entry.name: row.rank for row in found.rows} == {"a": "1-2", "b": "1-2", "c": "3", "d": "4"}
     for row in found.rows:
         values = 100.0 * polite[row.entry.name][0]
         assert float(row.of["all"].mean) == pytest.approx(values.mean())
@@ -426,7 +426,7 @@ def test_holm_corrects_all_pairs_and_classes_are_apart():
     entries += [entry("knows", np.ones((1, 2, 100), bool), "all-knowing")]
     found = ranks.rank(entries, {"one": ["0", "1"]}, [])
     assert len(found.pairs) == 6 and list(found.by_class()) == ["all-knowing", "raw"]
-    assert next(row.rank for row in found.rows if row.entry.name == "0") >= 1
+    assert next(row.first for row in found.rows if row.entry.name == "0") >= 1
     each = []
     for pair in found.pairs:
         one, other = (np.stack([columns["completed"] for columns in next(
@@ -442,7 +442,7 @@ def test_policies_that_are_equal_are_seldom_separated():
     random, false = np.random.default_rng(2), 0
     for _ in range(100):
         entries = [entry(f"{k}", random.uniform(size=(1, 2, 60)) < 0.7) for k in range(4)]
-        false += any(row.rank > 1 for row in ranks.rank(entries, {"one": ["0", "1"]}, []).rows)
+        false += any(row.first > 1 for row in ranks.rank(entries, {"one": ["0", "1"]}, []).rows)
     assert false <= 12
 
 
@@ -458,7 +458,7 @@ def test_intervals_over_seeds_are_students():
     low, high = stats.t.interval(0.95, 2, means.mean(), stats.sem(means))
     np.testing.assert_allclose([float(row.of["all"].low), float(row.of["all"].high)], [low, min(high, 100.0)])
     assert high > 100.0 and row.seeds == "3"
-    assert found.rows[0].rank == found.rows[1].rank == 1  # three seeds that vary tell little
+    assert found.rows[0].rank == found.rows[1].rank == "1-2"  # three seeds that vary tell little
     (pair,) = found.pairs
     assert pair.difference[1] < 0 < pair.difference[2] and pair.difference[0] == pytest.approx(
         100.0 * same.mean() - means.mean()

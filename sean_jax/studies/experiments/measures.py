@@ -4,7 +4,7 @@ import dataclasses
 import functools
 import itertools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import Any
 
 import numpy as np
@@ -210,14 +210,14 @@ def claims(results: Results) -> list[dict[str, Any]]:
 
     wait = {p: np.mean([of(p, b, "time_not_moving") for b in BEHAVIORS], 0) for p in results.values}
     harm = {b: np.mean([of(p, b, "violations") for p in FOUR], 0) for b in BEHAVIORS}
-    done = {p: results.episodes * np.mean([of(p, b, "completed") for b in BEHAVIORS], 0) for p in results.values}
+    done = {p: 100.0 * np.mean([of(p, b, "completed") for b in BEHAVIORS], 0) for p in results.values}
     paths = np.mean([weights @ results.situations[p]["graph"][:, :2].sum(1) for p in FOUR], 0)
     paths = paths / np.maximum(harm["graph"], 1e-9)
     worst = int(results.by_situation["G"]["graph"].mean.argmax())
     worse, mended = (weights @ results.situations[p]["graph"][:, worst] for p in ("G", BALANCED))
     graph = [of(p, "graph", "time_not_moving") for p in ("G", "H")]
     statements: list[tuple] = [
-        ("N stands longest, s", "28.7 against 11 to 22", _listed(wait),
+        ("N stands longest, s", "28.7 against 11 to 22", _listed(wait, FOUR),
          wait["N"] > np.max([wait[p] for p in LEARNED], 0)),
         ("G stands less than R, s", "11 < 16.3", f"{wait['G'][0]:.1f}, {wait['R'][0]:.1f}", wait["G"] < wait["R"]),
         ("R stands less than H, s", "16.3 < 22", f"{wait['R'][0]:.1f}, {wait['H'][0]:.1f}", wait["R"] < wait["H"]),
@@ -228,9 +228,10 @@ def claims(results: Results) -> list[dict[str, Any]]:
         ("violations: random above handcrafted", "1.9, 1.0", f"{harm['random'][0]:.2f}, {harm['handcrafted'][0]:.2f}",
          harm["random"] > harm["handcrafted"]),
         ("violations in graph are mostly in cross or down path", "mainly", f"{100 * paths[0]:.0f} %", paths > 0.5),
-        ("G and H complete equally many, within 5 %", "112.7, 112.7", f"{done['G'][0]:.1f}, {done['H'][0]:.1f}",
-         np.abs(done["G"] - done["H"]) <= 0.05 * results.episodes),
-        ("the learned complete 80 % of what the demonstrator does", "not reported", _listed(done),
+        ("G and H complete equally many, within 5 %", "91.6, 91.6 %", f"{done['G'][0]:.1f}, {done['H'][0]:.1f} %",
+         np.abs(done["G"] - done["H"]) <= 5.0),
+        ("the learned complete 80 % of what the demonstrator does", "not reported",
+         f"{_listed(done, (*LEARNED, DEMONSTRATOR))} %",
          np.min([done[p] for p in LEARNED], 0) >= 0.8 * done[DEMONSTRATOR]),
         ("balanced examples lower the violations in G's worst situation", "suggested",
          f"{shares.NAMES[worst].replace('_', ' ')}: {worse[0]:.2f} to {mended[0]:.2f}", mended < worse),
@@ -241,8 +242,8 @@ def claims(results: Results) -> list[dict[str, Any]]:
     ]
 
 
-def _listed(values: dict[str, np.ndarray]) -> str:
-    return ", ".join(f"{name} {each[0]:.1f}" for name, each in values.items())
+def _listed(values: dict[str, np.ndarray], policies: Collection[str]) -> str:
+    return ", ".join(f"{name} {values[name][0]:.1f}" for name in policies)
 
 
 # ------------------------------------------------------------------ the learning curve
@@ -372,6 +373,12 @@ def polite(columns: Arrays) -> np.ndarray:
     return columns["completed"] & ~np.any([_overall(columns[name]) > 0 for name in ROBOTS_FAULT], axis=0)
 
 
+@functools.lru_cache(maxsize=32)  # all results of a ranking share those of the tracks, 10 MB each
+def score_resamples(episodes: int, seed: int) -> np.ndarray:
+    """(R, E) int16, number of times that each episode of a track is in each resample."""
+    return resamples(episodes, seed, SCORE_RESAMPLES).astype(np.int16)
+
+
 def scores(measured: dict[str, Arrays]) -> Scores:
     """Scores over some tracks with equal weights; a resample draws as many episodes of each."""
     each = list(measured.values())
@@ -381,7 +388,7 @@ def scores(measured: dict[str, Arrays]) -> Scores:
         np.cumsum(sizes),
     )  # products with float64 need no copy of it
     for seed, (size, end) in enumerate(zip(sizes, ends, strict=True)):
-        weights[:, end - size : end] = resamples(size, seed, SCORE_RESAMPLES)
+        weights[:, end - size : end] = score_resamples(size, seed)
 
     def joined(take: Callable[[Arrays], np.ndarray]) -> np.ndarray:
         return np.concatenate([np.asarray(take(columns), float) for columns in each])

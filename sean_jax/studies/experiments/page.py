@@ -307,7 +307,7 @@ def ranking(options: BenchmarkRankConfig, ranks: Ranking, figures: dict[str, Fig
     for sensing, rows in ranks.by_class().items():
         head = ["rank", "policy", "seeds", *ranks.groups]
         table_rows = [
-            [str(row.rank), Cell(row.entry.name, kind="text"), row.seeds, *(_estimate(row.of[each]) for each in row.of)]
+            [row.rank, Cell(row.entry.name, kind="text"), row.seeds, *(_estimate(row.of[each]) for each in row.of)]
             for row in rows
         ]
         pairs = [

@@ -179,16 +179,23 @@ def _heat(
 
 
 def grids(results: Results) -> Figure:
-    """Figure 4: a grid of scenarios and policies for each measure; below, violations in each situation."""
-    names, policies = list(MEASURES), list(results.values)
-    figure, axes = _figure(5 * max(3.2, 0.4 * len(policies) + 0.4), 5.6, 2, 5)
-    for spot, name in zip(axes[0], names, strict=False):
-        values = np.array([[results.cells[p][b][name].mean for p in policies] for b in BEHAVIORS])
-        _grid(spot, values, policies, MEASURES[name])
-    waits = np.array([[results.waiting[p][b].mean for p in policies] for b in BEHAVIORS])
-    _grid(axes[0][len(names)], waits, policies, "time not moving of completed, s")
-    by = np.array([[results.by_situation[p][b].mean for p in policies] for b in BEHAVIORS])
-    for k, (spot, situation) in enumerate(zip(axes[1], shares.NAMES, strict=True)):
+    """Figure 4: a grid of scenarios and policies for each measure; below or beside it, violations in each situation."""
+    policies = list(results.values)
+    wide = len(policies) > 8  # then names and numbers need the width of half a page
+    size = (2 * (0.42 * len(policies) + 0.6), 11.0, 5, 2) if wide else (16.0, 5.6, 2, 5)
+    figure, axes = _figure(*size)
+    several, by_situation = axes.T if wide else axes
+
+    def values(cell: Callable[[str, str], np.ndarray]) -> np.ndarray:
+        return np.array([[cell(policy, behavior) for policy in policies] for behavior in BEHAVIORS])
+
+    for spot, name in zip(several, MEASURES, strict=False):
+        scale = 100.0 / results.episodes if name == "completed" else 1.0
+        title = "completed tasks, %" if name == "completed" else MEASURES[name]
+        _grid(spot, scale * values(lambda p, b, name=name: results.cells[p][b][name].mean), policies, title)
+    _grid(several[-1], values(lambda p, b: results.waiting[p][b].mean), policies, "time not moving of completed, s")
+    by = values(lambda p, b: results.by_situation[p][b].mean)
+    for k, (spot, situation) in enumerate(zip(by_situation, shares.NAMES, strict=True)):
         _grid(spot, by[:, :, k], policies, f"violations, {situation.replace('_', ' ')}", top=float(by.max()))
     return figure
 
@@ -265,7 +272,7 @@ def situations(rows: Sequence[Row]) -> Figure:
         value, low, high = row.violations[:3]
         ends = [np.maximum(value - low, 0), np.maximum(high - value, 0)]
         color = matplotlib.colormaps["viridis"](number / max(len(rows) - 1, 1) * 0.9)
-        spot.errorbar(at, value, ends, fmt="o", ms=4, capsize=2, color=color, label=f"{row.rank}. {row.entry.name}")
+        spot.errorbar(at, value, ends, fmt="o", ms=4, capsize=2, color=color, label=row.entry.name)
     spot.set_xticks(x, [name.replace("_", " ") for name in shares.NAMES])
     spot.set_ylim(bottom=0)
     spot.set_ylabel("a minute", color=colors.MUTED)

@@ -25,11 +25,19 @@ def run(options: BenchmarkRankConfig) -> Ranking:
     found, folder = rank(list(options.results)), options.folder
     with writing.folder_lock(folder):
         rows = [
-            (row.entry.sensing, row.rank, row.entry.name, len(row.entry.measured), name, *map(float, each[:3]))
+            (
+                row.entry.sensing,
+                row.first,
+                row.last,
+                row.entry.name,
+                len(row.entry.measured),
+                name,
+                *map(float, each[:3]),
+            )
             for row in found.rows
             for name, each in row.of.items()
         ]
-        write_csv(folder / TABLE, "class,rank,policy,results,tracks,polite_percent,low,high", rows)
+        write_csv(folder / TABLE, "class,first_rank,last_rank,policy,results,tracks,polite_percent,low,high", rows)
         pairs = [(each.sensing, each.first, each.second, *each.difference, f"{each.p:.3g}") for each in found.pairs]
         write_csv(folder / PAIRS, "class,first,second,difference_percent,low,high,p_holm", pairs)
         figures = {sensing: pictures.situations(rows) for sensing, rows in found.by_class().items()}

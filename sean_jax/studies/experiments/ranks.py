@@ -8,16 +8,17 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+from collections import Counter
 from typing import NamedTuple
 
 import numpy as np
 from scipy import stats
 
 from sean_jax.base import SENSING
-from sean_jax.metrics import Estimate, interval, resamples
+from sean_jax.metrics import Estimate, interval
 from sean_jax.metrics.bootstrap import of_share, with_estimate
 from sean_jax.metrics.differences import holm
-from sean_jax.studies.experiments.measures import SCORE_RESAMPLES, Arrays, polite
+from sean_jax.studies.experiments.measures import Arrays, polite, score_resamples
 
 LEVEL = 0.05  # of corrected p-values
 SEEDS = 3  # of an agent, at least, for an interval that has the variation between trainings
@@ -44,12 +45,18 @@ class Sums(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Row:
-    """An entry and its rank."""
+    """An entry and its ranks: the first and the last that its differences from the others allow."""
 
     entry: Entry
-    rank: int
+    first: int
+    last: int
     of: dict[str, Estimate]  # ALL, and group of tracks -> percent of tasks that were completed politely
     violations: Estimate  # (S,) a minute in each situation
+
+    @property
+    def rank(self) -> str:
+        """The rank, such as "2", or the first and the last, such as "2-4"."""
+        return f"{self.first}" if self.first == self.last else f"{self.first}-{self.last}"
 
     @property
     def seeds(self) -> str:
@@ -70,7 +77,7 @@ class Pair(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Ranking:
-    """Entries by class and rank, and their differences."""
+    """Entries by class and percent of tasks completed politely, and their differences."""
 
     groups: dict[str, list[str]]  # ALL, and group -> its tracks
     rows: list[Row]
@@ -113,20 +120,24 @@ def rank(entries: list[Entry], groups: dict[str, list[str]], notes: list[str]) -
         Pair(one.sensing, one.name, other.name, each, float(p))
         for (one, other, each, _), p in zip(tests, corrected, strict=True)
     ]
-    better = dict.fromkeys(sums, 0)  # entries that are better beyond chance
+    better, worse = dict.fromkeys(sums, 0), dict.fromkeys(sums, 0)  # numbers of entries, beyond chance
     for pair in pairs:
         if pair.p < LEVEL:
-            better[pair.first if pair.difference[0] > 0 else pair.second] += 1
+            low, high = (pair.first, pair.second) if pair.difference[0] > 0 else (pair.second, pair.first)
+            better[low] += 1
+            worse[high] += 1
+    members = Counter(entry.sensing for entry in entries)
     rows = [
         Row(
             entry,
             1 + better[entry.name],
+            members[entry.sensing] - worse[entry.name],
             {name: _share([sums[entry.name][track] for track in tracks]) for name, tracks in groups.items()},
             _violations(list(sums[entry.name].values())),
         )
         for entry in entries
     ]
-    rows.sort(key=lambda row: (list(SENSING).index(row.entry.sensing), row.rank, -float(row.of[ALL].mean)))
+    rows.sort(key=lambda row: (list(SENSING).index(row.entry.sensing), -float(row.of[ALL].mean)))
     few = [row.entry.name for row in rows if row.seeds.endswith(f"of {SEEDS}")]
     notes = [f"Fewer than {SEEDS} training seeds: {', '.join(few)}."] * bool(few) + notes
     return Ranking(groups, rows, pairs, notes)
@@ -137,7 +148,7 @@ def _sums(entries: list[Entry], tracks: list[str]) -> dict[str, dict[str, Sums]]
     sums: dict[str, dict[str, Sums]] = {entry.name: {} for entry in entries}
     for seed, track in enumerate(tracks):
         episodes = len(entries[0].measured[0][track]["completed"])
-        weights = with_estimate(resamples(episodes, seed, SCORE_RESAMPLES))
+        weights = with_estimate(score_resamples(episodes, seed))
         for entry in entries:
             each = [measured[track] for measured in entry.measured]
             tasks = np.stack([polite(columns) for columns in each])
