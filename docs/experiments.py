@@ -32,11 +32,13 @@ def markdown(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 
 def plus_minus(row: Row, mean: str, scale: float, digits: int) -> str:
-    """A mean and half of its interval; the interval itself if the mean is far from its middle."""
+    """A mean and half of its interval, unless that is 0.0; the interval itself if the mean is far from its middle."""
     middle, low, high = (scale * float(row[name]) for name in (mean, "low", "high"))
-    if low < high and not 0.3 <= (middle - low) / (high - low) <= 0.7:
-        return f"{middle:.{digits}f} [{low:.{digits}f}, {high:.{digits}f}]"
-    return f"{middle:.{digits}f}" + (f" ± {(high - low) / 2:.{digits}f}" if low < high else "")
+    texts = [f"{value:.{digits}f}" for value in (middle, low, high, (high - low) / 2)]
+    if not float(texts[3]):
+        return texts[0]
+    form = "{0} ± {3}" if 0.3 <= (middle - low) / (high - low) <= 0.7 else "{0} [{1}, {2}]"
+    return form.format(*texts)
 
 
 def shares(folder: str) -> str:
