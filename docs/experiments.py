@@ -6,7 +6,6 @@ folder of results/. The tables are written anew, the text between them stays.
 
 import csv
 import functools
-import json
 import math
 import re
 from collections.abc import Callable, Iterable, Sequence
@@ -129,16 +128,13 @@ def crowds(folder: str) -> str:
 
 def driven(measure: str, folder: str) -> str:
     """A measure of Figure 4: policies by behaviors, and their mean; completed tasks in percent."""
-    options = json.loads((RESULTS / folder / "experiment.json").read_text(encoding="utf-8"))["options"]
-    networks = options["datasets"] * options["trainings"]
-    episodes = networks * math.ceil(options["episodes"] / networks)
-    scale, digits = (100 / episodes, 1) if measure == "completed" else (1.0, 2)
+    digits = 1 if measure == "completed" else 2
     cells = select(read(folder, "figure4"), measure=measure)
     rows = []
     for policy in dict.fromkeys(row["policy"] for row in cells):
         mine = [select(cells, policy=policy, behavior=name) for name in (*BEHAVIORS, "mean")]
         if all(mine):
-            texts = [plus_minus(row, "mean", scale, digits) for (row,) in mine]
+            texts = [plus_minus(row, "mean", 1, digits) for (row,) in mine]
             rows.append(
                 [policy if policy in PRINTED else f"`{policy}`", *texts, PRINTED.get(policy, {}).get(measure, "")]
             )
@@ -157,7 +153,8 @@ def contrasts(folder: str) -> str:
         if row["measure"] != "collisions" and row["policy"] in PRINTED:
             holm = float(row["holm"])
             p = "" if math.isnan(holm) else f"{holm:.2g}" if holm >= 1e-4 else "< 0.0001"
-            names = f"{row['policy']} - {row['other']}", row["measure"].replace("_", " ")
+            measure = "completed, %" if row["measure"] == "completed" else row["measure"].replace("_", " ")
+            names = f"{row['policy']} - {row['other']}", measure
             rows.append([*names, interval(row, "difference"), f"{float(row['d']):.2f}", p])
     return markdown(["policies", "measure", "difference", "d", "p (Holm)"], rows)
 

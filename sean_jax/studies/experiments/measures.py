@@ -8,6 +8,7 @@ from collections.abc import Callable, Collection
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from sean_jax.flags import number
 from sean_jax.metrics import OF_GROUPS, Estimate, aggregate, aggregate_ratio
@@ -21,7 +22,7 @@ METRIC_NAMES = (
     "completed", "seconds", "time_not_moving", *INTIMATE, "collision_robot_on_person", "collision_person_on_robot",
 )  # fmt: skip
 MEASURES = {
-    "completed": "completed tasks",
+    "completed": "completed tasks, %",
     "time_not_moving": "time not moving, s",
     "violations": "intimate distance violations",
     "collisions": "collisions with people",
@@ -94,7 +95,7 @@ class Results(Measured):
 
     @functools.cached_property
     def cells(self) -> dict[str, dict[str, dict[str, Estimate]]]:
-        """policy -> behavior -> measure -> mean with interval; of completed tasks the number."""
+        """policy -> behavior -> measure -> mean with interval."""
         return {
             p: {b: self._estimates(each, has_learned(p)) for b, each in by.items()} for p, by in self.values.items()
         }
@@ -162,12 +163,13 @@ class Results(Measured):
             units = next((size for size in self.sizes[:2] if size > 1), self.episodes) if learned else self.episodes
             ours, theirs = (over_behaviors(self.values[policy]) for policy in (one, other))
             for measure in MEASURES:
-                gaps = (ours[measure] - theirs[measure]).reshape(units, -1).mean(1)
+                difference = (100.0 if measure == "completed" else 1.0) * (ours[measure] - theirs[measure])
+                gaps = difference.reshape(units, -1).mean(1)
                 spread = gaps.std(ddof=1) if units > 1 else 0.0
                 effect = gaps.mean() / spread if spread else math.nan
                 rows.append({
                     "one": one, "other": other, "measure": measure,
-                    "difference": self.estimate(ours[measure] - theirs[measure], learned),
+                    "difference": self.estimate(difference, learned),
                     "effect": effect,
                     "p": 2.0 * float(stats.t.sf(math.sqrt(units) * abs(effect), units - 1)),
                 })  # fmt: skip
@@ -179,9 +181,13 @@ class Results(Measured):
         estimates = {name: self.estimate(value, learned) for name, value in values.items()}
         completed = estimates["completed"]
         even = (completed.mean == 0) | (completed.mean == 1)  # else groups of episodes differ, which resamples show
-        completed = of_share(completed, where=even)
-        mean, low, high = (end * self.episodes for end in completed[:3])
-        return estimates | {"completed": completed._replace(mean=mean, low=low, high=high)}
+        return estimates | {"completed": percent(completed, even)}
+
+
+def percent(share: Estimate, where: ArrayLike = True) -> Estimate:
+    """The estimate of a share in percent, with Wilson's interval ``where`` it is true."""
+    share = of_share(share, where=where)
+    return share._replace(mean=100.0 * share.mean, low=100.0 * share.low, high=100.0 * share.high)
 
 
 def has_learned(policy: str) -> bool:
@@ -250,7 +256,6 @@ def _listed(values: dict[str, np.ndarray], policies: Collection[str]) -> str:
 
 MEAN = "mean"  # over the three scenarios
 BETTER = {"completed": 1.0, "time_not_moving": -1.0, "violations": -1.0}  # the sign of an improvement
-CURVE_MEASURES = {**MEASURES, "completed": "completed tasks, %"}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -393,11 +398,10 @@ def scores(measured: dict[str, Arrays]) -> Scores:
     def joined(take: Callable[[Arrays], np.ndarray]) -> np.ndarray:
         return np.concatenate([np.asarray(take(columns), float) for columns in each])
 
-    def percent(take: Callable[[Arrays], np.ndarray]) -> Estimate:
-        share = of_share(aggregate(joined(take), weights=weights))
-        return share._replace(mean=100.0 * share.mean, low=100.0 * share.low, high=100.0 * share.high)
+    def share(take: Callable[[Arrays], np.ndarray]) -> Estimate:
+        return percent(aggregate(joined(take), weights=weights))
 
-    figures = {"polite": percent(polite), "completed": percent(lambda columns: columns["completed"])}
+    figures = {"polite": share(polite), "completed": share(lambda columns: columns["completed"])}
     for name in Scores.FIGURES:
         if name not in figures:
             estimate = aggregate(joined(lambda columns, name=name: _overall(columns[name])), weights=weights)

@@ -25,7 +25,7 @@ from sean_jax.drawing.svg import svg
 from sean_jax.flags import command, number
 from sean_jax.pages import Cell, figure, note, section, table
 from sean_jax.studies.experiments import pictures, shares
-from sean_jax.studies.experiments.measures import CURVE_MEASURES, MEASURES, comparisons
+from sean_jax.studies.experiments.measures import MEASURES, comparisons
 from sean_jax.studies.experiments.ranks import ALL
 from sean_jax.studies.experiments.shares import BEHAVIORS
 from sean_jax.versions import versions
@@ -443,16 +443,16 @@ def learning_curve(options: LearningCurveConfig, curve: Curve, picture: Figure) 
     """
     columns = list(curve.cells[curve.variants[0].name])
     numbers = []
-    for name, words in CURVE_MEASURES.items():
+    for name, words in MEASURES.items():
         rows = [[each.title, *_row(curve.cells[each.name], columns, name)] for each in curve.variants]
         numbers.append(table([words, *columns], rows))
     differences = []
     for one, other in comparisons(curve.variants):
         cells = curve.differences(one, other)
-        rows = [[words, *_row(cells, columns, name, "+.2f")] for name, words in CURVE_MEASURES.items()]
+        rows = [[words, *_row(cells, columns, name, "+.2f")] for name, words in MEASURES.items()]
         differences.append(table([f"{one.title} minus {other.title}", *columns], rows))
     verdicts = [
-        [Cell(f"{row['variant']} better than {row['other']}: {CURVE_MEASURES[row['measure']]}", kind="text"),
+        [Cell(f"{row['variant']} better than {row['other']}: {MEASURES[row['measure']]}", kind="text"),
          _estimate(row["difference"], "+.2f"), _holds(row)]
         for row in curve.verdicts
     ]  # fmt: skip

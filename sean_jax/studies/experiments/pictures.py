@@ -190,9 +190,7 @@ def grids(results: Results) -> Figure:
         return np.array([[cell(policy, behavior) for policy in policies] for behavior in BEHAVIORS])
 
     for spot, name in zip(several, MEASURES, strict=False):
-        scale = 100.0 / results.episodes if name == "completed" else 1.0
-        title = "completed tasks, %" if name == "completed" else MEASURES[name]
-        _grid(spot, scale * values(lambda p, b, name=name: results.cells[p][b][name].mean), policies, title)
+        _grid(spot, values(lambda p, b, name=name: results.cells[p][b][name].mean), policies, MEASURES[name])
     _grid(several[-1], values(lambda p, b: results.waiting[p][b].mean), policies, "time not moving of completed, s")
     by = values(lambda p, b: results.by_situation[p][b].mean)
     for k, (spot, situation) in enumerate(zip(by_situation, shares.NAMES, strict=True)):

@@ -16,9 +16,9 @@ from scipy import stats
 
 from sean_jax.base import SENSING
 from sean_jax.metrics import Estimate, interval
-from sean_jax.metrics.bootstrap import of_share, with_estimate
+from sean_jax.metrics.bootstrap import with_estimate
 from sean_jax.metrics.differences import holm
-from sean_jax.studies.experiments.measures import Arrays, polite, score_resamples
+from sean_jax.studies.experiments.measures import Arrays, percent, polite, score_resamples
 
 LEVEL = 0.05  # of corrected p-values
 SEEDS = 3  # of an agent, at least, for an interval that has the variation between trainings
@@ -169,8 +169,7 @@ def _share(sums: list[Sums]) -> Estimate:
     shares, episodes = _overall(sums), sum(each.tasks.shape[1] for each in sums)
     share = _over_seeds(shares, episodes)
     even = (len(shares) == 1) & ((share.mean == 0.0) | (share.mean == 1.0))
-    share = of_share(share, where=even)
-    return share._replace(mean=100.0 * share.mean, low=100.0 * share.low, high=100.0 * np.minimum(share.high, 1.0))
+    return percent(share._replace(high=np.minimum(share.high, 1.0)), even)
 
 
 def _violations(sums: list[Sums]) -> Estimate:
