@@ -174,6 +174,7 @@ def test_results_are_ranked(ranked, tmp_path, capsys):
     assert rows[0] == "class,first_rank,last_rank,policy,results,tracks,polite_percent,low,high"
     assert len(rows) == 1 + 2 * 2 and {row.split(",")[5] for row in rows[1:]} == {"all", "floor"}
     assert (out / "differences.csv").read_text(encoding="utf-8").startswith("class,first,second,difference_percent,low")
+    assert (out / "situations-all-knowing.png").read_bytes().startswith(b"\x89PNG")
     page = (out / "report.html").read_text(encoding="utf-8")
     assert "all-knowing" in page and "<svg" in page and "src=" not in page
     assert BenchmarkRankConfig(results=tuple(ranked)).folder == Path("runs/ranking")

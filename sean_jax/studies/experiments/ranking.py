@@ -15,7 +15,7 @@ REPORT, TABLE, PAIRS = "report.html", "ranking.csv", "differences.csv"
 
 
 def run(options: BenchmarkRankConfig) -> Ranking:
-    """Rank results, and write ranking.csv, differences.csv and report.html.
+    """Rank results, and write ranking.csv, differences.csv, situations-CLASS.png and report.html.
 
     Raises:
         InputError: as of ``rank``.
@@ -25,22 +25,16 @@ def run(options: BenchmarkRankConfig) -> Ranking:
     found, folder = rank(list(options.results)), options.folder
     with writing.folder_lock(folder):
         rows = [
-            (
-                row.entry.sensing,
-                row.first,
-                row.last,
-                row.entry.name,
-                len(row.entry.measured),
-                name,
-                *map(float, each[:3]),
-            )
+            (entry.sensing, row.first, row.last, entry.name, len(entry.measured), name, *map(float, each[:3]))
             for row in found.rows
+            for entry in [row.entry]
             for name, each in row.of.items()
         ]
         write_csv(folder / TABLE, "class,first_rank,last_rank,policy,results,tracks,polite_percent,low,high", rows)
         pairs = [(each.sensing, each.first, each.second, *each.difference, f"{each.p:.3g}") for each in found.pairs]
         write_csv(folder / PAIRS, "class,first,second,difference_percent,low,high,p_holm", pairs)
         figures = {sensing: pictures.situations(rows) for sensing, rows in found.by_class().items()}
+        pictures.save(folder, {f"situations-{sensing}": figure for sensing, figure in figures.items()})
         writing.write(folder / REPORT, page.ranking(options, found, figures))
     return found
 
