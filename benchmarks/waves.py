@@ -7,12 +7,11 @@ First the waves of both forms are compared, in windows of random costs. On a CPU
 """
 
 import argparse
-import time
-from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from gradients import seconds
 
 import sean_jax
 from sean_jax.episodes import init_policy, simulate
@@ -26,16 +25,6 @@ def choose(form: str) -> None:
     """Use this form of waves on a GPU in all programs traced from now on."""
     jax.clear_caches()
     wave_kernel.supports = SUPPORTS if form == "kernel" else lambda wave: False
-
-
-def seconds(function: Callable, *arguments: object) -> float:
-    """The least time [s] of three calls."""
-    spent = []
-    for _ in range(3):
-        began = time.perf_counter()
-        jax.block_until_ready(function(*arguments))
-        spent.append(time.perf_counter() - began)
-    return min(spent)
 
 
 def compare(count: int) -> None:

@@ -1,6 +1,7 @@
 """Figures over episodes: means and bootstrap intervals against closed forms and scipy's bootstrap."""
 
 import math
+import warnings
 
 import jax
 import jax.numpy as jnp
@@ -82,6 +83,10 @@ def test_intervals_of_networks_stay_within_the_values():
     np.testing.assert_allclose(found.low[2:], found.high[2:], rtol=1e-12)
     assert (found.low <= found.mean).all() and (found.mean <= found.high).all()
     assert bootstrap.interval(weights @ share / 120)[1] > 1.0 and bootstrap.interval(weights @ seconds / 120)[0] < 0.0
+    swept = random.random((120, 200)) < np.repeat(random.beta(0.5, 0.5, (3, 200)), 40, axis=0)
+    found = aggregate(swept, weights=weights)
+    assert (0.0 <= found.low).all() and (found.low <= found.mean).all()
+    assert (found.mean <= found.high).all() and (found.high <= 1.0).all()
 
 
 def test_one_group_of_many_episodes_is_the_plain_bootstrap(normal):
@@ -104,7 +109,8 @@ def test_shares_of_episodes_have_the_interval_of_wilson(number, level):
     some = aggregate(np.arange(20) % 3 == 0)
     assert bootstrap.of_share(some, where=False) == some
     counts = aggregate(np.arange(20.0))  # no share, so the square root of Wilson's interval does not exist
-    assert bootstrap.of_share(counts, where=False) == counts
+    with warnings.catch_warnings(action="error"):
+        assert bootstrap.of_share(counts, where=False) == counts
     assert bootstrap.of_share(aggregate(np.full(3, np.nan))) == (0, 0, 0, 0)
 
 

@@ -24,12 +24,10 @@ def run(options: BenchmarkRankConfig) -> Ranking:
     """
     found, folder = rank(list(options.results)), options.folder
     with writing.folder_lock(folder):
-        rows = [
-            (entry.sensing, row.first, row.last, entry.name, len(entry.measured), name, *map(float, each[:3]))
-            for row in found.rows
-            for entry in [row.entry]
-            for name, each in row.of.items()
-        ]
+        rows = list[tuple]()
+        for row in found.rows:
+            head = row.entry.sensing, row.first, row.last, row.entry.name, len(row.entry.measured)
+            rows += [(*head, name, *map(float, each[:3])) for name, each in row.of.items()]
         write_csv(folder / TABLE, "class,first_rank,last_rank,policy,results,tracks,polite_percent,low,high", rows)
         pairs = [(each.sensing, each.first, each.second, *each.difference, f"{each.p:.3g}") for each in found.pairs]
         write_csv(folder / PAIRS, "class,first,second,difference_percent,low,high,p_holm", pairs)
