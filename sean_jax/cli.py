@@ -45,6 +45,10 @@ READERS = (
 )  # may run code that a file names
 CONFIGURABLE = ("run", "train")  # take their options from a file, too
 EXPERIMENTS = {"table1": "table1", "ablation": "table1", "figure4": "figure4", "learning_curve": "figure4"}  # -> module
+OUT_OF_MEMORY = (
+    "the device is out of memory; set XLA_PYTHON_CLIENT_MEM_FRACTION=0.95 (JAX takes 0.75 of a GPU), "
+    "or choose fewer episodes or scenarios at once. The same command resumes an unfinished experiment."
+)
 TRACEBACK = "--traceback"  # of any command
 WRONG, FAILED, STOPPED, TERMINATED = 2, 1, 130, 143  # exit codes: bad input, broken midway, Ctrl-C, SIGTERM
 
@@ -124,6 +128,14 @@ def _main(words: list[str], traced: bool) -> int:
         if (error.name or "").split(".")[0] not in LEARNING:
             raise
         return _fail(f'{error.name} is missing; pip install "sean_jax[learning]".', WRONG)
+    except RuntimeError as error:
+        from sean_jax.devices import is_out_of_memory
+
+        if not is_out_of_memory(error):
+            raise
+        if traced:
+            traceback.print_exception(error)
+        return _fail(OUT_OF_MEMORY, FAILED)
     except KeyboardInterrupt as error:
         return _fail(str(error) or "stopped; nothing was written.", STOPPED)
 

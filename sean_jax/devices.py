@@ -6,6 +6,7 @@ GPUs before NVIDIA's Hopper, and in double precision. (``shard_map``, which woul
 compiles for two GPUs, with jax 0.11.2.)
 """
 
+import re
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
@@ -16,10 +17,19 @@ import numpy as np
 from flax import struct
 from jax import Array
 from jax.custom_derivatives import SymbolicZero
+from jax.errors import JaxRuntimeError
 from jax.sharding import AxisType, Mesh, NamedSharding, PartitionSpec
 from jaxtyping import PyTree
 
 AXIS = "scenarios"
+
+
+def is_out_of_memory(error: BaseException) -> bool:
+    """Whether the error is XLA's for a device without free memory; it has two messages."""
+    text = str(error)
+    return isinstance(error, JaxRuntimeError) and bool(
+        re.search("RESOURCE_EXHAUSTED|out of memory", text, re.IGNORECASE)
+    )
 
 
 def by_platform(cpu: Callable, default: Callable) -> Callable:

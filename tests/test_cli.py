@@ -17,6 +17,7 @@ import numpy as np
 import programs
 import pytest
 import yaml
+from jax.errors import JaxRuntimeError
 from rich.console import Console
 
 from sean_jax import assembly, bench, cache, cli, compiler, interrupts, learning
@@ -185,6 +186,7 @@ def test_a_refused_command_leaves_no_trace(commands, capsys, monkeypatch, tmp_pa
     [
         (OSError(28, "No space left on device", "episodes.csv"), 1, "the disk is full (episodes.csv); nothing was"),
         (FloatingPointError("1 of 4 episodes hold numbers that are not finite: 2."), 1, "finite: 2. Nothing was"),
+        (JaxRuntimeError("RESOURCE_EXHAUSTED: Out of memory"), 1, "the device is out of memory; set XLA_PYTHON_CLIENT"),
         (KeyboardInterrupt(), 130, "stopped"),
         (WRAPPED, 130, "stopped"),
     ],

@@ -10,7 +10,6 @@ from __future__ import annotations
 import functools
 import gc
 import os
-import re
 import threading
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
@@ -104,7 +103,7 @@ def _in_threads(
     parts: Sequence[Part], run: Callable[[Part], Any], at_once: int, stop: threading.Event
 ) -> dict[str, Any]:
     """Parts in ``at_once`` threads, in half as many once a part is out of device memory; that part runs again."""
-    from jax.errors import JaxRuntimeError
+    from sean_jax.devices import is_out_of_memory
 
     results: dict[str, Any] = {}
     waiting, running = list(parts), dict[Future, tuple[Part, int]]()
@@ -121,8 +120,8 @@ def _in_threads(
                     part, threads = running.pop(future)
                     try:
                         results[part.name] = future.result()
-                    except JaxRuntimeError as error:
-                        if threads == 1 or not re.search("RESOURCE_EXHAUSTED|out of memory", str(error), re.IGNORECASE):
+                    except RuntimeError as error:
+                        if threads == 1 or not is_out_of_memory(error):
                             raise
                         waiting.insert(0, part)
                         at_once = min(at_once, threads // 2)
