@@ -199,8 +199,9 @@ def standing(options: argparse.Namespace) -> None:
             f"median; {100 * (command[:, 0] > 0.1).mean():.0f} % above 0.1 m/s (it pushes)"
         )
         side, height = _touched(scenario, frames["pose"][last, -1])
-        print(f"  at the end {last.sum()} stand: goal at {np.round(frames['to_goal'][last, -1], 1)} m, "
-              f"obstacle at {np.round(side)} degrees from ahead, {height} m high", flush=True)  # fmt: skip
+        far, ahead = np.median(np.round(frames["to_goal"][last, -1], 1)), 100 * np.mean(np.round(side) <= 10.0)
+        print(f"  at the end {last.sum()} stand: goal at {far:.1f} m in the median, the obstacle within 10 degrees of "
+              f"ahead in {ahead:.0f} %, lower than 1 m in {100 * np.mean(height < 1.0):.0f} %", flush=True)  # fmt: skip
 
 
 def _touched(scenario: Scenario, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
