@@ -165,11 +165,12 @@ plt.show()
 # section V.
 
 # %%
+from sean_jax.metrics import bootstrap  # noqa: E402
 from sean_jax.studies.experiments import shares  # noqa: E402
 
 flags = recording.rows.situations
-blocks = flags[: len(flags) // 30 * 30].reshape(-1, 30, flags.shape[-1])
-found = shares.count(blocks).of("flags")  # of all that holds; two situations in one second are two flags
+blocks = flags[: len(flags) // 30 * 30].reshape(-1, 30, flags.shape[-1])  # of 30 s, which are nearly independent
+found = shares.count(blocks, bootstrap.resamples(len(blocks))).of("flags")  # two situations in one second are two flags
 low, high = shares.interval(found)
 figure, panel = plt.subplots(figsize=(6, 2.8), layout="constrained")
 x = np.arange(5)

@@ -201,6 +201,7 @@ def test_a_missing_key_is_named(tmp_path):
     ("change", "words"),
     [
         ({"answers": {"9": 0.5}}, ["answers.9", "no place in the 1 indices"]),
+        ({"answers": {"9" * 5000: 0.5}}, ["answers.9", "no place in the 1 indices"]),
         ({"answers": {"0": 7.0}}, ["answers.0", "7"]),
         ({"indices": [55]}, ["indices[0]", "55 has no file 000000055.json"]),
     ],

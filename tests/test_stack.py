@@ -215,6 +215,7 @@ def test_sets_are_named():
         ("worlds:rooms", "worlds:FAMILIES:NUMBER"),
         ("worlds:roms:3", "'roms' in worlds:roms:3 is not one of .*rooms"),
         ("worlds:rooms:0", "number in worlds:rooms:0"),
+        (f"worlds:rooms:3:{'9' * 5000}", "is no set of worlds"),
     ]:
         with pytest.raises(InputError, match=message):
             worlds.parse_set(name)

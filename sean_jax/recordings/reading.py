@@ -23,7 +23,7 @@ from sean_jax.base import Array
 from sean_jax.errors import FileError, InputError
 from sean_jax.files import file_error, read_text, short_name, unknown_name
 from sean_jax.messages import shorten
-from sean_jax.quantities import MAX_COORDINATE, MAX_DURATION, MAX_PEOPLE, check_number
+from sean_jax.quantities import MAX_COORDINATE, MAX_DURATION, MAX_PEOPLE, check_number, parse_digits
 
 NAMES = {  # the names that a column may have; the first one present counts
     "frame": ("frame",),
@@ -115,10 +115,10 @@ def read_companions(path: str | Path, tracks: Tracks) -> Int[np.ndarray, " N"]:
     for line, text in enumerate(read_text(Path(path)).splitlines(), 1):
         members = []
         for word in text.split():
-            if not word.isdecimal() or int(word) not in column:
+            if (number := parse_digits(word)) not in column:
                 text = f"{word[:40]!r} is the number of nobody in the recording; give a line of people for each group"
                 raise file_error(path, text, line)
-            members.append(column[int(word)])
+            members.append(column[number])
         if members:
             shared = np.isin(group, group[members][group[members] >= 0])
             shared[members] = True

@@ -20,7 +20,7 @@ import numpy as np
 from sean_jax import files, writing
 from sean_jax.base import Trajectory
 from sean_jax.errors import FileError, InputError
-from sean_jax.quantities import MAX_COORDINATE, MAX_PEOPLE, check_number
+from sean_jax.quantities import MAX_COORDINATE, MAX_PEOPLE, check_number, parse_digits
 from sean_jax.recordings import headings
 from sean_jax.ros.messages import SECOND, Message, Topic, fill, typestore
 from sean_jax.trajectories import save_trajectory
@@ -358,7 +358,8 @@ def _people(
         if hasattr(message, "people"):
             for each in message.people:
                 tags = dict(zip(each.tagnames, each.tags, strict=False))
-                group = int(tags["group"]) if str(tags.get("group", "")).isdecimal() else -1
+                number = parse_digits(str(tags.get("group", "")))
+                group = -1 if number is None or number >= 2**31 else number  # 32 bits hold it
                 velocity = each.velocity.x, each.velocity.y
                 add(each.name, header, time, each.position, velocity, _number(tags.get("heading")), group)
         elif hasattr(message, "agents"):

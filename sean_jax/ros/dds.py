@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from sean_jax.errors import InputError
+from sean_jax.quantities import parse_digits
 from sean_jax.ros.messages import fill, typestore
 from sean_jax.ros.transport import INPUTS, SERVICES, Mailbox, Output
 
@@ -39,15 +40,16 @@ class Participant:
             from cyclonedds.domain import Domain, DomainParticipant
         except ImportError as error:
             raise InputError(f'dds: {error.name} is missing; pip install "sean_jax[dds]".') from None
-        if not (domain.isdecimal() and int(domain) <= 230):
+        number = parse_digits(domain)
+        if number is None or number > 230:
             raise InputError(f"dds: {domain!r} is no number of a domain; give one from 0 to 230.")
         self.address = f"DDS domain {domain}"
         self._mailbox = mailbox
         types = Types()
         self._types, self._kinds = types, {name: output.type for name, output in outputs.items()}
         try:
-            self._domain = None if "CYCLONEDDS_URI" in os.environ else Domain(int(domain), LOCAL)
-            self._participant = DomainParticipant(int(domain))
+            self._domain = None if "CYCLONEDDS_URI" in os.environ else Domain(number, LOCAL)
+            self._participant = DomainParticipant(number)
         except core.DDSException as error:
             raise InputError(f"dds: domain {domain} cannot be joined: {error}; see CYCLONEDDS_URI.") from None
         policy, second = core.Policy, 1_000_000_000

@@ -27,7 +27,7 @@ from sean_jax.files import Problem
 from sean_jax.geometry import length
 from sean_jax.metrics import METRICS
 from sean_jax.padding import pad
-from sean_jax.quantities import MAX_OBSTACLES, Coordinate, Radius
+from sean_jax.quantities import MAX_OBSTACLES, Coordinate, Radius, parse_digits
 from sean_jax.recordings.reading import LONGEST_GAP, ROUNDING, Tracks
 from sean_jax.survey import export, report
 
@@ -182,10 +182,11 @@ def read_answers(path: Path, trajectories: Mapping[int, Any]) -> Answers:
 
     def known(answers: Answers) -> Iterator[Problem]:
         for place in answers.answers:
-            if not place.isdecimal() or int(place) >= len(answers.indices):
+            index = parse_digits(place)
+            if index is None or index >= len(answers.indices):
                 yield ("answers", place), f"is no place in the {len(answers.indices)} indices; remove the answer"
-            elif (number := answers.indices[int(place)]) not in trajectories:
-                yield ("indices", int(place)), f"{number} has no file {number:09}.json; add it or remove the answer"
+            elif (number := answers.indices[index]) not in trajectories:
+                yield ("indices", index), f"{number} has no file {number:09}.json; add it or remove the answer"
 
     return files.check_json(path, files.read_json(path, strict=False), Answers, known)
 
@@ -223,7 +224,8 @@ def _variants(folder: Path) -> dict[int, str]:
         return {}
     groups = files.check_json(path, files.read_json(path), Variants).root
     stems = {name.partition(".")[0]: variant for variant, names in groups.items() for name in names}
-    return {int(stem): f"variant {variant}" for stem, variant in stems.items() if stem.isdecimal()}
+    numbers = {parse_digits(stem): f"variant {variant}" for stem, variant in stems.items()}
+    return {number: variant for number, variant in numbers.items() if number is not None}
 
 
 # ------------------------------------------------------------------ a trajectory

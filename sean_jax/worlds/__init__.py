@@ -159,14 +159,14 @@ def parse_set(name: str) -> WorldSet | None:
     if word != "worlds":
         return None
     cure = "give worlds:FAMILIES:NUMBER or worlds:FAMILIES:NUMBER:SEED, such as worlds:rooms,aisles:512"
-    if len(parts) not in (2, 3) or not all(part.isdecimal() for part in parts[1:]):
+    number, seed = (quantities.parse_digits(part) for part in (*parts[1:], "0", "0")[:2])
+    if len(parts) not in (2, 3) or number is None or seed is None:
         raise InputError(f"environment: '{name}' is no set of worlds; {cure}.")
     families = tuple(FAMILIES) if parts[0] == "all" else tuple(parts[0].split(","))
     for family in families:
         if family not in FAMILIES:
             hint = files.suggest(family, FAMILIES)
             raise InputError(f"environment: '{family}' in {name} is not one of all, {', '.join(FAMILIES)}{hint}")
-    number, seed = int(parts[1]), int(parts[2]) if len(parts) == 3 else 0
     quantities.check_number(f"environment: number in {name}", number, 1, MAX_WORLDS)
     quantities.check_number(f"environment: seed in {name}", seed, 0, 2**31)
     return WorldSet(families, number, seed)
