@@ -4,7 +4,7 @@ import re
 import typing
 from typing import Any
 
-OUTSIDE = re.compile(r"\[([^\]]+)\]\(\.\./([^)\s]+)\)")
+UPWARDS = re.compile(r"\[([^\]]+)\]\(((?:\.\./)+)([^)\s]+)\)")
 OPTIONS = "<!-- options -->"
 
 
@@ -20,8 +20,24 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     """
     if page.file.src_uri == "options.md":
         markdown = markdown.replace(OPTIONS, options())
-    # Files of the repository that are no pages are named, not linked: the site stands without the repository.
-    return OUTSIDE.sub(r"\1 (`\2`)", markdown)
+    return name_outside(markdown, page.file.src_uri)
+
+
+def name_outside(markdown: str, place: str) -> str:
+    """Name files outside of the pages instead of linking them: the site stands without the repository.
+
+    Args:
+        markdown: of a page.
+        place: of the page in docs/.
+
+    Returns:
+        Markdown.
+    """
+
+    def name(link: re.Match) -> str:
+        return f"{link[1]} (`{link[3]}`)" if link[2].count("/") > place.count("/") else link[0]
+
+    return UPWARDS.sub(name, markdown)
 
 
 def options() -> str:

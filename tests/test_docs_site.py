@@ -78,7 +78,10 @@ def test_every_option_is_on_its_page():
         section = f"\n{text}".split(f"\n## sean {word}\n")[1].split("\n## ")[0]
         for name, field in model.model_fields.items():
             assert not field.description or f"| `{name}` |" in section, (word, name)
-    assert hooks.OUTSIDE.sub(r"\1 (`\2`)", "see [it](../a/b.md)") == "see it (`a/b.md`)"
+    assert hooks.name_outside("see [it](../a/b.md)", "page.md") == "see it (`a/b.md`)"
+    assert hooks.name_outside("see [it](../../a/b.md)", "results/page.md") == "see it (`a/b.md`)"
+    for inside in ("see [it](../a.md#b)", "![it](../pictures/a.png)", "see [it](a.md)"):
+        assert hooks.name_outside(inside, "results/page.md") == inside
 
 
 @pytest.mark.slow
