@@ -63,6 +63,14 @@ def test_links_lead_to_headings(page):
             assert anchor in anchors(where), f"{page.name}: {target}#{anchor}"
 
 
+def test_lists_and_tables_begin_after_an_empty_line():
+    """Python-Markdown makes one paragraph of them otherwise, unlike GitHub."""
+    for path in DOCS.rglob("*.md"):
+        text = re.sub(r"^```.*?^```", "", path.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+        joined = re.search(r"^(?!- |#|\||<|\d+\. |\s|$).*\n(?:- |1\. |\|)", text, re.MULTILINE)
+        assert not joined, f"{path.name}: {joined[0]}"
+
+
 def test_the_gallery_shows_every_picture():
     shown = set(re.findall(r"\(pictures/([^)]+\.png)\)", (DOCS / "gallery.md").read_text()))
     assert shown == {path.name for path in (DOCS / "pictures").glob("*.png")}
