@@ -135,6 +135,11 @@ def split(over: Mesh, tree: PyTree, axis: int = 0) -> PyTree:
     return _put(tree, NamedSharding(over, PartitionSpec(*axis * (None,), AXIS)))
 
 
+def place(tree: PyTree, shardings: PyTree) -> PyTree:
+    """Arrays on devices by the shardings of a prefix of the tree."""
+    return jax.tree.map(lambda sharding, part: _put(part, sharding), shardings, tree)
+
+
 def _put(tree: PyTree, sharding: NamedSharding) -> PyTree:
     """The arrays placed; keys go as numbers, since jax (0.10.2) places no keys on the devices of other processes."""
 

@@ -88,6 +88,12 @@ class _Lines(Progress):
         self._console.file.flush()
 
 
+def say(console: ProgressLike, sentence: str) -> None:
+    """Print a sentence on a console; a function or None is told nothing."""
+    if console is not None and hasattr(console, "print"):
+        console.print(sentence, markup=False)  # pyright: ignore[reportAttributeAccessIssue]
+
+
 @contextlib.contextmanager
 def progress(console: ProgressLike) -> Iterator[Progress]:
     """The progress of the block's work.

@@ -28,7 +28,7 @@ from sean_jax.learning.networks import ActorCritic, Agent, NetworkOutput
 from sean_jax.learning.policy import check_policy
 from sean_jax.learning.rollouts import EnvBatch, Envs, Optimization, Transition
 from sean_jax.learning.trainer import check_config, method_config, write_config
-from sean_jax.progress import ProgressLike
+from sean_jax.progress import ProgressLike, say
 from sean_jax.stack import Stack
 
 UPDATES = 100  # of ``clone``
@@ -61,9 +61,7 @@ def train(options: DaggerConfig, console: ProgressLike = None) -> TrainState:
         for number in range(options.rounds + 1):
             if number > 0:
                 data.append(options.folder / f"data-{number}")
-                if console is not None and hasattr(console, "print"):
-                    text = f"round {number} of {options.rounds}: the network drives, {options.expert.kind} labels"
-                    console.print(text, markup=False)  # pyright: ignore
+                say(console, f"round {number} of {options.rounds}: the network drives, {options.expert.kind} labels")
                 part = _part_of_progress(console, 2 * number - 1, options.rounds)
                 collection.collect(_collect_options(options, first, number), part)
             out = options.folder / f"round-{number}"

@@ -567,13 +567,14 @@ def apply(
     return call(agent.parameters, scaled, images, memory, start)
 
 
-def update_statistics(before: Statistics, vectors: Float[Array, "K F"]) -> Statistics:
+def update_statistics(before: Statistics, vectors: Float[Array, "*batch F"]) -> Statistics:
     """Statistics with further observations.
 
     Source: T. Chan et al., "Updating formulae and a pairwise algorithm for computing sample variances", 1979.
     """
-    number = jnp.asarray(vectors.shape[0], jnp.float32)
-    mean, variance = vectors.mean(0), vectors.var(0)
+    batch = tuple(range(vectors.ndim - 1))  # not flattened, which would collect what several devices share
+    number = jnp.asarray(math.prod(vectors.shape[:-1]), jnp.float32)
+    mean, variance = vectors.mean(batch), vectors.var(batch)
     total = before.count + number
     gap = mean - before.mean
     squares_sum = before.variance * before.count + variance * number + gap * gap * before.count * number / total

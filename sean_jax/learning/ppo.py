@@ -62,7 +62,7 @@ def update(
     last = rollouts.forward(network, agent, envs[0].member.observations, batch)
     advantage = rollouts.advantages(transitions, last.value, numbers["discount"], numbers["advantage_decay"])
     target = advantage + transitions.value
-    returns = networks.update_statistics(optimizer.returns, target.reshape(-1, 1))
+    returns = networks.update_statistics(optimizer.returns, target[..., None])
     returns = replace(returns, count=jnp.minimum(returns.count, MEMORY * target.size))
     scale = jnp.sqrt(returns.variance[0] + EPSILON)  # the critic learns in units of it, and its value stays the same
 

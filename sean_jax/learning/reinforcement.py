@@ -23,7 +23,7 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
-from jaxtyping import Int, PyTree
+from jaxtyping import Float, Int, PyTree
 
 from sean_jax import components, devices, mdp, prng, registry, writing
 from sean_jax.base import Array, Policy, Scenario, State
@@ -42,7 +42,7 @@ from sean_jax.learning.rollouts import EnvBatch, Envs
 from sean_jax.learning.trainer import Loop, Report, check_config, method_config
 from sean_jax.mdp import rewards
 from sean_jax.messages import listed
-from sean_jax.progress import ProgressLike, progress
+from sean_jax.progress import ProgressLike, progress, say
 from sean_jax.robots.drive import require
 from sean_jax.scenario import reset, results
 from sean_jax.stack import Stack
@@ -77,6 +77,15 @@ class Programs(NamedTuple):
     update: Callable  # (envs, state) -> (state, numbers for the log, (A, ...)); donates the state
     evaluate: Callable  # (scenarios, envs, starts, agents) -> mean return, (A,), and numbers for the log, (A, ...)
     refill: Callable  # (envs, state) -> state with other starts; donates the state
+    keep_best: Callable  # (state, mean return, (A,)) -> state with its best agents
+
+
+class Layout(NamedTuple):
+    """Where the state of a training lies."""
+
+    mesh: Mesh
+    agents: NamedSharding  # of what each agent has, (A, ...)
+    rows: NamedSharding  # of its scenarios, (A, B, ...)
 
 
 class Setting(NamedTuple):
@@ -101,7 +110,8 @@ def train(options: ReinforcementConfig, console: ProgressLike = None) -> TrainSt
     """
     with contextlib.ExitStack() as stack:
         stack.enter_context(components.read_once())
-        config = trainer.on_all_processes(lambda: method_config(options, devices=len(jax.devices())))
+        count = device_layout(len(options.agents)).mesh.size
+        config = trainer.on_all_processes(lambda: method_config(options, devices=count))
         trainer.on_first_process(lambda: check_config(options.folder, config))  # refuses before anything is written
         setting = trainer.on_all_processes(lambda: build(options))
         callbacks = trainer.on_all_processes(lambda: _callbacks(options))
@@ -180,8 +190,35 @@ def _check_alike(names: Sequence[str], envs: Sequence[mdp.Env]) -> None:
             raise InputError(f"observations: {name} shows {sizes}; leave it out, or train in one of them.")
 
 
-def programs(options: ReinforcementConfig, network: ActorCritic, mesh: Mesh) -> Programs:
-    """The compiled functions of a training on the devices of a mesh."""
+def device_layout(agents: int) -> Layout:
+    """Devices share the agents if there are several, which then exchange nothing, and else the scenarios.
+
+    Agents that do not divide among all devices take as many devices as they divide among: if devices shared the
+    scenarios of several agents, each call of a GPU kernel would exchange them. Only one process can hold other agents
+    on each of its devices, since all processes of several read the agents.
+    """
+    if agents == 1 or jax.process_count() > 1:
+        mesh = devices.mesh()
+        return Layout(mesh, _sharding(mesh), _sharding(mesh, None, devices.AXIS))
+    count = max(count for count in range(1, len(jax.devices()) + 1) if agents % count == 0)
+    mesh = devices.mesh(jax.devices()[:count])
+    return Layout(mesh, _sharding(mesh, devices.AXIS), _sharding(mesh, devices.AXIS))
+
+
+def _sharding(mesh: Mesh, *axes: str | None) -> NamedSharding:
+    return NamedSharding(mesh, PartitionSpec(*axes))
+
+
+def unused_devices(agents: int) -> str | None:
+    """A sentence on the devices that a training of that many agents leaves idle; None if it takes all."""
+    used, count = device_layout(agents).mesh.size, len(jax.devices())
+    if used == count:
+        return None
+    return f"{agents} agents divide among {used} of {count} devices; the others are idle. Train a multiple of {count}."
+
+
+def programs(options: ReinforcementConfig, network: ActorCritic, layout: Layout) -> Programs:
+    """The compiled functions of a training."""
     method: Any = METHODS[options.method]
     keys = jnp.stack([prng.key("training", int(agent["seed"])) for agent in options.agents])
     numbers = {
@@ -254,14 +291,35 @@ def programs(options: ReinforcementConfig, network: ActorCritic, mesh: Mesh) -> 
         each = jax.vmap(one)(agents, numbers)
         return jnp.stack([numbers.pop("value") for numbers in each]).mean(0), each
 
-    whole, split = (NamedSharding(mesh, PartitionSpec(*axes)) for axes in ((), (None, devices.AXIS)))
-    placed: Any = TrainState(agent=whole, optimizer=whole, rows=split, best=whole, curriculum=whole, update=whole)  # pyright: ignore
-    placed = replace(placed, multipliers=whole)
+    def keep_best(state: TrainState, value: Float[Array, "A"]) -> TrainState:
+        better = value > state.best.value
+        latest = Best(state.agent, value, jnp.broadcast_to(state.update, value.shape))
+
+        def choose(old: Array, new: Array) -> Array:
+            return jnp.where(better.reshape(-1, *(1,) * (new.ndim - 1)), new, old)
+
+        return replace(state, best=jax.tree.map(choose, state.best, latest))
+
+    whole, placed = _sharding(layout.mesh), placement(layout)
     return Programs(
         jax.jit(begin),
         jax.jit(update, donate_argnums=1, out_shardings=(placed, whole)),
         jax.jit(evaluate, out_shardings=whole),
         jax.jit(refill, donate_argnums=1, out_shardings=placed),
+        jax.jit(keep_best, out_shardings=placed),
+    )
+
+
+def placement(layout: Layout) -> Any:
+    """The sharding of each field of a ``TrainState``."""
+    return TrainState(
+        agent=layout.agents,  # pyright: ignore
+        optimizer=layout.agents,
+        rows=layout.rows,  # pyright: ignore
+        best=layout.agents,  # pyright: ignore
+        curriculum=layout.agents,  # pyright: ignore
+        update=_sharding(layout.mesh),  # pyright: ignore
+        multipliers=layout.agents,  # pyright: ignore
     )
 
 
@@ -377,12 +435,14 @@ def _train(
     """Train in a folder that this process has locked, or the first of the processes that train together."""
     scenarios, envs, network = setting
     resumes = trainer.on_first_process(lambda: check_config(options.folder, config))
-    mesh, total = devices.mesh(), options.updates
-    if options.scenarios // len(envs) % mesh.size:
-        text = f"scenarios: {options.scenarios} do not spread evenly over {mesh.size} devices"
+    placed, total = device_layout(len(options.agents)), options.updates
+    if placed.rows.spec != placed.agents.spec and options.scenarios // len(envs) % placed.mesh.size:
+        text = f"scenarios: {options.scenarios} do not spread evenly over {placed.mesh.size} devices"
         text += f" in {len(envs)} environments" if len(envs) > 1 else ""
         raise InputError(f"{text}; take a multiple.")
-    run = programs(options, network, mesh)
+    if idle := unused_devices(len(options.agents)):
+        say(console, idle)
+    run = programs(options, network, placed)
     teachers = ()
     if options.imitate is not None and not (resumes and list((options.folder / "checkpoints").glob("[0-9]*"))):
         teachers = tuple(policies.load_policy(options.imitate, scenario, "imitate") for scenario in scenarios)
@@ -396,19 +456,13 @@ def _train(
         if options.noise is not None:
             agents = with_noise(agents, options.noise)
         state = run.begin(envs, agents)
-        scenarios, envs, starts = devices.replicate(mesh, (scenarios, envs, starts))
+        scenarios, envs, starts = devices.replicate(placed.mesh, (scenarios, envs, starts))
         setting = Setting(scenarios, envs, network)
-
-        def place(state: TrainState) -> TrainState:
-            """Scenarios on all devices, and all else on each."""
-            whole = devices.replicate(mesh, replace(state, rows=None))
-            return replace(whole, rows=devices.split(mesh, state.rows, axis=1))
-
         loop = Loop(
             advance=lambda state: _advance(options, run, setting, starts, state),
             is_over=lambda state: int(state.update) >= total,
             done=lambda state: int(state.update),
-            place=place,
+            place=lambda state: devices.place(state, placement(placed)),
             encode=_encode,
             decode=_decode,
         )
@@ -474,12 +528,8 @@ def _evaluate(
     several, of each environment and of each agent."""
     scenarios, envs, _ = setting
     value, each = run.evaluate(scenarios, tuple(env.with_fields(pool=None) for env in envs), starts, state.agent)
-    value, each = jnp.asarray(value, jnp.float32), jax.tree.map(np.asarray, each)
-    better = value > state.best.value
-    now = Best(state.agent, value, jnp.broadcast_to(state.update, value.shape))
-    best = jax.tree.map(
-        lambda old, new: jnp.where(better.reshape(-1, *(1,) * (new.ndim - 1)), new, old), state.best, now
-    )
+    state = run.keep_best(state, jnp.asarray(value, jnp.float32))
+    each = jax.tree.map(np.asarray, each)
     names = ["", *(f" in {name}" for name, _ in scenarios[0].situations)]
     with warnings.catch_warnings(action="ignore", category=RuntimeWarning):  # a situation that never occurred
         agents = {name: np.nanmean([one[name] for one in each], 0) for name in each[0]}
@@ -491,7 +541,7 @@ def _evaluate(
     if (count := value.shape[0]) > 1:
         parts = [{name: part[number] for name, part in agents.items()} for number in range(count)]
         line |= {f"agent {number}": _by_situation(names, part) for number, part in enumerate(parts)}
-    return replace(state, best=best), line
+    return state, line
 
 
 def _by_situation(names: list[str], values: dict[str, np.ndarray]) -> dict[str, float]:

@@ -4,6 +4,7 @@ Source: J. Schulman et al., "High-dimensional continuous control using generaliz
 """
 
 import functools
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -12,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import optax
 from flax import struct
-from jaxtyping import Bool, Float, PyTree
+from jaxtyping import Bool, Float, Int, PyTree
 
 from sean_jax import mdp
 from sean_jax.base import Array
@@ -22,6 +23,7 @@ from sean_jax.mdp import observations
 from sean_jax.stack import Stack, of_arrays
 
 MIN_POOL = 8  # starts on each of several floors
+BLOCKS = 8  # of scenarios at most, within which minibatches are shuffled
 Envs = tuple[Stack[mdp.Env], ...]
 """Environments that share the scenarios equally, each on one floor or on several."""
 INFO_KEYS = ("rewards", "completed", "episode_return", "episode_length", "start", "situations")  # of a step's info
@@ -204,8 +206,7 @@ def unroll(network: ActorCritic, agent: Agent, transitions: Transition, memory: 
 
 def with_statistics(agent: Agent, transitions: Transition) -> Agent:
     """The agent whose statistics include the observations of transitions (T, B, ...)."""
-    vectors = transitions.vector.reshape(-1, transitions.vector.shape[-1])
-    return replace(agent, statistics=networks.update_statistics(agent.statistics, vectors))
+    return replace(agent, statistics=networks.update_statistics(agent.statistics, transitions.vector))
 
 
 def log_numbers(transitions: Transition) -> dict[str, dict[str, Array]]:
@@ -260,17 +261,43 @@ def optimize(
 
     def step(carry: tuple, rows: Array) -> tuple[tuple, PyTree]:
         parameters, state = carry
-        part = jax.tree.map(lambda leaf: leaf[:, rows], data)
-        gradient, numbers = jax.grad(loss_of, has_aux=True)(parameters, part, memory[rows])
+        part = jax.tree.map(lambda leaf: take_rows(leaf, rows, axis=1), data)
+        gradient, numbers = jax.grad(loss_of, has_aux=True)(parameters, part, take_rows(memory, rows, axis=0))
         return apply_gradient(how.optimizer, how.learning_rate, parameters, state, gradient), numbers
 
     def epoch(carry: tuple, key: Array) -> tuple[tuple, PyTree]:
-        order = jax.random.permutation(key, memory.shape[0]).reshape(how.minibatches, -1)
-        return jax.lax.scan(step, carry, order)
+        return jax.lax.scan(step, carry, shuffled_rows(key, memory.shape[0], how.minibatches))
 
     keys = jax.random.split(jax.random.fold_in(key, 2**31 - 1), how.epochs)
     (parameters, state), numbers = jax.lax.scan(epoch, (agent.parameters, state), keys)
     return replace(agent, parameters=parameters), state, jax.tree.map(jnp.mean, numbers)
+
+
+def shuffled_rows(key: Array, number: int, minibatches: int) -> Int[Array, "minibatches blocks rows"]:
+    """Minibatches of ``number`` scenarios in random order, equally many of each block, as rows within the blocks.
+
+    A device that holds whole blocks needs no scenario of another device. The blocks do not depend on the devices, so the
+    order does not either.
+
+    Args:
+        key: () typed PRNG key.
+        number: a multiple of ``minibatches``.
+    """
+    blocks = math.gcd(number // minibatches, BLOCKS)
+    size = number // blocks
+    order = jax.vmap(lambda key: jax.random.permutation(key, size))(jax.random.split(key, blocks))
+    return order.reshape(blocks, minibatches, -1).swapaxes(0, 1)
+
+
+def take_rows(values: Array, rows: Int[Array, "blocks rows"], axis: int) -> Array:
+    """The rows of each block of an axis, one block after the other: a minibatch of ``shuffled_rows``."""
+    before, number, after = values.shape[:axis], values.shape[axis], values.shape[axis + 1 :]
+    blocks, taken = rows.shape
+    parts = values.reshape(*before, blocks, number // blocks, *after)
+
+    # A gather with a batch axis stays on each device, while ``values[rows]`` would collect all scenarios on each.
+    take = jax.vmap(lambda block, chosen: jnp.take(block, chosen, axis=axis), in_axes=(axis, 0), out_axes=axis)
+    return take(parts, rows).reshape(*before, blocks * taken, *after)
 
 
 def apply_gradient(
