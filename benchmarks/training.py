@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 
 import sean_jax
-from sean_jax import devices, flags, mdp
+from sean_jax import flags, mdp
 from sean_jax.config import PPOConfig
 from sean_jax.errors import InputError
 from sean_jax.learning import reinforcement, rollouts
@@ -81,7 +81,7 @@ def main(names: list[str], options: PPOConfig) -> None:
         return state, (observation, reward)
 
     gather = jax.jit(rollouts.rollout, static_argnums=(1, 4))
-    run = reinforcement.programs(options, network, devices.mesh())
+    run = reinforcement.programs(options, network, reinforcement.device_layout(1))
     state = run.begin((env,), jax.tree.map(lambda part: part[None], agent))
 
     def update() -> Any:

@@ -11,10 +11,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax.sharding import Mesh
 
 import sean_jax
 from sean_jax import devices, episodes, learning
 from sean_jax.base import Policy
+from sean_jax.learning import reinforcement, rollouts
 from sean_jax.policies import go_to_goal
 
 PROGRAM = """
@@ -244,6 +246,86 @@ def test_several_environments_on_two_devices_are_those_on_one(tmp_path):
     assert "4 do not spread evenly over 4 devices in 2 environments; take a multiple" in " ".join(
         refused.communicate(timeout=600)[1].split()
     )
+
+
+@pytest.mark.night
+def test_two_agents_on_two_devices_are_those_on_one(tmp_path):
+    more = ("--seeds", "2")
+    told = [train(tmp_path / str(count), 0, more=more, count=count) for count in (1, 2)]
+    assert [(process.communicate(timeout=600), process.returncode)[1] for process in told] == [0, 0]
+    for one, other in zip(curve(tmp_path / "1"), curve(tmp_path / "2"), strict=True):
+        assert one == pytest.approx(other, rel=1e-3, abs=1e-5)
+
+
+EXCHANGES = """
+import re
+import jax
+from sean_jax import devices
+from sean_jax.config import PPOConfig
+from sean_jax.learning import reinforcement
+
+place = dict(environment="lab", behavior="random", people=2)
+terms = dict(observations=["goal", "speeds"], rewards=["progress"])
+sizes = dict(seeds=AGENTS, scenarios=SCENARIOS, horizon=4, minibatches=4, epochs=1, width=4, pool=4)
+options = PPOConfig(method="ppo", **place, **terms, **sizes)
+setting = reinforcement.build(options)
+layout = reinforcement.device_layout(AGENTS)
+assert layout.mesh.size == 2
+run = reinforcement.programs(options, setting.network, layout)
+envs, _ = reinforcement.draw_starts(options, setting.scenarios, setting.envs)
+state = run.begin(envs, reinforcement._first_agents(options, setting))
+state = devices.place(state, reinforcement.placement(layout))
+text = run.update.lower(devices.replicate(layout.mesh, envs), state).compile().as_text()
+kinds = "all-reduce|all-gather|all-to-all|collective-permute|reduce-scatter"
+shapes = [shape for shape, _ in re.findall(rf" = (.*?) ({kinds})(?:-start)?\\(", text)]
+brackets = [found for shape in shapes for found in re.findall(r"\\[([0-9,]+)\\]", shape)]
+axes = [int(axis) for found in brackets for axis in found.split(",")]
+print(max(axes, default=0))
+"""
+
+
+@pytest.mark.night
+@pytest.mark.parametrize("agents", [1, 2])
+def test_an_update_exchanges_no_scenarios_between_devices(agents):
+    """What devices exchange has no axis of scenarios: gradients and means, and for several agents the log alone."""
+    scenarios = 4096  # more than any layer has weights
+    program = EXCHANGES.replace("AGENTS", str(agents)).replace("SCENARIOS", str(scenarios))
+    flags = "--xla_force_host_platform_device_count=2 --xla_backend_optimization_level=0"
+    environment = {**os.environ, "JAX_PLATFORMS": "cpu", "XLA_FLAGS": flags}
+    found = subprocess.run(
+        [sys.executable, "-c", program], env=environment, capture_output=True, text=True, timeout=600
+    )
+    assert found.returncode == 0, found.stderr[-2000:]
+    assert int(found.stdout) < scenarios // 2
+
+
+def test_agents_that_do_not_divide_among_devices_leave_some_idle(monkeypatch):
+    monkeypatch.setattr(jax, "devices", lambda: 4 * jax.local_devices())
+    monkeypatch.setattr(
+        devices, "mesh", lambda chosen=None: Mesh(np.array(chosen or 4 * jax.local_devices()), "scenarios")
+    )
+    idle = {agents: reinforcement.unused_devices(agents) for agents in (1, 4, 6, 8)}
+    assert idle == {
+        1: None,
+        4: None,
+        6: "6 agents divide among 3 of 4 devices; the others are idle. Train a multiple of 4.",
+        8: None,
+    }
+
+
+@pytest.mark.parametrize("number, minibatches", [(8, 8), (12, 2), (64, 4), (30, 5), (96, 3)])
+def test_minibatches_take_each_scenario_once_and_equally_many_of_each_block(number, minibatches):
+    rows = rollouts.shuffled_rows(jax.random.key(number), number, minibatches)
+    values = jnp.arange(2 * number).reshape(2, number)
+    taken = np.stack([rollouts.take_rows(values, each, axis=1) for each in rows])  # (minibatches, 2, rows)
+    assert sorted(taken[:, 0].ravel()) == list(range(number))
+    np.testing.assert_array_equal(taken[:, 1], taken[:, 0] + number)
+
+    blocks = rows.shape[1]
+    for minibatch in taken[:, 0]:
+        counts = np.bincount(minibatch // (number // blocks), minlength=blocks)
+        assert (counts == counts[0]).all()
+    assert number // minibatches == 1 or (np.diff(taken[0, 0]) != 1).any()
 
 
 def test_on_host_computes_on_the_cpu_and_gives_arrays_of_the_default_device(monkeypatch):

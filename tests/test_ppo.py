@@ -15,7 +15,7 @@ import pytest
 from quick import quick
 
 import sean_jax
-from sean_jax import cli, devices, flags, learning, mdp, registry
+from sean_jax import cli, flags, learning, mdp, registry
 from sean_jax.config import APGConfig, PPOConfig
 from sean_jax.errors import InputError
 from sean_jax.learning import networks, ppo, reinforcement, rollouts, shac
@@ -60,7 +60,8 @@ def standing(config: PPOConfig, network: ActorCritic, over) -> reinforcement.Pro
         return value, [found] * len(envs)
 
     refill = jax.jit(lambda envs, state: state)
-    return reinforcement.Programs(jax.jit(begin), jax.jit(update), jax.jit(evaluate), refill)
+    best = jax.jit(reinforcement.keep_best)
+    return reinforcement.Programs(jax.jit(begin), jax.jit(update), jax.jit(evaluate), refill, best)
 
 
 @pytest.fixture(scope="module")
@@ -205,7 +206,7 @@ def test_programs_of_a_training_fit_together(method):
     """Traced, not compiled: an update gives a state like the one that it gets, and an evaluation what is logged."""
     config = (options if method == "ppo" else analytic)(None)
     scenarios, (env,), network = reinforcement.build(config)
-    run = reinforcement.programs(config, network, devices.mesh())
+    run = reinforcement.programs(config, network, reinforcement.device_layout(1))
 
     def together(key):
         starts = reinforcement.evaluation_starts(config, scenarios, (env,))
@@ -230,7 +231,8 @@ def test_evaluations_use_the_weights_of_each_agent():
     agent = begun(network, envs[0].member)
     agents = jax.tree.map(lambda leaf: jnp.stack([leaf, leaf]), agent)
     starts = reinforcement.evaluation_starts(config, scenarios, envs)
-    value, (found,) = reinforcement.programs(config, network, devices.mesh()).evaluate(scenarios, envs, starts, agents)
+    run = reinforcement.programs(config, network, reinforcement.device_layout(2))
+    value, (found,) = run.evaluate(scenarios, envs, starts, agents)
     np.testing.assert_allclose(value, [0.5, -1.0], rtol=1e-5)
     np.testing.assert_allclose(found["return"], value)
 

@@ -87,6 +87,11 @@ class Layout(NamedTuple):
     agents: NamedSharding  # of what each agent has, (A, ...)
     rows: NamedSharding  # of its scenarios, (A, B, ...)
 
+    @property
+    def shares_agents(self) -> bool:
+        """Whether devices share the agents, and not the scenarios of each."""
+        return self.rows == self.agents
+
 
 class Setting(NamedTuple):
     """What agents are trained with: for each environment the scenario of evaluations and its ``Env``; the network."""
@@ -291,15 +296,6 @@ def programs(options: ReinforcementConfig, network: ActorCritic, layout: Layout)
         each = jax.vmap(one)(agents, numbers)
         return jnp.stack([numbers.pop("value") for numbers in each]).mean(0), each
 
-    def keep_best(state: TrainState, value: Float[Array, "A"]) -> TrainState:
-        better = value > state.best.value
-        latest = Best(state.agent, value, jnp.broadcast_to(state.update, value.shape))
-
-        def choose(old: Array, new: Array) -> Array:
-            return jnp.where(better.reshape(-1, *(1,) * (new.ndim - 1)), new, old)
-
-        return replace(state, best=jax.tree.map(choose, state.best, latest))
-
     whole, placed = _sharding(layout.mesh), placement(layout)
     return Programs(
         jax.jit(begin),
@@ -308,6 +304,17 @@ def programs(options: ReinforcementConfig, network: ActorCritic, layout: Layout)
         jax.jit(refill, donate_argnums=1, out_shardings=placed),
         jax.jit(keep_best, out_shardings=placed),
     )
+
+
+def keep_best(state: TrainState, value: Float[Array, "A"]) -> TrainState:
+    """The state in which agents with a greater value than before are the best."""
+    better = value > state.best.value
+    latest = Best(state.agent, value, jnp.broadcast_to(state.update, value.shape))
+
+    def choose(old: Array, new: Array) -> Array:
+        return jnp.where(better.reshape(-1, *(1,) * (new.ndim - 1)), new, old)
+
+    return replace(state, best=jax.tree.map(choose, state.best, latest))
 
 
 def placement(layout: Layout) -> Any:
@@ -436,7 +443,7 @@ def _train(
     scenarios, envs, network = setting
     resumes = trainer.on_first_process(lambda: check_config(options.folder, config))
     placed, total = device_layout(len(options.agents)), options.updates
-    if placed.rows.spec != placed.agents.spec and options.scenarios // len(envs) % placed.mesh.size:
+    if not placed.shares_agents and options.scenarios // len(envs) % placed.mesh.size:
         text = f"scenarios: {options.scenarios} do not spread evenly over {placed.mesh.size} devices"
         text += f" in {len(envs)} environments" if len(envs) > 1 else ""
         raise InputError(f"{text}; take a multiple.")

@@ -276,8 +276,8 @@ def optimize(
 def shuffled_rows(key: Array, number: int, minibatches: int) -> Int[Array, "minibatches blocks rows"]:
     """Minibatches of ``number`` scenarios in random order, equally many of each block, as rows within the blocks.
 
-    A device that holds whole blocks needs no scenario of another device. The blocks do not depend on the devices, so the
-    order does not either.
+    A device that holds whole blocks needs no scenario of another device. Neither the blocks nor the order depend on
+    the number of devices.
 
     Args:
         key: () typed PRNG key.
