@@ -1,6 +1,7 @@
 """``sean compare``: paired where episodes are the same, by means where they are not; and the page of both."""
 
 import csv
+import io
 import json
 import re
 from pathlib import Path
@@ -295,3 +296,56 @@ def test_a_missing_replay_is_named(tmp_path, capsys, monkeypatch, page, words):
     assert "No replay of one: " in said and words in said
     assert "No replay of other: other/report.html: holds none." in said
     assert words in Path("compare-one-other.html").read_text()
+
+
+def extreme_run(folder: Path, sign: float, **options) -> Path:
+    """A run of 24 episodes whose figures differ by as much in each episode, so that p-values are the smallest."""
+    run(folder, 0, episodes=24, **options)
+    rows = [*csv.reader((folder / "episodes.csv").open())]
+    rows[0] += ["mean_speed", "path_length__down_path", "mean_jerk"]
+    more = np.arange(24)[:, None] * [0.25, 0.5, 0.125] + [sign, sign, 0.0]
+    with (folder / "episodes.csv").open("w", newline="") as stream:
+        csv.writer(stream).writerows([rows[0], *([*row, *each] for row, each in zip(rows[1:], more, strict=True))])
+    return folder
+
+
+def test_each_row_that_is_counted_is_shown(tmp_path):
+    """Also the clearest ones, whose p-values are the smallest that permutations of so few episodes can give."""
+    first = extreme_run(tmp_path / "first", 0.0)
+    others = [extreme_run(tmp_path / name, sign, policy="orca") for name, sign in (("up", 4.0), ("down", -4.0))]
+    out = tmp_path / "page.html"
+    console = Console(record=True, width=140, quiet=False, file=io.StringIO())
+    compare.compare(CompareConfig(runs=(first, *others), out=out), console)
+    views = compare.differences([compare.read(folder) for folder in (first, *others)])
+    told, text = console.export_text(), out.read_text(encoding="utf-8")
+    marks = {"better": "✓ better", "worse": "✗ worse", "differs": "≠ differs"}
+
+    # Effects at the floor of the permutation test are clear.
+    floors = [row for rows in views["overall"] for row in rows if row.values.p == 2.0**-23]
+    assert {row.name for row in floors} == {"mean_speed"} and all(row.verdict == "differs" for row in floors)
+
+    for view, sides in views.items():
+        begin = re.search(rf'data-view="?{view}"?>', text)
+        assert begin is not None
+        shown = re.split("data-view|<p class=note>✓", text[begin.end() :])[0]
+        assert shown.count("</td></tr>") == sum(map(len, sides)), view
+        for verdict, mark in marks.items():
+            assert shown.count(f">{mark}</span>") == sum(row.verdict == verdict for rows in sides for row in rows), view
+        assert shown.count("same in each") == sum(not row.tested for rows in sides for row in rows), view
+
+    overall = [row for rows in views["overall"] for row in rows]
+    for verdict, mark in marks.items():
+        assert told.count(mark) == sum(row.verdict == verdict for row in overall)
+    assert told.count("same in each") == sum(not row.tested for row in overall) > 0
+    assert f"{sum(row.tested for row in overall)} figures were tested" in told
+
+
+def test_p_values_are_numbers_of_python():
+    """A bool of numpy is neither True nor False to ``is``, and no JSON."""
+    one = np.arange(24.0)
+    for other in one + 4.0, one + np.arange(24.0), one**2:
+        for paired in True, False:
+            found = difference(one, other, paired)
+            assert found is not None and all(type(value) is float for value in found)
+    shares = difference(np.zeros(24), np.ones(24), True)
+    assert shares is not None and all(type(value) is float for value in shares)

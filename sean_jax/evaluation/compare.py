@@ -35,6 +35,7 @@ REPLAY = re.compile(r'<script type="application/json" id="replay">(.*?)</script>
 OVERALL = "overall"
 LEVEL = 0.05  # of corrected p-values
 SYMBOLS = {"better": "✓ better", "worse": "✗ worse", "differs": "≠ differs", "": ""}
+SAME = "same in each"  # episode, which is not tested
 LONGEST = 100  # characters of the page's default name
 WIDEST = 3.0  # standard deviations that a plot shows
 
@@ -206,7 +207,7 @@ def differences(runs: Sequence[SavedRun]) -> Views:
         rows = [row for view in family for each in views[view] for row in each]
         corrected = iter(holm([row.values.p for row in rows]))
         for view in family:
-            views[view] = [[row._replace(clear=next(corrected) <= LEVEL) for row in each] for each in views[view]]
+            views[view] = [[row._replace(clear=bool(next(corrected) <= LEVEL)) for row in each] for each in views[view]]
     return views
 
 
@@ -269,7 +270,7 @@ def _table(rows: list[Row], first: str, second: str) -> Table:
     title = Text(f"{second} minus {first}: {_counts(rows)}")
     lines = Table(box=box.SIMPLE_HEAD, title=title, title_justify="left", title_style="bold", pad_edge=False)
     lines.add_column("")
-    body = [(*row.texts(), SYMBOLS[row.verdict]) for row in rows]
+    body = [(*row.texts(), SYMBOLS[row.verdict] if row.tested else SAME) for row in rows]
     for k, name in enumerate((first, second, "change", "95 % interval", "")):
         width = max((len(texts[k]) for texts in body), default=0)
         justify = "right" if name else "left"
@@ -310,6 +311,7 @@ def page(views: Views, runs: Sequence[SavedRun], words: str) -> str:
         note=words,
         tested=tested(views),
         symbols=SYMBOLS,
+        same=SAME,
         players=players,
         script=replay.script(),
         runs=runs,
@@ -331,7 +333,8 @@ class _Side(NamedTuple):
     @classmethod
     def of(cls, run: SavedRun, rows: list[Row]) -> "_Side":
         sizes = [abs(end) / row.values.deviation for row in rows if row.values.deviation for end in row.values[3:5]]
-        clear, others = ([row for row in rows if row.clear is is_clear] for is_clear in (True, False))
+        clear = [row for row in rows if row.clear]
+        others = [row for row in rows if not row.clear]
         return cls(run, clear, others, min(max([*sizes, 0.5]), WIDEST), _counts(rows))
 
     def at(self, row: Row, value: float) -> float:
