@@ -349,3 +349,52 @@ def test_p_values_are_numbers_of_python():
             assert found is not None and all(type(value) is float for value in found)
     shares = difference(np.zeros(24), np.ones(24), True)
     assert shares is not None and all(type(value) is float for value in shares)
+
+
+def disc_runs(folder: Path, **columns: tuple[np.ndarray, np.ndarray]) -> list[compare.SavedRun]:
+    """Two runs in the same episodes with these columns."""
+    folder.mkdir(exist_ok=True)
+    runs = [compare.read(run(folder / name, 0, policy=policy)) for name, policy in (("a", "orca"), ("b", "dwa"))]
+    for name, pair in columns.items():
+        for each, values in zip(runs, pair, strict=True):
+            each.columns[name] = values
+            each.columns["completed"] = np.ones(40)
+    return runs
+
+
+def test_values_beyond_the_best_are_no_better(tmp_path):
+    """A robot that stops at the edge of the goal is neither better nor worse than one at its centre."""
+    noise = 0.01 * np.random.default_rng(0).normal(size=40)
+    inside, edge, far = 0.14 + noise, 0.74 - noise, 3.0 + noise
+    runs = disc_runs(
+        tmp_path, path_efficiency=(1.0 - abs(noise), 0.91 + noise), final_distance_to_goal=(inside, edge),
+        min_distance_to_goal=(inside, far),
+    )  # fmt: skip
+    found = rows(*runs)
+    assert found["path_efficiency"].verdict == found["final_distance_to_goal"].verdict == "differs"
+    assert found["final_distance_to_goal"].values.first == inside.mean(), "the figure stays the distance to the centre"
+    assert found["min_distance_to_goal"].verdict == "worse"
+
+    # Of efficiencies on both sides of 1, those above decide.
+    mixed = np.where(np.arange(40) % 2, 1.3, 0.9) + noise
+    runs = disc_runs(tmp_path / "mixed", path_efficiency=(0.9 + noise, mixed))
+    assert rows(*runs)["path_efficiency"].verdict == "worse"
+    runs = disc_runs(tmp_path / "radius", final_distance_to_goal=(inside, edge))
+    for each in runs:
+        each.config = each.config.replace(goal_radius=0.3)
+    assert rows(*runs)["final_distance_to_goal"].verdict == "worse"
+
+
+def test_values_up_to_the_best_are_a_test_more(tmp_path):
+    """Holm's correction counts it, so that no more marks are false than the page says."""
+    random = np.random.default_rng(0)
+    one = 1.3 + random.normal(size=40)
+    runs = disc_runs(tmp_path, final_distance_to_goal=(one, one + 0.3 + random.normal(size=40)))
+    for each in runs:
+        each.columns = {name: each.columns[name] for name in ("completed", "final_distance_to_goal")}
+    row = rows(*runs)["final_distance_to_goal"]
+    assert row.up_to_best is not None
+    p = row.values.p, row.up_to_best.p
+    assert row.clear == (min(holm(p)) <= 0.05) and row.directed == (holm(p)[1] <= 0.05)
+    assert row.judged(1.0, 0.01).verdict == "worse" and row.judged(0.01, 0.2).verdict == "differs"
+    assert row.judged(1.0, 1.0).verdict == ""
