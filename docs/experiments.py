@@ -41,7 +41,10 @@ def plus_minus(row: Row, mean: str, scale: float, digits: int) -> str:
 
 
 def shares(folder: str) -> str:
-    """Table I: percent of all flags at the first V, and entropies, beside the paper's."""
+    """Table I: percent of all flags at the first V, and entropies, beside the paper's.
+
+    Ratios of shares do not depend on what they are shares of. "none" is percent of the examples in no situation.
+    """
     hours = read(folder, "hours")
     flags = [row for row in read(folder, "shares") if row["counting"] == "flags"]
     entropies, speed = read(folder, "entropies"), flags[0]["V"]
@@ -49,13 +52,24 @@ def shares(folder: str) -> str:
     for behavior in BEHAVIORS:
         printed = {row["figure"]: float(row["paper"]) for row in hours if row["behavior"] == behavior}
         numbers = [f"{100 * printed[name]:.1f}" for name in SITUATIONS]
-        rows.append([f"**{behavior}**, paper", *numbers, f"{printed['entropy']:.3f}"])
+        rows.append([f"**{behavior}**, paper", *numbers, "", f"{printed['entropy']:.3f}", *ratios(printed)])
         for policy in dict.fromkeys(row["policy"] for row in flags):
             mine = [r for r in flags if (r["policy"], r["behavior"], r["V"]) == (policy, behavior, speed)][:5]
             entropy = next(r for r in entropies if (r["policy"], r["behavior"], r["V"]) == (policy, behavior, speed))
             cells = [plus_minus(row, "share", 100, 1) for row in mine]
-            rows.append([f"`{policy}`", *cells, plus_minus(entropy, "entropy", 1, 3)])
-    return markdown(["", *(name.replace("_", " ") for name in SITUATIONS), "entropy"], rows)
+            none, shares = (
+                f"{100 * float(entropy['none']):.1f}",
+                {row["situation"]: float(row["share"]) for row in mine},
+            )
+            rows.append([f"`{policy}`", *cells, none, plus_minus(entropy, "entropy", 1, 3), *ratios(shares)])
+    names = [name.replace("_", " ") for name in SITUATIONS]
+    return markdown(["", *names, "none", "entropy", "down / cross", "(cross + down) / empty"], rows)
+
+
+def ratios(shares: dict[str, float]) -> list[str]:
+    """Down path over cross path, and both over empty; "" where there is none below."""
+    cross, down, empty = (shares[name] for name in ("cross_path", "down_path", "empty"))
+    return [f"{above / below:.2f}" if below else "" for above, below in ((down, cross), (cross + down, empty))]
 
 
 def hours(folder: str) -> str:
@@ -141,6 +155,26 @@ def driven(measure: str, folder: str) -> str:
     return markdown(["", *BEHAVIORS, "mean", "paper, mean"], rows)
 
 
+def standing(folder: str) -> str:
+    """Time not moving of all episodes and of completed ones: the others may have been stuck until the time limit."""
+    every, rows = read(folder, "figure4"), []
+    for policy in dict.fromkeys(row["policy"] for row in every):
+        mine = select(every, policy=policy)
+        cells = [select(mine, measure="time_not_moving", behavior=name) for name in (*BEHAVIORS, "mean")]
+        if not all(cells):
+            continue
+        texts = [plus_minus(row, "mean", 1, 2) for (row,) in cells]
+        printed = PRINTED.get(policy, {}).get("time_not_moving", "")
+
+        completed = [select(mine, measure="time_not_moving_of_completed", behavior=name) for name in BEHAVIORS]
+        only = [plus_minus(row[0], "mean", 1, 2) if row else "" for row in completed]
+        mean = f"{sum(float(row['mean']) for (row,) in completed) / len(BEHAVIORS):.2f}" if all(completed) else ""
+        rows.append([policy if policy in PRINTED else f"`{policy}`", *texts, printed, *only, mean])
+    return markdown(
+        ["", *BEHAVIORS, "mean", "paper, mean", *(f"{name}, completed" for name in (*BEHAVIORS, "mean"))], rows
+    )
+
+
 def interval(row: Row, name: str, digits: int = 2) -> str:
     """A number and its interval."""
     return "{} [{}, {}]".format(*(f"{float(row[each]):.{digits}f}" for each in (name, "low", "high")))
@@ -160,14 +194,17 @@ def contrasts(folder: str) -> str:
 
 
 def claims(folder: str) -> str:
-    """The paper's statements on Figure 4, and the share of the resamples in which each holds."""
+    """Statements on Figure 4, the paper's and ours, and the share of the resamples in which each holds."""
     rows = []
     for row in read(folder, "claims"):
         share = float(row["share_of_resamples"])
         sure = "" if share >= 0.975 or share <= 0.025 else "perhaps "
         holds = f"{sure}{'yes' if row['holds'] == 'True' else 'no'}, {100 * share:.4g} %"
-        rows.append([row["statement"], row["paper"], row["ours"], holds])
-    return markdown(["statement of the paper", "paper", "here", "holds"], rows)
+        source = "ours" if row["paper"] == "not reported" else "paper"
+        limit = re.search(r"by half|within 5 %", row["statement"])
+        source += f', "{limit[0]}" ours' if limit else ""
+        rows.append([row["statement"], source, row["paper"], row["ours"], holds])
+    return markdown(["statement", "whose", "paper", "here", "holds"], rows)
 
 
 def switches(folder: str) -> str:
@@ -265,7 +302,7 @@ TABLES: dict[str, Callable[[str], str]] = {
     "speeds": speeds,
     "crowds": crowds,
     "completed": functools.partial(driven, "completed"),
-    "time_not_moving": functools.partial(driven, "time_not_moving"),
+    "time_not_moving": standing,
     "violations": functools.partial(driven, "violations"),
     "contrasts": contrasts,
     "claims": claims,

@@ -280,9 +280,15 @@ def _train(options: config.ImitationConfig | config.ReinforcementConfig, console
 
         state = learning.reinforcement.train(options, console)
         value, after = map(np.asarray, (state.best.value, state.best.update))
-        best = f"best return in an evaluation {value.max():.2f} after {after[value.argmax()]}"
-        _print(console, f"{int(state.update)} updates, {best}: ", options.folder)
-    _print(console, "next: ", _drive(options.folder, bool(components.digests(options))))
+        best = f"best evaluation: return {value.max():.2f}"
+        lines = learning.trainer.read_metrics(options.folder)
+        line = next((line for line in lines if line["epoch"] == after[value.argmax()]), {})
+        own = line.get(f"agent {value.argmax()}", line.get("evaluation", {}))
+        if "completed" in own:
+            best += f", {own['completed']:.0%} completed"
+        _print(console, f"{int(state.update)} updates, {best} after {after[value.argmax()]}: ", options.folder)
+    trained = options.as_run() if isinstance(options, config.ReinforcementConfig) else None
+    _print(console, "next: ", _drive(options.folder, bool(components.digests(options)), trained))
 
 
 def _join() -> int:
@@ -298,10 +304,17 @@ def _join() -> int:
     return jax.process_index()
 
 
-def _drive(folder: Path, trust: bool = False) -> str:
-    """The command for episodes of the policy in a folder; a name alone could be a policy of the package."""
+def _drive(folder: Path, trust: bool = False, options: config.RunConfig | None = None) -> str:
+    """The command for episodes of the policy in a folder; a name alone could be a policy of the package.
+
+    Args:
+        options: of the scenario, all by default.
+    """
+    from sean_jax import flags
+
     policy = str(folder) if folder.name != str(folder) else f"./{folder}"
-    return shlex.join(["sean", "run", "--policy", policy, *["--trust"] * trust])
+    scenario = shlex.split(flags.command("run", options, chosen=True))[2:] if options is not None else []
+    return shlex.join(["sean", "run", "--policy", policy, *scenario, *["--trust"] * trust])
 
 
 def _experiment(options: config.ExperimentConfig, console: "Console") -> None:

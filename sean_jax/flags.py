@@ -110,7 +110,7 @@ def _choices(kind: object) -> str | None:
 
 def _default(value: object) -> str:
     """The end of a help text."""
-    if value is None or value == () or value is False:
+    if value is None or value == () or (isinstance(value, bool) and not value):
         return ""
     values = value if isinstance(value, tuple) else (value,)
     return f" (default: {' '.join(each.kind if isinstance(each, core.Component) else number(each) for each in values)})"
@@ -146,7 +146,7 @@ def read(
     words = {
         name: value for name, value in vars(parsed).items() if value is not None and name not in ("config", "trust")
     }
-    switches = {name for name, value in words.items() if value is False}  # which are off by default
+    switches = {name for name, value in words.items() if isinstance(value, bool) and not value}  # off by default
     data = dict(base or {})
     preset = words.get("preset", data.get("preset"))
     for name, family in families(model).items():
@@ -217,10 +217,10 @@ def _words_of_parts(name: str, value: Any, family: Family) -> list[str]:
 
 
 def _words(name: str, value: object) -> list[str]:
-    if value is False or value == () or value == "":
+    if isinstance(value, bool):
+        return [flag(name)] if value else []
+    if value == () or value == "":
         return []
-    if value is True:
-        return [flag(name)]
     words = [number(each) for each in (value if isinstance(value, tuple) else (value,))]
     if isinstance(value, str | Path) and words[0].startswith("-"):  # else it would be read as an option
         return [f"{flag(name)}={words[0]}"]

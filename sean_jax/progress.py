@@ -34,21 +34,36 @@ class Progress:
         if self._report is not None:
             self._report(min(1.0, done / self._total))
 
+    @contextlib.contextmanager
+    def aside(self, text: str) -> Iterator[None]:
+        """Work within a stage that is not part of its length, such as an evaluation; its time does not count."""
+        yield
+
 
 class _Bar(Progress):
     """A bar on the console."""
 
     def __init__(self, bar: Any) -> None:
-        self._bar, self._task = bar, bar.add_task("starting", total=None, note="")
+        self._bar, self._task, self._text = bar, bar.add_task("starting", total=None, note=""), "starting"
 
     def stage(self, text: str) -> None:
+        self._text = text
         self._bar.update(self._task, description=text, total=None, note="")
 
     def start(self, text: str, total: float) -> None:
+        self._text = text
         self._bar.reset(self._task, description=text, total=total, note="")
 
     def update(self, done: float, note: str = "") -> None:
         self._bar.update(self._task, completed=done, note=note)
+
+    @contextlib.contextmanager
+    def aside(self, text: str) -> Iterator[None]:
+        self._bar.update(self._task, description=text)
+        try:
+            yield
+        finally:
+            self._bar.update(self._task, description=self._text)
 
 
 class _Lines(Progress):
@@ -58,6 +73,7 @@ class _Lines(Progress):
         self._console, self._text, self._total = console, "starting", 0.0
         self._begin = self._last = time.monotonic()
         self._done, self._note, self._first = 0.0, "", (self._begin, 0.0)
+        self._aside, self._aside_text, self._aside_began = 0.0, "", 0.0  # s that do not count; what is done beside
 
     def stage(self, text: str) -> None:
         self.start(text, 0.0)
@@ -68,9 +84,18 @@ class _Lines(Progress):
 
     def update(self, done: float, note: str = "") -> None:
         if not self._done:  # before it, programs were compiled, or a training was resumed
-            self._first = time.monotonic(), done
+            self._first, self._aside = (time.monotonic(), done), 0.0
         self._done, self._note = done, note
         self.line()
+
+    @contextlib.contextmanager
+    def aside(self, text: str) -> Iterator[None]:
+        self._aside_text, self._aside_began = text, time.monotonic()
+        try:
+            yield
+        finally:
+            self._aside += time.monotonic() - self._aside_began
+            self._aside_text = ""
 
     def line(self) -> None:
         """Print a line if it is time for one."""
@@ -80,9 +105,11 @@ class _Lines(Progress):
         self._last = now
         share = f" {min(1.0, self._done / self._total):.0%}" if self._total and self._done else ""
         begin, first = self._first
-        rest = (now - begin) * (self._total - self._done) / (self._done - first) if self._done > first else 0.0
+        spent = (self._aside_began if self._aside_text else now) - begin - self._aside
+        rest = spent * (self._total - self._done) / (self._done - first) if self._done > first else 0.0
         left = f", {datetime.timedelta(seconds=int(rest))} left" if share and rest > 0.0 else ""
-        text = f"{self._text}{share}{self._note and ' · '}{self._note}"
+        stage = f"{self._text}, {self._aside_text}" if self._aside_text else self._text
+        text = f"{stage}{share}{self._note and ' · '}{self._note}"
         text += f" · {datetime.timedelta(seconds=int(now - self._begin))}{left}"
         self._console.print(text, markup=False, emoji=False, highlight=False, soft_wrap=True)
         self._console.file.flush()

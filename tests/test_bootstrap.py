@@ -71,22 +71,58 @@ def test_hierarchical_intervals_hold_the_truth_as_often_as_they_say(sizes, sprea
     assert 0.92 <= ((found.low <= 0) & (found.high >= 0)).mean() <= 0.97
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("datasets", "mean", "spread", "least", "most"),
+    [(3, 2.5, 0.7, 0.89, 0.93), (3, 4.0, 1.5, 0.75, 0.80), (10, 2.5, 0.7, 0.90, 0.94), (10, 4.0, 1.5, 0.78, 0.83)],
+)
+def test_intervals_of_few_skewed_networks_are_too_narrow(datasets, mean, spread, least, most):
+    """Shares of 410 tasks, logit-normal between datasets, 91 and 96 % in the mean, as docs/experiments.md has them."""
+    random = np.random.default_rng(0)
+
+    def shares(*shape: int) -> np.ndarray:
+        return 1.0 / (1.0 + np.exp(-random.normal(mean, spread, shape)))
+
+    truth = shares(2_000_000).mean()
+    completed = random.binomial(410, shares(datasets, 3000)) / 410
+    found = aggregate(completed, weights=bootstrap.hierarchical_resamples((datasets, 1, 1)), bounds=(0.0, 1.0))
+    assert least <= ((found.low <= truth) & (truth <= found.high)).mean() <= most
+
+
+def test_intervals_are_cut_at_the_range_of_the_figure_and_not_at_the_data():
+    """Three networks whose episodes hardly vary: the interval goes on beyond the largest episode."""
+    random, weights = np.random.default_rng(5), bootstrap.hierarchical_resamples((3, 1, 40))
+    times = np.repeat([1.0, 2.0, 3.0], 40) + 0.01 * random.normal(size=120)
+    found = aggregate(times, weights=weights, bounds=(0.0, math.inf))
+    half = scipy.stats.t.ppf(0.975, 2) / np.sqrt(3)
+    assert found.high == pytest.approx(2.0 + half, rel=0.05) and found.high > times.max() + 1.0 and found.low == 0.0
+    gaps = aggregate(times - 2.0, weights=weights)
+    assert gaps.low == pytest.approx(-half, rel=0.15) and gaps.high == pytest.approx(half, rel=0.15)
+
+    # 400 experiments with three networks: 95 % of the intervals hold the truth.
+    data = np.repeat(random.normal(5.0, 1.0, (3, 400)), 40, axis=0) + 0.01 * random.normal(size=(120, 400))
+    found = aggregate(data, weights=weights, bounds=(0.0, math.inf))
+    assert 0.92 <= ((found.low <= 5.0) & (found.high >= 5.0)).mean() <= 0.98
+
+
 def test_intervals_of_networks_stay_within_the_values():
     """Student's interval of three networks would go beyond 100 % and below 0 s. Numbers that are equal stay so."""
     random, weights = np.random.default_rng(5), bootstrap.hierarchical_resamples((3, 1, 40))
     share = (random.random((3, 40)) < [[0.7], [0.98], [0.99]]).ravel()
     seconds = np.where(random.random((3, 40)) < [[0.9], [0.05], [0.0]], random.exponential(9.0, (3, 40)), 0.0).ravel()
     values = np.stack([share, seconds, np.full(120, 0.1), np.zeros(120)], 1)
-    found = aggregate(values, weights=weights)
-    np.testing.assert_allclose(found.mean, values.mean(0))
-    assert found.low[0] > 0.0 and found.high[0] == 1.0 and found.low[1] == 0.0 and found.high[1] < seconds.max()
-    np.testing.assert_allclose(found.low[2:], found.high[2:], rtol=1e-12)
-    assert (found.low <= found.mean).all() and (found.mean <= found.high).all()
+    bounds = [(0.0, 1.0), (0.0, math.inf), (0.0, 1.0), (0.0, 1.0)]
+    each = [aggregate(column, weights=weights, bounds=both) for column, both in zip(values.T, bounds, strict=True)]
+    mean, low, high = (np.array([getattr(one, name) for one in each]) for name in ("mean", "low", "high"))
+    np.testing.assert_allclose(mean, values.mean(0))
+    assert low[0] > 0.0 and high[0] == 1.0 and low[1] == 0.0
+    np.testing.assert_allclose(low[2:], high[2:], rtol=1e-12)
+    assert (low <= mean + 1e-12).all() and (mean <= high + 1e-12).all()
     assert bootstrap.interval(weights @ share / 120)[1] > 1.0 and bootstrap.interval(weights @ seconds / 120)[0] < 0.0
     swept = random.random((120, 200)) < np.repeat(random.beta(0.5, 0.5, (3, 200)), 40, axis=0)
-    found = aggregate(swept, weights=weights)
-    assert (0.0 <= found.low).all() and (found.low <= found.mean).all()
-    assert (found.mean <= found.high).all() and (found.high <= 1.0).all()
+    found = aggregate(swept, weights=weights, bounds=(0.0, 1.0))
+    assert (0.0 <= found.low).all() and (found.low <= found.mean + 1e-12).all()
+    assert (found.mean <= found.high + 1e-12).all() and (found.high <= 1.0).all()
 
 
 def test_one_group_of_many_episodes_is_the_plain_bootstrap(normal):

@@ -5,6 +5,7 @@ import importlib.metadata
 import io
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -407,6 +408,31 @@ def test_progress_is_plain_lines_into_a_pipe_and_rarer_with_time(monkeypatch):
         10 <= after - before <= min(max(10, 0.11 * before), 60) for before, after in zip(shown, shown[1:], strict=False)
     )
     assert shown[-1] > 7_100 and "\x1b" not in pipe.getvalue()
+
+
+def test_work_beside_the_stage_is_named_and_does_not_count_in_its_rate(monkeypatch):
+    """A training of 100 updates of a second each, with an evaluation of 90 s after every tenth."""
+    now = [0.0]
+    monkeypatch.setattr(progress_of.time, "monotonic", lambda: now[0])
+    pipe = io.StringIO()
+    with progress_of.progress(Console(file=pipe)) as tell:
+        tell.start("training", 100)
+        for update in range(1, 101):
+            now[0] += 1.0
+            if update % 10 == 0:
+                with tell.aside("evaluating"):
+                    for _ in range(9):
+                        now[0] += 10.0
+                        tell.line()  # pyright: ignore[reportAttributeAccessIssue]
+            tell.update(update)
+    lines = pipe.getvalue().splitlines()
+    evaluating = [line for line in lines if line.startswith("training, evaluating 49%")]
+    assert len(evaluating) > 1 and all("left" in line for line in evaluating)
+    for line in lines:
+        if "left" in line:
+            share, left = re.findall(r" (\d+)%.*, 0:0(\d:\d\d) left", line)[0]
+            minutes, seconds = map(int, left.split(":"))
+            assert 60 * minutes + seconds == pytest.approx(100 - int(share), rel=0.15), line
 
 
 def test_progress_goes_on_while_nothing_is_told(monkeypatch):

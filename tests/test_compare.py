@@ -1,6 +1,7 @@
 """``sean compare``: paired where episodes are the same, by means where they are not; and the page of both."""
 
 import csv
+import io
 import json
 import re
 from pathlib import Path
@@ -295,3 +296,105 @@ def test_a_missing_replay_is_named(tmp_path, capsys, monkeypatch, page, words):
     assert "No replay of one: " in said and words in said
     assert "No replay of other: other/report.html: holds none." in said
     assert words in Path("compare-one-other.html").read_text()
+
+
+def extreme_run(folder: Path, sign: float, **options) -> Path:
+    """A run of 24 episodes whose figures differ by as much in each episode, so that p-values are the smallest."""
+    run(folder, 0, episodes=24, **options)
+    rows = [*csv.reader((folder / "episodes.csv").open())]
+    rows[0] += ["mean_speed", "path_length__down_path", "mean_jerk"]
+    more = np.arange(24)[:, None] * [0.25, 0.5, 0.125] + [sign, sign, 0.0]
+    with (folder / "episodes.csv").open("w", newline="") as stream:
+        csv.writer(stream).writerows([rows[0], *([*row, *each] for row, each in zip(rows[1:], more, strict=True))])
+    return folder
+
+
+def test_each_row_that_is_counted_is_shown(tmp_path):
+    """Also the clearest ones, whose p-values are the smallest that permutations of so few episodes can give."""
+    first = extreme_run(tmp_path / "first", 0.0)
+    others = [extreme_run(tmp_path / name, sign, policy="orca") for name, sign in (("up", 4.0), ("down", -4.0))]
+    out = tmp_path / "page.html"
+    console = Console(record=True, width=140, quiet=False, file=io.StringIO())
+    compare.compare(CompareConfig(runs=(first, *others), out=out), console)
+    views = compare.differences([compare.read(folder) for folder in (first, *others)])
+    told, text = console.export_text(), out.read_text(encoding="utf-8")
+    marks = {"better": "✓ better", "worse": "✗ worse", "differs": "≠ differs"}
+
+    # Effects at the floor of the permutation test are clear.
+    floors = [row for rows in views["overall"] for row in rows if row.values.p == 2.0**-23]
+    assert {row.name for row in floors} == {"mean_speed"} and all(row.verdict == "differs" for row in floors)
+
+    for view, sides in views.items():
+        begin = re.search(rf'data-view="?{view}"?>', text)
+        assert begin is not None
+        shown = re.split("data-view|<p class=note>✓", text[begin.end() :])[0]
+        assert shown.count("</td></tr>") == sum(map(len, sides)), view
+        for verdict, mark in marks.items():
+            assert shown.count(f">{mark}</span>") == sum(row.verdict == verdict for rows in sides for row in rows), view
+        assert shown.count("same in each") == sum(not row.tested for rows in sides for row in rows), view
+
+    overall = [row for rows in views["overall"] for row in rows]
+    for verdict, mark in marks.items():
+        assert told.count(mark) == sum(row.verdict == verdict for row in overall)
+    assert told.count("same in each") == sum(not row.tested for row in overall) > 0
+    assert f"{sum(row.tested for row in overall)} figures were tested" in told
+
+
+def test_p_values_are_numbers_of_python():
+    """A bool of numpy is neither True nor False to ``is``, and no JSON."""
+    one = np.arange(24.0)
+    for other in one + 4.0, one + np.arange(24.0), one**2:
+        for paired in True, False:
+            found = difference(one, other, paired)
+            assert found is not None and all(type(value) is float for value in found)
+    shares = difference(np.zeros(24), np.ones(24), True)
+    assert shares is not None and all(type(value) is float for value in shares)
+
+
+def disc_runs(folder: Path, **columns: tuple[np.ndarray, np.ndarray]) -> list[compare.SavedRun]:
+    """Two runs in the same episodes with these columns."""
+    folder.mkdir(exist_ok=True)
+    runs = [compare.read(run(folder / name, 0, policy=policy)) for name, policy in (("a", "orca"), ("b", "dwa"))]
+    for name, pair in columns.items():
+        for each, values in zip(runs, pair, strict=True):
+            each.columns[name] = values
+            each.columns["completed"] = np.ones(40)
+    return runs
+
+
+def test_values_beyond_the_best_are_no_better(tmp_path):
+    """A robot that stops at the edge of the goal is neither better nor worse than one at its centre."""
+    noise = 0.01 * np.random.default_rng(0).normal(size=40)
+    inside, edge, far = 0.14 + noise, 0.74 - noise, 3.0 + noise
+    runs = disc_runs(
+        tmp_path, path_efficiency=(1.0 - abs(noise), 0.91 + noise), final_distance_to_goal=(inside, edge),
+        min_distance_to_goal=(inside, far),
+    )  # fmt: skip
+    found = rows(*runs)
+    assert found["path_efficiency"].verdict == found["final_distance_to_goal"].verdict == "differs"
+    assert found["final_distance_to_goal"].values.first == inside.mean(), "the figure stays the distance to the centre"
+    assert found["min_distance_to_goal"].verdict == "worse"
+
+    # Of efficiencies on both sides of 1, those above decide.
+    mixed = np.where(np.arange(40) % 2, 1.3, 0.9) + noise
+    runs = disc_runs(tmp_path / "mixed", path_efficiency=(0.9 + noise, mixed))
+    assert rows(*runs)["path_efficiency"].verdict == "worse"
+    runs = disc_runs(tmp_path / "radius", final_distance_to_goal=(inside, edge))
+    for each in runs:
+        each.config = each.config.replace(goal_radius=0.3)
+    assert rows(*runs)["final_distance_to_goal"].verdict == "worse"
+
+
+def test_values_up_to_the_best_are_a_test_more(tmp_path):
+    """Holm's correction counts it, so that no more marks are false than the page says."""
+    random = np.random.default_rng(0)
+    one = 1.3 + random.normal(size=40)
+    runs = disc_runs(tmp_path, final_distance_to_goal=(one, one + 0.3 + random.normal(size=40)))
+    for each in runs:
+        each.columns = {name: each.columns[name] for name in ("completed", "final_distance_to_goal")}
+    row = rows(*runs)["final_distance_to_goal"]
+    assert row.up_to_best is not None
+    p = row.values.p, row.up_to_best.p
+    assert row.clear == (min(holm(p)) <= 0.05) and row.directed == (holm(p)[1] <= 0.05)
+    assert row.judged(1.0, 0.01).verdict == "worse" and row.judged(0.01, 0.2).verdict == "differs"
+    assert row.judged(1.0, 1.0).verdict == ""

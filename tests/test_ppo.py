@@ -223,6 +223,45 @@ def test_programs_of_a_training_fit_together(method):
     assert value.shape == found["completed"].shape == (1,) and found["mean_speed"].shape == (1, 6)
 
 
+def test_progress_is_of_a_hundred_episodes_or_more():
+    """Updates of two agents, each of which ends few episodes: means are of all recent ones, each counted once."""
+    recent = reinforcement.Recent()
+    assert recent.note() == "no episode has ended"
+    recent.add(
+        {name: np.array([np.nan, np.nan]) for name in ("return", "completed")} | {"number": np.zeros(2)}, 64, 9.0
+    )
+    assert recent.note() == "no episode has ended"
+    random, returns, completed = np.random.default_rng(0), [], []
+    for k in range(60):
+        number = random.integers(0, 7, 2)
+        values = random.normal(size=2) + k
+        shares = np.array([0.0, 1.0])
+        nothing = np.where(number == 0, np.nan, 0.0)
+        update = {"number": number.astype(float), "return": values + nothing, "completed": shares + nothing}
+        recent.add(update, 64.0, 0.5)
+        returns.append(np.repeat(values, number))
+        completed.append(np.repeat(shares, number))
+        counts = np.cumsum([len(each) for each in returns[::-1]])
+        first = len(counts) - 1 - int(np.argmax(counts >= 100)) if counts[-1] >= 100 else 0
+        latest, done = np.concatenate(returns[first:]), np.concatenate(completed[first:])
+        if len(latest):
+            note = f"last {len(latest)} episodes: return {latest.mean():.1f}, completed {done.mean():.0%} · 128 steps/s"
+            assert recent.note() == note, k
+    assert counts[-1] > 150 and 100 <= len(latest) < 112
+
+
+def test_the_command_after_a_training_drives_where_it_was_trained(tmp_path):
+    config = options(tmp_path, environment="yard,lab", robot="kuri,fetch", hold_time=1.0, forces="sean2").as_run()
+    words = shlex.split(cli._drive(tmp_path / "made", True, config))
+    assert words[:4] == ["sean", "run", "--policy", str(tmp_path / "made")] and words[-1] == "--trust"
+    assert words[4:-1] == shlex.split(
+        "--environment yard --behavior random --walking-groups 0 0 --robot kuri --people 2 --forces sean2 "
+        "--time-limit 4 --hold-time 1"
+    )
+    plain = cli._drive(Path("mine"), options=PPOConfig(out=tmp_path).as_run())
+    assert plain == "sean run --policy ./mine"
+
+
 @pytest.mark.slow
 def test_evaluations_use_the_weights_of_each_agent():
     """Two agents with the same parameters, whose rewards are k and -2 k: returns of the step in the same proportion."""

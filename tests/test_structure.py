@@ -153,6 +153,47 @@ def test_files_of_others_are_opened_in_one_place():
             assert not found, f"{module}: {found} belongs to sean_jax.files"
 
 
+OBJECTS = {
+    "no_memory", "direct", "drive", "move", "social_forces.move", "surface",  # functions
+    "owner", "tab", "self._driver", "term", "leaves[0]", "axes[0, 0]",  # objects that are held in several places
+    "before.environment", "threading.main_thread()",
+}  # fmt: skip
+"""Expressions, one of which is on a side of each ``is``, as are types and names of constants."""
+
+
+def is_an_object(node: ast.expr) -> bool:
+    """Whether an expression is None, a type, a constant by name, or one of ``OBJECTS``: no bool, number or text."""
+    if isinstance(node, ast.Constant):
+        return node.value is None or node.value is ...
+    text = ast.unparse(node)
+    last = text.rpartition(".")[2]
+    named = re.fullmatch(r"[A-Z]\w*", last) or last in ("int", "float", "bool", "str", "tuple", "list", "dict", "empty")
+    return bool(named) or text.startswith("type(") or text in OBJECTS
+
+
+def compared_by_identity(tree: ast.AST) -> list[str]:
+    """The identity tests of values that may be equal and not the same."""
+    found = []
+    for node in ast.walk(tree):
+        if not isinstance(node, ast.Compare):
+            continue
+        for operator, one, other in zip(node.ops, [node.left, *node.comparators], node.comparators, strict=False):
+            if isinstance(operator, ast.Is | ast.IsNot) and not (is_an_object(one) or is_an_object(other)):
+                found.append(f"line {node.lineno}: {ast.unparse(node)}")
+    return found
+
+
+def test_values_are_compared_by_equality():
+    """A bool of numpy is neither ``is True`` nor ``is False``, and an equal number or text need not be the same."""
+    for text in ("row.clear is is_clear", "x is True", "x is not False", "x is 1", "a.b is c.d", "x is not y"):
+        assert compared_by_identity(ast.parse(text)), text
+    for text in ("x is None", "x is not ...", "type(x) is int", "kind is Literal", "x is UNSET", "part is typing.Any"):
+        assert not compared_by_identity(ast.parse(text)), text
+    for path in [*MODULES, *(ROOT / "docs").glob("*.py"), *(ROOT / "benchmarks").rglob("*.py")]:
+        found = compared_by_identity(ast.parse(path.read_text(encoding="utf-8")))
+        assert not found, f"{path.relative_to(ROOT)}: {found}; compare with ==, or by the truth of a bool"
+
+
 def repository_files() -> list[Path]:
     """All files that git tracks or would track."""
     done = subprocess.run(

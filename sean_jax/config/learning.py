@@ -13,7 +13,7 @@ from sean_jax import files
 from sean_jax.config import fields
 from sean_jax.config.core import Bounds, Component, Config, Family, Named, OwnPart, Value
 from sean_jax.config.fields import Number, Option
-from sean_jax.config.scenario import Part, ScenarioConfig
+from sean_jax.config.scenario import Part, RunConfig, ScenarioConfig
 from sean_jax.messages import listed
 
 OBSERVED = ("goal", "goal_heading", "path", "distance", "speeds", "hold", "obstacles", "people")
@@ -409,6 +409,15 @@ class ReinforcementConfig(EnvConfig):
     def per_environment(self) -> list[Self]:
         """The same options for each environment alone."""
         return [self.replace(environment=name) for name in self.environments]
+
+    def as_run(self) -> RunConfig:
+        """The options of a run in the first environment of the training, with its first robot."""
+        first = self.per_environment[0]
+        shared = ScenarioConfig.model_fields.keys() & first.model_fields_set - {"metrics", "preset"}
+        chosen = {name: getattr(first, name) for name in shared}
+        if isinstance(part := chosen.get("robot"), Named):
+            chosen["robot"] = part.model_copy(update={"kind": part.kind.partition(",")[0]})
+        return RunConfig(**chosen)
 
     @property
     def agents(self) -> list[dict[str, float]]:

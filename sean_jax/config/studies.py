@@ -49,7 +49,7 @@ class ExperimentConfig(Config):
     @classmethod
     def defaults(cls, data: Mapping[str, Any]) -> dict[str, Any]:
         """Defaults that depend on other options."""
-        return cls.QUICK if data.get("quick") is True else {}
+        return cls.QUICK if data.get("quick") else {}
 
     @property
     def folder(self) -> Path:

@@ -5,6 +5,7 @@ compared episode by episode, so the difficulty of an episode cancels. Other runs
 """
 
 import dataclasses
+import itertools
 import json
 import math
 import re
@@ -35,6 +36,7 @@ REPLAY = re.compile(r'<script type="application/json" id="replay">(.*?)</script>
 OVERALL = "overall"
 LEVEL = 0.05  # of corrected p-values
 SYMBOLS = {"better": "✓ better", "worse": "✗ worse", "differs": "≠ differs", "": ""}
+SAME = "same in each"  # episode, which is not tested
 LONGEST = 100  # characters of the page's default name
 WIDEST = 3.0  # standard deviations that a plot shows
 
@@ -65,21 +67,30 @@ class Row(NamedTuple):
     name: str
     figure: Figure
     values: Difference
-    clear: bool  # whether the difference is significant among all that are tested
+    up_to_best: Difference | None = None  # of the values cut at the figure's best one; None if none is beyond it
+    clear: bool = False  # whether a difference is significant among all that are tested
+    directed: bool = False  # whether it is one of better and worse values
 
     @property
     def tested(self) -> bool:
         """Whether any episode differs."""
         return math.isfinite(self.values.p)
 
+    def judged(self, p: float, p_up_to_best: float) -> "Row":
+        """The row with corrected p-values of its differences."""
+        clear = bool(p <= LEVEL)
+        directed = clear if self.up_to_best is None else bool(p_up_to_best <= LEVEL)
+        return self._replace(clear=clear or directed, directed=directed)
+
     @property
     def verdict(self) -> str:
-        """The second run is "better" or "worse", it "differs" in a figure without a direction, or ""."""
+        """The second run is "better" or "worse", it "differs" without a better direction, or ""."""
         if not self.clear:
             return ""
-        if not self.figure.better:
+        if not (self.figure.better and self.directed):
             return "differs"
-        return "better" if (self.values.difference > 0) == (self.figure.better == "higher") else "worse"
+        rise = (self.up_to_best or self.values).difference > 0
+        return "better" if rise == (self.figure.better == "higher") else "worse"
 
     def texts(self) -> tuple[str, str, str, str]:
         """Both means, the difference, and its interval, which is empty where both ends are the same."""
@@ -160,6 +171,8 @@ def _own_figures(path: Path) -> dict[str, Figure]:
                 raise ValueError
             if figure.better not in ("", "lower", "higher"):
                 raise ValueError
+            if figure.best not in (None, "goal_radius") and not math.isfinite(float(figure.best)):
+                raise ValueError
     return figures
 
 
@@ -204,9 +217,10 @@ def differences(runs: Sequence[SavedRun]) -> Views:
     views = {view: [_rows(runs[0], run, names, view) for run in runs[1:]] for view in (OVERALL, *situations)}
     for family in ((OVERALL,), [view for view in views if view != OVERALL]):
         rows = [row for view in family for each in views[view] for row in each]
-        corrected = iter(holm([row.values.p for row in rows]))
+        tests = [(row.values.p, math.nan if row.up_to_best is None else row.up_to_best.p) for row in rows]
+        corrected = iter(holm(list(itertools.chain(*tests))))
         for view in family:
-            views[view] = [[row._replace(clear=next(corrected) <= LEVEL) for row in each] for each in views[view]]
+            views[view] = [[row.judged(next(corrected), next(corrected)) for row in each] for each in views[view]]
     return views
 
 
@@ -223,10 +237,22 @@ def _rows(first: SavedRun, second: SavedRun, names: list[str], view: str) -> lis
         if figure.completed_only:
             pair = tuple(np.where(run.columns["completed"][: len(part)] > 0, part, np.nan)
                          for part, run in zip(pair, (first, second), strict=True))  # fmt: skip
-        pair = [_by_episode(part, run.robots) for part, run in zip(pair, (first, second), strict=True)]
+        runs = first, second
+        cut = [_up_to_best(part, figure, run) for part, run in zip(pair, runs, strict=True)]
+        is_cut = not all(np.array_equal(*each, equal_nan=True) for each in zip(cut, pair, strict=True))
+        pair, cut = ([_by_episode(part, run.robots) for part, run in zip(parts, runs, strict=True)]
+                     for parts in (pair, cut))  # fmt: skip
         if (values := difference(pair[0], pair[1], number > 0)) is not None:
-            rows.append(Row(name, figure, values, False))
+            rows.append(Row(name, figure, values, difference(cut[0], cut[1], number > 0) if is_cut else None))
     return sorted(rows, key=lambda row: (not row.tested, -abs(row.values.effect)))
+
+
+def _up_to_best(values: np.ndarray, figure: Figure, run: SavedRun) -> np.ndarray:
+    """The values of a run with the figure's best value in place of those beyond it."""
+    if figure.best is None or not figure.better:
+        return values
+    best = run.config.goal_radius if figure.best == "goal_radius" else figure.best
+    return np.maximum(values, best) if figure.better == "lower" else np.minimum(values, best)
 
 
 def _by_episode(values: np.ndarray, robots: int) -> np.ndarray:
@@ -269,7 +295,7 @@ def _table(rows: list[Row], first: str, second: str) -> Table:
     title = Text(f"{second} minus {first}: {_counts(rows)}")
     lines = Table(box=box.SIMPLE_HEAD, title=title, title_justify="left", title_style="bold", pad_edge=False)
     lines.add_column("")
-    body = [(*row.texts(), SYMBOLS[row.verdict]) for row in rows]
+    body = [(*row.texts(), SYMBOLS[row.verdict] if row.tested else SAME) for row in rows]
     for k, name in enumerate((first, second, "change", "95 % interval", "")):
         width = max((len(texts[k]) for texts in body), default=0)
         justify = "right" if name else "left"
@@ -310,6 +336,7 @@ def page(views: Views, runs: Sequence[SavedRun], words: str) -> str:
         note=words,
         tested=tested(views),
         symbols=SYMBOLS,
+        same=SAME,
         players=players,
         script=replay.script(),
         runs=runs,
@@ -331,7 +358,8 @@ class _Side(NamedTuple):
     @classmethod
     def of(cls, run: SavedRun, rows: list[Row]) -> "_Side":
         sizes = [abs(end) / row.values.deviation for row in rows if row.values.deviation for end in row.values[3:5]]
-        clear, others = ([row for row in rows if row.clear is is_clear] for is_clear in (True, False))
+        clear = [row for row in rows if row.clear]
+        others = [row for row in rows if not row.clear]
         return cls(run, clear, others, min(max([*sizes, 0.5]), WIDEST), _counts(rows))
 
     def at(self, row: Row, value: float) -> float:

@@ -3,7 +3,7 @@
 import dataclasses
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from rich import box
 from rich.console import Console
@@ -25,6 +25,7 @@ class Figure(NamedTuple):
     definition: str
     better: str = ""  # "lower" or "higher" values; "" if neither is better
     completed_only: bool = False  # means leave out episodes that were not completed
+    best: float | Literal["goal_radius"] | None = None  # values beyond it are no better
 
 
 EPISODE_FIGURES = {
@@ -73,7 +74,7 @@ def metric_figure(name: str, metric: Metric) -> Figure:
     """The title, unit, digits and definition of a metric."""
     unit = "%" if metric.kind == "share" else _UNITS.get(metric.unit, metric.unit)
     title, definition = metric.title or name.replace("_", " "), metric.definition or MEAN
-    return Figure(title, unit, metric.digits, definition, metric.better, metric.completed_only)
+    return Figure(title, unit, metric.digits, definition, metric.better, metric.completed_only, metric.best)
 
 
 def _row(name: str, figure: Figure, values: dict[str, Any], columns: list[str]) -> Row:

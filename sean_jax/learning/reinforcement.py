@@ -7,6 +7,7 @@ states of the scenarios, which checkpoints hold, so a training that was stopped 
 that ``jax.distributed`` has joined train together: scenarios are spread over the devices of all of them.
 """
 
+import collections
 import contextlib
 import functools
 import itertools
@@ -42,7 +43,7 @@ from sean_jax.learning.rollouts import EnvBatch, Envs
 from sean_jax.learning.trainer import Loop, Report, check_config, method_config
 from sean_jax.mdp import rewards
 from sean_jax.messages import listed
-from sean_jax.progress import ProgressLike, progress, say
+from sean_jax.progress import Progress, ProgressLike, progress, say
 from sean_jax.robots.drive import require
 from sean_jax.scenario import reset, results
 from sean_jax.stack import Stack
@@ -50,6 +51,8 @@ from sean_jax.stack import Stack
 REWARDS = "rewards."  # prefix of a sweep's numbers that are weights of rewards
 
 LOWEST = float(np.finfo(np.float32).min)  # value of agents that were never evaluated
+
+EPISODES, SPEEDS = 100, 20  # episodes, at least, and updates of which progress shows the means
 
 CRITIC_UPDATES = 20  # after --imitate, in which the critic alone learns the returns of the imitating agent
 
@@ -465,8 +468,9 @@ def _train(
         state = run.begin(envs, agents)
         scenarios, envs, starts = devices.replicate(placed.mesh, (scenarios, envs, starts))
         setting = Setting(scenarios, envs, network)
+        recent = Recent()
         loop = Loop(
-            advance=lambda state: _advance(options, run, setting, starts, state),
+            advance=lambda state: _advance(options, run, setting, starts, state, tell, recent),
             is_over=lambda state: int(state.update) >= total,
             done=lambda state: int(state.update),
             place=lambda state: devices.place(state, placement(placed)),
@@ -476,8 +480,48 @@ def _train(
         return trainer.fit(options.folder, config, state, loop, total, tell, callbacks)
 
 
+class Recent:
+    """The latest episodes of a training, at least 100 of them as soon as so many have ended, and its latest speed.
+
+    An update alone may end a handful of episodes, whose means say nothing.
+    """
+
+    def __init__(self) -> None:
+        self._updates: collections.deque[dict[str, float]] = collections.deque()  # sums over the episodes of each
+        self._speeds: collections.deque[tuple[float, float]] = collections.deque(maxlen=SPEEDS + 1)
+
+    def add(self, episodes: dict[str, np.ndarray], steps: float, seconds: float) -> None:
+        """Add an update: numbers (A,) of the episodes of each agent, steps of all of them, and the time [s]."""
+        number = np.nan_to_num(episodes.get("number", np.zeros(1)))
+        sums = {name: float((np.nan_to_num(episodes[name]) * number).sum()) for name in ("return", "completed")}
+        self._updates.append({"number": float(number.sum()), **sums})
+        while self._number() - self._updates[0]["number"] >= EPISODES:
+            self._updates.popleft()
+        self._speeds.append((steps, seconds))
+
+    def note(self) -> str:
+        """The means in words."""
+        words, number = "no episode has ended", self._number()
+        if number:
+            value, completed = (sum(each[name] for each in self._updates) / number for name in ("return", "completed"))
+            words = f"last {number:,.0f} episodes: return {value:.1f}, completed {completed:.0%}"
+        speeds = list(self._speeds)[1:]  # the first update was compiled
+        if speeds:
+            words += f" · {sum(steps for steps, _ in speeds) / sum(seconds for _, seconds in speeds):,.0f} steps/s"
+        return words
+
+    def _number(self) -> float:
+        return sum(each["number"] for each in self._updates)
+
+
 def _advance(
-    options: ReinforcementConfig, run: Programs, setting: Setting, starts: tuple[State, ...], state: TrainState
+    options: ReinforcementConfig,
+    run: Programs,
+    setting: Setting,
+    starts: tuple[State, ...],
+    state: TrainState,
+    tell: Progress,
+    recent: Recent,
 ) -> tuple[TrainState, Report]:
     """An update, and an evaluation if it is due."""
     start = time.time()
@@ -492,14 +536,14 @@ def _advance(
     rate = len(options.agents) * steps / seconds
     line: dict[str, Any] = {"epoch": number, "steps": number * steps, "seconds": seconds, "per_second": rate}
     line |= {part: _finite_means(values) for part, values in log.items()}
+    recent.add(log["episodes"], len(options.agents) * steps, seconds)
     due = number % options.evaluate_every == 0 or number == options.updates
     if due:
-        state, evaluation = _evaluate(options, run, setting, starts, state)
+        with tell.aside("evaluating"):
+            state, evaluation = _evaluate(options, run, setting, starts, state)
         line |= evaluation
     loss = -float(np.sum(np.asarray(state.best.value, float)))
-    episodes = line["episodes"]
-    note = f"return {episodes.get('return', math.nan):.1f}, completed {episodes.get('completed', 0.0):.0%}"
-    return state, Report(number, line, loss, due, f"update {number} · {note} · {rate:,.0f} steps/s")
+    return state, Report(number, line, loss, due, f"update {number} · {recent.note()}")
 
 
 def _first_agents(options: ReinforcementConfig, setting: Setting) -> Agent:

@@ -18,6 +18,7 @@ from sean_jax.errors import InputError
 RESAMPLES = 2000
 MIN_RESAMPLES = 200  # where there are so many episodes that more of them would not fit in memory
 ENTRIES = 20_000_000  # of the table of resamples, 80 MB
+UNBOUNDED = (-math.inf, math.inf)
 
 
 class Estimate(NamedTuple):
@@ -36,6 +37,7 @@ def aggregate(
     seed: int = 0,
     level: float = 0.95,
     weights: np.ndarray | None = None,
+    bounds: tuple[float, float] = UNBOUNDED,
 ) -> Estimate:
     """The mean over episodes and its bootstrap interval, for each column.
 
@@ -48,6 +50,8 @@ def aggregate(
         seed: of the resamples; equal seeds draw the same episodes, so that figures can be compared.
         level: share of the resamples that the interval holds.
         weights: (R, E) from ``resamples``, instead of drawing them from the seed; one draw can serve many metrics.
+        bounds: the least and the largest value that the figure can have, such as 0 and 1 for a share: some weights may
+            be negative (``hierarchical_resamples``), and then the interval is cut off there.
 
     Raises:
         InputError: there is no episode, shapes differ, or a value that applies is not finite.
@@ -59,7 +63,12 @@ def aggregate(
             f"applies: {applies.dtype} {applies.shape} must be bool of the shape {values.shape} of values."
         )
     return aggregate_ratio(
-        np.where(applies, values, 0.0), applies.astype(np.float64), seed=seed, level=level, weights=weights
+        np.where(applies, values, 0.0),
+        applies.astype(np.float64),
+        seed=seed,
+        level=level,
+        weights=weights,
+        bounds=bounds,
     )
 
 
@@ -70,6 +79,7 @@ def aggregate_ratio(
     seed: int = 0,
     level: float = 0.95,
     weights: np.ndarray | None = None,
+    bounds: tuple[float, float] = UNBOUNDED,
 ) -> Estimate:
     """``sum(numerator) / sum(denominator)`` over episodes and its bootstrap interval, for each column.
 
@@ -78,7 +88,7 @@ def aggregate_ratio(
     Args:
         numerator: (E,) or (E, 1 + S).
         denominator: of the same shape, not negative; ``episodes`` counts where it is above 0.
-        seed, level, weights: as in ``aggregate``.
+        seed, level, weights, bounds: as in ``aggregate``.
 
     Raises:
         InputError: there is no episode, shapes differ, a number is not finite, or a denominator is negative.
@@ -94,7 +104,7 @@ def aggregate_ratio(
     _check_level(level)
     weights = resamples(len(above), seed) if weights is None else weights
     tops, bottoms = above.reshape(len(above), -1), below.reshape(len(above), -1)
-    columns = [_column(top, bottom, weights, level) for top, bottom in zip(tops.T, bottoms.T, strict=True)]
+    columns = [_column(top, bottom, weights, level, bounds) for top, bottom in zip(tops.T, bottoms.T, strict=True)]
     shape = above.shape[1:]
     mean, low, high = (np.array(part).reshape(shape) for part in zip(*columns, strict=True))
     return Estimate(mean, low, high, np.count_nonzero(below, axis=0) * np.ones(shape, np.int64))
@@ -158,7 +168,7 @@ def hierarchical_resamples(sizes: Sequence[int]) -> np.ndarray:
     Networks that were trained with several seeds on several datasets are such groups. Only the outermost level with
     several groups is independent; the spread of their means contains the levels below, which would otherwise count
     twice. There are few of them, so the weights are not counts: they make the interval of a mean equal to Student's
-    distribution; a weight may be negative. ``aggregate`` cuts such an interval off at the least and the largest value.
+    distribution; a weight may be negative. ``aggregate`` cuts such an interval off at the ``bounds`` of the figure.
 
     Args:
         sizes: number of groups at each level, and last the number of episodes of each innermost group: (10, 3, 410).
@@ -248,14 +258,14 @@ def _check_level(level: float) -> None:
         raise InputError(f"level: {level} must lie between 0 and 1, such as 0.95.")
 
 
-def _column(above: np.ndarray, below: np.ndarray, weights: np.ndarray, level: float) -> tuple[float, float, float]:
+def _column(
+    above: np.ndarray, below: np.ndarray, weights: np.ndarray, level: float, bounds: tuple[float, float]
+) -> tuple[float, float, float]:
     """Ratio and ends of the interval of (E,) over (E,)."""
-    total, counts = below.sum(), below > 0
+    total = below.sum()
     if total <= 0:
         return 0.0, 0.0, 0.0
     bottom = weights @ below
-    ends, ratio = interval((weights @ above)[bottom > 0] / bottom[bottom > 0], level), above.sum() / total
-    if not above[~counts].any():  # weights of Student's distribution may be negative, and leave the range
-        each = above[counts] / below[counts]
-        ends = np.clip(ends, min(each.min(), ratio), max(each.max(), ratio))
-    return ratio, float(ends[0]), float(ends[1])
+    ratio = above.sum() / total
+    low, high = np.clip(interval((weights @ above)[bottom > 0] / bottom[bottom > 0], level), *bounds)
+    return ratio, float(low), float(high)

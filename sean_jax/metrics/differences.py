@@ -68,14 +68,14 @@ def p_value(one: np.ndarray, other: np.ndarray, paired: bool) -> float:
     if np.all(one == other) if paired else np.ptp(np.concatenate([one, other])) == 0:
         return math.nan
     gaps = other - one if paired else np.zeros(0)
-    changed = np.count_nonzero(gaps)
+    changed = int(np.count_nonzero(gaps))
     if _is_share(one, other):
         if paired:
             return float(stats.binomtest(int((gaps > 0).sum()), changed).pvalue)
         table = [[int(part.sum()), len(part) - int(part.sum())] for part in (one, other)]
         return float(stats.fisher_exact(table).pvalue)  # pyright: ignore[reportAttributeAccessIssue]
     if paired:
-        fewest, freedom = 2.0 ** (1 - changed), len(gaps) - 1
+        fewest, freedom = math.ldexp(1.0, 1 - changed), len(gaps) - 1
         middle, square = gaps.mean(), gaps.var(ddof=1) / len(gaps) if freedom else 0.0
     else:
         fewest, squares = 2 / math.comb(len(one) + len(other), len(one)), []
@@ -85,7 +85,7 @@ def p_value(one: np.ndarray, other: np.ndarray, paired: bool) -> float:
         shares = [part**2 / max(len(each) - 1, 1) for part, each in zip(squares, (one, other), strict=True)]
         freedom = square**2 / sum(shares) if square else 0.0
     p = 2 * float(stats.t.sf(abs(middle) / math.sqrt(square), freedom)) if square else 0.0
-    return min(max(p, fewest), 1.0)
+    return float(min(max(p, fewest), 1.0))
 
 
 def holm(p: Sequence[float]) -> list[float]:

@@ -60,6 +60,7 @@ class Metric:
         completed_only: means leave out episodes that were not completed.
         headline: the table in the terminal has it; the report and episodes.csv have every metric.
         better: "lower" or "higher" values are better; "" if neither is, as of a speed.
+        best: the best value: values beyond it are no better. A number, or "goal_radius" for the scenario's.
     """
 
     init: Callable[[Snapshot], PyTree]
@@ -73,6 +74,7 @@ class Metric:
     completed_only: bool = False
     headline: bool = True
     better: Literal["lower", "higher", ""] = ""
+    best: float | Literal["goal_radius"] | None = None
 
 
 def as_metric(value: Metric | Callable, name: str = "") -> Metric:
@@ -122,6 +124,7 @@ class Words(TypedDict, total=False):
     digits: int
     headline: bool
     better: Literal["lower", "higher", ""]
+    best: float | Literal["goal_radius"] | None
 
 
 class WordsAndUnit(Words, total=False):

@@ -84,7 +84,10 @@ path_length = Metric(_init_path, _update_length, _length)
 """Length of the path through the robot's positions at 1 Hz, ||p_i+1 - p_i|| summed."""
 
 path_efficiency = Metric(_init_path, _update_length, _efficiency)
-"""Travelled over geodesic distance of the shortest path from start to goal: at least about 1, lower is better."""
+"""Travelled over geodesic distance of the shortest path from start to goal, to the goal's centre as in the paper.
+
+The goal counts as reached at the goal radius, so a robot that stops there has less than 1, which is not better than 1.
+"""
 
 time_not_moving = Metric(_init_path, _update_still, lambda value: value.amount)
 """Time of the seconds in which the robot moved no farther than 0.05 m.
@@ -143,10 +146,14 @@ def _distance_to_goal(snapshot: Snapshot) -> Array:
     return length(gap[0], gap[1])
 
 
+def _goal_radius(snapshot: Snapshot) -> Array | float:
+    return GOAL_RADIUS if snapshot.goal_radius is None else snapshot.goal_radius
+
+
 def _at_goal(snapshot: Snapshot) -> Array:
     """1 inside the goal radius, else 0."""
-    limit = GOAL_RADIUS if snapshot.goal_radius is None else snapshot.goal_radius
-    return jnp.where(_distance_to_goal(snapshot) <= limit, jnp.ones_like(snapshot.geodesic), 0.0)
+    inside = _distance_to_goal(snapshot) <= _goal_radius(snapshot)
+    return jnp.where(inside, jnp.ones_like(snapshot.geodesic), 0.0)
 
 
 def _always(snapshot: Snapshot) -> Array:
@@ -170,12 +177,17 @@ reached_goal = final(_at_goal)
 
 
 class Success(NamedTuple):
-    """Whether the robot is at its goal, its path and time so far, and the shortest possible path and time."""
+    """Whether the robot is at its goal, its path and time so far, and the shortest possible path and time.
+
+    The path and the time to the goal end where the robot comes into the goal radius for the last time.
+    """
 
     reached: Float[Array, ""]  # 1 or 0
     path: SampledPath
     time: Duration
-    geodesic: Float[Array, ""]  # m
+    path_to_goal: Float[Array, ""]  # m
+    time_to_goal: Float[Array, ""]  # s
+    shortest: Float[Array, ""]  # m, from the start to the goal radius
     top_speed: Float[Array, ""]  # m/s
 
 
@@ -185,25 +197,32 @@ def _init_success(snapshot: Snapshot) -> Success:
         reached=_at_goal(snapshot),
         path=_init_path(snapshot),
         time=zero_duration(snapshot),
-        geodesic=snapshot.geodesic,
+        path_to_goal=jnp.zeros_like(snapshot.geodesic),
+        time_to_goal=jnp.zeros_like(snapshot.geodesic),
+        shortest=jnp.maximum(snapshot.geodesic - _goal_radius(snapshot), 0.0),
         top_speed=jnp.full_like(snapshot.geodesic, TOP_SPEED) if known is None else known,
     )
 
 
 def _update_success(value: Success, before: Snapshot, after: Snapshot) -> Success:
+    reached = _at_goal(after)
+    path = _update_length(value.path, before, after)
+    time = time_in_situation.update(value.time, before, after)
     return value._replace(
-        reached=_at_goal(after),
-        path=_update_length(value.path, before, after),
-        time=time_in_situation.update(value.time, before, after),
+        reached=reached,
+        path=path,
+        time=time,
+        path_to_goal=jnp.where(reached > 0, value.path_to_goal, _length(path)[0]),
+        time_to_goal=jnp.where(reached > 0, value.time_to_goal, in_seconds(time)[0]),
     )
 
 
 def _by_path_length(value: Success) -> Array:
-    return value.reached * _quotient(value.geodesic, _length(value.path)[0])
+    return value.reached * _quotient(value.shortest, value.path_to_goal)
 
 
 def _by_time(value: Success) -> Array:
-    return value.reached * _quotient(value.geodesic / value.top_speed, in_seconds(value.time)[0])
+    return value.reached * _quotient(value.shortest / value.top_speed, value.time_to_goal)
 
 
 def _quotient(best: Array, actual: Array) -> Array:
@@ -214,16 +233,18 @@ def _quotient(best: Array, actual: Array) -> Array:
 
 
 success_by_path_length = Metric(_init_success, _update_success, _by_path_length)
-"""SPL, S L* / max(L, L*): S as ``reached_goal``, L the path length, L* the geodesic distance from start to goal.
+"""SPL, S L* / max(L, L*): S as ``reached_goal``, L the length of the path to the goal radius, L* of the shortest one.
 
-The goal counts as reached a radius before its centre, to which L* leads, so that 1 is a little easier than it seems.
+Both end at the goal radius, where the goal counts as reached, so that how far a robot goes on inside it does not
+count: L where the robot comes into it for the last time, and L* is the geodesic distance to the centre less the radius.
 
 Source: Anderson et al. (2018), On Evaluation of Embodied Navigation Agents.
 """
 
 success_by_time = Metric(_init_success, _update_success, _by_time)
-"""STL, S T* / max(T, T*): T the time taken [s], T* the time of the shortest path at the robot's top speed, L* / v.
+"""STL, S T* / max(T, T*): T the time to the goal radius [s], T* that of the shortest path at top speed, L* / v.
 
+S and L* are those of ``success_by_path_length``, so that a hold time at the goal does not count.
 The iGibson social navigation challenge takes for T* the time of an ORCA robot that is alone, which is a little more.
 """
 

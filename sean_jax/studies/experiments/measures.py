@@ -4,7 +4,7 @@ import dataclasses
 import functools
 import itertools
 import math
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from sean_jax.flags import number
 from sean_jax.metrics import OF_GROUPS, Estimate, aggregate, aggregate_ratio
-from sean_jax.metrics.bootstrap import hierarchical_resamples, of_count, of_share, resamples, with_estimate
+from sean_jax.metrics.bootstrap import UNBOUNDED, hierarchical_resamples, of_count, of_share, resamples, with_estimate
 from sean_jax.metrics.differences import holm
 from sean_jax.studies.experiments import shares
 from sean_jax.studies.experiments.shares import BEHAVIORS
@@ -28,6 +28,10 @@ MEASURES = {
     "collisions": "collisions with people",
 }
 """Measure -> its title."""
+
+NOT_NEGATIVE = (0.0, math.inf)
+BOUNDS = {**dict.fromkeys(MEASURES, NOT_NEGATIVE), "completed": (0.0, 1.0)}
+"""Measure -> the least and the largest value that it can have."""
 
 Columns = dict[str, list]  # metric -> E values, or E lists of them
 LEARNED = {"G": "graph", "R": "random", "H": "handcrafted"}
@@ -74,9 +78,12 @@ class Measured:
         """Episodes of each policy in each scenario."""
         return math.prod(self.sizes)
 
-    def estimate(self, values: np.ndarray, learned: bool = True) -> Estimate:
-        """The mean over episodes (E,) or (E, S), of networks or of a policy that has not learned in the experiment."""
-        return aggregate(values, weights=self._resamples(learned))
+    def estimate(self, values: np.ndarray, learned: bool = True, bounds: tuple[float, float] = UNBOUNDED) -> Estimate:
+        """The mean over episodes (E,) or (E, S), of networks or of a policy that has not learned in the experiment.
+
+        ``bounds`` are those of the figure: a measure has ``BOUNDS``, a difference none.
+        """
+        return aggregate(values, weights=self._resamples(learned), bounds=bounds)
 
     def _resamples(self, learned: bool) -> np.ndarray:
         several = learned and any(size > 1 for size in self.sizes[:2])
@@ -109,12 +116,14 @@ class Results(Measured):
     def more(self) -> dict[str, dict[str, Estimate]]:
         """behavior, or mean -> measure -> difference of the balanced policy and G, in the same episodes."""
         ours, theirs = ({**by, "mean": over_behaviors(by)} for by in (self.values[BALANCED], self.values["G"]))
-        return {b: self._estimates({name: ours[b][name] - theirs[b][name] for name in ours[b]}) for b in ours}
+        gaps = {b: {name: ours[b][name] - theirs[b][name] for name in ours[b]} for b in ours}
+        return {b: self._estimates(each, bounds={}) for b, each in gaps.items()}
 
     @functools.cached_property
     def harm(self) -> dict[str, Estimate]:
         """behavior -> violations, the mean over the paper's four policies."""
-        return {b: self.estimate(np.mean([self.values[p][b]["violations"] for p in FOUR], 0)) for b in BEHAVIORS}
+        means = {b: np.mean([self.values[p][b]["violations"] for p in FOUR], 0) for b in BEHAVIORS}
+        return {b: self.estimate(mean, bounds=NOT_NEGATIVE) for b, mean in means.items()}
 
     @functools.cached_property
     def waiting(self) -> dict[str, dict[str, Estimate]]:
@@ -125,6 +134,7 @@ class Results(Measured):
                     each["time_not_moving"] * each["completed"],
                     each["completed"],
                     weights=self._resamples(has_learned(p)),
+                    bounds=NOT_NEGATIVE,
                 )
                 for b, each in by.items()
             }
@@ -135,7 +145,8 @@ class Results(Measured):
     def by_situation(self) -> dict[str, dict[str, Estimate]]:
         """policy -> behavior -> (5,) violations per episode."""
         return {
-            p: {b: self.estimate(each, has_learned(p)) for b, each in by.items()} for p, by in self.situations.items()
+            p: {b: self.estimate(each, has_learned(p), NOT_NEGATIVE) for b, each in by.items()}
+            for p, by in self.situations.items()
         }
 
     @functools.cached_property
@@ -177,8 +188,13 @@ class Results(Measured):
             row["holm"] = corrected
         return rows
 
-    def _estimates(self, values: dict[str, np.ndarray], learned: bool = True) -> dict[str, Estimate]:
-        estimates = {name: self.estimate(value, learned) for name, value in values.items()}
+    def _estimates(
+        self,
+        values: dict[str, np.ndarray],
+        learned: bool = True,
+        bounds: Mapping[str, tuple[float, float]] = BOUNDS,
+    ) -> dict[str, Estimate]:
+        estimates = {name: self.estimate(value, learned, bounds.get(name, UNBOUNDED)) for name, value in values.items()}
         completed = estimates["completed"]
         even = (completed.mean == 0) | (completed.mean == 1)  # else groups of episodes differ, which resamples show
         return estimates | {"completed": percent(completed, even)}
@@ -255,6 +271,7 @@ def _listed(values: dict[str, np.ndarray], policies: Collection[str]) -> str:
 # ------------------------------------------------------------------ the learning curve
 
 MEAN = "mean"  # over the three scenarios
+CURVE_BOUNDS = {**BOUNDS, "completed": (0.0, 100.0)}  # in percent
 BETTER = {"completed": 1.0, "time_not_moving": -1.0, "violations": -1.0}  # the sign of an improvement
 
 
@@ -302,7 +319,10 @@ class Curve(Measured):
     def cells(self) -> dict[str, dict[str, dict[str, Estimate]]]:
         """variant -> behavior or mean -> measure -> estimate."""
         return {
-            name: {b: {m: self.estimate(value) for m, value in each.items()} for b, each in by.items()}
+            name: {
+                b: {m: self.estimate(value, bounds=CURVE_BOUNDS[m]) for m, value in each.items()}
+                for b, each in by.items()
+            }
             for name, by in self.values.items()
         }
 

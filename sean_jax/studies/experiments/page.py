@@ -347,7 +347,13 @@ def figure4(
         grids: the figure that ``pictures.grids`` draws.
     """
     rows = [
-        [Cell(claim["statement"], kind="text"), claim["paper"], Cell(claim["ours"], kind="ours"), _holds(claim)]
+        [
+            Cell(claim["statement"], kind="text"),
+            "ours" if claim["paper"] == "not reported" else "paper",
+            claim["paper"],
+            Cell(claim["ours"], kind="ours"),
+            _holds(claim),
+        ]
         for claim in claims
     ]
     sections = [
@@ -355,7 +361,7 @@ def figure4(
         section("Numbers", *_numbers(results), note(TEXTS["bootstrap"])),
         section("By situation", *_by_situation(results), note(TEXTS["bootstrap"])),
         section("Differences", _contrasts(results), note(TEXTS["contrasts"])),
-        section("What the paper reports", table(["statement", "paper", "here", "holds"], rows)),
+        section("What the paper reports", table(["statement", "whose", "paper", "here", "holds"], rows)),
     ]
     if driven:
         counts = [[each.behavior, each.policy, f"{each.ended.sum()}", f"{each.ended[0]}"] for each in driven]
