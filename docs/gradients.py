@@ -118,7 +118,7 @@ def main() -> None:
     arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     arguments.add_argument("--steps", type=int, default=1200)
     arguments.add_argument("--seeds", type=int, default=16)
-    arguments.add_argument("--pairs-of-differences", type=int, default=64, help="seeds of the comparison; 0 leaves it out")
+    arguments.add_argument("--pairs-of-differences", type=int, default=64, help="seeds to compare; 0 for none")
     arguments.add_argument("--forces", default="calibrated")
     arguments.add_argument("--environment", default="warehouse")
     arguments.add_argument("--people", type=int)
