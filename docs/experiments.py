@@ -1,4 +1,4 @@
-"""Tables of docs/results/, from the files in results/: python docs/experiments.py.
+"""Tables of docs/results/ and docs/situations.md, from the files in results/: python docs/experiments.py.
 
 A table stands between the lines `<!-- NAME FOLDER -->` and `<!-- end -->`. NAME is a key of ``TABLES``, FOLDER a
 folder of results/. The tables are written anew, the text between them stays.
@@ -12,7 +12,8 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 DOCS = Path(__file__).parent
-PAGES, RESULTS = sorted((DOCS / "results").glob("*.md")), DOCS.parent / "results"
+PAGES = [DOCS / "situations.md", *sorted((DOCS / "results").glob("*.md"))]
+RESULTS = DOCS.parent / "results"
 BEHAVIORS = "random", "handcrafted", "graph"
 SITUATIONS = "cross_path", "down_path", "join_group", "leave_group", "empty"
 Row = dict[str, str]
@@ -242,6 +243,22 @@ def curve(folder: str) -> str:
     return markdown(["demonstrations", "completed, %", "time not moving, s", "violations"], rows)
 
 
+def more(folder: str) -> str:
+    """The situations beyond the five: percent of the examples of the first policy, and their intervals."""
+    every = read(folder, "more")
+    policy = every[0]["policy"]
+    usual = {"random": "62", "handcrafted": "21", "graph": "62"}  # people
+    rows = []
+    for situation in dict.fromkeys(row["situation"] for row in every):
+        cells = []
+        for behavior in BEHAVIORS:
+            (row,) = select(every, policy=policy, behavior=behavior, people=usual[behavior], situation=situation)
+            share, low, high = (f"{100 * float(row[name]):.1f}" for name in ("share", "low", "high"))
+            cells.append(share if low == high else f"{share} [{low}, {high}]")
+        rows.append([situation.replace("_", " "), *cells])
+    return markdown([f"`{policy}` among", "random people", "handcrafted", "graph"], rows)
+
+
 def ranking(folder: str) -> str:
     """The benchmark: rank and percent of tasks completed politely, by class of sensing and group of tracks."""
     every = read(folder, "ranking")
@@ -309,6 +326,7 @@ TABLES: dict[str, Callable[[str], str]] = {
     "switches": switches,
     "curve": curve,
     "verdicts": verdicts,
+    "more": more,
     "ranking": ranking,
     "stacks": stacks,
 }

@@ -2,6 +2,7 @@
 
 The derivative of people's positions by constants of the social forces, in forward mode, at each step: as it is, with
 the gradient stopped at one stage, and with the remedies of rollouts. Takes minutes on two cores, compilation included.
+Other places and other numbers of people (``--environment``, ``--people``) leave the picture as it is.
 """
 
 import argparse
@@ -117,11 +118,14 @@ def main() -> None:
     arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     arguments.add_argument("--steps", type=int, default=1200)
     arguments.add_argument("--seeds", type=int, default=16)
-    arguments.add_argument("--pairs-of-differences", type=int, default=64, help="seeds of the comparison")
+    arguments.add_argument("--pairs-of-differences", type=int, default=64, help="seeds to compare; 0 for none")
     arguments.add_argument("--forces", default="calibrated")
+    arguments.add_argument("--environment", default="warehouse")
+    arguments.add_argument("--people", type=int)
     chosen = arguments.parse_args()
     matplotlib.use("Agg")
-    scenario = sean_jax.make("warehouse", behavior="graph", forces=chosen.forces)
+    crowd = {} if chosen.people is None else {"people": chosen.people}
+    scenario = sean_jax.make(chosen.environment, behavior="graph", forces=chosen.forces, **crowd)
     constants = jnp.stack([operator.attrgetter(name)(scenario.forces) for name in CONSTANTS])
     keys = jax.random.split(jax.random.key(0), chosen.seeds)
     run = measured(scenario, chosen.steps)
@@ -138,7 +142,10 @@ def main() -> None:
         panel.semilogy(0.1 * np.arange(1, chosen.steps + 1), np.median(norms, 0), label=name)
     panel.set(xlabel="horizon [s]", ylabel="median norm of d positions / d constants", ylim=(1, 1e12))
     panel.legend(fontsize=8)
-    figure.savefig(PICTURE, dpi=150)
+    if chosen.environment == "warehouse" and chosen.people is None:
+        figure.savefig(PICTURE, dpi=150)
+    if not chosen.pairs_of_differences:
+        return
 
     keys = jax.random.split(jax.random.key(1), chosen.pairs_of_differences)
     run = measured(scenario, COMPARED)

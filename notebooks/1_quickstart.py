@@ -88,6 +88,7 @@ def episodes(keys):
 
 final, trajectory = episodes(jax.random.split(jax.random.key(1), EPISODES))
 print(f"{int(final.completed.sum())} of {EPISODES} robots have reached their group after {STEPS / 10:g} s")
+assert final.completed.mean() > 0.5, "most robots should have reached their group"
 
 # %% [markdown]
 # The first episode from above: people's trails, and the robot's path in the colors of the situations.
@@ -136,6 +137,7 @@ for _ in range(TRIALS):
     distances.append(float(value))
     actions = actions - 2.0 * gradient
 print(f"{distances[0]:.2f} m from the goal at first, {distances[-1]:.2f} m in the end")
+assert distances[-1] < distances[0] - 0.5, "the gradient should have brought the robot nearer to its goal"
 
 # %%
 figure, (left, right) = plt.subplots(1, 2, figsize=(10, 3.2), layout="constrained", width_ratios=[1, 1.6])

@@ -169,6 +169,11 @@ for one, other in zip(corners, corners[1:] + corners[:1], strict=True):
         before, now = (table[number[here], number[there]] for table in (flow, flow_oneway))
         print(f"{here} to {there}: {before:4.1f} people a minute before, {now:4.1f} now")
 
+# What this page says: nobody walks west in the south any more, and more people walk west in the north.
+south, north = (number["south_east"], number["south_west"]), (number["north_east"], number["north_west"])
+assert flow_oneway[south] < 0.1 * flow[south] and flow_oneway[north] > 1.2 * flow[north]
+assert episodes._cache_size() == 1, "the new graph should not compile the program again"
+
 # %% [markdown]
 # Two other options belong to `make`, not to the file: with `routing="edge"` people choose again at every node, as in
 # SEAN 2.0's code, and with `congestion_cost=20` the cost of an edge increases with the people on it. Your folder also

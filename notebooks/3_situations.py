@@ -144,6 +144,7 @@ examples = [
 ]
 for snapshot in examples:
     print([name for name, holds in zip(NAMES, classify(snapshot), strict=True) if holds])
+assert (np.array([classify(snapshot) for snapshot in examples]) == np.eye(5, dtype=bool)).all(), "each is in one alone"
 
 # %% [markdown]
 # ## The five situations
@@ -198,6 +199,8 @@ def turned(angle, speed):
 
 
 held = jax.jit(jax.vmap(jax.vmap(turned, (0, None)), (None, 0)))(degrees, speeds)  # (speed, angle, situation)
+assert held[0, 180, NAMES.index("down_path")], "a person who stands and looks the robot's way is enough"
+assert not held[:, 0].any(), "a person who comes the other way is in no situation"
 figure, panel = plt.subplots(figsize=(8, 2.8), layout="constrained")
 for name, color in zip(NAMES[:2], situation_colors(NAMES[:2]), strict=True):
     panel.contourf(degrees, speeds, held[..., NAMES.index(name)], levels=[0.5, 1.5], colors=[color])

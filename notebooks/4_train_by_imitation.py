@@ -14,7 +14,7 @@
 # %% [markdown]
 # # Train by imitation
 # Section V of the paper at small scale: a policy demonstrates joining and leaving groups in the lab, a network is
-# trained on the demonstrations, and drives. It takes a minute or two on a CPU and needs the extra `learning`:
+# trained on the demonstrations, and drives. It takes two or three minutes on a CPU and needs the extra `learning`:
 # `pip install ".[learning]"`.
 #
 # On Colab, clone the repository first; the next cell then installs it. Elsewhere, README's first command does.
@@ -105,6 +105,7 @@ panel.set(xlabel="epoch", ylabel="loss")
 panel.legend(frameon=False)
 plt.show()
 print(f"least loss in validation {float(state.best):.3f} after epoch {int(state.best_epoch)}")
+assert float(state.best) < 0.8 * log[0]["validation"]["loss"], "training should have reduced the loss"
 
 # %% [markdown]
 # ## Driving
@@ -134,6 +135,7 @@ for name, (final, _) in drives.items():
     stood = measured["time_not_moving"][:, 0].mean()
     print(f"{name:11} completed {int(final.completed.sum())} of {EPISODES}, "
           f"stood {stood:.1f} s, {close:.2f} intimate violations an episode")  # fmt: skip
+assert drives["network"][0].completed.mean() >= 0.5, "the network should complete half of the episodes or more"
 
 # %% [markdown]
 # ## Attention

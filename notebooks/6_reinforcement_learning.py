@@ -197,11 +197,13 @@ sean_jax.view(jax.tree.map(lambda leaf: leaf[0], drives["trained"][1]), scenario
 
 # %%
 names = ("path_efficiency", "personal_robot_on_person", "intimate_robot_on_person")
+seconds, arrived = {}, {}
 titles = ("seconds", "completed", "path efficiency", "personal, robot on person", "intimate, robot on person")
 figure, panels = plt.subplots(1, 5, figsize=(12, 2.8), layout="constrained")
 for row, (name, (final, _)) in enumerate(drives.items()):
     found = jax.vmap(lambda state: sean_jax.results(scenario, state))(final)
     values = [found["time_in_situation"][:, 0], final.completed, *(found[key] for key in names)]
+    seconds[name], arrived[name] = values[0].mean(), values[1].mean()
     for panel, value, title in zip(panels, values, titles, strict=True):
         value = np.asarray(value, float)
         counted = np.asarray(final.completed) if title == "path efficiency" else None  # which is of whole ways
@@ -212,6 +214,8 @@ for row, (name, (final, _)) in enumerate(drives.items()):
         panel.set_xticks(range(3), ("untrained", "trained", "go_to\n_goal"), fontsize=7)
         print(f"{name:11} {title:26} {part.mean:6.2f} ({part.low:.2f} to {part.high:.2f})")
 plt.show()
+assert arrived["trained"] > 0.8 > arrived["untrained"], "the robot should have learned to join a group"
+assert seconds["trained"] < 1.3 * seconds["go_to_goal"], "and be about as fast as go_to_goal"
 
 # %% [markdown]
 # ## Next steps

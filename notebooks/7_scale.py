@@ -168,6 +168,7 @@ share = spread.addressable_shards[0].data.shape[0]
 print(f"{SCENARIOS} scenarios over the mesh {dict(mesh.shape)}, {share} on each device")
 apart = np.abs(np.asarray(spread) - np.asarray(after.pedestrians.position)).max()
 print(f"people at most {apart:.1g} m from where the program above had them")
+assert apart < 1e-3, "the results should not depend on the devices"
 
 # %% [markdown]
 # ## Sweeps
@@ -232,6 +233,9 @@ for row, (name, x, columns), color in zip(panels, rows, ("#2f6fb0", "#f58a07"), 
         panel.set_xlabel(name)
         panel.set_title(title, fontsize=9)
 plt.show()
+length, violations, _ = by_number
+assert length[-1].mean() > length[0].mean(), "with more people the robot should need more time"
+assert violations[-1].mean() > violations[0].mean(), "and they should come closer"
 
 # %% [markdown]
 # ## The compilation cache

@@ -123,6 +123,7 @@ print(evaluation.table(100))
 other = sean_jax.evaluate(scenario, "go_to_goal", episodes=EPISODES, seed=0)
 for name, found in (("careful", evaluation), ("go_to_goal", other)):
     print(f"{name:>10}: near people for {found.metrics['near_time'][:, 0].mean():.1f} s of an episode, on average")
+assert evaluation.seconds.mean() > other.seconds.mean(), "a robot that slows down should take longer"
 figure, panels = plt.subplots(1, 2, figsize=(9, 2.8), layout="constrained")
 for row, (name, found) in enumerate((("careful", evaluation), ("go_to_goal", other))):
     for panel, values in zip(panels, (found.metrics["near_time"][:, 0], found.seconds), strict=True):

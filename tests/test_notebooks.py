@@ -16,8 +16,6 @@ from PIL import Image
 
 FOLDER = Path(__file__).resolve().parent.parent / "notebooks"
 SOURCES = sorted(FOLDER.glob("*.py"))
-SMALL = {"PEOPLE": 8, "EPISODES": 2, "STEPS": 20}
-SMALL_TOO = {"MINUTES": 2, "EPOCHS": 2, "UPDATES": 2, "TRIALS": 3, "SCENARIOS": 32}  # of some notebooks
 INSTALL = "On Colab, clone the repository first; the next cell then installs it."
 
 
@@ -71,18 +69,29 @@ def test_every_page_is_in_the_readme():
     assert re.findall(r"\(notebooks/(\w+)\.ipynb\)", readme) == [path.stem for path in SOURCES]
 
 
+def test_every_notebook_asserts_what_it_says():
+    for source in SOURCES:
+        assert re.search(r"^ *assert ", source.read_text(), re.M), f"{source.name}: no statement of it is checked"
+
+
+@pytest.mark.slow
+def test_constants_of_a_crowd_are_recovered():
+    """Notebook 5 at full size, as far as its headline."""
+    (source,) = FOLDER.glob("5_*.py")
+    text = source.read_text()
+    headline = text[: text.index("figure, (left, right)")]
+    assert "the constants were not recovered" in headline
+    exec(headline.replace("compiler.configure()", ""), {})
+
+
 @pytest.mark.night
 @pytest.mark.parametrize("source", SOURCES, ids=lambda path: path.stem)
-def test_notebook_runs(source, tmp_path):
+def test_notebook_runs_and_its_statements_hold(source, tmp_path):
+    """At full size: each notebook asserts what it says."""
     from nbclient import NotebookClient
 
     notebook = nbformat.read(source.with_suffix(".ipynb"), as_version=4)
-    for cell in notebook.cells:
-        for name, value in (SMALL | SMALL_TOO).items():
-            cell.source = re.sub(rf"^{name} = \d+", f"{name} = {value}", cell.source, flags=re.M)
-    text = "\n".join(source for _, source in cells(notebook))
-    assert all(f"\n{name} = {value}" in text for name, value in SMALL.items())
-    NotebookClient(notebook, timeout=600, kernel_name="python3", resources={"metadata": {"path": tmp_path}}).execute()
+    NotebookClient(notebook, timeout=1200, kernel_name="python3", resources={"metadata": {"path": tmp_path}}).execute()
     outputs = [output for cell in notebook.cells if cell.cell_type == "code" for output in cell.outputs]
     pictures = [output.data["image/png"] for output in outputs if "image/png" in output.get("data", {})]
     assert len(set(pictures)) >= 2, "fewer than two pictures"

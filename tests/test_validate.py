@@ -15,8 +15,9 @@ from sean_jax import InputError, cli
 from sean_jax.config import ValidateConfig
 from sean_jax.recordings import Tracks
 from sean_jax.studies import validation
+from sean_jax.studies.calibration.loss import GROUPS
 from sean_jax.studies.scenes import Gate, model
-from sean_jax.studies.validation import checks, guidelines, page, plans
+from sean_jax.studies.validation import checks, crowds, guidelines, individuals, page, plans
 from sean_jax.studies.validation.checks import (
     CHECKS,
     GATES,
@@ -90,6 +91,28 @@ def test_the_tests_of_the_guidelines_are_all_there():
     wanted |= {f"imo-{number}" for number in (1, 4, 5, 6, 7, 8, 9, 10)} | {f"iso-{number}" for number in (12, 13, 16)}
     wanted |= {f"nist-{number}" for number in ("2.1", "2.3", "2.4", "2.8", "2.9", "3.1", "5.1", "5.2")}
     assert wanted <= set(CHECKS)
+
+
+def test_fitted_checks_are_those_that_the_loss_of_calibrations_measures():
+    in_loss = {name for group in GROUPS.values() for name in group["checks"]}
+    assert in_loss == {name for name, check in CHECKS.items() if check.fitted} and len(in_loss) > 12
+    assert CHECKS["stop-and-go"].data == "fitted" and CHECKS["prediction"].data == "held out"
+
+
+def test_criteria_tell_every_rule():
+    """Of checks in which everybody has to arrive, or a difference may be of some size."""
+    for name in ("rimea-9", "rimea-11", "rimea-14", "imo-4", "nist-5.2", "iso-16", "bottleneck", "bottleneck-crowd"):
+        assert "all out" in CHECKS[name].criterion, name
+    for name in ("imo-8", "nist-2.8", "nist-5.1"):
+        assert "all get through" in CHECKS[name].criterion, name
+    for name, words in (
+        ("rimea-4", f"{guidelines.SLACK:g}".lstrip("0")),
+        ("pairs-crossing", f"{1000 * individuals.TOLERANCE:g} mm"),
+        ("stop-and-go", f"{crowds.WAVE_SPEED_TOLERANCE:g} m/s"),
+        ("prediction", "companions"),
+        ("closed-loop", "constant velocity"),
+    ):
+        assert words in CHECKS[name].criterion, name
 
 
 def test_checks_are_chosen_by_name_and_by_the_beginning_of_a_name():
@@ -278,6 +301,7 @@ def test_a_run_keeps_its_rows_and_does_only_what_is_missing(table, tmp_path, mon
     assert validation.run(options) == ["rimea-4"]
     content = json.loads((tmp_path / "out" / "results.json").read_text())
     assert [row["verdict"] for row in content["rows"]] == ["passes", "fails", "skipped"]
+    assert [row["data"] for row in content["rows"]] == ["held out"] * 3
     assert content["rows"][0]["numbers"] == {"rows": 11.0, "none": None}
     assert "--data" in content["rows"][2]["reason"] and own in content["command"]
     text = (tmp_path / "out" / "report.html").read_text()
@@ -286,7 +310,7 @@ def test_a_run_keeps_its_rows_and_does_only_what_is_missing(table, tmp_path, mon
     assert "http" not in text.replace("https://", "") or "src=" not in text
 
     table_text = (tmp_path / "out" / "table.md").read_text()
-    assert "| rimea-1 | passes: fine |" in table_text
+    assert "| check | data | straight |" in table_text and "| rimea-1 | held out | passes: fine |" in table_text
     assert "| RiMEA, IMO, NIST, ISO | all pass | fails: 1 of 2: rimea-4 |" in table_text
 
     validation.run(options.replace(models=f"{own},constant_velocity"))
@@ -367,6 +391,9 @@ def test_the_page_of_the_docs_has_every_check_and_only_those():
     text = (ROOT / "docs" / "validation.md").read_text(encoding="utf-8")
     described = re.findall(r"^\| `([a-z0-9.-]+)` \|", text, re.M)
     assert sorted(described) == sorted(CHECKS)
+    for name, check in CHECKS.items():
+        row = f"| `{name}` | {check.setup} | {check.measure}: {check.criterion} | {check.data} | {check.source} |"
+        assert row in text.splitlines(), f"{name}: run python docs/validation.py"
     slow = {name for name, check in CHECKS.items() if not check.quick}
     left_out = re.search(r"leaves out (.*?)\.\s", text, re.S)
     assert left_out and set(re.findall(r"`([a-z0-9.-]+)`", left_out[1])) == slow

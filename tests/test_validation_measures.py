@@ -10,7 +10,7 @@ from sean_jax import recordings as recorded
 from sean_jax.studies.scenes import Gate
 from sean_jax.studies.validation import crowds, measures
 from sean_jax.studies.validation.crowds import recorded_order
-from sean_jax.studies.validation.measures import crossing_times, flow
+from sean_jax.studies.validation.measures import crossing_times, flow, smoothed
 
 DOOR = Gate((0.0, 0.6), (0.0, -0.6))  # crossed along +x
 
@@ -154,6 +154,18 @@ def test_people_on_a_circle_accelerate_jerk_and_turn_as_geometry_says():
     present[100] = False  # nothing is measured across a gap
     assert len(measures.motion(place, present, step).acceleration) == 198 - 3
     assert len(measures.motion(0.2 * place, present, step).turn_rate) == 0  # slower than people walk
+
+
+def test_a_parabola_through_five_moments_keeps_parabolas_and_their_people():
+    time = np.arange(9.0)
+    place = np.stack([np.stack([time, 0.3 * time**2 - time], -1), np.zeros((9, 2))], 1)
+    present = np.ones((9, 2), bool)
+    present[4, 1] = False  # who is away is in no parabola
+    smooth, whole = smoothed(place, present)
+    assert whole[:, 0].tolist() == [False] * 2 + [True] * 5 + [False] * 2 and not whole[:, 1].any()
+    np.testing.assert_allclose(smooth[whole], place[2:-2, 0], atol=1e-9)
+    for number in (0, 4):
+        assert not smoothed(place[:number], present[:number])[1].any()
 
 
 def test_ways_aside_and_slowest_steps():

@@ -88,11 +88,19 @@ def test_straight_walkers_are_where_they_were(street):  # noqa: F811
     assert numbers["collisions_made"] == 0.0
 
 
-def test_a_published_error_is_the_limit():
-    good, bad = (recorded.Errors(mae, 0.1, 0.01, 0.2, 0.0) for mae in (0.1, 5.0))
-    for scene, own, passed in (("eth", good, True), ("eth", bad, False), ("elsewhere", bad, True)):
-        none = {scene: recorded.Differences(0.0, 0.0, 0.0)}
-        assert recorded.compare_errors({scene: own}, {scene: 0.0}, none).passed is passed
+def test_errors_of_constant_velocity_are_the_limit_in_every_scene():
+    mark = recorded.Errors(0.5, 0.1, 0.02, 0.2, 0.0)
+    far, unlike = mark._replace(mae=0.51), mark._replace(mmd=0.021)
+    for own, passed in ((mark, True), (mark._replace(mae=0.4), True), (far, False), (unlike, False)):
+        several = {"eth": mark, "hotel": own}
+        none = dict.fromkeys(several, recorded.Differences(0.0, 0.0, 0.0))
+        found = recorded.compare_errors(several, dict.fromkeys(several, mark), dict.fromkeys(several, 0.0), none)
+        assert found.passed is passed and ("(not: hotel)" in found.reason) is not passed
+
+
+def test_constant_velocity_is_as_near_as_itself(street):  # noqa: F811
+    found = recorded.closed_loop(CheckContext(model("constant_velocity"), quick=True, data=street))
+    assert found.passed and found.numbers["mae_made"] == found.numbers["mae_constant_velocity_made"]
 
 
 def test_distributions_differ_by_their_earth_movers_distance():

@@ -25,6 +25,7 @@ from sean_jax.studies.prediction.forecast import HABITS, Predictable, observed_p
 
 __all__ = [
     "HABITS",
+    "Predictable",
     "SampleScores",
     "Scores",
     "Windows",

@@ -135,6 +135,12 @@ class Check:
     function: str  # such as guidelines.walk_time
     arguments: dict[str, Any] = field(default_factory=dict)  # of the function, besides the context
     quick: bool = True  # whether ``--quick`` has it
+    fitted: bool = False  # whether the loss of ``sean calibrate`` has the same measurement
+
+    @property
+    def data(self) -> str:
+        """How its measurement was used: ``fitted``, or ``held out`` of every fit."""
+        return "fitted" if self.fitted else "held out"
 
     def run(self, context: CheckContext) -> CheckResult:
         """Simulate and measure.
@@ -255,9 +261,10 @@ def save(folder: Path, check: Check, model: Model, options: ValidateConfig, row:
 
 
 def write(folder: Path, options: ValidateConfig, rows: Sequence[Row]) -> None:
-    """Write results.json: the command, the versions, and for each row all but its curves and pictures."""
+    """Write results.json: the command, the versions, and for each row its data and all but curves and pictures."""
     left_out = ("curves", "axes", "pictures")
     table = [{name: part for name, part in dataclasses.asdict(row).items() if name not in left_out} for row in rows]
+    table = [row | {"data": CHECKS[row["check"]].data} for row in table]
     content = {"command": command("validate", options), "versions": versions(), "rows": _finite(table)}
     writing.write(folder / RESULTS, content)
 

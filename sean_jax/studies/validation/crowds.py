@@ -45,7 +45,7 @@ ENVELOPE: dict[float, list[float]] = PUBLISHED["single_file"]
 WAVES: dict[int, list[float]] = PUBLISHED["stop_and_go"]
 WAVE_LOOP = 25.71  # m, where they were measured
 WAVE_SECONDS, WAVE_COUNTED = 100.0, 60.0  # s
-WAVE_TOLERANCE = 0.3
+WAVE_TOLERANCE, WAVE_SPEED_TOLERANCE = 0.3, 0.2  # share of the deviation; m/s of the speed of the wave; both ours
 STEP = 4  # moments, over which speeds are measured as in recordings
 
 
@@ -240,6 +240,7 @@ def stop_and_go(context: CheckContext) -> CheckResult:
     mean, deviation, shared, delay, backwards = np.mean(np.reshape(each, (len(WAVES), len(seeds), -1)), axis=1).T
     known, wanted, known_delay, known_wave = np.transpose([*WAVES.values()])
     off, density = np.abs(deviation / wanted - 1.0), np.array([*WAVES]) / WAVE_LOOP
+    as_fast = np.abs(backwards - known_wave) <= WAVE_SPEED_TOLERANCE  # not where there is no wave
     waves = [
         f"a wave of {backwards[k]:.2f} m/s (recorded {known_wave[k]:.2f}), {delay[k]:.1f} s from one to the next "
         f"(recorded {known_delay[k]:.1f})"
@@ -255,9 +256,10 @@ def stop_and_go(context: CheckContext) -> CheckResult:
     names = {"speed": mean, "deviation": deviation, "correlation": shared, "delay": delay, "wave": backwards}
     first = shown[:: len(seeds)]
     return result(
-        bool((off <= WAVE_TOLERANCE).all()),
+        bool((off <= WAVE_TOLERANCE).all() and as_fast.all()),
         f"deviation in time at {words}",
-        f"within {100 * WAVE_TOLERANCE:.0f} % of the recorded deviations",
+        f"within {100 * WAVE_TOLERANCE:.0f} % of the recorded deviations, waves within {WAVE_SPEED_TOLERANCE:g} m/s of "
+        "the recorded",
         numbers={key: number for name, row in names.items() for key, number in by_name(f"{name}_", WAVES, row).items()},
         curves=(*(Curve(f"{number} people", *_ranked(speed)) for number, speed in zip(WAVES, first, strict=True)),),
         axes=("speed [m/s]", "share of people and moments"),

@@ -12,10 +12,12 @@ from typing import Any
 
 import numpy as np
 
+from sean_jax.base import Pedestrians, Scenario, State
+from sean_jax.pedestrian_models import constant_velocity
 from sean_jax.recordings import Tracks
 from sean_jax.robots import load
-from sean_jax.social_forces import Forces, move, preset
-from sean_jax.studies.prediction import HABITS, Scores, evaluate, read_windows
+from sean_jax.social_forces import Cohesion, Forces, move, preset
+from sean_jax.studies.prediction import HABITS, Predictable, Scores, evaluate, read_windows
 from sean_jax.studies.scenes import Gate, Scene, join, spread, walkers
 from sean_jax.studies.validation.checks import PUBLISHED, CheckContext, CheckResult, Curve, Skipped, result
 from sean_jax.studies.validation.measures import separation, steps_along
@@ -206,7 +208,27 @@ def _times(tracks: Tracks) -> np.ndarray:
 # ------------------------------------------------------------------ prediction
 
 FEWER = 50.0  # times fewer collisions than with constant velocity
-BETTER = 0.02  # share of the mean error of constant velocity with the same habits
+BETTER = 0.02  # share of the mean error of constant velocity with all habits
+
+
+def with_companions(scenario: Scenario, state: State) -> Pedestrians:
+    """Constant velocity, at the mean of the desired velocities of oneself and one's companions."""
+    people, companions = state.pedestrians, scenario.behavior.companions
+    desired = people.desired_velocity
+    there = ((companions >= 0) & people.present[companions])[..., None].astype(desired.dtype)  # (N, 2, 1)
+    mean = (desired + (there * desired[companions]).sum(1)) / (1.0 + there.sum(1))
+    after = constant_velocity(scenario, replace(state, pedestrians=replace(people, desired_velocity=mean)))
+    return replace(after, desired_velocity=desired)
+
+
+def habits_of_constant_velocity(forces: Forces, habits: dict[str, Any]) -> tuple[Predictable, dict[str, Any]]:
+    """Constant velocity with all habits of social forces: weights, and companions' mean velocity.
+
+    It needs no ``settled``: it has no acceleration that the observed velocity could contain already.
+    """
+    cohesion = forces.get(Cohesion)
+    walks_with_companions = cohesion is not None and cohesion.alignment is not None
+    return with_companions if walks_with_companions else "constant_velocity", {"weights": habits["weights"]}
 
 
 def prediction(context: CheckContext) -> CheckResult:
@@ -224,12 +246,13 @@ def prediction(context: CheckContext) -> CheckResult:
     plain: dict[str, Scores] = {}
     for path in context.progress(paths):
         windows, habits, mover = read_windows(path), {}, model.move
+        straight, same = "constant_velocity", {}
         if mover is move:
             mover, habits = fitted_without(path.stem, model.forces)
-        same = {"weights": habits["weights"]} if habits else {}  # constant velocity has no acceleration to settle
+            straight, same = habits_of_constant_velocity(mover, habits)
         own[path.stem] = evaluate(mover, windows, **habits)
         plain[path.stem] = evaluate("constant_velocity", windows)
-        mark[path.stem] = evaluate("constant_velocity", windows, **same)
+        mark[path.stem] = evaluate(straight, windows, **same)
     return compare_scores(own, mark, plain)
 
 

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from numpy.lib.stride_tricks import sliding_window_view
 
 from sean_jax.recordings import Tracks
 from sean_jax.social_forces.forces import Walking
@@ -297,6 +298,24 @@ class Motion(NamedTuple):
     acceleration: Float[np.ndarray, "K"]  # m/s2
     jerk: Float[np.ndarray, "J"]  # m/s3
     turn_rate: Float[np.ndarray, "I"]  # rad/s, where people walk
+
+
+PARABOLA = np.array([-3.0, 12.0, 17.0, 12.0, -3.0]) / 35.0
+"""Weights of five moments: the middle of a parabola of least squares (A. Savitzky & M. Golay, Anal. Chem. 36, 1627
+(1964))"""
+
+
+def smoothed(
+    position: Float[np.ndarray, "T N 2"], present: Bool[np.ndarray, "T N"]
+) -> tuple[Float[np.ndarray, "T N 2"], Bool[np.ndarray, "T N"]]:
+    """Positions [m] of parabolas through five moments each, and who is there for all five: two fewer at both ends."""
+    place, there = np.asarray(position, float), np.asarray(present)
+    reach = len(PARABOLA) // 2
+    smooth, whole = np.zeros_like(place), np.zeros_like(there)
+    if len(place) >= len(PARABOLA):
+        smooth[reach:-reach] = np.einsum("tncw,w->tnc", sliding_window_view(place, len(PARABOLA), axis=0), PARABOLA)
+        whole[reach:-reach] = sliding_window_view(there, len(PARABOLA), axis=0).all(-1)
+    return smooth, whole
 
 
 def motion(position: Float[np.ndarray, "T N 2"], present: Bool[np.ndarray, "T N"], time_step: float) -> Motion:

@@ -46,6 +46,7 @@ PATHS = 60  # maximum number of drawn people
 STRIDE = 5  # moments between two points of a path
 RADIUS = 0.2  # m, of the discs at the last moment that is drawn
 BORDER = 1.5  # m of floor around people
+DATA = "Fitted: the loss of sean calibrate has the same measurement, so a fit should pass. Held out: it has not."
 NEAR = 3.0  # m from people within which corners of walls are shown
 WIDTH, TALLEST = 6.4, 6.4  # inches
 HEIGHT = 2.0  # m, of walls in a replay; a plan has none
@@ -54,8 +55,9 @@ HEIGHT = 2.0  # m, of walls in a replay; a plan has none
 def line(row: Row, checks: Sequence[Check], models: Sequence[Model]) -> str:
     """A row for the terminal; a single model is not named."""
     wide = max(len(check.name) for check in checks)
+    (data,) = (check.data for check in checks if check.name == row.check)
     model = f"{row.model:<{max(len(each.name) for each in models)}}  " if len(models) > 1 else ""
-    return f"{row.check:<{wide}}  {model}{row.verdict:<7}  {row.reason or row.measured}"
+    return f"{row.check:<{wide}}  {model}{row.verdict:<7}  {data:<8}  {row.reason or row.measured}"
 
 
 def gate_lines(rows: Sequence[Row], model: Model) -> list[str]:
@@ -96,11 +98,11 @@ def markdown(checks: Sequence[Check], models: Sequence[Model], rows: Sequence[Ro
     """The table as docs/validation.md has it, and one of the gates of the first model."""
     by_name = {(row.check, row.model): row for row in rows}
     names = [model.name for model in models]
-    lines = ["| check | " + " | ".join(names) + " |", "|---" * (1 + len(names)) + "|"]
+    lines = ["| check | data | " + " | ".join(names) + " |", "|---" * (2 + len(names)) + "|"]
     for check in checks:
         cells = (by_name[check.name, name] for name in names)
         texts = (f"{row.verdict}: {row.reason or row.measured}".replace("|", "/") for row in cells)
-        lines.append(f"| {check.name} | " + " | ".join(texts) + " |")
+        lines.append(f"| {check.name} | {check.data} | " + " | ".join(texts) + " |")
     lines += ["", f"| gate | promise | {names[0]} |", "|---|---|---|"]
     for title, promise, verdict, why in gates(rows, names[0]):
         lines.append(f"| {title} | {promise} | {verdict}{why and ': ' + why} |")
@@ -115,13 +117,13 @@ def html(options: ValidateConfig, checks: Sequence[Check], models: Sequence[Mode
         cells = [
             _verdict(row.verdict, row.reason or row.measured) for row in (by_name[check.name, m.name] for m in models)
         ]
-        verdicts.append([pages.Cell(check.name, check.title), check.criterion, *cells])
+        verdicts.append([pages.Cell(check.name, check.title), check.data, check.criterion, *cells])
     promises = [
         [title, promise, _verdict(verdict, why)] for title, promise, verdict, why in gates(rows, models[0].name)
     ]
-    head = ["", "criterion", *(model.name for model in models)]
+    head = ["", "data", "criterion", *(model.name for model in models)]
     sections = [
-        pages.section("Verdicts", pages.table(head, verdicts, "words"), pages.note("Nothing is tuned for a check.")),
+        pages.section("Verdicts", pages.table(head, verdicts, "words"), pages.note(DATA)),
         pages.section(f"Gates of {models[0].name}", pages.table([], promises, "words")),
         *(_check(check, [by_name[check.name, model.name] for model in models]) for check in checks),
         pages.origin(flags.command("validate", options), versions()),
@@ -135,7 +137,13 @@ def _verdict(verdict: str, reason: str) -> pages.Cell:
 
 def _check(check: Check, rows: Sequence[Row]) -> str:
     """The section of a check, with a row for each model."""
-    facts = {"set-up": check.setup, "measured": check.measure, "passes if": check.criterion, "source": check.source}
+    facts = {
+        "set-up": check.setup,
+        "measured": check.measure,
+        "passes if": check.criterion,
+        "source": check.source,
+        "data": check.data,
+    }
     facts |= {row.model: f"{row.verdict}: {row.reason or row.measured}" for row in rows}
     pictures = [pages.figure(picture, f"{row.model}: {caption}") for row in rows for caption, picture in row.pictures]
     curves = {}

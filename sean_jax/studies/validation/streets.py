@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Int
 from sean_jax.recordings import Tracks, read, read_companions
 from sean_jax.studies.scenes import Gate, Scene, join, walkers
 from sean_jax.studies.validation.checks import CheckContext, CheckResult, Curve, Skipped, result
-from sean_jax.studies.validation.measures import Motion, company, motion, sideways, slowest
+from sean_jax.studies.validation.measures import Motion, company, motion, sideways, slowest, smoothed
 
 TIME_STEP = 0.4  # s, of the recordings of ETH and UCY
 WINDOW = 150  # moments
@@ -104,8 +104,8 @@ class Walk(NamedTuple):
 
 
 def measure(windows: list[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> Walk:
-    """The motion in windows of positions [m], presence and pairs."""
-    motions = [motion(position, present, TIME_STEP) for position, present, _ in windows]
+    """The motion in windows of positions [m], presence and pairs; recorded and simulated ones are smoothed alike."""
+    motions = [motion(*smoothed(position, present), TIME_STEP) for position, present, _ in windows]
     together = [company(position, present, pairs, TIME_STEP) for position, present, pairs in windows]
     rest = [
         np.concatenate([function(position, present) for position, present, _ in windows])
