@@ -364,6 +364,7 @@ class Survey:
                 tab.put({"kind": "early", "content": left})
                 return
             await asyncio.to_thread(self.answers.show, tab.participant, number)
+            await asyncio.to_thread(self.answers.event, tab.participant, f"{visits.SHOWN} {number}")
         tab.put({"kind": "shown", "content": number})
 
     async def _try_drive(self, tab: Tab, step: Step, number: int) -> None:

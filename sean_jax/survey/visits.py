@@ -12,8 +12,9 @@ OPENED, CLOSED = "opened", "closed"  # a tab
 PAGE = "page"  # and its number: it was sent to the tab
 BEGAN = "began"  # and the page's number: its film is played for the first time since it was opened
 EARLY = "early"  # and the page's number: the participant went on before the film's end, and was refused
+SHOWN = "shown"  # and the page's number: the film is over, and questions follow
 HIDDEN, VISIBLE = "hidden", "visible"  # the tab is behind another one, or in front again
-EVENT = rf"^({OPENED}|{CLOSED}|{HIDDEN}|{VISIBLE}|({PAGE}|{BEGAN}|{EARLY}) [0-9]{{1,4}})$"
+EVENT = rf"^({OPENED}|{CLOSED}|{HIDDEN}|{VISIBLE}|({PAGE}|{BEGAN}|{EARLY}|{SHOWN}) [0-9]{{1,4}})$"
 
 
 @dataclasses.dataclass
@@ -24,7 +25,8 @@ class Visit:
     began: float | None = None  # the film, for the first time
     dwell: float = 0.0  # that the page was open
     hidden: float = 0.0  # of these, that its tab was behind another one
-    watched: float = 0.0  # since the film began, without the time that the tab was hidden
+    watched: float = 0.0  # from the film's first picture to its end, without the time that the tab was hidden
+    is_over: bool = False  # the film
     reloads: int = 0
     early: int = 0  # times that the participant was refused to go on
 
@@ -46,7 +48,7 @@ def visits(events: Iterable[tuple[float, str]], now: float | None = None) -> dic
             passed = max(0.0, time - before)
             visit.dwell += passed * is_open
             visit.hidden += passed * (is_open and is_hidden)
-            visit.watched += passed * (visit.began is not None and not is_hidden)
+            visit.watched += passed * (visit.began is not None and not visit.is_over and not is_hidden)
         before = time
 
         word, _, page = what.partition(" ")
@@ -62,6 +64,8 @@ def visits(events: Iterable[tuple[float, str]], now: float | None = None) -> dic
             is_hidden = word == HIDDEN
         elif word == BEGAN and int(page) == number and found[number].began is None:
             found[number].began = time
+        elif word == SHOWN and int(page) == number:
+            found[number].is_over = True
         elif word == EARLY and int(page) == number:
             found[number].early += 1
     return found
