@@ -69,13 +69,15 @@ def sync(path: Path) -> None:
 def write(file: Path, content: Any) -> None:
     """Write a file, whole or not at all: text as UTF-8, bytes, or anything else as JSON, in which NaN is refused.
 
+    Half a surrogate, which UTF-8 cannot hold, is written out as \\ud83d.
+
     Raises:
         WriteError: another process writes the file.
     """
     if not isinstance(content, str | bytes):
         content = json.dumps(content, indent=1, allow_nan=False) + "\n"
     with atomic_file(file) as stream:
-        stream.write(content.encode("utf-8") if isinstance(content, str) else content)
+        stream.write(content.encode("utf-8", "backslashreplace") if isinstance(content, str) else content)
 
 
 def write_arrays(file: Path, arrays: Mapping[str, Any]) -> None:

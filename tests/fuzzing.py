@@ -594,6 +594,172 @@ def load_config(folder: Path) -> Any:
     return cli._read(RunConfig, flags.parse("run", RunConfig, words, configurable=True)).identity()
 
 
+# A study: its description, and its file
+
+
+STUDY = """title: Robots in a lab
+consent: You may stop.
+participants: 3
+options: {environment: lab, people: 2, time_limit: 3, warm_up: 1}
+questions: [navigation]
+before:
+  - {kind: number, name: age, text: "How old are you?", range: [18, 99], required: false}
+trials:
+  - {name: calm, watch: {policy: go_to_goal, seed: 3}}
+  - {name: mine, drive: {seed: 4, view: plan}}
+  - name: pair
+    choose: [{policy: go_to_goal, seed: 5}, {policy: expert, seed: 5, name: careful}]
+    questions: [{kind: text, name: why, text: "Why?", required: false}]
+after:
+  - {kind: choice, name: car, text: "Do you drive a car?", choices: [often, never]}
+drivers: 8
+address: https://study.example.org
+"""
+
+
+def answered(folder: Path) -> dict[str, bytes]:
+    """The file of a study in which everybody has watched, driven, chosen and answered."""
+    from unittest import mock
+
+    from sean_jax.survey import study
+    from sean_jax.survey.answers import FILE
+
+    folder.mkdir()
+    (folder / "study.yaml").write_text(STUDY)
+    described = study.read(folder / "study.yaml")
+    links = mock.patch("sean_jax.survey.answers.secrets.token_urlsafe", side_effect=(f"{k:022}" for k in range(10)))
+    clock = mock.patch("sean_jax.survey.answers.time.time", side_effect=(1.7e9 + k for k in range(10_000)))
+    with links, clock:  # so that the bytes are the same again
+        fill(folder, described)
+    return {FILE: (folder / FILE).read_bytes()}
+
+
+def fill(folder: Path, described: Any) -> None:
+    """Begin a study, and let everybody take part."""
+    from sean_jax.survey.answers import Answers
+
+    answers = Answers.begin(folder, described)
+    film = {"timeStep": 0.1, "title": "", "episodes": [{"frames": 31, "title": "", "outcome": ""}]}
+    for trial, side in ((0, 0), (2, 0), (2, 1)):
+        answers.add_episode(trial, side, "expert", "completed", {"path_length": 3.0 + trial}, film)
+    for participant in range(3):
+        answers.consent(participant)
+        answers.event(participant, "opened")
+        for place, step in enumerate(answers.steps(participant)):
+            for word in ("page", "began") if step.kind == "watch" else ("page",):
+                answers.event(participant, f"{word} {place}")
+            if step.kind == "drive":
+                drive = answers.begin_drive(participant, place)
+                answers.add_moments(drive, 0, [[0.5, 0.1, 1.0, 2.0, 0.3]] * 10)
+                answers.end_drive(drive, "timed out", {"path_length": 3.0}, film)
+            answers.show(participant, place)
+            for question in step.questions:
+                values = {"likert": 3, "choice": question.get("choices", ("",))[0], "number": 40, "text": "ü, =1"}
+                answers.answer(participant, place, question["name"], values[question["kind"]])
+            answers.finish(participant, place, place == 4)
+        answers.event(participant, "closed")
+    answers.close()
+
+
+def load_study(folder: Path) -> Any:
+    """A study, and each page that the server would send."""
+    from sean_jax.survey import study
+
+    found = study.read(folder / "study.yaml")
+    for participant in range(found.participants):
+        json.dumps([step.model_dump() for step in found.steps(participant)], allow_nan=False)
+    return None
+
+
+def load_answers(folder: Path) -> Any:
+    """All tables of a study's file, as bytes; each cell is read as the study has it."""
+    import csv
+
+    from sean_jax.survey import export, report
+    from sean_jax.survey.answers import FILE, Answers
+
+    answers = Answers(folder / FILE)
+    try:
+        rows = {}
+        for name in export.TABLES:
+            text = export.table(answers, name).encode()
+            rows[name] = list(csv.DictReader(io.StringIO(text.decode(), newline="")))
+        for drive in answers.drives():
+            answers.recording(drive["id"])
+        report.means(report.rated(answers))
+        answers.secrets()
+    finally:
+        answers.close()
+    for row in rows["answers.csv"]:
+        assert 1 <= int(row["participant"]) <= answers.study.participants and 1 <= int(row["place"]) <= 5
+        if row["kind"] == "likert":
+            assert 1 <= int(row["value"]) <= 11
+        if row["kind"] == "number":
+            assert 18 <= float(row["value"]) <= 99
+    for row in rows["pages.csv"]:
+        assert float(row["dwell_s"]) >= float(row["hidden_s"]) >= 0 and int(row["reloads"]) >= 0
+    return [float(row[name]) for row in rows["trajectories.csv"] for name in ("x", "y", "heading")]
+
+
+CELLS = [
+    None, "", "x", -1, 0, 2, 99, 10**12, 2**63 - 1, 1.5, -1.0, 1e300, float("inf"), b"", b"\x00\xff", "9" * 400,
+    "[" * 3000, '"\\ud83d"', '"x"', "[]", "{}", "[[1, 2, 3, 4, 5]]", "[[1, 2]]", "[[NaN, 1, 1, 1, 1]]",
+    '{"a": 1e999}', '{"a": "b"}', "NaN", "page 1", "page 99999", "early 1", "visible", "completed", "x" * 200_000,
+]  # fmt: skip
+ENDLESS = "WITH RECURSIVE n(a) AS (SELECT 1 UNION ALL SELECT a FROM n) SELECT a AS id, a AS step FROM n"
+SCHEMES = [
+    "DROP TABLE {0}", "ALTER TABLE {0} RENAME TO old", "ALTER TABLE {0} ADD COLUMN more", "CREATE TABLE more (a)",
+    "CREATE INDEX more ON {0} (rowid)", "CREATE TRIGGER more AFTER INSERT ON {0} BEGIN DELETE FROM {0}; END",
+    "CREATE VIEW more AS SELECT 1", "DELETE FROM {0}", "INSERT INTO {0} SELECT * FROM {0}",
+    "UPDATE sqlite_master SET rootpage = rootpage + 1 WHERE name = '{0}'",
+    "UPDATE sqlite_master SET sql = replace(sql, 'NOT NULL', '') WHERE name = '{0}'",
+    "UPDATE sqlite_master SET type = 'view', rootpage = 0,"
+    f" sql = 'CREATE VIEW {{0}} AS {ENDLESS}' WHERE name = '{{0}}'",
+]  # fmt: skip
+
+
+def in_database(chance: random.Random, given: bytes) -> bytes:
+    """A database with another cell, row, table, view or trigger."""
+    import contextlib
+    import sqlite3
+    import tempfile
+
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "a.sqlite"
+        path.write_bytes(given)
+        with contextlib.closing(sqlite3.connect(path, isolation_level=None)) as base:
+            base.execute("PRAGMA writable_schema=ON")
+            tables = [name for (name,) in base.execute("SELECT name FROM sqlite_master WHERE type = 'table'")]
+            for _ in range(chance.choice((1, 1, 1, 3))):
+                with contextlib.suppress(sqlite3.Error):  # a rule of the table refuses the change
+                    base.execute(*another_row(chance, base, chance.choice(tables)))
+            with contextlib.suppress(sqlite3.Error):
+                base.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+        return path.read_bytes()
+
+
+def another_row(chance: random.Random, base: Any, table: str) -> tuple[str, tuple[Any, ...]]:
+    """A statement that changes a cell, a row or the whole table, and its values."""
+    columns = [row[1] for row in base.execute(f"PRAGMA table_info({table})")]
+    where = f"rowid = (SELECT rowid FROM {table} ORDER BY rowid LIMIT 1 OFFSET {chance.randrange(12)})"
+    how = chance.random()
+    if how < 0.2 or not columns:
+        return chance.choice(SCHEMES).format(table), ()
+    if how < 0.3:
+        return f"DELETE FROM {table} WHERE {where}", ()
+    if how < 0.4:
+        return f"UPDATE {table} SET {chance.choice(columns)} = {chance.choice(columns)} WHERE {where}", ()
+    return f"UPDATE {table} SET {chance.choice(columns)} = ? WHERE {where}", (chance.choice(CELLS),)
+
+
+def studies(folder: Path) -> dict[str, Kind]:
+    """The kinds of a study."""
+    return {
+        "study": Kind({"study.yaml": STUDY.encode()}, ("study.yaml",), load_study, 10),
+        "answers": Kind(answered(folder / "study"), ("study.sqlite",), load_answers, 10),
+    }
+
+
 def kinds(folder: Path) -> dict[str, Kind]:
     """Every kind of input, each with how many of a hundred mutants are of it."""
     import numpy as np
@@ -639,6 +805,7 @@ def kinds(folder: Path) -> dict[str, Kind]:
         "run": Kind(measured, ("episodes.csv", "episodes.csv", "report.html", "summary.json"), load_run, 12),
         "forces": Kind({"forces.yaml": constants.encode()}, ("forces.yaml",), load_forces, 10),
         "randomization": Kind({"my.yaml": bounds.encode()}, ("my.yaml",), load_randomization, 6),
+        **studies(folder),
     }
 
 
@@ -657,6 +824,8 @@ def mutated(chance: random.Random, name: str, given: bytes) -> bytes | Path | No
         return chance.choice(whole)
     if name.endswith(".npz"):
         return in_arrays(chance, given) if chance.random() < 0.7 else in_bytes(chance, given)
+    if name.endswith(".sqlite"):
+        return in_database(chance, given) if chance.random() < 0.75 else in_bytes(chance, given)
     if name.endswith(".parquet"):
         return in_columns(chance, given) if chance.random() < 0.6 else in_bytes(chance, given)
     if name.endswith(".png") or "checkpoints/" in name:

@@ -9,8 +9,10 @@ import itertools
 import json
 import os
 import re
+import resource
 import shutil
 import signal
+import socket
 import sqlite3
 import subprocess
 import sys
@@ -25,10 +27,10 @@ import pytest
 import scipy.stats
 from rich.console import Console
 
-from sean_jax import cli, pages
+from sean_jax import cli, pages, survey
 from sean_jax.config import StudioConfig, SurveyReportConfig, validate
-from sean_jax.errors import FileError, InputError
-from sean_jax.survey import export, report, study
+from sean_jax.errors import FileError, InputError, WriteError
+from sean_jax.survey import export, report, study, visits
 from sean_jax.survey.answers import BROKEN_OFF, FILE, Answers
 
 pytest.importorskip("websockets")
@@ -61,6 +63,9 @@ after:
   - {kind: choice, name: car, text: "Do you drive a car?", choices: [often, never]}
 drivers: 8
 """
+
+
+FILM = {"timeStep": 0.1, "episodes": [{"frames": 31}]}  # of a recording, what tells its length
 
 
 def read(folder, text=STUDY):
@@ -107,6 +112,18 @@ MISTAKES = [
     ("drivers: 8", "address: example.org", r"address: 'example.org' is no address; write it as https://"),
     ("drivers: 8", "address: https://example.org/study", r"address: 'https://example.org/study' is no address"),
     ("name: why", "name: choice", r"trials\[2\].questions\[0\].name: 'choice' is the name of the choice"),
+    (
+        '    questions: [{kind: text, name: why, text: "Why?", required: false}]\n',
+        "",
+        r"trials\[2\]: the trial 'pair' shows"
+        r" two robots, and the questions of the study are about one; add questions: \[\]",
+    ),
+    (
+        "[{kind: text, name: why",
+        "[rosas, {kind: text, name: why",
+        r"trials\[2\].questions\[0\]: 'rosas' rates one robot",
+    ),
+    ("range: [18, 99]", "range: [18, .inf]", r"before\[0\].range"),
     ("name: mine", "name: before", r"'before' is the name of the questions before the trials"),
 ]
 
@@ -168,14 +185,14 @@ def test_a_study_goes_on_with_the_same_links(tmp_path):
     secrets, researcher = answers.secrets(), answers.researcher
     assert len(set(secrets.values())) == 60 and min(map(len, secrets.values())) >= 20
     answers.consent(7)
-    for value in (3, 4, None, 5):
+    for value in (33, 44, None, 55):
         answers.answer(7, 0, "age", value)
     drive = answers.begin_drive(7, 1)
     answers.close()
     more = made.model_copy(update={"drivers": 3})
     answers = Answers.begin(tmp_path, more)
     assert (answers.secrets(), answers.researcher, answers.study.drivers) == (secrets, researcher, 3)
-    assert answers.answers_of(7, 0) == {"age": 5} and answers.progress(7) == (True, 0, False)
+    assert answers.answers_of(7, 0) == {"age": 55} and answers.progress(7) == (True, 0, False)
     answers.recover()
     assert [row["outcome"] for row in answers.drives() if row["id"] == drive] == [BROKEN_OFF]
     with pytest.raises(InputError, match="has a study with other title; choose another folder"):
@@ -184,7 +201,7 @@ def test_a_study_goes_on_with_the_same_links(tmp_path):
     with pytest.raises(FileError, match="holds no study.sqlite"):
         Answers(tmp_path / "other" / FILE)
     (tmp_path / "other" / FILE).write_text("nonsense" * 100)
-    with pytest.raises(FileError, match="is no study"):
+    with pytest.raises(FileError, match="cannot be read: it is damaged; restore"):
         Answers(tmp_path / "other" / FILE)
 
 
@@ -200,11 +217,11 @@ def test_a_study_goes_on_with_the_same_links(tmp_path):
 def test_answers_are_checked(question, good, bad):
     question = {"name": "one"} | question
     for value in good:
-        assert server.checked(question, value) == value
+        assert study.checked(question, value) == value
     for value in bad:
         with pytest.raises(InputError, match="one: "):
-            server.checked(question, value)
-    assert server.checked(question, None) is None and server.checked(question, "") is None
+            study.checked(question, value)
+    assert study.checked(question, None) is None and server.checked(question, "") is None
 
 
 # ------------------------------------------------------------------ the server
@@ -216,6 +233,7 @@ def served(tmp_path_factory):
     folder = tmp_path_factory.mktemp("study")
     answers = Answers.begin(folder, read(folder))
     survey = server.Survey(answers, "<p>the page</p>", folder / "study.yaml")
+    survey._lengths = {trial: server.TOLERANCE + 0.2 for trial in survey._lengths}  # s, of films, to save time
     ready = threading.Event()
 
     def serve():
@@ -292,7 +310,11 @@ async def take_part(link, draw, sent, stop_after=None):
                     await asyncio.sleep(0.05)
                 assert driving.result()["content"] in ("completed", "timed out")
             elif not page["shown"]:
+                await send(tab, "began", step=number)
                 await send(tab, "shown", step=number)
+                while (news := await until(tab, "shown", "early"))["kind"] == "early":
+                    await asyncio.sleep(news["content"])
+                    await send(tab, "shown", step=number)
             for question in page["questions"]:
                 value = reply(question, draw)
                 await send(tab, "answer", step=number, question=question["name"], value=value)
@@ -445,7 +467,7 @@ def test_drivers_wait_for_a_place(served, monkeypatch):
 
 def test_an_answer_that_cannot_be_stored_is_not_confirmed(served, monkeypatch):
     def full(*_):
-        raise sqlite3.OperationalError("database or disk is full")
+        raise WriteError("study.sqlite: cannot be written: the disk is full; free some space.")
 
     async def go():
         async with tab_of(served.links()[58]) as tab:
@@ -525,7 +547,7 @@ def simulated(folder, participants=24, seed=0):
     answers = Answers.begin(folder, read(folder, f"{text}questions: {questions}\ntrials:{trials}\n"))
     draw = np.random.default_rng(seed)
     for k in range(6):
-        answers.add_episode(k, 0, "go_to_goal", "completed", {"path_length": float(k), "min_distance": 1.0}, {})
+        answers.add_episode(k, 0, "go_to_goal", "completed", {"path_length": float(k), "min_distance": 1.0}, FILM)
     for number in range(participants):
         offset = draw.normal(0, 1.5)
         for place, step in enumerate(answers.study.steps(number)):
@@ -602,7 +624,11 @@ def test_a_study_without_ratings_has_no_report(tmp_path):
 
 
 def test_formulas_of_participants_stay_text():
-    assert [export._guarded(value) for value in ("=1+1", "@x", "plain", -3, "")] == ["'=1+1", "'@x", "plain", -3, ""]
+    formulas = ["=1+1", "@x", "+1", "-1", "\n=1+1", " =1+1", "\t=1", "\r\n+1", "\uff1d1+1", "\u3000\uff20x", "\ufeff=1",
+                "\u00a0-1", "\tx", "'=1"[1:]]  # fmt: skip
+    assert [export._guarded(value) for value in formulas] == [f"'{value}" for value in formulas]
+    plain = ["plain", -3, 2.5, "", " ", "a=1", "1+1", "\u00fc", "'=1"]
+    assert [export._guarded(value) for value in plain] == plain
 
 
 # ------------------------------------------------------------------ the command
@@ -679,3 +705,341 @@ def test_a_browser_goes_through_a_study(tmp_path, scheme, width):
 def test_the_page_has_its_program():
     assert (pages.PACKAGE / "survey" / "page.js").stat().st_size < 60_000
     assert validate(StudioConfig, {"survey": "a.yaml", "out": "b"}).survey == Path("a.yaml")
+
+
+# ------------------------------------------------------------------ a file that is damaged, full or made to do harm
+
+
+def change(folder, *statements):
+    """Change a closed study's file as another program would."""
+    with contextlib.closing(sqlite3.connect(folder / FILE, isolation_level=None)) as base:
+        base.execute("PRAGMA writable_schema=ON")
+        for statement in statements:
+            base.execute(statement)
+        base.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+
+
+@pytest.fixture(scope="module")
+def original(tmp_path_factory):
+    """The folder of a study in which one participant has watched, driven, chosen and answered."""
+    folder = tmp_path_factory.mktemp("original")
+    answers = Answers.begin(folder, read(folder))
+    for trial, side in ((0, 0), (2, 0), (2, 1)):
+        answers.add_episode(trial, side, "expert", "completed", {"path_length": 3.0}, FILM)
+    answers.consent(0)
+    for place, step in enumerate(answers.steps(0)):
+        answers.event(0, f"page {place}")
+        answers.show(0, place)
+        if step.kind == "drive":
+            drive = answers.begin_drive(0, place)
+            answers.add_moments(drive, 0, [[0.5, 0.1, 1.0, 2.0, 0.3]] * 10)
+            answers.end_drive(drive, "timed out", {"path_length": 3.0})
+        for question in step.questions:
+            answers.answer(0, place, question["name"], reply(question, np.random.default_rng(place)))
+        answers.finish(0, place, place == 4)
+    answers.close()
+    change(folder)
+    return folder
+
+
+def damaged(original, folder, *statements):
+    shutil.copy(original / FILE, folder / FILE)
+    change(folder, *statements)
+    return folder
+
+
+DAMAGES = {
+    "a word for a time": ("UPDATE answers SET time = 'x'", "table participants: seen: 'x' is not a number"),
+    "no time at all": ("UPDATE drives SET began = 9e999", "table drives: began: inf is more than"),
+    "bytes for a text": ("UPDATE answers SET value = x'00ff'", "table answers: value: "),
+    "no JSON": ("UPDATE answers SET value = '{'", "table answers: value: '{' is not JSON"),
+    "a number of 400 digits": (f"UPDATE answers SET value = '{'9' * 400}'", "table answers: value: .*is not JSON"),
+    "brackets": (f"UPDATE answers SET value = '{'[' * 5000}'", "table answers: value: .*is not JSON"),
+    "an answer of another kind": ("UPDATE answers SET value = '99'", "table answers: .*is no answer|must be from"),
+    "another participant": ("UPDATE answers SET participant = 60", "no page 1 of participant 61"),
+    "a negative page": ("UPDATE steps SET step = -1 WHERE step = 0", "table steps: step: -1 is less than 0"),
+    "a page too far": ("UPDATE steps SET step = 99 WHERE step = 0", "no page 100 of participant 1"),
+    "a drive of no drive": ("UPDATE drives SET step = 0", "table drives: page 1 of participant 1 is none"),
+    "a missing trial": ("DELETE FROM episodes WHERE trial = 0", "there is no episode 1 of the trial 'calm'"),
+    "metrics of words": ("""UPDATE episodes SET metrics = '{"a": "b"}'""", "table episodes: metrics"),
+    "an endless film": ("UPDATE episodes SET recording = '{}'", "recording of trial 1 has no frames"),
+    "moments of two numbers": ("UPDATE moments SET moments = '[[1, 2]]'", "table moments: moments"),
+    "infinite moments": ("UPDATE moments SET moments = '[[1, 2, 3, 4, 1e999]]'", "table moments: moments"),
+    "fewer participants": ("DELETE FROM participants WHERE id = 3", "does not hold 60 participants"),
+    "an event of no kind": ("UPDATE events SET what = 'page x'", "table events: what"),
+    "another version": ("UPDATE study SET value = '9' WHERE name = 'version'", "has version 9 of the format, not 1"),
+    "no link of the researcher": ("UPDATE study SET value = '' WHERE name = 'researcher'", "table study: is not what"),
+    "no study": ("UPDATE study SET value = '{}' WHERE name = 'study'", "table study: is not what this program writes"),
+    "an unknown questionnaire": (
+        """UPDATE study SET value = replace(value, '"navigation"', '"nothing"') WHERE name = 'study'""",
+        "table study: 'nothing' is not one of rosas",
+    ),
+    "a missing table": ("DROP TABLE moments", "its tables are not those"),
+    "a trigger": (
+        "CREATE TRIGGER t AFTER INSERT ON answers BEGIN DELETE FROM answers; END",
+        "its tables are not those",
+    ),
+    "an endless view": (
+        "DROP TABLE answers; CREATE VIEW answers AS WITH RECURSIVE n(participant) AS "
+        "(SELECT 1 UNION ALL SELECT participant FROM n) SELECT participant FROM n",
+        "its tables are not those",
+    ),
+    "a table in another's place": (
+        "UPDATE sqlite_master SET rootpage = (SELECT rootpage FROM sqlite_master WHERE name = 'steps') "
+        "WHERE name = 'answers'",
+        "it is damaged; restore the file from a copy",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", DAMAGES)
+def test_a_damaged_study_is_refused_in_a_sentence(original, tmp_path, capfd, name):
+    statements, message = DAMAGES[name]
+    damaged(original, tmp_path, *statements.split("; " if "VIEW" in statements else "\0"))
+    assert cli.main(["survey", "export", str(tmp_path)]) == 2
+    said = capfd.readouterr().err
+    assert re.search(message, said) and "study.sqlite: " in said and "Traceback" not in said, said
+    assert len(said.strip().splitlines()) == 1
+
+
+def test_an_unchanged_study_is_exported(original, tmp_path):
+    assert cli.main(["survey", "export", str(damaged(original, tmp_path))]) == 0
+    rows = list(csv.DictReader((tmp_path / "tables" / "pages.csv").open()))
+    assert len(rows) == 5 and {row["reloads"] for row in rows} == {"0"}
+    drive = next(row for row in csv.DictReader((tmp_path / "tables" / "trials.csv").open()) if row["kind"] == "drive")
+    assert drive["began"] <= drive["ended"] != ""
+
+
+@pytest.mark.parametrize("stored", ['"\\ud83d"', '"a\\ud83db"', b'"\xed\xa0\xbd"'])
+def test_half_a_surrogate_is_exported(original, tmp_path, stored):
+    cell = f"CAST(x'{stored.hex()}' AS TEXT)" if isinstance(stored, bytes) else f"'{stored}'"
+    damaged(original, tmp_path, f"UPDATE answers SET value = {cell} WHERE question = 'why'")
+    assert cli.main(["survey", "export", str(tmp_path)]) == 0
+    rows = list(csv.DictReader((tmp_path / "tables" / "answers.csv").open(encoding="utf-8")))
+    (value,) = (row["value"] for row in rows if row["question"] == "why")
+    assert "\\ud83d" in value if isinstance(stored, str) else "\N{REPLACEMENT CHARACTER}" in value
+    answers = Answers(tmp_path / FILE)
+    assert report.rated(answers)
+    answers.close()
+
+
+@pytest.mark.parametrize("text", ["\ud83d", "a\udc00b", "\x00", "\x1b[2J", "\x85", "x\x7f"])
+def test_text_that_no_file_can_hold_is_refused(text):
+    with pytest.raises(InputError, match=r"^why: character [0-9a-f]{4} cannot be stored; type the text again\.$"):
+        study.checked({"kind": "text", "name": "why"}, text)
+    for good in ("two\nlines\tand\r\nmore", "ü 漢字 🤖 e\u0301"):
+        assert study.checked({"kind": "text", "name": "why"}, good) == good
+
+
+@contextlib.contextmanager
+def full_disk(size):
+    """No file may become larger than so many bytes."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+@pytest.mark.parametrize("size", [0, 4096, 20_000])
+def test_a_full_disk_at_the_start_is_one_sentence_and_leaves_nothing(tmp_path, size):
+    made = read(tmp_path)
+    (tmp_path / "out").mkdir()
+    with full_disk(size), pytest.raises(WriteError, match=r"study.sqlite: cannot be written: the disk is full.*; free"):
+        Answers.begin(tmp_path / "out", made)
+    assert not list((tmp_path / "out").iterdir())
+
+
+def test_a_full_disk_keeps_what_was_confirmed(tmp_path):
+    answers = Answers.begin(tmp_path, read(tmp_path))
+    confirmed = {}
+    with full_disk(150_000), pytest.raises(WriteError, match="disk is full"):
+        for number in range(60):
+            answers.answer(number, 4, "car", "often")
+            answers.answer(number, 2, "why", "x" * 2000)
+            confirmed[number] = "often"
+    answers.answer(59, 4, "car", "never")  # there is room again
+    answers.close()
+    answers = Answers(tmp_path / FILE)
+    stored = {row["participant"]: row["value"] for row in answers.all_answers() if row["question"] == "car"}
+    assert len(confirmed) > 5 and {**confirmed, 59: "never"}.items() <= stored.items()
+    answers.close()
+
+
+def test_only_the_owner_may_read_a_study(tmp_path, monkeypatch):
+    """It holds everybody's link; a folder and a file of an earlier version too."""
+    read(tmp_path)
+    permissions = {}
+
+    def serve(config, answers, console):
+        answers.consent(0)
+        permissions.update({path.name: path.stat().st_mode & 0o777 for path in (tmp_path / "out").iterdir()})
+
+    monkeypatch.setattr(survey, "_serve", serve)
+    config = validate(StudioConfig, {"survey": str(tmp_path / "study.yaml"), "out": str(tmp_path / "out")})
+    before = os.umask(0o022)
+    try:
+        for _ in "ab":
+            survey.run(config, Console(quiet=True))
+            assert (tmp_path / "out").stat().st_mode & 0o777 == 0o700
+            assert {permissions[name] for name in permissions if name.startswith(FILE)} == {0o600}
+            assert {FILE, f"{FILE}-wal"} <= permissions.keys()
+            (tmp_path / "out" / FILE).chmod(0o644)
+    finally:
+        os.umask(before)
+
+
+def test_no_device_is_opened_for_a_study(tmp_path):
+    os.mkfifo(tmp_path / FILE)
+    with pytest.raises(FileError, match="is no regular file"):
+        Answers(tmp_path / FILE)
+
+
+# ------------------------------------------------------------------ attention
+
+
+def test_visits_are_told_from_events():
+    """Open, hidden and watched are counted by the times of the events alone."""
+    events = [(0.0, "opened"), (0.0, "page 0"), (3.0, "began 0"), (5.0, "hidden"), (15.0, "visible"), (16.0, "early 0"),
+              (17.0, "closed"), (27.0, "page 0"), (28.0, "began 0"), (29.0, "shown 0"), (30.0, "page 1"), (31.0, "closed")]  # fmt: skip
+    first, second = visits.visits(events, now=100.0).values()
+    assert (first.opened, first.began, first.dwell, first.hidden) == (0.0, 3.0, 20.0, 10.0)
+    assert (first.watched, first.reloads, first.early) == (16.0, 1, 1)
+    assert (second.opened, second.began, second.dwell, second.watched) == (30.0, None, 1.0, 0.0)
+    back = [(100.0, "page 0"), (100.0, "began 0"), (40.0, "visible")]  # a clock that is set back adds nothing
+    assert visits.visits(back, now=42.0)[0].watched == 2.0
+
+
+def watching(served, number):
+    """The link of a participant who is about to watch, and the number of the page."""
+    place = next(k for k, step in enumerate(served.study.steps(number)) if step.kind == "watch")
+    served.answers.consent(number)
+    for step in range(place):
+        served.answers.finish(number, step, False)
+    return served.links()[number], place
+
+
+def test_a_film_is_not_watched_before_its_end(served, monkeypatch):
+    """Neither at once nor a second too early, nor in a hidden tab; a reload in between changes nothing."""
+    link, place = watching(served, 40)
+    seconds = 1.5
+    monkeypatch.setattr(served, "_lengths", dict.fromkeys(served._lengths, seconds + server.TOLERANCE))
+
+    async def go():
+        async with tab_of(link) as tab:
+            await until(tab, "step")
+            for _ in range(3):  # it has not even begun
+                await send(tab, "shown", step=place)
+                assert (await until(tab, "early", "shown"))["content"] == pytest.approx(seconds, abs=0.3)
+            await send(tab, "answer", step=place, question="navigation.safe", value=3)
+            assert "does not belong" in (await until(tab, "stored", "error"))["content"]
+            await send(tab, "began", step=place)
+            await send(tab, "shown", step=place)
+            assert (await until(tab, "early", "shown"))["kind"] == "early"
+            await send(tab, "hidden")
+            await asyncio.sleep(1.0)
+            await send(tab, "visible")
+        async with tab_of(link) as tab:
+            await until(tab, "step")
+            await send(tab, "began", step=place)
+            await send(tab, "shown", step=place)
+            left = (await until(tab, "early", "shown"))["content"]
+            assert 0.5 < left <= seconds
+            await asyncio.sleep(left)
+            await send(tab, "shown", step=place)
+            assert (await until(tab, "early", "shown"))["kind"] == "shown"
+
+    asyncio.run(go())
+    row = next(row for row in export.pages(served.answers) if (row["participant"], row["place"]) == (41, place + 1))
+    assert row["opened"] <= row["began"] < row["shown"] and row["film_s"] > 1.9
+    assert seconds <= row["watched_s"] < row["dwell_s"]
+    assert row["too_early"] == 5 and row["reloads"] == 1 and 0.9 < row["hidden_s"] < 2.0 <= row["dwell_s"]
+
+
+# ------------------------------------------------------------------ hostile messages
+
+HOSTILE = {
+    "400 digits": '{"do": "answer", "step": %d, "question": "age", "value": ' + "9" * 400 + "}",
+    "400 digits of a step": '{"do": "answer", "step": ' + "9" * 400 + ', "question": "age", "value": 20}',
+    "4,000 digits": '{"do": "answer", "step": %d, "question": "age", "value": ' + "9" * 5000 + "}",
+    "brackets": "[" * 4000,
+    "brackets in a value": '{"do": "answer", "step": %d, "question": "age", "value": ' + "[" * 2000 + "]" * 2000 + "}",
+    "infinity": '{"do": "answer", "step": %d, "question": "age", "value": 1e999}',
+    "no number": '{"do": "answer", "step": %d, "question": "age", "value": NaN}',
+    "a list": '{"do": "answer", "step": %d, "question": ["age"], "value": {}}',
+    "a list for a choice": '{"do": "answer", "step": %d, "question": {"a": []}, "value": [1]}',
+    "half a character": '{"do": "answer", "step": %d, "question": "\\ud83d", "value": "\\ud83d"}',
+    "a command of 400 digits": '{"do": "command", "ahead": ' + "9" * 400 + ', "left": 0}',
+    "a page that is not there": '{"do": "began", "step": %d}',
+    "no request": '{"do": ["answer"]}',
+    "bytes": b"\xff\xfe\x00",
+}
+
+
+def test_hostile_messages_are_one_sentence_and_at_most_one_line(served, capfd):
+    """The tab stays, and an answer is stored afterwards."""
+
+    async def go():
+        async with tab_of(served.links()[41]) as tab:
+            await send(tab, "consent")
+            page = await until(tab, "step")
+            for name, message in HOSTILE.items():
+                text = message.replace("%d", str(page["number"])) if isinstance(message, str) else message
+                await tab.send(text)
+                news = None
+                if "command" not in name:
+                    news = await until(tab, "error", "step")
+                await send(tab, "answer", step=page["number"], question="age", value=20)
+                assert (await until(tab, "stored"))["content"] == "age", (name, news)
+
+    asyncio.run(go())
+    said = capfd.readouterr().err
+    assert "Traceback" not in said and len(said.splitlines()) <= len(HOSTILE), said
+
+
+def test_a_page_that_does_not_read_is_closed_without_a_word(served, capfd):
+    async def go():
+        tab = await tab_of(served.links()[42]).__aenter__()
+        tab.transport.pause_reading()
+        with contextlib.suppress(ConnectionClosed):
+            for _ in range(60):
+                for _ in range(90):
+                    await send(tab, "done", step=7)
+                await asyncio.sleep(0.05)
+        tab.transport.abort()
+        async with tab_of(served.links()[42]) as again:
+            await until(again, "consent")
+
+    asyncio.run(go())
+    assert "Traceback" not in capfd.readouterr().err
+
+
+def test_a_drive_whose_end_cannot_be_stored_says_so(served, monkeypatch, capfd):
+    number = 43
+    place = [step.kind for step in served.study.steps(number)].index("drive")
+    served.answers.consent(number)
+    for step in range(place):
+        served.answers.finish(number, step, False)
+
+    def full(*_):
+        raise WriteError("study.sqlite: cannot be written: the disk is quite full.")
+
+    async def go():
+        async with tab_of(served.links()[number]) as tab:
+            await send(tab, "start", step=place)
+            await until(tab, "go")
+            monkeypatch.setattr(served.answers, "end_drive", full)
+            assert (await until(tab, "over", "error"))["content"] == server.NOT_STORED
+
+    asyncio.run(go())
+    said = capfd.readouterr().err
+    assert said == "sean: study.sqlite: cannot be written: the disk is quite full.\n"
+
+
+def test_a_wrong_link_of_any_bytes_is_refused(served, capfd):
+    for path in (b"/?researcher=\xff", b"/?participant=%ff%00", b"/answers.csv?researcher="):
+        with socket.create_connection(("127.0.0.1", served.port), timeout=5) as wire:
+            wire.sendall(b"GET " + path + b" HTTP/1.1\r\nHost: 127.0.0.1:%d\r\n\r\n" % served.port)
+            assert b" 200 " not in wire.recv(1000).partition(b"\r\n")[0]
+    assert "Traceback" not in capfd.readouterr().err

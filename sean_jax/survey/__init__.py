@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import os
 from typing import TYPE_CHECKING
 
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 TEMPLATE = "survey/page.html"
+OWNER_ALONE = 0o700  # permissions of a new folder, which holds the links of all participants
 
 
 def run(config: StudioConfig, console: Console) -> None:
@@ -27,8 +29,12 @@ def run(config: StudioConfig, console: Console) -> None:
         WriteError: another process works in the folder.
     """
     assert config.survey is not None and config.out is not None
+    is_new = not config.out.exists()
     with components.read_once(), writing.folder_lock(config.out):
         described = study.read(config.survey)
+        if is_new:
+            with contextlib.suppress(OSError):  # a file system without permissions
+                config.out.chmod(OWNER_ALONE)
         answers = Answers.begin(config.out, described)
         try:
             _serve(config, answers, console)

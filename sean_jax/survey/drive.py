@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import json
-import sqlite3
 import threading
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -15,6 +14,7 @@ import numpy as np
 from sean_jax import replay, web
 from sean_jax.base import Scenario
 from sean_jax.config import StudioConfig
+from sean_jax.errors import FileError, WriteError
 from sean_jax.studio.session import Frame, Session, episode
 from sean_jax.survey.answers import BROKEN_OFF, Answers
 
@@ -71,6 +71,7 @@ class Drive:
 
     def __init__(self, answers: Answers, session: Session, participant: int, step: int):
         self.session, self.outcome = session, ""
+        self.error = ""  # why it has neither been driven nor stored to its end
         self.send: Callable[[bytes], None] = lambda message: None
         self.ended: Callable[[], None] = lambda: None
         """Called in the session's thread when the episode has ended and is stored, or has failed."""
@@ -93,7 +94,7 @@ class Drive:
         if self._thread.is_alive():
             self._thread.join()
         if not self.outcome:
-            with contextlib.suppress(sqlite3.Error):
+            with contextlib.suppress(FileError, WriteError):
                 self._store()
                 self._answers.end_drive(self._number, BROKEN_OFF)
 
@@ -104,13 +105,20 @@ class Drive:
             self._note(frames[-1])
             self.send(encoded(first, frames))
         elif kind == "status" and content["outcome"] and not self.outcome:
-            self._store()
-            metrics, whole = self.session.metrics(), recording(self.session, plan=True)
-            self._answers.end_drive(self._number, content["outcome"], metrics, whole)
-            self.outcome = content["outcome"]
+            try:
+                self._finish(content["outcome"])
+            except (FileError, WriteError) as error:  # such as a full disk
+                self.error = str(error)
             self.ended()
         elif kind == "error":
+            self.error = content
             self.ended()
+
+    def _finish(self, outcome: str) -> None:
+        self._store()
+        metrics, whole = self.session.metrics(), recording(self.session, plan=True)
+        self._answers.end_drive(self._number, outcome, metrics, whole)
+        self.outcome = outcome
 
     def _note(self, frame: Frame) -> None:
         body = frame.trajectory

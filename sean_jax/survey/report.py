@@ -31,7 +31,8 @@ from sean_jax.survey.answers import Answers
 
 MIN_PARTICIPANTS = 5  # fewer have no interval
 RESAMPLES = 1000
-NAMES = {"participant", "place", "trial", "kind", "policy", "drive", "outcome", "chosen", "shown", "done"}
+NAMES = {"participant", "place", "trial", "kind", "policy", "drive", "outcome", "chosen"}
+NAMES |= {"began", "ended", "shown", "done"}
 LARGEST = 1 - 1e-6  # correlation of which Fisher's z is taken
 LEVEL = 0.05  # of corrected p-values
 
@@ -105,7 +106,7 @@ def rated(answers: Answers) -> list[dict[str, Any]]:
     answered: dict[tuple[int, int], dict[str, float]] = {}
     for row in export.answers_table(answers):
         place = row["participant"], row["place"]
-        step = answers.study.steps(row["participant"] - 1)[row["place"] - 1]
+        step = answers.steps(row["participant"] - 1)[row["place"] - 1]
         question = step.question(row["question"])
         own = row["kind"] == "likert" and question is not None and not question["group"]
         if step.trial is not None and (own or row["kind"] == "scale"):

@@ -12,9 +12,8 @@ import contextlib
 import dataclasses
 import http
 import json
-import math
 import secrets
-import sqlite3
+import sys
 import time
 import urllib.parse
 from collections.abc import Callable
@@ -26,20 +25,23 @@ from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
 from sean_jax import web
-from sean_jax.errors import InputError
+from sean_jax.errors import FileError, InputError, WriteError
 from sean_jax.studio.session import Session
-from sean_jax.survey import export
+from sean_jax.survey import export, visits
 from sean_jax.survey.answers import Answers
 from sean_jax.survey.drive import Drive, Sessions, encoded, recording
-from sean_jax.survey.study import MAX_TEXT, Step
+from sean_jax.survey.study import Step, checked
 
 LONGEST = 16_384  # bytes of a message from a page
 RATE = 100  # messages of a page in a second; more close it
+LINES = 100  # of faults in the terminal, each once
 TABS = 16  # of researchers, and besides one for each participant
 NEWS = 1.0  # s, between two messages to researchers
 PICTURE = (320, 240)  # pixels of a driver's view
 PICTURE_INTERVAL = 0.1  # s
 WAIT = "Other people drive at the moment. Your drive begins when a place is free."
+TOLERANCE = 0.5  # s, by which a film may end before the server expects it
+BROKEN = "This page has a fault. Please tell the researcher, and load it again."
 NOT_STORED = "This could not be stored. Please tell the researcher, and load this page again."
 REPLACED = 4000  # code of a socket that another tab has replaced
 
@@ -52,6 +54,8 @@ class Tab:
     participant: int | None  # None: a researcher
     queue: asyncio.Queue[str | bytes] = dataclasses.field(default_factory=lambda: asyncio.Queue(256))
     closed: asyncio.Event = dataclasses.field(default_factory=asyncio.Event)
+    page: int = -1  # number of the page that was sent last
+    is_hidden: bool = False
     drive: Drive | None = None
     task: asyncio.Task[None] | None = None  # that waits for a place, and drives
 
@@ -86,7 +90,9 @@ class Survey:
         self._previews: dict[int, tuple[dict[str, Any], list[bytes]]] = {}  # trial -> what a drive begins with
         answers.recover()
         self._prepare(report)
+        self._lengths = answers.film_lengths()  # trial -> s
         self._places = asyncio.Semaphore(self.study.drivers)
+        self._said: set[str] = set()  # in the terminal
 
     def _prepare(self, report: Callable[[str], None]) -> None:
         stored = self.answers.episodes()
@@ -151,16 +157,19 @@ class Survey:
         """The page, a table, a refusal, or None for a web socket."""
         if (refused := web.refusal(request, self.port, self.study.address)) is not None:
             return refused
+        path = request.path.partition("?")[0]
         who = self._who(request)
         if who is None:
             text = b"wrong link: open the address that you were given, to its last letter"
             return web.response(http.HTTPStatus.FORBIDDEN, text)
-        path = urllib.parse.urlsplit(request.path).path
         if path == web.SOCKET:
             full = len(self._researchers) >= TABS if who < 0 else False
             return web.response(http.HTTPStatus.SERVICE_UNAVAILABLE, b"too many tabs") if full else None
         if who < 0 and path.lstrip("/") in export.TABLES:
-            text = await asyncio.to_thread(export.table, self.answers, path.lstrip("/"))
+            try:
+                text = await asyncio.to_thread(export.table, self.answers, path.lstrip("/"))
+            except FileError as error:
+                return web.response(http.HTTPStatus.INTERNAL_SERVER_ERROR, str(error).encode(errors="replace"))
             return web.response(http.HTTPStatus.OK, text.encode(), "text/csv; charset=utf-8")
         if path != "/":
             return web.response(http.HTTPStatus.NOT_FOUND, b"not found")
@@ -168,8 +177,9 @@ class Survey:
 
     def _who(self, request: Request) -> int | None:
         """The participant's number, -1 for the researcher; None for a wrong link."""
-        query = urllib.parse.parse_qs(urllib.parse.urlsplit(request.path).query)
-        if secrets.compare_digest(query.get("researcher", [""])[0].encode(), self.answers.researcher.encode()):
+        query = urllib.parse.parse_qs(request.path.partition("?")[2])
+        given = query.get("researcher", [""])[0].encode(errors="replace")
+        if secrets.compare_digest(given, self.answers.researcher.encode()):
             return -1
         return self._secrets.get(query.get("participant", [""])[0])
 
@@ -191,15 +201,29 @@ class Survey:
                     break
                 try:
                     await self._handle(tab, web.parse(message))
+                except (FileError, WriteError) as error:  # such as a full disk
+                    tab.put({"kind": "error", "content": NOT_STORED})
+                    self._say(str(error))
                 except InputError as error:
                     tab.put({"kind": "error", "content": str(error)})
-                except sqlite3.Error:  # such as a full disk
-                    tab.put({"kind": "error", "content": NOT_STORED})
+                except Exception as error:  # a fault of this program ends no page
+                    tab.put({"kind": "error", "content": BROKEN})
+                    self._say(f"a message of a page failed: {type(error).__name__}: {error}")
         except ConnectionClosed:
             pass
+        except (FileError, WriteError) as error:
+            self._say(str(error))
+            await socket.close(1011, "not stored")
         finally:
             writer.cancel()
             await self._close(tab)
+
+    def _say(self, text: str) -> None:
+        """A line in the terminal, once."""
+        line = " ".join(text.split())[:300]
+        if line not in self._said and len(self._said) < LINES:
+            self._said.add(line)
+            print(f"sean: {line}", file=sys.stderr, flush=True)
 
     async def _write(self, tab: Tab) -> None:
         with contextlib.suppress(ConnectionClosed):
@@ -216,7 +240,7 @@ class Survey:
             await other.socket.close(REPLACED, "this study is open in another tab")
             await other.closed.wait()
         self._tabs[tab.participant] = tab
-        await asyncio.to_thread(self.answers.event, tab.participant, "opened")
+        await asyncio.to_thread(self.answers.event, tab.participant, visits.OPENED)
         await self._show(tab)
 
     async def _close(self, tab: Tab) -> None:
@@ -226,7 +250,10 @@ class Survey:
                 await tab.task
         self._researchers.discard(tab)
         if tab.participant is not None and self._tabs.get(tab.participant) is tab:
-            await asyncio.to_thread(self.answers.event, tab.participant, "closed")
+            try:
+                await asyncio.to_thread(self.answers.event, tab.participant, visits.CLOSED)
+            except (FileError, WriteError) as error:
+                self._say(str(error))
             del self._tabs[tab.participant]
         tab.closed.set()
 
@@ -242,6 +269,9 @@ class Survey:
         if not consented:
             tab.put(head | {"kind": "consent", "text": self.study.consent})
             return
+        if tab.page != done:  # not the same one again, such as after a double click
+            await asyncio.to_thread(self.answers.event, participant, f"{visits.PAGE} {done}")
+            tab.page = done
         if done == len(steps):
             tab.put(head | {"kind": "end", "text": self.study.thanks})
             return
@@ -279,6 +309,11 @@ class Survey:
                 session = tab.drive.session
                 session.command(web.number(request, "ahead", -1.0, 1.0), web.number(request, "left", -1.0, 1.0))
             return
+        if word in (visits.HIDDEN, visits.VISIBLE):
+            if tab.is_hidden != (word == visits.HIDDEN):
+                tab.is_hidden = word == visits.HIDDEN
+                await asyncio.to_thread(self.answers.event, participant, word)
+            return
         consented, done, shown = await asyncio.to_thread(self.answers.progress, participant)
         if word == "consent":
             if not consented:
@@ -290,11 +325,13 @@ class Survey:
             await self._show(tab)  # a page that is behind, such as after a double click
             return
         step = steps[done]
-        if word == "shown" and step.kind in ("watch", "choose"):
-            await asyncio.to_thread(self.answers.show, participant, done)
+        if word == visits.BEGAN and step.kind in ("watch", "choose") and not shown:
+            await asyncio.to_thread(self.answers.event, participant, f"{visits.BEGAN} {done}")
+        elif word == "shown" and step.kind in ("watch", "choose"):
+            await self._show_questions(tab, step, done, shown)
         elif word == "start" and step.kind == "drive" and not shown:
             if tab.task is None or tab.task.done():
-                tab.task = asyncio.ensure_future(self._drive(tab, step, done))
+                tab.task = asyncio.ensure_future(self._try_drive(tab, step, done))
         elif word == "answer" and (shown or step.kind == "questions"):
             question = step.question(request.get("question"))
             if question is None:
@@ -313,6 +350,34 @@ class Survey:
         else:
             raise InputError("a request that does not belong to this page; reload the page.")
 
+    async def _show_questions(self, tab: Tab, step: Step, number: int, shown: bool) -> None:
+        """Show the questions about a film that a participant has watched; before its end, say how long it still takes.
+
+        The time runs from the film's first picture, by the clock of the server: no page and no program can shorten it.
+        """
+        assert tab.participant is not None and step.trial is not None
+        if not shown:
+            watched = await asyncio.to_thread(self.answers.watched, tab.participant, number)
+            left = self._lengths[step.trial] - TOLERANCE - watched
+            if left > 0:
+                await asyncio.to_thread(self.answers.event, tab.participant, f"{visits.EARLY} {number}")
+                tab.put({"kind": "early", "content": left})
+                return
+            await asyncio.to_thread(self.answers.show, tab.participant, number)
+            await asyncio.to_thread(self.answers.event, tab.participant, f"{visits.SHOWN} {number}")
+        tab.put({"kind": "shown", "content": number})
+
+    async def _try_drive(self, tab: Tab, step: Step, number: int) -> None:
+        """A drive, whose failure is told in one sentence and ends neither the page nor the study."""
+        try:
+            await self._drive(tab, step, number)
+        except (FileError, WriteError) as error:
+            tab.put({"kind": "error", "content": NOT_STORED})
+            self._say(str(error))
+        except Exception as error:
+            tab.put({"kind": "error", "content": BROKEN})
+            self._say(f"a drive failed: {type(error).__name__}: {error}")
+
     async def _drive(self, tab: Tab, step: Step, number: int) -> None:
         """Wait for a place, and drive."""
         assert tab.participant is not None and step.trial is not None
@@ -320,11 +385,7 @@ class Survey:
             tab.put({"kind": "wait", "content": WAIT})
         async with self._places:
             session = await asyncio.to_thread(self._session, step.trial)
-            try:
-                drive = await asyncio.to_thread(Drive, self.answers, session, tab.participant, number)
-            except sqlite3.Error:
-                tab.put({"kind": "error", "content": NOT_STORED})
-                return
+            drive = await asyncio.to_thread(Drive, self.answers, session, tab.participant, number)
             loop, ended = asyncio.get_running_loop(), asyncio.Event()
             drive.send = lambda message: _call(loop, tab.put, message)
             drive.ended = lambda: _call(loop, ended.set)
@@ -342,6 +403,7 @@ class Survey:
             tab.put({"kind": "over", "content": drive.outcome})
         else:
             tab.put({"kind": "error", "content": NOT_STORED})
+            self._say(drive.error or "a drive has stopped, and could not be stored to its end.")
 
     async def _views(self, tab: Tab, session: Session, view: str) -> None:
         """Send what the driver sees."""
@@ -368,7 +430,11 @@ class Survey:
         while True:
             await asyncio.sleep(NEWS)
             if self._researchers:
-                news = await self._progress()
+                try:
+                    news = await self._progress()
+                except FileError as error:
+                    self._say(str(error))
+                    continue
                 if news != sent:
                     sent = news
                     for tab in self._researchers:
@@ -386,29 +452,3 @@ def _call(loop: asyncio.AbstractEventLoop, function: Callable[..., Any], *values
     """Call a function in the loop, from another thread."""
     with contextlib.suppress(RuntimeError):  # the loop has ended
         loop.call_soon_threadsafe(function, *values)
-
-
-def checked(question: dict[str, Any], value: Any) -> Any:
-    """An answer as it is stored; None takes it back.
-
-    Raises:
-        InputError: it is no answer to the question.
-    """
-    kind = question["kind"]
-    if value in (None, ""):
-        return None
-    is_number = not isinstance(value, bool) and isinstance(value, int | float) and math.isfinite(value)
-    if kind == "likert" and is_number and value in range(1, question["points"] + 1):
-        return int(value)
-    if kind == "choice" and value in question["choices"]:
-        return value
-    if kind == "text" and isinstance(value, str):
-        if len(value) > MAX_TEXT:
-            raise InputError(f"{question['name']}: {len(value):,} characters; write at most {MAX_TEXT:,}.")
-        return value
-    if kind == "number" and is_number:
-        low, high = question["range"] or (-math.inf, math.inf)
-        if low <= value <= high:
-            return value
-        raise InputError(f"{question['name']}: {value} must be from {low:g} to {high:g}.")
-    raise InputError(f"{question['name']}: that is no answer to this question; reload the page.")

@@ -7,6 +7,9 @@ questions after. A trial is an episode to watch, two episodes to choose from, or
 from __future__ import annotations
 
 import functools
+import math
+import sys
+import unicodedata
 import urllib.parse
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
@@ -24,10 +27,12 @@ VIEWS = ("plan", "first_person", "third_person")
 BEFORE, AFTER, CHOICE = "before", "after", "choice"
 MAX_TEXT = 2_000  # characters of an answer
 MAX_PARTICIPANTS = 1_000
+LINES = "\n\r\t"  # control characters that a text may have
 NAME = r"^[A-Za-z][A-Za-z0-9_-]{0,39}$"
 
 Name = Annotated[str, pydantic.Field(pattern=NAME)]
 Text = Annotated[str, pydantic.Field(min_length=1, max_length=10_000)]
+Bound = Annotated[float, pydantic.Field(allow_inf_nan=False)]
 
 
 class Part(pydantic.BaseModel):
@@ -71,7 +76,7 @@ class Question(Part):
     points: Annotated[int, pydantic.Field(ge=2, le=11)] = 7
     ends: Annotated[list[str], pydantic.Field(min_length=2, max_length=2)] = ["strongly disagree", "strongly agree"]
     choices: Annotated[list[Text], pydantic.Field(max_length=50)] = []
-    range: Annotated[list[float], pydantic.Field(min_length=2, max_length=2)] | None = None
+    range: Annotated[list[Bound], pydantic.Field(min_length=2, max_length=2)] | None = None
     required: bool = True
 
     @pydantic.model_validator(mode="before")
@@ -124,15 +129,21 @@ class Trial(Part):
     questions: Questions | None = None
 
     @property
+    def kinds(self) -> list[str]:
+        """Those of watch, drive and choose that are given; a right trial has one."""
+        return [kind for kind in ("watch", "drive", "choose") if getattr(self, kind) is not None]
+
+    @property
     def kind(self) -> str:
         """watch, drive or choose."""
-        return next((kind for kind in ("watch", "drive", "choose") if getattr(self, kind) is not None), "")
+        return next(iter(self.kinds), "")
 
     @property
     def episodes(self) -> tuple[Options, ...]:
         """The options of each episode."""
-        content = getattr(self, self.kind)
-        return content if self.kind == "choose" else (content,)
+        if self.choose is not None:
+            return self.choose
+        return tuple(options for options in (self.watch, self.drive) if options is not None)
 
     @property
     def view(self) -> str:
@@ -226,7 +237,8 @@ def read(path: Path) -> Study:
     return files.load(path, Study, functools.partial(_problems, path=path))
 
 
-def _problems(study: Study, path: Path) -> Iterator[Problem]:
+def name_problems(study: Study) -> Iterator[Problem]:
+    """Mistakes in names, questions and kinds of trials, which options of episodes have no part in."""
     places: list[tuple[tuple[str | int, ...], Sequence[Question]]] = [
         ((name,), getattr(study, name)) for name in ("questions", "before", "after")
     ]
@@ -237,19 +249,26 @@ def _problems(study: Study, path: Path) -> Iterator[Problem]:
         yield from _repeated(loc, [question.name for question in questions])
     yield from _repeated(("trials",), [trial.name for trial in study.trials])
     for k, trial in enumerate(study.trials):
-        yield from _trial_problems(study, trial, ("trials", k), path)
+        yield from _trial_problems(trial, ("trials", k))
+
+
+def _problems(study: Study, path: Path) -> Iterator[Problem]:
+    yield from name_problems(study)
+    for k, trial in enumerate(study.trials):
+        yield from _choice_problems(study, trial, ("trials", k))
+        yield from _option_problems(study, trial, ("trials", k), path)
     if study.address is not None:
         parts = urllib.parse.urlsplit(study.address)
         if parts.scheme not in ("http", "https") or not parts.netloc or parts.path or parts.query:
             yield ("address",), f"'{study.address}' is no address; write it as https://study.example.org"
 
 
-def _trial_problems(study: Study, trial: Trial, loc: tuple[str | int, ...], path: Path) -> Iterator[Problem]:
-    kinds = [kind for kind in ("watch", "drive", "choose") if getattr(trial, kind) is not None]
-    if len(kinds) != 1:
+def _trial_problems(trial: Trial, loc: tuple[str | int, ...]) -> Iterator[Problem]:
+    if len(trial.kinds) != 1:
         yield (
             loc,
-            f"the trial '{trial.name}' has {' and '.join(kinds) or 'no episode'}; give one of watch, drive, choose",
+            f"the trial '{trial.name}' has {' and '.join(trial.kinds) or 'no episode'}; "
+            "give one of watch, drive, choose",
         )
         return
     if trial.name in (BEFORE, AFTER):
@@ -262,6 +281,25 @@ def _trial_problems(study: Study, trial: Trial, loc: tuple[str | int, ...], path
             (*loc, "drive", "view"),
             f"'{trial.view}' is not one of {', '.join(VIEWS)}{suggest(str(trial.view), VIEWS)}",
         )
+
+
+def _choice_problems(study: Study, trial: Trial, loc: tuple[str | int, ...]) -> Iterator[Problem]:
+    """Ratings of one robot that would be asked once about two."""
+    if trial.kind != "choose":
+        return
+    if trial.questions is None and study.questions:
+        yield (
+            loc,
+            f"the trial '{trial.name}' shows two robots, and the questions of the study are about one; "
+            "add questions: [], or questions about the choice",
+        )
+    for k, question in enumerate(trial.questions or ()):
+        if question.kind == "template":
+            clause = f"'{question.name}' rates one robot, and '{trial.name}' shows two; ask it after a trial with watch"
+            yield (*loc, "questions", k), clause
+
+
+def _option_problems(study: Study, trial: Trial, loc: tuple[str | int, ...], path: Path) -> Iterator[Problem]:
     for k, options in enumerate(trial.episodes):
         where = (*loc, trial.kind, k) if trial.kind == "choose" else (*loc, trial.kind)
         try:
@@ -274,6 +312,54 @@ def _repeated(loc: tuple[str | int, ...], names: list[str]) -> Iterator[Problem]
     for k, name in enumerate(names):
         if name in names[:k]:
             yield (*loc, k), f"the name '{name}' is used twice; choose another name"
+
+
+# ------------------------------------------------------------------ answers
+
+
+def checked(question: dict[str, Any], value: Any) -> Any:
+    """An answer as it is stored; None takes it back.
+
+    Raises:
+        InputError: it is no answer to the question.
+    """
+    kind, name = question["kind"], question["name"]
+    if value is None or value == "":
+        return None
+    if kind == "text" and isinstance(value, str):
+        return _checked_text(name, value)
+    if kind == "choice" and isinstance(value, str) and value in question["choices"]:
+        return value
+    if kind == "likert" and _is_finite(value) and value in range(1, question["points"] + 1):
+        return int(value)
+    if kind == "number" and _is_finite(value):
+        low, high = question["range"] or (-math.inf, math.inf)
+        if low <= value <= high:
+            return value
+        raise InputError(f"{name}: {value:g} must be from {low:g} to {high:g}.")
+    raise InputError(f"{name}: that is no answer to this question; reload the page.")
+
+
+def _is_finite(value: Any) -> bool:
+    """Whether it is a number that a float can hold."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return False
+    return -sys.float_info.max <= value <= sys.float_info.max  # compares an integer of 400 digits without converting it
+
+
+def _checked_text(name: str, text: str) -> str:
+    """A text that all files can hold.
+
+    Raises:
+        InputError: it is too long, or has a character that is none.
+    """
+    if len(text) > MAX_TEXT:
+        raise InputError(f"{name}: {len(text):,} characters; write at most {MAX_TEXT:,}.")
+    wrong = next((character for character in text if unicodedata.category(character) in ("Cc", "Cs")
+                  and character not in LINES), None)  # fmt: skip
+    if wrong is not None:
+        raise InputError(f"{name}: character {ord(wrong):04x} cannot be stored; type the text again.")
+    return text
 
 
 # ------------------------------------------------------------------ balance

@@ -11,6 +11,7 @@ import { drawTimeline, LABELS, STRIP, timelineHeight } from "./timeline";
 
 const SPEEDS = [0.25, 0.5, 1, 2, 4, 8, 16];
 const POLL = 500; // ms
+const TICK = 500; // ms, the longest between two pictures: a hidden tab draws none, and its film stands
 const DRAG = 4; // pixels: a shorter one is a click
 const DIVERGENCE = 0.5; // m, between robots that have parted
 const LEGEND = [
@@ -465,7 +466,7 @@ export class Player {
       if (this.edge) this.time = this.episode.duration + Math.max(0, Math.min(this.recording.timeStep, ahead));
       this.stale ||= this.edge && this.playing;
     } else if (this.playing) {
-      this.time += (Number(this.speed.value) * (now - this.before)) / 1000;
+      this.time += (Number(this.speed.value) * Math.min(now - this.before, TICK)) / 1000;
       this.stale = true;
       if (this.time >= this.episode.duration) {
         this.time = this.episode.duration;

@@ -50,6 +50,8 @@ type News =
   | { kind: "stored"; content: string }
   | { kind: "missing"; content: string[] }
   | { kind: "wait" | "error"; content: string }
+  | { kind: "shown"; content: number } // the film has been watched, and questions follow
+  | { kind: "early"; content: number } // s, until the film has been watched
   | { kind: "go"; content: number }
   | { kind: "over"; content: string }
   | { kind: "study"; title: string; links: string[]; tables: string[] }
@@ -59,6 +61,7 @@ const REPLACED = 4000; // code of a socket whose study is open in another tab
 const PAUSE = 1000; // ms, until a lost connection is tried again
 const TYPING = 600; // ms after the last key, until a text is stored
 const LOOK = 150; // ms, between two looks at a player
+const SOON = 200; // ms after the end of a film by the server's clock, until the page asks again
 const PROMPT: Record<string, string> = {
   watch: "Watch the robot. It is orange.",
   choose: "Watch both robots. They are orange.",
@@ -87,6 +90,8 @@ class Survey {
   private picture: HTMLCanvasElement | null = null;
   private compass: HTMLElement | null = null;
   private watcher = 0;
+  private began = false; // the film
+  private waiting = 0; // for the server, which thinks that the film has not ended
 
   constructor(private readonly root: HTMLElement) {
     this.bar = add(root, "p", "survey-progress");
@@ -98,6 +103,7 @@ class Survey {
     this.controls = new Controls(this.joystick, () => this.sendCommand());
     this.steer(false);
     setInterval(() => this.sendCommand(), COMMAND_INTERVAL);
+    document.addEventListener("visibilitychange", () => this.request(document.hidden ? "hidden" : "visible"));
     this.connect();
   }
 
@@ -107,6 +113,7 @@ class Survey {
     address.protocol = location.protocol.replace("http", "ws");
     this.socket = new WebSocket(address);
     this.socket.binaryType = "arraybuffer";
+    this.socket.addEventListener("open", () => document.hidden && this.request("hidden"));
     this.socket.addEventListener("message", (event) => this.receive(event.data as string | ArrayBuffer));
     this.socket.addEventListener("close", (event) => {
       this.steer(false);
@@ -154,6 +161,9 @@ class Survey {
     else if (news.kind === "step") this.open(news);
     else if (news.kind === "end") this.end(news);
     else if (news.kind === "stored") this.mark(news.content);
+    else if (news.kind === "shown") {
+      if (this.step?.number === news.content) this.show(this.step);
+    } else if (news.kind === "early") this.wait(news.content);
     else if (news.kind === "missing") this.complain(news.content);
     else if (news.kind === "study") this.listLinks(news.title, news.links, news.tables);
     else if (news.kind === "progress") this.listProgress(news.content);
@@ -172,6 +182,8 @@ class Survey {
 
   private clear(): void {
     clearInterval(this.watcher);
+    clearTimeout(this.waiting);
+    this.began = false;
     for (const player of this.players) player.close();
     this.players = [];
     this.episode = this.picture = this.compass = null;
@@ -215,7 +227,25 @@ class Survey {
     this.paragraphs(news.text);
   }
 
+  /** Go on after so many seconds, in which the server expects the film to end. */
+  private wait(seconds: number): void {
+    this.notify("One moment, please.");
+    clearTimeout(this.waiting);
+    this.waiting = window.setTimeout(() => this.request("shown"), 1000 * seconds + SOON);
+  }
+
+  /** Whether a film is shown that has not been watched yet. */
+  private get filming(): boolean {
+    return (this.step?.what === "watch" || this.step?.what === "choose") && !this.place.querySelector("form");
+  }
+
   private open(step: Step): void {
+    if (this.filming && this.step?.number === step.number && !step.shown) {
+      this.root.dataset.open = "yes"; // the connection was lost, and the film goes on
+      this.notify("");
+      if (this.began) this.request("began");
+      return;
+    }
     this.page("step", step);
     this.step = step;
     this.root.dataset.what = step.what;
@@ -246,13 +276,13 @@ class Survey {
       player.changed = () => others.forEach((other) => void other.copy(player));
     }
     if (step.shown) return;
-    const next = this.button(this.place, "continue", () => {
-      this.request("shown");
-      next.remove();
-      this.show(step);
-    });
+    const next = this.button(this.place, "continue", () => this.request("shown"));
     next.disabled = true;
     this.watcher = window.setInterval(() => {
+      if (!this.began && this.players.some((player) => (player.moment?.frame ?? 0) > 0)) {
+        this.began = true;
+        this.request("began");
+      }
       const over = this.players.every((player, k) => {
         const frames = step.recordings[k].episodes[0].frames;
         return (player.moment?.frame ?? 0) >= frames - 1;

@@ -1,0 +1,71 @@
+"""How long a participant had each page of a study open, and its film in sight: from the events of the study's file.
+
+The server notes each event with its own clock: a page tells what happens, and never when.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable
+
+OPENED, CLOSED = "opened", "closed"  # a tab
+PAGE = "page"  # and its number: it was sent to the tab
+BEGAN = "began"  # and the page's number: its film is played for the first time since it was opened
+EARLY = "early"  # and the page's number: the participant went on before the film's end, and was refused
+SHOWN = "shown"  # and the page's number: the film is over, and questions follow
+HIDDEN, VISIBLE = "hidden", "visible"  # the tab is behind another one, or in front again
+EVENT = rf"^({OPENED}|{CLOSED}|{HIDDEN}|{VISIBLE}|({PAGE}|{BEGAN}|{EARLY}|{SHOWN}) [0-9]{{1,4}})$"
+
+
+@dataclasses.dataclass
+class Visit:
+    """A participant's visits of a page; times are s since 1970, durations s."""
+
+    opened: float
+    began: float | None = None  # the film, for the first time
+    dwell: float = 0.0  # that the page was open
+    hidden: float = 0.0  # of these, that its tab was behind another one
+    watched: float = 0.0  # from the film's first picture to its end, without the time that the tab was hidden
+    is_over: bool = False  # the film
+    reloads: int = 0
+    early: int = 0  # times that the participant was refused to go on
+
+
+def visits(events: Iterable[tuple[float, str]], now: float | None = None) -> dict[int, Visit]:
+    """Page -> its visits, from the events of a participant in the order in which they were stored.
+
+    While the connection is lost a film goes on, so that this time counts as watched. A clock that is set back adds
+    nothing.
+
+    Args:
+        now: until when the latest page is counted; until the latest event if None.
+    """
+    found: dict[int, Visit] = {}
+    number, before = -1, 0.0
+    is_open = is_hidden = False
+    for time, what in [*events, *([] if now is None else [(now, "")])]:
+        if (visit := found.get(number)) is not None:
+            passed = max(0.0, time - before)
+            visit.dwell += passed * is_open
+            visit.hidden += passed * (is_open and is_hidden)
+            visit.watched += passed * (visit.began is not None and not visit.is_over and not is_hidden)
+        before = time
+
+        word, _, page = what.partition(" ")
+        if word == PAGE:
+            number, is_open, is_hidden = int(page), True, False
+            if number in found:
+                found[number].reloads += 1
+            else:
+                found[number] = Visit(opened=time)
+        elif word == CLOSED:
+            is_open = is_hidden = False
+        elif word in (HIDDEN, VISIBLE):
+            is_hidden = word == HIDDEN
+        elif word == BEGAN and int(page) == number and found[number].began is None:
+            found[number].began = time
+        elif word == SHOWN and int(page) == number:
+            found[number].is_over = True
+        elif word == EARLY and int(page) == number:
+            found[number].early += 1
+    return found
