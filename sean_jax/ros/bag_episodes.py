@@ -18,7 +18,6 @@ FASTEST = 4.0  # m/s: who is faster was put elsewhere ...
 LEAST_JUMP = 1.0  # m, and has moved at least so far, as trackers jitter
 TOGETHER = 0.5  # s, within which a new goal or map belongs to a jump
 BACK = 1.0  # s, by which time goes back at a reset, as messages may overtake each other
-WINDOW = 5  # messages, in whose delays the median is taken
 
 
 class Track(NamedTuple):
@@ -99,14 +98,17 @@ def _stretches(reference: np.ndarray) -> list[tuple[int, int]]:
 
 
 class Clock:
-    """The stamps that headers had at times of receipt."""
+    """The stamps that headers had at times of receipt.
+
+    What was received between two messages of the reference lies between their stamps, however fast time went by.
+    """
 
     def __init__(self, reference: np.ndarray, begin: int, end: int):
         """A clock of the messages that were received between two times [ns]."""
         rows = reference[(reference[:, 0] >= begin) & (reference[:, 0] < end)]
         self._received, delay = rows[:, 0], rows[:, 0] - rows[:, 1]
         self._least = delay.min() if len(delay) else 0
-        self._delays = _running_median((delay - self._least).astype(float))
+        self._delays = (delay - self._least).astype(float)
 
     def times(self, rows: np.ndarray) -> np.ndarray:
         """(R,) ns of rows that begin with their receipt and their stamp: the stamp if they have one."""
@@ -116,15 +118,6 @@ class Clock:
         first = self._received[0]
         delay = np.interp((received - first).astype(float), (self._received - first).astype(float), self._delays)
         return np.where(stamp != 0, stamp, received - self._least - np.round(delay).astype(np.int64))
-
-
-def _running_median(values: np.ndarray) -> np.ndarray:
-    """The median of ``WINDOW`` values about each."""
-    half = WINDOW // 2
-    if len(values) < WINDOW:
-        return np.full(len(values), np.median(values) if len(values) else 0.0)
-    windows = np.lib.stride_tricks.sliding_window_view(values, WINDOW)
-    return np.pad(np.median(windows, axis=1), half, mode="edge")
 
 
 # ------------------------------------------------------------------ one frame
