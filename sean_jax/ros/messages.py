@@ -33,6 +33,7 @@ Naming = Literal["ros", "sean"]
 
 MAP, ODOM, BASE = "map", "odom", "base_link"  # frames
 SECOND = 1_000_000_000  # ns
+BEGIN = SECOND  # ns, stamp of the first state, as a time of 0 means no time in ROS
 CORNERS = 48  # of a plan, at most
 SPACING = 0.25  # m, between the poses of a plan
 RESOLUTION = 0.05  # m, of a cell of the map
@@ -523,7 +524,8 @@ def _image(pixels: np.ndarray, encoding: str, frame: str, time: int) -> Message:
 
 def camera_info(device: Camera, frame: str, time: int) -> Message:
     """The CameraInfo of a camera with perspective and no distortion."""
-    focal, x, y = focal_length(device), device.width / 2, device.height / 2
+    # In ROS the middle of the first pixel is at 0, so the middle of the picture is half a pixel before its half.
+    focal, x, y = focal_length(device), (device.width - 1) / 2, (device.height - 1) / 2
     matrix = np.array([focal, 0.0, x, 0.0, focal, y, 0.0, 0.0, 1.0])
     size = {"height": device.height, "width": device.width}
     lens = {"distortion_model": "plumb_bob", "d": np.zeros(5), "k": matrix, "r": np.eye(3).reshape(-1)}
