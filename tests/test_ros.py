@@ -311,6 +311,27 @@ def test_optical_frames_look_along_the_view(scenario):
         assert axes[2, 1] < -0.9  # y down
 
 
+def test_depth_of_the_floor_lies_on_the_floor():
+    """Pixels by camera_info alone, moved by the transforms of the messages, are at height 0."""
+    lab = sean_jax.make("lab", behavior="random", people=0, dynamics="twin")
+    depth = sensors.depth_sensor(sensors.camera(lab, "depth", width=40, height=30))
+    scenario = dataclasses.replace(lab, sensors=(depth,))
+    state = jax.jit(sean_jax.reset)(lab, jax.random.key(1))
+    step = jax.device_get(jax.jit(messages.step)(scenario, state, jnp.zeros(2)))
+    table = messages.topics(scenario)
+    content = {**messages.messages(table, step, START, True), **messages.messages(table, step, START)}
+    about = content["/depth/camera_info"]
+    values = np.frombuffer(content["/depth/image_raw"]["data"].tobytes(), "<f4").reshape(30, 40).astype(float)
+    rows, columns = np.nonzero(np.isfinite(values))
+    pixels = np.stack([columns, rows, np.ones(len(rows))])  # middles of pixels, as ROS counts them
+    points = (np.linalg.inv(about["k"].reshape(3, 3)) @ pixels * values[rows, columns]).T
+    np.testing.assert_array_equal(about["p"].reshape(3, 4)[:, :3], about["k"].reshape(3, 3))
+    (mount,) = content["/tf_static"]["transforms"]
+    turn, origin = mount["transform"]["rotation"], mount["transform"]["translation"]
+    height = (Rotation.from_quat([turn[axis] for axis in "xyzw"]).apply(points) + list(origin.values()))[:, 2]
+    assert (np.abs(height) < 1e-6).sum() > 200 and height.min() > -1e-6
+
+
 def test_plan_is_the_shortest_path(scenario, states):
     plan, way = messages.topics(scenario)["/plan"], jax.jit(sean_jax.navigation.geodesic)
     for state, step in states:

@@ -46,6 +46,8 @@ COLORS = {
     "situations": (0.10, 0.10, 0.10, 1.0),
 }
 """Red, green, blue, opacity of the markers of each namespace."""
+COVARIANCE = np.diag([1e-6, 1e-6, 1e6, 1e6, 1e6, 1e-6]).reshape(-1)
+"""Of odometry without errors on the plane: filters refuse zeros, and take large numbers as not measured."""
 ARROW, CYLINDER, LINE_STRIP, TEXT = 0, 3, 4, 9  # types of markers
 ADD, DELETE = 0, 2  # actions of markers
 UINT16, FLOAT32 = 4, 7  # datatypes of a PointField
@@ -324,8 +326,8 @@ def _odometry(step: Step, time: int) -> Message:
     return {
         "header": header(ODOM, time),
         "child_frame_id": BASE,
-        "pose": {"pose": pose(step.position, step.heading), "covariance": np.zeros(36)},
-        "twist": {"twist": twist(*step.velocity), "covariance": np.zeros(36)},
+        "pose": {"pose": pose(step.position, step.heading), "covariance": COVARIANCE},
+        "twist": {"twist": twist(*step.velocity), "covariance": COVARIANCE},
     }
 
 
