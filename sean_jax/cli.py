@@ -520,12 +520,15 @@ def _import_map(options: config.ImportMapConfig, console: "Console") -> None:
 
 def _import_bag(options: config.ImportBagConfig, console: "Console") -> None:
     check_new_folder(options.out)
-    from sean_jax.ros import bags
+    from sean_jax.ros import bag_import
 
-    result = bags.import_bag(options.bag, options.out, options.time_step, options.people_topic, options.robot_topic)
+    topics = options.people_topic, options.robot_topic
+    result = bag_import.import_bag(options.bag, options.out, options.time_step, *topics)
     robot = "with a robot" if result.robot else "without a robot"
     where = f"in frame {result.frame!r}" if result.frame else "in one frame"
     print(f"{result.folder}: {result.frames} rows of {result.people} people, {robot}, {where}.")
+    for note in result.notes:
+        print(f"note: {note}")
 
 
 def _import_robot(options: config.ImportRobotConfig, console: "Console") -> None:

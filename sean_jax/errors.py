@@ -21,5 +21,9 @@ class IncompleteError(SeanError, RuntimeError):
     """Work failed midway; the message says what is left and how to resume. The command line exits with code 1."""
 
 
+class ControllerError(IncompleteError):
+    """A controller outside of this program, or the way to it, has ended."""
+
+
 class PartError(InputError):
     """A user's own function raises an error or has a wrong result; ``__cause__`` is its error."""

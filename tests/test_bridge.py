@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 import json
 import math
+import os
 import socket
 import subprocess
 import sys
@@ -17,7 +18,7 @@ from sean_jax import web
 from sean_jax.config import BridgeConfig, Named, RunConfig, outside, validate
 from sean_jax.errors import InputError
 from sean_jax.learning.policy import check_policy
-from sean_jax.ros import rosbridge
+from sean_jax.ros import ros1, rosbridge
 from sean_jax.ros.transport import REQUESTS, Log, Mailbox, Output, read_pose
 
 pytest.importorskip("websockets")
@@ -28,6 +29,7 @@ OUTPUTS = {
     "/odom": Output("nav_msgs/msg/Odometry", False),
     "/scan": Output("sensor_msgs/msg/LaserScan", False),
     "/goal": Output("geometry_msgs/msg/PoseStamped", True),
+    "/clock": Output("rosgraph_msgs/msg/Clock", False),
 }
 LIMIT = 20.0  # s, for anything that has to happen
 
@@ -90,6 +92,7 @@ def test_a_bridge_has_one_transport():
         with pytest.raises(InputError, match="--ros1, --rosbridge and --dds"):
             validate(BridgeConfig, options)
     assert validate(BridgeConfig, {"dds": True, "domain": 4}).place == ("dds", "4")
+    assert validate(BridgeConfig, {"dds": True, "sensors": "none"}).sensors == ()
 
 
 def test_only_runs_take_a_controller_outside():
@@ -152,6 +155,36 @@ def test_a_pose_without_a_rotation_is_dropped(mailbox, sentences):
     zero = {"position": {"x": 0.0, "y": 0.0}, "orientation": {"z": 0.0, "w": 0.0}}
     mailbox.receive("/initialpose", {"pose": {"pose": zero}})
     assert mailbox.take_pose() is None and "no rotation" in sentences[0]
+
+
+@pytest.mark.parametrize("frame", ["odom", "base_link", "/world"])
+def test_a_pose_in_another_frame_is_dropped(mailbox, sentences, frame):
+    there = {"position": {"x": 0.0, "y": 0.0}, "orientation": {"z": 0.0, "w": 1.0}}
+    mailbox.receive("/initialpose", {"header": {"frame_id": frame}, "pose": {"pose": there}})
+    assert mailbox.take_pose() is None and "and not map" in sentences[0]
+    mailbox.receive("/initialpose", {"header": {"frame_id": "map"}, "pose": {"pose": there}})
+    assert mailbox.take_pose() is not None
+
+
+@pytest.mark.parametrize(
+    ("master", "given", "address"),
+    [
+        ("http://localhost:11311", {}, "127.0.0.1"),
+        ("http://127.0.0.1:11311/", {}, "127.0.0.1"),
+        ("http://robot:11311", {}, None),
+        ("http://localhost:11311", {"ROS_IP": "10.0.0.2"}, "10.0.0.2"),
+        ("http://localhost:11311", {"ROS_HOSTNAME": "me"}, None),
+    ],
+)
+def test_ros1_listens_on_loopback_if_its_master_does(mailbox, sentences, monkeypatch, master, given, address):
+    for name in ("ROS_IP", "ROS_HOSTNAME"):
+        monkeypatch.setenv(name, "x")  # so that both are as before in the end
+        monkeypatch.delenv(name)
+    for name, value in given.items():
+        monkeypatch.setenv(name, value)
+    ros1.listen_on_loopback(master, mailbox)
+    assert os.environ.get("ROS_IP") == address
+    assert bool(sentences) == (address == "127.0.0.1")
 
 
 def test_the_latest_command_counts():
@@ -347,6 +380,15 @@ def test_services(server, mailbox):
         assert (await receive(connection, "service_response"))["result"] is False
         await ask(connection, op="call_service", service="/rosapi/topic_type", args={"topic": "/cmd_vel"})
         assert (await receive(connection, "service_response"))["values"] == {"type": "geometry_msgs/Twist"}
+        server.publish("/clock", {"clock": {"sec": 4, "nanosec": 5}})
+        answers = {
+            "get_time": {"time": {"sec": 4, "nanosec": 5, "secs": 4, "nsecs": 5}},
+            "nodes": {"nodes": ["/sean_jax"]},
+            "get_param": {"value": "true"},
+        }
+        for name, values in answers.items():
+            await ask(connection, op="call_service", service=f"/rosapi/{name}", args={"name": "/use_sim_time"})
+            assert (await receive(connection, "service_response"))["values"] == values
 
     talk(server, scene)
     thread.join(LIMIT)

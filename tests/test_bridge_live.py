@@ -12,7 +12,9 @@ from rich.console import Console
 from sean_jax import prng
 from sean_jax import scenario as scenarios
 from sean_jax.config import BridgeConfig
-from sean_jax.ros import bridge
+from sean_jax.errors import ControllerError
+from sean_jax.ros import bridge, messages
+from sean_jax.ros.transport import Log
 
 pytest.importorskip("rosbags")
 pytestmark = pytest.mark.slow
@@ -98,16 +100,16 @@ def test_lockstep_takes_the_command_that_answers_each_state(live):
         scenario = live.scenarios[number]
         state = jax.jit(scenarios.reset)(scenario, jax.random.fold_in(prng.key("run", 0), number))
         places = [np.asarray(state.robot.position)]
-        for command in used:
+        for command in used[:-1]:  # the last one answers the last state
             state = jax.jit(scenarios.step)(scenario, state, jnp.asarray(command, jnp.float32))
             places.append(np.asarray(state.robot.position))
-        assert bool(state.timed_out) and len(used) == 20 and live.bridge.missed == 0
+        assert bool(state.timed_out) and len(used) == 21 and live.bridge.missed == 0
         sent = [[each["pose"]["pose"]["position"][axis] for axis in "xy"] for each in memory.of("/odom")]
-        np.testing.assert_allclose(sent, places[:-1], atol=1e-5)
+        np.testing.assert_allclose(sent, places, atol=1e-5)
         goal = memory.of("/goal")
         assert len(goal) == len(memory.of("/map")) == 1 and memory.sent[-1][0] == "/clock"
         np.testing.assert_allclose(goal[0]["pose"]["position"]["x"], float(state.task.goal[0]), rtol=1e-6)
-        assert len(memory.of("/scan")[0]["ranges"]) == 360 and len(memory.of("/depth/image_raw")) == 20
+        assert len(memory.of("/scan")[0]["ranges"]) == 360 and len(memory.of("/depth/image_raw")) == 21
 
 
 def test_states_without_a_command_are_counted_and_the_robot_stands(live):
@@ -127,6 +129,84 @@ def test_the_clock_never_goes_back(live):
     np.testing.assert_allclose(np.diff(times), 0.1, atol=1e-6)
     odometry = [seconds(message) for message in live.bridge.transport.of("/odom")]
     np.testing.assert_allclose(odometry, times)
+
+
+def test_a_state_after_a_step_at_t_has_the_stamp_t(made):
+    """Counted from the stamp of the first state of all, as in bags and in trajectories.csv."""
+    live, config = made
+    fresh = bridge.Bridge(live.scenarios[0], config.place, live._write)
+    memory = fresh.transport
+    memory.sent.clear()
+    state = live._begin(0)
+    fresh.begin(live.scenarios[0], 0)
+    for _ in range(3):
+        fresh.publish(state, fresh.no_command)
+        state = bridge._step(live.scenarios[0], state, jnp.zeros(2))
+    fresh.begin(live.scenarios[0], 1)
+    fresh.publish(live._begin(1), fresh.no_command)
+    begin = 1e-9 * messages.BEGIN
+    np.testing.assert_allclose([seconds(each) - begin for each in memory.of("/odom")], [0.0, 0.1, 0.2, 0.3], atol=1e-9)
+
+
+def test_the_robot_stays_if_it_cannot_stand_at_a_pose(live, capsys):
+    sentences = []
+    live.bridge.mailbox.log = Log(sentences.append)
+    scenario, state = live.scenarios[0], live._begin(0)
+    live.bridge.begin(scenario, 0)
+    box = np.asarray(scenario.environment.obstacles.center)[0]
+    for place, word in (((1e6, -1e6), "not on the floor"), (box, "in an obstacle")):
+        live.bridge.mailbox.log = Log(sentences.append)
+        stays = live.bridge.place(state, (np.array(place, float), np.array([1.0, 0.0])))
+        assert stays is state and word in sentences[-1] and len(sentences) <= 2
+    start = np.asarray(state.task.start, float)
+    moved = live.bridge.place(state, (start, np.array([1.0, 0.0])))
+    np.testing.assert_allclose(moved.robot.position, start, atol=1e-6)
+
+
+def test_a_transport_that_ends_ends_the_episode_with_its_sentence(live):
+    live.config = live.config.replace(pace="service")
+    mailbox = live.bridge.mailbox
+    ended = []
+
+    def work():
+        with pytest.raises(ControllerError, match="the node was shut down"):
+            live._episode(0)
+        ended.append(True)
+
+    thread = threading.Thread(target=work, daemon=True)
+    thread.start()
+    time.sleep(0.3)
+    mailbox.end("the node was shut down.")
+    thread.join(LIMIT)
+    mailbox._ended = ""
+    assert ended == [True]
+
+
+def test_a_dead_controller_is_no_result(made):
+    """One that has answered and is silent for 3 s of an episode; before, missed commands are counted."""
+    live, config = made
+    driver = bridge.Driver(live.scenarios[0], "ros1:", config.place, Console(quiet=True))
+    memory = driver._bridge.transport
+    answers = [True] * 3 + [False] * 2 + [True] * 2
+
+    def answer(topic, message):
+        if topic == "/odom" and (not answers or answers.pop(0)) and not dead:
+            driver._bridge.mailbox.receive("/cmd_vel", twist(0.1, 0.0))
+
+    dead, memory.heard = [], answer
+    batch = lambda state: jax.tree.map(lambda leaf: leaf[None], state)  # noqa: E731
+    state = live._begin(0)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(bridge, "PATIENCE", 0.2)
+        for _ in range(6):
+            policy = driver(live.scenarios[0], 0, batch(state))
+            state = bridge._step(live.scenarios[0], state, policy.params)
+        assert driver._bridge.missed == 2 and driver.finish(batch(state)) == 2
+        dead.append(True)
+        with pytest.raises(ControllerError, match="no command for 3 s of episode 0, which is therefore no result"):
+            for _ in range(40):
+                driver(live.scenarios[0], 0, batch(state))
+    memory.heard = lambda topic, message: None
 
 
 def test_services_and_poses(live):

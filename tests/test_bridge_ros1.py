@@ -17,6 +17,7 @@ import pytest
 
 from sean_jax.errors import InputError
 from sean_jax.ros.ros1 import DEBIAN, import_rospy
+from sean_jax.trajectories import load_trajectory
 
 pytestmark = pytest.mark.slow
 ROOT = Path(__file__).resolve().parent.parent
@@ -240,6 +241,47 @@ def test_publish_subscribe_record_play_a_stuck_subscriber_and_a_killed_master(ro
         stack.enter_context(master(ros))
         read_line(process, "registered at a new master", lines)
         assert program(ros, LISTEN, "drive").split()[-1] == "True"
+
+
+def test_a_bag_of_a_real_recorder_has_goals_commands_and_episodes(ros, tmp_path):
+    """Recorded from before the bridge sets /use_sim_time, so that the recorder's clock is the wall's."""
+    bag, out = tmp_path / "drive.bag", tmp_path / "in"
+    controller = ROOT / "examples" / "ros1_controller.py"
+    options = (*SCENARIO, "--episodes", "2", "--time-limit", "8", "--trajectories", "csv")
+    with started(["rosbag", "record", "-a", "-O", bag], ros) as recorder:
+        end = time.monotonic() + LIMIT
+        while not bag.with_suffix(".bag.active").exists():
+            assert time.monotonic() < end, "rosbag does not record"
+            time.sleep(0.05)
+        with started([PYTHON, controller], ros):
+            sean(ros, "run", "--policy", "ros1:", *options, "--out", tmp_path / "run")
+        recorder.send_signal(signal.SIGINT)
+        recorder.wait(LIMIT)
+    said = sean(ros, "import-bag", bag, "--out", out)
+    assert "so there are 2 episodes" in said and "falls on a row" not in said
+    recorded, ours = load_trajectory(tmp_path / "run" / "trajectories.csv"), load_trajectory(out / "trajectory.csv")
+    assert np.hypot(*np.moveaxis(ours.people_velocity, -1, 0)).max() < 4.0
+    for number in (0, 1):
+        length = int(ours.active[number].sum())
+        states = int(recorded.active[number].sum())
+        place, truth = ours.position[number, :length], recorded.position[number, :states]
+        np.testing.assert_allclose(place[-states:], truth, atol=1e-5)  # the bag begins with the first state
+        np.testing.assert_allclose(ours.goal[number, length - 1], recorded.goal[number, 0], atol=1e-5)
+        assert (np.abs(ours.action[number, :length]).sum(axis=1) > 0).mean() > 0.8
+
+
+def test_a_second_bridge_ends_the_first_in_one_sentence(ros):
+    bridge = [sys.executable, "-m", "sean_jax", "bridge", "--ros1", *SCENARIO]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
+    with started(bridge, ros, **pipes) as first:
+        read_line(first, "bridge: ", [])
+        with started(bridge, ros, **pipes) as second:
+            read_line(second, "bridge: ", [])
+            rest = first.communicate(timeout=LIMIT)[0]
+            assert first.returncode == 1 and "was shut down" in rest and "Traceback" not in rest, rest
+            subprocess.run(["rosnode", "kill", "/sean_jax"], env=ros, check=True, capture_output=True, timeout=LIMIT)
+            rest = second.communicate(timeout=LIMIT)[0]
+            assert second.returncode == 1 and "was shut down" in rest and "Traceback" not in rest, rest
 
 
 def test_there_has_to_be_a_master(ros):

@@ -23,7 +23,7 @@ import sean_jax
 from sean_jax import cli, environment, maps, recordings, sensors
 from sean_jax.errors import InputError
 from sean_jax.geometry import signed_distances_on_host
-from sean_jax.ros import bags, messages
+from sean_jax.ros import bag_contents, bag_episodes, bag_import, bags, messages
 from sean_jax.scenario import snapshot
 from sean_jax.studies.calibration.windows import find
 from sean_jax.studies.prediction import read_windows
@@ -311,6 +311,27 @@ def test_optical_frames_look_along_the_view(scenario):
         assert axes[2, 1] < -0.9  # y down
 
 
+def test_depth_of_the_floor_lies_on_the_floor():
+    """Pixels by camera_info alone, moved by the transforms of the messages, are at height 0."""
+    lab = sean_jax.make("lab", behavior="random", people=0, dynamics="twin")
+    depth = sensors.depth_sensor(sensors.camera(lab, "depth", width=40, height=30))
+    scenario = dataclasses.replace(lab, sensors=(depth,))
+    state = jax.jit(sean_jax.reset)(lab, jax.random.key(1))
+    step = jax.device_get(jax.jit(messages.step)(scenario, state, jnp.zeros(2)))
+    table = messages.topics(scenario)
+    content = {**messages.messages(table, step, START, True), **messages.messages(table, step, START)}
+    about = content["/depth/camera_info"]
+    values = np.frombuffer(content["/depth/image_raw"]["data"].tobytes(), "<f4").reshape(30, 40).astype(float)
+    rows, columns = np.nonzero(np.isfinite(values))
+    pixels = np.stack([columns, rows, np.ones(len(rows))])  # middles of pixels, as ROS counts them
+    points = (np.linalg.inv(about["k"].reshape(3, 3)) @ pixels * values[rows, columns]).T
+    np.testing.assert_array_equal(about["p"].reshape(3, 4)[:, :3], about["k"].reshape(3, 3))
+    (mount,) = content["/tf_static"]["transforms"]
+    turn, origin = mount["transform"]["rotation"], mount["transform"]["translation"]
+    height = (Rotation.from_quat([turn[axis] for axis in "xyzw"]).apply(points) + list(origin.values()))[:, 2]
+    assert (np.abs(height) < 1e-6).sum() > 200 and height.min() > -1e-6
+
+
 def test_plan_is_the_shortest_path(scenario, states):
     plan, way = messages.topics(scenario)["/plan"], jax.jit(sean_jax.navigation.geodesic)
     for state, step in states:
@@ -405,10 +426,10 @@ def test_import_gives_back_positions_and_situations(bag, scenario, states, tmp_p
     folder, table, _ = bag
     for name in ("walk.bag", "walk", "walk/walk.mcap"):
         out = tmp_path / name.replace("/", "-")
-        result = bags.import_bag(folder / name, out)
+        result = bag_import.import_bag(folder / name, out)
         assert (result.frames, result.robot, result.frame) == (STEPS, True, "map")
         assert result.people == states[0][0].pedestrians.present.sum()
-        frames = load_trajectory(out / bags.ROBOT)
+        frames = load_trajectory(out / bag_import.ROBOT)
         expect = lambda get: np.stack([np.asarray(get(state), float) for state, _ in states])  # noqa: E731
         assert np.allclose(frames.position, expect(lambda s: s.robot.position), atol=1e-6)
         assert np.allclose(frames.heading, expect(lambda s: s.robot.heading), atol=1e-6)
@@ -418,7 +439,7 @@ def test_import_gives_back_positions_and_situations(bag, scenario, states, tmp_p
         assert np.allclose(frames.people_heading, expect(lambda s: s.pedestrians.heading), atol=1e-5)
         assert np.allclose(frames.goal, expect(lambda s: s.task.goal), atol=1e-6)
         assert np.allclose(frames.action, [0.4, 0.3], atol=1e-6)
-        tracks = recordings.read(out / bags.PEOPLE, frame_rate=100.0)
+        tracks = recordings.read(out / bag_import.PEOPLE, frame_rate=100.0)
         assert np.allclose(tracks.position, expect(lambda s: s.pedestrians.position), atol=1e-6)
         if "/social_sim/metrics" in table:
             names = sorted(each for each, _ in scenario.situations)
@@ -431,8 +452,8 @@ def test_import_gives_back_positions_and_situations(bag, scenario, states, tmp_p
 def test_situations_of_an_imported_bag_are_those_of_the_episode(bag, scenario, states, tmp_path):
     """The classifiers see the same situations in the imported frames as in the simulation."""
     folder, table, _ = bag
-    bags.import_bag(folder / "walk", tmp_path / "in")
-    frames = load_trajectory(tmp_path / "in" / bags.ROBOT)
+    bag_import.import_bag(folder / "walk", tmp_path / "in")
+    frames = load_trajectory(tmp_path / "in" / bag_import.ROBOT)
     names = [name for name, _ in scenario.situations]
     apart = [names.index(name) for name in ("join_group", "leave_group") if "/social_sim/metrics" in table]
     for t, (state, _) in enumerate(states):
@@ -506,7 +527,8 @@ def test_frames_of_a_robot_with_drifting_odometry(tmp_path):
         each = {"name": "anna", "position": at(*seen), "velocity": at(0, 0)}
         rows.append(("/people", "people_msgs/msg/People", time, {"header": head("laser"), "people": [each]}))
     write_bag(tmp_path / "drift.bag", rows)
-    frames = bags.as_trajectory(bags.read(tmp_path / "drift.bag"), 0.1, tmp_path)
+    (episode,) = bag_episodes.split(bag_contents.read(tmp_path / "drift.bag")).episodes
+    frames = bag_import.as_trajectory(episode, 0.1)
     truth = np.array(truth)
     assert np.allclose(frames.position, truth[:, :2], atol=1e-9)
     assert np.allclose(np.exp(1j * truth[:, 2]), frames.heading @ [1, 1j], atol=1e-9)
@@ -527,9 +549,9 @@ def test_other_messages_of_people_and_gaps(tmp_path, kind):
         type_name = f"{'geometry' if kind == 'PoseArray' else 'visualization'}_msgs/msg/{kind}"
         rows.append(("/detected_people", type_name, time, message))
     write_bag(tmp_path / "people.bag", rows)
-    result = bags.import_bag(tmp_path / "people.bag", tmp_path / "out")
-    assert not result.robot and sorted(each.name for each in result.folder.iterdir()) == [bags.PEOPLE]
-    tracks = recordings.read(result.folder / bags.PEOPLE, frame_rate=100.0)
+    result = bag_import.import_bag(tmp_path / "people.bag", tmp_path / "out")
+    assert not result.robot and sorted(each.name for each in result.folder.iterdir()) == [bag_import.PEOPLE]
+    tracks = recordings.read(result.folder / bag_import.PEOPLE, frame_rate=100.0)
     assert np.array_equal(np.flatnonzero(~np.asarray(tracks.present[:, 0])), list(gone))
     assert np.allclose(np.asarray(tracks.position)[:5, 0, 0], 0.1 * np.arange(5))
 
@@ -553,7 +575,7 @@ def walks(tmp_path_factory):
         rows.append(("/odom", "nav_msgs/msg/Odometry", time, odometry))
     write_bag(folder / "walks.bag", rows)
     for name, step in (("tenths", 0.1), ("moments", 0.4)):
-        bags.import_bag(folder / "walks.bag", folder / name, step)
+        bag_import.import_bag(folder / "walks.bag", folder / name, step)
     return folder
 
 
@@ -567,11 +589,11 @@ def test_people_of_a_bag_are_recordings_for_prediction(walks):
     prediction, corridors = find(walks / "moments")
     assert list(prediction) == ["people"] and not corridors
     for clock in ("social_gan", "recorded"):
-        windows = read_windows(walks / "moments" / bags.PEOPLE, clock)
+        windows = read_windows(walks / "moments" / bag_import.PEOPLE, clock)
         position = np.asarray(windows.position)  # (B, T, N, 2), 0.4 s apart
         assert position.shape[1:] == (20, 2, 2) and np.asarray(windows.present).all()
         np.testing.assert_allclose(np.diff(position, axis=1)[..., 0], [[[0.48, -0.36]] * 19] * len(position), atol=1e-6)
-    text = (walks / "tenths" / bags.PEOPLE).read_text().splitlines()
+    text = (walks / "tenths" / bag_import.PEOPLE).read_text().splitlines()
     assert text[0].split(",")[4:6] == ["vx_mps", "vy_mps"] and text[1].startswith("0,0,-6.0,0.0,")
     np.testing.assert_allclose([float(each) for each in text[1].split(",")[4:6]], [1.2, 0.0], atol=1e-6)
 
@@ -579,7 +601,7 @@ def test_people_of_a_bag_are_recordings_for_prediction(walks):
 @pytest.mark.slow
 def test_people_of_a_bag_are_played_back_measured_calibrated_on_and_shown(walks, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    people, rate = str(walks / "tenths" / bags.PEOPLE), ("--frame-rate", "100")
+    people, rate = str(walks / "tenths" / bag_import.PEOPLE), ("--frame-rate", "100")
     run = ["run", "--environment", str(walks / "square"), "--behavior", "playback", "--task", "random_ab_nav", *rate]
     run += ["--recording", people, "--time-limit", "3", "--episodes", "1", "--trajectories", "csv", "--quiet"]
     assert cli.main([*run, "--out", "run"]) == 0
@@ -597,7 +619,7 @@ def test_people_of_a_bag_are_played_back_measured_calibrated_on_and_shown(walks,
     assert cli.main([*fit, "--leave-out", "none", "--quick", "--quiet", "--out", "fit"]) == 0
     scores = json.loads(Path("fit/results.json").read_text())["scores"]["people (social_gan)"]
     assert scores["constant velocity"]["ade"] < 1e-5  # m
-    sean_jax.view(load_trajectory(walks / "tenths" / bags.ROBOT)).save("page.html")
+    sean_jax.view(load_trajectory(walks / "tenths" / bag_import.ROBOT)).save("page.html")
     assert Path("page.html").stat().st_size > 10_000
 
 
@@ -634,8 +656,8 @@ def test_bags_of_a_run(tmp_path, monkeypatch, capsys):
     for number in (0, 1):
         for name in (f"bags/episode_{number}.bag", f"bags/episode_{number}"):
             out = Path(f"in-{Path(name).name}")
-            bags.import_bag(name, out)
-            frames, length = load_trajectory(out / bags.ROBOT), int(recorded.active[number].sum())
+            bag_import.import_bag(name, out)
+            frames, length = load_trajectory(out / bag_import.ROBOT), int(recorded.active[number].sum())
             assert len(frames.position) == length
             for field in ("position", "heading", "velocity", "people", "people_velocity", "action"):
                 ours, theirs = getattr(frames, field), getattr(recorded, field)[number][:length]
@@ -661,7 +683,7 @@ def test_killed_export_leaves_nothing_half_written(tmp_path):
     process.wait()
     assert not (tmp_path / "bags").exists()
     assert cli.main([*words, "--quiet"]) == 0
-    assert bags.read(tmp_path / "bags" / "episode_0.bag").people and not unfinished.exists()
+    assert len(bag_contents.read(tmp_path / "bags" / "episode_0.bag").people) and not unfinished.exists()
 
 
 # ------------------------------------------------------------------ rviz

@@ -377,6 +377,11 @@ class BridgeConfig(ScenarioConfig):
     """The same seed gives the same episodes, which are the episodes of sean run."""
     quiet: fields.Quiet = False
 
+    @pydantic.field_validator("sensors", mode="before")
+    @classmethod
+    def _no_sensors(cls, value: object) -> object:
+        return () if value in ("none", ["none"], ("none",)) else value
+
     @pydantic.model_validator(mode="after")
     def _check_transport(self) -> "BridgeConfig":
         if sum((self.ros1, self.rosbridge, self.dds)) != 1:

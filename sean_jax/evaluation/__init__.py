@@ -36,6 +36,7 @@ from sean_jax.evaluation.batches import (
 from sean_jax.evaluation.results import Evaluation
 from sean_jax.flags import number
 from sean_jax.learning.policy import check_policy, load_policies, load_policy
+from sean_jax.metrics import Metric
 from sean_jax.progress import Progress, progress
 from sean_jax.replay.live import Live, serve
 from sean_jax.runner import CHUNK, Callbacks, Runner
@@ -44,6 +45,19 @@ from sean_jax.versions import fingerprint
 from sean_jax.writing import check_new_folder
 
 __all__ = ["Evaluation", "evaluate", "run"]
+
+MISSED = "missed_commands"
+MISSED_COMMANDS = Metric(
+    lambda now: 0,  # counted by the ``Driver``, as no state of the simulation knows it
+    lambda value, before, after: value,
+    lambda value: value,
+    title="missed commands",
+    definition="States for which no command of the controller outside came in time.",
+    kind="count",
+    headline=True,
+    better="lower",
+)
+"""Of controllers outside of this program; a run in which none was missed does not have it."""
 
 
 def evaluate(
@@ -89,6 +103,10 @@ class Driver(Protocol):
 
     def __call__(self, scenario: Scenario, number: int, states: State) -> Policy:
         """The policy, with its command for the next step; ``states`` are of a batch of one."""
+        ...
+
+    def finish(self, states: State) -> int:
+        """Send the last state of an episode; the number of its states for which no command came."""
         ...
 
     def close(self) -> None:
@@ -257,6 +275,8 @@ def _simulate(
         batch = runner.run(seed, base, count, callbacks=callbacks, keep_rows=False)
     seconds = time.perf_counter() - start
     finished = finish(scenario, batch._replace(rows=report_frames), base, seconds)
+    if driver is not None:
+        finished.metrics[MISSED] = np.array([driver.finish(batch.states)], np.int32)
     if live is not None:
         ended = results.outcome(finished.completed[0], float(finished.steps[0]) * scenario.time_step)
         live.finish(f"episode {base} {ended}")
@@ -282,6 +302,9 @@ def _join(
         return np.stack([getattr(each, name) for each in totals]).sum(0, dtype=np.int64)
 
     completed, frames = joined("completed"), batches[0].frames
+    definitions = dict(first.metrics)
+    if any(batch.metrics.get(MISSED, np.zeros(1)).any() for batch in batches):
+        definitions[MISSED] = MISSED_COMMANDS
     team = first.others is not None
     is_set = not team and (floors.size > 1 or bool(floors.names))
     turns = [i // len(stacks) % floors.size for i in range(len(completed))] if is_set else []
@@ -294,8 +317,8 @@ def _join(
         completed=completed,
         timed_out=joined("timed_out"),
         seconds=joined("steps") * first.time_step,
-        metrics={name: np.concatenate([batch.metrics[name] for batch in batches]) for name, _ in first.metrics},
-        definitions=dict(first.metrics),
+        metrics={name: np.concatenate([batch.metrics[name] for batch in batches]) for name in definitions},
+        definitions=definitions,
         heat=total("heat") * first.time_step,
         walks=total("walks"),
         together=total("together") * first.time_step,

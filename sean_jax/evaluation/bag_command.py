@@ -23,7 +23,6 @@ from sean_jax.runner import Callbacks, Record, Runner
 from sean_jax.stack import Stack
 
 CHUNK = 2.0  # s of messages in memory
-START = messages.SECOND  # ns, of the first state, as a time of 0 means no time in ROS
 VIEW = Path(__file__).parents[1] / "ros" / "view.rviz"
 
 
@@ -107,7 +106,7 @@ def _add(bag: bags.Bag, scenario: Scenario, rows: Row) -> None:
     pick: Callable[[int], messages.Step] = lambda t: jax.tree.map(lambda leaf: leaf[t, 0], rows.step)  # noqa: E731
     for t in np.flatnonzero(rows.active[:, 0]):
         step = pick(int(t))
-        time = START + round(int(step.tick) * scenario.time_step * messages.SECOND)
+        time = messages.BEGIN + round(int(step.tick) * scenario.time_step * messages.SECOND)
         if bag.count == 0:
             bag.write(messages.messages(bag.table, step, time, latched=True), time)
         bag.write(messages.messages(bag.table, step, time), time)

@@ -27,7 +27,7 @@ from flax import struct
 from sean_jax import clock, components, crowding, files, geometry, interrupts, trajectories, workspace, writing
 from sean_jax.base import Array, Policy, Scenario, State, Trajectory
 from sean_jax.config import RunConfig
-from sean_jax.errors import IncompleteError, InputError
+from sean_jax.errors import ControllerError, IncompleteError, InputError
 from sean_jax.graph import graph_of
 from sean_jax.runner import Batch, Record, batch_results, not_finite
 from sean_jax.scenario import frame
@@ -334,6 +334,9 @@ class RunFolder:
         except FloatingPointError as error:
             message = self._message()
             raise FloatingPointError(f"{error} {message[0].upper()}{message[1:]}") from error
+        except ControllerError as error:
+            message = self._message()
+            raise ControllerError(f"{error} {message[0].upper()}{message[1:]}") from error
         except OSError as error:
             raise IncompleteError(f"{writing.broken(error)}; {self._message()}") from error
         finally:

@@ -22,7 +22,8 @@ from sean_jax import assembly, prng
 from sean_jax import scenario as scenarios
 from sean_jax.base import Array, Policy, Scenario, State, no_memory
 from sean_jax.config import BridgeConfig
-from sean_jax.errors import InputError
+from sean_jax.errors import ControllerError, InputError
+from sean_jax.geometry import signed_distances_on_host
 from sean_jax.robots.drive import command_size
 from sean_jax.ros import messages
 from sean_jax.ros.transport import COMMAND, REQUESTS, Log, Mailbox, Output, Request, Transport
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
 NAMES = ("lidar", "depth")  # sensors that every robot has for its controller
 PATIENCE = 5.0  # s, of a driver in lock-step: within which a controller that answers has its next command ready
 REPEAT = 0.1  # s, after which the first state is sent again, a step later, while nobody has answered yet
+SILENT = 3.0  # s of an episode without a command, after which the controller counts as dead
 GOAL_STEPS = 50  # such steps, after which the goal is sent again: move_base drops goals that come while it starts
 WAITING = ("lockstep", "service")  # paces at which time stands still until something comes
 LAG = 0.5  # s behind the clock from which on the clock waits
@@ -79,7 +81,7 @@ class Bridge:
         """Connect, and compile what messages need.
 
         Args:
-            now: steps of control on the clock so far.
+            now: steps of control on the clock so far; the first state of all has 0, and the stamp ``BEGIN``.
 
         Raises:
             InputError: a package is missing, or nothing answers there.
@@ -87,7 +89,9 @@ class Bridge:
         missing = [SENSORS[name] for name in NAMES if name not in {each.name for each in scenario.sensors}]
         self.scenario = replace(scenario, sensors=(*scenario.sensors, *(make(scenario.robot) for make in missing)))
         self._plain = replace(scenario, sensors=())
-        self._number, self._fresh, self._goal, self._start, self.now = 0, True, False, now + 1, now
+        self._number, self._fresh, self._goal = 0, True, False
+        self._start, self.now = (now + 1 if now else 0), now
+        self._begun = False
         self._table = self._topics()
         size = command_size(scenario.robot)
         self.mailbox, self.no_command = Mailbox(Log(write), size), np.full(size, np.nan, np.float32)
@@ -111,7 +115,9 @@ class Bridge:
         """Another episode, or another task, begins; ``scenario`` has its task. Time goes on."""
         self.scenario = replace(scenario, sensors=self.scenario.sensors)
         self._plain, self._number = replace(scenario, sensors=()), number
-        self._fresh, self._start = True, self.now + 1
+        self._fresh = True
+        if self._begun:
+            self._start = self.now + 1
         self.missed = 0
 
     def stand(self) -> None:
@@ -122,8 +128,9 @@ class Bridge:
     def publish(self, state: State, command: np.ndarray) -> None:
         """Send the messages of a state to all who subscribe; latched ones once an episode."""
         step = jax.device_get(_quantities(self._plain, state, jnp.asarray(command, float)))
+        self._begun = True
         self.now = self._start + int(step.tick)
-        moment = round(self.now * self.scenario.time_step * messages.SECOND)
+        moment = messages.BEGIN + round(self.now * self.scenario.time_step * messages.SECOND)
         wanted = [name for name, topic in self._table.items() if not topic.latched and self.transport.wanted(name)]
         readings = {}
         for sensor in self.scenario.sensors:
@@ -138,6 +145,20 @@ class Bridge:
         self._fresh = self._goal = False
         for name in (*latched, *wanted):
             self.transport.publish(name, self._table[name].message(step, moment))
+
+    def place(self, state: State, pose: tuple[np.ndarray, np.ndarray]) -> State:
+        """The state with the robot at a position (2,) [m] and a heading (2,); as it was if it cannot stand there."""
+        position, heading = pose
+        (to_wall,), (to_edge,) = signed_distances_on_host(self.scenario.environment, position[None])
+        radius = float(self.scenario.robot.radius)
+        where = f"/initialpose: ({position[0]:g}, {position[1]:g}) is"
+        if to_edge < (0.0 if self.scenario.environment.open else radius):
+            self.mailbox.log("pose", f"{where} not on the floor; the robot stays.")
+        elif to_wall < radius:
+            self.mailbox.log("pose", f"{where} in an obstacle, or nearer than the robot's radius; the robot stays.")
+        else:
+            return _teleport(self._plain, state, jnp.asarray(position, float), jnp.asarray(heading, float))
+        return state
 
     def answer(self, seconds: float) -> np.ndarray | None:
         """The command that comes within so many seconds; None if none came, or something else was asked."""
@@ -178,7 +199,7 @@ class Driver:
         self._bridge = Bridge(scenario, place, write, now)
         self.policy = Policy(jnp.asarray(self._bridge.no_command, float), name, no_memory, _command)
         self._console, self._write, self._command = console, write, self._bridge.no_command
-        self._answered, self._late = False, False
+        self._answered, self._late, self._silent = False, False, 0
         write(f"controller: {self._bridge.transport.address}")
 
     def __call__(self, scenario: Scenario, number: int, states: State) -> Policy:
@@ -212,12 +233,30 @@ class Driver:
         while (command := bridge.answer(end - time.monotonic())) is None and time.monotonic() < end:
             self._refuse()
         self._late = command is None
+        self._silent = self._silent + 1 if command is None else 0
         if command is None:
             bridge.missed += 1
             text = f"no command came for a state of episode {bridge._number}; the robot's command timeout acts."
             bridge.mailbox.log("missed", text)
+            self._check_alive()
             return bridge.no_command
         return command
+
+    def _check_alive(self) -> None:
+        """ControllerError if the controller has been silent for so long that its episode is no result."""
+        if self._silent * self.time_step < SILENT:
+            return
+        text = f"the controller has sent no command for {SILENT:g} s of episode {self._bridge._number}"
+        raise ControllerError(
+            f"{text}, which is therefore no result; start the controller, and then this command again."
+        )
+
+    def finish(self, states: State) -> int:
+        """Send the last state of an episode, in which the goal is reached; the number of missed commands."""
+        missed = self._bridge.missed
+        self._bridge.publish(_only(states), self._command)
+        self._bridge.answer(self.time_step)  # it may not count for the next episode
+        return missed
 
     def _refuse(self) -> None:
         """Refuse what would change the episode, as sean run measures it."""
@@ -268,7 +307,7 @@ class Live:
             state = _step(self.scenarios[0], state, jnp.asarray(self.bridge.no_command, float))
         for scenario in self.scenarios:  # so that time does not stand still later
             _next_task(scenario, state, state.streams.restart)
-        _teleport(self.scenarios[0], state, state.robot.position, state.robot.heading)
+        _teleport(self.bridge._plain, state, state.robot.position, state.robot.heading)
 
     def run(self) -> None:
         """Episode after episode."""
@@ -300,7 +339,7 @@ class Live:
             bridge.publish(state, command)
             command, request, pose = self._wait()
             if pose is not None:
-                state = _teleport(scenario, state, *(jnp.asarray(part, float) for part in pose))
+                state = bridge.place(state, pose)
                 if self.config.pace in WAITING and request is None:
                     command = bridge.no_command
                     continue
@@ -318,6 +357,9 @@ class Live:
             state = _step(scenario, state, jnp.asarray(command, float))
             if request is not None:
                 request.answer(True, f"{int(state.tick) * scenario.time_step:.3g} s of episode {number} have passed.")
+        bridge.publish(state, command)  # the last one, in which the goal is reached
+        if self.config.pace == "lockstep":
+            bridge.answer(min(scenario.time_step, self.config.patience))  # it may not count for the next episode
         self._report(scenario, state, f"episode {number}" + (f", task {tasks + 1}" if tasks else ""))
         return True
 

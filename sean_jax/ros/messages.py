@@ -33,6 +33,7 @@ Naming = Literal["ros", "sean"]
 
 MAP, ODOM, BASE = "map", "odom", "base_link"  # frames
 SECOND = 1_000_000_000  # ns
+BEGIN = SECOND  # ns, stamp of the first state, as a time of 0 means no time in ROS
 CORNERS = 48  # of a plan, at most
 SPACING = 0.25  # m, between the poses of a plan
 RESOLUTION = 0.05  # m, of a cell of the map
@@ -45,6 +46,8 @@ COLORS = {
     "situations": (0.10, 0.10, 0.10, 1.0),
 }
 """Red, green, blue, opacity of the markers of each namespace."""
+COVARIANCE = np.diag([1e-6, 1e-6, 1e6, 1e6, 1e6, 1e-6]).reshape(-1)
+"""Of odometry without errors on the plane: filters refuse zeros, and take large numbers as not measured."""
 ARROW, CYLINDER, LINE_STRIP, TEXT = 0, 3, 4, 9  # types of markers
 ADD, DELETE = 0, 2  # actions of markers
 UINT16, FLOAT32 = 4, 7  # datatypes of a PointField
@@ -323,8 +326,8 @@ def _odometry(step: Step, time: int) -> Message:
     return {
         "header": header(ODOM, time),
         "child_frame_id": BASE,
-        "pose": {"pose": pose(step.position, step.heading), "covariance": np.zeros(36)},
-        "twist": {"twist": twist(*step.velocity), "covariance": np.zeros(36)},
+        "pose": {"pose": pose(step.position, step.heading), "covariance": COVARIANCE},
+        "twist": {"twist": twist(*step.velocity), "covariance": COVARIANCE},
     }
 
 
@@ -523,7 +526,8 @@ def _image(pixels: np.ndarray, encoding: str, frame: str, time: int) -> Message:
 
 def camera_info(device: Camera, frame: str, time: int) -> Message:
     """The CameraInfo of a camera with perspective and no distortion."""
-    focal, x, y = focal_length(device), device.width / 2, device.height / 2
+    # In ROS the middle of the first pixel is at 0, so the middle of the picture is half a pixel before its half.
+    focal, x, y = focal_length(device), (device.width - 1) / 2, (device.height - 1) / 2
     matrix = np.array([focal, 0.0, x, 0.0, focal, y, 0.0, 0.0, 1.0])
     size = {"height": device.height, "width": device.width}
     lens = {"distortion_model": "plumb_bob", "d": np.zeros(5), "k": matrix, "r": np.eye(3).reshape(-1)}

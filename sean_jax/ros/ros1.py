@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import atexit
 import importlib
+import itertools
 import os
 import sys
 import threading
@@ -24,6 +25,11 @@ from sean_jax.ros.transport import COMMAND, INPUTS, SERVICES, Mailbox, Output
 NODE = "sean_jax"
 QUEUE = 100  # messages of a topic that may wait for its subscribers
 WATCH = 2.0  # s, between two looks at the master
+SHORT = 0.2  # s, between two looks at the node
+ENDED = (
+    f"ros1: the node /{NODE} was shut down, by rosnode kill or by another node of this name; end the other node, and "
+    "start this command again."
+)
 DEBIAN = "/usr/lib/python3/dist-packages"
 MESSAGES = {"geometry_msgs": "msg", "std_srvs": "srv"}  # packages of the node's topics and services
 
@@ -52,6 +58,17 @@ def import_rospy() -> Any:
     raise InputError(f"ros1: rospy cannot be imported ({missing}); {cure}.")
 
 
+def listen_on_loopback(master: str, mailbox: Mailbox) -> None:
+    """Let rospy listen on this computer alone if its master is there, unless the user has set where it listens."""
+    if "ROS_IP" in os.environ or "ROS_HOSTNAME" in os.environ:
+        return
+    name = master.partition("//")[2].partition("/")[0].rpartition(":")[0].strip("[]")
+    if name == "localhost" or name.startswith("127."):
+        os.environ["ROS_IP"] = "127.0.0.1"
+        text = "ros1: the master is on this computer, so the node listens on 127.0.0.1 alone; ROS_IP says otherwise."
+        mailbox.log("ros1 address", text)
+
+
 def _import() -> Any:
     for package, module in MESSAGES.items():
         importlib.import_module(f"{package}.{module}")
@@ -78,6 +95,7 @@ class Node:
             raise InputError("ros1: ROS_MASTER_URI is not set; set it to the master, such as http://127.0.0.1:11311.")
         if not rosgraph.is_master_online():
             raise InputError(f"ros1: no ROS master answers at {self.address}; start roscore, or set ROS_MASTER_URI.")
+        listen_on_loopback(self.address, mailbox)
         rospy.init_node(NODE, disable_signals=True)
         rospy.set_param("/use_sim_time", True)
         atexit.register(rospy.signal_shutdown, "the program ends")
@@ -97,9 +115,12 @@ class Node:
 
         def pose(message: Any) -> None:
             inside = message.pose.pose
+            head = {"frame_id": message.header.frame_id}
             position = {"x": inside.position.x, "y": inside.position.y}
             turn = {"z": inside.orientation.z, "w": inside.orientation.w}
-            mailbox.receive("/initialpose", {"pose": {"pose": {"position": position, "orientation": turn}}})
+            mailbox.receive(
+                "/initialpose", {"header": head, "pose": {"pose": {"position": position, "orientation": turn}}}
+            )
 
         receivers = {"/cmd_vel": (Twist, command), "/initialpose": (PoseWithCovarianceStamped, pose)}
         self._subscribers = [
@@ -133,7 +154,11 @@ class Node:
         """Send a message to all subscribers."""
         kind = self._types[topic]
         content = self._store.serialize_ros1(fill(self._store, kind, message), kind)
-        self._publishers[topic].publish(self._classes[kind](bytes(content)))
+        try:
+            self._publishers[topic].publish(self._classes[kind](bytes(content)))
+        except self._rospy.ROSException:  # the node has been shut down
+            self._mailbox.end(ENDED)
+            self._mailbox.check()
 
     def close(self) -> None:
         """End all connections; the node itself ends with the process."""
@@ -147,7 +172,12 @@ class Node:
     def _watch(self) -> None:
         """Register again when a master has ended and another one has begun."""
         was_online, master_id = True, self._master_id()
-        while not self._closed.wait(WATCH):
+        looks = itertools.count(1)
+        while not self._closed.wait(SHORT):
+            if self._rospy.is_shutdown():
+                return self._mailbox.end(ENDED)
+            if next(looks) % round(WATCH / SHORT):
+                continue
             now = self._master_id()
             if now is None and was_online:
                 text = f"ros1: the master at {self.address} does not answer; existing connections go on."

@@ -36,7 +36,14 @@ QUEUE = 100  # messages of a topic that may wait for a client
 RATE = 2_000  # messages per second from a client
 BACKLOG = 1_000  # messages that may wait for the event loop
 OPENING = 20.0  # s, within which the server starts
-ROSAPI = {"/rosapi/topics", "/rosapi/topic_type", "/rosapi/services"}
+ROSAPI = {
+    "/rosapi/topics",
+    "/rosapi/topic_type",
+    "/rosapi/services",
+    "/rosapi/nodes",
+    "/rosapi/get_time",
+    "/rosapi/get_param",
+}
 
 
 class Server:
@@ -55,6 +62,7 @@ class Server:
         self._clients: dict[ServerConnection, Client] = {}
         self._subscribed: collections.Counter[str] = collections.Counter()
         self._latest: dict[str, str] = {}  # of latched topics
+        self._now = {"sec": 0, "nanosec": 0}  # of /clock
         self._backlog = 0
         self._loop = asyncio.new_event_loop()
         self._ready, self._failed = threading.Event(), list[OSError]()
@@ -76,6 +84,8 @@ class Server:
 
     def publish(self, topic: str, message: dict[str, Any]) -> None:
         """Send a message to all clients that subscribe."""
+        if topic == "/clock":
+            self._now = message["clock"]
         if self._backlog > BACKLOG:  # the loop is busy: what is sent later is newer
             self._mailbox.log(
                 "rosbridge busy", "rosbridge: clients send faster than they are served; messages are left out."
@@ -228,6 +238,13 @@ class Server:
             return {"topics": list(short), "types": list(short.values())}
         if name == "/rosapi/services":
             return {"services": list(SERVICES)}
+        if name == "/rosapi/nodes":
+            return {"nodes": ["/sean_jax"]}
+        if name == "/rosapi/get_time":
+            return {"time": _plain(self._now)}
+        if name == "/rosapi/get_param":  # its value as JSON; the bridge has one parameter
+            is_known = str(arguments.get("name")).removeprefix("/") == "use_sim_time"
+            return {"value": "true" if is_known else str(arguments.get("default", "null"))[:1000]}
         return {"type": short.get(str(arguments.get("topic")), "")}
 
 

@@ -11,6 +11,9 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
+from sean_jax.errors import ControllerError
+
+MAP = "map"  # frame of poses
 COMMAND, POSE = "/cmd_vel", "/initialpose"
 INPUTS = {COMMAND: "geometry_msgs/msg/Twist", POSE: "geometry_msgs/msg/PoseWithCovarianceStamped"}
 """Topic of a controller -> its message type."""
@@ -74,6 +77,7 @@ class Mailbox:
     def __init__(self, log: Log, command_size: int = 2):
         self.log, self._command_size = log, command_size
         self.commands = 0  # received so far
+        self._ended = ""
         self._changed = threading.Condition()
         self._command: np.ndarray | None = None
         self._pose: tuple[np.ndarray, np.ndarray] | None = None
@@ -95,6 +99,17 @@ class Mailbox:
                 self._pose = content  # pyright: ignore[reportAttributeAccessIssue]
             self._changed.notify_all()
 
+    def end(self, sentence: str) -> None:
+        """The transport has ended: who waits for it gets the sentence as an error."""
+        with self._changed:
+            self._ended = self._ended or sentence
+            self._changed.notify_all()
+
+    def check(self) -> None:
+        """Raise ControllerError if the transport has ended."""
+        if self._ended:
+            raise ControllerError(self._ended)
+
     def request(self, name: str) -> Answer:
         """Ask the simulation for something; waits for the answer."""
         request = Request(name)
@@ -106,13 +121,18 @@ class Mailbox:
         return request.wait()
 
     def wait(self, seconds: float, for_command: bool = False) -> None:
-        """Wait until a request or a pose is there, or a command if it counts; at most for so long."""
+        """Wait until a request or a pose is there, or a command if it counts; at most for so long.
+
+        Raises:
+            ControllerError: nothing can come any more.
+        """
 
         def there() -> bool:
-            return bool(self._requests or self._pose or (for_command and self._command is not None))
+            return bool(self._ended or self._requests or self._pose or (for_command and self._command is not None))
 
         with self._changed:
             self._changed.wait_for(there, max(0.0, seconds))
+        self.check()
 
     def take_command(self) -> np.ndarray | None:
         """The command [m/s, rad/s] since the previous call; None if there was none."""
@@ -167,8 +187,11 @@ def read_pose(message: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray]:
 
     Raises:
         KeyError: a field is missing.
-        ValueError: a field is no finite number.
+        ValueError: a field is no finite number, or the pose is in another frame.
     """
+    frame = str(message.get("header", {}).get("frame_id", "")).lstrip("/")
+    if frame not in ("", MAP):
+        raise ValueError(f"its frame_id is {frame[:40]!r}, and not {MAP}; choose {MAP} as fixed frame")
     pose = message["pose"]["pose"]
     x, y = _numbers(pose["position"], "x", "y")
     z, w = _numbers(pose["orientation"], "z", "w")

@@ -1,0 +1,323 @@
+"""What a bag says about people and the robot: its messages as tables, in the order in which they were recorded."""
+
+import math
+from array import array
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sean_jax.files import file_error, suggest
+from sean_jax.quantities import MAX_COORDINATE, MAX_PEOPLE, parse_digits
+from sean_jax.ros.bag_files import OpenBag, Recorded, open_bag
+from sean_jax.ros.messages import SECOND
+
+MAX_BYTES = 200_000_000  # of all tables of a bag
+MAX_SPEED = 1e3  # m/s or rad/s of any number
+BASES = ("base_link", "base_footprint")  # frames of a robot
+PEOPLE_WORDS = ("people", "person", "pedestrian", "agent", "human", "track")
+SITUATIONS = "/social_sim/situations/rule_based/"
+
+ODOMETRY, POSE = "nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped"
+POSE_WITH_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
+TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+TWISTS = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped")
+PEOPLE_TYPES = (
+    "social_sim_ros/msg/AgentArray",
+    "people_msgs/msg/People",
+    "geometry_msgs/msg/PoseArray",
+    "visualization_msgs/msg/MarkerArray",
+)
+"""Message types of people, the best known first."""
+
+
+class Table:
+    """Rows of whole numbers and of others, with eight bytes for each."""
+
+    def __init__(self, whole: int, numbers: int):
+        self._whole, self._numbers = whole, numbers
+        self._of_whole, self._of_numbers = array("q"), array("d")
+
+    def add(self, whole: tuple[int, ...], numbers: tuple[float, ...]) -> None:
+        """Add a row."""
+        self._of_whole.extend(whole)
+        self._of_numbers.extend(numbers)
+
+    def __len__(self) -> int:
+        return len(self._of_whole) // self._whole
+
+    @property
+    def size(self) -> int:
+        """Bytes."""
+        return 8 * (len(self._of_whole) + len(self._of_numbers))
+
+    @property
+    def whole(self) -> np.ndarray:
+        """(R, K) the whole numbers."""
+        return np.array(self._of_whole, np.int64).reshape(len(self), self._whole)
+
+    @property
+    def numbers(self) -> np.ndarray:
+        """(R, K) the other numbers."""
+        return np.array(self._of_numbers, float).reshape(len(self), self._numbers)
+
+
+class Names:
+    """Numbers of names, in the order in which they were seen."""
+
+    def __init__(self) -> None:
+        self._numbers: dict[str, int] = {}
+
+    def __call__(self, name: str) -> int:
+        """The number of a name."""
+        return self._numbers.setdefault(name, len(self._numbers))
+
+    def __len__(self) -> int:
+        return len(self._numbers)
+
+    @property
+    def all(self) -> list[str]:
+        """The names by number."""
+        return list(self._numbers)
+
+
+class Recording:
+    """The messages of a bag. Rows begin with the time of receipt and the stamp [ns], 0 if the message has none."""
+
+    def __init__(self) -> None:
+        self.frames, self.people_names, self.situation_names = Names(), Names(), Names()
+        self.transforms = Table(4, 3)  # parent, child; x, y, yaw
+        self.static = Table(4, 3)  # likewise
+        self.odometry = Table(3, 5)  # frame; x, y, yaw, m/s ahead, m/s to the left
+        self.poses = Table(3, 3)  # frame; x, y, yaw: of the robot, without speeds
+        self.people = Table(5, 5)  # frame, person, group or -1; x, y, vx, vy, yaw with NaN for what is not known
+        self.commands = Table(2, 2)  # m/s, rad/s
+        self.goals = Table(3, 2)  # frame; x, y
+        self.maps = Table(2, 0)
+        self.situations = Table(3, 1)  # situation; 1 while it holds
+        self.robot_topic = ""  # as the user names it
+        self.people_topic: str | None = None
+
+    @property
+    def tables(self) -> list[Table]:
+        """All tables."""
+        return [each for each in vars(self).values() if isinstance(each, Table)]
+
+
+def read(path: Path | str, people: str | None = None, robot: str | None = None) -> Recording:
+    """The messages of a bag about people and the robot.
+
+    Args:
+        path: a .bag file, the folder of a rosbag2, or a .mcap or .db3 file in it.
+        people: topic of the people; the first with people if None.
+        robot: topic of the robot's pose; odometry, transforms or a pose, in this order, if None.
+
+    Raises:
+        FileError: the bag cannot be read, or has neither people nor a robot.
+    """
+    path = Path(path)
+    with open_bag(path) as bag:
+        for topic in (people, robot):
+            if topic is not None and topic not in bag.types:
+                raise file_error(path, f"has no topic {topic}{suggest(topic, bag.types) or '; it has others'}")
+        reader = Reader(path, bag, people or _topic_of_people(bag.types), robot or _topic_of_robot(bag.types))
+        reader.recording.robot_topic = robot or ""
+        return reader.read()
+
+
+def _topic_of_people(kinds: dict[str, str]) -> str | None:
+    for kind in PEOPLE_TYPES:
+        for name in sorted(name for name, each in kinds.items() if each == kind):
+            if kind in PEOPLE_TYPES[:2] or any(word in name.lower() for word in PEOPLE_WORDS):
+                return name
+    return None
+
+
+def _topic_of_robot(kinds: dict[str, str]) -> str | None:
+    """Odometry, or else a pose with covariance, which counts if there are no transforms of the robot."""
+    named = [name for name, kind in kinds.items() if kind == ODOMETRY]
+    if named:
+        return min(named, key=lambda name: (name not in ("/odom", "/robot_odom"), name))
+    return next((name for name, kind in kinds.items() if kind == POSE_WITH_COVARIANCE and "initial" not in name), None)
+
+
+class Reader:
+    """Reads the messages of a bag into the tables of a ``Recording``."""
+
+    def __init__(self, path: Path, bag: OpenBag, people: str | None, robot: str | None):
+        self._path, self._bag, self._people, self._robot = path, bag, people, robot
+        self.recording = Recording()
+        self.recording.people_topic = people
+
+    def read(self) -> Recording:
+        """All messages that count.
+
+        Raises:
+            FileError: the bag is damaged, too large, or has neither people nor a robot.
+        """
+        readers = self._readers()
+        maps = [name for name, kind in self._bag.types.items() if kind == "nav_msgs/msg/OccupancyGrid"]
+        recording = self.recording
+        for message in self._bag.messages(readers, [name for name in maps if name not in readers]):
+            if message.content is None:
+                recording.maps.add((message.received, 0), ())
+            else:
+                readers[message.topic](message)
+            if sum(table.size for table in recording.tables) > MAX_BYTES:
+                raise self._error("has more than 200 MB of positions, transforms and commands; cut the bag")
+        in_transforms = any(name in BASES for name in recording.frames.all)
+        if not (len(recording.odometry) or len(recording.poses) or len(recording.people) or in_transforms):
+            kinds = sorted(self._bag.types.items())
+            listed = ", ".join(f"{name[:60]} ({kind.rpartition('/')[2][:40]})" for name, kind in kinds[:12])
+            cure = "name them by --people-topic or --robot-topic"
+            raise self._error(f"has neither people nor a robot that are known, but {listed or 'nothing'}; {cure}")
+        return recording
+
+    def _error(self, text: str) -> Exception:
+        return file_error(self._path, text)
+
+    def _readers(self) -> dict[str, Callable[[Recorded], None]]:
+        """Topic -> what reads its messages."""
+        found: dict[str, Callable[[Recorded], None]] = {}
+        for topic, kind in self._bag.types.items():
+            if kind in TRANSFORMS:
+                found[topic] = self._transforms
+            elif kind in TWISTS and topic.endswith("cmd_vel"):
+                found[topic] = self._command
+            elif kind == POSE and "goal" in topic:
+                found[topic] = self._goal
+            elif kind == "std_msgs/msg/Float32" and topic.startswith(SITUATIONS):
+                found[topic] = self._situation
+        if self._people is not None:
+            kind = self._bag.types[self._people]
+            if kind not in PEOPLE_TYPES:
+                known = ", ".join(kind.replace("/msg", "") for kind in PEOPLE_TYPES)
+                raise self._error(f"{self._people} has messages {kind}; give a topic of {known}")
+            found[self._people] = self._people_of
+        if self._robot is not None:
+            kind = self._bag.types[self._robot]
+            known = (ODOMETRY, POSE_WITH_COVARIANCE, POSE)
+            if kind not in known:
+                words = ", ".join(kind.replace("/msg", "") for kind in known)
+                raise self._error(f"{self._robot} has messages {kind}; give a topic of {words}")
+            found[self._robot] = self._odometry if kind == ODOMETRY else self._pose
+        return found
+
+    # ---------------------------------------------------------------- messages
+
+    def _transforms(self, message: Recorded) -> None:
+        table = self.recording.static if message.topic.endswith("tf_static") else self.recording.transforms
+        for each in message.content.transforms:
+            place, turn = each.transform.translation, each.transform.rotation
+            pose = (place.x, place.y, _yaw(turn))
+            if not all(abs(value) <= MAX_COORDINATE for value in pose):
+                continue  # as tf2 does with transforms that are not finite
+            parent, child = self._frame(each.header), self.recording.frames(_bare(each.child_frame_id))
+            table.add((message.received, _stamp(each.header), parent, child), pose)
+
+    def _odometry(self, message: Recorded) -> None:
+        content = message.content
+        pose, speed = self._checked_pose(message, content.pose.pose), content.twist.twist.linear
+        speeds = self._checked(message, "speed", (speed.x, speed.y), MAX_SPEED)
+        self.recording.odometry.add(self._times(message), (*pose, *speeds))
+
+    def _pose(self, message: Recorded) -> None:
+        pose = message.content.pose
+        pose = self._checked_pose(message, pose.pose if hasattr(pose, "pose") else pose)
+        self.recording.poses.add(self._times(message), pose)
+
+    def _command(self, message: Recorded) -> None:
+        velocity = getattr(message.content, "twist", message.content)
+        command = self._checked(message, "command", (velocity.linear.x, velocity.angular.z), MAX_SPEED)
+        stamped = hasattr(message.content, "header")
+        self.recording.commands.add((message.received, _stamp(message.content.header) if stamped else 0), command)
+
+    def _goal(self, message: Recorded) -> None:
+        x, y, _ = self._checked_pose(message, message.content.pose, "goal")
+        self.recording.goals.add(self._times(message), (x, y))
+
+    def _situation(self, message: Recorded) -> None:
+        number = self.recording.situation_names(message.topic.removeprefix(SITUATIONS))
+        self.recording.situations.add((message.received, 0, number), (float(message.content.data > 0.5),))
+
+    def _people_of(self, message: Recorded) -> None:
+        content, unknown = message.content, (math.nan, math.nan)
+        header = getattr(content, "header", None)
+        if hasattr(content, "people"):
+            for each in content.people:
+                tags = dict(zip(each.tagnames, each.tags, strict=False))
+                number = parse_digits(str(tags.get("group", "")))
+                group = -1 if number is None or number >= 2**31 else number  # 32 bits hold it
+                velocity = each.velocity.x, each.velocity.y
+                self._person(message, header, each.name, each.position, velocity, _number(tags.get("heading")), group)
+        elif hasattr(content, "agents"):
+            for each in content.agents:
+                velocity, yaw = (each.twist.linear.x, each.twist.linear.y), _yaw(each.pose.orientation)
+                self._person(message, header, str(each.track_id), each.pose.position, velocity, yaw)
+        elif hasattr(content, "poses"):
+            for index, each in enumerate(content.poses):
+                self._person(message, header, str(index), each.position, unknown, _yaw(each.orientation))
+        else:
+            for each in content.markers:
+                if each.action == 0 and each.type in (1, 2, 3, 10):  # boxes, balls, cylinders, meshes
+                    name, yaw = f"{each.ns} {each.id}", _yaw(each.pose.orientation)
+                    self._person(message, each.header, name, each.pose.position, unknown, yaw)
+
+    def _person(
+        self, message: Recorded, header: Any, name: str, place: Any, velocity: tuple, yaw: float, group: int = -1
+    ) -> None:
+        what = f"{name[:40]}, a person,"
+        position = self._checked(message, what, (place.x, place.y), MAX_COORDINATE)
+        if not all(math.isnan(value) for value in velocity):
+            velocity = self._checked(message, f"the speed of {name[:40]}", velocity, MAX_SPEED)
+        names = self.recording.people_names
+        whole = (message.received, _stamp(header), self._frame(header), names(name), group)
+        self.recording.people.add(whole, (*position, *velocity, yaw))
+        if len(names) > MAX_PEOPLE:
+            raise self._error(f"{message.topic}: has more than {MAX_PEOPLE:,} people; cut the bag")
+
+    # ---------------------------------------------------------------- parts of messages
+
+    def _frame(self, header: Any) -> int:
+        return self.recording.frames(_bare(header.frame_id))
+
+    def _times(self, message: Recorded) -> tuple[int, int, int]:
+        header = message.content.header
+        return message.received, _stamp(header), self._frame(header)
+
+    def _checked_pose(self, message: Recorded, pose: Any, what: str = "robot") -> tuple[float, float, float]:
+        x, y = self._checked(message, what, (pose.position.x, pose.position.y), MAX_COORDINATE)
+        (yaw,) = self._checked(message, f"heading of the {what}", (_yaw(pose.orientation),), MAX_SPEED)
+        return x, y, yaw
+
+    def _checked(self, message: Recorded, what: str, values: tuple[float, ...], limit: float) -> tuple[float, ...]:
+        """The numbers of a message; FileError if one is not finite, or beyond the limit."""
+        if not all(abs(value) <= limit for value in values):
+            numbers = ", ".join(f"{value:g}" for value in values)
+            raise self._error(f"{message.topic}: {what} is at ({numbers}); cut those messages out")
+        return values
+
+
+def _bare(frame: str) -> str:
+    return frame.lstrip("/")
+
+
+def _stamp(header: Any) -> int:
+    """The time [ns] of a header; 0 if it has none."""
+    if header is None:
+        return 0
+    return header.stamp.sec * SECOND + header.stamp.nanosec
+
+
+def _yaw(turn: Any) -> float:
+    return math.atan2(2 * (turn.w * turn.z + turn.x * turn.y), 1 - 2 * (turn.y * turn.y + turn.z * turn.z))
+
+
+def _number(text: str | None) -> float:
+    """A finite number in a text, or NaN."""
+    try:
+        value = float(text or "nan")
+    except ValueError:
+        return math.nan
+    return value if abs(value) < 1e3 else math.nan

@@ -1,0 +1,397 @@
+"""Bags of others, opened within bounds: all that the package ``rosbags`` reads of them passes through here.
+
+A bag may be damaged, or made to do harm. Only regular files are opened; what is unpacked of them, a message, and the
+definition of a message are bounded before memory is used. Whatever ``rosbags`` raises becomes a sentence.
+"""
+
+import bz2
+import contextlib
+import sqlite3
+from collections.abc import Callable, Collection, Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, NamedTuple
+
+import pydantic
+
+from sean_jax import files
+from sean_jax.ros.messages import typestore
+
+MAX_FILE = 10**12  # bytes of a file of a bag
+MAX_PART = 100_000_000  # bytes that are read or unpacked at once: a chunk
+MAX_UNPACKED = 1_000_000_000, 100  # bytes that a bag may unpack to, and as many more for each byte of its files
+MAX_MESSAGE = 4_000_000  # bytes of a message that is decoded
+MAX_DEFINITION = 200_000  # characters of a message's definition
+MAX_FIELDS = 2_000  # of a message, with those of the messages in it
+CURE = "mend it with `rosbag reindex` or `mcap recover`, or record it again"
+SUFFIXES = (".bag", ".mcap", ".db3")
+
+
+# ------------------------------------------------------------------ metadata.yaml
+
+
+class TopicMetadata(pydantic.BaseModel):
+    """A topic of a rosbag2."""
+
+    name: str
+    type: str
+    serialization_format: str
+
+
+class TopicCount(pydantic.BaseModel):
+    """A topic of a rosbag2, and how many messages it has."""
+
+    topic_metadata: TopicMetadata
+    message_count: int
+
+
+class BagDuration(pydantic.BaseModel):
+    """Time from the first message to the last."""
+
+    nanoseconds: int
+
+
+class BagStart(pydantic.BaseModel):
+    """Time of the first message."""
+
+    nanoseconds_since_epoch: int
+
+
+class BagInformation(pydantic.BaseModel):
+    """What ``rosbags`` needs of a rosbag2's metadata."""
+
+    version: int
+    storage_identifier: str
+    relative_file_paths: list[str]
+    message_count: int
+    duration: BagDuration
+    starting_time: BagStart
+    topics_with_message_count: list[TopicCount]
+    compression_format: str | None = None
+    compression_mode: str | None = None
+
+
+class BagMetadata(pydantic.BaseModel):
+    """The file metadata.yaml of a rosbag2."""
+
+    rosbag2_bagfile_information: BagInformation
+
+
+def _check_metadata(metadata: BagMetadata) -> Iterator[tuple[tuple[str, ...], str]]:
+    about, key = metadata.rosbag2_bagfile_information, "rosbag2_bagfile_information"
+    if not 1 <= about.version <= 9:
+        yield (key, "version"), f"{about.version} is not one of 1 to 9, which are known"
+    if about.storage_identifier not in ("mcap", "sqlite3"):
+        yield (key, "storage_identifier"), f"{about.storage_identifier[:40]!r} is not one of mcap, sqlite3"
+    if (about.compression_format or "zstd") != "zstd":
+        yield (key, "compression_format"), f"{(about.compression_format or '')[:40]!r} is not zstd; convert the bag"
+    if not about.relative_file_paths:
+        yield (key, "relative_file_paths"), "names no file; restore it"
+    for each in about.topics_with_message_count:
+        if each.topic_metadata.serialization_format != "cdr":
+            form = each.topic_metadata.serialization_format[:40]
+            yield (key, "topics_with_message_count"), f"{form!r} is a serialization format that is not known; use cdr"
+
+
+# ------------------------------------------------------------------ files and what is packed in them
+
+
+class Budget:
+    """How many bytes a bag may still unpack to."""
+
+    def __init__(self, path: Path, size: int):
+        self.path, self.rest = path, MAX_UNPACKED[0] + MAX_UNPACKED[1] * size
+
+    def take(self, size: int) -> None:
+        """Take so many bytes; FileError if there are none left."""
+        self.rest -= size
+        if self.rest < 0:
+            raise files.file_error(self.path, "unpacks to far more than it is; cut pictures and points out of the bag")
+
+    def unpack(self, start: Callable[[], Any], data: bytes) -> bytes:
+        """The unpacked content of one chunk, of one or several streams of a decompressor.
+
+        Args:
+            start: makes a decompressor with ``decompress(data, max_length)``, as of bz2.
+        """
+        parts, size = [], 0
+        while data:
+            stream = start()
+            part = stream.decompress(data, MAX_PART - size + 1)
+            size += len(part)
+            if size > MAX_PART:
+                raise files.file_error(self.path, f"has a chunk of more than {MAX_PART:,} bytes; cut the bag")
+            self.take(len(part))
+            if not stream.eof:
+                raise files.file_error(self.path, f"is damaged: a chunk is cut off; {CURE}")
+            parts.append(part)
+            data = stream.unused_data
+        return b"".join(parts)
+
+    def plain(self, data: bytes) -> bytes:
+        """A chunk that is not packed."""
+        self.take(len(data))
+        return data
+
+
+class BoundedFile:
+    """A regular file, of which no more than ``MAX_PART`` bytes are read at once."""
+
+    def __init__(self, path: Path):
+        self._stack, self._path = contextlib.ExitStack(), path
+        self._stream = self._stack.enter_context(files.open_file(path, MAX_FILE))
+
+    def read(self, size: int = -1) -> bytes:
+        """At most so many bytes; FileError if they are too many."""
+        if size is None or size < 0:
+            size = MAX_PART + 1
+            data = self._stream.read(size)
+        else:
+            data = self._stream.read(min(size, MAX_PART + 1))
+        if len(data) > MAX_PART:
+            raise files.file_error(self._path, f"has a part of more than {MAX_PART:,} bytes; cut the bag")
+        return data
+
+    def readline(self) -> bytes:
+        """A short line."""
+        return self._stream.readline(100)
+
+    def seek(self, place: int, whence: int = 0) -> int:
+        """Go to a place."""
+        return self._stream.seek(place, whence)
+
+    def tell(self) -> int:
+        """The place."""
+        return self._stream.tell()
+
+    def close(self) -> None:
+        """Close the file."""
+        self._stack.close()
+
+    def __enter__(self) -> "BoundedFile":
+        return self
+
+    def __exit__(self, *error: Any) -> None:
+        self.close()
+
+
+class BoundedPath(type(Path())):
+    """A path that ``rosbags`` opens as a ``BoundedFile``."""
+
+    def open(self, *_: Any, **__: Any) -> Any:
+        """The file, to be read as bytes."""
+        return BoundedFile(Path(self))
+
+    def read_text(self, *_: Any, **__: Any) -> str:
+        """The text of a file that people write."""
+        return files.read_text(Path(self))
+
+
+@contextlib.contextmanager
+def _bounded_unpacking(budget: Budget) -> Iterator[None]:
+    """In this block ``rosbags`` unpacks within a budget; by itself it knows no bounds."""
+    import lz4.frame  # pyright: ignore[reportMissingImports]
+    from rosbags.rosbag1 import reader as rosbag1
+    from rosbags.rosbag2 import reader as rosbag2
+    from rosbags.rosbag2 import storage_mcap
+
+    zstd = rosbag2.zstd
+
+    class UnpackedFile(zstd.ZstdFile):
+        def read(self, size: int | None = -1) -> bytes:
+            data = super().read(MAX_PART if size is None or size < 0 else size)
+            budget.take(len(data))
+            return data
+
+    lz4_start, zstd_start = lz4.frame.LZ4FrameDecompressor, zstd.ZstdDecompressor
+    of_bags = {
+        "none": budget.plain,
+        "bz2": lambda data: budget.unpack(bz2.BZ2Decompressor, data),
+        "lz4": lambda data: budget.unpack(lz4_start, data),
+    }
+    of_mcap = {
+        "": lambda data, _: budget.plain(data),
+        "lz4": lambda data, _: budget.unpack(lz4_start, data),
+        "zstd": lambda data, _: budget.unpack(zstd_start, data),
+    }
+    bounded_zstd = SimpleNamespace(
+        decompress=lambda data: budget.unpack(zstd_start, data), open=lambda stream, _: UnpackedFile(stream)
+    )
+    changes = [
+        (rosbag1, "decompressors", of_bags),
+        (storage_mcap, "DECOMPRESSORS", of_mcap),
+        (rosbag2, "zstd", bounded_zstd),
+    ]
+    with contextlib.ExitStack() as stack:
+        for module, name, ours in changes:
+            stack.callback(setattr, module, name, getattr(module, name))
+            setattr(module, name, ours)
+        yield
+
+
+def _check_database(path: Path) -> None:
+    """FileError unless a file of SQLite has plain tables alone, as others compute rows without end."""
+    address = f"{path.resolve().as_uri()}?mode=ro&immutable=1"
+    with files.sentence(path, CURE), contextlib.closing(sqlite3.connect(address, uri=True)) as database:
+        for kind, name, words in database.execute("SELECT type, name, sql FROM sqlite_master").fetchall():
+            computed = kind not in ("table", "index")
+            if kind == "table":
+                computed = not str(words).lstrip().upper().startswith("CREATE TABLE")
+                quoted = str(name).replace('"', '""')
+                computed |= any(row[6] for row in database.execute(f'PRAGMA table_xinfo("{quoted}")'))
+            if computed:
+                raise files.file_error(path, f"{str(name)[:60]} is no plain table, and so it is no bag; {CURE}")
+
+
+# ------------------------------------------------------------------ an open bag
+
+
+class Recorded(NamedTuple):
+    """A message of a bag."""
+
+    topic: str
+    type: str  # such as nav_msgs/msg/Odometry
+    received: int  # ns
+    content: Any  # decoded; None if it was not asked for
+
+
+class OpenBag:
+    """A bag that is open for reading."""
+
+    def __init__(self, path: Path, reader: Any, version: int):
+        self._path, self._reader, self._version = path, reader, version
+        self.types = {each.topic: each.msgtype for each in reversed(reader.connections)}
+        """Topic -> its type."""
+
+    def messages(self, decoded: Collection[str], noted: Collection[str] = ()) -> Iterator[Recorded]:
+        """The messages of some topics in the order of their recording, decoded or without their content.
+
+        Raises:
+            FileError: the bag is damaged, or a message is too large.
+        """
+        connections = [each for each in self._reader.connections if each.topic in {*decoded, *noted}]
+        if not connections:
+            return
+        stores = {each.topic: self._store(each) for each in connections if each.topic in decoded}
+        with files.sentence(self._path, CURE):
+            for connection, received, raw in self._reader.messages(connections):
+                if type(received) is not int:
+                    raise files.file_error(self._path, f"is damaged: a message has no time; {CURE}")
+                content = None
+                if connection.topic in stores:
+                    content = self._decode(stores[connection.topic], connection, raw)
+                yield Recorded(connection.topic, connection.msgtype, received, content)
+
+    def _decode(self, store: Any, connection: Any, raw: Any) -> Any:
+        if len(raw) > MAX_MESSAGE:
+            size = f"{connection.topic}: a message has {len(raw):,} bytes, and at most {MAX_MESSAGE:,} are read"
+            raise files.file_error(self._path, f"{size}; name other topics, or cut those messages out")
+        decode = store.deserialize_ros1 if self._version == 1 else store.deserialize_cdr
+        return decode(raw, connection.msgtype)
+
+    def _store(self, connection: Any) -> Any:
+        """The types of a topic as the bag defines them; those of ``typestore`` if it does not."""
+        from rosbags.interfaces import MessageDefinitionFormat
+        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+        form, text = connection.msgdef.format, connection.msgdef.data
+        if form == MessageDefinitionFormat.NONE:
+            return typestore(1 if self._version == 1 else 2)
+        where = f"the definition of {connection.msgtype} on {connection.topic}"
+        with files.sentence(self._path, f"{where} cannot be used; {CURE}"):
+            if len(text) > MAX_DEFINITION:
+                raise files.file_error(self._path, f"{where} has {len(text):,} characters; name another topic")
+            if form == MessageDefinitionFormat.MSG:
+                found = get_types_from_msg(text, connection.msgtype)
+            else:
+                found = _types_of_idl(text)
+            store = get_typestore(Stores.EMPTY)
+            if _count_fields({**store.fielddefs, **found}, connection.msgtype, ()) > MAX_FIELDS:
+                raise files.file_error(self._path, f"{where} has more than {MAX_FIELDS:,} fields; name another topic")
+            store.register(found)
+            return store
+
+
+def _types_of_idl(text: str) -> dict[str, Any]:
+    """The types of a definition in IDL: of one file, or of several with a line of = before each."""
+    from rosbags.typesys import get_types_from_idl
+
+    line = "=" * 80 + "\n"
+    if not text.startswith(f"{line}IDL: "):
+        return get_types_from_idl(text)
+    found: dict[str, Any] = {}
+    for part in text.split(line)[1:]:
+        found |= get_types_from_idl(part.partition("\n")[2])
+    return found
+
+
+def _count_fields(types: dict[str, Any], name: str, outer: tuple[str, ...]) -> int:
+    """The fields of a type with those of the types in it, up to ``MAX_FIELDS`` and some more.
+
+    Raises:
+        ValueError: a type is missing, holds itself, or has no field, so that a few bytes could be many of it.
+    """
+    if name in outer or name not in types or not types[name][1]:
+        raise ValueError(name)
+    count = 0
+    for _, (form, inner) in types[name][1]:
+        element = inner if form.name in ("BASE", "NAME") else inner[0]
+        of_type = form.name == "NAME" or (form.name in ("ARRAY", "SEQUENCE") and element[0].name == "NAME")
+        inside = (inner if form.name == "NAME" else element[1]) if of_type else None
+        count += 1 if inside is None else _count_fields(types, inside, (*outer, name))
+        if count > MAX_FIELDS:
+            return count
+    return count
+
+
+@contextlib.contextmanager
+def open_bag(path: Path) -> Iterator[OpenBag]:
+    """A bag: a .bag file, the folder of a rosbag2, or a .mcap or .db3 file.
+
+    Raises:
+        FileError: the bag cannot be read.
+    """
+    if not path.exists():
+        raise files.file_error(path, "there is no such file; give a .bag file or the folder of a rosbag2")
+    if path.suffix in (".mcap", ".db3") and (path.parent / "metadata.yaml").is_file():
+        path = path.parent
+    parts = _files(path)
+    size = 0
+    for part in parts:
+        with files.open_file(part, MAX_FILE) as stream:
+            start = stream.read(20)
+            size += stream.seek(0, 2)
+        if start.startswith(b"SQLite format 3"):
+            _check_database(part)
+    from rosbags.rosbag1 import Reader as Reader1
+    from rosbags.rosbag2 import Reader as Reader2
+
+    class IndexedReader(Reader1):
+        """A reader that reads no part of the index twice."""
+
+        indexed = 0
+
+        def read_index_data(self, *arguments: Any) -> None:
+            before = self.bio.tell()  # pyright: ignore[reportOptionalMemberAccess]
+            super().read_index_data(*arguments)
+            self.indexed += self.bio.tell() - before  # pyright: ignore[reportOptionalMemberAccess]
+            if self.indexed > size:
+                raise files.file_error(path, f"is damaged: its index is larger than the bag; {CURE}")
+
+    version = 1 if path.suffix == ".bag" else 2
+    with _bounded_unpacking(Budget(path, size)), contextlib.ExitStack() as stack:
+        with files.sentence(path, CURE):
+            reader = stack.enter_context((IndexedReader if version == 1 else Reader2)(BoundedPath(path)))
+            bag = OpenBag(path, reader, version)
+        yield bag
+
+
+def _files(path: Path) -> list[Path]:
+    """The files of messages of a bag."""
+    if not path.is_dir():
+        if path.suffix not in SUFFIXES:
+            known = ", ".join(SUFFIXES)
+            raise files.file_error(path, f"is no bag by its name; give a file that ends in {known}, or a folder")
+        return [path]
+    about = files.load(path / "metadata.yaml", BagMetadata, _check_metadata).rosbag2_bagfile_information
+    return [path / Path(name).name for name in about.relative_file_paths]
