@@ -50,7 +50,7 @@ class Frame(NamedTuple):
 def episode(frames: Sequence[Frame], title: str = "", outcome: str = "") -> replay.Episode:
     """Frames as an episode of a page."""
     stacked, path = jax.tree.map(lambda *leaves: np.stack(leaves), *frames)
-    return replay.Episode(stacked, title, outcome, plan=path)
+    return replay.Episode(stacked, title, outcome, plan=path, begin=0)
 
 
 class Moment(NamedTuple):
@@ -445,7 +445,8 @@ class Session:
                     yield {"index": index, "seconds": seconds, "limit": scenario.time_limit}
             metrics.append(self._summary(scenario, state))
             outcome = f"{'completed' if bool(state.completed) else 'timed out'} · {metrics[-1]['seconds']:.1f} s"
-            episode = replay.Episode(jax.tree.map(lambda *leaves: np.stack(leaves), *frames), "", outcome)
+            stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *frames)
+            episode = replay.Episode(stacked, "", outcome, begin=0)
             title = f"{name} · seed {seed} · episode {number}"
             recordings.append(replay.of_scenario(scenario, [episode], title))
         yield {"recordings": recordings, "metrics": metrics}
