@@ -28,7 +28,7 @@ from sean_jax import assembly, learning, pages, web
 from sean_jax.config import StudioConfig, validate
 from sean_jax.errors import FileError, InputError
 from sean_jax.learning import Recorder
-from sean_jax.studio import server, trial
+from sean_jax.studio import address, server, trial
 from sean_jax.studio.server import Studio
 from sean_jax.studio.session import Choice, Session
 
@@ -501,8 +501,8 @@ def get(address, **headers):
         return error.code, error.read().decode()
 
 
-def socket_of(studio, token=None, origin=None, path="socket"):
-    address = f"ws://127.0.0.1:{studio.port}/{path}?token={token or studio.token}"
+def socket_of(studio, token=None, origin=None, path="socket", name=""):
+    address = f"ws://127.0.0.1:{studio.port}/{path}?token={token or studio.token}&tab={name}"
     return connect(address, origin=origin or f"http://127.0.0.1:{studio.port}", compression=None)
 
 
@@ -575,6 +575,203 @@ def test_tabs_see_the_same_and_one_drives(served, fresh):
             assert (await until(three, "frames"))["first"] == length + 1
 
     asyncio.run(go())
+
+
+async def ask(tab, **request):
+    await tab.send(json.dumps(request))
+
+
+async def role(tab, expected):
+    """The first status that says that this tab has a role."""
+    while (status := (await until(tab, "status"))["content"])["you"] != expected:
+        pass
+    return status
+
+
+def test_a_role_belongs_to_a_tab(served, fresh, monkeypatch):
+    """A driver that loads its page again drives; nobody becomes the driver by a command, and anybody by the wheel."""
+    monkeypatch.setattr(server, "RETURN", 1.0)
+    one_name, two_name = "a" * 36, "b" * 36
+
+    async def go():
+        async with socket_of(served, name=two_name) as two:
+            await role(two, "free")
+            async with socket_of(served, name=one_name) as one:
+                await ask(two, do="command", ahead=1.0, left=0.0)
+                await ask(two, do="view", name="none")
+                await role(one, "free")
+                await ask(one, do="drive", on=True)
+                await role(one, "driver")
+                assert (await role(two, "watcher"))["you"] == "watcher"
+                await ask(one, do="play", on=True)
+                await ask(two, do="command", ahead=1.0, left=0.0)
+                await until(one, "frames")
+
+            # its page is loaded again: meanwhile another tab does what tabs do, and gets nothing by it
+            await ask(two, do="command", ahead=1.0, left=0.0)
+            await ask(two, do="play", on=True)
+            assert "another tab drives" in (await until(two, "error"))["content"]
+            async with socket_of(served, name=one_name) as one:
+                assert (await role(one, "driver"))["human"]
+                assert not fresh.playing, "time stands still meanwhile"
+                await ask(one, do="play", on=True)
+                await ask(two, do="take")
+                await role(two, "driver")
+                await role(one, "watcher")
+                assert not fresh.playing
+                await ask(one, do="give back")
+                assert "take the wheel, or watch" in (await until(one, "error"))["content"]
+                await ask(one, do="take")
+                await role(one, "driver")
+                await role(two, "watcher")
+
+            # it does not come again: after a while anybody may drive
+            await role(two, "free")
+            await ask(two, do="drive", on=False)
+            await role(two, "driver")
+
+    asyncio.run(go())
+
+
+def test_a_tab_that_comes_before_the_old_one_is_gone_gets_its_role(served):
+    """The server hears of the closed socket later than of the new one."""
+
+    async def go():
+        async with socket_of(served, name="c" * 36) as new:
+            async with socket_of(served, name="c" * 36) as old:
+                await ask(old, do="drive", on=True)
+                await role(old, "driver")
+                await role(new, "watcher")
+            await role(new, "driver")
+
+    asyncio.run(go())
+
+
+def test_a_page_opens_what_it_offers_alone(served, fresh, tmp_path, monkeypatch):
+    """A message names no file: code that nobody typed is not run, in whatever option it stands."""
+    marker = tmp_path / "executed"
+    (tmp_path / "evil.py").write_text(f"import pathlib\npathlib.Path({str(marker)!r}).touch()\ndef go(*_): pass\n")
+    code = f"{tmp_path}/evil.py:go"
+
+    def build(config):
+        assembly.build(config)
+        learning.load_policy(config.policy, fresh.scenario)
+        return fresh
+
+    monkeypatch.setattr(server, "Session", build)
+    bad = [{name: value} for name in server.CHOICES for value in (code, {"kind": code}, [code])]
+    bad += [{"environment": str(tmp_path)}, {"people": code}, {"people": 10**400}, {"seed": True}, {"seed": -1},
+            {"model": code}, {"forces": [code]}, [code], code]  # fmt: skip
+
+    async def go():
+        async with socket_of(served) as tab:
+            for options in bad:
+                await ask(tab, do="open", options=options)
+                said = (await until(tab, "error"))["content"]
+                assert ("reload the page" in said or "no number" in said) and len(said) < 300, said
+
+    asyncio.run(go())
+    assert not marker.exists()
+
+
+def test_what_a_user_typed_stays_when_a_page_opens_another_scenario(tmp_path):
+    (tmp_path / "mine.py").write_text("def go(*_): pass\n")
+    code = f"{tmp_path}/mine.py:go"
+    config = validate(StudioConfig, OPTIONS | {"policy": code, "behavior": {"kind": "graph", "routing": "edge"}})
+    opened = server._opened(config, {"policy": code, "behavior": "graph", "environment": "warehouse", "people": ""})
+    assert opened.policy == config.policy and opened.behavior == config.behavior and opened.people is None
+    assert opened.environment == "warehouse" and opened.time_limit == config.time_limit
+    other = server._opened(config.replace(task="join_group"), {"behavior": "random"})
+    assert other.behavior.kind == "random" and other.task is None
+
+
+def test_a_tab_that_comes_later_has_the_metrics(served, fresh):
+    """Of the episode that has ended, until another one begins."""
+
+    async def go():
+        async with socket_of(served) as one:
+            await ask(one, do="play", on=True)
+            first = (await until(one, "card"))["content"]
+            async with socket_of(served) as two:
+                assert (await until(two, "card"))["content"] == first
+            await ask(one, do="episode", episode=1)
+            await until(one, "cut")
+            async with socket_of(served) as two:
+                kinds = [
+                    json.loads(text)["kind"] for text in [await two.recv() for _ in range(5)] if isinstance(text, str)
+                ]
+                assert kinds == ["hello", "edit", "drives", "status"]
+
+    asyncio.run(go())
+
+
+def test_a_view_that_compiles_holds_up_no_other_view(served, monkeypatch):
+    """The tab hears that it is prepared, and the other views go on."""
+    compiled = threading.Event()
+
+    def slow(self, name):
+        if name == "third_person":
+            assert compiled.wait(30)
+        return web.framed({"kind": "scan" if name == "lidar" else "picture", "name": name}, b"")
+
+    monkeypatch.setattr(Studio, "_view", slow)
+
+    async def go():
+        async with socket_of(served) as one, socket_of(served) as two:
+            await ask(one, do="view", name="third_person")
+            assert (await until(one, "preparing"))["content"] == "third_person"
+            await ask(two, do="view", name="lidar")
+            assert (await until(two, "scan"))["name"] == "lidar"
+            compiled.set()
+            assert (await until(one, "picture"))["name"] == "third_person"
+            await ask(two, do="view", name="third_person")
+            while (news := await asyncio.wait_for(two.recv(), 30)) and isinstance(news, str):
+                assert json.loads(news)["kind"] != "preparing", "it is there already"
+
+    try:
+        asyncio.run(go())
+    finally:
+        compiled.set()
+
+
+def test_a_thousand_wrong_messages_without_reading(served, caplog):
+    """The tab is closed, in no error of the server's own; another one goes on."""
+
+    async def go():
+        flood = raw(served, upgrade(served))
+        await asyncio.to_thread(wait, lambda: len(served._tabs) == 1)
+        text = json.dumps({"do": "x" * 80}).encode()
+        frame = bytes([0x81, 0x80 | len(text), 0, 0, 0, 0]) + text
+        with contextlib.suppress(OSError):
+            await asyncio.to_thread(flood.sendall, frame * 6000)
+        async with socket_of(served) as tab:
+            await until(tab, "hello")
+        flood.close()
+
+    asyncio.run(go())
+    assert not [record for record in caplog.records if record.exc_info], caplog.text
+
+
+def test_the_address_is_kept_for_its_owner_alone(tmp_path):
+    """So that a page goes on with a studio that has started again; an address that others may know is not used."""
+    first = address.recall(tmp_path)
+    assert first.port == 0 and len(first.token) == 22
+    address.keep(tmp_path, first._replace(port=4321))
+    file = tmp_path / address.FILE
+    assert file.stat().st_mode & 0o777 == 0o600 and address.recall(tmp_path) == (first.token, 4321)
+    file.chmod(0o644)
+    assert address.recall(tmp_path).token != first.token
+    for text in ("", "[", '{"token": "x", "port": 1}', '{"token": "' + "a" * 22 + '", "port": 99999999999}', "[" * 900):
+        file.unlink()
+        file.touch(0o600)
+        file.write_text(text)
+        assert address.recall(tmp_path).port == 0
+    file.unlink()
+    file.symlink_to("/dev/zero")
+    assert address.recall(tmp_path).port == 0
+    address.keep(tmp_path, first._replace(port=5))
+    assert not file.is_symlink() and address.recall(tmp_path).port == 5
+    assert address.recall(None).port == 0
 
 
 def test_large_messages_and_many_tabs_hurt_nobody(served):

@@ -317,22 +317,20 @@ class Studio:
             return "driver"
         return "watcher" if self._driver is not None or self._reserved else "free"
 
-    def _drive_by(self, tab: ServerConnection | None) -> None:
-        """Make a tab the driver, or none."""
+    def _drive_by(self, tab: ServerConnection | None, reserved: str = "") -> None:
+        """Make a tab the driver, or none; the role may be kept for the name of a tab that is gone."""
         if self._release is not None:
             self._release.cancel()
-        self._driver, self._reserved, self._release = tab, "", None
+        self._driver, self._reserved, self._release = tab, reserved, None
+        if reserved and self._loop is not None:
+            self._release = self._loop.call_later(RETURN, self._drive_by, None)
         self._put_status(self.session.status())
 
     async def _leave(self, name: str) -> None:
         """The driver's tab is gone: time stands still, and its role is kept for a while if it has a name."""
         self._end_comparison()
         heir = next((tab for tab in self._tabs if name and _name_of(tab) == name), None)  # it has loaded its page again
-        self._drive_by(heir)
-        if heir is None and name and self._loop is not None:
-            self._reserved = name
-            self._release = self._loop.call_later(RETURN, self._drive_by, None)
-            self._put_status(self.session.status())
+        self._drive_by(heir, name if heir is None else "")
         await asyncio.to_thread(self.session.play, False)
 
     async def _handle(self, tab: ServerConnection, message: str | bytes) -> None:
