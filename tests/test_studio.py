@@ -1001,12 +1001,14 @@ def test_a_killed_studio_loses_one_second_and_no_finished_drive(tmp_path):
     trials = sorted((tmp_path / "drives" / trial.TRIALS).iterdir())
     lengths = [len(trial.read(file).commands) for file in trials]
     assert len(trials) == 3 and min(lengths[:2]) >= 30 and lengths[2] >= 36
-    process, _ = start(tmp_path)
+    process, again = start(tmp_path, "--demonstrations", "all")
+    assert again == address, "open pages go on with it"
     process.send_signal(signal.SIGTERM)
     output, _ = process.communicate(timeout=120)
-    assert process.returncode == 0 and "3 demonstrations: drives/demonstrations" in " ".join(output.split()), output
-    data = learning.open_dataset(tmp_path / "drives" / trial.DATASET)
-    assert len(data.episodes) == 3
+    assert process.returncode == 0 and "3 demonstrations: drives/demonstrations-all" in " ".join(output.split()), output
+    assert "demonstrations: drive 3 of 3, 000002.jsonl" in output, "it says what it does"
+    data = learning.open_dataset(tmp_path / "drives" / trial.DATASETS["all"])
+    assert len(data.episodes) == 3 and data.by_person(data.episodes).all()
 
 
 @pytest.mark.slow
@@ -1084,11 +1086,38 @@ def test_a_browser_drives(tmp_path):
     assert done.returncode == 0, done.stderr[-3000:]
     seen = json.loads(done.stdout)
     assert seen["errors"] == [] and set(seen["hosts"]) == {address.split("/")[2]}
-    assert seen["outcomes"] == ["completed", "completed"] and seen["cards"] == ["you", "go_to_goal", "expert"]
+    assert seen["outcomes"] == ["completed", "completed"] and seen["cards"][1:] == ["go_to_goal", "expert"]
+    assert re.fullmatch(r"you \d+ %, go_to_goal \d+ %", seen["cards"][0])
     assert seen["gamepad"] > 0.1 and seen["rewound"] < seen["before"] and seen["picture"] == "third_person"
     assert "2 demonstrations" in " ".join(output.split())
     words = ["train", "imitation", "drives/demonstrations", "--epochs", "1", "--out", "network", "--quiet"]
     subprocess.run([sys.executable, "-m", "sean_jax", *words], cwd=tmp_path, check=True)
+
+
+@pytest.mark.slow
+def test_two_tabs_in_a_browser(tmp_path):
+    """A hand that clicks: keys drive afterwards, the other tab watches, and a reload changes neither role nor card."""
+    if CHROMIUM is None or not (WEB / "node_modules" / "playwright-core").is_dir():
+        pytest.skip("there is no Chromium, or web/node_modules is not there")
+    process, address = start(tmp_path)
+    try:
+        done = subprocess.run(["node", "test/roles.mjs", address, CHROMIUM, str(tmp_path)], cwd=WEB, timeout=300,
+                              capture_output=True, text=True, check=False)  # fmt: skip
+    finally:
+        process.terminate()
+        process.communicate(timeout=120)
+    assert done.returncode == 0, done.stderr[-3000:]
+    seen = json.loads(done.stdout)
+    assert seen["errors"] == [] and seen["sent"] == 0, "a tab that watches sends no command"
+    assert set(seen["speeds"].values()) == {True} and seen["list"], "keys drive, and change no list"
+    state, disabled, note = seen["watching"]
+    assert "watching · another tab drives" in state and note == ""
+    assert {"give back", "step", "stop recording", "edit", "next episode"} <= set(disabled)
+    assert "you drive" in seen["reloaded"][0] and "watching" in seen["reloaded"][1] and "watching" in seen["taken"]
+    assert seen["moved"] == 0 and seen["cards"][2:] == ["go_to_goal", "expert"]
+    assert re.fullmatch(r"you \d+ %, go_to_goal \d+ %", seen["cards"][1]) and seen["rows"][0] == "completedyesyesyes"
+    assert seen["drive"][4] == "completed" and seen["drive"][6] == "yes"
+    assert seen["preparing"] == ["none", False] and seen["caption"] == "depth"
 
 
 @pytest.mark.slow
