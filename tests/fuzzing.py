@@ -760,6 +760,44 @@ def studies(folder: Path) -> dict[str, Kind]:
     }
 
 
+def recorded_drive() -> bytes:
+    """Three seconds that a person and a policy have driven, with a way back, as the studio records them."""
+    lines: list[Any] = [{"version": 2, "options": {"environment": "lab", "people": 3, "seed": 0}, "episode": 4}]
+    for second in range(3):
+        commands = [[0.1 * second, -0.2 + 0.01 * step] for step in range(10)]
+        lines.append({"commands": commands, "by_person": [step < 5 for step in range(10)]})
+    lines += [{"rewind": 24}, {"commands": [[0.5, 0.0]], "by_person": [True]}, {"end": "completed"}]
+    return "".join(json.dumps(line) + "\n" for line in lines).encode()
+
+
+def load_trial(folder: Path) -> Any:
+    """A drive, and what the page lists of it; another program's file in its folder is told."""
+    import numpy as np
+
+    from sean_jax.studio import trial
+
+    path, place = folder / "000000.jsonl", folder / "drives" / trial.TRIALS
+    place.mkdir(parents=True)
+    if os.path.lexists(path):
+        shutil.copy(path, place, follow_symlinks=False) if path.is_file() else os.rename(path, place / path.name)
+    listed, told = trial.rows_of_page(folder / "drives"), trial.recover(folder / "drives")
+    json.dumps(listed, allow_nan=False)
+    assert all("Traceback" not in text and len(text) < 1000 for text in told), told
+    drive = trial.read(path if path.is_file() else place / path.name)
+    assert drive.commands.shape == (len(drive.commands), 2) and (np.abs(drive.commands) <= trial.MAX_COMMAND).all()
+    assert drive.by_person is None or len(drive.by_person) == len(drive.commands)
+    assert 0 <= drive.episode < 2**32 and isinstance(drive.options, dict)
+    return drive.commands, drive.by_person
+
+
+def in_json_lines(chance: random.Random, given: bytes) -> bytes:
+    """A line that is wrong as a tree."""
+    lines = given.split(b"\n")
+    place = chance.randrange(max(1, len(lines) - 1))
+    lines[place] = in_tree(chance, lines[place])
+    return b"\n".join(lines)
+
+
 def kinds(folder: Path) -> dict[str, Kind]:
     """Every kind of input, each with how many of a hundred mutants are of it."""
     import numpy as np
@@ -804,6 +842,7 @@ def kinds(folder: Path) -> dict[str, Kind]:
         "result": Kind(ranked, ("result.json", *(name for name in ranked if name.endswith(".npz"))), load_result, 10),
         "run": Kind(measured, ("episodes.csv", "episodes.csv", "report.html", "summary.json"), load_run, 12),
         "forces": Kind({"forces.yaml": constants.encode()}, ("forces.yaml",), load_forces, 10),
+        "trial": Kind({"000000.jsonl": recorded_drive()}, ("000000.jsonl",), load_trial, 10),
         "randomization": Kind({"my.yaml": bounds.encode()}, ("my.yaml",), load_randomization, 6),
         **studies(folder),
     }
@@ -890,7 +929,14 @@ def in_bytes(chance: random.Random, given: bytes) -> bytes:
 
 def structured(name: str) -> Callable[[random.Random, bytes], bytes]:
     """The mutation that knows the format."""
-    ways = {".yaml": in_tree, ".json": in_tree, ".xml": in_elements, ".csv": in_cells, ".html": in_values}
+    ways = {
+        ".jsonl": in_json_lines,
+        ".yaml": in_tree,
+        ".json": in_tree,
+        ".xml": in_elements,
+        ".csv": in_cells,
+        ".html": in_values,
+    }
     return ways[Path(name).suffix]
 
 

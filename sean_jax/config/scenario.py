@@ -324,6 +324,9 @@ class StudioConfig(ScenarioConfig):
     """Seconds for which people walk before a task begins."""
     record: Annotated[Path | None, Option(affects_results=False)] = None
     """Folder for recorded drives: their commands in trials/, and demonstrations for `sean train imitation`."""
+    demonstrations: Annotated[Literal["person", "all"], Option(affects_results=False)] = "person"
+    """Steps of recorded drives that become demonstrations: those that a person drove in completed drives, or `all`,
+    which has those of the policy and of drives that were stopped, too."""
     port: Annotated[int, fields.Number(0, 65535), Option(affects_results=False)] = 0
     """Port of the page on 127.0.0.1; 0 for a free one."""
     survey: Annotated[Path | None, Option(affects_results=False)] = None

@@ -118,7 +118,11 @@ def read_json(path: Path | str, strict: bool = True) -> Any:
         strict: words must not contain the ends of lines and other control characters.
     """
     path = Path(path)
-    text = read_text(path, MAX_RECORD)
+    return parse_json(path, read_text(path, MAX_RECORD), strict)
+
+
+def parse_json(path: Path | str, text: str, strict: bool = True) -> Any:
+    """The value of a text of JSON, such as one line of a file; arguments and errors as of ``read_json``."""
 
     def refuse(word: str) -> None:
         raise ValueError(f"{word} is not JSON")

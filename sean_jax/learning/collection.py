@@ -13,11 +13,11 @@ import dataclasses
 import functools
 import math
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -413,6 +413,14 @@ def _batch_size(config: CollectConfig, stacks: list[Stack[Scenario]]) -> int:
 # ------------------------------------------------------------------ commands from outside
 
 
+class EpisodePart(NamedTuple):
+    """Rows of a recorded episode that become a demonstration, and what the manifest says about it."""
+
+    first: int
+    end: int
+    about: Mapping[str, Any]
+
+
 class Recorder:
     """Demonstrations from any source of commands, outside ``jit``: a joystick, a web page, a planner, a list.
 
@@ -496,8 +504,8 @@ class Recorder:
         self.state = self._step(self.scenario, self.state, jnp.asarray(action, float))
         return self.state
 
-    def commit(self) -> None:
-        """Keep the episode.
+    def commit(self, parts: Sequence[EpisodePart] | None = None) -> None:
+        """Keep the episode, or parts of it, each as a demonstration of its own.
 
         Raises:
             IncompleteError: it cannot be written; it can be tried again.
@@ -506,16 +514,21 @@ class Recorder:
         """
         if self.state is None or not self._rows:
             raise InputError("recorder: there is nothing to commit; call begin and step first.")
-        rows = {}
-        for name, (shape, kind) in self.data.fields.items():
-            rows[name] = np.zeros((1, self.data.most_rows, *shape), kind)
-            rows[name][0, : len(self._rows)] = np.stack([getattr(one, name) for one in self._rows])
-        completed = np.array([bool(self.state.completed)])
+        parts = [EpisodePart(0, len(self._rows), {})] if parts is None else parts
         with writing.folder_lock(self.data.folder):
             if dataset.open_dataset(self.data.folder).manifest != self.data.manifest:
                 raise InputError(f"{self.data.folder} was continued by another program; record in another folder.")
-            self.data.commit(0, EpisodeBatch(rows, np.array([len(self._rows)]), completed))
+            for part in parts:
+                self.data.commit(0, self._batch(self._rows[part.first : part.end]), about=part.about)
         self.discard()
+
+    def _batch(self, recorded: Sequence[Any]) -> EpisodeBatch:
+        """Rows of this episode as a batch of one."""
+        rows = {}
+        for name, (shape, kind) in self.data.fields.items():
+            rows[name] = np.zeros((1, self.data.most_rows, *shape), kind)
+            rows[name][0, : len(recorded)] = np.stack([getattr(one, name) for one in recorded])
+        return EpisodeBatch(rows, np.array([len(recorded)]), np.array([bool(self.state.completed)]))
 
     def discard(self) -> None:
         """Forget the episode."""

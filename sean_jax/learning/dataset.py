@@ -18,7 +18,7 @@ import itertools
 import json
 import math
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -64,6 +64,10 @@ class Shard(Keys):
     completed: list[bool]
     bytes: dict[str, Annotated[int, pydantic.Field(ge=0, lt=2**62)]]  # of the file of each field
     floors: list[Count] | None = None  # index of each episode's floor, if there are several
+    trial: Annotated[str, pydantic.Field(max_length=300)] | None = None  # the file of the drive that it is from
+    sha256: Annotated[str, pydantic.Field(pattern="^[0-9a-f]{64}$")] | None = None  # of that file
+    rows: tuple[Count, Count] | None = None  # of the drive: the first, and the one after the last
+    by_person: list[bool] | None = None  # of each row: whether a person drove
 
 
 class Robot(Keys):
@@ -110,6 +114,8 @@ def _check_relations(manifest: Manifest, fields: tuple[str, ...]) -> Iterator[fi
         for name, values in (("lengths", shard.lengths), ("completed", shard.completed)):
             if len(values) != manifest.batch:
                 yield (*here, name), f"has {len(values)} values, and a batch has {manifest.batch} episodes"
+        if shard.by_person is not None and len(shard.by_person) != sum(shard.lengths):
+            yield (*here, "by_person"), f"has {len(shard.by_person)} values for {sum(shard.lengths)} rows"
         several = len(manifest.environments)
         if shard.floors is not None or several:
             floors = shard.floors or []
@@ -385,11 +391,22 @@ class Dataset:
         rows: Any = Row(**self.read(episodes))  # pyright: ignore[reportArgumentType]
         return Recording(rows, first, end, self.rate)  # pyright: ignore[reportArgumentType]
 
-    def commit(self, stream: int, batch: EpisodeBatch, shard: int | None = None) -> None:
+    def by_person(self, episodes: Sequence[Episode]) -> np.ndarray:
+        """(R,) whether a person drove at each row of the episodes; all rows of a dataset that does not say it."""
+        columns = [np.ones(0, bool)]
+        for episode in episodes:
+            told = self.manifest["shards"][episode.number // self.batch].get("by_person")
+            columns.append(np.ones(episode.length, bool) if told is None else np.asarray(told[: episode.length], bool))
+        return np.concatenate(columns)
+
+    def commit(
+        self, stream: int, batch: EpisodeBatch, shard: int | None = None, about: Mapping[str, Any] | None = None
+    ) -> None:
         """Write a batch of episodes as a shard, then name it in the manifest.
 
         Args:
             shard: index of a damaged shard that it replaces; the next new one if None.
+            about: further entries of the shard in the manifest.
 
         Raises:
             IncompleteError: it cannot be written. Shards that were committed before are kept.
@@ -400,9 +417,22 @@ class Dataset:
         entry = {"stream": stream, "lengths": lengths, "completed": completed, "bytes": sizes}
         if batch.floors is not None:
             entry["floors"] = batch.floors.tolist()
+        entry |= about or {}
         shards = list(self.manifest["shards"])
         shards[index : index + 1] = [entry]
         self.save({**self.manifest, "shards": shards})
+
+    def cut(self, shards: int) -> None:
+        """Forget the shards after the first so many, and remove their files.
+
+        Raises:
+            IncompleteError: the manifest cannot be written.
+        """
+        count = len(self.manifest["shards"])
+        self.save({**self.manifest, "shards": self.manifest["shards"][:shards]})
+        for index in range(shards, count):
+            for name in self.fields:
+                self._file(name, index).unlink(missing_ok=True)
 
     def save(self, manifest: dict[str, Any]) -> None:
         """Replace the manifest.

@@ -68,6 +68,7 @@ class Episode:
     title: str
     outcome: str = ""
     plan: np.ndarray | None = None  # (T, K, 2) m, the planned path ahead of the robot
+    begin: int = 1  # steps before the first frame: a trajectory begins after the first step
 
 
 def recording(
@@ -207,7 +208,12 @@ def packed(episode: Episode, names: Sequence[str], robot: bool = True) -> tuple[
     }
     if episode.plan is not None:
         columns |= {"plan x": episode.plan[..., 0], "plan y": episode.plan[..., 1]}
-    head = {"title": episode.title, "outcome": episode.outcome, "frames": len(frames.active)}
+    head = {
+        "title": episode.title,
+        "outcome": episode.outcome,
+        "frames": len(frames.active),
+        "begin": episode.begin,
+    }
     columns, numbers = encode(columns, KINDS)
     return head | {"columns": columns}, numbers
 

@@ -5,12 +5,15 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import os
+import socket
+import time
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from sean_jax import components, files, pages, writing
 from sean_jax.config import StudioConfig
 from sean_jax.errors import InputError
-from sean_jax.studio import trial
+from sean_jax.studio import address, trial
 from sean_jax.studio.server import Studio
 from sean_jax.web import HOST
 
@@ -27,34 +30,64 @@ def run(config: StudioConfig, console: Console) -> None:
         InputError: the options cannot be met, or the port is taken.
         WriteError: another process records in the folder.
     """
+
+    def say(text: str) -> None:
+        console.print(text, highlight=False, soft_wrap=True, markup=False)
+
     with contextlib.ExitStack() as stack:
         stack.enter_context(components.read_once())
         if config.record is not None:
             stack.enter_context(writing.folder_lock(config.record))
-            for file in trial.recover(config.record):
-                console.print(f"{file} was stopped; it ends after its last whole second", highlight=False)
+            for text in trial.recover(config.record):
+                say(text)
         try:
-            serve(config, console)
+            serve(config, say)
         finally:
-            if config.record is not None and (data := trial.demonstrations(config)) is not None:
-                text = f"{len(data.episodes)} demonstrations: {data.folder}"
-                console.print(text, highlight=False, soft_wrap=True)
+            if config.record is not None:
+                make_demonstrations(config, say)
 
 
-def serve(config: StudioConfig, console: Console) -> None:
+def make_demonstrations(config: StudioConfig, say: Callable[[str], None]) -> None:
+    """Make demonstrations of the recorded drives, and say what became of them."""
+    assert config.record is not None
+    trial.recover(config.record)  # a drive that could not be written to its end
+    made = trial.demonstrations(config, say)
+    for text in made.said:
+        say(text)
+    if made.data is not None:
+        say(f"{len(made.data.episodes)} demonstrations: {made.data.folder}")
+
+
+def serve(config: StudioConfig, say: Callable[[str], None]) -> None:
     """Serve the page until Ctrl-C."""
     script = files.read_text(pages.PACKAGE / "studio" / "page.js")
     page = pages.render(TEMPLATE, title="Studio", kicker="sean_jax", script=script)
-    with console.status("compiling"):
-        studio = Studio(config, page)
+    kept = address.recall(config.record)
+    began = time.monotonic()
+    say("studio: building and compiling the scenario; the first time this takes a minute or more")
+    studio = Studio(config, page, kept.token)
 
     def ready() -> None:
-        console.print(f"studio: {studio.url}", highlight=False, soft_wrap=True)
+        address.keep(config.record, address.Address(studio.token, studio.port))
+        say(f"studio: ready after {time.monotonic() - began:.0f} s")
+        say(f"studio: {studio.url}")
 
     try:
-        asyncio.run(studio.run(config.port, ready))
+        asyncio.run(studio.run(_port(config, kept), ready))
     except OSError as error:
         reason = os.strerror(error.errno) if error.errno else str(error)
         raise InputError(f"port: {config.port} of {HOST} is not free ({reason}); choose another.") from None
     finally:
+        say("studio: stopping")
         studio.close()
+
+
+def _port(config: StudioConfig, kept: address.Address) -> int:
+    """The port of the options, or the one that the folder's pages know if it is free, or any free one."""
+    if config.port or not kept.port:
+        return config.port
+    with socket.socket() as probe, contextlib.suppress(OSError):
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        probe.bind((HOST, kept.port))
+        return kept.port
+    return 0

@@ -28,12 +28,21 @@ from sean_jax.errors import FileError, InputError
 from sean_jax.graph import graph_of
 from sean_jax.graph.formation import reach
 from sean_jax.handcrafted import annotation
+from sean_jax.messages import shorten
+from sean_jax.quantities import MAX_COORDINATE
 from sean_jax.studio import scene_text, yaml_text
 
 GRAPH, SETS = "graph.yaml", annotation.FILE
 FILES = GRAPH, SETS, SCENE
 KEYS = ("position", "radius", "spawn", "weight", "capacity", "stay")  # of a node that can be changed
+FORMS = {
+    "node": [{"add", "position", "edge"}, {"remove"}, set(KEYS)],
+    "edge": [{"flow"}],
+    "set": [{"point", "position", "heading"}],
+    "box": [{"add", "position"}, {"remove"}, {"position", "size", "height", "turn"}],
+}  # what a change of each has besides its name
 DIGITS = 3  # of numbers from a page
+MAX_NAME = 100  # characters of a name from a page
 WAYPOINT = "{{kind: waypoint, position: [{}, {}], radius: 0.5, spawn: 1}}"
 GROUP = "{{kind: group, position: [{}, {}], radius: 0.5, spawn: 1, capacity: 2, stay: [5, 10]}}"
 
@@ -71,6 +80,7 @@ class Editor:
         word = next((word for word in ("node", "edge", "set", "box") if word in change), None)
         if word is None:
             raise InputError("edit: it names no node, edge, set or box; reload the page.")
+        _check_form(word, change)
         if word in ("node", "edge"):
             if graph_of(scenario) is None:
                 raise InputError(f"edit: behavior '{scenario.behavior.name}' has no graph.")
@@ -82,6 +92,8 @@ class Editor:
         else:
             self._check_own()
             name, text = SCENE, changed_scene(self.texts[SCENE], self.boxes, change)
+        if text == self.texts[name]:
+            return scenario
         made = self._build(name, text, scenario)
         self.history.append((name, self.texts[name]))
         self.texts[name] = text
@@ -189,6 +201,26 @@ class Editor:
         return dataclasses.replace(scenario, behavior=made)
 
 
+def _check_form(word: str, change: Mapping[str, Any]) -> None:
+    """Refuse names that are too long, and keys that a node, an edge, a set or a box does not have.
+
+    Raises:
+        InputError: it names the key.
+    """
+    keys = change.keys() - {word}
+    forms = FORMS[word]
+    if not any(keys <= form for form in forms):
+        known = set.union(*forms)
+        unknown = sorted(keys - known) or sorted(keys)
+        name = shorten(repr(change[word]))
+        raise InputError(f"edit: {shorten(unknown[0])!r} of {word} {name} is not for the page; edit the file.")
+    named = [change[word], *(change[key] for key in ("edge", "flow", "point") if key in change)]
+    for value in [part for each in named for part in (each if isinstance(each, list) else [each])]:
+        if isinstance(value, str) and len(value) > MAX_NAME:
+            length = f"{len(value):,} characters, and a name has {MAX_NAME} at most"
+            raise InputError(f"edit: {shorten(value)!r} has {length}; give another name.")
+
+
 def _with_starts_like(before: Tables, after: Tables) -> Tables:
     """The tables with as many starts as before, so that programs fit: starts matter at the next reset alone."""
     number, found = len(before.start), len(after.start)
@@ -223,7 +255,7 @@ def changed_graph(text: str, change: Mapping[str, Any]) -> str:
     if "add" in change:
         return _with_node(text, name, change, names)
     if name not in names:
-        raise InputError(f"edit: there is no node {name!r}; reload the page.")
+        raise InputError(f"edit: there is no node {shorten(repr(name))}; reload the page.")
     if change.get("remove"):
         for index in reversed(range(len(yaml_text.node_at(text, ["edges"]).value))):
             if name in _ends(text, index):
@@ -249,7 +281,7 @@ def changed_graph(text: str, change: Mapping[str, Any]) -> str:
 
 def _with_node(text: str, name: Any, change: Mapping[str, Any], names: list[str]) -> str:
     if not isinstance(name, str) or _word(name) != name:
-        raise InputError(f"edit: {name!r} is no name for a node; give letters, digits and _.")
+        raise InputError(f"edit: {shorten(repr(name))} is no name for a node; give letters, digits and _.")
     if name in names:
         raise InputError(f"edit: there is a node {name!r} already; give another name.")
     form = GROUP if change["add"] == "group" else WAYPOINT
@@ -260,7 +292,7 @@ def _with_node(text: str, name: Any, change: Mapping[str, Any], names: list[str]
 
 def _changed_edge(text: str, pair: Any, flow: Any, names: list[str]) -> str:
     if not (isinstance(pair, list) and len(pair) == 2 and all(name in names for name in pair)):
-        raise InputError(f"edit: {pair!r} are no two nodes; reload the page.")
+        raise InputError(f"edit: {shorten(repr(pair))} are no two nodes; reload the page.")
     count = len(yaml_text.node_at(text, ["edges"]).value)
     index = next((k for k in range(count) if set(_ends(text, k)) == set(pair)), None)
     if flow is None:
@@ -286,8 +318,9 @@ def _word(name: str) -> str:
 
 
 def _number(key: str, value: Any) -> str:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise InputError(f"{key}: {value!r} is no number.")
+    # an integer of many digits is no float, so it is compared before anything else
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= MAX_COORDINATE:
+        raise InputError(f"{key}: {shorten(repr(value))} is no number from -{MAX_COORDINATE:g} to {MAX_COORDINATE:g}.")
     value = round(float(value), DIGITS)
     return str(int(value) if value.is_integer() else value)
 
@@ -313,7 +346,7 @@ def changed_sets(text: str, sets: annotation.Annotation, change: Mapping[str, An
     point = change.get("point")
     forms = (("starts", int), ("goals", int), ("walkers", int, "loop", int), ("groups", str, "center"))
     if place is None or not isinstance(point, list) or not any(_has_form(point, form) for form in forms):
-        raise InputError(f"edit: there is no point {point!r} in set {change['set']!r}; reload the page.")
+        raise InputError(_no_point(point, change["set"]))
     values = {}
     if "position" in change:
         values |= dict(enumerate(_pair("position", change["position"])))
@@ -325,8 +358,12 @@ def changed_sets(text: str, sets: annotation.Annotation, change: Mapping[str, An
             yaml_text.node_at(text, keys)
             text = yaml_text.replaced(text, keys, value)
     except KeyError:
-        raise InputError(f"edit: there is no point {point!r} in set {change['set']!r}; reload the page.") from None
+        raise InputError(_no_point(point, change["set"])) from None
     return text
+
+
+def _no_point(point: Any, label: Any) -> str:
+    return f"edit: there is no point {shorten(repr(point))} in set {shorten(repr(label))}; reload the page."
 
 
 def _has_form(point: list, form: tuple) -> bool:
@@ -360,7 +397,9 @@ def changed_scene(text: str, boxes: Mapping[str, scene_text.Box], change: Mappin
     Raises:
         InputError: there is no such box, or a value is no number.
     """
-    name = str(change["box"])
+    name = change["box"]
+    if not isinstance(name, str):
+        raise InputError(f"edit: {shorten(repr(name))} is no name for a box; give letters, digits and _.")
     if change.get("add"):
         x, y = _pair("position", change.get("position"))
         return scene_text.added(text, name, float(x), float(y))

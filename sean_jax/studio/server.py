@@ -2,7 +2,8 @@
 
 A message of the server is JSON (a ``hello``, a ``status``, an ``error``, a ``card``) or bytes: four bytes with the
 length of a JSON head, the head, and the numbers of frames or of a picture. Frames are encoded as in replays
-(``replay.packed``). One tab drives at a time, the others watch.
+(``replay.packed``). One tab is the driver: it is the first one that asks for something, and the others watch. Each tab
+hears its own role with the status, and a driver that loads its page again gets the role back by the tab's name.
 """
 
 from __future__ import annotations
@@ -12,10 +13,10 @@ import contextlib
 import functools
 import http
 import json
+import re
 import secrets
 import threading
 import urllib.parse
-import weakref
 from collections.abc import Callable
 from typing import Any
 
@@ -24,9 +25,9 @@ from websockets.asyncio.server import ServerConnection
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
-from sean_jax import behaviors, environment, flags, policies, replay, robots, tasks, web
-from sean_jax.config import StudioConfig, validate
-from sean_jax.errors import InputError
+from sean_jax import behaviors, environment, flags, policies, replay, robots, tasks, web, writing
+from sean_jax.config import StudioConfig
+from sean_jax.errors import InputError, SeanError
 from sean_jax.learning.policy import AGENTS
 from sean_jax.studio.session import SPEED_RANGE, Choice, Frame, Session, episode
 from sean_jax.web import HOST, SOCKET
@@ -37,6 +38,8 @@ INTERVAL = 1 / 30  # s, shortest between two messages with frames
 VIEWS = {"first_person": (240, 180), "third_person": (240, 180), "depth": (160, 120)}  # pixels
 LIDAR, RAYS = "lidar", 180
 VIEW_INTERVAL = 0.1  # s
+RETURN = 10.0  # s, for which the role of a driver whose tab is gone is kept for it
+NAME = re.compile(r"[\w-]{16,64}", re.ASCII)  # of a tab, by which it gets its role back
 BASELINES = ("go_to_goal", "expert")  # policies beside a person's drive
 CHOICES = {
     "environment": environment.available(),
@@ -45,25 +48,32 @@ CHOICES = {
     "behavior": list(behaviors.BEHAVIORS),
     "policy": [*policies.POLICIES, *AGENTS],
 }
-OPENED = {*CHOICES, "people", "seed"}  # options that a page can change
+NUMBERS = ("people", "seed")  # further options that a page can change
+LAST = 2**32 - 1  # the largest of them
 
 
 class Studio:
     """The tabs of a session."""
 
-    def __init__(self, config: StudioConfig, page: str):
+    def __init__(self, config: StudioConfig, page: str, token: str | None = None):
         """Build the scenario of a description; ``close`` ends its thread.
+
+        Args:
+            token: the secret of the address; a new one if None.
 
         Raises:
             InputError: one sentence that names the value and the cure.
         """
-        self.token = secrets.token_urlsafe(16)
+        self.token = secrets.token_urlsafe(16) if token is None else token
         self.port = 0
         self._page = page.encode("utf-8")
         self._tabs: dict[ServerConnection, asyncio.Queue[str | bytes]] = {}
         self._views: dict[ServerConnection, str] = {}  # which picture a tab shows
+        self._ready = set[str]()  # pictures whose programs are compiled
         self._driver: ServerConnection | None = None
+        self._reserved, self._release = "", None  # name of a driver whose tab is gone, and the end of its time
         self._card: asyncio.Task[None] | None = None  # metrics of the episode that has ended
+        self._cards: list[dict[str, Any]] = []  # those that are there
         self._comparison: asyncio.Task[None] | None = None
         self._frames: list[Frame] = []  # not yet sent
         self._first, self._sent = 0, 0.0  # number of the first of them, and time of the latest message
@@ -108,22 +118,33 @@ class Studio:
             return
         self._send_frames()
         if kind == "hello":
-            for message in self._first_messages():
-                self._put(message)
-            self._card = None
+            self._end_cards()
             self._end_comparison()
+            self._ready.clear()
+            for tab in list(self._tabs):
+                for message in self._first_messages(tab):
+                    self._put_to(tab, message)
             return
-        self._put({"kind": kind, "content": content})
+        if kind == "status":
+            self._put_status(content)
+        else:
+            self._put({"kind": kind, "content": content})
         if kind == "cut":
-            self._card = None
+            self._end_cards()
         elif kind == "status" and content["outcome"] and self._card is None:
             self._card = asyncio.ensure_future(self._baselines())
 
     async def _baselines(self) -> None:
-        """Send the metrics of the episode that has ended, and those of policies in it."""
+        """Send the metrics of the episode that has ended, and those of policies in it; tabs that come get them, too."""
         cards = self.session.baselines(BASELINES)
         while (card := await asyncio.to_thread(next, cards, None)) is not None:
-            self._put({"kind": "card", "content": {"driver": card[0], "metrics": card[1]}})
+            self._cards.append({"driver": card[0], "metrics": card[1]})
+            self._put({"kind": "card", "content": self._cards[-1]})
+
+    def _end_cards(self) -> None:
+        if self._card is not None:
+            self._card.cancel()
+        self._card, self._cards = None, []
 
     async def _compare(self, tab: ServerConnection, choices: list[Choice]) -> None:
         """Send the progress and the recordings of a comparison to the tab that asks for it; time stands still."""
@@ -131,30 +152,38 @@ class Studio:
         steps = self.session.compare(choices)
         try:
             while (content := await asyncio.to_thread(next, steps, None)) is not None:
-                self._put_to(tab, json.dumps({"kind": "comparison", "content": content}, allow_nan=False))
+                self._put_to(tab, {"kind": "comparison", "content": content})
         except Exception as error:  # a policy does not fit, or a user's own part fails
-            self._put_to(tab, json.dumps({"kind": "error", "content": f"compare: {error}"}))
+            self._put_to(tab, {"kind": "error", "content": f"compare: {error}"})
 
     def _end_comparison(self) -> None:
         if self._comparison is not None:
             self._comparison.cancel()
             self._comparison = None
 
-    async def _picture(self) -> None:
-        """Send pictures of the present moment to the tabs that show them."""
-        sent = weakref.WeakKeyDictionary[ServerConnection, tuple[str, int, int]]()
+    async def _show_view(self, name: str) -> None:
+        """Send pictures of the present moment to the tabs that show a view; each view waits for its own programs."""
+        sent: dict[ServerConnection, tuple[Any, ...]] = {}
         while True:
             await asyncio.sleep(VIEW_INTERVAL)
-            for name in set(self._views.values()):
-                moment = name, self.session.number, len(self.session.commands)
-                tabs = [tab for tab, view in self._views.items() if view == name and sent.get(tab) != moment]
-                if not tabs:
-                    continue
+            session = self.session
+            moment = id(session), session.number, len(session.commands)
+            sent = {tab: latest for tab, latest in sent.items() if tab in self._tabs and self._views.get(tab) == name}
+            tabs = [tab for tab, view in self._views.items() if view == name and sent.get(tab) != moment]
+            if not tabs:
+                continue
+            try:
                 message = await asyncio.to_thread(self._view, name)
+            except Exception as error:  # such as of a robot without that camera
                 for tab in tabs:
-                    sent[tab] = moment
-                    if tab in self._tabs and self._tabs[tab].empty():  # a slow tab misses some
-                        self._tabs[tab].put_nowait(message)
+                    self._views.pop(tab, None)
+                    self._put_to(tab, {"kind": "error", "content": f"view {name}: {str(error)[:200]}"})
+                continue
+            self._ready.add(name)
+            for tab in tabs:
+                sent[tab] = moment
+                if tab in self._tabs and self._views.get(tab) == name and self._tabs[tab].empty():
+                    self._put_to(tab, message)  # a slow tab misses some
 
     def _view(self, name: str) -> bytes:
         """The message with a picture, or with a scan in mm."""
@@ -181,7 +210,13 @@ class Studio:
         for tab in list(self._tabs):
             self._put_to(tab, data)
 
-    def _put_to(self, tab: ServerConnection, data: str | bytes) -> None:
+    def _put_status(self, content: dict[str, Any]) -> None:
+        """Send the status to all tabs, each with its own role."""
+        for tab in list(self._tabs):
+            self._put_to(tab, {"kind": "status", "content": content | {"you": self._role(tab)}})
+
+    def _put_to(self, tab: ServerConnection, message: dict[str, Any] | str | bytes) -> None:
+        data = json.dumps(message, allow_nan=False) if isinstance(message, dict) else message
         try:
             self._tabs[tab].put_nowait(data)
         except KeyError:  # it is closed
@@ -207,11 +242,12 @@ class Studio:
         with web.signals() as stopped:  # before anybody knows the address
             async with web.listen(self._serve_tab, self._answer, port, LONGEST) as self.port:
                 ready()
-                pictures = asyncio.ensure_future(self._picture())
+                views = [asyncio.ensure_future(self._show_view(name)) for name in (*VIEWS, LIDAR)]
                 try:
                     await stopped.wait()
                 finally:
-                    pictures.cancel()
+                    for view in views:
+                        view.cancel()
 
     def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
         """The page, a refusal, or None for a web socket."""
@@ -233,38 +269,69 @@ class Studio:
     async def _serve_tab(self, tab: ServerConnection) -> None:
         """A tab, from its first message to its last."""
         queue: asyncio.Queue[str | bytes] = asyncio.Queue(256)
-        for message in self._first_messages():
-            queue.put_nowait(message if isinstance(message, bytes) else json.dumps(message, allow_nan=False))
+        name = _name_of(tab)
         self._tabs[tab] = queue
+        if name and name == self._reserved and self._driver is None:
+            self._drive_by(tab)
+        for message in self._first_messages(tab):
+            self._put_to(tab, message)
         writer = asyncio.ensure_future(self._write(tab, queue))
         try:
             async for message in tab:
                 try:
                     await self._handle(tab, message)
-                except InputError as error:
-                    queue.put_nowait(json.dumps({"kind": "error", "content": str(error)}))
+                except SeanError as error:
+                    self._put_to(tab, {"kind": "error", "content": str(error)})
+                except OSError as error:  # such as a file that cannot be written
+                    self._put_to(tab, {"kind": "error", "content": f"{writing.broken(error)}; nothing is changed."})
         except ConnectionClosed:
             pass
         finally:
             self._tabs.pop(tab, None)
             self._views.pop(tab, None)
             writer.cancel()
-            if self._driver is tab:  # nobody drives until a tab is there again
-                self._end_comparison()
-                await asyncio.to_thread(self.session.play, False)
-                self._driver = None
+            if self._driver is tab:
+                await self._leave(name)
 
-    def _first_messages(self) -> list[dict[str, Any] | bytes]:
-        """What a tab needs to begin: the scenario, the frames so far, what it can change, and the status."""
+    def _first_messages(self, tab: ServerConnection) -> list[dict[str, Any] | bytes]:
+        """What a tab needs to begin: scenario, frames so far, what it can change, drives, metrics, and the status."""
+        session = self.session
         messages: list[dict[str, Any] | bytes] = [self.hello | {"kind": "hello"}]
-        messages.append(self._encoded(0, self.session.frames[:]))
-        messages.append({"kind": "edit", "content": self.session.edits()})
-        return [*messages, {"kind": "status", "content": self.session.status()}]
+        messages.append(self._encoded(0, session.frames[:]))
+        messages.append({"kind": "edit", "content": session.edits()})
+        if (drives := session.drives()) is not None:
+            messages.append({"kind": "drives", "content": drives})
+        messages += [{"kind": "card", "content": card} for card in self._cards]
+        return [*messages, {"kind": "status", "content": session.status() | {"you": self._role(tab)}}]
 
     async def _write(self, tab: ServerConnection, queue: asyncio.Queue[str | bytes]) -> None:
         with contextlib.suppress(ConnectionClosed):
             while True:
                 await tab.send(await queue.get())
+
+    # ------------------------------------------------------------------ roles of tabs
+
+    def _role(self, tab: ServerConnection) -> str:
+        """Of a tab: ``driver``, ``watcher``, or ``free`` while there is no driver."""
+        if self._driver is tab:
+            return "driver"
+        return "watcher" if self._driver is not None or self._reserved else "free"
+
+    def _drive_by(self, tab: ServerConnection | None, reserved: str = "") -> None:
+        """Make a tab the driver, or none; the role may be kept for the name of a tab that is gone."""
+        if self._release is not None:
+            self._release.cancel()
+        self._driver, self._reserved, self._release = tab, reserved, None
+        if reserved and self._loop is not None:
+            self._release = self._loop.call_later(RETURN, self._drive_by, None)
+        self._put_status(self.session.status())
+
+    async def _leave(self, name: str) -> None:
+        """The driver's tab is gone: time stands still, and its role is kept for a while if it has a name."""
+        self._end_comparison()
+        heir = next((tab for tab in self._tabs if name and _name_of(tab) == name), None)  # it has loaded its page again
+        self._drive_by(heir, name if heir is None else "")
+        await asyncio.to_thread(self.session.play, False)
 
     async def _handle(self, tab: ServerConnection, message: str | bytes) -> None:
         """What a tab asks for.
@@ -273,19 +340,24 @@ class Studio:
             InputError: there is no such request, or another tab drives.
         """
         session, request = self.session, web.parse(message)
-        if request["do"] == "view":
-            self._views.pop(tab, None)
-            if request.get("name") in (*VIEWS, LIDAR):
-                self._views[tab] = request["name"]
-            return
-        if self._driver is None:
-            self._driver = tab
-        if self._driver is not tab:
-            raise InputError("another tab drives; close it, or watch.")
         word = request["do"]
-        if word == "command":
-            session.command(web.number(request, "ahead", -1.0, 1.0), web.number(request, "left", -1.0, 1.0))
-        elif word == "compare":
+        if word == "view":
+            self._show(tab, request.get("name"))
+            return
+        if word == "command":  # of the driver alone; it makes nobody the driver
+            if self._driver is tab:
+                session.command(web.number(request, "ahead", -1.0, 1.0), web.number(request, "left", -1.0, 1.0))
+            return
+        if word == "take":  # the wheel, also from a tab that its person has forgotten
+            self._end_comparison()
+            await asyncio.to_thread(session.play, False)
+            self._drive_by(tab)
+            return
+        if self._role(tab) == "watcher":
+            raise InputError("another tab drives; take the wheel, or watch.")
+        if self._driver is None:
+            self._drive_by(tab)
+        if word == "compare":
             choices = _choices(request.get("choices"), session)
             self._end_comparison()
             if choices:
@@ -293,18 +365,21 @@ class Studio:
         else:
             await asyncio.to_thread(self._apply, session, word, request)
 
+    def _show(self, tab: ServerConnection, name: Any) -> None:
+        """Let a tab show a view of the sensors, or none; it hears if programs have to be compiled first."""
+        self._views.pop(tab, None)
+        if name in (*VIEWS, LIDAR):
+            self._views[tab] = name
+            if name not in self._ready:
+                self._put_to(tab, {"kind": "preparing", "content": name})
+
     def _open(self, options: Any) -> None:
         """Another scenario in place of the present one; the other options stay.
 
         Raises:
             InputError: the options cannot be met; the present scenario stays.
         """
-        if not (isinstance(options, dict) and set(options) <= OPENED):
-            raise InputError("open: options that the page does not have; reload the page.")
-        config = self.session.config
-        values = {name: value for name, value in config.identity().items() if name not in OPENED}
-        given = {name: value for name, value in options.items() if value not in ("", None)}
-        made = Session(validate(StudioConfig, values | given).replace(record=config.record, port=config.port))
+        made = Session(_opened(self.session.config, options))
         self.close()
         self._begin(made)
         self.send("hello", None)
@@ -326,14 +401,66 @@ class Studio:
             self._open(request.get("options"))
         elif word == "edit":
             session.edit(request.get("change") if isinstance(request.get("change"), dict) else {})
+        elif word == "discard":
+            session.discard(request.get("file"))
+        elif word == "rename":
+            session.rename(request.get("file"), request.get("name"))
         elif word == "undo":
             session.edit(None)
         elif word == "save":
             session.save()
         elif word == "episode":
-            session.restart(int(web.number(request, "episode", 0, 2**32 - 1)))
+            session.restart(int(web.number(request, "episode", 0, LAST)))
         else:
-            raise InputError(f"'{word}' is no request; reload the page.")
+            raise InputError(f"'{word[:40]}' is no request; reload the page.")
+
+
+def _name_of(tab: ServerConnection) -> str:
+    """The name by which a tab gets its role back; "" without one."""
+    assert tab.request is not None
+    query = urllib.parse.parse_qs(urllib.parse.urlsplit(tab.request.path).query)
+    name = query.get("tab", [""])[0]
+    return name if NAME.fullmatch(name) else ""
+
+
+def _opened(config: StudioConfig, options: Any) -> StudioConfig:
+    """The options with those that a page has changed: choices of the page, and numbers.
+
+    A page can name no file: what it does not offer is refused, unless it is what the user has started the studio with.
+
+    Raises:
+        InputError: the page does not have an option or a value, or the options cannot be met.
+    """
+    if not isinstance(options, dict) or not set(options) <= {*CHOICES, *NUMBERS}:
+        raise InputError("open: options that the page does not have; reload the page.")
+    present, changes = _options_of_page(config), dict[str, Any]()
+    for name, value in options.items():
+        if value in ("", None):
+            changes[name] = StudioConfig.model_fields[name].default
+        elif value == present.get(name):
+            continue
+        elif name in NUMBERS:
+            changes[name] = _whole(name, value)
+        elif value not in CHOICES[name]:
+            raise InputError(f"open: {name} {str(value)[:40]!r} is not on the page; reload the page.")
+        else:
+            changes[name] = value
+    if "behavior" in changes and not options.get("task"):
+        changes["task"] = None  # as usual for the behavior
+    return config.replace(**changes)
+
+
+def _whole(name: str, value: Any) -> int:
+    """A number of people, or a seed."""
+    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= LAST:
+        raise InputError(f"open: {name} {str(value)[:40]} is no whole number from 0 to {LAST}; reload the page.")
+    return value
+
+
+def _options_of_page(config: StudioConfig) -> dict[str, Any]:
+    """The options that a page can change, as they are."""
+    kinds = {name: getattr(config, name).kind for name in ("robot", "behavior", "policy")}
+    return {"environment": config.environment, "task": config.tasks[0].kind, **kinds, "seed": config.seed}
 
 
 @functools.cache
@@ -346,9 +473,7 @@ def _hello(session: Session) -> dict[str, Any]:
     """What a page needs to know of a scenario: first of all messages."""
     config, scenario = session.config, session.scenario
     title = f"{scenario.environment.name} · {scenario.task_name.replace('_', ' ')}"
-    options = {"environment": config.environment, "task": config.tasks[0].kind, "robot": config.robot.kind,
-               "behavior": config.behavior.kind, "policy": config.policy.kind, "seed": config.seed,
-               "people": scenario.people}  # fmt: skip
+    options = _options_of_page(config) | {"people": scenario.people}
     return {
         "recording": replay.of_scenario(scenario, [], title, live="frames"),
         "views": [*VIEWS, LIDAR],
@@ -371,10 +496,9 @@ def _choices(rows: Any, session: Session) -> list[Choice]:
         raise InputError("compare: the message has no two episodes; reload the page.")
     policies = {*CHOICES["policy"], session.config.policy.kind}
     if unknown := [row.get("policy") for row in rows if str(row.get("policy")) not in policies]:
-        raise InputError(f"compare: policy {unknown[0]!r} is not on the page; reload the page.")
-    last = 2**32 - 1
+        raise InputError(f"compare: policy {str(unknown[0])[:40]!r} is not on the page; reload the page.")
     made = [
-        Choice(row["policy"], int(web.number(row, "seed", 0, last)), int(web.number(row, "episode", 0, last)))
+        Choice(row["policy"], int(web.number(row, "seed", 0, LAST)), int(web.number(row, "episode", 0, LAST)))
         for row in rows
     ]
     if len(set(made)) < len(made):

@@ -21,7 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import PyTree
 
-from sean_jax import assembly, episodes, navigation, prng, replay, sensors
+from sean_jax import assembly, episodes, navigation, prng, replay, sensors, writing
 from sean_jax import scenario as scenarios
 from sean_jax.base import Array, Policy, Scenario, State, Trajectory
 from sean_jax.config import StudioConfig
@@ -29,6 +29,7 @@ from sean_jax.errors import InputError
 from sean_jax.learning import load_policy
 from sean_jax.learning.collection import begin_episode
 from sean_jax.robots.drive import command_size, max_reverse_speed
+from sean_jax.studio import trial as trials
 from sean_jax.studio.editor import Editor, same_shapes
 from sean_jax.studio.trial import Trial
 
@@ -49,7 +50,7 @@ class Frame(NamedTuple):
 def episode(frames: Sequence[Frame], title: str = "", outcome: str = "") -> replay.Episode:
     """Frames as an episode of a page."""
     stacked, path = jax.tree.map(lambda *leaves: np.stack(leaves), *frames)
-    return replay.Episode(stacked, title, outcome, plan=path)
+    return replay.Episode(stacked, title, outcome, plan=path, begin=0)
 
 
 class Moment(NamedTuple):
@@ -206,8 +207,7 @@ class Session:
             for _ in range(now - tick):
                 self.moments.pop()
             del self.commands[tick:], self.by_person[tick:], self.frames[tick + 1 :]
-            if self.trial is not None:
-                self.trial.rewind(tick)
+            self._write_trial(lambda trial: trial.rewind(tick))
             self.playing = False
             self.send("cut", tick + 1)
             self._send_status()
@@ -227,19 +227,70 @@ class Session:
             if not self.on_file:
                 raise InputError("record: a file was changed in this episode; begin another one.")
             if self.trial is None:
-                self.trial = Trial.begin(self.config, self.number)
-                self.trial.add(self.commands)
+                try:
+                    self.trial = Trial.begin(self.config, self.number)
+                except OSError as error:  # such as a full disk
+                    raise InputError(f"record: {writing.reason(error)}; nothing is recorded.") from None
+                self._write_trial(lambda trial: trial.add(self.commands, self.by_person))
             self._send_status()
 
     def end_trial(self) -> Path | None:
         """End the recording; its file, if there was one."""
         with self._lock:
-            trial, self.trial = self.trial, None
-            if trial is None:
+            if self.trial is None:
                 return None
-            trial.end(self.outcome)
+            file = self.trial.file
+            self._write_trial(lambda trial: trial.end(self.outcome))
+            self.trial = None
             self._send_status()
-            return trial.file
+            self.send("drives", self.drives())
+            return file
+
+    def _write_trial(self, write: Callable[[Trial], None]) -> None:
+        """Write to the recorded drive, if there is one; if it cannot be written, the recording ends."""
+        if self.trial is None:
+            return
+        try:
+            write(self.trial)
+        except OSError as error:  # such as a full disk: time goes on, and earlier drives are whole
+            self.trial.abandon()
+            self.trial = None
+            self.send("error", f"record: {error.strerror}; the recording has ended after its last whole second.")
+            self._send_status()
+
+    # ------------------------------------------------------------------ the recorded drives
+
+    def drives(self) -> list[dict[str, Any]] | None:
+        """The recorded drives as the page lists them; None without a folder for them."""
+        if self.config.record is None:
+            return None
+        return trials.rows_of_page(self.config.record, None if self.trial is None else self.trial.file)
+
+    def discard(self, file: Any) -> None:
+        """Move a recorded drive away, so that it becomes no demonstration.
+
+        Raises:
+            InputError: there is no such drive, or it is being recorded.
+        """
+        trials.discard(self._folder_of(file), file)
+        self.send("drives", self.drives())
+
+    def rename(self, file: Any, name: Any) -> None:
+        """Give a recorded drive a name.
+
+        Raises:
+            InputError: there is no such drive, it is being recorded, or the name is none.
+        """
+        trials.rename(self._folder_of(file), file, name)
+        self.send("drives", self.drives())
+
+    def _folder_of(self, file: Any) -> Path:
+        """The folder of the recorded drives, unless the drive is being recorded."""
+        if self.config.record is None:
+            raise InputError("drives: there is no folder for them; start the studio with --record FOLDER.")
+        if self.trial is not None and self.trial.file.name == file:
+            raise InputError("drives: this drive is being recorded; stop the recording first.")
+        return self.config.record
 
     # ------------------------------------------------------------------ the files of the environment
 
@@ -256,6 +307,9 @@ class Session:
                 raise InputError("edit: this drive is recorded on the files as they are; stop the recording first.")
             before, playing = self.scenario, self.playing
         after = self.editor.undo(before) if change is None else self.editor.change(change, before)
+        if after is before:  # such as a drag that ends where it began
+            self.send("edit", self.edits())
+            return
         anew = before.environment is not after.environment or not same_shapes(before.behavior.data, after.behavior.data)
         if anew:
             self._compile(after)
@@ -347,13 +401,25 @@ class Session:
         with self._lock:
             return self._summary(self.scenario, self.state)
 
+    def driver(self) -> str:
+        """Who has driven this episode: a person, the policy, or both with their shares of the steps."""
+        policy = self.policy.name
+        if not any(self.by_person):
+            return policy
+        if all(self.by_person):
+            return "you"
+        share = min(99, max(1, round(100 * sum(self.by_person) / len(self.by_person))))
+        return f"you {share} %, {policy} {100 - share} %"
+
     def baselines(self, names: Sequence[str]) -> Iterator[tuple[str, dict[str, float]]]:
         """The metrics of this episode, then those of policies in the same one; empty if another episode begins."""
         with self._lock:
             number, state, scenario = self.number, self.state, self.scenario
-            driver = "you" if any(self.by_person) else self.policy.name
+            driver = self.driver()
         yield driver, self._summary(scenario, state)
         for name in names:
+            if name == driver:
+                continue  # the policy has driven this episode itself
             for step in self._steps(scenario, load_policy(name, scenario), self._key(number)):
                 if self.number != number or self._closed:
                     return
@@ -379,7 +445,8 @@ class Session:
                     yield {"index": index, "seconds": seconds, "limit": scenario.time_limit}
             metrics.append(self._summary(scenario, state))
             outcome = f"{'completed' if bool(state.completed) else 'timed out'} · {metrics[-1]['seconds']:.1f} s"
-            episode = replay.Episode(jax.tree.map(lambda *leaves: np.stack(leaves), *frames), "", outcome)
+            stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *frames)
+            episode = replay.Episode(stacked, "", outcome, begin=0)
             title = f"{name} · seed {seed} · episode {number}"
             recordings.append(replay.of_scenario(scenario, [episode], title))
         yield {"recordings": recordings, "metrics": metrics}
@@ -478,13 +545,7 @@ class Session:
         self.commands.append(pair)
         self.by_person.append(command is not None)
         self.send("frames", (len(self.frames) - 1, self.frames[-1:]))
-        if self.trial is not None:
-            try:
-                self.trial.add([pair])
-            except OSError as error:  # such as a full disk: time goes on, and earlier drives are whole
-                self.trial = None
-                self.send("error", f"record: {error.strerror}; the recording has ended after its last whole second.")
-                self._send_status()
+        self._write_trial(lambda trial: trial.add([pair], [command is not None]))
 
     def _append(self, trajectory: Trajectory) -> None:
         """Another frame; its path is new once a second."""

@@ -1,14 +1,14 @@
 // Two episodes side by side on one clock, and their metrics.
 
-import { add, Player } from "./player";
+import { add, DIVERGENCE, Player } from "./player";
 import type { Recording } from "./recording";
 
 const BEFORE = 2; // s, before two robots part
 const ROWS: [string, string, number][] = [
   ["completed", "completed", 0],
   ["seconds", "time, s", 1],
-  ["path_length", "path, m", 1],
-  ["time_not_moving", "not moving, s", 1],
+  ["path_length", "path at 1 Hz, m", 1],
+  ["time_not_moving", "not moving at 1 Hz, s", 1],
   ["intimate_robot_on_person", "closer than 0.45 m, robot's fault", 0],
   ["intimate_person_on_robot", "closer than 0.45 m, person's fault", 0],
   ["collision_robot_on_person", "people touched", 0],
@@ -23,9 +23,17 @@ export function shareClock(players: Player[]): void {
   }
   if (players.length !== 2) return;
   const [one, other] = players;
-  one.button("where they part", () => {
-    const time = one.divergence(other);
-    one.jump(time === null ? 0 : Math.max(0, time - BEFORE));
+  one.button("where they part", (note) => {
+    const found = one.divergence(other);
+    if (!found) {
+      note.textContent = "there is no robot";
+    } else if (found.parted) {
+      note.textContent = "";
+      one.jump(Math.max(0, found.time - BEFORE));
+    } else {
+      const most = `${found.apart.toFixed(2)} m at ${one.clockOf(found.time).toFixed(1)} s`;
+      note.textContent = `they stay within ${DIVERGENCE} m of each other (at most ${most})`;
+    }
   });
 }
 
@@ -49,9 +57,12 @@ export function addMetrics(place: HTMLElement, title: string, cards: Card[]): vo
     head.scope = "row";
     for (const { metrics } of cards) {
       const value = metrics[name];
-      add(row, "td").textContent = value === undefined ? "–" : value.toFixed(digits);
+      const cell = add(row, "td");
+      if (name === "completed") cell.textContent = value ? "yes" : "no";
+      else cell.textContent = value === undefined ? "–" : value.toFixed(digits);
     }
   }
+  add(place, "p", "studio-note").textContent = "1 Hz: as in SEAN, from the robot's places once a second";
 }
 
 export type ComparisonNews =

@@ -16,6 +16,13 @@ const KEYS: Record<string, [number, number]> = {
   ArrowRight: [0, -1],
 };
 
+/** Whether keys belong to what has the focus: text and numbers are typed there. */
+function isTyped(target: EventTarget | null): boolean {
+  if (target instanceof HTMLTextAreaElement) return true;
+  const others = ["checkbox", "radio", "range", "button", "submit", "reset", "file", "color"];
+  return target instanceof HTMLInputElement && !others.includes(target.type);
+}
+
 /** The person's command, from keys that are down, a stick or a touch: shares of the limits, ahead and to the left. */
 export class Controls {
   active = true; // whether keys drive, or scroll the page
@@ -24,11 +31,9 @@ export class Controls {
   private command: [number, number] = [0, 0];
 
   constructor(joystick: HTMLElement, changed: () => void) {
-    const isText = (event: Event): boolean =>
-      [HTMLInputElement, HTMLSelectElement, HTMLTextAreaElement].some((kind) => event.target instanceof kind);
     window.addEventListener("keydown", (event) => {
       const key = event.key.length === 1 ? event.key.toLowerCase() : event.key;
-      if (!this.active || !(key in KEYS) || event.ctrlKey || event.metaKey || event.altKey || isText(event)) return;
+      if (!this.active || !(key in KEYS) || event.ctrlKey || event.metaKey || event.altKey || isTyped(event.target)) return;
       event.preventDefault();
       if (this.down.has(key)) return; // held down
       this.down.add(key);
@@ -36,6 +41,10 @@ export class Controls {
     });
     window.addEventListener("keyup", (event) => {
       if (this.down.delete(event.key.length === 1 ? event.key.toLowerCase() : event.key)) changed();
+    });
+    window.addEventListener("change", (event) => {
+      // after a click on a box or a list, keys drive again
+      if (this.active && event.target instanceof HTMLElement && !isTyped(event.target)) event.target.blur();
     });
     window.addEventListener("blur", () => {
       this.down.clear();

@@ -98,6 +98,10 @@ export function drawPlan(
   function drawScale(): void {
     const length = SCALES.find((each) => each * metre > 60) ?? 100;
     const [left, bottom] = [10, paint.canvas.clientHeight - 10];
+    paint.globalAlpha = 0.85; // walls below it do not hide it
+    paint.fillStyle = palette.paper;
+    paint.fillRect(left - 6, bottom - 22, Math.max(length * metre, 34) + 12, 28);
+    paint.globalAlpha = 1;
     paint.beginPath();
     paint.moveTo(left, bottom - 5);
     paint.lineTo(left, bottom);

@@ -13,7 +13,7 @@ const SPEEDS = [0.25, 0.5, 1, 2, 4, 8, 16];
 const POLL = 500; // ms
 const TICK = 500; // ms, the longest between two pictures: a hidden tab draws none, and its film stands
 const DRAG = 4; // pixels: a shorter one is a click
-const DIVERGENCE = 0.5; // m, between robots that have parted
+export const DIVERGENCE = 0.5; // m, between robots that have parted
 const LEGEND = [
   ["robot-body", "robot, with its heading"],
   ["robot-ring", "its start; with a dot, its goal"],
@@ -26,6 +26,13 @@ const LEGEND = [
   ["group", "a group that stands together"],
   ["trail", "people's last 3 seconds"],
 ];
+
+/** How two robots part: when they are more than ``DIVERGENCE`` apart, or how near they stay. */
+export interface Divergence {
+  parted: boolean;
+  time: number; // s
+  apart: number; // m, then
+}
 
 /** What a live episode asks of its simulation. */
 export interface Clock {
@@ -291,16 +298,30 @@ export class Player {
     this.seek(other.time);
   }
 
-  /** s, when the robots of two players are half a metre apart for the first time; null if they never are. */
-  divergence(other: Player): number | null {
+  /** When the robots of two players are half a metre apart for the first time, or else where they are furthest apart. */
+  divergence(other: Player): Divergence | null {
     const columns = ["robot x", "robot y"].flatMap((name) => [this.episode.of(name)[0], other.episode.of(name)[0]]);
     if (columns.some((column) => !column)) return null;
     const [x, otherX, y, otherY] = columns;
     const frames = Math.min(this.episode.frames, other.episode.frames);
+    let [most, when] = [0, 0];
     for (let t = 0; t < frames; t++) {
-      if (Math.hypot(x[t] - otherX[t], y[t] - otherY[t]) > DIVERGENCE) return t * this.recording.timeStep;
+      const apart = Math.hypot(x[t] - otherX[t], y[t] - otherY[t]);
+      if (apart > DIVERGENCE) return { parted: true, time: t * this.recording.timeStep, apart };
+      if (apart > most) [most, when] = [apart, t];
     }
-    return null;
+    return { parted: false, time: when * this.recording.timeStep, apart: most };
+  }
+
+  /** s, of the episode, at a time of the player. */
+  clockOf(time: number): number {
+    return time + this.episode.begin;
+  }
+
+  /** Let nothing be asked of the simulation of a live episode, or let it. */
+  lock(on: boolean): void {
+    this.play.disabled = on;
+    this.speed.disabled = on;
   }
 
   /** Go to a time [s], and pause. */
@@ -310,12 +331,13 @@ export class Player {
     this.changed?.();
   }
 
-  /** A button beside the speed. */
-  button(text: string, act: () => void): void {
+  /** A button beside the speed, and a note behind it. */
+  button(text: string, act: (note: HTMLElement) => void): void {
     const made = document.createElement("button");
     made.textContent = text;
-    made.addEventListener("click", act);
-    this.speed.after(made);
+    const note = document.createElement("output");
+    made.addEventListener("click", () => act(note));
+    this.speed.after(made, note);
   }
 
   grow(episode: Episode): void {
@@ -392,12 +414,13 @@ export class Player {
   private async fromAddress(): Promise<boolean> {
     const asked = new URLSearchParams(location.hash.slice(1));
     if (!asked.has("episode") && !asked.has("t")) return false;
-    await this.open(Number(asked.get("episode") ?? 0) || 0, Number(asked.get("t") ?? 0) || 0);
+    await this.open(Number(asked.get("episode") ?? 0) || 0, 0);
+    this.seek((Number(asked.get("t") ?? 0) || 0) - this.episode.begin);
     return true;
   }
 
   private address(): void {
-    const hash = `#episode=${this.number}&t=${this.time.toFixed(1)}`;
+    const hash = `#episode=${this.number}&t=${this.clockOf(this.time).toFixed(1)}`;
     try {
       history.replaceState(null, "", hash);
     } catch {
@@ -493,7 +516,8 @@ export class Player {
     episode.of("situation").forEach((flag, k) => this.lights[k].classList.toggle("on", flag[frame] > 0.5));
     if (this.pointer || this.pinned) this.point();
     this.drawn?.(episode, time);
-    this.clock.textContent = `${Math.min(time, episode.duration).toFixed(1)} of ${episode.duration.toFixed(1)} s`;
+    const [now, end] = [Math.min(time, episode.duration), episode.duration].map((each) => this.clockOf(each).toFixed(1));
+    this.clock.textContent = `${now} of ${end} s`;
     this.scrub.value = String(Math.min(time, episode.duration));
     const share = Math.min(1, time / Math.max(episode.duration, 1e-9));
     this.cursor.style.left = `${LABELS + share * (this.line.clientWidth - LABELS)}px`;

@@ -38,6 +38,7 @@ export interface EpisodeHead {
   title: string;
   outcome: string;
   frames: number;
+  begin?: number; // steps before the first frame; 0 if it is left out
   columns: Columns[];
   data: string; // base64
 }
@@ -94,7 +95,12 @@ export class Episode {
     }
   }
 
-  /** s, of the last frame. */
+  /** s, from the beginning of the episode to the first frame. */
+  get begin(): number {
+    return (this.head.begin ?? 0) * this.timeStep;
+  }
+
+  /** s, from the first frame to the last. */
   get duration(): number {
     return (this.frames - 1) * this.timeStep;
   }

@@ -4,6 +4,7 @@ import { Editor, type Edits } from "./edit";
 import { Camera } from "./camera";
 import { addMetrics, type Card, Comparison, type ComparisonNews } from "./compare";
 import { COMMAND_INTERVAL, Controls, paintPicture } from "./drive";
+import { DriveList, type DriveRow } from "./drives";
 import { palette } from "./palette";
 import { drawObstacles } from "./plan";
 import { add, fit, Player } from "./player";
@@ -22,6 +23,7 @@ interface Hello {
 }
 
 interface Status {
+  you: "driver" | "watcher" | "free"; // this tab; free: there is no driver
   playing: boolean;
   human: boolean;
   speed: number;
@@ -38,11 +40,24 @@ type News =
   | { kind: "status"; content: Status }
   | { kind: "cut"; content: number }
   | { kind: "card"; content: Card }
+  | { kind: "drives"; content: DriveRow[] }
+  | { kind: "preparing"; content: string }
   | { kind: "comparison"; content: ComparisonNews }
   | { kind: "edit"; content: Edits }
   | { kind: "error"; content: string };
 
 const SCENE = "3-D"; // a view that the page draws by itself
+const AGAIN = 1500; // ms, until a page asks again for a studio that does not answer
+
+/** The name of this tab, by which it gets its role back when it is loaded again. */
+function tabName(): string {
+  const key = "sean-studio-tab";
+  let name = sessionStorage.getItem(key);
+  if (!name) sessionStorage.setItem(key, (name = crypto.randomUUID()));
+  return name;
+}
+
+const title = (view: string): string => view.replace("_", " ");
 
 class Studio {
   private player: Player | null = null;
@@ -50,7 +65,11 @@ class Studio {
   private status: Status | null = null;
   private timeStep = 0.1;
   private sent = 0; // ms, time of the latest command
-  private readonly socket: WebSocket;
+  private socket!: WebSocket;
+  private hello: Hello | null = null;
+  private readonly take: HTMLButtonElement;
+  private readonly drives: DriveList;
+  private readonly caption: HTMLElement; // of the picture
   private readonly note: HTMLElement;
   private readonly buttons: Record<"drive" | "record" | "step" | "next" | "live" | "edit", HTMLButtonElement>;
   private readonly controls: Controls;
@@ -82,6 +101,8 @@ class Studio {
       edit: button("edit", () => this.buttons.edit.classList.toggle("on", this.editor?.toggle() ?? false)),
       next: button("next episode", () => this.request({ do: "episode", episode: (this.status?.episode ?? 0) + 1 })),
     };
+    this.take = button("take the wheel", () => this.request({ do: "take" }));
+    this.take.hidden = true;
     this.state = add(bar, "output", "studio-state");
     this.note = add(root, "p", "studio-note");
     this.note.setAttribute("role", "status");
@@ -90,7 +111,10 @@ class Studio {
       this.notify("");
       this.request(request);
     });
-    this.card = add(root, "div", "studio-card");
+    this.drives = new DriveList(add(root, "details", "studio-open"), (request) => {
+      this.notify("");
+      this.request(request);
+    });
     const stage = add(root, "div", "studio-stage");
     const place = add(stage, "div");
     this.side = add(stage, "div", "studio-side");
@@ -99,41 +123,82 @@ class Studio {
     this.view = add(label, "select");
     this.view.addEventListener("change", () => {
       this.closeScene();
-      this.picture.hidden = this.view.value === "none" || this.view.value === SCENE;
-      this.request({ do: "view", name: this.view.value });
+      this.showView();
       this.player?.redraw(false);
     });
+    this.caption = add(this.side, "p", "studio-note");
     this.picture = add(this.side, "canvas");
     this.picture.hidden = true;
     this.picture.setAttribute("role", "img");
     this.picture.setAttribute("aria-label", "what the robot sees");
+    this.card = add(this.side, "div", "studio-card");
     const joystick = add(root, "div", "studio-joystick");
     joystick.setAttribute("aria-hidden", "true"); // keys do the same
     this.controls = new Controls(joystick, () => this.sendCommand());
+    this.controls.active = false;
+    this.connect(place);
+    setInterval(() => this.sendCommand(), COMMAND_INTERVAL);
+  }
+
+  /** Open the socket; if it closes, ask again until the studio answers. */
+  private connect(place: HTMLElement): void {
     const address = new URL("socket", location.href);
     address.search = location.search;
+    address.searchParams.set("tab", tabName());
     address.protocol = "ws:";
     this.socket = new WebSocket(address);
     this.socket.binaryType = "arraybuffer";
     this.socket.addEventListener("message", (event) => this.receive(event.data as string | ArrayBuffer, place));
     this.socket.addEventListener("close", (event) => {
-      this.notify(event.reason ? `the studio has closed this tab: ${event.reason}` : "the studio has ended");
+      const cure = this.hello?.record
+        ? "this page goes on when it has started again"
+        : "start it again and open the address that it prints";
+      this.notify(event.reason ? `the studio has closed this tab: ${event.reason}` : `the studio does not answer; ${cure}`);
       this.root.dataset.open = "no";
+      this.status = null;
+      this.lock();
+      setTimeout(() => this.connect(place), AGAIN);
     });
-    setInterval(() => this.sendCommand(), COMMAND_INTERVAL);
+  }
+
+  /** Let only the driver's tab, or any if there is no driver, ask for something. */
+  private lock(): void {
+    const locked = this.root.dataset.open !== "yes" || this.status?.you === "watcher";
+    for (const name of ["drive", "step", "record", "edit", "next"] as const) this.buttons[name].disabled = locked;
+    for (const panel of [this.form, ...this.root.querySelectorAll<HTMLElement>(".studio-compare, .studio-drives, .studio-edit")]) {
+      panel.inert = locked;
+    }
+    this.player?.lock(locked);
+    this.controls.active = !locked && this.isDriving();
+    this.take.hidden = this.status?.you !== "watcher";
+  }
+
+  /** Whether the person of this tab drives. */
+  private isDriving(): boolean {
+    return this.status?.you === "driver" && this.status.human;
+  }
+
+  /** Ask for the picture of the view that is chosen; none is shown until it comes. */
+  private showView(): void {
+    const name = this.view.value;
+    this.picture.hidden = name === "none" || name === SCENE;
+    this.picture.width = this.picture.width; // nothing of another view stays
+    this.caption.textContent = "";
+    delete this.root.dataset.picture;
+    this.request({ do: "view", name });
   }
 
   /** Send the person's command; keys have some effect at once. */
   private sendCommand(): void {
     const now = performance.now();
-    this.name();
+    this.nameButton();
     const [ahead, left] = this.controls.next(Math.max(COMMAND_INTERVAL, now - this.sent) / 1000);
     this.sent = now;
-    if (this.status?.human && this.status.playing) this.request({ do: "command", ahead, left });
+    if (this.isDriving() && this.status?.playing) this.request({ do: "command", ahead, left });
   }
 
   /** What the first button does now. */
-  private name(): void {
+  private nameButton(): void {
     const past = this.player?.moment && !this.player.moment.newest;
     this.buttons.drive.textContent = past ? "drive from here" : this.status?.human ? "give back" : "drive";
     this.buttons.live.disabled = !past;
@@ -170,6 +235,10 @@ class Studio {
     else if (news.kind === "status") this.show(news.content);
     else if (news.kind === "cut") this.cut(news.content);
     else if (news.kind === "card") this.showCards([...this.cards, news.content]);
+    else if (news.kind === "drives") this.drives.show(news.content);
+    else if (news.kind === "preparing") {
+      if (news.content === this.view.value) this.caption.textContent = `preparing ${title(news.content)} (first time)`;
+    }
     else if (news.kind === "comparison") this.comparison.show(news.content);
     else if (news.kind === "edit") {
       this.notify("");
@@ -247,6 +316,7 @@ class Studio {
   }
 
   private begin(hello: Hello, place: HTMLElement): void {
+    this.hello = hello;
     this.player?.close();
     this.closeScene();
     this.episode = null;
@@ -276,13 +346,15 @@ class Studio {
     });
     this.buttons.record.hidden = !hello.record;
     if (!this.view.length) {
-      for (const name of ["none", ...hello.views]) this.view.add(new Option(name.replace("_", " "), name));
+      for (const name of ["none", ...hello.views]) this.view.add(new Option(title(name), name));
       const option = new Option(this.graphics ? SCENE : `${SCENE} (this browser has no WebGL)`, SCENE);
       option.disabled = !this.graphics;
       this.view.add(option, 1);
     }
     this.root.dataset.open = "yes";
     this.root.dataset.title = hello.recording.title;
+    this.showView();
+    this.lock();
   }
 
   private grow(data: ArrayBuffer): void {
@@ -313,12 +385,20 @@ class Studio {
   }
 
   private paint(head: { name: string; width: number; height: number }, bytes: Uint8Array): void {
+    if (head.name !== this.view.value) return; // of a view that was chosen before
     paintPicture(this.picture, head.width, head.height, bytes);
-    this.root.dataset.picture = head.name;
+    this.nameView(head.name);
+  }
+
+  /** Name the picture that is shown. */
+  private nameView(view: string): void {
+    this.caption.textContent = title(view);
+    this.root.dataset.picture = view;
   }
 
   /** A scan of the lidar, with ahead at the top; circles are 1 m apart, or 5 m. */
   private plot(head: { name: string; far: number }, bytes: Uint8Array): void {
+    if (head.name !== this.view.value) return;
     const size = 240;
     const paint = fit(this.picture, size, size);
     const colors = palette(this.picture);
@@ -337,7 +417,7 @@ class Studio {
       const [x, y] = [size / 2 - distance * scale * Math.sin(angle), size / 2 - distance * scale * Math.cos(angle)];
       if (distance < head.far - 0.01) paint.fillRect(x - 1.5, y - 1.5, 3, 3);
     }
-    this.root.dataset.picture = head.name;
+    this.nameView(head.name);
   }
 
   /** This drive beside policies on the same episode. */
@@ -359,17 +439,25 @@ class Studio {
     this.player?.toEdge();
   }
 
+  /** Who drives, in the words of this tab. */
+  private driver(status: Status): string {
+    const policy = this.hello?.policy ?? "the policy";
+    if (status.you === "watcher") return `watching · ${status.human ? "another tab drives" : `${policy} drives, another tab has the wheel`}`;
+    return status.human ? "you drive" : `${policy} drives`;
+  }
+
   private show(status: Status): void {
     this.status = status;
     this.player?.setClock(status.playing, status.speed);
-    this.name();
+    this.nameButton();
     this.buttons.record.textContent = status.recording ? "stop recording" : "record";
     this.buttons.record.classList.toggle("on", status.recording);
     this.root.dataset.human = status.human ? "yes" : "no";
     this.root.dataset.tick = String(status.tick);
     const late = status.slowdown > 1.2 ? ` · ${status.slowdown.toFixed(1)} times slower than asked` : "";
-    const driver = status.human ? "you drive" : "the policy drives";
-    this.state.textContent = status.outcome || `episode ${status.episode} · ${driver}${late}`;
+    this.state.textContent = status.outcome || `episode ${status.episode} · ${this.driver(status)}${late}`;
+    this.root.dataset.you = status.you;
+    this.lock();
     this.root.dataset.outcome = status.outcome;
   }
 }

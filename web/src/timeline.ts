@@ -6,6 +6,7 @@ import type { Episode, Recording } from "./recording";
 export const STRIP = 18; // pixels, of a situation
 const CURVE = 46; // of a curve
 const GAP = 8;
+const SHORTEST = 1; // s, of an episode of which strips and curves are drawn
 export const LABELS = 118; // pixels at the left
 
 /** Pixels that the timeline needs. */
@@ -22,6 +23,7 @@ export function drawTimeline(
   episode: Episode,
 ): void {
   const across = (t: number): number => LABELS + ((width - LABELS) * t) / Math.max(1, episode.frames - 1);
+  const short = episode.duration < SHORTEST; // there is no range yet
   paint.clearRect(0, 0, width, timelineHeight(recording));
   paint.font = "12px system-ui, sans-serif";
   paint.textBaseline = "middle";
@@ -35,7 +37,7 @@ export function drawTimeline(
     paint.fillStyle = palette.floor;
     paint.fillRect(LABELS, top + 2, width - LABELS, STRIP - 5);
     paint.fillStyle = color;
-    for (let t = 0; t < episode.frames; ) {
+    for (let t = 0; !short && t < episode.frames; ) {
       const first = t;
       while (t < episode.frames && flags[t] > 0.5) t++;
       if (t > first) {
@@ -54,9 +56,10 @@ export function drawTimeline(
     const low = Math.min(...values, 0);
     const down = (value: number): number => top + CURVE - (CURVE * (value - low)) / (high - low);
     label(name, top + 8, palette.ink);
-    label(`${low.toPrecision(2)} to ${high.toPrecision(2)} ${unit}`, top + 24, palette.muted);
     paint.fillStyle = palette.floor;
     paint.fillRect(LABELS, top, width - LABELS, CURVE);
+    if (short) return;
+    label(`${low.toPrecision(2)} to ${high.toPrecision(2)} ${unit}`, top + 24, palette.muted);
     const shown = marks.filter(([value]) => value >= low && value <= high);
     paint.fillStyle = palette.muted;
     for (const [value] of shown) paint.fillRect(LABELS, down(value), width - LABELS, 1);
