@@ -154,7 +154,8 @@ def demonstrations(config: StudioConfig) -> Dataset | None:
     if foreign := sorted(set(components.digests(recorded)) - set(components.digests(config))):
         text = f"the drives in {folder} need the code {foreign[0]}"
         raise InputError(f"record: {text}; start the studio with the same options to use them.")
-    recorder = Recorder(folder / DATASET, assembly.build(recorded)[0], driver="human", seed=recorded.seed)
+    with components.trust():  # all code that the trials name is that of the user's own options
+        recorder = Recorder(folder / DATASET, assembly.build(recorded)[0], driver="human", seed=recorded.seed)
     for head, commands in trials[recorder.number :]:
         replay(recorder, head["episode"], commands)
         recorder.commit()
