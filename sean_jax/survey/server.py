@@ -16,7 +16,6 @@ import math
 import secrets
 import sqlite3
 import time
-import urllib.parse
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -155,7 +154,7 @@ class Survey:
         if who is None:
             text = b"wrong link: open the address that you were given, to its last letter"
             return web.response(http.HTTPStatus.FORBIDDEN, text)
-        path = urllib.parse.urlsplit(request.path).path
+        path = web.path_of(request)
         if path == web.SOCKET:
             full = len(self._researchers) >= TABS if who < 0 else False
             return web.response(http.HTTPStatus.SERVICE_UNAVAILABLE, b"too many tabs") if full else None
@@ -168,10 +167,9 @@ class Survey:
 
     def _who(self, request: Request) -> int | None:
         """The participant's number, -1 for the researcher; None for a wrong link."""
-        query = urllib.parse.parse_qs(urllib.parse.urlsplit(request.path).query)
-        if secrets.compare_digest(query.get("researcher", [""])[0].encode(), self.answers.researcher.encode()):
+        if secrets.compare_digest(web.query_of(request, "researcher").encode(), self.answers.researcher.encode()):
             return -1
-        return self._secrets.get(query.get("participant", [""])[0])
+        return self._secrets.get(web.query_of(request, "participant"))
 
     async def _serve_tab(self, socket: ServerConnection) -> None:
         """A tab, from its first message to its last."""

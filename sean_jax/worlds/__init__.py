@@ -25,7 +25,7 @@ from sean_jax.graph import annotation
 from sean_jax.graph.annotation import Annotation, Edge, Node
 from sean_jax.graph.formation import reach
 from sean_jax.navigation.arcs import pairs_are_free
-from sean_jax.worlds.floors import FAMILIES, OPEN_AIR, SIZE, WALL_HEIGHT, Floor, kind_of
+from sean_jax.worlds.floors import FAMILIES, LIMITS, MAX_AREA, OPEN_AIR, SIZE, WALL_HEIGHT, Floor, kind_of
 from sean_jax.worlds.proposal import propose
 
 __all__ = [
@@ -93,14 +93,23 @@ def generate(family: str, seed: int, words: Mapping[str, float | tuple[float, fl
         if word not in ranges:
             raise InputError(f"worlds: {family} has no word '{word}'; its words are {', '.join(ranges)}.")
         low, high = (value, value) if isinstance(value, int | float) else value
-        quantities.check_number(f"worlds: {word}", low, 0.0, high)
+        least, most = LIMITS[word]
+        quantities.check_number(f"worlds: {word}", high, least, most)
+        quantities.check_number(f"worlds: {word}", low, least, high)
         ranges[word] = (float(low), float(high))
+    area = ranges["width"][1] * ranges["depth"][1]
+    if area > MAX_AREA:
+        what = f"width {ranges['width'][1]:g} by depth {ranges['depth'][1]:g} m are {area:,.0f} m2"
+        raise InputError(f"worlds: {what}, and at most {MAX_AREA:,.0f} are made; give less.")
     generator = np.random.default_rng([list(FAMILIES).index(family), seed])
     for _ in range(MAX_DRAWS):
         drawn = {word: float(generator.uniform(*limits)) for word, limits in ranges.items()}
         rest = {word: value for word, value in drawn.items() if word not in SIZE}
         floor = Floor(generator, drawn["width"], drawn["depth"])
-        build(floor, **rest)
+        try:
+            build(floor, **rest)
+        except ValueError:  # words do not go together, such as a door that is wider than its room
+            continue
         world = _world(family, seed, drawn, floor, generator)
         if world is not None:
             return world
