@@ -3,6 +3,7 @@
 import csv
 import json
 import re
+import time
 from pathlib import Path
 
 import numpy as np
@@ -295,3 +296,12 @@ def test_a_missing_replay_is_named(tmp_path, capsys, monkeypatch, page, words):
     assert "No replay of one: " in said and words in said
     assert "No replay of other: other/report.html: holds none." in said
     assert words in Path("compare-one-other.html").read_text()
+
+
+def test_a_report_of_many_begins_is_searched_once(tmp_path):
+    """A regular expression would take minutes for it."""
+    (tmp_path / "report.html").write_text(compare.REPLAY[0] * 100_000)
+    began = time.process_time()
+    with pytest.raises(InputError, match="report.html: holds none"):
+        compare._replay(tmp_path / "report.html")
+    assert time.process_time() - began < 5.0

@@ -123,6 +123,8 @@ class Floor:
 
 def rooms(floor: Floor, corridor: float, door: float, room: float, furniture: float) -> None:
     """Rooms of about ``room`` [m] on both sides of a corridor, each with a door."""
+    if corridor >= floor.depth:
+        raise ValueError("there is no place for rooms")
     draw = floor.generator
     lower, upper = (floor.depth - corridor) / 2, (floor.depth + corridor) / 2
     for side, (low, high), at in ((0, (0.0, lower), lower), (1, (upper, floor.depth), upper)):
