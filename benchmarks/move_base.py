@@ -683,7 +683,7 @@ def compare(chosen: argparse.Namespace) -> None:
             file = f"episodes-{name}-{behavior}.json"
             if len((work.load(file) or {"completed": ()})["completed"]) < count:
                 (work.folder / file).unlink(missing_ok=True)
-            loaders = {name: [functools.partial(load_policy, policy)]}
+            loaders = {name: [functools.partial(load_policy, policy, typed=True)]}
             columns |= figure4.drive(loaders, work, behavior, kinds[behavior], chosen.seed, count, lambda share: None)
         values[REAL][behavior] = measures.episode_measures(columns_of(episodes))[0]
         for name, each in columns.items():

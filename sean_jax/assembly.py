@@ -78,7 +78,9 @@ def _with_one_task(environment: str | Path | ScenarioConfig, options: dict, what
     """The options of ``make``; InputError if they have several tasks."""
     config = environment if isinstance(environment, ScenarioConfig) else None
     if config is None:
-        config = validate(ScenarioConfig, gather(ScenarioConfig, {"environment": str(environment), **options}))
+        config = validate(
+            ScenarioConfig, gather(ScenarioConfig, {"environment": str(environment), **options}), typed=True
+        )
     elif options:
         config = config.replace(**options)
     if len(config.tasks) > 1 and config.task is not None:
@@ -329,7 +331,7 @@ def with_task(scenario: Scenario, task: Any) -> Scenario:
         InputError: there is none of that name, or it does not fit to the behavior.
     """
     if not isinstance(task, Component):
-        task = validate(ScenarioConfig, {"task": task}).tasks[0]
+        task = validate(ScenarioConfig, {"task": task}, typed=True).tasks[0]
     _check_task(task, scenario.behavior.name)
     if isinstance(task, CustomTask) and task.start and task.goal:
         scenario = dataclasses.replace(scenario, task_name=task.kind)

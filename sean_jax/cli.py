@@ -201,7 +201,8 @@ def _read(model: type[Config], parsed: Any) -> Any:
             raise InputError(f"{parsed.config}: {error}") from None
         for sentence in saved.changes:
             print(sentence, file=sys.stderr)
-    return flags.read(model, parsed, base, source=parsed.config if base is not None else None)
+    source = parsed.config if base is not None else None
+    return flags.read(model, parsed, base, source, typed=True)
 
 
 def _refuse_empty(arguments: list[str]) -> None:

@@ -22,7 +22,7 @@ from types import ModuleType
 from typing import Any, NamedTuple
 
 from sean_jax import files, writing
-from sean_jax.config import Component, Config, OwnPart, Value, is_own_part
+from sean_jax.config import Component, Config, OwnPart, Value, is_own_part, validate
 from sean_jax.errors import InputError
 
 PARTS = "parts"  # folder beside a description with the user's files
@@ -127,9 +127,10 @@ def check_trust(config: Config) -> None:
 
 
 def _check_trust(part: OwnPart, option: str) -> None:
-    if part.named_in is not None and not _trust:
+    if not part.is_typed and not _trust:
+        namer = part.named_in or "a file or message"
         cure = "read it, then add --trust (in Python: with sean_jax.trust())"
-        raise InputError(f"{option}: {part.kind} is code, and {part.named_in} names it, not you; {cure}.")
+        raise InputError(f"{option}: {part.kind} is code, and {namer} names it, not you; {cure}.")
 
 
 # ------------------------------------------------------------------ what files hold
@@ -291,7 +292,7 @@ def _parts(config: Config) -> Iterator[tuple[str, OwnPart]]:
             if isinstance(part, OwnPart):
                 yield name, part
             elif is_own_part(part):
-                yield name, OwnPart(kind=part)
+                yield name, validate(OwnPart, {"kind": part})
 
 
 def _sha256(data: bytes) -> str:

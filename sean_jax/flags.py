@@ -132,13 +132,19 @@ def _plain(kind: Any) -> Any:
 
 
 def read(
-    model: type[Described], parsed: object, base: Mapping[str, object] | None = None, source: Path | None = None
+    model: type[Described],
+    parsed: object,
+    base: Mapping[str, object] | None = None,
+    source: Path | None = None,
+    *,
+    typed: bool = False,
 ) -> Described:
     """The options of parsed flags, an instance of ``parser(model)``.
 
     Args:
         base: JSON values of options without a flag.
         source: file of ``base``, as of ``validate``.
+        typed: whether the user typed the flags; those of a command that a file holds are not.
 
     Raises:
         InputError: a value is wrong, or an option does not belong to the chosen component; it names the flag.
@@ -151,7 +157,7 @@ def read(
     preset = words.get("preset", data.get("preset"))
     for name, family in families(model).items():
         for option in {name, family.singular} & words.keys():
-            words[option] = _own(words[option], family)
+            words[option] = _own(words[option], family) if typed else words[option]
         if family.singular is not None:
             default = usual(preset, name, ",".join(each.kind for each in model.model_fields[name].default))
             if name in words:
@@ -161,7 +167,7 @@ def read(
                 several = listed(present) if isinstance(present, str) else present
                 data[name] = [*(several if isinstance(several, list) else [several]), *added]
     words = {name: value for name, value in words.items() if name not in switches}
-    return core.validate(model, core.gather(model, words, data, flag), flag, source)
+    return core.validate(model, core.gather(model, words, data, flag), flag, source, typed=typed and base is None)
 
 
 def positionals(model: type[Config]) -> list[str]:

@@ -111,7 +111,7 @@ def _problems(settings: MapFile) -> list[files.Problem]:
 
 def _is_image(path: Path) -> bool:
     try:
-        with path.open("rb") as stream, Image.open(stream, formats=FORMATS):
+        with files.open_file(path, MAX_BYTES) as stream, Image.open(stream, formats=FORMATS):
             return True
     except Image.DecompressionBombError:
         return True
@@ -136,7 +136,7 @@ def _image(image: Path) -> tuple[np.ndarray, np.ndarray]:
     except UnidentifiedImageError:
         raise files.file_error(image, f"is no image that can be read; give {FORMAT_NAMES}") from None
     except Exception as error:  # Pillow's decoders raise many types of errors for damaged files
-        raise files.file_error(image, f"is no image that can be read ({error}); give {FORMAT_NAMES}") from None
+        raise files.file_error(image, f"is damaged; save it again as one of {FORMAT_NAMES}") from error
 
 
 def _shades(image: Image.Image) -> tuple[np.ndarray, np.ndarray]:

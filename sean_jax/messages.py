@@ -1,6 +1,12 @@
-"""Sentences about wrong values: what messages on options, files and Python arguments have in common."""
+"""Sentences about wrong values: what messages on options, files and Python arguments have in common.
+
+``parse_json`` stands here, since files and messages of a socket are the same JSON of strangers.
+"""
 
 import difflib
+import json
+import math
+import re
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -13,6 +19,65 @@ def listed(text: str | None) -> list[str]:
 def shorten(text: str, length: int = 60) -> str:
     """A text, cut to ``length`` characters."""
     return text if len(text) <= length else text[: length - 3] + "..."
+
+
+MAX_DEPTH = 60  # of values within values
+MAX_DIGITS = 60  # characters of a whole number
+HALF = re.compile(r"\\u[dD][89a-fA-F]")  # how half a character, of the codes D800 to DFFF, is written in JSON
+
+
+def parse_json(content: str | bytes, strict: bool = True, finite: bool = True) -> Any:
+    """The value of a JSON text of a stranger.
+
+    Args:
+        strict: words must not contain the ends of lines and other control characters.
+        finite: NaN and infinities are refused.
+
+    Raises:
+        ValueError: it is no JSON, or holds numbers, words or levels that no file or message needs; a clause.
+    """
+
+    def refuse(word: str) -> None:
+        raise ValueError(f"{word} is not JSON")
+
+    def decimal(word: str) -> float:
+        if finite and not math.isfinite(float(word)):
+            raise ValueError(f"{shorten(word)} is too large a number")
+        return float(word)
+
+    def whole(word: str) -> int:
+        if len(word) > MAX_DIGITS:
+            raise ValueError(f"a number has {len(word):,} digits; write fewer")
+        return int(word)
+
+    text = content.decode("utf-8-sig") if isinstance(content, bytes) else content  # json itself lets halves through
+    numbers = {"parse_constant": refuse} if finite else {}
+    try:
+        value = json.loads(text, strict=strict, parse_float=decimal, parse_int=whole, **numbers)
+    except RecursionError:
+        raise ValueError("values are nested too deeply") from None
+    _check_depth(value)
+    if HALF.search(text):
+        _check_letters(value)
+    return value
+
+
+def _check_depth(value: Any) -> None:
+    level = [value] if isinstance(value, dict | list) else []
+    for _ in range(MAX_DEPTH):
+        if not level:
+            return
+        inside = (each.values() if isinstance(each, dict) else each for each in level)
+        level = [part for parts in inside for part in parts if isinstance(part, dict | list)]
+    raise ValueError("values are nested too deeply")
+
+
+def _check_letters(value: Any) -> None:
+    """Two halves that follow each other are one character for ``json``; a half alone cannot be written as UTF-8."""
+    try:
+        json.dumps(value, ensure_ascii=False).encode("utf-8")
+    except UnicodeEncodeError:
+        raise ValueError("half a character, of the codes D800 to DFFF; remove it") from None
 
 
 def suggest(word: str, choices: Iterable[str]) -> str:

@@ -75,7 +75,8 @@ def load(name: str, config: EnvConfig | None = None, config_overrides: Mapping[s
         if key not in EnvConfig.model_fields:
             cure = files.suggest(key, EnvConfig.model_fields) or "."
             raise InputError(f"config_overrides: '{key}' is no field{cure}")
-    env = build(validate(EnvConfig, {**{key: getattr(config, key) for key in EnvConfig.model_fields}, **overrides}))
+    options = {key: getattr(config, key) for key in EnvConfig.model_fields} | overrides
+    env = build(validate(EnvConfig, options, typed=True))
     if weights:
         changed = rewards.as_terms({key.removeprefix("rewards."): weight for key, weight in weights.items()})
         env = replace(env, rewards=tuple((dict(env.rewards) | dict(changed)).items()))
@@ -154,10 +155,10 @@ def with_law(config: EnvConfig, law: str) -> EnvConfig:
         InputError: there is no such law.
     """
     if law in pedestrian_models.MODELS:
-        return config.replace(model=law)
+        return config.replace(model=Named(kind=law))
     if law not in social_forces.PRESETS and not is_file(law):
         raise InputError(files.unknown_name("laws", law, (*social_forces.PRESETS, *pedestrian_models.MODELS)))
-    return config.replace(model="social_forces", forces=law)
+    return config.replace(model=Named(kind="social_forces"), forces=Named(kind=law))
 
 
 def observation_terms(parts: Sequence[Component], option: str = "observations") -> observations.Terms:

@@ -393,8 +393,8 @@ def _numbers(path: Path, number: int, row: list[str]) -> list[float]:
 
 def _header(path: Path, text: str | bytes) -> Header:
     try:
-        content = json.loads(text)
-    except (ValueError, RecursionError):
+        content = files.parse_json(text)
+    except ValueError:
         raise FileError(f"{files.short_name(path)}: its header is damaged; {CURE}.") from None
     return files.check_json(path, content, Header)
 

@@ -5,9 +5,12 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import http
+import inspect
 import json
+import logging
 import math
 import signal
+import sys
 import threading
 import urllib.parse
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
@@ -15,9 +18,11 @@ from typing import Any
 
 from websockets.asyncio.server import ServerConnection, serve
 from websockets.datastructures import Headers
+from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
 from sean_jax.errors import InputError
+from sean_jax.messages import parse_json, shorten
 
 HOST = "127.0.0.1"
 SOCKET = "/socket"
@@ -46,6 +51,8 @@ async def listen(
 ) -> AsyncIterator[int]:
     """Serve a port of this computer within the block, which gets its number; 0 is a free one.
 
+    Whatever a request or a tab holds, the terminal shows one line of each kind of error, and the server goes on.
+
     Args:
         longest: bytes of a message from a page.
         host: address of this computer; by default other computers cannot connect.
@@ -53,9 +60,31 @@ async def listen(
     Raises:
         OSError: the port is taken.
     """
+    log = Log()
+
+    async def guarded_answer(connection: ServerConnection, request: Request) -> Response | None:
+        try:
+            check_request(request)
+            answered = answer(connection, request)
+            return await answered if inspect.isawaitable(answered) else answered
+        except InputError as error:
+            return response(http.HTTPStatus.BAD_REQUEST, str(error).encode())
+        except Exception as error:
+            log.tell("a request", error)
+            return response(http.HTTPStatus.BAD_REQUEST, b"a request that cannot be answered")
+
+    async def guarded_tab(tab: ServerConnection) -> None:
+        try:
+            await serve_tab(tab)
+        except ConnectionClosed:
+            pass
+        except Exception as error:
+            log.tell("a tab was closed by a message that", error)
+            await tab.close(1011, "a message that cannot be answered; reload the page")
+
     async with serve(
-        serve_tab, host, port, process_request=answer, max_size=longest, open_timeout=PATIENCE,
-        ping_interval=PATIENCE, ping_timeout=2 * PATIENCE, close_timeout=1.0, compression=None, server_header=None,
+        guarded_tab, host, port, process_request=guarded_answer, logger=log.logger, max_size=longest,
+        open_timeout=PATIENCE, ping_interval=PATIENCE, ping_timeout=2 * PATIENCE, close_timeout=1.0, compression=None, server_header=None,
     ) as server:  # fmt: skip
         yield server.sockets[0].getsockname()[1]
 
@@ -78,6 +107,71 @@ def signals() -> Iterator[asyncio.Event]:
             signal.signal(kind, handler)
 
 
+class Log:
+    """What a server tells in the terminal: a line for each kind of error, once."""
+
+    def __init__(self) -> None:
+        self._told = set[str]()
+        self.logger = logging.Logger("sean_jax.web", logging.CRITICAL + 1)  # the tracebacks of websockets are no news
+
+    def tell(self, what: str, error: BaseException) -> None:
+        """One line about an error that nobody expected."""
+        kind = type(error).__name__
+        if kind not in self._told:
+            self._told.add(kind)
+            reason = " ".join(str(error).split())
+            print(f"sean: {what} failed ({kind}: {shorten(reason, 200)}).", file=sys.stderr, flush=True)
+
+
+def split(address: str) -> urllib.parse.SplitResult:
+    """The parts of an address.
+
+    Raises:
+        InputError: it is none, such as ``http://[`` or one with port 99999999.
+    """
+    try:
+        parts = urllib.parse.urlsplit(address)
+        _ = parts.port, parts.hostname  # are read only now
+    except ValueError:
+        raise InputError(f"{shorten(repr(address))} is no address.") from None
+    return parts
+
+
+def is_origin(address: str) -> bool:
+    """Whether an address is scheme, host and perhaps port alone, as https://study.example.org."""
+    try:
+        parts = split(address)
+    except InputError:
+        return False
+    is_plain = address == f"{parts.scheme}://{parts.netloc}" and "@" not in parts.netloc
+    return is_plain and parts.scheme in ("http", "https") and bool(parts.hostname) and parts.netloc.isascii()
+
+
+def path_of(request: Request) -> str:
+    """The path of a request, without its query."""
+    return split(request.path).path
+
+
+def query_of(request: Request, name: str) -> str:
+    """The first value of a name in a request's query; "" without one."""
+    return urllib.parse.parse_qs(split(request.path).query).get(name, [""])[0]
+
+
+def check_request(request: Request) -> None:
+    """Refuse a request with a malformed address, host or origin, or with several of them.
+
+    Raises:
+        InputError: what is wrong.
+    """
+    split(request.path)
+    for name, start in (("Host", "//"), ("Origin", "")):
+        values = request.headers.get_all(name)
+        if len(values) > 1:
+            raise InputError(f"a request with {len(values)} {name} headers.")
+        for value in values:
+            split(start + value)
+
+
 def refusal(request: Request, port: int, address: str | None = None) -> Response | None:
     """The answer to a request for another host, or of a socket from a page of another origin; None if it is neither.
 
@@ -85,11 +179,10 @@ def refusal(request: Request, port: int, address: str | None = None) -> Response
         address: a public address, such as https://study.example.org, besides those of this computer.
     """
     origins = _origins(port, address)
-    hosts = {urllib.parse.urlsplit(origin).netloc for origin in origins}
+    hosts = {split(origin).netloc for origin in origins}
     if request.headers.get("Host") not in hosts:  # a page elsewhere whose name was turned to this computer
         return response(http.HTTPStatus.FORBIDDEN, b"wrong host")
-    is_socket = urllib.parse.urlsplit(request.path).path == SOCKET
-    if is_socket and request.headers.get("Origin") not in origins:
+    if path_of(request) == SOCKET and request.headers.get("Origin") not in origins:
         return response(http.HTTPStatus.FORBIDDEN, b"wrong origin")
     return None
 
@@ -129,13 +222,13 @@ def framed(head: dict[str, Any], content: bytes) -> bytes:
 
 
 def parse(message: str | bytes) -> dict[str, Any]:
-    """A page's request.
+    """A page's request, without NaN, numbers that are too large, half characters and endless levels.
 
     Raises:
         InputError: it is none.
     """
     try:
-        request = json.loads(message)
+        request = parse_json(message)
     except ValueError:
         request = None
     if not isinstance(request, dict) or not isinstance(request.get("do"), str):
@@ -150,6 +243,6 @@ def number(request: dict[str, Any], name: str, low: float, high: float) -> float
         InputError: it is no number.
     """
     value = request.get(name)
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise InputError(f"{name}: {value!r} is no number; reload the page.")
-    return min(max(float(value), low), high)
+    if isinstance(value, bool) or not isinstance(value, int | float) or math.isnan(value):
+        raise InputError(f"{name}: {shorten(repr(value))} is no number; reload the page.")
+    return float(min(max(value, low), high))  # of the smaller number, as the largest have no float

@@ -24,6 +24,7 @@ try:
 except ImportError:  # Windows, where folders are not locked
     fcntl = None
 
+MAX_HOLDER = 200  # bytes of a lock that are shown
 LOCK = ".lock"
 DISK_FULL = "the disk is full"
 LINK = "is a link or no regular file, through which nothing is written; remove it."
@@ -274,10 +275,14 @@ def _names(folder: Path) -> list[str]:
 
 
 def _holder(lock: Path) -> str:
+    """Who holds a lock, as it says itself; whatever another program wrote there is shown, and not believed."""
     try:
-        return lock.read_text(encoding="utf-8").strip() or "another process"
+        with lock.open("rb") as stream:
+            text = stream.read(MAX_HOLDER).decode("utf-8", "replace")
     except OSError:
         return "another process"
+    words = "".join(letter if letter.isprintable() else " " for letter in text)
+    return " ".join(words.split()) or "another process"
 
 
 def _remove_empty(folders: list[Path]) -> None:

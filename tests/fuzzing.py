@@ -51,6 +51,105 @@ MERGES = "a: &a {k: 1, l: 2}\n" + "".join(
 )
 
 
+GATE = (
+    "load", "read_yaml", "read_json", "read_json_lines", "read_text", "read_bytes", "read_rows", "read_arrays",
+    "open_file", "check_json", "parse_json",
+)  # fmt: skip
+"""Functions of ``sean_jax.files`` through which all that comes from outside is read."""
+
+READERS = {
+    "environment": ("environment.py _settings",),
+    "scene": ("environment.py _settings",),
+    "graph": ("graph/annotation.py read",),
+    "handcrafted": ("handcrafted/annotation.py read",),
+    "recording": ("recordings/reading.py column_names", "recordings/reading.py _table"),
+    "companions": ("recordings/reading.py read_companions",),
+    "trajectory": ("survey/ratings.py read",),
+    "ratings": ("survey/ratings.py read_answers",),
+    "variants": ("survey/ratings.py _variants",),
+    "study": ("survey/study.py read",),
+    "map": ("maps.py read", "maps.py _is_image", "maps.py _image"),
+    "manifest": ("learning/dataset.py open_dataset", "learning/dataset.py check_manifest"),
+    "policy": ("learning/networks.py read_network_config", "learning/networks.py read_method"),
+    "agent": ("learning/policy.py read_options", "learning/policy.py _read_packed"),
+    "log": ("learning/trainer.py read_metrics",),
+    "config": ("evaluation/saved.py read_config",),
+    "training": ("evaluation/saved.py read_config", "config/learning.py EnvConfig.identity"),
+    "csv": ("trajectories.py _Csv.read", "trajectories.py _header"),
+    "parquet": ("trajectories.py _Parquet.read", "trajectories.py _Parquet.read.blocks", "trajectories.py _header"),
+    "batch": ("evaluation/batches.py RunFolder.load",),
+    "cache": ("cache.py _read",),
+    "result": ("studies/experiments/benchmark.py check", "studies/experiments/benchmark.py read_track"),
+    "run": (
+        "evaluation/compare.py _own_figures",
+        "evaluation/compare.py _replay",
+        "evaluation/saved.py read_episodes",
+    ),
+    "forces": ("social_forces/presets.py read",),
+    "randomization": ("mdp/randomization.py as_randomization",),
+    "sensor": ("sensors/readings.py as_sensor",),
+    "import": ("robots/imports.py _read",),
+    "identity": ("workspace.py read_identity",),
+    "row": ("studies/validation/checks.py load",),
+}
+"""Kind -> the functions that read it, as FILE FUNCTION. (Robots and bodies are read in ``files`` itself.)"""
+
+ELSEWHERE = {
+    "web.py parse": "messages of test_hostile",
+    "ros/rosbridge.py Server._handle": "messages of test_hostile",
+    "studio/editor.py Editor._take": "texts that it made itself of a graph or of sets, as load_graph and load_handcrafted",
+    "studio/trial.py read": "trials of the studio: test_studio",
+    "studio/trial.py recover": "trials of the studio: test_studio",
+    "evaluation/replay_command.py _of_imitation": "the config.json of load_policy",
+    "learning/policy.py describe_agent": "the config.json of load_agent",
+    "learning/policy.py pack": "the config.json of load_agent",
+    "studies/inverse_graph/__init__.py _words": "a graph as in load_graph",
+    "studies/validation/page.py write_replay": "results.json: test_validate",
+    "workspace.py Workspace.load": "parts whose readers look at them",
+}
+"""Readers of outside data without a kind of their own -> what tries them."""
+
+OWN = {
+    "assembly.py _made", "cache.py source", "components.py digest", "components.py _bytes", "evaluation/saved.py read_inputs",
+    "studies/inverse_graph/__init__.py run", "studies/validation/checks.py _code", "studio/editor.py Editor.__init__",
+    "studio/editor.py Editor.save",
+    # data of the package, and of the machine
+    "config/core.py aliases", "doctor.py _memory", "evaluation/bag_command.py write", "evaluation/list_command.py ",
+    "evaluation/list_command.py _environment", "evaluation/list_command.py _robot", "evaluation/table.py ",
+    "learning/lerobot.py ", "metrics/__init__.py _read_metrics", "replay/__init__.py script",
+    "social_forces/presets.py _read_presets", "studies/calibration/fitting.py ", "studies/calibration/loss.py ",
+    "studies/experiments/benchmark.py _read_tracks", "studies/experiments/benchmark.py protocol_digest",
+    "studies/experiments/benchmark.py device", "studies/experiments/page.py ", "studies/validation/checks.py ",
+    "studio/__init__.py serve", "survey/__init__.py _serve", "survey/study.py templates", "trajectories.py ",
+    "trajectories.py save_trajectory",
+}  # fmt: skip
+"""Who reads bytes that are only copied or digested, or data of the package itself."""
+
+
+def readers() -> set[str]:
+    """FILE FUNCTION of each function of the package that calls one of ``GATE``, from its source; "" is a module."""
+    import ast
+
+    package = Path(__file__).parent.parent / "sean_jax"
+    found = set()
+
+    def visit(node: ast.AST, file: str, names: tuple[str, ...]) -> None:
+        if isinstance(node, ast.Call):
+            call = node.func
+            of_files = isinstance(call, ast.Attribute) and call.attr in GATE and ast.unparse(call.value) == "files"
+            if of_files or (isinstance(call, ast.Name) and call.id in GATE and call.id != "load"):
+                found.add(f"{file} {'.'.join(names)}")
+        if isinstance(node, (ast.FunctionDef, ast.ClassDef, ast.AsyncFunctionDef)):
+            names = (*names, node.name)
+        for child in ast.iter_child_nodes(node):
+            visit(child, file, names)
+
+    for path in sorted(package.rglob("*.py")):
+        if path.parent.name != "files":
+            visit(ast.parse(path.read_text(encoding="utf-8")), path.relative_to(package).as_posix(), ())
+    return found
+
+
 class Refused(Exception):
     """The program has done without the input, and said so where it should."""
 
@@ -594,6 +693,32 @@ def load_config(folder: Path) -> Any:
     return cli._read(RunConfig, flags.parse("run", RunConfig, words, configurable=True)).identity()
 
 
+URDF = """<robot name="cart">
+  <link name="base">
+    <inertial><mass value="9"/><inertia ixx="0.2" ixy="0" ixz="0" iyy="0.2" iyz="0" izz="0.3"/></inertial>
+    <collision><origin xyz="0 0 0.1" rpy="0 0 0"/><geometry><box size="0.4 0.3 0.1"/></geometry></collision>
+  </link>
+  <link name="left"><inertial><mass value="0.5"/></inertial>
+    <collision><origin rpy="1.5708 0 0"/><geometry><cylinder radius="0.1" length="0.04"/></geometry></collision></link>
+  <link name="right"><inertial><mass value="0.5"/></inertial>
+    <collision><origin rpy="1.5708 0 0"/><geometry><cylinder radius="0.1" length="0.04"/></geometry></collision></link>
+  <link name="caster"><collision><geometry><sphere radius="0.05"/></geometry></collision></link>
+  <joint name="left_wheel" type="continuous"><parent link="base"/><child link="left"/>
+    <origin xyz="0.1 0.17 0.0"/><axis xyz="0 1 0"/><limit effort="3" velocity="9"/></joint>
+  <joint name="right_wheel" type="continuous"><parent link="base"/><child link="right"/>
+    <origin xyz="0.1 -0.17 0.0"/><axis xyz="0 1 0"/><limit effort="3" velocity="9"/></joint>
+  <joint name="back" type="fixed"><parent link="base"/><child link="caster"/><origin xyz="-0.15 0 -0.05"/></joint>
+</robot>
+"""
+
+
+def load_import(folder: Path) -> Any:
+    from sean_jax.robots import imports
+
+    file = folder / "cart.urdf"
+    imports._Base(file, imports._read(file), imports.Settings()).mjcf("cart")
+
+
 # A study: its description, and its file
 
 
@@ -798,6 +923,91 @@ def in_json_lines(chance: random.Random, given: bytes) -> bytes:
     return b"\n".join(lines)
 
 
+TRAINING = """environment: lab
+people: 4
+scenarios: 8
+steps: 1000
+observations: [goal, people]
+rewards: [default]
+randomization: {kind: bounds, people: [0.5, 1.0]}
+learning_rate: 0.001
+sweep: ["learning_rate=0.001,0.0003"]
+imitate: expert
+"""
+LOG = "".join(f'{{"epoch": {k}, "time": {k}.5, "return": -1.0, "completed": 0.5}}\n' for k in range(5))
+SENSOR = "kind: depth\nname: eye\nwidth: 32\nheight: 24\nfar: 8\nerrors: {drop_out: 0.1}\n"
+VARIANTS = '{"1": ["000000001.json"], "2": ["000000002.json"]}'
+
+
+def load_companions(folder: Path) -> Any:
+    from sean_jax import recordings
+
+    tracks = recordings.read(folder / "people.csv", "csv", 1.0)
+    return recordings.read_companions(folder / "groups.txt", tracks)
+
+
+def load_training(folder: Path) -> Any:
+    from sean_jax import cli, flags
+    from sean_jax.config import PPOConfig
+
+    words = ["ppo", "--config", str(folder / "config.yaml")]
+    cli._read(PPOConfig, flags.parse("train", PPOConfig, words, configurable=True)).identity()
+
+
+def load_log(folder: Path) -> Any:
+    from sean_jax.learning import trainer
+
+    for line in trainer.read_metrics(folder):
+        assert isinstance(line["epoch"], int) and line["time"] >= 0
+
+
+def load_identity(folder: Path) -> Any:
+    from sean_jax import workspace
+
+    workspace.difference(workspace.read_identity(folder / "identity.json") or {}, json.loads(IDENTITY))
+
+
+IDENTITY = '{"options": {"seed": 0, "people": 4}, "versions": {"jax": "0.10"}, "parts": {"my.py": "abc"}}'
+
+
+def load_sensor(folder: Path) -> Any:
+    from sean_jax import robots, sensors
+
+    sensors.as_sensor(str(folder / "eye.yaml"), robots.load("kuri", "twin"))
+
+
+def load_variants(folder: Path) -> Any:
+    from sean_jax.survey import ratings
+
+    if os.path.lexists(folder / "variants.json"):
+        (folder / "variants.json").rename(folder / ratings.VARIANTS)
+    ratings._variants(folder)
+
+
+def load_row(folder: Path) -> Any:
+    """A row that is not as it was saved is measured again, without a word."""
+    from sean_jax.config import ValidateConfig
+    from sean_jax.studies.validation import checks
+
+    model, check = checks.model(), next(iter(checks.CHECKS.values()))
+    place = checks._part(folder, check, model)
+    place.parent.mkdir(parents=True, exist_ok=True)
+    if os.path.lexists(folder / "row.json"):
+        (folder / "row.json").rename(place)
+    checks._provenance, before = (lambda model, options: {}), checks._provenance
+    try:
+        found = checks.load(folder, check, model, ValidateConfig())
+    finally:
+        checks._provenance = before
+    if found is None:
+        raise Refused("it is measured anew")
+
+
+ROW = {
+    "made_with": {}, "check": "a", "model": "b", "verdict": "passes", "measured": "1", "reason": "", "numbers": {"x": 1.0}, "curves": [], "axes": ["x", "y"], "pictures": [["a", "<svg/>"]], "seconds": 1.0,
+}  # fmt: skip
+
+
 def kinds(folder: Path) -> dict[str, Kind]:
     """Every kind of input, each with how many of a hundred mutants are of it."""
     import numpy as np
@@ -845,6 +1055,14 @@ def kinds(folder: Path) -> dict[str, Kind]:
         "trial": Kind({"000000.jsonl": recorded_drive()}, ("000000.jsonl",), load_trial, 10),
         "randomization": Kind({"my.yaml": bounds.encode()}, ("my.yaml",), load_randomization, 6),
         **studies(folder),
+        "companions": Kind({"people.csv": walks(), "groups.txt": b"0 2\n1\n"}, ("groups.txt",), load_companions, 6),
+        "training": Kind({"config.yaml": TRAINING.encode()}, ("config.yaml",), load_training, 8),
+        "log": Kind({"metrics.jsonl": LOG.encode()}, ("metrics.jsonl",), load_log, 6),
+        "identity": Kind({"identity.json": IDENTITY.encode()}, ("identity.json",), load_identity, 6),
+        "sensor": Kind({"eye.yaml": SENSOR.encode()}, ("eye.yaml",), load_sensor, 8),
+        "variants": Kind({"variants.json": VARIANTS.encode()}, ("variants.json",), load_variants, 6),
+        "row": Kind({"row.json": json.dumps(ROW, indent=1).encode()}, ("row.json",), load_row, 6),
+        "import": Kind({"cart.urdf": URDF.encode()}, ("cart.urdf",), load_import, 14),
     }
 
 
@@ -934,10 +1152,10 @@ def structured(name: str) -> Callable[[random.Random, bytes], bytes]:
         ".yaml": in_tree,
         ".json": in_tree,
         ".xml": in_elements,
+        ".urdf": in_elements,
         ".csv": in_cells,
-        ".html": in_values,
     }
-    return ways[Path(name).suffix]
+    return ways.get(Path(name).suffix, in_values)
 
 
 TREE = [

@@ -4,6 +4,7 @@ import csv
 import io
 import json
 import re
+import time
 from pathlib import Path
 
 import numpy as np
@@ -398,3 +399,12 @@ def test_values_up_to_the_best_are_a_test_more(tmp_path):
     assert row.clear == (min(holm(p)) <= 0.05) and row.directed == (holm(p)[1] <= 0.05)
     assert row.judged(1.0, 0.01).verdict == "worse" and row.judged(0.01, 0.2).verdict == "differs"
     assert row.judged(1.0, 1.0).verdict == ""
+
+
+def test_a_report_of_many_begins_is_searched_once(tmp_path):
+    """A regular expression would take minutes for it."""
+    (tmp_path / "report.html").write_text(compare.REPLAY[0] * 100_000)
+    began = time.process_time()
+    with pytest.raises(InputError, match="report.html: holds none"):
+        compare._replay(tmp_path / "report.html")
+    assert time.process_time() - began < 5.0

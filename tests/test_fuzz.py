@@ -1,5 +1,6 @@
 """Two thousand inputs made wrong at random: each is refused in sentences or read, at once, and nothing becomes NaN."""
 
+import ast
 import collections
 import json
 import os
@@ -36,6 +37,17 @@ def answers(seed: int, count: int, folder: Path) -> dict[int, dict]:
             found[last["number"]] = {**last, "result": "wrong", "said": said}
         first = last["number"] + 1
     return found
+
+
+def test_every_reader_of_outside_data_has_a_kind():
+    """A new function that reads, and that no kind names, fails here: give it a seed."""
+    named = {reader for readers in fuzzing.READERS.values() for reader in readers}
+    assert not named & fuzzing.ELSEWHERE.keys() and not (named | fuzzing.ELSEWHERE.keys()) & fuzzing.OWN
+    assert fuzzing.readers() == named | fuzzing.ELSEWHERE.keys() | fuzzing.OWN
+    (made,) = [node for node in ast.walk(ast.parse(Path(fuzzing.__file__).read_text(encoding="utf-8")))
+               if isinstance(node, ast.FunctionDef) and node.name == "kinds"]  # fmt: skip
+    (table,) = [node.value for node in made.body if isinstance(node, ast.Return)]
+    assert fuzzing.READERS.keys() <= {key.value for key in table.keys}
 
 
 @pytest.mark.night

@@ -133,7 +133,7 @@ def test_a_mistake_in_a_policy_is_one_sentence(mistake, small, tmp_path, monkeyp
     monkeypatch.chdir(tmp_path)
     kind = write(tmp_path, text)
     with pytest.raises(PartError) as refused:
-        load_policy(kind, small)
+        load_policy(kind, small, typed=True)
     check_sentence(str(refused.value), "policy", line, words)
 
 

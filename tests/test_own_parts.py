@@ -320,7 +320,7 @@ f = [*sean_jax.preset("helbing1995"), Law()]
     laws = set()
     for number in ("1.0", "2.0"):
         (place / "my.py").write_text(law.replace("NUMBER", number))
-        (model,) = checks.models_of("my.py:f")
+        (model,) = checks.models_of("my.py:f", typed=True)
         laws.add(json.dumps(checks._provenance(model, ValidateConfig())))
     assert len(laws) == 2
 
@@ -451,8 +451,10 @@ def test_only_what_is_typed_is_yours(named, field, capsys):
         )
         parts = getattr(cli._read(RunConfig, config), field)
         assert [(part.kind, part.named_in) for part in parts] == [("code.py:f", source), ("my.py:g", None)]
+        assert [part.is_typed for part in parts] == [False, True]
     else:
-        assert read(f"--{field}", "my.py:g")[field].named_in is None
+        part = read(f"--{field}", "my.py:g")[field]
+        assert part.named_in is None and part.is_typed
     if field == "behavior":
         (part,) = read("--routing", "edge").values()
         assert part.named_in == source and part.options["routing"] == "edge"

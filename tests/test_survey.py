@@ -111,6 +111,8 @@ MISTAKES = [
     ("title: Robots in a lab", "titel: x", r"titel.*did you mean 'title'"),
     ("drivers: 8", "address: example.org", r"address: 'example.org' is no address; write it as https://"),
     ("drivers: 8", "address: https://example.org/study", r"address: 'https://example.org/study' is no address"),
+    ("drivers: 8", "address: 'http://['", r"address: 'http://\[' is no address"),
+    ("drivers: 8", "address: https://me:pw@example.org", r"is no address; write it as"),
     ("name: why", "name: choice", r"trials\[2\].questions\[0\].name: 'choice' is the name of the choice"),
     (
         '    questions: [{kind: text, name: why, text: "Why?", required: false}]\n',

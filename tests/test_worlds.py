@@ -82,11 +82,27 @@ def test_a_seed_is_a_floor_and_words_are_kept():
         ("rooms", {"doors": 1.2}, "rooms has no word 'doors'; its words are width, depth, corridor, door"),
         ("rooms", {"door": (1.4, 1.0)}, "door"),
         ("passages", {"door": 0.5}, "none of 50 floors of passages"),
+        ("rooms", {"depth": 1e300}, r"depth: 1e\+300 must be from 4 to 100"),
+        ("rooms", {"width": float("inf")}, "width: inf must be from 4 to 100"),
+        ("rooms", {"width": float("nan")}, "width: nan must be from 4 to 100"),
+        ("rooms", {"width": 100, "depth": 100}, "width 100 by depth 100 m are 10,000 m2, and at most 1,000 are made"),
+        ("rooms", {"room": 1e-6}, "room: 1e-06 must be from 2 to 50"),
+        ("rooms", {"corridor": 20, "depth": 5}, "none of 50 floors of rooms"),
+        ("lobby", {"furniture": 1e6}, "furniture: 1000000.0 must be from 0 to 0.5"),
+        ("clutter", {"density": 50}, "density: 50 must be from 0 to 0.5"),
     ],
 )
 def test_mistakes_are_one_sentence(family, words, sentence):
     with pytest.raises(InputError, match=sentence):
         worlds.generate(family, 0, words)
+
+
+def test_each_word_has_limits_around_its_range():
+    for word, (low, high) in {
+        **worlds.SIZE,
+        **{k: v for _, words in worlds.FAMILIES.values() for k, v in words.items()},
+    }.items():
+        assert worlds.LIMITS[word][0] <= low <= high <= worlds.LIMITS[word][1], word
 
 
 def test_the_command_writes_environments_and_a_picture(tmp_path, capsys):

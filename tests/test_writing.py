@@ -222,3 +222,13 @@ def test_a_mount_point_is_refused_before_the_work(tmp_path, monkeypatch):
         raise AssertionError
     with writing.atomic_folder(tmp_path / "disk" / "run") as made:
         (made / "a").touch()
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [(b"\xff\xfe\x00 me", "me"), (b"", "another process"), (b"\x1b[2J", "[2J"), (b"a\n" * 9000, "a a a")],
+)
+def test_the_holder_of_a_lock_is_a_line_whatever_it_wrote(tmp_path, content, said):
+    (tmp_path / ".lock").write_bytes(content)
+    found = writing._holder(tmp_path / ".lock")
+    assert said in found and found.isprintable() and len(found) <= writing.MAX_HOLDER

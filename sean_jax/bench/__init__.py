@@ -22,7 +22,7 @@ from sean_jax import assembly, writing
 from sean_jax.base import Scenario
 from sean_jax.bench import floors, programs
 from sean_jax.bench.programs import Program, measure
-from sean_jax.config import BenchConfig, ScenarioConfig
+from sean_jax.config import BenchConfig, ScenarioConfig, validate
 from sean_jax.drawing import colors
 from sean_jax.errors import IncompleteError
 from sean_jax.flags import command
@@ -117,7 +117,7 @@ def _save(folder: Path, rows: list[Row], setup: dict[str, Any]) -> None:
 def _prepare(options: BenchConfig) -> tuple[Stack[Scenario], dict[str, Any]]:
     """The scenario on each floor, and the setup of the measurement: machine and scenario, as in bench.json."""
     choices = {name: getattr(options, name) for name in ("environment", "people", "robot", "dynamics")}
-    stack = assembly.build_floors(ScenarioConfig(**choices))[0]
+    stack = assembly.build_floors(validate(ScenarioConfig, choices))[0]
     scenario = stack.member
     return stack, {
         "command": command("bench", options),

@@ -65,8 +65,19 @@ def present_names(options: Mapping[Any, Any]) -> dict[Any, Any]:
     return {RENAMED.get(name, name) if isinstance(name, str) else name: inside(each) for name, each in options.items()}
 
 
+@dataclass(frozen=True)
+class Origin:
+    """Who wrote a description: the user himself, on the command line or in Python, or a file or message."""
+
+    typed: bool = False
+    source: Path | None = None
+
+
+TYPED = Origin(typed=True)
+
+
 class Config(pydantic.BaseModel):
-    """Options: immutable, and without unknown keys."""
+    """Options: immutable, and without unknown keys. Values given in Python count as typed by the user."""
 
     model_config = pydantic.ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
 
@@ -74,7 +85,7 @@ class Config(pydantic.BaseModel):
 
         def __init__(self, **values: Any) -> None:
             try:
-                super().__init__(**values)
+                self.__pydantic_validator__.validate_python(values, self_instance=self, context=TYPED)
             except pydantic.ValidationError as error:
                 raise InputError(sentence(type(self), error.errors(include_url=False)[0])) from None
 
@@ -125,16 +136,22 @@ class OwnPart(Component):
     model_config = pydantic.ConfigDict(extra="allow")
 
     kind: Annotated[str, Field(pattern=f"^{OWN_PART.pattern}$".replace("?P<file>", "").replace("?P<name>", ""))]
-    _named_in: Path | None = pydantic.PrivateAttr(default=None)
+    _origin: Origin = pydantic.PrivateAttr(default=Origin())
 
     def model_post_init(self, context: Any, /) -> None:
-        """Remember the file that names it: the ``context`` of ``validate``."""
-        self._named_in = context if isinstance(context, Path) else None
+        """Remember who names it: the ``context`` of ``validate``."""
+        if isinstance(context, Origin):
+            self._origin = context
+
+    @property
+    def is_typed(self) -> bool:
+        """Whether the user names it, on the command line or in Python; only then it may run without being asked."""
+        return self._origin.typed
 
     @property
     def named_in(self) -> Path | None:
-        """The file that names it; None if the user does, on the command line or in Python."""
-        return self._named_in
+        """The file that names it; None if the user or a message does."""
+        return self._origin.source
 
     @property
     def file(self) -> str:
@@ -380,19 +397,22 @@ def validate(
     data: Mapping[str, object],
     named: Callable[[str], str] = str,
     source: Path | None = None,
+    *,
+    typed: bool = False,
 ) -> Described:
-    """Options, checked.
+    """Options, checked. Their own parts run if the user trusts them (``components.trust``) or has typed them.
 
     Args:
-        source: the file with the values, whose own parts run if the user trusts it (``components.trust``), and whose
-            options may have their former names; None for values that the user gives.
+        source: the file with the values, whose options may have their former names.
+        typed: whether the user typed the values, on the command line or as arguments in Python. Only what reads these
+            says so (``tests/test_trust.py`` has the list).
 
     Raises:
         InputError: one sentence for the first mistake: field, value, cure.
     """
     data = dict(data) if source is None else present_names(data)
     try:
-        return model.model_validate(data, context=source)
+        return model.model_validate(data, context=Origin(typed, source))
     except pydantic.ValidationError as error:
         raise InputError(sentence(model, error.errors(include_url=False)[0], named)) from None
 

@@ -86,7 +86,7 @@ def evaluate(
     """
     stacks = as_stacks(scenario)
     config = RunConfig(episodes=episodes, seed=seed, batch=batch)
-    loaded = load_policy(policy, stacks[0].member)
+    loaded = load_policy(policy, stacks[0].member, typed=True)
     if out is not None:
         check_new_folder(Path(out), "out")
     with progress(console) as bar:

@@ -6,9 +6,7 @@ compared episode by episode, so the difficulty of an episode cancels. Other runs
 
 import dataclasses
 import itertools
-import json
 import math
-import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -32,7 +30,7 @@ from sean_jax.metrics.differences import Difference, difference, holm
 UNDRAWN = ("policy", "dynamics", "robot", "metrics", "sensors", "situations", "thresholds", "camera")
 """Options that do not change the draw of an episode."""
 
-REPLAY = re.compile(r'<script type="application/json" id="replay">(.*?)</script>', re.S)
+REPLAY = '<script type="application/json" id="replay">', "</script>"  # around the replay of a report
 OVERALL = "overall"
 LEVEL = 0.05  # of corrected p-values
 SYMBOLS = {"better": "✓ better", "worse": "✗ worse", "differs": "≠ differs", "": ""}
@@ -178,12 +176,13 @@ def _own_figures(path: Path) -> dict[str, Figure]:
 
 def _replay(page: Path) -> dict[str, Any]:
     """The replay in a report."""
-    texts = REPLAY.findall(files.read_text(page, files.MAX_RECORD))
-    if not texts:
+    text = files.read_text(page, files.MAX_RECORD)
+    begin = text.find(REPLAY[0])
+    end = text.find(REPLAY[1], begin)
+    if begin < 0 or end < 0:
         raise InputError(f"{files.short_name(page)}: holds none.")
     with files.sentence(page, "run it again to see its replay"):
-        recording = json.loads(texts[0])
-        json.dumps(recording, allow_nan=False)
+        recording = files.parse_json(text[begin + len(REPLAY[0]) : end])
         if not isinstance(recording, dict):
             raise TypeError
     return recording

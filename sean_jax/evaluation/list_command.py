@@ -106,8 +106,9 @@ def _environment(folder: Path) -> str:
 
 def _robot(path: Path) -> str:
     """The first sentence of the first comment in a robot's MJCF file."""
-    comment = re.search(r"<!--\s*(.*?)-->", files.read_text(path), re.DOTALL)
-    return _sentence(comment.group(1)) if comment else ""
+    _, begin, rest = files.read_text(path).partition("<!--")
+    comment, end, _ = rest.partition("-->")
+    return _sentence(comment.strip()) if begin and end else ""
 
 
 def _forces(forces: Any) -> str:

@@ -19,7 +19,6 @@ import yaml
 from sean_jax.errors import FileError
 from sean_jax.files.reading import (
     MAX_BYTES,
-    MAX_DEPTH,
     MAX_RECORD,
     MAX_TABLE,
     file_error,
@@ -28,17 +27,17 @@ from sean_jax.files.reading import (
     read_arrays,
     read_bytes,
     read_json,
+    read_json_lines,
     read_rows,
     read_text,
     sentence,
     short_name,
 )
-from sean_jax.messages import error_clause, listed, suggest, unknown_name
+from sean_jax.messages import MAX_DEPTH, MAX_DIGITS, error_clause, listed, parse_json, suggest, unknown_name
 
 MAX_ERRORS = 100  # of a file that a message names
 MAX_KEY = 60  # characters of a key in a message
 MAX_VALUES = 50_000  # in a file, with aliases expanded
-MAX_DIGITS = 60  # characters of a number
 Location = tuple[str | int, ...]  # keys and list indices that lead to a value
 Model = TypeVar("Model", bound=pydantic.BaseModel)
 Problem = tuple[Location, str]  # its location, and the error as one clause

@@ -8,7 +8,8 @@ from xml.parsers import expat
 import numpy as np
 
 from sean_jax.errors import FileError
-from sean_jax.files.reading import MAX_DEPTH, file_error, read_bytes, read_text
+from sean_jax.files.reading import file_error, read_bytes, read_text
+from sean_jax.messages import MAX_DEPTH
 
 Element = ElementTree.Element
 MAX_MESH = 50_000_000  # bytes

@@ -14,8 +14,8 @@ from xml.parsers import expat
 import numpy as np
 
 from sean_jax.errors import FileError
-from sean_jax.files.reading import MAX_DEPTH, file_error, read_bytes, read_text, short_name
-from sean_jax.messages import shorten
+from sean_jax.files.reading import file_error, read_bytes, read_text, short_name
+from sean_jax.messages import MAX_DEPTH, shorten
 
 MAX_ELEMENTS = 10_000  # in all, with all copies of replicates
 MAX_JOINTS = 100

@@ -18,14 +18,13 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from sean_jax.errors import FileError, SeanError
-from sean_jax.messages import suggest
+from sean_jax.messages import parse_json, suggest
 
 MAX_BYTES = 2_000_000  # of a file that people write
 MAX_RECORD = 200_000_000  # of one text that this program writes: JSON, a log, a page
 MAX_ARRAYS = 1_000_000_000  # of a .npz file of this program, packed and unpacked
 MAX_TABLE = 10_000_000_000  # of a table with a row for each episode or frame, which is read row by row
 MAX_LINE = 1_000_000  # characters of a line of a table
-MAX_DEPTH = 60  # of values within values
 
 
 def short_name(path: Path) -> str:
@@ -124,18 +123,30 @@ def read_json(path: Path | str, strict: bool = True) -> Any:
 def parse_json(path: Path | str, text: str, strict: bool = True) -> Any:
     """The value of a text of JSON, such as one line of a file; arguments and errors as of ``read_json``."""
 
-    def refuse(word: str) -> None:
-        raise ValueError(f"{word} is not JSON")
-
     try:
-        return json.loads(text, parse_constant=refuse, strict=strict)
+        return parse_json(text, strict)
     except json.JSONDecodeError as error:
         text = f"is not JSON: {error.msg[:1].lower()}{error.msg[1:]}"
         raise file_error(path, text, error.lineno, error.colno) from None
-    except RecursionError:
-        raise file_error(path, "is nested too deeply; it was not written by this program") from None
     except ValueError as error:
         raise file_error(path, f"cannot be used: {error}") from None
+
+
+def read_json_lines(path: Path | str, finite: bool = True, max_bytes: int = MAX_RECORD) -> Iterator[Any]:
+    """The value of each line of JSON of a log that is only appended to; a last line without its end is left out.
+
+    Args:
+        finite: NaN and infinities are refused.
+
+    Raises:
+        FileError: the file cannot be read, or a line is not JSON.
+    """
+    path = Path(path)
+    for number, text in enumerate(read_text(path, max_bytes).split("\n")[:-1], 1):
+        try:
+            yield parse_json(text, finite=finite)
+        except ValueError:
+            raise file_error(path, "is not JSON; restore the file", number) from None
 
 
 def _kind(mode: int) -> str:

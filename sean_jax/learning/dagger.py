@@ -20,7 +20,7 @@ import optax
 
 from sean_jax import components, episodes, mdp, writing
 from sean_jax.base import Array, Policy
-from sean_jax.config import CollectConfig, DaggerConfig, ImitationConfig, ReinforcementConfig
+from sean_jax.config import CollectConfig, DaggerConfig, ImitationConfig, Named, ReinforcementConfig, validate
 from sean_jax.learning import collection, imitation, ppo, rollouts
 from sean_jax.learning.dataset import Dataset, open_dataset
 from sean_jax.learning.imitation import TrainState
@@ -76,14 +76,19 @@ def _collect_options(options: DaggerConfig, first: Dataset, number: int) -> Coll
     """Of a round: the demonstrations' scenario, with other episodes."""
     described = first.description()
     student = str(options.folder / f"round-{number - 1}")
-    changed = {"policy": student, "labels": options.expert, "hours": options.hours, "seed": described.seed + number}
+    changed = {
+        "policy": Named(kind=student),
+        "labels": options.expert,
+        "hours": options.hours,
+        "seed": described.seed + number,
+    }
     return described.replace(**changed, out=options.folder / f"data-{number}", quiet=options.quiet)
 
 
 def _train_options(options: DaggerConfig, data: list[Path], before: Path | None, out: Path) -> ImitationConfig:
     shared = {name: getattr(options, name) for name in ImitationConfig.model_fields}
     changed = {"method": "imitation", "dataset": data[0], "datasets": tuple(data[1:]), "pretrained": before, "out": out}
-    return ImitationConfig(**(shared | changed))
+    return validate(ImitationConfig, shared | changed)
 
 
 def _part_of_progress(console: Any, part: int, rounds: int) -> Any:

@@ -47,18 +47,21 @@ from sean_jax.versions import versions
 from sean_jax.writing import check_new_folder
 
 
-def load_policy(value: PolicyLike | Component | str, scenario: Scenario, option: str = "policy") -> Policy:
+def load_policy(
+    value: PolicyLike | Component | str, scenario: Scenario, option: str = "policy", *, typed: bool = False
+) -> Policy:
     """The policy of a value.
 
     Args:
         value: a policy, a function, a name of ``POLICIES`` or ``AGENTS``, the folder of a training or a packed agent,
             FILE.py:NAME, or a description of these.
+        typed: whether the user typed a value that is text, as of ``validate``.
 
     Raises:
         InputError: there is none of that name, or it does not fit the scenario.
         PartError: a policy of the user's own fails, as ``episodes.check_policy`` finds.
     """
-    description = _description(value)
+    description = _description(value, typed=typed)
     if isinstance(description, Named) and description.kind not in POLICIES:
         return load(agent_folder(description.kind, option), scenario)
     part = components.resolve(description, POLICIES, option)
@@ -100,13 +103,15 @@ def load(folder: Path | str, scenario: Scenario) -> Policy:
     return agent_policy(*load_agent(folder, scenario), name=folder.name)
 
 
-def check_policy(value: PolicyLike | Component | str, config: ScenarioConfig, option: str = "policy") -> None:
+def check_policy(
+    value: PolicyLike | Component | str, config: ScenarioConfig, option: str = "policy", *, typed: bool = False
+) -> None:
     """Refuse what ``load_policy`` refuses, as far as no scenario is needed to know it.
 
     Raises:
         InputError: one sentence that names the value and the cure.
     """
-    description = _description(value)
+    description = _description(value, typed=typed)
     if not isinstance(description, Named):
         part = components.resolve(description, {}, option)
         if not (isinstance(part, Policy) or callable(part)):
@@ -123,8 +128,8 @@ def check_policy(value: PolicyLike | Component | str, config: ScenarioConfig, op
             networks.read_network(folder, list(SITUATION_SETS[sets[0]]))
 
 
-def _description(value: Any) -> Component:
-    return value if isinstance(value, Component) else validate(RunConfig, {"policy": value}).policy
+def _description(value: Any, *, typed: bool) -> Component:
+    return value if isinstance(value, Component) else validate(RunConfig, {"policy": value}, typed=typed).policy
 
 
 def agent_folder(name: str, option: str) -> Path:

@@ -234,9 +234,9 @@ def read_metrics(folder: Path) -> list[dict[str, Any]]:
     file, lines = folder / METRICS, []
     for text in files.read_text(file, files.MAX_RECORD).splitlines() if file.exists() else []:
         try:
-            line = json.loads(text)
+            line = files.parse_json(text, finite=False)
             lines.append({"epoch": int(line["epoch"]), "time": float(line["time"]), **line})
-        except (ValueError, TypeError, KeyError, RecursionError):
+        except (ValueError, TypeError, KeyError, OverflowError):
             break
     return lines
 

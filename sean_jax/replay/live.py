@@ -17,8 +17,9 @@ from typing import Any
 import jax
 import numpy as np
 
-from sean_jax import replay
+from sean_jax import replay, web
 from sean_jax.base import Scenario, Trajectory
+from sean_jax.errors import InputError
 
 HOST = "127.0.0.1"
 FRAMES = "frames"
@@ -66,6 +67,7 @@ class _Server(ThreadingHTTPServer):
     def __init__(self, handler: type[BaseHTTPRequestHandler]):
         self._open: dict[Any, None] = {}  # sockets, the oldest first
         self._guard = threading.Lock()
+        self._log = web.Log()
         super().__init__((HOST, 0), handler)
 
     def process_request(self, request: Any, client_address: Any) -> None:
@@ -84,8 +86,9 @@ class _Server(ThreadingHTTPServer):
         super().shutdown_request(request)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        if not isinstance(sys.exception(), OSError):
-            super().handle_error(request, client_address)
+        error = sys.exception()
+        if error is not None and not isinstance(error, OSError):
+            self._log.tell("a request", error)
 
 
 @contextlib.contextmanager
@@ -98,10 +101,16 @@ def serve(scenario: Scenario, title: str) -> Iterator[Live]:
 
         def do_GET(self) -> None:
             allowed = {f"{name}:{server.server_port}" for name in (HOST, "localhost")}
-            if self.headers.get("Host") not in allowed:  # a page elsewhere whose name was turned to this computer
+            if self.headers.get_all("Host", []) not in [
+                [name] for name in allowed
+            ]:  # a page elsewhere whose name was turned to this computer
                 self.send_error(403)
                 return
-            url = urllib.parse.urlsplit(self.path)
+            try:
+                url = web.split(self.path)
+            except InputError:
+                self.send_error(400)
+                return
             first = urllib.parse.parse_qs(url.query).get("from", ["0"])[0]
             if url.path == "/":
                 self._answer(page, "text/html; charset=utf-8")

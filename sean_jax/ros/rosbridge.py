@@ -17,7 +17,6 @@ import json
 import math
 import secrets
 import threading
-import urllib.parse
 from collections.abc import Mapping
 from typing import Any
 
@@ -28,6 +27,7 @@ from websockets.http11 import Request, Response
 
 from sean_jax import web
 from sean_jax.errors import InputError
+from sean_jax.messages import parse_json
 from sean_jax.ros.transport import INPUTS, SERVICES, Mailbox, Output
 
 CONNECTIONS = 128
@@ -122,14 +122,13 @@ class Server:
 
     def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
         """A refusal, or None for a web socket."""
-        url = urllib.parse.urlsplit(request.path)
-        token = urllib.parse.parse_qs(url.query).get("token", [""])[0]
+        token = web.query_of(request, "token")
         if self.token and not secrets.compare_digest(token.encode(), self.token.encode()):
             text = b"wrong token: connect to the address that sean bridge has printed"
             return web.response(http.HTTPStatus.FORBIDDEN, text)
         origin = request.headers.get("Origin")  # of the page that connects; "null" of a sandbox or a file
         names = [f"//{request.headers.get('Host', '')}", *([] if origin is None else [origin])]
-        if not self.token and not all(_is_local(urllib.parse.urlsplit(name).hostname) for name in names):
+        if not self.token and not all(_is_local(web.split(name).hostname) for name in names):
             text = b"wrong host or origin: only programs and pages of this computer may connect"
             return web.response(http.HTTPStatus.FORBIDDEN, text)
         if len(self._clients) >= CONNECTIONS:
@@ -179,7 +178,7 @@ class Server:
         Raises:
             ValueError: it is none, or malformed.
         """
-        request = json.loads(text)
+        request = parse_json(text)
         if not isinstance(request, dict) or not isinstance(request.get("op"), str):
             raise ValueError("a message without an op")
         op = request["op"]

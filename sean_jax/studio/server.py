@@ -16,7 +16,7 @@ import json
 import re
 import secrets
 import threading
-import urllib.parse
+import weakref
 from collections.abc import Callable
 from typing import Any
 
@@ -251,18 +251,18 @@ class Studio:
 
     def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
         """The page, a refusal, or None for a web socket."""
-        url = urllib.parse.urlsplit(request.path)
+        path = web.path_of(request)
         if (refused := web.refusal(request, self.port)) is not None:
             return refused
-        token = urllib.parse.parse_qs(url.query).get("token", [""])[0]
+        token = web.query_of(request, "token")
         if not secrets.compare_digest(token.encode(), self.token.encode()):
             text = b"wrong token: open the address that sean studio has printed"
             return web.response(http.HTTPStatus.FORBIDDEN, text)
-        if url.path == SOCKET:
+        if path == SOCKET:
             if len(self._tabs) >= CONNECTIONS:
                 return web.response(http.HTTPStatus.SERVICE_UNAVAILABLE, b"too many tabs")
             return None
-        if url.path != "/":
+        if path != "/":
             return web.response(http.HTTPStatus.NOT_FOUND, b"not found")
         return web.page(self._page, self.port)
 
@@ -418,8 +418,7 @@ class Studio:
 def _name_of(tab: ServerConnection) -> str:
     """The name by which a tab gets its role back; "" without one."""
     assert tab.request is not None
-    query = urllib.parse.parse_qs(urllib.parse.urlsplit(tab.request.path).query)
-    name = query.get("tab", [""])[0]
+    name = web.query_of(tab.request, "tab")
     return name if NAME.fullmatch(name) else ""
 
 

@@ -15,7 +15,6 @@ import json
 import secrets
 import sys
 import time
-import urllib.parse
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -157,11 +156,11 @@ class Survey:
         """The page, a table, a refusal, or None for a web socket."""
         if (refused := web.refusal(request, self.port, self.study.address)) is not None:
             return refused
-        path = request.path.partition("?")[0]
         who = self._who(request)
         if who is None:
             text = b"wrong link: open the address that you were given, to its last letter"
             return web.response(http.HTTPStatus.FORBIDDEN, text)
+        path = web.path_of(request)
         if path == web.SOCKET:
             full = len(self._researchers) >= TABS if who < 0 else False
             return web.response(http.HTTPStatus.SERVICE_UNAVAILABLE, b"too many tabs") if full else None
@@ -177,11 +176,9 @@ class Survey:
 
     def _who(self, request: Request) -> int | None:
         """The participant's number, -1 for the researcher; None for a wrong link."""
-        query = urllib.parse.parse_qs(request.path.partition("?")[2])
-        given = query.get("researcher", [""])[0].encode(errors="replace")
-        if secrets.compare_digest(given, self.answers.researcher.encode()):
+        if secrets.compare_digest(web.query_of(request, "researcher").encode(), self.answers.researcher.encode()):
             return -1
-        return self._secrets.get(query.get("participant", [""])[0])
+        return self._secrets.get(web.query_of(request, "participant"))
 
     async def _serve_tab(self, socket: ServerConnection) -> None:
         """A tab, from its first message to its last."""

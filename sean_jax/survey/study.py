@@ -10,14 +10,13 @@ import functools
 import math
 import sys
 import unicodedata
-import urllib.parse
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import pydantic
 
-from sean_jax import files
+from sean_jax import files, web
 from sean_jax.config import StudioConfig, validate
 from sean_jax.errors import InputError
 from sean_jax.files import Problem
@@ -258,8 +257,7 @@ def _problems(study: Study, path: Path) -> Iterator[Problem]:
         yield from _choice_problems(study, trial, ("trials", k))
         yield from _option_problems(study, trial, ("trials", k), path)
     if study.address is not None:
-        parts = urllib.parse.urlsplit(study.address)
-        if parts.scheme not in ("http", "https") or not parts.netloc or parts.path or parts.query:
+        if not web.is_origin(study.address):
             yield ("address",), f"'{study.address}' is no address; write it as https://study.example.org"
 
 

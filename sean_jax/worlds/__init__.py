@@ -4,13 +4,14 @@ Each world is an ordinary environment with a Behavior Graph: nodes that people a
 their members, people that fit.
 """
 
+import contextlib
 import os
 import subprocess
 import sys
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import BinaryIO, NamedTuple
 
 import numpy as np
 from scipy import ndimage
@@ -24,7 +25,7 @@ from sean_jax.graph import annotation
 from sean_jax.graph.annotation import Annotation, Edge, Node
 from sean_jax.graph.formation import reach
 from sean_jax.navigation.arcs import pairs_are_free
-from sean_jax.worlds.floors import FAMILIES, OPEN_AIR, SIZE, WALL_HEIGHT, Floor, kind_of
+from sean_jax.worlds.floors import FAMILIES, LIMITS, MAX_AREA, OPEN_AIR, SIZE, WALL_HEIGHT, Floor, kind_of
 from sean_jax.worlds.proposal import propose
 
 __all__ = [
@@ -41,6 +42,7 @@ __all__ = [
     "save",
 ]
 
+PACKAGE = Path(__file__).parents[1] / "__init__.py"
 ROBOT = 0.4  # m, radius of the widest robot that passes everything
 CELL = 0.1  # m, in which the floor is looked at
 POCKETS = 0.02  # share of the free floor that may be out of reach
@@ -91,14 +93,23 @@ def generate(family: str, seed: int, words: Mapping[str, float | tuple[float, fl
         if word not in ranges:
             raise InputError(f"worlds: {family} has no word '{word}'; its words are {', '.join(ranges)}.")
         low, high = (value, value) if isinstance(value, int | float) else value
-        quantities.check_number(f"worlds: {word}", low, 0.0, high)
+        least, most = LIMITS[word]
+        quantities.check_number(f"worlds: {word}", high, least, most)
+        quantities.check_number(f"worlds: {word}", low, least, high)
         ranges[word] = (float(low), float(high))
+    area = ranges["width"][1] * ranges["depth"][1]
+    if area > MAX_AREA:
+        what = f"width {ranges['width'][1]:g} by depth {ranges['depth'][1]:g} m are {area:,.0f} m2"
+        raise InputError(f"worlds: {what}, and at most {MAX_AREA:,.0f} are made; give less.")
     generator = np.random.default_rng([list(FAMILIES).index(family), seed])
     for _ in range(MAX_DRAWS):
         drawn = {word: float(generator.uniform(*limits)) for word, limits in ranges.items()}
         rest = {word: value for word, value in drawn.items() if word not in SIZE}
         floor = Floor(generator, drawn["width"], drawn["depth"])
-        build(floor, **rest)
+        try:
+            build(floor, **rest)
+        except ValueError:  # words do not go together, such as a door that is wider than its room
+            continue
         world = _world(family, seed, drawn, floor, generator)
         if world is not None:
             return world
@@ -227,27 +238,49 @@ def save_all(*folders: str) -> None:
                     raise
 
 
+CHILD = """
+import importlib.util, os, sys
+os.environ["JAX_PLATFORMS"] = "cpu"
+place, module, function, *arguments = sys.argv[1:]
+spec = importlib.util.spec_from_file_location("sean_jax", place)
+sys.modules["sean_jax"] = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(sys.modules["sean_jax"])
+getattr(importlib.import_module(module), function)(*arguments)
+"""
+"""The program of a process: this very package by its place, so that no folder has to be on the path."""
+
+
 def in_processes(module: str, function: str, arguments: Sequence[str], folders: Sequence[Path]) -> None:
     """Call a function with many folders in several processes without a GPU, if that is faster.
 
-    A process that fails leaves its folders to the caller.
+    A process that fails leaves its folders to the caller, and the terminal shows why.
     """
     number = min(os.cpu_count() or 1, len(folders) // SHARE)
     if number < 2:
         return
-    without_gpu = "import os, sys; os.environ['JAX_PLATFORMS'] = 'cpu'"
-    code = f"{without_gpu}; from {module} import {function}; {function}(*sys.argv[1:])"
-    command = [sys.executable, "-c", code, *arguments]
-    processes = [
-        subprocess.Popen([*command, *map(str, folders[turn::number])], stderr=subprocess.DEVNULL)
-        for turn in range(number)
-    ]
-    try:
+    # -P: otherwise modules of the current folder, such as a tempfile.py, would be imported in place of Python's own.
+    command = [sys.executable, "-P", "-c", CHILD, str(PACKAGE), module, function, *arguments]
+    with contextlib.ExitStack() as stack:
+        logs = [stack.enter_context(tempfile.TemporaryFile()) for _ in range(number)]
+        processes = [
+            subprocess.Popen([*command, *map(str, folders[turn::number])], stderr=log) for turn, log in enumerate(logs)
+        ]
+        for process in processes:
+            stack.callback(process.kill)
         for process in processes:
             process.wait()
-    finally:
-        for process in processes:
-            process.kill()
+        failed = [log for process, log in zip(processes, logs, strict=True) if process.returncode != 0]
+        if failed:
+            print(
+                f"{len(failed)} of {number} processes failed ({_last_line(failed[0])}); one goes on.", file=sys.stderr
+            )
+
+
+def _last_line(log: BinaryIO) -> str:
+    """What a process said last, which is its error."""
+    log.seek(0)
+    lines = log.read().decode(errors="replace").split("\n")
+    return next((line.strip()[:200] for line in reversed(lines) if line.strip()), "without a word")
 
 
 def _world(

@@ -123,6 +123,8 @@ class Floor:
 
 def rooms(floor: Floor, corridor: float, door: float, room: float, furniture: float) -> None:
     """Rooms of about ``room`` [m] on both sides of a corridor, each with a door."""
+    if corridor >= floor.depth:
+        raise ValueError("there is no place for rooms")
     draw = floor.generator
     lower, upper = (floor.depth - corridor) / 2, (floor.depth + corridor) / 2
     for side, (low, high), at in ((0, (0.0, lower), lower), (1, (upper, floor.depth), upper)):
@@ -183,7 +185,7 @@ def lobby(floor: Floor, lane: float, columns: float, furniture: float) -> None:
     length = float(draw.uniform(1.5, 0.3 * depth))
     for x in np.arange(middle - half, middle + half + 1e-6, lane):
         floor.add(float(x), top - 0.35 - lane - length / 2, 0.04, length / 2, POST, METAL)
-    if columns:
+    if columns >= 1.0:  # none are nearer
         for x in np.arange(columns, width - 2.0, columns):
             for y in np.arange(columns, depth - 2.0, columns):
                 if floor.fits(float(x), float(y), 0.25, 0.25):
@@ -243,4 +245,12 @@ FAMILIES: dict[str, tuple[Callable[..., None], dict[str, tuple[float, float]]]] 
     "clutter": (clutter, {"density": (0.03, 0.12)}),
 }
 """Name -> the family, and the range of each of its words."""
+LIMITS = {
+    "width": (4.0, 100.0), "depth": (4.0, 100.0), "corridor": (0.5, 20.0), "door": (0.5, 10.0), "room": (2.0, 50.0),
+    "furniture": (0.0, 0.5), "aisle": (0.5, 20.0), "desks": (0.0, 1.0), "cross": (0.5, 20.0), "shelf": (0.5, 50.0),
+    "lane": (0.5, 10.0), "columns": (0.0, 50.0), "stalls": (0.0, 50.0), "passage": (0.0, 20.0), "walls": (1.0, 20.0),
+    "density": (0.0, 0.5),
+}  # fmt: skip
+"""Word -> its least and greatest value, m, or a number or share as in ``FAMILIES``."""
+MAX_AREA = 1_000.0  # m2 of a floor
 OPEN_AIR = "square", "clutter"  # families without a ceiling

@@ -28,6 +28,7 @@ from sean_jax.base import Scenario
 from sean_jax.config import (
     METHODS,
     BenchmarkConfig,
+    Component,
     Config,
     Named,
     Number,
@@ -172,8 +173,13 @@ class Described(NamedTuple):
     trained: bool  # whether it is a network of a training
 
 
-def describe(policy: str, sensing: str | None = None, source: Path | None = None) -> Described:
-    """What a result says of a policy by name, folder, or FILE.py:NAME.
+def read_policy(policy: str, source: Path | None = None, *, typed: bool = False) -> Component:
+    """The description of a policy by name, folder, or FILE.py:NAME; ``source`` and ``typed`` as of ``validate``."""
+    return validate(RunConfig, {"policy": policy}, source=source, typed=typed).policy
+
+
+def describe(policy: Component, sensing: str | None = None) -> Described:
+    """What a result says of a policy.
 
     The digest covers the numbers of an agent or a training, the numbers and the name of a policy of the package, or the
     user's own file and the name in it.
@@ -181,26 +187,24 @@ def describe(policy: str, sensing: str | None = None, source: Path | None = None
     Args:
         sensing: class of a policy of the user's own or of a controller outside; by default the attribute ``sensing`` of
             the policy.
-        source: the file that names the policy, whose code runs if the user trusts it; None if the user does.
 
     Raises:
         InputError: there is no such policy, the class is that of a policy of the package or of an agent, or an agent
             was trained on floors of the benchmark.
     """
-    described = validate(RunConfig, {"policy": policy}, source=source).policy
-    if outside(described):  # nothing is known but the name
-        return Described(_digest("outside", described.kind), sensing or "all-knowing", False)
-    if isinstance(described, Named) and sensing is not None:
-        raise InputError(f"sensing: {policy} says itself what it senses; leave {sensing} out.")
+    if outside(policy):  # nothing is known but the name
+        return Described(_digest("outside", policy.kind), sensing or "all-knowing", False)
+    if isinstance(policy, Named) and sensing is not None:
+        raise InputError(f"sensing: {policy.kind} says itself what it senses; leave {sensing} out.")
     scenario = assembly.build(description(next(iter(TRACKS))))[0]
-    loaded = load_policy(described, scenario)
-    if isinstance(described, OwnPart):
-        digest = _digest(components.content(described.file).digest, described.name)
+    loaded = load_policy(policy, scenario)
+    if isinstance(policy, OwnPart):
+        digest = _digest(components.content(policy.file).digest, policy.name)
         return Described(digest, sensing or loaded.sensing, False)
-    numbers, is_known = fingerprint(loaded.params), described.kind in POLICIES
+    numbers, is_known = fingerprint(loaded.params), policy.kind in POLICIES
     if not is_known:
-        check_training(policy, agent_folder(described.kind, "policy"))
-    return Described(_digest(numbers, described.kind) if is_known else numbers, loaded.sensing, not is_known)
+        check_training(policy.kind, agent_folder(policy.kind, "policy"))
+    return Described(_digest(numbers, policy.kind) if is_known else numbers, loaded.sensing, not is_known)
 
 
 def check_training(policy: str, folder: Path) -> None:
@@ -219,7 +223,7 @@ def check_training(policy: str, folder: Path) -> None:
 
 
 describe_of_package = functools.cache(describe)
-"""Of names of ``POLICIES`` and ``AGENTS``, which stay what they are."""
+"""Of policies of ``POLICIES`` and ``AGENTS``, which stay what they are."""
 
 
 def _digest(*texts: str) -> str:
@@ -252,9 +256,10 @@ def run(options: BenchmarkConfig, console: Console | None = None, connect: Conne
         raise InputError(f"--episodes: {text}; ask for fewer.")
     tracks = [name for name, track in TRACKS.items() if options.recordings or not track.recording]
     described = {track: description(track, options.recordings) for track in tracks}
+    driver = read_policy(options.policy, typed=True)
     for each in described.values() if connect is None else ():
-        check_policy(options.policy, each)
-    policy = describe(options.policy, options.sensing)
+        check_policy(driver, each)
+    policy = describe(driver, options.sensing)
     with Workspace(options.folder, identity(options) | {"the device": device()}).open() as work:
         parts = {options.policy: policy.policy_digest, **recording_digests(tracks, options.recordings)}
         parts = work.identity["parts"] | parts  # a training may have gone on
@@ -300,7 +305,7 @@ def _drive(
         return read_track(work.folder, track, number)
     floors = _floors(track, options.recordings, number)
     if connect is None:
-        runner = _runner(options.policy, floors, number)
+        runner = _runner(read_policy(options.policy, typed=True), floors, number)
         columns = _columns(track, runner.measure(SEED, 0, number, tell))
     else:
         columns = _columns(track, _measure_outside(floors, connect, number, tell))
@@ -316,12 +321,12 @@ def _floors(track: str, recordings: Path | None, number: int) -> Stack[Scenario]
     return floors.map_member(lambda member: dataclasses.replace(member, metrics=metrics))
 
 
-def _runner(policy: str, floors: Stack[Scenario], number: int) -> Runner:
+def _runner(policy: Component, floors: Stack[Scenario], number: int) -> Runner:
     return Runner(floors, load_policy(policy, floors.member), even_batch(number), "benchmark")
 
 
 def batch_again(
-    policy: str,
+    policy: Component,
     track: str,
     recordings: Path | None,
     number: int,
@@ -595,7 +600,7 @@ def check(folder: Path) -> Result:
             )
     mismatch = version_mismatch(result.versions)
     if result.policy in (*POLICIES, *AGENTS):
-        expected = describe_of_package(result.policy)
+        expected = describe_of_package(Named(kind=result.policy))
         for key, value in expected._asdict().items():
             if (had := getattr(result, key)) != value:
                 text = f"{key} {had} is not that of {result.policy} of this package, {value}"

@@ -91,7 +91,7 @@ def run_figure4(options: Figure4Config, console: Console | None = None) -> Path:
     for behavior in BEHAVIORS:
         check_collection(collection(options, behavior, options.hours))
     for name in baselines(options):
-        check_policy(name, ScenarioConfig(), "--baselines")
+        check_policy(name, ScenarioConfig(), "--baselines", typed=True)
     datasets = demonstrations.read(options.demonstrations)
     if datasets and options.datasets > 1:
         raise InputError("--datasets: all demonstrations of a behavior are one dataset; leave --datasets out.")
@@ -135,7 +135,7 @@ def _parts(
     """The parts of the experiment, in an order in which they could run one by one."""
     names = {DEMONSTRATOR: options.demonstrator, NAVIGATION: "social_costmap"}
     alone = names | {name: name for name in baselines(options)}
-    drivers = {name: {name: [functools.partial(load_policy, policy)]} for name, policy in alone.items()}
+    drivers = {name: {name: [functools.partial(load_policy, policy, typed=True)]} for name, policy in alone.items()}
     learners = {policy: learner(options, work, policy, datasets) for policy in (*LEARNED, BALANCED)}
     trainings, last = learning_parts(learners)
     every = {"learned": {policy: learner.loaders() for policy, learner in learners.items()}}  # they share programs

@@ -37,6 +37,7 @@ from sean_jax.config import (
     ScenarioConfig,
     SituationConfig,
     Table1Config,
+    validate,
     with_defaults,
 )
 from sean_jax.episodes import ResetPool
@@ -126,13 +127,13 @@ def policies(options: SituationConfig) -> list[str]:
     if not names:
         raise InputError("--policies names no policy; try --policies go_to_goal.")
     for name in names:
-        check_policy(name, ScenarioConfig(), "--policies")
+        check_policy(name, ScenarioConfig(), "--policies", typed=True)
     return names
 
 
 def description(options: ExperimentConfig, behavior: str, people: int | None) -> CollectConfig:
     """The scenario with so many people of a behavior: random, handcrafted or graph."""
-    return CollectConfig(**fields(options, behavior, people))
+    return validate(CollectConfig, fields(options, behavior, people))
 
 
 def fields(options: ExperimentConfig, behavior: str, people: int | None) -> dict[str, Any]:
@@ -198,7 +199,7 @@ def cell(
     minutes = max(1, math.ceil(60.0 * options.hours / len(kinds) - 1e-6))
     each = min(CHAIN, minutes)
     chains = max(math.ceil(minutes / each), 2 if options.seeds == 1 else 1)  # one chain alone has no interval
-    flags, ended = simulate_chains(load_policy(policy, kinds[0]), pool, chains, each, tell, more)
+    flags, ended = simulate_chains(load_policy(policy, kinds[0], typed=True), pool, chains, each, tell, more)
     flags = flags.reshape(len(flags), -1, flags.shape[-1])
     flags, others = np.split(flags, [flags.shape[-1] - len(names)], axis=-1)
     flags = np.moveaxis(flags.reshape(*flags.shape[:2], -1, len(shares.NAMES)), 2, 0)
@@ -432,7 +433,7 @@ def run_ablation(options: AblationConfig, console: Console | None = None) -> Pat
 def world_description(options: AblationConfig, world: str, behavior: str) -> CollectConfig:
     """The scenario of one of ``WORLDS`` with people of a behavior, which may not have its switch."""
     _, switches = WORLDS[world]
-    return CollectConfig(**with_defaults(CollectConfig, fields(options, behavior, options.people), switches))
+    return validate(CollectConfig, with_defaults(CollectConfig, fields(options, behavior, options.people), switches))
 
 
 def simulated_world(options: AblationConfig, world: str, behavior: str) -> str:

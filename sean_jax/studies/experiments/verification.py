@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sean_jax.config import BenchmarkVerifyConfig, Named, is_own_part, outside
+from sean_jax.config import BenchmarkVerifyConfig, Component, is_own_part, outside
 from sean_jax.errors import InputError
 from sean_jax.metrics.differences import difference, holm
 from sean_jax.studies.experiments import Part, benchmark, run_parts, shares
@@ -63,9 +63,11 @@ def verify(options: BenchmarkVerifyConfig, console: Console | None = None) -> tu
     benchmark.check_protocol()
     result = benchmark.check(options.result)
     policy = options.policy or result.policy
-    if outside(Named(kind=policy)):
+    described_in = None if options.policy else options.result / benchmark.RESULT
+    driver = benchmark.read_policy(policy, described_in, typed=options.policy is not None)
+    if outside(driver):
         raise InputError(f"{options.result}: {policy} is a controller outside of this program, which need not repeat.")
-    described = benchmark.describe(policy, source=None if options.policy else options.result / benchmark.RESULT)
+    described = benchmark.describe(driver)
     if described.policy_digest != result.policy_digest:
         text = f"{policy} has the digest {described.policy_digest}, and the result's policy {result.policy_digest}"
         raise InputError(f"--policy: {text}; give the place of that policy.")
@@ -82,7 +84,7 @@ def verify(options: BenchmarkVerifyConfig, console: Console | None = None) -> tu
     tracks = [names[k] for k in random.choice(len(names), min(options.tracks, len(names)), replace=False)]
     chosen = {track: int(random.integers(result.episodes)) for track in tracks}
     jobs = [
-        Part(track, functools.partial(_again, options, policy, result, track, episode))
+        Part(track, functools.partial(_again, options, driver, result, track, episode))
         for track, episode in chosen.items()
     ]
     samples = list(run_parts(jobs, console, "benchmark").values())
@@ -102,7 +104,7 @@ def verify(options: BenchmarkVerifyConfig, console: Console | None = None) -> tu
 
 def _again(
     options: BenchmarkVerifyConfig,
-    policy: str,
+    policy: Component,
     result: benchmark.Result,
     track: str,
     episode: int,

@@ -39,7 +39,7 @@ def run(options: ValidateConfig, console: "Console | None" = None) -> list[str]:
         WriteError: another process writes in the folder.
         KeyboardInterrupt: Ctrl-C. Finished checks are saved.
     """
-    selected, models = checks.select(options.only, options.quick), checks.models_of(options.models)
+    selected, models = checks.select(options.only, options.quick), checks.models_of(options.models, typed=True)
     if options.data is not None and not options.data.is_dir():
         raise InputError(f"--data: {options.data} is no folder; give the folder of the recordings.")
     folder = options.folder

@@ -197,13 +197,14 @@ def matches(pattern: str) -> list[str]:
     return [pattern] if pattern in CHECKS else []
 
 
-def models_of(names: str | None, source: Path | None = None) -> list[Model]:
+def models_of(names: str | None, source: Path | None = None, *, typed: bool = False) -> list[Model]:
     """The models of a list of names.
 
     Args:
         names: separated by commas: presets, files of constants, pedestrian models, FILE.py:NAME; the default forces if
             None.
-        source: the file that holds the names; None for names of the command line.
+        source: the file that holds the names.
+        typed: whether the user typed them.
 
     Raises:
         InputError: there is none of a name, or a file gives no model.
@@ -213,7 +214,7 @@ def models_of(names: str | None, source: Path | None = None) -> list[Model]:
         if is_own_part(name):
             from sean_jax.components import load
 
-            part = validate(OwnPart, {"kind": name}, source=source)
+            part = validate(OwnPart, {"kind": name}, source=source, typed=typed)
             models.append(model(load(part, "models"), part.name))
         else:
             models.append(model(name))
