@@ -16,6 +16,7 @@ import argparse
 import ast
 import collections
 import contextlib
+import ctypes
 import importlib
 import json
 import os
@@ -47,11 +48,12 @@ FOLDERS = {
 }
 FILES, SECONDS = 4, 25.0  # test files for a module at most, and what they take at most
 TELLING = {  # module or folder -> its own tests, where names alone lead to others
-    "classifiers": "classifiers more_classifiers urgency_and_objects paper",
+    "classifiers": "classifiers_swept classifiers more_classifiers urgency_and_objects",
+    "classifiers/conversation": "more_classifiers",
     "metrics": "metrics more_metrics metric_constructors",
-    "metrics/bootstrap": "bootstrap",
-    "metrics/differences": "compare benchmark",
-    "studies/experiments/ranks": "benchmark",
+    "metrics/bootstrap": "statistics_swept bootstrap",
+    "metrics/differences": "statistics_swept compare",
+    "studies/experiments/ranks": "statistics_swept benchmark",
     "graph": "graph",
     "graph/annotation": "graph docs_environments inverse_graph",
     "behaviors/graph_behavior": "graph_behavior graph_choices walking_groups",
@@ -301,6 +303,7 @@ def _run(work: Callable[[], Any], limit: float) -> Any:
     if not child:
         code = 1
         with contextlib.suppress(BaseException):
+            _end_with_parent()
             os.setsid()
             os.close(reader)
             for descriptor in (0, 1, 2):
@@ -324,6 +327,11 @@ def _run(work: Callable[[], Any], limit: float) -> Any:
             os.killpg(child, signal.SIGKILL)
         status = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
     return None if told is None else json.loads(told) if told else status
+
+
+def _end_with_parent() -> None:
+    """Have Linux end this process when the one that forked it ends."""
+    getattr(ctypes.CDLL(None), "prctl", lambda *_: None)(1, signal.SIGKILL)
 
 
 def _late(*_) -> None:
@@ -571,6 +579,7 @@ def _fork(work: Callable[[], int]) -> None:
     if not child:
         code = 1
         try:
+            _end_with_parent()
             code = work()
         except BaseException:
             import traceback
