@@ -340,6 +340,27 @@ def test_the_search_goes_where_the_loss_is_least_and_goes_on_as_before():
     np.testing.assert_array_equal(half.tried, whole.tried)
 
 
+def test_a_scene_that_is_left_out_is_not_fitted():
+    """It pulls far away; only the search that has all scenes goes there, and each has its own best candidate."""
+
+    def rows(free):
+        away = np.abs(free + [3.0, 3.0, 3.0]).sum(-1)
+        return bowl(free) | {"prediction eth": 0.96 + 0.8 * away}
+
+    search = Search(rows, np.zeros(3), [None, "eth"], 8, 3)
+    for _ in range(40):
+        search.generation()
+    whole, without = search.best()
+    np.testing.assert_allclose(without, np.broadcast_to([1.0, 2.0, 3.0], (2, 3)), atol=0.1)
+    assert (np.abs(whole - [1.0, 2.0, 3.0]).sum(-1) > 1.0).all()
+    for k, losses in enumerate(np.stack(search.losses, 1)):
+        tried = np.stack(search.tried, 1)[k].reshape(-1, 3)
+        np.testing.assert_array_equal(search.best()[k][1], tried[losses.argmin()])
+        left_out = ("prediction eth",) if k else ()
+        np.testing.assert_allclose(losses.ravel(), loss.total(rows(tried), left_out))
+    assert len(loss.total(rows(tried), ("prediction eth",))) == len(tried)
+
+
 def test_known_constants_are_found_again():
     """From people who are known to walk straight at one another: the true constants have the least error."""
     random = np.random.default_rng(4)

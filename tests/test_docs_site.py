@@ -34,10 +34,24 @@ def test_the_menu_has_every_page():
     assert sorted(pages(menu)) == sorted(path.relative_to(DOCS).as_posix() for path in DOCS.rglob("*.md"))
 
 
+def links(page: Path, text: str) -> list[Path]:
+    """The files that a page leads to or shows. HTML is not changed by mkdocs, whose page.md is served as page/."""
+    markdown = re.findall(r"\]\(\s*<?([^)>#\s]+)", text) + re.findall(r"^\[[^\]]+\]:\s*<?([^>#\s]+)", text, re.M)
+    html = re.findall(r"<[^>]*\b(?:src|href|poster|data)\s*=\s*[\"']?([^\"'#\s>]+)", text)
+    served = page.parent if page.stem in ("index", "README") else page.with_suffix("")
+    found = [(page.parent, link) for link in markdown] + [(served, link) for link in html]
+    outside = re.compile(r"\w+://|mailto:|data:")
+    return [Path(os.path.normpath(folder / link)) for folder, link in found if not outside.match(link)]
+
+
 def test_links_and_pictures_are_there():
-    for path in DOCS.rglob("*.md"):
-        for link in re.findall(r"\]\(([^)#\s]+)", path.read_text(encoding="utf-8")):
-            assert "://" in link or (path.parent / link).exists(), f"{path.name}: {link}"
+    for path in [ROOT / "README.md", *DOCS.rglob("*.md")]:
+        text = re.sub(r"^```.*?^```|`[^`\n]*`", "", path.read_text(encoding="utf-8"), flags=re.M | re.S)
+        for file in links(path, text):
+            assert file.exists(), f"{path.name}: {file}"
+    text = "[a](b.md#c) ![d](<e.png>) <img width=5 src='no.png'> <a href=\"../f.md\"> [x](https://y)\n[g]: h.md"
+    found = [file.relative_to(DOCS).as_posix() for file in links(DOCS / "some/page.md", text)]
+    assert found == ["some/b.md", "some/e.png", "some/h.md", "some/page/no.png", "some/f.md"]
 
 
 def test_files_with_results_are_in_the_repository():

@@ -587,6 +587,8 @@ def test_further_drivers_of_figure_4():
     assert figure4.baselines(asked) == ["move_base", "ppo", "ppo_lidar", "sensing_expert"]
     assert figure4.baselines(asked.replace(quick=True)) == [] == figure4.baselines(asked.replace(baselines="none"))
     assert figure4.baselines(asked.replace(baselines="orca,ppo")) == ["orca", "ppo"]
+    with pytest.raises(InputError, match="baselines: 'orca' is listed twice"):
+        asked.replace(baselines="orca,ppo,orca")
     with pytest.raises(InputError, match="--baselines: 'N' is a column of the figure already"):
         figure4.baselines(asked.replace(baselines="N"))
 

@@ -56,12 +56,28 @@ def test_from_box_equals_the_nearest_of_many_boundary_points():
     assert 8 < within < 32
 
 
-def test_from_rectangle_is_from_box():
-    boxes = draw_boxes(np.random.default_rng(1), 20)
-    box, (x, y) = as_boxes(*boxes), jnp.asarray(boxes[0].T[::-1] * 0.7, jnp.float32)
-    parts = (*box.center.T, *box.half_extent.T, jnp.cos(box.yaw), jnp.sin(box.yaw))
-    for one, other in zip(geometry.from_box(x, y, box), geometry.from_rectangle(x, y, *parts), strict=True):
-        np.testing.assert_allclose(one, other, atol=1e-6)
+def test_from_rectangle_by_its_sides_and_corners():
+    """In double precision: the nearest of four sides inside, a side or a corner outside. The normal is a gradient."""
+    random = np.random.default_rng(1)
+    center, half, yaw = draw_boxes(random, 400)
+    local = random.uniform(-2.0, 2.0, (400, 2)) * half
+    local[:100] = random.uniform(-1.0, 1.0, (100, 2)) * half[:100]  # inside
+    ahead, left = np.stack([np.cos(yaw), np.sin(yaw)]), np.stack([-np.sin(yaw), np.cos(yaw)])
+
+    def exact(local):
+        beyond = np.abs(local) - half
+        return np.where((beyond < 0).all(1), beyond.max(1), np.hypot(*np.maximum(beyond, 0.0).T))
+
+    x, y = center.T + ahead * local[:, 0] + left * local[:, 1]
+    parts = (jnp.asarray(part, jnp.float32) for part in (x, y, *center.T, *half.T, *ahead))
+    far, nx, ny = (np.asarray(part, float) for part in jax.jit(geometry.from_rectangle)(*parts))
+    np.testing.assert_allclose(far, exact(local), atol=2e-5)
+    step = 1e-6
+    along_u, along_v = ((exact(local + d) - exact(local - d)) / (2 * step) for d in step * np.eye(2))
+    clear = np.abs(np.hypot(along_u, along_v) - 1.0) < 1e-3  # not where two sides are as near
+    assert clear.mean() > 0.95 and (far < 0).sum() > 80
+    np.testing.assert_allclose(nx[clear], (ahead[0] * along_u + left[0] * along_v)[clear], atol=2e-3)
+    np.testing.assert_allclose(ny[clear], (ahead[1] * along_u + left[1] * along_v)[clear], atol=2e-3)
 
 
 def test_distance_by_hand():

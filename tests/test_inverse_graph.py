@@ -173,12 +173,15 @@ def test_expected_flows_are_those_of_people_with_dice(rings, groups, closed, tem
     assert np.abs(np.asarray(found.turns) / np.asarray(found.turns).sum() - turns).sum() < 0.12
 
 
-def test_cold_flows_are_those_of_networkx(rings):
-    """Goals drawn alike from all others, along the cheapest paths."""
-    graph = rings[0]
-    weights = hidden(graph, 1).replace(goal=jnp.zeros(RING))
+@pytest.mark.parametrize("groups", [0, 2])
+def test_cold_flows_are_those_of_networkx(rings, groups):
+    """Goals drawn alike from all other waypoints, along the cheapest paths; groups call nobody, and are no goals."""
+    graph = rings[groups]
+    weights = hidden(graph, 1)
+    weights = weights.replace(goal=jnp.zeros_like(weights.goal), sent=jnp.full_like(weights.sent, -30.0))
     directed = networkx.DiGraph()
     cost = np.asarray(inverse_graph.layout(graph).length, float) * np.exp(np.asarray(weights.factor, float))
+    cost[:, RING:], cost[RING:] = np.inf, np.inf  # of groups
     directed.add_weighted_edges_from((u, v, cost[u, v]) for u, v in np.argwhere(np.isfinite(cost)))
     count = np.zeros(cost.shape)
     for u in directed:

@@ -171,6 +171,25 @@ def test_overtaking_and_following():
     assert beyond([((-1.5, 0.0), AHEAD, 0.5)]) == set()  # follows the robot: leading
 
 
+def test_limits_themselves():
+    """As the inequalities are written: who is exactly there, or exactly so much faster."""
+    touch = float(np.float32(0.16) + np.float32(0.2))
+    assert "overtaking" not in beyond([((3.6, 0.0), AHEAD, 0.25)])
+    assert "overtaking" not in beyond([((-touch, 0.5), AHEAD, 0.25)])
+    assert "overtaking" in beyond([((np.nextafter(np.float32(-touch), np.float32(0)), 0.5), AHEAD, 0.25)])
+    assert beyond([((1.5, 0.3), AHEAD, 0.2)], speed=0.4) == {"overtaking"}, "faster by .2 m/s is faster"
+    assert "following" not in beyond([((touch, 0.5), AHEAD, 0.5)])
+    assert "following" not in beyond([((3.6, 0.5), AHEAD, 0.5)])
+    for name, person in (("overtaking", (1.5, AHEAD, 0.25)), ("following", (1.5, AHEAD, 0.5)),
+                         ("frontal_approach", (3.0, BACK, 0.5))):  # fmt: skip
+        assert name not in beyond([((person[0], 1.2), *person[1:])])
+        assert name in beyond([((person[0], 1.1999), *person[1:])])
+    assert "frontal_approach" not in beyond([((3.6, 0.5), BACK, 0.5)])
+    five = [(turned(60 * k, 2.3), turned(60 * k), 0.0) for k in range(5)]
+    assert "crowded" not in beyond([*five, ((2.4, 0.0), AHEAD, 0.0)])
+    assert "crowded" in beyond([*five, ((2.3999, 0.0), AHEAD, 0.0)])
+
+
 def test_frontal_approach():
     assert beyond([((3.0, 0.5), BACK, 0.5)]) == {"frontal_approach"}
     assert beyond([((3.0, 0.5), turned(170), 0.5)]) == {"frontal_approach"}

@@ -12,7 +12,7 @@ from quick import quick
 
 import sean_jax
 from sean_jax import episodes, prng, runner, sensors
-from sean_jax.base import Behavior, PathsToGoal, Pedestrians, RobotTask
+from sean_jax.base import Behavior, PathsToGoal, Pedestrians, RobotTask, as_policy
 from sean_jax.behaviors.starts import no_groups
 from sean_jax.episodes import init_policy, policy_step
 from sean_jax.policies import POLICIES
@@ -143,9 +143,23 @@ def checked(scenario, policy):
         jax.jit(tick).trace(starts, jax.random.key(1))
 
 
-@pytest.mark.parametrize("name", quick(POLICIES, "go_to_goal"))
+@pytest.mark.parametrize("name", quick(POLICIES, "mppi"))
 def test_policies_use_no_key_twice(scenario, name):
     checked(scenario, POLICIES[name])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["mppi", "expert", "sensing_expert"])
+def test_the_checker_sees_policies_that_use_a_key_twice(scenario, name):
+    """These draw, so the checker has something to see: commands of one key, asked for twice."""
+    policy = as_policy(POLICIES[name])
+
+    def twice(scenario, params, state, key):
+        memory = policy.apply(scenario, params, state, key)[1]
+        return policy.apply(scenario, params, dataclasses.replace(state, policy_state=memory), key)
+
+    with pytest.raises(jax.errors.KeyReuseError):
+        checked(scenario, dataclasses.replace(policy, apply=twice))
 
 
 @pytest.mark.parametrize(

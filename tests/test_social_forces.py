@@ -879,6 +879,7 @@ def test_parameters_are_replaced_by_name():
     changed = forces.tree_replace(
         {"repulsion.strength": 3, "repulsion.range": jnp.float32(0.1), "contact.friction": None}
     )
+    assert changed.repulsion.strength.dtype == float, "or sums with it would be integers, or be refused"
     assert float(changed.repulsion.strength) == 3.0 and float(changed.repulsion.range) == pytest.approx(0.1)
     assert changed.contact.friction is None and changed.walking is forces.walking
     assert float(changed.replace(walls=forces.walls.replace(strength=1.0)).walls.strength) == 1.0

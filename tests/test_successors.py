@@ -108,6 +108,24 @@ def test_a_seat_that_is_due_gets_somebody_if_anybody_can_come(sent):
     assert lacked > 50
 
 
+def test_the_seat_that_is_due_first_is_asked_first(sent):
+    """Nobody takes a seat while a seat of the same group, for which they would do, has nobody and is due earlier."""
+    graph, moments = sent
+    chosen = 0
+    for memory, arrival, _, seats, after, _ in moments:
+        for person in np.flatnonzero((memory.seat < 0) & (after.seat >= 0)):
+            seat = after.seat[person]
+            others = np.flatnonzero((graph.seat_group == graph.seat_group[seat]) & (seats.successor < 0))
+            earlier = [other for other in others if seats.time_left[other] < seats.time_left[seat]]
+            chosen += any(seats.time_left[other] > seats.time_left[seat] for other in others)
+            for other in earlier:
+                left = seats.time_left[other]
+                returns = graph_choices.RETURN * (memory.origin[person] == graph.seat_node[other])
+                when = late(arrival[person, graph.seat_group[other]], max(left, 0.0)) + returns
+                assert left > 0 and when >= graph_choices.MAX_MISFIT
+    assert chosen > 20
+
+
 def test_walks_are_as_long_as_the_ways_that_cost_least(scenario):
     """Against networkx, which is given costs and whose ways are measured in straight lines: nothing can be shorter."""
     data = scenario.behavior.data

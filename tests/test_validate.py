@@ -129,7 +129,15 @@ def test_checks_are_chosen_by_name_and_by_the_beginning_of_a_name():
 def test_plans_have_the_people_and_doors_that_they_say():
     scene = plans.cabins()
     assert len(scene.walkers.start) == 23
-    assert (np.asarray(scene.walkers.route)[:, 1] == 13).sum() == 7
+    # IMO's test 10: cabins 5, 6, 11 and 12 leave by the secondary exit; 1 to 6 lie above, from left to right.
+    x, y = np.asarray(scene.walkers.start).T
+    cabin = 1 + (x // 3.0).astype(int) + np.where(y > 1.2, 0, 6)
+    door, leaves_by = np.asarray(scene.walkers.route).T
+    np.testing.assert_array_equal(cabin, door + 1)
+    np.testing.assert_array_equal(leaves_by == 13, np.isin(cabin, [5, 6, 11, 12]))
+    np.testing.assert_array_equal(np.bincount(cabin)[1:], [2] * 11 + [1])
+    ends = [np.mean([gate.left, gate.right], 0) for gate in (scene.gates[12], scene.gates[13])]
+    assert [tuple(end) for end in ends] == [(0.0, 0.6), (18.0, 0.6)], "the main exit is at the left"
     for number, doors in ((1000, 4), (400, 2)):
         hall = plans.hall(number, doors)
         start, route = np.asarray(hall.walkers.start), np.asarray(hall.walkers.route)[:, 0]

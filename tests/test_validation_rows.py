@@ -167,7 +167,10 @@ def test_lanes_pass_and_a_mix_does_not():
 def test_order_is_reached_when_it_stays():
     order = np.where(np.arange(600) < 300, 0.5, 0.95)
     order[100] = 1.0  # a moment alone does not count
-    assert crowds.time_until(order, 0.9) == pytest.approx(30.0, abs=0.7)
+    # 5 s in a row have a mean of .9 if .5 s of them are before the change.
+    assert crowds.time_until(order, 0.9) == pytest.approx(29.5)
+    order[200:245] = 1.0  # 4.5 s are no 5 s, with .5 before and after
+    assert crowds.time_until(order, 0.96) == np.inf and crowds.time_until(order, 0.95) == pytest.approx(20.0 - 0.5)
     assert np.isinf(crowds.time_until(order, 0.96))
 
 

@@ -30,6 +30,7 @@ Five = tuple[Array, ...]
 """The five generalised coordinates, velocities or impulses as scalars."""
 Touch = Callable[..., tuple[Array, Array]]
 """``touch(position, vx, vy)`` gives the velocity (x, y) [m/s] that contacts leave, as ``touching``."""
+UNBOUNDED = 1e3  # m/s, faster than anything that a contact allows
 OVERLAP = 1e-4  # m, maximum penetration of an obstacle by a robot; a step beyond it is not taken
 
 
@@ -131,6 +132,7 @@ def touching(
 
     A contact limits the approach speed to the gap per physics step, so that the robot comes
     to rest at the surface. It undoes a share of an overlap. There is no friction: the robot slides along.
+    Deep overlaps, also several, do not make the robot faster than its top speed.
 
     Args:
         time_left: s, from the start of this physics step to the end of the control step.
@@ -149,22 +151,31 @@ def touching(
 
 def person_contact(
     model: RobotModel | Body, person_radius: Array, time_left: Array, x: Array, y: Array, person: tuple[Array, ...]
-) -> tuple[Array, Array, Array]:
-    """Normal (x, y) and allowed approach speed [m/s] of a robot at (x, y) to a person: x, y, velocities, present."""
+) -> tuple[Array, Array, Array, Array]:
+    """The contact of a robot at (x, y) with a person: x, y, velocities, present.
+
+    Normal (x, y), allowed approach speed, and the speed [m/s] beyond which no contact pushes the robot while this one
+    lasts. A person pushes the robot along from outside; the motion of one who is deep inside it does not push it.
+    """
     px, py, ux, uy, present = person
     dx, dy = x - (px - ux * time_left), y - (py - uy * time_left)
     nx, ny = unit(dx, dy)
     gap = length(dx, dy) - (person_radius + model.radius)
-    allowed = _approach(model, gap) - (ux * nx + uy * ny)
-    return nx, ny, jnp.where(present, allowed, jnp.inf)
+    approach = _approach(model, gap)
+    deep = approach <= -model.max_speed
+    push = ux * nx + uy * ny
+    push = jnp.where(deep, jnp.minimum(push, 0.0), push)
+    bound = jnp.where(present & deep, model.max_speed, UNBOUNDED)
+    return nx, ny, jnp.where(present, approach - push, jnp.inf), bound
 
 
 def obstacle_contact(
     model: RobotModel | Body, x: Array, y: Array, rectangle: tuple[Array, ...]
-) -> tuple[Array, Array, Array]:
-    """Normal (x, y) and allowed approach speed [m/s] of a robot at (x, y) to one of ``rectangles``."""
+) -> tuple[Array, Array, Array, Array]:
+    """The contact of a robot at (x, y) with one of ``rectangles``; see ``person_contact``."""
     distance, nx, ny = from_rectangle(x, y, *rectangle)
-    return nx, ny, _approach(model, distance - model.radius)
+    gap = distance - model.radius
+    return nx, ny, _approach(model, gap), jnp.where(gap < -OVERLAP, model.max_speed, UNBOUNDED)
 
 
 def rectangles(obstacles: Obstacles) -> tuple[Float[Array, "K"], ...]:
@@ -181,20 +192,28 @@ def _approach(model: RobotModel | Body, gap: Array) -> Array:
     return jnp.maximum(share * gap / model.time_step, -model.max_speed)
 
 
+def after_push(vx: Array, vy: Array, push: Array, nx: Array, ny: Array, bound: Array) -> tuple[Array, Array]:
+    """(vx, vy) after a push along a normal, which does not make them longer than the bound [m/s]."""
+    before = length(vx, vy)
+    return clip_length(vx + push * nx, vy + push * ny, jnp.maximum(bound, before))
+
+
 def _touch(contact: Callable, things: Any, times: int, x: Array, y: Array, vx: Array, vy: Array) -> tuple[Array, Array]:
     """(vx, vy) of a robot at (x, y) after the most violated contact was enforced, ``times`` times.
 
-    ``contact(x, y, things) -> normal x, normal y, allowed approach speed``. One contact at a time, because a wall of
-    several boxes would otherwise throw the robot back once for each box. The choice of the contact has no gradient, so
-    that reverse mode stores and visits this one only.
+    ``contact(x, y, things) -> normal x, normal y, allowed approach speed, bound``. One contact at a time, because a
+    wall of several boxes would otherwise throw the robot back once for each box. The choice of the contact has no
+    gradient, so that reverse mode stores and visits this one only.
     """
     stop = jax.lax.stop_gradient
-    nx, ny, allowed = contact(stop(x), stop(y), stop(things))
+    nx, ny, allowed, bounds = contact(stop(x), stop(y), stop(things))
+    bound = bounds.min()
     for _ in range(times):
         strongest = jnp.argmax(-(stop(vx) * nx + stop(vy) * ny) - allowed)
-        one_nx, one_ny, one_allowed = contact(x, y, jax.tree.map(lambda leaf: leaf[strongest], things))  # noqa: B023
+        one = jax.tree.map(lambda leaf: leaf[strongest], things)  # noqa: B023
+        one_nx, one_ny, one_allowed, _ = contact(x, y, one)
         push = jnp.maximum(-(vx * one_nx + vy * one_ny) - one_allowed, 0.0)
-        vx, vy = vx + push * one_nx, vy + push * one_ny
+        vx, vy = after_push(vx, vy, push, one_nx, one_ny, bound)
     return vx, vy
 
 

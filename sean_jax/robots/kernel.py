@@ -14,9 +14,11 @@ from sean_jax import kernels
 from sean_jax.base import Array, RobotModel
 from sean_jax.robots.dynamics import (
     CORNER,
+    UNBOUNDED,
     Body,
     Motion,
     Surroundings,
+    after_push,
     obstacle_contact,
     person_contact,
     rectangles,
@@ -116,18 +118,20 @@ def _strongest(contact: Any, count: int, lane: Any, lanes: int, vx: Any, vy: Any
 
     def better(best: tuple, other: tuple) -> tuple:
         wins = (other[0] > best[0]) | ((other[0] == best[0]) & (other[1] < best[1]))
-        return tuple(jnp.where(wins, new, old) for new, old in zip(other, best, strict=True))
+        chosen = (jnp.where(wins, new, old) for new, old in zip(other[:-1], best[:-1], strict=True))
+        return *chosen, jnp.minimum(best[-1], other[-1])  # the bound is that of all
 
     def turn(k: Any, best: tuple) -> tuple:
         index = k * lanes + lane
-        nx, ny, allowed = contact(jnp.minimum(index, count - 1))
-        return better(best, (-(vx * nx + vy * ny) - allowed, index, nx, ny))
+        nx, ny, allowed, bound = contact(jnp.minimum(index, count - 1))
+        return better(best, (-(vx * nx + vy * ny) - allowed, index, nx, ny, bound))
 
-    nothing = vx.dtype.type(0.0)  # a contact that is not violated
-    best = jax.lax.fori_loop(0, -(-count // lanes), turn, (nothing, np.int32(-1), nothing, nothing))
+    number = vx.dtype.type
+    nothing = (number(0.0), np.int32(-1), number(0.0), number(0.0), number(UNBOUNDED))  # no contact is violated
+    best = jax.lax.fori_loop(0, -(-count // lanes), turn, nothing)
     distance = 1
     while distance < lanes:
         best = better(best, tuple(kernels.exchange(value, distance) for value in best))
         distance *= 2
-    excess, _, nx, ny = best
-    return vx + excess * nx, vy + excess * ny
+    excess, _, nx, ny, bound = best
+    return kernels.scalars(after_push)(vx, vy, excess, nx, ny, bound)

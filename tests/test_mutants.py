@@ -1,0 +1,106 @@
+"""The mutation test: what it puts in, where it does not, which tests it asks, and that it notices and survives."""
+
+import ast
+import importlib
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+program = importlib.import_module("mutants")
+SOURCE = b'''"""A docstring: 1 < 2."""
+from typing import Literal
+__all__ = ["f" + "g"]
+LIMIT = 0.5  # m
+
+def f(x: Literal[1], y: int = 3, *, on: bool = True) -> "1 < 2":
+    """1 + 1"""
+    if not on or x <= y:
+        raise ValueError(f"{x + 1} is {y < 2}" + "!")
+    z = jnp.where((x > 0) & on, x, -y)
+    return z.sum(axis=1) + g(x, y) * min(x, 2.0)
+'''
+
+
+def test_what_is_put_in():
+    made = program.mutants("f.py", SOURCE)
+    changes = {(mutant.line, mutant.after) for mutant in made}
+    assert len(changes) == len(made) and all(mutant.before != mutant.after for mutant in made)
+    lines = {
+        4: {"LIMIT = 0.75 # m"},
+        6: {
+            'def f(x: Literal[1], y: int = 4, *, on: bool = True) -> "1 < 2":',
+            'def f(x: Literal[1], y: int = 3, *, on: bool = False) -> "1 < 2":',
+        },
+        8: {"if not on and x <= y:", "if on or x <= y:", "if not on or x < y:"},
+        10: {
+            "z = jnp.where((x >= 0) & on, x, -y)",
+            "z = jnp.where((x > 1) & on, x, -y)",
+            "z = jnp.where((x > 0) | on, x, -y)",
+            "z = jnp.where((x > 0) & on, x, y)",
+            "z = x",
+            "z = -y",
+        },
+        11: {
+            "return z.sum(axis=0) + g(x, y) * min(x, 2.0)",
+            "return z.sum(axis=1) - g(x, y) * min(x, 2.0)",
+            "return z.sum(axis=1) + g(y, x) * min(x, 2.0)",
+            "return z.sum(axis=1) + g(x, y) / min(x, 2.0)",
+            "return z.sum(axis=1) + g(x, y) * max(x, 2.0)",
+            "return z.sum(axis=1) + g(x, y) * min(x, 3.0)",
+        },
+    }
+    assert changes == {(line, text) for line, texts in lines.items() for text in texts}
+
+
+def test_mutants_of_the_package_are_python():
+    for folder in program.FOLDERS:
+        some = program.drawn(folder, 6, 1)
+        assert program.drawn(folder, 3, 1) == some[:3] != program.drawn(folder, 3, 2)
+        for mutant in some:
+            source = (program.PACKAGE / mutant.path).read_bytes()
+            ast.parse(source[: mutant.begin] + mutant.text.encode() + source[mutant.end :])
+
+
+def test_which_tests_are_asked():
+    for folder in program.FOLDERS:
+        for path in program.modules(folder):
+            assert all((program.TESTS / file).is_file() for file in program.test_files(path)), path
+    assert "test_metrics.py" in program.test_files("metrics/path.py")
+    others = program.independent("metrics/path.py")
+    assert "sean_jax.geometry" in others and "sean_jax.classifiers.predicates" in others
+    assert not {"sean_jax", "sean_jax.metrics", "sean_jax.metrics.path", "sean_jax.runner"} & set(others)
+    seconds = {"a::slow": 9.0, "a::quick": 1.0, "b::best": 2.0, "b::aside": 0.1, "c::aside": 0.1}
+    choice = program.Choice(
+        seconds, {"a::slow": [7], "a::quick": [8], "b::best": [7, 8], "b::aside": [], "c::aside": []}
+    )
+    assert choice.order(7) == ["b::best", "b::aside", "a::slow", "a::quick", "c::aside"]
+
+
+def test_the_summary_knows_what_is_explained(monkeypatch):
+    line = {"folder": "graph", "path": "graph/x.py", "line": 3, "before": "a < b"}
+    known = {
+        after: line | {"name": after, "after": after, "noticed": noticed}
+        for after, noticed in (("one", "test_x"), ("two", None), ("three", None))
+    }
+    monkeypatch.setattr(program, "reasons", lambda: {"two": "equal"})
+    rows = [row.split() for row in program.summary(known)]
+    assert rows[1:3] == [["graph", "3", "1", "1", "1"], ["all", "3", "1", "1", "1"]]
+    assert rows[3:] == [["graph/x.py:3:", "a", "<", "b", "->", "three"]]
+
+
+@pytest.mark.slow
+def test_a_few_mutants(tmp_path):
+    """Of sean2.py, in processes of their own; a second run has nothing left to do."""
+    out = tmp_path / "mutants.jsonl"
+    told = [sys.executable, "benchmarks/mutants.py", "--only", "classifiers", "--count", "7", "--out", str(out)]
+    done = subprocess.run(told, cwd=ROOT, capture_output=True, text=True, timeout=600)
+    assert done.returncode == 0, done.stderr
+    (line,) = map(json.loads, out.read_text().splitlines())
+    assert line["noticed"].startswith("tests/test_") and line["folder"] == "classifiers"
+    again = subprocess.run(told, cwd=ROOT, capture_output=True, text=True, timeout=60)
+    assert again.stdout.splitlines()[1].split() == ["classifiers", "1", "1", "0", "0"]
+    assert len(out.read_text().splitlines()) == 1
