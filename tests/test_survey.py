@@ -27,7 +27,7 @@ import pytest
 import scipy.stats
 from rich.console import Console
 
-from sean_jax import cli, pages, survey
+from sean_jax import cli, pages, survey, writing
 from sean_jax.config import StudioConfig, SurveyReportConfig, validate
 from sean_jax.errors import FileError, InputError, WriteError
 from sean_jax.survey import export, report, study, visits
@@ -210,10 +210,11 @@ def test_a_study_goes_on_with_the_same_links(tmp_path):
 @pytest.mark.parametrize(
     ("question", "good", "bad"),
     [
-        ({"kind": "likert", "points": 5}, [1, 5], [0, 6, 1.5, "1", True, [1], float("nan")]),
+        ({"kind": "likert", "points": 5}, [1, 5], [0, 6, 1.5, "1", True, [1], float("nan"), 10**400]),
         ({"kind": "choice", "choices": ["a", "b"]}, ["a"], ["c", 1, ["a"]]),
         ({"kind": "text"}, ["x" * 2000], ["x" * 2001, 3]),
-        ({"kind": "number", "range": [0.0, 1.0]}, [0, 0.5], [2, "0", float("inf")]),
+        ({"kind": "number", "range": None}, [0, -1e300], [10**400, -(10**400), float("nan"), "[", {}]),
+        ({"kind": "number", "range": [0.0, 1.0]}, [0, 0.5], [2, "0", float("inf"), 10**400]),
     ],
 )
 def test_answers_are_checked(question, good, bad):
@@ -699,6 +700,7 @@ def test_a_browser_goes_through_a_study(tmp_path, scheme, width):
     assert seen["errors"] == seen["findings"] == seen["wide"] == []
     assert set(seen["hosts"]) == {links[0].split("/")[2]}
     assert seen["steps"] == 5 and seen["kept"] == "33" and "no answer yet" in seen["missing"]
+    assert seen["early"] == "One moment, please."  # a film that was played at 16 times its speed
     assert seen["outcomes"] == ["The time is over."] and seen["broken"] > 5
     drives = Answers(tmp_path / "out" / FILE).drives()
     assert [row["outcome"] for row in drives] == [BROKEN_OFF, "timed out"]
@@ -786,6 +788,12 @@ DAMAGES = {
         "(SELECT 1 UNION ALL SELECT participant FROM n) SELECT participant FROM n",
         "its tables are not those",
     ),
+    "an index in another's place": (
+        "UPDATE sqlite_master SET rootpage = "
+        "(SELECT rootpage FROM sqlite_master WHERE name = 'sqlite_autoindex_steps_1')"
+        " WHERE name = 'sqlite_autoindex_answers_1'",
+        "it is damaged; restore the file from a copy",
+    ),
     "a table in another's place": (
         "UPDATE sqlite_master SET rootpage = (SELECT rootpage FROM sqlite_master WHERE name = 'steps') "
         "WHERE name = 'answers'",
@@ -821,8 +829,14 @@ def test_half_a_surrogate_is_exported(original, tmp_path, stored):
     (value,) = (row["value"] for row in rows if row["question"] == "why")
     assert "\\ud83d" in value if isinstance(stored, str) else "\N{REPLACEMENT CHARACTER}" in value
     answers = Answers(tmp_path / FILE)
+    assert "why" in export.table(answers, "answers.csv").encode().decode()  # as the researcher's page gets it
     assert report.rated(answers)
     answers.close()
+
+
+def test_a_file_holds_half_a_surrogate_as_it_is_written_in_json(tmp_path):
+    writing.write(tmp_path / "a.txt", "a \ud83d b")
+    assert (tmp_path / "a.txt").read_text() == "a \\ud83d b"
 
 
 @pytest.mark.parametrize("text", ["\ud83d", "a\udc00b", "\x00", "\x1b[2J", "\x85", "x\x7f"])
@@ -869,6 +883,16 @@ def test_a_full_disk_keeps_what_was_confirmed(tmp_path):
     answers.close()
 
 
+def test_half_a_transaction_is_none(original, tmp_path):
+    answers = Answers(damaged(original, tmp_path) / FILE)
+    with pytest.raises(ZeroDivisionError), answers._base.transaction() as execute:
+        execute("DELETE FROM answers")
+        _ = 1 / 0
+    answers.answer(1, 4, "car", "never")
+    assert len(answers.all_answers()) == 13 + 1 + 1
+    answers.close()
+
+
 def test_only_the_owner_may_read_a_study(tmp_path, monkeypatch):
     """It holds everybody's link; a folder and a file of an earlier version too."""
     read(tmp_path)
@@ -904,7 +928,8 @@ def test_no_device_is_opened_for_a_study(tmp_path):
 def test_visits_are_told_from_events():
     """Open, hidden and watched are counted by the times of the events alone."""
     events = [(0.0, "opened"), (0.0, "page 0"), (3.0, "began 0"), (5.0, "hidden"), (15.0, "visible"), (16.0, "early 0"),
-              (17.0, "closed"), (27.0, "page 0"), (28.0, "began 0"), (29.0, "shown 0"), (30.0, "page 1"), (31.0, "closed")]  # fmt: skip
+              (17.0, "closed"), (27.0, "page 0"), (28.0, "began 0"), (29.0, "shown 0"), (30.0, "page 1"),
+              (31.0, "closed")]  # fmt: skip
     first, second = visits.visits(events, now=100.0).values()
     assert (first.opened, first.began, first.dwell, first.hidden) == (0.0, 3.0, 20.0, 10.0)
     assert (first.watched, first.reloads, first.early) == (16.0, 1, 1)

@@ -68,11 +68,19 @@ for (;;) {
   if (what === "watch" || what === "choose") {
     await page.waitForSelector("[data-ready='0']");
     if (!(await button("continue").isDisabled())) seen.errors.push("continue before the end");
+    const faster = !seen.early; // as somebody does who knows the browser's tools
+    if (faster) await page.evaluate(() => (document.querySelector("[aria-label=speed]").value = "16"));
     await page.getByRole("button", { name: "play" }).first().click();
-    await page.waitForTimeout(1500);
-    await look(what);
+    if (!faster) {
+      await page.waitForTimeout(1500);
+      await look(what);
+    }
     await until(() => [...document.querySelectorAll(".survey-next")].some((each) => !each.disabled));
     await button("continue").click();
+    if (faster) {
+      await until(() => document.querySelector(".studio-note").textContent);
+      seen.early = await page.locator(".studio-note").textContent();
+    }
   } else if (what === "drive") {
     await page.waitForSelector("[data-frames='1']");
     await button("start").click();
