@@ -117,9 +117,11 @@ def print_table(
             table.add_row(head, *(Text(cell) if cell else Text("–", "dim") for cell in cells))
         console.print(table)
     console.print(f"In no situation: {100.0 * none:.1f} % of the robot's time.", highlight=False)
-    console.print(
-        "[dim]Violations and collisions are times per episode; 95 % intervals are in summary.json.[/]", soft_wrap=True
-    )
+    notes = ["Situations may overlap; completed is there of the episodes in which the situation occurred."]
+    if "empty" in names:
+        notes.append("Empty is a situation: nobody is near.")
+    notes.append("Violations and collisions are times per episode; 95 % intervals are in summary.json.")
+    console.print(Text(" ".join(notes), "dim"), soft_wrap=True)
 
 
 def _blocks(widths: list[int], width: int) -> list[tuple[int, int]]:
