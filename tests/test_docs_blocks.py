@@ -25,7 +25,6 @@ from sean_jax.policies import go_to_goal as policy
 """
 RUNNING = "key = jax.random.key(0); state = jax.jit(sean_jax.reset)(scenario, key)\n"
 GIVEN = {
-    "docs/gradients.md": RUNNING,
     "docs/inverse_graph.md": RUNNING
     + """
 graph, time_step = scenario.behavior.data.graph, scenario.time_step
@@ -60,15 +59,16 @@ Path("runs/floors/episodes.csv").write_text("episode,environment,task,completed\
 from pathlib import Path
 Path("envs").symlink_to(Path(sean_jax.__file__).parent.parent / "envs")
 """,
-    "docs/validation.md": "my_terms = list(sean_jax.preset('helbing1995'))\n",
 }
+ALONE = {"docs/gradients.md", "docs/situations.md", "docs/validation.md"}
+"""Pages whose blocks run as pasted, with nothing given; more pages may join them, and none leaves"""
 SMALLER = {
     "README.md": {
         "people=62": 'people=8, dynamics="twin"', "256": "2", "steps=600": "steps=20", "episodes=64": "episodes=2",
     },
     "docs/behavior_graph.md": {"key, 100,": "key, 20,", "steps=1200": "steps=200"},
     "docs/devices.md": {'make("warehouse")': 'make("lab", people=4, dynamics="twin")', "1024": "4", "8192": "2"},
-    "docs/gradients.md": {"1000": "32"},
+    "docs/gradients.md": {"1000": "32", '"warehouse", ': '"lab", people=4, dynamics="twin", '},
     "docs/learning.md": {"episodes=10": "episodes=2", "key, 600": "key, 20"},
     "docs/metrics.md": {"make(people=8": 'make(dynamics="twin", people=8', "300": "20"},
     "docs/policies.md": {'task="join_group"': 'people=4, dynamics="twin"', "600": "3", "16)": "2)"},
@@ -88,8 +88,10 @@ PROGRAMS = [page for page in PAGES if blocks(page, "python") and page not in ELS
 @pytest.mark.parametrize("page", PROGRAMS)
 def test_programs_run(page, scenario, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    scope: dict = {"scenario": scenario, "__name__": page}
-    exec(SCENARIO + GIVEN.get(page, ""), scope)  # noqa: S102
+    scope: dict = {"__name__": page}
+    if page not in ALONE:
+        scope["scenario"] = scenario
+        exec(SCENARIO + GIVEN.get(page, ""), scope)  # noqa: S102
     smaller = SMALLER.get(page, {})
     text = "\n".join(blocks(page, "python"))
     for long in smaller:
@@ -100,11 +102,17 @@ def test_programs_run(page, scenario, tmp_path, monkeypatch):
         exec(compile(code, page, "exec"), scope)  # noqa: S102
 
 
+def indented(page: str) -> list[str]:
+    """Blocks that four spaces mark, below an empty line; not those of lists, which are indented text."""
+    text = BLOCK.sub("", PAGES[page].read_text(encoding="utf-8"))
+    return [re.sub("^    ", "", code, flags=re.M) for code in re.findall(r"(?<=\n\n)((?:    \S.*\n)+)", text)]
+
+
 def commands() -> list[tuple[str, str]]:
-    """(page, words) of each `sean ...` in a block of shell or of no language."""
+    """(page, words) of each `sean ...` in a block of shell, of no language, or of indented lines."""
     found = []
     for page in PAGES:
-        for code in blocks(page, "bash", "console", ""):
+        for code in blocks(page, "bash", "console", "") + indented(page):
             lines = re.sub(r"<<'END'\n.*?\nEND\n", "\n", code.replace("\\\n", " "), flags=re.S).splitlines()
             for line in lines:
                 for part in line.split(" # ")[0].split("&&"):
@@ -134,6 +142,17 @@ def test_commands_parse(page, words, tmp_path, monkeypatch):
 @pytest.mark.parametrize("page", [page for page in PAGES if blocks(page, "yaml")])
 def test_yaml_can_be_read(page):
     assert all(isinstance(yaml.safe_load(code), dict) for code in blocks(page, "yaml"))
+
+
+def test_programs_are_in_fences():
+    """So that they are run: what is indented is tried as commands only."""
+    for page in PAGES:
+        for code in indented(page):
+            assert not re.search(r"^(from \w|import \w|def |\w+ = )", code, re.M), f"{page}: {code}"
+
+
+def test_pages_alone_are_given_nothing():
+    assert not ALONE & set(GIVEN) and set(PROGRAMS) >= ALONE
 
 
 def test_every_block_is_of_a_language_that_is_tried():

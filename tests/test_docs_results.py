@@ -1,5 +1,6 @@
 """Tables of docs/results/ are those of the files in results/."""
 
+import csv
 import importlib.util
 import json
 import re
@@ -54,3 +55,36 @@ def test_tables_are_those_of_the_results():
         assert any(result.get("versions") for result in results), folder
         command = r"`(sean (experiment|benchmark)|python benchmarks/\w+\.py) "
         assert re.search(rf"\| `{folder}` \| {command}", origins), folder
+
+
+def sentences(page: str) -> str:
+    """A page without line breaks."""
+    return " ".join((DOCS / page).read_text(encoding="utf-8").split())
+
+
+def test_speeds_are_the_same_on_every_page():
+    """README, the page of performance and the comparison, of the whole step and beside JuPedSim."""
+    (step,) = re.findall(
+        r"the whole step with metrics and restarts .*?\| ([\d.]+ M scenario-steps/s)", sentences("performance.md")
+    )
+    assert f"makes {step} with 62 people" in sentences("comparison.md")
+    assert step in (DOCS.parent / "README.md").read_text(encoding="utf-8")
+
+    peers = json.loads((DOCS.parent / "benchmarks" / "results" / "peers.json").read_text(encoding="utf-8"))
+    rates = {(row["hall"], row["people"], row["simulator"]): row["rate"] for row in peers["rows"]}
+    walls, opened = (rates[hall, 62, "sean_jax, B = 1"] / rates[hall, 62, "jupedsim"] for hall in ("walls", "open"))
+    assert 7.5 < walls < 8.5, "an eighth among walls"
+    assert f"an eighth among walls and {100 / opened:.0f} % in the open" in sentences("comparison.md")
+
+
+def test_standing_in_completed_episodes_is_that_of_the_results():
+    text = sentences("results/experiments.md")
+    for folder, words in (
+        ("figure4", "N stands {N:.1f} s, H {H:.1f}, G {G:.1f} and R {R:.1f} s"),
+        ("figure4-sean2", "{N:.1f}, {H:.1f}, {G:.1f} and {R:.1f} s"),
+    ):
+        with (DOCS.parent / "results" / folder / "figure4.csv").open(encoding="utf-8", newline="") as stream:
+            rows = [row for row in csv.DictReader(stream) if row["measure"] == "time_not_moving_of_completed"]
+        rows = [row for row in rows if row["behavior"] != "mean"]
+        means = {name: sum(float(row["mean"]) for row in rows if row["policy"] == name) / 3 for name in "NHGR"}
+        assert words.format(**means) in text, folder

@@ -314,7 +314,8 @@ def test_constant_velocity_has_the_habits_of_the_model(recordings, tmp_path):
 
 
 def test_constant_velocity_walks_at_the_mean_velocity_of_companions():
-    start, velocity = np.array([[0.0, 0.0], [0.0, 0.8], [5.0, 5.0]]), np.array([[1.15, 0.05], [1.05, -0.05], [0.0, 1.3]])
+    start = np.array([[0.0, 0.0], [0.0, 0.8], [5.0, 5.0]])
+    velocity = np.array([[1.15, 0.05], [1.05, -0.05], [0.0, 1.3]])
     observed = start + 0.4 * np.arange(8)[:, None, None] * velocity
     predicted = predict(individuals.with_companions, observed, 0.4, 3)
     mean = np.array([[1.1, 0.0], [1.1, 0.0], [0.0, 1.3]])
