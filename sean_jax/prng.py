@@ -66,6 +66,11 @@ def streams(key: Array) -> Streams:
     return Streams(*jax.random.split(key, 4), noise=jax.random.fold_in(key, NOISE))
 
 
+def typed(key: Array) -> Array:
+    """A key as a typed one: those of ``jax.random.PRNGKey`` are numbers, and mean the same as ``jax.random.key``."""
+    return key if _is_key(key) else jax.random.wrap_key_data(key)
+
+
 def as_numbers(tree: PyTree) -> PyTree:
     """A tree with uint32 in place of its typed keys, which files and quick calls can hold."""
     return jax.tree.map(lambda leaf: jax.random.key_data(leaf) if _is_key(leaf) else leaf, tree)

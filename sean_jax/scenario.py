@@ -24,6 +24,7 @@ def reset(scenario: Scenario, key: Array) -> State:
 
     Source: section IV-B.
     """
+    key = prng.typed(key)
     people_key, task_key, streams_key = jax.random.split(key, 3)
     begin = scenario.behavior.reset
     people = calls.call("behavior", begin, "scenario, key", scenario, people_key)

@@ -83,9 +83,19 @@ async def listen(
             await tab.close(1011, "a message that cannot be answered; reload the page")
 
     async with serve(
-        guarded_tab, host, port, process_request=guarded_answer, logger=log.logger, max_size=longest,
-        open_timeout=PATIENCE, ping_interval=PATIENCE, ping_timeout=2 * PATIENCE, close_timeout=1.0, compression=None, server_header=None,
-    ) as server:  # fmt: skip
+        guarded_tab,
+        host,
+        port,
+        process_request=guarded_answer,
+        logger=log.logger,
+        max_size=longest,
+        open_timeout=PATIENCE,
+        ping_interval=PATIENCE,
+        ping_timeout=2 * PATIENCE,
+        close_timeout=1.0,
+        compression=None,
+        server_header=None,
+    ) as server:
         yield server.sockets[0].getsockname()[1]
 
 

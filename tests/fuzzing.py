@@ -97,7 +97,7 @@ READERS = {
 ELSEWHERE = {
     "web.py parse": "messages of test_hostile",
     "ros/rosbridge.py Server._handle": "messages of test_hostile",
-    "studio/editor.py Editor._take": "texts that it made itself of a graph or of sets, as load_graph and load_handcrafted",
+    "studio/editor.py Editor._take": "a graph or sets, as load_graph and load_handcrafted",
     "studio/trial.py read": "trials of the studio: test_studio",
     "studio/trial.py recover": "trials of the studio: test_studio",
     "evaluation/replay_command.py _of_imitation": "the config.json of load_policy",
@@ -110,19 +110,40 @@ ELSEWHERE = {
 """Readers of outside data without a kind of their own -> what tries them."""
 
 OWN = {
-    "assembly.py _made", "cache.py source", "components.py digest", "components.py _bytes", "evaluation/saved.py read_inputs",
-    "studies/inverse_graph/__init__.py run", "studies/validation/checks.py _code", "studio/editor.py Editor.__init__",
+    "assembly.py _made",
+    "cache.py source",
+    "components.py digest",
+    "components.py _bytes",
+    "evaluation/saved.py read_inputs",
+    "studies/inverse_graph/__init__.py run",
+    "studies/validation/checks.py _code",
+    "studio/editor.py Editor.__init__",
     "studio/editor.py Editor.save",
     # data of the package, and of the machine
-    "config/core.py aliases", "doctor.py _memory", "evaluation/bag_command.py write", "evaluation/list_command.py ",
-    "evaluation/list_command.py _environment", "evaluation/list_command.py _robot", "evaluation/table.py ",
-    "learning/lerobot.py ", "metrics/__init__.py _read_metrics", "replay/__init__.py script",
-    "social_forces/presets.py _read_presets", "studies/calibration/fitting.py ", "studies/calibration/loss.py ",
-    "studies/experiments/benchmark.py _read_tracks", "studies/experiments/benchmark.py protocol_digest",
-    "studies/experiments/benchmark.py device", "studies/experiments/page.py ", "studies/validation/checks.py ",
-    "studio/__init__.py serve", "survey/__init__.py _serve", "survey/study.py templates", "trajectories.py ",
+    "config/core.py aliases",
+    "doctor.py _memory",
+    "evaluation/bag_command.py write",
+    "evaluation/list_command.py ",
+    "evaluation/list_command.py _environment",
+    "evaluation/list_command.py _robot",
+    "evaluation/table.py ",
+    "learning/lerobot.py ",
+    "metrics/__init__.py _read_metrics",
+    "replay/__init__.py script",
+    "social_forces/presets.py _read_presets",
+    "studies/calibration/fitting.py ",
+    "studies/calibration/loss.py ",
+    "studies/experiments/benchmark.py _read_tracks",
+    "studies/experiments/benchmark.py protocol_digest",
+    "studies/experiments/benchmark.py device",
+    "studies/experiments/page.py ",
+    "studies/validation/checks.py ",
+    "studio/__init__.py serve",
+    "survey/__init__.py _serve",
+    "survey/study.py templates",
+    "trajectories.py ",
     "trajectories.py save_trajectory",
-}  # fmt: skip
+}
 """Who reads bytes that are only copied or digested, or data of the package itself."""
 
 
@@ -1004,8 +1025,18 @@ def load_row(folder: Path) -> Any:
 
 
 ROW = {
-    "made_with": {}, "check": "a", "model": "b", "verdict": "passes", "measured": "1", "reason": "", "numbers": {"x": 1.0}, "curves": [], "axes": ["x", "y"], "pictures": [["a", "<svg/>"]], "seconds": 1.0,
-}  # fmt: skip
+    "made_with": {},
+    "check": "a",
+    "model": "b",
+    "verdict": "passes",
+    "measured": "1",
+    "reason": "",
+    "numbers": {"x": 1.0},
+    "curves": [],
+    "axes": ["x", "y"],
+    "pictures": [["a", "<svg/>"]],
+    "seconds": 1.0,
+}
 
 
 def kinds(folder: Path) -> dict[str, Kind]:

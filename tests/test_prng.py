@@ -221,3 +221,14 @@ def test_commands_draw_other_episodes(scenario):
 
     keys = [np.asarray(jax.random.key_data(each)) for each in drawn(numbers)]
     assert len(np.unique(np.concatenate(keys), axis=0)) == 24
+
+
+def test_keys_of_both_kinds_can_be_mixed():
+    """``jax.random.PRNGKey`` gives numbers, and the same episodes."""
+    env = sean_jax.make_env(sean_jax.make("lab", behavior="random", people=1, dynamics="kinematic"))
+    step = jax.eval_shape(env.reset, jax.random.PRNGKey(0))[1]
+    for old, new in ((jax.random.PRNGKey(0), jax.random.key(0)), (jax.random.key(0), jax.random.PRNGKey(0))):
+        state = jax.eval_shape(env.reset, old)[1]
+        after = jax.eval_shape(env.step, new, state, jax.numpy.zeros(2))[1]
+        assert jax.tree.map(lambda leaf: leaf.dtype, after) == jax.tree.map(lambda leaf: leaf.dtype, step)
+    assert (jax.random.key_data(prng.typed(jax.random.PRNGKey(7))) == jax.random.key_data(jax.random.key(7))).all()

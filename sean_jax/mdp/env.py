@@ -95,7 +95,7 @@ class Env:
             key: () typed PRNG key, from which all chance of the episode comes.
             randomization: parameters of the scenario; drawn by the key if None.
         """
-        episode_key, draw_key, delay_key = jax.random.split(key, 3)
+        episode_key, draw_key, delay_key = jax.random.split(prng.typed(key), 3)
         if randomization is None:
             randomization = () if self.randomization is None else self.randomization.draw(draw_key, self.scenario)
         scenario = self.scenario_of(randomization)
@@ -198,7 +198,7 @@ class Env:
         Starts are taken at random, by the ``weights`` of the pool, which are equal. All chance after the start is the
         episode's own. The noise of a first observation is the start's.
         """
-        return replace(self, pool=self.draw_pool(jax.random.split(key, size)))
+        return replace(self, pool=self.draw_pool(jax.random.split(prng.typed(key), size)))
 
     def draw_pool(self, keys: Array, randomization: PyTree = None) -> Pool:
         """Equally likely starts of keys (K,).
@@ -237,7 +237,7 @@ class Env:
         """The first observation and state of an episode: a start of the pool, or, without a pool, a reset."""
         if self.pool is None:
             return self.reset(key)
-        choice_key, streams_key = jax.random.split(key)
+        choice_key, streams_key = jax.random.split(prng.typed(key))
         chosen = _choose(choice_key, self.pool.weights)
         observation, state = jax.tree.map(lambda leaf: leaf[chosen], (self.pool.observations, self.pool.states))
         return observation, replace(state, simulation=replace(state.simulation, streams=prng.streams(streams_key)))
