@@ -131,12 +131,12 @@ def test_the_clock_never_goes_back(live):
     np.testing.assert_allclose(odometry, times)
 
 
-def test_a_state_after_a_step_at_t_has_the_stamp_t(made):
+def test_a_state_after_a_step_at_t_has_the_stamp_t(made, monkeypatch):
     """Counted from the stamp of the first state of all, as in bags and in trajectories.csv."""
     live, config = made
+    memory = Memory()
+    monkeypatch.setattr(bridge, "connect", lambda place, mailbox, outputs: memory)
     fresh = bridge.Bridge(live.scenarios[0], config.place, live._write)
-    memory = fresh.transport
-    memory.sent.clear()
     state = live._begin(0)
     fresh.begin(live.scenarios[0], 0)
     for _ in range(3):
@@ -182,11 +182,12 @@ def test_a_transport_that_ends_ends_the_episode_with_its_sentence(live):
     assert ended == [True]
 
 
-def test_a_dead_controller_is_no_result(made):
+def test_a_dead_controller_is_no_result(made, monkeypatch):
     """One that has answered and is silent for 3 s of an episode; before, missed commands are counted."""
     live, config = made
+    memory = Memory()
+    monkeypatch.setattr(bridge, "connect", lambda place, mailbox, outputs: memory)
     driver = bridge.Driver(live.scenarios[0], "ros1:", config.place, Console(quiet=True))
-    memory = driver._bridge.transport
     answers = [True] * 3 + [False] * 2 + [True] * 2
 
     def answer(topic, message):
@@ -206,7 +207,6 @@ def test_a_dead_controller_is_no_result(made):
         with pytest.raises(ControllerError, match="no command for 3 s of episode 0, which is therefore no result"):
             for _ in range(40):
                 driver(live.scenarios[0], 0, batch(state))
-    memory.heard = lambda topic, message: None
 
 
 def test_services_and_poses(live):
