@@ -13,6 +13,7 @@ from sean_jax import prng
 from sean_jax import scenario as scenarios
 from sean_jax.config import BridgeConfig
 from sean_jax.errors import ControllerError
+from sean_jax.geometry import signed_distances_on_host
 from sean_jax.ros import bridge, messages
 from sean_jax.ros.transport import Log
 
@@ -153,7 +154,8 @@ def test_the_robot_stays_if_it_cannot_stand_at_a_pose(live, capsys):
     live.bridge.mailbox.log = Log(sentences.append)
     scenario, state = live.scenarios[0], live._begin(0)
     live.bridge.begin(scenario, 0)
-    box = np.asarray(scenario.environment.obstacles.center)[0]
+    centers = np.asarray(scenario.environment.obstacles.center, float)
+    box = centers[signed_distances_on_host(scenario.environment, centers)[1].argmax()]  # the farthest from the edge
     for place, word in (((1e6, -1e6), "not on the floor"), (box, "in an obstacle")):
         live.bridge.mailbox.log = Log(sentences.append)
         stays = live.bridge.place(state, (np.array(place, float), np.array([1.0, 0.0])))
