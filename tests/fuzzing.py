@@ -1094,7 +1094,92 @@ def kinds(folder: Path) -> dict[str, Kind]:
         "variants": Kind({"variants.json": VARIANTS.encode()}, ("variants.json",), load_variants, 6),
         "row": Kind({"row.json": json.dumps(ROW, indent=1).encode()}, ("row.json",), load_row, 6),
         "import": Kind({"cart.urdf": URDF.encode()}, ("cart.urdf",), load_import, 14),
+        **bags(folder),
     }
+
+
+# Bags of ROS messages
+
+
+def drive() -> list[tuple[str, str, int, dict[str, Any]]]:
+    """Topic, type, time [ns] and message: a robot, two people, commands and a goal for two seconds."""
+    from sean_jax.ros import messages
+
+    rows: list[tuple[str, str, int, dict[str, Any]]] = []
+    for k in range(20):
+        time = (10 + k) * messages.SECOND // 10
+        head = messages.header("map", time)
+        place = lambda x, y, k=k: {"position": messages.vector(x + 0.05 * k, y), "orientation": messages.NO_ROTATION}  # noqa: E731
+        twist = messages.twist(0.3, 0.0, 0.1)
+        links = [messages.transform("world", "map", time, messages.vector(1.0, 0.0), messages.NO_ROTATION)]
+        people = [{"name": name, "position": messages.vector(0.1 * k, y)} for name, y in (("a", 1.0), ("b", 2.0))]
+        odometry = {"header": head, "pose": {"pose": place(0.0, 0.0)}, "twist": {"twist": twist}}
+        rows.append(("/tf", "tf2_msgs/msg/TFMessage", time, {"transforms": links}))
+        rows.append(("/odom", "nav_msgs/msg/Odometry", time, odometry))
+        rows.append(("/people", "people_msgs/msg/People", time, {"header": head, "people": people}))
+        rows.append(("/cmd_vel", "geometry_msgs/msg/Twist", time, twist))
+        if k == 0:
+            rows.append(("/goal", "geometry_msgs/msg/PoseStamped", time, {"header": head, "pose": place(4.0, 0.0)}))
+    return rows
+
+
+def bag(folder: Path, form: str) -> dict[str, bytes]:
+    """The files of the drive as a bag: ``bag`` of rosbag 1, or the folder of a rosbag2 with ``mcap`` or ``db3``."""
+    from rosbags.rosbag1 import Writer as Writer1
+    from rosbags.rosbag2 import StoragePlugin
+    from rosbags.rosbag2 import Writer as Writer2
+
+    from sean_jax.ros import messages
+
+    store, connections = messages.typestore(1 if form == "bag" else 2), {}
+    path = folder / ("drive.bag" if form == "bag" else f"drive_{form}")
+    plugin = StoragePlugin.SQLITE3 if form == "db3" else StoragePlugin.MCAP
+    with Writer1(path) if form == "bag" else Writer2(path, version=9, storage_plugin=plugin) as writer:
+        pack = store.serialize_ros1 if form == "bag" else store.serialize_cdr
+        for topic, kind, time, message in drive():
+            if topic not in connections:
+                connections[topic] = writer.add_connection(topic, kind, typestore=store)
+            writer.write(connections[topic], time, pack(messages.fill(store, kind, message), kind))
+    files = [path] if form == "bag" else sorted(path.iterdir())
+    return {f"drive{file.suffix}" if file.suffix != ".yaml" else file.name: file.read_bytes() for file in files}
+
+
+def load_bag(folder: Path) -> Any:
+    """The trajectory and the recording of a bag, as they are read again."""
+    from sean_jax import recordings, trajectories
+    from sean_jax.ros import bag_import
+
+    if (folder / "metadata.yaml").is_symlink() or (folder / "metadata.yaml").exists():
+        path = folder
+    else:
+        path = next((each for each in folder.iterdir() if each.stem == "drive"), folder / "drive.bag")
+    out = folder.parent / f"{folder.name}_imported"
+    shutil.rmtree(out, ignore_errors=True)
+    bag_import.import_bag(path, out)
+    found = []
+    if (out / bag_import.PEOPLE).exists():
+        try:
+            found.append(recordings.read(out / bag_import.PEOPLE, frame_rate=100.0))
+        except ValueError as error:  # people who walk as nobody does
+            check_error(error, bag_import.PEOPLE)
+    if (out / bag_import.ROBOT).exists():
+        found.append(trajectories.load_trajectory(out / bag_import.ROBOT))
+    return found
+
+
+def bags(folder: Path) -> dict[str, Kind]:
+    """Kinds of bags, each with how many mutants are of it."""
+    (folder / "bags").mkdir(parents=True)
+    found = {}
+    for form in ("bag", "mcap", "db3"):
+        given = bag(folder / "bags", form)
+        if form != "bag":  # the names that metadata.yaml has
+            given = {name.replace("drive", f"drive_{form}"): content for name, content in given.items()}
+        wrong = next(name for name in given if name.endswith(form))
+        found[f"rosbag {form}"] = Kind(given, (wrong,), load_bag, 8)
+        if form == "db3":
+            found["rosbag metadata"] = Kind(given, ("metadata.yaml",), load_bag, 8)
+    return found
 
 
 # Mutations
@@ -1116,7 +1201,7 @@ def mutated(chance: random.Random, name: str, given: bytes) -> bytes | Path | No
         return in_database(chance, given) if chance.random() < 0.75 else in_bytes(chance, given)
     if name.endswith(".parquet"):
         return in_columns(chance, given) if chance.random() < 0.6 else in_bytes(chance, given)
-    if name.endswith(".png") or "checkpoints/" in name:
+    if name.endswith((".png", ".bag", ".mcap", ".db3")) or "checkpoints/" in name:
         return in_bytes(chance, given) if chance.random() < 0.8 else in_values(chance, given)
     result = given
     for _ in range(chance.choice((1, 1, 1, 2, 3))):
@@ -1433,7 +1518,9 @@ def attempt(kind: Kind, folder: Path, name: str) -> tuple[str, str]:
     except Exception as error:  # whatever it is, it is looked at
         try:
             known = {"map": "map", "batch.npz": "batch", "report.html": "report.html"}
-            check_error(error, known.get(name[:3], known.get(name, name)), "policy", "agent", "checkpoint", *OPTIONS)
+            check_error(
+                error, known.get(name[:3], known.get(name, name)), "policy", "agent", "checkpoint", "rosbag", *OPTIONS
+            )
         except AssertionError as wrong:
             return "wrong", f"{wrong}\n{''.join(traceback.format_exception(error))}"
         return "refused", str(error)

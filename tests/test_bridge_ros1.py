@@ -248,6 +248,8 @@ def test_a_bag_of_a_real_recorder_has_goals_commands_and_episodes(ros, tmp_path)
     bag, out = tmp_path / "drive.bag", tmp_path / "in"
     controller = ROOT / "examples" / "ros1_controller.py"
     options = (*SCENARIO, "--episodes", "2", "--time-limit", "8", "--trajectories", "csv")
+    wall = ["rosparam", "set", "/use_sim_time", "false"]  # as before any bridge
+    subprocess.run(wall, env=ros, check=True, capture_output=True, timeout=LIMIT)
     with started(["rosbag", "record", "-a", "-O", bag], ros) as recorder:
         end = time.monotonic() + LIMIT
         while not bag.with_suffix(".bag.active").exists():

@@ -300,6 +300,7 @@ class Live:
         self._varying, self._tasks = varying_leaves(self.scenarios), tuple(each.task for each in self.scenarios)
         self._write = functools.partial(console.print, highlight=False, markup=False, soft_wrap=True)
         self.bridge = Bridge(self.scenarios[0], config.place, self._write)
+        self._write(f"bridge: {self.bridge.transport.address}")  # first, as it listens already, perhaps with a token
         self._due = 0.0
         state = self._begin(0)
         self.bridge.compile(state)
@@ -312,7 +313,7 @@ class Live:
     def run(self) -> None:
         """Episode after episode."""
         numbers = itertools.count() if self.config.episodes is None else range(self.config.episodes)
-        self._write(f"bridge: {self.bridge.transport.address}")
+        self._write("ready")
         for number in numbers:
             while not self._episode(number):
                 pass

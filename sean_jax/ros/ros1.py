@@ -101,6 +101,7 @@ class Node:
         atexit.register(rospy.signal_shutdown, "the program ends")
         self._rospy, self._rosgraph, self._mailbox = rospy, rosgraph, mailbox
         self._store, self._types = typestore(1), {topic: output.type for topic, output in outputs.items()}
+        self._counts = {topic: itertools.count() for topic in outputs}
         self._classes = {kind: self._raw(genpy.Message, kind) for kind in set(self._types.values())}
         self._publishers = {
             topic: rospy.Publisher(
@@ -153,6 +154,8 @@ class Node:
     def publish(self, topic: str, message: dict[str, Any]) -> None:
         """Send a message to all subscribers."""
         kind = self._types[topic]
+        if "header" in message:  # as rospy counts the messages of a publisher
+            message = {**message, "header": {**message["header"], "seq": next(self._counts[topic])}}
         content = self._store.serialize_ros1(fill(self._store, kind, message), kind)
         try:
             self._publishers[topic].publish(self._classes[kind](bytes(content)))
