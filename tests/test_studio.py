@@ -734,19 +734,23 @@ def test_a_view_that_compiles_holds_up_no_other_view(served, monkeypatch):
         compiled.set()
 
 
-def test_a_thousand_wrong_messages_without_reading(served, caplog):
+def test_wrong_messages_of_a_tab_that_does_not_read(served, caplog, monkeypatch):
     """The tab is closed, in no error of the server's own; another one goes on."""
 
+    async def never(self, tab, queue):
+        await asyncio.sleep(60)
+
     async def go():
-        flood = raw(served, upgrade(served))
-        await asyncio.to_thread(wait, lambda: len(served._tabs) == 1)
-        text = json.dumps({"do": "x" * 80}).encode()
-        frame = bytes([0x81, 0x80 | len(text), 0, 0, 0, 0]) + text
-        with contextlib.suppress(OSError):
-            await asyncio.to_thread(flood.sendall, frame * 6000)
+        with monkeypatch.context() as patched:
+            patched.setattr(Studio, "_write", never)
+            async with socket_of(served) as tab:
+                with pytest.raises(ConnectionClosed) as closed:
+                    for _ in range(400):
+                        await ask(tab, do="fly")
+                    await tab.recv()
+                assert closed.value.rcvd.code == 1013
         async with socket_of(served) as tab:
             await until(tab, "hello")
-        flood.close()
 
     asyncio.run(go())
     assert not [record for record in caplog.records if record.exc_info], caplog.text
