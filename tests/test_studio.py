@@ -682,7 +682,7 @@ def test_what_a_user_typed_stays_when_a_page_opens_another_scenario(tmp_path):
     assert opened.policy == config.policy and opened.behavior == config.behavior and opened.people is None
     assert opened.environment == "warehouse" and opened.time_limit == config.time_limit
     other = server._opened(config.replace(task="join_group"), {"behavior": "random"})
-    assert other.behavior.kind == "random" and other.task is None
+    assert other.behavior.kind == "random" and other.task is None and other.people is None
 
 
 def test_a_tab_that_comes_later_has_the_metrics(served, fresh):

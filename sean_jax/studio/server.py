@@ -447,6 +447,8 @@ def _opened(config: StudioConfig, options: Any) -> StudioConfig:
             changes[name] = value
     if "behavior" in changes and not options.get("task"):
         changes["task"] = None  # as usual for the behavior
+    if {"behavior", "environment"} & changes.keys() and "people" not in options:
+        changes["people"] = None  # as usual for both
     return config.replace(**changes)
 
 
