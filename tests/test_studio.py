@@ -1080,7 +1080,7 @@ def test_a_browser_drives(tmp_path):
     """Keys, a rewind, a take-over and two recorded drives in Chromium; the drives train a network."""
     if CHROMIUM is None or not (WEB / "node_modules" / "playwright-core").is_dir():
         pytest.skip("there is no Chromium, or web/node_modules is not there")
-    process, address = start(tmp_path)
+    process, address = start(tmp_path, "--demonstrations", "all")
     try:
         done = subprocess.run(["node", "test/studio.mjs", address, CHROMIUM, str(tmp_path)], cwd=WEB, timeout=300,
                               capture_output=True, text=True, check=False)  # fmt: skip
@@ -1094,7 +1094,7 @@ def test_a_browser_drives(tmp_path):
     assert re.fullmatch(r"you \d+ %, go_to_goal \d+ %", seen["cards"][0])
     assert seen["gamepad"] > 0.1 and seen["rewound"] < seen["before"] and seen["picture"] == "third_person"
     assert "2 demonstrations" in " ".join(output.split())
-    words = ["train", "imitation", "drives/demonstrations", "--epochs", "1", "--out", "network", "--quiet"]
+    words = ["train", "imitation", "drives/demonstrations-all", "--epochs", "1", "--out", "network", "--quiet"]
     subprocess.run([sys.executable, "-m", "sean_jax", *words], cwd=tmp_path, check=True)
 
 
