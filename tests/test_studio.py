@@ -682,7 +682,7 @@ def test_what_a_user_typed_stays_when_a_page_opens_another_scenario(tmp_path):
     assert opened.policy == config.policy and opened.behavior == config.behavior and opened.people is None
     assert opened.environment == "warehouse" and opened.time_limit == config.time_limit
     other = server._opened(config.replace(task="join_group"), {"behavior": "random"})
-    assert other.behavior.kind == "random" and other.task is None
+    assert other.behavior.kind == "random" and other.task is None and other.people is None
 
 
 def test_a_tab_that_comes_later_has_the_metrics(served, fresh):
@@ -734,19 +734,23 @@ def test_a_view_that_compiles_holds_up_no_other_view(served, monkeypatch):
         compiled.set()
 
 
-def test_a_thousand_wrong_messages_without_reading(served, caplog):
+def test_wrong_messages_of_a_tab_that_does_not_read(served, caplog, monkeypatch):
     """The tab is closed, in no error of the server's own; another one goes on."""
 
+    async def never(self, tab, queue):
+        await asyncio.sleep(60)
+
     async def go():
-        flood = raw(served, upgrade(served))
-        await asyncio.to_thread(wait, lambda: len(served._tabs) == 1)
-        text = json.dumps({"do": "x" * 80}).encode()
-        frame = bytes([0x81, 0x80 | len(text), 0, 0, 0, 0]) + text
-        with contextlib.suppress(OSError):
-            await asyncio.to_thread(flood.sendall, frame * 6000)
+        with monkeypatch.context() as patched:
+            patched.setattr(Studio, "_write", never)
+            async with socket_of(served) as tab:
+                with pytest.raises(ConnectionClosed) as closed:
+                    for _ in range(400):
+                        await ask(tab, do="fly")
+                    await tab.recv()
+                assert closed.value.rcvd.code == 1013
         async with socket_of(served) as tab:
             await until(tab, "hello")
-        flood.close()
 
     asyncio.run(go())
     assert not [record for record in caplog.records if record.exc_info], caplog.text
@@ -1076,7 +1080,7 @@ def test_a_browser_drives(tmp_path):
     """Keys, a rewind, a take-over and two recorded drives in Chromium; the drives train a network."""
     if CHROMIUM is None or not (WEB / "node_modules" / "playwright-core").is_dir():
         pytest.skip("there is no Chromium, or web/node_modules is not there")
-    process, address = start(tmp_path)
+    process, address = start(tmp_path, "--demonstrations", "all")
     try:
         done = subprocess.run(["node", "test/studio.mjs", address, CHROMIUM, str(tmp_path)], cwd=WEB, timeout=300,
                               capture_output=True, text=True, check=False)  # fmt: skip
@@ -1090,7 +1094,7 @@ def test_a_browser_drives(tmp_path):
     assert re.fullmatch(r"you \d+ %, go_to_goal \d+ %", seen["cards"][0])
     assert seen["gamepad"] > 0.1 and seen["rewound"] < seen["before"] and seen["picture"] == "third_person"
     assert "2 demonstrations" in " ".join(output.split())
-    words = ["train", "imitation", "drives/demonstrations", "--epochs", "1", "--out", "network", "--quiet"]
+    words = ["train", "imitation", "drives/demonstrations-all", "--epochs", "1", "--out", "network", "--quiet"]
     subprocess.run([sys.executable, "-m", "sean_jax", *words], cwd=tmp_path, check=True)
 
 

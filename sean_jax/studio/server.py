@@ -433,11 +433,12 @@ def _opened(config: StudioConfig, options: Any) -> StudioConfig:
     if not isinstance(options, dict) or not set(options) <= {*CHOICES, *NUMBERS}:
         raise InputError("open: options that the page does not have; reload the page.")
     present, changes = _options_of_page(config), dict[str, Any]()
+    other_behavior = options.get("behavior", present["behavior"]) != present["behavior"]
     for name, value in options.items():
         if value in ("", None):
             changes[name] = StudioConfig.model_fields[name].default
-        elif value == present.get(name):
-            continue
+        elif value == present.get(name) and not (name == "task" and other_behavior):
+            continue  # also if it is code that the user has typed
         elif name in NUMBERS:
             changes[name] = _whole(name, value)
         elif value not in CHOICES[name]:
@@ -446,6 +447,8 @@ def _opened(config: StudioConfig, options: Any) -> StudioConfig:
             changes[name] = value
     if "behavior" in changes and not options.get("task"):
         changes["task"] = None  # as usual for the behavior
+    if {"behavior", "environment"} & changes.keys() and "people" not in options:
+        changes["people"] = None  # as usual for both
     return config.replace(**changes)
 
 
