@@ -162,3 +162,23 @@ def test_the_rest_of_a_stay_is_as_at_a_random_moment_of_many_stays():
             np.quantile(found, shares), np.quantile(expected, shares), rtol=0.01, atol=0.015 * longest
         )
     assert not np.asarray(graph_behavior._residual_stay(jnp.zeros((3, 2)), jnp.ones((3, 2)))).any()
+
+
+def test_rings_have_a_place_for_each_seat_and_one_open(scenario):
+    """At the start, seats are at whole places of their ring, counted from the opening: a sixth of it for five seats."""
+    graph = graph_of(scenario)
+    reset = jax.jit(sean_jax.reset)
+    states = jax.tree.map(
+        lambda *each: np.stack(each),
+        *(
+            (state.memory.seat_position, state.groups)
+            for state in (reset(scenario, jax.random.key(k)) for k in range(4))
+        ),
+    )
+    seats, groups = states
+    for seat, group in enumerate(graph.seat_group):
+        gap, opening = (part - groups.center[:, group] for part in (seats[:, seat], groups.opening[:, group]))
+        turn = np.angle((gap[:, 0] + 1j * gap[:, 1]) / (opening[:, 0] + 1j * opening[:, 1]))
+        place = turn / (2 * np.pi / (graph.capacity[graph.groups[group]] + 1))
+        off = np.abs(place - np.rint(place)) * 2 * np.pi / (graph.capacity[graph.groups[group]] + 1)
+        assert (off * np.hypot(*gap.T) < 0.13).all() and (np.rint(place) != 0).all()

@@ -56,6 +56,7 @@ def test_what_is_put_in():
     assert changes == {(line, text) for line, texts in lines.items() for text in texts}
 
 
+@pytest.mark.slow
 def test_mutants_of_the_package_are_python():
     for folder in program.FOLDERS:
         some = program.drawn(folder, 6, 1)
@@ -65,6 +66,7 @@ def test_mutants_of_the_package_are_python():
             ast.parse(source[: mutant.begin] + mutant.text.encode() + source[mutant.end :])
 
 
+@pytest.mark.slow
 def test_which_tests_are_asked():
     for folder in program.FOLDERS:
         for path in program.modules(folder):
