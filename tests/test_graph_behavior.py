@@ -80,6 +80,7 @@ def test_stays_last_as_drawn_and_members_face_inward(scenario, history):
     drawn = memory.stay[:, 1:][begins]
     waiting = round(graph_choices.MAX_WAIT / scenario.time_step)
     assert begins.sum() >= 3 and (drawn >= 50 + waiting).all() and (drawn <= 100 + waiting).all()
+    assert (drawn > 80 + waiting).any() and (drawn < 70 + waiting).any(), "over the whole range of the limits"
     assert (people.group[standing] >= 0).all() and (people.group[~standing] == -1).all()
     center = graph.position[graph.groups][people.group[standing]]
     inward = center - people.position[standing]
