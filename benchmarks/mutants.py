@@ -17,6 +17,7 @@ import ast
 import collections
 import contextlib
 import ctypes
+import functools
 import importlib
 import json
 import os
@@ -253,21 +254,26 @@ def test_files(path: str) -> list[str]:
         t.id for node in tree.body if isinstance(node, ast.Assign) for t in node.targets if isinstance(t, ast.Name)
     }
     names.add(path.removesuffix(".py").removesuffix("/__init__").replace("/", "."))
-    words = {
-        file: set(re.findall(r"[\w.]+|\w+", text)) | set(re.findall(r"\w+", text)) for file, text in _texts().items()
-    }
-    score = collections.Counter()
+    words = _words()
+    score: dict[str, float] = collections.defaultdict(float)
     for name in names:
         having = [file for file, known in words.items() if name in known]
         for file in having:
             score[file] += 1 / len(having)
     own = TELLING.get(path.removesuffix(".py")) or TELLING.get(str(Path(path).parent), "")
-    others = [file for file, points in score.most_common(FILES) if points > 0.2]
+    others = [file for file in sorted(score, key=lambda file: -score[file])[:FILES] if score[file] > 0.2]
     return list(dict.fromkeys([*(f"test_{name}.py" for name in own.split()), *others]))[:FILES]
 
 
-def _texts() -> dict[str, str]:
-    return {file.name: file.read_text() for file in TESTS.glob("test_*.py") if file.name not in ("test_structure.py",)}
+@functools.cache
+def _words() -> dict[str, set[str]]:
+    """File of tests -> the words in it."""
+    files = [file for file in TESTS.glob("test_*.py") if file.name not in ("test_structure.py", "test_mutants.py")]
+    return {
+        file.name: set(re.findall(r"[\w.]+", text)) | set(re.findall(r"\w+", text))
+        for file in files
+        for text in [file.read_text()]
+    }
 
 
 @dataclass
@@ -341,8 +347,8 @@ def _late(*_) -> None:
 class _Watch:
     """What pytest is told, and what it tells."""
 
-    def __init__(self, order: list[str] | None = None, watched: str = ""):
-        self.order, self.watched = order, watched
+    def __init__(self, order: list[str] | None = None, watched: str = "", most: float = SECONDS):
+        self.order, self.watched, self.most = order, watched, most
         self.failed: str | None = None
         self.seconds, self.lines = collections.defaultdict(float), collections.defaultdict(set)
         self.now: set[int] = set()
@@ -354,7 +360,7 @@ class _Watch:
 
     def pytest_runtest_protocol(self, item, nextitem) -> bool | None:
         # Without an order the times are asked for; files are in the order of what they tell.
-        if self.order is None and self.seconds and sum(self.seconds.values()) > SECONDS:
+        if self.order is None and self.seconds and sum(self.seconds.values()) > self.most:
             return True
 
     def pytest_runtest_logstart(self, nodeid, location) -> None:
@@ -384,9 +390,8 @@ class _Watch:
 
 def _pytest(files: list[str], watch: _Watch, folder: Path) -> int:
     import pytest
-    import shapes
 
-    shapes.install = lambda package: None  # this process has done it
+    importlib.import_module("shapes").install = lambda package: None  # this process has done it
     shutil.copytree(Path(os.environ["XDG_CACHE_HOME"]), folder / "user", ignore=_not_lasting)
     os.environ["XDG_CACHE_HOME"] = str(folder / "user")
     paths = [str(TESTS / file) for file in files]
@@ -415,16 +420,16 @@ def _install(path: str, source: bytes) -> None:
             raise OSError
         return read(self, wanted)
 
-    SourceFileLoader.get_data = get_data
+    setattr(SourceFileLoader, "get_data", get_data)  # noqa: B010 its type has another name for the argument
 
 
-def baseline(path: str) -> Choice:
+def baseline(path: str, most: float = SECONDS) -> Choice:
     """The tests of a module, without a fault."""
     files = test_files(path)
 
     def work():
         with tempfile.TemporaryDirectory() as folder:
-            watch = _Watch(watched=str(PACKAGE / path))
+            watch = _Watch(watched=str(PACKAGE / path), most=most)
             _pytest(files, watch, Path(folder))
         return {
             node: [watch.seconds[node], sorted(watch.lines[node])] for node in watch.seconds if node != watch.failed
@@ -520,11 +525,11 @@ def summary(known: dict[str, dict]) -> list[str]:
     return [*lines, *sorted(left)]
 
 
-def _module_run(folder: str, path: str, chosen: list[Mutant], out: Path) -> int:
+def _module_run(folder: str, path: str, chosen: list[Mutant], out: Path, most: float) -> int:
     for name in independent(path):
         with contextlib.suppress(ImportError):  # of a package that is not installed
             importlib.import_module(name)
-    choice = baseline(path)
+    choice = baseline(path, most)
     print(f"{path}: {len(choice.seconds)} tests, {sum(choice.seconds.values()):.0f} s", flush=True)
     for mutant in chosen:
         noticed, seconds = attempt(mutant, choice)
@@ -544,6 +549,7 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=400, help="mutants, of all seven folders (400)")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--again", action="store_true", help="run those that survived once more")
+    parser.add_argument("--seconds", type=float, default=SECONDS, help=f"of the tests of a module, about ({SECONDS:g})")
     parser.add_argument("--out", type=Path, default=RESULTS, help=str(RESULTS))
     parser.add_argument("--summary", action="store_true", help="print what is in the results, and run nothing")
     chosen = parser.parse_args()
@@ -557,7 +563,11 @@ def main() -> None:
             ]
             for path in sorted({mutant.path for mutant in left}):
                 of_module = [mutant for mutant in left if mutant.path == path]
-                _fork(lambda path=path, some=of_module, folder=folder: _module_run(folder, path, some, chosen.out))
+                _fork(
+                    lambda path=path, some=of_module, folder=folder: _module_run(
+                        folder, path, some, chosen.out, chosen.seconds
+                    )
+                )
     print(*summary(results(chosen.out)), sep="\n")
 
 

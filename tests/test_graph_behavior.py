@@ -80,6 +80,7 @@ def test_stays_last_as_drawn_and_members_face_inward(scenario, history):
     drawn = memory.stay[:, 1:][begins]
     waiting = round(graph_choices.MAX_WAIT / scenario.time_step)
     assert begins.sum() >= 3 and (drawn >= 50 + waiting).all() and (drawn <= 100 + waiting).all()
+    assert (drawn > 80 + waiting).any() and (drawn < 70 + waiting).any(), "over the whole range of the limits"
     assert (people.group[standing] >= 0).all() and (people.group[~standing] == -1).all()
     center = graph.position[graph.groups][people.group[standing]]
     inward = center - people.position[standing]
@@ -162,3 +163,23 @@ def test_the_rest_of_a_stay_is_as_at_a_random_moment_of_many_stays():
             np.quantile(found, shares), np.quantile(expected, shares), rtol=0.01, atol=0.015 * longest
         )
     assert not np.asarray(graph_behavior._residual_stay(jnp.zeros((3, 2)), jnp.ones((3, 2)))).any()
+
+
+def test_rings_have_a_place_for_each_seat_and_one_open(scenario):
+    """At the start, seats are at whole places of their ring, counted from the opening: a sixth of it for five seats."""
+    graph = graph_of(scenario)
+    reset = jax.jit(sean_jax.reset)
+    states = jax.tree.map(
+        lambda *each: np.stack(each),
+        *(
+            (state.memory.seat_position, state.groups)
+            for state in (reset(scenario, jax.random.key(k)) for k in range(4))
+        ),
+    )
+    seats, groups = states
+    for seat, group in enumerate(graph.seat_group):
+        gap, opening = (part - groups.center[:, group] for part in (seats[:, seat], groups.opening[:, group]))
+        turn = np.angle((gap[:, 0] + 1j * gap[:, 1]) / (opening[:, 0] + 1j * opening[:, 1]))
+        place = turn / (2 * np.pi / (graph.capacity[graph.groups[group]] + 1))
+        off = np.abs(place - np.rint(place)) * 2 * np.pi / (graph.capacity[graph.groups[group]] + 1)
+        assert (off * np.hypot(*gap.T) < 0.13).all() and (np.rint(place) != 0).all()

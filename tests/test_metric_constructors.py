@@ -121,7 +121,9 @@ def test_a_function_is_a_metric():
         (lambda: as_metric([3], "three"), r"three is \[3\]; give a Metric"),
         (lambda: as_metric(lambda: 0.0, "none"), "give a Metric, a condition snapshot -> bool, or an amount"),
         (
-            lambda: measured(metrics.count_onsets(lambda snapshot: snapshot.position[:, None] > snapshot.position)),
+            lambda: measured(
+                metrics.count_onsets(lambda snapshot: snapshot.position[:, None] > snapshot.position[None])
+            ),
             r"gives bool \(2, 2\), not \(\) bool or \(N,\) bool",
         ),
         (lambda: measured(as_metric(place)), r"place\(snapshot\) gives float32 \(\), not \(\) bool; for numbers take"),

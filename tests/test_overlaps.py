@@ -81,6 +81,12 @@ def test_a_contact_is_where_the_person_is_at_that_time():
         gap = 2.0 + behind - REACH
         assert (float(nx), float(ny)) == pytest.approx((1.0, 0.0)) and float(bound) > 100.0
         assert float(allowed) == pytest.approx(gap / float(model.time_step) - 1.2, rel=1e-5)
+    # Deep inside, they are left at the top speed, whatever they do; and no faster if they go away by themselves.
+    top = float(model.max_speed)
+    for speed, allowed in ((0.0, -top), (2.0, -top), (-0.3, 0.3 - top)):
+        inside = (number(1.0), number(2.0), number(speed), number(0.0), jnp.bool_(True))
+        contact = person_contact(model, number(PERSON_RADIUS), number(0.0), number(1.2), number(2.0), inside)
+        assert (float(contact[2]), float(contact[3])) == pytest.approx((allowed, top))
     absent = (*person[:4], jnp.bool_(False))
     assert np.isinf(float(person_contact(model, number(0.3), number(0.0), number(3.0), number(2.0), absent)[2]))
 

@@ -294,3 +294,19 @@ def test_sums_and_figures_of_entries():
         else:
             assert (row.violations.low <= row.violations.mean).all() and row.seeds == "-"
             assert row.violations.high[0] > row.violations.mean[0] > row.violations.low[0] > 0.0
+
+
+def test_the_effective_number_of_clusters_is_kishs():
+    """Wilson's interval holds the x with (p - x)^2 <= z^2 x (1 - x) / n; n follows from the width, within its limits."""
+    z, p = stats.norm.ppf(0.975), 0.4
+    for width, number in ((0.3, 4 * z**2 * p * (1 - p) / 0.3**2), (0.2, 60), (0.9, 20)):
+        given = bootstrap.Estimate(*map(np.asarray, (p, p - width / 2, p + width / 2, 60)))
+        found = bootstrap.of_share(given, cluster=3)
+        ends = np.sort(np.roots([1 + z**2 / number, -2 * p - z**2 / number, p * p]))
+        np.testing.assert_allclose([found.low, found.high], ends)
+
+
+@pytest.mark.parametrize("level", [0.0, 1.0])
+def test_levels_are_shares_between_none_and_all(level):
+    with pytest.raises(ValueError, match="level: .* must lie between 0 and 1"):
+        bootstrap.interval(np.arange(9.0), level)
