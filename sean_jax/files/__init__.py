@@ -23,7 +23,7 @@ from sean_jax.files.reading import (
     MAX_TABLE,
     file_error,
     open_file,
-    parse_json,
+    parse_file_json,
     read_arrays,
     read_bytes,
     read_json,

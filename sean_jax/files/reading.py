@@ -117,12 +117,11 @@ def read_json(path: Path | str, strict: bool = True) -> Any:
         strict: words must not contain the ends of lines and other control characters.
     """
     path = Path(path)
-    return parse_json(path, read_text(path, MAX_RECORD), strict)
+    return parse_file_json(path, read_text(path, MAX_RECORD), strict)
 
 
-def parse_json(path: Path | str, text: str, strict: bool = True) -> Any:
+def parse_file_json(path: Path | str, text: str, strict: bool = True) -> Any:
     """The value of a text of JSON, such as one line of a file; arguments and errors as of ``read_json``."""
-
     try:
         return parse_json(text, strict)
     except json.JSONDecodeError as error:

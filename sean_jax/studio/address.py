@@ -47,7 +47,7 @@ def recall(folder: Path | None) -> Address:
         if not private or (hasattr(os, "getuid") and status.st_uid != os.getuid()):
             return new
         text = files.read_bytes(file, MAX_ADDRESS).decode("ascii", errors="replace")
-        kept = files.check_json(file, files.parse_json(file, text), KeptAddress)
+        kept = files.check_json(file, files.parse_file_json(file, text), KeptAddress)
     except (OSError, FileError):
         return new
     return Address(kept.token, kept.port)

@@ -16,7 +16,6 @@ import json
 import re
 import secrets
 import threading
-import weakref
 from collections.abc import Callable
 from typing import Any
 

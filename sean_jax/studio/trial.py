@@ -125,7 +125,7 @@ def read(file: Path) -> RecordedDrive:
 
 def _parsed(place: Path, text: str, first: bool) -> TrialLine:
     """A line, checked; the first one is the head."""
-    data = files.parse_json(place, text)
+    data = files.parse_file_json(place, text)
     if not isinstance(data, dict):
         raise files.file_error(place, f"it is no line of a trial; {CURE}")
     model = TrialHead if first else next((LINES[key] for key in LINES if key in data), None)
