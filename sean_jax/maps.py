@@ -136,7 +136,7 @@ def _image(image: Path) -> tuple[np.ndarray, np.ndarray]:
     except UnidentifiedImageError:
         raise files.file_error(image, f"is no image that can be read; give {FORMAT_NAMES}") from None
     except Exception as error:  # Pillow's decoders raise many types of errors for damaged files
-        raise files.file_error(image, f"is damaged; save it again as one of {FORMAT_NAMES}") from error
+        raise files.file_error(image, f"is damaged; save it again as {FORMAT_NAMES}") from error
 
 
 def _shades(image: Image.Image) -> tuple[np.ndarray, np.ndarray]:

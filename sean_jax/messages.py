@@ -51,7 +51,7 @@ def parse_json(content: str | bytes, strict: bool = True, finite: bool = True) -
         return int(word)
 
     text = content.decode("utf-8-sig") if isinstance(content, bytes) else content  # json itself lets halves through
-    numbers = {"parse_constant": refuse} if finite else {}
+    numbers: dict[str, Any] = {"parse_constant": refuse} if finite else {}
     try:
         value = json.loads(text, strict=strict, parse_float=decimal, parse_int=whole, **numbers)
     except RecursionError:

@@ -394,8 +394,8 @@ def _numbers(path: Path, number: int, row: list[str]) -> list[float]:
 def _header(path: Path, text: str | bytes) -> Header:
     try:
         content = files.parse_json(text)
-    except ValueError:
-        raise FileError(f"{files.short_name(path)}: its header is damaged; {CURE}.") from None
+    except ValueError as error:
+        raise FileError(f"{files.short_name(path)}: its header is damaged: {error}; {CURE}.") from None
     return files.check_json(path, content, Header)
 
 

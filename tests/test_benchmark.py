@@ -13,7 +13,7 @@ from scipy import stats
 import sean_jax
 from sean_jax import assembly, cli, environment, prng, runner, worlds
 from sean_jax.base import SENSING, Policy, as_policy
-from sean_jax.config import BenchmarkConfig, BenchmarkRankConfig, BenchmarkVerifyConfig, Named, ScenarioConfig
+from sean_jax.config import BenchmarkConfig, BenchmarkRankConfig, BenchmarkVerifyConfig, ScenarioConfig
 from sean_jax.errors import IncompleteError, InputError
 from sean_jax.learning.policy import AGENTS, load_policy
 from sean_jax.mdp import observations
@@ -111,7 +111,7 @@ def place(folder: Path, policy: str, episodes: int, seed: int) -> Path:
     for track, values in measured.items():
         np.savez_compressed(folder / f"{track}.npz", **values)
     options = BenchmarkConfig(policy=policy, episodes=episodes, out=folder)
-    benchmark.write(options, measured, benchmark.describe_of_package(Named(kind=policy)))
+    benchmark.write(options, measured, benchmark.describe_of_package(policy))
     return folder
 
 
@@ -559,7 +559,7 @@ def test_a_benchmark(tmp_path, monkeypatch, capsys):
     measured = {"lab-join_group": benchmark.read_track(out, "lab-join_group", 6), "doors": forged}
     options = BenchmarkConfig(policy="go_to_goal", episodes=6, out=out)
     np.savez_compressed(out / "doors.npz", **forged)
-    benchmark.write(options, measured, benchmark.describe_of_package(Named(kind="go_to_goal")))
+    benchmark.write(options, measured, benchmark.describe_of_package("go_to_goal"))
     assert cli.main(verify) == 1
     assert "the sample differs from the result: completed of 3 of 3 episodes of doors" in capsys.readouterr().err
 

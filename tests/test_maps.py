@@ -170,7 +170,7 @@ def test_maps_that_cannot_be_used(tmp_path, settings, message):
 def test_images_that_cannot_be_read(tmp_path):
     path = write(tmp_path, plan())
     (tmp_path / "plan.pgm").write_bytes(b"P5 4 4 255\n")
-    with pytest.raises(FileError, match="plan.pgm: is no image that can be read"):
+    with pytest.raises(FileError, match="plan.pgm: is damaged; save it again as a PGM or PNG file"):
         maps.read(path)
     (tmp_path / "plan.pgm").unlink()
     with pytest.raises(FileError, match="plan.yaml: image: there is no file .*plan.pgm"):

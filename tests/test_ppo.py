@@ -259,7 +259,7 @@ def test_the_command_after_a_training_drives_where_it_was_trained(tmp_path):
         "--time-limit 4 --hold-time 1"
     )
     plain = cli._drive(Path("mine"), options=PPOConfig(out=tmp_path).as_run())
-    assert plain == "sean run --policy ./mine"
+    assert plain == "sean run --policy ./mine --environment warehouse"
 
 
 @pytest.mark.slow
@@ -489,7 +489,7 @@ def test_weights_of_rewards_on_the_command_line(words, wanted, tmp_path, monkeyp
     monkeypatch.chdir(tmp_path)
     Path("my.py").write_text("def gain(scenario, before, after):\n    return after.robot.speed\n")
     given = ["ppo", "--environment", "lab", "--behavior", "random", "--people", "2", "--rewards", *words]
-    config = flags.read(PPOConfig, flags.parse("train", PPOConfig, given, configurable=True))
+    config = flags.read(PPOConfig, flags.parse("train", PPOConfig, given, configurable=True), typed=True)
     terms = registry.check(config.per_environment[0])["rewards"]
     assert {name: term.weight for name, term in terms.items()} == wanted
     again = flags.parse("train", PPOConfig, shlex.split(flags.command("train", config))[2:], configurable=True)

@@ -433,7 +433,7 @@ STEPS = '{"commands": [[1, 2], [0, 0]], "by_person": [true, false]}'
         ('{"version": 2, "options": [], "episode": 0}\n', "options"),
         ('{"version": 2, "options": {}, "episode": -1}\n', "episode"),
         ('{"version": 2, "options": {}, "episode": "x"}\n', "episode"),
-        (f'{HEAD}\n{{"commands": [[{"9" * 400}, 0]], "by_person": [true]}}\n', "commands"),
+        (f'{HEAD}\n{{"commands": [[{"9" * 400}, 0]], "by_person": [true]}}\n', "400 digits"),
         (f'{HEAD}\n{{"commands": [[{"9" * 5000}, 0]], "by_person": [true]}}\n', "000000.jsonl:2"),
         (f'{HEAD}\n{{"commands": [[1e300, 0]], "by_person": [true]}}\n', "commands"),
         (f'{HEAD}\n{{"commands": [[NaN, 0]], "by_person": [true]}}\n', "NaN is not JSON"),

@@ -135,7 +135,7 @@ GOOD = f"{HEAD}\n{NAMED}\n{ROBOTS}\n{PERSONS}\n"
         ('"people": 1', '"people": 4000000000', "people: 4000000000 is more than 100000"),
         ('"people": 1', '"people": 0', "id: 0 is none of the 0 people"),
         ('"people": 1', '"people": 99999999999999999999', "people: "),
-        ('"time_step": 0.1', '"time_step": NaN', "time_step: nan is not a finite number"),
+        ('"time_step": 0.1', '"time_step": NaN', "its header is damaged: NaN is not JSON"),
         ('"time_step": 0.1', '"time_step": 0.2', "time: 0.1 does not match its frame"),
         ('"situations": []', '"situations": ["a"]', "has no column situation_a"),
         (PERSONS, "0,0.1,0,3", "walk.csv:4: has 4 cells and there are 15 columns"),

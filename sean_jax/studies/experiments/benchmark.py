@@ -222,8 +222,10 @@ def check_training(policy: str, folder: Path) -> None:
             raise InputError(f"policy: {policy} {text}; train on other seeds.")
 
 
-describe_of_package = functools.cache(describe)
-"""Of policies of ``POLICIES`` and ``AGENTS``, which stay what they are."""
+@functools.cache
+def describe_of_package(name: str) -> Described:
+    """The description of a policy of ``POLICIES`` or ``AGENTS``, which stays what it is."""
+    return describe(Named(kind=name))
 
 
 def _digest(*texts: str) -> str:
@@ -600,7 +602,7 @@ def check(folder: Path) -> Result:
             )
     mismatch = version_mismatch(result.versions)
     if result.policy in (*POLICIES, *AGENTS):
-        expected = describe_of_package(Named(kind=result.policy))
+        expected = describe_of_package(result.policy)
         for key, value in expected._asdict().items():
             if (had := getattr(result, key)) != value:
                 text = f"{key} {had} is not that of {result.policy} of this package, {value}"

@@ -214,6 +214,7 @@ BETTER = 0.02  # share of the mean error of constant velocity with all habits
 def with_companions(scenario: Scenario, state: State) -> Pedestrians:
     """Constant velocity, at the mean of the desired velocities of oneself and one's companions."""
     people, companions = state.pedestrians, scenario.behavior.companions
+    assert companions is not None, "predicted people have companions, or -1"
     desired = people.desired_velocity
     there = ((companions >= 0) & people.present[companions])[..., None].astype(desired.dtype)  # (N, 2, 1)
     mean = (desired + (there * desired[companions]).sum(1)) / (1.0 + there.sum(1))
