@@ -71,7 +71,7 @@ def drawn(seed: int) -> Snapshot:
         goal=fixed(1.0),
         start_group=group(),
         goal_group=group(),
-        geodesic=each(0.3, 2.0),
+        geodesic=each(0.3, 4.0),
         situations=random.random((*shape, SITUATIONS)) < [0.5, 0.2, 0.0],
         tick=np.broadcast_to(np.arange(STEPS), shape),
         robot_radius=each(0.1, 0.3),
@@ -176,17 +176,26 @@ def by_loop(episode: list) -> dict[str, np.ndarray]:
 
     samples = [episode[k] for k in (*range(0, STEPS, 10), STEPS - 1)]
     pairs = list(zip(samples[:-1], samples[1:], strict=True))
-    path = sum(np.hypot(*(b.position - a.position)) for a, b in pairs)
     rotation = sum(turned(a.heading, b.heading) for a, b in pairs)
-    first, reached, seconds = episode[0], each[-1]["goal"], STEP * (STEPS - 1)
-    quickest = first.geodesic / first.robot_top_speed
+    first, reached = episode[0], each[-1]["goal"]
+
+    # The way to the goal ends at the last moment outside of the goal radius, and so does the shortest one.
+    outside = max([k for k in range(1, STEPS) if not each[k]["goal"]], default=0)
+    places = [episode[k].position for k in sorted({*range(0, outside + 1, 10), outside})]
+    path = sum(np.hypot(*(b - a)) for a, b in zip(places[:-1], places[1:], strict=True))
+    shortest = max(first.geodesic - first.goal_radius, 0.0)
+    quickest = shortest / first.robot_top_speed
+
+    def success(best, actual):
+        return reached * (best / max(best, actual) if max(best, actual) > 0.0 else 1.0)
+
     robots = np.array([one["robots"] for one in each])
     bumps = ((robots[1:] <= 0.01) & ~(robots[:-1] <= 0.01)).sum(1)
     hits = np.array([one["box"] for one in each]) <= first.robot_radius + 0.01
     return {
         "path_irregularity": max(rotation - first.path_rotation, 0.0),
-        "success_by_path_length": reached * first.geodesic / max(path, first.geodesic),
-        "success_by_time": reached * quickest / max(seconds, quickest),
+        "success_by_path_length": success(shortest, path),
+        "success_by_time": success(quickest, STEP * outside),
         "reached_goal": reached,
         "mean_speed": mean(speeds[1:], after),
         "max_speed": speeds[1:].max(),
