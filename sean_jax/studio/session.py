@@ -306,15 +306,17 @@ class Session:
             if self.trial is not None:
                 raise InputError("edit: this drive is recorded on the files as they are; stop the recording first.")
             before, playing = self.scenario, self.playing
-        after = self.editor.undo(before) if change is None else self.editor.change(change, before)
-        if after is before:  # such as a drag that ends where it began
+        edited = self.editor.undo(before) if change is None else self.editor.change(change, before)
+        if edited is before:  # such as a drag that ends where it began
             self.send("edit", self.edits())
             return
-        anew = before.environment is not after.environment or not same_shapes(before.behavior.data, after.behavior.data)
+        anew = before.environment is not edited.environment or not same_shapes(
+            before.behavior.data, edited.behavior.data
+        )
         if anew:
-            self._compile(after)
+            self._compile(edited)
         with self._lock:
-            self.scenario, self.on_file = after, False
+            self.scenario, self.on_file = edited, False
             if anew:
                 self.restart(self.number)
                 self.play(playing)  # the episode may have ended meanwhile
