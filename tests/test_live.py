@@ -202,4 +202,4 @@ def test_a_browser_plays_it_while_it_grows(walked):
             seen = json.loads(browser.communicate(timeout=60)[0])
     assert seen["errors"] == [] and {f"http://{host}/" for host in seen["hosts"]} == {served.url}
     assert seen["grew"] == [35, 60] and seen["playing"] and seen["outcome"] == "completed in 6.0 s"
-    assert seen["duration"] == pytest.approx(5.9) and seen["drawn"] > 20
+    assert seen["duration"] == pytest.approx(6.0) and seen["drawn"] > 20
