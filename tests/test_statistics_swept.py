@@ -297,7 +297,7 @@ def test_sums_and_figures_of_entries():
 
 
 def test_the_effective_number_of_clusters_is_kishs():
-    """Wilson's interval holds the x with (p - x)^2 <= z^2 x (1 - x) / n; n follows from the width, within its limits."""
+    """Wilson's interval holds the x with (p - x)^2 <= z^2 x (1 - x) / n; n follows from the width, in its limits."""
     z, p = stats.norm.ppf(0.975), 0.4
     for width, number in ((0.3, 4 * z**2 * p * (1 - p) / 0.3**2), (0.2, 60), (0.9, 20)):
         given = bootstrap.Estimate(*map(np.asarray, (p, p - width / 2, p + width / 2, 60)))
