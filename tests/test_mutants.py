@@ -129,3 +129,9 @@ def test_a_few_mutants(tmp_path):
     again = subprocess.run(told, cwd=ROOT, capture_output=True, text=True, timeout=60)
     assert again.stdout.splitlines()[1].split() == ["classifiers", "1", "1", "0", "0"]
     assert len(out.read_text().splitlines()) == 1
+
+
+def test_a_mutant_that_no_test_reaches_survives():
+    """Pytest without tests does not end with 0."""
+    (mutant,) = program.drawn("survey", 1, 0)
+    assert program.attempt(mutant, program.Choice({}, {})) == (None, 0.0)
