@@ -230,3 +230,24 @@ def test_rows_are_those_of_a_table(tmp_path):
             list(files.read_rows(path))
     path.write_bytes(b"")
     assert [*files.read_rows(path)] == []
+
+
+def test_levels_of_a_file_are_counted_from_one(tmp_path):
+    """As many lists in one another as are allowed are read, and one more is refused."""
+    for deeper in (0, 1):
+        file = write(tmp_path, "[" * (files.MAX_DEPTH - 1 + deeper) + "word" + "]" * (files.MAX_DEPTH - 1 + deeper))
+        if deeper:
+            with pytest.raises(FileError, match=f"nested deeper than {files.MAX_DEPTH} levels"):
+                files.read_yaml(file)
+        else:
+            assert files.read_yaml(file)[1]
+
+
+def test_values_of_json_are_checked_as_those_of_yaml(tmp_path):
+    data = {"things": {"door": {"kind": "group", "radius": 2, "position": [1, 2.5]}}, "words": ["a"]}
+    found = files.check_json(tmp_path / "x.json", data, Sample, lambda sample: ())
+    assert found.things["door"].position == (1.0, 2.5) and found.words == ["a"] and found.on
+    with pytest.raises(FileError, match=r"x.json: things.door.radius: 'two' is not a number"):
+        files.check_json("x.json", {"things": {"door": {"kind": "group", "radius": "two"}}}, Sample)
+    with pytest.raises(FileError, match="x.json: words: there are none"):
+        files.check_json("x.json", data | {"words": []}, Sample, lambda sample: [(("words",), "there are none")])
