@@ -65,7 +65,7 @@ TELLING = {  # module or folder -> its own tests, where names alone lead to othe
     "behaviors/random_behavior": "random_behavior",
     "behaviors/starts": "random_behavior walking_groups floor_edge",
     "files": "files bad_input",
-    "files/database": "survey_export survey trust",
+    "files/database": "database survey_export",
     "files/meshes": "import_robot articulated",
     "files/mjcf": "import_robot docs_environments bad_input",
     "recordings": "recordings",
