@@ -66,7 +66,7 @@ TELLING = {  # module or folder -> its own tests, where names alone lead to othe
     "behaviors/starts": "random_behavior walking_groups floor_edge",
     "files": "files bad_input",
     "files/database": "database survey_export",
-    "files/meshes": "import_robot articulated",
+    "files/meshes": "import_robot articulated files",
     "files/mjcf": "import_robot docs_environments bad_input",
     "recordings": "recordings",
     "survey": "survey_export survey ratings",

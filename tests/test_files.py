@@ -12,6 +12,7 @@ import pytest
 
 from sean_jax import files
 from sean_jax.errors import FileError
+from sean_jax.files import meshes, reading
 
 STRICT = pydantic.ConfigDict(extra="forbid", allow_inf_nan=False)
 
@@ -251,3 +252,32 @@ def test_values_of_json_are_checked_as_those_of_yaml(tmp_path):
         files.check_json("x.json", {"things": {"door": {"kind": "group", "radius": "two"}}}, Sample)
     with pytest.raises(FileError, match="x.json: words: there are none"):
         files.check_json("x.json", data | {"words": []}, Sample, lambda sample: [(("words",), "there are none")])
+
+
+def test_the_last_line_of_a_log_may_lack_its_end(tmp_path):
+    """Each line with an end is read; what a kill has left after it is not."""
+    log = tmp_path / "log.jsonl"
+    for text, expected in (
+        ("", []),
+        ("1", []),
+        ("1\n", [1]),
+        ("1\n[2]\n{", [1, [2]]),
+        ('1\n[2]\n"c"\n', [1, [2], "c"]),
+    ):
+        log.write_text(text)
+        assert list(reading.read_json_lines(log)) == expected
+    log.write_text("1\n{\n3\n")
+    with pytest.raises(FileError, match="log.jsonl:2: is not JSON"):
+        list(reading.read_json_lines(log))
+
+
+def test_xml_has_a_limit_of_depth_and_of_elements(tmp_path, monkeypatch):
+    file, deep = tmp_path / "x.xml", files.MAX_DEPTH
+    monkeypatch.setattr(meshes, "MAX_ELEMENTS", 2 * deep)
+    for levels, more, fine in ((deep, 0, True), (deep + 1, 0, False), (deep, deep, True), (deep, deep + 1, False)):
+        file.write_text("<a>" * levels + "</a>" * (levels - 1) + "<b/>" * more + "</a>")
+        if fine:
+            assert len(meshes.xml_tree(file)) == min(levels - 1, 1) + more
+        else:
+            with pytest.raises(FileError, match="too many or nested too deep"):
+                meshes.xml_tree(file)
