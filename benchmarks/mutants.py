@@ -1,11 +1,12 @@
 """Mutation test: whether the quick tests notice faults that are put into the package, one at a time.
 
     python benchmarks/mutants.py --only classifiers --count 50   # the first 50 faults of a folder, in a drawn order
-    python benchmarks/mutants.py --only classifiers --again      # those that survived, once more
+    python benchmarks/mutants.py --only classifiers --again      # those that survive without a reason, once more
     python benchmarks/mutants.py --summary                       # what is in the results
 
-Each mutant is a line of the results, so that a run that was stopped goes on where it was. A mutant *survives* if none
-of the quick tests that are chosen for its module fails. `mutants.yaml` says why one cannot be noticed, or need not be.
+Each mutant is a line of the results, so that a run that was stopped goes on where it was. Those whose line of the
+package is another one by now leave the results, and others are drawn in their place. A mutant *survives* if none of
+the quick tests that are chosen for its module fails. `mutants.yaml` says why one cannot be noticed, or need not be.
 
 The tests of a module are those of TELLING, then of the files that name most of what it defines. They run once without
 a fault, for their times and the lines that they reach; a mutant has the tests that reach its line first. All runs are
@@ -28,8 +29,8 @@ import signal
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +38,7 @@ import yaml
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE, TESTS = ROOT / "sean_jax", ROOT / "tests"
-RESULTS, REASONS = ROOT / "benchmarks/results/mutants.jsonl", ROOT / "benchmarks/mutants.yaml"
+RESULTS, REASONS = ROOT / "results/mutants/mutants.jsonl", ROOT / "benchmarks/mutants.yaml"
 FOLDERS = {
     "classifiers": ["classifiers"],
     "metrics": ["metrics/metric.py", "metrics/path.py", "metrics/proximity.py"],
@@ -64,11 +65,13 @@ TELLING = {  # module or folder -> its own tests, where names alone lead to othe
     "behaviors/random_behavior": "random_behavior",
     "behaviors/starts": "random_behavior walking_groups floor_edge",
     "files": "files bad_input",
-    "files/mjcf": "docs_environments bad_input",
+    "files/database": "database survey_export",
+    "files/meshes": "import_robot articulated files",
+    "files/mjcf": "import_robot docs_environments bad_input",
     "recordings": "recordings",
-    "survey": "survey ratings",
+    "survey": "survey_export survey ratings",
     "survey/ratings": "ratings",
-    "survey/report": "ratings",
+    "survey/report": "survey_export ratings",
 }
 HEAVY = "scipy.stats scipy.optimize scipy.sparse.csgraph mujoco optax matplotlib.figure PIL.Image networkx pydantic"
 LASTING = "navigation", "next_corner", "mesh_places"  # tables that none of the folders above has a part in
@@ -236,11 +239,13 @@ def modules(folder: str) -> list[str]:
     return found
 
 
-def drawn(folder: str, count: int, seed: int) -> list[Mutant]:
-    """So many mutants of a folder; more of them begin with the same."""
+def drawn(folder: str, count: int, seed: int, known: Iterable[str] = ()) -> list[Mutant]:
+    """So many mutants of a folder, those known first; more of them begin with the same."""
     everything = [mutant for path in modules(folder) for mutant in mutants(path, (PACKAGE / path).read_bytes())]
     random.Random(f"{seed} {folder}").shuffle(everything)
-    return everything[:count]
+    everything = list({mutant.name: mutant for mutant in everything}.values())
+    names = set(known)
+    return sorted(everything, key=lambda mutant: mutant.name not in names)[:count]
 
 
 # Which tests
@@ -448,6 +453,8 @@ def attempt(mutant: Mutant, choice: Choice) -> tuple[str | None, float]:
     source = (PACKAGE / mutant.path).read_bytes()
     source = source[: mutant.begin] + mutant.text.encode() + source[mutant.end :]
     order = choice.order(mutant.line)
+    if not order:  # pytest would end with another code than 0 for the lack of tests
+        return None, 0.0
     files = list(dict.fromkeys(node.split("::")[0].split("/")[-1] for node in order))
 
     def work():
@@ -502,6 +509,20 @@ def results(path: Path) -> dict[str, dict]:
     return {line["name"]: line for line in lines}
 
 
+def tidy(path: Path) -> None:
+    """Write the results anew: one line for each mutant that can still be put in, by its place."""
+    known = results(path)
+    lines = []
+    for folder in FOLDERS:
+        for module in modules(folder):
+            there = {mutant.name: mutant for mutant in mutants(module, (PACKAGE / module).read_bytes())}
+            lines += [known[name] | {"line": mutant.line} for name, mutant in there.items() if name in known]
+    # A run that is stopped here leaves the old results.
+    new = path.with_suffix(".new")
+    new.write_text("".join(json.dumps(line) + "\n" for line in lines))
+    new.replace(path)
+
+
 def reasons() -> dict[str, str]:
     """Why mutants are not noticed: name -> sentence."""
     return yaml.safe_load(REASONS.read_text()) or {} if REASONS.is_file() else {}
@@ -516,7 +537,8 @@ def summary(known: dict[str, dict]) -> list[str]:
         for folder in (line["folder"], "all"):
             counts[folder][0] += 1
             counts[folder][kind] += 1
-        left += [f"{line['path']}:{line['line']}: {line['before']} -> {line['after']}"] * (kind == 3)
+        path, change = name.split(": ", 1)
+        left += [f"{path}:{line['line']}: {change}"] * (kind == 3)
     order = [folder for folder in (*FOLDERS, "all") if folder in counts]
     lines += [
         f"{folder:12} {' '.join(f'{n:{w}d}' for n, w in zip(counts[folder], (7, 7, 9, 8), strict=True))}"
@@ -533,7 +555,7 @@ def _module_run(folder: str, path: str, chosen: list[Mutant], out: Path, most: f
     print(f"{path}: {len(choice.seconds)} tests, {sum(choice.seconds.values()):.0f} s", flush=True)
     for mutant in chosen:
         noticed, seconds = attempt(mutant, choice)
-        line = {"folder": folder, "name": mutant.name, **asdict(mutant)}
+        line = {"folder": folder, "name": mutant.name, "line": mutant.line}
         line |= {"noticed": noticed, "seconds": round(seconds, 1)}
         with out.open("a") as stream:
             stream.write(json.dumps(line) + "\n")
@@ -548,19 +570,19 @@ def main() -> None:
     parser.add_argument("--only", nargs="+", choices=FOLDERS, default=list(FOLDERS), help="folders (all)")
     parser.add_argument("--count", type=int, default=400, help="mutants, of all seven folders (400)")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--again", action="store_true", help="run those that survived once more")
+    parser.add_argument("--again", action="store_true", help="run those that survive without a reason once more")
     parser.add_argument("--seconds", type=float, default=SECONDS, help=f"of the tests of a module, about ({SECONDS:g})")
     parser.add_argument("--out", type=Path, default=RESULTS, help=str(RESULTS))
     parser.add_argument("--summary", action="store_true", help="print what is in the results, and run nothing")
     chosen = parser.parse_args()
-    known = results(chosen.out)
     if not chosen.summary:
         _begin()
         chosen.out.parent.mkdir(parents=True, exist_ok=True)
+        tidy(chosen.out)
+        known = results(chosen.out)
+        count = -(-chosen.count // len(FOLDERS))
         for folder in chosen.only:
-            left = [
-                m for m in drawn(folder, -(-chosen.count // len(FOLDERS)), chosen.seed) if _open(m, known, chosen.again)
-            ]
+            left = [m for m in drawn(folder, count, chosen.seed, known) if _open(m, known, chosen.again)]
             for path in sorted({mutant.path for mutant in left}):
                 of_module = [mutant for mutant in left if mutant.path == path]
                 _fork(
@@ -568,6 +590,7 @@ def main() -> None:
                         folder, path, some, chosen.out, chosen.seconds
                     )
                 )
+        tidy(chosen.out)
     print(*summary(results(chosen.out)), sep="\n")
 
 

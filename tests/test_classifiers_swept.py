@@ -313,3 +313,45 @@ def test_limits_of_the_constants_are_as_documented():
     for field in values:
         changed = classifiers.thresholds(**{field: one})
         assert [name for name in values if float(getattr(changed, name)) == 7.0] == [field]
+
+
+def test_distances_and_speeds_at_their_limits():
+    """Numbers that float32 has exactly: what shall be less than a limit is not there at it, and "at least" is."""
+    ahead = np.array([[1.0, 0.0]], np.float32)
+    one = jax.tree.map(lambda leaf: leaf[0] if np.ndim(leaf) else leaf, drawn(1))
+    rules = tuple(classifiers.MORE_SITUATIONS.items())
+    values = classifiers.thresholds(near=2.0, angle=0.5, reach=3.0, personal=1.0, moving=0.25, gaining=0.25, crowd=0.1)
+
+    @jax.jit
+    def look(place, velocity, heading, number):
+        people = one.people.replace(
+            position=jnp.zeros((PEOPLE, 2)).at[:].set(place),
+            velocity=jnp.zeros((PEOPLE, 2)).at[:].set(velocity),
+            heading=jnp.zeros((PEOPLE, 2)).at[:].set(heading),
+            present=jnp.arange(PEOPLE) < number,
+        )
+        robot = {"position": jnp.zeros(2), "heading": ahead[0], "velocity": ahead[0]}
+        here = one.replace(people=people, robot_radius=0.25, person_radius=0.25, **robot)
+        return classifiers.classify(here, values, rules)
+
+    def seen(x, y, speed, number=1):
+        walker = jnp.array([speed, 0.0])
+        flags = look(jnp.array([x, y]), walker, jnp.sign(walker), number)
+        return {name for (name, _), flag in zip(rules, np.asarray(flags), strict=True) if flag} & {
+            "overtaking", "following", "frontal_approach", "crowded"
+        }  # fmt: skip
+
+    least = 2.0**-10
+    # A person who is slower by .25 m/s is overtaken and not followed.
+    assert seen(2.5, 0.0, 0.75) == {"overtaking"} and seen(2.5, 0.0, 0.75 + least) == {"following"}
+    # The slower one ahead, by more than minus the sum of the radii and less than the reach.
+    assert seen(-0.5, 0.0, 0.5) == set() and seen(least - 0.5, 0.0, 0.5) == {"overtaking"}
+    assert seen(3.0, 0.0, 0.5) == set() and seen(3.0 - least, 0.0, 0.5) == {"overtaking"}
+    assert seen(0.5, 0.0, 1.0) == set() and seen(0.5 + least, 0.0, 1.0) == {"following"}
+    assert seen(3.0, 0.0, 1.0) == set() and seen(3.0 - least, 0.0, 1.0) == {"following"}
+    for speed, name in ((0.5, "overtaking"), (1.0, "following"), (-1.0, "frontal_approach")):
+        assert seen(2.5, 1.0, speed) == set() and seen(2.5, least - 1.0, speed) == {name}
+    assert seen(3.0, 0.0, -1.0) == set() and seen(3.0 - least, 0.0, -1.0) == {"frontal_approach"}
+    # Two people on the disc of 2 m are .16 a square metre, one is .08.
+    assert seen(2.0, 0.0, 0.0, 2) == set() and seen(2.0 - least, 0.0, 0.0, 2) == {"crowded"}
+    assert seen(1.0, 0.0, 0.0, 1) == set()

@@ -12,6 +12,7 @@ import pytest
 
 from sean_jax import files
 from sean_jax.errors import FileError
+from sean_jax.files import meshes, reading
 
 STRICT = pydantic.ConfigDict(extra="forbid", allow_inf_nan=False)
 
@@ -230,3 +231,53 @@ def test_rows_are_those_of_a_table(tmp_path):
             list(files.read_rows(path))
     path.write_bytes(b"")
     assert [*files.read_rows(path)] == []
+
+
+def test_levels_of_a_file_are_counted_from_one(tmp_path):
+    """As many lists in one another as are allowed are read, and one more is refused."""
+    for deeper in (0, 1):
+        file = write(tmp_path, "[" * (files.MAX_DEPTH - 1 + deeper) + "word" + "]" * (files.MAX_DEPTH - 1 + deeper))
+        if deeper:
+            with pytest.raises(FileError, match=f"nested deeper than {files.MAX_DEPTH} levels"):
+                files.read_yaml(file)
+        else:
+            assert files.read_yaml(file)[1]
+
+
+def test_values_of_json_are_checked_as_those_of_yaml(tmp_path):
+    data = {"things": {"door": {"kind": "group", "radius": 2, "position": [1, 2.5]}}, "words": ["a"]}
+    found = files.check_json(tmp_path / "x.json", data, Sample, lambda sample: ())
+    assert found.things["door"].position == (1.0, 2.5) and found.words == ["a"] and found.on
+    with pytest.raises(FileError, match=r"x.json: things.door.radius: 'two' is not a number"):
+        files.check_json("x.json", {"things": {"door": {"kind": "group", "radius": "two"}}}, Sample)
+    with pytest.raises(FileError, match="x.json: words: there are none"):
+        files.check_json("x.json", data | {"words": []}, Sample, lambda sample: [(("words",), "there are none")])
+
+
+def test_the_last_line_of_a_log_may_lack_its_end(tmp_path):
+    """Each line with an end is read; what a kill has left after it is not."""
+    log = tmp_path / "log.jsonl"
+    for text, expected in (
+        ("", []),
+        ("1", []),
+        ("1\n", [1]),
+        ("1\n[2]\n{", [1, [2]]),
+        ('1\n[2]\n"c"\n', [1, [2], "c"]),
+    ):
+        log.write_text(text)
+        assert list(reading.read_json_lines(log)) == expected
+    log.write_text("1\n{\n3\n")
+    with pytest.raises(FileError, match="log.jsonl:2: is not JSON"):
+        list(reading.read_json_lines(log))
+
+
+def test_xml_has_a_limit_of_depth_and_of_elements(tmp_path, monkeypatch):
+    file, deep = tmp_path / "x.xml", files.MAX_DEPTH
+    monkeypatch.setattr(meshes, "MAX_ELEMENTS", 2 * deep)
+    for levels, more, fine in ((deep, 0, True), (deep + 1, 0, False), (deep, deep, True), (deep, deep + 1, False)):
+        file.write_text("<a>" * levels + "</a>" * (levels - 1) + "<b/>" * more + "</a>")
+        if fine:
+            assert len(meshes.xml_tree(file)) == min(levels - 1, 1) + more
+        else:
+            with pytest.raises(FileError, match="too many or nested too deep"):
+                meshes.xml_tree(file)

@@ -1,6 +1,7 @@
 """The Behavior Graph as arrays, and its costs under way, against loops over drawn graphs in double precision."""
 
 import itertools
+import json
 import math
 
 import jax
@@ -8,6 +9,7 @@ import jax.numpy as jnp
 import networkx
 import numpy as np
 import pytest
+import yaml
 
 from sean_jax.graph import annotation, formation
 from sean_jax.graph.behavior_graph import (
@@ -101,6 +103,20 @@ def test_arrays_are_what_is_written(seed):
         joined[a, b] = joined[b, a] = True
     assert np.isinf(graph.edge_cost[~joined]).all() and (graph.flow[~joined] == -1).all()
     assert_cheapest(graph)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_written_annotation_is_read_as_it_was(seed):
+    """All fields of every node and edge, groups' seats and stays included."""
+    given = json.loads(json.dumps(words(seed)), parse_float=lambda text: round(float(text), 6))
+    again = yaml.safe_load(annotation.to_yaml(annotation.Annotation.model_validate(given)))
+    for edge in given["edges"]:
+        if "weights" not in edge:
+            edge.setdefault("flow", "medium")
+    assert annotation.Annotation.model_validate(again) == annotation.Annotation.model_validate(given)
+    groups = {name: node for name, node in again["nodes"].items() if node["kind"] == "group"}
+    assert len(groups) == 3 and all({"capacity", "stay"} <= set(node) for node in groups.values())
+    assert not any({"capacity", "stay"} & set(node) for name, node in again["nodes"].items() if name not in groups)
 
 
 def assert_cheapest(graph) -> None:

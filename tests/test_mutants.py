@@ -83,15 +83,38 @@ def test_which_tests_are_asked():
 
 
 def test_the_summary_knows_what_is_explained(monkeypatch):
-    line = {"folder": "graph", "path": "graph/x.py", "line": 3, "before": "a < b"}
     known = {
-        after: line | {"name": after, "after": after, "noticed": noticed}
+        f"graph/x.py: a < b -> {after}": {"folder": "graph", "line": 3, "noticed": noticed}
         for after, noticed in (("one", "test_x"), ("two", None), ("three", None))
     }
-    monkeypatch.setattr(program, "reasons", lambda: {"two": "equal"})
+    monkeypatch.setattr(program, "reasons", lambda: {"graph/x.py: a < b -> two": "equal"})
     rows = [row.split() for row in program.summary(known)]
     assert rows[1:3] == [["graph", "3", "1", "1", "1"], ["all", "3", "1", "1", "1"]]
     assert rows[3:] == [["graph/x.py:3:", "a", "<", "b", "->", "three"]]
+
+
+def test_results_hold_what_can_still_be_put_in(tmp_path):
+    """The last line of each; lines of a package that has changed go, and others are drawn besides those known."""
+    out = tmp_path / "mutants.jsonl"
+    first, second, third = program.drawn("survey", 3, 0)
+    names = [third.name, "survey/study.py: gone -> away", first.name, third.name]
+    lines = [{"folder": "survey", "name": name, "line": 0, "noticed": f"test_{k}"} for k, name in enumerate(names)]
+    out.write_text("".join(json.dumps(line) + "\n" for line in lines))
+    program.tidy(out)
+    found = program.results(out)
+    assert {name: (line["line"], line["noticed"]) for name, line in found.items()} == {
+        first.name: (first.line, "test_2"), third.name: (third.line, "test_3")
+    }  # fmt: skip
+    assert len(out.read_text().splitlines()) == 2 and [file.name for file in tmp_path.iterdir()] == [out.name]
+    assert program.drawn("survey", 3, 0, found) == [first, third, second]
+
+
+def test_committed_results_are_what_the_table_says():
+    """results/README.md has the rows of the summary."""
+    rows = [row.split() for row in program.summary(program.results(program.RESULTS))[1 : len(program.FOLDERS) + 2]]
+    text = (ROOT / "results/README.md").read_text()
+    for row in rows:
+        assert f"| {' | '.join(row)} |" in text, row
 
 
 @pytest.mark.slow
@@ -106,3 +129,9 @@ def test_a_few_mutants(tmp_path):
     again = subprocess.run(told, cwd=ROOT, capture_output=True, text=True, timeout=60)
     assert again.stdout.splitlines()[1].split() == ["classifiers", "1", "1", "0", "0"]
     assert len(out.read_text().splitlines()) == 1
+
+
+def test_a_mutant_that_no_test_reaches_survives():
+    """Pytest without tests does not end with 0."""
+    (mutant,) = program.drawn("survey", 1, 0)
+    assert program.attempt(mutant, program.Choice({}, {})) == (None, 0.0)

@@ -297,7 +297,7 @@ def test_sums_and_figures_of_entries():
 
 
 def test_the_effective_number_of_clusters_is_kishs():
-    """Wilson's interval holds the x with (p - x)^2 <= z^2 x (1 - x) / n; n follows from the width, within limits."""
+    """Wilson's interval holds the x with (p - x)^2 <= z^2 x (1 - x) / n; n follows from the width, in its limits."""
     z, p = stats.norm.ppf(0.975), 0.4
     for width, number in ((0.3, 4 * z**2 * p * (1 - p) / 0.3**2), (0.2, 60), (0.9, 20)):
         given = bootstrap.Estimate(*map(np.asarray, (p, p - width / 2, p + width / 2, 60)))
@@ -310,3 +310,17 @@ def test_the_effective_number_of_clusters_is_kishs():
 def test_levels_are_shares_between_none_and_all(level):
     with pytest.raises(ValueError, match="level: .* must lie between 0 and 1"):
         bootstrap.interval(np.arange(9.0), level)
+
+
+@pytest.mark.parametrize("level", [0.9, 0.95])
+def test_the_bound_where_nothing_was_counted_is_garwoods(level):
+    """Half a chi-square quantile of two degrees of freedom over independent numbers; other counts stay as they are."""
+    number = np.array([40, 40, 40, 0, 2])
+    mean, low, high = np.array([0.0, 1.0, 0.3, 0.0, 0.0]), np.zeros(5), np.array([0.0, 1.4, 0.5, 0.0, 0.0])
+    given = bootstrap.Estimate(mean, low, high, number)
+    quantile = stats.chi2.ppf((1 + level) / 2, 2) / 2
+    for cluster in (1, 5):
+        found = bootstrap.of_count(given, level, cluster)
+        expected = [quantile / (40 / cluster), 1.4, 0.5, 0.0, quantile / max(2 / cluster, 1)]
+        np.testing.assert_allclose(found.high, expected, rtol=1e-9)
+        assert found.low is low and found.mean is mean and found.episodes is number
