@@ -53,7 +53,7 @@ MERGES = "a: &a {k: 1, l: 2}\n" + "".join(
 
 GATE = (
     "load", "read_yaml", "read_json", "read_json_lines", "read_text", "read_bytes", "read_rows", "read_arrays",
-    "open_file", "check_json", "parse_json",
+    "open_file", "check_json", "parse_json", "parse_file_json", "Database",
 )  # fmt: skip
 """Functions of ``sean_jax.files`` through which all that comes from outside is read."""
 
@@ -91,6 +91,14 @@ READERS = {
     "import": ("robots/imports.py _read",),
     "identity": ("workspace.py read_identity",),
     "row": ("studies/validation/checks.py load",),
+    "trial": ("studio/trial.py read", "studio/trial.py _parsed", "studio/trial.py _recover_file"),
+    "answers": ("survey/answers.py Answers.__init__",),
+    "rosbag metadata": (
+        "ros/bag_files.py BoundedFile.__init__",
+        "ros/bag_files.py BoundedPath.read_text",
+        "ros/bag_files.py _files",
+        "ros/bag_files.py open_bag",
+    ),
 }
 """Kind -> the functions that read it, as FILE FUNCTION. (Robots and bodies are read in ``files`` itself.)"""
 
@@ -98,8 +106,7 @@ ELSEWHERE = {
     "web.py parse": "messages of test_hostile",
     "ros/rosbridge.py Server._handle": "messages of test_hostile",
     "studio/editor.py Editor._take": "a graph or sets, as load_graph and load_handcrafted",
-    "studio/trial.py read": "trials of the studio: test_studio",
-    "studio/trial.py recover": "trials of the studio: test_studio",
+    "studio/address.py recall": "an address that others cannot write: test_studio",
     "evaluation/replay_command.py _of_imitation": "the config.json of load_policy",
     "learning/policy.py describe_agent": "the config.json of load_agent",
     "learning/policy.py pack": "the config.json of load_agent",
