@@ -10,15 +10,19 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import replace
 
+import jax
 import numpy as np
 import pytest
 
-from sean_jax import web
+import sean_jax
+from sean_jax import sensors, web
 from sean_jax.config import BridgeConfig, Named, RunConfig, outside, validate
 from sean_jax.errors import InputError
 from sean_jax.learning.policy import check_policy
-from sean_jax.ros import ros1, rosbridge
+from sean_jax.ros import bridge, messages, ros1, rosbridge
+from sean_jax.ros.names import RosNames
 from sean_jax.ros.transport import REQUESTS, Log, Mailbox, Output, read_pose
 
 pytest.importorskip("websockets")
@@ -93,6 +97,86 @@ def test_a_bridge_has_one_transport():
             validate(BridgeConfig, options)
     assert validate(BridgeConfig, {"dds": True, "domain": 4}).place == ("dds", "4")
     assert validate(BridgeConfig, {"dds": True, "sensors": "none"}).sensors == ()
+
+
+@pytest.mark.parametrize(
+    ("option", "wrong"),
+    [(option, wrong) for option in ("node_name", "namespace") for wrong in ("", "1", "/robot1", "a b", "a__b", "a//b")]
+    + [("node_name", "a/b"), ("namespace", "robot1/"), ("naming", "mine")],
+)
+def test_a_wrong_name_is_refused_in_one_sentence(option, wrong):
+    with pytest.raises(InputError, match=option.replace("_", ".")) as error:
+        validate(BridgeConfig, {"ros1": True, option: wrong})
+    assert "\n" not in str(error.value).strip()
+
+
+def test_names_of_a_bridge():
+    plain, robot = RosNames(), RosNames("other", "team/robot1", "sean")
+    assert list(plain.services) == ["/sean_jax/reset", "/sean_jax/new_task", "/sean_jax/step"]
+    assert list(robot.services) == [f"/team/robot1/other/{word}" for word in ("reset", "new_task", "step")]
+    assert list(plain.inputs) == ["/cmd_vel", "/initialpose"]
+    assert list(robot.inputs) == ["/team/robot1/mobile_base_controller/cmd_vel", "/team/robot1/initialpose"]
+    everywhere = ("/clock", "/map", "/tf", "/tf_static")
+    assert [robot.topic(name) for name in everywhere] == list(everywhere)
+    assert robot.topic("/odom") == "/team/robot1/robot_odom" and robot.topic("/scan") == "/team/robot1/laser_raycast"
+
+
+def test_frames_of_the_robot_are_in_the_namespace_and_the_map_is_not():
+    message = {"transforms": [{"header": {"frame_id": "map"}, "child_frame_id": "odom"}], "data": np.zeros(2)}
+    assert RosNames().frames(message) is message
+    moved = RosNames(namespace="robot1").frames(message)
+    assert moved["transforms"] == [{"header": {"frame_id": "map"}, "child_frame_id": "robot1/odom"}]
+    assert moved["data"] is message["data"] and message["transforms"][0]["child_frame_id"] == "odom"
+
+
+class Memory:
+    """A transport that keeps what is published."""
+
+    address = "memory"
+
+    def __init__(self):
+        self.sent = {}
+
+    def wanted(self, topic):
+        return any(word in topic for word in ("scan", "laser", "odom", "metrics")) or topic in ("/tf", "/clock")
+
+    def publish(self, topic, message):
+        self.sent[topic] = message
+
+    def close(self):
+        pass
+
+
+@pytest.mark.parametrize("naming", ["ros", "sean"])
+def test_a_bridge_of_a_namespace_has_its_topics_and_frames(scenario, monkeypatch, naming):
+    pytest.importorskip("rosbags")
+    memory, names = Memory(), RosNames("other", "robot1", naming)
+    monkeypatch.setattr(bridge, "connect", lambda place, mailbox, outputs: memory)
+    lidar, depth = sensors.lidar_sensor(sensors.lidar(scenario, count=24)), bridge.SENSORS["depth"](scenario.robot)
+    made = bridge.Bridge(replace(scenario, sensors=(lidar, depth)), ("ros1", ""), print, names=names)
+    made.begin(made.scenario, 3)
+    state = jax.jit(sean_jax.reset)(scenario, jax.random.key(3))
+    made.publish(state, made.no_command)
+    odom, scan = memory.sent[names.topic("/odom")], memory.sent[names.topic("/scan")]
+    assert odom["header"]["frame_id"] == "robot1/odom" and odom["child_frame_id"] == "robot1/base_link"
+    assert scan["header"]["frame_id"] == "robot1/lidar" and len(scan["ranges"]) == 24
+    pairs = [(each["header"]["frame_id"], each["child_frame_id"]) for each in memory.sent["/tf"]["transforms"]]
+    assert pairs == [("map", "robot1/odom"), ("robot1/odom", "robot1/base_link")]
+    assert memory.sent["/map"]["header"]["frame_id"] == "map" and list(memory.sent)[-1] == "/clock"
+    assert {name for name in memory.sent if not name.startswith("/robot1/")} == {"/clock", "/map", "/tf", "/tf_static"}
+    if naming == "sean":
+        assert "/robot1/robot_odom" in memory.sent and "/robot1/laser_raycast" in memory.sent
+        assert memory.sent["/robot1/social_sim/metrics"]["trial_number"] == 3
+    made.mailbox.receive(names.topic("/cmd_vel"), twist(0.25, -0.5))
+    assert made.mailbox.take_command().tolist() == [0.25, -0.5]
+
+
+@pytest.mark.parametrize("ros", [1, 2])
+def test_the_topics_of_sean_have_types_that_each_transport_writes(scenario, ros):
+    pytest.importorskip("rosbags")
+    store = messages.typestore(ros)
+    for topic in messages.topics(scenario, "sean").values():
+        assert store.generate_msgdef(topic.type)
 
 
 def test_only_runs_take_a_controller_outside():
