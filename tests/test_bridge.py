@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import csv
 import json
 import math
 import os
@@ -15,15 +16,19 @@ from dataclasses import replace
 import jax
 import numpy as np
 import pytest
+from rich.console import Console
 
 import sean_jax
-from sean_jax import sensors, web
+from sean_jax import evaluation, sensors, web
 from sean_jax.config import BridgeConfig, Named, RunConfig, outside, validate
-from sean_jax.errors import InputError
+from sean_jax.errors import ControllerError, InputError
+from sean_jax.evaluation import results
+from sean_jax.evaluation.batches import Totals
 from sean_jax.learning.policy import check_policy
 from sean_jax.ros import bridge, messages, ros1, rosbridge
 from sean_jax.ros.names import RosNames
 from sean_jax.ros.transport import REQUESTS, Log, Mailbox, Output, read_pose
+from sean_jax.stack import as_stacks
 
 pytest.importorskip("websockets")
 from websockets.asyncio.client import connect  # noqa: E402
@@ -177,6 +182,57 @@ def test_the_topics_of_sean_have_types_that_each_transport_writes(scenario, ros)
     store = messages.typestore(ros)
     for topic in messages.topics(scenario, "sean").values():
         assert store.generate_msgdef(topic.type)
+
+
+def finished(scenario, missed):
+    """A batch of one episode, whose metrics are 1 where a run measures them."""
+    one = lambda tree: jax.tree.map(lambda leaf: np.ones((1, *leaf.shape), leaf.dtype), tree)  # noqa: E731
+    state = jax.eval_shape(sean_jax.reset, scenario, jax.random.key(0))
+    metrics = one(jax.eval_shape(sean_jax.scenario.results, scenario, state)) | {evaluation.MISSED: np.array([missed])}
+    counts = np.zeros((2, 3), np.int32)
+    totals = Totals(counts, counts, counts, counts[0], np.float32(0.0), counts[0])
+    yes, no, steps = np.array([True]), np.array([False]), np.array([8], np.int32)
+    return evaluation.FinishedBatch(yes, no, steps, metrics, totals, [], 1.0)
+
+
+@pytest.mark.parametrize(("missed", "column"), [((0, 2), ["0", "2"]), ((0, 0), None)])
+def test_episodes_csv_has_a_column_of_missed_commands_if_there_are_any(scenario, tmp_path, missed, column):
+    batches = [finished(scenario, number) for number in missed]
+    policy = sean_jax.base.Policy(jax.numpy.zeros(2), "ros1:", sean_jax.base.no_memory, bridge._command)
+    joined = evaluation._join(as_stacks(scenario), policy, batches, 2, 0, 0.0)
+    results.write_episodes(tmp_path / "episodes.csv", joined)
+    with open(tmp_path / "episodes.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 2
+    assert ([row["missed_commands"] for row in rows] if column else rows[0].get("missed_commands")) == column
+
+
+@pytest.mark.parametrize("answers", [0, 1])
+def test_a_controller_that_does_not_answer_is_no_result(scenario, monkeypatch, answers):
+    """One that never answers, and one that dies: nothing of the episode can be written."""
+    pytest.importorskip("rosbags")
+    memory, left = Memory(), [True] * answers
+    memory.wanted = lambda topic: topic == "/odom"  # no sensor has to be compiled
+    monkeypatch.setattr(bridge, "connect", lambda place, mailbox, outputs: memory)
+    for name, value in {"FIRST": 0.3, "PATIENCE": 0.01, "SILENT": 0.3, "REPEAT": 0.01}.items():
+        monkeypatch.setattr(bridge, name, value)
+    driver = bridge.Driver(scenario, "ros1:", ("ros1", ""), Console(quiet=True))
+    state = jax.jit(sean_jax.reset)(scenario, jax.random.key(3))
+    states = jax.tree.map(lambda leaf: leaf[None], state)
+    publish = memory.publish
+
+    def answer(topic, message):
+        publish(topic, message)
+        if topic == "/odom" and left:
+            left.pop()
+            driver._bridge.mailbox.receive("/cmd_vel", twist(0.1, 0.0))
+
+    memory.publish = answer
+    sentence = "sent no command for 0.3 s of episode 7, which is therefore no result; start the controller"
+    with pytest.raises(ControllerError, match=sentence):
+        for _ in range(5):
+            driver(scenario, 7, states)
+    assert not left
 
 
 def test_only_runs_take_a_controller_outside():

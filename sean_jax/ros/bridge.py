@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 NAMES = ("lidar", "depth")  # sensors that every robot has for its controller
 PATIENCE = 5.0  # s, of a driver in lock-step: within which a controller that answers has its next command ready
 REPEAT = 0.1  # s, after which the first state is sent again, a step later, while nobody has answered yet
+FIRST = 60.0  # s, within which a controller has to send its first command
 SILENT = 3.0  # s of an episode without a command, after which the controller counts as dead
 GOAL_STEPS = 50  # such steps, after which the goal is sent again: move_base drops goals that come while it starts
 WAITING = ("lockstep", "service")  # paces at which time stands still until something comes
@@ -226,12 +227,15 @@ class Driver:
         return replace(self.policy, params=jnp.asarray(self._command, float))
 
     def _wait(self, state: State) -> np.ndarray:
-        """The command that answers a state; NaN if there is none in time. The first one may come at any time."""
+        """The command that answers a state; NaN if there is none in time. The first one may come within ``FIRST``."""
         bridge = self._bridge
         if not self._answered:
             self._write(f"waiting for the first command on {COMMAND}")
+            begin = time.monotonic()
             while (command := bridge.answer(REPEAT)) is None:
                 self._refuse()
+                if time.monotonic() - begin > FIRST:
+                    raise self._dead(FIRST)
                 bridge.stand()
                 bridge.publish(state, self._command)
             time.sleep(REPEAT)  # answers to the states that were sent before, as none may count for the next one
@@ -254,8 +258,12 @@ class Driver:
         """ControllerError if the controller has been silent for so long that its episode is no result."""
         if self._silent * self.time_step < SILENT:
             return
-        text = f"the controller has sent no command for {SILENT:g} s of episode {self._bridge._number}"
-        raise ControllerError(
+        raise self._dead(SILENT)
+
+    def _dead(self, seconds: float) -> ControllerError:
+        """The error of a controller that has been silent for so long."""
+        text = f"the controller has sent no command for {seconds:g} s of episode {self._bridge._number}"
+        return ControllerError(
             f"{text}, which is therefore no result; start the controller, and then this command again."
         )
 
