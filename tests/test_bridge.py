@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import csv
 import json
 import math
 import os
@@ -10,16 +11,24 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import replace
 
+import jax
 import numpy as np
 import pytest
+from rich.console import Console
 
-from sean_jax import web
+import sean_jax
+from sean_jax import evaluation, sensors, web
 from sean_jax.config import BridgeConfig, Named, RunConfig, outside, validate
-from sean_jax.errors import InputError
+from sean_jax.errors import ControllerError, InputError
+from sean_jax.evaluation import results
+from sean_jax.evaluation.batches import Totals
 from sean_jax.learning.policy import check_policy
-from sean_jax.ros import ros1, rosbridge
+from sean_jax.ros import bridge, messages, ros1, rosbridge
+from sean_jax.ros.names import RosNames
 from sean_jax.ros.transport import REQUESTS, Log, Mailbox, Output, read_pose
+from sean_jax.stack import as_stacks
 
 pytest.importorskip("websockets")
 from websockets.asyncio.client import connect  # noqa: E402
@@ -93,6 +102,137 @@ def test_a_bridge_has_one_transport():
             validate(BridgeConfig, options)
     assert validate(BridgeConfig, {"dds": True, "domain": 4}).place == ("dds", "4")
     assert validate(BridgeConfig, {"dds": True, "sensors": "none"}).sensors == ()
+
+
+@pytest.mark.parametrize(
+    ("option", "wrong"),
+    [(option, wrong) for option in ("node_name", "namespace") for wrong in ("", "1", "/robot1", "a b", "a__b", "a//b")]
+    + [("node_name", "a/b"), ("namespace", "robot1/"), ("naming", "mine")],
+)
+def test_a_wrong_name_is_refused_in_one_sentence(option, wrong):
+    with pytest.raises(InputError, match=option.replace("_", ".")) as error:
+        validate(BridgeConfig, {"ros1": True, option: wrong})
+    assert "\n" not in str(error.value).strip()
+
+
+def test_names_of_a_bridge():
+    plain, robot = RosNames(), RosNames("other", "team/robot1", "sean")
+    assert list(plain.services) == ["/sean_jax/reset", "/sean_jax/new_task", "/sean_jax/step"]
+    assert list(robot.services) == [f"/team/robot1/other/{word}" for word in ("reset", "new_task", "step")]
+    assert list(plain.inputs) == ["/cmd_vel", "/initialpose"]
+    assert list(robot.inputs) == ["/team/robot1/mobile_base_controller/cmd_vel", "/team/robot1/initialpose"]
+    everywhere = ("/clock", "/map", "/tf", "/tf_static")
+    assert [robot.topic(name) for name in everywhere] == list(everywhere)
+    assert robot.topic("/odom") == "/team/robot1/robot_odom" and robot.topic("/scan") == "/team/robot1/laser_raycast"
+
+
+def test_frames_of_the_robot_are_in_the_namespace_and_the_map_is_not():
+    message = {"transforms": [{"header": {"frame_id": "map"}, "child_frame_id": "odom"}], "data": np.zeros(2)}
+    assert RosNames().frames(message) is message
+    moved = RosNames(namespace="robot1").frames(message)
+    assert moved["transforms"] == [{"header": {"frame_id": "map"}, "child_frame_id": "robot1/odom"}]
+    assert moved["data"] is message["data"] and message["transforms"][0]["child_frame_id"] == "odom"
+
+
+class Memory:
+    """A transport that keeps what is published."""
+
+    address = "memory"
+
+    def __init__(self):
+        self.sent = {}
+
+    def wanted(self, topic):
+        return any(word in topic for word in ("scan", "laser", "odom", "metrics")) or topic in ("/tf", "/clock")
+
+    def publish(self, topic, message):
+        self.sent[topic] = message
+
+    def close(self):
+        pass
+
+
+@pytest.mark.parametrize("naming", ["ros", "sean"])
+def test_a_bridge_of_a_namespace_has_its_topics_and_frames(scenario, monkeypatch, naming):
+    pytest.importorskip("rosbags")
+    memory, names = Memory(), RosNames("other", "robot1", naming)
+    monkeypatch.setattr(bridge, "connect", lambda place, mailbox, outputs: memory)
+    lidar, depth = sensors.lidar_sensor(sensors.lidar(scenario, count=24)), bridge.SENSORS["depth"](scenario.robot)
+    made = bridge.Bridge(replace(scenario, sensors=(lidar, depth)), ("ros1", ""), print, names=names)
+    made.begin(made.scenario, 3)
+    state = jax.jit(sean_jax.reset)(scenario, jax.random.key(3))
+    made.publish(state, made.no_command)
+    odom, scan = memory.sent[names.topic("/odom")], memory.sent[names.topic("/scan")]
+    assert odom["header"]["frame_id"] == "robot1/odom" and odom["child_frame_id"] == "robot1/base_link"
+    assert scan["header"]["frame_id"] == "robot1/lidar" and len(scan["ranges"]) == 24
+    pairs = [(each["header"]["frame_id"], each["child_frame_id"]) for each in memory.sent["/tf"]["transforms"]]
+    assert pairs == [("map", "robot1/odom"), ("robot1/odom", "robot1/base_link")]
+    assert memory.sent["/map"]["header"]["frame_id"] == "map" and list(memory.sent)[-1] == "/clock"
+    assert {name for name in memory.sent if not name.startswith("/robot1/")} == {"/clock", "/map", "/tf", "/tf_static"}
+    if naming == "sean":
+        assert "/robot1/robot_odom" in memory.sent and "/robot1/laser_raycast" in memory.sent
+        assert memory.sent["/robot1/social_sim/metrics"]["trial_number"] == 3
+    made.mailbox.receive(names.topic("/cmd_vel"), twist(0.25, -0.5))
+    assert made.mailbox.take_command().tolist() == [0.25, -0.5]
+
+
+@pytest.mark.parametrize("ros", [1, 2])
+def test_the_topics_of_sean_have_types_that_each_transport_writes(scenario, ros):
+    pytest.importorskip("rosbags")
+    store = messages.typestore(ros)
+    for topic in messages.topics(scenario, "sean").values():
+        assert store.generate_msgdef(topic.type)
+
+
+def finished(scenario, missed):
+    """A batch of one episode, whose metrics are 1 where a run measures them."""
+    one = lambda tree: jax.tree.map(lambda leaf: np.ones((1, *leaf.shape), leaf.dtype), tree)  # noqa: E731
+    state = jax.eval_shape(sean_jax.reset, scenario, jax.random.key(0))
+    metrics = one(jax.eval_shape(sean_jax.scenario.results, scenario, state)) | {evaluation.MISSED: np.array([missed])}
+    counts = np.zeros((2, 3), np.int32)
+    totals = Totals(counts, counts, counts, counts[0], np.float32(0.0), counts[0])
+    yes, no, steps = np.array([True]), np.array([False]), np.array([8], np.int32)
+    return evaluation.FinishedBatch(yes, no, steps, metrics, totals, [], 1.0)
+
+
+@pytest.mark.parametrize(("missed", "column"), [((0, 2), ["0", "2"]), ((0, 0), None)])
+def test_episodes_csv_has_a_column_of_missed_commands_if_there_are_any(scenario, tmp_path, missed, column):
+    batches = [finished(scenario, number) for number in missed]
+    policy = sean_jax.base.Policy(jax.numpy.zeros(2), "ros1:", sean_jax.base.no_memory, bridge._command)
+    joined = evaluation._join(as_stacks(scenario), policy, batches, 2, 0, 0.0)
+    results.write_episodes(tmp_path / "episodes.csv", joined)
+    with open(tmp_path / "episodes.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 2
+    assert ([row["missed_commands"] for row in rows] if column else rows[0].get("missed_commands")) == column
+
+
+@pytest.mark.parametrize("answers", [0, 1])
+def test_a_controller_that_does_not_answer_is_no_result(scenario, monkeypatch, answers):
+    """One that never answers, and one that dies: nothing of the episode can be written."""
+    pytest.importorskip("rosbags")
+    memory, left = Memory(), [True] * answers
+    memory.wanted = lambda topic: topic == "/odom"  # no sensor has to be compiled
+    monkeypatch.setattr(bridge, "connect", lambda place, mailbox, outputs: memory)
+    for name, value in {"FIRST": 0.3, "PATIENCE": 0.01, "SILENT": 0.3, "REPEAT": 0.01}.items():
+        monkeypatch.setattr(bridge, name, value)
+    driver = bridge.Driver(scenario, "ros1:", ("ros1", ""), Console(quiet=True))
+    state = jax.jit(sean_jax.reset)(scenario, jax.random.key(3))
+    states = jax.tree.map(lambda leaf: leaf[None], state)
+    publish = memory.publish
+
+    def answer(topic, message):
+        publish(topic, message)
+        if topic == "/odom" and left:
+            left.pop()
+            driver._bridge.mailbox.receive("/cmd_vel", twist(0.1, 0.0))
+
+    memory.publish = answer
+    sentence = "sent no command for 0.3 s of episode 7, which is therefore no result; start the controller"
+    with pytest.raises(ControllerError, match=sentence):
+        for _ in range(5):
+            driver(scenario, 7, states)
+    assert not left
 
 
 def test_only_runs_take_a_controller_outside():

@@ -272,6 +272,18 @@ def test_a_bag_of_a_real_recorder_has_goals_commands_and_episodes(ros, tmp_path)
         assert (np.abs(ours.action[number, :length]).sum(axis=1) > 0).mean() > 0.8
 
 
+ONE_MESSAGE = """
+import sys
+import rospy
+from nav_msgs.msg import Odometry
+from std_srvs.srv import Trigger
+
+rospy.init_node("listener", anonymous=True)
+message = rospy.wait_for_message(sys.argv[1], Odometry, 60)
+print(message.header.frame_id, message.child_frame_id, rospy.ServiceProxy(sys.argv[2], Trigger)().success)
+"""
+
+
 def test_a_second_bridge_ends_the_first_in_one_sentence(ros):
     bridge = [sys.executable, "-m", "sean_jax", "bridge", "--ros1", *SCENARIO]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
@@ -280,10 +292,28 @@ def test_a_second_bridge_ends_the_first_in_one_sentence(ros):
         with started(bridge, ros, **pipes) as second:
             read_line(second, "bridge: ", [])
             rest = first.communicate(timeout=LIMIT)[0]
-            assert first.returncode == 1 and "was shut down" in rest and "Traceback" not in rest, rest
+            assert first.returncode == 1 and "--node-name" in rest and "Traceback" not in rest, rest
             subprocess.run(["rosnode", "kill", "/sean_jax"], env=ros, check=True, capture_output=True, timeout=LIMIT)
             rest = second.communicate(timeout=LIMIT)[0]
             assert second.returncode == 1 and "was shut down" in rest and "Traceback" not in rest, rest
+
+
+def test_two_bridges_of_two_names_live_beside_each_other(ros):
+    """Each with its topics, in its namespace, and its service."""
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
+    with contextlib.ExitStack() as stack:
+        bridges = []
+        for name, naming in (("one", "ros"), ("two", "sean")):
+            own = ("--node-name", name, "--namespace", f"robot_{name}", "--naming", naming)
+            command = [sys.executable, "-m", "sean_jax", "bridge", "--ros1", *SCENARIO, *own]
+            bridges.append(stack.enter_context(started(command, ros, **pipes)))
+            read_line(bridges[-1], "ready", [])
+        listed = subprocess.run(["rosnode", "list"], env=ros, check=True, capture_output=True, text=True, timeout=LIMIT)
+        assert {"/one", "/two"} <= set(listed.stdout.split())
+        for name, odom in (("one", "/robot_one/odom"), ("two", "/robot_two/robot_odom")):
+            said = program(ros, ONE_MESSAGE, odom, f"/robot_{name}/{name}/reset").split()
+            assert said == [f"robot_{name}/odom", f"robot_{name}/base_link", "True"]
+        assert [each.poll() for each in bridges] == [None, None]
 
 
 def test_there_has_to_be_a_master(ros):

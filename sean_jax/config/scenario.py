@@ -1,6 +1,7 @@
 """Options of a scenario (section IV-B), and of ``sean run``, ``replay`` and ``compare``."""
 
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -349,6 +350,10 @@ TRANSPORTS = ("ros1", "rosbridge", "dds")
 """Ways to a robot's controller outside of this program."""
 
 
+ROS_NAME = re.compile(r"[A-Za-z](_?[A-Za-z0-9]){0,62}", re.ASCII)
+"""A name in ROS 1 and ROS 2: a letter, then letters, digits and single underscores."""
+
+
 def outside(policy: Component) -> tuple[str, str] | None:
     """Transport and place of a controller outside of this program: "rosbridge:127.0.0.1:9090", "ros1:", "dds:0"."""
     transport, colon, place = policy.kind.partition(":")
@@ -368,6 +373,12 @@ class BridgeConfig(ScenarioConfig):
     """For rosbridge: address and port. If other computers reach it, clients need the token that is printed."""
     domain: Annotated[int, fields.Number(0, 230), Option(affects_results=False)] = 0
     """For DDS: its domain, as ROS_DOMAIN_ID."""
+    node_name: Annotated[fields.Text, Option(affects_results=False)] = "sean_jax"
+    """Name of the node and of its services. On a master of ROS 1 two bridges need two names."""
+    namespace: Annotated[fields.Text | None, Option(affects_results=False)] = None
+    """Namespace of the robot's topics and frames, such as robot1; /clock, /map, /tf and /tf_static are in none."""
+    naming: Annotated[Literal["ros", "sean"], Option(affects_results=False)] = "ros"
+    """Names of topics: ros as in Nav2 and move_base; sean as in SEAN 2.0, with its own topics."""
     pace: Literal["real", "fast", "lockstep", "service"] = "real"
     """Advance of time: by the clock; as fast as possible; after each command; or by the service step alone."""
     factor: Annotated[float, fields.Number(0.01, 1000.0)] = 1.0
@@ -379,6 +390,20 @@ class BridgeConfig(ScenarioConfig):
     seed: fields.Seed = 0
     """The same seed gives the same episodes, which are the episodes of sean run."""
     quiet: fields.Quiet = False
+
+    @pydantic.field_validator("node_name")
+    @classmethod
+    def _check_node_name(cls, value: str) -> str:
+        if not ROS_NAME.fullmatch(value):
+            raise ValueError(f"is {value[:40]!r}, and no name of ROS; give one such as robot1_bridge")
+        return value
+
+    @pydantic.field_validator("namespace")
+    @classmethod
+    def _check_namespace(cls, value: str | None) -> str | None:
+        if value is not None and not all(ROS_NAME.fullmatch(part) for part in value.split("/")):
+            raise ValueError(f"is {value[:40]!r}, and no namespace of ROS; give names with / between, such as robot1")
+        return value
 
     @pydantic.field_validator("sensors", mode="before")
     @classmethod

@@ -195,7 +195,7 @@ def _bounded_unpacking(budget: Budget) -> Iterator[None]:
     from rosbags.rosbag2 import reader as rosbag2
     from rosbags.rosbag2 import storage_mcap
 
-    zstd = rosbag2.zstd
+    zstd = getattr(rosbag2, "zstd")  # noqa: B009 - the module that the reader itself uses, which it does not export
 
     class UnpackedFile(zstd.ZstdFile):
         def read(self, size: int | None = -1) -> bytes:

@@ -26,7 +26,8 @@ from sean_jax.errors import ControllerError, InputError
 from sean_jax.geometry import signed_distances_on_host
 from sean_jax.robots.drive import command_size
 from sean_jax.ros import messages
-from sean_jax.ros.transport import COMMAND, REQUESTS, Log, Mailbox, Output, Request, Transport
+from sean_jax.ros.names import COMMAND, DEFAULT_NAMES, POSE, RosNames
+from sean_jax.ros.transport import REQUESTS, Log, Mailbox, Output, Request, Transport
 from sean_jax.runner import first_state, varying_leaves
 from sean_jax.sensors import SENSORS, sense
 
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
 NAMES = ("lidar", "depth")  # sensors that every robot has for its controller
 PATIENCE = 5.0  # s, of a driver in lock-step: within which a controller that answers has its next command ready
 REPEAT = 0.1  # s, after which the first state is sent again, a step later, while nobody has answered yet
+FIRST = 60.0  # s, within which a controller has to send its first command
 SILENT = 3.0  # s of an episode without a command, after which the controller counts as dead
 GOAL_STEPS = 50  # such steps, after which the goal is sent again: move_base drops goals that come while it starts
 WAITING = ("lockstep", "service")  # paces at which time stands still until something comes
@@ -77,7 +79,14 @@ def connect(place: tuple[str, str], mailbox: Mailbox, outputs: dict[str, Output]
 class Bridge:
     """The states of a scenario as messages, and the commands that answer them."""
 
-    def __init__(self, scenario: Scenario, place: tuple[str, str], write: Callable[[str], None], now: int = 0):
+    def __init__(
+        self,
+        scenario: Scenario,
+        place: tuple[str, str],
+        write: Callable[[str], None],
+        now: int = 0,
+        names: RosNames = DEFAULT_NAMES,
+    ):
         """Connect, and compile what messages need.
 
         Args:
@@ -92,18 +101,20 @@ class Bridge:
         self._number, self._fresh, self._goal = 0, True, False
         self._start, self.now = (now + 1 if now else 0), now
         self._begun = False
+        self.names, self._goal_topic = names, names.topic("/goal")
         self._table = self._topics()
         size = command_size(scenario.robot)
-        self.mailbox, self.no_command = Mailbox(Log(write), size), np.full(size, np.nan, np.float32)
+        self.mailbox, self.no_command = Mailbox(Log(write), size, names), np.full(size, np.nan, np.float32)
         outputs = {name: Output(topic.type, topic.latched) for name, topic in self._table.items()}
         self.transport = connect(place, self.mailbox, outputs)
         self.missed = 0  # commands that did not come in time, in lock-step
 
     def _topics(self) -> dict[str, messages.Topic]:
-        table = messages.topics(self.scenario, number=self._number)
-        return {name: topic for name, topic in table.items() if name not in (COMMAND, "/clock")} | {
-            "/clock": table["/clock"]
-        }
+        """Topics by their names outside; the clock is the last one."""
+        table = messages.topics(self.scenario, self.names.naming, self._number)
+        named = {self.names.within(name): topic for name, topic in table.items() if name != "/clock"}
+        del named[self.names.topic(COMMAND)]
+        return named | {"/clock": table["/clock"]}
 
     def compile(self, state: State) -> None:
         """Compile everything that a subscription may need, so that time does not stand still later."""
@@ -116,6 +127,9 @@ class Bridge:
         self.scenario = replace(scenario, sensors=self.scenario.sensors)
         self._plain, self._number = replace(scenario, sensors=()), number
         self._fresh = True
+        if self.names.naming == "sean":  # they have the task and the number of the episode
+            own = messages.sean_topics(self.scenario, number)
+            self._table |= {self.names.within(name): topic for name, topic in own.items()}
         if self._begun:
             self._start = self.now + 1
         self.missed = 0
@@ -134,24 +148,24 @@ class Bridge:
         wanted = [name for name, topic in self._table.items() if not topic.latched and self.transport.wanted(name)]
         readings = {}
         for sensor in self.scenario.sensors:
-            if any(_belongs(name, sensor.name) for name in wanted):
+            if any(self._table[name].sensor == sensor.name for name in wanted):
                 readings |= _sense(replace(self.scenario, sensors=(sensor,)), state)
         step = replace(step, readings=jax.device_get(readings))
         latched = [
             name
             for name, topic in self._table.items()
-            if topic.latched and (self._fresh or (self._goal and name == "/goal"))
+            if topic.latched and (self._fresh or (self._goal and name == self._goal_topic))
         ]
         self._fresh = self._goal = False
         for name in (*latched, *wanted):
-            self.transport.publish(name, self._table[name].message(step, moment))
+            self.transport.publish(name, self.names.frames(self._table[name].message(step, moment)))
 
     def place(self, state: State, pose: tuple[np.ndarray, np.ndarray]) -> State:
         """The state with the robot at a position (2,) [m] and a heading (2,); as it was if it cannot stand there."""
         position, heading = pose
         (to_wall,), (to_edge,) = signed_distances_on_host(self.scenario.environment, position[None])
         radius = float(self.scenario.robot.radius)
-        where = f"/initialpose: ({position[0]:g}, {position[1]:g}) is"
+        where = f"{self.names.topic(POSE)}: ({position[0]:g}, {position[1]:g}) is"
         if to_edge < (0.0 if self.scenario.environment.open else radius):
             self.mailbox.log("pose", f"{where} not on the floor; the robot stays.")
         elif to_wall < radius:
@@ -171,11 +185,6 @@ class Bridge:
             if (request := self.mailbox.take_request()) is not None:
                 request.answer(False, "the bridge ends.")
         self.transport.close()
-
-
-def _belongs(topic: str, sensor: str) -> bool:
-    """Whether a topic has the readings of a sensor."""
-    return topic.startswith(f"/{sensor}/") or (topic == "/scan" and sensor == "lidar")
 
 
 # ------------------------------------------------------------------ sean run --policy ros1:
@@ -218,12 +227,15 @@ class Driver:
         return replace(self.policy, params=jnp.asarray(self._command, float))
 
     def _wait(self, state: State) -> np.ndarray:
-        """The command that answers a state; NaN if there is none in time. The first one may come at any time."""
+        """The command that answers a state; NaN if there is none in time. The first one may come within ``FIRST``."""
         bridge = self._bridge
         if not self._answered:
             self._write(f"waiting for the first command on {COMMAND}")
+            begin = time.monotonic()
             while (command := bridge.answer(REPEAT)) is None:
                 self._refuse()
+                if time.monotonic() - begin > FIRST:
+                    raise self._dead(FIRST)
                 bridge.stand()
                 bridge.publish(state, self._command)
             time.sleep(REPEAT)  # answers to the states that were sent before, as none may count for the next one
@@ -246,8 +258,12 @@ class Driver:
         """ControllerError if the controller has been silent for so long that its episode is no result."""
         if self._silent * self.time_step < SILENT:
             return
-        text = f"the controller has sent no command for {SILENT:g} s of episode {self._bridge._number}"
-        raise ControllerError(
+        raise self._dead(SILENT)
+
+    def _dead(self, seconds: float) -> ControllerError:
+        """The error of a controller that has been silent for so long."""
+        text = f"the controller has sent no command for {seconds:g} s of episode {self._bridge._number}"
+        return ControllerError(
             f"{text}, which is therefore no result; start the controller, and then this command again."
         )
 
@@ -299,7 +315,8 @@ class Live:
         self.scenarios = assembly.build(config)
         self._varying, self._tasks = varying_leaves(self.scenarios), tuple(each.task for each in self.scenarios)
         self._write = functools.partial(console.print, highlight=False, markup=False, soft_wrap=True)
-        self.bridge = Bridge(self.scenarios[0], config.place, self._write)
+        names = RosNames(config.node_name, config.namespace or "", config.naming)
+        self.bridge = Bridge(self.scenarios[0], config.place, self._write, names=names)
         self._write(f"bridge: {self.bridge.transport.address}")  # first, as it listens already, perhaps with a token
         self._due = 0.0
         state = self._begin(0)

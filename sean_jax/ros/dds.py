@@ -16,9 +16,8 @@ import numpy as np
 from sean_jax.errors import InputError
 from sean_jax.quantities import parse_digits
 from sean_jax.ros.messages import fill, typestore
-from sean_jax.ros.transport import INPUTS, SERVICES, Mailbox, Output
+from sean_jax.ros.transport import Mailbox, Output
 
-REQUEST = "/sean_jax/request"  # topic of a std_msgs/String, for services: DDS has none of its own
 LOCAL = """<CycloneDDS><Domain><General><Interfaces><NetworkInterface address="127.0.0.1"/></Interfaces>
 <AllowMulticast>false</AllowMulticast></General><Discovery><ParticipantIndex>auto</ParticipantIndex>
 <MaxAutoParticipantIndex>32</MaxAutoParticipantIndex><Peers><Peer address="localhost"/></Peers></Discovery>
@@ -44,7 +43,9 @@ class Participant:
         if number is None or number > 230:
             raise InputError(f"dds: {domain!r} is no number of a domain; give one from 0 to 230.")
         self.address = f"DDS domain {domain}"
-        self._mailbox = mailbox
+        self._mailbox, self._services = mailbox, list(mailbox.names.services.values())
+        # A topic of a std_msgs/String stands for the services: DDS has none of its own.
+        self._request = mailbox.names.within(f"/{mailbox.names.node}/request")
         types = Types()
         self._types, self._kinds = types, {name: output.type for name, output in outputs.items()}
         try:
@@ -66,7 +67,7 @@ class Participant:
             made = topic.Topic(self._participant, f"rt{name}", types.struct(output.type), qos=qos)
             self._writers[name] = pub.DataWriter(self._participant, made, qos=qos)
         self._readers, self._wait = {}, core.WaitSet(self._participant)
-        for name, kind in {**INPUTS, REQUEST: "std_msgs/msg/String"}.items():
+        for name, kind in {**mailbox.names.inputs, self._request: "std_msgs/msg/String"}.items():
             made = topic.Topic(self._participant, f"rt{name}", types.struct(kind), qos=newest)
             reader = self._readers[name] = sub.DataReader(self._participant, made, qos=newest)
             self._wait.attach(
@@ -108,11 +109,11 @@ class Participant:
     def _receive(self, name: str, sample: Any) -> None:
         if type(sample).__name__ == "InvalidSample":  # a writer that has ended
             return
-        if name != REQUEST:
+        if name != self._request:
             return self._mailbox.receive(name, _as_dict(sample))
         word = sample.data
-        if word not in SERVICES.values():
-            known = ", ".join(SERVICES.values())
+        if word not in self._services:
+            known = ", ".join(self._services)
             return self._mailbox.log("dds request", f"dds: the request {word[:40]!r} is not one of {known}.")
         threading.Thread(target=self._mailbox.request, args=(word,), name="sean-dds-request", daemon=True).start()
 

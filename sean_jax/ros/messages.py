@@ -181,6 +181,7 @@ class Topic:
     type: str  # such as sensor_msgs/msg/LaserScan
     message: Callable[[Step, int], Message]  # of a step on the host at a time [ns]
     latched: bool = False  # whether one message is enough until the next episode (ROS 2: transient local)
+    sensor: str = ""  # whose reading the message has
 
 
 def topics(scenario: Scenario, naming: Naming = "ros", number: int = 0) -> dict[str, Topic]:
@@ -206,7 +207,7 @@ def topics(scenario: Scenario, naming: Naming = "ros", number: int = 0) -> dict[
     for sensor in scenario.sensors:
         table |= _of_sensor(scenario, sensor, naming)
     if naming == "sean":
-        table = {_sean_name(name): topic for name, topic in table.items()} | _sean_topics(scenario, number)
+        table = {_sean_name(name): topic for name, topic in table.items()} | sean_topics(scenario, number)
     return table
 
 
@@ -450,8 +451,9 @@ def _of_sensor(scenario: Scenario, sensor: Sensor, naming: Naming) -> dict[str, 
             return point_cloud(*sensors.point_cloud(device, np.asarray(step.readings[name])), frame, time)
 
         if device.elevations:
-            return {f"/{name}/points": Topic("sensor_msgs/msg/PointCloud2", cloud)}
-        return {"/scan" if name == "lidar" else f"/{name}/scan": Topic("sensor_msgs/msg/LaserScan", laser)}
+            return {f"/{name}/points": Topic("sensor_msgs/msg/PointCloud2", cloud, sensor=name)}
+        place = "/scan" if name == "lidar" else f"/{name}/scan"
+        return {place: Topic("sensor_msgs/msg/LaserScan", laser, sensor=name)}
     if not isinstance(device, Camera):
         return {}
 
@@ -459,13 +461,13 @@ def _of_sensor(scenario: Scenario, sensor: Sensor, naming: Naming) -> dict[str, 
         reading = np.asarray(step.readings[name])
         return depth_image(reading, device.far, frame, time) if reading.ndim == 2 else color_image(reading, frame, time)
 
-    table = {f"/{name}/image_raw": Topic("sensor_msgs/msg/Image", picture)}
+    table = {f"/{name}/image_raw": Topic("sensor_msgs/msg/Image", picture, sensor=name)}
     if naming == "sean" and not hasattr(sensor.read, "measure"):
 
         def packed(step: Step, time: int) -> Message:
             return compressed_image(np.asarray(step.readings[name]), frame, time)
 
-        table = {f"/{name}/compressed": Topic("sensor_msgs/msg/CompressedImage", packed)}
+        table = {f"/{name}/compressed": Topic("sensor_msgs/msg/CompressedImage", packed, sensor=name)}
     if not device.orthographic:
         table[f"/{name}/camera_info"] = Topic(
             "sensor_msgs/msg/CameraInfo", lambda step, time: camera_info(device, frame, time)
@@ -569,7 +571,7 @@ def point_cloud(points: np.ndarray, ring: np.ndarray, frame: str, time: int) -> 
 # --- SEAN 2.0's own topics ---
 
 
-def _sean_topics(scenario: Scenario, number: int) -> dict[str, Topic]:
+def sean_topics(scenario: Scenario, number: int) -> dict[str, Topic]:
     """SEAN's topics beyond those that it shares with others; facts of its tcp_server.py."""
     name = f"{scenario.behavior.name.capitalize()}_{scenario.task_name}"
 

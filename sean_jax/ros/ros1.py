@@ -20,16 +20,12 @@ from typing import Any
 
 from sean_jax.errors import InputError
 from sean_jax.ros.messages import fill, typestore
-from sean_jax.ros.transport import COMMAND, INPUTS, SERVICES, Mailbox, Output
+from sean_jax.ros.names import COMMAND, POSE
+from sean_jax.ros.transport import Mailbox, Output
 
-NODE = "sean_jax"
 QUEUE = 100  # messages of a topic that may wait for its subscribers
 WATCH = 2.0  # s, between two looks at the master
 SHORT = 0.2  # s, between two looks at the node
-ENDED = (
-    f"ros1: the node /{NODE} was shut down, by rosnode kill or by another node of this name; end the other node, and "
-    "start this command again."
-)
 DEBIAN = "/usr/lib/python3/dist-packages"
 MESSAGES = {"geometry_msgs": "msg", "std_srvs": "srv"}  # packages of the node's topics and services
 
@@ -96,7 +92,7 @@ class Node:
         if not rosgraph.is_master_online():
             raise InputError(f"ros1: no ROS master answers at {self.address}; start roscore, or set ROS_MASTER_URI.")
         listen_on_loopback(self.address, mailbox)
-        rospy.init_node(NODE, disable_signals=True)
+        rospy.init_node(mailbox.names.node, disable_signals=True)
         rospy.set_param("/use_sim_time", True)
         atexit.register(rospy.signal_shutdown, "the program ends")
         self._rospy, self._rosgraph, self._mailbox = rospy, rosgraph, mailbox
@@ -110,26 +106,26 @@ class Node:
             for topic, kind in self._types.items()
         }
 
+        command_topic, pose_topic = mailbox.names.topic(COMMAND), mailbox.names.topic(POSE)
+
         def command(message: Any) -> None:
             linear = {"x": message.linear.x, "y": message.linear.y}
-            mailbox.receive(COMMAND, {"linear": linear, "angular": {"z": message.angular.z}})
+            mailbox.receive(command_topic, {"linear": linear, "angular": {"z": message.angular.z}})
 
         def pose(message: Any) -> None:
             inside = message.pose.pose
             head = {"frame_id": message.header.frame_id}
             position = {"x": inside.position.x, "y": inside.position.y}
             turn = {"z": inside.orientation.z, "w": inside.orientation.w}
-            mailbox.receive(
-                "/initialpose", {"header": head, "pose": {"pose": {"position": position, "orientation": turn}}}
-            )
+            mailbox.receive(pose_topic, {"header": head, "pose": {"pose": {"position": position, "orientation": turn}}})
 
-        receivers = {"/cmd_vel": (Twist, command), "/initialpose": (PoseWithCovarianceStamped, pose)}
+        receivers = {command_topic: (Twist, command), pose_topic: (PoseWithCovarianceStamped, pose)}
         self._subscribers = [
-            rospy.Subscriber(topic, *receivers[topic], queue_size=1, tcp_nodelay=True) for topic in INPUTS
+            rospy.Subscriber(topic, *receiver, queue_size=1, tcp_nodelay=True) for topic, receiver in receivers.items()
         ]
         self._services = [
             rospy.Service(service, Trigger, lambda _, name=name: TriggerResponse(*mailbox.request(name)))
-            for service, name in SERVICES.items()
+            for service, name in mailbox.names.services.items()
         ]
         self._closed = threading.Event()
         self._thread = threading.Thread(target=self._watch, name="sean-ros1", daemon=True)
@@ -160,7 +156,7 @@ class Node:
         try:
             self._publishers[topic].publish(self._classes[kind](bytes(content)))
         except self._rospy.ROSException:  # the node has been shut down
-            self._mailbox.end(ENDED)
+            self._mailbox.end(self._ended())
             self._mailbox.check()
 
     def close(self) -> None:
@@ -172,13 +168,20 @@ class Node:
             each.unregister()
         self._thread.join(5.0)
 
+    def _ended(self) -> str:
+        """The sentence of a node that was shut down."""
+        return (
+            f"ros1: the node {self._rospy.get_name()} was shut down, by rosnode kill or by another node of this name; "
+            "end the other node or give one of the two another --node-name, and start this command again."
+        )
+
     def _watch(self) -> None:
         """Register again when a master has ended and another one has begun."""
         was_online, master_id = True, self._master_id()
         looks = itertools.count(1)
         while not self._closed.wait(SHORT):
             if self._rospy.is_shutdown():
-                return self._mailbox.end(ENDED)
+                return self._mailbox.end(self._ended())
             if next(looks) % round(WATCH / SHORT):
                 continue
             now = self._master_id()
@@ -199,7 +202,7 @@ class Node:
     def _master_id(self) -> int | None:
         """The process of the master; None if it does not answer."""
         try:
-            return int(self._rosgraph.Master(f"/{NODE}").getPid())
+            return int(self._rosgraph.Master(self._rospy.get_name()).getPid())
         except Exception:  # of sockets, XML and HTTP
             return None
 

@@ -28,7 +28,7 @@ from websockets.http11 import Request, Response
 from sean_jax import web
 from sean_jax.errors import InputError
 from sean_jax.messages import parse_json
-from sean_jax.ros.transport import INPUTS, SERVICES, Mailbox, Output
+from sean_jax.ros.transport import Mailbox, Output
 
 CONNECTIONS = 128
 LONGEST = 65_536  # bytes of a message from a client
@@ -55,7 +55,8 @@ class Server:
         Raises:
             InputError: the address is none, or not free.
         """
-        self._mailbox, self._outputs = mailbox, dict(outputs)
+        self._mailbox, self._outputs, self._inputs = mailbox, dict(outputs), mailbox.names.inputs
+        self._services = mailbox.names.services
         self._host, self._port = _address(place)
         self._is_local = ipaddress.ip_address(self._host).is_loopback
         self.token = "" if self._is_local else secrets.token_urlsafe(16)
@@ -190,8 +191,8 @@ class Server:
                 raise ValueError(f"{op}: the topic is {str(topic)[:40]!r}, and no name")
             topic = f"/{topic.removeprefix('/')}"
         if op == "publish":
-            if topic not in INPUTS:
-                raise ValueError(f"{topic[:80]} is not one of {', '.join(INPUTS)}")
+            if topic not in self._inputs:
+                raise ValueError(f"{topic[:80]} is not one of {', '.join(self._inputs)}")
             message = request.get("msg")
             self._mailbox.receive(topic, message if isinstance(message, dict) else {})
         elif op == "subscribe":
@@ -217,7 +218,7 @@ class Server:
     async def _call(self, client: Client, request: dict[str, Any]) -> None:
         """Answer the call of a service."""
         name, arguments = str(request.get("service")), request.get("args")
-        known = SERVICES.get(f"/{name.removeprefix('/')}")
+        known = self._services.get(f"/{name.removeprefix('/')}")
         values: Any
         if known is not None:
             answer = await asyncio.to_thread(self._mailbox.request, known)
@@ -231,14 +232,14 @@ class Server:
 
     def _rosapi(self, name: str, arguments: Mapping[str, Any]) -> dict[str, Any]:
         """What rosapi's services of these names say of the topics."""
-        types = {topic: output.type for topic, output in self._outputs.items()} | INPUTS
+        types = {topic: output.type for topic, output in self._outputs.items()} | self._inputs
         short = {topic: kind.replace("/msg/", "/") for topic, kind in types.items()}
         if name == "/rosapi/topics":
             return {"topics": list(short), "types": list(short.values())}
         if name == "/rosapi/services":
-            return {"services": list(SERVICES)}
+            return {"services": list(self._services)}
         if name == "/rosapi/nodes":
-            return {"nodes": ["/sean_jax"]}
+            return {"nodes": [f"/{self._mailbox.names.node}"]}
         if name == "/rosapi/get_time":
             return {"time": _plain(self._now)}
         if name == "/rosapi/get_param":  # its value as JSON; the bridge has one parameter

@@ -12,14 +12,8 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from sean_jax.errors import ControllerError
-
-MAP = "map"  # frame of poses
-COMMAND, POSE = "/cmd_vel", "/initialpose"
-INPUTS = {COMMAND: "geometry_msgs/msg/Twist", POSE: "geometry_msgs/msg/PoseWithCovarianceStamped"}
-"""Topic of a controller -> its message type."""
-
-SERVICES = {"/sean_jax/reset": "reset", "/sean_jax/new_task": "new_task", "/sean_jax/step": "step"}
-"""Service of type std_srvs/Trigger -> request of a ``Mailbox``."""
+from sean_jax.ros.messages import MAP
+from sean_jax.ros.names import COMMAND, DEFAULT_NAMES, RosNames
 
 REQUESTS = 16  # that may wait for their answer
 ANSWER = 30.0  # s, within which a request has an answer
@@ -74,8 +68,9 @@ class Request:
 class Mailbox:
     """The latest command, the latest pose, and a few requests, until the simulation takes them. Any thread may add."""
 
-    def __init__(self, log: Log, command_size: int = 2):
-        self.log, self._command_size = log, command_size
+    def __init__(self, log: Log, command_size: int = 2, names: RosNames = DEFAULT_NAMES):
+        self.log, self._command_size, self.names = log, command_size, names
+        self._command_topic = names.topic(COMMAND)
         self.commands = 0  # received so far
         self._ended = ""
         self._changed = threading.Condition()
@@ -84,15 +79,15 @@ class Mailbox:
         self._requests: collections.deque[Request] = collections.deque()
 
     def receive(self, topic: str, message: Mapping[str, Any]) -> None:
-        """Take a message of ``INPUTS``. One that is malformed is named in the log, and dropped."""
+        """Take a message of ``names.inputs``. One that is malformed is named in the log, and dropped."""
         try:
-            content = read_command(message, self._command_size) if topic == COMMAND else read_pose(message)
+            content = read_command(message, self._command_size) if topic == self._command_topic else read_pose(message)
         except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
             reason = f"the field {error} is missing" if isinstance(error, KeyError) else str(error)
             self.log(topic, f"{topic}: a message was dropped: {reason}.")
             return
         with self._changed:
-            if topic == COMMAND:
+            if topic == self._command_topic:
                 self._command = np.asarray(content)
                 self.commands += 1
             else:
