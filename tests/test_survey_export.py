@@ -38,7 +38,7 @@ def stored(tmp_path_factory):
                 rows = moments[number, place, count] = draw.normal(size=(12 + 3 * count, 5)).round(4).tolist()
                 answers.add_moments(drive, 0, rows[:10])
                 answers.add_moments(drive, 10, rows[10:])
-                answers.end_drive(drive, outcome, {"path_length": 10.0 + number} if count else None)
+                answers.end_drive(drive, outcome, *([{"path_length": 10.0 + number}, FILM] if count else []))
             for question in step.questions:
                 value = values[number, place, question["name"]] = reply(question, draw)
                 answers.answer(number, place, question["name"], value)
@@ -114,7 +114,9 @@ def test_files_of_tables(stored, tmp_path):
     """In a folder that is missing, with the folders that it is in; a second time over the first."""
     for _ in range(2):
         files = export.export(stored[0], tmp_path / "a" / "b")
-        assert [file.name for file in files] == list(export.TABLES) and all(file.is_file() for file in files)
+        pages = [f"drives/participant-{number + 1}-mine.html" for number in TAKING_PART]
+        assert [str(file.relative_to(tmp_path / "a" / "b")) for file in files] == [*export.TABLES, *pages]
+        assert all(file.is_file() for file in files) and "participant-4-mine" in files[-2].read_text()
     rows = list(csv.DictReader((tmp_path / "a" / "b" / "trajectories.csv").open()))
     assert [float(row["x"]) for row in rows] == [row["x"] for row in export.trajectories(stored[0])]
 
