@@ -11,7 +11,7 @@ import scipy.stats
 from test_survey import FILM, change, read, reply
 
 from sean_jax.errors import FileError
-from sean_jax.survey import export, report
+from sean_jax.survey import export, report, server
 from sean_jax.survey.answers import BROKEN_OFF, FILE, Answers
 from sean_jax.survey.drive import Drive
 
@@ -183,3 +183,11 @@ def test_moments_of_a_drive_are_stored_each_second(time_step, sizes):
     assert end == ((4, 2), BROKEN_OFF) and [len(part[2]) for part in parts] == sizes
     assert [part[:2] for part in parts] == [((4, 2), sum(sizes[:k])) for k in range(len(sizes))]
     np.testing.assert_allclose([row for part in parts for row in part[2]], rows, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("given", "told"), [(None, "http://127.0.0.1:4321"), ("https://lab.org/it", "https://lab.org/it")]
+)
+def test_the_address_of_links_is_the_studys_if_it_has_one(given, told):
+    survey = SimpleNamespace(study=SimpleNamespace(address=given), port=4321)
+    assert server.Survey.address.fget(survey) == told
