@@ -68,7 +68,7 @@ TELLING = {  # module or folder -> its own tests, where names alone lead to othe
     "files/database": "database survey_export",
     "files/meshes": "import_robot articulated files",
     "files/mjcf": "import_robot docs_environments bad_input",
-    "recordings": "recordings",
+    "recordings": "recordings_swept recordings",
     "survey": "survey_export survey ratings",
     "survey/ratings": "ratings",
     "survey/report": "survey_export ratings",

@@ -11,7 +11,7 @@ import scipy.stats
 from test_survey import FILM, change, read, reply
 
 from sean_jax.errors import FileError
-from sean_jax.survey import export, report
+from sean_jax.survey import export, report, server
 from sean_jax.survey.answers import BROKEN_OFF, FILE, Answers
 from sean_jax.survey.drive import Drive
 
@@ -38,7 +38,7 @@ def stored(tmp_path_factory):
                 rows = moments[number, place, count] = draw.normal(size=(12 + 3 * count, 5)).round(4).tolist()
                 answers.add_moments(drive, 0, rows[:10])
                 answers.add_moments(drive, 10, rows[10:])
-                answers.end_drive(drive, outcome, {"path_length": 10.0 + number} if count else None)
+                answers.end_drive(drive, outcome, *([{"path_length": 10.0 + number}, FILM] if count else []))
             for question in step.questions:
                 value = values[number, place, question["name"]] = reply(question, draw)
                 answers.answer(number, place, question["name"], value)
@@ -114,7 +114,9 @@ def test_files_of_tables(stored, tmp_path):
     """In a folder that is missing, with the folders that it is in; a second time over the first."""
     for _ in range(2):
         files = export.export(stored[0], tmp_path / "a" / "b")
-        assert [file.name for file in files] == list(export.TABLES) and all(file.is_file() for file in files)
+        pages = [f"drives/participant-{number + 1}-mine.html" for number in TAKING_PART]
+        assert [str(file.relative_to(tmp_path / "a" / "b")) for file in files] == [*export.TABLES, *pages]
+        assert all(file.is_file() for file in files) and "participant-4-mine" in files[-2].read_text()
     rows = list(csv.DictReader((tmp_path / "a" / "b" / "trajectories.csv").open()))
     assert [float(row["x"]) for row in rows] == [row["x"] for row in export.trajectories(stored[0])]
 
@@ -181,3 +183,11 @@ def test_moments_of_a_drive_are_stored_each_second(time_step, sizes):
     assert end == ((4, 2), BROKEN_OFF) and [len(part[2]) for part in parts] == sizes
     assert [part[:2] for part in parts] == [((4, 2), sum(sizes[:k])) for k in range(len(sizes))]
     np.testing.assert_allclose([row for part in parts for row in part[2]], rows, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("given", "told"), [(None, "http://127.0.0.1:4321"), ("https://lab.org/it", "https://lab.org/it")]
+)
+def test_the_address_of_links_is_the_studys_if_it_has_one(given, told):
+    survey = SimpleNamespace(study=SimpleNamespace(address=given), port=4321)
+    assert server.Survey.address.fget(survey) == told
