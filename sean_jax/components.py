@@ -201,6 +201,14 @@ def digests(config: Config) -> dict[str, str]:
     return hashes
 
 
+def by_option(config: Config) -> dict[str, list[dict[str, Any]]]:
+    """Option -> the user's own parts that it names, each as JSON values; their files are not read."""
+    found: dict[str, list[dict[str, Any]]] = {}
+    for field, part in _parts(config):
+        found.setdefault(field, []).append(part.model_dump(mode="json"))
+    return found
+
+
 def by_content(config: Config) -> dict[str, Any]:
     """As ``Config.identity``, with the user's files by their content: equal for copies of a file.
 

@@ -24,7 +24,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from sean_jax import assembly, learning, pages, web
+from sean_jax import assembly, components, learning, pages, web
 from sean_jax.config import StudioConfig, validate
 from sean_jax.errors import FileError, InputError
 from sean_jax.learning import Recorder
@@ -335,8 +335,48 @@ def test_code_that_a_trial_names_is_not_run(tmp_path):
     one.add([(0.1, 0.0)] * 10, [True] * 10)
     one.end("")
     plain = validate(StudioConfig, OPTIONS).replace(record=tmp_path)
-    with pytest.raises(InputError, match="need the code .*mine.py; start the studio with the same options"):
+    with pytest.raises(InputError, match="need the code .*mine.py:move; start the studio with the same options"):
         trial.demonstrations(plain)
+
+
+@pytest.mark.parametrize(
+    ("name", "source", "said"),
+    [
+        ("other", "pass", "need the code .*mine.py:other; start the studio"),
+        ("move", "# changed", "were driven with another .*mine.py, or do not say with which; restore that file"),
+    ],
+)
+@pytest.mark.parametrize("people", [3, 5])
+def test_code_that_a_trial_names_is_the_users_own_by_content(tmp_path, name, source, said, people):
+    """Neither another name in a file that the user typed, nor a file that has changed since the drive, is run."""
+    (tmp_path / "mine.py").write_text("raise SystemExit('it ran')\n")
+    typed = OPTIONS | {"model": f"{tmp_path}/mine.py:move"}
+    driven = validate(StudioConfig, typed | {"model": f"{tmp_path}/mine.py:{name}"}).replace(record=tmp_path)
+    one = trial.Trial.begin(driven, 0)
+    one.add([(0.1, 0.0)] * 10, [True] * 10)
+    one.end("completed")
+    (tmp_path / "mine.py").write_text(f"raise SystemExit('it ran')\n{source if name == 'move' else ''}")
+    studio = validate(StudioConfig, typed | {"people": people}, typed=True).replace(record=tmp_path)
+    with pytest.raises(InputError, match=said):
+        trial.demonstrations(studio)
+    if name == "move":
+        with pytest.raises(InputError, match="has drives with (another .*mine.py|people 3)"):
+            trial.Trial.begin(studio, 0)
+
+
+def test_other_options_of_a_trial_run_with_the_users_own_code(tmp_path):
+    """Of its own digest; what other files name is not trusted for that."""
+    (tmp_path / "mine.py").write_text("def move(*_): pass\n")
+    typed = OPTIONS | {"model": {"kind": f"{tmp_path}/mine.py:move", "force": 2}}
+    studio = validate(StudioConfig, typed | {"people": 5}, typed=True).replace(record=tmp_path)
+    driven = validate(StudioConfig, typed)
+    code = components.digests(driven)
+    drive = trial.RecordedDrive(tmp_path / "a", "", json.loads(json.dumps(driven.identity())), 0, None, None, "", code)
+    recorded = trial._options(studio, [drive])
+    assert recorded.people == 3 and recorded.model is studio.model and recorded.model.is_typed
+    stronger = drive._replace(options=drive.options | {"model": {**drive.options["model"], "force": 9}})
+    with pytest.raises(InputError, match="need the code"):
+        trial._options(studio, [stronger])
 
 
 def test_a_full_disk_ends_the_recording_alone(fresh, monkeypatch):

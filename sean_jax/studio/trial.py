@@ -55,6 +55,8 @@ class TrialHead(TrialLine):
     version: Literal[1, 2]
     options: dict[str, Any]
     episode: Count
+    sha256: dict[str, str] = {}
+    """File -> SHA-256, of the user's own files that the options name."""
 
 
 class CommandLine(TrialLine):
@@ -89,6 +91,7 @@ class RecordedDrive(NamedTuple):
     commands: np.ndarray  # (T, 2) m/s, rad/s
     by_person: np.ndarray | None  # (T,) bool; None in a file that does not say it
     outcome: str | None  # None: the program was killed
+    code: dict[str, str]  # file -> SHA-256, of the user's own files
 
 
 def read(file: Path) -> RecordedDrive:
@@ -120,7 +123,7 @@ def read(file: Path) -> RecordedDrive:
     digest = hashlib.sha256(files.read_bytes(file, MAX_TRIAL)).hexdigest()
     drivers = np.asarray(by_person, bool) if head.version == VERSION else None
     numbers = np.asarray(commands, float).reshape(-1, 2)
-    return RecordedDrive(file, digest, head.options, head.episode, numbers, drivers, outcome)
+    return RecordedDrive(file, digest, head.options, head.episode, numbers, drivers, outcome, head.sha256)
 
 
 def _parsed(place: Path, text: str, first: bool) -> TrialLine:
@@ -187,7 +190,8 @@ class Trial:
         folder = config.record / TRIALS
         folder.mkdir(parents=True, exist_ok=True)
         head = {"version": VERSION, "options": config.identity(), "episode": number}
-        check(config.record, head["options"])
+        head["sha256"] = components.digests(config)
+        check(config.record, head["options"], head["sha256"])
         taken = [_number(file) for file in (*folder.glob("*.jsonl"), *(folder / DISCARDED).glob("*.jsonl"))]
         return cls(folder / f"{1 + max(taken, default=-1):06d}.jsonl", head, max(1, round(1.0 / config.time_step)))
 
@@ -242,8 +246,8 @@ def _number(file: Path) -> int:
     return int(digits[0]) if digits else -1
 
 
-def check(folder: Path, options: Mapping[str, Any]) -> None:
-    """Refuse a folder whose drives have other options.
+def check(folder: Path, options: Mapping[str, Any], code: Mapping[str, str]) -> None:
+    """Refuse a folder whose drives have other options, or other code by its SHA-256.
 
     Raises:
         InputError: it names the first that differs.
@@ -255,6 +259,13 @@ def check(folder: Path, options: Mapping[str, Any]) -> None:
         if other is not None:
             text = f"{folder} has drives with {other} {had.get(other)}, not {now.get(other)}"
             raise InputError(f"record: {text}; choose another folder.")
+        if changed := _changed(drive.code, code):
+            raise InputError(f"record: {folder} has drives with another {changed}; choose another folder.")
+
+
+def _changed(code: Mapping[str, str], other: Mapping[str, str]) -> str | None:
+    """The first file that is not the same in both."""
+    return next((file for file in sorted({**code, **other}) if code.get(file) != other.get(file)), None)
 
 
 # ------------------------------------------------------------------ after a kill
@@ -410,8 +421,7 @@ def demonstrations(config: StudioConfig, watch: Callable[[str], None] = lambda t
         return Summary(None, said)
     recorded = _options(config, drives)
     drives, foreign = _alike(drives, recorded)
-    with components.trust():  # all code that the drives name is that of the user's own options
-        scenario = assembly.build(recorded)[0]
+    scenario = assembly.build(recorded)[0]
     wanted = [(drive, parts) for drive in drives if (parts := _parts(drive, scenario, config.demonstrations))]
     if left := len(drives) - len(wanted):
         said.append(
@@ -431,19 +441,34 @@ def demonstrations(config: StudioConfig, watch: Callable[[str], None] = lambda t
 
 
 def _options(config: StudioConfig, drives: Sequence[RecordedDrive]) -> StudioConfig:
-    """The options of the drives: the studio's own, or those of the first drive, whose code is not run.
+    """The options of the drives: the studio's own, or those of the first drive with the studio's own code.
 
     Raises:
-        InputError: the first drive names code that the studio's own options do not.
+        InputError: the first drive names code that is not the studio's own, by its name or by its content.
     """
-    if not drives or drives[0].options == json.loads(json.dumps(config.identity())):
+    if not drives:
         return config
-    first = drives[0]
-    recorded = validate(StudioConfig, first.options, source=first.file)
-    if foreign := sorted(set(components.digests(recorded)) - set(components.digests(config))):
-        text = f"the drives in {config.record} need the code {foreign[0]}"
-        raise InputError(f"record: {text}; start the studio with the same options to use them.")
+    first, recorded = drives[0], config
+    if first.options != json.loads(json.dumps(config.identity())):
+        recorded = _with_own_code(config, validate(StudioConfig, first.options, source=first.file))
+    if changed := _changed(first.code, components.digests(recorded)):
+        text = f"the drives in {config.record} were driven with another {changed}, or do not say with which"
+        raise InputError(f"record: {text}; restore that file, or choose another folder.")
     return recorded
+
+
+def _with_own_code(config: StudioConfig, recorded: StudioConfig) -> StudioConfig:
+    """Recorded options, whose code is that of the studio's options; other code is not even read.
+
+    Raises:
+        InputError: they name other code: another file, another name in the file, or other options of it.
+    """
+    own, named = components.by_option(config), components.by_option(recorded)
+    for option, parts in named.items():
+        if parts != own.get(option):
+            text = f"the drives in {config.record} need the code {parts[0]['kind']}"
+            raise InputError(f"record: {text}; start the studio with the same options to use them.")
+    return recorded.replace(**{option: getattr(config, option) for option in named})
 
 
 def _alike(drives: Sequence[RecordedDrive], recorded: StudioConfig) -> tuple[list[RecordedDrive], list[str]]:
@@ -451,8 +476,9 @@ def _alike(drives: Sequence[RecordedDrive], recorded: StudioConfig) -> tuple[lis
     alike, said = [], []
     longest = math.ceil(recorded.time_limit / recorded.time_step - 1e-6)
     for drive in drives:
-        if drive.options != drives[0].options:
-            said.append(f"{drive.file} has other options than {drives[0].file.name}; {CURE}. The drive is left out.")
+        if (drive.options, drive.code) != (drives[0].options, drives[0].code):
+            other = "code" if drive.options == drives[0].options else "options"
+            said.append(f"{drive.file} has other {other} than {drives[0].file.name}; {CURE}. The drive is left out.")
         elif len(drive.commands) > longest:
             steps = f"{len(drive.commands)} steps, and an episode at most {longest}"
             said.append(f"{drive.file} has {steps}; {CURE}. The drive is left out.")
