@@ -25,7 +25,18 @@ from sean_jax.graph import annotation
 from sean_jax.graph.annotation import Annotation, Edge, Node
 from sean_jax.graph.formation import reach
 from sean_jax.navigation.arcs import pairs_are_free
-from sean_jax.worlds.floors import FAMILIES, LIMITS, MAX_AREA, OPEN_AIR, SIZE, WALL_HEIGHT, Floor, kind_of
+from sean_jax.worlds.floors import (
+    FAMILIES,
+    LIMITS,
+    MAX_AREA,
+    MAX_THINGS,
+    OPEN_AIR,
+    SIZE,
+    WALL_HEIGHT,
+    Floor,
+    TooManyThings,
+    kind_of,
+)
 from sean_jax.worlds.proposal import propose
 
 __all__ = [
@@ -47,7 +58,7 @@ ROBOT = 0.4  # m, radius of the widest robot that passes everything
 CELL = 0.1  # m, in which the floor is looked at
 POCKETS = 0.02  # share of the free floor that may be out of reach
 MAX_DRAWS = 50  # of a floor, until one is valid
-MAX_WORK = 200_000  # things times m2, over all draws; what follows takes about 10 us for each
+MAX_WORK = 500_000  # things times m2, over all draws; what follows takes about 10 us for each
 COMPARISONS = 10  # of things, that take as long as one of these
 AREA_PER_PERSON = (8.0, 25.0)  # m2 of free floor
 MAX_PEOPLE = 40
@@ -104,7 +115,7 @@ def generate(family: str, seed: int, words: Mapping[str, float | tuple[float, fl
         what = f"width {ranges['width'][1]:g} by depth {ranges['depth'][1]:g} m are {area:,.0f} m2"
         raise InputError(f"worlds: {what}, and at most {MAX_AREA:,.0f} are made; give less.")
     generator = np.random.default_rng([list(FAMILIES).index(family), seed])
-    work, draws = 0.0, 0
+    work, draws, wanted = 0.0, 0, "lets everybody pass"
     while draws < MAX_DRAWS and work < MAX_WORK:
         draws += 1
         drawn = {word: float(generator.uniform(*limits)) for word, limits in ranges.items()}
@@ -112,6 +123,10 @@ def generate(family: str, seed: int, words: Mapping[str, float | tuple[float, fl
         floor = Floor(generator, drawn["width"], drawn["depth"])
         try:
             build(floor, **rest)
+        except TooManyThings:
+            wanted = f"has at most {MAX_THINGS} things"
+            work += floor.compared / COMPARISONS
+            continue
         except ValueError:  # words do not go together, such as a door that is wider than its room
             work += floor.compared / COMPARISONS
             continue
@@ -120,7 +135,7 @@ def generate(family: str, seed: int, words: Mapping[str, float | tuple[float, fl
         if world is not None:
             return world
     text = ", ".join(f"{word} {low:g} to {high:g}" for word, (low, high) in ranges.items())
-    what = f"none of {draws} floors of {family} with {text} lets everybody pass"
+    what = f"none of {draws} floors of {family} with {text} {wanted}"
     raise InputError(f"worlds: {what}; widen the ranges.")
 
 

@@ -41,6 +41,10 @@ def kind_of(height: float, color: Sequence[float]) -> str:
     return "shelf" if np.isclose(height, SHELF) and np.allclose(color, METAL) else "box"
 
 
+class TooManyThings(ValueError):
+    """A floor has more than ``MAX_THINGS``."""
+
+
 class Floor:
     """A floor from (0, 0) to (width, depth) [m] while things are put on it."""
 
@@ -51,9 +55,9 @@ class Floor:
         self.compared = 0  # pairs of things
 
     def add(self, x: float, y: float, hx: float, hy: float, height: float, color: tuple, yaw: float = 0.0) -> None:
-        """Put a box there, whatever stands beside it; ValueError if there are too many."""
+        """Put a box there, whatever stands beside it; TooManyThings if there are as many as a floor may have."""
         if len(self.things) == MAX_THINGS:
-            raise ValueError(f"there are more than {MAX_THINGS} things")
+            raise TooManyThings
         self.things.append(Thing(x, y, hx, hy, yaw, height, color))
 
     def wall(self, x0: float, y0: float, x1: float, y1: float, height: float = WALL_HEIGHT) -> None:
