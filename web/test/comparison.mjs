@@ -17,7 +17,7 @@ for (const [width, colorScheme] of [[1200, "light"], [420, "dark"]]) {
   await page.waitForSelector("[data-open=yes]");
   await page.getByText("compare two episodes").click();
   const simulate = page.getByRole("button", { name: "simulate both" });
-  const note = page.locator(".studio-note");
+  const note = page.locator(".studio-note").first();
   if (width > 420) {
     await page.getByRole("button", { name: "play" }).click();
     await page.locator("[name='second policy']").selectOption("go_to_goal");

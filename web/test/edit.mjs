@@ -28,7 +28,7 @@ const note = (part) =>
   page.waitForFunction((part) => document.querySelector(".studio-bubble").textContent.includes(part), part, LONG);
 
 process.on("uncaughtException", async (error) => {
-  console.error(error, await page.locator(".studio-note").textContent(), await page.locator(".studio-edit pre").textContent());
+  console.error(error, await page.locator(".studio-note").first().textContent(), await page.locator(".studio-edit pre").textContent());
   process.exit(1);
 });
 await page.goto(address);
