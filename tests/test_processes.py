@@ -52,6 +52,7 @@ def test_one_place_starts_processes_and_keeps_the_current_folder_off_the_path():
 def shared(tmp_path, monkeypatch):
     """A folder with modules that are called like Python's own, and work for two processes."""
     monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("PYTHONPATH", raising=False)  # in which somebody may have named the current folder
     monkeypatch.setattr(os, "cpu_count", lambda: 2)
     for name in ("tempfile", "json", "shutil", "numpy", "sean_jax"):
         (tmp_path / f"{name}.py").write_text("open('ran', 'a').write(__name__ + ' ')\n")

@@ -47,6 +47,8 @@ ROBOT = 0.4  # m, radius of the widest robot that passes everything
 CELL = 0.1  # m, in which the floor is looked at
 POCKETS = 0.02  # share of the free floor that may be out of reach
 MAX_DRAWS = 50  # of a floor, until one is valid
+MAX_WORK = 200_000  # things times m2, over all draws; what follows takes about 10 us for each
+COMPARISONS = 10  # of things, that take as long as one of these
 AREA_PER_PERSON = (8.0, 25.0)  # m2 of free floor
 MAX_PEOPLE = 40
 MAX_WORLDS = 100_000
@@ -102,19 +104,23 @@ def generate(family: str, seed: int, words: Mapping[str, float | tuple[float, fl
         what = f"width {ranges['width'][1]:g} by depth {ranges['depth'][1]:g} m are {area:,.0f} m2"
         raise InputError(f"worlds: {what}, and at most {MAX_AREA:,.0f} are made; give less.")
     generator = np.random.default_rng([list(FAMILIES).index(family), seed])
-    for _ in range(MAX_DRAWS):
+    work, draws = 0.0, 0
+    while draws < MAX_DRAWS and work < MAX_WORK:
+        draws += 1
         drawn = {word: float(generator.uniform(*limits)) for word, limits in ranges.items()}
         rest = {word: value for word, value in drawn.items() if word not in SIZE}
         floor = Floor(generator, drawn["width"], drawn["depth"])
         try:
             build(floor, **rest)
         except ValueError:  # words do not go together, such as a door that is wider than its room
+            work += floor.compared / COMPARISONS
             continue
+        work += floor.compared / COMPARISONS + len(floor.things) * floor.width * floor.depth
         world = _world(family, seed, drawn, floor, generator)
         if world is not None:
             return world
     text = ", ".join(f"{word} {low:g} to {high:g}" for word, (low, high) in ranges.items())
-    what = f"none of {MAX_DRAWS} floors of {family} with {text} lets everybody pass"
+    what = f"none of {draws} floors of {family} with {text} lets everybody pass"
     raise InputError(f"worlds: {what}; widen the ranges.")
 
 

@@ -15,6 +15,7 @@ TOUCH = 0.02  # m, up to which two boxes count as one
 WALL = 0.12  # m, thickness
 WALL_HEIGHT, SHELF, COUNTER, DESK, SCREEN, POST = 2.5, 2.0, 1.1, 0.75, 1.4, 0.95  # m
 TRIES = 40  # places that are tried for a thing
+MAX_THINGS = 300  # on a floor
 
 WALL_COLOR, WOOD, METAL, STONE, CLOTH = (
     (0.85, 0.84, 0.80), (0.62, 0.48, 0.33), (0.45, 0.50, 0.56), (0.66, 0.64, 0.62), (0.36, 0.45, 0.58)
@@ -47,9 +48,12 @@ class Floor:
         self.generator, self.width, self.depth = generator, width, depth
         self.things: list[Thing] = []
         self.clear: list[tuple[float, float, float]] = []  # x, y, radius [m] of places that stay free, such as doors
+        self.compared = 0  # pairs of things
 
     def add(self, x: float, y: float, hx: float, hy: float, height: float, color: tuple, yaw: float = 0.0) -> None:
-        """Put a box there, whatever stands beside it."""
+        """Put a box there, whatever stands beside it; ValueError if there are too many."""
+        if len(self.things) == MAX_THINGS:
+            raise ValueError(f"there are more than {MAX_THINGS} things")
         self.things.append(Thing(x, y, hx, hy, yaw, height, color))
 
     def wall(self, x0: float, y0: float, x1: float, y1: float, height: float = WALL_HEIGHT) -> None:
@@ -73,6 +77,7 @@ class Floor:
         """Whether a box has a gap of nothing or at least ``gap`` to all others and to the edges, and blocks nothing."""
         reach_x = abs(math.cos(yaw)) * hx + abs(math.sin(yaw)) * hy
         reach_y = abs(math.sin(yaw)) * hx + abs(math.cos(yaw)) * hy
+        self.compared += len(self.things)
         edges = (x - reach_x, y - reach_y, self.width - x - reach_x, self.depth - y - reach_y)
         if not all(abs(edge) <= TOUCH or edge >= gap for edge in edges):
             return False
