@@ -10,7 +10,7 @@ from sean_jax import learning
 from sean_jax.config import ImitationConfig
 from sean_jax.errors import InputError
 from sean_jax.learning import imitation
-from sean_jax.learning.trainer import read_metrics
+from sean_jax.learning.trainer import METRICS, read_metrics
 
 
 @pytest.fixture(scope="module")
@@ -28,6 +28,13 @@ def three(data, tmp_path_factory):
     folder = tmp_path_factory.mktemp("three")
     asked = [options(data, folder / str(seed), seed=seed) for seed in range(3)]
     return imitation.train_ensemble(asked), asked
+
+
+@pytest.mark.parametrize("time", ["-1", "NaN", "Infinity", '"x"', "1e999"])
+def test_a_log_ends_before_a_line_without_a_time(tmp_path, time):
+    """A line has its epoch as an integer and its time as a number, however the file writes them."""
+    (tmp_path / METRICS).write_text(f'{{"epoch": 1.0, "time": "2.5"}}\n{{"epoch": 2, "time": {time}}}\n')
+    assert read_metrics(tmp_path) == [{"epoch": 1, "time": 2.5}] and type(read_metrics(tmp_path)[0]["epoch"]) is int
 
 
 def test_each_learns_and_has_the_folder_of_a_training(three, data):

@@ -11,6 +11,7 @@ import hashlib
 import io
 import json
 import logging
+import math
 import os
 import shutil
 import sys
@@ -230,12 +231,15 @@ def _scalars(line: dict[str, Any]) -> Iterator[tuple[str, float]]:
 
 
 def read_metrics(folder: Path) -> list[dict[str, Any]]:
-    """The complete lines of a training's log; a kill may have cut the last one."""
+    """The complete lines of a training's log, up to the first that is damaged; a kill may have cut the last one."""
     file, lines = folder / METRICS, []
     for text in files.read_text(file, files.MAX_RECORD).splitlines() if file.exists() else []:
         try:
             line = files.parse_json(text, finite=False)
-            lines.append({"epoch": int(line["epoch"]), "time": float(line["time"]), **line})
+            epoch, clock = int(line["epoch"]), float(line["time"])
+            if not 0.0 <= clock < math.inf:
+                break
+            lines.append({**line, "epoch": epoch, "time": clock})
         except (ValueError, TypeError, KeyError, OverflowError):
             break
     return lines
