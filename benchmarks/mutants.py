@@ -174,7 +174,9 @@ def _changes(node: ast.AST, span: Callable, source: bytes) -> Iterator[tuple[int
         for left, right in zip(node.values, node.values[1:], strict=False):
             yield from _sign(span(left)[1], span(right)[0], sign, {sign: other}, source)
     elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not | ast.Invert | ast.USub):
-        yield span(node)[0], span(node.operand)[0], b""
+        (begin, end), (first, last) = span(node), span(node.operand)
+        whole = last < end  # an operand in parentheses
+        yield (begin, end, b"(" + source[first:last] + b")") if whole else (begin, first, b"")
     elif isinstance(node, ast.If | ast.IfExp | ast.While) and not isinstance(node.test, ast.Compare | ast.BoolOp):
         begin, end = span(node.test)
         yield begin, end, b"(not " + source[begin:end] + b")"
