@@ -356,7 +356,7 @@ class _Watch:
 
     def __init__(self, order: list[str] | None = None, watched: str = "", most: float = SECONDS):
         self.order, self.watched, self.most = order, watched, most
-        self.failed: str | None = None
+        self.failed: list[str] = []
         self.seconds, self.lines = collections.defaultdict(float), collections.defaultdict(set)
         self.now: set[int] = set()
 
@@ -381,11 +381,11 @@ class _Watch:
     def pytest_runtest_logreport(self, report) -> None:
         self.seconds[report.nodeid] += report.duration
         if report.failed:
-            self.failed = self.failed or report.nodeid
+            self.failed.append(report.nodeid)
 
     def pytest_collectreport(self, report) -> None:
         if report.failed:
-            self.failed = self.failed or f"{report.nodeid}, at import"
+            self.failed.append(f"{report.nodeid}, at import")
 
     def _call(self, frame, event, argument):
         return self._line if frame.f_code.co_filename == self.watched else None
@@ -439,7 +439,7 @@ def baseline(path: str, most: float = SECONDS) -> Choice:
             watch = _Watch(watched=str(PACKAGE / path), most=most)
             _pytest(files, watch, Path(folder))
         return {
-            node: [watch.seconds[node], sorted(watch.lines[node])] for node in watch.seconds if node != watch.failed
+            node: [watch.seconds[node], sorted(watch.lines[node])] for node in watch.seconds if node not in watch.failed
         }
 
     told = _run(work, 600.0)
@@ -463,7 +463,7 @@ def attempt(mutant: Mutant, choice: Choice) -> tuple[str | None, float]:
         with tempfile.TemporaryDirectory() as folder:
             _install(mutant.path, source)
             watch = _Watch(order)
-            return [_pytest(files, watch, Path(folder)), watch.failed]
+            return [_pytest(files, watch, Path(folder)), watch.failed[:1]]
 
     began = time.perf_counter()
     told = _run(work, 30.0 + 3.0 * sum(choice.seconds.values()))
@@ -471,7 +471,7 @@ def attempt(mutant: Mutant, choice: Choice) -> tuple[str | None, float]:
     if not isinstance(told, list):
         return "the time limit" if told is None else f"the end of the process, {told}", seconds
     code, failed = told
-    return (failed or f"pytest's exit code {code}") if code else None, seconds
+    return (failed[0] if failed else f"pytest's exit code {code}") if code else None, seconds
 
 
 def independent(path: str) -> list[str]:

@@ -111,8 +111,10 @@ def _problems(settings: MapFile) -> list[files.Problem]:
 
 def _is_image(path: Path) -> bool:
     try:
-        with files.open_file(path, MAX_BYTES) as stream, Image.open(stream, formats=FORMATS):
-            return True
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)
+            with files.open_file(path, MAX_BYTES) as stream, Image.open(stream, formats=FORMATS):
+                return True
     except Image.DecompressionBombError:
         return True
     except (OSError, ValueError, UnidentifiedImageError):
@@ -123,12 +125,13 @@ def _image(image: Path) -> tuple[np.ndarray, np.ndarray]:
     """The shades of an image file, as in ``_shades``. Raises FileError."""
     content = files.read_bytes(image, MAX_BYTES)
     try:
-        with warnings.catch_warnings(), Image.open(io.BytesIO(content), formats=FORMATS) as opened:
+        with warnings.catch_warnings():
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)
-            width, height = opened.size
-            if width * height > MAX_CELLS:
-                raise Image.DecompressionBombError
-            return _shades(opened)
+            with Image.open(io.BytesIO(content), formats=FORMATS) as opened:
+                width, height = opened.size
+                if width * height > MAX_CELLS:
+                    raise Image.DecompressionBombError
+                return _shades(opened)
     except FileError:
         raise
     except Image.DecompressionBombError:

@@ -53,9 +53,9 @@ MERGES = "a: &a {k: 1, l: 2}\n" + "".join(
 
 GATE = (
     "load", "read_yaml", "read_json", "read_json_lines", "read_text", "read_bytes", "read_rows", "read_arrays",
-    "open_file", "check_json", "parse_json", "parse_file_json", "Database",
+    "open_file", "check_json", "parse_json", "parse_file_json", "Database", "xml_tree", "vertices", "open_bag",
 )  # fmt: skip
-"""Functions of ``sean_jax.files`` through which all that comes from outside is read."""
+"""Functions of ``sean_jax.files``, and of bags, through which all that comes from outside is read."""
 
 READERS = {
     "environment": ("environment.py _settings",),
@@ -88,7 +88,8 @@ READERS = {
     "forces": ("social_forces/presets.py read",),
     "randomization": ("mdp/randomization.py as_randomization",),
     "sensor": ("sensors/readings.py as_sensor",),
-    "import": ("robots/imports.py _read",),
+    "import": ("robots/imports.py _read", "robots/urdf.py read"),
+    "mesh": ("robots/urdf.py _shape",),
     "identity": ("workspace.py read_identity",),
     "row": ("studies/validation/checks.py load",),
     "trial": ("studio/trial.py read", "studio/trial.py _parsed", "studio/trial.py _recover_file"),
@@ -98,6 +99,7 @@ READERS = {
         "ros/bag_files.py BoundedPath.read_text",
         "ros/bag_files.py _files",
         "ros/bag_files.py open_bag",
+        "ros/bag_contents.py read",
     ),
 }
 """Kind -> the functions that read it, as FILE FUNCTION. (Robots and bodies are read in ``files`` itself.)"""
@@ -231,7 +233,7 @@ def robot_among_people() -> bytes:
     return json.dumps({"walls": [[-1.0, -2.0, 5.0, -2.0]], "sequence": sequence}, indent=1).encode()
 
 
-def image() -> bytes:
+def image(form: str = "PNG") -> bytes:
     """A map of 40 x 30 cells with walls and a pillar."""
     import numpy as np
     from PIL import Image
@@ -240,7 +242,7 @@ def image() -> bytes:
     shades[[0, -1]] = shades[:, [0, -1]] = 0
     shades[10:14, 20:26] = 0
     stream = io.BytesIO()
-    Image.fromarray(shades).save(stream, "PNG")
+    Image.fromarray(shades).save(stream, form)
     return stream.getvalue()
 
 
@@ -756,6 +758,71 @@ def load_import(folder: Path) -> Any:
     imports._Base(file, imports._read(file), imports.Settings()).mjcf("cart")
 
 
+def wheel() -> dict[str, bytes]:
+    """A tetrahedron in each format of meshes."""
+    import numpy as np
+
+    corners = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1]], "<f4")
+    faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+    triangles = np.zeros((4, 50), np.uint8)
+    triangles[:, 12:48] = corners[faces].reshape(4, 9).view(np.uint8)
+    stl = b"a wheel".ljust(80) + len(faces).to_bytes(4, "little") + triangles.tobytes()
+    points = "\n".join(f"v {x:g} {y:g} {z:g}" for x, y, z in corners)
+    obj = f"# a wheel\no wheel\n{points}\n" + "\n".join(f"f {a + 1} {b + 1} {c + 1}" for a, b, c in faces) + "\n"
+    return {"wheel.stl": stl, "wheel.obj": obj.encode(), "wheel.dae": COLLADA.encode()}
+
+
+COLLADA = """<COLLADA version="1.4.1">
+  <asset><unit name="centimeter" meter="0.01"/><up_axis>Z_UP</up_axis></asset>
+  <library_geometries>
+    <geometry id="wheel"><mesh>
+      <source id="corners"><float_array id="numbers" count="12">0 0 0 10 0 0 0 10 0 0 0 10</float_array></source>
+      <vertices id="vertices"><input semantic="POSITION" source="#corners"/></vertices>
+    </mesh></geometry>
+  </library_geometries>
+  <library_visual_scenes><visual_scene id="scene">
+    <node><translate>1 2 3</translate><rotate>0 0 1 90</rotate><scale>1 1 2</scale>
+      <node><matrix>1 0 0 5 0 1 0 0 0 0 1 0 0 0 0 1</matrix><instance_geometry url="#wheel"/></node>
+    </node>
+  </visual_scene></library_visual_scenes>
+</COLLADA>
+"""
+
+
+def load_mesh(folder: Path) -> Any:
+    """The corners of each mesh, and a robot that wears them all."""
+    from sean_jax.files import meshes
+    from sean_jax.robots import imports
+
+    worn = "".join(
+        f'<collision><geometry><mesh filename="wheel{ending}"/></geometry></collision>' for ending in meshes.MESHES
+    )
+    file = folder / "cart.urdf"
+    file.write_text(URDF.replace('<link name="caster">', f'<link name="caster">{worn}'))
+    found = [meshes.vertices(folder / f"wheel{ending}") for ending in meshes.MESHES]
+    return found, imports._Base(file, imports._read(file), imports.Settings()).mjcf("cart")
+
+
+# Words of generated floors
+
+
+WORDS = "rooms\n7\nwidth=16,depth=12,door=1.0:1.2\n"
+
+
+def load_world(folder: Path) -> Any:
+    """The floor of a family, a seed and words, each on a line, as ``sean worlds`` is told them."""
+    from sean_jax import worlds
+
+    file = folder / "world.txt"
+    if not file.is_file():
+        raise Refused("world: no words")
+    family, seed, words, *_ = [*file.read_bytes()[:20_000].decode("utf-8", "replace").split("\n"), "", "", ""]
+    if not re.fullmatch("[0-9]{1,9}", seed):
+        raise Refused("world: no seed")
+    floor = worlds.generate(family, int(seed), worlds.parse(words))
+    return floor.words, floor.environment
+
+
 # A study: its description, and its file
 
 
@@ -1089,6 +1156,20 @@ def kinds(folder: Path) -> dict[str, Kind]:
         "trajectory": Kind({"trajectory.json": robot_among_people()}, ("trajectory.json",), load_trajectory, 8),
         "ratings": Kind({"ratings.json": json.dumps(RATINGS, indent=1).encode()}, ("ratings.json",), load_ratings, 6),
         "map": Kind(chart, ("map.yaml", "map.yaml", "map.png"), load_map, 10),
+        **{
+            f"map {ending}": Kind(
+                {
+                    "map.yaml": chart["map.yaml"].replace(b"map.png", b"map." + ending.encode()),
+                    f"map.{ending}": image(form),
+                },
+                (f"map.{ending}",),
+                load_map,
+                4,
+            )
+            for ending, form in (("gif", "GIF"), ("tiff", "TIFF"), ("pgm", "PPM"), ("bmp", "BMP"), ("jpg", "JPEG"))
+        },
+        "mesh": Kind(wheel(), tuple(wheel()), load_mesh, 12),
+        "world": Kind({"world.txt": WORDS.encode()}, ("world.txt",), load_world, 10),
         "manifest": Kind(dataset(folder / "dataset"), ("dataset.json",), load_dataset, 9),
         "policy": Kind(trained, ("config.json",), load_policy, 6),
         "agent": Kind(agent, ("config.json", "weights.npz"), load_agent, 6),
@@ -1220,7 +1301,10 @@ def mutated(chance: random.Random, name: str, given: bytes) -> bytes | Path | No
         return in_database(chance, given) if chance.random() < 0.75 else in_bytes(chance, given)
     if name.endswith(".parquet"):
         return in_columns(chance, given) if chance.random() < 0.6 else in_bytes(chance, given)
-    if name.endswith((".png", ".bag", ".mcap", ".db3")) or "checkpoints/" in name:
+    if (
+        name.endswith((".png", ".gif", ".tiff", ".pgm", ".bmp", ".jpg", ".stl", ".bag", ".mcap", ".db3"))
+        or "checkpoints/" in name
+    ):
         return in_bytes(chance, given) if chance.random() < 0.8 else in_values(chance, given)
     result = given
     for _ in range(chance.choice((1, 1, 1, 2, 3))):
@@ -1288,6 +1372,7 @@ def structured(name: str) -> Callable[[random.Random, bytes], bytes]:
         ".json": in_tree,
         ".xml": in_elements,
         ".urdf": in_elements,
+        ".dae": in_elements,
         ".csv": in_cells,
     }
     return ways.get(Path(name).suffix, in_values)
@@ -1538,7 +1623,14 @@ def attempt(kind: Kind, folder: Path, name: str) -> tuple[str, str]:
         try:
             known = {"map": "map", "batch.npz": "batch", "report.html": "report.html"}
             check_error(
-                error, known.get(name[:3], known.get(name, name)), "policy", "agent", "checkpoint", "rosbag", *OPTIONS
+                error,
+                known.get(name[:3], known.get(name, name)),
+                "policy",
+                "agent",
+                "checkpoint",
+                "rosbag",
+                "words",
+                *OPTIONS,
             )
         except AssertionError as wrong:
             return "wrong", f"{wrong}\n{''.join(traceback.format_exception(error))}"

@@ -2,6 +2,7 @@
 
 import json
 import os
+import warnings
 import zlib
 from pathlib import Path
 
@@ -311,6 +312,11 @@ def test_an_image_is_measured_before_it_is_unpacked(tmp_path):
     write(tmp_path, {"map.png": giant(60_000)})
     assert "has more than 16 million cells; cut it out or lower its resolution" in refusal(tmp_path, "map.png")
     assert mjcf._pixels((tmp_path / "map.png").read_bytes()) == 60_000**2
+    write(tmp_path, {"map.png": giant(10_000)})  # of which Pillow warns, and which it opens
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        assert "has more than 16 million cells" in refusal(tmp_path, "map.png")
+    assert not told
 
 
 def test_a_floor_of_kilometres_has_a_table_of_bounded_size(tmp_path):

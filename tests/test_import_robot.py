@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from fuzzing import check_error
 
 from sean_jax import cli, robots
 from sean_jax.errors import InputError
@@ -270,6 +271,16 @@ def test_obj_and_collada(tmp_path):
         <node><instance_geometry url="#g"/></node></node></visual_scene></library_visual_scenes></COLLADA>"""
     )
     np.testing.assert_allclose(vertices(tmp_path / "a.dae"), [[0, 0, 0.5], [0, 1, 0.5]], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "name, content", [("a.obj", "v 0 0 >\n"), ("a.obj", "v 0 0\nv 0 0 0\n"), ("a.stl", "vertex 0 x 0")]
+)
+def test_numbers_of_a_mesh_that_are_none_are_refused_in_own_words(tmp_path, name, content):
+    (tmp_path / name).write_text(content)
+    with pytest.raises(InputError) as told:
+        vertices(tmp_path / name)
+    check_error(told.value, name)
 
 
 def test_meshes_of_packages_are_found_and_missing_ones_named(tmp_path):

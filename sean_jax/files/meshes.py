@@ -66,10 +66,11 @@ def vertices(path: Path) -> np.ndarray:
         raise file_error(path, f"is a mesh of a kind that is not read; convert it to one of {', '.join(MESHES)}")
     try:
         points = {".stl": _stl, ".obj": _obj, ".dae": _collada}[kind](path).reshape(-1, 3)
-    except (ValueError, IndexError, KeyError) as error:
-        if isinstance(error, FileError):
-            raise
-        raise file_error(path, f"is no {kind[1:].upper()} mesh: {error}") from None
+    except FileError:
+        raise
+    except (ValueError, IndexError, KeyError):
+        cure = "a number is none, or too few stand together; write it again with the program that made it"
+        raise file_error(path, f"is no {kind[1:].upper()} mesh: {cure}") from None
     if not len(points) or not np.isfinite(points).all():
         raise file_error(path, "holds no corner, or one that is not finite")
     return points
