@@ -1,6 +1,7 @@
 """Robots that start inside people and walls leave at their top speed at most; who comes from outside pushes them."""
 
 import functools
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
@@ -8,7 +9,8 @@ import numpy as np
 import pytest
 from test_robots import PERSON_RADIUS, RADIUS, TIME_STEP, rollout, run, world
 
-from sean_jax import robots
+import sean_jax
+from sean_jax import assembly, robots
 from sean_jax.base import Obstacles
 from sean_jax.robots.dynamics import person_contact
 
@@ -100,3 +102,41 @@ def test_who_comes_from_outside_pushes_the_robot_as_fast_as_they_walk():
     np.testing.assert_allclose(gap, np.maximum(reached, 0.0), atol=0.003)
     moved = np.diff(robot.position[:, 0])[reached[1:] < -0.3]
     np.testing.assert_allclose(moved, -1.3 * TIME_STEP, atol=0.003)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("dynamics", ["twin", "kinematic"])
+def test_a_crowd_on_the_robot_moves_it_no_faster_than_it_drives_or_than_those_who_touch_it_walk(dynamics):
+    """Sixteen people in one heap with the robot drive one another apart, and some of them against the robot."""
+    scenario = assembly.make("lab", behavior="random", people=16, dynamics=dynamics)
+    model, lanes = scenario.robot, 16
+    random = np.random.default_rng(3)
+    angle, distance = random.uniform(-np.pi, np.pi, (lanes, 16)), random.uniform(0.0, 0.4, (lanes, 16))
+    heap = jnp.asarray(distance[..., None] * np.stack([np.cos(angle), np.sin(angle)], -1), jnp.float32)
+
+    @jax.jit
+    @jax.vmap
+    def run(key, offsets):
+        """Places of the robot, places and speeds of the people, after each of 30 steps."""
+        state = sean_jax.reset(scenario, key)
+        people = replace(state.pedestrians, position=state.robot.position[None] + offsets)
+        start = replace(state, pedestrians=people)
+
+        def step(state, _):
+            state = sean_jax.step(scenario, state, jnp.zeros(2))
+            crowd = state.pedestrians
+            return state, (state.robot.position, crowd.position, jnp.hypot(*crowd.velocity.T))
+
+        first = start.robot.position, start.pedestrians.position
+        return first, jax.lax.scan(step, start, length=30)[1]
+
+    first, (robot, people, walked) = jax.tree.map(np.asarray, run(jax.random.split(jax.random.key(0), lanes), heap))
+    robot = np.concatenate([first[0][:, None], robot], 1)
+    people = np.concatenate([first[1][:, None], people], 1)
+    speed = np.hypot(*np.moveaxis(np.diff(robot, axis=1), -1, 0)) / TIME_STEP
+    gap = np.hypot(*np.moveaxis(people - robot[:, :, None], -1, 0)) - (float(model.radius) + PERSON_RADIUS)
+    touched = np.minimum(gap[:, :-1], gap[:, 1:]) < 0.02
+    fastest = np.where(touched, walked, 0.0).max(-1)
+    top = float(model.max_speed)
+    assert (speed <= 1.03 * np.maximum(top, fastest) + 0.01).all()
+    assert (speed[:, 0] <= 1.01 * top).all() and (speed > 1.1 * top).mean() < 0.05
