@@ -570,7 +570,7 @@ def shorter(name: str) -> benchmark.Track:
     return track._replace(options=track.options | {"time_limit": 15.0})
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_a_controller_outside_is_connected_to_each_floor(tmp_path, monkeypatch):
     """It gets the episodes of the same policy inside, on the right floors."""
     monkeypatch.setattr(benchmark, "TRACKS", {name: shorter(name) for name in ("lab-random_ab_nav", "doors")})
@@ -600,7 +600,7 @@ def test_a_controller_outside_is_connected_to_each_floor(tmp_path, monkeypatch):
             np.testing.assert_allclose(ours[name], theirs[name], rtol=1e-3, atol=1e-3, err_msg=f"{track} {name}")
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_recorded_people_walk_on_a_track(tmp_path, monkeypatch):
     """As two people do who cross the floor; the result names the recording."""
     monkeypatch.setattr(benchmark, "TRACKS", {name: shorter(name) for name in ("lab-random_ab_nav", "zara01")})

@@ -34,7 +34,7 @@ def run(*arguments: str) -> list[str]:
     return done.stdout.splitlines()
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_crowd():
     lines = run("benchmarks/crowd.py", "--sizes", "1x12", "2x12", "--walls", "0", "8", "--presets", "helbing1995")
     assert lines[1].split()[:3] == ["preset", "B", "N"] and lines[-1].startswith("peak resident memory")
@@ -47,7 +47,7 @@ def test_crowd():
     assert all(row[-3:] == ["-"] * 3 for row in rows[2:])
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_adapters():
     pytest.importorskip("gymnasium")
     small = "--name", "Lab-Random-RandomAbNav-v0", "--rows", "2", "--seconds", "0.01"
@@ -55,7 +55,7 @@ def test_adapters():
     assert "one environment" in first and second.split()[:2] == ["2", "rows"] and second.endswith("steps/s")
 
 
-@pytest.mark.slow
+@pytest.mark.night
 @pytest.mark.parametrize("observe", ["none", "depth"])
 def test_worlds(observe):
     """Two floors, in one program and alone."""
@@ -66,7 +66,7 @@ def test_worlds(observe):
     assert float(together) > 0 and float(ratio) == pytest.approx(float(together) / float(alone), rel=0.01)
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_rays_on_host():
     small = "--environment", "lab", "--batches", "2", "--people", "4", "--dynamics", "twin", "--seconds", "0.01"
     lines = run("benchmarks/rays_on_host.py", *small)
@@ -76,7 +76,7 @@ def test_rays_on_host():
     assert all(float(number) > 0 for row in rows for number in row[2:])
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_peers(tmp_path):
     """The project's rows, and those of a peer that a path names; ratios are of the two."""
     peer = tmp_path / "slowpoke.py"
@@ -98,7 +98,7 @@ def test_peers(tmp_path):
             assert float(row[4].rstrip("x")) == pytest.approx(best[row[0]] / float(row[3]), rel=0.02)
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_causes(tmp_path):
     """The parts of the protocol, of experiments with known numbers."""
     for behavior, parts in (("handcrafted", 5), ("graph", 2)):
@@ -316,7 +316,7 @@ def test_move_base_summary(tmp_path, capsys):
     assert "no episodes that `drive` wrote" in refusal(program, "summary", paths[0])
 
 
-@pytest.mark.slow
+@pytest.mark.night
 @pytest.mark.parametrize("behavior", ["graph", "handcrafted"])
 def test_move_base_drives_the_episodes_of_figure4(behavior, tmp_path, monkeypatch):
     """Starts, people and streams of each numbered episode are those of the experiment, to the bit."""

@@ -596,7 +596,7 @@ def test_it_drives_as_it_was_evaluated(learned):
         np.testing.assert_allclose(info["command"], recorded.action[tick], atol=1e-4)
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_it_learns_to_go_to_the_goal(tmp_path):
     """From nothing to half of the tasks, alone in the lab, in some 300,000 steps."""
     config = options(
@@ -698,7 +698,7 @@ def test_a_training_with_randomization_delay_and_own_ends_goes_on(mine, tmp_path
         reinforcement.train(options(half, terminations=["obstacle", f"{mine}:backward"], action_delay=(1, 2)))
 
 
-@pytest.mark.slow
+@pytest.mark.night
 @pytest.mark.parametrize("of_package", [False, True])
 def test_it_goes_on_with_another_agent(learned, tmp_path, of_package):
     folder, other = learned[1], {}
@@ -809,7 +809,7 @@ def test_bad_agents(words, message, capsys, tmp_path, monkeypatch):
     assert message in " ".join(capsys.readouterr().err.split())
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_analytic_gradients_are_those_of_differences():
     """The derivative of what an actor gets in some steps by a weight of its last layer, in people that are held."""
     from sean_jax.learning import shac
