@@ -285,7 +285,7 @@ def tested(views: Views) -> dict[str, str]:
         which = "figures" if name == OVERALL else "figures within situations"
         words[name] = (
             f"{number} {which} were tested and marked after Holm's correction: the probability of any false mark among "
-            f"them is 5 % at most."
+            f"them is 5 % at most. Intervals are not corrected, so one may exclude 0 without a mark."
         )
     return words
 

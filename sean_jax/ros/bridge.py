@@ -318,6 +318,7 @@ class Live:
         names = RosNames(config.node_name, config.namespace or "", config.naming)
         self.bridge = Bridge(self.scenarios[0], config.place, self._write, names=names)
         self._write(f"bridge: {self.bridge.transport.address}")  # first, as it listens already, perhaps with a token
+        self._write("compiling; no message is sent until then")
         self._due = 0.0
         state = self._begin(0)
         self.bridge.compile(state)
