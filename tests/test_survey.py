@@ -89,6 +89,14 @@ def test_orders_are_balanced(count):
     assert len(set(counts)) <= 1
 
 
+def test_participants_who_do_not_balance_the_orders_are_told(tmp_path):
+    assert read(tmp_path).unbalanced() is None, "sixty are ten times the six orders of three trials"
+    few = STUDY.replace("participants: 60", "participants: 8")
+    note = "participants: 8 are no multiple of 6, so the orders of 3 trials are not fully balanced."
+    assert read(tmp_path, few).unbalanced() == note
+    assert read(tmp_path, few + "order: fixed\n").unbalanced() is None
+
+
 def test_sides_are_balanced_at_each_place(tmp_path):
     made = read(tmp_path)
     places = [(number, step) for number in range(2 * study.rows(3)) for step in made.steps(number)]

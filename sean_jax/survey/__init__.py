@@ -49,14 +49,8 @@ def _serve(config: StudioConfig, answers: Answers, console: Console) -> None:
     with console.status("simulating the episodes") as status:
         survey = Survey(answers, page, config.survey, lambda text: status.update(f"simulating the episodes: {text}"))
 
-    trials = len(answers.study.trials)
-    if answers.study.order == "balanced" and answers.study.participants % study.rows(trials):
-        console.print(
-            f"participants: {answers.study.participants} are no multiple of {study.rows(trials)}, so the orders of {trials} "
-            "trials are not fully balanced.",
-            highlight=False,
-            soft_wrap=True,
-        )
+    if note := answers.study.unbalanced():
+        console.print(note, highlight=False, soft_wrap=True)
 
     def ready() -> None:
         for number, link in enumerate(survey.links(), 1):

@@ -198,6 +198,16 @@ class Study(Part):
         given = {name: value for name, value in options.items() if name not in ("view", "name")}
         return validate(StudioConfig, {**self.options, **given}, source=source)
 
+    def unbalanced(self) -> str | None:
+        """A sentence if the participants are too few, or too many, for orders that balance one another."""
+        needed, trials = rows(len(self.trials)), len(self.trials)
+        if self.order == "fixed" or self.participants % needed == 0:
+            return None
+        return (
+            f"participants: {self.participants} are no multiple of {needed}, so the orders of {trials} trials are not "
+            "fully balanced."
+        )
+
     def steps(self, participant: int) -> list[Step]:
         """The pages of a participant, whose number begins at 0."""
         count = len(self.trials)
