@@ -249,7 +249,7 @@ def test_sums_of_meetings_and_encounters_are_those_of_their_tracks(measured):
     assert measured(passing) == pytest.approx({f"robot {name}": value for name, value in wanted.items()}, abs=1e-3)
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_sums_of_doors_corridors_and_lanes_are_those_of_their_tracks(measured, monkeypatch):
     monkeypatch.setattr(families.Doors, "seconds", 10.0)  # later, rounding makes other crowds of the same kind
     room = doors.before_door(1.6, doors.crowd_in_room(0), 1.34, 0.0)

@@ -148,7 +148,7 @@ def test_policies_use_no_key_twice(scenario, name):
     checked(scenario, POLICIES[name])
 
 
-@pytest.mark.slow
+@pytest.mark.night
 @pytest.mark.parametrize("name", ["mppi", "expert", "sensing_expert"])
 def test_the_checker_sees_policies_that_use_a_key_twice(scenario, name):
     """These draw, so the checker has something to see: commands of one key, asked for twice."""

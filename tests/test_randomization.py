@@ -176,7 +176,7 @@ def test_episodes_have_their_own_robots(scenario):
     np.testing.assert_allclose(seen["speeds"][free, 0], tops[free], rtol=0.02)
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_errors_of_the_sensors_of_observations(scenario):
     """Against the exact readings: the deviation and the share of misses of the episode, from the state alone."""
     bounds = {"sensors.min_deviation": (0.05, 0.1), "sensors.drop_out": (0.1, 0.3)}
@@ -215,7 +215,7 @@ def test_errors_of_the_scenarios_own_sensors(scenario):
     assert env.observation_space["own"].shape == (90,)
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_derivatives_by_parameters_are_finite(scenario):
     """At ends of the bounds, too: of the robot's motion, and of a noisy reading."""
     bounds = {name: each for name, each in BOUNDS.items() if name != "people"} | {"robot.friction": (0.5, 2.0)}

@@ -356,7 +356,7 @@ def test_predictions_have_no_robot_and_ignore_the_kinds():
     np.testing.assert_allclose(plain, term, atol=1e-5)
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_robots_among_threatening_people_do_not_arrive():
     """In the warehouse, from reset on: distances, entries into the personal distance, and what is on the way."""
     scenario = sean_jax.make(

@@ -217,7 +217,7 @@ def compared(scenario, keys, which: list[int], steps: int = STEPS) -> dict[str, 
     }
 
 
-@pytest.mark.slow
+@pytest.mark.night
 @pytest.mark.parametrize(("people", "which"), [(4, [0, 1, 2]), (1, [0])])
 def test_derivatives_of_choices_are_those_of_central_differences_over_a_thousand_keys(crowds, people, which):
     """By a node's weight, an edge's cost and the stays of a few people, and by a node's weight of one person."""
@@ -229,7 +229,7 @@ def test_derivatives_of_choices_are_those_of_central_differences_over_a_thousand
     assert found["choices held fixed"][0] == 0.0  # then a weight changes nothing
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_derivatives_by_a_nodes_place_are_those_of_central_differences_over_a_thousand_keys(crowds):
     """Over 6 s: it acts through choices and through where people head for; later chaos makes both errors larger."""
     found = compared(crowds[4, TEMPERATURE], jax.random.split(jax.random.key(7), KEYS), [3], steps=60)
