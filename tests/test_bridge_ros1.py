@@ -127,6 +127,7 @@ for policy, folder in zip(sys.argv[1::2], sys.argv[2::2]):
 """
 
 
+@pytest.mark.night
 def test_a_controller_outside_gets_a_result_of_the_benchmark(ros, tmp_path):
     """The measurements of the same controller inside; two compiled programs may round a metric differently."""
     controller = ROOT / "examples" / "ros1_controller.py"
@@ -203,6 +204,7 @@ def read_line(process, word, lines):
     return line
 
 
+@pytest.mark.night
 def test_publish_subscribe_record_play_a_stuck_subscriber_and_a_killed_master(ros, tmp_path):
     variables, lines = ros, []
     bridge = [sys.executable, "-m", "sean_jax", "bridge", "--ros1", *SCENARIO, "--factor", "2", "--time-limit", "20"]
@@ -284,6 +286,7 @@ print(message.header.frame_id, message.child_frame_id, rospy.ServiceProxy(sys.ar
 """
 
 
+@pytest.mark.night
 def test_a_second_bridge_ends_the_first_in_one_sentence(ros):
     bridge = [sys.executable, "-m", "sean_jax", "bridge", "--ros1", *SCENARIO]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
