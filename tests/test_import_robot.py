@@ -13,7 +13,8 @@ from fuzzing import check_error
 
 from sean_jax import cli, robots
 from sean_jax.errors import InputError
-from sean_jax.files.meshes import rotation, vertices
+from sean_jax.files.meshes import MAX_ELEMENTS, rotation, vertices, xml_tree
+from sean_jax.messages import MAX_DEPTH
 from sean_jax.robots import imports, links, urdf
 from sean_jax.robots.imports import Settings, import_robot
 
@@ -281,6 +282,22 @@ def test_numbers_of_a_mesh_that_are_none_are_refused_in_own_words(tmp_path, name
     with pytest.raises(InputError) as told:
         vertices(tmp_path / name)
     check_error(told.value, name)
+
+
+def test_xml_is_bounded_in_depth_and_in_number(tmp_path):
+    file = tmp_path / "deep.xml"
+    for text, fits in (
+        ("<a>" * MAX_DEPTH + "</a>" * MAX_DEPTH, True),
+        ("<a>" * (MAX_DEPTH + 1) + "</a>" * (MAX_DEPTH + 1), False),
+        ("<a>" + "<b/>" * (MAX_ELEMENTS - 1) + "</a>", True),
+        ("<a>" + "<b/>" * MAX_ELEMENTS + "</a>", False),
+    ):
+        file.write_text(text)
+        if fits:
+            assert xml_tree(file).tag == "a"
+        else:
+            with pytest.raises(InputError, match="deep.xml:1: elements are too many or nested too deep"):
+                xml_tree(file)
 
 
 def test_meshes_of_packages_are_found_and_missing_ones_named(tmp_path):

@@ -80,7 +80,7 @@ def test_a_network_that_imitates_drives_where_its_demonstrations_were(dataset, t
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("terminations", [None, "intimate"])
+@pytest.mark.parametrize("terminations", [pytest.param(None, marks=pytest.mark.night), "intimate"])
 def test_episodes_of_an_evaluation_are_those_that_the_training_measured(tmp_path, terminations):
     from sean_jax.learning import reinforcement
 

@@ -598,7 +598,7 @@ def test_people_of_a_bag_are_recordings_for_prediction(walks):
     np.testing.assert_allclose([float(each) for each in text[1].split(",")[4:6]], [1.2, 0.0], atol=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_people_of_a_bag_are_played_back_measured_calibrated_on_and_shown(walks, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     people, rate = str(walks / "tenths" / bag_import.PEOPLE), ("--frame-rate", "100")
