@@ -64,7 +64,7 @@ def shards(process):
     return answer["devices"], rows
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_four_devices_and_two_processes_equal_one():
     address = f"127.0.0.1:{free_port()}"
     count, alone = shards(run())

@@ -66,7 +66,7 @@ def test_none_learns_anything_of_another(three, data, tmp_path):
     assert rounding < 1e-3 * apart
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_it_learns_as_a_training_by_itself_does(three, data, tmp_path):
     """From the same weights, in another order of the same batches."""
     states, _ = three

@@ -434,7 +434,7 @@ def test_table1(tmp_path, monkeypatch):
     assert all(before[name] == content for name, content in after.items())
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_demonstrations_in_table1(tmp_path):
     """Each example counts once, in the rows of its behavior and driver; a recorder's and a collection's alike."""
     collected = learning_data.write(tmp_path / "collected")
@@ -603,7 +603,7 @@ def test_the_preset_reaches_both_experiments():
         validate(AblationConfig, {"preset": "sean2"})
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_ablation(tmp_path, monkeypatch):
     monkeypatch.setattr(table1, "WORLDS", {name: table1.WORLDS[name] for name in ("default", "goal_sampling", "sean2")})
     out = tmp_path / "ablation"

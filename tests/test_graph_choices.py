@@ -418,7 +418,7 @@ def test_odd_graphs_and_numbers_of_people(kind, hall):
 # --- All environments ---
 
 
-@pytest.mark.slow
+@pytest.mark.night
 @pytest.mark.parametrize("routing", graph_behavior.ROUTINGS)
 @pytest.mark.parametrize("name", environments.available())
 def test_five_minutes_of_each_environment(name, routing):

@@ -456,7 +456,7 @@ def test_what_cannot_be_fitted_is_refused_and_leaves_no_trace(tmp_path):
 HIDDEN = {"n0": 3.0, "n1": 0.4, "n2": 1.0, "n3": 1.8, "n4": 0.5, "n5": 1.2}
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_weights_of_simulated_people_are_found_again(tmp_path):
     """A ring with weights, one-way edges, a group: the flows of the fit are right to 10 %, simulated anew to 15 %."""
     yard(tmp_path / "ring")

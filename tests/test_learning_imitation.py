@@ -14,7 +14,7 @@ import pytest
 from sean_jax import cli, episodes, learning
 from sean_jax.learning.dataset import open_dataset
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.night
 
 
 def test_a_learned_driver_completes_most_of_what_its_teacher_does(tmp_path):

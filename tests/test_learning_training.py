@@ -186,7 +186,7 @@ def test_events_for_tensorboard_need_an_optional_package(tmp_path, monkeypatch):
     assert [line["epoch"] for line in lines(tmp_path)] == [4, 5]
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_training_from_disk_learns_as_well(data, tmp_path):
     state = imitation.train(options(data, tmp_path / "disk", device_memory_fraction=0.0, epochs=3))
     losses = [line["train"]["loss"] for line in lines(tmp_path / "disk")]
@@ -200,7 +200,7 @@ def test_training_from_disk_learns_as_well(data, tmp_path):
     assert float(found.loss) == pytest.approx(lines(tmp_path / "disk")[-1]["validation"]["loss"], rel=1e-4)
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_training_stops_when_nothing_gets_better(data, tmp_path):
     state = imitation.train(options(data, tmp_path / "run", learning_rate=0.3, patience=2, epochs=30))
     assert int(state.epoch) == int(state.best_epoch) + 2 < 30

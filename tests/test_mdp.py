@@ -316,7 +316,7 @@ def test_ends_of_ones_own(scenario):
     assert not bool(truncated) and not bool(info["completed"])
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_gradients_by_actions_through_people(scenario):
     """Through robot, people and depth: finite, and equal to differences in float64 elsewhere (test_gradients)."""
     weights = {"progress": 1.0, "personal_space": -1.0, "acceleration": -0.1}

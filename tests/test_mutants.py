@@ -117,7 +117,7 @@ def test_committed_results_are_what_the_table_says():
         assert f"| {' | '.join(row)} |" in text, row
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_a_few_mutants(tmp_path):
     """Of sean2.py, in processes of their own; a second run has nothing left to do."""
     out = tmp_path / "mutants.jsonl"

@@ -296,10 +296,9 @@ def test_an_agent_with_an_own_network_is_loaded_from_its_folder(mine, tmp_path):
             load_policy("run", env.scenario)
 
 
+@pytest.mark.night
 @pytest.mark.parametrize("method", ["ppo", "apg", "imitate"])
-@pytest.mark.parametrize(
-    "kind", [pytest.param("own", marks=pytest.mark.night), pytest.param("attention", marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize("kind", ["own", "attention"])
 def test_agents_with_other_networks_learn_and_drive(mine, tmp_path, method, kind):
     """An update of each method, its checkpoint, and the packed agent."""
     network = f"{mine}:Net" if kind == "own" else kind

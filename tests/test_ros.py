@@ -670,7 +670,7 @@ def test_bags_of_a_run(tmp_path, monkeypatch, capsys):
     assert not Path("broken").exists()
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_killed_export_leaves_nothing_half_written(tmp_path):
     run = ["run", "--environment", "lab", "--people", "4", "--time-limit", "60", "--episodes", "1", "--quiet"]
     assert cli.main([*run, "--out", str(tmp_path / "run")]) == 0

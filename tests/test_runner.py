@@ -141,7 +141,7 @@ for one, two in zip(*found):
 """
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_two_devices_run_what_one_does():
     """Also numbers of episodes that do not spread evenly, and programs that are compiled ahead."""
     flags = "--xla_force_host_platform_device_count=2 --xla_backend_optimization_level=0"

@@ -167,7 +167,7 @@ def test_why_an_episode_is_another_is_told_as_far_as_it_is_known():
     assert "rounding" in replay_command._cause({}, "a", "a")
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_a_group_that_was_moved_stays_where_it_was_in_a_replay_and_a_repeated_run(place, tmp_path, monkeypatch, capfd):
     assert cli.main(["run", "--environment", "mine/hall", *SMALL, "--out", "run"]) == 0
     graph = place / "mine" / "hall" / "graph.yaml"

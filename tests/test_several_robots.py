@@ -119,7 +119,7 @@ def test_one_compilation_serves_all_robots(lab):
     assert floors.member.robot.name == ",".join(NAMES)
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_gradients_by_everything_that_describes_a_robot(small):
     """They are finite; by the radius, of a robot that a wall has stopped, it is the whole radius."""
     floors = build(options(environment="lab", robot="turtlebot3,jackal", sensors=small))

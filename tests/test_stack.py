@@ -286,7 +286,7 @@ def test_environments_of_a_set_share_their_parts():
     assert shown["goal"].shape == (6, 2) and envs.size == 3
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_one_agent_learns_on_several_floors(tmp_path):
     """Restarts stay on their floor; the best agent is loaded for another floor; its evaluation is replayed."""
     from sean_jax import learning
@@ -327,7 +327,7 @@ def test_mistakes_in_the_name_of_a_set_are_told_at_once(monkeypatch, tmp_path, c
     assert message in capsys.readouterr().err
 
 
-@pytest.mark.slow
+@pytest.mark.night
 @pytest.mark.parametrize("name", [name for name in POLICIES if name != "move_base"])
 def test_policies_drive_on_floors_of_a_set_as_on_each_alone(name):
     """The same episodes by number, of the second floor."""

@@ -195,7 +195,7 @@ def test_groups_last_while_their_members_change(occupied):
     assert all(len(people) > graph.capacity[node] for people, node in zip(members.values(), graph.groups, strict=True))
 
 
-@pytest.mark.slow
+@pytest.mark.night
 @pytest.mark.parametrize("name", environments.available())
 def test_groups_last_in_each_environment(name):
     """Five minutes, 16 episodes, after 20 s: at least 80 % of a group is there, and 50 % of the time everybody."""

@@ -10,7 +10,7 @@ from sean_jax.environment import available
 BODY = 0.2  # m, of a person
 
 
-@pytest.mark.slow
+@pytest.mark.night
 @pytest.mark.parametrize("behavior", [name for name in BEHAVIORS if name != "playback"])
 @pytest.mark.parametrize("environment", sorted(available()))
 def test_people_walk_as_people_do(environment, behavior):

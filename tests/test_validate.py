@@ -407,7 +407,7 @@ def test_the_page_of_the_docs_has_every_check_and_only_those():
     assert left_out and set(re.findall(r"`([a-z0-9.-]+)`", left_out[1])) == slow
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_the_quick_suite_of_the_default_people(tmp_path):
     """Whatever a gate promises is kept, or its row says why not; and no check breaks."""
     validation.run(ValidateConfig(quick=True, out=tmp_path / "out"))

@@ -518,7 +518,7 @@ def single_file(forces) -> float:
     return measures.deviation_in_time(measures.steps_along(x, SHORT) / (crowds.STEP * tracks.time_step))
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_people_in_a_single_file_stop_and_go():
     """Recorded deviations are .1 m/s and more; without noise and with people who are all alike there is none."""
     assert single_file("calibrated") > 0.05
@@ -533,7 +533,7 @@ def across(scenes) -> tuple[np.ndarray, np.ndarray]:
     return np.stack([path[..., 1].std(0) for path in paths]), np.array([step.mean() for step in steps]) / 0.4
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_people_in_a_corridor_do_not_crystallise():
     """At 1.5/m2, from random places and from straight rows: people change their place across, and rows dissolve."""
     random, _ = crowds.corridors([crowds.ROWS_DENSITY], 2, 40.0, crowds.hermes_speeds)
