@@ -87,6 +87,7 @@ class Survey:
         self._researchers: set[Tab] = set()
         self._sessions = Sessions()
         self._previews: dict[int, tuple[dict[str, Any], list[bytes]]] = {}  # trial -> what a drive begins with
+        self._rules: dict[int, dict[str, float]] = {}  # trial -> s, how long a drive takes, and stays at its goal
         answers.recover()
         self._prepare(report)
         self._lengths = answers.film_lengths()  # trial -> s
@@ -104,6 +105,8 @@ class Survey:
                 if trial.view != "plan":
                     messages.append(_picture(session, trial.view))
                 self._previews[index] = recording(session, live="frames"), messages
+                limit, hold = session.scenario.time_limit, float(session.scenario.hold_time)
+                self._rules[index] = {"limit": round(limit, 2), "hold": round(hold, 2)}
                 continue
             for side, options in enumerate(trial.episodes):
                 if (index, side) in stored:
@@ -115,7 +118,7 @@ class Survey:
                 self.answers.add_episode(
                     index, side, policy, session.outcome, session.metrics(), recording(session)
                 )  # fmt: skip
-        self._episodes = {place: row["recording"] for place, row in self.answers.episodes().items()}
+        self._episodes = {place: self.answers.film(*place) for place in self.answers.episodes()}
 
     def _session(self, trial: int) -> Session:
         return self._sessions.make(self.study.config(self.study.trials[trial].episodes[0], self._source))
@@ -277,6 +280,7 @@ class Survey:
             "kind": "step", "what": step.kind, "text": step.text, "questions": step.questions, "view": step.view,
             "shown": shown or step.kind == "questions", "recordings": self._recordings(step),
             "answers": await asyncio.to_thread(self.answers.answers_of, participant, done),
+            "rules": None if step.trial is None else self._rules.get(step.trial),
         }  # fmt: skip
         tab.put(head | content)
         if step.kind == "drive" and not shown:
