@@ -118,7 +118,6 @@ class Survey:
                 self.answers.add_episode(
                     index, side, policy, session.outcome, session.metrics(), recording(session)
                 )  # fmt: skip
-        self._episodes = {place: self.answers.film(*place) for place in self.answers.episodes()}
 
     def _session(self, trial: int) -> Session:
         return self._sessions.make(self.study.config(self.study.trials[trial].episodes[0], self._source))
@@ -278,7 +277,7 @@ class Survey:
         step = steps[done]
         content: dict[str, Any] = {
             "kind": "step", "what": step.kind, "text": step.text, "questions": step.questions, "view": step.view,
-            "shown": shown or step.kind == "questions", "recordings": self._recordings(step),
+            "shown": shown or step.kind == "questions", "recordings": await asyncio.to_thread(self._recordings, step),
             "answers": await asyncio.to_thread(self.answers.answers_of, participant, done),
             "rules": None if step.trial is None else self._rules.get(step.trial),
         }  # fmt: skip
@@ -294,7 +293,7 @@ class Survey:
         if step.kind == "drive":
             return [self._previews[step.trial][0]]
         sides = [0] if step.kind == "watch" else [1, 0] if step.swapped else [0, 1]
-        return [self._episodes[step.trial, side] for side in sides]
+        return [self.answers.film(step.trial, side) for side in sides]
 
     async def _handle(self, tab: Tab, request: dict[str, Any]) -> None:
         """What a page asks for.
