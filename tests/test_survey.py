@@ -17,6 +17,7 @@ import sqlite3
 import subprocess
 import sys
 import threading
+import tracemalloc
 import urllib.error
 import urllib.request
 from pathlib import Path
@@ -134,6 +135,12 @@ MISTAKES = [
         r"trials\[2\].questions\[0\]: 'rosas' rates one robot",
     ),
     ("range: [18, 99]", "range: [18, .inf]", r"before\[0\].range"),
+    ("seed: 3}", f"seed: 3, name: {'x' * 1100}}}", r"trials\[0\].watch: name: 1,100 characters; .* at most 1,000"),
+    ("seed: 3}", "seed: 3, name: [a, b]}", r"trials\[0\].watch.name: \['a', 'b'\] is no text; write a name in quotes"),
+    ("seed: 3}", "seed: 3, name: ''}", r"trials\[0\].watch.name: '' is no text"),
+    ("{policy: expert, seed: 5}", "{policy: expert, seed: 5, name: 7}", r"trials\[2\].choose\[1\].name: 7 is no text"),
+    ("It was easy.", '"It was \\x07"', r"trials\[1\].questions\[0\].text: character 0007 cannot be stored; remove it"),
+    ("[often, never]", f"[often, {'x' * 1001}]", r"after\[0\].choices\[1\]: has 1,001 characters; write at most 1,000"),
     ("name: mine", "name: before", r"'before' is the name of the questions before the trials"),
 ]
 
@@ -313,6 +320,7 @@ async def take_part(link, draw, sent, stop_after=None):
         while page["kind"] == "step":
             number = page["number"]
             if not page["shown"] and page["what"] == "drive":
+                assert page["rules"] == {"limit": 3.0, "hold": 5.0}  # s
                 await send(tab, "start", step=number)
                 await until(tab, "go")
                 driving = asyncio.ensure_future(until(tab, "over"))
@@ -382,8 +390,8 @@ def test_a_page_has_nothing_of_policies_metrics_and_others(served):
     secrets = served.answers.secrets()
     for private in ("go_to_goal", "expert", "policy", "intimate", "lab", "kuri", *list(secrets.values())):
         assert private not in texts.replace("Robots in a lab", ""), private
-    for content in served._episodes.values():
-        text = json.dumps(content)
+    for place in served.answers.episodes():
+        text = json.dumps(content := served.answers.film(*place))
         assert "go_to_goal" not in text and "expert" not in text and content["situations"] == content["curves"] == []
 
 
@@ -709,6 +717,10 @@ def test_a_browser_goes_through_a_study(tmp_path, scheme, width):
     assert set(seen["hosts"]) == {links[0].split("/")[2]}
     assert seen["steps"] == 5 and seen["kept"] == "33" and "no answer yet" in seen["missing"]
     assert seen["early"] == "One moment, please."  # a film that was played at 16 times its speed
+    assert seen["rules"] == (
+        "You have 8 seconds. The drive ends when the robot has stayed at the goal for 5 seconds without a break, "
+        "or when the time is over."
+    )
     assert seen["outcomes"] == ["The time is over."] and seen["broken"] > 5
     drives = Answers(tmp_path / "out" / FILE).drives()
     assert [row["outcome"] for row in drives] == [BROKEN_OFF, "timed out"]
@@ -817,7 +829,14 @@ def test_a_damaged_study_is_refused_in_a_sentence(original, tmp_path, capfd, nam
     assert cli.main(["survey", "export", str(tmp_path)]) == 2
     said = capfd.readouterr().err
     assert re.search(message, said) and "study.sqlite: " in said and "Traceback" not in said, said
-    assert len(said.strip().splitlines()) == 1
+    *lines, last = said.strip().splitlines()
+    if lines:  # some tables are written; of the others, each cause has a sentence
+        assert all("study.sqlite: " in line for line in lines)
+        written = {file.name for file in (tmp_path / "tables").iterdir()}
+        assert last.startswith(f"The other files, {len(written)}, are written to")
+        assert not any(name in line for name in written for line in lines)
+    else:
+        assert not (tmp_path / "tables").exists()
 
 
 def test_an_unchanged_study_is_exported(original, tmp_path):
@@ -826,6 +845,61 @@ def test_an_unchanged_study_is_exported(original, tmp_path):
     assert len(rows) == 5 and {row["reloads"] for row in rows} == {"0"}
     drive = next(row for row in csv.DictReader((tmp_path / "tables" / "trials.csv").open()) if row["kind"] == "drive")
     assert drive["began"] <= drive["ended"] != ""
+
+
+def test_one_faulty_table_keeps_no_other_from_being_written(original, tmp_path, capfd):
+    damaged(original, tmp_path, "UPDATE moments SET moments = '[[1, 2]]'")
+    assert cli.main(["survey", "export", str(tmp_path)]) == 2
+    tables = tmp_path / "tables"
+    assert {file.name for file in tables.iterdir()} == {*export.TABLES} - {"trajectories.csv"}
+    said = capfd.readouterr().err
+    assert "trajectories.csv: not written: " in said and "participants.csv" not in said
+    (tables / "answers.csv").unlink()
+    (tables / "answers.csv").mkdir()
+    (tables / "pages.csv").unlink()
+    damaged(original, tmp_path)
+    assert cli.main(["survey", "export", str(tmp_path)]) == 2
+    said = capfd.readouterr().err
+    assert "answers.csv is a folder; remove it" in said and "The other files, 4, are written to" in said
+    assert "nothing was written" not in said and (tables / "pages.csv").is_file()
+
+
+@pytest.mark.parametrize("link", ["tables", "tables/drives"])
+def test_no_table_is_written_through_a_link(original, tmp_path, link, capfd):
+    """A folder that somebody sent may lead elsewhere."""
+    (tmp_path / "out").mkdir()
+    (tmp_path / "study").mkdir()
+    film = json.dumps(FILM | {"situations": [], "curves": []})
+    folder = damaged(original, tmp_path / "study", f"UPDATE drives SET recording = '{film}'")
+    (folder / link).parent.mkdir(exist_ok=True)
+    (folder / link).symlink_to(tmp_path / "out")
+    assert cli.main(["survey", "export", str(folder)]) == 2
+    said = capfd.readouterr().err
+    assert "is a link, through which nothing is written; remove it" in " ".join(said.split())
+    assert not list((tmp_path / "out").iterdir())
+
+
+def test_a_large_film_is_neither_read_nor_written(original, tmp_path, capfd):
+    """Parsed JSON takes 40 times the memory of its text."""
+    large, many = (json.dumps(FILM | {"more": [[]] * count}) for count in (4_000_000, 300_000))
+    causes = {large: "bytes and at most 8,000,000 are read", many: "values and at most 500,000 are read"}
+    for text, message in causes.items():
+        folder = tmp_path / str(len(text))
+        folder.mkdir()
+        shutil.copy(original / FILE, folder / FILE)
+        with contextlib.closing(sqlite3.connect(folder / FILE)) as base:
+            base.execute("UPDATE episodes SET recording = ?", (text,))
+            base.commit()
+        tracemalloc.start()
+        assert cli.main(["survey", "export", str(folder)]) == 2
+        assert tracemalloc.get_traced_memory()[1] < 100_000_000
+        tracemalloc.stop()
+        said = capfd.readouterr().err
+        assert message in said and (folder / "tables" / "answers.csv").is_file()
+        answers = Answers(original / FILE)
+        with pytest.raises(InputError, match="the film of 'calm' has .*; choose a shorter time_limit"):
+            answers.add_episode(0, 0, "expert", "completed", {}, json.loads(many))
+        answers.close()
 
 
 @pytest.mark.parametrize("stored", ['"\\ud83d"', '"a\\ud83db"', b'"\xed\xa0\xbd"'])
@@ -940,10 +1014,64 @@ def test_visits_are_told_from_events():
               (31.0, "closed")]  # fmt: skip
     first, second = visits.visits(events, now=100.0).values()
     assert (first.opened, first.began, first.dwell, first.hidden) == (0.0, 3.0, 20.0, 10.0)
-    assert (first.watched, first.reloads, first.early) == (16.0, 1, 1)
+    assert (first.watched, first.reloads, first.early) == (5.0, 1, 1), "neither hidden nor closed, and from began on"
     assert (second.opened, second.began, second.dwell, second.watched) == (30.0, None, 1.0, 0.0)
     back = [(100.0, "page 0"), (100.0, "began 0"), (40.0, "visible")]  # a clock that is set back adds nothing
     assert visits.visits(back, now=42.0)[0].watched == 2.0
+
+
+@pytest.mark.parametrize(
+    ("events", "watched"),
+    [
+        ([(4, "closed"), (12, "opened"), (12, "page 0")], 4),  # a film stands while its tab is closed
+        ([(4, "closed"), (7, "opened"), (7, "page 0"), (7, "began 0")], 16),  # the connection was lost for 3 s
+        ([(4, "closed"), (5, "page 0"), (6, "closed"), (7, "opened"), (7, "page 0"), (7, "began 0")], 16),
+        ([(4, "closed"), (7, "opened"), (7, "page 0")], 4),  # and the page is another one
+        ([(4, "closed"), (12, "opened"), (12, "page 0"), (12, "began 0")], 8),
+        ([(3, "hidden"), (4, "closed"), (6, "opened"), (6, "page 0"), (6, "began 0")], 13),
+        ([(4, "closed"), (6, "opened"), (6, "page 0"), (6, "hidden"), (6, "began 0")], 4),
+        ([(12, "opened"), (12, "page 0"), (13, "began 0")], 3),  # the server was killed
+        ([(1, "early 0"), (2, "opened"), (2, "page 0"), (2, "began 0")], 15),
+        ([(4, "page 0"), (6, "began 0"), (8, "shown 0"), (9, "began 0")], 6),  # nothing after its end
+    ],
+)  # fmt: skip
+def test_a_film_stands_while_its_tab_is_closed(events, watched):
+    """But for a few seconds in which the connection was lost."""
+    found = visits.visits([(0, "opened"), (0, "page 0"), (0, "began 0"), *events], now=16)[0]
+    assert found.watched == pytest.approx(watched)
+
+
+def test_the_time_that_a_server_was_down_is_none():
+    """A killed one notes no end: a page was open until the last event."""
+    events = [(0, "opened"), (0, "page 0"), (3, "began 0"), (25, "opened"), (25, "page 0"), (27, "closed")]
+    found = visits.visits(events)[0]
+    assert (found.dwell, found.reloads, found.watched) == (5, 1, 0)
+    hidden = [
+        (0, "opened"),
+        (0, "page 0"),
+        (3, "hidden"),
+        (25, "opened"),
+        (25, "page 0"),
+        (27, "began 0"),
+        (28, "closed"),
+    ]
+    found = visits.visits(hidden)[0]
+    assert (found.dwell, found.hidden, found.watched) == (6, 0, 1)
+
+
+def test_a_hidden_tab_stays_hidden_on_the_next_page():
+    """Pages say when this changes, and nothing at a page that follows."""
+    events = [
+        (0, "opened"),
+        (0, "page 0"),
+        (1, "hidden"),
+        (2, "page 1"),
+        (2, "began 1"),
+        (9, "visible"),
+        (11, "closed"),
+    ]
+    second = visits.visits(events)[1]
+    assert (second.dwell, second.hidden, second.watched) == (9, 7, 2)
 
 
 def watching(served, number):
@@ -990,6 +1118,39 @@ def test_a_film_is_not_watched_before_its_end(served, monkeypatch):
     assert row["opened"] <= row["began"] < row["shown"] and row["film_s"] > 1.9
     assert seconds <= row["watched_s"] < row["dwell_s"]
     assert row["too_early"] == 5 and row["reloads"] == 1 and 0.9 < row["hidden_s"] < 2.0 <= row["dwell_s"]
+
+
+def test_a_film_is_not_watched_in_a_closed_or_hidden_tab(served, monkeypatch):
+    """Closed for longer than a lost connection; hidden on the page before, which the page says once."""
+    link, place = watching(served, 44)
+    monkeypatch.setattr(visits, "GRACE", 0.3)
+    monkeypatch.setattr(served, "_lengths", dict.fromkeys(served._lengths, 1.0 + server.TOLERANCE))
+
+    async def go():
+        async with tab_of(link) as tab:
+            await until(tab, "step")
+            await send(tab, "began", step=place)
+            await send(tab, "hidden")
+            await send(tab, "visible")
+        await asyncio.sleep(1.5)
+        async with tab_of(link) as tab:
+            await until(tab, "step")
+            await send(tab, "shown", step=place)
+            assert (await until(tab, "early", "shown"))["content"] > 0.7
+            assert served.answers.watched(44, place) < 0.3
+            served.answers.show(44, place)
+            served.answers.finish(44, place, False)
+            await send(tab, "hidden")
+            await send(tab, "done", step=place)  # of the page before
+            number = (await until(tab, "step"))["number"]
+            await asyncio.sleep(0.3)
+            await send(tab, "visible")
+            await send(tab, "done", step=place)
+            await until(tab, "step")
+        return number
+
+    number = asyncio.run(go())
+    assert served.answers.all_visits()[44][number].hidden > 0.2
 
 
 # ------------------------------------------------------------------ hostile messages

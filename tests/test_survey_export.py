@@ -2,18 +2,21 @@
 
 import contextlib
 import csv
+import json
 import math
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import scipy.stats
-from test_survey import FILM, change, read, reply
+import yaml
+from test_survey import FILM, STUDY, change, read, reply
 
-from sean_jax.errors import FileError
+from sean_jax.errors import FileError, InputError
 from sean_jax.survey import export, report, server
 from sean_jax.survey.answers import BROKEN_OFF, FILE, Answers
 from sean_jax.survey.drive import Drive
+from sean_jax.survey.study import checked
 
 TAKING_PART = 0, 3, 7  # numbers of participants, from 0
 EPISODES = {(0, 0): "expert", (2, 0): "orca", (2, 1): "go_to_goal"}  # trial, side -> policy
@@ -108,6 +111,107 @@ def test_trajectories(stored):
     expected = [(number + 1, "mine", k + 1, row) for (number, _, _), rows in moments.items()
                 for k, row in enumerate(rows)]  # fmt: skip
     assert found == expected
+
+
+def test_a_robot_that_drives_sideways_has_a_command_more(tmp_path):
+    """Its drives are stored, exported and shown on the page as those of any other."""
+    answers = Answers.begin(tmp_path, read(tmp_path))
+    places = [[step.kind for step in answers.steps(number)].index("drive") for number in range(2)]
+    rows = [[0.1, -0.2, 0.3, 1.0, 2.0, 0.5]] * 12
+    answers.add_moments(answers.begin_drive(0, places[0]), 0, [row[:1] + row[2:] for row in rows])
+    answers.add_moments(drive := answers.begin_drive(1, places[1]), 0, rows)
+    answers.end_drive(drive, "timed out", {"path_length": 1.0}, FILM)
+    text = export.table(answers, "trajectories.csv")
+    head, first, *_, last = text.split()
+    assert head.endswith("step,speed_command,sideways_command,turn_command,x,y,heading")
+    assert first.endswith(",1,0.1,,0.3,1.0,2.0,0.5") and last.endswith(",12,0.1,-0.2,0.3,1.0,2.0,0.5")
+    assert export.export(answers, tmp_path / "tables")[-1].name == "participant-2-mine.html"
+    answers.add_moments(drive, 12, [rows[0][1:]])
+    with pytest.raises(FileError, match="steps with and without a sideways command"):
+        answers.moments(drive)
+    answers.close()
+
+
+def test_names_of_metrics_are_neither_formulas_nor_other_columns(tmp_path):
+    """A user's own metric may have any name."""
+    answers = Answers.begin(tmp_path, read(tmp_path))
+    values = {'=HYPERLINK("http://a")': 1.5, "participant": 7.0, "done": 3.0, "metric_done": 4.0}
+    answers.add_episode(0, 0, "expert", "completed", values, FILM)
+    place = next(k for k, step in enumerate(answers.steps(3)) if step.kind == "watch")
+    answers.show(3, place)
+    (row,) = csv.DictReader(export.table(answers, "trials.csv").splitlines())
+    assert row["participant"] == "4" and row["done"] == "" and row["metric_participant"] == "7.0"
+    assert row['\'=HYPERLINK("http://a")'] == "1.5" and not any(name.startswith("=") for name in row)
+    assert (row["metric_done"], row["metric_metric_done"]) == ("4.0", "3.0")
+    answers.close()
+
+
+WORDS = {"trial": "t" * 40, "name": "n" * 1000, "question": "q" * 40, "choice": "c" * 1000, "end": "e" * 10_000}
+HARD = "\U0001f916", "\u200b\ufeff", "'\"\\\\", "a\tb\nc", "\u2028", "=1+1", "\ue000", "<b>%s{}", "\uffff", "e\u0301"
+
+
+@pytest.mark.parametrize("hard", ["", *HARD])
+def test_what_a_study_accepts_its_file_accepts(tmp_path, hard):
+    """Each text of a study at its greatest length, with characters of all kinds: stored, read again and exported."""
+    texts = WORDS | {key: (hard * 1000)[: len(WORDS[key])] for key in ("name", "choice", "end") if hard}
+    text = yaml.safe_dump({
+        "title": texts["end"], "consent": texts["end"], "thanks": texts["end"], "participants": 1,
+        "options": {"environment": "lab", "people": 2},
+        "questions": ["rosas"],
+        "before": [{"kind": "text", "name": texts["question"], "text": texts["end"]}],
+        "trials": [{"name": texts["trial"], "text": texts["end"], "watch": {"name": texts["name"], "seed": 1}}],
+        "after": [
+            {"kind": "choice", "name": "one", "text": "x", "choices": [texts["choice"], "other"]},
+            {"kind": "likert", "name": texts["question"], "text": "x", "ends": [texts["end"], texts["end"]]},
+        ],
+    }, allow_unicode=False)  # fmt: skip
+    study = read(tmp_path, text)
+    Answers.begin(tmp_path, study).close()
+    answers = Answers.begin(tmp_path, study)
+    answers.add_episode(0, 0, texts["name"], "completed", {}, FILM)
+    answers.consent(0)
+    for place, step in enumerate(answers.steps(0)):
+        answers.event(0, f"page {place}")
+        answers.show(0, place)
+        for question in step.questions:
+            value = {"text": texts["end"][:2000], "choice": texts["choice"], "likert": 1}[question["kind"]]
+            answers.answer(0, place, question["name"], checked(question, value))
+        answers.finish(0, place, place == 2)
+    assert len(export.export(answers, tmp_path / "tables")) == len(export.TABLES)
+    assert {row["policy"] for row in answers.episodes().values()} == {texts["name"]}
+    message = {"do": "answer", "step": 999, "question": texts["question"], "value": texts["choice"]}
+    assert len(json.dumps(message, ensure_ascii=False).encode()) <= server.LONGEST
+    answers.close()
+
+
+@pytest.mark.parametrize("key", ["title", "consent", "text", "choices", "ends", "policy", "name"])
+@pytest.mark.parametrize("half", ["\\ud83d", "\\x00", "\\x85"])
+def test_what_no_file_can_hold_is_refused_in_a_study(tmp_path, key, half):
+    places = {
+        "title": ("Robots in a lab", f'"a{half}"'), "consent": ("You may stop at any time.", f'"{half}"'),
+        "text": ("It was easy.", f'"{half}"'), "choices": ("[often, never]", f'[often, "{half}"]'),
+        "ends": ("points: 5", f'ends: ["{half}", b]'), "policy": ("policy: expert", f'policy: "{half}"'),
+        "name": ("seed: 3", f'seed: 3, name: "{half}"'),
+    }  # fmt: skip
+    assert places[key][0] in STUDY
+    with pytest.raises(FileError, match=r"study.yaml:\d+:\d+: .*"):
+        read(tmp_path, STUDY.replace(*places[key]))
+
+
+def test_the_file_refuses_no_more_of_films_than_is_written(tmp_path, monkeypatch):
+    """All of them together, too."""
+    monkeypatch.setattr("sean_jax.survey.answers.MAX_FILMS", 3 * len(json.dumps(FILM)) - 1)
+    answers = Answers.begin(tmp_path, read(tmp_path))
+    answers.add_episode(0, 0, "expert", "completed", {}, FILM)
+    answers.add_episode(2, 0, "expert", "completed", {}, FILM)
+    with pytest.raises(InputError, match="leave some trials out"):
+        answers.add_episode(2, 1, "expert", "completed", {}, FILM)
+    assert len(answers.episodes()) == 2
+    monkeypatch.setattr("sean_jax.survey.answers.MAX_FILM", 30)
+    drive = answers.begin_drive(0, [step.kind for step in answers.steps(0)].index("drive"))
+    answers.end_drive(drive, "timed out", {"path_length": 1.0}, FILM)
+    assert answers.recording(drive) is None and answers.drives()[0]["metrics"] == {"path_length": 1.0}
+    answers.close()
 
 
 def test_files_of_tables(stored, tmp_path):

@@ -24,7 +24,7 @@ from sean_jax.files import file_error
 from sean_jax.files.database import Database, Finite, Row, Scalar, make_private, new_database
 from sean_jax.quantities import TIME_STEP_RANGE, parse_digits
 from sean_jax.survey import visits
-from sean_jax.survey.study import Step, Study, checked, name_problems
+from sean_jax.survey.study import MAX_STUDY, MAX_WORD, Step, Study, checked, name_problems
 
 FILE = "study.sqlite"
 VERSION = 1
@@ -46,13 +46,17 @@ CREATE TABLE moments (drive INTEGER NOT NULL, tick INTEGER NOT NULL, moments TEX
 BROKEN_OFF = "broken off"
 MAX_EVENTS = 20_000  # of a participant; further ones are not noted
 MAX_PORT = 65_535
+MAX_FILM = 8_000_000  # bytes: 120 s among 62 people take 124,000
+MAX_VALUES = 500_000  # of a film, most of which is one text; a value of JSON takes up to 240 bytes of memory
+MAX_FILMS = 400_000_000  # bytes, of all episodes to watch
+MAX_JSON = 500_000  # characters of metrics, of moments and of an answer, as JSON
+MOMENT = 5  # numbers of a control step: speed, turn rate, x, y, heading; one more of a robot that drives sideways
 PARTICIPANT = "id, consented, finished, (SELECT count(done) FROM steps WHERE participant = id) AS done"  # columns
 
 Time = Annotated[float, pydantic.Field(ge=0, le=4e9)]  # s since 1970
 Number = Annotated[int, pydantic.Field(ge=0, le=2**40)]
 Secret = Annotated[str, pydantic.Field(pattern=r"^[A-Za-z0-9_-]{20,100}$")]
-Word = Annotated[str, pydantic.Field(max_length=1000)]
-Metrics = pydantic.Json[dict[str, Finite]]
+Word = Annotated[str, pydantic.Field(max_length=MAX_WORD)]
 
 
 def _finite(content: dict[str, Any]) -> dict[str, Any]:
@@ -60,7 +64,34 @@ def _finite(content: dict[str, Any]) -> dict[str, Any]:
     return content
 
 
-Film = Annotated[pydantic.Json[dict[str, Any]], pydantic.AfterValidator(_finite)]  # of ``replay.recording``
+def _short(text: Any) -> Any:
+    if isinstance(text, str) and len(text) > MAX_JSON:  # before it is parsed, which takes 40 times the memory
+        raise ValueError(f"has {len(text):,} characters and at most {MAX_JSON:,} are read")
+    return text
+
+
+Short = pydantic.BeforeValidator(_short)
+Metrics = Annotated[pydantic.Json[dict[str, Finite]], Short]
+
+
+def _bounded(text: Any) -> Any:
+    if isinstance(text, str) and (problem := film_problem(text)) is not None:
+        raise ValueError(f"the film {problem}")
+    return text
+
+
+def film_problem(text: str) -> str | None:
+    """Why a film, as JSON, is neither stored nor read: it would take too much memory."""
+    if (size := len(text)) > MAX_FILM:
+        return f"has {size:,} bytes and at most {MAX_FILM:,} are read"
+    if (count := sum(map(text.count, ",[{"))) > MAX_VALUES:
+        return f"has {count:,} values and at most {MAX_VALUES:,} are read"
+    return None
+
+
+Film = Annotated[
+    pydantic.Json[dict[str, Any]], pydantic.BeforeValidator(_bounded), pydantic.AfterValidator(_finite)
+]  # of ``replay.recording``
 
 
 class SettingRow(Row):
@@ -68,7 +99,7 @@ class SettingRow(Row):
 
     table: ClassVar = "study"
     name: Word
-    value: str
+    value: Annotated[str, pydantic.Field(max_length=MAX_STUDY)]
 
 
 class SecretRow(Row):
@@ -116,12 +147,12 @@ class AnswerRow(Row):
     participant: Number
     step: Number
     question: Word
-    value: Scalar
+    value: Annotated[Scalar, Short]
     time: Time
 
 
 class EpisodeRow(Row):
-    """An episode to watch."""
+    """An episode to watch, without its film."""
 
     table: ClassVar = "episodes"
     trial: Number
@@ -129,7 +160,20 @@ class EpisodeRow(Row):
     policy: Word
     outcome: Word
     metrics: Metrics
+
+
+class FilmRow(Row):
+    """The film of an episode to watch."""
+
+    table: ClassVar = "episodes"
     recording: Film
+
+
+class FilmsRow(Row):
+    """The bytes of all films."""
+
+    table: ClassVar = "episodes"
+    size: Number
 
 
 class DriveRow(Row):
@@ -156,8 +200,14 @@ class MomentsRow(Row):
     """Control steps of a drive."""
 
     table: ClassVar = "moments"
-    moments: pydantic.Json[
-        Annotated[list[tuple[Finite, Finite, Finite, Finite, Finite]], pydantic.Field(max_length=1000)]
+    moments: Annotated[
+        pydantic.Json[
+            Annotated[
+                list[Annotated[list[Finite], pydantic.Field(min_length=MOMENT, max_length=MOMENT + 1)]],
+                pydantic.Field(max_length=1000),
+            ]
+        ],
+        Short,
     ]
 
 
@@ -374,16 +424,33 @@ class Answers:
     # ------------------------------------------------------------------ episodes and drives
 
     def episodes(self) -> dict[tuple[int, int], dict[str, Any]]:
-        """Trial and side -> policy, outcome, metrics and recording of an episode to watch."""
-        rows = self._base.rows(EpisodeRow, "SELECT * FROM episodes")
+        """Trial and side -> policy, outcome and metrics of an episode to watch."""
+        places = {(k, side) for k, trial in enumerate(self.study.trials) for side in range(len(trial.episodes))}
+        if (size := self._film_bytes()) > MAX_FILMS:
+            raise self.wrong("episodes", f"has films of {size:,} bytes and at most {MAX_FILMS:,} are read")
+        query = f"SELECT trial, side, policy, outcome, metrics FROM episodes LIMIT {len(places) + 1}"
+        rows = self._base.rows(EpisodeRow, query)
+        for row in rows:
+            if (row["trial"], row["side"]) not in places:
+                raise self.wrong("episodes", f"there is no episode {row['side'] + 1} of trial {row['trial'] + 1}")
         return {(row["trial"], row["side"]): row for row in rows}
+
+    def _film_bytes(self) -> int:
+        """Of all episodes to watch."""
+        query = "SELECT coalesce(sum(length(CAST(recording AS BLOB))), 0) AS size FROM episodes"
+        return self._base.rows(FilmsRow, query)[0]["size"]
+
+    def film(self, trial: int, side: int) -> dict[str, Any]:
+        """The recording of an episode to watch."""
+        query = "SELECT recording FROM episodes WHERE trial = ? AND side = ?"
+        return self._base.rows(FilmRow, query, (trial, side))[0]["recording"]
 
     def film_lengths(self) -> dict[int, float]:
         """Trial -> seconds of its film, of two the longer one."""
         lengths: dict[int, float] = {}
-        for (trial, _), episode in self.episodes().items():
+        for trial, side in self.episodes():
             try:
-                length = FilmLength.model_validate(episode["recording"]).seconds
+                length = FilmLength.model_validate(self.film(trial, side)).seconds
             except pydantic.ValidationError:
                 raise self.wrong("episodes", f"the recording of trial {trial + 1} has no frames") from None
             lengths[trial] = max(lengths.get(trial, 0.0), length)
@@ -392,9 +459,20 @@ class Answers:
     def add_episode(
         self, trial: int, side: int, policy: str, outcome: str, metrics: dict[str, float], recording: dict[str, Any]
     ) -> None:
-        """An episode to watch."""
+        """An episode to watch.
+
+        Raises:
+            InputError: its film is too large.
+            WriteError: it cannot be written.
+        """
+        film = json.dumps(recording)
+        if (problem := film_problem(film)) is not None:
+            name = self.study.trials[trial].name
+            raise InputError(f"trials: the film of '{name}' {problem}; choose a shorter time_limit or fewer people.")
+        if self._film_bytes() + len(film) > MAX_FILMS:
+            raise InputError(f"trials: their films have more than {MAX_FILMS:,} bytes; leave some trials out.")
         with self._base.transaction() as execute:
-            row = (trial, side, policy, outcome, json.dumps(metrics), json.dumps(recording))
+            row = (trial, side, policy, outcome, json.dumps(metrics), film)
             execute("INSERT OR REPLACE INTO episodes VALUES (?, ?, ?, ?, ?, ?)", row)
 
     def begin_drive(self, participant: int, step: int) -> int:
@@ -406,16 +484,21 @@ class Answers:
         return number
 
     def add_moments(self, drive: int, tick: int, moments: Sequence[Sequence[float]]) -> None:
-        """Control steps from number ``tick`` on: speed, turn rate, then x, y and heading after the step."""
+        """Control steps from number ``tick`` on: the command, then x, y and heading after the step.
+
+        A command is speed and turn rate; of a robot that drives sideways, speed, speed to the left and turn rate.
+        """
         with self._base.transaction() as execute:
             execute("INSERT INTO moments VALUES (?, ?, ?)", (drive, tick, json.dumps(moments)))
 
     def end_drive(
         self, drive: int, outcome: str, metrics: dict[str, float] | None = None, recording: dict[str, Any] | None = None
     ) -> None:
-        """The drive has ended; with metrics, its trial is shown."""
+        """The drive has ended; with metrics, its trial is shown. A recording that is too large is left out."""
         with self._base.transaction() as execute:
             texts = [None if value is None else json.dumps(value) for value in (metrics, recording)]
+            if texts[1] is not None and film_problem(texts[1]) is not None:
+                texts[1] = None
             query = "UPDATE drives SET ended = ?, outcome = ?, metrics = ?, recording = ? WHERE id = ?"
             execute(query, (time.time(), outcome, *texts, drive))
             if metrics is not None:
@@ -473,7 +556,10 @@ class Answers:
         rows = self._base.rows(RecordingRow, "SELECT recording FROM drives WHERE id = ?", (drive,))
         return rows[0]["recording"] if rows else None
 
-    def moments(self, drive: int) -> list[tuple[float, ...]]:
-        """The control steps of a drive, as in ``add_moments``."""
+    def moments(self, drive: int) -> list[list[float]]:
+        """The control steps of a drive, as in ``add_moments``, all of the same length."""
         rows = self._base.rows(MomentsRow, "SELECT moments FROM moments WHERE drive = ? ORDER BY tick", (drive,))
-        return [moment for row in rows for moment in row["moments"]]
+        found = [moment for row in rows for moment in row["moments"]]
+        if len(set(map(len, found))) > 1:
+            raise self.wrong("moments", f"drive {drive} has steps with and without a sideways command")
+        return found

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import datetime
+import functools
 import io
 import unicodedata
 from collections.abc import Callable
@@ -11,12 +12,15 @@ from pathlib import Path
 from typing import Any
 
 from sean_jax import replay, writing
-from sean_jax.survey.answers import Answers
+from sean_jax.errors import InputError, WriteError
+from sean_jax.survey.answers import MOMENT, Answers
 from sean_jax.survey.study import CHOICE, templates
 
 Row = dict[str, Any]
 FORMULAS = "=+-@"  # how one begins
 LINE_ENDS = "\t\r\n"  # or of a cell
+COLUMNS = ("participant", "place", "trial", "kind", "policy", "drive", "outcome", "chosen", "began", "ended", "shown",
+           "done")  # of trials.csv, before those of metrics  # fmt: skip
 BLANK = "".join(map(chr, range(33))) + "\x7f\x85\xa0\u200b\u2028\u2029\ufeff"  # what may stand before it
 
 
@@ -81,7 +85,7 @@ def trials(answers: Answers) -> list[Row]:
             for count, drive in enumerate(drives.get((participant, number), ()), 1):
                 more = {"policy": "participant", "drive": count, "outcome": drive["outcome"] or "", "chosen": ""}
                 ends = {"began": _time(drive["began"]), "ended": _time(drive["ended"])}
-                rows.append(shared | more | ends | pages | (drive["metrics"] or {}))
+                rows.append(shared | more | ends | pages | _metrics(drive["metrics"] or {}))
             continue
         sides = {"A": int(step.swapped), "B": int(not step.swapped)}
         choice = values.get((participant, number, CHOICE))
@@ -91,8 +95,19 @@ def trials(answers: Answers) -> list[Row]:
                 raise answers.wrong("episodes", f"there is no episode {side + 1} of the trial '{step.name}'")
             chosen = "" if step.kind != "choose" or choice not in sides else int(sides[choice] == side)
             more = {"policy": episode["policy"], "drive": "", "outcome": episode["outcome"], "chosen": chosen}
-            rows.append(shared | more | {"began": "", "ended": ""} | pages | episode["metrics"])
+            rows.append(shared | more | {"began": "", "ended": ""} | pages | _metrics(episode["metrics"]))
     return rows
+
+
+def _metrics(values: dict[str, float]) -> Row:
+    """Metrics by column: one with the name of another column, such as participant, becomes metric_participant."""
+    found = Row()
+    for name, value in values.items():
+        column = name
+        while column in COLUMNS or (column != name and column in values):
+            column = f"metric_{column}"
+        found[column] = value
+    return found
 
 
 def answers_table(answers: Answers) -> list[Row]:
@@ -130,14 +145,18 @@ def scores(values: dict[str, Any]) -> dict[str, float]:
 
 def trajectories(answers: Answers) -> list[Row]:
     """A row for each control step of each drive: m, rad, m/s and rad/s."""
-    rows = []
-    for drive in answers.drives():
+    driven = [(drive, answers.moments(drive["id"])) for drive in answers.drives()]
+    names = ("speed_command", "turn_command", "x", "y", "heading")
+    sideways = (names[0], "sideways_command", *names[1:])  # to the left
+    columns = dict.fromkeys(sideways if any(len(row) > MOMENT for _, rows in driven for row in rows[:1]) else names, "")
+    found = []
+    for drive, rows in driven:
         step = answers.steps(drive["participant"])[drive["step"]]
         head = {"participant": drive["participant"] + 1, "trial": step.name, "began": _time(drive["began"])}
-        names = ("speed_command", "turn_command", "x", "y", "heading")
-        moments = answers.moments(drive["id"])
-        rows += [head | {"step": k + 1} | dict(zip(names, moment, strict=True)) for k, moment in enumerate(moments)]
-    return rows
+        for k, row in enumerate(rows):
+            values = dict(zip(sideways if len(row) > MOMENT else names, row, strict=True))
+            found.append(head | {"step": k + 1} | columns | values)
+    return found
 
 
 TABLES: dict[str, Callable[[Answers], list[Row]]] = {
@@ -156,31 +175,77 @@ def table(answers: Answers, name: str) -> str:
 
 def to_csv(rows: list[Row]) -> str:
     """Rows as CSV, with a column for each key of any row."""
-    stream = io.StringIO()
-    writer = csv.DictWriter(stream, list(dict.fromkeys(key for row in rows for key in row)), restval="")
-    writer.writeheader()
-    writer.writerows({key: _guarded(value) for key, value in row.items()} for row in rows)
+    stream, columns = io.StringIO(), list(dict.fromkeys(key for row in rows for key in row))
+    writer = csv.writer(stream)
+    writer.writerow(map(_guarded, columns))
+    writer.writerows([_guarded(row.get(key, "")) for key in columns] for row in rows)
     return stream.getvalue()
 
 
 def export(answers: Answers, folder: Path) -> list[Path]:
-    """Write the tables, and a page for each drive that came to its end; their files."""
+    """Write the tables, and a page for each drive that came to its end; their files.
+
+    What fails keeps nothing else from being written.
+
+    Raises:
+        WriteError: the folder is a link.
+        InputError: some files are not written; a line for each cause, and what is written.
+    """
+    _check_no_link(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    files = [folder / name for name in TABLES]
-    for file in files:
-        writing.write(file, table(answers, file.name))
-    return [*files, *_replays(answers, folder)]
-
-
-def _replays(answers: Answers, folder: Path) -> list[Path]:
-    files = list[Path]()
-    for drive in answers.drives():
-        if (content := answers.recording(drive["id"])) is not None:
-            name = f"participant-{drive['participant'] + 1}-{answers.steps(drive['participant'])[drive['step']].name}"
-            files.append(folder / "drives" / f"{name}.html")
-            files[-1].parent.mkdir(exist_ok=True)
-            writing.write(files[-1], replay.html(content | {"title": name}))
+    contents: dict[Path, Callable[[], str | None]] = {
+        folder / name: functools.partial(table, answers, name) for name in TABLES
+    }
+    files, failed = list[Path](), dict[str, list[str]]()  # sentence -> what is not written
+    try:
+        contents |= _replays(answers, folder / "drives")
+    except InputError as error:
+        failed[str(error)] = ["replays"]
+    for file, content in contents.items():
+        try:
+            if (text := content()) is None:
+                continue
+            _write(file, text)
+            files.append(file)
+        except InputError as error:
+            failed.setdefault(str(error), []).append(file.name)
+        except OSError as error:
+            failed.setdefault(f"{writing.reason(error)}; choose another folder with --out.", []).append(file.name)
+    if failed:
+        lines = [f"{', '.join(sorted(names))}: not written: {text}" for text, names in failed.items()]
+        raise InputError("\n".join([*lines, f"The other files, {len(files)}, are written to {folder}."]))
     return files
+
+
+def _write(file: Path, text: str) -> None:
+    _check_no_link(file.parent)
+    if file.is_dir():
+        raise WriteError(f"{file} is a folder; remove it, or choose another place with --out.")
+    file.parent.mkdir(exist_ok=True)
+    writing.write(file, text)
+
+
+def _replays(answers: Answers, folder: Path) -> dict[Path, Callable[[], str | None]]:
+    """File -> what makes the page of a drive."""
+    found: dict[Path, Callable[[], str | None]] = {}
+    for drive in answers.drives():
+        if drive["metrics"] is not None:  # it came to its end
+            name = answers.steps(drive["participant"])[drive["step"]].name
+            title = f"participant-{drive['participant'] + 1}-{name}"
+            found[folder / f"{title}.html"] = functools.partial(_replay, answers, drive["id"], title)
+    return found
+
+
+def _replay(answers: Answers, drive: int, title: str) -> str | None:
+    """The page of a drive; None if its film was too large to be stored."""
+    content = answers.recording(drive)
+    return None if content is None else replay.html(content | {"title": title})
+
+
+def _check_no_link(folder: Path) -> None:
+    """Refuse a folder that leads elsewhere: whoever has made it may have sent it."""
+    if folder.is_symlink():
+        raise WriteError(f"{folder} is a link, through which nothing is written; remove it, or give the folder itself.")
 
 
 def _time(seconds: float | None) -> str:

@@ -31,8 +31,6 @@ from sean_jax.survey.answers import Answers
 
 MIN_PARTICIPANTS = 5  # fewer have no interval
 RESAMPLES = 1000
-NAMES = {"participant", "place", "trial", "kind", "policy", "drive", "outcome", "chosen"}
-NAMES |= {"began", "ended", "shown", "done"}
 LARGEST = 1 - 1e-6  # correlation of which Fisher's z is taken
 LEVEL = 0.05  # of corrected p-values
 
@@ -114,7 +112,7 @@ def rated(answers: Answers) -> list[dict[str, Any]]:
     metrics: dict[tuple[int, int], dict[str, Any]] = {}
     for row in export.trials(answers):
         place = row["participant"], row["place"]
-        values = {name: float(value) for name, value in row.items() if name not in NAMES}
+        values = {name: float(value) for name, value in row.items() if name not in export.COLUMNS}
         if row["kind"] == "choose":
             values = {}
         metrics[place] = {"trial": row["trial"], "metrics": values}  # of several drives, the last one came to its end

@@ -87,6 +87,7 @@ class Survey:
         self._researchers: set[Tab] = set()
         self._sessions = Sessions()
         self._previews: dict[int, tuple[dict[str, Any], list[bytes]]] = {}  # trial -> what a drive begins with
+        self._rules: dict[int, dict[str, float]] = {}  # trial -> s, how long a drive takes, and stays at its goal
         answers.recover()
         self._prepare(report)
         self._lengths = answers.film_lengths()  # trial -> s
@@ -104,6 +105,8 @@ class Survey:
                 if trial.view != "plan":
                     messages.append(_picture(session, trial.view))
                 self._previews[index] = recording(session, live="frames"), messages
+                limit, hold = session.scenario.time_limit, float(session.scenario.hold_time)
+                self._rules[index] = {"limit": round(limit, 2), "hold": round(hold, 2)}
                 continue
             for side, options in enumerate(trial.episodes):
                 if (index, side) in stored:
@@ -115,7 +118,6 @@ class Survey:
                 self.answers.add_episode(
                     index, side, policy, session.outcome, session.metrics(), recording(session)
                 )  # fmt: skip
-        self._episodes = {place: row["recording"] for place, row in self.answers.episodes().items()}
 
     def _session(self, trial: int) -> Session:
         return self._sessions.make(self.study.config(self.study.trials[trial].episodes[0], self._source))
@@ -275,8 +277,9 @@ class Survey:
         step = steps[done]
         content: dict[str, Any] = {
             "kind": "step", "what": step.kind, "text": step.text, "questions": step.questions, "view": step.view,
-            "shown": shown or step.kind == "questions", "recordings": self._recordings(step),
+            "shown": shown or step.kind == "questions", "recordings": await asyncio.to_thread(self._recordings, step),
             "answers": await asyncio.to_thread(self.answers.answers_of, participant, done),
+            "rules": None if step.trial is None else self._rules.get(step.trial),
         }  # fmt: skip
         tab.put(head | content)
         if step.kind == "drive" and not shown:
@@ -290,7 +293,7 @@ class Survey:
         if step.kind == "drive":
             return [self._previews[step.trial][0]]
         sides = [0] if step.kind == "watch" else [1, 0] if step.swapped else [0, 1]
-        return [self._episodes[step.trial, side] for side in sides]
+        return [self.answers.film(step.trial, side) for side in sides]
 
     async def _handle(self, tab: Tab, request: dict[str, Any]) -> None:
         """What a page asks for.

@@ -20,12 +20,14 @@ from sean_jax import files, web
 from sean_jax.config import StudioConfig, validate
 from sean_jax.errors import InputError
 from sean_jax.files import Problem
-from sean_jax.messages import suggest
+from sean_jax.messages import shorten, suggest
 
 VIEWS = ("plan", "first_person", "third_person")
 BEFORE, AFTER, CHOICE = "before", "after", "choice"
 MAX_TEXT = 2_000  # characters of an answer
 MAX_PARTICIPANTS = 1_000
+MAX_WORD = 1_000  # characters of a name of an episode or a policy, and of a choice
+MAX_STUDY = 5_000_000  # characters of a study as JSON
 LINES = "\n\r\t"  # control characters that a text may have
 NAME = r"^[A-Za-z][A-Za-z0-9_-]{0,39}$"
 
@@ -266,6 +268,7 @@ def _problems(study: Study, path: Path) -> Iterator[Problem]:
     for k, trial in enumerate(study.trials):
         yield from _choice_problems(study, trial, ("trials", k))
         yield from _option_problems(study, trial, ("trials", k), path)
+    yield from _text_problems(study)
     if study.address is not None:
         if not web.is_origin(study.address):
             yield ("address",), f"'{study.address}' is no address; write it as https://study.example.org"
@@ -310,10 +313,46 @@ def _choice_problems(study: Study, trial: Trial, loc: tuple[str | int, ...]) -> 
 def _option_problems(study: Study, trial: Trial, loc: tuple[str | int, ...], path: Path) -> Iterator[Problem]:
     for k, options in enumerate(trial.episodes):
         where = (*loc, trial.kind, k) if trial.kind == "choose" else (*loc, trial.kind)
+        name = options.get("name", "-")
+        if not isinstance(name, str) or not name:
+            yield (*where, "name"), f"{shorten(repr(name))} is no text; write a name in quotes"
+            continue
         try:
-            study.config(options, path)
+            config = study.config(options, path)
         except InputError as error:
             yield where, str(error)
+            continue
+        key = "name" if "name" in options else "policy"
+        if (size := len(options.get("name", config.policy.label))) > MAX_WORD:
+            yield where, f"{key}: {size:,} characters; give the episode a name of at most {MAX_WORD:,}"
+
+
+def _text_problems(study: Study) -> Iterator[Problem]:
+    """Texts and numbers that the study's file, or a page, would not hold as they are."""
+    places: list[tuple[tuple[str | int, ...], Any]] = [((), study.model_dump())]
+    size, found = 0, False
+    while places and size <= MAX_STUDY:
+        loc, value = places.pop()
+        if isinstance(value, dict):
+            places += [((*loc, key), each) for key, each in value.items()]
+            texts = [key for key in value if isinstance(key, str)]
+        elif isinstance(value, list | tuple):
+            places += [((*loc, k), each) for k, each in enumerate(value)]
+            texts = []
+        else:
+            texts = [value] if isinstance(value, str) else []
+            if isinstance(value, float) and not math.isfinite(value):
+                found = True
+                yield loc, f"{value} cannot be stored; give a finite number"
+        for text in texts:
+            size += len(text)
+            if (wrong := wrong_character(text)) is not None:
+                found = True
+                yield loc, f"character {ord(wrong):04x} cannot be stored; remove it"
+        if len(loc) > 1 and loc[-2] == "choices" and isinstance(value, str) and len(value) > MAX_WORD:
+            yield loc, f"has {len(value):,} characters; write at most {MAX_WORD:,}"
+    if size > MAX_STUDY or (not found and len(study.model_dump_json()) > MAX_STUDY):
+        yield (), f"the study has more than {MAX_STUDY:,} characters, aliases as often as they are used; shorten it"
 
 
 def _repeated(loc: tuple[str | int, ...], names: list[str]) -> Iterator[Problem]:
@@ -363,11 +402,15 @@ def _checked_text(name: str, text: str) -> str:
     """
     if len(text) > MAX_TEXT:
         raise InputError(f"{name}: {len(text):,} characters; write at most {MAX_TEXT:,}.")
-    wrong = next((character for character in text if unicodedata.category(character) in ("Cc", "Cs")
-                  and character not in LINES), None)  # fmt: skip
-    if wrong is not None:
+    if (wrong := wrong_character(text)) is not None:
         raise InputError(f"{name}: character {ord(wrong):04x} cannot be stored; type the text again.")
     return text
+
+
+def wrong_character(text: str) -> str | None:
+    """The first character of a text that not all files can hold."""
+    return next((character for character in text if unicodedata.category(character) in ("Cc", "Cs")
+                 and character not in LINES), None)  # fmt: skip
 
 
 # ------------------------------------------------------------------ balance

@@ -28,6 +28,7 @@ interface Step extends Head {
   view: string;
   shown: boolean; // the episode is over, and questions follow
   recordings: Recording[];
+  rules: { limit: number; hold: number } | null; // of a drive: s, until it ends, and for which the robot has to stay
   questions: Question[];
   answers: Record<string, string | number>;
 }
@@ -72,6 +73,13 @@ const GOAL = {
 };
 const KEYS = "Use the arrow keys, or W, A, S and D; on a touch screen, the joystick.";
 const OUTCOMES: Record<string, string> = { completed: "You have reached the goal.", "timed out": "The time is over." };
+
+/** A sentence that says when a drive ends. */
+function rules({ limit, hold }: { limit: number; hold: number }): string {
+  const seconds = (number: number): string => `${number} second${number === 1 ? "" : "s"}`;
+  const stay = hold > 0 ? `has stayed at the goal for ${seconds(hold)} without a break` : "is at the goal";
+  return `You have ${seconds(limit)}. The drive ends when the robot ${stay}, or when the time is over.`;
+}
 
 class Survey {
   private socket!: WebSocket;
@@ -295,6 +303,7 @@ class Survey {
     if (step.shown) return;
     const goal = step.view === "plan" ? GOAL.plan : GOAL.picture;
     add(this.place, "p", "survey-text").textContent = `${goal} ${KEYS}`;
+    if (step.rules) add(this.place, "p", "survey-text").textContent = rules(step.rules);
     const start = this.button(this.place, "start", () => {
       start.disabled = true;
       this.request("start");

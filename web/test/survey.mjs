@@ -83,6 +83,7 @@ for (;;) {
     }
   } else if (what === "drive") {
     await page.waitForSelector("[data-frames='1']");
+    seen.rules = await page.locator(".survey-text").last().textContent();
     await button("start").click();
     await page.waitForSelector("[data-driving=yes]", { timeout: 60000 });
     await page.keyboard.down("ArrowUp");
