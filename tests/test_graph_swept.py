@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import yaml
 
+from sean_jax import environment
 from sean_jax.graph import annotation, formation
 from sean_jax.graph.behavior_graph import (
     FLOWS,
@@ -103,6 +104,16 @@ def test_arrays_are_what_is_written(seed):
         joined[a, b] = joined[b, a] = True
     assert np.isinf(graph.edge_cost[~joined]).all() and (graph.flow[~joined] == -1).all()
     assert_cheapest(graph)
+
+
+def test_places_are_uniform_on_the_disc_of_a_node():
+    """Where nothing is in the way: as many on each side, and half of them beyond the radius that halves the area."""
+    place, radius = environment.load("lab"), 0.5
+    clear = np.array([[0.0, 0.0]])
+    points = annotation._draw_places(place, clear, np.array([radius]), 0)[0] - clear[0]
+    away, angle = np.hypot(*points.T), np.arctan2(*points.T[::-1])
+    assert away.max() <= radius and 0.3 < (away > radius / np.sqrt(2)).mean() < 0.7
+    assert (np.histogram(angle, 4, (-np.pi, np.pi))[0] > len(points) / 10).all()
 
 
 @pytest.mark.parametrize("seed", range(3))

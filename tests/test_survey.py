@@ -21,6 +21,7 @@ import tracemalloc
 import urllib.error
 import urllib.request
 from pathlib import Path
+from types import SimpleNamespace
 
 import jax.numpy as jnp
 import numpy as np
@@ -85,6 +86,7 @@ def test_orders_are_balanced(count):
     assert all(sorted(order) == list(range(count)) for order in orders)
     for place in range(count):
         assert np.all(np.bincount([order[place] for order in orders], minlength=count) == total / count)
+    assert total == {1: 1, 3: 6, 5: 10, 7: 14, 9: 18}.get(count, count)
     pairs = [pair for order in orders for pair in itertools.pairwise(order)]
     counts = [pairs.count(pair) for pair in itertools.permutations(range(count), 2)]
     assert len(set(counts)) <= 1
@@ -243,6 +245,36 @@ def test_answers_are_checked(question, good, bad):
 
 
 # ------------------------------------------------------------------ the server
+
+
+def test_a_page_gets_only_what_it_may_ask_for(tmp_path):
+    """Before consent nothing is stored, nor an answer of another page or of a film that has not been seen."""
+    answers, shown = Answers.begin(tmp_path, read(tmp_path)), []
+
+    async def show(tab):
+        shown.append(tab.participant)
+
+    study_open = SimpleNamespace(answers=answers, _steps=[answers.steps(0)], _show=show)
+
+    def ask(participant, **request):
+        asyncio.run(server.Survey._handle(study_open, server.Tab(None, participant), request))
+
+    age = {"do": "answer", "step": 0, "question": "age", "value": 30}
+    with pytest.raises(InputError, match="the researcher's page only shows the study"):
+        ask(None, **age)
+    ask(0, **age)
+    assert shown == [0] and not answers.all_answers()
+    ask(0, do="consent")
+    ask(0, **age | {"step": 1})
+    assert shown == [0] * 3 and not answers.all_answers()
+    ask(0, **age)
+    assert [(row["question"], row["value"]) for row in answers.all_answers()] == [("age", 30)]
+    ask(0, do="done", step=0)
+    question = answers.steps(0)[1].questions[0]
+    with pytest.raises(InputError, match="does not belong to this page"):
+        ask(0, do="answer", step=1, question=question["name"], value=reply(question, np.random.default_rng(0)))
+    assert len(answers.all_answers()) == 1
+    answers.close()
 
 
 @pytest.fixture(scope="module")
@@ -791,6 +823,7 @@ DAMAGES = {
     "infinite moments": ("UPDATE moments SET moments = '[[1, 2, 3, 4, 1e999]]'", "table moments: moments"),
     "fewer participants": ("DELETE FROM participants WHERE id = 3", "does not hold 60 participants"),
     "an event of no kind": ("UPDATE events SET what = 'page x'", "table events: what"),
+    "a port that is none": ("INSERT OR REPLACE INTO study VALUES ('port', '65536')", "table study: is not what"),
     "another version": ("UPDATE study SET value = '9' WHERE name = 'version'", "has version 9 of the format, not 1"),
     "no link of the researcher": ("UPDATE study SET value = '' WHERE name = 'researcher'", "table study: is not what"),
     "no study": ("UPDATE study SET value = '{}' WHERE name = 'study'", "table study: is not what this program writes"),

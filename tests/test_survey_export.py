@@ -69,6 +69,15 @@ def test_participants_and_pages(stored):
         assert row["began"] or row["kind"] != "drive"
 
 
+def test_the_last_page_has_no_row(tmp_path):
+    answers = Answers.begin(tmp_path, read(tmp_path))
+    answers.consent(0)
+    for word in ("opened", *(f"page {number}" for number in range(len(answers.steps(0)) + 1)), "closed"):
+        answers.event(0, word)
+    assert [row["place"] for row in export.pages(answers)] == list(range(1, len(answers.steps(0)) + 1))
+    answers.close()
+
+
 def test_trials(stored):
     answers, values, _ = stored
     expected = []
