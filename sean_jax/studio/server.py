@@ -320,14 +320,19 @@ class Studio:
             return "driver"
         return "watcher" if self._driver is not None or self._reserved else "free"
 
-    def _drive_by(self, tab: ServerConnection | None, reserved: str = "") -> None:
-        """Make a tab the driver, or none; the role may be kept for the name of a tab that is gone."""
+    def _drive_by(self, tab: ServerConnection | None, reserved: str = "", tell: bool = True) -> None:
+        """Make a tab the driver, or none; the role may be kept for the name of a tab that is gone.
+
+        Args:
+            tell: send the roles to all tabs.
+        """
         if self._release is not None:
             self._release.cancel()
         self._driver, self._reserved, self._release = tab, reserved, None
         if reserved and self._loop is not None:
             self._release = self._loop.call_later(RETURN, self._drive_by, None)
-        self._put_status(self.session.status())
+        if tell:
+            self._put_status(self.session.status())
 
     async def _leave(self, name: str) -> None:
         """The driver's tab is gone: time stands still, and its role is kept for a while if it has a name."""
@@ -353,8 +358,8 @@ class Studio:
             return
         if word == "take":  # the wheel, also from a tab that its person has forgotten
             self._end_comparison()
-            self._drive_by(tab)  # at once: what the tab before has asked for, and is not done, has no effect
-            await asyncio.to_thread(session.play, False)
+            self._drive_by(tab, tell=False)  # at once: what the tab before has asked for has no effect from now on
+            await asyncio.to_thread(session.play, False)  # which tells all tabs
             return
         if self._role(tab) == "watcher":
             raise InputError("another tab drives; take the wheel, or watch.")

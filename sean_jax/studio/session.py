@@ -357,8 +357,9 @@ class Session:
 
     def _begins_anew(self, edited: Scenario) -> bool:
         """Whether the present episode cannot go on in an edited scenario."""
-        now = self.scenario
-        return now.environment is not edited.environment or not same_shapes(now.behavior.data, edited.behavior.data)
+        before = self.scenario
+        tables = before.behavior.data, edited.behavior.data
+        return before.environment is not edited.environment or not same_shapes(*tables)
 
     def save(self, allowed: Callable[[], bool] = lambda: True) -> None:
         """Write the changes to the environment's files, and begin the episode anew on them.

@@ -182,6 +182,11 @@ class Studio {
     return this.status?.you === "driver" && this.status.human;
   }
 
+  /** Whether a person drives, of this tab or of another one. */
+  private isHuman(): boolean {
+    return this.status?.human === true && this.status.you !== "free";
+  }
+
   /** Ask for the picture of the view that is chosen; none is shown until it comes. */
   private showView(): void {
     const name = this.view.value;
@@ -204,7 +209,7 @@ class Studio {
   /** What the first button does now. */
   private nameButton(): void {
     const past = this.player?.moment && !this.player.moment.newest;
-    this.buttons.drive.textContent = past ? "drive from here" : this.isDriving() ? "give back" : "drive";
+    this.buttons.drive.textContent = past ? "drive from here" : this.isHuman() ? "give back" : "drive";
     this.buttons.live.disabled = !past;
   }
 
@@ -219,7 +224,7 @@ class Studio {
   /** From the moment that is shown; or give back to the policy. */
   private takeOver(): void {
     const moment = this.player?.moment;
-    if (this.isDriving() && moment?.newest) {
+    if (this.isHuman() && moment?.newest) {
       this.request({ do: "drive", on: false });
       return;
     }
