@@ -31,7 +31,7 @@ from sean_jax.learning.collection import EpisodePart, Recorder, steps_per_row
 from sean_jax.learning.dataset import Dataset
 from sean_jax.messages import shorten
 from sean_jax.quantities import TIME_STEP_RANGE
-from sean_jax.robots.drive import command_size, max_reverse_speed, require
+from sean_jax.robots.drive import command_size, max_reverse_speed
 
 VERSION = 2  # of the files; those of version 1 do not say who drove
 STOPPED = "stopped"  # outcome of a trial that did not reach the end of its episode
@@ -534,11 +534,11 @@ def demonstrations(config: StudioConfig, watch: Callable[[str], None] = lambda t
 
 def no_demonstrations(scenario: Scenario) -> str:
     """Why the drives of a robot become no demonstrations; "" if they do."""
-    try:
-        require(scenario.robot, ("differential",), "demonstrations are recorded with")
-    except InputError as error:
-        return f"{error} Drives are recorded in {TRIALS}/ and stay there; they become no dataset."
-    return ""
+    robot = scenario.robot
+    if robot.drive_type == "differential":
+        return ""
+    why = f"demonstrations are of differential robots, and the drive of {robot.name} is {robot.drive_type}"
+    return f"{why}; its drives are recorded in {TRIALS}/ and stay there, but become no dataset."
 
 
 def _belied(drive: RecordedDrive, state: State) -> str:
