@@ -148,6 +148,7 @@ OWN = {
     "studies/experiments/page.py ",
     "studies/validation/checks.py ",
     "studio/__init__.py serve",
+    "studio/address.py _place",
     "survey/__init__.py _serve",
     "survey/study.py templates",
     "trajectories.py ",
@@ -1013,7 +1014,8 @@ def load_trial(folder: Path) -> Any:
     json.dumps(listed, allow_nan=False)
     assert all("Traceback" not in text and len(text) < 1000 for text in told), told
     drive = trial.read(path if path.is_file() else place / path.name)
-    assert drive.commands.shape == (len(drive.commands), 2) and (np.abs(drive.commands) <= trial.MAX_COMMAND).all()
+    assert drive.commands.ndim == 2 and drive.commands.shape[1] in (2, 3)
+    assert (np.abs(drive.commands) <= trial.MAX_COMMAND).all()
     assert drive.by_person is None or len(drive.by_person) == len(drive.commands)
     assert 0 <= drive.episode < 2**32 and isinstance(drive.options, dict)
     return drive.commands, drive.by_person

@@ -115,6 +115,28 @@ def test_a_drive_is_simulated_again_to_the_byte(fresh, tmp_path):
     assert equal(repeated.robot, state.robot) and equal(repeated.pedestrians, state.pedestrians)
 
 
+def test_a_drive_of_an_omnidirectional_robot_is_kept(tmp_path):
+    """With three numbers a command; it is listed, and simulated again to the byte. Networks are for two wheels."""
+    hsr = Session(validate(StudioConfig, OPTIONS | {"robot": "hsr"}).replace(record=tmp_path))
+    hsr.record()
+    for _ in range(12):
+        hsr._advance(np.array([0.2, 0.1, 0.2]))
+    told = trial.read(hsr.end_trial())
+    np.testing.assert_array_equal(told.commands, hsr.commands)
+    assert told.commands.shape == (12, 3) and [row["seconds"] for row in hsr.drives()] == [1.2]
+    state = hsr.moments[0].state
+    for command in told.commands:
+        state = hsr._step(hsr.scenario, state, jax.numpy.asarray(command))
+    assert equal(state.robot, hsr.state.robot)
+    assert trial._beyond_robot(told, hsr.scenario.robot) == ""
+    two = told._replace(commands=told.commands[:, :2])
+    assert "has commands of 2 numbers, and those of hsr have 3" in trial._beyond_robot(two, hsr.scenario.robot)
+    made = trial.demonstrations(hsr.config)
+    assert made.data is None and "the drive of hsr is omnidirectional" in made.said[0]
+    assert trial.recover(tmp_path) == [] and told.file.exists()
+    assert not server._hello(hsr)["demonstrates"]
+
+
 def test_a_person_has_the_robots_limits_and_a_dead_man_switch(fresh):
     forward, backward, turn = fresh.limits
     drive(fresh, 8, 1.0, -1.0)
@@ -286,9 +308,9 @@ def test_a_drive_that_is_discarded_is_no_demonstration(fresh):
         fresh.discard(fresh.trial.file.name)
 
 
-def finished(folder, name, by_person, outcome="completed", version=2):
+def finished(folder, name, by_person, outcome="completed", version=2, options=None):
     """A drive in a file, which stands still."""
-    options = validate(StudioConfig, OPTIONS).identity()
+    options = validate(StudioConfig, OPTIONS).identity() if options is None else options
     lines = [{"version": version, "options": options, "episode": 0}]
     steps = {"commands": [[0.0, 0.0]] * len(by_person)} | ({"by_person": by_person} if version == 2 else {})
     file = folder / trial.TRIALS / name
@@ -297,8 +319,9 @@ def finished(folder, name, by_person, outcome="completed", version=2):
     return file
 
 
-def test_demonstrations_are_the_steps_of_a_person(tmp_path):
+def test_demonstrations_are_the_steps_of_a_person(tmp_path, monkeypatch):
     """A person's whole seconds of completed drives, each piece by itself; of all steps if they are asked for."""
+    monkeypatch.setattr(trial, "_belied", lambda drive, state: "")  # they stand still
     finished(tmp_path, "000000.jsonl", [False] * 20 + [True] * 35 + [False] * 15 + [True] * 20)
     finished(tmp_path, "000001.jsonl", [True] * 30, "stopped")
     finished(tmp_path, "000002.jsonl", [False] * 30)
@@ -314,6 +337,53 @@ def test_demonstrations_are_the_steps_of_a_person(tmp_path):
     assert [sum(shard["lengths"]) for shard in everything.manifest["shards"]] == [9, 3, 3, 3]
     column = everything.by_person(everything.episodes)
     np.testing.assert_array_equal(np.flatnonzero(column), [2, 3, 4, 7, 8, 9, 10, 11])
+
+
+def test_a_drive_is_what_it_says_when_it_is_simulated_again(fresh):
+    """One that stood still was not completed, and nobody drives faster than the robot; a completed one is one."""
+    folder = fresh.config.record
+    fresh.record()
+    fresh.play(True)
+    wait(lambda: fresh.over and not fresh.playing, 60.0)
+    real = fresh.end_trial() or folder / trial.TRIALS / "000000.jsonl"
+    assert fresh.outcome == "completed"
+    real.write_text(real.read_text().replace("false", "true"))
+    options = json.loads(real.read_text().split("\n")[0])["options"]
+    still = finished(folder, "000001.jsonl", [True] * 30, options=options)
+    fast = still.with_name("000002.jsonl")
+    fast.write_text(still.read_text().replace('"commands": [[0.0', '"commands": [[100.0'))
+    longer = still.with_name("000003.jsonl")
+    last = '{"commands": [[0.0, 0.0]], "by_person": [true]}\n{"end"'
+    longer.write_text(real.read_text().replace('{"end"', last))
+    made = trial.demonstrations(fresh.config)
+    assert set(sources(made.data)) == {"000000.jsonl"}
+    said = "\n".join(made.said)
+    assert "000001.jsonl says that it was completed, and does not complete when it is simulated again; move it" in said
+    assert "000002.jsonl has a person's command [100.0, 0.0] at step 0, beyond the limits of kuri" in said
+    assert f"and its episode ends after {len(fresh.commands)}; move it" in said and "000003.jsonl" in said
+
+
+def test_a_drive_ends_before_its_file_is_too_large_to_be_read(fresh, monkeypatch):
+    """And before a command that the file cannot have: time goes on, and the page says why."""
+    news = []
+    fresh.send = lambda kind, content: news.append((kind, content))
+    monkeypatch.setattr(trial, "MAX_TRIAL", 4_000)
+    monkeypatch.setattr(trial, "END_ROOM", 1_500)
+    fresh.record()
+    file = fresh.trial.file
+    drive(fresh, 120, 0.123456789, 0.1)
+    assert fresh.trial is None and len(fresh.commands) >= 120
+    assert ("error", "record: a drive has at most 20 MB; the recording has ended after its last whole second.") in news
+    told = trial.read(file)
+    assert file.stat().st_size < 4_000 and told.outcome == trial.STOPPED and len(told.commands) % 10 == 0
+    np.testing.assert_array_equal(told.commands, fresh.commands[: len(told.commands)])
+    fresh.restart(1)
+    fresh.record()
+    drive(fresh, 12, 0.1, 0.1)
+    fresh._write_trial(lambda one: one.add([(float("nan"), 0.0)], [False]))
+    assert "the command [nan, 0.0] is not from -100 to 100" in news[-3][1] and fresh.trial is None
+    assert len(fresh.drives()) == 2 and trial.recover(fresh.config.record) == []
+    fresh.send = lambda kind, content: None
 
 
 def test_the_card_says_who_has_driven(fresh):
@@ -335,15 +405,15 @@ def test_code_that_a_trial_names_is_not_run(tmp_path):
     one.add([(0.1, 0.0)] * 10, [True] * 10)
     one.end("")
     plain = validate(StudioConfig, OPTIONS).replace(record=tmp_path)
-    with pytest.raises(InputError, match="need the code .*mine.py:move; start the studio with the same options"):
+    with pytest.raises(InputError, match="000000.jsonl needs the code .*mine.py:move; start the studio with"):
         trial.demonstrations(plain)
 
 
 @pytest.mark.parametrize(
     ("name", "source", "said"),
     [
-        ("other", "pass", "need the code .*mine.py:other; start the studio"),
-        ("move", "# changed", "were driven with another .*mine.py, or do not say with which; restore that file"),
+        ("other", "pass", "000000.jsonl needs the code .*mine.py:other; start the studio"),
+        ("move", "# changed", "was driven with another .*mine.py, or does not say with which; restore that file"),
     ],
 )
 @pytest.mark.parametrize("people", [3, 5])
@@ -372,11 +442,11 @@ def test_other_options_of_a_trial_run_with_the_users_own_code(tmp_path):
     driven = validate(StudioConfig, typed)
     code = components.digests(driven)
     drive = trial.RecordedDrive(tmp_path / "a", "", json.loads(json.dumps(driven.identity())), 0, None, None, "", code)
-    recorded = trial._options(studio, [drive])
+    recorded = trial._options(studio, drive)
     assert recorded.people == 3 and recorded.model is studio.model and recorded.model.is_typed
     stronger = drive._replace(options=drive.options | {"model": {**drive.options["model"], "force": 9}})
-    with pytest.raises(InputError, match="need the code"):
-        trial._options(studio, [stronger])
+    with pytest.raises(InputError, match="needs the code"):
+        trial._options(studio, stronger)
 
 
 def test_a_full_disk_ends_the_recording_alone(fresh, monkeypatch):
@@ -442,8 +512,9 @@ def test_a_killed_trial_ends_after_its_last_whole_second(tmp_path, cut):
     assert trial.recover(tmp_path) == []
 
 
-def test_files_that_are_no_drives_stop_nobody(tmp_path):
+def test_files_that_are_no_drives_stop_nobody(tmp_path, monkeypatch):
     """They are told with the cure, they stay as they are, and other drives are demonstrations."""
+    monkeypatch.setattr(trial, "_belied", lambda drive, state: "")  # it stands still
     finished(tmp_path, "000001.jsonl", [True] * 30)
     (tmp_path / trial.TRIALS / "000000.jsonl").write_text("a colleague's\n")
     (tmp_path / trial.TRIALS / "000002.jsonl").mkdir()
@@ -456,6 +527,79 @@ def test_files_that_are_no_drives_stop_nobody(tmp_path):
     assert any("has 900 steps, and an episode at most 200" in text for text in made.said)
     assert (tmp_path / trial.TRIALS / "000000.jsonl").read_text() == "a colleague's\n"
     trial.Trial.begin(config, 0).end("")
+
+
+def test_a_drive_with_wrong_options_is_left_out_by_name(tmp_path, monkeypatch):
+    """Also if it is the first: it hinders neither other drives nor a recording, and its numbers close no page."""
+    monkeypatch.setattr(trial, "_belied", lambda drive, state: "")
+    config = validate(StudioConfig, OPTIONS).replace(record=tmp_path)
+    good = json.loads(json.dumps(config.identity()))
+    finished(tmp_path, "000000.jsonl", [True] * 20, options={"fly": 1})
+    finished(tmp_path, "000001.jsonl", [True] * 20, options=good | {"time_step": 1e308})
+    finished(tmp_path, "000002.jsonl", [True] * 20, options=good | {"environment": "nowhere"})
+    finished(tmp_path, "000003.jsonl", [True] * 20)
+    other = finished(tmp_path, "0.jsonl", [True] * 20, options={})  # another scenario, and first in the folder
+    rows = trial.rows_of_page(tmp_path)
+    assert [row["seconds"] for row in rows] == [None, None, None, 2.0, 2.0] and json.dumps(rows, allow_nan=False)
+    trial.Trial.begin(config, 0).end("")
+    made = trial.demonstrations(config)
+    assert sources(made.data) == ["000003.jsonl"]
+    for name in ("0", "000000", "000001", "000002"):
+        assert any(f"/{name}.jsonl" in text and "The drive is left out." in text for text in made.said), made.said
+    shutil.rmtree(tmp_path / trial.DATASETS["person"])
+    (tmp_path / trial.TRIALS / "000003.jsonl").unlink()
+    other.unlink()
+    with pytest.raises(InputError, match="000000.jsonl"):
+        trial.demonstrations(config)
+
+
+def test_a_drive_never_takes_the_name_of_another_file(tmp_path):
+    """A discarded one gets a free name; a name that is taken is refused in a sentence."""
+    place = tmp_path / trial.TRIALS
+    for _ in range(2):
+        finished(tmp_path, "000000.jsonl", [True])
+        trial.discard(tmp_path, "000000.jsonl")
+    assert sorted(file.name for file in (place / trial.DISCARDED).iterdir()) == ["000000 2.jsonl", "000000.jsonl"]
+    assert trial.rows_of_page(tmp_path) == []
+    for name in ("000001.jsonl", "000001-good.jsonl"):
+        finished(tmp_path, name, [True])
+    with pytest.raises(InputError, match="there is a file 000001-good.jsonl already, so 000001.jsonl stays; give"):
+        trial.rename(tmp_path, "000001.jsonl", "good")
+    trial.rename(tmp_path, "000001-good.jsonl", "good")
+    assert len(trial.rows_of_page(tmp_path)) == 2
+
+
+def test_nothing_is_written_through_links(tmp_path):
+    """Of a folder that somebody has sent: neither the end of a drive, nor a new, discarded or committed one."""
+    outside, folder = tmp_path / "outside", tmp_path / "received"
+    live = finished(outside, "live.jsonl", [True] * 20)
+    live.write_text(live.read_text().rpartition('{"end"')[0] + "half a line")
+    before = live.read_bytes()
+    place = folder / trial.TRIALS
+    place.mkdir(parents=True)
+    (place / "000000.jsonl").symlink_to(live)
+    os.link(live, place / "000001.jsonl")
+    (place / ".x.jsonl.new").mkdir()
+    said = trial.recover(folder)
+    assert len(said) == 2 and all("is a link" in text and "The drive is left out." in text for text in said)
+    assert live.read_bytes() == before and trial.rows_of_page(folder) == []
+    with pytest.raises(InputError, match="there is no such drive"):
+        trial.discard(folder, "000000.jsonl")
+    finished(folder, "000002.jsonl", [True] * 20)
+    (place / trial.DISCARDED).symlink_to(outside)
+    with pytest.raises(InputError, match="discarded is a link"):
+        trial.discard(folder, "000002.jsonl")
+    config = validate(StudioConfig, OPTIONS).replace(record=folder)
+    (folder / "demonstrations").symlink_to(outside)
+    with pytest.raises(InputError, match="demonstrations is a link"):
+        trial.demonstrations(config)
+    other = config.replace(record=tmp_path / "other")
+    other.record.mkdir()
+    (other.record / trial.TRIALS).symlink_to(outside / trial.TRIALS)
+    assert "is a link" in trial.recover(other.record)[0] and trial.rows_of_page(other.record) == []
+    with pytest.raises(InputError, match="trials is a link"):
+        trial.Trial.begin(other, 0)
+    assert sorted(file.name for file in outside.rglob("*")) == ["live.jsonl", "trials"]
 
 
 HEAD = '{"version": 2, "options": {}, "episode": 0}'
@@ -477,7 +621,9 @@ STEPS = '{"commands": [[1, 2], [0, 0]], "by_person": [true, false]}'
         (f'{HEAD}\n{{"commands": [[{"9" * 5000}, 0]], "by_person": [true]}}\n', "000000.jsonl:2"),
         (f'{HEAD}\n{{"commands": [[1e300, 0]], "by_person": [true]}}\n', "commands"),
         (f'{HEAD}\n{{"commands": [[NaN, 0]], "by_person": [true]}}\n', "NaN is not JSON"),
-        (f'{HEAD}\n{{"commands": [[1, 2, 3]], "by_person": [true]}}\n', "commands"),
+        (f'{HEAD}\n{{"commands": [[1, 2, 3, 4]], "by_person": [true]}}\n', "commands"),
+        (f'{HEAD}\n{{"commands": [[1]], "by_person": [true]}}\n', "commands"),
+        (f'{HEAD}\n{STEPS}\n{{"commands": [[1, 2, 3]], "by_person": [true]}}\n', "some have 2 numbers, and some 3"),
         (f'{HEAD}\n{{"commands": [[1, 2]], "by_person": []}}\n', "by_person"),
         (f'{HEAD}\n{{"commands": [[1, 2]]}}\n', "by_person"),
         (f'{HEAD}\n{STEPS}\n{{"rewind": -5}}\n', "rewind"),
@@ -660,7 +806,9 @@ def test_a_role_belongs_to_a_tab(served, fresh, monkeypatch):
                 await role(one, "watcher")
                 assert not fresh.playing
                 await ask(one, do="give back")
-                assert "take the wheel, or watch" in (await until(one, "error"))["content"]
+                while "has taken the wheel" in (said := (await until(one, "error"))["content"]):
+                    pass  # its play came too late
+                assert "take the wheel, or watch" in said
                 await ask(one, do="take")
                 await role(one, "driver")
                 await role(two, "watcher")
@@ -671,6 +819,71 @@ def test_a_role_belongs_to_a_tab(served, fresh, monkeypatch):
             await role(two, "driver")
 
     asyncio.run(go())
+
+
+def held_up(session, monkeypatch):
+    """The next changes of files wait for an event; and an event that says that one has come so far."""
+    goes_on, here, made = threading.Event(), threading.Event(), session.editor._made
+
+    def slow(name, scenario):
+        here.set()
+        assert goes_on.wait(30)
+        return made(name, scenario)
+
+    monkeypatch.setattr(session.editor, "_made", slow)
+    return goes_on, here
+
+
+def test_changes_of_a_tab_that_lost_the_wheel_have_no_effect(served, fresh, monkeypatch):
+    """Those of the tab that has it come one after the other, and none is lost."""
+    goes_on, here = held_up(fresh, monkeypatch)
+
+    async def go():
+        async with socket_of(served) as one, socket_of(served) as two:
+            await ask(one, do="edit", change={"node": "corner", "radius": 0.9})
+            await asyncio.to_thread(here.wait, 30)
+            await ask(two, do="take")
+            await role(two, "driver")
+            await ask(two, do="edit", change={"node": "door", "radius": 0.8})
+            await ask(two, do="edit", change={"node": "door", "radius": 0.7})
+            goes_on.set()
+            assert "another tab has taken the wheel; nothing is changed" in (await until(one, "error"))["content"]
+            while (news := (await until(two, "edit"))["content"])["changes"] < 2:
+                pass
+            assert "0.7" in news["difference"] and "0.9" not in news["difference"]
+            await ask(two, do="undo")
+            await ask(two, do="undo")
+            while (await until(two, "edit"))["content"]["changes"]:
+                pass
+
+    asyncio.run(go())
+    with pytest.raises(InputError, match="another tab has taken the wheel"):
+        served._apply_of(object(), fresh, "play", {"on": True})
+    assert not fresh.playing
+
+
+def test_a_number_that_json_has_not_closes_no_tab():
+    assert server._text({"a": [1.0, float("inf")], "b": {"c": float("nan")}}) == '{"a": [1.0, null], "b": {"c": null}}'
+
+
+def test_no_drive_is_recorded_while_a_file_is_changed(fresh, monkeypatch):
+    """A check of seconds, during which another tab presses record."""
+    goes_on, here = held_up(fresh, monkeypatch)
+    change = threading.Thread(target=fresh.edit, args=({"node": "door", "radius": 0.8},))
+    change.start()
+    assert here.wait(30)
+    with pytest.raises(InputError, match="record: a file is being changed; wait until it is done"):
+        fresh.record()
+    goes_on.set()
+    change.join(60)
+    with pytest.raises(InputError, match="changes that are not saved"):
+        fresh.record()
+    fresh.edit(None)
+    fresh.restart(0)
+    fresh.record()
+    for act in (lambda: fresh.edit(None), fresh.save):
+        with pytest.raises(InputError, match="this drive is recorded on the files as they are"):
+            act()
 
 
 def test_a_tab_that_comes_before_the_old_one_is_gone_gets_its_role(served):
@@ -803,6 +1016,11 @@ def test_the_address_is_kept_for_its_owner_alone(tmp_path):
     address.keep(tmp_path, first._replace(port=4321))
     file = tmp_path / address.FILE
     assert file.stat().st_mode & 0o777 == 0o600 and address.recall(tmp_path) == (first.token, 4321)
+    copy = tmp_path.with_name(tmp_path.name + "-copy")
+    shutil.copytree(tmp_path, copy)
+    assert (copy / address.FILE).stat().st_mode & 0o777 == 0o600
+    sent = address.recall(copy)
+    assert sent.token != first.token and sent.port == 0, "nobody chooses another's token"
     file.chmod(0o644)
     assert address.recall(tmp_path).token != first.token
     for text in ("", "[", '{"token": "x", "port": 1}', '{"token": "' + "a" * 22 + '", "port": 99999999999}', "[" * 900):
@@ -1154,6 +1372,9 @@ def test_two_tabs_in_a_browser(tmp_path):
     seen = json.loads(done.stdout)
     assert seen["errors"] == [] and seen["sent"] == 0, "a tab that watches sends no command"
     assert set(seen["speeds"].values()) == {True} and seen["list"], "keys drive, and change no list"
+    assert "nobody has the wheel" in seen["free"]
+    state, disabled, note = seen["connecting"]
+    assert state == "connecting" and note == "connecting to the studio" and "drive" in disabled
     state, disabled, note = seen["watching"]
     assert "watching · another tab drives" in state and note == ""
     assert {"give back", "step", "stop recording", "edit", "next episode"} <= set(disabled)
@@ -1337,6 +1558,16 @@ def test_a_graph_is_saved_where_it_was_read(edited):
     edited.save()
     assert "capacity: 3" in file.read_text() and edited.edits()["difference"] == ""
     edited.edit({"node": "door", "radius": 0.9})
+    edited._advance(None)
+    with pytest.raises(InputError, match="the files are saved. Another tab has the wheel: its next episode is on them"):
+        edited.save(lambda: False)
+    assert len(edited.commands) == 1 and "radius: 0.9" in file.read_text()
+    with pytest.raises(InputError, match="a file was changed in this episode; begin another one"):
+        edited.record()
+    saved = edited._saved
+    edited.restart(1)
+    assert edited.scenario is saved and edited.on_file
+    edited.edit({"node": "door", "radius": 0.95})
     file.write_text(file.read_text() + "\n# a colleague\n")
     with pytest.raises(InputError, match="has changed meanwhile"):
         edited.save()

@@ -70,6 +70,8 @@ def serve(config: StudioConfig, say: Callable[[str], None]) -> None:
     def ready() -> None:
         address.keep(config.record, address.Address(studio.token, studio.port))
         say(f"studio: ready after {time.monotonic() - began:.0f} s")
+        if config.record is not None and (refused := trial.no_demonstrations(studio.session.scenario)):
+            say(f"studio: {refused}")
         say(f"studio: {studio.url}")
 
     try:

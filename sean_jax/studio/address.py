@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import json
 import os
 import secrets
+import socket
 import stat
 from pathlib import Path
 from typing import Annotated, NamedTuple
@@ -16,6 +18,7 @@ from sean_jax import files
 from sean_jax.errors import FileError
 
 FILE = ".studio.json"
+MACHINE = "/etc/machine-id"
 MAX_ADDRESS = 1000  # bytes of the file
 
 
@@ -26,6 +29,8 @@ class KeptAddress(pydantic.BaseModel):
 
     token: Annotated[str, pydantic.Field(pattern=r"^[A-Za-z0-9_-]{22}$")]
     port: Annotated[int, pydantic.Field(ge=1, le=65535)]
+    place: Annotated[str, pydantic.Field(pattern=r"^[0-9a-f]{64}$")]
+    """``_place`` of the file: whoever sends a folder does not know it, so that nobody chooses another's token."""
 
 
 class Address(NamedTuple):
@@ -36,7 +41,11 @@ class Address(NamedTuple):
 
 
 def recall(folder: Path | None) -> Address:
-    """The address that the folder has, or a new one: also if others than its owner can read the file."""
+    """The address that the folder has, or a new one.
+
+    It is new in a folder that is copied, unpacked or moved to another disk, on another machine or for another user, and
+    if others than its owner can read the file.
+    """
     new = Address(secrets.token_urlsafe(16), 0)
     if folder is None:
         return new
@@ -48,9 +57,21 @@ def recall(folder: Path | None) -> Address:
             return new
         text = files.read_bytes(file, MAX_ADDRESS).decode("ascii", errors="replace")
         kept = files.check_json(file, files.parse_file_json(file, text), KeptAddress)
+        here = _place(status, folder.stat())
     except (OSError, FileError):
         return new
-    return Address(kept.token, kept.port)
+    return Address(kept.token, kept.port) if secrets.compare_digest(kept.place, here) else new
+
+
+def _place(file: os.stat_result, folder: os.stat_result) -> str:
+    """SHA-256 of machine, user, and the numbers of the file and its folder on their disk."""
+    try:
+        machine = files.read_bytes(MACHINE, MAX_ADDRESS).hex()
+    except FileError:  # it has another system
+        machine = ""
+    user = os.getuid() if hasattr(os, "getuid") else os.environ.get("USERNAME", "")
+    numbers = [file.st_dev, file.st_ino, folder.st_dev, folder.st_ino]
+    return hashlib.sha256(json.dumps([machine, socket.gethostname(), user, numbers]).encode()).hexdigest()
 
 
 def keep(folder: Path | None, address: Address) -> None:
@@ -62,4 +83,5 @@ def keep(folder: Path | None, address: Address) -> None:
         file.unlink(missing_ok=True)
         descriptor = os.open(file, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
         with open(descriptor, "w", encoding="ascii") as stream:
-            json.dump(address._asdict(), stream)
+            place = _place(os.fstat(descriptor), folder.stat())
+            json.dump(address._asdict() | {"place": place}, stream)

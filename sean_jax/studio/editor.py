@@ -12,7 +12,7 @@ import math
 import re
 import shutil
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -71,8 +71,13 @@ class Editor:
         """Whether there are changes that are not in the files."""
         return self.texts != self.saved
 
-    def change(self, change: Mapping[str, Any], scenario: Scenario) -> Scenario:
+    def change(
+        self, change: Mapping[str, Any], scenario: Scenario, prepare: Callable[[Scenario], None] = lambda made: None
+    ) -> Scenario:
         """The scenario with a change of a ``node``, an ``edge``, a ``set`` or a ``box``; docs/studio.md has their keys.
+
+        Args:
+            prepare: is called with the new scenario before the texts are changed, and may refuse it.
 
         Raises:
             InputError: the change or a file has a mistake; the texts stay as they were.
@@ -94,14 +99,14 @@ class Editor:
             name, text = SCENE, changed_scene(self.texts[SCENE], self.boxes, change)
         if text == self.texts[name]:
             return scenario
-        made = self._build(name, text, scenario)
+        made = self._build(name, text, scenario, prepare)
         self.history.append((name, self.texts[name]))
         self.texts[name] = text
         self._take(Path(self._scratch.name) / name)
         return made
 
-    def undo(self, scenario: Scenario) -> Scenario:
-        """The scenario without the latest change.
+    def undo(self, scenario: Scenario, prepare: Callable[[Scenario], None] = lambda made: None) -> Scenario:
+        """The scenario without the latest change; ``prepare`` as of ``change``.
 
         Raises:
             InputError: there is none.
@@ -109,7 +114,7 @@ class Editor:
         if not self.history:
             raise InputError("undo: there is no change.")
         name, text = self.history[-1]
-        made = self._build(name, text, scenario)
+        made = self._build(name, text, scenario, prepare)
         self.texts[name] = text
         self._take(Path(self._scratch.name) / name)
         self.history.pop()
@@ -180,22 +185,30 @@ class Editor:
         elif file.name == SETS and self.config.behavior.kind == "handcrafted":
             self.sets = files.load(file, annotation.Annotation)
 
-    def _build(self, name: str, text: str, scenario: Scenario) -> Scenario:
+    def _build(self, name: str, text: str, scenario: Scenario, prepare: Callable[[Scenario], None]) -> Scenario:
         """The scenario with another text of a file; the files in the scratch folder stay if it has a mistake."""
         folder = Path(self._scratch.name)
         writing.write(folder / name, text)
         try:
-            if name == SCENE:
-                return assembly.build(self.config.replace(environment=str(folder)))[0]
-            tables = scenario.behavior.data if name == GRAPH else scenario.behavior.data.ways or scenario
-            place = behaviors.Place(folder, scenario.environment, tables.navigation, scenario.time_step)
-            made = assembly.behavior_of(self.config, place)
-        except BaseException as error:
+            try:
+                made = self._made(name, scenario)
+            except (InputError, FileError) as error:
+                known = "|".join(map(re.escape, FILES))
+                raise InputError(re.sub(rf"\S*?({known})", r"\1", str(error))) from None
+            prepare(made)
+        except BaseException:
             writing.write(folder / name, self.texts[name])
-            if not isinstance(error, InputError | FileError):
-                raise
-            known = "|".join(map(re.escape, FILES))
-            raise InputError(re.sub(rf"\S*?({known})", r"\1", str(error))) from None
+            raise
+        return made
+
+    def _made(self, name: str, scenario: Scenario) -> Scenario:
+        """The scenario with a file of the scratch folder."""
+        folder = Path(self._scratch.name)
+        if name == SCENE:
+            return assembly.build(self.config.replace(environment=str(folder)))[0]
+        tables = scenario.behavior.data if name == GRAPH else scenario.behavior.data.ways or scenario
+        place = behaviors.Place(folder, scenario.environment, tables.navigation, scenario.time_step)
+        made = assembly.behavior_of(self.config, place)
         if name == GRAPH:
             made = dataclasses.replace(made, data=_with_starts_like(scenario.behavior.data, made.data))
         return dataclasses.replace(scenario, behavior=made)

@@ -13,6 +13,7 @@ import contextlib
 import functools
 import http
 import json
+import math
 import re
 import secrets
 import threading
@@ -29,11 +30,13 @@ from sean_jax.config import StudioConfig
 from sean_jax.errors import InputError, SeanError
 from sean_jax.learning.policy import AGENTS
 from sean_jax.studio.session import SPEED_RANGE, Choice, Frame, Session, episode
+from sean_jax.studio.trial import no_demonstrations
 from sean_jax.web import HOST, SOCKET
 
 LONGEST = 4096  # bytes of a message from a page
 CONNECTIONS = 32
 INTERVAL = 1 / 30  # s, shortest between two messages with frames
+SLOW = ("edit", "undo", "save", "open")  # requests that may take seconds
 VIEWS = {"first_person": (240, 180), "third_person": (240, 180), "depth": (160, 120)}  # pixels
 LIDAR, RAYS = "lidar", 180
 VIEW_INTERVAL = 0.1  # s
@@ -70,6 +73,7 @@ class Studio:
         self._views: dict[ServerConnection, str] = {}  # which picture a tab shows
         self._ready = set[str]()  # pictures whose programs are compiled
         self._driver: ServerConnection | None = None
+        self._slow = asyncio.Lock()  # requests that take seconds, one after the other
         self._reserved, self._release = "", None  # name of a driver whose tab is gone, and the end of its time
         self._card: asyncio.Task[None] | None = None  # metrics of the episode that has ended
         self._cards: list[dict[str, Any]] = []  # those that are there
@@ -205,7 +209,7 @@ class Studio:
             self._put(message)
 
     def _put(self, message: dict[str, Any] | bytes) -> None:
-        data = message if isinstance(message, bytes) else json.dumps(message, allow_nan=False)
+        data = message if isinstance(message, bytes) else _text(message)
         for tab in list(self._tabs):
             self._put_to(tab, data)
 
@@ -215,7 +219,7 @@ class Studio:
             self._put_to(tab, {"kind": "status", "content": content | {"you": self._role(tab)}})
 
     def _put_to(self, tab: ServerConnection, message: dict[str, Any] | str | bytes) -> None:
-        data = json.dumps(message, allow_nan=False) if isinstance(message, dict) else message
+        data = _text(message) if isinstance(message, dict) else message
         try:
             self._tabs[tab].put_nowait(data)
         except KeyError:  # it is closed
@@ -316,14 +320,19 @@ class Studio:
             return "driver"
         return "watcher" if self._driver is not None or self._reserved else "free"
 
-    def _drive_by(self, tab: ServerConnection | None, reserved: str = "") -> None:
-        """Make a tab the driver, or none; the role may be kept for the name of a tab that is gone."""
+    def _drive_by(self, tab: ServerConnection | None, reserved: str = "", tell: bool = True) -> None:
+        """Make a tab the driver, or none; the role may be kept for the name of a tab that is gone.
+
+        Args:
+            tell: send the roles to all tabs.
+        """
         if self._release is not None:
             self._release.cancel()
         self._driver, self._reserved, self._release = tab, reserved, None
         if reserved and self._loop is not None:
             self._release = self._loop.call_later(RETURN, self._drive_by, None)
-        self._put_status(self.session.status())
+        if tell:
+            self._put_status(self.session.status())
 
     async def _leave(self, name: str) -> None:
         """The driver's tab is gone: time stands still, and its role is kept for a while if it has a name."""
@@ -349,8 +358,8 @@ class Studio:
             return
         if word == "take":  # the wheel, also from a tab that its person has forgotten
             self._end_comparison()
-            await asyncio.to_thread(session.play, False)
-            self._drive_by(tab)
+            self._drive_by(tab, tell=False)  # at once: what the tab before has asked for has no effect from now on
+            await asyncio.to_thread(session.play, False)  # which tells all tabs
             return
         if self._role(tab) == "watcher":
             raise InputError("another tab drives; take the wheel, or watch.")
@@ -361,8 +370,21 @@ class Studio:
             self._end_comparison()
             if choices:
                 self._comparison = asyncio.ensure_future(self._compare(tab, choices))
+        elif word in SLOW:
+            async with self._slow:
+                self._check_driver(tab)
+                await asyncio.to_thread(self._change, word, request, lambda: self._driver is tab)
         else:
-            await asyncio.to_thread(self._apply, session, word, request)
+            await asyncio.to_thread(self._apply_of, tab, session, word, request)
+
+    def _check_driver(self, tab: ServerConnection) -> None:
+        """Refuse what a tab asked for while it had the wheel.
+
+        Raises:
+            InputError: it has it no longer.
+        """
+        if self._driver is not tab:
+            raise InputError("another tab has taken the wheel; nothing is changed.")
 
     def _show(self, tab: ServerConnection, name: Any) -> None:
         """Let a tab show a view of the sensors, or none; it hears if programs have to be compiled first."""
@@ -372,16 +394,36 @@ class Studio:
             if name not in self._ready:
                 self._put_to(tab, {"kind": "preparing", "content": name})
 
-    def _open(self, options: Any) -> None:
+    def _open(self, options: Any, allowed: Callable[[], bool] = lambda: True) -> None:
         """Another scenario in place of the present one; the other options stay.
 
         Raises:
-            InputError: the options cannot be met; the present scenario stays.
+            InputError: the options cannot be met, or it is not allowed; the present scenario stays.
         """
         made = Session(_opened(self.session.config, options))
+        if not allowed():
+            raise InputError("open: another tab has taken the wheel; nothing is changed.")
         self.close()
         self._begin(made)
         self.send("hello", None)
+
+    def _change(self, word: str, request: dict[str, Any], allowed: Callable[[], bool]) -> None:
+        """One of the ``SLOW`` requests, which takes effect if it is allowed at its end."""
+        session = self.session
+        if word == "open":
+            self._open(request.get("options"), allowed)
+        elif word == "edit":
+            session.edit(request.get("change") if isinstance(request.get("change"), dict) else {}, allowed)
+        elif word == "undo":
+            session.edit(None, allowed)
+        else:
+            session.save(allowed)
+
+    def _apply_of(self, tab: ServerConnection, session: Session, word: str, request: dict[str, Any]) -> None:
+        """Any other request of the driver, if it is the driver when time stands still for it."""
+        with session.standing():
+            self._check_driver(tab)
+            self._apply(session, word, request)
 
     def _apply(self, session: Session, word: str, request: dict[str, Any]) -> None:
         if word == "play":
@@ -396,22 +438,31 @@ class Studio:
             session.rewind(int(web.number(request, "tick", 0, 1e9)))
         elif word == "record":
             session.record() if request.get("on") else session.end_trial()
-        elif word == "open":
-            self._open(request.get("options"))
-        elif word == "edit":
-            session.edit(request.get("change") if isinstance(request.get("change"), dict) else {})
         elif word == "discard":
             session.discard(request.get("file"))
         elif word == "rename":
             session.rename(request.get("file"), request.get("name"))
-        elif word == "undo":
-            session.edit(None)
-        elif word == "save":
-            session.save()
         elif word == "episode":
             session.restart(int(web.number(request, "episode", 0, LAST)))
         else:
             raise InputError(f"'{word[:40]}' is no request; reload the page.")
+
+
+def _text(message: dict[str, Any]) -> str:
+    """A message as JSON; a number that JSON has not, such as of a file, is left out rather than closing all tabs."""
+    try:
+        return json.dumps(message, allow_nan=False)
+    except ValueError:
+        return json.dumps(_finite(message), allow_nan=False)
+
+
+def _finite(value: Any) -> Any:
+    """The same with None in place of NaN and infinities."""
+    if isinstance(value, dict):
+        return {key: _finite(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(each) for each in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _name_of(tab: ServerConnection) -> str:
@@ -481,6 +532,7 @@ def _hello(session: Session) -> dict[str, Any]:
         "policy": session.policy.name,
         "command": flags.command("studio", config),
         "record": config.record is not None,
+        "demonstrates": not no_demonstrations(scenario),
         "options": options,
         "choices": CHOICES,
         "places": _places(),

@@ -13,8 +13,9 @@ import math
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -129,6 +130,8 @@ class Session:
         self.on_file = True  # whether all of this episode is on the graph of the file
         self.trial: Trial | None = None
         self.editor = Editor(config)
+        self._editing = threading.Lock()  # a change of the files is checked, built and compiled; it takes seconds
+        self._saved: Scenario | None = None  # of the saved files, which the next episode has
         self.slowdown = 1.0  # of the clock
         self._lock = threading.RLock()
         self._wake = threading.Condition(self._lock)
@@ -144,9 +147,11 @@ class Session:
         """Begin the episode of a number."""
         with self._lock:
             self.end_trial()
+            if self._saved is not None:
+                self.scenario, self._saved = self._saved, None
             state, _ = _begin(self.scenario, self._key(number))
             self.on_file = not self.editor.changed
-            self.number, self.commands, self.frames = number, list[tuple[float, float]](), list[Frame]()
+            self.number, self.commands, self.frames = number, list[tuple[float, ...]](), list[Frame]()
             self.by_person = list[bool]()  # who gave each command
             first = Moment(state, _memory(self.scenario, self.policy, state))
             keep = 1 + round(MEMORY / self.scenario.time_step)
@@ -156,6 +161,10 @@ class Session:
             self.send("cut", 0)
             self.send("frames", (0, self.frames[:]))
             self._send_status()
+
+    def standing(self) -> AbstractContextManager[Any]:
+        """Within the block no other thread changes anything, and no step is taken."""
+        return self._lock
 
     def play(self, on: bool) -> None:
         """Let time pass, or not."""
@@ -217,11 +226,15 @@ class Session:
         """Record this drive: from now on each second is on disk.
 
         Raises:
-            InputError: there is no folder for it, or the graph differs from its file.
+            InputError: there is no folder for it, or the graph differs from its file, or is being changed.
         """
         with self._lock:
             if self.config.record is None:
                 raise InputError("record: there is no folder for drives; start the studio with --record FOLDER.")
+            if self._closed:
+                raise InputError("record: another scenario is open; reload the page.")
+            if self._editing.locked():
+                raise InputError("record: a file is being changed; wait until it is done.")
             if self.editor.changed:
                 raise InputError("record: the files have changes that are not saved; save or undo them.")
             if not self.on_file:
@@ -252,11 +265,21 @@ class Session:
             return
         try:
             write(self.trial)
+        except InputError as error:  # the file is full, or the policy's command is no number
+            self._end_early(str(error), lambda trial: trial.end(trials.STOPPED))
         except OSError as error:  # such as a full disk: time goes on, and earlier drives are whole
+            self._end_early(str(error.strerror), Trial.abandon)
+
+    def _end_early(self, why: str, end: Callable[[Trial], None]) -> None:
+        assert self.trial is not None
+        try:
+            end(self.trial)
+        except OSError:
             self.trial.abandon()
-            self.trial = None
-            self.send("error", f"record: {error.strerror}; the recording has ended after its last whole second.")
-            self._send_status()
+        self.trial = None
+        self.send("error", f"record: {why}; the recording has ended after its last whole second.")
+        self._send_status()
+        self.send("drives", self.drives())
 
     # ------------------------------------------------------------------ the recorded drives
 
@@ -272,8 +295,10 @@ class Session:
         Raises:
             InputError: there is no such drive, or it is being recorded.
         """
-        trials.discard(self._folder_of(file), file)
-        self.send("drives", self.drives())
+        try:
+            trials.discard(self._folder_of(file), file)
+        finally:  # also if it has failed: the page shows what is so
+            self.send("drives", self.drives())
 
     def rename(self, file: Any, name: Any) -> None:
         """Give a recorded drive a name.
@@ -281,8 +306,10 @@ class Session:
         Raises:
             InputError: there is no such drive, it is being recorded, or the name is none.
         """
-        trials.rename(self._folder_of(file), file, name)
-        self.send("drives", self.drives())
+        try:
+            trials.rename(self._folder_of(file), file, name)
+        finally:  # also if it has failed: the page shows what is so
+            self.send("drives", self.drives())
 
     def _folder_of(self, file: Any) -> Path:
         """The folder of the recorded drives, unless the drive is being recorded."""
@@ -294,47 +321,73 @@ class Session:
 
     # ------------------------------------------------------------------ the files of the environment
 
-    def edit(self, change: Mapping[str, Any] | None) -> None:
+    def edit(self, change: Mapping[str, Any] | None, allowed: Callable[[], bool] = lambda: True) -> None:
         """Change a file of the environment as ``Editor.change``, or take the latest change back.
 
-        People go on if the programs take the new tables; the episode begins anew if not, and on another floor.
+        People go on if the programs take the new tables; the episode begins anew if not, and on another floor. No drive
+        is recorded meanwhile.
+
+        Args:
+            allowed: whether the change may take effect; it is asked when all is built and compiled.
 
         Raises:
-            InputError: the change has a mistake.
+            InputError: the change has a mistake, or is not allowed; nothing is changed.
         """
-        with self._lock:
-            if self.trial is not None:
-                raise InputError("edit: this drive is recorded on the files as they are; stop the recording first.")
-            before, playing = self.scenario, self.playing
-        edited = self.editor.undo(before) if change is None else self.editor.change(change, before)
-        if edited is before:  # such as a drag that ends where it began
-            self.send("edit", self.edits())
-            return
-        anew = before.environment is not edited.environment or not same_shapes(
-            before.behavior.data, edited.behavior.data
-        )
-        if anew:
-            self._compile(edited)
-        with self._lock:
-            self.scenario, self.on_file = edited, False
-            if anew:
-                self.restart(self.number)
-                self.play(playing)  # the episode may have ended meanwhile
+        with self._editing:
+            with self._lock:
+                self._check_no_trial("edit")
+                before, playing = self.scenario if self._saved is None else self._saved, self.playing
+
+            def prepare(edited: Scenario) -> None:
+                if self._begins_anew(edited):
+                    self._compile(edited)
+                if not allowed():
+                    raise InputError("edit: another tab has taken the wheel; nothing is changed.")
+
+            undone = change is None
+            edited = self.editor.undo(before, prepare) if undone else self.editor.change(change, before, prepare)
+            if edited is not before:  # as of a drag that ends where it began
+                with self._lock:
+                    anew = self._begins_anew(edited)
+                    self.scenario, self._saved, self.on_file = edited, None, False
+                    if anew:
+                        self.restart(self.number)
+                        self.play(playing)  # the episode may have ended meanwhile
             self.send("edit", self.edits())
 
-    def save(self) -> None:
+    def _begins_anew(self, edited: Scenario) -> bool:
+        """Whether the present episode cannot go on in an edited scenario."""
+        before = self.scenario
+        tables = before.behavior.data, edited.behavior.data
+        return before.environment is not edited.environment or not same_shapes(*tables)
+
+    def save(self, allowed: Callable[[], bool] = lambda: True) -> None:
         """Write the changes to the environment's files, and begin the episode anew on them.
 
+        Args:
+            allowed: whether the present episode may end; it is asked when all is built and compiled.
+
         Raises:
-            InputError: they are files of the package, or one has changed meanwhile.
+            InputError: they are files of the package, or one has changed meanwhile; or the present episode may not end.
         """
-        self.editor.save()
-        scenario = assembly.build(self.config)[0]
-        self._compile(scenario)
-        with self._lock:
-            self.scenario = scenario
-            self.restart(self.number)
+        with self._editing:
+            with self._lock:
+                self._check_no_trial("save")
+            self.editor.save()
+            scenario = assembly.build(self.config)[0]
+            self._compile(scenario)
+            with self._lock:
+                self._saved, self.on_file = scenario, False
+                goes_on = not allowed()
+                if not goes_on:
+                    self.restart(self.number)
             self.send("edit", self.edits())
+        if goes_on:
+            raise InputError("save: the files are saved. Another tab has the wheel: its next episode is on them.")
+
+    def _check_no_trial(self, word: str) -> None:
+        if self.trial is not None:
+            raise InputError(f"{word}: this drive is recorded on the files as they are; stop the recording first.")
 
     def edits(self) -> dict[str, Any]:
         """What the page draws and changes, as ``Editor.of_page``, and the handcrafted set of the episode."""
@@ -543,11 +596,11 @@ class Session:
         after = self._step(self.scenario, before, action)
         self.moments.append(Moment(after, memory))
         self._append(_frame(before, after, action))
-        pair = cast(tuple[float, float], tuple(np.asarray(action, np.float64).tolist()))
-        self.commands.append(pair)
+        row = tuple(np.asarray(action, np.float64).tolist())
+        self.commands.append(row)
         self.by_person.append(command is not None)
         self.send("frames", (len(self.frames) - 1, self.frames[-1:]))
-        self._write_trial(lambda trial: trial.add([pair], [command is not None]))
+        self._write_trial(lambda trial: trial.add([row], [command is not None]))
 
     def _append(self, trajectory: Trajectory) -> None:
         """Another frame; its path is new once a second."""

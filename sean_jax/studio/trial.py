@@ -7,12 +7,14 @@ each of which names its trial by file, SHA-256 and rows: what a person discards 
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import hashlib
 import json
 import math
 import os
 import re
+import stat
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
@@ -22,19 +24,28 @@ import numpy as np
 import pydantic
 
 from sean_jax import assembly, components, files, writing
+from sean_jax.base import RobotModel, Scenario, State
 from sean_jax.config import StudioConfig, validate
 from sean_jax.errors import FileError, InputError
 from sean_jax.learning.collection import EpisodePart, Recorder, steps_per_row
 from sean_jax.learning.dataset import Dataset
+from sean_jax.messages import shorten
+from sean_jax.quantities import TIME_STEP_RANGE
+from sean_jax.robots.drive import command_size, max_reverse_speed
 
 VERSION = 2  # of the files; those of version 1 do not say who drove
 STOPPED = "stopped"  # outcome of a trial that did not reach the end of its episode
 TRIALS, DISCARDED = "trials", "discarded"
 DATASETS = {"person": "demonstrations", "all": "demonstrations-all"}
 MAX_TRIAL = 20_000_000  # bytes of a file
+END_ROOM = 200_000  # bytes of a file that are kept for its last second, which has 1,000 steps at most, and its end
 MAX_COMMAND = 100.0  # m/s, rad/s
 MAX_NAME = 60  # characters of a drive's name
+ROUNDING = 1e-5  # of a robot's limit, in single precision
 CURE = "move it out of the folder"
+LINK = f"is a link or no regular file, through which nothing is written; {CURE}"
+FULL = "a drive has at most 20 MB"
+LEFT_OUT = "The drive is left out."
 
 
 # ------------------------------------------------------------------ lines of a file
@@ -59,10 +70,13 @@ class TrialHead(TrialLine):
     """File -> SHA-256, of the user's own files that the options name."""
 
 
-class CommandLine(TrialLine):
-    """Commands of some steps [m/s, rad/s], and whether a person gave each; version 1 does not say it."""
+Numbers = Annotated[list[Speed], pydantic.Field(min_length=2, max_length=3)]
 
-    commands: list[tuple[Speed, Speed]]
+
+class CommandLine(TrialLine):
+    """Commands of some steps, as ``robots.drive``, and whether a person gave each; version 1 does not say it."""
+
+    commands: list[Numbers]
     by_person: list[bool] | None = None
 
 
@@ -88,7 +102,7 @@ class RecordedDrive(NamedTuple):
     sha256: str
     options: dict[str, Any]
     episode: int
-    commands: np.ndarray  # (T, 2) m/s, rad/s
+    commands: np.ndarray  # (T, 2) m/s, rad/s, or (T, 3) of an omnidirectional robot
     by_person: np.ndarray | None  # (T,) bool; None in a file that does not say it
     outcome: str | None  # None: the program was killed
     code: dict[str, str]  # file -> SHA-256, of the user's own files
@@ -100,7 +114,7 @@ def read(file: Path) -> RecordedDrive:
     Raises:
         FileError: it is no trial.
     """
-    head, commands, by_person, outcome = None, list[tuple[float, float]](), list[bool](), None
+    head, commands, by_person, outcome = None, list[list[float]](), list[bool](), None
     for number, text in enumerate(files.read_text(file, MAX_TRIAL).split("\n")[:-1], 1):
         place = Path(f"{file}:{number}")
         line = _parsed(place, text, head is None)
@@ -110,6 +124,8 @@ def read(file: Path) -> RecordedDrive:
             raise files.file_error(place, f"the drive has ended in an earlier line; {CURE}")
         elif isinstance(line, CommandLine):
             commands += line.commands
+            if len({len(row) for row in [*commands[:1], *line.commands]}) > 1:
+                raise files.file_error(place, f"commands: some have 2 numbers, and some 3; {CURE}")
             by_person += _drivers(place, line, head)
         elif isinstance(line, RewindLine):
             if line.rewind > len(commands):
@@ -122,7 +138,7 @@ def read(file: Path) -> RecordedDrive:
         raise files.file_error(file, f"it has no line of a trial; {CURE}")
     digest = hashlib.sha256(files.read_bytes(file, MAX_TRIAL)).hexdigest()
     drivers = np.asarray(by_person, bool) if head.version == VERSION else None
-    numbers = np.asarray(commands, float).reshape(-1, 2)
+    numbers = np.asarray(commands, float) if commands else np.zeros((0, 2))
     return RecordedDrive(file, digest, head.options, head.episode, numbers, drivers, outcome, head.sha256)
 
 
@@ -154,28 +170,46 @@ def _read_known(file: Path, size: int, changed: int) -> RecordedDrive:
 def read_folder(folder: Path) -> tuple[list[RecordedDrive], list[str]]:
     """The drives of a studio's folder by number, and a sentence for each file that is none."""
     drives, problems = [], []
-    for file in sorted((folder / TRIALS).glob("*.jsonl")):
+    place = folder / TRIALS
+    if place.is_symlink():
+        return [], [f"{place} {LINK}. Its drives are left out."]
+    for file in sorted(place.glob("*.jsonl")):
         try:
-            status = file.lstat()
+            status = _regular(file)
             drives.append(_read_known(file, status.st_size, status.st_mtime_ns))
         except FileError as error:
-            problems.append(f"{str(error).splitlines()[0]} The drive is left out.")
+            problems.append(f"{str(error).splitlines()[0]} {LEFT_OUT}")
         except OSError as error:
-            problems.append(f"{file} cannot be read: {writing.reason(error)}. The drive is left out.")
+            problems.append(f"{file} cannot be read: {writing.reason(error)}. {LEFT_OUT}")
     return drives, problems
+
+
+def _regular(file: Path) -> os.stat_result:
+    """The status of a file.
+
+    Raises:
+        FileError: it is a link, or no file: who sends a folder could lead elsewhere by it.
+        OSError: there is none.
+    """
+    status = file.lstat()
+    if not stat.S_ISREG(status.st_mode):
+        raise files.file_error(file, LINK)
+    return status
 
 
 # ------------------------------------------------------------------ a drive that goes on
 
 
 class Trial:
-    """The file of a drive that goes on."""
+    """The file of a drive that goes on: never one that ``read`` refuses."""
 
     def __init__(self, file: Path, head: dict[str, Any], per_line: int):
         self.file, self._per_line = file, per_line
-        self._pending: list[tuple[tuple[float, float], bool]] = []
+        self._pending: list[tuple[tuple[float, ...], bool]] = []
         self._steps = 0
-        writing.write(file, json.dumps(head) + "\n")  # whole or not at all
+        text = json.dumps(head) + "\n"
+        self._bytes = len(text)
+        writing.write(file, text)  # whole or not at all
         self._stream = file.open("a", encoding="utf-8")
 
     @classmethod
@@ -188,6 +222,8 @@ class Trial:
         """
         assert config.record is not None
         folder = config.record / TRIALS
+        if folder.is_symlink():
+            raise InputError(f"record: {folder} {LINK}.")
         folder.mkdir(parents=True, exist_ok=True)
         head = {"version": VERSION, "options": config.identity(), "episode": number}
         head["sha256"] = components.digests(config)
@@ -195,17 +231,37 @@ class Trial:
         taken = [_number(file) for file in (*folder.glob("*.jsonl"), *(folder / DISCARDED).glob("*.jsonl"))]
         return cls(folder / f"{1 + max(taken, default=-1):06d}.jsonl", head, max(1, round(1.0 / config.time_step)))
 
-    def add(self, commands: Iterable[tuple[float, float]], by_person: Iterable[bool]) -> None:
-        """Commands of further steps; whole seconds are written."""
+    def add(self, commands: Iterable[tuple[float, ...]], by_person: Iterable[bool]) -> None:
+        """Commands of further steps; whole seconds are written.
+
+        Raises:
+            InputError: the file is full, or a command is no number that it can have; it has to be ended.
+        """
         steps = list(zip(commands, by_person, strict=True))
+        wrong = next((row for row, _ in steps if not all(abs(value) <= MAX_COMMAND for value in row)), None)
+        if wrong is not None:
+            raise InputError(f"the command {list(wrong)} is not from -{MAX_COMMAND:g} to {MAX_COMMAND:g}")
         self._pending += steps
         self._steps += len(steps)
         while len(self._pending) >= self._per_line:
+            if self._is_full:
+                self._pending = []  # the file ends with its last whole second
+                raise InputError(FULL)
             self._write_steps(self._pending[: self._per_line])
             del self._pending[: self._per_line]
 
+    @property
+    def _is_full(self) -> bool:
+        return self._bytes > MAX_TRIAL - END_ROOM
+
     def rewind(self, tick: int) -> None:
-        """The steps from ``tick`` on did not happen."""
+        """The steps from ``tick`` on did not happen.
+
+        Raises:
+            InputError: the file is full; it has to be ended.
+        """
+        if self._is_full:
+            raise InputError(FULL)
         self._flush()
         self._write({"rewind": tick})
         self._steps = min(self._steps, tick)
@@ -230,12 +286,14 @@ class Trial:
             self._write_steps(self._pending)
             self._pending = []
 
-    def _write_steps(self, steps: Sequence[tuple[tuple[float, float], bool]]) -> None:
+    def _write_steps(self, steps: Sequence[tuple[tuple[float, ...], bool]]) -> None:
         commands, by_person = zip(*steps, strict=True)
         self._write({"commands": commands, "by_person": by_person})
 
     def _write(self, line: dict[str, Any]) -> None:
-        self._stream.write(json.dumps(line) + "\n")
+        text = json.dumps(line) + "\n"
+        self._bytes += len(text)
+        self._stream.write(text)
         self._stream.flush()
         os.fsync(self._stream.fileno())
 
@@ -249,18 +307,29 @@ def _number(file: Path) -> int:
 def check(folder: Path, options: Mapping[str, Any], code: Mapping[str, str]) -> None:
     """Refuse a folder whose drives have other options, or other code by its SHA-256.
 
+    The first drive that is valid counts, unless there is one with these options.
+
     Raises:
         InputError: it names the first that differs.
     """
     now = json.loads(json.dumps(options))
-    for drive in read_folder(folder)[0][:1]:
-        had = drive.options
+    for drive in _own_first(read_folder(folder)[0], now):
+        had, cure = drive.options, f"choose another folder, or move {drive.file.name} away"
         other = next((name for name in {**had, **now} if had.get(name) != now.get(name)), None)
         if other is not None:
-            text = f"{folder} has drives with {other} {had.get(other)}, not {now.get(other)}"
-            raise InputError(f"record: {text}; choose another folder.")
+            try:
+                validate(StudioConfig, had, source=drive.file)
+            except InputError:  # it is left out of the demonstrations, too
+                continue
+            text = f"{folder} has drives with {other} {shorten(str(had.get(other)))}, not {now.get(other)}"
+            raise InputError(f"record: {text}; {cure}.")
         if changed := _changed(drive.code, code):
-            raise InputError(f"record: {folder} has drives with another {changed}; choose another folder.")
+            raise InputError(f"record: {folder} has drives with another {changed}; {cure}.")
+        return
+
+
+def _own_first(drives: Sequence[RecordedDrive], options: Mapping[str, Any]) -> list[RecordedDrive]:
+    return sorted(drives, key=lambda drive: drive.options != options)
 
 
 def _changed(code: Mapping[str, str], other: Mapping[str, str]) -> str | None:
@@ -278,15 +347,18 @@ def recover(folder: Path) -> list[str]:
     """
     said = []
     place = folder / TRIALS
+    if place.is_symlink():
+        return [f"{place} {LINK}. Its drives are left out."]
     for file in place.glob(".*.jsonl.new"):  # a head that was not written whole
-        file.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):  # such as a folder of that name
+            file.unlink()
     for file in sorted(place.glob("*.jsonl")):
         try:
             text = _recover_file(file)
         except FileError as error:
-            text = f"{str(error).splitlines()[0]} The drive is left out."
+            text = f"{str(error).splitlines()[0]} {LEFT_OUT}"
         except OSError as error:
-            text = f"{file} cannot be ended: {writing.reason(error)}. The drive is left out."
+            text = f"{file} cannot be ended: {writing.reason(error)}. {LEFT_OUT}"
         said += [text] if text else []
     return said
 
@@ -295,9 +367,10 @@ def _recover_file(file: Path) -> str:
     """End a drive that was killed; what is to be said about it.
 
     Raises:
-        FileError: it is no trial.
+        FileError: it is no trial, or a link.
         OSError: it cannot be written.
     """
+    _regular(file)
     data = files.read_bytes(file, MAX_TRIAL)
     if b"\n" not in data and _is_half_head(data):
         file.unlink()
@@ -309,7 +382,10 @@ def _recover_file(file: Path) -> str:
         file.unlink()
         return f"{file} was stopped before its first step; it is removed."
     whole = data.rpartition(b"\n")[0]
-    with file.open("r+b") as stream:
+    descriptor = os.open(file, os.O_RDWR | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0))
+    with open(descriptor, "r+b") as stream:
+        if os.fstat(descriptor).st_nlink > 1:  # another name of a file elsewhere
+            raise files.file_error(file, LINK)
         stream.truncate(len(whole) + 1)
         stream.seek(0, os.SEEK_END)
         stream.write(json.dumps({"end": STOPPED}).encode() + b"\n")
@@ -334,7 +410,8 @@ def rows_of_page(folder: Path, current: Path | None = None) -> list[dict[str, An
             continue
         share = None if drive.by_person is None else round(float(drive.by_person.mean()), 4)
         step = drive.options.get("time_step")
-        seconds = len(drive.commands) * step if isinstance(step, float) and math.isfinite(step) else None
+        least, most = TIME_STEP_RANGE
+        seconds = len(drive.commands) * step if isinstance(step, int | float) and least <= step <= most else None
         rows.append(
             {
                 "file": drive.file.name,
@@ -367,14 +444,16 @@ def discard(folder: Path, name: Any) -> None:
         InputError: there is no such drive, or it cannot be moved.
     """
     file = find(folder, name)
-    _move(file, file.parent / DISCARDED / file.name)
+    place = file.parent / DISCARDED
+    names = [file.name, *(f"{file.stem} {number}.jsonl" for number in range(2, 1000))]
+    _move(file, next((place / each for each in names if not os.path.lexists(place / each)), place / file.name))
 
 
 def rename(folder: Path, name: Any, words: Any) -> None:
     """Give a drive a name; it becomes a part of the file's name.
 
     Raises:
-        InputError: there is no such drive, or the name is none for a file.
+        InputError: there is no such drive, the name is none for a file, or another file has it.
     """
     file = find(folder, name)
     if not isinstance(words, str) or not re.fullmatch(rf"[\w ]{{0,{MAX_NAME}}}", words):
@@ -385,10 +464,17 @@ def rename(folder: Path, name: Any, words: Any) -> None:
 
 
 def _move(file: Path, other: Path) -> None:
+    if other == file:
+        return
+    if other.parent.is_symlink():
+        raise InputError(f"drives: {other.parent} {LINK}.")
     try:
         other.parent.mkdir(exist_ok=True)
-        if other != file and not os.path.lexists(other):
-            file.rename(other)
+        if os.path.lexists(other):
+            raise InputError(f"drives: there is a file {other.name} already, so {file.name} stays; give another name.")
+        file.rename(other)
+    except InputError:
+        raise
     except (OSError, ValueError) as error:
         raise InputError(f"drives: {file.name} cannot be moved: {writing.reason(error)}.") from None
 
@@ -417,11 +503,13 @@ def demonstrations(config: StudioConfig, watch: Callable[[str], None] = lambda t
     drives, said = read_folder(folder)
     drives = [drive for drive in drives if drive.outcome is not None and len(drive.commands)]
     place = folder / DATASETS[config.demonstrations]
+    if place.is_symlink():
+        raise InputError(f"record: {place} {LINK}.")
     if not drives and not place.exists():
         return Summary(None, said)
-    recorded = _options(config, drives)
-    drives, foreign = _alike(drives, recorded)
-    scenario = assembly.build(recorded)[0]
+    recorded, scenario, drives, foreign = _scenario_of(config, drives)
+    if refused := no_demonstrations(scenario):
+        return Summary(None, [*said, *foreign, refused])
     wanted = [(drive, parts) for drive in drives if (parts := _parts(drive, scenario, config.demonstrations))]
     if left := len(drives) - len(wanted):
         said.append(
@@ -435,29 +523,76 @@ def demonstrations(config: StudioConfig, watch: Callable[[str], None] = lambda t
     kept = _keep(recorder.data, wanted)
     for number, (drive, parts) in enumerate(wanted[kept:], kept + 1):
         watch(f"demonstrations: drive {number} of {len(wanted)}, {drive.file.name}")
-        replay(recorder, drive.episode, drive.commands)
-        recorder.commit(parts)
+        problem = _belied(drive, replay(recorder, drive.episode, drive.commands))
+        if problem:
+            recorder.discard()
+            said.append(f"{drive.file} {problem}; {CURE}. {LEFT_OUT}")
+        else:
+            recorder.commit(parts)
     return Summary(recorder.data, said + foreign)
 
 
-def _options(config: StudioConfig, drives: Sequence[RecordedDrive]) -> StudioConfig:
-    """The options of the drives: the studio's own, or those of the first drive with the studio's own code.
+def no_demonstrations(scenario: Scenario) -> str:
+    """Why the drives of a robot become no demonstrations; "" if they do."""
+    robot = scenario.robot
+    if robot.drive_type == "differential":
+        return ""
+    why = f"demonstrations are of differential robots, and the drive of {robot.name} is {robot.drive_type}"
+    return f"{why}; its drives are recorded in {TRIALS}/ and stay there, but become no dataset."
+
+
+def _belied(drive: RecordedDrive, state: State) -> str:
+    """What a drive says that is not so when it is simulated again; "" if all is."""
+    if int(state.tick) < len(drive.commands):
+        return f"has {len(drive.commands)} steps, and its episode ends after {int(state.tick)}"
+    if drive.outcome == "completed" and not bool(state.completed):
+        return "says that it was completed, and does not complete when it is simulated again"
+    return ""
+
+
+def _scenario_of(
+    config: StudioConfig, drives: Sequence[RecordedDrive]
+) -> tuple[StudioConfig, Scenario, list[RecordedDrive], list[str]]:
+    """Options and scenario of the drives, those of these options, and what is left out.
+
+    They are the studio's own, or those of the first drive whose options can be met with the studio's own code.
 
     Raises:
-        InputError: the first drive names code that is not the studio's own, by its name or by its content.
+        InputError: no drive has such options.
     """
-    if not drives:
-        return config
-    first, recorded = drives[0], config
-    if first.options != json.loads(json.dumps(config.identity())):
-        recorded = _with_own_code(config, validate(StudioConfig, first.options, source=first.file))
-    if changed := _changed(first.code, components.digests(recorded)):
-        text = f"the drives in {config.record} were driven with another {changed}, or do not say with which"
+    problems: dict[Path, str] = {}
+    for first in _own_first(drives, json.loads(json.dumps(config.identity()))):
+        try:
+            recorded = _options(config, first)
+            scenario = assembly.build(recorded)[0]
+        except InputError as error:
+            text = str(error).splitlines()[0]
+            problems[first.file] = text if str(first.file) in text else f"record: {first.file}: {text}"
+            continue
+        rest = [drive for drive in drives if drive.file not in problems]
+        alike, said = _alike(rest, first, recorded, scenario)
+        return recorded, scenario, alike, [*(f"{text} {LEFT_OUT}" for text in problems.values()), *said]
+    for text in problems.values():
+        raise InputError(text)
+    return config, assembly.build(config)[0], [], []
+
+
+def _options(config: StudioConfig, drive: RecordedDrive) -> StudioConfig:
+    """The options of a drive: the studio's own, or the drive's with the studio's own code.
+
+    Raises:
+        InputError: it is invalid, or names code that is not the studio's own, by its name or by its content.
+    """
+    recorded = config
+    if drive.options != json.loads(json.dumps(config.identity())):
+        recorded = _with_own_code(config, validate(StudioConfig, drive.options, source=drive.file), drive.file)
+    if changed := _changed(drive.code, components.digests(recorded)):
+        text = f"{drive.file} was driven with another {changed}, or does not say with which"
         raise InputError(f"record: {text}; restore that file, or choose another folder.")
     return recorded
 
 
-def _with_own_code(config: StudioConfig, recorded: StudioConfig) -> StudioConfig:
+def _with_own_code(config: StudioConfig, recorded: StudioConfig, file: Path) -> StudioConfig:
     """Recorded options, whose code is that of the studio's options; other code is not even read.
 
     Raises:
@@ -466,28 +601,62 @@ def _with_own_code(config: StudioConfig, recorded: StudioConfig) -> StudioConfig
     own, named = components.by_option(config), components.by_option(recorded)
     for option, parts in named.items():
         if parts != own.get(option):
-            text = f"the drives in {config.record} need the code {parts[0]['kind']}"
-            raise InputError(f"record: {text}; start the studio with the same options to use them.")
+            text = f"{file} needs the code {parts[0]['kind']}"
+            raise InputError(f"record: {text}; start the studio with the same options to use it.")
     return recorded.replace(**{option: getattr(config, option) for option in named})
 
 
-def _alike(drives: Sequence[RecordedDrive], recorded: StudioConfig) -> tuple[list[RecordedDrive], list[str]]:
-    """The drives with the options of the first, and no longer than an episode; a sentence for each other one."""
+def _alike(
+    drives: Sequence[RecordedDrive], first: RecordedDrive, recorded: StudioConfig, scenario: Scenario
+) -> tuple[list[RecordedDrive], list[str]]:
+    """The drives with the options of one that its robot and episode can have; a sentence for each other one."""
     alike, said = [], []
     longest = math.ceil(recorded.time_limit / recorded.time_step - 1e-6)
     for drive in drives:
-        if (drive.options, drive.code) != (drives[0].options, drives[0].code):
-            other = "code" if drive.options == drives[0].options else "options"
-            said.append(f"{drive.file} has other {other} than {drives[0].file.name}; {CURE}. The drive is left out.")
-        elif len(drive.commands) > longest:
-            steps = f"{len(drive.commands)} steps, and an episode at most {longest}"
-            said.append(f"{drive.file} has {steps}; {CURE}. The drive is left out.")
+        problem = _unlike(drive, first, longest) or _beyond_robot(drive, scenario.robot)
+        if problem:
+            said.append(f"{drive.file} {problem}; {CURE}. {LEFT_OUT}")
         else:
             alike.append(drive)
     return alike, said
 
 
-def _parts(drive: RecordedDrive, scenario: Any, which: str) -> list[EpisodePart]:
+def _unlike(drive: RecordedDrive, first: RecordedDrive, longest: int) -> str:
+    """What a drive has that the first one has not, or more steps than an episode; "" if nothing."""
+    if (drive.options, drive.code) != (first.options, first.code):
+        return f"has other {'code' if drive.options == first.options else 'options'} than {first.file.name}"
+    if len(drive.commands) > longest:
+        return f"has {len(drive.commands)} steps, and an episode at most {longest}"
+    return ""
+
+
+def _beyond_robot(drive: RecordedDrive, robot: RobotModel) -> str:
+    """What the commands of a drive have that a person cannot give this robot in the studio; "" if nothing."""
+    size = command_size(robot)
+    if drive.commands.shape[1] != size:
+        return f"has commands of {drive.commands.shape[1]} numbers, and those of {robot.name} have {size}"
+    if drive.by_person is None:
+        return ""
+    sides = [] if robot.lateral is None else [float(robot.lateral.max_speed)]
+    most = np.array([float(robot.max_speed), *sides, _turn_rate(robot)])
+    least = -np.array([float(max_reverse_speed(robot)), *most[1:]])
+    beyond = (drive.commands > most * (1 + ROUNDING)) | (drive.commands < least * (1 + ROUNDING))
+    wrong = np.flatnonzero(drive.by_person & beyond.any(1))
+    if len(wrong):
+        row = drive.commands[wrong[0]].tolist()
+        return f"has a person's command {row} at step {wrong[0]}, beyond the limits of {robot.name}"
+    return ""
+
+
+def _turn_rate(robot: RobotModel) -> float:
+    """rad/s, the most that a person commands; of a car at its top speed."""
+    if robot.steering is None:
+        return float(robot.max_turn_rate)
+    fastest = max(float(robot.max_speed), float(max_reverse_speed(robot)))
+    return fastest * math.tan(float(robot.steering.max_angle)) / float(robot.steering.wheelbase)
+
+
+def _parts(drive: RecordedDrive, scenario: Scenario, which: str) -> list[EpisodePart]:
     """The rows of a drive that are demonstrations, each piece without a gap: a person's, or all."""
     if which == "person" and (drive.by_person is None or drive.outcome != "completed"):
         return []
@@ -532,8 +701,10 @@ def _identity(entry: Mapping[str, Any]) -> tuple[Any, ...]:
 
 
 def replay(recorder: Recorder, episode: int, commands: np.ndarray) -> Any:
-    """The last state of an episode that is simulated again from its commands (T, 2)."""
+    """The last state of an episode that is simulated again from its commands (T, 2) or (T, 3), to its end at most."""
     state = recorder.begin(recorder.episode_key(episode))
     for action in commands:
+        if bool(state.completed) or bool(state.timed_out):
+            break
         state = recorder.step(jnp.asarray(action))
     return state

@@ -13,6 +13,7 @@ export interface DriveRow {
 
 /** The panel with the recorded drives. */
 export class DriveList {
+  demonstrates = true; // whether drives of the robot become demonstrations
   private readonly place: HTMLElement;
   private readonly head: HTMLElement;
 
@@ -52,7 +53,7 @@ export class DriveList {
     name.setAttribute("aria-label", `name of drive ${number}`);
     name.addEventListener("change", () => this.request({ do: "rename", file: row.file, name: name.value }));
     const share = row.by_person;
-    const demonstrates = row.outcome === "completed" && share !== null && share > 0;
+    const demonstrates = this.demonstrates && row.outcome === "completed" && share !== null && share > 0;
     const texts = [
       String(row.episode),
       row.seconds === null ? "–" : row.seconds.toFixed(1),

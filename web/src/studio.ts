@@ -17,6 +17,7 @@ interface Hello {
   policy: string;
   command: string;
   record: boolean;
+  demonstrates: boolean; // whether drives of this robot become demonstrations
   options: Record<string, string | number>;
   choices: Record<string, string[]>;
   places: Record<string, Place>;
@@ -136,6 +137,9 @@ class Studio {
     joystick.setAttribute("aria-hidden", "true"); // keys do the same
     this.controls = new Controls(joystick, () => this.sendCommand());
     this.controls.active = false;
+    this.state.textContent = "connecting";
+    this.notify("connecting to the studio");
+    this.lock();
     this.connect(place);
     setInterval(() => this.sendCommand(), COMMAND_INTERVAL);
   }
@@ -178,6 +182,11 @@ class Studio {
     return this.status?.you === "driver" && this.status.human;
   }
 
+  /** Whether a person drives, of this tab or of another one. */
+  private isHuman(): boolean {
+    return this.status?.human === true && this.status.you !== "free";
+  }
+
   /** Ask for the picture of the view that is chosen; none is shown until it comes. */
   private showView(): void {
     const name = this.view.value;
@@ -200,7 +209,7 @@ class Studio {
   /** What the first button does now. */
   private nameButton(): void {
     const past = this.player?.moment && !this.player.moment.newest;
-    this.buttons.drive.textContent = past ? "drive from here" : this.status?.human ? "give back" : "drive";
+    this.buttons.drive.textContent = past ? "drive from here" : this.isHuman() ? "give back" : "drive";
     this.buttons.live.disabled = !past;
   }
 
@@ -215,7 +224,7 @@ class Studio {
   /** From the moment that is shown; or give back to the policy. */
   private takeOver(): void {
     const moment = this.player?.moment;
-    if (this.status?.human && moment?.newest) {
+    if (this.isHuman() && moment?.newest) {
       this.request({ do: "drive", on: false });
       return;
     }
@@ -317,6 +326,7 @@ class Studio {
 
   private begin(hello: Hello, place: HTMLElement): void {
     this.hello = hello;
+    this.drives.demonstrates = hello.demonstrates;
     this.player?.close();
     this.closeScene();
     this.episode = null;
@@ -442,6 +452,7 @@ class Studio {
   /** Who drives, in the words of this tab. */
   private driver(status: Status): string {
     const policy = this.hello?.policy ?? "the policy";
+    if (status.you === "free") return "nobody has the wheel: the first tab that presses a button takes it";
     if (status.you === "watcher") return `watching · ${status.human ? "another tab drives" : `${policy} drives, another tab has the wheel`}`;
     return status.human ? "you drive" : `${policy} drives`;
   }

@@ -29,6 +29,12 @@ const stands = (page) => speed(page, () => Math.abs(Number(document.querySelecto
 
 await one.goto(address);
 await role(one, "free");
+seen.free = await state(one);
+const three = await context.newPage(); // of a studio that does not answer yet
+await three.routeWebSocket(/socket/, () => {});
+await three.goto(address);
+seen.connecting = [await state(three), await disabled(three), await three.locator(".studio-note").first().textContent()];
+await three.close();
 await click(one, button(one, "record"));
 await click(one, button(one, "drive"));
 await role(one, "driver");
