@@ -117,6 +117,11 @@ def trust() -> Iterator[None]:
         _trust -= 1
 
 
+def is_trusting() -> bool:
+    """Whether a block of ``trust`` is open."""
+    return _trust > 0
+
+
 def check_trust(config: Config) -> None:
     """Refuse parts that ``load`` would refuse, before anything is built.
 

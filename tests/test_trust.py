@@ -195,3 +195,26 @@ def test_code_is_parsed_if_it_is_that_of_its_digest_and_short(tmp_path, monkeypa
     (tmp_path / "mine.py").write_text("a;" * components.MAX_CODE)
     with pytest.raises(FileError, match="at most 500,000 are read"):
         components.content(tmp_path / "mine.py")
+
+
+@pytest.mark.parametrize("host", ["0.0.0.0", "[::]", "192.168.0.7", "127.0.0.1", "localhost", "[::1]", ""])
+@pytest.mark.parametrize("command", ["run", "bridge"])
+def test_a_file_opens_no_port_to_other_computers(command, host, tmp_path):
+    model = COMMANDS[command]
+    place = f"{host}:9555"
+    written = {"run": f"policy: 'rosbridge:{place}'", "bridge": f"rosbridge: true\naddress: '{place}'"}
+    typed = {"run": ["--policy", f"rosbridge:{place}"], "bridge": ["--address", place]}
+    (tmp_path / "config.yaml").write_text(f"environment: lab\n{written[command]}\n")
+    words = ["--config", str(tmp_path / "config.yaml")]
+
+    def read(*more):
+        return cli._read(model, flags.parse(command, model, [*words, *more], configurable=True))
+
+    if host in ("127.0.0.1", "localhost", "[::1]", ""):
+        assert place in str(read().identity() if command == "run" else read().address)
+        return
+    with pytest.raises(InputError, match=r"config.yaml opens \S+ to other computers, and you did not; type --"):
+        read()
+    read(*typed[command])
+    with components.trust():
+        read()
