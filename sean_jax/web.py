@@ -39,7 +39,9 @@ CONTENT_POLICY = "; ".join(
         "frame-ancestors 'none'",
     ]
 )  # what a page may load: nothing but its socket
-ORIGIN = re.compile(r"https?://([a-z0-9]([a-z0-9-]*[a-z0-9])?(\.[a-z0-9]([a-z0-9-]*[a-z0-9])?)*|\[[0-9a-f:.]+\])(:[0-9]{1,5})?")
+ORIGIN = re.compile(
+    r"https?://([a-z0-9]([a-z0-9-]*[a-z0-9])?(\.[a-z0-9]([a-z0-9-]*[a-z0-9])?)*|\[[0-9a-f:.]+\])(:[0-9]{1,5})?"
+)
 """An origin: names of letters, digits and inner hyphens, or an address of IPv6; it stands in ``CONTENT_POLICY``."""
 PATIENCE = 5.0  # s, until a connection that does not answer is closed
 

@@ -8,7 +8,6 @@ from typing import Annotated, Literal
 
 import numpy as np
 import pydantic
-import pydantic
 import pytest
 
 from sean_jax import files
