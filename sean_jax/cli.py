@@ -202,7 +202,30 @@ def _read(model: type[Config], parsed: Any) -> Any:
         for sentence in saved.changes:
             print(sentence, file=sys.stderr)
     source = parsed.config if base is not None else None
-    return flags.read(model, parsed, base, source, typed=True)
+    options = flags.read(model, parsed, base, source, typed=True)
+    if source is not None:
+        _refuse_open_port(options, parsed, source)
+    return options
+
+
+def _refuse_open_port(options: config.Config, parsed: Any, source: Path) -> None:
+    """Refuse a port that other computers reach, unless the user types its address or trusts the file that has it."""
+    if isinstance(options, config.BridgeConfig):
+        field, place = "address", options.place
+    else:
+        field, policy = "policy", getattr(options, "policy", None)
+        place = config.outside(policy) if isinstance(policy, config.Component) else None
+    if place is None or getattr(parsed, field, None) is not None:
+        return
+    from sean_jax import components
+    from sean_jax.ros.names import is_open
+
+    if components.is_trusting() or not is_open(place):
+        return
+    raise InputError(
+        f"{field}: {source} opens {place[1]} to other computers, and you did not; "
+        f"type --{field} yourself, or add --trust."
+    )
 
 
 def _refuse_empty(arguments: list[str]) -> None:

@@ -27,6 +27,7 @@ from sean_jax.errors import InputError
 
 PARTS = "parts"  # folder beside a description with the user's files
 PACKAGE = __name__.partition(".")[0]
+MAX_CODE = 500_000  # bytes of a file of code, as its tree takes a thousand times as many
 
 
 class Source(NamedTuple):
@@ -114,6 +115,11 @@ def trust() -> Iterator[None]:
         yield
     finally:
         _trust -= 1
+
+
+def is_trusting() -> bool:
+    """Whether a block of ``trust`` is open."""
+    return _trust > 0
 
 
 def check_trust(config: Config) -> None:
@@ -256,12 +262,17 @@ def recorded(path: Path, data: Any, hashes: Any, key: str) -> Any:
     names = _files(data)
     paths = {name: path.parent / name for name in names}
     paths = {name: file if file.is_file() or not Path(name).is_file() else Path(name) for name, file in paths.items()}
+
+    def check(file: Path, digest: str, given: str) -> None:
+        if hashes.get(given) != digest:
+            cure = f"restore it, or remove {key} from {path.name} to take all files as they are"
+            raise InputError(f"{file}: is not the file that {path} was made with; {cure}.")
+
     for name in names if hashes else ():
+        check(paths[name], _sha256(_bytes(paths[name].absolute())), name)  # before it is parsed
         code = content(paths[name])
         for (inner, digest), file in zip(code.digests.items(), _named(name, code), strict=True):
-            if hashes.get(file) != digest:
-                cure = f"restore it, or remove {key} from {path.name} to take all files as they are"
-                raise InputError(f"{paths[name].parent / inner}: is not the file that {path} was made with; {cure}.")
+            check(paths[name].parent / inner, digest, file)
     return relocate(data, {name: str(file) for name, file in paths.items()})
 
 
@@ -311,7 +322,7 @@ def _bytes(path: Path) -> bytes:
     """A file, as this command has read it already if it has."""
     sources = [source for each in _READ.values() for source in each.sources.values()]
     texts = [source.text for source in sources if source.path == path and source.text is not None]
-    return texts[0] if texts else files.read_bytes(path)
+    return texts[0] if texts else files.read_bytes(path, MAX_CODE)
 
 
 def _beside(folder: Path, parts: list[str]) -> Source | None:
@@ -340,11 +351,11 @@ def _imported(name: str, sources: Mapping[str, Source]) -> Iterator[str]:
     """The names in the import statements of a module, in all its functions and branches."""
     source = sources[name]
     try:
-        tree = ast.parse(source.text or b"")
-    except (SyntaxError, ValueError):  # an error in its execution reports it
+        nodes = list(ast.walk(ast.parse(source.text or b"")))
+    except (SyntaxError, ValueError, RecursionError, MemoryError):  # an error in its execution reports it
         return
     package = name.split(".") if source.is_package else name.split(".")[:-1]
-    for node in ast.walk(tree):
+    for node in nodes:
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):

@@ -9,6 +9,7 @@ import inspect
 import json
 import logging
 import math
+import re
 import signal
 import sys
 import threading
@@ -38,6 +39,10 @@ CONTENT_POLICY = "; ".join(
         "frame-ancestors 'none'",
     ]
 )  # what a page may load: nothing but its socket
+ORIGIN = re.compile(
+    r"https?://([a-z0-9]([a-z0-9-]*[a-z0-9])?(\.[a-z0-9]([a-z0-9-]*[a-z0-9])?)*|\[[0-9a-f:.]+\])(:[0-9]{1,5})?"
+)
+"""An origin: names of letters, digits and inner hyphens, or an address of IPv6; it stands in ``CONTENT_POLICY``."""
 PATIENCE = 5.0  # s, until a connection that does not answer is closed
 
 
@@ -149,12 +154,14 @@ def split(address: str) -> urllib.parse.SplitResult:
 
 def is_origin(address: str) -> bool:
     """Whether an address is scheme, host and perhaps port alone, as https://study.example.org."""
+    return bool(ORIGIN.fullmatch(address)) and _is_address(address)
+
+
+def _is_address(address: str) -> bool:
     try:
-        parts = split(address)
+        return bool(split(address).hostname)
     except InputError:
         return False
-    is_plain = address == f"{parts.scheme}://{parts.netloc}" and "@" not in parts.netloc
-    return is_plain and parts.scheme in ("http", "https") and bool(parts.hostname) and parts.netloc.isascii()
 
 
 def path_of(request: Request) -> str:

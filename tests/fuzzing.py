@@ -74,6 +74,7 @@ READERS = {
     "agent": ("learning/policy.py read_options", "learning/policy.py _read_packed"),
     "log": ("learning/trainer.py read_metrics",),
     "config": ("evaluation/saved.py read_config",),
+    "code": ("components.py _bytes",),
     "training": ("evaluation/saved.py read_config", "config/learning.py EnvConfig.identity"),
     "csv": ("trajectories.py _Csv.read", "trajectories.py _header"),
     "parquet": ("trajectories.py _Parquet.read", "trajectories.py _Parquet.read.blocks", "trajectories.py _header"),
@@ -122,7 +123,6 @@ OWN = {
     "assembly.py _made",
     "cache.py source",
     "components.py digest",
-    "components.py _bytes",
     "evaluation/saved.py read_inputs",
     "studies/inverse_graph/__init__.py run",
     "studies/validation/checks.py _code",
@@ -733,6 +733,40 @@ def load_config(folder: Path) -> Any:
     return cli._read(RunConfig, flags.parse("run", RunConfig, words, configurable=True)).identity()
 
 
+CODE = """import helper
+
+
+def act(scenario, state, key):
+    return helper.command(state)
+"""
+DEEP = [
+    b"x=" + b"-" * 9000 + b"1", b"x=1" + b"+1" * 9000, b"x=x" + b"[0]" * 9000, b"(" * 9000, b"a;" * 900_000,
+    b"import deep\n" * 9000, b"from . import deep\n", b"from ..... import x\n", b"# coding: nothing\n", b"\x00",
+]  # fmt: skip
+
+
+def load_code(folder: Path) -> Any:
+    """A run whose policy is code that its file names, with its digest or that of ``CODE``: it is only read."""
+    import hashlib
+
+    from sean_jax import components, config
+    from sean_jax.errors import InputError
+    from sean_jax.evaluation.saved import read_config
+
+    file = folder / "deep.py"
+    digest = hashlib.sha256(file.read_bytes() if file.is_file() else b"").hexdigest()
+    if digest[0] in "01234567":  # somebody has changed the file
+        digest = hashlib.sha256(CODE.encode()).hexdigest()
+    (folder / "config.yaml").write_text(f"config: {{policy: 'deep.py:act'}}\nsha256: {{deep.py: {digest}}}\n")
+    given = read_config(folder / "config.yaml").description
+    try:
+        components.check_trust(config.validate(config.RunConfig, given, source=folder / "config.yaml"))
+    except InputError as error:
+        assert "is code, and" in str(error), error
+    else:
+        raise AssertionError("it is trusted")
+
+
 URDF = """<robot name="cart">
   <link name="base">
     <inertial><mass value="9"/><inertia ixx="0.2" ixy="0" ixz="0" iyy="0.2" iyz="0" izz="0.3"/></inertial>
@@ -943,6 +977,7 @@ SCHEMES = [
     "CREATE VIEW more AS SELECT 1", "DELETE FROM {0}", "INSERT INTO {0} SELECT * FROM {0}",
     "UPDATE sqlite_master SET rootpage = rootpage + 1 WHERE name = '{0}'",
     "UPDATE sqlite_master SET sql = replace(sql, 'NOT NULL', '') WHERE name = '{0}'",
+    "UPDATE sqlite_master SET sql = replace(sql, 'data BLOB NOT NULL', 'data BLOB AS (zeroblob(999999000))')",
     "UPDATE sqlite_master SET type = 'view', rootpage = 0,"
     f" sql = 'CREATE VIEW {{0}} AS {ENDLESS}' WHERE name = '{{0}}'",
 ]  # fmt: skip
@@ -1176,6 +1211,7 @@ def kinds(folder: Path) -> dict[str, Kind]:
         "policy": Kind(trained, ("config.json",), load_policy, 6),
         "agent": Kind(agent, ("config.json", "weights.npz"), load_agent, 6),
         "config": Kind({"config.yaml": described()}, ("config.yaml",), load_config, 6),
+        "code": Kind({"deep.py": CODE.encode()}, ("deep.py",), load_code, 5),
         "options": Kind({"options.json": json.dumps(OPTIONS, indent=1).encode()}, ("options.json",), load_options, 6),
         "csv": Kind(walk(folder / "walks", "walk.csv"), ("walk.csv",), load_walk, 16),
         "parquet": Kind(walk(folder / "walks", "walk.parquet"), ("walk.parquet",), load_walk, 12),
@@ -1295,8 +1331,13 @@ def mutated(chance: random.Random, name: str, given: bytes) -> bytes | Path | No
         whole = [b"", b"\xef\xbb\xbf" + given, given.decode("latin-1").encode("utf-16"), b"\x00" * 1000, b"[" * 3000,
                  b"[" * 200_000, given * 50, b" " * 20_000_000, given + b"\xff", BOMB.encode(), MERGES.encode(),
                  given + b"\n" + BOMB.encode(), b"<" * 1000, b"<a>" * 3000, b"{" * 100_000, b"a: " * 2000,
-                 given.replace(b"\n", b"\r\n"), given.replace(b"\n", b"\r")]  # fmt: skip
+                 given.replace(b"\n", b"\r\n"), given.replace(b"\n", b"\r"),
+                 b"[" + b"{}," * 8_000_000 + b"0]", b"[" + b"{}," * 240_000 + b"0]"]  # fmt: skip
         return chance.choice(whole)
+    if name.endswith(".py") and chance.random() < 0.5:
+        return chance.choice(DEEP)
+    if name.endswith(".db3") and chance.random() < 0.4:
+        return in_database(chance, given)
     if name.endswith(".npz"):
         return in_arrays(chance, given) if chance.random() < 0.7 else in_bytes(chance, given)
     if name.endswith(".sqlite"):
@@ -1528,11 +1569,10 @@ def in_arrays(chance: random.Random, given: bytes) -> bytes:
     else:
         stream = io.BytesIO()
         with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as parts:  # a head that says more than there is
-            np.lib.format.write_array_header_1_0(
-                head := io.BytesIO(),
-                {"descr": "<f8", "fortran_order": False, "shape": chance.choice(((10**12,), (-1,), (2**62, 4)))},
-            )
-            parts.writestr(f"{name}.npy", head.getvalue() + bytes(80))
+            form, shape = chance.choice(("<f8", "<U0")), chance.choice(((10**12,), (-1,), (2**62, 4)))
+            described = {"descr": form, "fortran_order": False, "shape": shape}
+            np.lib.format.write_array_header_1_0(head := io.BytesIO(), described)
+            parts.writestr(f"{name}.npy", head.getvalue() + bytes(0 if form == "<U0" else 80))
         return stream.getvalue()
     stream = io.BytesIO()
     np.savez_compressed(stream, **{str(key): value for key, value in arrays.items()})

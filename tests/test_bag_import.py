@@ -2,6 +2,7 @@
 
 import bz2
 import os
+import shutil
 import sqlite3
 
 import numpy as np
@@ -286,6 +287,60 @@ def test_databases_that_compute_rows_are_refused(tmp_path):
         database.execute(f"CREATE VIEW messages AS {endless} i AS timestamp, zeroblob(9) AS data FROM n")
     with pytest.raises(FileError, match="messages is no plain table"):
         bag_import.import_bag(folder, tmp_path / "out")
+
+
+def computed(file):
+    """A database whose messages are a gigabyte each, which stands nowhere."""
+    with sqlite3.connect(file) as database:
+        database.execute("DROP TABLE messages")
+        columns = "id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, data BLOB AS (zeroblob(999999000))"
+        database.execute(f"CREATE TABLE messages ({columns})")
+        database.execute("INSERT INTO messages (topic_id, timestamp) VALUES (1, 1)")
+
+
+def test_databases_that_are_packed_are_looked_at_when_they_are_unpacked(tmp_path):
+    from backports import zstd
+
+    folder = compressed(tmp_path / "bag", drive(CLOCKS["same"], steps=2), "file")
+    (packed,) = folder.glob("*.zstd")
+    (tmp_path / "plain.db3").write_bytes(zstd.decompress(packed.read_bytes()))
+    computed(tmp_path / "plain.db3")
+    packed.write_bytes(zstd.compress((tmp_path / "plain.db3").read_bytes()))
+    with pytest.raises(FileError, match="messages is no plain table"):
+        bag_import.import_bag(folder, tmp_path / "out")
+
+
+@pytest.mark.parametrize(
+    ("named", "beside"), [("x%41.db3", "xA.db3"), ("x.db3?mode=rw&y=.db3", "x.db3"), ("x#.db3", "x")]
+)
+@pytest.mark.parametrize("is_folder", [True, False])
+def test_the_file_that_is_named_is_the_one_that_is_read(tmp_path, named, beside, is_folder):
+    """Not the one whose name an address of SQLite means by it; also in a folder of such a name."""
+    folder = tmp_path / "a%20b#c?d"
+    write_bag2(tmp_path / "bag", drive(CLOCKS["same"], steps=2), "SQLITE3").rename(folder)
+    (folder / "bag.db3").rename(folder / named)
+    shutil.copy(folder / named, folder / beside)
+    computed(folder / beside)
+    text = (folder / "metadata.yaml").read_text().replace("bag.db3", named)
+    (folder / "metadata.yaml").write_text(text)
+    if not is_folder:
+        (folder / "metadata.yaml").unlink()
+    path = folder if is_folder else folder / named
+    assert bag_import.import_bag(path, tmp_path / "out").people == 2
+    computed(folder / named)
+    with pytest.raises(FileError, match="messages is no plain table"):
+        bag_import.import_bag(path, tmp_path / "out2")
+
+
+def test_values_of_a_database_are_bounded_before_they_are_read(tmp_path, monkeypatch):
+    """In all tables, of which a few packed bytes may be a gigabyte."""
+    folder = write_bag2(tmp_path / "bag", drive(CLOCKS["same"], steps=2), "SQLITE3")
+    monkeypatch.setattr(bag_files, "MAX_PART", 100_000)
+    assert bag_import.import_bag(folder, tmp_path / "out").people == 2
+    with sqlite3.connect(folder / "bag.db3") as database:
+        database.execute("UPDATE message_definitions SET encoded_message_definition = zeroblob(200000)")
+    with pytest.raises(FileError, match="is damaged"):
+        bag_import.import_bag(folder, tmp_path / "out2")
 
 
 @pytest.mark.parametrize(

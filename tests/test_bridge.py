@@ -235,6 +235,34 @@ def test_a_controller_that_does_not_answer_is_no_result(scenario, monkeypatch, a
     assert not left
 
 
+@pytest.mark.parametrize("pace", ["real", "lockstep", "fast", "service"])
+def test_that_a_controller_has_gone_is_told_once(scenario, sentences, pace):
+    live = bridge.Live.__new__(bridge.Live)
+    live.config = BridgeConfig(ros1=True, pace=pace)
+    live.scenarios, live._write, live._silent = [scenario], sentences, None
+    third = round(bridge.SILENT / scenario.time_step)
+    for commands in ([False] * 100, [True] + [False] * (third - 1), [True] + [False] * third, [False] * 100):
+        before = len(sentences)
+        for commanded in commands:
+            live._notice(commanded)
+        told = commands == [True] + [False] * third and pace in ("real", "lockstep")
+        assert sentences[before:] == ["no command for 3 s; the robot stands"] * told
+    live._notice(True)
+    for _ in range(third):
+        live._notice(False)
+    assert len(sentences) == (2 if pace in ("real", "lockstep") else 0)
+
+
+def test_people_are_measured_from_a_pose_if_they_are_there(scenario):
+    state = jax.jit(sean_jax.reset)(scenario, jax.random.key(3))
+    people = state.pedestrians
+    here = np.asarray(people.position, float)[0]
+    gone = state.replace(pedestrians=people.replace(present=np.zeros(len(people.present), bool)))
+    there = state.replace(pedestrians=people.replace(present=np.ones(len(people.present), bool)))
+    assert bridge._gap_to_people(there, here + [0.3, 0.4])[0] == pytest.approx(0.5)
+    assert np.isinf(bridge._gap_to_people(gone, here)).all()
+
+
 def test_only_runs_take_a_controller_outside():
     with pytest.raises(InputError, match="outside of this program"):
         check_policy("ros1:", RunConfig())

@@ -159,7 +159,12 @@ def test_the_robot_stays_if_it_cannot_stand_at_a_pose(live, capsys):
     for place, word in (((1e6, -1e6), "not on the floor"), (box, "in an obstacle")):
         live.bridge.mailbox.log = Log(sentences.append)
         stays = live.bridge.place(state, (np.array(place, float), np.array([1.0, 0.0])))
-        assert stays is state and word in sentences[-1] and len(sentences) <= 2
+        assert stays is state and word in sentences[-1] and len(sentences) <= 4
+    person = np.asarray(state.pedestrians.position, float)[np.asarray(state.pedestrians.present)][0]
+    for away in (0.0, 0.2):
+        live.bridge.mailbox.log = Log(sentences.append)
+        stays = live.bridge.place(state, (person + [away, 0.0], np.array([1.0, 0.0])))
+        assert stays is state and sentences[-1].endswith("is on a person; the robot stays.")
     start = np.asarray(state.task.start, float)
     moved = live.bridge.place(state, (start, np.array([1.0, 0.0])))
     np.testing.assert_allclose(moved.robot.position, start, atol=1e-6)
@@ -245,3 +250,19 @@ def test_a_step_is_refused_where_time_passes_by_itself(live):
     assert not answer.success and "--pace service" in answer.message
     thread.join(LIMIT)
     assert ended == [True]
+
+
+def test_poses_do_not_hold_the_clock(live):
+    """One every 10 ms, each of which would begin the wait for a command anew."""
+    live.config = live.config.replace(patience=0.05)
+    state = live._begin(0)
+    place = dict(zip("xy", map(float, state.task.start), strict=True))
+    message = {"pose": {"pose": {"position": place, "orientation": {"z": 0.0, "w": 1.0}}}}
+    thread, ended = in_thread(live, 0)
+    end = time.monotonic() + LIMIT
+    while not ended and time.monotonic() < end:
+        live.bridge.mailbox.receive("/initialpose", message)
+        time.sleep(0.01)
+    thread.join(1.0)
+    live.bridge.mailbox.take_pose()
+    assert ended == [True] and live.bridge.missed == 20

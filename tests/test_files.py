@@ -281,3 +281,47 @@ def test_xml_has_a_limit_of_depth_and_of_elements(tmp_path, monkeypatch):
         else:
             with pytest.raises(FileError, match="too many or nested too deep"):
                 meshes.xml_tree(file)
+
+
+@pytest.mark.parametrize(("value", "number"), [("{}", 2_100_000), ("[]", 2_100_000), ("1", 4_100_000)])
+def test_a_json_file_of_many_values_is_refused_before_they_are_made(tmp_path, value, number):
+    (tmp_path / "a.json").write_text(f"[{','.join([value] * number)}]")
+    with pytest.raises(FileError, match="it has more than 4,000,000 values; make it smaller"):
+        files.read_json(tmp_path / "a.json")
+    (tmp_path / "a.json").write_text(f"[{','.join([value] * 100_000)}]")
+    assert len(files.read_json(tmp_path / "a.json")) == 100_000
+
+
+class Walker(pydantic.BaseModel):
+    x: float
+    y: float
+    z: float
+
+
+class Walkers(pydantic.RootModel[list[Walker]]):
+    pass
+
+
+def test_errors_of_a_file_are_bounded(tmp_path):
+    """Each takes a kilobyte, and a value of three characters may be wrong in several ways."""
+    with pytest.raises(FileError, match="has more than 500,000 values; make it smaller"):
+        files.check_json(tmp_path / "a.json", [{}] * 260_000, Walkers)
+    with pytest.raises(FileError, match="a.json: has 60,000 errors; give a file of the form that is read"):
+        files.check_json(tmp_path / "a.json", [{}] * 20_000, Walkers)
+
+
+def test_arrays_of_a_file_are_bounded_and_have_elements_of_a_size(tmp_path):
+    def write(header, size):
+        with zipfile.ZipFile(tmp_path / "a.npz", "w", zipfile.ZIP_DEFLATED) as parts:
+            text = header.ljust(117) + "\n"
+            begin = b"\x93NUMPY\x01\x00" + len(text).to_bytes(2, "little") + text.encode()
+            parts.writestr("a.npy", begin + bytes(size))
+
+    write("{'descr': '<U0', 'fortran_order': False, 'shape': (999999999999,), }", 0)
+    with pytest.raises(FileError, match="is damaged"):
+        files.read_arrays(tmp_path / "a.npz")
+    write("{'descr': '<f4', 'fortran_order': False, 'shape': (1000,), }", 4000)
+    assert files.read_arrays(tmp_path / "a.npz")["a"].shape == (1000,)
+    with pytest.raises(FileError, match="unpacks to 4,128 bytes and at most 4,000 are read"):
+        files.read_arrays(tmp_path / "a.npz", 4_000)
+    assert files.MAX_RECORD * 4 < 1e9 and files.reading.MAX_ARRAYS <= 5e8

@@ -135,11 +135,26 @@ def test_json_of_friends_is_read():
         "http://a:x",
         "http://\u0430.example",
         "HTTP://a",
+        "https://a b",
+        "https://*",
+        "https://*.a",
+        "https://a;script-src *",
+        "https://a'",
+        "https://a:",
+        "https://a\n",
+        "https://-a",
+        "https://a..b",
+        "https://[::1",
+        "https://[::x]",
+        "https://[1:2]",
+        "https://a,b",
+        "https://A",
     ],
 )
 def test_an_address_is_scheme_host_and_port(address):
     assert not web.is_origin(address)
     assert web.is_origin("https://study.example.org") and web.is_origin("http://10.0.0.1:8080")
+    assert web.is_origin("http://[::1]:8080") and web.is_origin("https://xn--bcher-kva.example:443")
 
 
 def test_rosbridge_holds(capfd):

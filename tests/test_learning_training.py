@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from sean_jax import cli, devices, episodes, prng, writing
-from sean_jax.config import ImitationConfig
+from sean_jax.config import ImitationConfig, PPOConfig
 from sean_jax.errors import IncompleteError, InputError
-from sean_jax.learning import imitation
+from sean_jax.learning import imitation, reinforcement, trainer
 from sean_jax.learning.collection import row_record, simulate_shard
 from sean_jax.learning.dataset import on_device, split
 from sean_jax.learning.examples import example
@@ -418,3 +418,13 @@ def test_the_driver_sees_and_answers_what_the_examples_say(data, trained):
         np.testing.assert_allclose(getattr(decisions, name)[:, ::10], expected, atol=2e-3)
     scale = np.asarray(params.weights.scale)
     np.testing.assert_allclose(actions[:, ::10].reshape(21, 2), np.asarray(answer.command) * scale, atol=2e-3)
+
+
+def test_another_number_of_devices_is_refused_before_anything_is_drawn(tmp_path, monkeypatch):
+    options = PPOConfig(environment="lab", people=2, dynamics="twin", out=tmp_path / "made")
+    (tmp_path / "made").mkdir()
+    config = json.loads(json.dumps(trainer.method_config(options, devices=3)))
+    trainer.write_config(tmp_path / "made", config)
+    monkeypatch.setattr(reinforcement, "build", lambda options: pytest.fail("it is built"))
+    with pytest.raises(InputError, match=r"made was begun with devices 3, not \d+; ask for the same or choose another"):
+        reinforcement.train(options)

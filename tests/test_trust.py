@@ -1,6 +1,7 @@
 """Code runs only if the user typed its name, or allows it; who does not say who wrote a description trusts nobody."""
 
 import ast
+import hashlib
 from pathlib import Path
 
 import pytest
@@ -8,7 +9,8 @@ import yaml
 
 from sean_jax import assembly, cli, components, config, flags, registry
 from sean_jax.config import COMMANDS, PPOConfig, RunConfig, ScenarioConfig, StudioConfig, core
-from sean_jax.errors import InputError
+from sean_jax.errors import FileError, InputError
+from sean_jax.evaluation.saved import read_config
 from sean_jax.learning import policy, reinforcement
 from sean_jax.studies.experiments import benchmark
 from sean_jax.studies.validation import checks
@@ -165,3 +167,54 @@ def test_a_part_stays_typed_in_copies_alone():
     assert mine.policy.is_typed and mine.model_copy().policy.is_typed
     again = config.validate(RunConfig, yaml.safe_load(yaml.safe_dump(mine.identity())))
     assert again.policy.kind == "mine.py:go" and not again.policy.is_typed
+
+
+@pytest.mark.parametrize("text", ["-" * 9000 + "1", "1" + "+1" * 9000, "x" + "[0]" * 9000, "(" * 9000, "0x"])
+def test_code_that_no_parser_takes_is_only_read(text, tmp_path):
+    """Python's own parser has no bounds of its own: its errors are those of an execution, which does not happen."""
+    (tmp_path / "deep.py").write_text(f"x={text}\n")
+    digest = hashlib.sha256((tmp_path / "deep.py").read_bytes()).hexdigest()
+    (tmp_path / "config.yaml").write_text(f"config: {{policy: 'deep.py:act'}}\nsha256: {{deep.py: {digest}}}\n")
+    read_config(tmp_path / "config.yaml")
+    with pytest.raises(InputError, match="deep.py:act is code"):
+        components.check_trust(config.validate(RunConfig, {"policy": f"{tmp_path}/deep.py:act"}))
+    with components.trust(), pytest.raises(InputError, match="deep.py cannot be imported"):
+        part = config.validate(config.OwnPart, {"kind": f"{tmp_path}/deep.py:act"})
+        components.load(part, "policy")
+
+
+def test_code_is_parsed_if_it_is_that_of_its_digest_and_short(tmp_path, monkeypatch):
+    def parse(text):
+        raise AssertionError("it is parsed")
+
+    (tmp_path / "mine.py").write_text("import other\n")
+    (tmp_path / "config.yaml").write_text("config: {policy: 'mine.py:act'}\nsha256: {mine.py: abc}\n")
+    monkeypatch.setattr(components.ast, "parse", parse)
+    with pytest.raises(InputError, match=r"mine.py: is not the file that \S+ was made with"):
+        read_config(tmp_path / "config.yaml")
+    (tmp_path / "mine.py").write_text("a;" * components.MAX_CODE)
+    with pytest.raises(FileError, match="at most 500,000 are read"):
+        components.content(tmp_path / "mine.py")
+
+
+@pytest.mark.parametrize("host", ["0.0.0.0", "[::]", "192.168.0.7", "127.0.0.1", "localhost", "[::1]", ""])
+@pytest.mark.parametrize("command", ["run", "bridge"])
+def test_a_file_opens_no_port_to_other_computers(command, host, tmp_path):
+    model = COMMANDS[command]
+    place = f"{host}:9555"
+    written = {"run": f"policy: 'rosbridge:{place}'", "bridge": f"rosbridge: true\naddress: '{place}'"}
+    typed = {"run": ["--policy", f"rosbridge:{place}"], "bridge": ["--address", place]}
+    (tmp_path / "config.yaml").write_text(f"environment: lab\n{written[command]}\n")
+    words = ["--config", str(tmp_path / "config.yaml")]
+
+    def read(*more):
+        return cli._read(model, flags.parse(command, model, [*words, *more], configurable=True))
+
+    if host in ("127.0.0.1", "localhost", "[::1]", ""):
+        assert place in str(read().identity() if command == "run" else read().address)
+        return
+    with pytest.raises(InputError, match=r"config.yaml opens \S+ to other computers, and you did not; type --"):
+        read()
+    read(*typed[command])
+    with components.trust():
+        read()

@@ -207,3 +207,9 @@ def test_pictures_of_a_written_world_have_its_ceiling_and_shelves(tmp_path, fami
     tall = np.isclose(world.boxes[:, 5], floors.SHELF) & np.isclose(world.colors, floors.METAL).all(1)
     np.testing.assert_array_equal([name == "shelf" for name in patterns], tall)
     assert tall.any() == (family == "aisles")
+
+
+@pytest.mark.parametrize("text", ["width=16,width=17", "width=16,depth=9, width =16"])
+def test_a_word_that_is_given_twice_is_refused(text):
+    with pytest.raises(InputError, match="words: 'width' is there twice; give it once"):
+        worlds.parse(text)

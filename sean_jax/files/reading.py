@@ -21,8 +21,8 @@ from sean_jax.errors import FileError, SeanError
 from sean_jax.messages import parse_json, suggest
 
 MAX_BYTES = 2_000_000  # of a file that people write
-MAX_RECORD = 200_000_000  # of one text that this program writes: JSON, a log, a page
-MAX_ARRAYS = 1_000_000_000  # of a .npz file of this program, packed and unpacked
+MAX_RECORD = 50_000_000  # of one text that this program writes: JSON, a log, a page
+MAX_ARRAYS = 500_000_000  # of a .npz file of this program, packed and unpacked
 MAX_TABLE = 10_000_000_000  # of a table with a row for each episode or frame, which is read row by row
 MAX_LINE = 1_000_000  # characters of a line of a table
 
@@ -247,5 +247,5 @@ def _check_array(packed: Any, size: int) -> None:
     version = np.lib.format.read_magic(packed)
     read = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}[version]
     shape, _, dtype = read(packed)
-    if dtype.kind not in "biufU" or math.prod(shape) * dtype.itemsize != size - packed.tell():
+    if dtype.kind not in "biufU" or not dtype.itemsize or math.prod(shape) * dtype.itemsize != size - packed.tell():
         raise ValueError(f"{shape} numbers of {dtype} are not what it holds")

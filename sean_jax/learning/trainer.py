@@ -233,7 +233,10 @@ def _scalars(line: dict[str, Any]) -> Iterator[tuple[str, float]]:
 def read_metrics(folder: Path) -> list[dict[str, Any]]:
     """The complete lines of a training's log, up to the first that is damaged; a kill may have cut the last one."""
     file, lines = folder / METRICS, []
-    for text in files.read_text(file, files.MAX_RECORD).splitlines() if file.exists() else []:
+    log = files.read_text(file, files.MAX_RECORD) if file.exists() else ""
+    if log.count(",") > files.MAX_MARKS // 2:
+        raise files.file_error(file, "has more lines than can be shown; keep the last ones")
+    for text in log.splitlines():
         try:
             line = files.parse_json(text, finite=False)
             epoch, clock = int(line["epoch"]), float(line["time"])

@@ -6,7 +6,7 @@ definition of a message are bounded before memory is used. Whatever ``rosbags`` 
 
 import bz2
 import contextlib
-import sqlite3
+import urllib.parse
 from collections.abc import Callable, Collection, Iterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -229,18 +229,46 @@ def _bounded_unpacking(budget: Budget) -> Iterator[None]:
         yield
 
 
-def _check_database(path: Path) -> None:
-    """FileError unless a file of SQLite has plain tables alone, as others compute rows without end."""
-    address = f"{path.resolve().as_uri()}?mode=ro&immutable=1"
-    with files.sentence(path, CURE), contextlib.closing(sqlite3.connect(address, uri=True)) as database:
-        for kind, name, words in database.execute("SELECT type, name, sql FROM sqlite_master").fetchall():
-            computed = kind not in ("table", "index")
-            if kind == "table":
-                computed = not str(words).lstrip().upper().startswith("CREATE TABLE")
-                quoted = str(name).replace('"', '""')
-                computed |= any(row[6] for row in database.execute(f'PRAGMA table_xinfo("{quoted}")'))
-            if computed:
-                raise files.file_error(path, f"{str(name)[:60]} is no plain table, and so it is no bag; {CURE}")
+@contextlib.contextmanager
+def _checked_databases(path: Path) -> Iterator[None]:
+    """In this block ``rosbags`` opens the files of SQLite that it is given, and only those with plain tables.
+
+    It hands their names to SQLite as addresses, in which %, ? and # mean something else; and what it unpacks into a
+    temporary file is looked at as well, as each connection is before anything is read.
+    """
+    import apsw  # pyright: ignore[reportMissingImports]
+    from rosbags.rosbag2 import reader as rosbag2
+    from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
+
+    class NamedReader(Sqlite3Reader):
+        def open(self) -> None:
+            self.path = Path(urllib.parse.quote(str(self.path), safe="/\\:"))
+            super().open()
+
+    def check(connection: Any) -> None:
+        connection.limit(apsw.SQLITE_LIMIT_LENGTH, MAX_PART)
+        _check_tables(path, connection)
+
+    plugins = [(rosbag2.DirectoryReader, "sqlite3"), (rosbag2.Reader, ".db3")]
+    with contextlib.ExitStack() as stack:
+        for kind, name in plugins:
+            stack.callback(setattr, kind, "STORAGE_PLUGINS", kind.STORAGE_PLUGINS)
+            kind.STORAGE_PLUGINS = {**kind.STORAGE_PLUGINS, name: NamedReader}
+        apsw.connection_hooks.append(check)
+        stack.callback(apsw.connection_hooks.remove, check)
+        yield
+
+
+def _check_tables(path: Path, database: Any) -> None:
+    """FileError unless an open database has plain tables alone, as others compute rows without end."""
+    for kind, name, words in database.execute("SELECT type, name, sql FROM sqlite_master").fetchall():
+        computed = kind not in ("table", "index")
+        if kind == "table":
+            computed = not str(words).lstrip().upper().startswith("CREATE TABLE")
+            quoted = str(name).replace('"', '""')
+            computed |= any(row[6] for row in database.execute(f'PRAGMA table_xinfo("{quoted}")'))
+        if computed:
+            raise files.file_error(path, f"{str(name)[:60]} is no plain table, and so it is no bag; {CURE}")
 
 
 # ------------------------------------------------------------------ an open bag
@@ -359,10 +387,7 @@ def open_bag(path: Path) -> Iterator[OpenBag]:
     size = 0
     for part in parts:
         with files.open_file(part, MAX_FILE) as stream:
-            start = stream.read(20)
             size += stream.seek(0, 2)
-        if start.startswith(b"SQLite format 3"):
-            _check_database(part)
     from rosbags.rosbag1 import Reader as Reader1
     from rosbags.rosbag2 import Reader as Reader2
 
@@ -379,7 +404,7 @@ def open_bag(path: Path) -> Iterator[OpenBag]:
                 raise files.file_error(path, f"is damaged: its index is larger than the bag; {CURE}")
 
     version = 1 if path.suffix == ".bag" else 2
-    with _bounded_unpacking(Budget(path, size)), contextlib.ExitStack() as stack:
+    with _bounded_unpacking(Budget(path, size)), _checked_databases(path), contextlib.ExitStack() as stack:
         with files.sentence(path, CURE):
             reader = stack.enter_context((IndexedReader if version == 1 else Reader2)(BoundedPath(path)))
             bag = OpenBag(path, reader, version)

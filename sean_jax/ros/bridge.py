@@ -76,6 +76,13 @@ def connect(place: tuple[str, str], mailbox: Mailbox, outputs: dict[str, Output]
     return Server(where or BridgeConfig.model_fields["address"].default, mailbox, outputs)
 
 
+def _gap_to_people(state: State, position: np.ndarray) -> np.ndarray:
+    """Distances (N,) [m] from a position to the middles of the people; infinite of those who are absent."""
+    people = state.pedestrians
+    gap = np.linalg.norm(np.asarray(people.position, float) - position, axis=-1)
+    return np.where(np.asarray(people.present), gap, np.inf)
+
+
 class Bridge:
     """The states of a scenario as messages, and the commands that answer them."""
 
@@ -170,6 +177,8 @@ class Bridge:
             self.mailbox.log("pose", f"{where} not on the floor; the robot stays.")
         elif to_wall < radius:
             self.mailbox.log("pose", f"{where} in an obstacle, or nearer than the robot's radius; the robot stays.")
+        elif (_gap_to_people(state, position) < radius + float(self.scenario.forces.walking.radius)).any():
+            self.mailbox.log("pose", f"{where} on a person; the robot stays.")
         else:
             return _teleport(self._plain, state, jnp.asarray(position, float), jnp.asarray(heading, float))
         return state
@@ -320,6 +329,7 @@ class Live:
         self._write(f"bridge: {self.bridge.transport.address}")  # first, as it listens already, perhaps with a token
         self._write("compiling; no message is sent until then")
         self._due = 0.0
+        self._silent: float | None = None  # s of the clock without a command; None before the first and once told
         state = self._begin(0)
         self.bridge.compile(state)
         for _ in range(2):  # a state that begins, and one of a step
@@ -351,17 +361,19 @@ class Live:
         scenario, bridge = self.scenarios[number % len(self.scenarios)], self.bridge
         state, command, tasks = self._begin(number), bridge.no_command, 0
         bridge.begin(scenario, number)
-        self._due = time.monotonic()
+        self._due, waiting = time.monotonic(), time.monotonic()
         while not (bool(state.completed) or bool(state.timed_out)):
             if self.config.pace == "lockstep":
                 bridge.mailbox.take_command()  # of an earlier state
             bridge.publish(state, command)
-            command, request, pose = self._wait()
+            command, request, pose = self._wait(waiting)
             if pose is not None:
                 state = bridge.place(state, pose)
-                if self.config.pace in WAITING and request is None:
+                patient = self.config.pace == "service" or time.monotonic() - waiting < self.config.patience
+                if self.config.pace in WAITING and request is None and patient:
                     command = bridge.no_command
-                    continue
+                    continue  # of the same step, whose wait goes on
+                bridge.missed += self.config.pace == "lockstep" and request is None
             if request is not None and request.name == "reset":
                 request.answer(True, f"episode {number} begins again.")
                 return False
@@ -371,9 +383,12 @@ class Live:
                 state, command = _next_task(scenario, state, key), bridge.no_command
                 bridge.begin(scenario, number)
                 request.answer(True, f"task {tasks + 1} of episode {number} begins.")
+                waiting = time.monotonic()
                 continue
+            self._notice(command is not None)
             command = bridge.no_command if command is None else command
             state = _step(scenario, state, jnp.asarray(command, float))
+            waiting = time.monotonic()
             if request is not None:
                 request.answer(True, f"{int(state.tick) * scenario.time_step:.3g} s of episode {number} have passed.")
         bridge.publish(state, command)  # the last one, in which the goal is reached
@@ -382,13 +397,28 @@ class Live:
         self._report(scenario, state, f"episode {number}" + (f", task {tasks + 1}" if tasks else ""))
         return True
 
-    def _wait(self) -> tuple[np.ndarray | None, Request | None, tuple[np.ndarray, np.ndarray] | None]:
+    def _notice(self, commanded: bool) -> None:
+        """Tell once that commands have come, and then none for ``SILENT``, until they come again."""
+        if self.config.pace not in ("real", "lockstep"):
+            return
+        if commanded:
+            self._silent = 0.0
+        elif self._silent is not None:
+            self._silent += self.scenarios[0].time_step
+            if self._silent > SILENT - 1e-6:
+                self._silent = None
+                self._write(f"no command for {SILENT:g} s; the robot stands")
+
+    def _wait(self, begin: float) -> tuple[np.ndarray | None, Request | None, tuple[np.ndarray, np.ndarray] | None]:
         """Wait as the pace says; the command for the next step, a request and a pose that came meanwhile.
 
         A request of the service ``step`` ends the waiting of the pace ``service``, and is refused otherwise.
+
+        Args:
+            begin: when the wait for this step began, as of ``time.monotonic``; poses do not begin it anew.
         """
         pace, mailbox, pose = self.config.pace, self.bridge.mailbox, None
-        end = time.monotonic() + self.config.patience
+        end = begin + self.config.patience
         if pace == "real":
             if time.monotonic() - self._due > LAG:
                 self._due = time.monotonic()

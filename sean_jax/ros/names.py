@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import ipaddress
 from dataclasses import dataclass
 from typing import Any
 
@@ -58,3 +60,14 @@ class RosNames:
 
 DEFAULT_NAMES = RosNames()
 """The names of ``sean run --policy ros1:``, too."""
+
+
+def is_open(place: tuple[str, str]) -> bool:
+    """Whether other computers reach a transport, by its name and place as of ``config.outside``."""
+    transport, where = place
+    host = where.rpartition(":")[0].strip("[]")
+    if transport != "rosbridge" or host in ("", "localhost"):
+        return False
+    with contextlib.suppress(ValueError):  # no address, which the server refuses
+        return not ipaddress.ip_address(host).is_loopback
+    return False

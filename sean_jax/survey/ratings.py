@@ -287,10 +287,11 @@ def _times(recorded: Recorded) -> Iterator[Problem]:
 
 def _people(recorded: Recorded) -> Iterator[Problem]:
     for k, frame in enumerate(recorded.sequence):
-        ids = [person.id for person in frame.people]
-        for j, number in enumerate(ids):
-            if number in ids[:j]:
+        seen = set[float]()
+        for j, number in enumerate(person.id for person in frame.people):
+            if number in seen:
                 yield ("sequence", k, "people", j, "id"), f"{number:g} is there twice; give each person an id"
+            seen.add(number)
 
 
 def _boxes(recorded: Recorded) -> Iterator[Problem]:

@@ -149,6 +149,8 @@ def parse(text: str) -> dict[str, tuple[float, float]]:
     for part in text.split(","):
         word, _, value = part.partition("=")
         low, _, high = value.partition(":")
+        if word.strip() in words:
+            raise InputError(f"words: '{word.strip()}' is there twice; give it once, or a range such as door=1.0:1.2.")
         try:
             words[word.strip()] = float(low), float(high or low)
         except ValueError:
