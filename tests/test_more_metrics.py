@@ -327,6 +327,17 @@ def test_means_and_extremes_are_unknown_only_where_a_situation_never_occurred():
             assert unknown.all() or not unknown.any(), name
 
 
+def test_the_table_in_the_terminal_has_the_metrics_of_the_paper():
+    """Those of section IV-H; all others are in the report and in episodes.csv."""
+    entries = {
+        f"{space}_{who}"
+        for space in ("intimate", "personal", "collision")
+        for who in ("robot_on_person", "person_on_robot")
+    }
+    told = {name for name, metric in (metrics.METRICS | metrics.OF_GROUPS).items() if metric.headline}
+    assert told == {"path_efficiency", "time_not_moving"} | entries
+
+
 def test_o_spaces_and_walking_groups_equal_a_plain_loop():
     """Groups of two to four among eight people; the robot's own group is not counted, nor a robot that stands."""
     random, people, steps = np.random.default_rng(5), 8, 200
