@@ -247,6 +247,17 @@ def test_answers_are_checked(question, good, bad):
 # ------------------------------------------------------------------ the server
 
 
+def test_a_new_folder_is_its_owners_and_another_stays_as_it_is(tmp_path, monkeypatch):
+    monkeypatch.setattr(survey, "_serve", lambda *_: None)
+    read(tmp_path)
+    for name, before, after in (("new", None, 0o700), ("there", 0o755, 0o755)):
+        if before is not None:
+            (tmp_path / name).mkdir()
+            (tmp_path / name).chmod(before)
+        survey.run(SimpleNamespace(survey=tmp_path / "study.yaml", out=tmp_path / name), Console())
+        assert (tmp_path / name).stat().st_mode & 0o777 == after
+
+
 def test_a_page_gets_only_what_it_may_ask_for(tmp_path):
     """Before consent nothing is stored, nor an answer of another page or of a film that has not been seen."""
     answers, shown = Answers.begin(tmp_path, read(tmp_path)), []
