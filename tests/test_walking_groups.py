@@ -1,5 +1,7 @@
 """Walking groups: who belongs together, where they start, that they stay side by side, and what they leave alone."""
 
+from types import SimpleNamespace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -155,6 +157,35 @@ def test_walking_groups_in_the_open_walk_abreast_at_the_measured_distance_and_sp
         assert found[size]["beside"] > 0.89 and found[size]["apart"] == 0.0
     assert 0.04 <= found[1]["speed"] - found[2]["speed"] <= 0.15
     assert found[3]["speed"] < found[2]["speed"]
+
+
+def test_directions_of_the_leader_equal_a_plain_loop():
+    """Members near the leader, whose own direction is at most 60 degrees off, go in the leader's direction."""
+    random, number = np.random.default_rng(4), 300
+    group = np.where(random.random(number) < 0.8, random.integers(0, 40, number), -1).astype(np.int32)
+    place, velocity = random.uniform(-1.5, 1.5, (number, 2)), random.normal(0, 1, (number, 2))
+    people = SimpleNamespace(position=jnp.asarray(place, jnp.float32), walking_group=jnp.asarray(group))
+    found = starts.walk_abreast(people, jnp.asarray(velocity, jnp.float32))
+    expected, turned = velocity.copy(), 0
+    for k in np.flatnonzero(group >= 0):
+        ahead, own = velocity[group[k]], np.linalg.norm(velocity[k])
+        cosine = ahead @ velocity[k] / (np.linalg.norm(ahead) * own)
+        if np.linalg.norm(place[group[k]] - place[k]) < 1.5 and cosine > 0.5:
+            expected[k] = own * ahead / np.linalg.norm(ahead)
+            turned += group[k] != k
+    np.testing.assert_allclose(found, expected, atol=1e-5)
+    assert 20 < turned < 200
+
+
+def test_the_first_person_is_a_companion_as_any_other():
+    """A crowd of pairs alone: person 0 takes as much off a companion's speed as everybody does."""
+    groups = WalkingGroups(pairs=2, triples=0)
+    walking = SimpleNamespace(companion_slowdown=jnp.float32(0.1))
+    scenario = SimpleNamespace(
+        behavior=SimpleNamespace(companions=groups.companions(4)), forces=SimpleNamespace(walking=walking)
+    )
+    speeds = starts.group_speeds(scenario, jnp.asarray([0, 0, 2, 2], jnp.int32), jnp.asarray([1.0, 1.5, 1.2, 0.9]))
+    np.testing.assert_allclose(speeds, [0.9, 0.9, 1.1, 1.1], rtol=1e-6)
 
 
 def test_cohesion_of_strength_zero_is_none():
