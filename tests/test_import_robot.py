@@ -275,7 +275,8 @@ def test_obj_and_collada(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "name, content", [("a.obj", "v 0 0 >\n"), ("a.obj", "v 0 0\nv 0 0 0\n"), ("a.stl", "vertex 0 x 0")]
+    "name, content",
+    [("a.obj", "v 0 0 >\n"), ("a.obj", "v 0 0\nv 0 0 0\n"), ("a.stl", "vertex 0 x 0"), ("a.obj", "v 0 0 1e300\n")],
 )
 def test_numbers_of_a_mesh_that_are_none_are_refused_in_own_words(tmp_path, name, content):
     (tmp_path / name).write_text(content)

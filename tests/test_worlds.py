@@ -213,3 +213,10 @@ def test_pictures_of_a_written_world_have_its_ceiling_and_shelves(tmp_path, fami
 def test_a_word_that_is_given_twice_is_refused(text):
     with pytest.raises(InputError, match="words: 'width' is there twice; give it once"):
         worlds.parse(text)
+
+
+@pytest.mark.parametrize("text", ["a" * 20_000, f"{'b' * 20_000}=1", f"{'c' * 20_000}=1,{'c' * 20_000}=2"])
+def test_a_sentence_on_words_is_short(text):
+    with pytest.raises(InputError) as told:
+        worlds.generate("rooms", 0, worlds.parse(text))
+    assert len(str(told.value)) < 300

@@ -14,6 +14,7 @@ from sean_jax.messages import MAX_DEPTH
 Element = ElementTree.Element
 MAX_MESH = 50_000_000  # bytes
 MAX_ELEMENTS = 100_000  # of an XML file
+MAX_REACH = 1e6  # of a corner, in the units of the file, which may be millimetres
 LINE = "line"  # attribute of an element of ``xml_tree``: its line in the file
 MESHES = (".stl", ".obj", ".dae")
 HEADER, TRIANGLE = 84, 50  # bytes of a binary STL file
@@ -71,8 +72,8 @@ def vertices(path: Path) -> np.ndarray:
     except (ValueError, IndexError, KeyError):
         cure = "a number is none, or too few stand together; write it again with the program that made it"
         raise file_error(path, f"is no {kind[1:].upper()} mesh: {cure}") from None
-    if not len(points) or not np.isfinite(points).all():
-        raise file_error(path, "holds no corner, or one that is not finite")
+    if not len(points) or not (np.abs(points) <= MAX_REACH).all():
+        raise file_error(path, f"holds no corner, or one beyond {MAX_REACH:g}; look at its numbers")
     return points
 
 
