@@ -152,6 +152,7 @@ class Memory:
         pass
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("naming", ["ros", "sean"])
 def test_a_bridge_of_a_namespace_has_its_topics_and_frames(scenario, monkeypatch, naming):
     pytest.importorskip("rosbags")

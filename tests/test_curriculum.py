@@ -165,6 +165,7 @@ def test_weights_follow_the_worst_situation(env, by_situations):
     np.testing.assert_array_equal(starts, state.pool.states.start)
 
 
+@pytest.mark.slow
 def test_chosen_situations_occur(env, by_situations):
     """Starts are drawn as often as they lead there, and new ones that lead there more come in."""
     column = int(np.asarray(curricula.occurrences(by_situations)).std(0).argmax())

@@ -52,6 +52,7 @@ def drive(scenario, key):
     return jax.lax.scan(one, reset(scenario, key), length=60)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("more, alone_too", quick([(CHEAP, [1]), ({}, [0, 1, 2])], (CHEAP, [1])))
 def test_each_floor_is_as_it_is_alone(floors, more, alone_too):
     """Tasks, people, robots and metrics, from equal keys, with other numbers of obstacles, arcs, nodes and seats."""

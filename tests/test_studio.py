@@ -115,6 +115,7 @@ def test_a_drive_is_simulated_again_to_the_byte(fresh, tmp_path):
     assert equal(repeated.robot, state.robot) and equal(repeated.pedestrians, state.pedestrians)
 
 
+@pytest.mark.slow
 def test_a_drive_of_an_omnidirectional_robot_is_kept(tmp_path):
     """With three numbers a command; it is listed, and simulated again to the byte. Networks are for two wheels."""
     hsr = Session(validate(StudioConfig, OPTIONS | {"robot": "hsr"}).replace(record=tmp_path))
@@ -1550,6 +1551,7 @@ def test_people_begin_anew_on_another_graph_and_floor(edited):
     assert edited.edits()["difference"] == "" and edited.on_file
 
 
+@pytest.mark.slow
 def test_a_graph_is_saved_where_it_was_read(edited):
     file = edited.editor.folder / "graph.yaml"
     edited.edit({"node": "meeting", "capacity": 3})  # other seats: the episode begins anew
