@@ -22,7 +22,7 @@ await page.screenshot({ path: `${folder}/studio-3d.png`, clip: { ...stage, heigh
 await page.getByLabel("view").selectOption("third_person");
 await button("play").click();
 await page.waitForFunction(() => document.querySelectorAll(".studio-card th").length > 10, null, { timeout: 180000 });
-await page.waitForFunction(() => document.querySelectorAll(".studio-card thead th").length === 4, null, { timeout: 180000 });
+await page.waitForFunction(() => document.querySelectorAll(".studio-card thead th").length >= 3, null, { timeout: 400000 });
 await page.waitForTimeout(1000);
 await page.screenshot({ path: `${folder}/studio.png`, clip: { x: 0, y: 0, width: 1100, height: 1200 }, fullPage: true });
 
