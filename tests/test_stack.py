@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 import test_replay_folders
 import test_resume
-from quick import quick
 
 import sean_jax
 from sean_jax import assembly, cli, devices, environment, kernels, padding, registry, reset, runner, stack, step, worlds
@@ -53,7 +52,7 @@ def drive(scenario, key):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("more, alone_too", quick([(CHEAP, [1]), ({}, [0, 1, 2])], (CHEAP, [1])))
+@pytest.mark.parametrize("more, alone_too", [(CHEAP, [1]), pytest.param({}, [0, 1, 2], marks=pytest.mark.night)])
 def test_each_floor_is_as_it_is_alone(floors, more, alone_too):
     """Tasks, people, robots and metrics, from equal keys, with other numbers of obstacles, arcs, nodes and seats."""
     floors, folders = floors if more else build(options()), worlds.find(SET)
