@@ -149,7 +149,7 @@ def test_a_training_learns_multipliers_and_goes_on_with_them(tmp_path, monkeypat
         np.testing.assert_array_equal(one, other)
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_an_agent_keeps_a_limit_that_its_reward_would_break(tmp_path):
     """Paid by the metre, it would drive at full speed, 60 a minute; 20 a minute are 0.29 m/s, at which the cost of
     another metre is its reward if the multiplier is 0.43.

@@ -95,7 +95,7 @@ def test_other_images_are_refused(tmp_path):
         dataset.open_datasets([one.folder, two.folder])
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_dagger_learns_in_rounds_and_goes_on(tmp_path, monkeypatch):
     """From the command line; stopped after the first round, it goes on to what an undisturbed one has."""
     monkeypatch.chdir(tmp_path)

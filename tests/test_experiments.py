@@ -367,7 +367,7 @@ def test_chains_restart_from_their_own_stream():
     assert len(np.unique(np.asarray(jax.random.key_data(drawn.streams.people)), axis=0)) == 40
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_chains_of_a_seed_do_not_depend_on_other_seeds_and_further_situations():
     """Those of the scenario stay as they are, and a further one that is one of them equals it in every second."""
     asked = CollectConfig(behavior="random", environment="lab", dynamics="twin", time_limit=20.0, people=6)
