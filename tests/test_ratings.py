@@ -51,6 +51,23 @@ def measured(tmp_path, content) -> dict[str, float]:
     return ratings.measure(ratings.read(tmp_path / "000000001.json"))
 
 
+def test_the_robot_is_as_wide_as_its_longer_side(tmp_path):
+    for width, length in ((0.5, 0.8), (0.8, 0.5)):
+        content = trajectory(1.0, 40)
+        for frame in content["sequence"]:
+            frame["robot"]["shape"] = {"type": "rectangle", "width": width, "length": length}
+        write(tmp_path / "000000001.json", content)
+        assert ratings.read(tmp_path / "000000001.json").robot_radius == np.float32(0.4)
+
+
+def test_a_mean_names_its_rating_and_its_trial():
+    rows = [{"trial": trial, "ratings": {"calm": float(value)}} for trial, value in (("a", 1), ("a", 3), ("b", 5))]
+    found = report.means(rows)
+    assert [(mean.rating, mean.trial, mean.value, mean.participants) for mean in found] == [
+        ("calm", "a", 2.0, 2), ("calm", "b", 5.0, 1),
+    ]  # fmt: skip
+
+
 @pytest.mark.parametrize("aside", [0.3, 0.9, 2.0])
 @pytest.mark.parametrize("steps", [40, 70])  # in arrays of 128 and 256 rows
 def test_metrics_are_those_of_a_loop(tmp_path, aside, steps):
