@@ -4,13 +4,15 @@ Conventions of map_server: the origin is the lower left corner of the image, who
 p = (255 - x) / 255 is how occupied a pixel of value x is, or x / 255 with ``negate``.
 """
 
+import contextlib
 import dataclasses
 import io
 import json
 import os
 import warnings
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, BinaryIO, Literal
 
 import jax
 import numpy as np
@@ -109,12 +111,19 @@ def _problems(settings: MapFile) -> list[files.Problem]:
     return problems
 
 
+@contextlib.contextmanager
+def _opened(stream: BinaryIO) -> Iterator[Image.Image]:
+    """An image, of whose size Pillow does not warn: it is checked here."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", Image.DecompressionBombWarning)
+        with Image.open(stream, formats=FORMATS) as opened:
+            yield opened
+
+
 def _is_image(path: Path) -> bool:
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", Image.DecompressionBombWarning)
-            with files.open_file(path, MAX_BYTES) as stream, Image.open(stream, formats=FORMATS):
-                return True
+        with files.open_file(path, MAX_BYTES) as stream, _opened(stream):
+            return True
     except Image.DecompressionBombError:
         return True
     except (OSError, ValueError, UnidentifiedImageError):
@@ -125,13 +134,11 @@ def _image(image: Path) -> tuple[np.ndarray, np.ndarray]:
     """The shades of an image file, as in ``_shades``. Raises FileError."""
     content = files.read_bytes(image, MAX_BYTES)
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", Image.DecompressionBombWarning)
-            with Image.open(io.BytesIO(content), formats=FORMATS) as opened:
-                width, height = opened.size
-                if width * height > MAX_CELLS:
-                    raise Image.DecompressionBombError
-                return _shades(opened)
+        with _opened(io.BytesIO(content)) as opened:
+            width, height = opened.size
+            if width * height > MAX_CELLS:
+                raise Image.DecompressionBombError
+            return _shades(opened)
     except FileError:
         raise
     except Image.DecompressionBombError:

@@ -23,7 +23,7 @@ def shorten(text: str, length: int = 60) -> str:
 
 MAX_DEPTH = 60  # of values within values
 MAX_DIGITS = 60  # characters of a whole number
-MAX_MARKS = 4_000_000  # of "{[," in a JSON text: a value of two characters takes a hundred times as many bytes
+MAX_JSON_VALUES = 4_000_000  # of a JSON text: a value of two characters takes a hundred times as many bytes
 HALF = re.compile(r"\\u[dD][89a-fA-F]")  # how half a character, of the codes D800 to DFFF, is written in JSON
 
 
@@ -52,8 +52,8 @@ def parse_json(content: str | bytes, strict: bool = True, finite: bool = True) -
         return int(word)
 
     text = content.decode("utf-8-sig") if isinstance(content, bytes) else content  # json itself lets halves through
-    if sum(map(text.count, "{[,")) > MAX_MARKS:
-        raise ValueError(f"it has more than {MAX_MARKS:,} values; make it smaller")
+    if count_values(text) > MAX_JSON_VALUES:
+        raise ValueError(f"it has more than {MAX_JSON_VALUES:,} values; make it smaller")
     numbers: dict[str, Any] = {"parse_constant": refuse} if finite else {}
     try:
         value = json.loads(text, strict=strict, parse_float=decimal, parse_int=whole, **numbers)
@@ -63,6 +63,11 @@ def parse_json(content: str | bytes, strict: bool = True, finite: bool = True) -
     if HALF.search(text):
         _check_letters(value)
     return value
+
+
+def count_values(text: str) -> int:
+    """The number of values of a JSON text at most, without parsing it: its opening brackets and commas."""
+    return sum(map(text.count, "{[,"))
 
 
 def _check_depth(value: Any) -> None:

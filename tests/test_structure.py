@@ -181,8 +181,7 @@ OPENERS = {
 
 ALLOWED = {
     "learning/dataset.py _open_array": "tensorstore, whose files are compared with the manifest",
-    "maps.py _is_image": "of an open file of bounded size",
-    "maps.py _image": "of bytes of bounded size",
+    "maps.py _opened": "of an open file or of bytes, of bounded size",
     "recordings/reading.py _table": "of a text of bounded size",
     "studio/trial.py _recover_file": "the end of a drive that was just read, to be written",
     "studio/yaml_text.py node_at": "of a text that files.load has read",

@@ -33,12 +33,21 @@ from sean_jax.files.reading import (
     sentence,
     short_name,
 )
-from sean_jax.messages import MAX_DEPTH, MAX_DIGITS, MAX_MARKS, error_clause, listed, parse_json, suggest, unknown_name
+from sean_jax.messages import (
+    MAX_DEPTH,
+    MAX_DIGITS,
+    MAX_JSON_VALUES,
+    count_values,
+    error_clause,
+    listed,
+    parse_json,
+    suggest,
+    unknown_name,
+)
 
 MAX_ERRORS = 100  # of a file that a message names
-MAX_CHECKED = (
-    500_000  # values that a model is made of; each may be wrong in several ways, for which pydantic needs 1 kB
-)
+# Values that a model is made of. Each may be wrong in several ways, for each of which pydantic needs 1 kB.
+MAX_CHECKED = 500_000
 MAX_DETAILS = 50_000  # errors that are looked at, which need as much again
 MAX_KEY = 60  # characters of a key in a message
 MAX_VALUES = 50_000  # in a file, with aliases expanded
@@ -68,7 +77,7 @@ def check_json(path: Path | str, data: Any, model: type[Model], *checks: Callabl
 def _validate(path: Path, data: Any, model: type[Model], checks: Iterable[Callable], root: Any = None) -> Model:
     """The model of some data, or a FileError with all problems, at their positions below ``root`` if it is YAML."""
     unknown, more, text = set(), 0, json.dumps(data)
-    if sum(map(text.count, "{[,")) > MAX_CHECKED:
+    if count_values(text) > MAX_CHECKED:
         raise file_error(path, f"has more than {MAX_CHECKED:,} values; make it smaller")
     try:
         value = model.model_validate_json(text, strict=True)

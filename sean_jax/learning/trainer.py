@@ -234,7 +234,7 @@ def read_metrics(folder: Path) -> list[dict[str, Any]]:
     """The complete lines of a training's log, up to the first that is damaged; a kill may have cut the last one."""
     file, lines = folder / METRICS, []
     log = files.read_text(file, files.MAX_RECORD) if file.exists() else ""
-    if log.count(",") > files.MAX_MARKS // 2:
+    if files.count_values(log) > files.MAX_JSON_VALUES:
         raise files.file_error(file, "has more lines than can be shown; keep the last ones")
     for text in log.splitlines():
         try:

@@ -361,7 +361,7 @@ class Live:
         scenario, bridge = self.scenarios[number % len(self.scenarios)], self.bridge
         state, command, tasks = self._begin(number), bridge.no_command, 0
         bridge.begin(scenario, number)
-        self._due, waiting = time.monotonic(), time.monotonic()
+        self._due = waiting = time.monotonic()
         while not (bool(state.completed) or bool(state.timed_out)):
             if self.config.pace == "lockstep":
                 bridge.mailbox.take_command()  # of an earlier state

@@ -22,6 +22,7 @@ from sean_jax import writing
 from sean_jax.errors import FileError, InputError
 from sean_jax.files import file_error
 from sean_jax.files.database import Database, Finite, Row, Scalar, make_private, new_database
+from sean_jax.messages import count_values
 from sean_jax.quantities import TIME_STEP_RANGE, parse_digits
 from sean_jax.survey import visits
 from sean_jax.survey.study import MAX_STUDY, MAX_WORD, Step, Study, checked, name_problems
@@ -84,7 +85,7 @@ def film_problem(text: str) -> str | None:
     """Why a film, as JSON, is neither stored nor read: it would take too much memory."""
     if (size := len(text)) > MAX_FILM:
         return f"has {size:,} bytes and at most {MAX_FILM:,} are read"
-    if (count := sum(map(text.count, ",[{"))) > MAX_VALUES:
+    if (count := count_values(text)) > MAX_VALUES:
         return f"has {count:,} values and at most {MAX_VALUES:,} are read"
     return None
 

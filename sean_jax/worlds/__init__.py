@@ -24,6 +24,7 @@ from sean_jax.geometry import signed_distances_on_host
 from sean_jax.graph import annotation
 from sean_jax.graph.annotation import Annotation, Edge, Node
 from sean_jax.graph.formation import reach
+from sean_jax.messages import shorten
 from sean_jax.navigation.arcs import pairs_are_free
 from sean_jax.worlds.floors import (
     FAMILIES,
@@ -99,12 +100,14 @@ def generate(family: str, seed: int, words: Mapping[str, float | tuple[float, fl
         InputError: there is no such family or word, or no floor of these words lets everybody pass.
     """
     if family not in FAMILIES:
-        raise InputError(f"worlds: '{family:.50}' is not one of {', '.join(FAMILIES)}{files.suggest(family, FAMILIES)}")
+        raise InputError(
+            f"worlds: '{shorten(family)}' is not one of {', '.join(FAMILIES)}{files.suggest(family, FAMILIES)}"
+        )
     build, ranges = FAMILIES[family]
     ranges = {**SIZE, **ranges}
     for word, value in (words or {}).items():
         if word not in ranges:
-            raise InputError(f"worlds: {family} has no word '{word:.50}'; its words are {', '.join(ranges)}.")
+            raise InputError(f"worlds: {family} has no word '{shorten(word)}'; its words are {', '.join(ranges)}.")
         low, high = (value, value) if isinstance(value, int | float) else value
         least, most = LIMITS[word]
         quantities.check_number(f"worlds: {word}", high, least, most)
@@ -151,12 +154,12 @@ def parse(text: str) -> dict[str, tuple[float, float]]:
         low, _, high = value.partition(":")
         if word.strip() in words:
             raise InputError(
-                f"words: '{word.strip():.50}' is there twice; give it once, or a range such as door=1.0:1.2."
+                f"words: '{shorten(word.strip())}' is there twice; give it once, or a range such as door=1.0:1.2."
             )
         try:
             words[word.strip()] = float(low), float(high or low)
         except ValueError:
-            what = f"'{part:.50}' is no word with a number or a range"
+            what = f"'{shorten(part)}' is no word with a number or a range"
             raise InputError(f"words: {what}; give door=1.2 or door=1.0:1.2.") from None
     return words
 
@@ -197,15 +200,15 @@ def parse_set(name: str) -> WorldSet | None:
     cure = "give worlds:FAMILIES:NUMBER or worlds:FAMILIES:NUMBER:SEED, such as worlds:rooms,aisles:512"
     number, seed = (quantities.parse_digits(part) for part in (*parts[1:], "0", "0")[:2])
     if len(parts) not in (2, 3) or number is None or seed is None:
-        raise InputError(f"environment: '{name:.100}' is no set of worlds; {cure}.")
+        raise InputError(f"environment: '{shorten(name)}' is no set of worlds; {cure}.")
     families = tuple(FAMILIES) if parts[0] == "all" else tuple(parts[0].split(","))
     for family in families:
         if family not in FAMILIES:
             hint = files.suggest(family, FAMILIES)
             raise InputError(
-                f"environment: '{family:.50}' in {name:.100} is not one of all, {', '.join(FAMILIES)}{hint}"
+                f"environment: '{shorten(family)}' in {shorten(name)} is not one of all, {', '.join(FAMILIES)}{hint}"
             )
-    quantities.check_number(f"environment: number in {name:.100}", number, 1, MAX_WORLDS)
+    quantities.check_number(f"environment: number in {shorten(name)}", number, 1, MAX_WORLDS)
     quantities.check_number(f"environment: seed in {name}", seed, 0, 2**31)
     return WorldSet(families, number, seed)
 
