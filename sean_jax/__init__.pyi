@@ -1,8 +1,8 @@
-"""The public names of sean_jax and their modules: type checkers read them here, and `__init__.py` too."""
+"""The public names of sean_jax and their modules: type checkers read them here, and `lazy_loader` too."""
 
-from sean_jax import gradients as gradients, mdp as mdp, registry as registry, sensors as sensors, team as team
-from sean_jax.assembly import make as make, make_team as make_team, with_task as with_task
-from sean_jax.base import (
+from . import gradients as gradients, mdp as mdp, registry as registry, sensors as sensors, team as team
+from .assembly import make as make, make_team as make_team, with_task as with_task
+from .base import (
     Behavior as Behavior,
     Environment as Environment,
     Groups as Groups,
@@ -19,10 +19,10 @@ from sean_jax.base import (
     Trajectory as Trajectory,
     as_policy as as_policy,
 )
-from sean_jax.behaviors import BEHAVIORS as BEHAVIORS, Place as Place
-from sean_jax.classifiers import SITUATIONS as SITUATIONS, SITUATION_SETS as SITUATION_SETS, Thresholds as Thresholds
-from sean_jax.components import trust as trust
-from sean_jax.config import (
+from .behaviors import BEHAVIORS as BEHAVIORS, Place as Place
+from .classifiers import SITUATIONS as SITUATIONS, SITUATION_SETS as SITUATION_SETS, Thresholds as Thresholds
+from .components import trust as trust
+from .config import (
     APGConfig as APGConfig,
     CollectConfig as CollectConfig,
     CustomTask as CustomTask,
@@ -36,8 +36,8 @@ from sean_jax.config import (
     RunConfig as RunConfig,
     ScenarioConfig as ScenarioConfig,
 )
-from sean_jax.crowding import congestion as congestion
-from sean_jax.episodes import (
+from .crowding import congestion as congestion
+from .episodes import (
     ResetPool as ResetPool,
     autoreset as autoreset,
     init_policy as init_policy,
@@ -47,23 +47,23 @@ from sean_jax.episodes import (
     rollout_autoreset as rollout_autoreset,
     simulate as simulate,
 )
-from sean_jax.errors import (
+from .errors import (
     FileError as FileError,
     IncompleteError as IncompleteError,
     InputError as InputError,
     SeanError as SeanError,
     WriteError as WriteError,
 )
-from sean_jax.evaluation import Evaluation as Evaluation, evaluate as evaluate
-from sean_jax.mdp import Env as Env, EnvState as EnvState, make_env as make_env
-from sean_jax.metrics import METRICS as METRICS, Metric as Metric, aggregate as aggregate
-from sean_jax.pedestrian_models import MODELS as MODELS
-from sean_jax.pedestrian_models import pedestrians_at as pedestrians_at
-from sean_jax.policies import POLICIES as POLICIES
-from sean_jax.replay import view as view
-from sean_jax.robots import ROBOTS as ROBOTS
-from sean_jax.runner import Record as Record, Runner as Runner
-from sean_jax.scenario import (
+from .evaluation import Evaluation as Evaluation, evaluate as evaluate
+from .mdp import Env as Env, EnvState as EnvState, make_env as make_env
+from .metrics import METRICS as METRICS, Metric as Metric, aggregate as aggregate
+from .pedestrian_models import MODELS as MODELS
+from .pedestrian_models import pedestrians_at as pedestrians_at
+from .policies import POLICIES as POLICIES
+from .replay import view as view
+from .robots import ROBOTS as ROBOTS
+from .runner import Record as Record, Runner as Runner
+from .scenario import (
     next_task as next_task,
     observe as observe,
     reset as reset,
@@ -71,11 +71,11 @@ from sean_jax.scenario import (
     step as step,
     teleport as teleport,
 )
-from sean_jax.sensors import SENSORS as SENSORS, sense as sense
-from sean_jax.social_forces import Forces as Forces, PRESETS as PRESETS, preset as preset
-from sean_jax.studies import inverse_graph as inverse_graph, scenes as scenes
-from sean_jax.studies.prediction import predict as predict
-from sean_jax.tasks import TASKS as TASKS, build_task as build_task
-from sean_jax.trajectories import load_trajectory as load_trajectory, save_trajectory as save_trajectory
+from .sensors import SENSORS as SENSORS, sense as sense
+from .social_forces import Forces as Forces, PRESETS as PRESETS, preset as preset
+from .studies import inverse_graph as inverse_graph, scenes as scenes
+from .studies.prediction import predict as predict
+from .tasks import TASKS as TASKS, build_task as build_task
+from .trajectories import load_trajectory as load_trajectory, save_trajectory as save_trajectory
 
 __version__: str

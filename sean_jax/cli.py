@@ -302,10 +302,12 @@ def _train(options: config.ImitationConfig | config.ReinforcementConfig, console
     else:
         import numpy as np
 
+        from sean_jax.learning.trainer import read_metrics
+
         state = learning.reinforcement.train(options, console)
         value, after = map(np.asarray, (state.best.value, state.best.update))
         best = f"best evaluation: return {value.max():.2f}"
-        lines = learning.trainer.read_metrics(options.folder)
+        lines = read_metrics(options.folder)
         line = next((line for line in lines if line["epoch"] == after[value.argmax()]), {})
         own = line.get(f"agent {value.argmax()}", line.get("evaluation", {}))
         if "completed" in own:
