@@ -4,12 +4,12 @@ import dataclasses
 import json
 import os
 from collections.abc import Sequence
-from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any
 
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 import pydantic
 from jaxtyping import Float
@@ -256,7 +256,6 @@ def _boxes(path: Path) -> tuple[np.ndarray, Scenery]:
     if not path.exists():
         raise FileError(f"{path}: there is no such file; an environment's obstacles are MJCF boxes in it.")
     model = mjcf.read(path)
-    mujoco: Any = import_module("mujoco")  # late, for it takes time; Any, for it has no type stubs
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     kind = [mujoco.mjtGeom(number).name.removeprefix("mjGEOM_").lower() for number in model.geom_type]
@@ -281,7 +280,6 @@ def named_boxes(path: Path) -> dict[str, tuple[tuple[float, ...], tuple[float, .
         FileError: MuJoCo cannot read the file.
     """
     model = mjcf.read(path)
-    mujoco: Any = import_module("mujoco")
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     boxes = {}
@@ -343,7 +341,7 @@ def solids_from_mjcf(model: Any, data: Any, geoms: list[int]) -> Solids:
 
     A capsule becomes a cylinder of the same extent. Geoms of other kinds and transparent geoms are left out.
     """
-    kind = import_module("mujoco").mjtGeom
+    kind = mujoco.mjtGeom
     boxes, cylinders, spheres = [], [], []
     colors: tuple[list, list, list] = [], [], []
     for index in geoms:
@@ -388,7 +386,7 @@ def _scenery(shape: Solids, floor: Floor = PLAIN_FLOOR, sky: ArrayLike = SKY, su
 
 def _floor_of(model: Any) -> Floor:
     """The colors of the first texture, repeated as the first plane's material says; without one the plane's color."""
-    kinds = import_module("mujoco").mjtGeom
+    kinds = mujoco.mjtGeom
     planes = [index for index in range(model.ngeom) if model.geom_type[index] == kinds.mjGEOM_PLANE]
     material = int(model.geom_matid[planes[0]]) if planes else -1
     colors = _texture(model, "2d")
@@ -430,7 +428,6 @@ def _texture(model: Any, kind: str) -> np.ndarray | None:
 
 def _pixels(model: Any, kind: str) -> np.ndarray | None:
     """(H, W, 3) pixels from 0 to 255 of the first texture of a kind."""
-    mujoco: Any = import_module("mujoco")
     texture = {"2d": mujoco.mjtTexture.mjTEXTURE_2D, "skybox": mujoco.mjtTexture.mjTEXTURE_SKYBOX}[kind]
     for index in range(model.ntex):
         if model.tex_type[index] == texture:

@@ -6,11 +6,11 @@ Elements without use in a scene or a robot, and larger numbers than any of them 
 import math
 import re
 from collections.abc import Callable
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 from xml.parsers import expat
 
+import mujoco
 import numpy as np
 
 from sean_jax.errors import FileError
@@ -48,7 +48,6 @@ def read(path: Path, edit: Callable[[Any], None] | None = None) -> Any:
         FileError: one sentence that names the file, the line where there is one, and the cure.
     """
     sources(path)  # refuses elements and files
-    mujoco: Any = import_module("mujoco")  # late, for it takes time; Any, for it has no type stubs
     warnings: list[str] = []
     before = mujoco.get_mju_user_warning()
     mujoco.set_mju_user_warning(warnings.append)  # or it prints, and writes a log where the program was started

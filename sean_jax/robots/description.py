@@ -1,11 +1,11 @@
 """Robots read from MJCF files (Fig. 3): masses, wheels, servos and limits, checked against the equations of motion."""
 
 from collections.abc import Iterator
-from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 
 from sean_jax import environment, quantities
@@ -103,7 +103,6 @@ def read(path: Path) -> tuple[Any, dict[str, Any], np.ndarray]:
     Raises:
         FileError: the file is no MJCF, lacks a number, or does not describe a planar base of its drive.
     """
-    mujoco: Any = import_module("mujoco")  # late, for it takes time; Any, for it has no type stubs
     model = mjcf.read(path)
     disable = mujoco.mjtDisableBit
     for unused in (disable.mjDSBL_CONSTRAINT, disable.mjDSBL_SPRING, disable.mjDSBL_DAMPER, disable.mjDSBL_EULERDAMP):
@@ -147,7 +146,6 @@ def read(path: Path) -> tuple[Any, dict[str, Any], np.ndarray]:
 
 def _drive(path: Path, model: Any) -> str:
     """The type of the drive, by the text ``drive`` of the file."""
-    mujoco: Any = import_module("mujoco")
     texts = {}
     for k in range(model.ntext):
         begin, size = model.text_adr[k], model.text_size[k]
@@ -196,7 +194,7 @@ def mounts(model: Any, data: Any) -> tuple[Mount, ...]:
 
     The site of servos is no mount, nor is one on a moving part.
     """
-    site = int(import_module("mujoco").mjtTrn.mjTRN_SITE)
+    site = int(mujoco.mjtTrn.mjTRN_SITE)
     servos = {int(model.actuator_trnid[k, 0]) for k in range(model.nu) if model.actuator_trntype[k] == site}
     result, frame, fixed = [], base_rotation(model, data), model.body_weldid == model.jnt_bodyid[0]
     places = [
@@ -265,7 +263,6 @@ def _check_range(path: Path, what: str, value: float, low: float, high: float, u
 
 def _mass_matrix(path: Path, model: Any) -> np.ndarray:
     """The diagonal of the mass matrix, which must be diagonal and independent of the pose."""
-    mujoco: Any = import_module("mujoco")
     data, size = mujoco.MjData(model), model.nv
     matrices = []
     for position in (np.zeros(size), np.array([1.0, -2.0, 0.7, 1.9, -0.4])[:size]):
@@ -303,7 +300,6 @@ def faults(model: Any, data: Any, radius: float, drive: str = "differential") ->
 
 
 def _joints(model: Any, drive: str) -> Iterator[str]:
-    mujoco: Any = import_module("mujoco")  # late, for it takes time; Any, for it has no type stubs
     joints = BUILDS[drive].joints
     if model.njnt != len(joints):
         yield f"it has {model.njnt} joints and not {len(joints)}"
@@ -318,7 +314,7 @@ def _joints(model: Any, drive: str) -> Iterator[str]:
 
 
 def _servos(model: Any, drive: str) -> Iterator[str]:
-    affine = int(import_module("mujoco").mjtBias.mjBIAS_AFFINE)
+    affine = int(mujoco.mjtBias.mjBIAS_AFFINE)
     count = {"differential": 2, "omnidirectional": 3, "ackermann": 1}[drive]
     if model.nu != count:
         yield f"it has {model.nu} actuators and not {count}"
@@ -341,7 +337,7 @@ def _servos(model: Any, drive: str) -> Iterator[str]:
 def _transmission(model: Any, drive: str) -> Iterator[str]:
     """Where the servos do not drive what they should."""
     if drive == "omnidirectional":
-        site = int(import_module("mujoco").mjtTrn.mjTRN_SITE)
+        site = int(mujoco.mjtTrn.mjTRN_SITE)
         on_one = (model.actuator_trntype == site).all() and len({*model.actuator_trnid[:, 0].tolist()}) == 1
         if not on_one or (model.actuator_trnid[:, 1] >= 0).any():
             yield "its actuators do not all drive one and the same site"
@@ -360,7 +356,6 @@ def _transmission(model: Any, drive: str) -> Iterator[str]:
 
 def _in_the_middle(model: Any, site: int) -> bool:
     """Whether a site is on the base above its hinge, with the axes of the base."""
-    mujoco: Any = import_module("mujoco")
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     turned = base_rotation(model, data).T @ data.site_xmat[site].reshape(3, 3)
@@ -401,7 +396,6 @@ def _bodies(model: Any, data: Any, radius: float) -> Iterator[str]:
 
 
 def _wheels(model: Any) -> Iterator[str]:
-    mujoco: Any = import_module("mujoco")
     round_kinds = mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_SPHERE
     geoms = wheel_geoms(model)
     for wheel, geom in zip(_wheel_names(model), geoms, strict=True):
@@ -421,7 +415,7 @@ def _places(model: Any, data: Any, radius: float) -> Iterator[str]:
         joint = 3 + number
         axis, offset = data.xaxis[joint], data.geom_xpos[geom] - data.xanchor[joint]
         bottom, away = data.geom_xpos[geom, 2] - model.geom_size[geom, 0], to_base(model, data, data.geom_xpos[geom])
-        cylinder = model.geom_type[geom] == int(import_module("mujoco").mjtGeom.mjGEOM_CYLINDER)
+        cylinder = model.geom_type[geom] == int(mujoco.mjtGeom.mjGEOM_CYLINDER)
         turns = not cylinder or abs(data.geom_xmat[geom].reshape(3, 3)[:, 2] @ axis) >= 1.0 - UPRIGHT
         if not turns or np.linalg.norm(offset - (offset @ axis) * axis) > BESIDE:
             yield f"the first geom of its {wheel} is not round about its hinge"
@@ -471,7 +465,7 @@ def base_rotation(model: Any, data: Any) -> np.ndarray:
 
 def _pivot(model: Any) -> int:
     """The joint that turns the base about the vertical: a freejoint, or the third in the plane."""
-    return 0 if model.jnt_type[0] == int(import_module("mujoco").mjtJoint.mjJNT_FREE) else 2
+    return 0 if model.jnt_type[0] == int(mujoco.mjtJoint.mjJNT_FREE) else 2
 
 
 def _label(item: Any, number: int) -> str:

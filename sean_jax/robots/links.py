@@ -4,10 +4,10 @@ All poses are in the frame of the robot's root link, at rest: all joints at zero
 """
 
 import dataclasses
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 
 from sean_jax.files import file_error, mjcf
@@ -83,7 +83,6 @@ def from_mjcf(path: Path) -> Body:
     Raises:
         FileError: the file cannot be read, or it has no such body, or several.
     """
-    mujoco: Any = import_module("mujoco")  # late, for it takes time; Any, for it has no type stubs
     model = mjcf.read(path)
     data = mujoco.MjData(model)
     for stage in (mujoco.mj_kinematics, mujoco.mj_comPos, mujoco.mj_camlight):
@@ -120,7 +119,6 @@ def from_mjcf(path: Path) -> Body:
 
 
 def _is_base(model: Any, body: int) -> bool:
-    mujoco: Any = import_module("mujoco")
     joints = range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body])
     kinds = [int(model.jnt_type[joint]) for joint in joints]
     slides, hinge = int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE)
@@ -128,7 +126,6 @@ def _is_base(model: Any, body: int) -> bool:
 
 
 def _link(model: Any, data: Any, body: int, parent: int, origin: np.ndarray, axes: np.ndarray) -> Link:
-    mujoco: Any = import_module("mujoco")
     kinds = {int(mujoco.mjtJoint.mjJNT_HINGE): "hinge", int(mujoco.mjtJoint.mjJNT_SLIDE): "slide"}
     first, number = int(model.body_jntadr[body]), int(model.body_jntnum[body])
     joint = first if number and parent >= 0 else -1
@@ -156,7 +153,6 @@ def _link(model: Any, data: Any, body: int, parent: int, origin: np.ndarray, axe
 
 
 def _shape(model: Any, data: Any, geom: int, origin: np.ndarray, axes: np.ndarray) -> Shape | None:
-    mujoco: Any = import_module("mujoco")
     kind = mujoco.mjtGeom(int(model.geom_type[geom])).name.removeprefix("mjGEOM_").lower()
     place, turn = axes.T @ (data.geom_xpos[geom] - origin), axes.T @ data.geom_xmat[geom].reshape(3, 3)
     size, material = model.geom_size[geom], model.geom_matid[geom]
@@ -177,7 +173,6 @@ def _shape(model: Any, data: Any, geom: int, origin: np.ndarray, axes: np.ndarra
 
 def _limits(model: Any, joint: int, link: Link) -> None:
     """The limits of a joint, by its range and its actuators."""
-    mujoco: Any = import_module("mujoco")
     if model.jnt_limited[joint]:
         link.max_angle = float(np.abs(model.jnt_range[joint]).min())
     on_joint = [

@@ -8,12 +8,12 @@ import functools
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
 from flax import struct
 from jaxtyping import Bool, Float, Int, PyTree
@@ -146,7 +146,6 @@ def articulated(
 
 def _prepare(spec: Any) -> None:
     """Leave out meshes that only look, which no ray sees, and add a ground if there is none."""
-    mujoco: Any = import_module("mujoco")  # late, for it takes time; Any, for it has no type stubs
     kind = mujoco.mjtGeom
     for geom in list(spec.geoms):
         if geom.type == kind.mjGEOM_MESH and not (geom.contype or geom.conaffinity) and geom.parent.explicitinertial:
@@ -161,7 +160,6 @@ def _prepare(spec: Any) -> None:
 
 def _at_home(path: Path, model: Any) -> tuple[Any, np.ndarray]:
     """``mujoco.MjData`` in the posture at the start, and its qpos; FileError if the file is no such body."""
-    mujoco: Any = import_module("mujoco")
     free, plane = int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtGeom.mjGEOM_PLANE)
     if list(model.jnt_type).count(free) != 1 or model.jnt_type[0] != free:
         raise FileError(
