@@ -9,7 +9,9 @@ import inspect
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import jax
 import jax.numpy as jnp
+import numpy as np
 from flax import struct
 from jaxtyping import Bool, Float
 
@@ -23,6 +25,7 @@ from sean_jax.classifiers.predicates import (
     perpendicular_trajectory,
     walking,
 )
+from sean_jax.devices import parameter
 from sean_jax.errors import InputError
 
 
@@ -30,46 +33,34 @@ from sean_jax.errors import InputError
 class Thresholds:
     """Constants of the predicates (section V-B), and of the situations beyond the paper's five."""
 
-    near: Float[Array, ""]  # m, D: twice the personal distance of Hall
-    walking: Float[Array, ""]  # m/s, V
-    angle: Float[Array, ""]  # rad, A
-    arrival: Float[Array, ""]  # m, within which x_r = x'_r of equation (3) holds; ours, the paper has an equality
-    reach: Float[Array, ""]  # m, distance at which an encounter begins: where Hall's social distance ends
-    personal: Float[Array, ""]  # m, Hall's personal distance: passing within it is passing close
-    moving: Float[Array, ""]  # m/s, slower agents stand, in the situations beyond the five; ours
-    gaining: Float[Array, ""]  # m/s, difference in speed of overtaking, below it of following; ours
-    crowd: Float[Array, ""]  # 1/m2, density of people: where Fruin's best level of service for walkways ends
-    hides: Float[Array, ""]  # m, height of an obstacle that people and robots cannot look over; ours
-    engaged: Float[Array, ""]  # m, from a person to the object of their activity; ours
-    imminent: Float[Array, ""]  # s, time to collision within which people react: Karamouzas et al.
-    hurry: Float[Array, ""]  # m/s, faster people hurry: Weidmann's mean and two standard deviations
+    near: Float[Array, ""] = parameter(2.4)  # m, D: twice the personal distance of Hall
+    walking: Float[Array, ""] = parameter(1.4)  # m/s, V
+    angle: Float[Array, ""] = parameter(np.pi / 12)  # rad, A
+    arrival: Float[Array, ""] = parameter(0.2)  # m, within which x_r = x'_r of equation (3) holds; ours
+    reach: Float[Array, ""] = parameter(3.6)  # m, at which an encounter begins: where Hall's social distance ends
+    personal: Float[Array, ""] = parameter(1.2)  # m, Hall's personal distance: passing within it is passing close
+    moving: Float[Array, ""] = parameter(0.1)  # m/s, slower agents stand, in the situations beyond the five; ours
+    gaining: Float[Array, ""] = parameter(0.2)  # m/s, difference in speed of overtaking, below it of following; ours
+    crowd: Float[Array, ""] = parameter(0.31)  # 1/m2, of people: where Fruin's best level of service for walkways ends
+    hides: Float[Array, ""] = parameter(1.0)  # m, height of an obstacle that people and robots cannot look over; ours
+    engaged: Float[Array, ""] = parameter(2.4)  # m, from a person to the object of their activity; ours
+    imminent: Float[Array, ""] = parameter(3.0)  # s, time to collision within which people react: Karamouzas et al.
+    hurry: Float[Array, ""] = parameter(1.86)  # m/s, faster people hurry: Weidmann's mean and two standard deviations
 
 
 RESERVED = ("overall", "none")  # other rows of tables
 Situation = Callable[[Snapshot, Thresholds], Array]  # (snapshot, thresholds) -> () bool
 
 
-def thresholds(
-    near: float = 2.4,
-    walking: float = 1.4,
-    angle: float = jnp.pi / 12,
-    arrival: float = 0.2,
-    reach: float = 3.6,
-    personal: float = 1.2,
-    moving: float = 0.1,
-    gaining: float = 0.2,
-    crowd: float = 0.31,
-    hides: float = 1.0,
-    engaged: float = 2.4,
-    imminent: float = 3.0,
-    hurry: float = 1.86,
-) -> Thresholds:
+def thresholds(**values: float | Array) -> Thresholds:
     """The paper's thresholds, D = 2.4 m, V = 1.4 m/s, A = 15 degrees (section V-B), and other thresholds.
 
-    Units as in ``Thresholds``. They are arrays, which can be swept.
+    They are arrays, which can be swept.
+
+    Args:
+        values: fields of ``Thresholds`` that differ, in its units.
     """
-    values = (near, walking, angle, arrival, reach, personal, moving, gaining, crowd, hides, engaged, imminent, hurry)
-    return Thresholds(*(jnp.asarray(value, float) for value in values))
+    return jax.tree.map(lambda value: jnp.asarray(value, float), Thresholds(**values))
 
 
 def cross_path(snapshot: Snapshot, thresholds: Thresholds) -> Bool[Array, ""]:
