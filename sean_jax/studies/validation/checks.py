@@ -90,6 +90,17 @@ class CheckContext:
             raise Skipped("no recordings; give their folder with --data.")
         return self.data
 
+    def eth_ucy(self) -> list[Path]:
+        """The recordings of ETH and UCY.
+
+        Raises:
+            Skipped: there are none.
+        """
+        paths = sorted((self.recordings() / "eth_ucy").glob("*.csv"))
+        if not paths:
+            raise Skipped("no recordings in eth_ucy; give a folder with eth_ucy/eth.csv and others with --data.")
+        return paths
+
     def progress(self, items: Sequence) -> Iterable:
         """The items one by one, each reported when it is done."""
         for done, item in enumerate(items):

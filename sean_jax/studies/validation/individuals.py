@@ -19,7 +19,7 @@ from sean_jax.robots import load
 from sean_jax.social_forces import Cohesion, Forces, move, preset
 from sean_jax.studies.prediction import HABITS, Predictable, Scores, evaluate, read_windows
 from sean_jax.studies.scenes import Gate, Scene, join, spread, walkers
-from sean_jax.studies.validation.checks import PUBLISHED, CheckContext, CheckResult, Curve, Skipped, result
+from sean_jax.studies.validation.checks import PUBLISHED, CheckContext, CheckResult, Curve, result
 from sean_jax.studies.validation.measures import separation, steps_along
 from sean_jax.versions import fingerprint
 
@@ -238,14 +238,11 @@ def prediction(context: CheckContext) -> CheckResult:
     Raises:
         Skipped: there are no recordings.
     """
-    paths = sorted((context.recordings() / "eth_ucy").glob("*.csv"))
-    if not paths:
-        raise Skipped("no recordings in eth_ucy; give a folder with eth_ucy/eth.csv and others with --data.")
     model = context.model
     own: dict[str, Scores] = {}
     mark: dict[str, Scores] = {}
     plain: dict[str, Scores] = {}
-    for path in context.progress(paths):
+    for path in context.progress(context.eth_ucy()):
         windows, habits, mover = read_windows(path), {}, model.move
         straight, same = "constant_velocity", {}
         if mover is move:

@@ -22,8 +22,8 @@ from sean_jax.base import Pedestrians, Scenario, State
 from sean_jax.recordings import Tracks
 from sean_jax.studies.prediction import HABITS, evaluate, evaluate_samples, read_windows
 from sean_jax.studies.scenes import Scene, model
-from sean_jax.studies.validation.checks import CheckContext, CheckResult, Skipped, result
-from sean_jax.studies.validation.streets import QUICK_WINDOWS, STRIDE, TIME_STEP, Street, streets, walked_again
+from sean_jax.studies.validation.checks import CheckContext, CheckResult, result
+from sean_jax.studies.validation.streets import STRIDE, TIME_STEP, Street, walked_again, windows_by_recording
 
 OBSERVED = 5  # moments (2 s) of each person that are known: their mean speed is preferred, and they are not counted
 SAMPLES = 20
@@ -143,10 +143,7 @@ def closed_loop(context: CheckContext) -> CheckResult:
     Raises:
         Skipped: there are no recordings.
     """
-    paths = sorted((context.recordings() / "eth_ucy").glob("*.csv"))
-    if not paths:
-        raise Skipped("no recordings in eth_ucy; give a folder with eth_ucy/eth.csv and others with --data.")
-    several = {path.stem: streets(path)[: QUICK_WINDOWS if context.quick else None] for path in paths}
+    several = windows_by_recording(context)
     scenes = [again(street) for windows in several.values() for street in windows]
     alike = replace(context, model=replace(context.model, move=Average(context.model.move)))
     straight = replace(context, model=model("constant_velocity"))
@@ -175,9 +172,7 @@ def prediction_samples(context: CheckContext) -> CheckResult:
     Raises:
         Skipped: there are no recordings.
     """
-    paths = sorted((context.recordings() / "eth_ucy").glob("*.csv"))
-    if not paths:
-        raise Skipped("no recordings in eth_ucy; give a folder with eth_ucy/eth.csv and others with --data.")
+    paths = context.eth_ucy()
     chosen = context.model
     own = chosen.forces if chosen.move is social_forces.move else chosen.move
     words, numbers = [], {}

@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Int
 
 from sean_jax.recordings import Tracks, read, read_companions
 from sean_jax.studies.scenes import Gate, Scene, join, walkers
-from sean_jax.studies.validation.checks import CheckContext, CheckResult, Curve, Skipped, result
+from sean_jax.studies.validation.checks import CheckContext, CheckResult, Curve, result
 from sean_jax.studies.validation.measures import Motion, company, motion, sideways, slowest, smoothed
 
 TIME_STEP = 0.4  # s, of the recordings of ETH and UCY
@@ -41,6 +41,16 @@ class Street:
         """Columns of two who walk together, without others."""
         members = [np.flatnonzero(self.group == each) for each in np.unique(self.group[self.group >= 0])]
         return np.array([each for each in members if len(each) == 2], int).reshape(-1, 2)
+
+
+def windows_by_recording(context: CheckContext) -> dict[str, list[Street]]:
+    """The ``streets`` of each recording of ETH and UCY by its name; a quick check takes the first two.
+
+    Raises:
+        Skipped: there are no recordings.
+    """
+    most = QUICK_WINDOWS if context.quick else None
+    return {path.stem: streets(path)[:most] for path in context.eth_ucy()}
 
 
 def streets(path: str | Path) -> list[Street]:
@@ -122,10 +132,7 @@ def walk_again(context: CheckContext) -> CheckResult:
     Raises:
         Skipped: there are no recordings.
     """
-    paths = sorted((context.recordings() / "eth_ucy").glob("*.csv"))
-    if not paths:
-        raise Skipped("no recordings in eth_ucy; give a folder with eth_ucy/eth.csv and others with --data.")
-    several = {path.stem: streets(path)[: QUICK_WINDOWS if context.quick else None] for path in paths}
+    several = windows_by_recording(context)
     scenes = [walked_again(street) for windows in several.values() for street in windows]
     captions = ["" if k else name for name, windows in several.items() for k in range(len(windows))]
     simulated = iter(context.simulate(scenes, captions))
