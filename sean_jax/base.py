@@ -22,6 +22,13 @@ if TYPE_CHECKING:
 else:  # every function takes arrays and scalars of numpy as well, so checks of shapes have to accept them
     Array = jax.Array | np.ndarray | np.generic
 
+FAR = 1e4  # m, where unused rows lie
+SMALL = 0.01  # m, size of bodies there
+NO_BOX = FAR, FAR, FAR, SMALL, SMALL, SMALL, 1.0, 0.0
+NO_CYLINDER = FAR, FAR, FAR, 0.0, 0.0, 1.0, SMALL, SMALL
+NO_SPHERE = FAR, FAR, FAR, SMALL
+NO_OBSTACLE = FAR, FAR, 0.0, 0.0, 1.0, 0.0
+
 
 @struct.dataclass
 class Traits:
@@ -90,8 +97,8 @@ class Obstacles:
     Boxes of no height are edges of the floor. They stop people and robots, and sensors do not see them.
     """
 
-    center: Float[Array, "W 2"]  # m
-    half_extent: Float[Array, "W 2"]  # m
+    center: Float[Array, "W 2"] = struct.field(metadata={"pad": FAR})  # m
+    half_extent: Float[Array, "W 2"] = struct.field(metadata={"pad": 1.0})  # m
     yaw: Float[Array, "W"]  # rad
     height: Float[Array, "W"]  # m
 
@@ -100,7 +107,8 @@ class Obstacles:
 class ObstacleGrid:
     """The obstacles near each cell of a grid, so that forces and costs need not look at all obstacles."""
 
-    rows: Float[Array, "X Y K 6"]  # center x, y, half extent x, y [m], cosine, sine of yaw; unused rows lie far away
+    # center x, y, half extent x, y [m], cosine, sine of yaw; unused rows lie far away
+    rows: Float[Array, "X Y K 6"] = struct.field(metadata={"pad": NO_OBSTACLE})
     origin: Float[Array, "2"]  # m, lower left corner of the grid
     cell: Float[Array, ""]  # m, side of a cell
 
@@ -113,9 +121,11 @@ PATTERNS = ("plain", "wall", "shelf", "facade")
 class Solids:
     """Bodies as rays see them."""
 
-    boxes: Float[Array, "boxes 8"]  # middle x, y, z, half extent x, y, z [m], cosine and sine of the yaw
-    cylinders: Float[Array, "cylinders 8"]  # middle x, y, z [m], axis x, y, z (unit), radius, half length [m]
-    spheres: Float[Array, "spheres 4"]  # middle x, y, z, radius [m]
+    # middle x, y, z, half extent x, y, z [m], cosine and sine of the yaw
+    boxes: Float[Array, "boxes 8"] = struct.field(metadata={"pad": NO_BOX})
+    # middle x, y, z [m], axis x, y, z (unit), radius, half length [m]
+    cylinders: Float[Array, "cylinders 8"] = struct.field(metadata={"pad": NO_CYLINDER})
+    spheres: Float[Array, "spheres 4"] = struct.field(metadata={"pad": NO_SPHERE})  # middle x, y, z, radius [m]
     color: Float[Array, "solids 4"]  # red, green, blue from 0 to 1, index into PATTERNS: boxes, cylinders, spheres
 
 
@@ -148,7 +158,8 @@ class Environment:
 class PathsToGoal:
     """The shortest paths to one goal from each corner arc of a navigation (``navigation.corner_arcs``)."""
 
-    distance: Float[Array, "V"]  # m, from the middle of the arc to the goal; inf if no path leads there
+    # m, from the middle of the arc to the goal; inf if no path leads there
+    distance: Float[Array, "V"] = struct.field(metadata={"pad": np.inf})
     departure_angle: Float[Array, "V"]  # rad, from the middle of the arc to where the path leaves it, along the travel
 
 

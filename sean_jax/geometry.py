@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from sean_jax.base import Array, Environment, ObstacleGrid, Obstacles, Robot
+from sean_jax.base import FAR, Array, Environment, ObstacleGrid, Obstacles, Robot
 from sean_jax.devices import to_device
 from sean_jax.errors import InputError
 
@@ -20,7 +20,6 @@ TINY = 1e-24  # a smaller square counts as zero: 1 / sqrt(square) ** 3, in gradi
 REACH = 3.0  # m, where exp(-d / 0.2 m) is 3e-7
 MAX_CELLS = 50_000  # larger floors have wider cells
 MAX_ROWS = 5_000_000
-FAR = 1e4  # m, where unused rows lie
 
 
 def length(x: Array, y: Array) -> Array:

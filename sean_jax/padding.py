@@ -3,12 +3,13 @@
 Large tables are not padded: one array has the tables of all floors, one after the other (``FlatTable``).
 
 The letters of the annotations say which axes are alike. Padding has no effect: obstacles lie far away, arcs of shortest
-paths have no place that a path could touch, nodes have no edges. The numbers of what is there stay the same.
+paths have no place that a path could touch, nodes have no edges. The numbers of what is there stay the same. What
+fills an array stands at its field, as ``struct.field(metadata={"pad": -1})``; without it 0 does.
 """
 
 import dataclasses
 import typing
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 import jax
@@ -20,40 +21,9 @@ from jaxtyping import Int, Shaped
 from sean_jax.base import Array
 from sean_jax.devices import to_device
 from sean_jax.errors import InputError
-from sean_jax.geometry import FAR
 
 MULTIPLES = {"V": 64, "W": 32}  # of arcs and of obstacles in programs for the host
 MAX_NUMBERS = 2**31 - 1  # of the tables of all floors, counted in int32
-SMALL = 0.01  # m, size of bodies far away
-FILLS: Mapping[tuple[str, str], Any] = {
-    ("Obstacles", "center"): FAR,
-    ("Obstacles", "half_extent"): 1.0,
-    ("ObstacleGrid", "rows"): (FAR, FAR, 0.0, 0.0, 1.0, 0.0),
-    ("Solids", "boxes"): (FAR, FAR, FAR, SMALL, SMALL, SMALL, 1.0, 0.0),
-    ("Solids", "cylinders"): (FAR, FAR, FAR, 0.0, 0.0, 1.0, SMALL, SMALL),
-    ("Solids", "spheres"): (FAR, FAR, FAR, SMALL),
-    ("CornerArcs", "corner"): FAR,
-    ("CornerArcs", "middle"): (1.0, 0.0),
-    ("CornerArcs", "side"): 1.0,
-    ("CornerArcs", "first"): 9.0,
-    ("CornerArcs", "last"): -9.0,
-    ("Navigation", "places"): FAR,
-    ("PathsToGoal", "distance"): np.inf,
-    ("NextCornerTable", "next_arc"): -1,
-    ("BehaviorGraph", "flow"): -1,
-    ("BehaviorGraph", "edge_cost"): np.inf,
-    ("BehaviorGraph", "cost"): np.inf,
-    ("BehaviorGraph", "next_hop"): -1,
-    ("BehaviorGraph", "waypoints"): -1,
-    ("BehaviorGraph", "groups"): -1,
-    ("BehaviorGraph", "seat_group"): -1,
-    ("BehaviorGraph", "seat_node"): -1,
-    ("Tables", "walk"): np.inf,
-    ("Tables", "start"): FAR,
-    ("Tables", "start_log_chance"): -np.inf,
-    ("Tables", "spawn_clusters"): -1,
-}
-"""(class, field) -> the number or row that fills it; 0 without an entry."""
 EDGE = "X", "Y"  # axes of grids: places off the floor have the last cell on it
 
 Sizes = dict[tuple[str, str], int]
@@ -151,14 +121,14 @@ def _pad(tree: Any, sizes: Sizes, memo: dict[tuple, np.ndarray]) -> Any:
     name, changed = type(tree).__name__, {}
     for field, value, axes in _fields(tree):
         if axes is None:
-            changed[field] = _pad(value, sizes, memo)
+            changed[field.name] = _pad(value, sizes, memo)
         elif any((name, axis) in sizes for axis in axes):
             shape: tuple[int, ...] = value.shape
             target = tuple(sizes.get((name, axis), size) for axis, size in zip(axes, shape, strict=True))
             key = id(value), target
             if key not in memo:
-                memo[key] = _padded(np.asarray(value), target, axes, FILLS.get((name, field), 0))
-            changed[field] = memo[key]
+                memo[key] = _padded(np.asarray(value), target, axes, field.metadata.get("pad", 0))
+            changed[field.name] = memo[key]
     if name == "Solids" and ("Solids", "solids") in sizes:
         changed["color"] = _colors(tree, sizes)
     return dataclasses.replace(tree, **changed)
@@ -217,8 +187,8 @@ def _arrays(tree: Any) -> Iterator[tuple[str, Any, tuple[str, ...]]]:
                 yield type(tree).__name__, value, axes
 
 
-def _fields(tree: Any) -> Iterator[tuple[str, Any, tuple[str, ...] | None]]:
-    """Name, value and letters of the axes of each field that is a node of the pytree; None for the letters of a part.
+def _fields(tree: Any) -> Iterator[tuple[dataclasses.Field, Any, tuple[str, ...] | None]]:
+    """Each field that is a node of the pytree, its value and letters of its axes; None for the letters of a part.
 
     Axes before the annotated ones have the letters batch0, batch1 and so on.
     """
@@ -229,7 +199,7 @@ def _fields(tree: Any) -> Iterator[tuple[str, Any, tuple[str, ...] | None]]:
         kinds = [field.type, *typing.get_args(field.type)]
         letters = next((kind.dim_str.split() for kind in kinds if hasattr(kind, "dim_str")), None)
         if letters is None or not hasattr(value, "shape"):
-            yield field.name, value, None
+            yield field, value, None
         else:
             more = value.ndim - len(letters)
-            yield field.name, value, (*(f"batch{i}" for i in range(more)), *letters)
+            yield field, value, (*(f"batch{i}" for i in range(more)), *letters)

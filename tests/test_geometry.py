@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from sean_jax import geometry
-from sean_jax.base import Obstacles
+from sean_jax.base import FAR, Obstacles
 from sean_jax.devices import by_platform
-from sean_jax.geometry import FAR, REACH, build_obstacle_grid, nearby_obstacles
+from sean_jax.geometry import REACH, build_obstacle_grid, nearby_obstacles
 
 
 def draw_boxes(random, number, widest=2.0):

@@ -14,11 +14,10 @@ import test_resume
 
 import sean_jax
 from sean_jax import assembly, cli, devices, environment, kernels, padding, registry, reset, runner, stack, step, worlds
-from sean_jax.base import Obstacles
+from sean_jax.base import FAR, Obstacles
 from sean_jax.config import EnvConfig, PPOConfig, RunConfig, ScenarioConfig, validate
 from sean_jax.errors import InputError
 from sean_jax.evaluation import saved
-from sean_jax.geometry import FAR
 from sean_jax.learning import rollouts
 from sean_jax.learning.policy import load_policy
 from sean_jax.navigation import draw_places

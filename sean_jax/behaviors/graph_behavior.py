@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float, Int
 
 from sean_jax import clock
 from sean_jax import navigation as paths
-from sean_jax.base import Array, Behavior, Groups, Pedestrians, Scenario, State
+from sean_jax.base import FAR, Array, Behavior, Groups, Pedestrians, Scenario, State
 from sean_jax.behaviors import graph_choices
 from sean_jax.behaviors.graph_choices import ARRIVED, Draws, Memory, Seats, of_seat, seats_of
 from sean_jax.behaviors.starts import (
@@ -51,14 +51,16 @@ class Tables:
     graph: BehaviorGraph
     navigation: paths.Navigation
     next_corners: paths.NextCornerTable  # on the way to each node
-    walk: Float[Array, "M G"]  # m from each node to each group, along the cheapest path
+    # m from each node to each group, along the cheapest path
+    walk: Float[Array, "M G"] = struct.field(metadata={"pad": np.inf})
     patience: Int[Array, "Q"]  # ticks for which the holder of a seat waits for a successor
-    start: Float[Array, "P 2"]  # m, possible starts, none too close to another
+    start: Float[Array, "P 2"] = struct.field(metadata={"pad": FAR})  # m, possible starts, none too close to another
     start_node: Int[Array, "P"]  # the node of each
-    start_log_chance: Float[Array, "P"]  # log of its chance, relative to the others
+    # log of its chance, relative to the others
+    start_log_chance: Float[Array, "P"] = struct.field(metadata={"pad": -np.inf})
     congestion_cost: Float[Array, ""] | None  # m2, see ``add_congestion_cost``; None: none
     temperature: Float[Array, ""] | None  # m, see ``graph_choices``; None: people take the cheapest way
-    spawn_clusters: Int[Array, "C 3"]  # neighboring starts, for walking groups
+    spawn_clusters: Int[Array, "C 3"] = struct.field(metadata={"pad": -1})  # neighboring starts, for walking groups
     first_seats: Int[Array, "F"]  # seats at which people start
     seated: Int[Array, ""]  # number of these
     permanent: bool = struct.field(pytree_node=False)  # whether they stay there

@@ -16,7 +16,7 @@ from jaxtyping import Float, Int
 
 from sean_jax import cache
 from sean_jax import navigation as paths
-from sean_jax.base import Array, Behavior, Groups, PathsToGoal, Pedestrians, Scenario, State
+from sean_jax.base import FAR, Array, Behavior, Groups, PathsToGoal, Pedestrians, Scenario, State
 from sean_jax.behaviors.starts import (
     Place,
     WalkingGroups,
@@ -33,7 +33,7 @@ from sean_jax.behaviors.starts import (
 )
 from sean_jax.devices import to_device
 from sean_jax.errors import InputError
-from sean_jax.geometry import FAR, length
+from sean_jax.geometry import length
 from sean_jax.padding import FlatTable, flat_table
 from sean_jax.social_forces import draw_traits
 
@@ -45,10 +45,10 @@ class Tables:
     """The tables of the behavior."""
 
     navigation: paths.Navigation
-    start: Float[Array, "P 2"]  # m, possible starts, none too close to another
+    start: Float[Array, "P 2"] = struct.field(metadata={"pad": FAR})  # m, possible starts, none too close to another
     distance: FlatTable  # (P, V) m, of ``PathsToGoal``, to each of the navigation's places
     departure_angle: FlatTable  # (P, V) rad, likewise
-    spawn_clusters: Int[Array, "C 3"]  # neighboring starts, for walking groups
+    spawn_clusters: Int[Array, "C 3"] = struct.field(metadata={"pad": -1})  # neighboring starts, for walking groups
     walking_groups: WalkingGroups = struct.field(pytree_node=False)  # their numbers
 
 

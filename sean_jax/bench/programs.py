@@ -17,10 +17,10 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from scipy.spatial import KDTree
 
 from sean_jax import devices, episodes, prng, sensors, social_forces
-from sean_jax.base import Array, ObstacleGrid, Pedestrians, Scenario, State
+from sean_jax.base import FAR, Array, ObstacleGrid, Pedestrians, Scenario, State
 from sean_jax.bench import floors, workload
 from sean_jax.config import DEFAULT_FORCES
-from sean_jax.geometry import FAR, nearby_obstacles, rotate
+from sean_jax.geometry import nearby_obstacles, rotate
 from sean_jax.raycast import Rays, intersect, kernel
 from sean_jax.scenario import reset
 from sean_jax.sensors import cameras

@@ -44,14 +44,18 @@ class BehaviorGraph:
     stay: Float[Array, "M 2"]  # s, minimum and maximum of the time spent at a group, 0 for a waypoint
     spawn: Float[Array, "M"]  # weight of the node as a start, relative to the other nodes
     weight: Float[Array, "M"]  # chance with which a waypoint is drawn as a goal, relative to the others; 0 for a group
-    flow: Int[Array, "M M"]  # index into FLOWS of the edge from row to column, NO_EDGE without an edge
-    edge_cost: Float[Array, "M M"]  # m, length times factor of the edge from row to column, inf without an edge
-    cost: Float[Array, "M M"]  # m, of the cheapest path that passes through waypoints only
-    next_hop: Int[Array, "M M"]  # the node after the row's on the way to the column's, -1 without a way
-    waypoints: Int[Array, "Mw"]  # node indices
-    groups: Int[Array, "G"]  # node indices
-    seat_group: Int[Array, "Q"]  # index into groups (not nodes) of each seat
-    seat_node: Int[Array, "Q"]  # node of each seat
+    # index into FLOWS of the edge from row to column, NO_EDGE without an edge
+    flow: Int[Array, "M M"] = struct.field(metadata={"pad": NO_EDGE})
+    # m, length times factor of the edge from row to column, inf without an edge
+    edge_cost: Float[Array, "M M"] = struct.field(metadata={"pad": np.inf})
+    # m, of the cheapest path that passes through waypoints only
+    cost: Float[Array, "M M"] = struct.field(metadata={"pad": np.inf})
+    # the node after the row's on the way to the column's, -1 without a way
+    next_hop: Int[Array, "M M"] = struct.field(metadata={"pad": -1})
+    waypoints: Int[Array, "Mw"] = struct.field(metadata={"pad": -1})  # node indices
+    groups: Int[Array, "G"] = struct.field(metadata={"pad": -1})  # node indices
+    seat_group: Int[Array, "Q"] = struct.field(metadata={"pad": -1})  # index into groups (not nodes) of each seat
+    seat_node: Int[Array, "Q"] = struct.field(metadata={"pad": -1})  # node of each seat
     places: Float[Array, "M P 2"]  # m, points of the node's disc where a person can stand and see its centre
     names: tuple[str, ...] = struct.field(pytree_node=False)
 

@@ -16,7 +16,7 @@ import numpy as np
 from flax import struct
 from jaxtyping import Bool, Float, Int, PyTree
 
-from sean_jax.base import Array, Obstacles
+from sean_jax.base import FAR, Array, Obstacles
 from sean_jax.geometry import crosses_box, from_box, length
 from sean_jax.padding import in_programs
 
@@ -31,11 +31,13 @@ BATCHES = 512, 2048, 8192  # rows computed at once on the host
 class CornerArcs:
     """V corner arcs, two for each corner: passed on the left, counter-clockwise, and on the right."""
 
-    corner: Float[Array, "V 2"]  # m, of an obstacle
-    middle: Float[Array, "V 2"]  # unit vector from the corner to the middle of its quarter
-    side: Float[Array, "V"]  # 1 if the corner is on the left, -1 if it is on the right
-    first: Float[Array, "V"]  # rad, where the free part begins
-    last: Float[Array, "V"]  # rad, where it ends
+    corner: Float[Array, "V 2"] = struct.field(metadata={"pad": FAR})  # m, of an obstacle
+    # unit vector from the corner to the middle of its quarter
+    middle: Float[Array, "V 2"] = struct.field(metadata={"pad": (1.0, 0.0)})
+    # 1 if the corner is on the left, -1 if it is on the right
+    side: Float[Array, "V"] = struct.field(metadata={"pad": 1.0})
+    first: Float[Array, "V"] = struct.field(metadata={"pad": 9.0})  # rad, where the free part begins
+    last: Float[Array, "V"] = struct.field(metadata={"pad": -9.0})  # rad, where it ends
 
 
 class Tangents(NamedTuple):

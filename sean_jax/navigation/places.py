@@ -15,10 +15,10 @@ from jaxtyping import Int
 from scipy.spatial import KDTree
 
 from sean_jax import cache
-from sean_jax.base import Array, Environment
+from sean_jax.base import FAR, Array, Environment
 from sean_jax.devices import to_device
 from sean_jax.errors import InputError
-from sean_jax.geometry import FAR, signed_distances_on_host
+from sean_jax.geometry import signed_distances_on_host
 from sean_jax.navigation.arcs import SLACK, pairs_are_free
 from sean_jax.navigation.tables import CODE, Navigation, inputs
 from sean_jax.navigation.triangulation import free_triangles

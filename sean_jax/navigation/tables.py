@@ -13,7 +13,7 @@ from scipy.sparse.csgraph import connected_components
 
 from sean_jax import cache
 from sean_jax import environment as environments
-from sean_jax.base import Array, Environment, Obstacles
+from sean_jax.base import FAR, Array, Environment, Obstacles
 from sean_jax.devices import to_device
 from sean_jax.errors import InputError
 from sean_jax.geometry import signed_distances_on_host
@@ -58,7 +58,8 @@ class Navigation:
     visible: FlatTable  # (X, Y, V8) uint8, a bit for each arc: whether the tangent from the middle of a cell is free
     origin: Float[Array, "2"]  # m, lower left corner of the grid of cells
     cell: Float[Array, ""]  # m, side of a cell
-    places: Float[Array, "P 2"]  # m, uniform over all places that the disc can reach
+    # m, uniform over all places that the disc can reach
+    places: Float[Array, "P 2"] = struct.field(metadata={"pad": FAR})
     obstacles: Obstacles
     radius: Float[Array, ""]  # m
     mesh_places: Int[Array, "M"] | None = None  # indices of places, repeated by their probability; None: uniform

@@ -25,11 +25,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from sean_jax import drawing, files, navigation, pages, robots, writing
-from sean_jax.base import Environment, Scenario, Trajectory
+from sean_jax.base import FAR, Environment, Scenario, Trajectory
 from sean_jax.drawing import colors
 from sean_jax.drawing.layers import first_episode, one_episode, situation_names
 from sean_jax.errors import InputError
-from sean_jax.geometry import FAR
 from sean_jax.graph import FLOWS, NO_EDGE, BehaviorGraph, graph_of
 from sean_jax.metrics.proximity import INTIMATE, PERSONAL
 

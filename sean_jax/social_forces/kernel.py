@@ -17,8 +17,8 @@ from jax.extend.core import ClosedJaxpr
 from jaxtyping import Float
 
 from sean_jax import kernels
-from sean_jax.base import Array, ObstacleGrid
-from sean_jax.geometry import FAR, obstacle_cells
+from sean_jax.base import FAR, Array, ObstacleGrid
+from sean_jax.geometry import obstacle_cells
 
 BITS = 32
 UNROLL = 8  # others whose distance is tested in one turn
