@@ -1,9 +1,11 @@
 """Stacks of floors: the same results as each floor alone, tables that are not copied, sets of worlds by name."""
 
 import csv
+import dataclasses
 import hashlib
 import json
 import signal
+import typing
 
 import jax
 import jax.numpy as jnp
@@ -14,13 +16,16 @@ import test_resume
 
 import sean_jax
 from sean_jax import assembly, cli, devices, environment, kernels, padding, registry, reset, runner, stack, step, worlds
-from sean_jax.base import FAR, Obstacles
+from sean_jax.base import FAR, ObstacleGrid, Obstacles, PathsToGoal, Solids
+from sean_jax.behaviors import graph_behavior, random_behavior
 from sean_jax.config import EnvConfig, PPOConfig, RunConfig, ScenarioConfig, validate
 from sean_jax.errors import InputError
 from sean_jax.evaluation import saved
+from sean_jax.graph import BehaviorGraph
 from sean_jax.learning import rollouts
 from sean_jax.learning.policy import load_policy
-from sean_jax.navigation import draw_places
+from sean_jax.navigation import Navigation, draw_places
+from sean_jax.navigation.arcs import CornerArcs
 from sean_jax.policies import POLICIES, go_to_goal
 
 SET = "worlds:passages,aisles,square:3"
@@ -99,6 +104,34 @@ def test_padding_keeps_numbers_and_fills_the_rest():
     padded = padding.pad((boxes, {"again": boxes}), sizes)
     assert padded[0].center.shape == (5, 2) and (padded[0].center[2:] == FAR).all()
     assert padded[1]["again"].center is padded[0].center
+
+
+FILLED = (
+    *(Obstacles, ObstacleGrid, Solids, PathsToGoal, CornerArcs, Navigation, BehaviorGraph),
+    *(graph_behavior.Tables, random_behavior.Tables),
+)
+"""Classes with fields that 0 does not fill."""
+
+
+@pytest.mark.parametrize("kind", FILLED, ids=lambda kind: f"{kind.__module__}.{kind.__name__}")
+def test_padding_fills_an_array_with_what_its_field_says(kind):
+    """Each axis with a letter grows from 2 to 4, but for the axes of grids."""
+    fields = [field for field in dataclasses.fields(kind) if "pad" in field.metadata]
+    assert fields
+    axes = {field.name: typing.get_args(field.type)[0].dim_str.split() for field in fields}
+    shapes = {name: [int(axis) if axis.isdigit() else 2 for axis in each] for name, each in axes.items()}
+    nothing = {field.name: None for field in dataclasses.fields(kind)}
+    tree = kind(**nothing | {name: np.full(shape, 7.0) for name, shape in shapes.items()})
+
+    letters = {axis for each in axes.values() for axis in each if not axis.isdigit()} - {*padding.EDGE}
+    padded = padding.pad(tree, {(kind.__name__, axis): 4 for axis in letters})
+
+    for field in fields:
+        array = getattr(padded, field.name)
+        expected = np.array(np.broadcast_to(np.asarray(field.metadata["pad"], float), array.shape))
+        expected[tuple(slice(size) for size in shapes[field.name])] = 7.0
+        assert array.size > np.prod(shapes[field.name])
+        np.testing.assert_array_equal(array, expected)
 
 
 def test_tables_of_floors_lie_one_after_the_other():
