@@ -124,14 +124,7 @@ class Training:
 def train(options: ImitationConfig, console: ProgressLike = None) -> TrainState:
     """Train a network, or resume its training; the state then. ``learning.load`` reads the best weights.
 
-    Args:
-        console: shows the progress; a function receives the share that is done.
-
-    Raises:
-        InputError: the options are impossible, or the folder holds something else.
-        WriteError: another process trains in the folder.
-        IncompleteError: a file is damaged or cannot be written. The checkpoints stay.
-        FloatingPointError: the loss is not finite. The checkpoints stay.
+    Arguments and errors are those of ``reinforcement.train``.
     """
     training = prepare(options)
     check_config(options.folder, training.config())  # refuses before anything is written
