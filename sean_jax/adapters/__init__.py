@@ -10,6 +10,7 @@ from sean_jax import mdp, prng, registry
 from sean_jax.base import Array
 from sean_jax.drawing import view
 from sean_jax.errors import InputError
+from sean_jax.mdp import observations
 from sean_jax.scenario import frame
 from sean_jax.versions import fingerprint
 
@@ -33,6 +34,25 @@ def load(env: mdp.Env | str, config: Mapping[str, Any]) -> mdp.Env:
     if config:
         raise InputError(f"{next(iter(config))}: the environment is made already; give its name, or leave this out.")
     return env
+
+
+class Functional:
+    """Base of environments whose ``reset`` and ``step`` are pure functions of a state."""
+
+    def __init__(self, env: mdp.Env | str, flat: bool = False, **config: Any):
+        """An environment of ``make_env``, or a name of ``registry.ALL_ENVS`` with fields of its description.
+
+        Args:
+            flat: give observations as one vector, without images.
+
+        Raises:
+            InputError: one sentence that names the value and the cure.
+        """
+        self.env = load(env, config)
+        self.flat = flat
+
+    def _shown(self, observation: dict[str, Array]) -> Any:
+        return observations.flatten(self.env.observations, observation) if self.flat else observation
 
 
 def typed(key: Array) -> Array:

@@ -17,9 +17,8 @@ from brax.envs import base
 from brax.training import pmap
 
 from sean_jax import clock, mdp, robots
-from sean_jax.adapters import load, typed
+from sean_jax.adapters import Functional, typed
 from sean_jax.base import Array
-from sean_jax.mdp import observations
 
 REPLICATE = "device_put_replicated"
 if REPLICATE in pmap.bcast_local_devices.__code__.co_names and not hasattr(jax, REPLICATE):
@@ -30,20 +29,12 @@ if REPLICATE in pmap.bcast_local_devices.__code__.co_names and not hasattr(jax, 
     )
 
 
-class SocialNavigation(base.Env):
+class SocialNavigation(Functional, base.Env):
     """A scenario as an environment of Brax."""
 
     def __init__(self, env: mdp.Env | str, flat: bool = True, **config: Any):
-        """An environment of ``make_env``, or a name of ``registry.ALL_ENVS`` with fields of its description.
-
-        Args:
-            flat: give observations as one vector, without images.
-
-        Raises:
-            InputError: one sentence that names the value and the cure.
-        """
-        self.env = load(env, config)
-        self.flat = flat
+        """As ``Functional``, but observations are vectors, which Brax's networks take."""
+        super().__init__(env, flat, **config)
 
     def reset(self, rng: Array) -> base.State:
         """Begin an episode; the PRNG key may be typed or not."""
@@ -67,9 +58,6 @@ class SocialNavigation(base.Env):
             metrics=metrics,
             info=state.info | {"truncation": truncated.astype(jnp.float32)},
         )
-
-    def _shown(self, observation: dict[str, Array]) -> Any:
-        return observations.flatten(self.env.observations, observation) if self.flat else observation
 
     @property
     def episode_length(self) -> int:

@@ -19,10 +19,10 @@ import numpy as np
 from flax import struct
 from gymnax.environments import spaces
 
-from sean_jax import mdp, registry
-from sean_jax.adapters import NAMESPACE, identity, load, typed
+from sean_jax import registry
+from sean_jax.adapters import NAMESPACE, Functional, identity, typed
 from sean_jax.base import Array
-from sean_jax.mdp import EnvState, observations
+from sean_jax.mdp import EnvState
 
 gymnax_environment = gymnax.environments.environment
 
@@ -34,22 +34,10 @@ class EnvParams(gymnax_environment.EnvParams):
     env: Any = None
 
 
-class SocialNavigation(gymnax_environment.Environment[EnvState, EnvParams]):
+class SocialNavigation(Functional, gymnax_environment.Environment[EnvState, EnvParams]):
     """A scenario as an environment of gymnax. Equal ones share the programs that gymnax compiles for each instance."""
 
     _supports_transition_gradients = True
-
-    def __init__(self, env: mdp.Env | str, flat: bool = False, **config: Any):
-        """An environment of ``make_env``, or a name of ``registry.ALL_ENVS`` with fields of its description.
-
-        Args:
-            flat: give observations as one vector, without images.
-
-        Raises:
-            InputError: one sentence that names the value and the cure.
-        """
-        self.env = load(env, config)
-        self.flat = flat
 
     @functools.cached_property
     def _identity(self) -> Hashable:
@@ -63,9 +51,6 @@ class SocialNavigation(gymnax_environment.Environment[EnvState, EnvParams]):
 
     def _key(self) -> tuple:
         return type(self), self._identity, self.flat, self.transition_gradients_enabled
-
-    def _shown(self, observation: dict[str, Array]) -> Any:
-        return observations.flatten(self.env.observations, observation) if self.flat else observation
 
     @property
     def default_params(self) -> EnvParams:
