@@ -244,12 +244,12 @@ def _check_once(model: type[Config], arguments: Sequence[str]) -> None:
 
 
 def _check_known(known: Sequence[str], arguments: Sequence[str]) -> None:
-    """Refuse a flag by its former name, or by its name in another project; the parser refuses other unknown flags."""
+    """Refuse a flag by its name in another project; the parser refuses other unknown flags."""
     for word in arguments:
         name = word.split("=")[0].removeprefix("--").replace("-", "_")
         if not word.startswith("--") or name in (*known, "help"):
             continue
-        if core.RENAMED.get(name) in known or any(name in core.aliases().get(option, ()) for option in known):
+        if any(name in core.aliases().get(option, ()) for option in known):
             raise InputError(f"{word.split('=')[0]}: there is no such option{core.did_you_mean(name, known, flag)}")
 
 

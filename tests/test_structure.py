@@ -88,6 +88,40 @@ print(xla_bridge.backends_are_initialized())
     assert done.stdout.split() == ["False"], done.stderr
 
 
+UNCHANGED = """
+import gc, logging, os, signal, sys, warnings
+import jax, numpy, scipy.sparse, scipy.special
+
+def state_of_the_process():
+    loggers = [logging.root, *(logging.getLogger(name) for name in list(logging.root.manager.loggerDict))]
+    return {
+        "environment": dict(os.environ),
+        "jax.config": dict(jax.config.values),
+        "numpy": (numpy.geterr(), numpy.get_printoptions(), numpy.random.get_state()[1].tolist()),
+        "warnings": list(warnings.filters),
+        "signals": {number: signal.getsignal(number) for number in signal.valid_signals()},
+        "hooks": (sys.displayhook, sys.excepthook, sys.unraisablehook, sys.path, sys.getrecursionlimit()),
+        "collector": (gc.isenabled(), gc.get_threshold(), gc.callbacks[:]),
+        "logging": {one.name: (one.level, one.handlers[:], one.filters[:], one.disabled) for one in loggers},
+    }
+
+before = state_of_the_process()
+import sean_jax
+for name in sean_jax.__all__:
+    getattr(sean_jax, name)
+for part, now in state_of_the_process().items():
+    if part == "logging":  # a logger that is new, and like any other, changes nothing
+        before[part] = dict.fromkeys(now, (logging.NOTSET, [], [], False)) | before[part]
+    assert now == before[part], (part, now, before[part])
+"""
+
+
+def test_an_import_changes_nothing_in_the_process():
+    """Beyond what JAX and scipy change. The command line changes its own process, and no other."""
+    done = subprocess.run([sys.executable, "-c", UNCHANGED], capture_output=True, text=True, cwd=ROOT, check=False)
+    assert done.returncode == 0, done.stderr
+
+
 def described_values(package: str) -> set[str]:
     """Names of a package's module-level values whose assignment is followed by a string that describes them."""
     found = set()
