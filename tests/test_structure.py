@@ -17,6 +17,16 @@ ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "sean_jax"
 MODULES = sorted(PACKAGE.rglob("*.py"))
 HEAVY = ("jax", "mujoco", "matplotlib", "flax", "optax", "orbax", "scipy")
+EXTRAS = (
+    "matplotlib",
+    "tyro",
+    "websockets",
+    "rosbags",
+    "optax",
+    "orbax",
+    "tensorstore",
+    "gymnasium",
+)  # not for ``evaluate``
 FAMILIES = {
     "sean_jax.social_forces": "PRESETS",
     "sean_jax.classifiers": "SITUATIONS",
@@ -73,6 +83,17 @@ def test_command_line_starts_without_heavy_imports():
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, cwd=ROOT, check=False)
     assert done.returncode == 0, done.stderr
     assert done.stdout.strip() == "[]"
+
+
+def test_a_simulation_needs_no_package_of_reports_and_servers():
+    """What is drawn, printed or served is imported with the first picture, table or server."""
+    wanted = {"make, step, rollout, make_env": ("matplotlib", "tyro", "jinja2", "PIL"), "evaluate": EXTRAS}
+    for names, unused in wanted.items():
+        program = (
+            f"import sys\nfrom sean_jax import {names}\nprint([name for name in {unused!r} if name in sys.modules])"
+        )
+        done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, cwd=ROOT, check=False)
+        assert done.stdout.strip() == "[]", done.stderr
 
 
 def test_no_import_starts_a_backend():
