@@ -398,7 +398,8 @@ class Checkpoints:
             request = ocp.args.PyTreeRestore(item=target, restore_args=placement, partial_restore=True)  # pyright: ignore
             content = self.manager.restore(step, args=ocp.args.Composite(**{STATE: request}))
             restored = content[STATE]
-            digests = self.manager.metrics(step)[DIGESTS]  # none of arrays that several processes share
+            metrics: Any = self.manager.metrics(step)
+            digests = metrics[DIGESTS]  # none of arrays that several processes share
             if any(digests.get(name, digest) != digest for name, digest in _digests(restored).items()):
                 raise ValueError("other numbers than were saved")
             result = restored if part is None else restored[part]
