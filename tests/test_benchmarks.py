@@ -278,7 +278,7 @@ def test_move_base_parameters(tmp_path):
 
 
 def test_move_base_summary(tmp_path, capsys):
-    """Means, and where the robot stood with which commands; a log of earlier columns too."""
+    """Means, and where the robot stood with which commands."""
     program = importlib.import_module("move_base")
 
     def episode(number: int, still: float, rows: list) -> dict:
