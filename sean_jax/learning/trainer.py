@@ -9,6 +9,7 @@ import contextlib
 import hashlib
 import io
 import json
+import logging
 import math
 import os
 import shutil
@@ -280,6 +281,18 @@ def _points(lines: list[dict], part: str, name: str) -> tuple[list[float], list[
 # ------------------------------------------------------------------ checkpoints
 
 
+@contextlib.contextmanager
+def _without_warnings() -> Iterator[None]:
+    """Keep orbax's warning off the terminal that a folder is only read."""
+    logger = logging.getLogger("absl")
+    level = logger.level
+    logger.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        logger.setLevel(level)
+
+
 def _negative_loss(metrics: dict[str, float]) -> float:
     return -metrics["loss"]
 
@@ -303,10 +316,11 @@ class Checkpoints:
             cleanup_tmp_directories=writes,
             create=writes,
             read_only=not writes,
+            save_interval_steps=int(writes),  # orbax warns of any number but 0 where nothing is saved
         )
         for name in sorted(os.listdir(place)) if place.is_dir() else []:
             _check_entries(place / name)
-        with _explain_errors(place):
+        with _explain_errors(place), _without_warnings():
             self.manager = _retry(lambda: ocp.CheckpointManager(place, options=options))
             self.manager.best_step()  # which reads the losses of all
         if writes:
