@@ -120,7 +120,6 @@ SETTLE = 20  # control steps at rest before an episode, in which the maps fill
 GOAL_PERIOD = 10.0  # s, after which SEAN publishes the goal again
 NEAR = 3.5  # m, in which people are counted; the lidar's range
 COLUMNS = ("time", "x", "y", "heading", "speed", "turn_rate", "commands", "feedback", "nearest", "people")
-OLD_COLUMNS = ("time", "x", "y", "speed", "turn_rate", "commands", "feedback", "nearest")  # of files that are a list
 ANSWERS = "zero", "turn", "none"  # of move_base where the robot stands: (0, 0), a turn on the spot, no command
 PAPER = 28.7  # s, Table III: time not moving of N
 PERSONAL = "personal_robot_on_person", "personal_person_on_robot"
@@ -562,15 +561,13 @@ def drive(chosen: argparse.Namespace) -> Path:
 
 
 def read(file: Path) -> dict[str, Any]:
-    """A file of episodes; a plain list of them has no options and earlier columns.
+    """A file of episodes.
 
     Raises:
         InputError: it cannot be read.
     """
     try:
         content = json.loads(file.read_text())
-        if isinstance(content, list):
-            content = {"options": {}, "versions": {}, "columns": OLD_COLUMNS, "episodes": content}
         if not content["episodes"] or "results" not in content["episodes"][0]:
             raise ValueError
     except (OSError, ValueError, KeyError, TypeError, IndexError) as error:

@@ -5,11 +5,13 @@ Nothing heavy is imported before a command is chosen, so that ``sean --help`` an
 
 import importlib.metadata
 import json
+import logging
 import math
 import os
 import shlex
 import signal
 import sys
+import threading
 import traceback
 from collections.abc import Sequence
 from contextlib import nullcontext
@@ -63,6 +65,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         The exit code: 0, 2 for bad input, 1 for work that broke midway, 130 for Ctrl-C and 143 for SIGTERM.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
+    if arguments is None:  # then the process is ours
+        _mute_orbax()
     if traced := TRACEBACK in words:
         words.remove(TRACEBACK)
     code, received = STOPPED, []
@@ -84,6 +88,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stdout.flush()
         os._exit(code)  # without jax.distributed's exit barrier: other hosts may be blocked on this one
     return code
+
+
+def _mute_orbax() -> None:
+    """Print no traceback besides the raised error: of orbax's tasks, and of threads that find its loop closed."""
+    logging.getLogger("absl").disabled = True  # orbax logs every step
+    logging.getLogger("asyncio").addFilter(lambda record: "orbax" not in record.getMessage())
+    hook = sys.unraisablehook
+
+    def unraisable(event: Any) -> None:
+        closed = isinstance(event.exc_value, RuntimeError) and "Event loop is closed" in str(event.exc_value)
+        if not closed or threading.current_thread() is threading.main_thread():
+            hook(event)
+
+    sys.unraisablehook = unraisable
 
 
 def _is_joined() -> bool:
@@ -113,8 +131,8 @@ def _main(words: list[str], traced: bool) -> int:
         from sean_jax import compiler, components
 
         with components.read_once(), components.trust() if getattr(parsed, "trust", False) else nullcontext():
+            compiler.configure()  # before JAX is imported, as by code of the user's own
             options = _read(model, parsed)
-            compiler.configure()
             return _execute(word, options)
     except InputError as error:
         if traced:

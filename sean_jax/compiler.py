@@ -9,10 +9,11 @@ LOOPS = "--xla_cpu_use_fusion_emitters"  # a flag of jaxlib 0.10; later versions
 
 
 def configure() -> None:
-    """Set the environment variables of JAX's compilation cache, in the user's cache folder, and a flag of XLA.
+    """Set the environment variables of JAX's compilation cache, in the user's cache folder, and of XLA.
 
     The flag chooses the older of two emitters of loops for a CPU, which compiles the step in two thirds of the time, to
-    an equally fast program.
+    an equally fast program. The log level keeps XLA's alarms off the terminal: a page of text, as an error, for each
+    program that is slow to compile. Real failures are raised.
     """
     os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(cache.folder() / "xla"))
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
@@ -20,3 +21,4 @@ def configure() -> None:
     flags = os.environ.get("XLA_FLAGS", "")
     if importlib.metadata.version("jaxlib").startswith("0.10.") and LOOPS not in flags:
         os.environ["XLA_FLAGS"] = f"{flags} {LOOPS}=false".strip()
+    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")

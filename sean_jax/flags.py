@@ -1,7 +1,8 @@
 """Flags of options: parsing, and the command that repeats a run.
 
 A component is one flag (``--behavior graph``), and each of its options another (``--routing edge``). Without its flag,
-an option has its value from ``--config``, or else its default. Nothing here imports JAX or numpy.
+an option has its value from ``--config``, or else its default. Nothing here imports JAX or numpy; tyro is imported by
+the functions that parse.
 """
 
 import dataclasses
@@ -12,8 +13,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import tyro
-
 from sean_jax.config import core
 from sean_jax.config.core import Bounds, Config, Described, Family, OwnPart, Value, families, family_of
 from sean_jax.config.fields import Option
@@ -22,7 +21,6 @@ from sean_jax.errors import InputError
 from sean_jax.messages import listed
 
 LAST = ("seed", "out", "quiet")  # in the help
-SETTINGS = (tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff)
 
 
 def flag(name: str) -> str:
@@ -45,6 +43,8 @@ def parser(model: type[Config], configurable: bool = False, trust: bool = False)
         configurable: adds --config, a file with values of the other options.
         trust: adds --trust, to run code that files name.
     """
+    import tyro
+
     fields: list[tuple[str, Any, Any]] = []
     if configurable:
         text = "A config.yaml, such as sean run writes; flags override its values."
@@ -89,6 +89,8 @@ def _field(
     name: str, kind: Any, text: str, choices: str | None = None, **default: Any
 ) -> tuple[str, Any, dataclasses.Field]:
     """A field of the dataclass: ``default`` as of ``dataclasses.field``; without it the flag is required."""
+    import tyro
+
     arg = tyro.conf.arg(help=text, help_behavior_hint="", metavar=choices or _metavar(kind))
     return name, Annotated[kind, arg], dataclasses.field(**default)
 
@@ -244,12 +246,12 @@ def _check_once(model: type[Config], arguments: Sequence[str]) -> None:
 
 
 def _check_known(known: Sequence[str], arguments: Sequence[str]) -> None:
-    """Refuse a flag by its former name, or by its name in another project; the parser refuses other unknown flags."""
+    """Refuse a flag by its name in another project; the parser refuses other unknown flags."""
     for word in arguments:
         name = word.split("=")[0].removeprefix("--").replace("-", "_")
         if not word.startswith("--") or name in (*known, "help"):
             continue
-        if core.RENAMED.get(name) in known or any(name in core.aliases().get(option, ()) for option in known):
+        if any(name in core.aliases().get(option, ()) for option in known):
             raise InputError(f"{word.split('=')[0]}: there is no such option{core.did_you_mean(name, known, flag)}")
 
 
@@ -262,7 +264,10 @@ def parse(
         InputError: a flag of several values is repeated, or a flag has another name here.
         SystemExit: the parser refuses the words.
     """
+    import tyro
+
     result = parser(model, configurable, trust)
     _check_once(model, arguments)
     _check_known([field.name for field in dataclasses.fields(result)], arguments)
-    return tyro.cli(result, prog=f"sean {word}", description=model.__doc__, args=list(arguments), config=SETTINGS)
+    settings = tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff
+    return tyro.cli(result, prog=f"sean {word}", description=model.__doc__, args=list(arguments), config=settings)

@@ -1,4 +1,7 @@
-"""What the servers of this package share: a port of this computer, refusals of foreign requests, and messages."""
+"""What the servers of this package share: a port of this computer, refusals of foreign requests, and messages.
+
+The package websockets is imported where it is used: ``sean run`` needs only the words of this module.
+"""
 
 from __future__ import annotations
 
@@ -15,15 +18,14 @@ import sys
 import threading
 import urllib.parse
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
-from typing import Any
-
-from websockets.asyncio.server import ServerConnection, serve
-from websockets.datastructures import Headers
-from websockets.exceptions import ConnectionClosed
-from websockets.http11 import Request, Response
+from typing import TYPE_CHECKING, Any
 
 from sean_jax.errors import InputError
 from sean_jax.messages import parse_json, shorten
+
+if TYPE_CHECKING:
+    from websockets.asyncio.server import ServerConnection
+    from websockets.http11 import Request, Response
 
 HOST = "127.0.0.1"
 SOCKET = "/socket"
@@ -65,6 +67,9 @@ async def listen(
     Raises:
         OSError: the port is taken.
     """
+    from websockets.asyncio.server import serve
+    from websockets.exceptions import ConnectionClosed
+
     log = Log()
 
     async def guarded_answer(connection: ServerConnection, request: Request) -> Response | None:
@@ -219,6 +224,9 @@ def page(content: bytes, port: int, address: str | None = None) -> Response:
 
 def response(status: http.HTTPStatus, body: bytes, kind: str = "text/plain; charset=utf-8") -> Response:
     """An answer that nobody stores, and whose address no other page learns."""
+    from websockets.datastructures import Headers
+    from websockets.http11 import Response
+
     headers = Headers(
         {
             "Content-Type": kind,

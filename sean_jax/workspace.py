@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from sean_jax import components, files, writing
-from sean_jax.config import RENAMED, Config, present_names
+from sean_jax.config import Config
 from sean_jax.errors import FileError, InputError
 from sean_jax.flags import flag, number
 from sean_jax.versions import versions
@@ -120,11 +120,7 @@ def read_identity(file: Path) -> dict[str, Any] | None:
         raise InputError(f"{file} is damaged ({str(error).rstrip('.')}); choose another folder with --out.") from None
     if not isinstance(content, dict) or any(not isinstance(content.get(name, {}), dict) for name in LABELS):
         raise InputError(f"{file} is damaged; choose another folder with --out.")
-    if "options" in content:
-        return content | {"options": present_names(content["options"])}
-    former = {flag(name): flag(new) for name, new in RENAMED.items()}  # runs of 0.2 had flags, and no sections
-    entries = {name: present_names(each) if isinstance(each, dict) else each for name, each in content.items()}
-    return {former[name] if name in former else name: each for name, each in entries.items()}
+    return content
 
 
 def difference(had: Mapping[str, Any], now: Mapping[str, Any]) -> str | None:

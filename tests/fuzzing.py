@@ -1051,7 +1051,7 @@ def load_trial(folder: Path) -> Any:
     drive = trial.read(path if path.is_file() else place / path.name)
     assert drive.commands.ndim == 2 and drive.commands.shape[1] in (2, 3)
     assert (np.abs(drive.commands) <= trial.MAX_COMMAND).all()
-    assert drive.by_person is None or len(drive.by_person) == len(drive.commands)
+    assert len(drive.by_person) == len(drive.commands)
     assert 0 <= drive.episode < 2**32 and isinstance(drive.options, dict)
     return drive.commands, drive.by_person
 

@@ -20,7 +20,6 @@ from sean_jax import cli, learning
 from sean_jax.config import PPOConfig, validate
 from sean_jax.errors import FileError, InputError
 from sean_jax.learning.policy import AGENTS, MAX_WEIGHTS_BYTES, WEIGHTS, load_agent, load_policy, save_agent
-from sean_jax.learning.trainer import check_config
 from sean_jax.mdp import observations
 
 WITHOUT = """
@@ -95,15 +94,6 @@ def test_it_is_refused_where_it_sees_something_else(lab, tmp_path):
     save_agent(tmp_path, learning.load("ppo", lab).params.agent, config | {"observations": ["goal", "situations"]})
     with pytest.raises(InputError, match="agent sees 80 numbers, and this scenario shows 7 .goal, situations.; make"):
         learning.load(tmp_path, lab)
-
-
-def test_noise_that_depends_on_the_state_is_refused(lab, tmp_path):
-    """Trainings of earlier versions had an option for it."""
-    config = json.loads((AGENTS["ppo"] / "config.json").read_text())
-    save_agent(tmp_path, learning.load("ppo", lab).params.agent, config | {"careful": True})
-    for refused in (lambda: learning.load(tmp_path, lab), lambda: check_config(tmp_path, config)):
-        with pytest.raises(InputError, match="the option careful, which this version does not know; train it again"):
-            refused()
 
 
 def test_damaged_weights_are_told(lab, tmp_path):

@@ -278,7 +278,7 @@ def test_move_base_parameters(tmp_path):
 
 
 def test_move_base_summary(tmp_path, capsys):
-    """Means, and where the robot stood with which commands; a log of earlier columns too."""
+    """Means, and where the robot stood with which commands."""
     program = importlib.import_module("move_base")
 
     def episode(number: int, still: float, rows: list) -> dict:
@@ -297,23 +297,20 @@ def test_move_base_summary(tmp_path, capsys):
         row[5] = -1.0
     content = {"options": {"task": "join_group"}, "versions": {}, "columns": program.COLUMNS}
     content["episodes"] = [episode(0, 0.0, walk), episode(1, 10.0, walk + wait)]
-    (tmp_path / "new.json").write_text(json.dumps(content))
-    old = [[each | {"log": [row[:3] + row[4:9] for row in each["log"]]} for each in content["episodes"]]]
-    (tmp_path / "old.json").write_text(json.dumps(old[0]))
-    paths = [str(tmp_path / name) for name in ("new.json", "old.json")]
-    program.main(["summary", *paths, "--out", str(tmp_path / "summary.json")])
+    file = tmp_path / "drives.json"
+    file.write_text(json.dumps(content))
+    program.main(["summary", str(file), "--out", str(tmp_path / "summary.json")])
     assert "still s: 0 10" in capsys.readouterr().out
-    rows = json.loads((tmp_path / "summary.json").read_text())["conditions"]
-    for row in rows:
-        assert row["still_mean"] == 5.0 and row["completed"] == 0.5 and row["silent"] == pytest.approx(12 / 180)
-        assert (row["recoveries"], row["aborts"], row["personal"]) == (1, 2, 2.0)
-        assert sum(row["stop_seconds"].values()) == pytest.approx(10.0, abs=0.01)
-        (stop,) = row["stops"]
-        assert stop["episode"] == 1 and stop["seconds"] == 10.0 and stop["place"] == [1.2, 0.0]
-        assert stop["none"] == pytest.approx(20 / 99, abs=1e-3) and stop["turn"] == pytest.approx(10 / 99, abs=1e-3)
-        assert stop["zero"] == pytest.approx(69 / 99, abs=1e-3)
-    (tmp_path / "new.json").write_text("[]")
-    assert "no episodes that `drive` wrote" in refusal(program, "summary", paths[0])
+    (row,) = json.loads((tmp_path / "summary.json").read_text())["conditions"]
+    assert row["still_mean"] == 5.0 and row["completed"] == 0.5 and row["silent"] == pytest.approx(12 / 180)
+    assert (row["recoveries"], row["aborts"], row["personal"]) == (1, 2, 2.0)
+    assert sum(row["stop_seconds"].values()) == pytest.approx(10.0, abs=0.01)
+    (stop,) = row["stops"]
+    assert stop["episode"] == 1 and stop["seconds"] == 10.0 and stop["place"] == [1.2, 0.0]
+    assert stop["none"] == pytest.approx(20 / 99, abs=1e-3) and stop["turn"] == pytest.approx(10 / 99, abs=1e-3)
+    assert stop["zero"] == pytest.approx(69 / 99, abs=1e-3)
+    file.write_text("[]")
+    assert "no episodes that `drive` wrote" in refusal(program, "summary", str(file))
 
 
 @pytest.mark.night

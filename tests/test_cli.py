@@ -63,6 +63,15 @@ def test_compilation_cache_goes_to_the_users_cache_unless_set(monkeypatch, tmp_p
     assert os.environ["JAX_COMPILATION_CACHE_DIR"] == "elsewhere"
 
 
+def test_alarms_of_xla_are_off_unless_the_user_sets_a_level(monkeypatch):
+    monkeypatch.delenv("TF_CPP_MIN_LOG_LEVEL", raising=False)
+    compiler.configure()
+    assert os.environ["TF_CPP_MIN_LOG_LEVEL"] == "3"
+    monkeypatch.setenv("TF_CPP_MIN_LOG_LEVEL", "0")
+    compiler.configure()
+    assert os.environ["TF_CPP_MIN_LOG_LEVEL"] == "0"
+
+
 @pytest.mark.parametrize("version", ["0.10.2", "0.11.2", "0.12.0.1"])
 def test_the_users_flags_for_the_compiler_stay_and_new_versions_get_none(monkeypatch, version):
     monkeypatch.setattr(importlib.metadata, "version", lambda name: version)
@@ -318,23 +327,58 @@ def test_list_names_every_choice(capsys):
 
 
 SLOW_TO_COMPILE = """
-import jax, sys
+import sys
 if len(sys.argv) > 1:
-    import sean_jax
+    from sean_jax import compiler
+    compiler.configure()
+import jax
 ones = jax.numpy.ones((2, 30000))
 jax.jit(lambda: jax.lax.reduce_window(ones, 0.0, jax.lax.add, (1, 60), (1, 1), "SAME").sum())()
 """
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("imported", [False, True])
-def test_alarms_of_the_compiler_reach_nobody(imported, monkeypatch):
-    """XLA takes seconds to fold this constant, and says so on the terminal, unless the package is imported."""
+@pytest.mark.parametrize("configured", [False, True])
+def test_alarms_of_the_compiler_reach_nobody(configured, monkeypatch):
+    """XLA takes seconds to fold this constant, and says so on the terminal, unless the command line starts it."""
     monkeypatch.delenv("TF_CPP_MIN_LOG_LEVEL", raising=False)
     monkeypatch.setenv("JAX_ENABLE_COMPILATION_CACHE", "false")
-    program = [sys.executable, "-c", SLOW_TO_COMPILE, *["package"] * imported]
+    program = [sys.executable, "-c", SLOW_TO_COMPILE, *["configured"] * configured]
     said = subprocess.run(program, capture_output=True, text=True, check=True).stderr
-    assert ("slow_operation_alarm" in said) != imported
+    assert ("slow_operation_alarm" in said) != configured
+
+
+MUTED = """
+import logging, sys, threading
+from sean_jax import cli
+
+class Task:
+    def __del__(self):
+        raise RuntimeError("Event loop is closed")
+
+def speak():
+    logging.getLogger("absl").warning("of orbax")
+    logging.getLogger("asyncio").error("Task of orbax")
+    logging.getLogger("asyncio").error("Task of another")
+    thread = threading.Thread(target=Task)
+    thread.start()
+    thread.join()
+
+if len(sys.argv) > 1:
+    cli.main(["--version"])
+else:
+    cli.main()
+speak()
+"""
+
+
+@pytest.mark.parametrize("called", [False, True])
+def test_tasks_of_orbax_print_nothing_in_a_process_of_the_command_line(called):
+    """A program that calls it keeps its own loggers and hooks."""
+    program = [sys.executable, "-c", MUTED, *["called"] * called]
+    said = subprocess.run(program, capture_output=True, text=True, check=True).stderr
+    assert "Task of another" in said
+    assert ("of orbax" in said) == ("Task of orbax" in said) == ("Event loop is closed" in said) == called
 
 
 @pytest.mark.parametrize("raised", [OSError(28, "No space left on device", "shard"), KeyboardInterrupt(), WRAPPED])

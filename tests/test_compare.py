@@ -124,7 +124,7 @@ def test_own_metrics_keep_their_title_unit_and_direction(tmp_path):
     assert row.figure == own and row.verdict == "worse" and (own.title, own.unit) == ("time near", "s")
     runs[0].figures = {}
     assert rows(*runs)["near"].verdict == "differs"
-    for content in ('{"own_metrics": 3}', "[]", '{"own_metrics": {"near": {"title": 1}}}', "{"):
+    for content in ('{"own_metrics": 3}', "{}", "[]", '{"own_metrics": {"near": {"title": 1}}}', "{"):
         (tmp_path / "one" / "summary.json").write_text(content)
         with pytest.raises(InputError, match=r"one/summary.json: ?.*(is damaged|is not JSON)"):
             compare.read(tmp_path / "one")

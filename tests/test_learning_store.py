@@ -287,13 +287,8 @@ def test_rates_are_not_mixed(fine, made, data):
         imitation.train_ensemble(pair)
     with pytest.raises(InputError, match="was begun with --rate 1, not 2"):
         learning_data.begin(learning_data.options(data.folder, rate=2))
-    old = {name: value for name, value in data.manifest.items() if name != "rate"}
-    old["options"] = {name: value for name, value in old["options"].items() if name != "rate"}
-    data.save(old)
-    again = learning_data.begin(learning_data.options(data.folder))
-    assert again.rate == 1 and again.manifest == old, "a dataset of an earlier version goes on"
     for rate in (0.5, 2.5, 1e9, "fast"):
-        data.save({**old, "rate": rate})
+        data.save({**data.manifest, "rate": rate})
         with pytest.raises(InputError, match="rate.* cannot be read"):
             open_dataset(data.folder)
 
@@ -411,12 +406,11 @@ def test_what_the_options_stand_for_must_not_have_changed(data):
         ("robot", {**before["robot"], "max_speed": 9.0}, "begun with another robot"),
         ("camera", {**before["camera"], "far": 1.0}, "begun with another camera"),
         ("situations", before["situations"][::-1], "begun with another situations"),
+        ("content", "0" * 16, "begun with another scenario and policy"),
     ):
         data.save({**before, name: value})
         with pytest.raises(InputError, match=message):
             learning_data.begin(asked)
-    data.save({name: value for name, value in before.items() if name not in ("content", "versions")})
-    assert learning_data.begin(asked).stream_rows == data.stream_rows
 
 
 def test_options_allow_no_more_than_datasets_and_networks_may_hold(data, tmp_path):

@@ -2,6 +2,7 @@
 
 import functools
 import json
+import logging
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -362,6 +363,21 @@ def test_a_byte_that_changed_in_a_checkpoint_changes_no_weight(trained, tmp_path
             continue
         assert all(np.array_equal(one, other) for one, other in zip(found, expected, strict=True))
     assert refused >= 3
+
+
+def test_checkpoints_leave_loggers_and_hooks_alone_and_warn_of_nothing(tmp_path, caplog):
+    """Of the program that trains or loads; the command line alone mutes orbax, in its own process."""
+
+    def process():
+        absl, tasks = logging.getLogger("absl"), logging.getLogger("asyncio")
+        return absl.level, absl.disabled, absl.filters[:], tasks.filters[:], sys.unraisablehook
+
+    before = process()
+    writer = Checkpoints(tmp_path, writes=True)
+    writer.save({"weights": np.ones(3, np.float32)}, 1, 0.5)
+    writer.wait()
+    np.testing.assert_array_equal(Checkpoints(tmp_path).best("weights", np.zeros(3, np.float32)), 1.0)
+    assert process() == before and "read" not in caplog.text
 
 
 def test_a_full_disk_keeps_the_checkpoints(data, trained, tmp_path, monkeypatch):

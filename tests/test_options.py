@@ -210,12 +210,6 @@ experiment figure4 --people 90000 | people: 90000 do not fit; fewer
 experiment figure4 --out full | full; --out
 experiment learning_curve --demonstrator nobody | policy: 'nobody' is not one of
 experiment learning_curve --demonstration-hours 1 0 | --demonstration-hours: 0.0 must be
-experiment learning_curve --amounts 1 | --amounts: there is no such option; it is called '--demonstration-hours' now
-experiment figure4 --others ppo | --others: there is no such option; it is called '--baselines' now
-train imitation full --further full | --further: there is no such option; it is called '--datasets' now
-train imitation full --on-device 0.5 | --on-device: there is no such option; '--device-memory-fraction' now
-run --members permanent | --members: there is no such option; it is called '--group-membership' now
-run --places mesh | --places: there is no such option; it is called '--goal-sampling' now
 experiment table1 --baselines ppo | --baselines; sean experiment --help
 experiment learning_curve --rates 5 3 | rate: 3 examples a second do not divide its 10 steps of control
 experiment table3 | 'table3' is not one of table1; did you mean 'table1'
@@ -413,27 +407,6 @@ def test_names_of_other_projects_lead_to_an_option():
                     with pytest.raises(InputError, match=f"'{other}' is not a known key; did you mean '"):
                         model(**{other: 3})
     assert used == set(config.aliases())
-
-
-def test_former_names_of_options_are_refused_and_read_in_saved_ones():
-    for word, model in COMMANDS.items():
-        known = [field.name for field in dataclasses.fields(flags.parser(model))]
-        for old, new in config.RENAMED.items():
-            if new in known and old not in known:
-                with pytest.raises(InputError, match=f"^{flags.flag(old)}: .* it is called '{flags.flag(new)}' now."):
-                    flags.parse(word.split()[0], model, [f"{flags.flag(old)}=3"])
-    permanent = {"kind": "graph", "members": "permanent"}
-    for values, text in (
-        ({"places": "mesh"}, "'places' is not a known key; it is called 'goal_sampling' now."),
-        ({"members": "permanent"}, "'members' is not a known key; it is called 'group_membership' now."),
-        ({"behavior": permanent}, "behavior: 'members' is not a known key; it is called 'group_membership' now."),
-    ):
-        with pytest.raises(InputError) as caught:
-            config.validate(RunConfig, values)
-        assert str(caught.value) == text
-    saved = config.validate(RunConfig, {"places": "mesh", "behavior": permanent}, source=Path("config.yaml"))
-    assert saved == RunConfig(goal_sampling="mesh", behavior=config.GraphBehavior(group_membership="permanent"))
-    assert config.present_names({"task": {"kind": "my.py:thing", "places": 3}})["task"]["places"] == 3
 
 
 def test_numbers_of_numpy_are_numbers():

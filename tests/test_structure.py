@@ -17,6 +17,16 @@ ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "sean_jax"
 MODULES = sorted(PACKAGE.rglob("*.py"))
 HEAVY = ("jax", "mujoco", "matplotlib", "flax", "optax", "orbax", "scipy")
+EXTRAS = (
+    "matplotlib",
+    "tyro",
+    "websockets",
+    "rosbags",
+    "optax",
+    "orbax",
+    "tensorstore",
+    "gymnasium",
+)  # not for ``evaluate``
 FAMILIES = {
     "sean_jax.social_forces": "PRESETS",
     "sean_jax.classifiers": "SITUATIONS",
@@ -75,6 +85,17 @@ def test_command_line_starts_without_heavy_imports():
     assert done.stdout.strip() == "[]"
 
 
+def test_a_simulation_needs_no_package_of_reports_and_servers():
+    """What is drawn, printed or served is imported with the first picture, table or server."""
+    wanted = {"make, step, rollout, make_env": ("matplotlib", "tyro", "jinja2", "PIL"), "evaluate": EXTRAS}
+    for names, unused in wanted.items():
+        program = (
+            f"import sys\nfrom sean_jax import {names}\nprint([name for name in {unused!r} if name in sys.modules])"
+        )
+        done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, cwd=ROOT, check=False)
+        assert done.stdout.strip() == "[]", done.stderr
+
+
 def test_no_import_starts_a_backend():
     """So that who imports can still choose platform and precision, join other hosts, or fork."""
     program = f"""
@@ -86,6 +107,40 @@ print(xla_bridge.backends_are_initialized())
 """
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, cwd=ROOT, check=False)
     assert done.stdout.split() == ["False"], done.stderr
+
+
+UNCHANGED = """
+import gc, logging, os, signal, sys, warnings
+import jax, numpy, scipy.sparse, scipy.special
+
+def state_of_the_process():
+    loggers = [logging.root, *(logging.getLogger(name) for name in list(logging.root.manager.loggerDict))]
+    return {
+        "environment": dict(os.environ),
+        "jax.config": dict(jax.config.values),
+        "numpy": (numpy.geterr(), numpy.get_printoptions(), numpy.random.get_state()[1].tolist()),
+        "warnings": list(warnings.filters),
+        "signals": {number: signal.getsignal(number) for number in signal.valid_signals()},
+        "hooks": (sys.displayhook, sys.excepthook, sys.unraisablehook, sys.path, sys.getrecursionlimit()),
+        "collector": (gc.isenabled(), gc.get_threshold(), gc.callbacks[:]),
+        "logging": {one.name: (one.level, one.handlers[:], one.filters[:], one.disabled) for one in loggers},
+    }
+
+before = state_of_the_process()
+import sean_jax
+for name in sean_jax.__all__:
+    getattr(sean_jax, name)
+for part, now in state_of_the_process().items():
+    if part == "logging":  # a logger that is new, and like any other, changes nothing
+        before[part] = dict.fromkeys(now, (logging.NOTSET, [], [], False)) | before[part]
+    assert now == before[part], (part, now, before[part])
+"""
+
+
+def test_an_import_changes_nothing_in_the_process():
+    """Beyond what JAX and scipy change. The command line changes its own process, and no other."""
+    done = subprocess.run([sys.executable, "-c", UNCHANGED], capture_output=True, text=True, cwd=ROOT, check=False)
+    assert done.returncode == 0, done.stderr
 
 
 def described_values(package: str) -> set[str]:

@@ -309,11 +309,11 @@ def test_a_drive_that_is_discarded_is_no_demonstration(fresh):
         fresh.discard(fresh.trial.file.name)
 
 
-def finished(folder, name, by_person, outcome="completed", version=2, options=None):
+def finished(folder, name, by_person, outcome="completed", options=None):
     """A drive in a file, which stands still."""
     options = validate(StudioConfig, OPTIONS).identity() if options is None else options
-    lines = [{"version": version, "options": options, "episode": 0}]
-    steps = {"commands": [[0.0, 0.0]] * len(by_person)} | ({"by_person": by_person} if version == 2 else {})
+    lines = [{"version": 2, "options": options, "episode": 0}]
+    steps = {"commands": [[0.0, 0.0]] * len(by_person), "by_person": by_person}
     file = folder / trial.TRIALS / name
     file.parent.mkdir(parents=True, exist_ok=True)
     file.write_text("".join(json.dumps(line) + "\n" for line in [*lines, steps, {"end": outcome}]))
@@ -326,16 +326,15 @@ def test_demonstrations_are_the_steps_of_a_person(tmp_path, monkeypatch):
     finished(tmp_path, "000000.jsonl", [False] * 20 + [True] * 35 + [False] * 15 + [True] * 20)
     finished(tmp_path, "000001.jsonl", [True] * 30, "stopped")
     finished(tmp_path, "000002.jsonl", [False] * 30)
-    finished(tmp_path, "000003.jsonl", [True] * 30, version=1)
     config = validate(StudioConfig, OPTIONS).replace(record=tmp_path)
     made = trial.demonstrations(config)
     shards = made.data.manifest["shards"]
     assert [shard["rows"] for shard in shards] == [[2, 5], [7, 9]] and set(sources(made.data)) == {"000000.jsonl"}
     assert made.data.by_person(made.data.episodes).all() and made.data.example_count == 5
-    assert "3 of 4 drives have no demonstration of a person" in made.said[0] and "--demonstrations all" in made.said[0]
+    assert "2 of 3 drives have no demonstration of a person" in made.said[0] and "--demonstrations all" in made.said[0]
     everything = trial.demonstrations(config.replace(demonstrations="all")).data
     assert everything.manifest["policy"] == "human and policy" and everything.folder != made.data.folder
-    assert [sum(shard["lengths"]) for shard in everything.manifest["shards"]] == [9, 3, 3, 3]
+    assert [sum(shard["lengths"]) for shard in everything.manifest["shards"]] == [9, 3, 3]
     column = everything.by_person(everything.episodes)
     np.testing.assert_array_equal(np.flatnonzero(column), [2, 3, 4, 7, 8, 9, 10, 11])
 
@@ -612,6 +611,7 @@ STEPS = '{"commands": [[1, 2], [0, 0]], "by_person": [true, false]}'
     [
         ("", "it has no line of a trial; move it out of the folder"),
         ("nonsense\n", "is not JSON"),
+        ('{"version": 1, "options": {}, "episode": 0}\n', "version"),
         ('{"version": 3}\n', "version"),
         ("[1]\n", "no line of a trial"),
         (f"{STEPS}\n", "version"),

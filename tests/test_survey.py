@@ -1020,7 +1020,7 @@ def test_half_a_transaction_is_none(original, tmp_path):
 
 
 def test_only_the_owner_may_read_a_study(tmp_path, monkeypatch):
-    """It holds everybody's link; a folder and a file of an earlier version too."""
+    """It holds everybody's link; a copy that others can read becomes private, too."""
     read(tmp_path)
     permissions = {}
 

@@ -1,17 +1,12 @@
 """The folder of a long command: what it was begun with, in one sentence, and parts that are whole or damaged."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from sean_jax import writing
-from sean_jax.config import CalibrateConfig, RunConfig
 from sean_jax.errors import FileError, InputError, WriteError
-from sean_jax.evaluation import batches
-from sean_jax.versions import versions
-from sean_jax.workspace import Workspace, difference, identity, value_text
+from sean_jax.workspace import Workspace, difference, value_text
 
 NOW = {"options": {"seed": 0, "task_distance": (4.0, 20.0)}, "versions": {"jax": "1"}, "parts": {"my.py": "a"}}
 
@@ -59,23 +54,3 @@ def test_a_folder_is_resumed_by_the_same_command_alone(tmp_path):
         (work.folder / name).write_text("{")
         with pytest.raises(FileError, match=f"{name}.*"):
             work.load(name)
-
-
-def test_unfinished_folders_of_earlier_versions_are_resumed(tmp_path):
-    """A run's identity had one level and former names of options, and a fit's no parts."""
-    config = RunConfig(seed=3)
-    entries = {f"--{name.replace('_', '-')}": value for name, value in batches._identity(config)["options"].items()}
-    entries["--places"] = entries.pop("--goal-sampling")
-    entries["--behavior"] = dict(entries["--behavior"])
-    entries["--behavior"]["members"] = entries["--behavior"].pop("group_membership")
-    place = tmp_path / "run" / batches.PLACE
-    place.mkdir(parents=True)
-    writing.write(tmp_path / "run" / batches.IDENTITY, entries | {"the version of python": versions()["python"]})
-    assert batches.RunFolder(tmp_path / "run", config).work.begun()
-    with pytest.raises(InputError, match="run was begun with --seed 3, not 4"):
-        batches.RunFolder(tmp_path / "run", RunConfig(seed=4))
-    options = CalibrateConfig(data=tmp_path, out=tmp_path / "fit")
-    content = {name: value for name, value in identity(options).items() if name != "parts"}
-    (tmp_path / "fit").mkdir()
-    writing.write(tmp_path / "fit" / "calibration.json", content)
-    assert Workspace(Path(options.folder), identity(options), "calibration.json").begun()

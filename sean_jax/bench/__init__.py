@@ -230,22 +230,24 @@ def compiling(options: BenchConfig, stack: Stack[Scenario]) -> Iterator[Row]:
     settings = {name: getattr(jax.config, name) for name in names}
     some, batch = _fitting(stack, 64)
     program = programs.stepping(some, batch, 10)
-    with tempfile.TemporaryDirectory() as folder:
-        jax.config.update("jax_enable_compilation_cache", True)
-        jax.config.update("jax_compilation_cache_dir", folder)
-        for what in ("seconds, cold", "seconds, cached"):
-            jax.clear_caches()
-            compilation_cache.reset_cache()
-            began = time.perf_counter()
-            program.run.lower(*program.fixed, program.carried).compile()
-            spent = time.perf_counter() - began
-            yield Row(
-                "compile", what, batch, stack.member.people, 0, 1, per_second=spent, floor=float("nan"), bound="",
-                needs={}, microseconds=1e6 * spent, compile_seconds=spent, scenario_bytes=float("nan"),
-            )  # fmt: skip
-    for name, value in settings.items():
-        jax.config.update(name, value)
-    compilation_cache.reset_cache()
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            jax.config.update("jax_enable_compilation_cache", True)
+            jax.config.update("jax_compilation_cache_dir", folder)
+            for what in ("seconds, cold", "seconds, cached"):
+                jax.clear_caches()
+                compilation_cache.reset_cache()
+                began = time.perf_counter()
+                program.run.lower(*program.fixed, program.carried).compile()
+                spent = time.perf_counter() - began
+                yield Row(
+                    "compile", what, batch, stack.member.people, 0, 1, per_second=spent, floor=float("nan"), bound="",
+                    needs={}, microseconds=1e6 * spent, compile_seconds=spent, scenario_bytes=float("nan"),
+                )  # fmt: skip
+    finally:
+        for name, value in settings.items():
+            jax.config.update(name, value)
+        compilation_cache.reset_cache()
 
 
 def scaling(options: BenchConfig, stack: Stack[Scenario]) -> Iterator[Row]:

@@ -8,7 +8,6 @@ import pydantic
 
 from sean_jax.config import fields
 from sean_jax.config.core import (
-    RENAMED,
     Bounds,
     Component,
     Config,
@@ -20,7 +19,6 @@ from sean_jax.config.core import (
     family_of,
     gather,
     is_own_part,
-    present_names,
     validate,
     with_defaults,
 )

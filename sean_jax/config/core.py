@@ -30,16 +30,6 @@ from sean_jax.messages import error_clause, listed, shorten, suggest
 
 OWN_PART = re.compile(r"(?P<file>.+\.py):(?P<name>[A-Za-z_]\w*)")
 
-RENAMED = {
-    "others": "baselines",
-    "further": "datasets",
-    "members": "group_membership",
-    "on_device": "device_memory_fraction",
-    "amounts": "demonstration_hours",
-    "places": "goal_sampling",
-}
-"""Former name of an option -> its name. The former one is refused, but read in saved descriptions."""
-
 
 @cache
 def aliases() -> dict[str, list[str]]:
@@ -48,21 +38,10 @@ def aliases() -> dict[str, list[str]]:
 
 
 def did_you_mean(word: str, known: Iterable[str], named: Callable[[str], str] = str) -> str:
-    """The end of a message about an unknown option: its new name, or the option that was probably meant."""
+    """The end of a message about an unknown option: the option that was probably meant."""
     known = list(known)
-    if RENAMED.get(word) in known:
-        return f"; it is called '{named(RENAMED[word])}' now."
     alike = [name for name in known if word.lower() in aliases().get(name, ())]
     return f"; did you mean '{named(alike[0])}'?" if alike else suggest(named(word), map(named, known))
-
-
-def present_names(options: Mapping[Any, Any]) -> dict[Any, Any]:
-    """Saved options and options of their components, under their present names."""
-
-    def inside(value: Any) -> Any:
-        return present_names(value) if isinstance(value, Mapping) and not is_own_part(value.get("kind")) else value
-
-    return {RENAMED.get(name, name) if isinstance(name, str) else name: inside(each) for name, each in options.items()}
 
 
 @dataclass(frozen=True)
@@ -403,16 +382,15 @@ def validate(
     """Options, checked. Their own parts run if the user trusts them (``components.trust``) or has typed them.
 
     Args:
-        source: the file with the values, whose options may have their former names.
+        source: the file with the values.
         typed: whether the user typed the values, on the command line or as arguments in Python. Only what reads these
             says so (``tests/test_trust.py`` has the list).
 
     Raises:
         InputError: one sentence for the first mistake: field, value, cure.
     """
-    data = dict(data) if source is None else present_names(data)
     try:
-        return model.model_validate(data, context=Origin(typed, source))
+        return model.model_validate(dict(data), context=Origin(typed, source))
     except pydantic.ValidationError as error:
         raise InputError(sentence(model, error.errors(include_url=False)[0], named)) from None
 

@@ -259,16 +259,6 @@ class RunConfig(ScenarioConfig):
     which is resumed."""
     quiet: fields.Quiet = False
 
-    @pydantic.model_validator(mode="before")
-    @classmethod
-    def _drop_renderer(cls, data: object) -> object:
-        """Files of version 0.2 may name a renderer of camera.gif: rays, or one that is gone."""
-        if not isinstance(data, Mapping) or "renderer" not in data:
-            return data
-        if data["renderer"] not in (None, "rays"):
-            raise ValueError("renderer: there is only one, which draws camera.gif by rays; leave the option out")
-        return {name: value for name, value in data.items() if name != "renderer"}
-
     @pydantic.field_validator("robots", mode="before")
     @classmethod
     def _join_robots(cls, value: object) -> object:

@@ -157,12 +157,12 @@ def read(folder: Path, name: str = "") -> SavedRun:
 
 
 def _own_figures(path: Path) -> dict[str, Figure]:
-    """The user's own metrics in a summary.json; {} if there is none, or it is of an earlier version."""
+    """The user's own metrics in a summary.json; {} if there is none."""
     if not path.is_file():
         return {}
     content = files.read_json(path)
     with files.sentence(path, "restore it, or remove it"):
-        figures = {name: Figure(**fields) for name, fields in content.get("own_metrics", {}).items()}
+        figures = {name: Figure(**fields) for name, fields in content["own_metrics"].items()}
         for figure in figures.values():
             is_text = all(isinstance(text, str) for text in figure[:2])
             if not (is_text and type(figure.digits) is int and 0 <= figure.digits < 10):

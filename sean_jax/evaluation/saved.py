@@ -17,7 +17,7 @@ import numpy as np
 import yaml
 
 from sean_jax import components, environment, files, worlds
-from sean_jax.config import Named, PlaybackBehavior, RunConfig, outside, present_names
+from sean_jax.config import Named, PlaybackBehavior, RunConfig, outside
 from sean_jax.errors import FileError, InputError
 from sean_jax.files import mjcf
 from sean_jax.flags import command
@@ -212,7 +212,6 @@ def read_config(path: Path, check: bool = True) -> SavedConfig:
     data = content.get("config", {name: value for name, value in content.items() if name != "$schema"})
     if not isinstance(data, dict):
         raise InputError(f"{path}: config: holds no description; give field: value lines.")
-    data = present_names(data)
     hashes, copies = _texts(path, content, "sha256", "digest"), _texts(path, content, "copies", "copy")
     folder = path.parent
     code = {name: digest for name, digest in hashes.items() if name.endswith(".py")}

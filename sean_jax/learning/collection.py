@@ -25,7 +25,7 @@ import numpy as np
 
 from sean_jax import assembly, components, devices, navigation, prng, robots, sensors, worlds, writing
 from sean_jax.base import Array, Policy, Scenario, State
-from sean_jax.config import MAX_PIXELS, CollectConfig, HandcraftedBehavior, OwnPart, Value, present_names
+from sean_jax.config import MAX_PIXELS, CollectConfig, HandcraftedBehavior, OwnPart, Value
 from sean_jax.errors import InputError
 from sean_jax.flags import command, number
 from sean_jax.learning import dataset
@@ -322,16 +322,12 @@ def check_folder(folder: Path) -> None:
 
 
 def _check_same(config: CollectConfig, data: Dataset, manifest: dict[str, Any]) -> None:
-    """Refuse to resume with other options, versions or content: it would be two datasets in one.
-
-    Content that the manifest of an earlier version does not have is not compared.
-    """
-    had = {**data.manifest, "options": {"rate": 1, **present_names(data.manifest["options"])}}
-    now = {name: manifest[name] for name in ("environment", "people", "robot", "camera", "situations") if name in had}
-    if "content" in had:
-        content = CONTENT + "scenario and policy"
-        had, now = had | {content: had["content"]}, now | {content: manifest["content"]}
-    now = {"options": config.identity(), "versions": versions(), **now, "parts": manifest["parts"]}
+    """Refuse to resume with other options, versions or content: it would be two datasets in one."""
+    content = CONTENT + "scenario and policy"
+    had = data.manifest | {content: data.manifest.get("content")}
+    facts = {name: manifest[name] for name in ("environment", "people", "robot", "camera", "situations")}
+    now = {"options": config.identity(), "versions": versions(), **facts, content: manifest["content"]}
+    now["parts"] = manifest["parts"]
     refuse_difference(data.folder, had, now)
     if config.batch not in (None, data.batch):
         raise InputError(f"{data.folder} was begun with --batch {data.batch}, not {config.batch}; ask for the same.")
@@ -559,7 +555,7 @@ class Recorder:
             with writing.folder_lock(folder):
                 return dataset.create_dataset(folder, manifest)
         data = dataset.open_dataset(folder)
-        if {"rate": 1, **present_names(data.manifest["options"])} != options:
+        if data.manifest["options"] != options:
             raise InputError(f"{folder} was begun with another scenario, driver, seed or rate; choose another folder.")
         return data
 

@@ -84,7 +84,7 @@ class Manifest(Keys):
     hours: Annotated[float, pydantic.Field(gt=0, le=MAX_HOURS)]
     batch: Positive
     seconds: Annotated[int, pydantic.Field(ge=1, le=MAX_DURATION)]  # of an episode, at most
-    rate: Annotated[float, pydantic.Field(ge=1, le=MAX_RATE)] = 1.0  # rows per second, a whole number
+    rate: Annotated[float, pydantic.Field(ge=1, le=MAX_RATE)]  # rows per second, a whole number
     streams: Annotated[Names, pydantic.Field(min_length=1)]
     situations: Names
     camera: Camera
@@ -288,8 +288,8 @@ class Dataset:
 
     @property
     def rate(self) -> int:
-        """Rows per second; 1 without an entry in the manifest."""
-        return int(self.manifest.get("rate", 1))
+        """Rows per second."""
+        return int(self.manifest["rate"])
 
     @property
     def most_rows(self) -> int:

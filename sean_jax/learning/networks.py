@@ -62,13 +62,6 @@ def read_network_config(path: Path) -> NetworkConfig:
     return files.check_json(path, files.read_json(path), NetworkConfig, check_size)
 
 
-def check_supported(folder: Path, saved: dict[str, Any]) -> None:
-    """InputError for an agent whose action noise depends on the state, an option that is gone."""
-    if saved.get("careful"):
-        text = f"{folder} has an agent with the option careful, which this version does not know"
-        raise InputError(f"{text}; train it again, or use an earlier version.")
-
-
 def named_leaves(tree: Any) -> dict[str, Any]:
     """The leaves of a pytree by their paths, such as statistics/mean."""
     leaves, _ = jax.tree.flatten_with_path(tree)

@@ -31,7 +31,6 @@ from sean_jax.config import (
     RunConfig,
     ScenarioConfig,
     outside,
-    present_names,
     validate,
 )
 from sean_jax.errors import InputError
@@ -179,8 +178,7 @@ def read_options(folder: Path) -> ReinforcementConfig:
     saved, model = files.read_json(folder / CONFIG), METHODS[networks.read_method(folder)]
     if not issubclass(model, ReinforcementConfig):
         raise InputError(f"{folder} has a network that imitates, and no agent; train one with `sean train ppo`.")
-    networks.check_supported(folder, saved)
-    options = {name: value for name, value in present_names(saved).items() if name in model.model_fields}
+    options = {name: value for name, value in saved.items() if name in model.model_fields}
     options = components.recorded(folder / CONFIG, options, saved.get("parts"), "parts")
     try:
         return validate(model, options, source=folder / CONFIG)

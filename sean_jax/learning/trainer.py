@@ -6,7 +6,6 @@ since orbax restores arrays whose bytes were changed on disk.
 """
 
 import contextlib
-import functools
 import hashlib
 import io
 import json
@@ -14,8 +13,6 @@ import logging
 import math
 import os
 import shutil
-import sys
-import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -28,10 +25,10 @@ from jax.experimental import multihost_utils
 from orbax.checkpoint.checkpoint_managers import AnyPreservationPolicy, BestN, LatestN
 
 from sean_jax import calls, components, files, interrupts, writing
-from sean_jax.config import DaggerConfig, ReinforcementConfig, present_names
+from sean_jax.config import DaggerConfig, ReinforcementConfig
 from sean_jax.errors import IncompleteError, InputError, SeanError
 from sean_jax.flags import command
-from sean_jax.learning.networks import CONFIG, check_supported, named_leaves
+from sean_jax.learning.networks import CONFIG, named_leaves
 from sean_jax.versions import versions
 from sean_jax.workspace import CONTENT, read_identity, refuse_difference, refuse_others
 
@@ -284,18 +281,16 @@ def _points(lines: list[dict], part: str, name: str) -> tuple[list[float], list[
 # ------------------------------------------------------------------ checkpoints
 
 
-@functools.cache
-def _mute_orbax() -> None:
-    """Print no traceback besides the raised error: of its tasks, and of threads that find its loop closed."""
-    logging.getLogger("asyncio").addFilter(lambda record: "orbax" not in record.getMessage())
-    hook = sys.unraisablehook
-
-    def unraisable(event: Any) -> None:
-        closed = isinstance(event.exc_value, RuntimeError) and "Event loop is closed" in str(event.exc_value)
-        if not closed or threading.current_thread() is threading.main_thread():
-            hook(event)
-
-    sys.unraisablehook = unraisable
+@contextlib.contextmanager
+def _without_warnings() -> Iterator[None]:
+    """Keep orbax's warning off the terminal that a folder is only read."""
+    logger = logging.getLogger("absl")
+    level = logger.level
+    logger.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        logger.setLevel(level)
 
 
 def _negative_loss(metrics: dict[str, float]) -> float:
@@ -313,8 +308,6 @@ class Checkpoints:
 
     def __init__(self, folder: Path, writes: bool = False):
         """Open the checkpoints of a folder; with ``writes`` they may be saved and deleted."""
-        logging.getLogger("absl").setLevel(logging.CRITICAL)  # orbax logs every step
-        _mute_orbax()
         self.folder = Path(folder).absolute()
         place = self.folder / "checkpoints"
         options = ocp.CheckpointManagerOptions(
@@ -323,10 +316,11 @@ class Checkpoints:
             cleanup_tmp_directories=writes,
             create=writes,
             read_only=not writes,
+            save_interval_steps=int(writes),  # orbax warns of any number but 0 where nothing is saved
         )
         for name in sorted(os.listdir(place)) if place.is_dir() else []:
             _check_entries(place / name)
-        with _explain_errors(place):
+        with _explain_errors(place), _without_warnings():
             self.manager = _retry(lambda: ocp.CheckpointManager(place, options=options))
             self.manager.best_step()  # which reads the losses of all
         if writes:
@@ -418,7 +412,8 @@ class Checkpoints:
             request = ocp.args.PyTreeRestore(item=target, restore_args=placement, partial_restore=True)  # pyright: ignore
             content = self.manager.restore(step, args=ocp.args.Composite(**{STATE: request}))
             restored = content[STATE]
-            digests = (self.manager.metrics(step) or {}).get(DIGESTS, {})  # earlier versions wrote none
+            metrics: Any = self.manager.metrics(step)
+            digests = metrics[DIGESTS]  # none of arrays that several processes share
             if any(digests.get(name, digest) != digest for name, digest in _digests(restored).items()):
                 raise ValueError("other numbers than were saved")
             result = restored if part is None else restored[part]
@@ -498,8 +493,7 @@ def check_config(folder: Path, config: dict[str, Any]) -> bool:
     if saved is None:
         refuse_others(folder)
         return False
-    check_supported(folder, saved)
-    refuse_difference(folder, _identity(present_names(saved)), _identity(config))
+    refuse_difference(folder, _identity(saved), _identity(config))
     return True
 
 

@@ -33,7 +33,7 @@ from sean_jax.messages import shorten
 from sean_jax.quantities import TIME_STEP_RANGE
 from sean_jax.robots.drive import command_size, max_reverse_speed
 
-VERSION = 2  # of the files; those of version 1 do not say who drove
+VERSION = 2  # of the files
 STOPPED = "stopped"  # outcome of a trial that did not reach the end of its episode
 TRIALS, DISCARDED = "trials", "discarded"
 DATASETS = {"person": "demonstrations", "all": "demonstrations-all"}
@@ -63,7 +63,7 @@ class TrialLine(pydantic.BaseModel):
 class TrialHead(TrialLine):
     """The first line."""
 
-    version: Literal[1, 2]
+    version: Literal[2]  # VERSION
     options: dict[str, Any]
     episode: Count
     sha256: dict[str, str] = {}
@@ -74,10 +74,10 @@ Numbers = Annotated[list[Speed], pydantic.Field(min_length=2, max_length=3)]
 
 
 class CommandLine(TrialLine):
-    """Commands of some steps, as ``robots.drive``, and whether a person gave each; version 1 does not say it."""
+    """Commands of some steps, as ``robots.drive``, and whether a person gave each."""
 
     commands: list[Numbers]
-    by_person: list[bool] | None = None
+    by_person: list[bool]
 
 
 class RewindLine(TrialLine):
@@ -103,7 +103,7 @@ class RecordedDrive(NamedTuple):
     options: dict[str, Any]
     episode: int
     commands: np.ndarray  # (T, 2) m/s, rad/s, or (T, 3) of an omnidirectional robot
-    by_person: np.ndarray | None  # (T,) bool; None in a file that does not say it
+    by_person: np.ndarray  # (T,) bool
     outcome: str | None  # None: the program was killed
     code: dict[str, str]  # file -> SHA-256, of the user's own files
 
@@ -126,7 +126,9 @@ def read(file: Path) -> RecordedDrive:
             commands += line.commands
             if len({len(row) for row in [*commands[:1], *line.commands]}) > 1:
                 raise files.file_error(place, f"commands: some have 2 numbers, and some 3; {CURE}")
-            by_person += _drivers(place, line, head)
+            if len(line.by_person) != len(line.commands):
+                raise files.file_error(place, f"by_person has another number of values than commands; {CURE}")
+            by_person += line.by_person
         elif isinstance(line, RewindLine):
             if line.rewind > len(commands):
                 steps = f"rewind: {line.rewind} is beyond the {len(commands)} steps before it"
@@ -137,9 +139,10 @@ def read(file: Path) -> RecordedDrive:
     if head is None:
         raise files.file_error(file, f"it has no line of a trial; {CURE}")
     digest = hashlib.sha256(files.read_bytes(file, MAX_TRIAL)).hexdigest()
-    drivers = np.asarray(by_person, bool) if head.version == VERSION else None
     numbers = np.asarray(commands, float) if commands else np.zeros((0, 2))
-    return RecordedDrive(file, digest, head.options, head.episode, numbers, drivers, outcome, head.sha256)
+    return RecordedDrive(
+        file, digest, head.options, head.episode, numbers, np.asarray(by_person, bool), outcome, head.sha256
+    )
 
 
 def _parsed(place: Path, text: str, first: bool) -> TrialLine:
@@ -151,15 +154,6 @@ def _parsed(place: Path, text: str, first: bool) -> TrialLine:
     if model is None:
         raise files.file_error(place, f"it has none of {', '.join(LINES)}; {CURE}")
     return files.check_json(place, data, model)
-
-
-def _drivers(place: Path, line: CommandLine, head: TrialHead | None) -> list[bool]:
-    """Whether a person gave each command of a line."""
-    if head is not None and head.version == 1:
-        return [False] * len(line.commands)
-    if line.by_person is None or len(line.by_person) != len(line.commands):
-        raise files.file_error(place, f"by_person has another number of values than commands; {CURE}")
-    return line.by_person
 
 
 @functools.lru_cache(4096)
@@ -408,7 +402,6 @@ def rows_of_page(folder: Path, current: Path | None = None) -> list[dict[str, An
     for drive in read_folder(folder)[0]:
         if drive.file == current or drive.outcome is None or not len(drive.commands):
             continue
-        share = None if drive.by_person is None else round(float(drive.by_person.mean()), 4)
         step = drive.options.get("time_step")
         least, most = TIME_STEP_RANGE
         seconds = len(drive.commands) * step if isinstance(step, int | float) and least <= step <= most else None
@@ -419,7 +412,7 @@ def rows_of_page(folder: Path, current: Path | None = None) -> list[dict[str, An
                 "episode": drive.episode,
                 "seconds": None if seconds is None else round(seconds, 2),
                 "outcome": drive.outcome,
-                "by_person": share,
+                "by_person": round(float(drive.by_person.mean()), 4),
             }
         )
     return rows
@@ -635,8 +628,6 @@ def _beyond_robot(drive: RecordedDrive, robot: RobotModel) -> str:
     size = command_size(robot)
     if drive.commands.shape[1] != size:
         return f"has commands of {drive.commands.shape[1]} numbers, and those of {robot.name} have {size}"
-    if drive.by_person is None:
-        return ""
     sides = [] if robot.lateral is None else [float(robot.lateral.max_speed)]
     most = np.array([float(robot.max_speed), *sides, _turn_rate(robot)])
     least = -np.array([float(max_reverse_speed(robot)), *most[1:]])
@@ -658,7 +649,7 @@ def _turn_rate(robot: RobotModel) -> float:
 
 def _parts(drive: RecordedDrive, scenario: Scenario, which: str) -> list[EpisodePart]:
     """The rows of a drive that are demonstrations, each piece without a gap: a person's, or all."""
-    if which == "person" and (drive.by_person is None or drive.outcome != "completed"):
+    if which == "person" and drive.outcome != "completed":
         return []
     by_person = _by_row(drive, steps_per_row(scenario, 1))
     takes = by_person if which == "person" else np.ones(len(by_person), bool)
@@ -672,7 +663,7 @@ def _parts(drive: RecordedDrive, scenario: Scenario, which: str) -> list[Episode
 
 def _by_row(drive: RecordedDrive, every: int) -> np.ndarray:
     """Whether a person gave all commands of each row, of so many steps."""
-    steps = np.zeros(len(drive.commands), bool) if drive.by_person is None else drive.by_person
+    steps = drive.by_person
     return np.array([steps[first : first + every].all() for first in range(0, len(steps), every)], bool)
 
 

@@ -284,7 +284,7 @@ class Answers:
         file = folder / FILE
         if file.exists():
             with contextlib.suppress(OSError):  # it belongs to somebody else
-                make_private(file)  # an earlier version did not
+                make_private(file)  # a copy may not be
         else:
             with new_database(file, TABLES) as execute:
                 settings = {

@@ -8,7 +8,7 @@ export interface DriveRow {
   episode: number;
   seconds: number | null;
   outcome: string;
-  by_person: number | null; // share of the steps; null: the file does not say it
+  by_person: number; // share of the steps
 }
 
 /** The panel with the recorded drives. */
@@ -52,13 +52,12 @@ export class DriveList {
     name.maxLength = 60;
     name.setAttribute("aria-label", `name of drive ${number}`);
     name.addEventListener("change", () => this.request({ do: "rename", file: row.file, name: name.value }));
-    const share = row.by_person;
-    const demonstrates = this.demonstrates && row.outcome === "completed" && share !== null && share > 0;
+    const demonstrates = this.demonstrates && row.outcome === "completed" && row.by_person > 0;
     const texts = [
       String(row.episode),
       row.seconds === null ? "–" : row.seconds.toFixed(1),
       row.outcome,
-      share === null ? "not known" : `${(100 * share).toFixed(0)} %`,
+      `${(100 * row.by_person).toFixed(0)} %`,
       demonstrates ? "yes" : "no",
     ];
     for (const text of texts) add(line, "td").textContent = text;
