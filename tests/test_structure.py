@@ -364,7 +364,15 @@ def test_readme_names_options_that_exist():
 
 def test_data_files_of_the_package():
     assert (PACKAGE / "py.typed").is_file()
-    version = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
-    assert f'\n__version__ = "{version}"\n' in (PACKAGE / "__init__.py").read_text(encoding="utf-8")
-    assert f"[{version}]" in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+
+
+def test_one_version_is_everywhere(monkeypatch):
+    """In the change log and the citation; a checkout says its own, also where another version is installed."""
+    import sean_jax
+    from sean_jax.versions import versions
+
+    version = sean_jax.__version__
+    assert re.search(rf"^## \[{re.escape(version)}\] - ", (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"), re.M)
     assert f"\nversion: {version}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    monkeypatch.setattr("importlib.metadata.version", lambda name: "0.0.1")
+    assert versions()["sean-jax"] == version and versions()["jax"] == "0.0.1"
