@@ -3,7 +3,6 @@
 Nothing heavy is imported before a command is chosen, so that ``sean --help`` answers at once.
 """
 
-import importlib.metadata
 import json
 import logging
 import math
@@ -19,7 +18,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sean_jax import config, interrupts
+from sean_jax import __version__, config, interrupts
 from sean_jax.config import COMMANDS, GROUPS, Config
 from sean_jax.errors import IncompleteError, InputError, PartError
 from sean_jax.messages import suggest
@@ -113,7 +112,7 @@ def _is_joined() -> bool:
 def _main(words: list[str], traced: bool) -> int:
     """The exit code of a command; ``traced`` prints the traceback of an error before its sentence."""
     if words in (["--version"], ["-V"]):
-        print(f"sean_jax {_version()}")
+        print(f"sean_jax {__version__}")
         return 0
     if not words or words[0] in ("--help", "-h"):
         print(_help())
@@ -650,13 +649,6 @@ def _fail(sentence: str, code: int) -> int:
     sys.stdout.flush()
     Console(stderr=True).print(Text.assemble(("sean:", "bold red"), " ", sentence), soft_wrap=True)
     return code
-
-
-def _version() -> str:
-    try:
-        return importlib.metadata.version("sean-jax")
-    except importlib.metadata.PackageNotFoundError:
-        return "(not installed)"
 
 
 if __name__ == "__main__":

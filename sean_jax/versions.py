@@ -4,17 +4,17 @@ import contextlib
 import hashlib
 import importlib.metadata
 import platform
-import sys
 from collections.abc import Mapping
 from typing import Any
 
-PACKAGES = ("sean-jax", "jax", "jaxlib", "flax", "optax", "mujoco", "mujoco-mjx", "numpy", "tensorstore", "pedpy")
+from sean_jax import __version__
+
+PACKAGES = ("jax", "jaxlib", "flax", "optax", "mujoco", "mujoco-mjx", "numpy", "tensorstore", "pedpy")
 
 
 def versions() -> dict[str, str]:
-    """Name -> version, of Python and of the installed packages that results depend on; a checkout has its own."""
-    own = sys.modules[__name__.partition(".")[0]].__version__
-    result = {"python": platform.python_version(), "sean-jax": own}
+    """Name -> version, of Python and of sean_jax and the packages that results depend on."""
+    result = {"python": platform.python_version(), "sean-jax": __version__}
     for package in PACKAGES:
         with contextlib.suppress(importlib.metadata.PackageNotFoundError):
             result[package] = importlib.metadata.version(package)

@@ -1,7 +1,9 @@
 """The documentation site: every page is in its menu, every option on its page, and the tutorial runs as it stands."""
 
 import importlib.util
+import inspect
 import os
+import pkgutil
 import re
 import subprocess
 import sys
@@ -11,6 +13,7 @@ import pytest
 import test_structure
 import yaml
 
+import sean_jax
 from sean_jax.config import COMMANDS
 
 ROOT = Path(__file__).parent.parent
@@ -45,7 +48,7 @@ def links(page: Path, text: str) -> list[Path]:
 
 
 def test_links_and_pictures_are_there():
-    for path in [ROOT / "README.md", *DOCS.rglob("*.md")]:
+    for path in [*ROOT.glob("*.md"), *DOCS.rglob("*.md")]:
         text = re.sub(r"^```.*?^```|`[^`\n]*`", "", path.read_text(encoding="utf-8"), flags=re.M | re.S)
         for file in links(path, text):
             assert file.exists(), f"{path.name}: {file}"
@@ -69,7 +72,7 @@ def anchors(page: Path) -> set[str]:
     return {re.sub(r"[-\s]+", "-", words) for words in plain}
 
 
-@pytest.mark.parametrize("page", [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))], ids=lambda path: path.name)
+@pytest.mark.parametrize("page", sorted([*ROOT.glob("*.md"), *DOCS.rglob("*.md")]), ids=lambda path: path.name)
 def test_links_lead_to_headings(page):
     for target, anchor in re.findall(r"\]\(([^)#\s]*)#([^)\s]+)\)", page.read_text(encoding="utf-8")):
         if target.endswith(".md") and "://" not in target or not target:
@@ -83,6 +86,15 @@ def test_lists_and_tables_begin_after_an_empty_line():
         text = re.sub(r"^```.*?^```", "", path.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
         joined = re.search(r"^(?!- |#|\||<|\d+\. |\s|$).*\n(?:- |1\. |\|)", text, re.MULTILINE)
         assert not joined, f"{path.name}: {joined[0]}"
+
+
+def test_the_reference_has_every_public_name_once():
+    pages = [path.read_text(encoding="utf-8") for path in (DOCS / "reference").glob("*.md")]
+    names = [name for text in pages for name in re.findall(r"^::: (\S+)$", text, re.M)]
+    assert len(names) == len(set(names))
+    assert not {f"sean_jax.{name}" for name in sean_jax.__all__} - set(names)
+    for name in names:
+        assert inspect.getdoc(pkgutil.resolve_name(name)), name
 
 
 def test_the_gallery_shows_every_picture():

@@ -12,6 +12,7 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
+import yaml
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "sean_jax"
@@ -419,7 +420,30 @@ def test_readme_names_options_that_exist():
 
 def test_data_files_of_the_package():
     assert (PACKAGE / "py.typed").is_file()
-    version = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
-    assert f'\n__version__ = "{version}"\n' in (PACKAGE / "__init__.py").read_text(encoding="utf-8")
-    assert f"[{version}]" in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
-    assert f"\nversion: {version}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+
+
+def test_one_version_is_everywhere(monkeypatch):
+    """In the change log and the citations; a checkout says its own, also where another version is installed."""
+    import sean_jax
+    from sean_jax.versions import versions
+
+    version = sean_jax.__version__
+    log, citation, readme = (
+        (ROOT / name).read_text(encoding="utf-8") for name in ("CHANGELOG.md", "CITATION.cff", "README.md")
+    )
+    released = re.search(rf"^## \[{re.escape(version)}\] - (\d{{4}})-(\d\d-\d\d)$", log, re.M)
+    assert released and len(log.split("\n## [")[2].splitlines()) <= 120
+    year, day = released.groups()
+    assert f"\nversion: {version}\ndate-released: {year}-{day}\n" in citation
+    assert f"version = {{{version}}}, year = {{{year}}}" in readme
+    monkeypatch.setattr("importlib.metadata.version", lambda name: "0.0.1")
+    assert versions()["sean-jax"] == version and versions()["jax"] == "0.0.1"
+
+
+def test_the_citation_and_readme_name_the_same_paper():
+    (paper,) = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))["references"]
+    entry = (ROOT / "README.md").read_text(encoding="utf-8").partition("@article{")[2].partition("```")[0]
+    for key in ("doi", "year", "journal", "volume", "start"):
+        assert f"{{{paper[key]}" in entry, key
+    names = re.findall(r"(?:author\s+= \{|and )(\w+),", entry.replace("{\\'a}", "á"))
+    assert names == [author["family-names"] for author in paper["authors"]]

@@ -30,8 +30,13 @@ def _read_metrics() -> tuple[dict[str, Metric], dict[str, dict[str, Metric]]]:
     return by_name, by_topic
 
 
+METRICS: dict[str, Metric]
+"""All metrics, in the order of the columns of episodes.csv."""
+
+TOPICS: dict[str, dict[str, Metric]]
+"""Topic -> metrics, for the sections of the report."""
+
 METRICS, TOPICS = _read_metrics()
-"""All metrics, in the order of the columns of episodes.csv; and topic -> metrics, for the sections of the report."""
 
 
 OF_TEAMS: dict[str, Metric] = {
