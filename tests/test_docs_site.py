@@ -13,6 +13,7 @@ import yaml
 
 from sean_jax.config import COMMANDS
 
+pytestmark = pytest.mark.form
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
 SMALLER = {

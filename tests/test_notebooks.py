@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+pytestmark = pytest.mark.form
 FOLDER = Path(__file__).resolve().parent.parent / "notebooks"
 SOURCES = sorted(FOLDER.glob("*.py"))
 INSTALL = "On Colab, clone the repository first; the next cell then installs it."

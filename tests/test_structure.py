@@ -13,6 +13,7 @@ from types import ModuleType
 
 import pytest
 
+pytestmark = pytest.mark.form
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "sean_jax"
 MODULES = sorted(PACKAGE.rglob("*.py"))
