@@ -66,6 +66,13 @@ def test_a_leg_that_is_none_is_refused(words):
     assert done.returncode == 2 and done.stderr.startswith("usage: .ci/run")
 
 
+def test_pages_agree_on_what_the_checks_take():
+    readme, contributing = ((ROOT / name).read_text(encoding="utf-8") for name in ("README.md", "CONTRIBUTING.md"))
+    rows = dict(re.findall(r"^\| `([^`]+)` \| .* \| (.*) \|$", contributing, re.M))
+    assert rows["pytest -n auto"] in " ".join(readme.split()).partition("The second runs the tests, ")[2][:40]
+    assert f"On 2 cores: {rows['.ci/run']}." in RUN
+
+
 def test_files_that_legs_and_durations_name_are_there():
     named = {*re.findall(r"\btests/\S+\.py\b", RUN), *(name for name, _ in sharding.read_durations())}
     assert [name for name in sorted(named) if not (ROOT / name).is_file()] == []
