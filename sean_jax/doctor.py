@@ -18,7 +18,7 @@ EXTRAS = {
     "gymnasium": "gymnasium",
     "adapters": "brax",
     "stable-baselines3": "stable_baselines3",
-    "notebooks": "jupytext",
+    "notebooks": "ipykernel",
 }
 """Extra -> a module that it brings."""
 

@@ -10,8 +10,9 @@ import tempfile
 from pathlib import Path
 
 # Before jax is imported, and inherited by the programs that tests start. Compiled programs depend on the machine,
-# so they are kept in its temporary folder and not in a home folder that machines may share.
-_CACHE = Path(tempfile.gettempdir()) / f"sean_jax-tests-{os.getuid() if hasattr(os, 'getuid') else os.getlogin()}"
+# so they are kept in its temporary folder and not in a home folder that machines may share; CI keeps them elsewhere.
+_USER = os.getuid() if hasattr(os, "getuid") else os.getlogin()
+_CACHE = Path(os.environ.get("SEAN_JAX_TEST_CACHE") or Path(tempfile.gettempdir()) / f"sean_jax-tests-{_USER}")
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(_CACHE))
 os.environ.setdefault("XDG_CACHE_HOME", str(_CACHE / "user"))  # the user's own tables are left alone
@@ -31,6 +32,7 @@ gc.set_threshold(50_000, 20, 20)  # a fifth of tracing went into looking for cyc
 import jax  # noqa: E402
 import pytest  # noqa: E402
 import shapes  # noqa: E402
+from sharding import pytest_collection_modifyitems, pytest_configure  # noqa: E402, F401
 
 shapes.install("sean_jax")  # before anything of it is imported
 

@@ -24,6 +24,7 @@ from sean_jax.runner import Record, Runner
 from sean_jax.studies.experiments import figure4
 from sean_jax.workspace import Workspace
 
+pytestmark = pytest.mark.form
 ROOT = Path(__file__).resolve().parent.parent
 
 

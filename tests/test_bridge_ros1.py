@@ -19,7 +19,7 @@ from sean_jax.errors import InputError
 from sean_jax.ros.ros1 import DEBIAN, import_rospy
 from sean_jax.trajectories import load_trajectory
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.ros]
 ROOT = Path(__file__).resolve().parent.parent
 SCENARIO = ("--environment", "lab", "--people", "6", "--dynamics", "twin", "--seed", "3")
 PYTHON = "/usr/bin/python3"  # of Debian's ROS

@@ -13,6 +13,7 @@ import yaml
 
 from sean_jax import cli
 
+pytestmark = pytest.mark.form
 ROOT = Path(__file__).parent.parent
 PAGES = {path.relative_to(ROOT).as_posix(): path for path in [ROOT / "README.md", *sorted(ROOT.glob("docs/**/*.md"))]}
 ELSEWHERE = {f"docs/{name}.md" for name in ("environments", "playback", "trajectories", "training", "extending")}

@@ -14,6 +14,7 @@ from sean_jax.graph import annotation as graph
 from sean_jax.handcrafted import annotation as handcrafted
 from sean_jax.robots import description
 
+pytestmark = pytest.mark.form
 PAGE = (Path(__file__).resolve().parent.parent / "docs" / "environments.md").read_text(encoding="utf-8")
 MODELS: dict[str, type[pydantic.BaseModel]] = {
     "`environment.yaml`": environment.Settings,

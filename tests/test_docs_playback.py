@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.form
 PAGE = (Path(__file__).resolve().parent.parent / "docs" / "playback.md").read_text(encoding="utf-8")
 
 

@@ -6,6 +6,9 @@ import json
 import re
 from pathlib import Path
 
+import pytest
+
+pytestmark = pytest.mark.form
 DOCS = Path(__file__).resolve().parent.parent / "docs"
 
 

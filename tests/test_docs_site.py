@@ -8,6 +8,7 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 import test_structure
@@ -16,6 +17,7 @@ import yaml
 import sean_jax
 from sean_jax.config import COMMANDS
 
+pytestmark = pytest.mark.form
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
 SMALLER = {
@@ -102,16 +104,26 @@ def test_the_gallery_shows_every_picture():
     assert shown == {path.name for path in (DOCS / "pictures").glob("*.png")}
 
 
-def test_every_option_is_on_its_page():
-    spec = importlib.util.spec_from_file_location("hooks", DOCS / "hooks.py")
+def program(name: str) -> ModuleType:
+    """A program of docs/."""
+    spec = importlib.util.spec_from_file_location(name, DOCS / f"{name}.py")
     assert spec is not None and spec.loader is not None
-    hooks = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(hooks)
-    text = hooks.options()
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_every_option_is_on_its_page():
+    text = (DOCS / "options.md").read_text(encoding="utf-8")
     for word, model in COMMANDS.items():
-        section = f"\n{text}".split(f"\n## sean {word}\n")[1].split("\n## ")[0]
+        section = text.split(f"\n## sean {word}\n")[1].split("\n## ")[0]
         for name, field in model.model_fields.items():
             assert not field.description or f"| `{name}` |" in section, (word, name)
+    assert program("options").fill(text) == text, "run: python docs/options.py"
+
+
+def test_files_beside_the_pages_are_named_and_not_linked():
+    hooks = program("hooks")
     assert hooks.name_outside("see [it](../a/b.md)", "page.md") == "see it (`a/b.md`)"
     assert hooks.name_outside("see [it](../../a/b.md)", "results/page.md") == "see it (`a/b.md`)"
     for inside in ("see [it](../a.md#b)", "![it](../pictures/a.png)", "see [it](a.md)"):

@@ -12,6 +12,7 @@ from sean_jax import config, mdp
 from sean_jax.learning.policy import AGENTS
 from sean_jax.mdp import rewards
 
+pytestmark = pytest.mark.form
 TEXT = (Path(__file__).parent.parent / "docs" / "training.md").read_text(encoding="utf-8")
 
 

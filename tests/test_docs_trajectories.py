@@ -10,6 +10,7 @@ import pytest
 from sean_jax import cli
 from sean_jax.trajectories import COLUMNS
 
+pytestmark = pytest.mark.form
 TEXT = (Path(__file__).parent.parent / "docs" / "trajectories.md").read_text(encoding="utf-8")
 
 

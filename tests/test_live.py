@@ -187,6 +187,7 @@ def test_quiet_and_live_are_refused_together(capsys):
     assert "live: its address is printed" in capsys.readouterr().err
 
 
+@pytest.mark.web
 def test_a_browser_plays_it_while_it_grows(walked):
     if CHROMIUM is None or not (WEB / "node_modules" / "playwright-core").is_dir():
         pytest.skip("there is no Chromium, or web/node_modules is not there")

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.form
 ROOT = Path(__file__).resolve().parent.parent
 program = importlib.import_module("mutants")
 SOURCE = b'''"""A docstring: 1 < 2."""

@@ -212,6 +212,7 @@ def test_any_episode_of_a_run_is_played_again(tmp_path, capsys):
     assert "holds no config.yaml" in capsys.readouterr().err
 
 
+@pytest.mark.web
 def test_the_built_program_is_that_of_its_source(tmp_path):
     if not (WEB / "node_modules" / ".bin" / "esbuild").is_file():
         pytest.skip("web/node_modules is not there; `npm ci` in web/ makes it")
@@ -224,6 +225,7 @@ def test_the_built_program_is_that_of_its_source(tmp_path):
         assert (tmp_path / page).read_text() == (pages.PACKAGE / page).read_text(), "run `npm run build` in web/"
 
 
+@pytest.mark.web
 def test_a_browser_plays_it(content, tmp_path):
     if CHROMIUM is None or not (WEB / "node_modules" / "playwright-core").is_dir():
         pytest.skip("there is no Chromium, or web/node_modules is not there")
@@ -256,6 +258,7 @@ def comparison(folder: Path, replays: Sequence[dict]) -> str:
     return compare.page(compare.differences(runs), runs, compare.summarize(runs))
 
 
+@pytest.mark.web
 def test_players_of_a_comparison_share_one_clock(walked, content, tmp_path):
     """Play, pause, time and episode; they go to 2 s before the robots part, here after 4 s. Situations are chosen."""
     if CHROMIUM is None or not (WEB / "node_modules" / "playwright-core").is_dir():
@@ -278,6 +281,7 @@ def test_players_of_a_comparison_share_one_clock(walked, content, tmp_path):
     assert seen["right"] < 420, "the difference is in sight on a telephone"
 
 
+@pytest.mark.web
 def test_two_that_never_part_say_how_near_they_stay(walked, content, tmp_path):
     """And nothing jumps to the beginning."""
     if CHROMIUM is None or not (WEB / "node_modules" / "playwright-core").is_dir():
@@ -294,6 +298,7 @@ def test_two_that_never_part_say_how_near_they_stay(walked, content, tmp_path):
     assert [text.split(" ")[0] for text in seen["clocks"]] == ["3.1", "3.1"]
 
 
+@pytest.mark.web
 def test_everybody_can_read_the_pages(content, tmp_path):
     """No serious finding of axe: contrast in light and dark, names of controls, keyboards."""
     if CHROMIUM is None or not (WEB / "node_modules" / "axe-core").is_dir():
@@ -309,6 +314,7 @@ def test_everybody_can_read_the_pages(content, tmp_path):
         assert json.loads(done.stdout) == [], name
 
 
+@pytest.mark.web
 def test_the_film_of_a_page_follows_the_robot(content, tmp_path):
     """900 x 500 pixels, the robot in the middle, 0.2 s of the episode from one picture to the next."""
     if CHROMIUM is None or not (WEB / "node_modules" / "playwright-core").is_dir():
@@ -343,6 +349,7 @@ def test_a_notebook_shows_the_whole_page(notebook):
         assert inside > 400 and abs(frame - inside) <= 2
 
 
+@pytest.mark.web
 def test_a_notebook_opens_in_a_situation(notebook, walked):
     """The first that holds after 3 s and is not "empty"; without one, the middle of the episode."""
     scenario, frames = walked
@@ -353,6 +360,7 @@ def test_a_notebook_opens_in_a_situation(notebook, walked):
     assert notebook["opened"] == pytest.approx(expected + 0.1, abs=0.06) and notebook["paused"] == 1
 
 
+@pytest.mark.web
 def test_the_replay_follows_the_theme_of_its_host(notebook):
     """JupyterLab, mkdocs-material, VS Code and Colab over the system's; the plan is drawn again."""
     dark = {"false", "slate", "vscode-dark", "dark"}
@@ -364,6 +372,7 @@ def test_the_replay_follows_the_theme_of_its_host(notebook):
             assert (each["floor"] < 128) == is_dark, each
 
 
+@pytest.mark.web
 def test_states_and_next_nodes_of_people(tmp_path):
     """Random walks against loops of the definitions: of the legend, and the node that a person enters next."""
     if not (WEB / "node_modules" / "esbuild").is_dir():

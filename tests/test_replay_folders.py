@@ -100,6 +100,7 @@ def test_episodes_of_an_evaluation_are_those_that_the_training_measured(tmp_path
     assert np.mean(speeds) == pytest.approx(best["mean_speed"], abs=0.01)
 
 
+@pytest.mark.web
 def test_a_validation_plays_the_scenes_of_its_tests(tmp_path, capsys):
     """One person walks 40 m in the time that was measured; there is no robot, and there are no situations."""
     out = tmp_path / "validation"

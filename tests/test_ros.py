@@ -698,6 +698,7 @@ def screen(path: Path) -> np.ndarray:
     return pixels.reshape(height, -1, 4)[:, :width, 2::-1].astype(int)
 
 
+@pytest.mark.ros
 @pytest.mark.slow
 @pytest.mark.skipif(
     not all(map(shutil.which, ("rviz", "Xvfb", "rosmaster", "rosbag"))),

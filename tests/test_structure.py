@@ -14,6 +14,7 @@ from types import ModuleType
 import pytest
 import yaml
 
+pytestmark = pytest.mark.form
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "sean_jax"
 MODULES = sorted(PACKAGE.rglob("*.py"))

@@ -1334,6 +1334,7 @@ def test_a_taken_port_is_refused(tmp_path):
     )
 
 
+@pytest.mark.web
 @pytest.mark.slow
 def test_a_browser_drives(tmp_path):
     """Keys, a rewind, a take-over and two recorded drives in Chromium; the drives train a network."""
@@ -1357,6 +1358,7 @@ def test_a_browser_drives(tmp_path):
     subprocess.run([sys.executable, "-m", "sean_jax", *words], cwd=tmp_path, check=True)
 
 
+@pytest.mark.web
 @pytest.mark.slow
 def test_two_tabs_in_a_browser(tmp_path):
     """A hand that clicks: keys drive afterwards, the other tab watches, and a reload changes neither role nor card."""
@@ -1386,6 +1388,7 @@ def test_two_tabs_in_a_browser(tmp_path):
     assert seen["preparing"] == ["none", False] and seen["caption"] == "depth"
 
 
+@pytest.mark.web
 @pytest.mark.slow
 def test_a_browser_compares_and_has_a_3d_view(tmp_path):
     """Two episodes on one clock, one above the other on a narrow screen; the robot in the middle of the 3-D view."""
@@ -1420,6 +1423,7 @@ def test_a_browser_compares_and_has_a_3d_view(tmp_path):
     assert rows[1:3] == compared["titles"] and "time, s" in rows
 
 
+@pytest.mark.web
 @pytest.mark.slow
 @pytest.mark.parametrize("behavior", ["graph", "handcrafted"])
 def test_a_browser_edits_the_files(tmp_path, behavior):

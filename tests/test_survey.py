@@ -740,6 +740,7 @@ def test_a_killed_study_loses_no_stored_answer(tmp_path):
     assert process.returncode == 0
 
 
+@pytest.mark.web
 @pytest.mark.slow
 @pytest.mark.parametrize(("scheme", "width"), [("light", "1100"), ("dark", "420")])
 def test_a_browser_goes_through_a_study(tmp_path, scheme, width):
