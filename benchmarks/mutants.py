@@ -10,7 +10,7 @@ the quick tests that are chosen for its module fails. `mutants.yaml` says why on
 
 The tests of a module are those of TELLING, then of the files that name most of what it defines. They run once without
 a fault, for their times and the lines that they reach; a mutant has the tests that reach its line first. All runs are
-forked from one process that has imported what is heavy and has started nothing (see tests/forked.py).
+forked from one process that has imported what is heavy and has started nothing (see tests/support/forked.py).
 """
 
 import argparse
@@ -398,11 +398,21 @@ class _Watch:
 def _pytest(files: list[str], watch: _Watch, folder: Path) -> int:
     import pytest
 
-    importlib.import_module("shapes").install = lambda package: None  # this process has done it
+    importlib.import_module("support.shapes").install = lambda package: None  # this process has done it
     shutil.copytree(Path(os.environ["XDG_CACHE_HOME"]), folder / "user", ignore=_not_lasting)
     os.environ["XDG_CACHE_HOME"] = str(folder / "user")
     paths = [str(TESTS / file) for file in files]
-    quiet = "-q", "-p", "no:cacheprovider", "-p", "no:xdist", "-o", "addopts=", f"--basetemp={folder}/tmp"
+    quiet = (
+        "-q",
+        "--import-mode=importlib",
+        "-p",
+        "no:cacheprovider",
+        "-p",
+        "no:xdist",
+        "-o",
+        "addopts=",
+        f"--basetemp={folder}/tmp",
+    )
     return int(
         pytest.main(["-m", "not slow and not night", *quiet, *(["-x"] if watch.order else []), *paths], plugins=[watch])
     )
@@ -605,7 +615,7 @@ def _open(mutant: Mutant, known: dict[str, dict], again: bool) -> bool:
 
 def _begin() -> None:
     """Import what is heavy, as the tests do, and start nothing."""
-    sys.path[:0] = [str(TESTS), str(ROOT), str(ROOT / "benchmarks")]
+    sys.path[:0] = [str(TESTS), str(ROOT)]
     os.chdir(ROOT)
     for name in ("conftest", *HEAVY.split()):
         importlib.import_module(name)

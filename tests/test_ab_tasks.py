@@ -5,7 +5,6 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-import programs
 import pytest
 from scipy.cluster.vq import kmeans2
 
@@ -14,6 +13,7 @@ from sean_jax.assembly import with_task
 from sean_jax.navigation import draw_places
 from sean_jax.tasks import TASKS
 from sean_jax.tasks.random_tasks import CANDIDATES, CLEAR, DETOUR, RING, SNAP, busiest, far_place, k_means
+from support import programs
 
 SEEDS = 48
 

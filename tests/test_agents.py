@@ -22,6 +22,7 @@ from sean_jax.errors import FileError, InputError
 from sean_jax.learning.policy import AGENTS, MAX_WEIGHTS_BYTES, WEIGHTS, load_agent, load_policy, save_agent
 from sean_jax.learning.trainer import check_config
 from sean_jax.mdp import observations
+from support.checkout import ROOT
 
 WITHOUT = """
 import sys
@@ -50,7 +51,7 @@ def test_each_is_small_and_says_what_it_is():
 
 def test_the_file_of_a_training_has_the_options_of_its_agent():
     """benchmarks/ppo_lidar.yaml, besides the agent that the training begins with."""
-    path = Path(__file__).parents[1] / "benchmarks" / "ppo_lidar.yaml"
+    path = ROOT / "benchmarks" / "ppo_lidar.yaml"
     options = validate(PPOConfig, yaml.safe_load(path.read_text()))
     saved = json.loads((AGENTS["ppo_lidar"] / "config.json").read_text())
     for name, value in json.loads(json.dumps(options.identity())).items():
@@ -61,7 +62,7 @@ def test_the_file_of_a_training_has_the_options_of_its_agent():
 @pytest.mark.parametrize("name", ["sarl", "ds_rnn"])
 def test_entries_of_others_papers_see_visible_people_alone(name):
     """benchmarks/sarl.yaml and ds_rnn.yaml: attention over people; one has a memory."""
-    path = Path(__file__).parents[1] / "benchmarks" / f"{name}.yaml"
+    path = ROOT / "benchmarks" / f"{name}.yaml"
     options = validate(PPOConfig, yaml.safe_load(path.read_text()))
     terms = dict(observations.as_terms([term.kind for term in options.observations]))
     assert observations.sensing(tuple(terms.items())) == "tracks" and terms["visible_people"].people
@@ -151,7 +152,7 @@ def test_the_next_command_names_the_folder():
 def test_it_drives_without_the_extra(tmp_path):
     words = ["run", "--policy", "ppo", "--environment", "lab", "--people", "4", "--dynamics", "twin"]
     words += ["--episodes", "2", "--time-limit", "3", "--out", "here", "--quiet"]
-    root = str(Path(__file__).resolve().parent.parent)
+    root = str(ROOT)
     done = subprocess.run(
         [sys.executable, "-c", WITHOUT, *words], cwd=tmp_path, env=os.environ | {"PYTHONPATH": root},
         capture_output=True, text=True, check=False,

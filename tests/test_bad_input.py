@@ -10,7 +10,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from fuzzing import BOMB, MERGES, check_error, hall, image, walks
 
 import sean_jax
 from sean_jax import cli, environment, maps, navigation, quantities, recordings, robots
@@ -19,6 +18,7 @@ from sean_jax.files import mjcf
 from sean_jax.geometry import MAX_ROWS, nearby_obstacles
 from sean_jax.learning.dataset import open_dataset
 from sean_jax.learning.networks import read_network_config
+from support.fuzzing import BOMB, MERGES, check_error, hall, image, walks
 
 MAP = "image: map.png\nresolution: 0.1\norigin: [0, 0, 0]\noccupied_thresh: 0.65\nfree_thresh: 0.2\n"
 

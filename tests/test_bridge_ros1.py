@@ -10,7 +10,6 @@ import subprocess
 import sys
 import time
 import types
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,9 +17,9 @@ import pytest
 from sean_jax.errors import InputError
 from sean_jax.ros.ros1 import DEBIAN, import_rospy
 from sean_jax.trajectories import load_trajectory
+from support.checkout import ROOT
 
 pytestmark = pytest.mark.slow
-ROOT = Path(__file__).resolve().parent.parent
 SCENARIO = ("--environment", "lab", "--people", "6", "--dynamics", "twin", "--seed", "3")
 PYTHON = "/usr/bin/python3"  # of Debian's ROS
 LIMIT = 120.0  # s, for anything that has to happen

@@ -15,7 +15,6 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
-import programs
 import pytest
 import yaml
 from jax.errors import JaxRuntimeError
@@ -23,6 +22,7 @@ from rich.console import Console
 
 from sean_jax import assembly, bench, cache, cli, compiler, interrupts, learning
 from sean_jax import progress as progress_of
+from support import programs
 
 SMALL = ["--people", "8", "--time-limit", "3", "--dynamics", "twin", "--quiet"]
 WRAPPED = ValueError("an interrupt, as code in C passes it on")

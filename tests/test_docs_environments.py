@@ -1,7 +1,6 @@
 """docs/environments.md: its example builds and runs, and its tables have every key, default and limit of the code."""
 
 import re
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,8 +12,9 @@ from sean_jax.files import mjcf
 from sean_jax.graph import annotation as graph
 from sean_jax.handcrafted import annotation as handcrafted
 from sean_jax.robots import description
+from support.checkout import ROOT
 
-PAGE = (Path(__file__).resolve().parent.parent / "docs" / "environments.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs" / "environments.md").read_text(encoding="utf-8")
 MODELS: dict[str, type[pydantic.BaseModel]] = {
     "`environment.yaml`": environment.Settings,
     "`graph.yaml`": graph.Annotation,

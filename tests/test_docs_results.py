@@ -4,9 +4,10 @@ import csv
 import importlib.util
 import json
 import re
-from pathlib import Path
 
-DOCS = Path(__file__).resolve().parent.parent / "docs"
+from support.checkout import ROOT
+
+DOCS = ROOT / "docs"
 
 
 def generator():

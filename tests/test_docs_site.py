@@ -12,8 +12,8 @@ import test_structure
 import yaml
 
 from sean_jax.config import COMMANDS
+from support.checkout import ROOT
 
-ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
 SMALLER = {
     "--episodes 32": "--episodes 2",

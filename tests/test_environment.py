@@ -4,12 +4,12 @@ import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
-import programs
 import pytest
 
 from sean_jax import environment
 from sean_jax.base import PATTERNS
 from sean_jax.errors import FileError
+from support import programs
 
 FLOOR = '<geom name="floor" type="plane" size="5 5 0.1"/>'
 BOX = '<geom name="box" type="box" pos="1 0 0.5" size="0.5 0.5 0.5"/>'

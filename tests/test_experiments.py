@@ -11,7 +11,6 @@ from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
-import learning_data
 import numpy as np
 import pytest
 
@@ -32,6 +31,7 @@ from sean_jax.studies.experiments import demonstrations, figure4, shares, table1
 from sean_jax.studies.experiments.measures import MEASURES, Results, claims, has_learned
 from sean_jax.studies.experiments.shares import BEHAVIORS
 from sean_jax.workspace import Workspace, identity
+from support import learning_data
 
 
 def test_entropy_is_that_of_the_papers_rows():

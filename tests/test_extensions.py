@@ -7,12 +7,10 @@ import dataclasses
 import inspect
 import json
 import re
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-import programs
 import pytest
 
 import sean_jax
@@ -23,9 +21,11 @@ from sean_jax.behaviors.starts import no_groups
 from sean_jax.classifiers.predicates import any_person, cosine, near
 from sean_jax.social_forces import draw_traits
 from sean_jax.tasks.random_tasks import far_place
+from support import programs
+from support.checkout import ROOT
 
 MOST = 30  # lines
-RECIPES = (Path(__file__).resolve().parent.parent / "docs" / "adding_parts.md").read_text(encoding="utf-8")
+RECIPES = (ROOT / "docs" / "adding_parts.md").read_text(encoding="utf-8")
 
 
 # --- a force ---

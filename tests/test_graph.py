@@ -7,7 +7,6 @@ import jax.numpy as jnp
 import mujoco
 import networkx
 import numpy as np
-import programs
 import pytest
 import yaml
 
@@ -16,6 +15,7 @@ from sean_jax.errors import FileError
 from sean_jax.graph import FLOWS, BehaviorGraph, annotation
 from sean_jax.graph.behavior_graph import routes
 from sean_jax.graph.formation import MEASURED, formation, reach
+from support import programs
 
 FILE = environment.find("warehouse") / "graph.yaml"
 

@@ -5,7 +5,6 @@ import contextlib
 import threading
 from pathlib import Path
 
-import hostile
 import numpy as np
 import pytest
 import test_live
@@ -16,6 +15,7 @@ from websockets.sync.client import connect
 from sean_jax import files, messages, web
 from sean_jax.errors import InputError
 from sean_jax.replay import live
+from support import hostile
 
 session, fresh, served, surveyed, walked = (  # fixtures
     test_studio.session,

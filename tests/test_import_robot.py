@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fuzzing import check_error
 
 from sean_jax import cli, robots
 from sean_jax.errors import InputError
@@ -17,6 +16,8 @@ from sean_jax.files.meshes import MAX_ELEMENTS, rotation, vertices, xml_tree
 from sean_jax.messages import MAX_DEPTH
 from sean_jax.robots import imports, links, urdf
 from sean_jax.robots.imports import Settings, import_robot
+from support.checkout import ROOT
+from support.fuzzing import check_error
 
 mujoco: Any = import_module("mujoco")  # which has no type stubs
 
@@ -424,7 +425,7 @@ def test_urdf_is_a_tree_at_rest(tmp_path):
 
 
 def test_the_robot_of_the_documentation(tmp_path):
-    page = Path(__file__).parent.parent / "docs" / "robots.md"
+    page = ROOT / "docs" / "robots.md"
     (tmp_path / "courier.urdf").write_text(page.read_text(encoding="utf-8").split("```xml\n")[1].split("```")[0])
     base = base_of(tmp_path / "courier.urdf")
     assert base.drive == "differential" and not base.body.missing and base.max_speed == pytest.approx(0.99)

@@ -9,9 +9,10 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-import forked
 import numpy as np
 import pytest
+
+from support import forked
 
 pytestmark = [
     pytest.mark.night,

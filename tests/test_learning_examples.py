@@ -4,7 +4,6 @@ from types import SimpleNamespace
 from typing import Any, cast
 
 import jax
-import learning_data
 import numpy as np
 import pytest
 
@@ -22,6 +21,7 @@ from sean_jax.learning.collection import (
     streams,
 )
 from sean_jax.scenario import reset
+from support import learning_data
 
 
 @pytest.fixture(scope="module")

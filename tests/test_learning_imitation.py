@@ -7,12 +7,12 @@ import sys
 from pathlib import Path
 
 import jax
-import learning_data
 import numpy as np
 import pytest
 
 from sean_jax import cli, episodes, learning
 from sean_jax.learning.dataset import open_dataset
+from support import learning_data
 
 pytestmark = pytest.mark.night
 

@@ -8,7 +8,6 @@ import os
 import shutil
 from pathlib import Path
 
-import learning_data
 import numpy as np
 import pytest
 from PIL import Image
@@ -21,6 +20,8 @@ from sean_jax.learning.collection import Recorder
 from sean_jax.learning.dataset import check_manifest, open_dataset, open_datasets, split
 from sean_jax.learning.examples import Loader, Token, example
 from sean_jax.learning.networks import read_network_config
+from support import learning_data
+from support.checkout import DATA
 
 
 def files(folder: Path) -> dict[str, bytes]:
@@ -342,7 +343,7 @@ def test_an_export_has_the_form_that_lerobot_writes(made, tmp_path):
     pytest.importorskip("pyarrow")
     import lerobot_oracle
 
-    recorded = json.loads((Path(__file__).parent / "lerobot_schema.json").read_text())
+    recorded = json.loads((DATA / "lerobot_schema.json").read_text())
     assert recorded.pop("lerobot") == "0.6.1"
     ours = lerobot_oracle.schema(lerobot.export(made.folder, tmp_path / "out"))
     assert json.loads(json.dumps(ours)) == recorded

@@ -8,7 +8,6 @@ from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
-import learning_data
 import numpy as np
 import pytest
 
@@ -23,6 +22,7 @@ from sean_jax.learning.networks import Network
 from sean_jax.learning.policy import load_imitation
 from sean_jax.learning.trainer import Checkpoints, Log
 from sean_jax.runner import Runner
+from support import learning_data
 
 
 @pytest.fixture(scope="module")

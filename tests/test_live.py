@@ -10,21 +10,20 @@ import threading
 import time
 import urllib.error
 import urllib.request
-from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
 import pytest
-from replay_columns import decode
 
 import sean_jax
 from sean_jax import cli
 from sean_jax.policies import go_to_goal
 from sean_jax.replay import live
 from sean_jax.trajectories import load_trajectory
+from support.checkout import WEB
+from support.replay_columns import decode
 
-WEB = Path(__file__).parent.parent / "web"
 CHROMIUM = next(
     (found for name in ("chromium", "chromium-browser", "google-chrome") if (found := shutil.which(name))), None
 )

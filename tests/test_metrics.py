@@ -6,13 +6,13 @@ from fractions import Fraction
 
 import jax
 import jax.numpy as jnp
-import metric_values
 import numpy as np
 import pytest
 
 from sean_jax import metrics
 from sean_jax.base import Pedestrians, Snapshot
 from sean_jax.metrics import metric
+from support import metric_values
 
 PEOPLE, SITUATIONS, STEP = 3, 5, 0.1
 FAR = (50.0, 50.0)

@@ -7,13 +7,13 @@ every situation has values of its own, so a figure of the wrong step, side or si
 import math
 
 import jax
-import metric_values
 import numpy as np
 import pytest
 
 from sean_jax import metrics
 from sean_jax.base import Obstacles, Pedestrians, Snapshot
 from sean_jax.metrics import proximity
+from support import metric_values
 
 EPISODES, STEPS, PEOPLE, BOXES, ROBOTS, SITUATIONS, STEP = 24, 38, 5, 3, 2, 3, 0.1
 SECONDS = {name: getattr(proximity, name) for name in ("CONTACT_TIME", "OBSTACLE_TIME", "INTIMATE_TIME")}

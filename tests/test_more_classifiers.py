@@ -4,7 +4,6 @@ import itertools
 import math
 import runpy
 from dataclasses import replace
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -15,6 +14,7 @@ import sean_jax
 from sean_jax import classifiers
 from sean_jax.base import Obstacles, Pedestrians, Snapshot
 from sean_jax.classifiers import MORE_SITUATIONS, SEAN2_SITUATIONS, SITUATIONS
+from support.checkout import ROOT
 
 D, V, A = 2.4, 0.4, np.pi / 12
 SLOTS = 7
@@ -394,7 +394,7 @@ def test_match_groups_by_hand():
 
 def test_figure_of_the_documentation_shows_what_it_says():
     """Each example that docs/situations.py draws is of the one situation that it is named after."""
-    file = Path(__file__).resolve().parent.parent / "docs" / "situations.py"
+    file = ROOT / "docs" / "situations.py"
     examples = runpy.run_path(str(file))
     assert set(examples["EXAMPLES"]) == set(MORE_SITUATIONS)
     for name, example in examples["EXAMPLES"].items():

@@ -1,16 +1,15 @@
 """The mutation test: what it puts in, where it does not, which tests it asks, and that it notices and survives."""
 
 import ast
-import importlib
 import json
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parent.parent
-program = importlib.import_module("mutants")
+from support.checkout import ROOT, benchmark
+
+program = benchmark("mutants")
 SOURCE = b'''"""A docstring: 1 < 2."""
 from typing import Literal
 __all__ = ["f" + "g"]

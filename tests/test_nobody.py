@@ -7,7 +7,6 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
-from quick import quick
 
 import sean_jax
 from sean_jax import sensors
@@ -17,6 +16,7 @@ from sean_jax.pedestrian_models import MODELS
 from sean_jax.policies import POLICIES
 from sean_jax.scenario import reset
 from sean_jax.social_forces import PRESETS
+from support.quick import quick
 
 SCENE = "<mujoco><worldbody><geom type='box' size='1 0.5 1' pos='0 0 1'/></worldbody></mujoco>"
 SETTINGS = "name: yard\nfloor: [-6, -5, 6, 5]\npeople: 0\n"

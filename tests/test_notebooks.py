@@ -6,7 +6,6 @@ import re
 import subprocess
 import sys
 import types
-from pathlib import Path
 
 import jupytext
 import nbformat
@@ -14,7 +13,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-FOLDER = Path(__file__).resolve().parent.parent / "notebooks"
+from support.checkout import ROOT
+
+FOLDER = ROOT / "notebooks"
 SOURCES = sorted(FOLDER.glob("*.py"))
 INSTALL = "On Colab, clone the repository first; the next cell then installs it."
 

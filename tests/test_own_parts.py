@@ -26,8 +26,8 @@ from sean_jax.learning import dataset
 from sean_jax.learning.policy import AGENTS
 from sean_jax.studies.validation import checks
 from sean_jax.workspace import Workspace, identity
+from support.checkout import ROOT
 
-ROOT = Path(__file__).resolve().parent.parent
 PAGE = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
 SMALL = "--environment lab --people 4 --dynamics twin --time-limit 2 --quiet".split()
 PARTS = [

@@ -12,7 +12,6 @@ import jax
 import jax.numpy as jnp
 import networkx
 import numpy as np
-import programs
 import pytest
 from test_classifiers import AHEAD, BACK, LEFT, NAMES, occurring, snapshot, turned
 
@@ -29,6 +28,7 @@ from sean_jax.policies import go_to_goal
 from sean_jax.scenario import frame
 from sean_jax.social_forces import integrate
 from sean_jax.tasks import TASKS
+from support import programs
 
 D, V, A = 2.4, 1.4, math.radians(15)
 ENVIRONMENTS = ("lab", "outdoor", "warehouse")

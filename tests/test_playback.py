@@ -5,13 +5,13 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
-import programs
 import pytest
 
 import sean_jax
 from sean_jax.drawing import view
 from sean_jax.policies import go_to_goal
 from sean_jax.recordings import reading
+from support import programs
 
 RATE = 2.5  # frames a second, as of a recording at every tenth of 25 frames
 WALKS = {  # id: (first frame, last frame, place at the first, velocity [m/s])

@@ -9,9 +9,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-import programs
 import pytest
-from quick import quick
 
 import sean_jax
 from sean_jax import cli, episodes, navigation, robots
@@ -24,6 +22,8 @@ from sean_jax.policies.costmap import proxemic_cost
 from sean_jax.policies.expert import plan_limits
 from sean_jax.policies.known_people import known_people
 from sean_jax.policies.sensing_expert import sensing_expert
+from support import programs
+from support.quick import quick
 
 STEPS = 240
 START, GOAL = (-2.5, 0.3), (2.5, 0.3)

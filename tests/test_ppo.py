@@ -12,7 +12,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from quick import quick
 
 import sean_jax
 from sean_jax import cli, flags, learning, mdp, registry
@@ -23,6 +22,7 @@ from sean_jax.learning.networks import ActorCritic, Agent, Statistics
 from sean_jax.learning.policy import AGENTS, Best
 from sean_jax.mdp import rewards
 from sean_jax.stack import Stack
+from support.quick import quick
 
 SMALL = dict(
     method="ppo", environment="lab", behavior="random", people=2, time_limit=4.0, scenarios=8, horizon=8, minibatches=2,

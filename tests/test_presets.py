@@ -5,7 +5,6 @@ import math
 import re
 import shlex
 import typing
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -27,6 +26,7 @@ from sean_jax.config import (
     ScenarioConfig,
     validate,
 )
+from support.checkout import ROOT
 
 OTHER = {  # a value of each option that is neither the preset's nor the default
     "routing": "whole", "group_membership": "turnover", "forces": "johansson2007", "situations": "more",
@@ -147,7 +147,7 @@ def test_a_run_is_repeated_to_the_byte(tmp_path):
 
 
 def test_the_page_has_each_switch_with_its_default():
-    page = (Path(__file__).resolve().parent.parent / "docs" / "sean2.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "sean2.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| `(\w+)` \| ([^|]+) \| ([^|]+) \| `", page, re.M)
 
     def text(value):

@@ -8,7 +8,6 @@ import jax.extend.random as extend_random
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from quick import quick
 
 import sean_jax
 from sean_jax import episodes, prng, runner, sensors
@@ -17,6 +16,7 @@ from sean_jax.behaviors.starts import no_groups
 from sean_jax.episodes import init_policy, policy_step
 from sean_jax.policies import POLICIES
 from sean_jax.stack import Stack
+from support.quick import quick
 
 TICKS = 4
 

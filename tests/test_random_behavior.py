@@ -7,7 +7,6 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-import programs
 import pytest
 
 import sean_jax
@@ -16,6 +15,7 @@ from sean_jax.behaviors import random_behavior, starts
 from sean_jax.behaviors.random_behavior import paths_to_place
 from sean_jax.drawing import view
 from sean_jax.policies import go_to_goal
+from support import programs
 
 PEOPLE, STEPS = 12, 500
 

@@ -12,13 +12,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from programs import lowered_for_gpu
-from quick import quick
 
 from sean_jax import environment, kernels, raycast
 from sean_jax.base import Solids
 from sean_jax.raycast import intersect, kernel
 from sean_jax.raycast.view import HEAD, HEAD_RADIUS, SHOULDER
+from support.programs import lowered_for_gpu
+from support.quick import quick
 
 mujoco: Any = import_module("mujoco")  # Any, for it has no type stubs
 RADIUS = 0.2  # m, of people

@@ -18,7 +18,6 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 from PIL import Image
-from replay_columns import decode
 from test_compare import run
 
 import sean_jax
@@ -28,8 +27,9 @@ from sean_jax.errors import InputError
 from sean_jax.evaluation import compare
 from sean_jax.policies import go_to_goal
 from sean_jax.replay import CENTIMETRE, TURN, encode
+from support.checkout import WEB
+from support.replay_columns import decode
 
-WEB = Path(__file__).parent.parent / "web"
 CHROMIUM = next(
     (found for name in ("chromium", "chromium-browser", "google-chrome") if (found := shutil.which(name))), None
 )

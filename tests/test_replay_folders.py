@@ -10,13 +10,13 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
-from replay_columns import decode
 
 import sean_jax
 from sean_jax import cli, prng, scenes
 from sean_jax.config import PPOConfig
 from sean_jax.recordings import Tracks
 from sean_jax.studies.validation.page import trajectory
+from support.replay_columns import decode
 
 LAB = "--environment lab --behavior random --people 2 --dynamics twin".split()
 

@@ -13,10 +13,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-import programs
 import pytest
 import scipy.optimize
-from quick import quick
 
 import sean_jax
 from sean_jax import robots
@@ -25,6 +23,8 @@ from sean_jax.errors import FileError
 from sean_jax.robots import drive, kernel
 from sean_jax.robots.drive import coordinates
 from sean_jax.robots.dynamics import Surroundings, diagonal
+from support import programs
+from support.quick import quick
 
 mujoco: Any = import_module("mujoco")  # which has no type stubs
 BATCH, STEPS, TIME_STEP = 8, 200, 0.1

@@ -5,13 +5,13 @@ from dataclasses import replace
 import jax
 import jax.numpy as jnp
 import numpy as np
-import programs
 import pytest
-from quick import quick
 
 import sean_jax
 from sean_jax.environment import clearance
 from sean_jax.policies import go_to_goal
+from support import programs
+from support.quick import quick
 
 SEEDS = 24
 

@@ -9,9 +9,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-import programs
 import pytest
-from quick import quick
 from test_raycast import mujoco_distances, mujoco_hits
 
 import sean_jax
@@ -20,6 +18,8 @@ from sean_jax.base import PATTERNS, Obstacles, Sensor
 from sean_jax.environment import ENVS, plain_scenery
 from sean_jax.errors import InputError
 from sean_jax.sensors import cameras, figures, pictures
+from support import programs
+from support.quick import quick
 
 LEVEL = (0.0, 0.0, -1.0, -1.0, 0.0, 0.0, 0.0, 1.0, 0.0)  # axes of a camera that looks straight ahead
 SKY, FLOOR, OBSTACLE, PERSON, ROBOT = range(5)

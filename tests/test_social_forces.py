@@ -4,7 +4,6 @@ import functools
 import pickle
 import re
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -27,6 +26,7 @@ from sean_jax.geometry import build_obstacle_grid
 from sean_jax.policies import go_to_goal
 from sean_jax.social_forces import Contact, Crowd, Pair, kernel, model, terms
 from sean_jax.social_forces.model import move, pair_forces
+from support.checkout import ROOT
 
 STEP = 0.05
 PRESETS = list(social_forces.PRESETS)
@@ -915,7 +915,7 @@ def test_terms_of_ones_own_move_people_in_a_rollout():
 @pytest.mark.slow
 def test_the_terms_in_the_documents_work(scenario):
     """Each block of docs/social_forces.md, with a small scenario."""
-    text = (Path(__file__).resolve().parent.parent / "docs" / "social_forces.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "social_forces.md").read_text(encoding="utf-8")
     names = {"scenario": scenario, "sean_jax": sean_jax}
     for block in re.findall(r"```python\n(.*?)```", text, re.S):
         exec(block.replace("sean_jax.make(", "sean_jax.make('lab', people=2, dynamics='twin', "), names)

@@ -13,7 +13,8 @@ from types import ModuleType
 
 import pytest
 
-ROOT = Path(__file__).resolve().parent.parent
+from support.checkout import ROOT
+
 PACKAGE = ROOT / "sean_jax"
 MODULES = sorted(PACKAGE.rglob("*.py"))
 HEAVY = ("jax", "mujoco", "matplotlib", "flax", "optax", "orbax", "scipy")

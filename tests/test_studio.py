@@ -17,7 +17,6 @@ import time
 import urllib.error
 import urllib.request
 import zlib
-from pathlib import Path
 
 import jax
 import numpy as np
@@ -31,12 +30,12 @@ from sean_jax.learning import Recorder
 from sean_jax.studio import address, server, trial
 from sean_jax.studio.server import Studio
 from sean_jax.studio.session import Choice, Session
+from support.checkout import ROOT, WEB
 
 pytest.importorskip("websockets")
 from websockets.asyncio.client import connect  # noqa: E402
 from websockets.exceptions import ConnectionClosed, InvalidStatus  # noqa: E402
 
-WEB = Path(__file__).parent.parent / "web"
 CHROMIUM = next((found for name in ("chromium", "google-chrome") if (found := shutil.which(name))), None)
 OPTIONS = {"environment": "lab", "people": 3, "time_limit": 20.0, "warm_up": 1.0}
 
@@ -1426,7 +1425,7 @@ def test_a_browser_edits_the_files(tmp_path, behavior):
     """By a mouse that is real: nodes, edges, obstacles and a picture below, or the sets; comments are kept."""
     if CHROMIUM is None or not (WEB / "node_modules" / "playwright-core").is_dir():
         pytest.skip("there is no Chromium, or web/node_modules is not there")
-    lab, mine = Path(__file__).parent.parent / "envs" / "lab", tmp_path / "mine"
+    lab, mine = ROOT / "envs" / "lab", tmp_path / "mine"
     shutil.copytree(lab, mine)
     Image.new("RGB", (40, 20), (220, 30, 30)).save(tmp_path / "red.png")
     people = 3 if behavior == "graph" else None  # sets have their own
@@ -1472,7 +1471,7 @@ def test_the_page_has_its_program():
 def edited(tmp_path_factory):
     """A session on a copy of the lab whose time stands still, with three people."""
     folder = tmp_path_factory.mktemp("edited") / "mine"
-    shutil.copytree(Path(__file__).parent.parent / "envs" / "lab", folder)
+    shutil.copytree(ROOT / "envs" / "lab", folder)
     options = OPTIONS | {"environment": str(folder), "warm_up": 0.0, "record": str(folder.parent / "drives")}
     return Session(validate(StudioConfig, options))
 

@@ -19,8 +19,9 @@ from sean_jax.config import StudioConfig, validate
 from sean_jax.errors import InputError
 from sean_jax.studio import editor, scene_text, yaml_text
 from sean_jax.studio.editor import Editor
+from support.checkout import ROOT
 
-ENVS = Path(__file__).parent.parent / "envs"
+ENVS = ROOT / "envs"
 BLOCK = """\
 # a graph in another style
 version: 1

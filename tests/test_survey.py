@@ -34,6 +34,7 @@ from sean_jax.config import StudioConfig, SurveyReportConfig, validate
 from sean_jax.errors import FileError, InputError, WriteError
 from sean_jax.survey import export, report, study, visits
 from sean_jax.survey.answers import BROKEN_OFF, FILE, Answers
+from support.checkout import ROOT
 
 pytest.importorskip("websockets")
 from websockets.asyncio.client import connect  # noqa: E402
@@ -41,7 +42,6 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus  # noqa: E402
 
 from sean_jax.survey import server  # noqa: E402
 
-ROOT = Path(__file__).parent.parent
 WEB = ROOT / "web"
 CHROMIUM = next((found for name in ("chromium", "google-chrome") if (found := shutil.which(name))), None)
 STUDY = """

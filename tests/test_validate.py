@@ -4,7 +4,6 @@ import json
 import re
 from dataclasses import dataclass, replace
 from importlib import import_module
-from pathlib import Path
 from typing import Any
 
 import jax.numpy as jnp
@@ -29,8 +28,7 @@ from sean_jax.studies.validation.checks import (
     Skipped,
 )
 from sean_jax.studies.validation.measures import crossing_times, flow, trajectory_data, vanishing_times
-
-ROOT = Path(__file__).resolve().parent.parent
+from support.checkout import ROOT
 
 
 def straight(scenario, state, share: float = 1.0):

@@ -1,6 +1,6 @@
 """Inputs that were made wrong at random, and what reads them: run as a program, this file is the worker of test_fuzz.
 
-    python tests/fuzzing.py SEED FIRST COUNT FOLDER
+    python tests/support/fuzzing.py SEED FIRST COUNT FOLDER
 
 prints a line of JSON before and after each mutant. A mutant that takes more than 5 s of processor time, or waits for
 more than a minute, ends the process, as an abort inside of MuJoCo does; the test sees who it was and goes on.
@@ -161,7 +161,9 @@ def readers() -> set[str]:
     """FILE FUNCTION of each function of the package that calls one of ``GATE``, from its source; "" is a module."""
     import ast
 
-    package = Path(__file__).parent.parent / "sean_jax"
+    from support.checkout import ROOT
+
+    package = ROOT / "sean_jax"
     found = set()
 
     def visit(node: ast.AST, file: str, names: tuple[str, ...]) -> None:
@@ -1730,4 +1732,5 @@ def main(seed: int, first: int, count: int, folder: Path, only: str = "") -> Non
 
 
 if __name__ == "__main__":
+    sys.path[0] = str(Path(__file__).parents[1])  # tests/, of which `support` is a part
     main(int(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3]), Path(sys.argv[4]), *sys.argv[5:6])

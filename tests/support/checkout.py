@@ -1,0 +1,20 @@
+"""The checkout: its root, what tests read from files, and the programs of ``benchmarks/``."""
+
+import functools
+import importlib
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+WEB = ROOT / "web"
+DATA = Path(__file__).with_name("data")
+
+
+@functools.cache
+def benchmark(name: str) -> ModuleType:
+    """A program of ``benchmarks/``; while it is imported it finds its neighbors, as when Python runs it."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(ROOT / "benchmarks")
+        return importlib.import_module(name)
