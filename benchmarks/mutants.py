@@ -402,20 +402,10 @@ def _pytest(files: list[str], watch: _Watch, folder: Path) -> int:
     shutil.copytree(Path(os.environ["XDG_CACHE_HOME"]), folder / "user", ignore=_not_lasting)
     os.environ["XDG_CACHE_HOME"] = str(folder / "user")
     paths = [str(TESTS / file) for file in files]
-    quiet = (
-        "-q",
-        "--import-mode=importlib",
-        "-p",
-        "no:cacheprovider",
-        "-p",
-        "no:xdist",
-        "-o",
-        "addopts=",
-        f"--basetemp={folder}/tmp",
-    )
-    return int(
-        pytest.main(["-m", "not slow and not night", *quiet, *(["-x"] if watch.order else []), *paths], plugins=[watch])
-    )
+    outside = ["-p", "no:cacheprovider", "-p", "no:xdist", f"--basetemp={folder}/tmp"]
+    options = ["-q", "-m", "not slow and not night", "-o", "addopts=", "--import-mode=importlib", *outside]
+    first = ["-x"] if watch.order else []  # of a mutant, one that notices it is enough
+    return int(pytest.main([*options, *first, *paths], plugins=[watch]))
 
 
 def _not_lasting(folder: str, names: list[str]) -> list[str]:

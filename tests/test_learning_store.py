@@ -21,7 +21,7 @@ from sean_jax.learning.dataset import check_manifest, open_dataset, open_dataset
 from sean_jax.learning.examples import Loader, Token, example
 from sean_jax.learning.networks import read_network_config
 from support import learning_data
-from support.checkout import DATA
+from support.checkout import DATA, benchmark
 
 
 def files(folder: Path) -> dict[str, bytes]:
@@ -341,7 +341,7 @@ def test_export_to_lerobot(made, tmp_path):
 def test_an_export_has_the_form_that_lerobot_writes(made, tmp_path):
     """Recorded of LeRobot's own writer by ``benchmarks/lerobot_oracle.py --record``, which also compares the values."""
     pytest.importorskip("pyarrow")
-    import lerobot_oracle
+    lerobot_oracle = benchmark("lerobot_oracle")
 
     recorded = json.loads((DATA / "lerobot_schema.json").read_text())
     assert recorded.pop("lerobot") == "0.6.1"

@@ -7,13 +7,10 @@ from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
-import crowd_loop
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from crowd import constants as as_numbers
-from crowd import exact
 from flax import struct
 from scipy import stats
 
@@ -26,6 +23,7 @@ from sean_jax.geometry import build_obstacle_grid
 from sean_jax.policies import go_to_goal
 from sean_jax.social_forces import Contact, Crowd, Pair, kernel, model, terms
 from sean_jax.social_forces.model import move, pair_forces
+from support import float64
 from support.checkout import ROOT
 
 STEP = 0.05
@@ -112,12 +110,12 @@ def between(dx, dy, wx, wy, vx, vy, radii=0.4, **more) -> Pair:
 def test_step_equals_the_float64_loop(preset):
     """As printed, one person at a time, with code and arithmetic that share nothing with the package."""
     number, walls = 20, 8
-    p, state, boxes = exact(number, walls, preset)
+    p, state, boxes = float64.crowd(number, walls, preset)
     people, table, _ = workload.crowd(number, walls)
     after = walk(social_forces.preset(preset), people, table, steps=20)
     started = state[0]
     for step in range(20):
-        state = crowd_loop.step(*state, boxes, p, STEP) + state[3:]
+        state = float64.step(*state, boxes, p, STEP) + state[3:]
         if step in (0, 19):
             limit = 1e-5 if step == 0 else 1e-3
             for name, theirs in zip(("position", "velocity", "heading"), state[:3], strict=True):
@@ -185,13 +183,13 @@ def test_walking_groups_in_a_crush_at_a_wall_equal_the_float64_loop(preset):
     table, boxes = scene((0.5, -0.68, 2.0, 0.5, 3.0))
     state = tuple(np.asarray(part, float) for part in vars(people).values())[:4]
     state = state[0], state[1], state[2], state[3], np.full(11, 1.3)
-    p = as_numbers(parameters)
+    p = float64.constants(parameters)
     one = jax.jit(
         lambda people: social_forces.integrate(parameters, people, table, None, None, 0.01, companions=companions)
     )
     for step in range(10):
         people = one(people)
-        state = crowd_loop.step(*state, boxes, p, 0.01, walking_groups) + state[3:]
+        state = float64.step(*state, boxes, p, 0.01, walking_groups) + state[3:]
         limit = 1e-5 if step == 0 else 2e-4
         for name, theirs in zip(("position", "velocity", "heading"), state[:3], strict=True):
             ours = np.asarray(getattr(people, name))

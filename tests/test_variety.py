@@ -4,12 +4,10 @@ from dataclasses import fields, replace
 from types import SimpleNamespace
 from typing import Any
 
-import crowd_loop
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from crowd import constants as as_numbers
 from scipy import stats
 from test_social_forces import STEP, crowd, scene, walk
 
@@ -21,6 +19,7 @@ from sean_jax.social_forces.forces import Crowd, look_direction
 from sean_jax.studies.scenes import model as model_of
 from sean_jax.studies.scenes import simulate
 from sean_jax.studies.validation import crowds, measures
+from support import float64
 
 CALIBRATED = social_forces.preset("calibrated")
 DEVIATIONS = ("walking.relaxation_deviation", "headway.deviation", "evasion.width_deviation", "evasion.side_deviation")
@@ -103,7 +102,7 @@ def test_everything_together_equals_the_float64_loop(preset, changes):
     forces = social_forces.build(social_forces.preset(preset).tree_replace(changes))
     table, boxes = scene(*BOXES)
     both = [throng(seed) for seed in range(6)]
-    walks_with, p = companions(14), as_numbers(forces)
+    walks_with, p = companions(14), float64.constants(forces)
 
     @jax.jit
     @jax.vmap
@@ -113,7 +112,7 @@ def test_everything_together_equals_the_float64_loop(preset, changes):
     ours = after(*(stack(part) for part in zip(*both, strict=True)))
     for k, (people, robot) in enumerate(both):
         state, others = as_doubles(people, robot)
-        theirs = crowd_loop.step(*state, boxes, p, 0.02, WALKING_GROUPS, **others)
+        theirs = float64.step(*state, boxes, p, 0.02, WALKING_GROUPS, **others)
         for name, exact in zip(("position", "velocity", "heading"), theirs, strict=True):
             np.testing.assert_allclose(getattr(ours, name)[k], exact, atol=2e-4, err_msg=f"{name}, throng {k}")
 
