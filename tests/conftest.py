@@ -31,6 +31,8 @@ gc.set_threshold(50_000, 20, 20)  # a fifth of tracing went into looking for cyc
 import jax  # noqa: E402
 import pytest  # noqa: E402
 
+pytest.register_assert_rewrite("support")  # a failed assertion there says as much as one in a test
+
 from support import shapes  # noqa: E402
 
 shapes.install("sean_jax")  # before anything of it is imported

@@ -8,11 +8,10 @@ import sys
 from pathlib import Path
 
 import pytest
-import test_structure
 import yaml
 
 from sean_jax.config import COMMANDS
-from support.checkout import ROOT
+from support.checkout import ROOT, repository_files
 
 DOCS = ROOT / "docs"
 SMALLER = {
@@ -58,7 +57,7 @@ def test_files_with_results_are_in_the_repository():
     """Ignored files are on the machine of a measurement alone."""
     names = {name for path in DOCS.rglob("*.md") for name in re.findall(r"benchmarks/[\w/]+\.\w+", path.read_text())}
     assert {"benchmarks/results/ppo_lidar.json", "benchmarks/worlds.py"} <= names
-    files = {path.relative_to(ROOT).as_posix() for path in test_structure.repository_files()}
+    files = {path.relative_to(ROOT).as_posix() for path in repository_files()}
     assert names <= files
 
 

@@ -11,8 +11,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from test_gradients import in_double
-from test_gradients_swept import FILES, GOAL, PEOPLE, floats, state_of, states
 
 import sean_jax
 from sean_jax import sensors, social_forces
@@ -20,6 +18,8 @@ from sean_jax.pedestrian_models import MODELS
 from sean_jax.scenario import move_robot
 from sean_jax.social_forces import PRESETS
 from sean_jax.social_forces.forces import Forces, term_name
+from support.float64 import in_double
+from support.state_sweep import FILES, GOAL, PEOPLE, floats, state_of, states
 
 pytestmark = pytest.mark.night
 LINES, PLACES = 64, 48

@@ -5,7 +5,6 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import mujoco
-import networkx
 import numpy as np
 import pytest
 import yaml
@@ -16,6 +15,7 @@ from sean_jax.graph import FLOWS, BehaviorGraph, annotation
 from sean_jax.graph.behavior_graph import routes
 from sean_jax.graph.formation import MEASURED, formation, reach
 from support import programs
+from support.graphs import assert_routes
 
 FILE = environment.find("warehouse") / "graph.yaml"
 
@@ -28,40 +28,6 @@ def warehouse():
 @pytest.fixture(scope="module")
 def graph(warehouse) -> BehaviorGraph:
     return annotation.read(FILE, warehouse)
-
-
-def oracle(weight: np.ndarray, is_group: np.ndarray, source: int, target: int) -> float:
-    """Cost of the cheapest path by networkx, on a graph without all groups but the two ends."""
-    keep = [node for node in range(len(weight)) if not is_group[node] or node in (source, target)]
-    directed = networkx.DiGraph()
-    directed.add_nodes_from(keep)
-    for u in keep:
-        for v in keep:
-            if u != v and np.isfinite(weight[u, v]):
-                directed.add_edge(u, v, weight=weight[u, v])
-    try:
-        return networkx.dijkstra_path_length(directed, source, target)
-    except networkx.NetworkXNoPath:
-        return np.inf
-
-
-def assert_routes(weight: np.ndarray, is_group: np.ndarray, cost: np.ndarray, next_hop: np.ndarray) -> None:
-    count = len(weight)
-    for source in range(count):
-        for target in range(count):
-            wanted = 0.0 if source == target else oracle(weight, is_group, source, target)
-            np.testing.assert_allclose(cost[source, target], wanted, rtol=1e-5)
-            if not np.isfinite(wanted):
-                assert next_hop[source, target] == -1
-                continue
-            here, total, passed = source, 0.0, []
-            while here != target and len(passed) <= count:
-                after = next_hop[here, target]
-                total += weight[here, after]
-                passed.append(here := after)
-            np.testing.assert_allclose(total, wanted, rtol=1e-5, atol=1e-6)
-            assert not any(is_group[node] for node in passed[:-1])
-            assert source != target or next_hop[source, source] == source
 
 
 def test_warehouse_is_the_graph_of_the_paper(graph):

@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import networkx
 import numpy as np
 import pytest
-from test_graph import assert_routes
 
 import sean_jax
 from sean_jax import environment as environments
@@ -16,6 +15,7 @@ from sean_jax import prng
 from sean_jax import scenario as stages
 from sean_jax.behaviors import Place, graph_behavior, graph_choices
 from sean_jax.graph.behavior_graph import add_congestion_cost, edge_areas, edge_densities, routes
+from support.graphs import assert_routes
 from support.quick import quick
 
 HEAD = "version: 1\nc_min: 0.2\nc_max: 100\n"

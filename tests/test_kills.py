@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from support import forked
+from support.files import contents
 
 pytestmark = [
     pytest.mark.night,
@@ -40,10 +41,6 @@ def sean():
         patched.setenv("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
         with forked.sean() as server:
             yield server
-
-
-def files(folder: Path) -> dict[str, bytes]:
-    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
 def killed(
@@ -118,10 +115,10 @@ def _names(folder: Path) -> list[str]:
 
 def test_run(sean, tmp_path):
     def finished(folder: Path) -> dict[str, bytes]:
-        return {name: data for name, data in files(folder / "unfinished").items() if name.endswith(".npz")}
+        return {name: data for name, data in contents(folder / "unfinished").items() if name.endswith(".npz")}
 
     def result(folder: Path) -> dict:
-        found = files(folder)
+        found = contents(folder)
         summary = json.loads(found.pop("summary.json"))
         timing = summary.pop("timing")
         page = found.pop("report.html").decode()
@@ -143,13 +140,13 @@ def test_collect(sean, tmp_path):
         manifest = folder / "dataset.json"
         shards = json.loads(manifest.read_text())["shards"] if manifest.exists() else []
         names = [str(k) for k in range(len(shards))]
-        arrays = {name: data for name, data in files(folder).items() if "/c/" in name and "__lock" not in name}
+        arrays = {name: data for name, data in contents(folder).items() if "/c/" in name and "__lock" not in name}
         return {
             **{f"shard {k}": json.dumps(shard).encode() for k, shard in enumerate(shards)},
             **{name: data for name, data in arrays.items() if name.split("/c/")[1].split("/")[0] in names},
         }
 
-    killed(sean, tmp_path, COLLECT, finished, files, 2)
+    killed(sean, tmp_path, COLLECT, finished, contents, 2)
 
 
 def test_train(sean, tmp_path):

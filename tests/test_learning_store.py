@@ -22,10 +22,7 @@ from sean_jax.learning.examples import Loader, Token, example
 from sean_jax.learning.networks import read_network_config
 from support import learning_data
 from support.checkout import DATA, benchmark
-
-
-def files(folder: Path) -> dict[str, bytes]:
-    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+from support.files import contents
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +61,7 @@ def test_other_readers_of_zarr_find_what_the_format_prescribes(made):
 
 def test_a_collection_that_was_interrupted_goes_on(data, tmp_path, monkeypatch):
     """After each step that a kill could come before, what is done again gives the same bytes."""
-    whole = files(data.folder)
+    whole = contents(data.folder)
     simulated = []
 
     def simulate(runner, seed, shard, stream, watch, turn):
@@ -93,7 +90,7 @@ def test_a_collection_that_was_interrupted_goes_on(data, tmp_path, monkeypatch):
             except KeyboardInterrupt:
                 assert number > 0
         collection.collect(learning_data.options(folder))
-        assert files(folder) == whole, number
+        assert contents(folder) == whole, number
         before = len(simulated)
         collection.collect(learning_data.options(folder))
         assert len(simulated) == before, "nothing is recorded twice"
@@ -160,7 +157,7 @@ def test_a_shard_that_cannot_be_written_ends_the_collection(tmp_path, monkeypatc
 
 
 def test_lost_and_damaged_files(data, monkeypatch):
-    whole, file = files(data.folder), data.folder / "depth/c/0/0/0/0"
+    whole, file = contents(data.folder), data.folder / "depth/c/0/0/0/0"
     content = bytearray(file.read_bytes())
     content[len(content) // 2] ^= 1
     file.write_bytes(bytes(content))
@@ -175,11 +172,11 @@ def test_lost_and_damaged_files(data, monkeypatch):
         data.recording(data.episodes)
     monkeypatch.setattr(collection, "simulate_shard", lambda *others: learning_data.batches()[0])
     collection.collect(learning_data.options(data.folder))
-    assert files(data.folder) == whole
+    assert contents(data.folder) == whole
 
 
 def test_a_full_disk_leaves_what_was_committed(data, monkeypatch):
-    whole = files(data.folder)
+    whole = contents(data.folder)
 
     def full(*arguments, **others):
         raise OSError(28, "No space left on device")
@@ -193,7 +190,7 @@ def test_a_full_disk_leaves_what_was_committed(data, monkeypatch):
         with pytest.raises(IncompleteError, match="the disk is full; committed shards are unchanged"):
             data.save({**data.manifest, "hours": 2.0})
     again = open_dataset(data.folder)
-    assert again.manifest == data.manifest and {name: files(data.folder)[name] for name in whole} == whole
+    assert again.manifest == data.manifest and {name: contents(data.folder)[name] for name in whole} == whole
 
 
 def test_other_options_are_refused(data):

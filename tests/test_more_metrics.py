@@ -6,8 +6,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from test_metrics import ROBOT_RADIUS, SITUATIONS, STEP, along, at, measure, wander
-from test_metrics import as_snapshot as of_wander
 
 from sean_jax import metrics, navigation
 from sean_jax import scenario as scenario_module
@@ -16,6 +14,8 @@ from sean_jax.metrics.proximity import collision_time, obstacle_distance
 from support import metric_values, programs
 from support import shortest_paths as oracle
 from support.checkout import ROOT
+from support.metric_snapshots import ROBOT_RADIUS, SITUATIONS, STEP, along, at, measure, wander
+from support.metric_snapshots import as_snapshot as of_wander
 
 REACH = 0.36  # m, of a robot and a person who touch
 

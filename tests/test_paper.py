@@ -13,7 +13,6 @@ import jax.numpy as jnp
 import networkx
 import numpy as np
 import pytest
-from test_classifiers import AHEAD, BACK, LEFT, NAMES, occurring, snapshot, turned
 
 import sean_jax
 from sean_jax import classifiers, files, metrics
@@ -29,6 +28,7 @@ from sean_jax.scenario import frame
 from sean_jax.social_forces import integrate
 from sean_jax.tasks import TASKS
 from support import programs
+from support.situations import AHEAD, BACK, LEFT, NAMES, occurring, snapshot, turned
 
 D, V, A = 2.4, 1.4, math.radians(15)
 ENVIRONMENTS = ("lab", "outdoor", "warehouse")

@@ -23,6 +23,8 @@ from sean_jax.evaluation import batches
 from sean_jax.progress import Progress
 from sean_jax.runner import Callbacks, Runner
 from sean_jax.trajectories import load_trajectory
+from support.files import contents
+from support.interruptions import at_second_batch
 
 SMALL = "--environment lab --behavior random --task random_ab_nav --people 2 --dynamics twin --time-limit 0.5".split()
 RUN = ["run", *SMALL, "--seed", "3", "--episodes", "5", "--batch", "2", "--out", "made"]
@@ -69,7 +71,7 @@ def simulated(monkeypatch, tmp_path):
 
 def files(folder: Path) -> dict[str, bytes | dict]:
     """All but what tells how long it took."""
-    found: dict = {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    found: dict = {**contents(folder)}
     summary = json.loads(found["summary.json"])
     del summary["timing"], found["report.html"]
     return found | {"summary.json": summary}
@@ -81,17 +83,6 @@ def whole(compiled_once, tmp_path_factory):
         patched.chdir(tmp_path_factory.mktemp("whole"))
         assert cli.main(RUN) == 0
         return files(Path("made"))
-
-
-def at_second_batch(monkeypatch, what):
-    """Do ``what`` with each batch from the second on, as soon as it is simulated."""
-    run = Runner.run
-
-    def disturbed(runner, seed, first, *others, **named):
-        batch = run(runner, seed, first, *others, **named)
-        return (what(batch) or batch) if first else batch
-
-    monkeypatch.setattr(Runner, "run", disturbed)
 
 
 def poisoned(batch):

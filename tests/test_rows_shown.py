@@ -9,9 +9,6 @@ import matplotlib
 import numpy as np
 import pytest
 from rich.console import Console
-from test_benchmark import entry
-from test_report import NAMES, evaluation
-from test_validate import _check
 
 from sean_jax import pages
 from sean_jax.config import BenchmarkRankConfig, ValidateConfig
@@ -20,6 +17,9 @@ from sean_jax.studies.experiments import page, pictures, ranks
 from sean_jax.studies.validation import page as validation_page
 from sean_jax.studies.validation.checks import Model, Row
 from sean_jax.survey import report
+from support.benchmark_results import entry
+from support.checks import _check
+from support.reports import NAMES, evaluation
 
 EVERY = {"one": ["0"], "other": ["1"]}
 

@@ -10,12 +10,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from test_prng import noisy, still
 
 from sean_jax import prng
 from sean_jax.base import Policy
 from sean_jax.runner import Record, Runner
 from sean_jax.scenario import reset
+from support.draws import noisy, still
 
 SIZE = 8
 

@@ -10,7 +10,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from test_raycast import mujoco_distances, mujoco_hits
 
 import sean_jax
 from sean_jax import environment, robots, sensors
@@ -20,6 +19,7 @@ from sean_jax.errors import InputError
 from sean_jax.sensors import cameras, figures, pictures
 from support import programs
 from support.quick import quick
+from support.rays import mujoco_distances, mujoco_hits
 
 LEVEL = (0.0, 0.0, -1.0, -1.0, 0.0, 0.0, 0.0, 1.0, 0.0)  # axes of a camera that looks straight ahead
 SKY, FLOOR, OBSTACLE, PERSON, ROBOT = range(5)

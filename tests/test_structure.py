@@ -13,7 +13,7 @@ from types import ModuleType
 
 import pytest
 
-from support.checkout import ROOT
+from support.checkout import ROOT, repository_files
 
 PACKAGE = ROOT / "sean_jax"
 MODULES = sorted(PACKAGE.rglob("*.py"))
@@ -276,16 +276,6 @@ def test_values_are_compared_by_equality():
     for path in [*MODULES, *(ROOT / "docs").glob("*.py"), *(ROOT / "benchmarks").rglob("*.py")]:
         found = compared_by_identity(ast.parse(path.read_text(encoding="utf-8")))
         assert not found, f"{path.relative_to(ROOT)}: {found}; compare with ==, or by the truth of a bool"
-
-
-def repository_files() -> list[Path]:
-    """All files that git tracks or would track."""
-    done = subprocess.run(
-        ["git", "ls-files", "-co", "--exclude-standard", "-z"], capture_output=True, text=True, cwd=ROOT, check=False
-    )
-    if done.returncode != 0:
-        pytest.skip("not a git checkout")
-    return [ROOT / name for name in done.stdout.split("\0") if name and (ROOT / name).is_file()]
 
 
 def test_repository_names_no_registry_host_and_no_machine():

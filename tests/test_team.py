@@ -12,8 +12,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import test_replay_folders
-import test_resume
 
 from sean_jax import (
     assembly,
@@ -39,6 +37,8 @@ from sean_jax.robots import ROBOTS
 from sean_jax.runner import Callbacks, Runner
 from sean_jax.scenario import snapshot
 from sean_jax.stack import Stack
+from support.interruptions import at_second_batch
+from support.replay_columns import played
 
 OPTIONS = dict(behavior="random", people=6, time_limit=12.0)
 CASES = 24
@@ -447,7 +447,7 @@ def test_a_run_of_a_team_is_resumed_and_replayed(monkeypatch, tmp_path, capsys) 
         patched.setattr(evaluation, "Runner", once)
         assert cli.main([*words, "--out", "whole"]) == 0
         with monkeypatch.context() as disturbed:
-            test_resume.at_second_batch(disturbed, lambda _: signal.raise_signal(signal.SIGTERM))
+            at_second_batch(disturbed, lambda _: signal.raise_signal(signal.SIGTERM))
             assert cli.main([*words, "--out", "made"]) == 143
         assert "the 1 finished episodes are in" in capsys.readouterr().err
         assert cli.main([*words, "--out", "made"]) == 0
@@ -463,9 +463,7 @@ def test_a_run_of_a_team_is_resumed_and_replayed(monkeypatch, tmp_path, capsys) 
     report = Path("made/report.html").read_text()
     assert "Episode 0 kuri 0 · random ab nav" in report and "Episode 0 jackal 1 · random ab nav" in report
     assert cli.main(["replay", "made", "--episodes", "1", "0", "--quiet"]) == 0
-    ((shown,), (first, *_)) = (
-        test_replay_folders.played(Path("made", name)) for name in ("replay.html", "report.html")
-    )
+    ((shown,), (first, *_)) = (played(Path("made", name)) for name in ("replay.html", "report.html"))
     assert [each["title"] for each in shown["episodes"]] == [f"episode {k} kuri_0 · random ab nav" for k in (1, 0)]
     one, other = shown["episodes"][1], first["episodes"][0]
     assert one["outcome"] == other["outcome"] == "not completed in 1.0 s" and shown["robot"] == first["robot"]

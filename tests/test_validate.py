@@ -2,7 +2,7 @@
 
 import json
 import re
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from importlib import import_module
 from typing import Any
 
@@ -20,7 +20,6 @@ from sean_jax.studies.validation import checks, crowds, guidelines, individuals,
 from sean_jax.studies.validation.checks import (
     CHECKS,
     GATES,
-    Check,
     CheckContext,
     CheckResult,
     Curve,
@@ -29,6 +28,7 @@ from sean_jax.studies.validation.checks import (
 )
 from sean_jax.studies.validation.measures import crossing_times, flow, trajectory_data, vanishing_times
 from support.checkout import ROOT
+from support.checks import _check
 
 
 def straight(scenario, state, share: float = 1.0):
@@ -249,21 +249,6 @@ def test_who_does_not_wait_or_does_not_go_fails():
 
 
 # ------------------------------------------------------------------ the command
-
-
-@dataclass(frozen=True)
-class _Check(Check):
-    """A check whose function is in no module."""
-
-    own: Any = None
-
-    def run(self, context):
-        return self.own(context)
-
-
-def _check(name: str, function: Any) -> Check:
-    label = getattr(function, "__name__", "")
-    return _Check(name, "Title <b>", "set-up", "measure", "criterion", "source", label, own=function)
 
 
 @pytest.fixture

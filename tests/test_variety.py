@@ -9,7 +9,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy import stats
-from test_social_forces import STEP, crowd, scene, walk
 
 import sean_jax
 from sean_jax import prng, social_forces
@@ -20,6 +19,7 @@ from sean_jax.studies.scenes import model as model_of
 from sean_jax.studies.scenes import simulate
 from sean_jax.studies.validation import crowds, measures
 from support import float64
+from support.forces import STEP, crowd, scene, walk
 
 CALIBRATED = social_forces.preset("calibrated")
 DEVIATIONS = ("walking.relaxation_deviation", "headway.deviation", "evasion.width_deviation", "evasion.side_deviation")

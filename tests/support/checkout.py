@@ -2,6 +2,7 @@
 
 import functools
 import importlib
+import subprocess
 from pathlib import Path
 from types import ModuleType
 
@@ -18,3 +19,13 @@ def benchmark(name: str) -> ModuleType:
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(ROOT / "benchmarks")
         return importlib.import_module(name)
+
+
+def repository_files() -> list[Path]:
+    """All files that git tracks or would track."""
+    done = subprocess.run(
+        ["git", "ls-files", "-co", "--exclude-standard", "-z"], capture_output=True, text=True, cwd=ROOT, check=False
+    )
+    if done.returncode != 0:
+        pytest.skip("not a git checkout")
+    return [ROOT / name for name in done.stdout.split("\0") if name and (ROOT / name).is_file()]

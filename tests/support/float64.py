@@ -4,6 +4,8 @@ Written from the papers' formulas: the law shares no code with the package. At t
 crowd of the benchmarks as the law takes them.
 """
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from sean_jax import social_forces
@@ -339,3 +341,14 @@ def crowd(people: int, walls: int, preset: str):
     numbers = workload.crowd(people, walls)[2]
     state = numbers["x"], numbers["v"], numbers["heading"], numbers["desired"], numbers["preferred"]
     return constants(forces), state, (numbers["center"], numbers["half"], numbers["yaw"])
+
+
+def in_double(tree):
+    """The tree with all its floating-point leaves in float64."""
+
+    def cast(leaf):
+        if not hasattr(leaf, "dtype") or not jnp.issubdtype(leaf.dtype, jnp.floating):
+            return leaf
+        return jnp.asarray(leaf, jnp.float64)
+
+    return jax.tree.map(cast, tree)

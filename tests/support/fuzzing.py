@@ -590,7 +590,8 @@ def load_run(folder: Path) -> Any:
 def result(folder: Path) -> dict[str, bytes]:
     """A complete result of a protocol of two tracks of 20 episodes."""
     import pytest
-    from test_benchmark import place, smaller
+
+    from support.benchmark_results import place, smaller
 
     smaller(pytest.MonkeyPatch())  # to the end of this process
     made = place(folder, "go_to_goal", 20, 0)
