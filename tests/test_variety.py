@@ -18,7 +18,7 @@ from sean_jax.social_forces.forces import Crowd, look_direction
 from sean_jax.studies.scenes import model as model_of
 from sean_jax.studies.scenes import simulate
 from sean_jax.studies.validation import crowds, measures
-from support import float64
+from support import float64, programs
 from support.forces import STEP, crowd, scene, walk
 
 CALIBRATED = social_forces.preset("calibrated")
@@ -402,18 +402,15 @@ def test_a_bound_does_not_undo_the_damping_of_pushes():
 
 
 def test_traits_and_noise_under_jit_and_vmap():
-    traces = []
-
-    @jax.jit
+    @programs.jit_once
     def once(people, robot):
-        traces.append(1)
         return social_forces.integrate(CALIBRATED, people, None, GROUPS, robot, STEP, 0.16)
 
     everybody, robot = throng(3)
     people = everybody
     for _ in range(3):
         people = once(people, robot)
-    assert len(traces) == 1 and not any(leaf.weak_type for leaf in jax.tree.leaves(people))
+    assert not any(leaf.weak_type for leaf in jax.tree.leaves(people))
     jax.tree.map(np.testing.assert_array_equal, people.traits, everybody.traits)
     both = [throng(seed) for seed in range(4)]
     together = jax.jit(jax.vmap(once))(*(stack(part) for part in zip(*both, strict=True)))
@@ -451,16 +448,15 @@ def test_large_crowds_have_traits_noise_and_shoulders_too(on, request):
 
 
 def test_a_tick_is_traced_once_for_all_ticks():
-    traces, people = [], replace(throng(4)[0], group=jnp.full(14, -1, jnp.int32))
+    people = replace(throng(4)[0], group=jnp.full(14, -1, jnp.int32))
 
-    @jax.jit
+    @programs.jit_once
     def moved(people, tick):
-        traces.append(1)
         return model.move(*moment(CALIBRATED, people, 0, tick))
 
     for tick in range(3):
         people = moved(people, jnp.int32(tick))
-    assert len(traces) == 1 and not any(leaf.weak_type for leaf in jax.tree.leaves(people))
+    assert not any(leaf.weak_type for leaf in jax.tree.leaves(people))
 
 
 DEGENERATE = {
