@@ -2,9 +2,6 @@
 
 import io
 import json
-import os
-import subprocess
-import sys
 import zipfile
 from dataclasses import replace
 from pathlib import Path
@@ -23,6 +20,7 @@ from sean_jax.learning.policy import AGENTS, MAX_WEIGHTS_BYTES, WEIGHTS, load_ag
 from sean_jax.learning.trainer import check_config
 from sean_jax.mdp import observations
 from support.checkout import ROOT
+from support.commands import python
 
 WITHOUT = """
 import sys
@@ -152,12 +150,7 @@ def test_the_next_command_names_the_folder():
 def test_it_drives_without_the_extra(tmp_path):
     words = ["run", "--policy", "ppo", "--environment", "lab", "--people", "4", "--dynamics", "twin"]
     words += ["--episodes", "2", "--time-limit", "3", "--out", "here", "--quiet"]
-    root = str(ROOT)
-    done = subprocess.run(
-        [sys.executable, "-c", WITHOUT, *words], cwd=tmp_path, env=os.environ | {"PYTHONPATH": root},
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr[-2000:]
+    python("-c", WITHOUT, *words, cwd=tmp_path, env={"PYTHONPATH": str(ROOT)})
     assert json.loads((tmp_path / "here" / "summary.json").read_text())
 
 

@@ -23,13 +23,12 @@ from sean_jax.runner import Record, Runner
 from sean_jax.studies.experiments import figure4
 from sean_jax.workspace import Workspace
 from support.checkout import ROOT, benchmark
+from support.commands import python
 
 
 def run(*arguments: str) -> list[str]:
     """Lines that a program prints; it is run from the checkout, so its own folder is where it imports from."""
-    done = subprocess.run([sys.executable, *arguments], cwd=ROOT, capture_output=True, text=True, timeout=600)
-    assert done.returncode == 0, done.stderr
-    return done.stdout.splitlines()
+    return python(*arguments, cwd=ROOT).splitlines()
 
 
 @pytest.mark.night

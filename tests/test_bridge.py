@@ -29,6 +29,7 @@ from sean_jax.ros import bridge, messages, ros1, rosbridge
 from sean_jax.ros.names import RosNames
 from sean_jax.ros.transport import REQUESTS, Log, Mailbox, Output, read_pose
 from sean_jax.stack import as_stacks
+from support.commands import python
 
 pytest.importorskip("websockets")
 from websockets.asyncio.client import connect  # noqa: E402
@@ -729,10 +730,7 @@ def test_roslibpy_talks_with_the_server(server, mailbox):
     pytest.importorskip("roslibpy")
     server.publish("/goal", {"pose": {"position": {"x": 2.5}}})
     thread = answer_requests(mailbox, 1)
-    program = [sys.executable, "-c", ROSLIBPY, server.address]
-    done = subprocess.run(program, capture_output=True, text=True, timeout=60, check=False)
-    assert done.returncode == 0, done.stderr
-    goal, topics, kind, answer = json.loads(done.stdout)
+    goal, topics, kind, answer = json.loads(python("-c", ROSLIBPY, server.address, timeout=60))
     assert goal == {"pose": {"position": {"x": 2.5}}}
     assert set(topics) == {*OUTPUTS, "/cmd_vel", "/initialpose"} and kind == "nav_msgs/Odometry"
     assert answer == {"success": True, "message": "new_task: seen"}

@@ -2,8 +2,6 @@
 
 import os
 import shutil
-import subprocess
-import sys
 import time
 from collections import Counter
 from typing import Any
@@ -17,6 +15,7 @@ from sean_jax import cache, environment, handcrafted, navigation
 from sean_jax.behaviors import Place, random_behavior, starts
 from sean_jax.graph.annotation import PERSON
 from sean_jax.navigation import tables
+from support.commands import python
 
 BOX = '<geom type="box" pos="{x} 0 1" size="0.5 2 1"/>'
 GRAPH = """\
@@ -210,10 +209,8 @@ print(int(scenario.navigation.visible.values.sum()))
 """
     scenario = sean_jax.make(hall, behavior="graph", task="random_ab_nav", dynamics="twin")
     for wide, does in (("false", "reads"), ("true", "makes"), ("true", "reads")):
-        environ, words = {**os.environ, "JAX_ENABLE_X64": wide}, [program, str(hall), does]
-        done = subprocess.run([sys.executable, "-c", *words], env=environ, capture_output=True, text=True)
-        assert done.returncode == 0, done.stderr
-        assert int(done.stdout.split()[-1]) == int(scenario.navigation.visible.values.sum())
+        said = python("-c", program, hall, does, env={"JAX_ENABLE_X64": wide})
+        assert int(said.split()[-1]) == int(scenario.navigation.visible.values.sum())
 
 
 def test_tables_depend_on_the_code_that_makes_them(made, hall, monkeypatch):

@@ -23,6 +23,7 @@ from rich.console import Console
 from sean_jax import assembly, bench, cache, cli, compiler, interrupts, learning
 from sean_jax import progress as progress_of
 from support import programs
+from support.commands import python
 
 SMALL = ["--people", "8", "--time-limit", "3", "--dynamics", "twin", "--quiet"]
 WRAPPED = ValueError("an interrupt, as code in C passes it on")
@@ -42,10 +43,10 @@ def test_help_imports_no_jax_and_names_every_option():
         "except SystemExit as end:\n    assert end.code == 0\n"
         "print([name for name in ('jax', 'numpy', 'mujoco', 'matplotlib') if name in sys.modules])"
     )
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-    assert done.stdout.splitlines()[-1] == "[]"
+    said = python("-c", program)
+    assert said.splitlines()[-1] == "[]"
     for option in "environment behavior task robot policy people episodes seed time-limit out".split():
-        assert f"--{option} " in done.stdout
+        assert f"--{option} " in said
 
 
 def test_version_is_printed(capsys):

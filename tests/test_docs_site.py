@@ -3,7 +3,6 @@
 import importlib.util
 import os
 import re
-import subprocess
 import sys
 from pathlib import Path
 
@@ -12,6 +11,7 @@ import yaml
 
 from sean_jax.config import COMMANDS
 from support.checkout import ROOT, repository_files
+from support.commands import output
 
 DOCS = ROOT / "docs"
 SMALLER = {
@@ -114,11 +114,8 @@ def test_the_tutorial_runs(tmp_path):
         script = script.replace(long, short)
     script = re.sub(r"^pip .*$", "", script, flags=re.M)
     head = f'set -eu\nsean() {{ {sys.executable} -m sean_jax "$@"; }}\n'
-    environment = os.environ | {"PYTHONPATH": str(ROOT), "JAX_PLATFORMS": "cpu"}
-    done = subprocess.run(
-        ["bash", "-c", head + script], cwd=tmp_path, env=environment, capture_output=True, timeout=1500
-    )
-    assert done.returncode == 0, done.stderr.decode()[-2000:]
+    environment = {"PYTHONPATH": str(ROOT), "JAX_PLATFORMS": "cpu"}
+    output("bash", "-c", head + script, cwd=tmp_path, env=environment, timeout=1500)
     for name in (
         "runs/go/report.html",
         "runs/shy/replay.html",

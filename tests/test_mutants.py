@@ -2,12 +2,11 @@
 
 import ast
 import json
-import subprocess
-import sys
 
 import pytest
 
 from support.checkout import ROOT, benchmark
+from support.commands import python
 
 program = benchmark("mutants")
 SOURCE = b'''"""A docstring: 1 < 2."""
@@ -120,13 +119,12 @@ def test_committed_results_are_what_the_table_says():
 def test_a_few_mutants(tmp_path):
     """Of sean2.py, in processes of their own; a second run has nothing left to do."""
     out = tmp_path / "mutants.jsonl"
-    told = [sys.executable, "benchmarks/mutants.py", "--only", "classifiers", "--count", "7", "--out", str(out)]
-    done = subprocess.run(told, cwd=ROOT, capture_output=True, text=True, timeout=600)
-    assert done.returncode == 0, done.stderr
+    told = ["benchmarks/mutants.py", "--only", "classifiers", "--count", 7, "--out", out]
+    python(*told, cwd=ROOT)
     (line,) = map(json.loads, out.read_text().splitlines())
     assert line["noticed"].startswith("tests/test_") and line["folder"] == "classifiers"
-    again = subprocess.run(told, cwd=ROOT, capture_output=True, text=True, timeout=60)
-    assert again.stdout.splitlines()[1].split() == ["classifiers", "1", "1", "0", "0"]
+    again = python(*told, cwd=ROOT, timeout=60)
+    assert again.splitlines()[1].split() == ["classifiers", "1", "1", "0", "0"]
     assert len(out.read_text().splitlines()) == 1
 
 

@@ -2,7 +2,6 @@
 
 import os
 import re
-import subprocess
 import sys
 from functools import partial
 from typing import Any
@@ -15,6 +14,7 @@ import pytest
 from sean_jax import environment, kernels, raycast
 from sean_jax.raycast import intersect, kernel
 from sean_jax.raycast.view import HEAD, SHOULDER
+from support.commands import cpu_devices, python
 from support.programs import lowered_for_gpu
 from support.quick import quick
 from support.rays import RADIUS, cluttered, mujoco_distances, yard
@@ -356,6 +356,4 @@ assert np.any(found[1] != found[3])
 @pytest.mark.slow
 def test_devices_share_the_scenarios_of_the_kernel():
     """Each of two devices makes its own half of the images, and they exchange nothing."""
-    flags = "--xla_force_host_platform_device_count=2"
-    place = {**os.environ, "XLA_FLAGS": flags, "JAX_PLATFORMS": "cpu", "PYTHONPATH": os.pathsep.join(sys.path)}
-    subprocess.run([sys.executable, "-c", SPLIT], env=place, check=True, timeout=300)
+    python("-c", SPLIT, env={**cpu_devices(2), "PYTHONPATH": os.pathsep.join(sys.path)})

@@ -3,7 +3,6 @@
 import asyncio
 import contextlib
 import shutil
-import subprocess
 import threading
 import urllib.error
 import urllib.request
@@ -11,6 +10,7 @@ import urllib.request
 import pytest
 
 from support.checkout import WEB
+from support.commands import output
 
 BROWSERS = "chromium", "chromium-browser", "google-chrome"
 
@@ -25,10 +25,7 @@ def chromium() -> str:
 
 def browse(script: str, page: object, *words: object) -> str:
     """What a program of web/ prints that opens a page in Chromium."""
-    command = ["node", script, str(page), chromium(), *map(str, words)]
-    done = subprocess.run(command, cwd=WEB, timeout=900, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr[-3000:]
-    return done.stdout
+    return output("node", script, page, chromium(), *words, cwd=WEB)
 
 
 def get(address: str, **headers: str) -> tuple[int, str]:
