@@ -19,6 +19,7 @@ from sean_jax.errors import FileError, InputError
 from sean_jax.learning.policy import AGENTS, MAX_WEIGHTS_BYTES, WEIGHTS, load_agent, load_policy, save_agent
 from sean_jax.learning.trainer import check_config
 from sean_jax.mdp import observations
+from support import trees
 from support.checkout import ROOT
 from support.commands import python
 
@@ -82,8 +83,7 @@ def test_it_is_written_and_read(lab, tmp_path):
     config = json.loads((AGENTS["ppo"] / "config.json").read_text())
     save_agent(tmp_path, agent, config)
     _, found, _ = load_agent(tmp_path, lab)
-    for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(agent), strict=True):
-        np.testing.assert_array_equal(one, other)
+    trees.assert_equal(found, agent)
     huge = jax.tree.map(lambda leaf: leaf * 0.0 + 1e6, agent)
     with pytest.raises(InputError, match="16 bits cannot hold"):
         save_agent(tmp_path, huge, config)

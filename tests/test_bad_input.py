@@ -18,6 +18,7 @@ from sean_jax.files import mjcf
 from sean_jax.geometry import MAX_ROWS, nearby_obstacles
 from sean_jax.learning.dataset import open_dataset
 from sean_jax.learning.networks import read_network_config
+from support import trees
 from support.fuzzing import BOMB, MERGES, check_error, hall, image, walks
 
 MAP = "image: map.png\nresolution: 0.1\norigin: [0, 0, 0]\noccupied_thresh: 0.65\nfree_thresh: 0.2\n"
@@ -253,8 +254,7 @@ def test_both_readers_take_marks_cases_and_any_order(tmp_path):
         (tmp_path / name).write_text(text, encoding="utf-8")
         sampled = recordings.read(tmp_path / name, frame_rate=10.0, time_step=0.1)
         read[name] = recordings.read(tmp_path / name, frame_rate=10.0), sampled
-    for one, other in zip(*map(jax.tree.leaves, read.values()), strict=True):
-        np.testing.assert_array_equal(one, other)
+    trees.assert_equal(*read.values())
     assert read["plain.csv"][0].person.tolist() == [[7, 12]] * 30
     played, seen = read["plain.csv"][1], read["plain.csv"][0]
     np.testing.assert_allclose(played.position, seen.position, atol=1e-5)

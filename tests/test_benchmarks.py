@@ -22,6 +22,7 @@ from sean_jax.learning.policy import load_policy
 from sean_jax.runner import Record, Runner
 from sean_jax.studies.experiments import figure4
 from sean_jax.workspace import Workspace
+from support import trees
 from support.checkout import ROOT, benchmark
 from support.commands import python
 
@@ -341,7 +342,7 @@ def test_move_base_drives_the_episodes_of_figure4(behavior, tmp_path, monkeypatc
         mine = world.reset(number)[0]
         theirs = jax.tree.map(lambda leaf, number=number: leaf[number], batch.total)
         theirs = dataclasses.replace(theirs, policy_state=mine.policy_state, metrics=mine.metrics)
-        jax.tree.map(np.testing.assert_array_equal, prng.as_numbers(mine), theirs)
+        trees.assert_equal(prng.as_numbers(mine), theirs)
     state = world.reset(5)[0]
     (x, y), geodesic = map(float, state.robot.position), float(state.task.geodesic)
     same = {"episode": 5, "start": [x, y, 0.0], "geodesic": geodesic}

@@ -22,6 +22,7 @@ from sean_jax.learning.networks import ActorCritic, Agent, Statistics
 from sean_jax.learning.policy import AGENTS, Best
 from sean_jax.mdp import rewards
 from sean_jax.stack import Stack
+from support import trees
 from support.quick import quick
 
 SMALL = dict(
@@ -557,8 +558,7 @@ def test_a_stopped_training_goes_on_to_the_same_curve(learned, tmp_path, monkeyp
         monkeypatch.undo()
     state = reinforcement.train(options(folder))
     assert curve(folder) == curve(learned[1])
-    for one, other in zip(jax.tree.leaves(state.agent), jax.tree.leaves(learned[0].agent), strict=True):
-        np.testing.assert_array_equal(one, other)
+    trees.assert_equal(state.agent, learned[0].agent)
 
 
 def _until(numbers, last):
@@ -765,8 +765,7 @@ def test_agents_side_by_side_are_those_that_would_be_trained_alone(several, tmp_
     scenario = sean_jax.make("lab", behavior="random", people=2, dynamics="twin", time_limit=4.0)
     driver = learning.load(folder, scenario)
     best = jax.tree.map(lambda part: part[int(state.best.value.argmax())], state.best.agent)
-    for one, other in zip(*map(jax.tree.leaves, (driver.params.agent, best)), strict=True):
-        np.testing.assert_array_equal(one, other)
+    trees.assert_equal(driver.params.agent, best)
 
 
 @pytest.mark.slow

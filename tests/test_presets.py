@@ -26,6 +26,7 @@ from sean_jax.config import (
     ScenarioConfig,
     validate,
 )
+from support import trees
 from support.checkout import ROOT
 
 OTHER = {  # a value of each option that is neither the preset's nor the default
@@ -127,8 +128,7 @@ def test_the_scenario_is_the_one_of_its_parts():
         "forces": "sean2",
     }
     same = build(ScenarioConfig(environment="lab", people=3, **parts, situations="sean2", dynamics="kinematic"))[0]
-    for one, other in zip(jax.tree.leaves(scenario.behavior), jax.tree.leaves(same.behavior), strict=True):
-        np.testing.assert_array_equal(one, other)
+    trees.assert_equal(scenario.behavior, same.behavior)
     assert jax.tree.structure(scenario.behavior) == jax.tree.structure(same.behavior)
     mine = sean_jax.make(ScenarioConfig(environment="lab", people=3), preset="sean2", dynamics="twin")
     assert mine.robot.drive is robots.DYNAMICS["twin"] and mine.navigation.mesh_places is not None

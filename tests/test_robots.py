@@ -22,7 +22,7 @@ from sean_jax.errors import FileError
 from sean_jax.robots import drive, kernel
 from sean_jax.robots.drive import coordinates
 from sean_jax.robots.dynamics import Surroundings, diagonal
-from support import programs
+from support import programs, trees
 from support.quick import quick
 from support.robots import (
     BATCH,
@@ -712,8 +712,7 @@ def test_a_raised_base_and_nested_bodies_make_the_same_robot(name, tmp_path):
             np.testing.assert_allclose(mount.origin, same.origin, atol=1e-6)
             np.testing.assert_allclose(mount.axes, same.axes, atol=1e-6)
             assert mount.fovy == same.fovy
-        for one, same in zip(jax.tree.leaves(other), jax.tree.leaves(flat), strict=True):
-            np.testing.assert_allclose(one, same, rtol=1e-5, atol=2e-6)
+        trees.assert_close(other, flat, rtol=1e-5, atol=2e-6)
 
 
 def test_a_site_is_where_and_as_it_is_turned_and_never_on_a_wheel(tmp_path):

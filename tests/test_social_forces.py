@@ -22,7 +22,7 @@ from sean_jax.errors import InputError
 from sean_jax.policies import go_to_goal
 from sean_jax.social_forces import Contact, Pair, kernel, model, terms
 from sean_jax.social_forces.model import move
-from support import float64, programs
+from support import float64, programs, trees
 from support.checkout import ROOT
 from support.forces import STEP, around, crowd, felt, scene, walk
 
@@ -105,8 +105,7 @@ def test_the_form_for_a_gpu_gives_the_same(preset, on, monkeypatch):
 
     monkeypatch.setattr(jax.lax, "platform_dependent", chosen)
     gpu = after(), slopes()
-    for ours, theirs in zip(jax.tree.leaves(gpu[0]), jax.tree.leaves(cpu[0]), strict=True):
-        np.testing.assert_allclose(ours, theirs, rtol=1e-5, atol=1e-5)
+    trees.assert_close(gpu[0], cpu[0], rtol=1e-5, atol=1e-5)
     for ours, theirs in zip(jax.tree.leaves(gpu[1]), jax.tree.leaves(cpu[1]), strict=True):
         if ours.dtype == theirs.dtype == jnp.float32:
             np.testing.assert_allclose(ours, theirs, rtol=1e-3, atol=1e-4 * max(1.0, float(jnp.abs(theirs).max())))

@@ -9,7 +9,6 @@ import tempfile
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
-import jax
 import numpy as np
 import pytest
 import yaml
@@ -19,6 +18,7 @@ from sean_jax.config import StudioConfig, validate
 from sean_jax.errors import InputError
 from sean_jax.studio import editor, scene_text, yaml_text
 from sean_jax.studio.editor import Editor
+from support import trees
 from support.checkout import ROOT
 
 ENVS = ROOT / "envs"
@@ -357,8 +357,7 @@ def test_obstacles_are_changed_checked_and_saved_with_the_graph(tmp_path):
     assert edited.difference().count("+++") == 2
     assert len(edited.save()) == 2
     loaded = environment.load(tmp_path / "mine")
-    for one, other in zip(jax.tree.leaves(loaded), jax.tree.leaves(after.environment), strict=True):
-        np.testing.assert_array_equal(one, other)
+    trees.assert_equal(loaded, after.environment)
     while edited.history:
         after = edited.undo(after)
     assert edited.texts == saved
