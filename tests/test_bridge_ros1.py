@@ -19,6 +19,7 @@ from sean_jax.ros.ros1 import DEBIAN, import_rospy
 from sean_jax.trajectories import load_trajectory
 from support.checkout import ROOT
 from support.commands import output, python
+from support.waiting import wait
 
 pytestmark = pytest.mark.slow
 SCENARIO = ("--environment", "lab", "--people", "6", "--dynamics", "twin", "--seed", "3")
@@ -206,10 +207,7 @@ def test_publish_subscribe_record_play_a_stuck_subscriber_and_a_killed_master(ro
         bag = tmp_path / "drive.bag"
         record = ["rosbag", "record", "-O", bag, "/odom", "/cmd_vel", "/people", "/tf", "/clock", "/map"]
         with started(record, ros) as recorder:
-            end = time.monotonic() + LIMIT
-            while not bag.with_suffix(".bag.active").exists():
-                assert time.monotonic() < end, "rosbag does not record"
-                time.sleep(0.05)
+            wait(bag.with_suffix(".bag.active").exists, LIMIT)
             assert program(ros, LISTEN, "drive", "record").split() == ["360", "32FC1", "True", "True"]
             recorder.send_signal(signal.SIGINT)
             recorder.wait(LIMIT)
@@ -239,10 +237,7 @@ def test_a_bag_of_a_real_recorder_has_goals_commands_and_episodes(ros, tmp_path)
     wall = ["rosparam", "set", "/use_sim_time", "false"]  # as before any bridge
     output(*wall, env=ros, timeout=LIMIT)
     with started(["rosbag", "record", "-a", "-O", bag], ros) as recorder:
-        end = time.monotonic() + LIMIT
-        while not bag.with_suffix(".bag.active").exists():
-            assert time.monotonic() < end, "rosbag does not record"
-            time.sleep(0.05)
+        wait(bag.with_suffix(".bag.active").exists, LIMIT)
         with started([PYTHON, controller], ros):
             sean(ros, "run", "--policy", "ros1:", *options, "--out", tmp_path / "run")
         recorder.send_signal(signal.SIGINT)

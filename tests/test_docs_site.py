@@ -1,6 +1,5 @@
 """The documentation site: every page is in its menu, every option on its page, and the tutorial runs as it stands."""
 
-import importlib.util
 import os
 import re
 import sys
@@ -10,7 +9,7 @@ import pytest
 import yaml
 
 from sean_jax.config import COMMANDS
-from support.checkout import ROOT, repository_files
+from support.checkout import ROOT, module_of, repository_files
 from support.commands import output
 
 DOCS = ROOT / "docs"
@@ -90,10 +89,7 @@ def test_the_gallery_shows_every_picture():
 
 
 def test_every_option_is_on_its_page():
-    spec = importlib.util.spec_from_file_location("hooks", DOCS / "hooks.py")
-    assert spec is not None and spec.loader is not None
-    hooks = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(hooks)
+    hooks = module_of(DOCS / "hooks.py")
     text = hooks.options()
     for word, model in COMMANDS.items():
         section = f"\n{text}".split(f"\n## sean {word}\n")[1].split("\n## ")[0]

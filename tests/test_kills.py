@@ -149,12 +149,27 @@ def test_collect(sean, tmp_path):
     killed(sean, tmp_path, COLLECT, finished, contents, 2)
 
 
-def test_train(sean, tmp_path):
+def steps(folder: Path) -> list[int]:
+    """Of the checkpoints that are there."""
+    names = os.listdir(folder / "checkpoints") if (folder / "checkpoints").is_dir() else []
+    return sorted(int(name) for name in names if name.isdigit())
+
+
+def states(folder: Path) -> dict[int, list[tuple[str, bytes]]]:
+    """Step -> type and bytes of each array of its checkpoint."""
     import jax
     import orbax.checkpoint as ocp
 
     from sean_jax.learning.trainer import Checkpoints
 
+    manager, kept = Checkpoints(folder).manager, {}
+    for step in steps(folder):
+        state = manager.restore(step, args=ocp.args.Composite(state=ocp.args.PyTreeRestore()))["state"]
+        kept[step] = [(np.asarray(leaf).dtype.str, np.asarray(leaf).tobytes()) for leaf in jax.tree.leaves(state)]
+    return kept
+
+
+def test_train(sean, tmp_path):
     (tmp_path / "jobs" / "data").mkdir(parents=True)
     assert sean.wait(sean.start(tmp_path / "jobs" / "data", *COLLECT)) == 0
 
@@ -162,25 +177,16 @@ def test_train(sean, tmp_path):
         lines = (folder / "metrics.jsonl").read_text().splitlines()
         return [{name: value for name, value in json.loads(line).items() if name != "time"} for line in lines]
 
-    def steps(folder: Path) -> list[int]:
-        names = os.listdir(folder / "checkpoints") if (folder / "checkpoints").is_dir() else []
-        return sorted(int(name) for name in names if name.isdigit())
-
     def finished(folder: Path) -> dict[str, bytes]:
         return {f"epoch {number}": b"" for number in range(1, max(steps(folder), default=0) + 1)}
 
     def result(folder: Path) -> dict:
-        manager = Checkpoints(folder).manager
-        kept = {}
-        for step in steps(folder):
-            state = manager.restore(step, args=ocp.args.Composite(state=ocp.args.PyTreeRestore()))["state"]
-            kept[step] = [(np.asarray(leaf).dtype.str, np.asarray(leaf).tobytes()) for leaf in jax.tree.leaves(state)]
         return {
             "names": sorted(os.listdir(folder)),
             "config": (folder / "config.json").read_bytes(),
             "epochs": epochs(folder),
             "checkpoints": sorted(os.listdir(folder / "checkpoints")),
-            "states": kept,
+            "states": states(folder),
         }
 
     killed(sean, tmp_path / "jobs", TRAIN, finished, result, 3)
@@ -188,30 +194,13 @@ def test_train(sean, tmp_path):
 
 def test_ppo(sean, tmp_path):
     """Stopped again and again, reinforcement learning comes to the same curve and the same agent."""
-    import orbax.checkpoint as ocp
-
-    from sean_jax.learning.trainer import Checkpoints
-
-    def steps(folder: Path) -> list[int]:
-        names = os.listdir(folder / "checkpoints") if (folder / "checkpoints").is_dir() else []
-        return sorted(int(name) for name in names if name.isdigit())
 
     def finished(folder: Path) -> dict[str, bytes]:
         return {f"update {number}": b"" for number in range(1, max(steps(folder), default=0) + 1)}
 
     def result(folder: Path) -> dict:
-        manager, kept = Checkpoints(folder).manager, {}
-        for step in steps(folder):
-            state = manager.restore(step, args=ocp.args.Composite(state=ocp.args.PyTreeRestore()))["state"]
-            kept[step] = [np.asarray(leaf).tobytes() for leaf in _leaves(state)]
         lines = [json.loads(line) for line in (folder / "metrics.jsonl").read_text().splitlines()]
         curve = [{name: line[name] for name in line if name not in ("time", "seconds", "per_second")} for line in lines]
-        return {"names": sorted(os.listdir(folder)), "curve": curve, "states": kept}
+        return {"names": sorted(os.listdir(folder)), "curve": curve, "states": states(folder)}
 
     killed(sean, tmp_path, PPO, finished, result, 4)
-
-
-def _leaves(tree) -> list:
-    import jax
-
-    return jax.tree.leaves(tree)

@@ -35,16 +35,10 @@ from sean_jax.studio.server import Studio
 from sean_jax.studio.session import Choice, Session
 from support.checkout import ROOT
 from support.studio import OPTIONS
-from support.web import browse, chromium, get
+from support.waiting import wait
+from support.web import browse, chromium, get, until
 
 session, fresh, served = support.studio.session, support.studio.fresh, support.studio.served  # fixtures
-
-
-def wait(condition, seconds=20.0):
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end, "it does not happen"
-        time.sleep(0.005)
 
 
 def drive(session, steps, ahead, left):
@@ -633,19 +627,6 @@ def impatient(monkeypatch, request):
 def socket_of(studio, token=None, origin=None, path="socket", name=""):
     address = f"ws://127.0.0.1:{studio.port}/{path}?token={token or studio.token}&tab={name}"
     return connect(address, origin=origin or f"http://127.0.0.1:{studio.port}", compression=None)
-
-
-async def until(tab, kind):
-    """The next message of a kind; frames are decoded no further than their head."""
-    while True:
-        message = await asyncio.wait_for(tab.recv(), 60)
-        if isinstance(message, bytes):
-            length = int.from_bytes(message[:4], "little")
-            news = json.loads(message[4 : 4 + length]) | {"bytes": message[4 + length :]}
-        else:
-            news = json.loads(message)
-        if news["kind"] == kind:
-            return news
 
 
 def test_the_page_is_for_this_computer_and_for_the_token(served):

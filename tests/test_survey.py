@@ -36,7 +36,7 @@ from sean_jax.survey import export, report, server, study, visits
 from sean_jax.survey.answers import BROKEN_OFF, FILE, Answers
 from support.checkout import ROOT
 from support.survey import FILM, STUDY, change, read, reply
-from support.web import browse, chromium, get
+from support.web import browse, chromium, get, until
 
 served = support.survey.served  # a fixture
 
@@ -256,19 +256,6 @@ def test_a_page_gets_only_what_it_may_ask_for(tmp_path):
 def tab_of(link, origin=None):
     base, query = link.split("/?")
     return connect(f"{base.replace('http', 'ws')}/socket?{query}", origin=origin or base, compression=None)
-
-
-async def until(tab, *kinds):
-    """The next message of a kind."""
-    while True:
-        message = await asyncio.wait_for(tab.recv(), 120)
-        if isinstance(message, bytes):
-            length = int.from_bytes(message[:4], "little")
-            news = json.loads(message[4 : 4 + length]) | {"bytes": message[4 + length :]}
-        else:
-            news = json.loads(message)
-        if news["kind"] in kinds:
-            return news
 
 
 async def send(tab, word, **more):

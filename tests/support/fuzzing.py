@@ -161,26 +161,14 @@ def readers() -> set[str]:
     """FILE FUNCTION of each function of the package that calls one of ``GATE``, from its source; "" is a module."""
     import ast
 
-    from support.checkout import ROOT
+    from support.checkout import callers
 
-    package = ROOT / "sean_jax"
-    found = set()
+    def of_the_gate(call: ast.Call) -> bool:
+        if isinstance(call.func, ast.Attribute):
+            return call.func.attr in GATE and ast.unparse(call.func.value) == "files"
+        return isinstance(call.func, ast.Name) and call.func.id in GATE and call.func.id != "load"
 
-    def visit(node: ast.AST, file: str, names: tuple[str, ...]) -> None:
-        if isinstance(node, ast.Call):
-            call = node.func
-            of_files = isinstance(call, ast.Attribute) and call.attr in GATE and ast.unparse(call.value) == "files"
-            if of_files or (isinstance(call, ast.Name) and call.id in GATE and call.id != "load"):
-                found.add(f"{file} {'.'.join(names)}")
-        if isinstance(node, (ast.FunctionDef, ast.ClassDef, ast.AsyncFunctionDef)):
-            names = (*names, node.name)
-        for child in ast.iter_child_nodes(node):
-            visit(child, file, names)
-
-    for path in sorted(package.rglob("*.py")):
-        if path.parent.name != "files":
-            visit(ast.parse(path.read_text(encoding="utf-8")), path.relative_to(package).as_posix(), ())
-    return found
+    return {place for place in callers(of_the_gate) if not place.startswith("files/")}
 
 
 class Refused(Exception):

@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import json
 import shutil
 import threading
 import urllib.error
@@ -54,3 +55,16 @@ def running(served):
     loop.call_soon_threadsafe(task.cancel)
     thread.join(20)
     assert not thread.is_alive()
+
+
+async def until(tab, *kinds: str) -> dict:
+    """The next message of one of these kinds; frames are decoded no further than their head."""
+    while True:
+        message = await asyncio.wait_for(tab.recv(), 120)
+        if isinstance(message, bytes):
+            length = int.from_bytes(message[:4], "little")
+            news = json.loads(message[4 : 4 + length]) | {"bytes": message[4 + length :]}
+        else:
+            news = json.loads(message)
+        if news["kind"] in kinds:
+            return news
