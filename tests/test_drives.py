@@ -9,6 +9,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from support import scenes
+from support.mjcf import box
 
 import sean_jax
 from sean_jax import episodes, geometry, mdp, robots, trajectories
@@ -351,11 +353,7 @@ def started(scenario, policy, key):
 @pytest.fixture(scope="module")
 def room(tmp_path_factory):
     """A function: name of a robot -> it alone in a room of 10 x 8 m, with random tasks."""
-    folder = tmp_path_factory.mktemp("room")
-    (folder / "environment.yaml").write_text("name: room\nfloor: [-5, -4, 5, 4]\npeople: 1\n")
-    (folder / "scene.xml").write_text(
-        '<mujoco><worldbody><geom type="box" size="0.2 0.2 1" pos="4.7 3.7 1"/></worldbody></mujoco>'
-    )
+    folder = scenes.room(tmp_path_factory.mktemp("room"), (-5, -4, 5, 4), [box((4.7, 3.7), (0.2, 0.2))])
 
     @functools.cache
     def make(name):

@@ -7,6 +7,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from support.mjcf import box
+from support.scenes import room
 
 import sean_jax
 from sean_jax import episodes
@@ -18,19 +20,12 @@ from sean_jax.policies.mppi import weighted_mean
 NAMES = ("dwa", "social_force", "mppi")
 FLOOR, BOX = (-5.0, -4.0, 5.0, 4.0), (0.0, 2.5, 0.4, 0.4)  # m; middle and half extent
 PEOPLE = 3
-FILES = {
-    "environment.yaml": f"name: room\nfloor: {[*FLOOR]}\npeople: {PEOPLE}\n",
-    "scene.xml": '<mujoco><worldbody><geom type="box" size="0.4 0.4 1" pos="0 2.5 1"/></worldbody></mujoco>',
-}
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     """A room with one pillar."""
-    made = tmp_path_factory.mktemp("room")
-    for name, text in FILES.items():
-        (made / name).write_text(text)
-    return made
+    return room(tmp_path_factory.mktemp("room"), FLOOR, [box(BOX[:2], BOX[2:])], PEOPLE)
 
 
 def make(folder, robot="kuri"):

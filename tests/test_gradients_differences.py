@@ -11,8 +11,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from support.scenes import meeting_room
 from test_gradients import in_double
-from test_gradients_swept import FILES, GOAL, PEOPLE, floats, state_of, states
+from test_gradients_swept import GOAL, PEOPLE, floats, state_of, states
 
 import sean_jax
 from sean_jax import sensors, social_forces
@@ -31,9 +32,7 @@ COMPANIONS = [[1, -1], [0, -1], [-1, -1], [-1, -1]]
 @pytest.fixture(scope="module")
 def room(tmp_path_factory):
     """A room with two boxes, two people who stand in a group and two who walk, and a robot, in float64."""
-    folder = tmp_path_factory.mktemp("room")
-    for name, text in FILES.items():
-        (folder / name).write_text(text)
+    folder = meeting_room(tmp_path_factory.mktemp("room"))
     made = sean_jax.make(folder, task="custom", start=(-2.0, 0.0), goal=(*GOAL, 90.0), people=PEOPLE, dynamics="twin")
     state = jax.jit(sean_jax.reset)(made, jax.random.key(0))
     with jax.enable_x64(True), jax.numpy_dtype_promotion("standard"):

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from support.scenes import meeting_room
 
 import sean_jax
 from sean_jax import classifiers, episodes, geometry, metrics, navigation, sensors, social_forces
@@ -28,23 +29,6 @@ from sean_jax.social_forces import PRESETS, Pair, terms, walls
 NUMBER, PEOPLE = 1024, 4
 GOAL = (3.0, 1.0)
 BOX = (0.0, 2.0, 0.5, 0.25)  # middle and half extent
-FILES = {
-    "environment.yaml": "name: room\nfloor: [-5, -4, 5, 4]\npeople: 4\n",
-    "scene.xml": '<mujoco><worldbody><geom type="box" size="0.5 0.25 1" pos="0 2 1"/>'
-    '<geom type="box" size="0.3 0.3 0.5" pos="-2 -2 0.5" euler="0 0 30"/></worldbody></mujoco>',
-    "graph.yaml": """version: 1
-c_min: 0.2
-c_max: 100
-nodes:
-  here: {kind: waypoint, position: [-3, 0], radius: 1, spawn: 1}
-  there: {kind: waypoint, position: [3, 0], radius: 1, spawn: 1}
-  middle: {kind: group, position: [0, -2], radius: 0.8, spawn: 1, capacity: 2, stay: [5, 10]}
-edges:
-  - {between: [here, there], flow: medium}
-  - {between: [here, middle], flow: medium}
-  - {between: [there, middle], flow: medium}
-""",
-}
 THRESHOLDS = np.array(
     [0.05, 0.1, 0.16, 0.2, 0.25, 0.3, 0.32, 0.35, 0.45, 0.46, 0.5, 0.55, 0.56, 0.6, 0.7, 0.8, 1.0, 1.2, 2.0, 2.4, 3.6]
 )
@@ -120,9 +104,7 @@ def check(function, at, shared=(), smooth=0.0, step=2e-3, parts=1):
 @pytest.fixture(scope="module")
 def room(tmp_path_factory):
     """A room with two boxes, two people who stand in a group and two who walk, and a robot."""
-    folder = tmp_path_factory.mktemp("room")
-    for name, text in FILES.items():
-        (folder / name).write_text(text)
+    folder = meeting_room(tmp_path_factory.mktemp("room"))
     made = sean_jax.make(folder, task="custom", start=(-2.0, 0.0), goal=(*GOAL, 90.0), people=PEOPLE, dynamics="twin")
     return made, jax.jit(sean_jax.reset)(made, jax.random.key(0))
 

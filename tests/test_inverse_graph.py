@@ -8,6 +8,8 @@ import networkx
 import numpy as np
 import pytest
 from rich.console import Console
+from support.mjcf import box
+from support.scenes import room
 
 import sean_jax
 from sean_jax import environment as environments
@@ -22,12 +24,9 @@ from sean_jax.studies.inverse_graph import fitting, measuring
 COLD = 1e-3  # m, at which route choice is the cheapest path
 
 
-def yard(folder, floor=(-12.0, -12.0, 12.0, 12.0), boxes=""):
+def yard(folder, floor=(-12.0, -12.0, 12.0, 12.0), boxes=()):
     """An environment without or with boxes."""
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / "environment.yaml").write_text(f"name: yard\nfloor: {list(floor)}\npeople: 6\n")
-    (folder / "scene.xml").write_text(f"<mujoco><worldbody>{boxes}</worldbody></mujoco>")
-    return environments.load(folder)
+    return environments.load(room(folder, floor, boxes, 6, name="yard"))
 
 
 RING = 6
@@ -350,17 +349,14 @@ def test_graphs_are_written_as_they_are_read(place, tmp_path):
 
 # --- Proposals ---
 
-ROOMS = (
-    "<geom type='box' pos='0 -4 1' size='.1 6 1'/><geom type='box' pos='0 9 1' size='.1 3 1'/>"  # a wall with a door
-    "<geom type='box' pos='5 5 1' size='2 1 1'/>"
-)
+ROOMS = [box((0, -4), (0.1, 6)), box((0, 9), (0.1, 3)), box((5, 5), (2, 1))]  # a wall with a door, and a block
 
 
 @pytest.mark.parametrize("name", [*environments.available(), "rooms", "open"])
 def test_proposed_graphs_are_sound_connected_and_see_the_floor(name, tmp_path):
     """Each proposal passes all checks of annotations; its edges can be walked, and nearly all of the floor is seen."""
     if name in ("rooms", "open"):
-        environment = yard(tmp_path / name, boxes=ROOMS if name == "rooms" else "")
+        environment = yard(tmp_path / name, boxes=ROOMS if name == "rooms" else ())
     else:
         environment = environments.load(name)
     words = inverse_graph.propose(environment)

@@ -12,6 +12,7 @@ import learning_data
 import numpy as np
 import pytest
 from PIL import Image
+from support.mjcf import box, with_geom
 
 from sean_jax import cli, environment, writing
 from sean_jax.config import CollectConfig, Figure4Config, ImitationConfig, validate
@@ -478,7 +479,6 @@ def test_an_environment_that_was_edited_ends_a_collection_before_it_is_mixed(tmp
     command = ["collect", "--environment", str(tmp_path / "place"), *words, "--out", str(tmp_path / "data")]
     assert cli.main(command) == 0 == cli.main(command)
     scene = tmp_path / "place" / "scene.xml"
-    box = '<geom type="box" pos="0.5 0.5 0.5" size="0.1 0.1 0.5"/></worldbody>'
-    scene.write_text(scene.read_text().replace("</worldbody>", box))
+    scene.write_text(with_geom(scene.read_text(), box((0.5, 0.5), (0.1, 0.1), height=1.0)))
     assert cli.main(command) == 2
     assert "was begun with another scenario and policy" in capsys.readouterr().err

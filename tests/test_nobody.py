@@ -8,6 +8,8 @@ import jax
 import numpy as np
 import pytest
 from quick import quick
+from support.mjcf import box
+from support.scenes import room
 
 import sean_jax
 from sean_jax import sensors
@@ -18,8 +20,6 @@ from sean_jax.policies import POLICIES
 from sean_jax.scenario import reset
 from sean_jax.social_forces import PRESETS
 
-SCENE = "<mujoco><worldbody><geom type='box' size='1 0.5 1' pos='0 0 1'/></worldbody></mujoco>"
-SETTINGS = "name: yard\nfloor: [-6, -5, 6, 5]\npeople: 0\n"
 ONE_NODE = """\
 version: 1
 c_min: 0.2
@@ -50,11 +50,8 @@ sets:
 """
 
 
-def write(folder, graph=TALK, scene=SCENE, settings=SETTINGS):
-    for name, text in (("environment.yaml", settings), ("scene.xml", scene), ("graph.yaml", graph),
-                       ("handcrafted.yaml", SETS)):  # fmt: skip
-        (folder / name).write_text(text)
-    return folder
+def write(folder, graph=TALK):
+    return room(folder, (-6, -5, 6, 5), [box((0, 0), (1, 0.5))], 0, graph=graph, handcrafted=SETS)
 
 
 @pytest.fixture(scope="module")

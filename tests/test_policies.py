@@ -12,6 +12,8 @@ import numpy as np
 import programs
 import pytest
 from quick import quick
+from support import scenes
+from support.mjcf import box
 
 import sean_jax
 from sean_jax import cli, episodes, navigation, robots
@@ -27,10 +29,6 @@ from sean_jax.policies.sensing_expert import sensing_expert
 
 STEPS = 240
 START, GOAL = (-2.5, 0.3), (2.5, 0.3)
-FILES = {
-    "environment.yaml": "name: room\nfloor: [-5, -4, 5, 4]\npeople: 6\n",
-    "scene.xml": '<mujoco><worldbody><geom type="box" size="0.4 0.4 1" pos="0 3.5 1"/></worldbody></mujoco>',
-}
 CORNER = (-4.5, -3.7)  # where people stand who have no part in a scene
 # One scene a row: (x, y, vx, vy) of people.
 SCENES = [
@@ -58,9 +56,7 @@ def undirected(scenario, state, key):
 @pytest.fixture(scope="module")
 def room(tmp_path_factory):
     """A room with one pillar, where people do as the scene says; and its scenes, stacked."""
-    folder = tmp_path_factory.mktemp("room")
-    for name, text in FILES.items():
-        (folder / name).write_text(text)
+    folder = scenes.room(tmp_path_factory.mktemp("room"), (-5, -4, 5, 4), [box((0, 3.5), (0.4, 0.4))], 6)
     made = sean_jax.make(
         folder, behavior="random", task="custom", start=START, goal=(*GOAL, 90.0), people=6, dynamics="twin"
     )

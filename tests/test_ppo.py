@@ -13,6 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from quick import quick
+from support.mjcf import box
+from support.scenes import room
 
 import sean_jax
 from sean_jax import cli, flags, learning, mdp, registry
@@ -959,12 +961,7 @@ def test_a_training_that_saw_something_else_is_refused(trained, tmp_path):
 @pytest.fixture(scope="module")
 def cell(tmp_path_factory):
     """A room of 8 by 6 m, to train in beside the lab."""
-    folder = tmp_path_factory.mktemp("places") / "cell"
-    folder.mkdir()
-    (folder / "environment.yaml").write_text("name: cell\nfloor: [0, 0, 8, 6]\npeople: 1\n")
-    box = '<geom type="box" size=".3 .3 1" pos="6 3 1"/>'
-    (folder / "scene.xml").write_text(f"<mujoco><worldbody>{box}</worldbody></mujoco>")
-    return folder
+    return room(tmp_path_factory.mktemp("places") / "cell", (0, 0, 8, 6), [box((6, 3), (0.3, 0.3))], name="cell")
 
 
 def test_scenarios_of_environments_take_turns():

@@ -17,6 +17,7 @@ import programs
 import pytest
 import scipy.optimize
 from quick import quick
+from support.robot_files import BOX_URDF
 
 import sean_jax
 from sean_jax import robots
@@ -666,14 +667,8 @@ def test_bad_files_are_refused_in_one_sentence(tmp_path, old, new, message):
     assert "\n" not in str(error.value)
 
 
-URDF = """<?xml version="1.0"?>
-<robot name="box">
-  <link name="base"><visual><geometry><box size="1 1 1"/></geometry></visual></link>
-</robot>"""
-
-
 def test_a_urdf_file_is_refused_as_one(tmp_path):
-    (tmp_path / "box.urdf").write_text(URDF)
+    (tmp_path / "box.urdf").write_text(BOX_URDF)
     with pytest.raises(
         FileError, match=r"box.urdf:2: is URDF and not MJCF; sean import-robot makes a robot file of it\.$"
     ):
