@@ -25,8 +25,6 @@ from typing import Any
 from xml.etree import ElementTree
 
 import yaml
-from support.mjcf import HALL
-from support.robot_files import CART, MONOCYCLE
 
 HANG, WAIT = 5.0, 60.0  # s of processor time, and of waiting
 MEMORY = 10**9  # bytes that a mutant may take
@@ -196,6 +194,8 @@ class Kind:
 
 def hall() -> dict[str, bytes]:
     """A small environment."""
+    from support.mjcf import HALL
+
     settings = "name: hall\nfloor: [-5, -4, 5, 4]  # m\npeople: 4\nsource: made up\n"
     return {"environment.yaml": settings.encode(), "scene.xml": HALL.encode()}
 
@@ -781,6 +781,8 @@ COLLADA = """<COLLADA version="1.4.1">
 
 def load_mesh(folder: Path) -> Any:
     """The corners of each mesh, and a robot that wears them all."""
+    from support.robot_files import CART
+
     from sean_jax.files import meshes
     from sean_jax.robots import imports
 
@@ -1120,6 +1122,7 @@ ROW = {
 def kinds(folder: Path) -> dict[str, Kind]:
     """Every kind of input, each with how many of a hundred mutants are of it."""
     import numpy as np
+    from support.robot_files import CART, ROVER
 
     from sean_jax.environment import ENVS
     from sean_jax.learning.policy import AGENTS
@@ -1143,7 +1146,7 @@ def kinds(folder: Path) -> dict[str, Kind]:
         "graph": Kind(read("graph.yaml"), ("graph.yaml",), load_graph, 13),
         "handcrafted": Kind(read("handcrafted.yaml"), ("handcrafted.yaml",), load_handcrafted, 10),
         "robot": Kind({"robot.xml": (ENVS / "robots/kuri.xml").read_bytes()}, ("robot.xml",), load_robot, 14),
-        "body": Kind({"body.xml": MONOCYCLE.encode()}, ("body.xml",), load_body, 6),
+        "body": Kind({"body.xml": ROVER.encode()}, ("body.xml",), load_body, 6),
         "recording": Kind({"people.csv": walks()}, ("people.csv",), load_recording, 14),
         "trajectory": Kind({"trajectory.json": robot_among_people()}, ("trajectory.json",), load_trajectory, 8),
         "ratings": Kind({"ratings.json": json.dumps(RATINGS, indent=1).encode()}, ("ratings.json",), load_ratings, 6),

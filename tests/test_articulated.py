@@ -3,7 +3,6 @@
 import functools
 from dataclasses import replace
 from importlib import import_module
-from types import SimpleNamespace
 from typing import Any
 
 import jax
@@ -11,26 +10,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from support.robot_files import (
-    BAD_ROVERS,
-    CRAWLER,
-    CRAWLER_ON_THE_GROUND,
-    LEGS,
-    ROVER,
-    ROVER_IN_THE_AIR,
-    ROVER_OF_A_MESH,
-    ROVER_OF_A_TOUCHING_MESH,
-    ROVER_WITHOUT_CASTER,
-)
+from support import driving, robot_files
+from support.driving import PERSON_RADIUS, TIME_STEP
+from support.robot_files import CRAWLER, LEGS, ROVER
 
 import sean_jax
 from sean_jax import robots, sensors
-from sean_jax.base import Obstacles
 from sean_jax.policies import go_to_goal
 
 mujoco: Any = import_module("mujoco")  # which has no type stubs
-TIME_STEP, PERSON_RADIUS, RADIUS = 0.1, 0.3, 0.3
-FAR = (90.0, 90.0, 1.0, 1.0, 0.0)
+RADIUS = 0.3
 
 
 def wheels(command, data, memory):
@@ -68,25 +57,17 @@ def rover(tmp_path_factory):
 
 def obstacles(*boxes):
     """Two boxes (x, y, half extents, yaw), the missing ones far away."""
-    rows = np.array([*boxes, *[FAR] * (2 - len(boxes))])
-    return Obstacles(*(jnp.asarray(each, float) for each in (rows[:, :2], rows[:, 2:4], rows[:, 4], np.ones(2))))
+    return driving.obstacles(boxes, 2)
 
 
 def rollout(model, boxes, person, walk, robot, actions):
     """Robots after each action (T, 2 or 3), with one person at a place who walks at a velocity."""
     TRACES.append(model.name)
-    scenario = SimpleNamespace(
-        environment=SimpleNamespace(obstacles=boxes),
-        robot=model,
-        time_step=TIME_STEP,
-        forces=SimpleNamespace(walking=SimpleNamespace(radius=jnp.asarray(PERSON_RADIUS, float))),
-    )
 
     def one(carry, action):
         robot, place = carry
         place = place + TIME_STEP * walk
-        people = SimpleNamespace(position=place[None], velocity=walk[None], present=jnp.ones(1, bool))
-        robot = model.drive(scenario, SimpleNamespace(robot=robot, pedestrians=people), action)
+        robot = driving.drive(model, robot, action, boxes, place[None], walk[None], jnp.ones(1, bool))
         return (robot, place), (robot, place)
 
     return jax.lax.scan(one, (robot, person), actions)[1]
@@ -188,7 +169,7 @@ def test_a_person_is_not_pushed_and_pushes_the_body_but_not_into_a_wall(rover):
 
 
 def test_a_body_that_falls_stays_where_it_lies(tmp_path):
-    model = rover_of(tmp_path, ROVER_WITHOUT_CASTER, max_tilt=0.3)
+    model = rover_of(tmp_path, robot_files.ROVER_WITHOUT_CASTER, max_tilt=0.3)
     moved, _ = run(model, (0.8, 0.5), person=(0.6, 0.0), walk=(-0.5, 0.0))
     fallen = moved.drive_state.fallen
     first = int(fallen.argmax())
@@ -268,26 +249,16 @@ def test_a_crawler_walks_as_in_mujoco(tmp_path):
     limits = {"max_speed": 0.2, "max_lateral_speed": 0.1, "max_turn_rate": 1.0}
     with jax.enable_x64(True):
         moved, _ = run(robots.articulated(path, trot, radius=0.25, **limits), (0.2, 0.0, 0.0))
-        qpos, _ = in_mujoco(CRAWLER_ON_THE_GROUND, trot, moved.drive_state.target)
+        qpos, _ = in_mujoco(robot_files.CRAWLER_ON_THE_GROUND, trot, moved.drive_state.target)
     np.testing.assert_allclose(moved.drive_state.physics["qpos"], qpos, atol=1e-8)
     assert moved.position[-1, 0] > 0.3
     assert not moved.drive_state.fallen.any()
 
 
-@pytest.mark.parametrize(
-    ("rover", "words"),
-    [
-        ("a hinge for a freejoint", "must have one freejoint, its first joint; give its base one"),
-        ("a second body", "all bodies must hang on the one"),
-        ("Runge-Kutta", "must be Euler or implicitfast"),
-        ("a raised ground", "one horizontal plane at height 0"),
-        ("a sphere on the ground", "one horizontal plane at height 0"),
-        ("nothing that touches", "touches the ground"),
-    ],
-)
-def test_bad_files_are_refused_in_one_sentence(tmp_path, rover, words):
+@pytest.mark.parametrize(("text", "words"), robot_files.REFUSED_ROVERS)
+def test_bad_files_are_refused_in_one_sentence(tmp_path, text, words):
     with pytest.raises(ValueError, match=words) as caught:
-        rover_of(tmp_path, BAD_ROVERS[rover])
+        rover_of(tmp_path, text)
     assert str(tmp_path) in str(caught.value) and "\n" not in str(caught.value)
 
 
@@ -308,11 +279,11 @@ def test_bad_arguments_are_refused_in_one_sentence(tmp_path, options, words):
 
 
 def test_a_ground_is_added_where_there_is_none(rover, tmp_path):
-    model = rover_of(tmp_path, ROVER_IN_THE_AIR)
+    model = rover_of(tmp_path, robot_files.ROVER_IN_THE_AIR)
     np.testing.assert_allclose(run(model, (0.5, 0.3))[0].position, run(rover, (0.5, 0.3))[0].position, atol=1e-4)
 
 
 def test_a_mesh_without_contacts_is_left_out_so_its_file_may_be_missing(tmp_path):
-    assert rover_of(tmp_path, ROVER_OF_A_MESH).mass == pytest.approx(7.3)
+    assert rover_of(tmp_path, robot_files.ROVER_OF_A_MESH).mass == pytest.approx(7.3)
     with pytest.raises(ValueError, match="none.stl"):
-        rover_of(tmp_path, ROVER_OF_A_TOUCHING_MESH)
+        rover_of(tmp_path, robot_files.ROVER_OF_A_TOUCHING_MESH)

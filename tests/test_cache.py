@@ -12,24 +12,13 @@ import jax
 import numpy as np
 import pytest
 from support.mjcf import box
-from support.scenes import room
+from support.scenes import BENCH, room
 
 import sean_jax
 from sean_jax import cache, environment, handcrafted, navigation
 from sean_jax.behaviors import Place, random_behavior, starts
 from sean_jax.graph.annotation import PERSON
 from sean_jax.navigation import tables
-
-GRAPH = """\
-version: 1
-c_min: 0.2
-c_max: 100
-nodes:
-  west: {kind: waypoint, position: [-4, 0], radius: 1, spawn: 1}
-  east: {kind: waypoint, position: [4, 0], radius: 1, spawn: 1}
-edges:
-  - {between: [west, east]}
-"""
 
 
 @pytest.fixture
@@ -59,7 +48,7 @@ def hall(tmp_path):
 
 def write(folder, x):
     """A hall with a box at x."""
-    return room(folder, (-6, -5, 6, 5), [box((x, 0), (0.5, 2))], 2, graph=GRAPH)
+    return room(folder, (-6, -5, 6, 5), [box((x, 0), (0.5, 2))], 2, graph=BENCH)
 
 
 def numbers(count):

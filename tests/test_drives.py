@@ -3,24 +3,24 @@
 import functools
 import re
 from dataclasses import replace
-from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from support import scenes
+from support import driving, scenes
+from support.driving import TIME_STEP
 from support.mjcf import box
 
 import sean_jax
 from sean_jax import episodes, geometry, mdp, robots, trajectories
-from sean_jax.base import Obstacles, Trajectory
+from sean_jax.base import Trajectory
 from sean_jax.errors import FileError, InputError
 from sean_jax.learning.policy import load_policy
 from sean_jax.policies import POLICIES
 from sean_jax.robots import drive
 
-STEPS, TIME_STEP = 200, 0.1
+STEPS = 200
 ROBOT_OF = {"omnidirectional": "hsr", "ackermann": "f1tenth"}
 FIGURES = {  # mass, radius, greatest speed, acceleration; then greatest speed to the left, or wheelbase and angle
     "a1": (12.45, 0.29, 1.0, 3.0, 1.0),
@@ -30,21 +30,10 @@ FIGURES = {  # mass, radius, greatest speed, acceleration; then greatest speed t
 
 
 def advance(model, robot, action, walls=()):
-    """One control step of 0.1 s without people; walls are (x, y, half extents)."""
-    boxes = np.array([*walls, (90.0, 90.0, 1.0, 1.0)], np.float32)
-    number = jnp.result_type(float)
-    obstacles = Obstacles(
-        *(jnp.asarray(part, number) for part in (boxes[:, :2], boxes[:, 2:4], 0 * boxes[:, 0], 1 + 0 * boxes[:, 0]))
-    )
-    nobody = jnp.zeros((0, 2), number)
-    scenario = SimpleNamespace(
-        environment=SimpleNamespace(obstacles=obstacles),
-        robot=model,
-        time_step=TIME_STEP,
-        forces=SimpleNamespace(walking=SimpleNamespace(radius=jnp.asarray(0.3, number))),
-    )
-    people = SimpleNamespace(position=nobody, velocity=nobody, present=jnp.zeros(0, bool))
-    return model.drive(scenario, SimpleNamespace(robot=robot, pedestrians=people), action)
+    """One control step without people; walls are (x, y, half extents)."""
+    boxes = driving.obstacles([(*wall, 0.0) for wall in walls], len(walls) + 1)
+    nobody = jnp.zeros((0, 2))
+    return driving.drive(model, robot, action, boxes, nobody, nobody, jnp.zeros(0, bool))
 
 
 def run(model, actions, walls=(), start=(0.3, -0.2, 0.7)):

@@ -52,22 +52,10 @@ def test_turned_box_and_boxes_in_bodies(tmp_path):
     np.testing.assert_allclose(boxes.height, [1, 2], atol=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("geom", "message"),
-    [
-        ("tilted box", "geom 'box' is tilted; turn it about the vertical axis only"),
-        ("sphere", "geom 'ball' is a sphere; replace it by one or more"),
-        ("third geom, a cylinder", "the unnamed geom number 3 is a cylinder"),
-        ("box in the air", "geom 'box' begins 2.00 m above the floor; extend it down to z = 0"),
-        ("box below the floor", "geom 'box' lies below the floor"),
-        ("box that moves", "geom 'box' is on a body with a joint"),
-        ("tilted plane", "geom 'wall' is a tilted plane"),
-        ("geom without a size", "MuJoCo cannot read it: size 0 must be positive in geom (line 1, element '')"),
-    ],
-)
-def test_unusable_scenes(tmp_path, geom, message):
+@pytest.mark.parametrize(("geoms", "message"), mjcf.REFUSED_GEOMS)
+def test_unusable_scenes(tmp_path, geoms, message):
     with pytest.raises(FileError) as caught:
-        environment.load(room(tmp_path, YARD, [mjcf.PLANE, mjcf.UNUSABLE_GEOMS[geom]]))
+        environment.load(room(tmp_path, YARD, [mjcf.PLANE, geoms]))
     text = str(caught.value)
     assert text.startswith(f"{tmp_path.name}/scene.xml: ") and message in text and "\n" not in text
 

@@ -16,7 +16,7 @@ import programs
 import pytest
 from support.mjcf import box
 from support.robot_files import PUCK
-from support.scenes import room
+from support.scenes import BENCH, room
 
 import sean_jax
 from sean_jax import behaviors, classifiers, cli, metrics, pedestrian_models, policies, robots, social_forces, tasks
@@ -123,19 +123,6 @@ def march(scenario, state, key):
 
 # --- a robot and an environment, which are files ---
 
-GRAPH = """\
-version: 1
-c_min: 0.2
-c_max: 100
-nodes:
-  west: {kind: waypoint, position: [-6, -3], radius: 1, spawn: 1}
-  east: {kind: waypoint, position: [6, -3], radius: 1, spawn: 1}
-  bench: {kind: group, position: [4, 3], radius: 1, spawn: 1, capacity: 2, stay: [5, 10]}
-edges:
-  - {between: [west, east], flow: medium}
-  - {between: [east, bench], flow: high}
-"""
-
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory):
@@ -143,7 +130,7 @@ def files(tmp_path_factory):
     folder = tmp_path_factory.mktemp("mine")
     (folder / "puck.xml").write_text(PUCK)
     boxes = box((0, 0), (1.5, 0.5)), box((-4, 2), (0.5, 1), height=1.0, turn=30)
-    return room(folder / "yard", (-8, -6, 8, 6), boxes, 5, graph=GRAPH), folder / "puck.xml"
+    return room(folder / "yard", (-8, -6, 8, 6), boxes, 5, name="yard", graph=BENCH), folder / "puck.xml"
 
 
 @pytest.fixture

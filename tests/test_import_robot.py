@@ -10,22 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 from fuzzing import check_error
-from support.robot_files import (
-    ARM,
-    BASE,
-    CASTER,
-    FIXED_BODY,
-    FREE_CART,
-    LASER,
-    LIMIT,
-    PAIR,
-    TWO_FREE_BODIES,
-    joint,
-    link,
-    planar_base,
-    wheel,
-    write_urdf,
-)
+from support import robot_files
+from support.robot_files import BASE, CASTER, LASER, LIMIT, PAIR, joint, link, wheel, write_urdf
 
 from sean_jax import cli, robots
 from sean_jax.errors import InputError
@@ -137,7 +123,7 @@ def test_the_drive_follows_from_the_wheels(parts, drive, tmp_path):
 def test_mjcf_with_a_freejoint(tmp_path):
     """Limits by actuators; the root stands somewhere else; the visual geom does not count."""
     path = tmp_path / "free.xml"
-    path.write_text(FREE_CART)
+    path.write_text(robot_files.FREE_CART)
     base = base_of(path)
     model = loaded(base, tmp_path)
     assert [w.name for w in base.wheels] == ["l", "r"] and base.drive == "differential"
@@ -159,9 +145,9 @@ def test_mjcf_with_a_freejoint(tmp_path):
 
 def test_a_planar_base_without_wheels_needs_the_name_of_its_drive(tmp_path):
     with pytest.raises(InputError, match="planar.xml: none of its hinges looks like a wheel .* --drive omni"):
-        base_of(planar_base(tmp_path))
+        base_of(robot_files.planar_base(tmp_path))
     limits = {"drive": "omnidirectional", "max_speed": 1.0, "max_acceleration": 2.0, "max_turn_rate": 1.5}
-    base = base_of(planar_base(tmp_path, ARM), **limits)
+    base = base_of(robot_files.planar_base(tmp_path, robot_files.ARM), **limits)
     model = loaded(base, tmp_path)
     assert float(model.radius) == pytest.approx(np.hypot(0.3, 0.2), rel=1e-4)
     assert float(model.max_turn_acceleration) == pytest.approx(2.0 / float(model.radius), rel=1e-4)
@@ -317,10 +303,10 @@ def test_a_file_that_is_no_robot_is_refused_in_one_sentence(parts, settings, mes
 
 def test_mjcf_without_a_freejoint_is_refused(tmp_path):
     path = tmp_path / "scene.xml"
-    path.write_text(FIXED_BODY)
+    path.write_text(robot_files.FIXED_BODY)
     with pytest.raises(InputError, match="no body has a <freejoint>, or slide joints and a hinge about z"):
         base_of(path)
-    path.write_text(TWO_FREE_BODIES)
+    path.write_text(robot_files.TWO_FREE_BODIES)
     with pytest.raises(InputError, match="2 bodies have a <freejoint>: 'a', 'b'"):
         base_of(path)
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from quick import quick
 from support.mjcf import box
-from support.scenes import room
+from support.scenes import BENCH, room
 
 import sean_jax
 from sean_jax import sensors
@@ -28,18 +28,6 @@ nodes:
   only: {kind: waypoint, position: [3, 3], radius: 1, spawn: 1}
 edges: []
 """
-TALK = """\
-version: 1
-c_min: 0.2
-c_max: 100
-nodes:
-  west: {kind: waypoint, position: [-4, -3], radius: 1, spawn: 1}
-  east: {kind: waypoint, position: [4, -3], radius: 1, spawn: 1}
-  bench: {kind: group, position: [2, 3], radius: 1, spawn: 1, capacity: 3, stay: [5, 10]}
-edges:
-  - {between: [west, east]}
-  - {between: [east, bench]}
-"""
 SETS = """\
 version: 1
 sets:
@@ -50,7 +38,7 @@ sets:
 """
 
 
-def write(folder, graph=TALK):
+def write(folder, graph=BENCH):
     return room(folder, (-6, -5, 6, 5), [box((0, 0), (1, 0.5))], 0, graph=graph, handcrafted=SETS)
 
 
@@ -146,7 +134,7 @@ def test_one_node_and_no_group(tmp_path):
 
 def test_a_stay_of_no_time_ends_at_once(tmp_path):
     """Whoever reaches a seat goes on to a waypoint in the same step, at the start of an episode too."""
-    scenario = make(write(tmp_path, TALK.replace("[5, 10]", "[0, 0]")), "graph", people=3)
+    scenario = make(write(tmp_path, BENCH.replace("[5, 10]", "[0, 0]")), "graph", people=3)
 
     def run(key):
         state = reset(scenario, key)

@@ -358,7 +358,7 @@ def test_only_files_of_the_folder_are_copied(tmp_path):
     scene = (folder / "scene.xml").read_text()
     (folder / "parts").mkdir()
     for name in ("mine/parts/inner.xml", "outer.xml"):
-        (tmp_path / name).write_text(mjcf.EMPTY)
+        (tmp_path / name).write_text(mjcf.scene())
     (folder / "recording.npz").write_bytes(b"0" * 1000)
     (folder / "scene.xml").write_text(mjcf.with_includes(scene, "parts/inner.xml", "../outer.xml"))
     before = set(Path(tempfile.gettempdir()).glob("outer.xml"))

@@ -41,10 +41,7 @@ HALL = """<mujoco model="hall">
     <light pos="0 0 5" dir="0 0.1 -1"/>
     <geom name="floor" type="plane" size="5 4 0.1"/>
     <geom name="wall_0" type="box" size="5 0.1 1" pos="0 4 1" euler="0 0 0"/>
-    <geom name="wall_1" type="box" size="5 0.1 1" pos="0 -4 1" euler="0 0 0"/>
-    <geom name="wall_2" type="box" size="0.1 4 1" pos="5 0 1" euler="0 0 0"/>
-    <geom name="wall_3" type="box" size="0.1 4 1" pos="-5 0 1" euler="0 0 0"/>
-    <geom name="wall_4" type="box" size="1 1 1" pos="1 0 1" euler="0 0 0"/>
+    <geom name="wall_1" type="box" size="1 1 1" pos="1 0 1" euler="0 0 0"/>
     <replicate count="2" offset="0.5 0 0"><geom type="box" size="0.1 0.1 1" pos="-3 -2 1"/></replicate>
   </worldbody>
 </mujoco>
@@ -72,39 +69,46 @@ BOX_IN_A_BODY = '<body pos="-2 0 0" euler="0 0 90"><geom type="box" pos="1 0 1" 
 DECORATION = '<geom type="sphere" size="1" contype="0" conaffinity="0"/>'
 
 _BOX = '<geom name="box" type="box" pos="1 0 0.5" size="0.5 0.5 0.5"/>'
-UNUSABLE_GEOMS = {
-    "tilted box": _BOX.replace("/>", ' euler="10 0 0"/>'),
-    "sphere": _BOX + '<geom name="ball" type="sphere" size="1"/>',
-    "third geom, a cylinder": _BOX + '<geom type="cylinder" size="1 1"/>',
-    "box in the air": _BOX.replace("0 0.5", "0 2.5", 1),
-    "box below the floor": _BOX.replace("0 0.5", "0 -0.6", 1),
-    "box that moves": f"<body><freejoint/>{_BOX}</body>",
-    "tilted plane": _BOX + '<geom name="wall" type="plane" size="1 1 1" euler="90 0 0"/>',
-    "geom without a size": "<geom/>",
-}
+# Geoms that no environment may have, and what is said of them.
+REFUSED_GEOMS = [
+    (_BOX.replace("/>", ' euler="10 0 0"/>'), "geom 'box' is tilted; turn it about the vertical axis only"),
+    (_BOX + '<geom name="ball" type="sphere" size="1"/>', "geom 'ball' is a sphere; replace it by one or more"),
+    (_BOX + '<geom type="cylinder" size="1 1"/>', "the unnamed geom number 3 is a cylinder"),
+    (_BOX.replace("0 0.5", "0 2.5", 1), "geom 'box' begins 2.00 m above the floor; extend it down to z = 0"),
+    (_BOX.replace("0 0.5", "0 -0.6", 1), "geom 'box' lies below the floor"),
+    (f"<body><freejoint/>{_BOX}</body>", "geom 'box' is on a body with a joint"),
+    (_BOX + '<geom name="wall" type="plane" size="1 1 1" euler="90 0 0"/>', "geom 'wall' is a tilted plane"),
+    ("<geom/>", "MuJoCo cannot read it: size 0 must be positive in geom (line 1, element '')"),
+]
 
 _TEXTURE = '<texture name="t" type="2d" builtin="flat" width="60000" height="60000"/>'
 _SKY = '<texture type="skybox" builtin="gradient" width="60000"/>'
 _PILLAR = '<geom type="box" size="1 1 1" pos="0 0 1"/>'
-_UNSAFE = {
-    "NaN": _PILLAR.replace("0 0 1", "nan 0 1"),
-    "infinity": _PILLAR.replace("1 1 1", "inf 1 1"),
-    "large number": _PILLAR.replace("1 1 1", "1e39 1 1"),
-    "many copies": f'<replicate count="100000">{_PILLAR}</replicate>',
-    "copies of copies": f'<replicate count="999"><replicate count="999">{_PILLAR}</replicate></replicate>',
-    "composite": '<composite type="grid" count="9999 9999 1"/>',
-    "deep nesting": "<body>" * 100 + "</body>" * 100,
-    "much memory": '</worldbody><size memory="900G"/><worldbody>',
-    "much user data": '</worldbody><size nuser_geom="1000000000"/><worldbody>',
-    "large texture": f"</worldbody><asset>{_TEXTURE}</asset><worldbody>",
-    "large sky": f"</worldbody><asset>{_SKY}</asset><worldbody>",
-    "large cube": f"</worldbody><asset>{_SKY.replace('skybox', 'cube')}</asset><worldbody>",
-    "itself": '</worldbody><include file="scene.xml"/><worldbody>',
-    "pipe": '</worldbody><include file="pipe"/><worldbody>',
-    "no XML": "</geom>",
-}
-# What MuJoCo must not compile, each in line 3 of a scene.
-UNSAFE_SCENES = {name: f"<mujoco>\n<worldbody>\n{text}\n</worldbody>\n</mujoco>\n" for name, text in _UNSAFE.items()}
+# What MuJoCo must not compile, and what is said of it in line 3 of ``lines_of(text)``.
+UNSAFE = [
+    (_PILLAR.replace("0 0 1", "nan 0 1"), 'pos="nan 0 1" holds a number that is not finite'),
+    (_PILLAR.replace("1 1 1", "inf 1 1"), 'size="inf 1 1" holds a number that is not finite'),
+    (_PILLAR.replace("1 1 1", "1e39 1 1"), "holds a number beyond 1e+10"),
+    (f'<replicate count="100000">{_PILLAR}</replicate>', 'count="100000" must be at most 1,000'),
+    (f'<replicate count="999"><replicate count="999">{_PILLAR}</replicate></replicate>', "more than 10,000 elements"),
+    ('<composite type="grid" count="9999 9999 1"/>', "<composite> has no place in a scene or a robot"),
+    ("<body>" * 100 + "</body>" * 100, "nested deeper than 60 levels"),
+    ('</worldbody><size memory="900G"/><worldbody>', 'size memory="900G" must be at most 100M'),
+    ('</worldbody><size nuser_geom="1000000000"/><worldbody>', "must be at most 10,000"),
+    (f"</worldbody><asset>{_TEXTURE}</asset><worldbody>", "more than 25 million pixels"),
+    (f"</worldbody><asset>{_SKY}</asset><worldbody>", "more than 25 million pixels"),
+    (f"</worldbody><asset>{_SKY.replace('skybox', 'cube')}</asset><worldbody>", "more than 25 million pixels"),
+    ('</worldbody><include file="scene.xml"/><worldbody>', "scene.xml includes itself"),
+    ('</worldbody><include file="pipe"/><worldbody>', "it is a pipe"),
+    ("</geom>", "is not XML: mismatched tag"),
+]
+
+
+def lines_of(text: str) -> str:
+    """A scene of this text, in line 3."""
+    return f"<mujoco>\n<worldbody>\n{text}\n</worldbody>\n</mujoco>\n"
+
+
 DOCUMENT_TYPE = '<!DOCTYPE m [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;&a;">]>\n<mujoco model="&b;"/>'
 
 

@@ -39,11 +39,16 @@ def wheel(name: str, pose: str, shape: str = '<cylinder radius="0.08" length="0.
     return body + joint(f"{name}_joint", name, pose, **more)
 
 
-def write_urdf(folder: Path, parts: str) -> Path:
-    """Write ``bot.urdf`` with these links and joints, a line each."""
-    path = folder / "bot.urdf"
+def urdf(parts: str) -> str:
+    """A robot of these links and joints, a line each."""
     lines = parts.replace("><link", ">\n<link")
-    path.write_text(f'<?xml version="1.0"?>\n<robot name="bot">\n{lines}\n</robot>\n')
+    return f'<?xml version="1.0"?>\n<robot name="bot">\n{lines}\n</robot>\n'
+
+
+def write_urdf(folder: Path, parts: str) -> Path:
+    """Write ``bot.urdf`` with these links and joints."""
+    path = folder / "bot.urdf"
+    path.write_text(urdf(parts))
     return path
 
 
@@ -53,25 +58,8 @@ CASTER = link("caster", 0.2, "") + joint("caster_swivel", "caster", "-0.15 0 -0.
 CASTER += wheel("caster_wheel", "0 0 -0.03", '<cylinder radius="0.03" length="0.02"/>', parent="caster")
 LASER = link("laser", 0.1, '<cylinder radius="0.03" length="0.05"/>')
 LASER += joint("laser_mount", "laser", "0.1 0 0.2", kind="fixed", limit="", turn="0 0 0.5")
+CART = urdf(PAIR + CASTER + LASER)
 
-# A pair of wheels and a caster, in one file.
-CART = """<robot name="cart">
-  <link name="base">
-    <inertial><mass value="9"/><inertia ixx="0.2" ixy="0" ixz="0" iyy="0.2" iyz="0" izz="0.3"/></inertial>
-    <collision><origin xyz="0 0 0.1" rpy="0 0 0"/><geometry><box size="0.4 0.3 0.1"/></geometry></collision>
-  </link>
-  <link name="left"><inertial><mass value="0.5"/></inertial>
-    <collision><origin rpy="1.5708 0 0"/><geometry><cylinder radius="0.1" length="0.04"/></geometry></collision></link>
-  <link name="right"><inertial><mass value="0.5"/></inertial>
-    <collision><origin rpy="1.5708 0 0"/><geometry><cylinder radius="0.1" length="0.04"/></geometry></collision></link>
-  <link name="caster"><collision><geometry><sphere radius="0.05"/></geometry></collision></link>
-  <joint name="left_wheel" type="continuous"><parent link="base"/><child link="left"/>
-    <origin xyz="0.1 0.17 0.0"/><axis xyz="0 1 0"/><limit effort="3" velocity="9"/></joint>
-  <joint name="right_wheel" type="continuous"><parent link="base"/><child link="right"/>
-    <origin xyz="0.1 -0.17 0.0"/><axis xyz="0 1 0"/><limit effort="3" velocity="9"/></joint>
-  <joint name="back" type="fixed"><parent link="base"/><child link="caster"/><origin xyz="-0.15 0 -0.05"/></joint>
-</robot>
-"""
 BOX_URDF = """<?xml version="1.0"?>
 <robot name="box">
   <link name="base"><visual><geometry><box size="1 1 1"/></geometry></visual></link>
@@ -147,22 +135,6 @@ PUCK = """\
 
 # MJCF of articulated bodies
 
-MONOCYCLE = """<mujoco>
-  <option timestep="0.005"/>
-  <worldbody>
-    <geom type="plane" size="0 0 0.01"/>
-    <body pos="0 0 0.1">
-      <freejoint/>
-      <geom type="box" size="0.2 0.12 0.04" mass="6" contype="0" conaffinity="0"/>
-      <geom type="sphere" size="0.05" pos="-0.18 0 -0.05" mass="0.2" friction="0.001" condim="1"/>
-      <site name="lidar" pos="0 0 0.2"/>
-      <body pos="0.08 0 0"><joint name="wheel" axis="0 1 0"/><geom size="0.1" mass="0.5"/></body>
-    </body>
-  </worldbody>
-  <actuator><velocity joint="wheel" kv="2" forcerange="-4 4"/></actuator>
-  <keyframe><key name="home" qpos="0 0 0.1 1 0 0 0 0"/></keyframe>
-</mujoco>
-"""
 GROUND = '<geom type="plane" size="0 0 0.01"/>'
 _CASTER = '<geom type="sphere" size="0.05" pos="-0.18 0 -0.05" mass="0.2" friction="0.001" condim="1"/>'
 # Two wheels, a caster and an arm.
@@ -202,15 +174,17 @@ ROVER_OF_A_MESH, ROVER_OF_A_TOUCHING_MESH = (
     for contacts in ('contype="0" conaffinity="0"', "")
 )
 _END, _BEGIN = "</worldbody>", "<worldbody>"
-_FAULTS = {
-    "a hinge for a freejoint": ("<freejoint/>", "<joint axis='0 0 1'/>"),
-    "a second body": (_END, f"<body><geom size='0.1'/></body>{_END}"),
-    "Runge-Kutta": ('timestep="0.005"', 'integrator="RK4"'),
-    "a raised ground": ('type="plane"', 'type="plane" pos="0 0 0.1"'),
-    "a sphere on the ground": (_END, f"<geom size='0.1'/>{_END}"),
-    "nothing that touches": (_BEGIN, f"<default><geom contype='2' conaffinity='4'/></default>{_BEGIN}"),
-}
-BAD_ROVERS = {name: re.sub("<keyframe>.*</keyframe>", "", ROVER).replace(*fault) for name, fault in _FAULTS.items()}
+_FAULTS = [
+    ("<freejoint/>", "<joint axis='0 0 1'/>", "must have one freejoint, its first joint; give its base one"),
+    (_END, f"<body><geom size='0.1'/></body>{_END}", "all bodies must hang on the one"),
+    ('timestep="0.005"', 'integrator="RK4"', "must be Euler or implicitfast"),
+    ('type="plane"', 'type="plane" pos="0 0 0.1"', "one horizontal plane at height 0"),
+    (_END, f"<geom size='0.1'/>{_END}", "one horizontal plane at height 0"),
+    (_BEGIN, f"<default><geom contype='2' conaffinity='4'/></default>{_BEGIN}", "touches the ground"),
+]
+# Rovers that are refused, and what is said of them.
+_SHORT = re.sub("<keyframe>.*</keyframe>", "", ROVER)
+REFUSED_ROVERS = [(_SHORT.replace(old, new), words) for old, new, words in _FAULTS]
 
 
 def _leg(name: str, place: Sequence[float]) -> str:

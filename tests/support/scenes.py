@@ -27,7 +27,22 @@ def room(
     return folder
 
 
-MEETING = """version: 1
+# A way with a bench for three beside it.
+BENCH = """\
+version: 1
+c_min: 0.2
+c_max: 100
+nodes:
+  west: {kind: waypoint, position: [-4, -3], radius: 1, spawn: 1}
+  east: {kind: waypoint, position: [4, -3], radius: 1, spawn: 1}
+  bench: {kind: group, position: [2, 3], radius: 1, spawn: 1, capacity: 3, stay: [5, 10]}
+edges:
+  - {between: [west, east]}
+  - {between: [east, bench]}
+"""
+# A group between two places.
+MEETING = """\
+version: 1
 c_min: 0.2
 c_max: 100
 nodes:
