@@ -8,8 +8,7 @@ import numpy as np
 import programs
 import pytest
 from scipy.cluster.vq import kmeans2
-from support.mjcf import box
-from support.scenes import room
+from support.scenes import box, room
 
 import sean_jax
 from sean_jax.assembly import with_task

@@ -11,8 +11,7 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
-from support.mjcf import box
-from support.scenes import BENCH, room
+from support.scenes import BENCH, box, room
 
 import sean_jax
 from sean_jax import cache, environment, handcrafted, navigation

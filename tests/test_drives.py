@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from support import driving, scenes
 from support.driving import TIME_STEP
-from support.mjcf import box
 
 import sean_jax
 from sean_jax import episodes, geometry, mdp, robots, trajectories
@@ -342,7 +341,7 @@ def started(scenario, policy, key):
 @pytest.fixture(scope="module")
 def room(tmp_path_factory):
     """A function: name of a robot -> it alone in a room of 10 x 8 m, with random tasks."""
-    folder = scenes.room(tmp_path_factory.mktemp("room"), (-5, -4, 5, 4), [box((4.7, 3.7), (0.2, 0.2))])
+    folder = scenes.room(tmp_path_factory.mktemp("room"), (-5, -4, 5, 4), [scenes.box((4.7, 3.7), (0.2, 0.2))])
 
     @functools.cache
     def make(name):

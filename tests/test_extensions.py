@@ -14,9 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 import programs
 import pytest
-from support.mjcf import box
 from support.robot_files import PUCK
-from support.scenes import BENCH, room
+from support.scenes import BENCH, box, room
 
 import sean_jax
 from sean_jax import behaviors, classifiers, cli, metrics, pedestrian_models, policies, robots, social_forces, tasks

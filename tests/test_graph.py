@@ -10,8 +10,7 @@ import numpy as np
 import programs
 import pytest
 import yaml
-from support.mjcf import box
-from support.scenes import room
+from support.scenes import box, room
 
 from sean_jax import environment, files
 from sean_jax.errors import FileError

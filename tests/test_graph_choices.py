@@ -9,8 +9,7 @@ import networkx
 import numpy as np
 import pytest
 from quick import quick
-from support.mjcf import box
-from support.scenes import room
+from support.scenes import box, room
 from test_graph import assert_routes
 
 import sean_jax

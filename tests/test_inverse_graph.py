@@ -8,8 +8,7 @@ import networkx
 import numpy as np
 import pytest
 from rich.console import Console
-from support.mjcf import box
-from support.scenes import room
+from support.scenes import box, room
 
 import sean_jax
 from sean_jax import environment as environments

@@ -8,8 +8,7 @@ import jax
 import numpy as np
 import pytest
 from quick import quick
-from support.mjcf import box
-from support.scenes import BENCH, room
+from support.scenes import BENCH, box, room
 
 import sean_jax
 from sean_jax import sensors

@@ -9,8 +9,7 @@ import pytest
 import shapely
 from scipy import stats
 from shapely import affinity
-from support.mjcf import box
-from support.scenes import room
+from support.scenes import box, room
 
 import sean_jax
 from sean_jax import environment as environments

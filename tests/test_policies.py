@@ -13,7 +13,6 @@ import programs
 import pytest
 from quick import quick
 from support import scenes
-from support.mjcf import box
 
 import sean_jax
 from sean_jax import cli, episodes, navigation, robots
@@ -56,7 +55,7 @@ def undirected(scenario, state, key):
 @pytest.fixture(scope="module")
 def room(tmp_path_factory):
     """A room with one pillar, where people do as the scene says; and its scenes, stacked."""
-    folder = scenes.room(tmp_path_factory.mktemp("room"), (-5, -4, 5, 4), [box((0, 3.5), (0.4, 0.4))], 6)
+    folder = scenes.room(tmp_path_factory.mktemp("room"), (-5, -4, 5, 4), [scenes.box((0, 3.5), (0.4, 0.4))], 6)
     made = sean_jax.make(
         folder, behavior="random", task="custom", start=START, goal=(*GOAL, 90.0), people=6, dynamics="twin"
     )

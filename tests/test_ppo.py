@@ -13,8 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from quick import quick
-from support.mjcf import box
-from support.scenes import room
+from support.scenes import box, room
 
 import sean_jax
 from sean_jax import cli, flags, learning, mdp, registry

@@ -9,8 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import programs
 import pytest
-from support.mjcf import box
-from support.scenes import room
+from support.scenes import box, room
 
 import sean_jax
 from sean_jax import navigation as paths

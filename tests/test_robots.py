@@ -17,7 +17,7 @@ import programs
 import pytest
 import scipy.optimize
 from quick import quick
-from support.robot_files import BOX_URDF
+from support.robot_files import BASE, urdf
 
 import sean_jax
 from sean_jax import robots
@@ -668,7 +668,7 @@ def test_bad_files_are_refused_in_one_sentence(tmp_path, old, new, message):
 
 
 def test_a_urdf_file_is_refused_as_one(tmp_path):
-    (tmp_path / "box.urdf").write_text(BOX_URDF)
+    (tmp_path / "box.urdf").write_text(urdf(BASE))
     with pytest.raises(
         FileError, match=r"box.urdf:2: is URDF and not MJCF; sean import-robot makes a robot file of it\.$"
     ):

@@ -18,8 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from support.mjcf import box
-from support.scenes import room
+from support.scenes import box, room
 
 import sean_jax
 from sean_jax import cli, environment, maps, recordings, sensors

@@ -60,10 +60,6 @@ LASER = link("laser", 0.1, '<cylinder radius="0.03" length="0.05"/>')
 LASER += joint("laser_mount", "laser", "0.1 0 0.2", kind="fixed", limit="", turn="0 0 0.5")
 CART = urdf(PAIR + CASTER + LASER)
 
-BOX_URDF = """<?xml version="1.0"?>
-<robot name="box">
-  <link name="base"><visual><geometry><box size="1 1 1"/></geometry></visual></link>
-</robot>"""
 
 # MJCF that sean import-robot reads
 
