@@ -19,6 +19,7 @@ from sean_jax.base import Policy
 from sean_jax.learning import reinforcement, rollouts
 from sean_jax.policies import go_to_goal
 from support.commands import cpu_devices, python
+from support.scenes import room
 
 PROGRAM = """
 import sys, json
@@ -231,10 +232,7 @@ def test_two_processes_train_as_one_with_two_devices(tmp_path):
 
 @pytest.mark.night
 def test_several_environments_on_two_devices_are_those_on_one(tmp_path):
-    cell = tmp_path / "cell"
-    cell.mkdir()
-    (cell / "environment.yaml").write_text("name: cell\nfloor: [0, 0, 8, 6]\npeople: 1\n")
-    (cell / "scene.xml").write_text("<mujoco><worldbody/></mujoco>")
+    cell = room(tmp_path / "cell", (0, 0, 8, 6))
     more = ("--environment", f"lab,{cell}")
     told = [train(tmp_path / str(count), 0, more=more, count=count) for count in (1, 2)]
     assert [(process.communicate(timeout=600), process.returncode)[1] for process in told] == [0, 0]

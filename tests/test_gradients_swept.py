@@ -25,8 +25,6 @@ from sean_jax.policies.costmap import proxemic_cost
 from sean_jax.policies.prediction import predict_people
 from sean_jax.social_forces import PRESETS, Pair, terms, walls
 from support.state_sweep import (
-    FILES,
-    GOAL,
     NUMBER,
     PEOPLE,
     SWEPT,
@@ -34,6 +32,7 @@ from support.state_sweep import (
     directions,
     floats,
     gaps,
+    met,
     speeds,
     state_of,
     states,
@@ -84,11 +83,7 @@ def check(function, at, shared=(), smooth=0.0, step=2e-3, parts=1):
 @pytest.fixture(scope="module")
 def room(tmp_path_factory):
     """A room with two boxes, two people who stand in a group and two who walk, and a robot."""
-    folder = tmp_path_factory.mktemp("room")
-    for name, text in FILES.items():
-        (folder / name).write_text(text)
-    made = sean_jax.make(folder, task="custom", start=(-2.0, 0.0), goal=(*GOAL, 90.0), people=PEOPLE, dynamics="twin")
-    return made, jax.jit(sean_jax.reset)(made, jax.random.key(0))
+    return met(tmp_path_factory.mktemp("room"))
 
 
 def limits(scenario):

@@ -16,6 +16,7 @@ from sean_jax.graph.behavior_graph import routes
 from sean_jax.graph.formation import MEASURED, formation, reach
 from support import programs
 from support.graphs import assert_routes
+from support.scenes import box, room
 
 FILE = environment.find("warehouse") / "graph.yaml"
 
@@ -112,7 +113,7 @@ def test_places_are_free_and_seen_from_the_centre(graph, warehouse):
 
 
 def test_places_in_a_narrow_spot_stay_near_the_centre(tmp_path):
-    place = yard(tmp_path, "".join(f"<geom type='box' pos='{x} 0 1' size='0.05 4 1'/>" for x in (0.36, -0.36)))
+    place = yard(tmp_path, [box((x, 0), (0.05, 4)) for x in (0.36, -0.36)])
     text = "".join(GOOD.splitlines(keepends=True)[:5]).replace("radius: 1", "radius: 3") + "edges: []\n"
     (tmp_path / "graph.yaml").write_text(text, encoding="utf-8")
     found = annotation.read(tmp_path / "graph.yaml", place)
@@ -122,11 +123,12 @@ def test_places_in_a_narrow_spot_stay_near_the_centre(tmp_path):
     assert seat.shape == (0, 2) and opening.shape == (0, 2)
 
 
-def yard(folder: Path, boxes: str = "<geom type='box' pos='4 4 1' size='0.5 0.5 1'/>"):
+CORNER_BOX = [box((4, 4), (0.5, 0.5))]
+
+
+def yard(folder: Path, boxes=CORNER_BOX):
     """A floor of 10 m with some boxes."""
-    (folder / "environment.yaml").write_text("name: yard\nfloor: [-5, -5, 5, 5]\npeople: 3\n", encoding="utf-8")
-    (folder / "scene.xml").write_text(f"<mujoco><worldbody>{boxes}</worldbody></mujoco>", encoding="utf-8")
-    return environment.load(folder)
+    return environment.load(room(folder, (-5, -5, 5, 5), boxes, 3))
 
 
 GOOD = """\

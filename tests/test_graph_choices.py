@@ -18,18 +18,15 @@ from sean_jax.graph.behavior_graph import add_congestion_cost, edge_areas, edge_
 from support import programs
 from support.graphs import assert_routes
 from support.quick import quick
+from support.scenes import box, room
 
 HEAD = "version: 1\nc_min: 0.2\nc_max: 100\n"
-BLOCK = "<mujoco><worldbody><geom type='box' pos='0 0 1' size='5 1.5 1'/></worldbody></mujoco>"
 
 
 @pytest.fixture(scope="module")
 def hall(tmp_path_factory):
     """``hall(graph, people, routing, congestion_cost)``: a scenario of that graph.yaml on one floor around a block."""
-    folder = tmp_path_factory.mktemp("choices") / "hall"
-    folder.mkdir()
-    (folder / "environment.yaml").write_text("name: hall\nfloor: [-11, -9, 11, 9]\npeople: 4\n")
-    (folder / "scene.xml").write_text(BLOCK)
+    folder = room(tmp_path_factory.mktemp("choices"), (-11, -9, 11, 9), [box((0, 0), (5, 1.5))], 4)
     made = sean_jax.make(folder, behavior="random", task="random_ab_nav", dynamics="twin")
 
     def scenario(graph: str, people: int, routing: str = "whole", congestion_cost: float = 0.0):

@@ -19,6 +19,7 @@ from sean_jax.graph.behavior_graph import cheapest_paths, hop_log_chances, route
 from sean_jax.studies import inverse_graph
 from sean_jax.studies.inverse_graph import fitting, measuring
 from support.graphs import RING, ring, yard
+from support.scenes import box
 
 COLD = 1e-3  # m, at which route choice is the cheapest path
 
@@ -318,17 +319,14 @@ def test_graphs_are_written_as_they_are_read(place, tmp_path):
 
 # --- Proposals ---
 
-ROOMS = (
-    "<geom type='box' pos='0 -4 1' size='.1 6 1'/><geom type='box' pos='0 9 1' size='.1 3 1'/>"  # a wall with a door
-    "<geom type='box' pos='5 5 1' size='2 1 1'/>"
-)
+ROOMS = [box((0, -4), (0.1, 6)), box((0, 9), (0.1, 3)), box((5, 5), (2, 1))]  # a wall with a door, and a block
 
 
 @pytest.mark.parametrize("name", [*environments.available(), "rooms", "open"])
 def test_proposed_graphs_are_sound_connected_and_see_the_floor(name, tmp_path):
     """Each proposal passes all checks of annotations; its edges can be walked, and nearly all of the floor is seen."""
     if name in ("rooms", "open"):
-        environment = yard(tmp_path / name, boxes=ROOMS if name == "rooms" else "")
+        environment = yard(tmp_path / name, boxes=ROOMS if name == "rooms" else ())
     else:
         environment = environments.load(name)
     words = inverse_graph.propose(environment)

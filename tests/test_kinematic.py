@@ -10,7 +10,7 @@ import pytest
 
 import sean_jax
 from sean_jax import robots
-from support.robots import CLUTTER, PERSON_RADIUS, WALL, advance, leaves, rollout, world
+from support.driving import CLUTTER, PERSON_RADIUS, WALL, advance, leaves, rollout, world
 
 STEP = 0.1
 batched = jax.jit(jax.vmap(rollout, in_axes=(None, None, 0, 0)))

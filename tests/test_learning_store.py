@@ -23,6 +23,7 @@ from sean_jax.learning.networks import read_network_config
 from support import learning_data
 from support.checkout import DATA, benchmark
 from support.files import contents
+from support.mjcf import box, with_geom
 
 
 @pytest.fixture(scope="module")
@@ -476,7 +477,6 @@ def test_an_environment_that_was_edited_ends_a_collection_before_it_is_mixed(tmp
     command = ["collect", "--environment", str(tmp_path / "place"), *words, "--out", str(tmp_path / "data")]
     assert cli.main(command) == 0 == cli.main(command)
     scene = tmp_path / "place" / "scene.xml"
-    box = '<geom type="box" pos="0.5 0.5 0.5" size="0.1 0.1 0.5"/></worldbody>'
-    scene.write_text(scene.read_text().replace("</worldbody>", box))
+    scene.write_text(with_geom(scene.read_text(), box((0.5, 0.5), (0.1, 0.1), height=1.0)))
     assert cli.main(command) == 2
     assert "was begun with another scenario and policy" in capsys.readouterr().err

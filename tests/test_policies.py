@@ -22,15 +22,11 @@ from sean_jax.policies.costmap import proxemic_cost
 from sean_jax.policies.expert import plan_limits
 from sean_jax.policies.known_people import known_people
 from sean_jax.policies.sensing_expert import sensing_expert
-from support import programs
+from support import programs, scenes
 from support.quick import quick
 
 STEPS = 240
 START, GOAL = (-2.5, 0.3), (2.5, 0.3)
-FILES = {
-    "environment.yaml": "name: room\nfloor: [-5, -4, 5, 4]\npeople: 6\n",
-    "scene.xml": '<mujoco><worldbody><geom type="box" size="0.4 0.4 1" pos="0 3.5 1"/></worldbody></mujoco>',
-}
 CORNER = (-4.5, -3.7)  # where people stand who have no part in a scene
 # One scene a row: (x, y, vx, vy) of people.
 SCENES = [
@@ -58,9 +54,7 @@ def undirected(scenario, state, key):
 @pytest.fixture(scope="module")
 def room(tmp_path_factory):
     """A room with one pillar, where people do as the scene says; and its scenes, stacked."""
-    folder = tmp_path_factory.mktemp("room")
-    for name, text in FILES.items():
-        (folder / name).write_text(text)
+    folder = scenes.room(tmp_path_factory.mktemp("room"), (-5, -4, 5, 4), [scenes.box((0, 3.5), (0.4, 0.4))], 6)
     made = sean_jax.make(
         folder, behavior="random", task="custom", start=START, goal=(*GOAL, 90.0), people=6, dynamics="twin"
     )

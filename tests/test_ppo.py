@@ -24,6 +24,7 @@ from sean_jax.mdp import rewards
 from sean_jax.stack import Stack
 from support import trees
 from support.quick import quick
+from support.scenes import box, room
 
 SMALL = dict(
     method="ppo", environment="lab", behavior="random", people=2, time_limit=4.0, scenarios=8, horizon=8, minibatches=2,
@@ -958,12 +959,7 @@ def test_a_training_that_saw_something_else_is_refused(trained, tmp_path):
 @pytest.fixture(scope="module")
 def cell(tmp_path_factory):
     """A room of 8 by 6 m, to train in beside the lab."""
-    folder = tmp_path_factory.mktemp("places") / "cell"
-    folder.mkdir()
-    (folder / "environment.yaml").write_text("name: cell\nfloor: [0, 0, 8, 6]\npeople: 1\n")
-    box = '<geom type="box" size=".3 .3 1" pos="6 3 1"/>'
-    (folder / "scene.xml").write_text(f"<mujoco><worldbody>{box}</worldbody></mujoco>")
-    return folder
+    return room(tmp_path_factory.mktemp("places") / "cell", (0, 0, 8, 6), [box((6, 3), (0.3, 0.3))], name="cell")
 
 
 def test_scenarios_of_environments_take_turns():

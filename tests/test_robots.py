@@ -23,8 +23,7 @@ from sean_jax.robots import drive, kernel
 from sean_jax.robots.drive import coordinates
 from sean_jax.robots.dynamics import Surroundings, diagonal
 from support import programs, trees
-from support.quick import quick
-from support.robots import (
+from support.driving import (
     BATCH,
     CLUTTER,
     PERSON_RADIUS,
@@ -39,6 +38,8 @@ from support.robots import (
     run,
     world,
 )
+from support.quick import quick
+from support.robot_files import BASE, urdf
 
 mujoco: Any = import_module("mujoco")  # which has no type stubs
 
@@ -614,14 +615,8 @@ def test_bad_files_are_refused_in_one_sentence(tmp_path, old, new, message):
     assert "\n" not in str(error.value)
 
 
-URDF = """<?xml version="1.0"?>
-<robot name="box">
-  <link name="base"><visual><geometry><box size="1 1 1"/></geometry></visual></link>
-</robot>"""
-
-
 def test_a_urdf_file_is_refused_as_one(tmp_path):
-    (tmp_path / "box.urdf").write_text(URDF)
+    (tmp_path / "box.urdf").write_text(urdf(BASE))
     with pytest.raises(
         FileError, match=r"box.urdf:2: is URDF and not MJCF; sean import-robot makes a robot file of it\.$"
     ):

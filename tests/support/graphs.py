@@ -5,14 +5,12 @@ import numpy as np
 
 from sean_jax import environment as environments
 from sean_jax.graph import annotation
+from support.scenes import room
 
 
-def yard(folder, floor=(-12.0, -12.0, 12.0, 12.0), boxes=""):
+def yard(folder, floor=(-12.0, -12.0, 12.0, 12.0), boxes=()):
     """An environment without or with boxes."""
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / "environment.yaml").write_text(f"name: yard\nfloor: {list(floor)}\npeople: 6\n")
-    (folder / "scene.xml").write_text(f"<mujoco><worldbody>{boxes}</worldbody></mujoco>")
-    return environments.load(folder)
+    return environments.load(room(folder, floor, boxes, 6, name="yard"))
 
 
 RING = 6

@@ -6,41 +6,27 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+import sean_jax
+from support.scenes import meeting_room
+
 NUMBER, PEOPLE = 1024, 4
-
 GOAL = (3.0, 1.0)
-
 BOX = (0.0, 2.0, 0.5, 0.25)  # middle and half extent
-
-FILES = {
-    "environment.yaml": "name: room\nfloor: [-5, -4, 5, 4]\npeople: 4\n",
-    "scene.xml": '<mujoco><worldbody><geom type="box" size="0.5 0.25 1" pos="0 2 1"/>'
-    '<geom type="box" size="0.3 0.3 0.5" pos="-2 -2 0.5" euler="0 0 30"/></worldbody></mujoco>',
-    "graph.yaml": """version: 1
-c_min: 0.2
-c_max: 100
-nodes:
-  here: {kind: waypoint, position: [-3, 0], radius: 1, spawn: 1}
-  there: {kind: waypoint, position: [3, 0], radius: 1, spawn: 1}
-  middle: {kind: group, position: [0, -2], radius: 0.8, spawn: 1, capacity: 2, stay: [5, 10]}
-edges:
-  - {between: [here, there], flow: medium}
-  - {between: [here, middle], flow: medium}
-  - {between: [there, middle], flow: medium}
-""",
-}
-
 THRESHOLDS = np.array(
     [0.05, 0.1, 0.16, 0.2, 0.25, 0.3, 0.32, 0.35, 0.45, 0.46, 0.5, 0.55, 0.56, 0.6, 0.7, 0.8, 1.0, 1.2, 2.0, 2.4, 3.6]
 )
-
 TINY = [0.0, 1e-30, 1e-20, 1e-15, 1e-13, 1e-12, 1.1e-12, 1e-11, 1e-9, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2]
-
 SWEPT = np.unique(
     np.float32([*TINY, *(part for x in (-1e-3, -2e-7, 0.0, 2e-7, 1e-3) for part in THRESHOLDS * (1 + x))])
 )
-
 TINY_SPEEDS = np.float32([0.0, 1e-30, 1e-22, 1e-20, 1e-15, 1e-12, 1e-8, 1e-4, 0.1, 0.5])
+
+
+def met(folder):
+    """A room with two boxes, two people who stand in a group and two who walk, and a robot: scenario and state."""
+    way = {"start": (-2.0, 0.0), "goal": (*GOAL, 90.0)}
+    made = sean_jax.make(meeting_room(folder), task="custom", **way, people=PEOPLE, dynamics="twin")
+    return made, jax.jit(sean_jax.reset)(made, jax.random.key(0))
 
 
 def directions(random, count):

@@ -1,6 +1,8 @@
-"""A robot among boxes and people, without a scenario: where it is after each command."""
+"""A robot among boxes and people, without a scenario: the little of it and of a state that a drive reads."""
 
+from collections.abc import Sequence
 from types import SimpleNamespace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -8,23 +10,43 @@ import numpy as np
 
 from sean_jax.base import Obstacles
 
-BATCH, STEPS, TIME_STEP = 8, 200, 0.1
-
+BATCH, STEPS = 8, 200
+TIME_STEP, PERSON_RADIUS, RADIUS = 0.1, 0.3, 0.16  # s, m, m of Kuri
+WALL = (1.5, 0.0, 0.5, 5.0, 0.0)  # its face is x = 1
 FAR = (90.0, 90.0, 1.0, 1.0, 0.0)
 
-WALL = (1.5, 0.0, 0.5, 5.0, 0.0)  # its face is x = 1
 
-PERSON_RADIUS, RADIUS = 0.3, 0.16
+def obstacles(boxes: Sequence[Sequence[float]], count: int) -> Obstacles:
+    """So many boxes (x, y, half extents, yaw), the missing ones far away."""
+    rows = np.array([*boxes, *[FAR] * (count - len(boxes))])
+    number = jnp.result_type(float)
+    parts = rows[:, :2], rows[:, 2:4], rows[:, 4], np.ones(count)
+    return Obstacles(*(jnp.asarray(part, number) for part in parts))
+
+
+def drive(
+    model: Any, robot: Any, action: jax.Array, boxes: Obstacles, position: jax.Array, velocity: jax.Array,
+    present: jax.Array,
+) -> Any:  # fmt: skip
+    """The robot after 0.1 s among people (N, 2) of 0.3 m."""
+    radius = jnp.asarray(PERSON_RADIUS, position.dtype)
+    scenario = SimpleNamespace(
+        environment=SimpleNamespace(obstacles=boxes),
+        robot=model,
+        time_step=TIME_STEP,
+        forces=SimpleNamespace(walking=SimpleNamespace(radius=radius)),
+    )
+    people = SimpleNamespace(position=position, velocity=velocity, present=present)
+    return model.drive(scenario, SimpleNamespace(robot=robot, pedestrians=people), action)
 
 
 def world(boxes=(), people=(), velocity=None):
     """Three boxes (x, y, half extents, yaw) and two people, the missing ones far away and absent."""
-    boxes = np.array([*boxes, *[FAR] * (3 - len(boxes))])
     present = np.arange(2) < len(people)
     people = np.array([*people, *[(80.0, 80.0)] * (2 - len(people))])
     number = jnp.result_type(float)
     return SimpleNamespace(
-        obstacles=Obstacles(*(jnp.asarray(x, number) for x in (boxes[:, :2], boxes[:, 2:4], boxes[:, 4], np.ones(3)))),
+        obstacles=obstacles(boxes, 3),
         people=jnp.asarray(people, number),
         velocity=jnp.zeros((2, 2), number) if velocity is None else jnp.asarray(velocity, number),
         present=jnp.asarray(present),
@@ -37,15 +59,7 @@ def leaves(place):
 
 def advance(model, place, robot, people, action):
     obstacles, _, velocity, present = place
-    radius = jnp.asarray(PERSON_RADIUS, velocity.dtype)
-    scenario = SimpleNamespace(
-        environment=SimpleNamespace(obstacles=obstacles),
-        robot=model,
-        time_step=TIME_STEP,
-        forces=SimpleNamespace(walking=SimpleNamespace(radius=radius)),
-    )
-    pedestrians = SimpleNamespace(position=people, velocity=velocity, present=present)
-    return model.drive(scenario, SimpleNamespace(robot=robot, pedestrians=pedestrians), action)
+    return drive(model, robot, action, obstacles, people, velocity, present)
 
 
 def rollout(model, place, start, actions):
