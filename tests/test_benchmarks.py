@@ -25,6 +25,7 @@ from sean_jax.workspace import Workspace
 from support import trees
 from support.checkout import ROOT, benchmark
 from support.commands import python
+from support.files import write_all
 
 
 def run(*arguments: str) -> list[str]:
@@ -257,9 +258,7 @@ def test_move_base_parameters(tmp_path):
         "map_nav_params/global_costmap_params.yaml": "global_costmap: {inflation_radius: 0.3}\n",
         "base_local_planner_params.yaml": "TrajectoryPlannerROS: {sim_time: 2.0}\n",
     }
-    (folder / "map_nav_params").mkdir(parents=True)
-    for name, text in files.items():
-        (folder / name).write_text(text)
+    write_all(folder, files)
     with pytest.raises(program.InputError, match=r"move_base_params.yaml is missing"):
         program.parameters(tmp_path, [])
     (folder / "move_base_params.yaml").write_text("controller_frequency: 10.0\n")

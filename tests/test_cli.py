@@ -24,6 +24,7 @@ from sean_jax import assembly, bench, cache, cli, compiler, interrupts, learning
 from sean_jax import progress as progress_of
 from support import programs
 from support.commands import python
+from support.files import write
 
 SMALL = ["--people", "8", "--time-limit", "3", "--dynamics", "twin", "--quiet"]
 WRAPPED = ValueError("an interrupt, as code in C passes it on")
@@ -119,8 +120,7 @@ def test_too_many_people_are_refused_with_the_most_that_fit(capsys, tmp_path):
 
 def test_folder_that_cannot_be_written_is_refused(capsys, tmp_path):
     (tmp_path / "file").write_text("kept")
-    (tmp_path / "full").mkdir()
-    (tmp_path / "full" / "old").write_text("kept")
+    write(tmp_path / "full" / "old", "kept")
     for place, said in (("file/run", "cannot write"), ("file", "is a file"), ("full", "is not empty")):
         code, error = run("--out", str(tmp_path / place), capsys=capsys)
         assert code == 2 and said in error and len(error.splitlines()) == 1

@@ -22,7 +22,7 @@ from sean_jax.learning.examples import Loader, Token, example
 from sean_jax.learning.networks import read_network_config
 from support import learning_data
 from support.checkout import DATA, benchmark
-from support.files import contents
+from support.files import contents, write
 from support.mjcf import box, with_geom
 
 
@@ -461,8 +461,7 @@ def test_a_recorder_goes_on_where_a_kill_left_no_manifest(tmp_path):
     (tmp_path / "data" / writing.LOCK).write_text("process 1 on a machine that is no more")
     Recorder(tmp_path / "data", parts["join_group"], width=16, height=12)
     assert open_dataset(tmp_path / "data").stream_rows == [0]
-    (tmp_path / "full").mkdir()
-    (tmp_path / "full" / "letter.txt").write_text("dear")
+    write(tmp_path / "full" / "letter.txt", "dear")
     with pytest.raises(InputError, match="holds something else already"):
         Recorder(tmp_path / "full", parts["join_group"], width=16, height=12)
     with pytest.raises(InputError, match="more than 4,000,000 pixels"):

@@ -15,6 +15,7 @@ from sean_jax.config import RunConfig, validate
 from sean_jax.errors import InputError
 from sean_jax.evaluation import compare, replay_command, saved
 from support import mjcf
+from support.files import write
 
 FILES = ["environment.yaml", "graph.yaml", "handcrafted.yaml", "scene.xml"]
 SMALL = "--people 4 --dynamics twin --time-limit 6 --episodes 2 --quiet".split()
@@ -77,8 +78,7 @@ def test_a_run_is_repeated_where_its_files_are_not(place, monkeypatch, tmp_path)
 def test_files_that_a_robot_and_a_scene_read_are_copied_along(place):
     robot = place / "mine" / "robot.xml"
     robot.write_text(mjcf.with_includes(robot.read_text(), "more/limits.xml"))
-    (place / "mine" / "more").mkdir()
-    (place / "mine" / "more" / "limits.xml").write_text(mjcf.EMPTY)
+    write(place / "mine" / "more" / "limits.xml", mjcf.EMPTY)
     file = written(place / "run", described(robot="mine/robot.xml"))
     (place / "mine" / "more" / "limits.xml").write_text(mjcf.scene())
     config_file = saved.read_config(file)
@@ -100,8 +100,7 @@ def test_what_a_scene_reads_outside_its_folder_is_not_copied_and_must_be_as_it_w
 
 
 def test_two_files_of_one_name_are_two_copies(place):
-    (place / "other").mkdir()
-    (place / "other" / "forces.yaml").write_text("preset: calibrated\n")
+    write(place / "other" / "forces.yaml", "preset: calibrated\n")
     file = written(place / "run", described(forces=["mine/forces.yaml", "other/forces.yaml"]))
     shutil.rmtree(place / "other")
     (place / "mine" / "forces.yaml").unlink()

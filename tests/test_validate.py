@@ -29,6 +29,7 @@ from sean_jax.studies.validation.checks import (
 from sean_jax.studies.validation.measures import crossing_times, flow, trajectory_data, vanishing_times
 from support.checkout import ROOT
 from support.checks import _check
+from support.files import write
 
 
 def straight(scenario, state, share: float = 1.0):
@@ -361,8 +362,7 @@ def test_gates_are_what_their_checks_are(monkeypatch):
 
 
 def test_what_cannot_be_asked_is_told_before_anything_is_written(tmp_path):
-    (tmp_path / "full").mkdir()
-    (tmp_path / "full" / "mine.txt").write_text("mine")
+    write(tmp_path / "full" / "mine.txt", "mine")
     for options, words in (
         (dict(only="nope"), "--only: 'nope'"),
         (dict(models="nobody"), "model: 'nobody'"),

@@ -14,6 +14,7 @@ from sean_jax.studies.validation.checks import CHECKS, CheckContext, Skipped
 from sean_jax.studies.validation.groups import group_occupancy
 from sean_jax.studies.validation.individuals import fitted_without
 from sean_jax.studies.validation.measures import Motion, motion
+from support.files import write
 
 AREA = crowds.PERIOD * crowds.WIDTH  # m2, of the corridor of the fundamental diagram
 
@@ -372,8 +373,7 @@ def street(tmp_path):
         lines += [(k, 4, 10.0, 9.0)]
         lines += [(k, 3, 20.0 - 0.6 * (k - 10), 3.0)] if 10 <= k < 40 else []
     text = "".join(f"{10 * k},{number},{x},{y},0,0\n" for k, number, x, y in lines)
-    (tmp_path / "eth_ucy").mkdir()
-    (tmp_path / "eth_ucy" / "made.csv").write_text(STREET + text)
+    write(tmp_path / "eth_ucy" / "made.csv", STREET + text)
     (tmp_path / "eth_ucy" / "made.groups.txt").write_text("2 1\n")
     return tmp_path
 
