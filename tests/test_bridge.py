@@ -29,8 +29,7 @@ from sean_jax.ros import bridge, messages, ros1, rosbridge
 from sean_jax.ros.names import RosNames
 from sean_jax.ros.transport import REQUESTS, Log, Mailbox, Output, read_pose
 from sean_jax.stack import as_stacks
-from support.commands import python
-from support.waiting import wait
+from support.commands import python, wait
 
 pytest.importorskip("websockets")
 from websockets.asyncio.client import connect  # noqa: E402

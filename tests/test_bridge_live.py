@@ -16,7 +16,7 @@ from sean_jax.errors import ControllerError
 from sean_jax.geometry import signed_distances_on_host
 from sean_jax.ros import bridge, messages
 from sean_jax.ros.transport import Log
-from support.waiting import wait
+from support.commands import wait
 
 pytest.importorskip("rosbags")
 pytestmark = pytest.mark.slow

@@ -18,8 +18,7 @@ from sean_jax.errors import InputError
 from sean_jax.ros.ros1 import DEBIAN, import_rospy
 from sean_jax.trajectories import load_trajectory
 from support.checkout import ROOT
-from support.commands import output, python
-from support.waiting import wait
+from support.commands import output, python, wait
 
 pytestmark = pytest.mark.slow
 SCENARIO = ("--environment", "lab", "--people", "6", "--dynamics", "twin", "--seed", "3")

@@ -20,7 +20,7 @@ from sean_jax.evaluation import compare, table
 from sean_jax.files.reading import MAX_BYTES
 from sean_jax.metrics import METRICS
 from sean_jax.metrics.differences import difference, holm, p_value
-from support.run_folders import NAMES, run
+from support.runs import NAMES, run
 
 
 def rows(*runs: compare.SavedRun, view: str = "overall") -> dict[str, compare.Row]:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from websockets.sync.client import connect
 
-import support.live
+import support.replays
 import support.studio
 import support.survey
 from sean_jax import files, messages, web
@@ -19,7 +19,7 @@ from support import hostile
 from support.web import get
 
 session, fresh, served = support.studio.session, support.studio.fresh, support.studio.served  # fixtures
-surveyed, walked = support.survey.served, support.live.walked
+surveyed, walked = support.survey.served, support.replays.walked
 
 
 @contextlib.contextmanager

@@ -15,15 +15,15 @@ import jax
 import numpy as np
 import pytest
 
-import support.live
+import support.replays
 from sean_jax import cli
 from sean_jax.replay import live
 from sean_jax.trajectories import load_trajectory
 from support.checkout import WEB
-from support.replay_columns import decode
+from support.replays import decode
 from support.web import chromium
 
-walked = support.live.walked  # a fixture
+walked = support.replays.walked  # a fixture
 
 
 def get(url: str, **headers: str) -> str:

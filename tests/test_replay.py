@@ -26,8 +26,8 @@ from sean_jax.evaluation import compare
 from sean_jax.policies import go_to_goal
 from sean_jax.replay import CENTIMETRE, TURN, encode
 from support.checkout import WEB
-from support.replay_columns import decode
-from support.run_folders import run
+from support.replays import decode
+from support.runs import run
 from support.web import browse
 
 

@@ -14,7 +14,7 @@ from sean_jax import cli, prng, scenes
 from sean_jax.config import PPOConfig
 from sean_jax.recordings import Tracks
 from sean_jax.studies.validation.page import trajectory
-from support.replay_columns import played
+from support.replays import played
 
 LAB = "--environment lab --behavior random --people 2 --dynamics twin".split()
 

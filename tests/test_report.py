@@ -17,7 +17,7 @@ from sean_jax.errors import InputError
 from sean_jax.evaluation import compare, results, table
 from sean_jax.evaluation import run as start
 from support.reports import EPISODES, NAMES, evaluation, page
-from support.run_folders import run
+from support.runs import run
 
 
 def test_means_equal_plain_ones():

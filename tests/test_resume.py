@@ -24,7 +24,7 @@ from sean_jax.progress import Progress
 from sean_jax.runner import Callbacks, Runner
 from sean_jax.trajectories import load_trajectory
 from support.files import contents, write
-from support.interruptions import at_second_batch
+from support.runs import at_second_batch
 
 SMALL = "--environment lab --behavior random --task random_ab_nav --people 2 --dynamics twin --time-limit 0.5".split()
 RUN = ["run", *SMALL, "--seed", "3", "--episodes", "5", "--batch", "2", "--out", "made"]

@@ -21,8 +21,8 @@ from sean_jax.learning import rollouts
 from sean_jax.learning.policy import load_policy
 from sean_jax.navigation import draw_places
 from sean_jax.policies import POLICIES, go_to_goal
-from support.interruptions import at_second_batch
-from support.replay_columns import played
+from support.replays import played
+from support.runs import at_second_batch
 
 SET = "worlds:passages,aisles,square:3"
 

@@ -34,8 +34,8 @@ from sean_jax.studio import address, server, trial
 from sean_jax.studio.server import Studio
 from sean_jax.studio.session import Choice, Session
 from support.checkout import ROOT
+from support.commands import wait
 from support.studio import OPTIONS
-from support.waiting import wait
 from support.web import browse, chromium, get, until
 
 session, fresh, served = support.studio.session, support.studio.fresh, support.studio.served  # fixtures

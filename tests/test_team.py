@@ -38,8 +38,8 @@ from sean_jax.runner import Callbacks, Runner
 from sean_jax.scenario import snapshot
 from sean_jax.stack import Stack
 from support import programs
-from support.interruptions import at_second_batch
-from support.replay_columns import played
+from support.replays import played
+from support.runs import at_second_batch
 
 OPTIONS = dict(behavior="random", people=6, time_limit=12.0)
 CASES = 24

@@ -1,8 +1,9 @@
-"""Programs that tests start in processes of their own."""
+"""Programs that tests start in processes of their own, and waiting for what others do."""
 
 import os
 import subprocess
 import sys
+import time
 
 
 def output(*command: object, env: dict[str, str] | None = None, **options) -> str:
@@ -22,3 +23,11 @@ def python(*words: object, **options) -> str:
 def cpu_devices(count: int, flags: str = "") -> dict[str, str]:
     """Variables with which JAX has so many CPU devices, and more flags of XLA."""
     return {"XLA_FLAGS": f"--xla_force_host_platform_device_count={count} {flags}", "JAX_PLATFORMS": "cpu"}
+
+
+def wait(condition, seconds: float = 60.0) -> None:
+    """Until the condition holds; the test fails where it does not in time."""
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, f"it does not happen within {seconds} s"
+        time.sleep(0.005)

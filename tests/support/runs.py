@@ -1,10 +1,12 @@
-"""Folders of runs as `sean run` writes them, with figures by chance."""
+"""Runs: folders as `sean run` writes them, with figures by chance, and what happens in the middle of one."""
 
 import csv
 from pathlib import Path
 
 import numpy as np
 import yaml
+
+from sean_jax.runner import Runner
 
 NAMES = ("completed", "seconds", "path_length", "intimate_robot_on_person", "time_looked_at")
 
@@ -24,3 +26,14 @@ def run(folder: Path, chance: int, shift: float = 0.0, episodes: int = 40, **opt
             looked = "" if i % 3 == 0 else f"{random.uniform():.6f}"
             writer.writerow([i, ("join_group", "leave_group")[i % 2], done, not done, *values, looked, 1.0])
     return folder
+
+
+def at_second_batch(monkeypatch, what):
+    """Do ``what`` with each batch from the second on, as soon as it is simulated."""
+    run = Runner.run
+
+    def disturbed(runner, seed, first, *others, **named):
+        batch = run(runner, seed, first, *others, **named)
+        return (what(batch) or batch) if first else batch
+
+    monkeypatch.setattr(Runner, "run", disturbed)

@@ -1,4 +1,4 @@
-"""Reading of the episodes in a replay's page, as ``web/src/recording.ts`` does."""
+"""Episodes for a page to show, and reading of those in a page, as ``web/src/recording.ts`` does."""
 
 import base64
 import json
@@ -8,7 +8,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
+import pytest
+
+import sean_jax
+from sean_jax.policies import go_to_goal
 
 
 def decode(encoded: Mapping[str, Any], frames: int) -> dict[str, np.ndarray]:
@@ -32,3 +37,12 @@ def played(page: Path) -> list[dict[str, Any]]:
     for part in found:
         part["episodes"] = [each | {"columns": decode(each, each["frames"])} for each in part["episodes"]]
     return found
+
+
+@pytest.fixture(scope="module")
+def walked():
+    """A scenario, and 60 frames of two of its episodes side by side, (T, B, ...)."""
+    scenario = sean_jax.make("lab", people=3, dynamics="twin", time_limit=30.0)
+    roll = jax.jit(lambda key: sean_jax.rollout(scenario, go_to_goal, key, steps=60)[1])
+    frames = [jax.tree.map(np.asarray, roll(jax.random.key(k))) for k in (0, 1)]
+    return scenario, jax.tree.map(lambda *leaves: np.stack(leaves, 1), *frames)
