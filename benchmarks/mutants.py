@@ -267,17 +267,18 @@ def test_files(path: str) -> list[str]:
         having = [file for file, known in words.items() if name in known]
         for file in having:
             score[file] += 1 / len(having)
-    own = TELLING.get(path.removesuffix(".py")) or TELLING.get(str(Path(path).parent), "")
+    told = TELLING.get(path.removesuffix(".py")) or TELLING.get(str(Path(path).parent), "")
+    own = [file for name in told.split() for file in words if Path(file).stem == f"test_{name}"]
     others = [file for file in sorted(score, key=lambda file: -score[file])[:FILES] if score[file] > 0.2]
-    return list(dict.fromkeys([*(f"test_{name}.py" for name in own.split()), *others]))[:FILES]
+    return list(dict.fromkeys([*own, *others]))[:FILES]
 
 
 @functools.cache
 def _words() -> dict[str, set[str]]:
-    """File of tests -> the words in it."""
-    files = [file for file in TESTS.glob("test_*.py") if file.name not in ("test_structure.py", "test_mutants.py")]
+    """File of tests, in whatever folder -> the words in it."""
+    files = [file for file in TESTS.rglob("test_*.py") if file.name not in ("test_structure.py", "test_mutants.py")]
     return {
-        file.name: set(re.findall(r"[\w.]+", text)) | set(re.findall(r"\w+", text))
+        file.relative_to(TESTS).as_posix(): set(re.findall(r"[\w.]+", text)) | set(re.findall(r"\w+", text))
         for file in files
         for text in [file.read_text()]
     }

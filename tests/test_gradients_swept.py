@@ -24,19 +24,7 @@ from sean_jax.policies import POLICIES, social_costmap
 from sean_jax.policies.costmap import proxemic_cost
 from sean_jax.policies.prediction import predict_people
 from sean_jax.social_forces import PRESETS, Pair, terms, walls
-from support.state_sweep import (
-    NUMBER,
-    PEOPLE,
-    SWEPT,
-    TINY,
-    directions,
-    floats,
-    gaps,
-    met,
-    speeds,
-    state_of,
-    states,
-)
+from support.state_sweep import NUMBER, PEOPLE, SWEPT, TINY, directions, floats, gaps, met, speeds, state_of, states
 
 
 def all_finite(gradients, *at):

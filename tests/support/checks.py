@@ -3,9 +3,7 @@
 from dataclasses import dataclass
 from typing import Any
 
-from sean_jax.studies.validation.checks import (
-    Check,
-)
+from sean_jax.studies.validation.checks import Check
 
 
 @dataclass(frozen=True)
