@@ -359,3 +359,14 @@ def test_data_files_of_the_package():
     assert f'\n__version__ = "{version}"\n' in (PACKAGE / "__init__.py").read_text(encoding="utf-8")
     assert f"[{version}]" in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
     assert f"\nversion: {version}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+
+
+def test_no_test_imports_a_test_or_a_benchmark():
+    """What several tests use lies in tests/support."""
+    banned = {path.stem for path in (ROOT / "benchmarks").glob("*.py")} | {"benchmarks", "tests"}
+    for path in (ROOT / "tests").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            names = [each.name for each in node.names] if isinstance(node, ast.Import) else []
+            names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+            tops = {name.split(".")[0] for name in names}
+            assert not tops & banned and not any(top.startswith("test_") for top in tops), f"{path.name}: {tops}"

@@ -4,7 +4,6 @@ import json
 import re
 from dataclasses import replace
 from importlib import import_module
-from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -12,7 +11,6 @@ import pytest
 
 from sean_jax import InputError, cli
 from sean_jax.config import ValidateConfig
-from sean_jax.recordings import Tracks
 from sean_jax.studies import validation
 from sean_jax.studies.calibration.loss import GROUPS
 from sean_jax.studies.scenes import Gate, model
@@ -30,13 +28,14 @@ from sean_jax.studies.validation.measures import crossing_times, flow, trajector
 from support.checkout import ROOT
 from support.checks import _check
 from support.files import write
+from support.tracks import moved, tracks_of
 
 
 def straight(scenario, state, share: float = 1.0):
     """Everybody as desired, through everybody and every wall."""
     people = state.pedestrians
     velocity = jnp.where(people.present[:, None], share * people.desired_velocity, 0.0)
-    return people.replace(position=people.position + scenario.time_step * velocity, velocity=velocity)
+    return moved(people, velocity, scenario.time_step)
 
 
 def half(scenario, state):
@@ -53,16 +52,7 @@ def eager(scenario, state):
     """Everybody walks to the right from the start, whatever is desired."""
     people = state.pedestrians
     velocity = jnp.where(people.present[:, None], jnp.asarray([[1.33, 0.0]]), 0.0)
-    return people.replace(position=people.position + scenario.time_step * velocity, velocity=velocity)
-
-
-def tracks_of(position: np.ndarray, present: np.ndarray | None = None) -> Any:
-    """People at these places (T, N, 2), a tenth of a second apart."""
-    there = np.ones(position.shape[:2], bool) if present is None else present
-    number = np.where(there, np.arange(there.shape[1]), -1)
-    group = np.full(there.shape, -1)
-    facing = np.broadcast_to([1.0, 0.0], position.shape)
-    return Tracks(position, facing, group, there, number, np.arange(len(there)), time_step=0.1)  # pyright: ignore
+    return moved(people, velocity, scenario.time_step)
 
 
 def finding(name: str, moved_by) -> CheckResult:
