@@ -18,7 +18,7 @@ from sean_jax.studies.validation import page as validation_page
 from sean_jax.studies.validation.checks import Model, Row
 from sean_jax.survey import report
 from support.benchmark_results import entry
-from support.checks import _check
+from support.checks import made_check
 from support.reports import NAMES, evaluation
 
 EVERY = {"one": ["0"], "other": ["1"]}
@@ -69,7 +69,7 @@ def test_a_ranking_has_each_entry_and_each_pair():
 
 
 def test_the_page_of_the_validation_has_each_check_and_each_gate():
-    checks = [_check(name, None) for name in ("rimea-1", "rimea-4", "prediction")]
+    checks = [made_check(name, None) for name in ("rimea-1", "rimea-4", "prediction")]
     models = [Model("one", None, {}), Model("other", None, {})]  # pyright: ignore
     verdicts = {"rimea-1": "passes", "rimea-4": "fails", "prediction": "skipped"}
     rows = [

@@ -26,7 +26,7 @@ from sean_jax.studies.validation.checks import (
 )
 from sean_jax.studies.validation.measures import crossing_times, flow, trajectory_data, vanishing_times
 from support.checkout import ROOT
-from support.checks import _check
+from support.checks import made_check
 from support.files import write
 from support.tracks import moved, tracks_of
 
@@ -263,7 +263,9 @@ def table(monkeypatch) -> dict[str, list[str]]:
         asked.setdefault("prediction", []).append(context.model.name)
         context.recordings()
 
-    made = {check.name: check for check in map(_check, ("rimea-1", "rimea-4", "prediction"), (passes, fails, cannot))}
+    made = {
+        check.name: check for check in map(made_check, ("rimea-1", "rimea-4", "prediction"), (passes, fails, cannot))
+    }
     monkeypatch.setattr(checks, "CHECKS", made)
     return asked
 
@@ -315,7 +317,7 @@ def test_a_stopped_run_goes_on(table, tmp_path, monkeypatch):
         raise KeyboardInterrupt
 
     whole = dict(checks.CHECKS)
-    monkeypatch.setitem(checks.CHECKS, "rimea-4", _check("rimea-4", stop))
+    monkeypatch.setitem(checks.CHECKS, "rimea-4", made_check("rimea-4", stop))
     arguments = ["validate", "--models", "constant_velocity", "--out", str(tmp_path / "out"), "--quiet"]
     assert cli.main(arguments) == 130
     monkeypatch.setattr(checks, "CHECKS", whole)
@@ -334,7 +336,7 @@ def test_guidelines_that_share_a_test_share_its_simulation(table, tmp_path, monk
 
 def test_gates_are_what_their_checks_are(monkeypatch):
     names = ("rimea-1", "rimea-4", "doors")
-    monkeypatch.setattr(checks, "CHECKS", {name: _check(name, None) for name in names})
+    monkeypatch.setattr(checks, "CHECKS", {name: made_check(name, None) for name in names})
 
     def verdicts(**kinds: str) -> dict[str, str]:
         rows = [

@@ -7,7 +7,7 @@ from sean_jax.studies.validation.checks import Check
 
 
 @dataclass(frozen=True)
-class _Check(Check):
+class MadeCheck(Check):
     """A check whose function is in no module."""
 
     own: Any = None
@@ -16,6 +16,6 @@ class _Check(Check):
         return self.own(context)
 
 
-def _check(name: str, function: Any) -> Check:
+def made_check(name: str, function: Any) -> Check:
     label = getattr(function, "__name__", "")
-    return _Check(name, "Title <b>", "set-up", "measure", "criterion", "source", label, own=function)
+    return MadeCheck(name, "Title <b>", "set-up", "measure", "criterion", "source", label, own=function)

@@ -14,7 +14,6 @@ from sean_jax.social_forces import Crowd
 from sean_jax.social_forces.model import pair_forces
 
 STEP = 0.05
-
 FLOOR = (-12.0, -12.0, 12.0, 12.0)
 
 

@@ -11,7 +11,6 @@ from support import metric_values
 from support.people import people_at, snapshot_of
 
 PEOPLE, SITUATIONS, STEP = 3, 5, 0.1
-
 ROBOT_RADIUS, PERSON_RADIUS = 0.16, 0.2
 
 update = jax.jit(metric_values.update)

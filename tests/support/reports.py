@@ -14,9 +14,7 @@ from sean_jax.metrics import METRICS
 from support.drawn import Graph, environment, frames
 
 NAMES = ("cross_path", "down_path", "join_group", "leave_group", "empty")
-
 EPISODES = 12
-
 MEASURED = ("path_efficiency", "time_in_situation", "intimate_robot_on_person", "min_distance_to_people")
 
 
