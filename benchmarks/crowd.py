@@ -6,15 +6,18 @@ python benchmarks/crowd.py --sizes 8192x62        any B x N
 
 import argparse
 import resource
+import sys
 import time
+from pathlib import Path
 
-import crowd_loop
 import jax
 import numpy as np
 
 from sean_jax import social_forces
 from sean_jax.bench import programs, workload
-from sean_jax.social_forces.forces import term_name
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))  # the oracle is that of the tests
+from support import float64  # noqa: E402
 
 STEP = 0.05  # s
 
@@ -27,38 +30,21 @@ def measure(batch: int, people: int, walls: int, preset: str) -> dict:
 
 def loop(people: int, walls: int, preset: str, steps: int = 2) -> float:
     """Agent-steps per second of the float64 loop."""
-    p, state, boxes = exact(people, walls, preset)
+    p, state, boxes = float64.crowd(people, walls, preset)
     begun = time.perf_counter()
     for _ in range(steps):
-        state = crowd_loop.step(*state, boxes, p, STEP) + state[3:]
+        state = float64.step(*state, boxes, p, STEP) + state[3:]
     return people * steps / (time.perf_counter() - begun)
-
-
-def constants(forces: social_forces.Forces) -> dict[str, dict[str, float | str | None]]:
-    """The parameters of each term by name, in float64, and the names of its laws."""
-
-    def value(parameter):
-        return parameter.__name__ if callable(parameter) else None if parameter is None else float(parameter)
-
-    return {term_name(term): {name: value(one) for name, one in vars(term).items()} for term in forces}
-
-
-def exact(people: int, walls: int, preset: str):
-    """Constants, state and boxes of the workload in float64."""
-    forces = social_forces.preset(preset)
-    e = workload.crowd(people, walls)[2]
-    state = e["x"], e["v"], e["heading"], e["desired"], e["preferred"]
-    return constants(forces), state, (e["center"], e["half"], e["yaw"])
 
 
 def errors(people: int, walls: int, preset: str, steps: int) -> float:
     """Relative error of positions and velocities against the loop after a number of steps."""
-    p, state, boxes = exact(people, walls, preset)
+    p, state, boxes = float64.crowd(people, walls, preset)
     crowd, grid, _ = workload.crowd(people, walls)
     parameters = social_forces.preset(preset)
     integrate = jax.jit(lambda c: social_forces.integrate(parameters, c, grid, None, None, STEP))
     for _ in range(steps):
-        state = crowd_loop.step(*state, boxes, p, STEP) + state[3:]
+        state = float64.step(*state, boxes, p, STEP) + state[3:]
         crowd = integrate(crowd)
     ours = np.concatenate([crowd.position, crowd.velocity])
     theirs = np.concatenate(state[:2])

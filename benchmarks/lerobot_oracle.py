@@ -4,7 +4,7 @@ LeRobot 0.6 installs PyTorch and needs Python 3.12, so use a separate environmen
 
 pip install "lerobot[dataset]==0.6.1"
 python benchmarks/lerobot_oracle.py runs/lerobot
-python benchmarks/lerobot_oracle.py runs/lerobot --record tests/lerobot_schema.json
+python benchmarks/lerobot_oracle.py runs/lerobot --record tests/support/data/lerobot_schema.json
 """
 
 import argparse

@@ -10,7 +10,7 @@ the quick tests that are chosen for its module fails. `mutants.yaml` says why on
 
 The tests of a module are those of TELLING, then of the files that name most of what it defines. They run once without
 a fault, for their times and the lines that they reach; a mutant has the tests that reach its line first. All runs are
-forked from one process that has imported what is heavy and has started nothing (see tests/forked.py).
+forked from one process that has imported what is heavy and has started nothing (see tests/support/forked.py).
 """
 
 import argparse
@@ -267,17 +267,18 @@ def test_files(path: str) -> list[str]:
         having = [file for file, known in words.items() if name in known]
         for file in having:
             score[file] += 1 / len(having)
-    own = TELLING.get(path.removesuffix(".py")) or TELLING.get(str(Path(path).parent), "")
+    told = TELLING.get(path.removesuffix(".py")) or TELLING.get(str(Path(path).parent), "")
+    own = [file for name in told.split() for file in words if Path(file).stem == f"test_{name}"]
     others = [file for file in sorted(score, key=lambda file: -score[file])[:FILES] if score[file] > 0.2]
-    return list(dict.fromkeys([*(f"test_{name}.py" for name in own.split()), *others]))[:FILES]
+    return list(dict.fromkeys([*own, *others]))[:FILES]
 
 
 @functools.cache
 def _words() -> dict[str, set[str]]:
-    """File of tests -> the words in it."""
-    files = [file for file in TESTS.glob("test_*.py") if file.name not in ("test_structure.py", "test_mutants.py")]
+    """File of tests, in whatever folder -> the words in it."""
+    files = [file for file in TESTS.rglob("test_*.py") if file.name not in ("test_structure.py", "test_mutants.py")]
     return {
-        file.name: set(re.findall(r"[\w.]+", text)) | set(re.findall(r"\w+", text))
+        file.relative_to(TESTS).as_posix(): set(re.findall(r"[\w.]+", text)) | set(re.findall(r"\w+", text))
         for file in files
         for text in [file.read_text()]
     }
@@ -398,14 +399,14 @@ class _Watch:
 def _pytest(files: list[str], watch: _Watch, folder: Path) -> int:
     import pytest
 
-    importlib.import_module("shapes").install = lambda package: None  # this process has done it
+    importlib.import_module("support.shapes").install = lambda package: None  # this process has done it
     shutil.copytree(Path(os.environ["XDG_CACHE_HOME"]), folder / "user", ignore=_not_lasting)
     os.environ["XDG_CACHE_HOME"] = str(folder / "user")
     paths = [str(TESTS / file) for file in files]
-    quiet = "-q", "-p", "no:cacheprovider", "-p", "no:xdist", "-o", "addopts=", f"--basetemp={folder}/tmp"
-    return int(
-        pytest.main(["-m", "not slow and not night", *quiet, *(["-x"] if watch.order else []), *paths], plugins=[watch])
-    )
+    outside = ["-p", "no:cacheprovider", "-p", "no:xdist", f"--basetemp={folder}/tmp"]
+    options = ["-q", "-m", "not slow and not night", "-o", "addopts=", "--import-mode=importlib", *outside]
+    first = ["-x"] if watch.order else []  # of a mutant, one that notices it is enough
+    return int(pytest.main([*options, *first, *paths], plugins=[watch]))
 
 
 def _not_lasting(folder: str, names: list[str]) -> list[str]:
@@ -605,7 +606,7 @@ def _open(mutant: Mutant, known: dict[str, dict], again: bool) -> bool:
 
 def _begin() -> None:
     """Import what is heavy, as the tests do, and start nothing."""
-    sys.path[:0] = [str(TESTS), str(ROOT), str(ROOT / "benchmarks")]
+    sys.path[:0] = [str(TESTS), str(ROOT)]
     os.chdir(ROOT)
     for name in ("conftest", *HEAVY.split()):
         importlib.import_module(name)

@@ -5,7 +5,7 @@ python benchmarks/paths.py --pairs 100 --environments lab --radii 0.25
 
 For random pairs of a free start and goal, the length from the tables, and the length of paths walked along the next
 points, from point to point and in strides of 0.1 m, are compared with a visibility graph in float64
-(tests/shortest_paths.py).
+(tests/support/shortest_paths.py).
 """
 
 import argparse
@@ -19,10 +19,9 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 
-import shortest_paths as oracle  # noqa: E402
-
 from sean_jax import environment as environments  # noqa: E402
 from sean_jax import navigation  # noqa: E402
+from support import shortest_paths as oracle  # noqa: E402
 
 STRIDE = 0.1  # m
 

@@ -5,7 +5,8 @@ masked by ``present``; NaN never marks anything.
 
 Shapes stand in the annotations, with one letter for each dimension: ``N`` people, ``G`` groups, ``W`` obstacles, ``S``
 situations, ``V`` corner arcs of shortest paths, ``M`` nodes of a behavior graph, ``B`` batch, ``T`` time, ``E``
-episodes, ``P`` places. No type has a batch axis: ``jax.vmap`` adds it. Tests check the shapes (``tests/shapes.py``).
+episodes, ``P`` places. No type has a batch axis: ``jax.vmap`` adds it. Tests check the shapes:
+``tests/support/shapes.py``.
 """
 
 from collections.abc import Callable

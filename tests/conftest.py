@@ -31,8 +31,11 @@ gc.set_threshold(50_000, 20, 20)  # a fifth of tracing went into looking for cyc
 
 import jax  # noqa: E402
 import pytest  # noqa: E402
-import shapes  # noqa: E402
-from sharding import pytest_collection_modifyitems, pytest_configure  # noqa: E402, F401
+
+pytest.register_assert_rewrite("support")  # a failed assertion there says as much as one in a test
+
+from support import shapes  # noqa: E402
+from support.sharding import pytest_collection_modifyitems, pytest_configure  # noqa: E402, F401
 
 shapes.install("sean_jax")  # before anything of it is imported
 

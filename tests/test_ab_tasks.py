@@ -5,7 +5,6 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-import programs
 import pytest
 from scipy.cluster.vq import kmeans2
 
@@ -14,6 +13,8 @@ from sean_jax.assembly import with_task
 from sean_jax.navigation import draw_places
 from sean_jax.tasks import TASKS
 from sean_jax.tasks.random_tasks import CANDIDATES, CLEAR, DETOUR, RING, SNAP, busiest, far_place, k_means
+from support import programs
+from support.scenes import box, room
 
 SEEDS = 48
 
@@ -130,9 +131,7 @@ def test_what_does_not_go_together_is_refused_with_the_reason(arguments, words):
 
 
 def test_a_place_in_an_obstacle_or_behind_walls_is_refused(tmp_path):
-    (tmp_path / "environment.yaml").write_text("name: cell\nfloor: [0, 0, 8, 6]\npeople: 1\n")
-    walls = '<geom type="box" size=".1 3 1" pos="4 3 1"/><geom type="box" size=".3 .3 1" pos="6 3 1"/>'
-    (tmp_path / "scene.xml").write_text(f"<mujoco><worldbody>{walls}</worldbody></mujoco>")
+    room(tmp_path, (0, 0, 8, 6), [box((4, 3), (0.1, 3)), box((6, 3), (0.3, 0.3))])
     common: Any = dict(behavior="random", task="custom", people=1, dynamics="twin", start=(2.0, 3.0))
     with pytest.raises(ValueError, match="goal: .6, 3. lies off the floor or inside an obstacle"):
         sean_jax.make(tmp_path, goal=(6.0, 3.0), **common)
@@ -150,9 +149,7 @@ def test_custom_is_refused_as_one_of_several_tasks(busy):
 
 def test_without_a_longest_distance_all_places_that_can_be_reached_are_drawn(tmp_path):
     """As in SEAN 2.0, near ones and far ones; never one behind walls, whose distance is infinite as well."""
-    (tmp_path / "environment.yaml").write_text("name: halls\nfloor: [0, 0, 60, 10]\npeople: 1\n")
-    walls = '<geom type="box" size=".1 5 1" pos="30 5 1"/>'
-    (tmp_path / "scene.xml").write_text(f"<mujoco><worldbody>{walls}</worldbody></mujoco>")
+    room(tmp_path, (0, 0, 60, 10), [box((30, 5), (0.1, 5))])
     common: Any = dict(behavior="random", task="random_ab_nav", people=1, dynamics="twin")
     scenario = sean_jax.make(tmp_path, task_distance=(0.0, np.inf), **common)
     both = scenario.replace(
@@ -173,8 +170,7 @@ def test_without_a_longest_distance_all_places_that_can_be_reached_are_drawn(tmp
 
 def test_on_a_large_floor_the_place_that_is_least_off_is_taken(tmp_path):
     """Few places are near enough there: of those drawn, the best by a plain computation, and not the farthest."""
-    (tmp_path / "environment.yaml").write_text("name: field\nfloor: [0, 0, 200, 200]\npeople: 4\n")
-    (tmp_path / "scene.xml").write_text("<mujoco><worldbody/></mujoco>")
+    room(tmp_path, (0, 0, 200, 200), people=4)
     common: Any = dict(behavior="random", task="random_ab_nav", people=4, dynamics="twin")
     scenario = sean_jax.make(tmp_path, task_distance=(2.0, 12.0), **common)
     crowd = sean_jax.pedestrians_at(np.random.default_rng(0).uniform(80, 120, (4, 2)), np.zeros((4, 2)))

@@ -6,7 +6,6 @@ import json
 import re
 import warnings
 from dataclasses import replace
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -15,6 +14,7 @@ import pytest
 
 from sean_jax import mdp, registry
 from sean_jax.errors import InputError
+from support.checkout import ROOT
 
 pytestmark = pytest.mark.slow
 NAME = "Lab-Random-RandomAbNav-v0"
@@ -313,7 +313,7 @@ def test_brax_is_imported_with_a_warning_where_its_trainers_cannot_run(monkeypat
             pmap.bcast_local_devices(jnp.zeros(2))
         with pytest.warns(UserWarning, match="docs/training.md"):
             importlib.reload(sean_jax.adapters.brax)
-    text = (Path(__file__).parent.parent / "docs/training.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs/training.md").read_text(encoding="utf-8")
     (cure,) = re.findall(r"^    (jax\.device_put_replicated = .*)$", text, re.M)
     monkeypatch.setattr(jax, "device_put_replicated", None, raising=False)
     exec(cure, {"jax": jax})  # noqa: S102

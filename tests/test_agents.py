@@ -2,9 +2,6 @@
 
 import io
 import json
-import os
-import subprocess
-import sys
 import zipfile
 from dataclasses import replace
 from pathlib import Path
@@ -21,6 +18,9 @@ from sean_jax.config import PPOConfig, validate
 from sean_jax.errors import FileError, InputError
 from sean_jax.learning.policy import AGENTS, MAX_WEIGHTS_BYTES, WEIGHTS, load_agent, load_policy, save_agent
 from sean_jax.mdp import observations
+from support import trees
+from support.checkout import ROOT
+from support.commands import python
 
 WITHOUT = """
 import sys
@@ -49,7 +49,7 @@ def test_each_is_small_and_says_what_it_is():
 
 def test_the_file_of_a_training_has_the_options_of_its_agent():
     """benchmarks/ppo_lidar.yaml, besides the agent that the training begins with."""
-    path = Path(__file__).parents[1] / "benchmarks" / "ppo_lidar.yaml"
+    path = ROOT / "benchmarks" / "ppo_lidar.yaml"
     options = validate(PPOConfig, yaml.safe_load(path.read_text()))
     saved = json.loads((AGENTS["ppo_lidar"] / "config.json").read_text())
     for name, value in json.loads(json.dumps(options.identity())).items():
@@ -60,7 +60,7 @@ def test_the_file_of_a_training_has_the_options_of_its_agent():
 @pytest.mark.parametrize("name", ["sarl", "ds_rnn"])
 def test_entries_of_others_papers_see_visible_people_alone(name):
     """benchmarks/sarl.yaml and ds_rnn.yaml: attention over people; one has a memory."""
-    path = Path(__file__).parents[1] / "benchmarks" / f"{name}.yaml"
+    path = ROOT / "benchmarks" / f"{name}.yaml"
     options = validate(PPOConfig, yaml.safe_load(path.read_text()))
     terms = dict(observations.as_terms([term.kind for term in options.observations]))
     assert observations.sensing(tuple(terms.items())) == "tracks" and terms["visible_people"].people
@@ -82,8 +82,7 @@ def test_it_is_written_and_read(lab, tmp_path):
     config = json.loads((AGENTS["ppo"] / "config.json").read_text())
     save_agent(tmp_path, agent, config)
     _, found, _ = load_agent(tmp_path, lab)
-    for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(agent), strict=True):
-        np.testing.assert_array_equal(one, other)
+    trees.assert_equal(found, agent)
     huge = jax.tree.map(lambda leaf: leaf * 0.0 + 1e6, agent)
     with pytest.raises(InputError, match="16 bits cannot hold"):
         save_agent(tmp_path, huge, config)
@@ -141,12 +140,7 @@ def test_the_next_command_names_the_folder():
 def test_it_drives_without_the_extra(tmp_path):
     words = ["run", "--policy", "ppo", "--environment", "lab", "--people", "4", "--dynamics", "twin"]
     words += ["--episodes", "2", "--time-limit", "3", "--out", "here", "--quiet"]
-    root = str(Path(__file__).resolve().parent.parent)
-    done = subprocess.run(
-        [sys.executable, "-c", WITHOUT, *words], cwd=tmp_path, env=os.environ | {"PYTHONPATH": root},
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr[-2000:]
+    python("-c", WITHOUT, *words, cwd=tmp_path, env={"PYTHONPATH": str(ROOT)})
     assert json.loads((tmp_path / "here" / "summary.json").read_text())
 
 

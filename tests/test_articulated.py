@@ -1,10 +1,8 @@
 """Articulated bodies: against plain MuJoCo under the same controller; walls, people, falls, refusals, programs."""
 
 import functools
-import re
 from dataclasses import replace
 from importlib import import_module
-from types import SimpleNamespace
 from typing import Any
 
 import jax
@@ -15,69 +13,13 @@ from scipy.spatial.transform import Rotation
 
 import sean_jax
 from sean_jax import robots, sensors
-from sean_jax.base import Obstacles
 from sean_jax.policies import go_to_goal
+from support import driving, robot_files
+from support.driving import PERSON_RADIUS, TIME_STEP
+from support.robot_files import CRAWLER, LEGS, ROVER
 
 mujoco: Any = import_module("mujoco")  # which has no type stubs
-TIME_STEP, PERSON_RADIUS, RADIUS = 0.1, 0.3, 0.3
-FAR = (90.0, 90.0, 1.0, 1.0, 0.0)
-CASTER = '<geom type="sphere" size="0.05" pos="-0.18 0 -0.05" mass="0.2" friction="0.001" condim="1"/>'
-ROVER = f"""
-<mujoco>
-  <option timestep="0.005"/>
-  <worldbody>
-    <geom type="plane" size="0 0 0.01"/>
-    <body name="base" pos="0 0 0.1">
-      <freejoint/>
-      <geom type="box" size="0.2 0.12 0.04" mass="6" contype="0" conaffinity="0"/>
-      {CASTER}
-      <site name="lidar" pos="0 0 0.2"/>
-      <body pos="0.08 0.16 0"><joint name="left" axis="0 1 0" damping="0.01"/>
-        <geom type="sphere" size="0.1" mass="0.5"/></body>
-      <body pos="0.08 -0.16 0"><joint name="right" axis="0 1 0" damping="0.01"/>
-        <geom type="sphere" size="0.1" mass="0.5"/></body>
-      <body pos="0.1 0 0.06"><joint name="arm" axis="0 1 0" damping="0.05"/>
-        <geom type="capsule" size="0.015" fromto="0 0 0 0 0 0.25" mass="0.3" contype="0" conaffinity="0"/></body>
-    </body>
-  </worldbody>
-  <actuator>
-    <velocity joint="left" kv="2" forcerange="-4 4"/>
-    <velocity joint="right" kv="2" forcerange="-4 4"/>
-    <position joint="arm" kp="3" kv="0.3"/>
-  </actuator>
-  <keyframe><key name="home" qpos="0 0 0.1 1 0 0 0 0 0 0.5"/></keyframe>
-</mujoco>
-"""
-
-
-def leg(name, x, y):
-    """A hip about the vertical that swings the foot ahead, and a knee about x that lifts it."""
-    side = 1 if y > 0 else -1
-    return f"""
-      <body pos="{x} {y} 0"><joint name="{name}_hip" axis="0 0 1" damping="0.4" armature="0.01"/>
-        <geom type="capsule" size="0.015" fromto="0 0 0 0 {0.08 * side} 0" mass="0.08" contype="0" conaffinity="0"/>
-        <body pos="0 {0.08 * side} 0"><joint name="{name}_knee" axis="{side} 0 0" damping="0.4" armature="0.01"/>
-          <geom type="capsule" size="0.012" fromto="0 0 0 0 0 -0.1" mass="0.05" contype="0" conaffinity="0"/>
-          <geom type="sphere" size="0.02" pos="0 0 -0.1" mass="0.03"/>
-        </body></body>"""
-
-
-LEGS = {"fl": (0.12, 0.08), "fr": (0.12, -0.08), "rl": (-0.12, 0.08), "rr": (-0.12, -0.08)}
-CRAWLER = f"""
-<mujoco>
-  <option timestep="0.005"/>
-  <worldbody>
-    <body name="trunk" pos="0 0 0.12">
-      <freejoint/>
-      <geom type="box" size="0.15 0.08 0.03" mass="1.5" contype="0" conaffinity="0"/>
-      {"".join(leg(name, *place) for name, place in LEGS.items())}
-    </body>
-  </worldbody>
-  <actuator>
-    {"".join(f'<position joint="{n}_{j}" kp="10"/>' for n in LEGS for j in ("hip", "knee"))}
-  </actuator>
-</mujoco>
-"""
+RADIUS = 0.3
 
 
 def wheels(command, data, memory):
@@ -115,25 +57,17 @@ def rover(tmp_path_factory):
 
 def obstacles(*boxes):
     """Two boxes (x, y, half extents, yaw), the missing ones far away."""
-    rows = np.array([*boxes, *[FAR] * (2 - len(boxes))])
-    return Obstacles(*(jnp.asarray(each, float) for each in (rows[:, :2], rows[:, 2:4], rows[:, 4], np.ones(2))))
+    return driving.obstacles(boxes, 2)
 
 
 def rollout(model, boxes, person, walk, robot, actions):
     """Robots after each action (T, 2 or 3), with one person at a place who walks at a velocity."""
     TRACES.append(model.name)
-    scenario = SimpleNamespace(
-        environment=SimpleNamespace(obstacles=boxes),
-        robot=model,
-        time_step=TIME_STEP,
-        forces=SimpleNamespace(walking=SimpleNamespace(radius=jnp.asarray(PERSON_RADIUS, float))),
-    )
 
     def one(carry, action):
         robot, place = carry
         place = place + TIME_STEP * walk
-        people = SimpleNamespace(position=place[None], velocity=walk[None], present=jnp.ones(1, bool))
-        robot = model.drive(scenario, SimpleNamespace(robot=robot, pedestrians=people), action)
+        robot = driving.drive(model, robot, action, boxes, place[None], walk[None], jnp.ones(1, bool))
         return (robot, place), (robot, place)
 
     return jax.lax.scan(one, (robot, person), actions)[1]
@@ -235,8 +169,7 @@ def test_a_person_is_not_pushed_and_pushes_the_body_but_not_into_a_wall(rover):
 
 
 def test_a_body_that_falls_stays_where_it_lies(tmp_path):
-    tall = ROVER.replace(CASTER, "").replace('pos="0 0 -0.05" mass="6"', 'mass="6"')
-    model = rover_of(tmp_path, tall, max_tilt=0.3)
+    model = rover_of(tmp_path, robot_files.ROVER_WITHOUT_CASTER, max_tilt=0.3)
     moved, _ = run(model, (0.8, 0.5), person=(0.6, 0.0), walk=(-0.5, 0.0))
     fallen = moved.drive_state.fallen
     first = int(fallen.argmax())
@@ -312,29 +245,18 @@ def test_a_scenario_with_policy_sensors_and_metrics(rover):
 
 @pytest.mark.slow
 def test_a_crawler_walks_as_in_mujoco(tmp_path):
-    path, ground = write(tmp_path, CRAWLER), '<worldbody><geom type="plane" size="0 0 0.01"/>'
+    path = write(tmp_path, CRAWLER)
     limits = {"max_speed": 0.2, "max_lateral_speed": 0.1, "max_turn_rate": 1.0}
     with jax.enable_x64(True):
         moved, _ = run(robots.articulated(path, trot, radius=0.25, **limits), (0.2, 0.0, 0.0))
-        qpos, _ = in_mujoco(CRAWLER.replace("<worldbody>", ground), trot, moved.drive_state.target)
+        qpos, _ = in_mujoco(robot_files.CRAWLER_ON_THE_GROUND, trot, moved.drive_state.target)
     np.testing.assert_allclose(moved.drive_state.physics["qpos"], qpos, atol=1e-8)
     assert moved.position[-1, 0] > 0.3
     assert not moved.drive_state.fallen.any()
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "words"),
-    [
-        ("<freejoint/>", "<joint axis='0 0 1'/>", "must have one freejoint, its first joint; give its base one"),
-        ("</worldbody>", "<body><geom size='0.1'/></body></worldbody>", "all bodies must hang on the one"),
-        ('timestep="0.005"', 'integrator="RK4"', "must be Euler or implicitfast"),
-        ('type="plane"', 'type="plane" pos="0 0 0.1"', "one horizontal plane at height 0"),
-        ("</worldbody>", "<geom size='0.1'/></worldbody>", "one horizontal plane at height 0"),
-        ("<worldbody>", "<default><geom contype='2' conaffinity='4'/></default><worldbody>", "touches the ground"),
-    ],
-)
-def test_bad_files_are_refused_in_one_sentence(tmp_path, old, new, words):
-    text = re.sub("<keyframe>.*</keyframe>", "", ROVER).replace(old, new)
+@pytest.mark.parametrize(("text", "words"), robot_files.REFUSED_ROVERS)
+def test_bad_files_are_refused_in_one_sentence(tmp_path, text, words):
     with pytest.raises(ValueError, match=words) as caught:
         rover_of(tmp_path, text)
     assert str(tmp_path) in str(caught.value) and "\n" not in str(caught.value)
@@ -357,15 +279,11 @@ def test_bad_arguments_are_refused_in_one_sentence(tmp_path, options, words):
 
 
 def test_a_ground_is_added_where_there_is_none(rover, tmp_path):
-    model = rover_of(tmp_path, ROVER.replace('<geom type="plane" size="0 0 0.01"/>', ""))
+    model = rover_of(tmp_path, robot_files.ROVER_IN_THE_AIR)
     np.testing.assert_allclose(run(model, (0.5, 0.3))[0].position, run(rover, (0.5, 0.3))[0].position, atol=1e-4)
 
 
 def test_a_mesh_without_contacts_is_left_out_so_its_file_may_be_missing(tmp_path):
-    look = '<inertial pos="0 0 0" mass="6" diaginertia="0.1 0.1 0.1"/>'
-    look += '<geom type="mesh" mesh="look" contype="0" conaffinity="0"/>'
-    text = ROVER.replace("<worldbody>", '<asset><mesh name="look" file="none.stl"/></asset><worldbody>')
-    assert rover_of(tmp_path, text.replace("<freejoint/>", "<freejoint/>" + look)).mass == pytest.approx(7.3)
-    touching = look.replace('contype="0" conaffinity="0"', "")
+    assert rover_of(tmp_path, robot_files.ROVER_OF_A_MESH).mass == pytest.approx(7.3)
     with pytest.raises(ValueError, match="none.stl"):
-        rover_of(tmp_path, text.replace("<freejoint/>", "<freejoint/>" + touching))
+        rover_of(tmp_path, robot_files.ROVER_OF_A_TOUCHING_MESH)

@@ -10,7 +10,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from fuzzing import BOMB, MERGES, check_error, hall, image, walks
 
 import sean_jax
 from sean_jax import cli, environment, maps, navigation, quantities, recordings, robots
@@ -19,6 +18,10 @@ from sean_jax.files import mjcf
 from sean_jax.geometry import MAX_ROWS, nearby_obstacles
 from sean_jax.learning.dataset import open_dataset
 from sean_jax.learning.networks import read_network_config
+from support import trees
+from support.fuzzing import BOMB, MERGES, check_error, hall, image, walks
+from support.mjcf import DOCUMENT_TYPE, UNSAFE, box, lines_of, picture_scene, side_scene
+from support.scenes import room
 
 MAP = "image: map.png\nresolution: 0.1\norigin: [0, 0, 0]\noccupied_thresh: 0.65\nfree_thresh: 0.2\n"
 
@@ -106,33 +109,9 @@ def test_bombs_are_not_unfolded(tmp_path, bomb):
     assert "aliases unfold to more than 50,000 values; write fewer" in refusal(tmp_path, "environment.yaml")
 
 
-TEXTURE = '<texture name="t" type="2d" builtin="flat" width="60000" height="60000"/>'
-SKY = '<texture type="skybox" builtin="gradient" width="60000"/>'
-BOX = '<geom type="box" size="1 1 1" pos="0 0 1"/>'
-
-
-@pytest.mark.parametrize(
-    ("inside", "words"),
-    [
-        (BOX.replace("0 0 1", "nan 0 1"), 'pos="nan 0 1" holds a number that is not finite'),
-        (BOX.replace("1 1 1", "inf 1 1"), 'size="inf 1 1" holds a number that is not finite'),
-        (BOX.replace("1 1 1", "1e39 1 1"), "holds a number beyond 1e+10"),
-        (f'<replicate count="100000">{BOX}</replicate>', 'count="100000" must be at most 1,000'),
-        (f'<replicate count="999"><replicate count="999">{BOX}</replicate></replicate>', "more than 10,000 elements"),
-        ('<composite type="grid" count="9999 9999 1"/>', "<composite> has no place in a scene or a robot"),
-        ("<body>" * 100 + "</body>" * 100, "nested deeper than 60 levels"),
-        ('</worldbody><size memory="900G"/><worldbody>', 'size memory="900G" must be at most 100M'),
-        ('</worldbody><size nuser_geom="1000000000"/><worldbody>', "must be at most 10,000"),
-        (f"</worldbody><asset>{TEXTURE}</asset><worldbody>", "more than 25 million pixels"),
-        (f"</worldbody><asset>{SKY}</asset><worldbody>", "more than 25 million pixels"),
-        (f"</worldbody><asset>{SKY.replace('skybox', 'cube')}</asset><worldbody>", "more than 25 million pixels"),
-        ('</worldbody><include file="scene.xml"/><worldbody>', "scene.xml includes itself"),
-        ('</worldbody><include file="pipe"/><worldbody>', "it is a pipe"),
-        ("</geom>", "is not XML: mismatched tag"),
-    ],
-)  # fmt: skip
-def test_scenes_are_looked_through_before_mujoco_compiles_them(tmp_path, inside, words):
-    write(tmp_path, {"scene.xml": f"<mujoco>\n<worldbody>\n{inside}\n</worldbody>\n</mujoco>\n"})
+@pytest.mark.parametrize(("text", "words"), UNSAFE)
+def test_scenes_are_looked_through_before_mujoco_compiles_them(tmp_path, text, words):
+    write(tmp_path, {"scene.xml": lines_of(text)})
     os.mkfifo(tmp_path / "pipe")
     said = refusal(tmp_path, "scene.xml")
     assert words in said and "\n" not in said and ("scene.xml:3" in said or "pipe" in said)
@@ -151,9 +130,7 @@ def test_scenes_are_looked_through_before_mujoco_compiles_them(tmp_path, inside,
 def test_pictures_are_measured_wherever_the_compiler_says_they_are(tmp_path, compiler, file, after):
     (tmp_path / "pictures").mkdir()
     (tmp_path / "pictures" / "large.png").write_bytes(giant(6_000))
-    assets = f'<asset><texture name="t" type="2d" file="{file}"/></asset>'
-    lines = [assets, compiler] if after else [compiler, assets]
-    write(tmp_path, {"scene.xml": "<mujoco>\n" + "\n".join(lines) + "\n</mujoco>\n"})
+    write(tmp_path, {"scene.xml": picture_scene(compiler, file, compiler_last=after)})
     said = refusal(tmp_path, "scene.xml")
     assert f"scene.xml:{2 if after else 3}: textures have more than 25 million pixels" in said
 
@@ -161,9 +138,7 @@ def test_pictures_are_measured_wherever_the_compiler_says_they_are(tmp_path, com
 def test_a_picture_without_a_grid_is_on_all_sides_of_a_cube(tmp_path):
     (tmp_path / "side.png").write_bytes(giant(3_000))
     for more, refused in (('type="cube"', True), ('type="2d"', False), ('type="cube" gridsize="3 4"', False)):
-        (tmp_path / "scene.xml").write_text(
-            f'<mujoco><asset><texture name="t" file="side.png" {more}/></asset></mujoco>'
-        )
+        (tmp_path / "scene.xml").write_text(side_scene(more))
         with pytest.raises(FileError) as caught:
             mjcf.read(tmp_path / "scene.xml")
         assert ("25 million pixels" in str(caught.value)) == refused, more  # else MuJoCo finds that it is cut off
@@ -182,8 +157,7 @@ def test_a_hundred_errors_of_a_file_are_told_and_the_others_counted(tmp_path):
 
 
 def test_a_document_type_is_refused(tmp_path):
-    entity = '<!DOCTYPE m [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;&a;">]>\n<mujoco model="&b;"/>'
-    write(tmp_path, {"scene.xml": entity})
+    write(tmp_path, {"scene.xml": DOCUMENT_TYPE})
     assert "scene.xml:1: has a document type" in refusal(tmp_path, "scene.xml")
 
 
@@ -253,8 +227,7 @@ def test_both_readers_take_marks_cases_and_any_order(tmp_path):
         (tmp_path / name).write_text(text, encoding="utf-8")
         sampled = recordings.read(tmp_path / name, frame_rate=10.0, time_step=0.1)
         read[name] = recordings.read(tmp_path / name, frame_rate=10.0), sampled
-    for one, other in zip(*map(jax.tree.leaves, read.values()), strict=True):
-        np.testing.assert_array_equal(one, other)
+    trees.assert_equal(*read.values())
     assert read["plain.csv"][0].person.tolist() == [[7, 12]] * 30
     played, seen = read["plain.csv"][1], read["plain.csv"][0]
     np.testing.assert_allclose(played.position, seen.position, atol=1e-5)
@@ -330,10 +303,8 @@ def test_a_floor_of_kilometres_has_a_table_of_bounded_size(tmp_path):
 
 def test_paths_are_not_planned_around_thousands_of_corners(tmp_path):
     spots = [(2.0 * i - 19.0, 2.0 * j - 19.0) for i in range(20) for j in range(20)]
-    boxes = "".join(f'<geom type="box" size="0.2 0.2 1" pos="{x} {y} 1"/>' for x, y in spots)
-    text = "name: posts\nfloor: [-20, -20, 20, 20]\npeople: 4\n"
-    scene = f"<mujoco><worldbody>{boxes}</worldbody></mujoco>"
-    place = environment.load(write(tmp_path, {"environment.yaml": text, "scene.xml": scene}))
+    posts = [box(spot, (0.2, 0.2)) for spot in spots]
+    place = environment.load(room(tmp_path, (-20, -20, 20, 20), posts, 4, name="posts"))
     with pytest.raises(ValueError, match="environment 'posts' has 3,200 arcs around corners"):
         navigation.build(place, 0.25)
 

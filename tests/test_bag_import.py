@@ -66,29 +66,27 @@ def drive(received, resets=(), goals=True, steps=40, step=SECOND // 10):
 def write_bag1(path, rows, compression=None):
     from rosbags.rosbag1 import Writer
 
-    store, connections = messages.typestore(1), {}
     writer = Writer(path)
     if compression is not None:
         writer.set_compression(compression)
-    with writer:
-        for topic, kind, time, message in rows:
-            if topic not in connections:
-                connections[topic] = writer.add_connection(topic, kind, typestore=store)
-            raw = store.serialize_ros1(messages.fill(store, kind, message), kind)
-            writer.write(connections[topic], time, raw)
-    return path
+    return written(writer, path, rows, 1)
 
 
 def write_bag2(path, rows, plugin="MCAP"):
     from rosbags.rosbag2 import StoragePlugin, Writer
 
-    store, connections = messages.typestore(2), {}
-    with Writer(path, version=9, storage_plugin=StoragePlugin[plugin]) as writer:
+    return written(Writer(path, version=9, storage_plugin=StoragePlugin[plugin]), path, rows, 2)
+
+
+def written(writer, path, rows, version):
+    """The bag, which a writer of rosbags has filled."""
+    store, connections = messages.typestore(version), {}
+    serialize = store.serialize_ros1 if version == 1 else store.serialize_cdr
+    with writer:
         for topic, kind, time, message in rows:
             if topic not in connections:
                 connections[topic] = writer.add_connection(topic, kind, typestore=store)
-            raw = store.serialize_cdr(messages.fill(store, kind, message), kind)
-            writer.write(connections[topic], time, raw)
+            writer.write(connections[topic], time, serialize(messages.fill(store, kind, message), kind))
     return path
 
 
@@ -234,17 +232,10 @@ def compressed(folder, rows, mode):
     """A rosbag2 with zstd."""
     from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
-    store, connections = messages.typestore(2), {}
     plugin = StoragePlugin.MCAP if mode == "storage" else StoragePlugin.SQLITE3
     writer = Writer(folder, version=9, storage_plugin=plugin)
     writer.set_compression(CompressionMode[mode.upper()], CompressionFormat.ZSTD)
-    with writer:
-        for topic, kind, time, message in rows:
-            if topic not in connections:
-                connections[topic] = writer.add_connection(topic, kind, typestore=store)
-            raw = store.serialize_cdr(messages.fill(store, kind, message), kind)
-            writer.write(connections[topic], time, raw)
-    return folder
+    return written(writer, folder, rows, 2)
 
 
 @pytest.mark.parametrize("mode", ["storage", "message", "file"])

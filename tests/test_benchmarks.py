@@ -9,7 +9,6 @@ import json
 import re
 import subprocess
 import sys
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -23,16 +22,17 @@ from sean_jax.learning.policy import load_policy
 from sean_jax.runner import Record, Runner
 from sean_jax.studies.experiments import figure4
 from sean_jax.workspace import Workspace
+from support import trees
+from support.checkout import ROOT, benchmark
+from support.commands import python
+from support.files import write_all
 
 pytestmark = pytest.mark.form
-ROOT = Path(__file__).resolve().parent.parent
 
 
 def run(*arguments: str) -> list[str]:
     """Lines that a program prints; it is run from the checkout, so its own folder is where it imports from."""
-    done = subprocess.run([sys.executable, *arguments], cwd=ROOT, capture_output=True, text=True, timeout=600)
-    assert done.returncode == 0, done.stderr
-    return done.stdout.splitlines()
+    return python(*arguments, cwd=ROOT).splitlines()
 
 
 @pytest.mark.night
@@ -124,7 +124,7 @@ def test_causes(tmp_path):
 
 def test_curriculum(tmp_path, capsys):
     """The worst situation is the one with the most violations a minute, and what is said follows the intervals."""
-    program = importlib.import_module("curriculum")
+    program = benchmark("curriculum")
     names, minutes = ["overall", "often", "seldom", "never"], np.tile([1.0, 0.5, 0.25, 0.0], (40, 1))
 
     def episodes(often: float, seldom: float) -> dict:
@@ -152,7 +152,7 @@ def test_curriculum(tmp_path, capsys):
 
 def test_goldens(tmp_path, monkeypatch, capsys):
     """Equal records give exit code 0; a changed, missing or further one gives 1, with what changed."""
-    program = importlib.import_module("goldens")
+    program = benchmark("goldens")
 
     def compared(*after: dict[str, str]) -> tuple[int, str]:
         for name, texts in zip(("before", "after"), after, strict=True):
@@ -177,7 +177,7 @@ def test_goldens(tmp_path, monkeypatch, capsys):
 
 def test_goldens_of_a_program():
     """Names of functions do not matter, their operations and constants do."""
-    program = importlib.import_module("goldens")
+    program = benchmark("goldens")
 
     def one(x):
         return jnp.where(x > 0, x, 2.0) + jnp.arange(20.0)
@@ -196,7 +196,7 @@ def test_goldens_of_a_program():
 @pytest.mark.parametrize("name", sorted(path.stem for path in (ROOT / "benchmarks").glob("*.py")))
 def test_programs_name_what_exists(name):
     """Each imports what it needs of the package; their figures are for people to read."""
-    assert importlib.import_module(name).__doc__
+    assert benchmark(name).__doc__
 
 
 def refusal(program, *arguments: object) -> str:
@@ -208,7 +208,7 @@ def refusal(program, *arguments: object) -> str:
 
 def test_move_base_refusals(tmp_path, monkeypatch):
     """One sentence each without a checkout, a package, a build or ROS, and the last lines of a build that fails."""
-    program = importlib.import_module("move_base")
+    program = benchmark("move_base")
     places = "--sources", tmp_path / "sources", "--workspace", tmp_path / "workspace"
     drive = ("drive", *places, "--out", tmp_path / "logs")
     said = refusal(program, "build", *places)
@@ -248,7 +248,7 @@ def test_move_base_refusals(tmp_path, monkeypatch):
 
 def test_move_base_parameters(tmp_path):
     """The layers are added to both maps, and the files are not changed otherwise."""
-    program = importlib.import_module("move_base")
+    program = benchmark("move_base")
     assert program.patch("f_ = boost::bind(&Layer::set, this, _1, _2);\n") == (
         "#include <boost/bind/bind.hpp>\n"
         "f_ = boost::bind(&Layer::set, this, boost::placeholders::_1, boost::placeholders::_2);\n"
@@ -260,9 +260,7 @@ def test_move_base_parameters(tmp_path):
         "map_nav_params/global_costmap_params.yaml": "global_costmap: {inflation_radius: 0.3}\n",
         "base_local_planner_params.yaml": "TrajectoryPlannerROS: {sim_time: 2.0}\n",
     }
-    (folder / "map_nav_params").mkdir(parents=True)
-    for name, text in files.items():
-        (folder / name).write_text(text)
+    write_all(folder, files)
     with pytest.raises(program.InputError, match=r"move_base_params.yaml is missing"):
         program.parameters(tmp_path, [])
     (folder / "move_base_params.yaml").write_text("controller_frequency: 10.0\n")
@@ -280,7 +278,7 @@ def test_move_base_parameters(tmp_path):
 
 def test_move_base_summary(tmp_path, capsys):
     """Means, and where the robot stood with which commands."""
-    program = importlib.import_module("move_base")
+    program = benchmark("move_base")
 
     def episode(number: int, still: float, rows: list) -> dict:
         names = ("intimate", "personal")
@@ -318,7 +316,7 @@ def test_move_base_summary(tmp_path, capsys):
 @pytest.mark.parametrize("behavior", ["graph", "handcrafted"])
 def test_move_base_drives_the_episodes_of_figure4(behavior, tmp_path, monkeypatch):
     """Starts, people and streams of each numbered episode are those of the experiment, to the bit."""
-    program = importlib.import_module("move_base")
+    program = benchmark("move_base")
     chosen = argparse.Namespace(figure4=behavior, environment="warehouse", people=62, seed=0, out=tmp_path)
     options = Figure4Config(preset="sean2", out=tmp_path)
     starts = []
@@ -342,7 +340,7 @@ def test_move_base_drives_the_episodes_of_figure4(behavior, tmp_path, monkeypatc
         mine = world.reset(number)[0]
         theirs = jax.tree.map(lambda leaf, number=number: leaf[number], batch.total)
         theirs = dataclasses.replace(theirs, policy_state=mine.policy_state, metrics=mine.metrics)
-        jax.tree.map(np.testing.assert_array_equal, prng.as_numbers(mine), theirs)
+        trees.assert_equal(prng.as_numbers(mine), theirs)
     state = world.reset(5)[0]
     (x, y), geodesic = map(float, state.robot.position), float(state.task.geodesic)
     same = {"episode": 5, "start": [x, y, 0.0], "geodesic": geodesic}
@@ -354,7 +352,7 @@ def test_move_base_drives_the_episodes_of_figure4(behavior, tmp_path, monkeypatc
 
 def test_move_base_compare(tmp_path, monkeypatch, capsys):
     """Means and paired differences equal those of numpy and scipy; an episode with another start here has no pair."""
-    program, random = importlib.import_module("move_base"), np.random.default_rng(0)
+    program, random = benchmark("move_base"), np.random.default_rng(0)
     monkeypatch.setattr(program.figure4, "scenarios", lambda options: dict.fromkeys(program.measures.BEHAVIORS, ()))
     monkeypatch.setattr(program, "World", lambda chosen: chosen.figure4)
     monkeypatch.setattr(program, "elsewhere", lambda world, episodes: {4: [0.0, 0.0]} if world == "random" else {})

@@ -6,11 +6,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from test_social_forces import STEP, around, crowd, felt, walk
 
 from sean_jax import social_forces
 from sean_jax.social_forces import Contact, model
 from sean_jax.social_forces.forces import look_direction
+from support.forces import STEP, around, crowd, felt, walk
 
 CALIBRATED = social_forces.preset("calibrated")
 RADIUS = 0.2  # m

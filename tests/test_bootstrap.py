@@ -6,13 +6,13 @@ import warnings
 import jax
 import jax.numpy as jnp
 import numpy as np
-import programs
 import pytest
 import scipy.stats
 
 import sean_jax
 from sean_jax.metrics import aggregate, aggregate_ratio, bootstrap, interval, resamples
 from sean_jax.studies.experiments import shares
+from support import programs
 
 
 @pytest.fixture(scope="module")

@@ -29,6 +29,7 @@ from sean_jax.ros import bridge, messages, ros1, rosbridge
 from sean_jax.ros.names import RosNames
 from sean_jax.ros.transport import REQUESTS, Log, Mailbox, Output, read_pose
 from sean_jax.stack import as_stacks
+from support.commands import python, wait
 
 pytest.importorskip("websockets")
 from websockets.asyncio.client import connect  # noqa: E402
@@ -45,13 +46,6 @@ LIMIT = 20.0  # s, for anything that has to happen
 
 def twist(ahead, turn):
     return {"linear": {"x": ahead, "y": 0.0, "z": 0.0}, "angular": {"x": 0.0, "y": 0.0, "z": turn}}
-
-
-def until(condition):
-    end = time.monotonic() + LIMIT
-    while not condition():
-        assert time.monotonic() < end, "it did not happen"
-        time.sleep(0.005)
 
 
 class Sentences(list):
@@ -382,7 +376,7 @@ def test_requests_are_bounded(mailbox):
     ask = [threading.Thread(target=lambda: answers.append(mailbox.request("reset"))) for _ in range(REQUESTS)]
     for thread in ask:
         thread.start()
-    until(lambda: len(mailbox._requests) == REQUESTS)
+    wait(lambda: len(mailbox._requests) == REQUESTS)
     refused = mailbox.request("reset")
     assert not refused.success and "wait already" in refused.message
     while (request := mailbox.take_request()) is not None:
@@ -440,7 +434,7 @@ def test_a_bad_message_is_answered_and_the_connection_stays(server, mailbox, sen
         status = await receive(connection, "status")
         assert status["level"] == "error" and status["msg"]
         await ask(connection, op="publish", topic="/cmd_vel", msg=twist(0.1, 0.2))
-        await asyncio.to_thread(until, lambda: mailbox.commands == 1)
+        await asyncio.to_thread(wait, lambda: mailbox.commands == 1)
 
     talk(server, scene)
     assert len(sentences) == 1
@@ -450,7 +444,7 @@ def test_a_bad_message_is_answered_and_the_connection_stays(server, mailbox, sen
 def test_a_malformed_command_of_a_client_is_dropped(server, mailbox, sentences, message):
     async def scene(connection):
         await ask(connection, op="publish", topic="/cmd_vel", msg=message)
-        await asyncio.to_thread(until, lambda: sentences)
+        await asyncio.to_thread(wait, lambda: sentences)
 
     talk(server, scene)
     assert mailbox.commands == 0
@@ -464,7 +458,7 @@ def test_a_message_that_is_too_long_ends_its_connection_alone(server, mailbox):
 
     async def other(connection):
         await ask(connection, op="publish", topic="cmd_vel", msg=twist(0.1, 0.2))
-        await asyncio.to_thread(until, lambda: mailbox.commands == 1)
+        await asyncio.to_thread(wait, lambda: mailbox.commands == 1)
 
     talk(server, long)
     talk(server, other)
@@ -481,7 +475,7 @@ def test_subscribers_get_numbers_bytes_times_and_what_is_not_finite(server):
 
     async def scene(connection):
         await ask(connection, op="subscribe", topic="/scan", type="sensor_msgs/LaserScan")
-        await asyncio.to_thread(until, lambda: server.wanted("/scan"))
+        await asyncio.to_thread(wait, lambda: server.wanted("/scan"))
         server.publish("/scan", message)
         return await receive(connection, "publish")
 
@@ -491,7 +485,7 @@ def test_subscribers_get_numbers_bytes_times_and_what_is_not_finite(server):
     head = {"stamp": stamp, "frame_id": "lidar"}
     others = {"ranges": [1.5, None, None], "data": "AP8=", "angle_min": None, "names": ["a"]}
     assert got == {"op": "publish", "topic": "/scan", "msg": {"header": head, **others}}
-    until(lambda: not server.wanted("/scan"))  # its subscription ended with it
+    wait(lambda: not server.wanted("/scan"))  # its subscription ended with it
 
 
 def test_a_latched_message_reaches_later_subscribers(server):
@@ -509,7 +503,7 @@ def test_throttle_and_unsubscribe(server):
     async def scene(connection):
         await ask(connection, op="subscribe", topic="/odom", throttle_rate=60_000)
         await ask(connection, op="subscribe", topic="/scan")
-        await asyncio.to_thread(until, lambda: server.wanted("/scan"))
+        await asyncio.to_thread(wait, lambda: server.wanted("/scan"))
         for number in range(20):
             server.publish("/odom", {"number": number})
             server.publish("/scan", {"number": number})
@@ -517,7 +511,7 @@ def test_throttle_and_unsubscribe(server):
         assert [each["msg"]["number"] for each in got if each["topic"] == "/odom"] == [0]
         assert [each["msg"]["number"] for each in got if each["topic"] == "/scan"] == list(range(20))
         await ask(connection, op="unsubscribe", topic="/scan")
-        await asyncio.to_thread(until, lambda: not server.wanted("/scan"))
+        await asyncio.to_thread(wait, lambda: not server.wanted("/scan"))
 
     talk(server, scene)
 
@@ -527,7 +521,7 @@ def answer_requests(mailbox, number):
 
     def work():
         for _ in range(number):
-            until(lambda: mailbox._requests)
+            wait(lambda: mailbox._requests)
             request = mailbox.take_request()
             request.answer(request.name != "step", f"{request.name}: seen")
 
@@ -571,7 +565,7 @@ def test_a_hundred_clients_get_each_message(server):
         clients = [await connect(server.address) for _ in range(100)]
         for client in clients:
             await ask(client, op="subscribe", topic="/odom")
-        await asyncio.to_thread(until, lambda: server._subscribed["/odom"] == 100)
+        await asyncio.to_thread(wait, lambda: server._subscribed["/odom"] == 100)
         for number in range(5):
             server.publish("/odom", {"number": number})
         for client in clients:
@@ -581,7 +575,7 @@ def test_a_hundred_clients_get_each_message(server):
             await client.close()
 
     asyncio.run(scene())
-    until(lambda: not server._clients and not server.wanted("/odom"))
+    wait(lambda: not server._clients and not server.wanted("/odom"))
 
 
 def test_more_clients_than_the_limit_are_refused(server, monkeypatch):
@@ -606,9 +600,9 @@ def test_a_client_that_floods_is_slowed_and_others_are_served(server, mailbox, s
         async with hasty as flood, connect(server.address) as other:
             text = json.dumps({"op": "publish", "topic": "/cmd_vel", "msg": twist(0.1, 0.0)})
             sending = asyncio.ensure_future(send_all(flood, text, 20_000))
-            await asyncio.to_thread(until, lambda: any("slowed down" in each for each in sentences))
+            await asyncio.to_thread(wait, lambda: any("slowed down" in each for each in sentences))
             await ask(other, op="subscribe", topic="/odom")
-            await asyncio.to_thread(until, lambda: server.wanted("/odom"))
+            await asyncio.to_thread(wait, lambda: server.wanted("/odom"))
             server.publish("/odom", {"number": 1})
             assert (await receive(other, "publish"))["msg"] == {"number": 1}
             assert mailbox.commands < 20_000
@@ -643,12 +637,12 @@ def half_open(server):
 def test_a_half_open_client_is_bounded_and_closed(impatient):
     server = impatient
     with half_open(server):
-        until(lambda: server.wanted("/scan"))
+        wait(lambda: server.wanted("/scan"))
         client = next(iter(server._clients.values()))
         for _ in range(3 * rosbridge.QUEUE):
             server.publish("/scan", {"ranges": np.zeros(5_000)})
         assert max(map(len, client._queues.values())) <= rosbridge.QUEUE
-        until(lambda: not server._clients)
+        wait(lambda: not server._clients)
     assert not server.wanted("/scan")
 
 
@@ -659,7 +653,7 @@ def test_sockets_that_send_nothing_are_closed_and_others_are_served(impatient, m
 
         async def scene(connection):
             await ask(connection, op="publish", topic="/cmd_vel", msg=twist(0.1, 0.2))
-            await asyncio.to_thread(until, lambda: mailbox.commands == 1)
+            await asyncio.to_thread(wait, lambda: mailbox.commands == 1)
 
         talk(impatient, scene)
         assert not any(each.recv(1) for each in silent)  # the end of the connection
@@ -729,10 +723,7 @@ def test_roslibpy_talks_with_the_server(server, mailbox):
     pytest.importorskip("roslibpy")
     server.publish("/goal", {"pose": {"position": {"x": 2.5}}})
     thread = answer_requests(mailbox, 1)
-    program = [sys.executable, "-c", ROSLIBPY, server.address]
-    done = subprocess.run(program, capture_output=True, text=True, timeout=60, check=False)
-    assert done.returncode == 0, done.stderr
-    goal, topics, kind, answer = json.loads(done.stdout)
+    goal, topics, kind, answer = json.loads(python("-c", ROSLIBPY, server.address, timeout=60))
     assert goal == {"pose": {"position": {"x": 2.5}}}
     assert set(topics) == {*OUTPUTS, "/cmd_vel", "/initialpose"} and kind == "nav_msgs/Odometry"
     assert answer == {"success": True, "message": "new_task: seen"}
@@ -801,7 +792,7 @@ def test_another_participant_talks_with_the_bridge_in_the_types_of_ros_2(mailbox
     program = [sys.executable, "-c", DDS, "171", LOCAL]
     with subprocess.Popen(program, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as other:
         try:
-            until(lambda: bridge.wanted("/odom"))
+            wait(lambda: bridge.wanted("/odom"))
             time.sleep(0.5)  # it has found the reader; the reader has to find it, too
             for number in range(20):
                 pose = {"pose": {"position": {"x": float(number), "y": 0.0, "z": 0.0}}}

@@ -16,6 +16,7 @@ from sean_jax.errors import ControllerError
 from sean_jax.geometry import signed_distances_on_host
 from sean_jax.ros import bridge, messages
 from sean_jax.ros.transport import Log
+from support.commands import wait
 
 pytest.importorskip("rosbags")
 pytestmark = pytest.mark.slow
@@ -230,10 +231,7 @@ def test_services_and_poses(live):
     assert len(memory.of("/goal")) == goals + 1
     there = {"position": {"x": 1.25, "y": -0.5}, "orientation": {"z": 1.0, "w": 0.0}}
     mailbox.receive("/initialpose", {"pose": {"pose": there}})
-    end = time.monotonic() + LIMIT
-    while memory.of("/odom")[-1]["pose"]["pose"]["position"]["x"] != 1.25:
-        assert time.monotonic() < end
-        time.sleep(0.01)
+    wait(lambda: memory.of("/odom")[-1]["pose"]["pose"]["position"]["x"] == 1.25, LIMIT)
     turn = memory.of("/odom")[-1]["pose"]["pose"]["orientation"]
     np.testing.assert_allclose(abs(turn["z"]), 1.0, atol=1e-6)
     assert mailbox.request("reset").success

@@ -10,7 +10,6 @@ import subprocess
 import sys
 import time
 import types
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,9 +17,10 @@ import pytest
 from sean_jax.errors import InputError
 from sean_jax.ros.ros1 import DEBIAN, import_rospy
 from sean_jax.trajectories import load_trajectory
+from support.checkout import ROOT
+from support.commands import output, python, wait
 
 pytestmark = [pytest.mark.slow, pytest.mark.ros]
-ROOT = Path(__file__).resolve().parent.parent
 SCENARIO = ("--environment", "lab", "--people", "6", "--dynamics", "twin", "--seed", "3")
 PYTHON = "/usr/bin/python3"  # of Debian's ROS
 LIMIT = 120.0  # s, for anything that has to happen
@@ -81,24 +81,12 @@ def started(words, ros, **options):
 
 
 def sean(ros, *words):
-    done = subprocess.run(
-        [sys.executable, "-m", "sean_jax", *map(str, words)],
-        env=ros,
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
-    return done.stdout
+    return python("-m", "sean_jax", *words, env=ros, cwd=ROOT)
 
 
 def program(ros, text, *words):
     """What a program of rospy prints."""
-    command = [PYTHON, "-c", text, *map(str, words)]
-    done = subprocess.run(command, env=ros, cwd=ROOT, capture_output=True, text=True, timeout=LIMIT, check=False)
-    assert done.returncode == 0, done.stdout + done.stderr
-    return done.stdout
+    return output(PYTHON, "-c", text, *words, env=ros, cwd=ROOT, timeout=LIMIT)
 
 
 def test_the_tutorial_controller_outside_equals_the_same_controller_inside(ros, tmp_path):
@@ -133,10 +121,8 @@ def test_a_controller_outside_gets_a_result_of_the_benchmark(ros, tmp_path):
     controller = ROOT / "examples" / "ros1_controller.py"
     words = ("ros1:", tmp_path / "outside", f"{controller}:inside", tmp_path / "inside")
     with started([PYTHON, controller], ros):
-        command = [sys.executable, "-c", BENCHMARK, *map(str, words)]
-        done = subprocess.run(command, env=ros, cwd=ROOT, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert "no command came" not in done.stdout
+        said = python("-c", BENCHMARK, *words, env=ros, cwd=ROOT)
+    assert "no command came" not in said
     outside, inside = (json.loads((tmp_path / name / "result.json").read_text()) for name in ("outside", "inside"))
     assert outside["policy"] == "ros1:" and outside["scores"] == inside["scores"]
     for track in outside["tracks"]:
@@ -220,10 +206,7 @@ def test_publish_subscribe_record_play_a_stuck_subscriber_and_a_killed_master(ro
         bag = tmp_path / "drive.bag"
         record = ["rosbag", "record", "-O", bag, "/odom", "/cmd_vel", "/people", "/tf", "/clock", "/map"]
         with started(record, ros) as recorder:
-            end = time.monotonic() + LIMIT
-            while not bag.with_suffix(".bag.active").exists():
-                assert time.monotonic() < end, "rosbag does not record"
-                time.sleep(0.05)
+            wait(bag.with_suffix(".bag.active").exists, LIMIT)
             assert program(ros, LISTEN, "drive", "record").split() == ["360", "32FC1", "True", "True"]
             recorder.send_signal(signal.SIGINT)
             recorder.wait(LIMIT)
@@ -251,12 +234,9 @@ def test_a_bag_of_a_real_recorder_has_goals_commands_and_episodes(ros, tmp_path)
     controller = ROOT / "examples" / "ros1_controller.py"
     options = (*SCENARIO, "--episodes", "2", "--time-limit", "8", "--trajectories", "csv")
     wall = ["rosparam", "set", "/use_sim_time", "false"]  # as before any bridge
-    subprocess.run(wall, env=ros, check=True, capture_output=True, timeout=LIMIT)
+    output(*wall, env=ros, timeout=LIMIT)
     with started(["rosbag", "record", "-a", "-O", bag], ros) as recorder:
-        end = time.monotonic() + LIMIT
-        while not bag.with_suffix(".bag.active").exists():
-            assert time.monotonic() < end, "rosbag does not record"
-            time.sleep(0.05)
+        wait(bag.with_suffix(".bag.active").exists, LIMIT)
         with started([PYTHON, controller], ros):
             sean(ros, "run", "--policy", "ros1:", *options, "--out", tmp_path / "run")
         recorder.send_signal(signal.SIGINT)
@@ -296,7 +276,7 @@ def test_a_second_bridge_ends_the_first_in_one_sentence(ros):
             read_line(second, "bridge: ", [])
             rest = first.communicate(timeout=LIMIT)[0]
             assert first.returncode == 1 and "--node-name" in rest and "Traceback" not in rest, rest
-            subprocess.run(["rosnode", "kill", "/sean_jax"], env=ros, check=True, capture_output=True, timeout=LIMIT)
+            output("rosnode", "kill", "/sean_jax", env=ros, timeout=LIMIT)
             rest = second.communicate(timeout=LIMIT)[0]
             assert second.returncode == 1 and "was shut down" in rest and "Traceback" not in rest, rest
 
@@ -311,8 +291,7 @@ def test_two_bridges_of_two_names_live_beside_each_other(ros):
             command = [sys.executable, "-m", "sean_jax", "bridge", "--ros1", *SCENARIO, *own]
             bridges.append(stack.enter_context(started(command, ros, **pipes)))
             read_line(bridges[-1], "ready", [])
-        listed = subprocess.run(["rosnode", "list"], env=ros, check=True, capture_output=True, text=True, timeout=LIMIT)
-        assert {"/one", "/two"} <= set(listed.stdout.split())
+        assert {"/one", "/two"} <= set(output("rosnode", "list", env=ros, timeout=LIMIT).split())
         for name, odom in (("one", "/robot_one/odom"), ("two", "/robot_two/robot_odom")):
             said = program(ros, ONE_MESSAGE, odom, f"/robot_{name}/{name}/reset").split()
             assert said == [f"robot_{name}/odom", f"robot_{name}/base_link", "True"]

@@ -2,8 +2,6 @@
 
 import os
 import shutil
-import subprocess
-import sys
 import time
 from collections import Counter
 from typing import Any
@@ -17,18 +15,8 @@ from sean_jax import cache, environment, handcrafted, navigation
 from sean_jax.behaviors import Place, random_behavior, starts
 from sean_jax.graph.annotation import PERSON
 from sean_jax.navigation import tables
-
-BOX = '<geom type="box" pos="{x} 0 1" size="0.5 2 1"/>'
-GRAPH = """\
-version: 1
-c_min: 0.2
-c_max: 100
-nodes:
-  west: {kind: waypoint, position: [-4, 0], radius: 1, spawn: 1}
-  east: {kind: waypoint, position: [4, 0], radius: 1, spawn: 1}
-edges:
-  - {between: [west, east]}
-"""
+from support.commands import python
+from support.scenes import BENCH, box, room
 
 
 @pytest.fixture
@@ -53,16 +41,12 @@ def made(tmp_path, monkeypatch):
 
 @pytest.fixture
 def hall(tmp_path):
-    folder = tmp_path / "hall"
-    folder.mkdir()
-    (folder / "environment.yaml").write_text("name: hall\nfloor: [-6, -5, 6, 5]\npeople: 2\n")
-    (folder / "graph.yaml").write_text(GRAPH)
-    return scene(folder, 0.0)
+    return write(tmp_path / "hall", 0.0)
 
 
-def scene(folder, x):
-    (folder / "scene.xml").write_text(f"<mujoco><worldbody>{BOX.format(x=x)}</worldbody></mujoco>")
-    return folder
+def write(folder, x):
+    """A hall with a box at x."""
+    return room(folder, (-6, -5, 6, 5), [box((x, 0), (0.5, 2))], 2, graph=BENCH)
 
 
 def numbers(count):
@@ -89,7 +73,7 @@ def test_paths_follow_the_scene_and_a_second_process_makes_nothing(made, hall):
     for one, other in zip(jax.tree.leaves(before), jax.tree.leaves(again), strict=True):
         np.testing.assert_array_equal(other, one)
         assert other.dtype == one.dtype and other.weak_type == one.weak_type
-    scene(hall, 1.0)
+    write(hall, 1.0)
     moved = make()
     assert all(made[kind] == 2 for kind in first)
     np.testing.assert_allclose(moved.navigation.obstacles.center[0], [1.0, 0.0])
@@ -97,7 +81,7 @@ def test_paths_follow_the_scene_and_a_second_process_makes_nothing(made, hall):
     np.testing.assert_allclose(gap, 1.0, atol=1e-6)
     fresh = tables._make(moved.environment, 0.25, None)
     np.testing.assert_array_equal(moved.navigation.visible.on_host(), fresh["visible"])
-    scene(hall, 0.0)
+    write(hall, 0.0)
     make()
     assert all(made[kind] == 2 for kind in first)
 
@@ -210,10 +194,8 @@ print(int(scenario.navigation.visible.values.sum()))
 """
     scenario = sean_jax.make(hall, behavior="graph", task="random_ab_nav", dynamics="twin")
     for wide, does in (("false", "reads"), ("true", "makes"), ("true", "reads")):
-        environ, words = {**os.environ, "JAX_ENABLE_X64": wide}, [program, str(hall), does]
-        done = subprocess.run([sys.executable, "-c", *words], env=environ, capture_output=True, text=True)
-        assert done.returncode == 0, done.stderr
-        assert int(done.stdout.split()[-1]) == int(scenario.navigation.visible.values.sum())
+        said = python("-c", program, hall, does, env={"JAX_ENABLE_X64": wide})
+        assert int(said.split()[-1]) == int(scenario.navigation.visible.values.sum())
 
 
 def test_tables_depend_on_the_code_that_makes_them(made, hall, monkeypatch):

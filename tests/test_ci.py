@@ -6,8 +6,9 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-import sharding
 import yaml
+
+from support import sharding
 
 pytestmark = pytest.mark.form
 ROOT = Path(__file__).resolve().parent.parent

@@ -8,61 +8,10 @@ import numpy as np
 import pytest
 
 from sean_jax import classifiers
-from sean_jax.base import Pedestrians, Snapshot
-from sean_jax.classifiers import SITUATIONS, predicates
+from sean_jax.classifiers import predicates
+from support.situations import AHEAD, BACK, LEFT, NAMES, classify, occurring, snapshot, turned
 
-NAMES = tuple(SITUATIONS)
 D, V, A = 2.4, 1.4, np.pi / 12
-classify = jax.jit(lambda snapshot: classifiers.classify(snapshot, classifiers.thresholds()))
-
-
-def turned(degrees, length=1.0):
-    return (length * np.cos(np.deg2rad(degrees)), length * np.sin(np.deg2rad(degrees)))
-
-
-def snapshot(
-    agents=(), position=(0.0, 0.0), goal=(9.0, 0.0), start_group=-1, goal_group=-1, heading=(1.0, 0.0), slots=4
-):
-    """A robot that looks along x, and agents (position, heading, speed along it, group); spare slots are absent."""
-    spare = ((0.0, 0.1), (1.0, 0.0), 0.0, 0)  # would be down path and member of group 0, if it were there
-    rows = [*agents, *[spare] * (slots - len(agents))]
-    places, headings, speeds, groups = (np.array(part, float) for part in zip(*rows, strict=True))
-    number = jnp.float32
-    people = Pedestrians(
-        position=jnp.asarray(places, number),
-        velocity=jnp.asarray(headings * speeds[:, None], number),
-        heading=jnp.asarray(headings, number),
-        desired_velocity=jnp.zeros((slots, 2), number),
-        group=jnp.asarray(groups, jnp.int32),
-        walking_group=jnp.full(slots, -1, jnp.int32),
-        present=jnp.arange(slots) < len(agents),
-        preferred_speed=jnp.ones(slots, number),
-        robot_distance=jnp.zeros(slots, number),
-    )
-    return Snapshot(
-        people=people,
-        position=jnp.asarray(position, number),
-        heading=jnp.asarray(heading, number),
-        velocity=jnp.zeros(2, number),
-        start=jnp.zeros(2, number),
-        goal=jnp.asarray(goal, number),
-        start_group=jnp.asarray(start_group, jnp.int32),
-        goal_group=jnp.asarray(goal_group, jnp.int32),
-        geodesic=jnp.ones((), number),
-        situations=jnp.zeros(len(NAMES), bool),
-        tick=jnp.zeros((), jnp.int32),
-        robot_radius=jnp.asarray(0.16, number),
-        person_radius=jnp.asarray(0.2, number),
-        time_step=0.1,
-    )
-
-
-def occurring(*args, **kwargs) -> set[str]:
-    flags = np.asarray(classify(snapshot(*args, **kwargs)))
-    return {name for name, flag in zip(NAMES, flags, strict=True) if flag}
-
-
-AHEAD, LEFT, BACK = turned(0), turned(90), turned(180)
 
 
 def test_predicates_equal_the_printed_inequalities():

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from sean_jax import classifiers
-from sean_jax.base import Obstacles, Pedestrians, Snapshot
+from sean_jax.base import Obstacles, Snapshot
+from support.people import people_at, snapshot_of
 
 NUMBER, PEOPLE, BOXES = 6000, 7, 3
 ROBOT, PERSON = 0.16, 0.2  # m, radii
@@ -70,36 +71,26 @@ def drawn(seed: int) -> Snapshot:
     walls.half_extent[corners, 0] = 0.35
     walls.center[corners, 1:] += random.choice([4.0, 20.0], (NUMBER, 1, 1))[corners]
     here[corners, 0] = True
-    people = Pedestrians(
-        position=place,
+    people = people_at(
+        place,
         velocity=velocity,
         heading=heading,
         desired_velocity=velocity,
         group=random.integers(-1, 3, (NUMBER, PEOPLE)),
-        walking_group=np.full((NUMBER, PEOPLE), -1),
         present=here,
-        preferred_speed=np.ones((NUMBER, PEOPLE)),
-        robot_distance=np.zeros((NUMBER, PEOPLE)),
     )
-    snapshots = Snapshot(
-        people=people,
-        position=robot,
+    return snapshot_of(
+        people,
+        robot,
         heading=unit(way),
         velocity=own[:, None] * unit(drive),
         start=robot + random.uniform(-3.0, 3.0, (NUMBER, 2)),
         goal=robot + random.uniform(-3.0, 3.0, (NUMBER, 2)) * random.choice([0.1, 1.0], (NUMBER, 1)),
         start_group=random.integers(-1, 3, NUMBER),
         goal_group=random.integers(-1, 3, NUMBER),
-        geodesic=np.ones(NUMBER),
         situations=np.zeros((NUMBER, 0), bool),
-        tick=np.zeros(NUMBER, int),
-        robot_radius=np.full(NUMBER, ROBOT),
-        person_radius=np.full(NUMBER, PERSON),
-        time_step=0.1,
         obstacles=walls,
     )
-    narrow = {np.dtype(float): np.float32, np.dtype(int): np.int32}
-    return jax.tree.map(lambda leaf: leaf.astype(narrow.get(leaf.dtype, leaf.dtype)), snapshots)
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,6 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
-import programs
 import pytest
 import yaml
 from jax.errors import JaxRuntimeError
@@ -23,6 +22,9 @@ from rich.console import Console
 
 from sean_jax import __version__, assembly, bench, cache, cli, compiler, interrupts, learning
 from sean_jax import progress as progress_of
+from support import programs
+from support.commands import python
+from support.files import write
 
 SMALL = ["--people", "8", "--time-limit", "3", "--dynamics", "twin", "--quiet"]
 WRAPPED = ValueError("an interrupt, as code in C passes it on")
@@ -42,10 +44,10 @@ def test_help_imports_no_jax_and_names_every_option():
         "except SystemExit as end:\n    assert end.code == 0\n"
         "print([name for name in ('jax', 'numpy', 'mujoco', 'matplotlib') if name in sys.modules])"
     )
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-    assert done.stdout.splitlines()[-1] == "[]"
+    said = python("-c", program)
+    assert said.splitlines()[-1] == "[]"
     for option in "environment behavior task robot policy people episodes seed time-limit out".split():
-        assert f"--{option} " in done.stdout
+        assert f"--{option} " in said
 
 
 def test_version_is_printed(capsys):
@@ -127,8 +129,7 @@ def test_too_many_people_are_refused_with_the_most_that_fit(capsys, tmp_path):
 
 def test_folder_that_cannot_be_written_is_refused(capsys, tmp_path):
     (tmp_path / "file").write_text("kept")
-    (tmp_path / "full").mkdir()
-    (tmp_path / "full" / "old").write_text("kept")
+    write(tmp_path / "full" / "old", "kept")
     for place, said in (("file/run", "cannot write"), ("file", "is a file"), ("full", "is not empty")):
         code, error = run("--out", str(tmp_path / place), capsys=capsys)
         assert code == 2 and said in error and len(error.splitlines()) == 1

@@ -9,13 +9,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from quick import quick
 
 import sean_jax
 from sean_jax import clock, robots, sensors
 from sean_jax.behaviors import graph_behavior
 from sean_jax.robots.drive import active_command
 from sean_jax.scenario import finish
+from support.quick import quick
 
 STEPS = ("0.01", "0.02", "0.03", "0.05", "0.07", "0.1", "0.125", "0.15", "0.2", "0.25")
 TIMES = [f"{hundredths / 100:.2f}" for hundredths in (*range(1, 1000), *range(1000, 60001, 25))]

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scipy.stats
-import yaml
 from rich.console import Console
 
 from sean_jax import cli, metrics, replay
@@ -21,25 +20,7 @@ from sean_jax.evaluation import compare, table
 from sean_jax.files.reading import MAX_BYTES
 from sean_jax.metrics import METRICS
 from sean_jax.metrics.differences import difference, holm, p_value
-
-NAMES = ("completed", "seconds", "path_length", "intimate_robot_on_person", "time_looked_at")
-
-
-def run(folder: Path, chance: int, shift: float = 0.0, episodes: int = 40, **options) -> Path:
-    """The folder of a run, with random figures."""
-    random = np.random.default_rng(chance)
-    folder.mkdir()
-    told = {"environment": "lab", "task": ["join_group", "leave_group"], "episodes": episodes, **options}
-    (folder / "config.yaml").write_text(yaml.safe_dump({"command": "sean run", "config": told}))
-    with (folder / "episodes.csv").open("w", newline="") as stream:
-        writer = csv.writer(stream)
-        writer.writerow(["episode", "task", "completed", "timed_out", *NAMES[1:], "path_length__empty"])
-        for i in range(episodes):
-            done = bool(random.uniform() < 0.8)
-            values = [60 + 9 * random.normal() + shift, 5 + random.normal(), random.poisson(0.5)]
-            looked = "" if i % 3 == 0 else f"{random.uniform():.6f}"
-            writer.writerow([i, ("join_group", "leave_group")[i % 2], done, not done, *values, looked, 1.0])
-    return folder
+from support.runs import NAMES, run
 
 
 def rows(*runs: compare.SavedRun, view: str = "overall") -> dict[str, compare.Row]:

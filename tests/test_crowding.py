@@ -6,11 +6,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import test_drawing as drawn
 
 import sean_jax
 from sean_jax import crowding, drawing
 from sean_jax.base import Trajectory
+from sean_jax.drawing import colors
+from support import drawn
 
 STEPS, PEOPLE = 57, 9
 
@@ -98,12 +99,12 @@ def test_bands_lie_right_of_the_way_and_narrow_with_less_flow():
     flow = np.zeros((3, 3))
     flow[0, 1] = 6.0  # from (-3, 0) to (3, 0): its right is below
     figure = drawing.congestion_map(drawn.environment(), np.zeros((10, 12)), graph=drawn.Graph, flow=flow)
-    assert drawn.shade_at(figure, 0.0, -0.15) != drawn.colors.FLOOR
-    assert drawn.shade_at(figure, 0.0, 0.15) == drawn.colors.FLOOR
+    assert drawn.shade_at(figure, 0.0, -0.15) != colors.FLOOR
+    assert drawn.shade_at(figure, 0.0, 0.15) == colors.FLOOR
     flow[1, 0] = 60.0
     figure = drawing.congestion_map(drawn.environment(), np.zeros((10, 12)), graph=drawn.Graph, flow=flow)
-    assert drawn.shade_at(figure, 0.0, 0.15) != drawn.colors.FLOOR
-    assert drawn.shade_at(figure, 0.0, -0.15) == drawn.colors.FLOOR
+    assert drawn.shade_at(figure, 0.0, 0.15) != colors.FLOOR
+    assert drawn.shade_at(figure, 0.0, -0.15) == colors.FLOOR
     assert "60 people a minute" in [text.get_text() for text in figure.axes[0].texts]
     alone = drawing.congestion_map(drawn.environment(), np.ones((10, 12)))
     assert "people per m²" in [text.get_text() for text in alone.axes[0].texts]

@@ -17,6 +17,7 @@ from sean_jax.learning.curriculum import Plan, Record
 from sean_jax.mdp import Env, make_env
 from sean_jax.mdp.env import _choose
 from sean_jax.policies import POLICIES
+from support import trees
 
 SIZE = 16
 DRIVER = as_policy(POLICIES["go_to_goal"])
@@ -246,8 +247,7 @@ def test_it_is_a_function_of_its_arrays(env, by_regret):
     kept = jax.tree.map(np.asarray, prng.as_numbers(state))
     again = prng.as_keys(jax.tree.map(jnp.asarray, kept), state)
     one, other = (refill(env, REGRET, each, jax.random.key(8)) for each in (state, again))
-    for a, b in zip(jax.tree.leaves(prng.as_numbers(one)), jax.tree.leaves(prng.as_numbers(other)), strict=True):
-        np.testing.assert_array_equal(a, b)
+    trees.assert_equal(prng.as_numbers(one), prng.as_numbers(other))
     traced = observe._cache_size()
     observe(env, REGRET, one, record(np.arange(SIZE), np.arange(SIZE)))
     assert observe._cache_size() == traced

@@ -2,7 +2,6 @@
 
 import jax
 import jax.numpy as jnp
-import learning_data
 import numpy as np
 import pytest
 
@@ -13,6 +12,7 @@ from sean_jax.errors import InputError
 from sean_jax.learning import dagger, dataset
 from sean_jax.learning.dataset import open_dataset, split
 from sean_jax.learning.policy import NOISE_TIME, label, labelled
+from support import learning_data
 
 SMALL = "--environment lab --behavior random --people 2 --dynamics twin --time-limit 3 --width 8 --height 8 --quiet"
 

@@ -13,6 +13,7 @@ from sean_jax import cli
 from sean_jax.environment import clearance
 from sean_jax.evaluation import saved
 from sean_jax.policies import go_to_goal
+from support.commands import python
 
 pytestmark = pytest.mark.slow
 
@@ -20,12 +21,8 @@ pytestmark = pytest.mark.slow
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     """Folder of `sean run` with its defaults, but for the place of the results."""
-    import subprocess
-    import sys
-
     out = tmp_path_factory.mktemp("runs") / "default"
-    command = [sys.executable, "-m", "sean_jax.cli", "run", "--seed", "1", "--out", str(out)]
-    subprocess.run(command, check=True, capture_output=True, timeout=900)
+    python("-m", "sean_jax.cli", "run", "--seed", 1, "--out", out)
     return out
 
 

@@ -18,6 +18,8 @@ from sean_jax import devices, episodes, learning
 from sean_jax.base import Policy
 from sean_jax.learning import reinforcement, rollouts
 from sean_jax.policies import go_to_goal
+from support.commands import cpu_devices, python
+from support.scenes import room
 
 PROGRAM = """
 import sys, json
@@ -49,11 +51,8 @@ def free_port():
 
 
 def run(*arguments, count=1):
-    flags = f"--xla_force_host_platform_device_count={count}"
-    environment = {**os.environ, "XLA_FLAGS": flags, "JAX_PLATFORMS": "cpu"}
-    return subprocess.Popen(
-        [sys.executable, "-c", PROGRAM, *arguments], env=environment, stdout=subprocess.PIPE, text=True
-    )
+    command, environment = [sys.executable, "-c", PROGRAM, *arguments], {**os.environ, **cpu_devices(count)}
+    return subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True)
 
 
 def shards(process):
@@ -233,10 +232,7 @@ def test_two_processes_train_as_one_with_two_devices(tmp_path):
 
 @pytest.mark.night
 def test_several_environments_on_two_devices_are_those_on_one(tmp_path):
-    cell = tmp_path / "cell"
-    cell.mkdir()
-    (cell / "environment.yaml").write_text("name: cell\nfloor: [0, 0, 8, 6]\npeople: 1\n")
-    (cell / "scene.xml").write_text("<mujoco><worldbody/></mujoco>")
+    cell = room(tmp_path / "cell", (0, 0, 8, 6))
     more = ("--environment", f"lab,{cell}")
     told = [train(tmp_path / str(count), 0, more=more, count=count) for count in (1, 2)]
     assert [(process.communicate(timeout=600), process.returncode)[1] for process in told] == [0, 0]
@@ -291,13 +287,7 @@ def test_an_update_exchanges_no_scenarios_between_devices(agents):
     """What devices exchange has no axis of scenarios: gradients and means, and for several agents the log alone."""
     scenarios = 4096  # more than any layer has weights
     program = EXCHANGES.replace("AGENTS", str(agents)).replace("SCENARIOS", str(scenarios))
-    flags = "--xla_force_host_platform_device_count=2 --xla_backend_optimization_level=0"
-    environment = {**os.environ, "JAX_PLATFORMS": "cpu", "XLA_FLAGS": flags}
-    found = subprocess.run(
-        [sys.executable, "-c", program], env=environment, capture_output=True, text=True, timeout=600
-    )
-    assert found.returncode == 0, found.stderr[-2000:]
-    assert int(found.stdout) < scenarios // 2
+    assert int(python("-c", program, env=cpu_devices(2, "--xla_backend_optimization_level=0"))) < scenarios // 2
 
 
 def test_agents_that_do_not_divide_among_devices_leave_some_idle(monkeypatch):

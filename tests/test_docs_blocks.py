@@ -6,15 +6,14 @@ are run there: environments, playback, trajectories, training, extending and the
 
 import re
 import shlex
-from pathlib import Path
 
 import pytest
 import yaml
 
 from sean_jax import cli
+from support.checkout import ROOT
 
 pytestmark = pytest.mark.form
-ROOT = Path(__file__).parent.parent
 PAGES = {path.relative_to(ROOT).as_posix(): path for path in [ROOT / "README.md", *sorted(ROOT.glob("docs/**/*.md"))]}
 ELSEWHERE = {f"docs/{name}.md" for name in ("environments", "playback", "trajectories", "training", "extending")}
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```", re.M | re.S)
@@ -34,7 +33,7 @@ position, present = np.asarray(frames.people), np.ones(frames.people.shape[:2], 
 """,
     "docs/learning.md": RUNNING
     + """
-import learning_data
+from support import learning_data
 from sean_jax import learning
 from sean_jax.config import ImitationConfig
 learning_data.write("runs/graph")

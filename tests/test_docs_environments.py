@@ -1,7 +1,6 @@
 """docs/environments.md: its example builds and runs, and its tables have every key, default and limit of the code."""
 
 import re
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,9 +12,11 @@ from sean_jax.files import mjcf
 from sean_jax.graph import annotation as graph
 from sean_jax.handcrafted import annotation as handcrafted
 from sean_jax.robots import description
+from support.checkout import ROOT
+from support.files import write_all
 
 pytestmark = pytest.mark.form
-PAGE = (Path(__file__).resolve().parent.parent / "docs" / "environments.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs" / "environments.md").read_text(encoding="utf-8")
 MODELS: dict[str, type[pydantic.BaseModel]] = {
     "`environment.yaml`": environment.Settings,
     "`graph.yaml`": graph.Annotation,
@@ -67,11 +68,7 @@ def number_in(value: float, text: str) -> bool:
 @pytest.fixture(scope="module")
 def place(tmp_path_factory):
     """The folder of the example, beside which its program runs."""
-    folder = tmp_path_factory.mktemp("docs")
-    for name, content in example().items():
-        (folder / name).parent.mkdir(exist_ok=True)
-        (folder / name).write_text(content, encoding="utf-8")
-    return folder / "my_place"
+    return write_all(tmp_path_factory.mktemp("docs"), example()) / "my_place"
 
 
 @pytest.mark.parametrize("heading", MODELS)

@@ -1,14 +1,16 @@
 """docs/playback.md: its example runs from top to bottom, and its tables are those of the reader."""
 
 import re
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from support.checkout import ROOT
+
 pytestmark = pytest.mark.form
-PAGE = (Path(__file__).resolve().parent.parent / "docs" / "playback.md").read_text(encoding="utf-8")
+
+PAGE = (ROOT / "docs" / "playback.md").read_text(encoding="utf-8")
 
 
 def test_columns_and_formats_are_those_of_the_reader():

@@ -1,24 +1,20 @@
 """Tables of docs/results/ are those of the files in results/."""
 
 import csv
-import importlib.util
 import json
 import re
-from pathlib import Path
 
 import pytest
 
+from support.checkout import ROOT, module_of
+
 pytestmark = pytest.mark.form
-DOCS = Path(__file__).resolve().parent.parent / "docs"
+DOCS = ROOT / "docs"
 
 
 def generator():
     """The program that writes the tables."""
-    spec = importlib.util.spec_from_file_location("docs_experiments", DOCS / "experiments.py")
-    assert spec is not None and spec.loader is not None
-    tables = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(tables)
-    return tables
+    return module_of(DOCS / "experiments.py")
 
 
 def cells(line: str) -> list[str]:

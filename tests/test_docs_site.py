@@ -1,24 +1,21 @@
 """The documentation site: every page is in its menu, every option on its page, and the tutorial runs as it stands."""
 
-import importlib.util
 import inspect
 import os
 import pkgutil
 import re
-import subprocess
 import sys
 from pathlib import Path
-from types import ModuleType
 
 import pytest
-import test_structure
 import yaml
 
 import sean_jax
 from sean_jax.config import COMMANDS
+from support.checkout import ROOT, module_of, repository_files
+from support.commands import output
 
 pytestmark = pytest.mark.form
-ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
 SMALLER = {
     "--episodes 32": "--episodes 2",
@@ -63,7 +60,7 @@ def test_files_with_results_are_in_the_repository():
     """Ignored files are on the machine of a measurement alone."""
     names = {name for path in DOCS.rglob("*.md") for name in re.findall(r"benchmarks/[\w/]+\.\w+", path.read_text())}
     assert {"benchmarks/results/ppo_lidar.json", "benchmarks/worlds.py"} <= names
-    files = {path.relative_to(ROOT).as_posix() for path in test_structure.repository_files()}
+    files = {path.relative_to(ROOT).as_posix() for path in repository_files()}
     assert names <= files
 
 
@@ -104,26 +101,17 @@ def test_the_gallery_shows_every_picture():
     assert shown == {path.name for path in (DOCS / "pictures").glob("*.png")}
 
 
-def program(name: str) -> ModuleType:
-    """A program of docs/."""
-    spec = importlib.util.spec_from_file_location(name, DOCS / f"{name}.py")
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
 def test_every_option_is_on_its_page():
     text = (DOCS / "options.md").read_text(encoding="utf-8")
     for word, model in COMMANDS.items():
         section = text.split(f"\n## sean {word}\n")[1].split("\n## ")[0]
         for name, field in model.model_fields.items():
             assert not field.description or f"| `{name}` |" in section, (word, name)
-    assert program("options").fill(text) == text, "run: python docs/options.py"
+    assert module_of(DOCS / "options.py").fill(text) == text, "run: python docs/options.py"
 
 
 def test_files_beside_the_pages_are_named_and_not_linked():
-    hooks = program("hooks")
+    hooks = module_of(DOCS / "hooks.py")
     assert hooks.name_outside("see [it](../a/b.md)", "page.md") == "see it (`a/b.md`)"
     assert hooks.name_outside("see [it](../../a/b.md)", "results/page.md") == "see it (`a/b.md`)"
     for inside in ("see [it](../a.md#b)", "![it](../pictures/a.png)", "see [it](a.md)"):
@@ -139,11 +127,8 @@ def test_the_tutorial_runs(tmp_path):
         script = script.replace(long, short)
     script = re.sub(r"^pip .*$", "", script, flags=re.M)
     head = f'set -eu\nsean() {{ {sys.executable} -m sean_jax "$@"; }}\n'
-    environment = os.environ | {"PYTHONPATH": str(ROOT), "JAX_PLATFORMS": "cpu"}
-    done = subprocess.run(
-        ["bash", "-c", head + script], cwd=tmp_path, env=environment, capture_output=True, timeout=1500
-    )
-    assert done.returncode == 0, done.stderr.decode()[-2000:]
+    environment = {"PYTHONPATH": str(ROOT), "JAX_PLATFORMS": "cpu"}
+    output("bash", "-c", head + script, cwd=tmp_path, env=environment, timeout=1500)
     for name in (
         "runs/go/report.html",
         "runs/shy/replay.html",

@@ -2,7 +2,6 @@
 
 import re
 import sys
-from pathlib import Path
 from types import SimpleNamespace
 
 import jax
@@ -11,9 +10,10 @@ import pytest
 from sean_jax import config, mdp
 from sean_jax.learning.policy import AGENTS
 from sean_jax.mdp import rewards
+from support.checkout import ROOT
 
 pytestmark = pytest.mark.form
-TEXT = (Path(__file__).parent.parent / "docs" / "training.md").read_text(encoding="utf-8")
+TEXT = (ROOT / "docs" / "training.md").read_text(encoding="utf-8")
 
 
 def table(head: str) -> list[list[str]]:

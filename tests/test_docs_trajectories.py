@@ -2,16 +2,16 @@
 
 import re
 import shlex
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from sean_jax import cli
 from sean_jax.trajectories import COLUMNS
+from support.checkout import ROOT
 
 pytestmark = pytest.mark.form
-TEXT = (Path(__file__).parent.parent / "docs" / "trajectories.md").read_text(encoding="utf-8")
+TEXT = (ROOT / "docs" / "trajectories.md").read_text(encoding="utf-8")
 
 
 def test_every_column_is_told():

@@ -3,7 +3,6 @@
 import functools
 import re
 from dataclasses import replace
-from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -12,13 +11,15 @@ import pytest
 
 import sean_jax
 from sean_jax import episodes, geometry, mdp, robots, trajectories
-from sean_jax.base import Obstacles, Trajectory
+from sean_jax.base import Trajectory
 from sean_jax.errors import FileError, InputError
 from sean_jax.learning.policy import load_policy
 from sean_jax.policies import POLICIES
 from sean_jax.robots import drive
+from support import driving, scenes
+from support.driving import TIME_STEP
 
-STEPS, TIME_STEP = 200, 0.1
+STEPS = 200
 ROBOT_OF = {"omnidirectional": "hsr", "ackermann": "f1tenth"}
 FIGURES = {  # mass, radius, greatest speed, acceleration; then greatest speed to the left, or wheelbase and angle
     "a1": (12.45, 0.29, 1.0, 3.0, 1.0),
@@ -28,21 +29,10 @@ FIGURES = {  # mass, radius, greatest speed, acceleration; then greatest speed t
 
 
 def advance(model, robot, action, walls=()):
-    """One control step of 0.1 s without people; walls are (x, y, half extents)."""
-    boxes = np.array([*walls, (90.0, 90.0, 1.0, 1.0)], np.float32)
-    number = jnp.result_type(float)
-    obstacles = Obstacles(
-        *(jnp.asarray(part, number) for part in (boxes[:, :2], boxes[:, 2:4], 0 * boxes[:, 0], 1 + 0 * boxes[:, 0]))
-    )
-    nobody = jnp.zeros((0, 2), number)
-    scenario = SimpleNamespace(
-        environment=SimpleNamespace(obstacles=obstacles),
-        robot=model,
-        time_step=TIME_STEP,
-        forces=SimpleNamespace(walking=SimpleNamespace(radius=jnp.asarray(0.3, number))),
-    )
-    people = SimpleNamespace(position=nobody, velocity=nobody, present=jnp.zeros(0, bool))
-    return model.drive(scenario, SimpleNamespace(robot=robot, pedestrians=people), action)
+    """One control step without people; walls are (x, y, half extents)."""
+    boxes = driving.obstacles([(*wall, 0.0) for wall in walls], len(walls) + 1)
+    nobody = jnp.zeros((0, 2))
+    return driving.drive(model, robot, action, boxes, nobody, nobody, jnp.zeros(0, bool))
 
 
 def run(model, actions, walls=(), start=(0.3, -0.2, 0.7)):
@@ -351,11 +341,7 @@ def started(scenario, policy, key):
 @pytest.fixture(scope="module")
 def room(tmp_path_factory):
     """A function: name of a robot -> it alone in a room of 10 x 8 m, with random tasks."""
-    folder = tmp_path_factory.mktemp("room")
-    (folder / "environment.yaml").write_text("name: room\nfloor: [-5, -4, 5, 4]\npeople: 1\n")
-    (folder / "scene.xml").write_text(
-        '<mujoco><worldbody><geom type="box" size="0.2 0.2 1" pos="4.7 3.7 1"/></worldbody></mujoco>'
-    )
+    folder = scenes.room(tmp_path_factory.mktemp("room"), (-5, -4, 5, 4), [scenes.box((4.7, 3.7), (0.2, 0.2))])
 
     @functools.cache
     def make(name):

@@ -1,7 +1,6 @@
 """Networks side by side: each learns as by itself, none disturbs another, and folders are those of ``sean train``."""
 
 import jax
-import learning_data
 import numpy as np
 import pytest
 
@@ -11,6 +10,7 @@ from sean_jax.config import ImitationConfig
 from sean_jax.errors import InputError
 from sean_jax.learning import imitation
 from sean_jax.learning.trainer import METRICS, read_metrics
+from support import learning_data
 
 
 @pytest.fixture(scope="module")

@@ -14,23 +14,17 @@ from sean_jax.policies import POLICIES, dwa, mppi, social_force
 from sean_jax.policies.dwa import FORBIDDEN, INTERVAL, PEOPLE_MARGIN, STEPS, objective, window
 from sean_jax.policies.expert import OBSTACLE_MARGIN
 from sean_jax.policies.mppi import weighted_mean
+from support.scenes import box, room
 
 NAMES = ("dwa", "social_force", "mppi")
 FLOOR, BOX = (-5.0, -4.0, 5.0, 4.0), (0.0, 2.5, 0.4, 0.4)  # m; middle and half extent
 PEOPLE = 3
-FILES = {
-    "environment.yaml": f"name: room\nfloor: {[*FLOOR]}\npeople: {PEOPLE}\n",
-    "scene.xml": '<mujoco><worldbody><geom type="box" size="0.4 0.4 1" pos="0 2.5 1"/></worldbody></mujoco>',
-}
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     """A room with one pillar."""
-    made = tmp_path_factory.mktemp("room")
-    for name, text in FILES.items():
-        (made / name).write_text(text)
-    return made
+    return room(tmp_path_factory.mktemp("room"), FLOOR, [box(BOX[:2], BOX[2:])], PEOPLE)
 
 
 def make(folder, robot="kuri"):

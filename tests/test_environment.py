@@ -4,21 +4,15 @@ import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
-import programs
 import pytest
 
 from sean_jax import environment
 from sean_jax.base import PATTERNS
 from sean_jax.errors import FileError
+from support import mjcf, programs
+from support.scenes import room
 
-FLOOR = '<geom name="floor" type="plane" size="5 5 0.1"/>'
-BOX = '<geom name="box" type="box" pos="1 0 0.5" size="0.5 0.5 0.5"/>'
-
-
-def folder(tmp_path, geoms: str, settings: str = "name: yard\nfloor: [-5, -5, 5, 5]\npeople: 3\n"):
-    (tmp_path / "environment.yaml").write_text(settings, encoding="utf-8")
-    (tmp_path / "scene.xml").write_text(f"<mujoco><worldbody>{geoms}</worldbody></mujoco>", encoding="utf-8")
-    return tmp_path
+YARD = -5, -5, 5, 5
 
 
 def test_every_environment_of_the_package():
@@ -48,12 +42,8 @@ def test_warehouse():
 
 
 def test_turned_box_and_boxes_in_bodies(tmp_path):
-    geoms = FLOOR + (
-        '<geom type="box" pos="1 2 0.5" size="1 0.25 0.5" euler="0 0 30"/>'
-        '<body pos="-2 0 0" euler="0 0 90"><geom type="box" pos="1 0 1" size="0.5 0.2 1"/></body>'
-        '<geom type="sphere" size="1" contype="0" conaffinity="0"/>'
-    )
-    boxes = environment.load(folder(tmp_path, geoms)).obstacles
+    geoms = mjcf.PLANE, mjcf.box((1, 2), (1, 0.25), height=1.0, turn=30), mjcf.BOX_IN_A_BODY, mjcf.DECORATION
+    boxes = environment.load(room(tmp_path, YARD, geoms)).obstacles
     boxes = jax.tree.map(lambda part: part[boxes.height > 0], boxes)  # without the edges of the floor
     np.testing.assert_allclose(boxes.center, [[1, 2], [-2, 1]], atol=1e-6)
     np.testing.assert_allclose(boxes.half_extent, [[1, 0.25], [0.5, 0.2]], atol=1e-6)
@@ -61,25 +51,10 @@ def test_turned_box_and_boxes_in_bodies(tmp_path):
     np.testing.assert_allclose(boxes.height, [1, 2], atol=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("geoms", "message"),
-    [
-        (BOX.replace("/>", ' euler="10 0 0"/>'), "geom 'box' is tilted; turn it about the vertical axis only"),
-        (
-            BOX + '<geom name="ball" type="sphere" size="1"/>',
-            "geom 'ball' is a sphere; replace it by one or more",
-        ),
-        (BOX + '<geom type="cylinder" size="1 1"/>', "the unnamed geom number 3 is a cylinder"),
-        (BOX.replace("0 0.5", "0 2.5", 1), "geom 'box' begins 2.00 m above the floor; extend it down to z = 0"),
-        (BOX.replace("0 0.5", "0 -0.6", 1), "geom 'box' lies below the floor"),
-        (f"<body><freejoint/>{BOX}</body>", "geom 'box' is on a body with a joint"),
-        (BOX + '<geom name="wall" type="plane" size="1 1 1" euler="90 0 0"/>', "geom 'wall' is a tilted plane"),
-        ("<geom/>", "MuJoCo cannot read it: size 0 must be positive in geom (line 1, element '')"),
-    ],
-)
+@pytest.mark.parametrize(("geoms", "message"), mjcf.REFUSED_GEOMS)
 def test_unusable_scenes(tmp_path, geoms, message):
     with pytest.raises(FileError) as caught:
-        environment.load(folder(tmp_path, FLOOR + geoms))
+        environment.load(room(tmp_path, YARD, [mjcf.PLANE, geoms]))
     text = str(caught.value)
     assert text.startswith(f"{tmp_path.name}/scene.xml: ") and message in text and "\n" not in text
 
@@ -91,13 +66,13 @@ def test_unusable_settings_and_names(tmp_path):
         environment.find("nowhere at all")
     with pytest.raises(ValueError, match="holds no environment.yaml"):
         environment.find(tmp_path)
-    folder(tmp_path, FLOOR + BOX, "name: yard\nfloor: [5, -5, -5, 5]\npeople: -3\n")
+    room(tmp_path, (5, -5, -5, 5), people=-3)
     with pytest.raises(FileError, match=r"environment.yaml:3:9: people: -3 is less than 0, the least allowed\.$"):
         environment.load(tmp_path)
-    folder(tmp_path, FLOOR + BOX, "name: yard\nfloor: [5, -5, -5, 5]\npeople: 3\n")
+    room(tmp_path, (5, -5, -5, 5), people=3)
     with pytest.raises(FileError, match=r"environment.yaml:2:8: floor: .* is empty"):
         environment.load(tmp_path)
-    folder(tmp_path, FLOOR + BOX)
+    room(tmp_path, YARD, name="yard")
     assert environment.load(tmp_path).name == "yard"
     (tmp_path / "scene.xml").unlink()
     with pytest.raises(FileError, match="there is no such file"):
@@ -136,45 +111,34 @@ def test_free_points_are_free_uniform_and_repeatable():
         environment.free_points(place, 6.0, 10)
 
 
-def looks_of(tmp_path, assets: str, floor: str, name: str = "place"):
-    """The scenery of a room of one wall, one shelf and a plane."""
-    geoms = '<geom name="wall_1" type="box" pos="1 2 0.5" size="1 0.2 0.5"/>'
-    geoms += '<geom name="table" type="box" pos="-1 2 0.5" size="0.4 0.2 0.5" material="rack_blue"/>'
-    asset = f'<asset><material name="rack_blue" rgba="0 0 1 1"/>{assets}</asset>'
-    (tmp_path / name).mkdir()
-    scene = f"<mujoco>{asset}<worldbody>{floor}{geoms}</worldbody></mujoco>"
-    (tmp_path / name / "scene.xml").write_text(scene, encoding="utf-8")
-    settings = "name: place\nfloor: [-5, -4, 5, 4]\npeople: 1\nceiling: 2.5\n"
-    (tmp_path / name / "environment.yaml").write_text(settings, encoding="utf-8")
-    return jax.tree.map(np.asarray, environment.load(tmp_path / name).scenery)
+def looks_of(folder, floor: str):
+    """The scenery of a room of one wall, one shelf and a floor with one of ``mjcf.FLOORS``."""
+    assets, plane = mjcf.FLOORS[floor]
+    geoms = plane, mjcf.box((1, 2), (1, 0.2), height=1.0, name="wall_1"), mjcf.BLUE_TABLE
+    room(folder, (-5, -4, 5, 4), geoms, more="ceiling: 2.5\n", assets=mjcf.BLUE + assets)
+    return jax.tree.map(np.asarray, environment.load(folder).scenery)
 
 
 def test_floor_patterns_and_ceiling_come_from_the_files(tmp_path):
     """Squares of half of the texture, joints of its mark, a plain color without a texture; names give patterns."""
-    squares = 'builtin="checker" rgb1="0.2 0.2 0.2" rgb2="0.4 0.4 0.4" width="50" height="50"'
-    tiles = f'<texture name="t" type="2d" {squares} {{}}/>'
-    material = '<material name="floor" texture="t" texrepeat="4 4" {}/>'
-    plane = '<geom type="plane" size="5 4 0.1" {}/>'
-    marked = tiles.format('mark="edge" markrgb="1 0 0"') + material.format("")
-    looks = looks_of(tmp_path, marked, plane.format('material="floor"'))
+    looks = looks_of(tmp_path, "tiles with joints")
     np.testing.assert_allclose(looks.floor, [[0.2] * 3, [0.4] * 3, [1, 0, 0]], atol=0.01)
     assert looks.square == pytest.approx(10 / 4 / 2) and looks.joint == pytest.approx(2 * 2.5 / 50)
     assert looks.ceiling == 2.5
     assert [PATTERNS[int(number)] for number in looks.solids.color[:, 3]] == ["wall", "shelf"]
-    uniform = tiles.format("") + material.format('texuniform="true"')
-    looks = looks_of(tmp_path, uniform, plane.format('material="floor"'), "uniform")
+    looks = looks_of(tmp_path, "tiles by the metre")
     assert looks.square == pytest.approx(1 / 4 / 2) and looks.joint == 0
-    looks = looks_of(tmp_path, "", plane.format('rgba="0.1 0.2 0.3 1"'), "plain")
+    looks = looks_of(tmp_path, "one color")
     np.testing.assert_allclose(looks.floor, [[0.1, 0.2, 0.3]] * 3, atol=1e-6)
-    looks = looks_of(tmp_path, "", plane.format(""), "default")
+    looks = looks_of(tmp_path, "no color")
     np.testing.assert_allclose(looks.floor[:2], environment.FLOOR, atol=1e-6)
 
 
 @pytest.mark.parametrize("height", ["0.5", "low", "1000"])
 def test_a_ceiling_nobody_stands_below_is_refused(tmp_path, height):
-    looks_of(tmp_path, "", "")
-    file = tmp_path / "place" / "environment.yaml"
+    looks_of(tmp_path, "no color")
+    file = tmp_path / "environment.yaml"
     file.write_text(file.read_text(encoding="utf-8").replace("2.5", height), encoding="utf-8")
     with pytest.raises(FileError) as error:
-        environment.load(tmp_path / "place")
+        environment.load(tmp_path)
     assert "environment.yaml:4" in str(error.value) and "ceiling" in str(error.value) and height in str(error.value)

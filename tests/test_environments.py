@@ -5,15 +5,15 @@ import functools
 import jax
 import jax.numpy as jnp
 import numpy as np
-import programs
 import pytest
-import shortest_paths as oracle
-from quick import quick
 
 import sean_jax
 from sean_jax import environment as environments
 from sean_jax import navigation, policies
 from sean_jax.graph import annotation
+from support import programs
+from support import shortest_paths as oracle
+from support.quick import quick
 
 NAMES = environments.available()
 # Whole rollouts take long to compile.

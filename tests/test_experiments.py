@@ -11,7 +11,6 @@ from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
-import learning_data
 import numpy as np
 import pytest
 
@@ -32,6 +31,8 @@ from sean_jax.studies.experiments import demonstrations, figure4, shares, table1
 from sean_jax.studies.experiments.measures import MEASURES, Results, claims, has_learned
 from sean_jax.studies.experiments.shares import BEHAVIORS
 from sean_jax.workspace import Workspace, identity
+from support import learning_data
+from support.files import write
 
 
 def test_entropy_is_that_of_the_papers_rows():
@@ -195,8 +196,7 @@ def test_a_folder_of_another_experiment_is_refused(tmp_path):
     work.save(work.file, {**before, "versions": {**before["versions"], "jax": "0.1"}})
     with pytest.raises(InputError, match="was begun with jax 0.1, not .*; ask for the same"):
         work.begun()
-    (tmp_path / "full").mkdir()
-    (tmp_path / "full" / "letter.txt").write_text("dear")
+    write(tmp_path / "full" / "letter.txt", "dear")
     with pytest.raises(InputError, match="holds something else"):
         Workspace(tmp_path / "full", identity(options)).begun()
     for content in ("{", '{"options": []}'):

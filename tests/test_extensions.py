@@ -7,12 +7,10 @@ import dataclasses
 import inspect
 import json
 import re
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-import programs
 import pytest
 
 import sean_jax
@@ -23,9 +21,13 @@ from sean_jax.behaviors.starts import no_groups
 from sean_jax.classifiers.predicates import any_person, cosine, near
 from sean_jax.social_forces import draw_traits
 from sean_jax.tasks.random_tasks import far_place
+from support import programs
+from support.checkout import ROOT
+from support.robot_files import PUCK
+from support.scenes import BENCH, box, room
 
 MOST = 30  # lines
-RECIPES = (Path(__file__).resolve().parent.parent / "docs" / "adding_parts.md").read_text(encoding="utf-8")
+RECIPES = (ROOT / "docs" / "adding_parts.md").read_text(encoding="utf-8")
 
 
 # --- a force ---
@@ -120,69 +122,14 @@ def march(scenario, state, key):
 
 # --- a robot and an environment, which are files ---
 
-ROBOT = """\
-<!-- Puck: a small round robot. -->
-<mujoco model="puck">
-  <option timestep="0.02" integrator="Euler"/>
-  <custom>
-    <numeric name="max_speed" data="0.3"/> <numeric name="max_turn_rate" data="2.0"/>
-    <numeric name="max_acceleration" data="1.0"/> <numeric name="max_turn_acceleration" data="5.0"/>
-    <numeric name="command_timeout" data="0.25"/> <numeric name="radius" data="0.1"/>
-    <numeric name="friction" data="0.8"/>
-  </custom>
-  <default>
-    <geom contype="0" conaffinity="0"/>
-    <joint armature="0.001"/>
-    <velocity kv="0.04" forcerange="-0.2 0.2"/>
-  </default>
-  <worldbody>
-    <body name="base">
-      <joint name="x" type="slide" axis="1 0 0" armature="0"/> <joint name="y" type="slide" axis="0 1 0" armature="0"/>
-      <joint name="yaw" type="hinge" axis="0 0 1" armature="0"/>
-      <geom type="cylinder" size="0.1 0.04" pos="0 0 0.06" mass="1.5"/>
-      <body name="left" pos="0 0.08 0.03"> <joint name="left" type="hinge" axis="0 1 0"/>
-        <geom type="cylinder" size="0.03 0.01" zaxis="0 1 0" mass="0.05"/> </body>
-      <body name="right" pos="0 -0.08 0.03"> <joint name="right" type="hinge" axis="0 1 0"/>
-        <geom type="cylinder" size="0.03 0.01" zaxis="0 1 0" mass="0.05"/> </body>
-    </body>
-  </worldbody>
-  <actuator> <velocity joint="left"/> <velocity joint="right"/> </actuator>
-</mujoco>
-"""
-ENVIRONMENT = {
-    "environment.yaml": "name: yard\nfloor: [-8, -6, 8, 6]\npeople: 5\n",
-    "scene.xml": """\
-<mujoco>
-  <worldbody>
-    <geom type="box" size="1.5 0.5 1" pos="0 0 1"/>
-    <geom type="box" size="0.5 1 0.5" pos="-4 2 0.5" euler="0 0 30"/>
-  </worldbody>
-</mujoco>
-""",
-    "graph.yaml": """\
-version: 1
-c_min: 0.2
-c_max: 100
-nodes:
-  west: {kind: waypoint, position: [-6, -3], radius: 1, spawn: 1}
-  east: {kind: waypoint, position: [6, -3], radius: 1, spawn: 1}
-  bench: {kind: group, position: [4, 3], radius: 1, spawn: 1, capacity: 2, stay: [5, 10]}
-edges:
-  - {between: [west, east], flow: medium}
-  - {between: [east, bench], flow: high}
-""",
-}
-
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory):
     """Folder of the environment and file of the robot, both outside the package."""
     folder = tmp_path_factory.mktemp("mine")
-    (folder / "puck.xml").write_text(ROBOT)
-    (folder / "yard").mkdir()
-    for name, text in ENVIRONMENT.items():
-        (folder / "yard" / name).write_text(text)
-    return folder / "yard", folder / "puck.xml"
+    (folder / "puck.xml").write_text(PUCK)
+    boxes = box((0, 0), (1.5, 0.5)), box((-4, 2), (0.5, 1), height=1.0, turn=30)
+    return room(folder / "yard", (-8, -6, 8, 6), boxes, 5, name="yard", graph=BENCH), folder / "puck.xml"
 
 
 @pytest.fixture
@@ -204,13 +151,14 @@ def added(monkeypatch):
         monkeypatch.setitem(family, name, value)
 
 
-def test_additions_are_short():
+def test_additions_are_short(files):
     for name, parts in {
         "force": [magnetic], "model": [glide], "situation": [watched], "metric": [turn],
         "task": [to_first_place], "policy": [dance], "behavior": [parade, line_up, march],
     }.items():  # fmt: skip
         assert sum(len(inspect.getsource(part).splitlines()) for part in parts) <= MOST, name
-    assert len(ROBOT.splitlines()) <= MOST and sum(len(text.splitlines()) for text in ENVIRONMENT.values()) <= MOST
+    environment_files = [file.read_text() for file in files[0].iterdir()]
+    assert len(PUCK.splitlines()) <= MOST and sum(len(text.splitlines()) for text in environment_files) <= MOST
 
 
 def test_recipes_name_what_is_added_here_and_no_other_way():

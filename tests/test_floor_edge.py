@@ -1,6 +1,7 @@
 """The floor's edge holds people and robots unless the environment is open, and the report's check measures it."""
 
 import dataclasses
+from itertools import chain
 from typing import Any
 
 import jax
@@ -20,29 +21,26 @@ from sean_jax.policies.costmap import map_frame, static_cells
 from sean_jax.policies.expert import obstacle_rate
 from sean_jax.scenario import reset, snapshot
 from sean_jax.stack import Stack
+from support.scenes import box, room
 
 FLOOR = -6.0, -5.0, 6.0, 5.0
-SETTINGS = "name: plaza\nfloor: [-6, -5, 6, 5]\npeople: 6\n"
-PLANE = '<geom type="plane" size="5 5 0.1"/>'
 WALLS = (  # on the edge, beyond it, of two parts side by side, and one that leaves 0.3 m free
-    '<geom type="box" pos="-5.9 0 1" size="0.1 5 1"/>',
-    '<geom type="box" pos="0 5.5 1" size="6.2 0.5 1"/>',
-    '<geom type="box" pos="6 -3 1" size="0.1 2 1"/><geom type="box" pos="6 2 1" size="3 0.1 1" euler="0 0 90"/>',
-    '<geom type="box" pos="0.3 -5 1" size="6 0.1 1"/>',
+    [box((-5.9, 0), (0.1, 5))],
+    [box((0, 5.5), (6.2, 0.5))],
+    [box((6, -3), (0.1, 2)), box((6, 2), (3, 0.1), turn=90)],
+    [box((0.3, -5), (6, 0.1))],
 )
 PEOPLE, STEPS = 64, 100
 
 
-def write(folder, geoms="", more=""):
-    (folder / "environment.yaml").write_text(SETTINGS + more)
-    (folder / "scene.xml").write_text(f"<mujoco><worldbody>{PLANE}{geoms}</worldbody></mujoco>")
-    return folder
+def plaza(folder, boxes=(), more=""):
+    return room(folder, FLOOR, boxes, 6, more=more)
 
 
 @pytest.fixture(scope="module")
 def plazas(tmp_path_factory):
     """Closed and open, without a single box."""
-    folders = write(tmp_path_factory.mktemp("closed")), write(tmp_path_factory.mktemp("open"), more="open: true\n")
+    folders = plaza(tmp_path_factory.mktemp("closed")), plaza(tmp_path_factory.mktemp("open"), more="open: true\n")
     return [environments.load(folder) for folder in folders]
 
 
@@ -50,7 +48,7 @@ def plazas(tmp_path_factory):
 def scenarios(plazas, tmp_path_factory):
     made = []
     for name, more in (("closed", ""), ("open", "open: true\n")):
-        folder = write(tmp_path_factory.mktemp(name), more=more)
+        folder = plaza(tmp_path_factory.mktemp(name), more=more)
         made.append(sean_jax.make(folder, behavior="random", task="busy_ab_nav", dynamics="twin"))
     return made
 
@@ -60,7 +58,7 @@ def test_edges_are_added_where_no_walls_cover_them(tmp_path):
     for name in environments.available():
         assert (np.asarray(environments.load(name).obstacles.height) > 0).all(), name
     for number in range(len(WALLS) + 1):
-        boxes = environments.load(write(tmp_path, "".join(WALLS[:number]))).obstacles
+        boxes = environments.load(plaza(tmp_path, chain.from_iterable(WALLS[:number]))).obstacles
         edge = np.asarray(boxes.height) == 0
         assert edge.sum() == max(4 - number, 1) and (edge == np.sort(edge)).all()  # after the boxes
     surface = jax.vmap(lambda x, y: from_box(x, y, jax.tree.map(lambda part: part[-1], boxes))[0])

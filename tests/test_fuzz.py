@@ -8,8 +8,9 @@ import subprocess
 import sys
 from pathlib import Path
 
-import fuzzing
 import pytest
+
+from support import fuzzing
 
 MUTANTS = 2000
 SEED = int(os.environ.get("SEAN_JAX_FUZZ_SEED", "0"))

@@ -13,6 +13,7 @@ import pytest
 
 import sean_jax
 from sean_jax import episodes, gradients
+from support import trees
 
 STEPS = 11
 POLICY = lambda scenario, state, key: jnp.asarray([0.1, 0.0], float)  # noqa: E731
@@ -66,8 +67,7 @@ def slopes(run, **options):
 @pytest.mark.parametrize("every", [1, 4, STEPS, 20])
 def test_blocks_change_no_value_no_record_and_no_gradient(run, every):
     value = lambda every: jax.jit(lambda *at: run(*at, checkpoint_every=every))(*AT)  # noqa: E731
-    for one, other in zip(jax.tree.leaves(value(None)), jax.tree.leaves(value(every)), strict=True):
-        np.testing.assert_allclose(one, other, rtol=1e-5, atol=1e-6)
+    trees.assert_close(value(None), value(every), rtol=1e-5, atol=1e-6)
     for one, other in zip(slopes(run), slopes(run, checkpoint_every=every), strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-4)
 
@@ -96,8 +96,7 @@ def test_no_blocks_of_no_steps(run):
 )
 def test_states_stay_what_they_are(run, between):
     both = jax.jit(lambda *at: (run(*at), run(*at, between=between)))
-    for one, other in zip(*map(jax.tree.leaves, both(*AT)), strict=True):
-        np.testing.assert_array_equal(one, other)
+    trees.assert_equal(*both(*AT))
 
 
 def test_truncation_ends_derivatives_and_leaves_constants(run, start):

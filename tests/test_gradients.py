@@ -9,21 +9,11 @@ import pytest
 
 import sean_jax
 from sean_jax.policies import go_to_goal
+from support.float64 import in_double
 
 pytestmark = pytest.mark.slow
 STEPS = 40
 STEP = 1e-5  # of the central differences
-
-
-def in_double(tree):
-    """The tree with all its floating-point leaves in float64."""
-
-    def cast(leaf):
-        if not hasattr(leaf, "dtype") or not jnp.issubdtype(leaf.dtype, jnp.floating):
-            return leaf
-        return jnp.asarray(leaf, jnp.float64)
-
-    return jax.tree.map(cast, tree)
 
 
 @pytest.fixture

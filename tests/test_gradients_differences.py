@@ -11,15 +11,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from test_gradients import in_double
-from test_gradients_swept import FILES, GOAL, PEOPLE, floats, state_of, states
 
-import sean_jax
 from sean_jax import sensors, social_forces
 from sean_jax.pedestrian_models import MODELS
 from sean_jax.scenario import move_robot
 from sean_jax.social_forces import PRESETS
 from sean_jax.social_forces.forces import Forces, term_name
+from support.float64 import in_double
+from support.state_sweep import floats, met, state_of, states
 
 pytestmark = pytest.mark.night
 LINES, PLACES = 64, 48
@@ -31,11 +30,7 @@ COMPANIONS = [[1, -1], [0, -1], [-1, -1], [-1, -1]]
 @pytest.fixture(scope="module")
 def room(tmp_path_factory):
     """A room with two boxes, two people who stand in a group and two who walk, and a robot, in float64."""
-    folder = tmp_path_factory.mktemp("room")
-    for name, text in FILES.items():
-        (folder / name).write_text(text)
-    made = sean_jax.make(folder, task="custom", start=(-2.0, 0.0), goal=(*GOAL, 90.0), people=PEOPLE, dynamics="twin")
-    state = jax.jit(sean_jax.reset)(made, jax.random.key(0))
+    made, state = met(tmp_path_factory.mktemp("room"))
     with jax.enable_x64(True), jax.numpy_dtype_promotion("standard"):
         yield in_double(made), in_double(state)
 

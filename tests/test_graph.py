@@ -5,9 +5,7 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import mujoco
-import networkx
 import numpy as np
-import programs
 import pytest
 import yaml
 
@@ -16,6 +14,9 @@ from sean_jax.errors import FileError
 from sean_jax.graph import FLOWS, BehaviorGraph, annotation
 from sean_jax.graph.behavior_graph import routes
 from sean_jax.graph.formation import MEASURED, formation, reach
+from support import programs
+from support.graphs import assert_routes
+from support.scenes import box, room
 
 FILE = environment.find("warehouse") / "graph.yaml"
 
@@ -28,40 +29,6 @@ def warehouse():
 @pytest.fixture(scope="module")
 def graph(warehouse) -> BehaviorGraph:
     return annotation.read(FILE, warehouse)
-
-
-def oracle(weight: np.ndarray, is_group: np.ndarray, source: int, target: int) -> float:
-    """Cost of the cheapest path by networkx, on a graph without all groups but the two ends."""
-    keep = [node for node in range(len(weight)) if not is_group[node] or node in (source, target)]
-    directed = networkx.DiGraph()
-    directed.add_nodes_from(keep)
-    for u in keep:
-        for v in keep:
-            if u != v and np.isfinite(weight[u, v]):
-                directed.add_edge(u, v, weight=weight[u, v])
-    try:
-        return networkx.dijkstra_path_length(directed, source, target)
-    except networkx.NetworkXNoPath:
-        return np.inf
-
-
-def assert_routes(weight: np.ndarray, is_group: np.ndarray, cost: np.ndarray, next_hop: np.ndarray) -> None:
-    count = len(weight)
-    for source in range(count):
-        for target in range(count):
-            wanted = 0.0 if source == target else oracle(weight, is_group, source, target)
-            np.testing.assert_allclose(cost[source, target], wanted, rtol=1e-5)
-            if not np.isfinite(wanted):
-                assert next_hop[source, target] == -1
-                continue
-            here, total, passed = source, 0.0, []
-            while here != target and len(passed) <= count:
-                after = next_hop[here, target]
-                total += weight[here, after]
-                passed.append(here := after)
-            np.testing.assert_allclose(total, wanted, rtol=1e-5, atol=1e-6)
-            assert not any(is_group[node] for node in passed[:-1])
-            assert source != target or next_hop[source, source] == source
 
 
 def test_warehouse_is_the_graph_of_the_paper(graph):
@@ -146,7 +113,7 @@ def test_places_are_free_and_seen_from_the_centre(graph, warehouse):
 
 
 def test_places_in_a_narrow_spot_stay_near_the_centre(tmp_path):
-    place = yard(tmp_path, "".join(f"<geom type='box' pos='{x} 0 1' size='0.05 4 1'/>" for x in (0.36, -0.36)))
+    place = yard(tmp_path, [box((x, 0), (0.05, 4)) for x in (0.36, -0.36)])
     text = "".join(GOOD.splitlines(keepends=True)[:5]).replace("radius: 1", "radius: 3") + "edges: []\n"
     (tmp_path / "graph.yaml").write_text(text, encoding="utf-8")
     found = annotation.read(tmp_path / "graph.yaml", place)
@@ -156,11 +123,12 @@ def test_places_in_a_narrow_spot_stay_near_the_centre(tmp_path):
     assert seat.shape == (0, 2) and opening.shape == (0, 2)
 
 
-def yard(folder: Path, boxes: str = "<geom type='box' pos='4 4 1' size='0.5 0.5 1'/>"):
+CORNER_BOX = [box((4, 4), (0.5, 0.5))]
+
+
+def yard(folder: Path, boxes=CORNER_BOX):
     """A floor of 10 m with some boxes."""
-    (folder / "environment.yaml").write_text("name: yard\nfloor: [-5, -5, 5, 5]\npeople: 3\n", encoding="utf-8")
-    (folder / "scene.xml").write_text(f"<mujoco><worldbody>{boxes}</worldbody></mujoco>", encoding="utf-8")
-    return environment.load(folder)
+    return environment.load(room(folder, (-5, -5, 5, 5), boxes, 3))
 
 
 GOOD = """\

@@ -8,8 +8,6 @@ import jax.numpy as jnp
 import networkx
 import numpy as np
 import pytest
-from quick import quick
-from test_graph import assert_routes
 
 import sean_jax
 from sean_jax import environment as environments
@@ -17,18 +15,18 @@ from sean_jax import prng
 from sean_jax import scenario as stages
 from sean_jax.behaviors import Place, graph_behavior, graph_choices
 from sean_jax.graph.behavior_graph import add_congestion_cost, edge_areas, edge_densities, routes
+from support import programs
+from support.graphs import assert_routes
+from support.quick import quick
+from support.scenes import box, room
 
 HEAD = "version: 1\nc_min: 0.2\nc_max: 100\n"
-BLOCK = "<mujoco><worldbody><geom type='box' pos='0 0 1' size='5 1.5 1'/></worldbody></mujoco>"
 
 
 @pytest.fixture(scope="module")
 def hall(tmp_path_factory):
     """``hall(graph, people, routing, congestion_cost)``: a scenario of that graph.yaml on one floor around a block."""
-    folder = tmp_path_factory.mktemp("choices") / "hall"
-    folder.mkdir()
-    (folder / "environment.yaml").write_text("name: hall\nfloor: [-11, -9, 11, 9]\npeople: 4\n")
-    (folder / "scene.xml").write_text(BLOCK)
+    folder = room(tmp_path_factory.mktemp("choices"), (-11, -9, 11, 9), [box((0, 0), (5, 1.5))], 4)
     made = sean_jax.make(folder, behavior="random", task="random_ab_nav", dynamics="twin")
 
     def scenario(graph: str, people: int, routing: str = "whole", congestion_cost: float = 0.0):
@@ -271,7 +269,7 @@ def random_graph(scenario):
 
 
 def test_ways_around_crowds_equal_dijkstra_on_the_dearer_edges(random_graph):
-    table = jax.jit(add_congestion_cost)
+    table = programs.jit_once(add_congestion_cost)
     draw = np.random.default_rng(1)
     for seed in range(8):
         graph, density = random_graph(seed), draw.uniform(0, 0.5, (10, 10)).astype(np.float32)
@@ -279,7 +277,6 @@ def test_ways_around_crowds_equal_dijkstra_on_the_dearer_edges(random_graph):
         dearer, is_group = np.asarray(graph.edge_cost) * (1 + 10 * density), np.asarray(graph.is_group)
         np.testing.assert_allclose(found.cost, routes(dearer, is_group)[0], rtol=1e-5)  # scipy
         assert_routes(dearer, is_group, np.asarray(found.cost), np.asarray(found.next_hop))  # networkx
-    assert table._cache_size() == 1
 
 
 def test_empty_edges_cost_what_they_did(scenario):

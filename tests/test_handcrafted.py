@@ -16,6 +16,7 @@ from sean_jax.environment import clearance
 from sean_jax.errors import FileError, InputError
 from sean_jax.learning.collection import streams
 from sean_jax.policies import go_to_goal
+from support.scenes import box, room
 
 ENVIRONMENTS = ("warehouse", "lab", "outdoor")
 NAMES = [
@@ -466,12 +467,9 @@ sets:
 """
 
 
-def yard(folder: Path) -> Path:
+def yard(folder: Path, obstacle: str = box((0, 3.5), (0.5, 0.5))) -> Path:
     """A floor of 10 x 8 m with one box."""
-    (folder / "environment.yaml").write_text("name: yard\nfloor: [-5, -4, 5, 4]\npeople: 1\n")
-    box = "<geom type='box' pos='0 3.5 1' size='0.5 0.5 1'/>"
-    (folder / "scene.xml").write_text(f"<mujoco><worldbody>{box}</worldbody></mujoco>")
-    return folder
+    return room(folder, (-5, -4, 5, 4), [obstacle])
 
 
 @pytest.mark.parametrize(
@@ -544,9 +542,7 @@ def test_who_starts_at_waypoints(tmp_path, old, new, message):
 
 
 def test_who_starts_at_waypoints_needs_a_way(tmp_path):
-    yard(tmp_path)
-    wall = "<mujoco><worldbody><geom type='box' pos='0 0 1' size='0.2 4 1'/></worldbody></mujoco>"
-    (tmp_path / "scene.xml").write_text(wall)
+    yard(tmp_path, box((0, 0), (0.2, 4)))
     text = GOOD.replace("people: 5", "people: 2").replace("way: both", "start: waypoints").split("  join_1:")[0]
     (tmp_path / "handcrafted.yaml").write_text(text, encoding="utf-8")
     words = r"no way from walkers\[0\].loop\[0\] of set 'down_1', \[-4, -2\], to the next waypoint; move one of them"

@@ -5,25 +5,21 @@ import contextlib
 import threading
 from pathlib import Path
 
-import hostile
 import numpy as np
 import pytest
-import test_live
-import test_studio
-import test_survey
 from websockets.sync.client import connect
 
+import support.replays
+import support.studio
+import support.survey
 from sean_jax import files, messages, web
 from sean_jax.errors import InputError
 from sean_jax.replay import live
+from support import hostile
+from support.web import get
 
-session, fresh, served, surveyed, walked = (  # fixtures
-    test_studio.session,
-    test_studio.fresh,
-    test_studio.served,
-    test_survey.served,
-    test_live.walked,
-)
+session, fresh, served = support.studio.session, support.studio.fresh, support.studio.served  # fixtures
+surveyed, walked = support.survey.served, support.replays.walked
 
 
 @contextlib.contextmanager
@@ -178,7 +174,7 @@ def test_the_studio_holds(served, capfd, tmp_path, monkeypatch):
     evil(tmp_path, monkeypatch)
     origin = f"http://127.0.0.1:{served.port}"
     hostile.attack(served.port, f"ws://127.0.0.1:{served.port}/socket?token={served.token}", origin)
-    assert test_studio.get(f"{origin}/?token={served.token}")[0] == 200
+    assert get(f"{origin}/?token={served.token}")[0] == 200
     hostile.check_terminal(capfd.readouterr().err)
     assert not Path("ran").exists()
 
@@ -189,7 +185,7 @@ def test_the_survey_holds(surveyed, capfd, tmp_path, monkeypatch):
     origin = f"http://127.0.0.1:{surveyed.port}"
     link = surveyed.links()[-1]
     hostile.attack(surveyed.port, link.replace("http", "ws").replace("/?", "/socket?"), origin)
-    assert test_survey.get(link)[0] == 200
+    assert get(link)[0] == 200
     hostile.check_terminal(capfd.readouterr().err)
     assert not Path("ran").exists()
 
@@ -199,7 +195,7 @@ def test_the_live_page_holds(walked, capfd):
     with live.serve(walked[0], "a run") as page:
         port = int(page.url.split(":")[2].strip("/"))
         hostile.attack(port, "", None)
-        assert test_live.get(page.url)
+        assert get(page.url)[0] == 200
     hostile.check_terminal(capfd.readouterr().err)
 
 

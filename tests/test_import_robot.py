@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fuzzing import check_error
 
 from sean_jax import cli, robots
 from sean_jax.errors import InputError
@@ -17,46 +16,12 @@ from sean_jax.files.meshes import MAX_ELEMENTS, rotation, vertices, xml_tree
 from sean_jax.messages import MAX_DEPTH
 from sean_jax.robots import imports, links, urdf
 from sean_jax.robots.imports import Settings, import_robot
+from support import robot_files
+from support.checkout import ROOT
+from support.fuzzing import check_error
+from support.robot_files import BASE, CASTER, LASER, LIMIT, PAIR, joint, link, wheel, write_urdf
 
 mujoco: Any = import_module("mujoco")  # which has no type stubs
-
-LIMIT = '<limit effort="3" velocity="10" lower="-0.6" upper="0.6"/>'
-
-
-def link(name, mass=1.0, shape='<box size="0.4 0.3 0.1"/>', pose="0 0 0", turn="0 0 0", inertia=0.01):
-    about = f'<inertia ixx="{inertia}" iyy="{inertia}" izz="{inertia}" ixy="0" ixz="0" iyz="0"/>'
-    geometry = (
-        f'<collision><origin xyz="{pose}" rpy="{turn}"/><geometry>{shape}</geometry></collision>' if shape else ""
-    )
-    inertial = f'<inertial><origin xyz="{pose}"/><mass value="{mass}"/>{about}</inertial>' if mass else ""
-    return f'<link name="{name}">{inertial}{geometry}</link>'
-
-
-def joint(name, child, pose, parent="base_link", kind="continuous", axis="0 1 0", limit=LIMIT, turn="0 0 0"):
-    return (
-        f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
-        f'<origin xyz="{pose}" rpy="{turn}"/><axis xyz="{axis}"/>{limit}</joint>'
-    )
-
-
-def wheel(name, pose, shape='<cylinder radius="0.08" length="0.04"/>', **more):
-    body = link(name, 0.5, shape, turn="1.570796327 0 0")
-    return body + joint(f"{name}_joint", name, pose, **more)
-
-
-BASE = link("base_link", 8.0, pose="0.02 0 0.05")
-PAIR = BASE + wheel("left", "0 0.2 0") + wheel("right", "0 -0.2 0")
-CASTER = link("caster", 0.2, "") + joint("caster_swivel", "caster", "-0.15 0 -0.02", axis="0 0 1")
-CASTER += wheel("caster_wheel", "0 0 -0.03", '<cylinder radius="0.03" length="0.02"/>', parent="caster")
-LASER = link("laser", 0.1, '<cylinder radius="0.03" length="0.05"/>')
-LASER += joint("laser_mount", "laser", "0.1 0 0.2", kind="fixed", limit="", turn="0 0 0.5")
-
-
-def robot(tmp_path, parts, name="bot.urdf"):
-    path = tmp_path / name
-    lines = parts.replace("><link", ">\n<link")
-    path.write_text(f'<?xml version="1.0"?>\n<robot name="bot">\n{lines}\n</robot>\n')
-    return path
 
 
 def base_of(path, **settings):
@@ -70,7 +35,7 @@ def loaded(base, tmp_path):
 
 
 def test_a_pair_of_wheels(tmp_path):
-    base = base_of(robot(tmp_path, PAIR + CASTER + LASER))
+    base = base_of(write_urdf(tmp_path, PAIR + CASTER + LASER))
     assert base.drive == "differential" and [w.name for w in base.wheels] == ["left_joint", "right_joint"]
     model = loaded(base, tmp_path)
     assert float(model.mass) == pytest.approx(8.0 + 2 * 0.5 + 0.2 + 0.5 + 0.1, rel=1e-5)
@@ -100,7 +65,8 @@ def test_a_pair_of_wheels(tmp_path):
 def test_the_frame_follows_the_axle(tmp_path):
     """The same robot in a link that looks to the left: its forward is the direction across the axle."""
     turned = link("root", 0.0, "") + joint("mount", "base_link", "1 2 3", "root", "fixed", limit="", turn="0 0 1.1")
-    plain, away = (loaded(base_of(robot(tmp_path, parts)), tmp_path) for parts in (PAIR + LASER, turned + PAIR + LASER))
+    parts = PAIR + LASER, turned + PAIR + LASER
+    plain, away = (loaded(base_of(write_urdf(tmp_path, each)), tmp_path) for each in parts)
     for name in ("mass", "inertia", "track", "radius"):
         assert float(getattr(plain, name)) == pytest.approx(float(getattr(away, name)), rel=1e-5)
     np.testing.assert_allclose(plain.solids.boxes, away.solids.boxes, atol=1e-5)
@@ -109,7 +75,7 @@ def test_the_frame_follows_the_axle(tmp_path):
 
 def test_four_wheels_drive_as_two(tmp_path):
     wheels = "".join(wheel(f"{x}{y}", f"{x} {y} 0") for x in (0.15, -0.15) for y in (0.2, -0.2))
-    model = loaded(base_of(robot(tmp_path, BASE + wheels), wheel_separation=0.5), tmp_path)
+    model = loaded(base_of(write_urdf(tmp_path, BASE + wheels), wheel_separation=0.5), tmp_path)
     assert float(model.track) == pytest.approx(0.5) and float(model.mass) == pytest.approx(10.0, rel=1e-5)
     assert len(model.solids.cylinders) == 4  # the two that stand for them are invisible
 
@@ -140,7 +106,7 @@ MECANUM = "".join(wheel(f"mecanum_{x}{y}", f"{x} {y} 0") for x in (0.15, -0.15) 
     ],
 )
 def test_the_drive_follows_from_the_wheels(parts, drive, tmp_path):
-    base = base_of(robot(tmp_path, parts))
+    base = base_of(write_urdf(tmp_path, parts))
     model = loaded(base, tmp_path)
     assert base.drive == drive == model.drive_type
     total = sum(each.mass for each in base.body.links)
@@ -152,28 +118,13 @@ def test_the_drive_follows_from_the_wheels(parts, drive, tmp_path):
         assert float(model.steering.rear_axle) == pytest.approx(center, rel=1e-4)
     if drive == "omnidirectional":
         assert float(model.lateral.max_speed) == float(model.max_speed)
-    assert base_of(robot(tmp_path, PAIR), drive="omnidirectional").drive == "omnidirectional"
+    assert base_of(write_urdf(tmp_path, PAIR), drive="omnidirectional").drive == "omnidirectional"
 
 
 def test_mjcf_with_a_freejoint(tmp_path):
     """Limits by actuators; the root stands somewhere else; the visual geom does not count."""
     path = tmp_path / "free.xml"
-    path.write_text(
-        """<mujoco model="free"><compiler autolimits="true"/><worldbody><geom type="plane" size="1 1 1"/>
-        <body name="base" pos="3 1 0.1" euler="0 0 40"><freejoint/>
-          <geom type="box" size="0.2 0.15 0.05" mass="5"/>
-          <geom type="sphere" size="0.9" mass="0" contype="0" conaffinity="0"/>
-          <site name="front_laser" pos="0.1 0 0.2"/> <camera name="eye" pos="0.2 0 0.3" xyaxes="0 -1 0 0 0 1"/>
-          <body name="lw" pos="0 0.2 0"><joint name="l" axis="0 1 0"/>
-            <geom type="cylinder" size="0.1 0.02" euler="90 0 0" mass="0.5"/></body>
-          <body name="rw" pos="0 -0.2 0"><joint name="r" axis="0 1 0"/>
-            <geom type="cylinder" size="0.1 0.02" euler="90 0 0" mass="0.5"/></body>
-          <body name="arm" pos="0 0 0.2"><joint name="elbow" axis="0 1 0"/>
-            <geom type="capsule" size="0.03 0.2" mass="0.4"/></body>
-        </body></worldbody>
-        <actuator><velocity joint="l" kv="3" ctrlrange="-8 8" forcerange="-2 2"/>
-        <velocity joint="r" kv="3" ctrlrange="-8 8" forcerange="-2 2"/></actuator></mujoco>"""
-    )
+    path.write_text(robot_files.FREE_CART)
     base = base_of(path)
     model = loaded(base, tmp_path)
     assert [w.name for w in base.wheels] == ["l", "r"] and base.drive == "differential"
@@ -193,26 +144,11 @@ def test_mjcf_with_a_freejoint(tmp_path):
     assert full[2, 2] == pytest.approx(about, rel=0.01)  # the capsule's ends are round
 
 
-ARM = """<body name="arm" pos="0 0 0.4"><joint name="shoulder" axis="0 0 1"/>
-    <geom type="box" size="0.5 0.02 0.1" mass="1"/><camera name="hand" pos="0.5 0 0" xyaxes="-1 0 0 0 0 1"/>
-    <camera name="top" xyaxes="0 -1 0 1 0 0"/><camera name="head" pos="0 0 0.3" xyaxes="0 -1 0 0 0 1"/></body>"""
-
-
-def planar(tmp_path, inner):
-    path = tmp_path / "planar.xml"
-    path.write_text(
-        f"""<mujoco><worldbody><body name="base"><joint type="slide" axis="1 0 0"/><joint type="slide" axis="0 1 0"/>
-        <joint axis="0 0 1"/><geom type="box" size="0.3 0.2 0.1" pos="0 0 0.1" mass="9"/>{inner}
-        </body></worldbody></mujoco>"""
-    )
-    return path
-
-
 def test_a_planar_base_without_wheels_needs_the_name_of_its_drive(tmp_path):
     with pytest.raises(InputError, match="planar.xml: none of its hinges looks like a wheel .* --drive omni"):
-        base_of(planar(tmp_path, ""))
+        base_of(robot_files.planar_base(tmp_path))
     limits = {"drive": "omnidirectional", "max_speed": 1.0, "max_acceleration": 2.0, "max_turn_rate": 1.5}
-    base = base_of(planar(tmp_path, ARM), **limits)
+    base = base_of(robot_files.planar_base(tmp_path, robot_files.ARM), **limits)
     model = loaded(base, tmp_path)
     assert float(model.radius) == pytest.approx(np.hypot(0.3, 0.2), rel=1e-4)
     assert float(model.max_turn_acceleration) == pytest.approx(2.0 / float(model.radius), rel=1e-4)
@@ -234,10 +170,10 @@ def stl(path: Path, corners: np.ndarray, ascii_text: bool = False):
 
 def test_huge_limits_are_none(tmp_path):
     limit = '<limit lower="-1e9" upper="1e9" velocity="inf" effort="0"/>'
-    body = urdf.read(robot(tmp_path, PAIR.replace(LIMIT, limit)))
+    body = urdf.read(write_urdf(tmp_path, PAIR.replace(LIMIT, limit)))
     assert all((each.max_rate, each.max_torque, each.max_angle) == (None, None, None) for each in body.links)
     with pytest.raises(InputError, match="<limit> needs a number, but velocity is"):
-        urdf.read(robot(tmp_path, PAIR.replace(LIMIT, '<limit velocity="fast"/>')))
+        urdf.read(write_urdf(tmp_path, PAIR.replace(LIMIT, '<limit velocity="fast"/>')))
 
 
 def test_meshes_become_the_smallest_shape_around_them(tmp_path):
@@ -313,7 +249,7 @@ def test_meshes_of_packages_are_found_and_missing_ones_named(tmp_path):
         link(side, 0.5, mesh.format("wheel.stl")) + joint(f"{side}_joint", side, f"0 {y} 0")
         for side, y in (("left", 0.2), ("right", -0.2))
     ]
-    base = base_of(robot(package / "urdf", BASE + "".join(wheels) + link("hat", 0.1, mesh.format("hat.dae"))
+    base = base_of(write_urdf(package / "urdf", BASE + "".join(wheels) + link("hat", 0.1, mesh.format("hat.dae"))
                          + joint("top", "hat", "0 0 0.3", kind="fixed", limit="")))  # fmt: skip
     assert base.wheel_radius == pytest.approx(0.1, rel=1e-3)
     assert "package://bot_description/meshes/hat.dae" in base.notes[-1]
@@ -361,18 +297,17 @@ BARE = PAIR.replace(LIMIT, "")
 )  # fmt: skip
 def test_a_file_that_is_no_robot_is_refused_in_one_sentence(parts, settings, message, tmp_path):
     with pytest.raises(InputError) as error:
-        base_of(robot(tmp_path, parts), **settings)
+        base_of(write_urdf(tmp_path, parts), **settings)
     assert message in str(error.value) and len(str(error.value).splitlines()) == 1
     assert "bot.urdf" in str(error.value)
 
 
 def test_mjcf_without_a_freejoint_is_refused(tmp_path):
     path = tmp_path / "scene.xml"
-    path.write_text('<mujoco><worldbody><body name="a"><geom size="1"/></body></worldbody></mujoco>')
+    path.write_text(robot_files.FIXED_BODY)
     with pytest.raises(InputError, match="no body has a <freejoint>, or slide joints and a hinge about z"):
         base_of(path)
-    body = '<body name="{}" pos="{} 0 0"><freejoint/><geom size="1"/></body>'
-    path.write_text(f"<mujoco><worldbody>{body.format('a', 0)}{body.format('b', 3)}</worldbody></mujoco>")
+    path.write_text(robot_files.TWO_FREE_BODIES)
     with pytest.raises(InputError, match="2 bodies have a <freejoint>: 'a', 'b'"):
         base_of(path)
 
@@ -388,7 +323,7 @@ def test_files_of_this_package_are_read_again(tmp_path):
 
 def test_the_command_writes_a_robot_that_drives(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    robot(tmp_path, PAIR + CASTER + LASER)
+    write_urdf(tmp_path, PAIR + CASTER + LASER)
     assert cli.main(["import-robot", "bot.urdf", "--out", "made.xml", "--max-turn-rate", "2"]) == 0
     text = capsys.readouterr().out
     gap, lag = map(float, re.findall(r"(\S+) mm from", text))
@@ -405,7 +340,7 @@ def test_the_command_writes_a_robot_that_drives(tmp_path, capsys, monkeypatch):
 @pytest.mark.slow
 @pytest.mark.parametrize("parts", [PAIR, PAIR + STEERED, BASE + SWIVELS], ids=["pair", "car", "swerve"])
 def test_imported_robots_drive_in_mjx_as_in_closed_form(parts, tmp_path):
-    result = import_robot(robot(tmp_path, parts), tmp_path / "made.xml")
+    result = import_robot(write_urdf(tmp_path, parts), tmp_path / "made.xml")
     assert result.gap <= 1e-5 and 0.0 < result.lag < 0.1
     words = f"run --robot {tmp_path / 'made.xml'} --people 3 --episodes 1 --time-limit 5 --out {tmp_path / 'r'} --quiet"
     assert cli.main(words.split()) == 0
@@ -415,7 +350,7 @@ def test_urdf_is_a_tree_at_rest(tmp_path):
     """The pose of a link below turned joints, by matrices of hand."""
     parts = BASE + link("a", 1.0, "") + joint("ja", "a", "1 0 0", kind="fixed", limit="", turn="0.1 0.2 0.3")
     parts += link("b", 1.0, "", pose="0 0 1") + joint("jb", "b", "0 2 0", "a", "fixed", limit="", turn="0 0.5 0")
-    body = urdf.read(robot(tmp_path, parts))
+    body = urdf.read(write_urdf(tmp_path, parts))
     x, y, z = np.eye(3)
     first = rotation(z, 0.3) @ rotation(y, 0.2) @ rotation(x, 0.1)
     at = {each.name: each for each in body.links}
@@ -424,7 +359,7 @@ def test_urdf_is_a_tree_at_rest(tmp_path):
 
 
 def test_the_robot_of_the_documentation(tmp_path):
-    page = Path(__file__).parent.parent / "docs" / "robots.md"
+    page = ROOT / "docs" / "robots.md"
     (tmp_path / "courier.urdf").write_text(page.read_text(encoding="utf-8").split("```xml\n")[1].split("```")[0])
     base = base_of(tmp_path / "courier.urdf")
     assert base.drive == "differential" and not base.body.missing and base.max_speed == pytest.approx(0.99)
@@ -435,7 +370,7 @@ def test_the_robot_of_the_documentation(tmp_path):
 def test_changed_numbers_make_a_robot_or_a_sentence(tmp_path):
     """One number of a file is replaced by a wrong one: the file is refused in one line, or the robot loads."""
     draw, loads = random.Random(0), 0
-    texts = [robot(tmp_path, parts).read_text() for parts in (PAIR + CASTER + LASER, PAIR + STEERED, BASE + THREE)]
+    texts = [write_urdf(tmp_path, parts).read_text() for parts in (PAIR + CASTER + LASER, PAIR + STEERED, BASE + THREE)]
     path = tmp_path / "changed.urdf"
     for _ in range(60):
         text = draw.choice(texts)

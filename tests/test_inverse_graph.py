@@ -18,41 +18,10 @@ from sean_jax.graph import annotation
 from sean_jax.graph.behavior_graph import cheapest_paths, hop_log_chances, routes
 from sean_jax.studies import inverse_graph
 from sean_jax.studies.inverse_graph import fitting, measuring
+from support.graphs import RING, ring, yard
+from support.scenes import box
 
 COLD = 1e-3  # m, at which route choice is the cheapest path
-
-
-def yard(folder, floor=(-12.0, -12.0, 12.0, 12.0), boxes=""):
-    """An environment without or with boxes."""
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / "environment.yaml").write_text(f"name: yard\nfloor: {list(floor)}\npeople: 6\n")
-    (folder / "scene.xml").write_text(f"<mujoco><worldbody>{boxes}</worldbody></mujoco>")
-    return environments.load(folder)
-
-
-RING = 6
-
-
-def ring(groups: int = 0) -> annotation.Annotation:
-    """A ring of six waypoints, with groups outside of it beside the first ones."""
-    angle = 2 * np.pi * np.arange(RING) / RING
-    reach = 6.0 + np.array([0.0, 0.7, -0.4, 0.3, -0.6, 0.5])  # no two ways round are equally long
-    nodes = {
-        f"n{k}": {
-            "kind": "waypoint",
-            "position": (round(r * np.cos(a), 3), round(r * np.sin(a), 3)),
-            "radius": 0.6,
-            "spawn": 1,
-        }
-        for k, (r, a) in enumerate(zip(reach, angle, strict=True))
-    }
-    edges = [{"between": (f"n{k}", f"n{(k + 1) % RING}")} for k in range(RING)]
-    for k in range(groups):
-        place = (round(9.0 * np.cos(angle[k]), 3), round(9.0 * np.sin(angle[k]), 3))
-        nodes[f"g{k}"] = {"kind": "group", "position": place, "radius": 1, "capacity": 2, "stay": (5, 9)}
-        edges.append({"between": (f"n{k}", f"g{k}")})
-    made = {"version": 1, "c_min": 0.2, "c_max": 100, "nodes": nodes, "edges": edges}
-    return annotation.Annotation.model_validate(made)
 
 
 @pytest.fixture(scope="module")
@@ -350,17 +319,14 @@ def test_graphs_are_written_as_they_are_read(place, tmp_path):
 
 # --- Proposals ---
 
-ROOMS = (
-    "<geom type='box' pos='0 -4 1' size='.1 6 1'/><geom type='box' pos='0 9 1' size='.1 3 1'/>"  # a wall with a door
-    "<geom type='box' pos='5 5 1' size='2 1 1'/>"
-)
+ROOMS = [box((0, -4), (0.1, 6)), box((0, 9), (0.1, 3)), box((5, 5), (2, 1))]  # a wall with a door, and a block
 
 
 @pytest.mark.parametrize("name", [*environments.available(), "rooms", "open"])
 def test_proposed_graphs_are_sound_connected_and_see_the_floor(name, tmp_path):
     """Each proposal passes all checks of annotations; its edges can be walked, and nearly all of the floor is seen."""
     if name in ("rooms", "open"):
-        environment = yard(tmp_path / name, boxes=ROOMS if name == "rooms" else "")
+        environment = yard(tmp_path / name, boxes=ROOMS if name == "rooms" else ())
     else:
         environment = environments.load(name)
     words = inverse_graph.propose(environment)

@@ -9,9 +9,11 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-import forked
 import numpy as np
 import pytest
+
+from support import forked
+from support.files import contents
 
 pytestmark = [
     pytest.mark.night,
@@ -39,10 +41,6 @@ def sean():
         patched.setenv("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
         with forked.sean() as server:
             yield server
-
-
-def files(folder: Path) -> dict[str, bytes]:
-    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
 def killed(
@@ -117,10 +115,10 @@ def _names(folder: Path) -> list[str]:
 
 def test_run(sean, tmp_path):
     def finished(folder: Path) -> dict[str, bytes]:
-        return {name: data for name, data in files(folder / "unfinished").items() if name.endswith(".npz")}
+        return {name: data for name, data in contents(folder / "unfinished").items() if name.endswith(".npz")}
 
     def result(folder: Path) -> dict:
-        found = files(folder)
+        found = contents(folder)
         summary = json.loads(found.pop("summary.json"))
         timing = summary.pop("timing")
         page = found.pop("report.html").decode()
@@ -142,21 +140,36 @@ def test_collect(sean, tmp_path):
         manifest = folder / "dataset.json"
         shards = json.loads(manifest.read_text())["shards"] if manifest.exists() else []
         names = [str(k) for k in range(len(shards))]
-        arrays = {name: data for name, data in files(folder).items() if "/c/" in name and "__lock" not in name}
+        arrays = {name: data for name, data in contents(folder).items() if "/c/" in name and "__lock" not in name}
         return {
             **{f"shard {k}": json.dumps(shard).encode() for k, shard in enumerate(shards)},
             **{name: data for name, data in arrays.items() if name.split("/c/")[1].split("/")[0] in names},
         }
 
-    killed(sean, tmp_path, COLLECT, finished, files, 2)
+    killed(sean, tmp_path, COLLECT, finished, contents, 2)
 
 
-def test_train(sean, tmp_path):
+def steps(folder: Path) -> list[int]:
+    """Of the checkpoints that are there."""
+    names = os.listdir(folder / "checkpoints") if (folder / "checkpoints").is_dir() else []
+    return sorted(int(name) for name in names if name.isdigit())
+
+
+def states(folder: Path) -> dict[int, list[tuple[str, bytes]]]:
+    """Step -> type and bytes of each array of its checkpoint."""
     import jax
     import orbax.checkpoint as ocp
 
     from sean_jax.learning.trainer import Checkpoints
 
+    manager, kept = Checkpoints(folder).manager, {}
+    for step in steps(folder):
+        state = manager.restore(step, args=ocp.args.Composite(state=ocp.args.PyTreeRestore()))["state"]
+        kept[step] = [(np.asarray(leaf).dtype.str, np.asarray(leaf).tobytes()) for leaf in jax.tree.leaves(state)]
+    return kept
+
+
+def test_train(sean, tmp_path):
     (tmp_path / "jobs" / "data").mkdir(parents=True)
     assert sean.wait(sean.start(tmp_path / "jobs" / "data", *COLLECT)) == 0
 
@@ -164,25 +177,16 @@ def test_train(sean, tmp_path):
         lines = (folder / "metrics.jsonl").read_text().splitlines()
         return [{name: value for name, value in json.loads(line).items() if name != "time"} for line in lines]
 
-    def steps(folder: Path) -> list[int]:
-        names = os.listdir(folder / "checkpoints") if (folder / "checkpoints").is_dir() else []
-        return sorted(int(name) for name in names if name.isdigit())
-
     def finished(folder: Path) -> dict[str, bytes]:
         return {f"epoch {number}": b"" for number in range(1, max(steps(folder), default=0) + 1)}
 
     def result(folder: Path) -> dict:
-        manager = Checkpoints(folder).manager
-        kept = {}
-        for step in steps(folder):
-            state = manager.restore(step, args=ocp.args.Composite(state=ocp.args.PyTreeRestore()))["state"]
-            kept[step] = [(np.asarray(leaf).dtype.str, np.asarray(leaf).tobytes()) for leaf in jax.tree.leaves(state)]
         return {
             "names": sorted(os.listdir(folder)),
             "config": (folder / "config.json").read_bytes(),
             "epochs": epochs(folder),
             "checkpoints": sorted(os.listdir(folder / "checkpoints")),
-            "states": kept,
+            "states": states(folder),
         }
 
     killed(sean, tmp_path / "jobs", TRAIN, finished, result, 3)
@@ -190,30 +194,13 @@ def test_train(sean, tmp_path):
 
 def test_ppo(sean, tmp_path):
     """Stopped again and again, reinforcement learning comes to the same curve and the same agent."""
-    import orbax.checkpoint as ocp
-
-    from sean_jax.learning.trainer import Checkpoints
-
-    def steps(folder: Path) -> list[int]:
-        names = os.listdir(folder / "checkpoints") if (folder / "checkpoints").is_dir() else []
-        return sorted(int(name) for name in names if name.isdigit())
 
     def finished(folder: Path) -> dict[str, bytes]:
         return {f"update {number}": b"" for number in range(1, max(steps(folder), default=0) + 1)}
 
     def result(folder: Path) -> dict:
-        manager, kept = Checkpoints(folder).manager, {}
-        for step in steps(folder):
-            state = manager.restore(step, args=ocp.args.Composite(state=ocp.args.PyTreeRestore()))["state"]
-            kept[step] = [np.asarray(leaf).tobytes() for leaf in _leaves(state)]
         lines = [json.loads(line) for line in (folder / "metrics.jsonl").read_text().splitlines()]
         curve = [{name: line[name] for name in line if name not in ("time", "seconds", "per_second")} for line in lines]
-        return {"names": sorted(os.listdir(folder)), "curve": curve, "states": kept}
+        return {"names": sorted(os.listdir(folder)), "curve": curve, "states": states(folder)}
 
     killed(sean, tmp_path, PPO, finished, result, 4)
-
-
-def _leaves(tree) -> list:
-    import jax
-
-    return jax.tree.leaves(tree)

@@ -7,10 +7,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from test_robots import CLUTTER, PERSON_RADIUS, WALL, advance, leaves, rollout, world
 
 import sean_jax
 from sean_jax import robots
+from support.driving import CLUTTER, PERSON_RADIUS, WALL, advance, leaves, rollout, world
 
 STEP = 0.1
 batched = jax.jit(jax.vmap(rollout, in_axes=(None, None, 0, 0)))

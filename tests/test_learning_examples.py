@@ -4,7 +4,6 @@ from types import SimpleNamespace
 from typing import Any, cast
 
 import jax
-import learning_data
 import numpy as np
 import pytest
 
@@ -22,6 +21,7 @@ from sean_jax.learning.collection import (
     streams,
 )
 from sean_jax.scenario import reset
+from support import learning_data, trees
 
 
 @pytest.fixture(scope="module")
@@ -130,8 +130,7 @@ def test_examples_equal_a_loop_in_numpy(batch, rate):
     onto = jax.tree.map(jax.numpy.asarray, recording)
     made = jax.jit(jax.vmap(examples.example, (None, 0)))(onto, index)
     again = examples.example(recording, index, np)
-    for one, other in zip(jax.tree.leaves(made), jax.tree.leaves(again), strict=True):
-        np.testing.assert_allclose(one, other, atol=1e-5)
+    trees.assert_close(made, again, atol=1e-5)
     for row in (*range(0, 7), int(ends[0]) - 3, int(ends[0]) - 1, int(ends[0]), int(ends[1]) + 2):
         episode = int(np.searchsorted(ends, row, side="right"))
         first, end = int(ends[episode] - lengths[episode]), int(ends[episode])

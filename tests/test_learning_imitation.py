@@ -1,18 +1,16 @@
 """From demonstrations to a driver, as a user does it (section V): slow."""
 
 import json
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import jax
-import learning_data
 import numpy as np
 import pytest
 
 from sean_jax import cli, episodes, learning
 from sean_jax.learning.dataset import open_dataset
+from support import learning_data
+from support.commands import cpu_devices, python
 
 pytestmark = pytest.mark.night
 
@@ -49,14 +47,10 @@ def test_two_devices_collect_and_learn_what_one_does(tmp_path):
     options += ["--width", "16", "--height", "12", "--batch", "8", "--hours", "0.02"]
     runs = []
     for count in (1, 2):
-        flags = f"--xla_force_host_platform_device_count={count}"
-        variables = {**os.environ, "XLA_FLAGS": flags, "JAX_PLATFORMS": "cpu"}
         data, run = str(tmp_path / f"data{count}"), str(tmp_path / f"run{count}")
         learn = ["train", "imitation", str(tmp_path / "data1"), "--batch", "32", "--width", "16", "--epochs", "3"]
         for command in (["collect", *options, "--out", data], [*learn, "--quiet", "--out", run]):
-            command = [sys.executable, "-m", "sean_jax.cli", *command]
-            done = subprocess.run(command, env=variables, capture_output=True, text=True, check=False, timeout=600)
-            assert done.returncode == 0, done.stderr
+            python("-m", "sean_jax.cli", *command, env=cpu_devices(count))
         dataset = open_dataset(data)
         lines = (tmp_path / f"run{count}" / "metrics.jsonl").read_text().splitlines()
         runs.append((dataset.read(dataset.episodes)["pose"], [json.loads(line)["train"]["loss"] for line in lines]))

@@ -8,7 +8,6 @@ import os
 import shutil
 from pathlib import Path
 
-import learning_data
 import numpy as np
 import pytest
 from PIL import Image
@@ -21,10 +20,10 @@ from sean_jax.learning.collection import Recorder
 from sean_jax.learning.dataset import check_manifest, open_dataset, open_datasets, split
 from sean_jax.learning.examples import Loader, Token, example
 from sean_jax.learning.networks import read_network_config
-
-
-def files(folder: Path) -> dict[str, bytes]:
-    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+from support import learning_data
+from support.checkout import DATA, benchmark
+from support.files import contents, write
+from support.mjcf import box, with_geom
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +62,7 @@ def test_other_readers_of_zarr_find_what_the_format_prescribes(made):
 
 def test_a_collection_that_was_interrupted_goes_on(data, tmp_path, monkeypatch):
     """After each step that a kill could come before, what is done again gives the same bytes."""
-    whole = files(data.folder)
+    whole = contents(data.folder)
     simulated = []
 
     def simulate(runner, seed, shard, stream, watch, turn):
@@ -92,7 +91,7 @@ def test_a_collection_that_was_interrupted_goes_on(data, tmp_path, monkeypatch):
             except KeyboardInterrupt:
                 assert number > 0
         collection.collect(learning_data.options(folder))
-        assert files(folder) == whole, number
+        assert contents(folder) == whole, number
         before = len(simulated)
         collection.collect(learning_data.options(folder))
         assert len(simulated) == before, "nothing is recorded twice"
@@ -159,7 +158,7 @@ def test_a_shard_that_cannot_be_written_ends_the_collection(tmp_path, monkeypatc
 
 
 def test_lost_and_damaged_files(data, monkeypatch):
-    whole, file = files(data.folder), data.folder / "depth/c/0/0/0/0"
+    whole, file = contents(data.folder), data.folder / "depth/c/0/0/0/0"
     content = bytearray(file.read_bytes())
     content[len(content) // 2] ^= 1
     file.write_bytes(bytes(content))
@@ -174,11 +173,11 @@ def test_lost_and_damaged_files(data, monkeypatch):
         data.recording(data.episodes)
     monkeypatch.setattr(collection, "simulate_shard", lambda *others: learning_data.batches()[0])
     collection.collect(learning_data.options(data.folder))
-    assert files(data.folder) == whole
+    assert contents(data.folder) == whole
 
 
 def test_a_full_disk_leaves_what_was_committed(data, monkeypatch):
-    whole = files(data.folder)
+    whole = contents(data.folder)
 
     def full(*arguments, **others):
         raise OSError(28, "No space left on device")
@@ -192,7 +191,7 @@ def test_a_full_disk_leaves_what_was_committed(data, monkeypatch):
         with pytest.raises(IncompleteError, match="the disk is full; committed shards are unchanged"):
             data.save({**data.manifest, "hours": 2.0})
     again = open_dataset(data.folder)
-    assert again.manifest == data.manifest and {name: files(data.folder)[name] for name in whole} == whole
+    assert again.manifest == data.manifest and {name: contents(data.folder)[name] for name in whole} == whole
 
 
 def test_other_options_are_refused(data):
@@ -335,9 +334,9 @@ def test_export_to_lerobot(made, tmp_path):
 def test_an_export_has_the_form_that_lerobot_writes(made, tmp_path):
     """Recorded of LeRobot's own writer by ``benchmarks/lerobot_oracle.py --record``, which also compares the values."""
     pytest.importorskip("pyarrow")
-    import lerobot_oracle
+    lerobot_oracle = benchmark("lerobot_oracle")
 
-    recorded = json.loads((Path(__file__).parent / "lerobot_schema.json").read_text())
+    recorded = json.loads((DATA / "lerobot_schema.json").read_text())
     assert recorded.pop("lerobot") == "0.6.1"
     ours = lerobot_oracle.schema(lerobot.export(made.folder, tmp_path / "out"))
     assert json.loads(json.dumps(ours)) == recorded
@@ -456,8 +455,7 @@ def test_a_recorder_goes_on_where_a_kill_left_no_manifest(tmp_path):
     (tmp_path / "data" / writing.LOCK).write_text("process 1 on a machine that is no more")
     Recorder(tmp_path / "data", parts["join_group"], width=16, height=12)
     assert open_dataset(tmp_path / "data").stream_rows == [0]
-    (tmp_path / "full").mkdir()
-    (tmp_path / "full" / "letter.txt").write_text("dear")
+    write(tmp_path / "full" / "letter.txt", "dear")
     with pytest.raises(InputError, match="holds something else already"):
         Recorder(tmp_path / "full", parts["join_group"], width=16, height=12)
     with pytest.raises(InputError, match="more than 4,000,000 pixels"):
@@ -472,7 +470,6 @@ def test_an_environment_that_was_edited_ends_a_collection_before_it_is_mixed(tmp
     command = ["collect", "--environment", str(tmp_path / "place"), *words, "--out", str(tmp_path / "data")]
     assert cli.main(command) == 0 == cli.main(command)
     scene = tmp_path / "place" / "scene.xml"
-    box = '<geom type="box" pos="0.5 0.5 0.5" size="0.1 0.1 0.5"/></worldbody>'
-    scene.write_text(scene.read_text().replace("</worldbody>", box))
+    scene.write_text(with_geom(scene.read_text(), box((0.5, 0.5), (0.1, 0.1), height=1.0)))
     assert cli.main(command) == 2
     assert "was begun with another scenario and policy" in capsys.readouterr().err

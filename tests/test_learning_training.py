@@ -9,7 +9,6 @@ from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
-import learning_data
 import numpy as np
 import pytest
 
@@ -24,6 +23,7 @@ from sean_jax.learning.networks import Network
 from sean_jax.learning.policy import load_imitation
 from sean_jax.learning.trainer import Checkpoints, Log
 from sean_jax.runner import Runner
+from support import learning_data, trees
 
 
 @pytest.fixture(scope="module")
@@ -143,8 +143,7 @@ def test_an_interrupted_training_comes_to_the_same_bits(data, trained, tmp_path,
     with (tmp_path / "run" / "metrics.jsonl").open("a") as stream:  # as a kill leaves it: beyond the checkpoint, cut
         stream.write('{"epoch": 99, "time": 0.0}\n{"epo')
     again = imitation.train(options(data, tmp_path / "run"))
-    for one, other in zip(jax.tree.leaves(whole), jax.tree.leaves(again), strict=True):
-        np.testing.assert_array_equal(one, other)
+    trees.assert_equal(whole, again)
     logs = [
         [{name: line[name] for name in ("epoch", "train", "validation")} for line in lines(place)]
         for place in (folder, tmp_path / "run")
@@ -263,8 +262,7 @@ def test_opening_a_policy_changes_nothing(data, trained, tmp_path):
     scenario = learning_data.setting()[0]["join_group"]
     weights, expected = (load_imitation(place, scenario).params.weights for place in (folder, trained[1]))
     assert everything() == before
-    for one, other in zip(jax.tree.leaves(weights), jax.tree.leaves(expected), strict=True):
-        np.testing.assert_array_equal(one, other)
+    trees.assert_equal(weights, expected)
     with writing.folder_lock(folder), pytest.raises(writing.WriteError, match="run is being written by process"):
         imitation.train(options(data, folder, epochs=13))
     imitation.train(options(data, folder, epochs=13))
@@ -289,11 +287,9 @@ def test_what_a_kill_left_half_deleted_is_no_checkpoint(data, trained, tmp_path)
     assert len([*checkpoints.iterdir()]) > len(steps) + 3
     scenario = learning_data.setting()[0]["join_group"]
     weights, expected = (load_imitation(place, scenario).params.weights for place in (folder, trained[1]))
-    for one, other in zip(jax.tree.leaves(weights), jax.tree.leaves(expected), strict=True):
-        np.testing.assert_array_equal(one, other)
+    trees.assert_equal(weights, expected)
     again = imitation.train(options(data, folder))
-    for one, other in zip(jax.tree.leaves(trained[0]), jax.tree.leaves(again), strict=True):
-        np.testing.assert_array_equal(one, other)
+    trees.assert_equal(trained[0], again)
     assert sorted(path.name for path in checkpoints.iterdir()) == steps
 
 
@@ -316,8 +312,7 @@ def test_a_policy_is_opened_while_its_training_replaces_the_best(trained, tmp_pa
     scenario = learning_data.setting()[0]["join_group"]
     weights, expected = (load_imitation(place, scenario).params.weights for place in (folder, trained[1]))
     assert new.exists()
-    for one, other in zip(jax.tree.leaves(weights), jax.tree.leaves(expected), strict=True):
-        np.testing.assert_array_equal(one, other)
+    trees.assert_equal(weights, expected)
 
 
 def test_a_refused_training_leaves_no_folder(data, tmp_path):

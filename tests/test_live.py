@@ -2,7 +2,6 @@
 
 import contextlib
 import json
-import shutil
 import socket
 import struct
 import subprocess
@@ -10,33 +9,21 @@ import threading
 import time
 import urllib.error
 import urllib.request
-from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
 import pytest
-from replay_columns import decode
 
-import sean_jax
+import support.replays
 from sean_jax import cli
-from sean_jax.policies import go_to_goal
 from sean_jax.replay import live
 from sean_jax.trajectories import load_trajectory
+from support.checkout import WEB
+from support.replays import decode
+from support.web import chromium
 
-WEB = Path(__file__).parent.parent / "web"
-CHROMIUM = next(
-    (found for name in ("chromium", "chromium-browser", "google-chrome") if (found := shutil.which(name))), None
-)
-
-
-@pytest.fixture(scope="module")
-def walked():
-    """A scenario, and 60 frames of two of its episodes side by side, (T, B, ...)."""
-    scenario = sean_jax.make("lab", people=3, dynamics="twin", time_limit=30.0)
-    roll = jax.jit(lambda key: sean_jax.rollout(scenario, go_to_goal, key, steps=60)[1])
-    frames = [jax.tree.map(np.asarray, roll(jax.random.key(k))) for k in (0, 1)]
-    return scenario, jax.tree.map(lambda *leaves: np.stack(leaves, 1), *frames)
+walked = support.replays.walked  # a fixture
 
 
 def get(url: str, **headers: str) -> str:
@@ -189,11 +176,9 @@ def test_quiet_and_live_are_refused_together(capsys):
 
 @pytest.mark.web
 def test_a_browser_plays_it_while_it_grows(walked):
-    if CHROMIUM is None or not (WEB / "node_modules" / "playwright-core").is_dir():
-        pytest.skip("there is no Chromium, or web/node_modules is not there")
-    scenario, frames = walked
+    command, (scenario, frames) = chromium(), walked
     with live.serve(scenario, "growing") as served:
-        words = ["node", "test/live.mjs", served.url, CHROMIUM, "60"]
+        words = ["node", "test/live.mjs", served.url, command, "60"]
         with subprocess.Popen(words, cwd=WEB, stdout=subprocess.PIPE, text=True) as browser:
             assert browser.stdout is not None
             served.add(part(frames, 0, 35))

@@ -10,6 +10,7 @@ from PIL import Image
 from sean_jax import cli, environment, maps
 from sean_jax import environment as environments
 from sean_jax.errors import FileError
+from support.mjcf import CHECKER
 
 mujoco: Any = import_module("mujoco")  # which has no type stubs
 OCCUPIED, FREE, UNKNOWN = 0, 254, 205  # as map_saver writes them
@@ -216,10 +217,7 @@ def test_people_of_a_map_are_a_whole_number(tmp_path, people):
 
 def test_a_floor_has_its_darkest_and_lightest_color():
     """By all three channels together, whatever their order: green is lighter than red when there is more of it."""
-    model = mujoco.MjModel.from_xml_string(
-        '<mujoco><asset><texture name="t" type="2d" builtin="checker" width="8" height="8" '
-        'rgb1="0.2 1 1" rgb2="0.4 0 0"/></asset></mujoco>'
-    )
+    model = mujoco.MjModel.from_xml_string(CHECKER)
     found = environment._texture(model, "2d")
     assert found is not None
     np.testing.assert_allclose(found, [[0.4, 0, 0], [0.2, 1, 1]], atol=0.01)

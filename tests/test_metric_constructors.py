@@ -5,16 +5,16 @@ import io
 
 import jax
 import jax.numpy as jnp
-import metric_values
 import numpy as np
 import pytest
 from rich.console import Console
-from test_metrics import SITUATIONS, STEP, at
-from test_report import evaluation, page
 
 from sean_jax import metrics
 from sean_jax.evaluation import results, table
 from sean_jax.metrics import Metric, as_metric
+from support import metric_values
+from support.metric_snapshots import SITUATIONS, STEP, at
+from support.reports import evaluation, page
 
 X = [0.0, 1.0, 3.0, 2.0, 2.0, -1.0, 4.0, 0.5]  # m, of the robot at ticks 0, 1, ...
 SNAPSHOTS = [at(tick, (x, 0.0), situations=(0,) if tick % 2 else (2,)) for tick, x in enumerate(X)]

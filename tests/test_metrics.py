@@ -6,17 +6,28 @@ from fractions import Fraction
 
 import jax
 import jax.numpy as jnp
-import metric_values
 import numpy as np
 import pytest
 
 from sean_jax import metrics
-from sean_jax.base import Pedestrians, Snapshot
+from sean_jax.base import Snapshot
 from sean_jax.metrics import metric
+from support import metric_values
+from support.metric_snapshots import (
+    PEOPLE,
+    PERSON_RADIUS,
+    SITUATIONS,
+    STEP,
+    along,
+    as_snapshot,
+    at,
+    compute,
+    measure,
+    update,
+    wander,
+)
 
-PEOPLE, SITUATIONS, STEP = 3, 5, 0.1
 FAR = (50.0, 50.0)
-ROBOT_RADIUS, PERSON_RADIUS = 0.16, 0.2
 
 
 def test_every_metric_has_a_topic_and_only_those_of_the_package():
@@ -25,65 +36,12 @@ def test_every_metric_has_a_topic_and_only_those_of_the_package():
     assert {metrics.topic(name) for name in ("mean", "Metric", "jnp", "mine")} == {"your own"}
 
 
-update = jax.jit(metric_values.update)
-compute = jax.jit(metric_values.compute)
 EVENTS = [f"{limit}_{who}" for limit in ("intimate", "personal", "collision")
           for who in ("robot_on_person", "person_on_robot")]  # fmt: skip
 
 
-def at(tick=0, position=(0, 0), velocity=(0, 0), people=(), situations=(), goal=(0, 0), geodesic=1.0) -> Snapshot:
-    """A snapshot with up to three people; the others are absent, and stand where the robot is."""
-    occurring = np.zeros(SITUATIONS, bool)
-    occurring[list(situations)] = True
-    persons = Pedestrians(
-        position=np.array([*people, *[position] * (PEOPLE - len(people))], np.float32),
-        velocity=np.zeros((PEOPLE, 2), np.float32),
-        heading=np.ones((PEOPLE, 2), np.float32),
-        desired_velocity=np.zeros((PEOPLE, 2), np.float32),
-        group=np.full(PEOPLE, -1, np.int32),
-        walking_group=np.full(PEOPLE, -1, np.int32),
-        present=np.arange(PEOPLE) < len(people),
-        preferred_speed=np.ones(PEOPLE, np.float32),
-        robot_distance=np.zeros(PEOPLE, np.float32),
-    )
-    here = Snapshot(
-        people=persons,
-        position=np.array(position, np.float32),
-        heading=np.array([1.0, 0.0], np.float32),
-        velocity=np.array(velocity, np.float32),
-        start=np.zeros(2, np.float32),
-        goal=np.array(goal, np.float32),
-        start_group=np.array(-1, np.int32),
-        goal_group=np.array(-1, np.int32),
-        geodesic=np.array(geodesic, np.float32),
-        situations=occurring,
-        tick=np.array(tick, np.int32),
-        robot_radius=np.array(ROBOT_RADIUS, np.float32),
-        person_radius=np.array(PERSON_RADIUS, np.float32),
-        time_step=STEP,
-    )
-    return jax.device_put(here)
-
-
-def measure(snapshots: list[Snapshot]) -> dict[str, np.ndarray]:
-    """The metrics over a sequence of snapshots, by the package."""
-    values = metric_values.init(snapshots[0])
-    for before, after in zip(snapshots[:-1], snapshots[1:], strict=True):
-        values = update(values, before, after)
-    return {name: np.asarray(value) for name, value in compute(values).items()}
-
-
 def drive(positions, **others) -> dict[str, np.ndarray]:
     return measure([at(tick, position, **others) for tick, position in enumerate(positions)])
-
-
-def along(*corners, speed=0.5):
-    """Positions every 0.1 s on the straight lines between corners."""
-    found = [np.array(corners[0], float)]
-    for one, other in zip(corners[:-1], corners[1:], strict=True):
-        steps = round(np.linalg.norm(np.subtract(other, one)) / speed / STEP)
-        found += [one + np.subtract(other, one) * k / steps for k in range(1, steps + 1)]
-    return found
 
 
 def test_straight_line():
@@ -268,37 +226,6 @@ def by_loop(sequence, body: float = 0.0) -> dict[str, np.ndarray]:
     out["min_distance_to_people"], out["min_distance_to_goal"] = least, near_goal
     out["final_distance_to_goal"] = np.linalg.norm(last["position"] - last["goal"])
     return out
-
-
-def wander(seed: int, steps: int = 153):
-    random = np.random.default_rng(seed)
-    speed = random.uniform(0, 1.5, steps)[:, None] * (random.uniform(size=steps) > 0.3)[:, None]
-    angle = np.cumsum(random.normal(0, 0.4, steps))
-    velocity = speed * np.stack([np.cos(angle), np.sin(angle)], -1)
-    velocity[np.arange(steps) % 40 > 24] = 0.0
-    position = np.cumsum(velocity * STEP, 0)
-    people = (
-        position[:, None] + np.cumsum(random.normal(0, 0.25, (steps, PEOPLE, 2)), 0) + random.normal(0, 0.5, (3, 2))
-    )
-    present = random.uniform(size=(steps, PEOPLE)) < 0.95
-    occurring = random.uniform(size=(steps, SITUATIONS)) < 0.4
-    return [
-        dict(
-            position=position[k].astype(np.float32).astype(float),
-            velocity=velocity[k].astype(np.float32).astype(float),
-            people=people[k].astype(np.float32).astype(float),
-            present=present[k],
-            situations=occurring[k],
-            goal=np.array([1.0, 2.0]),
-            geodesic=3.0,
-        )
-        for k in range(steps)
-    ]
-
-
-def as_snapshot(tick: int, now: dict) -> Snapshot:
-    one = at(tick, now["position"], now["velocity"], now["people"], np.flatnonzero(now["situations"]), now["goal"], 3.0)
-    return replace(one, people=replace(one.people, present=jnp.asarray(now["present"])))
 
 
 def test_random_paths_equal_a_plain_loop_and_vmap_equals_a_loop():

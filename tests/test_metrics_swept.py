@@ -7,13 +7,14 @@ every situation has values of its own, so a figure of the wrong step, side or si
 import math
 
 import jax
-import metric_values
 import numpy as np
 import pytest
 
 from sean_jax import metrics
-from sean_jax.base import Obstacles, Pedestrians, Snapshot
+from sean_jax.base import Obstacles, Snapshot
 from sean_jax.metrics import proximity
+from support import metric_values
+from support.people import people_at, snapshot_of
 
 EPISODES, STEPS, PEOPLE, BOXES, ROBOTS, SITUATIONS, STEP = 24, 38, 5, 3, 2, 3, 0.1
 SECONDS = {name: getattr(proximity, name) for name in ("CONTACT_TIME", "OBSTACLE_TIME", "INTIMATE_TIME")}
@@ -41,16 +42,13 @@ def drawn(seed: int) -> Snapshot:
     place = position[:, :, None] + walk(0.12, PEOPLE, 2) + random.normal(0.0, 0.6, (EPISODES, 1, PEOPLE, 2))
     toward = np.arctan2(*np.moveaxis(position[:, :, None] - place, -1, 0)[::-1])
     facing = toward + np.deg2rad(random.choice([2.0, 4.5, 5.5, 60.0, 180.0], (*shape, PEOPLE)))
-    people = Pedestrians(
-        position=place,
+    people = people_at(
+        place,
         velocity=walk(0.3, PEOPLE, 2),
         heading=unit(facing),
-        desired_velocity=np.zeros_like(place),
         group=np.broadcast_to(random.integers(-1, 3, (EPISODES, 1, PEOPLE)), (*shape, PEOPLE)),
         walking_group=np.broadcast_to(random.integers(-1, 2, (EPISODES, 1, PEOPLE)), (*shape, PEOPLE)),
         present=random.random((*shape, PEOPLE)) < 0.9,
-        preferred_speed=np.ones((*shape, PEOPLE)),
-        robot_distance=np.zeros((*shape, PEOPLE)),
     )
     boxes = Obstacles(
         center=random.uniform(-1.5, 1.5, (EPISODES, 1, BOXES, 2)),
@@ -62,9 +60,9 @@ def drawn(seed: int) -> Snapshot:
     robots = position[:, :, None] + walk(0.1, ROBOTS, 2) + random.normal(0.0, 0.5, (EPISODES, 1, ROBOTS, 2))
     fixed = lambda size: np.broadcast_to(random.normal(0.0, size, (EPISODES, 1, 2)), (*shape, 2))  # noqa: E731
     group = lambda: np.broadcast_to(random.integers(-1, 3, (EPISODES, 1)), shape)  # noqa: E731
-    here = Snapshot(
-        people=people,
-        position=position,
+    return snapshot_of(
+        people,
+        position,
         heading=unit(walk(0.4)),
         velocity=velocity,
         start=fixed(1.0),
@@ -83,8 +81,6 @@ def drawn(seed: int) -> Snapshot:
         robot_top_speed=each(0.3, 1.5),
         robots=np.concatenate([robots, random.uniform(0.1, 0.4, (*shape, ROBOTS, 1))], -1),
     )
-    narrow = {np.dtype(float): np.float32, np.dtype(int): np.int32}
-    return jax.tree.map(lambda leaf: np.array(leaf, narrow.get(leaf.dtype, leaf.dtype)), here)
 
 
 def to_box(place, boxes, k) -> float:

@@ -1,23 +1,22 @@
 """Pedestrian models: ORCA against its definition, scipy and RVO2, constant velocity, both in a step."""
 
 from itertools import combinations
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-import programs
 import pytest
-from quick import quick
 from scipy.optimize import linprog, minimize
 
 import sean_jax
 from sean_jax.half_planes import TOGETHER, VelocityProgram, best_velocity, half_plane
 from sean_jax.pedestrian_models import MODELS, smallest
 from sean_jax.policies import go_to_goal
+from support import programs
+from support.checkout import DATA
+from support.quick import quick
 
 LIMIT = 1.7
-HERE = Path(__file__).parent
 DIRECTIONS = np.stack([np.cos(np.arange(720) * np.pi / 360), np.sin(np.arange(720) * np.pi / 360)], -1)
 
 
@@ -182,7 +181,7 @@ def same_as_rvo2(normal, c, hard, wanted, recorded):
 
 
 def test_velocities_are_those_of_rvo2():
-    recorded = np.loadtxt(HERE / "rvo2_states.csv", delimiter=",", skiprows=3)[:, 1:].reshape(-1, 9, 8)
+    recorded = np.loadtxt(DATA / "rvo2_states.csv", delimiter=",", skiprows=3)[:, 1:].reshape(-1, 9, 8)
     position, velocity, wanted, new = (recorded[..., k : k + 2].astype(np.float32) for k in (0, 2, 4, 6))
     others = np.array([[j for j in range(9) if j != i] for i in range(9)])
     gap, motion = position[:, others] - position[:, :, None], velocity[:, :, None] - velocity[:, others]
@@ -195,7 +194,7 @@ def test_velocities_are_those_of_rvo2():
 
 
 def test_velocities_among_obstacles_are_those_of_rvo2():
-    rows = np.loadtxt(HERE / "rvo2_programs.csv", delimiter=",", skiprows=3)
+    rows = np.loadtxt(DATA / "rvo2_programs.csv", delimiter=",", skiprows=3)
     programs = np.split(rows, np.flatnonzero(np.diff(rows[:, 0])) + 1)
     holds_all = np.tile([0, 0, 1, 0, -1e6, 0, 0, 0, 0.0], (max(map(len, programs)), 1))
     filled = np.stack([np.concatenate([rows, holds_all[len(rows) :]]) for rows in programs])

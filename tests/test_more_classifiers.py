@@ -4,7 +4,6 @@ import itertools
 import math
 import runpy
 from dataclasses import replace
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -13,8 +12,10 @@ import pytest
 
 import sean_jax
 from sean_jax import classifiers
-from sean_jax.base import Obstacles, Pedestrians, Snapshot
+from sean_jax.base import Obstacles
 from sean_jax.classifiers import MORE_SITUATIONS, SEAN2_SITUATIONS, SITUATIONS
+from support.checkout import ROOT
+from support.people import people_at, snapshot_of
 
 D, V, A = 2.4, 0.4, np.pi / 12
 SLOTS = 7
@@ -55,35 +56,11 @@ def snapshot(people=(), heading=AHEAD, speed=0.5, obstacles=FAR_AWAY, start=(9, 
     """A robot at the origin; people are (position, heading, speed); spare slots are absent and stand right ahead."""
     rows = [*people, *[((0.5, 0.0), AHEAD, 0.5)] * (SLOTS - len(people))]
     places, headings, speeds = (np.array(part, np.float32) for part in zip(*rows, strict=True))
-    number = jnp.float32
-    persons = Pedestrians(
-        position=jnp.asarray(places),
-        velocity=jnp.asarray(headings * speeds[:, None]),
-        heading=jnp.asarray(headings),
-        desired_velocity=jnp.zeros((SLOTS, 2), number),
-        group=jnp.full(SLOTS, -1, jnp.int32),
-        walking_group=jnp.full(SLOTS, -1, jnp.int32),
-        present=jnp.arange(SLOTS) < len(people),
-        preferred_speed=jnp.ones(SLOTS, number),
-        robot_distance=jnp.zeros(SLOTS, number),
-    )
-    return Snapshot(
-        people=persons,
-        position=jnp.zeros(2, number),
-        heading=jnp.asarray(heading, number),
-        velocity=jnp.asarray(heading, number) * speed,
-        start=jnp.asarray(start, number),
-        goal=jnp.asarray(goal, number),
-        start_group=jnp.asarray(groups[0], jnp.int32),
-        goal_group=jnp.asarray(groups[1], jnp.int32),
-        geodesic=jnp.ones((), number),
-        situations=jnp.zeros(5, bool),
-        tick=jnp.zeros((), jnp.int32),
-        robot_radius=jnp.asarray(0.16, number),
-        person_radius=jnp.asarray(0.2, number),
-        time_step=0.1,
-        obstacles=obstacles,
-    )
+    velocity, there = headings * speeds[:, None], np.arange(SLOTS) < len(people)
+    persons = people_at(places, velocity=velocity, heading=headings, present=there)
+    way = {"start": start, "goal": goal, "start_group": groups[0], "goal_group": groups[1]}
+    velocity = np.multiply(heading, speed)
+    return jax.device_put(snapshot_of(persons, heading=heading, velocity=velocity, **way, obstacles=obstacles))
 
 
 def by_sean2(*args, **kwargs) -> set[str]:
@@ -394,7 +371,7 @@ def test_match_groups_by_hand():
 
 def test_figure_of_the_documentation_shows_what_it_says():
     """Each example that docs/situations.py draws is of the one situation that it is named after."""
-    file = Path(__file__).resolve().parent.parent / "docs" / "situations.py"
+    file = ROOT / "docs" / "situations.py"
     examples = runpy.run_path(str(file))
     assert set(examples["EXAMPLES"]) == set(MORE_SITUATIONS)
     for name, example in examples["EXAMPLES"].items():

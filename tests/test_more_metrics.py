@@ -1,22 +1,21 @@
 """Metrics beyond the paper's own (section IV-H), on cases with a closed form."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
-import metric_values
 import numpy as np
-import programs
 import pytest
-import shortest_paths as oracle
-from test_metrics import ROBOT_RADIUS, SITUATIONS, STEP, along, at, measure, wander
-from test_metrics import as_snapshot as of_wander
 
 from sean_jax import metrics, navigation
 from sean_jax import scenario as scenario_module
 from sean_jax.base import Obstacles
 from sean_jax.metrics.proximity import collision_time, obstacle_distance
+from support import metric_values, programs
+from support import shortest_paths as oracle
+from support.checkout import ROOT
+from support.metric_snapshots import ROBOT_RADIUS, SITUATIONS, STEP, along, at, measure, wander
+from support.metric_snapshots import as_snapshot as of_wander
 
 REACH = 0.36  # m, of a robot and a person who touch
 
@@ -288,7 +287,7 @@ def test_every_metric_of_seans_documentation_is_there():
 
 
 def test_documentation_lists_every_metric_as_it_is():
-    text = (Path(__file__).resolve().parent.parent / "docs" / "metrics.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "metrics.md").read_text(encoding="utf-8")
     listed = [line for line in text.splitlines() if line.startswith("| `") and line.count("|") == 5]
     expected = [
         f"| `{name}` | {metric.unit} | {metric.definition} | {metric.better} |".replace("  |", " |")
@@ -300,7 +299,7 @@ def test_documentation_lists_every_metric_as_it_is():
 
 def test_example_of_the_documentation_runs():
     """Its own metrics, of the second block of code, along a path past somebody."""
-    text = (Path(__file__).resolve().parent.parent / "docs" / "metrics.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "metrics.md").read_text(encoding="utf-8")
     block = text.split("```python\n")[2].split("```")[0]
     space: dict = {}
     exec(block.split("scenario = ")[0], space)

@@ -2,7 +2,6 @@
 
 import dataclasses
 import functools
-import importlib
 import itertools
 import json
 import math
@@ -15,7 +14,6 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-import programs
 import pytest
 import scipy.sparse.csgraph
 import scipy.stats
@@ -37,6 +35,8 @@ from sean_jax.policies.social_costmap import (
     sean2_params,
 )
 from sean_jax.policies.trajectory_planner import Distances, Oscillation
+from support import programs
+from support.checkout import ROOT, benchmark
 
 LOGS = Path(os.environ.get("SEAN_JAX_DATA", "")) / "move_base"
 MIDDLE = np.array([3.2, 3.2])  # m, of the window
@@ -622,10 +622,10 @@ def test_the_real_one_and_the_remake_stand_alike(file, policy):
     log = LOGS / f"{file}.json"
     if not log.is_file():
         pytest.skip(f"needs move_base/{log.name} in the folder of SEAN_JAX_DATA")
-    program = importlib.import_module("move_base")
+    program = benchmark("move_base")
     content = program.read(log)
     real = np.array([episode["results"]["time_not_moving"][0] for episode in content["episodes"]])
-    remake = json.loads((Path(__file__).parents[1] / "benchmarks/results/move_base_remake.json").read_text())
+    remake = json.loads((ROOT / "benchmarks/results/move_base_remake.json").read_text())
     mine = np.array([episode["time_not_moving"] for episode in remake["policies"][policy]["episodes"]])
 
     def differ(one, other):

@@ -1,17 +1,16 @@
 """The mutation test: what it puts in, where it does not, which tests it asks, and that it notices and survives."""
 
 import ast
-import importlib
 import json
-import subprocess
-import sys
-from pathlib import Path
 
 import pytest
 
+from support.checkout import ROOT, benchmark
+from support.commands import python
+
 pytestmark = pytest.mark.form
-ROOT = Path(__file__).resolve().parent.parent
-program = importlib.import_module("mutants")
+
+program = benchmark("mutants")
 SOURCE = b'''"""A docstring: 1 < 2."""
 from typing import Literal
 __all__ = ["f" + "g"]
@@ -72,7 +71,7 @@ def test_which_tests_are_asked():
     for folder in program.FOLDERS:
         for path in program.modules(folder):
             assert all((program.TESTS / file).is_file() for file in program.test_files(path)), path
-    assert "test_metrics.py" in program.test_files("metrics/path.py")
+    assert "test_metrics.py" in {file.rpartition("/")[2] for file in program.test_files("metrics/path.py")}
     others = program.independent("metrics/path.py")
     assert "sean_jax.geometry" in others and "sean_jax.classifiers.predicates" in others
     assert not {"sean_jax.metrics", "sean_jax.metrics.path", "sean_jax.runner"} & set(others)
@@ -122,13 +121,12 @@ def test_committed_results_are_what_the_table_says():
 def test_a_few_mutants(tmp_path):
     """Of sean2.py, in processes of their own; a second run has nothing left to do."""
     out = tmp_path / "mutants.jsonl"
-    told = [sys.executable, "benchmarks/mutants.py", "--only", "classifiers", "--count", "7", "--out", str(out)]
-    done = subprocess.run(told, cwd=ROOT, capture_output=True, text=True, timeout=600)
-    assert done.returncode == 0, done.stderr
+    told = ["benchmarks/mutants.py", "--only", "classifiers", "--count", 7, "--out", out]
+    python(*told, cwd=ROOT)
     (line,) = map(json.loads, out.read_text().splitlines())
     assert line["noticed"].startswith("tests/test_") and line["folder"] == "classifiers"
-    again = subprocess.run(told, cwd=ROOT, capture_output=True, text=True, timeout=60)
-    assert again.stdout.splitlines()[1].split() == ["classifiers", "1", "1", "0", "0"]
+    again = python(*told, cwd=ROOT, timeout=60)
+    assert again.splitlines()[1].split() == ["classifiers", "1", "1", "0", "0"]
     assert len(out.read_text().splitlines()) == 1
 
 

@@ -7,8 +7,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import shortest_paths as oracle
-from quick import quick
 
 from sean_jax import environment as environments
 from sean_jax import navigation
@@ -17,6 +15,8 @@ from sean_jax.environment import plain_scenery
 from sean_jax.geometry import build_obstacle_grid
 from sean_jax.graph import annotation
 from sean_jax.navigation import Navigation
+from support import shortest_paths as oracle
+from support.quick import quick
 
 RADIUS = 0.25  # m
 KURI, WARTHOG = 0.16, 0.95  # m

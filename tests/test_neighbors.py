@@ -13,6 +13,7 @@ from sean_jax.bench import workload
 from sean_jax.social_forces import Crowd, Pair, kernel, model, neighbors
 from sean_jax.social_forces.forces import look_direction
 from sean_jax.social_forces.neighbors import sum_pairs
+from support import trees
 
 NUMBER = 303  # enough that neighbors are looked for, and no multiple of the blocks
 find = jax.jit(neighbors.find)
@@ -105,8 +106,7 @@ def test_forces_and_gradients_are_those_of_all_pairs(preset, on, monkeypatch):
     for one, other in zip(ours[1:], exact[1:], strict=True):
         size = 1e-3 + np.linalg.norm(other[present])
         assert np.linalg.norm(np.asarray(one - other)[present]) < 2e-3 * size
-    for one, other in zip(jax.tree.leaves(ours[0]), jax.tree.leaves(exact[0]), strict=True):
-        np.testing.assert_allclose(one, other, rtol=2e-2, atol=2e-2)
+    trees.assert_close(ours[0], exact[0], rtol=2e-2, atol=2e-2)
 
 
 def pull(strength, own, other):

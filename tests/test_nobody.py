@@ -7,7 +7,6 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
-from quick import quick
 
 import sean_jax
 from sean_jax import sensors
@@ -17,9 +16,9 @@ from sean_jax.pedestrian_models import MODELS
 from sean_jax.policies import POLICIES
 from sean_jax.scenario import reset
 from sean_jax.social_forces import PRESETS
+from support.quick import quick
+from support.scenes import BENCH, box, room
 
-SCENE = "<mujoco><worldbody><geom type='box' size='1 0.5 1' pos='0 0 1'/></worldbody></mujoco>"
-SETTINGS = "name: yard\nfloor: [-6, -5, 6, 5]\npeople: 0\n"
 ONE_NODE = """\
 version: 1
 c_min: 0.2
@@ -27,18 +26,6 @@ c_max: 100
 nodes:
   only: {kind: waypoint, position: [3, 3], radius: 1, spawn: 1}
 edges: []
-"""
-TALK = """\
-version: 1
-c_min: 0.2
-c_max: 100
-nodes:
-  west: {kind: waypoint, position: [-4, -3], radius: 1, spawn: 1}
-  east: {kind: waypoint, position: [4, -3], radius: 1, spawn: 1}
-  bench: {kind: group, position: [2, 3], radius: 1, spawn: 1, capacity: 3, stay: [5, 10]}
-edges:
-  - {between: [west, east]}
-  - {between: [east, bench]}
 """
 SETS = """\
 version: 1
@@ -50,11 +37,8 @@ sets:
 """
 
 
-def write(folder, graph=TALK, scene=SCENE, settings=SETTINGS):
-    for name, text in (("environment.yaml", settings), ("scene.xml", scene), ("graph.yaml", graph),
-                       ("handcrafted.yaml", SETS)):  # fmt: skip
-        (folder / name).write_text(text)
-    return folder
+def write(folder, graph=BENCH):
+    return room(folder, (-6, -5, 6, 5), [box((0, 0), (1, 0.5))], 0, graph=graph, handcrafted=SETS)
 
 
 @pytest.fixture(scope="module")
@@ -149,7 +133,7 @@ def test_one_node_and_no_group(tmp_path):
 
 def test_a_stay_of_no_time_ends_at_once(tmp_path):
     """Whoever reaches a seat goes on to a waypoint in the same step, at the start of an episode too."""
-    scenario = make(write(tmp_path, TALK.replace("[5, 10]", "[0, 0]")), "graph", people=3)
+    scenario = make(write(tmp_path, BENCH.replace("[5, 10]", "[0, 0]")), "graph", people=3)
 
     def run(key):
         state = reset(scenario, key)

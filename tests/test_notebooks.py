@@ -6,15 +6,16 @@ import re
 import subprocess
 import sys
 import types
-from pathlib import Path
 
 import nbformat
 import numpy as np
 import pytest
 from PIL import Image
 
+from support.checkout import ROOT
+
 pytestmark = pytest.mark.form
-FOLDER = Path(__file__).resolve().parent.parent / "notebooks"
+FOLDER = ROOT / "notebooks"
 NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
 each_notebook = pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 INSTALL = "On Colab, clone the repository first; the next cell then installs it."

@@ -10,7 +10,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from quick import quick
 
 import sean_jax
 from sean_jax import cli, learning, mdp, registry
@@ -18,6 +17,7 @@ from sean_jax.config import PPOConfig
 from sean_jax.errors import InputError
 from sean_jax.learning import networks, onnx
 from sean_jax.learning.policy import AGENTS, agent_network, agent_terms, save_agent
+from support.quick import quick
 
 OWN = """
 import jax.numpy as jnp

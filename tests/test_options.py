@@ -23,6 +23,7 @@ from sean_jax.config import (
     family_of,
 )  # fmt: skip
 from sean_jax.errors import InputError
+from support.files import write_all
 
 WORDS = ("warehouse", "-minus", "two words", "a'b", "[bold]x", ":smile:", "ümlaut", "--flag", "$HOME", "x=y", "7")
 
@@ -307,10 +308,7 @@ def compiled():
 @pytest.mark.parametrize("case", BAD, ids=[case.split(" | ")[0] for case in BAD])
 def test_a_mistake_is_told_before_anything_is_made(case, compiled, capsys, monkeypatch, tmp_path):
     """In one sentence, or in the parser's own box, which name the option and the cure; nothing is compiled or left."""
-    for name, text in FOLDERS.items():
-        (tmp_path / name).parent.mkdir(exist_ok=True)
-        (tmp_path / name).write_text(text)
-    monkeypatch.chdir(tmp_path)
+    monkeypatch.chdir(write_all(tmp_path, FOLDERS))
     compiled.clear()
 
     def loaded(*arguments):

@@ -7,12 +7,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from test_robots import PERSON_RADIUS, RADIUS, TIME_STEP, rollout, run, world
 
 import sean_jax
 from sean_jax import assembly, robots
 from sean_jax.base import Obstacles
 from sean_jax.robots.dynamics import person_contact
+from support.driving import PERSON_RADIUS, RADIUS, TIME_STEP, rollout, run, world
 
 LANES, PEOPLE, STEPS = 24, 16, 12
 REACH = RADIUS + PERSON_RADIUS

@@ -26,8 +26,9 @@ from sean_jax.learning import dataset
 from sean_jax.learning.policy import AGENTS
 from sean_jax.studies.validation import checks
 from sean_jax.workspace import Workspace, identity
+from support.checkout import ROOT
+from support.files import write, write_all
 
-ROOT = Path(__file__).resolve().parent.parent
 PAGE = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
 SMALL = "--environment lab --people 4 --dynamics twin --time-limit 2 --quiet".split()
 PARTS = [
@@ -234,10 +235,7 @@ def test_imports_beside_a_file_are_those_of_a_script(place):
     ask = "import sys, my; print(my.value, [m.__file__ for m in sys.modules.values() if hasattr(m, 'value')])"
     rng = random.Random(int(os.environ.get("SEAN_JAX_FUZZ_SEED", 0)))
     for number in range(12):
-        folder = place / f"{number}"
-        for path, text in tree(rng).items():
-            (folder / path).parent.mkdir(parents=True, exist_ok=True)
-            (folder / path).write_text(text)
+        folder = write_all(place / f"{number}", tree(rng))
         found = thing(f"{number}/my.py:f")()
         held = components.content(folder / "my.py").digests
         ran = subprocess.run([sys.executable, "-S", "-B", "-c", ask], cwd=folder, capture_output=True, text=True)
@@ -251,8 +249,7 @@ def test_imports_beside_a_file_are_those_of_a_script(place):
 
 def test_what_is_not_beside_a_file_is_told(place):
     (place / "my.py").write_text("import p.q\n")
-    (place / "p").mkdir()
-    (place / "p" / "__init__.py").write_text("")
+    write(place / "p" / "__init__.py", "")
     with pytest.raises(
         InputError, match=r"^policy: my.py cannot be imported: .*No module named 'p.q' \(line 1 of my.py"
     ):

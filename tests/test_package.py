@@ -1,29 +1,21 @@
 """The installed wheel works from an empty folder: what a user gets, not what a checkout happens to have."""
 
-import os
-import subprocess
-import sys
 import zipfile
 from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parent.parent
+from support.checkout import ROOT
+from support.commands import python
+
 pytestmark = pytest.mark.slow
-
-
-def run(command: list[str], **options) -> str:
-    """Output of a program; its error text is in the assertion when it fails."""
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=900, **options)
-    assert done.returncode == 0, f"{' '.join(command)}\n{done.stdout[-4000:]}\n{done.stderr[-4000:]}"
-    return done.stdout
 
 
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory) -> Path:
     """The wheel, built from the checkout without network access."""
     folder = tmp_path_factory.mktemp("wheel")
-    run([sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", str(folder), str(ROOT)])
+    python("-m", "build", "--wheel", "--no-isolation", "--outdir", folder, ROOT)
     (path,) = folder.glob("*.whl")
     return path
 
@@ -32,14 +24,13 @@ def wheel(tmp_path_factory) -> Path:
 def installed(wheel, tmp_path_factory) -> Path:
     """A folder that holds the installed wheel and nothing else; its dependencies stay where they are."""
     target = tmp_path_factory.mktemp("installed")
-    pip = [sys.executable, "-m", "pip", "install", "--quiet", "--no-index", "--no-deps"]
-    run([*pip, "--target", str(target), str(wheel)])
+    python("-m", "pip", "install", "--quiet", "--no-index", "--no-deps", "--target", target, wheel)
     return target
 
 
 def environment(installed: Path) -> dict[str, str]:
     """Environment variables under which only the installed wheel is found."""
-    return os.environ | {"PYTHONPATH": str(installed)}
+    return {"PYTHONPATH": str(installed)}
 
 
 def test_wheel_holds_the_package_and_its_environments_and_no_more(wheel):
@@ -58,18 +49,16 @@ def test_wheel_holds_the_package_and_its_environments_and_no_more(wheel):
 
 
 def test_installed_wheel_is_what_runs(installed, tmp_path):
-    where = run(
-        [sys.executable, "-c", "import sean_jax; print(sean_jax.__file__)"], cwd=tmp_path, env=environment(installed)
-    )
+    where = python("-c", "import sean_jax; print(sean_jax.__file__)", cwd=tmp_path, env=environment(installed))
     assert Path(where.strip()).is_relative_to(installed)
-    listed = run([sys.executable, "-m", "sean_jax.cli", "list"], cwd=tmp_path, env=environment(installed))
+    listed = python("-m", "sean_jax.cli", "list", cwd=tmp_path, env=environment(installed))
     for name in ("warehouse", "graph", "join_group", "leave_group", "kuri", "go_to_goal"):
         assert name in listed
 
 
 def test_installed_wheel_runs_the_main_job_from_an_empty_folder(installed, tmp_path):
-    command = [sys.executable, "-m", "sean_jax.cli", "run", "--people", "8", "--episodes", "2", "--time-limit", "3"]
-    run(command, cwd=tmp_path, env=environment(installed))
+    command = "run", "--people", 8, "--episodes", 2, "--time-limit", 3
+    python("-m", "sean_jax.cli", *command, cwd=tmp_path, env=environment(installed))
     (folder,) = (tmp_path / "runs").iterdir()
     written = {path.name for path in folder.iterdir()}
     assert {"config.yaml", "episodes.csv", "summary.json", "report.html", "episode.gif"} <= written

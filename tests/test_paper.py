@@ -12,9 +12,7 @@ import jax
 import jax.numpy as jnp
 import networkx
 import numpy as np
-import programs
 import pytest
-from test_classifiers import AHEAD, BACK, LEFT, NAMES, occurring, snapshot, turned
 
 import sean_jax
 from sean_jax import classifiers, files, metrics
@@ -29,6 +27,9 @@ from sean_jax.policies import go_to_goal
 from sean_jax.scenario import frame
 from sean_jax.social_forces import integrate
 from sean_jax.tasks import TASKS
+from support import programs
+from support.scenes import room
+from support.situations import AHEAD, BACK, LEFT, NAMES, occurring, snapshot, turned
 
 D, V, A = 2.4, 1.4, math.radians(15)
 ENVIRONMENTS = ("lab", "outdoor", "warehouse")
@@ -74,13 +75,7 @@ def at_random(scenario):
 @pytest.fixture(scope="module")
 def closet(tmp_path_factory):
     """One person and a robot who move where nowhere is 2.4 m from anywhere: floor 1.9 m square, bodies of 0.25 m."""
-    folder = tmp_path_factory.mktemp("closet")
-    (folder / "environment.yaml").write_text("name: closet\nfloor: [-0.95, -0.95, 0.95, 0.95]\npeople: 1\n")
-    walls = "".join(
-        f'<geom type="box" size="{a} {b} 1" pos="{x} {y} 1"/>'
-        for a, b, x, y in ((1, 0.1, 0, 1.05), (1, 0.1, 0, -1.05), (0.1, 1, 1.05, 0), (0.1, 1, -1.05, 0))
-    )
-    (folder / "scene.xml").write_text(f"<mujoco><worldbody>{walls}</worldbody></mujoco>")
+    folder = room(tmp_path_factory.mktemp("closet"), (-0.95, -0.95, 0.95, 0.95))
     tiny = sean_jax.make(folder, behavior="random", task="random_ab_nav", people=1, dynamics="twin")
     tiny = dataclasses.replace(tiny, metrics=())
     run = jax.jit(jax.vmap(lambda key: sean_jax.rollout(tiny, go_to_goal, key, 200)))

@@ -15,6 +15,7 @@ from sean_jax import environment as environments
 from sean_jax import navigation, worlds
 from sean_jax.base import Environment
 from sean_jax.navigation.triangulation import free_triangles
+from support.scenes import box, room
 
 RADIUS, MESH, EDGE = 0.25, 0.5, 0.25
 FLOOR = (-6.0, -4.0, 7.0, 5.0)
@@ -30,11 +31,8 @@ CORNERS = [  # of the free floor by hand: rectangles grown by 0.5 m, two of whic
 
 @pytest.fixture(scope="module")
 def hall(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("hall")
-    (folder / "environment.yaml").write_text(f"name: hall\nfloor: {list(FLOOR)}\npeople: 3\n")
-    boxes = "".join(f'<geom type="box" size="{hx} {hy} 1" pos="{x} {y} 1"/>' for x, y, hx, hy in BOXES)
-    (folder / "scene.xml").write_text(f"<mujoco><worldbody>{boxes}</worldbody></mujoco>")
-    return folder
+    boxes = [box((x, y), half_extent) for x, y, *half_extent in BOXES]
+    return room(tmp_path_factory.mktemp("hall"), FLOOR, boxes, 3)
 
 
 def clearance(x: float, y: float) -> float:
@@ -186,8 +184,7 @@ def test_goals_of_people_and_of_the_robot_are_drawn_on_the_mesh(hall):
 
 
 def test_a_floor_without_room_for_the_mesh_is_refused(tmp_path):
-    (tmp_path / "environment.yaml").write_text("name: alley\nfloor: [0, 0, 9, 1.2]\npeople: 1\n")
-    (tmp_path / "scene.xml").write_text("<mujoco><worldbody/></mujoco>")
+    room(tmp_path, (0, 0, 9, 1.2))
     with pytest.raises(ValueError, match="hardly any is 0.75 m from obstacles.*choose uniform"):
         sean_jax.make(
             tmp_path, behavior="random", task="random_ab_nav", people=1, dynamics="twin", goal_sampling="mesh"

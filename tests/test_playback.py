@@ -5,13 +5,14 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
-import programs
 import pytest
 
 import sean_jax
 from sean_jax.drawing import view
 from sean_jax.policies import go_to_goal
 from sean_jax.recordings import reading
+from support import programs
+from support.scenes import room
 
 RATE = 2.5  # frames a second, as of a recording at every tenth of 25 frames
 WALKS = {  # id: (first frame, last frame, place at the first, velocity [m/s])
@@ -32,14 +33,8 @@ def where(person, seconds):
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """An open square, walled in, and a recording of it."""
-    path = tmp_path_factory.mktemp("square")
-    (path / "environment.yaml").write_text("name: square\nfloor: [-10, -10, 10, 10]\npeople: 4\n")
-    walls = "".join(
-        f'<geom type="box" size="{a} {b} 1" pos="{x} {y} 1"/>'
-        for a, b, x, y in ((10, 0.1, 0, 10), (10, 0.1, 0, -10), (0.1, 10, 10, 0), (0.1, 10, -10, 0))
-    )
-    (path / "scene.xml").write_text(f"<mujoco><worldbody>{walls}</worldbody></mujoco>")
+    """An open square and a recording of it."""
+    path = room(tmp_path_factory.mktemp("square"), (-10, -10, 10, 10), people=4)
     lines = ["frame,id,x,y"]
     for person, (first, last, _, _) in WALKS.items():
         for frame in range(first, last + 1):

@@ -10,6 +10,7 @@ import pytest
 import sean_jax
 from sean_jax.policies import go_to_goal
 from sean_jax.recordings import motion_between_rows, reading
+from support.scenes import room
 
 FILES = {  # path, format, frames a second
     "eth": ("eth_ucy/eth.csv", None, 15.0),
@@ -33,11 +34,7 @@ def played(request, recordings, tmp_path_factory):
     path, kind, rate = FILES[request.param]
     table = np.loadtxt(recordings / path, delimiter=",", skiprows=1, usecols=(0, 1, 2, 3))
     low, high = table[:, 2:].min(0) - 2.0, table[:, 2:].max(0) + 2.0
-    folder = tmp_path_factory.mktemp(request.param)
-    floor = ", ".join(f"{value:.2f}" for value in (*low, *high))
-    (folder / "environment.yaml").write_text(f"name: {request.param}\nfloor: [{floor}]\npeople: 1\n")
-    post = f'<geom type="box" size="0.1 0.1 1" pos="{low[0] + 0.2:.2f} {low[1] + 0.2:.2f} 1"/>'  # nobody was there
-    (folder / "scene.xml").write_text(f"<mujoco><worldbody>{post}</worldbody></mujoco>")
+    folder = room(tmp_path_factory.mktemp(request.param), [round(float(value), 2) for value in (*low, *high)])
     scenario = sean_jax.make(
         folder, behavior="playback", task="random_ab_nav", recording=recordings / path,
         recording_format=kind, dynamics="twin", time_limit=float(SECONDS), task_distance=(2.0, 12.0),

@@ -12,7 +12,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from quick import quick
 
 import sean_jax
 from sean_jax import cli, flags, learning, mdp, registry
@@ -23,6 +22,9 @@ from sean_jax.learning.networks import ActorCritic, Agent, Statistics
 from sean_jax.learning.policy import AGENTS, Best
 from sean_jax.mdp import rewards
 from sean_jax.stack import Stack
+from support import trees
+from support.quick import quick
+from support.scenes import box, room
 
 SMALL = dict(
     method="ppo", environment="lab", behavior="random", people=2, time_limit=4.0, scenarios=8, horizon=8, minibatches=2,
@@ -557,8 +559,7 @@ def test_a_stopped_training_goes_on_to_the_same_curve(learned, tmp_path, monkeyp
         monkeypatch.undo()
     state = reinforcement.train(options(folder))
     assert curve(folder) == curve(learned[1])
-    for one, other in zip(jax.tree.leaves(state.agent), jax.tree.leaves(learned[0].agent), strict=True):
-        np.testing.assert_array_equal(one, other)
+    trees.assert_equal(state.agent, learned[0].agent)
 
 
 def _until(numbers, last):
@@ -765,8 +766,7 @@ def test_agents_side_by_side_are_those_that_would_be_trained_alone(several, tmp_
     scenario = sean_jax.make("lab", behavior="random", people=2, dynamics="twin", time_limit=4.0)
     driver = learning.load(folder, scenario)
     best = jax.tree.map(lambda part: part[int(state.best.value.argmax())], state.best.agent)
-    for one, other in zip(*map(jax.tree.leaves, (driver.params.agent, best)), strict=True):
-        np.testing.assert_array_equal(one, other)
+    trees.assert_equal(driver.params.agent, best)
 
 
 @pytest.mark.slow
@@ -959,12 +959,7 @@ def test_a_training_that_saw_something_else_is_refused(trained, tmp_path):
 @pytest.fixture(scope="module")
 def cell(tmp_path_factory):
     """A room of 8 by 6 m, to train in beside the lab."""
-    folder = tmp_path_factory.mktemp("places") / "cell"
-    folder.mkdir()
-    (folder / "environment.yaml").write_text("name: cell\nfloor: [0, 0, 8, 6]\npeople: 1\n")
-    box = '<geom type="box" size=".3 .3 1" pos="6 3 1"/>'
-    (folder / "scene.xml").write_text(f"<mujoco><worldbody>{box}</worldbody></mujoco>")
-    return folder
+    return room(tmp_path_factory.mktemp("places") / "cell", (0, 0, 8, 6), [box((6, 3), (0.3, 0.3))], name="cell")
 
 
 def test_scenarios_of_environments_take_turns():

@@ -7,9 +7,7 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
-import programs
 import pytest
-from quick import quick
 
 import sean_jax
 from sean_jax import classifiers, pedestrian_models, robots, sensors, social_forces
@@ -17,6 +15,8 @@ from sean_jax.base import Policy
 from sean_jax.episodes import init_policy, policy_step
 from sean_jax.policies import POLICIES
 from sean_jax.robots.drive import command_size
+from support import programs
+from support.quick import quick
 
 ACTION = jax.ShapeDtypeStruct((2,), np.float64)
 # What make takes, beside the environment: each behavior, task and option that adds arrays.

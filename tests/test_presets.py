@@ -5,7 +5,6 @@ import math
 import re
 import shlex
 import typing
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -27,6 +26,8 @@ from sean_jax.config import (
     ScenarioConfig,
     validate,
 )
+from support import trees
+from support.checkout import ROOT
 
 OTHER = {  # a value of each option that is neither the preset's nor the default
     "routing": "whole", "group_membership": "turnover", "forces": "johansson2007", "situations": "more",
@@ -127,8 +128,7 @@ def test_the_scenario_is_the_one_of_its_parts():
         "forces": "sean2",
     }
     same = build(ScenarioConfig(environment="lab", people=3, **parts, situations="sean2", dynamics="kinematic"))[0]
-    for one, other in zip(jax.tree.leaves(scenario.behavior), jax.tree.leaves(same.behavior), strict=True):
-        np.testing.assert_array_equal(one, other)
+    trees.assert_equal(scenario.behavior, same.behavior)
     assert jax.tree.structure(scenario.behavior) == jax.tree.structure(same.behavior)
     mine = sean_jax.make(ScenarioConfig(environment="lab", people=3), preset="sean2", dynamics="twin")
     assert mine.robot.drive is robots.DYNAMICS["twin"] and mine.navigation.mesh_places is not None
@@ -147,7 +147,7 @@ def test_a_run_is_repeated_to_the_byte(tmp_path):
 
 
 def test_the_page_has_each_switch_with_its_default():
-    page = (Path(__file__).resolve().parent.parent / "docs" / "sean2.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "sean2.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| `(\w+)` \| ([^|]+) \| ([^|]+) \| `", page, re.M)
 
     def text(value):

@@ -7,7 +7,6 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-import programs
 import pytest
 
 import sean_jax
@@ -16,6 +15,8 @@ from sean_jax.behaviors import random_behavior, starts
 from sean_jax.behaviors.random_behavior import paths_to_place
 from sean_jax.drawing import view
 from sean_jax.policies import go_to_goal
+from support import programs
+from support.scenes import box, room
 
 PEOPLE, STEPS = 12, 500
 
@@ -108,11 +109,8 @@ def quarters(points, scenario):
 
 
 def test_more_people_than_fit_are_refused_with_the_most_that_do(tmp_path):
-    (tmp_path / "environment.yaml").write_text("name: yard\nfloor: [0, 0, 6, 5]\npeople: 4\n")
-    (tmp_path / "scene.xml").write_text(
-        '<mujoco><worldbody><geom type="box" size=".5 .5 1" pos="3 2.5 1"/></worldbody></mujoco>'
-    )
-    with pytest.raises(ValueError, match="do not fit in yard; the most that do is ") as refused:
+    room(tmp_path, (0, 0, 6, 5), [box((3, 2.5), (0.5, 0.5))], 4)
+    with pytest.raises(ValueError, match="do not fit in room; the most that do is ") as refused:
         sean_jax.make(tmp_path, behavior="random", task="random_ab_nav", people=200, dynamics="twin")
     most = int(str(refused.value).rstrip(".").split()[-1])
     assert 30 < most < 120

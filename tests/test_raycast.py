@@ -2,56 +2,22 @@
 
 import os
 import re
-import subprocess
 import sys
 from functools import partial
-from importlib import import_module
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from programs import lowered_for_gpu
-from quick import quick
 
 from sean_jax import environment, kernels, raycast
-from sean_jax.base import Solids
 from sean_jax.raycast import intersect, kernel
-from sean_jax.raycast.view import HEAD, HEAD_RADIUS, SHOULDER
-
-mujoco: Any = import_module("mujoco")  # Any, for it has no type stubs
-RADIUS = 0.2  # m, of people
-
-
-def mujoco_hits(name, people, origin, directions, radius=RADIUS):
-    """(R,) m and (R,) the person who is met, or -1, by C `mj_ray`: people are capsules and balls, the floor endless."""
-    spec = mujoco.MjSpec.from_file(str(environment.find(name) / "scene.xml"))
-    for geom in spec.geoms:
-        if geom.type == mujoco.mjtGeom.mjGEOM_PLANE:
-            geom.size = [0, 0, 0.1]
-    below = 1.0  # m, of the capsule under the floor, so that only its upper end is round
-    for index, (x, y) in enumerate(people):
-        half = (SHOULDER + below) / 2
-        capsule, ball = mujoco.mjtGeom.mjGEOM_CAPSULE, mujoco.mjtGeom.mjGEOM_SPHERE
-        place = [x, y, SHOULDER - half]
-        spec.worldbody.add_geom(name=f"body-{index}", type=capsule, size=[radius, half, 0], pos=place)
-        spec.worldbody.add_geom(name=f"head-{index}", type=ball, size=[HEAD_RADIUS, 0, 0], pos=[x, y, HEAD])
-    model = spec.compile()
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    found, geom = np.empty(len(directions)), np.empty((len(directions), 1), np.int32)
-    for index, way in enumerate(directions):
-        found[index] = mujoco.mj_ray(model, data, origin, way, None, 1, -1, geom[index])
-    owner = np.full(model.ngeom + 1, -1)  # the last is that of -1, which rays that meet nothing give
-    for index in range(len(people)):
-        owner[[model.geom(f"body-{index}").id, model.geom(f"head-{index}").id]] = index
-    return np.where(found < 0, raycast.MISS, found), owner[geom[:, 0]]
-
-
-def mujoco_distances(name, people, origin, directions):
-    """(R,) m of `mujoco_hits`."""
-    return mujoco_hits(name, people, origin, directions)[0]
+from sean_jax.raycast.view import HEAD, SHOULDER
+from support.commands import cpu_devices, python
+from support.programs import lowered_for_gpu
+from support.quick import quick
+from support.rays import RADIUS, cluttered, mujoco_distances, yard
 
 
 @pytest.mark.parametrize("name", quick(["warehouse", "lab", "outdoor"], "warehouse"))
@@ -94,12 +60,6 @@ def test_equal_to_mujoco(name):
         assert (ours[~near] >= 199.0).all()
         checked += len(ways)
     assert checked >= 10_000
-
-
-def yard(boxes=(), cylinders=(), spheres=()):
-    """A scenery of rows as ``base.Solids`` has them."""
-    shapes = (boxes, 8), (cylinders, 8), (spheres, 4), ([[0.5] * 3] * (len(boxes) + len(cylinders) + len(spheres)), 3)
-    return Solids(*(jnp.asarray(np.asarray(rows, np.float32).reshape(-1, width)) for rows, width in shapes))
 
 
 def fan(*ways, tile=(1, 1), low=True):
@@ -283,17 +243,6 @@ def interpreted(monkeypatch):
     monkeypatch.setattr(kernel, "_call", partial(kernel._call, interpret=True))
 
 
-def cluttered(random):
-    """A yard with all kinds of bodies, more boxes than bits of a word."""
-    turn = random.uniform(0, 6, 40)
-    size = random.uniform(0.1, 0.6, (40, 3))
-    boxes = np.column_stack([random.uniform(-8, 8, (40, 2)), size[:, 2], size, np.cos(turn), np.sin(turn)])
-    axis = random.normal(size=(3, 3))
-    axis /= np.linalg.norm(axis, axis=1, keepdims=True)
-    cylinders = np.column_stack([random.uniform(-6, 6, (3, 3)), axis, random.uniform(0.1, 0.5, (3, 2))])
-    return yard(boxes, cylinders, np.column_stack([random.uniform(-6, 6, (2, 3)), [0.3, 0.5]]))
-
-
 @pytest.mark.parametrize("parallel", [False, True])
 def test_a_gpu_finds_what_a_cpu_finds(interpreted, parallel):
     """Distances to rounding and the same bodies: alone, and in a batch of batches of which each has one crowd."""
@@ -374,7 +323,7 @@ SPLIT = """
 import re
 from functools import partial
 import jax, jax.numpy as jnp, numpy as np
-from test_raycast import RADIUS, cluttered
+from support.rays import RADIUS, cluttered
 from sean_jax import devices, raycast
 from sean_jax.raycast import intersect, kernel
 kernel._call = partial(kernel._call, interpret=True)
@@ -407,6 +356,4 @@ assert np.any(found[1] != found[3])
 @pytest.mark.slow
 def test_devices_share_the_scenarios_of_the_kernel():
     """Each of two devices makes its own half of the images, and they exchange nothing."""
-    flags = "--xla_force_host_platform_device_count=2"
-    place = {**os.environ, "XLA_FLAGS": flags, "JAX_PLATFORMS": "cpu", "PYTHONPATH": os.pathsep.join(sys.path)}
-    subprocess.run([sys.executable, "-c", SPLIT], env=place, check=True, timeout=300)
+    python("-c", SPLIT, env={**cpu_devices(2), "PYTHONPATH": os.pathsep.join(sys.path)})

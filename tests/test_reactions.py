@@ -16,6 +16,7 @@ from sean_jax.pedestrian_models import pedestrians_at
 from sean_jax.policies import POLICIES
 from sean_jax.social_forces import Kind, Reactions, preset
 from sean_jax.studies.prediction import predict
+from support import trees
 
 KINDS = jnp.asarray(list(Kind), jnp.int32)
 SHARES = [kind.name.lower() for kind in Kind if kind]
@@ -227,11 +228,11 @@ def test_kinds_are_drawn_by_their_shares_and_change_no_other_draw():
     late = drawn.reaction.alertness < 1.0
     assert late.mean() == pytest.approx(0.25, abs=0.012)
     assert abs(np.corrcoef(late, drawn.reaction.kind == Kind.THREATENING)[0, 1]) < 0.03
-    jax.tree.map(np.testing.assert_array_equal, drawn, again)
+    trees.assert_equal(drawn, again)
     assert (drawn.reaction.kind != other.reaction.kind).mean() > 0.5
     plain = social_forces.individualize(preset("calibrated"), people, jax.random.key(0))
     assert plain.reaction is None
-    jax.tree.map(np.testing.assert_array_equal, replace(drawn, reaction=None), plain)
+    trees.assert_equal(replace(drawn, reaction=None), plain)
     all_of_one = social_forces.build([*preset("calibrated"), Reactions(impassive=np.float64(1.0))])
     kinds = social_forces.individualize(all_of_one, people, jax.random.key(0)).reaction.kind
     assert (kinds == Kind.IMPASSIVE).mean() > 0.9999

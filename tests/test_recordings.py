@@ -9,13 +9,9 @@ from sean_jax import classifiers, recordings
 from sean_jax.base import Obstacles
 from sean_jax.errors import FileError
 from sean_jax.recordings import reading
+from support.files import write
 
 fit = jax.jit(recordings.fit_motion, static_argnums=(2, 3))
-
-
-def write(path, text):
-    path.write_text(text, encoding="utf-8")
-    return path
 
 
 def test_columns_frames_and_people(tmp_path):

@@ -5,11 +5,11 @@ from types import SimpleNamespace
 import networkx
 import numpy as np
 import pytest
-from test_recordings import write
 
 from sean_jax import recordings
 from sean_jax.errors import FileError
 from sean_jax.recordings import reading
+from support.files import write
 
 HEAD = "frame,id,x,y\n"
 

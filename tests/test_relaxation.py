@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.stats
-from test_inverse_graph import ring, yard
 
 import sean_jax
 from sean_jax import scenario as stages
@@ -16,6 +15,7 @@ from sean_jax.behaviors import Place, graph_behavior, graph_choices
 from sean_jax.graph import rerouted
 from sean_jax.graph.annotation import to_yaml
 from sean_jax.studies.inverse_graph.measuring import begin_alone
+from support.graphs import ring, yard
 
 STEPS = 160
 TEMPERATURE = 1.0  # m

@@ -4,7 +4,6 @@ import base64
 import dataclasses
 import json
 import re
-import shutil
 import subprocess
 import sys
 import zlib
@@ -18,8 +17,6 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 from PIL import Image
-from replay_columns import decode
-from test_compare import run
 
 import sean_jax
 from sean_jax import cli, pages, replay
@@ -28,11 +25,10 @@ from sean_jax.errors import InputError
 from sean_jax.evaluation import compare
 from sean_jax.policies import go_to_goal
 from sean_jax.replay import CENTIMETRE, TURN, encode
-
-WEB = Path(__file__).parent.parent / "web"
-CHROMIUM = next(
-    (found for name in ("chromium", "chromium-browser", "google-chrome") if (found := shutil.which(name))), None
-)
+from support.checkout import WEB
+from support.replays import decode
+from support.runs import run
+from support.web import browse
 
 
 @pytest.fixture(scope="module")
@@ -227,11 +223,8 @@ def test_the_built_program_is_that_of_its_source(tmp_path):
 
 @pytest.mark.web
 def test_a_browser_plays_it(content, tmp_path):
-    if CHROMIUM is None or not (WEB / "node_modules" / "playwright-core").is_dir():
-        pytest.skip("there is no Chromium, or web/node_modules is not there")
     (tmp_path / "page.html").write_text(replay.html(content), encoding="utf-8")
-    words = ["node", "test/page.mjs", str(tmp_path / "page.html"), CHROMIUM]
-    seen = json.loads(subprocess.run(words, cwd=WEB, check=True, capture_output=True, timeout=120).stdout)
+    seen = json.loads(browse("test/page.mjs", tmp_path / "page.html"))
     assert seen["errors"] == [] and len(set(seen["requests"])) == 1, "nothing but the page itself is loaded"
     assert (seen["linked"], seen["opened"], seen["stepped"]) == (2.0, 0.1, 1.1)
     assert seen["duration"] == pytest.approx(0.1 * content["episodes"][0]["frames"]), "as the metric of the duration"
@@ -261,16 +254,13 @@ def comparison(folder: Path, replays: Sequence[dict]) -> str:
 @pytest.mark.web
 def test_players_of_a_comparison_share_one_clock(walked, content, tmp_path):
     """Play, pause, time and episode; they go to 2 s before the robots part, here after 4 s. Situations are chosen."""
-    if CHROMIUM is None or not (WEB / "node_modules" / "playwright-core").is_dir():
-        pytest.skip("there is no Chromium, or web/node_modules is not there")
     scenario, frames = walked
     late = np.arange(60)[:, None] >= 40
     others = [each.replace(position=each.position + np.where(late, 0.6, 0.0)) for each in frames]
     shown = [replay.Episode(each, f"episode {k}") for k, each in enumerate(others)]
     page = comparison(tmp_path, (content, replay.of_scenario(scenario, shown, "other")))
     (tmp_path / "page.html").write_text(page, encoding="utf-8")
-    words = ["node", "test/compare.mjs", str(tmp_path / "page.html"), CHROMIUM]
-    seen = json.loads(subprocess.run(words, cwd=WEB, check=True, capture_output=True, timeout=120).stdout)
+    seen = json.loads(browse("test/compare.mjs", tmp_path / "page.html"))
     assert seen["errors"] == []
     for moment in "played", "sought", "parted", "opened":
         assert seen[moment][0] == pytest.approx(seen[moment][1], abs=0.2), moment
@@ -284,16 +274,13 @@ def test_players_of_a_comparison_share_one_clock(walked, content, tmp_path):
 @pytest.mark.web
 def test_two_that_never_part_say_how_near_they_stay(walked, content, tmp_path):
     """And nothing jumps to the beginning."""
-    if CHROMIUM is None or not (WEB / "node_modules" / "playwright-core").is_dir():
-        pytest.skip("there is no Chromium, or web/node_modules is not there")
     scenario, frames = walked
     near = np.arange(60)[:, None] == 40
     others = [each.replace(position=each.position + np.where(near, [0.3, 0.0], 0.0)) for each in frames]
     shown = [replay.Episode(each, f"episode {k}") for k, each in enumerate(others)]
     page = comparison(tmp_path, (content, replay.of_scenario(scenario, shown, "other")))
     (tmp_path / "page.html").write_text(page, encoding="utf-8")
-    words = ["node", "test/apart.mjs", str(tmp_path / "page.html"), CHROMIUM]
-    seen = json.loads(subprocess.run(words, cwd=WEB, check=True, capture_output=True, timeout=120).stdout)
+    seen = json.loads(browse("test/apart.mjs", tmp_path / "page.html"))
     assert re.fullmatch(r"they stay within 0.5 m of each other \(at most 0\.\d\d m at 4\.1 s\)", seen["said"])
     assert [text.split(" ")[0] for text in seen["clocks"]] == ["3.1", "3.1"]
 
@@ -301,27 +288,20 @@ def test_two_that_never_part_say_how_near_they_stay(walked, content, tmp_path):
 @pytest.mark.web
 def test_everybody_can_read_the_pages(content, tmp_path):
     """No serious finding of axe: contrast in light and dark, names of controls, keyboards."""
-    if CHROMIUM is None or not (WEB / "node_modules" / "axe-core").is_dir():
-        pytest.skip("there is no Chromium, or web/node_modules is not there")
     table = pages.table(["name", "value"], [["one", "1.0"]])
     (tmp_path / "page.html").write_text(replay.html(content), encoding="utf-8")
     report = pages.page("A report", "kicker", [pages.section("Table", table, replay.element(content))])
     (tmp_path / "report.html").write_text(report, encoding="utf-8")
     (tmp_path / "compare.html").write_text(comparison(tmp_path, (content, content)), encoding="utf-8")
     for name in "page.html", "report.html", "compare.html":
-        words = ["node", "test/axe.mjs", (tmp_path / name).as_uri(), CHROMIUM]
-        done = subprocess.run(words, cwd=WEB, check=True, capture_output=True, timeout=120)
-        assert json.loads(done.stdout) == [], name
+        assert json.loads(browse("test/axe.mjs", (tmp_path / name).as_uri())) == [], name
 
 
 @pytest.mark.web
 def test_the_film_of_a_page_follows_the_robot(content, tmp_path):
     """900 x 500 pixels, the robot in the middle, 0.2 s of the episode from one picture to the next."""
-    if CHROMIUM is None or not (WEB / "node_modules" / "playwright-core").is_dir():
-        pytest.skip("there is no Chromium, or web/node_modules is not there")
     (tmp_path / "page.html").write_text(replay.html(content), encoding="utf-8")
-    words = ["node", "film.mjs", str(tmp_path / "page.html"), CHROMIUM, str(tmp_path / "film"), "1", "1.0", "3.0"]
-    subprocess.run(words, cwd=WEB, check=True, timeout=120)
+    browse("film.mjs", tmp_path / "page.html", tmp_path / "film", 1, 1.0, 3.0)
     subprocess.run([sys.executable, "film.py", str(tmp_path / "film"), str(tmp_path / "film.gif")], cwd=WEB, check=True)
     with Image.open(tmp_path / "film.gif") as film:
         assert film.size == (900, 500) and getattr(film, "n_frames", 1) == 11
@@ -334,13 +314,10 @@ def test_the_film_of_a_page_follows_the_robot(content, tmp_path):
 @pytest.fixture(scope="module")
 def notebook(walked, tmp_path_factory):
     """What a notebook's frame shows in Chromium."""
-    if CHROMIUM is None or not (WEB / "node_modules" / "playwright-core").is_dir():
-        pytest.skip("there is no Chromium, or web/node_modules is not there")
     scenario, frames = walked
     page = tmp_path_factory.mktemp("notebook") / "cell.html"
     page.write_text(replay.view(frames[0], scenario)._repr_html_(), encoding="utf-8")
-    words = ["node", "test/frame.mjs", str(page), CHROMIUM]
-    return json.loads(subprocess.run(words, cwd=WEB, check=True, capture_output=True, timeout=120).stdout)
+    return json.loads(browse("test/frame.mjs", page))
 
 
 def test_a_notebook_shows_the_whole_page(notebook):

@@ -1,34 +1,22 @@
 """``sean replay`` of datasets, trainings and validations: what is played is what the folder was made of."""
 
 import json
-import re
 import shutil
 import subprocess
-from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
 import pytest
-from replay_columns import decode
 
 import sean_jax
 from sean_jax import cli, prng, scenes
 from sean_jax.config import PPOConfig
 from sean_jax.recordings import Tracks
 from sean_jax.studies.validation.page import trajectory
+from support.replays import played
 
 LAB = "--environment lab --behavior random --people 2 --dynamics twin".split()
-
-
-def played(page: Path) -> list[dict[str, Any]]:
-    """Each player's recording, of which episodes have their columns."""
-    text = page.read_text(encoding="utf-8")
-    held = re.findall(r'<script type="application/json" id="[^"]*">(.*?)</script>', text, re.S)
-    found = [json.loads(part) for part in held]
-    for part in found:
-        part["episodes"] = [each | {"columns": decode(each, each["frames"])} for each in part["episodes"]]
-    return found
 
 
 @pytest.fixture(scope="module")

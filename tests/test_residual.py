@@ -6,13 +6,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import residual
 
 from sean_jax import predict, social_forces
 from sean_jax.pedestrian_models import pedestrians_at
 from sean_jax.social_forces.forces import Crowd, look_direction
 from sean_jax.social_forces.model import pair_forces
+from support.checkout import benchmark
 
+residual = benchmark("residual")
 LAWS = social_forces.preset("calibrated")
 
 

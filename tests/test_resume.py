@@ -23,6 +23,8 @@ from sean_jax.evaluation import batches
 from sean_jax.progress import Progress
 from sean_jax.runner import Callbacks, Runner
 from sean_jax.trajectories import load_trajectory
+from support.files import contents, write
+from support.runs import at_second_batch
 
 SMALL = "--environment lab --behavior random --task random_ab_nav --people 2 --dynamics twin --time-limit 0.5".split()
 RUN = ["run", *SMALL, "--seed", "3", "--episodes", "5", "--batch", "2", "--out", "made"]
@@ -69,7 +71,7 @@ def simulated(monkeypatch, tmp_path):
 
 def files(folder: Path) -> dict[str, bytes | dict]:
     """All but what tells how long it took."""
-    found: dict = {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    found: dict = {**contents(folder)}
     summary = json.loads(found["summary.json"])
     del summary["timing"], found["report.html"]
     return found | {"summary.json": summary}
@@ -81,17 +83,6 @@ def whole(compiled_once, tmp_path_factory):
         patched.chdir(tmp_path_factory.mktemp("whole"))
         assert cli.main(RUN) == 0
         return files(Path("made"))
-
-
-def at_second_batch(monkeypatch, what):
-    """Do ``what`` with each batch from the second on, as soon as it is simulated."""
-    run = Runner.run
-
-    def disturbed(runner, seed, first, *others, **named):
-        batch = run(runner, seed, first, *others, **named)
-        return (what(batch) or batch) if first else batch
-
-    monkeypatch.setattr(Runner, "run", disturbed)
 
 
 def poisoned(batch):
@@ -233,8 +224,7 @@ def test_what_a_kill_leaves_at_the_very_beginning_is_in_nobodys_way(left, tmp_pa
         (place / name).write_text("half of it") if name.endswith(".new") else (place / name).mkdir()
     batches.check_run_folder(tmp_path / "made")
     assert not place.exists()
-    place.mkdir(parents=True)
-    (place / "letter.txt").write_text("dear")
+    write(place / "letter.txt", "dear")
     with pytest.raises(InputError, match="is not empty"):
         batches.check_run_folder(tmp_path / "made")
     assert (place / "letter.txt").exists()
@@ -253,8 +243,7 @@ def test_what_a_kill_leaves_at_the_very_end_goes_with_the_next_start(tmp_path):
 
 
 def test_what_is_damaged_is_named(tmp_path):
-    (tmp_path / "made" / "unfinished").mkdir(parents=True)
-    (tmp_path / "made" / "unfinished" / "run.json").write_text("{")
+    write(tmp_path / "made" / "unfinished" / "run.json", "{")
     with pytest.raises(InputError, match="damaged .*run.json:1:2: is not JSON: .*; choose another folder with --out"):
         batches.RunFolder(tmp_path / "made", RunConfig())
 
@@ -291,8 +280,7 @@ def test_a_damaged_batch_is_named(tmp_path):
 
 
 def test_a_run_that_does_not_tell_its_options_is_not_gone_on_with(tmp_path):
-    (tmp_path / "unfinished").mkdir()
-    (tmp_path / "unfinished" / "run.json").write_text("{}")
+    write(tmp_path / "unfinished" / "run.json", "{}")
     with pytest.raises(InputError, match="was begun without --environment; ask for the same"):
         batches.RunFolder(tmp_path, RunConfig())
 
@@ -403,8 +391,7 @@ def test_a_resumed_run_replaces_the_parts_of_its_earlier_report(tmp_path):
     for text in ("old", "new"):
         run = batches.RunFolder(tmp_path, RunConfig())
         with run.results(complete=text == "new") as stage:
-            (stage / "parts").mkdir()
-            (stage / "parts" / "mine.py").write_text(text)
+            write(stage / "parts" / "mine.py", text)
         (tmp_path / batches.PLACE).mkdir(exist_ok=True)
         (tmp_path / batches.IDENTITY).write_text(json.dumps(run.work.identity))
     assert (tmp_path / "parts" / "mine.py").read_text() == "new"
@@ -422,8 +409,7 @@ def test_results_are_on_disk_before_the_batches_go(tmp_path, monkeypatch):
     monkeypatch.setattr(shutil, "rmtree", lambda a, **k: (order.append(f"remove {Path(a).name}"), rmtree(a, **k)))
     kept = batches.RunFolder(tmp_path, RunConfig())
     with kept.results(True) as place:
-        (place / "parts").mkdir()
-        (place / "parts" / "mine.py").write_text("")
+        write(place / "parts" / "mine.py", "")
         (place / "summary.json").write_text("{}")
         order.clear()
     assert order[-1] == "remove unfinished" and order[-2] == f"sync {tmp_path.name}"

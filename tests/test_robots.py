@@ -7,16 +7,13 @@ import sys
 import xml.etree.ElementTree as ElementTree
 from dataclasses import replace
 from importlib import import_module
-from types import SimpleNamespace
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-import programs
 import pytest
 import scipy.optimize
-from quick import quick
 
 import sean_jax
 from sean_jax import robots
@@ -25,67 +22,26 @@ from sean_jax.errors import FileError
 from sean_jax.robots import drive, kernel
 from sean_jax.robots.drive import coordinates
 from sean_jax.robots.dynamics import Surroundings, diagonal
+from support import programs, trees
+from support.driving import (
+    BATCH,
+    CLUTTER,
+    PERSON_RADIUS,
+    RADIUS,
+    STEPS,
+    TIME_STEP,
+    WALL,
+    advance,
+    batched,
+    leaves,
+    rollout,
+    run,
+    world,
+)
+from support.quick import quick
+from support.robot_files import BASE, urdf
 
 mujoco: Any = import_module("mujoco")  # which has no type stubs
-BATCH, STEPS, TIME_STEP = 8, 200, 0.1
-FAR = (90.0, 90.0, 1.0, 1.0, 0.0)
-WALL = (1.5, 0.0, 0.5, 5.0, 0.0)  # its face is x = 1
-PERSON_RADIUS, RADIUS = 0.3, 0.16
-
-
-def world(boxes=(), people=(), velocity=None):
-    """Three boxes (x, y, half extents, yaw) and two people, the missing ones far away and absent."""
-    boxes = np.array([*boxes, *[FAR] * (3 - len(boxes))])
-    present = np.arange(2) < len(people)
-    people = np.array([*people, *[(80.0, 80.0)] * (2 - len(people))])
-    number = jnp.result_type(float)
-    return SimpleNamespace(
-        obstacles=Obstacles(*(jnp.asarray(x, number) for x in (boxes[:, :2], boxes[:, 2:4], boxes[:, 4], np.ones(3)))),
-        people=jnp.asarray(people, number),
-        velocity=jnp.zeros((2, 2), number) if velocity is None else jnp.asarray(velocity, number),
-        present=jnp.asarray(present),
-    )
-
-
-def leaves(place):
-    return place.obstacles, place.people, place.velocity, place.present
-
-
-def advance(model, place, robot, people, action):
-    obstacles, _, velocity, present = place
-    radius = jnp.asarray(PERSON_RADIUS, velocity.dtype)
-    scenario = SimpleNamespace(
-        environment=SimpleNamespace(obstacles=obstacles),
-        robot=model,
-        time_step=TIME_STEP,
-        forces=SimpleNamespace(walking=SimpleNamespace(radius=radius)),
-    )
-    pedestrians = SimpleNamespace(position=people, velocity=velocity, present=present)
-    return model.drive(scenario, SimpleNamespace(robot=robot, pedestrians=pedestrians), action)
-
-
-def rollout(model, place, start, actions):
-    def one(carry, action):
-        robot, people = carry
-        people = people + TIME_STEP * place[2]
-        robot = advance(model, place, robot, people, action)
-        return (robot, people), (robot, people)
-
-    robot = model.place(model, start[:2], jnp.stack([jnp.cos(start[2]), jnp.sin(start[2])]))
-    return jax.lax.scan(one, (robot, place[1]), actions)[1]
-
-
-batched = jax.jit(jax.vmap(rollout, in_axes=(None, None, 0, 0)))  # one compilation a dynamics for nearly all tests
-
-
-def run(model, actions, place=None, start=(0.0, 0.0, 0.0)):
-    """Robot and people after each action (T, 2), of one robot; numpy arrays."""
-    actions = np.asarray(actions, np.float32)
-    padded = np.concatenate([actions, np.repeat(actions[-1:], STEPS - len(actions), 0)])
-    many = jnp.asarray(np.broadcast_to(padded, (BATCH, STEPS, 2)))
-    starts = jnp.asarray(np.broadcast_to(np.asarray(start, np.float32), (BATCH, 3)))
-    out = batched(model, leaves(place or world()), starts, many)
-    return jax.tree.map(lambda leaf: np.asarray(leaf)[0, : len(actions)], out)
 
 
 @pytest.fixture(scope="module")
@@ -105,9 +61,6 @@ def wild():
     actions = random.uniform(-1.0, 1.0, (BATCH, STEPS // 4, 2)).repeat(4, 1) * [1.0, 6.0]
     starts = random.uniform(-0.5, 0.5, (BATCH, 3)) * [1.0, 1.0, 6.0]
     return jnp.asarray(starts, jnp.float32), jnp.asarray(actions, jnp.float32)
-
-
-CLUTTER = world([WALL, (0.0, 1.4, 2.0, 0.3, 0.3), (-1.6, 0.0, 0.4, 3.0, -0.2)], [(0.4, -0.9), (-0.5, -1.2)])
 
 
 @pytest.mark.parametrize(
@@ -271,11 +224,8 @@ def test_command_holds_until_its_timeout_and_then_the_robot_stops(kuri):
 
 
 def test_one_trace_strong_types_and_vmap_equals_a_loop(kuri, wild):
-    traces = []
-
-    @jax.jit
+    @programs.jit_once
     def once(model, place, start, action):
-        traces.append(1)
         robot = model.place(model, start[:2], jnp.stack([jnp.cos(start[2]), jnp.sin(start[2])]))
         return advance(model, place, robot, place[1], action)
 
@@ -284,7 +234,6 @@ def test_one_trace_strong_types_and_vmap_equals_a_loop(kuri, wild):
     for i, model in enumerate((kuri, kuri, robots.load("kuri", "mjx"))):
         robot = once(model, leaves(CLUTTER), starts[i], actions[i, 0])
         jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b[i, 0], atol=2e-6), robot, together)  # noqa: B023
-    assert len(traces) == 1
     assert all(leaf.dtype in (jnp.float32, jnp.int32) and not leaf.weak_type for leaf in jax.tree.leaves(robot))
     placed = kuri.place(kuri, jnp.zeros((2,)), jnp.array([0.6, 0.8]))
     assert jax.tree.map(lambda leaf: leaf.shape, placed) == jax.tree.map(lambda leaf: leaf.shape, robot)
@@ -666,14 +615,8 @@ def test_bad_files_are_refused_in_one_sentence(tmp_path, old, new, message):
     assert "\n" not in str(error.value)
 
 
-URDF = """<?xml version="1.0"?>
-<robot name="box">
-  <link name="base"><visual><geometry><box size="1 1 1"/></geometry></visual></link>
-</robot>"""
-
-
 def test_a_urdf_file_is_refused_as_one(tmp_path):
-    (tmp_path / "box.urdf").write_text(URDF)
+    (tmp_path / "box.urdf").write_text(urdf(BASE))
     with pytest.raises(
         FileError, match=r"box.urdf:2: is URDF and not MJCF; sean import-robot makes a robot file of it\.$"
     ):
@@ -764,8 +707,7 @@ def test_a_raised_base_and_nested_bodies_make_the_same_robot(name, tmp_path):
             np.testing.assert_allclose(mount.origin, same.origin, atol=1e-6)
             np.testing.assert_allclose(mount.axes, same.axes, atol=1e-6)
             assert mount.fovy == same.fovy
-        for one, same in zip(jax.tree.leaves(other), jax.tree.leaves(flat), strict=True):
-            np.testing.assert_allclose(one, same, rtol=1e-5, atol=2e-6)
+        trees.assert_close(other, flat, rtol=1e-5, atol=2e-6)
 
 
 def test_a_site_is_where_and_as_it_is_turned_and_never_on_a_wheel(tmp_path):

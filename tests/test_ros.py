@@ -28,6 +28,7 @@ from sean_jax.scenario import snapshot
 from sean_jax.studies.calibration.windows import find
 from sean_jax.studies.prediction import read_windows
 from sean_jax.trajectories import load_trajectory
+from support.scenes import box, room
 
 pytest.importorskip("rosbags")
 DEBIAN = Path("/usr/bin/python3")
@@ -560,10 +561,7 @@ def test_other_messages_of_people_and_gaps(tmp_path, kind):
 def walks(tmp_path_factory):
     """A folder with a square and a bag of two people who walk past a robot; the bag's velocities are zeros."""
     folder, rows = tmp_path_factory.mktemp("walks"), []
-    (folder / "square").mkdir()
-    (folder / "square" / "environment.yaml").write_text("name: square\nfloor: [-9, -9, 9, 9]\npeople: 2\n")
-    box = '<geom type="box" pos="0 -3 0.5" size="0.5 0.5 0.5"/>'
-    (folder / "square" / "scene.xml").write_text(f"<mujoco><worldbody>{box}</worldbody></mujoco>")
+    room(folder / "square", (-9, -9, 9, 9), [box((0, -3), (0.5, 0.5), height=1.0)], 2)
     at = lambda x, y: {"x": float(x), "y": float(y), "z": 0.0}  # noqa: E731
     for k in range(101):
         time = START + k * 10**8

@@ -9,9 +9,6 @@ import matplotlib
 import numpy as np
 import pytest
 from rich.console import Console
-from test_benchmark import entry
-from test_report import NAMES, evaluation
-from test_validate import _check
 
 from sean_jax import pages
 from sean_jax.config import BenchmarkRankConfig, ValidateConfig
@@ -20,6 +17,9 @@ from sean_jax.studies.experiments import page, pictures, ranks
 from sean_jax.studies.validation import page as validation_page
 from sean_jax.studies.validation.checks import Model, Row
 from sean_jax.survey import report
+from support.benchmark_results import entry
+from support.checks import made_check
+from support.reports import NAMES, evaluation
 
 EVERY = {"one": ["0"], "other": ["1"]}
 
@@ -69,7 +69,7 @@ def test_a_ranking_has_each_entry_and_each_pair():
 
 
 def test_the_page_of_the_validation_has_each_check_and_each_gate():
-    checks = [_check(name, None) for name in ("rimea-1", "rimea-4", "prediction")]
+    checks = [made_check(name, None) for name in ("rimea-1", "rimea-4", "prediction")]
     models = [Model("one", None, {}), Model("other", None, {})]  # pyright: ignore
     verdicts = {"rimea-1": "passes", "rimea-4": "fails", "prediction": "skipped"}
     rows = [

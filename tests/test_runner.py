@@ -2,20 +2,18 @@
 
 import dataclasses
 import functools
-import os
-import subprocess
-import sys
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from test_prng import noisy, still
 
 from sean_jax import prng
 from sean_jax.base import Policy
 from sean_jax.runner import Record, Runner
 from sean_jax.scenario import reset
+from support.commands import cpu_devices, python
+from support.draws import noisy, still
 
 SIZE = 8
 
@@ -144,7 +142,4 @@ for one, two in zip(*found):
 @pytest.mark.night
 def test_two_devices_run_what_one_does():
     """Also numbers of episodes that do not spread evenly, and programs that are compiled ahead."""
-    flags = "--xla_force_host_platform_device_count=2 --xla_backend_optimization_level=0"
-    told = {**os.environ, "XLA_FLAGS": flags, "JAX_PLATFORMS": "cpu"}
-    done = subprocess.run([sys.executable, "-c", TWO], capture_output=True, text=True, env=told, check=False)
-    assert done.returncode == 0, done.stderr
+    python("-c", TWO, env=cpu_devices(2, "--xla_backend_optimization_level=0"))

@@ -14,6 +14,8 @@ from sean_jax import cli, environment
 from sean_jax.config import RunConfig, validate
 from sean_jax.errors import InputError
 from sean_jax.evaluation import compare, replay_command, saved
+from support import mjcf
+from support.files import write
 
 FILES = ["environment.yaml", "graph.yaml", "handcrafted.yaml", "scene.xml"]
 SMALL = "--people 4 --dynamics twin --time-limit 6 --episodes 2 --quiet".split()
@@ -74,35 +76,31 @@ def test_a_run_is_repeated_where_its_files_are_not(place, monkeypatch, tmp_path)
 
 
 def test_files_that_a_robot_and_a_scene_read_are_copied_along(place):
-    robot = (
-        (place / "mine" / "robot.xml").read_text().replace("</mujoco>", '<include file="more/limits.xml"/></mujoco>')
-    )
-    (place / "mine" / "robot.xml").write_text(robot)
-    (place / "mine" / "more").mkdir()
-    (place / "mine" / "more" / "limits.xml").write_text("<mujoco></mujoco>")
+    robot = place / "mine" / "robot.xml"
+    robot.write_text(mjcf.with_includes(robot.read_text(), "more/limits.xml"))
+    write(place / "mine" / "more" / "limits.xml", mjcf.EMPTY)
     file = written(place / "run", described(robot="mine/robot.xml"))
-    (place / "mine" / "more" / "limits.xml").write_text("<mujoco> </mujoco>")
+    (place / "mine" / "more" / "limits.xml").write_text(mjcf.scene())
     config_file = saved.read_config(file)
     copy = Path(config_file.description["robot"])
-    assert (copy.parent / "more" / "limits.xml").read_text() == "<mujoco></mujoco>"
+    assert (copy.parent / "more" / "limits.xml").read_text() == mjcf.EMPTY
     assert "more/limits.xml" in config_file.changes[0]
 
 
 def test_what_a_scene_reads_outside_its_folder_is_not_copied_and_must_be_as_it_was(place):
-    (place / "mine" / "wall.xml").write_text("<mujoco></mujoco>")
+    (place / "mine" / "wall.xml").write_text(mjcf.EMPTY)
     scene = place / "mine" / "hall" / "scene.xml"
-    scene.write_text(scene.read_text().replace("</mujoco>", '<include file="../wall.xml"/></mujoco>'))
+    scene.write_text(mjcf.with_includes(scene.read_text(), "../wall.xml"))
     file = written(place / "run", described())
     assert [path.name for path in (place / "run").rglob("*")] == ["config.yaml"]
     saved.read_config(file)
-    (place / "mine" / "wall.xml").write_text("<mujoco> </mujoco>")
+    (place / "mine" / "wall.xml").write_text(mjcf.scene())
     with pytest.raises(InputError, match=r"wall\.xml: is not the file that the run was made with"):
         saved.read_config(file)
 
 
 def test_two_files_of_one_name_are_two_copies(place):
-    (place / "other").mkdir()
-    (place / "other" / "forces.yaml").write_text("preset: calibrated\n")
+    write(place / "other" / "forces.yaml", "preset: calibrated\n")
     file = written(place / "run", described(forces=["mine/forces.yaml", "other/forces.yaml"]))
     shutil.rmtree(place / "other")
     (place / "mine" / "forces.yaml").unlink()

@@ -5,13 +5,13 @@ from dataclasses import replace
 import jax
 import jax.numpy as jnp
 import numpy as np
-import programs
 import pytest
-from quick import quick
 
 import sean_jax
 from sean_jax.environment import clearance
 from sean_jax.policies import go_to_goal
+from support import programs, trees
+from support.quick import quick
 
 SEEDS = 24
 
@@ -84,17 +84,13 @@ def test_a_rollout_stays_finite_out_of_obstacles_and_within_speed(scenario, epis
 
 
 def test_a_step_traces_once(scenario):
-    traces = []
-
-    @jax.jit
+    @programs.jit_once
     def step(state, action):
-        traces.append(1)
         return sean_jax.step(scenario, state, action)
 
     state = jax.jit(sean_jax.reset)(scenario, jax.random.key(0))
     for _ in range(3):
         state = step(state, jnp.zeros(2, jnp.float32))
-    assert len(traces) == 1
     assert int(state.tick) == 3
 
 
@@ -124,7 +120,7 @@ def test_a_robot_is_placed_at_rest_and_its_task_goes_on(scenario):
     np.testing.assert_array_equal(placed.robot.position, spots)
     np.testing.assert_allclose(placed.robot.heading, [[0.0, -1.0], [0.6, 0.8], [1.0, 0.0]], atol=1e-6)
     fresh = jax.vmap(scenario.robot.place, (None, 0, 0))(scenario.robot, spots, heading)
-    jax.tree.map(lambda new, old: np.testing.assert_allclose(new, old, atol=1e-6), placed.robot, fresh)
+    trees.assert_close(placed.robot, fresh, atol=1e-6)
     assert not placed.ticks_at_goal.any()
     jax.tree.map(lambda old, new: np.testing.assert_array_equal(old[None], new[:1]), going.task, placed.task)
     jax.tree.map(lambda old, new: np.testing.assert_array_equal(old[None], new[:1]), going.metrics, placed.metrics)
@@ -217,8 +213,7 @@ def test_the_next_task_leaves_the_crowd_as_it_is():
         state = programs.steps(scenario, state, jnp.asarray([0.3, 0.2]))
     after = go_on(state, jax.random.split(jax.random.key(7), 8))
     for name in ("pedestrians", "groups", "memory"):
-        for one, other in zip(*map(jax.tree.leaves, (getattr(state, name), getattr(after, name))), strict=True):
-            np.testing.assert_array_equal(one, other)
+        trees.assert_equal(getattr(state, name), getattr(after, name))
     assert (np.asarray(after.tick) == 0).all() and (np.asarray(after.robot.speed) == 0.0).all()
     np.testing.assert_array_equal(after.robot.position, after.task.start)
     assert not np.allclose(after.task.start, state.task.start)  # the lab has one group

@@ -27,6 +27,7 @@ from sean_jax.studies.scenes import (
     wall,
 )
 from sean_jax.studies.scenes.walkers import ROOM, aim_at, passed
+from support.tracks import moved
 
 rng = np.random.default_rng(3)
 DOOR = Gate((6.0, 3.0), (6.0, 1.5))
@@ -38,7 +39,7 @@ def straight(scenario, state):
     """Everybody as desired, through everything: nothing to compile."""
     people = state.pedestrians
     velocity = jnp.where(people.present[:, None], people.desired_velocity, 0.0)
-    return people.replace(position=people.position + scenario.time_step * velocity, velocity=velocity)
+    return moved(people, velocity, scenario.time_step)
 
 
 def halls(seed: int, number: int = 12) -> Scene:

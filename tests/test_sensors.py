@@ -9,10 +9,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-import programs
 import pytest
-from quick import quick
-from test_raycast import mujoco_distances, mujoco_hits
 
 import sean_jax
 from sean_jax import environment, robots, sensors
@@ -20,6 +17,9 @@ from sean_jax.base import PATTERNS, Obstacles, Sensor
 from sean_jax.environment import ENVS, plain_scenery
 from sean_jax.errors import InputError
 from sean_jax.sensors import cameras, figures, pictures
+from support import programs
+from support.quick import quick
+from support.rays import mujoco_distances, mujoco_hits
 
 LEVEL = (0.0, 0.0, -1.0, -1.0, 0.0, 0.0, 0.0, 1.0, 0.0)  # axes of a camera that looks straight ahead
 SKY, FLOOR, OBSTACLE, PERSON, ROBOT = range(5)
@@ -176,18 +176,15 @@ def test_the_depth_of_a_wall_straight_ahead_is_flat(scenario, state):
 
 def test_one_trace_for_all_states_and_a_batch_equals_a_loop(scenario, state):
     camera, lidar = sensors.camera(scenario, "depth", width=16, height=12), sensors.lidar(scenario, count=24)
-    traces = []
 
     def look(state):
-        traces.append(0)
         return sensors.depth(scenario, state, camera), sensors.scan(scenario, state, lidar)
 
     moved = state.robot.position[None] + jnp.asarray([[0.0, 0.0], [0.3, 0.1], [-0.2, 0.5]], jnp.float32)
     states = jax.tree.map(lambda leaf: jnp.stack([leaf] * 3), state)
     states = dataclasses.replace(states, robot=dataclasses.replace(states.robot, position=moved))
-    one = jax.jit(look)
+    one = programs.jit_once(look)
     each = [one(jax.tree.map(lambda leaf, i=i: leaf[i], states)) for i in range(3)]
-    assert len(traces) == 1
     together = jax.jit(jax.vmap(look))(states)
     for part in (0, 1):
         assert np.allclose(together[part], np.stack([alone[part] for alone in each]), atol=1e-5)
@@ -393,18 +390,16 @@ def test_rings_are_the_distances_of_mujoco(scenario, state):
 
 
 def test_rings_are_differentiable_and_traced_once(scenario, state):
-    lidar, traces = rings_of(scenario, 24), []
+    lidar = rings_of(scenario, 24)
 
     def look(position, people):
-        traces.append(0)
         robot = dataclasses.replace(state.robot, position=position)
         crowd = dataclasses.replace(state.pedestrians, position=people)
         return sensors.scan(scenario, dataclasses.replace(state, robot=robot, pedestrians=crowd), lidar)
 
-    one, people = jax.jit(look), state.pedestrians.position
+    one, people = programs.jit_once(look), state.pedestrians.position
     moved = state.robot.position[None] + jnp.asarray([[0.0, 0.0], [0.3, 0.1], [-0.2, 0.5]], jnp.float32)
     each = np.stack([one(position, people) for position in moved])
-    assert len(traces) == 1
     np.testing.assert_allclose(jax.jit(jax.vmap(look, (0, None)))(moved, people), each, atol=1e-4, rtol=1e-5)
     slopes = jax.jit(jax.jacfwd(look, (0, 1)))(state.robot.position, people)
     assert all(np.isfinite(part).all() for part in slopes) and np.abs(slopes[0]).max() > 0.5

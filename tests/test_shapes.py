@@ -6,7 +6,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import shapes
 from flax import struct
 from jaxtyping import Bool, Float, Int, TypeCheckError
 
@@ -14,6 +13,7 @@ import sean_jax
 from sean_jax import geometry, navigation, sensors
 from sean_jax.base import Array
 from sean_jax.scenario import snapshot
+from support import shapes
 
 
 @shapes.checked

@@ -4,83 +4,35 @@ import functools
 import pickle
 import re
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import crowd_loop
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from crowd import constants as as_numbers
-from crowd import exact
 from flax import struct
 from scipy import stats
 
 import sean_jax
 from sean_jax import kernels, social_forces
-from sean_jax.base import Groups, ObstacleGrid, Obstacles, Pedestrians, Robot
+from sean_jax.base import Groups, Pedestrians, Robot
 from sean_jax.bench import workload
 from sean_jax.errors import InputError
-from sean_jax.geometry import build_obstacle_grid
 from sean_jax.policies import go_to_goal
-from sean_jax.social_forces import Contact, Crowd, Pair, kernel, model, terms
-from sean_jax.social_forces.model import move, pair_forces
+from sean_jax.social_forces import Contact, Pair, kernel, model, terms
+from sean_jax.social_forces.model import move
+from support import float64, programs, trees
+from support.checkout import ROOT
+from support.forces import STEP, around, crowd, felt, scene, walk
 
-STEP = 0.05
 PRESETS = list(social_forces.PRESETS)
-FLOOR = (-12.0, -12.0, 12.0, 12.0)
 
 
 @jax.jit
 def pairs(forces, people):
     """(N, 2) what people feel from one another who look along their headings."""
     return jnp.stack(felt(forces, people), -1)
-
-
-def felt(forces, people):
-    """x and y (N,): pushes of pair terms and acts of gather terms together."""
-    parts = [part for part in pair_forces(around(forces, people)) if part is not None]
-    return sum(part[0] for part in parts), sum(part[1] for part in parts)
-
-
-@functools.partial(jax.jit, static_argnames="steps")
-def walk(parameters, people, table=None, groups=None, robot=None, companions=None, steps=1):
-    """People after each of so many steps."""
-
-    def one(carry, _):
-        after = social_forces.integrate(parameters, carry, table, groups, robot, STEP, 0.16, companions=companions)
-        return after, after
-
-    return jax.lax.scan(one, people, length=steps)[1]
-
-
-def crowd(position, desired, velocity=None, preferred=None, **others) -> Pedestrians:
-    """People who look where they want to go, and by default already walk there."""
-    position, desired = np.array(position, np.float32), np.array(desired, np.float32)
-    speed = np.linalg.norm(desired, axis=1)
-    heading = np.where(speed[:, None] > 0, desired / np.where(speed > 0, speed, 1)[:, None], [1.0, 0.0])
-    people = Pedestrians(
-        position=position,
-        velocity=desired if velocity is None else np.array(velocity, np.float32),
-        heading=heading.astype(np.float32),
-        desired_velocity=desired,
-        group=np.full(len(position), -1, np.int32),
-        walking_group=np.full(len(position), -1, np.int32),
-        present=np.ones(len(position), bool),
-        preferred_speed=np.array(speed if preferred is None else preferred, np.float32),
-        robot_distance=np.zeros(len(position), np.float32),
-    )
-    return jax.device_put(replace(people, **others))
-
-
-def scene(*boxes) -> tuple[ObstacleGrid, tuple[np.ndarray, ...]]:
-    """Table and float64 arrays of boxes (center x, y, half extent x, y, yaw in degrees)."""
-    rows = np.array(boxes, np.float32)
-    center, half, yaw = rows[:, :2], rows[:, 2:4], np.deg2rad(rows[:, 4]).astype(np.float32)
-    obstacles = Obstacles(*(jnp.asarray(part) for part in (center, half, yaw, np.ones(len(rows), np.float32))))
-    return build_obstacle_grid(obstacles, jnp.asarray(FLOOR)), tuple(part.astype(float) for part in (center, half, yaw))
 
 
 def clearance(position, boxes) -> np.ndarray:
@@ -99,11 +51,6 @@ def constants(name: str, changes: dict[str, Any]) -> social_forces.Forces:
     return social_forces.build(social_forces.preset(name).tree_replace(changes))
 
 
-def around(forces, people, groups=None, robot=None, robot_radius=0.0, companions=None, grid=None) -> Crowd:
-    """What terms see of the people, who look along their headings."""
-    return Crowd(forces, people, *people.heading.T, grid, groups, robot, robot_radius, companions)
-
-
 def between(dx, dy, wx, wy, vx, vy, radii=0.4, **more) -> Pair:
     return Pair(dx, dy, wx, wy, vx, vy, 1.0, 0.0, radii, **more)
 
@@ -112,12 +59,12 @@ def between(dx, dy, wx, wy, vx, vy, radii=0.4, **more) -> Pair:
 def test_step_equals_the_float64_loop(preset):
     """As printed, one person at a time, with code and arithmetic that share nothing with the package."""
     number, walls = 20, 8
-    p, state, boxes = exact(number, walls, preset)
+    p, state, boxes = float64.crowd(number, walls, preset)
     people, table, _ = workload.crowd(number, walls)
     after = walk(social_forces.preset(preset), people, table, steps=20)
     started = state[0]
     for step in range(20):
-        state = crowd_loop.step(*state, boxes, p, STEP) + state[3:]
+        state = float64.step(*state, boxes, p, STEP) + state[3:]
         if step in (0, 19):
             limit = 1e-5 if step == 0 else 1e-3
             for name, theirs in zip(("position", "velocity", "heading"), state[:3], strict=True):
@@ -158,8 +105,7 @@ def test_the_form_for_a_gpu_gives_the_same(preset, on, monkeypatch):
 
     monkeypatch.setattr(jax.lax, "platform_dependent", chosen)
     gpu = after(), slopes()
-    for ours, theirs in zip(jax.tree.leaves(gpu[0]), jax.tree.leaves(cpu[0]), strict=True):
-        np.testing.assert_allclose(ours, theirs, rtol=1e-5, atol=1e-5)
+    trees.assert_close(gpu[0], cpu[0], rtol=1e-5, atol=1e-5)
     for ours, theirs in zip(jax.tree.leaves(gpu[1]), jax.tree.leaves(cpu[1]), strict=True):
         if ours.dtype == theirs.dtype == jnp.float32:
             np.testing.assert_allclose(ours, theirs, rtol=1e-3, atol=1e-4 * max(1.0, float(jnp.abs(theirs).max())))
@@ -185,13 +131,13 @@ def test_walking_groups_in_a_crush_at_a_wall_equal_the_float64_loop(preset):
     table, boxes = scene((0.5, -0.68, 2.0, 0.5, 3.0))
     state = tuple(np.asarray(part, float) for part in vars(people).values())[:4]
     state = state[0], state[1], state[2], state[3], np.full(11, 1.3)
-    p = as_numbers(parameters)
+    p = float64.constants(parameters)
     one = jax.jit(
         lambda people: social_forces.integrate(parameters, people, table, None, None, 0.01, companions=companions)
     )
     for step in range(10):
         people = one(people)
-        state = crowd_loop.step(*state, boxes, p, 0.01, walking_groups) + state[3:]
+        state = float64.step(*state, boxes, p, 0.01, walking_groups) + state[3:]
         limit = 1e-5 if step == 0 else 2e-4
         for name, theirs in zip(("position", "velocity", "heading"), state[:3], strict=True):
             ours = np.asarray(getattr(people, name))
@@ -458,11 +404,8 @@ def test_absent_people_push_nobody_and_stay():
 
 
 def test_jit_traces_once_and_types_are_strong():
-    traces = []
-
-    @jax.jit
+    @programs.jit_once
     def once(people, table, groups, robot):
-        traces.append(1)
         return social_forces.integrate(social_forces.preset("sean2"), people, table, groups, robot, STEP, 0.16)
 
     table, _ = scene((0, 3, 1, 1, 0))
@@ -471,7 +414,6 @@ def test_jit_traces_once_and_types_are_strong():
     people = crowd([(0, 0), (1, 1)], [(1, 0), (0, 1)])
     for _ in range(3):
         people = once(people, table, groups, robot)
-    assert len(traces) == 1
     assert not any(leaf.weak_type for leaf in jax.tree.leaves(people))
 
 
@@ -915,7 +857,7 @@ def test_terms_of_ones_own_move_people_in_a_rollout():
 @pytest.mark.slow
 def test_the_terms_in_the_documents_work(scenario):
     """Each block of docs/social_forces.md, with a small scenario."""
-    text = (Path(__file__).resolve().parent.parent / "docs" / "social_forces.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "social_forces.md").read_text(encoding="utf-8")
     names = {"scenario": scenario, "sean_jax": sean_jax}
     for block in re.findall(r"```python\n(.*?)```", text, re.S):
         exec(block.replace("sean_jax.make(", "sean_jax.make('lab', people=2, dynamics='twin', "), names)

@@ -11,8 +11,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import test_replay_folders
-import test_resume
 
 import sean_jax
 from sean_jax import assembly, cli, devices, environment, kernels, padding, registry, reset, runner, stack, step, worlds
@@ -27,6 +25,8 @@ from sean_jax.learning.policy import load_policy
 from sean_jax.navigation import Navigation, draw_places
 from sean_jax.navigation.arcs import CornerArcs
 from sean_jax.policies import POLICIES, go_to_goal
+from support.replays import played
+from support.runs import at_second_batch
 
 SET = "worlds:passages,aisles,square:3"
 
@@ -385,7 +385,7 @@ def test_a_run_of_a_set_is_resumed_and_names_its_floors(monkeypatch, tmp_path):
     words = ["run", *SMALL, "--episodes", "3", "--batch", "1", "--trajectories", "csv", "--quiet"]
     assert cli.main([*words, "--out", "whole"]) == 0
     with monkeypatch.context() as patched:
-        test_resume.at_second_batch(patched, lambda _: signal.raise_signal(signal.SIGTERM))
+        at_second_batch(patched, lambda _: signal.raise_signal(signal.SIGTERM))
         assert cli.main([*words, "--out", "made"]) == 143
     assert (tmp_path / "made" / "unfinished").is_dir()
     assert cli.main([*words, "--out", "made"]) == 0
@@ -400,7 +400,7 @@ def test_a_run_of_a_set_is_resumed_and_names_its_floors(monkeypatch, tmp_path):
     assert "Episode 0 · passages 0 · random ab nav" in report and "Where people were" not in report
     assert cli.main(["compare", "made", "whole", "--quiet"]) == 0
     assert cli.main(["replay", "made", "--episodes", "0", "1", "2", "--quiet"]) == 0
-    first, second = test_replay_folders.played(tmp_path / "made" / "replay.html")
+    first, second = played(tmp_path / "made" / "replay.html")
     assert [each["title"] for each in first["episodes"]] == [f"episode {k} · random ab nav" for k in (0, 2)]
     for page, folder in zip((first, second), worlds.find(TWO), strict=True):
         alone = environment.load(folder)
@@ -439,7 +439,7 @@ def test_demonstrations_of_a_set_name_the_floor_of_each_episode(monkeypatch, tmp
     assert manifest["environments"] == ["passages_0", "passages_1"] and len(manifest["shards"]) == 4
     assert all(shard["floors"] == [0, 1] for shard in manifest["shards"])
     assert cli.main(["replay", "data", "--episodes", "3", "--quiet"]) == 0
-    (page,) = test_replay_folders.played(tmp_path / "data" / "replay.html")
+    (page,) = played(tmp_path / "data" / "replay.html")
     np.testing.assert_allclose(page["place"]["floor"], environment.load(worlds.find(TWO)[1]).floor, atol=1e-3)
     (episode,), data = page["episodes"], dataset.open_dataset(tmp_path / "data")
     rows = data.read([each for each in data.episodes if each.number == 3])

@@ -14,8 +14,9 @@ from types import ModuleType
 import pytest
 import yaml
 
+from support.checkout import ROOT, repository_files
+
 pytestmark = pytest.mark.form
-ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "sean_jax"
 MODULES = sorted(PACKAGE.rglob("*.py"))
 HEAVY = ("jax", "mujoco", "matplotlib", "flax", "optax", "orbax", "scipy")
@@ -334,16 +335,6 @@ def test_values_are_compared_by_equality():
         assert not found, f"{path.relative_to(ROOT)}: {found}; compare with ==, or by the truth of a bool"
 
 
-def repository_files() -> list[Path]:
-    """All files that git tracks or would track."""
-    done = subprocess.run(
-        ["git", "ls-files", "-co", "--exclude-standard", "-z"], capture_output=True, text=True, cwd=ROOT, check=False
-    )
-    if done.returncode != 0:
-        pytest.skip("not a git checkout")
-    return [ROOT / name for name in done.stdout.split("\0") if name and (ROOT / name).is_file()]
-
-
 def test_repository_names_no_registry_host_and_no_machine():
     # In pieces, so that this file does not contain what it looks for.
     hosts = [
@@ -448,3 +439,14 @@ def test_the_citation_and_readme_name_the_same_paper():
         assert f"{{{paper[key]}" in entry, key
     names = re.findall(r"(?:author\s+= \{|and )(\w+),", entry.replace("{\\'a}", "á"))
     assert names == [author["family-names"] for author in paper["authors"]]
+
+
+def test_no_test_imports_a_test_or_a_benchmark():
+    """What several tests use lies in tests/support."""
+    banned = {path.stem for path in (ROOT / "benchmarks").glob("*.py")} | {"benchmarks", "tests"}
+    for path in (ROOT / "tests").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            names = [each.name for each in node.names] if isinstance(node, ast.Import) else []
+            names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+            tops = {name.split(".")[0] for name in names}
+            assert not tops & banned and not any(top.startswith("test_") for top in tops), f"{path.name}: {tops}"

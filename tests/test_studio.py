@@ -17,13 +17,15 @@ import time
 import urllib.error
 import urllib.request
 import zlib
-from pathlib import Path
 
 import jax
 import numpy as np
 import pytest
 from PIL import Image
+from websockets.asyncio.client import connect
+from websockets.exceptions import ConnectionClosed, InvalidStatus
 
+import support.studio
 from sean_jax import assembly, components, learning, pages, web
 from sean_jax.config import StudioConfig, validate
 from sean_jax.errors import FileError, InputError
@@ -31,46 +33,12 @@ from sean_jax.learning import Recorder
 from sean_jax.studio import address, server, trial
 from sean_jax.studio.server import Studio
 from sean_jax.studio.session import Choice, Session
+from support.checkout import ROOT
+from support.commands import wait
+from support.studio import OPTIONS
+from support.web import browse, chromium, get, until
 
-pytest.importorskip("websockets")
-from websockets.asyncio.client import connect  # noqa: E402
-from websockets.exceptions import ConnectionClosed, InvalidStatus  # noqa: E402
-
-WEB = Path(__file__).parent.parent / "web"
-CHROMIUM = next((found for name in ("chromium", "google-chrome") if (found := shutil.which(name))), None)
-OPTIONS = {"environment": "lab", "people": 3, "time_limit": 20.0, "warm_up": 1.0}
-
-
-@pytest.fixture(scope="module")
-def session():
-    """A session whose time passes in a thread."""
-    made = Session(validate(StudioConfig, OPTIONS))
-    thread = threading.Thread(target=made.run, daemon=True)
-    thread.start()
-    yield made
-    made.close()
-    thread.join(10)
-    assert not thread.is_alive()
-
-
-@pytest.fixture
-def fresh(session, tmp_path):
-    """The session at the beginning of episode 0, with a folder for drives."""
-    session.config = session.config.replace(record=tmp_path / "drives")
-    session.play(False)
-    session.drive(False)
-    session.restart(0)
-    session.set_speed(16.0)
-    yield session
-    session.play(False)
-    session.end_trial()
-
-
-def wait(condition, seconds=20.0):
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end, "it does not happen"
-        time.sleep(0.005)
+session, fresh, served = support.studio.session, support.studio.fresh, support.studio.served  # fixtures
 
 
 def drive(session, steps, ahead, left):
@@ -650,60 +618,15 @@ def test_files_that_are_no_trials_are_refused(tmp_path, text, said):
 
 
 @pytest.fixture
-def served(fresh, monkeypatch):
-    """The studio of the session, in a thread of its own: its address and token."""
-    monkeypatch.setattr(server, "Session", lambda config: fresh)
-    monkeypatch.setattr(Studio, "close", lambda self: None)  # the session goes on for other tests
-    monkeypatch.setattr(fresh, "run", lambda: None)  # in its thread already
-    studio = Studio(fresh.config, "<p>the page</p>")
-    ready = threading.Event()
-
-    def serve():
-        with contextlib.suppress(asyncio.CancelledError):
-            loop.run_until_complete(task)
-
-    loop = asyncio.new_event_loop()
-    task = loop.create_task(studio.run(0, ready.set))
-    thread = threading.Thread(target=serve, daemon=True)
-    thread.start()
-    assert ready.wait(10)
-    yield studio
-    loop.call_soon_threadsafe(task.cancel)
-    thread.join(10)
-    fresh.send = lambda kind, content: None
-
-
-@pytest.fixture
 def impatient(monkeypatch, request):
     """``served``, with half a second of patience."""
     monkeypatch.setattr(web, "PATIENCE", 0.5)
     return request.getfixturevalue("served")
 
 
-def get(address, **headers):
-    try:
-        with urllib.request.urlopen(urllib.request.Request(address, headers=headers), timeout=5) as answer:
-            return answer.status, answer.read().decode()
-    except urllib.error.HTTPError as error:
-        return error.code, error.read().decode()
-
-
 def socket_of(studio, token=None, origin=None, path="socket", name=""):
     address = f"ws://127.0.0.1:{studio.port}/{path}?token={token or studio.token}&tab={name}"
     return connect(address, origin=origin or f"http://127.0.0.1:{studio.port}", compression=None)
-
-
-async def until(tab, kind):
-    """The next message of a kind; frames are decoded no further than their head."""
-    while True:
-        message = await asyncio.wait_for(tab.recv(), 60)
-        if isinstance(message, bytes):
-            length = int.from_bytes(message[:4], "little")
-            news = json.loads(message[4 : 4 + length]) | {"bytes": message[4 + length :]}
-        else:
-            news = json.loads(message)
-        if news["kind"] == kind:
-            return news
 
 
 def test_the_page_is_for_this_computer_and_for_the_token(served):
@@ -1338,17 +1261,13 @@ def test_a_taken_port_is_refused(tmp_path):
 @pytest.mark.slow
 def test_a_browser_drives(tmp_path):
     """Keys, a rewind, a take-over and two recorded drives in Chromium; the drives train a network."""
-    if CHROMIUM is None or not (WEB / "node_modules" / "playwright-core").is_dir():
-        pytest.skip("there is no Chromium, or web/node_modules is not there")
+    chromium()
     process, address = start(tmp_path, "--demonstrations", "all")
     try:
-        done = subprocess.run(["node", "test/studio.mjs", address, CHROMIUM, str(tmp_path)], cwd=WEB, timeout=300,
-                              capture_output=True, text=True, check=False)  # fmt: skip
+        seen = json.loads(browse("test/studio.mjs", address, tmp_path))
     finally:
         process.terminate()
         output, _ = process.communicate(timeout=120)
-    assert done.returncode == 0, done.stderr[-3000:]
-    seen = json.loads(done.stdout)
     assert seen["errors"] == [] and set(seen["hosts"]) == {address.split("/")[2]}
     assert seen["outcomes"] == ["completed", "completed"] and seen["cards"][1:] == ["go_to_goal", "expert"]
     assert re.fullmatch(r"you \d+ %, go_to_goal \d+ %", seen["cards"][0])
@@ -1362,17 +1281,13 @@ def test_a_browser_drives(tmp_path):
 @pytest.mark.slow
 def test_two_tabs_in_a_browser(tmp_path):
     """A hand that clicks: keys drive afterwards, the other tab watches, and a reload changes neither role nor card."""
-    if CHROMIUM is None or not (WEB / "node_modules" / "playwright-core").is_dir():
-        pytest.skip("there is no Chromium, or web/node_modules is not there")
+    chromium()
     process, address = start(tmp_path)
     try:
-        done = subprocess.run(["node", "test/roles.mjs", address, CHROMIUM, str(tmp_path)], cwd=WEB, timeout=300,
-                              capture_output=True, text=True, check=False)  # fmt: skip
+        seen = json.loads(browse("test/roles.mjs", address, tmp_path))
     finally:
         process.terminate()
         process.communicate(timeout=120)
-    assert done.returncode == 0, done.stderr[-3000:]
-    seen = json.loads(done.stdout)
     assert seen["errors"] == [] and seen["sent"] == 0, "a tab that watches sends no command"
     assert set(seen["speeds"].values()) == {True} and seen["list"], "keys drive, and change no list"
     assert "nobody has the wheel" in seen["free"]
@@ -1392,16 +1307,12 @@ def test_two_tabs_in_a_browser(tmp_path):
 @pytest.mark.slow
 def test_a_browser_compares_and_has_a_3d_view(tmp_path):
     """Two episodes on one clock, one above the other on a narrow screen; the robot in the middle of the 3-D view."""
-    if CHROMIUM is None or not (WEB / "node_modules" / "playwright-core").is_dir():
-        pytest.skip("there is no Chromium, or web/node_modules is not there")
+    chromium()
     process, address = start(tmp_path)
     results = []
     try:
         for script in "scene", "comparison":
-            done = subprocess.run(["node", f"test/{script}.mjs", address, CHROMIUM, str(tmp_path)], cwd=WEB,
-                                  timeout=300, capture_output=True, text=True, check=False)  # fmt: skip
-            assert done.returncode == 0, done.stderr[-3000:]
-            results.append(json.loads(done.stdout))
+            results.append(json.loads(browse(f"test/{script}.mjs", address, tmp_path)))
     finally:
         process.terminate()
         process.communicate(timeout=120)
@@ -1428,23 +1339,18 @@ def test_a_browser_compares_and_has_a_3d_view(tmp_path):
 @pytest.mark.parametrize("behavior", ["graph", "handcrafted"])
 def test_a_browser_edits_the_files(tmp_path, behavior):
     """By a mouse that is real: nodes, edges, obstacles and a picture below, or the sets; comments are kept."""
-    if CHROMIUM is None or not (WEB / "node_modules" / "playwright-core").is_dir():
-        pytest.skip("there is no Chromium, or web/node_modules is not there")
-    lab, mine = Path(__file__).parent.parent / "envs" / "lab", tmp_path / "mine"
+    chromium()
+    lab, mine = ROOT / "envs" / "lab", tmp_path / "mine"
     shutil.copytree(lab, mine)
     Image.new("RGB", (40, 20), (220, 30, 30)).save(tmp_path / "red.png")
     people = 3 if behavior == "graph" else None  # sets have their own
     process, address = start(tmp_path, "--behavior", behavior, environment="mine", people=people)
     try:
-        words = ["node", "test/axe.mjs", address, CHROMIUM]
-        assert json.loads(subprocess.run(words, cwd=WEB, timeout=120, capture_output=True, check=True).stdout) == []
-        words = ["node", "test/edit.mjs", address, CHROMIUM, str(tmp_path), str(tmp_path / "red.png")]
-        done = subprocess.run(words, cwd=WEB, timeout=900, capture_output=True, text=True, check=False)
+        assert json.loads(browse("test/axe.mjs", address)) == []
+        seen = json.loads(browse("test/edit.mjs", address, tmp_path, tmp_path / "red.png"))
     finally:
         process.terminate()
         process.communicate(timeout=120)
-    assert done.returncode == 0, done.stderr[-3000:]
-    seen = json.loads(done.stdout)
     assert seen["errors"] == [] and seen["after"] > seen["before"] > 0
     names = "graph.yaml", "handcrafted.yaml", "scene.xml"
     old, new = ({name: (folder / name).read_text().split("\n") for name in names} for folder in (lab, mine))
@@ -1476,7 +1382,7 @@ def test_the_page_has_its_program():
 def edited(tmp_path_factory):
     """A session on a copy of the lab whose time stands still, with three people."""
     folder = tmp_path_factory.mktemp("edited") / "mine"
-    shutil.copytree(Path(__file__).parent.parent / "envs" / "lab", folder)
+    shutil.copytree(ROOT / "envs" / "lab", folder)
     options = OPTIONS | {"environment": str(folder), "warm_up": 0.0, "record": str(folder.parent / "drives")}
     return Session(validate(StudioConfig, options))
 

@@ -9,7 +9,6 @@ import tempfile
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
-import jax
 import numpy as np
 import pytest
 import yaml
@@ -19,8 +18,11 @@ from sean_jax.config import StudioConfig, validate
 from sean_jax.errors import InputError
 from sean_jax.studio import editor, scene_text, yaml_text
 from sean_jax.studio.editor import Editor
+from support import mjcf, trees
+from support.checkout import ROOT
+from support.mjcf import HANDWRITTEN
 
-ENVS = Path(__file__).parent.parent / "envs"
+ENVS = ROOT / "envs"
 BLOCK = """\
 # a graph in another style
 version: 1
@@ -252,41 +254,25 @@ def test_random_changes_of_boxes(place, tmp_path):
         text = new
 
 
-STYLES = """\
-<mujoco model="m"><compiler angle="radian"/>
-  <worldbody>
-    <geom name="floor" type="plane" size="6 4 0.1"/>
-    <!-- ü: a letter of two bytes; <geom name="no"/> -->
-    <geom name='quoted'
-          type="box" size = "1 0.5 0.4" pos="0 0 0.4" quat="1 0 0 0" /> <geom name="beside" type="box" size="1 1 1"
-      pos="3 0 1"></geom>
-    <body pos="1 1 0"><geom name="inner" type="box" size="1 1 1" pos="0 0 1"/></body>
-    <geom type="box" size="1 1 1" pos="-3 0 1"/>
-    <geom name="lamp" type="box" pos="0 0 3" size="1 1 1" contype="0" conaffinity="0"/>
-  </worldbody>
-</mujoco>
-"""
-
-
 def test_styles_of_a_scene_stay(tmp_path):
     file = tmp_path / "scene.xml"
-    file.write_text(STYLES)
-    boxes = scene_text.boxes(file, STYLES)
+    file.write_text(HANDWRITTEN)
+    boxes = scene_text.boxes(file, HANDWRITTEN)
     assert list(boxes) == ["quoted", "beside"]  # neither decoration, nor geoms in bodies or without a name
-    turned = editor.changed_scene(STYLES, boxes, {"box": "quoted", "turn": 90})
-    assert turned == STYLES.replace(' quat="1 0 0 0" />', ' euler="0 0 1.5708" />')
-    assert editor.changed_scene(STYLES, boxes, {"box": "beside", "position": [3, 1]}) == STYLES.replace(
+    turned = editor.changed_scene(HANDWRITTEN, boxes, {"box": "quoted", "turn": 90})
+    assert turned == HANDWRITTEN.replace(' quat="1 0 0 0" />', ' euler="0 0 1.5708" />')
+    assert editor.changed_scene(HANDWRITTEN, boxes, {"box": "beside", "position": [3, 1]}) == HANDWRITTEN.replace(
         '"3 0 1', '"3 1 1'
     )
-    gone = editor.changed_scene(STYLES, boxes, {"box": "beside", "remove": True})
-    assert gone == STYLES.replace('<geom name="beside" type="box" size="1 1 1"\n      pos="3 0 1"></geom>', "")
+    gone = editor.changed_scene(HANDWRITTEN, boxes, {"box": "beside", "remove": True})
+    assert gone == HANDWRITTEN.replace(mjcf.BESIDE, "")
     for name in ("inner", "lamp", "floor", "nobody"):
         with pytest.raises(InputError, match="there is no box"):
-            editor.changed_scene(STYLES, boxes, {"box": name, "remove": True})
+            editor.changed_scene(HANDWRITTEN, boxes, {"box": name, "remove": True})
     for name, message in (("inner", "there is a geom 'inner' already"), ('a"b', "no name for a box")):
         with pytest.raises(InputError, match=message):
-            editor.changed_scene(STYLES, boxes, {"box": name, "add": True, "position": [0, 0]})
-    other = STYLES.replace('angle="radian"', 'eulerseq="zyx"')
+            editor.changed_scene(HANDWRITTEN, boxes, {"box": name, "add": True, "position": [0, 0]})
+    other = HANDWRITTEN.replace('angle="radian"', 'eulerseq="zyx"')
     with pytest.raises(InputError, match="turn the box in the file"):
         editor.changed_scene(other, boxes, {"box": "quoted", "turn": 10})
 
@@ -356,8 +342,7 @@ def test_obstacles_are_changed_checked_and_saved_with_the_graph(tmp_path):
     assert edited.difference().count("+++") == 2
     assert len(edited.save()) == 2
     loaded = environment.load(tmp_path / "mine")
-    for one, other in zip(jax.tree.leaves(loaded), jax.tree.leaves(after.environment), strict=True):
-        np.testing.assert_array_equal(one, other)
+    trees.assert_equal(loaded, after.environment)
     while edited.history:
         after = edited.undo(after)
     assert edited.texts == saved
@@ -372,10 +357,9 @@ def test_only_files_of_the_folder_are_copied(tmp_path):
     scene = (folder / "scene.xml").read_text()
     (folder / "parts").mkdir()
     for name in ("mine/parts/inner.xml", "outer.xml"):
-        (tmp_path / name).write_text('<mujoco><option timestep="0.002"/></mujoco>')
+        (tmp_path / name).write_text(mjcf.scene())
     (folder / "recording.npz").write_bytes(b"0" * 1000)
-    includes = '<include file="parts/inner.xml"/><include file="../outer.xml"/>'
-    (folder / "scene.xml").write_text(scene.replace("  <worldbody>", f"  {includes}\n  <worldbody>"))
+    (folder / "scene.xml").write_text(mjcf.with_includes(scene, "parts/inner.xml", "../outer.xml"))
     before = set(Path(tempfile.gettempdir()).glob("outer.xml"))
     edited = Editor(validate(StudioConfig, {"environment": str(folder)}))
     with pytest.raises(InputError, match="outer.xml.*no such file"):

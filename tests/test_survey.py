@@ -16,10 +16,7 @@ import socket
 import sqlite3
 import subprocess
 import sys
-import threading
 import tracemalloc
-import urllib.error
-import urllib.request
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -28,52 +25,20 @@ import numpy as np
 import pytest
 import scipy.stats
 from rich.console import Console
+from websockets.asyncio.client import connect
+from websockets.exceptions import ConnectionClosed, InvalidStatus
 
+import support.survey
 from sean_jax import cli, pages, survey, writing
 from sean_jax.config import StudioConfig, SurveyReportConfig, validate
 from sean_jax.errors import FileError, InputError, WriteError
-from sean_jax.survey import export, report, study, visits
+from sean_jax.survey import export, report, server, study, visits
 from sean_jax.survey.answers import BROKEN_OFF, FILE, Answers
+from support.checkout import ROOT
+from support.survey import FILM, STUDY, change, read, reply
+from support.web import browse, chromium, get, until
 
-pytest.importorskip("websockets")
-from websockets.asyncio.client import connect  # noqa: E402
-from websockets.exceptions import ConnectionClosed, InvalidStatus  # noqa: E402
-
-from sean_jax.survey import server  # noqa: E402
-
-ROOT = Path(__file__).parent.parent
-WEB = ROOT / "web"
-CHROMIUM = next((found for name in ("chromium", "google-chrome") if (found := shutil.which(name))), None)
-STUDY = """
-title: Robots in a lab
-consent: You may stop at any time.
-participants: 60
-options: {environment: lab, people: 2, time_limit: 3, warm_up: 1}
-questions: [navigation]
-before:
-  - {kind: number, name: age, text: "How old are you?", range: [18, 99], required: false}
-trials:
-  - {name: calm, watch: {policy: go_to_goal, seed: 3}}
-  - name: mine
-    drive: {seed: 4}
-    questions:
-      - {kind: likert, name: easy, text: It was easy., points: 5}
-  - name: pair
-    choose: [{policy: go_to_goal, seed: 5}, {policy: expert, seed: 5}]
-    questions: [{kind: text, name: why, text: "Why?", required: false}]
-after:
-  - {kind: choice, name: car, text: "Do you drive a car?", choices: [often, never]}
-drivers: 8
-"""
-
-
-FILM = {"timeStep": 0.1, "episodes": [{"frames": 31}]}  # of a recording, what tells its length
-
-
-def read(folder, text=STUDY):
-    (folder / "study.yaml").write_text(text)
-    return study.read(folder / "study.yaml")
-
+served = support.survey.served  # a fixture
 
 # ------------------------------------------------------------------ the description
 
@@ -288,69 +253,13 @@ def test_a_page_gets_only_what_it_may_ask_for(tmp_path):
     answers.close()
 
 
-@pytest.fixture(scope="module")
-def served(tmp_path_factory):
-    """An open study in a thread of its own."""
-    folder = tmp_path_factory.mktemp("study")
-    answers = Answers.begin(folder, read(folder))
-    survey = server.Survey(answers, "<p>the page</p>", folder / "study.yaml")
-    survey._lengths = {trial: server.TOLERANCE + 0.2 for trial in survey._lengths}  # s, of films, to save time
-    ready = threading.Event()
-
-    def serve():
-        with contextlib.suppress(asyncio.CancelledError):
-            loop.run_until_complete(task)
-
-    loop = asyncio.new_event_loop()
-    task = loop.create_task(survey.run(0, ready.set))
-    thread = threading.Thread(target=serve, daemon=True)
-    thread.start()
-    assert ready.wait(20)
-    yield survey
-    loop.call_soon_threadsafe(task.cancel)
-    thread.join(20)
-    assert not thread.is_alive()
-    answers.close()
-
-
-def get(address, **headers):
-    try:
-        with urllib.request.urlopen(urllib.request.Request(address, headers=headers), timeout=10) as answer:
-            return answer.status, answer.read().decode()
-    except urllib.error.HTTPError as error:
-        return error.code, error.read().decode()
-
-
 def tab_of(link, origin=None):
     base, query = link.split("/?")
     return connect(f"{base.replace('http', 'ws')}/socket?{query}", origin=origin or base, compression=None)
 
 
-async def until(tab, *kinds):
-    """The next message of a kind."""
-    while True:
-        message = await asyncio.wait_for(tab.recv(), 120)
-        if isinstance(message, bytes):
-            length = int.from_bytes(message[:4], "little")
-            news = json.loads(message[4 : 4 + length]) | {"bytes": message[4 + length :]}
-        else:
-            news = json.loads(message)
-        if news["kind"] in kinds:
-            return news
-
-
 async def send(tab, word, **more):
     await tab.send(json.dumps({"do": word, **more}))
-
-
-def reply(question, draw):
-    """A random answer."""
-    kind = question["kind"]
-    if kind == "likert":
-        return int(draw.integers(1, question["points"] + 1))
-    if kind == "choice":
-        return str(draw.choice(question["choices"]))
-    return int(draw.integers(18, 99)) if kind == "number" else f'because {draw.integers(10**9)}; "ü", =1'
 
 
 async def take_part(link, draw, sent, stop_after=None):
@@ -745,18 +654,14 @@ def test_a_killed_study_loses_no_stored_answer(tmp_path):
 @pytest.mark.parametrize(("scheme", "width"), [("light", "1100"), ("dark", "420")])
 def test_a_browser_goes_through_a_study(tmp_path, scheme, width):
     """Watch, drive, choose, answer, reload; without serious findings of axe and without another address."""
-    if CHROMIUM is None or not (WEB / "node_modules" / "playwright-core").is_dir():
-        pytest.skip("there is no Chromium, or web/node_modules is not there")
+    chromium()
     read(tmp_path, STUDY.replace("time_limit: 3", "time_limit: 8"))
     process, links = start(tmp_path)
     try:
-        words = ["node", "test/survey.mjs", links[0], CHROMIUM, str(tmp_path), scheme, width]
-        done = subprocess.run(words, cwd=WEB, timeout=300, capture_output=True, text=True, check=False)
+        seen = json.loads(browse("test/survey.mjs", links[0], tmp_path, scheme, width))
     finally:
         process.terminate()
         process.communicate(timeout=120)
-    assert done.returncode == 0, done.stderr[-3000:]
-    seen = json.loads(done.stdout)
     assert seen["errors"] == seen["findings"] == seen["wide"] == []
     assert set(seen["hosts"]) == {links[0].split("/")[2]}
     assert seen["steps"] == 5 and seen["kept"] == "33" and "no answer yet" in seen["missing"]
@@ -776,15 +681,6 @@ def test_the_page_has_its_program():
 
 
 # ------------------------------------------------------------------ a file that is damaged, full or made to do harm
-
-
-def change(folder, *statements):
-    """Change a closed study's file as another program would."""
-    with contextlib.closing(sqlite3.connect(folder / FILE, isolation_level=None)) as base:
-        base.execute("PRAGMA writable_schema=ON")
-        for statement in statements:
-            base.execute(statement)
-        base.execute("PRAGMA wal_checkpoint(TRUNCATE)")
 
 
 @pytest.fixture(scope="module")

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 import scipy.stats
 import yaml
-from test_survey import FILM, STUDY, change, read, reply
 
 from sean_jax.errors import FileError, InputError
 from sean_jax.survey import export, report, server
 from sean_jax.survey.answers import BROKEN_OFF, FILE, Answers
 from sean_jax.survey.drive import Drive
 from sean_jax.survey.study import checked
+from support.survey import FILM, STUDY, change, read, reply
 
 TAKING_PART = 0, 3, 7  # numbers of participants, from 0
 EPISODES = {(0, 0): "expert", (2, 0): "orca", (2, 1): "go_to_goal"}  # trial, side -> policy

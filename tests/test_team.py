@@ -12,8 +12,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import test_replay_folders
-import test_resume
 
 from sean_jax import (
     assembly,
@@ -39,6 +37,9 @@ from sean_jax.robots import ROBOTS
 from sean_jax.runner import Callbacks, Runner
 from sean_jax.scenario import snapshot
 from sean_jax.stack import Stack
+from support import programs
+from support.replays import played
+from support.runs import at_second_batch
 
 OPTIONS = dict(behavior="random", people=6, time_limit=12.0)
 CASES = 24
@@ -380,16 +381,14 @@ def test_rays_meet_the_solids_of_other_robots(scenario: Scenario, begun: State) 
 @pytest.mark.slow
 def test_gradients_are_finite_and_a_step_is_traced_once(scenario: Scenario) -> None:
     """By the commands of two robots that drive into each other, one of which starts on a person."""
-    members, traces = of(scenario, 2), []
+    members = of(scenario, 2)
     states = facing(scenario, members, 0.05)
     place = states.robot.position[:, 0]
     people = replace(states.pedestrians, position=states.pedestrians.position.at[:, 0].set(place))
     states = replace(states, pedestrians=people)
 
-    @jax.jit
+    @programs.jit_once
     def slope(actions: jax.Array, states: State) -> jax.Array:
-        traces.append(1)
-
         def loss(actions: jax.Array) -> jax.Array:
             after, _ = jax.lax.scan(lambda state, action: (team.step(members, state, action), None), states, actions)
             return (after.robot.position * jnp.array([[1.0, 2.0], [3.0, 4.0]])).sum() + after.pedestrians.position.sum()
@@ -399,7 +398,6 @@ def test_gradients_are_finite_and_a_step_is_traced_once(scenario: Scenario) -> N
     first = slope(jnp.ones((3, 2, 2)), states)
     second = slope(0.5 * jnp.ones((3, 2, 2)), states)
     assert np.isfinite(first).all() and np.isfinite(second).all() and np.abs(first).max() > 0
-    assert len(traces) == 1
 
 
 @pytest.mark.parametrize(
@@ -447,7 +445,7 @@ def test_a_run_of_a_team_is_resumed_and_replayed(monkeypatch, tmp_path, capsys) 
         patched.setattr(evaluation, "Runner", once)
         assert cli.main([*words, "--out", "whole"]) == 0
         with monkeypatch.context() as disturbed:
-            test_resume.at_second_batch(disturbed, lambda _: signal.raise_signal(signal.SIGTERM))
+            at_second_batch(disturbed, lambda _: signal.raise_signal(signal.SIGTERM))
             assert cli.main([*words, "--out", "made"]) == 143
         assert "the 1 finished episodes are in" in capsys.readouterr().err
         assert cli.main([*words, "--out", "made"]) == 0
@@ -463,9 +461,7 @@ def test_a_run_of_a_team_is_resumed_and_replayed(monkeypatch, tmp_path, capsys) 
     report = Path("made/report.html").read_text()
     assert "Episode 0 kuri 0 · random ab nav" in report and "Episode 0 jackal 1 · random ab nav" in report
     assert cli.main(["replay", "made", "--episodes", "1", "0", "--quiet"]) == 0
-    ((shown,), (first, *_)) = (
-        test_replay_folders.played(Path("made", name)) for name in ("replay.html", "report.html")
-    )
+    ((shown,), (first, *_)) = (played(Path("made", name)) for name in ("replay.html", "report.html"))
     assert [each["title"] for each in shown["episodes"]] == [f"episode {k} kuri_0 · random ab nav" for k in (1, 0)]
     one, other = shown["episodes"][1], first["episodes"][0]
     assert one["outcome"] == other["outcome"] == "not completed in 1.0 s" and shown["robot"] == first["robot"]

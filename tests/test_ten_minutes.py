@@ -1,11 +1,11 @@
 """Ten simulated minutes of each environment and behavior: nobody in an obstacle, in somebody else, or stuck (slow)."""
 
 import pytest
-from ten_minutes import conduct
 
 import sean_jax
 from sean_jax.behaviors import BEHAVIORS
 from sean_jax.environment import available
+from support.checkout import benchmark
 
 BODY = 0.2  # m, of a person
 
@@ -15,7 +15,7 @@ BODY = 0.2  # m, of a person
 @pytest.mark.parametrize("environment", sorted(available()))
 def test_people_walk_as_people_do(environment, behavior):
     scenario = sean_jax.make(environment, behavior=behavior, task="random_ab_nav", dynamics="twin")
-    found = conduct(scenario, minutes=10.0)
+    found = benchmark("ten_minutes").conduct(scenario, minutes=10.0)
     assert found["people"] > 0
     assert found["inside"] == 0.0 and found["clearance"] >= BODY - 1e-3
     assert found["overlaps"] <= 1e-3

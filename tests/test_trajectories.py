@@ -6,7 +6,6 @@ from typing import Any
 
 import jax
 import numpy as np
-import programs
 import pytest
 
 import sean_jax
@@ -15,6 +14,7 @@ from sean_jax.config import RunConfig
 from sean_jax.errors import FileError, InputError
 from sean_jax.files.reading import MAX_BYTES
 from sean_jax.trajectories import BLOCK_ROWS, COLUMNS, load_trajectory, save_trajectory, trajectory_writer
+from support import programs
 
 NAMES = ("cross_path", "down_path", "mine")
 

@@ -14,6 +14,7 @@ from sean_jax.evaluation.saved import read_config
 from sean_jax.learning import policy, reinforcement
 from sean_jax.studies.experiments import benchmark
 from sean_jax.studies.validation import checks
+from support.checkout import callers
 
 PACKAGE = Path(config.__file__).parent.parent
 TYPED = {
@@ -76,23 +77,6 @@ WAYS = {
         if field != "policy"
     },
 }
-
-
-def callers(picks) -> set[str]:
-    """FILE FUNCTION of each call in the package that ``picks`` picks; of a method also its class."""
-    found = set()
-
-    def visit(node: ast.AST, file: str, names: tuple[str, ...]) -> None:
-        if isinstance(node, ast.Call) and picks(node):
-            found.add(f"{file} {'.'.join(names)}")
-        if isinstance(node, ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
-            names = (*names, node.name)
-        for child in ast.iter_child_nodes(node):
-            visit(child, file, names)
-
-    for path in sorted(PACKAGE.rglob("*.py")):
-        visit(ast.parse(path.read_text(encoding="utf-8")), path.relative_to(PACKAGE).as_posix(), ())
-    return found
 
 
 def called(node: ast.Call) -> str:

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from sean_jax import classifiers
-from sean_jax.base import Obstacles, Pedestrians, Snapshot
+from sean_jax.base import Obstacles, Snapshot
 from sean_jax.classifiers import more_situations
+from support.people import people_at, snapshot_of
 
 NAMES = ("collision_course", "hurrying", "occlusion", "activity_space")
 RULES = tuple((name, classifiers.MORE_SITUATIONS[name]) for name in NAMES)
@@ -40,32 +41,20 @@ def drawn(number: int, seed: int) -> Snapshot:
     middles = random.uniform(-3.0, 3.0, (number, BOXES, 2))
     middles[::2, 0] = (places + heading * random.uniform(0.5, 3.5, (number, 1, 1)))[::2, 0]  # before the first person
     seen = places[:, 0] + heading[:, 0] * random.uniform(0.0, 2.0, (number, 1)) + robot
-    people = Pedestrians(
-        position=places,
+    people = people_at(
+        places,
         velocity=velocity,
         heading=heading,
         desired_velocity=velocity,
-        group=random.integers(-5, 2, (number, PEOPLE)).clip(-1).astype(np.int32),
-        walking_group=np.full((number, PEOPLE), -1, np.int32),
+        group=random.integers(-5, 2, (number, PEOPLE)).clip(-1),
         present=random.random((number, PEOPLE)) < 0.8,
-        preferred_speed=np.ones((number, PEOPLE)),
-        robot_distance=np.zeros((number, PEOPLE)),
     )
-    here = Snapshot(
-        people=people,
-        position=np.where(random.random((number, 1)) < 0.5, robot, seen),  # or before the first person
+    here = snapshot_of(
+        people,
+        np.where(random.random((number, 1)) < 0.5, robot, seen),  # or before the first person
         heading=own,
         velocity=own * random.uniform(0.0, 1.0, (number, 1)) * (random.random((number, 1)) < 0.8),
-        start=np.zeros((number, 2)),
-        goal=np.zeros((number, 2)),
-        start_group=np.full(number, -1, np.int32),
-        goal_group=np.full(number, -1, np.int32),
-        geodesic=np.ones(number),
         situations=np.zeros((number, 0), bool),
-        tick=np.zeros(number, np.int32),
-        robot_radius=np.full(number, 0.16),
-        person_radius=np.full(number, 0.2),
-        time_step=0.1,
         obstacles=Obstacles(
             center=middles,
             half_extent=random.uniform(0.1, 0.9, (number, BOXES, 2)),
@@ -73,8 +62,7 @@ def drawn(number: int, seed: int) -> Snapshot:
             height=random.choice([0.0, 0.6, 1.0, 2.0], (number, BOXES)),
         ),
     )
-    narrow = jax.tree.map(lambda leaf: leaf.astype(np.float32) if leaf.dtype == np.float64 else leaf, here)
-    return jax.device_put(narrow)
+    return jax.device_put(here)
 
 
 def corners(box) -> np.ndarray:

@@ -2,10 +2,8 @@
 
 import json
 import re
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from importlib import import_module
-from pathlib import Path
-from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -13,7 +11,6 @@ import pytest
 
 from sean_jax import InputError, cli
 from sean_jax.config import ValidateConfig
-from sean_jax.recordings import Tracks
 from sean_jax.studies import validation
 from sean_jax.studies.calibration.loss import GROUPS
 from sean_jax.studies.scenes import Gate, model
@@ -21,7 +18,6 @@ from sean_jax.studies.validation import checks, crowds, guidelines, individuals,
 from sean_jax.studies.validation.checks import (
     CHECKS,
     GATES,
-    Check,
     CheckContext,
     CheckResult,
     Curve,
@@ -29,15 +25,17 @@ from sean_jax.studies.validation.checks import (
     Skipped,
 )
 from sean_jax.studies.validation.measures import crossing_times, flow, trajectory_data, vanishing_times
-
-ROOT = Path(__file__).resolve().parent.parent
+from support.checkout import ROOT
+from support.checks import made_check
+from support.files import write
+from support.tracks import moved, tracks_of
 
 
 def straight(scenario, state, share: float = 1.0):
     """Everybody as desired, through everybody and every wall."""
     people = state.pedestrians
     velocity = jnp.where(people.present[:, None], share * people.desired_velocity, 0.0)
-    return people.replace(position=people.position + scenario.time_step * velocity, velocity=velocity)
+    return moved(people, velocity, scenario.time_step)
 
 
 def half(scenario, state):
@@ -54,16 +52,7 @@ def eager(scenario, state):
     """Everybody walks to the right from the start, whatever is desired."""
     people = state.pedestrians
     velocity = jnp.where(people.present[:, None], jnp.asarray([[1.33, 0.0]]), 0.0)
-    return people.replace(position=people.position + scenario.time_step * velocity, velocity=velocity)
-
-
-def tracks_of(position: np.ndarray, present: np.ndarray | None = None) -> Any:
-    """People at these places (T, N, 2), a tenth of a second apart."""
-    there = np.ones(position.shape[:2], bool) if present is None else present
-    number = np.where(there, np.arange(there.shape[1]), -1)
-    group = np.full(there.shape, -1)
-    facing = np.broadcast_to([1.0, 0.0], position.shape)
-    return Tracks(position, facing, group, there, number, np.arange(len(there)), time_step=0.1)  # pyright: ignore
+    return moved(people, velocity, scenario.time_step)
 
 
 def finding(name: str, moved_by) -> CheckResult:
@@ -253,21 +242,6 @@ def test_who_does_not_wait_or_does_not_go_fails():
 # ------------------------------------------------------------------ the command
 
 
-@dataclass(frozen=True)
-class _Check(Check):
-    """A check whose function is in no module."""
-
-    own: Any = None
-
-    def run(self, context):
-        return self.own(context)
-
-
-def _check(name: str, function: Any) -> Check:
-    label = getattr(function, "__name__", "")
-    return _Check(name, "Title <b>", "set-up", "measure", "criterion", "source", label, own=function)
-
-
 @pytest.fixture
 def table(monkeypatch) -> dict[str, list[str]]:
     """Three checks in place of all: one passes, one fails, one cannot be done; and who was asked, by model."""
@@ -289,7 +263,9 @@ def table(monkeypatch) -> dict[str, list[str]]:
         asked.setdefault("prediction", []).append(context.model.name)
         context.recordings()
 
-    made = {check.name: check for check in map(_check, ("rimea-1", "rimea-4", "prediction"), (passes, fails, cannot))}
+    made = {
+        check.name: check for check in map(made_check, ("rimea-1", "rimea-4", "prediction"), (passes, fails, cannot))
+    }
     monkeypatch.setattr(checks, "CHECKS", made)
     return asked
 
@@ -341,7 +317,7 @@ def test_a_stopped_run_goes_on(table, tmp_path, monkeypatch):
         raise KeyboardInterrupt
 
     whole = dict(checks.CHECKS)
-    monkeypatch.setitem(checks.CHECKS, "rimea-4", _check("rimea-4", stop))
+    monkeypatch.setitem(checks.CHECKS, "rimea-4", made_check("rimea-4", stop))
     arguments = ["validate", "--models", "constant_velocity", "--out", str(tmp_path / "out"), "--quiet"]
     assert cli.main(arguments) == 130
     monkeypatch.setattr(checks, "CHECKS", whole)
@@ -360,7 +336,7 @@ def test_guidelines_that_share_a_test_share_its_simulation(table, tmp_path, monk
 
 def test_gates_are_what_their_checks_are(monkeypatch):
     names = ("rimea-1", "rimea-4", "doors")
-    monkeypatch.setattr(checks, "CHECKS", {name: _check(name, None) for name in names})
+    monkeypatch.setattr(checks, "CHECKS", {name: made_check(name, None) for name in names})
 
     def verdicts(**kinds: str) -> dict[str, str]:
         rows = [
@@ -378,8 +354,7 @@ def test_gates_are_what_their_checks_are(monkeypatch):
 
 
 def test_what_cannot_be_asked_is_told_before_anything_is_written(tmp_path):
-    (tmp_path / "full").mkdir()
-    (tmp_path / "full" / "mine.txt").write_text("mine")
+    write(tmp_path / "full" / "mine.txt", "mine")
     for options, words in (
         (dict(only="nope"), "--only: 'nope'"),
         (dict(models="nobody"), "model: 'nobody'"),

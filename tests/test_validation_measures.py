@@ -11,6 +11,7 @@ from sean_jax.studies.scenes import Gate
 from sean_jax.studies.validation import crowds, measures
 from sean_jax.studies.validation.crowds import recorded_order
 from sean_jax.studies.validation.measures import crossing_times, flow, smoothed
+from support.tracks import tracks_of
 
 DOOR = Gate((0.0, 0.6), (0.0, -0.6))  # crossed along +x
 
@@ -19,20 +20,6 @@ def walkers(start, velocity, rows=81, step=0.1):
     """(T, N, 2) of people who walk straight on."""
     time = step * np.arange(rows)[:, None, None]
     return np.asarray(start, float) + time * np.asarray(velocity, float)
-
-
-def tracks_of(position, present=None, step=0.1):
-    shape = position.shape[:2]
-    present = np.ones(shape, bool) if present is None else present
-    return recorded.Tracks(
-        position=position,
-        facing=np.broadcast_to(np.array([1.0, 0.0]), position.shape),
-        group=np.full(shape, -1, np.int32),
-        present=present,
-        person=np.where(present, np.arange(shape[1], dtype=np.int32), -1).astype(np.int32),
-        frame=np.arange(shape[0], dtype=np.int32),
-        time_step=step,
-    )
 
 
 def test_crossings_are_counted_one_way_and_between_moments():

@@ -7,12 +7,15 @@ from typing import Any
 import numpy as np
 import pytest
 
+import support.tracks
 from sean_jax.recordings import Tracks
 from sean_jax.studies.scenes import Gate, Scene, model, simulate, walkers
 from sean_jax.studies.validation import recorded
 from sean_jax.studies.validation.checks import CheckContext, Skipped
 from sean_jax.studies.validation.streets import NO_WALLS
-from tests.test_validation_rows import straight, street  # noqa: F401  (a fixture)
+from support.tracks import straight
+
+street = support.tracks.street  # a fixture
 
 points = np.random.default_rng(3).normal(0.0, 2.0, (4, 6, 2))
 
@@ -82,7 +85,7 @@ def test_who_has_left_stays_where_they_left():
     assert recorded.positions(tracks, 5)[:, 0, 0].tolist() == [0.0, 4.0, 8.0, 8.0, 8.0]
 
 
-def test_straight_walkers_are_where_they_were(street):  # noqa: F811
+def test_straight_walkers_are_where_they_were(street):
     numbers = recorded.closed_loop(CheckContext(model(straight), quick=True, data=street)).numbers
     assert numbers["mae_made"] < 0.05 and numbers["dtw_made"] < 0.05 and numbers["mmd_made"] < 1e-3
     assert numbers["collisions_made"] == 0.0
@@ -98,7 +101,7 @@ def test_errors_of_constant_velocity_are_the_limit_in_every_scene():
         assert found.passed is passed and ("(not: hotel)" in found.reason) is not passed
 
 
-def test_constant_velocity_is_as_near_as_itself(street):  # noqa: F811
+def test_constant_velocity_is_as_near_as_itself(street):
     found = recorded.closed_loop(CheckContext(model("constant_velocity"), quick=True, data=street))
     assert found.passed and found.numbers["mae_made"] == found.numbers["mae_constant_velocity_made"]
 

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import support.tracks
 from sean_jax import social_forces
 from sean_jax.studies.prediction import HABITS, Scores, predict
 from sean_jax.studies.scenes import model
@@ -14,18 +15,11 @@ from sean_jax.studies.validation.checks import CHECKS, CheckContext, Skipped
 from sean_jax.studies.validation.groups import group_occupancy
 from sean_jax.studies.validation.individuals import fitted_without
 from sean_jax.studies.validation.measures import Motion, motion
+from support.tracks import moved, straight
+
+street = support.tracks.street  # a fixture
 
 AREA = crowds.PERIOD * crowds.WIDTH  # m2, of the corridor of the fundamental diagram
-
-
-def moved(people, velocity, time_step):
-    return people.replace(position=people.position + time_step * velocity, velocity=velocity)
-
-
-def straight(scenario, state):
-    """Walks on through everything."""
-    people = state.pedestrians
-    return moved(people, people.desired_velocity, scenario.time_step)
 
 
 def shifted(scenario, state):
@@ -357,25 +351,6 @@ def test_accelerations_are_of_each_person_and_control_step():
     velocity[1, 5:, 2] = [0.6, 0.8]
     made = groups.accelerations(velocity, 0.1)
     assert made.shape == (2, 9, 3) and made[1, 4, 2] == pytest.approx(10.0) and made.sum() == pytest.approx(10.0)
-
-
-STREET = """frame,ped_id,x_m,y_m,vx_mps,vy_mps
-"""
-
-
-@pytest.fixture
-def street(tmp_path):
-    """A folder with a recording: two walk side by side, one comes against them 4 s later, and one stands."""
-    lines = []
-    for k in range(40):
-        lines += [(k, 1, 0.5 * k, 0.0), (k, 2, 0.5 * k, 0.8)]
-        lines += [(k, 4, 10.0, 9.0)]
-        lines += [(k, 3, 20.0 - 0.6 * (k - 10), 3.0)] if 10 <= k < 40 else []
-    text = "".join(f"{10 * k},{number},{x},{y},0,0\n" for k, number, x, y in lines)
-    (tmp_path / "eth_ucy").mkdir()
-    (tmp_path / "eth_ucy" / "made.csv").write_text(STREET + text)
-    (tmp_path / "eth_ucy" / "made.groups.txt").write_text("2 1\n")
-    return tmp_path
 
 
 def test_a_street_has_who_walks_where_they_enter_and_with_whom(street):

@@ -4,14 +4,11 @@ from dataclasses import fields, replace
 from types import SimpleNamespace
 from typing import Any
 
-import crowd_loop
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from crowd import constants as as_numbers
 from scipy import stats
-from test_social_forces import STEP, crowd, scene, walk
 
 import sean_jax
 from sean_jax import prng, social_forces
@@ -21,6 +18,8 @@ from sean_jax.social_forces.forces import Crowd, look_direction
 from sean_jax.studies.scenes import model as model_of
 from sean_jax.studies.scenes import simulate
 from sean_jax.studies.validation import crowds, measures
+from support import float64, programs
+from support.forces import STEP, crowd, scene, walk
 
 CALIBRATED = social_forces.preset("calibrated")
 DEVIATIONS = ("walking.relaxation_deviation", "headway.deviation", "evasion.width_deviation", "evasion.side_deviation")
@@ -103,7 +102,7 @@ def test_everything_together_equals_the_float64_loop(preset, changes):
     forces = social_forces.build(social_forces.preset(preset).tree_replace(changes))
     table, boxes = scene(*BOXES)
     both = [throng(seed) for seed in range(6)]
-    walks_with, p = companions(14), as_numbers(forces)
+    walks_with, p = companions(14), float64.constants(forces)
 
     @jax.jit
     @jax.vmap
@@ -113,7 +112,7 @@ def test_everything_together_equals_the_float64_loop(preset, changes):
     ours = after(*(stack(part) for part in zip(*both, strict=True)))
     for k, (people, robot) in enumerate(both):
         state, others = as_doubles(people, robot)
-        theirs = crowd_loop.step(*state, boxes, p, 0.02, WALKING_GROUPS, **others)
+        theirs = float64.step(*state, boxes, p, 0.02, WALKING_GROUPS, **others)
         for name, exact in zip(("position", "velocity", "heading"), theirs, strict=True):
             np.testing.assert_allclose(getattr(ours, name)[k], exact, atol=2e-4, err_msg=f"{name}, throng {k}")
 
@@ -403,18 +402,15 @@ def test_a_bound_does_not_undo_the_damping_of_pushes():
 
 
 def test_traits_and_noise_under_jit_and_vmap():
-    traces = []
-
-    @jax.jit
+    @programs.jit_once
     def once(people, robot):
-        traces.append(1)
         return social_forces.integrate(CALIBRATED, people, None, GROUPS, robot, STEP, 0.16)
 
     everybody, robot = throng(3)
     people = everybody
     for _ in range(3):
         people = once(people, robot)
-    assert len(traces) == 1 and not any(leaf.weak_type for leaf in jax.tree.leaves(people))
+    assert not any(leaf.weak_type for leaf in jax.tree.leaves(people))
     jax.tree.map(np.testing.assert_array_equal, people.traits, everybody.traits)
     both = [throng(seed) for seed in range(4)]
     together = jax.jit(jax.vmap(once))(*(stack(part) for part in zip(*both, strict=True)))
@@ -452,16 +448,15 @@ def test_large_crowds_have_traits_noise_and_shoulders_too(on, request):
 
 
 def test_a_tick_is_traced_once_for_all_ticks():
-    traces, people = [], replace(throng(4)[0], group=jnp.full(14, -1, jnp.int32))
+    people = replace(throng(4)[0], group=jnp.full(14, -1, jnp.int32))
 
-    @jax.jit
+    @programs.jit_once
     def moved(people, tick):
-        traces.append(1)
         return model.move(*moment(CALIBRATED, people, 0, tick))
 
     for tick in range(3):
         people = moved(people, jnp.int32(tick))
-    assert len(traces) == 1 and not any(leaf.weak_type for leaf in jax.tree.leaves(people))
+    assert not any(leaf.weak_type for leaf in jax.tree.leaves(people))
 
 
 DEGENERATE = {

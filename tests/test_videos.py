@@ -6,7 +6,6 @@ from typing import Any
 
 import jax
 import numpy as np
-import programs
 import pytest
 from PIL import Image
 
@@ -15,6 +14,7 @@ from sean_jax.base import Array
 from sean_jax.drawing import gifs
 from sean_jax.environment import plain_scenery
 from sean_jax.scenario import frame
+from support import programs
 
 
 @pytest.fixture(scope="module")

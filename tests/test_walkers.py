@@ -6,11 +6,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import walkers
-from quick import quick
 
 from sean_jax import social_forces
 from sean_jax.base import Robot
+from support import walkers
+from support.quick import quick
 
 PRESETS = list(social_forces.PRESETS)
 # m/s2, docs/social_forces.md

@@ -6,7 +6,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import walkers
 
 import sean_jax
 from sean_jax import scenario as stages
@@ -16,6 +15,7 @@ from sean_jax.behaviors.starts import WalkingGroups
 from sean_jax.geometry import crosses_box
 from sean_jax.social_forces import Crowd
 from sean_jax.studies.prediction import predict
+from support import walkers
 
 PEOPLE, SHARES = 24, (0.35, 0.25)  # four pairs and two triples
 MEMBERS = [(10, 11), (12, 13), (14, 15), (16, 17), (18, 19, 20), (21, 22, 23)]

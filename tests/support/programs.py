@@ -1,5 +1,6 @@
 """Programs that tests share: each is compiled once for all scenarios that differ in their numbers alone."""
 
+import functools
 import warnings
 
 import jax
@@ -23,3 +24,16 @@ def lowered_for_gpu(function, *arguments):
     with warnings.catch_warnings(), jax.sharding.use_abstract_mesh(mesh):
         warnings.simplefilter("error", DeprecationWarning)
         return jax.jit(function).trace(*arguments).lower(lowering_platforms=("cuda",)).as_text()
+
+
+def jit_once(function):
+    """``jax.jit`` of a function that is traced once: with the second trace the test fails, and says what differs."""
+    seen = []
+
+    @functools.wraps(function)
+    def traced(*arguments, **named):
+        seen.append(jax.tree.map(jax.typeof, (arguments, named)))
+        assert len(seen) == 1, f"{function.__name__} is traced again, for {seen[1]} after {seen[0]}"
+        return function(*arguments, **named)
+
+    return jax.jit(traced)

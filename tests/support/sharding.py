@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-TABLE = Path(__file__).with_name("durations.csv")
+TABLE = Path(__file__).parents[1] / "durations.csv"
 KINDS = "quick", "slow"
 UNMEASURED = 10.0  # [s] of a file that the table does not have yet
 

@@ -1,7 +1,7 @@
 """Commands of ``sean`` as processes that start at once, for tests that start many.
 
 They are forked from a process that has imported what is heavy and started nothing: no backend of JAX, no threads of its
-own. ``python forked.py`` is that process; it is told what to do by lines of JSON.
+own. This file, run as a program, is that process; it is told what to do by lines of JSON.
 """
 
 import contextlib

@@ -1,6 +1,6 @@
 """Inputs that were made wrong at random, and what reads them: run as a program, this file is the worker of test_fuzz.
 
-    python tests/fuzzing.py SEED FIRST COUNT FOLDER
+    python tests/support/fuzzing.py SEED FIRST COUNT FOLDER
 
 prints a line of JSON before and after each mutant. A mutant that takes more than 5 s of processor time, or waits for
 more than a minute, ends the process, as an abort inside of MuJoCo does; the test sees who it was and goes on.
@@ -161,24 +161,14 @@ def readers() -> set[str]:
     """FILE FUNCTION of each function of the package that calls one of ``GATE``, from its source; "" is a module."""
     import ast
 
-    package = Path(__file__).parent.parent / "sean_jax"
-    found = set()
+    from support.checkout import callers
 
-    def visit(node: ast.AST, file: str, names: tuple[str, ...]) -> None:
-        if isinstance(node, ast.Call):
-            call = node.func
-            of_files = isinstance(call, ast.Attribute) and call.attr in GATE and ast.unparse(call.value) == "files"
-            if of_files or (isinstance(call, ast.Name) and call.id in GATE and call.id != "load"):
-                found.add(f"{file} {'.'.join(names)}")
-        if isinstance(node, (ast.FunctionDef, ast.ClassDef, ast.AsyncFunctionDef)):
-            names = (*names, node.name)
-        for child in ast.iter_child_nodes(node):
-            visit(child, file, names)
+    def of_the_gate(call: ast.Call) -> bool:
+        if isinstance(call.func, ast.Attribute):
+            return call.func.attr in GATE and ast.unparse(call.func.value) == "files"
+        return isinstance(call.func, ast.Name) and call.func.id in GATE and call.func.id != "load"
 
-    for path in sorted(package.rglob("*.py")):
-        if path.parent.name != "files":
-            visit(ast.parse(path.read_text(encoding="utf-8")), path.relative_to(package).as_posix(), ())
-    return found
+    return {place for place in callers(of_the_gate) if not place.startswith("files/")}
 
 
 class Refused(Exception):
@@ -194,20 +184,10 @@ class Kind:
 
 def hall() -> dict[str, bytes]:
     """A small environment."""
-    walls = "\n".join(
-        f'    <geom name="wall_{k}" type="box" size="{a} {b} 1" pos="{x} {y} 1" euler="0 0 0"/>'
-        for k, (a, b, x, y) in enumerate(
-            ((5, 0.1, 0, 4), (5, 0.1, 0, -4), (0.1, 4, 5, 0), (0.1, 4, -5, 0), (1, 1, 1, 0))
-        )
-    )
-    look = '<texture name="t" type="2d" builtin="checker" rgb1="1 1 1" rgb2="0 0 0" width="64" height="64"/>'
-    again = '<replicate count="2" offset="0.5 0 0"><geom type="box" size="0.1 0.1 1" pos="-3 -2 1"/></replicate>'
-    head = '<mujoco model="hall">\n  <compiler angle="degree"/>\n  <size memory="1M"/>\n'
-    light = '<light pos="0 0 5" dir="0 0.1 -1"/>\n    <geom name="floor" type="plane" size="5 4 0.1"/>'
-    assets = f"  <asset>\n    {look}\n  </asset>\n"
-    scene = f"{head}{assets}  <worldbody>\n    {light}\n{walls}\n    {again}\n  </worldbody>\n</mujoco>\n"
+    from support.mjcf import HALL
+
     settings = "name: hall\nfloor: [-5, -4, 5, 4]  # m\npeople: 4\nsource: made up\n"
-    return {"environment.yaml": settings.encode(), "scene.xml": scene.encode()}
+    return {"environment.yaml": settings.encode(), "scene.xml": HALL.encode()}
 
 
 def walks() -> bytes:
@@ -588,7 +568,8 @@ def load_run(folder: Path) -> Any:
 def result(folder: Path) -> dict[str, bytes]:
     """A complete result of a protocol of two tracks of 20 episodes."""
     import pytest
-    from test_benchmark import place, smaller
+
+    from support.benchmark_results import place, smaller
 
     smaller(pytest.MonkeyPatch())  # to the end of this process
     made = place(folder, "go_to_goal", 20, 0)
@@ -672,22 +653,6 @@ def _lab() -> Any:
     return sean_jax.make("lab", behavior="random", people=2, dynamics="twin")
 
 
-BODY = """<mujoco>
-  <option timestep="0.005"/>
-  <worldbody>
-    <geom type="plane" size="0 0 0.01"/>
-    <body pos="0 0 0.1">
-      <freejoint/>
-      <geom type="box" size="0.2 0.12 0.04" mass="6" contype="0" conaffinity="0"/>
-      <geom type="sphere" size="0.05" pos="-0.18 0 -0.05" mass="0.2" friction="0.001" condim="1"/>
-      <site name="lidar" pos="0 0 0.2"/>
-      <body pos="0.08 0 0"><joint name="wheel" axis="0 1 0"/><geom size="0.1" mass="0.5"/></body>
-    </body>
-  </worldbody>
-  <actuator><velocity joint="wheel" kv="2" forcerange="-4 4"/></actuator>
-  <keyframe><key name="home" qpos="0 0 0.1 1 0 0 0 0"/></keyframe>
-</mujoco>
-"""
 RATINGS = {
     "indices": [1, 2, 1],
     "descriptions": ["A robot."] * 3,
@@ -767,25 +732,6 @@ def load_code(folder: Path) -> Any:
         raise AssertionError("it is trusted")
 
 
-URDF = """<robot name="cart">
-  <link name="base">
-    <inertial><mass value="9"/><inertia ixx="0.2" ixy="0" ixz="0" iyy="0.2" iyz="0" izz="0.3"/></inertial>
-    <collision><origin xyz="0 0 0.1" rpy="0 0 0"/><geometry><box size="0.4 0.3 0.1"/></geometry></collision>
-  </link>
-  <link name="left"><inertial><mass value="0.5"/></inertial>
-    <collision><origin rpy="1.5708 0 0"/><geometry><cylinder radius="0.1" length="0.04"/></geometry></collision></link>
-  <link name="right"><inertial><mass value="0.5"/></inertial>
-    <collision><origin rpy="1.5708 0 0"/><geometry><cylinder radius="0.1" length="0.04"/></geometry></collision></link>
-  <link name="caster"><collision><geometry><sphere radius="0.05"/></geometry></collision></link>
-  <joint name="left_wheel" type="continuous"><parent link="base"/><child link="left"/>
-    <origin xyz="0.1 0.17 0.0"/><axis xyz="0 1 0"/><limit effort="3" velocity="9"/></joint>
-  <joint name="right_wheel" type="continuous"><parent link="base"/><child link="right"/>
-    <origin xyz="0.1 -0.17 0.0"/><axis xyz="0 1 0"/><limit effort="3" velocity="9"/></joint>
-  <joint name="back" type="fixed"><parent link="base"/><child link="caster"/><origin xyz="-0.15 0 -0.05"/></joint>
-</robot>
-"""
-
-
 def load_import(folder: Path) -> Any:
     from sean_jax.robots import imports
 
@@ -828,12 +774,13 @@ def load_mesh(folder: Path) -> Any:
     """The corners of each mesh, and a robot that wears them all."""
     from sean_jax.files import meshes
     from sean_jax.robots import imports
+    from support.robot_files import CART
 
     worn = "".join(
         f'<collision><geometry><mesh filename="wheel{ending}"/></geometry></collision>' for ending in meshes.MESHES
     )
     file = folder / "cart.urdf"
-    file.write_text(URDF.replace('<link name="caster">', f'<link name="caster">{worn}'))
+    file.write_text(CART.replace('<link name="caster">', f'<link name="caster">{worn}'))
     found = [meshes.vertices(folder / f"wheel{ending}") for ending in meshes.MESHES]
     return found, imports._Base(file, imports._read(file), imports.Settings()).mjcf("cart")
 
@@ -1168,6 +1115,7 @@ def kinds(folder: Path) -> dict[str, Kind]:
 
     from sean_jax.environment import ENVS
     from sean_jax.learning.policy import AGENTS
+    from support.robot_files import CART, ROVER
 
     NUMBERS.update(ranges=np.arange(40.0).reshape(5, 8), marks=np.array([True, False]))
     constants = "preset: calibrated\nparameters:\n  repulsion.range: 0.1\n  walking.relaxation_time: 0.3\n"
@@ -1188,7 +1136,7 @@ def kinds(folder: Path) -> dict[str, Kind]:
         "graph": Kind(read("graph.yaml"), ("graph.yaml",), load_graph, 13),
         "handcrafted": Kind(read("handcrafted.yaml"), ("handcrafted.yaml",), load_handcrafted, 10),
         "robot": Kind({"robot.xml": (ENVS / "robots/kuri.xml").read_bytes()}, ("robot.xml",), load_robot, 14),
-        "body": Kind({"body.xml": BODY.encode()}, ("body.xml",), load_body, 6),
+        "body": Kind({"body.xml": ROVER.encode()}, ("body.xml",), load_body, 6),
         "recording": Kind({"people.csv": walks()}, ("people.csv",), load_recording, 14),
         "trajectory": Kind({"trajectory.json": robot_among_people()}, ("trajectory.json",), load_trajectory, 8),
         "ratings": Kind({"ratings.json": json.dumps(RATINGS, indent=1).encode()}, ("ratings.json",), load_ratings, 6),
@@ -1231,7 +1179,7 @@ def kinds(folder: Path) -> dict[str, Kind]:
         "sensor": Kind({"eye.yaml": SENSOR.encode()}, ("eye.yaml",), load_sensor, 8),
         "variants": Kind({"variants.json": VARIANTS.encode()}, ("variants.json",), load_variants, 6),
         "row": Kind({"row.json": json.dumps(ROW, indent=1).encode()}, ("row.json",), load_row, 6),
-        "import": Kind({"cart.urdf": URDF.encode()}, ("cart.urdf",), load_import, 14),
+        "import": Kind({"cart.urdf": CART.encode()}, ("cart.urdf",), load_import, 14),
         **bags(folder),
     }
 
@@ -1730,4 +1678,5 @@ def main(seed: int, first: int, count: int, folder: Path, only: str = "") -> Non
 
 
 if __name__ == "__main__":
+    sys.path[0] = str(Path(__file__).parents[1])  # tests/, of which `support` is a part
     main(int(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3]), Path(sys.argv[4]), *sys.argv[5:6])

@@ -1,6 +1,6 @@
 """Experiments on the social forces (section IV-D): passing people, a robot, a bottleneck, walking groups.
 
-forces.py prints the results, tests assert them.
+benchmarks/forces.py prints the results, tests assert them.
 """
 
 import functools

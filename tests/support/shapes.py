@@ -89,7 +89,7 @@ class _Loader(SourceFileLoader):
         for scope in (tree, *(node for node in tree.body if isinstance(node, ast.ClassDef))):
             for node in scope.body:
                 if isinstance(node, ast.FunctionDef) and _names_shape(node):
-                    decorator = ast.parse("__import__('shapes').checked", mode="eval").body
+                    decorator = ast.parse("__import__('support.shapes').shapes.checked", mode="eval").body
                     node.decorator_list.append(ast.copy_location(decorator, node))
         return compile(ast.fix_missing_locations(tree), self.path, "exec", dont_inherit=True)
 

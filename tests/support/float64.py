@@ -1,9 +1,16 @@
 """The published social force law in float64 numpy, one person at a time: the oracle of the JAX crowd.
 
-Written from the papers' formulas: it shares no code with the package.
+Written from the papers' formulas: the law shares no code with the package. At the end, the package's constants and its
+crowd of the benchmarks as the law takes them.
 """
 
+import jax
+import jax.numpy as jnp
 import numpy as np
+
+from sean_jax import social_forces
+from sean_jax.bench import workload
+from sean_jax.social_forces.forces import term_name
 
 
 def length(v):
@@ -317,3 +324,31 @@ def step(x, v, heading, desired, preferred, boxes, p, dt, walking_groups=(), **o
         standing = "group" in others and stands(others["group"][i], desired[i])
         new_heading[i] = heading[i] if standing else turned(heading[i], u, p, dt)
     return new_x, new_v, new_heading
+
+
+def constants(forces: social_forces.Forces) -> dict[str, dict[str, float | str | None]]:
+    """The parameters of each term by name, in float64, and the names of its laws."""
+
+    def value(parameter):
+        return parameter.__name__ if callable(parameter) else None if parameter is None else float(parameter)
+
+    return {term_name(term): {name: value(one) for name, one in vars(term).items()} for term in forces}
+
+
+def crowd(people: int, walls: int, preset: str):
+    """Constants, state and boxes of the workload in float64."""
+    forces = social_forces.preset(preset)
+    numbers = workload.crowd(people, walls)[2]
+    state = numbers["x"], numbers["v"], numbers["heading"], numbers["desired"], numbers["preferred"]
+    return constants(forces), state, (numbers["center"], numbers["half"], numbers["yaw"])
+
+
+def in_double(tree):
+    """The tree with all its floating-point leaves in float64."""
+
+    def cast(leaf):
+        if not hasattr(leaf, "dtype") or not jnp.issubdtype(leaf.dtype, jnp.floating):
+            return leaf
+        return jnp.asarray(leaf, jnp.float64)
+
+    return jax.tree.map(cast, tree)
