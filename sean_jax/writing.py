@@ -2,6 +2,9 @@
 
 A file is written under another name and renamed. While a process works in a folder, the folder holds a ``.lock`` that
 names the process; the kernel frees the lock however the process ends, so it is never stale. Readers write nothing.
+
+The lock is ``flock``. On NFS it also holds between machines if the server runs its lock service, as version 4 does; the
+lock of a machine that crashed is freed after the server's grace period. A file system without locks is refused.
 """
 
 import contextlib
