@@ -234,9 +234,9 @@ def main() -> None:
         return control(*options.controller)
     import jax
 
-    from sean_jax import compiler
+    from sean_jax.cli import xla_flags
 
-    compiler.configure()  # compiled programs stay in the cache
+    xla_flags.configure()  # compiled programs stay in the cache
     about = {"environment": options.environment, "people": options.people, "cores": os.cpu_count(),
              "load": round(os.getloadavg()[0], 1), "device": jax.devices()[0].device_kind}  # fmt: skip
     figures, master = {}, None

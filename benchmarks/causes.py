@@ -18,11 +18,11 @@ import jax.numpy as jnp
 import numpy as np
 
 import sean_jax
-from sean_jax import environment
-from sean_jax.assembly import with_task
-from sean_jax.base import Policy, PolicyLike, Scenario, State, as_policy
+from sean_jax.world import environment
+from sean_jax.simulation.making import with_task
+from sean_jax.core.data_types import Policy, PolicyLike, Scenario, State, as_policy
 from sean_jax.classifiers import SITUATIONS
-from sean_jax.episodes import init_policy, simulate
+from sean_jax.simulation.episodes import init_policy, simulate
 from sean_jax.metrics import METRICS
 from sean_jax.policies import POLICIES, social_costmap
 from sean_jax.policies.social_costmap import default_params

@@ -14,7 +14,7 @@ import jax
 import numpy as np
 
 from sean_jax import social_forces
-from sean_jax.bench import programs, workload
+from sean_jax.cli.bench import programs, workload
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))  # the oracle is that of the tests
 from support import float64  # noqa: E402

@@ -23,8 +23,9 @@ import numpy as np
 from rich.console import Console
 
 import sean_jax
-from sean_jax import mdp, prng
-from sean_jax.errors import SeanError
+from sean_jax.core import random_streams
+from sean_jax import mdp
+from sean_jax.core.errors import SeanError
 from sean_jax.learning import reinforcement
 from sean_jax.learning.policy import AGENTS, agent_policy, load_agent, read_options
 from sean_jax.metrics import bootstrap
@@ -157,8 +158,8 @@ def mend(chosen: argparse.Namespace, console: Console) -> None:
     measure = measurement(scenario, network, observed)
     names = ["overall", *(name for name, _ in scenario.situations)]
     # Chosen in separate episodes: the worst of the same episodes would be biased.
-    worst = worst_situation(names, measure(given, jax.random.split(prng.key("run", 1), chosen.episodes)))
-    keys = jax.random.split(prng.key("run", 0), chosen.episodes)
+    worst = worst_situation(names, measure(given, jax.random.split(random_streams.key("run", 1), chosen.episodes)))
+    keys = jax.random.split(random_streams.key("run", 0), chosen.episodes)
     measured = {"before": [measure(given, keys)]}
     for kind, several in trainings.items():
         measured[kind] = [measure(agent, keys) for agent in several]

@@ -14,10 +14,10 @@ from pathlib import Path
 import numpy as np
 
 from sean_jax.config import StudioConfig, validate
-from sean_jax.survey.answers import Answers
-from sean_jax.survey.drive import Drive, Sessions
-from sean_jax.survey.server import PICTURE, PICTURE_INTERVAL
-from sean_jax.survey.study import Study
+from sean_jax.studies.survey.answers import Answers
+from sean_jax.studies.survey.drive import Drive, Sessions
+from sean_jax.studies.survey.server import PICTURE, PICTURE_INTERVAL
+from sean_jax.studies.survey.study import Study
 
 
 def rates(sessions: Sessions, answers: Answers, config: StudioConfig, drives: int, view: str, seconds: float) -> list:

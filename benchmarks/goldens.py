@@ -184,13 +184,13 @@ def jaxprs() -> dict[str, str]:
 
 def say(words: list[str], columns: int = 100) -> tuple[str, str]:
     """Output of a command in this process: stdout; and stderr, after the exit code."""
-    from sean_jax import cli
+    from sean_jax.cli import command_line
 
     out, err = (io.TextIOWrapper(io.BytesIO(), "utf-8", write_through=True) for _ in range(2))
     os.environ["COLUMNS"] = str(columns)
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
         try:
-            code: Any = cli.main(words)
+            code: Any = command_line.main(words)
         except SystemExit as end:
             code = end.code
         except Exception as error:

@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 
 import sean_jax
-from sean_jax import scenario as stages
+from sean_jax.simulation import scenario as stages
 
 COMMAND = (0.3, 0.1)  # m/s and rad/s
 

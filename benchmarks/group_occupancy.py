@@ -14,7 +14,7 @@ import jax
 import numpy as np
 
 import sean_jax
-from sean_jax import scenario as stages
+from sean_jax.simulation import scenario as stages
 from sean_jax.config import GraphBehavior
 from sean_jax.studies.validation.groups import group_occupancy
 

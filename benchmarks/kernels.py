@@ -74,7 +74,7 @@ def program(part: str, batch: int, people: int, forces: str) -> tuple[Callable, 
     import jax.numpy as jnp
 
     import sean_jax
-    from sean_jax import scenario as stages
+    from sean_jax.simulation import scenario as stages
 
     scenario = sean_jax.make("warehouse", behavior="graph", people=people, forces=forces)
 

@@ -65,20 +65,23 @@ import jax.numpy as jnp
 import numpy as np
 
 import sean_jax
-from sean_jax import maps, metrics, prng, writing
+from sean_jax.world import ros_map
+from sean_jax import metrics
+from sean_jax.core import random_streams
+from sean_jax.io import writing
 from sean_jax.config import Figure4Config, validate
-from sean_jax.errors import IncompleteError, InputError, SeanError
+from sean_jax.core.errors import IncompleteError, InputError, SeanError
 from sean_jax.learning.policy import load_policy
 from sean_jax.metrics import bootstrap
 from sean_jax.metrics.differences import difference, holm
 from sean_jax.ros import messages
 from sean_jax.ros.ros1 import Node, import_rospy
 from sean_jax.ros.transport import Log, Mailbox, Output
-from sean_jax.runner import first_state, varying_leaves
+from sean_jax.simulation.episode_runner import first_state, varying_leaves
 from sean_jax.sensors import lidar, lidar_sensor
 from sean_jax.studies.experiments import figure4, measures, write_csv
-from sean_jax.versions import versions
-from sean_jax.workspace import IDENTITY, Workspace, identity, refuse_difference
+from sean_jax.io.versions import versions
+from sean_jax.config.workspace import IDENTITY, Workspace, identity, refuse_difference
 
 CHECKOUTS = {
     "navigation": ("https://github.com/ros-planning/navigation", "9ad644198e132d0e950579a3bc72c29da46e60b0"),
@@ -267,7 +270,7 @@ class World:
         self.scenario = first = scenarios[0]
         self._tasks, self._varying = tuple(each.task for each in scenarios), varying_leaves(scenarios)
         self._alike = [replace(each, task=first.task, task_name=first.task_name) for each in scenarios]  # one program
-        self._root = prng.key(use, chosen.seed)
+        self._root = random_streams.key(use, chosen.seed)
         self._first = jax.jit(first_state, static_argnums=0)
         self._step, self._quantities = jax.jit(sean_jax.step), jax.jit(messages.step)
         self.results = jax.jit(functools.partial(sean_jax.results, first))
@@ -295,7 +298,7 @@ def occupancy_grid(scenario) -> dict[str, Any]:
     """The map in cells of 0.1 m, a meter beyond the floor."""
     x0, y0, x1, y1 = np.asarray(scenario.environment.floor, float)
     empty = np.zeros((round((y1 - y0 + 2) / MAP_CELL), round((x1 - x0 + 2) / MAP_CELL)), bool)
-    cells = maps.rasterize(scenario.environment.obstacles, maps.Raster(empty, empty, MAP_CELL, (x0 - 1, y0 - 1)))
+    cells = ros_map.rasterize(scenario.environment.obstacles, ros_map.Raster(empty, empty, MAP_CELL, (x0 - 1, y0 - 1)))
     origin = {"position": messages.vector(x0 - 1, y0 - 1), "orientation": messages.NO_ROTATION}
     rows, columns = cells.shape
     info = {"resolution": MAP_CELL, "width": columns, "height": rows, "origin": origin}

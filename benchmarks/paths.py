@@ -19,8 +19,8 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 
-from sean_jax import environment as environments  # noqa: E402
-from sean_jax import navigation  # noqa: E402
+from sean_jax.world import environment as environments  # noqa: E402
+from sean_jax.world import navigation  # noqa: E402
 from support import shortest_paths as oracle  # noqa: E402
 
 STRIDE = 0.1  # m

@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sean_jax import pedestrian_models
+from sean_jax.people import pedestrian_models
 
 
 class Peer(NamedTuple):

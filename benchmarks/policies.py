@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import sean_jax
-from sean_jax.episodes import init_policy, simulate
+from sean_jax.simulation.episodes import init_policy, simulate
 from sean_jax.policies import POLICIES, social_costmap
 from sean_jax.policies.social_costmap import default_params
 

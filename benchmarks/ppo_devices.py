@@ -12,7 +12,7 @@ import time
 
 import jax
 
-from sean_jax import devices
+from sean_jax.core import devices
 from sean_jax.config import PPOConfig
 from sean_jax.learning import reinforcement
 

@@ -21,10 +21,12 @@ import jax
 import numpy as np
 
 import sean_jax
-from sean_jax import bench, kernels, sensors
-from sean_jax.bench import programs
-from sean_jax.bench.programs import Program
-from sean_jax.stack import Stack
+from sean_jax.cli import bench
+from sean_jax.core import gpu_kernels
+from sean_jax import sensors
+from sean_jax.cli.bench import programs
+from sean_jax.cli.bench.programs import Program
+from sean_jax.simulation.scenario_stack import Stack
 
 FORMS = "loops", "kernel"
 COMPARED = 256  # scenarios whose images are compared
@@ -33,7 +35,7 @@ COMPARED = 256  # scenarios whose images are compared
 def choose(form: str) -> None:
     """Use this form of rays on a GPU in all programs traced from now on."""
     jax.clear_caches()
-    kernels.available = lambda: form == "kernel"
+    gpu_kernels.available = lambda: form == "kernel"
 
 
 @contextlib.contextmanager

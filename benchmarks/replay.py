@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import sean_jax
-from sean_jax import replay
+from sean_jax.web import replay
 
 WEB = Path(__file__).parent.parent / "web"
 

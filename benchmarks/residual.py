@@ -21,9 +21,10 @@ import numpy as np
 import optax
 from flax import struct
 
-from sean_jax import social_forces, writing
-from sean_jax.base import Array, Scenario, State
-from sean_jax.geometry import rotate
+from sean_jax import social_forces
+from sean_jax.io import writing
+from sean_jax.core.data_types import Array, Scenario, State
+from sean_jax.core.geometry import rotate
 from sean_jax.social_forces.forces import Crowd, Force, Forces, Pair, Walking
 from sean_jax.studies.calibration.fitting import Habits, losses
 from sean_jax.studies.calibration.windows import Scenes, prediction_scenes
@@ -32,8 +33,8 @@ from sean_jax.studies.scenes import Model, scenario_of, stage
 from sean_jax.studies.scenes.simulation import advance
 from sean_jax.studies.validation.crowds import WIDTH, hermes_speeds, juelich
 from sean_jax.studies.validation.individuals import fitted_without
-from sean_jax.studies.validation.plans import ring
-from sean_jax.versions import versions
+from sean_jax.studies.validation.guideline_scenes import ring
+from sean_jax.io.versions import versions
 
 SCENES = "eth", "hotel", "zara01"
 CLOCKS = "social_gan", "recorded"  # of the benchmark, which decides, and of the training

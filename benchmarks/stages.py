@@ -17,8 +17,8 @@ import jax
 from jax.profiler import ProfileData
 
 import sean_jax
-from sean_jax.bench import programs
-from sean_jax.stack import Stack
+from sean_jax.cli.bench import programs
+from sean_jax.simulation.scenario_stack import Stack
 
 STAGES = "direct_pedestrians", "move_pedestrians", "move_robot", "classify", "measure", "restart", "depth"
 TURNS = 4

@@ -12,9 +12,9 @@ import jax
 import numpy as np
 
 import sean_jax
-from sean_jax.base import Array, Scenario, State
-from sean_jax.behaviors import BEHAVIORS
-from sean_jax.environment import available, clearance
+from sean_jax.core.data_types import Array, Scenario, State
+from sean_jax.people.behaviors import BEHAVIORS
+from sean_jax.world.environment import available, clearance
 from sean_jax.policies import go_to_goal
 
 OVERLAP_DISTANCE = 0.3  # m between the centers of two people who overlap

@@ -17,13 +17,14 @@ import jax
 import jax.numpy as jnp
 
 import sean_jax
-from sean_jax import flags, mdp
+from sean_jax.config import flags
+from sean_jax import mdp
 from sean_jax.config import PPOConfig
-from sean_jax.errors import InputError
+from sean_jax.core.errors import InputError
 from sean_jax.learning import reinforcement, rollouts
 from sean_jax.learning.networks import init_agent
 from sean_jax.mdp import observations, rewards
-from sean_jax.stack import Stack
+from sean_jax.simulation.scenario_stack import Stack
 
 
 def seconds(call: Callable[[], Any], times: int = 3) -> float:

@@ -14,7 +14,7 @@ import numpy as np
 from gradients import seconds
 
 import sean_jax
-from sean_jax.episodes import init_policy, simulate
+from sean_jax.simulation.episodes import init_policy, simulate
 from sean_jax.policies import POLICIES, costmap, wave_kernel
 
 SUPPORTS = wave_kernel.supports

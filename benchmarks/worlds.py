@@ -17,10 +17,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sean_jax import assembly, mdp, registry, reset, step
-from sean_jax.base import Scenario, State
+from sean_jax.simulation import making
+from sean_jax import reset, step, mdp, registry
+from sean_jax.core.data_types import Scenario, State
 from sean_jax.config import EnvConfig, validate
-from sean_jax.stack import Stack
+from sean_jax.simulation.scenario_stack import Stack
 
 STEPS, REPEATS, FLOORS = 16, 4, 12  # of a call; calls; floors that run alone
 COMMAND, ACTION = (0.3, 0.1), (0.6, 0.1)  # m/s, rad/s; shares of the top speeds
@@ -81,8 +82,8 @@ def main() -> None:
     config = validate(EnvConfig, {**words, "observations": OBSERVATIONS.get(options.observe, ("goal",))})
     begun = time.perf_counter()
     if options.observe == "none":
-        floors, start, one = assembly.build_stack(config), reset, moved
-        floors = floors.map_member(lambda scenario: assembly.with_tasks(config, scenario)[0])
+        floors, start, one = making.build_stack(config), reset, moved
+        floors = floors.map_member(lambda scenario: making.with_tasks(config, scenario)[0])
     else:
         floors, start, one = registry.build_stack(config), lambda env, key: env.reset(key)[1], observed
     text = f"{floors.size} floors in {time.perf_counter() - begun:.0f} s, {size(floors) / 1e6:.2f} MB each"

@@ -12,7 +12,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from sean_jax import classifiers
-from sean_jax.base import Obstacles, Pedestrians, Snapshot
+from sean_jax.core.data_types import Obstacles, Pedestrians, Snapshot
 
 RIGHT, UP, LEFT = (1.0, 0.0), (0.0, 1.0), (-1.0, 0.0)
 ROBOT, PERSON, WALL = "#f58a07", "#4477aa", "#8d99b3"

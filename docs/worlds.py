@@ -5,12 +5,13 @@ Five floors of each family.
 
 from pathlib import Path
 
-from sean_jax import drawing, worlds
+from sean_jax import drawing
+from sean_jax.world import generated
 from sean_jax.graph import annotation
 
 PICTURES = Path(__file__).resolve().parent / "pictures"
 
-for family in worlds.FAMILIES:
-    made = [worlds.generate(family, seed) for seed in range(5)]
+for family in generated.FAMILIES:
+    made = [generated.generate(family, seed) for seed in range(5)]
     sheet = drawing.floors_sheet([(world.environment, annotation.build(world.graph, None)) for world in made])
     sheet.savefig(PICTURES / f"worlds-{family}.png", dpi=95, pil_kwargs={"optimize": True})

@@ -21,7 +21,7 @@ import numpy as np
 
 import sean_jax
 from sean_jax import robots
-from sean_jax.base import Obstacles
+from sean_jax.core.data_types import Obstacles
 from sean_jax.policies import go_to_goal
 
 SCENE = """

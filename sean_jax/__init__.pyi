@@ -1,8 +1,11 @@
 """The public names of sean_jax and their modules: type checkers read them here, and `lazy_loader` too."""
 
-from . import gradients as gradients, mdp as mdp, registry as registry, sensors as sensors, team as team
-from .assembly import make as make, make_team as make_team, with_task as with_task
-from .base import (
+from .core import gradients as gradients
+from . import mdp as mdp, sensors as sensors
+from .mdp import registry as registry
+from .simulation import team as team
+from .simulation.making import make as make, make_team as make_team, with_task as with_task
+from .core.data_types import (
     Behavior as Behavior,
     Environment as Environment,
     Groups as Groups,
@@ -19,9 +22,9 @@ from .base import (
     Trajectory as Trajectory,
     as_policy as as_policy,
 )
-from .behaviors import BEHAVIORS as BEHAVIORS, Place as Place
+from .people.behaviors import BEHAVIORS as BEHAVIORS, Place as Place
 from .classifiers import SITUATIONS as SITUATIONS, SITUATION_SETS as SITUATION_SETS, Thresholds as Thresholds
-from .components import trust as trust
+from .config.user_parts import trust as trust
 from .config import (
     APGConfig as APGConfig,
     CollectConfig as CollectConfig,
@@ -36,8 +39,8 @@ from .config import (
     RunConfig as RunConfig,
     ScenarioConfig as ScenarioConfig,
 )
-from .crowding import congestion as congestion
-from .episodes import (
+from .people.density import congestion as congestion
+from .simulation.episodes import (
     ResetPool as ResetPool,
     autoreset as autoreset,
     init_policy as init_policy,
@@ -47,7 +50,7 @@ from .episodes import (
     rollout_autoreset as rollout_autoreset,
     simulate as simulate,
 )
-from .errors import (
+from .core.errors import (
     FileError as FileError,
     IncompleteError as IncompleteError,
     InputError as InputError,
@@ -57,13 +60,13 @@ from .errors import (
 from .evaluation import Evaluation as Evaluation, evaluate as evaluate
 from .mdp import Env as Env, EnvState as EnvState, make_env as make_env
 from .metrics import METRICS as METRICS, Metric as Metric, aggregate as aggregate
-from .pedestrian_models import MODELS as MODELS
-from .pedestrian_models import pedestrians_at as pedestrians_at
+from .people.pedestrian_models import MODELS as MODELS
+from .people.pedestrian_models import pedestrians_at as pedestrians_at
 from .policies import POLICIES as POLICIES
-from .replay import view as view
+from .web.replay import view as view
 from .robots import ROBOTS as ROBOTS
-from .runner import Record as Record, Runner as Runner
-from .scenario import (
+from .simulation.episode_runner import Record as Record, Runner as Runner
+from .simulation.scenario import (
     next_task as next_task,
     observe as observe,
     reset as reset,
@@ -76,6 +79,6 @@ from .social_forces import Forces as Forces, PRESETS as PRESETS, preset as prese
 from .studies import inverse_graph as inverse_graph, scenes as scenes
 from .studies.prediction import predict as predict
 from .tasks import TASKS as TASKS, build_task as build_task
-from .trajectories import load_trajectory as load_trajectory, save_trajectory as save_trajectory
+from .io.trajectories import load_trajectory as load_trajectory, save_trajectory as save_trajectory
 
 __version__: str

@@ -2,7 +2,7 @@
 
 import sys
 
-from sean_jax.cli import main
+from sean_jax.cli.command_line import main
 
 if __name__ == "__main__":
     sys.exit(main())

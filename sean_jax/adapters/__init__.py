@@ -6,13 +6,15 @@ from typing import Any
 import jax
 import numpy as np
 
-from sean_jax import mdp, prng, registry
-from sean_jax.base import Array
+from sean_jax import mdp
+from sean_jax.core import random_streams
+from sean_jax.mdp import registry
+from sean_jax.core.data_types import Array
 from sean_jax.drawing import view
-from sean_jax.errors import InputError
+from sean_jax.core.errors import InputError
 from sean_jax.mdp import observations
-from sean_jax.scenario import frame
-from sean_jax.versions import fingerprint
+from sean_jax.simulation.scenario import frame
+from sean_jax.io.versions import fingerprint
 
 NAMESPACE = "sean"
 """What stands before the names of ``registry.ALL_ENVS`` in other projects' registries."""
@@ -20,7 +22,7 @@ NAMESPACE = "sean"
 
 def identity(env: mdp.Env) -> Hashable:
     """A hashable value that is equal for environments of the same parts and numbers, and for no others."""
-    return jax.tree.structure(env), fingerprint(prng.as_numbers(env))
+    return jax.tree.structure(env), fingerprint(random_streams.as_numbers(env))
 
 
 def load(env: mdp.Env | str, config: Mapping[str, Any]) -> mdp.Env:

@@ -16,11 +16,13 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
 from jaxtyping import PyTree
 
-from sean_jax import mdp, prng, registry
+from sean_jax import mdp
+from sean_jax.core import random_streams
+from sean_jax.mdp import registry
 from sean_jax.adapters import NAMESPACE, identity, load, picture
-from sean_jax.base import Array
-from sean_jax.errors import InputError
-from sean_jax.scenario import results
+from sean_jax.core.data_types import Array
+from sean_jax.core.errors import InputError
+from sean_jax.simulation.scenario import results
 
 MAX_RECENT = 8  # environments whose compiled programs are remembered
 
@@ -52,7 +54,7 @@ class _Programs:
 
     def __init__(self, env: mdp.Env, rows: bool):
         observation, self.state = jax.eval_shape(lambda: env.reset(jax.random.key(0)))
-        self.states = states = _Packing(jax.eval_shape(prng.as_numbers, self.state))
+        self.states = states = _Packing(jax.eval_shape(random_streams.as_numbers, self.state))
         shapes = dict.fromkeys(("reward", "terminated", "truncated", "completed"), ())
         shapes |= {"command": env.action_space.shape, "situations": (len(env.scenario.situations),)}
         zeros = {name: np.zeros(shape, np.float32) for name, shape in shapes.items()}
@@ -61,7 +63,7 @@ class _Programs:
 
         def pack(state: PyTree, values: dict[str, Any]) -> tuple[dict[str, Array], dict[str, Array]]:
             values = jax.tree.map(lambda value: jnp.asarray(value, jnp.float32), values)
-            return states.pack(prng.as_numbers(state)), results_of.pack(values)
+            return states.pack(random_streams.as_numbers(state)), results_of.pack(values)
 
         def begin(seed: Array, number: Array) -> tuple[dict[str, Array], dict[str, Array]]:
             observation, state = env.reset(jax.random.fold_in(jax.random.key(seed), number))
@@ -81,7 +83,7 @@ class _Programs:
 
     def unpack(self, packed: dict[str, Array]) -> mdp.EnvState:
         """The state of its packed form."""
-        return prng.as_keys(self.states.unpack(packed), self.state)
+        return random_streams.as_keys(self.states.unpack(packed), self.state)
 
     def read(self, packed: dict[str, Any]) -> dict[str, Any]:
         """The results of a step on the host, with an observation that may be written to."""

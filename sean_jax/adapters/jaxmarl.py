@@ -17,8 +17,8 @@ from jaxmarl.environments.spaces import Box
 
 from sean_jax.adapters import typed
 from sean_jax.adapters.multi_agent import TeamEnv, TeamState
-from sean_jax.base import Array, Scenario
-from sean_jax.stack import Stack
+from sean_jax.core.data_types import Array, Scenario
+from sean_jax.simulation.scenario_stack import Stack
 
 
 class SocialNavigation(MultiAgentEnv):

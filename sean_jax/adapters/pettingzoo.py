@@ -15,9 +15,9 @@ from gymnasium import spaces
 from pettingzoo.utils.env import ParallelEnv
 
 from sean_jax.adapters.multi_agent import TeamEnv, TeamState
-from sean_jax.base import Scenario
-from sean_jax.errors import InputError
-from sean_jax.stack import Stack
+from sean_jax.core.data_types import Scenario
+from sean_jax.core.errors import InputError
+from sean_jax.simulation.scenario_stack import Stack
 
 
 class SocialNavigation(ParallelEnv[str, np.ndarray, np.ndarray]):

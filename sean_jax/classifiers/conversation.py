@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Bool, Float, Int
 
-from sean_jax.base import Array
+from sean_jax.core.data_types import Array
 
 STRIDE = 0.8  # m, of Setti et al. for the Cocktail Party recording
 PRICE = 1.5  # m2 for each group, the best on every second frame of it; for Coffee Break 0.6 m and 0.6 m2 are best

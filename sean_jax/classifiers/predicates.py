@@ -9,8 +9,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Bool, Float, Int
 
-from sean_jax.base import Array, Pedestrians, Snapshot
-from sean_jax.geometry import TINY
+from sean_jax.core.data_types import Array, Pedestrians, Snapshot
+from sean_jax.core.geometry import TINY
 
 Scalar = Float[Array, ""] | float
 

@@ -10,7 +10,7 @@ All five differ from the paper in three ways:
 import jax.numpy as jnp
 from jaxtyping import Bool, Float, Int
 
-from sean_jax.base import Array, Pedestrians, Snapshot
+from sean_jax.core.data_types import Array, Pedestrians, Snapshot
 from sean_jax.classifiers.predicates import any_person, cosine, near, walking
 from sean_jax.classifiers.situations import Situation, Thresholds, empty, thresholds
 

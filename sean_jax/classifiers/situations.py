@@ -15,8 +15,8 @@ import numpy as np
 from flax import struct
 from jaxtyping import Bool, Float
 
-from sean_jax import calls
-from sean_jax.base import Array, Pedestrians, Snapshot
+from sean_jax.core import user_code
+from sean_jax.core.data_types import Array, Pedestrians, Snapshot
 from sean_jax.classifiers.predicates import (
     any_person,
     member,
@@ -25,8 +25,8 @@ from sean_jax.classifiers.predicates import (
     perpendicular_trajectory,
     walking,
 )
-from sean_jax.devices import parameter
-from sean_jax.errors import InputError
+from sean_jax.core.devices import parameter
+from sean_jax.core.errors import InputError
 
 
 @struct.dataclass
@@ -170,7 +170,7 @@ class _Situation:
     def __call__(self, snapshot: Snapshot, thresholds: Thresholds) -> Array:
         names = "snapshot, thresholds" if self.with_thresholds else "snapshot"
         arguments = (snapshot, thresholds) if self.with_thresholds else (snapshot,)
-        value = calls.call("situations", self.function, names, *arguments)
+        value = user_code.call("situations", self.function, names, *arguments)
         cure = "compare numbers, and reduce over people with any"
-        calls.check_array("situations", self.function, value, bool, (), cure)
+        user_code.check_array("situations", self.function, value, bool, (), cure)
         return jnp.asarray(value)

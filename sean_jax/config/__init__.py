@@ -76,7 +76,7 @@ from sean_jax.config.studies import (
     Table1Config,
     ValidateConfig,
 )
-from sean_jax.messages import listed, suggest
+from sean_jax.core.messages import listed, suggest
 
 
 class BenchConfig(Config):

@@ -23,10 +23,10 @@ from pydantic.fields import FieldInfo
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, ErrorDetails, core_schema
 
-from sean_jax import files
+from sean_jax.io import files
 from sean_jax.config.fields import Option, Range, Text, check_once
-from sean_jax.errors import InputError
-from sean_jax.messages import error_clause, listed, shorten, suggest
+from sean_jax.core.errors import InputError
+from sean_jax.core.messages import error_clause, listed, shorten, suggest
 
 OWN_PART = re.compile(r"(?P<file>.+\.py):(?P<name>[A-Za-z_]\w*)")
 
@@ -384,7 +384,7 @@ def validate(
     Args:
         source: the file with the values.
         typed: whether the user typed the values, on the command line or as arguments in Python. Only what reads these
-            says so (``tests/test_trust.py`` has the list).
+            says so (``tests/config/test_user_parts_trust.py`` has the list).
 
     Raises:
         InputError: one sentence for the first mistake: field, value, cure.

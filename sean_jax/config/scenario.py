@@ -12,7 +12,7 @@ import pydantic
 from sean_jax.config import fields
 from sean_jax.config.core import Component, Config, Family, Named, OwnPart, Value, compact, with_defaults
 from sean_jax.config.fields import Option
-from sean_jax.messages import listed
+from sean_jax.core.messages import listed
 
 USUAL_TASKS = {"graph": ("join_group", "leave_group"), "handcrafted": ("handcrafted",)}
 """behavior -> its robot tasks in the paper's protocol (section V-B); with other behaviors it is random_ab_nav."""

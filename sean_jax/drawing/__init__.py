@@ -19,17 +19,18 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sean_jax import navigation as paths
-from sean_jax import prng, robots
-from sean_jax.base import Array, Environment, Groups, Obstacles, Scenario, Trajectory
+from sean_jax.world import navigation as paths
+from sean_jax.core import random_streams
+from sean_jax import robots
+from sean_jax.core.data_types import Array, Environment, Groups, Obstacles, Scenario, Trajectory
 from sean_jax.drawing import colors, gifs, layers
 from sean_jax.drawing.colors import policy_colors, situation_colors
 from sean_jax.drawing.gifs import animate, video
-from sean_jax.environment import plain_scenery
-from sean_jax.geometry import build_obstacle_grid
+from sean_jax.world.environment import plain_scenery
+from sean_jax.core.geometry import build_obstacle_grid
 from sean_jax.graph import FLOWS, NO_EDGE, BehaviorGraph, graph_of
 from sean_jax.graph.formation import formation
-from sean_jax.handcrafted import Sets
+from sean_jax.people.handcrafted import Sets
 
 __all__ = ["animate", "congestion_map", "empty_floor", "floors_sheet", "graph_of", "graph_sheet", "handcrafted_sheet"]
 __all__ += ["policy_colors", "situation_colors", "top_down", "video", "view"]
@@ -175,7 +176,7 @@ def handcrafted_sheet(scenario: Scenario) -> Figure:
     from matplotlib.figure import Figure
 
     sets: Sets = scenario.behavior.data
-    starts = jax.tree.map(np.asarray, jax.jit(_starts)(scenario, prng.key("draw", 0)))
+    starts = jax.tree.map(np.asarray, jax.jit(_starts)(scenario, random_streams.key("draw", 0)))
     table = jax.tree.map(np.asarray, replace(sets, ways=None))
     floor = np.asarray(scenario.environment.floor, float)
     windows = []
@@ -222,7 +223,7 @@ def graph_sheet(environment: Environment, graph: BehaviorGraph) -> Figure:
     groups = np.asarray(graph.groups)
     if len(groups):
         center = graph.position[graph.groups]
-        form = jax.jit(formation)(prng.key("draw", 0), graph.capacity[graph.groups], center, graph.seat_group)
+        form = jax.jit(formation)(random_streams.key("draw", 0), graph.capacity[graph.groups], center, graph.seat_group)
         seat, heading, _, opening = (np.asarray(part) for part in form)
         radius = max(0.0035 * (high[0] - low[0]), MIN_RADIUS)
         layers.draw_discs(axes, seat, heading, np.ones(len(seat), bool), radius, 0.7)

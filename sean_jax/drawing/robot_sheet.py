@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sean_jax.robots.imports import Result, outline
+from sean_jax.robots.importing import Result, outline
 from sean_jax.robots.links import Shape
 
 if TYPE_CHECKING:

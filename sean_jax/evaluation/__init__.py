@@ -18,11 +18,15 @@ import numpy as np
 from rich.console import Console
 from rich.text import Text
 
-from sean_jax import assembly, components, files, interrupts, robots, sensors, trajectories, worlds, writing
-from sean_jax.base import Policy, PolicyLike, Scenario, State, Trajectory
+from sean_jax.simulation import making
+from sean_jax.config import user_parts
+from sean_jax.io import files, interrupts, trajectories, writing
+from sean_jax import robots, sensors
+from sean_jax.world import generated
+from sean_jax.core.data_types import Policy, PolicyLike, Scenario, State, Trajectory
 from sean_jax.config import OwnPart, RunConfig, Value, outside
-from sean_jax.errors import InputError
-from sean_jax.evaluation import compare, results, saved
+from sean_jax.core.errors import InputError
+from sean_jax.evaluation import compare, results, run_folder
 from sean_jax.evaluation.batches import (
     FRAMES,
     FinishedBatch,
@@ -34,15 +38,15 @@ from sean_jax.evaluation.batches import (
     unfinished_runs,
 )
 from sean_jax.evaluation.results import Evaluation
-from sean_jax.flags import number
+from sean_jax.config.flags import number
 from sean_jax.learning.policy import check_policy, load_policies, load_policy
 from sean_jax.metrics import Metric
-from sean_jax.progress import Progress, progress
-from sean_jax.replay.live import Live, serve
-from sean_jax.runner import CHUNK, Callbacks, Runner
-from sean_jax.stack import Stack, as_stacks
-from sean_jax.versions import fingerprint
-from sean_jax.writing import check_new_folder
+from sean_jax.io.progress import Progress, progress
+from sean_jax.web.replay.live import Live, serve
+from sean_jax.simulation.episode_runner import CHUNK, Callbacks, Runner
+from sean_jax.simulation.scenario_stack import Stack, as_stacks
+from sean_jax.io.versions import fingerprint
+from sean_jax.io.writing import check_new_folder
 
 __all__ = ["Evaluation", "evaluate", "run"]
 
@@ -133,7 +137,7 @@ def run(
         KeyboardInterrupt: no batch was finished.
     """
     with contextlib.ExitStack() as stack:
-        stack.enter_context(components.read_once())
+        stack.enter_context(user_parts.read_once())
         path = _locked_folder(config, stack)
         folder = RunFolder(path, config)
         stack.enter_context(folder.explain_errors())
@@ -142,10 +146,10 @@ def run(
             console.print(Text(text, "dim"), soft_wrap=True)
         with console.status("preparing the scenario"):
             _check(config, connect is not None)
-            inputs = saved.read_inputs(config)
-            teams = assembly.build_team(config, config.team) if config.team else None
-            stacks = teams or assembly.build_floors(config, config.episodes)
-            wanted = worlds.count(config.environment)
+            inputs = run_folder.read_inputs(config)
+            teams = making.build_team(config, config.team) if config.team else None
+            stacks = teams or making.build_floors(config, config.episodes)
+            wanted = generated.count(config.environment)
             floors, first = stacks[0], stacks[0].member
             if connect is not None and floors.size > 1:
                 raise InputError(f"policy: {config.policy.kind} drives on one floor or robot, not on {floors.size}.")
@@ -361,12 +365,12 @@ def _check(config: RunConfig, driven: bool) -> None:
         compare.read(config.baseline)
     if config.trajectories is not None:
         trajectories.check_packages(f".{config.trajectories}")
-    assembly.check(config)
+    making.check(config)
     if config.team:
         for name in config.team:
             if name not in robots.ROBOTS:  # a file of a robot is not copied beside the results
                 raise InputError(files.unknown_name("robots", name, robots.ROBOTS))
-        assembly.check_team(config, config.team)
+        making.check_team(config, config.team)
     for policy in config.policies if not driven else []:
         check_policy(policy, config)
     for robot in config.robot_parts:

@@ -24,17 +24,20 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from sean_jax import clock, components, crowding, files, geometry, interrupts, trajectories, workspace, writing
-from sean_jax.base import Array, Policy, Scenario, State, Trajectory
+from sean_jax.core import clock, geometry
+from sean_jax.config import user_parts, workspace
+from sean_jax.people import density
+from sean_jax.io import files, interrupts, trajectories, writing
+from sean_jax.core.data_types import Array, Policy, Scenario, State, Trajectory
 from sean_jax.config import RunConfig
-from sean_jax.errors import ControllerError, IncompleteError, InputError
+from sean_jax.core.errors import ControllerError, IncompleteError, InputError
 from sean_jax.graph import graph_of
-from sean_jax.runner import Batch, Record, batch_results, not_finite
-from sean_jax.scenario import frame
-from sean_jax.stack import Stack
-from sean_jax.versions import fingerprint, versions
-from sean_jax.workspace import REMAKE, Workspace
-from sean_jax.writing import check_new_folder
+from sean_jax.simulation.episode_runner import Batch, Record, batch_results, not_finite
+from sean_jax.simulation.scenario import frame
+from sean_jax.simulation.scenario_stack import Stack
+from sean_jax.io.versions import fingerprint, versions
+from sean_jax.config.workspace import REMAKE, Workspace
+from sean_jax.io.writing import check_new_folder
 
 FRAMES = 4  # episodes whose frames the report shows
 
@@ -67,7 +70,7 @@ class FinishedBatch:
 def record(floors: Stack[Scenario], size: int, frames: int = FRAMES) -> Record:
     """The record of a run's batches: ``Totals``, and the frames of the first episodes."""
     one_floor = floors.size == 1 or floors.member.others is not None
-    cells = crowding.grid_shape(floors.member.environment) if one_floor else None
+    cells = density.grid_shape(floors.member.environment) if one_floor else None
     return Record(functools.partial(_init, cells), functools.partial(_update, cells, min(frames, size)))
 
 
@@ -79,7 +82,7 @@ def _init(cells: tuple[int, int] | None, floors: Stack[Scenario], states: State)
     return Totals(
         heat=jnp.zeros(cells or (0, 0), jnp.int32),
         walks=jnp.zeros((nodes, nodes), jnp.int32),
-        node=jnp.full((size, scenario.people), crowding.NO_NODE, jnp.int32),
+        node=jnp.full((size, scenario.people), density.NO_NODE, jnp.int32),
         together=jnp.zeros((2 ** len(scenario.situations),), jnp.int32),
         penetration=jnp.full((), -1e9, float),
         group_size=jnp.zeros(groups, jnp.int32),
@@ -126,10 +129,10 @@ def _on_floor(
 ) -> Totals:
     """What is counted by place, which is of one floor."""
     here = present & active[:, None]
-    cell = crowding.cell_of(scenario.environment, cells, frames.people)
+    cell = density.cell_of(scenario.environment, cells, frames.people)
     node, walks = totals.node, totals.walks
     if (graph := graph_of(scenario)) is not None:
-        node, walked = jax.vmap(crowding.track_nodes, (None, 0, 0, 0))(graph, totals.node, frames.people, present)
+        node, walked = jax.vmap(density.track_nodes, (None, 0, 0, 0))(graph, totals.node, frames.people, present)
         walks = walks.at[totals.node, node].add((walked & active[:, None]).astype(jnp.int32))
     index = jnp.arange(totals.group_size.shape[0], dtype=jnp.int32)
     members = jnp.sum((frames.group[..., None] == index[None, None, :]) & here[..., None], 1, dtype=jnp.int32)
@@ -407,7 +410,7 @@ def _count_rows(place: Path) -> int:
 
 def _identity(config: RunConfig) -> dict[str, Any]:
     options = config.identity() | {"batch": min(config.batch, config.episodes)}
-    return {"options": options, "parts": components.digests(config)}
+    return {"options": options, "parts": user_parts.digests(config)}
 
 
 def _to_arrays(batch: FinishedBatch) -> dict[str, Any]:

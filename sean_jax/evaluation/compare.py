@@ -18,12 +18,14 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from sean_jax import components, files, pages, replay, writing
+from sean_jax.config import user_parts
+from sean_jax.io import files, writing
+from sean_jax.web import pages, replay
 from sean_jax.config import CompareConfig, RunConfig, validate
-from sean_jax.errors import InputError
-from sean_jax.evaluation import saved
+from sean_jax.core.errors import InputError
+from sean_jax.evaluation import run_folder
 from sean_jax.evaluation.table import EPISODE_FIGURES, Figure, metric_figure
-from sean_jax.flags import command, flag
+from sean_jax.config.flags import command, flag
 from sean_jax.metrics import METRICS
 from sean_jax.metrics.differences import Difference, difference, holm
 
@@ -140,10 +142,10 @@ def read(folder: Path, name: str = "") -> SavedRun:
     for file in ("config.yaml", "episodes.csv"):
         if not (folder / file).is_file():
             raise InputError(f"{folder}: holds no {file}; give a folder that `sean run` has finished.")
-    content = saved.read_config(folder / "config.yaml", check=False)
+    content = run_folder.read_config(folder / "config.yaml", check=False)
     config = validate(RunConfig, content.description)
-    description = components.relocate(saved.rename(config.identity(), content.identities), content.identities)
-    tasks, columns = saved.read_episodes(folder / "episodes.csv")
+    description = user_parts.relocate(run_folder.rename(config.identity(), content.identities), content.identities)
+    tasks, columns = run_folder.read_episodes(folder / "episodes.csv")
     if len(tasks) > config.episodes * (len(config.team) or 1):
         what = f"has {len(tasks):,} rows and config.yaml {config.episodes:,} episodes"
         raise InputError(f"{folder / 'episodes.csv'}: {what}; restore the files.")

@@ -17,18 +17,21 @@ import numpy as np
 from rich.console import Console
 from rich.text import Text
 
-from sean_jax import assembly, files, flags, replay, writing
-from sean_jax.base import Array, Policy, Scenario, State, Trajectory
+from sean_jax.simulation import making
+from sean_jax.io import files, writing
+from sean_jax.config import flags
+from sean_jax.web import replay
+from sean_jax.core.data_types import Array, Policy, Scenario, State, Trajectory
 from sean_jax.config import CollectConfig, ReplayConfig, RunConfig, validate
-from sean_jax.errors import InputError
-from sean_jax.evaluation import batches, results, saved
+from sean_jax.core.errors import InputError
+from sean_jax.evaluation import batches, results, run_folder
 from sean_jax.learning.collection import content, load_driver, stream_floors
 from sean_jax.learning.networks import CONFIG, read_method
 from sean_jax.learning.policy import load, load_policies, read_options
-from sean_jax.progress import progress
-from sean_jax.runner import Callbacks, Record, Runner
-from sean_jax.stack import Stack
-from sean_jax.versions import fingerprint, version_mismatch
+from sean_jax.io.progress import progress
+from sean_jax.simulation.episode_runner import Callbacks, Record, Runner
+from sean_jax.simulation.scenario_stack import Stack
+from sean_jax.io.versions import fingerprint, version_mismatch
 
 MANIFEST = "dataset.json"
 CURE = "give a folder that `sean run`, `collect`, `train` or `validate` has written."
@@ -135,11 +138,11 @@ def _check(numbers: list[int], count: int, folder: Path) -> None:
 def _of_run(folder: Path, numbers: list[int]) -> Source:
     """The episodes of ``sean run``, from its config.yaml."""
     path = folder / "config.yaml"
-    before = saved.read_config(path)
+    before = run_folder.read_config(path)
     config = validate(RunConfig, before.description, source=path)
     _check(numbers, config.episodes, folder)
-    teams, robots = assembly.build_team(config, config.team) if config.team else None, len(config.team) or 1
-    stacks = teams or assembly.build_floors(config, config.episodes)
+    teams, robots = making.build_team(config, config.team) if config.team else None, len(config.team) or 1
+    stacks = teams or making.build_floors(config, config.episodes)
     floors, count = stacks[0], len(stacks)
     policy, content = load_policies(config.policies, floors.member), floors if floors.size > 1 else floors.member
     ended, step = _ended(folder / "episodes.csv", robots), floors.member.time_step
@@ -176,7 +179,7 @@ def _cause(versions: Any, then: str, now: str) -> str:
 def _ended(path: Path, robots: int) -> dict[int, float]:
     """Episode -> s, of the finished episodes; of a team until the episode of the last robot ends."""
     try:
-        return dict(enumerate(saved.read_episodes(path)[1]["seconds"].reshape(-1, robots).max(1).tolist()))
+        return dict(enumerate(run_folder.read_episodes(path)[1]["seconds"].reshape(-1, robots).max(1).tolist()))
     except InputError:
         return {}
 

@@ -18,17 +18,19 @@ import jax
 import numpy as np
 from rich.console import Console
 
-from sean_jax import drawing, metrics, pages, replay, robots, writing
-from sean_jax.base import Scenario, Trajectory
+from sean_jax import drawing, metrics, robots
+from sean_jax.web import pages, replay
+from sean_jax.io import writing
+from sean_jax.core.data_types import Scenario, Trajectory
 from sean_jax.config import RunConfig
 from sean_jax.drawing.colors import NO_SITUATION, situation_colors
 from sean_jax.drawing.svg import svg
-from sean_jax.evaluation import compare, saved, table
+from sean_jax.evaluation import compare, run_folder, table
 from sean_jax.evaluation.compare import SavedRun
-from sean_jax.flags import command
+from sean_jax.config.flags import command
 from sean_jax.metrics import Estimate, Metric, aggregate_ratio, resamples
 from sean_jax.metrics.bootstrap import of_count, of_share
-from sean_jax.versions import versions
+from sean_jax.io.versions import versions
 
 
 @dataclasses.dataclass
@@ -231,7 +233,7 @@ def _figure(estimate: Estimate) -> dict[str, Any] | None:
 
 
 def write_all(
-    folder: Path, evaluation: Evaluation, config: RunConfig | None = None, inputs: saved.Inputs | None = None
+    folder: Path, evaluation: Evaluation, config: RunConfig | None = None, inputs: run_folder.Inputs | None = None
 ) -> None:
     """Write all files of an evaluation to an empty folder.
 
@@ -239,7 +241,7 @@ def write_all(
     """
     packages = versions()
     about = {"scenario": evaluation.names(), "people": evaluation.scenario.people, "versions": packages}
-    saved.write_config(folder, about, config, inputs)
+    run_folder.write_config(folder, about, config, inputs)
     write_episodes(folder / "episodes.csv", evaluation)
     summary = evaluation.summary()
     (folder / "summary.json").write_text(json.dumps(summary, indent=2, allow_nan=False) + "\n", encoding="utf-8")

@@ -19,8 +19,8 @@ import numpy as np
 from flax import struct
 from jaxtyping import Bool, Float, Int
 
-from sean_jax.base import Array, Scenario
-from sean_jax.geometry import length
+from sean_jax.core.data_types import Array, Scenario
+from sean_jax.core.geometry import length
 
 FLOWS = ("medium", "high", "low", "forward", "backward")
 """Categories of the paper's pairs <c_uv, c_vu> of edge weights, as ``graph.yaml`` names them.

@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from sean_jax.base import Array
-from sean_jax.geometry import unit_vectors
+from sean_jax.core.data_types import Array
+from sean_jax.core.geometry import unit_vectors
 
 # Members' mean distance [m] from their centroid and its standard deviation, by group size.
 MEASURED = {2: (0.45, 0.14), 3: (0.58, 0.19), 4: (0.67, 0.20), 5: (0.77, 0.20), 6: (0.83, 0.17)}

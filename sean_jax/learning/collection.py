@@ -23,22 +23,27 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sean_jax import assembly, components, devices, navigation, prng, robots, sensors, worlds, writing
-from sean_jax.base import Array, Policy, Scenario, State
+from sean_jax.simulation import making
+from sean_jax.config import user_parts
+from sean_jax.core import devices, random_streams
+from sean_jax.world import navigation, generated
+from sean_jax import robots, sensors
+from sean_jax.io import writing
+from sean_jax.core.data_types import Array, Policy, Scenario, State
 from sean_jax.config import MAX_PIXELS, CollectConfig, HandcraftedBehavior, OwnPart, Value
-from sean_jax.errors import InputError
-from sean_jax.flags import command, number
+from sean_jax.core.errors import InputError
+from sean_jax.config.flags import command, number
 from sean_jax.learning import dataset
 from sean_jax.learning.dataset import Dataset, EpisodeBatch, stream_seconds
 from sean_jax.learning.examples import Row, row
 from sean_jax.learning.policy import check_policy, label, labelled, load_policy
-from sean_jax.progress import ProgressLike, progress
+from sean_jax.io.progress import ProgressLike, progress
 from sean_jax.robots.drive import require
-from sean_jax.runner import Callbacks, Record, Runner, batch_size, not_finite
-from sean_jax.scenario import reset, step
-from sean_jax.stack import Stack, as_stacks
-from sean_jax.versions import fingerprint, versions
-from sean_jax.workspace import CONTENT, refuse_difference, refuse_others
+from sean_jax.simulation.episode_runner import Callbacks, Record, Runner, batch_size, not_finite
+from sean_jax.simulation.scenario import reset, step
+from sean_jax.simulation.scenario_stack import Stack, as_stacks
+from sean_jax.io.versions import fingerprint, versions
+from sean_jax.config.workspace import CONTENT, refuse_difference, refuse_others
 
 # ------------------------------------------------------------------ schedule of streams
 
@@ -52,7 +57,7 @@ def check_collection(config: CollectConfig) -> None:
     check_policy(config.policy, config)
     if config.labels is not None:
         check_policy(config.labels, config, "labels")
-    assembly.check(config)
+    making.check(config)
     for robot in config.robot_parts:
         if not isinstance(robot, OwnPart | Value):
             sensors.camera(robots.load(robot.kind), "depth", width=config.width, height=config.height)
@@ -64,7 +69,7 @@ def streams(config: CollectConfig) -> dict[str, Scenario]:
     Raises:
         InputError: unknown names, or impossible combinations.
     """
-    scenarios = [replace(scenario, metrics=()) for scenario in assembly.build(config)]  # not needed here
+    scenarios = [replace(scenario, metrics=()) for scenario in making.build(config)]  # not needed here
     first = scenarios[0]
     if isinstance(config.behavior, HandcraftedBehavior) and [each.task_name for each in scenarios] == ["handcrafted"]:
         situations = dict.fromkeys(first.behavior.data.situations)
@@ -79,10 +84,10 @@ def stream_floors(config: CollectConfig) -> dict[str, Stack[Scenario]]:
     Raises:
         InputError: unknown names, or impossible combinations.
     """
-    if worlds.count(config.environment) == 1:
+    if generated.count(config.environment) == 1:
         parts = streams(config)
         return dict(zip(parts, as_stacks(list(parts.values())), strict=True))
-    floors = [each.map_member(lambda scenario: replace(scenario, metrics=())) for each in assembly.build_floors(config)]
+    floors = [each.map_member(lambda scenario: replace(scenario, metrics=())) for each in making.build_floors(config)]
     return {each.member.task_name: each for each in floors}
 
 
@@ -218,7 +223,7 @@ def collect(config: CollectConfig, console: ProgressLike = None) -> Dataset:
         IncompleteError: something broke midway.
         FloatingPointError: a number is not finite.
     """
-    with components.read_once():
+    with user_parts.read_once():
         check_collection(config)
         check_folder(config.folder)
         with writing.folder_lock(config.folder):
@@ -348,7 +353,7 @@ def _manifest(
         **scenario_facts(floors.member, camera, config.policy.kind, config.rate),
         **({"environments": list(floors.names)} if floors.size > 1 else {}),
         "content": content(stacks, policy),
-        "parts": components.digests(config),
+        "parts": user_parts.digests(config),
         "hours": config.hours,
         "batch": size,
         "streams": list(parts),
@@ -465,7 +470,7 @@ class Recorder:
 
     def episode_key(self, number: int) -> Array:
         """The () typed key of an episode of the recorder's own stream."""
-        return jax.random.fold_in(prng.key("record", self.seed), jnp.uint32(number))
+        return jax.random.fold_in(random_streams.key("record", self.seed), jnp.uint32(number))
 
     def begin(self, key: Array | None = None) -> State:
         """A new episode; one that was not committed is forgotten.

@@ -18,8 +18,11 @@ import jax
 import jax.numpy as jnp
 import optax
 
-from sean_jax import components, episodes, mdp, writing
-from sean_jax.base import Array, Policy
+from sean_jax.config import user_parts
+from sean_jax.simulation import episodes
+from sean_jax import mdp
+from sean_jax.io import writing
+from sean_jax.core.data_types import Array, Policy
 from sean_jax.config import CollectConfig, DaggerConfig, ImitationConfig, Named, ReinforcementConfig, validate
 from sean_jax.learning import collection, imitation, ppo, rollouts
 from sean_jax.learning.dataset import Dataset, open_dataset
@@ -28,8 +31,8 @@ from sean_jax.learning.networks import ActorCritic, Agent, NetworkOutput
 from sean_jax.learning.policy import check_policy
 from sean_jax.learning.rollouts import EnvBatch, Envs, Optimization, Transition
 from sean_jax.learning.trainer import check_config, method_config, write_config
-from sean_jax.progress import ProgressLike, say
-from sean_jax.stack import Stack
+from sean_jax.io.progress import ProgressLike, say
+from sean_jax.simulation.scenario_stack import Stack
 
 UPDATES = 100  # of ``clone``
 EPOCHS = 4
@@ -48,7 +51,7 @@ def train(options: DaggerConfig, console: ProgressLike = None) -> TrainState:
         FloatingPointError: a number is not finite. Finished parts are kept.
     """
     first = open_dataset(options.dataset)
-    components.check_trust(_collect_options(options, first, 1))
+    user_parts.check_trust(_collect_options(options, first, 1))
     data = {"fingerprint": first.fingerprint(), "command": first.manifest["command"]}
     config = method_config(options, dataset=data)
     imitation.prepare(_train_options(options, [options.dataset, *options.datasets], options.pretrained, options.folder))

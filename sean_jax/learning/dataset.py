@@ -27,12 +27,14 @@ import jax.numpy as jnp
 import numpy as np
 import pydantic
 
-from sean_jax import components, files, prng, writing
+from sean_jax.config import user_parts
+from sean_jax.io import files, writing
+from sean_jax.core import random_streams
 from sean_jax.config import MAX_HOURS, MAX_PIXELS, MAX_RATE, MAX_SHARD, MAX_SIDE, CollectConfig, validate
-from sean_jax.errors import FileError, IncompleteError, InputError
+from sean_jax.core.errors import FileError, IncompleteError, InputError
 from sean_jax.learning.examples import Recording, Row
 from sean_jax.mdp.observations import PLAN_POINTS
-from sean_jax.quantities import MAX_DURATION
+from sean_jax.core.bounds import MAX_DURATION
 
 Count = Annotated[int, pydantic.Field(ge=0, le=10**9)]
 Positive = Annotated[int, pydantic.Field(ge=1, le=MAX_SHARD)]
@@ -275,7 +277,7 @@ class Dataset:
         if not self.manifest["command"].startswith("sean collect"):
             text = "was driven by hand or by another program, which cannot be simulated again"
             raise InputError(f"{self.folder}: {text}; record one with `sean collect`.")
-        options = components.recorded(file, options, self.manifest.get("parts"), "parts")
+        options = user_parts.recorded(file, options, self.manifest.get("parts"), "parts")
         try:
             return validate(CollectConfig, options, source=file)
         except InputError as error:
@@ -545,7 +547,7 @@ def split(dataset: Dataset, share: float, seed: int) -> tuple[list[Episode], lis
         text = f"{dataset.folder} has {len(episodes)} episodes{of}, too few to train and validate"
         raise InputError(f"{text}; collect more.")
     count = min(max(1, round(share * len(episodes))), len(episodes) - 1)
-    chosen = set(prng.generator("validation", seed).permutation(len(episodes))[:count].tolist())
+    chosen = set(random_streams.generator("validation", seed).permutation(len(episodes))[:count].tolist())
     training = [episode for index, episode in enumerate(episodes) if index not in chosen]
     return training, [episode for index, episode in enumerate(episodes) if index in chosen]
 

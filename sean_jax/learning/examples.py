@@ -21,9 +21,10 @@ import numpy as np
 from flax import struct
 from jaxtyping import Bool, Float, Int, UInt16
 
-from sean_jax import prng, sensors
-from sean_jax.base import Array, Scenario, State
-from sean_jax.geometry import rotate
+from sean_jax.core import random_streams
+from sean_jax import sensors
+from sean_jax.core.data_types import Array, Scenario, State
+from sean_jax.core.geometry import rotate
 from sean_jax.mdp.observations import plan_ahead
 
 SECONDS = 5  # of depth images, and of the local plan
@@ -188,7 +189,7 @@ class Loader:
 
     def _order(self, epoch: int) -> tuple[np.ndarray, np.ndarray]:
         """(R,) index of the episode and (R,) row in it of each example, in the order of that epoch."""
-        random = prng.generator("order", self.seed, epoch)
+        random = random_streams.generator("order", self.seed, epoch)
         count = len(self.episodes)
         episodes = random.permutation(count) if self.shuffle else np.arange(count)
         owners, rows = [], []

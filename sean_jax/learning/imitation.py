@@ -25,17 +25,18 @@ from flax.typing import VariableDict
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Float, Int
 
-from sean_jax import devices, prng, writing
-from sean_jax.base import Array
+from sean_jax.core import devices, random_streams
+from sean_jax.io import writing
+from sean_jax.core.data_types import Array
 from sean_jax.config import ImitationConfig
-from sean_jax.errors import InputError
-from sean_jax.flags import command
+from sean_jax.core.errors import InputError
+from sean_jax.config.flags import command
 from sean_jax.learning.dataset import ConcatDataset, Episode, on_device, open_datasets, split_each
 from sean_jax.learning.examples import Example, Loader, Recording, Token, balanced_probabilities, example
 from sean_jax.learning.networks import Decision, Network, Weights, init_weights, read_network
 from sean_jax.learning.trainer import Checkpoints, Log, Loop, Report, check_config, fit, write_config
-from sean_jax.progress import Progress, ProgressLike, progress
-from sean_jax.versions import versions
+from sean_jax.io.progress import Progress, ProgressLike, progress
+from sean_jax.io.versions import versions
 
 MIN_COMMAND_SCALE = 0.05  # m/s, rad/s: the scale of a command that hardly varies
 CHECKPOINT_INTERVAL = 10  # epochs between two checkpoints while the loss does not improve
@@ -157,7 +158,7 @@ def init_state(
     network: Network, situations: int, options: ImitationConfig, seed: Array | int, scale: Float[Array, "2"]
 ) -> TrainState:
     """The state before the first epoch; its best loss is infinite. ``scale`` is of ``command_scale``."""
-    weights = replace(init_weights(network, situations, prng.key("weights", seed)), scale=scale)
+    weights = replace(init_weights(network, situations, random_streams.key("weights", seed)), scale=scale)
     return TrainState(
         weights=weights,
         optimizer=_optimizer(options).init(weights.parameters),
@@ -233,7 +234,7 @@ def programs(network: Network, options: ImitationConfig, mesh: Mesh, padded: boo
 
 def shuffled(rows: Int[Array, "R"], probabilities: Float[Array, "R"] | None, seed: int, epoch: Array) -> Array:
     """Rows (R,) in the order of an epoch, or drawn with these probabilities."""
-    key = jax.random.fold_in(prng.key("order", seed), epoch)
+    key = jax.random.fold_in(random_streams.key("order", seed), epoch)
     if probabilities is None:
         return jax.random.permutation(key, rows)
     return jax.random.choice(key, rows, rows.shape, p=probabilities)
@@ -480,7 +481,7 @@ def _ensemble_epoch(network: Network, options: ImitationConfig) -> Callable:
         state: TrainState, best: TrainState, over: Array, seed: Array, recording: Recording, rows: Array,
         validation: Array, odds: Array,
     ) -> tuple[TrainState, TrainState, list[Losses]]:  # fmt: skip
-        key = jax.random.fold_in(prng.key("order", seed), state.epoch)
+        key = jax.random.fold_in(random_streams.key("order", seed), state.epoch)
         if options.balance:
             order = jnp.where(rows >= 0, jax.random.choice(key, rows, rows.shape, p=odds), -1)
         else:  # in another order, with none at the end

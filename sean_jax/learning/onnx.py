@@ -15,9 +15,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sean_jax import components, registry, writing
-from sean_jax.base import Array, RobotModel
-from sean_jax.errors import InputError
+from sean_jax.config import user_parts
+from sean_jax.mdp import registry
+from sean_jax.io import writing
+from sean_jax.core.data_types import Array, RobotModel
+from sean_jax.core.errors import InputError
 from sean_jax.learning import networks
 from sean_jax.learning.policy import (
     agent_folder,
@@ -29,8 +31,8 @@ from sean_jax.learning.policy import (
 )
 from sean_jax.mdp import observations, to_command
 from sean_jax.robots.drive import max_reverse_speed
-from sean_jax.scenario import reset
-from sean_jax.versions import versions
+from sean_jax.simulation.scenario import reset
+from sean_jax.io.versions import versions
 
 OPSET, IR_VERSION = 18, 8  # of ONNX 1.13, which runtimes on robots know
 MEMORY, NEXT_MEMORY = "memory", "next_memory"
@@ -52,7 +54,7 @@ def export(source: Path | str, out: Path | str) -> Path:
         raise InputError('export onnx: onnx is missing; pip install "sean_jax[export]".') from None
     folder, out = agent_folder(str(source), "export onnx"), Path(out)
     options = read_options(folder)
-    components.check_trust(options)
+    user_parts.check_trust(options)
     scenario = registry.build_stack(options.per_environment[0], limit=1).member.scenario  # the first floor and robot
     _, agent, terms = load_agent(folder, scenario)
     state = jax.eval_shape(lambda: reset(scenario, jax.random.key(0)))

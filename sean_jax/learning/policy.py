@@ -20,8 +20,14 @@ from flax import linen as nn
 from flax import struct
 from jaxtyping import Float, Int, PyTree
 
-from sean_jax import calls, components, episodes, files, navigation, registry, sensors, team, writing
-from sean_jax.base import SENSING, Array, Policy, PolicyLike, Scenario, State, as_policy
+from sean_jax.core import user_code
+from sean_jax.config import user_parts
+from sean_jax.simulation import episodes, team
+from sean_jax.io import files, writing
+from sean_jax.world import navigation
+from sean_jax.mdp import registry
+from sean_jax import sensors
+from sean_jax.core.data_types import SENSING, Array, Policy, PolicyLike, Scenario, State, as_policy
 from sean_jax.classifiers import SITUATION_SETS
 from sean_jax.config import (
     METHODS,
@@ -33,7 +39,7 @@ from sean_jax.config import (
     outside,
     validate,
 )
-from sean_jax.errors import InputError
+from sean_jax.core.errors import InputError
 from sean_jax.learning import networks
 from sean_jax.learning.examples import SECONDS, depth_image, plan_ahead
 from sean_jax.learning.networks import CONFIG, ActorCritic, Agent, ConvEncoder, Decision, Network, Weights
@@ -41,9 +47,9 @@ from sean_jax.mdp import observations, to_command
 from sean_jax.mdp.spaces import Box
 from sean_jax.policies import POLICIES
 from sean_jax.robots.drive import require
-from sean_jax.scenario import reset
-from sean_jax.versions import versions
-from sean_jax.writing import check_new_folder
+from sean_jax.simulation.scenario import reset
+from sean_jax.io.versions import versions
+from sean_jax.io.writing import check_new_folder
 
 
 def load_policy(
@@ -63,7 +69,7 @@ def load_policy(
     description = _description(value, typed=typed)
     if isinstance(description, Named) and description.kind not in POLICIES:
         return load(agent_folder(description.kind, option), scenario)
-    part = components.resolve(description, POLICIES, option)
+    part = user_parts.resolve(description, POLICIES, option)
     try:
         policy = as_policy(part)
     except TypeError as error:
@@ -112,7 +118,7 @@ def check_policy(
     """
     description = _description(value, typed=typed)
     if not isinstance(description, Named):
-        part = components.resolve(description, {}, option)
+        part = user_parts.resolve(description, {}, option)
         if not (isinstance(part, Policy) or callable(part)):
             raise InputError(f"{option}: {description.kind} must be a Policy or a function (scenario, state, key).")
     elif description.kind not in POLICIES:
@@ -179,7 +185,7 @@ def read_options(folder: Path) -> ReinforcementConfig:
     if not issubclass(model, ReinforcementConfig):
         raise InputError(f"{folder} has a network that imitates, and no agent; train one with `sean train ppo`.")
     options = {name: value for name, value in saved.items() if name in model.model_fields}
-    options = components.recorded(folder / CONFIG, options, saved.get("parts"), "parts")
+    options = user_parts.recorded(folder / CONFIG, options, saved.get("parts"), "parts")
     try:
         return validate(model, options, source=folder / CONFIG)
     except InputError as error:
@@ -238,7 +244,7 @@ def _encoder(options: ReinforcementConfig, terms: observations.Terms) -> Any:
     Raises:
         InputError: there is none, it is no module, or it does not fit the observations.
     """
-    value, name = components.resolve(options.network, networks.NETWORKS, "network"), options.network.label
+    value, name = user_parts.resolve(options.network, networks.NETWORKS, "network"), options.network.label
     if isinstance(options.network, Named):
         if name == "conv" and not any(term.image for _, term in terms):
             raise InputError("network: conv is for images, and none is observed; add one, such as depth, or take mlp.")
@@ -252,7 +258,7 @@ def _encoder(options: ReinforcementConfig, terms: observations.Terms) -> Any:
         except TypeError as error:
             raise InputError(f"network: {name} cannot be made: {error}; give its fields defaults.") from error
     if not isinstance(value, nn.Module):
-        text = f"network: {name} is {calls.describe(value)}, not a module of flax.linen"
+        text = f"network: {name} is {user_code.describe(value)}, not a module of flax.linen"
         raise InputError(f"{text}; give a class, such as class Net(nn.Module).")
     try:
         hash(value)
@@ -376,12 +382,12 @@ def pack(folder: Path | str, out: Path | str) -> Path:
     options = read_options(folder)
     if is_packed(folder):
         raise InputError(f"{folder} is packed already; copy it.")
-    components.check_trust(options)
+    user_parts.check_trust(options)
     _, agent, _ = load_agent(folder, registry.build_stack(options.per_environment[0], limit=1).member.scenario)
     facts = {**_best_evaluation(folder), "weights": "float16", "packed_with": versions()}
     with writing.atomic_folder(out) as target:
-        copies, hashes = components.copy(target, options)
-        own = components.relocate(options.identity(), copies) | {"parts": hashes} if copies else {}
+        copies, hashes = user_parts.copy(target, options)
+        own = user_parts.relocate(options.identity(), copies) | {"parts": hashes} if copies else {}
         save_agent(target, agent, {**files.read_json(folder / CONFIG), **own, "agent": facts})
     return out
 

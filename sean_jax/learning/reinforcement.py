@@ -26,12 +26,16 @@ from flax import struct
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Float, Int, PyTree
 
-from sean_jax import components, devices, mdp, prng, registry, writing
-from sean_jax.base import Array, Policy, Scenario, State
-from sean_jax.clock import ceil_ticks
+from sean_jax.config import user_parts
+from sean_jax.core import devices, random_streams
+from sean_jax import mdp
+from sean_jax.mdp import registry
+from sean_jax.io import writing
+from sean_jax.core.data_types import Array, Policy, Scenario, State
+from sean_jax.core.clock import ceil_ticks
 from sean_jax.config import ReinforcementConfig
-from sean_jax.episodes import init_policy, policy_step
-from sean_jax.errors import InputError
+from sean_jax.simulation.episodes import init_policy, policy_step
+from sean_jax.core.errors import InputError
 from sean_jax.learning import costs as bounds
 from sean_jax.learning import curriculum as curricula
 from sean_jax.learning import dagger, ppo, rollouts, shac, trainer
@@ -42,11 +46,11 @@ from sean_jax.learning.policy import Best
 from sean_jax.learning.rollouts import EnvBatch, Envs
 from sean_jax.learning.trainer import Loop, Report, check_config, method_config
 from sean_jax.mdp import rewards
-from sean_jax.messages import listed
-from sean_jax.progress import Progress, ProgressLike, progress, say
+from sean_jax.core.messages import listed
+from sean_jax.io.progress import Progress, ProgressLike, progress, say
 from sean_jax.robots.drive import require
-from sean_jax.scenario import reset, results
-from sean_jax.stack import Stack
+from sean_jax.simulation.scenario import reset, results
+from sean_jax.simulation.scenario_stack import Stack
 
 REWARDS = "rewards."  # prefix of a sweep's numbers that are weights of rewards
 
@@ -117,7 +121,7 @@ def train(options: ReinforcementConfig, console: ProgressLike = None) -> TrainSt
         FloatingPointError: the loss is not finite. The checkpoints stay.
     """
     with contextlib.ExitStack() as stack:
-        stack.enter_context(components.read_once())
+        stack.enter_context(user_parts.read_once())
         count = device_layout(len(options.agents)).mesh.size
         config = trainer.on_all_processes(lambda: method_config(options, devices=count))
         trainer.on_first_process(lambda: check_config(options.folder, config))  # refuses before anything is written
@@ -174,7 +178,7 @@ def build(options: ReinforcementConfig) -> Setting:
 
 def _callbacks(options: ReinforcementConfig) -> tuple[Callable, ...]:
     """The functions that receive each line of the log."""
-    functions = tuple(components.resolve(part, {}, "callbacks") for part in options.callbacks)
+    functions = tuple(user_parts.resolve(part, {}, "callbacks") for part in options.callbacks)
     for part, function in zip(options.callbacks, functions, strict=True):
         if not callable(function):
             raise InputError(f"callbacks: {part.label} is no function; give one that takes a dict.")
@@ -228,7 +232,7 @@ def unused_devices(agents: int) -> str | None:
 def programs(options: ReinforcementConfig, network: ActorCritic, layout: Layout) -> Programs:
     """The compiled functions of a training."""
     method: Any = METHODS[options.method]
-    keys = jnp.stack([prng.key("training", int(agent["seed"])) for agent in options.agents])
+    keys = jnp.stack([random_streams.key("training", int(agent["seed"])) for agent in options.agents])
     numbers = {
         name: jnp.asarray([agent[name] for agent in options.agents], jnp.float32)
         for name in options.agents[0]
@@ -236,7 +240,7 @@ def programs(options: ReinforcementConfig, network: ActorCritic, layout: Layout)
     }
     plan = None if options.curriculum == "none" else Plan(options.curriculum)
     total, (terms, _) = options.updates, policies.agent_terms(options)
-    curriculum_keys = jnp.stack([prng.key("curriculum", int(agent["seed"])) for agent in options.agents])
+    curriculum_keys = jnp.stack([random_streams.key("curriculum", int(agent["seed"])) for agent in options.agents])
 
     held, limits = CRITIC_UPDATES if options.imitate is not None else 0, options.cost_limits
 
@@ -409,7 +413,7 @@ def draw_starts(
     options: ReinforcementConfig, scenarios: tuple[Scenario, ...], envs: Envs
 ) -> tuple[Envs, tuple[State, ...]]:
     """The environments with pools, unless a curriculum has its own, and the first states of evaluations."""
-    key = prng.key("training", options.seed)
+    key = random_streams.key("training", options.seed)
     if options.curriculum == "none":
         draw = devices.on_host(jax.jit(lambda env, key: rollouts.draw_pool(env, key, options.pool)))
         keys = [jax.random.fold_in(key, 2**31 - 1 - turn) for turn in range(len(envs))]
@@ -423,7 +427,7 @@ def evaluation_starts(options: ReinforcementConfig, scenarios: tuple[Scenario, .
     """The first states (E, ...) of the episodes of an evaluation in each environment, on its first floors: episode i
     is on floor i modulo their number.
     """
-    keys = jax.random.split(prng.key("evaluation", options.seed), options.evaluation_episodes)
+    keys = jax.random.split(random_streams.key("evaluation", options.seed), options.evaluation_episodes)
 
     def draw(measured: Scenario, env: Stack[mdp.Env]) -> State:
         floors = min(env.size, len(keys))
@@ -554,7 +558,7 @@ def _first_agents(options: ReinforcementConfig, setting: Setting) -> Agent:
         IncompleteError: its checkpoint cannot be read.
     """
     (scenario, *_), env, network = setting.scenarios, setting.envs[0].member, setting.network
-    keys = jnp.stack([prng.key("weights", int(agent["seed"])) for agent in options.agents])
+    keys = jnp.stack([random_streams.key("weights", int(agent["seed"])) for agent in options.agents])
     if options.pretrained is None:
         return jax.jit(lambda keys: init_agents(network, env.observations, env.observation_space, keys))(keys)
     agent = policies.load_agent(_agent_folder(options.pretrained), scenario)[1]
@@ -563,7 +567,7 @@ def _first_agents(options: ReinforcementConfig, setting: Setting) -> Agent:
 
 def _imitate(options: ReinforcementConfig, setting: Setting, teachers: tuple[Policy, ...], agents: Agent) -> Agent:
     """The agents after they have learned from another policy, (A, ...)."""
-    keys = jnp.stack([prng.key("imitation", int(agent["seed"])) for agent in options.agents])
+    keys = jnp.stack([random_streams.key("imitation", int(agent["seed"])) for agent in options.agents])
 
     clone = jax.vmap(functools.partial(dagger.clone, options, setting.network), (None, None, 0, 0))
     agents, errors = jax.jit(clone)(setting.envs, teachers, agents, keys)
@@ -614,12 +618,12 @@ def _finite_means(values: dict[str, np.ndarray]) -> dict[str, float]:
 @jax.jit  # of arrays on the devices of other processes, an array of none is made only so
 def _encode(tree: PyTree) -> PyTree:
     """The state as checkpoints can hold it: keys as numbers, and one number for an empty array."""
-    return jax.tree.map(lambda leaf: leaf if leaf.size else jnp.zeros(1, leaf.dtype), prng.as_numbers(tree))
+    return jax.tree.map(lambda leaf: leaf if leaf.size else jnp.zeros(1, leaf.dtype), random_streams.as_numbers(tree))
 
 
 def _decode(saved: PyTree, like: PyTree) -> PyTree:
     """The inverse of ``_encode``."""
-    return prng.as_keys(jax.tree.map(lambda leaf, one: leaf if one.size else one, saved, like), like)
+    return random_streams.as_keys(jax.tree.map(lambda leaf, one: leaf if one.size else one, saved, like), like)
 
 
 def _agent_folder(folder: Path) -> Path:
@@ -629,7 +633,7 @@ def _agent_folder(folder: Path) -> Path:
 
 def _check_pretrained(options: ReinforcementConfig, folder: Path) -> None:
     """Refuse an agent with other observations or of another size."""
-    saved, current = components.by_content(policies.read_options(folder)), components.by_content(options)
+    saved, current = user_parts.by_content(policies.read_options(folder)), user_parts.by_content(options)
     for name in ("observations", "critic", "width", "layers", "recurrent", "bfloat16", "network", "distribution"):
         if saved[name] != current[name]:
             raise InputError(f"pretrained: {folder} has {name} {saved[name]}, not {current[name]}; ask for the same.")

@@ -16,11 +16,11 @@ from flax import struct
 from jaxtyping import Bool, Float, Int, PyTree
 
 from sean_jax import mdp
-from sean_jax.base import Array
+from sean_jax.core.data_types import Array
 from sean_jax.learning import networks
 from sean_jax.learning.networks import ActorCritic, Agent, NetworkOutput
 from sean_jax.mdp import observations
-from sean_jax.stack import Stack, of_arrays
+from sean_jax.simulation.scenario_stack import Stack, of_arrays
 
 MIN_POOL = 8  # starts on each of several floors
 BLOCKS = 8  # of scenarios at most, within which minibatches are shuffled

@@ -24,13 +24,15 @@ import orbax.checkpoint as ocp
 from jax.experimental import multihost_utils
 from orbax.checkpoint.checkpoint_managers import AnyPreservationPolicy, BestN, LatestN
 
-from sean_jax import calls, components, files, interrupts, writing
+from sean_jax.core import user_code
+from sean_jax.config import user_parts
+from sean_jax.io import files, interrupts, writing
 from sean_jax.config import DaggerConfig, ReinforcementConfig
-from sean_jax.errors import IncompleteError, InputError, SeanError
-from sean_jax.flags import command
+from sean_jax.core.errors import IncompleteError, InputError, SeanError
+from sean_jax.config.flags import command
 from sean_jax.learning.networks import CONFIG, named_leaves
-from sean_jax.versions import versions
-from sean_jax.workspace import CONTENT, read_identity, refuse_difference, refuse_others
+from sean_jax.io.versions import versions
+from sean_jax.config.workspace import CONTENT, read_identity, refuse_difference, refuse_others
 
 METRICS, CURVE = "metrics.jsonl", "curve.png"
 STATE, DIGESTS = "state", "sha256"
@@ -109,7 +111,7 @@ def fit(
                     log.add(line)
                     for callback in callbacks:
                         name = getattr(callback, "__name__", type(callback).__name__)
-                        calls.call(f"callback {name}", callback, "line", json.loads(json.dumps(line)))
+                        user_code.call(f"callback {name}", callback, "line", json.loads(json.dumps(line)))
                 if not compiled:
                     compiled = True
                     tell.start("training", total)
@@ -475,7 +477,7 @@ def method_config(options: DaggerConfig | ReinforcementConfig, **facts: Any) -> 
         "command": command("train", options),
         "method": options.method,
         **options.identity(),
-        "parts": components.digests(options),
+        "parts": user_parts.digests(options),
         **facts,
         "versions": versions(),
     }

@@ -14,17 +14,18 @@ import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Bool, Float, Int, PyTree
 
-from sean_jax import calls, files, prng
-from sean_jax.base import Array, Scenario, State
+from sean_jax.core import user_code, random_streams
+from sean_jax.io import files
+from sean_jax.core.data_types import Array, Scenario, State
 from sean_jax.config import OBSERVED
-from sean_jax.errors import InputError
+from sean_jax.core.errors import InputError
 from sean_jax.mdp import observations as observing
 from sean_jax.mdp import rewards as rewarding
 from sean_jax.mdp.observations import ObservationLike
 from sean_jax.mdp.randomization import Randomization, RandomizationLike, as_randomization
 from sean_jax.mdp.rewards import RewardLike
 from sean_jax.mdp.spaces import Box, action_space, to_command
-from sean_jax.scenario import reset, results, step
+from sean_jax.simulation.scenario import reset, results, step
 
 CHANCES = 2**30  # parts of the total probability; their sums are exact, and 0 is never taken
 
@@ -95,7 +96,7 @@ class Env:
             key: () typed PRNG key, from which all chance of the episode comes.
             randomization: parameters of the scenario; drawn by the key if None.
         """
-        episode_key, draw_key, delay_key = jax.random.split(prng.typed(key), 3)
+        episode_key, draw_key, delay_key = jax.random.split(random_streams.typed(key), 3)
         if randomization is None:
             randomization = () if self.randomization is None else self.randomization.draw(draw_key, self.scenario)
         scenario = self.scenario_of(randomization)
@@ -186,7 +187,7 @@ class Env:
         conditions = []
         for _, condition in self.terminations:
             value = rewarding.call("terminations", condition, "scenario, before, after", scenario, before, after)
-            calls.check_array("terminations", condition, value, bool, (), "compare numbers, and reduce with any or all")
+            user_code.check_array("terminations", condition, value, bool, (), "compare numbers, and reduce with any or all")
             conditions.append(value)
         return conditions
 
@@ -198,7 +199,7 @@ class Env:
         Starts are taken at random, by the ``weights`` of the pool, which are equal. All chance after the start is the
         episode's own. The noise of a first observation is the start's.
         """
-        return replace(self, pool=self.draw_pool(jax.random.split(prng.typed(key), size)))
+        return replace(self, pool=self.draw_pool(jax.random.split(random_streams.typed(key), size)))
 
     def draw_pool(self, keys: Array, randomization: PyTree = None) -> Pool:
         """Equally likely starts of keys (K,).
@@ -225,11 +226,11 @@ class Env:
         if self.randomization is None:
             return self.scenario
         apply = self.randomization.apply
-        scenario = calls.call("randomization", apply, "parameters, scenario", randomization, self.scenario)
+        scenario = user_code.call("randomization", apply, "parameters, scenario", randomization, self.scenario)
         if not isinstance(scenario, Scenario):
             function = getattr(self.randomization, "function", apply)
-            raise calls.wrong(
-                "randomization", function, calls.describe(scenario), "a Scenario", "give scenario.replace(...)"
+            raise user_code.wrong(
+                "randomization", function, user_code.describe(scenario), "a Scenario", "give scenario.replace(...)"
             )
         return scenario
 
@@ -237,10 +238,10 @@ class Env:
         """The first observation and state of an episode: a start of the pool, or, without a pool, a reset."""
         if self.pool is None:
             return self.reset(key)
-        choice_key, streams_key = jax.random.split(prng.typed(key))
+        choice_key, streams_key = jax.random.split(random_streams.typed(key))
         chosen = _choose(choice_key, self.pool.weights)
         observation, state = jax.tree.map(lambda leaf: leaf[chosen], (self.pool.observations, self.pool.states))
-        return observation, replace(state, simulation=replace(state.simulation, streams=prng.streams(streams_key)))
+        return observation, replace(state, simulation=replace(state.simulation, streams=random_streams.streams(streams_key)))
 
 
 def _choose(key: Array, weights: Float[Array, "K"]) -> Int[Array, ""]:
@@ -327,7 +328,7 @@ def _try_env(env: Env, key: Array) -> None:
                 name = jax.tree_util.keystr(path, simple=True, separator=".")
                 function: Any = getattr(env.randomization, "function", env.randomization)
                 result, cure = f"{name} of shape {jnp.shape(new)}", "keep the shapes of the scenario"
-                raise calls.wrong("randomization", function, result, str(jnp.shape(old)), cure)
+                raise user_code.wrong("randomization", function, result, str(jnp.shape(old)), cure)
     rewarding.of_step(env.rewards, scenario, simulation, simulation, state.potentials, state.potentials)
     env.ends(scenario, simulation, simulation)
 

@@ -15,10 +15,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Float, Int, PyTree
 
-from sean_jax import calls, files, navigation, sensors
-from sean_jax.base import SENSING, Array, Scenario, Sensor, State
-from sean_jax.errors import InputError
-from sean_jax.geometry import from_rectangle, length, nearby_obstacles, rotate
+from sean_jax.core import user_code
+from sean_jax.io import files
+from sean_jax.world import navigation
+from sean_jax import sensors
+from sean_jax.core.data_types import SENSING, Array, Scenario, Sensor, State
+from sean_jax.core.errors import InputError
+from sean_jax.core.geometry import from_rectangle, length, nearby_obstacles, rotate
 from sean_jax.mdp.spaces import Box
 from sean_jax.robots.drive import max_reverse_speed
 
@@ -409,8 +412,8 @@ def observe(terms: Terms, scenario: Scenario, state: State, memory: PyTree) -> t
 
 
 def _read(term: ObservationTerm, scenario: Scenario, state: State, prepared: PyTree) -> Array:
-    value = calls.call("observations", term.read, "scenario, state, prepared", scenario, state, prepared)
-    calls.check_array("observations", term.read, value, None, None, "give an array, such as jnp.stack([a, b])")
+    value = user_code.call("observations", term.read, "scenario, state, prepared", scenario, state, prepared)
+    user_code.check_array("observations", term.read, value, None, None, "give an array, such as jnp.stack([a, b])")
     return jnp.clip(jnp.asarray(value, float), term.low, term.high)
 
 

@@ -20,10 +20,11 @@ import jax.numpy as jnp
 import pydantic
 from jaxtyping import Float, PyTree
 
-from sean_jax import calls, files
-from sean_jax.base import Array, Scenario
+from sean_jax.core import user_code
+from sean_jax.io import files
+from sean_jax.core.data_types import Array, Scenario
 from sean_jax.config import Bounds, Range
-from sean_jax.errors import InputError
+from sean_jax.core.errors import InputError
 from sean_jax.graph import graph_of
 from sean_jax.sensors import DistanceErrors
 from sean_jax.social_forces import Evasion, Repulsion, RobotRepulsion, Sidestep
@@ -66,7 +67,7 @@ class OfKey:
 
     def apply(self, parameters: Array, scenario: Scenario) -> Scenario:
         """The function's scenario, of a key as parameters."""
-        return calls.call("randomization", self.function, "key, scenario", parameters, scenario)
+        return user_code.call("randomization", self.function, "key, scenario", parameters, scenario)
 
     def mutate(self, key: Array, parameters: Array, scenario: Scenario) -> Array:
         """Another key."""

@@ -15,13 +15,16 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from sean_jax import calls, files, metrics, navigation
-from sean_jax.base import Array, Scenario, State
-from sean_jax.errors import InputError, PartError
-from sean_jax.geometry import length
+from sean_jax.core import user_code
+from sean_jax.io import files
+from sean_jax import metrics
+from sean_jax.world import navigation
+from sean_jax.core.data_types import Array, Scenario, State
+from sean_jax.core.errors import InputError, PartError
+from sean_jax.core.geometry import length
 from sean_jax.metrics import proximity
 from sean_jax.metrics.proximity import PERSONAL
-from sean_jax.scenario import snapshot
+from sean_jax.simulation.scenario import snapshot
 
 Reward = Callable[[Scenario, State, State], Array]  # (scenario, before, after) -> () number of the step
 Potential = Callable[[Scenario, State], Array]  # (scenario, state) -> () number
@@ -288,7 +291,7 @@ def potentials(terms: Terms, scenario: Scenario, state: State) -> dict[str, Floa
 def call(part: str, function: Callable, arguments: str, scenario: Scenario, *states: State) -> Any:
     """As ``calls.call``, of a function that may read a metric that the scenario leaves out."""
     try:
-        return calls.call(part, function, arguments, scenario, *states)
+        return user_code.call(part, function, arguments, scenario, *states)
     except PartError as error:
         missing, known = error.__cause__, metrics.METRICS.keys() - dict(scenario.metrics).keys()
         if not isinstance(missing, KeyError) or missing.args[0] not in known:
@@ -299,7 +302,7 @@ def call(part: str, function: Callable, arguments: str, scenario: Scenario, *sta
 
 def _number(function: Callable, arguments: str, scenario: Scenario, *states: State) -> Array:
     value = call("rewards", function, arguments, scenario, *states)
-    calls.check_array("rewards", function, value, None, (), "give one number, by sum(), mean() or an index")
+    user_code.check_array("rewards", function, value, None, (), "give one number, by sum(), mean() or an index")
     return value
 
 

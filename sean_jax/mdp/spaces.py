@@ -9,7 +9,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from sean_jax.base import Array, RobotModel
+from sean_jax.core.data_types import Array, RobotModel
 from sean_jax.robots import ackermann
 from sean_jax.robots.drive import command_size, max_reverse_speed
 

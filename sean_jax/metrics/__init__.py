@@ -3,7 +3,7 @@
 from dataclasses import replace
 from pathlib import Path
 
-from sean_jax import files
+from sean_jax.io import files
 from sean_jax.metrics import path, proximity
 from sean_jax.metrics.bootstrap import Estimate, aggregate, aggregate_ratio, interval, resamples
 from sean_jax.metrics.metric import (

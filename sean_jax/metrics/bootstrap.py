@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sean_jax.errors import InputError
+from sean_jax.core.errors import InputError
 
 RESAMPLES = 2000
 MIN_RESAMPLES = 200  # where there are so many episodes that more of them would not fit in memory

@@ -6,8 +6,8 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from sean_jax.base import Array, Snapshot
-from sean_jax.geometry import angle_between, length
+from sean_jax.core.data_types import Array, Snapshot
+from sean_jax.core.geometry import angle_between, length
 from sean_jax.metrics.metric import (
     Duration,
     Metric,

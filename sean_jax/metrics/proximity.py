@@ -14,8 +14,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from sean_jax.base import Array, Snapshot
-from sean_jax.geometry import TINY, from_box, length, sum_vectors, unit
+from sean_jax.core.data_types import Array, Snapshot
+from sean_jax.core.geometry import TINY, from_box, length, sum_vectors, unit
 from sean_jax.metrics.metric import Metric, count_onsets, duration, minimum, share_of_time, total
 
 INTIMATE = 0.45  # m [Hall; section IV-H]

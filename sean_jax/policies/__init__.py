@@ -1,6 +1,6 @@
 """Policies, which drive the robot: functions (scenario, state, key) -> (2,) [m/s, rad/s], or ``base.Policy``."""
 
-from sean_jax.base import PolicyLike
+from sean_jax.core.data_types import PolicyLike
 from sean_jax.policies.dwa import dwa
 from sean_jax.policies.expert import expert
 from sean_jax.policies.go_to_goal import go_to_goal

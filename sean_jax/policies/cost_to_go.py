@@ -11,12 +11,12 @@ import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Float, Int
 
-from sean_jax.base import Array, PathsToGoal, Scenario, State
-from sean_jax.geometry import from_rectangle, length, nearby_obstacles
-from sean_jax.navigation import segment_is_free
-from sean_jax.navigation.arcs import ANGLE, CornerArcs, tangents
-from sean_jax.navigation.shortest_paths import last_arcs
-from sean_jax.navigation.tables import cell_of
+from sean_jax.core.data_types import Array, PathsToGoal, Scenario, State
+from sean_jax.core.geometry import from_rectangle, length, nearby_obstacles
+from sean_jax.world.navigation import segment_is_free
+from sean_jax.world.navigation.arcs import ANGLE, CornerArcs, tangents
+from sean_jax.world.navigation.shortest_paths import last_arcs
+from sean_jax.world.navigation.tables import cell_of
 
 NEAR_CORNERS = 6  # chosen because they are near
 CHAIN_CORNERS = 3  # chosen as consecutive corners

@@ -23,9 +23,9 @@ from flax import struct
 from jaxtyping import Bool, Float, Int, UInt8, UInt16
 
 from sean_jax import sensors
-from sean_jax.base import Array, Environment, Pedestrians, Scenario, State
-from sean_jax.devices import parameter
-from sean_jax.geometry import from_rectangle, length, nearby_obstacles, rotate, to_border
+from sean_jax.core.data_types import Array, Environment, Pedestrians, Scenario, State
+from sean_jax.core.devices import parameter
+from sean_jax.core.geometry import from_rectangle, length, nearby_obstacles, rotate, to_border
 from sean_jax.policies import wave_kernel
 
 CELLS_PER_BIN = 10  # cells along a side of a cell of the environment's obstacle grid, which is 1 m wide

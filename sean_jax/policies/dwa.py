@@ -11,9 +11,9 @@ import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Float
 
-from sean_jax.base import Array, Observation, Policy, Robot, RobotModel, Scenario, State
-from sean_jax.devices import parameter
-from sean_jax.geometry import length
+from sean_jax.core.data_types import Array, Observation, Policy, Robot, RobotModel, Scenario, State
+from sean_jax.core.devices import parameter
+from sean_jax.core.geometry import length
 from sean_jax.policies import steering
 from sean_jax.policies.expert import obstacle_gap
 from sean_jax.policies.known_people import KnownPeople, Sight, as_known, known_people, nobody
@@ -26,7 +26,7 @@ from sean_jax.policies.prediction import (
     to_world,
 )
 from sean_jax.robots.drive import LAWS, clip_turn_rate, max_reverse_speed, reachable, require
-from sean_jax.scenario import observe
+from sean_jax.simulation.scenario import observe
 
 STEPS, INTERVAL = 12, 0.25  # of a trajectory, 3 s, and s of each; the window is of one interval
 SPEEDS, SIDES = 11, 21  # samples of the speed ahead, and of the turn rate or the speed to the left

@@ -19,9 +19,9 @@ import numpy as np
 from flax import struct
 from jaxtyping import Float, Int
 
-from sean_jax.base import Array, Policy, Robot, RobotModel, Scenario, State
-from sean_jax.devices import parameter
-from sean_jax.geometry import from_rectangle, length, nearby_obstacles, to_border
+from sean_jax.core.data_types import Array, Policy, Robot, RobotModel, Scenario, State
+from sean_jax.core.devices import parameter
+from sean_jax.core.geometry import from_rectangle, length, nearby_obstacles, to_border
 from sean_jax.metrics.proximity import INTIMATE, PERSONAL
 from sean_jax.policies import prediction
 from sean_jax.policies.cost_to_go import CostToGo, build_cost_to_go, corner_successors, distance_to_goal

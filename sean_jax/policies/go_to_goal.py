@@ -3,11 +3,11 @@
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from sean_jax.base import Array, Observation, Scenario, State
-from sean_jax.geometry import angle_between, from_rectangle, length, nearby_obstacles
+from sean_jax.core.data_types import Array, Observation, Scenario, State
+from sean_jax.core.geometry import angle_between, from_rectangle, length, nearby_obstacles
 from sean_jax.robots import ackermann
 from sean_jax.robots.drive import clip_turn_rate, max_reverse_speed
-from sean_jax.scenario import observe
+from sean_jax.simulation.scenario import observe
 
 TURN_GAIN = 2.0  # 1/s
 STOP_DISTANCE = 0.55  # m between centers, at which the robot stands behind people

@@ -12,8 +12,8 @@ import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Float
 
-from sean_jax.base import Array, Policy, Scenario, State
-from sean_jax.devices import parameter
+from sean_jax.core.data_types import Array, Policy, Scenario, State
+from sean_jax.core.devices import parameter
 from sean_jax.policies.expert import MAX_PEOPLE, STEPS, TIME_STEP, ExpertParams, begin_search, expert, importance
 from sean_jax.policies.known_people import Sight, as_known, known_people, nobody
 from sean_jax.policies.prediction import nearest_people, predict_straight

@@ -8,13 +8,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from sean_jax.base import Array, Observation, Scenario, State
-from sean_jax.geometry import from_rectangle, nearby_obstacles, rotate
-from sean_jax.half_planes import UNBOUNDED, VelocityProgram, best_velocity, half_plane
+from sean_jax.core.data_types import Array, Observation, Scenario, State
+from sean_jax.core.geometry import from_rectangle, nearby_obstacles, rotate
+from sean_jax.people.orca_solver import UNBOUNDED, VelocityProgram, best_velocity, half_plane
 from sean_jax.policies import steering
 from sean_jax.policies.prediction import nearest_people
 from sean_jax.robots.drive import clip_turn_rate, require
-from sean_jax.scenario import observe
+from sean_jax.simulation.scenario import observe
 
 PEOPLE_HORIZON = 4.0  # s, without a collision with people
 OBSTACLE_HORIZON = 0.5  # s, without a collision with obstacles

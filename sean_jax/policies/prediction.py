@@ -10,8 +10,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Bool, Float
 
-from sean_jax.base import Array, Groups, Pedestrians, RobotModel, Scenario, State
-from sean_jax.geometry import rotate
+from sean_jax.core.data_types import Array, Groups, Pedestrians, RobotModel, Scenario, State
+from sean_jax.core.geometry import rotate
 from sean_jax.robots.drive import LAWS, Speeds
 from sean_jax.social_forces import integrate
 

@@ -11,7 +11,7 @@ from typing import NamedTuple
 from flax import struct
 from jaxtyping import Float
 
-from sean_jax.base import Array, Policy, Scenario, State
+from sean_jax.core.data_types import Array, Policy, Scenario, State
 from sean_jax.policies.expert import MAX_PEOPLE, STEPS, TIME_STEP, ExpertMemory, ExpertParams, expert, plan
 from sean_jax.policies.known_people import KnownPeople, Sight, as_known, known_people, nobody
 from sean_jax.policies.prediction import nearest_people, predict_straight

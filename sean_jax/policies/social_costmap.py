@@ -28,10 +28,10 @@ import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Bool, Float, Int, UInt8, UInt16
 
-from sean_jax import clock
-from sean_jax.base import Array, Policy, Robot, Scenario, State
-from sean_jax.devices import parameter, scalar
-from sean_jax.geometry import length
+from sean_jax.core import clock
+from sean_jax.core.data_types import Array, Policy, Robot, Scenario, State
+from sean_jax.core.devices import parameter, scalar
+from sean_jax.core.geometry import length
 from sean_jax.policies import costmap
 from sean_jax.policies.costmap import LETHAL, UNREACHED, WINDOW, CostmapParams, Window
 from sean_jax.policies.prediction import nearest_people

@@ -12,14 +12,14 @@ import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Float
 
-from sean_jax.base import Array, Policy, Scenario, State
-from sean_jax.devices import parameter
-from sean_jax.geometry import rotate
+from sean_jax.core.data_types import Array, Policy, Scenario, State
+from sean_jax.core.devices import parameter
+from sean_jax.core.geometry import rotate
 from sean_jax.policies import steering
 from sean_jax.policies.known_people import KnownPeople, Sight, as_known, known_people, nobody
 from sean_jax.policies.prediction import nearest_people, to_world
 from sean_jax.robots.drive import require
-from sean_jax.scenario import observe
+from sean_jax.simulation.scenario import observe
 from sean_jax.social_forces import PRESETS, Pair, Repulsion, Walls
 from sean_jax.social_forces.walls import wall_forces
 

@@ -9,8 +9,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from sean_jax.base import Array, Observation, Robot, RobotModel, Scenario
-from sean_jax.geometry import angle_between, length
+from sean_jax.core.data_types import Array, Observation, Robot, RobotModel, Scenario
+from sean_jax.core.geometry import angle_between, length
 from sean_jax.robots.drive import clip_speeds, clip_turn_rate, max_reverse_speed
 
 POINT = 0.6  # of the radius: distance of the point ahead of the axle

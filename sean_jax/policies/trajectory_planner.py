@@ -20,9 +20,9 @@ import numpy as np
 from flax import struct
 from jaxtyping import Bool, Float, Int, UInt8
 
-from sean_jax.base import Array, Robot, RobotModel
-from sean_jax.devices import parameter
-from sean_jax.geometry import length
+from sean_jax.core.data_types import Array, Robot, RobotModel
+from sean_jax.core.devices import parameter
+from sean_jax.core.geometry import length
 from sean_jax.policies.costmap import FOOTPRINT_CORNERS, LETHAL, UNREACHED, WINDOW, Window, cell_index
 from sean_jax.robots.drive import clip_turn_rate, reachable
 

@@ -14,17 +14,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sean_jax import kernels
-from sean_jax.base import Array
+from sean_jax.core import gpu_kernels
+from sean_jax.core.data_types import Array
 
-SIDE = 2 * kernels.WARP  # cells along a side of a window
+SIDE = 2 * gpu_kernels.WARP  # cells along a side of a window
 
 Rows = list[tuple[Any, Any]]  # two cells of each row
 
 
 def supports(wave: Array) -> bool:
     """Whether the kernel can settle a wave: a window of ``SIDE`` x ``SIDE`` cells in single precision."""
-    return wave.shape == (SIDE, SIDE) and wave.dtype == np.float32 and kernels.available()
+    return wave.shape == (SIDE, SIDE) and wave.dtype == np.float32 and gpu_kernels.available()
 
 
 def settle(rule: Callable, tolerance: float, far: float, wave: Array, cost: Array) -> Array:
@@ -34,7 +34,7 @@ def settle(rule: Callable, tolerance: float, far: float, wave: Array, cost: Arra
         rule: the value of a cell by the lower neighbors of each axis and by its cost.
         far: value beyond the window.
     """
-    call = kernels.batch(partial(_call, rule, tolerance, far), 1)
+    call = gpu_kernels.batch(partial(_call, rule, tolerance, far), 1)
     (result,) = call(wave.reshape(1, -1), jnp.stack([_skew(cost), _skew(cost[::-1])]).reshape(1, -1))
     return result.reshape(wave.shape)
 
@@ -52,13 +52,13 @@ def _call(rule: Callable, tolerance: float, far: float, *operands: Array, interp
     windows, lanes = max(operand.shape[0] for operand in operands), math.isqrt(wave.shape[1]) // 2
     out = (jax.ShapeDtypeStruct((windows, wave.shape[1]), wave.dtype),)
     kernel = partial(_kernel, rule, tolerance, far, lanes)
-    return kernels.launch_warps(kernel, "wave", windows, lanes, out, *operands, interpret=interpret)
+    return gpu_kernels.launch_warps(kernel, "wave", windows, lanes, out, *operands, interpret=interpret)
 
 
 def _kernel(rule: Callable, tolerance: float, far: Any, lanes: int, window: Any, lane: Any, *references: Any) -> None:
     """A thread of a window."""
     wave, cost, result = references
-    wave_at, cost_at = (kernels.row(each, window, result.shape[0]) for each in (wave, cost))
+    wave_at, cost_at = (gpu_kernels.row(each, window, result.shape[0]) for each in (wave, cost))
     side, far, none = 2 * lanes, wave.dtype.type(far), wave.dtype.type(0.0)
     to_left, to_right = ((lane ^ (lane + way)) & (lanes - 1) for way in (-1, 1))
 
@@ -75,8 +75,8 @@ def _kernel(rule: Callable, tolerance: float, far: Any, lanes: int, window: Any,
             slot, before, after = (number % side for number in (time, time - 1, time + 1))
             at = first + time * down
             above, own, below = rows[before], rows[slot], rows[after]
-            left = jnp.where(lane == 0, far, kernels.exchange(above[1], to_left))
-            right = jnp.where(lane == lanes - 1, far, kernels.exchange(below[0], to_right))
+            left = jnp.where(lane == 0, far, gpu_kernels.exchange(above[1], to_left))
+            right = jnp.where(lane == lanes - 1, far, gpu_kernels.exchange(below[0], to_right))
             if time < lanes:
                 above = tuple(jnp.where(lane == time, far, value) for value in above)
             if time >= side - 1:
@@ -91,11 +91,11 @@ def _kernel(rule: Callable, tolerance: float, far: Any, lanes: int, window: Any,
                 change = jnp.maximum(change, old - new)
             rows[slot] = one, other
         for distance in _distances(lanes):
-            change = jnp.maximum(change, kernels.exchange(change, distance))
+            change = jnp.maximum(change, gpu_kernels.exchange(change, distance))
         return turn + 1, change, _flip(rows, (quarter & 1) != 0, lane)
 
     def goes_on(carry: tuple) -> Any:
-        return ((carry[0] & 3) != 0) | (kernels.uniform(carry[1]) > tolerance)
+        return ((carry[0] & 3) != 0) | (gpu_kernels.uniform(carry[1]) > tolerance)
 
     places = [((slot - lane) & (side - 1)) * side + 2 * lane for slot in range(side)]
     rows = [(wave[wave_at, place], wave[wave_at, place + 1]) for place in places]
@@ -115,7 +115,7 @@ def _flip(rows: Rows, columns: Any, lane: Any) -> Rows:
     cells: list = [None] * side
     for slot in sorted(range(side), key=lambda slot: min(slot, (lanes - slot) % side)):
         here, there = rows[side - 1 - slot], rows[(slot + lanes - 1) % side]
-        cells[slot] = tuple(jnp.where(columns, kernels.exchange(there[1 - k], lanes - 1), here[k]) for k in (0, 1))
+        cells[slot] = tuple(jnp.where(columns, gpu_kernels.exchange(there[1 - k], lanes - 1), here[k]) for k in (0, 1))
     for distance in _distances(lanes):  # a thread's rows go on by twice its number
         moves, before = (lane & distance) != 0, [*cells]
         for slot in sorted(range(side), key=lambda slot: (slot % (2 * distance), -slot)):

@@ -12,8 +12,8 @@ import functools
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from sean_jax.base import Array, RobotModel, Steering
-from sean_jax.geometry import rotate
+from sean_jax.core.data_types import Array, RobotModel, Steering
+from sean_jax.core.geometry import rotate
 from sean_jax.robots.dynamics import GRAVITY, Motion, Touch, clip_length, mjx_advance
 
 

@@ -8,11 +8,12 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from sean_jax import environment, quantities
-from sean_jax.base import Lateral, Mount, Solids, Steering
-from sean_jax.errors import FileError
-from sean_jax.files import mjcf
-from sean_jax.raycast.view import SHOULDER
+from sean_jax.world import environment
+from sean_jax.core import bounds
+from sean_jax.core.data_types import Lateral, Mount, Solids, Steering
+from sean_jax.core.errors import FileError
+from sean_jax.io.files import mjcf
+from sean_jax.sensors.raycast.view import SHOULDER
 
 RANGES = {  # minimum, maximum and unit of each number: wider than for any robot among people
     "max_speed": (0.01, 30.0, "m/s"),
@@ -125,7 +126,7 @@ def read(path: Path) -> tuple[Any, dict[str, Any], np.ndarray]:
     numbers = {"mass": mass[0], "inertia": mass[2], **_of_drive(model, data, mass, drive), **numerics}
     for key, value in numbers.items():
         _check_range(path, f"its {key.replace('_', ' ')}", value, *RANGES[key])
-    _check_range(path, "the timestep of its <option>", model.opt.timestep, *quantities.TIME_STEP_RANGE, "s")
+    _check_range(path, "the timestep of its <option>", model.opt.timestep, *bounds.TIME_STEP_RANGE, "s")
     extra = {}
     if drive == "omnidirectional":
         extra["lateral"] = _lateral(model, numbers)

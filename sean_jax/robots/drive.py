@@ -21,11 +21,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Float, Int
 
-from sean_jax import clock
-from sean_jax.base import Array, Robot, RobotModel, Scenario, State
-from sean_jax.devices import by_platform
-from sean_jax.errors import InputError
-from sean_jax.geometry import ground_velocity, rotate, unit_vectors
+from sean_jax.core import clock
+from sean_jax.core.data_types import Array, Robot, RobotModel, Scenario, State
+from sean_jax.core.devices import by_platform
+from sean_jax.core.errors import InputError
+from sean_jax.core.geometry import ground_velocity, rotate, unit_vectors
 from sean_jax.robots import ackermann, kernel, omnidirectional
 from sean_jax.robots.dynamics import Motion, Surroundings, kinematic_move, mjx_substep, touching, twin_substep
 

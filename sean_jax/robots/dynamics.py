@@ -17,8 +17,8 @@ import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Bool, Float
 
-from sean_jax.base import Array, Obstacles, RobotModel
-from sean_jax.geometry import from_box, from_rectangle, length, rotate, unit
+from sean_jax.core.data_types import Array, Obstacles, RobotModel
+from sean_jax.core.geometry import from_box, from_rectangle, length, rotate, unit
 
 GRAVITY = 9.81  # m/s2
 CORNER = 2  # walls that a robot can touch at once

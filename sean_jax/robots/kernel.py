@@ -10,8 +10,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sean_jax import kernels
-from sean_jax.base import Array, RobotModel
+from sean_jax.core import gpu_kernels
+from sean_jax.core.data_types import Array, RobotModel
 from sean_jax.robots.dynamics import (
     CORNER,
     UNBOUNDED,
@@ -40,7 +40,7 @@ class _Shape(NamedTuple):
 def supports(model: RobotModel, surroundings: Surroundings, motion: Motion) -> bool:
     """Whether the kernel can move the robot: in single precision."""
     floats = (leaf for leaf in jax.tree.leaves((_body(model), surroundings, motion)) if leaf.dtype != bool)
-    return kernels.available() and all(leaf.dtype == np.float32 for leaf in floats)
+    return gpu_kernels.available() and all(leaf.dtype == np.float32 for leaf in floats)
 
 
 def simulate(steps: int, model: RobotModel, surroundings: Surroundings, motion: Motion, targets: Array) -> Motion:
@@ -51,7 +51,7 @@ def simulate(steps: int, model: RobotModel, surroundings: Surroundings, motion: 
     people = jnp.stack([*surroundings.position.T, *surroundings.velocity.T, present]) if shape.people else numbers
     walls = jnp.stack(boxes) if shape.obstacles else numbers
     operands = numbers, jnp.concatenate([*motion, targets]), people, walls
-    launch = kernels.batch(partial(_call, shape), 1)
+    launch = gpu_kernels.batch(partial(_call, shape), 1)
     (result,) = launch(*(operand.reshape(1, -1) for operand in operands))
     return result[0, :COORDINATES], result[0, COORDINATES:]
 
@@ -66,7 +66,7 @@ def _call(shape: _Shape, *operands: Array, interpret: bool = False) -> tuple[Arr
     out = (jax.ShapeDtypeStruct((scenarios, 2 * COORDINATES), operands[0].dtype),)
     lanes = 1 if interpret else LANES
     kernel = partial(_kernel, shape, lanes)
-    return kernels.launch_threads(kernel, "robot", scenarios * lanes, out, *operands, interpret=interpret)
+    return gpu_kernels.launch_threads(kernel, "robot", scenarios * lanes, out, *operands, interpret=interpret)
 
 
 def _kernel(shape: _Shape, lanes: int, number: Any, *references: Any) -> None:
@@ -74,7 +74,7 @@ def _kernel(shape: _Shape, lanes: int, number: Any, *references: Any) -> None:
     scenario, lane, result = jax.lax.div(number, np.int32(lanes)), number & (lanes - 1), references[-1]
 
     def read(reference: Any, column: Any) -> Any:
-        return reference[kernels.row(reference, scenario, result.shape[0]), column]
+        return reference[gpu_kernels.row(reference, scenario, result.shape[0]), column]
 
     numbers, start, people, walls = (partial(read, reference) for reference in references[:-1])
     person_radius = numbers(0)
@@ -91,11 +91,11 @@ def _kernel(shape: _Shape, lanes: int, number: Any, *references: Any) -> None:
 
     def touch(time_left: Any, position: tuple, vx: Any, vy: Any) -> tuple:
         def by_person(index: Any) -> tuple:
-            contact = kernels.scalars(person_contact)
+            contact = gpu_kernels.scalars(person_contact)
             return contact(model, person_radius, time_left, *position[:2], person(index))
 
         def by_obstacle(index: Any) -> tuple:
-            return kernels.scalars(obstacle_contact)(model, *position[:2], obstacle(index))
+            return gpu_kernels.scalars(obstacle_contact)(model, *position[:2], obstacle(index))
 
         for contact, count, times in ((by_person, shape.people, 1), (by_obstacle, shape.obstacles, CORNER)):
             for _ in range(times if count else 0):
@@ -105,7 +105,7 @@ def _kernel(shape: _Shape, lanes: int, number: Any, *references: Any) -> None:
     def step(index: Any, motion: tuple) -> tuple:
         time_left = model.time_step * (shape.steps - index).astype(person_radius.dtype)
         position, velocity = motion[:COORDINATES], motion[COORDINATES:]
-        position, velocity = twin_step(model, partial(touch, time_left), position, velocity, targets, kernels.scalars)
+        position, velocity = twin_step(model, partial(touch, time_left), position, velocity, targets, gpu_kernels.scalars)
         return *position, *velocity
 
     motion = jax.lax.fori_loop(0, shape.steps, step, motion)
@@ -131,7 +131,7 @@ def _strongest(contact: Any, count: int, lane: Any, lanes: int, vx: Any, vy: Any
     best = jax.lax.fori_loop(0, -(-count // lanes), turn, nothing)
     distance = 1
     while distance < lanes:
-        best = better(best, tuple(kernels.exchange(value, distance) for value in best))
+        best = better(best, tuple(gpu_kernels.exchange(value, distance) for value in best))
         distance *= 2
     excess, _, nx, ny, bound = best
-    return kernels.scalars(after_push)(vx, vy, excess, nx, ny, bound)
+    return gpu_kernels.scalars(after_push)(vx, vy, excess, nx, ny, bound)

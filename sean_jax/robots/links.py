@@ -10,7 +10,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from sean_jax.files import file_error, mjcf
+from sean_jax.io.files import file_error, mjcf
 
 GRAY = (0.6, 0.62, 0.66)
 THIN = 5e-4  # m, minimum half extent of a shape

@@ -10,8 +10,8 @@ import functools
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from sean_jax.base import Array, Lateral, RobotModel
-from sean_jax.geometry import rotate
+from sean_jax.core.data_types import Array, Lateral, RobotModel
+from sean_jax.core.geometry import rotate
 from sean_jax.robots.dynamics import GRAVITY, Touch, clip_length, mjx_advance
 
 Motion = tuple[Float[Array, "3"], Float[Array, "3"]]

@@ -18,11 +18,11 @@ import numpy as np
 from flax import struct
 from jaxtyping import Bool, Float, Int, PyTree
 
-from sean_jax import calls, quantities
-from sean_jax.base import Array, Lateral, Robot, RobotModel, Scenario, State
-from sean_jax.errors import FileError, InputError
-from sean_jax.files import mjcf
-from sean_jax.geometry import rotate, unit_vectors
+from sean_jax.core import user_code, bounds
+from sean_jax.core.data_types import Array, Lateral, Robot, RobotModel, Scenario, State
+from sean_jax.core.errors import FileError, InputError
+from sean_jax.io.files import mjcf
+from sean_jax.core.geometry import rotate, unit_vectors
 from sean_jax.robots import description, drive
 from sean_jax.robots.dynamics import kinematic_move, mjx
 
@@ -102,7 +102,7 @@ def articulated(
     }
     sideways = {} if max_lateral_speed is None else {"max_lateral_speed": max_lateral_speed}
     for key, value in {**numbers, **sideways}.items():
-        quantities.check_number(key, value, *description.RANGES[key])
+        bounds.check_number(key, value, *description.RANGES[key])
     model = mjcf.read(path, _prepare)
     data, home = _at_home(path, model)
     steps = round(control_period / model.opt.timestep)
@@ -110,13 +110,13 @@ def articulated(
         what = f"{control_period:g} s is no multiple of the timestep of {path}, {model.opt.timestep:g} s"
         raise InputError(f"control_period: {what}; give one.")
     array = functools.partial(jnp.asarray, dtype=jnp.result_type(float))
-    lowest = home[2] / 2 if min_height is None else quantities.check_number("min_height", min_height, 0.0, 10.0, "m")
+    lowest = home[2] / 2 if min_height is None else bounds.check_number("min_height", min_height, 0.0, 10.0, "m")
     body = Body(
         model=_to_mjx(path, model),
         home=array(home),
         memory=jax.tree.map(_strong, memory),
         min_height=array(lowest),
-        max_tilt=array(quantities.check_number("max_tilt", max_tilt, 0.01, 3.0, "rad")),
+        max_tilt=array(bounds.check_number("max_tilt", max_tilt, 0.01, 3.0, "rad")),
         controller=controller,
         steps=steps,
     )
@@ -290,12 +290,12 @@ def _simulate(
     nu = body.model.nu
 
     def control(data: Any, memory: PyTree) -> tuple[Array, PyTree]:
-        result = calls.call("controller", body.controller, "command, data, memory", command, data, memory)
+        result = user_code.call("controller", body.controller, "command, data, memory", command, data, memory)
         if not isinstance(result, tuple) or len(result) != 2:
             expected, cure = "a control and a memory", "return both, and () as the memory if there is none"
-            raise calls.wrong("controller", body.controller, calls.describe(result), expected, cure)
-        calls.check_array("controller", body.controller, result[0], float, (nu,), "give a number for each actuator")
-        calls.check_like("controller", body.controller, result[1], memory, "a memory that is")
+            raise user_code.wrong("controller", body.controller, user_code.describe(result), expected, cure)
+        user_code.check_array("controller", body.controller, result[0], float, (nu,), "give a number for each actuator")
+        user_code.check_like("controller", body.controller, result[1], memory, "a memory that is")
         return result[0].astype(data.ctrl.dtype), jax.tree.map(_strong, result[1])
 
     def one(carry: tuple, index: Array) -> tuple[tuple, None]:

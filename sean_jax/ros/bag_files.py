@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import pydantic
 
-from sean_jax import files
+from sean_jax.io import files
 from sean_jax.ros.messages import typestore
 
 MAX_FILE = 10**12  # bytes of a file of a bag

@@ -9,7 +9,7 @@ import importlib.util
 from pathlib import Path
 from typing import Any, Literal
 
-from sean_jax.errors import InputError
+from sean_jax.core.errors import InputError
 from sean_jax.ros.messages import Message, Topic, fill, typestore
 
 Version = Literal["1", "2", "both"]

@@ -18,17 +18,18 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sean_jax import assembly, prng
-from sean_jax import scenario as scenarios
-from sean_jax.base import Array, Policy, Scenario, State, no_memory
+from sean_jax.simulation import making
+from sean_jax.core import random_streams
+from sean_jax.simulation import scenario as scenarios
+from sean_jax.core.data_types import Array, Policy, Scenario, State, no_memory
 from sean_jax.config import BridgeConfig
-from sean_jax.errors import ControllerError, InputError
-from sean_jax.geometry import signed_distances_on_host
+from sean_jax.core.errors import ControllerError, InputError
+from sean_jax.core.geometry import signed_distances_on_host
 from sean_jax.robots.drive import command_size
 from sean_jax.ros import messages
 from sean_jax.ros.names import COMMAND, DEFAULT_NAMES, POSE, RosNames
 from sean_jax.ros.transport import REQUESTS, Log, Mailbox, Output, Request, Transport
-from sean_jax.runner import first_state, varying_leaves
+from sean_jax.simulation.episode_runner import first_state, varying_leaves
 from sean_jax.sensors import SENSORS, sense
 
 if TYPE_CHECKING:
@@ -321,7 +322,7 @@ class Live:
             InputError: the options cannot be met, a package is missing, or nothing answers.
         """
         self.config = config
-        self.scenarios = assembly.build(config)
+        self.scenarios = making.build(config)
         self._varying, self._tasks = varying_leaves(self.scenarios), tuple(each.task for each in self.scenarios)
         self._write = functools.partial(console.print, highlight=False, markup=False, soft_wrap=True)
         names = RosNames(config.node_name, config.namespace or "", config.naming)
@@ -352,7 +353,7 @@ class Live:
 
     def _begin(self, number: int) -> State:
         """The first state of an episode, as ``sean run`` has it."""
-        key = jax.random.fold_in(prng.key("run", self.config.seed), number)
+        key = jax.random.fold_in(random_streams.key("run", self.config.seed), number)
         index = jnp.asarray(number % len(self.scenarios), jnp.int32)
         return _reset(self._tasks, self.scenarios[0], self._varying, index, key)
 

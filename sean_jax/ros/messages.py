@@ -22,10 +22,11 @@ from jaxtyping import Bool, Float, Int
 from numpy.typing import ArrayLike
 from PIL import Image
 
-from sean_jax import maps, sensors
-from sean_jax import navigation as paths
-from sean_jax.base import Array, Groups, Pedestrians, Scenario, Sensor, State
-from sean_jax.scenario import results
+from sean_jax.world import ros_map
+from sean_jax import sensors
+from sean_jax.world import navigation as paths
+from sean_jax.core.data_types import Array, Groups, Pedestrians, Scenario, Sensor, State
+from sean_jax.simulation.scenario import results
 from sean_jax.sensors import Camera, Lidar, focal_length, sense
 
 Message = dict[str, Any]
@@ -352,7 +353,7 @@ def _plan(step: Step, time: int) -> Message:
 
 
 def _occupancy_grid(scenario: Scenario) -> Callable[[Step, int], Message]:
-    raster = maps.of_environment(scenario.environment, RESOLUTION)
+    raster = ros_map.of_environment(scenario.environment, RESOLUTION)
     cells = np.where(raster.occupied, 100, 0).astype(np.int8).reshape(-1)
     rows, columns = raster.occupied.shape
 

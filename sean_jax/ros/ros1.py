@@ -18,7 +18,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from sean_jax.errors import InputError
+from sean_jax.core.errors import InputError
 from sean_jax.ros.messages import fill, typestore
 from sean_jax.ros.names import COMMAND, POSE
 from sean_jax.ros.transport import Mailbox, Output

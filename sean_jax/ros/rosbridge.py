@@ -25,9 +25,9 @@ from websockets.asyncio.server import ServerConnection
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
-from sean_jax import web
-from sean_jax.errors import InputError
-from sean_jax.messages import parse_json
+from sean_jax.web import local_server
+from sean_jax.core.errors import InputError
+from sean_jax.core.messages import parse_json
 from sean_jax.ros.transport import Mailbox, Output
 
 CONNECTIONS = 128
@@ -117,23 +117,23 @@ class Server:
 
     async def _serve(self) -> None:
         self._stopped = asyncio.Event()
-        async with web.listen(self._client, self._answer, self._port, LONGEST, self._host) as self._port:
+        async with local_server.listen(self._client, self._answer, self._port, LONGEST, self._host) as self._port:
             self._ready.set()
             await self._stopped.wait()
 
     def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
         """A refusal, or None for a web socket."""
-        token = web.query_of(request, "token")
+        token = local_server.query_of(request, "token")
         if self.token and not secrets.compare_digest(token.encode(), self.token.encode()):
             text = b"wrong token: connect to the address that sean bridge has printed"
-            return web.response(http.HTTPStatus.FORBIDDEN, text)
+            return local_server.response(http.HTTPStatus.FORBIDDEN, text)
         origin = request.headers.get("Origin")  # of the page that connects; "null" of a sandbox or a file
         names = [f"//{request.headers.get('Host', '')}", *([] if origin is None else [origin])]
-        if not self.token and not all(_is_local(web.split(name).hostname) for name in names):
+        if not self.token and not all(_is_local(local_server.split(name).hostname) for name in names):
             text = b"wrong host or origin: only programs and pages of this computer may connect"
-            return web.response(http.HTTPStatus.FORBIDDEN, text)
+            return local_server.response(http.HTTPStatus.FORBIDDEN, text)
         if len(self._clients) >= CONNECTIONS:
-            return web.response(http.HTTPStatus.SERVICE_UNAVAILABLE, b"too many clients")
+            return local_server.response(http.HTTPStatus.SERVICE_UNAVAILABLE, b"too many clients")
         return None
 
     def _spread(self, topic: str, text: str) -> None:
@@ -294,7 +294,7 @@ class Client:
                     for queue in waiting:
                         if queue:
                             try:  # a ping would wait behind it
-                                await asyncio.wait_for(self.connection.send(queue.popleft()), 2 * web.PATIENCE)
+                                await asyncio.wait_for(self.connection.send(queue.popleft()), 2 * local_server.PATIENCE)
                             except TimeoutError:
                                 return self.connection.transport.abort()
 
@@ -306,13 +306,13 @@ def _address(place: str) -> tuple[str, int]:
         InputError: it is none.
     """
     host, _, port = place.rpartition(":")
-    host = {"localhost": web.HOST, "": web.HOST}.get(host, host.strip("[]"))
+    host = {"localhost": local_server.HOST, "": local_server.HOST}.get(host, host.strip("[]"))
     try:
         ipaddress.ip_address(host)
         if not 0 <= int(port) < 65_536:
             raise ValueError
     except ValueError:
-        raise InputError(f"rosbridge: {place} is no address and port; give one such as {web.HOST}:9090.") from None
+        raise InputError(f"rosbridge: {place} is no address and port; give one such as {local_server.HOST}:9090.") from None
     return host, int(port)
 
 

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from sean_jax.errors import ControllerError
+from sean_jax.core.errors import ControllerError
 from sean_jax.ros.messages import MAP
 from sean_jax.ros.names import COMMAND, DEFAULT_NAMES, RosNames
 

@@ -15,10 +15,10 @@ import numpy as np
 from flax import struct
 from jaxtyping import Float, Int
 
-from sean_jax.base import PATTERNS, Array, Scenario, Scenery, Solids, State
-from sean_jax.geometry import rotate
-from sean_jax.raycast import MISS, Rays, View, along, attach, by_rows, search_behind, surface
-from sean_jax.sensors import figures
+from sean_jax.core.data_types import PATTERNS, Array, Scenario, Scenery, Solids, State
+from sean_jax.core.geometry import rotate
+from sean_jax.sensors.raycast import MISS, Rays, View, along, attach, by_rows, search_behind, surface
+from sean_jax.sensors import person_figure
 from sean_jax.sensors.cameras import Camera, rays, sensor_view
 
 SKY, FLOOR, OBSTACLE, PERSON, ROBOT = range(5)
@@ -144,7 +144,7 @@ def colors(
     away, nx, ny, nz = surface(dataclasses.replace(view, people=view.people[:0]), bundle, behind)
     if people:
         person = jnp.where((number >= first) & (number < first + people), number - first, -1)
-        figure = figures.figure(state, view, bundle, person, distance)
+        figure = person_figure.figure(state, view, bundle, person, distance)
         on_figure = figure.distance < MISS
         away = jnp.where(on_figure, figure.distance, away)
         nx, ny, nz = (jnp.where(on_figure, new, old) for new, old in zip(figure.normal, (nx, ny, nz), strict=True))

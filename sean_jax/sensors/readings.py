@@ -20,10 +20,11 @@ import pydantic
 from flax import struct
 from jaxtyping import Bool, Float, Int, Shaped
 
-from sean_jax import calls, clock, files
-from sean_jax.base import Array, RobotModel, Scenario, Sensor, State
-from sean_jax.devices import to_device
-from sean_jax.errors import InputError
+from sean_jax.core import user_code, clock
+from sean_jax.io import files
+from sean_jax.core.data_types import Array, RobotModel, Scenario, Sensor, State
+from sean_jax.core.devices import to_device
+from sean_jax.core.errors import InputError
 from sean_jax.sensors.cameras import VLP16, VLP16_DEVIATION, Camera, Lidar, camera, depth, lidar, scan
 from sean_jax.sensors.pictures import render
 
@@ -143,9 +144,9 @@ def sense(scenario: Scenario, state: State) -> dict[str, Any]:
     for sensor in scenario.sensors:
         sensor_key = jax.random.fold_in(key, np.uint32(zlib.crc32(sensor.name.encode())))
         arguments = scenario, sensor.params, state, sensor_key
-        reading = calls.call("sensors", sensor.read, "scenario, params, state, key", *arguments)
+        reading = user_code.call("sensors", sensor.read, "scenario, params, state, key", *arguments)
         for part in jax.tree.leaves(reading) or [None]:
-            calls.check_array("sensors", sensor.read, part, None, None, "give the reading")
+            user_code.check_array("sensors", sensor.read, part, None, None, "give the reading")
         readings[sensor.name] = reading
     return readings
 

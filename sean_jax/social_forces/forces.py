@@ -29,11 +29,11 @@ from flax import struct
 from jax.core import Tracer
 from jaxtyping import Bool, Float, Int
 
-from sean_jax import calls, quantities
-from sean_jax.base import Array, Groups, ObstacleGrid, Pedestrians, Robot
-from sean_jax.errors import InputError
-from sean_jax.geometry import length, rotate, unit
-from sean_jax.messages import shorten, suggest
+from sean_jax.core import user_code, bounds
+from sean_jax.core.data_types import Array, Groups, ObstacleGrid, Pedestrians, Robot
+from sean_jax.core.errors import InputError
+from sean_jax.core.geometry import length, rotate, unit
+from sean_jax.core.messages import shorten, suggest
 
 Force = tuple[Array, Array]  # x and y parts of accelerations [m/s2]: of one person, or (N,) of all
 T = TypeVar("T")
@@ -366,7 +366,7 @@ def over_robots(crowd: Crowd, law: Callable[[Crowd], Any]) -> Any:
 
 def gather(terms: tuple[GatherTerm, ...], pair: Pair) -> tuple[tuple[Array, ...], ...]:
     """The contributions of one other to the sums of the gather terms: a tuple of scalars for each term."""
-    return tuple(tuple(calls.call("forces", term.gather, "pair", pair)) for term in terms)
+    return tuple(tuple(user_code.call("forces", term.gather, "pair", pair)) for term in terms)
 
 
 def force_of(law: Callable, arguments: str, *values: Any, optional: bool = False) -> Any:
@@ -375,13 +375,13 @@ def force_of(law: Callable, arguments: str, *values: Any, optional: bool = False
     Raises:
         PartError: a user's term raised an error, or returned something else.
     """
-    value = calls.call("forces", law, arguments, *values)
+    value = user_code.call("forces", law, arguments, *values)
     if value is None and optional:
         return None
     if not isinstance(value, tuple | list) or len(value) != 2:
-        raise calls.wrong("forces", law, calls.describe(value), "(fx, fy)", "give both parts, in m/s2")
+        raise user_code.wrong("forces", law, user_code.describe(value), "(fx, fy)", "give both parts, in m/s2")
     for part in value:
-        calls.check_array("forces", law, part, None, None, "give numbers, in m/s2")
+        user_code.check_array("forces", law, part, None, None, "give numbers, in m/s2")
     return value[0], value[1]
 
 
@@ -413,7 +413,7 @@ def collect(terms: Iterable[Term]) -> Forces:
     if "walking" not in names:
         raise InputError("forces: there is no Walking term, which drives people; begin with [*preset('helbing1995')].")
     for name, term in zip(names, terms, strict=True):
-        quantities.check_leaves(f"forces.{name}", term)
+        bounds.check_leaves(f"forces.{name}", term)
         _check_limits(name, term)
     return jax.tree.map(_parameter, Forces(terms))
 

@@ -16,9 +16,9 @@ import numpy as np
 from jax.extend.core import ClosedJaxpr
 from jaxtyping import Float
 
-from sean_jax import kernels
-from sean_jax.base import FAR, Array, ObstacleGrid
-from sean_jax.geometry import obstacle_cells
+from sean_jax.core import gpu_kernels
+from sean_jax.core.data_types import FAR, Array, ObstacleGrid
+from sean_jax.core.geometry import obstacle_cells
 
 BITS = 32
 UNROLL = 8  # others whose distance is tested in one turn
@@ -45,13 +45,13 @@ def trace(law: Callable, near: Any, shared: Array, own: Rows, other: Rows) -> Cl
     The crowd has 1 to 256 people, or known neighbors. The law takes the shared numbers as a sequence of scalars.
     """
     people = own[0].shape[0]
-    if not people or (near is None and people > MOST) or not kernels.available():
+    if not people or (near is None and people > MOST) or not gpu_kernels.available():
         return None
     if any(leaf.dtype != np.float32 for leaf in (shared, *own, *other)):
         return None
     scalar = jax.ShapeDtypeStruct((), shared.dtype)
     program = jax.make_jaxpr(law)(*((scalar,) * len(rows) for rows in (shared, own, other)))
-    return program if kernels.elementwise(program) else None
+    return program if gpu_kernels.elementwise(program) else None
 
 
 def sum_pairs(
@@ -63,7 +63,7 @@ def sum_pairs(
     if near is not None:
         places = jnp.stack(other[:2])[:, near.order]
         operands += [near.order, near.first.T.reshape(-1), near.last.T.reshape(-1), *places]
-    (sums,) = kernels.batch(partial(_call, shape), 1)(*(each[None] for each in (*operands, *own, *other)))
+    (sums,) = gpu_kernels.batch(partial(_call, shape), 1)(*(each[None] for each in (*operands, *own, *other)))
     return sums.reshape(-1, shape.people)
 
 
@@ -144,7 +144,7 @@ def _call(shape: _Shape, *operands: Array, interpret: bool = False) -> tuple[Arr
     columns = len(shape.law.out_avals) * shape.people
     out = (jax.ShapeDtypeStruct((scenarios, columns), operands[0].dtype),)
     threads = scenarios * shape.people
-    return kernels.launch_threads(partial(_kernel, shape), "pairs", threads, out, *operands, interpret=interpret)
+    return gpu_kernels.launch_threads(partial(_kernel, shape), "pairs", threads, out, *operands, interpret=interpret)
 
 
 def _kernel(shape: _Shape, number: Any, *references: Any) -> None:
@@ -152,7 +152,7 @@ def _kernel(shape: _Shape, number: Any, *references: Any) -> None:
     people = shape.people
     scenario, place = jax.lax.div(number, np.int32(people)), jax.lax.rem(number, np.int32(people))
     *inputs, result = references
-    inputs = [(each, kernels.row(each, scenario, result.shape[0])) for each in inputs]
+    inputs = [(each, gpu_kernels.row(each, scenario, result.shape[0])) for each in inputs]
     (numbers_of, numbers_at), *runs_of = inputs[: -shape.own - shape.other]
     square, *shared = (numbers_of[numbers_at, i] for i in range(shape.shared + 1))
     own_of, other_of = inputs[-shape.own - shape.other : -shape.other], inputs[-shape.other :]
@@ -203,7 +203,7 @@ def _kernel(shape: _Shape, number: Any, *references: Any) -> None:
         rest = [jnp.where(which == i, current & (current - 1), each) for i, each in enumerate(words)]
         one = others.person(at + which * BITS + (BITS - 1) - jax.lax.clz(current & -current))
         other = [row[row_at, one] for row, row_at in other_of]
-        pushes = kernels.evaluate(shape.law, *shared, *own, *other)
+        pushes = gpu_kernels.evaluate(shape.law, *shared, *own, *other)
         return tuple(rest), tuple(map(jnp.add, sums, pushes))
 
     def part(at: Any, sums: tuple) -> tuple:
@@ -220,7 +220,7 @@ def _kernel(shape: _Shape, number: Any, *references: Any) -> None:
 def search(row: Float[Array, "N"], low: Float[Array, "..."], high: Float[Array, "..."]) -> tuple[Array, Array]:
     """Where in a sorted row the values begin that are at least ``low``, and end that are at most ``high``."""
     operands = (each.reshape(1, -1) for each in (row, low, high))
-    first, last = kernels.batch(_call_search, 2)(*operands)
+    first, last = gpu_kernels.batch(_call_search, 2)(*operands)
     return first.reshape(low.shape), last.reshape(low.shape)
 
 
@@ -228,7 +228,7 @@ def _call_search(*operands: Array, interpret: bool = False) -> tuple[Array, ...]
     """The kernel, for operands of ``kernels.Call``."""
     shape = max(operand.shape[0] for operand in operands), operands[1].shape[1]
     out = (jax.ShapeDtypeStruct(shape, jnp.int32),) * 2
-    return kernels.launch_threads(_search, "search", math.prod(shape), out, *operands, interpret=interpret)
+    return gpu_kernels.launch_threads(_search, "search", math.prod(shape), out, *operands, interpret=interpret)
 
 
 def _search(number: Any, *references: Any) -> None:
@@ -236,7 +236,7 @@ def _search(number: Any, *references: Any) -> None:
     queries = np.int32(references[1].shape[1])
     scenario, query = jax.lax.div(number, queries), jax.lax.rem(number, queries)
     scenarios = references[3].shape[0]
-    (row, row_at), *bounds = ((each, kernels.row(each, scenario, scenarios)) for each in references[:3])
+    (row, row_at), *bounds = ((each, gpu_kernels.row(each, scenario, scenarios)) for each in references[:3])
     length = row.shape[1]
     for (bound, bound_at), result, before in zip(bounds, references[3:], (jax.lax.lt, jax.lax.le), strict=True):
         value = bound[bound_at, query]
@@ -264,7 +264,7 @@ def at_obstacles(function: Callable, px: Array, py: Array, grid: ObstacleGrid, *
     cells = jnp.ravel_multi_index(obstacle_cells(grid, px, py), grid.rows.shape[:2], mode="clip").astype(jnp.int32)
     operands = grid.rows.reshape(-1), jnp.stack([px.dtype.type(0.0), *shared]), cells, *rows
     call = partial(_call_obstacles, function, structure, own, grid.rows.shape[2])
-    (results,) = kernels.batch(call, 1)(*(each[None] for each in operands))
+    (results,) = gpu_kernels.batch(call, 1)(*(each[None] for each in operands))
     return tuple(results.reshape(-1, len(px)))
 
 
@@ -275,7 +275,7 @@ def _call_obstacles(
     scenarios, people = max(operand.shape[0] for operand in operands), operands[2].shape[1]
     out = (jax.ShapeDtypeStruct((scenarios, 2 * people), operands[0].dtype),)
     kernel = partial(_obstacles, function, structure, own, count, people)
-    return kernels.launch_threads(kernel, "obstacles", scenarios * people, out, *operands, interpret=interpret)
+    return gpu_kernels.launch_threads(kernel, "obstacles", scenarios * people, out, *operands, interpret=interpret)
 
 
 def _obstacles(
@@ -285,7 +285,7 @@ def _obstacles(
     scenario, person = jax.lax.div(number, np.int32(people)), jax.lax.rem(number, np.int32(people))
     *inputs, result = references
     (table, table_at), (shared, shared_at), (cells, cells_at), *rows = (
-        (each, kernels.row(each, scenario, result.shape[0])) for each in inputs
+        (each, gpu_kernels.row(each, scenario, result.shape[0])) for each in inputs
     )
     px, py, *each = (row[row_at, person] for row, row_at in rows)
     numbers, each = (shared[shared_at, 1 + i] for i in range(len(own) - sum(own))), iter(each)

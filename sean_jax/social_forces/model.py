@@ -10,7 +10,7 @@ from jax.ad_checkpoint import checkpoint_name
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Float, Int
 
-from sean_jax.base import Array, Groups, ObstacleGrid, Pedestrians, Robot, Scenario, State, Traits
+from sean_jax.core.data_types import Array, Groups, ObstacleGrid, Pedestrians, Robot, Scenario, State, Traits
 from sean_jax.social_forces.forces import (
     Crowd,
     Force,

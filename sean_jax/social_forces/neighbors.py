@@ -21,11 +21,11 @@ from flax import struct
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Bool, Float, Int, PyTree
 
-from sean_jax import kernels
-from sean_jax.base import Array
-from sean_jax.devices import by_platform
-from sean_jax.geometry import sum_in_pairs
-from sean_jax.gradients import linear_call
+from sean_jax.core import gpu_kernels
+from sean_jax.core.data_types import Array
+from sean_jax.core.devices import by_platform
+from sean_jax.core.geometry import sum_in_pairs
+from sean_jax.core.gradients import linear_call
 from sean_jax.social_forces import kernel
 
 ABSENT = 1e7  # all rows of an absent person: far from everybody, and of no group
@@ -63,7 +63,7 @@ def find(position: Float[Array, "N 2"], present: Bool[Array, "N"], within: Float
     along, order = jax.lax.sort((along, numbers), num_keys=1)
     middle = jnp.stack([along - width, along, along + width], 1)
     half = jnp.stack([below[order], jnp.full_like(below, within), above[order]], 1)
-    in_kernel = kernels.available() and along.dtype == np.float32
+    in_kernel = gpu_kernels.available() and along.dtype == np.float32
     first, last = by_platform(_search, kernel.search if in_kernel else _search)(along, middle - half, middle + half)
     _, by_parts = jax.lax.sort((-_parts(first, last), numbers), num_keys=1)
     rank = jnp.zeros_like(order).at[order[by_parts]].set(numbers, unique_indices=True)

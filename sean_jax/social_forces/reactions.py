@@ -16,8 +16,8 @@ import numpy as np
 from flax import struct
 from jaxtyping import Bool, Float
 
-from sean_jax.base import Array, Obstacles, Pedestrians, Reaction, Robot
-from sean_jax.geometry import crosses_box, length, unit
+from sean_jax.core.data_types import Array, Obstacles, Pedestrians, Reaction, Robot
+from sean_jax.core.geometry import crosses_box, length, unit
 from sean_jax.social_forces.forces import Crowd, Force
 
 RAMP = 1.0  # m, over which sight ends and an approach comes to a halt

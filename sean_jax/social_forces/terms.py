@@ -16,8 +16,8 @@ import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Bool, Float, Int
 
-from sean_jax.base import Array, Pedestrians
-from sean_jax.geometry import angle_between, ground_velocity, length, sum_vectors, unit
+from sean_jax.core.data_types import Array, Pedestrians
+from sean_jax.core.geometry import angle_between, ground_velocity, length, sum_vectors, unit
 from sean_jax.social_forces.forces import (
     MAX_EXPONENT,
     TINY,

@@ -16,10 +16,10 @@ import numpy as np
 from flax import struct
 from jaxtyping import Float
 
-from sean_jax import kernels
-from sean_jax.base import Array, ObstacleGrid
-from sean_jax.devices import by_platform
-from sean_jax.geometry import from_rectangle, nearby_obstacles, sum_vectors
+from sean_jax.core import gpu_kernels
+from sean_jax.core.data_types import Array, ObstacleGrid
+from sean_jax.core.devices import by_platform
+from sean_jax.core.geometry import from_rectangle, nearby_obstacles, sum_vectors
 from sean_jax.social_forces import kernel
 from sean_jax.social_forces.forces import MAX_EXPONENT, TINY, Crowd, Force, Forces, Pair, Walking
 
@@ -159,7 +159,7 @@ def _at_obstacles(function: Callable, px: Array, py: Array, grid: ObstacleGrid, 
 
     default = one_by_one
     single = all(jnp.result_type(leaf) == np.float32 for leaf in jax.tree.leaves((px, arguments)))
-    if single and len(px) and kernels.available():
+    if single and len(px) and gpu_kernels.available():
         default = partial(kernel.at_obstacles, partial(_in_kernel, function))
     return by_platform(at_once, default)(px, py, grid, *arguments)
 
@@ -199,7 +199,7 @@ def _in_kernel(function: Callable, over: Callable, px: Any, py: Any, *arguments:
     """The function of one person in a kernel; ``over(step, start)`` goes through the rows of the obstacles."""
 
     def join(add: Callable, start: Any, law: Callable, *arguments: Any) -> Any:
-        value = kernels.scalars(partial(_value, law))
+        value = gpu_kernels.scalars(partial(_value, law))
         return over(lambda total, row: add(total, value(px, py, row, arguments)), start)
 
     zero, one = px.dtype.type(0.0), px.dtype.type(1.0)

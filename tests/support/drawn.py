@@ -7,8 +7,8 @@ import numpy as np
 from matplotlib.colors import to_hex
 from PIL import Image
 
-from sean_jax.base import Environment, Obstacles, Trajectory
-from sean_jax.environment import plain_scenery
+from sean_jax.core.data_types import Environment, Obstacles, Trajectory
+from sean_jax.world.environment import plain_scenery
 
 STEPS, PEOPLE = 41, 3
 

@@ -5,8 +5,8 @@ import dataclasses
 import jax
 import jax.numpy as jnp
 
-from sean_jax.base import Behavior, PathsToGoal, Pedestrians, RobotTask
-from sean_jax.behaviors.starts import no_groups
+from sean_jax.core.data_types import Behavior, PathsToGoal, Pedestrians, RobotTask
+from sean_jax.people.behaviors.starts import no_groups
 
 
 def draws(key, *shape):

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sean_jax.base import Obstacles
+from sean_jax.core.data_types import Obstacles
 
 BATCH, STEPS = 8, 200
 TIME_STEP, PERSON_RADIUS, RADIUS = 0.1, 0.3, 0.16  # s, m, m of Kuri

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from sean_jax import social_forces
-from sean_jax.bench import workload
+from sean_jax.cli.bench import workload
 from sean_jax.social_forces.forces import term_name
 
 

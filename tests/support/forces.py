@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from sean_jax import social_forces
-from sean_jax.base import ObstacleGrid, Obstacles, Pedestrians
-from sean_jax.geometry import build_obstacle_grid
+from sean_jax.core.data_types import ObstacleGrid, Obstacles, Pedestrians
+from sean_jax.core.geometry import build_obstacle_grid
 from sean_jax.social_forces import Crowd
 from sean_jax.social_forces.model import pair_forces
 

@@ -80,9 +80,9 @@ def _work(folder: str, said: str, arguments: list[str]) -> None:
         for descriptor, flags in ((0, os.O_RDONLY), (1, os.O_WRONLY)):
             os.dup2(os.open(os.devnull, flags), descriptor)
         os.dup2(os.open(said, os.O_WRONLY | os.O_CREAT | os.O_APPEND), 2)
-        from sean_jax import cli
+        from sean_jax.cli import command_line
 
-        code = cli.main(arguments)
+        code = command_line.main(arguments)
     except KeyboardInterrupt:  # before it began, or when it was over
         code = 128 + signal.SIGINT
     except SystemExit as end:

@@ -55,46 +55,46 @@ GATE = (
     "load", "read_yaml", "read_json", "read_json_lines", "read_text", "read_bytes", "read_rows", "read_arrays",
     "open_file", "check_json", "parse_json", "parse_file_json", "Database", "xml_tree", "vertices", "open_bag",
 )  # fmt: skip
-"""Functions of ``sean_jax.files``, and of bags, through which all that comes from outside is read."""
+"""Functions of ``sean_jax.io.files``, and of bags, through which all that comes from outside is read."""
 
 READERS = {
-    "environment": ("environment.py _settings",),
-    "scene": ("environment.py _settings",),
+    "environment": ("world/environment.py _settings",),
+    "scene": ("world/environment.py _settings",),
     "graph": ("graph/annotation.py read",),
-    "handcrafted": ("handcrafted/annotation.py read",),
-    "recording": ("recordings/reading.py column_names", "recordings/reading.py _table"),
-    "companions": ("recordings/reading.py read_companions",),
-    "trajectory": ("survey/ratings.py read",),
-    "ratings": ("survey/ratings.py read_answers",),
-    "variants": ("survey/ratings.py _variants",),
-    "study": ("survey/study.py read",),
-    "map": ("maps.py read", "maps.py _is_image", "maps.py _image"),
+    "handcrafted": ("people/handcrafted/annotation.py read",),
+    "recording": ("people/recordings/reading.py column_names", "people/recordings/reading.py _table"),
+    "companions": ("people/recordings/reading.py read_companions",),
+    "trajectory": ("studies/survey/ratings.py read",),
+    "ratings": ("studies/survey/ratings.py read_answers",),
+    "variants": ("studies/survey/ratings.py _variants",),
+    "study": ("studies/survey/study.py read",),
+    "map": ("world/ros_map.py read", "world/ros_map.py _is_image", "world/ros_map.py _image"),
     "manifest": ("learning/dataset.py open_dataset", "learning/dataset.py check_manifest"),
     "policy": ("learning/networks.py read_network_config", "learning/networks.py read_method"),
     "agent": ("learning/policy.py read_options", "learning/policy.py _read_packed"),
     "log": ("learning/trainer.py read_metrics",),
-    "config": ("evaluation/saved.py read_config",),
-    "code": ("components.py _bytes",),
-    "training": ("evaluation/saved.py read_config", "config/learning.py EnvConfig.identity"),
-    "csv": ("trajectories.py _Csv.read", "trajectories.py _header"),
-    "parquet": ("trajectories.py _Parquet.read", "trajectories.py _Parquet.read.blocks", "trajectories.py _header"),
+    "config": ("evaluation/run_folder.py read_config",),
+    "code": ("config/user_parts.py _bytes",),
+    "training": ("evaluation/run_folder.py read_config", "config/learning.py EnvConfig.identity"),
+    "csv": ("io/trajectories.py _Csv.read", "io/trajectories.py _header"),
+    "parquet": ("io/trajectories.py _Parquet.read", "io/trajectories.py _Parquet.read.blocks", "io/trajectories.py _header"),
     "batch": ("evaluation/batches.py RunFolder.load",),
-    "cache": ("cache.py _read",),
+    "cache": ("io/cache.py _read",),
     "result": ("studies/experiments/benchmark.py check", "studies/experiments/benchmark.py read_track"),
     "run": (
         "evaluation/compare.py _own_figures",
         "evaluation/compare.py _replay",
-        "evaluation/saved.py read_episodes",
+        "evaluation/run_folder.py read_episodes",
     ),
     "forces": ("social_forces/presets.py read",),
     "randomization": ("mdp/randomization.py as_randomization",),
     "sensor": ("sensors/readings.py as_sensor",),
-    "import": ("robots/imports.py _read", "robots/urdf.py read"),
+    "import": ("robots/importing.py _read", "robots/urdf.py read"),
     "mesh": ("robots/urdf.py _shape",),
-    "identity": ("workspace.py read_identity",),
+    "identity": ("config/workspace.py read_identity",),
     "row": ("studies/validation/checks.py load",),
-    "trial": ("studio/trial.py read", "studio/trial.py _parsed", "studio/trial.py _recover_file"),
-    "answers": ("survey/answers.py Answers.__init__",),
+    "trial": ("web/studio/trial.py read", "web/studio/trial.py _parsed", "web/studio/trial.py _recover_file"),
+    "answers": ("studies/survey/answers.py Answers.__init__",),
     "rosbag metadata": (
         "ros/bag_files.py BoundedFile.__init__",
         "ros/bag_files.py BoundedPath.read_text",
@@ -106,31 +106,31 @@ READERS = {
 """Kind -> the functions that read it, as FILE FUNCTION. (Robots and bodies are read in ``files`` itself.)"""
 
 ELSEWHERE = {
-    "web.py parse": "messages of test_hostile",
+    "web/local_server.py parse": "messages of test_hostile",
     "ros/rosbridge.py Server._handle": "messages of test_hostile",
-    "studio/editor.py Editor._take": "a graph or sets, as load_graph and load_handcrafted",
-    "studio/address.py recall": "an address that others cannot write: test_studio",
+    "web/studio/editor.py Editor._take": "a graph or sets, as load_graph and load_handcrafted",
+    "web/studio/address.py recall": "an address that others cannot write: test_studio",
     "evaluation/replay_command.py _of_imitation": "the config.json of load_policy",
     "learning/policy.py describe_agent": "the config.json of load_agent",
     "learning/policy.py pack": "the config.json of load_agent",
     "studies/inverse_graph/__init__.py _words": "a graph as in load_graph",
     "studies/validation/page.py write_replay": "results.json: test_validate",
-    "workspace.py Workspace.load": "parts whose readers look at them",
+    "config/workspace.py Workspace.load": "parts whose readers look at them",
 }
 """Readers of outside data without a kind of their own -> what tries them."""
 
 OWN = {
-    "assembly.py _made",
-    "cache.py source",
-    "components.py digest",
-    "evaluation/saved.py read_inputs",
+    "simulation/making.py _made",
+    "io/cache.py source",
+    "config/user_parts.py digest",
+    "evaluation/run_folder.py read_inputs",
     "studies/inverse_graph/__init__.py run",
     "studies/validation/checks.py _code",
-    "studio/editor.py Editor.__init__",
-    "studio/editor.py Editor.save",
+    "web/studio/editor.py Editor.__init__",
+    "web/studio/editor.py Editor.save",
     # data of the package, and of the machine
     "config/core.py aliases",
-    "doctor.py _memory",
+    "cli/doctor.py _memory",
     "evaluation/bag_command.py write",
     "evaluation/list_command.py ",
     "evaluation/list_command.py _environment",
@@ -138,7 +138,7 @@ OWN = {
     "evaluation/table.py ",
     "learning/lerobot.py ",
     "metrics/__init__.py _read_metrics",
-    "replay/__init__.py script",
+    "web/replay/__init__.py script",
     "social_forces/presets.py _read_presets",
     "studies/calibration/fitting.py ",
     "studies/calibration/loss.py ",
@@ -147,12 +147,12 @@ OWN = {
     "studies/experiments/benchmark.py device",
     "studies/experiments/page.py ",
     "studies/validation/checks.py ",
-    "studio/__init__.py serve",
-    "studio/address.py _place",
-    "survey/__init__.py _serve",
-    "survey/study.py templates",
-    "trajectories.py ",
-    "trajectories.py save_trajectory",
+    "web/studio/__init__.py serve",
+    "web/studio/address.py _place",
+    "studies/survey/__init__.py _serve",
+    "studies/survey/study.py templates",
+    "io/trajectories.py ",
+    "io/trajectories.py save_trajectory",
 }
 """Who reads bytes that are only copied or digested, or data of the package itself."""
 
@@ -276,7 +276,7 @@ def names() -> tuple[str, ...]:
 
 @functools.cache
 def lab() -> Any:
-    from sean_jax import environment
+    from sean_jax.world import environment
 
     return environment.load("lab")
 
@@ -288,13 +288,13 @@ def load_graph(folder: Path) -> Any:
 
 
 def load_handcrafted(folder: Path) -> Any:
-    from sean_jax.handcrafted import build, read
+    from sean_jax.people.handcrafted import build, read
 
     return build(read(folder, lab()).sets)
 
 
 def load_environment(folder: Path) -> Any:
-    from sean_jax import environment
+    from sean_jax.world import environment
 
     place = environment.load(folder)
     return place, environment.default_people(folder)
@@ -316,7 +316,7 @@ def load_body(folder: Path) -> Any:
 
 
 def load_recording(folder: Path) -> Any:
-    from sean_jax import recordings
+    from sean_jax.people import recordings
 
     path, found = folder / "people.csv", []
     readers: list = [
@@ -337,24 +337,24 @@ def load_recording(folder: Path) -> Any:
 
 
 def load_trajectory(folder: Path) -> Any:
-    from sean_jax.survey import ratings
+    from sean_jax.studies.survey import ratings
 
     episode = ratings.read(folder / "trajectory.json")
     return episode._asdict(), ratings.measure(episode)
 
 
 def load_ratings(folder: Path) -> Any:
-    from sean_jax.survey import ratings
+    from sean_jax.studies.survey import ratings
 
     return ratings.read_answers(folder / "ratings.json", {1: None, 2: None}).model_dump()
 
 
 def load_map(folder: Path) -> Any:
-    from sean_jax import environment, maps
+    from sean_jax.world import environment, ros_map
 
     made = folder / "made"
     try:
-        maps.import_map(folder / "map.yaml", made)
+        ros_map.import_map(folder / "map.yaml", made)
         return environment.load(made)
     finally:
         shutil.rmtree(made, ignore_errors=True)
@@ -373,7 +373,7 @@ def load_policy(folder: Path) -> Any:
     import dataclasses
 
     from sean_jax import robots
-    from sean_jax.base import Scenario
+    from sean_jax.core.data_types import Scenario
     from sean_jax.learning.policy import load_imitation
 
     told = tuple((name, None) for name in names())
@@ -384,7 +384,7 @@ def load_policy(folder: Path) -> Any:
 
 def walk(folder: Path, name: str) -> dict[str, bytes]:
     """Two episodes of a robot and two people, one of whom comes late, as a table."""
-    from sean_jax.trajectories import save_trajectory
+    from sean_jax.io.trajectories import save_trajectory
 
     save_trajectory(frames(), folder / name, time_step=0.1, situations=("empty", "cross_path"))
     return {name: (folder / name).read_bytes()}
@@ -394,7 +394,7 @@ def frames() -> Any:
     import jax
     import numpy as np
 
-    from sean_jax.base import Trajectory
+    from sean_jax.core.data_types import Trajectory
 
     t = np.arange(1, 9, dtype=np.float32) / 10
     there = np.stack([t > 0, t > 0.4], -1)
@@ -415,7 +415,7 @@ def load_walk(folder: Path) -> Any:
 
     import numpy as np
 
-    from sean_jax.trajectories import load_trajectory
+    from sean_jax.io.trajectories import load_trajectory
 
     path = next((path for path in folder.iterdir() if path.stem == "walk"), folder / "walk.csv")
     found = load_trajectory(path)
@@ -493,7 +493,7 @@ def load_batch(folder: Path) -> Any:
 def table(folder: Path) -> dict[str, bytes]:
     """A table in the user's cache."""
     os.environ["XDG_CACHE_HOME"] = str(folder)
-    from sean_jax import cache
+    from sean_jax.io import cache
 
     cache.load_or_build("numbers", (), [1.0], lambda: NUMBERS)
     (path,) = (folder / "sean_jax" / "tables").iterdir()
@@ -507,7 +507,7 @@ def load_table(folder: Path) -> Any:
     """What is damaged is made anew, and nobody notices; the tables of other kinds stay as they are."""
     from unittest import mock
 
-    from sean_jax import cache
+    from sean_jax.io import cache
 
     environ = mock.patch.dict(os.environ, XDG_CACHE_HOME=str(folder / "cache"))
     with environ, mock.patch.object(cache, "_recent", type(cache._recent)()):
@@ -518,7 +518,7 @@ def load_own_table(folder: Path) -> Any:
     """The table in a cache of its own."""
     import numpy as np
 
-    from sean_jax import cache
+    from sean_jax.io import cache
 
     place = folder / "cache" / "sean_jax" / "tables" / (folder / "name").read_text()
     place.parent.mkdir(parents=True)
@@ -535,7 +535,7 @@ def load_own_table(folder: Path) -> Any:
 
 def run(folder: Path) -> dict[str, bytes]:
     """What `sean compare` reads of a run of four episodes."""
-    from sean_jax import replay
+    from sean_jax.web import replay
 
     page = replay.element({"title": "mine", "episodes": [{"frames": 3}]})
     head = "episode,task,completed,timed_out,seconds,path_length,intimate_robot_on_person,near,path_length__empty"
@@ -578,7 +578,7 @@ def result(folder: Path) -> dict[str, bytes]:
 
 def load_result(folder: Path) -> Any:
     """What is changed has the checksum and the digests of the change, as an author would write them."""
-    from sean_jax import components
+    from sean_jax.config import user_parts
     from sean_jax.studies.experiments import benchmark
 
     file = folder / "result.json"
@@ -586,7 +586,7 @@ def load_result(folder: Path) -> Any:
         content = json.loads(file.read_bytes()) if file.is_file() else None
         for track in benchmark.TRACKS:
             if content["files"].get(track) and (folder / f"{track}.npz").is_file():
-                content["files"][track] = components.digest(folder / f"{track}.npz")
+                content["files"][track] = user_parts.digest(folder / f"{track}.npz")
         content["checksum"] = benchmark.checksum(content)
         file.write_text(json.dumps(content), encoding="utf-8")
     except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
@@ -667,7 +667,8 @@ OPTIONS = {
 
 def load_options(folder: Path) -> Any:
     """The numbers that ``make`` is given; words are the command line's to check, and no file is."""
-    from sean_jax import assembly, files
+    from sean_jax.simulation import making
+    from sean_jax.io import files
 
     given = files.read_json(folder / "options.json")
     if not isinstance(given, dict):
@@ -675,7 +676,7 @@ def load_options(folder: Path) -> Any:
     told: Any = {
         name: tuple(value) if isinstance(value, list) else value for name, value in given.items() if name in OPTIONS
     }
-    return assembly.make("lab", task="join_group", dynamics="twin", **told)
+    return making.make("lab", task="join_group", dynamics="twin", **told)
 
 
 def described() -> bytes:
@@ -691,11 +692,12 @@ def described() -> bytes:
 
 def load_config(folder: Path) -> Any:
     """What `sean run --config` understands; parts are not made, for a file may name a program."""
-    from sean_jax import cli, flags
+    from sean_jax.cli import command_line
+    from sean_jax.config import flags
     from sean_jax.config import RunConfig
 
     words = ["--config", str(folder / "config.yaml")]
-    return cli._read(RunConfig, flags.parse("run", RunConfig, words, configurable=True)).identity()
+    return command_line._read(RunConfig, flags.parse("run", RunConfig, words, configurable=True)).identity()
 
 
 CODE = """import helper
@@ -714,9 +716,10 @@ def load_code(folder: Path) -> Any:
     """A run whose policy is code that its file names, with its digest or that of ``CODE``: it is only read."""
     import hashlib
 
-    from sean_jax import components, config
-    from sean_jax.errors import InputError
-    from sean_jax.evaluation.saved import read_config
+    from sean_jax.config import user_parts
+    from sean_jax import config
+    from sean_jax.core.errors import InputError
+    from sean_jax.evaluation.run_folder import read_config
 
     file = folder / "deep.py"
     digest = hashlib.sha256(file.read_bytes() if file.is_file() else b"").hexdigest()
@@ -725,7 +728,7 @@ def load_code(folder: Path) -> Any:
     (folder / "config.yaml").write_text(f"config: {{policy: 'deep.py:act'}}\nsha256: {{deep.py: {digest}}}\n")
     given = read_config(folder / "config.yaml").description
     try:
-        components.check_trust(config.validate(config.RunConfig, given, source=folder / "config.yaml"))
+        user_parts.check_trust(config.validate(config.RunConfig, given, source=folder / "config.yaml"))
     except InputError as error:
         assert "is code, and" in str(error), error
     else:
@@ -733,10 +736,10 @@ def load_code(folder: Path) -> Any:
 
 
 def load_import(folder: Path) -> Any:
-    from sean_jax.robots import imports
+    from sean_jax.robots import importing
 
     file = folder / "cart.urdf"
-    imports._Base(file, imports._read(file), imports.Settings()).mjcf("cart")
+    importing._Base(file, importing._read(file), importing.Settings()).mjcf("cart")
 
 
 def wheel() -> dict[str, bytes]:
@@ -772,8 +775,8 @@ COLLADA = """<COLLADA version="1.4.1">
 
 def load_mesh(folder: Path) -> Any:
     """The corners of each mesh, and a robot that wears them all."""
-    from sean_jax.files import meshes
-    from sean_jax.robots import imports
+    from sean_jax.io.files import meshes
+    from sean_jax.robots import importing
     from support.robot_files import CART
 
     worn = "".join(
@@ -782,7 +785,7 @@ def load_mesh(folder: Path) -> Any:
     file = folder / "cart.urdf"
     file.write_text(CART.replace('<link name="caster">', f'<link name="caster">{worn}'))
     found = [meshes.vertices(folder / f"wheel{ending}") for ending in meshes.MESHES]
-    return found, imports._Base(file, imports._read(file), imports.Settings()).mjcf("cart")
+    return found, importing._Base(file, importing._read(file), importing.Settings()).mjcf("cart")
 
 
 # Words of generated floors
@@ -793,7 +796,7 @@ WORDS = "rooms\n7\nwidth=16,depth=12,door=1.0:1.2\n"
 
 def load_world(folder: Path) -> Any:
     """The floor of a family, a seed and words, each on a line, as ``sean worlds`` is told them."""
-    from sean_jax import worlds
+    from sean_jax.world import generated
 
     file = folder / "world.txt"
     if not file.is_file():
@@ -801,7 +804,7 @@ def load_world(folder: Path) -> Any:
     family, seed, words, *_ = [*file.read_bytes()[:20_000].decode("utf-8", "replace").split("\n"), "", "", ""]
     if not re.fullmatch("[0-9]{1,9}", seed):
         raise Refused("world: no seed")
-    floor = worlds.generate(family, int(seed), worlds.parse(words))
+    floor = generated.generate(family, int(seed), generated.parse(words))
     return floor.words, floor.environment
 
 
@@ -832,14 +835,14 @@ def answered(folder: Path) -> dict[str, bytes]:
     """The file of a study in which everybody has watched, driven, chosen and answered."""
     from unittest import mock
 
-    from sean_jax.survey import study
-    from sean_jax.survey.answers import FILE
+    from sean_jax.studies.survey import study
+    from sean_jax.studies.survey.answers import FILE
 
     folder.mkdir()
     (folder / "study.yaml").write_text(STUDY)
     described = study.read(folder / "study.yaml")
-    links = mock.patch("sean_jax.survey.answers.secrets.token_urlsafe", side_effect=(f"{k:022}" for k in range(10)))
-    clock = mock.patch("sean_jax.survey.answers.time.time", side_effect=(1.7e9 + k for k in range(10_000)))
+    links = mock.patch("sean_jax.studies.survey.answers.secrets.token_urlsafe", side_effect=(f"{k:022}" for k in range(10)))
+    clock = mock.patch("sean_jax.studies.survey.answers.time.time", side_effect=(1.7e9 + k for k in range(10_000)))
     with links, clock:  # so that the bytes are the same again
         fill(folder, described)
     return {FILE: (folder / FILE).read_bytes()}
@@ -847,7 +850,7 @@ def answered(folder: Path) -> dict[str, bytes]:
 
 def fill(folder: Path, described: Any) -> None:
     """Begin a study, and let everybody take part."""
-    from sean_jax.survey.answers import Answers
+    from sean_jax.studies.survey.answers import Answers
 
     answers = Answers.begin(folder, described)
     film = {"timeStep": 0.1, "title": "", "episodes": [{"frames": 31, "title": "", "outcome": ""}]}
@@ -874,7 +877,7 @@ def fill(folder: Path, described: Any) -> None:
 
 def load_study(folder: Path) -> Any:
     """A study, and each page that the server would send."""
-    from sean_jax.survey import study
+    from sean_jax.studies.survey import study
 
     found = study.read(folder / "study.yaml")
     for participant in range(found.participants):
@@ -886,8 +889,8 @@ def load_answers(folder: Path) -> Any:
     """All tables of a study's file, as bytes; each cell is read as the study has it."""
     import csv
 
-    from sean_jax.survey import export, report
-    from sean_jax.survey.answers import FILE, Answers
+    from sean_jax.studies.survey import export, report
+    from sean_jax.studies.survey.answers import FILE, Answers
 
     answers = Answers(folder / FILE)
     try:
@@ -986,7 +989,7 @@ def load_trial(folder: Path) -> Any:
     """A drive, and what the page lists of it; another program's file in its folder is told."""
     import numpy as np
 
-    from sean_jax.studio import trial
+    from sean_jax.web.studio import trial
 
     path, place = folder / "000000.jsonl", folder / "drives" / trial.TRIALS
     place.mkdir(parents=True)
@@ -1028,18 +1031,19 @@ VARIANTS = '{"1": ["000000001.json"], "2": ["000000002.json"]}'
 
 
 def load_companions(folder: Path) -> Any:
-    from sean_jax import recordings
+    from sean_jax.people import recordings
 
     tracks = recordings.read(folder / "people.csv", "csv", 1.0)
     return recordings.read_companions(folder / "groups.txt", tracks)
 
 
 def load_training(folder: Path) -> Any:
-    from sean_jax import cli, flags
+    from sean_jax.cli import command_line
+    from sean_jax.config import flags
     from sean_jax.config import PPOConfig
 
     words = ["ppo", "--config", str(folder / "config.yaml")]
-    cli._read(PPOConfig, flags.parse("train", PPOConfig, words, configurable=True)).identity()
+    command_line._read(PPOConfig, flags.parse("train", PPOConfig, words, configurable=True)).identity()
 
 
 def load_log(folder: Path) -> Any:
@@ -1053,7 +1057,7 @@ def load_log(folder: Path) -> Any:
 
 
 def load_identity(folder: Path) -> Any:
-    from sean_jax import workspace
+    from sean_jax.config import workspace
 
     workspace.difference(workspace.read_identity(folder / "identity.json") or {}, json.loads(IDENTITY))
 
@@ -1068,7 +1072,7 @@ def load_sensor(folder: Path) -> Any:
 
 
 def load_variants(folder: Path) -> Any:
-    from sean_jax.survey import ratings
+    from sean_jax.studies.survey import ratings
 
     if os.path.lexists(folder / "variants.json"):
         (folder / "variants.json").rename(folder / ratings.VARIANTS)
@@ -1113,7 +1117,7 @@ def kinds(folder: Path) -> dict[str, Kind]:
     """Every kind of input, each with how many of a hundred mutants are of it."""
     import numpy as np
 
-    from sean_jax.environment import ENVS
+    from sean_jax.world.environment import ENVS
     from sean_jax.learning.policy import AGENTS
     from support.robot_files import CART, ROVER
 
@@ -1232,7 +1236,8 @@ def bag(folder: Path, form: str) -> dict[str, bytes]:
 
 def load_bag(folder: Path) -> Any:
     """The trajectory and the recording of a bag, as they are read again."""
-    from sean_jax import recordings, trajectories
+    from sean_jax.people import recordings
+    from sean_jax.io import trajectories
     from sean_jax.ros import bag_import
 
     if (folder / "metadata.yaml").is_symlink() or (folder / "metadata.yaml").exists():
@@ -1577,7 +1582,7 @@ def place(target: Path, content: bytes | Path | None) -> None:
 
 def check_error(error: BaseException, *names: str) -> None:
     """AssertionError unless it is one of the package's own, raised there, in sentences that name one of the files."""
-    from sean_jax.errors import SeanError
+    from sean_jax.core.errors import SeanError
 
     where = traceback.extract_tb(error.__traceback__)[-1].filename
     own = isinstance(error, SeanError) or type(error) is ValueError

@@ -3,7 +3,7 @@
 import networkx
 import numpy as np
 
-from sean_jax import environment as environments
+from sean_jax.world import environment as environments
 from sean_jax.graph import annotation
 from support.scenes import room
 

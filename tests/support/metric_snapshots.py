@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sean_jax.base import Snapshot
+from sean_jax.core.data_types import Snapshot
 from support import metric_values
 from support.people import people_at, snapshot_of
 

@@ -3,7 +3,7 @@
 import jax
 import numpy as np
 
-from sean_jax.base import Pedestrians, Snapshot
+from sean_jax.core.data_types import Pedestrians, Snapshot
 
 INTEGERS, TRUTHS = {"group", "walking_group", "start_group", "goal_group", "tick"}, {"present", "situations"}
 

@@ -6,7 +6,7 @@ import warnings
 import jax
 
 import sean_jax
-from sean_jax import environment
+from sean_jax.world import environment
 
 reset = jax.jit(sean_jax.reset)
 resets = jax.jit(jax.vmap(sean_jax.reset, (None, 0)))

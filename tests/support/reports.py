@@ -8,7 +8,7 @@ from unittest import mock
 
 import numpy as np
 
-from sean_jax import replay
+from sean_jax.web import replay
 from sean_jax.evaluation import Evaluation, compare, results
 from sean_jax.metrics import METRICS
 from support.drawn import Graph, environment, frames

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from sean_jax.runner import Runner
+from sean_jax.simulation.episode_runner import Runner
 
 NAMES = ("completed", "seconds", "path_length", "intimate_robot_on_person", "time_looked_at")
 

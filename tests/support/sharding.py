@@ -51,7 +51,7 @@ def kind(keywords) -> str:
 
 
 def file_of(nodeid: str) -> str:
-    """tests/test_clock.py of tests/test_clock.py::test_ends."""
+    """tests/core/test_clock.py of tests/core/test_clock.py::test_ends."""
     return nodeid.partition("::")[0]
 
 

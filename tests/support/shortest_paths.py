@@ -13,8 +13,8 @@ import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
-from sean_jax import navigation
-from sean_jax.navigation import Navigation
+from sean_jax.world import navigation
+from sean_jax.world.navigation import Navigation
 
 ROUNDING = 1e-6  # m
 BATCH = 100_000  # ways looked at in one go

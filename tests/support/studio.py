@@ -5,9 +5,9 @@ import threading
 import pytest
 
 from sean_jax.config import StudioConfig, validate
-from sean_jax.studio import server
-from sean_jax.studio.server import Studio
-from sean_jax.studio.session import Session
+from sean_jax.web.studio import server
+from sean_jax.web.studio.server import Studio
+from sean_jax.web.studio.session import Session
 from support.web import running
 
 OPTIONS = {"environment": "lab", "people": 3, "time_limit": 20.0, "warm_up": 1.0}

@@ -5,11 +5,8 @@ import sqlite3
 
 import pytest
 
-from sean_jax.survey import (
-    server,  # noqa: E402
-    study,
-)
-from sean_jax.survey.answers import FILE, Answers
+from sean_jax.studies.survey import server, study
+from sean_jax.studies.survey.answers import FILE, Answers
 from support.web import running
 
 STUDY = """

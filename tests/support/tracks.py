@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sean_jax import recordings as recorded
+from sean_jax.people import recordings as recorded
 from support.files import write
 
 

@@ -1,5 +1,5 @@
 // A recording: what the page was given, and its episodes as numbers.
-// The layout is that of sean_jax/replay/__init__.py, which says why.
+// The layout is that of sean_jax/web/replay/__init__.py, which says why.
 
 export interface Place {
   name: string;

@@ -1,4 +1,4 @@
-// An episode that is still simulated: the page asks for what has come since (sean_jax/replay/live.py).
+// An episode that is still simulated: the page asks for what has come since (sean_jax/web/replay/live.py).
 
 import { decode, type Episode, type EpisodeHead } from "./recording";
 

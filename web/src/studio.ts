@@ -1,4 +1,4 @@
-// The studio's page: a live scenario, driven by keys, a gamepad or a touch (sean_jax/studio/server.py).
+// The studio's page: a live scenario, driven by keys, a gamepad or a touch (sean_jax/web/studio/server.py).
 
 import { Editor, type Edits } from "./edit";
 import { Camera } from "./camera";

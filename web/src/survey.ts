@@ -1,4 +1,4 @@
-// The pages of a study: a participant's, step by step, and the researcher's (sean_jax/survey/server.py).
+// The pages of a study: a participant's, step by step, and the researcher's (sean_jax/studies/survey/server.py).
 
 import { COMMAND_INTERVAL, Controls, paintPicture } from "./drive";
 import { add, Player } from "./player";

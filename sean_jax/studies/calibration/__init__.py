@@ -10,13 +10,13 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sean_jax import writing
+from sean_jax.io import writing
 from sean_jax.config import CalibrateConfig
-from sean_jax.errors import InputError
-from sean_jax.files import listed, unknown_name
-from sean_jax.progress import progress
-from sean_jax.versions import versions
-from sean_jax.workspace import Workspace, identity
+from sean_jax.core.errors import InputError
+from sean_jax.io.files import listed, unknown_name
+from sean_jax.io.progress import progress
+from sean_jax.io.versions import versions
+from sean_jax.config.workspace import Workspace, identity
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -160,7 +160,7 @@ def _scores(before: Any, fits: dict[str, Any], recordings: dict[str, Path]) -> d
 
 def _constants(options: CalibrateConfig, what: str, values: dict[str, float], results: dict[str, Any]) -> str:
     """The file of constants of a fit; on top of a file, all that it has."""
-    from sean_jax.flags import command
+    from sean_jax.config.flags import command
     from sean_jax.social_forces import presets
 
     name, others = options.forces, {}

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from sean_jax.base import Array, Scenario
+from sean_jax.core.data_types import Array, Scenario
 from sean_jax.social_forces import Forces, move
 from sean_jax.studies.calibration.families import Family, Rows
 from sean_jax.studies.scenes import Model, Scene, scenario_of, stage

@@ -10,13 +10,13 @@ from typing import Any, ClassVar, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from sean_jax.base import Array, Pedestrians, Scenario, State
-from sean_jax.geometry import length
+from sean_jax.core.data_types import Array, Pedestrians, Scenario, State
+from sean_jax.core.geometry import length
 from sean_jax.robots import load
 from sean_jax.social_forces.forces import look_direction
 from sean_jax.studies.scenes import Scene
 from sean_jax.studies.scenes.scene import TIME_STEP
-from sean_jax.studies.validation import crowds, doors, individuals, measures, plans
+from sean_jax.studies.validation import crowds, doors, individuals, measures, guideline_scenes
 
 Sums = dict[str, Array]
 Rows = dict[str, np.ndarray]
@@ -345,7 +345,7 @@ def families(forces: Any, draws: int, quick: bool) -> list[Family]:
     densities = QUICK_DENSITIES if quick else tuple(density for density in crowds.DENSITIES if density != 3.25)
     scenes, _ = crowds.corridors(densities, draws, 0.0, crowds.hermes_speeds)
     names = [f"{density:g}" for density in densities for _ in seeds]
-    street = [plans.ring(STREET[0] / STREET[1] / crowds.WIDTH, crowds.WIDTH, STREET[0], 0.0, None, k) for k in seeds]
+    street = [guideline_scenes.ring(STREET[0] / STREET[1] / crowds.WIDTH, crowds.WIDTH, STREET[0], 0.0, None, k) for k in seeds]
     meeting = [(a, o, s) for a in ANGLES for o in individuals.OFFSETS for s in individuals.SPEEDS]
     meeting = meeting[:4] if quick else meeting
     encounters = individuals.passing_scenes(8 if quick else ENCOUNTERS)

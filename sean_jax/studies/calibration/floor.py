@@ -10,10 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from sean_jax import prng
-from sean_jax.base import Array
-from sean_jax.geometry import length
-from sean_jax.scenario import reset
+from sean_jax.core import random_streams
+from sean_jax.core.data_types import Array
+from sean_jax.core.geometry import length
+from sean_jax.simulation.scenario import reset
 from sean_jax.social_forces import Forces, move
 from sean_jax.studies.calibration.families import Rows, gaps
 from sean_jax.studies.scenes import Model
@@ -34,7 +34,7 @@ class Floor:
 
     def __init__(self, forces: Forces, forces_of: Callable[[Array], Forces]):
         scenario: Any = groups.graph_scenario(Model("floor", forces, move), ENVIRONMENT)
-        keys = jax.random.split(prng.key("groups", 0), EPISODES)
+        keys = jax.random.split(random_streams.key("groups", 0), EPISODES)
         steps = round(SECONDS / scenario.time_step)
 
         def walk(forces: Forces, change: Array, key: Array) -> tuple[Array, tuple[Array, Array]]:

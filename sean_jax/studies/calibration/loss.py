@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sean_jax import files
+from sean_jax.io import files
 
 GROUPS: dict[str, dict[str, Any]] = files.read_yaml(Path(__file__).with_name("targets.yaml"))[1]  # pyright: ignore
 ANY = "any"  # case of a group whose cases are the recordings at hand

@@ -11,7 +11,7 @@ import numpy as np
 from cmaes import CMA
 from jaxtyping import Float
 
-from sean_jax import prng
+from sean_jax.core import random_streams
 from sean_jax.social_forces import Forces
 from sean_jax.studies.calibration.crowds import Crowds
 from sean_jax.studies.calibration.families import Rows, families
@@ -78,7 +78,7 @@ class Search:
         seed: int,
     ):
         self._rows, self._left_out, self._population = rows, tuple(left_out), population
-        seeds = prng.generator("calibrate", seed).integers(2**31, size=len(left_out))
+        seeds = random_streams.generator("calibrate", seed).integers(2**31, size=len(left_out))
         self._strategies: list[Any] = [
             CMA(mean=np.asarray(start, float), sigma=SIGMA, seed=int(own), population_size=population) for own in seeds
         ]

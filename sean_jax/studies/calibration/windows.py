@@ -14,10 +14,10 @@ import numpy as np
 from flax import struct
 from jaxtyping import Bool, Float
 
-from sean_jax.base import Obstacles
-from sean_jax.errors import InputError
-from sean_jax.recordings import read
-from sean_jax.recordings.reading import NEEDED, column_names
+from sean_jax.core.data_types import Obstacles
+from sean_jax.core.errors import InputError
+from sean_jax.people.recordings import read
+from sean_jax.people.recordings.reading import NEEDED, column_names
 from sean_jax.studies.prediction import SEEN, TIME_STEP, read_windows
 
 RUN = re.compile(r"(uo|bo)-(\d{3})-(\d{3})-(\d{3})")  # direction, widths of entrance, corridor and exit in cm

@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sean_jax import writing
-from sean_jax.progress import progress
+from sean_jax.io import writing
+from sean_jax.io.progress import progress
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -103,7 +103,7 @@ def _in_threads(
     parts: Sequence[Part], run: Callable[[Part], Any], at_once: int, stop: threading.Event
 ) -> dict[str, Any]:
     """Parts in ``at_once`` threads, in half as many once a part is out of device memory; that part runs again."""
-    from sean_jax.devices import is_out_of_memory
+    from sean_jax.core.devices import is_out_of_memory
 
     results: dict[str, Any] = {}
     waiting, running = list(parts), dict[Future, tuple[Part, int]]()

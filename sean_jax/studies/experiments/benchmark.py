@@ -23,8 +23,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 import jax
 import numpy as np
 
-from sean_jax import assembly, components, files, robots, social_forces, worlds, writing
-from sean_jax.base import Scenario
+from sean_jax.simulation import making
+from sean_jax.config import user_parts
+from sean_jax.io import files, writing
+from sean_jax import robots, social_forces
+from sean_jax.world import generated
+from sean_jax.core.data_types import Scenario
 from sean_jax.config import (
     METHODS,
     BenchmarkConfig,
@@ -40,18 +44,18 @@ from sean_jax.config import (
     outside,
     validate,
 )
-from sean_jax.errors import FileError, IncompleteError, InputError
+from sean_jax.core.errors import FileError, IncompleteError, InputError
 from sean_jax.evaluation import Driver
 from sean_jax.learning.networks import read_method
 from sean_jax.learning.policy import AGENTS, agent_folder, check_policy, load_policy, read_options
 from sean_jax.metrics import METRICS, OF_GROUPS, Estimate
 from sean_jax.policies import POLICIES
-from sean_jax.runner import Callbacks, Runner, even_batch
-from sean_jax.stack import Stack, as_stacks
+from sean_jax.simulation.episode_runner import Callbacks, Runner, even_batch
+from sean_jax.simulation.scenario_stack import Stack, as_stacks
 from sean_jax.studies.experiments import Part, page, run_parts, shares
 from sean_jax.studies.experiments.measures import COUNTED, MEASURED, Arrays, Scores, scores, scores_by_track
-from sean_jax.versions import fingerprint, version_mismatch, versions
-from sean_jax.workspace import Workspace, identity
+from sean_jax.io.versions import fingerprint, version_mismatch, versions
+from sean_jax.config.workspace import Workspace, identity
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -145,7 +149,7 @@ def protocol_digest() -> str:
     """The digest, 16 letters, of all inputs of the tracks besides their options and the recordings."""
     digest, tracks = hashlib.sha256(), _read_tracks().values()
     places = dict.fromkeys(track.options["environment"] for track in tracks)
-    folders = [folder for place in places for folder in worlds.find(place)]
+    folders = [folder for place in places for folder in generated.find(place)]
     read = [file for folder in folders for file in sorted(folder.iterdir()) if file.is_file()]
     for file in [*read, robots.ROBOTS["kuri"]]:
         digest.update(f"{file.name}\n{files.read_text(file)}".encode())
@@ -196,10 +200,10 @@ def describe(policy: Component, sensing: str | None = None) -> Described:
         return Described(_digest("outside", policy.kind), sensing or "all-knowing", False)
     if isinstance(policy, Named) and sensing is not None:
         raise InputError(f"sensing: {policy.kind} says itself what it senses; leave {sensing} out.")
-    scenario = assembly.build(description(next(iter(TRACKS))))[0]
+    scenario = making.build(description(next(iter(TRACKS))))[0]
     loaded = load_policy(policy, scenario)
     if isinstance(policy, OwnPart):
-        digest = _digest(components.content(policy.file).digest, policy.name)
+        digest = _digest(user_parts.content(policy.file).digest, policy.name)
         return Described(digest, sensing or loaded.sensing, False)
     numbers, is_known = fingerprint(loaded.params), policy.kind in POLICIES
     if not is_known:
@@ -216,7 +220,7 @@ def check_training(policy: str, folder: Path) -> None:
     if not issubclass(METHODS[read_method(folder)], ReinforcementConfig):
         return
     for name in read_options(folder).environments:
-        place = worlds.parse_set(name)
+        place = generated.parse_set(name)
         if place is not None and place.seed + place.number > FIRST_SEED:
             text = f"was trained on {name}, and seeds from {FIRST_SEED:,} on are for the benchmark"
             raise InputError(f"policy: {policy} {text}; train on other seeds.")
@@ -291,7 +295,7 @@ def recording_digests(tracks: list[str], folder: Path | None) -> dict[str, str]:
         InputError: the folder lacks a recording.
     """
     names = [recorded()[track] for track in tracks if track in recorded()]
-    return {name: components.digest(_recording(name, folder), files.MAX_TABLE) for name in names}
+    return {name: user_parts.digest(_recording(name, folder), files.MAX_TABLE) for name in names}
 
 
 def _drive(
@@ -319,7 +323,7 @@ def _floors(track: str, recordings: Path | None, number: int) -> Stack[Scenario]
     """The floors of a track with so many episodes, with the metrics of the benchmark."""
     known = METRICS | OF_GROUPS
     metrics = tuple((name, known[name]) for name in MEASURED)
-    floors = as_stacks(assembly.build_floors(description(track, recordings), number))[0]
+    floors = as_stacks(making.build_floors(description(track, recordings), number))[0]
     return floors.map_member(lambda member: dataclasses.replace(member, metrics=metrics))
 
 
@@ -514,7 +518,7 @@ def write(options: BenchmarkConfig, measured: dict[str, Arrays], policy: Describ
         "device": device(),
         "versions": versions(),
         "recordings": recording_digests(list(measured), options.recordings),
-        "files": {track: components.digest(folder / f"{track}.npz", MAX_BYTES) for track in measured},
+        "files": {track: user_parts.digest(folder / f"{track}.npz", MAX_BYTES) for track in measured},
         **_figures(scored),
     }
     writing.write(folder / RESULT, content | {"checksum": checksum(content)})
@@ -608,7 +612,7 @@ def check(folder: Path) -> Result:
                 text = f"{key} {had} is not that of {result.policy} of this package, {value}"
                 raise InputError(f"{file}: {text}{mismatch and f' ({mismatch})' or ''}; run the benchmark again.")
     for track, digest in result.files.items():
-        if components.digest(folder / f"{track}.npz", MAX_BYTES) != digest:
+        if user_parts.digest(folder / f"{track}.npz", MAX_BYTES) != digest:
             raise InputError(f"{folder / track}.npz is not the file of the result; run the benchmark again.")
     measured = measurements(folder, result)
     expected = {"complete": result.episodes == EPISODES, **_figures(_scored(measured))}

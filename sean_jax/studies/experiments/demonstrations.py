@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sean_jax.errors import InputError
+from sean_jax.core.errors import InputError
 from sean_jax.learning.dataset import MANIFEST, ConcatDataset, open_datasets
 from sean_jax.studies.experiments.shares import BEHAVIORS, NAMES, DemonstrationCell
 
 if TYPE_CHECKING:
-    from sean_jax.base import Scenario
+    from sean_jax.core.data_types import Scenario
 
 STUDIO = "demonstrations"  # the dataset in a folder of ``sean studio --record``
 

@@ -25,7 +25,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sean_jax import learning, writing
+from sean_jax import learning
+from sean_jax.io import writing
 from sean_jax.config import (
     CollectConfig,
     Figure4Config,
@@ -36,15 +37,15 @@ from sean_jax.config import (
     ScenarioConfig,
     validate,
 )
-from sean_jax.errors import InputError
-from sean_jax.files import listed
-from sean_jax.flags import number
+from sean_jax.core.errors import InputError
+from sean_jax.io.files import listed
+from sean_jax.config.flags import number
 from sean_jax.learning.collection import check_collection, streams
 from sean_jax.learning.dataset import ConcatDataset, open_datasets
 from sean_jax.learning.examples import balanced_probabilities
 from sean_jax.learning.policy import check_policy, load_policy
 from sean_jax.metrics import METRICS
-from sean_jax.runner import Runner, even_batch, max_batch
+from sean_jax.simulation.episode_runner import Runner, even_batch, max_batch
 from sean_jax.studies.experiments import Part, demonstrations, page, pictures, run_parts, shares, write_csv
 from sean_jax.studies.experiments.measures import (
     BALANCED,
@@ -64,12 +65,12 @@ from sean_jax.studies.experiments.measures import (
 )
 from sean_jax.studies.experiments.shares import BEHAVIORS, DemonstrationCell
 from sean_jax.studies.experiments.table1 import description, fields
-from sean_jax.workspace import Workspace, identity
+from sean_jax.config.workspace import Workspace, identity
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from sean_jax.base import Policy, Scenario
+    from sean_jax.core.data_types import Policy, Scenario
     from sean_jax.metrics import Estimate
 
 LOADING = threading.Lock()

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sean_jax.flags import number
+from sean_jax.config.flags import number
 from sean_jax.metrics import OF_GROUPS, Estimate, aggregate, aggregate_ratio
 from sean_jax.metrics.bootstrap import UNBOUNDED, hierarchical_resamples, of_count, of_share, resamples, with_estimate
 from sean_jax.metrics.differences import holm

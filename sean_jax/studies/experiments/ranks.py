@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
-from sean_jax.base import SENSING
+from sean_jax.core.data_types import SENSING
 from sean_jax.metrics import Estimate, interval
 from sean_jax.metrics.bootstrap import with_estimate
 from sean_jax.metrics.differences import holm

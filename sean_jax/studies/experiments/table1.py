@@ -27,7 +27,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sean_jax import devices, episodes, files, prng, runner, writing
+from sean_jax.core import devices, random_streams
+from sean_jax.simulation import episodes, episode_runner
+from sean_jax.io import files, writing
 from sean_jax.classifiers import MORE_SITUATIONS, classify
 from sean_jax.config import (
     PRESETS,
@@ -40,13 +42,13 @@ from sean_jax.config import (
     validate,
     with_defaults,
 )
-from sean_jax.episodes import ResetPool
-from sean_jax.errors import InputError
-from sean_jax.files import listed
-from sean_jax.flags import number
+from sean_jax.simulation.episodes import ResetPool
+from sean_jax.core.errors import InputError
+from sean_jax.io.files import listed
+from sean_jax.config.flags import number
 from sean_jax.learning.collection import check_collection, streams
 from sean_jax.learning.policy import check_policy, load_policy
-from sean_jax.scenario import snapshot
+from sean_jax.simulation.scenario import snapshot
 from sean_jax.studies.experiments import Part, cached, demonstrations, page, pictures, run_parts, shares, write_csv
 from sean_jax.studies.experiments.shares import (
     BEHAVIORS,
@@ -56,12 +58,12 @@ from sean_jax.studies.experiments.shares import (
     interval_rows,
     ordering_rows,
 )
-from sean_jax.workspace import REMAKE, Workspace, identity
+from sean_jax.config.workspace import REMAKE, Workspace, identity
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from sean_jax.base import Array, Policy, Scenario, Snapshot, State
+    from sean_jax.core.data_types import Array, Policy, Scenario, Snapshot, State
     from sean_jax.classifiers import Situation, Thresholds
 
 SWEPT = "random", "graph"  # behaviors whose number of people can be chosen
@@ -286,24 +288,24 @@ class Streams:
 
     def _draw(self) -> State:
         """(C * seeds, K, ...) without a policy's memory."""
-        keys = [prng.key("table1 starts", seed) for seed in self.seeds]
+        keys = [random_streams.key("table1 starts", seed) for seed in self.seeds]
         number = len(self.scenarios)
         folded = [jax.random.fold_in(key, stream) for stream in range(number) for key in keys]
         drawn = jnp.stack([jax.random.split(key, self.size) for key in folded])
         index = jnp.repeat(jnp.arange(number, dtype=jnp.int32), len(keys))
         draw = jax.jit(functools.partial(_starts, tuple(each.task for each in self.scenarios)))
-        return draw(self.scenarios[0], runner.varying_leaves(self.scenarios), index, drawn)
+        return draw(self.scenarios[0], episode_runner.varying_leaves(self.scenarios), index, drawn)
 
     def chain_keys(self, chains: int) -> Array:
         """(C * seeds * chains,) keys of the chains, of which each seed has ``chains`` in each stream."""
-        every = [jax.random.split(prng.key("table1", seed), len(self.scenarios) * chains) for seed in self.seeds]
+        every = [jax.random.split(random_streams.key("table1", seed), len(self.scenarios) * chains) for seed in self.seeds]
         return jnp.stack([keys.reshape(-1, chains) for keys in every], axis=1).reshape(-1)
 
 
 def _starts(tasks: tuple, scenario: Scenario, varying: dict[int, Array], streams: Array, keys: Array) -> State:
     def stream(index_and_keys: tuple[Array, Array]) -> State:
         index, keys = index_and_keys
-        return jax.vmap(lambda key: runner.first_state(tasks, scenario, varying, index, key))(keys)
+        return jax.vmap(lambda key: episode_runner.first_state(tasks, scenario, varying, index, key))(keys)
 
     return jax.lax.map(stream, (streams, keys))
 

@@ -18,17 +18,19 @@ import jax
 import matplotlib
 import numpy as np
 
-from sean_jax import assembly, files, prng, writing
-from sean_jax import environment as environments
-from sean_jax.base import Environment, Scenario
+from sean_jax.simulation import making
+from sean_jax.io import files, writing
+from sean_jax.core import random_streams
+from sean_jax.world import environment as environments
+from sean_jax.core.data_types import Environment, Scenario
 from sean_jax.config import FitGraphConfig, GraphBehavior, Named, ScenarioConfig
 from sean_jax.drawing import colors, layers
-from sean_jax.errors import InputError
-from sean_jax.files.mjcf import MAX_TEXT
-from sean_jax.flags import command
+from sean_jax.core.errors import InputError
+from sean_jax.io.files.mjcf import MAX_TEXT
+from sean_jax.config.flags import command
 from sean_jax.graph import BehaviorGraph, annotation, graph_of
-from sean_jax.progress import Progress, progress
-from sean_jax.recordings import read
+from sean_jax.io.progress import Progress, progress
+from sean_jax.people.recordings import read
 from sean_jax.studies.inverse_graph.fitting import (
     FlowWeights,
     GraphFit,
@@ -40,8 +42,8 @@ from sean_jax.studies.inverse_graph.fitting import (
     weights_of,
 )
 from sean_jax.studies.inverse_graph.measuring import Calls, FlowMeasure, measure_flows, people_alone, people_called
-from sean_jax.versions import versions
-from sean_jax.worlds.proposal import propose
+from sean_jax.io.versions import versions
+from sean_jax.world.generated.graph_proposal import propose
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -174,7 +176,7 @@ def _scenario(options: FitGraphConfig, folder: Path) -> Scenario:
         people=options.people,
         time_step=ROW,
     )
-    return assembly.build(described)[0]
+    return making.build(described)[0]
 
 
 def _episodes(
@@ -186,7 +188,7 @@ def _episodes(
     number = max(1, round(options.minutes * 60.0 / EPISODE))
     steps = round(min(EPISODE, options.minutes * 60.0) / scenario.time_step)
     simulate: Callable = jax.jit(lambda key: people_called(scenario, graph, key, steps, EVERY))
-    key = jax.random.fold_in(prng.key("fit-graph", options.seed), part)
+    key = jax.random.fold_in(random_streams.key("fit-graph", options.seed), part)
     measures: list[tuple[FlowMeasure, Calls]] = []
     bar.start(words, number)
     for episode in range(number):

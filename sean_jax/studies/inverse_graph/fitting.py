@@ -25,12 +25,12 @@ import numpy as np
 from flax import struct
 from jaxtyping import Bool, Float, Int
 
-from sean_jax.base import Array
-from sean_jax.geometry import length
+from sean_jax.core.data_types import Array
+from sean_jax.core.geometry import length
 from sean_jax.graph import BehaviorGraph
 from sean_jax.graph.annotation import Annotation, Edge, Node
 from sean_jax.graph.behavior_graph import cheapest_paths, hop_log_chances
-from sean_jax.progress import Progress
+from sean_jax.io.progress import Progress
 from sean_jax.studies.inverse_graph.measuring import Calls, FlowMeasure
 
 RARE = 1e-6  # share of walks that no model explains, such as turning round on the way

@@ -14,11 +14,11 @@ import numpy as np
 from flax import struct
 from jaxtyping import Bool, Float, Int, PyTree
 
-from sean_jax import prng
-from sean_jax import scenario as stages
-from sean_jax.base import Array, Scenario, State
-from sean_jax.behaviors.graph_choices import Memory
-from sean_jax.crowding import NO_NODE, track_nodes
+from sean_jax.core import random_streams
+from sean_jax.simulation import scenario as stages
+from sean_jax.core.data_types import Array, Scenario, State
+from sean_jax.people.behaviors.graph_choices import Memory
+from sean_jax.people.density import NO_NODE, track_nodes
 from sean_jax.graph import BehaviorGraph
 
 STANDING = 0.3  # m/s, below which a person stands
@@ -262,4 +262,4 @@ def begin_alone(scenario: Scenario, key: Array) -> State:
     state = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), blank.replace(streams=None))
     pedestrians, groups, memory = scenario.behavior.reset(scenario, key)
     robot = state.robot.replace(position=jnp.full(2, FAR), heading=jnp.asarray([1.0, 0.0]))
-    return state.replace(streams=prng.streams(key), pedestrians=pedestrians, groups=groups, memory=memory, robot=robot)
+    return state.replace(streams=random_streams.streams(key), pedestrians=pedestrians, groups=groups, memory=memory, robot=robot)

@@ -15,12 +15,12 @@ import numpy as np
 from flax import struct
 from jaxtyping import Bool, Float
 
-from sean_jax import prng
-from sean_jax.base import Array
-from sean_jax.errors import InputError
-from sean_jax.files import short_name
-from sean_jax.recordings import read
-from sean_jax.recordings.reading import read_lines
+from sean_jax.core import random_streams
+from sean_jax.core.data_types import Array
+from sean_jax.core.errors import InputError
+from sean_jax.io.files import short_name
+from sean_jax.people.recordings import read
+from sean_jax.people.recordings.reading import read_lines
 from sean_jax.studies.prediction.forecast import HABITS, Predictable, observed_people, predict
 
 __all__ = [
@@ -117,7 +117,7 @@ def evaluate_samples(
     Args:
         **options: of ``predict``.
     """
-    keys = jax.random.split(prng.key("scene", seed), samples)
+    keys = jax.random.split(random_streams.key("scene", seed), samples)
     predicted = np.stack([_predicted(model, windows, chunk, key=key, **options) for key in keys])
     return score_samples(predicted, np.asarray(windows.position)[:, SEEN:], np.asarray(windows.present))
 

@@ -16,8 +16,9 @@ import jax.numpy as jnp
 from jax.core import Tracer
 from jaxtyping import Bool, Float, Int
 
-from sean_jax import prng, social_forces
-from sean_jax.base import (
+from sean_jax.core import random_streams
+from sean_jax import social_forces
+from sean_jax.core.data_types import (
     Array,
     Behavior,
     Environment,
@@ -29,8 +30,8 @@ from sean_jax.base import (
     Scenario,
     State,
 )
-from sean_jax.geometry import build_obstacle_grid, length
-from sean_jax.pedestrian_models import pedestrians_at
+from sean_jax.core.geometry import build_obstacle_grid, length
+from sean_jax.people.pedestrian_models import pedestrians_at
 from sean_jax.social_forces import SUBSTEP, Cohesion, Forces, Term
 from sean_jax.studies import scenes
 
@@ -241,8 +242,8 @@ def _walk(
         share = jnp.where(size > most, most / jnp.where(size > most, size, 1.0), 1.0)[:, None]
         people = replace(people, desired_velocity=people.desired_velocity - share * undone)
     if key is not None:
-        people = social_forces.individualize(forces, people, jax.random.fold_in(key, prng.TRAITS))
-        state = replace(state, streams=prng.streams(key))
+        people = social_forces.individualize(forces, people, jax.random.fold_in(key, random_streams.TRAITS))
+        state = replace(state, streams=random_streams.streams(key))
 
     def frame(people: Pedestrians, index: Array) -> tuple[Pedestrians, Array]:
         @jax.checkpoint

@@ -14,8 +14,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from sean_jax import pedestrian_models, prng, robots, social_forces
-from sean_jax.base import (
+from sean_jax.people import pedestrian_models
+from sean_jax.core import random_streams
+from sean_jax import robots, social_forces
+from sean_jax.core.data_types import (
     Array,
     Environment,
     ObstacleGrid,
@@ -27,11 +29,11 @@ from sean_jax.base import (
     State,
 )
 from sean_jax.config import DEFAULT_FORCES
-from sean_jax.devices import to_device
-from sean_jax.environment import plain_scenery
-from sean_jax.errors import InputError
-from sean_jax.files import unknown_name
-from sean_jax.geometry import build_obstacle_grid
+from sean_jax.core.devices import to_device
+from sean_jax.world.environment import plain_scenery
+from sean_jax.core.errors import InputError
+from sean_jax.io.files import unknown_name
+from sean_jax.core.geometry import build_obstacle_grid
 from sean_jax.social_forces import presets
 from sean_jax.social_forces.forces import Forces, Term
 from sean_jax.studies.scenes.walkers import AWAY, NEVER, Gate, Point, Walkers, padded_size, walkers_behavior
@@ -278,19 +280,19 @@ def scenario_of(scene: Scene, moved_by: Model | None = None) -> Scenario:
 def stage(scenario: Scenario, scene: Scene) -> State:
     """The first state of a scene in its scenario, without a robot task."""
     robot = (jnp.asarray(part, float) for part in scene.robot or ((AWAY, AWAY), (0.0, 0.0)))
-    return _first_state(scenario, prng.key("scene", scene.seed), *robot)
+    return _first_state(scenario, random_streams.key("scene", scene.seed), *robot)
 
 
 @jax.jit
 def _first_state(scenario: Scenario, key: Array, place: Array, velocity: Array) -> State:
     pedestrians, groups, memory = scenario.behavior.reset(scenario, key)
-    pedestrians = social_forces.individualize(scenario.forces, pedestrians, jax.random.fold_in(key, prng.TRAITS))
+    pedestrians = social_forces.individualize(scenario.forces, pedestrians, jax.random.fold_in(key, random_streams.TRAITS))
     speed = jnp.sqrt((velocity * velocity).sum())
     heading = jnp.where(speed > 0.0, velocity / jnp.where(speed > 0.0, speed, 1.0), jnp.asarray([1.0, 0.0], float))
     robot: Robot = replace(scenario.robot.place(scenario.robot, place, heading), speed=speed)
     nothing: Any = None
     return State(
-        streams=prng.streams(key),
+        streams=random_streams.streams(key),
         tick=jnp.zeros((), jnp.int32),
         pedestrians=pedestrians,
         groups=groups,

@@ -15,10 +15,10 @@ import numpy as np
 from flax import struct
 from jaxtyping import Bool, Float, Int
 
-from sean_jax.base import Array, Behavior, Groups, Pedestrians, Scenario, State
-from sean_jax.errors import InputError
-from sean_jax.geometry import length, unit
-from sean_jax.pedestrian_models import pedestrians_at
+from sean_jax.core.data_types import Array, Behavior, Groups, Pedestrians, Scenario, State
+from sean_jax.core.errors import InputError
+from sean_jax.core.geometry import length, unit
+from sean_jax.people.pedestrian_models import pedestrians_at
 from sean_jax.social_forces import draw_traits
 
 Point = tuple[float, float]  # m

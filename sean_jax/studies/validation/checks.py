@@ -15,14 +15,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from sean_jax import files, writing
+from sean_jax.io import files, writing
 from sean_jax.config import OwnPart, ValidateConfig, is_own_part, validate
-from sean_jax.errors import InputError
-from sean_jax.files import listed, unknown_name
-from sean_jax.flags import command
-from sean_jax.recordings import Tracks
+from sean_jax.core.errors import InputError
+from sean_jax.io.files import listed, unknown_name
+from sean_jax.config.flags import command
+from sean_jax.people.recordings import Tracks
 from sean_jax.studies.scenes import Model, Scene, model, simulate
-from sean_jax.versions import fingerprint, versions
+from sean_jax.io.versions import fingerprint, versions
 
 PASSES, FAILS, SKIPPED = "passes", "fails", "skipped"
 RESULTS, PARTS = "results.json", "parts"
@@ -223,7 +223,7 @@ def models_of(names: str | None, source: Path | None = None, *, typed: bool = Fa
     models = []
     for name in listed(names):
         if is_own_part(name):
-            from sean_jax.components import load
+            from sean_jax.config.user_parts import load
 
             part = validate(OwnPart, {"kind": name}, source=source, typed=typed)
             models.append(model(load(part, "models"), part.name))

@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 from scipy import stats
 
-from sean_jax.recordings import Tracks, read
+from sean_jax.people.recordings import Tracks, read
 from sean_jax.studies.scenes import Scene, join, spread, walkers
-from sean_jax.studies.validation import plans
+from sean_jax.studies.validation import guideline_scenes
 from sean_jax.studies.validation.checks import PUBLISHED, CheckContext, CheckResult, Curve, by_name, listing, result
 from sean_jax.studies.validation.measures import (
     area_means,
@@ -94,7 +94,7 @@ def corridors(
     for seed, density in enumerate(np.repeat(densities, draws).tolist()):
         number = round(density * PERIOD * WIDTH)
         own = None if speeds is None else speeds(number, seed)
-        scenes.append(plans.ring(PERIOD, WIDTH, number, seconds, own, seed, inset=0.25))
+        scenes.append(guideline_scenes.ring(PERIOD, WIDTH, number, seconds, own, seed, inset=0.25))
     return scenes, [f"{density:g} people/m²" if draw == 0 else "" for density in densities for draw in range(draws)]
 
 
@@ -104,7 +104,7 @@ def in_rows(rows: int, seconds: float, seed: int) -> Scene:
     own = np.arange(number)
     across = (own % rows + 0.5) * WIDTH / rows
     start = np.stack([own * PERIOD / number, across], 1)
-    return plans.periodic(PERIOD, WIDTH, walkers(start, route=(0,), speed=hermes_speeds(number, seed)), seconds)
+    return guideline_scenes.periodic(PERIOD, WIDTH, walkers(start, route=(0,), speed=hermes_speeds(number, seed)), seconds)
 
 
 def corridor_diagram(context: CheckContext) -> CheckResult:
@@ -198,7 +198,7 @@ def in_file(number: int, length: float, seconds: float, seed: int = 0, jitter: f
     gap = length / number
     moved = jitter * gap * np.random.default_rng([seed, 31]).uniform(-1.0, 1.0, number)
     start = np.stack([(np.arange(number) + 0.5) * gap + moved, np.full(number, FILE_WIDTH / 2)], 1)
-    return plans.periodic(length, FILE_WIDTH, walkers(start, route=(0,), seed=seed), seconds)
+    return guideline_scenes.periodic(length, FILE_WIDTH, walkers(start, route=(0,), seed=seed), seconds)
 
 
 def single_file_diagram(context: CheckContext) -> CheckResult:
@@ -289,7 +289,7 @@ def mixed_corridor(density: float, seed: int) -> Scene:
     speed = hermes_speeds(number, seed)
     halves = slice(number // 2), slice(number // 2, None)
     people = join(*(walkers(start[own], route=(way,), speed=speed[own]) for way, own in enumerate(halves)))
-    return plans.periodic(LANE_PERIOD, LANE_WIDTH, people, LANE_SECONDS)
+    return guideline_scenes.periodic(LANE_PERIOD, LANE_WIDTH, people, LANE_SECONDS)
 
 
 def lanes(context: CheckContext) -> CheckResult:

@@ -7,7 +7,7 @@ published.yaml.
 
 import numpy as np
 
-from sean_jax.recordings import Tracks, read
+from sean_jax.people.recordings import Tracks, read
 from sean_jax.studies.scenes import Gate, Scene, box, room, spread, walkers
 from sean_jax.studies.validation.checks import PUBLISHED, CheckContext, CheckResult, Curve, by_name, listing, result
 from sean_jax.studies.validation.crowds import TOLERANCE, hermes_speeds, juelich_recordings

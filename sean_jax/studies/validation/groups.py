@@ -8,10 +8,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from sean_jax import assembly, environment, prng, social_forces
-from sean_jax.base import Array, Scenario
-from sean_jax.behaviors.graph_choices import MAX_WAIT
-from sean_jax.scenario import reset
+from sean_jax.simulation import making
+from sean_jax.world import environment
+from sean_jax.core import random_streams
+from sean_jax import social_forces
+from sean_jax.core.data_types import Array, Scenario
+from sean_jax.people.behaviors.graph_choices import MAX_WAIT
+from sean_jax.simulation.scenario import reset
 from sean_jax.social_forces.forces import look_direction
 from sean_jax.studies.scenes import Model
 from sean_jax.studies.scenes.simulation import advance
@@ -94,14 +97,14 @@ def in_environment(model: Model, name: str, seconds: float, episodes: int) -> tu
 
 def graph_scenario(model: Model, name: str) -> Scenario:
     """People of a model in an environment on its Behavior Graph, with a robot beside them."""
-    scenario = assembly.make(name, behavior="graph", task="random_ab_nav", robot="kuri")
+    scenario = making.make(name, behavior="graph", task="random_ab_nav", robot="kuri")
     substeps = social_forces.substeps(model.forces, scenario.time_step)
     return replace(scenario, forces=model.forces, move=model.move, substeps=substeps)
 
 
 def _walk(scenario: Scenario, seconds: float, episodes: int) -> tuple[np.ndarray, ...]:
     """Of some episodes (B, T, N): the group of each person, position [m], velocity [m/s] and look (B, T, N, 2)."""
-    keys = jax.random.split(prng.key("groups", 0), episodes)
+    keys = jax.random.split(random_streams.key("groups", 0), episodes)
     return tuple(np.asarray(part) for part in _episodes(round(seconds / scenario.time_step), scenario, keys))
 
 

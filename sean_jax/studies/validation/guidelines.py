@@ -5,10 +5,10 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import stats
 
-from sean_jax.geometry import signed_distances_on_host
-from sean_jax.recordings import Tracks
+from sean_jax.core.geometry import signed_distances_on_host
+from sean_jax.people.recordings import Tracks
 from sean_jax.studies.scenes import Gate, Scene, environment
-from sean_jax.studies.validation import crowds, plans
+from sean_jax.studies.validation import crowds, guideline_scenes
 from sean_jax.studies.validation.checks import CheckContext, CheckResult, Curve, by_name, listing, result
 from sean_jax.studies.validation.measures import crossing_times, densities, flow, speeds, steps_along, vanishing_times
 
@@ -25,7 +25,7 @@ JAM = 0.5  # share of the speed at the lowest density that is left at the highes
 
 def walk_time(context: CheckContext, speed: float, shortest: float, longest: float) -> CheckResult:
     """The time in which one person of a preferred speed [m/s] walks 40 m, with bounds [s]."""
-    (tracks,) = context.simulate(plans.one_walker(speed), f"one person at {speed:g} m/s")
+    (tracks,) = context.simulate(guideline_scenes.one_walker(speed), f"one person at {speed:g} m/s")
     time = float(vanishing_times(tracks)[0])
     passed = shortest <= time <= longest
     return result(passed, f"{time:.1f} s", f"{shortest:g} to {longest:g} s", numbers={"time": time})
@@ -33,7 +33,7 @@ def walk_time(context: CheckContext, speed: float, shortest: float, longest: flo
 
 def free_speed(context: CheckContext) -> CheckResult:
     """The speed of one person over 40 m, with 10 m before and behind."""
-    (tracks,) = context.simulate(plans.one_walker(1.0, 60.0), "one person at 1 m/s")
+    (tracks,) = context.simulate(guideline_scenes.one_walker(1.0, 60.0), "one person at 1 m/s")
     begin, end = (crossing_times(tracks, Gate((x, 2.0), (x, 0.0)))[0] for x in (10.0, 50.0))
     speed = 40.0 / float(end - begin) if np.isfinite(end) else 0.0
     return result(abs(speed - 1.0) <= KEPT, f"{speed:.3f} m/s", "1.0 ± 0.05 m/s", numbers={"speed": speed})
@@ -42,7 +42,7 @@ def free_speed(context: CheckContext) -> CheckResult:
 def falling_speed(context: CheckContext) -> CheckResult:
     """Speed against density in a periodic corridor of 26 by 2 m, in three squares of 4 m2, after the first 10 s."""
     densities = (0.5, 1.0, 2.0, 4.0) if context.quick else (0.5, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
-    scenes = [plans.ring(26.0, 2.0, round(52 * density), 70.0) for density in densities]
+    scenes = [guideline_scenes.ring(26.0, 2.0, round(52 * density), 70.0) for density in densities]
     captions = [f"{density:g} people/m²" for density in densities[:3]]
     means = [speed_in_squares(tracks, 26.0) for tracks in context.simulate(scenes, captions)]
     passed = np.diff(means).max() <= SLACK and means[-1] <= JAM * means[0] and min(means) >= -SLACK
@@ -84,7 +84,7 @@ def _steps_near(tracks: Tracks, period: float, middles: Sequence[float], reach: 
 
 def reaction_times(context: CheckContext) -> CheckResult:
     """How far from their own reaction time ten people begin to walk."""
-    scene = plans.reactions()
+    scene = guideline_scenes.reactions()
     (tracks,) = context.simulate(scene, "ten people with reaction times")
     # Some begin right behind others who still wait, and walk slowly until they are past them.
     walking = speeds(tracks) >= 0.25 * np.asarray(scene.walkers.preferred_speed)[None]
@@ -97,7 +97,7 @@ def reaction_times(context: CheckContext) -> CheckResult:
 
 def around_a_corner(context: CheckContext) -> CheckResult:
     """Whether twenty people get around a corner, and how deep bodies enter walls on the way."""
-    scene = plans.corner()
+    scene = guideline_scenes.corner()
     (tracks,) = context.simulate(scene, "twenty people around a corner")
     deepest = penetration(scene, tracks, float(context.model.forces.walking.radius))
     through = int(np.isfinite(vanishing_times(tracks)).sum())
@@ -150,7 +150,7 @@ def normal_speeds(context: CheckContext) -> CheckResult:
 
 def _walked(context: CheckContext, preferred: np.ndarray, caption: str) -> np.ndarray:
     """(N,) m/s between x = 10 and 30 m; 0 of people who did not get there."""
-    (tracks,) = context.simulate(plans.population(preferred), caption)
+    (tracks,) = context.simulate(guideline_scenes.population(preferred), caption)
     ends = (1e3, -1e3)
     begin, end = (crossing_times(tracks, Gate((x, ends[0]), (x, ends[1]))) for x in (10.0, 30.0))
     return np.where(np.isfinite(end), 20.0 / np.where(np.isfinite(end), end - begin, 1.0), 0.0)
@@ -159,7 +159,7 @@ def _walked(context: CheckContext, preferred: np.ndarray, caption: str) -> np.nd
 def half_the_doors(context: CheckContext) -> CheckResult:
     """How much longer 1000 people take to leave a hall through two doors than through four."""
     four, two = context.simulate(
-        [plans.hall(1000, 4), plans.hall(1000, 2)], ["1000 people, four doors", "1000 people, two doors"]
+        [guideline_scenes.hall(1000, 4), guideline_scenes.hall(1000, 2)], ["1000 people, four doors", "1000 people, two doors"]
     )
     times = [float(vanishing_times(tracks).max()) for tracks in (four, two)]
     inside = [int(np.asarray(tracks.present)[-1].sum()) for tracks in (four, two)]
@@ -184,7 +184,7 @@ def _leaving(name: str, tracks: Tracks) -> Curve:
 
 def assigned_exits(context: CheckContext) -> CheckResult:
     """How many of 23 people in twelve cabins leave by the exit that they are assigned."""
-    scene = plans.cabins()
+    scene = guideline_scenes.cabins()
     (tracks,) = context.simulate(scene, "twelve cabins")
     out = np.isfinite(vanishing_times(tracks))
     to_main = np.asarray(tracks.position)[-1, :, 0] < 9.0
@@ -194,7 +194,7 @@ def assigned_exits(context: CheckContext) -> CheckResult:
 
 def exit_choice(context: CheckContext, numbers: Sequence[int], fewest: float, most: float) -> CheckResult:
     """The share of people who take the nearer of two exits, with bounds."""
-    scenes = [plans.two_exits(number) for number in numbers]
+    scenes = [guideline_scenes.two_exits(number) for number in numbers]
     shares = []
     for number, tracks in zip(numbers, context.simulate(scenes, [f"{each} people" for each in numbers]), strict=True):
         out = np.isfinite(vanishing_times(tracks))
@@ -211,7 +211,7 @@ def exit_choice(context: CheckContext, numbers: Sequence[int], fewest: float, mo
 
 def equal_exits(context: CheckContext) -> CheckResult:
     """The share of people who take the left of two equal exits, beginning in the middle."""
-    (tracks,) = context.simulate(plans.equal_exits(200), "200 people, two equal exits")
+    (tracks,) = context.simulate(guideline_scenes.equal_exits(200), "200 people, two equal exits")
     out = np.isfinite(vanishing_times(tracks))
     share = float((out & (np.asarray(tracks.position)[-1, :, 0] < 10.0)).sum() / max(out.sum(), 1))
     measured = f"{100 * share:.0f} % took the left one, {int((~out).sum())} are still inside"
@@ -223,7 +223,7 @@ def equal_exits(context: CheckContext) -> CheckResult:
 def one_after_another(context: CheckContext) -> CheckResult:
     """Flow into a passage and out of the room behind it, and where people queue."""
     widths, seeds = (0.8, 1.0, 1.2), range(1 if context.quick else DRAWS)
-    scenes = [plans.two_rooms(width, seed) for width in widths for seed in seeds]
+    scenes = [guideline_scenes.two_rooms(width, seed) for width in widths for seed in seeds]
     captions = [f"passage of {width:g} m" if seed == 0 else "" for width in widths for seed in seeds]
     rows = []
     for scene, tracks in zip(scenes, context.simulate(scenes, captions), strict=True):
@@ -266,7 +266,7 @@ def density(tracks: Tracks, lower: tuple[float, float], upper: tuple[float, floa
 
 def ways(context: CheckContext) -> CheckResult:
     """How long 500 people take along a short way, around a corner and along a long way."""
-    scenes = plans.wide_ways()
+    scenes = guideline_scenes.wide_ways()
     recorded = context.simulate([*scenes.values()], [*scenes])
     times = {name: float(vanishing_times(tracks).max()) for name, tracks in zip(scenes, recorded, strict=True)}
     measured = ", ".join(f"{name} {time:.1f} s" for name, time in times.items())
@@ -277,7 +277,7 @@ def ways(context: CheckContext) -> CheckResult:
 def against(context: CheckContext) -> CheckResult:
     """How long 100 people take through a corridor against 0, 10, 50 and 100 others."""
     others = (0, 10, 50, 100)
-    scenes = [plans.counterflow(number) for number in others]
+    scenes = [guideline_scenes.counterflow(number) for number in others]
     recorded = context.simulate(scenes, [f"against {number}" for number in others])
     crossings = [crossing_times(tracks, scene.gates[1])[:100] for scene, tracks in zip(scenes, recorded, strict=True)]
     times = [float(times.max()) for times in crossings]
@@ -296,7 +296,7 @@ def against(context: CheckContext) -> CheckResult:
 
 def most_flow(context: CheckContext) -> CheckResult:
     """The flow of 100 people out of a room of 8 by 5 m through a door of 1 m."""
-    scene = plans.full_room()
+    scene = guideline_scenes.full_room()
     (tracks,) = context.simulate(scene, "100 people, a door of 1 m")
     out = crossing_times(tracks, scene.gates[0])
     rate, left = flow(out), int((~np.isfinite(out)).sum())
@@ -311,7 +311,7 @@ def most_flow(context: CheckContext) -> CheckResult:
 def rising_flow(context: CheckContext) -> CheckResult:
     """Flow through doors of 1.0 to 1.8 m."""
     widths = (1.0, 1.2, 1.4, 1.6, 1.8)
-    scenes = [plans.full_room(width) for width in widths]
+    scenes = [guideline_scenes.full_room(width) for width in widths]
     recorded = context.simulate(scenes, [f"door of {widths[0]:g} m"])
     rates = [flow(crossing_times(tracks, scene.gates[0])) for scene, tracks in zip(scenes, recorded, strict=True)]
     slope = float(np.polyfit(widths, np.nan_to_num(rates), 1)[0])
@@ -328,7 +328,7 @@ def slower_in_crowds(context: CheckContext) -> CheckResult:
     """Speed in a zone of a corridor of 60 by 2 m with 60 to 480 people, who would all walk at 1.2 m/s if alone."""
     free = 1.2
     numbers = (60, 120, 240) if context.quick else (60, 120, 240, 360, 480)
-    scenes = [plans.ring(60.0, 2.0, number, 60.0, speed=free) for number in numbers]
+    scenes = [guideline_scenes.ring(60.0, 2.0, number, 60.0, speed=free) for number in numbers]
     means = [speed_in_zone(tracks, 60.0) for tracks in context.simulate(scenes, [f"{numbers[0]} people"])]
     densities = [number / 120.0 for number in numbers]
     return _by_density(max(means) <= free + KEPT, densities, means, "never above 1.25 m/s")
@@ -336,7 +336,7 @@ def slower_in_crowds(context: CheckContext) -> CheckResult:
 
 def group_together(context: CheckContext) -> CheckResult:
     """How far apart in time the members of a group of five arrive, one of whom is slow."""
-    (tracks,) = context.simulate(plans.group(), "a group of five")
+    (tracks,) = context.simulate(guideline_scenes.group(), "a group of five")
     times = vanishing_times(tracks)
     apart = float(times.max() - times.min()) if np.isfinite(times).all() else float("inf")
     return result(apart <= 10.0, f"{apart:.1f} s between first and last", "10 s at most", numbers={"apart": apart})
@@ -344,7 +344,7 @@ def group_together(context: CheckContext) -> CheckResult:
 
 def queue(context: CheckContext) -> CheckResult:
     """Where people queue before a passage: in the room before it, not in the passage or behind it."""
-    scene = plans.two_rooms(1.0)
+    scene = guideline_scenes.two_rooms(1.0)
     (tracks,) = context.simulate(scene, "150 people before a passage of 1 m")
     times = crossing_times(tracks, scene.gates[0])
     before = density(tracks, (8.0, 4.0), (10.0, 6.0), times)

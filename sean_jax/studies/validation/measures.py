@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy.lib.stride_tricks import sliding_window_view
 
-from sean_jax.recordings import Tracks
+from sean_jax.people.recordings import Tracks
 from sean_jax.social_forces.forces import Walking
 from sean_jax.studies.scenes import Gate
 from sean_jax.studies.validation.checks import Skipped

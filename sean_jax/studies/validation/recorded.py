@@ -18,8 +18,8 @@ from scipy.optimize import linear_sum_assignment
 from scipy.stats import wasserstein_distance
 
 from sean_jax import social_forces
-from sean_jax.base import Pedestrians, Scenario, State
-from sean_jax.recordings import Tracks
+from sean_jax.core.data_types import Pedestrians, Scenario, State
+from sean_jax.people.recordings import Tracks
 from sean_jax.studies.prediction import HABITS, evaluate, evaluate_samples, read_windows
 from sean_jax.studies.scenes import Scene, model
 from sean_jax.studies.validation.checks import CheckContext, CheckResult, result

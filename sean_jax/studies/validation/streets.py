@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from sean_jax.recordings import Tracks, read, read_companions
+from sean_jax.people.recordings import Tracks, read, read_companions
 from sean_jax.studies.scenes import Gate, Scene, join, walkers
 from sean_jax.studies.validation.checks import CheckContext, CheckResult, Curve, result
 from sean_jax.studies.validation.measures import Motion, company, motion, sideways, slowest, smoothed

@@ -1,0 +1,1 @@
+"""The command line: its words, the check of a machine, and its benchmark."""

@@ -1,0 +1,234 @@
+"""The timed programs: the step with restarts, the step with a depth image, images alone, and the crowd alone.
+
+Scenarios are on the floors of a stack. Each is reset with its own key. The robot gets a constant command and drives in
+circles.
+"""
+
+import dataclasses
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import field, replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+from scipy.spatial import KDTree
+
+from sean_jax.core import devices, random_streams
+from sean_jax.simulation import episodes
+from sean_jax import sensors, social_forces
+from sean_jax.core.data_types import FAR, Array, ObstacleGrid, Pedestrians, Scenario, State
+from sean_jax.cli.bench import roofline, workload
+from sean_jax.config import DEFAULT_FORCES
+from sean_jax.core.geometry import nearby_obstacles, rotate
+from sean_jax.sensors.raycast import Rays, intersect, kernel
+from sean_jax.simulation.scenario import reset
+from sean_jax.sensors import cameras
+from sean_jax.social_forces import Forces, model, neighbors
+from sean_jax.simulation.scenario_stack import Stack
+
+STARTS = 1024  # in the pool that ended episodes restart from
+CROWD_STEP = 0.05  # s
+SAMPLE = 64  # scenarios whose pairs and bodies in sight are counted
+LOOKING = 0.8, 0.6  # cosine and sine of the angle by which robots turn between two images
+
+
+@dataclasses.dataclass(frozen=True)
+class Program:
+    """A jitted function ``run(*fixed, carried) -> carried`` that computes ``count`` units ``turns`` times in a row."""
+
+    run: Callable
+    fixed: tuple
+    carried: Any
+    count: int
+    turns: int
+    loops: dict[str, float] = field(default_factory=dict)  # turns of loops that end by data, as of ``floors.count``
+
+
+def measure(program: Program, repeats: int, seconds: float) -> dict[str, Any]:
+    """Compile a program and time it ``repeats`` times for about so many seconds, after a warm-up.
+
+    Returns:
+        ``per_second``, ``microseconds`` and ``compile_seconds`` as of a row of ``sean bench``; ``bytes``, the state
+        and the temporary memory of the whole batch (NaN if the compiler does not report it); and ``needs``, what one
+        unit needs, as of ``floors.count``.
+    """
+    began = time.perf_counter()
+    traced = program.run.trace(*program.fixed, program.carried)
+    compiled = traced.lower().compile()
+    compiling = time.perf_counter() - began
+    needs = roofline.count(traced.jaxpr, program.loops, jax.devices()[0].platform)
+    memory = compiled.memory_analysis()
+    # Donated arguments count once: the results lie where the arguments were.
+    arrays = [leaf for leaf in jax.tree.leaves(program.carried) if hasattr(leaf, "itemsize")]
+    size = sum(leaf.size * leaf.dtype.itemsize for leaf in arrays)
+    used = memory.temp_size_in_bytes + size if memory else float("nan")
+    carried = jax.block_until_ready(compiled(*program.fixed, program.carried))
+    began = time.perf_counter()
+    carried = jax.block_until_ready(compiled(*program.fixed, carried))
+    calls = max(1, round(seconds / max(time.perf_counter() - began, 1e-6)))
+    spent = []
+    for _ in range(repeats):
+        began = time.perf_counter()
+        for _ in range(calls):
+            carried = compiled(*program.fixed, carried)
+        jax.block_until_ready(carried)
+        spent.append((time.perf_counter() - began) / calls / program.turns)
+    each = float(np.median(spent))
+    return {
+        "per_second": program.count / each,
+        "microseconds": 1e6 * each,
+        "compile_seconds": compiling,
+        "bytes": used,
+        "needs": {name: need / program.count / program.turns for name, need in needs.items()},
+    }
+
+
+def circles(scenario: Scenario, state: State, key: Array) -> Array:
+    """A policy with the constant command 0.4 m/s, 0.3 rad/s."""
+    return jnp.asarray([0.4, 0.3], float)
+
+
+def stepping(
+    stack: Stack[Scenario], batch: int, turns: int, image: tuple[int, int] | None = None, number: int = 1
+) -> Program:
+    """Control steps with restarts on ``number`` devices; the unit is one step of one scenario.
+
+    Each device has ``batch`` scenarios, of which each floor of the stack has as many. ``image`` is the width and height
+    [px] of a depth image of each scenario after each step.
+    """
+    over, each = devices.mesh(jax.devices()[:number]), batch // stack.size
+    stack = replace(stack, names=(), turn=each)
+    size = max(1, min(STARTS, batch) // stack.size)
+    draw = jax.jit(lambda stack, key: stack.over_members(lambda one: episodes.reset_pool(one, key, size))())
+    stack = devices.replicate(over, stack.paired(draw(stack, random_streams.key("bench starts", 0))))
+    scenario: Scenario = stack.member[0]  # pyright: ignore
+    keys = devices.keys(over, random_streams.key("bench", 0), batch * number)
+    states = _on_floors(over, lambda fixed, key: reset(fixed[0], key))(stack, (keys,))
+    eye = None if image is None else sensors.camera(scenario, "depth", width=image[0], height=image[1])
+
+    def run(fixed: tuple, state: State, last: Array) -> tuple[State, Array]:
+        scenario, starts = fixed
+
+        def turn(carry: tuple[State, Array], _) -> tuple:
+            state, last = carry
+            state, _ = episodes.rollout_autoreset(scenario, circles, starts, state, 1, lambda *_: ())
+            return (state, last if eye is None else sensors.depth(scenario, state, eye)), None
+
+        return jax.lax.scan(turn, (state, last), length=turns)[0]
+
+    size_of_image = (1, 1) if image is None else (image[1], image[0])
+    blank = _on_floors(over, lambda _, tick: jnp.zeros(size_of_image, float))(stack, (states.tick,))
+    sample = jax.tree.map(lambda leaf: leaf[: min(SAMPLE, each)], states)  # on the first floor
+    loops = _pairs(scenario.forces, sample.pedestrians, scenario.environment.obstacle_grid)
+    if eye is not None:
+        loops |= _rays(scenario, sample, eye, cameras.bands(eye)[0])
+    run = _on_floors(over, run, donate=True)
+    return Program(run, (stack,), (states, blank), batch * number, turns, loops)
+
+
+def _on_floors(over: Mesh, function: Callable, donate: bool = False) -> Any:
+    """``jit`` of a stack's ``vmap``, as ``devices.shard_jit`` of a function of one scenario."""
+    split, whole = NamedSharding(over, PartitionSpec(devices.AXIS)), NamedSharding(over, PartitionSpec())
+
+    def on_all(stack: Stack, rows: tuple) -> Any:
+        return stack.vmap(function)(*rows)
+
+    donated = (1,) if donate else ()
+    return jax.jit(on_all, in_shardings=(whole, split), out_shardings=split, donate_argnums=donated)
+
+
+def images(stack: Stack[Scenario], name: str, batch: int, width: int, height: int, turns: int = 1) -> Program:
+    """Images of ``width`` x ``height`` [px] alone; the unit is one image. Robots turn between two images.
+
+    The camera "depth" gives depth images, any other color images. Each floor of the stack has as many of the batch.
+    """
+    scenario, stack = stack.member, replace(stack, names=())
+    camera = sensors.camera(scenario, name, width=width, height=height)
+    keys = jax.random.split(random_streams.key("bench", 0), batch)
+    states = jax.jit(lambda stack, keys: stack.vmap(reset)(keys))(stack, keys)
+
+    def one(scenario: Scenario, state: State) -> Array:
+        if name == "depth":
+            return sensors.depth(scenario, state, camera)
+        return sensors.render(scenario, state, camera).rgb
+
+    def run(stack: Stack[Scenario], carried: tuple[State, Array]) -> tuple[State, Array]:
+        def turn(carry: tuple[State, Array], _) -> tuple:
+            states, _ = carry
+            cosine, sine = jnp.asarray(LOOKING, float)
+            x, y = rotate(states.robot.heading[:, 0], states.robot.heading[:, 1], cosine, sine)
+            states = replace(states, robot=replace(states.robot, heading=jnp.stack([x, y], -1)))
+            return (states, stack.vmap(one)(states)), None
+
+        return jax.lax.scan(turn, carried, length=turns)[0]
+
+    shape = jax.eval_shape(lambda stack, states: stack.vmap(one)(states), stack, states)
+    blank = jnp.zeros(shape.shape, shape.dtype)
+    bundles = cameras.bands(camera)[0] if name == "depth" else (cameras.rays(camera)[0],)
+    sample = jax.tree.map(lambda leaf: leaf[: min(SAMPLE, batch // stack.size)], states)  # on the first floor
+    loops = _rays(scenario, sample, camera, bundles)
+    return Program(jax.jit(run, donate_argnums=1), (stack,), (states, blank), batch, turns, loops)
+
+
+def crowd(people: int, batch: int, turns: int, walls: int = 32, preset: str = DEFAULT_FORCES) -> Program:
+    """Steps of 0.05 s of the social forces alone, in a hall with 0 or at least 4 walls; the unit is a person's step.
+
+    Each call begins with the same crowds. Otherwise they would meet in the middle of the hall, and the result would
+    depend on the length of the measurement. Large crowds look for neighbors every second step, as in a control step.
+    """
+    parameters = social_forces.preset(preset)
+    single, grid, _ = workload.crowd(people, walls)
+    many = workload.repeat(single, batch)
+
+    def twice(parameters, grid, people):
+        near = model.neighbors(parameters, people, 2 * CROWD_STEP)
+        for _ in range(2):
+            people = social_forces.integrate(parameters, people, grid, None, None, CROWD_STEP, near=near)
+        return people
+
+    def run(parameters, grid, many, place):
+        def turn(many, _):
+            return jax.vmap(twice, (None, None, 0))(parameters, grid, many), None
+
+        return jax.lax.scan(turn, many, length=turns // 2)[0].position
+
+    loops = _pairs(parameters, many, grid)
+    return Program(jax.jit(run), (parameters, grid, many), many.position, batch * people, turns, loops)
+
+
+def _pairs(forces: Forces, people: Pedestrians, grid: ObstacleGrid | None) -> dict[str, float]:
+    """Turns of the loops over pairs of people (batch, N) and obstacles, if they visited only those within reach."""
+    known, numbers = model.cutoff(forces), []
+    reach = float(forces.walking.perception if known is None else known)
+    for position, present in zip(people.position[:SAMPLE], people.present[:SAMPLE], strict=True):
+        tree = KDTree(np.asarray(position)[np.asarray(present)])
+        numbers.append((tree.count_neighbors(tree, reach) - tree.n) / len(position))
+    within = float(np.mean(numbers))
+    loops = {"within_reach": within, "neighbors": within / (3 * neighbors.PART)}
+    if grid is None:
+        return loops
+    rows = nearby_obstacles(grid, people.position[:SAMPLE, :, 0], people.position[:SAMPLE, :, 1])
+    return loops | {"obstacles": float((np.asarray(rows[..., 0]) != FAR).sum(-1).mean())}
+
+
+def _rays(scenario: Scenario, states: State, device: cameras.Camera, bundles: Sequence[Rays]) -> dict[str, float]:
+    """Turns of the loops over bodies, if each tile of rays tested only the bodies in its sight."""
+
+    def one(state: State) -> list[Array]:
+        view = cameras.sensor_view(scenario, state, device)
+        return [family.in_sight for bundle in bundles for family in intersect.families(view, bundle)]
+
+    each = [np.asarray(sight) for sight in jax.jit(jax.vmap(one))(jax.tree.map(lambda leaf: leaf[:SAMPLE], states))]
+    if not each:
+        return {}
+    bodies = [sight.sum(-1).mean() for sight in each]  # of a family that a tile has in sight
+    words = [-(-sight.shape[-1] // kernel.BITS) for sight in each]
+    tasks = [max(1, sight.shape[1] // intersect.SHARE) / sight.shape[1] * intersect.CHUNK for sight in each]
+    return {
+        "raycast": float(np.sum(bodies) / np.sum(words)),
+        "first": float(np.mean(bodies)),
+        "nearest": float(np.mean(np.divide(bodies, tasks))),
+    }

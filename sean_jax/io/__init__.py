@@ -1,0 +1,1 @@
+"""Files and folders: reading with bounds, writing whole results, caches, trajectories, progress and interrupts."""

@@ -1,0 +1,486 @@
+"""Trajectories in files that other programs read: tables as CSV or Parquet.
+
+A table has a row for each frame of the robot and of each person present, for pandas, PedPy or a database; ``COLUMNS``
+says what they hold. A ``TrajectoryWriter`` adds episode after episode, one in memory at a time.
+"""
+
+import contextlib
+import itertools
+import json
+import shutil
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Annotated, Any, BinaryIO
+
+import jax
+import numpy as np
+import pydantic
+
+from sean_jax.io import files, writing
+from sean_jax.core.data_types import Trajectory
+from sean_jax.core.errors import FileError, InputError
+from sean_jax.core.bounds import MAX_COORDINATE, MAX_DURATION, MAX_PEOPLE
+
+ROBOT = -1  # the robot's id; people have the numbers 0 to N - 1
+MAX_SPEED = 10_000.0  # m/s
+COLUMNS: dict[str, str] = files.read_yaml(Path(__file__).with_suffix(".yaml"))[1]
+"""Column of a table -> its meaning."""
+
+PERSON = ("x", "y", "vx", "vy", "heading_x", "heading_y")
+OF_ROBOT = ("goal_x", "goal_y", "command_speed", "command_turn_rate", "active")
+LEFT = "command_left"  # column of an omnidirectional robot
+NUMBERS = ("episode", "frame", "id", "group")  # columns of whole numbers
+SITUATION = "situation_"  # how the columns of situations begin
+SUFFIXES = (".csv", ".parquet")
+GROUP_ROWS = 2**18  # of a table, that Parquet stores together: episodes are gathered until they have as many
+BLOCK_ROWS = 2**16  # of a table, that are read at once
+MAX_ROWS = 10**8
+KEY = "sean_jax"  # of the header
+CURE = "give a file that save_trajectory has written"
+LIMITS = {
+    "frame": (0, 10**9),
+    "episode": (0, 2**31 - 1),
+    "time": (0.0, 10**9),
+    "id": (ROBOT, MAX_PEOPLE - 1),
+    "group": (-1, MAX_PEOPLE),
+    **{name: (-MAX_COORDINATE, MAX_COORDINATE) for name in ("x", "y", "goal_x", "goal_y")},
+    **{name: (-MAX_SPEED, MAX_SPEED) for name in ("vx", "vy")},
+}
+"""Column -> minimum and maximum; commands are unlimited."""
+
+
+class Header(pydantic.BaseModel):
+    """The metadata of a file."""
+
+    model_config = pydantic.ConfigDict(extra="forbid", frozen=True)
+
+    time_step: Annotated[float, pydantic.Field(gt=0, le=MAX_DURATION, allow_inf_nan=False)]  # s
+    situations: Annotated[tuple[str, ...], pydantic.Field(max_length=1_000)]
+    people: Annotated[int, pydantic.Field(ge=0, le=MAX_PEOPLE)]  # of each episode
+
+    def text(self) -> str:
+        """As JSON, in one line."""
+        return json.dumps(self.model_dump(mode="json"))
+
+
+def save_trajectory(
+    trajectory: Trajectory,
+    path: Path | str,
+    *,
+    time_step: float = 0.1,
+    situations: Sequence[str] | None = None,
+) -> None:
+    """Write the record of a rollout, without absent people: loaded, they are at (0, 0).
+
+    Args:
+        trajectory: (T, ...) frames of an episode, or (E, T, ...) of several. Headings are unit vectors or zero,
+            positions within 10 km of the origin.
+        path: a file that ends in ``.csv`` or ``.parquet`` (extra ``lerobot``).
+        time_step: s, between two frames.
+        situations: their names, as in the scenario; numbers if None.
+
+    Raises:
+        InputError: the path has another ending, names and situations differ in number, or a value is out of range.
+        WriteError: another process writes the file.
+    """
+    path = Path(path)
+    writer = _writer(path)
+    arrays = {name: np.asarray(value) for name, value in vars(trajectory).items() if value is not None}
+    if arrays["active"].ndim not in (1, 2):
+        raise InputError(f"trajectory: frames with {arrays['active'].ndim} leading axes; give (T, ...) or (E, T, ...).")
+    number = arrays["situations"].shape[-1]
+    names = [f"{k}" for k in range(number)] if situations is None else list(situations)
+    if len(names) != number:
+        raise InputError(f"situations: {len(names)} names for {number} situations; give one name for each.")
+    people = arrays["people"].shape[-2]
+    header = files.check_json(path, {"time_step": time_step, "situations": names, "people": people}, Header)
+    batched = arrays["active"].ndim == 2
+    table = _table(arrays if batched else {name: value[None] for name, value in arrays.items()}, header)
+    if not batched:
+        table.pop("episode")
+    _check_rows(path, table, header, 1)
+    with writing.atomic_file(path) as stream:
+        file = writer(stream, header)
+        file.write(table)
+        file.close()
+
+
+def load_trajectory(path: Path | str) -> Trajectory:
+    """Read a file of ``save_trajectory`` (10 GB and 100 million rows at most): (T, ...) or (E, T, ...) numpy arrays.
+
+    Raises:
+        InputError: it is no such file, it is damaged, or a value is out of range (``COLUMNS``).
+    """
+    path = Path(path)
+    header, blocks = _writer(path).read(path)
+    parts: list[dict[str, np.ndarray]] = []
+    rows = 0
+    for columns in blocks:
+        _check_columns(path, columns, header)
+        _check_rows(path, columns, header, rows + 1)
+        rows += len(columns["id"])
+        if rows > MAX_ROWS:
+            raise FileError(f"{files.short_name(path)}: has more than {MAX_ROWS:,} rows; save fewer episodes.")
+        parts.append({
+            name: values.astype(np.int64 if name in NUMBERS else np.float32)
+            for name, values in columns.items() if name != "time"
+        })  # fmt: skip
+    if not rows:
+        raise FileError(f"{files.short_name(path)}: holds no frame; {CURE}.")
+    with files.sentence(path, "save fewer episodes"):
+        table = {name: np.concatenate([part.pop(name) for part in parts]) for name in [*parts[0]]}
+        return _frames(path, table, header)
+
+
+def check_packages(suffix: str) -> None:
+    """Raise InputError if the package of a format (one of ``SUFFIXES``) is missing."""
+    if suffix == ".parquet":
+        _arrow()
+
+
+class TrajectoryWriter:
+    """A file of many episodes that grows by one at a time; made by ``trajectory_writer``."""
+
+    def __init__(self, file: "_Csv | _Parquet", header: Header, steps: int, episode: int):
+        self._file, self.header, self.steps = file, header, steps
+        self.episode = episode  # the number of the next one
+
+    def add(self, trajectory: Trajectory) -> None:
+        """Write the next episode, frames (T, ...); those after ``steps`` are left out."""
+        arrays = {
+            name: np.asarray(value)[None, : self.steps] for name, value in vars(trajectory).items() if value is not None
+        }
+        table = _table(arrays, self.header)
+        table["episode"] = table["episode"] + self.episode
+        self._file.write(table)
+        self.episode += 1
+
+
+@contextlib.contextmanager
+def trajectory_writer(
+    path: Path | str, *, time_step: float = 0.1, situations: Sequence[str], people: int, steps: int, first: int = 0
+) -> Iterator[TrajectoryWriter]:
+    """Write episodes one after another; the file is there when the block ends, and as before if anything is raised.
+
+    Args:
+        path: as in ``save_trajectory``.
+        time_step: s, between two frames.
+        people: N, of each episode.
+        first: number of the first episode.
+
+    Raises:
+        InputError: the path has another ending, or a package is missing.
+        WriteError: another process writes the file.
+    """
+    path = Path(path)
+    writer = _writer(path)
+    header = Header(time_step=time_step, situations=tuple(situations), people=people)
+    with writing.atomic_file(path) as stream:
+        file = writer(stream, header)
+        yield TrajectoryWriter(file, header, steps, first)
+        file.close()
+
+
+def join_trajectories(parts: Sequence[Path], path: Path) -> None:
+    """Write one file of several of the same format, with their episodes in order.
+
+    Raises:
+        WriteError: another process writes the file.
+    """
+    with writing.atomic_file(path) as stream:
+        _writer(path).join(parts, stream)
+
+
+def _writer(path: Path) -> "type[_Csv] | type[_Parquet]":
+    """The writer of a file's format; InputError if there is none, or its package is missing."""
+    if path.suffix not in SUFFIXES:
+        raise InputError(f"{path}: its name must end in {', '.join(SUFFIXES)}.")
+    check_packages(path.suffix)
+    return _Csv if path.suffix == ".csv" else _Parquet
+
+
+# ------------------------------------------------------------------ arrays and columns
+
+
+def _table(arrays: dict[str, np.ndarray], header: Header) -> dict[str, np.ndarray]:
+    """Columns of all rows: for each frame the robot's row, then rows of the people present."""
+    episodes, steps = arrays["active"].shape
+    present = np.concatenate([np.ones((episodes, steps, 1), bool), arrays["present"]], -1)
+    episode, frame, column_of = np.nonzero(present)
+
+    def both(robot: np.ndarray, people: np.ndarray) -> np.ndarray:
+        return np.concatenate([robot[:, :, None], people], 2)[present]
+
+    place = both(arrays["position"], arrays["people"])
+    velocity = both(arrays["velocity"], arrays["people_velocity"])
+    heading = both(arrays["heading"], arrays["people_heading"])
+    group = both(np.full((episodes, steps), ROBOT), arrays["group"])
+    columns = {
+        "episode": episode,
+        "frame": frame,
+        "time": (frame + 1) * header.time_step,
+        "id": column_of - 1,
+        **{name: part for name, part in zip(PERSON, (*place.T, *velocity.T, *heading.T), strict=True)},
+        "group": group,
+    }
+    robots = np.where(column_of == 0)[0]
+    action = np.moveaxis(arrays["action"], -1, 0)
+    left = {} if len(action) == 2 else {LEFT: action[1]}
+    robot_columns = (*np.moveaxis(arrays["goal"], -1, 0), action[0], action[-1], arrays["active"], *left.values())
+    flags = np.moveaxis(arrays["situations"], -1, 0)
+    labels = [*OF_ROBOT, *left, *(f"{SITUATION}{name}" for name in header.situations)]
+    for name, values in zip(labels, (*robot_columns, *flags), strict=True):
+        column = np.full(len(column_of), np.nan, np.float32)
+        column[robots] = values.reshape(-1)
+        columns[name] = column
+    return columns
+
+
+def _check_columns(path: Path, names: Iterable[str], header: Header) -> None:
+    """FileError unless these are the columns of a table, in any order."""
+    columns = {*names}
+    needed = [name for name in COLUMNS if name not in ("episode", "situation_NAME", LEFT)]
+    needed += [f"{SITUATION}{name}" for name in header.situations]
+    for name in needed:
+        if name not in columns:
+            raise FileError(f"{files.short_name(path)}: has no column {name}; {CURE}.")
+    for name in sorted(columns - {*needed, "episode", LEFT}):
+        raise FileError(f"{files.short_name(path)}: column {name[:60]!r} is not known; {CURE}.")
+
+
+def _check_rows(path: Path, columns: dict[str, np.ndarray], header: Header, first: int) -> None:
+    """FileError for a value out of its column's range; ``first`` is the number of the first row."""
+
+    def refuse(wrong: np.ndarray, name: str, rule: str) -> None:
+        if wrong.any():
+            row = int(wrong.argmax())
+            value = f"{columns[name][row]:.9g}".replace("nan", "nothing")
+            raise FileError(f"{files.short_name(path)}: row {first + row}: {name}: {value} {rule}; {CURE}.")
+
+    robot = columns["id"] == ROBOT
+    for name, values in columns.items():
+        flag = name == "active" or name.startswith(SITUATION)
+        if name in NUMBERS:
+            refuse(~(values == np.floor(values)), name, "is no whole number")
+        if name in (*OF_ROBOT, LEFT) or flag:
+            refuse(~robot & ~np.isnan(values), name, "stands in the row of a person")
+        if flag:
+            refuse(robot & (values != 0) & (values != 1), name, "is not 0 or 1")
+        elif name.startswith("command"):
+            refuse(np.isfinite(values) & (np.abs(values) > np.finfo(np.float32).max), name, "is no number of 32 bits")
+        elif name in LIMITS:
+            low, high = LIMITS[name]
+            mine = robot if name in OF_ROBOT else np.ones(len(values), bool)
+            refuse(mine & ~((low <= values) & (values <= high)), name, f"is not from {low:,} to {high:,}")
+    refuse(columns["id"] >= header.people, "id", f"is none of the {header.people} people")
+    refuse(robot & (columns["group"] != ROBOT), "group", "stands in the row of the robot")
+    size = np.hypot(columns["heading_x"], columns["heading_y"])
+    refuse(~((np.abs(size - 1.0) < 1e-3) | (size == 0.0)), "heading_x", "belongs to no unit vector")
+    time = (columns["frame"] + 1.0) * header.time_step
+    refuse(~(np.abs(columns["time"] - time) <= 1e-6 * time), "time", "does not match its frame")
+
+
+def _frames(path: Path, table: dict[str, np.ndarray], header: Header) -> Trajectory:
+    """The arrays of all columns; FileError if rows are missing or double."""
+    batched = "episode" in table
+    frame, ids = table["frame"], table["id"]
+    episode = table["episode"] if batched else np.zeros(len(frame), int)
+    episodes, steps, people = int(episode.max()) + 1, int(frame.max()) + 1, header.people
+    what = f"{files.short_name(path)}: {len(frame):,} rows"
+    if episodes * steps * (people + 1) > max(3_000_000, 1_000 * len(frame)):
+        size = f"{episodes:,} episodes of {steps:,} frames with {people:,} people"
+        raise FileError(f"{what} are too few for {size}; {CURE}.")
+    names = [f"{SITUATION}{name}" for name in header.situations]
+    robot, person = ids == ROBOT, ids != ROBOT
+    at_robot, at_person = (episode[robot], frame[robot]), (episode[person], frame[person], ids[person])
+    driven = np.zeros((episodes, steps), bool)
+    driven[at_robot] = True
+    if not driven[:, 0].all() or (driven[:, 1:] & ~driven[:, :-1]).any() or not driven[at_person[:2]].all():
+        raise FileError(f"{what} lack one of the robot in a frame of an episode; {CURE}.")
+    present, group = np.zeros((episodes, steps, people), bool), np.full((episodes, steps, people), -1, np.int32)
+    present[at_person], group[at_person] = True, table["group"][person]
+    if driven.sum() + present.sum() < len(frame):
+        raise FileError(f"{what} have a person twice in a frame; {CURE}.")
+
+    def of_robot(*columns: str) -> np.ndarray:
+        values = np.zeros((episodes, steps, len(columns)), np.float32)
+        values[at_robot] = np.stack([table[name][robot] for name in columns], -1) if columns else 0.0
+        return values
+
+    def of_people(*columns: str) -> np.ndarray:
+        values = np.zeros((episodes, steps, people, len(columns)), np.float32)
+        values[at_person] = np.stack([table[name][person] for name in columns], -1)
+        return values
+
+    arrays: dict[str, Any] = dict(
+        position=of_robot("x", "y"),
+        heading=of_robot("heading_x", "heading_y"),
+        velocity=of_robot("vx", "vy"),
+        action=of_robot("command_speed", *([LEFT] if LEFT in table else []), "command_turn_rate"),
+        people=of_people("x", "y"),
+        people_velocity=of_people("vx", "vy"),
+        people_heading=of_people("heading_x", "heading_y"),
+        group=group,
+        present=present,
+        goal=of_robot("goal_x", "goal_y"),
+        situations=of_robot(*names) > 0.5,
+        active=of_robot("active")[..., 0] > 0.5,
+    )
+    whole = Trajectory(**arrays)
+    return whole if batched else jax.tree.map(lambda leaf: leaf[0], whole)
+
+
+# ------------------------------------------------------------------ CSV
+
+
+class _Csv:
+    """Rows as text, after a line with the header and a line with the names of the columns."""
+
+    def __init__(self, stream: BinaryIO, header: Header):
+        self._stream, self._head = stream, f"# {KEY} {header.text()}"
+
+    def write(self, table: dict[str, np.ndarray]) -> None:
+        lines = [self._head, ",".join(table)] if self._head else []
+        self._head = ""
+        lines += [",".join(row) for row in zip(*map(_texts, table.values()), strict=True)]
+        self._stream.write(("\n".join(lines) + "\n").encode("utf-8"))
+
+    def close(self) -> None:
+        pass
+
+    @staticmethod
+    def join(parts: Sequence[Path], stream: BinaryIO) -> None:
+        for number, part in enumerate(parts):
+            with part.open("rb") as rows:
+                for _ in range(2 if number else 0):
+                    rows.readline()
+                shutil.copyfileobj(rows, stream)
+
+    @staticmethod
+    def read(path: Path) -> tuple[Header, Iterator[dict[str, np.ndarray]]]:
+        rows = files.read_rows(path)
+        first, names = next(rows, [""]), next(rows, [])
+        if not first[0].startswith(f"# {KEY} "):
+            raise FileError(f"{files.short_name(path)}: does not begin with '# {KEY} '; {CURE}.")
+
+        def blocks() -> Iterator[dict[str, np.ndarray]]:
+            done = 0
+            while block := list(itertools.islice(rows, BLOCK_ROWS)):
+                numbers = np.array([_numbers(path, done + k, row) for k, row in enumerate(block, 1)])
+                done += len(block)
+                yield dict(zip(names, numbers.T, strict=True))
+
+        return _header(path, first[0][len(KEY) + 3 :]), blocks()
+
+
+def _texts(values: np.ndarray) -> list[str]:
+    """As few digits as distinguish a number from all others; nothing for NaN."""
+    if values.dtype.kind in "iub":
+        return [str(int(value)) for value in values]
+    return ["" if value != value else np.format_float_positional(value, trim="-") for value in values]
+
+
+def _numbers(path: Path, number: int, row: list[str]) -> list[float]:
+    values = []
+    for cell in row:
+        try:
+            values.append(float(cell.replace("_", "no")) if cell else np.nan)  # Python allows "_" in numbers
+        except ValueError:
+            what = f"row {number}: {cell[:40]!r} is no number"
+            raise FileError(f"{files.short_name(path)}: {what}; {CURE}.") from None
+    return values
+
+
+def _header(path: Path, text: str | bytes) -> Header:
+    try:
+        content = files.parse_json(text)
+    except ValueError as error:
+        raise FileError(f"{files.short_name(path)}: its header is damaged: {error}; {CURE}.") from None
+    return files.check_json(path, content, Header)
+
+
+# ------------------------------------------------------------------ Parquet
+
+
+class _Parquet:
+    """Groups of rows, written as soon as they have ``GROUP_ROWS``; the header is metadata of the schema."""
+
+    def __init__(self, stream: BinaryIO, header: Header):
+        self._stream, self._header = stream, header
+        self._file: Any = None
+        self._tables: list[dict[str, np.ndarray]] = []
+
+    def write(self, table: dict[str, np.ndarray]) -> None:
+        self._tables.append(table)
+        if sum(len(each["frame"]) for each in self._tables) >= GROUP_ROWS:
+            self._write_group()
+
+    def _write_group(self) -> None:
+        pa, pq = _arrow()
+        columns = {name: np.concatenate([each[name] for each in self._tables]) for name in self._tables[0]}
+        group = pa.table({name: pa.array(values, from_pandas=True) for name, values in columns.items()})
+        group = group.replace_schema_metadata({KEY: self._header.text()})
+        if self._file is None:
+            self._file = pq.ParquetWriter(self._stream, group.schema)
+        self._file.write_table(group)
+        self._tables = []
+
+    def close(self) -> None:
+        if self._tables:
+            self._write_group()
+        if self._file is not None:
+            self._file.close()
+
+    @staticmethod
+    def join(parts: Sequence[Path], stream: BinaryIO) -> None:
+        pq, cure = _arrow()[1], "remove it, and the same command makes it anew"
+        with files.sentence(parts[0], cure):
+            schema = pq.read_schema(parts[0])
+        with pq.ParquetWriter(stream, schema) as table:
+            for part in parts:
+                with files.sentence(part, cure):
+                    groups = pq.ParquetFile(part)
+                with groups:
+                    for k in range(groups.num_row_groups):
+                        with files.sentence(part, cure):
+                            rows = groups.read_row_group(k)
+                        table.write_table(rows)
+
+    @staticmethod
+    def read(path: Path) -> tuple[Header, Iterator[dict[str, np.ndarray]]]:
+        pa, pq = _arrow()
+        with (
+            files.open_file(path, files.MAX_TABLE) as stream,
+            files.sentence(path, CURE),
+            pq.ParquetFile(stream) as table,
+        ):
+            schema, rows, size = table.schema_arrow, table.metadata.num_rows, path.stat().st_size
+            if rows > min(MAX_ROWS, 1_000_000 + 10 * size):  # equal numbers take almost no space
+                raise FileError(f"{files.short_name(path)}: {rows:,} rows in {size:,} bytes are too many; {CURE}.")
+            for field in schema:
+                if not (pa.types.is_integer(field.type) or pa.types.is_floating(field.type)):
+                    raise FileError(f"{files.short_name(path)}: {field.name[:60]!r} is no column of numbers; {CURE}.")
+            if len(set(schema.names)) < len(schema.names):
+                raise FileError(f"{files.short_name(path)}: names a column twice; {CURE}.")
+            header = _header(path, (schema.metadata or {}).get(KEY.encode(), b""))
+
+        def blocks() -> Iterator[dict[str, np.ndarray]]:
+            with (
+                files.open_file(path, files.MAX_TABLE) as stream,
+                files.sentence(path, CURE),
+                pq.ParquetFile(stream) as table,
+            ):
+                for batch in table.iter_batches(BLOCK_ROWS):
+                    columns = zip(batch.schema.names, batch.columns, strict=True)
+                    yield {name: column.to_numpy(zero_copy_only=False).astype(float) for name, column in columns}
+
+        return header, blocks()
+
+
+def _arrow() -> tuple[Any, Any]:
+    try:
+        import pyarrow
+        import pyarrow.parquet
+    except ImportError:
+        raise InputError('.parquet: pyarrow is missing; pip install "sean_jax[lerobot]", or save .csv.') from None
+    return pyarrow, pyarrow.parquet

@@ -1,0 +1,1 @@
+"""Who walks, and where to (section IV-D): behaviors, recordings, pedestrian models, density."""

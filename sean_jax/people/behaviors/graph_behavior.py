@@ -1,0 +1,377 @@
+"""Graph-based pedestrian behavior (section IV-D): people walk, gather and disperse on the Behavior Graph.
+
+People are first assigned to free seats of group nodes; the others go to random waypoint nodes, along the cheapest path
+over waypoints. A person at a seat stays for a random duration, and a successor is sent to arrive when it ends
+(``graph_choices``). So groups last while their members change. With ``routing="edge"`` people choose at every node, as
+in SEAN 2.0's code, and with ``group_membership="permanent"`` people who start in a group stay there.
+"""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+from jaxtyping import Bool, Float, Int
+
+from sean_jax.core import clock
+from sean_jax.world import navigation as paths
+from sean_jax.core.data_types import FAR, Array, Behavior, Groups, Pedestrians, Scenario, State
+from sean_jax.people.behaviors import graph_choices
+from sean_jax.people.behaviors.graph_choices import ARRIVED, Draws, Memory, Seats, of_seat, seats_of
+from sean_jax.people.behaviors.starts import (
+    Place,
+    WalkingGroups,
+    choose_starts,
+    count_walking_groups,
+    find_spawn_clusters,
+    follow_leaders,
+    group_speeds,
+    in_discs,
+    leaders,
+    present_people,
+    walk_abreast,
+)
+from sean_jax.core.devices import to_device
+from sean_jax.core.errors import InputError
+from sean_jax.core.geometry import length
+from sean_jax.graph import BehaviorGraph, annotation
+from sean_jax.graph.behavior_graph import add_congestion_cost, edge_densities
+from sean_jax.graph.formation import formation, reach
+from sean_jax.social_forces import draw_traits
+
+SEATED = 0.25  # m from a seat, where the walk ends and the stay begins
+SETTLING = 0.5  # s, in which the last steps to a seat are taken
+
+
+@struct.dataclass
+class Tables:
+    """The tables of the behavior: the graph, the paths between its nodes, and possible starts."""
+
+    graph: BehaviorGraph
+    navigation: paths.Navigation
+    next_corners: paths.NextCornerTable  # on the way to each node
+    # m from each node to each group, along the cheapest path
+    walk: Float[Array, "M G"] = struct.field(metadata={"pad": np.inf})
+    patience: Int[Array, "Q"]  # ticks for which the holder of a seat waits for a successor
+    start: Float[Array, "P 2"] = struct.field(metadata={"pad": FAR})  # m, possible starts, none too close to another
+    start_node: Int[Array, "P"]  # the node of each
+    # log of its chance, relative to the others
+    start_log_chance: Float[Array, "P"] = struct.field(metadata={"pad": -np.inf})
+    congestion_cost: Float[Array, ""] | None  # m2, see ``add_congestion_cost``; None: none
+    temperature: Float[Array, ""] | None  # m, see ``graph_choices``; None: people take the cheapest way
+    spawn_clusters: Int[Array, "C 3"] = struct.field(metadata={"pad": -1})  # neighboring starts, for walking groups
+    first_seats: Int[Array, "F"]  # seats at which people start
+    seated: Int[Array, ""]  # number of these
+    permanent: bool = struct.field(pytree_node=False)  # whether they stay there
+    walking_groups: WalkingGroups = struct.field(pytree_node=False)  # their numbers
+
+
+def build(
+    place: Place,
+    people: int | None = None,
+    *,
+    routing: str = "whole",
+    group_membership: str = "turnover",
+    congestion_cost: float = 0.0,
+    temperature: float = 0.0,
+    walking_groups: tuple[float, float] = (0.0, 0.0),
+) -> Behavior:
+    """People walk, gather and disperse on the Behavior Graph of the environment.
+
+    Needs ``graph.yaml``.
+
+    Args:
+        people: the environment's number if None.
+        routing: a key of ``ROUTINGS``.
+        group_membership: "turnover": all members of groups come and go; "permanent": people start at all seats of a
+            group but one and never leave, and others visit the free seat.
+        congestion_cost: m2, increase of the cost of an edge, as a share, for each person per m2 on it.
+        temperature: m, softmax temperature over costs of routes; 0: the cheapest one.
+        walking_groups: shares of the people who walk in pairs and in triples. They walk from waypoint to waypoint and
+            take no seats.
+
+    Raises:
+        InputError: there is no graph, it has a mistake, or so many people or walking groups do not fit.
+    """
+    file = place.folder / "graph.yaml"
+    if not file.is_file():
+        raise InputError(f"{file}: there is no such file, and behavior 'graph' needs it; write one or choose another.")
+    people = place.default_people if people is None else people
+    environment, navigation = place.environment, place.navigation
+    graph = annotation.read(file, environment)
+    position, capacity = np.asarray(graph.position), np.asarray(graph.capacity)
+    avoid = [(position[node], reach(int(capacity[node])) + 0.6) for node in np.asarray(graph.groups)]
+    start, node = in_discs(environment, navigation, graph.position, graph.radius, graph.spawn, avoid)
+    number = count_walking_groups(people, walking_groups)
+    permanent = group_membership == "permanent"
+    first_seats = _first_seats(np.asarray(graph.seat_group), permanent)
+    seated = min(len(first_seats), people - number.members)
+    max_people = len(start) + seated
+    if people > max_people:
+        where = f"on the graph of {environment.name}"
+        raise InputError(f"people: {people} do not fit {where}; the most that do is {max_people}.")
+    start_chance = np.asarray(graph.spawn)[node] / np.bincount(node, minlength=len(graph.spawn))[node]
+    missing = max(people - len(start), 0)  # rows for people at seats
+    tables = Tables(
+        graph=graph,
+        navigation=navigation,
+        next_corners=paths.build_next_corner_table(navigation, graph.position),
+        walk=to_device(graph_choices.walking_lengths(graph, navigation)),
+        patience=to_device(_patience(graph, routing, place.time_step)),
+        start=to_device(np.pad(start, [(0, missing), (0, 0)])),
+        start_node=to_device(np.pad(node.astype(np.int32), (0, missing))),
+        start_log_chance=to_device(np.pad(np.log(start_chance), (0, missing), constant_values=-np.inf)),
+        congestion_cost=to_device(np.asarray(congestion_cost)) if congestion_cost else None,
+        temperature=to_device(np.asarray(temperature)) if temperature else None,
+        spawn_clusters=to_device(find_spawn_clusters(navigation, start, number)),
+        walking_groups=number,
+        first_seats=to_device(np.array(first_seats, np.int32)),
+        seated=to_device(np.array(seated, np.int32)),
+        permanent=permanent,
+    )
+    return Behavior(
+        data=tables,
+        name="graph",
+        reset=reset,
+        direct=ROUTINGS[routing],
+        companions=number.companions(people),
+        people=people,
+        offers=("groups",) if len(graph.groups) else (),
+    )
+
+
+def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Memory]:
+    """People at their starts: seats of groups first, then places of waypoint nodes drawn by their spawn chance."""
+    tables: Tables = scenario.behavior.data
+    graph, people = tables.graph, scenario.people
+    form_key, trait_key, place_key, stay_key, turn_key = jax.random.split(key, 5)
+    center = graph.position[graph.groups]
+    seat_position, seat_heading, radius, opening = formation(
+        form_key, graph.capacity[graph.groups], center, graph.seat_group
+    )
+    log_chance = tables.start_log_chance
+    score = log_chance + jax.random.gumbel(place_key, log_chance.shape, float)
+    chosen = choose_starts(score, tables.spawn_clusters, people, tables.walking_groups)
+    walking_group = leaders(scenario.behavior.companions, people)
+    person = jnp.arange(people, dtype=jnp.int32)
+    sits, number = person < tables.seated, jnp.maximum(person - tables.seated, 0)
+    alone = person < people - tables.walking_groups.members
+    chosen = chosen[jnp.where(alone, number, person)]
+    angle = jax.random.uniform(turn_key, (people,), float, 0.0, 2 * jnp.pi)[number]
+    facing = jnp.stack([jnp.cos(angle), jnp.sin(angle)], -1)
+    seat = jnp.where(sits, of_seat(tables.first_seats, person), -1)
+    position = jnp.where(sits[:, None], of_seat(seat_position, seat), tables.start[chosen])
+    node = jnp.where(sits, of_seat(graph.seat_node, seat), tables.start_node[chosen])
+    preferred_speed, robot_distance = draw_traits(scenario.forces, trait_key, people)
+    present = present_people(scenario)
+    seat = jnp.where(present, seat, -1)
+    pedestrians = Pedestrians(
+        position=position,
+        velocity=jnp.zeros_like(position),
+        heading=jnp.where(sits[:, None], of_seat(seat_heading, seat), facing),
+        desired_velocity=jnp.zeros_like(position),
+        group=jnp.where(seat >= 0, of_seat(graph.seat_group, seat), -1),
+        walking_group=walking_group,
+        present=present,
+        preferred_speed=group_speeds(scenario, walking_group, preferred_speed),
+        robot_distance=robot_distance,
+    )
+    groups = Groups(center=center, radius=radius, opening=opening, present=graph.groups >= 0)
+    limits = graph.stay[of_seat(graph.seat_node, seat)]
+    left = _residual_stay(limits, jax.random.uniform(stay_key, (people, 2), float))
+    stay = _stay(scenario, jnp.full_like(left, jnp.inf) if tables.permanent else left)
+    stay = jnp.where(stay > 0, stay + of_seat(tables.patience, seat), 0)
+    stay = jnp.where(seat >= 0, stay, 0)
+    memory = Memory(node, node, node, position, seat, stay, seat_position, seat_heading)
+    if tables.temperature is not None:
+        memory = memory._replace(log_chance=jnp.zeros((), float))
+    if scenario.behavior.direct is direct:
+        memory = _send_at_start(scenario, pedestrians, memory)
+    return pedestrians, groups, memory
+
+
+def _first_seats(seat_group: np.ndarray, permanent: bool) -> tuple[int, ...]:
+    """The seats at which people start: all, without the last of each group if that is for visitors."""
+    others = [seat for seat, group in enumerate(seat_group) if group in seat_group[seat + 1 :]]
+    return tuple(others) if permanent else tuple(range(len(seat_group)))
+
+
+def _patience(graph: BehaviorGraph, routing: str, time_step: float) -> np.ndarray:
+    """(Q,) ticks for which the holder of a seat waits; 0 where successors are not sent ahead of time."""
+    longest = np.asarray(graph.stay)[np.asarray(graph.seat_node), 1]
+    wait = np.minimum(longest, graph_choices.MAX_WAIT) if routing == "whole" else np.zeros_like(longest)
+    return np.floor(wait / time_step + 1e-3).astype(np.int32)
+
+
+def _residual_stay(limits: Float[Array, "K 2"], chance: Float[Array, "K 2"]) -> Float[Array, "K"]:
+    """Remaining stay times [s], drawn from the stationary residual distribution."""
+    shortest = limits[:, 0] / jnp.maximum(limits[:, 1], 1e-6)
+    whole = limits[:, 1] * jnp.sqrt(shortest**2 + chance[:, 0] * (1.0 - shortest**2))
+    return chance[:, 1] * whole
+
+
+def _send_at_start(scenario: Scenario, people: Pedestrians, memory: Memory) -> Memory:
+    """Successors for the first stays, as if the episode had begun long before."""
+    tables: Tables = scenario.behavior.data
+    arrival = graph_choices.arrival_times(tables.graph, tables.walk, people, memory)
+    seekers = people.present & (people.walking_group < 0)
+
+    number = (tables.graph.seat_node >= 0).sum(dtype=jnp.int32)
+
+    def one(turn: Array, memory: Memory) -> Memory:
+        seats = seats_of(memory, tables.patience, scenario.time_step)
+        sent = graph_choices.send(tables.graph, arrival, memory, seats, seekers)[0]
+        return jax.tree.map(lambda old, new: jnp.where(turn < number, new, old), memory, sent)
+
+    return jax.lax.fori_loop(0, min(tables.patience.shape[0], scenario.people), one, memory)
+
+
+def direct(scenario: Scenario, state: State, key: Array) -> State:
+    """People keep a goal until they are there, along the cheapest path to it, as in the paper."""
+    return _direct(True, scenario, state, key)
+
+
+def direct_edge_by_edge(scenario: Scenario, state: State, key: Array) -> State:
+    """People choose again at every node and walk one edge of the path, as in SEAN 2.0's code."""
+    return _direct(False, scenario, state, key)
+
+
+ROUTINGS = {"whole": direct, "edge": direct_edge_by_edge}
+"""name -> ``direct`` of the behavior: people are bound to the whole path to a goal, or to one edge"""
+
+
+def _direct(whole: bool, scenario: Scenario, state: State, key: Array) -> State:
+    """Goals, hops and desired velocities, by whole paths or edge by edge. People at a seat are members of its group."""
+    tables: Tables = scenario.behavior.data
+    graph, people, memory = tables.graph, state.pedestrians, state.memory
+    if tables.congestion_cost is not None:
+        walking = people.present & (memory.stay == 0)
+        density = edge_densities(graph, memory.origin, memory.hop, walking)
+        graph = add_congestion_cost(graph, density, tables.congestion_cost)
+    draws, before = None, memory
+    if tables.temperature is not None:
+        key, draw_key = jax.random.split(key)
+        draws = graph_choices.draw(draw_key, tables.temperature, scenario.people, graph.seat_group.shape[0])
+    chance = jax.random.uniform(key, (3, scenario.people), float)
+    memory, free = _stay_or_leave(scenario, people, memory, chance[0], draws)
+    seats = seats_of(memory, tables.patience, scenario.time_step)
+    choice = chance[1:]
+    if whole:
+        arrival = graph_choices.arrival_times(graph, tables.walk, people, memory)
+        memory = graph_choices.choose_whole(graph, people, memory, seats, arrival, free, choice, draws)
+        pace = graph_choices.pace(graph, arrival, memory, seats)
+    else:
+        memory = graph_choices.choose_edge(graph, people, memory, free, choice, draws)
+        pace = jnp.ones_like(people.preferred_speed)
+    if scenario.behavior.companions is not None:
+        goal, hop, origin, target = follow_leaders(
+            people.walking_group, memory.goal, memory.hop, memory.origin, memory.target
+        )
+        memory = memory._replace(goal=goal, hop=hop, origin=origin, target=target)
+    desired_velocity = _desired_velocity(tables, people, memory, seats, pace)
+    if draws is not None:
+        desired_velocity = _blend(scenario, people, before, memory, seats, desired_velocity)
+    if scenario.behavior.companions is not None:
+        desired_velocity = walk_abreast(people, desired_velocity)
+    standing = memory.stay > 0
+    gap = memory.target - people.position
+    settled = standing & (length(gap[:, 0], gap[:, 1]) < SEATED)
+    people = replace(
+        people,
+        desired_velocity=desired_velocity,
+        group=jnp.where(standing, of_seat(graph.seat_group, memory.seat), -1),
+        heading=jnp.where(settled[:, None], of_seat(memory.seat_heading, memory.seat), people.heading),
+    )
+    return replace(state, pedestrians=people, memory=memory)
+
+
+def _stay_or_leave(
+    scenario: Scenario, people: Pedestrians, memory: Memory, chance: Float[Array, "N"], draws: Draws | None
+) -> tuple[Memory, Bool[Array, "N"]]:
+    """Stays that begin, continue or end; and whether people are without a goal now.
+
+    A stay ends when its time is over and a successor is near, whose own stay begins then, or after some waiting.
+    """
+    tables: Tables = scenario.behavior.data
+    gap = memory.target - people.position
+    distance = length(gap[:, 0], gap[:, 1])
+    was_standing = memory.stay > 0
+    seats = seats_of(memory, tables.patience, scenario.time_step)
+    comes = ~was_standing & (memory.seat >= 0) & (memory.hop == memory.goal)
+    near = _of_person(comes & (distance < graph_choices.HAND_OVER), seats.successor)
+    stay = jnp.maximum(memory.stay - 1, 0)
+    over = of_seat(near, memory.seat) & (stay <= of_seat(tables.patience, memory.seat))
+    rises = was_standing & ((stay == 0) | over)
+    given_up = _of_person(rises, seats.holder)
+    empty = of_seat(seats.holder < 0, memory.seat) & (distance < SEATED)
+    sits_down = comes & (empty | of_seat(given_up & near, memory.seat))
+    limits = tables.graph.stay[of_seat(tables.graph.seat_node, memory.seat)]
+    new_stay = _stay(scenario, limits[:, 0] + chance * (limits[:, 1] - limits[:, 0]))
+    if draws is not None:
+        both = jnp.stack([chance, draws.stay])
+        new_stay, log_chance = graph_choices.sample_stay(limits, both, draws.temperature, scenario.time_step)
+        memory = memory.with_choices(jnp.sum(jnp.where(sits_down, log_chance, 0.0)))
+    new_stay = jnp.where(new_stay > 0, new_stay + of_seat(tables.patience, memory.seat), 0)
+    leaves = rises | (sits_down & (new_stay == 0))  # at once, if the new stay takes no time
+    stay = jnp.where(sits_down, new_stay, jnp.where(rises, 0, stay))
+    at_waypoint = ~was_standing & (memory.seat < 0) & (memory.hop == memory.goal) & (distance < ARRIVED)
+    return memory._replace(stay=stay, seat=jnp.where(leaves, -1, memory.seat)), leaves | at_waypoint
+
+
+def _of_person(values: Bool[Array, "N"], person: Int[Array, "Q"]) -> Bool[Array, "Q"]:
+    """The values of the people of seats, false where there is nobody."""
+    if values.shape[0] == 0:
+        return jnp.zeros(person.shape, bool)
+    return (person >= 0) & values[jnp.maximum(person, 0)]
+
+
+def _stay(scenario: Scenario, time: Float[Array, "*shape"]) -> Int[Array, "*shape"]:
+    """Ticks of stay times [s]."""
+    return jnp.ceil(jnp.minimum(clock.to_ticks(time, scenario.time_step), 1e9)).astype(jnp.int32)
+
+
+def _desired_velocity(
+    tables: Tables, people: Pedestrians, memory: Memory, seats: Seats, pace: Float[Array, "N"]
+) -> Float[Array, "N 2"]:
+    """Velocities [m/s] at the preferred speed to the target, or the next corner on the way; slower into a seat."""
+
+    def gap_ahead(position: Array, target: Array, hop: Array) -> Array:
+        return _aim(tables, position, target, hop) - position
+
+    gap = jax.vmap(gap_ahead)(people.position, memory.target, memory.hop)
+    distance = length(gap[:, 0], gap[:, 1])
+    at_last = (memory.seat >= 0) & (memory.hop == memory.goal)
+    early = (memory.stay == 0) & of_seat((seats.holder >= 0) & (seats.time_left > 0.0), memory.seat)
+    rest = jnp.maximum(distance - jnp.where(early, graph_choices.STAND_BY, 0.0), 0.0)
+    speed = people.preferred_speed * pace
+    speed = jnp.where(at_last, jnp.minimum(speed, rest / SETTLING), speed)
+    return gap * (speed / jnp.maximum(distance, 1e-6))[:, None]
+
+
+def _blend(
+    scenario: Scenario,
+    people: Pedestrians,
+    before: Memory,
+    memory: Memory,
+    seats: Seats,
+    desired_velocity: Float[Array, "N 2"],
+) -> Float[Array, "N 2"]:
+    """Velocities [m/s], partly towards the old target for people who reach it in this step: ``switched_share``."""
+    gap = before.target - people.position
+    distance = length(gap[:, 0], gap[:, 1])
+    closer = jnp.sum(gap * people.velocity, axis=1) / jnp.maximum(distance, 1e-6) * scenario.time_step
+    share = graph_choices.switched_share(distance, closer, ARRIVED)
+    turns = (before.stay == 0) & (before.target != memory.target).any(1)
+    still = _desired_velocity(scenario.behavior.data, people, before, seats, jnp.ones_like(distance))
+    share = jnp.where(turns & (distance < ARRIVED), share, 1.0)[:, None]
+    return share * desired_velocity + (1.0 - share) * still
+
+
+def _aim(
+    tables: Tables, position: Float[Array, "2"], target: Float[Array, "2"], hop: Int[Array, ""]
+) -> Float[Array, "2"]:
+    """The target [m] if the way to it is clear, else the next corner on the way to its node."""
+    navigation = tables.navigation
+    clear = paths.segment_is_free(navigation.obstacles, position, target, navigation.radius * paths.CLOSE)
+    return jnp.where(clear, target, paths.next_corner(navigation, tables.next_corners, position, hop))

@@ -1,0 +1,458 @@
+"""Choices on the Behavior Graph (section IV-D): next nodes and goals, and the successors at the seats of groups.
+
+The paper's Behavior Graph "maintains" group formations although each member stays for a few seconds only. So a seat has
+a holder, who stands there, and a successor, who walks there. The successor is chosen before the holder's stay ends,
+among people who pass a node, by arrival time. When the stay is over, the holder waits for the successor, for a bounded
+time. While a successor is still nodes away, a person with a much better arrival time takes the successor's place.
+
+Goals, routes, seats and stay times are discrete: a small change of a weight changes nothing, or everything after it.
+With a temperature T each choice is sampled with a differentiable chance, and the state has the sum of the log chances
+of all choices. Then
+
+    d E[f] = E[df + (f - b) d(log chance)]
+
+where df is the derivative with fixed samples, and b a baseline that does not depend on this episode's choices. This is
+unbiased for all f, unlike a relaxation that walks a bit towards each goal. As T goes to 0 people choose as without one:
+the cheapest way, the best seat, stays uniform between two limits. Without a temperature nothing of this is computed.
+
+Source: P. W. Glynn, Likelihood ratio gradient estimation for stochastic systems, Communications of the ACM 33(10),
+1990; W. Kool, H. van Hoof & M. Welling, Buy 4 REINFORCE samples, get a baseline for free!, 2019 (b: the others' mean).
+"""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float, Int, Shaped
+
+from sean_jax.io import cache
+from sean_jax.world import navigation as paths
+from sean_jax.core.data_types import Array, Pedestrians
+from sean_jax.core.geometry import length
+from sean_jax.graph import BehaviorGraph
+from sean_jax.graph.annotation import NODES
+from sean_jax.graph.behavior_graph import hop_log_chances
+from sean_jax.core.padding import in_programs
+
+ARRIVED = 1.0  # m from the target, where a waypoint counts as reached (SEAN 2.0)
+MAX_WAIT = 5.0  # s, for which the holder of a seat waits for a successor; at most the longest stay at that group
+HAND_OVER = 1.0  # m between a successor and the seat, where a holder whose stay is over leaves
+STAND_BY = 0.9  # m from the seat, where an early successor waits
+CROWD = 1.1  # duration of a walk over its length at the preferred speed
+LAST_STEPS = 1.0  # s, in addition
+MAX_MISFIT = 8.0  # s between an arrival and the end of a stay, beyond which nobody is sent to a taken seat
+EARLY = 2.0  # cost of a second too early over the cost of a second too late
+RETURN = 2.0  # s, penalty of a person who has just left the group
+MIN_GAIN = 2.0  # s, by which a person must be better in time to replace a successor
+MIN_PACE = 0.6  # of the preferred speed, for an early successor
+WALK = 1.0  # m/s, converts a temperature in metres to seconds, for choices between times
+SHORTEST = 1e-3  # s, minimum difference of the limits of stays
+
+
+class Draws(NamedTuple):
+    """Additional uniform numbers, from 0 to 1, of a step with a temperature."""
+
+    temperature: Float[Array, ""]  # m
+    hop: Float[Array, "N"]  # route
+    stay: Float[Array, "N"]  # stay time beyond its limits
+    seat: Float[Array, "N"]  # seat that a person asks for
+    taker: Float[Array, "Q"]  # person whom a seat takes
+
+
+def draw(key: Array, temperature: Float[Array, ""], people: int, seats: int) -> Draws:
+    """The draws of a step with a temperature [m]."""
+    person_key, seat_key = jax.random.split(key)
+    hop, stay, seat = jax.random.uniform(person_key, (3, people), float)
+    return Draws(temperature, hop, stay, seat, jax.random.uniform(seat_key, (seats,), float))
+
+
+def sample(log_chance: Float[Array, "N K"], chance: Float[Array, "N"]) -> tuple[Int[Array, "N"], Float[Array, "N"]]:
+    """One of K for each of N by a uniform number from 0 to 1, and its log chance."""
+    number = log_chance.shape[1]
+    below = jnp.cumsum(jnp.exp(jax.lax.stop_gradient(log_chance)), axis=1)
+    index = jnp.sum(below <= chance[:, None] * below[:, -1:], axis=1, dtype=jnp.int32)
+    index = jnp.minimum(index, number - 1)
+    return index, jnp.take_along_axis(log_chance, index[:, None], axis=1)[:, 0]
+
+
+def log_chances(score: Float[Array, "N K"], temperature: Float[Array, ""]) -> Float[Array, "N K"]:
+    """Log chances by a softmax over scores [s], where lower is likelier, with a temperature [m].
+
+    A score of inf cannot be chosen. A row without finite scores gets any finite numbers.
+    """
+    possible = jnp.isfinite(score)
+    logits = jnp.where(possible, -jnp.where(possible, score, 0.0) * (WALK / temperature), -1e30)
+    return jax.nn.log_softmax(logits, axis=1)
+
+
+def sample_stay(
+    limits: Float[Array, "N 2"], chance: Float[Array, "2 N"], temperature: Float[Array, ""], time_step: float
+) -> tuple[Int[Array, "N"], Float[Array, "N"]]:
+    """Stay times in ticks, uniform between two limits [s] with soft edges, rounded up; and their log chances.
+
+    The time is the sum of a uniform and a logistic one, whose chances are differences of softplus functions.
+
+    Args:
+        chance: uniform from 0 to 1.
+        temperature: m.
+        time_step: s, of a tick.
+    """
+    width = temperature / WALK
+    low, high = limits[:, 0], jnp.maximum(limits[:, 1], limits[:, 0] + SHORTEST)
+    noise = jnp.clip(chance[1], 1e-6, 1.0 - 1e-6)
+    time = low + chance[0] * (high - low) + width * (jnp.log(noise) - jnp.log1p(-noise))
+    ticks = jax.lax.stop_gradient(jnp.ceil(jnp.maximum(time, 0.0) / time_step))
+
+    def below(time: Array) -> Array:
+        return width * (jax.nn.softplus((time - low) / width) - jax.nn.softplus((time - high) / width)) / (high - low)
+
+    share = below(ticks * time_step) - jnp.where(ticks > 0.0, below((ticks - 1.0) * time_step), 0.0)
+    return ticks.astype(jnp.int32), jnp.log(jnp.maximum(share, 1e-12))
+
+
+def switched_share(distance: Float[Array, "N"], before: Float[Array, "N"], radius: float) -> Float[Array, "N"]:
+    """The fraction of a step, from 0 to 1, that people walk towards their next target.
+
+    People come within ``radius`` [m] of a target during a step, not at its end. With this share of the new direction
+    and the rest of the old direction, positions are continuous in the step of arrival.
+
+    Args:
+        distance: m, to the target that is reached.
+        before: m, additional distance one step ago, at the present speed.
+    """
+    return jnp.clip((radius - distance) / jnp.maximum(before, 1e-6), 0.0, 1.0)
+
+
+def expectation(values: Float[Array, "B"], log_chance: Float[Array, "B"]) -> Float[Array, ""]:
+    """The mean over two or more episodes, with an unbiased gradient of the expected value.
+
+    Args:
+        values: a measure of each episode.
+        log_chance: ``state.memory.log_chance`` of each.
+    """
+    number = values.shape[0]
+    constant = jax.lax.stop_gradient(values)
+    others = (jnp.sum(constant) - constant) / max(number - 1, 1)
+    weight = (constant - others) * (log_chance - jax.lax.stop_gradient(log_chance))
+    return jnp.mean(values) + jnp.mean(weight)
+
+
+class Memory(NamedTuple):
+    """Where each person is on the graph.
+
+    At most two people have the same seat: its holder, who stands there, and a successor, who walks there.
+    """
+
+    goal: Int[Array, "N"]  # final node
+    hop: Int[Array, "N"]  # next node
+    origin: Int[Array, "N"]  # last node; the next one before the first edge
+    target: Float[Array, "N 2"]  # m, the point of the next node's disc, or the seat
+    seat: Int[Array, "N"]  # seat of a holder or successor, -1 none
+    stay: Int[Array, "N"]  # maximum of ticks left at the seat, waiting included; 0 for people who do not stand
+    seat_position: Float[Array, "Q 2"]  # m
+    seat_heading: Float[Array, "Q 2"]  # unit vector
+    log_chance: Float[Array, ""] | None = None  # of all choices so far; None without a temperature
+
+    def with_choices(self, log_chance: Float[Array, ""]) -> "Memory":
+        """The memory after further choices, whose log chances add up to ``log_chance``."""
+        assert self.log_chance is not None  # set by reset
+        return self._replace(log_chance=self.log_chance + log_chance)
+
+
+class Seats(NamedTuple):
+    """The people of each of the Q seats."""
+
+    holder: Int[Array, "Q"]  # person who stands there, -1 nobody
+    successor: Int[Array, "Q"]  # person who walks there, -1 nobody
+    time_left: Float[Array, "Q"]  # s, of the holder's drawn stay; 0 or less while the holder waits, and without one
+
+
+def seats_of(memory: Memory, patience: Int[Array, "Q"], time_step: float) -> Seats:
+    """The holder and successor of each seat.
+
+    Args:
+        patience: ticks for which the holder of each seat waits for a successor.
+        time_step: s, of control.
+    """
+    seat, person = jnp.arange(patience.shape[0], dtype=jnp.int32), jnp.arange(memory.seat.shape[0], dtype=jnp.int32)
+    has, stands = memory.seat[:, None] == seat[None, :], (memory.stay > 0)[:, None]
+    holder = jnp.max(jnp.where(has & stands, person[:, None], -1), axis=0, initial=-1)
+    successor = jnp.max(jnp.where(has & ~stands, person[:, None], -1), axis=0, initial=-1)
+    left = jnp.max(jnp.where(has, memory.stay[:, None], 0), axis=0, initial=0)
+    return Seats(holder, successor, (left - patience).astype(float) * time_step)
+
+
+def of_seat(values: Shaped[Array, "Q *shape"], seat: Int[Array, "N"]) -> Shaped[Array, "N *shape"]:
+    """The values of people's seats; any row for people without a seat (-1), zeros if there are no seats."""
+    if values.shape[0] == 0:
+        return jnp.zeros((*seat.shape, *values.shape[1:]), values.dtype)
+    return values[jnp.maximum(seat, 0)]
+
+
+def walking_lengths(graph: BehaviorGraph, navigation: paths.Navigation) -> np.ndarray:
+    """Lengths (M, G) [m] of the cheapest paths from each node to each group. Runs on the host.
+
+    From node to node they lead around obstacles. Unlike costs they have no factors.
+    """
+    position, next_hop = np.asarray(graph.position), np.asarray(graph.next_hop)
+    groups = np.asarray(graph.groups)
+    code = *paths.CODE, "people/behaviors/graph_choices"
+    table = cache.load_or_build(
+        "edge_lengths",
+        code,
+        [*paths.inputs(navigation), position],
+        lambda: {"length": _node_distances(navigation, position)},
+    )
+    straight = np.linalg.norm(position[:, None] - position[None, :], axis=-1)
+    edge = np.where(np.isfinite(table["length"]), table["length"], straight)
+    walk, node = np.zeros((len(position), len(groups))), np.tile(np.arange(len(position))[:, None], (1, len(groups)))
+    for _ in position:
+        onward = next_hop[node, groups[None, :]]
+        onward = np.where(onward < 0, groups[None, :], onward)
+        walk, node = walk + np.where(node == onward, 0.0, edge[node, onward]), onward
+    return walk
+
+
+def _node_distances(navigation: paths.Navigation, position: np.ndarray) -> np.ndarray:
+    """(M, M) m of shortest paths around obstacles between nodes."""
+    padded = np.pad(position, [(0, -len(position) % NODES), (0, 0)], mode="edge")
+    tables = in_programs(replace(navigation, visible=None, places=None, mesh_places=None))
+    return np.asarray(_geodesics(tables, jnp.asarray(padded, float)))[: len(position), : len(position)]
+
+
+@jax.jit
+def _geodesics(navigation: paths.Navigation, points: Float[Array, "M 2"]) -> Float[Array, "M M"]:
+    """Lengths [m] of the shortest paths around obstacles from the row's point [m] to the column's."""
+
+    def to(goal: Array) -> Array:
+        rest = paths.build_paths_to_goal(navigation, goal)
+        return jax.vmap(lambda point: paths.geodesic(navigation, point, goal, rest))(points)
+
+    return jax.lax.map(to, points).T
+
+
+def arrival_times(
+    graph: BehaviorGraph, walk: Float[Array, "M G"], people: Pedestrians, memory: Memory
+) -> Float[Array, "N G"]:
+    """Times [s] at which people would be at groups, if they went there from their next node; ``walk`` [m] of
+    ``walking_lengths``.
+    """
+    gap = memory.target - people.position
+    first = length(gap[:, 0], gap[:, 1])
+    onward = graph.position[graph.next_hop[:, graph.groups]]  # (M, G, 2), the node after each
+    leg = onward - graph.position[:, None]
+    after_leg = walk - length(leg[..., 0], leg[..., 1])
+    # The target is a point of the node's disc, from which the next node may be nearer than from the node's centre.
+    leg = onward[memory.hop] - memory.target[:, None]
+    rest = jnp.maximum(after_leg[memory.hop] + length(leg[..., 0], leg[..., 1]), 0.0)
+    rest = jnp.where(memory.hop[:, None] == graph.groups[None, :], 0.0, rest)
+    return CROWD * (first[:, None] + rest) / jnp.maximum(people.preferred_speed, 1e-3)[:, None] + LAST_STEPS
+
+
+def send(
+    graph: BehaviorGraph,
+    arrival: Float[Array, "N G"],
+    memory: Memory,
+    seats: Seats,
+    seekers: Bool[Array, "N"],
+    draws: Draws | None = None,
+) -> tuple[Memory, Bool[Array, "N"]]:
+    """Sends successors to seats; returns the memory with new seats and goals, and whether people have lost their seat.
+
+    A seat without a successor gets a person who arrives at the end of the stay, or as soon as possible if nobody
+    stands there or the holder waits already. Each seeker asks for the seat that is due first, and each seat takes the
+    seeker who is best in time, if that seeker asks for it. So nobody gets two seats, and no seat gets two successors.
+
+    Args:
+        arrival: s, of ``arrival_times``.
+        seekers: people at a node who choose their next goal.
+        draws: with a temperature, people ask and seats take by chances that decrease with the score.
+    """
+    number, none = memory.seat.shape[0], jnp.zeros(memory.seat.shape, bool)
+    if seats.holder.shape[0] == 0 or number == 0:
+        return memory, none
+    due, node = jnp.maximum(seats.time_left, 0.0), graph.seat_node
+    has_successor, person = seats.successor >= 0, jnp.arange(number, dtype=jnp.int32)
+    index = jnp.maximum(seats.successor, 0)
+    arrival_of_successor = arrival[index, graph.seat_group]
+    far = memory.hop[index] != memory.goal[index]
+    replaceable = jnp.where(far, misfit(arrival_of_successor, due) - MIN_GAIN, -jnp.inf)
+    limit = jnp.where(has_successor, replaceable, jnp.where(seats.time_left <= 0.0, jnp.inf, MAX_MISFIT))
+    returns = jnp.where(memory.origin[:, None] == node[None, :], RETURN, 0.0)
+    off = misfit(arrival[:, graph.seat_group], due[None, :]) + returns
+    may = (seekers & (memory.seat < 0))[:, None] & (memory.hop[:, None] != node[None, :]) & (off < limit[None, :])
+    may = may & (node >= 0)[None, :]
+    score = jnp.where(may, off + 2.0 * seats.time_left[None, :], jnp.inf)
+    if draws is None:
+        seat, taker = jnp.argmin(score, axis=1).astype(jnp.int32), jnp.argmin(score, axis=0).astype(jnp.int32)
+    else:
+        seat, asks = sample(log_chances(score, draws.temperature), draws.seat)
+        taker, takes = sample(log_chances(score.T, draws.temperature), draws.taker)
+        asks, takes = (jnp.where(jnp.any(may, axis=k), chances, 0.0) for k, chances in ((1, asks), (0, takes)))
+        memory = memory.with_choices(jnp.sum(asks) + jnp.sum(takes))
+    takes = (taker[seat] == person) & jnp.isfinite(jnp.min(score, axis=1))
+    assigned = takes[taker] & (seat[taker] == jnp.arange(taker.shape[0], dtype=jnp.int32))
+    walks = (memory.seat >= 0) & (memory.stay == 0)
+    loses = walks & of_seat(assigned, memory.seat)
+    memory = memory._replace(
+        seat=jnp.where(takes, seat, jnp.where(loses, -1, memory.seat)),
+        goal=jnp.where(takes, node[seat], memory.goal),
+    )
+    return memory, loses
+
+
+def misfit(arrival: Float[Array, "..."], due: Float[Array, "..."]) -> Float[Array, "..."]:
+    """The cost [s] of an arrival [s] for a seat that is due [s]: time too late, or ``EARLY`` times time too early."""
+    return jnp.maximum(arrival - due, EARLY * (due - arrival))
+
+
+def pace(graph: BehaviorGraph, arrival: Float[Array, "N G"], memory: Memory, seats: Seats) -> Float[Array, "N"]:
+    """Fraction of the preferred speed, from ``MIN_PACE`` to 1: early successors walk slower."""
+    if graph.seat_group.shape[0] == 0:
+        return jnp.ones(memory.seat.shape, float)
+    expected = jnp.take_along_axis(arrival, of_seat(graph.seat_group, memory.seat)[:, None], axis=1)[:, 0]
+    left = jnp.where((memory.seat >= 0) & (memory.stay == 0), of_seat(seats.time_left, memory.seat), 0.0)
+    return jnp.clip(expected / jnp.maximum(left, 1e-3), MIN_PACE, 1.0)
+
+
+def choose_whole(
+    graph: BehaviorGraph,
+    people: Pedestrians,
+    memory: Memory,
+    seats: Seats,
+    arrival: Float[Array, "N G"],
+    free: Bool[Array, "N"],
+    chance: Float[Array, "2 N"],
+    draws: Draws | None = None,
+) -> Memory:
+    """New goals as in the paper (section IV-D): people keep a goal until they are there.
+
+    Seats without a successor come first, then waypoint nodes. People at a node can be sent to a seat whatever
+    their goal is. A successor whose place another person takes walks to a waypoint node.
+
+    Args:
+        arrival: s, of ``arrival_times``.
+        free: people without a goal.
+        chance: uniform from 0 to 1.
+        draws: with a temperature, see the module.
+    """
+    onward = free | _passes(people, memory)
+    alone = people.present & (people.walking_group < 0)  # walking groups take no seats
+    memory, loses = send(graph, arrival, memory, seats, onward & alone, draws)
+    aimless = (free & (memory.seat < 0)) | loses
+    goal = jnp.where(aimless, _other_waypoint(graph, memory.hop, chance[0]), memory.goal)
+    memory = _count_goals(graph, memory, goal, aimless, draws)
+    return _set_out(graph, memory._replace(goal=goal), onward, chance[1], draws)
+
+
+def choose_edge(
+    graph: BehaviorGraph,
+    people: Pedestrians,
+    memory: Memory,
+    free: Bool[Array, "N"],
+    chance: Float[Array, "2 N"],
+    draws: Draws | None = None,
+) -> Memory:
+    """New goals as in SEAN 2.0's NavManager: people choose at every node and are bound to one edge.
+
+    They go to the group that lacks most members, or if none lacks any, to a random waypoint node. A seat is reserved
+    for the first person who sets out on the edge that leads to it; if the group is full by then, people draw a waypoint
+    node instead. Choices of one step are simultaneous. Unlike in SEAN 2.0, paths never lead through a group.
+
+    Args:
+        free: people without a goal.
+        chance: uniform from 0 to 1.
+        draws: with a temperature, see the module.
+    """
+    onward = free | _passes(people, memory)
+    seat = jnp.where(onward, -1, memory.seat)
+    goal, to_waypoint = _other_waypoint(graph, memory.hop, chance[0]), onward
+    if graph.groups.shape[0]:
+        empty = ~_taken(memory, graph.seat_group.shape[0]) & (graph.seat_node >= 0)
+        group = jnp.arange(graph.groups.shape[0], dtype=jnp.int32)
+        of_group = graph.seat_group[:, None] == group[None, :]  # (Q, G)
+        lack = jnp.sum(of_group & empty[:, None], axis=0, dtype=jnp.int32)
+        neediest = jnp.argmax(lack).astype(jnp.int32)
+        node = graph.groups[neediest]
+        wants = onward & people.present & (people.walking_group < 0) & (lack[neediest] > 0) & (memory.hop != node)
+        near = wants & (graph.next_hop[memory.hop, node] == node)
+        offered = empty & (graph.seat_group == neediest)
+        succeeds, which = _in_turn(near, offered)
+        seat = jnp.where(succeeds, which, seat)
+        goal, to_waypoint = jnp.where(wants & (succeeds | ~near), node, goal), onward & ~(wants & (succeeds | ~near))
+    memory = _count_goals(graph, memory, goal, to_waypoint, draws)
+    memory = memory._replace(seat=seat, goal=jnp.where(onward, goal, memory.goal))
+    return _set_out(graph, memory, onward, chance[1], draws)
+
+
+def _taken(memory: Memory, seats: int) -> Bool[Array, "Q"]:
+    """(Q,) seats that are reserved."""
+    return (memory.seat[:, None] == jnp.arange(seats, dtype=jnp.int32)[None, :]).any(0)
+
+
+def _in_turn(seekers: Bool[Array, "N"], seats: Bool[Array, "Q"]) -> tuple[Bool[Array, "N"], Int[Array, "N"]]:
+    """Whether each seeker gets one of the seats, both in their order; and which seat."""
+    if seats.shape[0] == 0:
+        return jnp.zeros_like(seekers), jnp.full(seekers.shape, -1, jnp.int32)
+    rank = jnp.cumsum(seekers, dtype=jnp.int32) - 1
+    order = jnp.cumsum(seats, dtype=jnp.int32) - 1
+    match = seekers[:, None] & seats[None, :] & (rank[:, None] == order[None, :])
+    return match.any(1), jnp.argmax(match, axis=1).astype(jnp.int32)
+
+
+def _other_waypoint(graph: BehaviorGraph, hop: Int[Array, "N"], chance: Float[Array, "N"]) -> Int[Array, "N"]:
+    """A random waypoint node other than ``hop`` if there is one, in proportion to the weights."""
+    below = jnp.cumsum(_goal_odds(graph, hop), axis=1)
+    index = jnp.sum(below <= chance[:, None] * below[:, -1:], axis=1, dtype=jnp.int32)
+    number = (graph.waypoints >= 0).sum(dtype=jnp.int32)
+    return graph.waypoints[jnp.minimum(index, number - 1)]
+
+
+def _goal_odds(graph: BehaviorGraph, hop: Int[Array, "N"]) -> Float[Array, "N Mw"]:
+    """The odds with which people at ``hop`` draw each waypoint."""
+    other = ((graph.waypoints[None, :] != hop[:, None]) & (graph.waypoints >= 0)[None, :]).astype(float)
+    odds = other * graph.weight[graph.waypoints][None, :]
+    return jnp.where(jnp.sum(odds, axis=1, keepdims=True) > 0.0, odds, other)  # else all others have weight 0
+
+
+def _count_goals(
+    graph: BehaviorGraph, memory: Memory, goal: Int[Array, "N"], to_waypoint: Bool[Array, "N"], draws: Draws | None
+) -> Memory:
+    """The memory with the log chances of goals that were drawn; unchanged without draws."""
+    if draws is None:
+        return memory
+    odds = _goal_odds(graph, memory.hop)
+    chosen = jnp.sum(jnp.where(graph.waypoints[None, :] == goal[:, None], odds, 0.0), axis=1)
+    chance = jnp.where(to_waypoint, chosen / jnp.maximum(jnp.sum(odds, axis=1), 1e-30), 1.0)
+    return memory.with_choices(jnp.sum(jnp.log(jnp.maximum(chance, 1e-30))))
+
+
+def _passes(people: Pedestrians, memory: Memory) -> Bool[Array, "N"]:
+    """Whether people have reached a node on the way to another."""
+    gap = memory.target - people.position
+    return (length(gap[:, 0], gap[:, 1]) < ARRIVED) & (memory.hop != memory.goal)
+
+
+def _set_out(
+    graph: BehaviorGraph, memory: Memory, onward: Bool[Array, "N"], chance: Float[Array, "N"], draws: Draws | None
+) -> Memory:
+    """The next node of the path and a point of its disc, for people who leave a node."""
+    following = graph.next_hop[memory.hop, memory.goal]
+    if draws is not None:
+        ways = hop_log_chances(graph.edge_cost, graph.cost, graph.is_group, draws.temperature)
+        choice, log_chance = sample(ways[memory.hop, memory.goal], draws.hop)
+        chooses = onward & (following >= 0) & (memory.hop != memory.goal)
+        following = jnp.where(chooses, choice, following)
+        memory = memory.with_choices(jnp.sum(jnp.where(chooses, log_chance, 0.0)))
+    hop = jnp.where(onward, jnp.where(following >= 0, following, memory.goal), memory.hop)
+    number = graph.places.shape[1]
+    place = graph.places[hop, jnp.minimum((chance * number).astype(jnp.int32), number - 1)]
+    to_seat = (memory.seat >= 0) & (hop == memory.goal)
+    place = jnp.where(to_seat[:, None], of_seat(memory.seat_position, memory.seat), place)
+    return memory._replace(
+        hop=hop,
+        origin=jnp.where(onward, memory.hop, memory.origin),
+        target=jnp.where(onward[:, None], place, memory.target),
+    )

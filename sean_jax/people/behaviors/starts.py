@@ -1,0 +1,295 @@
+"""Starts of people: the place, free points far enough apart for any choice of them to be valid, and walking groups.
+
+Walking groups (section IV-D) are pairs and triples. The last people of a scenario are its walking groups, pairs before
+triples. The member with the lowest index leads: the leader decides where to go, the others follow with the same goal at
+the same preferred speed, and ``social_forces.Cohesion`` keeps them side by side.
+"""
+
+from dataclasses import dataclass
+from numbers import Real
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float, Int, Shaped
+from scipy.spatial import KDTree
+
+from sean_jax.io import cache
+from sean_jax.world import environment as environments
+from sean_jax.core.data_types import Array, Environment, Groups, Pedestrians, Scenario
+from sean_jax.core.errors import InputError
+from sean_jax.core.geometry import length, signed_distances_on_host, unit
+from sean_jax.core.messages import shorten
+from sean_jax.world.navigation import CODE, Navigation, build_paths_to_goal, geodesic, inputs, segment_is_free
+
+MIN_DISTANCE = 0.55  # m between two starts: bodies of 0.2 m and some room
+TRIES = 40  # candidates for each start that would fit
+FLOOR_TRIES = 10  # likewise, where a whole floor is filled
+MAX_TRIES = 500_000  # candidates in all
+MAX_SPAWN_DISTANCE = 0.9  # m, between the starts of companions
+NEAR_LEADER = 1.5  # m, within which people go in the leader's direction ...
+MIN_COSINE = 0.5  # ... if their own direction is at most so far off, or they would walk into the leader's corner
+MIN_SPEED = 0.2  # m/s, below which no walking group's preferred speed falls
+
+
+@dataclass(frozen=True)
+class Place:
+    """The world for which a pedestrian behavior is built: an environment, and the time step."""
+
+    folder: Path  # of the environment, with graph.yaml, handcrafted.yaml and other files of behaviors
+    environment: Environment
+    navigation: Navigation  # for a person's radius
+    time_step: float = 0.1  # s, of control
+
+    @property
+    def default_people(self) -> int:
+        """The number of people in ``environment.yaml``."""
+        return environments.default_people(self.folder)
+
+
+def no_groups() -> Groups:
+    """Empty conversational groups (G = 0)."""
+    pairs, none = jnp.zeros((0, 2), float), jnp.zeros(0, float)
+    return Groups(center=pairs, radius=none, opening=pairs, present=jnp.zeros(0, bool))
+
+
+def present_people(scenario: Scenario) -> Bool[Array, "N"]:
+    """Whether each person is present: the first ``people_present``, or all if that is None."""
+    if scenario.people_present is None:
+        return jnp.ones(scenario.people, bool)
+    return jnp.arange(scenario.people, dtype=jnp.int32) < scenario.people_present
+
+
+def in_discs(
+    environment: Environment,
+    navigation: Navigation,
+    center: Float[Array, "M 2"],
+    radius: Float[Array, "M"],
+    chance: Float[Array, "M"],
+    avoid: list[tuple[np.ndarray, float]],
+) -> tuple[np.ndarray, np.ndarray]:
+    """Starts (P, 2) [m] in discs, no two nearer than 0.55 m, by dart throwing on the host; and the disc (P,) of each.
+
+    Uniform candidates are accepted if they are farther from obstacles than the navigation's radius, outside the discs
+    to avoid and not too near to another start.
+
+    Args:
+        center: m, of the discs.
+        radius: m, of the discs.
+        chance: of each disc; discs with 0 get no starts.
+        avoid: centre (2,) m and radius m of discs without starts.
+    """
+    boxes, code = environment.obstacles, ("people/behaviors/starts", "core/geometry")
+    shape = environment.floor, boxes.center, boxes.half_extent, boxes.yaw, navigation.radius
+    around = [np.append(middle, size) for middle, size in avoid]
+    inputs = *shape, center, radius, chance, np.reshape(around, (-1, 3))
+    draw = lambda: _in_discs(environment, float(navigation.radius), center, radius, chance, avoid)  # noqa: E731
+    table = cache.load_or_build("starts", code, inputs, draw)
+    return table["start"], table["disc"]
+
+
+def _in_discs(
+    environment: Environment,
+    clearance: float,
+    center: Array,
+    radius: Array,
+    chance: Array,
+    avoid: list[tuple[np.ndarray, float]],
+) -> dict[str, np.ndarray]:
+    generator = np.random.default_rng(0)
+    middle, size, odds = (np.asarray(values, float) for values in (center, radius, chance))
+    number = np.ceil(TRIES * size**2 / MIN_DISTANCE**2).astype(int) * (odds > 0)
+    if number.sum() > MAX_TRIES:  # larger discs share these by their areas
+        number = np.ceil(number * (MAX_TRIES / number.sum())).astype(int)
+    disc = np.repeat(np.arange(len(size)), number)
+    distance = size[disc] * np.sqrt(generator.uniform(size=len(disc)))
+    angle = generator.uniform(0, 2 * np.pi, len(disc))
+    spots = middle[disc] + distance[:, None] * np.stack([np.cos(angle), np.sin(angle)], -1)
+    free = np.minimum(*signed_distances_on_host(environment, spots)) > clearance
+    for other, reach in avoid:
+        free &= np.linalg.norm(spots - np.asarray(other, float), axis=-1) > reach
+    spots, disc = spots[free], disc[free]
+    chosen = choose_apart(spots, generator)
+    return {"start": spots[chosen], "disc": disc[chosen]}
+
+
+def anywhere(environment: Environment, navigation: Navigation, people: int, dense: bool = False) -> np.ndarray:
+    """Starts (P, 2) [m] all over the walkable floor, no two nearer than 0.55 m; one a person or more, if they fit.
+
+    The navigation's free places are enough for most numbers of people. For more, the whole floor is filled.
+    """
+    generator = np.random.default_rng(0)
+    spots = np.asarray(navigation.places)
+    chosen = choose_apart(spots, generator)
+    if len(chosen) >= people and not dense:
+        return spots[chosen]
+    floor = np.asarray(environment.floor, float)
+    number = min(int(FLOOR_TRIES * np.prod(floor[2:] - floor[:2]) / MIN_DISTANCE**2), MAX_TRIES)
+    spots = generator.uniform(floor[:2], floor[2:], (number, 2)).astype(np.float32)
+    spots = spots[np.minimum(*signed_distances_on_host(environment, spots)) > float(navigation.radius)]
+    code = *CODE, "people/behaviors/starts"
+    table = cache.load_or_build(
+        "reached", code, [*inputs(navigation), spots], lambda: {"reachable": _reachable(navigation, spots)}
+    )
+    spots = spots[table["reachable"]]
+    return spots[choose_apart(spots, generator)]
+
+
+def _reachable(navigation: Navigation, spots: np.ndarray) -> np.ndarray:
+    """(P,) bool: whether a path leads from each spot (P, 2) [m] to the navigation's places."""
+    aim = navigation.places[0]
+    walk = jax.jit(lambda spots, row: jax.lax.map(lambda p: geodesic(navigation, p, aim, row), spots, batch_size=1024))
+    return np.isfinite(np.asarray(walk(jnp.asarray(spots, float), build_paths_to_goal(navigation, aim))))
+
+
+def choose_apart(spots: np.ndarray, generator: np.random.Generator) -> list[int]:
+    """A random, maximal choice of the spots (P, 2) [m] of which no two are nearer than 0.55 m."""
+    chosen: list[int] = []
+    by_cell: dict[tuple[int, int], list[int]] = {}  # by cell of that size, so that only neighbours are compared
+    for index in generator.permutation(len(spots)):
+        i, j = (int(part) for part in np.floor(spots[index] / MIN_DISTANCE))
+        near = [k for a in (i - 1, i, i + 1) for b in (j - 1, j, j + 1) for k in by_cell.get((a, b), [])]
+        if not near or np.linalg.norm(spots[near] - spots[index], axis=-1).min() >= MIN_DISTANCE:
+            by_cell.setdefault((i, j), []).append(index)
+            chosen.append(index)
+    return chosen
+
+
+class WalkingGroups(NamedTuple):
+    """The numbers of walking groups."""
+
+    pairs: int
+    triples: int
+
+    @property
+    def members(self) -> int:
+        """The number of people in walking groups."""
+        return 2 * self.pairs + 3 * self.triples
+
+    @property
+    def number(self) -> int:
+        """The number of groups."""
+        return self.pairs + self.triples
+
+    def companions(self, people: int) -> Int[Array, "N 2"] | None:
+        """Indices of each person's companions, -1 none; None if everybody walks alone."""
+        if not self.number:
+            return None
+        first = people - self.members
+        two = first + np.arange(2 * self.pairs).reshape(-1, 2)
+        three = first + 2 * self.pairs + np.arange(3 * self.triples).reshape(-1, 3)
+        table = np.full((people, 2), -1, np.int32)
+        for k in range(2):
+            table[two[:, k], 0] = two[:, 1 - k]
+        for k in range(3):
+            table[three[:, k]] = np.delete(three, k, axis=1)
+        return jnp.asarray(table)
+
+
+def count_walking_groups(people: int, shares: tuple[float, float]) -> WalkingGroups:
+    """The pairs and triples among so many people, rounded down to whole groups.
+
+    Raises:
+        InputError: a share is negative, or they add up to more than 1.
+    """
+    two = isinstance(shares, (tuple, list)) and len(shares) == 2 and all(isinstance(share, Real) for share in shares)
+    if not two or not (min(shares) >= 0 and sum(shares) <= 1 + 1e-6):
+        clause = "must be two shares, each 0 or more, together 1 at most"
+        raise InputError(f"walking_groups: {shorten(repr(shares))} {clause}.")
+    in_pairs, in_triples = shares
+    return WalkingGroups(int(people * in_pairs / 2 + 1e-6), int(people * in_triples / 3 + 1e-6))
+
+
+def find_spawn_clusters(navigation: Navigation, start: np.ndarray, groups: WalkingGroups) -> np.ndarray:
+    """Clusters (C, 3) of starts (P, 2) [m] for groups: indices, the second and third near and in sight of the first.
+
+    No start is in two clusters. Without groups no clusters are searched for. Runs on the host.
+
+    Raises:
+        InputError: there are fewer clusters than groups.
+    """
+    clusters: list[tuple[int, ...]] = []
+    if groups.number:
+        pairs = KDTree(start).query_pairs(MAX_SPAWN_DISTANCE, output_type="ndarray")
+        in_sight = jax.jit(jax.vmap(lambda p, q: segment_is_free(navigation.obstacles, p, q, 0.0)))
+        spots = jnp.asarray(start, float)
+        clear = np.asarray(in_sight(spots[pairs[:, 0]], spots[pairs[:, 1]]))
+        near: list[list[int]] = [[] for _ in start]
+        for i, j in pairs[clear]:
+            near[i].append(int(j))
+            near[j].append(int(i))
+        free = np.ones(len(start), bool)
+        for i in sorted(range(len(start)), key=lambda i: len(near[i])):  # starts with few neighbours first
+            others = sorted((j for j in near[i] if free[j]), key=lambda j: len(near[j]))[:2]
+            if free[i] and len(others) == 2:
+                free[[i, *others]] = False
+                clusters.append((i, *others))
+    if groups.number > len(clusters):
+        raise InputError(
+            f"walking_groups: {groups.number} do not fit here, {len(clusters)} at most; give smaller shares."
+        )
+    return np.array(clusters, np.int32).reshape(-1, 3)
+
+
+def choose_starts(
+    score: Float[Array, "P"], spawn_clusters: Int[Array, "C 3"], walkers: int, groups: WalkingGroups
+) -> Int[Array, "N"]:
+    """The starts of N = ``walkers`` people with the highest scores; walking groups start at spawn clusters."""
+    alone = walkers - groups.members
+    if not groups.number:
+        return jax.lax.top_k(score, alone)[1]
+    first = jnp.where(spawn_clusters[:, 0] >= 0, score[spawn_clusters[:, 0]], -jnp.inf)
+    chosen = spawn_clusters[jax.lax.top_k(first, groups.number)[1]]
+    grouped = jnp.concatenate([chosen[: groups.pairs, :2].ravel(), chosen[groups.pairs :].ravel()])
+    return jnp.concatenate([jax.lax.top_k(score.at[grouped].set(-jnp.inf), alone)[1], grouped])
+
+
+def leaders(companions: Int[Array, "N 2"] | None, people: int) -> Int[Array, "N"]:
+    """The index of each person's leader, -1 for single people; ``companions`` as in ``WalkingGroups``."""
+    if companions is None:
+        return jnp.full(people, -1, jnp.int32)
+    person = jnp.arange(people, dtype=jnp.int32)
+    lowest = jnp.minimum(person, jnp.where(companions >= 0, companions, people).min(1))
+    return jnp.where((companions >= 0).any(1), lowest, -1)
+
+
+def follow_leaders(walking_group: Int[Array, "N"], *values: Shaped[Array, "N ..."]) -> tuple[Array, ...]:
+    """The values, with the leader's values for all members of a walking group.
+
+    Args:
+        walking_group: index of each person's leader, -1 none.
+        *values: one row a person.
+    """
+    person = jnp.arange(walking_group.shape[0], dtype=jnp.int32)
+    leader = jnp.where(walking_group >= 0, walking_group, person)
+    return tuple(value[leader] for value in values)
+
+
+def group_speeds(scenario: Scenario, walking_group: Int[Array, "N"], preferred: Float[Array, "N"]) -> Float[Array, "N"]:
+    """Preferred speeds [m/s]: in a walking group the leader's, less a constant for each companion.
+
+    Source: Moussaid et al., PLoS ONE 5(4), e10047 (2010).
+    """
+    companions = scenario.behavior.companions
+    if companions is None:
+        return preferred
+    slower = scenario.forces.walking.companion_slowdown * (companions >= 0).sum(1, dtype=jnp.int32).astype(float)
+    (shared,) = follow_leaders(walking_group, preferred)
+    return jnp.where(walking_group >= 0, jnp.maximum(shared - slower, MIN_SPEED), preferred)
+
+
+def walk_abreast(people: Pedestrians, velocity: Float[Array, "N 2"]) -> Float[Array, "N 2"]:
+    """Desired velocities [m/s] in the leader's direction, for members near the leader with a similar direction.
+
+    If all members headed for the same point, they would arrive there in single file.
+    """
+    position, ahead = follow_leaders(people.walking_group, people.position, velocity)
+    gap = position - people.position
+    x, y = unit(velocity[:, 0], velocity[:, 1])
+    leader_x, leader_y = unit(ahead[:, 0], ahead[:, 1])
+    near = length(gap[:, 0], gap[:, 1]) < NEAR_LEADER
+    turns = (people.walking_group >= 0) & near & (x * leader_x + y * leader_y > MIN_COSINE)
+    speed = length(velocity[:, 0], velocity[:, 1])
+    return jnp.where(turns[:, None], jnp.stack([speed * leader_x, speed * leader_y], -1), velocity)

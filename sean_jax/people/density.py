@@ -1,0 +1,135 @@
+"""Density of people over the floor, and their flow along the edges of the Behavior Graph (section IV-D).
+
+Both are computed from positions alone, so they are the same for all pedestrian models: a person who arrives at node v
+and was last at node u has walked the edge from u to v.
+"""
+
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import struct
+from jaxtyping import Bool, Float, Int
+
+from sean_jax.core.data_types import Array, Environment, Scenario, Trajectory
+from sean_jax.core.errors import InputError
+from sean_jax.core.geometry import length
+from sean_jax.graph import BehaviorGraph, graph_of
+
+CELL = 0.5  # m, side of the cells in which people are counted
+ARRIVAL_DISTANCE = 1.0  # m from a node's disc: people aim at any of its points and arrive 1 m from there (SEAN 2.0)
+NO_NODE = -1  # no node so far
+
+
+@struct.dataclass
+class Congestion:
+    """Density and flow of people in each of K spans of time; M nodes of the graph, 0 without one."""
+
+    time: Float[Array, "K"]  # s, end of each span
+    density: Float[Array, "K rows columns"]  # people per m2, mean over the span; row 0 at the lowest y
+    flow: Float[Array, "K M M"]  # people per minute who walked the edge from the row's node to the column's
+
+
+def congestion(
+    scenario: Scenario, frames: Trajectory, span: float = 10.0, cells: tuple[int, int] | None = None
+) -> Congestion:
+    """Density and flow of the people in the frames of a rollout.
+
+    The densities times the area of a cell add up to the number of people present: people off the floor count for the
+    nearest cell. Under ``jit`` give ``cells``, or close over the scenario.
+
+    Args:
+        frames: (T, ...), or with batch axes before T, which the result has as well. All frames count, also after the
+            end of an episode.
+        span: s, of the average; the last span may be shorter.
+        cells: rows and columns of the grid over the floor; None: cells of about half a metre, not for a traced
+            scenario.
+
+    Raises:
+        InputError: the span is shorter than a control step, or cells are missing under jit.
+    """
+    if frames.active.ndim > 1:
+        return jax.vmap(lambda one: congestion(scenario, one, span, cells))(frames)
+    stride = round(span / scenario.time_step)
+    if stride < 1:
+        raise InputError(f"span: {span:g} s is shorter than the control step of {scenario.time_step:g} s.")
+    rows, columns = grid_shape(scenario.environment) if cells is None else cells
+    steps = frames.active.shape[0]
+    number = -(-steps // stride)
+    index = jnp.arange(steps, dtype=jnp.int32) // stride
+    ends = np.minimum((np.arange(number) + 1) * stride, steps)
+    lasts = np.diff(ends, prepend=0)  # steps in each span
+
+    cell = cell_of(scenario.environment, (rows, columns), frames.people)  # (T, N)
+    people = jnp.zeros((number, rows * columns), float)
+    people = people.at[index[:, None], cell].add(frames.present.astype(float))
+    floor = scenario.environment.floor
+    area = (floor[2] - floor[0]) * (floor[3] - floor[1]) / (rows * columns)
+    density = people.reshape(number, rows, columns) / (area * jnp.asarray(lasts, float)[:, None, None])
+
+    graph = graph_of(scenario)
+    minutes = jnp.asarray(lasts * scenario.time_step / 60.0, float)[:, None, None]
+    flow = _walks_by_edge(graph, frames, index, number) / minutes
+    return Congestion(time=jnp.asarray(ends * scenario.time_step, float), density=density, flow=flow)
+
+
+def grid_shape(environment: Environment) -> tuple[int, int]:
+    """Rows and columns of the grid of cells of about half a metre that covers the floor.
+
+    Raises:
+        InputError: the environment is traced.
+    """
+    try:
+        x0, y0, x1, y1 = np.asarray(environment.floor, float)
+    except jax.errors.TracerArrayConversionError as error:
+        message = "cells: are needed where the scenario is traced; give (rows, columns), or close over the scenario."
+        raise InputError(message) from error
+    return math.ceil((y1 - y0) / CELL - 1e-6), math.ceil((x1 - x0) / CELL - 1e-6)
+
+
+def cell_of(environment: Environment, cells: tuple[int, int], points: Float[Array, "*shape 2"]) -> Int[Array, "*shape"]:
+    """The cell of each point [m] in a grid over the floor, numbered row by row from the lowest y.
+
+    Points off the floor are in the nearest cell.
+    """
+    rows, columns = cells
+    floor = environment.floor
+    x = (points[..., 0] - floor[0]) * (columns / (floor[2] - floor[0]))
+    y = (points[..., 1] - floor[1]) * (rows / (floor[3] - floor[1]))
+    column = jnp.clip(x.astype(jnp.int32), 0, columns - 1)
+    return jnp.clip(y.astype(jnp.int32), 0, rows - 1) * columns + column
+
+
+def track_nodes(
+    graph: BehaviorGraph, last: Int[Array, "N"], people: Float[Array, "N 2"], present: Bool[Array, "N"]
+) -> tuple[Int[Array, "N"], Bool[Array, "N"]]:
+    """The last node of each person, and whether they have just walked an edge to it.
+
+    Args:
+        last: last node before this step, ``NO_NODE`` if there was none.
+        people: m, positions.
+    """
+    gap = people[:, None] - graph.position[None, :]
+    beyond = length(gap[..., 0], gap[..., 1]) - graph.radius[None, :]  # (N, M) m
+    nearest = jnp.argmin(beyond, axis=1).astype(jnp.int32)
+    here = present & (jnp.min(beyond, axis=1) < ARRIVAL_DISTANCE)
+    walked = here & (last != NO_NODE) & (last != nearest) & jnp.isfinite(graph.edge_cost[last, nearest])
+    return jnp.where(here, nearest, jnp.where(present, last, NO_NODE)), walked
+
+
+def _walks_by_edge(graph: BehaviorGraph | None, frames: Trajectory, index: Array, number: int) -> Array:
+    """(number, M, M) people who walked each edge in each span; ``index`` (T,) is the span of each frame."""
+    if graph is None:
+        return jnp.zeros((number, 0, 0), float)
+    nodes = graph.radius.shape[0]
+
+    def step(carry, frame):
+        last, count = carry
+        people, present, span = frame
+        now, walked = track_nodes(graph, last, people, present)
+        return (now, count.at[span, last, now].add(walked.astype(float))), None
+
+    nowhere = jnp.full(frames.present.shape[1:], NO_NODE, jnp.int32)
+    start = nowhere, jnp.zeros((number, nodes, nodes), float)
+    return jax.lax.scan(step, start, (frames.people, frames.present, index))[0][1]

@@ -1,0 +1,152 @@
+"""Boxes of a scene.xml, and changes of their attributes in its text: all other characters stay."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+from xml.parsers import expat
+
+import numpy as np
+
+from sean_jax.world import environment
+from sean_jax.core.errors import InputError
+
+ATTRIBUTE = rb"""\s+([\w:.-]+)\s*=\s*("[^"]*"|'[^']*')"""
+TAG = re.compile(rb"<geom((?:" + ATTRIBUTE + rb")*)\s*(/?)>")
+TURNS = ("quat", "axisangle", "xyaxes", "zaxis", "euler")  # attributes that turn a geom
+NEW = 0.8, 0.8, 1.0  # m, of a new box
+
+
+class Box(NamedTuple):
+    """A box that the page can change."""
+
+    center: tuple[float, ...]  # m
+    half: tuple[float, ...]  # m
+    yaw: float  # degrees
+
+
+class _Geom(NamedTuple):
+    start: int  # bytes, of its element
+    head: int  # where its first tag ends
+    end: int
+
+
+class _Scene(NamedTuple):
+    geoms: dict[str, _Geom]  # that have a name and stand in the world itself
+    names: set[str]  # of all geoms
+    compiler: dict[str, str]
+    last: int  # where the last of the geoms ends, or the world's first tag
+
+
+def boxes(path: Path, text: str) -> dict[str, Box]:
+    """The obstacles of a scene, whose text is in a file already, that have a name and stand in the world itself."""
+    names = _scan(text.encode()).geoms
+    return {name: Box(*values) for name, values in environment.named_boxes(path).items() if name in names}
+
+
+def moved(text: str, name: str, before: Box, after: Box) -> str:
+    """The text with a box elsewhere, of another size or turned.
+
+    Raises:
+        InputError: the file turns its geoms in another way.
+    """
+    data = text.encode()
+    scene = _scan(data)
+    changes = {}
+    if before.center != after.center:
+        changes["pos"] = _numbers(after.center)
+    if before.half != after.half:
+        changes["size"] = _numbers(after.half)
+    if before.yaw != after.yaw:
+        if scene.compiler.get("eulerseq", "xyz") != "xyz":
+            raise InputError("edit: the file has another order of turns, eulerseq; turn the box in the file.")
+        radians = scene.compiler.get("angle") == "radian"
+        changes |= dict.fromkeys(TURNS, "")
+        changes["euler"] = f"0 0 {np.deg2rad(after.yaw) if radians else after.yaw:.6g}"
+    geom = scene.geoms[name]
+    tag = data[geom.start : geom.head]
+    for key, value in changes.items():
+        tag = _with_attribute(tag, key.encode(), value.encode())
+    return (data[: geom.start] + tag + data[geom.head :]).decode()
+
+
+def added(text: str, name: str, x: float, y: float) -> str:
+    """The text with another box, behind the other geoms.
+
+    Raises:
+        InputError: the name is no word, or another geom's.
+    """
+    data = text.encode()
+    scene = _scan(data)
+    if not re.fullmatch(r"[\w.-]+", name, re.ASCII):
+        raise InputError(f"edit: {name!r} is no name for a box; give letters, digits and _.")
+    if name in scene.names:
+        raise InputError(f"edit: there is a geom {name!r} already; give another name.")
+    half = [side / 2 for side in NEW]
+    geom = f'<geom name="{name}" type="box" pos="{_numbers((x, y, half[2]))}" size="{_numbers(half)}"/>'
+    line = data.rfind(b"\n", 0, scene.last) + 1
+    indent = re.match(rb"[ \t]*", data[line:])[0] if scene.geoms else b"    "  # pyright: ignore
+    return (data[: scene.last] + b"\n" + indent + geom.encode() + data[scene.last :]).decode()
+
+
+def removed(text: str, name: str) -> str:
+    """The text without a box, and without its line if there is nothing else in it."""
+    data = text.encode()
+    geom = _scan(data).geoms[name]
+    start, end = data.rfind(b"\n", 0, geom.start) + 1, data.find(b"\n", geom.end) + 1
+    if end == 0 or data[start : geom.start].strip() or data[geom.end : end].strip():
+        start, end = geom.start, geom.end
+    return (data[:start] + data[end:]).decode()
+
+
+def _with_attribute(tag: bytes, key: bytes, value: bytes) -> bytes:
+    """A tag with another value of an attribute; without it if the value is empty."""
+    for match in re.finditer(ATTRIBUTE, tag):
+        if match[1] == key:
+            new = tag[match.start() : match.start(2)] + b'"' + value + b'"' if value else b""
+            return tag[: match.start()] + new + tag[match.end() :]
+    if not value:
+        return tag
+    place = len(tag) - (2 if tag.endswith(b"/>") else 1)
+    place = len(tag[:place].rstrip())
+    return tag[:place] + b" " + key + b'="' + value + b'"' + tag[place:]
+
+
+def _numbers(values: Any) -> str:
+    return " ".join(f"{value:.6g}" for value in values)
+
+
+def _scan(data: bytes) -> _Scene:
+    """Where the geoms of a scene are in its bytes, which are XML."""
+    parser = expat.ParserCreate("utf-8")
+    above: list[str] = []
+    scene = {"geoms": {}, "names": set(), "compiler": {}, "last": 0}
+    begun: list[tuple[str, int, int]] = []
+
+    def begin(name: str, attributes: Mapping[str, str]) -> None:
+        place = parser.CurrentByteIndex
+        if name == "compiler":
+            scene["compiler"].update(attributes)
+        if name == "worldbody":
+            scene["last"] = data.index(b">", place) + 1
+        if name == "geom":
+            scene["names"].add(attributes.get("name", ""))
+            tag = TAG.match(data, place)
+            if above == ["mujoco", "worldbody"] and tag is not None:
+                begun.append((attributes.get("name", "") if "fromto" not in attributes else "", place, tag.end()))
+        above.append(name)
+
+    def end(name: str) -> None:
+        above.pop()
+        if name == "geom" and begun and above == ["mujoco", "worldbody"]:
+            own, start, head = begun.pop()
+            close = head if data[head - 2 : head] == b"/>" else data.index(b">", parser.CurrentByteIndex) + 1
+            scene["last"] = close
+            if own:
+                scene["geoms"][own] = _Geom(start, head, close)
+
+    parser.StartElementHandler, parser.EndElementHandler = begin, end
+    parser.Parse(data, True)
+    return _Scene(**scene)

@@ -1,0 +1,438 @@
+"""Physical environments (section IV-C): the files of a folder as obstacles on a floor, free places, scenery."""
+
+import dataclasses
+import json
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pydantic
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+
+from sean_jax.io import files
+from sean_jax.core.data_types import PATTERNS, Array, Environment, Obstacles, Scenery, Solids
+from sean_jax.core.devices import to_device
+from sean_jax.core.errors import FileError, InputError
+from sean_jax.io.files import mjcf
+from sean_jax.core.geometry import build_obstacle_grid, signed_distances, signed_distances_on_host
+from sean_jax.core.bounds import MAX_COORDINATE, MAX_FLOOR_SIDE, MAX_OBSTACLES, MAX_PEOPLE, Coordinate
+
+HERE = Path(__file__).resolve().parents[1]
+# Beside the package in a checkout, inside it once installed.
+ENVS: Path = next((path for path in (HERE / "envs", HERE.parent / "envs") if path.is_dir()), HERE / "envs")
+
+SETTINGS, SCENE = "environment.yaml", "scene.xml"
+ANNOTATIONS = "graph.yaml", "handcrafted.yaml"  # which some behaviors read
+TILT_TOLERANCE = 1e-4  # maximum deviation of the cosine of a box's tilt from 1
+MAX_BOTTOM = 0.05  # m above the floor, for the bottom of a box
+MAX_SEAM = 0.01  # m, between boxes side by side that cover an edge of the floor
+EDGE_DEPTH = 10.0  # m, half the depth of an edge of the floor: so deep that its other side is never nearer
+MIN_FLOOR_SIDE = 0.5  # m, of a side
+MIN_HALF_SIDE = 5e-4  # m, of a box
+BATCH = 1024  # candidates that free_points tries at a time
+OBSTACLE = (0.62, 0.64, 0.68)  # color of an obstacle that has none
+FLOOR = ((0.78, 0.78, 0.76), (0.74, 0.74, 0.72))
+SKY = ((0.55, 0.70, 0.88), (0.92, 0.95, 0.97))
+SUN = (0.35, -0.25, 0.9)
+SQUARE = 1.0  # m
+LOWEST_CEILING, HIGHEST_CEILING = 1.8, 100.0  # m; people are 1.73 m tall
+PATTERN_OF = {"wall": "wall", "shelf": "shelf", "rack": "shelf", "facade": "facade"}
+"""First word of the name of a material, or of a geom without one -> its pattern."""
+
+
+class Settings(pydantic.BaseModel):
+    """The keys of environment.yaml."""
+
+    model_config = pydantic.ConfigDict(extra="forbid", allow_inf_nan=False)
+
+    name: Annotated[str, pydantic.Field(min_length=1)]
+    floor: tuple[Coordinate, Coordinate, Coordinate, Coordinate]  # m: x_min, y_min, x_max, y_max
+    people: Annotated[int, pydantic.Field(ge=0, le=MAX_PEOPLE)]  # default number of people
+    source: str = ""
+    open: bool = False  # whether people and robots may leave the floor
+    ceiling: Annotated[float, pydantic.Field(ge=LOWEST_CEILING, le=HIGHEST_CEILING)] | None = None  # m; None: sky
+
+
+def available() -> list[str]:
+    """The environments that come with the package."""
+    return sorted(path.parent.name for path in ENVS.glob(f"*/{SETTINGS}"))
+
+
+def find(name_or_path: str | Path) -> Path:
+    """The folder of an environment: of a name that comes with the package, or a path.
+
+    Raises:
+        InputError: there is no such environment.
+    """
+    names = available()
+    if str(name_or_path) in names:
+        return ENVS / str(name_or_path)
+    folder = Path(name_or_path).expanduser()
+    if (folder / SETTINGS).is_file():
+        return folder
+    if folder.is_dir() and (os.sep in str(name_or_path) or "/" in str(name_or_path)):
+        raise InputError(f"{folder} is no environment: it holds no {SETTINGS}.")
+    hint = files.suggest(str(name_or_path), names) or f"; give one of them or a folder with {SETTINGS} and {SCENE}."
+    raise InputError(f"environment '{name_or_path}' is not one of {', '.join(names)}{hint}")
+
+
+def sources(folder: Path) -> list[Path]:
+    """The files that an environment and its scene are read from; FileError if the scene cannot be read."""
+    paths = [folder / name for name in (SETTINGS, SCENE, *ANNOTATIONS)]
+    return [path for path in paths if path.is_file()] + mjcf.sources(folder / SCENE)
+
+
+def default_people(folder: str | Path) -> int:
+    """The default number of people of an environment."""
+    return _settings(Path(folder)).people
+
+
+def floor(folder: str | Path) -> tuple[float, float, float, float]:
+    """The floor of an environment: x_min, y_min, x_max, y_max [m]."""
+    return _settings(Path(folder)).floor
+
+
+def load(name_or_path: str | Path) -> Environment:
+    """Load an environment by name or folder: its environment.yaml and the upright boxes of its scene.xml.
+
+    Unless it is open, edges of the floor are obstacles too, where no other obstacles cover them.
+
+    Raises:
+        InputError: there is no such environment.
+        FileError: a file cannot be used.
+    """
+    folder = find(name_or_path)
+    settings = _settings(folder)
+    return of_boxes(settings, *_boxes(folder / SCENE))
+
+
+def of_boxes(settings: Settings, boxes: Float[np.ndarray, "W 6"], looks: Scenery | None = None) -> Environment:
+    """The environment of boxes: center x, y, half extent x, y [m], yaw [rad], height [m]; grey without ``looks``."""
+    if not settings.open:
+        boxes = np.concatenate([boxes, _edges(boxes, settings.floor)])
+    floor = to_device(np.array(settings.floor))
+    obstacles = Obstacles(*to_device((boxes[:, :2], boxes[:, 2:4], *boxes[:, 4:].T)))
+    looks = plain_scenery(obstacles) if looks is None else looks
+    if settings.ceiling is not None:
+        looks = dataclasses.replace(looks, ceiling=to_device(np.asarray(settings.ceiling)))
+    return Environment(
+        floor=floor,
+        obstacles=obstacles,
+        obstacle_grid=build_obstacle_grid(obstacles, floor),
+        scenery=looks,
+        name=settings.name,
+        open=settings.open,
+    )
+
+
+def write(
+    folder: Path,
+    settings: Settings,
+    boxes: np.ndarray,
+    colors: np.ndarray | None = None,
+    kinds: Sequence[str] | None = None,
+) -> None:
+    """Write the files of an environment without a graph to an existing folder.
+
+    Args:
+        boxes: (W, 6) center x, y, half extent x, y [m], yaw [rad], height [m].
+        colors: (W, 3) from 0 to 1.
+        kinds: first words of the names of the boxes, as of ``PATTERN_OF``; ``box`` if None.
+    """
+    x0, y0, x1, y1 = settings.floor
+    middle, half = f"{(x0 + x1) / 2:g} {(y0 + y1) / 2:g}", f"{(x1 - x0) / 2:g} {(y1 - y0) / 2:g}"
+    span = max(x1 - x0, y1 - y0)
+    lines = []
+    for number, (x, y, hx, hy, yaw, height) in enumerate(boxes):
+        turn = f' euler="0 0 {np.rad2deg(yaw):.9g}"' if yaw else ""
+        color = "" if colors is None else f' rgba="{" ".join(f"{part:g}" for part in colors[number])} 1"'
+        place = f'pos="{x:.9g} {y:.9g} {height / 2:g}" size="{hx:.9g} {hy:.9g} {height / 2:g}"'
+        kind = "box" if kinds is None else kinds[number]
+        lines.append(f'    <geom name="{kind}_{number + 1}" type="box" {place}{turn}{color}/>')
+    scene = "\n".join([
+        '<mujoco model="map">',
+        f'  <statistic center="{middle} 0" extent="{span:g}"/>',
+        "  <worldbody>",
+        f'    <light name="sun" directional="true" pos="{middle} {span:g}" dir="-0.35 0.25 -0.9" castshadow="false"/>',
+        f'    <camera name="top" pos="{middle} {1.15 * span:g}" fovy="48"/>',
+        f'    <geom name="floor" type="plane" pos="{middle} 0" size="{half} 0.1"/>',
+        *lines,
+        "  </worldbody>",
+        "</mujoco>",
+        "",
+    ])  # fmt: skip
+    floor = ", ".join(f"{value:.9g}" for value in settings.floor)
+    text = f"name: {json.dumps(settings.name)}\nfloor: [{floor}]  # m: x_min, y_min, x_max, y_max\n"
+    text += f"people: {settings.people}  # default number\nsource: {json.dumps(settings.source)}\n"
+    text += "" if settings.ceiling is None else f"ceiling: {settings.ceiling:g}  # m\n"
+    (folder / SETTINGS).write_text(text, encoding="utf-8")
+    (folder / SCENE).write_text(scene, encoding="utf-8")
+
+
+def clearance(environment: Environment, points: Float[Array, "P 2"]) -> Float[Array, "P"]:
+    """Distance [m] to the nearest obstacle or edge of the floor; negative inside an obstacle and off the floor."""
+    return jnp.minimum(*signed_distances(environment, points))
+
+
+def free_points(environment: Environment, radius: float, number: int, seed: int = 0) -> np.ndarray:
+    """(number, 2) float32 m: places, uniform over where a disc of ``radius`` [m] touches no obstacle and no edge.
+
+    Drawn on the host, outside jit. Whether a path leads from one to another is up to ``navigation``.
+
+    Raises:
+        InputError: hardly any place is free.
+    """
+    generator = np.random.default_rng(seed)
+    floor = np.asarray(environment.floor, np.float64)
+    batches: list[np.ndarray] = []
+    missing, tried = number, 0
+    while missing > 0:
+        places = generator.uniform(floor[:2], floor[2:], (BATCH, 2)).astype(np.float32)
+        free = places[np.minimum(*signed_distances_on_host(environment, places)) >= radius]
+        batches.append(free[:missing])
+        missing -= len(batches[-1])
+        tried += BATCH
+        if tried >= 20 * BATCH and (number - missing) * 2000 < tried:
+            text = f"has hardly any place where a disc of {radius:g} m is clear of obstacles"
+            tries = f"({number - missing} of {tried} tried); use a smaller radius."
+            raise InputError(f"environment '{environment.name}' {text} {tries}")
+    return np.concatenate([np.zeros((0, 2), np.float32), *batches])
+
+
+def _settings(folder: Path) -> Settings:
+    return files.load(folder / SETTINGS, Settings, _floor_problems)
+
+
+def _floor_problems(settings: Settings) -> list[files.Problem]:
+    x_min, y_min, x_max, y_max = settings.floor
+    wide, deep = x_max - x_min, y_max - y_min
+    if not (wide >= MIN_FLOOR_SIDE and deep >= MIN_FLOOR_SIDE):
+        why = "empty" if min(wide, deep) <= 0 else f"{wide:g} by {deep:g} m, too narrow to walk on"
+        return [(("floor",), f"{list(settings.floor)} is {why}; give x_min, y_min, x_max, y_max in this order")]
+    if max(wide, deep) > MAX_FLOOR_SIDE:
+        return [(("floor",), f"is {wide:g} by {deep:g} m, and {MAX_FLOOR_SIDE:g} m is the longest side; cut it out")]
+    return []
+
+
+def _edges(boxes: np.ndarray, floor: tuple[float, ...]) -> np.ndarray:
+    """(E, 6) boxes as in ``_boxes``, without height: beyond the edges of the floor that no boxes (W, 6) cover."""
+    lower, upper = np.array(floor[:2]), np.array(floor[2:])
+    middle, half = (lower + upper) / 2, (upper - lower) / 2
+    cosine, sine = np.cos(boxes[:, 4]), np.sin(boxes[:, 4])
+    edges = []
+    for axis, side in ((0, -1.0), (1, -1.0), (0, 1.0), (1, 1.0)):
+        out, along = np.eye(2)[axis] * side, np.eye(2)[1 - axis]
+        begin = middle + half * (out - along) - boxes[:, :2]  # one end of the edge, from each box
+        begin, way = (
+            np.stack([cosine * x + sine * y, cosine * y - sine * x], -1)
+            for x, y in (begin.T, 2 * half[1 - axis] * along[:, None])
+        )
+        with np.errstate(divide="ignore", invalid="ignore"):  # of the way along the edge, where a box begins and ends
+            ends = (np.array([[[-1.0]], [[1.0]]]) * (boxes[:, 2:4] + MAX_SEAM) - begin) / way
+        beside = (way == 0.0) & (np.abs(begin) > boxes[:, 2:4] + MAX_SEAM)
+        first = np.where(way == 0.0, np.where(beside, np.inf, -np.inf), ends.min(0)).max(-1)
+        last = np.where(way == 0.0, np.where(beside, -np.inf, np.inf), ends.max(0)).min(-1)
+        covered = 0.0
+        for number in np.argsort(first):
+            if first[number] <= covered:
+                covered = max(covered, last[number])
+        if covered < 1.0:
+            center, extent = middle + out * (half + EDGE_DEPTH), half * along + EDGE_DEPTH * np.array([1.0, 1.0])
+            edges.append([*center, *extent, 0.0, 0.0])
+    return np.array(edges).reshape(-1, 6)
+
+
+def _boxes(path: Path) -> tuple[np.ndarray, Scenery]:
+    """(W, 6) boxes of an MJCF file: center x, y, half extent x, y [m], yaw, height [m]; and its scenery.
+
+    Horizontal planes are floors. Geoms that nothing can touch (contype="0" conaffinity="0") are decoration.
+    """
+    if not path.exists():
+        raise FileError(f"{path}: there is no such file; an environment's obstacles are MJCF boxes in it.")
+    model = mjcf.read(path)
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    kind = [mujoco.mjtGeom(number).name.removeprefix("mjGEOM_").lower() for number in model.geom_type]
+    solid = [index for index in range(model.ngeom) if model.geom_contype[index] or model.geom_conaffinity[index]]
+    names = {index: f"geom '{name}'" for index in solid if (name := model.geom(index).name)}
+    clauses = {index: _refusal(model, data, index, kind[index]) for index in solid}
+    texts = [f"{names.get(k, f'the unnamed geom number {k + 1}')} {text}" for k, text in clauses.items() if text]
+    boxes = [index for index in solid if kind[index] == "box"]
+    if len(boxes) > MAX_OBSTACLES:
+        texts.append(f"has {len(boxes)} boxes that can be touched; {MAX_OBSTACLES} are the most")
+    if texts:
+        raise FileError("\n".join(str(files.file_error(path, text)) for text in texts))
+    position, half, turn = data.geom_xpos[boxes], model.geom_size[boxes], data.geom_xmat[boxes]
+    yaw, height = np.arctan2(turn[:, 3], turn[:, 0]), position[:, 2] + half[:, 2]
+    return np.column_stack([position[:, :2], half[:, :2], yaw, height]), scenery_from_mjcf(model, data, boxes)
+
+
+def named_boxes(path: Path) -> dict[str, tuple[tuple[float, ...], tuple[float, ...], float]]:
+    """Center, half sides [m] and yaw [degrees] of the obstacles of an MJCF file that have a name.
+
+    Raises:
+        FileError: MuJoCo cannot read the file.
+    """
+    model = mjcf.read(path)
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    boxes = {}
+    for index in np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_BOX):
+        if (name := model.geom(index).name) and (model.geom_contype[index] or model.geom_conaffinity[index]):
+            turn = data.geom_xmat[index]
+            yaw = float(np.rad2deg(np.arctan2(turn[3], turn[0])))
+            boxes[name] = tuple(data.geom_xpos[index].tolist()), tuple(model.geom_size[index].tolist()), yaw
+    return boxes
+
+
+def _refusal(model: Any, data: Any, index: int, kind: str) -> str:
+    """Why a geom cannot be an obstacle, as a clause that follows its name; empty if it can, or is the floor."""
+    tilt = data.geom_xmat[index, 8]  # cosine of the angle between its z axis and the vertical
+    if kind == "plane":
+        return "" if tilt > 1 - TILT_TOLERANCE else "is a tilted plane; make the wall a box"
+    if kind != "box":
+        return f"is a {kind}; replace it by one or more boxes"
+    if model.body_weldid[model.geom_bodyid[index]] != 0:
+        return "is on a body with a joint; obstacles stand still, so remove the joint"
+    if abs(tilt) < 1 - TILT_TOLERANCE:
+        return "is tilted; turn it about the vertical axis only"
+    bottom, top = data.geom_xpos[index, 2] + model.geom_size[index, 2] * np.array([-1.0, 1.0])
+    if np.abs(data.geom_xpos[index]).max() > MAX_COORDINATE or model.geom_size[index].max() > MAX_COORDINATE:
+        return f"reaches farther than {MAX_COORDINATE:g} m; give metres"
+    if model.geom_size[index].min() < MIN_HALF_SIDE:
+        return f"is thinner than {2000 * MIN_HALF_SIDE:g} mm; make it thicker"
+    if bottom > MAX_BOTTOM:
+        return f"begins {bottom:.2f} m above the floor; extend it down to z = 0"
+    if top <= 0:
+        return "lies below the floor; its top must be above z = 0"
+    return ""
+
+
+# ------------------------------------------------------------------ scenery
+
+
+def plain_scenery(obstacles: Obstacles) -> Scenery:
+    """The scenery of obstacles without colors: grey boxes on the default floor, under the default sky."""
+    center, extent, yaw, height = (np.asarray(part, float) for part in jax.tree.leaves(obstacles))
+    half = np.column_stack([extent, 0.5 * height])
+    boxes = np.column_stack([center, 0.5 * height, half, np.cos(yaw), np.sin(yaw)])
+    color = np.tile((*OBSTACLE, 0.0), (len(height), 1))
+    return _scenery(_solids(boxes, np.zeros((0, 8)), np.zeros((0, 4)), color))
+
+
+def scenery_from_mjcf(model: Any, data: Any, obstacles: list[int]) -> Scenery:
+    """The scenery of a ``mujoco.MjModel`` with its ``mujoco.MjData``; geoms of the indices ``obstacles`` come first."""
+    rest = [index for index in range(model.ngeom) if index not in set(obstacles)]
+    shape = solids_from_mjcf(model, data, [*obstacles, *rest])
+    sky = _texture(model, "skybox")
+    sun = -model.light_dir[0] if model.nlight else np.array(SUN)
+    sky = SKY if sky is None else sky
+    return _scenery(shape, _floor_of(model), (sky[0], sky[-1]), sun)
+
+
+def solids_from_mjcf(model: Any, data: Any, geoms: list[int]) -> Solids:
+    """The bodies of geoms of a ``mujoco.MjModel``, at the positions of its ``mujoco.MjData``.
+
+    A capsule becomes a cylinder of the same extent. Geoms of other kinds and transparent geoms are left out.
+    """
+    kind = mujoco.mjtGeom
+    boxes, cylinders, spheres = [], [], []
+    colors: tuple[list, list, list] = [], [], []
+    for index in geoms:
+        place, size = data.geom_xpos[index], model.geom_size[index]
+        turn, material = data.geom_xmat[index].reshape(3, 3), model.geom_matid[index]
+        shade = model.geom_rgba[index] if material < 0 else model.mat_rgba[material]
+        if shade[3] < 0.5:
+            continue
+        name = model.geom(index).name if material < 0 else model.mat(material).name
+        pattern = PATTERN_OF.get(name.split("_")[0], "plain")
+        shade = [*shade[:3], PATTERNS.index(pattern)]
+        geom_type = kind(int(model.geom_type[index]))
+        if geom_type == kind.mjGEOM_BOX:
+            boxes.append([*place, *size, turn[0, 0], turn[1, 0]])
+            colors[0].append(shade)
+        elif geom_type in (kind.mjGEOM_CYLINDER, kind.mjGEOM_CAPSULE):
+            longer = size[0] if geom_type == kind.mjGEOM_CAPSULE else 0.0
+            cylinders.append([*place, *turn[:, 2], size[0], size[1] + longer])
+            colors[1].append(shade)
+        elif geom_type == kind.mjGEOM_SPHERE:
+            spheres.append([*place, size[0]])
+            colors[2].append(shade)
+    return _solids(boxes, cylinders, spheres, [*colors[0], *colors[1], *colors[2]])
+
+
+def _solids(boxes: ArrayLike, cylinders: ArrayLike, spheres: ArrayLike, color: ArrayLike) -> Solids:
+    shapes = (("boxes", boxes, 8), ("cylinders", cylinders, 8), ("spheres", spheres, 4), ("color", color, 4))
+    return Solids(**{name: to_device(np.asarray(rows, float).reshape(-1, width)) for name, rows, width in shapes})
+
+
+Floor = tuple[np.ndarray, float, float]  # (3, 3) colors, m side of a square, m width of a joint
+PLAIN_FLOOR: Floor = (np.array((*FLOOR, FLOOR[0])), SQUARE, 0.0)
+UNPAINTED = np.array([0.5, 0.5, 0.5, 1.0])  # the color of geoms in MJCF that give none
+
+
+def _scenery(shape: Solids, floor: Floor = PLAIN_FLOOR, sky: ArrayLike = SKY, sun: ArrayLike = SUN) -> Scenery:
+    towards = np.asarray(sun, float)
+    towards = towards / np.linalg.norm(towards)
+    looks = to_device((*map(np.asarray, floor), np.zeros(()), np.asarray(sky), towards))
+    return Scenery(shape, *looks)
+
+
+def _floor_of(model: Any) -> Floor:
+    """The colors of the first texture, repeated as the first plane's material says; without one the plane's color."""
+    kinds = mujoco.mjtGeom
+    planes = [index for index in range(model.ngeom) if model.geom_type[index] == kinds.mjGEOM_PLANE]
+    material = int(model.geom_matid[planes[0]]) if planes else -1
+    colors = _texture(model, "2d")
+    if colors is None:
+        color = model.mat_rgba[material] if material >= 0 else model.geom_rgba[planes[0]] if planes else UNPAINTED
+        same = np.allclose(color, UNPAINTED)
+        return PLAIN_FLOOR if same else (np.tile(color[:3], (3, 1)), SQUARE, 0.0)
+    period, side = 2 * SQUARE, model.geom_size[planes[0], 0] if planes else 0.0
+    if material >= 0 and model.mat_texuniform[material]:
+        period = 1 / model.mat_texrepeat[material, 0]
+    elif material >= 0 and side > 0:
+        period = 2 * side / model.mat_texrepeat[material, 0]
+    edge, width = _edge(model)
+    colors = np.array([colors[0], colors[-1], colors[-1] if edge is None else edge])
+    return colors, period / 2, 0.0 if edge is None else 2 * period / width
+
+
+def _edge(model: Any) -> tuple[np.ndarray | None, int]:
+    """(3,) the color of the first texture's mark along its edges, if it has one; and the texture's width in pixels."""
+    pixels = _pixels(model, "2d")
+    assert pixels is not None
+    border = np.concatenate([pixels[0], pixels[-1], pixels[:, 0], pixels[:, -1]])
+    marked = (border == border[0]).all() and (pixels[1:-1, 1:-1] != border[0]).any()
+    return border[0] / 255 if marked else None, pixels.shape[1]
+
+
+def _texture(model: Any, kind: str) -> np.ndarray | None:
+    """(n, 3) colors of the first texture of a kind: a floor's darkest and lightest, or a sky from its top down."""
+    pixels = _pixels(model, kind)
+    if pixels is None:
+        return None
+    if kind == "skybox":
+        return pixels[:, pixels.shape[1] // 2] / 255.0
+    inner = pixels[1:-1, 1:-1] if min(pixels.shape[:2]) > 2 else pixels  # without a mark along the edges
+    shades = inner.reshape(-1, 3)
+    light = shades.sum(-1, dtype=np.int32)
+    return shades[[light.argmin(), light.argmax()]] / 255
+
+
+def _pixels(model: Any, kind: str) -> np.ndarray | None:
+    """(H, W, 3) pixels from 0 to 255 of the first texture of a kind."""
+    texture = {"2d": mujoco.mjtTexture.mjTEXTURE_2D, "skybox": mujoco.mjtTexture.mjTEXTURE_SKYBOX}[kind]
+    for index in range(model.ntex):
+        if model.tex_type[index] == texture:
+            start, channels = model.tex_adr[index], model.tex_nchannel[index]
+            pixels = model.tex_data[start : start + model.tex_height[index] * model.tex_width[index] * channels]
+            pixels = pixels.reshape(model.tex_height[index], -1, channels)
+            return pixels[:, :, :3] if channels >= 3 else np.repeat(pixels[:, :, :1], 3, axis=-1)  # grey
+    return None
