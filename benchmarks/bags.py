@@ -23,8 +23,8 @@ import jax.numpy as jnp
 import sean_jax
 from sean_jax import sensors
 from sean_jax.core.data_types import Scenario
-from sean_jax.ros import bags, messages
 from sean_jax.io.versions import versions
+from sean_jax.ros import bags, messages
 
 STEPS = 100
 

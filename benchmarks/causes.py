@@ -18,15 +18,15 @@ import jax.numpy as jnp
 import numpy as np
 
 import sean_jax
-from sean_jax.world import environment
-from sean_jax.simulation.making import with_task
-from sean_jax.core.data_types import Policy, PolicyLike, Scenario, State, as_policy
 from sean_jax.classifiers import SITUATIONS
-from sean_jax.simulation.episodes import init_policy, simulate
+from sean_jax.core.data_types import Policy, PolicyLike, Scenario, State, as_policy
 from sean_jax.metrics import METRICS
 from sean_jax.policies import POLICIES, social_costmap
 from sean_jax.policies.social_costmap import default_params
+from sean_jax.simulation.episodes import init_policy, simulate
+from sean_jax.simulation.making import with_task
 from sean_jax.tasks import TASKS
+from sean_jax.world import environment
 
 NEAR, SLOW = 2.4, 0.05  # m, D of the paper; m/s, below which a robot stands
 METRICS_USED = tuple(

@@ -16,8 +16,8 @@ import jax.numpy as jnp
 import numpy as np
 
 import sean_jax
-from sean_jax.simulation import scenario as stages
 from sean_jax.graph.behavior_graph import edge_densities
+from sean_jax.simulation import scenario as stages
 
 
 def measure(scenario, key, steps: int) -> tuple:

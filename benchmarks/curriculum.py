@@ -23,8 +23,8 @@ import numpy as np
 from rich.console import Console
 
 import sean_jax
-from sean_jax.core import random_streams
 from sean_jax import mdp
+from sean_jax.core import random_streams
 from sean_jax.core.errors import SeanError
 from sean_jax.learning import reinforcement
 from sean_jax.learning.policy import AGENTS, agent_policy, load_agent, read_options

@@ -14,8 +14,8 @@ import jax
 import numpy as np
 
 import sean_jax
-from sean_jax.simulation import scenario as stages
 from sean_jax.config import GraphBehavior
+from sean_jax.simulation import scenario as stages
 from sean_jax.studies.validation.groups import group_occupancy
 
 WARM_UP = 20.0  # s

@@ -65,23 +65,23 @@ import jax.numpy as jnp
 import numpy as np
 
 import sean_jax
-from sean_jax.world import ros_map
 from sean_jax import metrics
-from sean_jax.core import random_streams
-from sean_jax.io import writing
 from sean_jax.config import Figure4Config, validate
+from sean_jax.config.workspace import IDENTITY, Workspace, identity, refuse_difference
+from sean_jax.core import random_streams
 from sean_jax.core.errors import IncompleteError, InputError, SeanError
+from sean_jax.io import writing
+from sean_jax.io.versions import versions
 from sean_jax.learning.policy import load_policy
 from sean_jax.metrics import bootstrap
 from sean_jax.metrics.differences import difference, holm
 from sean_jax.ros import messages
 from sean_jax.ros.ros1 import Node, import_rospy
 from sean_jax.ros.transport import Log, Mailbox, Output
-from sean_jax.simulation.episode_runner import first_state, varying_leaves
 from sean_jax.sensors import lidar, lidar_sensor
+from sean_jax.simulation.episode_runner import first_state, varying_leaves
 from sean_jax.studies.experiments import figure4, measures, write_csv
-from sean_jax.io.versions import versions
-from sean_jax.config.workspace import IDENTITY, Workspace, identity, refuse_difference
+from sean_jax.world import ros_map
 
 CHECKOUTS = {
     "navigation": ("https://github.com/ros-planning/navigation", "9ad644198e132d0e950579a3bc72c29da46e60b0"),

@@ -26,8 +26,8 @@ from peer_simulators import Peer
 
 import sean_jax
 from sean_jax import social_forces
-from sean_jax.core.data_types import Obstacles
 from sean_jax.cli.bench import workload
+from sean_jax.core.data_types import Obstacles
 from sean_jax.core.geometry import build_obstacle_grid
 from sean_jax.social_forces import model
 

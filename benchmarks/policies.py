@@ -19,9 +19,9 @@ import jax.numpy as jnp
 import numpy as np
 
 import sean_jax
-from sean_jax.simulation.episodes import init_policy, simulate
 from sean_jax.policies import POLICIES, social_costmap
 from sean_jax.policies.social_costmap import default_params
+from sean_jax.simulation.episodes import init_policy, simulate
 
 CONDITIONS: dict[str, dict[str, Any]] = {
     "graph, join_group": {"behavior": "graph", "task": "join_group"},

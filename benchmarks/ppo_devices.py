@@ -12,8 +12,8 @@ import time
 
 import jax
 
-from sean_jax.core import devices
 from sean_jax.config import PPOConfig
+from sean_jax.core import devices
 from sean_jax.learning import reinforcement
 
 

@@ -21,11 +21,11 @@ import jax
 import numpy as np
 
 import sean_jax
-from sean_jax.cli import bench
-from sean_jax.core import gpu_kernels
 from sean_jax import sensors
+from sean_jax.cli import bench
 from sean_jax.cli.bench import programs
 from sean_jax.cli.bench.programs import Program
+from sean_jax.core import gpu_kernels
 from sean_jax.simulation.scenario_stack import Stack
 
 FORMS = "loops", "kernel"

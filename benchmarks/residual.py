@@ -22,9 +22,10 @@ import optax
 from flax import struct
 
 from sean_jax import social_forces
-from sean_jax.io import writing
 from sean_jax.core.data_types import Array, Scenario, State
 from sean_jax.core.geometry import rotate
+from sean_jax.io import writing
+from sean_jax.io.versions import versions
 from sean_jax.social_forces.forces import Crowd, Force, Forces, Pair, Walking
 from sean_jax.studies.calibration.fitting import Habits, losses
 from sean_jax.studies.calibration.windows import Scenes, prediction_scenes
@@ -32,9 +33,8 @@ from sean_jax.studies.prediction import evaluate, read_windows
 from sean_jax.studies.scenes import Model, scenario_of, stage
 from sean_jax.studies.scenes.simulation import advance
 from sean_jax.studies.validation.crowds import WIDTH, hermes_speeds, juelich
-from sean_jax.studies.validation.individuals import fitted_without
 from sean_jax.studies.validation.guideline_scenes import ring
-from sean_jax.io.versions import versions
+from sean_jax.studies.validation.individuals import fitted_without
 
 SCENES = "eth", "hotel", "zara01"
 CLOCKS = "social_gan", "recorded"  # of the benchmark, which decides, and of the training

@@ -13,8 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 
 import sean_jax
-from sean_jax.simulation import scenario as stages
 from sean_jax.policies import go_to_goal
+from sean_jax.simulation import scenario as stages
 
 
 def parts(scenario) -> dict:

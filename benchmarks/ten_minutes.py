@@ -14,8 +14,8 @@ import numpy as np
 import sean_jax
 from sean_jax.core.data_types import Array, Scenario, State
 from sean_jax.people.behaviors import BEHAVIORS
-from sean_jax.world.environment import available, clearance
 from sean_jax.policies import go_to_goal
+from sean_jax.world.environment import available, clearance
 
 OVERLAP_DISTANCE = 0.3  # m between the centers of two people who overlap
 STUCK_DISTANCE = 0.05  # m: people who move less than this in ...

@@ -17,9 +17,8 @@ import jax
 import jax.numpy as jnp
 
 import sean_jax
-from sean_jax.config import flags
 from sean_jax import mdp
-from sean_jax.config import PPOConfig
+from sean_jax.config import PPOConfig, flags
 from sean_jax.core.errors import InputError
 from sean_jax.learning import reinforcement, rollouts
 from sean_jax.learning.networks import init_agent

@@ -14,8 +14,8 @@ import numpy as np
 from gradients import seconds
 
 import sean_jax
-from sean_jax.simulation.episodes import init_policy, simulate
 from sean_jax.policies import POLICIES, costmap, wave_kernel
+from sean_jax.simulation.episodes import init_policy, simulate
 
 SUPPORTS = wave_kernel.supports
 FORMS = "loops", "kernel"

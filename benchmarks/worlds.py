@@ -17,10 +17,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sean_jax.simulation import making
-from sean_jax import reset, step, mdp, registry
-from sean_jax.core.data_types import Scenario, State
+from sean_jax import mdp, registry, reset, step
 from sean_jax.config import EnvConfig, validate
+from sean_jax.core.data_types import Scenario, State
+from sean_jax.simulation import making
 from sean_jax.simulation.scenario_stack import Stack
 
 STEPS, REPEATS, FLOORS = 16, 4, 12  # of a call; calls; floors that run alone

@@ -6,8 +6,8 @@ Five floors of each family.
 from pathlib import Path
 
 from sean_jax import drawing
-from sean_jax.world import generated
 from sean_jax.graph import annotation
+from sean_jax.world import generated
 
 PICTURES = Path(__file__).resolve().parent / "pictures"
 

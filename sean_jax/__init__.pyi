@@ -1,7 +1,7 @@
 """The public names of sean_jax and their modules: type checkers read them here, and `lazy_loader` too."""
 
-from .core import gradients as gradients
 from . import mdp as mdp, sensors as sensors
+from .core import gradients as gradients
 from .mdp import registry as registry
 from .simulation import team as team
 from .simulation.making import make as make, make_team as make_team, with_task as with_task

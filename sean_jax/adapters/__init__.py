@@ -8,13 +8,12 @@ import numpy as np
 
 from sean_jax import mdp
 from sean_jax.core import random_streams
-from sean_jax.mdp import registry
 from sean_jax.core.data_types import Array
-from sean_jax.drawing import view
 from sean_jax.core.errors import InputError
-from sean_jax.mdp import observations
-from sean_jax.simulation.scenario import frame
+from sean_jax.drawing import view
 from sean_jax.io.versions import fingerprint
+from sean_jax.mdp import observations, registry
+from sean_jax.simulation.scenario import frame
 
 NAMESPACE = "sean"
 """What stands before the names of ``registry.ALL_ENVS`` in other projects' registries."""

@@ -16,9 +16,9 @@ import jax.numpy as jnp
 from brax.envs import base
 from brax.training import pmap
 
-from sean_jax.core import clock
 from sean_jax import mdp, robots
 from sean_jax.adapters import Functional, typed
+from sean_jax.core import clock
 from sean_jax.core.data_types import Array
 
 REPLICATE = "device_put_replicated"

@@ -17,11 +17,11 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from jaxtyping import PyTree
 
 from sean_jax import mdp
-from sean_jax.core import random_streams
-from sean_jax.mdp import registry
 from sean_jax.adapters import NAMESPACE, identity, load, picture
+from sean_jax.core import random_streams
 from sean_jax.core.data_types import Array
 from sean_jax.core.errors import InputError
+from sean_jax.mdp import registry
 from sean_jax.simulation.scenario import results
 
 MAX_RECENT = 8  # environments whose compiled programs are remembered

@@ -19,10 +19,9 @@ import numpy as np
 from flax import struct
 from gymnax.environments import spaces
 
-from sean_jax.mdp import registry
 from sean_jax.adapters import NAMESPACE, Functional, identity, typed
 from sean_jax.core.data_types import Array
-from sean_jax.mdp import EnvState
+from sean_jax.mdp import EnvState, registry
 
 gymnax_environment = gymnax.environments.environment
 

@@ -21,10 +21,10 @@ from ml_collections import ConfigDict
 from mujoco_playground import MjxEnv, State, dm_control_suite
 
 from sean_jax import adapters, mdp, robots
-from sean_jax.core import clock
-from sean_jax.mdp import registry
 from sean_jax.adapters import brax
+from sean_jax.core import clock
 from sean_jax.core.data_types import Array, Scenario
+from sean_jax.mdp import registry
 from sean_jax.robots import description
 
 OF_TRAINERS = ("episode_length", "action_repeat", "impl")

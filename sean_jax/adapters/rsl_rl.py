@@ -16,9 +16,9 @@ import torch
 from jaxtyping import PyTree
 from tensordict import TensorDict
 
-from sean_jax.core import clock
 from sean_jax import mdp
 from sean_jax.adapters import load
+from sean_jax.core import clock
 from sean_jax.core.data_types import Array
 from sean_jax.mdp import observations
 

@@ -13,9 +13,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Bool, Float
 
-from sean_jax.core.data_types import Array, Obstacles, Pedestrians, Snapshot
 from sean_jax.classifiers.predicates import ahead_and_aside, any_person, cosine, near, walking
 from sean_jax.classifiers.situations import Situation, Thresholds
+from sean_jax.core.data_types import Array, Obstacles, Pedestrians, Snapshot
 from sean_jax.core.geometry import TINY, crosses_box, length, rotate
 
 SAMPLES = 4  # places ahead, beside the robot's own, at which the width of its way is measured

@@ -10,9 +10,9 @@ All five differ from the paper in three ways:
 import jax.numpy as jnp
 from jaxtyping import Bool, Float, Int
 
-from sean_jax.core.data_types import Array, Pedestrians, Snapshot
 from sean_jax.classifiers.predicates import any_person, cosine, near, walking
 from sean_jax.classifiers.situations import Situation, Thresholds, empty, thresholds
+from sean_jax.core.data_types import Array, Pedestrians, Snapshot
 
 STILL = 0.02  # m/s: SEAN's 0.01 m within the half second that its 30 poses span
 

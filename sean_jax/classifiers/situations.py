@@ -15,8 +15,6 @@ import numpy as np
 from flax import struct
 from jaxtyping import Bool, Float
 
-from sean_jax.core import user_code
-from sean_jax.core.data_types import Array, Pedestrians, Snapshot
 from sean_jax.classifiers.predicates import (
     any_person,
     member,
@@ -25,6 +23,8 @@ from sean_jax.classifiers.predicates import (
     perpendicular_trajectory,
     walking,
 )
+from sean_jax.core import user_code
+from sean_jax.core.data_types import Array, Pedestrians, Snapshot
 from sean_jax.core.devices import parameter
 from sean_jax.core.errors import InputError
 

@@ -19,10 +19,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sean_jax import __version__, config
-from sean_jax.io import interrupts
 from sean_jax.config import COMMANDS, GROUPS, Config
 from sean_jax.core.errors import IncompleteError, InputError, PartError
 from sean_jax.core.messages import suggest
+from sean_jax.io import interrupts
 from sean_jax.io.writing import atomic_file, atomic_folder, broken, check_file, check_new_folder, contents
 
 if TYPE_CHECKING:
@@ -311,8 +311,8 @@ def _collect(options: config.CollectConfig, console: "Console") -> None:
 def _train(options: config.ImitationConfig | config.ReinforcementConfig, console: "Console") -> None:
     if isinstance(options, config.ReinforcementConfig) and options.distributed:
         console.quiet |= _join() > 0
-    from sean_jax.config import user_parts
     from sean_jax import learning
+    from sean_jax.config import user_parts
 
     if isinstance(options, config.ImitationConfig):
         train = learning.dagger.train if isinstance(options, config.DaggerConfig) else learning.train
@@ -408,8 +408,8 @@ def _export(options: config.ExportConfig, console: "Console") -> None:
 
         return _print(console, "written: ", onnx.export(options.source, options.out))
     check_new_folder(options.out)
-    from sean_jax.config import user_parts
     from sean_jax import learning
+    from sean_jax.config import user_parts
 
     write = learning.pack if options.format == "agent" else learning.export
     _print(console, "written: ", write(options.source, options.out))
@@ -449,8 +449,8 @@ def _draw(options: config.DrawConfig, console: "Console") -> int:
         return _fail("draw: give either --graph or --handcrafted.", WRONG)
     what = "graph" if options.graph else "handcrafted"
     check_file(options.out or Path(f"{what}.png"), PICTURES)
-    from sean_jax.simulation import making
     from sean_jax import drawing
+    from sean_jax.simulation import making
     from sean_jax.world import environment
 
     names = environment.available() if options.environment is None else [options.environment]
@@ -607,9 +607,9 @@ def _worlds(options: config.WorldsConfig, console: "Console") -> None:
     check_new_folder(options.out)
     with console.status("importing JAX"):
         from sean_jax import drawing
-        from sean_jax.world import generated
         from sean_jax.graph import annotation
         from sean_jax.io.progress import progress
+        from sean_jax.world import generated
     words, sheet = generated.parse(options.words) if options.words else None, []
     with progress(console) as bar, atomic_folder(options.out) as folder:
         bar.start(f"{options.number} floors of {options.family}", options.number)

@@ -6,8 +6,8 @@ import shutil
 from pathlib import Path
 from typing import NamedTuple
 
-from sean_jax.io import cache, files
 from sean_jax.core.errors import InputError
+from sean_jax.io import cache, files
 from sean_jax.io.versions import versions
 
 EXTRAS = {

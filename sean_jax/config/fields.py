@@ -13,8 +13,8 @@ from pydantic.fields import FieldInfo
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, core_schema
 
-from sean_jax.core.messages import listed, shorten
 from sean_jax.core.bounds import MAX_COORDINATE, MAX_DURATION, MAX_MAGNITUDE, MAX_PEOPLE, TIME_STEP_RANGE
+from sean_jax.core.messages import listed, shorten
 
 # Limits of datasets and networks; files with more are refused.
 MAX_HOURS = 1e6

@@ -9,12 +9,12 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 import pydantic
 
-from sean_jax.io import files
 from sean_jax.config import fields
 from sean_jax.config.core import Bounds, Component, Config, Family, Named, OwnPart, Value
 from sean_jax.config.fields import Number, Option
 from sean_jax.config.scenario import Part, RunConfig, ScenarioConfig
 from sean_jax.core.messages import listed
+from sean_jax.io import files
 
 OBSERVED = ("goal", "goal_heading", "path", "distance", "speeds", "hold", "obstacles", "people")
 """The terms of an agent's observation, where none are named."""

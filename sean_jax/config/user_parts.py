@@ -21,9 +21,9 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
 
-from sean_jax.io import files, writing
 from sean_jax.config import Component, Config, OwnPart, Value, is_own_part, validate
 from sean_jax.core.errors import InputError
+from sean_jax.io import files, writing
 
 PARTS = "parts"  # folder beside a description with the user's files
 PACKAGE = __name__.partition(".")[0]

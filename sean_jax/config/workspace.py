@@ -8,11 +8,10 @@ from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from sean_jax.config import user_parts
-from sean_jax.io import files, writing
-from sean_jax.config import Config
-from sean_jax.core.errors import FileError, InputError
+from sean_jax.config import Config, user_parts
 from sean_jax.config.flags import flag, number
+from sean_jax.core.errors import FileError, InputError
+from sean_jax.io import files, writing
 from sean_jax.io.versions import versions
 
 IDENTITY = "experiment.json"  # of an experiment

@@ -19,18 +19,18 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sean_jax.world import navigation as paths
-from sean_jax.core import random_streams
 from sean_jax import robots
+from sean_jax.core import random_streams
 from sean_jax.core.data_types import Array, Environment, Groups, Obstacles, Scenario, Trajectory
+from sean_jax.core.geometry import build_obstacle_grid
 from sean_jax.drawing import colors, gifs, layers
 from sean_jax.drawing.colors import policy_colors, situation_colors
 from sean_jax.drawing.gifs import animate, video
-from sean_jax.world.environment import plain_scenery
-from sean_jax.core.geometry import build_obstacle_grid
 from sean_jax.graph import FLOWS, NO_EDGE, BehaviorGraph, graph_of
 from sean_jax.graph.formation import formation
 from sean_jax.people.handcrafted import Sets
+from sean_jax.world import navigation as paths
+from sean_jax.world.environment import plain_scenery
 
 __all__ = ["animate", "congestion_map", "empty_floor", "floors_sheet", "graph_of", "graph_sheet", "handcrafted_sheet"]
 __all__ += ["policy_colors", "situation_colors", "top_down", "video", "view"]

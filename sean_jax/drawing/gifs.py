@@ -15,8 +15,8 @@ from numpy.typing import ArrayLike
 from sean_jax.core.data_types import Array, Environment, Pedestrians, Robot, Scenario, State, Trajectory
 from sean_jax.drawing import colors, layers
 from sean_jax.graph import BehaviorGraph
-from sean_jax.sensors import Camera, camera, depth, render
 from sean_jax.io.writing import check_file
+from sean_jax.sensors import Camera, camera, depth, render
 
 if TYPE_CHECKING:
     from PIL import Image, ImageDraw, ImageFont

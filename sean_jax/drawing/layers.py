@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sean_jax.core.data_types import Environment, Trajectory
-from sean_jax.drawing import colors
 from sean_jax.core.errors import InputError
+from sean_jax.drawing import colors
 from sean_jax.graph import FLOWS, NO_EDGE, BehaviorGraph
 
 if TYPE_CHECKING:

@@ -18,13 +18,10 @@ import numpy as np
 from rich.console import Console
 from rich.text import Text
 
-from sean_jax.simulation import making
-from sean_jax.config import user_parts
-from sean_jax.io import files, interrupts, trajectories, writing
 from sean_jax import robots, sensors
-from sean_jax.world import generated
+from sean_jax.config import OwnPart, RunConfig, Value, outside, user_parts
+from sean_jax.config.flags import number
 from sean_jax.core.data_types import Policy, PolicyLike, Scenario, State, Trajectory
-from sean_jax.config import OwnPart, RunConfig, Value, outside
 from sean_jax.core.errors import InputError
 from sean_jax.evaluation import compare, results, run_folder
 from sean_jax.evaluation.batches import (
@@ -38,15 +35,17 @@ from sean_jax.evaluation.batches import (
     unfinished_runs,
 )
 from sean_jax.evaluation.results import Evaluation
-from sean_jax.config.flags import number
-from sean_jax.learning.policy import check_policy, load_policies, load_policy
-from sean_jax.metrics import Metric
+from sean_jax.io import files, interrupts, trajectories, writing
 from sean_jax.io.progress import Progress, progress
-from sean_jax.web.replay.live import Live, serve
-from sean_jax.simulation.episode_runner import CHUNK, Callbacks, Runner
-from sean_jax.simulation.scenario_stack import Stack, as_stacks
 from sean_jax.io.versions import fingerprint
 from sean_jax.io.writing import check_new_folder
+from sean_jax.learning.policy import check_policy, load_policies, load_policy
+from sean_jax.metrics import Metric
+from sean_jax.simulation import making
+from sean_jax.simulation.episode_runner import CHUNK, Callbacks, Runner
+from sean_jax.simulation.scenario_stack import Stack, as_stacks
+from sean_jax.web.replay.live import Live, serve
+from sean_jax.world import generated
 
 __all__ = ["Evaluation", "evaluate", "run"]
 

@@ -12,12 +12,12 @@ from jaxtyping import Bool
 from rich.console import Console
 from rich.text import Text
 
-from sean_jax.io import files, writing
 from sean_jax import sensors
-from sean_jax.core.data_types import Array, Scenario, State
 from sean_jax.config import ExportBagConfig
+from sean_jax.core.data_types import Array, Scenario, State
 from sean_jax.core.errors import InputError
 from sean_jax.evaluation.replay_command import Source, read_source, until_terminated
+from sean_jax.io import files, writing
 from sean_jax.io.progress import progress
 from sean_jax.ros import bags, messages
 from sean_jax.simulation.episode_runner import Callbacks, Record, Runner

@@ -24,20 +24,19 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
+from sean_jax.config import RunConfig, user_parts, workspace
+from sean_jax.config.workspace import REMAKE, Workspace
 from sean_jax.core import clock, geometry
-from sean_jax.config import user_parts, workspace
-from sean_jax.people import density
-from sean_jax.io import files, interrupts, trajectories, writing
 from sean_jax.core.data_types import Array, Policy, Scenario, State, Trajectory
-from sean_jax.config import RunConfig
 from sean_jax.core.errors import ControllerError, IncompleteError, InputError
 from sean_jax.graph import graph_of
+from sean_jax.io import files, interrupts, trajectories, writing
+from sean_jax.io.versions import fingerprint, versions
+from sean_jax.io.writing import check_new_folder
+from sean_jax.people import density
 from sean_jax.simulation.episode_runner import Batch, Record, batch_results, not_finite
 from sean_jax.simulation.scenario import frame
 from sean_jax.simulation.scenario_stack import Stack
-from sean_jax.io.versions import fingerprint, versions
-from sean_jax.config.workspace import REMAKE, Workspace
-from sean_jax.io.writing import check_new_folder
 
 FRAMES = 4  # episodes whose frames the report shows
 

@@ -18,16 +18,15 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from sean_jax.config import user_parts
-from sean_jax.io import files, writing
-from sean_jax.web import pages, replay
-from sean_jax.config import CompareConfig, RunConfig, validate
+from sean_jax.config import CompareConfig, RunConfig, user_parts, validate
+from sean_jax.config.flags import command, flag
 from sean_jax.core.errors import InputError
 from sean_jax.evaluation import run_folder
 from sean_jax.evaluation.table import EPISODE_FIGURES, Figure, metric_figure
-from sean_jax.config.flags import command, flag
+from sean_jax.io import files, writing
 from sean_jax.metrics import METRICS
 from sean_jax.metrics.differences import Difference, difference, holm
+from sean_jax.web import pages, replay
 
 UNDRAWN = ("policy", "dynamics", "robot", "metrics", "sensors", "situations", "thresholds", "camera")
 """Options that do not change the draw of an episode."""

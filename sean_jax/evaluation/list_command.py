@@ -10,12 +10,12 @@ from typing import Any
 from rich.console import Console
 from rich.text import Text
 
-from sean_jax.people import behaviors, pedestrian_models
 from sean_jax import classifiers, mdp, metrics, policies, robots, social_forces, tasks
-from sean_jax.world import environment, navigation
-from sean_jax.io import files
 from sean_jax.config import PRESETS
+from sean_jax.io import files
 from sean_jax.learning.policy import AGENTS, describe_agent
+from sean_jax.people import behaviors, pedestrian_models
+from sean_jax.world import environment, navigation
 
 TEXTS = files.read_yaml(Path(__file__).with_suffix(".yaml"))[1]
 

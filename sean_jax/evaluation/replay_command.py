@@ -17,21 +17,20 @@ import numpy as np
 from rich.console import Console
 from rich.text import Text
 
-from sean_jax.simulation import making
-from sean_jax.io import files, writing
-from sean_jax.config import flags
-from sean_jax.web import replay
+from sean_jax.config import CollectConfig, ReplayConfig, RunConfig, flags, validate
 from sean_jax.core.data_types import Array, Policy, Scenario, State, Trajectory
-from sean_jax.config import CollectConfig, ReplayConfig, RunConfig, validate
 from sean_jax.core.errors import InputError
 from sean_jax.evaluation import batches, results, run_folder
+from sean_jax.io import files, writing
+from sean_jax.io.progress import progress
+from sean_jax.io.versions import fingerprint, version_mismatch
 from sean_jax.learning.collection import content, load_driver, stream_floors
 from sean_jax.learning.networks import CONFIG, read_method
 from sean_jax.learning.policy import load, load_policies, read_options
-from sean_jax.io.progress import progress
+from sean_jax.simulation import making
 from sean_jax.simulation.episode_runner import Callbacks, Record, Runner
 from sean_jax.simulation.scenario_stack import Stack
-from sean_jax.io.versions import fingerprint, version_mismatch
+from sean_jax.web import replay
 
 MANIFEST = "dataset.json"
 CURE = "give a folder that `sean run`, `collect`, `train` or `validate` has written."

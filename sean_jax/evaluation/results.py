@@ -19,18 +19,18 @@ import numpy as np
 from rich.console import Console
 
 from sean_jax import drawing, metrics, robots
-from sean_jax.web import pages, replay
-from sean_jax.io import writing
-from sean_jax.core.data_types import Scenario, Trajectory
 from sean_jax.config import RunConfig
+from sean_jax.config.flags import command
+from sean_jax.core.data_types import Scenario, Trajectory
 from sean_jax.drawing.colors import NO_SITUATION, situation_colors
 from sean_jax.drawing.svg import svg
 from sean_jax.evaluation import compare, run_folder, table
 from sean_jax.evaluation.compare import SavedRun
-from sean_jax.config.flags import command
+from sean_jax.io import writing
+from sean_jax.io.versions import versions
 from sean_jax.metrics import Estimate, Metric, aggregate_ratio, resamples
 from sean_jax.metrics.bootstrap import of_count, of_share
-from sean_jax.io.versions import versions
+from sean_jax.web import pages, replay
 
 
 @dataclasses.dataclass

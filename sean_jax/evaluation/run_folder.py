@@ -16,18 +16,17 @@ from typing import Any, NamedTuple
 import numpy as np
 import yaml
 
-from sean_jax.config import user_parts
-from sean_jax.world import environment, generated
-from sean_jax.io import files
-from sean_jax.config import Named, PlaybackBehavior, RunConfig, outside
-from sean_jax.core.errors import FileError, InputError
-from sean_jax.io.files import mjcf
+from sean_jax.config import Named, PlaybackBehavior, RunConfig, outside, user_parts
 from sean_jax.config.flags import command
+from sean_jax.core.bounds import MAX_DURATION, MAX_MAGNITUDE
+from sean_jax.core.errors import FileError, InputError
+from sean_jax.io import files
+from sean_jax.io.files import mjcf
 from sean_jax.learning.policy import AGENTS
 from sean_jax.metrics import METRICS
 from sean_jax.policies import POLICIES
-from sean_jax.core.bounds import MAX_DURATION, MAX_MAGNITUDE
 from sean_jax.robots import ROBOTS
+from sean_jax.world import environment, generated
 
 MAX_COPY = 10_000_000  # bytes of an environment's or a robot's files; more stay where they are
 MAX_FILE = 100_000_000  # bytes of a file, such as a recording

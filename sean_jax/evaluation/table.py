@@ -10,8 +10,8 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from sean_jax.io import files
 from sean_jax.drawing.colors import situation_colors
+from sean_jax.io import files
 from sean_jax.metrics import Metric
 from sean_jax.metrics.metric import MEAN
 

@@ -12,14 +12,14 @@ import numpy as np
 import pydantic
 from jaxtyping import Bool, Float
 
-from sean_jax.io import cache, files
+from sean_jax.core.bounds import Coordinate, Duration, Radius, RelativeChance
 from sean_jax.core.data_types import Array, Environment, Obstacles
 from sean_jax.core.devices import to_device
 from sean_jax.core.geometry import crosses_box, signed_distances_on_host
+from sean_jax.core.padding import in_programs
 from sean_jax.graph.behavior_graph import FLOWS, NO_EDGE, BehaviorGraph, routes
 from sean_jax.graph.formation import reach
-from sean_jax.core.padding import in_programs
-from sean_jax.core.bounds import Coordinate, Duration, Radius, RelativeChance
+from sean_jax.io import cache, files
 
 NODE_CLEARANCE = 0.3  # m, from a node's centre to obstacles and to the floor's edge
 Factor = Annotated[float, pydantic.Field(ge=1e-3, le=1e3)]  # by which the length of an edge is multiplied

@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from sean_jax.io import files
 from sean_jax.core.errors import FileError
+from sean_jax.io import files
 
 PACKAGE = Path(__file__).resolve().parents[1]
 MAX_SIZE, MAX_FILES = 1 << 31, 20_000  # bytes and files in the folder, beyond which the oldest are removed

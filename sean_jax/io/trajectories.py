@@ -16,10 +16,10 @@ import jax
 import numpy as np
 import pydantic
 
-from sean_jax.io import files, writing
+from sean_jax.core.bounds import MAX_COORDINATE, MAX_DURATION, MAX_PEOPLE
 from sean_jax.core.data_types import Trajectory
 from sean_jax.core.errors import FileError, InputError
-from sean_jax.core.bounds import MAX_COORDINATE, MAX_DURATION, MAX_PEOPLE
+from sean_jax.io import files, writing
 
 ROBOT = -1  # the robot's id; people have the numbers 0 to N - 1
 MAX_SPEED = 10_000.0  # m/s

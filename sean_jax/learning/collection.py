@@ -23,27 +23,26 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sean_jax.simulation import making
-from sean_jax.config import user_parts
-from sean_jax.core import devices, random_streams
-from sean_jax.world import navigation, generated
 from sean_jax import robots, sensors
-from sean_jax.io import writing
-from sean_jax.core.data_types import Array, Policy, Scenario, State
-from sean_jax.config import MAX_PIXELS, CollectConfig, HandcraftedBehavior, OwnPart, Value
-from sean_jax.core.errors import InputError
+from sean_jax.config import MAX_PIXELS, CollectConfig, HandcraftedBehavior, OwnPart, Value, user_parts
 from sean_jax.config.flags import command, number
+from sean_jax.config.workspace import CONTENT, refuse_difference, refuse_others
+from sean_jax.core import devices, random_streams
+from sean_jax.core.data_types import Array, Policy, Scenario, State
+from sean_jax.core.errors import InputError
+from sean_jax.io import writing
+from sean_jax.io.progress import ProgressLike, progress
+from sean_jax.io.versions import fingerprint, versions
 from sean_jax.learning import dataset
 from sean_jax.learning.dataset import Dataset, EpisodeBatch, stream_seconds
 from sean_jax.learning.examples import Row, row
 from sean_jax.learning.policy import check_policy, label, labelled, load_policy
-from sean_jax.io.progress import ProgressLike, progress
 from sean_jax.robots.drive import require
+from sean_jax.simulation import making
 from sean_jax.simulation.episode_runner import Callbacks, Record, Runner, batch_size, not_finite
 from sean_jax.simulation.scenario import reset, step
 from sean_jax.simulation.scenario_stack import Stack, as_stacks
-from sean_jax.io.versions import fingerprint, versions
-from sean_jax.config.workspace import CONTENT, refuse_difference, refuse_others
+from sean_jax.world import generated, navigation
 
 # ------------------------------------------------------------------ schedule of streams
 

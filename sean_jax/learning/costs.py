@@ -17,9 +17,9 @@ import numpy as np
 from flax import struct
 from jaxtyping import Float
 
-from sean_jax.io import files
 from sean_jax.core.data_types import Array
 from sean_jax.core.errors import InputError
+from sean_jax.io import files
 from sean_jax.mdp import rewards
 
 LEAST, GREATEST = 1e-3, 1e3  # of a multiplier

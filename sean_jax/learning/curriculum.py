@@ -24,11 +24,11 @@ import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Bool, Float, Int, PyTree
 
-from sean_jax.io import files
 from sean_jax import mdp
 from sean_jax.core.data_types import Array, PolicyLike, State
-from sean_jax.simulation.episodes import init_policy, policy_step
 from sean_jax.core.errors import InputError
+from sean_jax.io import files
+from sean_jax.simulation.episodes import init_policy, policy_step
 
 SOCIAL = ("personal_space", "o_space", "personal_", "intimate_", "collision_", "contact_")
 """Prefixes of rewards whose negative part is the cost that an agent causes to people."""

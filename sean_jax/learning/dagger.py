@@ -18,12 +18,19 @@ import jax
 import jax.numpy as jnp
 import optax
 
-from sean_jax.config import user_parts
-from sean_jax.simulation import episodes
 from sean_jax import mdp
-from sean_jax.io import writing
+from sean_jax.config import (
+    CollectConfig,
+    DaggerConfig,
+    ImitationConfig,
+    Named,
+    ReinforcementConfig,
+    user_parts,
+    validate,
+)
 from sean_jax.core.data_types import Array, Policy
-from sean_jax.config import CollectConfig, DaggerConfig, ImitationConfig, Named, ReinforcementConfig, validate
+from sean_jax.io import writing
+from sean_jax.io.progress import ProgressLike, say
 from sean_jax.learning import collection, imitation, ppo, rollouts
 from sean_jax.learning.dataset import Dataset, open_dataset
 from sean_jax.learning.imitation import TrainState
@@ -31,7 +38,7 @@ from sean_jax.learning.networks import ActorCritic, Agent, NetworkOutput
 from sean_jax.learning.policy import check_policy
 from sean_jax.learning.rollouts import EnvBatch, Envs, Optimization, Transition
 from sean_jax.learning.trainer import check_config, method_config, write_config
-from sean_jax.io.progress import ProgressLike, say
+from sean_jax.simulation import episodes
 from sean_jax.simulation.scenario_stack import Stack
 
 UPDATES = 100  # of ``clone``

@@ -27,14 +27,13 @@ import jax.numpy as jnp
 import numpy as np
 import pydantic
 
-from sean_jax.config import user_parts
-from sean_jax.io import files, writing
+from sean_jax.config import MAX_HOURS, MAX_PIXELS, MAX_RATE, MAX_SHARD, MAX_SIDE, CollectConfig, user_parts, validate
 from sean_jax.core import random_streams
-from sean_jax.config import MAX_HOURS, MAX_PIXELS, MAX_RATE, MAX_SHARD, MAX_SIDE, CollectConfig, validate
+from sean_jax.core.bounds import MAX_DURATION
 from sean_jax.core.errors import FileError, IncompleteError, InputError
+from sean_jax.io import files, writing
 from sean_jax.learning.examples import Recording, Row
 from sean_jax.mdp.observations import PLAN_POINTS
-from sean_jax.core.bounds import MAX_DURATION
 
 Count = Annotated[int, pydantic.Field(ge=0, le=10**9)]
 Positive = Annotated[int, pydantic.Field(ge=1, le=MAX_SHARD)]

@@ -21,8 +21,8 @@ import numpy as np
 from flax import struct
 from jaxtyping import Bool, Float, Int, UInt16
 
-from sean_jax.core import random_streams
 from sean_jax import sensors
+from sean_jax.core import random_streams
 from sean_jax.core.data_types import Array, Scenario, State
 from sean_jax.core.geometry import rotate
 from sean_jax.mdp.observations import plan_ahead

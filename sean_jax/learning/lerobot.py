@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from sean_jax.io import files, writing
 from sean_jax.core.errors import InputError
-from sean_jax.learning.dataset import Dataset, Episode, open_dataset
+from sean_jax.io import files, writing
 from sean_jax.io.writing import check_new_folder
+from sean_jax.learning.dataset import Dataset, Episode, open_dataset
 
 FORMAT = files.read_yaml(Path(__file__).with_suffix(".yaml"))[1]
 EPISODES_IN_FILE = 512

@@ -27,11 +27,11 @@ from flax import struct
 from flax.typing import VariableDict
 from jaxtyping import Bool, Float, UInt16
 
-from sean_jax.core import user_code
-from sean_jax.io import files
-from sean_jax.core.data_types import Array
 from sean_jax.config import MAX_PIXELS, METHODS
+from sean_jax.core import user_code
+from sean_jax.core.data_types import Array
 from sean_jax.core.errors import FileError, InputError
+from sean_jax.io import files
 from sean_jax.learning.dataset import Keys, Names, Side
 from sean_jax.learning.examples import MILLIMETRES, SECONDS
 from sean_jax.mdp import observations

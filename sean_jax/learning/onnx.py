@@ -16,10 +16,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from sean_jax.config import user_parts
-from sean_jax.mdp import registry
-from sean_jax.io import writing
 from sean_jax.core.data_types import Array, RobotModel
 from sean_jax.core.errors import InputError
+from sean_jax.io import writing
+from sean_jax.io.versions import versions
 from sean_jax.learning import networks
 from sean_jax.learning.policy import (
     agent_folder,
@@ -29,10 +29,9 @@ from sean_jax.learning.policy import (
     load_agent,
     read_options,
 )
-from sean_jax.mdp import observations, to_command
+from sean_jax.mdp import observations, registry, to_command
 from sean_jax.robots.drive import max_reverse_speed
 from sean_jax.simulation.scenario import reset
-from sean_jax.io.versions import versions
 
 OPSET, IR_VERSION = 18, 8  # of ONNX 1.13, which runtimes on robots know
 MEMORY, NEXT_MEMORY = "memory", "next_memory"

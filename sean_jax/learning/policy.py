@@ -20,14 +20,7 @@ from flax import linen as nn
 from flax import struct
 from jaxtyping import Float, Int, PyTree
 
-from sean_jax.core import user_code
-from sean_jax.config import user_parts
-from sean_jax.simulation import episodes, team
-from sean_jax.io import files, writing
-from sean_jax.world import navigation
-from sean_jax.mdp import registry
 from sean_jax import sensors
-from sean_jax.core.data_types import SENSING, Array, Policy, PolicyLike, Scenario, State, as_policy
 from sean_jax.classifiers import SITUATION_SETS
 from sean_jax.config import (
     METHODS,
@@ -37,19 +30,25 @@ from sean_jax.config import (
     RunConfig,
     ScenarioConfig,
     outside,
+    user_parts,
     validate,
 )
+from sean_jax.core import user_code
+from sean_jax.core.data_types import SENSING, Array, Policy, PolicyLike, Scenario, State, as_policy
 from sean_jax.core.errors import InputError
+from sean_jax.io import files, writing
+from sean_jax.io.versions import versions
+from sean_jax.io.writing import check_new_folder
 from sean_jax.learning import networks
 from sean_jax.learning.examples import SECONDS, depth_image, plan_ahead
 from sean_jax.learning.networks import CONFIG, ActorCritic, Agent, ConvEncoder, Decision, Network, Weights
-from sean_jax.mdp import observations, to_command
+from sean_jax.mdp import observations, registry, to_command
 from sean_jax.mdp.spaces import Box
 from sean_jax.policies import POLICIES
 from sean_jax.robots.drive import require
+from sean_jax.simulation import episodes, team
 from sean_jax.simulation.scenario import reset
-from sean_jax.io.versions import versions
-from sean_jax.io.writing import check_new_folder
+from sean_jax.world import navigation
 
 
 def load_policy(

@@ -11,8 +11,8 @@ import jax.numpy as jnp
 import optax
 from flax import struct
 
-from sean_jax.core.data_types import Array
 from sean_jax.config import PPOConfig
+from sean_jax.core.data_types import Array
 from sean_jax.learning import networks, rollouts
 from sean_jax.learning.networks import ActorCritic, Agent, NetworkOutput, Statistics, entropy, log_density
 from sean_jax.learning.rollouts import EnvBatch, Envs, Optimization, Transition

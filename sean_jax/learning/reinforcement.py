@@ -26,16 +26,15 @@ from flax import struct
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Float, Int, PyTree
 
-from sean_jax.config import user_parts
-from sean_jax.core import devices, random_streams
 from sean_jax import mdp
-from sean_jax.mdp import registry
-from sean_jax.io import writing
-from sean_jax.core.data_types import Array, Policy, Scenario, State
+from sean_jax.config import ReinforcementConfig, user_parts
+from sean_jax.core import devices, random_streams
 from sean_jax.core.clock import ceil_ticks
-from sean_jax.config import ReinforcementConfig
-from sean_jax.simulation.episodes import init_policy, policy_step
+from sean_jax.core.data_types import Array, Policy, Scenario, State
 from sean_jax.core.errors import InputError
+from sean_jax.core.messages import listed
+from sean_jax.io import writing
+from sean_jax.io.progress import Progress, ProgressLike, progress, say
 from sean_jax.learning import costs as bounds
 from sean_jax.learning import curriculum as curricula
 from sean_jax.learning import dagger, ppo, rollouts, shac, trainer
@@ -45,10 +44,9 @@ from sean_jax.learning.networks import ActorCritic, Agent, init_agents, with_noi
 from sean_jax.learning.policy import Best
 from sean_jax.learning.rollouts import EnvBatch, Envs
 from sean_jax.learning.trainer import Loop, Report, check_config, method_config
-from sean_jax.mdp import rewards
-from sean_jax.core.messages import listed
-from sean_jax.io.progress import Progress, ProgressLike, progress, say
+from sean_jax.mdp import registry, rewards
 from sean_jax.robots.drive import require
+from sean_jax.simulation.episodes import init_policy, policy_step
 from sean_jax.simulation.scenario import reset, results
 from sean_jax.simulation.scenario_stack import Stack
 

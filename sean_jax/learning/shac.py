@@ -21,8 +21,8 @@ from flax.typing import VariableDict
 from jaxtyping import PyTree
 
 from sean_jax import mdp
-from sean_jax.core.data_types import Array, Pedestrians, Scenario, State
 from sean_jax.config import APGConfig
+from sean_jax.core.data_types import Array, Pedestrians, Scenario, State
 from sean_jax.learning import networks, rollouts
 from sean_jax.learning.networks import ActorCritic, Agent, NetworkOutput, draw_action
 from sean_jax.learning.rollouts import EnvBatch, Envs, Optimization, Transition

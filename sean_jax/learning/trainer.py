@@ -24,15 +24,14 @@ import orbax.checkpoint as ocp
 from jax.experimental import multihost_utils
 from orbax.checkpoint.checkpoint_managers import AnyPreservationPolicy, BestN, LatestN
 
-from sean_jax.core import user_code
-from sean_jax.config import user_parts
-from sean_jax.io import files, interrupts, writing
-from sean_jax.config import DaggerConfig, ReinforcementConfig
-from sean_jax.core.errors import IncompleteError, InputError, SeanError
+from sean_jax.config import DaggerConfig, ReinforcementConfig, user_parts
 from sean_jax.config.flags import command
-from sean_jax.learning.networks import CONFIG, named_leaves
-from sean_jax.io.versions import versions
 from sean_jax.config.workspace import CONTENT, read_identity, refuse_difference, refuse_others
+from sean_jax.core import user_code
+from sean_jax.core.errors import IncompleteError, InputError, SeanError
+from sean_jax.io import files, interrupts, writing
+from sean_jax.io.versions import versions
+from sean_jax.learning.networks import CONFIG, named_leaves
 
 METRICS, CURVE = "metrics.jsonl", "curve.png"
 STATE, DIGESTS = "state", "sha256"

@@ -14,11 +14,11 @@ import jax.numpy as jnp
 from flax import struct
 from jaxtyping import Bool, Float, Int, PyTree
 
-from sean_jax.core import user_code, random_streams
-from sean_jax.io import files
-from sean_jax.core.data_types import Array, Scenario, State
 from sean_jax.config import OBSERVED
+from sean_jax.core import random_streams, user_code
+from sean_jax.core.data_types import Array, Scenario, State
 from sean_jax.core.errors import InputError
+from sean_jax.io import files
 from sean_jax.mdp import observations as observing
 from sean_jax.mdp import rewards as rewarding
 from sean_jax.mdp.observations import ObservationLike
@@ -187,7 +187,9 @@ class Env:
         conditions = []
         for _, condition in self.terminations:
             value = rewarding.call("terminations", condition, "scenario, before, after", scenario, before, after)
-            user_code.check_array("terminations", condition, value, bool, (), "compare numbers, and reduce with any or all")
+            user_code.check_array(
+                "terminations", condition, value, bool, (), "compare numbers, and reduce with any or all"
+            )
             conditions.append(value)
         return conditions
 
@@ -241,7 +243,9 @@ class Env:
         choice_key, streams_key = jax.random.split(random_streams.typed(key))
         chosen = _choose(choice_key, self.pool.weights)
         observation, state = jax.tree.map(lambda leaf: leaf[chosen], (self.pool.observations, self.pool.states))
-        return observation, replace(state, simulation=replace(state.simulation, streams=random_streams.streams(streams_key)))
+        return observation, replace(
+            state, simulation=replace(state.simulation, streams=random_streams.streams(streams_key))
+        )
 
 
 def _choose(key: Array, weights: Float[Array, "K"]) -> Int[Array, ""]:

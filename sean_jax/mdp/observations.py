@@ -15,15 +15,15 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Float, Int, PyTree
 
-from sean_jax.core import user_code
-from sean_jax.io import files
-from sean_jax.world import navigation
 from sean_jax import sensors
+from sean_jax.core import user_code
 from sean_jax.core.data_types import SENSING, Array, Scenario, Sensor, State
 from sean_jax.core.errors import InputError
 from sean_jax.core.geometry import from_rectangle, length, nearby_obstacles, rotate
+from sean_jax.io import files
 from sean_jax.mdp.spaces import Box
 from sean_jax.robots.drive import max_reverse_speed
+from sean_jax.world import navigation
 
 NEAREST = 12  # people of the term "people"
 REACH = 8.0  # m, range of the observation

@@ -20,12 +20,12 @@ import jax.numpy as jnp
 import pydantic
 from jaxtyping import Float, PyTree
 
-from sean_jax.core import user_code
-from sean_jax.io import files
-from sean_jax.core.data_types import Array, Scenario
 from sean_jax.config import Bounds, Range
+from sean_jax.core import user_code
+from sean_jax.core.data_types import Array, Scenario
 from sean_jax.core.errors import InputError
 from sean_jax.graph import graph_of
+from sean_jax.io import files
 from sean_jax.sensors import DistanceErrors
 from sean_jax.social_forces import Evasion, Repulsion, RobotRepulsion, Sidestep
 

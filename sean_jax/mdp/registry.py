@@ -8,19 +8,18 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from sean_jax.simulation import making
-from sean_jax.config import user_parts
-from sean_jax.io import files
 from sean_jax import mdp, social_forces, tasks
-from sean_jax.people import pedestrian_models
+from sean_jax.config import USUAL_TASKS, Bounds, Component, EnvConfig, Named, gather, user_parts, validate
 from sean_jax.core.data_types import Scenario
-from sean_jax.config import USUAL_TASKS, Bounds, Component, EnvConfig, Named, gather, validate
 from sean_jax.core.errors import InputError
+from sean_jax.io import files
 from sean_jax.mdp import observations, rewards
 from sean_jax.mdp.env import as_termination
 from sean_jax.mdp.randomization import as_randomization
-from sean_jax.social_forces.presets import is_file
+from sean_jax.people import pedestrian_models
+from sean_jax.simulation import making
 from sean_jax.simulation.scenario_stack import Stack
+from sean_jax.social_forces.presets import is_file
 
 PLACES = ("warehouse", "lab", "outdoor")
 TASKS = {

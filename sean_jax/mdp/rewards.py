@@ -15,16 +15,16 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from sean_jax.core import user_code
-from sean_jax.io import files
 from sean_jax import metrics
-from sean_jax.world import navigation
+from sean_jax.core import user_code
 from sean_jax.core.data_types import Array, Scenario, State
 from sean_jax.core.errors import InputError, PartError
 from sean_jax.core.geometry import length
+from sean_jax.io import files
 from sean_jax.metrics import proximity
 from sean_jax.metrics.proximity import PERSONAL
 from sean_jax.simulation.scenario import snapshot
+from sean_jax.world import navigation
 
 Reward = Callable[[Scenario, State, State], Array]  # (scenario, before, after) -> () number of the step
 Potential = Callable[[Scenario, State], Array]  # (scenario, state) -> () number

@@ -26,7 +26,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int, PyTree
 
-from sean_jax.core import user_code, clock
+from sean_jax.core import clock, user_code
 from sean_jax.core.data_types import Array, Snapshot
 from sean_jax.core.errors import InputError
 

@@ -13,8 +13,8 @@ from flax import struct
 from jaxtyping import Bool, Float, Int
 
 from sean_jax import sensors
-from sean_jax.core.data_types import Array, Scenario, State
 from sean_jax.core.clock import to_ticks
+from sean_jax.core.data_types import Array, Scenario, State
 from sean_jax.core.devices import parameter
 
 WIDTH, HEIGHT = 64, 48  # pixels of the depth image that shows people, each a bit more than a degree

@@ -8,15 +8,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sean_jax.io import files
 from sean_jax.core import padding
 from sean_jax.core.data_types import RobotModel, Scenario
-from sean_jax.world.environment import ENVS
 from sean_jax.core.errors import InputError
+from sean_jax.io import files
 from sean_jax.robots import description
 from sean_jax.robots import dynamics as physics
 from sean_jax.robots.drive import drive_kinematic, drive_mjx, drive_twin, physics_steps, place
 from sean_jax.robots.whole_body import articulated
+from sean_jax.world.environment import ENVS
 
 ROBOTS: dict[str, Path] = {path.stem: path for path in sorted((ENVS / "robots").glob("*.xml"))}
 BACKWARD = {"max_reverse_speed": "max_speed", "max_deceleration": "max_acceleration"}

@@ -8,12 +8,12 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from sean_jax.world import environment
 from sean_jax.core import bounds
 from sean_jax.core.data_types import Lateral, Mount, Solids, Steering
 from sean_jax.core.errors import FileError
 from sean_jax.io.files import mjcf
 from sean_jax.sensors.raycast.view import SHOULDER
+from sean_jax.world import environment
 
 RANGES = {  # minimum, maximum and unit of each number: wider than for any robot among people
     "max_speed": (0.01, 30.0, "m/s"),

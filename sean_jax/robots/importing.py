@@ -18,12 +18,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from sean_jax import robots
-from sean_jax.io import writing
 from sean_jax.core.data_types import Obstacles
 from sean_jax.core.errors import FileError, InputError
+from sean_jax.core.messages import suggest
+from sean_jax.io import writing
 from sean_jax.io.files import read_text, short_name
 from sean_jax.io.files.meshes import MAX_MESH
-from sean_jax.core.messages import suggest
 from sean_jax.robots import links, urdf
 from sean_jax.robots.links import Body, Link, Shape
 

@@ -105,7 +105,9 @@ def _kernel(shape: _Shape, lanes: int, number: Any, *references: Any) -> None:
     def step(index: Any, motion: tuple) -> tuple:
         time_left = model.time_step * (shape.steps - index).astype(person_radius.dtype)
         position, velocity = motion[:COORDINATES], motion[COORDINATES:]
-        position, velocity = twin_step(model, partial(touch, time_left), position, velocity, targets, gpu_kernels.scalars)
+        position, velocity = twin_step(
+            model, partial(touch, time_left), position, velocity, targets, gpu_kernels.scalars
+        )
         return *position, *velocity
 
     motion = jax.lax.fori_loop(0, shape.steps, step, motion)

@@ -18,11 +18,11 @@ import numpy as np
 from flax import struct
 from jaxtyping import Bool, Float, Int, PyTree
 
-from sean_jax.core import user_code, bounds
+from sean_jax.core import bounds, user_code
 from sean_jax.core.data_types import Array, Lateral, Robot, RobotModel, Scenario, State
 from sean_jax.core.errors import FileError, InputError
-from sean_jax.io.files import mjcf
 from sean_jax.core.geometry import rotate, unit_vectors
+from sean_jax.io.files import mjcf
 from sean_jax.robots import description, drive
 from sean_jax.robots.dynamics import kinematic_move, mjx
 

@@ -6,15 +6,15 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from sean_jax.io import files, writing
-from sean_jax.core.data_types import Trajectory
 from sean_jax.core.bounds import MAX_DURATION, check_number
+from sean_jax.core.data_types import Trajectory
+from sean_jax.io import files, writing
+from sean_jax.io.trajectories import save_trajectory
 from sean_jax.people.recordings import headings
 from sean_jax.ros.bag_contents import read
 from sean_jax.ros.bag_episodes import LONGEST_GAP, Stretch, Track, split
 from sean_jax.ros.bags import check_package
 from sean_jax.ros.messages import SECOND
-from sean_jax.io.trajectories import save_trajectory
 
 PEOPLE, ROBOT = "people.csv", "trajectory.csv"  # of an import
 FRAMES = 10  # frame numbers from row to row of people.csv, as in UCY's recordings

@@ -18,19 +18,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sean_jax.simulation import making
-from sean_jax.core import random_streams
-from sean_jax.simulation import scenario as scenarios
-from sean_jax.core.data_types import Array, Policy, Scenario, State, no_memory
 from sean_jax.config import BridgeConfig
+from sean_jax.core import random_streams
+from sean_jax.core.data_types import Array, Policy, Scenario, State, no_memory
 from sean_jax.core.errors import ControllerError, InputError
 from sean_jax.core.geometry import signed_distances_on_host
 from sean_jax.robots.drive import command_size
 from sean_jax.ros import messages
 from sean_jax.ros.names import COMMAND, DEFAULT_NAMES, POSE, RosNames
 from sean_jax.ros.transport import REQUESTS, Log, Mailbox, Output, Request, Transport
-from sean_jax.simulation.episode_runner import first_state, varying_leaves
 from sean_jax.sensors import SENSORS, sense
+from sean_jax.simulation import making
+from sean_jax.simulation import scenario as scenarios
+from sean_jax.simulation.episode_runner import first_state, varying_leaves
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from sean_jax.core.errors import InputError
 from sean_jax.core.bounds import parse_digits
+from sean_jax.core.errors import InputError
 from sean_jax.ros.messages import fill, typestore
 from sean_jax.ros.transport import Mailbox, Output
 

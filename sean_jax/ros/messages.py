@@ -22,12 +22,12 @@ from jaxtyping import Bool, Float, Int
 from numpy.typing import ArrayLike
 from PIL import Image
 
-from sean_jax.world import ros_map
 from sean_jax import sensors
-from sean_jax.world import navigation as paths
 from sean_jax.core.data_types import Array, Groups, Pedestrians, Scenario, Sensor, State
-from sean_jax.simulation.scenario import results
 from sean_jax.sensors import Camera, Lidar, focal_length, sense
+from sean_jax.simulation.scenario import results
+from sean_jax.world import navigation as paths
+from sean_jax.world import ros_map
 
 Message = dict[str, Any]
 Naming = Literal["ros", "sean"]

@@ -25,10 +25,10 @@ from websockets.asyncio.server import ServerConnection
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
-from sean_jax.web import local_server
 from sean_jax.core.errors import InputError
 from sean_jax.core.messages import parse_json
 from sean_jax.ros.transport import Mailbox, Output
+from sean_jax.web import local_server
 
 CONNECTIONS = 128
 LONGEST = 65_536  # bytes of a message from a client
@@ -312,7 +312,9 @@ def _address(place: str) -> tuple[str, int]:
         if not 0 <= int(port) < 65_536:
             raise ValueError
     except ValueError:
-        raise InputError(f"rosbridge: {place} is no address and port; give one such as {local_server.HOST}:9090.") from None
+        raise InputError(
+            f"rosbridge: {place} is no address and port; give one such as {local_server.HOST}:9090."
+        ) from None
     return host, int(port)
 
 

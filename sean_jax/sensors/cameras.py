@@ -16,9 +16,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from sean_jax.io import files
 from sean_jax.core.data_types import Array, RobotModel, Scenario, Solids, State
 from sean_jax.core.errors import InputError
+from sean_jax.io import files
 from sean_jax.sensors.raycast import SHOULDER, Rays, View, bundle, by_rows, distance, make_view, search
 
 OVERHEAD = "overhead"

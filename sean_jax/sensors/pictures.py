@@ -17,9 +17,9 @@ from jaxtyping import Float, Int
 
 from sean_jax.core.data_types import PATTERNS, Array, Scenario, Scenery, Solids, State
 from sean_jax.core.geometry import rotate
-from sean_jax.sensors.raycast import MISS, Rays, View, along, attach, by_rows, search_behind, surface
 from sean_jax.sensors import person_figure
 from sean_jax.sensors.cameras import Camera, rays, sensor_view
+from sean_jax.sensors.raycast import MISS, Rays, View, along, attach, by_rows, search_behind, surface
 
 SKY, FLOOR, OBSTACLE, PERSON, ROBOT = range(5)
 CLASSES = ("sky", "floor", "obstacle", "person", "robot")

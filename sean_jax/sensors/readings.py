@@ -20,11 +20,11 @@ import pydantic
 from flax import struct
 from jaxtyping import Bool, Float, Int, Shaped
 
-from sean_jax.core import user_code, clock
-from sean_jax.io import files
+from sean_jax.core import clock, user_code
 from sean_jax.core.data_types import Array, RobotModel, Scenario, Sensor, State
 from sean_jax.core.devices import to_device
 from sean_jax.core.errors import InputError
+from sean_jax.io import files
 from sean_jax.sensors.cameras import VLP16, VLP16_DEVIATION, Camera, Lidar, camera, depth, lidar, scan
 from sean_jax.sensors.pictures import render
 

@@ -22,9 +22,9 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import PyTree
 
 from sean_jax.core import clock, devices, random_streams
+from sean_jax.core.data_types import Array, Policy, PolicyLike, RobotTask, Scenario, State, as_policy
 from sean_jax.io import interrupts
 from sean_jax.simulation import team
-from sean_jax.core.data_types import Array, Policy, PolicyLike, RobotTask, Scenario, State, as_policy
 from sean_jax.simulation.episodes import init_policy, policy_step
 from sean_jax.simulation.scenario import reset, results
 from sean_jax.simulation.scenario_stack import Stack, as_stacks

@@ -15,11 +15,11 @@ from flax import struct
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Float, PyTree
 
-from sean_jax.core import user_code, random_streams
+from sean_jax.core import random_streams, user_code
 from sean_jax.core.data_types import Array, Policy, PolicyLike, Scenario, State, as_policy, no_memory
 from sean_jax.core.errors import InputError
-from sean_jax.robots.other_robots import with_bodies
 from sean_jax.robots.drive import command_size
+from sean_jax.robots.other_robots import with_bodies
 from sean_jax.simulation.scenario import frame, reset, step
 
 

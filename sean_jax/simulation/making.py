@@ -12,15 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sean_jax.people import behaviors, pedestrian_models
-from sean_jax.io import cache, files
-from sean_jax.core import user_code, bounds
 from sean_jax import classifiers, metrics, robots, sensors, social_forces, tasks
-from sean_jax.config import user_parts
-from sean_jax.world import navigation, generated
-from sean_jax.simulation import team
-from sean_jax.world import environment as environments
-from sean_jax.core.data_types import Array, Behavior, RobotModel, Scenario
 from sean_jax.config import (
     Component,
     CustomTask,
@@ -32,13 +24,21 @@ from sean_jax.config import (
     ScenarioConfig,
     Value,
     gather,
+    user_parts,
     validate,
 )  # fmt: skip
+from sean_jax.core import bounds, user_code
+from sean_jax.core.data_types import Array, Behavior, RobotModel, Scenario
 from sean_jax.core.errors import InputError
 from sean_jax.core.messages import listed, shorten
+from sean_jax.io import cache, files
+from sean_jax.people import behaviors, pedestrian_models
 from sean_jax.people.recordings import check_clock
+from sean_jax.simulation import team
 from sean_jax.simulation.scenario import direct_pedestrians, measure, move_pedestrians, reset, results
 from sean_jax.simulation.scenario_stack import Stack, as_stacks, stack, with_common_shapes
+from sean_jax.world import environment as environments
+from sean_jax.world import generated, navigation
 
 MAX_SITUATIONS = 20  # the time in each of their 2 ** 20 sets is counted
 PARTS = ("behavior", "model", "forces", "situations", "metrics", "sensors")  # that a scenario calls
@@ -236,7 +236,9 @@ def make_tables(options: str, *folders: str) -> None:
 
 def _made(options: str, folder: Path) -> Path:
     """The file in the user's cache that says that the tables of a folder are there."""
-    digest = hashlib.sha256((options + cache.source("world/navigation", "people/behaviors", "graph", "world/environment")).encode())
+    digest = hashlib.sha256(
+        (options + cache.source("world/navigation", "people/behaviors", "graph", "world/environment")).encode()
+    )
     for path in environments.sources(folder):
         digest.update(files.read_bytes(path))
     return cache.folder() / "tables" / f"{digest.hexdigest()[:32]}.made"

@@ -6,8 +6,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from sean_jax.core import user_code, clock, random_streams
-from sean_jax.world import navigation as paths
+from sean_jax.core import clock, random_streams, user_code
 from sean_jax.core.data_types import (
     Array,
     Groups,
@@ -21,6 +20,7 @@ from sean_jax.core.data_types import (
 )
 from sean_jax.core.geometry import ground_velocity, length, rotate
 from sean_jax.social_forces import individualize
+from sean_jax.world import navigation as paths
 
 NOWHERE = 1e4  # m, where the robot is while people warm up
 WARM_UP = 1  # folded into the key of an episode after its warm-up
@@ -39,7 +39,9 @@ def reset(scenario: Scenario, key: Array) -> State:
     begin = scenario.behavior.reset
     people = user_code.call("behavior", begin, "scenario, key", scenario, people_key)
     if not isinstance(people, tuple) or len(people) != 3:
-        raise user_code.wrong("behavior", begin, user_code.describe(people), "(pedestrians, groups, memory)", "give all three")
+        raise user_code.wrong(
+            "behavior", begin, user_code.describe(people), "(pedestrians, groups, memory)", "give all three"
+        )
     pedestrians, groups, memory = people
     user_code.check_type("behavior", begin, pedestrians, Pedestrians, N=scenario.people)
     user_code.check_type("behavior", begin, groups, Groups)
@@ -103,7 +105,8 @@ def _begin(
     state = classify(scenario, state)
     now = snapshot(scenario, state)
     return replace(
-        state, metrics={name: user_code.call("metrics", metric.init, "snapshot", now) for name, metric in scenario.metrics}
+        state,
+        metrics={name: user_code.call("metrics", metric.init, "snapshot", now) for name, metric in scenario.metrics},
     )
 
 
@@ -257,7 +260,8 @@ def results(scenario: Scenario, state: State) -> dict[str, Array]:
     Source: section IV-H.
     """
     return {
-        name: user_code.call("metrics", metric.compute, "value", state.metrics[name]) for name, metric in scenario.metrics
+        name: user_code.call("metrics", metric.compute, "value", state.metrics[name])
+        for name, metric in scenario.metrics
     }
 
 

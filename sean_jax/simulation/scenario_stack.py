@@ -17,8 +17,8 @@ from jaxtyping import Int, PyTree
 
 from sean_jax.core.data_types import Array, Scenario
 from sean_jax.core.devices import to_device
-from sean_jax.graph import graph_of
 from sean_jax.core.padding import common_sizes, join_tables, pad
+from sean_jax.graph import graph_of
 
 T = TypeVar("T")
 

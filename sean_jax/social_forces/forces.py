@@ -29,7 +29,7 @@ from flax import struct
 from jax.core import Tracer
 from jaxtyping import Bool, Float, Int
 
-from sean_jax.core import user_code, bounds
+from sean_jax.core import bounds, user_code
 from sean_jax.core.data_types import Array, Groups, ObstacleGrid, Pedestrians, Robot
 from sean_jax.core.errors import InputError
 from sean_jax.core.geometry import length, rotate, unit

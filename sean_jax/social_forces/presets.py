@@ -21,8 +21,8 @@ import numpy as np
 import pydantic
 import yaml
 
-from sean_jax.io import files
 from sean_jax.core.errors import FileError, InputError
+from sean_jax.io import files
 from sean_jax.social_forces import terms, walls
 from sean_jax.social_forces.forces import Forces, Term, Walking, class_name, collect
 from sean_jax.social_forces.reactions import Reactions

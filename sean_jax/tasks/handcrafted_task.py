@@ -8,14 +8,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from sean_jax.io import cache, files
 from sean_jax import robots
-from sean_jax.world import navigation as paths
 from sean_jax.core.data_types import Array, Groups, Pedestrians, RobotTask, Scenario
 from sean_jax.core.errors import InputError
 from sean_jax.core.geometry import signed_distances_on_host, unit_vectors
+from sean_jax.io import cache, files
 from sean_jax.people.handcrafted import Sets
 from sean_jax.tasks.task import build_task, requires
+from sean_jax.world import navigation as paths
 
 
 def check_room(scenario: Scenario) -> None:

@@ -9,11 +9,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Bool, Float, Int
 
-from sean_jax.world import navigation as paths
 from sean_jax.core.data_types import Array, Groups, PathsToGoal, Pedestrians, RobotTask, Scenario
-from sean_jax.world.environment import clearance
 from sean_jax.core.geometry import unit_vectors
 from sean_jax.tasks.task import build_task, requires
+from sean_jax.world import navigation as paths
+from sean_jax.world.environment import clearance
 
 RING = 5.0  # m, from the person in the middle of the largest cluster (SEAN 2.0)
 SNAP = 1.0  # m, by which a place may be off the ring (SEAN 2.0)

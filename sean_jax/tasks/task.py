@@ -10,13 +10,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int, PyTree
 
-from sean_jax.io import cache
 from sean_jax import robots
-from sean_jax.world import navigation as paths
+from sean_jax.core.bounds import MAX_COORDINATE, check_number
 from sean_jax.core.data_types import Array, Groups, PathsToGoal, Pedestrians, RobotTask, Scenario
 from sean_jax.core.errors import InputError
 from sean_jax.core.geometry import signed_distances_on_host, unit_vectors
-from sean_jax.core.bounds import MAX_COORDINATE, check_number
+from sean_jax.io import cache
+from sean_jax.world import navigation as paths
 
 Task = TypeVar("Task", bound=Callable[..., RobotTask])
 

@@ -132,7 +132,9 @@ class Log:
 
     def __init__(self) -> None:
         self._told = set[str]()
-        self.logger = logging.Logger("sean_jax.web.local_server", logging.CRITICAL + 1)  # the tracebacks of websockets are no news
+        self.logger = logging.Logger(
+            "sean_jax.web.local_server", logging.CRITICAL + 1
+        )  # the tracebacks of websockets are no news
 
     def tell(self, what: str, error: BaseException) -> None:
         """One line about an error that nobody expected."""

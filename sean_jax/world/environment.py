@@ -15,13 +15,13 @@ import pydantic
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from sean_jax.io import files
+from sean_jax.core.bounds import MAX_COORDINATE, MAX_FLOOR_SIDE, MAX_OBSTACLES, MAX_PEOPLE, Coordinate
 from sean_jax.core.data_types import PATTERNS, Array, Environment, Obstacles, Scenery, Solids
 from sean_jax.core.devices import to_device
 from sean_jax.core.errors import FileError, InputError
-from sean_jax.io.files import mjcf
 from sean_jax.core.geometry import build_obstacle_grid, signed_distances, signed_distances_on_host
-from sean_jax.core.bounds import MAX_COORDINATE, MAX_FLOOR_SIDE, MAX_OBSTACLES, MAX_PEOPLE, Coordinate
+from sean_jax.io import files
+from sean_jax.io.files import mjcf
 
 HERE = Path(__file__).resolve().parents[1]
 # Beside the package in a checkout, inside it once installed.

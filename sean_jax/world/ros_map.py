@@ -19,12 +19,12 @@ import numpy as np
 import pydantic
 from PIL import Image, UnidentifiedImageError
 
-from sean_jax.world import environment as environments
-from sean_jax.io import files, writing
 from sean_jax.core import bounds
+from sean_jax.core.bounds import MAX_FLOOR_SIDE, MAX_OBSTACLES, Coordinate
 from sean_jax.core.data_types import Environment, Obstacles
 from sean_jax.core.errors import FileError, InputError
-from sean_jax.core.bounds import MAX_FLOOR_SIDE, MAX_OBSTACLES, Coordinate
+from sean_jax.io import files, writing
+from sean_jax.world import environment as environments
 
 MIN_AGREEMENT = 0.995  # share of cells that are equal in the map and in the boxes
 SLIVER_SHARE = 0.2  # of the cells that may differ: so many slivers along larger boxes are left out at most

@@ -16,12 +16,12 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from sean_jax.core import random_streams
 from sean_jax.config import Figure4Config
+from sean_jax.config.workspace import Workspace
+from sean_jax.core import random_streams
 from sean_jax.learning.policy import load_policy
 from sean_jax.simulation.episode_runner import Record, Runner
 from sean_jax.studies.experiments import figure4
-from sean_jax.config.workspace import Workspace
 from support import trees
 from support.checkout import ROOT, benchmark
 from support.commands import python

@@ -12,8 +12,8 @@ import pytest
 
 import sean_jax
 from sean_jax import classifiers
-from sean_jax.core.data_types import Obstacles
 from sean_jax.classifiers import MORE_SITUATIONS, SEAN2_SITUATIONS, SITUATIONS
+from sean_jax.core.data_types import Obstacles
 from support.checkout import ROOT
 from support.people import people_at, snapshot_of
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from sean_jax import classifiers
-from sean_jax.core.data_types import Obstacles, Snapshot
 from sean_jax.classifiers import more_situations
+from sean_jax.core.data_types import Obstacles, Snapshot
 from support.people import people_at, snapshot_of
 
 NAMES = ("collision_course", "hurrying", "occlusion", "activity_space")

@@ -21,10 +21,10 @@ from jax.errors import JaxRuntimeError
 from rich.console import Console
 
 from sean_jax import __version__, learning
-from sean_jax.simulation import making
 from sean_jax.cli import bench, command_line, xla_flags
 from sean_jax.io import cache, interrupts
 from sean_jax.io import progress as progress_of
+from sean_jax.simulation import making
 from support import programs
 from support.commands import python
 from support.files import write
@@ -189,7 +189,9 @@ def test_a_refused_command_leaves_no_trace(commands, capsys, monkeypatch, tmp_pa
     (Path("kept") / "letter.txt").write_text("dear")
     before = found()
     for command in commands:
-        code = command_line.main([*command, *([] if command[0] in ("draw", "import-map", "import-robot") else ["--quiet"])])
+        code = command_line.main(
+            [*command, *([] if command[0] in ("draw", "import-map", "import-robot") else ["--quiet"])]
+        )
         error = capsys.readouterr().err
         assert code == 2 and error.startswith("sean: ") and len(error.splitlines()) == 1, (command, code, error)
         assert found() == before, command

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from sean_jax.io import cache
 from sean_jax.cli import command_line, doctor
+from sean_jax.io import cache
 
 
 def by_name() -> dict[str, doctor.Finding]:

@@ -11,11 +11,8 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from sean_jax.cli import command_line
 from sean_jax import config, drawing
-from sean_jax.config import flags
-from sean_jax.io import writing
-from sean_jax.world import environment as environments
+from sean_jax.cli import command_line
 from sean_jax.config import (
     COMMANDS,
     CollectConfig,
@@ -24,8 +21,11 @@ from sean_jax.config import (
     RunConfig,
     ScenarioConfig,
     family_of,
+    flags,
 )  # fmt: skip
 from sean_jax.core.errors import InputError
+from sean_jax.io import writing
+from sean_jax.world import environment as environments
 from support.files import write_all
 
 WORDS = ("warehouse", "-minus", "two words", "a'b", "[bold]x", ":smile:", "ümlaut", "--flag", "$HOME", "x=y", "7")

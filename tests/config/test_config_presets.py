@@ -15,8 +15,6 @@ import yaml
 import sean_jax
 from sean_jax import classifiers, robots, social_forces
 from sean_jax.cli import command_line
-from sean_jax.config import flags
-from sean_jax.simulation.making import build
 from sean_jax.config import (
     PRESETS,
     CollectConfig,
@@ -26,8 +24,10 @@ from sean_jax.config import (
     RandomBehavior,
     RunConfig,
     ScenarioConfig,
+    flags,
     validate,
 )
+from sean_jax.simulation.making import build
 from support import trees
 from support.checkout import ROOT
 

@@ -18,16 +18,24 @@ import pytest
 import yaml
 
 import sean_jax
-from sean_jax.cli import command_line
-from sean_jax.config import user_parts, flags
 from sean_jax import config, learning
-from sean_jax.config import BenchmarkConfig, CollectConfig, Figure4Config, RunConfig, Table1Config, ValidateConfig
+from sean_jax.cli import command_line
+from sean_jax.config import (
+    BenchmarkConfig,
+    CollectConfig,
+    Figure4Config,
+    RunConfig,
+    Table1Config,
+    ValidateConfig,
+    flags,
+    user_parts,
+)
+from sean_jax.config.workspace import Workspace, identity
 from sean_jax.core.errors import InputError
 from sean_jax.evaluation.run_folder import read_config
 from sean_jax.learning import dataset
 from sean_jax.learning.policy import AGENTS
 from sean_jax.studies.validation import checks
-from sean_jax.config.workspace import Workspace, identity
 from support.checkout import ROOT
 from support.files import write, write_all
 

@@ -7,14 +7,13 @@ from pathlib import Path
 import pytest
 import yaml
 
-from sean_jax.simulation import making
-from sean_jax.cli import command_line
-from sean_jax.config import user_parts, flags
 from sean_jax import config, registry
-from sean_jax.config import COMMANDS, PPOConfig, RunConfig, ScenarioConfig, StudioConfig, core
+from sean_jax.cli import command_line
+from sean_jax.config import COMMANDS, PPOConfig, RunConfig, ScenarioConfig, StudioConfig, core, flags, user_parts
 from sean_jax.core.errors import FileError, InputError
 from sean_jax.evaluation.run_folder import read_config
 from sean_jax.learning import policy, reinforcement
+from sean_jax.simulation import making
 from sean_jax.studies.experiments import benchmark
 from sean_jax.studies.validation import checks
 from support.checkout import callers

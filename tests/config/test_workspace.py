@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from sean_jax.core.errors import FileError, InputError, WriteError
 from sean_jax.config.workspace import Workspace, difference, value_text
+from sean_jax.core.errors import FileError, InputError, WriteError
 
 NOW = {"options": {"seed": 0, "task_distance": (4.0, 20.0)}, "versions": {"jax": "1"}, "parts": {"my.py": "a"}}
 

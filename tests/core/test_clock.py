@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 import sean_jax
-from sean_jax.core import clock
 from sean_jax import robots, sensors
+from sean_jax.core import clock
 from sean_jax.people.behaviors import graph_behavior
 from sean_jax.robots.drive import active_command
 from sean_jax.simulation.scenario import finish

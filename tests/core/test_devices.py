@@ -14,12 +14,12 @@ import pytest
 from jax.sharding import Mesh
 
 import sean_jax
-from sean_jax.core import devices
-from sean_jax.simulation import episodes
 from sean_jax import learning
+from sean_jax.core import devices
 from sean_jax.core.data_types import Policy
 from sean_jax.learning import reinforcement, rollouts
 from sean_jax.policies import go_to_goal
+from sean_jax.simulation import episodes
 from support.commands import cpu_devices, python
 from support.scenes import room
 

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 import sean_jax
-from sean_jax.simulation import episodes
 from sean_jax import gradients
+from sean_jax.simulation import episodes
 from support import trees
 
 STEPS = 11

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 import sean_jax
-from sean_jax.simulation import episodes, episode_runner
-from sean_jax.core import random_streams
 from sean_jax import sensors
+from sean_jax.core import random_streams
 from sean_jax.core.data_types import as_policy
-from sean_jax.simulation.episodes import init_policy, policy_step
 from sean_jax.policies import POLICIES
+from sean_jax.simulation import episode_runner, episodes
+from sean_jax.simulation.episodes import init_policy, policy_step
 from sean_jax.simulation.scenario_stack import Stack
 from support.draws import noisy, still
 from support.quick import quick
@@ -160,7 +160,11 @@ def test_uses_of_one_seed_share_no_episode():
     assert len(np.unique(found, axis=0)) == len(found) == (len(random_streams.USES) + 1) * 600
     numbers = [random_streams.stream_id(use) for use in random_streams.USES]
     assert len(set(numbers)) == len(numbers) and min(numbers) > 10**6
-    first = {random_streams.generator(use, 0, *more).integers(2**60) for use in random_streams.USES for more in ((), (0,), (1,))}
+    first = {
+        random_streams.generator(use, 0, *more).integers(2**60)
+        for use in random_streams.USES
+        for more in ((), (0,), (1,))
+    }
     assert len(first) == 3 * len(random_streams.USES)
     with pytest.raises(ValueError, match="'walk' is not one of run, collect"):
         random_streams.key("walk", 0)
@@ -192,4 +196,6 @@ def test_keys_of_both_kinds_can_be_mixed():
         state = jax.eval_shape(env.reset, old)[1]
         after = jax.eval_shape(env.step, new, state, jax.numpy.zeros(2))[1]
         assert jax.tree.map(lambda leaf: leaf.dtype, after) == jax.tree.map(lambda leaf: leaf.dtype, step)
-    assert (jax.random.key_data(random_streams.typed(jax.random.PRNGKey(7))) == jax.random.key_data(jax.random.key(7))).all()
+    assert (
+        jax.random.key_data(random_streams.typed(jax.random.PRNGKey(7))) == jax.random.key_data(jax.random.key(7))
+    ).all()

@@ -7,10 +7,9 @@ from pathlib import Path
 import pytest
 
 import sean_jax
-from sean_jax.cli import command_line
-from sean_jax.config import user_parts
 from sean_jax import mdp
-from sean_jax.config import OwnPart
+from sean_jax.cli import command_line
+from sean_jax.config import OwnPart, user_parts
 from sean_jax.core.errors import PartError
 from sean_jax.learning.policy import load_policy
 

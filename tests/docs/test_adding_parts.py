@@ -14,15 +14,15 @@ import numpy as np
 import pytest
 
 import sean_jax
-from sean_jax.people import behaviors, pedestrian_models
 from sean_jax import classifiers, metrics, policies, robots, social_forces, tasks
-from sean_jax.cli import command_line
-from sean_jax.world import environment as environments
-from sean_jax.core.data_types import Behavior, Pedestrians
-from sean_jax.people.behaviors.starts import no_groups
 from sean_jax.classifiers.predicates import any_person, cosine, near
+from sean_jax.cli import command_line
+from sean_jax.core.data_types import Behavior, Pedestrians
+from sean_jax.people import behaviors, pedestrian_models
+from sean_jax.people.behaviors.starts import no_groups
 from sean_jax.social_forces import draw_traits
 from sean_jax.tasks.random_tasks import far_place
+from sean_jax.world import environment as environments
 from support import programs
 from support.checkout import ROOT
 from support.robot_files import PUCK

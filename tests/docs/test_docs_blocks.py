@@ -134,7 +134,9 @@ def test_commands_parse(page, words, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     _, word, *arguments = shlex.split(words, comments=True)
     model = command_line._model([word, *arguments])
-    given = flags.parse(word, model, arguments, configurable=word in command_line.CONFIGURABLE, trust=word in command_line.READERS)
+    given = flags.parse(
+        word, model, arguments, configurable=word in command_line.CONFIGURABLE, trust=word in command_line.READERS
+    )
     if getattr(given, "config", None) is None:
         flags.read(model, given)
 

@@ -7,11 +7,11 @@ import numpy as np
 import pydantic
 import pytest
 
-from sean_jax.world import environment
-from sean_jax.io.files import mjcf
 from sean_jax.graph import annotation as graph
+from sean_jax.io.files import mjcf
 from sean_jax.people.handcrafted import annotation as handcrafted
 from sean_jax.robots import description
+from sean_jax.world import environment
 from support.checkout import ROOT
 from support.files import write_all
 

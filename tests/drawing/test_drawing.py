@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from sean_jax import drawing
-from sean_jax.drawing import colors, layers
 from sean_jax.core.errors import InputError
+from sean_jax.drawing import colors, layers
 from support.drawn import STEPS, Graph, environment, frames, shade_at
 
 

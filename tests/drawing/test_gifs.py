@@ -12,8 +12,8 @@ from PIL import Image
 from sean_jax import drawing, sensors
 from sean_jax.core.data_types import Array
 from sean_jax.drawing import gifs
-from sean_jax.world.environment import plain_scenery
 from sean_jax.simulation.scenario import frame
+from sean_jax.world.environment import plain_scenery
 from support import programs
 
 

@@ -12,16 +12,16 @@ import pytest
 import scipy.stats
 from rich.console import Console
 
-from sean_jax.cli import command_line
 from sean_jax import metrics
-from sean_jax.web import replay
 from sean_jax.classifiers import SITUATION_SETS
+from sean_jax.cli import command_line
 from sean_jax.config import CompareConfig
 from sean_jax.core.errors import InputError
 from sean_jax.evaluation import compare, table
 from sean_jax.io.files.reading import MAX_BYTES
 from sean_jax.metrics import METRICS
 from sean_jax.metrics.differences import difference, holm, p_value
+from sean_jax.web import replay
 from support.runs import NAMES, run
 
 

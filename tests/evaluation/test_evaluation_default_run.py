@@ -10,9 +10,9 @@ import yaml
 
 import sean_jax
 from sean_jax.cli import command_line
-from sean_jax.world.environment import clearance
 from sean_jax.evaluation import run_folder
 from sean_jax.policies import go_to_goal
+from sean_jax.world.environment import clearance
 from support.commands import python
 
 pytestmark = pytest.mark.slow

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 import sean_jax
-from sean_jax.cli import command_line
-from sean_jax.core import random_streams
 from sean_jax import scenes
+from sean_jax.cli import command_line
 from sean_jax.config import PPOConfig
+from sean_jax.core import random_streams
 from sean_jax.people.recordings import Tracks
 from sean_jax.studies.validation.page import trajectory
 from support.replays import played

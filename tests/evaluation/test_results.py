@@ -11,11 +11,11 @@ import pytest
 import scipy.stats
 from rich.console import Console
 
-from sean_jax.web import pages
 from sean_jax.config import RunConfig
 from sean_jax.core.errors import InputError
 from sean_jax.evaluation import compare, results, table
 from sean_jax.evaluation import run as start
+from sean_jax.web import pages
 from support.reports import EPISODES, NAMES, evaluation, page
 from support.runs import run
 

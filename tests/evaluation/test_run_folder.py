@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from sean_jax.cli import command_line
-from sean_jax.world import environment
 from sean_jax.config import RunConfig, validate
 from sean_jax.core.errors import InputError
 from sean_jax.evaluation import compare, replay_command, run_folder
+from sean_jax.world import environment
 from support import mjcf
 from support.files import write
 

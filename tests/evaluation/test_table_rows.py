@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from sean_jax.web import pages
 from sean_jax.config import BenchmarkRankConfig, ValidateConfig
 from sean_jax.evaluation import results, table
 from sean_jax.studies.experiments import page, pictures, ranks
+from sean_jax.studies.survey import report
 from sean_jax.studies.validation import page as validation_page
 from sean_jax.studies.validation.checks import Model, Row
-from sean_jax.studies.survey import report
+from sean_jax.web import pages
 from support.benchmark_results import entry
 from support.checks import made_check
 from support.reports import NAMES, evaluation

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 import yaml
 
-from sean_jax.world import environment
 from sean_jax.graph import annotation, formation
 from sean_jax.graph.behavior_graph import (
     FLOWS,
@@ -23,6 +22,7 @@ from sean_jax.graph.behavior_graph import (
     hop_log_chances,
     rerouted,
 )
+from sean_jax.world import environment
 
 BACK = {"forward": "backward", "backward": "forward"}
 

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 import yaml
 
-from sean_jax.world import environment
-from sean_jax.io import files
 from sean_jax.core.errors import FileError
 from sean_jax.graph import FLOWS, BehaviorGraph, annotation
 from sean_jax.graph.behavior_graph import routes
 from sean_jax.graph.formation import MEASURED, formation, reach
+from sean_jax.io import files
+from sean_jax.world import environment
 from support import programs
 from support.graphs import assert_routes
 from support.scenes import box, room

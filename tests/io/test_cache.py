@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 import sean_jax
+from sean_jax.graph.annotation import PERSON
 from sean_jax.io import cache
-from sean_jax.world import environment, navigation
 from sean_jax.people import handcrafted
 from sean_jax.people.behaviors import Place, random_behavior, starts
-from sean_jax.graph.annotation import PERSON
+from sean_jax.world import environment, navigation
 from sean_jax.world.navigation import tables
 from support.commands import python
 from support.scenes import BENCH, box, room

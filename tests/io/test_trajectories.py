@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import sean_jax
-from sean_jax.core.data_types import Trajectory
 from sean_jax.config import RunConfig
+from sean_jax.core.data_types import Trajectory
 from sean_jax.core.errors import FileError, InputError
 from sean_jax.io.files.reading import MAX_BYTES
 from sean_jax.io.trajectories import BLOCK_ROWS, COLUMNS, load_trajectory, save_trajectory, trajectory_writer

@@ -9,8 +9,8 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from sean_jax.io import writing
 from sean_jax.core.errors import WriteError
+from sean_jax.io import writing
 
 
 def names(folder) -> list[str]:

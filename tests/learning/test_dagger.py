@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 import sean_jax
-from sean_jax.cli import command_line
-from sean_jax.simulation import episodes
 from sean_jax import learning
+from sean_jax.cli import command_line
 from sean_jax.config import DaggerConfig
 from sean_jax.core.errors import InputError
 from sean_jax.learning import dagger, dataset
 from sean_jax.learning.dataset import open_dataset, split
 from sean_jax.learning.policy import NOISE_TIME, label, labelled
+from sean_jax.simulation import episodes
 from support import learning_data
 
 SMALL = "--environment lab --behavior random --people 2 --dynamics twin --time-limit 3 --width 8 --height 8 --quiet"

@@ -13,15 +13,15 @@ import pytest
 from PIL import Image
 
 from sean_jax.cli import command_line
-from sean_jax.world import environment
-from sean_jax.io import writing
 from sean_jax.config import CollectConfig, Figure4Config, ImitationConfig, validate
 from sean_jax.core.errors import IncompleteError, InputError
+from sean_jax.io import writing
 from sean_jax.learning import collection, dataset, lerobot
 from sean_jax.learning.collection import Recorder
 from sean_jax.learning.dataset import check_manifest, open_dataset, open_datasets, split
 from sean_jax.learning.examples import Loader, Token, example
 from sean_jax.learning.networks import read_network_config
+from sean_jax.world import environment
 from support import learning_data
 from support.checkout import DATA, benchmark
 from support.files import contents, write

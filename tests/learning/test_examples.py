@@ -7,11 +7,9 @@ import jax
 import numpy as np
 import pytest
 
-from sean_jax.config import flags
-from sean_jax.core import random_streams
-from sean_jax.simulation import episode_runner
 from sean_jax import sensors
-from sean_jax.config import CollectConfig, GraphBehavior, gather, validate
+from sean_jax.config import CollectConfig, GraphBehavior, flags, gather, validate
+from sean_jax.core import random_streams
 from sean_jax.core.errors import InputError
 from sean_jax.learning import dataset, examples
 from sean_jax.learning.collection import (
@@ -23,6 +21,7 @@ from sean_jax.learning.collection import (
     simulate_shard,
     streams,
 )
+from sean_jax.simulation import episode_runner
 from sean_jax.simulation.scenario import reset
 from support import learning_data, trees
 

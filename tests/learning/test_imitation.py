@@ -13,11 +13,10 @@ import numpy as np
 import pytest
 
 from sean_jax.cli import command_line
-from sean_jax.core import devices, random_streams
-from sean_jax.simulation import episodes
-from sean_jax.io import writing
 from sean_jax.config import ImitationConfig, PPOConfig
+from sean_jax.core import devices, random_streams
 from sean_jax.core.errors import IncompleteError, InputError
+from sean_jax.io import writing
 from sean_jax.learning import imitation, reinforcement, trainer
 from sean_jax.learning.collection import row_record, simulate_shard
 from sean_jax.learning.dataset import on_device, split
@@ -25,6 +24,7 @@ from sean_jax.learning.examples import example
 from sean_jax.learning.networks import Network
 from sean_jax.learning.policy import load_imitation
 from sean_jax.learning.trainer import Checkpoints, Log
+from sean_jax.simulation import episodes
 from sean_jax.simulation.episode_runner import Runner
 from support import learning_data, trees
 

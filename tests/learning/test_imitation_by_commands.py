@@ -7,10 +7,10 @@ import jax
 import numpy as np
 import pytest
 
-from sean_jax.cli import command_line
-from sean_jax.simulation import episodes
 from sean_jax import learning
+from sean_jax.cli import command_line
 from sean_jax.learning.dataset import open_dataset
+from sean_jax.simulation import episodes
 from support import learning_data
 from support.commands import cpu_devices, python
 

@@ -7,14 +7,13 @@ import pytest
 from scipy.stats import norm
 
 import sean_jax
-from sean_jax.config import user_parts
-from sean_jax.simulation import episodes
 from sean_jax import learning, registry
-from sean_jax.config import APGConfig, PPOConfig
+from sean_jax.config import APGConfig, PPOConfig, user_parts
 from sean_jax.core.errors import InputError, PartError
 from sean_jax.learning import networks, reinforcement
 from sean_jax.learning.networks import AttentionEncoder, ConvEncoder, NetworkOutput
 from sean_jax.learning.policy import agent_network, check_policy, load_policy, save_agent
+from sean_jax.simulation import episodes
 
 SMALL = dict(
     environment="lab", behavior="random", people=3, time_limit=4.0, scenarios=4, horizon=4, minibatches=2, width=16,

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 import sean_jax
-from sean_jax.cli import command_line
 from sean_jax import learning, mdp, registry
+from sean_jax.cli import command_line
 from sean_jax.config import PPOConfig
 from sean_jax.core.errors import InputError
 from sean_jax.learning import networks, onnx

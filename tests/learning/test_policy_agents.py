@@ -13,8 +13,8 @@ import pytest
 import yaml
 
 import sean_jax
-from sean_jax.cli import command_line
 from sean_jax import learning
+from sean_jax.cli import command_line
 from sean_jax.config import PPOConfig, validate
 from sean_jax.core.errors import FileError, InputError
 from sean_jax.learning.policy import AGENTS, MAX_WEIGHTS_BYTES, WEIGHTS, load_agent, load_policy, save_agent

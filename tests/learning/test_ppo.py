@@ -14,10 +14,9 @@ import numpy as np
 import pytest
 
 import sean_jax
-from sean_jax.cli import command_line
-from sean_jax.config import flags
 from sean_jax import learning, mdp, registry
-from sean_jax.config import APGConfig, PPOConfig
+from sean_jax.cli import command_line
+from sean_jax.config import APGConfig, PPOConfig, flags
 from sean_jax.core.errors import InputError
 from sean_jax.learning import networks, ppo, reinforcement, rollouts, shac
 from sean_jax.learning.networks import ActorCritic, Agent, Statistics
@@ -807,7 +806,10 @@ def test_what_the_critic_alone_sees_never_reaches_the_actor(several):
 )
 def test_bad_agents(words, message, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert command_line.main(["train", "ppo", "--environment", "lab", "--behavior", "random", "--people", "2", *words]) == 2
+    assert (
+        command_line.main(["train", "ppo", "--environment", "lab", "--behavior", "random", "--people", "2", *words])
+        == 2
+    )
     assert message in " ".join(capsys.readouterr().err.split())
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import sean_jax
-from sean_jax import metrics, robots, mdp, registry
+from sean_jax import mdp, metrics, registry, robots
 from sean_jax.core import random_streams
 from sean_jax.core.errors import InputError
 from sean_jax.mdp import REWARDS, Env, delayed, make_env, of_metric, rewards, stacked
@@ -180,7 +180,9 @@ def test_no_metrics_change_nothing_but_the_work(env, episodes):
     *outcome, info = jax.jit(steps)(bare, unmeasured)
     assert info["metrics"] == {} and np.asarray(terminated | truncated).any()
     expected = seen, replace(after, simulation=replace(after.simulation, metrics={})), reward, terminated, truncated
-    for ours, theirs in zip(*map(jax.tree.leaves, (random_streams.as_numbers(outcome), random_streams.as_numbers(expected))), strict=True):
+    for ours, theirs in zip(
+        *map(jax.tree.leaves, (random_streams.as_numbers(outcome), random_streams.as_numbers(expected))), strict=True
+    ):
         exact = not jnp.issubdtype(ours.dtype, jnp.floating)
         np.testing.assert_allclose(ours, theirs, rtol=0.0 if exact else 1e-5, atol=0.0 if exact else 1e-5)
     sizes = [len(jax.make_jaxpr(steps)(*given).jaxpr.eqns) for given in ((env, before), (bare, unmeasured))]

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 import sean_jax
-from sean_jax.simulation import making
 from sean_jax import mdp, registry, sensors
 from sean_jax.config import EnvConfig, PPOConfig, validate
 from sean_jax.core.errors import InputError
 from sean_jax.learning import reinforcement
 from sean_jax.mdp import Env, as_randomization, make_env
 from sean_jax.mdp.observations import FAR_LIDAR
+from sean_jax.simulation import making
 
 SET = "worlds:passages:2"
 FILE = """\

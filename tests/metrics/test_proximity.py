@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from sean_jax import metrics
-from sean_jax.world import navigation
-from sean_jax.simulation import scenario as scenario_module
 from sean_jax.core.data_types import Obstacles
 from sean_jax.metrics.proximity import collision_time, obstacle_distance
+from sean_jax.simulation import scenario as scenario_module
+from sean_jax.world import navigation
 from support import metric_values, programs
 from support import shortest_paths as oracle
 from support.checkout import ROOT

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import sean_jax
-from sean_jax.people import density
 from sean_jax import drawing
 from sean_jax.core.data_types import Trajectory
 from sean_jax.drawing import colors
+from sean_jax.people import density
 from support import drawn
 
 STEPS, PEOPLE = 57, 9

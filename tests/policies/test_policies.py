@@ -12,10 +12,8 @@ import numpy as np
 import pytest
 
 import sean_jax
-from sean_jax.cli import command_line
-from sean_jax.simulation import episodes
-from sean_jax.world import navigation
 from sean_jax import robots
+from sean_jax.cli import command_line
 from sean_jax.core.data_types import Groups, Policy
 from sean_jax.evaluation.list_command import choices
 from sean_jax.learning.policy import AGENTS
@@ -25,6 +23,8 @@ from sean_jax.policies.costmap import proxemic_cost
 from sean_jax.policies.expert import plan_limits
 from sean_jax.policies.known_people import known_people
 from sean_jax.policies.sensing_expert import sensing_expert
+from sean_jax.simulation import episodes
+from sean_jax.world import navigation
 from support import programs, scenes
 from support.quick import quick
 

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 import sean_jax
-from sean_jax.simulation import episodes
 from sean_jax.policies import POLICIES, dwa, mppi, social_force
 from sean_jax.policies.dwa import FORBIDDEN, INTERVAL, PEOPLE_MARGIN, STEPS, objective, window
 from sean_jax.policies.expert import OBSTACLE_MARGIN
 from sean_jax.policies.mppi import weighted_mean
+from sean_jax.simulation import episodes
 from support.scenes import box, room
 
 NAMES = ("dwa", "social_force", "mppi")

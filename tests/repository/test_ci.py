@@ -1,15 +1,14 @@
 """What CI runs: its jobs are legs of .ci/run that exist, and their shards are all tests, each of them once."""
 
-from support.checkout import ROOT
 import re
 import subprocess
-from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 import yaml
 
 from support import sharding
+from support.checkout import ROOT
 
 pytestmark = pytest.mark.form
 RUN = (ROOT / ".ci" / "run").read_text(encoding="utf-8")

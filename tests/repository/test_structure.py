@@ -383,8 +383,7 @@ def test_readme_and_ci_run_the_same_test_command():
 def test_readme_names_options_that_exist():
     """Of ``sean run`` or of the command in the same line."""
     from sean_jax.cli import command_line
-    from sean_jax.config import flags
-    from sean_jax.config import COMMANDS
+    from sean_jax.config import COMMANDS, flags
 
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     known: dict[str, set[str]] = {}

@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 
 import sean_jax
-from sean_jax.simulation import episodes
+from sean_jax import mdp, robots
 from sean_jax.core import geometry
-from sean_jax import robots, mdp
-from sean_jax.io import trajectories
 from sean_jax.core.data_types import Trajectory
 from sean_jax.core.errors import FileError, InputError
+from sean_jax.io import trajectories
 from sean_jax.learning.policy import load_policy
 from sean_jax.policies import POLICIES
 from sean_jax.robots import drive
+from sean_jax.simulation import episodes
 from support import driving, scenes
 from support.driving import TIME_STEP
 

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import sean_jax
-from sean_jax.simulation import making
 from sean_jax import robots
 from sean_jax.core.data_types import Obstacles
 from sean_jax.robots.dynamics import person_contact
+from sean_jax.simulation import making
 from support.driving import PERSON_RADIUS, RADIUS, TIME_STEP, rollout, run, world
 
 LANES, PEOPLE, STEPS = 24, 16, 12

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sean_jax.cli import command_line
 from sean_jax import robots
+from sean_jax.cli import command_line
 from sean_jax.core.errors import InputError
-from sean_jax.io.files.meshes import MAX_ELEMENTS, rotation, vertices, xml_tree
 from sean_jax.core.messages import MAX_DEPTH
+from sean_jax.io.files.meshes import MAX_ELEMENTS, rotation, vertices, xml_tree
 from sean_jax.robots import importing, links, urdf
 from sean_jax.robots.importing import Settings, import_robot
 from support import robot_files

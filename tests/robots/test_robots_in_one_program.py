@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 import sean_jax
-from sean_jax.simulation import making, scenario_stack
-from sean_jax import reset, robots, sense, step, registry
-from sean_jax.world import generated
+from sean_jax import registry, reset, robots, sense, step
 from sean_jax.config import EnvConfig, ScenarioConfig, validate
-from sean_jax.world.environment import ENVS
 from sean_jax.core.errors import InputError
 from sean_jax.robots import kernel
+from sean_jax.simulation import making, scenario_stack
+from sean_jax.world import generated
+from sean_jax.world.environment import ENVS
 from support import programs
 
 SET, NAMES = "worlds:passages,aisles,square:3", ("kuri", "turtlebot3", "jackal")

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from sean_jax.cli import command_line
-from sean_jax.people import recordings
 from sean_jax.core.errors import FileError
-from sean_jax.ros import bag_contents, bag_files, bag_import, messages
 from sean_jax.io.trajectories import load_trajectory
+from sean_jax.people import recordings
+from sean_jax.ros import bag_contents, bag_files, bag_import, messages
 
 pytest.importorskip("rosbags")
 SECOND = messages.SECOND

@@ -20,7 +20,6 @@ from rich.console import Console
 
 import sean_jax
 from sean_jax import evaluation, sensors
-from sean_jax.web import local_server
 from sean_jax.config import BridgeConfig, Named, RunConfig, outside, validate
 from sean_jax.core.errors import ControllerError, InputError
 from sean_jax.evaluation import results
@@ -30,6 +29,7 @@ from sean_jax.ros import bridge, messages, ros1, rosbridge
 from sean_jax.ros.names import RosNames
 from sean_jax.ros.transport import REQUESTS, Log, Mailbox, Output, read_pose
 from sean_jax.simulation.scenario_stack import as_stacks
+from sean_jax.web import local_server
 from support.commands import python, wait
 
 pytest.importorskip("websockets")
@@ -184,7 +184,9 @@ def finished(scenario, missed):
     """A batch of one episode, whose metrics are 1 where a run measures them."""
     one = lambda tree: jax.tree.map(lambda leaf: np.ones((1, *leaf.shape), leaf.dtype), tree)  # noqa: E731
     state = jax.eval_shape(sean_jax.reset, scenario, jax.random.key(0))
-    metrics = one(jax.eval_shape(sean_jax.simulation.scenario.results, scenario, state)) | {evaluation.MISSED: np.array([missed])}
+    metrics = one(jax.eval_shape(sean_jax.simulation.scenario.results, scenario, state)) | {
+        evaluation.MISSED: np.array([missed])
+    }
     counts = np.zeros((2, 3), np.int32)
     totals = Totals(counts, counts, counts, counts[0], np.float32(0.0), counts[0])
     yes, no, steps = np.array([True]), np.array([False]), np.array([8], np.int32)
@@ -194,7 +196,9 @@ def finished(scenario, missed):
 @pytest.mark.parametrize(("missed", "column"), [((0, 2), ["0", "2"]), ((0, 0), None)])
 def test_episodes_csv_has_a_column_of_missed_commands_if_there_are_any(scenario, tmp_path, missed, column):
     batches = [finished(scenario, number) for number in missed]
-    policy = sean_jax.core.data_types.Policy(jax.numpy.zeros(2), "ros1:", sean_jax.core.data_types.no_memory, bridge._command)
+    policy = sean_jax.core.data_types.Policy(
+        jax.numpy.zeros(2), "ros1:", sean_jax.core.data_types.no_memory, bridge._command
+    )
     joined = evaluation._join(as_stacks(scenario), policy, batches, 2, 0, 0.0)
     results.write_episodes(tmp_path / "episodes.csv", joined)
     with open(tmp_path / "episodes.csv", newline="") as file:

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from sean_jax.core import random_streams
-from sean_jax.simulation import scenario as scenarios
 from sean_jax.config import BridgeConfig
+from sean_jax.core import random_streams
 from sean_jax.core.errors import ControllerError
 from sean_jax.core.geometry import signed_distances_on_host
 from sean_jax.ros import bridge, messages
 from sean_jax.ros.transport import Log
+from sean_jax.simulation import scenario as scenarios
 from support.commands import wait
 
 pytest.importorskip("rosbags")

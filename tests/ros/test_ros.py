@@ -20,17 +20,17 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import sean_jax
-from sean_jax.cli import command_line
-from sean_jax.world import environment, ros_map
-from sean_jax.people import recordings
 from sean_jax import sensors
+from sean_jax.cli import command_line
 from sean_jax.core.errors import InputError
 from sean_jax.core.geometry import signed_distances_on_host
+from sean_jax.io.trajectories import load_trajectory
+from sean_jax.people import recordings
 from sean_jax.ros import bag_contents, bag_episodes, bag_import, bags, messages
 from sean_jax.simulation.scenario import snapshot
 from sean_jax.studies.calibration.windows import find
 from sean_jax.studies.prediction import read_windows
-from sean_jax.io.trajectories import load_trajectory
+from sean_jax.world import environment, ros_map
 from support.scenes import box, room
 
 pytest.importorskip("rosbags")

@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 
 from sean_jax.core.errors import InputError
-from sean_jax.ros.ros1 import DEBIAN, import_rospy
 from sean_jax.io.trajectories import load_trajectory
+from sean_jax.ros.ros1 import DEBIAN, import_rospy
 from support.checkout import ROOT
 from support.commands import output, python, wait
 

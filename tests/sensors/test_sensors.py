@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 
 import sean_jax
-from sean_jax.world import environment
 from sean_jax import robots, sensors
 from sean_jax.core.data_types import PATTERNS, Obstacles, Sensor
-from sean_jax.world.environment import ENVS, plain_scenery
 from sean_jax.core.errors import InputError
 from sean_jax.sensors import cameras, person_figure, pictures
+from sean_jax.world import environment
+from sean_jax.world.environment import ENVS, plain_scenery
 from support import programs
 from support.quick import quick
 from support.rays import mujoco_distances, mujoco_hits

@@ -15,17 +15,17 @@ import jax
 import numpy as np
 import pytest
 
-from sean_jax.simulation import making
-from sean_jax.cli import command_line
 from sean_jax import drawing, evaluation
-from sean_jax.io import writing
-from sean_jax.core.data_types import Trajectory
+from sean_jax.cli import command_line
 from sean_jax.config import RunConfig, gather, validate
+from sean_jax.core.data_types import Trajectory
 from sean_jax.core.errors import FileError, InputError
 from sean_jax.evaluation import batches
+from sean_jax.io import writing
 from sean_jax.io.progress import Progress
-from sean_jax.simulation.episode_runner import Callbacks, Runner
 from sean_jax.io.trajectories import load_trajectory
+from sean_jax.simulation import making
+from sean_jax.simulation.episode_runner import Callbacks, Runner
 from support.files import contents, write
 from support.runs import at_second_batch
 

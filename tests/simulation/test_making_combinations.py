@@ -16,14 +16,14 @@ import numpy as np
 import pytest
 
 import sean_jax
-from sean_jax.world import environment as environments
-from sean_jax.simulation.making import with_task
 from sean_jax.people.behaviors import BEHAVIORS
-from sean_jax.world.environment import clearance
 from sean_jax.robots import ROBOTS
 from sean_jax.robots.drive import command_size
+from sean_jax.simulation.making import with_task
 from sean_jax.simulation.scenario import reset
 from sean_jax.tasks import TASKS
+from sean_jax.world import environment as environments
+from sean_jax.world.environment import clearance
 
 ENVIRONMENTS = environments.available()
 USUAL = "warehouse"  # that other tests build as well, once for all

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import sean_jax
-from sean_jax.world.environment import clearance
 from sean_jax.policies import go_to_goal
+from sean_jax.world.environment import clearance
 from support import programs, trees
 from support.quick import quick
 

@@ -13,20 +13,20 @@ import numpy as np
 import pytest
 
 import sean_jax
-from sean_jax import classifiers, metrics, social_forces, sensors
-from sean_jax.simulation import episodes
-from sean_jax.core import geometry
-from sean_jax.world import navigation
-from sean_jax.core.data_types import Obstacles, Pedestrians, Policy, Snapshot
+from sean_jax import classifiers, metrics, sensors, social_forces
 from sean_jax.classifiers import more_situations, predicates
+from sean_jax.core import geometry
+from sean_jax.core.data_types import Obstacles, Pedestrians, Policy, Snapshot
 from sean_jax.core.geometry import build_obstacle_grid
-from sean_jax.people.orca_solver import VelocityProgram, best_velocity, half_plane
 from sean_jax.metrics import proximity
+from sean_jax.people.orca_solver import VelocityProgram, best_velocity, half_plane
 from sean_jax.people.pedestrian_models import MODELS
 from sean_jax.policies import POLICIES, social_costmap
 from sean_jax.policies.costmap import proxemic_cost
 from sean_jax.policies.prediction import predict_people
+from sean_jax.simulation import episodes
 from sean_jax.social_forces import PRESETS, Pair, terms, walls
+from sean_jax.world import navigation
 from support.state_sweep import NUMBER, PEOPLE, SWEPT, TINY, directions, floats, gaps, met, speeds, state_of, states
 
 

@@ -10,10 +10,10 @@ import pytest
 
 import sean_jax
 from sean_jax import sensors
-from sean_jax.simulation.making import with_task
 from sean_jax.classifiers import SITUATION_SETS, THRESHOLD_SETS
 from sean_jax.people.pedestrian_models import MODELS
 from sean_jax.policies import POLICIES
+from sean_jax.simulation.making import with_task
 from sean_jax.simulation.scenario import reset
 from sean_jax.social_forces import PRESETS
 from support.quick import quick
@@ -157,4 +157,6 @@ def test_sean_with_nobody(tmp_path, yard, capsys):
     assert command_line.main(run) == 0, capsys.readouterr().err
     assert (tmp_path / "run" / "report.html").stat().st_size > 10_000
     small = ["--width", "16", "--height", "12", "--hours", "0.002", "--batch", "2"]
-    assert command_line.main(["collect", *common, *small, "--out", str(tmp_path / "data")]) == 0, capsys.readouterr().err
+    assert command_line.main(["collect", *common, *small, "--out", str(tmp_path / "data")]) == 0, (
+        capsys.readouterr().err
+    )

@@ -16,18 +16,18 @@ import pytest
 
 import sean_jax
 from sean_jax import classifiers, metrics
+from sean_jax.classifiers import predicates
+from sean_jax.graph import annotation, behavior_graph
 from sean_jax.io import files
-from sean_jax.world import environment as environments
-from sean_jax.simulation.making import with_task
 from sean_jax.people.behaviors import BEHAVIORS
 from sean_jax.people.behaviors.graph_choices import MAX_WAIT
-from sean_jax.classifiers import predicates
-from sean_jax.world.environment import clearance
-from sean_jax.graph import annotation, behavior_graph
 from sean_jax.policies import go_to_goal
+from sean_jax.simulation.making import with_task
 from sean_jax.simulation.scenario import frame
 from sean_jax.social_forces import integrate
 from sean_jax.tasks import TASKS
+from sean_jax.world import environment as environments
+from sean_jax.world.environment import clearance
 from support import programs
 from support.scenes import room
 from support.situations import AHEAD, BACK, LEFT, NAMES, occurring, snapshot, turned
@@ -303,7 +303,9 @@ def one_walker(scenario, places):
     """People at those places, the first walking along +x and the second along -x."""
     number = jnp.float32
     facing = jnp.array([[1.0, 0.0], [-1.0, 0.0]], number)
-    two = jax.tree.map(lambda leaf: leaf[:2], sean_jax.core.data_types.Pedestrians(*snapshot().people.__dict__.values()))
+    two = jax.tree.map(
+        lambda leaf: leaf[:2], sean_jax.core.data_types.Pedestrians(*snapshot().people.__dict__.values())
+    )
     return dataclasses.replace(
         two, position=jnp.array(places, number), velocity=1.3 * facing, heading=facing, desired_velocity=1.3 * facing,
         preferred_speed=jnp.full(2, 1.3, number), group=jnp.full(2, -1, jnp.int32), present=jnp.ones(2, bool),

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 import sean_jax
-from sean_jax import classifiers, robots, social_forces, sensors
-from sean_jax.people import pedestrian_models
+from sean_jax import classifiers, robots, sensors, social_forces
 from sean_jax.core.data_types import Policy
-from sean_jax.simulation.episodes import init_policy, policy_step
+from sean_jax.people import pedestrian_models
 from sean_jax.policies import POLICIES
 from sean_jax.robots.drive import command_size
+from sean_jax.simulation.episodes import init_policy, policy_step
 from support import programs
 from support.quick import quick
 

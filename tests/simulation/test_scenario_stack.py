@@ -13,22 +13,22 @@ import numpy as np
 import pytest
 
 import sean_jax
-from sean_jax.simulation import making, episode_runner, scenario_stack
+from sean_jax import registry, reset, step
 from sean_jax.cli import command_line
-from sean_jax.core import devices, gpu_kernels, padding
-from sean_jax.world import environment, generated
-from sean_jax import reset, step, registry
-from sean_jax.core.data_types import FAR, ObstacleGrid, Obstacles, PathsToGoal, Solids
-from sean_jax.people.behaviors import graph_behavior, random_behavior
 from sean_jax.config import EnvConfig, PPOConfig, RunConfig, ScenarioConfig, validate
+from sean_jax.core import devices, gpu_kernels, padding
+from sean_jax.core.data_types import FAR, ObstacleGrid, Obstacles, PathsToGoal, Solids
 from sean_jax.core.errors import InputError
 from sean_jax.evaluation import run_folder
 from sean_jax.graph import BehaviorGraph
 from sean_jax.learning import rollouts
 from sean_jax.learning.policy import load_policy
+from sean_jax.people.behaviors import graph_behavior, random_behavior
+from sean_jax.policies import POLICIES, go_to_goal
+from sean_jax.simulation import episode_runner, making, scenario_stack
+from sean_jax.world import environment, generated
 from sean_jax.world.navigation import Navigation, draw_places
 from sean_jax.world.navigation.arcs import CornerArcs
-from sean_jax.policies import POLICIES, go_to_goal
 from support.replays import played
 from support.runs import at_second_batch
 
@@ -86,7 +86,9 @@ def test_a_member_is_its_floor(floors):
         alone = sean_jax.make(str(generated.find(SET)[number]), people=20, task="join_group")
         count = alone.environment.obstacles.yaw.shape[0]
         np.testing.assert_array_equal(member.environment.obstacles.center[:count], alone.environment.obstacles.center)
-        assert (np.asarray(member.environment.obstacles.center[count:]) == FAR).all() and name in str(generated.find(SET))
+        assert (np.asarray(member.environment.obstacles.center[count:]) == FAR).all() and name in str(
+            generated.find(SET)
+        )
     some = floors.take(np.array([2, 0, 2]))
     np.testing.assert_array_equal(some.at(1).environment.floor, floors.at(0).environment.floor)
     np.testing.assert_array_equal(some.member.environment.floor, floors.at(2).environment.floor)
@@ -219,7 +221,9 @@ def test_a_kernel_gets_a_row_for_each_floor():
         shapes.append([each.shape[0] for each in operands])
         total = max(shapes[-1])
         scenarios = jax.lax.iota(jnp.int32, total)
-        return (sum(jax.vmap(lambda i, each=each: each[gpu_kernels.row(each, i, total)])(scenarios) for each in operands),)
+        return (
+            sum(jax.vmap(lambda i, each=each: each[gpu_kernels.row(each, i, total)])(scenarios) for each in operands),
+        )
 
     def one(floor, lane, shared):
         return gpu_kernels.batch(call, 1)(floor[None, None], lane[None, None], shared[None, None])[0][0, 0]

@@ -13,16 +13,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sean_jax.simulation import making
-from sean_jax.cli import command_line
-from sean_jax import evaluation, make, make_team, metrics, reset, rollout, social_forces, step, sensors, team
+from sean_jax import evaluation, make, make_team, metrics, reset, rollout, sensors, social_forces, step, team
 from sean_jax.adapters.multi_agent import TeamEnv
-from sean_jax.core.data_types import Robot, Scenario, State
+from sean_jax.cli import command_line
 from sean_jax.config import RunConfig, validate
-from sean_jax.robots.other_robots import with_bodies
+from sean_jax.core.data_types import Robot, Scenario, State
 from sean_jax.people.pedestrian_models import orca, pedestrians_at
 from sean_jax.policies import POLICIES
 from sean_jax.robots import ROBOTS
+from sean_jax.robots.other_robots import with_bodies
+from sean_jax.simulation import making
 from sean_jax.simulation.episode_runner import Callbacks, Runner
 from sean_jax.simulation.scenario import snapshot
 from sean_jax.simulation.scenario_stack import Stack

@@ -11,8 +11,8 @@ import pytest
 from scipy import stats
 
 import sean_jax
-from sean_jax.core import random_streams
 from sean_jax import social_forces
+from sean_jax.core import random_streams
 from sean_jax.core.data_types import Groups, Robot, Traits
 from sean_jax.social_forces import Headway, Noise, individualize, model
 from sean_jax.social_forces.forces import Crowd, look_direction

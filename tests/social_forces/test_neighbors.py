@@ -8,9 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sean_jax.core import gpu_kernels
 from sean_jax import social_forces
 from sean_jax.cli.bench import workload
+from sean_jax.core import gpu_kernels
 from sean_jax.social_forces import Crowd, Pair, kernel, model, neighbors
 from sean_jax.social_forces.forces import look_direction
 from sean_jax.social_forces.neighbors import sum_pairs

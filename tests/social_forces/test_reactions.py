@@ -10,11 +10,11 @@ import pytest
 
 import sean_jax
 from sean_jax import classifiers, metrics, social_forces
-from sean_jax.simulation import episodes
 from sean_jax.core.data_types import Obstacles, Robot, Snapshot
 from sean_jax.core.errors import FileError, InputError
 from sean_jax.people.pedestrian_models import pedestrians_at
 from sean_jax.policies import POLICIES
+from sean_jax.simulation import episodes
 from sean_jax.social_forces import Kind, Reactions, preset
 from sean_jax.studies.prediction import predict
 from support import trees

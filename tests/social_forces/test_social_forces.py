@@ -15,10 +15,10 @@ from flax import struct
 from scipy import stats
 
 import sean_jax
-from sean_jax.core import gpu_kernels
 from sean_jax import social_forces
-from sean_jax.core.data_types import Groups, Pedestrians, Robot
 from sean_jax.cli.bench import workload
+from sean_jax.core import gpu_kernels
+from sean_jax.core.data_types import Groups, Pedestrians, Robot
 from sean_jax.core.errors import InputError
 from sean_jax.policies import go_to_goal
 from sean_jax.social_forces import Contact, Pair, kernel, model, terms

@@ -77,7 +77,11 @@ READERS = {
     "code": ("config/user_parts.py _bytes",),
     "training": ("evaluation/run_folder.py read_config", "config/learning.py EnvConfig.identity"),
     "csv": ("io/trajectories.py _Csv.read", "io/trajectories.py _header"),
-    "parquet": ("io/trajectories.py _Parquet.read", "io/trajectories.py _Parquet.read.blocks", "io/trajectories.py _header"),
+    "parquet": (
+        "io/trajectories.py _Parquet.read",
+        "io/trajectories.py _Parquet.read.blocks",
+        "io/trajectories.py _header",
+    ),
     "batch": ("evaluation/batches.py RunFolder.load",),
     "cache": ("io/cache.py _read",),
     "result": ("studies/experiments/benchmark.py check", "studies/experiments/benchmark.py read_track"),
@@ -667,8 +671,8 @@ OPTIONS = {
 
 def load_options(folder: Path) -> Any:
     """The numbers that ``make`` is given; words are the command line's to check, and no file is."""
-    from sean_jax.simulation import making
     from sean_jax.io import files
+    from sean_jax.simulation import making
 
     given = files.read_json(folder / "options.json")
     if not isinstance(given, dict):
@@ -693,8 +697,7 @@ def described() -> bytes:
 def load_config(folder: Path) -> Any:
     """What `sean run --config` understands; parts are not made, for a file may name a program."""
     from sean_jax.cli import command_line
-    from sean_jax.config import flags
-    from sean_jax.config import RunConfig
+    from sean_jax.config import RunConfig, flags
 
     words = ["--config", str(folder / "config.yaml")]
     return command_line._read(RunConfig, flags.parse("run", RunConfig, words, configurable=True)).identity()
@@ -716,8 +719,8 @@ def load_code(folder: Path) -> Any:
     """A run whose policy is code that its file names, with its digest or that of ``CODE``: it is only read."""
     import hashlib
 
-    from sean_jax.config import user_parts
     from sean_jax import config
+    from sean_jax.config import user_parts
     from sean_jax.core.errors import InputError
     from sean_jax.evaluation.run_folder import read_config
 
@@ -841,7 +844,9 @@ def answered(folder: Path) -> dict[str, bytes]:
     folder.mkdir()
     (folder / "study.yaml").write_text(STUDY)
     described = study.read(folder / "study.yaml")
-    links = mock.patch("sean_jax.studies.survey.answers.secrets.token_urlsafe", side_effect=(f"{k:022}" for k in range(10)))
+    links = mock.patch(
+        "sean_jax.studies.survey.answers.secrets.token_urlsafe", side_effect=(f"{k:022}" for k in range(10))
+    )
     clock = mock.patch("sean_jax.studies.survey.answers.time.time", side_effect=(1.7e9 + k for k in range(10_000)))
     with links, clock:  # so that the bytes are the same again
         fill(folder, described)
@@ -1039,8 +1044,7 @@ def load_companions(folder: Path) -> Any:
 
 def load_training(folder: Path) -> Any:
     from sean_jax.cli import command_line
-    from sean_jax.config import flags
-    from sean_jax.config import PPOConfig
+    from sean_jax.config import PPOConfig, flags
 
     words = ["ppo", "--config", str(folder / "config.yaml")]
     command_line._read(PPOConfig, flags.parse("train", PPOConfig, words, configurable=True)).identity()
@@ -1117,8 +1121,8 @@ def kinds(folder: Path) -> dict[str, Kind]:
     """Every kind of input, each with how many of a hundred mutants are of it."""
     import numpy as np
 
-    from sean_jax.world.environment import ENVS
     from sean_jax.learning.policy import AGENTS
+    from sean_jax.world.environment import ENVS
     from support.robot_files import CART, ROVER
 
     NUMBERS.update(ranges=np.arange(40.0).reshape(5, 8), marks=np.array([True, False]))
@@ -1236,8 +1240,8 @@ def bag(folder: Path, form: str) -> dict[str, bytes]:
 
 def load_bag(folder: Path) -> Any:
     """The trajectory and the recording of a bag, as they are read again."""
-    from sean_jax.people import recordings
     from sean_jax.io import trajectories
+    from sean_jax.people import recordings
     from sean_jax.ros import bag_import
 
     if (folder / "metadata.yaml").is_symlink() or (folder / "metadata.yaml").exists():

@@ -3,8 +3,8 @@
 import networkx
 import numpy as np
 
-from sean_jax.world import environment as environments
 from sean_jax.graph import annotation
+from sean_jax.world import environment as environments
 from support.scenes import room
 
 

@@ -5,15 +5,15 @@ from pathlib import Path
 
 import numpy as np
 
-from sean_jax.simulation import episode_runner
 from sean_jax import sensors
-from sean_jax.core.data_types import Scenario
 from sean_jax.config import CollectConfig, gather, validate
+from sean_jax.core.data_types import Scenario
 from sean_jax.learning import collection, dataset
 from sean_jax.learning.collection import row_record, simulate_shard, streams
 from sean_jax.learning.dataset import Dataset
 from sean_jax.learning.policy import load_policy
 from sean_jax.policies import go_to_goal
+from sean_jax.simulation import episode_runner
 from sean_jax.simulation.scenario_stack import as_stacks
 
 EPISODES, SEED, SECONDS = 16, 3, 20

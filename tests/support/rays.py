@@ -6,10 +6,10 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from sean_jax.world import environment
-from sean_jax.sensors import raycast
 from sean_jax.core.data_types import Solids
+from sean_jax.sensors import raycast
 from sean_jax.sensors.raycast.view import HEAD, HEAD_RADIUS, SHOULDER
+from sean_jax.world import environment
 
 mujoco: Any = import_module("mujoco")  # Any, for it has no type stubs
 

@@ -8,9 +8,9 @@ from unittest import mock
 
 import numpy as np
 
-from sean_jax.web import replay
 from sean_jax.evaluation import Evaluation, compare, results
 from sean_jax.metrics import METRICS
+from sean_jax.web import replay
 from support.drawn import Graph, environment, frames
 
 NAMES = ("cross_path", "down_path", "join_group", "leave_group", "empty")

@@ -10,11 +10,11 @@ from flax import struct
 from jaxtyping import Bool, Float, Int, TypeCheckError
 
 import sean_jax
-from sean_jax.core import geometry
-from sean_jax.world import navigation
 from sean_jax import sensors
+from sean_jax.core import geometry
 from sean_jax.core.data_types import Array
 from sean_jax.simulation.scenario import snapshot
+from sean_jax.world import navigation
 from support import shapes
 
 

@@ -11,11 +11,11 @@ import jax.numpy as jnp
 import numpy as np
 
 import sean_jax
-from sean_jax.simulation import scenario as stages
 from sean_jax import social_forces
 from sean_jax.core.data_types import Array, ObstacleGrid, Obstacles, Pedestrians, Robot, Scenario
-from sean_jax.people.behaviors.starts import WalkingGroups
 from sean_jax.core.geometry import build_obstacle_grid
+from sean_jax.people.behaviors.starts import WalkingGroups
+from sean_jax.simulation import scenario as stages
 
 STEP = 0.05  # s
 WALKING = 0.5  # m/s, slower is standing, as for the recordings

@@ -10,9 +10,9 @@ from scipy.cluster.vq import kmeans2
 
 import sean_jax
 from sean_jax.simulation.making import with_task
-from sean_jax.world.navigation import draw_places
 from sean_jax.tasks import TASKS
 from sean_jax.tasks.random_tasks import CANDIDATES, CLEAR, DETOUR, RING, SNAP, busiest, far_place, k_means
+from sean_jax.world.navigation import draw_places
 from support import programs
 from support.scenes import box, room
 

@@ -7,10 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sean_jax.people import behaviors
 from sean_jax import tasks
-from sean_jax.world import navigation as paths
 from sean_jax.core.errors import InputError
+from sean_jax.people import behaviors
+from sean_jax.world import navigation as paths
 
 
 def test_a_task_of_two_places_has_the_shortest_path_between_them(scenario):

@@ -12,10 +12,10 @@ from websockets.sync.client import connect
 import support.replays
 import support.studio
 import support.survey
-from sean_jax.io import files
 from sean_jax.core import messages
-from sean_jax.web import local_server
 from sean_jax.core.errors import InputError
+from sean_jax.io import files
+from sean_jax.web import local_server
 from sean_jax.web.replay import live
 from support import hostile
 from support.web import get

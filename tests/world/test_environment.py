@@ -6,9 +6,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from sean_jax.world import environment
 from sean_jax.core.data_types import PATTERNS
 from sean_jax.core.errors import FileError
+from sean_jax.world import environment
 from support import mjcf, programs
 from support.scenes import room
 

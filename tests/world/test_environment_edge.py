@@ -10,17 +10,17 @@ import numpy as np
 import pytest
 
 import sean_jax
-from sean_jax.world import environment as environments
 from sean_jax import sensors, social_forces
 from sean_jax.core.data_types import Pedestrians
-from sean_jax.people.behaviors.starts import anywhere
-from sean_jax.evaluation import batches
 from sean_jax.core.geometry import from_box, to_edge
+from sean_jax.evaluation import batches
+from sean_jax.people.behaviors.starts import anywhere
 from sean_jax.policies import POLICIES
 from sean_jax.policies.costmap import map_frame, static_cells
 from sean_jax.policies.expert import obstacle_rate
 from sean_jax.simulation.scenario import reset, snapshot
 from sean_jax.simulation.scenario_stack import Stack
+from sean_jax.world import environment as environments
 from support.scenes import box, room
 
 FLOOR = -6.0, -5.0, 6.0, 5.0
@@ -103,7 +103,9 @@ def test_a_robot_stays_on_the_floor_and_sees_no_edge(scenarios):
     def run(scenario, key):
         state = reset(scenario, key)
         drive = jnp.asarray([2.0, 0.0], jnp.float32)
-        last = jax.lax.fori_loop(0, 300, lambda _, state: sean_jax.simulation.scenario.move_robot(scenario, state, drive), state)
+        last = jax.lax.fori_loop(
+            0, 300, lambda _, state: sean_jax.simulation.scenario.move_robot(scenario, state, drive), state
+        )
         return last, dict(scenario.metrics)["min_distance_to_obstacles"].init(snapshot(scenario, last))
 
     found = []

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import sean_jax
-from sean_jax.world import environment as environments
-from sean_jax.world import navigation
 from sean_jax import policies
 from sean_jax.graph import annotation
+from sean_jax.world import environment as environments
+from sean_jax.world import navigation
 from support import programs
 from support import shortest_paths as oracle
 from support.quick import quick

@@ -8,9 +8,9 @@ import pytest
 from PIL import Image
 
 from sean_jax.cli import command_line
+from sean_jax.core.errors import FileError
 from sean_jax.world import environment, ros_map
 from sean_jax.world import environment as environments
-from sean_jax.core.errors import FileError
 from support.mjcf import CHECKER
 
 mujoco: Any = import_module("mujoco")  # which has no type stubs

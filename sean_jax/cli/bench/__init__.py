@@ -18,17 +18,17 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter
 from rich.console import Console
 
-from sean_jax.simulation import making
-from sean_jax.io import writing
-from sean_jax.core.data_types import Scenario
-from sean_jax.cli.bench import roofline, programs
+from sean_jax.cli.bench import programs, roofline
 from sean_jax.cli.bench.programs import Program, measure
 from sean_jax.config import BenchConfig, ScenarioConfig, validate
-from sean_jax.drawing import colors
-from sean_jax.core.errors import IncompleteError
 from sean_jax.config.flags import command
-from sean_jax.simulation.scenario_stack import Stack
+from sean_jax.core.data_types import Scenario
+from sean_jax.core.errors import IncompleteError
+from sean_jax.drawing import colors
+from sean_jax.io import writing
 from sean_jax.io.versions import versions
+from sean_jax.simulation import making
+from sean_jax.simulation.scenario_stack import Stack
 
 __all__ = ["run"]
 

@@ -16,18 +16,18 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from scipy.spatial import KDTree
 
-from sean_jax.core import devices, random_streams
-from sean_jax.simulation import episodes
 from sean_jax import sensors, social_forces
-from sean_jax.core.data_types import FAR, Array, ObstacleGrid, Pedestrians, Scenario, State
 from sean_jax.cli.bench import roofline, workload
 from sean_jax.config import DEFAULT_FORCES
+from sean_jax.core import devices, random_streams
+from sean_jax.core.data_types import FAR, Array, ObstacleGrid, Pedestrians, Scenario, State
 from sean_jax.core.geometry import nearby_obstacles, rotate
-from sean_jax.sensors.raycast import Rays, intersect, kernel
-from sean_jax.simulation.scenario import reset
 from sean_jax.sensors import cameras
-from sean_jax.social_forces import Forces, model, neighbors
+from sean_jax.sensors.raycast import Rays, intersect, kernel
+from sean_jax.simulation import episodes
+from sean_jax.simulation.scenario import reset
 from sean_jax.simulation.scenario_stack import Stack
+from sean_jax.social_forces import Forces, model, neighbors
 
 STARTS = 1024  # in the pool that ended episodes restart from
 CROWD_STEP = 0.05  # s

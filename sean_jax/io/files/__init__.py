@@ -17,6 +17,17 @@ import pydantic
 import yaml
 
 from sean_jax.core.errors import FileError
+from sean_jax.core.messages import (
+    MAX_DEPTH,
+    MAX_DIGITS,
+    MAX_JSON_VALUES,
+    count_values,
+    error_clause,
+    listed,
+    parse_json,
+    suggest,
+    unknown_name,
+)
 from sean_jax.io.files.reading import (
     MAX_BYTES,
     MAX_RECORD,
@@ -32,17 +43,6 @@ from sean_jax.io.files.reading import (
     read_text,
     sentence,
     short_name,
-)
-from sean_jax.core.messages import (
-    MAX_DEPTH,
-    MAX_DIGITS,
-    MAX_JSON_VALUES,
-    count_values,
-    error_clause,
-    listed,
-    parse_json,
-    suggest,
-    unknown_name,
 )
 
 MAX_ERRORS = 100  # of a file that a message names

@@ -18,8 +18,8 @@ from typing import Annotated, Any, ClassVar
 import pydantic
 
 from sean_jax.core.errors import FileError, InputError, WriteError
-from sean_jax.io.files.reading import MAX_TABLE, file_error, short_name
 from sean_jax.core.messages import error_clause, shorten
+from sean_jax.io.files.reading import MAX_TABLE, file_error, short_name
 
 MAX_CELL = 50_000_000  # bytes of a value, and of a row
 MAX_ROWS = 10_000_000  # of one query

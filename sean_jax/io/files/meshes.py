@@ -8,8 +8,8 @@ from xml.parsers import expat
 import numpy as np
 
 from sean_jax.core.errors import FileError
-from sean_jax.io.files.reading import file_error, read_bytes, read_text
 from sean_jax.core.messages import MAX_DEPTH
+from sean_jax.io.files.reading import file_error, read_bytes, read_text
 
 Element = ElementTree.Element
 MAX_MESH = 50_000_000  # bytes

@@ -14,8 +14,8 @@ import mujoco
 import numpy as np
 
 from sean_jax.core.errors import FileError
-from sean_jax.io.files.reading import file_error, read_bytes, read_text, short_name
 from sean_jax.core.messages import MAX_DEPTH, shorten
+from sean_jax.io.files.reading import file_error, read_bytes, read_text, short_name
 
 MAX_ELEMENTS = 10_000  # in all, with all copies of replicates
 MAX_JOINTS = 100

@@ -15,8 +15,13 @@ from flax import struct
 from jaxtyping import Bool, Float, Int
 
 from sean_jax.core import clock
-from sean_jax.world import navigation as paths
 from sean_jax.core.data_types import FAR, Array, Behavior, Groups, Pedestrians, Scenario, State
+from sean_jax.core.devices import to_device
+from sean_jax.core.errors import InputError
+from sean_jax.core.geometry import length
+from sean_jax.graph import BehaviorGraph, annotation
+from sean_jax.graph.behavior_graph import add_congestion_cost, edge_densities
+from sean_jax.graph.formation import formation, reach
 from sean_jax.people.behaviors import graph_choices
 from sean_jax.people.behaviors.graph_choices import ARRIVED, Draws, Memory, Seats, of_seat, seats_of
 from sean_jax.people.behaviors.starts import (
@@ -32,13 +37,8 @@ from sean_jax.people.behaviors.starts import (
     present_people,
     walk_abreast,
 )
-from sean_jax.core.devices import to_device
-from sean_jax.core.errors import InputError
-from sean_jax.core.geometry import length
-from sean_jax.graph import BehaviorGraph, annotation
-from sean_jax.graph.behavior_graph import add_congestion_cost, edge_densities
-from sean_jax.graph.formation import formation, reach
 from sean_jax.social_forces import draw_traits
+from sean_jax.world import navigation as paths
 
 SEATED = 0.25  # m from a seat, where the walk ends and the stay begins
 SETTLING = 0.5  # s, in which the last steps to a seat are taken

@@ -27,14 +27,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
-from sean_jax.io import cache
-from sean_jax.world import navigation as paths
 from sean_jax.core.data_types import Array, Pedestrians
 from sean_jax.core.geometry import length
+from sean_jax.core.padding import in_programs
 from sean_jax.graph import BehaviorGraph
 from sean_jax.graph.annotation import NODES
 from sean_jax.graph.behavior_graph import hop_log_chances
-from sean_jax.core.padding import in_programs
+from sean_jax.io import cache
+from sean_jax.world import navigation as paths
 
 ARRIVED = 1.0  # m from the target, where a waypoint counts as reached (SEAN 2.0)
 MAX_WAIT = 5.0  # s, for which the holder of a seat waits for a successor; at most the longest stay at that group

@@ -11,15 +11,15 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Float, Int
 
-from sean_jax.world import navigation as paths
 from sean_jax.core.data_types import Array, Behavior, Groups, Pedestrians, Scenario, State
-from sean_jax.people.behaviors.starts import Place
 from sean_jax.core.errors import InputError
 from sean_jax.core.geometry import length
 from sean_jax.graph.formation import formation
+from sean_jax.people.behaviors.starts import Place
 from sean_jax.people.handcrafted import ALL, ARRIVED, Sets, Ways, annotation
 from sean_jax.people.handcrafted import build as build_sets
 from sean_jax.social_forces import draw_traits
+from sean_jax.world import navigation as paths
 
 SETTLING = 0.5  # s, in which people return to a seat after a push
 

@@ -15,8 +15,8 @@ from jaxtyping import Bool, Float, Int
 
 from sean_jax.core import clock
 from sean_jax.core.data_types import Array, Behavior, Groups, Pedestrians, Scenario, State
-from sean_jax.people.behaviors.starts import Place, no_groups
 from sean_jax.core.errors import InputError
+from sean_jax.people.behaviors.starts import Place, no_groups
 from sean_jax.people.recordings import check_clock, motion_between_rows, read
 from sean_jax.social_forces import draw_traits
 

@@ -14,9 +14,12 @@ import numpy as np
 from flax import struct
 from jaxtyping import Float, Int
 
-from sean_jax.io import cache
-from sean_jax.world import navigation as paths
 from sean_jax.core.data_types import FAR, Array, Behavior, Groups, PathsToGoal, Pedestrians, Scenario, State
+from sean_jax.core.devices import to_device
+from sean_jax.core.errors import InputError
+from sean_jax.core.geometry import length
+from sean_jax.core.padding import FlatTable, flat_table
+from sean_jax.io import cache
 from sean_jax.people.behaviors.starts import (
     Place,
     WalkingGroups,
@@ -31,11 +34,8 @@ from sean_jax.people.behaviors.starts import (
     present_people,
     walk_abreast,
 )
-from sean_jax.core.devices import to_device
-from sean_jax.core.errors import InputError
-from sean_jax.core.geometry import length
-from sean_jax.core.padding import FlatTable, flat_table
 from sean_jax.social_forces import draw_traits
+from sean_jax.world import navigation as paths
 
 ARRIVED = 1.0  # m from the goal (SEAN 2.0)
 

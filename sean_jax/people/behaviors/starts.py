@@ -16,12 +16,12 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 from scipy.spatial import KDTree
 
-from sean_jax.io import cache
-from sean_jax.world import environment as environments
 from sean_jax.core.data_types import Array, Environment, Groups, Pedestrians, Scenario
 from sean_jax.core.errors import InputError
 from sean_jax.core.geometry import length, signed_distances_on_host, unit
 from sean_jax.core.messages import shorten
+from sean_jax.io import cache
+from sean_jax.world import environment as environments
 from sean_jax.world.navigation import CODE, Navigation, build_paths_to_goal, geodesic, inputs, segment_is_free
 
 MIN_DISTANCE = 0.55  # m between two starts: bodies of 0.2 m and some room

@@ -11,12 +11,12 @@ import numpy as np
 from flax import struct
 from jaxtyping import Bool, Float, Int
 
-from sean_jax.io import cache
-from sean_jax.world import navigation as paths
 from sean_jax.core.data_types import Array, PathsToGoal
 from sean_jax.core.devices import to_device
 from sean_jax.core.errors import InputError
+from sean_jax.io import cache
 from sean_jax.people.handcrafted.annotation import ALL, ARRIVED, POSES, Set, read
+from sean_jax.world import navigation as paths
 
 __all__ = ["ALL", "ARRIVED", "Sets", "Ways", "build", "read"]
 

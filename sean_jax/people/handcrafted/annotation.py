@@ -15,14 +15,14 @@ import pydantic
 from jaxtyping import Bool, Float
 from scipy.spatial import KDTree
 
-from sean_jax.io import cache, files
+from sean_jax.core.bounds import Coordinate, Degrees
 from sean_jax.core.data_types import Array, Environment
 from sean_jax.core.devices import to_device
 from sean_jax.core.errors import InputError
 from sean_jax.core.geometry import crosses_box, signed_distances_on_host
 from sean_jax.graph.annotation import PERSON
 from sean_jax.graph.formation import reach
-from sean_jax.core.bounds import Coordinate, Degrees
+from sean_jax.io import cache, files
 
 FILE = "handcrafted.yaml"
 ALL = "all"  # any of the sets, without further collections

@@ -19,11 +19,11 @@ import numpy as np
 from flax import struct
 from jaxtyping import Bool, Float, Int
 
+from sean_jax.core.bounds import MAX_COORDINATE, MAX_DURATION, MAX_PEOPLE, check_number, parse_digits
 from sean_jax.core.data_types import Array
 from sean_jax.core.errors import FileError, InputError
-from sean_jax.io.files import file_error, read_text, short_name, unknown_name
 from sean_jax.core.messages import shorten
-from sean_jax.core.bounds import MAX_COORDINATE, MAX_DURATION, MAX_PEOPLE, check_number, parse_digits
+from sean_jax.io.files import file_error, read_text, short_name, unknown_name
 
 NAMES = {  # the names that a column may have; the first one present counts
     "frame": ("frame",),

@@ -10,13 +10,13 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sean_jax.io import writing
 from sean_jax.config import CalibrateConfig
+from sean_jax.config.workspace import Workspace, identity
 from sean_jax.core.errors import InputError
+from sean_jax.io import writing
 from sean_jax.io.files import listed, unknown_name
 from sean_jax.io.progress import progress
 from sean_jax.io.versions import versions
-from sean_jax.config.workspace import Workspace, identity
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -16,7 +16,7 @@ from sean_jax.robots import load
 from sean_jax.social_forces.forces import look_direction
 from sean_jax.studies.scenes import Scene
 from sean_jax.studies.scenes.scene import TIME_STEP
-from sean_jax.studies.validation import crowds, doors, individuals, measures, guideline_scenes
+from sean_jax.studies.validation import crowds, doors, guideline_scenes, individuals, measures
 
 Sums = dict[str, Array]
 Rows = dict[str, np.ndarray]
@@ -345,7 +345,10 @@ def families(forces: Any, draws: int, quick: bool) -> list[Family]:
     densities = QUICK_DENSITIES if quick else tuple(density for density in crowds.DENSITIES if density != 3.25)
     scenes, _ = crowds.corridors(densities, draws, 0.0, crowds.hermes_speeds)
     names = [f"{density:g}" for density in densities for _ in seeds]
-    street = [guideline_scenes.ring(STREET[0] / STREET[1] / crowds.WIDTH, crowds.WIDTH, STREET[0], 0.0, None, k) for k in seeds]
+    street = [
+        guideline_scenes.ring(STREET[0] / STREET[1] / crowds.WIDTH, crowds.WIDTH, STREET[0], 0.0, None, k)
+        for k in seeds
+    ]
     meeting = [(a, o, s) for a in ANGLES for o in individuals.OFFSETS for s in individuals.SPEEDS]
     meeting = meeting[:4] if quick else meeting
     encounters = individuals.passing_scenes(8 if quick else ENCOUNTERS)

@@ -11,11 +11,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from sean_jax.io import files
 from sean_jax.core.data_types import Array, ObstacleGrid
 from sean_jax.core.errors import InputError
-from sean_jax.io.files import unknown_name
 from sean_jax.core.geometry import length
+from sean_jax.io import files
+from sean_jax.io.files import unknown_name
 from sean_jax.social_forces import Forces
 from sean_jax.social_forces.forces import term_name
 from sean_jax.studies.calibration.windows import Scenes, thinned

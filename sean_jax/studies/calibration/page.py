@@ -5,12 +5,12 @@ from typing import Any
 import matplotlib
 from matplotlib.figure import Figure
 
-from sean_jax.web import pages
 from sean_jax.config import CalibrateConfig
+from sean_jax.config.flags import command
 from sean_jax.drawing import colors
 from sean_jax.drawing.svg import svg
-from sean_jax.config.flags import command
 from sean_jax.io.versions import versions
+from sean_jax.web import pages
 
 SHADES = [*colors.SITUATION_COLORS.values()][:4] + [*colors.SPARE_COLORS]
 HABITS = {

@@ -23,12 +23,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 import jax
 import numpy as np
 
-from sean_jax.simulation import making
-from sean_jax.config import user_parts
-from sean_jax.io import files, writing
 from sean_jax import robots, social_forces
-from sean_jax.world import generated
-from sean_jax.core.data_types import Scenario
 from sean_jax.config import (
     METHODS,
     BenchmarkConfig,
@@ -42,20 +37,25 @@ from sean_jax.config import (
     ScenarioConfig,
     Text,
     outside,
+    user_parts,
     validate,
 )
+from sean_jax.config.workspace import Workspace, identity
+from sean_jax.core.data_types import Scenario
 from sean_jax.core.errors import FileError, IncompleteError, InputError
 from sean_jax.evaluation import Driver
+from sean_jax.io import files, writing
+from sean_jax.io.versions import fingerprint, version_mismatch, versions
 from sean_jax.learning.networks import read_method
 from sean_jax.learning.policy import AGENTS, agent_folder, check_policy, load_policy, read_options
 from sean_jax.metrics import METRICS, OF_GROUPS, Estimate
 from sean_jax.policies import POLICIES
+from sean_jax.simulation import making
 from sean_jax.simulation.episode_runner import Callbacks, Runner, even_batch
 from sean_jax.simulation.scenario_stack import Stack, as_stacks
 from sean_jax.studies.experiments import Part, page, run_parts, shares
 from sean_jax.studies.experiments.measures import COUNTED, MEASURED, Arrays, Scores, scores, scores_by_track
-from sean_jax.io.versions import fingerprint, version_mismatch, versions
-from sean_jax.config.workspace import Workspace, identity
+from sean_jax.world import generated
 
 if TYPE_CHECKING:
     from rich.console import Console

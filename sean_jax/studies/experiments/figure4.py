@@ -26,7 +26,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from sean_jax import learning
-from sean_jax.io import writing
 from sean_jax.config import (
     CollectConfig,
     Figure4Config,
@@ -37,9 +36,11 @@ from sean_jax.config import (
     ScenarioConfig,
     validate,
 )
-from sean_jax.core.errors import InputError
-from sean_jax.io.files import listed
 from sean_jax.config.flags import number
+from sean_jax.config.workspace import Workspace, identity
+from sean_jax.core.errors import InputError
+from sean_jax.io import writing
+from sean_jax.io.files import listed
 from sean_jax.learning.collection import check_collection, streams
 from sean_jax.learning.dataset import ConcatDataset, open_datasets
 from sean_jax.learning.examples import balanced_probabilities
@@ -65,7 +66,6 @@ from sean_jax.studies.experiments.measures import (
 )
 from sean_jax.studies.experiments.shares import BEHAVIORS, DemonstrationCell
 from sean_jax.studies.experiments.table1 import description, fields
-from sean_jax.config.workspace import Workspace, identity
 
 if TYPE_CHECKING:
     from rich.console import Console

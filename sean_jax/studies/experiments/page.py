@@ -9,9 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sean_jax.io import files
-from sean_jax.web import pages
-from sean_jax.core.data_types import SENSING
 from sean_jax.classifiers import MORE_SITUATIONS
 from sean_jax.config import (
     AblationConfig,
@@ -22,15 +19,18 @@ from sean_jax.config import (
     LearningCurveConfig,
     Table1Config,
 )
-from sean_jax.drawing.svg import svg
 from sean_jax.config.flags import command, number
-from sean_jax.web.pages import Cell, figure, note, section, table
+from sean_jax.config.workspace import IDENTITY, read_identity
+from sean_jax.core.data_types import SENSING
+from sean_jax.drawing.svg import svg
+from sean_jax.io import files
+from sean_jax.io.versions import versions
 from sean_jax.studies.experiments import pictures, shares
 from sean_jax.studies.experiments.measures import MEASURES, comparisons
 from sean_jax.studies.experiments.ranks import ALL
 from sean_jax.studies.experiments.shares import BEHAVIORS
-from sean_jax.io.versions import versions
-from sean_jax.config.workspace import IDENTITY, read_identity
+from sean_jax.web import pages
+from sean_jax.web.pages import Cell, figure, note, section, table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -11,8 +11,8 @@ import matplotlib.colors
 import numpy as np
 from matplotlib.figure import Figure
 
-from sean_jax.io import writing
 from sean_jax.drawing import colors
+from sean_jax.io import writing
 from sean_jax.studies.experiments import shares
 from sean_jax.studies.experiments.measures import MEASURES
 from sean_jax.studies.experiments.shares import BEHAVIORS

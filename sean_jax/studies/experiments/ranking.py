@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from sean_jax.io import writing
 from sean_jax.config import BenchmarkRankConfig
 from sean_jax.core.errors import InputError
+from sean_jax.io import writing
 from sean_jax.studies.experiments import benchmark, page, pictures, ranks, write_csv
 from sean_jax.studies.experiments.benchmark import Result
 from sean_jax.studies.experiments.ranks import Entry, Ranking

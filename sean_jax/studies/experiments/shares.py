@@ -25,14 +25,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from sean_jax import classifiers
-from sean_jax.people import recordings
 from sean_jax.classifiers import MORE_SITUATIONS, OBJECT_SITUATIONS, SITUATIONS
 from sean_jax.metrics import bootstrap
 from sean_jax.metrics.differences import holm
+from sean_jax.people import recordings
 
 if TYPE_CHECKING:
-    from sean_jax.core.data_types import Array
     from sean_jax.classifiers import Situation
+    from sean_jax.core.data_types import Array
     from sean_jax.people.recordings import Tracks
 
 NAMES = ("cross_path", "down_path", "join_group", "leave_group", "empty")

@@ -27,9 +27,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sean_jax.core import devices, random_streams
-from sean_jax.simulation import episodes, episode_runner
-from sean_jax.io import files, writing
 from sean_jax.classifiers import MORE_SITUATIONS, classify
 from sean_jax.config import (
     PRESETS,
@@ -42,12 +39,16 @@ from sean_jax.config import (
     validate,
     with_defaults,
 )
-from sean_jax.simulation.episodes import ResetPool
-from sean_jax.core.errors import InputError
-from sean_jax.io.files import listed
 from sean_jax.config.flags import number
+from sean_jax.config.workspace import REMAKE, Workspace, identity
+from sean_jax.core import devices, random_streams
+from sean_jax.core.errors import InputError
+from sean_jax.io import files, writing
+from sean_jax.io.files import listed
 from sean_jax.learning.collection import check_collection, streams
 from sean_jax.learning.policy import check_policy, load_policy
+from sean_jax.simulation import episode_runner, episodes
+from sean_jax.simulation.episodes import ResetPool
 from sean_jax.simulation.scenario import snapshot
 from sean_jax.studies.experiments import Part, cached, demonstrations, page, pictures, run_parts, shares, write_csv
 from sean_jax.studies.experiments.shares import (
@@ -58,13 +59,12 @@ from sean_jax.studies.experiments.shares import (
     interval_rows,
     ordering_rows,
 )
-from sean_jax.config.workspace import REMAKE, Workspace, identity
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from sean_jax.core.data_types import Array, Policy, Scenario, Snapshot, State
     from sean_jax.classifiers import Situation, Thresholds
+    from sean_jax.core.data_types import Array, Policy, Scenario, Snapshot, State
 
 SWEPT = "random", "graph"  # behaviors whose number of people can be chosen
 CHAIN = 6  # minutes of a chain, which an hour, a half and a fifth of it are multiples of
@@ -298,7 +298,9 @@ class Streams:
 
     def chain_keys(self, chains: int) -> Array:
         """(C * seeds * chains,) keys of the chains, of which each seed has ``chains`` in each stream."""
-        every = [jax.random.split(random_streams.key("table1", seed), len(self.scenarios) * chains) for seed in self.seeds]
+        every = [
+            jax.random.split(random_streams.key("table1", seed), len(self.scenarios) * chains) for seed in self.seeds
+        ]
         return jnp.stack([keys.reshape(-1, chains) for keys in every], axis=1).reshape(-1)
 
 

@@ -18,10 +18,10 @@ import numpy as np
 
 from sean_jax.config import BenchmarkVerifyConfig, Component, is_own_part, outside
 from sean_jax.core.errors import InputError
+from sean_jax.io.versions import version_mismatch
 from sean_jax.metrics.differences import difference, holm
 from sean_jax.studies.experiments import Part, benchmark, run_parts, shares
 from sean_jax.studies.experiments.measures import Arrays
-from sean_jax.io.versions import version_mismatch
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -18,19 +18,19 @@ import jax
 import matplotlib
 import numpy as np
 
-from sean_jax.simulation import making
-from sean_jax.io import files, writing
-from sean_jax.core import random_streams
-from sean_jax.world import environment as environments
-from sean_jax.core.data_types import Environment, Scenario
 from sean_jax.config import FitGraphConfig, GraphBehavior, Named, ScenarioConfig
-from sean_jax.drawing import colors, layers
-from sean_jax.core.errors import InputError
-from sean_jax.io.files.mjcf import MAX_TEXT
 from sean_jax.config.flags import command
+from sean_jax.core import random_streams
+from sean_jax.core.data_types import Environment, Scenario
+from sean_jax.core.errors import InputError
+from sean_jax.drawing import colors, layers
 from sean_jax.graph import BehaviorGraph, annotation, graph_of
+from sean_jax.io import files, writing
+from sean_jax.io.files.mjcf import MAX_TEXT
 from sean_jax.io.progress import Progress, progress
+from sean_jax.io.versions import versions
 from sean_jax.people.recordings import read
+from sean_jax.simulation import making
 from sean_jax.studies.inverse_graph.fitting import (
     FlowWeights,
     GraphFit,
@@ -42,7 +42,7 @@ from sean_jax.studies.inverse_graph.fitting import (
     weights_of,
 )
 from sean_jax.studies.inverse_graph.measuring import Calls, FlowMeasure, measure_flows, people_alone, people_called
-from sean_jax.io.versions import versions
+from sean_jax.world import environment as environments
 from sean_jax.world.generated.graph_proposal import propose
 
 if TYPE_CHECKING:

@@ -15,11 +15,11 @@ from flax import struct
 from jaxtyping import Bool, Float, Int, PyTree
 
 from sean_jax.core import random_streams
-from sean_jax.simulation import scenario as stages
 from sean_jax.core.data_types import Array, Scenario, State
+from sean_jax.graph import BehaviorGraph
 from sean_jax.people.behaviors.graph_choices import Memory
 from sean_jax.people.density import NO_NODE, track_nodes
-from sean_jax.graph import BehaviorGraph
+from sean_jax.simulation import scenario as stages
 
 STANDING = 0.3  # m/s, below which a person stands
 WALKING = 0.5  # m/s, above which a person walks
@@ -262,4 +262,6 @@ def begin_alone(scenario: Scenario, key: Array) -> State:
     state = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), blank.replace(streams=None))
     pedestrians, groups, memory = scenario.behavior.reset(scenario, key)
     robot = state.robot.replace(position=jnp.full(2, FAR), heading=jnp.asarray([1.0, 0.0]))
-    return state.replace(streams=random_streams.streams(key), pedestrians=pedestrians, groups=groups, memory=memory, robot=robot)
+    return state.replace(
+        streams=random_streams.streams(key), pedestrians=pedestrians, groups=groups, memory=memory, robot=robot
+    )

@@ -16,8 +16,8 @@ import jax.numpy as jnp
 from jax.core import Tracer
 from jaxtyping import Bool, Float, Int
 
-from sean_jax.core import random_streams
 from sean_jax import social_forces
+from sean_jax.core import random_streams
 from sean_jax.core.data_types import (
     Array,
     Behavior,

@@ -14,9 +14,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from sean_jax.people import pedestrian_models
-from sean_jax.core import random_streams
 from sean_jax import robots, social_forces
+from sean_jax.config import DEFAULT_FORCES
+from sean_jax.core import random_streams
 from sean_jax.core.data_types import (
     Array,
     Environment,
@@ -28,15 +28,15 @@ from sean_jax.core.data_types import (
     Scenario,
     State,
 )
-from sean_jax.config import DEFAULT_FORCES
 from sean_jax.core.devices import to_device
-from sean_jax.world.environment import plain_scenery
 from sean_jax.core.errors import InputError
-from sean_jax.io.files import unknown_name
 from sean_jax.core.geometry import build_obstacle_grid
+from sean_jax.io.files import unknown_name
+from sean_jax.people import pedestrian_models
 from sean_jax.social_forces import presets
 from sean_jax.social_forces.forces import Forces, Term
 from sean_jax.studies.scenes.walkers import AWAY, NEVER, Gate, Point, Walkers, padded_size, walkers_behavior
+from sean_jax.world.environment import plain_scenery
 
 THIN = 0.02  # m, thickness of a wall that is drawn as a segment
 THICK = 0.2  # m, of the walls around rooms and corridors, which lie outside them
@@ -286,7 +286,9 @@ def stage(scenario: Scenario, scene: Scene) -> State:
 @jax.jit
 def _first_state(scenario: Scenario, key: Array, place: Array, velocity: Array) -> State:
     pedestrians, groups, memory = scenario.behavior.reset(scenario, key)
-    pedestrians = social_forces.individualize(scenario.forces, pedestrians, jax.random.fold_in(key, random_streams.TRAITS))
+    pedestrians = social_forces.individualize(
+        scenario.forces, pedestrians, jax.random.fold_in(key, random_streams.TRAITS)
+    )
     speed = jnp.sqrt((velocity * velocity).sum())
     heading = jnp.where(speed > 0.0, velocity / jnp.where(speed > 0.0, speed, 1.0), jnp.asarray([1.0, 0.0], float))
     robot: Robot = replace(scenario.robot.place(scenario.robot, place, heading), speed=speed)

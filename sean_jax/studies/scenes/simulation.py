@@ -12,9 +12,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sean_jax.simulation import scenario as steps
 from sean_jax.core.data_types import Array, Scenario, State
 from sean_jax.people.recordings import Tracks
+from sean_jax.simulation import scenario as steps
 from sean_jax.social_forces.forces import look_direction
 from sean_jax.studies.scenes.scene import TIME_STEP, Model, Scene, model, scenario_of, stage
 from sean_jax.studies.scenes.walkers import GATES, padded_size

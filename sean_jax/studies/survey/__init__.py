@@ -7,14 +7,13 @@ import contextlib
 import os
 from typing import TYPE_CHECKING
 
-from sean_jax.config import user_parts
-from sean_jax.io import files, writing
-from sean_jax.web import pages, local_server
-from sean_jax.config import StudioConfig
+from sean_jax.config import StudioConfig, user_parts
 from sean_jax.core.errors import InputError
+from sean_jax.io import files, writing
 from sean_jax.studies.survey import study
 from sean_jax.studies.survey.answers import Answers
 from sean_jax.studies.survey.server import Survey
+from sean_jax.web import local_server, pages
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -18,12 +18,12 @@ from typing import Annotated, Any, ClassVar
 
 import pydantic
 
-from sean_jax.io import writing
+from sean_jax.core.bounds import TIME_STEP_RANGE, parse_digits
 from sean_jax.core.errors import FileError, InputError
+from sean_jax.core.messages import count_values
+from sean_jax.io import writing
 from sean_jax.io.files import file_error
 from sean_jax.io.files.database import Database, Finite, Row, Scalar, make_private, new_database
-from sean_jax.core.messages import count_values
-from sean_jax.core.bounds import TIME_STEP_RANGE, parse_digits
 from sean_jax.studies.survey import visits
 from sean_jax.studies.survey.study import MAX_STUDY, MAX_WORD, Step, Study, checked, name_problems
 

@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from sean_jax.web import replay, local_server
-from sean_jax.core.data_types import Scenario
 from sean_jax.config import StudioConfig
+from sean_jax.core.data_types import Scenario
 from sean_jax.core.errors import FileError, WriteError
-from sean_jax.web.studio.session import Frame, Session, episode
 from sean_jax.studies.survey.answers import BROKEN_OFF, Answers
+from sean_jax.web import local_server, replay
+from sean_jax.web.studio.session import Frame, Session, episode
 
 
 class Sessions:

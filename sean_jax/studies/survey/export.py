@@ -11,11 +11,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from sean_jax.web import replay
-from sean_jax.io import writing
 from sean_jax.core.errors import InputError, WriteError
+from sean_jax.io import writing
 from sean_jax.studies.survey.answers import MOMENT, Answers
 from sean_jax.studies.survey.study import CHOICE, templates
+from sean_jax.web import replay
 
 Row = dict[str, Any]
 FORMULAS = "=+-@"  # how one begins

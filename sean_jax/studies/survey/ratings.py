@@ -19,19 +19,19 @@ from jaxtyping import Float
 from rich.console import Console
 from rich.text import Text
 
-from sean_jax.io import files, writing
-from sean_jax.web import pages
-from sean_jax.people import recordings
-from sean_jax.core.data_types import Array, Obstacles
 from sean_jax.config import SurveyRatingsConfig
-from sean_jax.core.errors import InputError
-from sean_jax.io.files import Problem
-from sean_jax.core.geometry import length
-from sean_jax.metrics import METRICS
-from sean_jax.core.padding import pad
 from sean_jax.core.bounds import MAX_OBSTACLES, Coordinate, Radius, parse_digits
+from sean_jax.core.data_types import Array, Obstacles
+from sean_jax.core.errors import InputError
+from sean_jax.core.geometry import length
+from sean_jax.core.padding import pad
+from sean_jax.io import files, writing
+from sean_jax.io.files import Problem
+from sean_jax.metrics import METRICS
+from sean_jax.people import recordings
 from sean_jax.people.recordings.reading import LONGEST_GAP, ROUNDING, Tracks
 from sean_jax.studies.survey import export, report
+from sean_jax.web import pages
 
 TIME_STEP = 0.1  # s between snapshots, as in the simulator
 MAX_SECONDS = 3600.0  # of a trajectory

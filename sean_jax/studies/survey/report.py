@@ -19,16 +19,16 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from sean_jax.web import pages
-from sean_jax.io import writing
 from sean_jax.config import SurveyReportConfig
 from sean_jax.core.errors import InputError
 from sean_jax.evaluation.table import EPISODE_FIGURES, Figure, metric_figure
+from sean_jax.io import writing
 from sean_jax.metrics import METRICS, aggregate, resamples
 from sean_jax.metrics.bootstrap import interval, of_share
 from sean_jax.metrics.differences import holm
 from sean_jax.studies.survey import export
 from sean_jax.studies.survey.answers import Answers
+from sean_jax.web import pages
 
 MIN_PARTICIPANTS = 5  # fewer have no interval
 RESAMPLES = 1000

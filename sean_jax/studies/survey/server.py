@@ -23,13 +23,13 @@ from websockets.asyncio.server import ServerConnection
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
-from sean_jax.web import local_server
 from sean_jax.core.errors import FileError, InputError, WriteError
-from sean_jax.web.studio.session import Session
 from sean_jax.studies.survey import export, visits
 from sean_jax.studies.survey.answers import Answers
 from sean_jax.studies.survey.drive import Drive, Sessions, encoded, recording
 from sean_jax.studies.survey.study import Step, checked
+from sean_jax.web import local_server
+from sean_jax.web.studio.session import Session
 
 LONGEST = 16_384  # bytes of a message from a page
 RATE = 100  # messages of a page in a second; more close it
@@ -178,7 +178,9 @@ class Survey:
 
     def _who(self, request: Request) -> int | None:
         """The participant's number, -1 for the researcher; None for a wrong link."""
-        if secrets.compare_digest(local_server.query_of(request, "researcher").encode(), self.answers.researcher.encode()):
+        if secrets.compare_digest(
+            local_server.query_of(request, "researcher").encode(), self.answers.researcher.encode()
+        ):
             return -1
         return self._secrets.get(local_server.query_of(request, "participant"))
 
@@ -307,7 +309,9 @@ class Survey:
         if word == "command":
             if tab.drive is not None:
                 session = tab.drive.session
-                session.command(local_server.number(request, "ahead", -1.0, 1.0), local_server.number(request, "left", -1.0, 1.0))
+                session.command(
+                    local_server.number(request, "ahead", -1.0, 1.0), local_server.number(request, "left", -1.0, 1.0)
+                )
             return
         if word in (visits.HIDDEN, visits.VISIBLE):
             if tab.is_hidden != (word == visits.HIDDEN):

@@ -16,12 +16,12 @@ from typing import Annotated, Any, Literal, TypeGuard
 
 import pydantic
 
-from sean_jax.io import files
-from sean_jax.web import local_server
 from sean_jax.config import StudioConfig, validate
 from sean_jax.core.errors import InputError
-from sean_jax.io.files import Problem
 from sean_jax.core.messages import shorten, suggest
+from sean_jax.io import files
+from sean_jax.io.files import Problem
+from sean_jax.web import local_server
 
 VIEWS = ("plan", "first_person", "third_person")
 BEFORE, AFTER, CHOICE = "before", "after", "choice"

@@ -8,14 +8,14 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
-from sean_jax.io import writing
 from sean_jax.config import ValidateConfig
-from sean_jax.drawing.svg import svg
+from sean_jax.config.workspace import refuse_others
 from sean_jax.core.errors import InputError
+from sean_jax.drawing.svg import svg
+from sean_jax.io import writing
 from sean_jax.io.progress import Progress, progress
 from sean_jax.studies.validation import checks, page
 from sean_jax.studies.validation.checks import FAILS, PASSES, SKIPPED, Check, CheckContext, CheckResult, Row, Skipped
-from sean_jax.config.workspace import refuse_others
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -15,14 +15,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from sean_jax.io import files, writing
 from sean_jax.config import OwnPart, ValidateConfig, is_own_part, validate
-from sean_jax.core.errors import InputError
-from sean_jax.io.files import listed, unknown_name
 from sean_jax.config.flags import command
+from sean_jax.core.errors import InputError
+from sean_jax.io import files, writing
+from sean_jax.io.files import listed, unknown_name
+from sean_jax.io.versions import fingerprint, versions
 from sean_jax.people.recordings import Tracks
 from sean_jax.studies.scenes import Model, Scene, model, simulate
-from sean_jax.io.versions import fingerprint, versions
 
 PASSES, FAILS, SKIPPED = "passes", "fails", "skipped"
 RESULTS, PARTS = "results.json", "parts"

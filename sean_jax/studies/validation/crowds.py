@@ -104,7 +104,9 @@ def in_rows(rows: int, seconds: float, seed: int) -> Scene:
     own = np.arange(number)
     across = (own % rows + 0.5) * WIDTH / rows
     start = np.stack([own * PERIOD / number, across], 1)
-    return guideline_scenes.periodic(PERIOD, WIDTH, walkers(start, route=(0,), speed=hermes_speeds(number, seed)), seconds)
+    return guideline_scenes.periodic(
+        PERIOD, WIDTH, walkers(start, route=(0,), speed=hermes_speeds(number, seed)), seconds
+    )
 
 
 def corridor_diagram(context: CheckContext) -> CheckResult:

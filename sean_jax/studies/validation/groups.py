@@ -8,18 +8,18 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from sean_jax.simulation import making
-from sean_jax.world import environment
-from sean_jax.core import random_streams
 from sean_jax import social_forces
+from sean_jax.core import random_streams
 from sean_jax.core.data_types import Array, Scenario
 from sean_jax.people.behaviors.graph_choices import MAX_WAIT
+from sean_jax.simulation import making
 from sean_jax.simulation.scenario import reset
 from sean_jax.social_forces.forces import look_direction
 from sean_jax.studies.scenes import Model
 from sean_jax.studies.scenes.simulation import advance
 from sean_jax.studies.validation.checks import CheckContext, CheckResult, Curve, result
 from sean_jax.studies.validation.measures import overlap
+from sean_jax.world import environment
 
 MEMBERS, FULL = 0.8, 0.5  # of the capacity on average; of the time
 SECONDS, EPISODES = 300.0, 16

@@ -159,7 +159,8 @@ def _walked(context: CheckContext, preferred: np.ndarray, caption: str) -> np.nd
 def half_the_doors(context: CheckContext) -> CheckResult:
     """How much longer 1000 people take to leave a hall through two doors than through four."""
     four, two = context.simulate(
-        [guideline_scenes.hall(1000, 4), guideline_scenes.hall(1000, 2)], ["1000 people, four doors", "1000 people, two doors"]
+        [guideline_scenes.hall(1000, 4), guideline_scenes.hall(1000, 2)],
+        ["1000 people, four doors", "1000 people, two doors"],
     )
     times = [float(vanishing_times(tracks).max()) for tracks in (four, two)]
     inside = [int(np.asarray(tracks.present)[-1].sum()) for tracks in (four, two)]

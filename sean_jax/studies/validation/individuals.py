@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from sean_jax.core.data_types import Pedestrians, Scenario, State
+from sean_jax.io.versions import fingerprint
 from sean_jax.people.pedestrian_models import constant_velocity
 from sean_jax.people.recordings import Tracks
 from sean_jax.robots import load
@@ -21,7 +22,6 @@ from sean_jax.studies.prediction import HABITS, Predictable, Scores, evaluate, r
 from sean_jax.studies.scenes import Gate, Scene, join, spread, walkers
 from sean_jax.studies.validation.checks import PUBLISHED, CheckContext, CheckResult, Curve, result
 from sean_jax.studies.validation.measures import separation, steps_along
-from sean_jax.io.versions import fingerprint
 
 BEFORE = 4.0  # s, after which two would be nearest if they went straight on
 SPEEDS = (1.34, 1.34), (0.9, 1.7), (1.55, 1.2)  # m/s

@@ -11,17 +11,15 @@ import jax.numpy as jnp
 import numpy as np
 
 from sean_jax import drawing
-from sean_jax.io import files, writing
-from sean_jax.config import flags
-from sean_jax.web import pages
-from sean_jax.web import replay as player
+from sean_jax.config import ReplayConfig, ValidateConfig, flags
 from sean_jax.core.data_types import Environment, Obstacles, Trajectory
-from sean_jax.config import ReplayConfig, ValidateConfig
+from sean_jax.core.errors import InputError
 from sean_jax.drawing import colors
 from sean_jax.drawing.svg import svg
-from sean_jax.core.errors import InputError
+from sean_jax.io import files, writing
 from sean_jax.io.files import listed
 from sean_jax.io.progress import progress
+from sean_jax.io.versions import versions
 from sean_jax.people.recordings import Tracks
 from sean_jax.studies.scenes import Model, Scene
 from sean_jax.studies.validation.checks import (
@@ -39,7 +37,8 @@ from sean_jax.studies.validation.checks import (
     matches,
     models_of,
 )
-from sean_jax.io.versions import versions
+from sean_jax.web import pages
+from sean_jax.web import replay as player
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -25,15 +25,15 @@ import jax.numpy as jnp
 import numpy as np
 
 from sean_jax import drawing, robots
-from sean_jax.io import files, writing
-from sean_jax.world import navigation
-from sean_jax.web import pages
 from sean_jax.core.data_types import FAR, Environment, Scenario, Trajectory
+from sean_jax.core.errors import InputError
 from sean_jax.drawing import colors
 from sean_jax.drawing.layers import first_episode, one_episode, situation_names
-from sean_jax.core.errors import InputError
 from sean_jax.graph import FLOWS, NO_EDGE, BehaviorGraph, graph_of
+from sean_jax.io import files, writing
 from sean_jax.metrics.proximity import INTIMATE, PERSONAL
+from sean_jax.web import pages
+from sean_jax.world import navigation
 
 VERSION = 1
 LEVELS = 2**16 - 1

@@ -17,9 +17,9 @@ from typing import Any
 import jax
 import numpy as np
 
-from sean_jax.web import replay, local_server
 from sean_jax.core.data_types import Scenario, Trajectory
 from sean_jax.core.errors import InputError
+from sean_jax.web import local_server, replay
 
 HOST = "127.0.0.1"
 FRAMES = "frames"

@@ -10,14 +10,13 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from sean_jax.config import user_parts
+from sean_jax.config import StudioConfig, user_parts
+from sean_jax.core.errors import InputError
 from sean_jax.io import files, writing
 from sean_jax.web import pages
-from sean_jax.config import StudioConfig
-from sean_jax.core.errors import InputError
+from sean_jax.web.local_server import HOST
 from sean_jax.web.studio import address, trial
 from sean_jax.web.studio.server import Studio
-from sean_jax.web.local_server import HOST
 
 if TYPE_CHECKING:
     from rich.console import Console

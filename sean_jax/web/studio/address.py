@@ -14,8 +14,8 @@ from typing import Annotated, NamedTuple
 
 import pydantic
 
-from sean_jax.io import files
 from sean_jax.core.errors import FileError
+from sean_jax.io import files
 
 FILE = ".studio.json"
 MACHINE = "/etc/machine-id"

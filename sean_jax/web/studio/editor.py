@@ -19,22 +19,22 @@ from typing import Any
 import jax
 import numpy as np
 
-from sean_jax.simulation import making
-from sean_jax.people import behaviors
-from sean_jax.world import environment, generated
-from sean_jax.io import files, writing
-from sean_jax.web import pages, replay
-from sean_jax.core.data_types import Scenario
-from sean_jax.people.behaviors.graph_behavior import Tables
 from sean_jax.config import StudioConfig
-from sean_jax.world.environment import SCENE
+from sean_jax.core.bounds import MAX_COORDINATE
+from sean_jax.core.data_types import Scenario
 from sean_jax.core.errors import FileError, InputError
+from sean_jax.core.messages import shorten
 from sean_jax.graph import graph_of
 from sean_jax.graph.formation import reach
+from sean_jax.io import files, writing
+from sean_jax.people import behaviors
+from sean_jax.people.behaviors.graph_behavior import Tables
 from sean_jax.people.handcrafted import annotation
-from sean_jax.core.messages import shorten
-from sean_jax.core.bounds import MAX_COORDINATE
+from sean_jax.simulation import making
+from sean_jax.web import pages, replay
 from sean_jax.web.studio import scene_text, yaml_text
+from sean_jax.world import environment, generated
+from sean_jax.world.environment import SCENE
 
 GRAPH, SETS = "graph.yaml", annotation.FILE
 FILES = GRAPH, SETS, SCENE

@@ -10,8 +10,8 @@ from xml.parsers import expat
 
 import numpy as np
 
-from sean_jax.world import environment
 from sean_jax.core.errors import InputError
+from sean_jax.world import environment
 
 ATTRIBUTE = rb"""\s+([\w:.-]+)\s*=\s*("[^"]*"|'[^']*')"""
 TAG = re.compile(rb"<geom((?:" + ATTRIBUTE + rb")*)\s*(/?)>")

@@ -25,18 +25,17 @@ from websockets.asyncio.server import ServerConnection
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
-from sean_jax.people import behaviors
-from sean_jax.world import environment
-from sean_jax.config import flags
 from sean_jax import policies, robots, tasks
-from sean_jax.web import replay, local_server
-from sean_jax.io import writing
-from sean_jax.config import StudioConfig
+from sean_jax.config import StudioConfig, flags
 from sean_jax.core.errors import InputError, SeanError
+from sean_jax.io import writing
 from sean_jax.learning.policy import AGENTS
+from sean_jax.people import behaviors
+from sean_jax.web import local_server, replay
+from sean_jax.web.local_server import HOST, SOCKET
 from sean_jax.web.studio.session import SPEED_RANGE, Choice, Frame, Session, episode
 from sean_jax.web.studio.trial import no_demonstrations
-from sean_jax.web.local_server import HOST, SOCKET
+from sean_jax.world import environment
 
 LONGEST = 4096  # bytes of a message from a page
 CONNECTIONS = 32
@@ -359,7 +358,9 @@ class Studio:
             return
         if word == "command":  # of the driver alone; it makes nobody the driver
             if self._driver is tab:
-                session.command(local_server.number(request, "ahead", -1.0, 1.0), local_server.number(request, "left", -1.0, 1.0))
+                session.command(
+                    local_server.number(request, "ahead", -1.0, 1.0), local_server.number(request, "left", -1.0, 1.0)
+                )
             return
         if word == "take":  # the wheel, also from a tab that its person has forgotten
             self._end_comparison()
@@ -556,7 +557,11 @@ def _choices(rows: Any, session: Session) -> list[Choice]:
     if unknown := [row.get("policy") for row in rows if str(row.get("policy")) not in policies]:
         raise InputError(f"compare: policy {str(unknown[0])[:40]!r} is not on the page; reload the page.")
     made = [
-        Choice(row["policy"], int(local_server.number(row, "seed", 0, LAST)), int(local_server.number(row, "episode", 0, LAST)))
+        Choice(
+            row["policy"],
+            int(local_server.number(row, "seed", 0, LAST)),
+            int(local_server.number(row, "episode", 0, LAST)),
+        )
         for row in rows
     ]
     if len(set(made)) < len(made):

@@ -22,22 +22,22 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import PyTree
 
-from sean_jax.simulation import making, episodes
-from sean_jax.world import navigation
-from sean_jax.core import random_streams
-from sean_jax.web import replay
 from sean_jax import sensors
-from sean_jax.io import writing
-from sean_jax.simulation import scenario as scenarios
-from sean_jax.core.data_types import Array, Policy, Scenario, State, Trajectory
 from sean_jax.config import StudioConfig
+from sean_jax.core import random_streams
+from sean_jax.core.data_types import Array, Policy, Scenario, State, Trajectory
 from sean_jax.core.errors import InputError
+from sean_jax.io import writing
 from sean_jax.learning import load_policy
 from sean_jax.learning.collection import begin_episode
 from sean_jax.robots.drive import command_size, max_reverse_speed
+from sean_jax.simulation import episodes, making
+from sean_jax.simulation import scenario as scenarios
+from sean_jax.web import replay
 from sean_jax.web.studio import trial as trials
 from sean_jax.web.studio.editor import Editor, same_shapes
 from sean_jax.web.studio.trial import Trial
+from sean_jax.world import navigation
 
 MEMORY = 120.0  # s, for which one can return
 DEAD_MAN = 0.5  # s without a command after which the robot brakes

@@ -23,17 +23,16 @@ import jax.numpy as jnp
 import numpy as np
 import pydantic
 
-from sean_jax.simulation import making
-from sean_jax.config import user_parts
-from sean_jax.io import files, writing
+from sean_jax.config import StudioConfig, user_parts, validate
+from sean_jax.core.bounds import TIME_STEP_RANGE
 from sean_jax.core.data_types import RobotModel, Scenario, State
-from sean_jax.config import StudioConfig, validate
 from sean_jax.core.errors import FileError, InputError
+from sean_jax.core.messages import shorten
+from sean_jax.io import files, writing
 from sean_jax.learning.collection import EpisodePart, Recorder, steps_per_row
 from sean_jax.learning.dataset import Dataset
-from sean_jax.core.messages import shorten
-from sean_jax.core.bounds import TIME_STEP_RANGE
 from sean_jax.robots.drive import command_size, max_reverse_speed
+from sean_jax.simulation import making
 
 VERSION = 2  # of the files
 STOPPED = "stopped"  # outcome of a trial that did not reach the end of its episode

@@ -16,17 +16,16 @@ from typing import BinaryIO, NamedTuple
 import numpy as np
 from scipy import ndimage
 
-from sean_jax.io import cache, files, writing
 from sean_jax.core import bounds
-from sean_jax.world import environment as environments
 from sean_jax.core.data_types import Environment
 from sean_jax.core.errors import InputError
 from sean_jax.core.geometry import signed_distances_on_host
+from sean_jax.core.messages import shorten
 from sean_jax.graph import annotation
 from sean_jax.graph.annotation import Annotation, Edge, Node
 from sean_jax.graph.formation import reach
-from sean_jax.core.messages import shorten
-from sean_jax.world.navigation.arcs import pairs_are_free
+from sean_jax.io import cache, files, writing
+from sean_jax.world import environment as environments
 from sean_jax.world.generated.floor_families import (
     FAMILIES,
     LIMITS,
@@ -40,6 +39,7 @@ from sean_jax.world.generated.floor_families import (
     kind_of,
 )
 from sean_jax.world.generated.graph_proposal import propose
+from sean_jax.world.navigation.arcs import pairs_are_free
 
 __all__ = [
     "FAMILIES",
@@ -241,7 +241,9 @@ def find(name: str | Path, limit: int | None = None) -> list[Path]:
         parts = sorted(path.parent for path in folder.glob(f"*/{environments.SETTINGS}"))
         is_set = parts and not (folder / environments.SETTINGS).is_file()
         return parts[:limit] if is_set and str(name) not in environments.available() else [environments.find(name)]
-    source = cache.source("world/generated", "world/environment", "core/geometry", "graph/annotation", "graph/formation")
+    source = cache.source(
+        "world/generated", "world/environment", "core/geometry", "graph/annotation", "graph/formation"
+    )
     place = cache.folder() / "worlds" / source[:16]
     families = len(worlds.families)
     folders = [

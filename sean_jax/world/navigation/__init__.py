@@ -1,6 +1,7 @@
 """Shortest paths around obstacles, exact for discs: tables over the corners of inflated obstacles, looked up in jit."""
 
 from sean_jax.world.navigation.arcs import segment_is_free, segments_are_free
+from sean_jax.world.navigation.free_places import PLACES, draw_places, draw_uniform_places
 from sean_jax.world.navigation.next_corner_table import (
     CLOSE,
     NextCornerTable,
@@ -8,7 +9,6 @@ from sean_jax.world.navigation.next_corner_table import (
     next_corner,
     next_point_approx,
 )
-from sean_jax.world.navigation.free_places import PLACES, draw_places, draw_uniform_places
 from sean_jax.world.navigation.shortest_paths import (
     build_paths_to_goal,
     geodesic,

@@ -14,11 +14,11 @@ import numpy as np
 from jaxtyping import Int
 from scipy.spatial import KDTree
 
-from sean_jax.io import cache
 from sean_jax.core.data_types import FAR, Array, Environment
 from sean_jax.core.devices import to_device
 from sean_jax.core.errors import InputError
 from sean_jax.core.geometry import signed_distances_on_host
+from sean_jax.io import cache
 from sean_jax.world.navigation.arcs import SLACK, pairs_are_free
 from sean_jax.world.navigation.tables import CODE, Navigation, inputs
 from sean_jax.world.navigation.triangulation import free_triangles

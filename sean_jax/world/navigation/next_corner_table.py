@@ -12,10 +12,11 @@ import numpy as np
 from flax import struct
 from jaxtyping import Float, Int
 
-from sean_jax.io import cache
 from sean_jax.core.data_types import Array, PathsToGoal
 from sean_jax.core.devices import to_device
 from sean_jax.core.geometry import from_box, length
+from sean_jax.core.padding import FlatTable, flat_table, in_programs
+from sean_jax.io import cache
 from sean_jax.world.navigation.arcs import (
     ANGLE,
     Tangent,
@@ -28,7 +29,6 @@ from sean_jax.world.navigation.arcs import (
 )
 from sean_jax.world.navigation.shortest_paths import last_arcs
 from sean_jax.world.navigation.tables import CELL, CODE, Navigation, arc_bits, cell_of, inputs, visible_words
-from sean_jax.core.padding import FlatTable, flat_table, in_programs
 
 CLOSE = 0.8  # of the radius: bodies of people have 0.2 m, their paths are for 0.25 m
 MIN_AHEAD = 0.5  # m ahead: the nearest place that people aim at

@@ -11,12 +11,13 @@ from jaxtyping import Bool, Float, Int, UInt8
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from sean_jax.io import cache
-from sean_jax.world import environment as environments
 from sean_jax.core.data_types import FAR, Array, Environment, Obstacles
 from sean_jax.core.devices import to_device
 from sean_jax.core.errors import InputError
 from sean_jax.core.geometry import signed_distances_on_host
+from sean_jax.core.padding import FlatTable, flat_table, in_programs
+from sean_jax.io import cache
+from sean_jax.world import environment as environments
 from sean_jax.world.navigation.arcs import (
     ANGLE,
     SLACK,
@@ -27,7 +28,6 @@ from sean_jax.world.navigation.arcs import (
     segments_are_free,
     tangents,
 )
-from sean_jax.core.padding import FlatTable, flat_table, in_programs
 
 CODE = "world/navigation", "world/environment", "core/geometry", "core/padding"  # on which the tables depend
 FIELDS = "corner", "middle", "side", "first", "last"

@@ -8,9 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sean_jax.cli import bench, command_line
 from sean_jax import social_forces
-from sean_jax.cli.bench import Row, roofline, programs, workload
+from sean_jax.cli import bench, command_line
+from sean_jax.cli.bench import Row, programs, roofline, workload
 from sean_jax.config import BenchConfig
 from sean_jax.social_forces import kernel, model
 

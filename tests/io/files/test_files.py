@@ -10,8 +10,8 @@ import numpy as np
 import pydantic
 import pytest
 
-from sean_jax.io import files
 from sean_jax.core.errors import FileError
+from sean_jax.io import files
 from sean_jax.io.files import meshes, reading
 
 STRICT = pydantic.ConfigDict(extra="forbid", allow_inf_nan=False)

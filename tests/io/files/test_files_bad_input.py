@@ -12,16 +12,16 @@ import numpy as np
 import pytest
 
 import sean_jax
-from sean_jax.cli import command_line
-from sean_jax.world import environment, ros_map, navigation
-from sean_jax.core import bounds
-from sean_jax.people import recordings
 from sean_jax import robots
+from sean_jax.cli import command_line
+from sean_jax.core import bounds
 from sean_jax.core.errors import FileError, InputError
-from sean_jax.io.files import mjcf
 from sean_jax.core.geometry import MAX_ROWS, nearby_obstacles
+from sean_jax.io.files import mjcf
 from sean_jax.learning.dataset import open_dataset
 from sean_jax.learning.networks import read_network_config
+from sean_jax.people import recordings
+from sean_jax.world import environment, navigation, ros_map
 from support import trees
 from support.fuzzing import BOMB, MERGES, check_error, hall, image, walks
 from support.mjcf import DOCUMENT_TYPE, UNSAFE, box, lines_of, picture_scene, side_scene

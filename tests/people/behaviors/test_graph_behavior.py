@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import sean_jax
-from sean_jax.simulation import scenario as stages
 from sean_jax.people.behaviors import graph_behavior, graph_choices
+from sean_jax.simulation import scenario as stages
 
 
 @pytest.fixture(scope="module")

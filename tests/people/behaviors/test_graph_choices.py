@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 import sean_jax
-from sean_jax.world import environment as environments
 from sean_jax.core import random_streams
-from sean_jax.simulation import scenario as stages
-from sean_jax.people.behaviors import Place, graph_behavior, graph_choices
 from sean_jax.graph.behavior_graph import add_congestion_cost, edge_areas, edge_densities, routes
+from sean_jax.people.behaviors import Place, graph_behavior, graph_choices
+from sean_jax.simulation import scenario as stages
+from sean_jax.world import environment as environments
 from support import programs
 from support.graphs import assert_routes
 from support.quick import quick

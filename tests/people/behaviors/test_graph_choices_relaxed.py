@@ -10,10 +10,10 @@ import pytest
 import scipy.stats
 
 import sean_jax
-from sean_jax.simulation import scenario as stages
-from sean_jax.people.behaviors import Place, graph_behavior, graph_choices
 from sean_jax.graph import rerouted
 from sean_jax.graph.annotation import to_yaml
+from sean_jax.people.behaviors import Place, graph_behavior, graph_choices
+from sean_jax.simulation import scenario as stages
 from sean_jax.studies.inverse_graph.measuring import begin_alone
 from support.graphs import ring, yard
 

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 import sean_jax
-from sean_jax.world import environment as environments
-from sean_jax.simulation import scenario as stages
 from sean_jax.people.behaviors import graph_choices
 from sean_jax.people.behaviors.graph_choices import Memory, seats_of
+from sean_jax.simulation import scenario as stages
 from sean_jax.studies.validation.groups import group_occupancy
+from sean_jax.world import environment as environments
 
 PEOPLE, PATIENCE = 14, 50
 

@@ -9,8 +9,8 @@ import pytest
 
 import sean_jax
 from sean_jax.drawing import view
-from sean_jax.policies import go_to_goal
 from sean_jax.people.recordings import reading
+from sean_jax.policies import go_to_goal
 from support import programs
 from support.scenes import room
 

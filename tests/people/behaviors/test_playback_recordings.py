@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import sean_jax
-from sean_jax.policies import go_to_goal
 from sean_jax.people.recordings import motion_between_rows, reading
+from sean_jax.policies import go_to_goal
 from support.scenes import room
 
 FILES = {  # path, format, frames a second

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 import sean_jax
-from sean_jax.world import navigation as paths
+from sean_jax.drawing import view
 from sean_jax.people.behaviors import random_behavior, starts
 from sean_jax.people.behaviors.random_behavior import paths_to_place
-from sean_jax.drawing import view
 from sean_jax.policies import go_to_goal
+from sean_jax.world import navigation as paths
 from support import programs
 from support.scenes import box, room
 

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 import sean_jax
-from sean_jax.simulation import scenario as stages
 from sean_jax import social_forces
+from sean_jax.core.geometry import crosses_box
 from sean_jax.people.behaviors import starts
 from sean_jax.people.behaviors.starts import WalkingGroups
-from sean_jax.core.geometry import crosses_box
+from sean_jax.simulation import scenario as stages
 from sean_jax.social_forces import Crowd
 from sean_jax.studies.prediction import predict
 from support import walkers

@@ -9,18 +9,17 @@ import numpy as np
 import pytest
 
 import sean_jax
-from sean_jax.simulation import making
-from sean_jax.cli import command_line
 from sean_jax import drawing, tasks
-from sean_jax.world import environment, navigation
-from sean_jax.config import flags
-from sean_jax.people import handcrafted
-from sean_jax.simulation.making import with_task
-from sean_jax.config import CollectConfig, HandcraftedBehavior, RunConfig
-from sean_jax.world.environment import clearance
+from sean_jax.cli import command_line
+from sean_jax.config import CollectConfig, HandcraftedBehavior, RunConfig, flags
 from sean_jax.core.errors import FileError, InputError
 from sean_jax.learning.collection import streams
+from sean_jax.people import handcrafted
 from sean_jax.policies import go_to_goal
+from sean_jax.simulation import making
+from sean_jax.simulation.making import with_task
+from sean_jax.world import environment, navigation
+from sean_jax.world.environment import clearance
 from support.scenes import box, room
 
 ENVIRONMENTS = ("warehouse", "lab", "outdoor")

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from sean_jax import classifiers
-from sean_jax.people import recordings
 from sean_jax.core.data_types import Obstacles
 from sean_jax.core.errors import FileError
+from sean_jax.people import recordings
 from sean_jax.people.recordings import reading
 from support.files import write
 

@@ -6,8 +6,8 @@ import networkx
 import numpy as np
 import pytest
 
-from sean_jax.people import recordings
 from sean_jax.core.errors import FileError
+from sean_jax.people import recordings
 from sean_jax.people.recordings import reading
 from support.files import write
 

@@ -11,11 +11,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sean_jax.world import environment
 from sean_jax.core import gpu_kernels
 from sean_jax.sensors import raycast
 from sean_jax.sensors.raycast import intersect, kernel
 from sean_jax.sensors.raycast.view import HEAD, SHOULDER
+from sean_jax.world import environment
 from support.commands import cpu_devices, python
 from support.programs import lowered_for_gpu
 from support.quick import quick

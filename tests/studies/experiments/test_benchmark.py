@@ -11,18 +11,18 @@ import pytest
 from scipy import stats
 
 import sean_jax
-from sean_jax.simulation import making, episode_runner
 from sean_jax.cli import command_line
-from sean_jax.world import environment, generated
+from sean_jax.config import BenchmarkConfig, BenchmarkRankConfig, BenchmarkVerifyConfig, ScenarioConfig
 from sean_jax.core import random_streams
 from sean_jax.core.data_types import SENSING, Policy, as_policy
-from sean_jax.config import BenchmarkConfig, BenchmarkRankConfig, BenchmarkVerifyConfig, ScenarioConfig
 from sean_jax.core.errors import IncompleteError, InputError
 from sean_jax.learning.policy import AGENTS, load_policy
 from sean_jax.mdp import observations
 from sean_jax.metrics.differences import holm
 from sean_jax.policies import POLICIES
+from sean_jax.simulation import episode_runner, making
 from sean_jax.studies.experiments import benchmark, measures, ranking, ranks, verification
+from sean_jax.world import environment, generated
 from support.benchmark_results import columns, entry, place, smaller
 
 

@@ -14,25 +14,25 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sean_jax.cli import command_line
-from sean_jax.simulation import episodes
-from sean_jax.core import random_streams
-from sean_jax.simulation import episode_runner as runners
-from sean_jax.core.data_types import as_policy
 from sean_jax.classifiers import MORE_SITUATIONS
+from sean_jax.cli import command_line
 from sean_jax.config import AblationConfig, CollectConfig, Figure4Config, Table1Config, validate
+from sean_jax.config.workspace import Workspace, identity
+from sean_jax.core import random_streams
+from sean_jax.core.data_types import as_policy
 from sean_jax.core.errors import FileError, InputError
 from sean_jax.learning.collection import Recorder, record, streams
 from sean_jax.metrics import METRICS
 from sean_jax.metrics.bootstrap import resamples
 from sean_jax.policies import POLICIES, go_to_goal
+from sean_jax.simulation import episode_runner as runners
+from sean_jax.simulation import episodes
 from sean_jax.simulation.episode_runner import Runner, even_batch
 from sean_jax.simulation.scenario import results
 from sean_jax.studies import experiments
 from sean_jax.studies.experiments import demonstrations, figure4, shares, table1
 from sean_jax.studies.experiments.measures import MEASURES, Results, claims, has_learned
 from sean_jax.studies.experiments.shares import BEHAVIORS
-from sean_jax.config.workspace import Workspace, identity
 from support import learning_data
 from support.files import write
 
@@ -353,7 +353,9 @@ def test_chains_restart_from_their_own_stream():
     pools = there.starts()
     assert there.starts() is pools
     for index, (kind, seed) in enumerate((kind, seed) for kind in range(5) for seed in (3, 4)):
-        key = jax.random.fold_in(random_streams.key("table1 starts", seed), kind)  # as each stream and seed alone would draw them
+        key = jax.random.fold_in(
+            random_streams.key("table1 starts", seed), kind
+        )  # as each stream and seed alone would draw them
         alone = jax.jit(episodes.reset_pool, static_argnums=2)(kinds[kind], key, 3).starts
         np.testing.assert_allclose(pools.robot.position[index], alone.robot.position, atol=1e-5)
         np.testing.assert_allclose(pools.pedestrians.position[index], alone.pedestrians.position, atol=1e-5)

@@ -10,6 +10,7 @@ import pytest
 import sean_jax
 from sean_jax.cli import command_line
 from sean_jax.config import Figure4Config, LearningCurveConfig
+from sean_jax.config.workspace import Workspace
 from sean_jax.core.errors import InputError
 from sean_jax.learning.dataset import open_dataset
 from sean_jax.learning.policy import check_policy
@@ -17,7 +18,6 @@ from sean_jax.studies import experiments
 from sean_jax.studies.experiments import figure4, measures
 from sean_jax.studies.experiments.measures import Curve, Variant, comparisons
 from sean_jax.studies.experiments.shares import BEHAVIORS
-from sean_jax.config.workspace import Workspace
 
 ASKED = LearningCurveConfig()
 WORK = Workspace(ASKED.folder, {})

@@ -6,8 +6,8 @@ import math
 import numpy as np
 import pytest
 
-from sean_jax.cli import command_line
 from sean_jax.classifiers import MORE_SITUATIONS, OBJECT_SITUATIONS, SITUATIONS
+from sean_jax.cli import command_line
 from sean_jax.config import Table1Config
 from sean_jax.core.errors import FileError
 from sean_jax.metrics import bootstrap

@@ -10,14 +10,14 @@ import pytest
 from rich.console import Console
 
 import sean_jax
-from sean_jax.world import environment as environments
-from sean_jax.io import files
 from sean_jax.config import FitGraphConfig
 from sean_jax.core.errors import InputError
 from sean_jax.graph import annotation
 from sean_jax.graph.behavior_graph import cheapest_paths, hop_log_chances, routes
+from sean_jax.io import files
 from sean_jax.studies import inverse_graph
 from sean_jax.studies.inverse_graph import fitting, measuring
+from sean_jax.world import environment as environments
 from support.graphs import RING, ring, yard
 from support.scenes import box
 

@@ -30,13 +30,13 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 import support.survey
 from sean_jax.cli import command_line
-from sean_jax.web import pages
-from sean_jax.studies import survey
-from sean_jax.io import writing
 from sean_jax.config import StudioConfig, SurveyReportConfig, validate
 from sean_jax.core.errors import FileError, InputError, WriteError
+from sean_jax.io import writing
+from sean_jax.studies import survey
 from sean_jax.studies.survey import export, report, server, study, visits
 from sean_jax.studies.survey.answers import BROKEN_OFF, FILE, Answers
+from sean_jax.web import pages
 from support.checkout import ROOT
 from support.survey import FILM, STUDY, change, read, reply
 from support.web import browse, chromium, get, until

@@ -15,7 +15,7 @@ from sean_jax.config import ValidateConfig
 from sean_jax.studies import validation
 from sean_jax.studies.calibration.loss import GROUPS
 from sean_jax.studies.scenes import Gate, model
-from sean_jax.studies.validation import checks, crowds, guidelines, individuals, page, guideline_scenes
+from sean_jax.studies.validation import checks, crowds, guideline_scenes, guidelines, individuals, page
 from sean_jax.studies.validation.checks import (
     CHECKS,
     GATES,

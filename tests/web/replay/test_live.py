@@ -17,8 +17,8 @@ import pytest
 
 import support.replays
 from sean_jax.cli import command_line
-from sean_jax.web.replay import live
 from sean_jax.io.trajectories import load_trajectory
+from sean_jax.web.replay import live
 from support.checkout import WEB
 from support.replays import decode
 from support.web import chromium

@@ -20,11 +20,11 @@ from PIL import Image
 
 import sean_jax
 from sean_jax.cli import command_line
-from sean_jax.web import pages, replay
 from sean_jax.core.data_types import Trajectory
 from sean_jax.core.errors import InputError
 from sean_jax.evaluation import compare
 from sean_jax.policies import go_to_goal
+from sean_jax.web import pages, replay
 from sean_jax.web.replay import CENTIMETRE, TURN, encode
 from support.checkout import WEB
 from support.replays import decode

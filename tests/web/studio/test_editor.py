@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 import yaml
 
-from sean_jax.simulation import making
-from sean_jax.world import environment
 from sean_jax.config import StudioConfig, validate
 from sean_jax.core.errors import InputError
+from sean_jax.simulation import making
 from sean_jax.web.studio import editor, scene_text, yaml_text
 from sean_jax.web.studio.editor import Editor
+from sean_jax.world import environment
 from support import mjcf, trees
 from support.checkout import ROOT
 from support.mjcf import HANDWRITTEN

@@ -26,13 +26,12 @@ from websockets.asyncio.client import connect
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 import support.studio
-from sean_jax.simulation import making
-from sean_jax.config import user_parts
 from sean_jax import learning
-from sean_jax.web import pages, local_server
-from sean_jax.config import StudioConfig, validate
+from sean_jax.config import StudioConfig, user_parts, validate
 from sean_jax.core.errors import FileError, InputError
 from sean_jax.learning import Recorder
+from sean_jax.simulation import making
+from sean_jax.web import local_server, pages
 from sean_jax.web.studio import address, server, trial
 from sean_jax.web.studio.server import Studio
 from sean_jax.web.studio.session import Choice, Session

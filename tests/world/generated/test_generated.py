@@ -17,12 +17,12 @@ from scipy.sparse.csgraph import connected_components
 
 import sean_jax
 from sean_jax.cli import command_line
-from sean_jax.world import navigation, generated
-from sean_jax.world import environment as environments
 from sean_jax.core.data_types import PATTERNS
 from sean_jax.core.errors import InputError
 from sean_jax.graph import annotation
 from sean_jax.policies import go_to_goal
+from sean_jax.world import environment as environments
+from sean_jax.world import generated, navigation
 from sean_jax.world.generated import floor_families
 from sean_jax.world.generated.floor_families import GAP, TOUCH
 
@@ -161,8 +161,10 @@ def test_the_command_writes_environments_and_a_picture(tmp_path, capsys):
 
 def test_two_processes_make_the_same_set(tmp_path):
     """Both have it, whichever was first, and nothing else remains."""
-    code = "import sys, time; from sean_jax.world import generated as worlds; time.sleep(max(0, float(sys.argv[1]) - time.time()));" + (
-        "print(*worlds.find('worlds:passages,clutter:4:20'))"
+    code = (
+        "import sys, time; from sean_jax.world import generated as worlds;"
+        " time.sleep(max(0, float(sys.argv[1]) - time.time()));"
+        " print(*worlds.find('worlds:passages,clutter:4:20'))"
     )
     variables = {**os.environ, "XDG_CACHE_HOME": str(tmp_path), "JAX_PLATFORMS": "cpu"}
     command = [sys.executable, "-c", code, str(time.time() + 6.0)]

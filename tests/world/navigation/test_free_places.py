@@ -11,9 +11,9 @@ from scipy import stats
 from shapely import affinity
 
 import sean_jax
-from sean_jax.world import environment as environments
-from sean_jax.world import navigation, generated
 from sean_jax.core.data_types import Environment
+from sean_jax.world import environment as environments
+from sean_jax.world import generated, navigation
 from sean_jax.world.navigation.triangulation import free_triangles
 from support.scenes import box, room
 

@@ -8,12 +8,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from sean_jax.world import environment as environments
-from sean_jax.world import navigation
 from sean_jax.core.data_types import Environment, Obstacles
-from sean_jax.world.environment import plain_scenery
 from sean_jax.core.geometry import build_obstacle_grid
 from sean_jax.graph import annotation
+from sean_jax.world import environment as environments
+from sean_jax.world import navigation
+from sean_jax.world.environment import plain_scenery
 from sean_jax.world.navigation import Navigation
 from support import shortest_paths as oracle
 from support.quick import quick
