@@ -8,6 +8,7 @@ recordings as well. A user's situation may omit thresholds: ``as_situation`` tak
 import inspect
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -52,13 +53,13 @@ RESERVED = ("overall", "none")  # other rows of tables
 Situation = Callable[[Snapshot, Thresholds], Array]  # (snapshot, thresholds) -> () bool
 
 
-def thresholds(**values: float | Array) -> Thresholds:
+def thresholds(**values: Any) -> Thresholds:
     """The paper's thresholds, D = 2.4 m, V = 1.4 m/s, A = 15 degrees (section V-B), and other thresholds.
 
     They are arrays, which can be swept.
 
     Args:
-        values: fields of ``Thresholds`` that differ, in its units.
+        values: fields of ``Thresholds`` that differ: numbers or () arrays in its units.
     """
     return jax.tree.map(lambda value: jnp.asarray(value, float), Thresholds(**values))
 

@@ -96,8 +96,8 @@ def test_everything_that_tables_depend_on_tells_them_apart(made, hall):
         for _ in range(2):
             navigation.build(*arguments)
             assert made["navigation"] == number
-    cache.load_or_build("navigation", ("navigation",), [1.0], numbers(3))  # other code
-    cache.load_or_build("navigation", ("geometry",), [1.0], numbers(3))
+    cache.load_or_build("navigation", ("world/navigation",), [1.0], numbers(3))  # other code
+    cache.load_or_build("navigation", ("core/geometry",), [1.0], numbers(3))
     assert made["navigation"] == number + 2
     one, two = np.zeros((2, 1)), np.zeros((1, 2))  # the same bytes in another shape
     cache.load_or_build("shape", (), [one], numbers(1))

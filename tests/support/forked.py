@@ -55,7 +55,7 @@ def _serve() -> None:
     import importlib
 
     heavy = "optax orbax.checkpoint tensorstore matplotlib.figure mujoco scipy.sparse.csgraph rich.progress PIL.Image"
-    own = "cli assembly drawing evaluation progress runner"
+    own = "cli.command_line simulation.making drawing evaluation io.progress simulation.episode_runner"
     with contextlib.redirect_stdout(sys.stderr):
         for name in [*heavy.split(), *(f"sean_jax.{name}" for name in own.split())]:
             importlib.import_module(name)

@@ -172,7 +172,7 @@ def readers() -> set[str]:
             return call.func.attr in GATE and ast.unparse(call.func.value) == "files"
         return isinstance(call.func, ast.Name) and call.func.id in GATE and call.func.id != "load"
 
-    return {place for place in callers(of_the_gate) if not place.startswith("files/")}
+    return {place for place in callers(of_the_gate) if not place.startswith("io/files/")}
 
 
 class Refused(Exception):

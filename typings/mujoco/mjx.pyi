@@ -1,0 +1,5 @@
+"""As ``mujoco``."""
+
+from typing import Any
+
+def __getattr__(name: str) -> Any: ...
