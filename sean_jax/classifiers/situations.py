@@ -1,8 +1,8 @@
 """The five social situations, equations (1)-(5) of section III-A, for a robot among people.
 
 Each equation is about one agent; a situation occurs when it holds for any of them. A situation is a function
-``(snapshot, thresholds) -> () bool`` of a ``base.Snapshot`` and ``Thresholds``. It reads arrays only, so it works for
-recordings as well. A user's situation may omit thresholds: ``as_situation`` takes ``snapshot -> () bool``, too.
+``(snapshot, thresholds) -> () bool`` of a ``sean_jax.Snapshot`` and ``Thresholds``. It reads arrays only, so it works
+for recordings as well. A user's situation may omit thresholds: ``as_situation`` takes ``snapshot -> () bool``, too.
 """
 
 import inspect

@@ -3,7 +3,7 @@
 An option is one field of a class in ``sean_jax.config``. Flags and help, ``config.yaml``, manifests, the JSON Schema
 and the keywords of ``make`` derive from it. A component (behavior, task, robot, policy, ...) has a ``kind`` and options
 of that kind: ``{kind: graph, routing: edge}``, or ``GraphBehavior(routing="edge")``. Where a kind can stand,
-``my.py:thing`` can stand (``components`` loads it), or in Python the part itself.
+``my.py:thing`` can stand (``user_parts`` loads it), or in Python the part itself.
 
 Nothing in this package imports JAX or numpy, so that the command line answers at once.
 """
@@ -379,7 +379,7 @@ def validate(
     *,
     typed: bool = False,
 ) -> Described:
-    """Options, checked. Their own parts run if the user trusts them (``components.trust``) or has typed them.
+    """Options, checked. Their own parts run if the user trusts them (``user_parts.trust``) or has typed them.
 
     Args:
         source: the file with the values.

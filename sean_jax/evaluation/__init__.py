@@ -77,7 +77,7 @@ def evaluate(
 
     Args:
         scenario: one, or several that take turns and differ in their task or in leaves alone; or a stack for each, with
-            floors that take turns (``assembly.build_floors``).
+            floors that take turns (``making.build_floors``).
         policy: a ``Policy``, a function (scenario, state, key) -> (2,) [m/s, rad/s], a name, the folder of a training,
             or FILE.py:NAME.
         seed: equal seeds give equal episodes, the episodes of ``sean run``.

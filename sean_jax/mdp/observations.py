@@ -55,7 +55,7 @@ class ObservationTerm:
             without that axis.
         people: whether it contains positions of people, for tables of agents.
         image: whether it is a picture, (height, width) or with colors, which ``flatten`` leaves out.
-        sensing: knowledge of people that it needs, one of ``base.SENSING``.
+        sensing: knowledge of people that it needs, one of ``data_types.SENSING``.
     """
 
     read: Callable[[Scenario, State, Any], Array]
@@ -305,7 +305,7 @@ Terms = tuple[tuple[str, ObservationTerm], ...]
 
 
 def sensing(terms: Terms) -> str:
-    """The class of a policy that reads these terms, one of ``base.SENSING``."""
+    """The class of a policy that reads these terms, one of ``data_types.SENSING``."""
     return next(each for each in SENSING if each == "raw" or any(term.sensing == each for _, term in terms))
 
 

@@ -124,7 +124,7 @@ def _mixed(scenarios: Sequence[Scenario]) -> Scenario:
 
 
 def check(config: EnvConfig) -> dict[str, Any]:
-    """Observations, rewards, terminations and randomization for ``make_env``; refuses options as ``assembly.check``.
+    """Observations, rewards, terminations and randomization for ``make_env``; refuses options as ``making.check``.
 
     Raises:
         InputError: one sentence that names the value and the cure.

@@ -1,4 +1,4 @@
-"""Policies, which drive the robot: functions (scenario, state, key) -> (2,) [m/s, rad/s], or ``base.Policy``."""
+"""Policies, which drive the robot: functions (scenario, state, key) -> (2,) [m/s, rad/s], or ``data_types.Policy``."""
 
 from sean_jax.core.data_types import PolicyLike
 from sean_jax.policies.dwa import dwa

@@ -1,6 +1,6 @@
 """orca: optimal reciprocal collision avoidance for robots on two wheels and omnidirectional ones (van den Berg, 2011).
 
-The half-planes are defined in ``half_planes``. They are those of a disc around the point of ``steering`` that contains
+The half-planes are defined in ``orca_solver``. They are those of a disc around the point of ``steering`` that contains
 the robot (J. Snape et al., IROS 2010).
 """
 

@@ -54,7 +54,7 @@ class Body:
 
     name: str
     links: list[Link]
-    cameras: list[tuple[str, np.ndarray, np.ndarray]]  # name, place [m] and axes of ``base.Mount``
+    cameras: list[tuple[str, np.ndarray, np.ndarray]]  # name, place [m] and axes of ``data_types.Mount``
     frames: list[tuple[str, np.ndarray, np.ndarray]]  # of links and sites: x ahead, y to the left, z up
     missing: list[str] = dataclasses.field(default_factory=list)  # meshes without a shape
 

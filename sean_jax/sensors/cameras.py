@@ -29,7 +29,7 @@ SECTOR = 15  # rays of a tile, likewise
 
 @dataclasses.dataclass(frozen=True)
 class Camera:
-    """A camera on a robot. ``axes`` as in ``base.Mount``."""
+    """A camera on a robot. ``axes`` as in ``data_types.Mount``."""
 
     name: str  # of its mount on the robot
     origin: tuple[float, ...] | None  # (3,) m in the robot's frame; None: of the mount on the scenario's robot
@@ -41,7 +41,7 @@ class Camera:
     far: float  # m, along the view: farther bodies are invisible
     orthographic: float  # m, height of the picture without perspective; 0: with perspective
     sees_robot: bool  # whether the robot itself is in the picture
-    low: bool = False  # as of ``base.Mount``; with an origin, its height counts
+    low: bool = False  # as of ``data_types.Mount``; with an origin, its height counts
 
     def resized(self, width: int, height: int) -> "Camera":
         """The same camera with another resolution in pixels."""
@@ -235,8 +235,18 @@ class Lidar:
     span: float  # rad, that the rays cover together, beginning with the first
     near: float  # m, nearer bodies are invisible
     far: float  # m, farther bodies are invisible
-    axes: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)  # (9,) of ``base.Mount``: level, ahead
-    low: bool = False  # as of ``base.Mount``; with an origin, its height counts
+    axes: tuple[float, ...] = (
+        1.0,
+        0.0,
+        0.0,
+        0.0,
+        1.0,
+        0.0,
+        0.0,
+        0.0,
+        1.0,
+    )  # (9,) of ``data_types.Mount``: level, ahead
+    low: bool = False  # as of ``data_types.Mount``; with an origin, its height counts
     elevations: tuple[float, ...] = ()  # rad, of each ring above the plane of x and y, ascending; (): one plane
 
 

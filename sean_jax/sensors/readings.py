@@ -1,6 +1,6 @@
 """Sensors as values (section IV-F), the readings of all of them at once, and the errors of real sensors.
 
-A ``base.Sensor`` is a pure function with its parameters. ``SENSORS`` are every robot's. ``depth_sensor``,
+A ``data_types.Sensor`` is a pure function with its parameters. ``SENSORS`` are every robot's. ``depth_sensor``,
 ``color_sensor`` and ``lidar_sensor`` make others from a camera or a lidar. ``as_sensor`` also reads YAML files. Noise,
 drop-outs, delays and rates are functions of images and scans of any shape.
 """

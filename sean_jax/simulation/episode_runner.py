@@ -112,7 +112,7 @@ class Runner:
         Args:
             policy: one policy, or ``drivers`` of them along a leading axis of its leaves.
             size: episodes at once, rounded up to a multiple of the devices and drivers (``batch_size``).
-            use: of the seed, one of ``prng.USES``.
+            use: of the seed, one of ``random_streams.USES``.
             mesh: devices that share the work; all if None.
             chunk: s between two looks at the progress.
             drivers: number of policies, each of which drives an equal share of a batch, one after the other.

@@ -38,7 +38,7 @@ def rollout(
     Args:
         key: () typed PRNG key of the episode.
         steps: number of control steps; static.
-        record: (before, after, action) -> the record of a step, a pytree; ``base.Trajectory`` by default.
+        record: (before, after, action) -> the record of a step, a pytree; ``data_types.Trajectory`` by default.
         checkpoint_every: steps of a block of which reverse mode keeps only the first state; best a divisor of ``steps``
             near their root. None: reverse mode keeps something of every step, and computes each once.
         between: state -> state after each step, such as ``gradients.truncate``, ``damp`` and ``clip``.

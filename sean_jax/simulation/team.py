@@ -145,7 +145,7 @@ def init_policy(team: Stack[Scenario], policy: PolicyLike, states: State) -> Sta
 def policy_step(team: Stack[Scenario], policy: PolicyLike, states: State) -> tuple[State, Float[Array, "M command"]]:
     """One control step with the commands of a policy of all robots: the states, and the commands [m/s, rad/s].
 
-    A policy meets the other robots as moving bodies (``others.with_bodies``).
+    A policy meets the other robots as moving bodies (``other_robots.with_bodies``).
     """
     policy = as_policy(policy)
 
@@ -165,7 +165,7 @@ def rollout(
     Args:
         key: () typed PRNG key of the episode.
         steps: number of control steps; static.
-        record: (before, after, action) -> the record of a step of one robot; ``base.Trajectory`` by default.
+        record: (before, after, action) -> the record of a step of one robot; ``data_types.Trajectory`` by default.
 
     Returns:
         The last states (M, ...), and the records (steps, M, ...).

@@ -165,7 +165,7 @@ def test_a_handler_that_is_not_pythons_is_left_alone(monkeypatch):
 COMPILING = """
 import signal, sys
 import jax, jax.numpy as jnp
-from sean_jax.cli import command_line as cli; from sean_jax.core import errors; from sean_jax.io import interrupts
+from sean_jax.cli import command_line; from sean_jax.core import errors; from sean_jax.io import interrupts
 
 def long(x):
     for k in range(100):
@@ -200,7 +200,7 @@ ENDS = [  # of a program of a user's, and of the command line
 @pytest.mark.parametrize(("end", "begin", "code", "text"), ENDS)
 def test_an_error_while_xla_compiles_ends_in_its_own_code(end, begin, code, text):
     """An interpreter that ends unwinds the threads that are left, which XLA answers with ``abort``."""
-    begin = begin or "cli._DO['list'] = work; sys.argv = ['sean', 'list']; sys.exit(cli.main())"
+    begin = begin or "command_line._DO['list'] = work; sys.argv = ['sean', 'list']; sys.exit(command_line.main())"
     program = COMPILING.format(end=end, begin=begin)
     ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=120)
     assert ended.returncode == code, ended.stderr

@@ -438,3 +438,16 @@ def test_no_test_imports_a_test_or_a_benchmark():
             names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
             tops = {name.split(".")[0] for name in names}
             assert not tops & banned and not any(top.startswith("test_") for top in tops), f"{path.name}: {tops}"
+
+
+def test_a_test_file_has_the_name_of_what_it_tests():
+    """tests/metrics/test_proximity.py tests sean_jax/metrics/proximity.py; a further word says the aspect."""
+    for path in (ROOT / "tests").rglob("test_*.py"):
+        folder = path.parent.relative_to(ROOT / "tests")
+        if folder.name == "repository":  # its own files: .ci, pyproject.toml, the built wheel
+            continue
+        places = (PACKAGE / folder, ROOT / folder, path.parent)
+        tested = next(place for place in places if place.is_dir())
+        names = {folder.name, *(entry.stem for entry in tested.iterdir() if not entry.name.startswith("test_"))}
+        about = path.stem.removeprefix("test_")
+        assert any(about == name or about.startswith(f"{name}_") for name in names), path

@@ -119,7 +119,7 @@ def test_scenarios_of_different_shapes_are_refused(quiet):
 
 TWO = """
 import jax, numpy as np, sean_jax
-from sean_jax.core import devices; from sean_jax.simulation import scenario_stack as stack
+from sean_jax.core import devices; from sean_jax.simulation import scenario_stack
 from sean_jax.evaluation import batches
 from sean_jax.simulation.episode_runner import Runner, Callbacks
 assert len(jax.devices()) == 2
@@ -128,7 +128,7 @@ scenarios = [sean_jax.make("lab", task=task, **asked) for task in ("random_ab_na
 drive = lambda scenario, state, key: jax.numpy.asarray([0.2, 0.1])
 found = []
 for mesh in (devices.mesh(jax.devices()[:1]), devices.mesh()):
-    runner = Runner(scenarios, drive, 3, "run", batches.record(stack.as_stacks(scenarios)[0], 3), mesh)
+    runner = Runner(scenarios, drive, 3, "run", batches.record(scenario_stack.as_stacks(scenarios)[0], 3), mesh)
     runner.compile(Callbacks())
     found.append([runner.run(1, first, count) for first, count in ((0, 3), (3, 2))])
 for one, two in zip(*found):

@@ -47,7 +47,7 @@ def mujoco_distances(name, people, origin, directions):
 
 
 def yard(boxes=(), cylinders=(), spheres=()):
-    """A scenery of rows as ``base.Solids`` has them."""
+    """A scenery of rows as ``data_types.Solids`` has them."""
     shapes = (boxes, 8), (cylinders, 8), (spheres, 4), ([[0.5] * 3] * (len(boxes) + len(cylinders) + len(spheres)), 3)
     return Solids(*(jnp.asarray(np.asarray(rows, np.float32).reshape(-1, width)) for rows, width in shapes))
 

@@ -173,7 +173,7 @@ class Described(NamedTuple):
     """What a result says of its policy."""
 
     policy_digest: str  # 16 letters
-    sensing: str  # one of ``base.SENSING``
+    sensing: str  # one of ``data_types.SENSING``
     trained: bool  # whether it is a network of a training
 
 

@@ -29,7 +29,7 @@ class Entry(NamedTuple):
     """The results of one name: of one policy, or of the training seeds of an agent."""
 
     name: str
-    sensing: str  # one of ``base.SENSING``
+    sensing: str  # one of ``data_types.SENSING``
     trained: bool  # whether it is an agent
     measured: list[dict[str, Arrays]]  # of each result, by track
 

@@ -162,9 +162,9 @@ def test_the_command_writes_environments_and_a_picture(tmp_path, capsys):
 def test_two_processes_make_the_same_set(tmp_path):
     """Both have it, whichever was first, and nothing else remains."""
     code = (
-        "import sys, time; from sean_jax.world import generated as worlds;"
+        "import sys, time; from sean_jax.world import generated;"
         " time.sleep(max(0, float(sys.argv[1]) - time.time()));"
-        " print(*worlds.find('worlds:passages,clutter:4:20'))"
+        " print(*generated.find('worlds:passages,clutter:4:20'))"
     )
     variables = {**os.environ, "XDG_CACHE_HOME": str(tmp_path), "JAX_PLATFORMS": "cpu"}
     command = [sys.executable, "-c", code, str(time.time() + 6.0)]
