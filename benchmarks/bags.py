@@ -24,7 +24,7 @@ import sean_jax
 from sean_jax import sensors
 from sean_jax.core.data_types import Scenario
 from sean_jax.io.versions import versions
-from sean_jax.ros import bags, messages
+from sean_jax.ros import bag_writing, messages
 
 STEPS = 100
 
@@ -35,7 +35,7 @@ def written(
     """Number of messages, s of the processor, and bytes of a bag of these steps."""
     with tempfile.TemporaryDirectory() as folder:
         began = time.process_time()
-        with bags.Bag(Path(folder), "episode", table, version) as bag:
+        with bag_writing.Bag(Path(folder), "episode", table, version) as bag:
             for step in steps:
                 now = round(int(step.tick) * scenario.time_step * messages.SECOND) + messages.SECOND
                 bag.write(messages.messages(table, step, now), now)

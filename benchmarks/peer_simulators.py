@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sean_jax.people import pedestrian_models
+from sean_jax.people import orca
 
 
 class Peer(NamedTuple):
@@ -115,7 +115,7 @@ def socialforce(hall):
 def rvo2(hall):
     """RVO2, ORCA in C++, with neighbors and horizons of this project's ORCA; velocities are preferred once."""
     package = importlib.import_module("rvo2")
-    ours, radius = pedestrian_models, hall.radius + 0.5 * pedestrian_models.SPACE
+    ours, radius = orca, hall.radius + 0.5 * orca.SPACE
     ahead = hall.goals - hall.starts
     preferred = hall.speeds[:, None] * ahead / np.linalg.norm(ahead, axis=1, keepdims=True)
 

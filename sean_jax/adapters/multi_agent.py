@@ -17,7 +17,7 @@ from sean_jax.core.data_types import Array, Scenario, State
 from sean_jax.mdp import make_env, observations, rewards, to_command
 from sean_jax.mdp.observations import ObservationLike, flatten
 from sean_jax.mdp.rewards import RewardLike
-from sean_jax.robots.other_robots import with_bodies
+from sean_jax.robots.teammates import with_bodies
 from sean_jax.simulation import team
 from sean_jax.simulation.scenario_stack import Stack
 

@@ -24,7 +24,7 @@ from sean_jax.classifiers.predicates import (
     perpendicular_trajectory,
     walking,
 )
-from sean_jax.core import user_code
+from sean_jax.core import user_calls
 from sean_jax.core.data_types import Array, Pedestrians, Snapshot
 from sean_jax.core.devices import parameter
 from sean_jax.core.errors import InputError
@@ -171,7 +171,7 @@ class _Situation:
     def __call__(self, snapshot: Snapshot, thresholds: Thresholds) -> Array:
         names = "snapshot, thresholds" if self.with_thresholds else "snapshot"
         arguments = (snapshot, thresholds) if self.with_thresholds else (snapshot,)
-        value = user_code.call("situations", self.function, names, *arguments)
+        value = user_calls.call("situations", self.function, names, *arguments)
         cure = "compare numbers, and reduce over people with any"
-        user_code.check_array("situations", self.function, value, bool, (), cure)
+        user_calls.check_array("situations", self.function, value, bool, (), cure)
         return jnp.asarray(value)

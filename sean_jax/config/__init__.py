@@ -6,8 +6,8 @@ from typing import Annotated, Literal
 
 import pydantic
 
-from sean_jax.config import fields
-from sean_jax.config.core import (
+from sean_jax.config import option_types
+from sean_jax.config.components import (
     Bounds,
     Component,
     Config,
@@ -22,7 +22,6 @@ from sean_jax.config.core import (
     validate,
     with_defaults,
 )
-from sean_jax.config.fields import MAX_HOURS, MAX_PIXELS, MAX_RATE, MAX_SHARD, MAX_SIDE, Number, Option, Range, Text
 from sean_jax.config.learning import (
     EXPORTS,
     METHODS,
@@ -37,6 +36,17 @@ from sean_jax.config.learning import (
     ImitationConfig,
     PPOConfig,
     ReinforcementConfig,
+)
+from sean_jax.config.option_types import (
+    MAX_HOURS,
+    MAX_PIXELS,
+    MAX_RATE,
+    MAX_SHARD,
+    MAX_SIDE,
+    Number,
+    Option,
+    Range,
+    Text,
 )
 from sean_jax.config.scenario import (
     DEFAULT_FORCES,
@@ -82,21 +92,21 @@ from sean_jax.core.messages import listed, suggest
 class BenchConfig(Config):
     """Measure speed on this machine and write it as a table, as JSON and as a picture."""
 
-    environment: fields.EnvironmentName = "warehouse"
-    people: fields.PeopleOrDefault = None
+    environment: option_types.EnvironmentName = "warehouse"
+    people: option_types.PeopleOrDefault = None
     robot: RobotPart = Named(kind="kuri")
-    dynamics: fields.Dynamics = "twin"
-    only: fields.Names = "step,depth,images,pictures,crowd,compile,devices"
+    dynamics: option_types.Dynamics = "twin"
+    only: option_types.Names = "step,depth,images,pictures,crowd,compile,devices"
     """Measurements, separated by commas."""
-    batches: tuple[fields.BatchSize, ...] = ()
+    batches: tuple[option_types.BatchSize, ...] = ()
     """Numbers of scenarios at once; by default 1 to 256 on a CPU and 1 to 65536 on a GPU."""
-    repeats: fields.Count = 5
+    repeats: option_types.Count = 5
     """Timings of each measurement, of which the median counts."""
-    seconds: fields.TimingSeconds = 1.0
+    seconds: option_types.TimingSeconds = 1.0
     """Approximate duration of one timing."""
-    out: fields.Out = None
+    out: option_types.Out = None
     """Folder to write, by default sean-bench-DATE-TIME."""
-    quiet: fields.Quiet = False
+    quiet: option_types.Quiet = False
 
     @pydantic.field_validator("only")
     @classmethod
@@ -124,9 +134,9 @@ class DrawConfig(Config):
     """The behavior graph, with its groups seated."""
     handcrafted: bool = False
     """The handcrafted sets, one panel each."""
-    sets: fields.Text = "all"
+    sets: option_types.Text = "all"
     """Which handcrafted sets, as in sean run."""
-    environment: fields.Text | None = None
+    environment: option_types.Text | None = None
     """Environment: a name, or the folder of your own; by default all of the package."""
     out: Path | None = None
     """File to write, such as sheet.png or sheet.svg; with several environments, the name of each is added."""
@@ -139,9 +149,9 @@ class ImportMapConfig(Config):
     """YAML file of the map."""
     out: Path
     """Folder to write; it must be new or empty. Its path then serves as --environment."""
-    people: fields.People | None = None
+    people: option_types.People | None = None
     """Default number of people; by default one for each 25 m2 of free floor."""
-    height: fields.Height = 2.0
+    height: option_types.Height = 2.0
     """Height of all obstacles in metres, which a map does not have."""
     unknown: Literal["obstacle", "free"] = "obstacle"
     """Meaning of the map's unknown cells."""
@@ -154,11 +164,11 @@ class ImportBagConfig(Config):
     """File of rosbag 1, or folder of rosbag2."""
     out: Path
     """Folder to write; it must be new or empty."""
-    time_step: Annotated[float, fields.Number(0.001, 10.0, "s")] = 0.1
+    time_step: Annotated[float, option_types.Number(0.001, 10.0, "s")] = 0.1
     """Seconds between rows; positions of the bag are interpolated."""
-    people_topic: fields.Text | None = None
+    people_topic: option_types.Text | None = None
     """Topic of the people; by default the first one with people."""
-    robot_topic: fields.Text | None = None
+    robot_topic: option_types.Text | None = None
     """Topic of the robot's pose; by default odometry, else transforms, else a pose with covariance."""
 
 
@@ -171,21 +181,21 @@ class ImportRobotConfig(Config):
     """Robot file to write, such as robot.xml, with a picture beside it. Its path then serves as --robot."""
     drive: Literal["differential", "omnidirectional", "ackermann"] | None = None
     """Drive; by default by the places and axes of the wheels."""
-    wheels: fields.Names | None = None
+    wheels: option_types.Names | None = None
     """Joints of the driven wheels, separated by commas; by default the wheels on the floor."""
-    wheel_radius: fields.Radius | None = None
+    wheel_radius: option_types.Radius | None = None
     """Radius of the wheels in metres; by default of their shapes."""
-    wheel_separation: fields.Radius | None = None
+    wheel_separation: option_types.Radius | None = None
     """Distance in metres of the left and right wheels, as odometry uses it; by default of their joints."""
-    mass: fields.Mass | None = None
+    mass: option_types.Mass | None = None
     """Mass in kilograms; by default of all links."""
-    radius: fields.Radius | None = None
+    radius: option_types.Radius | None = None
     """Radius in metres of the disc that touches people and obstacles; by default around base and wheels."""
-    max_speed: fields.RobotSpeed | None = None
+    max_speed: option_types.RobotSpeed | None = None
     """Top speed in m/s; by default by the velocity limit of the wheels' joints."""
-    max_turn_rate: fields.RobotTurnRate | None = None
+    max_turn_rate: option_types.RobotTurnRate | None = None
     """Top turn rate in rad/s; by default that of a turn in place at the top speed of the wheels."""
-    max_acceleration: fields.RobotAcceleration | None = None
+    max_acceleration: option_types.RobotAcceleration | None = None
     """Greatest acceleration in m/s2; by default by the effort limit of the wheels' joints and the grip of tyres."""
 
 
@@ -196,9 +206,9 @@ class WorldsConfig(Config):
     """Family: aisles, clutter, lobby, office, passages, rooms or square."""
     out: Path
     """Folder to write; it must be new or empty. A folder in it then serves as --environment."""
-    number: fields.Count = 12
+    number: option_types.Count = 12
     """Number of floors."""
-    seed: fields.Seed = 0
+    seed: option_types.Seed = 0
     """Seed of the first floor; the others follow it."""
     words: Text | None = None
     """Words of the family, separated by commas: values, or ranges to draw from, such as width=16,door=1.0:1.2."""

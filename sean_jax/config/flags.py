@@ -13,9 +13,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from sean_jax.config import core
-from sean_jax.config.core import Bounds, Config, Described, Family, OwnPart, Value, families, family_of
-from sean_jax.config.fields import Option
+from sean_jax.config import components
+from sean_jax.config.components import Bounds, Config, Described, Family, OwnPart, Value, families, family_of
+from sean_jax.config.option_types import Option
 from sean_jax.config.scenario import usual
 from sean_jax.core.errors import InputError
 from sean_jax.core.messages import listed
@@ -115,7 +115,8 @@ def _default(value: object) -> str:
     if value is None or value == () or (isinstance(value, bool) and not value):
         return ""
     values = value if isinstance(value, tuple) else (value,)
-    return f" (default: {' '.join(each.kind if isinstance(each, core.Component) else number(each) for each in values)})"
+    words = (each.kind if isinstance(each, components.Component) else number(each) for each in values)
+    return f" (default: {' '.join(words)})"
 
 
 def _plain(kind: Any) -> Any:
@@ -169,7 +170,9 @@ def read(
                 several = listed(present) if isinstance(present, str) else present
                 data[name] = [*(several if isinstance(several, list) else [several]), *added]
     words = {name: value for name, value in words.items() if name not in switches}
-    return core.validate(model, core.gather(model, words, data, flag), flag, source, typed=typed and base is None)
+    return components.validate(
+        model, components.gather(model, words, data, flag), flag, source, typed=typed and base is None
+    )
 
 
 def positionals(model: type[Config]) -> list[str]:
@@ -180,9 +183,9 @@ def positionals(model: type[Config]) -> list[str]:
 def _own(value: Any, family: Family) -> Any:
     """Components of flags; parts in the user's own files are marked as named by the user."""
     if not (family.several or family.singular):
-        return OwnPart(kind=value) if core.is_own_part(value) else value
+        return OwnPart(kind=value) if components.is_own_part(value) else value
     words = listed(value) if isinstance(value, str) else value
-    return [OwnPart(kind=word) if core.is_own_part(word) else word for word in words]
+    return [OwnPart(kind=word) if components.is_own_part(word) else word for word in words]
 
 
 def command(word: str, config: Config, chosen: bool = False) -> str:
@@ -251,8 +254,10 @@ def _check_known(known: Sequence[str], arguments: Sequence[str]) -> None:
         name = word.split("=")[0].removeprefix("--").replace("-", "_")
         if not word.startswith("--") or name in (*known, "help"):
             continue
-        if any(name in core.aliases().get(option, ()) for option in known):
-            raise InputError(f"{word.split('=')[0]}: there is no such option{core.did_you_mean(name, known, flag)}")
+        if any(name in components.aliases().get(option, ()) for option in known):
+            raise InputError(
+                f"{word.split('=')[0]}: there is no such option{components.did_you_mean(name, known, flag)}"
+            )
 
 
 def parse(

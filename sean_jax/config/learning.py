@@ -9,9 +9,9 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 import pydantic
 
-from sean_jax.config import fields
-from sean_jax.config.core import Bounds, Component, Config, Family, Named, OwnPart, Value
-from sean_jax.config.fields import Number, Option
+from sean_jax.config import option_types
+from sean_jax.config.components import Bounds, Component, Config, Family, Named, OwnPart, Value
+from sean_jax.config.option_types import Number, Option
 from sean_jax.config.scenario import Part, RunConfig, ScenarioConfig
 from sean_jax.core.messages import listed
 from sean_jax.io import files
@@ -37,31 +37,31 @@ class CollectConfig(ScenarioConfig):
     """Policy of the robot: a name, or a folder of `sean train`."""
     labels: Part | None = None
     """Policy whose commands are recorded instead of the driving policy's commands."""
-    noise: fields.Noise | None = None
+    noise: option_types.Noise | None = None
     """Standard deviation of noise on the executed commands, as a share of the robot's limits, so that demonstrations
     show recovery from deviations. Commands are recorded without it."""
-    hours: Annotated[fields.Hours, NO_EFFECT] = 1.0
+    hours: Annotated[option_types.Hours, NO_EFFECT] = 1.0
     """Hours of demonstrations, divided equally among tasks, or among the five situations of handcrafted people."""
-    rate: fields.Rate = 1
+    rate: option_types.Rate = 1
     """Examples per second: 1, or another divisor of the control steps per second. Images and positions
     within an example are a second apart at any rate."""
-    width: fields.Side = 64
+    width: option_types.Side = 64
     """Width of the depth images in pixels."""
-    height: fields.Side = 48
+    height: option_types.Side = 48
     """Height of the depth images in pixels."""
-    batch: Annotated[fields.ShardSize | None, NO_EFFECT] = None
+    batch: Annotated[option_types.ShardSize | None, NO_EFFECT] = None
     """Episodes per batch, which is stored in one file; by default chosen for the device and the hours."""
-    seed: fields.Seed = 0
+    seed: option_types.Seed = 0
     """The same seed gives the same demonstrations."""
-    out: fields.Out = None
+    out: option_types.Out = None
     """Folder of the dataset, runs/demonstrations-<environment>-<behavior>-<policy>-<seed> by default. A dataset of the
     same options is resumed."""
-    quiet: fields.Quiet = False
+    quiet: option_types.Quiet = False
 
     @pydantic.model_validator(mode="after")
     def _check_recorded(self) -> "CollectConfig":
-        if self.width * self.height > fields.MAX_PIXELS:
-            size = f"{self.width} times {self.height} are more than {fields.MAX_PIXELS:,} pixels"
+        if self.width * self.height > option_types.MAX_PIXELS:
+            size = f"{self.width} times {self.height} are more than {option_types.MAX_PIXELS:,} pixels"
             raise ValueError(f"width: {size}; ask for fewer")
         if self.behavior.kind == "playback":
             raise ValueError("behavior: playback is not recorded; choose behavior graph, random or handcrafted")
@@ -90,7 +90,7 @@ class ImitationConfig(Config):
     """Folder of `sean collect`."""
     datasets: Annotated[tuple[Path, ...], NO_EFFECT] = ()
     """Folders of more datasets for the training."""
-    part: tuple[fields.Count, fields.Count] = (1, 1)
+    part: tuple[option_types.Count, option_types.Count] = (1, 1)
     """Part of the dataset's episodes for the training, and number of equal parts: 3 10 for the third of ten."""
     pretrained: Path | None = None
     """Folder of a training; its best network is the initial network."""
@@ -98,28 +98,28 @@ class ImitationConfig(Config):
     """Give the network the current social situations as an input."""
     balance: bool = False
     """Sample examples so that all social situations are equally frequent."""
-    width: fields.Width = 64
+    width: option_types.Width = 64
     """Width of the encodings and hidden layers."""
-    batch: fields.BatchSize = 1024
+    batch: option_types.BatchSize = 1024
     """Examples per minibatch."""
-    learning_rate: fields.LearningRate = 1e-3
+    learning_rate: option_types.LearningRate = 1e-3
     """Learning rate of AdamW."""
-    weight_decay: fields.Share = 0.01
+    weight_decay: option_types.Share = 0.01
     """Weight decay of AdamW."""
-    patience: Annotated[fields.Count, NO_EFFECT] = 50
+    patience: Annotated[option_types.Count, NO_EFFECT] = 50
     """Epochs without a smaller validation loss after which training stops."""
-    epochs: Annotated[fields.Count, NO_EFFECT] = 1000
+    epochs: Annotated[option_types.Count, NO_EFFECT] = 1000
     """Largest number of epochs."""
-    validation: fields.OpenShare = 0.1
+    validation: option_types.OpenShare = 0.1
     """Share of the episodes for validation."""
-    device_memory_fraction: Annotated[fields.Share, NO_EFFECT] = 0.6
+    device_memory_fraction: Annotated[option_types.Share, NO_EFFECT] = 0.6
     """Share of the device's memory for a dataset; a larger dataset is read from disk in each epoch."""
-    seed: fields.Seed = 0
+    seed: option_types.Seed = 0
     """The same seed gives the same network."""
-    out: fields.Out = None
+    out: option_types.Out = None
     """Folder for checkpoints and metrics, runs/imitation-<dataset>-<seed> by default. A training of the same options is
     resumed."""
-    quiet: fields.Quiet = False
+    quiet: option_types.Quiet = False
 
     @pydantic.model_validator(mode="after")
     def _check_part(self) -> Self:
@@ -142,9 +142,9 @@ class DaggerConfig(ImitationConfig):
     """Imitation of an expert in the network's own states."""
     expert: Part = Named(kind="expert")
     """Policy that labels the states: a name, or FILE.py:NAME."""
-    rounds: fields.Count = 5
+    rounds: option_types.Count = 5
     """Rounds of DAgger after the network of the dataset alone."""
-    hours: fields.Hours = 0.25
+    hours: option_types.Hours = 0.25
     """Hours that each network drives."""
 
 
@@ -160,7 +160,7 @@ def _is_number(text: str) -> bool:
 
 
 Delays = Annotated[
-    tuple[fields.Delay, fields.Delay],
+    tuple[option_types.Delay, option_types.Delay],
     pydantic.BeforeValidator(lambda value: (value, value) if isinstance(value, Integral) else value),
 ]
 
@@ -182,14 +182,14 @@ class EnvConfig(ScenarioConfig):
     robot and sensors; or a function (key, scenario) -> scenario."""
     action_delay: Delays = (0, 0)
     """Least and largest delay of commands in control steps; drawn for each episode."""
-    observation_delay: tuple[fields.Text, ...] = ()
+    observation_delay: tuple[option_types.Text, ...] = ()
     """Least and largest delays of observations in control steps, such as people=0:3 lidar=1; drawn for each episode."""
 
     @pydantic.field_validator("rewards")
     @classmethod
     def _weights(cls, parts: tuple[Component, ...]) -> tuple[Component, ...]:
         weights = [part.kind.partition("=") for part in parts if _is_weight(part)]
-        fields.check_once([name for name, _, _ in weights])
+        option_types.check_once([name for name, _, _ in weights])
         for name, _, weight in weights:
             if not _is_number(weight):
                 raise ValueError(f"{name}={weight} has no number as the weight; write {name}=2")
@@ -225,7 +225,7 @@ class EnvConfig(ScenarioConfig):
     @pydantic.field_validator("observation_delay")
     @classmethod
     def _check_delays(cls, delays: tuple[str, ...]) -> tuple[str, ...]:
-        fields.check_once([text.partition("=")[0] for text in delays])
+        option_types.check_once([text.partition("=")[0] for text in delays])
         for text in delays:
             name, _, steps = text.partition("=")
             least, _, most = steps.partition(":")
@@ -256,79 +256,79 @@ class ReinforcementConfig(EnvConfig):
 
     method: Annotated[str, METHOD]
     """Method."""
-    environment: fields.Names = "warehouse"
+    environment: option_types.Names = "warehouse"
     """Physical environment: a name, the folder of your own or of many, or generated floors such as
     worlds:rooms,aisles:512; several, separated by commas, share the scenarios, and one agent learns in all of them."""
     critic: Annotated[tuple[Component, ...], Family((Named,), "critic_term")] = ()
     """Observations of the critic alone, such as people: it does not drive, so they may be privileged."""
-    scenarios: fields.BatchSize = 64
+    scenarios: option_types.BatchSize = 64
     """Scenarios that step in parallel, for each agent; on a GPU try 8192."""
-    steps: fields.StepCount = 2_000_000
+    steps: option_types.StepCount = 2_000_000
     """Scenario-steps of the whole training of an agent."""
-    horizon: fields.Count = 32
+    horizon: option_types.Count = 32
     """Steps of each scenario between two updates."""
-    minibatches: fields.Count = 8
+    minibatches: option_types.Count = 8
     """Minibatches of the collected transitions, one per optimizer step."""
-    learning_rate: fields.LearningRate = 5e-4
+    learning_rate: option_types.LearningRate = 5e-4
     """Initial learning rate of Adam."""
     learning_rate_schedule: Literal["linear", "constant"] = "linear"
     """linear: the learning rate falls to 0 over the steps; constant: it stays, and a training goes on with more
     steps."""
-    discount: fields.Share = 0.99
+    discount: option_types.Share = 0.99
     """Discount factor per step."""
-    advantage_decay: fields.Share = 0.95
+    advantage_decay: option_types.Share = 0.95
     """Lambda of the generalized advantage estimate."""
-    width: fields.Width = 256
+    width: option_types.Width = 256
     """Width of the hidden layers."""
-    layers: fields.Count = 2
+    layers: option_types.Count = 2
     """Hidden layers of the actor and of the critic."""
     recurrent: bool = False
     """Give the network a memory, a gated recurrent unit."""
     bfloat16: bool = False
     """Store and encode images in half precision: faster on a GPU, slower on a CPU."""
-    noise: fields.Noise | None = None
+    noise: option_types.Noise | None = None
     """Initial standard deviation of actions, which are from -1 to 1; 0.5, or the pretrained agent's, by
     default."""
-    pool: fields.BatchSize = 1024
+    pool: option_types.BatchSize = 1024
     """Starts of episodes that are drawn in advance, in each environment."""
     curriculum: Literal["none", "situations", "regret"] = "none"
     """Sampling of starts: none, uniform; situations, more of the situations in which the agent costs people most;
     regret, more of the starts with room for improvement, with people's behavior randomized in each episode."""
-    curriculum_every: fields.Count = 20
+    curriculum_every: option_types.Count = 20
     """Updates between two replacements of the least useful starts by a curriculum."""
     pretrained: Path | None = None
     """Folder of a training, or an agent of the package; the initial agent."""
     imitate: Part | None = None
     """Policy to imitate at first: a name, or the folder of a training, such as one of sean train dagger."""
-    seeds: fields.Count = 1
+    seeds: option_types.Count = 1
     """Agents trained in parallel, with consecutive seeds."""
-    sweep: tuple[fields.Text, ...] = ()
+    sweep: tuple[option_types.Text, ...] = ()
     """Numbers in which agents differ, such as learning_rate=0.001,0.0003 or rewards.time=-0.1,-0.2; all combinations
     are trained in parallel."""
-    evaluate_every: Annotated[fields.Count, NO_EFFECT] = 50
+    evaluate_every: Annotated[option_types.Count, NO_EFFECT] = 50
     """Updates between two evaluations, each with a checkpoint."""
-    evaluation_episodes: Annotated[fields.EpisodeCount, NO_EFFECT] = 64
+    evaluation_episodes: Annotated[option_types.EpisodeCount, NO_EFFECT] = 64
     """Episodes of an evaluation, in each environment; the agent takes the mean of its actions."""
-    seed: fields.Seed = 0
+    seed: option_types.Seed = 0
     """The same seed gives the same agent."""
     callbacks: Annotated[tuple[Component, ...], Family((Named,), "callback"), NO_EFFECT] = ()
     """Functions that are called with each line of metrics.jsonl, a dict: FILE.py:NAME."""
-    out: fields.Out = None
+    out: option_types.Out = None
     """Folder for checkpoints and metrics, runs/METHOD-<environment>-<behavior>-<seed> by default. A training of the
     same options is resumed."""
     distributed: Annotated[bool, NO_EFFECT] = False
     """Join the other processes of this training, on one or more hosts, as SLURM and MPI start them."""
-    quiet: fields.Quiet = False
+    quiet: option_types.Quiet = False
     network: Part = Named(kind="mlp")
     """Network: mlp, layers alone; attention, over people; conv, strided convolutions of images; or FILE.py:NAME, a
     flax module that gives the features of an observation."""
     distribution: Literal["gaussian", "squashed"] = "gaussian"
     """Distribution of actions: gaussian, clipped to the robot's limits; or squashed, tanh of a Gaussian, which never
     exceeds them."""
-    laws: fields.Names | None = None
+    laws: option_types.Names | None = None
     """Laws of people's motion in place of model and forces: models and presets of forces, such as
     calibrated,sean2,orca; several share the scenarios, and one agent learns among people of all of them."""
-    costs: tuple[fields.Text, ...] = ()
+    costs: tuple[option_types.Text, ...] = ()
     """Costs with a limit per minute, such as intimate_robot_on_person=0.1: terms of the reward, whose weights are
     learned so that the limits are kept."""
 
@@ -383,7 +383,7 @@ class ReinforcementConfig(EnvConfig):
     @pydantic.field_validator("costs")
     @classmethod
     def _check_costs(cls, costs: tuple[str, ...]) -> tuple[str, ...]:
-        fields.check_once([text.partition("=")[0] for text in costs])
+        option_types.check_once([text.partition("=")[0] for text in costs])
         for text in costs:
             name, _, limit = text.partition("=")
             try:
@@ -461,11 +461,11 @@ class PPOConfig(ReinforcementConfig):
 
     method: Annotated[Literal["ppo"], METHOD] = "ppo"  # pyright: ignore
     """Proximal policy optimization."""
-    epochs: fields.Count = 4
+    epochs: option_types.Count = 4
     """Passes of an update through the collected transitions."""
-    clip: fields.Share = 0.2
+    clip: option_types.Share = 0.2
     """Largest change of an action's probability by an update."""
-    entropy: fields.Share = 0.002
+    entropy: option_types.Share = 0.002
     """Weight of the entropy of actions."""
 
 
@@ -475,13 +475,13 @@ class APGConfig(ReinforcementConfig):
 
     method: Annotated[Literal["apg"], METHOD] = "apg"  # pyright: ignore
     """Analytic policy gradients over short horizons."""
-    horizon: fields.Count = 16
+    horizon: option_types.Count = 16
     """Steps of each scenario between two updates, through which gradients are taken."""
-    critic_epochs: fields.Count = 4
+    critic_epochs: option_types.Count = 4
     """Passes of the critic through the collected transitions."""
     through_people: bool = False
     """Also take gradients through people, who give way to the robot."""
-    target_share: fields.Share = 0.2
+    target_share: option_types.Share = 0.2
     """Step of the target critic towards the learned one in each update."""
 
 
@@ -503,7 +503,7 @@ class ExportConfig(Config):
     """Folder of `sean train ppo`."""
     out: Path
     """Folder to write, which must be new or empty."""
-    quiet: fields.Quiet = False
+    quiet: option_types.Quiet = False
 
     @property
     def folder(self) -> Path:
@@ -545,13 +545,13 @@ class ExportBagConfig(ExportConfig):
     """Bags of ROS messages."""
     source: Annotated[Path, Option(positional=True)]
     """Folder of `sean run`, `collect` or `train`."""
-    episodes: Annotated[tuple[fields.EpisodeNumber, ...], pydantic.Field(min_length=1)] = (0,)
+    episodes: Annotated[tuple[option_types.EpisodeNumber, ...], pydantic.Field(min_length=1)] = (0,)
     """Numbers of episodes, as of `sean replay`; each becomes a bag."""
     ros: Literal["both", "1", "2"] = "both"
     """1: files of rosbag 1 (Noetic); 2: folders of rosbag2 with MCAP (Jazzy)."""
     naming: Literal["ros", "sean"] = "ros"
     """Names of topics: ros as in Nav2 and move_base; sean as in SEAN 2.0, with its own topics."""
-    sensors: fields.Names | None = None
+    sensors: option_types.Names | None = None
     """Sensors to add to those of the run, separated by commas: names or YAML files; by default the robot's lidar, with
     none nothing."""
 

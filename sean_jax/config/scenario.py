@@ -9,9 +9,9 @@ from typing import Annotated, Any, Literal
 
 import pydantic
 
-from sean_jax.config import fields
-from sean_jax.config.core import Component, Config, Family, Named, OwnPart, Value, compact, with_defaults
-from sean_jax.config.fields import Option
+from sean_jax.config import option_types
+from sean_jax.config.components import Component, Config, Family, Named, OwnPart, Value, compact, with_defaults
+from sean_jax.config.option_types import Option
 from sean_jax.core.messages import listed
 
 USUAL_TASKS = {"graph": ("join_group", "leave_group"), "handcrafted": ("handcrafted",)}
@@ -60,29 +60,29 @@ class GraphBehavior(Component):
     """People walk, gather and disperse on the environment's behavior graph."""
 
     kind: Literal["graph"] = "graph"
-    routing: fields.Routing = "whole"
+    routing: option_types.Routing = "whole"
     group_membership: Literal["turnover", "permanent"] = "turnover"
     """turnover: people join and leave groups; permanent: members stay in their group, as in SEAN 2.0's code."""
-    congestion_cost: fields.Congestion = 0.0
+    congestion_cost: option_types.Congestion = 0.0
     """How much people avoid crowded edges: an edge's cost is multiplied by 1 + congestion_cost * density (people/m2);
     try 10."""
-    temperature: fields.RouteTemperature = 0.0
+    temperature: option_types.RouteTemperature = 0.0
     """Softmax temperature in metres over the lengths of routes; 0: always the shortest route."""
-    walking_groups: fields.WalkingGroups = (0.0, 0.0)
+    walking_groups: option_types.WalkingGroups = (0.0, 0.0)
 
 
 class RandomBehavior(Component):
     """People walk from one random place to another."""
 
     kind: Literal["random"] = "random"
-    walking_groups: fields.WalkingGroups = (0.0, 0.0)
+    walking_groups: option_types.WalkingGroups = (0.0, 0.0)
 
 
 class HandcraftedBehavior(Component):
     """People walk the environment's handcrafted sets."""
 
     kind: Literal["handcrafted"] = "handcrafted"
-    sets: fields.Text = "all"
+    sets: option_types.Text = "all"
     """Sets to draw from: all, the name of a set, a situation; or COLLECTION, COLLECTION_SITUATION or COLLECTION_SET for
     another collection of handcrafted.yaml, such as staged."""
 
@@ -91,19 +91,19 @@ class PlaybackBehavior(Component):
     """People walk as they were recorded."""
 
     kind: Literal["playback"] = "playback"
-    recording: fields.Text | None = None
+    recording: option_types.Text | None = None
     """A CSV file with the columns frame, id, x and y in metres."""
-    recording_format: fields.RecordingFormat = None
-    frame_rate: fields.RecordingRate = None
+    recording_format: option_types.RecordingFormat = None
+    frame_rate: option_types.RecordingRate = None
 
 
 class CustomTask(Component):
     """From a start of your own to a goal of your own."""
 
     kind: Literal["custom"] = "custom"
-    start: tuple[fields.PoseNumber, ...] | None = None
+    start: tuple[option_types.PoseNumber, ...] | None = None
     """x and y in metres, and optionally a heading in degrees."""
-    goal: tuple[fields.PoseNumber, ...] | None = None
+    goal: tuple[option_types.PoseNumber, ...] | None = None
     """x and y in metres, and optionally a heading in degrees."""
 
     @pydantic.field_validator("start", "goal")
@@ -130,7 +130,7 @@ Tasks = Annotated[tuple[Component, ...], Family((CustomTask, Named), several=Tru
 class ScenarioConfig(Config):
     """A physical environment, a pedestrian behavior and a robot task (section IV-B), and what belongs to them."""
 
-    environment: fields.EnvironmentName = "warehouse"
+    environment: option_types.EnvironmentName = "warehouse"
     preset: Annotated[Literal["sean2"] | None, Option(affects_results=False)] = None
     """Preset for the options that you leave out: sean2, as in SEAN 2.0."""
     behavior: BehaviorPart = GraphBehavior()
@@ -140,29 +140,29 @@ class ScenarioConfig(Config):
     handcrafted with handcrafted, custom if a start and a goal are set, else random_ab_nav."""
     robot: Part = Named(kind="kuri")
     """Robot: a name, or an MJCF file; in trainings several, separated by commas, take turns with the floors."""
-    dynamics: fields.Dynamics = "twin"
-    people: fields.PeopleOrDefault = None
+    dynamics: option_types.Dynamics = "twin"
+    people: option_types.PeopleOrDefault = None
     model: Part = Named(kind="social_forces")
     """Model of how people move."""
     forces: Forces = (Named(kind=DEFAULT_FORCES),)
     """Social forces: the terms of a preset, and your own."""
     situations: Situations = (Named(kind="paper"),)
     """Social situations to classify: a set, and your own."""
-    thresholds: dict[str, fields.Threshold] | None = None
+    thresholds: dict[str, option_types.Threshold] | None = None
     """Thresholds of the situation classifiers that differ from the set's."""
     metrics: Metrics = (Named(kind="all"),)
     """Metrics: all of the package, and your own; none for faster steps."""
     sensors: Sensors = ()
     """Sensors that a policy can read with sean_jax.sense."""
-    time_step: fields.TimeStep = 0.1
+    time_step: option_types.TimeStep = 0.1
     """Control step in seconds."""
-    time_limit: fields.TimeLimit = 120.0
+    time_limit: option_types.TimeLimit = 120.0
     """Longest duration of an episode in seconds."""
-    goal_radius: fields.Radius = 1.2
+    goal_radius: option_types.Radius = 1.2
     """Distance in metres within which the goal counts as reached (SEAN 2.0: 1.2)."""
-    hold_time: fields.Duration = 5.0
+    hold_time: option_types.Duration = 5.0
     """Seconds that the robot must stay there to complete the task (SEAN 2.0: 5)."""
-    task_distance: tuple[fields.Distance, fields.DistanceOrInfinity] = (4.0, 20.0)
+    task_distance: tuple[option_types.Distance, option_types.DistanceOrInfinity] = (4.0, 20.0)
     """Shortest and longest path in metres from start to goal; inf for no longest (SEAN 2.0: 0 inf)."""
     goal_sampling: Literal["uniform", "mesh"] = "uniform"
     """How free places are drawn, for goals of random people and for starts and goals of the robot: uniform over the
@@ -170,9 +170,9 @@ class ScenarioConfig(Config):
     violation_distance: Literal["centers", "surface"] = "centers"
     """Violations of intimate and personal distance are measured between the centers of robot and person, or from the
     robot's center to the person's surface, as in SEAN 2.0."""
-    substeps: fields.Substeps | None = None
+    substeps: option_types.Substeps | None = None
     """Steps of the social forces in a control step; by default as many as their stiffness needs."""
-    warm_up: fields.Duration = 0.0
+    warm_up: option_types.Duration = 0.0
     """Seconds for which people walk before a task begins, as in a lasting crowd with one task after another."""
 
     @pydantic.model_validator(mode="before")
@@ -193,7 +193,7 @@ class ScenarioConfig(Config):
     @classmethod
     def _check_robots(cls, value: Component) -> Component:
         if isinstance(value, Named):
-            fields.check_once(listed(value.kind))
+            option_types.check_once(listed(value.kind))
         return value
 
     @pydantic.field_validator("thresholds", mode="before")
@@ -235,16 +235,16 @@ class RunConfig(ScenarioConfig):
 
     policy: Part = Named(kind="go_to_goal")
     """Policy of the robot: a name, or a folder of `sean train` or `sean export agent`."""
-    robots: fields.Text | None = None
+    robots: option_types.Text | None = None
     """Several robots at once, each with its own task, separated by commas, such as kuri,kuri; without it, one robot.
     The policy is that of all, or as many policies, separated by commas."""
-    episodes: fields.EpisodeCount = 64
+    episodes: option_types.EpisodeCount = 64
     """Number of episodes."""
-    seed: fields.Seed = 0
+    seed: option_types.Seed = 0
     """The same seed gives the same episodes."""
-    batch: fields.BatchSize = 1024
+    batch: option_types.BatchSize = 1024
     """Largest number of episodes per batch."""
-    camera: Annotated[fields.Text | None, Option(affects_results=False)] = None
+    camera: Annotated[option_types.Text | None, Option(affects_results=False)] = None
     """Also write camera.gif, the first episode as first_person, third_person, overhead or depth sees it."""
     trajectories: Literal["csv", "parquet"] | None = None
     """Also write the frames of all episodes, robot and people, as trajectories.csv or .parquet."""
@@ -254,10 +254,10 @@ class RunConfig(ScenarioConfig):
     """Serve a page on this computer that plays the first episode during its simulation."""
     name: Annotated[str, Option(affects_results=False)] = ""
     """Name of the run, the end of the folder's name; by default the environment and the behavior."""
-    out: fields.Out = None
+    out: option_types.Out = None
     """Folder to write, runs/<date>-<time>-<name> by default: new, empty, or with an unfinished run of the same options,
     which is resumed."""
-    quiet: fields.Quiet = False
+    quiet: option_types.Quiet = False
 
     @pydantic.field_validator("robots", mode="before")
     @classmethod
@@ -309,20 +309,20 @@ class StudioConfig(ScenarioConfig):
 
     policy: Part = Named(kind="go_to_goal")
     """Policy that drives while no person does: a name, or a folder of `sean train` or `sean export agent`."""
-    seed: fields.Seed = 0
+    seed: option_types.Seed = 0
     """The same seed gives the same episodes."""
-    warm_up: fields.Duration = 5.0
+    warm_up: option_types.Duration = 5.0
     """Seconds for which people walk before a task begins."""
     record: Annotated[Path | None, Option(affects_results=False)] = None
     """Folder for recorded drives: their commands in trials/, and demonstrations for `sean train imitation`."""
     demonstrations: Annotated[Literal["person", "all"], Option(affects_results=False)] = "person"
     """Steps of recorded drives that become demonstrations: those that a person drove in completed drives, or `all`,
     which has those of the policy and of drives that were stopped, too."""
-    port: Annotated[int, fields.Number(0, 65535), Option(affects_results=False)] = 0
+    port: Annotated[int, option_types.Number(0, 65535), Option(affects_results=False)] = 0
     """Port of the page on 127.0.0.1; 0 for a free one."""
     survey: Annotated[Path | None, Option(affects_results=False)] = None
     """Study to run with participants: a study.yaml, which has all options of its episodes. Needs --out."""
-    out: fields.Out = None
+    out: option_types.Out = None
     """Folder for the answers to --survey: new, or with the same study, which goes on."""
 
     @pydantic.model_validator(mode="after")
@@ -359,27 +359,27 @@ class BridgeConfig(ScenarioConfig):
     """Serve the rosbridge protocol, version 2, on a websocket."""
     dds: Annotated[bool, Option(affects_results=False)] = False
     """Join a DDS domain with the types and topic names of ROS 2, by Cyclone DDS."""
-    address: Annotated[fields.Text, Option(affects_results=False)] = "127.0.0.1:9090"
+    address: Annotated[option_types.Text, Option(affects_results=False)] = "127.0.0.1:9090"
     """For rosbridge: address and port. If other computers reach it, clients need the token that is printed."""
-    domain: Annotated[int, fields.Number(0, 230), Option(affects_results=False)] = 0
+    domain: Annotated[int, option_types.Number(0, 230), Option(affects_results=False)] = 0
     """For DDS: its domain, as ROS_DOMAIN_ID."""
-    node_name: Annotated[fields.Text, Option(affects_results=False)] = "sean_jax"
+    node_name: Annotated[option_types.Text, Option(affects_results=False)] = "sean_jax"
     """Name of the node and of its services. On a master of ROS 1 two bridges need two names."""
-    namespace: Annotated[fields.Text | None, Option(affects_results=False)] = None
+    namespace: Annotated[option_types.Text | None, Option(affects_results=False)] = None
     """Namespace of the robot's topics and frames, such as robot1; /clock, /map, /tf and /tf_static are in none."""
     naming: Annotated[Literal["ros", "sean"], Option(affects_results=False)] = "ros"
     """Names of topics: ros as in Nav2 and move_base; sean as in SEAN 2.0, with its own topics."""
     pace: Literal["real", "fast", "lockstep", "service"] = "real"
     """Advance of time: by the clock; as fast as possible; after each command; or by the service step alone."""
-    factor: Annotated[float, fields.Number(0.01, 1000.0)] = 1.0
+    factor: Annotated[float, option_types.Number(0.01, 1000.0)] = 1.0
     """For pace real: simulated seconds per second."""
-    patience: fields.Duration = 0.5
+    patience: option_types.Duration = 0.5
     """For pace lockstep: seconds of waiting for a command; without one the robot's command timeout acts."""
-    episodes: fields.EpisodeCount | None = None
+    episodes: option_types.EpisodeCount | None = None
     """Number of episodes; by default they go on until Ctrl-C."""
-    seed: fields.Seed = 0
+    seed: option_types.Seed = 0
     """The same seed gives the same episodes, which are the episodes of sean run."""
-    quiet: fields.Quiet = False
+    quiet: option_types.Quiet = False
 
     @pydantic.field_validator("node_name")
     @classmethod
@@ -420,14 +420,14 @@ class ReplayConfig(Config):
 
     folder: Annotated[Path, Option(positional=True)]
     """Folder of `sean run`, `collect`, `train` or `validate`."""
-    episodes: Annotated[tuple[fields.EpisodeNumber, ...], pydantic.Field(min_length=1)] = (0,)
+    episodes: Annotated[tuple[option_types.EpisodeNumber, ...], pydantic.Field(min_length=1)] = (0,)
     """Numbers of episodes, from 0: of a run as in episodes.csv, of a dataset in the order of their recording, of a
     training the episodes of its evaluations, which alternate between its environments."""
-    only: fields.Names | None = None
+    only: option_types.Names | None = None
     """Tests of a validation, separated by commas, such as rimea-6,imo-1; by default its first."""
     out: Path | None = None
     """File to write, replay.html in the folder by default."""
-    quiet: fields.Quiet = False
+    quiet: option_types.Quiet = False
 
 
 class SurveyExportConfig(Config):
@@ -450,7 +450,7 @@ class SurveyReportConfig(Config):
     """Folder of `sean studio --survey`."""
     out: Path | None = None
     """Page to write, report.html in the study's folder by default."""
-    quiet: fields.Quiet = False
+    quiet: option_types.Quiet = False
 
 
 class SurveyRatingsConfig(Config):
@@ -464,7 +464,7 @@ class SurveyRatingsConfig(Config):
     """Folder of ratings, a JSON file for each rater."""
     out: Path
     """Folder to write; it must be new or empty."""
-    quiet: fields.Quiet = False
+    quiet: option_types.Quiet = False
 
 
 class CompareConfig(Config):
@@ -472,8 +472,8 @@ class CompareConfig(Config):
 
     runs: Annotated[tuple[Path, ...], Option(positional=True)]
     """Folders of two or more runs."""
-    situation: fields.Text = "overall"
+    situation: option_types.Text = "overall"
     """Situation whose table is printed; the page has all of them."""
     out: Path | None = None
     """Page to write, compare-FIRST-SECOND.html by default."""
-    quiet: fields.Quiet = False
+    quiet: option_types.Quiet = False

@@ -6,9 +6,9 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 import pydantic
 
-from sean_jax.config import fields
-from sean_jax.config.core import Config, Named
-from sean_jax.config.fields import Number, Option
+from sean_jax.config import option_types
+from sean_jax.config.components import Config, Named
+from sean_jax.config.option_types import Number, Option
 from sean_jax.config.scenario import DEFAULT_FORCES, RobotPart
 
 Preset = Annotated[
@@ -29,17 +29,17 @@ class ExperimentConfig(Config):
     """Experiment."""
     quick: bool = False
     """Ten minutes on a CPU: less time, fewer seeds and episodes, smaller images."""
-    environment: fields.EnvironmentName = "warehouse"
-    people: fields.PeopleOrDefault = None
+    environment: option_types.EnvironmentName = "warehouse"
+    people: option_types.PeopleOrDefault = None
     robot: RobotPart = Named(kind="kuri")
-    dynamics: fields.Dynamics = "twin"
-    time_limit: fields.TimeLimit = 120.0
+    dynamics: option_types.Dynamics = "twin"
+    time_limit: option_types.TimeLimit = 120.0
     """Longest duration of an episode in seconds."""
-    seed: fields.Seed = 0
+    seed: option_types.Seed = 0
     """The same seed gives the same results."""
-    out: fields.Out = None
+    out: option_types.Out = None
     """Folder for the results, runs/EXPERIMENT by default. An unfinished experiment of the same options is resumed."""
-    quiet: fields.Quiet = False
+    quiet: option_types.Quiet = False
 
     @pydantic.model_validator(mode="before")
     @classmethod
@@ -62,13 +62,13 @@ class SituationConfig(ExperimentConfig):
 
     QUICK = dict(hours=0.05, seeds=2)
 
-    policies: fields.Names = "go_to_goal,social_costmap,expert"
+    policies: option_types.Names = "go_to_goal,social_costmap,expert"
     """Policies of the robot, separated by commas."""
-    hours: fields.HoursOfMinutes = 1.0
+    hours: option_types.HoursOfMinutes = 1.0
     """Hours for each behavior and each of --seeds."""
-    seeds: fields.Count = 10
+    seeds: option_types.Count = 10
     """Simulations of these hours, with --seed and the next seeds."""
-    speeds: Annotated[tuple[fields.WalkingSpeed, ...], pydantic.Field(min_length=1)] = SPEEDS
+    speeds: Annotated[tuple[option_types.WalkingSpeed, ...], pydantic.Field(min_length=1)] = SPEEDS
     """Walking thresholds V in m/s; the table uses the first."""
 
     @pydantic.model_validator(mode="after")
@@ -87,16 +87,16 @@ class Table1Config(SituationConfig):
 
     which: Annotated[Literal["table1"], Option(positional=True)] = "table1"  # pyright: ignore
     """Table I."""
-    policies: fields.Names = "go_to_goal,social_costmap,expert"
+    policies: option_types.Names = "go_to_goal,social_costmap,expert"
     """Policies of the robot, separated by commas; none for recordings alone."""
     preset: Preset = None
-    speeds: Annotated[tuple[fields.WalkingSpeed, ...], pydantic.Field(min_length=1)] = SPEEDS
+    speeds: Annotated[tuple[option_types.WalkingSpeed, ...], pydantic.Field(min_length=1)] = SPEEDS
     """Walking thresholds V in m/s; the table uses the first. With preset sean2 the slowest comes first by default."""
-    crowds: tuple[fields.People, ...] = (10, 20, 40, 100)
+    crowds: tuple[option_types.People, ...] = (10, 20, 40, 100)
     """Other numbers of people to try."""
-    recordings: fields.Names | None = None
+    recordings: option_types.Names | None = None
     """CSV files of recorded people, separated by commas; each person in turn takes the place of the robot."""
-    frame_rate: fields.FrameRate | None = None
+    frame_rate: option_types.FrameRate | None = None
     """Frames per second of the recordings; by default the clocks of their formats."""
     demonstrations: Demonstrations = ()
     """Folders of demonstrations, of `sean studio --record`, `sean collect` or a `learning.Recorder`: rows of the
@@ -118,16 +118,16 @@ class AblationConfig(SituationConfig):
 class LearnedConfig(ExperimentConfig):
     """Options of experiments that train networks on demonstrations."""
 
-    demonstrator: fields.Text = "expert"
+    demonstrator: option_types.Text = "expert"
     """Policy that demonstrates."""
     preset: Preset = None
-    datasets: fields.Count = 10
+    datasets: option_types.Count = 10
     """Datasets of demonstrations, each with its own networks."""
-    trainings: fields.Count = 3
+    trainings: option_types.Count = 3
     """Networks for each dataset, each with its own seed."""
-    episodes: fields.EpisodeCount = 12_300
+    episodes: option_types.EpisodeCount = 12_300
     """Episodes of each policy in each scenario, in equal shares for its networks."""
-    epochs: fields.Count = 1000
+    epochs: option_types.Count = 1000
     """Largest number of epochs of a training."""
 
 
@@ -139,9 +139,9 @@ class Figure4Config(LearnedConfig):
 
     which: Annotated[Literal["figure4"], Option(positional=True)] = "figure4"  # pyright: ignore
     """Figure 4."""
-    hours: fields.HoursOfMinutes = 1.0
+    hours: option_types.HoursOfMinutes = 1.0
     """Hours of demonstrations for each behavior."""
-    baselines: Annotated[fields.Names, Option(affects_results=False)] = "move_base,ppo,ppo_lidar,sensing_expert"
+    baselines: Annotated[option_types.Names, Option(affects_results=False)] = "move_base,ppo,ppo_lidar,sensing_expert"
     """Other policies in the same episodes, separated by commas, or none: names, folders of `sean train`, such as
     runs/dagger or runs/apg, or FILE.py:NAME. They can be added to a finished figure."""
     demonstrations: Demonstrations = ()
@@ -162,18 +162,22 @@ class LearningCurveConfig(LearnedConfig):
 
     which: Annotated[Literal["learning_curve"], Option(positional=True)] = "learning_curve"  # pyright: ignore
     """Learning curve of policy G."""
-    demonstration_hours: Annotated[tuple[fields.HoursOfMinutes, ...], pydantic.Field(min_length=1)] = (1.0, 10.0, 100.0)
+    demonstration_hours: Annotated[tuple[option_types.HoursOfMinutes, ...], pydantic.Field(min_length=1)] = (
+        1.0,
+        10.0,
+        100.0,
+    )
     """Hours of demonstrations. Networks of the first are compared with networks of other rates, and with networks that
     have the situations as an input."""
-    rates: tuple[fields.Rate, ...] = (10,)
+    rates: tuple[option_types.Rate, ...] = (10,)
     """Examples per second, besides one per second."""
-    updates: fields.Count = 20_000
+    updates: option_types.Count = 20_000
     """Largest number of steps of a network's optimizer; reached with 100 hours of data, smaller datasets stop early."""
-    datasets: fields.Count = 3
+    datasets: option_types.Count = 3
     """Datasets of demonstrations, each with its own networks."""
-    trainings: fields.Count = 1
+    trainings: option_types.Count = 1
     """Networks for each dataset, each with its own seed."""
-    episodes: fields.EpisodeCount = 4096
+    episodes: option_types.EpisodeCount = 4096
     """Episodes of each policy in each scenario, in equal shares for its networks."""
 
 
@@ -192,11 +196,11 @@ class BenchmarkConfig(Config):
 
     which: Annotated[Literal["run"], Option(positional=True)] = "run"
     """Result of a policy."""
-    policy: Annotated[fields.Text, Option(positional=True)]
+    policy: Annotated[option_types.Text, Option(positional=True)]
     """Policy: a name, a folder of `sean train` or `sean export agent`, or FILE.py:NAME."""
     quick: bool = False
     """Minutes on a CPU, with few episodes: such a result shows whether a policy works, and is not ranked."""
-    episodes: fields.EpisodeCount | None = None
+    episodes: option_types.EpisodeCount | None = None
     """Episodes of each track, by default the protocol's number; a result with fewer is not ranked."""
     recordings: Annotated[Path | None, Option(affects_results=False)] = None  # their content does
     """Folder with the recorded people of the tracks eth and zara01, eth.csv and zara01.csv, which are skipped without
@@ -205,12 +209,12 @@ class BenchmarkConfig(Config):
     """Class of a policy of your own or of a controller outside: all-knowing, tracks (of visible people) or raw
     (sensors). By default the policy's attribute sensing, else all-knowing; policies of the package and agents have
     theirs."""
-    name: Annotated[fields.Text | None, Option(affects_results=False)] = None
+    name: Annotated[option_types.Text | None, Option(affects_results=False)] = None
     """Entry of the ranking, the policy by default. Results of one name are the training seeds of one agent."""
-    out: fields.Out = None
+    out: option_types.Out = None
     """Folder for the result, runs/benchmark-POLICY by default. An unfinished benchmark of the same options is
     resumed."""
-    quiet: fields.Quiet = False
+    quiet: option_types.Quiet = False
 
     @property
     def folder(self) -> Path:
@@ -226,9 +230,9 @@ class BenchmarkRankConfig(Config):
     """Ranking of results."""
     results: Annotated[tuple[Path, ...], Option(positional=True), pydantic.Field(min_length=1)]
     """Folders of `sean benchmark run`; folders of one --name are one entry."""
-    out: fields.Out = None
+    out: option_types.Out = None
     """Folder for the ranking, runs/ranking by default; files of the same names are replaced."""
-    quiet: fields.Quiet = False
+    quiet: option_types.Quiet = False
 
     @property
     def folder(self) -> Path:
@@ -243,15 +247,15 @@ class BenchmarkVerifyConfig(Config):
     """Check of a result."""
     result: Annotated[Path, Option(positional=True)]
     """Folder of `sean benchmark run`."""
-    policy: fields.Text | None = None
+    policy: option_types.Text | None = None
     """The result's policy, where it has another place here; its digest must be that of the result."""
     recordings: Path | None = None
     """Folder with the result's recordings; without it, tracks of recorded people are not in the sample."""
     tracks: Annotated[int, Number(1, 1_000)] = 4
     """Number of tracks in the sample, with a batch of episodes of each."""
-    seed: fields.Seed | None = None
+    seed: option_types.Seed | None = None
     """Seed of the sample; by default it is drawn, and printed."""
-    quiet: fields.Quiet = False
+    quiet: option_types.Quiet = False
 
 
 class ValidateConfig(Config):
@@ -259,18 +263,18 @@ class ValidateConfig(Config):
 
     quick: bool = False
     """Five minutes on a CPU: fewer seeds, and without the checks of a thousand people."""
-    only: fields.Names | None = None
+    only: option_types.Names | None = None
     """Checks, separated by commas; rimea-* selects all with this prefix. All by default."""
-    models: fields.Names | None = None
+    models: option_types.Names | None = None
     """Models of people, separated by commas: presets of forces, files of constants, pedestrian models, or FILE.py:NAME;
     by default the default forces."""
     data: Path | None = None
     """Folder of recordings; without it, checks that need them are skipped."""
     strict: Annotated[bool, Option(affects_results=False)] = False
     """Exit code 1 if a check fails."""
-    out: fields.Out = None
+    out: option_types.Out = None
     """Folder for the results, runs/validate by default. Existing results of the same checks and models are kept."""
-    quiet: fields.Quiet = False
+    quiet: option_types.Quiet = False
 
     @property
     def folder(self) -> Path:
@@ -283,15 +287,15 @@ class CalibrateConfig(Config):
 
     data: Path
     """Folder of recordings: scenes of ETH and UCY, runs of Juelich's corridors."""
-    forces: fields.Text = DEFAULT_FORCES
+    forces: option_types.Text = DEFAULT_FORCES
     """Start of the fit: a preset of social forces, or a YAML file of constants."""
-    fit: fields.Names | None = None
+    fit: option_types.Names | None = None
     """Constants to fit, separated by commas, such as repulsion.range; by default all that have bounds. none: the habits
     of prediction alone, without crowds."""
-    leave_out: fields.Names | None = None
+    leave_out: option_types.Names | None = None
     """Scenes of prediction, separated by commas, for leave-one-out fits, each judged by the scene that it lacks; all by
     default, or none."""
-    generations: fields.Count = 60
+    generations: option_types.Count = 60
     """Generations of the search (CMA-ES)."""
     population: Annotated[int, Number(4, 4096)] = 32
     """Candidates in a generation of each fit."""
@@ -299,11 +303,11 @@ class CalibrateConfig(Config):
     """Draws of people in each corridor, file and mix; half as many at each door."""
     quick: bool = False
     """A minute on a CPU: few crowds and windows, to try the command."""
-    seed: fields.Seed = 0
+    seed: option_types.Seed = 0
     """The same seed gives the same constants."""
-    out: fields.Out = None
+    out: option_types.Out = None
     """Folder for the results, runs/calibration or runs/calibration-quick by default."""
-    quiet: fields.Quiet = False
+    quiet: option_types.Quiet = False
 
     @property
     def folder(self) -> Path:
@@ -314,29 +318,29 @@ class CalibrateConfig(Config):
 class FitGraphConfig(Config):
     """Propose a behavior graph for an environment, or fit one to recorded or simulated people."""
 
-    environment: Annotated[fields.EnvironmentName, Option(positional=True)]
+    environment: Annotated[option_types.EnvironmentName, Option(positional=True)]
     recording: Path | None = None
     """People to fit to: a CSV file with the columns frame, id, x and y in metres."""
-    recording_format: fields.RecordingFormat = None
-    frame_rate: fields.RecordingRate = None
+    recording_format: option_types.RecordingFormat = None
+    frame_rate: option_types.RecordingRate = None
     simulate: bool = False
     """Fit to people simulated on the environment's own graph, to test whether the fit recovers it."""
     propose: bool = False
     """Propose nodes and edges even if the environment has a graph; without people to fit to, do only that."""
     graph: Path | None = None
     """A graph.yaml with the nodes and edges; the environment's own by default."""
-    people: fields.People | None = None
+    people: option_types.People | None = None
     """Number of simulated people; the environment's own number by default."""
-    routing: fields.Routing = "whole"
-    minutes: fields.Minutes = 20.0
+    routing: option_types.Routing = "whole"
+    minutes: option_types.Minutes = 20.0
     """Minutes to simulate for the fit, and again for its test."""
-    temperature: fields.Temperature = 0.25
+    temperature: option_types.Temperature = 0.25
     """Softmax temperature in metres over the costs of routes."""
-    seed: fields.Seed = 0
+    seed: option_types.Seed = 0
     """The same seed gives the same results."""
-    out: fields.Out = None
+    out: option_types.Out = None
     """Folder to write, runs/graph-ENVIRONMENT by default; it must be new or empty. The folder is an environment."""
-    quiet: fields.Quiet = False
+    quiet: option_types.Quiet = False
 
     @pydantic.model_validator(mode="after")
     def _one_source(self) -> Self:

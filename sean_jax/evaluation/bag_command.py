@@ -19,7 +19,7 @@ from sean_jax.core.errors import InputError
 from sean_jax.evaluation.replay_command import Source, read_source, until_terminated
 from sean_jax.io import files, writing
 from sean_jax.io.progress import progress
-from sean_jax.ros import bags, messages
+from sean_jax.ros import bag_writing, messages
 from sean_jax.simulation.episode_runner import Callbacks, Record, Runner
 from sean_jax.simulation.scenario_stack import Stack
 
@@ -42,7 +42,7 @@ def write(options: ExportBagConfig, console: Console) -> tuple[Path, int]:
         InputError: the folder has no episodes, or none of that number, or a sensor is unknown.
         FloatingPointError: a number is not finite.
     """
-    bags.check_package()
+    bag_writing.check_package()
     writing.check_new_folder(options.out)
     numbers = list(dict.fromkeys(options.episodes))
     with console.status("preparing the scenario"):
@@ -62,7 +62,7 @@ def write(options: ExportBagConfig, console: Console) -> tuple[Path, int]:
         for done, number in enumerate(numbers):
             scenario = floors[source.turn(number)].at(source.place(number))
             table = messages.topics(scenario, options.naming, number)
-            with bags.Bag(folder, f"episode_{number}", table, options.ros) as bag:
+            with bag_writing.Bag(folder, f"episode_{number}", table, options.ros) as bag:
 
                 def advanced(seconds: float, _: float, done: int = done, number: int = number) -> None:
                     bar.update(done * limit + seconds, f"episode {number}")
@@ -102,7 +102,7 @@ def _rows(
     return total, Row(floors.vmap(messages.step)(after, actions[-1]), active)
 
 
-def _add(bag: bags.Bag, scenario: Scenario, rows: Row) -> None:
+def _add(bag: bag_writing.Bag, scenario: Scenario, rows: Row) -> None:
     """Write the messages of a chunk of time (T, 1, ...) until the episode's end."""
     pick: Callable[[int], messages.Step] = lambda t: jax.tree.map(lambda leaf: leaf[t, 0], rows.step)  # noqa: E731
     for t in np.flatnonzero(rows.active[:, 0]):

@@ -33,10 +33,11 @@ from sean_jax.core.errors import InputError
 from sean_jax.io import writing
 from sean_jax.io.progress import Progress, ProgressLike, progress
 from sean_jax.io.versions import versions
+from sean_jax.learning.checkpoints import Checkpoints
 from sean_jax.learning.dataset import ConcatDataset, Episode, on_device, open_datasets, split_each
 from sean_jax.learning.examples import Example, Loader, Recording, Token, balanced_probabilities, example
 from sean_jax.learning.networks import Decision, Network, Weights, init_weights, read_network
-from sean_jax.learning.trainer import Checkpoints, Log, Loop, Report, check_config, fit, write_config
+from sean_jax.learning.trainer import Log, Loop, Report, check_config, fit, write_config
 
 MIN_COMMAND_SCALE = 0.05  # m/s, rad/s: the scale of a command that hardly varies
 CHECKPOINT_INTERVAL = 10  # epochs between two checkpoints while the loss does not improve

@@ -28,7 +28,7 @@ from flax.typing import VariableDict
 from jaxtyping import Bool, Float, UInt16
 
 from sean_jax.config import MAX_PIXELS, METHODS
-from sean_jax.core import user_code
+from sean_jax.core import user_calls
 from sean_jax.core.data_types import Array
 from sean_jax.core.errors import FileError, InputError
 from sean_jax.io import files
@@ -453,14 +453,14 @@ def check_encoder(encoder: nn.Module, observation: dict[str, tuple[int, ...]]) -
     """
 
     def check(observation: dict[str, Array]) -> None:
-        result, variables = user_code.call("network", _Checked(encoder), "observation", observation)
-        actual, expected = user_code.describe(result), "float32 (features,)"
+        result, variables = user_calls.call("network", _Checked(encoder), "observation", observation)
+        actual, expected = user_calls.describe(result), "float32 (features,)"
         if not (isinstance(result, jax.Array) and result.ndim == 1 and result.dtype == jnp.float32):
             cure = "give the features of one observation, as by x.reshape(-1); the trainer adds batch and outputs"
-            raise user_code.wrong("network", encoder, actual, expected, cure)
+            raise user_calls.wrong("network", encoder, actual, expected, cure)
         if others := sorted(variables.keys() - {"params"}):
             cure = "leave out layers with a state, such as BatchNorm"
-            raise user_code.wrong("network", encoder, f"{', '.join(others)}", "parameters alone", cure)
+            raise user_calls.wrong("network", encoder, f"{', '.join(others)}", "parameters alone", cure)
 
     jax.eval_shape(check, {name: jax.ShapeDtypeStruct(shape, jnp.float32) for name, shape in observation.items()})
 

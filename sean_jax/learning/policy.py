@@ -33,7 +33,7 @@ from sean_jax.config import (
     user_parts,
     validate,
 )
-from sean_jax.core import user_code
+from sean_jax.core import user_calls
 from sean_jax.core.data_types import SENSING, Array, Policy, PolicyLike, Scenario, State, as_policy
 from sean_jax.core.errors import InputError
 from sean_jax.io import files, writing
@@ -257,7 +257,7 @@ def _encoder(options: ReinforcementConfig, terms: observations.Terms) -> Any:
         except TypeError as error:
             raise InputError(f"network: {name} cannot be made: {error}; give its fields defaults.") from error
     if not isinstance(value, nn.Module):
-        text = f"network: {name} is {user_code.describe(value)}, not a module of flax.linen"
+        text = f"network: {name} is {user_calls.describe(value)}, not a module of flax.linen"
         raise InputError(f"{text}; give a class, such as class Net(nn.Module).")
     try:
         hash(value)
@@ -302,7 +302,7 @@ def _read_packed(folder: Path, options: ReinforcementConfig, outline: Agent) -> 
 
 def _read_best(folder: Path, options: ReinforcementConfig, outline: Agent) -> Agent:
     """The best agent of the checkpoints of a training."""
-    from sean_jax.learning.trainer import Checkpoints  # which needs the extra "learning"
+    from sean_jax.learning.checkpoints import Checkpoints  # which needs the extra "learning"
 
     checkpoints = Checkpoints(folder)
     saved = {name: shape for name, shape in checkpoints.shapes("best").items() if name.startswith("agent/")}
@@ -454,7 +454,7 @@ def load_imitation(folder: Path | str, scenario: Scenario) -> Policy:
         InputError: the folder has no trained network, or one that receives the flags of other social situations.
         IncompleteError: the checkpoint cannot be read.
     """
-    from sean_jax.learning.trainer import Checkpoints  # which needs the extra "learning"
+    from sean_jax.learning.checkpoints import Checkpoints  # which needs the extra "learning"
 
     name, folder = Path(folder).name, _last_round(Path(folder))
     network, situations = networks.read_network(folder, [each for each, _ in scenario.situations])

@@ -37,7 +37,7 @@ from sean_jax.io import writing
 from sean_jax.io.progress import Progress, ProgressLike, progress, say
 from sean_jax.learning import costs as bounds
 from sean_jax.learning import curriculum as curricula
-from sean_jax.learning import dagger, ppo, rollouts, shac, trainer
+from sean_jax.learning import dagger, ppo, processes, rollouts, shac, trainer
 from sean_jax.learning import policy as policies
 from sean_jax.learning.curriculum import Curriculum, Plan
 from sean_jax.learning.networks import ActorCritic, Agent, init_agents, with_noise
@@ -121,12 +121,12 @@ def train(options: ReinforcementConfig, console: ProgressLike = None) -> TrainSt
     with contextlib.ExitStack() as stack:
         stack.enter_context(user_parts.read_once())
         count = device_layout(len(options.agents)).mesh.size
-        config = trainer.on_all_processes(lambda: method_config(options, devices=count))
-        trainer.on_first_process(lambda: check_config(options.folder, config))  # refuses before anything is written
-        setting = trainer.on_all_processes(lambda: build(options))
-        callbacks = trainer.on_all_processes(lambda: _callbacks(options))
-        agents = trainer.on_all_processes(lambda: _first_agents(options, setting))
-        trainer.on_first_process(lambda: stack.enter_context(writing.folder_lock(options.folder)))
+        config = processes.on_all_processes(lambda: method_config(options, devices=count))
+        processes.on_first_process(lambda: check_config(options.folder, config))  # refuses before anything is written
+        setting = processes.on_all_processes(lambda: build(options))
+        callbacks = processes.on_all_processes(lambda: _callbacks(options))
+        agents = processes.on_all_processes(lambda: _first_agents(options, setting))
+        processes.on_first_process(lambda: stack.enter_context(writing.folder_lock(options.folder)))
         return _train(options, console, setting, agents, callbacks, config)
 
 
@@ -446,7 +446,7 @@ def _train(
 ) -> TrainState:
     """Train in a folder that this process has locked, or the first of the processes that train together."""
     scenarios, envs, network = setting
-    resumes = trainer.on_first_process(lambda: check_config(options.folder, config))
+    resumes = processes.on_first_process(lambda: check_config(options.folder, config))
     placed, total = device_layout(len(options.agents)), options.updates
     if not placed.shares_agents and options.scenarios // len(envs) % placed.mesh.size:
         text = f"scenarios: {options.scenarios} do not spread evenly over {placed.mesh.size} devices"
@@ -458,7 +458,7 @@ def _train(
     teachers = ()
     if options.imitate is not None and not (resumes and list((options.folder / "checkpoints").glob("[0-9]*"))):
         teachers = tuple(policies.load_policy(options.imitate, scenario, "imitate") for scenario in scenarios)
-    with progress(console if trainer.is_first_process() else None) as tell:
+    with progress(console if processes.is_first_process() else None) as tell:
         tell.stage("drawing starts")
         envs, starts = draw_starts(options, scenarios, envs)
         if teachers:

@@ -15,7 +15,7 @@ from flax import struct
 from jaxtyping import Bool, Float, Int, PyTree
 
 from sean_jax.config import OBSERVED
-from sean_jax.core import random_streams, user_code
+from sean_jax.core import random_streams, user_calls
 from sean_jax.core.data_types import Array, Scenario, State
 from sean_jax.core.errors import InputError
 from sean_jax.io import files
@@ -187,7 +187,7 @@ class Env:
         conditions = []
         for _, condition in self.terminations:
             value = rewarding.call("terminations", condition, "scenario, before, after", scenario, before, after)
-            user_code.check_array(
+            user_calls.check_array(
                 "terminations", condition, value, bool, (), "compare numbers, and reduce with any or all"
             )
             conditions.append(value)
@@ -228,11 +228,11 @@ class Env:
         if self.randomization is None:
             return self.scenario
         apply = self.randomization.apply
-        scenario = user_code.call("randomization", apply, "parameters, scenario", randomization, self.scenario)
+        scenario = user_calls.call("randomization", apply, "parameters, scenario", randomization, self.scenario)
         if not isinstance(scenario, Scenario):
             function = getattr(self.randomization, "function", apply)
-            raise user_code.wrong(
-                "randomization", function, user_code.describe(scenario), "a Scenario", "give scenario.replace(...)"
+            raise user_calls.wrong(
+                "randomization", function, user_calls.describe(scenario), "a Scenario", "give scenario.replace(...)"
             )
         return scenario
 
@@ -332,7 +332,7 @@ def _try_env(env: Env, key: Array) -> None:
                 name = jax.tree_util.keystr(path, simple=True, separator=".")
                 function: Any = getattr(env.randomization, "function", env.randomization)
                 result, cure = f"{name} of shape {jnp.shape(new)}", "keep the shapes of the scenario"
-                raise user_code.wrong("randomization", function, result, str(jnp.shape(old)), cure)
+                raise user_calls.wrong("randomization", function, result, str(jnp.shape(old)), cure)
     rewarding.of_step(env.rewards, scenario, simulation, simulation, state.potentials, state.potentials)
     env.ends(scenario, simulation, simulation)
 

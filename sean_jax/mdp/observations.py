@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from jaxtyping import Float, Int, PyTree
 
 from sean_jax import sensors
-from sean_jax.core import user_code
+from sean_jax.core import user_calls
 from sean_jax.core.data_types import SENSING, Array, Scenario, Sensor, State
 from sean_jax.core.errors import InputError
 from sean_jax.core.geometry import from_rectangle, length, nearby_obstacles, rotate
@@ -412,8 +412,8 @@ def observe(terms: Terms, scenario: Scenario, state: State, memory: PyTree) -> t
 
 
 def _read(term: ObservationTerm, scenario: Scenario, state: State, prepared: PyTree) -> Array:
-    value = user_code.call("observations", term.read, "scenario, state, prepared", scenario, state, prepared)
-    user_code.check_array("observations", term.read, value, None, None, "give an array, such as jnp.stack([a, b])")
+    value = user_calls.call("observations", term.read, "scenario, state, prepared", scenario, state, prepared)
+    user_calls.check_array("observations", term.read, value, None, None, "give an array, such as jnp.stack([a, b])")
     return jnp.clip(jnp.asarray(value, float), term.low, term.high)
 
 

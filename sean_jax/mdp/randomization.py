@@ -21,7 +21,7 @@ import pydantic
 from jaxtyping import Float, PyTree
 
 from sean_jax.config import Bounds, Range
-from sean_jax.core import user_code
+from sean_jax.core import user_calls
 from sean_jax.core.data_types import Array, Scenario
 from sean_jax.core.errors import InputError
 from sean_jax.graph import graph_of
@@ -67,7 +67,7 @@ class OfKey:
 
     def apply(self, parameters: Array, scenario: Scenario) -> Scenario:
         """The function's scenario, of a key as parameters."""
-        return user_code.call("randomization", self.function, "key, scenario", parameters, scenario)
+        return user_calls.call("randomization", self.function, "key, scenario", parameters, scenario)
 
     def mutate(self, key: Array, parameters: Array, scenario: Scenario) -> Array:
         """Another key."""

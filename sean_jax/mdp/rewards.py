@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from jaxtyping import Float
 
 from sean_jax import metrics
-from sean_jax.core import user_code
+from sean_jax.core import user_calls
 from sean_jax.core.data_types import Array, Scenario, State
 from sean_jax.core.errors import InputError, PartError
 from sean_jax.core.geometry import length
@@ -291,7 +291,7 @@ def potentials(terms: Terms, scenario: Scenario, state: State) -> dict[str, Floa
 def call(part: str, function: Callable, arguments: str, scenario: Scenario, *states: State) -> Any:
     """As ``user_code.call``, of a function that may read a metric that the scenario leaves out."""
     try:
-        return user_code.call(part, function, arguments, scenario, *states)
+        return user_calls.call(part, function, arguments, scenario, *states)
     except PartError as error:
         missing, known = error.__cause__, metrics.METRICS.keys() - dict(scenario.metrics).keys()
         if not isinstance(missing, KeyError) or missing.args[0] not in known:
@@ -302,7 +302,7 @@ def call(part: str, function: Callable, arguments: str, scenario: Scenario, *sta
 
 def _number(function: Callable, arguments: str, scenario: Scenario, *states: State) -> Array:
     value = call("rewards", function, arguments, scenario, *states)
-    user_code.check_array("rewards", function, value, None, (), "give one number, by sum(), mean() or an index")
+    user_calls.check_array("rewards", function, value, None, (), "give one number, by sum(), mean() or an index")
     return value
 
 

@@ -26,7 +26,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int, PyTree
 
-from sean_jax.core import clock, user_code
+from sean_jax.core import clock, user_calls
 from sean_jax.core.data_types import Array, Snapshot
 from sean_jax.core.errors import InputError
 
@@ -230,8 +230,8 @@ def _metric(function: Callable, init: Callable, update: Callable, compute: Calla
 
 def _truth(condition: Condition, snapshot: Snapshot, ndim: int | None = 0) -> Array:
     """The condition's value, checked while the program is traced."""
-    value = user_code.call("metrics", condition, "snapshot", snapshot)
-    user_code.check_array("metrics", condition, value, None, None, "compare numbers")
+    value = user_calls.call("metrics", condition, "snapshot", snapshot)
+    user_calls.check_array("metrics", condition, value, None, None, "compare numbers")
     value = jnp.asarray(value)
     if value.dtype != bool or value.ndim > (1 if ndim is None else ndim):
         expected = "() bool or (N,) bool" if ndim is None else "() bool"
@@ -244,8 +244,8 @@ def _truth(condition: Condition, snapshot: Snapshot, ndim: int | None = 0) -> Ar
 
 def _number(function: Callable, *snapshots: Snapshot) -> Array:
     """The function's value as a () float, checked while the program is traced."""
-    value = user_code.call("metrics", function, "snapshot" if len(snapshots) == 1 else "before, after", *snapshots)
-    user_code.check_array("metrics", function, value, None, None, "give one number")
+    value = user_calls.call("metrics", function, "snapshot" if len(snapshots) == 1 else "before, after", *snapshots)
+    user_calls.check_array("metrics", function, value, None, None, "give one number")
     value = jnp.asarray(value)
     if value.ndim:
         arguments = "snapshot" if len(snapshots) == 1 else "before, after"

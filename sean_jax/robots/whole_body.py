@@ -18,7 +18,7 @@ import numpy as np
 from flax import struct
 from jaxtyping import Bool, Float, Int, PyTree
 
-from sean_jax.core import bounds, user_code
+from sean_jax.core import bounds, user_calls
 from sean_jax.core.data_types import Array, Lateral, Robot, RobotModel, Scenario, State
 from sean_jax.core.errors import FileError, InputError
 from sean_jax.core.geometry import rotate, unit_vectors
@@ -290,12 +290,14 @@ def _simulate(
     nu = body.model.nu
 
     def control(data: Any, memory: PyTree) -> tuple[Array, PyTree]:
-        result = user_code.call("controller", body.controller, "command, data, memory", command, data, memory)
+        result = user_calls.call("controller", body.controller, "command, data, memory", command, data, memory)
         if not isinstance(result, tuple) or len(result) != 2:
             expected, cure = "a control and a memory", "return both, and () as the memory if there is none"
-            raise user_code.wrong("controller", body.controller, user_code.describe(result), expected, cure)
-        user_code.check_array("controller", body.controller, result[0], float, (nu,), "give a number for each actuator")
-        user_code.check_like("controller", body.controller, result[1], memory, "a memory that is")
+            raise user_calls.wrong("controller", body.controller, user_calls.describe(result), expected, cure)
+        user_calls.check_array(
+            "controller", body.controller, result[0], float, (nu,), "give a number for each actuator"
+        )
+        user_calls.check_like("controller", body.controller, result[1], memory, "a memory that is")
         return result[0].astype(data.ctrl.dtype), jax.tree.map(_strong, result[1])
 
     def one(carry: tuple, index: Array) -> tuple[tuple, None]:

@@ -13,7 +13,7 @@ from sean_jax.io.trajectories import save_trajectory
 from sean_jax.people.recordings import headings
 from sean_jax.ros.bag_contents import read
 from sean_jax.ros.bag_episodes import LONGEST_GAP, Stretch, Track, split
-from sean_jax.ros.bags import check_package
+from sean_jax.ros.bag_writing import check_package
 from sean_jax.ros.messages import SECOND
 
 PEOPLE, ROBOT = "people.csv", "trajectory.csv"  # of an import

@@ -1,18 +1,7 @@
 """Sensors (section IV-F): depth, color from three views, and lidars, on every robot, all from the same rays."""
 
-from sean_jax.sensors.cameras import (
-    VLP16,
-    Camera,
-    Lidar,
-    camera,
-    depth,
-    focal_length,
-    lidar,
-    pixels_of_people,
-    point_cloud,
-    points,
-    scan,
-)
+from sean_jax.sensors.cameras import Camera, camera, depth, focal_length, pixels_of_people
+from sean_jax.sensors.lidars import VLP16, Lidar, lidar, point_cloud, points, scan
 from sean_jax.sensors.pictures import CLASSES, Picture, render
 from sean_jax.sensors.readings import (
     SENSORS,

@@ -18,7 +18,8 @@ from jaxtyping import Float, Int
 from sean_jax.core.data_types import PATTERNS, Array, Scenario, Scenery, Solids, State
 from sean_jax.core.geometry import rotate
 from sean_jax.sensors import person_figure
-from sean_jax.sensors.cameras import Camera, rays, sensor_view
+from sean_jax.sensors.cameras import Camera, rays
+from sean_jax.sensors.mounts import sensor_view
 from sean_jax.sensors.raycast import MISS, Rays, View, along, attach, by_rows, search_behind, surface
 
 SKY, FLOOR, OBSTACLE, PERSON, ROBOT = range(5)

@@ -20,12 +20,13 @@ import pydantic
 from flax import struct
 from jaxtyping import Bool, Float, Int, Shaped
 
-from sean_jax.core import clock, user_code
+from sean_jax.core import clock, user_calls
 from sean_jax.core.data_types import Array, RobotModel, Scenario, Sensor, State
 from sean_jax.core.devices import to_device
 from sean_jax.core.errors import InputError
 from sean_jax.io import files
-from sean_jax.sensors.cameras import VLP16, VLP16_DEVIATION, Camera, Lidar, camera, depth, lidar, scan
+from sean_jax.sensors.cameras import Camera, camera, depth
+from sean_jax.sensors.lidars import VLP16, VLP16_DEVIATION, Lidar, lidar, scan
 from sean_jax.sensors.pictures import render
 
 SensorLike = Sensor | str | Path
@@ -136,7 +137,7 @@ SENSORS: dict[str, Callable[[RobotModel], Sensor]] = {
 def sense(scenario: Scenario, state: State) -> dict[str, Any]:
     """The readings of all sensors of a scenario by name.
 
-    Noise depends on the episode, the tick and the name of the sensor alone. So equal states give equal readings, and a
+    Noise depends on the episode, the tick and the name of the sensor alone. So equal states give equal readings, and
     another sensor does not change them.
     """
     key = jax.random.fold_in(state.streams.sensors, state.tick)
@@ -144,9 +145,9 @@ def sense(scenario: Scenario, state: State) -> dict[str, Any]:
     for sensor in scenario.sensors:
         sensor_key = jax.random.fold_in(key, np.uint32(zlib.crc32(sensor.name.encode())))
         arguments = scenario, sensor.params, state, sensor_key
-        reading = user_code.call("sensors", sensor.read, "scenario, params, state, key", *arguments)
+        reading = user_calls.call("sensors", sensor.read, "scenario, params, state, key", *arguments)
         for part in jax.tree.leaves(reading) or [None]:
-            user_code.check_array("sensors", sensor.read, part, None, None, "give the reading")
+            user_calls.check_array("sensors", sensor.read, part, None, None, "give the reading")
         readings[sensor.name] = reading
     return readings
 

@@ -15,11 +15,11 @@ from flax import struct
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Float, PyTree
 
-from sean_jax.core import random_streams, user_code
+from sean_jax.core import random_streams, user_calls
 from sean_jax.core.data_types import Array, Policy, PolicyLike, Scenario, State, as_policy, no_memory
 from sean_jax.core.errors import InputError
 from sean_jax.robots.drive import command_size
-from sean_jax.robots.other_robots import with_bodies
+from sean_jax.robots.teammates import with_bodies
 from sean_jax.simulation.scenario import frame, reset, step
 
 
@@ -79,7 +79,7 @@ def init_policy(scenario: Scenario, policy: PolicyLike, state: State) -> State:
     """The state with a new ``policy_state``: the initial memory of a policy, at the start of an episode or later."""
     policy = as_policy(policy)
     view = with_bodies(scenario, state)
-    memory = user_code.call("policy", policy.init, "scenario, params, state", view[0], policy.params, view[1])
+    memory = user_calls.call("policy", policy.init, "scenario, params, state", view[0], policy.params, view[1])
     return replace(state, policy_state=memory)
 
 
@@ -103,16 +103,18 @@ def command(scenario: Scenario, policy: Policy, state: State, key: Array) -> tup
     """
     apply = policy.apply
     scenario, state = with_bodies(scenario, state)
-    output = user_code.call("policy", apply, "scenario, params, state, key", scenario, policy.params, state, key)
+    output = user_calls.call("policy", apply, "scenario, params, state, key", scenario, policy.params, state, key)
     size = command_size(scenario.robot)
     names = "speed, turn_rate" if size == 2 else "speed, speed_to_the_left, turn_rate"
     cure = f"give jnp.stack([{names}]), in m/s and rad/s"
     if not isinstance(output, tuple) or len(output) != 2:
-        got = user_code.describe(output)
-        raise user_code.wrong("policy", apply, got, "(command, memory)", "give both; the memory is () if there is none")
-    user_code.check_array("policy", apply, output[0], float, (size,), cure)
+        got = user_calls.describe(output)
+        raise user_calls.wrong(
+            "policy", apply, got, "(command, memory)", "give both; the memory is () if there is none"
+        )
+    user_calls.check_array("policy", apply, output[0], float, (size,), cure)
     if policy.init is not no_memory:
-        user_code.check_like("policy", apply, output[1], state.policy_state, "a memory that is")
+        user_calls.check_like("policy", apply, output[1], state.policy_state, "a memory that is")
     return jnp.asarray(output[0], state.robot.position.dtype), output[1]
 
 

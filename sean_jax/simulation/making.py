@@ -27,7 +27,7 @@ from sean_jax.config import (
     user_parts,
     validate,
 )  # fmt: skip
-from sean_jax.core import bounds, user_code
+from sean_jax.core import bounds, user_calls
 from sean_jax.core.data_types import Array, Behavior, RobotModel, Scenario
 from sean_jax.core.errors import InputError
 from sean_jax.core.messages import listed, shorten
@@ -439,7 +439,7 @@ def behavior_of(config: ScenarioConfig, place: behaviors.Place) -> Behavior:
     if isinstance(description, OwnPart | Value):
         behavior = user_parts.resolve(description, {}, "behavior")
         if not isinstance(behavior, Behavior) and callable(behavior):
-            behavior = user_code.call("behavior", behavior, "place, people", place, config.people)
+            behavior = user_calls.call("behavior", behavior, "place, people", place, config.people)
     else:
         options = {name: value for name, value in description if name != "kind" and value is not None}
         behavior = behaviors.BEHAVIORS[description.kind](place, config.people, **options)

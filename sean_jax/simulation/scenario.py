@@ -6,7 +6,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from sean_jax.core import clock, random_streams, user_code
+from sean_jax.core import clock, random_streams, user_calls
 from sean_jax.core.data_types import (
     Array,
     Groups,
@@ -37,14 +37,14 @@ def reset(scenario: Scenario, key: Array) -> State:
     key = random_streams.typed(key)
     people_key, task_key, streams_key = jax.random.split(key, 3)
     begin = scenario.behavior.reset
-    people = user_code.call("behavior", begin, "scenario, key", scenario, people_key)
+    people = user_calls.call("behavior", begin, "scenario, key", scenario, people_key)
     if not isinstance(people, tuple) or len(people) != 3:
-        raise user_code.wrong(
-            "behavior", begin, user_code.describe(people), "(pedestrians, groups, memory)", "give all three"
+        raise user_calls.wrong(
+            "behavior", begin, user_calls.describe(people), "(pedestrians, groups, memory)", "give all three"
         )
     pedestrians, groups, memory = people
-    user_code.check_type("behavior", begin, pedestrians, Pedestrians, N=scenario.people)
-    user_code.check_type("behavior", begin, groups, Groups)
+    user_calls.check_type("behavior", begin, pedestrians, Pedestrians, N=scenario.people)
+    user_calls.check_type("behavior", begin, groups, Groups)
     pedestrians = individualize(scenario.forces, pedestrians, jax.random.fold_in(key, random_streams.TRAITS))
     state = _begin(scenario, pedestrians, groups, memory, task_key, streams_key)
     if clock.ceil_ticks(scenario.warm_up, scenario.time_step) == 0:
@@ -84,8 +84,8 @@ def _begin(
 ) -> State:
     """The first state of a task among existing people."""
     names = "scenario, pedestrians, groups, memory, key"
-    task = user_code.call("task", scenario.task, names, scenario, pedestrians, groups, memory, task_key)
-    user_code.check_type("task", scenario.task, task, RobotTask)
+    task = user_calls.call("task", scenario.task, names, scenario, pedestrians, groups, memory, task_key)
+    user_calls.check_type("task", scenario.task, task, RobotTask)
     path = task.start, task.start_heading, task.goal, task.paths_to_goal
     task = replace(task, path_rotation=paths.path_rotation(scenario.navigation, *path))
     state = State(
@@ -106,7 +106,7 @@ def _begin(
     now = snapshot(scenario, state)
     return replace(
         state,
-        metrics={name: user_code.call("metrics", metric.init, "snapshot", now) for name, metric in scenario.metrics},
+        metrics={name: user_calls.call("metrics", metric.init, "snapshot", now) for name, metric in scenario.metrics},
     )
 
 
@@ -158,18 +158,18 @@ def direct_pedestrians(scenario: Scenario, state: State, key: Array) -> State:
     direct = scenario.behavior.direct
 
     def call(state: State) -> State:
-        return user_code.call("behavior", direct, "scenario, state, key", scenario, state, key)
+        return user_calls.call("behavior", direct, "scenario, state, key", scenario, state, key)
 
     after = jax.checkpoint(call, prevent_cse=False)(state)
-    user_code.check_like("behavior", direct, after, state, "a state whose")
+    user_calls.check_like("behavior", direct, after, state, "a state whose")
     return after
 
 
 @jax.named_scope("move_pedestrians")
 def move_pedestrians(scenario: Scenario, state: State) -> State:
     """The pedestrian model: people one control step later. Source: section IV-D, low level."""
-    people = user_code.call("model", scenario.move, "scenario, state", scenario, state)
-    user_code.check_like("model", scenario.move, people, state.pedestrians, "people whose")
+    people = user_calls.call("model", scenario.move, "scenario, state", scenario, state)
+    user_calls.check_like("model", scenario.move, people, state.pedestrians, "people whose")
     return replace(state, pedestrians=people)
 
 
@@ -194,13 +194,13 @@ def measure(scenario: Scenario, before: State, after: State) -> State:
     def update(before: State, after: State) -> dict[str, Any]:
         earlier, now = snapshot(scenario, before), snapshot(scenario, after)
         return {
-            name: user_code.call("metrics", metric.update, "value, before, after", before.metrics[name], earlier, now)
+            name: user_calls.call("metrics", metric.update, "value, before, after", before.metrics[name], earlier, now)
             for name, metric in scenario.metrics
         }
 
     values = jax.checkpoint(update, prevent_cse=False)(before, after)
     for name, metric in scenario.metrics:
-        user_code.check_like("metrics", metric.update, values[name], before.metrics[name], "a value that is")
+        user_calls.check_like("metrics", metric.update, values[name], before.metrics[name], "a value that is")
     values = jax.tree.map(lambda old, new: jnp.where(done, old, new), before.metrics, values)
     return replace(after, metrics=values)
 
@@ -260,7 +260,7 @@ def results(scenario: Scenario, state: State) -> dict[str, Array]:
     Source: section IV-H.
     """
     return {
-        name: user_code.call("metrics", metric.compute, "value", state.metrics[name])
+        name: user_calls.call("metrics", metric.compute, "value", state.metrics[name])
         for name, metric in scenario.metrics
     }
 

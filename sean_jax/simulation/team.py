@@ -20,7 +20,7 @@ from sean_jax.core import random_streams
 from sean_jax.core.data_types import Array, Policy, PolicyLike, Scenario, State, as_policy
 from sean_jax.core.errors import InputError
 from sean_jax.core.geometry import length
-from sean_jax.robots.other_robots import models_of_others, others_of, with_contacts
+from sean_jax.robots.teammates import models_of_others, others_of, with_contacts
 from sean_jax.simulation import episodes, scenario
 from sean_jax.simulation.scenario_stack import Stack, of_arrays
 

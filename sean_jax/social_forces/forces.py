@@ -29,7 +29,7 @@ from flax import struct
 from jax.core import Tracer
 from jaxtyping import Bool, Float, Int
 
-from sean_jax.core import bounds, user_code
+from sean_jax.core import bounds, user_calls
 from sean_jax.core.data_types import Array, Groups, ObstacleGrid, Pedestrians, Robot
 from sean_jax.core.errors import InputError
 from sean_jax.core.geometry import length, rotate, unit
@@ -366,7 +366,7 @@ def over_robots(crowd: Crowd, law: Callable[[Crowd], Any]) -> Any:
 
 def gather(terms: tuple[GatherTerm, ...], pair: Pair) -> tuple[tuple[Array, ...], ...]:
     """The contributions of one other to the sums of the gather terms: a tuple of scalars for each term."""
-    return tuple(tuple(user_code.call("forces", term.gather, "pair", pair)) for term in terms)
+    return tuple(tuple(user_calls.call("forces", term.gather, "pair", pair)) for term in terms)
 
 
 def force_of(law: Callable, arguments: str, *values: Any, optional: bool = False) -> Any:
@@ -375,13 +375,13 @@ def force_of(law: Callable, arguments: str, *values: Any, optional: bool = False
     Raises:
         PartError: a user's term raised an error, or returned something else.
     """
-    value = user_code.call("forces", law, arguments, *values)
+    value = user_calls.call("forces", law, arguments, *values)
     if value is None and optional:
         return None
     if not isinstance(value, tuple | list) or len(value) != 2:
-        raise user_code.wrong("forces", law, user_code.describe(value), "(fx, fy)", "give both parts, in m/s2")
+        raise user_calls.wrong("forces", law, user_calls.describe(value), "(fx, fy)", "give both parts, in m/s2")
     for part in value:
-        user_code.check_array("forces", law, part, None, None, "give numbers, in m/s2")
+        user_calls.check_array("forces", law, part, None, None, "give numbers, in m/s2")
     return value[0], value[1]
 
 

@@ -9,7 +9,7 @@ import yaml
 
 from sean_jax import config, registry
 from sean_jax.cli import command_line
-from sean_jax.config import COMMANDS, PPOConfig, RunConfig, ScenarioConfig, StudioConfig, core, flags, user_parts
+from sean_jax.config import COMMANDS, PPOConfig, RunConfig, ScenarioConfig, StudioConfig, components, flags, user_parts
 from sean_jax.core.errors import FileError, InputError
 from sean_jax.evaluation.run_folder import read_config
 from sean_jax.learning import policy, reinforcement
@@ -23,9 +23,9 @@ TYPED = {
     "simulation/making.py _with_one_task": "arguments of a Python caller",
     "simulation/making.py with_task": "an argument of a Python caller",
     "cli/command_line.py _read": "the command line",
-    "config/core.py ": "the mark of it",
-    "config/core.py OwnPart": "the mark of nobody",
-    "config/core.py validate": "hands the caller's word on",
+    "config/components.py ": "the mark of it",
+    "config/components.py OwnPart": "the mark of nobody",
+    "config/components.py validate": "hands the caller's word on",
     "evaluation/__init__.py evaluate": "an argument of a Python caller",
     "config/flags.py read": "hands the caller's word on",
     "learning/policy.py _description": "hands the caller's word on",
@@ -46,7 +46,7 @@ TYPED = {
 """Who says whether the user typed a description -> who did."""
 
 MADE = {
-    "config/core.py validate": "hands the caller's word on",
+    "config/components.py validate": "hands the caller's word on",
     "io/files/__init__.py _validate": "of files, none of which has parts",
     "config/flags.py _own": "words of the command line, as its caller says",
     "io/files/database.py Database.rows": "rows of a database, none of which has parts",
@@ -75,7 +75,7 @@ WAYS = {
         field: lambda name, field=field: making.check(
             config.validate(StudioConfig, {"environment": "lab", field: name})
         )
-        for field in core.families(StudioConfig)
+        for field in components.families(StudioConfig)
         if field != "policy"
     },
 }
@@ -99,7 +99,7 @@ def test_who_trusts_is_listed():
 def test_nobody_else_makes_options_of_what_others_wrote():
     """Options made in Python are typed by the user, so the package itself makes none of values that it got."""
     classes = {model.__name__ for model in (*COMMANDS.values(), ScenarioConfig, config.EnvConfig, config.OwnPart)}
-    parts = set().union(*(core.families(model) for model in COMMANDS.values()))
+    parts = set().union(*(components.families(model) for model in COMMANDS.values()))
 
     def makes(node: ast.Call) -> bool:
         name, given = called(node), {keyword.arg for keyword in node.keywords}

@@ -160,7 +160,7 @@ def states(folder: Path) -> dict[int, list[tuple[str, bytes]]]:
     import jax
     import orbax.checkpoint as ocp
 
-    from sean_jax.learning.trainer import Checkpoints
+    from sean_jax.learning.checkpoints import Checkpoints
 
     manager, kept = Checkpoints(folder).manager, {}
     for step in steps(folder):

@@ -18,12 +18,13 @@ from sean_jax.core import devices, random_streams
 from sean_jax.core.errors import IncompleteError, InputError
 from sean_jax.io import writing
 from sean_jax.learning import imitation, reinforcement, trainer
+from sean_jax.learning.checkpoints import Checkpoints
 from sean_jax.learning.collection import row_record, simulate_shard
 from sean_jax.learning.dataset import on_device, split
 from sean_jax.learning.examples import example
 from sean_jax.learning.networks import Network
 from sean_jax.learning.policy import load_imitation
-from sean_jax.learning.trainer import Checkpoints, Log
+from sean_jax.learning.trainer import Log
 from sean_jax.simulation import episodes
 from sean_jax.simulation.episode_runner import Runner
 from support import learning_data, trees

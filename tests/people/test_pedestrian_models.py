@@ -9,8 +9,9 @@ import pytest
 from scipy.optimize import linprog, minimize
 
 import sean_jax
+from sean_jax.people.orca import smallest
 from sean_jax.people.orca_solver import TOGETHER, VelocityProgram, best_velocity, half_plane
-from sean_jax.people.pedestrian_models import MODELS, smallest
+from sean_jax.people.pedestrian_models import MODELS
 from sean_jax.policies import go_to_goal
 from support import programs
 from support.checkout import DATA

@@ -17,7 +17,7 @@ from sean_jax.cli import command_line
 from sean_jax.core.data_types import Groups, Policy
 from sean_jax.evaluation.list_command import choices
 from sean_jax.learning.policy import AGENTS
-from sean_jax.people.pedestrian_models import walk
+from sean_jax.people.constant_velocity import walk
 from sean_jax.policies import POLICIES, cost_to_go, prediction, social_costmap
 from sean_jax.policies.costmap import proxemic_cost
 from sean_jax.policies.expert import plan_limits

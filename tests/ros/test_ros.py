@@ -26,7 +26,7 @@ from sean_jax.core.errors import InputError
 from sean_jax.core.geometry import signed_distances_on_host
 from sean_jax.io.trajectories import load_trajectory
 from sean_jax.people import recordings
-from sean_jax.ros import bag_contents, bag_episodes, bag_import, bags, messages
+from sean_jax.ros import bag_contents, bag_episodes, bag_import, bag_writing, messages
 from sean_jax.simulation.scenario import snapshot
 from sean_jax.studies.calibration.windows import find
 from sean_jax.studies.prediction import read_windows
@@ -85,7 +85,7 @@ def bag(request, scenario, states, tmp_path_factory):
     """Bags of the states, and the messages in them: (folder, table, [(time, topic, message)])."""
     folder, rows = tmp_path_factory.mktemp(request.param), []
     table = messages.topics(scenario, request.param, 7)
-    with bags.Bag(folder, "walk", table) as writer:
+    with bag_writing.Bag(folder, "walk", table) as writer:
         for number, (_, step) in enumerate(states):
             time = time_of(step, scenario)
             for latched in (True, False) if number == 0 else (False,):
@@ -663,7 +663,9 @@ def test_bags_of_a_run(tmp_path, monkeypatch, capsys):
             for field in ("position", "heading", "velocity", "people", "people_velocity", "action"):
                 ours, theirs = getattr(frames, field), getattr(recorded, field)[number][:length]
                 assert np.allclose(ours, theirs, atol=2e-4), field
-    monkeypatch.setattr(bags.Bag, "write", lambda *_: (_ for _ in ()).throw(OSError(28, "No space left on device")))
+    monkeypatch.setattr(
+        bag_writing.Bag, "write", lambda *_: (_ for _ in ()).throw(OSError(28, "No space left on device"))
+    )
     assert command_line.main(["export", "bag", "run", "--out", "broken", "--quiet"]) != 0
     assert not Path("broken").exists()
     assert command_line.main(["export", "bag", "run", "--out", "broken", "--episodes", "2", "--quiet"]) == 2
@@ -707,7 +709,7 @@ def screen(path: Path) -> np.ndarray:
 )
 def test_rviz_draws_a_bag(scenario, states, tmp_path):
     """Map, scan, robot, people and goal have their colors in the picture that rviz draws with view.rviz."""
-    with bags.Bag(tmp_path, "walk", messages.topics(scenario)) as writer:
+    with bag_writing.Bag(tmp_path, "walk", messages.topics(scenario)) as writer:
         for number, (_, step) in enumerate(states):
             moment = time_of(step, scenario)
             for latched in (True, False) if number == 0 else (False,):
@@ -767,7 +769,7 @@ def test_rviz_draws_a_bag(scenario, states, tmp_path):
             variables["DISPLAY"] = f":{display.readline().strip()}"
         start("/usr/bin/rosmaster", "--core", "-p", port)
         wait(clock_is_set, "the master does not answer")
-        view = (Path(bags.__file__).parent / "view.rviz").read_text(encoding="utf-8")
+        view = (Path(bag_writing.__file__).parent / "view.rviz").read_text(encoding="utf-8")
         assert "Scale: 75\n" in view
         (tmp_path / "view.rviz").write_text(
             view.replace("Scale: 75\n", "Scale: 40\n"), encoding="utf-8"
@@ -787,6 +789,6 @@ def test_rviz_draws_a_bag(scenario, states, tmp_path):
 
 
 def test_missing_package_is_a_sentence(monkeypatch):
-    monkeypatch.setattr(bags.importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setattr(bag_writing.importlib.util, "find_spec", lambda name: None)
     with pytest.raises(InputError, match=r"sean_jax\[ros\]"):
-        bags.check_package()
+        bag_writing.check_package()

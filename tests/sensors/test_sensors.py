@@ -15,7 +15,7 @@ import sean_jax
 from sean_jax import robots, sensors
 from sean_jax.core.data_types import PATTERNS, Obstacles, Sensor
 from sean_jax.core.errors import InputError
-from sean_jax.sensors import cameras, person_figure, pictures
+from sean_jax.sensors import cameras, lidars, person_figure, pictures
 from sean_jax.world import environment
 from sean_jax.world.environment import ENVS, plain_scenery
 from support import programs
@@ -93,7 +93,7 @@ def test_numbers_are_those_of_sean(scenario):
         8.0 * 63 / 64
     )
     # The middles of the first and the last ray of a lidar are a degree apart, the first straight ahead.
-    (fan,) = cameras.lidar_rays(sensors.lidar(scenario))
+    (fan,) = lidars.lidar_rays(sensors.lidar(scenario))
     angle = np.rad2deg(np.arctan2(fan.direction[1], fan.direction[0])).reshape(-1)
     assert np.allclose(np.mod(angle + 0.5, 360.0) - 0.5, np.arange(360), atol=1e-3)
 
@@ -324,7 +324,7 @@ def test_a_lidar_looks_where_its_site_is_turned(scenario, state):
     plain_one = sensors.lidar(scenario, count=30, first=0.3, far=9.0)
     turned = dataclasses.replace(plain_one, axes=(c, -s, 0.0, s, c, 0.0, 0.0, 0.0, 1.0))
     shifted = dataclasses.replace(plain_one, first=0.3 + yaw)
-    (there,), (same,), (plain_rays,) = (cameras.lidar_rays(each) for each in (turned, shifted, plain_one))
+    (there,), (same,), (plain_rays,) = (lidars.lidar_rays(each) for each in (turned, shifted, plain_one))
     np.testing.assert_allclose(there.direction, same.direction, atol=1e-6)
     assert there.low == plain_rays.low
     c, s = np.cos(pitch), np.sin(pitch)

@@ -18,10 +18,11 @@ from sean_jax.adapters.multi_agent import TeamEnv
 from sean_jax.cli import command_line
 from sean_jax.config import RunConfig, validate
 from sean_jax.core.data_types import Robot, Scenario, State
-from sean_jax.people.pedestrian_models import orca, pedestrians_at
+from sean_jax.people.orca import orca
+from sean_jax.people.pedestrian_models import pedestrians_at
 from sean_jax.policies import POLICIES
 from sean_jax.robots import ROBOTS
-from sean_jax.robots.other_robots import with_bodies
+from sean_jax.robots.teammates import with_bodies
 from sean_jax.simulation import making
 from sean_jax.simulation.episode_runner import Callbacks, Runner
 from sean_jax.simulation.scenario import snapshot

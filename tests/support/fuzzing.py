@@ -100,10 +100,10 @@ READERS = {
     "trial": ("web/studio/trial.py read", "web/studio/trial.py _parsed", "web/studio/trial.py _recover_file"),
     "answers": ("studies/survey/answers.py Answers.__init__",),
     "rosbag metadata": (
-        "ros/bag_files.py BoundedFile.__init__",
-        "ros/bag_files.py BoundedPath.read_text",
-        "ros/bag_files.py _files",
-        "ros/bag_files.py open_bag",
+        "ros/bag_reading.py BoundedFile.__init__",
+        "ros/bag_reading.py BoundedPath.read_text",
+        "ros/bag_reading.py _files",
+        "ros/bag_reading.py open_bag",
         "ros/bag_contents.py read",
     ),
 }
@@ -133,7 +133,7 @@ OWN = {
     "web/studio/editor.py Editor.__init__",
     "web/studio/editor.py Editor.save",
     # data of the package, and of the machine
-    "config/core.py aliases",
+    "config/components.py aliases",
     "cli/doctor.py _memory",
     "evaluation/bag_command.py write",
     "evaluation/list_command.py ",
@@ -255,9 +255,9 @@ def policy(folder: Path) -> dict[str, bytes]:
     import jax.numpy as jnp
     import optax
 
+    from sean_jax.learning.checkpoints import Checkpoints
     from sean_jax.learning.imitation import TrainState
     from sean_jax.learning.networks import Network, init_weights
-    from sean_jax.learning.trainer import Checkpoints
 
     config = {"width": 8, "flags": True, "image": [12, 16], "situations": list(names()), "seed": 0, "epochs": 2}
     folder.mkdir(parents=True)

@@ -22,7 +22,7 @@ from sean_jax.config import DEFAULT_FORCES
 from sean_jax.core import devices, random_streams
 from sean_jax.core.data_types import FAR, Array, ObstacleGrid, Pedestrians, Scenario, State
 from sean_jax.core.geometry import nearby_obstacles, rotate
-from sean_jax.sensors import cameras
+from sean_jax.sensors import cameras, mounts
 from sean_jax.sensors.raycast import Rays, intersect, kernel
 from sean_jax.simulation import episodes
 from sean_jax.simulation.scenario import reset
@@ -218,7 +218,7 @@ def _rays(scenario: Scenario, states: State, device: cameras.Camera, bundles: Se
     """Turns of the loops over bodies, if each tile of rays tested only the bodies in its sight."""
 
     def one(state: State) -> list[Array]:
-        view = cameras.sensor_view(scenario, state, device)
+        view = mounts.sensor_view(scenario, state, device)
         return [family.in_sight for bundle in bundles for family in intersect.families(view, bundle)]
 
     each = [np.asarray(sight) for sight in jax.jit(jax.vmap(one))(jax.tree.map(lambda leaf: leaf[:SAMPLE], states))]

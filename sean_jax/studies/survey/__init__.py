@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import os
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sean_jax.config import StudioConfig, user_parts
@@ -45,7 +46,7 @@ def run(config: StudioConfig, console: Console) -> None:
 
 def _serve(config: StudioConfig, answers: Answers, console: Console) -> None:
     assert config.survey is not None
-    script = files.read_text(pages.PACKAGE / "survey" / "page.js")
+    script = files.read_text(Path(__file__).with_name("page.min.js"))
     page = pages.render(TEMPLATE, title=answers.study.title, kicker="", script=script)
     with console.status("simulating the episodes") as status:
         survey = Survey(answers, page, config.survey, lambda text: status.update(f"simulating the episodes: {text}"))

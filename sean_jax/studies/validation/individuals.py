@@ -14,7 +14,7 @@ import numpy as np
 
 from sean_jax.core.data_types import Pedestrians, Scenario, State
 from sean_jax.io.versions import fingerprint
-from sean_jax.people.pedestrian_models import constant_velocity
+from sean_jax.people.constant_velocity import constant_velocity
 from sean_jax.people.recordings import Tracks
 from sean_jax.robots import load
 from sean_jax.social_forces import Cohesion, Forces, move, preset

@@ -37,7 +37,7 @@ def _environment() -> "Environment":
 
 
 def render(template: str, **values: Any) -> str:
-    """A page of a template, such as ``report/run.html``."""
+    """A page of a template, such as ``evaluation/run.html``."""
     return _environment().get_template(template).render(**values)
 
 

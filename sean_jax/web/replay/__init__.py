@@ -2,7 +2,7 @@
 
 The plan from above with people's headings and trails, their groups, the robot with what its sensors have in sight, its
 planned path, the graph, a timeline of the situations (Fig. 2), whose labels are their lights, and metrics as curves.
-``page.js`` is built of the TypeScript in ``web/`` (``npm run build``).
+``page.min.js`` is built of the TypeScript in ``web/`` (``npm run build``).
 
 The page reads episodes as whole numbers: differences from frame to frame, deflated, as text. A column is T numbers.
 They are rounded to 16 bits, and each is the difference from the one before it, modulo 2**16: differences of people who
@@ -318,7 +318,7 @@ def embedded(content: Any) -> str:
 
 def script() -> str:
     """The page's program."""
-    return files.read_text(Path(__file__).with_name("page.js"))
+    return files.read_text(Path(__file__).with_name("page.min.js"))
 
 
 def html(content: dict[str, Any], picture: str = "", linked: bool = True) -> str:

@@ -8,6 +8,7 @@ import os
 import socket
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sean_jax.config import StudioConfig, user_parts
@@ -61,7 +62,7 @@ def make_demonstrations(config: StudioConfig, say: Callable[[str], None]) -> Non
 
 def serve(config: StudioConfig, say: Callable[[str], None]) -> None:
     """Serve the page until Ctrl-C."""
-    script = files.read_text(pages.PACKAGE / "studio" / "page.js")
+    script = files.read_text(Path(__file__).with_name("page.min.js"))
     page = pages.render(TEMPLATE, title="Studio", kicker="sean_jax", script=script)
     kept = address.recall(config.record)
     began = time.monotonic()

@@ -23,7 +23,7 @@ from pydantic.fields import FieldInfo
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, ErrorDetails, core_schema
 
-from sean_jax.config.fields import Option, Range, Text, check_once
+from sean_jax.config.option_types import Option, Range, Text, check_once
 from sean_jax.core.errors import InputError
 from sean_jax.core.messages import error_clause, listed, shorten, suggest
 from sean_jax.io import files
