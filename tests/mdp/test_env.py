@@ -198,7 +198,7 @@ def test_a_metric_that_is_left_out_is_missed_in_one_sentence(part):
 
     given = {"rewards": {"mine": mine}} if part == "rewards" else {"terminations": [mine]}
     text = (
-        rf"^{part}: .*test_mdp.py:\d+: KeyError: 'path_length', a metric that is not measured here; take mdp.of_metric"
+        rf"^{part}: .*test_env.py:\d+: KeyError: 'path_length', a metric that is not measured here; take mdp.of_metric"
     )
     with pytest.raises(InputError, match=text):
         make_env(bare, **given)

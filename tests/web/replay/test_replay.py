@@ -429,7 +429,7 @@ MACHADO = {
 @pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
 def test_states_differ_for_all_eyes(sight, dark):
     """States and the robot differ from one another, and people from the floor by 3 to 1 (WCAG 1.4.11)."""
-    style = (pages.PACKAGE / "pages" / "style.css").read_text()
+    style = (pages.PACKAGE / "web/pages/style.css").read_text()
 
     def linear(name: str) -> np.ndarray:
         (value,) = re.findall(rf"--{name}:(?:light-dark\()?(#\w{{6}}(?:,#\w{{6}})?)", style)
