@@ -22,7 +22,7 @@ from sean_jax.classifiers import SITUATIONS
 from sean_jax.core.data_types import Policy, PolicyLike, Scenario, State, as_policy
 from sean_jax.metrics import METRICS
 from sean_jax.policies import POLICIES, social_costmap
-from sean_jax.policies.social_costmap import default_params
+from sean_jax.policies.ros_move_base import default_params
 from sean_jax.simulation.episodes import init_policy, simulate
 from sean_jax.simulation.making import with_task
 from sean_jax.tasks import TASKS

@@ -20,7 +20,7 @@ import numpy as np
 
 import sean_jax
 from sean_jax.policies import POLICIES, social_costmap
-from sean_jax.policies.social_costmap import default_params
+from sean_jax.policies.ros_move_base import default_params
 from sean_jax.simulation.episodes import init_policy, simulate
 
 CONDITIONS: dict[str, dict[str, Any]] = {

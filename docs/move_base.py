@@ -11,7 +11,7 @@ from matplotlib.patches import Polygon
 
 import sean_jax
 from sean_jax.policies import costmap
-from sean_jax.policies.social_costmap import apply, init, sean2_params
+from sean_jax.policies.ros_move_base import apply, init, sean2_params
 
 PICTURE = Path(__file__).resolve().parent / "pictures" / "move_base-fixed-point.png"
 PLACE, GOAL = (9.315, 5.453), (-11.90, -14.50)

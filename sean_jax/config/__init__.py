@@ -22,7 +22,7 @@ from sean_jax.config.components import (
     validate,
     with_defaults,
 )
-from sean_jax.config.learning import (
+from sean_jax.config.learning_options import (
     EXPORTS,
     METHODS,
     OBSERVED,
@@ -48,7 +48,7 @@ from sean_jax.config.option_types import (
     Range,
     Text,
 )
-from sean_jax.config.scenario import (
+from sean_jax.config.scenario_options import (
     DEFAULT_FORCES,
     PRESETS,
     TRANSPORTS,
@@ -70,7 +70,7 @@ from sean_jax.config.scenario import (
     SurveyReportConfig,
     outside,
 )
-from sean_jax.config.studies import (
+from sean_jax.config.study_options import (
     EXPERIMENTS,
     AblationConfig,
     BenchmarkConfig,

@@ -16,7 +16,7 @@ from typing import Annotated, Any, Literal
 from sean_jax.config import components
 from sean_jax.config.components import Bounds, Config, Described, Family, OwnPart, Value, families, family_of
 from sean_jax.config.option_types import Option
-from sean_jax.config.scenario import usual
+from sean_jax.config.scenario_options import usual
 from sean_jax.core.errors import InputError
 from sean_jax.core.messages import listed
 

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from sean_jax.robots.foreign_links import Shape
 from sean_jax.robots.importing import Result, outline
-from sean_jax.robots.links import Shape
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

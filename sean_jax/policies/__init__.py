@@ -6,8 +6,8 @@ from sean_jax.policies.expert import expert
 from sean_jax.policies.go_to_goal import go_to_goal
 from sean_jax.policies.mppi import mppi
 from sean_jax.policies.orca import orca
+from sean_jax.policies.ros_move_base import move_base, social_costmap
 from sean_jax.policies.sensing_expert import sensing_expert
-from sean_jax.policies.social_costmap import move_base, social_costmap
 from sean_jax.policies.social_force import social_force
 
 POLICIES: dict[str, PolicyLike] = {

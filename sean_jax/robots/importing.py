@@ -24,8 +24,8 @@ from sean_jax.core.messages import suggest
 from sean_jax.io import writing
 from sean_jax.io.files import read_text, short_name
 from sean_jax.io.files.meshes import MAX_MESH
-from sean_jax.robots import links, urdf
-from sean_jax.robots.links import Body, Link, Shape
+from sean_jax.robots import foreign_links, urdf_reading
+from sean_jax.robots.foreign_links import Body, Link, Shape
 
 STEP = 0.02  # s, of the physics
 FRICTION = 0.8  # rubber on an indoor floor
@@ -113,7 +113,11 @@ def import_robot(file: Path, out: Path, settings: Settings = Settings()) -> Resu
 def _read(file: Path) -> Body:
     """The links of a file, by its root element."""
     start = read_text(file, MAX_MESH)
-    return links.from_mjcf(file) if re.search(r"<mujoco[\s>]", start) and "<robot" not in start else urdf.read(file)
+    return (
+        foreign_links.from_mjcf(file)
+        if re.search(r"<mujoco[\s>]", start) and "<robot" not in start
+        else urdf_reading.read(file)
+    )
 
 
 def drive_briefly(path: Path, drive: str) -> tuple[float, float]:
@@ -643,7 +647,7 @@ def upright(shape: Shape) -> Shape:
     yaw = np.arctan2(shape.turn[1, level], shape.turn[0, level])
     turn = np.array([[np.cos(yaw), -np.sin(yaw), 0.0], [np.sin(yaw), np.cos(yaw), 0.0], [0.0, 0.0, 1.0]])
     half = np.abs(turn.T @ shape.turn) @ shape.size
-    return Shape("box", np.maximum(half, links.THIN), shape.place, turn, shape.color)
+    return Shape("box", np.maximum(half, foreign_links.THIN), shape.place, turn, shape.color)
 
 
 def _view(name: str, axes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sean_jax.ros.bag_contents import BASES, Recording, Table
+from sean_jax.ros.bag_tables import BASES, Recording, Table
 from sean_jax.ros.messages import SECOND
 from sean_jax.ros.transforms import Pose, Transforms
 

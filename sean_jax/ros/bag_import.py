@@ -11,8 +11,8 @@ from sean_jax.core.data_types import Trajectory
 from sean_jax.io import files, writing
 from sean_jax.io.trajectories import save_trajectory
 from sean_jax.people.recordings import headings
-from sean_jax.ros.bag_contents import read
 from sean_jax.ros.bag_episodes import LONGEST_GAP, Stretch, Track, split
+from sean_jax.ros.bag_tables import read
 from sean_jax.ros.bag_writing import check_package
 from sean_jax.ros.messages import SECOND
 

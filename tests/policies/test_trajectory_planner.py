@@ -23,7 +23,7 @@ from sean_jax import robots, sensors
 from sean_jax.core.data_types import State
 from sean_jax.policies import costmap, trajectory_planner, wave_kernel
 from sean_jax.policies.costmap import UNREACHED, WINDOW, CostmapParams, Window
-from sean_jax.policies.social_costmap import (
+from sean_jax.policies.ros_move_base import (
     CLEARING,
     CONTROLLING,
     IDLE,

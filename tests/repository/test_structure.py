@@ -242,7 +242,7 @@ ALLOWED = {
 }
 """FILE FUNCTION that calls one of these outside of ``files`` -> why it may."""
 
-FORMATS = {"ros/bag_reading.py": "bags, which rosbags and SQLite read"}
+FORMATS = {"ros/bag_opening.py": "bags, which rosbags and SQLite read"}
 """Modules that are the one reader of a format of their own, with its bounds."""
 
 

@@ -12,7 +12,7 @@ from sean_jax.cli import command_line
 from sean_jax.core.errors import FileError
 from sean_jax.io.trajectories import load_trajectory
 from sean_jax.people import recordings
-from sean_jax.ros import bag_contents, bag_import, bag_reading, messages
+from sean_jax.ros import bag_import, bag_opening, bag_tables, messages
 
 pytest.importorskip("rosbags")
 SECOND = messages.SECOND
@@ -217,7 +217,7 @@ def picture(stamp, size):
 def test_what_a_chunk_of_rosbag1_unpacks_to_is_bounded(tmp_path, monkeypatch, compression):
     from rosbags.rosbag1 import Writer
 
-    monkeypatch.setattr(bag_reading, "MAX_PART", 1_000_000)
+    monkeypatch.setattr(bag_opening, "MAX_PART", 1_000_000)
     rows = drive(CLOCKS["same"], steps=5)
     big = [*rows, ("/camera", "sensor_msgs/msg/Image", rows[-1][2], picture(SECOND, 3_000_000))]
     form = getattr(Writer.CompressionFormat, compression.upper())
@@ -244,8 +244,8 @@ def test_what_a_rosbag2_unpacks_to_is_bounded(tmp_path, monkeypatch, mode):
     rows = drive(CLOCKS["same"], steps=5)
     compressed(tmp_path / "small", rows, mode)
     assert bag_import.import_bag(tmp_path / "small", tmp_path / "out").people == 2
-    monkeypatch.setattr(bag_reading, "MAX_PART", 1_000_000)
-    monkeypatch.setattr(bag_reading, "MAX_UNPACKED", (1_000_000, 1))
+    monkeypatch.setattr(bag_opening, "MAX_PART", 1_000_000)
+    monkeypatch.setattr(bag_opening, "MAX_UNPACKED", (1_000_000, 1))
     big = [(topic, kind, time, dict(message)) for topic, kind, time, message in rows]
     many = {f"{k}": (0.0, 0.0) for k in range(30_000)}
     big.append(("/people", PEOPLE, rows[-1][2], people(SECOND, many)))
@@ -327,7 +327,7 @@ def test_the_file_that_is_named_is_the_one_that_is_read(tmp_path, named, beside,
 def test_values_of_a_database_are_bounded_before_they_are_read(tmp_path, monkeypatch):
     """In all tables, of which a few packed bytes may be a gigabyte."""
     folder = write_bag2(tmp_path / "bag", drive(CLOCKS["same"], steps=2), "SQLITE3")
-    monkeypatch.setattr(bag_reading, "MAX_PART", 100_000)
+    monkeypatch.setattr(bag_opening, "MAX_PART", 100_000)
     assert bag_import.import_bag(folder, tmp_path / "out").people == 2
     with sqlite3.connect(folder / "bag.db3") as database:
         database.execute("UPDATE message_definitions SET encoded_message_definition = zeroblob(200000)")
@@ -368,7 +368,7 @@ def test_definitions_of_messages_are_bounded(tmp_path):
 
 
 def test_a_budget_counts_streams_behind_one_another(tmp_path):
-    budget = bag_reading.Budget(tmp_path, 0)
+    budget = bag_opening.Budget(tmp_path, 0)
     packed = bz2.compress(b"x" * 100)
     assert budget.unpack(bz2.BZ2Decompressor, packed * 3) == b"x" * 300
     with pytest.raises(FileError, match="cut off"):
@@ -376,7 +376,7 @@ def test_a_budget_counts_streams_behind_one_another(tmp_path):
 
 
 def test_tables_have_what_was_added():
-    table = bag_contents.Table(2, 1)
+    table = bag_tables.Table(2, 1)
     table.add((1, 2), (0.5,))
     table.add((3, 4), (1.5,))
     assert table.whole.tolist() == [[1, 2], [3, 4]] and table.numbers.tolist() == [[0.5], [1.5]] and table.size == 48

@@ -26,7 +26,7 @@ from sean_jax.core.errors import InputError
 from sean_jax.core.geometry import signed_distances_on_host
 from sean_jax.io.trajectories import load_trajectory
 from sean_jax.people import recordings
-from sean_jax.ros import bag_contents, bag_episodes, bag_import, bag_writing, messages
+from sean_jax.ros import bag_episodes, bag_import, bag_tables, bag_writing, messages
 from sean_jax.simulation.scenario import snapshot
 from sean_jax.studies.calibration.windows import find
 from sean_jax.studies.prediction import read_windows
@@ -531,7 +531,7 @@ def test_frames_of_a_robot_with_drifting_odometry(tmp_path):
         each = {"name": "anna", "position": at(*seen), "velocity": at(0, 0)}
         rows.append(("/people", "people_msgs/msg/People", time, {"header": head("laser"), "people": [each]}))
     write_bag(tmp_path / "drift.bag", rows)
-    (episode,) = bag_episodes.split(bag_contents.read(tmp_path / "drift.bag")).episodes
+    (episode,) = bag_episodes.split(bag_tables.read(tmp_path / "drift.bag")).episodes
     frames = bag_import.as_trajectory(episode, 0.1)
     truth = np.array(truth)
     assert np.allclose(frames.position, truth[:, :2], atol=1e-9)
@@ -686,7 +686,7 @@ def test_killed_export_leaves_nothing_half_written(tmp_path):
     process.wait()
     assert not (tmp_path / "bags").exists()
     assert command_line.main([*words, "--quiet"]) == 0
-    assert len(bag_contents.read(tmp_path / "bags" / "episode_0.bag").people) and not unfinished.exists()
+    assert len(bag_tables.read(tmp_path / "bags" / "episode_0.bag").people) and not unfinished.exists()
 
 
 # ------------------------------------------------------------------ rviz

@@ -11,7 +11,7 @@ from sean_jax.core.errors import FileError
 from sean_jax.core.messages import shorten
 from sean_jax.io.files import file_error, short_name
 from sean_jax.io.files.meshes import LINE, Element, rotation, vertices, xml_tree
-from sean_jax.robots.links import GRAY, THIN, Body, Link, Shape, enclosing
+from sean_jax.robots.foreign_links import GRAY, THIN, Body, Link, Shape, enclosing
 
 KINDS = {
     "revolute": "hinge",

@@ -12,7 +12,7 @@ import pydantic
 from sean_jax.config import option_types
 from sean_jax.config.components import Bounds, Component, Config, Family, Named, OwnPart, Value
 from sean_jax.config.option_types import Number, Option
-from sean_jax.config.scenario import Part, RunConfig, ScenarioConfig
+from sean_jax.config.scenario_options import Part, RunConfig, ScenarioConfig
 from sean_jax.core.messages import listed
 from sean_jax.io import files
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from sean_jax.core.bounds import MAX_COORDINATE, MAX_PEOPLE, parse_digits
 from sean_jax.io.files import file_error, suggest
-from sean_jax.ros.bag_reading import OpenBag, Recorded, open_bag
+from sean_jax.ros.bag_opening import OpenBag, Recorded, open_bag
 from sean_jax.ros.messages import SECOND
 
 MAX_BYTES = 200_000_000  # of all tables of a bag

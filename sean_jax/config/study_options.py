@@ -9,7 +9,7 @@ import pydantic
 from sean_jax.config import option_types
 from sean_jax.config.components import Config, Named
 from sean_jax.config.option_types import Number, Option
-from sean_jax.config.scenario import DEFAULT_FORCES, RobotPart
+from sean_jax.config.scenario_options import DEFAULT_FORCES, RobotPart
 
 Preset = Annotated[
     Literal["sean2"] | None,
