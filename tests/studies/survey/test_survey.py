@@ -679,7 +679,7 @@ def test_a_browser_goes_through_a_study(tmp_path, scheme, width):
 
 
 def test_the_page_has_its_program():
-    assert (pages.PACKAGE / "studies/survey/page/min.js").stat().st_size < 60_000
+    assert (pages.PACKAGE / "studies/survey/page.min.js").stat().st_size < 60_000
     assert validate(StudioConfig, {"survey": "a.yaml", "out": "b"}).survey == Path("a.yaml")
 
 

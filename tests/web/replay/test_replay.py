@@ -218,7 +218,7 @@ def test_the_built_program_is_that_of_its_source(tmp_path):
         ["npm", "run", "-s", "build", "--", f"--outdir={tmp_path}"], cwd=WEB, timeout=120, check=True
     )
     assert built.returncode == 0
-    for page in "web/replay/page/min.js", "web/studio/page/min.js", "studies/survey/page/min.js":
+    for page in "web/replay/page.min.js", "web/studio/page.min.js", "studies/survey/page.min.js":
         assert (tmp_path / page).read_text() == (pages.PACKAGE / page).read_text(), "run `npm run build` in web/"
 
 

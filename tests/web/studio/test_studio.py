@@ -1372,8 +1372,8 @@ def test_a_browser_edits_the_files(tmp_path, behavior):
 
 
 def test_the_page_has_its_program():
-    assert len(gzip.compress((pages.PACKAGE / "web/studio/page/min.js").read_bytes())) < 180_000
-    assert (pages.PACKAGE / "web/replay/page/min.js").stat().st_size < 30_000, "three.js is for the studio alone"
+    assert len(gzip.compress((pages.PACKAGE / "web/studio/page.min.js").read_bytes())) < 180_000
+    assert (pages.PACKAGE / "web/replay/page.min.js").stat().st_size < 30_000, "three.js is for the studio alone"
     assert making.build(validate(StudioConfig, OPTIONS))[0].warm_up == 1.0
 
 
