@@ -183,10 +183,3 @@ def test_a_group_that_was_moved_stays_where_it_was_in_a_replay_and_a_repeated_ru
     assert "in the run:" not in recording["episodes"][0]["outcome"]
     assert command_line.main(["run", "--config", str(place / "run" / "config.yaml"), "--out", "again", "--quiet"]) == 0
     assert (tmp_path / "again" / "episodes.csv").read_bytes() == (place / "run" / "episodes.csv").read_bytes()
-
-
-def test_former_names_of_options_are_read(tmp_path):
-    file = tmp_path / "config.yaml"
-    file.write_text("config:\n  places: mesh\n  behavior: {kind: graph, members: permanent}\n")
-    description = {"goal_sampling": "mesh", "behavior": {"kind": "graph", "group_membership": "permanent"}}
-    assert run_folder.read_config(file).description == description
