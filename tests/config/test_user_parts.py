@@ -387,7 +387,7 @@ def named(tmp_path_factory):
     sizes = dict.fromkeys(dataset.fields(1, 1, 1), 1)
     manifest = dict(
         format=1, command="sean collect", options={"environment": "lab", "task": ["code.py:f"]}, hours=0.01, batch=1,
-        seconds=120, streams=["a"], situations=["b"], camera=camera, robot={"name": "kuri"},
+        seconds=120, rate=1, streams=["a"], situations=["b"], camera=camera, robot={"name": "kuri"},
         shards=[{**shard, "bytes": sizes}],
     )  # fmt: skip
     for name, file, content in [
