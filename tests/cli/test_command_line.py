@@ -168,9 +168,8 @@ def test_run_writes_a_whole_folder(tmp_path, capsys):
 
 @pytest.mark.slow
 def test_a_batch_equals_each_episode_alone():
-    tasks, drive = ("random_ab_nav", "busy_ab_nav"), POLICIES["go_to_goal"]
-    options = {"behavior": "random", "people": 4, "dynamics": "twin", "time_limit": 2.0}
-    scenarios = [sean_jax.make("lab", task=task, **options) for task in tasks]
+    tasks, drive = ("join_group", "leave_group"), POLICIES["go_to_goal"]
+    scenarios = [sean_jax.make(task=task, people=8, dynamics="twin", time_limit=2.0) for task in tasks]
     evaluation = sean_jax.evaluate(scenarios, drive, episodes=3, batch=2, seed=5)
     for episode, task in enumerate(evaluation.tasks):
         scenario = scenarios[tasks.index(task)]
