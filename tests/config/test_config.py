@@ -170,6 +170,7 @@ run --sets all | --sets: behavior 'graph' has no such option; choose behavior 'h
 run --behavior handcrafted --people 4 | people: 4; leave people out
 run --behavior random --routing edge | --routing: behavior 'random' has no such option; choose behavior 'graph'
 run --routing egde | --routing: 'egde' is not one of; did you mean 'edge'
+run --behavior grph | 'grph'; did you mean 'graph'
 run --model orka | model: 'orka' is not one of; did you mean 'orca'
 run --forces helbing95 | forces: 'helbing95'; did you mean 'helbing1995'
 run --situations papr | situations: 'papr'; did you mean 'paper'
@@ -182,6 +183,7 @@ run --policy full | full has no trained network; sean train imitation
 run --camera first_persn | camera: robot 'kuri' has no 'first_persn'; did you mean 'first_person'
 run --out file | --out; file is a file; new folder
 run --out full | --out; the folder full is not empty; new folder
+run --out file/run | cannot write
 run --out . | --out
 run --out "" | --out is an empty text; leave the option out
 run --environment= | --environment is an empty text
@@ -206,10 +208,15 @@ experiment table1 --speeds nan | --speeds: nan must be from 0 to 100
 experiment table1 --speeds 1.4 -1 | --speeds: -1.0 must be
 experiment table1 --crowds -1 | --crowds: -1 must be
 experiment table1 --hours 0 | --hours: 0.0 must be
+experiment table1 --hours 0.001 | --hours: 0.001 must be from 0.0166
+experiment table1 --seeds 0 | --seeds: 0 must be from 1
+experiment table1 --time-limit 0 | --time-limit: 0.0 must be from 0.1
+experiment table1 --robot nope | robot 'nope'
 experiment table1 --environment nope | environment 'nope' is not one of; give one of them
 experiment table1 --policies nobody | --policies: 'nobody' is not one of
 experiment table1 --policies , | --policies names no policy
 experiment figure4 --demonstrator nobody | policy: 'nobody' is not one of
+experiment figure4 --environment nope | environment 'nope' is not one of; give one of them
 experiment figure4 --people 90000 | people: 90000 do not fit; fewer
 experiment figure4 --out full | full; --out
 experiment learning_curve --demonstrator nobody | policy: 'nobody' is not one of
@@ -219,12 +226,15 @@ experiment learning_curve --rates 5 3 | rate: 3 examples a second do not divide 
 experiment table3 | 'table3' is not one of table1; did you mean 'table1'
 experiment zebra | 'zebra' is not one of table1; sean experiment --help
 bench --only stepp | --only: 'stepp' is not one of step
+bench --only "" | --only is an empty text
 bench --batches 0 | --batches: 0 must be
+bench --repeats 0 | --repeats: 0 must be from 1
 bench --seconds inf | --seconds: inf must be
 bench --environment moon --only step | environment 'moon'; give one of them
 bench --out full | --out; the folder full is not empty; new folder
 validate --only rimea-99 | --only: 'rimea-99' is not one of
 validate --models nobody | model: 'nobody' is not one of
+validate --models nope.py:f | nope.py
 validate --data nope | --data: nope is no folder
 validate --only rimea-1 --out full | full holds something else; --out
 draw | draw: give either --graph or --handcrafted
@@ -239,12 +249,15 @@ draw --graph --environment nope | environment 'nope'; give one of them
 import-map map.yaml --out full | --out; the folder full is not empty
 import-map map.yaml --out file | --out; file is a file
 import-map map.yaml --out new --height nan | --height: nan must be
+import-map full/old --out new | old
 import-map nope.yaml --out new | nope.yaml; there is no such file
 import-robot nope.urdf --out new.xml | nope.urdf; there is no such file
+import-robot full/old --out new.xml | old
 import-robot nope.urdf --out sheet.docx | --out: sheet.docx ends in .docx, but must end in one of .xml
 import-robot nope.urdf --out nope/new.xml | there is no folder nope; make it first
 import-robot nope.urdf --out new.xml --mass nan | --mass: nan must be
 export lerobot nope --out full | --out; the folder full is not empty
+export lerobot full --out new | full
 export lerobot nope --out file | --out; file is a file
 export agent nope --out full | --out; the folder full is not empty
 export agent nope --out new | nope has no trained agent; sean train ppo
@@ -438,11 +451,8 @@ def test_the_endings_of_pictures_are_those_that_matplotlib_writes(tmp_path):
 @pytest.mark.parametrize(
     ("place", "said"), [("", "folder"), ("x.png", "must end in"), ("no/x.gif", "there is no folder")]
 )
-def test_a_gif_that_cannot_be_written_is_refused_before_it_is_drawn(place, said, scenario, tmp_path):
+def test_a_gif_that_cannot_be_written_is_refused_before_it_is_drawn(place, said, tmp_path):
     nothing: typing.Any = None
-    for write in (
-        lambda path: drawing.animate(scenario.environment, nothing, path),
-        lambda path: drawing.video(nothing, scenario, path),
-    ):
+    for write in (drawing.animate, drawing.video):
         with pytest.raises(ValueError, match=said):
-            write(tmp_path / place)
+            write(nothing, nothing, tmp_path / place)

@@ -246,18 +246,12 @@ def test_sean_list_shows_them(files, added, monkeypatch, capsys):
 def test_sean_run_measures_and_reports_them(files, added, tmp_path, capsys):
     """All at once on the command line: columns of the table, of episodes.csv and of the report."""
     yard, puck = files
-    common = ["run", "--environment", str(yard), "--robot", str(puck), "--policy", "dance", "--people", "4",
-              "--dynamics", "mjx", "--episodes", "2", "--time-limit", "3", "--forces", "magnetic"]  # fmt: skip
-    for name, more in (
-        ("parade", ["--behavior", "parade", "--task", "to_first_place", "--model", "glide"]),
-        ("graph", ["--task", "to_first_place,join_group"]),
-    ):
-        assert command_line.main([*common, *more, "--out", str(tmp_path / name)]) == 0
-        table = capsys.readouterr().out
-        assert "watched" in table
-        summary = json.loads((tmp_path / name / "summary.json").read_text())
-        assert summary["metrics"]["turned_angle"]["overall"]["mean"] > 1.0 and "watched" in summary["situations"]
-        header = (tmp_path / name / "episodes.csv").read_text().splitlines()[0]
-        assert "turned_angle__watched" in header
-        page = (tmp_path / name / "report.html").read_text(encoding="utf-8")
-        assert "angle turned" in page and "Sum of all turns of the robot." in page and "watched" in page
+    options = "--behavior parade --task to_first_place --policy dance --forces magnetic --dynamics mjx --people 4"
+    asked = ["run", "--environment", str(yard), "--robot", str(puck), *options.split(), "--out", str(tmp_path / "run")]
+    assert command_line.main([*asked, "--episodes", "2", "--time-limit", "3"]) == 0
+    assert "watched" in capsys.readouterr().out
+    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
+    assert summary["metrics"]["turned_angle"]["overall"]["mean"] > 1.0 and "watched" in summary["situations"]
+    assert "turned_angle__watched" in (tmp_path / "run" / "episodes.csv").read_text().splitlines()[0]
+    page = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
+    assert "angle turned" in page and "Sum of all turns of the robot." in page and "watched" in page

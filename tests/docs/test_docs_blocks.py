@@ -62,17 +62,26 @@ Path("envs").symlink_to(Path(sean_jax.__file__).parent.parent / "envs")
 }
 ALONE = {"docs/gradients.md", "docs/situations.md", "docs/validation.md"}
 """Pages whose blocks run as pasted, with nothing given; more pages may join them, and none leaves"""
+LAB = '"lab", people=4, behavior="random"'
 SMALLER = {
     "README.md": {
-        "people=62": 'people=8, dynamics="twin"', "256": "2", "steps=600": "steps=20", "episodes=64": "episodes=2",
+        '"warehouse", behavior="graph", task="join_group", robot="kuri", people=62': LAB, "256": "2",
+        "steps=600": "steps=20", "episodes=64": "episodes=2",
     },
-    "docs/behavior_graph.md": {"key, 100,": "key, 20,", "steps=1200": "steps=200"},
-    "docs/devices.md": {'make("warehouse")': 'make("lab", people=4, dynamics="twin")', "1024": "4", "8192": "2"},
-    "docs/gradients.md": {"1000": "32", '"warehouse", ': '"lab", people=4, dynamics="twin", '},
+    "docs/behavior_graph.md": {
+        '"warehouse"': '"lab"', "people=16": "people=4", "key, 100,": "key, 20,", "steps=1200": "steps=200",
+    },
+    "docs/coming_from.md": {
+        '"lab", people=4': LAB, "env.reset": "jax.jit(env.reset)", "env.step": "jax.jit(env.step)",
+    },
+    "docs/devices.md": {'"warehouse"': LAB, "1024": "4", "8192": "2"},
+    "docs/gradients.md": {"1000": "32", '"warehouse", behavior="graph"': LAB},
+    "docs/index.md": {"people=5": "people=4", "300": "20"},
     "docs/learning.md": {"episodes=10": "episodes=2", "key, 600": "key, 20"},
-    "docs/metrics.md": {"make(people=8": 'make(dynamics="twin", people=8', "300": "20"},
-    "docs/policies.md": {'task="join_group"': 'people=4, dynamics="twin"', "600": "3", "16)": "2)"},
-    "docs/social_forces.md": {"sean_jax.make(": 'sean_jax.make("lab", people=4, dynamics="twin", '},
+    "docs/metrics.md": {"people=8": LAB, "300": "20"},
+    "docs/policies.md": {'"warehouse", task="join_group"': LAB, "600": "3", "16)": "2)"},
+    "docs/several_robots.md": {"100)": "10)"},
+    "docs/social_forces.md": {"sean_jax.make(": f"sean_jax.make({LAB}, "},
     "docs/validation.md": {"60, seed": "6, seed", "120.0": "4.0", "60.0": "4.0", "seconds=60": "seconds=4"},
 }  # fmt: skip
 

@@ -6,11 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import yaml
 
 import sean_jax
-from sean_jax.cli import command_line
-from sean_jax.evaluation import run_folder
 from sean_jax.policies import go_to_goal
 from sean_jax.world.environment import clearance
 from support.commands import python
@@ -46,21 +43,17 @@ def test_results_are_complete(run):
     assert len(rows) == 65 and "nan" not in "".join(rows) and "inf" not in "".join(rows)
 
 
-def test_a_run_in_mjx_is_the_run_of_its_twin(tmp_path):
+def test_episodes_in_mjx_are_those_of_its_twin():
     """Whole episodes with restarts among people: the same ends, and the same ways to rounding."""
-    words = "--environment lab --people 4 --episodes 6 --batch 2 --time-limit 30 --seed 1 --quiet"
-    runs = {}
-    for dynamics in ("twin", "mjx"):
-        out = tmp_path / dynamics
-        before = ["--baseline", str(tmp_path / "twin")] if dynamics == "mjx" else []
-        assert command_line.main(["run", *words.split(), "--dynamics", dynamics, "--out", str(out), *before]) == 0
-        assert yaml.safe_load((out / "config.yaml").read_text(encoding="utf-8"))["config"]["dynamics"] == dynamics
-        runs[dynamics] = run_folder.read_episodes(out / "episodes.csv")
-    assert "is compared with twin in 6 common episodes" in (tmp_path / "mjx" / "report.html").read_text("utf-8")
-    (tasks, twin), (others, mjx) = runs.values()
-    assert tasks == others and len(tasks) == 6 and twin["completed"].any()
-    np.testing.assert_array_equal(twin["seconds"], mjx["seconds"])
-    np.testing.assert_allclose(twin["path_length"], mjx["path_length"], atol=1e-3)
+
+    def evaluate(dynamics):
+        scenario = sean_jax.make("lab", people=4, time_limit=30.0, dynamics=dynamics)
+        return sean_jax.evaluate(scenario, "go_to_goal", episodes=4, batch=2, seed=1)
+
+    twin, mjx = evaluate("twin"), evaluate("mjx")
+    assert twin.completed.any()
+    np.testing.assert_array_equal(twin.seconds, mjx.seconds)
+    np.testing.assert_allclose(twin.metrics["path_length"], mjx.metrics["path_length"], atol=1e-3)
 
 
 def test_a_minute_of_the_full_warehouse():

@@ -17,6 +17,7 @@ from sean_jax.core import random_streams
 from sean_jax.people.recordings import Tracks
 from sean_jax.studies.validation.page import trajectory
 from support.replays import played
+from support.scenes import room
 
 LAB = "--environment lab --behavior random --people 2 --dynamics twin".split()
 
@@ -25,7 +26,7 @@ LAB = "--environment lab --behavior random --people 2 --dynamics twin".split()
 def dataset(tmp_path_factory):
     pytest.importorskip("tensorstore")
     out = tmp_path_factory.mktemp("data") / "demonstrations"
-    words = "--time-limit 8 --hours 0.02 --batch 4 --width 16 --height 12 --noise 0.3 --quiet --out".split()
+    words = "--time-limit 4 --hours 0.01 --batch 4 --width 16 --height 12 --noise 0.3 --quiet --out".split()
     assert command_line.main(["collect", *LAB, *words, str(out)]) == 0
     return out
 
@@ -60,25 +61,24 @@ def test_a_network_that_imitates_drives_where_its_demonstrations_were(dataset, t
     assert command_line.main(["train", "imitation", str(dataset), *words, str(out)]) == 0
     assert command_line.main(["replay", str(out), "--episodes", "3", "--quiet"]) == 0
     ((episode,),) = (part["episodes"] for part in played(out / "replay.html"))
-    scenario = sean_jax.make("lab", behavior="random", people=2, dynamics="twin", time_limit=8.0)
+    scenario = sean_jax.make("lab", behavior="random", people=2, dynamics="twin", time_limit=4.0)
     policy = learning.load(out, scenario)
     key = jax.random.fold_in(random_streams.key("evaluation", 0), 3)
-    frames = jax.jit(lambda key: sean_jax.rollout(scenario, policy, key, 80)[1])(key)
+    frames = jax.jit(lambda key: sean_jax.rollout(scenario, policy, key, 40)[1])(key)
     length = episode["frames"]
     assert length == int(frames.active.sum())
     np.testing.assert_allclose(episode["columns"]["robot x"][:, 0], frames.position[:length, 0], atol=0.02)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("terminations", [pytest.param(None, marks=pytest.mark.night), "intimate"])
-def test_episodes_of_an_evaluation_are_those_that_the_training_measured(tmp_path, terminations):
+def test_episodes_of_an_evaluation_are_those_that_the_training_measured(tmp_path):
     from sean_jax.learning import reinforcement
 
     fields: dict[str, Any] = dict(
         method="ppo", environment="lab", behavior="random", people=2, time_limit=4.0, scenarios=8, horizon=8,
         minibatches=2, epochs=2, width=16, pool=8, evaluate_every=3, evaluation_episodes=3, steps=8 * 8 * 6,
         metrics=["mean_speed"], observations=["goal", "speeds"], rewards=["progress", "time"], out=tmp_path / "agent",
-        terminations=terminations,
+        terminations="intimate",
     )  # fmt: skip
     asked = PPOConfig(**fields)
     state = reinforcement.train(asked)
@@ -133,10 +133,13 @@ def test_who_goes_around_a_periodic_scene_does_not_cross_it():
 
 
 def test_an_agent_of_several_environments_is_seen_in_one_of_them(tmp_path, capsys):
-    told = {"method": "ppo", "environment": "lab,outdoor", "behavior": {"kind": "random"}, "people": 2}
-    (tmp_path / "config.json").write_text(json.dumps(told))
+    for name in ("one", "other"):
+        room(tmp_path / name, (-4, -4, 4, 4), name=name)
+    places = f"{tmp_path / 'one'},{tmp_path / 'other'}"
+    options = {"method": "ppo", "environment": places, "behavior": {"kind": "random"}, "people": 2}
+    (tmp_path / "config.json").write_text(json.dumps(options))
     assert command_line.main(["replay", str(tmp_path), "--episodes", "2", "3"]) == 2
-    assert "those are in lab and outdoor" in capsys.readouterr().err
+    assert "those are in one and other" in capsys.readouterr().err
     assert command_line.main(["replay", str(tmp_path), "--episodes", "3", "5"]) == 2
     assert "checkpoint" in capsys.readouterr().err
 

@@ -4,7 +4,6 @@ import ast
 import dataclasses
 import inspect
 import re
-import subprocess
 import sys
 import tomllib
 from importlib import import_module
@@ -15,21 +14,13 @@ import pytest
 import yaml
 
 from support.checkout import ROOT, repository_files
+from support.commands import python
 
 pytestmark = pytest.mark.form
 PACKAGE = ROOT / "sean_jax"
 MODULES = sorted(PACKAGE.rglob("*.py"))
 HEAVY = ("jax", "mujoco", "matplotlib", "flax", "optax", "orbax", "scipy")
-EXTRAS = (
-    "matplotlib",
-    "tyro",
-    "websockets",
-    "rosbags",
-    "optax",
-    "orbax",
-    "tensorstore",
-    "gymnasium",
-)  # not for ``evaluate``
+EXTRAS = "matplotlib tyro websockets rosbags optax orbax tensorstore gymnasium".split()  # not for ``evaluate``
 FAMILIES = {
     "sean_jax.social_forces": "PRESETS",
     "sean_jax.classifiers": "SITUATIONS",
@@ -71,20 +62,16 @@ def test_an_environment_is_the_place():
 
 def test_command_line_starts_without_heavy_imports():
     program = f"import sys, sean_jax.cli.command_line; print([name for name in {HEAVY!r} if name in sys.modules])"
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, cwd=ROOT, check=False)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.strip() == "[]"
+    assert python("-c", program, cwd=ROOT).strip() == "[]"
 
 
 def test_a_simulation_needs_no_package_of_reports_and_servers():
     """What is drawn, printed or served is imported with the first picture, table or server."""
     wanted = {"make, step, rollout, make_env": ("matplotlib", "tyro", "jinja2", "PIL"), "evaluate": EXTRAS}
     for names, unused in wanted.items():
-        program = (
-            f"import sys\nfrom sean_jax import {names}\nprint([name for name in {unused!r} if name in sys.modules])"
-        )
-        done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, cwd=ROOT, check=False)
-        assert done.stdout.strip() == "[]", done.stderr
+        imports = f"import sys\nfrom sean_jax import {names}\n"
+        loaded = python("-c", f"{imports}print([name for name in {unused!r} if name in sys.modules])", cwd=ROOT)
+        assert loaded.strip() == "[]"
 
 
 def test_no_import_starts_a_backend():
@@ -96,8 +83,7 @@ for name in {sorted(name for name in NAMES if room(name) != "adapters")!r}:
 from jax._src import xla_bridge
 print(xla_bridge.backends_are_initialized())
 """
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, cwd=ROOT, check=False)
-    assert done.stdout.split() == ["False"], done.stderr
+    assert python("-c", program, cwd=ROOT).split() == ["False"]
 
 
 UNCHANGED = """
@@ -130,8 +116,7 @@ for part, now in state_of_the_process().items():
 
 def test_an_import_changes_nothing_in_the_process():
     """Beyond what JAX and scipy change. The command line changes its own process, and no other."""
-    done = subprocess.run([sys.executable, "-c", UNCHANGED], capture_output=True, text=True, cwd=ROOT, check=False)
-    assert done.returncode == 0, done.stderr
+    python("-c", UNCHANGED, cwd=ROOT)
 
 
 def described_values(package: str) -> set[str]:
@@ -187,42 +172,14 @@ def test_public_names_exist_and_are_documented():
         sean_jax.no_such_name  # noqa: B018
 
 
-OPENERS = {
-    "json.loads",
-    "json.load",
-    "yaml.safe_load",
-    "yaml.load",
-    "yaml.compose",
-    "sqlite3.connect",
-    "AnyReader",
-    "urlsplit",
-    "urlparse",
-    "np.load",
-    "np.genfromtxt",
-    "np.loadtxt",
-    "np.fromfile",
-    "np.memmap",
-    "pickle.load",
-    "pickle.loads",
-    "ElementTree.parse",
-    "ElementTree.fromstring",
-    "ElementTree.iterparse",
-    "minidom.parse",
-    "Image.open",
-    "from_xml_path",
-    "from_xml_string",
-    "read_text",
-    "read_bytes",
-    "open",
-    "pq.ParquetFile",
-    "pq.read_schema",
-    "pq.read_table",
-    "csv.reader",
-    "zipfile.ZipFile",
-    "tarfile.open",
-    "gzip.open",
-    "ast.literal_eval",
-}
+OPENERS = set(
+    """
+    AnyReader ElementTree.fromstring ElementTree.iterparse ElementTree.parse Image.open ast.literal_eval csv.reader
+    from_xml_path from_xml_string gzip.open json.load json.loads minidom.parse np.fromfile np.genfromtxt np.load
+    np.loadtxt np.memmap open pickle.load pickle.loads pq.ParquetFile pq.read_schema pq.read_table read_bytes
+    read_text sqlite3.connect tarfile.open urlparse urlsplit yaml.compose yaml.load yaml.safe_load zipfile.ZipFile
+    """.split()
+)
 """Calls that open or understand what comes from outside. ``files`` bounds it, and tells what is wrong with it."""
 
 ALLOWED = {
@@ -325,13 +282,8 @@ def test_values_are_compared_by_equality():
 
 def test_repository_names_no_registry_host_and_no_machine():
     # In pieces, so that this file does not contain what it looks for.
-    hosts = [
-        "py" + r"pi\.org",
-        "python" + r"hosted\.org",
-        "npm" + r"js\.(org|com)",
-        "deb" + r"ian\.org",
-        "anaconda" + r"\.org",
-    ]
+    hosts = ["py" + r"pi\.org", "python" + r"hosted\.org", "npm" + r"js\.(org|com)", "deb" + r"ian\.org"]
+    hosts.append("anaconda" + r"\.org")
     folders = ["wo" + "rk", "fa" + "rm", "ro" + "ot", "ho" + r"me/\w+", "Us" + r"ers/\w+", "tmp/" + r"\w+"]
     pattern = re.compile("|".join([*hosts, rf"(?<![\w.~/:-])/(?:{'|'.join(folders)})(?=[/\"'\s)]|$)"]), re.M)
     assert pattern.search("see https://files.python" + "hosted.org/x") and pattern.search('open("/ho' + 'me/ann/x")')

@@ -34,11 +34,17 @@ def repository_files() -> list[Path]:
 
 def callers(picks) -> set[str]:
     """FILE FUNCTION of each call in the package that ``picks`` picks; of a method also its class, of a module ""."""
-    found = set()
+    return {place for place, call in package_calls() if picks(call)}
+
+
+@functools.cache
+def package_calls() -> list[tuple[str, ast.Call]]:
+    """All calls in the package, each with its FILE FUNCTION."""
+    calls = []
 
     def visit(node: ast.AST, file: str, names: tuple[str, ...]) -> None:
-        if isinstance(node, ast.Call) and picks(node):
-            found.add(f"{file} {'.'.join(names)}")
+        if isinstance(node, ast.Call):
+            calls.append((f"{file} {'.'.join(names)}", node))
         if isinstance(node, ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
             names = (*names, node.name)
         for child in ast.iter_child_nodes(node):
@@ -46,7 +52,7 @@ def callers(picks) -> set[str]:
 
     for path in sorted((ROOT / "sean_jax").rglob("*.py")):
         visit(ast.parse(path.read_text(encoding="utf-8")), path.relative_to(ROOT / "sean_jax").as_posix(), ())
-    return found
+    return calls
 
 
 def module_of(path: Path) -> ModuleType:

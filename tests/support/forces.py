@@ -17,6 +17,12 @@ STEP = 0.05
 FLOOR = (-12.0, -12.0, 12.0, 12.0)
 
 
+def plain() -> social_forces.Forces:
+    """Walking and one repulsion, which are compiled soon."""
+    whole = social_forces.preset("helbing1995")
+    return social_forces.build([whole.walking, whole.repulsion])
+
+
 def felt(forces, people):
     """x and y (N,): pushes of pair terms and acts of gather terms together."""
     parts = [part for part in pair_forces(around(forces, people)) if part is not None]

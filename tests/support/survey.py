@@ -13,7 +13,7 @@ STUDY = """
 title: Robots in a lab
 consent: You may stop at any time.
 participants: 60
-options: {environment: lab, people: 2, time_limit: 3, warm_up: 1}
+options: {environment: lab, behavior: random, people: 2, time_limit: 1.5, warm_up: 1}
 questions: [navigation]
 before:
   - {kind: number, name: age, text: "How old are you?", range: [18, 99], required: false}
@@ -31,7 +31,7 @@ after:
 drivers: 8
 """
 
-FILM = {"timeStep": 0.1, "episodes": [{"frames": 31}]}  # of a recording, what tells its length
+FILM = {"timeStep": 0.1, "episodes": [{"frames": 16}]}  # of a recording, what tells its length
 
 
 def read(folder, text=STUDY):

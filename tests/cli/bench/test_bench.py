@@ -129,31 +129,13 @@ def test_the_picture_shows_each_series():
     assert not empty[1].lines and "not measured" in empty[1].texts[0].get_text()
 
 
-@pytest.mark.parametrize(
-    "arguments, words",
-    [
-        (["--only", "stepp"], "'stepp' is not one of step"),
-        (["--only", ""], "--only is an empty text"),
-        (["--batches", "0"], "--batches: 0 must be from 1 to"),
-        (["--repeats", "0"], "--repeats: 0 must be from 1 to"),
-        (["--environment", "moon", "--only", "step"], "moon"),
-    ],
-)
-def test_what_cannot_be_measured_is_refused(arguments, words, capsys, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    assert command_line.main(["bench", *arguments]) == 2
-    shown = capsys.readouterr().err
-    assert words in " ".join(shown.split()) and "Traceback" not in shown
-    assert not list(tmp_path.iterdir())
-
-
 @pytest.mark.slow
 def test_sean_bench_measures(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(bench, "SIZES", ((8, 6), (16, 12)))
+    monkeypatch.setattr(bench, "SIZES", ((16, 12),))
     monkeypatch.setattr(bench, "IMAGE", (8, 6))
-    monkeypatch.setattr(bench, "CROWDS", (8, 300))
+    monkeypatch.setattr(bench, "CROWDS", (8,))
     monkeypatch.setattr(bench, "turns", lambda batch: 2)
-    arguments = ["--environment", "lab", "--people", "4", "--dynamics", "twin", "--batches", "1", "2"]
+    arguments = ["--environment", "lab", "--people", "4", "--dynamics", "twin", "--batches", "2"]
     timing = ["--only", "step,images,crowd", "--repeats", "1", "--seconds", "0.01", "--out", str(tmp_path / "found")]
     assert command_line.main(["bench", *arguments, *timing]) == 0
     found = json.loads((tmp_path / "found" / "bench.json").read_text(encoding="utf-8"))
@@ -162,7 +144,7 @@ def test_sean_bench_measures(tmp_path, monkeypatch, capsys):
     assert all(row["per_second"] > 0 and row["compile_seconds"] > 0 for row in rows)
     for row in rows:
         assert row["floor"] == pytest.approx(found["rates"][row["bound"]] / row["needs"][row["bound"]])
-    assert {row["batch"] for row in rows if row["part"] == "step"} == {1, 2}
+    assert {row["batch"] for row in rows if row["part"] == "step"} == {2}
     assert (tmp_path / "found" / "bench.png").stat().st_size > 10_000
     table = (tmp_path / "found" / "table.txt").read_text(encoding="utf-8").splitlines()
     assert table[1] == bench.HEAD and len(table) >= 2 + len(rows)

@@ -91,10 +91,7 @@ extra: 1
     [
         ("", ":1:1: the file is empty."),
         ("- a\n", ":1:1: ['a'] is not a mapping, which has lines 'key: value'."),
-        (
-            "things:\n  a: [1\nwords: []\n",
-            ":3:6: is not YAML: while parsing a flow sequence that begins in line 2",
-        ),
+        ("things:\n  a: [1\nwords: []\n", ":3:6: is not YAML: while parsing a flow sequence that begins in line 2"),
         ("things: !!python/name:os.system\n", ":1:9: is not YAML: "),
         ("things: {}\nwords: []\nthings: {}\n", ":3:1: things: the key was used in line 1; remove or rename one."),
         ("things: {}\nwords: &w [*w]\n", ":2:8: an alias stands inside of its own anchor; remove it."),

@@ -12,23 +12,18 @@ from sean_jax import FileError, InputError, preset
 from sean_jax.config import CalibrateConfig
 from sean_jax.social_forces import PRESETS, build, presets
 from sean_jax.studies import calibration
-from sean_jax.studies.calibration import families, fitting, loss, windows
+from sean_jax.studies.calibration import families, fitting, loss, search, windows
 from sean_jax.studies.calibration.crowds import Crowds
 from sean_jax.studies.calibration.fitting import HABITS, Recordings
 from sean_jax.studies.calibration.search import Search
 from sean_jax.studies.prediction import predict
-from sean_jax.studies.scenes import simulate
+from sean_jax.studies.scenes import model, simulate
 from sean_jax.studies.validation import crowds, doors, individuals, measures
+from support.forces import plain
 
 NAMES = ["walking.relaxation_time", "repulsion.strength", "repulsion.range"]
 TRUE = {"walking.relaxation_time": 0.5, "repulsion.strength": 4.0, "repulsion.range": 0.35}
 STEP = 0.4
-
-
-def plain():
-    """Forces with one pair term, quick to compile."""
-    whole = preset("helbing1995")
-    return build([whole.walking, whole.repulsion])
 
 
 def with_values(*values):
@@ -45,7 +40,7 @@ def test_a_file_of_constants_is_forces(tmp_path):
     forces = build(str(file))
     assert float(forces.repulsion.strength) == 3.5
     assert float(forces.repulsion.range) == pytest.approx(float(preset("helbing1995").repulsion.range))
-    scenario = sean_jax.make("warehouse", people=4, dynamics="twin", forces=str(file))
+    scenario = sean_jax.make("lab", behavior="random", people=2, forces=str(file))
     assert float(scenario.forces.repulsion.strength) == 3.5
     observed = np.zeros((2, 2, 2)) + [[0.0, 0.0], [0.5, 0.0]]
     np.testing.assert_allclose(predict(str(file), observed, STEP, 2), predict(forces, observed, STEP, 2), atol=1e-6)
@@ -65,17 +60,11 @@ def test_a_file_of_constants_is_forces(tmp_path):
             "preset: sean2\nparameters: {repulsion.range: -0.1}\n",
             "mine.yaml: forces.repulsion.range: -0.1 must be from",
         ),
-        (
-            "preset: sean2\nparameters: {walking.relaxation_time: 0}\n",
-            "relaxation_time: 0.0 must be from 0.001",
-        ),
+        ("preset: sean2\nparameters: {walking.relaxation_time: 0}\n", "relaxation_time: 0.0 must be from 0.001"),
         ("preset: sean2\nparameters: {walking.lateral_damping: 0}\n", "lateral_damping: 0.0 must be from 0.001"),
         ("preset: sean2\nparameters: {walking.speed_min: 3}\n", "forces.walking: speed_min is more than speed_max"),
         ("preset: sean2\nparameters: {repulsion.reach: 9}\n", "forces.repulsion: reach is more than 20 times range"),
-        (
-            "preset: calibrated\nparameters: {headway.time: 0}\n",
-            "forces.headway.time: 0.0 must be from 0.01",
-        ),
+        ("preset: calibrated\nparameters: {headway.time: 0}\n", "forces.headway.time: 0.0 must be from 0.01"),
         ("preset: calibrated\nparameters: {walking.depth: 0.3}\n", "forces.walking: depth is more than radius"),
         (
             "preset: calibrated\nparameters: {evasion.speed: 0}\n",
@@ -209,54 +198,57 @@ def test_there_must_be_recordings(tmp_path):
 # ------------------------------------------------------------------ crowds
 
 
-@pytest.fixture(scope="module")
-def measured():
-    """Measures a family's rows with the default forces."""
-    forces = preset("calibrated")
-    return lambda family: {
-        row: float(value[0])
-        for row, value in Crowds([family], forces, lambda _: forces).rows(jnp.zeros((1, 1))).items()
-    }
+def measured(family, forces):
+    """A family's rows with these forces."""
+    rows = Crowds([family], forces, lambda _: forces).rows(jnp.zeros((1, 1)))
+    return {row: float(value[0]) for row, value in rows.items()}
 
 
-def recorded(family):
+def recorded(family, forces):
     """The tracks of a family's scenes by the ordinary simulation."""
     scenes = [dataclasses.replace(case.scene, seconds=family.seconds) for case in family.cases]
-    return [np.asarray(tracks.position, float) for tracks in simulate(scenes, "calibrated")]
+    return [np.asarray(tracks.position, float) for tracks in simulate(scenes, model(forces))]
 
 
-def test_sums_of_a_single_file_are_those_of_its_tracks(measured, monkeypatch):
+def test_sums_of_a_single_file_are_those_of_its_tracks(monkeypatch):
+    forces = preset("calibrated")  # whose files move alike, whatever the rounding
     monkeypatch.setattr(families.SingleFile, "seconds", 8.0)
     family = families.SingleFile([families.Case(f"{n}", crowds.in_file(n, 8.0, 0.0, 1, 0.2)) for n in (10, 12)])
-    rows = measured(family)
-    for case, x in zip(family.cases, recorded(family), strict=True):
+    rows = measured(family, forces)
+    for case, x in zip(family.cases, recorded(family, forces), strict=True):
         speed = measures.steps_along(x[40::4, :, 0], 8.0) / 0.4
         assert rows[f"file {case.row}"] == pytest.approx(speed.mean(), rel=1e-3)
         assert rows[f"file deviation {case.row}"] == pytest.approx(measures.deviation_in_time(speed), rel=0.02)
 
 
-def test_sums_of_meetings_and_encounters_are_those_of_their_tracks(measured):
+def test_sums_of_meetings_and_encounters_are_those_of_their_tracks():
+    forces = plain()
     cases = [families.Case(f"{a}", individuals.two(np.deg2rad(a), 0.1, (1.3, 1.3))) for a in (180, 90)]
     pairs = families.Pairs(cases, 0.4)
-    apart = [float(measures.separation(x[:, 0], x[:, 1])) for x in recorded(pairs)]
-    assert measured(pairs) == pytest.approx({"pairs gap": min(apart) - 0.4, "pairs head-on": apart[0]}, abs=1e-3)
+    apart = [float(measures.separation(x[:, 0], x[:, 1])) for x in recorded(pairs, forces)]
+    assert measured(pairs, forces) == pytest.approx(
+        {"pairs gap": min(apart) - 0.4, "pairs head-on": apart[0]}, abs=1e-3
+    )
     passing = families.Passing([families.Case("", scene) for scene in individuals.passing_scenes(3)], 0.6)
     apart = [
         float(measures.separation(x[:, 0], case.scene.robot_path(0.1 * np.arange(len(x)))))
-        for case, x in zip(passing.cases, recorded(passing), strict=True)
+        for case, x in zip(passing.cases, recorded(passing, forces), strict=True)
     ]
     wanted = {"clearance": np.mean(apart), "deviation": np.std(apart), "touched": np.mean(np.less(apart, 0.6))}
-    assert measured(passing) == pytest.approx({f"robot {name}": value for name, value in wanted.items()}, abs=1e-3)
+    assert measured(passing, forces) == pytest.approx(
+        {f"robot {name}": value for name, value in wanted.items()}, abs=1e-3
+    )
 
 
 @pytest.mark.night
-def test_sums_of_doors_corridors_and_lanes_are_those_of_their_tracks(measured, monkeypatch):
+def test_sums_of_doors_corridors_and_lanes_are_those_of_their_tracks(monkeypatch):
+    forces = preset("calibrated")
     monkeypatch.setattr(families.Doors, "seconds", 10.0)  # later, rounding makes other crowds of the same kind
     room = doors.before_door(1.6, doors.crowd_in_room(0), 1.34, 0.0)
     family = families.Doors([families.Case(name, room) for name in ("here", families.Doors.PRESS)])
     scene = dataclasses.replace(room, seconds=family.seconds)
     tracks = simulate(scene, "calibrated")[0]
-    rows, times = measured(family), measures.crossing_times(tracks, scene.gates[0])
+    rows, times = measured(family, forces), measures.crossing_times(tracks, scene.gates[0])
     assert rows["flow here"] == pytest.approx(measures.flow(times), rel=0.08)  # the last may cross in the last step
     assert rows["doors inside"] == pytest.approx(np.isinf(times).sum(), abs=1)
     assert rows["density here"] == pytest.approx(
@@ -265,26 +257,25 @@ def test_sums_of_doors_corridors_and_lanes_are_those_of_their_tracks(measured, m
     press = simulate(dataclasses.replace(scene, seed=1), "calibrated")[0]  # the second case has other people
     later = slice(round(doors.APART / 0.1), None)
     place, facing, there = (np.asarray(part)[later] for part in (press.position, press.facing, press.present))
-    deep = measures.overlap(place, facing, there, preset("calibrated").walking)
+    deep = measures.overlap(place, facing, there, forces.walking)
     assert rows["overlap"] == pytest.approx(deep, abs=1e-3)
     monkeypatch.setattr(families.Corridor, "seconds", 8.0)
     monkeypatch.setattr(families.Lanes, "seconds", 8.0)
     scenes, _ = crowds.corridors((0.4,), 1, 0.0, crowds.hermes_speeds)
     corridor = families.Corridor([families.Case("0.4", scenes[0])])
-    (x,) = recorded(corridor)
+    (x,) = recorded(corridor, forces)
     speed = measures.steps_along(x[40:, :, 0], crowds.PERIOD) / 0.1
-    assert measured(corridor) == pytest.approx({"corridor 0.4": speed.mean()}, rel=1e-3)
+    assert measured(corridor, forces) == pytest.approx({"corridor 0.4": speed.mean()}, rel=1e-3)
     lanes = families.Lanes([families.Case("0.5", crowds.mixed_corridor(0.5, 0))])
-    (x,) = recorded(lanes)
+    (x,) = recorded(lanes, forces)
     own = np.where(np.arange(x.shape[1]) < x.shape[1] // 2, 1.0, -1.0)
     order = measures.lane_order(x[..., 1], own, np.ones(x.shape[:2], bool))[-32:]
-    assert measured(lanes) == pytest.approx({"lanes 0.5": order.mean()}, rel=1e-3)
+    assert measured(lanes, forces) == pytest.approx({"lanes 0.5": order.mean()}, rel=1e-3)
 
 
 def test_candidates_side_by_side_are_as_each_alone():
-    forces = preset("calibrated")
-    family = families.Pairs([families.Case("180", individuals.two(np.pi, 0.0, (1.3, 1.3)))], 0.4)
-    both = Crowds([family], forces, lambda own: forces.tree_replace({"evasion.strength": own[0]}))
+    family = families.Pairs([families.Case("180", individuals.two(np.pi, 0.1, (1.3, 1.3)))], 0.4)
+    both = Crowds([family], plain(), lambda own: plain().tree_replace({"repulsion.strength": own[0]}))
     values = jnp.asarray([[5.0], [0.0], [5.0]])
     apart = both.rows(values)["pairs head-on"]
     assert apart[0] == apart[2] == both.rows(values[:1])["pairs head-on"][0]
@@ -398,8 +389,16 @@ def options(scenes, folder, **others):
     return CalibrateConfig(**{**given, **others})
 
 
+def fewer_families(monkeypatch):
+    """Crowds of two families alone, each of which takes long to compile."""
+    families_of = search.families
+    kept = families.Corridor, families.Passing
+    monkeypatch.setattr(search, "families", lambda *given: [each for each in families_of(*given) if type(each) in kept])
+
+
 @pytest.mark.slow
-def test_the_command_writes_constants_figures_and_a_report(scenes, tmp_path):
+def test_the_command_writes_constants_figures_and_a_report(scenes, tmp_path, monkeypatch):
+    fewer_families(monkeypatch)
     folder = calibration.run(options(scenes, tmp_path / "one"))
     names = {file.name for file in folder.iterdir() if not file.name.startswith(".")}
     assert names == {
@@ -423,6 +422,7 @@ def test_the_command_writes_constants_figures_and_a_report(scenes, tmp_path):
 @pytest.mark.night
 def test_a_fit_that_was_stopped_goes_on(scenes, tmp_path, monkeypatch):
     """And gives the same constants."""
+    fewer_families(monkeypatch)
     results = json.loads((calibration.run(options(scenes, tmp_path / "one")) / "results.json").read_text())
     whole = Search.generation
     calls = []

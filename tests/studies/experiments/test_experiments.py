@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import gc
 import json
 import shutil
 import threading
@@ -35,6 +36,14 @@ from sean_jax.studies.experiments.measures import MEASURES, Results, claims, has
 from sean_jax.studies.experiments.shares import BEHAVIORS
 from support import learning_data
 from support.files import write
+
+
+@pytest.fixture(autouse=True, scope="module")
+def frozen_heap():
+    """What is there before is not looked through for cycles after each part."""
+    gc.freeze()
+    yield
+    gc.unfreeze()
 
 
 def test_entropy_is_that_of_the_papers_rows():
@@ -165,25 +174,6 @@ def test_balanced_odds_make_situations_equally_frequent():
     np.testing.assert_allclose(balanced_probabilities(np.zeros((4, 5), bool)), 0.25)
 
 
-@pytest.mark.parametrize(
-    "given, words",
-    [
-        ({"policies": "nobody"}, "--policies: 'nobody' is not one of"),
-        ({"policies": ","}, "--policies names no policy"),
-        ({"seeds": 0}, "seeds: 0 must be from 1"),
-        ({"hours": 0.001}, "hours: 0.001 must be from 0.0166"),
-        ({"speeds": ()}, "speeds"),
-        ({"crowds": (-1,)}, "crowds: -1 must be"),
-        ({"speeds": (1.4, float("nan"))}, "speeds: nan must be"),
-        ({"time_limit": 0.0}, "time_limit: 0.0 must be from 0.1"),
-    ],
-)
-def test_what_cannot_be_asked_is_refused(given, words, tmp_path):
-    with pytest.raises(InputError, match=words):
-        table1.run_table1(validate(Table1Config, {"out": tmp_path / "out", **given}))
-    assert not list(tmp_path.iterdir())
-
-
 def test_a_folder_of_another_experiment_is_refused(tmp_path):
     options = Table1Config(quick=True, out=tmp_path / "here")
     work = Workspace(options.folder, identity(options))
@@ -284,7 +274,7 @@ def test_parts_that_are_out_of_memory_run_again_beside_fewer(monkeypatch, messag
                 raise jax.errors.JaxRuntimeError(message)
             if name == "last":
                 assert set(gone) >= set(failures)
-            for _ in range(20):
+            for _ in range(5):
                 time.sleep(0.01)
                 tell(0.5)
             return name
@@ -293,12 +283,12 @@ def test_parts_that_are_out_of_memory_run_again_beside_fewer(monkeypatch, messag
                 running.remove(name)
 
     def parts(fitting: int) -> list:
-        own = [experiments.Part(name, functools.partial(work, name, fitting)) for name in "abcdefghij"]
-        return [*own, experiments.Part("last", functools.partial(work, "last", fitting), tuple("abcdefghij"))]
+        own = [experiments.Part(name, functools.partial(work, name, fitting)) for name in "abcdef"]
+        return [*own, experiments.Part("last", functools.partial(work, "last", fitting), tuple("abcdef"))]
 
-    monkeypatch.setattr(experiments, "workers", lambda: 8)
+    monkeypatch.setattr(experiments, "workers", lambda: 4)
     results = experiments.run_parts(parts(2), None, "at work")
-    assert results == {name: name for name in [*"abcdefghij", "last"]} and failures and not running
+    assert results == {name: name for name in [*"abcdef", "last"]} and failures and not running
     with pytest.raises(jax.errors.JaxRuntimeError, match="emory"):  # a part that does not fit alone
         experiments.run_parts(parts(0), None, "at work")
 
@@ -393,7 +383,7 @@ def test_chains_of_a_seed_do_not_depend_on_other_seeds_and_further_situations():
     assert alone.any()
 
 
-SMALL = ["--environment", "lab", "--quick", "--people", "4", "--dynamics", "twin", "--time-limit", "20", "--quiet"]
+SMALL = "--environment lab --quick --people 4 --time-limit 20 --quiet"
 
 
 @pytest.mark.slow
@@ -401,7 +391,7 @@ def test_table1(tmp_path, monkeypatch):
     """With three parts at once, and what is missing one by one, to the same bytes."""
     monkeypatch.setattr(experiments, "workers", lambda: 3)
     out = tmp_path / "table1"
-    given = [*SMALL, "--hours", "0.0167", "--seeds", "1", "--policies", "go_to_goal", "--out", str(out)]
+    given = f"{SMALL} --hours 0.0167 --seeds 1 --policies go_to_goal --out {out}".split()
     assert command_line.main(["experiment", "table1", *given]) == 0
     text = (out / "report.html").read_text(encoding="utf-8")
     assert "62.90" in text and "src=" not in text and "http" not in text.replace("http://www.w3.org", "")
@@ -426,8 +416,7 @@ def test_table1(tmp_path, monkeypatch):
         assert all(low <= share + 1e-9 <= high + 2e-9 for share, low, high in ours) and told.any()
     assert "activity space" in text
     before = {path.name: path.read_bytes() for path in out.iterdir() if path.suffix == ".csv"}
-    for behavior in BEHAVIORS[:2]:
-        (out / f"{behavior}-go_to_goal-4.npz").unlink()
+    (out / "random-go_to_goal-4.npz").unlink()
     old = out / "graph-go_to_goal-4.npz"  # of a version that did not write the number of chains
     with np.load(old) as cell:
         kept = {name: cell[name] for name in cell if name != "chains"}
@@ -457,7 +446,7 @@ def test_demonstrations_in_table1(tmp_path):
 
 
 def test_demonstrations_of_other_scenarios_are_refused(tmp_path):
-    collected = learning_data.write(tmp_path / "collected")
+    collected = learning_data.write_fine(tmp_path / "collected")
     data = demonstrations.read([collected.folder])
     assert list(data) == ["graph"]
     scenario = learning_data.setting()[0]["join_group"]
@@ -471,15 +460,16 @@ def test_demonstrations_of_other_scenarios_are_refused(tmp_path):
     options = validate(Figure4Config, {"demonstrations": (collected.folder,), "out": tmp_path / "out", "datasets": 2})
     with pytest.raises(InputError, match="--datasets: all demonstrations of a behavior are one dataset"):
         figure4.run_figure4(options)
-    options = validate(Figure4Config, {"demonstrations": (collected.folder,), "out": tmp_path / "out"})
-    with pytest.raises(InputError, match="has environment lab, and the experiment warehouse"):
+    lab = {"environment": "lab", "people": 4, "time_limit": 30.0}
+    options = validate(Figure4Config, {"demonstrations": (collected.folder,), "out": tmp_path / "out", **lab})
+    with pytest.raises(InputError, match="has time_limit 20, and the experiment 30"):
         figure4.run_figure4(options)
     assert not (tmp_path / "out").exists()
 
 
 def test_demonstrations_in_figure4(tmp_path):
     """G and B learn from them; R and H from the demonstrator, in images of the same size."""
-    data = learning_data.write(tmp_path / "collected")
+    data = learning_data.write_fine(tmp_path / "collected")
     options = validate(Figure4Config, {"demonstrations": (data.folder,), "out": tmp_path / "out"})
     datasets, work = demonstrations.read(options.demonstrations), Workspace(options.folder, identity(options))
     learners = {policy: figure4.learner(options, work, policy, datasets) for policy in "GRHB"}
@@ -493,7 +483,7 @@ def test_demonstrations_in_figure4(tmp_path):
         assert (training.dataset, training.part, training.balance) == (data.folder, (1, 1), policy == "B")
         assert figure4._examples(training)["examples"] == data.example_count
     collected = learners["R"].data
-    assert (collected.width, collected.height, collected.rate) == (16, 12, 1)
+    assert (collected.width, collected.height, collected.rate) == (16, 12, 10)
     assert learners["R"].training((0, 1)).dataset == collected.folder
 
 
@@ -502,12 +492,13 @@ def test_figure4(tmp_path, monkeypatch):
     """With four parts at once, and some of it anew one by one, to the same bytes."""
     monkeypatch.setattr(experiments, "workers", lambda: 4)
     out = tmp_path / "figure4"
-    given = [*SMALL, "--hours", "0.0167", "--episodes", "5", "--epochs", "2", "--demonstrator", "go_to_goal"]
-    given += ["--trainings", "2", "--baselines", "still"]
-    monkeypatch.setitem(POLICIES, "still", as_policy(lambda scenario, state, key: jnp.zeros(2)))
-    assert command_line.main(["experiment", "figure4", *given, "--out", str(out)]) == 0
+    given = f"{SMALL} --hours 0.0167 --episodes 5 --epochs 2 --demonstrator go_to_goal --trainings 2".split()
+    given += f"--baselines mine --out {out}".split()
+    for name in ("social_costmap", "mine"):  # whose programs XLA has compiled already
+        monkeypatch.setitem(POLICIES, name, POLICIES["go_to_goal"])
+    assert command_line.main(["experiment", "figure4", *given]) == 0
     rows = [line.split(",") for line in (out / "figure4.csv").read_text(encoding="utf-8").splitlines()[1:]]
-    assert {r[0] for r in rows} == {*"GRHBNE", "still", "B-G", "GRHN"} and {r[1] for r in rows} == {*BEHAVIORS, "mean"}
+    assert {r[0] for r in rows} == {*"GRHBNE", "mine", "B-G", "GRHN"} and {r[1] for r in rows} == {*BEHAVIORS, "mean"}
     done = [float(r[3]) for r in rows if r[2] == "completed" and r[1] != "mean" and r[0] != "B-G"]
     means = {r[0]: float(r[3]) for r in rows if r[2] == "completed" and r[1] == "mean"}
     assert means["B-G"] == pytest.approx(means["B"] - means["G"], abs=1e-4)
@@ -516,12 +507,11 @@ def test_figure4(tmp_path, monkeypatch):
     assert len(episodes["completed"]) == 6 and max(episodes["seconds"]) <= 20.0 + 1e-3
     assert "Figure 4" in (out / "report.html").read_text(encoding="utf-8")
     before = {name: (out / name).read_bytes() for name in ("figure4.csv", "claims.csv")}
-    for missing in ("trained-random-0-1.json", "episodes-R-graph.json", "episodes-G-handcrafted.json", *before):
+    for missing in ("trained-random-0-1.json", "episodes-R-random.json", *before):
         (out / missing).unlink()
-    for missing in ("demonstrations-random", "policy-random-0-1"):
-        shutil.rmtree(out / missing)
+    shutil.rmtree(out / "policy-random-0-1")
     monkeypatch.setattr(experiments, "workers", lambda: 1)
-    assert command_line.main(["experiment", "figure4", *given, "--out", str(out)]) == 0
+    assert command_line.main(["experiment", "figure4", *given]) == 0
     assert all((out / name).read_bytes() == content for name, content in before.items())
 
 
@@ -603,6 +593,8 @@ def test_the_preset_reaches_both_experiments():
     figure = table1.description(Figure4Config(environment="lab", preset="sean2"), "graph", None)
     for asked in (table1.description(table, "graph", None), figure):
         assert (asked.behavior.routing, asked.dynamics, asked.warm_up) == ("edge", "kinematic", 120.0)
+    with pytest.raises(InputError, match="speeds"):
+        Table1Config(speeds=())
     with pytest.raises(InputError, match="'preset' is not a known key"):
         validate(AblationConfig, {"preset": "sean2"})
 
@@ -611,20 +603,7 @@ def test_the_preset_reaches_both_experiments():
 def test_ablation(tmp_path, monkeypatch):
     monkeypatch.setattr(table1, "WORLDS", {name: table1.WORLDS[name] for name in ("default", "goal_sampling", "sean2")})
     out = tmp_path / "ablation"
-    given = [
-        "--environment",
-        "lab",
-        "--quick",
-        "--people",
-        "4",
-        "--time-limit",
-        "20",
-        "--hours",
-        "0.0167",
-        "--seeds",
-        "1",
-    ]
-    given += ["--policies", "go_to_goal", "--quiet", "--out", str(out)]
+    given = f"{SMALL} --hours 0.0167 --seeds 1 --policies go_to_goal --out {out}".split()
     assert command_line.main(["experiment", "ablation", *given]) == 0
     rows = [line.split(",") for line in (out / "ablation.csv").read_text(encoding="utf-8").splitlines()[1:]]
     assert {row[0] for row in rows} == {"default", "goal_sampling", "sean2"} and {row[2] for row in rows} == set(

@@ -13,7 +13,7 @@ from sean_jax.config import Figure4Config, LearningCurveConfig
 from sean_jax.config.workspace import Workspace
 from sean_jax.core.errors import InputError
 from sean_jax.learning.dataset import open_dataset
-from sean_jax.learning.policy import check_policy
+from sean_jax.learning.policy import AGENTS, check_policy
 from sean_jax.studies import experiments
 from sean_jax.studies.experiments import figure4, measures
 from sean_jax.studies.experiments.measures import Curve, Variant, comparisons
@@ -92,12 +92,8 @@ def test_verdicts_are_those_of_known_episodes():
 
 def test_options_of_the_curve_are_its_own(tmp_path):
     assert not {"demonstration_hours", "rates", "updates"} & set(Figure4Config.model_fields)
-    assert (ASKED.demonstration_hours, ASKED.rates, ASKED.datasets, ASKED.trainings) == (
-        (1.0, 10.0, 100.0),
-        (10,),
-        3,
-        1,
-    )
+    sizes = ASKED.demonstration_hours, ASKED.rates, ASKED.datasets, ASKED.trainings
+    assert sizes == ((1.0, 10.0, 100.0), (10,), 3, 1)
     with pytest.raises(InputError, match="rate: 3 examples a second do not divide its 10 steps"):
         figure4.run_learning_curve(LearningCurveConfig(rates=(3,), out=tmp_path / "out"))
     preset = LearningCurveConfig(preset="sean2")
@@ -105,7 +101,7 @@ def test_options_of_the_curve_are_its_own(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-SMALL = ["--environment", "lab", "--people", "4", "--dynamics", "twin", "--quiet"]
+SMALL = "--environment lab --people 4 --quick --time-limit 20 --quiet"
 
 
 @pytest.mark.night
@@ -113,18 +109,8 @@ def test_learning_curve(tmp_path, monkeypatch):
     """With three parts at once, and what is missing one by one, to the same bytes."""
     monkeypatch.setattr(experiments, "workers", lambda: 3)
     out = tmp_path / "curve"
-    given = [
-        *SMALL,
-        "--quick",
-        "--time-limit",
-        "20",
-        "--demonstrator",
-        "go_to_goal",
-        "--demonstration-hours",
-        "0.0167",
-        "0.04",
-    ]
-    given += ["--rates", "10", "--trainings", "2", "--episodes", "5", "--epochs", "2", "--out", str(out)]
+    given = f"{SMALL} --demonstrator go_to_goal --demonstration-hours 0.0167 0.04 --rates 10 --trainings 2".split()
+    given += f"--episodes 5 --epochs 2 --out {out}".split()
     assert command_line.main(["experiment", "learning_curve", *given]) == 0
     names = ["0.0167h", "0.04h", "0.0167h-10hz", "0.0167h-flags"]
     rows = [line.split(",") for line in (out / "learning_curve.csv").read_text(encoding="utf-8").splitlines()[1:]]
@@ -153,41 +139,19 @@ def test_learning_curve(tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-def test_columns_of_figure_4_are_folders_of_other_trainings(tmp_path, monkeypatch):
-    """Of dataset aggregation and of analytic policy gradients, trained by their commands."""
+def test_a_column_of_figure_4_is_the_folder_of_another_training(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    small = [*SMALL, "--behavior", "random", "--time-limit", "3"]
-    images = ["--width", "8", "--height", "8", "--hours", "0.01", "--batch", "4", "--policy", "go_to_goal"]
-    assert command_line.main(["collect", *small, *images, "--out", "runs/data"]) == 0
-    rounds = ["--expert", "go_to_goal", "--rounds", "1", "--hours", "0.005", "--epochs", "2", "--batch", "8", "--quiet"]
-    assert command_line.main(["train", "dagger", "runs/data", *rounds, "--width", "4", "--out", "runs/dagger"]) == 0
-    sizes = [
-        "--scenarios",
-        "4",
-        "--horizon",
-        "4",
-        "--minibatches",
-        "2",
-        "--steps",
-        "32",
-        "--width",
-        "8",
-        "--layers",
-        "1",
-    ]
-    sizes += ["--layers", "1", "--pool", "4", "--evaluation-episodes", "4"]
-    assert command_line.main(["train", "apg", *small, *sizes, "--out", "runs/apg"]) == 0
+    shutil.copytree(AGENTS["ppo"], "runs/mine")
     options = Figure4Config(quick=True, environment="lab", people=4, dynamics="twin", time_limit=3.0, episodes=3,
-        baselines="runs/dagger,runs/apg", out=tmp_path / "figure4",
+        baselines="runs/mine", out=tmp_path / "figure4",
     )  # fmt: skip
-    assert figure4.baselines(options) == ["runs/dagger", "runs/apg"]
-    description = figure4.collection(options, "graph", options.hours)
+    assert figure4.baselines(options) == ["runs/mine"]
+    description = figure4.collection(options, "random", options.hours)
+    check_policy("runs/mine", description, "--baselines")
     places = dict.fromkeys(BEHAVIORS, list(figure4.streams(description).values()))
-    jobs = {part.name: part.work for part in figure4._parts(options, Workspace(options.folder, {}), places, {})}
+    parts = {part.name: part for part in figure4._parts(options, Workspace(options.folder, {}), places, {})}
     options.folder.mkdir()
-    for name in figure4.baselines(options):
-        check_policy(name, description, "--baselines")
-        found = jobs[f"{name} in graph"](lambda share: None)[name]
-        assert len(found["completed"]) == 3 and max(found["seconds"]) <= 3.0 + 1e-3
-        assert (options.folder / f"episodes-{name.replace('/', '-')}-graph.json").is_file()
-    assert figure4.file_name("./my.py:drive") == "my.py-drive" and sean_jax.POLICIES.get("runs/apg") is None
+    columns = parts["runs/mine in random"].work(lambda share: None)["runs/mine"]
+    assert len(columns["completed"]) == 3 and max(columns["seconds"]) <= 3.0 + 1e-3
+    assert (options.folder / "episodes-runs-mine-random.json").is_file()
+    assert figure4.file_name("./my.py:drive") == "my.py-drive" and sean_jax.POLICIES.get("runs/mine") is None

@@ -265,8 +265,8 @@ def test_calls_to_groups_are_those_that_people_follow():
     assert left == pytest.approx(measured.edges.sum(), rel=0.2)  # who turns round at once walks no edge
     both = calls + calls
     np.testing.assert_array_equal(both.sent, 2 * calls.sent)
-    alone = jax.jit(lambda key: inverse_graph.people_alone(scenario, key, 3000))(jax.random.key(0))
-    np.testing.assert_allclose(alone[0][:100], position[:100], atol=1e-4)
+    alone = jax.jit(lambda key: inverse_graph.people_alone(scenario, key, 100))(jax.random.key(0))
+    np.testing.assert_allclose(alone[0], position[:100], atol=1e-4)
 
 
 # --- The fit ---
@@ -353,11 +353,8 @@ def test_people_walk_on_a_proposed_graph(tmp_path):
     yard(tmp_path / "rooms", boxes=ROOMS)
     options = FitGraphConfig(environment=str(tmp_path / "rooms"), out=tmp_path / "out", quiet=True)
     lines = inverse_graph.run(options, Console(quiet=True))
-    assert "nodes" in lines[0] and sorted(path.name for path in (tmp_path / "out").iterdir()) == [
-        "environment.yaml",
-        "graph.yaml",
-        "scene.xml",
-    ]
+    assert "nodes" in lines[0]
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"environment.yaml", "graph.yaml", "scene.xml"}
     scenario = sean_jax.make(tmp_path / "out", behavior="graph", task="random_ab_nav", people=6, dynamics="twin")
     position, present = jax.jit(lambda key: inverse_graph.people_alone(scenario, key, 300, 3))(jax.random.key(0))
     assert position.shape == (100, 6, 2) and bool(present.all()) and np.isfinite(np.asarray(position)).all()

@@ -8,6 +8,7 @@ import pytest
 from sean_jax import InputError, preset
 from sean_jax.core.data_types import Obstacles
 from sean_jax.studies.prediction import cut_windows, evaluate, forecast, observed_people, predict, read_windows, score
+from support.forces import plain
 
 rng = np.random.default_rng(3)
 STEP = 0.4
@@ -19,6 +20,7 @@ def straight(velocity, start, moments=8):
 
 
 ALONE = straight([[1.3, 0.2], [-0.9, 0.7], [0.0, 0.0]], [[0.0, 0.0], [60.0, 0.0], [0.0, 60.0]])
+FORCES = plain()
 HEAD_ON = straight([[1.3, 0.0], [-1.3, 0.0]], [[0.0, 0.0], [11.44, 0.05]])
 
 
@@ -54,22 +56,22 @@ def test_who_is_not_seen_at_the_last_moment_stays_unknown_and_moves_nobody():
     observed = np.concatenate([HEAD_ON, HEAD_ON[:, :1] + [[2.0, 0.1]]], 1)
     hidden = observed.copy()
     hidden[-1, 2] = np.nan
-    found = np.asarray(predict("helbing1995", hidden, STEP, 12))
+    found = np.asarray(predict(FORCES, hidden, STEP, 12))
     assert np.isnan(found[:, 2]).all()
-    np.testing.assert_allclose(found[:, :2], predict("helbing1995", HEAD_ON, STEP, 12), atol=1e-4)
+    np.testing.assert_allclose(found[:, :2], predict(FORCES, HEAD_ON, STEP, 12), atol=1e-4)
     present = np.isfinite(hidden).all(-1)
-    masked = predict("helbing1995", np.nan_to_num(hidden, nan=7.0), STEP, 12, present=present)
+    masked = predict(FORCES, np.nan_to_num(hidden, nan=7.0), STEP, 12, present=present)
     np.testing.assert_allclose(masked[:, :2], found[:, :2], atol=1e-4)
 
 
 def test_batches_are_scenes_of_their_own_and_padding_changes_nothing():
     scenes = rng.uniform(-2.0, 2.0, (3, 1, 4, 2)) + np.cumsum(rng.normal(0.0, 0.3, (3, 8, 4, 2)), axis=1)
-    together = predict("helbing1995", scenes, STEP, 5)
-    alone = np.stack([predict("helbing1995", scene, STEP, 5) for scene in scenes])
+    together = predict(FORCES, scenes, STEP, 5)
+    alone = np.stack([predict(FORCES, scene, STEP, 5) for scene in scenes])
     np.testing.assert_allclose(together, alone, atol=1e-3)
     padded = np.pad(scenes, ((0, 0), (0, 0), (0, 2), (0, 0)))
     present = np.broadcast_to(np.arange(6) < 4, padded.shape[:3])
-    np.testing.assert_allclose(predict("helbing1995", padded, STEP, 5, present=present)[:, :, :4], together, atol=1e-3)
+    np.testing.assert_allclose(predict(FORCES, padded, STEP, 5, present=present)[:, :, :4], together, atol=1e-3)
 
 
 def test_the_desired_velocity_is_the_weighted_mean_of_the_steps_that_were_seen():
@@ -102,10 +104,8 @@ def test_walls_hold_predicted_people():
 
 
 def test_predictions_can_be_differentiated_by_the_parameters_of_forces():
-    forces = preset("helbing1995").tree_replace({"sidestep.preference": 0.0})
-
     def gap(strength):
-        mine = forces.replace(repulsion=forces.repulsion.replace(strength=strength))
+        mine = FORCES.tree_replace({"repulsion.strength": strength})
         return jnp.diff(predict(mine, HEAD_ON, STEP, 8), axis=1)[-1, 0, 1]
 
     both = jax.jit(jax.value_and_grad(gap))
@@ -186,18 +186,18 @@ def test_others_walk_as_recorded_and_are_given_way_to():
     observed = straight([[1.3, 0.0]], [[0.0, 0.0]])
     path = np.arange(13)[:, None, None] * STEP * np.array([-1.0, 0.0]) + observed[-1, 0] + [4.0, 0.1]
     path[:3] = np.nan  # they come later
-    free = np.asarray(predict("helbing1995", observed, STEP, 12))
-    found = np.asarray(predict("helbing1995", observed, STEP, 12, others=path))
+    free = np.asarray(predict(FORCES, observed, STEP, 12))
+    found = np.asarray(predict(FORCES, observed, STEP, 12, others=path))
     assert found.shape == (12, 1, 2) and np.abs(found - free)[..., 1].max() > 0.1
     near = lambda tracks: np.linalg.norm(tracks[3:, 0] - path[4:, 0], axis=-1).min()  # noqa: E731
     assert near(free) < 0.4 < near(found)
-    batch = predict("helbing1995", np.stack([observed, observed]), STEP, 12, others=np.stack([path, path * np.nan]))
+    batch = predict(FORCES, np.stack([observed, observed]), STEP, 12, others=np.stack([path, path * np.nan]))
     np.testing.assert_allclose(batch[:, :, 0], np.stack([found[:, 0], free[:, 0]]), atol=1e-4)
 
 
 def test_a_desired_velocity_that_is_known_is_taken_up():
     wish = np.array([[1.0, 0.5], [0.0, -1.2], [0.7, 0.0]])
-    found = np.asarray(predict("helbing1995", ALONE, STEP, 10, desired_velocity=wish))
+    found = np.asarray(predict(FORCES, ALONE, STEP, 10, desired_velocity=wish))
     np.testing.assert_allclose(np.diff(found, axis=0)[-1] / STEP, wish, atol=1e-2)
 
 
@@ -205,7 +205,7 @@ def test_people_who_are_settled_go_on_as_they_were_seen():
     """One who follows another closely falls back, unless the headway is taken to be why he is not faster."""
     observed = straight([[1.2, 0.0], [1.2, 0.0]], [[0.0, 0.0], [1.3, 0.0]])  # farther apart than companions
     gaps = [
-        float(np.diff(predict("helbing1995", observed, STEP, 12, settled=share)[-1], axis=0)[0, 0])
+        float(np.diff(predict(FORCES, observed, STEP, 12, settled=share)[-1], axis=0)[0, 0])
         for share in (0.0, 0.5, 1.0)
     ]
     assert gaps[0] > gaps[1] > gaps[2], gaps

@@ -65,7 +65,7 @@ def test_participants_and_pages(stored):
     for row in rows:
         assert row["opened"] <= row["shown"] <= row["done"] and row["reloads"] == row["too_early"] == 0
         film = row["kind"] in ("watch", "choose")
-        assert (row["film_s"], row["watched_s"] != "") == (pytest.approx(3.0) if film else "", film)
+        assert (row["film_s"], row["watched_s"] != "") == (pytest.approx(1.5) if film else "", film)
         assert row["began"] or row["kind"] != "drive"
 
 

@@ -16,19 +16,10 @@ from sean_jax.studies import validation
 from sean_jax.studies.calibration.loss import GROUPS
 from sean_jax.studies.scenes import Gate, model
 from sean_jax.studies.validation import checks, crowds, guideline_scenes, guidelines, individuals, page
-from sean_jax.studies.validation.checks import (
-    CHECKS,
-    GATES,
-    CheckContext,
-    CheckResult,
-    Curve,
-    Row,
-    Skipped,
-)
+from sean_jax.studies.validation.checks import CHECKS, GATES, CheckContext, CheckResult, Curve, Row
 from sean_jax.studies.validation.measures import crossing_times, flow, trajectory_data, vanishing_times
 from support.checkout import ROOT
 from support.checks import made_check
-from support.files import write
 from support.tracks import moved, tracks_of
 
 
@@ -352,23 +343,6 @@ def test_gates_are_what_their_checks_are(monkeypatch):
     assert verdicts(rimea_1="passes")[standards] == "partly"
     assert verdicts(rimea_1="passes", rimea_4="fails")[standards] == "fails"
     assert verdicts(rimea_1="skipped", rimea_4="skipped")[standards] == "skipped"
-
-
-def test_what_cannot_be_asked_is_told_before_anything_is_written(tmp_path):
-    write(tmp_path / "full" / "mine.txt", "mine")
-    for options, words in (
-        (dict(only="nope"), "--only: 'nope'"),
-        (dict(models="nobody"), "model: 'nobody'"),
-        (dict(models="nope.py:f"), "nope.py"),
-        (dict(data=tmp_path / "nothing"), "--data: "),
-    ):
-        with pytest.raises(InputError, match=words):
-            validation.run(ValidateConfig(out=tmp_path / "new", **options))  # pyright: ignore[reportArgumentType]
-        assert not (tmp_path / "new").exists()
-    with pytest.raises(InputError, match="something else"):
-        validation.run(ValidateConfig(only="rimea-1", out=tmp_path / "full"))
-    with pytest.raises(Skipped, match="--data"):
-        CheckContext(model(straight)).recordings()
 
 
 def test_the_page_of_the_docs_has_every_check_and_only_those():
