@@ -209,9 +209,9 @@ def test_an_error_stops_the_episode_and_not_the_studio(fresh, monkeypatch):
 
 
 def test_pictures_of_the_robots_cameras(fresh):
-    for name in server.VIEWS:
-        picture = fresh.picture(name, 32, 24)
-        assert picture.shape == (24, 32, 3) and picture.dtype == np.uint8 and np.ptp(picture) > 20
+    for name, (width, height) in server.VIEWS.items():
+        picture = fresh.picture(name, width, height)
+        assert picture.shape == (height, width, 3) and picture.dtype == np.uint8 and np.ptp(picture) > 20
 
 
 # ------------------------------------------------------------------ trials
@@ -1372,8 +1372,8 @@ def test_a_browser_edits_the_files(tmp_path, behavior):
 
 
 def test_the_page_has_its_program():
-    assert len(gzip.compress((pages.PACKAGE / "studio" / "page.js").read_bytes())) < 180_000
-    assert (pages.PACKAGE / "replay" / "page.js").stat().st_size < 30_000, "three.js is for the studio alone"
+    assert len(gzip.compress((pages.PACKAGE / "web" / "studio" / "page.js").read_bytes())) < 180_000
+    assert (pages.PACKAGE / "web" / "replay" / "page.js").stat().st_size < 30_000, "three.js is for the studio alone"
     assert making.build(validate(StudioConfig, OPTIONS))[0].warm_up == 1.0
 
 
