@@ -17,6 +17,7 @@ from support import shortest_paths as oracle
 from support.checkout import ROOT
 from support.metric_snapshots import ROBOT_RADIUS, SITUATIONS, STEP, along, at, measure, wander
 from support.metric_snapshots import as_snapshot as of_wander
+from support.people import people_at, snapshot_of
 
 REACH = 0.36  # m, of a robot and a person who touch
 
@@ -234,7 +235,8 @@ def test_static_obstacles():
 def test_random_moments_vmap_equals_a_loop_and_nothing_depends_on_the_number_of_steps():
     sequences = [[of_wander(k, now) for k, now in enumerate(wander(seed, 60))] for seed in range(2)]
     each = [measure(sequence) for sequence in sequences]
-    stacked = jax.tree.map(lambda *x: jnp.stack(x), *[jax.tree.map(lambda *x: jnp.stack(x), *s) for s in sequences])
+    stack = lambda *leaves: np.stack(leaves)  # noqa: E731
+    stacked = jax.tree.map(stack, *[jax.tree.map(stack, *moments) for moments in sequences])
 
     def run(sequence):
         values = metric_values.along(sequence)
@@ -268,7 +270,7 @@ def test_rotation_of_the_shortest_path_equals_that_of_a_graph_search(scenario):
 def test_an_episode_fills_a_moment_with_all_that_metrics_read(scenario):
     """The rotation of the path, the goal radius, the top speed and the obstacles are those of the scenario."""
     state = programs.reset(scenario, jax.random.key(0))
-    here = scenario_module.snapshot(scenario, state)
+    here = jax.jit(scenario_module.snapshot)(scenario, state)
     assert float(here.path_rotation) == float(state.task.path_rotation) >= 0.0
     assert float(here.goal_radius) == pytest.approx(1.2) and float(here.robot_top_speed) == pytest.approx(0.5)
     nearest = float(programs.clearance(scenario.environment, here.position[None, :])[0])
@@ -347,16 +349,8 @@ def test_o_spaces_and_walking_groups_equal_a_plain_loop():
         place, velocity = random.normal(0, 1, 2), random.normal(0, 0.3, 2) * (random.uniform() < 0.8)
         position = random.normal(0, 0.8, (people, 2))
         present = random.uniform(size=people) < 0.9
-        here = at(tick, place, velocity)
-        persons = jax.tree.map(lambda leaf: jnp.zeros((people, *leaf.shape[1:]), leaf.dtype), here.people)
-        persons = replace(
-            persons,
-            position=jnp.asarray(position, jnp.float32),
-            present=jnp.asarray(present),
-            group=jnp.asarray(groups, jnp.int32),
-            walking_group=jnp.asarray(groups, jnp.int32),
-        )
-        snapshots.append(replace(here, people=persons, goal_group=jnp.int32(1)))
+        persons = people_at(position, present=present, group=groups, walking_group=groups)
+        snapshots.append(snapshot_of(persons, place, velocity=velocity, goal_group=1, tick=tick))
         before, inside = inside, np.zeros((2, 4), bool)
         for group in range(4):
             members = [position[k] for k in range(people) if groups[k] == group and present[k]]
@@ -369,12 +363,9 @@ def test_o_spaces_and_walking_groups_equal_a_plain_loop():
             inside[1, group] = gap < radius
         if tick:
             expected += (inside & ~before).sum(1)
-    found = []
-    for metric in metrics.OF_GROUPS.values():
-        value = metric.init(snapshots[0])
-        for before, after in zip(snapshots[:-1], snapshots[1:], strict=True):
-            value = metric.update(value, before, after)
-        found.append(float(metric.compute(value)[0]))
+    of_groups = tuple(metrics.OF_GROUPS.items())
+    stacked = jax.tree.map(lambda *moments: np.stack(moments), *snapshots)
+    counts = jax.jit(lambda moments: metric_values.compute(metric_values.along(moments, of_groups), of_groups))(stacked)
     assert list(metrics.OF_GROUPS) == ["o_spaces_crossed", "groups_split"]
-    np.testing.assert_array_equal(found, expected)
+    np.testing.assert_array_equal([counts[name][0] for name in metrics.OF_GROUPS], expected)
     assert (expected > 5).all()

@@ -14,6 +14,7 @@ from sean_jax.policies.dwa import FORBIDDEN, INTERVAL, PEOPLE_MARGIN, STEPS, obj
 from sean_jax.policies.expert import OBSTACLE_MARGIN
 from sean_jax.policies.mppi import weighted_mean
 from sean_jax.simulation import episodes
+from support import programs
 from support.scenes import box, room
 
 NAMES = ("dwa", "social_force", "mppi")
@@ -22,17 +23,20 @@ PEOPLE = 3
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    """A room with one pillar."""
-    return room(tmp_path_factory.mktemp("room"), FLOOR, [box(BOX[:2], BOX[2:])], PEOPLE)
+def make(tmp_path_factory):
+    """A function: name of a robot -> a scenario in a room with one pillar, and its first state."""
+    folder = room(tmp_path_factory.mktemp("room"), FLOOR, [box(BOX[:2], BOX[2:])], PEOPLE)
 
+    @functools.cache
+    def scenario_of(robot, double):
+        scenario = sean_jax.make(
+            folder, behavior="random", task="custom", start=(-2.5, 0.3), goal=(2.5, 0.3, 90.0), people=PEOPLE,
+            robot=robot, dynamics="twin", metrics="none",
+        )  # fmt: skip
+        scenario = dataclasses.replace(scenario, situations=scenario.situations[-1:])
+        return scenario, programs.reset(scenario, jax.random.key(0))
 
-def make(folder, robot="kuri"):
-    scenario = sean_jax.make(
-        folder, behavior="random", task="custom", start=(-2.5, 0.3), goal=(2.5, 0.3, 90.0), people=PEOPLE, robot=robot,
-        dynamics="twin",
-    )  # fmt: skip
-    return dataclasses.replace(scenario, metrics=(), situations=scenario.situations[-1:])
+    return lambda robot="kuri": scenario_of(robot, jax.config.jax_enable_x64)
 
 
 def placed(scenario, state, random, near=1.5):
@@ -112,16 +116,16 @@ def value_by_hand(scenario, state, target, command):
 
 
 @pytest.mark.parametrize("robot", ["kuri", "a1"])
-def test_the_objective_of_dwa_is_that_of_a_loop(folder, robot):
+def test_the_objective_of_dwa_is_that_of_a_loop(make, robot):
     random, blocked = np.random.default_rng(1), 0
     with jax.enable_x64(True):
-        scenario = make(folder, robot)
-        state = sean_jax.reset(scenario, jax.random.key(0))
+        scenario, state = make(robot)
         run = jax.jit(functools.partial(objective, scenario, dwa.params))
+        reachable = jax.jit(functools.partial(window, scenario.robot))
         for _ in range(4):
             now = placed(scenario, state, random, near=0.6)
-            observation = sean_jax.observe(scenario, now)
-            commands = window(scenario.robot, now.robot, observation)
+            observation = programs.observe(scenario, now)
+            commands = reachable(now.robot, observation)
             target = np.asarray(observation.path)
             mine = np.asarray(run(now, observation.path, commands))
             rows = np.stack([np.asarray(part) for part in commands], -1)
@@ -137,11 +141,11 @@ def test_the_objective_of_dwa_is_that_of_a_loop(folder, robot):
     assert blocked > 20
 
 
-def test_the_window_is_what_the_robot_reaches(folder):
-    scenario = make(folder, "fetch")
-    state = placed(scenario, sean_jax.reset(scenario, jax.random.key(0)), np.random.default_rng(2))
+def test_the_window_is_what_the_robot_reaches(make):
+    scenario, state = make("fetch")
+    state = placed(scenario, state, np.random.default_rng(2))
     model, robot = scenario.robot, state.robot.replace(speed=jnp.asarray(0.4), turn_rate=jnp.asarray(-1.2))
-    ahead, turn = map(np.asarray, window(model, robot, sean_jax.observe(scenario, state)))
+    ahead, turn = map(np.asarray, window(model, robot, programs.observe(scenario, state)))
     np.testing.assert_allclose([ahead.min(), ahead.max()], [0.4 - 0.25 * 0.75, 0.4 + 0.25 * 0.75], rtol=1e-5)
     np.testing.assert_allclose([turn.min(), turn.max()], [-1.5, -1.2 + 0.25 * 3.0], rtol=1e-5)
 
@@ -172,13 +176,12 @@ def push_by_hand(scenario, state, point, look):
 
 
 @pytest.mark.parametrize("robot", ["kuri", "a1"])
-def test_the_command_of_social_force_is_that_of_a_loop(folder, robot):
+def test_the_command_of_social_force_is_that_of_a_loop(make, robot):
     """Everybody is visible; the direction of the goal has the noise of the key."""
     random = np.random.default_rng(3)
     with jax.enable_x64(True):
-        scenario = make(folder, robot)
+        scenario, state = make(robot)
         everybody = dataclasses.replace(social_force.params, min_pixels=jnp.zeros(()))
-        state = sean_jax.reset(scenario, jax.random.key(0))
         state = episodes.init_policy(scenario, social_force, state)
         run = jax.jit(functools.partial(social_force.apply, scenario, everybody))
         for number in range(8):
@@ -189,7 +192,7 @@ def test_the_command_of_social_force_is_that_of_a_loop(folder, robot):
             lever = 0.0 if omni else 0.6 * float(model.radius)
             aside = float(now.robot.sideways) if omni else lever * float(now.robot.turn_rate)
             frame = np.array([[x, -y], [y, x]])  # columns: ahead and left
-            goal = np.array(sean_jax.observe(scenario, now).path, float)
+            goal = np.array(programs.observe(scenario, now).path, float)
             noise = 0.3 * (1.0 - min(speed / top, 1.0)) * float(jax.random.normal(key, ()))
             angle = np.arctan2(goal[1], goal[0]) + noise
             look = np.array([np.cos(angle), np.sin(angle)])
@@ -231,11 +234,11 @@ def test_the_plan_of_mppi_is_the_weighted_mean_of_a_loop():
     assert weights.sum() > 3.0  # several matter
 
 
-def test_mppi_begins_at_its_last_plan(folder):
+def test_mppi_begins_at_its_last_plan(make):
     """With hardly any noise the plan is the remembered one, with its beginning removed."""
-    scenario = make(folder)
+    scenario, state = make()
     calm = dataclasses.replace(mppi, params=dataclasses.replace(mppi.params, deviation=jnp.asarray(1e-6)))
-    state = episodes.init_policy(scenario, calm, sean_jax.reset(scenario, jax.random.key(0)))
+    state = episodes.init_policy(scenario, calm, state)
     knots = jnp.asarray([[0.5, 0.0], [0.7, 0.4], [0.3, 0.0], [0.1, -0.4], [0.0, 0.0]])
     search = state.policy_state.search._replace(knots=knots)
     state = state.replace(policy_state=state.policy_state._replace(search=search))
@@ -250,9 +253,9 @@ def test_mppi_begins_at_its_last_plan(folder):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_only_visible_people_matter(folder, name):
-    scenario, policy = make(folder), POLICIES[name]
-    state = episodes.init_policy(scenario, policy, sean_jax.reset(scenario, jax.random.key(0)))
+def test_only_visible_people_matter(make, name):
+    (scenario, state), policy = make(), POLICIES[name]
+    state = episodes.init_policy(scenario, policy, state)
     heading = jnp.asarray([1.0, 0.0])
     state = state.replace(robot=scenario.robot.place(scenario.robot, jnp.asarray([-2.5, 0.3]), heading))
     apply = jax.jit(lambda state: policy.apply(scenario, policy.params, state, jax.random.key(5))[0])

@@ -31,23 +31,29 @@ FIGURES = {  # mass, radius, greatest speed, acceleration; then greatest speed t
 }
 
 
-def advance(model, robot, action, walls=()):
-    """One control step without people; walls are (x, y, half extents)."""
-    boxes = driving.obstacles([(*wall, 0.0) for wall in walls], len(walls) + 1)
+def advance(model, robot, action, boxes):
+    """One control step without people."""
     nobody = jnp.zeros((0, 2))
     return driving.drive(model, robot, action, boxes, nobody, nobody, jnp.zeros(0, bool))
 
 
-def run(model, actions, walls=(), start=(0.3, -0.2, 0.7)):
-    """All robots after each action."""
-    x, y, angle = (jnp.asarray(part, float) for part in start)
-    robot = model.place(model, jnp.stack([x, y]), jnp.stack([jnp.cos(angle), jnp.sin(angle)]))
-
+@jax.jit
+def rollout(model, boxes, start, actions):
     def one(robot, action):
-        robot = advance(model, robot, action, walls)
+        robot = advance(model, robot, action, boxes)
         return robot, robot
 
-    return jax.jit(lambda robot, actions: jax.lax.scan(one, robot, actions)[1])(robot, jnp.asarray(actions, float))
+    robot = model.place(model, start[:2], jnp.stack([jnp.cos(start[2]), jnp.sin(start[2])]))
+    return jax.lax.scan(one, robot, actions)[1]
+
+
+def run(model, actions, walls=(), start=(0.3, -0.2, 0.7)):
+    """Robots after each of at most STEPS actions, as numpy arrays; at most one wall (x, y, half extents)."""
+    boxes = driving.obstacles([(*wall, 0.0) for wall in walls], 2)
+    actions, number = np.asarray(actions), jnp.result_type(float)
+    padded = np.concatenate([actions, np.repeat(actions[-1:], STEPS - len(actions), 0)])
+    robots_after = rollout(model, boxes, np.asarray(start, number), padded.astype(number))
+    return jax.tree.map(lambda leaf: np.asarray(leaf)[: len(actions)], robots_after)
 
 
 def wild(model, seed=0):
@@ -186,7 +192,7 @@ def car_by_hand(model, actions, pose, inertia):
 def parts(out):
     """Pose but for the heading, heading, and velocities of robots."""
     velocity = np.stack([out.speed, out.sideways, out.turn_rate], -1)
-    return np.asarray(out.position), np.asarray(out.heading), velocity
+    return out.position, out.heading, velocity
 
 
 @pytest.mark.parametrize("dynamics", ["twin", "kinematic"])
@@ -222,7 +228,7 @@ def test_gradients_are_finite_at_rest_straight_and_at_every_limit(name, dynamics
 
     def end(action, start):
         robot = model.place(model, start, jnp.asarray([1.0, 0.0]))
-        robot = advance(model, robot, action)
+        robot = advance(model, robot, action, driving.obstacles([], 1))
         return robot.position.sum() + robot.heading[1] + robot.speed + robot.turn_rate + robot.sideways
 
     slopes = jax.jit(jax.vmap(jax.grad(end, (0, 1)), (0, None)))
@@ -239,17 +245,17 @@ def test_a_wall_stops_the_robot_which_never_enters_it(name, dynamics):
     model = robots.load(name, dynamics)
     fast = [float(model.max_speed), *[0.0] * (drive.command_size(model) - 1)]
     out = run(model, [fast] * 100, walls=[(2.0, 0.0, 0.5, 3.0)], start=(0.0, 0.0, 0.3))
-    gap = 1.5 - np.asarray(out.position)[:, 0] - float(model.radius)
-    assert gap.min() > -1e-3 and gap[-1] < 0.02 and np.asarray(out.position)[-1, 1] > 0.2
+    gap = 1.5 - out.position[:, 0] - float(model.radius)
+    assert gap.min() > -1e-3 and gap[-1] < 0.02 and out.position[-1, 1] > 0.2
 
 
 def test_an_omnidirectional_robot_drives_sideways_and_a_car_does_not_turn_on_the_spot():
     hsr, car = robots.load("hsr"), robots.load("f1tenth")
     out = run(hsr, [[0.0, 0.2, 0.0]] * 30, start=(0.0, 0.0, 0.0))
-    assert np.asarray(out.position)[-1, 1] > 0.5 and abs(np.asarray(out.position)[-1, 0]) < 1e-3
+    assert out.position[-1, 1] > 0.5 and abs(out.position[-1, 0]) < 1e-3
     out = run(car, [[0.0, 2.0]] * 30)
-    assert np.ptp(np.asarray(out.position), 0).max() < 1e-6 and np.ptp(np.asarray(out.heading), 0).max() < 1e-6
-    np.testing.assert_allclose(np.asarray(out.drive_state.steering)[-1], car.steering.max_angle, rtol=1e-6)
+    assert np.ptp(out.position, 0).max() < 1e-6 and np.ptp(out.heading, 0).max() < 1e-6
+    np.testing.assert_allclose(out.drive_state.steering[-1], car.steering.max_angle, rtol=1e-6)
 
 
 def test_a_car_drives_the_circle_of_its_steering_angle():
@@ -258,12 +264,12 @@ def test_a_car_drives_the_circle_of_its_steering_angle():
     angle, speed = 0.3, 0.8
     radius = float(model.steering.wheelbase) / np.tan(angle)
     out = run(model, [[speed, speed / radius]] * 120)
-    position, heading = np.asarray(out.position, np.float64)[20:], np.asarray(out.heading, np.float64)[20:]
+    position, heading = out.position[20:].astype(float), out.heading[20:].astype(float)
     rear = position - float(model.steering.rear_axle) * heading
     matrix = np.column_stack([2 * rear, np.ones(len(rear))])
     x, y, rest = np.linalg.lstsq(matrix, (rear**2).sum(1), rcond=None)[0]
     np.testing.assert_allclose(np.sqrt(rest + x * x + y * y), radius, rtol=0.005)
-    np.testing.assert_allclose(np.asarray(out.drive_state.steering)[-1], angle, rtol=1e-4)
+    np.testing.assert_allclose(out.drive_state.steering[-1], angle, rtol=1e-4)
 
 
 @pytest.mark.parametrize("name", ["kuri", *FIGURES])
@@ -328,29 +334,24 @@ def test_robots_of_two_drives_are_no_one_program():
 
 @pytest.mark.parametrize("name", ["orca", "dwa", "social_force", "social_costmap", "move_base", "ppo"])
 def test_a_policy_that_cannot_drive_a_car_says_so(name, room):
-    scenario = room("f1tenth")
+    scenario, state = room("f1tenth")
     with pytest.raises(InputError, match="the drive of f1tenth is ackermann"):
         policy = load_policy(name, scenario)
-        jax.eval_shape(lambda key: episodes.simulate(scenario, policy, started(scenario, policy, key), 1), KEY)
-
-
-KEY = jax.eval_shape(jax.random.key, 0)
-
-
-def started(scenario, policy, key):
-    return episodes.init_policy(scenario, policy, sean_jax.reset(scenario, key))
+        begin = functools.partial(episodes.init_policy, scenario, policy)
+        jax.eval_shape(lambda state: episodes.simulate(scenario, policy, begin(state), 1), state)
 
 
 @pytest.fixture(scope="module")
 def room(tmp_path_factory):
-    """A function: name of a robot -> it alone in a room of 10 x 8 m, with random tasks."""
+    """A function: name of a robot -> it alone in a room of 10 x 8 m, with random tasks; the shapes of its states."""
     folder = scenes.room(tmp_path_factory.mktemp("room"), (-5, -4, 5, 4), [scenes.box((4.7, 3.7), (0.2, 0.2))])
 
     @functools.cache
     def make(name):
         scenario = sean_jax.make(folder, behavior="random", task="random_ab_nav", people=1, robot=name, dynamics="twin")
         empty = jnp.zeros((), jnp.int32)
-        return replace(scenario, people_present=empty, metrics=(), situations=scenario.situations[-1:])
+        alone = replace(scenario, people_present=empty, metrics=(), situations=scenario.situations[-1:])
+        return alone, jax.eval_shape(functools.partial(sean_jax.reset, alone), jax.random.key(0))
 
     return make
 
@@ -372,13 +373,13 @@ POLICIES_OF = [
 @pytest.mark.parametrize(("robot", "name"), POLICIES_OF)
 def test_goals_everywhere_are_reached_from_any_heading(robot, name, room):
     """In an empty room; goals lie behind and beside the robot as often as ahead."""
-    scenario, policy = room(robot), POLICIES[name]
+    (scenario, _), policy = room(robot), POLICIES[name]
     episodes_, steps = (60, 700) if robot == "hsr" else (32, 400) if name == "go_to_goal" else (16, 400)
 
     @jax.jit
     @jax.vmap
     def one(key):
-        state = started(scenario, policy, key)
+        state = episodes.init_policy(scenario, policy, sean_jax.reset(scenario, key))
         last, frames = episodes.simulate(scenario, policy, state, steps)
         gap, heading = state.task.goal - state.robot.position, state.robot.heading
         return last.completed, gap @ heading, frames.action
@@ -423,4 +424,5 @@ def test_velocity_over_the_ground_counts_the_sideways_part():
 def test_an_action_of_another_shape_is_refused(name, shape):
     model = robots.load(name, "twin")
     with pytest.raises(InputError, match=f"action: its shape is .*{name} takes"):
-        advance(model, model.place(model, jnp.zeros(2), jnp.asarray([1.0, 0.0])), jnp.zeros(shape))
+        robot = model.place(model, jnp.zeros(2), jnp.asarray([1.0, 0.0]))
+        advance(model, robot, jnp.zeros(shape), driving.obstacles([], 1))

@@ -109,7 +109,7 @@ def test_who_comes_from_outside_pushes_the_robot_as_fast_as_they_walk():
 @pytest.mark.parametrize("dynamics", ["twin", "kinematic"])
 def test_a_crowd_on_the_robot_moves_it_no_faster_than_it_drives_or_than_those_who_touch_it_walk(dynamics):
     """Sixteen people in one heap with the robot drive one another apart, and some of them against the robot."""
-    scenario = making.make("lab", behavior="random", people=16, dynamics=dynamics)
+    scenario = making.make("lab", behavior="random", people=16, dynamics=dynamics, metrics="none")
     model, lanes = scenario.robot, 16
     random = np.random.default_rng(3)
     angle, distance = random.uniform(-np.pi, np.pi, (lanes, 16)), random.uniform(0.0, 0.4, (lanes, 16))

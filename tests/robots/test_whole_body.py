@@ -1,6 +1,5 @@
 """Articulated bodies: against plain MuJoCo under the same controller; walls, people, falls, refusals, programs."""
 
-import functools
 from dataclasses import replace
 from importlib import import_module
 from typing import Any
@@ -13,7 +12,6 @@ from scipy.spatial.transform import Rotation
 
 import sean_jax
 from sean_jax import robots, sensors
-from sean_jax.policies import go_to_goal
 from support import driving, robot_files
 from support.driving import PERSON_RADIUS, TIME_STEP
 from support.robot_files import CRAWLER, LEGS, ROVER
@@ -74,20 +72,21 @@ def rollout(model, boxes, person, walk, robot, actions):
 
 
 TRACES: list[str] = []
-program = jax.jit(rollout)
+program = jax.jit(jax.vmap(rollout, (None, None, None, None, None, 0)))  # of three sequences of actions
 STEPS, COMMAND = 30, jnp.asarray([0.5, 0.8])
+place = jax.jit(lambda model, position, heading: model.place(model, position, heading))
 
 
 def placed(model, x=0.0, y=0.0, yaw=0.0):
-    return model.place(model, jnp.asarray([x, y], float), jnp.asarray([np.cos(yaw), np.sin(yaw)], float))
+    return place(model, jnp.asarray([x, y], float), jnp.asarray([np.cos(yaw), np.sin(yaw)], float))
 
 
 def run(model, command, boxes=None, person=(80.0, 80.0), walk=(0.0, 0.0), start=None):
     """Robots and the person after each of 30 steps, as numpy arrays; one command, or (30, n)."""
-    actions = jnp.broadcast_to(jnp.asarray(command, float), (STEPS, len(np.asarray(command).T)))
-    place, velocity = (jnp.asarray(each, float) for each in (person, walk))
-    out = program(model, boxes or obstacles(), place, velocity, start or placed(model), actions)
-    return jax.tree.map(np.asarray, out)
+    actions = jnp.broadcast_to(jnp.asarray(command, float), (3, STEPS, len(np.asarray(command).T)))
+    spot, velocity = (jnp.asarray(each, float) for each in (person, walk))
+    out = program(model, boxes or obstacles(), spot, velocity, start or placed(model), actions)
+    return jax.tree.map(lambda leaf: np.asarray(leaf)[0], out)
 
 
 def in_mujoco(text, controller, targets, memory=()):
@@ -169,7 +168,7 @@ def test_a_person_is_not_pushed_and_pushes_the_body_but_not_into_a_wall(rover):
 
 
 def test_a_body_that_falls_stays_where_it_lies(tmp_path):
-    model = rover_of(tmp_path, robot_files.ROVER_WITHOUT_CASTER, max_tilt=0.3)
+    model = rover_of(tmp_path, robot_files.ROVER_WITH_CASTER_UP, max_tilt=0.3)
     moved, _ = run(model, (0.8, 0.5), person=(0.6, 0.0), walk=(-0.5, 0.0))
     fallen = moved.drive_state.fallen
     first = int(fallen.argmax())
@@ -207,17 +206,15 @@ def test_physics_go_on_from_a_pose_that_is_replaced_in_the_same_program(rover):
     assert run(rover, COMMAND, start=quicker)[0].position[0] @ half.heading > one.position[0] @ half.heading + 0.01
 
 
-def test_vmap_equals_a_loop(rover):
-    random = np.random.default_rng(0)
+def test_rows_of_a_batch_are_as_each_alone(rover):
+    random, wall = np.random.default_rng(0), obstacles((1.3, 0.0, 0.5, 5.0, 0.0))
     actions = jnp.asarray(random.uniform(-1.0, 1.0, (3, STEPS // 10, 2)).repeat(10, 1) * [1.0, 2.0], float)
-    still, away = jnp.zeros(2, float), jnp.full(2, 80.0)
-    one = functools.partial(program, rover, obstacles((1.3, 0.0, 0.5, 5.0, 0.0)), away, still, placed(rover))
-    many = jax.jit(jax.vmap(one))(actions)
-    for index in range(3):
-        alone = one(actions[index])
-        ours, theirs = many[0].position[index], alone[0].position  # later, contacts have made rounding larger
-        np.testing.assert_allclose(ours[:20], theirs[:20], atol=1e-3)
-        np.testing.assert_allclose(many[0].heading[index][:20], alone[0].heading[:20], atol=5e-3)
+    traces, away, still = len(TRACES), jnp.asarray([80.0, 80.0], float), jnp.zeros(2, float)
+    batch, _ = program(rover, wall, away, still, placed(rover), actions)
+    alone, _ = run(rover, actions[1], wall)
+    np.testing.assert_allclose(batch.position[1], alone.position, atol=1e-3)
+    np.testing.assert_allclose(batch.heading[1], alone.heading, atol=5e-3)
+    assert len(TRACES) == traces and np.ptp(batch.position[:, -1], axis=0).max() > 0.1
 
 
 @pytest.mark.slow
@@ -227,20 +224,19 @@ def test_derivatives_are_finite_and_those_through_mjx_are_zero(rover):
         moved, _ = rollout(rover, obstacles(), away, jnp.zeros(2, float), start, command[None])
         return moved.position[-1].sum()
 
-    place, command = jax.grad(end, (0, 1))(jnp.zeros(2, float), COMMAND)
+    place, command = jax.jit(jax.grad(end, (0, 1)))(jnp.zeros(2, float), COMMAND)
     np.testing.assert_allclose(place, 1.0, atol=1e-5)
     np.testing.assert_array_equal(command, 0.0)
 
 
 @pytest.mark.slow
 def test_a_scenario_with_policy_sensors_and_metrics(rover):
-    scenario = sean_jax.make("lab", people=4, robot=rover, sensors=["lidar"])
+    scenario = sean_jax.make("lab", people=4, robot=rover, sensors=["lidar"], metrics=["path_length"], time_limit=10.0)
     evaluation = sean_jax.evaluate(scenario, "go_to_goal", episodes=2, seed=0)
     assert "completed" in evaluation.table()
-    last, frames = jax.jit(lambda key: sean_jax.rollout(scenario, go_to_goal, key, 100))(jax.random.key(1))
-    assert np.isfinite(frames.position).all()
-    assert np.linalg.norm(np.diff(frames.position, axis=0), axis=1).sum() > 1.0
-    assert np.isfinite(sensors.sense(scenario, last)["lidar"]).all()
+    assert (np.asarray(evaluation.metrics["path_length"]) > 1.0).all()
+    state = jax.jit(sean_jax.reset)(scenario, jax.random.key(1))
+    assert np.isfinite(jax.jit(sensors.sense)(scenario, state)["lidar"]).all()
 
 
 @pytest.mark.slow

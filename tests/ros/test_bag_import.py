@@ -12,7 +12,8 @@ from sean_jax.cli import command_line
 from sean_jax.core.errors import FileError
 from sean_jax.io.trajectories import load_trajectory
 from sean_jax.people import recordings
-from sean_jax.ros import bag_import, bag_opening, bag_tables, messages
+from sean_jax.ros import bag_tables, bag_opening, bag_import, messages
+from support.bags import fill, write_bag1, write_bag2
 
 pytest.importorskip("rosbags")
 SECOND = messages.SECOND
@@ -62,33 +63,6 @@ def drive(received, resets=(), goals=True, steps=40, step=SECOND // 10):
         rows.append(("/people", PEOPLE, at, people(stamp, {"a": (t, 2.0 + shift), "b": (5.0 - t, -2.0 - shift)})))
         rows.append(("/cmd_vel", TWIST, at + step // 50, messages.twist(0.01 * (k + 1), 0.0, 0.0)))
     return rows
-
-
-def write_bag1(path, rows, compression=None):
-    from rosbags.rosbag1 import Writer
-
-    writer = Writer(path)
-    if compression is not None:
-        writer.set_compression(compression)
-    return written(writer, path, rows, 1)
-
-
-def write_bag2(path, rows, plugin="MCAP"):
-    from rosbags.rosbag2 import StoragePlugin, Writer
-
-    return written(Writer(path, version=9, storage_plugin=StoragePlugin[plugin]), path, rows, 2)
-
-
-def written(writer, path, rows, version):
-    """The bag, which a writer of rosbags has filled."""
-    store, connections = messages.typestore(version), {}
-    serialize = store.serialize_ros1 if version == 1 else store.serialize_cdr
-    with writer:
-        for topic, kind, time, message in rows:
-            if topic not in connections:
-                connections[topic] = writer.add_connection(topic, kind, typestore=store)
-            writer.write(connections[topic], time, serialize(messages.fill(store, kind, message), kind))
-    return path
 
 
 CLOCKS = {
@@ -236,7 +210,7 @@ def compressed(folder, rows, mode):
     plugin = StoragePlugin.MCAP if mode == "storage" else StoragePlugin.SQLITE3
     writer = Writer(folder, version=9, storage_plugin=plugin)
     writer.set_compression(CompressionMode[mode.upper()], CompressionFormat.ZSTD)
-    return written(writer, folder, rows, 2)
+    return fill(writer, folder, rows, 2)
 
 
 @pytest.mark.parametrize("mode", ["storage", "message", "file"])

@@ -52,8 +52,9 @@ def made():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(bridge, "connect", lambda place, mailbox, outputs: memory)
         config = BridgeConfig(
-            ros1=True, environment="lab", people=4, dynamics="twin", time_limit=2.0, pace="lockstep", patience=5.0
-        )
+            ros1=True, environment="lab", people=4, dynamics="twin", metrics="none", time_limit=2.0, pace="lockstep",
+            patience=5.0,
+        )  # fmt: skip
         live = bridge.Live(config, Console(quiet=True))
     yield live, config
     live.close()

@@ -31,6 +31,7 @@ from sean_jax.simulation.scenario import snapshot
 from sean_jax.studies.calibration.windows import find
 from sean_jax.studies.prediction import read_windows
 from sean_jax.world import environment, ros_map
+from support.bags import write_bag1
 from support.scenes import box, room
 
 pytest.importorskip("rosbags")
@@ -51,7 +52,9 @@ def scenario(scenario):
     lidar = sensors.lidar_sensor(sensors.lidar(scenario, count=24))
     rings = sensors.lidar(scenario, count=24, far=20.0, elevations=np.deg2rad([-5.0, 0.0, 5.0]))
     rings = sensors.lidar_sensor(rings, name="rings")
-    return dataclasses.replace(scenario, sensors=(lidar, depth, color, rings))
+    told = {"min_distance_to_goal", "min_distance_to_people", *messages._COUNTS.values()}
+    few = tuple((name, metric) for name, metric in scenario.metrics if name in told)
+    return dataclasses.replace(scenario, sensors=(lidar, depth, color, rings), metrics=few)
 
 
 @pytest.fixture(scope="module")
@@ -317,7 +320,7 @@ def test_optical_frames_look_along_the_view(scenario):
 
 def test_depth_of_the_floor_lies_on_the_floor():
     """Pixels by camera_info alone, moved by the transforms of the messages, are at height 0."""
-    lab = sean_jax.make("lab", behavior="random", people=0, dynamics="twin")
+    lab = sean_jax.make("lab", behavior="random", people=0, dynamics="twin", metrics="none")
     depth = sensors.depth_sensor(sensors.camera(lab, "depth", width=40, height=30))
     scenario = dataclasses.replace(lab, sensors=(depth,))
     state = jax.jit(sean_jax.reset)(lab, jax.random.key(1))
@@ -475,19 +478,6 @@ def test_situations_of_an_imported_bag_are_those_of_the_episode(bag, scenario, s
         assert same.all()
 
 
-def write_bag(path: Path, rows: list[tuple]) -> None:
-    """A bag of rosbag 1 of (topic, type, ns, message)."""
-    from rosbags.rosbag1 import Writer
-
-    store, connections = messages.typestore(1), {}
-    with Writer(path) as writer:
-        for topic, kind, time, message in rows:
-            if topic not in connections:
-                connections[topic] = writer.add_connection(topic, kind, typestore=store)
-            filled = messages.fill(store, kind, message)
-            writer.write(connections[topic], time, store.serialize_ros1(filled, kind))
-
-
 def quaternion(yaw: float) -> dict:
     return dict(zip("xyzw", Rotation.from_euler("z", yaw).as_quat().tolist(), strict=True))
 
@@ -530,7 +520,7 @@ def test_frames_of_a_robot_with_drifting_odometry(tmp_path):
         )
         each = {"name": "anna", "position": at(*seen), "velocity": at(0, 0)}
         rows.append(("/people", "people_msgs/msg/People", time, {"header": head("laser"), "people": [each]}))
-    write_bag(tmp_path / "drift.bag", rows)
+    write_bag1(tmp_path / "drift.bag", rows)
     (episode,) = bag_episodes.split(bag_tables.read(tmp_path / "drift.bag")).episodes
     frames = bag_import.as_trajectory(episode, 0.1)
     truth = np.array(truth)
@@ -552,7 +542,7 @@ def test_other_messages_of_people_and_gaps(tmp_path, kind):
             message = {"markers": [] if k in gone else [marker]}
         type_name = f"{'geometry' if kind == 'PoseArray' else 'visualization'}_msgs/msg/{kind}"
         rows.append(("/detected_people", type_name, time, message))
-    write_bag(tmp_path / "people.bag", rows)
+    write_bag1(tmp_path / "people.bag", rows)
     result = bag_import.import_bag(tmp_path / "people.bag", tmp_path / "out")
     assert not result.robot and sorted(each.name for each in result.folder.iterdir()) == [bag_import.PEOPLE]
     tracks = recordings.read(result.folder / bag_import.PEOPLE, frame_rate=100.0)
@@ -574,7 +564,7 @@ def walks(tmp_path_factory):
         odometry = {"header": head, "child_frame_id": "base_link", "pose": pose}
         rows.append(("/people", "people_msgs/msg/People", time, {"header": head, "people": people}))
         rows.append(("/odom", "nav_msgs/msg/Odometry", time, odometry))
-    write_bag(folder / "walks.bag", rows)
+    write_bag1(folder / "walks.bag", rows)
     for name, step in (("tenths", 0.1), ("moments", 0.4)):
         bag_import.import_bag(folder / "walks.bag", folder / name, step)
     return folder
@@ -632,7 +622,7 @@ def test_bad_bags_are_sentences_and_write_nothing(bag, tmp_path, monkeypatch, ca
     for number in range(6):
         Path(f"cut{number}.bag").write_bytes(whole[: int(random.integers(0, len(whole) - 1))])
     Path("text.bag").write_text("no bag\n")
-    write_bag(Path("empty.bag"), [("/clock", "rosgraph_msgs/msg/Clock", START, {"clock": messages.stamp(START)})])
+    write_bag1(Path("empty.bag"), [("/clock", "rosgraph_msgs/msg/Clock", START, {"clock": messages.stamp(START)})])
     before = sorted(Path().iterdir())
     for name in (*map(str, before), "missing.bag", "."):
         assert command_line.main(["import-bag", name, "--out", "new"]) == 2, name

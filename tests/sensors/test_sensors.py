@@ -40,9 +40,9 @@ def over_ground(ahead, left):
 def put(scenario, state, boxes, people, absent=()):
     """Scenario and state with the robot at PLACE; boxes (ahead, left, half x, half y, height), people (ahead, left).
 
-    The other people are there as well, but nowhere near.
+    The other people are there as well, but nowhere near, and so are boxes up to four.
     """
-    rows = np.array(boxes, np.float32).reshape(-1, 5)
+    rows = np.array([*boxes, *[(5000.0, 0.0, 0.1, 0.1, 0.1)] * (4 - len(boxes))], np.float32)
     obstacles = Obstacles(
         center=jnp.asarray([over_ground(*row[:2]) for row in rows], jnp.float32),
         half_extent=jnp.asarray(rows[:, 2:4]),
@@ -63,6 +63,20 @@ def put(scenario, state, boxes, people, absent=()):
 
 def level(scenario, **changes) -> sensors.Camera:
     return dataclasses.replace(sensors.camera(scenario, "depth", width=16, height=12), axes=LEVEL, **changes)
+
+
+@pytest.fixture(scope="module")
+def look(scenario):
+    """A function: yard, state -> the picture of a level camera; one program serves all yards."""
+    camera = level(scenario, width=48, height=36)
+    return programs.jit_once(lambda yard, here: sensors.render(yard, here, camera))
+
+
+@pytest.fixture(scope="module")
+def depth(scenario):
+    """A function: state -> the depth image (12, 16); one program serves all states."""
+    camera = sensors.camera(scenario, "depth", width=16, height=12)
+    return programs.jit_once(lambda state: sensors.depth(scenario, state, camera))
 
 
 @pytest.mark.parametrize("name", quick(robots.ROBOTS, "kuri"))
@@ -162,34 +176,26 @@ def test_people_are_in_the_pixels_in_which_mujoco_finds_them(scenario, state):
     assert 20 < seen < 100  # of 192
 
 
-def test_the_depth_of_a_wall_straight_ahead_is_flat(scenario, state):
-    camera = level(scenario)
-    yard, here = put(scenario, state, [(4.0, 0.0, 1.0, 30.0, 9.0)], [])
-    image = np.asarray(jax.jit(lambda state: sensors.depth(yard, state, camera))(here))
+def test_the_depth_of_a_wall_straight_ahead_is_flat(scenario, state, look):
+    image = np.asarray(look(*put(scenario, state, [(4.0, 0.0, 1.0, 30.0, 9.0)], [])).depth)
     ahead, _, height = np.asarray(next(each for each in scenario.robot.mounts if each.name == "depth").origin)
-    focal = 6 / np.tan(np.pi / 6)
-    down = np.arange(12) + 0.5 - 6
+    focal = 18 / np.tan(np.pi / 6)
+    down = np.arange(36) + 0.5 - 18
     floor = height * focal / np.where(down > 0, down, 1e-9)  # the depth of a row that meets the floor
     wall = 3.0 - ahead
     assert np.allclose(image, np.minimum(wall, floor)[:, None], atol=1e-4)
-    assert np.ptp(image[:6]) <= 1e-4 and (image[:6] > 2.9).all()
+    assert np.ptp(image[:18]) <= 1e-4 and (image[:18] > 2.9).all()
 
 
-def test_one_trace_for_all_states_and_a_batch_equals_a_loop(scenario, state):
-    camera, lidar = sensors.camera(scenario, "depth", width=16, height=12), sensors.lidar(scenario, count=24)
-
-    def look(state):
-        return sensors.depth(scenario, state, camera), sensors.scan(scenario, state, lidar)
-
+def test_one_trace_for_all_states_and_a_batch_equals_a_loop(scenario, state, depth):
+    camera = sensors.camera(scenario, "depth", width=16, height=12)
     moved = state.robot.position[None] + jnp.asarray([[0.0, 0.0], [0.3, 0.1], [-0.2, 0.5]], jnp.float32)
     states = jax.tree.map(lambda leaf: jnp.stack([leaf] * 3), state)
     states = dataclasses.replace(states, robot=dataclasses.replace(states.robot, position=moved))
-    one = programs.jit_once(look)
-    each = [one(jax.tree.map(lambda leaf, i=i: leaf[i], states)) for i in range(3)]
-    together = jax.jit(jax.vmap(look))(states)
-    for part in (0, 1):
-        assert np.allclose(together[part], np.stack([alone[part] for alone in each]), atol=1e-5)
-        assert len({np.asarray(alone[part]).tobytes() for alone in each}) == 3
+    images = np.stack([depth(jax.tree.map(lambda leaf, i=i: leaf[i], states)) for i in range(3)])
+    batch = jax.jit(jax.vmap(lambda state: sensors.depth(scenario, state, camera)))(states)
+    np.testing.assert_allclose(batch, images, atol=1e-5)
+    assert len({image.tobytes() for image in images}) == 3
 
 
 def test_gradients_of_depth(scenario, state):
@@ -240,8 +246,8 @@ def test_pictures_show_what_is_there(shots, scenario):
         assert picture.rgb.std() > 0.05
         whose = (picture.semantic == PERSON, picture.semantic == OBSTACLE, picture.semantic == ROBOT)
         assert ((picture.instance >= 0) == (whose[0] | whose[1] | whose[2])).all()
-        assert (picture.instance[whose[0]] < number).all() and (picture.instance[whose[2]] == number + 2).all()
-        assert (picture.instance[whose[1]] >= number).all() and (picture.instance[whose[1]] < number + 2).all()
+        assert (picture.instance[whose[0]] < number).all() and (picture.instance[whose[2]] == number + 4).all()
+        assert (picture.instance[whose[1]] >= number).all() and (picture.instance[whose[1]] < number + 4).all()
         assert 2 not in picture.instance  # who is absent
     ahead = shots[0]["first_person"]
     assert ahead.semantic[9, 12] == PERSON and ahead.instance[9, 12] == 0
@@ -330,7 +336,7 @@ def test_a_lidar_looks_where_its_site_is_turned(scenario, state):
     c, s = np.cos(pitch), np.sin(pitch)
     axes = c, 0.0, s, 0.0, 1.0, 0.0, -s, 0.0, c
     down = dataclasses.replace(plain_one, first=0.0, origin=(0.1, 0.0, 0.5), axes=axes)
-    room, here = put(scenario, state, [(100.0, 0.0, 1.0, 1.0, 1.0)], [])
+    room, here = put(scenario, state, [], [])
     found = np.asarray(jax.jit(lambda state: sensors.scan(room, state, down))(here))
     fall = s * np.cos(2 * np.pi * np.arange(30) / 30)
     with np.errstate(divide="ignore"):
@@ -402,10 +408,11 @@ def test_rings_are_differentiable_and_traced_once(scenario, state):
     moved = state.robot.position[None] + jnp.asarray([[0.0, 0.0], [0.3, 0.1], [-0.2, 0.5]], jnp.float32)
     each = np.stack([one(position, people) for position in moved])
     np.testing.assert_allclose(jax.jit(jax.vmap(look, (0, None)))(moved, people), each, atol=1e-4, rtol=1e-5)
-    slopes = jax.jit(jax.jacfwd(look, (0, 1)))(state.robot.position, people)
-    assert all(np.isfinite(part).all() for part in slopes) and np.abs(slopes[0]).max() > 0.5
-    backward = jax.jit(jax.grad(lambda position: look(position, people).mean()))(state.robot.position)
-    np.testing.assert_allclose(backward, np.asarray(slopes[0]).mean((0, 1)), atol=1e-4)
+    slopes = np.asarray(jax.jit(jax.jacfwd(look))(state.robot.position, people))
+    assert np.isfinite(slopes).all() and np.abs(slopes).max() > 0.5
+    backward = jax.jit(jax.grad(lambda *places: look(*places).mean(), (0, 1)))(state.robot.position, people)
+    np.testing.assert_allclose(backward[0], slopes.mean((0, 1)), atol=1e-4)
+    assert np.isfinite(backward[1]).all()
 
 
 def test_rings_without_tilt_are_the_planar_lidar(scenario, state):
@@ -532,44 +539,46 @@ def small_suite(scenario, **errors) -> tuple:
     return sensors.depth_sensor(camera, noisy), sensors.lidar_sensor(lidar, noisy), color
 
 
-def test_sense_reads_every_sensor_by_its_name(scenario, state):
+def test_sense_reads_every_sensor_by_its_name(scenario, state, depth):
     equipped = scenario.replace(sensors=small_suite(scenario))
     readings = jax.jit(sensors.sense)(equipped, state)
     assert {name: reading.shape for name, reading in readings.items()} == {
         "depth": (12, 16), "lidar": (24,), "first_person": (6, 8, 3)
     }  # fmt: skip
-    camera = sensors.camera(scenario, "depth", width=16, height=12)
-    np.testing.assert_array_equal(readings["depth"], jax.jit(lambda s: sensors.depth(scenario, s, camera))(state))
+    np.testing.assert_array_equal(readings["depth"], depth(state))
     assert sensors.sense(scenario, state) == {}
 
 
 def test_noise_depends_on_episode_tick_and_name_alone(scenario, state):
     """A further sensor changes nothing; the next tick and another name change the noise; equal states agree."""
-    depth, lidar, _ = small_suite(scenario, min_deviation=0.1, growth=0.0)
+    _, lidar, _ = small_suite(scenario, min_deviation=0.1, growth=0.0)
+    second = dataclasses.replace(lidar, name="second")
     sense = jax.jit(lambda suite, state: sensors.sense(scenario.replace(sensors=suite), state))
-    alone, both = sense((lidar,), state)["lidar"], sense((depth, lidar), state)["lidar"]
-    np.testing.assert_array_equal(alone, both)
+    alone, both = sense((lidar,), state)["lidar"], sense((second, lidar), state)
+    np.testing.assert_array_equal(alone, both["lidar"])
     later = sense((lidar,), dataclasses.replace(state, tick=state.tick + 1))["lidar"]
-    other = sense((dataclasses.replace(lidar, name="second"),), state)["second"]
-    assert not np.array_equal(alone, later) and not np.array_equal(alone, other)
+    assert not np.array_equal(alone, later) and not np.array_equal(alone, both["second"])
     episode = dataclasses.replace(state.streams, sensors=jax.random.key(99))
     assert not np.array_equal(alone, sense((lidar,), dataclasses.replace(state, streams=episode))["lidar"])
 
 
 def test_errors_of_a_sensor_are_leaves(scenario, state):
-    """Sweeping the deviation needs one program, and a derivative of a reading by it exists."""
-    _, lidar, _ = small_suite(scenario, min_deviation=0.1, growth=0.0)
+    """Sweeping deviation and drop-outs needs one program, and a derivative of a reading by the deviation exists."""
 
-    def reading(deviation):
-        sensor = dataclasses.replace(lidar, params=dataclasses.replace(lidar.params, min_deviation=deviation))
-        return sensors.sense(scenario.replace(sensors=(sensor,)), state)["lidar"]
+    _, lidar, _ = small_suite(scenario, growth=0.0)
 
-    exact, noisy = jax.jit(jax.vmap(reading))(jnp.asarray([0.0, 0.2], jnp.float32))
-    assert np.abs(noisy - exact).max() > 0.05
-    slope = jax.jit(jax.jacfwd(reading))(jnp.float32(0.01))
-    assert np.isfinite(slope).all() and np.abs(slope).max() > 0.1
-    _, gone, _ = small_suite(scenario, min_deviation=0.0, growth=0.0, drop_out=1.0)
-    assert (np.asarray(sensors.sense(scenario.replace(sensors=(gone,)), state)["lidar"]) == 3.5).all()
+    def reading(deviation, drop_out):
+        params = dataclasses.replace(lidar.params, min_deviation=deviation, drop_out=drop_out)
+        noisy = dataclasses.replace(lidar, params=params)
+        return sensors.sense(scenario.replace(sensors=(noisy,)), state)["lidar"]
+
+    def with_slope(deviation, drop_out):
+        return jax.jvp(lambda deviation: reading(deviation, drop_out), (deviation,), (jnp.ones(()),))
+
+    errors = jnp.asarray([[0.0, 0.0], [0.2, 0.0], [0.01, 0.0], [0.0, 1.0]], jnp.float32)
+    (exact, noisy, _, gone), slopes = jax.jit(jax.vmap(with_slope))(*errors.T)
+    assert np.abs(noisy - exact).max() > 0.05 and (np.asarray(gone) == 3.5).all()
+    assert np.isfinite(slopes).all() and np.abs(slopes[2]).max() > 0.1
 
 
 def test_equal_sensors_are_equal_values(scenario):
@@ -696,11 +705,9 @@ def test_figures_are_where_a_march_meets_them():
     assert ((normal * way[both]).sum(1) < 0.05).all()
 
 
-def test_beside_limbs_is_what_stands_behind(scenario, state):
+def test_beside_limbs_is_what_stands_behind(scenario, state, look):
     """Pixels of a person are those of the figure, or equal those of the picture without the person."""
-    camera = level(scenario, width=96, height=72)
     wall = [(6.0, 0.0, 0.5, 30.0, 9.0)]
-    look = jax.jit(lambda yard, here: sensors.render(yard, here, camera))
     with_one = look(*put(scenario, state, wall, [(2.0, 0.1)]))
     without = look(*put(scenario, state, wall, []))
     person = np.asarray((with_one.semantic == PERSON) & (without.semantic == OBSTACLE))
@@ -712,14 +719,13 @@ def test_beside_limbs_is_what_stands_behind(scenario, state):
     assert not same[rows[trunk], columns[trunk]].any()
 
 
-def test_a_ceiling_is_where_rays_meet_its_height(scenario, state):
+def test_a_ceiling_is_where_rays_meet_its_height(scenario, state, look):
     """Against points and tiles of the plane in double precision; without a ceiling there is sky; depth sees neither."""
-    camera, height = level(scenario, width=48, height=36), 2.6
-    yard, here = put(scenario, state, [(60.0, 9.0, 0.1, 0.1, 0.1)], [])
-    look = jax.jit(lambda yard: sensors.render(yard, here, camera))
+    height = 2.6
+    yard, here = put(scenario, state, [], [])
     looks = dataclasses.replace(yard.environment.scenery, ceiling=jnp.float32(height))
     room = yard.replace(environment=dataclasses.replace(yard.environment, scenery=looks))
-    indoors, outdoors = look(room), look(yard)
+    indoors, outdoors = look(room, here), look(yard, here)
     for part in ("depth", "semantic", "instance"):
         np.testing.assert_array_equal(getattr(indoors, part), getattr(outdoors, part))
     mount = np.asarray(next(each for each in scenario.robot.mounts if each.name == "depth").origin, float)
@@ -742,13 +748,11 @@ def test_a_ceiling_is_where_rays_meet_its_height(scenario, state):
     np.testing.assert_array_equal(np.asarray(indoors.rgb)[19:], np.asarray(outdoors.rgb)[19:])
 
 
-def test_a_ceiling_below_the_camera_hides_nothing(scenario, state):
-    camera = level(scenario, origin=(0.0, 0.0, 3.0))
+def test_a_ceiling_below_the_camera_hides_nothing(scenario, state, look):
     yard, here = put(scenario, state, [(5.0, 0.0, 0.5, 3.0, 6.0)], [])
-    looks = dataclasses.replace(yard.environment.scenery, ceiling=jnp.float32(2.0))
+    looks = dataclasses.replace(yard.environment.scenery, ceiling=jnp.float32(0.1))
     low = yard.replace(environment=dataclasses.replace(yard.environment, scenery=looks))
-    look = jax.jit(lambda yard: sensors.render(yard, here, camera).rgb)
-    np.testing.assert_array_equal(look(low), look(yard))
+    np.testing.assert_array_equal(look(low, here).rgb, look(yard, here).rgb)
 
 
 @pytest.mark.parametrize("name", quick(["warehouse", "lab", "outdoor"], "warehouse"))

@@ -96,17 +96,16 @@ def test_drivers_that_share_a_batch_drive_as_each_alone(quiet):
     first = quiet.replace(robot=quiet.robot.replace(drive=drive))
     second = first.replace(goal_radius=first.goal_radius * 2.0)
     strengths = jnp.array([0.05, 0.15], jnp.float32)
-    for scenarios in (first, [first, second]):
-        one = Policy(params=strengths[0], name="number", init=begin, apply=apply)
-        shared = Runner(scenarios, one.replace(params=strengths), SIZE, "run", drivers=2).run(4, first=5)
-        alone = Runner(scenarios, one, SIZE // 2, "run")
-        for share, strength in enumerate(strengths):
-            alone.policy = one.replace(params=strength)
-            states = alone.run(4, first=5 + share * SIZE // 2).states
-            part = jax.tree.map(lambda leaf: leaf[share * SIZE // 2 :][: SIZE // 2], shared.states)  # noqa: B023
-            for name in ("robot.speed", "robot.turn_rate", "policy_state", "pedestrians.position"):
-                found, wanted = (functools.reduce(getattr, name.split("."), each) for each in (part, states))
-                np.testing.assert_allclose(found, wanted, rtol=1e-6, err_msg=name)
+    one = Policy(params=strengths[0], name="number", init=begin, apply=apply)
+    shared = Runner([first, second], one.replace(params=strengths), SIZE, "run", drivers=2).run(4, first=5)
+    alone = Runner([first, second], one, SIZE // 2, "run")
+    for share, strength in enumerate(strengths):
+        alone.policy = one.replace(params=strength)
+        states = alone.run(4, first=5 + share * SIZE // 2).states
+        part = jax.tree.map(lambda leaf: leaf[share * SIZE // 2 :][: SIZE // 2], shared.states)  # noqa: B023
+        for name in ("robot.speed", "robot.turn_rate", "policy_state", "pedestrians.position"):
+            drawn, expected = (functools.reduce(getattr, name.split("."), each) for each in (part, states))
+            np.testing.assert_allclose(drawn, expected, rtol=1e-6, err_msg=name)
     assert len(set(np.asarray(shared.states.robot.speed).round(4).tolist())) == 4, "two drivers in two scenarios"
 
 

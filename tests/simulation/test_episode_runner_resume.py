@@ -30,6 +30,7 @@ from support.files import contents, write
 from support.runs import at_second_batch
 
 SMALL = "--environment lab --behavior random --task random_ab_nav --people 2 --dynamics twin --time-limit 0.5".split()
+SMALL += ["--metrics", "path_length"]  # all of them would take long to compile
 RUN = ["run", *SMALL, "--seed", "3", "--episodes", "5", "--batch", "2", "--out", "made"]
 
 
@@ -206,7 +207,7 @@ def test_runs_with_the_default_folder_tell_of_one_that_was_not_finished(whole, s
     (Path("runs/killed") / writing.LOCK).write_text("process 1 on a machine that is no more")
     capsys.readouterr()
     scenario = {"environment": "lab", "behavior": "random", "task": "random_ab_nav", "people": 2, "dynamics": "twin"}
-    run = {"time_limit": 0.5, "seed": 3, "episodes": 5, "batch": 2}
+    run = {"time_limit": 0.5, "metrics": "path_length", "seed": 3, "episodes": 5, "batch": 2}
     asked = validate(RunConfig, gather(RunConfig, scenario | run))
     assert list(batches.unfinished_runs(asked, Path("runs/new"))) == [(left, 2)]
     assert list(batches.unfinished_runs(asked.replace(seed=4), Path("runs/new"))) == []

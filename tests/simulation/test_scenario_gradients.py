@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import sean_jax
+from sean_jax import robots
 from sean_jax.policies import go_to_goal
 from support.float64 import in_double
 
@@ -16,10 +17,10 @@ STEPS = 40
 STEP = 1e-5  # of the central differences
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def double():
     """A scenario with eight people and a state in which two of them come towards the robot, in float64."""
-    scenario = sean_jax.make(people=8, dynamics="mjx")
+    scenario = sean_jax.make(people=8, dynamics="twin", metrics="none")
     state = jax.jit(sean_jax.reset)(scenario, jax.random.key(3))
     robot = state.robot.position
     ahead = state.task.goal - robot
@@ -59,7 +60,11 @@ def agree(value, gradient, at, directions):
 
 
 def test_with_respect_to_actions(double):
+    """Of a robot in MJX."""
     scenario, state = double
+    robot = in_double(robots.load("kuri", "mjx"))
+    scenario = scenario.replace(robot=robot)
+    state = state.replace(robot=robot.place(robot, state.robot.position, state.robot.heading))
 
     def value(actions):
         def policy(scenario, state, key):

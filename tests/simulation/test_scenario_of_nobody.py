@@ -48,7 +48,7 @@ def yard(tmp_path_factory):
 
 def make(yard, behavior, **more):
     usual = {"graph": "join_group", "handcrafted": "handcrafted"}
-    options: dict[str, Any] = {"task": usual.get(behavior, "random_ab_nav")} | more
+    options: dict[str, Any] = {"task": usual.get(behavior, "random_ab_nav"), "metrics": "path_length"} | more
     return sean_jax.make(yard, behavior=behavior, dynamics="twin", time_limit=5.0, **options)
 
 
@@ -56,7 +56,7 @@ def make(yard, behavior, **more):
 def alone(yard):
     """Behavior -> a scenario with nobody but the robot: asked for, left to the environment, and of an empty set."""
     return {
-        "graph": make(yard, "graph", people=0),
+        "graph": make(yard, "graph", people=0, metrics="all"),
         "random": make(yard, "random"),
         "handcrafted": make(yard, "handcrafted"),
     }
@@ -107,9 +107,9 @@ def test_everything_else_with_nobody(alone):
 
 
 def test_a_robot_alone_joins_the_empty_place_of_a_group(alone):
-    """Nothing is NaN but the metrics that need somebody, and the robot gets there."""
+    """Nothing is NaN, and the robot gets there."""
     scenario = alone["graph"]
-    scenario = dataclasses.replace(scenario, metrics=scenario.metrics[:4])  # more take longer to compile
+    scenario = dataclasses.replace(scenario, metrics=())  # they take long to compile
     run = jax.jit(lambda key: sean_jax.rollout(scenario, POLICIES["go_to_goal"], key, 50))
     last, frames = run(jax.random.key(0))
     assert np.isfinite(np.asarray(frames.position)).all()

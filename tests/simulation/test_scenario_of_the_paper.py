@@ -68,7 +68,7 @@ def joining(scenario):
 @pytest.fixture(scope="module")
 def at_random(scenario):
     """States after reset of people who walk at random in the warehouse, for 40 keys."""
-    wandering = sean_jax.make(behavior="random", task="random_ab_nav", people=16, dynamics="twin")
+    wandering = sean_jax.make(behavior="random", task="random_ab_nav", people=16, dynamics="twin", metrics="none")
     states = programs.resets(wandering, jax.random.split(jax.random.key(5), 40))
     return wandering, states
 
@@ -77,8 +77,7 @@ def at_random(scenario):
 def closet(tmp_path_factory):
     """One person and a robot who move where nowhere is 2.4 m from anywhere: floor 1.9 m square, bodies of 0.25 m."""
     folder = room(tmp_path_factory.mktemp("closet"), (-0.95, -0.95, 0.95, 0.95))
-    tiny = sean_jax.make(folder, behavior="random", task="random_ab_nav", people=1, dynamics="twin")
-    tiny = dataclasses.replace(tiny, metrics=())
+    tiny = sean_jax.make(folder, behavior="random", task="random_ab_nav", people=1, dynamics="twin", metrics="none")
     run = jax.jit(jax.vmap(lambda key: sean_jax.rollout(tiny, go_to_goal, key, 200)))
     return jax.tree.map(np.asarray, run(jax.random.split(jax.random.key(0), 3))[1])
 

@@ -50,9 +50,9 @@ def recording(tmp_path_factory):
 @pytest.fixture(scope="module")
 def make(recording):
     @functools.cache
-    def made(name, dynamics="twin", robot="kuri"):
+    def made(name, dynamics="twin", robot="kuri", metrics="none"):
         more = {"recording": recording} if name == "playback" else {}
-        return sean_jax.make("lab", robot=robot, dynamics=dynamics, **SCENARIOS[name], **more)
+        return sean_jax.make("lab", robot=robot, dynamics=dynamics, metrics=metrics, **SCENARIOS[name], **more)
 
     return made
 
@@ -83,6 +83,7 @@ def steps(scenario):
     begun = traced(functools.partial(sean_jax.reset, scenario), jax.random.key(0))
     after = traced(functools.partial(sean_jax.step, scenario), begun, ACTION)
     assert jax.tree.map(lambda leaf: leaf.dtype, after) == jax.tree.map(lambda leaf: leaf.dtype, begun)
+    return after
 
 
 @pytest.mark.parametrize("name", quick(SCENARIOS, next(iter(SCENARIOS))))
@@ -131,9 +132,11 @@ def test_situations_are_classified(small, state, name):
     assert found.situations.shape == (len(rules),)
 
 
-def test_observations_and_metrics_are_double(small, state):
-    traced(functools.partial(sean_jax.observe, small), state)
-    traced(functools.partial(sean_jax.results, small), state)
+def test_observations_and_metrics_are_double(make):
+    scenario = make("join_group", metrics="all")
+    state = steps(scenario)
+    traced(functools.partial(sean_jax.observe, scenario), state)
+    traced(functools.partial(sean_jax.results, scenario), state)
 
 
 def test_no_float_is_asked_for_by_size():
@@ -179,7 +182,7 @@ def test_sensors_see_the_same(name):
     found, jitted = {}, []
     for precise in (False, True):
         with jax.enable_x64(precise):
-            scenario = sean_jax.make("lab", people=4, dynamics="twin")
+            scenario = sean_jax.make("lab", people=4, dynamics="twin", metrics="none")
             state = jax.tree.map(
                 lambda leaf: jnp.zeros(leaf.shape, leaf.dtype),
                 jax.eval_shape(functools.partial(_without_key, scenario), jax.random.key(0)),
@@ -213,7 +216,7 @@ def _without_key(scenario, key):
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_scenarios_run(make, name):
     """A second of each, compiled and run; finite, and the robot gets somewhere."""
-    scenario = make(name)
+    scenario = make(name, metrics="all")
     last, frames = programs.rollout(scenario, POLICIES["go_to_goal"], jax.random.key(0), 10)
     assert all_double(last) and all_double(frames)
     assert np.isfinite(frames.position).all() and np.isfinite(frames.people).all()
@@ -240,16 +243,13 @@ def test_robots_run(make, name, dynamics):
 def test_single_precision_still_works_beside(small):
     """What was made in one precision is not handed out in the other, in the same process."""
     with jax.enable_x64(False):
-        single = sean_jax.make("lab", people=4, dynamics="twin")
+        single = sean_jax.make("lab", people=4, dynamics="twin", metrics="none")
         kinds = {leaf.dtype for leaf in jax.tree.leaves(single) if jnp.issubdtype(leaf.dtype, jnp.inexact)}
         assert kinds == {np.dtype(np.float32)}
-    assert all_double(sean_jax.make("lab", people=4, dynamics="twin"))
+        state = jax.eval_shape(functools.partial(sean_jax.reset, single), jax.random.key(0))
+    assert all_double(sean_jax.make("lab", people=4, dynamics="twin", metrics="none"))
     for name, policy in POLICIES.items():
         if isinstance(policy, Policy):
             with jax.enable_x64(False):
-                jax.eval_shape(functools.partial(init_policy, single, policy), _single(single))
+                jax.eval_shape(functools.partial(init_policy, single, policy), state)
             assert all_double(jax.tree.map(jnp.asarray, policy.params)), name
-
-
-def _single(scenario):
-    return jax.eval_shape(functools.partial(sean_jax.reset, scenario), jax.random.key(0))

@@ -13,8 +13,8 @@ from support.people import people_at, snapshot_of
 PEOPLE, SITUATIONS, STEP = 3, 5, 0.1
 ROBOT_RADIUS, PERSON_RADIUS = 0.16, 0.2
 
+init = jax.jit(metric_values.init)
 update = jax.jit(metric_values.update)
-
 compute = jax.jit(metric_values.compute)
 
 
@@ -31,7 +31,7 @@ def at(tick=0, position=(0, 0), velocity=(0, 0), people=(), situations=(), goal=
 
 def measure(snapshots: list[Snapshot]) -> dict[str, np.ndarray]:
     """The metrics over a sequence of snapshots, by the package."""
-    values = metric_values.init(snapshots[0])
+    values = init(snapshots[0])
     for before, after in zip(snapshots[:-1], snapshots[1:], strict=True):
         values = update(values, before, after)
     return {name: np.asarray(value) for name, value in compute(values).items()}

@@ -1,6 +1,7 @@
 """Episodes for a page to show, and reading of those in a page, as ``web/src/recording.ts`` does."""
 
 import base64
+import functools
 import json
 import re
 import zlib
@@ -39,10 +40,16 @@ def played(page: Path) -> list[dict[str, Any]]:
     return found
 
 
+@functools.cache
+def lab_episodes():
+    """A scenario, and the 60 frames of each of two of its episodes."""
+    scenario = sean_jax.make("lab", people=3, dynamics="twin", time_limit=30.0, metrics="none")
+    roll = jax.jit(lambda key: sean_jax.rollout(scenario, go_to_goal, key, steps=60)[1])
+    return scenario, [jax.tree.map(np.asarray, roll(jax.random.key(k))) for k in (0, 1)]
+
+
 @pytest.fixture(scope="module")
 def walked():
-    """A scenario, and 60 frames of two of its episodes side by side, (T, B, ...)."""
-    scenario = sean_jax.make("lab", people=3, dynamics="twin", time_limit=30.0)
-    roll = jax.jit(lambda key: sean_jax.rollout(scenario, go_to_goal, key, steps=60)[1])
-    frames = [jax.tree.map(np.asarray, roll(jax.random.key(k))) for k in (0, 1)]
+    """The scenario, and the frames of its two episodes side by side, (T, B, ...)."""
+    scenario, frames = lab_episodes()
     return scenario, jax.tree.map(lambda *leaves: np.stack(leaves, 1), *frames)

@@ -161,7 +161,7 @@ ROVER = f"""
 </mujoco>
 """
 ROVER_IN_THE_AIR = ROVER.replace(GROUND, "")
-ROVER_WITHOUT_CASTER = ROVER.replace(_CASTER, "")
+ROVER_WITH_CASTER_UP = ROVER.replace(_CASTER, _CASTER.replace("-0.18 0 -0.05", "-0.18 0 0.2"))  # it falls on its back
 _LOOK = '<inertial pos="0 0 0" mass="6" diaginertia="0.1 0.1 0.1"/><geom type="mesh" mesh="look" {}/>'
 _WITH_MESH = ROVER.replace("<worldbody>", '<asset><mesh name="look" file="none.stl"/></asset><worldbody>')
 # A base that looks like a mesh whose file is missing; the second one's mesh touches others.

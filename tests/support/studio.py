@@ -10,7 +10,8 @@ from sean_jax.web.studio.server import Studio
 from sean_jax.web.studio.session import Session
 from support.web import running
 
-OPTIONS = {"environment": "lab", "people": 3, "time_limit": 20.0, "warm_up": 1.0}
+METRICS = ["path_length", "intimate_robot_on_person"]  # all of them would take long to compile
+OPTIONS = {"environment": "lab", "people": 3, "time_limit": 20.0, "warm_up": 1.0, "metrics": METRICS}
 
 
 @pytest.fixture(scope="module")

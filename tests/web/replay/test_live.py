@@ -156,7 +156,8 @@ def test_a_run_serves_its_first_episode(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(live.Live, "finish", asked(finish))
     out = tmp_path / "out"
     words = "run --environment lab --people 2 --dynamics twin --time-limit 12 --episodes 3 --batch 2".split()
-    assert command_line.main([*words, "--live", "--trajectories", "csv", "--out", str(out)]) == 0
+    words += ["--metrics", "path_length", "--live", "--trajectories", "csv", "--out", str(out)]
+    assert command_line.main(words) == 0
     assert "live: http://127.0.0.1:" in capsys.readouterr().out
     assert [len(each["chunks"]) for each in told] == [1, 2, 2] and [each["over"] for each in told] == [
         False,

@@ -23,21 +23,18 @@ from sean_jax.cli import command_line
 from sean_jax.core.data_types import Trajectory
 from sean_jax.core.errors import InputError
 from sean_jax.evaluation import compare
-from sean_jax.policies import go_to_goal
 from sean_jax.web import pages, replay
 from sean_jax.web.replay import CENTIMETRE, TURN, encode
 from support.checkout import WEB
-from support.replays import decode
+from support.replays import decode, lab_episodes
 from support.runs import run
 from support.web import browse
 
 
 @pytest.fixture(scope="module")
 def walked():
-    """A scenario with its first two episodes, and their frames."""
-    scenario = sean_jax.make("lab", people=3, dynamics="twin", time_limit=8.0)
-    roll = jax.jit(lambda key: sean_jax.rollout(scenario, go_to_goal, key, steps=60)[1])
-    return scenario, [jax.tree.map(np.asarray, roll(jax.random.key(k))) for k in (0, 1)]
+    """A scenario, and the frames of its first two episodes."""
+    return lab_episodes()
 
 
 @pytest.fixture(scope="module")

@@ -1,12 +1,13 @@
 """Changes of an environment's files by the studio: texts keep all that is not changed, and files are checked."""
 
 import copy
-import difflib
+import functools
 import random
 import re
 import shutil
 import tempfile
 import xml.etree.ElementTree as ElementTree
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +25,7 @@ from support.checkout import ROOT
 from support.mjcf import HANDWRITTEN
 
 ENVS = ROOT / "envs"
+load = functools.partial(yaml.load, Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader))
 BLOCK = """\
 # a graph in another style
 version: 1
@@ -65,8 +67,8 @@ def comments(text):
 
 
 def added_and_removed(before, after):
-    lines = list(difflib.ndiff(before.split("\n"), after.split("\n")))
-    return [line[2:] for line in lines if line[0] == "+"], [line[2:] for line in lines if line[0] == "-"]
+    old, new = Counter(before.split("\n")), Counter(after.split("\n"))
+    return list((new - old).elements()), list((old - new).elements())
 
 
 # ------------------------------------------------------------------ YAML
@@ -119,9 +121,9 @@ def test_random_changes_of_a_graph(seed):
     text = BLOCK.replace("radius: *wide", "radius: 1.0") if seed % 3 == 0 else text_of(
         ["lab", "warehouse", "outdoor"][seed % 3], "graph.yaml")  # fmt: skip
     for _ in range(12):
-        change, data = random_change(draw, yaml.safe_load(text))
+        change, data = random_change(draw, load(text))
         new = editor.changed_graph(text, change)
-        assert yaml.safe_load(new) == data, change
+        assert load(new) == data, change
         lines, old = added_and_removed(text, new)
         kept = [line for line in old if "#" in line and not change.get("remove") and change.get("flow", "") is not None]
         for line in kept:  # the comment of a line that is changed
@@ -143,9 +145,9 @@ def test_comments_and_styles_of_a_graph_stay():
     start, end = BLOCK.index("  north:"), BLOCK.index("# here are")
     assert changed == (BLOCK[:start] + BLOCK[end:]).replace("- {between: [east, north]}\n", "")
     one = editor.changed_graph(changed, {"edge": ["east", "west"], "flow": None})
-    assert yaml.safe_load(one)["edges"] == [] and "# here are the edges\n" in one
+    assert load(one)["edges"] == [] and "# here are the edges\n" in one
     again = editor.changed_graph(one, {"edge": ["east", "west"], "flow": "high"})
-    assert yaml.safe_load(again)["edges"] == [{"between": ["east", "west"], "flow": "high"}]
+    assert load(again)["edges"] == [{"between": ["east", "west"], "flow": "high"}]
 
 
 @pytest.mark.parametrize(
@@ -177,9 +179,9 @@ def test_an_alias_at_the_end_of_an_entry_is_left_to_the_author():
 def test_random_changes_of_sets(place, seed):
     """A point moves in its set and in those that share it, and nothing else changes."""
     draw, text = random.Random(seed), text_of(place, "handcrafted.yaml")
-    sets = editor.annotation.Annotation.model_validate(yaml.safe_load(text), strict=False)
+    sets = editor.annotation.Annotation.model_validate(load(text), strict=False)
     for _ in range(6):
-        data = yaml.safe_load(text)  # lists that sets share are one object
+        data = load(text)  # lists that sets share are one object
         where, label, one = draw.choice(list(sets.each()))
         points = [
             [key, k] for key in ("starts", "goals") for k in range(5) if not isinstance(getattr(one, key)[k], str)
@@ -196,7 +198,7 @@ def test_random_changes_of_sets(place, seed):
         if point[0] in ("starts", "goals"):
             value[2] = change["heading"] = draw.randrange(360)
         new = editor.changed_sets(text, sets, change)
-        assert yaml.safe_load(new) == data
+        assert load(new) == data
         assert comments(new) == comments(text) and len(added_and_removed(text, new)[0]) <= 1
         text = new
     for point in (["starts", 5], ["starts", "0"], ["walkers"], ["groups", "nobody", "center"], None, ["situation", 0]):

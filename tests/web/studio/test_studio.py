@@ -209,9 +209,9 @@ def test_an_error_stops_the_episode_and_not_the_studio(fresh, monkeypatch):
 
 
 def test_pictures_of_the_robots_cameras(fresh):
-    for name in server.VIEWS:
-        picture = fresh.picture(name, 32, 24)
-        assert picture.shape == (24, 32, 3) and picture.dtype == np.uint8 and np.ptp(picture) > 20
+    for name, (width, height) in server.VIEWS.items():
+        picture = fresh.picture(name, width, height)
+        assert picture.shape == (height, width, 3) and picture.dtype == np.uint8 and np.ptp(picture) > 20
 
 
 # ------------------------------------------------------------------ trials
