@@ -134,12 +134,12 @@ def in_double_precision(one: Snapshot) -> list[bool]:
 
 
 def test_they_equal_loops_in_double_precision():
-    snapshots = drawn(1500, 0)
+    snapshots = drawn(600, 0)
     together = np.asarray(found(snapshots, classifiers.thresholds()))
     singles = jax.device_get(snapshots)
-    expected = [in_double_precision(jax.tree.map(lambda leaf, k=k: leaf[k], singles)) for k in range(1500)]
+    expected = [in_double_precision(jax.tree.map(lambda leaf, k=k: leaf[k], singles)) for k in range(600)]
     np.testing.assert_array_equal(together, expected)
-    assert (together.sum(0) > 30).all() and (together.sum(0) < 900).all(), together.sum(0)
+    assert (together.sum(0) > 12).all() and (together.sum(0) < 360).all(), together.sum(0)
 
 
 def test_thresholds_are_leaves_that_widen_them():
@@ -262,5 +262,5 @@ def test_nobody_and_degenerate_states():
         ray = more_situations._ray_length(here.obstacles, place, place)
         return jnp.where(flags, place.sum(), ray).sum()
 
-    for place in itertools.product((0.0, 1.0), repeat=2):
-        assert jnp.isfinite(jax.grad(amount)(jnp.asarray(place))).all()
+    places = np.array([*itertools.product((0.0, 1.0), repeat=2)], np.float32)
+    assert np.isfinite(jax.jit(jax.vmap(jax.grad(amount)))(places)).all()

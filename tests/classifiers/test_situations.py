@@ -160,33 +160,3 @@ def test_thresholds_can_be_chosen():
     wide = classifiers.thresholds(near=4.0, walking=0.5, angle=np.deg2rad(31))
     flags = dict(zip(NAMES, np.asarray(classifiers.classify(here, wide)), strict=True))
     assert flags["cross_path"] and not flags["down_path"] and not flags["empty"]
-
-
-def test_jit_of_vmap_equals_a_loop_and_double_precision():
-    random = np.random.default_rng(1)
-    snapshots, expected = [], []
-    for _ in range(64):
-        number = random.integers(0, 5)
-        agents = [
-            (tuple(random.uniform(-3, 3, 2)), turned(random.integers(0, 24) * 15 + random.uniform(1, 14)),
-             random.uniform(1.0, 1.8), int(random.integers(-1, 3)))
-            for _ in range(number)
-        ]  # fmt: skip
-        goal, groups = random.uniform(-0.5, 0.5, 2), random.integers(-1, 3, 2)
-        snapshots.append(snapshot(agents, (0.1, -0.2), goal, groups[0], groups[1]))
-        flags = np.zeros(5, bool)
-        for place, heading, speed, group in agents:
-            if np.hypot(place[0] - 0.1, place[1] + 0.2) < D:
-                flags[0] |= speed > V and np.cos(np.pi / 2 + A) <= heading[0] <= np.cos(np.pi / 2 - A)
-                flags[1] |= heading[0] >= np.cos(A)
-                flags[2] |= group >= 0 and group == groups[1]
-                flags[3] |= group >= 0 and group == groups[0]
-                flags[4] = True
-        flags[2] &= np.hypot(goal[0] - 0.1, goal[1] + 0.2) >= 0.2
-        flags[4] = not flags[4]
-        expected.append(flags)
-    together = jax.jit(jax.vmap(classify))(jax.tree.map(lambda *leaves: jnp.stack(leaves), *snapshots))
-    assert together.dtype == jnp.bool_ and together.shape == (64, 5)
-    np.testing.assert_array_equal(np.asarray(together), np.stack([classify(one) for one in snapshots]))
-    np.testing.assert_array_equal(np.asarray(together), np.stack(expected))
-    assert np.stack(expected).any(0).all()

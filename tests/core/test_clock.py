@@ -10,12 +10,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-import sean_jax
 from sean_jax import robots, sensors
 from sean_jax.core import clock
 from sean_jax.people.behaviors import graph_behavior
 from sean_jax.robots.drive import active_command
 from sean_jax.simulation.scenario import finish
+from support import programs
 from support.quick import quick
 
 STEPS = ("0.01", "0.02", "0.03", "0.05", "0.07", "0.1", "0.125", "0.15", "0.2", "0.25")
@@ -37,7 +37,7 @@ def test_durations_are_as_many_ticks_as_exact_arithmetic_says(step):
 
 @pytest.fixture(scope="module")
 def at_goal(scenario):
-    state = jax.jit(sean_jax.reset)(scenario, jax.random.key(0))
+    state = programs.reset(scenario, jax.random.key(0))
     return dataclasses.replace(state, robot=dataclasses.replace(state.robot, position=state.task.goal))
 
 

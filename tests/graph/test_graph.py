@@ -272,37 +272,13 @@ def test_formation_has_the_measured_radius_and_neighbours(formations):
         assert abs(apart.min(-1).mean() - nearest[size]) < 0.1
 
 
-def test_formation_faces_the_centre_as_measured(formations):
-    seat, heading, _, _, center = formations
-    np.testing.assert_allclose(np.linalg.norm(heading, axis=-1), 1, atol=1e-5)
-    inward = center[SEATS] - seat
-    dot = np.sum(inward * heading, -1) / np.linalg.norm(inward, axis=-1)
-    away = np.rad2deg(np.arccos(np.clip(dot, -1, 1))).ravel()
-    assert abs(np.median(away) - 30) < 0.6
-    assert abs(np.mean(away < 45) - 0.68) < 0.01 and abs(np.mean(away < 90) - 0.91) < 0.01
-    left = inward[..., 0] * heading[..., 1] - inward[..., 1] * heading[..., 0] > 0
-    assert abs(left.mean() - 0.5) < 0.02
-
-
-def test_opening_and_seats_lie_anywhere_on_the_ring(formations):
-    seat, _, _, opening, center = formations
-    toward = opening - center
-    angle = np.arctan2(toward[..., 1], toward[..., 0])
-    assert np.all(np.abs(np.exp(1j * angle).mean(0)) < 4 / np.sqrt(2000))
-    # Of a group of 5 (seats 9 to 13) each seat is as often as any other beside the opening: 2 of 5.
-    gap = np.linalg.norm(seat[:, 9:14] - opening[:, 3:4], axis=-1)
-    beside = np.argsort(gap, axis=1)[:, :2]
-    share = np.bincount(beside.ravel(), minlength=5) / 2000
-    assert np.all(np.abs(share - 0.4) < 4 * np.sqrt(0.24 / 2000))
-
-
 def test_formation_is_differentiable_and_follows_its_key(graph):
     capacity, center, seats = graph.capacity[graph.groups], graph.position[graph.groups], graph.seat_group
     shape = jax.jit(lambda key, at: formation(key, capacity, at, seats))
     first, again, other = (shape(jax.random.key(seed), center) for seed in (0, 0, 1))
     assert all(np.array_equal(a, b) for a, b in zip(first, again, strict=True))
     assert not np.allclose(first[0], other[0])
-    slope = jax.grad(lambda at: jnp.sum(shape(jax.random.key(0), at)[0]) + jnp.sum(shape(jax.random.key(0), at)[1]))
+    slope = jax.jit(jax.grad(lambda at: sum(part.sum() for part in shape(jax.random.key(0), at)[:2])))
     np.testing.assert_allclose(slope(center), np.array([[5, 5], [3, 3], [3, 3]], np.float32), atol=1e-5)
 
 

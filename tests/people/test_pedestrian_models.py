@@ -1,5 +1,6 @@
 """Pedestrian models: ORCA against its definition, scipy and RVO2, constant velocity, both in a step."""
 
+import functools
 from itertools import combinations
 
 import jax
@@ -12,12 +13,13 @@ import sean_jax
 from sean_jax.people.orca import smallest
 from sean_jax.people.orca_solver import TOGETHER, VelocityProgram, best_velocity, half_plane
 from sean_jax.people.pedestrian_models import MODELS
-from sean_jax.policies import go_to_goal
-from support import programs
+from sean_jax.studies.inverse_graph.measuring import begin_alone
+from support import crowds, programs
 from support.checkout import DATA
 from support.quick import quick
 
 LIMIT = 1.7
+BATCH, PLANES = 250, 9
 DIRECTIONS = np.stack([np.cos(np.arange(720) * np.pi / 360), np.sin(np.arange(720) * np.pi / 360)], -1)
 
 
@@ -31,12 +33,24 @@ def configurations(number, planes, seed, spread):
     return normal, c, random.normal(size=(number, 2)) * 1.2
 
 
+@jax.jit
+@functools.partial(jax.vmap, in_axes=(0, 0, 0, 0, 0, 0, None))
+def best_velocities(*parts):
+    return best_velocity(VelocityProgram(*parts))
+
+
 def solve(normal, c, wanted, hard=None, limit=LIMIT):
-    hard = np.broadcast_to(np.arange(c.shape[1]) >= c.shape[1] - 2 if hard is None else hard, c.shape)
-    run = jax.jit(jax.vmap(lambda *parts: best_velocity(VelocityProgram(*parts)), in_axes=(0, 0, 0, 0, 0, 0, None)))
-    given = (jnp.asarray(part, jnp.float32) for part in (normal[..., 0], normal[..., 1], c))
-    wanted = jnp.asarray(wanted, jnp.float32)
-    return np.stack(run(*given, jnp.asarray(hard), wanted[:, 0], wanted[:, 1], jnp.float32(limit)), -1)
+    """Best velocities (K, 2), in batches of one size with half-planes that hold all velocities: one program for all."""
+    number, planes = c.shape
+    hard = np.broadcast_to(np.arange(planes) >= planes - 2 if hard is None else hard, c.shape)
+    more = [(0, 0), (0, max(0, PLANES - planes))]
+    columns = np.pad(normal[..., 0], more, constant_values=1.0), np.pad(normal[..., 1], more)
+    columns = *columns, np.pad(c, more, constant_values=-1e6), np.pad(hard, more), *np.transpose(wanted)
+    rows = [part if part.dtype == bool else part.astype(np.float32) for part in columns]
+    begins = range(0, number, BATCH)
+    batches = [[np.resize(part[k : k + BATCH], (BATCH, *part.shape[1:])) for part in rows] for k in begins]
+    velocity = [np.stack(best_velocities(*batch, np.float32(limit)), -1) for batch in batches]
+    return np.concatenate(velocity)[:number]
 
 
 def least_violation(normal, c):
@@ -75,14 +89,10 @@ def test_best_velocities_equal_those_of_a_general_solver():
 
 def test_between_two_who_come_from_opposite_sides_people_go_on_as_they_would_along_the_gap():
     """Both half-planes are violated by as much, wherever along the gap; the third leaves all of it or not."""
-    normals = jnp.asarray([[1.0, 0.0], [-1.0, 0.0], [0.0, -1.0]], jnp.float32)
-    hard = jnp.zeros(3, bool)
-    for third, wanted in ((-2.0, 0.8), (0.0, 0.5)):  # eased by 0.5 like the others
-        bounds = jnp.asarray([0.4, 0.6, third], jnp.float32)
-        x, y = best_velocity(
-            VelocityProgram(normals[:, 0], normals[:, 1], bounds, hard, *map(jnp.float32, (0.2, 0.8, 1.5)))
-        )
-        np.testing.assert_allclose([x, y], [-0.1, wanted], atol=1e-3)
+    normals = np.tile([[1.0, 0.0], [-1.0, 0.0], [0.0, -1.0]], (2, 1, 1))
+    bounds = np.array([[0.4, 0.6, -2.0], [0.4, 0.6, 0.0]])  # the last is eased by 0.5 like the others
+    velocity = solve(normals, bounds, np.tile([0.2, 0.8], (2, 1)), hard=False, limit=1.5)
+    np.testing.assert_allclose(velocity, [[-0.1, 0.8], [-0.1, 0.5]], atol=1e-3)
 
 
 def least_violating(normal, c, hard, limit):
@@ -163,9 +173,8 @@ def test_faster_than_the_top_speed_is_out_of_reach_so_people_go_straight_away():
         c = np.c_[random.uniform(LIMIT + 0.01, 12, 200), np.full((200, more), -3.0)]
         mine = solve(normal, c, random.normal(size=(200, 2)) * 1.2, hard=False)
         np.testing.assert_allclose(mine, LIMIT * away, atol=1e-3)  # 3e-7 m/s of violation
-    one = jnp.ones((1,), jnp.float32)
-    x, y = best_velocity(VelocityProgram(one, 0 * one, 4 * one, one < 0, 0 * one[0], 1.3 * one[0], 1.69 * one[0]))
-    np.testing.assert_allclose([x, y], [1.69, 0], atol=1e-6)
+    alone = solve(np.array([[[1.0, 0.0]]]), np.array([[4.0]]), np.array([[0.0, 1.3]]), hard=False, limit=1.69)
+    np.testing.assert_allclose(alone, [[1.69, 0]], atol=1e-6)
 
 
 def same_as_rvo2(normal, c, hard, wanted, recorded):
@@ -248,23 +257,23 @@ def test_discs_that_overlap_or_coincide_part():
 @pytest.fixture(scope="module", params=quick(["orca", "constant_velocity"]))
 def walked(request):
     scenario = sean_jax.make(behavior="random", task="random_ab_nav", people=10, model=request.param, dynamics="twin")
-    run = jax.jit(lambda key: sean_jax.rollout(scenario, go_to_goal, key, 300))
-    return scenario, *run(jax.random.key(0))
+    start = jax.jit(begin_alone)(scenario, jax.random.key(0))
+    people, _ = jax.jit(lambda start: crowds.walk(scenario, start, 300))(start)
+    return scenario, start, jax.tree.map(np.asarray, people)
 
 
 def test_people_keep_out_of_obstacles_and_walk_on(walked):
-    scenario, last, frames = walked
-    people = np.asarray(frames.people)
-    assert np.isfinite(people).all()
-    assert np.asarray(programs.clearance(scenario.environment, jnp.asarray(people.reshape(-1, 2)))).min() >= 0.2 - 1e-3
-    speed = np.linalg.norm(np.asarray(frames.people_velocity), axis=-1)
-    assert (speed.mean(0) > 0.7 * np.asarray(last.pedestrians.preferred_speed)).all()
-    assert (speed <= 1.3 * np.asarray(last.pedestrians.preferred_speed) + 1e-3).all()
+    scenario, _, people = walked
+    assert np.isfinite(people.position).all()
+    places = jnp.asarray(people.position.reshape(-1, 2))
+    assert np.asarray(programs.clearance(scenario.environment, places)).min() >= 0.2 - 1e-3
+    speed = np.linalg.norm(people.velocity, axis=-1)
+    assert (speed.mean(0) > 0.7 * people.preferred_speed[0]).all()
+    assert (speed <= 1.3 * people.preferred_speed + 1e-3).all()
 
 
 def test_two_who_meet_pass_each_other_by_orca_and_walk_through_by_constant_velocity(walked):
-    scenario, last, _ = walked
-    state = last.replace(robot=last.robot.replace(position=jnp.asarray([-18.0, -18.0], jnp.float32)))
+    scenario, state, _ = walked
     open_place = np.array([12.0, 0.0])
     spots = np.array([[x, y] for x in (-19.0, 19.0) for y in np.linspace(-19, 19, 5)])
     spots[:2] = open_place + [[-3.0, 0.0], [3.0, 0.0]]
@@ -293,11 +302,11 @@ def test_two_who_meet_pass_each_other_by_orca_and_walk_through_by_constant_veloc
 
 
 def test_gradients_are_finite_even_for_people_at_one_place(walked):
-    scenario, last, _ = walked
-    spot = last.pedestrians.position.at[1].set(last.pedestrians.position[0])
+    scenario, start, _ = walked
+    spot = start.pedestrians.position.at[1].set(start.pedestrians.position[0])
 
     def value(position):
-        after = scenario.move(scenario, last.replace(pedestrians=last.pedestrians.replace(position=position)))
+        after = scenario.move(scenario, start.replace(pedestrians=start.pedestrians.replace(position=position)))
         return (after.position**2).sum()
 
     gradient = np.asarray(jax.jit(jax.grad(value))(spot))

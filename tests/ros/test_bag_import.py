@@ -12,7 +12,7 @@ from sean_jax.cli import command_line
 from sean_jax.core.errors import FileError
 from sean_jax.io.trajectories import load_trajectory
 from sean_jax.people import recordings
-from sean_jax.ros import bag_tables, bag_opening, bag_import, messages
+from sean_jax.ros import bag_import, bag_opening, bag_tables, messages
 from support.bags import fill, write_bag1, write_bag2
 
 pytest.importorskip("rosbags")

@@ -29,6 +29,12 @@ def felt(forces, people):
     return sum(part[0] for part in parts), sum(part[1] for part in parts)
 
 
+@jax.jit
+def pair_pushes(forces, people):
+    """As ``felt``, (N, 2)."""
+    return jnp.stack(felt(forces, people), -1)
+
+
 @functools.partial(jax.jit, static_argnames="steps")
 def walk(parameters, people, table=None, groups=None, robot=None, companions=None, steps=1):
     """People after each of so many steps."""

@@ -10,12 +10,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-import sean_jax
 from sean_jax import social_forces
 from sean_jax.core.data_types import Array, ObstacleGrid, Obstacles, Pedestrians, Robot, Scenario
 from sean_jax.core.geometry import build_obstacle_grid
 from sean_jax.people.behaviors.starts import WalkingGroups
-from sean_jax.simulation import scenario as stages
+from support import crowds
 
 STEP = 0.05  # s
 WALKING = 0.5  # m/s, slower is standing, as for the recordings
@@ -215,16 +214,11 @@ def in_the_open(
 def in_scenario(
     scenario: Scenario, episodes: int = 8, seconds: float = 60.0, seed: int = 0
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """As ``in_the_open``, of all people of a scenario, its robot at rest."""
+    """As ``in_the_open``, of all people of a scenario, alone."""
 
     def walk(key):
-        def step(state, _):
-            after = stages.direct_pedestrians(scenario, state, jax.random.fold_in(state.streams.people, state.tick))
-            after = stages.move_pedestrians(scenario, after).replace(tick=state.tick + 1)
-            return after, (after.pedestrians.position, after.pedestrians.velocity)
-
-        steps = round(seconds / scenario.time_step)
-        return jax.lax.scan(step, sean_jax.reset(scenario, key), length=steps)[1]
+        people, _ = crowds.walk(scenario, key, round(seconds / scenario.time_step))
+        return people.position, people.velocity
 
     history = jax.jit(jax.vmap(walk))(jax.random.split(jax.random.key(seed), episodes))
     place, velocity = (np.moveaxis(np.asarray(part), 0, 1)[round(10 / scenario.time_step) :] for part in history)

@@ -125,14 +125,14 @@ def test_a_robot_stays_on_the_floor_and_sees_no_edge(scenarios):
 
 def test_the_check_measures_the_edge(scenarios):
     """Of people half a metre off the floor: the truth where it holds them, nothing where they may leave."""
+    spots = np.array([[[0.0, -4.0], [6.5, 0.0], [-4.0, 4.0]]], np.float32)
+    shapes = jax.eval_shape(reset, dataclasses.replace(scenarios[0], people=3), jax.random.key(0))
+    shapes = dataclasses.replace(shapes, streams=())  # keys have no zeros
+    states = jax.tree.map(lambda leaf: np.zeros((1, *leaf.shape), leaf.dtype), shapes)
+    people = dataclasses.replace(states.pedestrians, position=spots, present=np.ones((1, 3), bool))
+    states, actions = dataclasses.replace(states, pedestrians=people), np.zeros((1, 1, 2), np.float32)
     for scenario, wanted in zip(scenarios, (0.5 + 0.2, -1.0), strict=True):
-        spots = jnp.asarray([[[0.0, -4.0], [6.5, 0.0], [-4.0, 4.0]]], jnp.float32)
         three = dataclasses.replace(scenario, people=3)
-        shapes = jax.eval_shape(lambda key, three=three: reset(three, key), jax.random.key(0))
-        shapes = dataclasses.replace(shapes, streams=())  # keys have no zeros
-        states = jax.tree.map(lambda leaf: jnp.zeros((1, *leaf.shape), leaf.dtype), shapes)
-        people = dataclasses.replace(states.pedestrians, position=spots, present=jnp.ones((1, 3), bool))
-        states, actions = dataclasses.replace(states, pedestrians=people), jnp.zeros((1, 1, 2))
         empty = batches._init((4, 4), Stack(three, {}), states)
         found, _ = batches._update((4, 4), 1, Stack(three, {}), states, states, actions, jnp.ones(1, bool), empty)
         found = found.penetration
@@ -153,7 +153,7 @@ def test_planners_mind_the_edge_where_it_holds_people_alone(scenarios):
     x, y = jnp.array([0.0, 5.9, 8.0]), jnp.zeros(3)  # in the middle, at the edge, off the floor
     expert: Any = POLICIES["expert"]
     for scenario in scenarios:
-        rates = obstacle_rate(scenario, expert.params.weights, x[None], y[None])[0]
+        rates = jax.jit(obstacle_rate)(scenario, expert.params.weights, x[None], y[None])[0]
         (origin, cell), cells = map_frame(scenario.environment), jax.jit(static_cells)(scenario.environment)
         places = (np.stack([x + 0.15, y], -1) - np.asarray(origin)) // np.asarray(cell)  # the cell beyond the edge
         for cost in (rates, np.asarray(cells)[tuple(places.astype(int).T)]):

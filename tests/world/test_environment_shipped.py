@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 
 import sean_jax
-from sean_jax import policies
 from sean_jax.graph import annotation
 from sean_jax.world import environment as environments
 from sean_jax.world import navigation
-from support import programs
+from support import crowds, programs
 from support import shortest_paths as oracle
 from support.quick import quick
 
@@ -25,11 +24,10 @@ BODY, RADIUS = 0.2, 0.25  # m
 
 @functools.cache
 def minute(name: str):
-    """The scenario, and a minute of the people around a robot that drives to its goal, as numpy arrays."""
-    scenario = sean_jax.make(name, dynamics="twin", time_limit=SECONDS, hold_time=2.0 * SECONDS)
-    drive = policies.POLICIES["go_to_goal"]
-    _, frames = programs.rollout(scenario, drive, jax.random.key(0), 10 * SECONDS)
-    return scenario, jax.tree.map(np.asarray, frames)
+    """The scenario, and a minute of its people alone, as numpy arrays."""
+    scenario = sean_jax.make(name, dynamics="twin")
+    people, _ = jax.jit(lambda key: crowds.walk(scenario, key, 10 * SECONDS))(jax.random.key(0))
+    return scenario, jax.tree.map(np.asarray, people)
 
 
 @pytest.mark.parametrize("name", ROLLED_OUT)
@@ -50,17 +48,17 @@ def test_resets_are_valid(name):
 @pytest.mark.parametrize("name", ROLLED_OUT)
 def test_a_minute_of_people(name):
     """Nobody is inside an obstacle or off the floor, nobody is stuck, and groups are joined."""
-    scenario, frames = minute(name)
-    place, people = scenario.environment, frames.people
-    clear = np.asarray(jax.jit(environments.clearance)(place, jnp.asarray(people.reshape(-1, 2))))
+    scenario, history = minute(name)
+    place, people, group = scenario.environment, history.position, history.group
+    clear = np.asarray(programs.clearance(place, jnp.asarray(people.reshape(-1, 2))))
     assert clear.min() > BODY - 0.01
     far = np.linalg.norm(people[200:] - people[:-200], axis=-1)  # from 20 s to 20 s
-    standing = np.stack([(frames.group[k : k + 201] >= 0).any(0) for k in range(len(far))])
+    standing = np.stack([(group[k : k + 201] >= 0).any(0) for k in range(len(far))])
     assert ((far < 0.05) & ~standing).mean() < 0.01
-    joined = (frames.group[1:] >= 0) & (frames.group[:-1] < 0)
+    joined = (group[1:] >= 0) & (group[:-1] < 0)
     assert joined.sum() >= 3
     capacity = np.asarray(scenario.behavior.data.graph.capacity)[np.asarray(scenario.behavior.data.graph.groups)]
-    most = [(frames.group == group).sum(1).max() for group in range(len(capacity))]
+    most = [(group == group).sum(1).max() for group in range(len(capacity))]
     assert most == capacity.tolist()
 
 

@@ -7,33 +7,32 @@ import pytest
 
 import sean_jax
 from sean_jax.people.behaviors import graph_behavior, graph_choices
-from sean_jax.simulation import scenario as stages
+from support import crowds
 
 
 @pytest.fixture(scope="module")
 def history(scenario):
-    """Memories and groups of two episodes of 400 steps, the robot at rest."""
+    """Memories and people of two episodes of 400 steps."""
+    run = jax.jit(jax.vmap(lambda key: crowds.walk(scenario, key, 400)))
+    people, memory = jax.tree.map(np.asarray, run(jax.random.split(jax.random.key(5), 2)))
+    return memory, people
 
-    def one(state, _):
-        after = stages.direct_pedestrians(scenario, state, jax.random.fold_in(state.streams.people, state.tick))
-        after = stages.move_pedestrians(scenario, after).replace(tick=state.tick + 1)
-        return after, (after.memory, after.pedestrians)
 
-    def run(key):
-        return jax.lax.scan(one, sean_jax.reset(scenario, key), length=400)[1]
-
-    return jax.tree.map(np.asarray, jax.jit(jax.vmap(run))(jax.random.split(jax.random.key(5), 2)))
+@pytest.fixture(scope="module")
+def starts(scenario):
+    """People, groups and memories (4,) at the start of four episodes."""
+    run = jax.jit(jax.vmap(lambda key: scenario.behavior.reset(scenario, key)))
+    return jax.tree.map(np.asarray, run(jax.random.split(jax.random.key(0), 4)))
 
 
 def graph_of(scenario):
     return jax.tree.map(np.asarray, scenario.behavior.data.graph)
 
 
-def test_groups_are_full_at_the_start_and_never_over_capacity(scenario, history):
+def test_groups_are_full_at_the_start_and_never_over_capacity(scenario, starts, history):
     graph = graph_of(scenario)
     capacity = graph.capacity[graph.groups]
-    state = jax.jit(sean_jax.reset)(scenario, jax.random.key(0))
-    counts = [(np.asarray(state.pedestrians.group) == g).sum() for g in range(3)]
+    counts = [(starts[0].group[0] == g).sum() for g in range(3)]
     assert counts == capacity.tolist() == [5, 3, 3]
     group = history[1].group
     for g in range(3):
@@ -45,20 +44,6 @@ def test_a_seat_has_one_holder_and_one_successor_at_most(history):
     for who in (memory.stay > 0, memory.stay == 0):
         seat = np.sort(np.where(who, memory.seat, -1), axis=-1)
         assert not ((seat[..., 1:] == seat[..., :-1]) & (seat[..., 1:] >= 0)).any()
-
-
-def test_waypoint_goals_are_drawn_uniformly_from_all_but_the_own(scenario):
-    graph, people = scenario.behavior.data.graph, 1200
-    own = int(graph.waypoints[4])
-    goals = np.asarray(graph_choices._other_waypoint(graph, jnp.full(people, own, jnp.int32), uniform(people)))
-    counts = np.bincount(goals, minlength=15)
-    assert counts[own] == 0
-    others = counts[np.setdiff1d(np.asarray(graph.waypoints), own)]
-    assert others.min() > 0.6 * others.mean() and others.max() < 1.4 * others.mean()
-
-
-def uniform(count: int):
-    return jax.random.uniform(jax.random.key(0), (count,), jnp.float32)
 
 
 def test_hops_follow_the_table_and_aim_inside_the_disc(scenario, history):
@@ -127,19 +112,14 @@ def test_one_way_edges_are_walked_forward_only(scenario, history):
 
 def test_few_people_fill_the_groups_first():
     small = sean_jax.make(people=4, dynamics="twin")
-    state = jax.jit(sean_jax.reset)(small, jax.random.key(0))
-    assert (np.asarray(state.pedestrians.group) >= 0).all()
+    people, _, _ = jax.jit(lambda key: small.behavior.reset(small, key))(jax.random.key(0))
+    assert (np.asarray(people.group) >= 0).all()
 
 
 def test_permanent_members_never_leave_and_visitors_come_besides(scenario):
     """Whoever starts in a group stays; the last seat of each group is empty at first, and its members change."""
     lasting = sean_jax.make(people=16, group_membership="permanent", dynamics="twin")
-
-    def one(state, _):
-        after = stages.direct_pedestrians(lasting, state, jax.random.fold_in(state.streams.people, state.tick))
-        return stages.move_pedestrians(lasting, after).replace(tick=state.tick + 1), after.pedestrians.group
-
-    run = jax.jit(lambda key: jax.lax.scan(one, sean_jax.reset(lasting, key), length=600)[1])
+    run = jax.jit(lambda key: crowds.walk(lasting, key, 600, lambda _, after: after.pedestrians.group))
     group = np.asarray(run(jax.random.key(2)))
     assert [(group[0] == g).sum() for g in range(3)] == [4, 2, 2]
     first = group[0] >= 0
@@ -165,18 +145,10 @@ def test_the_rest_of_a_stay_is_as_at_a_random_moment_of_many_stays():
     assert not np.asarray(graph_behavior._residual_stay(jnp.zeros((3, 2)), jnp.ones((3, 2)))).any()
 
 
-def test_rings_have_a_place_for_each_seat_and_one_open(scenario):
+def test_rings_have_a_place_for_each_seat_and_one_open(scenario, starts):
     """At the start, seats are at whole places of their ring, counted from the opening: a sixth of it for five seats."""
     graph = graph_of(scenario)
-    reset = jax.jit(sean_jax.reset)
-    states = jax.tree.map(
-        lambda *each: np.stack(each),
-        *(
-            (state.memory.seat_position, state.groups)
-            for state in (reset(scenario, jax.random.key(k)) for k in range(4))
-        ),
-    )
-    seats, groups = states
+    seats, groups = starts[2].seat_position, starts[1]
     for seat, group in enumerate(graph.seat_group):
         gap, opening = (part - groups.center[:, group] for part in (seats[:, seat], groups.opening[:, group]))
         turn = np.angle((gap[:, 0] + 1j * gap[:, 1]) / (opening[:, 0] + 1j * opening[:, 1]))

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 import sean_jax
-from sean_jax.core import random_streams
 from sean_jax.graph.behavior_graph import add_congestion_cost, edge_areas, edge_densities, routes
 from sean_jax.people.behaviors import Place, graph_behavior, graph_choices
 from sean_jax.simulation import scenario as stages
+from sean_jax.studies.inverse_graph.measuring import begin_alone
 from sean_jax.world import environment as environments
-from support import programs
+from support import crowds, programs
 from support.graphs import assert_routes
 from support.quick import quick
 from support.scenes import box, room
@@ -38,25 +38,8 @@ def hall(tmp_path_factory):
     return scenario
 
 
-def begun(scenario, key):
-    """A state with people at their starts; the robot is far away, and has no task, which would take long to compile."""
-    blank = jax.eval_shape(functools.partial(sean_jax.reset, scenario), key)
-    state = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), blank.replace(streams=None))
-    state = state.replace(streams=random_streams.streams(key))
-    pedestrians, groups, memory = scenario.behavior.reset(scenario, key)
-    robot = state.robot.replace(position=jnp.full(2, 1e3, jnp.float32), heading=jnp.asarray([1.0, 0.0], jnp.float32))
-    return state.replace(pedestrians=pedestrians, groups=groups, memory=memory, robot=robot)
-
-
-def crowd_alone(scenario, key, steps: int):
-    """The frames and memories of ``steps`` steps in which nobody but people moves."""
-
-    def one(state, _):
-        after = stages.direct_pedestrians(scenario, state, jax.random.fold_in(state.streams.people, state.tick))
-        after = stages.move_pedestrians(scenario, after).replace(tick=state.tick + 1)
-        return after, (stages.frame(state, after, jnp.zeros(2, jnp.float32)), after.memory)
-
-    return jax.lax.scan(one, begun(scenario, key), length=steps)[1]
+def frames_and_memories(before, after):
+    return stages.frame(before, after, jnp.zeros(2, jnp.float32)), after.memory
 
 
 # --- Flow words ---
@@ -86,7 +69,7 @@ def ring_flows(hall):
     @jax.jit
     def walks(scenario):
         def one(key):
-            frames, _ = crowd_alone(scenario, key, STEPS)
+            frames, _ = crowds.walk(scenario, key, STEPS, frames_and_memories)
             return sean_jax.congestion(scenario, frames, span=STEPS * 0.1, cells=(1, 1)).flow[0] * (STEPS * 0.1 / 60)
 
         return jax.vmap(one)(jax.random.split(jax.random.key(2), 2)).sum(0)
@@ -330,7 +313,7 @@ def test_congestion_cost_lowers_the_peak_of_congestion(hall):
         scenario = made.replace(behavior=made.behavior.replace(data=data))
 
         def one(key):
-            frames, memory = crowd_alone(scenario, key, 1200)
+            frames, memory = crowds.walk(scenario, key, 1200, frames_and_memories)
             walking = jnp.ones(16, bool)
             crowd = jax.vmap(lambda origin, hop: edge_densities(data.graph, origin, hop, walking).max())
             halves = sean_jax.congestion(scenario, frames, span=20.0, cells=(2, 11)).density[1:, :, 3:8]
@@ -348,7 +331,7 @@ def test_congestion_cost_lowers_the_peak_of_congestion(hall):
 def test_gradients_with_congestion_cost_are_finite(scenario):
     data = scenario.behavior.data.replace(congestion_cost=jnp.asarray(10.0, jnp.float32))
     crowded = scenario.replace(behavior=scenario.behavior.replace(data=data))
-    state = jax.jit(functools.partial(begun, crowded))(jax.random.key(0))
+    state = jax.jit(functools.partial(begin_alone, crowded))(jax.random.key(0))
 
     @jax.jit
     @jax.grad
@@ -393,8 +376,9 @@ def test_odd_graphs_and_numbers_of_people(kind, hall):
             there = after.pedestrians.replace(position=after.memory.target)
             return after.replace(pedestrians=there, tick=state.tick + 1), (after.memory, after.pedestrians)
 
-        run = jax.jit(lambda key, one=one, scenario=scenario: jax.lax.scan(one, begun(scenario, key), length=120)[1])
-        memory, crowd = jax.tree.map(np.asarray, run(jax.random.key(0)))
+        start = jax.jit(begin_alone)(scenario, jax.random.key(0))
+        run = jax.jit(lambda start, one=one: jax.lax.scan(one, start, length=120)[1])
+        memory, crowd = jax.tree.map(np.asarray, run(start))
         graph = jax.tree.map(np.asarray, scenario.behavior.data.graph)
         assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves((crowd, memory)))
         for whose in (memory.stay > 0, memory.stay == 0):  # a seat has one holder and one successor at most
@@ -425,7 +409,7 @@ def test_five_minutes_of_each_environment(name, routing):
     minutes must have been walked after some more.
     """
     scenario = sean_jax.make(name, routing=routing, dynamics="twin")
-    run = jax.jit(jax.vmap(lambda key: crowd_alone(scenario, key, 3000)))
+    run = jax.jit(jax.vmap(lambda key: crowds.walk(scenario, key, 3000, frames_and_memories)))
     flow = jax.jit(lambda frames: sean_jax.congestion(scenario, frames, span=300.0, cells=(1, 1)).flow)
 
     def simulated(seed: int):

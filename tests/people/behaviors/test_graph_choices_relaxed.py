@@ -123,7 +123,7 @@ def test_expectation_has_the_derivative_of_an_expected_value():
 def test_without_a_temperature_nothing_is_kept_and_a_cold_one_chooses_the_cheapest_ways(crowds):
     still, warm = crowds[4, 0.0], crowds[1, TEMPERATURE]
     assert still.behavior.data.temperature is None
-    assert begin_alone(still, jax.random.key(0)).memory.log_chance is None
+    assert jax.eval_shape(begin_alone, still, jax.random.key(0)).memory.log_chance is None
     data = warm.behavior.data
 
     @jax.jit

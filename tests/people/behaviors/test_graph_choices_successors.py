@@ -9,9 +9,9 @@ import pytest
 import sean_jax
 from sean_jax.people.behaviors import graph_choices
 from sean_jax.people.behaviors.graph_choices import Memory, seats_of
-from sean_jax.simulation import scenario as stages
 from sean_jax.studies.validation.groups import group_occupancy
 from sean_jax.world import environment as environments
+from support import crowds
 
 PEOPLE, PATIENCE = 14, 50
 
@@ -164,24 +164,17 @@ def occupied():
     scenario = sean_jax.make(people=30, task="random_ab_nav", dynamics="twin")
     data = scenario.behavior.data
 
-    def one(state, _):
-        after = crowd_step(scenario, state)
+    def seats(before, after):
         people, memory = after.pedestrians, after.memory
         seat = jnp.maximum(memory.seat, 0)
         gap = jnp.linalg.norm(people.position - memory.seat_position[seat], axis=-1)
         arrival = graph_choices.arrival_times(data.graph, data.walk, people, memory)
         own = jnp.take_along_axis(arrival, data.graph.seat_group[seat][:, None], axis=1)[:, 0]
         near = (gap < graph_choices.HAND_OVER) & (memory.seat >= 0)
-        return after, dict(group=people.group, seat=memory.seat, stay=memory.stay, near=near, arrival=own)
+        return dict(group=people.group, seat=memory.seat, stay=memory.stay, near=near, arrival=own)
 
-    found = jax.jit(lambda key: jax.lax.scan(one, sean_jax.reset(scenario, key), length=900)[1])(jax.random.key(0))
-    return jax.tree.map(np.asarray, found) | {"scenario": scenario}
-
-
-def crowd_step(scenario, state):
-    """A step in which the robot stands still."""
-    state = stages.direct_pedestrians(scenario, state, jax.random.fold_in(state.streams.people, state.tick))
-    return stages.move_pedestrians(scenario, state).replace(tick=state.tick + 1)
+    history = jax.jit(lambda key: crowds.walk(scenario, key, 900, seats))(jax.random.key(0))
+    return jax.tree.map(np.asarray, history) | {"scenario": scenario}
 
 
 def test_groups_last_while_their_members_change(occupied):
@@ -200,12 +193,7 @@ def test_groups_last_while_their_members_change(occupied):
 def test_groups_last_in_each_environment(name):
     """Five minutes, 16 episodes, after 20 s: at least 80 % of a group is there, and 50 % of the time everybody."""
     scenario = sean_jax.make(name, task="random_ab_nav", dynamics="twin")
-
-    def one(state, _):
-        after = crowd_step(scenario, state)
-        return after, after.pedestrians.group
-
-    run = jax.jit(jax.vmap(lambda key: jax.lax.scan(one, sean_jax.reset(scenario, key), length=3000)[1]))
+    run = jax.jit(jax.vmap(lambda key: crowds.walk(scenario, key, 3000, lambda _, after: after.pedestrians.group)))
     graph = jax.tree.map(np.asarray, scenario.behavior.data.graph)
     capacity, keys = graph.capacity[graph.groups], jax.random.split(jax.random.key(0), 16)
     group = np.asarray(run(keys))

@@ -1,5 +1,6 @@
 """Playback (section IV-D): recorded people are where they were recorded, enter and leave; an open place works too."""
 
+import functools
 from pathlib import Path
 
 import jax
@@ -11,7 +12,8 @@ import sean_jax
 from sean_jax.drawing import view
 from sean_jax.people.recordings import reading
 from sean_jax.policies import go_to_goal
-from support import programs
+from sean_jax.simulation import scenario as stages
+from support import crowds, programs
 from support.scenes import room
 
 RATE = 2.5  # frames a second, as of a recording at every tenth of 25 frames
@@ -212,11 +214,15 @@ def test_what_does_not_go_together_is_refused(folder, arguments, words):
 
 @pytest.mark.slow
 def test_gradients_pass(played):
+    """Of the distance between the robot and people after a step, by the command and by where people were."""
     scenario, last, _ = played
-    state = jax.jit(sean_jax.reset)(scenario, jax.random.key(1))
 
-    def value(action):
-        after = sean_jax.step(scenario, state, action)
-        return ((after.robot.position - after.pedestrians.position[0]) ** 2).sum()
+    @jax.jit
+    @functools.partial(jax.grad, argnums=(0, 1))
+    def slope(action, position):
+        before = last.replace(pedestrians=last.pedestrians.replace(position=position))
+        after = stages.move_robot(scenario, crowds.people_step(scenario, before), action)
+        return ((after.robot.position - after.pedestrians.position) ** 2).sum()
 
-    assert np.isfinite(np.asarray(jax.jit(jax.grad(value))(jnp.asarray([0.3, 0.1], jnp.float32)))).all()
+    by_action, by_position = slope(jnp.asarray([0.3, 0.1], jnp.float32), last.pedestrians.position)
+    assert np.isfinite(by_action).all() and np.abs(by_action).max() > 0.0 and np.isfinite(by_position).all()

@@ -12,31 +12,25 @@ from sean_jax import social_forces
 from sean_jax.core.geometry import crosses_box
 from sean_jax.people.behaviors import starts
 from sean_jax.people.behaviors.starts import WalkingGroups
-from sean_jax.simulation import scenario as stages
 from sean_jax.social_forces import Crowd
+from sean_jax.studies.inverse_graph.measuring import begin_alone
 from sean_jax.studies.prediction import predict
-from support import walkers
+from support import crowds, walkers
 
 PEOPLE, SHARES = 24, (0.35, 0.25)  # four pairs and two triples
 MEMBERS = [(10, 11), (12, 13), (14, 15), (16, 17), (18, 19, 20), (21, 22, 23)]
-reset = jax.jit(sean_jax.reset)
+begin = jax.jit(begin_alone)
 TASKS = {"random": "random_ab_nav", "graph": "join_group"}
 
 
 @pytest.fixture(scope="module", params=["random", "graph"])
 def mixed(request):
-    """A scenario with walking groups, and 60 s of an episode: states before and after each step, the robot at rest."""
+    """A scenario with walking groups, people at their starts, and 60 s of an episode of them alone."""
     scenario = sean_jax.make(
         behavior=request.param, task=TASKS[request.param], people=PEOPLE, walking_groups=SHARES, dynamics="twin"
     )
-
-    def one(state, _):
-        after = stages.direct_pedestrians(scenario, state, jax.random.fold_in(state.streams.people, state.tick))
-        after = stages.move_pedestrians(scenario, after).replace(tick=state.tick + 1)
-        return after, (after.pedestrians, after.memory)
-
-    start = reset(scenario, jax.random.key(3))
-    history = jax.jit(lambda start: jax.lax.scan(one, start, length=600)[1])(start)
+    start = begin(scenario, jax.random.key(3))
+    history = jax.jit(lambda start: crowds.walk(scenario, start, 600))(start)
     return scenario, start, jax.tree.map(np.asarray, history)
 
 
@@ -122,7 +116,7 @@ def test_walking_groups_are_slower_by_as_much_as_their_companions_take_off(mixed
     scenario, start, _ = mixed
     slowness = float(scenario.forces.walking.companion_slowdown)
     quick = scenario.replace(forces=scenario.forces.tree_replace({"walking.companion_slowdown": 0.0}))
-    free = np.asarray(reset(quick, jax.random.key(3)).pedestrians.preferred_speed)
+    free = np.asarray(begin(quick, jax.random.key(3)).pedestrians.preferred_speed)
     less = free - np.asarray(start.pedestrians.preferred_speed)
     np.testing.assert_allclose(less, slowness * np.array([0] * 10 + [1] * 8 + [2] * 6), atol=1e-6)
 
@@ -208,6 +202,7 @@ def test_who_is_absent_is_nobodys_company():
     np.testing.assert_array_equal(np.asarray(force)[:, 0], 0.0)
 
 
+@jax.jit
 def _aligned(parameters, desired, companions):
     """The part (N, 2) m/s2 of cohesion without gaze that alignment adds."""
     parameters = parameters.tree_replace({"cohesion.gaze": 0.0})
@@ -252,7 +247,8 @@ def test_gaze_does_not_slow_aligned_companions():
 
 
 def test_companions_are_predicted_with_their_mean_velocity():
-    forces = social_forces.preset("calibrated").tree_replace({"cohesion.alignment": 1.0})
+    usual = social_forces.preset("calibrated")
+    forces = social_forces.build([usual.walking, usual.cohesion.replace(alignment=1.0)])
     time = 0.4 * jnp.arange(8.0)[:, None]
     tracks = jnp.stack([jnp.concatenate([speed * time, y + 0.0 * time], 1) for speed, y in ((1.0, 0.0), (1.1, 0.7))], 1)
     walked = predict(forces, tracks, 0.4, 12, settled=0.5)[-1] - tracks[-1]

@@ -18,8 +18,9 @@ from sean_jax.people import handcrafted
 from sean_jax.policies import go_to_goal
 from sean_jax.simulation import making
 from sean_jax.simulation.making import with_task
+from sean_jax.studies.inverse_graph.measuring import begin_alone
 from sean_jax.world import environment, navigation
-from sean_jax.world.environment import clearance
+from support import crowds, programs
 from support.scenes import box, room
 
 ENVIRONMENTS = ("warehouse", "lab", "outdoor")
@@ -67,14 +68,8 @@ def sets():
 
 
 @pytest.fixture(scope="module")
-def reset():
-    """Compiled once; a batch of keys."""
-    return jax.jit(jax.vmap(sean_jax.reset, (None, 0)))
-
-
-@pytest.fixture(scope="module")
-def states(lab, reset):
-    return jax.tree.map(np.asarray, reset(lab, jax.random.split(jax.random.key(0), KEYS)).replace(streams=0))
+def states(lab):
+    return jax.tree.map(np.asarray, programs.resets(lab, jax.random.split(jax.random.key(0), KEYS)).replace(streams=0))
 
 
 def direction(a, b) -> float:
@@ -143,7 +138,7 @@ def test_the_robot_has_a_way_and_room_in_every_set(sets):
     table = scenario.behavior.data
     assert len(table.names) == 13
     ends = np.stack([np.asarray(table.start), np.asarray(table.goal)])
-    free = np.asarray(jax.jit(clearance)(scenario.environment, jnp.asarray(ends.reshape(-1, 2))))
+    free = np.asarray(programs.clearance(scenario.environment, jnp.asarray(ends.reshape(-1, 2))))
     assert free.min() > float(scenario.robot.radius)
 
     @jax.jit
@@ -158,13 +153,17 @@ def test_the_robot_has_a_way_and_room_in_every_set(sets):
         assert np.isfinite(found).all() and (found > straight - 1e-3).all() and (found < 2 * straight + 5.0).all()
 
 
+def place_and_target(before, after):
+    return after.pedestrians.position, after.memory.target
+
+
 def test_people_start_at_every_second_waypoint_whatever_the_key(round_the_rack, warehouse):
     loop = np.array(warehouse.sets["down_path_3_density_1"].walkers[0].loop)
-    states = jax.jit(jax.vmap(sean_jax.reset, (None, 0)))(round_the_rack, jax.random.split(jax.random.key(0), 8))
-    people = jax.tree.map(np.asarray, states.pedestrians)
+    start = jax.jit(jax.vmap(lambda key: round_the_rack.behavior.reset(round_the_rack, key)))
+    people, _, memory = jax.tree.map(np.asarray, start(jax.random.split(jax.random.key(0), 8)))
     assert people.position.shape == (8, 11, 2) and people.present.all()
     np.testing.assert_allclose(people.position, np.broadcast_to(loop[::2], (8, 11, 2)), atol=1e-5)
-    assert (np.asarray(states.memory.target) == [1, 3, 5, 7, 9, 11, 13, 15, 17, 19, 0]).all()
+    assert (memory.target == [1, 3, 5, 7, 9, 11, 13, 15, 17, 19, 0]).all()
     straight = np.roll(loop, -1, axis=0)[::2] - loop[::2]
     cosine = (people.heading * straight).sum(-1) / np.linalg.norm(straight, axis=-1)
     free = np.arange(11) != 5  # the straight way from waypoint 10 leads through the corner of the rack
@@ -173,26 +172,16 @@ def test_people_start_at_every_second_waypoint_whatever_the_key(round_the_rack, 
 
 
 def test_all_waypoints_are_visited_in_the_order_written_around_the_rack(round_the_rack, warehouse):
-    """Three minutes, in which the robot stands: everybody goes all around the 21 waypoints, 133 m."""
+    """Three minutes: everybody goes all around the 21 waypoints, 133 m."""
     loop = np.array(warehouse.sets["down_path_3_density_1"].walkers[0].loop)
-
-    def keep(before, after, action):
-        return after.pedestrians.position, after.memory.target
-
-    def stand(scenario, state, key):
-        return jnp.zeros(2, jnp.float32)
-
-    def drive(scenario, key):
-        return sean_jax.simulate(scenario, stand, sean_jax.reset(scenario, key), 1800, record=keep)[1]
-
-    alone = tasks.pair(round_the_rack, "down_path_3_density_1", 4, 0)
-    position, target = jax.tree.map(np.asarray, jax.jit(drive)(alone, jax.random.key(3)))
+    run = jax.jit(lambda key: crowds.walk(round_the_rack, key, 1800, place_and_target))
+    position, target = jax.tree.map(np.asarray, run(jax.random.key(3)))
     change = np.diff(target, axis=0) % 21
     assert set(np.unique(change)) == {0, 1}
     assert (change.sum(0) >= 21).all(), change.sum(0)
     for step, person in np.argwhere(change):
         assert np.linalg.norm(position[step, person] - loop[target[step, person]]) < 1.0 + 1e-3
-    free = np.asarray(jax.jit(clearance)(round_the_rack.environment, jnp.asarray(position.reshape(-1, 2))))
+    free = np.asarray(programs.clearance(round_the_rack.environment, jnp.asarray(position.reshape(-1, 2))))
     assert free.min() > BODY - 0.02
 
 
@@ -224,7 +213,7 @@ def test_ways_cross_at_right_angles_or_run_along_by_geometry_alone(shipped):
 def test_people_start_as_drawn(lab, sets, states):
     people = states.pedestrians
     assert set(states.memory.set.tolist()) == set(range(13))
-    free = np.asarray(jax.jit(clearance)(lab.environment, jnp.asarray(people.position.reshape(-1, 2))))
+    free = np.asarray(programs.clearance(lab.environment, jnp.asarray(people.position.reshape(-1, 2))))
     assert free.reshape(people.present.shape)[people.present].min() >= BODY
     for index in range(KEYS):
         each = sets[NAMES[states.memory.set[index]]]
@@ -297,11 +286,11 @@ def test_tasks_are_pairs_of_the_set_and_each_is_drawn(sets, states):
     assert everywhere[states.pedestrians.present].min() > 0.45
 
 
-def test_a_pair_is_chosen_without_compiling_again(lab, reset, sets):
+def test_a_pair_is_chosen_without_compiling_again(lab, states, sets):
     keys = jax.random.split(jax.random.key(1), KEYS)
-    before = reset._cache_size()
-    found = reset(tasks.pair(lab, "cross_path_1_density_2", 2, 4), keys)
-    assert reset._cache_size() == max(before, 1)
+    before = programs.resets._cache_size()
+    found = programs.resets(tasks.pair(lab, "cross_path_1_density_2", 2, 4), keys)
+    assert programs.resets._cache_size() == before
     assert (np.asarray(found.memory.set) == NAMES.index("cross_path_1_density_2")).all()
     each = sets["cross_path_1_density_2"]
     for place, pose in ((found.task.start, each.starts[2]), (found.task.goal, each.goals[4])):
@@ -324,19 +313,12 @@ def test_a_pair_that_is_not_there_is_refused(lab, chosen, words):
 
 
 @pytest.fixture(scope="module")
-def walked(lab, reset):
-    """600 steps in which the robot stands: people and targets of a set with 10 walkers, of one with two groups, and of
-    the latter again with an absent person put beside a member."""
-
-    def keep(before, after, action):
-        return after.pedestrians, after.memory.target
-
-    def stand(scenario, state, key):
-        return jnp.zeros(2, jnp.float32)
-
+def walked(lab):
+    """600 steps: people and memories of a set with 10 walkers, of one with two groups, and of the latter again with an
+    absent person put beside a member."""
     keys = jax.random.split(jax.random.key(2), KEYS)
     loop, groups = (
-        jax.tree.map(lambda leaf: leaf[0], reset(tasks.pair(lab, name, 0, 0), keys))
+        jax.tree.map(lambda leaf: leaf[0], programs.resets(tasks.pair(lab, name, 0, 0), keys))
         for name in ("down_path_3_density_2", "leave_group_2")
     )
     people = groups.pedestrians
@@ -344,20 +326,21 @@ def walked(lab, reset):
     beside = people.position.at[absent].set(people.position[0] + jnp.asarray([0.1, 0.0], jnp.float32))
     moved = groups.replace(pedestrians=people.replace(position=beside))
     batch = jax.tree.map(lambda *leaves: jnp.stack(leaves), loop, groups, moved)
-    run = jax.jit(jax.vmap(lambda state: sean_jax.simulate(lab, stand, state, 600, record=keep)[1]))
-    found = jax.tree.map(np.asarray, run(batch))
-    return [jax.tree.map(lambda leaf, i=i: leaf[i], found) for i in range(3)]
+    run = jax.jit(jax.vmap(lambda state: crowds.walk(lab, state, 600)))
+    history = jax.tree.map(np.asarray, run(batch))
+    return [jax.tree.map(lambda leaf, i=i: leaf[i], history) for i in range(3)]
 
 
 def test_loops_are_walked_in_order_for_ever_clear_of_obstacles(lab, sets, walked):
-    people, target = walked[0]
+    people, memory = walked[0]
+    target = memory.target
     loop = np.array(sets["down_path_3_density_2"].walkers[0].loop)
     change = np.diff(target, axis=0)
     assert set(np.unique(change % 4)) == {0, 1}
     assert ((change % 4).sum(0) >= 4).all()  # everybody has been all around
     for step, person in np.argwhere(change):
         assert np.linalg.norm(people.position[step, person] - loop[target[step, person]]) < 1.0 + 1e-3
-    free = np.asarray(jax.jit(clearance)(lab.environment, jnp.asarray(people.position.reshape(-1, 2))))
+    free = np.asarray(programs.clearance(lab.environment, jnp.asarray(people.position.reshape(-1, 2))))
     assert free.min() > BODY - 0.02
 
 
@@ -429,10 +412,10 @@ def test_what_does_not_go_together_is_refused_with_the_reason(arguments, words):
 
 
 @pytest.mark.slow
-def test_other_tasks_go_with_it(lab, reset):
+def test_other_tasks_go_with_it(lab):
     names = ("random_ab_nav", "busy_ab_nav")
     several = [with_task(lab, name) for name in names]
-    state = jax.tree.map(lambda leaf: leaf[0], reset(lab, jax.random.split(jax.random.key(0), KEYS)))
+    state = jax.tree.map(lambda leaf: leaf[0], programs.resets(lab, jax.random.split(jax.random.key(0), KEYS)))
 
     @jax.jit
     def draw(key):
@@ -669,13 +652,12 @@ def test_each_set_makes_its_situation_occur(name):
 
 @pytest.mark.slow
 def test_gradients_are_finite(lab):
-    """Of where people are after two seconds, in every constant of the forces."""
+    """Of where people are within two seconds, in every constant of the forces."""
     one = tasks.pair(lab, "cross_path_1_density_1", 0, 0)
-    state = jax.jit(sean_jax.reset)(one, jax.random.key(0))
+    start = jax.jit(begin_alone)(one, jax.random.key(0))
 
     def total(forces):
-        last, _ = sean_jax.simulate(dataclasses.replace(one, forces=forces), go_to_goal, state, 20)
-        return last.pedestrians.position.sum()
+        return crowds.walk(dataclasses.replace(one, forces=forces), start, 20, place_and_target)[0].sum()
 
     gradient = jax.jit(jax.grad(total))(one.forces)
     leaves = [np.asarray(leaf) for leaf in jax.tree.leaves(gradient)]

@@ -1,6 +1,7 @@
 """Generated floors: the same for a seed, free for robots between all nodes, ordinary environments once written."""
 
 import contextlib
+import functools
 import itertools
 import os
 import random
@@ -26,7 +27,7 @@ from sean_jax.world import generated, navigation
 from sean_jax.world.generated import floor_families
 from sean_jax.world.generated.floor_families import GAP, TOUCH
 
-QUICK = ("passages", 0), ("passages", 1), ("square", 3)
+QUICK = ("passages", 0), ("square", 3)
 CASES = [
     pytest.param(*case, marks=() if case in QUICK else pytest.mark.slow)
     for case in itertools.product(generated.FAMILIES, range(5))
@@ -41,12 +42,16 @@ def test_robots_and_people_reach_all_nodes(family, seed, tmp_path):
     nodes = jnp.asarray([node.position for node in world.graph.nodes.values()], float)
     tables = navigation.build(environment, 0.38)
     waypoints = np.array([node.kind == "waypoint" for node in world.graph.nodes.values()])
-    to_goal = jax.vmap(navigation.build_paths_to_goal, (None, 0))(tables, nodes)
-    from_all = jax.vmap(navigation.geodesic_approx, (None, 0, None, None))
-    length = jax.jit(jax.vmap(from_all, (None, None, 0, 0)))(tables, nodes, nodes, to_goal)
+
+    @jax.jit
+    @functools.partial(jax.vmap, in_axes=(None, 0))
+    def lengths(tables, goal):
+        to_goal = navigation.build_paths_to_goal(tables, goal)
+        return jax.vmap(lambda start: navigation.geodesic_approx(tables, start, goal, to_goal))(nodes)
+
     roomy = np.minimum(*environments.signed_distances_on_host(environment, np.asarray(nodes))) >= 0.4
     assert roomy[~waypoints].all() and roomy.sum() > 3
-    assert np.isfinite(np.asarray(length)[np.ix_(roomy, roomy)]).all()
+    assert np.isfinite(np.asarray(lengths(tables, nodes))[np.ix_(roomy, roomy)]).all()
 
     generated.save(world, tmp_path / "world")
     read = environments.load(tmp_path / "world")
@@ -193,7 +198,7 @@ def test_a_floor_of_another_process_is_kept(tmp_path, monkeypatch):
 @pytest.mark.slow
 def test_people_and_a_robot_walk_there(tmp_path):
     generated.save(generated.generate("rooms", 2), tmp_path / "rooms")
-    scenario = sean_jax.make(str(tmp_path / "rooms"), task="join_group")
+    scenario = sean_jax.make(str(tmp_path / "rooms"), task="join_group", dynamics="twin")
     last, frames = jax.jit(lambda key: sean_jax.rollout(scenario, go_to_goal, key, 300))(jax.random.key(0))
     assert np.isfinite(np.asarray(frames.people)).all() and bool(last.completed | (last.tick == 300))
     moved = np.linalg.norm(np.asarray(frames.people)[-1] - np.asarray(frames.people)[0], axis=-1)

@@ -71,7 +71,7 @@ def check_ways(here: Place, start, path, goal, exact, apart, most):
     assert (walked <= most * exact + 1e-3).all() and (walked >= 0.999 * exact - 1e-3).all()
 
 
-def check_pairs(here: Place, radius: float, pairs: int, arc: int = 24):
+def check_pairs(here: Place, radius: float, pairs: int, arc: int = 12):
     """Lengths and walked ways between random free places; gives the excess of the lengths."""
     points = environments.free_points(here.environment, radius, 2 * pairs, seed=3)
     start, goal = points[:pairs], points[pairs:]
@@ -90,19 +90,19 @@ def check_pairs(here: Place, radius: float, pairs: int, arc: int = 24):
 
 @pytest.mark.parametrize("name", quick(["warehouse", "lab", "outdoor", "yard"], "warehouse"))
 def test_paths_and_who_follows_them(name):
-    detour = check_pairs(place(name), RADIUS, PAIRS, arc=12)
+    detour = check_pairs(place(name), RADIUS, PAIRS)
     assert (detour > 1.01).sum() > 12  # there was something to go around
 
 
 @pytest.mark.parametrize("radius", [RADIUS, pytest.param(0.06, marks=pytest.mark.slow)])
 def test_paths_through_a_heap_of_boxes(radius):
-    assert (check_pairs(place("heap", radius), radius, 2 * PAIRS) > 1.05).sum() > 20
+    assert (check_pairs(place("heap", radius), radius, PAIRS) > 1.05).sum() > 10
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "radius"), [("warehouse", KURI), ("lab", KURI), ("outdoor", WARTHOG)])
-def test_a_thousand_paths(name, radius):
-    check_pairs(place(name, radius), radius, 1000)
+def test_hundreds_of_paths(name, radius):
+    check_pairs(place(name, radius), radius, 300, arc=24)
 
 
 def test_way_around_one_corner_is_two_tangents_and_an_arc():
@@ -171,12 +171,13 @@ def test_gradients_point_along_the_way():
         ahead = navigation.next_point(here.tables, start, goal, navigation.build_paths_to_goal(here.tables, goal))
         return jax.grad(far)(start), ahead - start
 
-    by_start, ahead = map(np.asarray, slope(start, goal))
+    by_start, ahead = map(np.asarray, slope(jnp.concatenate([start, odd]), jnp.concatenate([goal, *[goal[:20]] * 3])))
+    assert np.isfinite(by_start).all() and np.isfinite(ahead).all()
+    by_start, ahead = by_start[:120], ahead[:120]
     there = np.linalg.norm(ahead, axis=1) > 1e-3
     along = ahead / np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1e-6)
     assert there.sum() > 100
     np.testing.assert_allclose(by_start[there], -along[there], atol=2e-2)
-    assert all(np.isfinite(part).all() for part in slope(odd, jnp.tile(goal[:20], (3, 1))))
 
 
 def test_rough_lengths_are_near_the_exact_ones():
