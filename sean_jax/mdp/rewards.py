@@ -289,7 +289,7 @@ def potentials(terms: Terms, scenario: Scenario, state: State) -> dict[str, Floa
 
 
 def call(part: str, function: Callable, arguments: str, scenario: Scenario, *states: State) -> Any:
-    """As ``user_code.call``, of a function that may read a metric that the scenario leaves out."""
+    """As ``user_calls.call``, of a function that may read a metric that the scenario leaves out."""
     try:
         return user_calls.call(part, function, arguments, scenario, *states)
     except PartError as error:

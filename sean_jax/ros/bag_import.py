@@ -44,7 +44,7 @@ def import_bag(
             a second, ``trajectory.csv`` for ``load_trajectory``.
         time_step: s between rows, between which the bag's positions are interpolated; 0.4 makes people.csv a
             recording in the format of ETH and UCY.
-        people, robot: topics, as of ``bag_contents.read``.
+        people, robot: topics, as of ``bag_tables.read``.
 
     Raises:
         FileError: the bag cannot be used.

@@ -145,7 +145,7 @@ def init_policy(team: Stack[Scenario], policy: PolicyLike, states: State) -> Sta
 def policy_step(team: Stack[Scenario], policy: PolicyLike, states: State) -> tuple[State, Float[Array, "M command"]]:
     """One control step with the commands of a policy of all robots: the states, and the commands [m/s, rad/s].
 
-    A policy meets the other robots as moving bodies (``other_robots.with_bodies``).
+    A policy meets the other robots as moving bodies (``teammates.with_bodies``).
     """
     policy = as_policy(policy)
 
