@@ -13,6 +13,7 @@ from sean_jax.drawing import view
 from sean_jax.people.recordings import reading
 from sean_jax.policies import go_to_goal
 from sean_jax.simulation import scenario as stages
+from sean_jax.studies.inverse_graph.measuring import begin_alone
 from support import crowds, programs
 from support.scenes import room
 
@@ -215,14 +216,15 @@ def test_what_does_not_go_together_is_refused(folder, arguments, words):
 @pytest.mark.slow
 def test_gradients_pass(played):
     """Of the distance between the robot and people after a step, by the command and by where people were."""
-    scenario, last, _ = played
+    scenario = played[0]
+    start = jax.jit(begin_alone)(scenario, jax.random.key(1))
 
     @jax.jit
     @functools.partial(jax.grad, argnums=(0, 1))
     def slope(action, position):
-        before = last.replace(pedestrians=last.pedestrians.replace(position=position))
+        before = start.replace(pedestrians=start.pedestrians.replace(position=position))
         after = stages.move_robot(scenario, crowds.people_step(scenario, before), action)
-        return ((after.robot.position - after.pedestrians.position) ** 2).sum()
+        return ((after.robot.position[None] - after.pedestrians.position) ** 2).sum()
 
-    by_action, by_position = slope(jnp.asarray([0.3, 0.1], jnp.float32), last.pedestrians.position)
+    by_action, by_position = slope(jnp.asarray([0.3, 0.1], jnp.float32), start.pedestrians.position)
     assert np.isfinite(by_action).all() and np.abs(by_action).max() > 0.0 and np.isfinite(by_position).all()
