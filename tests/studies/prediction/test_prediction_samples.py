@@ -7,7 +7,6 @@ import pytest
 from scipy.stats import gaussian_kde
 
 from sean_jax.studies.prediction import cut_windows, evaluate, evaluate_samples, predict, score_samples
-from support.forces import plain
 
 generator = np.random.default_rng(5)
 samples = generator.normal(0.0, 1.0, (20, 3, 4, 2, 2))
@@ -47,16 +46,16 @@ def walking(number=3):
 
 
 def test_samples_differ_by_key_window_and_person_and_none_are_average():
-    windows, forces = walking(), plain()
+    windows = walking()
     seen = jnp.asarray(windows.position[:, :8])
-    one, other, again = (np.asarray(predict(forces, seen, 0.4, 12, key=jax.random.key(k))) for k in (0, 1, 0))
-    average = np.asarray(predict(forces, seen, 0.4, 12))
+    one, other, again = (np.asarray(predict("calibrated", seen, 0.4, 12, key=jax.random.key(k))) for k in (0, 1, 0))
+    plain = np.asarray(predict("calibrated", seen, 0.4, 12))
     np.testing.assert_array_equal(one, again)
-    assert np.abs(one - other).max() > 0.01 and np.abs(one - average).max() > 0.01
-    away = one - average
+    assert np.abs(one - other).max() > 0.01 and np.abs(one - plain).max() > 0.01
+    away = one - plain
     assert np.abs(away[0] - away[1]).max() > 0.01  # windows
     assert np.abs(away[:, :, 0] - away[:, :, 1]).max() > 0.01  # people
     assert np.abs(away).max() < 3.0
-    scores = evaluate_samples(forces, windows, 5)
-    single = evaluate(forces, windows, key=jax.random.key(0))
+    scores = evaluate_samples("calibrated", windows, 5)
+    single = evaluate("calibrated", windows, key=jax.random.key(0))
     assert scores.samples == 5 and 0.0 < scores.best_ade < single.ade + 0.5
