@@ -64,7 +64,7 @@ def test_first_cell_installs_on_colab_and_there_alone(path, monkeypatch):
 @each_notebook
 def test_compiled_programs_are_kept_from_the_start(path):
     text = "\n".join(code_cells(path))
-    assert 0 < text.index("\ncompiler.configure()") < text.index("\nimport jax")
+    assert 0 < text.index("\nxla_flags.configure()") < text.index("\nimport jax")
 
 
 def test_every_page_is_in_the_readme():
