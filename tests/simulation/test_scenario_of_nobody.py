@@ -127,7 +127,7 @@ def test_one_node_and_no_group(tmp_path):
         scenario = make(folder, "graph", task="random_ab_nav", people=people)
         assert traced(scenario).pedestrians.position.shape == (people, 2)
     for refused in (lambda: make(folder, "graph", people=1), lambda: with_task(scenario, "leave_group")):
-        with pytest.raises(ValueError, match="'(join|leave)_group' needs a group, .* of yard has none; .*\\.$"):
+        with pytest.raises(ValueError, match="'(join|leave)_group' needs a group, .* of room has none; .*\\.$"):
             refused()
 
 
