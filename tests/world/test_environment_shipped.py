@@ -58,7 +58,7 @@ def test_a_minute_of_people(name):
     joined = (group[1:] >= 0) & (group[:-1] < 0)
     assert joined.sum() >= 3
     capacity = np.asarray(scenario.behavior.data.graph.capacity)[np.asarray(scenario.behavior.data.graph.groups)]
-    most = [(group == group).sum(1).max() for group in range(len(capacity))]
+    most = [(group == number).sum(1).max() for number in range(len(capacity))]
     assert most == capacity.tolist()
 
 
