@@ -359,14 +359,14 @@ def room(tmp_path_factory):
 POLICIES_OF = [
     pytest.param("f1tenth", "go_to_goal", marks=pytest.mark.slow),
     pytest.param("hsr", "go_to_goal", marks=pytest.mark.slow),
-    pytest.param("a1", "orca", marks=pytest.mark.slow),
+    pytest.param("a1", "orca", marks=pytest.mark.night),
     pytest.param("a1", "sensing_expert", marks=pytest.mark.slow),
-    pytest.param("a1", "expert", marks=pytest.mark.slow),
-    pytest.param("f1tenth", "expert", marks=pytest.mark.slow),
-    pytest.param("a1", "dwa", marks=pytest.mark.slow),
-    pytest.param("a1", "social_force", marks=pytest.mark.slow),
-    pytest.param("a1", "mppi", marks=pytest.mark.slow),
-    pytest.param("f1tenth", "mppi", marks=pytest.mark.slow),
+    pytest.param("a1", "expert", marks=pytest.mark.night),
+    pytest.param("f1tenth", "expert", marks=pytest.mark.night),
+    pytest.param("a1", "dwa", marks=pytest.mark.night),
+    pytest.param("a1", "social_force", marks=pytest.mark.night),
+    pytest.param("a1", "mppi", marks=pytest.mark.night),
+    pytest.param("f1tenth", "mppi", marks=pytest.mark.night),
 ]
 
 

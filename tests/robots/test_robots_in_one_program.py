@@ -17,6 +17,7 @@ from sean_jax.simulation import making, scenario_stack
 from sean_jax.world import generated
 from sean_jax.world.environment import ENVS
 from support import programs
+from support.quick import slow
 
 SET, NAMES = "worlds:passages,aisles,square:3", ("kuri", "turtlebot3", "jackal")
 OWN = {"people": 3, "task": "random_ab_nav", "behavior": "random", "metrics": "none"}
@@ -74,8 +75,7 @@ def test_each_robot_moves_as_alone(lab):
     assert max(reached) > 0.9 and min(reached) < 0.6  # each has its own top speed
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("dynamics", "sensing"), [("twin", True), ("kinematic", False)])
+@pytest.mark.parametrize(("dynamics", "sensing"), slow([("twin", True), ("kinematic", False)], ("twin", True)))
 def test_each_robot_is_as_it_is_alone(dynamics, sensing, small):
     """Whole steps, and readings at the same state; one is wider than people's clearance and has its own navigation."""
     more = {"dynamics": dynamics, "sensors": small if sensing else ()}

@@ -193,10 +193,8 @@ def test_a_robot_in_mjx_goes_where_its_twin_does(recording):
         np.testing.assert_allclose(getattr(states[0].robot, name), getattr(states[1].robot, name), atol=1e-4)
 
 
-@pytest.mark.parametrize(
-    "behavior",
-    [pytest.param(each, marks=pytest.mark.slow if each == "graph" else pytest.mark.night) for each in BEHAVIORS],
-)
+@pytest.mark.night
+@pytest.mark.parametrize("behavior", BEHAVIORS)
 @pytest.mark.parametrize("environment", [USUAL])
 def test_sean_run_does_everything_legal(environment, behavior, recording, tmp_path, capsys):
     """An episode of 2 s of each task; the custom one needs poses and a run of its own."""

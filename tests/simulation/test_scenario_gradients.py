@@ -94,6 +94,7 @@ def test_with_respect_to_force_parameters(double):
     agree(jax.jit(value), gradient, at, list(jnp.eye(len(names))))
 
 
+@pytest.mark.night
 def test_forward_mode_equals_reverse_mode_in_blocks(double):
     """Through people, graph and robot."""
     scenario, state = double

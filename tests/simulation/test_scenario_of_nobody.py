@@ -86,7 +86,7 @@ def test_every_task_with_nobody(alone, behavior, task):
     assert traced(with_task(scenario, task)).pedestrians.position.shape == (0, 2)
 
 
-@pytest.mark.slow
+@pytest.mark.night
 def test_everything_else_with_nobody(alone):
     """Policies, models, forces, classifiers and sensors."""
     scenario = alone["random"]

@@ -63,7 +63,7 @@ def drive(scenario, key):
 RANDOM = {"behavior": "random", "task": "random_ab_nav"}
 COMPARED = [
     pytest.param(CHEAP, [1], id="graph"),
-    pytest.param(CHEAP | RANDOM, [1], id="random"),
+    pytest.param(CHEAP | RANDOM, [1], marks=pytest.mark.night, id="random"),
     pytest.param({}, [0, 1, 2], marks=pytest.mark.night, id="all"),
 ]
 

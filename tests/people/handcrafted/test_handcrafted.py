@@ -21,6 +21,7 @@ from sean_jax.simulation.making import with_task
 from sean_jax.studies.inverse_graph.measuring import begin_alone
 from sean_jax.world import environment, navigation
 from support import crowds, programs
+from support.quick import slow
 from support.scenes import box, room
 
 ENVIRONMENTS = ("warehouse", "lab", "outdoor")
@@ -604,8 +605,7 @@ def test_sheets_show_every_set_and_node(tmp_path, lab, capsys, monkeypatch):
     assert "give either --graph or --handcrafted" in capsys.readouterr().err
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ENVIRONMENTS)
+@pytest.mark.parametrize("name", slow(ENVIRONMENTS, "lab"))
 def test_each_set_makes_its_situation_occur(name):
     """go_to_goal over all 25 pairs of each set of ours: its situation in 80 % of them or more; of empty, nothing else.
 

@@ -26,12 +26,12 @@ from sean_jax.world import environment as environments
 from sean_jax.world import generated, navigation
 from sean_jax.world.generated import floor_families
 from sean_jax.world.generated.floor_families import GAP, TOUCH
+from support.quick import slow
 
 QUICK = ("passages", 0), ("square", 3)
-CASES = [
-    pytest.param(*case, marks=() if case in QUICK else pytest.mark.slow)
-    for case in itertools.product(generated.FAMILIES, range(5))
-]
+SLOW = [(family, 0) for family in generated.FAMILIES]
+OTHERS = [case for case in itertools.product(generated.FAMILIES, range(5)) if case not in QUICK]
+CASES = [*QUICK, *slow(OTHERS, *SLOW)]
 
 
 @pytest.mark.parametrize(("family", "seed"), CASES)
