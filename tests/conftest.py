@@ -18,8 +18,10 @@ os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(_CACHE))
 os.environ.setdefault("XDG_CACHE_HOME", str(_CACHE / "user"))  # the user's own tables are left alone
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "-1")
-# Half of what the tests take is compiling, for arrays so small that it does not pay to have loops unrolled.
-_QUICK = "--xla_backend_optimization_level=1 --xla_backend_extra_options=xla_cpu_disable_loop_unrolling"
+# Half of what the tests take is compiling, for arrays so small that it does not pay to have loops unrolled. Code of
+# level 0 is compiled in half the time and runs 3 times as long: the slow tests, which take more steps, use level 1.
+_LEVEL = os.environ.get("SEAN_JAX_TEST_OPTIMIZATION", "0")
+_QUICK = f"--xla_backend_optimization_level={_LEVEL} --xla_backend_extra_options=xla_cpu_disable_loop_unrolling"
 if importlib.metadata.version("jaxlib").startswith("0.10."):  # later ones stop at a flag that they do not know
     _QUICK += " --xla_cpu_use_fusion_emitters=false"
 if os.environ["JAX_PLATFORMS"] == "cpu":

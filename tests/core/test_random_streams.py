@@ -206,6 +206,7 @@ def test_commands_draw_other_episodes(scenario):
     assert len(np.unique(np.concatenate(keys), axis=0)) == 24
 
 
+@pytest.mark.slow
 def test_keys_of_both_kinds_can_be_mixed(scenario):
     """``jax.random.PRNGKey`` gives numbers, and the same episodes."""
     env = sean_jax.make_env(still(scenario))

@@ -31,6 +31,7 @@ def dataset(tmp_path_factory):
     return out
 
 
+@pytest.mark.slow
 def test_demonstrations_are_driven_again(dataset, capsys):
     """Each second the robot is where the dataset's row was recorded, with the speed of then, led astray as then."""
     from sean_jax.learning.dataset import open_dataset
@@ -132,6 +133,7 @@ def test_who_goes_around_a_periodic_scene_does_not_cross_it():
     assert frames.present[:, 0].tolist() == [True, True, False, True, True]
 
 
+@pytest.mark.slow
 def test_an_agent_of_several_environments_is_seen_in_one_of_them(tmp_path, capsys):
     for name in ("one", "other"):
         room(tmp_path / name, (-4, -4, 4, 4), name=name)

@@ -207,6 +207,7 @@ def test_regret_is_the_best_return_less_the_mean(env, by_regret):
     np.testing.assert_allclose(curricula.regret(with_values), np.maximum(np.arange(SIZE) - 8.0, 0.0), atol=1e-3)
 
 
+@pytest.mark.slow
 def test_starts_of_least_regret_are_replaced_by_others_like_the_best(env, by_regret):
     gaps = np.random.default_rng(1).permutation(SIZE) * 2.0
     before = _regretted(env, by_regret, gaps)

@@ -86,6 +86,7 @@ def test_what_cannot_stand_beside_one_another_is_refused(data, tmp_path):
     assert not (tmp_path / "a").exists()
 
 
+@pytest.mark.slow
 def test_parts_of_a_dataset_share_its_episodes_evenly(data, tmp_path):
     """Each episode is in one part, and each part has as much of every task; networks of other parts are others."""
     whole = {episode.number for episode in data.episodes}

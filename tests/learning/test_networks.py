@@ -198,6 +198,7 @@ def test_an_agent_sees_people_in_any_order(recurrent):
         np.testing.assert_allclose(one, other, rtol=1e-4, atol=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.bfloat16])
 def test_convolutions_see_all_of_an_image(dtype):
     """Each part of it has an effect, and colors are taken as they are."""
@@ -236,6 +237,7 @@ def mine(tmp_path, monkeypatch):
     return "mine.py"
 
 
+@pytest.mark.slow
 def test_an_own_network_takes_one_observation_and_people_as_they_are(mine):
     env, network, agent, seen = described(f"{mine}:Net")
     assert agent.parameters["params"]["encoder"]["Dense_0"]["kernel"].shape == (5, 8)

@@ -204,6 +204,7 @@ def test_a_training_has_its_files(training, request):
     assert (folder / "config.json").is_file() and (folder / "curve.png").is_file()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", quick(["ppo", "apg"], "ppo"))
 def test_programs_of_a_training_fit_together(method):
     """Traced, not compiled: an update gives a state like the one that it gets, and an evaluation what is logged."""
@@ -393,6 +394,7 @@ def quiet(monkeypatch):
     monkeypatch.setattr(reinforcement, "draw_starts", lambda options, scenarios, envs: (envs, ()))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_leaves_a_checkpoint_of_the_present_update(number, quiet, tmp_path, monkeypatch, capsys):
     """Between two evaluations; the same command goes on from there, and the exit code is that of the signal."""
@@ -444,6 +446,7 @@ def test_callbacks_get_each_line_of_the_log(quiet, tmp_path, capsys):
     assert not (tmp_path / "third").exists()
 
 
+@pytest.mark.slow
 def test_an_error_of_a_callback_keeps_the_checkpoints(quiet, tmp_path):
     def broken(line):
         if line["epoch"] == 3:
@@ -456,6 +459,7 @@ def test_an_error_of_a_callback_keeps_the_checkpoints(quiet, tmp_path):
     assert [line["epoch"] for line in curve(tmp_path / "run")] == [1, 2, 3, 4, 5, 6]
 
 
+@pytest.mark.slow
 def test_a_training_of_a_constant_learning_rate_goes_on_with_more_steps(quiet, tmp_path):
     for schedule in ("constant", "linear"):
         folder = tmp_path / schedule
@@ -664,6 +668,7 @@ def varied(out, mine, **others) -> PPOConfig:
     return options(out, terminations=ends, randomization=f"{mine}:slower", action_delay=(1, 2), **others)
 
 
+@pytest.mark.slow
 def test_randomization_delay_and_ends_reach_the_environment_of_a_training(mine, tmp_path):
     _, (floors,), _ = reinforcement.build(varied(tmp_path, mine))
     env = floors.member

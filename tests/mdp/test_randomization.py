@@ -238,6 +238,7 @@ def test_derivatives_by_parameters_are_finite(scenario):
         assert any(abs(float(each[name])) > 1e-4 for each in found), name
 
 
+@pytest.mark.slow
 def test_floors_of_a_set_are_randomized():
     config = validate(EnvConfig, {"environment": SET, "people": 4, "observations": ["goal", "lidar"],
                                   "task": "random_ab_nav", "randomization": BOUNDS})  # fmt: skip
@@ -278,6 +279,7 @@ def training(out, **more) -> PPOConfig:
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_laws_are_environments():
     config = training(
         None, environment="lab", laws="calibrated,sean2,orca", scenarios=12, observation_delay=["people=1"]

@@ -234,6 +234,7 @@ def test_the_plan_of_mppi_is_the_weighted_mean_of_a_loop():
     assert weights.sum() > 3.0  # several matter
 
 
+@pytest.mark.slow
 def test_mppi_begins_at_its_last_plan(make):
     """With hardly any noise the plan is the remembered one, with its beginning removed."""
     scenario, state = make()

@@ -137,6 +137,7 @@ def test_potentials_are_the_fixed_point_of_the_quadratic_rule():
     assert (mine[~reached] >= UNREACHED).all() and reached.sum() > 400
 
 
+@pytest.mark.slow
 def test_the_kernel_for_a_gpu_settles_windows_as_the_sweeps(monkeypatch):
     """Small windows with several starts and walls, one of them without a start. On a CPU XLA runs the kernel."""
     monkeypatch.setattr(wave_kernel, "_call", functools.partial(wave_kernel._call, interpret=True))
@@ -164,6 +165,7 @@ def test_the_kernel_for_a_gpu_settles_windows_as_the_sweeps(monkeypatch):
     assert (np.asarray(sweeps[1]) == steps).all() and steps[1].max() == UNREACHED and 20 < steps[1][free[1]].max() < 64
 
 
+@pytest.mark.slow
 def test_waves_are_launches_of_the_kernel_on_a_gpu():
     """Under vmap and in derivatives, which do not go through waves; a whole map and double precision have loops."""
 

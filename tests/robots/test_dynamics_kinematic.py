@@ -128,6 +128,7 @@ def test_a_person_stops_it_and_who_walks_into_it_pushes_it(kuri):
     assert gap.min() > reach - 0.01 and float(robot.position[0, -1, 0]) < -0.4
 
 
+@pytest.mark.slow
 def test_gradients_equal_differences():
     """In both modes, free, gliding along a wall and held by a person, against central differences in float64."""
     steps, change = 8, 1e-6

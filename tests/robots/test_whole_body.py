@@ -111,6 +111,7 @@ def gap(position, box):
     return np.linalg.norm(outside, axis=1) - RADIUS
 
 
+@pytest.mark.slow
 def test_a_body_moves_as_in_mujoco(tmp_path):
     commands = np.repeat([[0.5, 0.0], [0.8, 1.5], [-0.4, -1.0]], STEPS // 3, 0)
     with jax.enable_x64(True):
@@ -129,6 +130,7 @@ def test_a_body_moves_as_in_mujoco(tmp_path):
     assert not moved.drive_state.fallen.any()
 
 
+@pytest.mark.slow
 def test_the_position_is_that_of_mujoco_in_single_precision_too(rover):
     moved, _ = run(rover, (0.5, 0.8))
     qpos, _ = in_mujoco(ROVER, wheels, moved.drive_state.target, 0)
@@ -180,6 +182,7 @@ def test_a_body_that_falls_stays_where_it_lies(tmp_path):
     assert not moved.speed[first:].any() and not moved.turn_rate[first:].any()
 
 
+@pytest.mark.slow
 def test_a_body_whose_physics_diverge_has_fallen_and_stays_finite(rover):
     robot = placed(rover)
     physics = {**robot.drive_state.physics, "qvel": robot.drive_state.physics["qvel"].at[8].set(1e30)}
@@ -189,6 +192,7 @@ def test_a_body_whose_physics_diverge_has_fallen_and_stays_finite(rover):
         assert np.isfinite(leaf).all()
 
 
+@pytest.mark.slow
 def test_physics_go_on_from_a_pose_that_is_replaced_in_the_same_program(rover):
     """A body turned and shifted halfway moves on as before, turned and shifted."""
     first, _ = run(rover, COMMAND)

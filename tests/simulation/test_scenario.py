@@ -191,6 +191,7 @@ def test_the_largest_number_that_fits_fits():
         sean_jax.make(people=most + 1, dynamics="twin")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("behavior", quick(["graph", "random"], "graph"))
 def test_a_crowd_that_warms_up_has_walked_before_the_task_begins(behavior):
     """As people walk among themselves, and the robot begins free of who is there by then."""

@@ -105,6 +105,7 @@ def both(before: State, after: State, action) -> tuple:
     return before, after, action
 
 
+@pytest.mark.slow
 def test_a_robot_far_from_the_others_is_as_the_plain_scenario(scenario, begun, plain_step, teams, team_step) -> None:
     """Robot, people, situations and task, in random drives; the other robots stand 1 km away."""
     random, state = np.random.default_rng(0), begun

@@ -90,6 +90,7 @@ def forces_and_slopes(parameters, few: bool):
     return slopes(parameters, people.position, people.velocity)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("preset", quick(social_forces.PRESETS, "helbing1995"))
 def test_forces_and_gradients_are_those_of_all_pairs(preset, monkeypatch):
     """On a CPU, and in the form of the sums for older GPUs."""

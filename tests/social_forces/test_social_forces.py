@@ -70,6 +70,7 @@ def test_step_equals_the_float64_loop(preset):
     assert apart.min() < 2.0 and clearance(state[0], boxes).min() < 1.0  # they had something to feel
 
 
+@pytest.mark.slow
 def test_the_forms_for_a_gpu_give_the_same(monkeypatch):
     """Kernels; without them others two by two or four by four, obstacles one by one, bodies in them; derivatives."""
     helbing, calibrated = social_forces.preset("helbing2000"), social_forces.preset("calibrated")
@@ -263,7 +264,8 @@ def test_fast_walkers_stop_at_walls_and_in_corners(wall_strength):
         after = walk(parameters, crowd([start], [velocity]), replace(table, rows=rows), steps=100)
         gap = clearance(after.position[:, 0], exact_boxes) - 0.2
         assert gap.min() > -0.001, boxes
-        assert gap[-1] < 0.4 and np.linalg.norm(after.velocity[-1]) < 0.2  # they got there, and stand
+        drift = np.linalg.norm(np.asarray(after.position[-1, 0] - after.position[-21, 0]))  # m in the last second
+        assert gap[-1] < 0.4 and drift < 0.2, boxes  # they got there, and stand
         assert np.asarray(after.position[-1, 0, 0]) < 2.1
 
 
@@ -711,6 +713,7 @@ def test_what_makes_no_forces_is_refused_in_one_sentence(terms, message):
     assert str(caught.value).startswith("forces") and "\n" not in str(caught.value)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("preset", quick(["calibrated", "helbing1995", "helbing2000"], "calibrated", "helbing2000"))
 def test_what_lies_within_the_limits_of_a_parameter_moves_people_by_finite_numbers(preset):
     """Each parameter at its least, its greatest and between, the others as they are, in a crowd."""

@@ -49,6 +49,7 @@ def test_share_of_right_hand_passes_follows_the_side_preference(preset):
     assert (np.diff(share) > 0).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("preset", quick(PRESETS, "calibrated"))
 def test_people_keep_farther_from_a_moving_robot_the_greater_their_robot_distance(preset):
     parameters = social_forces.preset(preset)

@@ -132,6 +132,7 @@ def test_the_warehouse_has_the_13_sets_of_sean2(warehouse):
     assert join.groups == leave.groups
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sets", ["all", "staged"])
 def test_the_robot_has_a_way_and_room_in_every_set(sets):
     """From each start to each goal; of the open place of a group, its centre stands for it."""
@@ -270,7 +271,7 @@ def test_tasks_are_pairs_of_the_set_and_each_is_drawn(sets, states):
         ):
             if isinstance(poses[0], str):
                 assert list(each.groups)[group] in poses
-                np.testing.assert_allclose(place, states.groups.opening[index, group])
+                np.testing.assert_allclose(place, states.groups.opening[index, group], atol=1e-6)
                 inward = states.groups.center[index, group] - place
                 assert heading @ inward > 0.99 * np.linalg.norm(inward)
                 drawn.append(list(each.groups)[group])

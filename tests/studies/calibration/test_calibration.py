@@ -210,6 +210,7 @@ def recorded(family, forces):
     return [np.asarray(tracks.position, float) for tracks in simulate(scenes, model(forces))]
 
 
+@pytest.mark.slow
 def test_sums_of_a_single_file_are_those_of_its_tracks(monkeypatch):
     forces = preset("calibrated")  # whose files move alike, whatever the rounding
     monkeypatch.setattr(families.SingleFile, "seconds", 8.0)

@@ -250,6 +250,7 @@ def test_uniform_stays_are_told_by_their_quartiles():
     assert capacity[0] == 2  # three of them for a moment are no capacity
 
 
+@pytest.mark.slow
 def test_calls_to_groups_are_those_that_people_follow():
     """Counted in people's memory; compared with where they go and stay."""
     scenario = sean_jax.make("lab", behavior="graph", dynamics="twin")

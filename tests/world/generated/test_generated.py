@@ -164,6 +164,7 @@ def test_the_command_writes_environments_and_a_picture(tmp_path, capsys):
     assert "'stalls' is no word with a number" in capsys.readouterr().err and not (tmp_path / "no").exists()
 
 
+@pytest.mark.slow
 def test_two_processes_make_the_same_set(tmp_path):
     """Both have it, whichever was first, and nothing else remains."""
     code = (

@@ -94,6 +94,7 @@ def test_paths_and_who_follows_them(name):
     assert (detour > 1.01).sum() > 12  # there was something to go around
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("radius", [RADIUS, pytest.param(0.06, marks=pytest.mark.slow)])
 def test_paths_through_a_heap_of_boxes(radius):
     assert (check_pairs(place("heap", radius), radius, 2 * PAIRS) > 1.05).sum() > 20
