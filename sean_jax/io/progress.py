@@ -103,16 +103,29 @@ class _Lines(Progress):
         if now - self._last < min(max(INTERVAL, 0.1 * (self._last - self._begin)), MAX_INTERVAL):
             return
         self._last = now
-        share = f" {min(1.0, self._done / self._total):.0%}" if self._total and self._done else ""
-        begin, first = self._first
-        spent = (self._aside_began if self._aside_text else now) - begin - self._aside
-        rest = spent * (self._total - self._done) / (self._done - first) if self._done > first else 0.0
-        left = f", {datetime.timedelta(seconds=int(rest))} left" if share and rest > 0.0 else ""
-        stage = f"{self._text}, {self._aside_text}" if self._aside_text else self._text
-        text = f"{stage}{share}{self._note and ' · '}{self._note}"
-        text += f" · {datetime.timedelta(seconds=int(now - self._begin))}{left}"
+        text = f"{self._text}, {self._aside_text}" if self._aside_text else self._text
+        if self._total and self._done:
+            text += f" {min(1.0, self._done / self._total):.0%}"
+        if self._note:
+            text += f" · {self._note}"
+        text += f" · {_clock(now - self._begin)}"
+        remaining = self._remaining(now)
+        if self._total and self._done and remaining > 0.0:
+            text += f", {_clock(remaining)} left"
         self._console.print(text, markup=False, emoji=False, highlight=False, soft_wrap=True)
         self._console.file.flush()
+
+    def _remaining(self, now: float) -> float:
+        """Seconds until the end, as fast as since the first update; 0 if nothing is known."""
+        begin, first_done = self._first
+        if self._done <= first_done:
+            return 0.0
+        spent = (self._aside_began if self._aside_text else now) - begin - self._aside
+        return spent * (self._total - self._done) / (self._done - first_done)
+
+
+def _clock(seconds: float) -> datetime.timedelta:
+    return datetime.timedelta(seconds=int(seconds))
 
 
 def say(console: ProgressLike, sentence: str) -> None:

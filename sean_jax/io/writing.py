@@ -108,7 +108,7 @@ def folder_lock(folder: Path) -> Iterator[None]:
     folder = Path(os.path.realpath(folder))
     if os.path.exists(folder) and not os.path.isdir(folder):
         raise WriteError(f"{folder} is a file, give the name of a folder with --out.")
-    missing = [each for each in (folder, *folder.parents) if not os.path.exists(each)]
+    missing = [path for path in (folder, *folder.parents) if not os.path.exists(path)]
     if os.path.isdir(folder) and _names(folder) == [LOCK]:
         missing = [folder]  # left by a process that was killed
     lock = folder / LOCK
