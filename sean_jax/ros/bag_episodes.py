@@ -17,6 +17,7 @@ LONGEST_GAP = 2.0  # s: a person without messages for longer has left
 FASTEST = 4.0  # m/s: who is faster was put elsewhere ...
 LEAST_JUMP = 1.0  # m, and has moved at least so far, as trackers jitter
 TOGETHER = 0.5  # s, within which a new goal or map belongs to a jump
+FIRST_TIME, LAST_TIME = -(2**63), 2**63 - 1  # ns
 BACK = 1.0  # s, by which time goes back at a reset, as messages may overtake each other
 
 
@@ -55,17 +56,20 @@ class Resets(NamedTuple):
 
 def split(recording: Recording) -> Resets:
     """The episodes of a bag. Those in which there is neither the robot nor a person are left out."""
-    episodes, cuts, robot_jumps = [], 0, 0
-    for begin, end in _stretches(_reference(recording)):
-        clock = Clock(_reference(recording), begin, end)
+    reference = _reference(recording)
+    resets = []
+    for begin, end in _stretches(reference):
+        clock = Clock(reference, begin, end)
         stretch = _stretch(recording, clock, begin, end)
-        new_places = _rows(recording.goals, begin, end), _rows(recording.maps, begin, end)
-        evidence = np.concatenate([clock.times(rows) for rows, _ in new_places])
-        parts, cut, left = _split_at_jumps(stretch, evidence)
-        episodes += parts
-        cuts += cut
-        robot_jumps += left
-    return Resets(episodes, cuts, robot_jumps)
+        goals, _ = _rows(recording.goals, begin, end)
+        maps, _ = _rows(recording.maps, begin, end)
+        evidence = np.concatenate([clock.times(goals), clock.times(maps)])
+        resets.append(_split_at_jumps(stretch, evidence))
+    return Resets(
+        episodes=[episode for reset in resets for episode in reset.episodes],
+        cuts=sum(reset.cuts for reset in resets),
+        robot_jumps=sum(reset.robot_jumps for reset in resets),
+    )
 
 
 # ------------------------------------------------------------------ time
@@ -75,8 +79,8 @@ def _reference(recording: Recording) -> np.ndarray:
     """(R, 2) receipt and stamp of the topic by which time is told; without rows if none has stamps."""
     frames = recording.frames.all
     transforms = recording.transforms.whole
-    of_base = transforms[[frames[child] in BASES for child in transforms[:, 3]]] if len(transforms) else transforms
-    for rows in (recording.odometry.whole, recording.poses.whole, recording.people.whole, of_base):
+    is_base = np.array([frames[child] in BASES for child in transforms[:, 3]], bool)
+    for rows in (recording.odometry.whole, recording.poses.whole, recording.people.whole, transforms[is_base]):
         stamped = rows[rows[:, 1] != 0]
         if len(stamped):
             return stamped[:, :2]
@@ -85,16 +89,22 @@ def _reference(recording: Recording) -> np.ndarray:
 
 def _stretches(reference: np.ndarray) -> list[tuple[int, int]]:
     """Times of receipt [ns] from which on until which the stamps go on."""
-    received, stamp = reference[:, 0], reference[:, 1]
+    received = reference[:, 0]
+    stamp = reference[:, 1]
     borders = []
     latest = stamp[0] if len(stamp) else 0
     for k in range(1, len(stamp)):
         if stamp[k] < latest - BACK * SECOND:
-            borders.append(int(received[k - 1] + (received[k] - received[k - 1]) // 2) + 1)
+            pause = received[k] - received[k - 1]
+            borders.append(int(received[k - 1] + pause // 2) + 1)
             latest = stamp[k]
         latest = max(latest, stamp[k])
-    least, most = -(2**63), 2**63 - 1
-    return list(zip([least, *borders], [*borders, most], strict=True))
+    return _spans(borders)
+
+
+def _spans(borders: list[int]) -> list[tuple[int, int]]:
+    """The times [ns] between borders, from the first that there is to the last."""
+    return list(zip([FIRST_TIME, *borders], [*borders, LAST_TIME], strict=True))
 
 
 class Clock:
@@ -106,18 +116,23 @@ class Clock:
     def __init__(self, reference: np.ndarray, begin: int, end: int):
         """A clock of the messages that were received between two times [ns]."""
         rows = reference[(reference[:, 0] >= begin) & (reference[:, 0] < end)]
-        self._received, delay = rows[:, 0], rows[:, 0] - rows[:, 1]
+        self._received = rows[:, 0]
+        delay = rows[:, 0] - rows[:, 1]
         self._least = delay.min() if len(delay) else 0
         self._delays = (delay - self._least).astype(float)
 
     def times(self, rows: np.ndarray) -> np.ndarray:
         """(R,) ns of rows that begin with their receipt and their stamp: the stamp if they have one."""
-        received, stamp = rows[:, 0], rows[:, 1]
+        received = rows[:, 0]
+        stamp = rows[:, 1]
         if not len(self._received):
             return np.where(stamp != 0, stamp, received)
+
+        # Floats hold times since the first message, and the delays beyond the least one, to the nanosecond.
         first = self._received[0]
         delay = np.interp((received - first).astype(float), (self._received - first).astype(float), self._delays)
-        return np.where(stamp != 0, stamp, received - self._least - np.round(delay).astype(np.int64))
+        sent = received - self._least - np.round(delay).astype(np.int64)
+        return np.where(stamp != 0, stamp, sent)
 
 
 # ------------------------------------------------------------------ one frame
@@ -133,31 +148,49 @@ def _rows(table: Table, begin: int, end: int) -> tuple[np.ndarray, np.ndarray]:
 def _stretch(recording: Recording, clock: Clock, begin: int, end: int) -> Stretch:
     """The messages between two times of receipt [ns], in one frame."""
     frames = recording.frames.all
-    transforms = Transforms()
-    static = recording.static.whole, recording.static.numbers
-    for whole, numbers in (static, _rows(recording.transforms, begin, end)):
-        for time, (_, _, parent, child), pose in zip(clock.times(whole), whole, numbers, strict=True):
-            transforms.add(frames[parent], frames[child], int(time), Pose(*pose))
-    transforms.sort()
-
+    transforms = _transforms(recording, clock, begin, end)
     robot, speeds, frame = _robot(recording, clock, transforms, begin, end)
     whole, numbers = _rows(recording.people, begin, end)
     if len(whole) and not frame:
         frame = transforms.root(frames[whole[0, 2]])
-    people = _people(whole, numbers, clock, transforms, frames)
 
-    goals, places = _rows(recording.goals, begin, end)
-    times = clock.times(goals)
-    places = _in_root(transforms, [frames[k] for k in goals[:, 2]], times, np.pad(places, ((0, 0), (0, 1))))
-    situations = {}
-    rows, holds = _rows(recording.situations, begin, end)
-    for number, name in enumerate(recording.situation_names.all):
-        mine = rows[:, 2] == number
-        situations[name] = _track(clock.times(rows[mine]), holds[mine])
-    commands, values = _rows(recording.commands, begin, end)
+    # What the robot was told, and what was said about its surroundings.
+    commands, velocities = _rows(recording.commands, begin, end)
+    goals, points = _rows(recording.goals, begin, end)
+    goal_times = clock.times(goals)
+    poses = np.pad(points, ((0, 0), (0, 1)))  # (G, 3) with a yaw of 0
+    poses = _in_root(transforms, [frames[k] for k in goals[:, 2]], goal_times, poses)
     return Stretch(
-        frame, robot, speeds, people, _track(clock.times(commands), values), _track(times, places[:, :2]), situations
+        frame=frame,
+        robot=robot,
+        speeds=speeds,
+        people=_people(whole, numbers, clock, transforms, frames),
+        commands=_track(clock.times(commands), velocities),
+        goals=_track(goal_times, poses[:, :2]),
+        situations=_situations(recording, clock, begin, end),
     )
+
+
+def _transforms(recording: Recording, clock: Clock, begin: int, end: int) -> Transforms:
+    """The static transforms, and those between two times of receipt [ns]."""
+    frames = recording.frames.all
+    static = recording.static.whole, recording.static.numbers
+    transforms = Transforms()
+    for whole, numbers in (static, _rows(recording.transforms, begin, end)):
+        for time, (_, _, parent, child), pose in zip(clock.times(whole), whole, numbers, strict=True):
+            transforms.add(frames[parent], frames[child], int(time), Pose(*pose))
+    transforms.sort()
+    return transforms
+
+
+def _situations(recording: Recording, clock: Clock, begin: int, end: int) -> dict[str, Track]:
+    """Situation -> when it holds, between two times of receipt [ns]."""
+    rows, holds = _rows(recording.situations, begin, end)
+    situations = {}
+    for number, name in enumerate(recording.situation_names.all):
+        chosen = rows[:, 2] == number
+        situations[name] = _track(clock.times(rows[chosen]), holds[chosen])
+    return situations
 
 
 def _robot(
@@ -169,29 +202,35 @@ def _robot(
         times = np.array(transforms.times(base), np.int64)
         poses = np.array([transforms.pose(base, int(time)) for time in times])
         return _track(times, poses), None, transforms.root(base)
-    of_odometry = len(recording.odometry) > 0
-    whole, numbers = _rows(recording.odometry if of_odometry else recording.poses, begin, end)
+    has_speeds = len(recording.odometry) > 0
+    whole, numbers = _rows(recording.odometry if has_speeds else recording.poses, begin, end)
     if not len(whole):
         return None, None, ""
-    frames, times = [recording.frames.all[k] for k in whole[:, 2]], clock.times(whole)
+    frames = [recording.frames.all[k] for k in whole[:, 2]]
+    times = clock.times(whole)
     robot = _track(times, _in_root(transforms, frames, times, numbers[:, :3]))
-    return robot, _track(times, numbers[:, 3:]) if of_odometry else None, transforms.root(frames[0])
+    speeds = _track(times, numbers[:, 3:]) if has_speeds else None
+    return robot, speeds, transforms.root(frames[0])
 
 
 def _people(
     whole: np.ndarray, numbers: np.ndarray, clock: Clock, transforms: Transforms, frames: list[str]
 ) -> list[Track]:
     """A track of each person in the root of the frames."""
-    times, of_rows = clock.times(whole), [frames[k] for k in whole[:, 2]]
-    poses = _in_root(transforms, of_rows, times, numbers[:, [0, 1, 4]])
-    flow = numbers[:, 2:4].copy()
-    for k, frame in enumerate(of_rows):
+    times = clock.times(whole)
+    frame_names = [frames[k] for k in whole[:, 2]]
+    poses = _in_root(transforms, frame_names, times, numbers[:, [0, 1, 4]])  # (R, 3)
+    velocity = numbers[:, 2:4].copy()
+    for k, frame in enumerate(frame_names):
         if frame in transforms.parent:
-            flow[k] = transforms.pose(frame, int(times[k])).turn(*flow[k])
-    values = np.column_stack([poses[:, :2], flow, poses[:, 2], whole[:, 4]])
-    order = np.argsort(whole[:, 3], kind="stable")
-    borders = np.flatnonzero(np.diff(whole[order, 3])) + 1
-    return [_track(times[mine], values[mine]) for mine in np.split(order, borders) if len(mine)]
+            velocity[k] = transforms.pose(frame, int(times[k])).turn(*velocity[k])
+    values = np.column_stack([poses[:, :2], velocity, poses[:, 2], whole[:, 4]])
+
+    # Rows of a person after those of another, by the number of the name.
+    person = whole[:, 3]
+    order = np.argsort(person, kind="stable")
+    borders = np.flatnonzero(np.diff(person[order])) + 1
+    return [_track(times[rows], values[rows]) for rows in np.split(order, borders) if len(rows)]
 
 
 def _in_root(transforms: Transforms, frames: list[str], times: np.ndarray, poses: np.ndarray) -> np.ndarray:
@@ -217,50 +256,62 @@ def _track(times: np.ndarray, values: np.ndarray) -> Track:
 def jumps(track: Track) -> np.ndarray:
     """Indices of the rows at which somebody is where nobody can have walked to."""
     seconds = np.diff(track.times) / SECOND
-    way = np.hypot(*np.diff(track.values[:, :2], axis=0).T)
-    return np.flatnonzero((way > LEAST_JUMP) & (way > FASTEST * seconds)) + 1
+    steps = np.diff(track.values[:, :2], axis=0)  # (M - 1, 2) m
+    distance = np.hypot(steps[:, 0], steps[:, 1])
+    return np.flatnonzero((distance > LEAST_JUMP) & (distance > FASTEST * seconds)) + 1
 
 
-def _split_at_jumps(stretch: Stretch, evidence: np.ndarray) -> tuple[list[Stretch], int, int]:
-    """The episodes of a stretch, the number of people who were cut elsewhere, and of jumps of the robot likewise.
+class Jump(NamedTuple):
+    """A jump of a person or of the robot."""
+
+    before: int  # ns
+    after: int  # ns
+    track: int  # index among the tracks
+
+
+def _split_at_jumps(stretch: Stretch, evidence: np.ndarray) -> Resets:
+    """The episodes of a stretch, and the jumps that begin none.
 
     Args:
         evidence: (G,) ns, at which there was a new goal or map.
     """
-    robot = [] if stretch.robot is None else [stretch.robot]
-    moves = []  # (ns before a jump, ns after it, number of the track)
-    for number, track in enumerate([*robot, *stretch.people]):
-        moves += [(track.times[k - 1], track.times[k], number) for k in jumps(track)]
-    moves.sort(key=lambda move: move[1])
+    has_robot = stretch.robot is not None
+    tracks = [stretch.robot, *stretch.people] if stretch.robot is not None else stretch.people
+    moves = []
+    for index, track in enumerate(tracks):
+        moves += [Jump(track.times[k - 1], track.times[k], index) for k in jumps(track)]
+    moves.sort(key=lambda move: move.after)
 
-    borders, alone, k = [], [], 0
-    while k < len(moves):
-        cluster = [move for move in moves[k:] if move[1] <= moves[k][1] + TOGETHER * SECOND]
-        k += len(cluster)
-        if _is_reset(cluster, [*robot, *stretch.people], evidence):
-            borders.append(int(cluster[0][1]))
+    # Jumps within half a second belong together.
+    borders, single = [], []
+    while moves:
+        end = moves[0].after + TOGETHER * SECOND
+        cluster = [move for move in moves if move.after <= end]
+        moves = moves[len(cluster) :]
+        if _is_reset(cluster, tracks, evidence):
+            borders.append(int(cluster[0].after))
         else:
-            alone += cluster
-    robot_jumps = sum(bool(robot) and number == 0 for *_, number in alone)
+            single += cluster
+    robot_jumps = sum(has_robot and move.track == 0 for move in single)
 
-    least, most = -(2**63), 2**63 - 1
-    parts = [_part(stretch, *span) for span in zip([least, *borders], [*borders, most], strict=True)]
-    parts = [part for part in parts if part.robot is not None or (part.people and stretch.robot is None)]
-    return parts, len(alone) - robot_jumps, robot_jumps
+    episodes = [_episode(stretch, begin, end) for begin, end in _spans(borders)]
+    episodes = [episode for episode in episodes if (episode.robot is not None if has_robot else episode.people)]
+    return Resets(episodes, len(single) - robot_jumps, robot_jumps)
 
 
-def _is_reset(cluster: list[tuple], tracks: list[Track], evidence: np.ndarray) -> bool:
+def _is_reset(cluster: list[Jump], tracks: list[Track], evidence: np.ndarray) -> bool:
     """Whether jumps are a reset: a goal or a map is new, or half of all that is there jumps."""
-    before, after = min(move[0] for move in cluster), max(move[1] for move in cluster)
     slack = TOGETHER * SECOND
-    if ((evidence >= before - slack) & (evidence <= after + slack)).any():
+    begin = min(jump.before for jump in cluster)
+    end = max(jump.after for jump in cluster)
+    if ((evidence >= begin - slack) & (evidence <= end + slack)).any():
         return True
-    there = sum(track.times[0] < after and track.times[-1] >= cluster[0][1] for track in tracks)
-    jumped = len({number for *_, number in cluster})
-    return jumped >= 2 and 2 * jumped >= there
+    present = sum(track.times[0] < end and track.times[-1] >= cluster[0].after for track in tracks)
+    jumped = len({jump.track for jump in cluster})
+    return jumped >= 2 and 2 * jumped >= present
 
 
-def _part(stretch: Stretch, begin: int, end: int) -> Stretch:
+def _episode(stretch: Stretch, begin: int, end: int) -> Stretch:
     """The episode between two times [ns]. Goals stay until there is another one."""
     robot = None if stretch.robot is None else stretch.robot.between(begin, end)
     people = []
@@ -268,13 +319,13 @@ def _part(stretch: Stretch, begin: int, end: int) -> Stretch:
         inside = track.between(begin, end)
         pieces = np.split(np.arange(len(inside.times)), jumps(inside))
         people += [Track(inside.times[piece], inside.values[piece]) for piece in pieces if len(piece)]
-    until = end if end == 2**63 - 1 else end - int(TOGETHER * SECOND)
+    last_goal = end if end == LAST_TIME else end - int(TOGETHER * SECOND)  # a later one belongs to the next episode
     return dataclasses.replace(
         stretch,
         robot=None if robot is None or not len(robot.times) else robot,
         speeds=None if stretch.speeds is None else stretch.speeds.between(begin, end),
         people=people,
         commands=stretch.commands.between(begin, end),
-        goals=stretch.goals.between(-(2**63), until),
+        goals=stretch.goals.between(FIRST_TIME, last_goal),
         situations={name: track.between(begin, end) for name, track in stretch.situations.items()},
     )

@@ -17,8 +17,10 @@ class Pose(NamedTuple):
 
     def then(self, inner: "Pose") -> "Pose":
         """A pose in the frame of this pose, in this pose's parent frame."""
-        cosine, sine = math.cos(self.yaw), math.sin(self.yaw)
-        x, y = self.x + cosine * inner.x - sine * inner.y, self.y + sine * inner.x + cosine * inner.y
+        cosine = math.cos(self.yaw)
+        sine = math.sin(self.yaw)
+        x = self.x + cosine * inner.x - sine * inner.y
+        y = self.y + sine * inner.x + cosine * inner.y
         return Pose(x, y, self.yaw + inner.yaw)
 
     def turn(self, x: float, y: float) -> tuple[float, float]:
@@ -54,20 +56,22 @@ class Transforms:
 
     def root(self, frame: str) -> str:
         """The frame at the end of the parents of a frame."""
-        seen = {frame}
-        while frame in self.parent and self.parent[frame] not in seen:
+        visited = {frame}  # a bag may have frames in a circle
+        while frame in self.parent and self.parent[frame] not in visited:
             frame = self.parent[frame]
-            seen.add(frame)
+            visited.add(frame)
         return frame
 
     def pose(self, frame: str, time: int) -> Pose:
         """The pose of a frame in its root, by the last transforms until a time [ns], or else the first ones."""
-        result, seen = NOWHERE, set[str]()
-        while frame in self.parent and frame not in seen:
-            seen.add(frame)
+        pose = NOWHERE
+        visited: set[str] = set()  # a bag may have frames in a circle
+        while frame in self.parent and frame not in visited:
+            visited.add(frame)
             index = max(0, bisect.bisect_right(self._times[frame], time) - 1)
-            result, frame = self._poses[frame][index].then(result), self.parent[frame]
-        return result
+            pose = self._poses[frame][index].then(pose)
+            frame = self.parent[frame]
+        return pose
 
     def times(self, frame: str) -> list[int]:
         """The times [ns] of the transforms of a frame."""

@@ -104,7 +104,7 @@ READERS = {
         "ros/bag_opening.py BoundedPath.read_text",
         "ros/bag_opening.py _files",
         "ros/bag_opening.py open_bag",
-        "ros/bag_tables.py read",
+        "ros/bag_tables.py read_bag",
     ),
 }
 """Kind -> the functions that read it, as FILE FUNCTION. (Robots and bodies are read in ``files`` itself.)"""
