@@ -297,10 +297,13 @@ class OpenBag:
         Raises:
             FileError: the bag is damaged, or a message is too large.
         """
-        connections = [each for each in self._reader.connections if each.topic in {*decoded, *noted}]
+        connections = [connection for connection in self._reader.connections if connection.topic in {*decoded, *noted}]
         if not connections:
             return
-        stores = {each.topic: self._store(each) for each in connections if each.topic in decoded}
+        stores = {}
+        for connection in connections:
+            if connection.topic in decoded:
+                stores[connection.topic] = self._store(connection)
         with files.sentence(self._path, CURE):
             for connection, received, raw in self._reader.messages(connections):
                 if type(received) is not int:
@@ -312,8 +315,11 @@ class OpenBag:
 
     def _decode(self, store: Any, connection: Any, raw: Any) -> Any:
         if len(raw) > MAX_MESSAGE:
-            size = f"{connection.topic}: a message has {len(raw):,} bytes, and at most {MAX_MESSAGE:,} are read"
-            raise files.file_error(self._path, f"{size}; name other topics, or cut those messages out")
+            raise files.file_error(
+                self._path,
+                f"{connection.topic}: a message has {len(raw):,} bytes, and at most {MAX_MESSAGE:,} are read; name "
+                "other topics, or cut those messages out",
+            )
         decode = store.deserialize_ros1 if self._version == 1 else store.deserialize_cdr
         return decode(raw, connection.msgtype)
 
@@ -322,21 +328,28 @@ class OpenBag:
         from rosbags.interfaces import MessageDefinitionFormat
         from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-        form, text = connection.msgdef.format, connection.msgdef.data
+        form = connection.msgdef.format
+        text = connection.msgdef.data
         if form == MessageDefinitionFormat.NONE:
             return typestore(1 if self._version == 1 else 2)
-        where = f"the definition of {connection.msgtype} on {connection.topic}"
-        with files.sentence(self._path, f"{where} cannot be used; {CURE}"):
+        kind = connection.msgtype
+        topic = connection.topic
+        with files.sentence(self._path, f"the definition of {kind} on {topic} cannot be used; {CURE}"):
             if len(text) > MAX_DEFINITION:
-                raise files.file_error(self._path, f"{where} has {len(text):,} characters; name another topic")
+                raise files.file_error(
+                    self._path, f"the definition of {kind} on {topic} has {len(text):,} characters; name another topic"
+                )
             if form == MessageDefinitionFormat.MSG:
-                found = get_types_from_msg(text, connection.msgtype)
+                types = get_types_from_msg(text, kind)
             else:
-                found = _types_of_idl(text)
+                types = _types_of_idl(text)
             store = get_typestore(Stores.EMPTY)
-            if _count_fields({**store.fielddefs, **found}, connection.msgtype, ()) > MAX_FIELDS:
-                raise files.file_error(self._path, f"{where} has more than {MAX_FIELDS:,} fields; name another topic")
-            store.register(found)
+            if _count_fields({**store.fielddefs, **types}, kind, ()) > MAX_FIELDS:
+                raise files.file_error(
+                    self._path,
+                    f"the definition of {kind} on {topic} has more than {MAX_FIELDS:,} fields; name another topic",
+                )
+            store.register(types)
             return store
 
 

@@ -91,8 +91,9 @@ def sentence(path: Path | str, cure: str) -> Iterator[None]:
     except SeanError:
         raise
     except OSError as error:
-        why = error.strerror.lower() if error.strerror else "it is damaged"
-        raise file_error(path, f"cannot be read: {why}; {cure}") from error
+        if not error.strerror:
+            raise file_error(path, f"cannot be read: it is damaged; {cure}") from error
+        raise file_error(path, f"cannot be read: {error.strerror.lower()}; {cure}") from error
     except MemoryError as error:
         raise file_error(path, f"does not fit into memory; {cure}") from error
     except Exception as error:  # which one depends on the byte that is damaged

@@ -115,7 +115,10 @@ def read(file: Path) -> RecordedDrive:
     Raises:
         FileError: it is no trial.
     """
-    head, commands, by_person, outcome = None, list[list[float]](), list[bool](), None
+    head: TrialHead | None = None
+    commands: list[list[float]] = []
+    by_person: list[bool] = []
+    outcome = None
     for number, text in enumerate(files.read_text(file, MAX_TRIAL).split("\n")[:-1], 1):
         place = Path(f"{file}:{number}")
         line = _parsed(place, text, head is None)
@@ -132,17 +135,24 @@ def read(file: Path) -> RecordedDrive:
             by_person += line.by_person
         elif isinstance(line, RewindLine):
             if line.rewind > len(commands):
-                steps = f"rewind: {line.rewind} is beyond the {len(commands)} steps before it"
-                raise files.file_error(place, f"{steps}; {CURE}")
-            del commands[line.rewind :], by_person[line.rewind :]
+                raise files.file_error(
+                    place, f"rewind: {line.rewind} is beyond the {len(commands)} steps before it; {CURE}"
+                )
+            del commands[line.rewind :]
+            del by_person[line.rewind :]
         elif isinstance(line, EndLine):
             outcome = line.end
     if head is None:
         raise files.file_error(file, f"it has no line of a trial; {CURE}")
-    digest = hashlib.sha256(files.read_bytes(file, MAX_TRIAL)).hexdigest()
-    numbers = np.asarray(commands, float) if commands else np.zeros((0, 2))
     return RecordedDrive(
-        file, digest, head.options, head.episode, numbers, np.asarray(by_person, bool), outcome, head.sha256
+        file=file,
+        sha256=hashlib.sha256(files.read_bytes(file, MAX_TRIAL)).hexdigest(),
+        options=head.options,
+        episode=head.episode,
+        commands=np.asarray(commands, float) if commands else np.zeros((0, 2)),
+        by_person=np.asarray(by_person, bool),
+        outcome=outcome,
+        code=head.sha256,
     )
 
 
@@ -309,17 +319,22 @@ def check(folder: Path, options: Mapping[str, Any], code: Mapping[str, str]) -> 
     """
     now = json.loads(json.dumps(options))
     for drive in _own_first(read_folder(folder)[0], now):
-        had, cure = drive.options, f"choose another folder, or move {drive.file.name} away"
-        other = next((name for name in {**had, **now} if had.get(name) != now.get(name)), None)
-        if other is not None:
+        recorded = drive.options
+        name = next((name for name in {**recorded, **now} if recorded.get(name) != now.get(name)), None)
+        if name is not None:
             try:
-                validate(StudioConfig, had, source=drive.file)
+                validate(StudioConfig, recorded, source=drive.file)
             except InputError:  # it is left out of the demonstrations, too
                 continue
-            text = f"{folder} has drives with {other} {shorten(str(had.get(other)))}, not {now.get(other)}"
-            raise InputError(f"record: {text}; {cure}.")
+            raise InputError(
+                f"record: {folder} has drives with {name} {shorten(str(recorded.get(name)))}, not {now.get(name)}; "
+                f"choose another folder, or move {drive.file.name} away."
+            )
         if changed := _changed(drive.code, code):
-            raise InputError(f"record: {folder} has drives with another {changed}; {cure}.")
+            raise InputError(
+                f"record: {folder} has drives with another {changed}; choose another folder, or move "
+                f"{drive.file.name} away."
+            )
         return
 
 
@@ -405,17 +420,16 @@ def rows_of_page(folder: Path, current: Path | None = None) -> list[dict[str, An
             continue
         step = drive.options.get("time_step")
         least, most = TIME_STEP_RANGE
-        seconds = len(drive.commands) * step if isinstance(step, int | float) and least <= step <= most else None
-        rows.append(
-            {
-                "file": drive.file.name,
-                "name": drive.file.stem.partition("-")[2],
-                "episode": drive.episode,
-                "seconds": None if seconds is None else round(seconds, 2),
-                "outcome": drive.outcome,
-                "by_person": round(float(drive.by_person.mean()), 4),
-            }
-        )
+        known = isinstance(step, int | float) and least <= step <= most
+        row = {
+            "file": drive.file.name,
+            "name": drive.file.stem.partition("-")[2],
+            "episode": drive.episode,
+            "seconds": round(len(drive.commands) * step, 2) if known else None,
+            "outcome": drive.outcome,
+            "by_person": round(float(drive.by_person.mean()), 4),
+        }
+        rows.append(row)
     return rows
 
 
@@ -425,7 +439,7 @@ def find(folder: Path, name: Any) -> Path:
     Raises:
         InputError: there is no such drive.
     """
-    file = next((each.file for each in read_folder(folder)[0] if each.file.name == name), None)
+    file = next((drive.file for drive in read_folder(folder)[0] if drive.file.name == name), None)
     if file is None:
         raise InputError("drives: there is no such drive; reload the page.")
     return file
@@ -439,8 +453,8 @@ def discard(folder: Path, name: Any) -> None:
     """
     file = find(folder, name)
     place = file.parent / DISCARDED
-    names = [file.name, *(f"{file.stem} {number}.jsonl" for number in range(2, 1000))]
-    _move(file, next((place / each for each in names if not os.path.lexists(place / each)), place / file.name))
+    paths = [place / file.name, *(place / f"{file.stem} {number}.jsonl" for number in range(2, 1000))]
+    _move(file, next((path for path in paths if not os.path.lexists(path)), paths[0]))
 
 
 def rename(folder: Path, name: Any, words: Any) -> None:
@@ -504,16 +518,31 @@ def demonstrations(config: StudioConfig, watch: Callable[[str], None] = lambda t
     recorded, scenario, drives, foreign = _scenario_of(config, drives)
     if refused := no_demonstrations(scenario):
         return Summary(None, [*said, *foreign, refused])
-    wanted = [(drive, parts) for drive in drives if (parts := _parts(drive, scenario, config.demonstrations))]
-    if left := len(drives) - len(wanted):
+
+    # The rows of each drive that are demonstrations.
+    wanted = []
+    for drive in drives:
+        if parts := _parts(drive, scenario, config.demonstrations):
+            wanted.append((drive, parts))
+    if len(wanted) < len(drives):
         said.append(
-            f"{left} of {len(drives)} drives have no demonstration of a person: they were not completed, or the policy "
-            "drove, or their file does not say who did. --demonstrations all takes them."
+            f"{len(drives) - len(wanted)} of {len(drives)} drives have no demonstration of a person: they were not "
+            "completed, or the policy drove, or their file does not say who did. --demonstrations all takes them."
         )
     if not wanted and not place.exists():
         return Summary(None, said + foreign)
+
     driver = "human" if config.demonstrations == "person" else "human and policy"
     recorder = Recorder(place, scenario, driver=driver, seed=recorded.seed)
+    said += _simulate(recorder, wanted, watch)
+    return Summary(recorder.data, said + foreign)
+
+
+def _simulate(
+    recorder: Recorder, wanted: Sequence[tuple[RecordedDrive, list[EpisodePart]]], watch: Callable[[str], None]
+) -> list[str]:
+    """Record the drives that the dataset lacks; a sentence for each that is left out."""
+    said = []
     kept = _keep(recorder.data, wanted)
     for number, (drive, parts) in enumerate(wanted[kept:], kept + 1):
         watch(f"demonstrations: drive {number} of {len(wanted)}, {drive.file.name}")
@@ -523,7 +552,7 @@ def demonstrations(config: StudioConfig, watch: Callable[[str], None] = lambda t
             said.append(f"{drive.file} {problem}; {CURE}. {LEFT_OUT}")
         else:
             recorder.commit(parts)
-    return Summary(recorder.data, said + foreign)
+    return said
 
 
 def no_demonstrations(scenario: Scenario) -> str:
@@ -531,8 +560,10 @@ def no_demonstrations(scenario: Scenario) -> str:
     robot = scenario.robot
     if robot.drive_type == "differential":
         return ""
-    why = f"demonstrations are of differential robots, and the drive of {robot.name} is {robot.drive_type}"
-    return f"{why}; its drives are recorded in {TRIALS}/ and stay there, but become no dataset."
+    return (
+        f"demonstrations are of differential robots, and the drive of {robot.name} is {robot.drive_type}; its drives "
+        f"are recorded in {TRIALS}/ and stay there, but become no dataset."
+    )
 
 
 def _belied(drive: RecordedDrive, state: State) -> str:
@@ -563,8 +594,8 @@ def _scenario_of(
             text = str(error).splitlines()[0]
             problems[first.file] = text if str(first.file) in text else f"record: {first.file}: {text}"
             continue
-        rest = [drive for drive in drives if drive.file not in problems]
-        alike, said = _alike(rest, first, recorded, scenario)
+        valid = [drive for drive in drives if drive.file not in problems]
+        alike, said = _alike(valid, first, recorded, scenario)
         return recorded, scenario, alike, [*(f"{text} {LEFT_OUT}" for text in problems.values()), *said]
     for text in problems.values():
         raise InputError(text)
@@ -581,8 +612,10 @@ def _options(config: StudioConfig, drive: RecordedDrive) -> StudioConfig:
     if drive.options != json.loads(json.dumps(config.identity())):
         recorded = _with_own_code(config, validate(StudioConfig, drive.options, source=drive.file), drive.file)
     if changed := _changed(drive.code, user_parts.digests(recorded)):
-        text = f"{drive.file} was driven with another {changed}, or does not say with which"
-        raise InputError(f"record: {text}; restore that file, or choose another folder.")
+        raise InputError(
+            f"record: {drive.file} was driven with another {changed}, or does not say with which; restore that file, "
+            "or choose another folder."
+        )
     return recorded
 
 
@@ -592,11 +625,12 @@ def _with_own_code(config: StudioConfig, recorded: StudioConfig, file: Path) -> 
     Raises:
         InputError: they name other code: another file, another name in the file, or other options of it.
     """
-    own, named = user_parts.by_option(config), user_parts.by_option(recorded)
+    own = user_parts.by_option(config)
+    named = user_parts.by_option(recorded)
     for option, parts in named.items():
         if parts != own.get(option):
-            text = f"{file} needs the code {parts[0]['kind']}"
-            raise InputError(f"record: {text}; start the studio with the same options to use it.")
+            kind = parts[0]["kind"]
+            raise InputError(f"record: {file} needs the code {kind}; start the studio with the same options to use it.")
     return recorded.replace(**{option: getattr(config, option) for option in named})
 
 
@@ -629,11 +663,12 @@ def _beyond_robot(drive: RecordedDrive, robot: RobotModel) -> str:
     size = command_size(robot)
     if drive.commands.shape[1] != size:
         return f"has commands of {drive.commands.shape[1]} numbers, and those of {robot.name} have {size}"
-    sides = [] if robot.lateral is None else [float(robot.lateral.max_speed)]
-    most = np.array([float(robot.max_speed), *sides, _turn_rate(robot)])
-    least = -np.array([float(max_reverse_speed(robot)), *most[1:]])
-    beyond = (drive.commands > most * (1 + ROUNDING)) | (drive.commands < least * (1 + ROUNDING))
-    wrong = np.flatnonzero(drive.by_person & beyond.any(1))
+    sideways = [] if robot.lateral is None else [float(robot.lateral.max_speed)]
+    highest = np.array([float(robot.max_speed), *sideways, _turn_rate(robot)])
+    lowest = -np.array([float(max_reverse_speed(robot)), *highest[1:]])
+    too_high = drive.commands > highest * (1 + ROUNDING)
+    too_low = drive.commands < lowest * (1 + ROUNDING)
+    wrong = np.flatnonzero(drive.by_person & (too_high | too_low).any(1))
     if len(wrong):
         row = drive.commands[wrong[0]].tolist()
         return f"has a person's command {row} at step {wrong[0]}, beyond the limits of {robot.name}"
@@ -652,13 +687,18 @@ def _parts(drive: RecordedDrive, scenario: Scenario, which: str) -> list[Episode
     """The rows of a drive that are demonstrations, each piece without a gap: a person's, or all."""
     if which == "person" and drive.outcome != "completed":
         return []
-    by_person = _by_row(drive, steps_per_row(scenario, 1))
-    takes = by_person if which == "person" else np.ones(len(by_person), bool)
-    bounds = np.flatnonzero(np.diff(np.concatenate([[False], takes, [False]]).astype(int)))
+    by_person = _by_row(drive, steps_per_row(scenario, 1))  # (R,)
+    chosen = by_person if which == "person" else np.ones(len(by_person), bool)
+    borders = np.flatnonzero(np.diff(np.concatenate([[False], chosen, [False]]).astype(int)))  # begin, end, begin ...
     parts = []
-    for first, end in zip(bounds[::2].tolist(), bounds[1::2].tolist(), strict=True):
-        about = {"trial": drive.file.name, "sha256": drive.sha256, "rows": [first, end]}
-        parts.append(EpisodePart(first, end, about | {"by_person": by_person[first:end].tolist()}))
+    for first, end in borders.reshape(-1, 2).tolist():
+        about = {
+            "trial": drive.file.name,
+            "sha256": drive.sha256,
+            "rows": [first, end],
+            "by_person": by_person[first:end].tolist(),
+        }
+        parts.append(EpisodePart(first, end, about))
     return parts
 
 
@@ -677,7 +717,8 @@ def _keep(data: Dataset, wanted: Sequence[tuple[RecordedDrive, list[EpisodePart]
         same = [_identity(shard) == _identity(part.about) for shard, part in zip(had, parts, strict=False)]
         if len(had) < len(parts) or not all(same):
             break
-        drives, kept = drives + 1, kept + len(parts)
+        drives += 1
+        kept += len(parts)
     names = [part.about["trial"] for _, parts in wanted[:drives] for part in parts]
     named = [shard | {"trial": name} for shard, name in zip(shards[:kept], names, strict=True)]
     if named != shards[:kept]:  # a drive has another name

@@ -749,14 +749,14 @@ def test_a_role_belongs_to_a_tab(served, fresh, monkeypatch):
 
 def held_up(session, monkeypatch):
     """The next changes of files wait for an event; and an event that says that one has come so far."""
-    goes_on, here, made = threading.Event(), threading.Event(), session.editor._made
+    goes_on, here, made = threading.Event(), threading.Event(), session.editor._with_file
 
     def slow(name, scenario):
         here.set()
         assert goes_on.wait(30)
         return made(name, scenario)
 
-    monkeypatch.setattr(session.editor, "_made", slow)
+    monkeypatch.setattr(session.editor, "_with_file", slow)
     return goes_on, here
 
 
