@@ -9,9 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sean_jax.ros.bag_tables import BASES, Recording, Table
+from sean_jax.ros.bag_tables import BASES, BagRecording, Table
 from sean_jax.ros.messages import SECOND
-from sean_jax.ros.transforms import Pose, Transforms
+from sean_jax.ros.transforms import PlanarPose, Transforms
 
 LONGEST_GAP = 2.0  # s: a person without messages for longer has left
 FASTEST = 4.0  # m/s: who is faster was put elsewhere ...
@@ -21,7 +21,7 @@ FIRST_TIME, LAST_TIME = -(2**63), 2**63 - 1  # ns
 BACK = 1.0  # s, by which time goes back at a reset, as messages may overtake each other
 
 
-class Track(NamedTuple):
+class BagTrack(NamedTuple):
     """M rows of one person or of the robot in the order of time, each at another time."""
 
     times: np.ndarray  # (M,) int64 ns
@@ -30,7 +30,7 @@ class Track(NamedTuple):
     def between(self, begin: int, end: int) -> "Track":
         """The rows from a time on until another [ns]."""
         first, last = np.searchsorted(self.times, [begin, end])
-        return Track(self.times[first:last], self.values[first:last])
+        return BagTrack(self.times[first:last], self.values[first:last])
 
 
 @dataclasses.dataclass
@@ -38,12 +38,12 @@ class Stretch:
     """What a bag says while time goes on. Positions are in one frame."""
 
     frame: str
-    robot: Track | None  # x, y, yaw
-    speeds: Track | None  # m/s ahead and to the left
-    people: list[Track]  # x, y, vx, vy, yaw, group; NaN: not known, group -1: none
-    commands: Track  # m/s, rad/s
-    goals: Track  # x, y
-    situations: dict[str, Track]
+    robot: BagTrack | None  # x, y, yaw
+    speeds: BagTrack | None  # m/s ahead and to the left
+    people: list[BagTrack]  # x, y, vx, vy, yaw, group; NaN: not known, group -1: none
+    commands: BagTrack  # m/s, rad/s
+    goals: BagTrack  # x, y
+    situations: dict[str, BagTrack]
 
 
 class Resets(NamedTuple):
@@ -54,7 +54,7 @@ class Resets(NamedTuple):
     robot_jumps: int  # of the robot, at which nothing else speaks of a reset
 
 
-def split(recording: Recording) -> Resets:
+def split_at_resets(recording: BagRecording) -> Resets:
     """The episodes of a bag. Those in which there is neither the robot nor a person are left out."""
     reference = _reference(recording)
     resets = []
@@ -75,7 +75,7 @@ def split(recording: Recording) -> Resets:
 # ------------------------------------------------------------------ time
 
 
-def _reference(recording: Recording) -> np.ndarray:
+def _reference(recording: BagRecording) -> np.ndarray:
     """(R, 2) receipt and stamp of the topic by which time is told; without rows if none has stamps."""
     frames = recording.frames.all
     transforms = recording.transforms.whole
@@ -145,7 +145,7 @@ def _rows(table: Table, begin: int, end: int) -> tuple[np.ndarray, np.ndarray]:
     return whole[keep], table.numbers[keep]
 
 
-def _stretch(recording: Recording, clock: Clock, begin: int, end: int) -> Stretch:
+def _stretch(recording: BagRecording, clock: Clock, begin: int, end: int) -> Stretch:
     """The messages between two times of receipt [ns], in one frame."""
     frames = recording.frames.all
     transforms = _transforms(recording, clock, begin, end)
@@ -171,19 +171,19 @@ def _stretch(recording: Recording, clock: Clock, begin: int, end: int) -> Stretc
     )
 
 
-def _transforms(recording: Recording, clock: Clock, begin: int, end: int) -> Transforms:
+def _transforms(recording: BagRecording, clock: Clock, begin: int, end: int) -> Transforms:
     """The static transforms, and those between two times of receipt [ns]."""
     frames = recording.frames.all
     static = recording.static.whole, recording.static.numbers
     transforms = Transforms()
     for whole, numbers in (static, _rows(recording.transforms, begin, end)):
         for time, (_, _, parent, child), pose in zip(clock.times(whole), whole, numbers, strict=True):
-            transforms.add(frames[parent], frames[child], int(time), Pose(*pose))
+            transforms.add(frames[parent], frames[child], int(time), PlanarPose(*pose))
     transforms.sort()
     return transforms
 
 
-def _situations(recording: Recording, clock: Clock, begin: int, end: int) -> dict[str, Track]:
+def _situations(recording: BagRecording, clock: Clock, begin: int, end: int) -> dict[str, BagTrack]:
     """Situation -> when it holds, between two times of receipt [ns]."""
     rows, holds = _rows(recording.situations, begin, end)
     situations = {}
@@ -194,8 +194,8 @@ def _situations(recording: Recording, clock: Clock, begin: int, end: int) -> dic
 
 
 def _robot(
-    recording: Recording, clock: Clock, transforms: Transforms, begin: int, end: int
-) -> tuple[Track | None, Track | None, str]:
+    recording: BagRecording, clock: Clock, transforms: Transforms, begin: int, end: int
+) -> tuple[BagTrack | None, BagTrack | None, str]:
     """Poses and speeds of the robot, and the frame of the poses ("" without a robot)."""
     base = next((name for name in BASES if name in transforms.parent), None)
     if len(recording.odometry) == 0 and not recording.robot_topic and base is not None:
@@ -215,7 +215,7 @@ def _robot(
 
 def _people(
     whole: np.ndarray, numbers: np.ndarray, clock: Clock, transforms: Transforms, frames: list[str]
-) -> list[Track]:
+) -> list[BagTrack]:
     """A track of each person in the root of the frames."""
     times = clock.times(whole)
     frame_names = [frames[k] for k in whole[:, 2]]
@@ -238,22 +238,22 @@ def _in_root(transforms: Transforms, frames: list[str], times: np.ndarray, poses
     moved = poses.copy()
     for k, frame in enumerate(frames):
         if frame in transforms.parent:
-            moved[k] = transforms.pose(frame, int(times[k])).then(Pose(*poses[k]))
+            moved[k] = transforms.pose(frame, int(times[k])).then(PlanarPose(*poses[k]))
     return moved
 
 
-def _track(times: np.ndarray, values: np.ndarray) -> Track:
+def _track(times: np.ndarray, values: np.ndarray) -> BagTrack:
     """Rows in the order of time; of several at one time the last one."""
     order = np.argsort(times, kind="stable")
     times, values = times[order], values[order]
     keep = np.append(np.diff(times) > 0, True) if len(times) else np.zeros(0, bool)
-    return Track(times[keep], values[keep])
+    return BagTrack(times[keep], values[keep])
 
 
 # ------------------------------------------------------------------ resets
 
 
-def jumps(track: Track) -> np.ndarray:
+def jumps(track: BagTrack) -> np.ndarray:
     """Indices of the rows at which somebody is where nobody can have walked to."""
     seconds = np.diff(track.times) / SECOND
     steps = np.diff(track.values[:, :2], axis=0)  # (M - 1, 2) m
@@ -299,7 +299,7 @@ def _split_at_jumps(stretch: Stretch, evidence: np.ndarray) -> Resets:
     return Resets(episodes, len(single) - robot_jumps, robot_jumps)
 
 
-def _is_reset(cluster: list[Jump], tracks: list[Track], evidence: np.ndarray) -> bool:
+def _is_reset(cluster: list[Jump], tracks: list[BagTrack], evidence: np.ndarray) -> bool:
     """Whether jumps are a reset: a goal or a map is new, or half of all that is there jumps."""
     slack = TOGETHER * SECOND
     begin = min(jump.before for jump in cluster)
@@ -318,7 +318,7 @@ def _episode(stretch: Stretch, begin: int, end: int) -> Stretch:
     for track in stretch.people:
         inside = track.between(begin, end)
         pieces = np.split(np.arange(len(inside.times)), jumps(inside))
-        people += [Track(inside.times[piece], inside.values[piece]) for piece in pieces if len(piece)]
+        people += [BagTrack(inside.times[piece], inside.values[piece]) for piece in pieces if len(piece)]
     last_goal = end if end == LAST_TIME else end - int(TOGETHER * SECOND)  # a later one belongs to the next episode
     return dataclasses.replace(
         stretch,

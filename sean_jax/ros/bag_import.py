@@ -11,7 +11,7 @@ from sean_jax.core.data_types import Trajectory
 from sean_jax.io import files, writing
 from sean_jax.io.trajectories import save_trajectory
 from sean_jax.people.recordings import headings
-from sean_jax.ros.bag_episodes import LONGEST_GAP, Resets, Stretch, Track, split
+from sean_jax.ros.bag_episodes import LONGEST_GAP, BagTrack, Resets, Stretch, split_at_resets
 from sean_jax.ros.bag_tables import read_bag
 from sean_jax.ros.bag_writing import check_package
 from sean_jax.ros.messages import SECOND
@@ -54,7 +54,7 @@ def import_bag(
     check_number("time_step", time_step, 1e-3, 10.0, "s")
     path, folder = Path(path), Path(folder)
     recording = read_bag(path, people, robot)
-    resets = split(recording)
+    resets = split_at_resets(recording)
     episodes = check_size(path, resets.episodes, time_step)
     frames = [as_trajectory(episode, time_step) for episode in episodes]
     with_robot = episodes[0].robot is not None
@@ -100,7 +100,7 @@ def _notes(recording: Any, resets: Resets, seen: int) -> list[str]:
     return notes
 
 
-def _any_in_rows(tracks: list[Track], episodes: list[Stretch]) -> bool:
+def _any_in_rows(tracks: list[BagTrack], episodes: list[Stretch]) -> bool:
     """Whether one of the episodes' tracks begins before its last row."""
     for track, episode in zip(tracks, episodes, strict=True):
         last_row = _span(episode)[1]
@@ -221,7 +221,7 @@ def _interpolated(grid: np.ndarray, times: np.ndarray, *columns: np.ndarray) -> 
     return np.stack([np.interp(rows, known, values) for values in columns], -1)
 
 
-def _latest(grid: np.ndarray, track: Track, default: Any) -> np.ndarray:
+def _latest(grid: np.ndarray, track: BagTrack, default: Any) -> np.ndarray:
     """(T, K) the last values until each time of the grid, or the default before the first."""
     default = np.asarray(default, float)
     if not len(track.times):
@@ -230,7 +230,7 @@ def _latest(grid: np.ndarray, track: Track, default: Any) -> np.ndarray:
     return np.where((index >= 0)[:, None], track.values[np.maximum(index, 0)], default)
 
 
-class Walk(NamedTuple):
+class SampledWalk(NamedTuple):
     """A person at the times of a grid."""
 
     position: np.ndarray  # (T, 2) m; 0 where absent
@@ -240,7 +240,7 @@ class Walk(NamedTuple):
     group: np.ndarray  # (T,) -1: none
 
 
-def _walk(track: Track, grid: np.ndarray, time_step: float) -> Walk:
+def _walk(track: BagTrack, grid: np.ndarray, time_step: float) -> SampledWalk:
     """The person of a track at the times of the grid [ns]."""
     times, values = track
     x, y, vx, vy, yaw, group = values.T
@@ -259,7 +259,7 @@ def _walk(track: Track, grid: np.ndarray, time_step: float) -> Walk:
     else:
         velocity = _interpolated(grid, times, vx, vy)
     angle = yaw[before]
-    return Walk(
+    return SampledWalk(
         position=np.where(present[:, None], position, 0.0),
         velocity=np.where(present[:, None], velocity, 0.0),
         heading=np.stack([np.cos(angle), np.sin(angle)], -1),

@@ -274,7 +274,7 @@ def _check_tables(path: Path, database: Any) -> None:
 # ------------------------------------------------------------------ an open bag
 
 
-class Recorded(NamedTuple):
+class BagMessage(NamedTuple):
     """A message of a bag."""
 
     topic: str
@@ -291,7 +291,7 @@ class OpenBag:
         self.types = {each.topic: each.msgtype for each in reversed(reader.connections)}
         """Topic -> its type."""
 
-    def messages(self, decoded: Collection[str], noted: Collection[str] = ()) -> Iterator[Recorded]:
+    def messages(self, decoded: Collection[str], noted: Collection[str] = ()) -> Iterator[BagMessage]:
         """The messages of some topics in the order of their recording, decoded or without their content.
 
         Raises:
@@ -311,7 +311,7 @@ class OpenBag:
                 content = None
                 if connection.topic in stores:
                     content = self._decode(stores[connection.topic], connection, raw)
-                yield Recorded(connection.topic, connection.msgtype, received, content)
+                yield BagMessage(connection.topic, connection.msgtype, received, content)
 
     def _decode(self, store: Any, connection: Any, raw: Any) -> Any:
         if len(raw) > MAX_MESSAGE:

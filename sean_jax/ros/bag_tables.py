@@ -10,7 +10,7 @@ import numpy as np
 
 from sean_jax.core.bounds import MAX_COORDINATE, MAX_PEOPLE, parse_digits
 from sean_jax.io.files import file_error, suggest
-from sean_jax.ros.bag_opening import OpenBag, Recorded, open_bag
+from sean_jax.ros.bag_opening import BagMessage, OpenBag, open_bag
 from sean_jax.ros.messages import SECOND
 
 MAX_BYTES = 200_000_000  # of all tables of a bag
@@ -83,7 +83,7 @@ class Names:
         return list(self._numbers)
 
 
-class Recording:
+class BagRecording:
     """The messages of a bag. Rows begin with the time of receipt and the stamp [ns], 0 if the message has none."""
 
     def __init__(self) -> None:
@@ -106,7 +106,7 @@ class Recording:
         return [table for table in vars(self).values() if isinstance(table, Table)]
 
 
-def read_bag(path: Path | str, people: str | None = None, robot: str | None = None) -> Recording:
+def read_bag(path: Path | str, people: str | None = None, robot: str | None = None) -> BagRecording:
     """The messages of a bag about people and the robot.
 
     Args:
@@ -147,17 +147,17 @@ def _topic_of_robot(kinds: dict[str, str]) -> str | None:
 
 
 class Reader:
-    """Reads the messages of a bag into the tables of a ``Recording``."""
+    """Reads the messages of a bag into the tables of a ``BagRecording``."""
 
     def __init__(self, path: Path, bag: OpenBag, people: str | None, robot: str | None):
         self._path = path
         self._bag = bag
         self._people = people
         self._robot = robot
-        self.recording = Recording()
+        self.recording = BagRecording()
         self.recording.people_topic = people
 
-    def read(self) -> Recording:
+    def read(self) -> BagRecording:
         """All messages that count.
 
         Raises:
@@ -186,9 +186,9 @@ class Reader:
     def _error(self, text: str) -> Exception:
         return file_error(self._path, text)
 
-    def _readers(self) -> dict[str, Callable[[Recorded], None]]:
+    def _readers(self) -> dict[str, Callable[[BagMessage], None]]:
         """Topic -> what reads its messages."""
-        readers: dict[str, Callable[[Recorded], None]] = {}
+        readers: dict[str, Callable[[BagMessage], None]] = {}
         for topic, kind in self._bag.types.items():
             if kind in TRANSFORMS:
                 readers[topic] = self._transforms
@@ -216,7 +216,7 @@ class Reader:
 
     # ---------------------------------------------------------------- messages
 
-    def _transforms(self, message: Recorded) -> None:
+    def _transforms(self, message: BagMessage) -> None:
         table = self.recording.static if message.topic.endswith("tf_static") else self.recording.transforms
         for stamped in message.content.transforms:
             origin = stamped.transform.translation
@@ -227,33 +227,33 @@ class Reader:
             child = self.recording.frames(_bare(stamped.child_frame_id))
             table.add((message.received, _stamp(stamped.header), parent, child), pose)
 
-    def _odometry(self, message: Recorded) -> None:
+    def _odometry(self, message: BagMessage) -> None:
         content = message.content
         pose = self._checked_pose(message, content.pose.pose)
         speed = content.twist.twist.linear
         speeds = self._checked(message, "speed", (speed.x, speed.y), MAX_SPEED)
         self.recording.odometry.add(self._times(message), (*pose, *speeds))
 
-    def _pose(self, message: Recorded) -> None:
+    def _pose(self, message: BagMessage) -> None:
         pose = message.content.pose
         pose = self._checked_pose(message, pose.pose if hasattr(pose, "pose") else pose)
         self.recording.poses.add(self._times(message), pose)
 
-    def _command(self, message: Recorded) -> None:
+    def _command(self, message: BagMessage) -> None:
         velocity = getattr(message.content, "twist", message.content)
         command = self._checked(message, "command", (velocity.linear.x, velocity.angular.z), MAX_SPEED)
         stamp = _stamp(getattr(message.content, "header", None))
         self.recording.commands.add((message.received, stamp), command)
 
-    def _goal(self, message: Recorded) -> None:
+    def _goal(self, message: BagMessage) -> None:
         x, y, _ = self._checked_pose(message, message.content.pose, "goal")
         self.recording.goals.add(self._times(message), (x, y))
 
-    def _situation(self, message: Recorded) -> None:
+    def _situation(self, message: BagMessage) -> None:
         number = self.recording.situation_names(message.topic.removeprefix(SITUATIONS))
         self.recording.situations.add((message.received, 0, number), (float(message.content.data > 0.5),))
 
-    def _people_of(self, message: Recorded) -> None:
+    def _people_of(self, message: BagMessage) -> None:
         """Add the people of a message; its type says by a field which one it is."""
         content = message.content
         if hasattr(content, "people"):
@@ -265,7 +265,7 @@ class Reader:
         else:
             self._markers(message)
 
-    def _people_msgs(self, message: Recorded) -> None:
+    def _people_msgs(self, message: BagMessage) -> None:
         for person in message.content.people:
             tags = dict(zip(person.tagnames, person.tags, strict=False))
             group = parse_digits(str(tags.get("group", "")))
@@ -275,19 +275,19 @@ class Reader:
             yaw = _number(tags.get("heading"))
             self._add_person(message, message.content.header, person.name, person.position, velocity, yaw, group)
 
-    def _agents(self, message: Recorded) -> None:
+    def _agents(self, message: BagMessage) -> None:
         for agent in message.content.agents:
             velocity = agent.twist.linear.x, agent.twist.linear.y
             yaw = _yaw(agent.pose.orientation)
             name = str(agent.track_id)
             self._add_person(message, message.content.header, name, agent.pose.position, velocity, yaw)
 
-    def _poses(self, message: Recorded) -> None:
+    def _poses(self, message: BagMessage) -> None:
         for index, pose in enumerate(message.content.poses):
             yaw = _yaw(pose.orientation)
             self._add_person(message, message.content.header, str(index), pose.position, UNKNOWN, yaw)
 
-    def _markers(self, message: Recorded) -> None:
+    def _markers(self, message: BagMessage) -> None:
         for marker in message.content.markers:
             if marker.action == 0 and marker.type in (1, 2, 3, 10):  # boxes, balls, cylinders, meshes
                 yaw = _yaw(marker.pose.orientation)
@@ -295,7 +295,7 @@ class Reader:
                 self._add_person(message, marker.header, name, marker.pose.position, UNKNOWN, yaw)
 
     def _add_person(
-        self, message: Recorded, header: Any, name: str, place: Any, velocity: tuple, yaw: float, group: int = -1
+        self, message: BagMessage, header: Any, name: str, place: Any, velocity: tuple, yaw: float, group: int = -1
     ) -> None:
         """Add a person; FileError if a number is not finite, or there are too many people."""
         position = self._checked(message, f"{name[:40]}, a person,", (place.x, place.y), MAX_COORDINATE)
@@ -312,16 +312,16 @@ class Reader:
     def _frame(self, header: Any) -> int:
         return self.recording.frames(_bare(header.frame_id))
 
-    def _times(self, message: Recorded) -> tuple[int, int, int]:
+    def _times(self, message: BagMessage) -> tuple[int, int, int]:
         header = message.content.header
         return message.received, _stamp(header), self._frame(header)
 
-    def _checked_pose(self, message: Recorded, pose: Any, what: str = "robot") -> tuple[float, float, float]:
+    def _checked_pose(self, message: BagMessage, pose: Any, what: str = "robot") -> tuple[float, float, float]:
         x, y = self._checked(message, what, (pose.position.x, pose.position.y), MAX_COORDINATE)
         (yaw,) = self._checked(message, f"heading of the {what}", (_yaw(pose.orientation),), MAX_SPEED)
         return x, y, yaw
 
-    def _checked(self, message: Recorded, what: str, values: tuple[float, ...], limit: float) -> tuple[float, ...]:
+    def _checked(self, message: BagMessage, what: str, values: tuple[float, ...], limit: float) -> tuple[float, ...]:
         """The numbers of a message; FileError if one is not finite, or beyond the limit."""
         if not all(abs(value) <= limit for value in values):
             numbers = ", ".join(f"{value:g}" for value in values)

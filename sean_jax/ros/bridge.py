@@ -1,7 +1,7 @@
 """A live robot: a controller outside of this program drives it, over ROS 1, a rosbridge websocket or DDS.
 
-``sean bridge`` runs numbered episodes at the pace of the clock, of commands or of a service. ``Driver`` is the policy
-of ``sean run --policy ros1:``: in lock-step, so that the runner measures an outside controller as any policy.
+``sean bridge`` runs numbered episodes at the pace of the clock, of commands or of a service. ``ControllerDriver`` is
+the policy of ``sean run --policy ros1:``: in lock-step, so that the runner measures an outside controller as any other.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from sean_jax.core.geometry import signed_distances_on_host
 from sean_jax.robots.drive import command_size
 from sean_jax.ros import messages
 from sean_jax.ros.names import COMMAND, DEFAULT_NAMES, POSE, RosNames
-from sean_jax.ros.transport import REQUESTS, Log, Mailbox, Output, Request, Transport
+from sean_jax.ros.transport import REQUESTS, Mailbox, Output, Request, Transport, TransportLog
 from sean_jax.sensors import SENSORS, sense
 from sean_jax.simulation import making
 from sean_jax.simulation import scenario as scenarios
@@ -66,9 +66,9 @@ def connect(place: tuple[str, str], mailbox: Mailbox, outputs: dict[str, Output]
     """
     name, where = place
     if name == "ros1":
-        from sean_jax.ros.ros1 import Node
+        from sean_jax.ros.ros1 import RosNode
 
-        return Node(mailbox, outputs)
+        return RosNode(mailbox, outputs)
     try:
         if name == "dds":
             from sean_jax.ros.dds import Participant
@@ -125,7 +125,7 @@ class Bridge:
 
         size = command_size(scenario.robot)
         self.no_command = np.full(size, np.nan, np.float32)
-        self.mailbox = Mailbox(Log(write), size, names)
+        self.mailbox = Mailbox(TransportLog(write), size, names)
         outputs = {name: Output(topic.type, topic.latched) for name, topic in self._table.items()}
         self.transport = connect(place, self.mailbox, outputs)
         self.missed = 0  # commands that did not come in time, in lock-step
@@ -227,7 +227,7 @@ def _command(scenario: Scenario, params: Array, state: State, key: Array) -> tup
     return params, ()
 
 
-class Driver:
+class ControllerDriver:
     """A controller outside of this program as the policy of a runner with one episode at a time, in lock-step."""
 
     def __init__(self, scenario: Scenario, name: str, place: tuple[str, str], console: Console, now: int = 0):
@@ -342,7 +342,7 @@ class Driver:
 # ------------------------------------------------------------------ sean bridge
 
 
-class Live:
+class LiveBridge:
     """Numbered episodes of a scenario that go on until they are stopped."""
 
     def __init__(self, config: BridgeConfig, console: Console):
@@ -499,13 +499,13 @@ class Live:
                 return command, None, pose
 
 
-def run(config: BridgeConfig, console: Console) -> None:
+def run_bridge(config: BridgeConfig, console: Console) -> None:
     """``sean bridge``: episodes until Ctrl-C.
 
     Raises:
         InputError: the options cannot be met, a package is missing, or nothing answers.
     """
     with console.status("compiling"):
-        live = Live(config, console)
+        live = LiveBridge(config, console)
     with contextlib.closing(live):
         live.run()

@@ -131,7 +131,7 @@ social_sim_ros.
 
 
 @struct.dataclass
-class Step:
+class StepValues:
     """The quantities of one step that messages need."""
 
     tick: Int[Array, ""]
@@ -151,7 +151,7 @@ class Step:
     readings: dict[str, Any]  # of the sensors
 
 
-def step(scenario: Scenario, state: State, command: Float[Array, "command"]) -> Step:
+def step(scenario: Scenario, state: State, command: Float[Array, "command"]) -> StepValues:
     """The quantities of a state, and the command [m/s, rad/s] that led there. For ``jax.jit`` and ``jax.vmap``."""
     robot, task = state.robot, state.task
     left = jnp.zeros_like(robot.speed) if robot.sideways is None else robot.sideways
@@ -159,7 +159,7 @@ def step(scenario: Scenario, state: State, command: Float[Array, "command"]) -> 
     def corner(place: Array, _: None) -> tuple[Array, Array]:
         return paths.next_point(scenario.navigation, place, task.goal, task.paths_to_goal), place
 
-    return Step(
+    return StepValues(
         tick=state.tick,
         position=robot.position,
         heading=robot.heading,
@@ -183,7 +183,7 @@ class Topic:
     """A topic and its messages."""
 
     type: str  # such as sensor_msgs/msg/LaserScan
-    message: Callable[[Step, int], Message]  # of a step on the host at a time [ns]
+    message: Callable[[StepValues, int], Message]  # of a step on the host at a time [ns]
     latched: bool = False  # whether one message is enough until the next episode (ROS 2: transient local)
     sensor: str = ""  # whose reading the message has
 
@@ -214,7 +214,7 @@ def topics(scenario: Scenario, naming: Naming = "ros", number: int = 0) -> dict[
     return table
 
 
-def messages(table: dict[str, Topic], step: Step, time: int, latched: bool = False) -> dict[str, Message]:
+def messages(table: dict[str, Topic], step: StepValues, time: int, latched: bool = False) -> dict[str, Message]:
     """The messages of a step on the host by topic, of latched topics or of the others.
 
     Args:
@@ -306,7 +306,7 @@ def _finite(command: ArrayLike) -> tuple[float, float, float]:
 # --- the robot ---
 
 
-def _transforms(step: Step, time: int) -> Message:
+def _transforms(step: StepValues, time: int) -> Message:
     return {
         "transforms": [
             transform(MAP, ODOM, time, vector(0.0, 0.0), NO_ROTATION),
@@ -315,7 +315,7 @@ def _transforms(step: Step, time: int) -> Message:
     }
 
 
-def _static_transforms(scenario: Scenario) -> Callable[[Step, int], Message]:
+def _static_transforms(scenario: Scenario) -> Callable[[StepValues, int], Message]:
     mounts = {mount.name: mount for mount in reversed(scenario.robot.mounts)}  # the first of equal names
     places = []
     for sensor in scenario.sensors:
@@ -332,7 +332,7 @@ def _static_transforms(scenario: Scenario) -> Callable[[Step, int], Message]:
     return lambda step, time: {"transforms": [transform(BASE, name, time, *place) for name, *place in places]}
 
 
-def _odometry(step: Step, time: int) -> Message:
+def _odometry(step: StepValues, time: int) -> Message:
     return {
         "header": header(ODOM, time),
         "child_frame_id": BASE,
@@ -341,11 +341,11 @@ def _odometry(step: Step, time: int) -> Message:
     }
 
 
-def _goal(step: Step, time: int) -> Message:
+def _goal(step: StepValues, time: int) -> Message:
     return {"header": header(MAP, time), "pose": pose(step.goal, step.goal_heading)}
 
 
-def _plan(step: Step, time: int) -> Message:
+def _plan(step: StepValues, time: int) -> Message:
     goal = np.asarray(step.goal, float)
     corners = np.asarray(step.plan, float)
     count = int(np.argmax((corners == goal).all(1))) or len(corners)  # the rest repeats the goal
@@ -369,12 +369,12 @@ def _plan(step: Step, time: int) -> Message:
     return {"header": plan_header, "poses": poses}
 
 
-def _occupancy_grid(scenario: Scenario) -> Callable[[Step, int], Message]:
+def _occupancy_grid(scenario: Scenario) -> Callable[[StepValues, int], Message]:
     raster = ros_map.of_environment(scenario.environment, RESOLUTION)
     cells = np.where(raster.occupied, 100, 0).astype(np.int8).reshape(-1)
     rows, columns = raster.occupied.shape
 
-    def message(step: Step, time: int) -> Message:
+    def message(step: StepValues, time: int) -> Message:
         corner = {"position": vector(*raster.origin), "orientation": NO_ROTATION}
         size = {"resolution": raster.resolution, "width": columns, "height": rows}
         return {
@@ -389,7 +389,7 @@ def _occupancy_grid(scenario: Scenario) -> Callable[[Step, int], Message]:
 # --- people ---
 
 
-def _people(step: Step, time: int) -> Message:
+def _people(step: StepValues, time: int) -> Message:
     people = step.people
     rows = []
     for index in _present(people):
@@ -412,13 +412,13 @@ def _people(step: Step, time: int) -> Message:
 # --- markers ---
 
 
-def _markers(scenario: Scenario) -> Callable[[Step, int], Message]:
+def _markers(scenario: Scenario) -> Callable[[StepValues, int], Message]:
     person_radius = float(scenario.forces.walking.radius)
     robot_radius = float(scenario.robot.radius)
     goal_radius = float(scenario.goal_radius)
     names = [name.replace("_", " ") for name, _ in scenario.situations]
 
-    def message(step: Step, time: int) -> Message:
+    def message(step: StepValues, time: int) -> Message:
         text = ", ".join(name for name, holds in zip(names, step.situations, strict=True) if holds)
         markers = [
             *_person_markers(step.people, person_radius),
@@ -471,7 +471,7 @@ def _group_markers(groups: Groups) -> Iterator[Message]:
         yield _marker("groups", index, LINE_STRIP, _origin_pose(), (0.05, 0.0, 0.0), present, points=points)
 
 
-def _robot_markers(step: Step, radius: float, goal_radius: float) -> Iterator[Message]:
+def _robot_markers(step: StepValues, radius: float, goal_radius: float) -> Iterator[Message]:
     """The robot, an arrow on it along the heading, and its goal."""
     body = pose(step.position, step.heading, 0.2)
     yield _marker("robot", 0, CYLINDER, body, (2 * radius, 2 * radius, 0.4))
@@ -481,7 +481,7 @@ def _robot_markers(step: Step, radius: float, goal_radius: float) -> Iterator[Me
     yield _marker("goal", 0, CYLINDER, goal, (2 * goal_radius, 2 * goal_radius, 0.02))
 
 
-def _text_marker(step: Step, text: str) -> Message:
+def _text_marker(step: StepValues, text: str) -> Message:
     """The situations that hold, beside the robot as it is seen from above."""
     beside = pose(np.asarray(step.position) + [0.0, 0.6], step.heading, 1.0)
     return _marker("situations", 0, TEXT, beside, (0.0, 0.0, 0.4), text=text or " ")
@@ -508,10 +508,10 @@ def _of_sensor(scenario: Scenario, sensor: Sensor, naming: Naming) -> dict[str, 
     if isinstance(device, Lidar):
         miss = 0.0 if naming == "sean" else np.inf  # as REP 117 says, and as SEAN's lidar does
 
-        def laser(step: Step, time: int) -> Message:
+        def laser(step: StepValues, time: int) -> Message:
             return laser_scan(np.asarray(step.readings[name]), device, frame, time, scenario.time_step, miss)
 
-        def cloud(step: Step, time: int) -> Message:
+        def cloud(step: StepValues, time: int) -> Message:
             return point_cloud(*sensors.point_cloud(device, np.asarray(step.readings[name])), frame, time)
 
         if device.elevations:
@@ -521,7 +521,7 @@ def _of_sensor(scenario: Scenario, sensor: Sensor, naming: Naming) -> dict[str, 
     if not isinstance(device, Camera):
         return {}
 
-    def picture(step: Step, time: int) -> Message:
+    def picture(step: StepValues, time: int) -> Message:
         reading = np.asarray(step.readings[name])
         if reading.ndim == 2:
             return depth_image(reading, device.far, frame, time)
@@ -530,7 +530,7 @@ def _of_sensor(scenario: Scenario, sensor: Sensor, naming: Naming) -> dict[str, 
     table = {f"/{name}/image_raw": Topic("sensor_msgs/msg/Image", picture, sensor=name)}
     if naming == "sean" and not hasattr(sensor.read, "measure"):
 
-        def packed(step: Step, time: int) -> Message:
+        def packed(step: StepValues, time: int) -> Message:
             return compressed_image(np.asarray(step.readings[name]), frame, time)
 
         table = {f"/{name}/compressed": Topic("sensor_msgs/msg/CompressedImage", packed, sensor=name)}
@@ -657,7 +657,7 @@ def sean_topics(scenario: Scenario, number: int) -> dict[str, Topic]:
     return table
 
 
-def _agents(step: Step, time: int) -> Message:
+def _agents(step: StepValues, time: int) -> Message:
     people = step.people
     array_header = header(MAP, time)
     rows = []
@@ -674,18 +674,18 @@ def _agents(step: Step, time: int) -> Message:
     return {"header": array_header, "agents": rows}
 
 
-def _agent_positions(step: Step, time: int) -> Message:
+def _agent_positions(step: StepValues, time: int) -> Message:
     people = step.people
     poses = [pose(people.position[index], people.heading[index]) for index in _present(people)]
     return {"header": header(MAP, time), "poses": poses}
 
 
-def _group_positions(step: Step, time: int) -> Message:
+def _group_positions(step: StepValues, time: int) -> Message:
     centers = np.asarray(step.groups.center)[np.asarray(step.groups.present)]
     return {"header": header(MAP, time), "poses": [pose(center, np.array([1.0, 0.0])) for center in centers]}
 
 
-def _situation(index: int) -> Callable[[Step, int], Message]:
+def _situation(index: int) -> Callable[[StepValues, int], Message]:
     return lambda step, time: {"data": float(step.situations[index])}
 
 
@@ -699,7 +699,7 @@ class SeanTrial:
     time_step: float  # s
     time_limit: float  # s
 
-    def scene_info(self, step: Step, time: int) -> Message:
+    def scene_info(self, step: StepValues, time: int) -> Message:
         """The SceneInfo of a step at a time [ns]."""
         return {
             "header": header(MAP, time),
@@ -711,7 +711,7 @@ class SeanTrial:
             "environment": self.environment,
         }
 
-    def trial_info(self, step: Step, time: int) -> Message:
+    def trial_info(self, step: StepValues, time: int) -> Message:
         """The TrialInfo of a step at a time [ns]."""
         begin = time - round(int(step.tick) * self.time_step * SECOND)
         to_goal = np.linalg.norm(np.asarray(step.position) - np.asarray(step.goal))

@@ -88,7 +88,7 @@ def pose_fields(message: Any) -> dict[str, Any]:
     return {"header": header, "pose": {"pose": {"position": position, "orientation": orientation}}}
 
 
-class Node:
+class RosNode:
     """A node of rospy as a ``Transport``. A process has one."""
 
     def __init__(self, mailbox: Mailbox, outputs: Mapping[str, Output]):

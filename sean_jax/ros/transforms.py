@@ -8,28 +8,28 @@ from typing import NamedTuple
 import numpy as np
 
 
-class Pose(NamedTuple):
+class PlanarPose(NamedTuple):
     """A pose on the plane."""
 
     x: float  # m
     y: float  # m
     yaw: float  # rad
 
-    def then(self, inner: "Pose") -> "Pose":
+    def then(self, inner: "PlanarPose") -> "PlanarPose":
         """A pose in the frame of this pose, in this pose's parent frame."""
         cosine = math.cos(self.yaw)
         sine = math.sin(self.yaw)
         x = self.x + cosine * inner.x - sine * inner.y
         y = self.y + sine * inner.x + cosine * inner.y
-        return Pose(x, y, self.yaw + inner.yaw)
+        return PlanarPose(x, y, self.yaw + inner.yaw)
 
     def turn(self, x: float, y: float) -> tuple[float, float]:
         """A vector of the frame of this pose, in this pose's parent frame."""
-        turned = Pose(0.0, 0.0, self.yaw).then(Pose(x, y, 0.0))
+        turned = PlanarPose(0.0, 0.0, self.yaw).then(PlanarPose(x, y, 0.0))
         return turned.x, turned.y
 
 
-NOWHERE = Pose(0.0, 0.0, 0.0)
+NOWHERE = PlanarPose(0.0, 0.0, 0.0)
 
 
 class Transforms:
@@ -39,9 +39,9 @@ class Transforms:
         """No transforms."""
         self.parent: dict[str, str] = {}
         self._times: dict[str, list[int]] = defaultdict(list)
-        self._poses: dict[str, list[Pose]] = defaultdict(list)
+        self._poses: dict[str, list[PlanarPose]] = defaultdict(list)
 
-    def add(self, parent: str, child: str, time: int, pose: Pose) -> None:
+    def add(self, parent: str, child: str, time: int, pose: PlanarPose) -> None:
         """Add the pose of a frame in its parent's, at a time [ns]."""
         self.parent[child] = parent
         self._times[child].append(time)
@@ -62,7 +62,7 @@ class Transforms:
             visited.add(frame)
         return frame
 
-    def pose(self, frame: str, time: int) -> Pose:
+    def pose(self, frame: str, time: int) -> PlanarPose:
         """The pose of a frame in its root, by the last transforms until a time [ns], or else the first ones."""
         pose = NOWHERE
         visited: set[str] = set()  # a bag may have frames in a circle

@@ -21,7 +21,7 @@ FAR = 1e6  # m, m/s or rad/s, more than any robot has
 SILENCE = 10.0  # s, for which a sentence is not repeated
 
 
-class Log:
+class TransportLog:
     """Sentences for the user: each kind at most once in ``SILENCE``, with the number of those left out."""
 
     def __init__(self, write: Callable[[str], None]):
@@ -68,7 +68,7 @@ class Request:
 class Mailbox:
     """The latest command, the latest pose, and a few requests, until the simulation takes them. Any thread may add."""
 
-    def __init__(self, log: Log, command_size: int = 2, names: RosNames = DEFAULT_NAMES):
+    def __init__(self, log: TransportLog, command_size: int = 2, names: RosNames = DEFAULT_NAMES):
         self.log, self._command_size, self.names = log, command_size, names
         self._command_topic = names.topic(COMMAND)
         self.commands = 0  # received so far

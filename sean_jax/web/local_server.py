@@ -70,7 +70,7 @@ async def listen(
     from websockets.asyncio.server import serve
     from websockets.exceptions import ConnectionClosed
 
-    log = Log()
+    log = ServerLog()
 
     async def guarded_answer(connection: ServerConnection, request: Request) -> Response | None:
         try:
@@ -127,7 +127,7 @@ def signals() -> Iterator[asyncio.Event]:
             signal.signal(kind, handler)
 
 
-class Log:
+class ServerLog:
     """What a server tells in the terminal: a line for each kind of error, once."""
 
     def __init__(self) -> None:

@@ -56,7 +56,7 @@ Finite = Annotated[float, pydantic.Field(allow_inf_nan=False)]
 Scalar = Annotated[str | int | Finite, pydantic.BeforeValidator(_scalar)]
 
 
-class Row(pydantic.BaseModel):
+class DatabaseRow(pydantic.BaseModel):
     """A row of a query; its fields are the columns."""
 
     model_config = pydantic.ConfigDict(extra="forbid", strict=True)
@@ -101,7 +101,7 @@ class Database:
         with self._lock:
             self._base.close()
 
-    def rows(self, model: type[Row], query: str, values: Sequence[Any] = ()) -> list[dict[str, Any]]:
+    def rows(self, model: type[DatabaseRow], query: str, values: Sequence[Any] = ()) -> list[dict[str, Any]]:
         """The rows of a query, whose columns are the fields of ``model``.
 
         Raises:

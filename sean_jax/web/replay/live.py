@@ -67,7 +67,7 @@ class _Server(ThreadingHTTPServer):
     def __init__(self, handler: type[BaseHTTPRequestHandler]):
         self._open: dict[Any, None] = {}  # sockets, the oldest first
         self._guard = threading.Lock()
-        self._log = local_server.Log()
+        self._log = local_server.ServerLog()
         super().__init__((HOST, 0), handler)
 
     def process_request(self, request: Any, client_address: Any) -> None:

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 TEMPLATE = "web/studio/page.html"
 
 
-def run(config: StudioConfig, console: Console) -> None:
+def run_studio(config: StudioConfig, console: Console) -> None:
     """Serve the page until Ctrl-C, then make demonstrations of the recorded drives.
 
     Raises:

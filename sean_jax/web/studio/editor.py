@@ -68,7 +68,7 @@ class Editor:
                 copy = Path(self._scratch.name) / path.relative_to(folder)
                 copy.parent.mkdir(parents=True, exist_ok=True)
                 shutil.copyfile(path, copy)
-        self.boxes: dict[str, scene_text.Box] = {}  # obstacles that can be changed
+        self.boxes: dict[str, scene_text.SceneBox] = {}  # obstacles that can be changed
         self.sets: annotation.Annotation | None = None  # of behavior handcrafted
         for name in self.texts:
             self._take(self.folder / name)
@@ -223,7 +223,7 @@ class Editor:
         return dataclasses.replace(scenario, behavior=behavior)
 
 
-def _box_of_page(box: scene_text.Box) -> list[float]:
+def _box_of_page(box: scene_text.SceneBox) -> list[float]:
     """Center, half sides, angle [rad] and height of a box as the page draws it."""
     height = box.center[2] + box.half[2]
     return [round(value, 4) for value in (*box.center[:2], *box.half[:2], math.radians(box.yaw), height)]
@@ -442,7 +442,7 @@ def _sets_of_page(sets: annotation.Annotation) -> dict[str, Any]:
 # ------------------------------------------------------------------ scene.xml
 
 
-def changed_scene(text: str, boxes: Mapping[str, scene_text.Box], change: Mapping[str, Any]) -> str:
+def changed_scene(text: str, boxes: Mapping[str, scene_text.SceneBox], change: Mapping[str, Any]) -> str:
     """The text of a scene.xml with a change of a ``box``.
 
     A box has a ``position`` [m], a ``size`` of two sides [m], a ``height`` [m] and a ``turn`` [degrees], or ``add``

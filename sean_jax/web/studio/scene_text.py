@@ -19,7 +19,7 @@ TURNS = ("quat", "axisangle", "xyaxes", "zaxis", "euler")  # attributes that tur
 NEW = 0.8, 0.8, 1.0  # m, of a new box
 
 
-class Box(NamedTuple):
+class SceneBox(NamedTuple):
     """A box that the page can change."""
 
     center: tuple[float, ...]  # m
@@ -33,20 +33,20 @@ class _Geom(NamedTuple):
     end: int
 
 
-class _Scene(NamedTuple):
+class _GeomPlaces(NamedTuple):
     geoms: dict[str, _Geom]  # that have a name and stand in the world itself
     names: set[str]  # of all geoms
     compiler: dict[str, str]
     last: int  # where the last of the geoms ends, or the world's first tag
 
 
-def boxes(path: Path, text: str) -> dict[str, Box]:
+def boxes(path: Path, text: str) -> dict[str, SceneBox]:
     """The obstacles of a scene, whose text is in a file already, that have a name and stand in the world itself."""
     names = _scan(text.encode()).geoms
-    return {name: Box(*values) for name, values in environment.named_boxes(path).items() if name in names}
+    return {name: SceneBox(*values) for name, values in environment.named_boxes(path).items() if name in names}
 
 
-def moved(text: str, name: str, before: Box, after: Box) -> str:
+def moved(text: str, name: str, before: SceneBox, after: SceneBox) -> str:
     """The text with a box elsewhere, of another size or turned.
 
     Raises:
@@ -122,7 +122,7 @@ def _numbers(values: Any) -> str:
     return " ".join(f"{value:.6g}" for value in values)
 
 
-def _scan(data: bytes) -> _Scene:
+def _scan(data: bytes) -> _GeomPlaces:
     """Where the geoms of a scene are in its bytes, which are XML."""
     parser = expat.ParserCreate("utf-8")
     above: list[str] = []  # elements that are open
@@ -155,4 +155,4 @@ def _scan(data: bytes) -> _Scene:
     parser.StartElementHandler = begin
     parser.EndElementHandler = end
     parser.Parse(data, True)
-    return _Scene(**scene)
+    return _GeomPlaces(**scene)

@@ -33,7 +33,7 @@ from sean_jax.learning.policy import AGENTS
 from sean_jax.people import behaviors
 from sean_jax.web import local_server, replay
 from sean_jax.web.local_server import HOST, SOCKET
-from sean_jax.web.studio.session import SPEED_RANGE, Choice, Frame, Session, episode
+from sean_jax.web.studio.session import SPEED_RANGE, Choice, Session, SessionFrame, episode
 from sean_jax.web.studio.trial import no_demonstrations
 from sean_jax.world import environment
 
@@ -82,7 +82,7 @@ class Studio:
         self._card: asyncio.Task[None] | None = None  # metrics of the episode that has ended
         self._cards: list[dict[str, Any]] = []  # those that are there
         self._comparison: asyncio.Task[None] | None = None
-        self._frames: list[Frame] = []  # not yet sent
+        self._frames: list[SessionFrame] = []  # not yet sent
         self._first, self._sent = 0, 0.0  # number of the first of them, and time of the latest message
         self._flush: asyncio.TimerHandle | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
@@ -232,7 +232,7 @@ class Studio:
             del self._tabs[tab]
             asyncio.ensure_future(tab.close(1013, "too slow"))
 
-    def _encoded(self, first: int, frames: list[Frame]) -> bytes:
+    def _encoded(self, first: int, frames: list[SessionFrame]) -> bytes:
         names = [each["name"] for each in self.hello["recording"]["situations"]]
         head, numbers = replay.packed(episode(frames), names)
         return local_server.framed(head | {"kind": "frames", "first": first}, numbers)

@@ -36,7 +36,7 @@ from sean_jax.simulation import scenario as scenarios
 from sean_jax.web import replay
 from sean_jax.web.studio import trial as trials
 from sean_jax.web.studio.editor import Editor, same_shapes
-from sean_jax.web.studio.trial import Trial
+from sean_jax.web.studio.trial import TrialFile
 from sean_jax.world import navigation
 
 MEMORY = 120.0  # s, for which one can return
@@ -46,14 +46,14 @@ SHADE = 4.0  # m, after which a picture of depth is darker by a factor of e
 LAG = 0.5  # s behind the clock from which on the clock waits
 
 
-class Frame(NamedTuple):
+class SessionFrame(NamedTuple):
     """What the page draws of a moment."""
 
     trajectory: Trajectory
     path: np.ndarray  # (K, 2) m, the shortest way to the goal
 
 
-def episode(frames: Sequence[Frame], title: str = "", outcome: str = "") -> replay.Episode:
+def episode(frames: Sequence[SessionFrame], title: str = "", outcome: str = "") -> replay.Episode:
     """Frames as an episode of a page."""
     stacked, path = jax.tree.map(lambda *leaves: np.stack(leaves), *frames)
     return replay.Episode(stacked, title, outcome, plan=path, begin=0)
@@ -133,7 +133,7 @@ class Session:
         self.limits = float(robot.max_speed), float(max_reverse_speed(robot)), float(robot.max_turn_rate)
         self.playing, self.human, self.speed, self.number = False, False, 1.0, 0
         self.on_file = True  # whether all of this episode is on the graph of the file
-        self.trial: Trial | None = None
+        self.trial: TrialFile | None = None
         self.editor = Editor(config)
         self._editing = threading.Lock()  # a change of the files is checked, built and compiled; it takes seconds
         self._saved: Scenario | None = None  # of the saved files, which the next episode has
@@ -156,7 +156,7 @@ class Session:
                 self.scenario, self._saved = self._saved, None
             state, _ = _begin(self.scenario, self._key(number))
             self.on_file = not self.editor.changed
-            self.number, self.commands, self.frames = number, list[tuple[float, ...]](), list[Frame]()
+            self.number, self.commands, self.frames = number, list[tuple[float, ...]](), list[SessionFrame]()
             self.by_person = list[bool]()  # who gave each command
             first = Moment(state, _memory(self.scenario, self.policy, state))
             keep = 1 + round(MEMORY / self.scenario.time_step)
@@ -246,7 +246,7 @@ class Session:
                 raise InputError("record: a file was changed in this episode; begin another one.")
             if self.trial is None:
                 try:
-                    self.trial = Trial.begin(self.config, self.number)
+                    self.trial = TrialFile.begin(self.config, self.number)
                 except OSError as error:  # such as a full disk
                     raise InputError(f"record: {writing.reason(error)}; nothing is recorded.") from None
                 self._write_trial(lambda trial: trial.add(self.commands, self.by_person))
@@ -264,7 +264,7 @@ class Session:
             self.send("drives", self.drives())
             return file
 
-    def _write_trial(self, write: Callable[[Trial], None]) -> None:
+    def _write_trial(self, write: Callable[[TrialFile], None]) -> None:
         """Write to the recorded drive, if there is one; if it cannot be written, the recording ends."""
         if self.trial is None:
             return
@@ -273,9 +273,9 @@ class Session:
         except InputError as error:  # the file is full, or the policy's command is no number
             self._end_early(str(error), lambda trial: trial.end(trials.STOPPED))
         except OSError as error:  # such as a full disk: time goes on, and earlier drives are whole
-            self._end_early(str(error.strerror), Trial.abandon)
+            self._end_early(str(error.strerror), TrialFile.abandon)
 
-    def _end_early(self, why: str, end: Callable[[Trial], None]) -> None:
+    def _end_early(self, why: str, end: Callable[[TrialFile], None]) -> None:
         assert self.trial is not None
         try:
             end(self.trial)
@@ -301,7 +301,7 @@ class Session:
             InputError: there is no such drive, or it is being recorded.
         """
         try:
-            trials.discard(self._folder_of(file), file)
+            trials.discard_trial(self._folder_of(file), file)
         finally:  # also if it has failed: the page shows what is so
             self.send("drives", self.drives())
 
@@ -312,7 +312,7 @@ class Session:
             InputError: there is no such drive, it is being recorded, or the name is none.
         """
         try:
-            trials.rename(self._folder_of(file), file, name)
+            trials.rename_trial(self._folder_of(file), file, name)
         finally:  # also if it has failed: the page shows what is so
             self.send("drives", self.drives())
 
@@ -615,7 +615,7 @@ class Session:
             path = np.asarray(_path(table, robot.position, self.state.task.goal, self._way))
         else:
             path = self.frames[-1].path
-        self.frames.append(Frame(jax.tree.map(np.asarray, trajectory), path))
+        self.frames.append(SessionFrame(jax.tree.map(np.asarray, trajectory), path))
 
     def _send_status(self) -> None:
         if hasattr(self, "moments"):

@@ -109,7 +109,7 @@ class RecordedDrive(NamedTuple):
     code: dict[str, str]  # file -> SHA-256, of the user's own files
 
 
-def read(file: Path) -> RecordedDrive:
+def read_trial(file: Path) -> RecordedDrive:
     """The content of a trial; a last line without its end was not written whole, and does not count.
 
     Raises:
@@ -169,7 +169,7 @@ def _parsed(place: Path, text: str, first: bool) -> TrialLine:
 
 @functools.lru_cache(4096)
 def _read_known(file: Path, size: int, changed: int) -> RecordedDrive:
-    return read(file)
+    return read_trial(file)
 
 
 def read_folder(folder: Path) -> tuple[list[RecordedDrive], list[str]]:
@@ -205,8 +205,8 @@ def _regular(file: Path) -> os.stat_result:
 # ------------------------------------------------------------------ a drive that goes on
 
 
-class Trial:
-    """The file of a drive that goes on: never one that ``read`` refuses."""
+class TrialFile:
+    """The file of a drive that goes on: never one that ``read_trial`` refuses."""
 
     def __init__(self, file: Path, head: dict[str, Any], per_line: int):
         self.file, self._per_line = file, per_line
@@ -218,7 +218,7 @@ class Trial:
         self._stream = file.open("a", encoding="utf-8")
 
     @classmethod
-    def begin(cls, config: StudioConfig, number: int) -> Trial:
+    def begin(cls, config: StudioConfig, number: int) -> TrialFile:
         """A new file in the folder for drives.
 
         Raises:
@@ -232,7 +232,7 @@ class Trial:
         folder.mkdir(parents=True, exist_ok=True)
         head = {"version": VERSION, "options": config.identity(), "episode": number}
         head["sha256"] = user_parts.digests(config)
-        check(config.record, head["options"], head["sha256"])
+        check_folder(config.record, head["options"], head["sha256"])
         taken = [_number(file) for file in (*folder.glob("*.jsonl"), *(folder / DISCARDED).glob("*.jsonl"))]
         return cls(folder / f"{1 + max(taken, default=-1):06d}.jsonl", head, max(1, round(1.0 / config.time_step)))
 
@@ -309,7 +309,7 @@ def _number(file: Path) -> int:
     return int(digits[0]) if digits else -1
 
 
-def check(folder: Path, options: Mapping[str, Any], code: Mapping[str, str]) -> None:
+def check_folder(folder: Path, options: Mapping[str, Any], code: Mapping[str, str]) -> None:
     """Refuse a folder whose drives have other options, or other code by its SHA-256.
 
     The first drive that is valid counts, unless there is one with these options.
@@ -385,7 +385,7 @@ def _recover_file(file: Path) -> str:
     if b"\n" not in data and _is_half_head(data):
         file.unlink()
         return f"{file} was stopped before its first step; it is removed."
-    drive = read(file)
+    drive = read_trial(file)
     if drive.outcome is not None:
         return ""
     if not len(drive.commands):
@@ -433,7 +433,7 @@ def rows_of_page(folder: Path, current: Path | None = None) -> list[dict[str, An
     return rows
 
 
-def find(folder: Path, name: Any) -> Path:
+def find_trial(folder: Path, name: Any) -> Path:
     """The file of a drive that the page names.
 
     Raises:
@@ -445,25 +445,25 @@ def find(folder: Path, name: Any) -> Path:
     return file
 
 
-def discard(folder: Path, name: Any) -> None:
+def discard_trial(folder: Path, name: Any) -> None:
     """Move a drive to ``trials/discarded``, from where it is no demonstration.
 
     Raises:
         InputError: there is no such drive, or it cannot be moved.
     """
-    file = find(folder, name)
+    file = find_trial(folder, name)
     place = file.parent / DISCARDED
     paths = [place / file.name, *(place / f"{file.stem} {number}.jsonl" for number in range(2, 1000))]
     _move(file, next((path for path in paths if not os.path.lexists(path)), paths[0]))
 
 
-def rename(folder: Path, name: Any, words: Any) -> None:
+def rename_trial(folder: Path, name: Any, words: Any) -> None:
     """Give a drive a name; it becomes a part of the file's name.
 
     Raises:
         InputError: there is no such drive, the name is none for a file, or another file has it.
     """
-    file = find(folder, name)
+    file = find_trial(folder, name)
     if not isinstance(words, str) or not re.fullmatch(rf"[\w ]{{0,{MAX_NAME}}}", words):
         raise InputError(f"drives: give a name of letters, digits, _ and spaces, {MAX_NAME} at most.")
     words = words.strip()
