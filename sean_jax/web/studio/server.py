@@ -78,12 +78,14 @@ class Studio:
         self._ready = set[str]()  # pictures whose programs are compiled
         self._driver: ServerConnection | None = None
         self._slow = asyncio.Lock()  # requests that take seconds, one after the other
-        self._reserved, self._release = "", None  # name of a driver whose tab is gone, and the end of its time
+        self._reserved = ""  # name of a driver whose tab is gone
+        self._release: asyncio.TimerHandle | None = None  # the end of its time
         self._card: asyncio.Task[None] | None = None  # metrics of the episode that has ended
         self._cards: list[dict[str, Any]] = []  # those that are there
         self._comparison: asyncio.Task[None] | None = None
         self._frames: list[SessionFrame] = []  # not yet sent
-        self._first, self._sent = 0, 0.0  # number of the first of them, and time of the latest message
+        self._first = 0  # number of the first of them
+        self._sent = 0.0  # time of the latest message
         self._flush: asyncio.TimerHandle | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
         self._begin(Session(config))
@@ -233,7 +235,7 @@ class Studio:
             asyncio.ensure_future(tab.close(1013, "too slow"))
 
     def _encoded(self, first: int, frames: list[SessionFrame]) -> bytes:
-        names = [each["name"] for each in self.hello["recording"]["situations"]]
+        names = [situation["name"] for situation in self.hello["recording"]["situations"]]
         head, numbers = replay.packed(episode(frames), names)
         return local_server.framed(head | {"kind": "frames", "first": first}, numbers)
 
@@ -332,7 +334,9 @@ class Studio:
         """
         if self._release is not None:
             self._release.cancel()
-        self._driver, self._reserved, self._release = tab, reserved, None
+        self._driver = tab
+        self._reserved = reserved
+        self._release = None
         if reserved and self._loop is not None:
             self._release = self._loop.call_later(RETURN, self._drive_by, None)
         if tell:
@@ -351,16 +355,17 @@ class Studio:
         Raises:
             InputError: there is no such request, or another tab drives.
         """
-        session, request = self.session, local_server.parse(message)
+        session = self.session
+        request = local_server.parse(message)
         word = request["do"]
         if word == "view":
             self._show(tab, request.get("name"))
             return
         if word == "command":  # of the driver alone; it makes nobody the driver
             if self._driver is tab:
-                session.command(
-                    local_server.number(request, "ahead", -1.0, 1.0), local_server.number(request, "left", -1.0, 1.0)
-                )
+                ahead = local_server.number(request, "ahead", -1.0, 1.0)
+                left = local_server.number(request, "left", -1.0, 1.0)
+                session.command(ahead, left)
             return
         if word == "take":  # the wheel, also from a tab that its person has forgotten
             self._end_comparison()
@@ -406,11 +411,11 @@ class Studio:
         Raises:
             InputError: the options cannot be met, or it is not allowed; the present scenario stays.
         """
-        made = Session(_opened(self.session.config, options))
+        session = Session(_opened(self.session.config, options))
         if not allowed():
             raise InputError("open: another tab has taken the wheel; nothing is changed.")
         self.close()
-        self._begin(made)
+        self._begin(session)
         self.send("hello", None)
 
     def _change(self, word: str, request: dict[str, Any], allowed: Callable[[], bool]) -> None:
@@ -465,9 +470,9 @@ def _text(message: dict[str, Any]) -> str:
 def _finite(value: Any) -> Any:
     """The same with None in place of NaN and infinities."""
     if isinstance(value, dict):
-        return {key: _finite(each) for key, each in value.items()}
+        return {key: _finite(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_finite(each) for each in value]
+        return [_finite(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
@@ -488,12 +493,13 @@ def _opened(config: StudioConfig, options: Any) -> StudioConfig:
     """
     if not isinstance(options, dict) or not set(options) <= {*CHOICES, *NUMBERS}:
         raise InputError("open: options that the page does not have; reload the page.")
-    present, changes = _options_of_page(config), dict[str, Any]()
-    other_behavior = options.get("behavior", present["behavior"]) != present["behavior"]
+    before = _options_of_page(config)
+    other_behavior = options.get("behavior", before["behavior"]) != before["behavior"]
+    changes: dict[str, Any] = {}
     for name, value in options.items():
         if value in ("", None):
             changes[name] = StudioConfig.model_fields[name].default
-        elif value == present.get(name) and not (name == "task" and other_behavior):
+        elif value == before.get(name) and not (name == "task" and other_behavior):
             continue  # also if it is code that the user has typed
         elif name in NUMBERS:
             changes[name] = _whole(name, value)
@@ -556,14 +562,10 @@ def _choices(rows: Any, session: Session) -> list[Choice]:
     policies = {*CHOICES["policy"], session.config.policy.kind}
     if unknown := [row.get("policy") for row in rows if str(row.get("policy")) not in policies]:
         raise InputError(f"compare: policy {str(unknown[0])[:40]!r} is not on the page; reload the page.")
-    made = [
-        Choice(
-            row["policy"],
-            int(local_server.number(row, "seed", 0, LAST)),
-            int(local_server.number(row, "episode", 0, LAST)),
-        )
-        for row in rows
-    ]
-    if len(set(made)) < len(made):
+    choices = []
+    for row in rows:
+        seed = int(local_server.number(row, "seed", 0, LAST))
+        choices.append(Choice(row["policy"], seed, int(local_server.number(row, "episode", 0, LAST))))
+    if len(set(choices)) < len(choices):
         raise InputError("compare: both episodes are the same; choose another policy, seed or episode.")
-    return made
+    return choices
