@@ -24,17 +24,22 @@ MAX_ROWS = 5_000_000
 
 def length(x: Array, y: Array) -> Array:
     """Euclidean length of (x, y); zero, with zero gradient, below 1e-12."""
-    square = x * x + y * y
-    zero = square < TINY
-    return jnp.where(zero, 0.0, jnp.sqrt(jnp.where(zero, 1.0, square)))
+    zero, square = _square(x, y)
+    return jnp.where(zero, 0.0, jnp.sqrt(square))
 
 
 def unit(x: Array, y: Array) -> tuple[Array, Array]:
     """(x, y) divided by its length; (0, 0), with zero gradient, where the length is below 1e-12."""
+    zero, square = _square(x, y)
+    scale = jnp.where(zero, 0.0, 1.0 / jnp.sqrt(square))
+    return x * scale, y * scale
+
+
+def _square(x: Array, y: Array) -> tuple[Array, Array]:
+    """Whether the square of a length counts as zero, and the square, or 1 where it does: the root has a gradient."""
     square = x * x + y * y
     zero = square < TINY
-    scale = jnp.where(zero, 0.0, 1.0 / jnp.sqrt(jnp.where(zero, 1.0, square)))
-    return x * scale, y * scale
+    return zero, jnp.where(zero, 1.0, square)
 
 
 def rotate(x: Array, y: Array, cosine: Array, sine: Array) -> tuple[Array, Array]:
@@ -95,10 +100,11 @@ def from_box(x: Array, y: Array, box: Obstacles) -> tuple[Array, Array, Array]:
     The box's fields broadcast with x and y. Outside, the normal points from the nearest point of the box to the point;
     inside, out of the nearest side.
     """
-    center, half = box.center, box.half_extent
-    return from_rectangle(
-        x, y, center[..., 0], center[..., 1], half[..., 0], half[..., 1], jnp.cos(box.yaw), jnp.sin(box.yaw)
-    )
+    cx = box.center[..., 0]
+    cy = box.center[..., 1]
+    hx = box.half_extent[..., 0]
+    hy = box.half_extent[..., 1]
+    return from_rectangle(x, y, cx, cy, hx, hy, jnp.cos(box.yaw), jnp.sin(box.yaw))
 
 
 def from_rectangle(
@@ -176,12 +182,16 @@ def _distances_to_boxes(boxes: Obstacles, points: np.ndarray) -> np.ndarray:
 def to_edge(environment: Environment, x: Array, y: Array) -> Array:
     """Signed distance [m] from (x, y) [m] to the nearest edge of the floor, negative beyond it."""
     x_min, y_min, x_max, y_max = environment.floor
-    return jnp.minimum(jnp.minimum(x - x_min, x_max - x), jnp.minimum(y - y_min, y_max - y))
+    in_x = jnp.minimum(x - x_min, x_max - x)
+    in_y = jnp.minimum(y - y_min, y_max - y)
+    return jnp.minimum(in_x, in_y)
 
 
 def to_border(environment: Environment, x: Array, y: Array) -> Array:
     """``to_edge`` where the edge stops people and robots; inf where the floor is open."""
-    return jnp.full_like(x, jnp.inf) if environment.open else to_edge(environment, x, y)
+    if environment.open:
+        return jnp.full_like(x, jnp.inf)
+    return to_edge(environment, x, y)
 
 
 def crosses_box(px: Array, py: Array, qx: Array, qy: Array, box: Obstacles, radius: Array | float) -> Array:

@@ -264,39 +264,53 @@ def _check_columns(path: Path, names: Iterable[str], header: Header) -> None:
 
 def _check_rows(path: Path, columns: dict[str, np.ndarray], header: Header, first: int) -> None:
     """FileError for a value out of its column's range; ``first`` is the number of the first row."""
+    block = Block(path, columns, first)
+    robot = columns["id"] == ROBOT
+    for name in columns:
+        block.check_column(name, robot)
 
-    def refuse(wrong: np.ndarray, name: str, rule: str) -> None:
+    # Columns that depend on each other.
+    block.refuse(columns["id"] >= header.people, "id", f"is none of the {header.people} people")
+    block.refuse(robot & (columns["group"] != ROBOT), "group", "stands in the row of the robot")
+    size = np.hypot(columns["heading_x"], columns["heading_y"])
+    block.refuse(~((np.abs(size - 1.0) < 1e-3) | (size == 0.0)), "heading_x", "belongs to no unit vector")
+    time = (columns["frame"] + 1.0) * header.time_step
+    block.refuse(~(np.abs(columns["time"] - time) <= 1e-6 * time), "time", "does not match its frame")
+
+
+class Block(NamedTuple):
+    """Some rows of a file, which are checked."""
+
+    path: Path
+    columns: dict[str, np.ndarray]  # (R,) each
+    first: int  # number of the first row
+
+    def refuse(self, wrong: np.ndarray, name: str, rule: str) -> None:
+        """FileError for the first wrong row, with its value in a column."""
         if wrong.any():
             row = int(wrong.argmax())
-            value = f"{columns[name][row]:.9g}".replace("nan", "nothing")
-            raise FileError(f"{files.short_name(path)}: row {first + row}: {name}: {value} {rule}; {CURE}.")
+            value = f"{self.columns[name][row]:.9g}".replace("nan", "nothing")
+            raise FileError(f"{files.short_name(self.path)}: row {self.first + row}: {name}: {value} {rule}; {CURE}.")
 
-    # Columns by themselves.
-    robot = columns["id"] == ROBOT
-    for name, values in columns.items():
+    def check_column(self, name: str, robot: np.ndarray) -> None:
+        """FileError for a value that a column cannot have; ``robot`` (R,) says which rows are the robot's."""
+        values = self.columns[name]
         flag = name == "active" or name.startswith(SITUATION)
         if name in NUMBERS:
-            refuse(~(values == np.floor(values)), name, "is no whole number")
+            self.refuse(~(values == np.floor(values)), name, "is no whole number")
         if name in (*OF_ROBOT, LEFT) or flag:
-            refuse(~robot & ~np.isnan(values), name, "stands in the row of a person")
+            self.refuse(~robot & ~np.isnan(values), name, "stands in the row of a person")
         if flag:
-            refuse(robot & (values != 0) & (values != 1), name, "is not 0 or 1")
+            self.refuse(robot & (values != 0) & (values != 1), name, "is not 0 or 1")
         elif name.startswith("command"):
-            refuse(np.isfinite(values) & (np.abs(values) > np.finfo(np.float32).max), name, "is no number of 32 bits")
+            too_large = np.isfinite(values) & (np.abs(values) > np.finfo(np.float32).max)
+            self.refuse(too_large, name, "is no number of 32 bits")
         elif name in LIMITS:
             low, high = LIMITS[name]
             outside = ~((low <= values) & (values <= high))
             if name in OF_ROBOT:  # which is empty in the rows of people
                 outside &= robot
-            refuse(outside, name, f"is not from {low:,} to {high:,}")
-
-    # Columns that depend on each other.
-    refuse(columns["id"] >= header.people, "id", f"is none of the {header.people} people")
-    refuse(robot & (columns["group"] != ROBOT), "group", "stands in the row of the robot")
-    size = np.hypot(columns["heading_x"], columns["heading_y"])
-    refuse(~((np.abs(size - 1.0) < 1e-3) | (size == 0.0)), "heading_x", "belongs to no unit vector")
-    time = (columns["frame"] + 1.0) * header.time_step
-    refuse(~(np.abs(columns["time"] - time) <= 1e-6 * time), "time", "does not match its frame")
+            self.refuse(outside, name, f"is not from {low:,} to {high:,}")
 
 
 def _trajectory(path: Path, table: dict[str, np.ndarray], header: Header) -> Trajectory:
@@ -316,15 +330,7 @@ def _trajectory(path: Path, table: dict[str, np.ndarray], header: Header) -> Tra
     is_robot = table["id"] == ROBOT
     robot = _rows(table, is_robot, ("episode", "frame"), shape[:2])
     persons = _rows(table, ~is_robot, ("episode", "frame", "id"), shape)
-    driven = robot.present()  # (E, T)
-    present = persons.present()  # (E, T, N)
-    without_robot = not driven[:, 0].all() or (driven[:, 1:] & ~driven[:, :-1]).any()  # or a gap
-    if without_robot or not driven[persons.index[:2]].all():
-        raise FileError(
-            f"{files.short_name(path)}: {len(frame):,} rows lack one of the robot in a frame of an episode; {CURE}."
-        )
-    if driven.sum() + present.sum() < len(frame):
-        raise FileError(f"{files.short_name(path)}: {len(frame):,} rows have a person twice in a frame; {CURE}.")
+    _check_frames(path, robot, persons)
 
     command = ("command_speed", *([LEFT] if LEFT in table else []), "command_turn_rate")
     group: Any = np.full(shape, -1, np.int32)
@@ -338,12 +344,25 @@ def _trajectory(path: Path, table: dict[str, np.ndarray], header: Header) -> Tra
         people_velocity=persons.array("vx", "vy"),
         people_heading=persons.array("heading_x", "heading_y"),
         group=group,
-        present=present,
+        present=persons.present(),
         goal=robot.array("goal_x", "goal_y"),
         situations=robot.array(*(f"{SITUATION}{name}" for name in header.situations)) > 0.5,
         active=robot.array("active")[..., 0] > 0.5,
     )
     return trajectory if batched else jax.tree.map(lambda leaf: leaf[0], trajectory)
+
+
+def _check_frames(path: Path, robot: "Rows", persons: "Rows") -> None:
+    """FileError if the robot is missing in a frame, or a person is in it twice."""
+    count = len(robot.mask)
+    driven = robot.present()  # (E, T)
+    gaps = driven[:, 1:] & ~driven[:, :-1]
+    if not driven[:, 0].all() or gaps.any() or not driven[persons.index[:2]].all():
+        raise FileError(
+            f"{files.short_name(path)}: {count:,} rows lack one of the robot in a frame of an episode; {CURE}."
+        )
+    if driven.sum() + persons.present().sum() < count:
+        raise FileError(f"{files.short_name(path)}: {count:,} rows have a person twice in a frame; {CURE}.")
 
 
 class Rows(NamedTuple):

@@ -22,6 +22,16 @@ MAX_BYTES = 200_000_000  # of all rows
 ROW, CELL = 100, 53  # bytes of a row without people, and of a person in a row
 
 
+class SampledWalk(NamedTuple):
+    """A person, or N people, at the times of a grid: (T, ...) or (T, N, ...)."""
+
+    position: np.ndarray  # (..., 2) m; 0 where absent
+    velocity: np.ndarray  # (..., 2) m/s; 0 where absent
+    heading: np.ndarray  # (..., 2); of a person NaN if not known
+    present: np.ndarray
+    group: np.ndarray  # -1: none
+
+
 class Import(NamedTuple):
     """Result of an import."""
 
@@ -151,18 +161,7 @@ def as_trajectory(episode: Stretch, time_step: float) -> Trajectory:
     count = int((last - first + step // 1000) // step) + 1  # clocks may be short of a row by a thousandth of a step
     grid = first + step * np.arange(count)
     position, heading, velocity = _robot_rows(episode, grid, time_step)
-    walks = [_walk(track, grid, time_step) for track in episode.people]
-    people = _stacked([walk.position for walk in walks], (count, 0, 2))
-    people_velocity = _stacked([walk.velocity for walk in walks], (count, 0, 2))
-    present = _stacked([walk.present for walk in walks], (count, 0)).astype(bool)
-
-    # Who has no heading looks along the velocity.
-    people_heading = _stacked([walk.heading for walk in walks], (count, 0, 2))
-    unknown = present & np.isnan(people_heading[..., 0])
-    if unknown.any():
-        along = np.asarray(headings(jnp.asarray(people_velocity), jnp.asarray(present)), float)
-        people_heading = np.where(unknown[..., None], along, people_heading)
-
+    people = _people(episode, grid, time_step)
     situations = []
     for _, track in sorted(episode.situations.items()):
         situations.append(_latest(grid, track, [0.0])[:, 0] > 0.5)
@@ -171,14 +170,34 @@ def as_trajectory(episode: Stretch, time_step: float) -> Trajectory:
         heading=heading,
         velocity=velocity,
         action=_latest(grid, episode.commands, np.zeros(2)),
-        people=people,
-        people_velocity=people_velocity,
-        people_heading=np.where(present[..., None], people_heading, 0.0),
-        group=_stacked([walk.group for walk in walks], (count, 0)).astype(np.int32),
-        present=present,
+        people=people.position,
+        people_velocity=people.velocity,
+        people_heading=people.heading,
+        group=people.group,
+        present=people.present,
         goal=_latest(grid, episode.goals, position[-1]),
         situations=_stacked(situations, (count, 0)).astype(bool),
         active=np.ones(count, bool),
+    )
+
+
+def _people(episode: Stretch, grid: np.ndarray, time_step: float) -> SampledWalk:
+    """All people at the times of the grid, (T, N, ...); who has no heading looks along the velocity."""
+    walks = [_walk(track, grid, time_step) for track in episode.people]
+    count = len(grid)
+    velocity = _stacked([walk.velocity for walk in walks], (count, 0, 2))
+    heading = _stacked([walk.heading for walk in walks], (count, 0, 2))
+    present = _stacked([walk.present for walk in walks], (count, 0)).astype(bool)
+    unknown = present & np.isnan(heading[..., 0])
+    if unknown.any():
+        along = np.asarray(headings(jnp.asarray(velocity), jnp.asarray(present)), float)
+        heading = np.where(unknown[..., None], along, heading)
+    return SampledWalk(
+        position=_stacked([walk.position for walk in walks], (count, 0, 2)),
+        velocity=velocity,
+        heading=np.where(present[..., None], heading, 0.0),
+        present=present,
+        group=_stacked([walk.group for walk in walks], (count, 0)).astype(np.int32),
     )
 
 
@@ -228,16 +247,6 @@ def _latest(grid: np.ndarray, track: BagTrack, default: Any) -> np.ndarray:
         return np.tile(default, (len(grid), 1))
     index = np.searchsorted(track.times, grid, side="right") - 1
     return np.where((index >= 0)[:, None], track.values[np.maximum(index, 0)], default)
-
-
-class SampledWalk(NamedTuple):
-    """A person at the times of a grid."""
-
-    position: np.ndarray  # (T, 2) m; 0 where absent
-    velocity: np.ndarray  # (T, 2) m/s; 0 where absent
-    heading: np.ndarray  # (T, 2), NaN if not known
-    present: np.ndarray  # (T,)
-    group: np.ndarray  # (T,) -1: none
 
 
 def _walk(track: BagTrack, grid: np.ndarray, time_step: float) -> SampledWalk:

@@ -399,6 +399,7 @@ class LiveBridge:
         bridge.begin(scenario, number)
         self._due = waiting = time.monotonic()
         while not (bool(state.completed) or bool(state.timed_out)):
+            # Send the state, and wait as the pace says.
             if lockstep:
                 bridge.mailbox.take_command()  # of an earlier state
             bridge.publish(state, command)
@@ -418,11 +419,10 @@ class LiveBridge:
                 return False
             if request is not None and request.name == "new_task":
                 tasks += 1
-                key = jax.random.fold_in(state.streams.restart, tasks)
-                state = _next_task(scenario, state, key)
-                command = bridge.no_command
+                state = _next_task(scenario, state, jax.random.fold_in(state.streams.restart, tasks))
                 bridge.begin(scenario, number)
                 request.answer(True, f"task {tasks + 1} of episode {number} begins.")
+                command = bridge.no_command
                 waiting = time.monotonic()
                 continue
 

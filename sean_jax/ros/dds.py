@@ -35,7 +35,7 @@ class Participant:
             InputError: Cyclone DDS is missing, or cannot join.
         """
         try:
-            from cyclonedds import core, pub, sub, topic
+            from cyclonedds import core
             from cyclonedds.domain import Domain, DomainParticipant
         except ImportError as error:
             raise InputError(f'dds: {error.name} is missing; pip install "sean_jax[dds]".') from None
@@ -48,35 +48,44 @@ class Participant:
             self._participant = DomainParticipant(number)
         except core.DDSException as error:
             raise InputError(f"dds: domain {domain} cannot be joined: {error}; see CYCLONEDDS_URI.") from None
-
-        # A writer for each topic of the simulation; late readers of latched ones get the last message.
+        self._mailbox = mailbox
+        self._services = list(mailbox.names.services.values())
         self._types = Types()
         self._kinds = {name: output.type for name, output in outputs.items()}
         self._latched = {name for name, output in outputs.items() if output.latched}
-        latched = _quality(core, latched=True, depth=1)
-        queued = _quality(core, latched=False, depth=10)
+
+        self._request = mailbox.names.within(f"/{mailbox.names.node}/request")
+        self._make_writers()
+        self._make_readers()
+        self._closed = threading.Event()
+        self._thread = threading.Thread(target=self._read, name="sean-dds", daemon=True)
+        self._thread.start()
+
+    def _make_writers(self) -> None:
+        """A writer for each topic of the simulation; late readers of latched ones get the last message."""
+        from cyclonedds import pub, topic
+
+        latched = _quality(latched=True, depth=1)
+        queued = _quality(latched=False, depth=10)
         self._writers = {}
         for name, kind in self._kinds.items():
             quality = latched if name in self._latched else queued
             described = topic.Topic(self._participant, f"rt{name}", self._types.struct(kind), qos=quality)
             self._writers[name] = pub.DataWriter(self._participant, described, qos=quality)
 
-        # A reader for each topic of the controller. DDS has no services: a topic of a std_msgs/String stands for them.
-        self._mailbox = mailbox
-        self._services = list(mailbox.names.services.values())
-        self._request = mailbox.names.within(f"/{mailbox.names.node}/request")
-        newest = _quality(core, latched=False, depth=1)
+    def _make_readers(self) -> None:
+        """A reader for each topic of the controller; a topic of a String stands for services, which DDS has not."""
+        from cyclonedds import core, sub, topic
+
+        newest = _quality(latched=False, depth=1)
         unread = core.SampleState.NotRead | core.InstanceState.Any | core.ViewState.Any
         self._readers = {}
         self._wait = core.WaitSet(self._participant)
-        for name, kind in {**mailbox.names.inputs, self._request: "std_msgs/msg/String"}.items():
+        for name, kind in {**self._mailbox.names.inputs, self._request: "std_msgs/msg/String"}.items():
             described = topic.Topic(self._participant, f"rt{name}", self._types.struct(kind), qos=newest)
             reader = sub.DataReader(self._participant, described, qos=newest)
             self._wait.attach(core.ReadCondition(reader, unread))
             self._readers[name] = reader
-        self._closed = threading.Event()
-        self._thread = threading.Thread(target=self._read, name="sean-dds", daemon=True)
-        self._thread.start()
 
     def wanted(self, topic: str) -> bool:
         """Whether a reader of a topic is there; latched ones are kept for later."""
@@ -119,8 +128,10 @@ class Participant:
         threading.Thread(target=self._mailbox.request, args=(word,), name="sean-dds-request", daemon=True).start()
 
 
-def _quality(core: Any, latched: bool, depth: int) -> Any:
+def _quality(latched: bool, depth: int) -> Any:
     """Cyclone DDS's quality of service: reliable, with so many messages that may wait for a reader."""
+    from cyclonedds import core
+
     policy = core.Policy
     durability = policy.Durability.TransientLocal if latched else policy.Durability.Volatile
     return core.Qos(policy.Reliability.Reliable(1_000_000_000), durability, policy.History.KeepLast(depth))
