@@ -41,16 +41,18 @@ class SocialNavigation(Functional, base.Env):
         """Begin an episode; the PRNG key may be typed or not."""
         observation, state = self.env.reset(typed(rng))
         zero = jnp.zeros((), jnp.float32)
-        parts = {f"reward/{name}": zero for name, _ in self.env.rewards}
-        metrics = parts | {"completed": zero}
+        metrics = {f"reward/{name}": zero for name, _ in self.env.rewards}
+        metrics["completed"] = zero
         return base.State(state, self._shown(observation), zero, zero, metrics, {"truncation": zero})
 
     def step(self, state: base.State, action: Array) -> base.State:
         """The state after a control step, with all keys of ``metrics`` and ``info`` of the previous state."""
         before = state.pipeline_state
         after, observation, reward, terminated, truncated, info = self.env.advance(before, action)
-        parts = {f"reward/{name}": part.astype(jnp.float32) for name, part in info["rewards"].items()}
-        metrics = state.metrics | parts | {"completed": info["completed"].astype(jnp.float32)}
+        metrics = dict(state.metrics)
+        for name, reward_term in info["rewards"].items():
+            metrics[f"reward/{name}"] = reward_term.astype(jnp.float32)
+        metrics["completed"] = info["completed"].astype(jnp.float32)
         return state.replace(
             pipeline_state=after,
             obs=self._shown(observation),

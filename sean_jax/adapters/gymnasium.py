@@ -215,8 +215,10 @@ class VectorSocialNavigation(VectorEnv):
         self.env = load(env, config)
         self.num_envs = num_envs
         self._mode = _autoreset_mode(autoreset_mode)
-        rate = round(1.0 / self.env.scenario.time_step)
-        self.metadata = self.metadata | {"render_fps": rate, "autoreset_mode": self._mode}
+        self.metadata = self.metadata | {
+            "render_fps": round(1.0 / self.env.scenario.time_step),
+            "autoreset_mode": self._mode,
+        }
         self.single_observation_space = _space(self.env)
         self.single_action_space = spaces.Box(-1.0, 1.0, self.env.action_space.shape, np.float32)
         self.observation_space = gymnasium.vector.utils.batch_space(self.single_observation_space, num_envs)
@@ -298,9 +300,13 @@ class VectorSocialNavigation(VectorEnv):
         """State and results with the next episode in some rows."""
         if not rows.any():
             return state, packed
-        first = self._run.begin(self._seeds, self._episodes)
+        begun = self._run.begin(self._seeds, self._episodes)
         self._episodes = self._episodes + rows.astype(np.int32)
-        return jax.tree.map(lambda new, old: jnp.where(rows[:, None], new, old), first, (state, packed))
+
+        def choose(new: Array, old: Array) -> Array:
+            return jnp.where(rows[:, None], new, old)
+
+        return jax.tree.map(choose, begun, (state, packed))
 
 
 def _autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:
@@ -312,14 +318,19 @@ def _autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:
 
 
 def _space(env: mdp.Env) -> spaces.Dict:
-    boxes = env.observation_space.items()
-    return spaces.Dict({name: spaces.Box(box.low, box.high, box.shape, np.float32) for name, box in boxes})
+    boxes = {}
+    for name, box in env.observation_space.items():
+        boxes[name] = spaces.Box(box.low, box.high, box.shape, np.float32)
+    return spaces.Dict(boxes)
 
 
 def _seed(seed: int | None, random: np.random.Generator) -> int:
-    if seed is not None and not 0 <= seed < 2**32:
+    """A seed, drawn if there is none; InputError if it is out of range."""
+    if seed is None:
+        return int(random.integers(2**31))
+    if not 0 <= seed < 2**32:
         raise InputError(f"seed: {seed} must be a whole number from 0 to {2**32 - 1:,}.")
-    return int(random.integers(2**31)) if seed is None else int(seed)
+    return int(seed)
 
 
 for _name in registry.ALL_ENVS:

@@ -141,8 +141,9 @@ def _pad(tree: Any, sizes: Sizes, memo: dict[tuple, np.ndarray]) -> Any:
     for field, value, axes in _fields(tree):
         if axes is None:
             changed[field.name] = _pad(value, sizes, memo)
-        elif any((name, axis) in sizes for axis in axes):
-            target = tuple(sizes.get((name, axis), size) for axis, size in zip(axes, value.shape, strict=True))
+            continue
+        target = tuple(sizes.get((name, axis), size) for axis, size in zip(axes, value.shape, strict=True))
+        if any((name, axis) in sizes for axis in axes):
             key = id(value), target  # an array that is in several places stays one
             if key not in memo:
                 memo[key] = _padded(np.asarray(value), target, axes, field.metadata.get("pad", 0))

@@ -264,7 +264,7 @@ def _check_columns(path: Path, names: Iterable[str], header: Header) -> None:
 
 def _check_rows(path: Path, columns: dict[str, np.ndarray], header: Header, first: int) -> None:
     """FileError for a value out of its column's range; ``first`` is the number of the first row."""
-    block = Block(path, columns, first)
+    block = TableBlock(path, columns, first)
     robot = columns["id"] == ROBOT
     for name in columns:
         block.check_column(name, robot)
@@ -278,7 +278,7 @@ def _check_rows(path: Path, columns: dict[str, np.ndarray], header: Header, firs
     block.refuse(~(np.abs(columns["time"] - time) <= 1e-6 * time), "time", "does not match its frame")
 
 
-class Block(NamedTuple):
+class TableBlock(NamedTuple):
     """Some rows of a file, which are checked."""
 
     path: Path
@@ -352,7 +352,7 @@ def _trajectory(path: Path, table: dict[str, np.ndarray], header: Header) -> Tra
     return trajectory if batched else jax.tree.map(lambda leaf: leaf[0], trajectory)
 
 
-def _check_frames(path: Path, robot: "Rows", persons: "Rows") -> None:
+def _check_frames(path: Path, robot: "TableRows", persons: "TableRows") -> None:
     """FileError if the robot is missing in a frame, or a person is in it twice."""
     count = len(robot.mask)
     driven = robot.present()  # (E, T)
@@ -365,7 +365,7 @@ def _check_frames(path: Path, robot: "Rows", persons: "Rows") -> None:
         raise FileError(f"{files.short_name(path)}: {count:,} rows have a person twice in a frame; {CURE}.")
 
 
-class Rows(NamedTuple):
+class TableRows(NamedTuple):
     """Rows of a table, of the robot or of people, which become arrays with axes of episodes, frames and people."""
 
     table: dict[str, np.ndarray]
@@ -387,9 +387,9 @@ class Rows(NamedTuple):
         return values
 
 
-def _rows(table: dict[str, np.ndarray], mask: np.ndarray, axes: Sequence[str], shape: tuple[int, ...]) -> Rows:
+def _rows(table: dict[str, np.ndarray], mask: np.ndarray, axes: Sequence[str], shape: tuple[int, ...]) -> TableRows:
     """Some rows of a table, whose places in the arrays are in the columns ``axes``."""
-    return Rows(table, mask, tuple(table[name][mask] for name in axes), shape)
+    return TableRows(table, mask, tuple(table[name][mask] for name in axes), shape)
 
 
 # ------------------------------------------------------------------ CSV

@@ -59,12 +59,10 @@ def split_at_resets(recording: BagRecording) -> Resets:
     reference = _reference(recording)
     resets = []
     for begin, end in _stretches(reference):
-        clock = Clock(reference, begin, end)
-        stretch = _stretch(recording, clock, begin, end)
-        goals, _ = _rows(recording.goals, begin, end)
-        maps, _ = _rows(recording.maps, begin, end)
-        evidence = np.concatenate([clock.times(goals), clock.times(maps)])
-        resets.append(_split_at_jumps(stretch, evidence))
+        section = Section(recording, reference, begin, end)
+        new_goals = section.rows(recording.goals).times
+        new_maps = section.rows(recording.maps).times
+        resets.append(_split_at_jumps(_stretch(section), np.concatenate([new_goals, new_maps])))
     return Resets(
         episodes=[episode for reset in resets for episode in reset.episodes],
         cuts=sum(reset.cuts for reset in resets),
@@ -138,99 +136,119 @@ class Clock:
 # ------------------------------------------------------------------ one frame
 
 
-def _rows(table: Table, begin: int, end: int) -> tuple[np.ndarray, np.ndarray]:
-    """The whole and the other numbers of the rows that were received between two times [ns]."""
-    whole = table.whole
-    keep = (whole[:, 0] >= begin) & (whole[:, 0] < end)
-    return whole[keep], table.numbers[keep]
+class TimedRows(NamedTuple):
+    """Rows of a table."""
+
+    times: np.ndarray  # (R,) ns, of headers
+    whole: np.ndarray  # (R, K) whole numbers
+    numbers: np.ndarray  # (R, K) other numbers
 
 
-def _stretch(recording: BagRecording, clock: Clock, begin: int, end: int) -> Stretch:
-    """The messages between two times of receipt [ns], in one frame."""
-    frames = recording.frames.all
-    transforms = _transforms(recording, clock, begin, end)
-    robot, speeds, frame = _robot(recording, clock, transforms, begin, end)
-    whole, numbers = _rows(recording.people, begin, end)
-    if len(whole) and not frame:
-        frame = transforms.root(frames[whole[0, 2]])
+class Section:
+    """The messages of a bag that were received between two times [ns]."""
 
-    # What the robot was told, and what was said about its surroundings.
-    commands, velocities = _rows(recording.commands, begin, end)
-    goals, points = _rows(recording.goals, begin, end)
-    goal_times = clock.times(goals)
-    poses = np.pad(points, ((0, 0), (0, 1)))  # (G, 3) with a yaw of 0
-    poses = _in_root(transforms, [frames[k] for k in goals[:, 2]], goal_times, poses)
+    def __init__(self, recording: BagRecording, reference: np.ndarray, begin: int, end: int):
+        self.recording = recording
+        self.frames = recording.frames.all
+        self._clock = Clock(reference, begin, end)
+        self._begin = begin
+        self._end = end
+
+    def rows(self, table: Table) -> TimedRows:
+        """The rows of a table."""
+        whole = table.whole
+        received = whole[:, 0]
+        inside = (received >= self._begin) & (received < self._end)
+        whole = whole[inside]
+        return TimedRows(self._clock.times(whole), whole, table.numbers[inside])
+
+    def static(self) -> TimedRows:
+        """All static transforms, which hold at any time."""
+        table = self.recording.static
+        return TimedRows(self._clock.times(table.whole), table.whole, table.numbers)
+
+    def frames_of(self, rows: TimedRows) -> list[str]:
+        """The frame of each row."""
+        return [self.frames[number] for number in rows.whole[:, 2]]
+
+
+def _stretch(section: Section) -> Stretch:
+    """The messages of a section in one frame."""
+    transforms = _transforms(section)
+    robot, speeds, frame = _robot(section, transforms)
+    people = section.rows(section.recording.people)
+    if len(people.times) and not frame:
+        frame = transforms.root(section.frames_of(people)[0])
+    commands = section.rows(section.recording.commands)
+    goals = section.rows(section.recording.goals)
+    goal_poses = np.pad(goals.numbers, ((0, 0), (0, 1)))  # (G, 3) with a yaw of 0
+    goal_poses = _in_root(transforms, section.frames_of(goals), goals.times, goal_poses)
     return Stretch(
         frame=frame,
         robot=robot,
         speeds=speeds,
-        people=_people(whole, numbers, clock, transforms, frames),
-        commands=_track(clock.times(commands), velocities),
-        goals=_track(goal_times, poses[:, :2]),
-        situations=_situations(recording, clock, begin, end),
+        people=_people(people, section.frames_of(people), transforms),
+        commands=_track(commands.times, commands.numbers),
+        goals=_track(goals.times, goal_poses[:, :2]),
+        situations=_situations(section),
     )
 
 
-def _transforms(recording: BagRecording, clock: Clock, begin: int, end: int) -> Transforms:
-    """The static transforms, and those between two times of receipt [ns]."""
-    frames = recording.frames.all
-    static = recording.static.whole, recording.static.numbers
+def _transforms(section: Section) -> Transforms:
+    """The static transforms, and those of a section."""
+    frames = section.frames
     transforms = Transforms()
-    for whole, numbers in (static, _rows(recording.transforms, begin, end)):
-        for time, (_, _, parent, child), pose in zip(clock.times(whole), whole, numbers, strict=True):
+    for rows in (section.static(), section.rows(section.recording.transforms)):
+        for time, (_, _, parent, child), pose in zip(*rows, strict=True):
             transforms.add(frames[parent], frames[child], int(time), PlanarPose(*pose))
     transforms.sort()
     return transforms
 
 
-def _situations(recording: BagRecording, clock: Clock, begin: int, end: int) -> dict[str, BagTrack]:
-    """Situation -> when it holds, between two times of receipt [ns]."""
-    rows, holds = _rows(recording.situations, begin, end)
+def _situations(section: Section) -> dict[str, BagTrack]:
+    """Situation -> when it holds."""
+    rows = section.rows(section.recording.situations)
     situations = {}
-    for number, name in enumerate(recording.situation_names.all):
-        chosen = rows[:, 2] == number
-        situations[name] = _track(clock.times(rows[chosen]), holds[chosen])
+    for number, name in enumerate(section.recording.situation_names.all):
+        chosen = rows.whole[:, 2] == number
+        situations[name] = _track(rows.times[chosen], rows.numbers[chosen])
     return situations
 
 
-def _robot(
-    recording: BagRecording, clock: Clock, transforms: Transforms, begin: int, end: int
-) -> tuple[BagTrack | None, BagTrack | None, str]:
+def _robot(section: Section, transforms: Transforms) -> tuple[BagTrack | None, BagTrack | None, str]:
     """Poses and speeds of the robot, and the frame of the poses ("" without a robot)."""
+    recording = section.recording
+    has_speeds = len(recording.odometry) > 0
     base = next((name for name in BASES if name in transforms.parent), None)
-    if len(recording.odometry) == 0 and not recording.robot_topic and base is not None:
+    if not has_speeds and not recording.robot_topic and base is not None:
         times = np.array(transforms.times(base), np.int64)
         poses = np.array([transforms.pose(base, int(time)) for time in times])
         return _track(times, poses), None, transforms.root(base)
-    has_speeds = len(recording.odometry) > 0
-    whole, numbers = _rows(recording.odometry if has_speeds else recording.poses, begin, end)
-    if not len(whole):
+
+    rows = section.rows(recording.odometry if has_speeds else recording.poses)
+    if not len(rows.times):
         return None, None, ""
-    frames = [recording.frames.all[k] for k in whole[:, 2]]
-    times = clock.times(whole)
-    robot = _track(times, _in_root(transforms, frames, times, numbers[:, :3]))
-    speeds = _track(times, numbers[:, 3:]) if has_speeds else None
+    frames = section.frames_of(rows)
+    robot = _track(rows.times, _in_root(transforms, frames, rows.times, rows.numbers[:, :3]))
+    speeds = _track(rows.times, rows.numbers[:, 3:]) if has_speeds else None
     return robot, speeds, transforms.root(frames[0])
 
 
-def _people(
-    whole: np.ndarray, numbers: np.ndarray, clock: Clock, transforms: Transforms, frames: list[str]
-) -> list[BagTrack]:
+def _people(rows: TimedRows, frames: list[str], transforms: Transforms) -> list[BagTrack]:
     """A track of each person in the root of the frames."""
-    times = clock.times(whole)
-    frame_names = [frames[k] for k in whole[:, 2]]
-    poses = _in_root(transforms, frame_names, times, numbers[:, [0, 1, 4]])  # (R, 3)
-    velocity = numbers[:, 2:4].copy()
-    for k, frame in enumerate(frame_names):
+    poses = _in_root(transforms, frames, rows.times, rows.numbers[:, [0, 1, 4]])  # (R, 3)
+    velocity = rows.numbers[:, 2:4].copy()
+    for k, frame in enumerate(frames):
         if frame in transforms.parent:
-            velocity[k] = transforms.pose(frame, int(times[k])).turn(*velocity[k])
-    values = np.column_stack([poses[:, :2], velocity, poses[:, 2], whole[:, 4]])
+            velocity[k] = transforms.pose(frame, int(rows.times[k])).turn(*velocity[k])
+    person = rows.whole[:, 3]
+    group = rows.whole[:, 4]
+    values = np.column_stack([poses[:, :2], velocity, poses[:, 2], group])
 
     # Rows of a person after those of another, by the number of the name.
-    person = whole[:, 3]
     order = np.argsort(person, kind="stable")
     borders = np.flatnonzero(np.diff(person[order])) + 1
-    return [_track(times[rows], values[rows]) for rows in np.split(order, borders) if len(rows)]
+    return [_track(rows.times[index], values[index]) for index in np.split(order, borders) if len(index)]
 
 
 def _in_root(transforms: Transforms, frames: list[str], times: np.ndarray, poses: np.ndarray) -> np.ndarray:

@@ -503,23 +503,35 @@ def frame_of(sensor: Sensor) -> str:
 def _of_sensor(scenario: Scenario, sensor: Sensor, naming: Naming) -> dict[str, Topic]:
     """The topics of a sensor; none for sensors that are neither a camera nor a lidar."""
     device = getattr(sensor.read, "device", None)
-    name = sensor.name
-    frame = frame_of(sensor)
     if isinstance(device, Lidar):
         miss = 0.0 if naming == "sean" else np.inf  # as REP 117 says, and as SEAN's lidar does
+        return _of_lidar(sensor, device, scenario.time_step, miss)
+    if isinstance(device, Camera):
+        return _of_camera(sensor, device, compress=naming == "sean" and not hasattr(sensor.read, "measure"))
+    return {}
 
-        def laser(step: StepValues, time: int) -> Message:
-            return laser_scan(np.asarray(step.readings[name]), device, frame, time, scenario.time_step, miss)
 
-        def cloud(step: StepValues, time: int) -> Message:
-            return point_cloud(*sensors.point_cloud(device, np.asarray(step.readings[name])), frame, time)
+def _of_lidar(sensor: Sensor, device: Lidar, time_step: float, miss: float) -> dict[str, Topic]:
+    """Points of a lidar with several rings, or distances in one plane."""
+    name = sensor.name
+    frame = frame_of(sensor)
 
-        if device.elevations:
-            return {f"/{name}/points": Topic("sensor_msgs/msg/PointCloud2", cloud, sensor=name)}
-        place = "/scan" if name == "lidar" else f"/{name}/scan"
-        return {place: Topic("sensor_msgs/msg/LaserScan", laser, sensor=name)}
-    if not isinstance(device, Camera):
-        return {}
+    def laser(step: StepValues, time: int) -> Message:
+        return laser_scan(np.asarray(step.readings[name]), device, frame, time, time_step, miss)
+
+    def cloud(step: StepValues, time: int) -> Message:
+        return point_cloud(*sensors.point_cloud(device, np.asarray(step.readings[name])), frame, time)
+
+    if device.elevations:
+        return {f"/{name}/points": Topic("sensor_msgs/msg/PointCloud2", cloud, sensor=name)}
+    topic = "/scan" if name == "lidar" else f"/{name}/scan"
+    return {topic: Topic("sensor_msgs/msg/LaserScan", laser, sensor=name)}
+
+
+def _of_camera(sensor: Sensor, device: Camera, compress: bool) -> dict[str, Topic]:
+    """Pictures of a camera, and its lens if it has perspective."""
+    name = sensor.name
+    frame = frame_of(sensor)
 
     def picture(step: StepValues, time: int) -> Message:
         reading = np.asarray(step.readings[name])
@@ -527,13 +539,13 @@ def _of_sensor(scenario: Scenario, sensor: Sensor, naming: Naming) -> dict[str, 
             return depth_image(reading, device.far, frame, time)
         return color_image(reading, frame, time)
 
-    table = {f"/{name}/image_raw": Topic("sensor_msgs/msg/Image", picture, sensor=name)}
-    if naming == "sean" and not hasattr(sensor.read, "measure"):
+    def packed(step: StepValues, time: int) -> Message:
+        return compressed_image(np.asarray(step.readings[name]), frame, time)
 
-        def packed(step: StepValues, time: int) -> Message:
-            return compressed_image(np.asarray(step.readings[name]), frame, time)
-
+    if compress:
         table = {f"/{name}/compressed": Topic("sensor_msgs/msg/CompressedImage", packed, sensor=name)}
+    else:
+        table = {f"/{name}/image_raw": Topic("sensor_msgs/msg/Image", picture, sensor=name)}
     if not device.orthographic:
         table[f"/{name}/camera_info"] = Topic(
             "sensor_msgs/msg/CameraInfo", lambda step, time: camera_info(device, frame, time)
