@@ -71,7 +71,7 @@ class SocialNavigation(Functional, base.Env):
     def observation_size(self) -> Any:
         """The size of an observation, or the shapes of its parts."""
         shapes = jax.eval_shape(self.reset, jax.random.key(0)).obs
-        return shapes.shape[-1] if self.flat else {name: part.shape for name, part in shapes.items()}
+        return shapes.shape[-1] if self.flat else {name: term.shape for name, term in shapes.items()}
 
     @property
     def action_size(self) -> int:
@@ -82,4 +82,4 @@ class SocialNavigation(Functional, base.Env):
     def backend(self) -> str:
         """The dynamics of the robot: twin, mjx or kinematic; own for a function of your own."""
         drive = self.env.scenario.robot.drive
-        return next((name for name, each in robots.DYNAMICS.items() if each is drive), "own")
+        return next((name for name, dynamics in robots.DYNAMICS.items() if dynamics is drive), "own")

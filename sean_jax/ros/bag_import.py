@@ -307,9 +307,9 @@ def _recording(episodes: list[Trajectory], time_step: float) -> str:
 def _velocities(position: np.ndarray, present: np.ndarray, time_step: float) -> np.ndarray:
     """(T, N, 2) m/s from the row before, or in somebody's first row to the next one."""
     velocity = np.zeros(position.shape)
-    both = present[1:] & present[:-1]  # in a row and in the one before
-    velocity[1:][both] = (np.diff(position, axis=0) / time_step)[both]
-    first = both & ~np.concatenate([np.zeros_like(both[:1]), both[:-1]])
+    stayed = present[1:] & present[:-1]  # in a row and in the one before
+    velocity[1:][stayed] = (np.diff(position, axis=0) / time_step)[stayed]
+    first = stayed & ~np.concatenate([np.zeros_like(stayed[:1]), stayed[:-1]])
     velocity[:-1][first] = velocity[1:][first]
     return velocity
 

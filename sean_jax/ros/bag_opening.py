@@ -87,10 +87,11 @@ def _check_metadata(metadata: BagMetadata) -> Iterator[tuple[tuple[str, ...], st
         yield (key, "compression_format"), f"{(about.compression_format or '')[:40]!r} is not zstd; convert the bag"
     if not about.relative_file_paths:
         yield (key, "relative_file_paths"), "names no file; restore it"
-    for each in about.topics_with_message_count:
-        if each.topic_metadata.serialization_format != "cdr":
-            form = each.topic_metadata.serialization_format[:40]
-            yield (key, "topics_with_message_count"), f"{form!r} is a serialization format that is not known; use cdr"
+    for topic in about.topics_with_message_count:
+        form = topic.topic_metadata.serialization_format
+        if form != "cdr":
+            text = f"{form[:40]!r} is a serialization format that is not known; use cdr"
+            yield (key, "topics_with_message_count"), text
 
 
 # ------------------------------------------------------------------ files and what is packed in them
@@ -100,12 +101,13 @@ class Budget:
     """How many bytes a bag may still unpack to."""
 
     def __init__(self, path: Path, size: int):
-        self.path, self.rest = path, MAX_UNPACKED[0] + MAX_UNPACKED[1] * size
+        self.path = path
+        self.remaining = MAX_UNPACKED[0] + MAX_UNPACKED[1] * size
 
     def take(self, size: int) -> None:
         """Take so many bytes; FileError if there are none left."""
-        self.rest -= size
-        if self.rest < 0:
+        self.remaining -= size
+        if self.remaining < 0:
             raise files.file_error(self.path, "unpacks to far more than it is; cut pictures and points out of the bag")
 
     def unpack(self, start: Callable[[], Any], data: bytes) -> bytes:
@@ -287,8 +289,10 @@ class OpenBag:
     """A bag that is open for reading."""
 
     def __init__(self, path: Path, reader: Any, version: int):
-        self._path, self._reader, self._version = path, reader, version
-        self.types = {each.topic: each.msgtype for each in reversed(reader.connections)}
+        self._path = path
+        self._reader = reader
+        self._version = version
+        self.types = {connection.topic: connection.msgtype for connection in reversed(reader.connections)}
         """Topic -> its type."""
 
     def messages(self, decoded: Collection[str], noted: Collection[str] = ()) -> Iterator[BagMessage]:
@@ -360,10 +364,10 @@ def _types_of_idl(text: str) -> dict[str, Any]:
     line = "=" * 80 + "\n"
     if not text.startswith(f"{line}IDL: "):
         return get_types_from_idl(text)
-    found: dict[str, Any] = {}
-    for part in text.split(line)[1:]:
-        found |= get_types_from_idl(part.partition("\n")[2])
-    return found
+    types: dict[str, Any] = {}
+    for file in text.split(line)[1:]:
+        types |= get_types_from_idl(file.partition("\n")[2])
+    return types
 
 
 def _count_fields(types: dict[str, Any], name: str, outer: tuple[str, ...]) -> int:
@@ -376,10 +380,9 @@ def _count_fields(types: dict[str, Any], name: str, outer: tuple[str, ...]) -> i
         raise ValueError(name)
     count = 0
     for _, (form, inner) in types[name][1]:
-        element = inner if form.name in ("BASE", "NAME") else inner[0]
-        of_type = form.name == "NAME" or (form.name in ("ARRAY", "SEQUENCE") and element[0].name == "NAME")
-        inside = (inner if form.name == "NAME" else element[1]) if of_type else None
-        count += 1 if inside is None else _count_fields(types, inside, (*outer, name))
+        if form.name in ("ARRAY", "SEQUENCE"):  # of elements, which count once
+            form, inner = inner[0]
+        count += _count_fields(types, inner, (*outer, name)) if form.name == "NAME" else 1
         if count > MAX_FIELDS:
             return count
     return count
@@ -396,10 +399,9 @@ def open_bag(path: Path) -> Iterator[OpenBag]:
         raise files.file_error(path, "there is no such file; give a .bag file or the folder of a rosbag2")
     if path.suffix in (".mcap", ".db3") and (path.parent / "metadata.yaml").is_file():
         path = path.parent
-    parts = _files(path)
     size = 0
-    for part in parts:
-        with files.open_file(part, MAX_FILE) as stream:
+    for file in _files(path):
+        with files.open_file(file, MAX_FILE) as stream:
             size += stream.seek(0, 2)
     from rosbags.rosbag1 import Reader as Reader1
     from rosbags.rosbag2 import Reader as Reader2

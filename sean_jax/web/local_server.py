@@ -152,11 +152,11 @@ def split(address: str) -> urllib.parse.SplitResult:
         InputError: it is none, such as ``http://[`` or one with port 99999999.
     """
     try:
-        parts = urllib.parse.urlsplit(address)
-        _ = parts.port, parts.hostname  # are read only now
+        url = urllib.parse.urlsplit(address)
+        _ = url.port, url.hostname  # are read only now
     except ValueError:
         raise InputError(f"{shorten(repr(address))} is no address.") from None
-    return parts
+    return url
 
 
 def is_origin(address: str) -> bool:
@@ -218,10 +218,10 @@ def _origins(port: int, address: str | None) -> list[str]:
 
 def page(content: bytes, port: int, address: str | None = None) -> Response:
     """A page that loads nothing but its socket; arguments as of ``refusal``."""
-    made = response(http.HTTPStatus.OK, content, "text/html; charset=utf-8")
+    answer = response(http.HTTPStatus.OK, content, "text/html; charset=utf-8")
     sockets = (origin.replace("http", "ws", 1) for origin in _origins(port, address))
-    made.headers["Content-Security-Policy"] = CONTENT_POLICY.format(" ".join(sockets))
-    return made
+    answer.headers["Content-Security-Policy"] = CONTENT_POLICY.format(" ".join(sockets))
+    return answer
 
 
 def response(status: http.HTTPStatus, body: bytes, kind: str = "text/plain; charset=utf-8") -> Response:

@@ -80,8 +80,8 @@ def _cause(message: str) -> str:
     text, _, place = re.sub(r"^(XML )?(Error: )*", "", message).partition("\nElement ")
     text = " ".join(text.split()).strip(" .").replace(" . T", "; t")
     text = text.replace("Error opening file", "it cannot open the file") or "it is too large"
-    where = re.search(r"'(.*?)'.* line (\d+)", place)
-    return f"{text} (line {where[2]}, element '{where[1]}')" if where else text
+    position = re.search(r"'(.*?)'.* line (\d+)", place)
+    return f"{text} (line {position[2]}, element '{position[1]}')" if position else text
 
 
 def sources(path: Path) -> list[Path]:

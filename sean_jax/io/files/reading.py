@@ -228,16 +228,17 @@ def read_arrays(
     import numpy as np  # here, as the command line reads its options without it
 
     path = Path(path)
-    with open_file(path, max_bytes) as stream, sentence(path, cure), zipfile.ZipFile(stream) as parts:
-        size = sum(part.file_size for part in parts.infolist())
+    with open_file(path, max_bytes) as stream, sentence(path, cure), zipfile.ZipFile(stream) as archive:
+        size = sum(entry.file_size for entry in archive.infolist())
         if size > max_bytes:
             raise file_error(path, f"unpacks to {size:,} bytes and at most {max_bytes:,} are read; {cure}")
         arrays = {}
-        for part in parts.infolist():
-            with parts.open(part) as packed:
-                _check_array(packed, part.file_size)
-            with parts.open(part) as packed:
-                arrays[part.filename.removesuffix(".npy")] = np.lib.format.read_array(packed, allow_pickle=False)
+        for entry in archive.infolist():
+            with archive.open(entry) as packed:
+                _check_array(packed, entry.file_size)
+            with archive.open(entry) as packed:
+                name = entry.filename.removesuffix(".npy")
+                arrays[name] = np.lib.format.read_array(packed, allow_pickle=False)
         return arrays
 
 

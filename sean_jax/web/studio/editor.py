@@ -391,7 +391,7 @@ def changed_sets(text: str, sets: annotation.Annotation, change: Mapping[str, An
     Raises:
         InputError: there is no such point, or a value is no number.
     """
-    place = next((where for where, label, _ in sets.each() if label == change["set"]), None)
+    place = next((place for place, label, _ in sets.each() if label == change["set"]), None)
     point = change.get("point")
     forms = (("starts", int), ("goals", int), ("walkers", int, "loop", int), ("groups", str, "center"))
     if place is None or not isinstance(point, list) or not any(_has_form(point, form) for form in forms):
