@@ -320,13 +320,7 @@ def _trajectory(path: Path, table: dict[str, np.ndarray], header: Header) -> Tra
     if not batched:
         table = {**table, "episode": np.zeros(len(frame), int)}
     shape = int(table["episode"].max()) + 1, int(frame.max()) + 1, header.people
-    episodes, steps, people = shape
-    if episodes * steps * (people + 1) > max(3_000_000, 1_000 * len(frame)):
-        raise FileError(
-            f"{files.short_name(path)}: {len(frame):,} rows are too few for {episodes:,} episodes of {steps:,} frames "
-            f"with {people:,} people; {CURE}."
-        )
-
+    _check_size(path, len(frame), *shape)
     is_robot = table["id"] == ROBOT
     robot = _rows(table, is_robot, ("episode", "frame"), shape[:2])
     persons = _rows(table, ~is_robot, ("episode", "frame", "id"), shape)
@@ -350,6 +344,15 @@ def _trajectory(path: Path, table: dict[str, np.ndarray], header: Header) -> Tra
         active=robot.array("active")[..., 0] > 0.5,
     )
     return trajectory if batched else jax.tree.map(lambda leaf: leaf[0], trajectory)
+
+
+def _check_size(path: Path, rows: int, episodes: int, steps: int, people: int) -> None:
+    """FileError if the arrays of a few rows would take much memory."""
+    if episodes * steps * (people + 1) > max(3_000_000, 1_000 * rows):
+        raise FileError(
+            f"{files.short_name(path)}: {rows:,} rows are too few for {episodes:,} episodes of {steps:,} frames with "
+            f"{people:,} people; {CURE}."
+        )
 
 
 def _check_frames(path: Path, robot: "TableRows", persons: "TableRows") -> None:

@@ -50,7 +50,7 @@ class Table:
 
     @property
     def size(self) -> int:
-        """Bytes."""
+        """The memory of all rows in bytes."""
         return 8 * (len(self._of_whole) + len(self._of_numbers))
 
     @property
@@ -102,7 +102,7 @@ class BagRecording:
 
     @property
     def tables(self) -> list[Table]:
-        """All tables."""
+        """All tables, to count their memory."""
         return [table for table in vars(self).values() if isinstance(table, Table)]
 
 

@@ -371,7 +371,7 @@ class LiveBridge:
         _teleport(self.bridge._plain, state, state.robot.position, state.robot.heading)
 
     def run(self) -> None:
-        """Episode after episode."""
+        """Simulate the episodes of the options; without a number of them, until Ctrl-C."""
         numbers = itertools.count() if self.config.episodes is None else range(self.config.episodes)
         self._write("ready")
         for number in numbers:

@@ -99,7 +99,7 @@ class Participant:
             self._mailbox.log("dds write", f"dds: a message of {topic} was left out: {error}.")
 
     def close(self) -> None:
-        """Leave the domain."""
+        """End the thread, and leave the domain."""
         self._closed.set()
         self._thread.join(5.0)
         self._readers.clear()

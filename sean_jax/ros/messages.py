@@ -235,7 +235,7 @@ def _sean_name(topic: str) -> str:
 
 
 def stamp(time: int) -> Message:
-    """A time [ns]."""
+    """A time [ns] as a Time message."""
     return {"sec": int(time // SECOND), "nanosec": int(time % SECOND)}
 
 

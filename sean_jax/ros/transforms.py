@@ -36,7 +36,7 @@ class Transforms:
     """The transforms of /tf and /tf_static on the plane."""
 
     def __init__(self) -> None:
-        """No transforms."""
+        """Begin without transforms; ``add`` adds them."""
         self.parent: dict[str, str] = {}
         self._times: dict[str, list[int]] = defaultdict(list)
         self._poses: dict[str, list[PlanarPose]] = defaultdict(list)

@@ -58,7 +58,7 @@ class Request:
         self._answer = Answer(False, "the simulation has not answered in time.")
 
     def answer(self, success: bool, message: str) -> None:
-        """Give the answer."""
+        """Answer the request; its ``wait`` returns."""
         self._answer = Answer(success, message)
         self._done.set()
 

@@ -345,7 +345,7 @@ def embedded(content: Any) -> str:
 
 
 def script() -> str:
-    """The page's program."""
+    """The JavaScript of a player, which a page has once."""
     return files.read_text(Path(__file__).with_name("page.min.js"))
 
 

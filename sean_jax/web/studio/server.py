@@ -97,7 +97,7 @@ class Studio:
         self._thread.start()
 
     def close(self) -> None:
-        """End the session."""
+        """End the session, and wait for its thread."""
         self.session.close()
         self._thread.join()
 

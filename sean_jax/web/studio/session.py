@@ -617,7 +617,7 @@ class Session:
         return time.monotonic() if late > LAG else due
 
     def close(self) -> None:
-        """End ``run``."""
+        """Let ``run`` return; a recording ends."""
         with self._wake:
             self._closed = True
             self._wake.notify()

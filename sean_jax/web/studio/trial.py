@@ -62,7 +62,7 @@ class TrialLine(pydantic.BaseModel):
 
 
 class TrialHead(TrialLine):
-    """The first line."""
+    """The first line of a trial: the episode, and what is needed to simulate it again."""
 
     version: Literal[2]  # VERSION
     options: dict[str, Any]
@@ -88,7 +88,7 @@ class RewindLine(TrialLine):
 
 
 class EndLine(TrialLine):
-    """The last line."""
+    """The last line of a trial: how the drive ended."""
 
     end: Literal["completed", "timed out", "stopped"]
 
