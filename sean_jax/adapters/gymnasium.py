@@ -46,9 +46,9 @@ class _Packing:
         begin = dict.fromkeys(packed, 0)  # of the next leaf of each type
         for leaf in self.leaves:
             dtype = str(leaf.dtype)
-            array = packed[dtype]
             end = begin[dtype] + leaf.size
-            leaves.append(array[..., begin[dtype] : end].reshape((*array.shape[:-1], *leaf.shape)))
+            values = packed[dtype][..., begin[dtype] : end]
+            leaves.append(values.reshape((*values.shape[:-1], *leaf.shape)))
             begin[dtype] = end
         return self.structure.unflatten(leaves)
 

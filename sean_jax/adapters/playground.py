@@ -63,7 +63,8 @@ class SocialNavigation(MjxEnv):
         fields = ({} if config is None else config.to_dict()) | dict(config_overrides or {})
         self.env = adapters.load(env, {name: value for name, value in fields.items() if name not in OF_TRAINERS})
         self._mjx_model = self.env.scenario
-        self._ctrl_dt, self._sim_dt = self._mjx_model.time_step, self._mjx_model.robot.time_step
+        self._ctrl_dt = self._mjx_model.time_step
+        self._sim_dt = self._mjx_model.robot.time_step
 
     @property
     def _brax(self) -> brax.SocialNavigation:

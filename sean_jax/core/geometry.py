@@ -211,7 +211,8 @@ def crosses_box(px: Array, py: Array, qx: Array, qy: Array, box: Obstacles, radi
     du = qu - pu
     dv = qv - pv
     square = du * du + dv * dv
-    beyond = jnp.abs(qu * dv - qv * du) - hu * jnp.abs(dv) - hv * jnp.abs(du)
+    to_center = jnp.abs(qu * dv - qv * du)  # times the length, as are the others
+    beyond = to_center - hu * jnp.abs(dv) - hv * jnp.abs(du)
     beside = (square > 0.0) & (beyond >= radius * jnp.sqrt(square))
 
     # From the box to each end.
@@ -228,7 +229,9 @@ def _separated(pu, pv, qu, qv, hu, hv, radius) -> Array:
     dv = pv - nearest_v
     square = du * du + dv * dv
     limit = radius * jnp.sqrt(square)
-    return (square > 0.0) & (square >= limit) & ((qu - nearest_u) * du + (qv - nearest_v) * dv >= limit)
+    p_is_apart = (square > 0.0) & (square >= limit)
+    along = (qu - nearest_u) * du + (qv - nearest_v) * dv  # times the distance of p
+    return p_is_apart & (along >= limit)
 
 
 # ------------------------------------------------------------------ obstacles by cell

@@ -148,7 +148,9 @@ class TrajectoryWriter:
     """A file of many episodes that grows by one at a time; made by ``trajectory_writer``."""
 
     def __init__(self, file: "_Csv | _Parquet", header: Header, steps: int, episode: int):
-        self._file, self.header, self.steps = file, header, steps
+        self._file = file
+        self.header = header
+        self.steps = steps
         self.episode = episode  # the number of the next one
 
     def add(self, trajectory: Trajectory) -> None:
@@ -288,9 +290,10 @@ class TableBlock(NamedTuple):
     def refuse(self, wrong: np.ndarray, name: str, rule: str) -> None:
         """FileError for the first wrong row, with its value in a column."""
         if wrong.any():
-            row = int(wrong.argmax())
-            value = f"{self.columns[name][row]:.9g}".replace("nan", "nothing")
-            raise FileError(f"{files.short_name(self.path)}: row {self.first + row}: {name}: {value} {rule}; {CURE}.")
+            index = int(wrong.argmax())
+            row = self.first + index
+            value = f"{self.columns[name][index]:.9g}".replace("nan", "nothing")
+            raise FileError(f"{files.short_name(self.path)}: row {row}: {name}: {value} {rule}; {CURE}.")
 
     def check_column(self, name: str, robot: np.ndarray) -> None:
         """FileError for a value that a column cannot have; ``robot`` (R,) says which rows are the robot's."""
@@ -402,7 +405,8 @@ class _Csv:
     """Rows as text, after a line with the header and a line with the names of the columns."""
 
     def __init__(self, stream: BinaryIO, header: Header):
-        self._stream, self._head = stream, f"# {KEY} {header.text()}"
+        self._stream = stream
+        self._head = f"# {KEY} {header.text()}"
 
     def write(self, table: dict[str, np.ndarray]) -> None:
         lines = [self._head, ",".join(table)] if self._head else []
@@ -471,7 +475,8 @@ class _Parquet:
     """Groups of rows, written as soon as they have ``GROUP_ROWS``; the header is metadata of the schema."""
 
     def __init__(self, stream: BinaryIO, header: Header):
-        self._stream, self._header = stream, header
+        self._stream = stream
+        self._header = header
         self._file: Any = None
         self._tables: list[dict[str, np.ndarray]] = []
 

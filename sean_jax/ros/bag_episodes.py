@@ -324,7 +324,9 @@ def _is_reset(cluster: list[Jump], tracks: list[BagTrack], evidence: np.ndarray)
     end = max(jump.after for jump in cluster)
     if ((evidence >= begin - slack) & (evidence <= end + slack)).any():
         return True
-    present = sum(track.times[0] < end and track.times[-1] >= cluster[0].after for track in tracks)
+    present = 0
+    for track in tracks:
+        present += bool(track.times[0] < end and track.times[-1] >= cluster[0].after)
     jumped = len({jump.track for jump in cluster})
     return jumped >= 2 and 2 * jumped >= present
 

@@ -296,9 +296,10 @@ def _recording(episodes: list[Trajectory], time_step: float) -> str:
         yaw = np.arctan2(heading[..., 1], heading[..., 0])
         velocity = _velocities(position, present, time_step)
         for t, n in np.argwhere(present):
-            values = (*position[t, n], *velocity[t, n], yaw[t, n])
-            numbers = ",".join(repr(float(value)) for value in values)
-            lines.append(f"{first_row + FRAMES * t},{first_person + n},{numbers},{group[t, n]},{episode}")
+            row = first_row + FRAMES * t
+            person = first_person + n
+            numbers = ",".join(repr(float(value)) for value in (*position[t, n], *velocity[t, n], yaw[t, n]))
+            lines.append(f"{row},{person},{numbers},{group[t, n]},{episode}")
         first_row += FRAMES * len(present)
         first_person += present.shape[1]
     return "\n".join(lines) + "\n"

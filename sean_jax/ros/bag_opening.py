@@ -140,7 +140,8 @@ class BoundedFile:
     """A regular file, of which no more than ``MAX_PART`` bytes are read at once."""
 
     def __init__(self, path: Path):
-        self._stack, self._path = contextlib.ExitStack(), path
+        self._path = path
+        self._stack = contextlib.ExitStack()
         self._stream = self._stack.enter_context(files.open_file(path, MAX_FILE))
 
     def read(self, size: int = -1) -> bytes:

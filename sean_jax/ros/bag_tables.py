@@ -37,31 +37,33 @@ class Table:
     """Rows of whole numbers and of others, with eight bytes for each."""
 
     def __init__(self, whole: int, numbers: int):
-        self._whole, self._numbers = whole, numbers
-        self._of_whole, self._of_numbers = array("q"), array("d")
+        self._whole = array("q")  # row after row
+        self._numbers = array("d")
+        self._whole_columns = whole
+        self._number_columns = numbers
 
     def add(self, whole: tuple[int, ...], numbers: tuple[float, ...]) -> None:
         """Add a row."""
-        self._of_whole.extend(whole)
-        self._of_numbers.extend(numbers)
+        self._whole.extend(whole)
+        self._numbers.extend(numbers)
 
     def __len__(self) -> int:
-        return len(self._of_whole) // self._whole
+        return len(self._whole) // self._whole_columns
 
     @property
     def size(self) -> int:
         """The memory of all rows in bytes."""
-        return 8 * (len(self._of_whole) + len(self._of_numbers))
+        return 8 * (len(self._whole) + len(self._numbers))
 
     @property
     def whole(self) -> np.ndarray:
         """(R, K) the whole numbers."""
-        return np.array(self._of_whole, np.int64).reshape(len(self), self._whole)
+        return np.array(self._whole, np.int64).reshape(len(self), self._whole_columns)
 
     @property
     def numbers(self) -> np.ndarray:
         """(R, K) the other numbers."""
-        return np.array(self._of_numbers, float).reshape(len(self), self._numbers)
+        return np.array(self._numbers, float).reshape(len(self), self._number_columns)
 
 
 class Names:
@@ -87,7 +89,9 @@ class BagRecording:
     """The messages of a bag. Rows begin with the time of receipt and the stamp [ns], 0 if the message has none."""
 
     def __init__(self) -> None:
-        self.frames, self.people_names, self.situation_names = Names(), Names(), Names()
+        self.frames = Names()
+        self.people_names = Names()
+        self.situation_names = Names()
         self.transforms = Table(4, 3)  # parent, child; x, y, yaw
         self.static = Table(4, 3)  # likewise
         self.odometry = Table(3, 5)  # frame; x, y, yaw, m/s ahead, m/s to the left

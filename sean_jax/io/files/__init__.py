@@ -162,7 +162,8 @@ class _Loader(yaml.SafeLoader):
 
     def __init__(self, stream: str):
         super().__init__(stream)
-        self.depth, self.values = 0, 0
+        self.depth = 0
+        self.values = 0
 
     def compose_node(self, parent: Any, index: Any) -> Any:
         """Compose a node as SafeLoader does, without tags, and neither too deep nor too many."""

@@ -255,9 +255,10 @@ def _check_numbers(key: str, value: str) -> None:
 
 
 def _bytes(value: str) -> float:
-    scale = {"K": 2**10, "M": 2**20, "G": 2**30, "T": 2**40, "P": 2**50, "E": 2**60}.get(value[-1:].upper(), 0)
-    number = _numbers(value[:-1] if scale else value)
-    return number[0] * (scale or 1) if number else 0.0
+    """The bytes of a size such as 1M; 0 without a number."""
+    power = "KMGTPE".find(value[-1:].upper() or " ") + 1
+    number = _numbers(value[:-1] if power else value)
+    return number[0] * 1024**power if number else 0.0
 
 
 def _pixels(image: bytes) -> int:

@@ -373,7 +373,8 @@ class Replay:
     """Episodes that a notebook plays, and shows as a picture where there is no JavaScript."""
 
     def __init__(self, content: dict[str, Any], figure: Any):
-        self.content, self.figure = content, figure
+        self.content = content
+        self.figure = figure
 
     def save(self, path: Path | str) -> None:
         """Write the page.

@@ -91,7 +91,8 @@ class Studio:
         self._begin(Session(config))
 
     def _begin(self, session: Session) -> None:
-        self.session, self.hello = session, _hello(session)
+        self.session = session
+        self.hello = _hello(session)
         self._thread = threading.Thread(target=session.run, name="sean-studio", daemon=True)
         session.send = self.send
         self._thread.start()
@@ -153,7 +154,8 @@ class Studio:
     def _end_cards(self) -> None:
         if self._card is not None:
             self._card.cancel()
-        self._card, self._cards = None, []
+        self._card = None
+        self._cards = []
 
     async def _compare(self, tab: ServerConnection, choices: list[Choice]) -> None:
         """Send the progress and the recordings of a comparison to the tab that asks for it; time stands still."""
@@ -177,8 +179,9 @@ class Studio:
             await asyncio.sleep(VIEW_INTERVAL)
             session = self.session
             moment = id(session), session.number, len(session.commands)
-            sent = {tab: latest for tab, latest in sent.items() if tab in self._tabs and self._views.get(tab) == name}
-            tabs = [tab for tab, view in self._views.items() if view == name and sent.get(tab) != moment]
+            showing = [tab for tab, view in self._views.items() if view == name]
+            sent = {tab: latest for tab, latest in sent.items() if tab in showing and tab in self._tabs}
+            tabs = [tab for tab in showing if sent.get(tab) != moment]
             if not tabs:
                 continue
             try:

@@ -209,7 +209,8 @@ class TrialFile:
     """The file of a drive that goes on: never one that ``read_trial`` refuses."""
 
     def __init__(self, file: Path, head: dict[str, Any], per_line: int):
-        self.file, self._per_line = file, per_line
+        self.file = file
+        self._per_line = per_line  # steps
         self._pending: list[tuple[tuple[float, ...], bool]] = []
         self._steps = 0
         text = json.dumps(head) + "\n"
@@ -234,7 +235,8 @@ class TrialFile:
         head["sha256"] = user_parts.digests(config)
         check_folder(config.record, head["options"], head["sha256"])
         taken = [_number(file) for file in (*folder.glob("*.jsonl"), *(folder / DISCARDED).glob("*.jsonl"))]
-        return cls(folder / f"{1 + max(taken, default=-1):06d}.jsonl", head, max(1, round(1.0 / config.time_step)))
+        file = folder / f"{1 + max(taken, default=-1):06d}.jsonl"
+        return cls(file, head, per_line=max(1, round(1.0 / config.time_step)))
 
     def add(self, commands: Iterable[tuple[float, ...]], by_person: Iterable[bool]) -> None:
         """Commands of further steps; whole seconds are written.
@@ -243,9 +245,9 @@ class TrialFile:
             InputError: the file is full, or a command is no number that it can have; it has to be ended.
         """
         steps = list(zip(commands, by_person, strict=True))
-        wrong = next((row for row, _ in steps if not all(abs(value) <= MAX_COMMAND for value in row)), None)
-        if wrong is not None:
-            raise InputError(f"the command {list(wrong)} is not from -{MAX_COMMAND:g} to {MAX_COMMAND:g}")
+        for command, _ in steps:
+            if not all(abs(value) <= MAX_COMMAND for value in command):
+                raise InputError(f"the command {list(command)} is not from -{MAX_COMMAND:g} to {MAX_COMMAND:g}")
         self._pending += steps
         self._steps += len(steps)
         while len(self._pending) >= self._per_line:
