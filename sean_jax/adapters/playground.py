@@ -127,7 +127,8 @@ def _randomize(model: Scenario, rng: Array) -> tuple[Scenario, Scenario]:
     def draw(key: Array) -> Scenario:
         return randomization.apply(randomization.draw(key, model), model)
 
-    keys, same = adapters.typed(rng), {id(leaf) for leaf in jax.tree.leaves(model)}
+    keys = adapters.typed(rng)
+    same = {id(leaf) for leaf in jax.tree.leaves(model)}
     axes = jax.tree.map(lambda leaf: None if id(leaf) in same else 0, draw(keys[0]))
     return jax.vmap(draw, out_axes=axes)(keys), axes
 

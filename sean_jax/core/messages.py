@@ -145,7 +145,8 @@ def error_clause(
     if kind == "missing":
         return "one value more is needed" if isinstance(error["loc"][-1], int) else "is missing; add it"
     if kind == "extra_forbidden":
-        key, keys = str(error["loc"][-1]), list(keys)
+        key = str(error["loc"][-1])
+        keys = list(keys)
         cure = hint or suggest(key, keys) or f"; there are {', '.join(keys)}"
         return f"{shorten(repr(key))} is not a known key{cure}"
     if kind == "literal_error":

@@ -125,7 +125,8 @@ def _digest(tables: Tables) -> str:
 
 def _remove_oldest(tables: Path) -> None:
     """Keep to ``MAX_FILES`` files and ``MAX_SIZE`` bytes, and remove unfinished files an hour after the last write."""
-    total, files = 0, []
+    total = 0
+    files = []
     for file in tables.iterdir():
         state = file.stat()
         if file.suffix == ".npz":

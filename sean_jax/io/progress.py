@@ -162,7 +162,8 @@ def progress(console: ProgressLike) -> Iterator[Progress]:
         yield Progress(console)  # pyright: ignore[reportArgumentType]
         return
     if not (console.is_terminal or console.is_jupyter):  # pyright: ignore[reportAttributeAccessIssue]
-        lines, ended = _Lines(console), threading.Event()
+        lines = _Lines(console)
+        ended = threading.Event()
 
         def repeat() -> None:  # while a program is compiled, nothing else calls
             while not ended.wait(INTERVAL):

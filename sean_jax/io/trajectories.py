@@ -429,7 +429,8 @@ class _Csv:
     @staticmethod
     def read(path: Path) -> tuple[Header, Iterator[dict[str, np.ndarray]]]:
         rows = files.read_rows(path)
-        first, names = next(rows, [""]), next(rows, [])
+        first = next(rows, [""])
+        names = next(rows, [])
         if not first[0].startswith(f"# {KEY} "):
             raise FileError(f"{files.short_name(path)}: does not begin with '# {KEY} '; {CURE}.")
 

@@ -263,7 +263,8 @@ def _in_root(transforms: Transforms, frames: list[str], times: np.ndarray, poses
 def _track(times: np.ndarray, values: np.ndarray) -> BagTrack:
     """Rows in the order of time; of several at one time the last one."""
     order = np.argsort(times, kind="stable")
-    times, values = times[order], values[order]
+    times = times[order]
+    values = values[order]
     keep = np.append(np.diff(times) > 0, True) if len(times) else np.zeros(0, bool)
     return BagTrack(times[keep], values[keep])
 
@@ -301,7 +302,8 @@ def _split_at_jumps(stretch: Stretch, evidence: np.ndarray) -> Resets:
     moves.sort(key=lambda move: move.after)
 
     # Jumps within half a second belong together.
-    borders, single = [], []
+    borders = []
+    single = []
     while moves:
         end = moves[0].after + TOGETHER * SECOND
         cluster = [move for move in moves if move.after <= end]

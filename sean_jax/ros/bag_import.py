@@ -62,7 +62,8 @@ def import_bag(
     """
     check_package()
     check_number("time_step", time_step, 1e-3, 10.0, "s")
-    path, folder = Path(path), Path(folder)
+    path = Path(path)
+    folder = Path(folder)
     recording = read_bag(path, people, robot)
     resets = split_at_resets(recording)
     episodes = check_size(path, resets.episodes, time_step)

@@ -78,7 +78,8 @@ class BagMetadata(pydantic.BaseModel):
 
 
 def _check_metadata(metadata: BagMetadata) -> Iterator[tuple[tuple[str, ...], str]]:
-    about, key = metadata.rosbag2_bagfile_information, "rosbag2_bagfile_information"
+    about = metadata.rosbag2_bagfile_information
+    key = "rosbag2_bagfile_information"
     if not 1 <= about.version <= 9:
         yield (key, "version"), f"{about.version} is not one of 1 to 9, which are known"
     if about.storage_identifier not in ("mcap", "sqlite3"):
@@ -116,7 +117,8 @@ class Budget:
         Args:
             start: makes a decompressor with ``decompress(data, max_length)``, as of bz2.
         """
-        parts, size = [], 0
+        parts = []
+        size = 0
         while data:
             stream = start()
             part = stream.decompress(data, MAX_PART - size + 1)
@@ -206,7 +208,8 @@ def _bounded_unpacking(budget: Budget) -> Iterator[None]:
             budget.take(len(data))
             return data
 
-    lz4_start, zstd_start = lz4.frame.LZ4FrameDecompressor, zstd.ZstdDecompressor
+    lz4_start = lz4.frame.LZ4FrameDecompressor
+    zstd_start = zstd.ZstdDecompressor
     of_bags = {
         "none": budget.plain,
         "bz2": lambda data: budget.unpack(bz2.BZ2Decompressor, data),

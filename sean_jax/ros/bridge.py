@@ -253,7 +253,8 @@ class ControllerDriver:
         Args:
             states: of a batch of one.
         """
-        bridge, state = self._bridge, _only(states)
+        bridge = self._bridge
+        state = _only(states)
         if int(state.tick) == 0:
             bridge.begin(scenario, number)
             self._command = bridge.no_command

@@ -153,7 +153,8 @@ class StepValues:
 
 def step(scenario: Scenario, state: State, command: Float[Array, "command"]) -> StepValues:
     """The quantities of a state, and the command [m/s, rad/s] that led there. For ``jax.jit`` and ``jax.vmap``."""
-    robot, task = state.robot, state.task
+    robot = state.robot
+    task = state.task
     left = jnp.zeros_like(robot.speed) if robot.sideways is None else robot.sideways
 
     def corner(place: Array, _: None) -> tuple[Array, Array]:

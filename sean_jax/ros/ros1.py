@@ -206,7 +206,8 @@ class RosNode:
 
     def _watch(self) -> None:
         """Register again when a master has ended and another one has begun."""
-        was_online, master_id = True, self._master_id()
+        was_online = True
+        master_id = self._master_id()
         looks = itertools.count(1)
         while not self._closed.wait(SHORT):
             if self._rospy.is_shutdown():

@@ -235,11 +235,14 @@ class Server:
         values: Any
         if known is not None:
             answer = await asyncio.to_thread(self._mailbox.request, known)
-            values, result = answer._asdict(), True
+            values = answer._asdict()
+            result = True
         elif name in ROSAPI:
-            values, result = self._rosapi(name, arguments if isinstance(arguments, dict) else {}), True
+            values = self._rosapi(name, arguments if isinstance(arguments, dict) else {})
+            result = True
         else:
-            values, result = f"there is no service {name[:80]}", False
+            values = f"there is no service {name[:80]}"
+            result = False
         response = {"op": "service_response", "service": name, "values": values, "result": result}
         if "id" in request:
             response["id"] = request["id"]

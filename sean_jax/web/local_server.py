@@ -112,7 +112,8 @@ async def listen(
 @contextlib.contextmanager
 def signals() -> Iterator[asyncio.Event]:
     """An event that Ctrl-C and SIGTERM set within the block, unless they are ignored; other threads get none."""
-    loop, stopped = asyncio.get_running_loop(), asyncio.Event()
+    loop = asyncio.get_running_loop()
+    stopped = asyncio.Event()
     kinds = [kind for kind in (signal.SIGINT, signal.SIGTERM) if signal.getsignal(kind) is not signal.SIG_IGN]
     if threading.current_thread() is not threading.main_thread():
         kinds = []

@@ -331,7 +331,9 @@ def _locate(root: yaml.Node, loc: Location, at_key: bool) -> tuple[Location, yam
 
     A mapping is marked at its key, and a missing value at the key of the mapping or list that lacks it.
     """
-    node, mark, known = root, root.start_mark, []
+    node = root
+    mark = root.start_mark
+    known = []
     for depth, part in enumerate(loc):
         if isinstance(node, yaml.MappingNode):
             pair = next(((key, value) for key, value in node.value if str(key.value) == str(part)), None)

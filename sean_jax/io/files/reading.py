@@ -172,10 +172,12 @@ def read_rows(path: Path | str) -> Iterator[list[str]]:
     path = Path(path)
     with open_file(path, MAX_TABLE) as stream:
         lines = _lines(path, io.TextIOWrapper(stream, "utf-8-sig", newline=""))
-        first, above = next(lines, ""), 0
+        first = next(lines, "")
+        above = 0
         if first.startswith("#"):
             yield [first.rstrip("\r\n")]
-            first, above = next(lines, ""), 1
+            first = next(lines, "")
+            above = 1
         reader = csv.reader(itertools.chain([first], lines), strict=True)
         head = None
 

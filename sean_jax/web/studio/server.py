@@ -538,7 +538,8 @@ def _places() -> dict[str, Any]:
 
 def _hello(session: Session) -> dict[str, Any]:
     """What a page needs to know of a scenario: first of all messages."""
-    config, scenario = session.config, session.scenario
+    config = session.config
+    scenario = session.scenario
     title = f"{scenario.environment.name} · {scenario.task_name.replace('_', ' ')}"
     options = _options_of_page(config) | {"people": scenario.people}
     return {

@@ -465,7 +465,8 @@ class Session:
     def scan(self, count: int) -> tuple[np.ndarray, float]:
         """(count,) m along rays of the robot's lidar, from ahead to the left; and its range."""
         with self._lock:
-            state, scenario = self.state, self.scenario
+            state = self.state
+            scenario = self.scenario
         device = sensors.lidar(scenario, count=count, first=0.0)
         return np.asarray(_scan(scenario, state, device)), device.far
 
@@ -493,7 +494,9 @@ class Session:
     def baselines(self, names: Sequence[str]) -> Iterator[tuple[str, dict[str, float]]]:
         """The metrics of this episode, then those of policies in the same one; empty if another episode begins."""
         with self._lock:
-            number, state, scenario = self.number, self.state, self.scenario
+            number = self.number
+            state = self.state
+            scenario = self.scenario
             driver = self.driver()
         yield driver, self._summary(scenario, state)
         for name in names:
@@ -513,7 +516,8 @@ class Session:
         """
         with self._lock:
             scenario = self.scenario
-        recordings, metrics = [], []
+        recordings = []
+        metrics = []
         for index, choice in enumerate(choices):
             own = choice.policy == self.config.policy.kind
             policy = self.policy if own else load_policy(choice.policy, scenario)
@@ -642,7 +646,8 @@ class Session:
         """Another frame; its path is new once a second."""
         every = max(1, round(1.0 / self.scenario.time_step))
         if len(self.frames) % every == 0:
-            table, robot = self.scenario.navigation, self.state.robot
+            table = self.scenario.navigation
+            robot = self.state.robot
             path = np.asarray(_path(table, robot.position, self.state.task.goal, self._way))
         else:
             path = self.frames[-1].path

@@ -174,7 +174,8 @@ def _read_known(file: Path, size: int, changed: int) -> RecordedDrive:
 
 def read_folder(folder: Path) -> tuple[list[RecordedDrive], list[str]]:
     """The drives of a studio's folder by number, and a sentence for each file that is none."""
-    drives, problems = [], []
+    drives = []
+    problems = []
     place = folder / TRIALS
     if place.is_symlink():
         return [], [f"{place} {LINK}. Its drives are left out."]
@@ -640,7 +641,8 @@ def _alike(
     drives: Sequence[RecordedDrive], first: RecordedDrive, recorded: StudioConfig, scenario: Scenario
 ) -> tuple[list[RecordedDrive], list[str]]:
     """The drives with the options of one that its robot and episode can have; a sentence for each other one."""
-    alike, said = [], []
+    alike = []
+    said = []
     longest = math.ceil(recorded.time_limit / recorded.time_step - 1e-6)
     for drive in drives:
         problem = _unlike(drive, first, longest) or _beyond_robot(drive, scenario.robot)
