@@ -142,7 +142,8 @@ def _pad(tree: Any, sizes: Sizes, memo: dict[tuple, np.ndarray]) -> Any:
         if axes is None:
             changed[field.name] = _pad(value, sizes, memo)
             continue
-        target = tuple(sizes.get((name, axis), size) for axis, size in zip(axes, value.shape, strict=True))
+        shape: tuple[int, ...] = value.shape
+        target = tuple(sizes.get((name, axis), size) for axis, size in zip(axes, shape, strict=True))
         if any((name, axis) in sizes for axis in axes):
             key = id(value), target  # an array that is in several places stays one
             if key not in memo:

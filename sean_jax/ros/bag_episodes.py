@@ -27,7 +27,7 @@ class BagTrack(NamedTuple):
     times: np.ndarray  # (M,) int64 ns
     values: np.ndarray  # (M, K) x, y and others
 
-    def between(self, begin: int, end: int) -> "Track":
+    def between(self, begin: int, end: int) -> "BagTrack":
         """The rows from a time on until another [ns]."""
         first, last = np.searchsorted(self.times, [begin, end])
         return BagTrack(self.times[first:last], self.values[first:last])
@@ -298,7 +298,7 @@ def _split_at_jumps(stretch: Stretch, evidence: np.ndarray) -> Resets:
     tracks = [stretch.robot, *stretch.people] if stretch.robot is not None else stretch.people
     moves = []
     for index, track in enumerate(tracks):
-        moves += [Jump(track.times[k - 1], track.times[k], index) for k in jumps(track)]
+        moves += [Jump(int(track.times[k - 1]), int(track.times[k]), index) for k in jumps(track)]
     moves.sort(key=lambda move: move.after)
 
     # Jumps within half a second belong together.

@@ -45,7 +45,7 @@ class Participant:
         self.address = f"DDS domain {domain}"
         try:
             self._domain = None if "CYCLONEDDS_URI" in os.environ else Domain(number, LOCAL)
-            self._participant = DomainParticipant(number)
+            self._participant: Any = DomainParticipant(number)
         except core.DDSException as error:
             raise InputError(f"dds: domain {domain} cannot be joined: {error}; see CYCLONEDDS_URI.") from None
         self._mailbox = mailbox

@@ -423,12 +423,14 @@ def rows_of_page(folder: Path, current: Path | None = None) -> list[dict[str, An
             continue
         step = drive.options.get("time_step")
         least, most = TIME_STEP_RANGE
-        known = isinstance(step, int | float) and least <= step <= most
+        seconds = None
+        if isinstance(step, int | float) and least <= step <= most:
+            seconds = round(len(drive.commands) * step, 2)
         row = {
             "file": drive.file.name,
             "name": drive.file.stem.partition("-")[2],
             "episode": drive.episode,
-            "seconds": round(len(drive.commands) * step, 2) if known else None,
+            "seconds": seconds,
             "outcome": drive.outcome,
             "by_person": round(float(drive.by_person.mean()), 4),
         }
