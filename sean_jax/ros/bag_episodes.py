@@ -283,8 +283,8 @@ def jumps(track: BagTrack) -> np.ndarray:
 class Jump(NamedTuple):
     """A jump of a person or of the robot."""
 
-    before: int  # ns
-    after: int  # ns
+    before: np.int64  # ns
+    after: np.int64  # ns
     track: int  # index among the tracks
 
 
@@ -298,7 +298,7 @@ def _split_at_jumps(stretch: Stretch, evidence: np.ndarray) -> Resets:
     tracks = [stretch.robot, *stretch.people] if stretch.robot is not None else stretch.people
     moves = []
     for index, track in enumerate(tracks):
-        moves += [Jump(int(track.times[k - 1]), int(track.times[k]), index) for k in jumps(track)]
+        moves += [Jump(np.int64(track.times[k - 1]), np.int64(track.times[k]), index) for k in jumps(track)]
     moves.sort(key=lambda move: move.after)
 
     # Jumps within half a second belong together.
