@@ -17,9 +17,10 @@ from brax.envs import base
 from brax.training import pmap
 
 from sean_jax import mdp, robots
-from sean_jax.adapters import Functional, typed
+from sean_jax.adapters import Functional
 from sean_jax.core import clock
 from sean_jax.core.data_types import Array
+from sean_jax.core.random_streams import typed
 
 REPLICATE = "device_put_replicated"
 if REPLICATE in pmap.bcast_local_devices.__code__.co_names and not hasattr(jax, REPLICATE):

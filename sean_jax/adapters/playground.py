@@ -24,6 +24,7 @@ from sean_jax import adapters, mdp, robots
 from sean_jax.adapters import brax
 from sean_jax.core import clock
 from sean_jax.core.data_types import Array, Scenario
+from sean_jax.core.random_streams import typed
 from sean_jax.mdp import registry
 from sean_jax.robots import description
 
@@ -127,7 +128,7 @@ def _randomize(model: Scenario, rng: Array) -> tuple[Scenario, Scenario]:
     def draw(key: Array) -> Scenario:
         return randomization.apply(randomization.draw(key, model), model)
 
-    keys = adapters.typed(rng)
+    keys = typed(rng)
     same = {id(leaf) for leaf in jax.tree.leaves(model)}
     axes = jax.tree.map(lambda leaf: None if id(leaf) in same else 0, draw(keys[0]))
     return jax.vmap(draw, out_axes=axes)(keys), axes
