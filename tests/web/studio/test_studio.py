@@ -1095,8 +1095,8 @@ def test_a_tab_that_answers_no_longer_is_closed(impatient, fresh):
     async def go():
         async with socket_of(impatient) as tab:
             reading = asyncio.ensure_future(until(tab, "nothing"))  # or it would not answer either
-            await asyncio.to_thread(wait, lambda: impatient._driver is None)
-            assert len(impatient._tabs) == 1 and not fresh.playing
+            await asyncio.to_thread(wait, lambda: impatient._driver is None and not fresh.playing)
+            assert len(impatient._tabs) == 1
             length = len(fresh.commands)
             await tab.send(json.dumps({"do": "step"}))
             await asyncio.to_thread(wait, lambda: len(fresh.commands) == length + 1)
