@@ -30,7 +30,7 @@ STEPS = 100
 
 
 def written(
-    scenario: Scenario, steps: list[messages.Step], table: dict[str, messages.Topic], version: Literal["1", "2"]
+    scenario: Scenario, steps: list[messages.StepValues], table: dict[str, messages.Topic], version: Literal["1", "2"]
 ) -> tuple[int, float, int]:
     """Number of messages, s of the processor, and bytes of a bag of these steps."""
     with tempfile.TemporaryDirectory() as folder:

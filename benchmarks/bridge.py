@@ -170,12 +170,12 @@ def measure(transport: str, environment: str, people: int, seconds: float) -> di
     from rich.console import Console
 
     from sean_jax.config import BridgeConfig
-    from sean_jax.ros.bridge import Live
+    from sean_jax.ros.bridge import LiveBridge
 
     config = BridgeConfig(**{transport: True}, environment=environment, people=people, dynamics="twin",
                           address="127.0.0.1:0", domain=173, patience=2.0, time_limit=seconds, task="random_ab_nav",
                           task_distance=(8.0, 1e3))  # fmt: skip
-    live = Live(config, Console(quiet=True))
+    live = LiveBridge(config, Console(quiet=True))
     command = [sys.executable, __file__, "--controller", transport, live.bridge.transport.address]
     result: dict = {}
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:

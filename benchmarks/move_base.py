@@ -76,8 +76,8 @@ from sean_jax.learning.policy import load_policy
 from sean_jax.metrics import bootstrap
 from sean_jax.metrics.differences import difference, holm
 from sean_jax.ros import messages
-from sean_jax.ros.ros1 import Node, import_rospy
-from sean_jax.ros.transport import Log, Mailbox, Output
+from sean_jax.ros.ros1 import RosNode, import_rospy
+from sean_jax.ros.transport import Mailbox, Output, TransportLog
 from sean_jax.sensors import lidar, lidar_sensor
 from sean_jax.simulation.episode_runner import first_state, varying_leaves
 from sean_jax.studies.experiments import figure4, measures, write_csv
@@ -328,8 +328,8 @@ class Ros:
             self.start("rosmaster", ["/usr/bin/rosmaster", "--core", "-p", str(chosen.port)])
             self.wait(lambda: listens(chosen.port), "rosmaster does not listen")
             names = *STATE, "/clock", "/map", "/tf_static", GOAL
-            self.mailbox = Mailbox(Log(print))
-            self.node = Node(self.mailbox, {name: Output(self.table[name].type, name in LATCHED) for name in names})
+            self.mailbox = Mailbox(TransportLog(print))
+            self.node = RosNode(self.mailbox, {name: Output(self.table[name].type, name in LATCHED) for name in names})
             self.read(import_rospy())
             import_rospy().set_param("/move_base", tree)
             self.node.publish("/map", occupancy_grid(world.scenario))
@@ -390,7 +390,7 @@ class Ros:
                 raise IncompleteError(f"{problem} after {START_LIMIT:g} s; see the logs in {self.folder}.")
             time.sleep(0.02)
 
-    def restart(self, step: messages.Step) -> None:
+    def restart(self, step: messages.StepValues) -> None:
         """A fresh move_base, at the robot's place, after its maps are filled."""
         for process in self.processes[1:]:
             stop(process)
@@ -407,7 +407,7 @@ class Ros:
         for _ in range(SETTLE):
             self.advance(step)
 
-    def advance(self, step: messages.Step) -> np.ndarray | None:
+    def advance(self, step: messages.StepValues) -> np.ndarray | None:
         """Publish a state, advance the clock by 0.1 s, and return the command that follows, if any."""
         for name in STATE:
             self.node.publish(name, self.table[name].message(step, self.time))
@@ -421,7 +421,7 @@ class Ros:
             self.mailbox.wait(ANSWER_LIMIT, for_command=True)
         return self.mailbox.take_command()
 
-    def publish_goal(self, step: messages.Step) -> None:
+    def publish_goal(self, step: messages.StepValues) -> None:
         """Publish the goal, which preempts an earlier one."""
         self.active = True
         self.node.publish(GOAL, self.table[GOAL].message(step, self.time))

@@ -56,11 +56,6 @@ class Functional:
         return observations.flatten(self.env.observations, observation) if self.flat else observation
 
 
-def typed(key: Array) -> Array:
-    """A typed PRNG key; the key may be typed or not."""
-    return key if jax.numpy.issubdtype(key.dtype, jax.dtypes.prng_key) else jax.random.wrap_key_data(key)
-
-
 def picture(env: mdp.Env, state: mdp.EnvState) -> np.ndarray:
     """A picture (height, width, 3) uint8 of the scenario from above."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg

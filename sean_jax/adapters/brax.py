@@ -17,9 +17,10 @@ from brax.envs import base
 from brax.training import pmap
 
 from sean_jax import mdp, robots
-from sean_jax.adapters import Functional, typed
+from sean_jax.adapters import Functional
 from sean_jax.core import clock
 from sean_jax.core.data_types import Array
+from sean_jax.core.random_streams import typed
 
 REPLICATE = "device_put_replicated"
 if REPLICATE in pmap.bcast_local_devices.__code__.co_names and not hasattr(jax, REPLICATE):
@@ -41,16 +42,18 @@ class SocialNavigation(Functional, base.Env):
         """Begin an episode; the PRNG key may be typed or not."""
         observation, state = self.env.reset(typed(rng))
         zero = jnp.zeros((), jnp.float32)
-        parts = {f"reward/{name}": zero for name, _ in self.env.rewards}
-        metrics = parts | {"completed": zero}
+        metrics = {f"reward/{name}": zero for name, _ in self.env.rewards}
+        metrics["completed"] = zero
         return base.State(state, self._shown(observation), zero, zero, metrics, {"truncation": zero})
 
     def step(self, state: base.State, action: Array) -> base.State:
         """The state after a control step, with all keys of ``metrics`` and ``info`` of the previous state."""
         before = state.pipeline_state
         after, observation, reward, terminated, truncated, info = self.env.advance(before, action)
-        parts = {f"reward/{name}": part.astype(jnp.float32) for name, part in info["rewards"].items()}
-        metrics = state.metrics | parts | {"completed": info["completed"].astype(jnp.float32)}
+        metrics = dict(state.metrics)
+        for name, reward_term in info["rewards"].items():
+            metrics[f"reward/{name}"] = reward_term.astype(jnp.float32)
+        metrics["completed"] = info["completed"].astype(jnp.float32)
         return state.replace(
             pipeline_state=after,
             obs=self._shown(observation),
@@ -69,7 +72,7 @@ class SocialNavigation(Functional, base.Env):
     def observation_size(self) -> Any:
         """The size of an observation, or the shapes of its parts."""
         shapes = jax.eval_shape(self.reset, jax.random.key(0)).obs
-        return shapes.shape[-1] if self.flat else {name: part.shape for name, part in shapes.items()}
+        return shapes.shape[-1] if self.flat else {name: term.shape for name, term in shapes.items()}
 
     @property
     def action_size(self) -> int:
@@ -80,4 +83,4 @@ class SocialNavigation(Functional, base.Env):
     def backend(self) -> str:
         """The dynamics of the robot: twin, mjx or kinematic; own for a function of your own."""
         drive = self.env.scenario.robot.drive
-        return next((name for name, each in robots.DYNAMICS.items() if each is drive), "own")
+        return next((name for name, dynamics in robots.DYNAMICS.items() if dynamics is drive), "own")

@@ -34,18 +34,22 @@ class _Packing:
         self.leaves, self.structure = jax.tree.flatten(like)
 
     def pack(self, tree: PyTree) -> dict[str, Array]:
-        parts: dict[str, list[Array]] = {}
+        """The leaves of a pytree, flat and one after the other, by type."""
+        flat: dict[str, list[Array]] = {}
         for leaf in jax.tree.leaves(tree):
-            parts.setdefault(str(leaf.dtype), []).append(jnp.ravel(leaf))
-        return {kind: jnp.concatenate(arrays) for kind, arrays in parts.items()}
+            flat.setdefault(str(leaf.dtype), []).append(jnp.ravel(leaf))
+        return {dtype: jnp.concatenate(arrays) for dtype, arrays in flat.items()}
 
     def unpack(self, packed: Mapping[str, Any]) -> PyTree:
         """The pytree of arrays (..., K), with their leading axes."""
-        leaves, first = [], dict.fromkeys(packed, 0)
+        leaves = []
+        begin = dict.fromkeys(packed, 0)  # of the next leaf of each type
         for leaf in self.leaves:
-            array, begin = packed[str(leaf.dtype)], first[str(leaf.dtype)]
-            first[str(leaf.dtype)] += leaf.size
-            leaves.append(array[..., begin : begin + leaf.size].reshape((*array.shape[:-1], *leaf.shape)))
+            dtype = str(leaf.dtype)
+            end = begin[dtype] + leaf.size
+            values = packed[dtype][..., begin[dtype] : end]
+            leaves.append(values.reshape((*values.shape[:-1], *leaf.shape)))
+            begin[dtype] = end
         return self.structure.unflatten(leaves)
 
 
@@ -54,41 +58,52 @@ class _Programs:
 
     def __init__(self, env: mdp.Env, rows: bool):
         observation, self.state = jax.eval_shape(lambda: env.reset(jax.random.key(0)))
-        self.states = states = _Packing(jax.eval_shape(random_streams.as_numbers, self.state))
-        shapes = dict.fromkeys(("reward", "terminated", "truncated", "completed"), ())
-        shapes |= {"command": env.action_space.shape, "situations": (len(env.scenario.situations),)}
-        zeros = {name: np.zeros(shape, np.float32) for name, shape in shapes.items()}
-        observed = {name: np.zeros(part.shape, np.float32) for name, part in observation.items()}
-        self.results = results_of = _Packing(zeros | {"observation": observed})
-
-        def pack(state: PyTree, values: dict[str, Any]) -> tuple[dict[str, Array], dict[str, Array]]:
-            values = jax.tree.map(lambda value: jnp.asarray(value, jnp.float32), values)
-            return states.pack(random_streams.as_numbers(state)), results_of.pack(values)
-
-        def begin(seed: Array, number: Array) -> tuple[dict[str, Array], dict[str, Array]]:
-            observation, state = env.reset(jax.random.fold_in(jax.random.key(seed), number))
-            return pack(state, zeros | {"observation": observation})
-
-        def advance(packed: dict[str, Array], action: Array) -> tuple[dict[str, Array], dict[str, Array]]:
-            state, observation, reward, terminated, truncated, info = env.advance(self.unpack(packed), action)
-            values = {name: info[name] for name in ("completed", "command", "situations")}
-            values |= {"reward": reward, "terminated": terminated, "truncated": truncated, "observation": observation}
-            return pack(state, values)
-
-        def measured(packed: dict[str, Array]) -> dict[str, Array]:
-            return results(env.scenario, self.unpack(packed).simulation)
-
+        self._env = env
+        self._states = _Packing(jax.eval_shape(random_streams.as_numbers, self.state))
+        self._zeros = {
+            "reward": np.zeros((), np.float32),
+            "terminated": np.zeros((), np.float32),
+            "truncated": np.zeros((), np.float32),
+            "completed": np.zeros((), np.float32),
+            "command": np.zeros(env.action_space.shape, np.float32),
+            "situations": np.zeros(len(env.scenario.situations), np.float32),
+        }
+        first = {name: np.zeros(term.shape, np.float32) for name, term in observation.items()}
+        self._results = _Packing(self._zeros | {"observation": first})
         over = jax.vmap if rows else lambda function: function
-        self.begin, self.advance, self.measured = (jax.jit(over(part)) for part in (begin, advance, measured))
+        self.begin = jax.jit(over(self._begin))
+        self.advance = jax.jit(over(self._advance))
+        self.measured = jax.jit(over(self._measured))
+
+    def _begin(self, seed: Array, number: Array) -> tuple[dict[str, Array], dict[str, Array]]:
+        """The first state of an episode of a seed, and its results."""
+        observation, state = self._env.reset(jax.random.fold_in(jax.random.key(seed), number))
+        return self._pack(state, self._zeros | {"observation": observation})
+
+    def _advance(self, packed: dict[str, Array], action: Array) -> tuple[dict[str, Array], dict[str, Array]]:
+        """The state after a step, and its results."""
+        state, observation, reward, terminated, truncated, info = self._env.advance(self.unpack(packed), action)
+        values = {name: info[name] for name in ("completed", "command", "situations")}
+        values |= {"reward": reward, "terminated": terminated, "truncated": truncated, "observation": observation}
+        return self._pack(state, values)
+
+    def _measured(self, packed: dict[str, Array]) -> dict[str, Array]:
+        """The metrics of a state."""
+        return results(self._env.scenario, self.unpack(packed).simulation)
+
+    def _pack(self, state: PyTree, values: dict[str, Any]) -> tuple[dict[str, Array], dict[str, Array]]:
+        values = jax.tree.map(lambda value: jnp.asarray(value, jnp.float32), values)
+        return self._states.pack(random_streams.as_numbers(state)), self._results.pack(values)
 
     def unpack(self, packed: dict[str, Array]) -> mdp.EnvState:
         """The state of its packed form."""
-        return random_streams.as_keys(self.states.unpack(packed), self.state)
+        return random_streams.as_keys(self._states.unpack(packed), self.state)
 
     def read(self, packed: dict[str, Any]) -> dict[str, Any]:
         """The results of a step on the host, with an observation that may be written to."""
-        values = self.results.unpack(jax.device_get(packed))
-        return values | {"observation": {name: np.array(part) for name, part in values["observation"].items()}}
+        values = self._results.unpack(jax.device_get(packed))
+        values["observation"] = {name: np.array(term) for name, term in values["observation"].items()}
+        return values
 
 
 _recent: dict[Any, _Programs] = {}
@@ -138,7 +153,8 @@ class SocialNavigation(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
         """
         super().reset(seed=seed)
         if seed is not None or self._seed is None:
-            self._seed, self._episodes = _seed(seed, self.np_random), 0
+            self._seed = _seed(seed, self.np_random)
+            self._episodes = 0
         self._state, packed = self._run.begin(np.uint32(self._seed), np.int32(self._episodes))
         self._episodes += 1
         return self._run.read(packed)["observation"], {}
@@ -157,7 +173,8 @@ class SocialNavigation(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
             raise InputError("step: no episode has begun; call reset first.")
         self._state, packed = self._run.advance(self._state, np.asarray(action, np.float32))
         values = self._run.read(packed)
-        terminated, truncated = bool(values["terminated"]), bool(values["truncated"])
+        terminated = bool(values["terminated"])
+        truncated = bool(values["truncated"])
         names = [name for name, _ in self.env.scenario.situations]
         info = {
             "completed": bool(values["completed"]),
@@ -198,8 +215,10 @@ class VectorSocialNavigation(VectorEnv):
         self.env = load(env, config)
         self.num_envs = num_envs
         self._mode = _autoreset_mode(autoreset_mode)
-        rate = round(1.0 / self.env.scenario.time_step)
-        self.metadata = self.metadata | {"render_fps": rate, "autoreset_mode": self._mode}
+        self.metadata = self.metadata | {
+            "render_fps": round(1.0 / self.env.scenario.time_step),
+            "autoreset_mode": self._mode,
+        }
         self.single_observation_space = _space(self.env)
         self.single_action_space = spaces.Box(-1.0, 1.0, self.env.action_space.shape, np.float32)
         self.observation_space = gymnasium.vector.utils.batch_space(self.single_observation_space, num_envs)
@@ -224,7 +243,7 @@ class VectorSocialNavigation(VectorEnv):
         if isinstance(seed, list):
             if len(seed) != self.num_envs:
                 raise InputError(f"seed: {len(seed)} seeds for {self.num_envs} environments; give one for each.")
-            self._seeds = np.array([_seed(each, self.np_random) for each in seed], np.uint32)
+            self._seeds = np.array([_seed(row_seed, self.np_random) for row_seed in seed], np.uint32)
         else:
             super().reset(seed=seed)
             if seed is not None or self._seeds is None:
@@ -232,7 +251,8 @@ class VectorSocialNavigation(VectorEnv):
         if seed is not None:
             self._episodes = np.zeros(self.num_envs, np.int32)
         self._state, packed = self._run.begin(self._seeds, self._episodes)
-        self._episodes, self._done = self._episodes + 1, np.zeros(self.num_envs, bool)
+        self._episodes = self._episodes + 1
+        self._done = np.zeros(self.num_envs, bool)
         return self._run.read(packed)["observation"], {}
 
     def step(
@@ -256,9 +276,13 @@ class VectorSocialNavigation(VectorEnv):
             state, packed = self._begin(self._done, state, packed)
         values = self._run.read(packed)
         observation = values["observation"]
-        terminated, truncated = values["terminated"] > 0.5, values["truncated"] > 0.5
-        done, completed = terminated | truncated, values["completed"] > 0.5
+        terminated = values["terminated"] > 0.5
+        truncated = values["truncated"] > 0.5
+        done = terminated | truncated
+        completed = values["completed"] > 0.5
         info: dict[str, Any] = {"completed": completed, "command": np.array(values["command"])}
+
+        # Where an episode has ended, its metrics; SAME_STEP also begins the next one there.
         if done.any():
             metrics = jax.device_get(self._run.measured(state))
             if self._mode == AutoresetMode.NEXT_STEP:
@@ -268,16 +292,21 @@ class VectorSocialNavigation(VectorEnv):
                 info["final_info"] = {"metrics": metrics, "completed": completed}
                 state, packed = self._begin(done, state, packed)
                 observation = self._run.read(packed)["observation"]
-        self._state, self._done = state, done
+        self._state = state
+        self._done = done
         return observation, np.array(values["reward"]), terminated, truncated, info
 
     def _begin(self, rows: np.ndarray, state: dict[str, Array], packed: dict[str, Array]) -> tuple[dict, dict]:
         """State and results with the next episode in some rows."""
         if not rows.any():
             return state, packed
-        first = self._run.begin(self._seeds, self._episodes)
+        begun = self._run.begin(self._seeds, self._episodes)
         self._episodes = self._episodes + rows.astype(np.int32)
-        return jax.tree.map(lambda new, old: jnp.where(rows[:, None], new, old), first, (state, packed))
+
+        def choose(new: Array, old: Array) -> Array:
+            return jnp.where(rows[:, None], new, old)
+
+        return jax.tree.map(choose, begun, (state, packed))
 
 
 def _autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:
@@ -289,14 +318,19 @@ def _autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:
 
 
 def _space(env: mdp.Env) -> spaces.Dict:
-    boxes = env.observation_space.items()
-    return spaces.Dict({name: spaces.Box(box.low, box.high, box.shape, np.float32) for name, box in boxes})
+    boxes = {}
+    for name, box in env.observation_space.items():
+        boxes[name] = spaces.Box(box.low, box.high, box.shape, np.float32)
+    return spaces.Dict(boxes)
 
 
 def _seed(seed: int | None, random: np.random.Generator) -> int:
-    if seed is not None and not 0 <= seed < 2**32:
+    """A seed, drawn if there is none; InputError if it is out of range."""
+    if seed is None:
+        return int(random.integers(2**31))
+    if not 0 <= seed < 2**32:
         raise InputError(f"seed: {seed} must be a whole number from 0 to {2**32 - 1:,}.")
-    return int(random.integers(2**31)) if seed is None else int(seed)
+    return int(seed)
 
 
 for _name in registry.ALL_ENVS:

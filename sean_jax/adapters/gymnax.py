@@ -19,8 +19,9 @@ import numpy as np
 from flax import struct
 from gymnax.environments import spaces
 
-from sean_jax.adapters import NAMESPACE, Functional, identity, typed
+from sean_jax.adapters import NAMESPACE, Functional, identity
 from sean_jax.core.data_types import Array
+from sean_jax.core.random_streams import typed
 from sean_jax.mdp import EnvState, registry
 
 gymnax_environment = gymnax.environments.environment

@@ -15,9 +15,9 @@ import jax
 from jaxmarl.environments.multi_agent_env import MultiAgentEnv
 from jaxmarl.environments.spaces import Box
 
-from sean_jax.adapters import typed
 from sean_jax.adapters.multi_agent import TeamEnv, TeamState
 from sean_jax.core.data_types import Array, Scenario
+from sean_jax.core.random_streams import typed
 from sean_jax.simulation.scenario_stack import Stack
 
 

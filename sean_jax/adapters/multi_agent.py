@@ -56,13 +56,16 @@ class TeamEnv:
             InputError: one sentence that names the value and the cure.
         """
         env = make_env(members.member, observations, rewards)
-        self.jitted_reset, self.jitted_step = jax.jit(self.reset), jax.jit(self.step)  # compiled at first use
-        self.members, self.observations, self.rewards = members, env.observations, env.rewards
+        self.jitted_reset = jax.jit(self.reset)  # compiled at first use
+        self.jitted_step = jax.jit(self.step)
+        self.members = members
         self.agents = list(members.names)
-        boxes = env.observation_space.items()
-        parts = ({name: jnp.full(box.shape, getattr(box, end)) for name, box in boxes} for end in ("low", "high"))
+        self.observations = env.observations
+        self.rewards = env.rewards
         self.action_space = env.action_space  # of each robot: robots of one team have the same drive
-        self.low, self.high = (flatten(self.observations, part) for part in parts)
+        boxes = env.observation_space.items()
+        self.low = flatten(self.observations, {name: jnp.full(box.shape, box.low) for name, box in boxes})
+        self.high = flatten(self.observations, {name: jnp.full(box.shape, box.high) for name, box in boxes})
 
     def reset(self, key: Array) -> TeamState:
         """The first state of an episode, from a () typed PRNG key."""
@@ -83,23 +86,24 @@ class TeamEnv:
         before = state.states
         after = team.step(self.members, before, commands)
 
-        def read(member: Scenario, before: State, after: State, observed: Any, then: dict[str, Array]) -> tuple:
+        def observe(member: Scenario, before: State, after: State, observed: Any, previous: dict[str, Array]) -> tuple:
             view = with_bodies(member, after)
             observation, memory = observations.observe(self.observations, *view, observed)
-            now = rewards.potentials(self.rewards, member, after)
-            parts = rewards.of_step(self.rewards, member, before, after, then, now)
+            potentials = rewards.potentials(self.rewards, member, after)
+            terms = rewards.of_step(self.rewards, member, before, after, previous, potentials)
             over = before.completed | before.timed_out
-            reward = jnp.where(over, 0.0, jnp.stack(list(parts.values())).sum())
-            return flatten(self.observations, observation), memory, now, reward
+            reward = jnp.where(over, 0.0, jnp.stack(list(terms.values())).sum())
+            return flatten(self.observations, observation), memory, potentials, reward
 
-        read_all = self.members.over_members(read)
-        observation, memory, now, reward = read_all(before, after, state.observed, state.potentials)
+        observe_all = self.members.over_members(observe)
+        observation, memory, potentials, reward = observe_all(before, after, state.observed, state.potentials)
         info = {"completed": after.completed, "timed_out": after.timed_out, "command": commands}
-        return TeamState(after, observation, memory, now), TeamStep(reward, after.completed, after.timed_out, info)
+        result = TeamStep(reward, after.completed, after.timed_out, info)
+        return TeamState(after, observation, memory, potentials), result
 
     def by_agent(self, values: Array) -> dict[str, Array]:
         """Agent -> its row of values (M, ...)."""
-        return {name: values[number] for number, name in enumerate(self.agents)}
+        return {name: values[row] for row, name in enumerate(self.agents)}
 
     def rows(self, by_agent: Mapping[str, Any]) -> Float[Array, "M command"]:
         """The actions of a dict by agent; zeros of agents that are not in it."""

@@ -40,10 +40,13 @@ class SocialNavigation(ParallelEnv[str, np.ndarray, np.ndarray]):
         self.env = members if isinstance(members, TeamEnv) else TeamEnv(members, **options)
         self.possible_agents = list(self.env.agents)
         self.agents: list[str] = []
-        low, high = np.asarray(self.env.low, np.float32), np.asarray(self.env.high, np.float32)
-        self.observation_spaces = {name: spaces.Box(low, high) for name in self.possible_agents}
-        shape = self.env.action_space.shape
-        self.action_spaces = {name: spaces.Box(-1.0, 1.0, shape, np.float32) for name in self.possible_agents}
+        self.observation_spaces = {}
+        self.action_spaces = {}
+        for name in self.possible_agents:
+            low = np.asarray(self.env.low, np.float32)
+            high = np.asarray(self.env.high, np.float32)
+            self.observation_spaces[name] = spaces.Box(low, high)
+            self.action_spaces[name] = spaces.Box(-1.0, 1.0, self.env.action_space.shape, np.float32)
         self._seed = int(np.random.default_rng(seed).integers(2**31)) if seed is None else seed
         self._episode = 0
         self._state: TeamState | None = None
@@ -61,14 +64,14 @@ class SocialNavigation(ParallelEnv[str, np.ndarray, np.ndarray]):
     ) -> tuple[dict[str, np.ndarray], dict[str, dict]]:
         """Begin an episode: the next one, or the first one of a seed."""
         if seed is not None:
-            self._seed, self._episode = seed, 0
+            self._seed = seed
+            self._episode = 0
         state = self.env.jitted_reset(jax.random.fold_in(jax.random.key(self._seed), self._episode))
         self._state = state
         self._episode += 1
         self.agents = list(self.possible_agents)
-        observation = np.asarray(state.observation, np.float32)
-        shown = {name: observation[number] for number, name in enumerate(self.agents)}
-        return shown, {name: {} for name in self.agents}
+        observations = dict(zip(self.agents, np.asarray(state.observation, np.float32), strict=True))
+        return observations, {name: {} for name in self.agents}
 
     def step(self, actions: Mapping[str, np.ndarray]) -> tuple[dict, dict, dict, dict, dict]:
         """One step of control: observations, rewards, terminations, truncations and infos by agent.
@@ -84,17 +87,23 @@ class SocialNavigation(ParallelEnv[str, np.ndarray, np.ndarray]):
                 rows[number] = actions[name]
         state, result = self.env.jitted_step(self._state, rows)
         self._state = state
+
+        # Only agents whose episode goes on, or ends with this step, have results.
         observation, (reward, terminated, truncated, info) = jax.tree.map(np.asarray, (state.observation, result))
-        here = [(number, name) for number, name in enumerate(self.possible_agents) if name in self.agents]
-        results = (
-            {name: observation[number].astype(np.float32) for number, name in here},
-            {name: float(reward[number]) for number, name in here},
-            {name: bool(terminated[number]) for number, name in here},
-            {name: bool(truncated[number]) for number, name in here},
-            {name: {key: value[number] for key, value in info.items()} for number, name in here},
-        )
-        self.agents = [name for number, name in here if not (terminated[number] or truncated[number])]
-        return results
+        observations: dict[str, np.ndarray] = {}
+        rewards: dict[str, float] = {}
+        terminations: dict[str, bool] = {}
+        truncations: dict[str, bool] = {}
+        infos: dict[str, dict[str, Any]] = {}
+        for number, name in enumerate(self.possible_agents):
+            if name in self.agents:
+                observations[name] = observation[number].astype(np.float32)
+                rewards[name] = float(reward[number])
+                terminations[name] = bool(terminated[number])
+                truncations[name] = bool(truncated[number])
+                infos[name] = {key: value[number] for key, value in info.items()}
+        self.agents = [name for name in observations if not (terminations[name] or truncations[name])]
+        return observations, rewards, terminations, truncations, infos
 
     def render(self) -> None:
         """Nothing is drawn."""

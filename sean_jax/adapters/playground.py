@@ -24,6 +24,7 @@ from sean_jax import adapters, mdp, robots
 from sean_jax.adapters import brax
 from sean_jax.core import clock
 from sean_jax.core.data_types import Array, Scenario
+from sean_jax.core.random_streams import typed
 from sean_jax.mdp import registry
 from sean_jax.robots import description
 
@@ -63,7 +64,8 @@ class SocialNavigation(MjxEnv):
         fields = ({} if config is None else config.to_dict()) | dict(config_overrides or {})
         self.env = adapters.load(env, {name: value for name, value in fields.items() if name not in OF_TRAINERS})
         self._mjx_model = self.env.scenario
-        self._ctrl_dt, self._sim_dt = self._mjx_model.time_step, self._mjx_model.robot.time_step
+        self._ctrl_dt = self._mjx_model.time_step
+        self._sim_dt = self._mjx_model.robot.time_step
 
     @property
     def _brax(self) -> brax.SocialNavigation:
@@ -126,7 +128,8 @@ def _randomize(model: Scenario, rng: Array) -> tuple[Scenario, Scenario]:
     def draw(key: Array) -> Scenario:
         return randomization.apply(randomization.draw(key, model), model)
 
-    keys, same = adapters.typed(rng), {id(leaf) for leaf in jax.tree.leaves(model)}
+    keys = typed(rng)
+    same = {id(leaf) for leaf in jax.tree.leaves(model)}
     axes = jax.tree.map(lambda leaf: None if id(leaf) in same else 0, draw(keys[0]))
     return jax.vmap(draw, out_axes=axes)(keys), axes
 

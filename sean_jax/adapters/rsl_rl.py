@@ -37,33 +37,45 @@ class VecSocialNavigation:
         Raises:
             InputError: one sentence that names the value and the cure.
         """
-        self.env, self.num_envs, self.cfg = load(env, config), num_envs, config
+        self.env = load(env, config)
+        self.num_envs = num_envs
+        self.cfg = config
         scenario = self.env.scenario
         self.max_episode_length = clock.ceil_ticks(scenario.time_limit, scenario.time_step)
         self._keys = jax.vmap(jax.random.key)(seed + jnp.arange(num_envs, dtype=jnp.uint32))
-        self._begin, self._advance = jax.jit(self._first), jax.jit(self._next)
+        self._begin = jax.jit(self._first)
+        self._advance = jax.jit(self._next)
         self._episodes = jnp.zeros(num_envs, jnp.int32)
         self.reset()
         self.device = self._observation["policy"].device
 
     def _first(self, keys: Array, episodes: Array) -> tuple[Rows, dict[str, Array]]:
-        observation, states = jax.vmap(self.env.reset)(jax.vmap(jax.random.fold_in)(keys, episodes))
+        episode_keys = jax.vmap(jax.random.fold_in)(keys, episodes)
+        observation, states = jax.vmap(self.env.reset)(episode_keys)
         return (states, episodes + 1), self._groups(observation)
 
     def _next(self, keys: Array, rows: Rows, actions: Array) -> tuple[Rows, dict[str, Array], dict[str, Array]]:
         states, episodes = rows
-        following = jax.vmap(jax.random.fold_in)(keys, episodes)
-        observation, states, reward, terminated, truncated, info = jax.vmap(self.env.step)(following, states, actions)
+        next_keys = jax.vmap(jax.random.fold_in)(keys, episodes)
+        observation, states, reward, terminated, truncated, info = jax.vmap(self.env.step)(next_keys, states, actions)
         done = terminated | truncated
-        results = {"reward": reward.astype(jnp.float32), "done": done, "truncated": truncated}
-        results["completed"] = info["completed"].astype(jnp.float32)
+        results = {
+            "reward": reward.astype(jnp.float32),
+            "done": done,
+            "truncated": truncated,
+            "completed": info["completed"].astype(jnp.float32),
+        }
         return (states, episodes + done.astype(jnp.int32)), self._groups(observation), results
 
     def _groups(self, observation: dict[str, Array]) -> dict[str, Array]:
+        """Observations (B, ...) as one vector, ``policy``, and images by their names."""
         terms = self.env.observations
         vector = jax.vmap(lambda row: observations.flatten(terms, row))(observation)
-        images = {name: observation[name] for name, term in terms if term.image}
-        return {name: part.astype(jnp.float32) for name, part in {"policy": vector, **images}.items()}
+        groups = {"policy": vector.astype(jnp.float32)}
+        for name, term in terms:
+            if term.image:
+                groups[name] = observation[name].astype(jnp.float32)
+        return groups
 
     def reset(self) -> TensorDict:
         """The first observations (B, ...) of the next episode in each row."""

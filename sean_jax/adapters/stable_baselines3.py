@@ -52,7 +52,7 @@ class VecSocialNavigation(VecEnv):
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         for row in np.flatnonzero(done):
             infos[row] = {
-                "terminal_observation": {name: part[row] for name, part in info["final_obs"].items()},
+                "terminal_observation": {name: term[row] for name, term in info["final_obs"].items()},
                 "TimeLimit.truncated": bool(truncated[row] and not terminated[row]),
                 "is_success": bool(info["completed"][row]),
             }
@@ -86,4 +86,6 @@ class VecSocialNavigation(VecEnv):
         return [False] * len(self._rows(indices))
 
     def _rows(self, indices: int | Sequence[int] | None) -> Sequence[int]:
-        return range(self.num_envs) if indices is None else [indices] if isinstance(indices, int) else indices
+        if indices is None:
+            return range(self.num_envs)
+        return [indices] if isinstance(indices, int) else indices

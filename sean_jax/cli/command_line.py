@@ -291,11 +291,12 @@ def _outside(policy: config.Component, console: "Console") -> Any:
         return None
     from sean_jax.ros import bridge
 
-    last: bridge.Driver | None = None
+    last: bridge.ControllerDriver | None = None
 
-    def connect(scenario: "Scenario") -> "bridge.Driver":
+    def connect(scenario: "Scenario") -> "bridge.ControllerDriver":
         nonlocal last
-        last = bridge.Driver(scenario, policy.kind, place, console, last.now if last else 0)  # time never goes back
+        now = last.now if last else 0  # time never goes back
+        last = bridge.ControllerDriver(scenario, policy.kind, place, console, now)
         return last
 
     return connect
@@ -486,13 +487,13 @@ def _studio(options: config.StudioConfig, console: "Console") -> None:
         return survey.run(options, console)
     from sean_jax.web import studio
 
-    studio.run(options, console)
+    studio.run_studio(options, console)
 
 
 def _bridge(options: config.BridgeConfig, console: "Console") -> None:
     from sean_jax.ros import bridge
 
-    bridge.run(options, console)
+    bridge.run_bridge(options, console)
 
 
 def _survey(

@@ -20,7 +20,8 @@ def to_ticks(duration: Float[Array, "*shape"], time_step: float) -> Float[Array,
     """Durations [s] in time steps [s], rounded to a whole number where they differ from one by rounding only."""
     exact = duration / time_step
     whole = jnp.round(exact)
-    return jnp.where(jnp.abs(exact - whole) <= ROUNDING * jnp.finfo(exact.dtype).eps * whole, whole, exact)
+    error = jnp.abs(exact - whole)
+    return jnp.where(error <= ROUNDING * jnp.finfo(exact.dtype).eps * whole, whole, exact)
 
 
 def events_per_tick(time_step: float, rate: float = 1.0) -> tuple[int, int]:

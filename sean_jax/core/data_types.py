@@ -157,7 +157,7 @@ class Environment:
 
 @struct.dataclass
 class PathsToGoal:
-    """The shortest paths to one goal from each corner arc of a navigation (``navigation.corner_arcs``)."""
+    """The shortest paths to one goal from each corner arc of a navigation (``CornerArcs``)."""
 
     # m, from the middle of the arc to the goal; inf if no path leads there
     distance: Float[Array, "V"] = struct.field(metadata={"pad": np.inf})

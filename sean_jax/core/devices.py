@@ -27,9 +27,8 @@ AXIS = "scenarios"
 def is_out_of_memory(error: BaseException) -> bool:
     """Whether the error is XLA's for a device without free memory; it has two messages."""
     text = str(error)
-    return isinstance(error, JaxRuntimeError) and bool(
-        re.search("RESOURCE_EXHAUSTED|out of memory", text, re.IGNORECASE)
-    )
+    says_so = re.search("RESOURCE_EXHAUSTED|out of memory", text, re.IGNORECASE)
+    return isinstance(error, JaxRuntimeError) and bool(says_so)
 
 
 def by_platform(cpu: Callable, default: Callable) -> Callable:
@@ -45,14 +44,16 @@ def by_platform(cpu: Callable, default: Callable) -> Callable:
     @partial(function.defjvp, symbolic_zeros=True)
     def _(arguments: tuple, tangents: tuple) -> tuple:
         leaves, structure = jax.tree.flatten(arguments)
-        changes = dict(enumerate(jax.tree.leaves(tangents)))
-        changes = {i: change for i, change in changes.items() if not isinstance(change, SymbolicZero)}
+        changes = {}  # number of a leaf -> its tangent; reverse mode would compute the cotangents of the others too
+        for i, tangent in enumerate(jax.tree.leaves(tangents)):
+            if not isinstance(tangent, SymbolicZero):
+                changes[i] = tangent
 
-        def of_changing(*values: Array) -> PyTree:  # reverse mode would compute the cotangents of the others too
-            every = [*leaves]
+        def of_changing(*values: Array) -> PyTree:
+            replaced = [*leaves]
             for i, value in zip(changes, values, strict=True):
-                every[i] = value
-            return cpu(*structure.unflatten(every))
+                replaced[i] = value
+            return cpu(*structure.unflatten(replaced))
 
         return jax.jvp(of_changing, [leaves[i] for i in changes], [*changes.values()])
 
@@ -116,9 +117,11 @@ def keys(over: Mesh, key: Array, number: int) -> Array:
     if number % over.size or number < 1:
         nearest = max(over.size, number - number % over.size)
         raise ValueError(f"number: {number} scenarios do not spread evenly over {over.size} devices; take {nearest}.")
-    share = NamedSharding(over, PartitionSpec(AXIS))
-    draw = jax.jit(lambda key: jax.vmap(jax.random.fold_in, (None, 0))(key, jnp.arange(number)), out_shardings=share)
-    return draw(key)
+
+    def draw(key: Array) -> Array:
+        return jax.vmap(jax.random.fold_in, (None, 0))(key, jnp.arange(number))
+
+    return jax.jit(draw, out_shardings=NamedSharding(over, PartitionSpec(AXIS)))(key)
 
 
 def replicate(over: Mesh, tree: PyTree) -> PyTree:
@@ -172,7 +175,8 @@ def shard(over: Mesh, function: Callable, donate: bool = False) -> Callable:
 
 def shard_jit(over: Mesh, function: Callable, donate: bool = False) -> Any:
     """As ``shard``, but a jitted ``(fixed, (...))``, which can be lowered and compiled ahead."""
-    split, whole = NamedSharding(over, PartitionSpec(AXIS)), NamedSharding(over, PartitionSpec())
+    split = NamedSharding(over, PartitionSpec(AXIS))
+    whole = NamedSharding(over, PartitionSpec())
 
     def on_all(fixed: PyTree, others: tuple) -> PyTree:
         return jax.vmap(function, (None, *(0 for _ in others)))(fixed, *others)

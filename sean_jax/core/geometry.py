@@ -24,17 +24,22 @@ MAX_ROWS = 5_000_000
 
 def length(x: Array, y: Array) -> Array:
     """Euclidean length of (x, y); zero, with zero gradient, below 1e-12."""
-    square = x * x + y * y
-    zero = square < TINY
-    return jnp.where(zero, 0.0, jnp.sqrt(jnp.where(zero, 1.0, square)))
+    zero, square = _square(x, y)
+    return jnp.where(zero, 0.0, jnp.sqrt(square))
 
 
 def unit(x: Array, y: Array) -> tuple[Array, Array]:
     """(x, y) divided by its length; (0, 0), with zero gradient, where the length is below 1e-12."""
+    zero, square = _square(x, y)
+    scale = jnp.where(zero, 0.0, 1.0 / jnp.sqrt(square))
+    return x * scale, y * scale
+
+
+def _square(x: Array, y: Array) -> tuple[Array, Array]:
+    """Whether the square of a length counts as zero, and the square, or 1 where it does: the root has a gradient."""
     square = x * x + y * y
     zero = square < TINY
-    scale = jnp.where(zero, 0.0, 1.0 / jnp.sqrt(jnp.where(zero, 1.0, square)))
-    return x * scale, y * scale
+    return zero, jnp.where(zero, 1.0, square)
 
 
 def rotate(x: Array, y: Array, cosine: Array, sine: Array) -> tuple[Array, Array]:
@@ -44,10 +49,12 @@ def rotate(x: Array, y: Array, cosine: Array, sine: Array) -> tuple[Array, Array
 
 def ground_velocity(robot: Robot) -> Float[Array, "... 2"]:
     """Velocity [m/s] of a robot over the ground; of a differential drive it is along the heading."""
-    along = robot.speed[..., None] * robot.heading
+    forward = robot.speed[..., None] * robot.heading
     if robot.sideways is None:
-        return along
-    return along + robot.sideways[..., None] * jnp.stack([-robot.heading[..., 1], robot.heading[..., 0]], -1)
+        return forward
+    sideways = robot.sideways[..., None]
+    left = jnp.stack([-robot.heading[..., 1], robot.heading[..., 0]], -1)
+    return forward + sideways * left
 
 
 def sum_vectors(x: Array, y: Array, axis: int) -> tuple[Array, Array]:
@@ -60,20 +67,23 @@ def sum_vectors(x: Array, y: Array, axis: int) -> tuple[Array, Array]:
     return total.real, total.imag
 
 
-def sum_in_pairs(parts: Sequence[Array], axis: int) -> tuple[Array, ...]:
+def sum_in_pairs(arrays: Sequence[Array], axis: int) -> tuple[Array, ...]:
     """Sum each of several arrays along an axis, two at a time as ``sum_vectors`` does."""
-    parts = tuple(parts)
-    sums = [sum_vectors(parts[i], parts[i + 1], axis) for i in range(0, len(parts) - 1, 2)]
-    last = (parts[-1].sum(axis),) if len(parts) % 2 else ()
-    return (*(part for pair in sums for part in pair), *last)
+    sums = []
+    for i in range(0, len(arrays) - 1, 2):
+        sums.extend(sum_vectors(arrays[i], arrays[i + 1], axis))
+    if len(arrays) % 2:
+        sums.append(arrays[-1].sum(axis))
+    return tuple(sums)
 
 
 def unit_vectors(vectors: Float[Array, "*batch 2"], default: Float[Array, "*default 2"]) -> Float[Array, "*batch 2"]:
     """Vectors scaled to length one; ``default``, which broadcasts, where they are shorter than 1e-12."""
-    x, y = vectors[..., 0], vectors[..., 1]
-    ux, uy = unit(x, y)
+    x = vectors[..., 0]
+    y = vectors[..., 1]
+    scaled = unit(x, y)
     zero = x * x + y * y < TINY
-    return jnp.where(zero[..., None], default, jnp.stack([ux, uy], -1))
+    return jnp.where(zero[..., None], default, jnp.stack(scaled, -1))
 
 
 def angle_between(heading: Float[Array, "*batch 2"], target: Float[Array, "*other 2"]) -> Float[Array, "..."]:
@@ -90,68 +100,98 @@ def from_box(x: Array, y: Array, box: Obstacles) -> tuple[Array, Array, Array]:
     The box's fields broadcast with x and y. Outside, the normal points from the nearest point of the box to the point;
     inside, out of the nearest side.
     """
-    center, half = box.center, box.half_extent
-    return from_rectangle(
-        x, y, center[..., 0], center[..., 1], half[..., 0], half[..., 1], jnp.cos(box.yaw), jnp.sin(box.yaw)
-    )
+    cx = box.center[..., 0]
+    cy = box.center[..., 1]
+    hx = box.half_extent[..., 0]
+    hy = box.half_extent[..., 1]
+    return from_rectangle(x, y, cx, cy, hx, hy, jnp.cos(box.yaw), jnp.sin(box.yaw))
 
 
 def from_rectangle(
     x: Array, y: Array, cx: Array, cy: Array, hx: Array, hy: Array, cosine: Array, sine: Array
 ) -> tuple[Array, Array, Array]:
     """``from_box`` of a box in components: its centre cx, cy, half extent hx, hy [m], cosine and sine of its yaw."""
+    # The box's own axes u and v, in which it is |u| <= hx, |v| <= hy.
     u, v = rotate(x - cx, y - cy, cosine, -sine)
-    side_u, side_v = jnp.where(u < 0, -1.0, 1.0), jnp.where(v < 0, -1.0, 1.0)
-    over_u, over_v = jnp.abs(u) - hx, jnp.abs(v) - hy
-    out_u, out_v = jnp.maximum(over_u, 0.0), jnp.maximum(over_v, 0.0)
+    side_u = jnp.where(u < 0, -1.0, 1.0)
+    side_v = jnp.where(v < 0, -1.0, 1.0)
+    beyond_u = jnp.abs(u) - hx
+    beyond_v = jnp.abs(v) - hy
+
+    # Outside, the nearest point is on a side or a corner; the inner ``where`` keeps the gradient finite inside.
+    out_u = jnp.maximum(beyond_u, 0.0)
+    out_v = jnp.maximum(beyond_v, 0.0)
     square = out_u * out_u + out_v * out_v
     outside = square > TINY
     inverse = jax.lax.rsqrt(jnp.where(outside, square, 1.0))
-    by_u = over_u > over_v
-    nu = jnp.where(outside, out_u * inverse, jnp.where(by_u, 1.0, 0.0)) * side_u
-    nv = jnp.where(outside, out_v * inverse, jnp.where(by_u, 0.0, 1.0)) * side_v
-    distance = jnp.where(outside, square * inverse, jnp.maximum(over_u, over_v))
-    return distance, *rotate(nu, nv, cosine, sine)
+
+    # Inside, the normal points out of the nearest side.
+    by_u = beyond_u > beyond_v
+    normal_u = jnp.where(outside, out_u * inverse, jnp.where(by_u, 1.0, 0.0)) * side_u
+    normal_v = jnp.where(outside, out_v * inverse, jnp.where(by_u, 0.0, 1.0)) * side_v
+    distance = jnp.where(outside, square * inverse, jnp.maximum(beyond_u, beyond_v))
+    return distance, *rotate(normal_u, normal_v, cosine, sine)
 
 
 def signed_distances(
     environment: Environment, points: Float[Array, "P 2"]
 ) -> tuple[Float[Array, "P"], Float[Array, "P"]]:
     """Signed distances [m] to the nearest obstacle (inf without any) and to the edge of the floor, negative beyond."""
-    x, y = points[:, 0], points[:, 1]
-    each_box = jax.vmap(lambda px, py, box: from_box(px, py, box)[0], in_axes=(None, None, 0))
-    to_boxes = jax.vmap(each_box, in_axes=(0, 0, None))(x, y, environment.obstacles)  # (P, W) m
-    return jnp.min(to_boxes, axis=1, initial=jnp.inf), to_edge(environment, x, y)
+    x = points[:, 0]
+    y = points[:, 1]
+    to_all_boxes = jax.vmap(_distance_to_box, in_axes=(None, None, 0))
+    distances = jax.vmap(to_all_boxes, in_axes=(0, 0, None))(x, y, environment.obstacles)  # (P, W) m
+    return jnp.min(distances, axis=1, initial=jnp.inf), to_edge(environment, x, y)
+
+
+def _distance_to_box(x: Array, y: Array, box: Obstacles) -> Array:
+    return from_box(x, y, box)[0]
 
 
 def signed_distances_on_host(
     environment: Environment, points: np.ndarray
 ) -> tuple[Float[np.ndarray, "P"], Float[np.ndarray, "P"]]:
     """``signed_distances`` by numpy in double precision: nothing is compiled for a call that happens once."""
-    points, floor = np.asarray(points, float), np.asarray(environment.floor, float)
-    parts = np.array_split(points, max(1, len(points) // HOST_BATCH))
-    to_boxes = [_distances_to_boxes(environment.obstacles, part).min(1, initial=np.inf) for part in parts]
-    return np.concatenate(to_boxes), np.minimum(points - floor[:2], floor[2:] - points).min(1)
+    points = np.asarray(points, float)
+    floor = np.asarray(environment.floor, float)
+    batches = np.array_split(points, max(1, len(points) // HOST_BATCH))  # few points at once, as W may be large
+    to_boxes = [_distances_to_boxes(environment.obstacles, batch).min(1, initial=np.inf) for batch in batches]
+    to_edges = np.minimum(points - floor[:2], floor[2:] - points)  # (P, 2) m, in x and in y
+    return np.concatenate(to_boxes), to_edges.min(1)
 
 
 def _distances_to_boxes(boxes: Obstacles, points: np.ndarray) -> np.ndarray:
     """(P, W) signed distances [m] from each box to the points (P, 2) [m], negative inside, by numpy."""
-    center, half, yaw = (np.asarray(part, float) for part in (boxes.center, boxes.half_extent, boxes.yaw))
-    cosine, sine = np.cos(yaw), np.sin(yaw)
-    x, y = points[:, None, 0] - center[:, 0], points[:, None, 1] - center[:, 1]
-    u, v = np.abs(cosine * x + sine * y) - half[:, 0], np.abs(cosine * y - sine * x) - half[:, 1]
-    return np.hypot(np.maximum(u, 0.0), np.maximum(v, 0.0)) + np.minimum(np.maximum(u, v), 0.0)
+    center = np.asarray(boxes.center, float)
+    half = np.asarray(boxes.half_extent, float)
+    yaw = np.asarray(boxes.yaw, float)
+    cosine = np.cos(yaw)
+    sine = np.sin(yaw)
+
+    # How far a point is beyond the sides, along the box's own axes u and v.
+    x = points[:, None, 0] - center[:, 0]  # (P, W)
+    y = points[:, None, 1] - center[:, 1]
+    beyond_u = np.abs(cosine * x + sine * y) - half[:, 0]
+    beyond_v = np.abs(cosine * y - sine * x) - half[:, 1]
+
+    outside = np.hypot(np.maximum(beyond_u, 0.0), np.maximum(beyond_v, 0.0))
+    inside = np.minimum(np.maximum(beyond_u, beyond_v), 0.0)
+    return outside + inside
 
 
 def to_edge(environment: Environment, x: Array, y: Array) -> Array:
     """Signed distance [m] from (x, y) [m] to the nearest edge of the floor, negative beyond it."""
     x_min, y_min, x_max, y_max = environment.floor
-    return jnp.minimum(jnp.minimum(x - x_min, x_max - x), jnp.minimum(y - y_min, y_max - y))
+    in_x = jnp.minimum(x - x_min, x_max - x)
+    in_y = jnp.minimum(y - y_min, y_max - y)
+    return jnp.minimum(in_x, in_y)
 
 
 def to_border(environment: Environment, x: Array, y: Array) -> Array:
     """``to_edge`` where the edge stops people and robots; inf where the floor is open."""
-    return jnp.full_like(x, jnp.inf) if environment.open else to_edge(environment, x, y)
+    if environment.open:
+        return jnp.full_like(x, jnp.inf)
+    return to_edge(environment, x, y)
 
 
 def crosses_box(px: Array, py: Array, qx: Array, qy: Array, box: Obstacles, radius: Array | float) -> Array:
@@ -160,24 +200,38 @@ def crosses_box(px: Array, py: Array, qx: Array, qy: Array, box: Obstacles, radi
     The test is exact, by separating axes: the nearest pair of points is an end of the segment with a point of the box,
     or a corner of the box with a point between the ends. So three directions decide.
     """
-    cosine, sine = jnp.cos(box.yaw), jnp.sin(box.yaw)
-    hu, hv = box.half_extent[..., 0], box.half_extent[..., 1]
+    cosine = jnp.cos(box.yaw)
+    sine = jnp.sin(box.yaw)
+    hu = box.half_extent[..., 0]
+    hv = box.half_extent[..., 1]
     pu, pv = rotate(px - box.center[..., 0], py - box.center[..., 1], cosine, -sine)
     qu, qv = rotate(qx - box.center[..., 0], qy - box.center[..., 1], cosine, -sine)
-    du, dv = qu - pu, qv - pv
+
+    # Across the segment: its line passes all corners at the radius or more.
+    du = qu - pu
+    dv = qv - pv
     square = du * du + dv * dv
-    over = jnp.abs(qu * dv - qv * du) - hu * jnp.abs(dv) - hv * jnp.abs(du)
-    beside = (square > 0.0) & (over >= radius * jnp.sqrt(square))
-    return ~(beside | _separated(pu, pv, qu, qv, hu, hv, radius) | _separated(qu, qv, pu, pv, hu, hv, radius))
+    to_center = jnp.abs(qu * dv - qv * du)  # times the length, as are the others
+    beyond = to_center - hu * jnp.abs(dv) - hv * jnp.abs(du)
+    beside = (square > 0.0) & (beyond >= radius * jnp.sqrt(square))
+
+    # From the box to each end.
+    apart = beside | _separated(pu, pv, qu, qv, hu, hv, radius)
+    apart = apart | _separated(qu, qv, pu, pv, hu, hv, radius)
+    return ~apart
 
 
 def _separated(pu, pv, qu, qv, hu, hv, radius) -> Array:
     """Whether p and q are both ``radius`` away from the rectangle |u| < hu, |v| < hv, in the direction from it to p."""
-    nu, nv = jnp.clip(pu, -hu, hu), jnp.clip(pv, -hv, hv)
-    ou, ov = pu - nu, pv - nv
-    square = ou * ou + ov * ov
+    nearest_u = jnp.clip(pu, -hu, hu)
+    nearest_v = jnp.clip(pv, -hv, hv)
+    du = pu - nearest_u
+    dv = pv - nearest_v
+    square = du * du + dv * dv
     limit = radius * jnp.sqrt(square)
-    return (square > 0.0) & (square >= limit) & ((qu - nu) * ou + (qv - nv) * ov >= limit)
+    p_is_apart = (square > 0.0) & (square >= limit)
+    along = (qu - nearest_u) * du + (qv - nearest_v) * dv  # times the distance of p
+    return p_is_apart & (along >= limit)
 
 
 # ------------------------------------------------------------------ obstacles by cell
@@ -193,35 +247,48 @@ def build_obstacle_grid(obstacles: Obstacles, floor: Float[Array, "4"], cell: fl
     Raises:
         InputError: too many obstacles lie near one place to fit in memory.
     """
-    lower, upper = np.asarray(floor, float)[:2], np.asarray(floor, float)[2:]
-    cell = max(cell, float(np.sqrt(np.prod(upper - lower) / MAX_CELLS)))
-    count = np.maximum(1, np.ceil((upper - lower) / cell).astype(int))
-    x = lower[0] + (np.arange(count[0]) + 0.5) * cell
-    y = lower[1] + (np.arange(count[1]) + 0.5) * cell
-    near = np.zeros((*count, len(np.asarray(obstacles.yaw))), bool)
-    for i in range(count[0]):  # by column: large floors would need too much memory at once
-        column = np.stack([np.full_like(y, x[i]), y], -1)
-        near[i] = _distances_to_boxes(obstacles, column) <= REACH + cell / np.sqrt(2)
+    lower = np.asarray(floor, float)[:2]
+    size = np.asarray(floor, float)[2:] - lower
+    cell = max(cell, float(np.sqrt(np.prod(size) / MAX_CELLS)))
+    shape = np.maximum(1, np.ceil(size / cell).astype(int))
+    near = _obstacles_near_cells(obstacles, lower, cell, shape)
     rows_max = max(1, int(near.sum(-1).max(initial=0)))
-    if count[0] * count[1] * rows_max > MAX_ROWS:
+    if shape[0] * shape[1] * rows_max > MAX_ROWS:
         raise InputError(f"up to {rows_max} obstacles are within {REACH:g} m of one place; use fewer and larger boxes.")
-    rows = np.zeros((*count, rows_max, 6))
-    rows[..., 0], rows[..., 1], rows[..., 4] = FAR, FAR, 1.0
+
+    # Cells with fewer obstacles than others have boxes far away.
+    rows = np.zeros((*shape, rows_max, 6))
+    rows[..., 0] = FAR
+    rows[..., 1] = FAR
+    rows[..., 4] = 1.0  # cosine of the yaw
     yaw = np.asarray(obstacles.yaw, float)[:, None]
-    table = np.concatenate([obstacles.center, obstacles.half_extent, np.cos(yaw), np.sin(yaw)], 1)
+    table = np.concatenate([obstacles.center, obstacles.half_extent, np.cos(yaw), np.sin(yaw)], 1)  # (W, 6)
     for i, j in np.argwhere(near.any(-1)):
         index = np.flatnonzero(near[i, j])
         rows[i, j, : len(index)] = table[index]
     return ObstacleGrid(*to_device((rows, lower, np.asarray(cell))))
 
 
+def _obstacles_near_cells(obstacles: Obstacles, lower: np.ndarray, cell: float, shape: np.ndarray) -> np.ndarray:
+    """(X, Y, W) bool, whether an obstacle may be within ``REACH`` of a point of a cell."""
+    x = lower[0] + (np.arange(shape[0]) + 0.5) * cell  # of the middles of the cells
+    y = lower[1] + (np.arange(shape[1]) + 0.5) * cell
+    near = np.zeros((*shape, len(np.asarray(obstacles.yaw))), bool)
+    for i in range(shape[0]):  # by column: large floors would need too much memory at once
+        column = np.stack([np.full_like(y, x[i]), y], -1)  # (Y, 2)
+        near[i] = _distances_to_boxes(obstacles, column) <= REACH + cell / np.sqrt(2)
+    return near
+
+
 def obstacle_cells(
     grid: ObstacleGrid, x: Float[Array, "*places"], y: Float[Array, "*places"]
 ) -> tuple[Int[Array, "*places"], Int[Array, "*places"]]:
     """The grid's cell of each place x, y [m], or the nearest cell for places off the grid."""
-    max_x, max_y = grid.rows.shape[0] - 1, grid.rows.shape[1] - 1
-    i = jnp.clip(jnp.floor((x - grid.origin[0]) / grid.cell).astype(jnp.int32), 0, max_x)
-    j = jnp.clip(jnp.floor((y - grid.origin[1]) / grid.cell).astype(jnp.int32), 0, max_y)
+    columns, rows = grid.rows.shape[:2]
+    i = jnp.floor((x - grid.origin[0]) / grid.cell).astype(jnp.int32)
+    i = jnp.clip(i, 0, columns - 1)
+    j = jnp.floor((y - grid.origin[1]) / grid.cell).astype(jnp.int32)
+    j = jnp.clip(j, 0, rows - 1)
     return i, j
 
 

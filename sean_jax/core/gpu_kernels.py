@@ -66,8 +66,8 @@ def batch(call: Call, outputs: int) -> Call:
     @launch.def_vmap
     def _(size: int, batched: list[bool], *operands: Array) -> tuple[tuple[Array, ...], tuple[bool, ...]]:
         merged = []
-        for operand, one in zip(operands, batched, strict=True):
-            if not one and operand.shape[0] > 1:
+        for operand, is_batched in zip(operands, batched, strict=True):
+            if not is_batched and operand.shape[0] > 1:
                 operand = jnp.broadcast_to(operand, (size, *operand.shape))
             merged.append(operand.reshape(-1, operand.shape[-1]))  # rows that are shared are not copied
         results = tuple(out.reshape(size, -1, out.shape[-1]) for out in launch(*merged))
@@ -79,37 +79,44 @@ def batch(call: Call, outputs: int) -> Call:
 def _even(operands: Sequence[Array]) -> list[Array]:
     """The operands, with rows of their own for all scenarios where devices would not have equally many rows."""
     scenarios = max(operand.shape[0] for operand in operands)
-    return [
-        operand
-        if operand.shape[0] in (1, scenarios) or operand.shape[0] % jax.device_count() == 0
-        else jnp.repeat(operand, scenarios // operand.shape[0], axis=0)
-        for operand in operands
-    ]
+    even = []
+    for operand in operands:
+        rows = operand.shape[0]
+        if rows not in (1, scenarios) and rows % jax.device_count() != 0:
+            operand = jnp.repeat(operand, scenarios // rows, axis=0)
+        even.append(operand)
+    return even
 
 
 def _split(call: Call, outputs: int, operands: Sequence[Array]) -> Call:
     """The call for devices that share the scenarios. XLA, which cannot look into it, would run all on each device."""
     split_call = custom_partitioning(lambda *operands: call(*operands))  # it refuses a partial
-    of_all = [operand.shape[0] == 1 for operand in operands]
+    shared = [operand.shape[0] == 1 for operand in operands]  # one row for all scenarios
 
-    def partition(mesh: Mesh, given: Sequence, results: Sequence) -> tuple:
+    def partition(mesh: Mesh, arguments: Sequence, results: Sequence) -> tuple:
         split = results[0].sharding
         whole = NamedSharding(split.mesh, PartitionSpec())
-        arguments = tuple(whole if one else split for one in of_all)
-        return mesh, call, tuple(split for _ in results), arguments
+        shardings = tuple(whole if is_shared else split for is_shared in shared)
+        return mesh, call, tuple(split for _ in results), shardings
 
+    # The rule names the axes of each operand; those that devices need as a whole are listed.
     scenarios = max(operand.shape[0] for operand in operands)
-    rows = [
-        f"one{i}" if one else "scenarios" if operand.shape[0] == scenarios else f"part{i}"
-        for i, (one, operand) in enumerate(zip(of_all, operands, strict=True))
-    ]
-    axes = [(name, f"column{i}") for i, name in enumerate(rows)]
-    arguments, results = (
-        ", ".join(" ".join(each) for each in side) for side in (axes, [("scenarios", "result")] * outputs)
+    axes = []
+    whole = []
+    for i, (is_shared, operand) in enumerate(zip(shared, operands, strict=True)):
+        if is_shared:
+            rows = f"one{i}"
+            whole.append(rows)
+        else:
+            rows = "scenarios" if operand.shape[0] == scenarios else f"part{i}"
+        axes.append(f"{rows} column{i}")
+        whole.append(f"column{i}")
+    results = ", ".join(["scenarios result"] * outputs)
+    split_call.def_partition(
+        partition,
+        sharding_rule=f"{', '.join(axes)} -> {results}",
+        need_replication_factors=(*whole, "result"),
     )
-    whole = [name for each in axes for name in each if name != "scenarios" and not name.startswith("part")]
-    factors = (*whole, "result")
-    split_call.def_partition(partition, sharding_rule=f"{arguments} -> {results}", need_replication_factors=factors)
     return split_call
 
 
@@ -223,9 +230,9 @@ def elementwise(program: ClosedJaxpr) -> bool:
         if inner is not None:
             if not elementwise(inner):
                 return False
-        elif equation.primitive.name not in PRIMITIVES or any(
-            getattr(var.aval, "shape", ()) for var in equation.outvars
-        ):
+        elif equation.primitive.name not in PRIMITIVES:
+            return False
+        elif any(getattr(var.aval, "shape", ()) for var in equation.outvars):
             return False
     return True
 
@@ -247,7 +254,8 @@ def evaluate(program: ClosedJaxpr, *values: Any) -> list:
 
     for equation in program.jaxpr.eqns:
         arguments = list(map(read, equation.invars))
-        inner, name = _inner(equation), equation.primitive.name
+        inner = _inner(equation)
+        name = equation.primitive.name
         if inner is not None:
             results = evaluate(inner, *arguments)
         elif name == "convert_element_type":

@@ -30,9 +30,8 @@ def truncate(state: State, every: int) -> State:
 
 def damp(state: State, factor: Float[Array, ""] | float) -> State:
     """Multiplies the derivative by a factor from 0 to 1: n steps back it is ``factor ** n``; 0 ends it here."""
-    return _with_moving(
-        state, jax.tree.map(lambda leaf: _scaled(leaf, jnp.asarray(factor, leaf.dtype)), _moving(state))
-    )
+    moving = jax.tree.map(lambda leaf: _scaled(leaf, jnp.asarray(factor, leaf.dtype)), _moving(state))
+    return _with_moving(state, moving)
 
 
 def clip(state: State, limit: Float[Array, ""] | float) -> State:
@@ -48,16 +47,18 @@ def clip(state: State, limit: Float[Array, ""] | float) -> State:
 def _moving(state: State) -> tuple[list[Array], list[Array]]:
     """The moving leaves (N, ...) of people and (...) of the robot."""
     people = [getattr(state.pedestrians, name) for name in MOVING]
-    return people, [leaf for leaf in jax.tree.leaves(state.robot) if _is_float(leaf)]
+    robot = [leaf for leaf in jax.tree.leaves(state.robot) if _is_float(leaf)]
+    return people, robot
 
 
 def _with_moving(state: State, moving: tuple[list[Array], list[Array]]) -> State:
+    """The state with other moving leaves."""
     people, robot = moving
+    fields = dict(zip(MOVING, people, strict=True))
+    floats = iter(robot)
     leaves, structure = jax.tree.flatten(state.robot)
-    rest = iter(robot)
-    leaves = [next(rest) if _is_float(leaf) else leaf for leaf in leaves]
-    pedestrians = replace(state.pedestrians, **dict(zip(MOVING, people, strict=True)))
-    return replace(state, pedestrians=pedestrians, robot=structure.unflatten(leaves))
+    leaves = [next(floats) if _is_float(leaf) else leaf for leaf in leaves]
+    return replace(state, pedestrians=replace(state.pedestrians, **fields), robot=structure.unflatten(leaves))
 
 
 def _is_float(leaf: Array) -> bool:
@@ -80,12 +81,15 @@ def _same(limit: Array, moving: PyTree) -> PyTree:
 
 
 def _clipped(limit: Array, cotangents: tuple[list[Array], list[Array]]) -> tuple[list[Array], list[Array]]:
+    """The cotangents of people and of the robot, each body's shortened to the limit."""
     people, robot = cotangents
-    square = jnp.stack([jnp.square(leaf).reshape(leaf.shape[0], -1).sum(1) for leaf in people]).sum(0)
-    scale = _shorter(square, limit)
-    by_person = [leaf * scale.reshape(-1, *[1] * (leaf.ndim - 1)) for leaf in people]
-    scale = _shorter(jnp.stack([jnp.square(leaf).sum() for leaf in robot]).sum(0), limit)
-    return by_person, [leaf * scale for leaf in robot]
+    by_leaf = [jnp.square(leaf).reshape(leaf.shape[0], -1).sum(1) for leaf in people]  # (N,) each
+    scale = _shorter(jnp.stack(by_leaf).sum(0), limit)
+    shortened = [leaf * scale.reshape(-1, *[1] * (leaf.ndim - 1)) for leaf in people]
+
+    by_leaf = [jnp.square(leaf).sum() for leaf in robot]
+    scale = _shorter(jnp.stack(by_leaf).sum(0), limit)
+    return shortened, [leaf * scale for leaf in robot]
 
 
 def _shorter(square: Array, limit: Array) -> Array:
@@ -135,15 +139,22 @@ def _compute(*values: PyTree, forward: Direction, backward: Direction, number: i
 
 
 def _jvp(values: tuple, tangents: tuple, *, forward: Direction, backward: Direction, number: int) -> tuple:
-    directions = {"forward": forward, "backward": backward, "number": number}
-    constants, arguments = values[:number], values[number:]
+    constants = values[:number]
+    arguments = values[number:]
+    tangents_of_constants = tangents[:number]
     changes = [ad.instantiate_zeros(tangent) for tangent in tangents]
-    results, change = _linear.bind(*values, **directions), _linear.bind(*constants, *changes[number:], **directions)
-    if not all(isinstance(tangent, ad.Zero) for tangent in tangents[:number]):  # of a derivative
-        by_constants = lambda *constants: forward.function(list(constants), list(arguments))  # noqa: E731
-        _, by_constant = jax.jvp(by_constants, constants, tuple(changes[:number]))
-        change = [one + other for one, other in zip(change, by_constant, strict=True)]
-    return results, change
+    directions = {"forward": forward, "backward": backward, "number": number}
+    results = _linear.bind(*values, **directions)
+    change = _linear.bind(*constants, *changes[number:], **directions)
+    if all(isinstance(tangent, ad.Zero) for tangent in tangents_of_constants):
+        return results, change
+
+    # In the derivative of a derivative the constants change, too, and the function need not be linear in them.
+    def function(*constants: Array) -> list:
+        return forward.function(list(constants), list(arguments))
+
+    _, by_constants = jax.jvp(function, constants, tuple(changes[:number]))
+    return results, [term + other for term, other in zip(change, by_constants, strict=True)]
 
 
 def _transpose(cotangents: list, *values: PyTree, forward: Direction, backward: Direction, number: int) -> list:
@@ -153,15 +164,19 @@ def _transpose(cotangents: list, *values: PyTree, forward: Direction, backward: 
 
 
 def _batch(values: tuple, axes: tuple, *, forward: Direction, backward: Direction, number: int) -> tuple:
-    size = next(value.shape[axis] for value, axis in zip(values, axes, strict=True) if axis is not None)
-    arguments = [batching.bdim_at_front(*one, size) for one in zip(values[number:], axes[number:], strict=True)]
+    sizes = (value.shape[axis] for value, axis in zip(values, axes, strict=True) if axis is not None)
+    size = next(sizes)
+    constants = values[:number]
+    axes_of_constants = list(axes[:number])
+    pairs = zip(values[number:], axes[number:], strict=True)
+    arguments = [batching.bdim_at_front(value, axis, size) for value, axis in pairs]
 
     def batched(direction: Direction) -> Direction:
-        results = tuple(ShapedArray((size, *one.shape), one.dtype) for one in direction.results)
-        return Direction(jax.vmap(direction.function, (list(axes[:number]), 0)), results)
+        results = tuple(ShapedArray((size, *result.shape), result.dtype) for result in direction.results)
+        return Direction(jax.vmap(direction.function, (axes_of_constants, 0)), results)
 
-    directions = {"forward": batched(forward), "backward": batched(backward), "number": number}
-    return _linear.bind(*values[:number], *arguments, **directions), [0] * len(forward.results)
+    outputs = _linear.bind(*constants, *arguments, forward=batched(forward), backward=batched(backward), number=number)
+    return outputs, [0] * len(forward.results)
 
 
 _linear = Primitive("linear")

@@ -75,8 +75,11 @@ def _check_depth(value: Any) -> None:
     for _ in range(MAX_DEPTH):
         if not level:
             return
-        inside = (each.values() if isinstance(each, dict) else each for each in level)
-        level = [part for parts in inside for part in parts if isinstance(part, dict | list)]
+        deeper = []
+        for value in level:
+            values = value.values() if isinstance(value, dict) else value
+            deeper += [inner for inner in values if isinstance(inner, dict | list)]
+        level = deeper
     raise ValueError("values are nested too deeply")
 
 
@@ -136,12 +139,14 @@ def error_clause(
         choices: of a Literal.
         keys: that a mapping may have, for an unknown key; a ``hint`` at the right one replaces their list.
     """
-    kind, context = error["type"], error.get("ctx", {})
+    kind = error["type"]
+    context = error.get("ctx", {})
     value = "an empty value" if error["input"] is None else shorten(repr(error["input"]))
     if kind == "missing":
         return "one value more is needed" if isinstance(error["loc"][-1], int) else "is missing; add it"
     if kind == "extra_forbidden":
-        key, keys = str(error["loc"][-1]), list(keys)
+        key = str(error["loc"][-1])
+        keys = list(keys)
         cure = hint or suggest(key, keys) or f"; there are {', '.join(keys)}"
         return f"{shorten(repr(key))} is not a known key{cure}"
     if kind == "literal_error":

@@ -43,23 +43,29 @@ class FlatTable:
 
     def row(self, index: tuple[Array, ...], size: int) -> Shaped[Array, "{size}"]:
         """So many numbers along the last axis; those after the end of the row may be any."""
-        return jax.lax.dynamic_slice(self.values, (self._place((*index, jnp.zeros((), jnp.int32))),), (size,))
+        begin = self._place((*index, jnp.zeros((), jnp.int32)))
+        return jax.lax.dynamic_slice(self.values, (begin,), (size,))
 
     def on_host(self) -> np.ndarray:
         """The table as an array of numpy."""
-        shape, start = np.asarray(self.shape), int(self.start)
-        return np.asarray(self.values)[start : start + int(np.prod(shape))].reshape(shape)
+        shape = np.asarray(self.shape)
+        start = int(self.start)
+        end = start + int(np.prod(shape))
+        return np.asarray(self.values)[start:end].reshape(shape)
 
     def _place(self, index: tuple[Array, ...]) -> Array:
-        place, *others = (jnp.asarray(each, jnp.int32) for each in index)
-        for axis, each in enumerate(others, 1):
-            place = place * self.shape[axis] + each
-        return self.start + place
+        """Where the number at an index is in ``values``."""
+        offset, *others = (jnp.asarray(axis_index, jnp.int32) for axis_index in index)
+        for axis, axis_index in enumerate(others, 1):
+            offset = offset * self.shape[axis] + axis_index
+        return self.start + offset
 
 
 def flat_table(array: np.ndarray) -> FlatTable:
     """The flat table of an array, on the default device."""
-    return FlatTable(*to_device((np.ravel(array), np.zeros((), np.int32), np.asarray(array.shape, np.int32))))
+    start = np.zeros((), np.int32)
+    shape = np.asarray(array.shape, np.int32)
+    return FlatTable(*to_device((np.ravel(array), start, shape)))
 
 
 def join_tables(trees: Sequence[Any]) -> list[Any]:
@@ -68,24 +74,35 @@ def join_tables(trees: Sequence[Any]) -> list[Any]:
     Raises:
         InputError: there are too many.
     """
-    each = [jax.tree.flatten(tree, is_leaf=_is_table) for tree in trees]
-    memo: dict[tuple[int, ...], np.ndarray] = {}
-    for place, tables in enumerate(zip(*(leaves for leaves, _ in each), strict=True)):
+    flattened = [jax.tree.flatten(tree, is_leaf=_is_table) for tree in trees]
+    memo: dict[tuple[int, ...], np.ndarray] = {}  # ids of the tables' values -> joined values
+    for index, tables in enumerate(zip(*(leaves for leaves, _ in flattened), strict=True)):
         if not _is_table(tables[0]):
             continue
         key = tuple(id(table.values) for table in tables)
         sizes = [int(np.prod(table.shape)) for table in tables]
-        longest = max(int(table.shape[-1]) for table in tables)  # rows of all floors are read in this length
-        if sum(sizes) + longest > MAX_NUMBERS:
-            what = f"tables of {len(trees)} floors have {sum(sizes):,} numbers, and {MAX_NUMBERS:,} are the most"
-            raise InputError(f"environment: {what}; take fewer or smaller floors.")
         if key not in memo:
-            parts = [np.asarray(table.values) for table in tables]
-            memo[key] = np.concatenate([*parts, np.zeros(longest, parts[0].dtype)])
+            memo[key] = _joined_values(tables, sizes)
         starts = np.cumsum([0, *sizes[:-1]]).astype(np.int32)
-        for (leaves, _), table, start in zip(each, tables, starts, strict=True):
-            leaves[place] = dataclasses.replace(table, values=memo[key], start=start, shape=np.asarray(table.shape))
-    return [jax.tree.unflatten(structure, leaves) for leaves, structure in each]
+        for (leaves, _), table, start in zip(flattened, tables, starts, strict=True):
+            leaves[index] = dataclasses.replace(table, values=memo[key], start=start, shape=np.asarray(table.shape))
+    return [jax.tree.unflatten(structure, leaves) for leaves, structure in flattened]
+
+
+def _joined_values(tables: Sequence[FlatTable], sizes: Sequence[int]) -> np.ndarray:
+    """The values of tables, one after the other, and room behind the last row.
+
+    Raises:
+        InputError: there are too many.
+    """
+    longest = max(int(table.shape[-1]) for table in tables)  # rows of all floors are read in this length
+    if sum(sizes) + longest > MAX_NUMBERS:
+        raise InputError(
+            f"environment: tables of {len(tables)} floors have {sum(sizes):,} numbers, and {MAX_NUMBERS:,} are the "
+            "most; take fewer or smaller floors."
+        )
+    values = [np.asarray(table.values) for table in tables]
+    return np.concatenate([*values, np.zeros(longest, values[0].dtype)])
 
 
 def _is_table(value: Any) -> bool:
@@ -112,20 +129,23 @@ def pad(tree: Any, sizes: Sizes) -> Any:
 
 def _pad(tree: Any, sizes: Sizes, memo: dict[tuple, np.ndarray]) -> Any:
     if isinstance(tree, tuple | list):
-        values = [_pad(each, sizes, memo) for each in tree]
+        values = [_pad(value, sizes, memo) for value in tree]
         return type(tree)(*values) if hasattr(tree, "_fields") else type(tree)(values)
     if isinstance(tree, dict):
         return {key: _pad(value, sizes, memo) for key, value in tree.items()}
     if not dataclasses.is_dataclass(tree) or isinstance(tree, type | FlatTable):
         return tree
-    name, changed = type(tree).__name__, {}
+
+    name = type(tree).__name__
+    changed: dict[str, Any] = {}
     for field, value, axes in _fields(tree):
         if axes is None:
             changed[field.name] = _pad(value, sizes, memo)
-        elif any((name, axis) in sizes for axis in axes):
-            shape: tuple[int, ...] = value.shape
-            target = tuple(sizes.get((name, axis), size) for axis, size in zip(axes, shape, strict=True))
-            key = id(value), target
+            continue
+        shape: tuple[int, ...] = value.shape
+        target = tuple(sizes.get((name, axis), size) for axis, size in zip(axes, shape, strict=True))
+        if any((name, axis) in sizes for axis in axes):
+            key = id(value), target  # an array that is in several places stays one
             if key not in memo:
                 memo[key] = _padded(np.asarray(value), target, axes, field.metadata.get("pad", 0))
             changed[field.name] = memo[key]
@@ -136,27 +156,33 @@ def _pad(tree: Any, sizes: Sizes, memo: dict[tuple, np.ndarray]) -> Any:
 
 def in_programs(tables: Any) -> Any:
     """Tables with obstacles and arcs padded to a multiple, so that programs for the host serve many floors."""
-    sizes = {
-        axis: -(-size // MULTIPLES[axis[1]]) * MULTIPLES[axis[1]]
-        for axis, size in common_sizes([tables]).items()
-        if axis[1] in MULTIPLES
-    }
-    tables = jax.tree.map(_in_programs, pad(tables, sizes), is_leaf=_is_table)
-    return jax.tree.map(lambda part: part.astype(float) if part.dtype.kind == "f" else part, tables)
+    sizes = {}
+    for (name, axis), size in common_sizes([tables]).items():
+        if axis in MULTIPLES:
+            sizes[name, axis] = _next_multiple(size, MULTIPLES[axis])
+    padded = jax.tree.map(_with_room, pad(tables, sizes), is_leaf=_is_table)
+    return jax.tree.map(lambda leaf: leaf.astype(float) if leaf.dtype.kind == "f" else leaf, padded)
 
 
-def _in_programs(part: Any) -> Any:
-    """A flat table of arcs with room for a multiple of arcs along each axis."""
-    if not _is_table(part):
-        return part
-    room = np.prod(-(-np.asarray(part.shape) // MULTIPLES["V"]) * MULTIPLES["V"]) - len(part.values)
-    return dataclasses.replace(part, values=np.pad(np.asarray(part.values), (0, int(room))))
+def _next_multiple(size: Any, multiple: int) -> Any:
+    return -(-size // multiple) * multiple
+
+
+def _with_room(table: Any) -> Any:
+    """A flat table of arcs with room for a multiple of arcs along each axis; anything else as it is."""
+    if not _is_table(table):
+        return table
+    values = np.asarray(table.values)
+    size = np.prod(_next_multiple(np.asarray(table.shape), MULTIPLES["V"]))
+    return dataclasses.replace(table, values=np.pad(values, (0, int(size - len(values)))))
 
 
 def _padded(array: np.ndarray, target: tuple[int, ...], axes: tuple[str, ...], fill: Any) -> np.ndarray:
-    missing = [(0, size - old) for size, old in zip(target, array.shape, strict=True)]
-    edge = [width if axis in EDGE else (0, 0) for width, axis in zip(missing, axes, strict=True)]
-    array = np.pad(array, edge, mode="edge")
+    """An array of the target's shape with the array in its corner, and the fill elsewhere."""
+    repeats = []
+    for size, old, axis in zip(target, array.shape, axes, strict=True):
+        repeats.append((0, size - old) if axis in EDGE else (0, 0))
+    array = np.pad(array, repeats, mode="edge")
     result = np.empty(target, array.dtype)
     result[...] = fill
     result[tuple(slice(size) for size in array.shape)] = array
@@ -165,13 +191,15 @@ def _padded(array: np.ndarray, target: tuple[int, ...], axes: tuple[str, ...], f
 
 def _colors(solids: Any, sizes: Sizes) -> np.ndarray:
     """The colors of padded bodies: of boxes, then cylinders, then spheres."""
-    colors, parts, start = np.asarray(solids.color), [], 0
+    colors = np.asarray(solids.color)  # (S, 3)
+    padded = []
+    start = 0
     for kind in ("boxes", "cylinders", "spheres"):
-        number = len(getattr(solids, kind))
-        missing = sizes.get(("Solids", kind), number) - number
-        parts.append(np.pad(colors[start : start + number], [(0, missing), (0, 0)]))
-        start += number
-    return np.concatenate(parts)
+        end = start + len(getattr(solids, kind))
+        missing = sizes.get(("Solids", kind), end - start) - (end - start)
+        padded.append(np.pad(colors[start:end], [(0, missing), (0, 0)]))
+        start = end
+    return np.concatenate(padded)
 
 
 def _arrays(tree: Any) -> Iterator[tuple[str, Any, tuple[str, ...]]]:
@@ -188,7 +216,7 @@ def _arrays(tree: Any) -> Iterator[tuple[str, Any, tuple[str, ...]]]:
 
 
 def _fields(tree: Any) -> Iterator[tuple[dataclasses.Field, Any, tuple[str, ...] | None]]:
-    """Each field that is a node of the pytree, its value and letters of its axes; None for the letters of a part.
+    """Each field that is a node of the pytree, its value and letters of its axes; None for those of a tree.
 
     Axes before the annotated ones have the letters batch0, batch1 and so on.
     """
@@ -200,6 +228,6 @@ def _fields(tree: Any) -> Iterator[tuple[dataclasses.Field, Any, tuple[str, ...]
         letters = next((kind.dim_str.split() for kind in kinds if hasattr(kind, "dim_str")), None)
         if letters is None or not hasattr(value, "shape"):
             yield field, value, None
-        else:
-            more = value.ndim - len(letters)
-            yield field, value, (*(f"batch{i}" for i in range(more)), *letters)
+            continue
+        batch_axes = [f"batch{i}" for i in range(value.ndim - len(letters))]
+        yield field, value, (*batch_axes, *letters)

@@ -31,6 +31,8 @@ STANDARD = sysconfig.get_paths()["stdlib"] + os.sep
 MAX_TEXT = 200  # characters of a message of another's
 JAX = "jnp.where(condition, a, b) for if, &, | and ~ for and, or and not, jax.lax.while_loop for while"
 KINDS = {bool: "bool", float: "float"}  # of the elements of an array, as messages name them
+GENERICS = {bool: (np.bool_,), float: (np.floating,), None: (np.bool_, np.integer, np.floating)}
+"""Kind of elements -> its types in numpy."""
 
 
 def call(part: str, function: Callable, arguments: str, *values: Any) -> Any:
@@ -58,15 +60,15 @@ def check_array(
     Raises:
         PartError: it is none.
     """
-    array = isinstance(value, jax.Array | np.ndarray | np.generic | bool | int | float)
-    right = array and (shape is None or jnp.shape(value) == shape)
-    if right:
+    is_array = isinstance(value, jax.Array | np.ndarray | np.generic | bool | int | float)
+    if is_array and (shape is None or jnp.shape(value) == shape):
         dtype = jnp.result_type(value)
-        kinds = {bool: (np.bool_,), float: (np.floating,), None: (np.bool_, np.integer, np.floating)}[kind]
-        right = any(jnp.issubdtype(dtype, each) for each in kinds)
-    if not right:
-        expected = " ".join([KINDS.get(kind, "an array of numbers"), *([] if shape is None else [str(shape)])])
-        raise wrong(part, function, describe(value), expected, cure)
+        if any(jnp.issubdtype(dtype, generic) for generic in GENERICS[kind]):
+            return
+    expected = KINDS.get(kind, "an array of numbers")
+    if shape is not None:
+        expected = f"{expected} {shape}"
+    raise wrong(part, function, describe(value), expected, cure)
 
 
 def check_type(part: str, function: Callable, value: Any, kind: type, **sizes: int) -> None:
@@ -78,20 +80,23 @@ def check_type(part: str, function: Callable, value: Any, kind: type, **sizes: i
     if not isinstance(value, kind):
         raise wrong(part, function, describe(value), f"a {kind.__name__}", f"give a sean_jax.{kind.__name__}")
     known = dict(sizes)
-    for name, dims, kinds in _fields(kind):
+    for name, dims, dtypes in _fields(kind):
         field = getattr(value, name)
-        right = isinstance(field, jax.Array | np.ndarray | np.generic) and jnp.ndim(field) == len(dims)
-        if right:
-            expected = [
-                int(dim) if dim.isdigit() else known.setdefault(dim, size)
-                for dim, size in zip(dims, jnp.shape(field), strict=True)
-            ]
-            right = list(field.shape) == expected and any(re.fullmatch(kind, str(field.dtype)) for kind in kinds)
-        if not right:
-            shape = ", ".join(str(known.get(dim, dim)) for dim in dims)
-            expected = re.sub(r"\W.*|\d+", "", kinds[-1]) + f" ({shape}{',' * (len(dims) == 1)})"
-            actual, cure = f"{name} = {describe(field)}", f"give {kind.__name__}.{name} that shape"
-            raise wrong(part, function, actual, expected, cure)
+        if not _fits(field, dims, dtypes, known):
+            shape = ", ".join(str(known.get(dim, dim)) for dim in dims) + ("," if len(dims) == 1 else "")
+            dtype = re.sub(r"\W.*|\d+", "", dtypes[-1])
+            cure = f"give {kind.__name__}.{name} that shape"
+            raise wrong(part, function, f"{name} = {describe(field)}", f"{dtype} ({shape})", cure)
+
+
+def _fits(field: Any, dims: tuple[str, ...], dtypes: tuple[str, ...], known: dict[str, int]) -> bool:
+    """Whether an array has a shape by its letters, whose sizes go to ``known``, and a type that matches a pattern."""
+    if not isinstance(field, jax.Array | np.ndarray | np.generic) or jnp.ndim(field) != len(dims):
+        return False
+    expected = []
+    for dim, size in zip(dims, jnp.shape(field), strict=True):
+        expected.append(int(dim) if dim.isdigit() else known.setdefault(dim, size))
+    return list(field.shape) == expected and any(re.fullmatch(dtype, str(field.dtype)) for dtype in dtypes)
 
 
 def check_like(part: str, function: Callable, value: PyTree, like: PyTree, what: str) -> None:
@@ -101,14 +106,16 @@ def check_like(part: str, function: Callable, value: PyTree, like: PyTree, what:
         PartError: it is not.
     """
     if jax.tree.structure(value) != jax.tree.structure(like):
-        same = type(value) is type(like) and not isinstance(value, tuple | list | dict)
-        actual, expected = ("other fields", "those that it had") if same else (describe(value), describe(like))
-        raise wrong(part, function, f"{what} {actual}", expected, "keep its structure, for steps follow one another")
+        cure = "keep its structure, for steps follow one another"
+        if type(value) is type(like) and not isinstance(value, tuple | list | dict):
+            raise wrong(part, function, f"{what} other fields", "those that it had", cure)
+        raise wrong(part, function, f"{what} {describe(value)}", describe(like), cure)
     leaves = jax.tree_util.tree_leaves_with_path(value)
     for (path, new), old in zip(leaves, jax.tree.leaves(like), strict=True):
         if jnp.shape(new) != jnp.shape(old) or jnp.result_type(new) != jnp.result_type(old):
-            actual, expected = f"{what}{jax.tree_util.keystr(path)} {describe(new)}", describe(old)
-            raise wrong(part, function, actual, expected, "keep shape and type, for steps follow one another")
+            name = f"{what}{jax.tree_util.keystr(path)}"
+            cure = "keep shape and type, for steps follow one another"
+            raise wrong(part, function, f"{name} {describe(new)}", describe(old), cure)
 
 
 def describe(value: Any) -> str:
@@ -134,7 +141,8 @@ def wrong(part: str, function: Callable, actual: str, expected: str, cure: str) 
 @functools.cache
 def _fields(kind: type) -> tuple[tuple[str, tuple[str, ...], tuple[str, ...]], ...]:
     """Name, letters of the shape, and patterns of the types of each field with a shape in its annotation."""
-    hints, fields = typing.get_type_hints(kind), []
+    hints = typing.get_type_hints(kind)
+    fields = []
     for field in dataclasses.fields(kind):
         union = typing.get_args(hints[field.name])
         hint = union[0] if union else hints[field.name]  # arrays of jax, numpy and numpy's scalars
@@ -162,16 +170,20 @@ def _plain(function: Any) -> Any:
 def _code(function: Any) -> types.CodeType | None:
     """The code of a function, of a method, or of an object's ``__call__``."""
     method = function.__init__ if isinstance(function, type) else getattr(type(function), "__call__")  # noqa: B004, B009
-    for each in (function, getattr(function, "__func__", None), method):
-        code = getattr(inspect.unwrap(each) if callable(each) else each, "__code__", None)
+    for candidate in (function, getattr(function, "__func__", None), method):
+        plain = inspect.unwrap(candidate) if callable(candidate) else candidate
+        code = getattr(plain, "__code__", None)
         if isinstance(code, types.CodeType):
             return code
     return None
 
 
 def _is_own(function: Any) -> bool:
-    code, module = _code(function), str(getattr(function, "__module__", ""))
-    return not code.co_filename.startswith(PACKAGE) if code else not module.startswith("sean_jax.")
+    """Whether a function is the user's."""
+    code = _code(function)
+    if code:
+        return not code.co_filename.startswith(PACKAGE)
+    return not str(getattr(function, "__module__", "")).startswith("sean_jax.")
 
 
 def _place(file: str, line: int) -> str:
@@ -195,12 +207,15 @@ def _name(function: Any) -> str:
 
 def _innermost(error: BaseException, function: Any) -> tuple[str, int] | None:
     """File and line of the innermost frame in the user's code; None if there is none."""
-    code, place, trace = _code(function), None, error.__traceback__
+    code = _code(function)
     own = code.co_filename if code else None
+    place = None
+    trace = error.__traceback__
     while trace is not None:
-        file, name = trace.tb_frame.f_code.co_filename, trace.tb_frame.f_code.co_name
-        foreign = any(part in file for part in LIBRARIES) or file.startswith((STANDARD, "<frozen", "<@beartype"))
-        foreign |= file == "<string>" and name.startswith("__")  # methods that dataclasses writes
+        frame = trace.tb_frame.f_code
+        file = frame.co_filename
+        foreign = any(folder in file for folder in LIBRARIES) or file.startswith((STANDARD, "<frozen", "<@beartype"))
+        foreign |= file == "<string>" and frame.co_name.startswith("__")  # methods that dataclasses writes
         if not file.startswith(PACKAGE) and (file == own or not foreign):
             place = file, trace.tb_lineno
         trace = trace.tb_next
@@ -213,25 +228,27 @@ def _innermost(error: BaseException, function: Any) -> tuple[str, int] | None:
 def _explain(error: Exception, function: Any, arguments: str) -> str | None:
     """Place, reason and cure in one sentence; None if no code of the user took part."""
     place = _innermost(error, function)
-    if place is None:
-        if not _is_own(function):
-            return None
-        where = _definition(function)
-        return where + (_other_arguments(error, function, arguments) or _reason(error, "")) + "."
-    return f"{_place(*place)}: {_reason(error, linecache.getline(*place))}."
+    if place is not None:
+        return f"{_place(*place)}: {_reason(error, linecache.getline(*place))}."
+    if not _is_own(function):
+        return None
+    reason = _other_arguments(function, arguments) or _reason(error, "")
+    return f"{_definition(function)}{reason}."
 
 
-def _other_arguments(error: Exception, function: Any, arguments: str) -> str | None:
-    """The arguments of a function that is called with others."""
-    number = len(arguments.split(", "))
+def _other_arguments(function: Any, arguments: str) -> str | None:
+    """A clause about a function that takes other arguments than those that it is called with; None if it takes them."""
+    count = len(arguments.split(", "))
     try:
         signature = inspect.signature(function)
-        signature.bind(*[None] * number)
+        signature.bind(*[None] * count)
     except TypeError:
         if not callable(function):
             return None
-        parameters = f"takes {str(signature).partition(' ->')[0]}"
-        return f"{_name(function)} {parameters}, and is called with ({arguments}); give it those {number} arguments"
+        parameters = str(signature).partition(" ->")[0]
+        return (
+            f"{_name(function)} takes {parameters}, and is called with ({arguments}); give it those {count} arguments"
+        )
     except ValueError:  # a builtin without a signature
         pass
     return None
@@ -239,7 +256,8 @@ def _other_arguments(error: Exception, function: Any, arguments: str) -> str | N
 
 def _reason(error: Exception, line: str) -> str:
     """The meaning of an exception, with the cure; ``line`` is the source line that raised it."""
-    name, text = type(error).__name__, str(error)
+    name = type(error).__name__
+    text = str(error)
     if meaning := _MEANINGS.get(name):
         return meaning if isinstance(meaning, str) else meaning(error, line)
     first = re.split(r"\n|(?<=[a-z)\]])\. ", text.strip() or "no reason given", maxsplit=1)[0]
@@ -255,11 +273,16 @@ def _concrete(error: Exception, line: str) -> str:
     if match := re.search(r"\b(math|np|numpy)\.\w+", line):
         return f"{match[0]} takes no traced value; write jnp. for {match[1]}."
     if match := re.search(r"\b(float|int|bool|complex|round|range|str|format)\(|\.(item|tolist)\(", line):
-        word = f"{match[1]}()" if match[1] else f".{match[2]}()"
-        cure = "the array as it is, or x.astype(...)"
         if match[1] == "range":
-            cure = "jax.lax.fori_loop over a fixed number"
-        return f"{word} takes no traced value, whose number is known only when the program runs; write {cure}"
+            return (
+                "range() takes no traced value, whose number is known only when the program runs; write "
+                "jax.lax.fori_loop over a fixed number"
+            )
+        called = f"{match[1]}()" if match[1] else f".{match[2]}()"
+        return (
+            f"{called} takes no traced value, whose number is known only when the program runs; write the array as it "
+            "is, or x.astype(...)"
+        )
     return (
         "a size or an index depends on a traced value, whose number is known only when the program runs; keep the "
         "whole array, and mask it by jnp.where(mask, values, 0.0)"
@@ -268,19 +291,25 @@ def _concrete(error: Exception, line: str) -> str:
 
 def _attribute(error: Exception, line: str) -> str:
     """An attribute that a value does not have."""
-    thing, name = getattr(error, "obj", None), str(getattr(error, "name", ""))
+    thing = getattr(error, "obj", None)
+    name = str(getattr(error, "name", ""))
     if thing is None or not name:
         return f"AttributeError: {str(error).splitlines()[0][:MAX_TEXT].rstrip('.')}"
     if dataclasses.is_dataclass(thing):
         names = [field.name for field in dataclasses.fields(thing)]
     else:
-        names = [each for each in dir(thing) if not each.startswith("_")]
-    what = getattr(thing, "__name__", "") if isinstance(thing, types.ModuleType | type) else type(thing).__name__
-    what = "an array" if isinstance(thing, jax.Array) else what
-    close = difflib.get_close_matches(name, names, 1)
-    cure = f"it has {', '.join(names)[:MAX_TEXT]}" if len(names) < 40 else "see its documentation"
-    cure = f"did you mean '{close[0]}'" if close else cure
-    return f"{what} has no '{name}'; {cure}"
+        names = [attribute for attribute in dir(thing) if not attribute.startswith("_")]
+
+    # The thing as the user calls it.
+    kind = getattr(thing, "__name__", "") if isinstance(thing, types.ModuleType | type) else type(thing).__name__
+    if isinstance(thing, jax.Array):
+        kind = "an array"
+
+    if close := difflib.get_close_matches(name, names, 1):
+        return f"{kind} has no '{name}'; did you mean '{close[0]}'"
+    if len(names) < 40:
+        return f"{kind} has no '{name}'; it has {', '.join(names)[:MAX_TEXT]}"
+    return f"{kind} has no '{name}'; see its documentation"
 
 
 def _unknown(error: Exception, line: str) -> str:

@@ -31,7 +31,7 @@ VIEW = Path(__file__).parents[1] / "ros" / "view.rviz"
 class Row:
     """A step of the episodes of a batch."""
 
-    step: messages.Step
+    step: messages.StepValues
     active: Bool[Array, "B"]
 
 
@@ -104,7 +104,7 @@ def _rows(
 
 def _add(bag: bag_writing.Bag, scenario: Scenario, rows: Row) -> None:
     """Write the messages of a chunk of time (T, 1, ...) until the episode's end."""
-    pick: Callable[[int], messages.Step] = lambda t: jax.tree.map(lambda leaf: leaf[t, 0], rows.step)  # noqa: E731
+    pick: Callable[[int], messages.StepValues] = lambda t: jax.tree.map(lambda leaf: leaf[t, 0], rows.step)  # noqa: E731
     for t in np.flatnonzero(rows.active[:, 0]):
         step = pick(int(t))
         time = messages.BEGIN + round(int(step.tick) * scenario.time_step * messages.SECOND)

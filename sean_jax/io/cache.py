@@ -76,8 +76,8 @@ def load_or_build(kind: str, code: tuple[str, ...], inputs: Iterable[Any], build
 def source(*code: str) -> str:
     """Digest of source files and folders of the package."""
     digest = hashlib.sha256()
-    for part in code:
-        path = PACKAGE / part
+    for name in code:
+        path = PACKAGE / name
         for file in sorted(path.rglob("*.py")) if path.is_dir() else [path.with_suffix(".py")]:
             digest.update(files.read_bytes(file) if file.is_file() else b"")
     return digest.hexdigest()
@@ -125,7 +125,8 @@ def _digest(tables: Tables) -> str:
 
 def _remove_oldest(tables: Path) -> None:
     """Keep to ``MAX_FILES`` files and ``MAX_SIZE`` bytes, and remove unfinished files an hour after the last write."""
-    total, files = 0, []
+    total = 0
+    files = []
     for file in tables.iterdir():
         state = file.stat()
         if file.suffix == ".npz":

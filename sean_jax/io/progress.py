@@ -20,7 +20,8 @@ class Progress:
     """Progress of some work: calls a function, if there is one, with the share that is done."""
 
     def __init__(self, report: Callable[[float], None] | None = None) -> None:
-        self._report, self._total = report, 1.0
+        self._report = report
+        self._total = 1.0
 
     def stage(self, text: str) -> None:
         """Work of unknown length begins."""
@@ -44,7 +45,9 @@ class _Bar(Progress):
     """A bar on the console."""
 
     def __init__(self, bar: Any) -> None:
-        self._bar, self._task, self._text = bar, bar.add_task("starting", total=None, note=""), "starting"
+        self._bar = bar
+        self._text = "starting"
+        self._task = bar.add_task(self._text, total=None, note="")
 
     def stage(self, text: str) -> None:
         self._text = text
@@ -70,27 +73,40 @@ class _Lines(Progress):
     """Plain lines for a pipe or a file, where no bar can be drawn. The longer the work, the rarer they are."""
 
     def __init__(self, console: Any) -> None:
-        self._console, self._text, self._total = console, "starting", 0.0
-        self._begin = self._last = time.monotonic()
-        self._done, self._note, self._first = 0.0, "", (self._begin, 0.0)
-        self._aside, self._aside_text, self._aside_began = 0.0, "", 0.0  # s that do not count; what is done beside
+        self._console = console
+        self._text = "starting"
+        self._note = ""
+        self._total = 0.0
+        self._done = 0.0
+        self._begin = time.monotonic()
+        self._last = self._begin  # when a line was printed
+        self._first = self._begin, 0.0  # time and length of the first update
+        self._aside = 0.0  # s that do not count
+        self._aside_text = ""  # what is done beside
+        self._aside_began = 0.0
 
     def stage(self, text: str) -> None:
         self.start(text, 0.0)
 
     def start(self, text: str, total: float) -> None:
-        self._text, self._total, self._done, self._note = text, total, 0.0, ""
+        self._text = text
+        self._note = ""
+        self._total = total
+        self._done = 0.0
         self.line()
 
     def update(self, done: float, note: str = "") -> None:
         if not self._done:  # before it, programs were compiled, or a training was resumed
-            self._first, self._aside = (time.monotonic(), done), 0.0
-        self._done, self._note = done, note
+            self._first = time.monotonic(), done
+            self._aside = 0.0
+        self._done = done
+        self._note = note
         self.line()
 
     @contextlib.contextmanager
     def aside(self, text: str) -> Iterator[None]:
-        self._aside_text, self._aside_began = text, time.monotonic()
+        self._aside_text = text
+        self._aside_began = time.monotonic()
         try:
             yield
         finally:
@@ -103,16 +119,29 @@ class _Lines(Progress):
         if now - self._last < min(max(INTERVAL, 0.1 * (self._last - self._begin)), MAX_INTERVAL):
             return
         self._last = now
-        share = f" {min(1.0, self._done / self._total):.0%}" if self._total and self._done else ""
-        begin, first = self._first
-        spent = (self._aside_began if self._aside_text else now) - begin - self._aside
-        rest = spent * (self._total - self._done) / (self._done - first) if self._done > first else 0.0
-        left = f", {datetime.timedelta(seconds=int(rest))} left" if share and rest > 0.0 else ""
-        stage = f"{self._text}, {self._aside_text}" if self._aside_text else self._text
-        text = f"{stage}{share}{self._note and ' · '}{self._note}"
-        text += f" · {datetime.timedelta(seconds=int(now - self._begin))}{left}"
+        text = f"{self._text}, {self._aside_text}" if self._aside_text else self._text
+        if self._total and self._done:
+            text += f" {min(1.0, self._done / self._total):.0%}"
+        if self._note:
+            text += f" · {self._note}"
+        text += f" · {_clock(now - self._begin)}"
+        remaining = self._remaining(now)
+        if self._total and self._done and remaining > 0.0:
+            text += f", {_clock(remaining)} left"
         self._console.print(text, markup=False, emoji=False, highlight=False, soft_wrap=True)
         self._console.file.flush()
+
+    def _remaining(self, now: float) -> float:
+        """Seconds until the end, as fast as since the first update; 0 if nothing is known."""
+        begin, first_done = self._first
+        if self._done <= first_done:
+            return 0.0
+        spent = (self._aside_began if self._aside_text else now) - begin - self._aside
+        return spent * (self._total - self._done) / (self._done - first_done)
+
+
+def _clock(seconds: float) -> datetime.timedelta:
+    return datetime.timedelta(seconds=int(seconds))
 
 
 def say(console: ProgressLike, sentence: str) -> None:
@@ -133,7 +162,8 @@ def progress(console: ProgressLike) -> Iterator[Progress]:
         yield Progress(console)  # pyright: ignore[reportArgumentType]
         return
     if not (console.is_terminal or console.is_jupyter):  # pyright: ignore[reportAttributeAccessIssue]
-        lines, ended = _Lines(console), threading.Event()
+        lines = _Lines(console)
+        ended = threading.Event()
 
         def repeat() -> None:  # while a program is compiled, nothing else calls
             while not ended.wait(INTERVAL):

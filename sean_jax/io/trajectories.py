@@ -10,7 +10,7 @@ import json
 import shutil
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Annotated, Any, BinaryIO
+from typing import Annotated, Any, BinaryIO, NamedTuple
 
 import jax
 import numpy as np
@@ -26,7 +26,6 @@ MAX_SPEED = 10_000.0  # m/s
 COLUMNS: dict[str, str] = files.read_yaml(Path(__file__).with_suffix(".yaml"))[1]
 """Column of a table -> its meaning."""
 
-PERSON = ("x", "y", "vx", "vy", "heading_x", "heading_y")
 OF_ROBOT = ("goal_x", "goal_y", "command_speed", "command_turn_rate", "active")
 LEFT = "command_left"  # column of an omnidirectional robot
 NUMBERS = ("episode", "frame", "id", "group")  # columns of whole numbers
@@ -94,11 +93,15 @@ def save_trajectory(
         raise InputError(f"situations: {len(names)} names for {number} situations; give one name for each.")
     people = arrays["people"].shape[-2]
     header = files.check_json(path, {"time_step": time_step, "situations": names, "people": people}, Header)
-    batched = arrays["active"].ndim == 2
-    table = _table(arrays if batched else {name: value[None] for name, value in arrays.items()}, header)
-    if not batched:
+
+    # A single episode has no column of its number.
+    if arrays["active"].ndim == 2:
+        table = _table(arrays, header)
+    else:
+        table = _table({name: value[None] for name, value in arrays.items()}, header)
         table.pop("episode")
     _check_rows(path, table, header, 1)
+
     with writing.atomic_file(path) as stream:
         file = writer(stream, header)
         file.write(table)
@@ -113,7 +116,7 @@ def load_trajectory(path: Path | str) -> Trajectory:
     """
     path = Path(path)
     header, blocks = _writer(path).read(path)
-    parts: list[dict[str, np.ndarray]] = []
+    parsed: list[dict[str, np.ndarray]] = []  # of each block
     rows = 0
     for columns in blocks:
         _check_columns(path, columns, header)
@@ -121,15 +124,18 @@ def load_trajectory(path: Path | str) -> Trajectory:
         rows += len(columns["id"])
         if rows > MAX_ROWS:
             raise FileError(f"{files.short_name(path)}: has more than {MAX_ROWS:,} rows; save fewer episodes.")
-        parts.append({
-            name: values.astype(np.int64 if name in NUMBERS else np.float32)
-            for name, values in columns.items() if name != "time"
-        })  # fmt: skip
+        columns.pop("time")
+        parsed.append({name: _as_stored(name, values) for name, values in columns.items()})
     if not rows:
         raise FileError(f"{files.short_name(path)}: holds no frame; {CURE}.")
     with files.sentence(path, "save fewer episodes"):
-        table = {name: np.concatenate([part.pop(name) for part in parts]) for name in [*parts[0]]}
-        return _frames(path, table, header)
+        table = {name: np.concatenate([block.pop(name) for block in parsed]) for name in [*parsed[0]]}
+        return _trajectory(path, table, header)
+
+
+def _as_stored(name: str, values: np.ndarray) -> np.ndarray:
+    """A column in half the memory, or as whole numbers."""
+    return values.astype(np.int64 if name in NUMBERS else np.float32)
 
 
 def check_packages(suffix: str) -> None:
@@ -142,7 +148,9 @@ class TrajectoryWriter:
     """A file of many episodes that grows by one at a time; made by ``trajectory_writer``."""
 
     def __init__(self, file: "_Csv | _Parquet", header: Header, steps: int, episode: int):
-        self._file, self.header, self.steps = file, header, steps
+        self._file = file
+        self.header = header
+        self.steps = steps
         self.episode = episode  # the number of the next one
 
     def add(self, trajectory: Trajectory) -> None:
@@ -204,35 +212,43 @@ def _writer(path: Path) -> "type[_Csv] | type[_Parquet]":
 
 def _table(arrays: dict[str, np.ndarray], header: Header) -> dict[str, np.ndarray]:
     """Columns of all rows: for each frame the robot's row, then rows of the people present."""
+    # A row for the robot, and then one for each person present, of each frame.
     episodes, steps = arrays["active"].shape
-    present = np.concatenate([np.ones((episodes, steps, 1), bool), arrays["present"]], -1)
-    episode, frame, column_of = np.nonzero(present)
+    in_table = np.concatenate([np.ones((episodes, steps, 1), bool), arrays["present"]], -1)  # (E, T, 1 + N)
+    episode, frame, index = np.nonzero(in_table)  # (R,) each
 
-    def both(robot: np.ndarray, people: np.ndarray) -> np.ndarray:
-        return np.concatenate([robot[:, :, None], people], 2)[present]
+    def rows(robot: np.ndarray, people: np.ndarray) -> np.ndarray:
+        return np.concatenate([robot[:, :, None], people], 2)[in_table]
 
-    place = both(arrays["position"], arrays["people"])
-    velocity = both(arrays["velocity"], arrays["people_velocity"])
-    heading = both(arrays["heading"], arrays["people_heading"])
-    group = both(np.full((episodes, steps), ROBOT), arrays["group"])
-    columns = {
-        "episode": episode,
-        "frame": frame,
-        "time": (frame + 1) * header.time_step,
-        "id": column_of - 1,
-        **{name: part for name, part in zip(PERSON, (*place.T, *velocity.T, *heading.T), strict=True)},
-        "group": group,
-    }
-    robots = np.where(column_of == 0)[0]
-    action = np.moveaxis(arrays["action"], -1, 0)
-    left = {} if len(action) == 2 else {LEFT: action[1]}
-    robot_columns = (*np.moveaxis(arrays["goal"], -1, 0), action[0], action[-1], arrays["active"], *left.values())
-    flags = np.moveaxis(arrays["situations"], -1, 0)
-    labels = [*OF_ROBOT, *left, *(f"{SITUATION}{name}" for name in header.situations)]
-    for name, values in zip(labels, (*robot_columns, *flags), strict=True):
-        column = np.full(len(column_of), np.nan, np.float32)
-        column[robots] = values.reshape(-1)
+    columns = {"episode": episode, "frame": frame, "time": (frame + 1) * header.time_step, "id": index - 1}
+    columns["x"], columns["y"] = rows(arrays["position"], arrays["people"]).T
+    columns["vx"], columns["vy"] = rows(arrays["velocity"], arrays["people_velocity"]).T
+    columns["heading_x"], columns["heading_y"] = rows(arrays["heading"], arrays["people_heading"]).T
+    columns["group"] = rows(np.full((episodes, steps), ROBOT), arrays["group"])
+
+    # The other columns are empty in the rows of people.
+    for name, values in _columns_of_robot(arrays, header).items():
+        column = np.full(len(index), np.nan, np.float32)
+        column[index == 0] = values.reshape(-1)
         columns[name] = column
+    return columns
+
+
+def _columns_of_robot(arrays: dict[str, np.ndarray], header: Header) -> dict[str, np.ndarray]:
+    """Columns (E, T) of the robot's rows alone, in the order of a file."""
+    goal = arrays["goal"]
+    action = arrays["action"]  # ahead, turn; or ahead, left, turn
+    columns = {
+        "goal_x": goal[..., 0],
+        "goal_y": goal[..., 1],
+        "command_speed": action[..., 0],
+        "command_turn_rate": action[..., -1],
+        "active": arrays["active"],
+    }
+    if action.shape[-1] == 3:
+        columns[LEFT] = action[..., 1]
+    for number, name in enumerate(header.situations):
+        columns[f"{SITUATION}{name}"] = arrays["situations"][..., number]
     return columns
 
 
@@ -250,84 +266,136 @@ def _check_columns(path: Path, names: Iterable[str], header: Header) -> None:
 
 def _check_rows(path: Path, columns: dict[str, np.ndarray], header: Header, first: int) -> None:
     """FileError for a value out of its column's range; ``first`` is the number of the first row."""
-
-    def refuse(wrong: np.ndarray, name: str, rule: str) -> None:
-        if wrong.any():
-            row = int(wrong.argmax())
-            value = f"{columns[name][row]:.9g}".replace("nan", "nothing")
-            raise FileError(f"{files.short_name(path)}: row {first + row}: {name}: {value} {rule}; {CURE}.")
-
+    block = TableBlock(path, columns, first)
     robot = columns["id"] == ROBOT
-    for name, values in columns.items():
+    for name in columns:
+        block.check_column(name, robot)
+
+    # Columns that depend on each other.
+    block.refuse(columns["id"] >= header.people, "id", f"is none of the {header.people} people")
+    block.refuse(robot & (columns["group"] != ROBOT), "group", "stands in the row of the robot")
+    size = np.hypot(columns["heading_x"], columns["heading_y"])
+    block.refuse(~((np.abs(size - 1.0) < 1e-3) | (size == 0.0)), "heading_x", "belongs to no unit vector")
+    time = (columns["frame"] + 1.0) * header.time_step
+    block.refuse(~(np.abs(columns["time"] - time) <= 1e-6 * time), "time", "does not match its frame")
+
+
+class TableBlock(NamedTuple):
+    """Some rows of a file, which are checked."""
+
+    path: Path
+    columns: dict[str, np.ndarray]  # (R,) each
+    first: int  # number of the first row
+
+    def refuse(self, wrong: np.ndarray, name: str, rule: str) -> None:
+        """FileError for the first wrong row, with its value in a column."""
+        if wrong.any():
+            index = int(wrong.argmax())
+            row = self.first + index
+            value = f"{self.columns[name][index]:.9g}".replace("nan", "nothing")
+            raise FileError(f"{files.short_name(self.path)}: row {row}: {name}: {value} {rule}; {CURE}.")
+
+    def check_column(self, name: str, robot: np.ndarray) -> None:
+        """FileError for a value that a column cannot have; ``robot`` (R,) says which rows are the robot's."""
+        values = self.columns[name]
         flag = name == "active" or name.startswith(SITUATION)
         if name in NUMBERS:
-            refuse(~(values == np.floor(values)), name, "is no whole number")
+            self.refuse(~(values == np.floor(values)), name, "is no whole number")
         if name in (*OF_ROBOT, LEFT) or flag:
-            refuse(~robot & ~np.isnan(values), name, "stands in the row of a person")
+            self.refuse(~robot & ~np.isnan(values), name, "stands in the row of a person")
         if flag:
-            refuse(robot & (values != 0) & (values != 1), name, "is not 0 or 1")
+            self.refuse(robot & (values != 0) & (values != 1), name, "is not 0 or 1")
         elif name.startswith("command"):
-            refuse(np.isfinite(values) & (np.abs(values) > np.finfo(np.float32).max), name, "is no number of 32 bits")
+            too_large = np.isfinite(values) & (np.abs(values) > np.finfo(np.float32).max)
+            self.refuse(too_large, name, "is no number of 32 bits")
         elif name in LIMITS:
             low, high = LIMITS[name]
-            mine = robot if name in OF_ROBOT else np.ones(len(values), bool)
-            refuse(mine & ~((low <= values) & (values <= high)), name, f"is not from {low:,} to {high:,}")
-    refuse(columns["id"] >= header.people, "id", f"is none of the {header.people} people")
-    refuse(robot & (columns["group"] != ROBOT), "group", "stands in the row of the robot")
-    size = np.hypot(columns["heading_x"], columns["heading_y"])
-    refuse(~((np.abs(size - 1.0) < 1e-3) | (size == 0.0)), "heading_x", "belongs to no unit vector")
-    time = (columns["frame"] + 1.0) * header.time_step
-    refuse(~(np.abs(columns["time"] - time) <= 1e-6 * time), "time", "does not match its frame")
+            outside = ~((low <= values) & (values <= high))
+            if name in OF_ROBOT:  # which is empty in the rows of people
+                outside &= robot
+            self.refuse(outside, name, f"is not from {low:,} to {high:,}")
 
 
-def _frames(path: Path, table: dict[str, np.ndarray], header: Header) -> Trajectory:
+def _trajectory(path: Path, table: dict[str, np.ndarray], header: Header) -> Trajectory:
     """The arrays of all columns; FileError if rows are missing or double."""
     batched = "episode" in table
-    frame, ids = table["frame"], table["id"]
-    episode = table["episode"] if batched else np.zeros(len(frame), int)
-    episodes, steps, people = int(episode.max()) + 1, int(frame.max()) + 1, header.people
-    what = f"{files.short_name(path)}: {len(frame):,} rows"
-    if episodes * steps * (people + 1) > max(3_000_000, 1_000 * len(frame)):
-        size = f"{episodes:,} episodes of {steps:,} frames with {people:,} people"
-        raise FileError(f"{what} are too few for {size}; {CURE}.")
-    names = [f"{SITUATION}{name}" for name in header.situations]
-    robot, person = ids == ROBOT, ids != ROBOT
-    at_robot, at_person = (episode[robot], frame[robot]), (episode[person], frame[person], ids[person])
-    driven = np.zeros((episodes, steps), bool)
-    driven[at_robot] = True
-    if not driven[:, 0].all() or (driven[:, 1:] & ~driven[:, :-1]).any() or not driven[at_person[:2]].all():
-        raise FileError(f"{what} lack one of the robot in a frame of an episode; {CURE}.")
-    present, group = np.zeros((episodes, steps, people), bool), np.full((episodes, steps, people), -1, np.int32)
-    present[at_person], group[at_person] = True, table["group"][person]
-    if driven.sum() + present.sum() < len(frame):
-        raise FileError(f"{what} have a person twice in a frame; {CURE}.")
+    frame = table["frame"]
+    if not batched:
+        table = {**table, "episode": np.zeros(len(frame), int)}
+    shape = int(table["episode"].max()) + 1, int(frame.max()) + 1, header.people
+    _check_size(path, len(frame), *shape)
+    is_robot = table["id"] == ROBOT
+    robot = _rows(table, is_robot, ("episode", "frame"), shape[:2])
+    persons = _rows(table, ~is_robot, ("episode", "frame", "id"), shape)
+    _check_frames(path, robot, persons)
 
-    def of_robot(*columns: str) -> np.ndarray:
-        values = np.zeros((episodes, steps, len(columns)), np.float32)
-        values[at_robot] = np.stack([table[name][robot] for name in columns], -1) if columns else 0.0
-        return values
-
-    def of_people(*columns: str) -> np.ndarray:
-        values = np.zeros((episodes, steps, people, len(columns)), np.float32)
-        values[at_person] = np.stack([table[name][person] for name in columns], -1)
-        return values
-
-    arrays: dict[str, Any] = dict(
-        position=of_robot("x", "y"),
-        heading=of_robot("heading_x", "heading_y"),
-        velocity=of_robot("vx", "vy"),
-        action=of_robot("command_speed", *([LEFT] if LEFT in table else []), "command_turn_rate"),
-        people=of_people("x", "y"),
-        people_velocity=of_people("vx", "vy"),
-        people_heading=of_people("heading_x", "heading_y"),
+    command = ("command_speed", *([LEFT] if LEFT in table else []), "command_turn_rate")
+    group: Any = np.full(shape, -1, np.int32)
+    group[persons.index] = table["group"][~is_robot]
+    trajectory = Trajectory(
+        position=robot.array("x", "y"),
+        heading=robot.array("heading_x", "heading_y"),
+        velocity=robot.array("vx", "vy"),
+        action=robot.array(*command),
+        people=persons.array("x", "y"),
+        people_velocity=persons.array("vx", "vy"),
+        people_heading=persons.array("heading_x", "heading_y"),
         group=group,
-        present=present,
-        goal=of_robot("goal_x", "goal_y"),
-        situations=of_robot(*names) > 0.5,
-        active=of_robot("active")[..., 0] > 0.5,
+        present=persons.present(),
+        goal=robot.array("goal_x", "goal_y"),
+        situations=robot.array(*(f"{SITUATION}{name}" for name in header.situations)) > 0.5,
+        active=robot.array("active")[..., 0] > 0.5,
     )
-    whole = Trajectory(**arrays)
-    return whole if batched else jax.tree.map(lambda leaf: leaf[0], whole)
+    return trajectory if batched else jax.tree.map(lambda leaf: leaf[0], trajectory)
+
+
+def _check_size(path: Path, rows: int, episodes: int, steps: int, people: int) -> None:
+    """FileError if the arrays of a few rows would take much memory."""
+    if episodes * steps * (people + 1) > max(3_000_000, 1_000 * rows):
+        raise FileError(
+            f"{files.short_name(path)}: {rows:,} rows are too few for {episodes:,} episodes of {steps:,} frames with "
+            f"{people:,} people; {CURE}."
+        )
+
+
+def _check_frames(path: Path, robot: "TableRows", persons: "TableRows") -> None:
+    """FileError if the robot is missing in a frame, or a person is in it twice."""
+    count = len(robot.mask)
+    driven = robot.present()  # (E, T)
+    gaps = driven[:, 1:] & ~driven[:, :-1]
+    if not driven[:, 0].all() or gaps.any() or not driven[persons.index[:2]].all():
+        raise FileError(
+            f"{files.short_name(path)}: {count:,} rows lack one of the robot in a frame of an episode; {CURE}."
+        )
+    if driven.sum() + persons.present().sum() < count:
+        raise FileError(f"{files.short_name(path)}: {count:,} rows have a person twice in a frame; {CURE}.")
+
+
+class TableRows(NamedTuple):
+    """Rows of a table, of the robot or of people, which become arrays with axes of episodes, frames and people."""
+
+    table: dict[str, np.ndarray]
+    mask: np.ndarray  # of these rows
+    index: tuple[np.ndarray, ...]  # of each row in the arrays
+    shape: tuple[int, ...]
+
+    def present(self) -> Any:
+        """A bool array of the places that have a row."""
+        present = np.zeros(self.shape, bool)
+        present[self.index] = True
+        return present
+
+    def array(self, *names: str) -> Any:
+        """(..., K) float32 values of columns; 0 where there is no row."""
+        values = np.zeros((*self.shape, len(names)), np.float32)
+        for k, name in enumerate(names):
+            values[(*self.index, k)] = self.table[name][self.mask]
+        return values
+
+
+def _rows(table: dict[str, np.ndarray], mask: np.ndarray, axes: Sequence[str], shape: tuple[int, ...]) -> TableRows:
+    """Some rows of a table, whose places in the arrays are in the columns ``axes``."""
+    return TableRows(table, mask, tuple(table[name][mask] for name in axes), shape)
 
 
 # ------------------------------------------------------------------ CSV
@@ -337,7 +405,8 @@ class _Csv:
     """Rows as text, after a line with the header and a line with the names of the columns."""
 
     def __init__(self, stream: BinaryIO, header: Header):
-        self._stream, self._head = stream, f"# {KEY} {header.text()}"
+        self._stream = stream
+        self._head = f"# {KEY} {header.text()}"
 
     def write(self, table: dict[str, np.ndarray]) -> None:
         lines = [self._head, ",".join(table)] if self._head else []
@@ -352,22 +421,24 @@ class _Csv:
     def join(parts: Sequence[Path], stream: BinaryIO) -> None:
         for number, part in enumerate(parts):
             with part.open("rb") as rows:
-                for _ in range(2 if number else 0):
+                if number:  # only the first part keeps its header and its line of names
+                    rows.readline()
                     rows.readline()
                 shutil.copyfileobj(rows, stream)
 
     @staticmethod
     def read(path: Path) -> tuple[Header, Iterator[dict[str, np.ndarray]]]:
         rows = files.read_rows(path)
-        first, names = next(rows, [""]), next(rows, [])
+        first = next(rows, [""])
+        names = next(rows, [])
         if not first[0].startswith(f"# {KEY} "):
             raise FileError(f"{files.short_name(path)}: does not begin with '# {KEY} '; {CURE}.")
 
         def blocks() -> Iterator[dict[str, np.ndarray]]:
-            done = 0
+            first_row = 1
             while block := list(itertools.islice(rows, BLOCK_ROWS)):
-                numbers = np.array([_numbers(path, done + k, row) for k, row in enumerate(block, 1)])
-                done += len(block)
+                numbers = np.array([_numbers(path, number, row) for number, row in enumerate(block, first_row)])
+                first_row += len(block)
                 yield dict(zip(names, numbers.T, strict=True))
 
         return _header(path, first[0][len(KEY) + 3 :]), blocks()
@@ -386,8 +457,7 @@ def _numbers(path: Path, number: int, row: list[str]) -> list[float]:
         try:
             values.append(float(cell.replace("_", "no")) if cell else np.nan)  # Python allows "_" in numbers
         except ValueError:
-            what = f"row {number}: {cell[:40]!r} is no number"
-            raise FileError(f"{files.short_name(path)}: {what}; {CURE}.") from None
+            raise FileError(f"{files.short_name(path)}: row {number}: {cell[:40]!r} is no number; {CURE}.") from None
     return values
 
 
@@ -406,20 +476,23 @@ class _Parquet:
     """Groups of rows, written as soon as they have ``GROUP_ROWS``; the header is metadata of the schema."""
 
     def __init__(self, stream: BinaryIO, header: Header):
-        self._stream, self._header = stream, header
+        self._stream = stream
+        self._header = header
         self._file: Any = None
         self._tables: list[dict[str, np.ndarray]] = []
 
     def write(self, table: dict[str, np.ndarray]) -> None:
         self._tables.append(table)
-        if sum(len(each["frame"]) for each in self._tables) >= GROUP_ROWS:
+        if sum(len(waiting["frame"]) for waiting in self._tables) >= GROUP_ROWS:
             self._write_group()
 
     def _write_group(self) -> None:
         pa, pq = _arrow()
-        columns = {name: np.concatenate([each[name] for each in self._tables]) for name in self._tables[0]}
-        group = pa.table({name: pa.array(values, from_pandas=True) for name, values in columns.items()})
-        group = group.replace_schema_metadata({KEY: self._header.text()})
+        columns = {}
+        for name in self._tables[0]:
+            values = np.concatenate([table[name] for table in self._tables])
+            columns[name] = pa.array(values, from_pandas=True)
+        group = pa.table(columns).replace_schema_metadata({KEY: self._header.text()})
         if self._file is None:
             self._file = pq.ParquetWriter(self._stream, group.schema)
         self._file.write_table(group)
@@ -433,7 +506,8 @@ class _Parquet:
 
     @staticmethod
     def join(parts: Sequence[Path], stream: BinaryIO) -> None:
-        pq, cure = _arrow()[1], "remove it, and the same command makes it anew"
+        pq = _arrow()[1]
+        cure = "remove it, and the same command makes it anew"
         with files.sentence(parts[0], cure):
             schema = pq.read_schema(parts[0])
         with pq.ParquetWriter(stream, schema) as table:
@@ -448,21 +522,14 @@ class _Parquet:
 
     @staticmethod
     def read(path: Path) -> tuple[Header, Iterator[dict[str, np.ndarray]]]:
-        pa, pq = _arrow()
+        pq = _arrow()[1]
         with (
             files.open_file(path, files.MAX_TABLE) as stream,
             files.sentence(path, CURE),
             pq.ParquetFile(stream) as table,
         ):
-            schema, rows, size = table.schema_arrow, table.metadata.num_rows, path.stat().st_size
-            if rows > min(MAX_ROWS, 1_000_000 + 10 * size):  # equal numbers take almost no space
-                raise FileError(f"{files.short_name(path)}: {rows:,} rows in {size:,} bytes are too many; {CURE}.")
-            for field in schema:
-                if not (pa.types.is_integer(field.type) or pa.types.is_floating(field.type)):
-                    raise FileError(f"{files.short_name(path)}: {field.name[:60]!r} is no column of numbers; {CURE}.")
-            if len(set(schema.names)) < len(schema.names):
-                raise FileError(f"{files.short_name(path)}: names a column twice; {CURE}.")
-            header = _header(path, (schema.metadata or {}).get(KEY.encode(), b""))
+            _check_schema(path, table)
+            header = _header(path, (table.schema_arrow.metadata or {}).get(KEY.encode(), b""))
 
         def blocks() -> Iterator[dict[str, np.ndarray]]:
             with (
@@ -471,13 +538,31 @@ class _Parquet:
                 pq.ParquetFile(stream) as table,
             ):
                 for batch in table.iter_batches(BLOCK_ROWS):
-                    columns = zip(batch.schema.names, batch.columns, strict=True)
-                    yield {name: column.to_numpy(zero_copy_only=False).astype(float) for name, column in columns}
+                    block = {}
+                    for name, column in zip(batch.schema.names, batch.columns, strict=True):
+                        block[name] = column.to_numpy(zero_copy_only=False).astype(float)
+                    yield block
 
         return header, blocks()
 
 
+def _check_schema(path: Path, table: Any) -> None:
+    """FileError unless a Parquet file has as many rows as its size allows, and columns of numbers alone."""
+    types = _arrow()[0].types
+    rows = table.metadata.num_rows
+    size = path.stat().st_size
+    if rows > min(MAX_ROWS, 1_000_000 + 10 * size):  # equal numbers take almost no space
+        raise FileError(f"{files.short_name(path)}: {rows:,} rows in {size:,} bytes are too many; {CURE}.")
+    for field in table.schema_arrow:
+        if not (types.is_integer(field.type) or types.is_floating(field.type)):
+            raise FileError(f"{files.short_name(path)}: {field.name[:60]!r} is no column of numbers; {CURE}.")
+    names = table.schema_arrow.names
+    if len(set(names)) < len(names):
+        raise FileError(f"{files.short_name(path)}: names a column twice; {CURE}.")
+
+
 def _arrow() -> tuple[Any, Any]:
+    """The modules pyarrow and pyarrow.parquet; InputError if they are missing."""
     try:
         import pyarrow
         import pyarrow.parquet

@@ -108,7 +108,7 @@ def folder_lock(folder: Path) -> Iterator[None]:
     folder = Path(os.path.realpath(folder))
     if os.path.exists(folder) and not os.path.isdir(folder):
         raise WriteError(f"{folder} is a file, give the name of a folder with --out.")
-    missing = [each for each in (folder, *folder.parents) if not os.path.exists(each)]
+    missing = [path for path in (folder, *folder.parents) if not os.path.exists(path)]
     if os.path.isdir(folder) and _names(folder) == [LOCK]:
         missing = [folder]  # left by a process that was killed
     lock = folder / LOCK
@@ -318,9 +318,10 @@ def check_file(path: Path, suffixes: Collection[str], option: str = "--out") -> 
         raise InputError(f"{option}: {path} is a folder; give the name of a file, such as {path / 'picture.png'}.")
     if path.exists() and not path.is_file():
         raise InputError(f"{option}: {path} is a device or a pipe; give the name of a file, such as picture.png.")
+    if not path.suffix and "" not in suffixes:
+        raise InputError(f"{option}: {path} has no ending, but must end in one of {', '.join(suffixes)}.")
     if path.suffix.lower() not in suffixes:
-        ending = f"ends in {path.suffix}" if path.suffix else "has no ending"
-        raise InputError(f"{option}: {path} {ending}, but must end in one of {', '.join(suffixes)}.")
+        raise InputError(f"{option}: {path} ends in {path.suffix}, but must end in one of {', '.join(suffixes)}.")
     if not path.parent.is_dir():
         raise InputError(f"{option}: there is no folder {path.parent} to write {path.name} to; make it first.")
     if not os.access(path if path.exists() else path.parent, os.W_OK):

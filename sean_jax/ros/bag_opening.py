@@ -78,7 +78,8 @@ class BagMetadata(pydantic.BaseModel):
 
 
 def _check_metadata(metadata: BagMetadata) -> Iterator[tuple[tuple[str, ...], str]]:
-    about, key = metadata.rosbag2_bagfile_information, "rosbag2_bagfile_information"
+    about = metadata.rosbag2_bagfile_information
+    key = "rosbag2_bagfile_information"
     if not 1 <= about.version <= 9:
         yield (key, "version"), f"{about.version} is not one of 1 to 9, which are known"
     if about.storage_identifier not in ("mcap", "sqlite3"):
@@ -87,10 +88,11 @@ def _check_metadata(metadata: BagMetadata) -> Iterator[tuple[tuple[str, ...], st
         yield (key, "compression_format"), f"{(about.compression_format or '')[:40]!r} is not zstd; convert the bag"
     if not about.relative_file_paths:
         yield (key, "relative_file_paths"), "names no file; restore it"
-    for each in about.topics_with_message_count:
-        if each.topic_metadata.serialization_format != "cdr":
-            form = each.topic_metadata.serialization_format[:40]
-            yield (key, "topics_with_message_count"), f"{form!r} is a serialization format that is not known; use cdr"
+    for topic in about.topics_with_message_count:
+        form = topic.topic_metadata.serialization_format
+        if form != "cdr":
+            text = f"{form[:40]!r} is a serialization format that is not known; use cdr"
+            yield (key, "topics_with_message_count"), text
 
 
 # ------------------------------------------------------------------ files and what is packed in them
@@ -100,12 +102,13 @@ class Budget:
     """How many bytes a bag may still unpack to."""
 
     def __init__(self, path: Path, size: int):
-        self.path, self.rest = path, MAX_UNPACKED[0] + MAX_UNPACKED[1] * size
+        self.path = path
+        self.remaining = MAX_UNPACKED[0] + MAX_UNPACKED[1] * size
 
     def take(self, size: int) -> None:
         """Take so many bytes; FileError if there are none left."""
-        self.rest -= size
-        if self.rest < 0:
+        self.remaining -= size
+        if self.remaining < 0:
             raise files.file_error(self.path, "unpacks to far more than it is; cut pictures and points out of the bag")
 
     def unpack(self, start: Callable[[], Any], data: bytes) -> bytes:
@@ -114,7 +117,8 @@ class Budget:
         Args:
             start: makes a decompressor with ``decompress(data, max_length)``, as of bz2.
         """
-        parts, size = [], 0
+        parts = []
+        size = 0
         while data:
             stream = start()
             part = stream.decompress(data, MAX_PART - size + 1)
@@ -138,7 +142,8 @@ class BoundedFile:
     """A regular file, of which no more than ``MAX_PART`` bytes are read at once."""
 
     def __init__(self, path: Path):
-        self._stack, self._path = contextlib.ExitStack(), path
+        self._path = path
+        self._stack = contextlib.ExitStack()
         self._stream = self._stack.enter_context(files.open_file(path, MAX_FILE))
 
     def read(self, size: int = -1) -> bytes:
@@ -203,7 +208,8 @@ def _bounded_unpacking(budget: Budget) -> Iterator[None]:
             budget.take(len(data))
             return data
 
-    lz4_start, zstd_start = lz4.frame.LZ4FrameDecompressor, zstd.ZstdDecompressor
+    lz4_start = lz4.frame.LZ4FrameDecompressor
+    zstd_start = zstd.ZstdDecompressor
     of_bags = {
         "none": budget.plain,
         "bz2": lambda data: budget.unpack(bz2.BZ2Decompressor, data),
@@ -274,7 +280,7 @@ def _check_tables(path: Path, database: Any) -> None:
 # ------------------------------------------------------------------ an open bag
 
 
-class Recorded(NamedTuple):
+class BagMessage(NamedTuple):
     """A message of a bag."""
 
     topic: str
@@ -287,20 +293,25 @@ class OpenBag:
     """A bag that is open for reading."""
 
     def __init__(self, path: Path, reader: Any, version: int):
-        self._path, self._reader, self._version = path, reader, version
-        self.types = {each.topic: each.msgtype for each in reversed(reader.connections)}
+        self._path = path
+        self._reader = reader
+        self._version = version
+        self.types = {connection.topic: connection.msgtype for connection in reversed(reader.connections)}
         """Topic -> its type."""
 
-    def messages(self, decoded: Collection[str], noted: Collection[str] = ()) -> Iterator[Recorded]:
+    def messages(self, decoded: Collection[str], noted: Collection[str] = ()) -> Iterator[BagMessage]:
         """The messages of some topics in the order of their recording, decoded or without their content.
 
         Raises:
             FileError: the bag is damaged, or a message is too large.
         """
-        connections = [each for each in self._reader.connections if each.topic in {*decoded, *noted}]
+        connections = [connection for connection in self._reader.connections if connection.topic in {*decoded, *noted}]
         if not connections:
             return
-        stores = {each.topic: self._store(each) for each in connections if each.topic in decoded}
+        stores = {}
+        for connection in connections:
+            if connection.topic in decoded:
+                stores[connection.topic] = self._store(connection)
         with files.sentence(self._path, CURE):
             for connection, received, raw in self._reader.messages(connections):
                 if type(received) is not int:
@@ -308,12 +319,15 @@ class OpenBag:
                 content = None
                 if connection.topic in stores:
                     content = self._decode(stores[connection.topic], connection, raw)
-                yield Recorded(connection.topic, connection.msgtype, received, content)
+                yield BagMessage(connection.topic, connection.msgtype, received, content)
 
     def _decode(self, store: Any, connection: Any, raw: Any) -> Any:
         if len(raw) > MAX_MESSAGE:
-            size = f"{connection.topic}: a message has {len(raw):,} bytes, and at most {MAX_MESSAGE:,} are read"
-            raise files.file_error(self._path, f"{size}; name other topics, or cut those messages out")
+            raise files.file_error(
+                self._path,
+                f"{connection.topic}: a message has {len(raw):,} bytes, and at most {MAX_MESSAGE:,} are read; name "
+                "other topics, or cut those messages out",
+            )
         decode = store.deserialize_ros1 if self._version == 1 else store.deserialize_cdr
         return decode(raw, connection.msgtype)
 
@@ -322,21 +336,28 @@ class OpenBag:
         from rosbags.interfaces import MessageDefinitionFormat
         from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-        form, text = connection.msgdef.format, connection.msgdef.data
+        form = connection.msgdef.format
+        text = connection.msgdef.data
         if form == MessageDefinitionFormat.NONE:
             return typestore(1 if self._version == 1 else 2)
-        where = f"the definition of {connection.msgtype} on {connection.topic}"
-        with files.sentence(self._path, f"{where} cannot be used; {CURE}"):
+        kind = connection.msgtype
+        topic = connection.topic
+        with files.sentence(self._path, f"the definition of {kind} on {topic} cannot be used; {CURE}"):
             if len(text) > MAX_DEFINITION:
-                raise files.file_error(self._path, f"{where} has {len(text):,} characters; name another topic")
+                raise files.file_error(
+                    self._path, f"the definition of {kind} on {topic} has {len(text):,} characters; name another topic"
+                )
             if form == MessageDefinitionFormat.MSG:
-                found = get_types_from_msg(text, connection.msgtype)
+                types = get_types_from_msg(text, kind)
             else:
-                found = _types_of_idl(text)
+                types = _types_of_idl(text)
             store = get_typestore(Stores.EMPTY)
-            if _count_fields({**store.fielddefs, **found}, connection.msgtype, ()) > MAX_FIELDS:
-                raise files.file_error(self._path, f"{where} has more than {MAX_FIELDS:,} fields; name another topic")
-            store.register(found)
+            if _count_fields({**store.fielddefs, **types}, kind, ()) > MAX_FIELDS:
+                raise files.file_error(
+                    self._path,
+                    f"the definition of {kind} on {topic} has more than {MAX_FIELDS:,} fields; name another topic",
+                )
+            store.register(types)
             return store
 
 
@@ -347,10 +368,10 @@ def _types_of_idl(text: str) -> dict[str, Any]:
     line = "=" * 80 + "\n"
     if not text.startswith(f"{line}IDL: "):
         return get_types_from_idl(text)
-    found: dict[str, Any] = {}
-    for part in text.split(line)[1:]:
-        found |= get_types_from_idl(part.partition("\n")[2])
-    return found
+    types: dict[str, Any] = {}
+    for file in text.split(line)[1:]:
+        types |= get_types_from_idl(file.partition("\n")[2])
+    return types
 
 
 def _count_fields(types: dict[str, Any], name: str, outer: tuple[str, ...]) -> int:
@@ -363,10 +384,9 @@ def _count_fields(types: dict[str, Any], name: str, outer: tuple[str, ...]) -> i
         raise ValueError(name)
     count = 0
     for _, (form, inner) in types[name][1]:
-        element = inner if form.name in ("BASE", "NAME") else inner[0]
-        of_type = form.name == "NAME" or (form.name in ("ARRAY", "SEQUENCE") and element[0].name == "NAME")
-        inside = (inner if form.name == "NAME" else element[1]) if of_type else None
-        count += 1 if inside is None else _count_fields(types, inside, (*outer, name))
+        if form.name in ("ARRAY", "SEQUENCE"):  # of elements, which count once
+            form, inner = inner[0]
+        count += _count_fields(types, inner, (*outer, name)) if form.name == "NAME" else 1
         if count > MAX_FIELDS:
             return count
     return count
@@ -383,10 +403,9 @@ def open_bag(path: Path) -> Iterator[OpenBag]:
         raise files.file_error(path, "there is no such file; give a .bag file or the folder of a rosbag2")
     if path.suffix in (".mcap", ".db3") and (path.parent / "metadata.yaml").is_file():
         path = path.parent
-    parts = _files(path)
     size = 0
-    for part in parts:
-        with files.open_file(part, MAX_FILE) as stream:
+    for file in _files(path):
+        with files.open_file(file, MAX_FILE) as stream:
             size += stream.seek(0, 2)
     from rosbags.rosbag1 import Reader as Reader1
     from rosbags.rosbag2 import Reader as Reader2

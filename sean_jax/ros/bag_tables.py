@@ -10,11 +10,12 @@ import numpy as np
 
 from sean_jax.core.bounds import MAX_COORDINATE, MAX_PEOPLE, parse_digits
 from sean_jax.io.files import file_error, suggest
-from sean_jax.ros.bag_opening import OpenBag, Recorded, open_bag
+from sean_jax.ros.bag_opening import BagMessage, OpenBag, open_bag
 from sean_jax.ros.messages import SECOND
 
 MAX_BYTES = 200_000_000  # of all tables of a bag
 MAX_SPEED = 1e3  # m/s or rad/s of any number
+UNKNOWN = math.nan, math.nan  # velocity of a person in messages without any
 BASES = ("base_link", "base_footprint")  # frames of a robot
 PEOPLE_WORDS = ("people", "person", "pedestrian", "agent", "human", "track")
 SITUATIONS = "/social_sim/situations/rule_based/"
@@ -36,31 +37,33 @@ class Table:
     """Rows of whole numbers and of others, with eight bytes for each."""
 
     def __init__(self, whole: int, numbers: int):
-        self._whole, self._numbers = whole, numbers
-        self._of_whole, self._of_numbers = array("q"), array("d")
+        self._whole = array("q")  # row after row
+        self._numbers = array("d")
+        self._whole_columns = whole
+        self._number_columns = numbers
 
     def add(self, whole: tuple[int, ...], numbers: tuple[float, ...]) -> None:
         """Add a row."""
-        self._of_whole.extend(whole)
-        self._of_numbers.extend(numbers)
+        self._whole.extend(whole)
+        self._numbers.extend(numbers)
 
     def __len__(self) -> int:
-        return len(self._of_whole) // self._whole
+        return len(self._whole) // self._whole_columns
 
     @property
     def size(self) -> int:
-        """Bytes."""
-        return 8 * (len(self._of_whole) + len(self._of_numbers))
+        """The memory of all rows in bytes."""
+        return 8 * (len(self._whole) + len(self._numbers))
 
     @property
     def whole(self) -> np.ndarray:
         """(R, K) the whole numbers."""
-        return np.array(self._of_whole, np.int64).reshape(len(self), self._whole)
+        return np.array(self._whole, np.int64).reshape(len(self), self._whole_columns)
 
     @property
     def numbers(self) -> np.ndarray:
         """(R, K) the other numbers."""
-        return np.array(self._of_numbers, float).reshape(len(self), self._numbers)
+        return np.array(self._numbers, float).reshape(len(self), self._number_columns)
 
 
 class Names:
@@ -82,11 +85,13 @@ class Names:
         return list(self._numbers)
 
 
-class Recording:
+class BagRecording:
     """The messages of a bag. Rows begin with the time of receipt and the stamp [ns], 0 if the message has none."""
 
     def __init__(self) -> None:
-        self.frames, self.people_names, self.situation_names = Names(), Names(), Names()
+        self.frames = Names()
+        self.people_names = Names()
+        self.situation_names = Names()
         self.transforms = Table(4, 3)  # parent, child; x, y, yaw
         self.static = Table(4, 3)  # likewise
         self.odometry = Table(3, 5)  # frame; x, y, yaw, m/s ahead, m/s to the left
@@ -101,11 +106,11 @@ class Recording:
 
     @property
     def tables(self) -> list[Table]:
-        """All tables."""
-        return [each for each in vars(self).values() if isinstance(each, Table)]
+        """All tables, to count their memory."""
+        return [table for table in vars(self).values() if isinstance(table, Table)]
 
 
-def read(path: Path | str, people: str | None = None, robot: str | None = None) -> Recording:
+def read_bag(path: Path | str, people: str | None = None, robot: str | None = None) -> BagRecording:
     """The messages of a bag about people and the robot.
 
     Args:
@@ -121,15 +126,18 @@ def read(path: Path | str, people: str | None = None, robot: str | None = None) 
         for topic in (people, robot):
             if topic is not None and topic not in bag.types:
                 raise file_error(path, f"has no topic {topic}{suggest(topic, bag.types) or '; it has others'}")
-        reader = Reader(path, bag, people or _topic_of_people(bag.types), robot or _topic_of_robot(bag.types))
+        people = people or _topic_of_people(bag.types)
+        reader = Reader(path, bag, people, robot or _topic_of_robot(bag.types))
         reader.recording.robot_topic = robot or ""
         return reader.read()
 
 
 def _topic_of_people(kinds: dict[str, str]) -> str | None:
+    """The topic of people by its type, or by its type and name."""
     for kind in PEOPLE_TYPES:
-        for name in sorted(name for name, each in kinds.items() if each == kind):
-            if kind in PEOPLE_TYPES[:2] or any(word in name.lower() for word in PEOPLE_WORDS):
+        for name in sorted(kinds):
+            speaks_of_people = kind in PEOPLE_TYPES[:2] or any(word in name.lower() for word in PEOPLE_WORDS)
+            if kinds[name] == kind and speaks_of_people:
                 return name
     return None
 
@@ -143,14 +151,17 @@ def _topic_of_robot(kinds: dict[str, str]) -> str | None:
 
 
 class Reader:
-    """Reads the messages of a bag into the tables of a ``Recording``."""
+    """Reads the messages of a bag into the tables of a ``BagRecording``."""
 
     def __init__(self, path: Path, bag: OpenBag, people: str | None, robot: str | None):
-        self._path, self._bag, self._people, self._robot = path, bag, people, robot
-        self.recording = Recording()
+        self._path = path
+        self._bag = bag
+        self._people = people
+        self._robot = robot
+        self.recording = BagRecording()
         self.recording.people_topic = people
 
-    def read(self) -> Recording:
+    def read(self) -> BagRecording:
         """All messages that count.
 
         Raises:
@@ -170,105 +181,128 @@ class Reader:
         if not (len(recording.odometry) or len(recording.poses) or len(recording.people) or in_transforms):
             kinds = sorted(self._bag.types.items())
             listed = ", ".join(f"{name[:60]} ({kind.rpartition('/')[2][:40]})" for name, kind in kinds[:12])
-            cure = "name them by --people-topic or --robot-topic"
-            raise self._error(f"has neither people nor a robot that are known, but {listed or 'nothing'}; {cure}")
+            raise self._error(
+                f"has neither people nor a robot that are known, but {listed or 'nothing'}; name them by "
+                "--people-topic or --robot-topic"
+            )
         return recording
 
     def _error(self, text: str) -> Exception:
         return file_error(self._path, text)
 
-    def _readers(self) -> dict[str, Callable[[Recorded], None]]:
+    def _readers(self) -> dict[str, Callable[[BagMessage], None]]:
         """Topic -> what reads its messages."""
-        found: dict[str, Callable[[Recorded], None]] = {}
+        readers: dict[str, Callable[[BagMessage], None]] = {}
         for topic, kind in self._bag.types.items():
             if kind in TRANSFORMS:
-                found[topic] = self._transforms
+                readers[topic] = self._transforms
             elif kind in TWISTS and topic.endswith("cmd_vel"):
-                found[topic] = self._command
+                readers[topic] = self._command
             elif kind == POSE and "goal" in topic:
-                found[topic] = self._goal
+                readers[topic] = self._goal
             elif kind == "std_msgs/msg/Float32" and topic.startswith(SITUATIONS):
-                found[topic] = self._situation
+                readers[topic] = self._situation
         if self._people is not None:
-            kind = self._bag.types[self._people]
-            if kind not in PEOPLE_TYPES:
-                known = ", ".join(kind.replace("/msg", "") for kind in PEOPLE_TYPES)
-                raise self._error(f"{self._people} has messages {kind}; give a topic of {known}")
-            found[self._people] = self._people_of
+            self._check_kind(self._people, PEOPLE_TYPES)
+            readers[self._people] = self._people_of
         if self._robot is not None:
-            kind = self._bag.types[self._robot]
-            known = (ODOMETRY, POSE_WITH_COVARIANCE, POSE)
-            if kind not in known:
-                words = ", ".join(kind.replace("/msg", "") for kind in known)
-                raise self._error(f"{self._robot} has messages {kind}; give a topic of {words}")
-            found[self._robot] = self._odometry if kind == ODOMETRY else self._pose
-        return found
+            self._check_kind(self._robot, (ODOMETRY, POSE_WITH_COVARIANCE, POSE))
+            has_odometry = self._bag.types[self._robot] == ODOMETRY
+            readers[self._robot] = self._odometry if has_odometry else self._pose
+        return readers
+
+    def _check_kind(self, topic: str, known: tuple[str, ...]) -> None:
+        """FileError if the messages of a topic are of none of the known types."""
+        kind = self._bag.types[topic]
+        if kind not in known:
+            names = ", ".join(name.replace("/msg", "") for name in known)
+            raise self._error(f"{topic} has messages {kind}; give a topic of {names}")
 
     # ---------------------------------------------------------------- messages
 
-    def _transforms(self, message: Recorded) -> None:
+    def _transforms(self, message: BagMessage) -> None:
         table = self.recording.static if message.topic.endswith("tf_static") else self.recording.transforms
-        for each in message.content.transforms:
-            place, turn = each.transform.translation, each.transform.rotation
-            pose = (place.x, place.y, _yaw(turn))
+        for stamped in message.content.transforms:
+            origin = stamped.transform.translation
+            pose = (origin.x, origin.y, _yaw(stamped.transform.rotation))
             if not all(abs(value) <= MAX_COORDINATE for value in pose):
                 continue  # as tf2 does with transforms that are not finite
-            parent, child = self._frame(each.header), self.recording.frames(_bare(each.child_frame_id))
-            table.add((message.received, _stamp(each.header), parent, child), pose)
+            parent = self._frame(stamped.header)
+            child = self.recording.frames(_bare(stamped.child_frame_id))
+            table.add((message.received, _stamp(stamped.header), parent, child), pose)
 
-    def _odometry(self, message: Recorded) -> None:
+    def _odometry(self, message: BagMessage) -> None:
         content = message.content
-        pose, speed = self._checked_pose(message, content.pose.pose), content.twist.twist.linear
+        pose = self._checked_pose(message, content.pose.pose)
+        speed = content.twist.twist.linear
         speeds = self._checked(message, "speed", (speed.x, speed.y), MAX_SPEED)
         self.recording.odometry.add(self._times(message), (*pose, *speeds))
 
-    def _pose(self, message: Recorded) -> None:
+    def _pose(self, message: BagMessage) -> None:
         pose = message.content.pose
         pose = self._checked_pose(message, pose.pose if hasattr(pose, "pose") else pose)
         self.recording.poses.add(self._times(message), pose)
 
-    def _command(self, message: Recorded) -> None:
+    def _command(self, message: BagMessage) -> None:
         velocity = getattr(message.content, "twist", message.content)
         command = self._checked(message, "command", (velocity.linear.x, velocity.angular.z), MAX_SPEED)
-        stamped = hasattr(message.content, "header")
-        self.recording.commands.add((message.received, _stamp(message.content.header) if stamped else 0), command)
+        stamp = _stamp(getattr(message.content, "header", None))
+        self.recording.commands.add((message.received, stamp), command)
 
-    def _goal(self, message: Recorded) -> None:
+    def _goal(self, message: BagMessage) -> None:
         x, y, _ = self._checked_pose(message, message.content.pose, "goal")
         self.recording.goals.add(self._times(message), (x, y))
 
-    def _situation(self, message: Recorded) -> None:
+    def _situation(self, message: BagMessage) -> None:
         number = self.recording.situation_names(message.topic.removeprefix(SITUATIONS))
         self.recording.situations.add((message.received, 0, number), (float(message.content.data > 0.5),))
 
-    def _people_of(self, message: Recorded) -> None:
-        content, unknown = message.content, (math.nan, math.nan)
-        header = getattr(content, "header", None)
+    def _people_of(self, message: BagMessage) -> None:
+        """Add the people of a message; its type says by a field which one it is."""
+        content = message.content
         if hasattr(content, "people"):
-            for each in content.people:
-                tags = dict(zip(each.tagnames, each.tags, strict=False))
-                number = parse_digits(str(tags.get("group", "")))
-                group = -1 if number is None or number >= 2**31 else number  # 32 bits hold it
-                velocity = each.velocity.x, each.velocity.y
-                self._person(message, header, each.name, each.position, velocity, _number(tags.get("heading")), group)
+            self._people_msgs(message)
         elif hasattr(content, "agents"):
-            for each in content.agents:
-                velocity, yaw = (each.twist.linear.x, each.twist.linear.y), _yaw(each.pose.orientation)
-                self._person(message, header, str(each.track_id), each.pose.position, velocity, yaw)
+            self._agents(message)
         elif hasattr(content, "poses"):
-            for index, each in enumerate(content.poses):
-                self._person(message, header, str(index), each.position, unknown, _yaw(each.orientation))
+            self._poses(message)
         else:
-            for each in content.markers:
-                if each.action == 0 and each.type in (1, 2, 3, 10):  # boxes, balls, cylinders, meshes
-                    name, yaw = f"{each.ns} {each.id}", _yaw(each.pose.orientation)
-                    self._person(message, each.header, name, each.pose.position, unknown, yaw)
+            self._markers(message)
 
-    def _person(
-        self, message: Recorded, header: Any, name: str, place: Any, velocity: tuple, yaw: float, group: int = -1
+    def _people_msgs(self, message: BagMessage) -> None:
+        for person in message.content.people:
+            tags = dict(zip(person.tagnames, person.tags, strict=False))
+            group = parse_digits(str(tags.get("group", "")))
+            if group is None or group >= 2**31:  # 32 bits hold it
+                group = -1
+            velocity = person.velocity.x, person.velocity.y
+            yaw = _number(tags.get("heading"))
+            self._add_person(message, message.content.header, person.name, person.position, velocity, yaw, group)
+
+    def _agents(self, message: BagMessage) -> None:
+        for agent in message.content.agents:
+            velocity = agent.twist.linear.x, agent.twist.linear.y
+            yaw = _yaw(agent.pose.orientation)
+            name = str(agent.track_id)
+            self._add_person(message, message.content.header, name, agent.pose.position, velocity, yaw)
+
+    def _poses(self, message: BagMessage) -> None:
+        for index, pose in enumerate(message.content.poses):
+            yaw = _yaw(pose.orientation)
+            self._add_person(message, message.content.header, str(index), pose.position, UNKNOWN, yaw)
+
+    def _markers(self, message: BagMessage) -> None:
+        for marker in message.content.markers:
+            if marker.action == 0 and marker.type in (1, 2, 3, 10):  # boxes, balls, cylinders, meshes
+                yaw = _yaw(marker.pose.orientation)
+                name = f"{marker.ns} {marker.id}"
+                self._add_person(message, marker.header, name, marker.pose.position, UNKNOWN, yaw)
+
+    def _add_person(
+        self, message: BagMessage, header: Any, name: str, place: Any, velocity: tuple, yaw: float, group: int = -1
     ) -> None:
-        what = f"{name[:40]}, a person,"
-        position = self._checked(message, what, (place.x, place.y), MAX_COORDINATE)
+        """Add a person; FileError if a number is not finite, or there are too many people."""
+        position = self._checked(message, f"{name[:40]}, a person,", (place.x, place.y), MAX_COORDINATE)
         if not all(math.isnan(value) for value in velocity):
             velocity = self._checked(message, f"the speed of {name[:40]}", velocity, MAX_SPEED)
         names = self.recording.people_names
@@ -282,16 +316,16 @@ class Reader:
     def _frame(self, header: Any) -> int:
         return self.recording.frames(_bare(header.frame_id))
 
-    def _times(self, message: Recorded) -> tuple[int, int, int]:
+    def _times(self, message: BagMessage) -> tuple[int, int, int]:
         header = message.content.header
         return message.received, _stamp(header), self._frame(header)
 
-    def _checked_pose(self, message: Recorded, pose: Any, what: str = "robot") -> tuple[float, float, float]:
+    def _checked_pose(self, message: BagMessage, pose: Any, what: str = "robot") -> tuple[float, float, float]:
         x, y = self._checked(message, what, (pose.position.x, pose.position.y), MAX_COORDINATE)
         (yaw,) = self._checked(message, f"heading of the {what}", (_yaw(pose.orientation),), MAX_SPEED)
         return x, y, yaw
 
-    def _checked(self, message: Recorded, what: str, values: tuple[float, ...], limit: float) -> tuple[float, ...]:
+    def _checked(self, message: BagMessage, what: str, values: tuple[float, ...], limit: float) -> tuple[float, ...]:
         """The numbers of a message; FileError if one is not finite, or beyond the limit."""
         if not all(abs(value) <= limit for value in values):
             numbers = ", ".join(f"{value:g}" for value in values)
@@ -311,7 +345,10 @@ def _stamp(header: Any) -> int:
 
 
 def _yaw(turn: Any) -> float:
-    return math.atan2(2 * (turn.w * turn.z + turn.x * turn.y), 1 - 2 * (turn.y * turn.y + turn.z * turn.z))
+    """The angle [rad] of a quaternion about the vertical."""
+    sine = 2 * (turn.w * turn.z + turn.x * turn.y)
+    cosine = 1 - 2 * (turn.y * turn.y + turn.z * turn.z)
+    return math.atan2(sine, cosine)
 
 
 def _number(text: str | None) -> float:

@@ -26,8 +26,11 @@ class Bag:
 
     def __init__(self, folder: Path, name: str, table: dict[str, Topic], version: Version = "both"):
         """Bags ``NAME.bag`` and ``NAME`` in an existing folder; a context manager."""
-        self.table, self.count = table, 0
-        self._folder, self._name, self._version = folder, name, version
+        self.table = table
+        self.count = 0  # messages written
+        self._folder = folder
+        self._name = name
+        self._version = version
         self._stack = contextlib.ExitStack()
         self._writers: list[tuple[Any, Any, dict[str, Any], int]] = []
 
@@ -44,11 +47,12 @@ class Bag:
     def _open_ros1(self) -> None:
         from rosbags.rosbag1 import Writer
 
-        store, writer = typestore(1), self._stack.enter_context(Writer(self._folder / f"{self._name}.bag"))
-        connections = {
-            name: writer.add_connection(name, topic.type, typestore=store, latching=int(topic.latched))
-            for name, topic in self.table.items()
-        }
+        store = typestore(1)
+        writer = self._stack.enter_context(Writer(self._folder / f"{self._name}.bag"))
+        connections = {}
+        for name, topic in self.table.items():
+            latching = int(topic.latched)
+            connections[name] = writer.add_connection(name, topic.type, typestore=store, latching=latching)
         self._writers.append((writer, store, connections, 1))
 
     def _open_ros2(self) -> None:
@@ -70,12 +74,12 @@ class Bag:
             return Qos(QosHistory.KEEP_LAST, 1 if latched else 10, QosReliability.RELIABLE, durability, *times, False)
 
         store = typestore(2)
-        new = Writer(self._folder / self._name, version=9, storage_plugin=StoragePlugin.MCAP)
-        writer = self._stack.enter_context(new)
-        connections = {
-            name: writer.add_connection(name, topic.type, typestore=store, offered_qos_profiles=[qos(topic.latched)])
-            for name, topic in self.table.items()
-        }
+        writer = Writer(self._folder / self._name, version=9, storage_plugin=StoragePlugin.MCAP)
+        self._stack.enter_context(writer)
+        connections = {}
+        for name, topic in self.table.items():
+            profiles = [qos(topic.latched)]
+            connections[name] = writer.add_connection(name, topic.type, typestore=store, offered_qos_profiles=profiles)
         self._writers.append((writer, store, connections, 2))
 
     def write(self, messages: dict[str, Message], time: int) -> None:

@@ -1,7 +1,7 @@
 """A live robot: a controller outside of this program drives it, over ROS 1, a rosbridge websocket or DDS.
 
-``sean bridge`` runs numbered episodes at the pace of the clock, of commands or of a service. ``Driver`` is the policy
-of ``sean run --policy ros1:``: in lock-step, so that the runner measures an outside controller as any policy.
+``sean bridge`` runs numbered episodes at the pace of the clock, of commands or of a service. ``ControllerDriver`` is
+the policy of ``sean run --policy ros1:``: in lock-step, so that the runner measures an outside controller as any other.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from sean_jax.core.geometry import signed_distances_on_host
 from sean_jax.robots.drive import command_size
 from sean_jax.ros import messages
 from sean_jax.ros.names import COMMAND, DEFAULT_NAMES, POSE, RosNames
-from sean_jax.ros.transport import REQUESTS, Log, Mailbox, Output, Request, Transport
+from sean_jax.ros.transport import REQUESTS, Mailbox, Output, Request, Transport, TransportLog
 from sean_jax.sensors import SENSORS, sense
 from sean_jax.simulation import making
 from sean_jax.simulation import scenario as scenarios
@@ -44,8 +44,12 @@ GOAL_STEPS = 50  # such steps, after which the goal is sent again: move_base dro
 WAITING = ("lockstep", "service")  # paces at which time stands still until something comes
 LAG = 0.5  # s behind the clock from which on the clock waits
 
-_step, _reset, _teleport = jax.jit(scenarios.step), jax.jit(first_state, static_argnums=0), jax.jit(scenarios.teleport)
-_next_task, _quantities, _sense = jax.jit(scenarios.next_task), jax.jit(messages.step), jax.jit(sense)
+_step = jax.jit(scenarios.step)
+_reset = jax.jit(first_state, static_argnums=0)
+_teleport = jax.jit(scenarios.teleport)
+_next_task = jax.jit(scenarios.next_task)
+_quantities = jax.jit(messages.step)
+_sense = jax.jit(sense)
 
 
 @jax.jit
@@ -62,9 +66,9 @@ def connect(place: tuple[str, str], mailbox: Mailbox, outputs: dict[str, Output]
     """
     name, where = place
     if name == "ros1":
-        from sean_jax.ros.ros1 import Node
+        from sean_jax.ros.ros1 import RosNode
 
-        return Node(mailbox, outputs)
+        return RosNode(mailbox, outputs)
     try:
         if name == "dds":
             from sean_jax.ros.dds import Participant
@@ -103,16 +107,25 @@ class Bridge:
         Raises:
             InputError: a package is missing, or nothing answers there.
         """
-        missing = [SENSORS[name] for name in NAMES if name not in {each.name for each in scenario.sensors}]
-        self.scenario = replace(scenario, sensors=(*scenario.sensors, *(make(scenario.robot) for make in missing)))
+        present = {sensor.name for sensor in scenario.sensors}
+        added = [SENSORS[name](scenario.robot) for name in NAMES if name not in present]
+        self.scenario = replace(scenario, sensors=(*scenario.sensors, *added))
         self._plain = replace(scenario, sensors=())
-        self._number, self._fresh, self._goal = 0, True, False
-        self._start, self.now = (now + 1 if now else 0), now
-        self._begun = False
-        self.names, self._goal_topic = names, names.topic("/goal")
+        self.names = names
+        self._goal_topic = names.topic("/goal")
+        self._number = 0
         self._table = self._topics()
+
+        # The clock goes on through all episodes.
+        self.now = now
+        self._start = now + 1 if now else 0  # steps on the clock at the begin of an episode
+        self._begun = False  # whether a state was sent
+        self._fresh = True  # whether latched messages are to be sent
+        self._goal = False  # whether the goal is to be sent again
+
         size = command_size(scenario.robot)
-        self.mailbox, self.no_command = Mailbox(Log(write), size, names), np.full(size, np.nan, np.float32)
+        self.no_command = np.full(size, np.nan, np.float32)
+        self.mailbox = Mailbox(TransportLog(write), size, names)
         outputs = {name: Output(topic.type, topic.latched) for name, topic in self._table.items()}
         self.transport = connect(place, self.mailbox, outputs)
         self.missed = 0  # commands that did not come in time, in lock-step
@@ -133,7 +146,8 @@ class Bridge:
     def begin(self, scenario: Scenario, number: int) -> None:
         """Another episode, or another task, begins; ``scenario`` has its task. Time goes on."""
         self.scenario = replace(scenario, sensors=self.scenario.sensors)
-        self._plain, self._number = replace(scenario, sensors=()), number
+        self._plain = replace(scenario, sensors=())
+        self._number = number
         self._fresh = True
         if self.names.naming == "sean":  # they have the task and the number of the episode
             own = messages.sean_topics(self.scenario, number)
@@ -153,18 +167,22 @@ class Bridge:
         self._begun = True
         self.now = self._start + int(step.tick)
         moment = messages.BEGIN + round(self.now * self.scenario.time_step * messages.SECOND)
-        wanted = [name for name, topic in self._table.items() if not topic.latched and self.transport.wanted(name)]
+
+        latched = []
+        wanted = []
+        for name, topic in self._table.items():
+            if not topic.latched and self.transport.wanted(name):
+                wanted.append(name)
+            elif topic.latched and (self._fresh or (self._goal and name == self._goal_topic)):
+                latched.append(name)
+        self._fresh = self._goal = False
+
+        # Only sensors that somebody subscribes to are computed.
         readings = {}
         for sensor in self.scenario.sensors:
             if any(self._table[name].sensor == sensor.name for name in wanted):
                 readings |= _sense(replace(self.scenario, sensors=(sensor,)), state)
         step = replace(step, readings=jax.device_get(readings))
-        latched = [
-            name
-            for name, topic in self._table.items()
-            if topic.latched and (self._fresh or (self._goal and name == self._goal_topic))
-        ]
-        self._fresh = self._goal = False
         for name in (*latched, *wanted):
             self.transport.publish(name, self.names.frames(self._table[name].message(step, moment)))
 
@@ -173,13 +191,17 @@ class Bridge:
         position, heading = pose
         (to_wall,), (to_edge,) = signed_distances_on_host(self.scenario.environment, position[None])
         radius = float(self.scenario.robot.radius)
-        where = f"{self.names.topic(POSE)}: ({position[0]:g}, {position[1]:g}) is"
+        x, y = position
+        topic = self.names.topic(POSE)
         if to_edge < (0.0 if self.scenario.environment.open else radius):
-            self.mailbox.log("pose", f"{where} not on the floor; the robot stays.")
+            self.mailbox.log("pose", f"{topic}: ({x:g}, {y:g}) is not on the floor; the robot stays.")
         elif to_wall < radius:
-            self.mailbox.log("pose", f"{where} in an obstacle, or nearer than the robot's radius; the robot stays.")
+            self.mailbox.log(
+                "pose",
+                f"{topic}: ({x:g}, {y:g}) is in an obstacle, or nearer than the robot's radius; the robot stays.",
+            )
         elif (_gap_to_people(state, position) < radius + float(self.scenario.forces.walking.radius)).any():
-            self.mailbox.log("pose", f"{where} on a person; the robot stays.")
+            self.mailbox.log("pose", f"{topic}: ({x:g}, {y:g}) is on a person; the robot stays.")
         else:
             return _teleport(self._plain, state, jnp.asarray(position, float), jnp.asarray(heading, float))
         return state
@@ -205,7 +227,7 @@ def _command(scenario: Scenario, params: Array, state: State, key: Array) -> tup
     return params, ()
 
 
-class Driver:
+class ControllerDriver:
     """A controller outside of this program as the policy of a runner with one episode at a time, in lock-step."""
 
     def __init__(self, scenario: Scenario, name: str, place: tuple[str, str], console: Console, now: int = 0):
@@ -217,8 +239,12 @@ class Driver:
         write = functools.partial(console.print, highlight=False, markup=False, soft_wrap=True)
         self._bridge = Bridge(scenario, place, write, now)
         self.policy = Policy(jnp.asarray(self._bridge.no_command, float), name, no_memory, _command)
-        self._console, self._write, self._command = console, write, self._bridge.no_command
-        self._answered, self._late, self._silent = False, False, 0
+        self._console = console
+        self._write = write
+        self._command = self._bridge.no_command
+        self._answered = False  # whether a command has come
+        self._late = False  # whether the last command did not come in time
+        self._silent = 0  # steps without a command
         write(f"controller: {self._bridge.transport.address}")
 
     def __call__(self, scenario: Scenario, number: int, states: State) -> Policy:
@@ -227,7 +253,8 @@ class Driver:
         Args:
             states: of a batch of one.
         """
-        bridge, state = self._bridge, _only(states)
+        bridge = self._bridge
+        state = _only(states)
         if int(state.tick) == 0:
             bridge.begin(scenario, number)
             self._command = bridge.no_command
@@ -238,43 +265,47 @@ class Driver:
 
     def _wait(self, state: State) -> np.ndarray:
         """The command that answers a state; NaN if there is none in time. The first one may come within ``FIRST``."""
-        bridge = self._bridge
         if not self._answered:
-            self._write(f"waiting for the first command on {COMMAND}")
-            begin = time.monotonic()
-            while (command := bridge.answer(REPEAT)) is None:
-                self._refuse()
-                if time.monotonic() - begin > FIRST:
-                    raise self._dead(FIRST)
-                bridge.stand()
-                bridge.publish(state, self._command)
-            time.sleep(REPEAT)  # answers to the states that were sent before, as none may count for the next one
-            last, self._answered = bridge.mailbox.take_command(), True
-            return command if last is None else last
+            command = self._wait_for_first(state)
+            self._answered = True
+            return command
+        bridge = self._bridge
         end = time.monotonic() + (self.time_step if self._late else PATIENCE)
         while (command := bridge.answer(end - time.monotonic())) is None and time.monotonic() < end:
             self._refuse()
         self._late = command is None
-        self._silent = self._silent + 1 if command is None else 0
-        if command is None:
-            bridge.missed += 1
-            text = f"no command came for a state of episode {bridge._number}; the robot's command timeout acts."
-            bridge.mailbox.log("missed", text)
-            self._check_alive()
-            return bridge.no_command
-        return command
+        if command is not None:
+            self._silent = 0
+            return command
+        self._silent += 1
+        bridge.missed += 1
+        bridge.mailbox.log(
+            "missed", f"no command came for a state of episode {bridge._number}; the robot's command timeout acts."
+        )
+        if self._silent * self.time_step >= SILENT:  # an episode so far is no result
+            raise self._dead(SILENT)
+        return bridge.no_command
 
-    def _check_alive(self) -> None:
-        """ControllerError if the controller has been silent for so long that its episode is no result."""
-        if self._silent * self.time_step < SILENT:
-            return
-        raise self._dead(SILENT)
+    def _wait_for_first(self, state: State) -> np.ndarray:
+        """The first command, while the state is sent again and again."""
+        bridge = self._bridge
+        self._write(f"waiting for the first command on {COMMAND}")
+        begin = time.monotonic()
+        while (command := bridge.answer(REPEAT)) is None:
+            self._refuse()
+            if time.monotonic() - begin > FIRST:
+                raise self._dead(FIRST)
+            bridge.stand()
+            bridge.publish(state, self._command)
+        time.sleep(REPEAT)  # answers to the states that were sent before, as none may count for the next one
+        newer = bridge.mailbox.take_command()
+        return command if newer is None else newer
 
     def _dead(self, seconds: float) -> ControllerError:
         """The error of a controller that has been silent for so long."""
-        text = f"the controller has sent no command for {seconds:g} s of episode {self._bridge._number}"
         return ControllerError(
-            f"{text}, which is therefore no result; start the controller, and then this command again."
+            f"the controller has sent no command for {seconds:g} s of episode {self._bridge._number}, which is "
+            "therefore no result; start the controller, and then this command again."
         )
 
     def finish(self, states: State) -> int:
@@ -312,7 +343,7 @@ class Driver:
 # ------------------------------------------------------------------ sean bridge
 
 
-class Live:
+class LiveBridge:
     """Numbered episodes of a scenario that go on until they are stopped."""
 
     def __init__(self, config: BridgeConfig, console: Console):
@@ -323,7 +354,8 @@ class Live:
         """
         self.config = config
         self.scenarios = making.build(config)
-        self._varying, self._tasks = varying_leaves(self.scenarios), tuple(each.task for each in self.scenarios)
+        self._varying = varying_leaves(self.scenarios)
+        self._tasks = tuple(scenario.task for scenario in self.scenarios)
         self._write = functools.partial(console.print, highlight=False, markup=False, soft_wrap=True)
         names = RosNames(config.node_name, config.namespace or "", config.naming)
         self.bridge = Bridge(self.scenarios[0], config.place, self._write, names=names)
@@ -340,7 +372,7 @@ class Live:
         _teleport(self.bridge._plain, state, state.robot.position, state.robot.heading)
 
     def run(self) -> None:
-        """Episode after episode."""
+        """Simulate the episodes of the options; without a number of them, until Ctrl-C."""
         numbers = itertools.count() if self.config.episodes is None else range(self.config.episodes)
         self._write("ready")
         for number in numbers:
@@ -359,44 +391,66 @@ class Live:
 
     def _episode(self, number: int) -> bool:
         """One episode; False if it shall begin again."""
-        scenario, bridge = self.scenarios[number % len(self.scenarios)], self.bridge
-        state, command, tasks = self._begin(number), bridge.no_command, 0
+        scenario = self.scenarios[number % len(self.scenarios)]
+        bridge = self.bridge
+        lockstep = self.config.pace == "lockstep"
+        state = self._begin(number)
+        command = bridge.no_command
+        tasks = 0  # begun by the service new_task
         bridge.begin(scenario, number)
         self._due = waiting = time.monotonic()
         while not (bool(state.completed) or bool(state.timed_out)):
-            if self.config.pace == "lockstep":
+            # Send the state, and wait as the pace says.
+            if lockstep:
                 bridge.mailbox.take_command()  # of an earlier state
             bridge.publish(state, command)
             command, request, pose = self._wait(waiting)
+
+            # A pose moves the robot; where time stands still, the wait for this step goes on.
             if pose is not None:
                 state = bridge.place(state, pose)
-                patient = self.config.pace == "service" or time.monotonic() - waiting < self.config.patience
-                if self.config.pace in WAITING and request is None and patient:
+                if request is None and self._may_wait(waiting):
                     command = bridge.no_command
-                    continue  # of the same step, whose wait goes on
-                bridge.missed += self.config.pace == "lockstep" and request is None
+                    continue
+                bridge.missed += lockstep and request is None
+
+            # A request may begin the episode or a task anew.
             if request is not None and request.name == "reset":
                 request.answer(True, f"episode {number} begins again.")
                 return False
             if request is not None and request.name == "new_task":
                 tasks += 1
-                key = jax.random.fold_in(state.streams.restart, tasks)
-                state, command = _next_task(scenario, state, key), bridge.no_command
+                state = _next_task(scenario, state, jax.random.fold_in(state.streams.restart, tasks))
                 bridge.begin(scenario, number)
                 request.answer(True, f"task {tasks + 1} of episode {number} begins.")
+                command = bridge.no_command
                 waiting = time.monotonic()
                 continue
+
             self._notice(command is not None)
             command = bridge.no_command if command is None else command
             state = _step(scenario, state, jnp.asarray(command, float))
             waiting = time.monotonic()
             if request is not None:
                 request.answer(True, f"{int(state.tick) * scenario.time_step:.3g} s of episode {number} have passed.")
-        bridge.publish(state, command)  # the last one, in which the goal is reached
-        if self.config.pace == "lockstep":
-            bridge.answer(min(scenario.time_step, self.config.patience))  # it may not count for the next episode
-        self._report(scenario, state, f"episode {number}" + (f", task {tasks + 1}" if tasks else ""))
+        self._end(scenario, state, command, f"episode {number}" + (f", task {tasks + 1}" if tasks else ""))
         return True
+
+    def _may_wait(self, begin: float) -> bool:
+        """Whether the wait for a step that began then may go on, as time stands still meanwhile."""
+        pace = self.config.pace
+        return pace == "service" or (pace == "lockstep" and time.monotonic() - begin < self.config.patience)
+
+    def _end(self, scenario: Scenario, state: State, command: np.ndarray, name: str) -> None:
+        """Send the last state, in which the goal is reached, and print a line on the episode."""
+        lockstep = self.config.pace == "lockstep"
+        self.bridge.publish(state, command)
+        if lockstep:
+            self.bridge.answer(min(scenario.time_step, self.config.patience))  # it may not count for the next episode
+        outcome = "completed" if bool(state.completed) else "timed out"
+        seconds = int(state.tick) * scenario.time_step
+        missed = f", {self.bridge.missed} states without a command" if lockstep else ""
+        self._write(f"{name}, {scenario.task_name}: {outcome} after {seconds:.1f} s{missed}")
 
     def _notice(self, commanded: bool) -> None:
         """Tell once that commands have come, and then none for ``SILENT``, until they come again."""
@@ -418,7 +472,9 @@ class Live:
         Args:
             begin: when the wait for this step began, as of ``time.monotonic``; poses do not begin it anew.
         """
-        pace, mailbox, pose = self.config.pace, self.bridge.mailbox, None
+        pace = self.config.pace
+        mailbox = self.bridge.mailbox
+        pose = None
         end = begin + self.config.patience
         if pace == "real":
             if time.monotonic() - self._due > LAG:
@@ -427,9 +483,10 @@ class Live:
             end = self._due
         while True:
             if pace != "fast":
-                rest = REPEAT if pace == "service" else end - time.monotonic()
-                mailbox.wait(rest, for_command=pace == "lockstep")
-            pose, request = mailbox.take_pose() or pose, mailbox.take_request()
+                remaining = REPEAT if pace == "service" else end - time.monotonic()
+                mailbox.wait(remaining, for_command=pace == "lockstep")
+            pose = mailbox.take_pose() or pose
+            request = mailbox.take_request()
             if request is not None and request.name == "step" and pace != "service":
                 request.answer(False, "time passes by itself; start sean bridge with --pace service.")
             elif request is not None:
@@ -442,21 +499,14 @@ class Live:
                 self.bridge.missed += command is None
                 return command, None, pose
 
-    def _report(self, scenario: Scenario, state: State, what: str) -> None:
-        """A line on an episode that has ended."""
-        outcome = "completed" if bool(state.completed) else "timed out"
-        seconds = int(state.tick) * scenario.time_step
-        missed = f", {self.bridge.missed} states without a command" if self.config.pace == "lockstep" else ""
-        self._write(f"{what}, {scenario.task_name}: {outcome} after {seconds:.1f} s{missed}")
 
-
-def run(config: BridgeConfig, console: Console) -> None:
+def run_bridge(config: BridgeConfig, console: Console) -> None:
     """``sean bridge``: episodes until Ctrl-C.
 
     Raises:
         InputError: the options cannot be met, a package is missing, or nothing answers.
     """
     with console.status("compiling"):
-        live = Live(config, console)
+        live = LiveBridge(config, console)
     with contextlib.closing(live):
         live.run()

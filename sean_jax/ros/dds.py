@@ -15,7 +15,7 @@ import numpy as np
 
 from sean_jax.core.bounds import parse_digits
 from sean_jax.core.errors import InputError
-from sean_jax.ros.messages import fill, typestore
+from sean_jax.ros.messages import BYTES, fill, typestore
 from sean_jax.ros.transport import Mailbox, Output
 
 LOCAL = """<CycloneDDS><Domain><General><Interfaces><NetworkInterface address="127.0.0.1"/></Interfaces>
@@ -35,7 +35,7 @@ class Participant:
             InputError: Cyclone DDS is missing, or cannot join.
         """
         try:
-            from cyclonedds import core, pub, sub, topic
+            from cyclonedds import core
             from cyclonedds.domain import Domain, DomainParticipant
         except ImportError as error:
             raise InputError(f'dds: {error.name} is missing; pip install "sean_jax[dds]".') from None
@@ -43,39 +43,49 @@ class Participant:
         if number is None or number > 230:
             raise InputError(f"dds: {domain!r} is no number of a domain; give one from 0 to 230.")
         self.address = f"DDS domain {domain}"
-        self._mailbox, self._services = mailbox, list(mailbox.names.services.values())
-        # A topic of a std_msgs/String stands for the services: DDS has none of its own.
-        self._request = mailbox.names.within(f"/{mailbox.names.node}/request")
-        types = Types()
-        self._types, self._kinds = types, {name: output.type for name, output in outputs.items()}
         try:
             self._domain = None if "CYCLONEDDS_URI" in os.environ else Domain(number, LOCAL)
-            self._participant = DomainParticipant(number)
+            self._participant: Any = DomainParticipant(number)
         except core.DDSException as error:
             raise InputError(f"dds: domain {domain} cannot be joined: {error}; see CYCLONEDDS_URI.") from None
-        policy, second = core.Policy, 1_000_000_000
-        reliable = core.Qos(
-            policy.Reliability.Reliable(second), policy.Durability.Volatile, policy.History.KeepLast(10)
-        )
-        latched = core.Qos(
-            policy.Reliability.Reliable(second), policy.Durability.TransientLocal, policy.History.KeepLast(1)
-        )
-        newest = core.Qos(policy.Reliability.Reliable(second), policy.Durability.Volatile, policy.History.KeepLast(1))
-        self._writers, self._latched = {}, {name for name, output in outputs.items() if output.latched}
-        for name, output in outputs.items():
-            qos = latched if output.latched else reliable
-            made = topic.Topic(self._participant, f"rt{name}", types.struct(output.type), qos=qos)
-            self._writers[name] = pub.DataWriter(self._participant, made, qos=qos)
-        self._readers, self._wait = {}, core.WaitSet(self._participant)
-        for name, kind in {**mailbox.names.inputs, self._request: "std_msgs/msg/String"}.items():
-            made = topic.Topic(self._participant, f"rt{name}", types.struct(kind), qos=newest)
-            reader = self._readers[name] = sub.DataReader(self._participant, made, qos=newest)
-            self._wait.attach(
-                core.ReadCondition(reader, core.SampleState.NotRead | core.InstanceState.Any | core.ViewState.Any)
-            )
+        self._mailbox = mailbox
+        self._services = list(mailbox.names.services.values())
+        self._types = Types()
+        self._kinds = {name: output.type for name, output in outputs.items()}
+        self._latched = {name for name, output in outputs.items() if output.latched}
+
+        self._request = mailbox.names.within(f"/{mailbox.names.node}/request")
+        self._make_writers()
+        self._make_readers()
         self._closed = threading.Event()
         self._thread = threading.Thread(target=self._read, name="sean-dds", daemon=True)
         self._thread.start()
+
+    def _make_writers(self) -> None:
+        """A writer for each topic of the simulation; late readers of latched ones get the last message."""
+        from cyclonedds import pub, topic
+
+        latched = _quality(latched=True, depth=1)
+        queued = _quality(latched=False, depth=10)
+        self._writers = {}
+        for name, kind in self._kinds.items():
+            quality = latched if name in self._latched else queued
+            described = topic.Topic(self._participant, f"rt{name}", self._types.struct(kind), qos=quality)
+            self._writers[name] = pub.DataWriter(self._participant, described, qos=quality)
+
+    def _make_readers(self) -> None:
+        """A reader for each topic of the controller; a topic of a String stands for services, which DDS has not."""
+        from cyclonedds import core, sub, topic
+
+        newest = _quality(latched=False, depth=1)
+        unread = core.SampleState.NotRead | core.InstanceState.Any | core.ViewState.Any
+        self._readers = {}
+        self._wait = core.WaitSet(self._participant)
+        for name, kind in {**self._mailbox.names.inputs, self._request: "std_msgs/msg/String"}.items():
+            described = topic.Topic(self._participant, f"rt{name}", self._types.struct(kind), qos=newest)
+            reader = sub.DataReader(self._participant, described, qos=newest)
+            self._wait.attach(core.ReadCondition(reader, unread))
+            self._readers[name] = reader
 
     def wanted(self, topic: str) -> bool:
         """Whether a reader of a topic is there; latched ones are kept for later."""
@@ -89,7 +99,7 @@ class Participant:
             self._mailbox.log("dds write", f"dds: a message of {topic} was left out: {error}.")
 
     def close(self) -> None:
-        """Leave the domain."""
+        """End the thread, and leave the domain."""
         self._closed.set()
         self._thread.join(5.0)
         self._readers.clear()
@@ -118,6 +128,15 @@ class Participant:
         threading.Thread(target=self._mailbox.request, args=(word,), name="sean-dds-request", daemon=True).start()
 
 
+def _quality(latched: bool, depth: int) -> Any:
+    """Cyclone DDS's quality of service: reliable, with so many messages that may wait for a reader."""
+    from cyclonedds import core
+
+    policy = core.Policy
+    durability = policy.Durability.TransientLocal if latched else policy.Durability.Volatile
+    return core.Qos(policy.Reliability.Reliable(1_000_000_000), durability, policy.History.KeepLast(depth))
+
+
 class Types:
     """Classes of Cyclone DDS for ROS 2's message types, made of their definitions."""
 
@@ -142,11 +161,11 @@ class Types:
         if kind.name == "NAME":
             return self.struct(inner)
         if kind.name == "BASE":
-            base = {"byte": "uint8", "char": "uint8", "octet": "uint8"}.get(inner[0], str(inner[0]))
-            return str if base == "string" else bool if base == "bool" else getattr(types, base)
+            base = BYTES.get(inner[0], str(inner[0]))
+            return {"string": str, "bool": bool}.get(base) or getattr(types, base)
         element, count = inner
-        inside = self._annotation(element)
-        return types.array[inside, count] if kind.name == "ARRAY" else types.sequence[inside]
+        annotation = self._annotation(element)
+        return types.array[annotation, count] if kind.name == "ARRAY" else types.sequence[annotation]
 
     def fill(self, kind: str, message: dict[str, Any]) -> Any:
         """The object of a message type with the fields of a message; missing ones are 0 or empty."""
@@ -154,18 +173,20 @@ class Types:
 
     def _convert(self, kind: str, value: Any) -> Any:
         values = {}
-        for field, about in self._store.fielddefs[kind][1]:
-            part, (form, inner) = getattr(value, field), about
+        for field, (form, inner) in self._store.fielddefs[kind][1]:
+            content = getattr(value, field)
             if form.name == "NAME":
-                part = self._convert(inner, part)
+                content = self._convert(inner, content)
             elif form.name != "BASE" and inner[0][0].name == "NAME":
-                part = [self._convert(inner[0][1], each) for each in part]
-            elif isinstance(part, np.ndarray):
-                part = part.tolist()
-            values[field] = part
+                content = [self._convert(inner[0][1], item) for item in content]
+            elif isinstance(content, np.ndarray):
+                content = content.tolist()
+            values[field] = content
         return self.struct(kind)(**values)
 
 
 def _as_dict(value: Any) -> Any:
     """A sample as nested dicts."""
-    return {name: _as_dict(each) for name, each in vars(value).items()} if hasattr(value, "__idl__") else value
+    if not hasattr(value, "__idl__"):
+        return value
+    return {name: _as_dict(field) for name, field in vars(value).items()}

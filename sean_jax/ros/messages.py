@@ -10,7 +10,7 @@ no errors, so ``odom`` lies on ``map``.
 """
 
 import io
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -52,6 +52,9 @@ COVARIANCE = np.diag([1e-6, 1e-6, 1e6, 1e6, 1e6, 1e-6]).reshape(-1)
 ARROW, CYLINDER, LINE_STRIP, TEXT = 0, 3, 4, 9  # types of markers
 ADD, DELETE = 0, 2  # actions of markers
 UINT16, FLOAT32 = 4, 7  # datatypes of a PointField
+BYTES = {"byte": "uint8", "char": "uint8", "octet": "uint8"}
+"""Names that ROS has for a byte -> its type."""
+
 
 SEAN_TOPICS = {
     "/odom": "/robot_odom",
@@ -128,7 +131,7 @@ social_sim_ros.
 
 
 @struct.dataclass
-class Step:
+class StepValues:
     """The quantities of one step that messages need."""
 
     tick: Int[Array, ""]
@@ -148,15 +151,16 @@ class Step:
     readings: dict[str, Any]  # of the sensors
 
 
-def step(scenario: Scenario, state: State, command: Float[Array, "command"]) -> Step:
+def step(scenario: Scenario, state: State, command: Float[Array, "command"]) -> StepValues:
     """The quantities of a state, and the command [m/s, rad/s] that led there. For ``jax.jit`` and ``jax.vmap``."""
-    robot, task = state.robot, state.task
+    robot = state.robot
+    task = state.task
     left = jnp.zeros_like(robot.speed) if robot.sideways is None else robot.sideways
 
     def corner(place: Array, _: None) -> tuple[Array, Array]:
         return paths.next_point(scenario.navigation, place, task.goal, task.paths_to_goal), place
 
-    return Step(
+    return StepValues(
         tick=state.tick,
         position=robot.position,
         heading=robot.heading,
@@ -180,7 +184,7 @@ class Topic:
     """A topic and its messages."""
 
     type: str  # such as sensor_msgs/msg/LaserScan
-    message: Callable[[Step, int], Message]  # of a step on the host at a time [ns]
+    message: Callable[[StepValues, int], Message]  # of a step on the host at a time [ns]
     latched: bool = False  # whether one message is enough until the next episode (ROS 2: transient local)
     sensor: str = ""  # whose reading the message has
 
@@ -192,7 +196,6 @@ def topics(scenario: Scenario, naming: Naming = "ros", number: int = 0) -> dict[
         naming: ``sean`` for the names of SEAN 2.0 and its own topics.
         number: of the episode, for SEAN's TrialInfo.
     """
-    radius = float(scenario.forces.walking.radius)
     table = {
         "/clock": Topic("rosgraph_msgs/msg/Clock", lambda step, time: {"clock": stamp(time)}),
         "/tf": Topic("tf2_msgs/msg/TFMessage", _transforms),
@@ -203,7 +206,7 @@ def topics(scenario: Scenario, naming: Naming = "ros", number: int = 0) -> dict[
         "/plan": Topic("nav_msgs/msg/Path", _plan),
         "/cmd_vel": Topic("geometry_msgs/msg/Twist", lambda step, time: twist(*_finite(step.command))),
         "/people": Topic("people_msgs/msg/People", _people),
-        "/markers": Topic("visualization_msgs/msg/MarkerArray", _markers(scenario, radius)),
+        "/markers": Topic("visualization_msgs/msg/MarkerArray", _markers(scenario)),
     }
     for sensor in scenario.sensors:
         table |= _of_sensor(scenario, sensor, naming)
@@ -212,7 +215,7 @@ def topics(scenario: Scenario, naming: Naming = "ros", number: int = 0) -> dict[
     return table
 
 
-def messages(table: dict[str, Topic], step: Step, time: int, latched: bool = False) -> dict[str, Message]:
+def messages(table: dict[str, Topic], step: StepValues, time: int, latched: bool = False) -> dict[str, Message]:
     """The messages of a step on the host by topic, of latched topics or of the others.
 
     Args:
@@ -222,15 +225,18 @@ def messages(table: dict[str, Topic], step: Step, time: int, latched: bool = Fal
 
 
 def _sean_name(topic: str) -> str:
-    space, slash, rest = topic[1:].partition("/")
-    return SEAN_TOPICS.get(topic) or SEAN_TOPICS.get(f"/{space}", f"/{space}") + slash + rest
+    """The name of a topic in SEAN 2.0, as a whole or by its namespace."""
+    if topic in SEAN_TOPICS:
+        return SEAN_TOPICS[topic]
+    space, slash, name = topic[1:].partition("/")
+    return SEAN_TOPICS.get(f"/{space}", f"/{space}") + slash + name
 
 
 # --- parts of messages ---
 
 
 def stamp(time: int) -> Message:
-    """A time [ns]."""
+    """A time [ns] as a Time message."""
     return {"sec": int(time // SECOND), "nanosec": int(time % SECOND)}
 
 
@@ -287,20 +293,21 @@ def color(values: tuple[float, ...]) -> Message:
 NO_ROTATION = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
 
 
-def _count(present: ArrayLike) -> int:
-    return int(np.count_nonzero(np.asarray(present)))
+def _present(people: Pedestrians | Groups) -> np.ndarray:
+    """The indices of those who are there."""
+    return np.flatnonzero(np.asarray(people.present))
 
 
 def _finite(command: ArrayLike) -> tuple[float, float, float]:
     """Ahead, left and turn of a command, without those that mean none."""
-    values = [float(value) for value in np.nan_to_num(np.asarray(command, float))]
-    return (values[0], 0.0, values[1]) if len(values) == 2 else (values[0], values[1], values[2])
+    ahead, *left, turn = np.nan_to_num(np.asarray(command, float)).tolist()
+    return ahead, left[0] if left else 0.0, turn
 
 
 # --- the robot ---
 
 
-def _transforms(step: Step, time: int) -> Message:
+def _transforms(step: StepValues, time: int) -> Message:
     return {
         "transforms": [
             transform(MAP, ODOM, time, vector(0.0, 0.0), NO_ROTATION),
@@ -309,14 +316,16 @@ def _transforms(step: Step, time: int) -> Message:
     }
 
 
-def _static_transforms(scenario: Scenario) -> Callable[[Step, int], Message]:
+def _static_transforms(scenario: Scenario) -> Callable[[StepValues, int], Message]:
+    mounts = {mount.name: mount for mount in reversed(scenario.robot.mounts)}  # the first of equal names
     places = []
     for sensor in scenario.sensors:
         device = getattr(sensor.read, "device", None)
         if device is None:
             continue
-        mount = next((mount for mount in scenario.robot.mounts if mount.name == device.name), None)
-        origin = device.origin if device.origin is not None else mount.origin if mount else (0.0, 0.0, 0.0)
+        origin = device.origin
+        if origin is None:
+            origin = mounts[device.name].origin if device.name in mounts else (0.0, 0.0, 0.0)
         axes = np.asarray(device.axes, float).reshape(3, 3)
         if isinstance(device, Camera):
             axes = axes * [1.0, -1.0, -1.0]  # ROS: z along the view, y down
@@ -324,7 +333,7 @@ def _static_transforms(scenario: Scenario) -> Callable[[Step, int], Message]:
     return lambda step, time: {"transforms": [transform(BASE, name, time, *place) for name, *place in places]}
 
 
-def _odometry(step: Step, time: int) -> Message:
+def _odometry(step: StepValues, time: int) -> Message:
     return {
         "header": header(ODOM, time),
         "child_frame_id": BASE,
@@ -333,31 +342,40 @@ def _odometry(step: Step, time: int) -> Message:
     }
 
 
-def _goal(step: Step, time: int) -> Message:
+def _goal(step: StepValues, time: int) -> Message:
     return {"header": header(MAP, time), "pose": pose(step.goal, step.goal_heading)}
 
 
-def _plan(step: Step, time: int) -> Message:
-    top = header(MAP, time)
+def _plan(step: StepValues, time: int) -> Message:
+    goal = np.asarray(step.goal, float)
     corners = np.asarray(step.plan, float)
-    end = int(np.argmax((corners == np.asarray(step.goal, float)).all(1))) or len(corners)
-    corners = np.concatenate([corners[:end], np.asarray(step.goal, float)[None]])
-    points, heading = [corners[0]], np.asarray(step.heading, float)
-    for begin, far in zip(corners, corners[1:], strict=False):
-        count = max(1, int(np.ceil(np.linalg.norm(far - begin) / SPACING)))
-        points.extend(begin + (far - begin) * part / count for part in range(1, count + 1))
-    ahead = np.diff(points, axis=0)
-    headings = [*ahead, np.asarray(step.goal_heading)] if len(ahead) else [heading]
-    poses = [pose(point, way) for point, way in zip(points, headings, strict=True)]
-    return {"header": top, "poses": [{"header": top, "pose": each} for each in poses]}
+    count = int(np.argmax((corners == goal).all(1))) or len(corners)  # the rest repeats the goal
+    corners = np.concatenate([corners[:count], goal[None]])  # (C, 2)
+
+    # A pose every 0.25 m.
+    points = [corners[0]]
+    for begin, end in zip(corners, corners[1:], strict=False):
+        pieces = max(1, int(np.ceil(np.linalg.norm(end - begin) / SPACING)))
+        points.extend(begin + (end - begin) * piece / pieces for piece in range(1, pieces + 1))
+
+    # Each looks at the next one, and the last one as the robot shall at its goal.
+    if len(points) > 1:
+        headings = [*np.diff(points, axis=0), np.asarray(step.goal_heading)]
+    else:
+        headings = [np.asarray(step.heading, float)]
+    plan_header = header(MAP, time)
+    poses = []
+    for point, heading in zip(points, headings, strict=True):
+        poses.append({"header": plan_header, "pose": pose(point, heading)})
+    return {"header": plan_header, "poses": poses}
 
 
-def _occupancy_grid(scenario: Scenario) -> Callable[[Step, int], Message]:
+def _occupancy_grid(scenario: Scenario) -> Callable[[StepValues, int], Message]:
     raster = ros_map.of_environment(scenario.environment, RESOLUTION)
     cells = np.where(raster.occupied, 100, 0).astype(np.int8).reshape(-1)
     rows, columns = raster.occupied.shape
 
-    def message(step: Step, time: int) -> Message:
+    def message(step: StepValues, time: int) -> Message:
         corner = {"position": vector(*raster.origin), "orientation": NO_ROTATION}
         size = {"resolution": raster.resolution, "width": columns, "height": rows}
         return {
@@ -372,58 +390,102 @@ def _occupancy_grid(scenario: Scenario) -> Callable[[Step, int], Message]:
 # --- people ---
 
 
-def _people(step: Step, time: int) -> Message:
+def _people(step: StepValues, time: int) -> Message:
     people = step.people
     rows = []
-    for index in np.flatnonzero(np.asarray(people.present)):
-        group, (hx, hy) = int(people.group[index]), np.asarray(people.heading[index], float)
-        tags = {"heading": repr(float(np.arctan2(hy, hx)))} | ({"group": str(group)} if group >= 0 else {})
-        rows.append({
+    for index in _present(people):
+        x, y = np.asarray(people.heading[index], float)
+        tags = {"heading": repr(float(np.arctan2(y, x)))}
+        if people.group[index] >= 0:
+            tags["group"] = str(int(people.group[index]))
+        person = {
             "name": f"person_{index}",
             "position": vector(*people.position[index]),
             "velocity": vector(*people.velocity[index]),
             "reliability": 1.0,
             "tagnames": list(tags),
             "tags": list(tags.values()),
-        })  # fmt: skip
+        }
+        rows.append(person)
     return {"header": header(MAP, time), "people": rows}
 
 
-def _markers(scenario: Scenario, radius: float) -> Callable[[Step, int], Message]:
-    body, reach = float(scenario.robot.radius), float(scenario.goal_radius)
-    names = [name for name, _ in scenario.situations]
-    circle = np.linspace(0.0, 2 * np.pi, 33)
-    ring = np.stack([np.cos(circle), np.sin(circle)], -1)
+# --- markers ---
 
-    def message(step: Step, time: int) -> Message:
-        def marker(
-            space: str, number: int, kind: int, place: Message, size: tuple[float, ...], **others: Any
-        ) -> Message:
-            base = {"header": header(MAP, time), "ns": space, "id": int(number), "type": kind, "action": ADD}
-            shape = {"pose": place, "scale": vector(*size), "color": color(COLORS[space])}
-            return {**base, **shape, "lifetime": {"sec": 0, "nanosec": 0}, "frame_locked": False, **others}
 
-        rows, people, groups = [], step.people, step.groups
-        for index in range(len(people.present)):
-            place = pose(people.position[index], people.heading[index], PERSON_HEIGHT / 2)
-            action = {"action": ADD if people.present[index] else DELETE}
-            arrow = pose(people.position[index], people.heading[index], PERSON_HEIGHT)
-            rows.append(marker("people", 2 * index, CYLINDER, place, (2 * radius, 2 * radius, PERSON_HEIGHT), **action))
-            rows.append(marker("people", 2 * index + 1, ARROW, arrow, (0.5, 0.08, 0.08), **action))
-        for index in range(len(groups.present)):
-            points = np.asarray(groups.center[index]) + np.asarray(groups.radius[index]) * ring
-            outline = {"points": [vector(x, y, 0.02) for x, y in points]}
-            outline |= {"action": ADD if groups.present[index] else DELETE}
-            rows.append(marker("groups", index, LINE_STRIP, _origin_pose(), (0.05, 0.0, 0.0), **outline))
-        rows.append(marker("robot", 0, CYLINDER, pose(step.position, step.heading, 0.2), (2 * body, 2 * body, 0.4)))
-        rows.append(marker("robot", 1, ARROW, pose(step.position, step.heading, 0.45), (3 * body, 0.08, 0.08)))
-        rows.append(marker("goal", 0, CYLINDER, pose(step.goal, step.goal_heading, 0.01), (2 * reach, 2 * reach, 0.02)))
-        text = ", ".join(name.replace("_", " ") for name, holds in zip(names, step.situations, strict=True) if holds)
-        above = pose(np.asarray(step.position) + [0.0, 0.6], step.heading, 1.0)  # beside the robot, seen from above
-        rows.append(marker("situations", 0, TEXT, above, (0.0, 0.0, 0.4), text=text or " "))
-        return {"markers": rows}
+def _markers(scenario: Scenario) -> Callable[[StepValues, int], Message]:
+    person_radius = float(scenario.forces.walking.radius)
+    robot_radius = float(scenario.robot.radius)
+    goal_radius = float(scenario.goal_radius)
+    names = [name.replace("_", " ") for name, _ in scenario.situations]
+
+    def message(step: StepValues, time: int) -> Message:
+        text = ", ".join(name for name, holds in zip(names, step.situations, strict=True) if holds)
+        markers = [
+            *_person_markers(step.people, person_radius),
+            *_group_markers(step.groups),
+            *_robot_markers(step, robot_radius, goal_radius),
+            _text_marker(step, text),
+        ]
+        marker_header = header(MAP, time)
+        return {"markers": [{"header": marker_header, **marker} for marker in markers]}
 
     return message
+
+
+def _marker(
+    space: str, number: int, kind: int, place: Message, size: tuple[float, ...], present: bool = True, **others: Any
+) -> Message:
+    """A Marker without its header; absent ones are deleted."""
+    return {
+        "ns": space,
+        "id": number,
+        "type": kind,
+        "action": ADD if present else DELETE,
+        "pose": place,
+        "scale": vector(*size),
+        "color": color(COLORS[space]),
+        "lifetime": {"sec": 0, "nanosec": 0},
+        "frame_locked": False,
+        **others,
+    }
+
+
+def _person_markers(people: Pedestrians, radius: float) -> Iterator[Message]:
+    """A cylinder, and an arrow on it along the heading, of each person."""
+    for index, present in enumerate(people.present):
+        position = people.position[index]
+        heading = people.heading[index]
+        body = pose(position, heading, PERSON_HEIGHT / 2)
+        yield _marker("people", 2 * index, CYLINDER, body, (2 * radius, 2 * radius, PERSON_HEIGHT), present)
+        head = pose(position, heading, PERSON_HEIGHT)
+        yield _marker("people", 2 * index + 1, ARROW, head, (0.5, 0.08, 0.08), present)
+
+
+def _group_markers(groups: Groups) -> Iterator[Message]:
+    """A circle around each group."""
+    angle = np.linspace(0.0, 2 * np.pi, 33)
+    circle = np.stack([np.cos(angle), np.sin(angle)], -1)
+    for index, present in enumerate(groups.present):
+        outline = np.asarray(groups.center[index]) + np.asarray(groups.radius[index]) * circle
+        points = [vector(x, y, 0.02) for x, y in outline]
+        yield _marker("groups", index, LINE_STRIP, _origin_pose(), (0.05, 0.0, 0.0), present, points=points)
+
+
+def _robot_markers(step: StepValues, radius: float, goal_radius: float) -> Iterator[Message]:
+    """The robot, an arrow on it along the heading, and its goal."""
+    body = pose(step.position, step.heading, 0.2)
+    yield _marker("robot", 0, CYLINDER, body, (2 * radius, 2 * radius, 0.4))
+    top = pose(step.position, step.heading, 0.45)
+    yield _marker("robot", 1, ARROW, top, (3 * radius, 0.08, 0.08))
+    goal = pose(step.goal, step.goal_heading, 0.01)
+    yield _marker("goal", 0, CYLINDER, goal, (2 * goal_radius, 2 * goal_radius, 0.02))
+
+
+def _text_marker(step: StepValues, text: str) -> Message:
+    """The situations that hold, beside the robot as it is seen from above."""
+    beside = pose(np.asarray(step.position) + [0.0, 0.6], step.heading, 1.0)
+    return _marker("situations", 0, TEXT, beside, (0.0, 0.0, 0.4), text=text or " ")
 
 
 def _origin_pose() -> Message:
@@ -441,34 +503,50 @@ def frame_of(sensor: Sensor) -> str:
 
 def _of_sensor(scenario: Scenario, sensor: Sensor, naming: Naming) -> dict[str, Topic]:
     """The topics of a sensor; none for sensors that are neither a camera nor a lidar."""
-    device, name, frame = getattr(sensor.read, "device", None), sensor.name, frame_of(sensor)
+    device = getattr(sensor.read, "device", None)
     if isinstance(device, Lidar):
         miss = 0.0 if naming == "sean" else np.inf  # as REP 117 says, and as SEAN's lidar does
+        return _of_lidar(sensor, device, scenario.time_step, miss)
+    if isinstance(device, Camera):
+        return _of_camera(sensor, device, compress=naming == "sean" and not hasattr(sensor.read, "measure"))
+    return {}
 
-        def laser(step: Step, time: int) -> Message:
-            return laser_scan(np.asarray(step.readings[name]), device, frame, time, scenario.time_step, miss)
 
-        def cloud(step: Step, time: int) -> Message:
-            return point_cloud(*sensors.point_cloud(device, np.asarray(step.readings[name])), frame, time)
+def _of_lidar(sensor: Sensor, device: Lidar, time_step: float, miss: float) -> dict[str, Topic]:
+    """Points of a lidar with several rings, or distances in one plane."""
+    name = sensor.name
+    frame = frame_of(sensor)
 
-        if device.elevations:
-            return {f"/{name}/points": Topic("sensor_msgs/msg/PointCloud2", cloud, sensor=name)}
-        place = "/scan" if name == "lidar" else f"/{name}/scan"
-        return {place: Topic("sensor_msgs/msg/LaserScan", laser, sensor=name)}
-    if not isinstance(device, Camera):
-        return {}
+    def laser(step: StepValues, time: int) -> Message:
+        return laser_scan(np.asarray(step.readings[name]), device, frame, time, time_step, miss)
 
-    def picture(step: Step, time: int) -> Message:
+    def cloud(step: StepValues, time: int) -> Message:
+        return point_cloud(*sensors.point_cloud(device, np.asarray(step.readings[name])), frame, time)
+
+    if device.elevations:
+        return {f"/{name}/points": Topic("sensor_msgs/msg/PointCloud2", cloud, sensor=name)}
+    topic = "/scan" if name == "lidar" else f"/{name}/scan"
+    return {topic: Topic("sensor_msgs/msg/LaserScan", laser, sensor=name)}
+
+
+def _of_camera(sensor: Sensor, device: Camera, compress: bool) -> dict[str, Topic]:
+    """Pictures of a camera, and its lens if it has perspective."""
+    name = sensor.name
+    frame = frame_of(sensor)
+
+    def picture(step: StepValues, time: int) -> Message:
         reading = np.asarray(step.readings[name])
-        return depth_image(reading, device.far, frame, time) if reading.ndim == 2 else color_image(reading, frame, time)
+        if reading.ndim == 2:
+            return depth_image(reading, device.far, frame, time)
+        return color_image(reading, frame, time)
 
-    table = {f"/{name}/image_raw": Topic("sensor_msgs/msg/Image", picture, sensor=name)}
-    if naming == "sean" and not hasattr(sensor.read, "measure"):
+    def packed(step: StepValues, time: int) -> Message:
+        return compressed_image(np.asarray(step.readings[name]), frame, time)
 
-        def packed(step: Step, time: int) -> Message:
-            return compressed_image(np.asarray(step.readings[name]), frame, time)
-
+    if compress:
         table = {f"/{name}/compressed": Topic("sensor_msgs/msg/CompressedImage", packed, sensor=name)}
+    else:
+        table = {f"/{name}/image_raw": Topic("sensor_msgs/msg/Image", picture, sensor=name)}
     if not device.orthographic:
         table[f"/{name}/camera_info"] = Topic(
             "sensor_msgs/msg/CameraInfo", lambda step, time: camera_info(device, frame, time)
@@ -530,20 +608,22 @@ def _image(pixels: np.ndarray, encoding: str, frame: str, time: int) -> Message:
 def camera_info(device: Camera, frame: str, time: int) -> Message:
     """The CameraInfo of a camera with perspective and no distortion."""
     # In ROS the middle of the first pixel is at 0, so the middle of the picture is half a pixel before its half.
-    focal, x, y = focal_length(device), (device.width - 1) / 2, (device.height - 1) / 2
-    matrix = np.array([focal, 0.0, x, 0.0, focal, y, 0.0, 0.0, 1.0])
-    size = {"height": device.height, "width": device.width}
-    lens = {"distortion_model": "plumb_bob", "d": np.zeros(5), "k": matrix, "r": np.eye(3).reshape(-1)}
-    projection = np.concatenate([matrix.reshape(3, 3), np.zeros((3, 1))], 1).reshape(-1)
-    region = {"x_offset": 0, "y_offset": 0, "height": 0, "width": 0, "do_rectify": False}
+    focal = focal_length(device)
+    x = (device.width - 1) / 2
+    y = (device.height - 1) / 2
+    matrix = np.array([[focal, 0.0, x], [0.0, focal, y], [0.0, 0.0, 1.0]])
     return {
         "header": header(frame, time),
-        **size,
-        **lens,
-        "p": projection,
+        "height": device.height,
+        "width": device.width,
+        "distortion_model": "plumb_bob",
+        "d": np.zeros(5),
+        "k": matrix.reshape(-1),
+        "r": np.eye(3).reshape(-1),
+        "p": np.concatenate([matrix, np.zeros((3, 1))], 1).reshape(-1),
         "binning_x": 0,
         "binning_y": 0,
-        "roi": region,
+        "roi": {"x_offset": 0, "y_offset": 0, "height": 0, "width": 0, "do_rectify": False},
     }
 
 
@@ -553,7 +633,8 @@ def point_cloud(points: np.ndarray, ring: np.ndarray, frame: str, time: int) -> 
     Points that are not finite are kept, and ``is_dense`` says so.
     """
     values = np.zeros(len(points), [("xyz", "<f4", 3), ("ring", "<u2")])
-    values["xyz"], values["ring"] = points, ring
+    values["xyz"] = points
+    values["ring"] = ring
     fields = [{"name": name, "offset": 4 * k, "datatype": FLOAT32, "count": 1} for k, name in enumerate("xyz")]
     fields += [{"name": "ring", "offset": 12, "datatype": UINT16, "count": 1}]
     return {
@@ -575,74 +656,94 @@ def point_cloud(points: np.ndarray, ring: np.ndarray, frame: str, time: int) -> 
 def sean_topics(scenario: Scenario, number: int) -> dict[str, Topic]:
     """SEAN's topics beyond those that it shares with others; facts of its tcp_server.py."""
     name = f"{scenario.behavior.name.capitalize()}_{scenario.task_name}"
+    trial = SeanTrial(name, number, scenario.environment.name, scenario.time_step, float(scenario.time_limit))
+    space = "/social_sim/"
+    table = {
+        f"{space}agents": Topic("social_sim_ros/msg/AgentArray", _agents),
+        f"{space}agent_positions": Topic("geometry_msgs/msg/PoseArray", _agent_positions),
+        f"{space}group_positions": Topic("geometry_msgs/msg/PoseArray", _group_positions),
+        f"{space}scene_info": Topic("social_sim_ros/msg/SceneInfo", trial.scene_info, latched=True),
+        f"{space}metrics": Topic("social_sim_ros/msg/TrialInfo", trial.trial_info),
+    }
+    for index, (name, _) in enumerate(scenario.situations):
+        table[f"{space}situations/rule_based/{name}"] = Topic("std_msgs/msg/Float32", _situation(index))
+    return table
 
-    def agents(step: Step, time: int) -> Message:
-        top, people = header(MAP, time), step.people
-        rows = [
-            {
-                "header": top,
-                "track_id": int(index),
-                "type": "person",
-                "pose": pose(people.position[index], people.heading[index]),
-                "twist": twist(people.velocity[index][0], people.velocity[index][1], 0.0),
-            }
-            for index in np.flatnonzero(np.asarray(people.present))
-        ]
-        return {"header": top, "agents": rows}
 
-    def positions(step: Step, time: int) -> Message:
-        people, here = step.people, np.flatnonzero(np.asarray(step.people.present))
-        return {"header": header(MAP, time), "poses": [pose(people.position[k], people.heading[k]) for k in here]}
+def _agents(step: StepValues, time: int) -> Message:
+    people = step.people
+    array_header = header(MAP, time)
+    rows = []
+    for index in _present(people):
+        vx, vy = people.velocity[index]
+        agent = {
+            "header": array_header,
+            "track_id": int(index),
+            "type": "person",
+            "pose": pose(people.position[index], people.heading[index]),
+            "twist": twist(vx, vy, 0.0),
+        }
+        rows.append(agent)
+    return {"header": array_header, "agents": rows}
 
-    def group_positions(step: Step, time: int) -> Message:
-        centers = np.asarray(step.groups.center)[np.asarray(step.groups.present)]
-        return {"header": header(MAP, time), "poses": [pose(center, np.array([1.0, 0.0])) for center in centers]}
 
-    def scene(step: Step, time: int) -> Message:
+def _agent_positions(step: StepValues, time: int) -> Message:
+    people = step.people
+    poses = [pose(people.position[index], people.heading[index]) for index in _present(people)]
+    return {"header": header(MAP, time), "poses": poses}
+
+
+def _group_positions(step: StepValues, time: int) -> Message:
+    centers = np.asarray(step.groups.center)[np.asarray(step.groups.present)]
+    return {"header": header(MAP, time), "poses": [pose(center, np.array([1.0, 0.0])) for center in centers]}
+
+
+def _situation(index: int) -> Callable[[StepValues, int], Message]:
+    return lambda step, time: {"data": float(step.situations[index])}
+
+
+@dataclass(frozen=True)
+class SeanTrial:
+    """What SEAN's messages tell of an episode."""
+
+    name: str
+    number: int
+    environment: str
+    time_step: float  # s
+    time_limit: float  # s
+
+    def scene_info(self, step: StepValues, time: int) -> Message:
+        """The SceneInfo of a step at a time [ns]."""
         return {
             "header": header(MAP, time),
-            "scenario_name": name,
+            "scenario_name": self.name,
             "robot_start_pose": pose(step.start, step.start_heading),
             "robot_target_pose": pose(step.goal, step.goal_heading),
-            "num_people": _count(step.people.present),
-            "num_groups": _count(step.groups.present),
-            "environment": scenario.environment.name,
+            "num_people": len(_present(step.people)),
+            "num_groups": len(_present(step.groups)),
+            "environment": self.environment,
         }
 
-    def trial(step: Step, time: int) -> Message:
-        begin = time - round(int(step.tick) * scenario.time_step * SECOND)
+    def trial_info(self, step: StepValues, time: int) -> Message:
+        """The TrialInfo of a step at a time [ns]."""
+        begin = time - round(int(step.tick) * self.time_step * SECOND)
+        to_goal = np.linalg.norm(np.asarray(step.position) - np.asarray(step.goal))
         return {
             "header": header(MAP, time),
             "trial_start": stamp(max(0, begin)),
-            "timeout_time": float(scenario.time_limit),
-            "trial_name": name,
-            "trial_number": number % 2**16,
-            "num_actors": _count(step.people.present),
+            "timeout_time": self.time_limit,
+            "trial_name": self.name,
+            "trial_number": self.number % 2**16,
+            "num_actors": len(_present(step.people)),
             "robot_start": pose(step.start, step.start_heading),
             "robot_goal": pose(step.goal, step.goal_heading),
-            "dist_to_target": float(np.linalg.norm(np.asarray(step.position) - np.asarray(step.goal))),
+            "dist_to_target": float(to_goal),
             "min_dist_to_target": float(step.metrics.get("min_distance_to_goal", np.nan)),
             "robot_poses": [],
             "robot_poses_ts": [],
             "min_dist_to_ped": float(step.metrics.get("min_distance_to_people", np.nan)),
             **{field: int(step.metrics.get(metric, 0)) for field, metric in _COUNTS.items()},
         }
-
-    def situation(index: int) -> Callable[[Step, int], Message]:
-        return lambda step, time: {"data": float(step.situations[index])}
-
-    space = "/social_sim/"
-    return {
-        f"{space}agents": Topic("social_sim_ros/msg/AgentArray", agents),
-        f"{space}agent_positions": Topic("geometry_msgs/msg/PoseArray", positions),
-        f"{space}group_positions": Topic("geometry_msgs/msg/PoseArray", group_positions),
-        f"{space}scene_info": Topic("social_sim_ros/msg/SceneInfo", scene, latched=True),
-        f"{space}metrics": Topic("social_sim_ros/msg/TrialInfo", trial),
-        **{
-            f"{space}situations/rule_based/{name}": Topic("std_msgs/msg/Float32", situation(index))
-            for index, (name, _) in enumerate(scenario.situations)
-        },
-    }
 
 
 # --- classes of rosbags ---
@@ -672,25 +773,38 @@ def fill(store: Any, kind: str, message: Message) -> Any:
     lower = {name.lower() for name in fields}
     if unknown := [name for name in message if name not in fields and name not in lower]:
         raise ValueError(f"{kind}: has no fields {', '.join(unknown)}")
-    values = {name: message.get(name, message.get(name.lower())) for name in fields}
-    return store.types[kind](**{name: _value(store, fields[name], value) for name, value in values.items()})
+    values = {}
+    for name, field in fields.items():
+        values[name] = _value(store, field, message.get(name, message.get(name.lower())))
+    return store.types[kind](**values)
 
 
 def _value(store: Any, field: tuple, value: Any) -> Any:
+    """The value of a field, which is of a type (kind, inner) as the typestore describes it; 0 or empty for None."""
     kind, inner = field
     name = getattr(kind, "name", kind)
     if name == "NAME":
         return fill(store, inner, value or {})
     if name == "BASE":
-        base = inner[0]
-        if value is None:
-            return "" if base == "string" else False if base == "bool" else 0.0 if base.startswith("float") else 0
-        return value
+        return _zero(inner[0]) if value is None else value
+
+    # An array or a sequence, of messages, of texts or of numbers.
     (element, about), count = inner
     if getattr(element, "name", element) == "NAME":
-        return [fill(store, about, each) for each in ([] if value is None else value)]
-    if about[0] == "string":
+        return [fill(store, about, item) for item in ([] if value is None else value)]
+    base = about[0]
+    if base == "string":
         return list(value or [])
-    kinds = {"byte": "uint8", "char": "uint8", "octet": "uint8"}
-    dtype = np.dtype(kinds.get(about[0], about[0]))
-    return np.zeros(count if name == "ARRAY" else 0, dtype) if value is None else np.asarray(value, dtype)
+    dtype = np.dtype(BYTES.get(base, base))
+    if value is None:
+        return np.zeros(count if name == "ARRAY" else 0, dtype)
+    return np.asarray(value, dtype)
+
+
+def _zero(base: str) -> str | bool | float | int:
+    """The value of a field that a message lacks, by its type."""
+    if base == "string":
+        return ""
+    if base == "bool":
+        return False
+    return 0.0 if base.startswith("float") else 0

@@ -50,12 +50,14 @@ class RosNames:
         if not self.namespace or isinstance(message, np.ndarray):
             return message
         if isinstance(message, list):
-            return [self.frames(each) for each in message]
+            return [self.frames(item) for item in message]
         if not isinstance(message, dict):
             return message
-        frames = {name: message[name] for name in ("frame_id", "child_frame_id") if name in message}
-        changed = {name: f"{self.namespace}/{frame}" for name, frame in frames.items() if frame not in ("", MAP)}
-        return {name: self.frames(part) for name, part in message.items()} | changed
+        renamed = {name: self.frames(field) for name, field in message.items()}
+        for name in ("frame_id", "child_frame_id"):
+            if message.get(name, "") not in ("", MAP):
+                renamed[name] = f"{self.namespace}/{message[name]}"
+        return renamed
 
 
 DEFAULT_NAMES = RosNames()

@@ -14,7 +14,7 @@ import os
 import sys
 import threading
 import xmlrpc.client
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +31,7 @@ MESSAGES = {"geometry_msgs": "msg", "std_srvs": "srv"}  # packages of the node's
 
 
 def import_rospy() -> Any:
-    """The module rospy, beside its ``MESSAGES``; also where Debian has them, behind this Python's own packages.
+    """The module rospy. Where this Python has none, the one of Debian's packages is imported.
 
     Raises:
         InputError: there is none for this Python, or a package of messages is missing.
@@ -50,8 +50,10 @@ def import_rospy() -> Any:
         if (missing.name or "").partition(".")[0] not in MESSAGES:
             version = f"Python {sys.version_info.major}.{sys.version_info.minor}"
             raise InputError(f"ros1: rospy of {DEBIAN} is not for {version} ({missing}); use Debian's version.")
-    cure = "on Debian: apt-get install ros-core python3-rospy python3-geometry-msgs python3-std-srvs"
-    raise InputError(f"ros1: rospy cannot be imported ({missing}); {cure}.")
+    raise InputError(
+        f"ros1: rospy cannot be imported ({missing}); on Debian: apt-get install ros-core python3-rospy "
+        "python3-geometry-msgs python3-std-srvs."
+    )
 
 
 def listen_on_loopback(master: str, mailbox: Mailbox) -> None:
@@ -71,7 +73,22 @@ def _import() -> Any:
     return importlib.import_module("rospy")
 
 
-class Node:
+def command_fields(message: Any) -> dict[str, Any]:
+    """The fields of a Twist of rospy that ``read_command`` reads."""
+    linear = {"x": message.linear.x, "y": message.linear.y}
+    return {"linear": linear, "angular": {"z": message.angular.z}}
+
+
+def pose_fields(message: Any) -> dict[str, Any]:
+    """The fields of a PoseWithCovarianceStamped of rospy that ``read_pose`` reads."""
+    pose = message.pose.pose
+    position = {"x": pose.position.x, "y": pose.position.y}
+    orientation = {"z": pose.orientation.z, "w": pose.orientation.w}
+    header = {"frame_id": message.header.frame_id}
+    return {"header": header, "pose": {"pose": {"position": position, "orientation": orientation}}}
+
+
+class RosNode:
     """A node of rospy as a ``Transport``. A process has one."""
 
     def __init__(self, mailbox: Mailbox, outputs: Mapping[str, Output]):
@@ -95,34 +112,15 @@ class Node:
         rospy.init_node(mailbox.names.node, disable_signals=True)
         rospy.set_param("/use_sim_time", True)
         atexit.register(rospy.signal_shutdown, "the program ends")
-        self._rospy, self._rosgraph, self._mailbox = rospy, rosgraph, mailbox
-        self._store, self._types = typestore(1), {topic: output.type for topic, output in outputs.items()}
-        self._counts = {topic: itertools.count() for topic in outputs}
-        self._classes = {kind: self._raw(genpy.Message, kind) for kind in set(self._types.values())}
-        self._publishers = {
-            topic: rospy.Publisher(
-                topic, self._classes[kind], queue_size=QUEUE, latch=outputs[topic].latched, tcp_nodelay=True
-            )
-            for topic, kind in self._types.items()
+        self._rospy = rospy
+        self._rosgraph = rosgraph
+        self._mailbox = mailbox
+        self._advertise(genpy.Message, outputs)
+        subscriptions = {
+            mailbox.names.topic(COMMAND): (Twist, command_fields),
+            mailbox.names.topic(POSE): (PoseWithCovarianceStamped, pose_fields),
         }
-
-        command_topic, pose_topic = mailbox.names.topic(COMMAND), mailbox.names.topic(POSE)
-
-        def command(message: Any) -> None:
-            linear = {"x": message.linear.x, "y": message.linear.y}
-            mailbox.receive(command_topic, {"linear": linear, "angular": {"z": message.angular.z}})
-
-        def pose(message: Any) -> None:
-            inside = message.pose.pose
-            head = {"frame_id": message.header.frame_id}
-            position = {"x": inside.position.x, "y": inside.position.y}
-            turn = {"z": inside.orientation.z, "w": inside.orientation.w}
-            mailbox.receive(pose_topic, {"header": head, "pose": {"pose": {"position": position, "orientation": turn}}})
-
-        receivers = {command_topic: (Twist, command), pose_topic: (PoseWithCovarianceStamped, pose)}
-        self._subscribers = [
-            rospy.Subscriber(topic, *receiver, queue_size=1, tcp_nodelay=True) for topic, receiver in receivers.items()
-        ]
+        self._subscribers = [self._subscribe(topic, *about) for topic, about in subscriptions.items()]
         self._services = [
             rospy.Service(service, Trigger, lambda _, name=name: TriggerResponse(*mailbox.request(name)))
             for service, name in mailbox.names.services.items()
@@ -131,6 +129,26 @@ class Node:
         self._thread = threading.Thread(target=self._watch, name="sean-ros1", daemon=True)
         self._thread.start()
 
+    def _advertise(self, base: type, outputs: Mapping[str, Output]) -> None:
+        """Make a publisher for each topic of the simulation."""
+        self._store = typestore(1)
+        self._types = {topic: output.type for topic, output in outputs.items()}
+        self._counts = {topic: itertools.count() for topic in outputs}
+        self._classes = {kind: self._raw(base, kind) for kind in set(self._types.values())}
+        self._publishers = {}
+        for topic, output in outputs.items():
+            self._publishers[topic] = self._rospy.Publisher(
+                topic, self._classes[output.type], queue_size=QUEUE, latch=output.latched, tcp_nodelay=True
+            )
+
+    def _subscribe(self, topic: str, kind: type, fields: Callable[[Any], dict[str, Any]]) -> Any:
+        """A subscriber that puts the fields of messages into the mailbox."""
+
+        def receive(message: Any) -> None:
+            self._mailbox.receive(topic, fields(message))
+
+        return self._rospy.Subscriber(topic, kind, receive, queue_size=1, tcp_nodelay=True)
+
     def _raw(self, base: type, kind: str) -> type:
         """A class of rospy's messages whose only field is the message as bytes."""
         text, digest = self._store.generate_msgdef(kind)
@@ -138,9 +156,20 @@ class Node:
         def init(self: Any, content: bytes = b"") -> None:
             self.content = content
 
-        fields = {"__slots__": ["content"], "_slot_types": ["uint8[]"], "_has_header": False, "__init__": init}
-        about = {"_type": kind.replace("/msg/", "/"), "_md5sum": digest, "_full_text": text}
-        return type("Raw", (base,), {**fields, **about, "serialize": lambda self, buffer: buffer.write(self.content)})
+        def serialize(self: Any, buffer: Any) -> None:
+            buffer.write(self.content)
+
+        attributes = {
+            "__slots__": ["content"],
+            "_slot_types": ["uint8[]"],
+            "_has_header": False,
+            "_type": kind.replace("/msg/", "/"),
+            "_md5sum": digest,
+            "_full_text": text,
+            "__init__": init,
+            "serialize": serialize,
+        }
+        return type("Raw", (base,), attributes)
 
     def wanted(self, topic: str) -> bool:
         """Whether a node subscribes to a topic; latched ones are kept for later."""
@@ -164,8 +193,8 @@ class Node:
         self._closed.set()
         for service in self._services:
             service.shutdown("the bridge ends")
-        for each in (*self._publishers.values(), *self._subscribers):
-            each.unregister()
+        for end in (*self._publishers.values(), *self._subscribers):
+            end.unregister()
         self._thread.join(5.0)
 
     def _ended(self) -> str:
@@ -177,7 +206,8 @@ class Node:
 
     def _watch(self) -> None:
         """Register again when a master has ended and another one has begun."""
-        was_online, master_id = True, self._master_id()
+        was_online = True
+        master_id = self._master_id()
         looks = itertools.count(1)
         while not self._closed.wait(SHORT):
             if self._rospy.is_shutdown():
@@ -207,12 +237,13 @@ class Node:
             return None
 
     def _register(self) -> None:
-        master, uri = self._rosgraph.Master(self._rospy.get_name()), self._rospy.get_node_uri()
+        master = self._rosgraph.Master(self._rospy.get_name())
+        uri = self._rospy.get_node_uri()
         self._rospy.set_param("/use_sim_time", True)
         for topic, kind in self._types.items():
             master.registerPublisher(topic, kind.replace("/msg/", "/"), uri)
-        for each in self._subscribers:
-            publishers = master.registerSubscriber(each.resolved_name, each.type, uri)
-            xmlrpc.client.ServerProxy(uri).publisherUpdate("/master", each.resolved_name, publishers)
+        for subscriber in self._subscribers:
+            publishers = master.registerSubscriber(subscriber.resolved_name, subscriber.type, uri)
+            xmlrpc.client.ServerProxy(uri).publisherUpdate("/master", subscriber.resolved_name, publishers)
         for service in self._services:
             master.registerService(service.resolved_name, service.uri, uri)

@@ -55,7 +55,9 @@ class Server:
         Raises:
             InputError: the address is none, or not free.
         """
-        self._mailbox, self._outputs, self._inputs = mailbox, dict(outputs), mailbox.names.inputs
+        self._mailbox = mailbox
+        self._outputs = dict(outputs)
+        self._inputs = mailbox.names.inputs
         self._services = mailbox.names.services
         self._host, self._port = _address(place)
         self._is_local = ipaddress.ip_address(self._host).is_loopback
@@ -66,7 +68,8 @@ class Server:
         self._now = {"sec": 0, "nanosec": 0}  # of /clock
         self._backlog = 0
         self._loop = asyncio.new_event_loop()
-        self._ready, self._failed = threading.Event(), list[OSError]()
+        self._ready = threading.Event()
+        self._failed: list[OSError] = []
         self._thread = threading.Thread(target=self._run, name="sean-rosbridge", daemon=True)
         self._thread.start()
         self._ready.wait(OPENING)
@@ -127,8 +130,10 @@ class Server:
         if self.token and not secrets.compare_digest(token.encode(), self.token.encode()):
             text = b"wrong token: connect to the address that sean bridge has printed"
             return local_server.response(http.HTTPStatus.FORBIDDEN, text)
+        names = [f"//{request.headers.get('Host', '')}"]
         origin = request.headers.get("Origin")  # of the page that connects; "null" of a sandbox or a file
-        names = [f"//{request.headers.get('Host', '')}", *([] if origin is None else [origin])]
+        if origin is not None:
+            names.append(origin)
         if not self.token and not all(_is_local(local_server.split(name).hostname) for name in names):
             text = b"wrong host or origin: only programs and pages of this computer may connect"
             return local_server.response(http.HTTPStatus.FORBIDDEN, text)
@@ -147,11 +152,13 @@ class Server:
         """A client, from its first message to its last."""
         client = self._clients[connection] = Client(connection)
         writer = asyncio.ensure_future(client.write())
-        allowance, before = float(RATE), self._loop.time()
+        allowance = float(RATE)  # messages that the client may send now
+        before = self._loop.time()
         try:
             async for text in connection:
                 now = self._loop.time()
-                allowance, before = min(float(RATE), allowance + RATE * (now - before)) - 1.0, now
+                allowance = min(float(RATE), allowance + RATE * (now - before)) - 1.0
+                before = now
                 if allowance < 0.0:
                     self._mailbox.log(
                         "rosbridge flood", f"rosbridge: a client sends more than {RATE} messages/s; it is slowed down."
@@ -185,27 +192,13 @@ class Server:
         op = request["op"]
         if op in ("advertise", "unadvertise", "unadvertise_service", "set_level"):
             return
-        if op in ("subscribe", "unsubscribe", "publish"):
-            topic = request.get("topic")
-            if not isinstance(topic, str):
-                raise ValueError(f"{op}: the topic is {str(topic)[:40]!r}, and no name")
-            topic = f"/{topic.removeprefix('/')}"
         if op == "publish":
-            if topic not in self._inputs:
-                raise ValueError(f"{topic[:80]} is not one of {', '.join(self._inputs)}")
-            message = request.get("msg")
-            self._mailbox.receive(topic, message if isinstance(message, dict) else {})
+            self._publish(request)
         elif op == "subscribe":
-            if topic not in self._outputs:
-                raise ValueError(f"{topic[:80]} is not one of {', '.join(self._outputs)}")
-            if topic not in client.topics:
-                self._subscribed[topic] += 1
-            client.subscribe(topic, _whole(request, "throttle_rate", 0), _whole(request, "queue_length", 0))
-            if topic in self._latest:
-                client.put(topic, self._latest[topic])
+            self._subscribe(client, request)
         elif op == "unsubscribe":
-            if client.topics.pop(topic, None) is not None:
-                self._subscribed[topic] -= 1
+            if client.topics.pop(_topic(request), None) is not None:
+                self._subscribed[_topic(request)] -= 1
         elif op == "call_service":
             if len(client.calls) >= 4:
                 raise ValueError("four services of this client are running already")
@@ -215,20 +208,45 @@ class Server:
         else:
             raise ValueError(f"the op {op[:40]!r} is not supported")
 
+    def _publish(self, request: dict[str, Any]) -> None:
+        """A message of a client, for the simulation."""
+        topic = _topic(request)
+        if topic not in self._inputs:
+            raise ValueError(f"{topic[:80]} is not one of {', '.join(self._inputs)}")
+        message = request.get("msg")
+        self._mailbox.receive(topic, message if isinstance(message, dict) else {})
+
+    def _subscribe(self, client: Client, request: dict[str, Any]) -> None:
+        """Send a topic to a client from now on."""
+        topic = _topic(request)
+        if topic not in self._outputs:
+            raise ValueError(f"{topic[:80]} is not one of {', '.join(self._outputs)}")
+        if topic not in client.topics:
+            self._subscribed[topic] += 1
+        client.subscribe(topic, _whole(request, "throttle_rate", 0), _whole(request, "queue_length", 0))
+        if topic in self._latest:
+            client.put(topic, self._latest[topic])
+
     async def _call(self, client: Client, request: dict[str, Any]) -> None:
         """Answer the call of a service."""
-        name, arguments = str(request.get("service")), request.get("args")
+        name = str(request.get("service"))
+        arguments = request.get("args")
         known = self._services.get(f"/{name.removeprefix('/')}")
         values: Any
         if known is not None:
             answer = await asyncio.to_thread(self._mailbox.request, known)
-            values, result = answer._asdict(), True
+            values = answer._asdict()
+            result = True
         elif name in ROSAPI:
-            values, result = self._rosapi(name, arguments if isinstance(arguments, dict) else {}), True
+            values = self._rosapi(name, arguments if isinstance(arguments, dict) else {})
+            result = True
         else:
-            values, result = f"there is no service {name[:80]}", False
+            values = f"there is no service {name[:80]}"
+            result = False
         response = {"op": "service_response", "service": name, "values": values, "result": result}
-        client.send(response | ({"id": request["id"]} if "id" in request else {}))
+        if "id" in request:
+            response["id"] = request["id"]
+        client.send(response)
 
     def _rosapi(self, name: str, arguments: Mapping[str, Any]) -> dict[str, Any]:
         """What rosapi's services of these names say of the topics."""
@@ -325,6 +343,14 @@ def _is_local(name: str | None) -> bool:
     return name == "localhost"
 
 
+def _topic(request: dict[str, Any]) -> str:
+    """The topic of an operation; ValueError if it is no name."""
+    topic = request.get("topic")
+    if not isinstance(topic, str):
+        raise ValueError(f"{request['op']}: the topic is {str(topic)[:40]!r}, and no name")
+    return f"/{topic.removeprefix('/')}"
+
+
 def _whole(request: dict[str, Any], name: str, default: int) -> int:
     value = request.get(name, default)
     value = default if value is None else value
@@ -338,15 +364,15 @@ def _plain(value: Any) -> Any:
     if isinstance(value, dict):
         if value.keys() == {"sec", "nanosec"}:  # ROS 1 says secs and nsecs
             return {**value, "secs": value["sec"], "nsecs": value["nanosec"]}
-        return {name: _plain(each) for name, each in value.items()}
+        return {name: _plain(field) for name, field in value.items()}
     if isinstance(value, list):
-        return [_plain(each) for each in value]
+        return [_plain(item) for item in value]
     if isinstance(value, np.ndarray):
         if value.dtype == np.uint8:
             return base64.b64encode(value.tobytes()).decode("ascii")
         if value.dtype.kind != "f" or np.isfinite(value).all():
             return value.tolist()
-        return [each if math.isfinite(each) else None for each in value.tolist()]
+        return [number if math.isfinite(number) else None for number in value.tolist()]
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     return value

@@ -8,38 +8,40 @@ from typing import NamedTuple
 import numpy as np
 
 
-class Pose(NamedTuple):
+class PlanarPose(NamedTuple):
     """A pose on the plane."""
 
     x: float  # m
     y: float  # m
     yaw: float  # rad
 
-    def then(self, inner: "Pose") -> "Pose":
+    def then(self, inner: "PlanarPose") -> "PlanarPose":
         """A pose in the frame of this pose, in this pose's parent frame."""
-        cosine, sine = math.cos(self.yaw), math.sin(self.yaw)
-        x, y = self.x + cosine * inner.x - sine * inner.y, self.y + sine * inner.x + cosine * inner.y
-        return Pose(x, y, self.yaw + inner.yaw)
+        cosine = math.cos(self.yaw)
+        sine = math.sin(self.yaw)
+        x = self.x + cosine * inner.x - sine * inner.y
+        y = self.y + sine * inner.x + cosine * inner.y
+        return PlanarPose(x, y, self.yaw + inner.yaw)
 
     def turn(self, x: float, y: float) -> tuple[float, float]:
         """A vector of the frame of this pose, in this pose's parent frame."""
-        turned = Pose(0.0, 0.0, self.yaw).then(Pose(x, y, 0.0))
+        turned = PlanarPose(0.0, 0.0, self.yaw).then(PlanarPose(x, y, 0.0))
         return turned.x, turned.y
 
 
-NOWHERE = Pose(0.0, 0.0, 0.0)
+NOWHERE = PlanarPose(0.0, 0.0, 0.0)
 
 
 class Transforms:
     """The transforms of /tf and /tf_static on the plane."""
 
     def __init__(self) -> None:
-        """No transforms."""
+        """Begin without transforms; ``add`` adds them."""
         self.parent: dict[str, str] = {}
         self._times: dict[str, list[int]] = defaultdict(list)
-        self._poses: dict[str, list[Pose]] = defaultdict(list)
+        self._poses: dict[str, list[PlanarPose]] = defaultdict(list)
 
-    def add(self, parent: str, child: str, time: int, pose: Pose) -> None:
+    def add(self, parent: str, child: str, time: int, pose: PlanarPose) -> None:
         """Add the pose of a frame in its parent's, at a time [ns]."""
         self.parent[child] = parent
         self._times[child].append(time)
@@ -54,20 +56,22 @@ class Transforms:
 
     def root(self, frame: str) -> str:
         """The frame at the end of the parents of a frame."""
-        seen = {frame}
-        while frame in self.parent and self.parent[frame] not in seen:
+        visited = {frame}  # a bag may have frames in a circle
+        while frame in self.parent and self.parent[frame] not in visited:
             frame = self.parent[frame]
-            seen.add(frame)
+            visited.add(frame)
         return frame
 
-    def pose(self, frame: str, time: int) -> Pose:
+    def pose(self, frame: str, time: int) -> PlanarPose:
         """The pose of a frame in its root, by the last transforms until a time [ns], or else the first ones."""
-        result, seen = NOWHERE, set[str]()
-        while frame in self.parent and frame not in seen:
-            seen.add(frame)
+        pose = NOWHERE
+        visited: set[str] = set()  # a bag may have frames in a circle
+        while frame in self.parent and frame not in visited:
+            visited.add(frame)
             index = max(0, bisect.bisect_right(self._times[frame], time) - 1)
-            result, frame = self._poses[frame][index].then(result), self.parent[frame]
-        return result
+            pose = self._poses[frame][index].then(pose)
+            frame = self.parent[frame]
+        return pose
 
     def times(self, frame: str) -> list[int]:
         """The times [ns] of the transforms of a frame."""

@@ -21,11 +21,12 @@ FAR = 1e6  # m, m/s or rad/s, more than any robot has
 SILENCE = 10.0  # s, for which a sentence is not repeated
 
 
-class Log:
+class TransportLog:
     """Sentences for the user: each kind at most once in ``SILENCE``, with the number of those left out."""
 
     def __init__(self, write: Callable[[str], None]):
-        self._write, self._lock = write, threading.Lock()
+        self._write = write
+        self._lock = threading.Lock()
         self._last: dict[str, float] = {}
         self._left_out: collections.Counter[str] = collections.Counter()
 
@@ -36,8 +37,9 @@ class Log:
             if now - self._last.get(kind, -math.inf) < SILENCE:
                 self._left_out[kind] += 1
                 return
-            number, self._last[kind] = self._left_out.pop(kind, 0), now
-        self._write(sentence + (f" ({number} more of this kind)" if number else ""))
+            self._last[kind] = now
+            left_out = self._left_out.pop(kind, 0)
+        self._write(f"{sentence} ({left_out} more of this kind)" if left_out else sentence)
 
 
 class Answer(NamedTuple):
@@ -52,10 +54,11 @@ class Request:
 
     def __init__(self, name: str):
         self.name = name
-        self._done, self._answer = threading.Event(), Answer(False, "the simulation has not answered in time.")
+        self._done = threading.Event()
+        self._answer = Answer(False, "the simulation has not answered in time.")
 
     def answer(self, success: bool, message: str) -> None:
-        """Give the answer."""
+        """Answer the request; its ``wait`` returns."""
         self._answer = Answer(success, message)
         self._done.set()
 
@@ -68,8 +71,10 @@ class Request:
 class Mailbox:
     """The latest command, the latest pose, and a few requests, until the simulation takes them. Any thread may add."""
 
-    def __init__(self, log: Log, command_size: int = 2, names: RosNames = DEFAULT_NAMES):
-        self.log, self._command_size, self.names = log, command_size, names
+    def __init__(self, log: TransportLog, command_size: int = 2, names: RosNames = DEFAULT_NAMES):
+        self.log = log
+        self.names = names
+        self._command_size = command_size
         self._command_topic = names.topic(COMMAND)
         self.commands = 0  # received so far
         self._ended = ""
@@ -122,23 +127,26 @@ class Mailbox:
             ControllerError: nothing can come any more.
         """
 
-        def there() -> bool:
-            return bool(self._ended or self._requests or self._pose or (for_command and self._command is not None))
+        def came() -> bool:
+            has_command = for_command and self._command is not None
+            return bool(self._ended or self._requests or self._pose or has_command)
 
         with self._changed:
-            self._changed.wait_for(there, max(0.0, seconds))
+            self._changed.wait_for(came, max(0.0, seconds))
         self.check()
 
     def take_command(self) -> np.ndarray | None:
         """The command [m/s, rad/s] since the previous call; None if there was none."""
         with self._changed:
-            command, self._command = self._command, None
+            command = self._command
+            self._command = None
         return command
 
     def take_pose(self) -> tuple[np.ndarray, np.ndarray] | None:
         """The position (2,) [m] and heading (2,) since the previous call; None if there was none."""
         with self._changed:
-            pose, self._pose = self._pose, None
+            pose = self._pose
+            self._pose = None
         return pose
 
     def take_request(self) -> Request | None:

@@ -70,7 +70,7 @@ async def listen(
     from websockets.asyncio.server import serve
     from websockets.exceptions import ConnectionClosed
 
-    log = Log()
+    log = ServerLog()
 
     async def guarded_answer(connection: ServerConnection, request: Request) -> Response | None:
         try:
@@ -112,7 +112,8 @@ async def listen(
 @contextlib.contextmanager
 def signals() -> Iterator[asyncio.Event]:
     """An event that Ctrl-C and SIGTERM set within the block, unless they are ignored; other threads get none."""
-    loop, stopped = asyncio.get_running_loop(), asyncio.Event()
+    loop = asyncio.get_running_loop()
+    stopped = asyncio.Event()
     kinds = [kind for kind in (signal.SIGINT, signal.SIGTERM) if signal.getsignal(kind) is not signal.SIG_IGN]
     if threading.current_thread() is not threading.main_thread():
         kinds = []
@@ -127,7 +128,7 @@ def signals() -> Iterator[asyncio.Event]:
             signal.signal(kind, handler)
 
 
-class Log:
+class ServerLog:
     """What a server tells in the terminal: a line for each kind of error, once."""
 
     def __init__(self) -> None:
@@ -152,11 +153,11 @@ def split(address: str) -> urllib.parse.SplitResult:
         InputError: it is none, such as ``http://[`` or one with port 99999999.
     """
     try:
-        parts = urllib.parse.urlsplit(address)
-        _ = parts.port, parts.hostname  # are read only now
+        url = urllib.parse.urlsplit(address)
+        _ = url.port, url.hostname  # are read only now
     except ValueError:
         raise InputError(f"{shorten(repr(address))} is no address.") from None
-    return parts
+    return url
 
 
 def is_origin(address: str) -> bool:
@@ -218,10 +219,10 @@ def _origins(port: int, address: str | None) -> list[str]:
 
 def page(content: bytes, port: int, address: str | None = None) -> Response:
     """A page that loads nothing but its socket; arguments as of ``refusal``."""
-    made = response(http.HTTPStatus.OK, content, "text/html; charset=utf-8")
+    answer = response(http.HTTPStatus.OK, content, "text/html; charset=utf-8")
     sockets = (origin.replace("http", "ws", 1) for origin in _origins(port, address))
-    made.headers["Content-Security-Policy"] = CONTENT_POLICY.format(" ".join(sockets))
-    return made
+    answer.headers["Content-Security-Policy"] = CONTENT_POLICY.format(" ".join(sockets))
+    return answer
 
 
 def response(status: http.HTTPStatus, body: bytes, kind: str = "text/plain; charset=utf-8") -> Response:

@@ -27,7 +27,7 @@ from sean_jax.evaluation.batches import Totals
 from sean_jax.learning.policy import check_policy
 from sean_jax.ros import bridge, messages, ros1, rosbridge
 from sean_jax.ros.names import RosNames
-from sean_jax.ros.transport import REQUESTS, Log, Mailbox, Output, read_pose
+from sean_jax.ros.transport import REQUESTS, Mailbox, Output, TransportLog, read_pose
 from sean_jax.simulation.scenario_stack import as_stacks
 from sean_jax.web import local_server
 from support.commands import python, wait
@@ -63,7 +63,7 @@ def sentences():
 
 @pytest.fixture
 def mailbox(sentences):
-    return Mailbox(Log(sentences))
+    return Mailbox(TransportLog(sentences))
 
 
 @pytest.fixture
@@ -216,7 +216,7 @@ def test_a_controller_that_does_not_answer_is_no_result(scenario, monkeypatch, a
     monkeypatch.setattr(bridge, "connect", lambda place, mailbox, outputs: memory)
     for name, value in {"FIRST": 0.3, "PATIENCE": 0.01, "SILENT": 0.3, "REPEAT": 0.01}.items():
         monkeypatch.setattr(bridge, name, value)
-    driver = bridge.Driver(scenario, "ros1:", ("ros1", ""), Console(quiet=True))
+    driver = bridge.ControllerDriver(scenario, "ros1:", ("ros1", ""), Console(quiet=True))
     state = jax.jit(sean_jax.reset)(scenario, jax.random.key(3))
     states = jax.tree.map(lambda leaf: leaf[None], state)
     publish = memory.publish
@@ -237,7 +237,7 @@ def test_a_controller_that_does_not_answer_is_no_result(scenario, monkeypatch, a
 
 @pytest.mark.parametrize("pace", ["real", "lockstep", "fast", "service"])
 def test_that_a_controller_has_gone_is_told_once(scenario, sentences, pace):
-    live = bridge.Live.__new__(bridge.Live)
+    live = bridge.LiveBridge.__new__(bridge.LiveBridge)
     live.config = BridgeConfig(ros1=True, pace=pace)
     live.scenarios, live._write, live._silent = [scenario], sentences, None
     third = round(bridge.SILENT / scenario.time_step)
@@ -356,20 +356,20 @@ def test_ros1_listens_on_loopback_if_its_master_does(mailbox, sentences, monkeyp
 
 
 def test_the_latest_command_counts():
-    mailbox = Mailbox(Log(lambda sentence: None))
+    mailbox = Mailbox(TransportLog(lambda sentence: None))
     for speed in range(1000):
         mailbox.receive("/cmd_vel", twist(speed / 1000, 0.0))
     assert mailbox.take_command()[0] == np.float32(0.999)
 
 
 def test_commands_of_omnidirectional_robots_have_the_speed_to_the_left():
-    mailbox = Mailbox(Log(lambda sentence: None), 3)
+    mailbox = Mailbox(TransportLog(lambda sentence: None), 3)
     mailbox.receive("/cmd_vel", {"linear": {"x": 0.1, "y": 0.2}, "angular": {"z": 0.3}})
     assert mailbox.take_command().tolist() == np.float32([0.1, 0.2, 0.3]).tolist()
 
 
 def test_the_log_writes_a_kind_of_sentence_once(sentences):
-    log = Log(sentences)
+    log = TransportLog(sentences)
     for number in range(100):
         log("one", f"one {number}")
         log("other", f"other {number}")

@@ -14,7 +14,7 @@ from sean_jax.core import random_streams
 from sean_jax.core.errors import ControllerError
 from sean_jax.core.geometry import signed_distances_on_host
 from sean_jax.ros import bridge, messages
-from sean_jax.ros.transport import Log
+from sean_jax.ros.transport import TransportLog
 from sean_jax.simulation import scenario as scenarios
 from support.commands import wait
 
@@ -55,7 +55,7 @@ def made():
             ros1=True, environment="lab", people=4, dynamics="twin", metrics="none", time_limit=2.0, pace="lockstep",
             patience=5.0,
         )  # fmt: skip
-        live = bridge.Live(config, Console(quiet=True))
+        live = bridge.LiveBridge(config, Console(quiet=True))
     yield live, config
     live.close()
 
@@ -153,18 +153,18 @@ def test_a_state_after_a_step_at_t_has_the_stamp_t(made, monkeypatch):
 
 def test_the_robot_stays_if_it_cannot_stand_at_a_pose(live, capsys):
     sentences = []
-    live.bridge.mailbox.log = Log(sentences.append)
+    live.bridge.mailbox.log = TransportLog(sentences.append)
     scenario, state = live.scenarios[0], live._begin(0)
     live.bridge.begin(scenario, 0)
     centers = np.asarray(scenario.environment.obstacles.center, float)
     box = centers[signed_distances_on_host(scenario.environment, centers)[1].argmax()]  # the farthest from the edge
     for place, word in (((1e6, -1e6), "not on the floor"), (box, "in an obstacle")):
-        live.bridge.mailbox.log = Log(sentences.append)
+        live.bridge.mailbox.log = TransportLog(sentences.append)
         stays = live.bridge.place(state, (np.array(place, float), np.array([1.0, 0.0])))
         assert stays is state and word in sentences[-1] and len(sentences) <= 4
     person = np.asarray(state.pedestrians.position, float)[np.asarray(state.pedestrians.present)][0]
     for away in (0.0, 0.2):
-        live.bridge.mailbox.log = Log(sentences.append)
+        live.bridge.mailbox.log = TransportLog(sentences.append)
         stays = live.bridge.place(state, (person + [away, 0.0], np.array([1.0, 0.0])))
         assert stays is state and sentences[-1].endswith("is on a person; the robot stays.")
     start = np.asarray(state.task.start, float)
@@ -196,7 +196,7 @@ def test_a_dead_controller_is_no_result(made, monkeypatch):
     live, config = made
     memory = Memory()
     monkeypatch.setattr(bridge, "connect", lambda place, mailbox, outputs: memory)
-    driver = bridge.Driver(live.scenarios[0], "ros1:", config.place, Console(quiet=True))
+    driver = bridge.ControllerDriver(live.scenarios[0], "ros1:", config.place, Console(quiet=True))
     answers = [True] * 3 + [False] * 2 + [True] * 2
 
     def answer(topic, message):

@@ -521,7 +521,7 @@ def test_frames_of_a_robot_with_drifting_odometry(tmp_path):
         each = {"name": "anna", "position": at(*seen), "velocity": at(0, 0)}
         rows.append(("/people", "people_msgs/msg/People", time, {"header": head("laser"), "people": [each]}))
     write_bag1(tmp_path / "drift.bag", rows)
-    (episode,) = bag_episodes.split(bag_tables.read(tmp_path / "drift.bag")).episodes
+    (episode,) = bag_episodes.split_at_resets(bag_tables.read_bag(tmp_path / "drift.bag")).episodes
     frames = bag_import.as_trajectory(episode, 0.1)
     truth = np.array(truth)
     assert np.allclose(frames.position, truth[:, :2], atol=1e-9)
@@ -676,7 +676,7 @@ def test_killed_export_leaves_nothing_half_written(tmp_path):
     process.wait()
     assert not (tmp_path / "bags").exists()
     assert command_line.main([*words, "--quiet"]) == 0
-    assert len(bag_tables.read(tmp_path / "bags" / "episode_0.bag").people) and not unfinished.exists()
+    assert len(bag_tables.read_bag(tmp_path / "bags" / "episode_0.bag").people) and not unfinished.exists()
 
 
 # ------------------------------------------------------------------ rviz

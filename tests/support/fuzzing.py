@@ -97,14 +97,14 @@ READERS = {
     "mesh": ("robots/urdf_reading.py _shape",),
     "identity": ("config/workspace.py read_identity",),
     "row": ("studies/validation/checks.py load",),
-    "trial": ("web/studio/trial.py read", "web/studio/trial.py _parsed", "web/studio/trial.py _recover_file"),
+    "trial": ("web/studio/trial.py read_trial", "web/studio/trial.py _parsed", "web/studio/trial.py _recover_file"),
     "answers": ("studies/survey/answers.py Answers.__init__",),
     "rosbag metadata": (
         "ros/bag_opening.py BoundedFile.__init__",
         "ros/bag_opening.py BoundedPath.read_text",
         "ros/bag_opening.py _files",
         "ros/bag_opening.py open_bag",
-        "ros/bag_tables.py read",
+        "ros/bag_tables.py read_bag",
     ),
 }
 """Kind -> the functions that read it, as FILE FUNCTION. (Robots and bodies are read in ``files`` itself.)"""
@@ -1003,7 +1003,7 @@ def load_trial(folder: Path) -> Any:
     listed, told = trial.rows_of_page(folder / "drives"), trial.recover(folder / "drives")
     json.dumps(listed, allow_nan=False)
     assert all("Traceback" not in text and len(text) < 1000 for text in told), told
-    drive = trial.read(path if path.is_file() else place / path.name)
+    drive = trial.read_trial(path if path.is_file() else place / path.name)
     assert drive.commands.ndim == 2 and drive.commands.shape[1] in (2, 3)
     assert (np.abs(drive.commands) <= trial.MAX_COMMAND).all()
     assert len(drive.by_person) == len(drive.commands)

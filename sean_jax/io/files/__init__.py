@@ -76,9 +76,11 @@ def check_json(path: Path | str, data: Any, model: type[Model], *checks: Callabl
 
 def _validate(path: Path, data: Any, model: type[Model], checks: Iterable[Callable], root: Any = None) -> Model:
     """The model of some data, or a FileError with all problems, at their positions below ``root`` if it is YAML."""
-    unknown, more, text = set(), 0, json.dumps(data)
+    text = json.dumps(data)
     if count_values(text) > MAX_CHECKED:
         raise file_error(path, f"has more than {MAX_CHECKED:,} values; make it smaller")
+    unknown: set[Location] = set()  # keys, which are marked themselves
+    more = 0  # problems that the message does not name
     try:
         value = model.model_validate_json(text, strict=True)
     except pydantic.ValidationError as error:
@@ -94,7 +96,9 @@ def _validate(path: Path, data: Any, model: type[Model], checks: Iterable[Callab
         problems = [problem for check in checks for problem in check(value)]
         if not problems:
             return value
-        problems, more = problems[:MAX_ERRORS], len(problems[MAX_ERRORS:])
+        more = len(problems[MAX_ERRORS:])
+        problems = problems[:MAX_ERRORS]
+
     marked = []
     for loc, clause in problems:
         keys, mark = (loc, None) if root is None else _locate(root, loc, loc in unknown)
@@ -110,8 +114,13 @@ def _sentence(loc: Location, clause: str) -> str:
 def _clause(error: Any, model: type[pydantic.BaseModel]) -> str:
     """A pydantic error as one clause that names the value and the cure."""
     loc = error["loc"]
-    keys = [key for part in _types_at(model, loc[:-1]) for key in getattr(part, "model_fields", ())]
-    choices = [c for part in _types_at(model, loc) if typing.get_origin(part) is Literal for c in part.__args__]
+    keys: list[str] = []
+    for kind in _types_at(model, loc[:-1]):
+        keys += getattr(kind, "model_fields", ())
+    choices: list[object] = []
+    for kind in _types_at(model, loc):
+        if typing.get_origin(kind) is Literal:
+            choices += kind.__args__
     return error_clause(error, choices, keys)
 
 
@@ -119,7 +128,7 @@ def _types_at(model: Any, loc: Location) -> list[Any]:
     """The types that a value at that location may have, with unions split."""
     kinds = _alternatives(model)
     for part in loc:
-        kinds = [kind for outer in kinds for kind in _alternatives(_inner(outer, part))]
+        kinds = [inner for kind in kinds for inner in _alternatives(_inner(kind, part))]
     return kinds
 
 
@@ -128,7 +137,7 @@ def _alternatives(kind: Any) -> list[Any]:
     if origin is typing.Annotated:
         return _alternatives(typing.get_args(kind)[0])
     if origin in (typing.Union, types.UnionType):
-        return [one for arg in typing.get_args(kind) for one in _alternatives(arg)]
+        return [inner for arg in typing.get_args(kind) for inner in _alternatives(arg)]
     return [kind]
 
 
@@ -153,7 +162,8 @@ class _Loader(yaml.SafeLoader):
 
     def __init__(self, stream: str):
         super().__init__(stream)
-        self.depth, self.values = 0, 0
+        self.depth = 0
+        self.values = 0
 
     def compose_node(self, parent: Any, index: Any) -> Any:
         """Compose a node as SafeLoader does, without tags, and neither too deep nor too many."""
@@ -163,9 +173,10 @@ class _Loader(yaml.SafeLoader):
             tag_text = tag.replace("tag:yaml.org,2002:", "!!")
             raise _error(f"tags such as '{tag_text}' mean nothing here; remove it", event)
         self.values += 1
-        if self.depth >= MAX_DEPTH or self.values > MAX_VALUES:
-            what = f"nested deeper than {MAX_DEPTH} levels" if self.depth >= MAX_DEPTH else f"more than {MAX_VALUES:,}"
-            raise _error(f"values are {what}; make it simpler", event)
+        if self.depth >= MAX_DEPTH:
+            raise _error(f"values are nested deeper than {MAX_DEPTH} levels; make it simpler", event)
+        if self.values > MAX_VALUES:
+            raise _error(f"values are more than {MAX_VALUES:,}; make it simpler", event)
         self.depth += 1
         node = super().compose_node(parent, index)
         self.depth -= 1
@@ -208,7 +219,8 @@ _Loader.add_constructor("tag:yaml.org,2002:str", _word)
 
 def read_yaml(path: Path) -> tuple[yaml.Node, Any]:
     """The root node of a YAML file, and its plain data; FileError if it cannot be read or is not plain YAML."""
-    text, loader = read_text(path), None
+    text = read_text(path)
+    loader = None
     try:
         loader = _Loader(text)
         root = loader.get_single_node()
@@ -218,13 +230,7 @@ def read_yaml(path: Path) -> tuple[yaml.Node, Any]:
         _refuse_duplicate_keys(path, root)
         return root, loader.construct_document(root)
     except yaml.MarkedYAMLError as error:
-        mark = error.problem_mark or error.context_mark
-        place = f"{mark.line + 1}:{mark.column + 1}" if mark else "1:1"
-        start = f" that begins in line {error.context_mark.line + 1}" if error.context_mark else ""
-        context = f"{error.context}{start}, " if error.context else ""
-        unhashable = error.problem == "found unhashable key"
-        problem = "a key is a list or a mapping; write a word" if unhashable else error.problem
-        raise file_error(path, f"is not YAML: {context}{problem}", place) from None
+        raise _yaml_error(path, error) from None
     except yaml.reader.ReaderError as error:
         line = text.count("\n", 0, error.position) + 1
         raise file_error(path, f"character {error.position} is not allowed in YAML; remove it", line) from None
@@ -234,6 +240,18 @@ def read_yaml(path: Path) -> tuple[yaml.Node, Any]:
         mark = loader.get_mark() if loader else None
         place = (mark.line + 1, mark.column + 1) if mark else ()
         raise file_error(path, f"is not YAML: {error}", *place) from None
+
+
+def _yaml_error(path: Path, error: yaml.MarkedYAMLError) -> FileError:
+    """The error of PyYAML in one sentence, at its place in the file."""
+    mark = error.problem_mark or error.context_mark
+    place = f"{mark.line + 1}:{mark.column + 1}" if mark else "1:1"
+    problem = error.problem
+    if problem == "found unhashable key":
+        problem = "a key is a list or a mapping; write a word"
+    start = f" that begins in line {error.context_mark.line + 1}" if error.context_mark else ""
+    context = f"{error.context}{start}, " if error.context else ""
+    return file_error(path, f"is not YAML: {context}{problem}", place)
 
 
 def _children(node: yaml.Node) -> list[yaml.Node]:
@@ -273,14 +291,15 @@ def _refuse_duplicate_keys(path: Path, root: yaml.Node) -> None:
         if isinstance(node, yaml.SequenceNode):
             pending += [((*loc, index), item) for index, item in enumerate(node.value)]
         elif isinstance(node, yaml.MappingNode):
-            first: dict[str, int] = {}
+            lines: dict[str, int] = {}  # key -> where it stands first
             for key, value in node.value:
-                name, here = str(key.value), key.start_mark
-                if name in first and name != "<<":
-                    what = f"{_key_path((*loc, name))}: the key was used in line {first[name]}; remove or rename one."
-                    problems.append((here, what))
-                first.setdefault(name, here.line + 1)
-                pending.append(((*loc, name), value))
+                name = str(key.value)
+                inner = (*loc, name)
+                if name in lines and name != "<<":
+                    text = f"{_key_path(inner)}: the key was used in line {lines[name]}; remove or rename one."
+                    problems.append((key.start_mark, text))
+                lines.setdefault(name, key.start_mark.line + 1)
+                pending.append((inner, value))
     if problems:
         raise _in_one(path, problems)
 
@@ -290,9 +309,9 @@ def _refuse_duplicate_keys(path: Path, root: yaml.Node) -> None:
 
 def _in_one(path: Path, problems: list[tuple[yaml.Mark | None, str]], more: int = 0) -> FileError:
     """The first problems in the order of their positions, each once, and one line with the number of others."""
-    problems = sorted(problems, key=lambda problem: (problem[0].line, problem[0].column) if problem[0] else (0, 0))
-    name, texts = short_name(path), []
-    for mark, text in problems:
+    name = short_name(path)
+    texts = []
+    for mark, text in sorted(problems, key=_position):
         place = f":{mark.line + 1}:{mark.column + 1}" if mark else ""
         texts.append(f"{name}{place}: {text}")
     texts = list(dict.fromkeys(texts))
@@ -301,12 +320,20 @@ def _in_one(path: Path, problems: list[tuple[yaml.Mark | None, str]], more: int 
     return FileError("\n".join([*texts[:MAX_ERRORS], *tail]))
 
 
+def _position(problem: tuple[yaml.Mark | None, str]) -> tuple[int, int]:
+    """Line and column of a problem; the first of the file if it has none."""
+    mark = problem[0]
+    return (mark.line, mark.column) if mark else (0, 0)
+
+
 def _locate(root: yaml.Node, loc: Location, at_key: bool) -> tuple[Location, yaml.Mark]:
     """The existing keys of a location, and its position: of the value, or of the nearest key that leads to it.
 
     A mapping is marked at its key, and a missing value at the key of the mapping or list that lacks it.
     """
-    node, mark, known = root, root.start_mark, []
+    node = root
+    mark = root.start_mark
+    known = []
     for depth, part in enumerate(loc):
         if isinstance(node, yaml.MappingNode):
             pair = next(((key, value) for key, value in node.value if str(key.value) == str(part)), None)

@@ -56,7 +56,7 @@ Finite = Annotated[float, pydantic.Field(allow_inf_nan=False)]
 Scalar = Annotated[str | int | Finite, pydantic.BeforeValidator(_scalar)]
 
 
-class Row(pydantic.BaseModel):
+class DatabaseRow(pydantic.BaseModel):
     """A row of a query; its fields are the columns."""
 
     model_config = pydantic.ConfigDict(extra="forbid", strict=True)
@@ -90,8 +90,8 @@ class Database:
         with explained(self.file, FileError):
             if _schema(self._base) != _schema_of(tables):
                 raise file_error(self.file, "its tables are not those that this program makes; give another file")
-            found = self._base.execute("PRAGMA integrity_check(1)").fetchone()
-            if found != ("ok",):
+            result = self._base.execute("PRAGMA integrity_check(1)").fetchone()
+            if result != ("ok",):
                 raise file_error(self.file, f"cannot be read: {DAMAGED}")
             self._base.execute("PRAGMA journal_mode=WAL")
             self._base.execute("PRAGMA synchronous=FULL")
@@ -101,7 +101,7 @@ class Database:
         with self._lock:
             self._base.close()
 
-    def rows(self, model: type[Row], query: str, values: Sequence[Any] = ()) -> list[dict[str, Any]]:
+    def rows(self, model: type[DatabaseRow], query: str, values: Sequence[Any] = ()) -> list[dict[str, Any]]:
         """The rows of a query, whose columns are the fields of ``model``.
 
         Raises:
@@ -109,7 +109,7 @@ class Database:
         """
         with self._lock, explained(self.file, FileError):
             cursor = self._base.execute(query, values)
-            names = [each[0] for each in cursor.description]
+            names = [column[0] for column in cursor.description]
             cells = cursor.fetchmany(MAX_ROWS + 1)
         if len(cells) > MAX_ROWS:
             raise self.wrong(model.table, f"has more than {MAX_ROWS:,} rows")

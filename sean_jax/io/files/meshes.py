@@ -26,12 +26,14 @@ def xml_tree(path: Path, max_bytes: int = MAX_MESH) -> Element:
     Raises:
         FileError: the file cannot be read, is no XML, has a document type, or is too deep or too large.
     """
-    builder, parser = ElementTree.TreeBuilder(), expat.ParserCreate("utf-8")
+    builder = ElementTree.TreeBuilder()
+    parser = expat.ParserCreate("utf-8")
     depth = count = 0
 
     def begin(name: str, attributes: dict[str, str]) -> None:
         nonlocal depth, count
-        depth, count = depth + 1, count + 1
+        depth += 1
+        count += 1
         if depth > MAX_DEPTH or count > MAX_ELEMENTS:
             raise file_error(
                 path, "elements are too many or nested too deep; make it simpler", parser.CurrentLineNumber
@@ -46,7 +48,9 @@ def xml_tree(path: Path, max_bytes: int = MAX_MESH) -> Element:
     def refuse(*_: object) -> None:
         raise file_error(path, "has a document type; remove it", parser.CurrentLineNumber)
 
-    parser.StartElementHandler, parser.EndElementHandler, parser.CharacterDataHandler = begin, end, builder.data
+    parser.StartElementHandler = begin
+    parser.EndElementHandler = end
+    parser.CharacterDataHandler = builder.data
     parser.StartDoctypeDeclHandler = refuse
     try:
         parser.Parse(read_text(path, max_bytes).encode("utf-8"), True)
@@ -70,8 +74,11 @@ def vertices(path: Path) -> np.ndarray:
     except FileError:
         raise
     except (ValueError, IndexError, KeyError):
-        cure = "a number is none, or too few stand together; write it again with the program that made it"
-        raise file_error(path, f"is no {kind[1:].upper()} mesh: {cure}") from None
+        raise file_error(
+            path,
+            f"is no {kind[1:].upper()} mesh: a number is none, or too few stand together; write it again with the "
+            "program that made it",
+        ) from None
     if not len(points) or not (np.abs(points) <= MAX_REACH).all():
         raise file_error(path, f"holds no corner, or one beyond {MAX_REACH:g}; look at its numbers")
     return points
@@ -79,59 +86,86 @@ def vertices(path: Path) -> np.ndarray:
 
 def _stl(path: Path) -> np.ndarray:
     content = read_bytes(path, MAX_MESH)
-    number = int.from_bytes(content[80:HEADER], "little")
-    if len(content) == HEADER + TRIANGLE * number:
-        rows = np.frombuffer(content, np.uint8, offset=HEADER).reshape(-1, TRIANGLE)[:, 12:48]
-        return np.ascontiguousarray(rows).view("<f4").astype(float)
-    corners = re.findall(rb"vertex\s+(\S+)\s+(\S+)\s+(\S+)", content)
-    return np.array([[float(part) for part in corner] for corner in corners])
+    count = int.from_bytes(content[80:HEADER], "little")
+    if len(content) == HEADER + TRIANGLE * count:
+        triangles = np.frombuffer(content, np.uint8, offset=HEADER).reshape(-1, TRIANGLE)
+        corners = np.ascontiguousarray(triangles[:, 12:48])  # bytes, behind the normal
+        return corners.view("<f4").astype(float)
+    words = re.findall(rb"vertex\s+(\S+)\s+(\S+)\s+(\S+)", content)
+    return _floats(words)
 
 
 def _obj(path: Path) -> np.ndarray:
-    lines = (line.split() for line in read_text(path, MAX_MESH).splitlines())
-    return np.array([[float(part) for part in words[1:4]] for words in lines if words[:1] == ["v"]])
+    corners = []
+    for line in read_text(path, MAX_MESH).splitlines():
+        words = line.split()
+        if words[:1] == ["v"]:
+            corners.append(words[1:4])
+    return _floats(corners)
+
+
+def _floats(rows: list) -> np.ndarray:
+    return np.array([[float(word) for word in row] for row in rows])
 
 
 def _collada(path: Path) -> np.ndarray:
     root = xml_tree(path)
     scale = float(next((unit.get("meter", "1") for unit in root.iter("unit")), "1"))
     shapes = {geometry.get("id"): _positions(geometry) for geometry in root.iter("geometry")}
-    scenes = list(root.iter("visual_scene"))
-    found = [points for scene in scenes for node in scene.findall("node") for points in _node(node, np.eye(4), shapes)]
-    return scale * np.concatenate(found or list(shapes.values()) or [np.zeros((0, 3))])
+
+    # Scenes place the shapes; a file without any has them where they are.
+    points: list[np.ndarray] = []
+    for scene in root.iter("visual_scene"):
+        for node in scene.findall("node"):
+            points += _node(node, np.eye(4), shapes)
+    return scale * np.concatenate(points or list(shapes.values()) or [np.zeros((0, 3))])
 
 
 def _positions(geometry: Element) -> np.ndarray:
     """(n, 3) of a COLLADA geometry."""
     sources = {source.get("id"): source for source in geometry.iter("source")}
     rows = [np.zeros((0, 3))]
-    for where in (entry for group in geometry.iter("vertices") for entry in group.findall("input")):
-        source = sources.get(where.get("source", "")[1:])
+    for entry in geometry.iterfind(".//vertices/input"):
+        source = sources.get(entry.get("source", "")[1:])
         numbers = None if source is None else source.find("float_array")
-        if where.get("semantic") == "POSITION" and numbers is not None:
+        if entry.get("semantic") == "POSITION" and numbers is not None:
             rows.append(np.array((numbers.text or "").split(), float).reshape(-1, 3))
     return np.concatenate(rows)
 
 
 def _node(node: Element, above: np.ndarray, shapes: dict) -> list[np.ndarray]:
     """The points of a COLLADA node and of the nodes in it."""
-    for part in node:
-        numbers = [float(word) for word in (part.text or "").split()] if len(part) == 0 else []
-        if part.tag == "matrix":
-            above = above @ np.reshape(numbers, (4, 4))
-        elif part.tag == "translate":
-            above = above @ np.block([[np.eye(3), np.reshape(numbers, (3, 1))], [np.zeros(3), 1.0]])
-        elif part.tag == "scale":
-            above = above @ np.diag([*numbers, 1.0])
-        elif part.tag == "rotate":
-            turn = np.eye(4)
-            turn[:3, :3] = rotation(np.array(numbers[:3]), np.deg2rad(numbers[3]))
-            above = above @ turn
-    result = []
-    for part in node.findall("instance_geometry"):
-        points = shapes.get(part.get("url", "")[1:], np.zeros((0, 3)))
-        result.append(points @ above[:3, :3].T + above[:3, 3])
-    return result + [points for inner in node.findall("node") for points in _node(inner, above, shapes)]
+    transform = above  # (4, 4)
+    for step in node:
+        numbers = [] if len(step) else [float(word) for word in (step.text or "").split()]
+        if step.tag in TRANSFORMS:
+            transform = transform @ TRANSFORMS[step.tag](numbers)
+    points = []
+    for instance in node.findall("instance_geometry"):
+        shape = shapes.get(instance.get("url", "")[1:], np.zeros((0, 3)))
+        points.append(shape @ transform[:3, :3].T + transform[:3, 3])
+    for inner in node.findall("node"):
+        points += _node(inner, transform, shapes)
+    return points
+
+
+def _translation(numbers: list[float]) -> np.ndarray:
+    return np.block([[np.eye(3), np.reshape(numbers, (3, 1))], [np.zeros(3), 1.0]])
+
+
+def _rotation(numbers: list[float]) -> np.ndarray:
+    matrix = np.eye(4)
+    matrix[:3, :3] = rotation(np.array(numbers[:3]), np.deg2rad(numbers[3]))
+    return matrix
+
+
+TRANSFORMS = {
+    "matrix": lambda numbers: np.reshape(numbers, (4, 4)),
+    "translate": _translation,
+    "scale": lambda numbers: np.diag([*numbers, 1.0]),
+    "rotate": _rotation,
+}
+"""Element of a COLLADA node -> the matrix (4, 4) of its numbers."""
 
 
 def rotation(axis: np.ndarray, angle: float) -> np.ndarray:

@@ -67,8 +67,11 @@ def read(path: Path, edit: Callable[[Any], None] | None = None) -> Any:
     for name in dir(model):
         value = None if name.startswith("_") else getattr(model, name)
         if isinstance(value, np.ndarray) and value.dtype.kind == "f" and not (np.abs(value) <= MAX_MAGNITUDE).all():
-            cure = "look for numbers that are very large or very small"
-            raise file_error(path, f"MuJoCo makes a number of it ({name}) that is not finite; {cure}")
+            raise file_error(
+                path,
+                f"MuJoCo makes a number of it ({name}) that is not finite; look for numbers that are very large or "
+                "very small",
+            )
     return model
 
 
@@ -77,8 +80,8 @@ def _cause(message: str) -> str:
     text, _, place = re.sub(r"^(XML )?(Error: )*", "", message).partition("\nElement ")
     text = " ".join(text.split()).strip(" .").replace(" . T", "; t")
     text = text.replace("Error opening file", "it cannot open the file") or "it is too large"
-    where = re.search(r"'(.*?)'.* line (\d+)", place)
-    return f"{text} (line {where[2]}, element '{where[1]}')" if where else text
+    position = re.search(r"'(.*?)'.* line (\d+)", place)
+    return f"{text} (line {position[2]}, element '{position[1]}')" if position else text
 
 
 def sources(path: Path) -> list[Path]:
@@ -143,17 +146,14 @@ class _Scan:
         if name in REFUSED:
             raise _ElementError(f"<{name}> has no place in a scene or a robot; write its bodies and geoms instead")
         for key, value in attributes.items():
-            if key not in WORDS and not key.startswith("file"):
-                _check_numbers(key, value)
-            maximum = MAX_COUNTS.get((name, key), MAX_RESERVED if name == "size" and key != "memory" else None)
-            if maximum is not None and any(not -1 <= number <= maximum for number in _numbers(value)):
-                raise _ElementError(f'{name} {key}="{shorten(value, 40)}" must be at most {maximum:,}')
-        if name == "size" and _bytes(memory := attributes.get("memory", "")) > MAX_MEMORY:
-            raise _ElementError(f'size memory="{shorten(memory, 40)}" must be at most {MAX_MEMORY // 10**6}M')
+            self.check_attribute(name, key, value)
+
+        # With all copies of replicates, of which each costs memory.
         self.elements += times
         if self.elements > MAX_ELEMENTS:
             raise _ElementError(f"makes more than {MAX_ELEMENTS:,} elements; use fewer")
-        self.joints += times if name in ("joint", "freejoint") else 0
+        if name in ("joint", "freejoint"):
+            self.joints += times
         if self.joints > MAX_JOINTS:
             raise _ElementError(f"makes more than {MAX_JOINTS} joints; obstacles need none, and a robot has five")
         if name == "compiler":
@@ -161,43 +161,68 @@ class _Scan:
             if len(self.folders) > MAX_FOLDERS:
                 raise _ElementError(f"names more than {MAX_FOLDERS} folders of assets; use fewer")
         self.count_images(name, attributes)
-        return max(1, int((_numbers(attributes.get("count", "")) or [1])[0])) if name == "replicate" else 1
+        if name != "replicate":
+            return 1
+        count, *_ = _numbers(attributes.get("count", "")) or [1]
+        return max(1, int(count))
+
+    def check_attribute(self, name: str, key: str, value: str) -> None:
+        """Check the numbers of an element's attribute. Raises _ElementError."""
+        if key not in WORDS and not key.startswith("file"):
+            _check_numbers(key, value)
+        if (name, key) == ("size", "memory"):
+            if _bytes(value) > MAX_MEMORY:
+                raise _ElementError(f'size memory="{shorten(value, 40)}" must be at most {MAX_MEMORY // 10**6}M')
+            return
+        maximum = MAX_COUNTS.get((name, key), MAX_RESERVED if name == "size" else None)
+        if maximum is not None and any(not -1 <= number <= maximum for number in _numbers(value)):
+            raise _ElementError(f'{name} {key}="{shorten(value, 40)}" must be at most {maximum:,}')
 
     def count_images(self, name: str, attributes: dict[str, str]) -> None:
         """Count the pixels that MuJoCo paints for an element, and collect its files. Raises _ElementError."""
         cube = name == "texture" and attributes.get("type", "cube") in ("cube", "skybox")
         if name in ("texture", "hfield"):
             sides = ("width", "height") if name == "texture" else ("nrow", "ncol")
-            sizes = [(_numbers(attributes.get(side, "")) or [1.0])[0] for side in sides]
-            width, height = (max(size, 1.0) for size in sizes)
+            width, height = (_side(attributes.get(side, "")) for side in sides)
             self.count_pixels(6 * width * max(width, height) if cube else width * height)  # a cube's sides are squares
-        if name != "include":
-            names = [value for key, value in attributes.items() if key.startswith("file")]
-            if names:  # without a grid the image is all six sides of a cube
-                self.assets.append((self.place, names, 6 if cube and "gridsize" not in attributes else 1))
+
+        # Without a grid the image is all six sides of a cube.
+        names = [value for key, value in attributes.items() if key.startswith("file")]
+        if names and name != "include":
+            copies = 6 if cube and "gridsize" not in attributes else 1
+            self.assets.append((self.place, names, copies))
 
     def check_assets(self) -> None:
         """Count the pixels of the files of all assets, in all folders where they may be. Raises FileError."""
         pixels: dict[Path, int] = {}
-        for place, names, many in self.assets:
+        for place, names, copies in self.assets:
             largest = 0
-            parts = {part for name in names for part in (name, re.split(r"[/\\]", name)[-1])}  # as of strippath
             try:
-                for path in sorted({self.folder / folder / part for folder in self.folders for part in parts}):
+                for path in sorted(self.possible_paths(names)):
                     if path not in pixels:
                         pixels[path] = _pixels(read_bytes(path, MAX_ASSET)) if path.exists() else 0
                     largest = max(largest, pixels[path])
-                    self.files |= {path} if path.is_file() else set()
-                self.count_pixels(largest * max(many, len(names)))
+                    if path.is_file():
+                        self.files.add(path)
+                self.count_pixels(largest * max(copies, len(names)))
             except (_ElementError, FileError) as error:
                 raise FileError(f"{place}: {str(error).rstrip('.')}.") from None
+
+    def possible_paths(self, names: list[str]) -> set[Path]:
+        """Where the files of an asset may be: in each folder, with and without their own folders (strippath)."""
+        paths = set()
+        for name in names:
+            for folder in self.folders:
+                paths |= {self.folder / folder / name, self.folder / folder / re.split(r"[/\\]", name)[-1]}
+        return paths
 
     def count_pixels(self, pixels: float) -> None:
         """Add pixels to the total; _ElementError if there are too many."""
         self.pixels += pixels
         if self.pixels > MAX_PIXELS:
-            size = f"more than {MAX_PIXELS // 10**6} million pixels in all"
-            raise _ElementError(f"textures have {size}; make them smaller")
+            raise _ElementError(
+                f"textures have more than {MAX_PIXELS // 10**6} million pixels in all; make them smaller"
+            )
 
 
 class _ElementError(Exception):
@@ -214,6 +239,12 @@ def _numbers(value: str) -> list[float]:
     return numbers
 
 
+def _side(value: str) -> float:
+    """The width or height of an image, at least 1."""
+    size, *_ = _numbers(value) or [1.0]
+    return max(size, 1.0)
+
+
 def _check_numbers(key: str, value: str) -> None:
     text = f'{key}="{shorten(value, 40)}"'
     for number in _numbers(value):
@@ -224,9 +255,10 @@ def _check_numbers(key: str, value: str) -> None:
 
 
 def _bytes(value: str) -> float:
-    scale = {"K": 2**10, "M": 2**20, "G": 2**30, "T": 2**40, "P": 2**50, "E": 2**60}.get(value[-1:].upper(), 0)
-    number = _numbers(value[:-1] if scale else value)
-    return number[0] * (scale or 1) if number else 0.0
+    """The bytes of a size such as 1M; 0 without a number."""
+    power = "KMGTPE".find(value[-1:].upper() or " ") + 1
+    number = _numbers(value[:-1] if power else value)
+    return number[0] * 1024**power if number else 0.0
 
 
 def _pixels(image: bytes) -> int:

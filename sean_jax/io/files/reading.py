@@ -91,8 +91,9 @@ def sentence(path: Path | str, cure: str) -> Iterator[None]:
     except SeanError:
         raise
     except OSError as error:
-        why = error.strerror.lower() if error.strerror else "it is damaged"
-        raise file_error(path, f"cannot be read: {why}; {cure}") from error
+        if not error.strerror:
+            raise file_error(path, f"cannot be read: it is damaged; {cure}") from error
+        raise file_error(path, f"cannot be read: {error.strerror.lower()}; {cure}") from error
     except MemoryError as error:
         raise file_error(path, f"does not fit into memory; {cure}") from error
     except Exception as error:  # which one depends on the byte that is damaged
@@ -171,10 +172,12 @@ def read_rows(path: Path | str) -> Iterator[list[str]]:
     path = Path(path)
     with open_file(path, MAX_TABLE) as stream:
         lines = _lines(path, io.TextIOWrapper(stream, "utf-8-sig", newline=""))
-        first, above = next(lines, ""), 0
+        first = next(lines, "")
+        above = 0
         if first.startswith("#"):
             yield [first.rstrip("\r\n")]
-            first, above = next(lines, ""), 1
+            first = next(lines, "")
+            above = 1
         reader = csv.reader(itertools.chain([first], lines), strict=True)
         head = None
 
@@ -227,16 +230,17 @@ def read_arrays(
     import numpy as np  # here, as the command line reads its options without it
 
     path = Path(path)
-    with open_file(path, max_bytes) as stream, sentence(path, cure), zipfile.ZipFile(stream) as parts:
-        size = sum(part.file_size for part in parts.infolist())
+    with open_file(path, max_bytes) as stream, sentence(path, cure), zipfile.ZipFile(stream) as archive:
+        size = sum(entry.file_size for entry in archive.infolist())
         if size > max_bytes:
             raise file_error(path, f"unpacks to {size:,} bytes and at most {max_bytes:,} are read; {cure}")
         arrays = {}
-        for part in parts.infolist():
-            with parts.open(part) as packed:
-                _check_array(packed, part.file_size)
-            with parts.open(part) as packed:
-                arrays[part.filename.removesuffix(".npy")] = np.lib.format.read_array(packed, allow_pickle=False)
+        for entry in archive.infolist():
+            with archive.open(entry) as packed:
+                _check_array(packed, entry.file_size)
+            with archive.open(entry) as packed:
+                name = entry.filename.removesuffix(".npy")
+                arrays[name] = np.lib.format.read_array(packed, allow_pickle=False)
         return arrays
 
 

@@ -23,7 +23,7 @@ from sean_jax.core.errors import FileError, InputError
 from sean_jax.core.messages import count_values
 from sean_jax.io import writing
 from sean_jax.io.files import file_error
-from sean_jax.io.files.database import Database, Finite, Row, Scalar, make_private, new_database
+from sean_jax.io.files.database import Database, DatabaseRow, Finite, Scalar, make_private, new_database
 from sean_jax.studies.survey import visits
 from sean_jax.studies.survey.study import MAX_STUDY, MAX_WORD, Step, Study, checked, name_problems
 
@@ -95,7 +95,7 @@ Film = Annotated[
 ]  # of ``replay.recording``
 
 
-class SettingRow(Row):
+class SettingRow(DatabaseRow):
     """A fact of the study."""
 
     table: ClassVar = "study"
@@ -103,7 +103,7 @@ class SettingRow(Row):
     value: Annotated[str, pydantic.Field(max_length=MAX_STUDY)]
 
 
-class SecretRow(Row):
+class SecretRow(DatabaseRow):
     """A participant's link."""
 
     table: ClassVar = "participants"
@@ -111,7 +111,7 @@ class SecretRow(Row):
     secret: Secret
 
 
-class ParticipantRow(Row):
+class ParticipantRow(DatabaseRow):
     """How far a participant has come."""
 
     table: ClassVar = "participants"
@@ -122,7 +122,7 @@ class ParticipantRow(Row):
     seen: Time | None
 
 
-class EventRow(Row):
+class EventRow(DatabaseRow):
     """What a participant has done."""
 
     table: ClassVar = "events"
@@ -131,7 +131,7 @@ class EventRow(Row):
     what: Annotated[str, pydantic.Field(pattern=visits.EVENT)]
 
 
-class StepRow(Row):
+class StepRow(DatabaseRow):
     """A page that is being answered, or done."""
 
     table: ClassVar = "steps"
@@ -141,7 +141,7 @@ class StepRow(Row):
     done: Time | None
 
 
-class AnswerRow(Row):
+class AnswerRow(DatabaseRow):
     """An answer."""
 
     table: ClassVar = "answers"
@@ -152,7 +152,7 @@ class AnswerRow(Row):
     time: Time
 
 
-class EpisodeRow(Row):
+class EpisodeRow(DatabaseRow):
     """An episode to watch, without its film."""
 
     table: ClassVar = "episodes"
@@ -163,21 +163,21 @@ class EpisodeRow(Row):
     metrics: Metrics
 
 
-class FilmRow(Row):
+class FilmRow(DatabaseRow):
     """The film of an episode to watch."""
 
     table: ClassVar = "episodes"
     recording: Film
 
 
-class FilmsRow(Row):
+class FilmsRow(DatabaseRow):
     """The bytes of all films."""
 
     table: ClassVar = "episodes"
     size: Number
 
 
-class DriveRow(Row):
+class DriveRow(DatabaseRow):
     """A drive, which goes on while it has not ended."""
 
     table: ClassVar = "drives"
@@ -190,14 +190,14 @@ class DriveRow(Row):
     metrics: Metrics | None
 
 
-class RecordingRow(Row):
+class RecordingRow(DatabaseRow):
     """The recording of a drive."""
 
     table: ClassVar = "drives"
     recording: Film | None
 
 
-class MomentsRow(Row):
+class MomentsRow(DatabaseRow):
     """Control steps of a drive."""
 
     table: ClassVar = "moments"

@@ -16,7 +16,7 @@ from sean_jax.core.data_types import Scenario
 from sean_jax.core.errors import FileError, WriteError
 from sean_jax.studies.survey.answers import BROKEN_OFF, Answers
 from sean_jax.web import local_server, replay
-from sean_jax.web.studio.session import Frame, Session, episode
+from sean_jax.web.studio.session import Session, SessionFrame, episode
 
 
 class Sessions:
@@ -54,13 +54,13 @@ def recording(session: Session, plan: bool = False, live: str = "") -> dict[str,
     return content | {"curves": []}
 
 
-def encoded(first: int, frames: Sequence[Frame]) -> bytes:
+def encoded(first: int, frames: Sequence[SessionFrame]) -> bytes:
     """The message with frames from number ``first`` on."""
     head, numbers = replay.packed(_plain(frames, "", True), ())
     return local_server.framed(head | {"kind": "frames", "first": first}, numbers)
 
 
-def _plain(frames: Sequence[Frame], outcome: str, plan: bool) -> replay.Episode:
+def _plain(frames: Sequence[SessionFrame], outcome: str, plan: bool) -> replay.Episode:
     one = episode(frames, "", outcome)
     plain = dataclasses.replace(one.frames, situations=one.frames.situations[..., :0])
     return dataclasses.replace(one, frames=plain, plan=one.plan if plan else None)
@@ -120,7 +120,7 @@ class Drive:
         self._answers.end_drive(self._number, outcome, metrics, whole)
         self.outcome = outcome
 
-    def _note(self, frame: Frame) -> None:
+    def _note(self, frame: SessionFrame) -> None:
         body = frame.trajectory
         heading = np.asarray(body.heading, float)
         place = [*np.asarray(body.position, float), np.arctan2(heading[1], heading[0])]

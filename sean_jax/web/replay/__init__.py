@@ -111,46 +111,61 @@ def recording(
         "situations": [{"name": name, "color": shade} for name, shade in zip(names, shades, strict=True)],
         "curves": list(CURVES if robot else OF_PEOPLE),
         "timeStep": time_step,
-        "episodes": [encoded(each, names, robot) for each in episodes],
+        "episodes": [encoded(episode, names, robot) for episode in episodes],
     }
-    return content | ({"live": live} if live else {})
+    if live:
+        content["live"] = live
+    return content
 
 
 def of_scenario(scenario: Scenario, episodes: Sequence[Episode], title: str = "", live: str = "") -> dict[str, Any]:
     """A recording of episodes of a scenario, with planned paths; arguments and errors as of ``recording``."""
-    planned = [dataclasses.replace(each, plan=plans(scenario, one_episode(each.frames))) for each in episodes]
-    names = [name for name, _ in scenario.situations]
+    planned = []
+    for episode in episodes:
+        plan = plans(scenario, one_episode(episode.frames))
+        planned.append(dataclasses.replace(episode, plan=plan))
     return recording(
-        planned, scenario.environment, title=title, graph=graph_of(scenario), scenario=scenario, situations=names,
-        time_step=scenario.time_step, live=live,
-    )  # fmt: skip
+        planned,
+        scenario.environment,
+        title=title,
+        graph=graph_of(scenario),
+        scenario=scenario,
+        situations=[name for name, _ in scenario.situations],
+        time_step=scenario.time_step,
+        live=live,
+    )
 
 
 def plans(scenario: Scenario, frames: Trajectory) -> np.ndarray:
     """(T, K, 2) m, the remaining shortest path of an episode's frames (T, ...), once a second; beyond it, the goal."""
     every = max(1, round(1.0 / scenario.time_step))
-    some = np.arange(0, len(frames.active), every)
-    padded = 128 * -(-len(some) // 128)  # so that episodes of like length share a program
-    where = [np.resize(np.asarray(part)[some], (padded, 2)) for part in (frames.position, frames.goal)]
-    points = np.asarray(_plans(scenario.navigation, *(jnp.asarray(part, float) for part in where)))[: len(some)]
-    return np.repeat(points, every, axis=0)[: len(frames.active)]
+    places = np.asarray(frames.position)[::every]  # (P, 2)
+    goals = np.asarray(frames.goal)[::every]
+    padded = 128 * -(-len(places) // 128), 2  # so that episodes of like length share a program
+    points = _plans(
+        scenario.navigation,
+        jnp.asarray(np.resize(places, padded), float),
+        jnp.asarray(np.resize(goals, padded), float),
+    )
+    each_second = np.asarray(points)[: len(places)]
+    return np.repeat(each_second, every, axis=0)[: len(frames.active)]
 
 
 @jax.jit
 def _plans(table: navigation.Navigation, places: jax.Array, goals: jax.Array) -> jax.Array:
-    def one(row: tuple[jax.Array, jax.Array]) -> jax.Array:
+    def plan(row: tuple[jax.Array, jax.Array]) -> jax.Array:
         place, goal = row
         paths = navigation.build_paths_to_goal(table, goal)
         last_arc = navigation.last_arc_to_goal(table, goal)
         return navigation.plan(table, place, goal, paths, last_arc, points=PLAN_POINTS, apart=PLAN_SPACING)
 
-    return jax.lax.map(one, (places, goals))
+    return jax.lax.map(plan, (places, goals))
 
 
 def place_of_page(environment: Environment) -> dict[str, Any]:
     """The floor and the obstacles of an environment as the page draws them."""
     boxes = jax.tree.map(np.asarray, environment.obstacles)
-    rows = np.concatenate([boxes.center, boxes.half_extent, boxes.yaw[:, None], boxes.height[:, None]], 1)
+    rows = np.concatenate([boxes.center, boxes.half_extent, boxes.yaw[:, None], boxes.height[:, None]], 1)  # (W, 6)
     rows = rows[boxes.center[:, 0] < FAR]  # without padding
     return {
         "name": environment.name,
@@ -161,13 +176,17 @@ def place_of_page(environment: Environment) -> dict[str, Any]:
 
 def graph_of_page(graph: BehaviorGraph) -> dict[str, Any]:
     """A graph as the page draws it."""
-    flows, count = np.asarray(graph.flow), len(graph.names) or graph.nodes
+    count = len(graph.names) or graph.nodes
+    flows = np.asarray(graph.flow)
+    edges = []
+    for u, v in np.argwhere(np.triu(flows != NO_EDGE, 1)):
+        edges.append([int(u), int(v), FLOWS[flows[u, v]]])
     return {
         "names": list(graph.names) or [f"node {number}" for number in range(count)],
         "position": np.round(np.asarray(graph.position, float)[:count], 2).tolist(),
         "radius": np.round(np.asarray(graph.radius, float)[:count], 2).tolist(),
         "group": np.asarray(graph.is_group, bool)[:count].tolist(),
-        "edges": [[int(u), int(v), FLOWS[flows[u, v]]] for u, v in np.argwhere(np.triu(flows != NO_EDGE, 1))],
+        "edges": edges,
     }
 
 
@@ -181,8 +200,10 @@ def _robot(scenario: Scenario | None) -> dict[str, Any]:
             half = np.tan(np.radians(mount.fovy) / 2.0) * 4.0 / 3.0  # of its pictures' sides
             views.append({"name": "depth", "angle": round(float(2.0 * np.arctan(half)), 4), "range": 20.0})
     radius, *others = robots.radii(scenario)
-    about = {"name": robot.name, "radius": radius, "views": views}
-    return about | {"others": others} if others else about
+    content = {"name": robot.name, "radius": radius, "views": views}
+    if others:
+        content["others"] = others
+    return content
 
 
 def encoded(episode: Episode, names: Sequence[str], robot: bool = True) -> dict[str, Any]:
@@ -221,9 +242,11 @@ def packed(episode: Episode, names: Sequence[str], robot: bool = True) -> tuple[
 
 
 def _of_people(frames: Any) -> dict[str, np.ndarray]:
-    there = np.sum(frames.present, -1)
-    speed = np.sum(np.linalg.norm(frames.people_velocity, axis=-1), -1, where=frames.present)
-    return {"people": there, "mean speed": speed / np.maximum(there, 1)}
+    """The curves of people alone."""
+    count = np.sum(frames.present, -1)  # (T,)
+    speed = np.linalg.norm(frames.people_velocity, axis=-1)  # (T, N)
+    total = np.sum(speed, -1, where=frames.present)
+    return {"people": count, "mean speed": total / np.maximum(count, 1)}
 
 
 def _of_robot(frames: Any) -> dict[str, np.ndarray]:
@@ -272,15 +295,19 @@ def encode(columns: Mapping[str, np.ndarray], kinds: Mapping[str, str]) -> tuple
         kinds: name -> ``place`` [m], to a centimetre; ``angle`` [rad]; ``index``, whole numbers from -1 on; any other
             name is a number, whose range is divided into 65,535 levels.
     """
-    heads, levels = [], []
+    heads = []
+    numbers = [np.zeros(0, np.uint16)]
     for name, column in columns.items():
         values = np.asarray(column, float)
-        values = values[:, None] if values.ndim == 1 else values
+        if values.ndim == 1:
+            values = values[:, None]
         scale, offset = _scale(values, kinds.get(name, "number"))
-        levels.append(np.round((values.T - offset) / scale).astype(np.int64))
         heads.append({"name": name, "count": values.shape[1], "scale": scale, "offset": offset})
-    steps = [np.diff(each, axis=1, prepend=0).astype(np.uint16).ravel() for each in levels]
-    whole = np.concatenate([*steps, np.zeros(0, np.uint16)])
+        levels = np.round((values.T - offset) / scale).astype(np.int64)  # (K, T)
+        numbers.append(np.diff(levels, axis=1, prepend=0).astype(np.uint16).ravel())
+
+    # All low bytes, then all high ones, which are mostly alike and deflate well.
+    whole = np.concatenate(numbers)
     return heads, np.concatenate([whole & 0xFF, whole >> 8]).astype(np.uint8).tobytes()
 
 
@@ -294,7 +321,8 @@ def _scale(values: np.ndarray, kind: str) -> tuple[float, float]:
         return TURN, 0.0
     if kind == "index":
         return 1.0, -1.0
-    low, high = (float(values.min()), float(values.max())) if values.size else (0.0, 1.0)
+    low = float(values.min()) if values.size else 0.0
+    high = float(values.max()) if values.size else 1.0
     return max((high - low) / LEVELS, 1e-9), low
 
 
@@ -317,7 +345,7 @@ def embedded(content: Any) -> str:
 
 
 def script() -> str:
-    """The page's program."""
+    """The JavaScript of a player, which a page has once."""
     return files.read_text(Path(__file__).with_name("page.min.js"))
 
 
@@ -345,7 +373,8 @@ class Replay:
     """Episodes that a notebook plays, and shows as a picture where there is no JavaScript."""
 
     def __init__(self, content: dict[str, Any], figure: Any):
-        self.content, self.figure = content, figure
+        self.content = content
+        self.figure = figure
 
     def save(self, path: Path | str) -> None:
         """Write the page.

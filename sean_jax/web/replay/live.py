@@ -32,8 +32,10 @@ class Live:
 
     def __init__(self, names: list[str], port: int):
         self.url = f"http://{HOST}:{port}/"
-        self._names, self._chunks = names, list[str]()
-        self._over, self._outcome = False, ""
+        self._names = names
+        self._chunks: list[str] = []  # of frames, as JSON
+        self._over = False
+        self._outcome = ""
         self._lock = threading.Lock()
 
     def add(self, chunk: Trajectory) -> None:
@@ -50,7 +52,8 @@ class Live:
     def finish(self, outcome: str) -> None:
         """The episode has ended."""
         with self._lock:
-            self._over, self._outcome = True, outcome
+            self._over = True
+            self._outcome = outcome
 
     def since(self, first: int) -> str:
         """The chunks from an index on as JSON, whose layout is in ``web/src/stream.ts``."""
@@ -64,11 +67,13 @@ class _Server(ThreadingHTTPServer):
 
     daemon_threads = True
 
-    def __init__(self, handler: type[BaseHTTPRequestHandler]):
+    def __init__(self, page: bytes, names: list[str]):
+        self.page = page
         self._open: dict[Any, None] = {}  # sockets, the oldest first
         self._guard = threading.Lock()
-        self._log = local_server.Log()
-        super().__init__((HOST, 0), handler)
+        self._log = local_server.ServerLog()
+        super().__init__((HOST, 0), _Handler)
+        self.live = Live(names, self.server_port)
 
     def process_request(self, request: Any, client_address: Any) -> None:
         with self._guard:
@@ -91,51 +96,52 @@ class _Server(ThreadingHTTPServer):
             self._log.tell("a request", error)
 
 
+class _Handler(BaseHTTPRequestHandler):
+    """Answers requests for the page and for frames."""
+
+    server: _Server
+    timeout = PATIENCE
+
+    def do_GET(self) -> None:
+        hosts = [[f"{name}:{self.server.server_port}"] for name in (HOST, "localhost")]
+        if self.headers.get_all("Host", []) not in hosts:  # a page elsewhere whose name was turned to this computer
+            self.send_error(403)
+            return
+        try:
+            url = local_server.split(self.path)
+        except InputError:
+            self.send_error(400)
+            return
+        first = urllib.parse.parse_qs(url.query).get("from", ["0"])[0]
+        if url.path == "/":
+            self._answer(self.server.page, "text/html; charset=utf-8")
+        elif url.path == f"/{FRAMES}" and first.isdecimal() and len(first) < 10:
+            self._answer(self.server.live.since(int(first)).encode("utf-8"), "application/json")
+        else:
+            self.send_error(404)
+
+    def _answer(self, content: bytes, kind: str) -> None:
+        self.send_response(200)
+        self.send_header("Content-Type", kind)
+        self.send_header("Content-Length", str(len(content)))
+        self.send_header("Cache-Control", "no-store")
+        self.end_headers()
+        self.wfile.write(content)
+
+    def log_message(self, format: str, *args: object) -> None:
+        """Nothing: the terminal shows the progress of the run."""
+
+
 @contextlib.contextmanager
 def serve(scenario: Scenario, title: str) -> Iterator[Live]:
     """Serve the page on a free port of 127.0.0.1 until the block ends."""
-    page = replay.html(replay.of_scenario(scenario, [], title, live=FRAMES), linked=False).encode("utf-8")
-
-    class Handler(BaseHTTPRequestHandler):
-        timeout = PATIENCE
-
-        def do_GET(self) -> None:
-            allowed = {f"{name}:{server.server_port}" for name in (HOST, "localhost")}
-            if self.headers.get_all("Host", []) not in [
-                [name] for name in allowed
-            ]:  # a page elsewhere whose name was turned to this computer
-                self.send_error(403)
-                return
-            try:
-                url = local_server.split(self.path)
-            except InputError:
-                self.send_error(400)
-                return
-            first = urllib.parse.parse_qs(url.query).get("from", ["0"])[0]
-            if url.path == "/":
-                self._answer(page, "text/html; charset=utf-8")
-            elif url.path == f"/{FRAMES}" and first.isdecimal() and len(first) < 10:
-                self._answer(live.since(int(first)).encode("utf-8"), "application/json")
-            else:
-                self.send_error(404)
-
-        def _answer(self, content: bytes, kind: str) -> None:
-            self.send_response(200)
-            self.send_header("Content-Type", kind)
-            self.send_header("Content-Length", str(len(content)))
-            self.send_header("Cache-Control", "no-store")
-            self.end_headers()
-            self.wfile.write(content)
-
-        def log_message(self, format: str, *args: object) -> None:
-            """Nothing: the terminal shows the progress of the run."""
-
-    with _Server(Handler) as server:
-        live = Live([name for name, _ in scenario.situations], server.server_port)
+    content = replay.of_scenario(scenario, [], title, live=FRAMES)
+    page = replay.html(content, linked=False).encode("utf-8")
+    with _Server(page, [name for name, _ in scenario.situations]) as server:
         thread = threading.Thread(target=server.serve_forever, args=(0.05,), name="sean-live", daemon=True)
         thread.start()
         try:
-            yield live
+            yield server.live
         finally:
             server.shutdown()
             thread.join()

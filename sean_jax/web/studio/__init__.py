@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 TEMPLATE = "web/studio/page.html"
 
 
-def run(config: StudioConfig, console: Console) -> None:
+def run_studio(config: StudioConfig, console: Console) -> None:
     """Serve the page until Ctrl-C, then make demonstrations of the recorded drives.
 
     Raises:
@@ -53,11 +53,11 @@ def make_demonstrations(config: StudioConfig, say: Callable[[str], None]) -> Non
     """Make demonstrations of the recorded drives, and say what became of them."""
     assert config.record is not None
     trial.recover(config.record)  # a drive that could not be written to its end
-    made = trial.demonstrations(config, say)
-    for text in made.said:
+    summary = trial.demonstrations(config, say)
+    for text in summary.said:
         say(text)
-    if made.data is not None:
-        say(f"{len(made.data.episodes)} demonstrations: {made.data.folder}")
+    if summary.data is not None:
+        say(f"{len(summary.data.episodes)} demonstrations: {summary.data.folder}")
 
 
 def serve(config: StudioConfig, say: Callable[[str], None]) -> None:

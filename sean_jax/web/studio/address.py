@@ -57,10 +57,10 @@ def recall(folder: Path | None) -> Address:
             return new
         text = files.read_bytes(file, MAX_ADDRESS).decode("ascii", errors="replace")
         kept = files.check_json(file, files.parse_file_json(file, text), KeptAddress)
-        here = _place(status, folder.stat())
+        place = _place(status, folder.stat())
     except (OSError, FileError):
         return new
-    return Address(kept.token, kept.port) if secrets.compare_digest(kept.place, here) else new
+    return Address(kept.token, kept.port) if secrets.compare_digest(kept.place, place) else new
 
 
 def _place(file: os.stat_result, folder: os.stat_result) -> str:

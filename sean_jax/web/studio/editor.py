@@ -55,17 +55,20 @@ class Editor:
     """The texts of an environment's files, with their earlier texts."""
 
     def __init__(self, config: StudioConfig):
-        self.config, self.folder = config, generated.find(config.environment)[0]
+        self.config = config
+        self.folder = generated.find(config.environment)[0]
         self.saved = {name: files.read_text(self.folder / name) for name in FILES if (self.folder / name).is_file()}
-        self.texts, self.history = dict(self.saved), list[tuple[str, str]]()  # file, and its text before a change
+        self.texts = dict(self.saved)
+        self.history: list[tuple[str, str]] = []  # file, and its text before a change
         self._scratch = tempfile.TemporaryDirectory(prefix="sean-studio-")
         folder = self.folder.resolve()
-        for path in map(Path.resolve, environment.sources(self.folder)):
+        for source in environment.sources(self.folder):
+            path = source.resolve()
             if path.is_relative_to(folder):  # a change of a scene that reads others is refused
                 copy = Path(self._scratch.name) / path.relative_to(folder)
                 copy.parent.mkdir(parents=True, exist_ok=True)
                 shutil.copyfile(path, copy)
-        self.boxes: dict[str, scene_text.Box] = {}  # obstacles that can be changed
+        self.boxes: dict[str, scene_text.SceneBox] = {}  # obstacles that can be changed
         self.sets: annotation.Annotation | None = None  # of behavior handcrafted
         for name in self.texts:
             self._take(self.folder / name)
@@ -76,7 +79,7 @@ class Editor:
         return self.texts != self.saved
 
     def change(
-        self, change: Mapping[str, Any], scenario: Scenario, prepare: Callable[[Scenario], None] = lambda made: None
+        self, change: Mapping[str, Any], scenario: Scenario, prepare: Callable[[Scenario], None] = lambda edited: None
     ) -> Scenario:
         """The scenario with a change of a ``node``, an ``edge``, a ``set`` or a ``box``; docs/studio.md has their keys.
 
@@ -93,23 +96,26 @@ class Editor:
         if word in ("node", "edge"):
             if graph_of(scenario) is None:
                 raise InputError(f"edit: behavior '{scenario.behavior.name}' has no graph.")
-            name, text = GRAPH, changed_graph(self.texts[GRAPH], change)
+            name = GRAPH
+            text = changed_graph(self.texts[name], change)
         elif word == "set":
             if self.sets is None:
                 raise InputError(f"edit: behavior '{scenario.behavior.name}' has no sets.")
-            name, text = SETS, changed_sets(self.texts[SETS], self.sets, change)
+            name = SETS
+            text = changed_sets(self.texts[name], self.sets, change)
         else:
             self._check_own()
-            name, text = SCENE, changed_scene(self.texts[SCENE], self.boxes, change)
+            name = SCENE
+            text = changed_scene(self.texts[name], self.boxes, change)
         if text == self.texts[name]:
             return scenario
-        made = self._build(name, text, scenario, prepare)
+        edited = self._build(name, text, scenario, prepare)
         self.history.append((name, self.texts[name]))
         self.texts[name] = text
         self._take(Path(self._scratch.name) / name)
-        return made
+        return edited
 
-    def undo(self, scenario: Scenario, prepare: Callable[[Scenario], None] = lambda made: None) -> Scenario:
+    def undo(self, scenario: Scenario, prepare: Callable[[Scenario], None] = lambda edited: None) -> Scenario:
         """The scenario without the latest change; ``prepare`` as of ``change``.
 
         Raises:
@@ -118,19 +124,19 @@ class Editor:
         if not self.history:
             raise InputError("undo: there is no change.")
         name, text = self.history[-1]
-        made = self._build(name, text, scenario, prepare)
+        edited = self._build(name, text, scenario, prepare)
         self.texts[name] = text
         self._take(Path(self._scratch.name) / name)
         self.history.pop()
-        return made
+        return edited
 
     def difference(self) -> str:
         """The changes that are not in the files, line by line."""
-        parts = []
+        lines: list[str] = []
         for name, text in self.texts.items():
-            old, new = self.saved[name].splitlines(), text.splitlines()
-            parts += difflib.unified_diff(old, new, name, f"{name}, changed", lineterm="", n=1)
-        return "\n".join(parts)
+            before = self.saved[name].splitlines()
+            lines += difflib.unified_diff(before, text.splitlines(), name, f"{name}, changed", lineterm="", n=1)
+        return "\n".join(lines)
 
     def save(self) -> list[Path]:
         """Write the files that have changes.
@@ -152,18 +158,16 @@ class Editor:
     def of_page(self, scenario: Scenario) -> dict[str, Any]:
         """What the page draws and changes: graph, sets and boxes where there are any, and what is not saved."""
         graph = graph_of(scenario)
-        names = ("spawn", "weight", "capacity", "stay")
-        boxes = {
-            name: [round(value, 4) for value in (*box.center[:2], *box.half[:2], math.radians(box.yaw),
-                                                 box.center[2] + box.half[2])]
-            for name, box in self.boxes.items()
-        }  # fmt: skip
+        numbers = {}
+        if graph is not None:
+            for name in ("spawn", "weight", "capacity", "stay"):
+                numbers[name] = np.asarray(getattr(graph, name)).tolist()
         return {
             "place": replay.place_of_page(scenario.environment),
             "graph": None if graph is None else replay.graph_of_page(graph),
-            "numbers": {} if graph is None else {name: np.asarray(getattr(graph, name)).tolist() for name in names},
+            "numbers": numbers,
             "sets": None if self.sets is None else _sets_of_page(self.sets),
-            "boxes": boxes if self._refusal is None else None,
+            "boxes": {name: _box_of_page(box) for name, box in self.boxes.items()} if self._refusal is None else None,
             "difference": self.difference(),
             "changes": len(self.history),
         }
@@ -175,8 +179,8 @@ class Editor:
         of_package = pages.PACKAGE in file.parents or pages.PACKAGE.parent / "envs" in file.parents
         if not of_package and generated.parse_set(self.config.environment) is None:
             return None
-        what = "an environment of the package" if of_package else "made from a seed"
-        return f"{self.folder.name} is {what}; copy the folder {self.folder} and name the copy with --environment."
+        origin = "an environment of the package" if of_package else "made from a seed"
+        return f"{self.folder.name} is {origin}; copy the folder {self.folder} and name the copy with --environment."
 
     def _check_own(self) -> None:
         if self._refusal is not None:
@@ -195,27 +199,34 @@ class Editor:
         writing.write(folder / name, text)
         try:
             try:
-                made = self._made(name, scenario)
+                edited = self._with_file(name, scenario)
             except (InputError, FileError) as error:
                 known = "|".join(map(re.escape, FILES))
                 raise InputError(re.sub(rf"\S*?({known})", r"\1", str(error))) from None
-            prepare(made)
+            prepare(edited)
         except BaseException:
             writing.write(folder / name, self.texts[name])
             raise
-        return made
+        return edited
 
-    def _made(self, name: str, scenario: Scenario) -> Scenario:
+    def _with_file(self, name: str, scenario: Scenario) -> Scenario:
         """The scenario with a file of the scratch folder."""
         folder = Path(self._scratch.name)
         if name == SCENE:
             return making.build(self.config.replace(environment=str(folder)))[0]
-        tables = scenario.behavior.data if name == GRAPH else scenario.behavior.data.ways or scenario
+        before = scenario.behavior.data
+        tables = before if name == GRAPH else before.ways or scenario
         place = behaviors.Place(folder, scenario.environment, tables.navigation, scenario.time_step)
-        made = making.behavior_of(self.config, place)
+        behavior = making.behavior_of(self.config, place)
         if name == GRAPH:
-            made = dataclasses.replace(made, data=_with_starts_like(scenario.behavior.data, made.data))
-        return dataclasses.replace(scenario, behavior=made)
+            behavior = dataclasses.replace(behavior, data=_with_starts_like(before, behavior.data))
+        return dataclasses.replace(scenario, behavior=behavior)
+
+
+def _box_of_page(box: scene_text.SceneBox) -> list[float]:
+    """Center, half sides, angle [rad] and height of a box as the page draws it."""
+    height = box.center[2] + box.half[2]
+    return [round(value, 4) for value in (*box.center[:2], *box.half[:2], math.radians(box.yaw), height)]
 
 
 def _check_form(word: str, change: Mapping[str, Any]) -> None:
@@ -231,26 +242,40 @@ def _check_form(word: str, change: Mapping[str, Any]) -> None:
         unknown = sorted(keys - known) or sorted(keys)
         name = shorten(repr(change[word]))
         raise InputError(f"edit: {shorten(unknown[0])!r} of {word} {name} is not for the page; edit the file.")
-    named = [change[word], *(change[key] for key in ("edge", "flow", "point") if key in change)]
-    for value in [part for each in named for part in (each if isinstance(each, list) else [each])]:
-        if isinstance(value, str) and len(value) > MAX_NAME:
-            length = f"{len(value):,} characters, and a name has {MAX_NAME} at most"
-            raise InputError(f"edit: {shorten(value)!r} has {length}; give another name.")
+    for key in (word, "edge", "flow", "point"):
+        value = change.get(key)
+        for name in value if isinstance(value, list) else [value]:
+            if isinstance(name, str) and len(name) > MAX_NAME:
+                raise InputError(
+                    f"edit: {shorten(name)!r} has {len(name):,} characters, and a name has {MAX_NAME} at most; give "
+                    "another name."
+                )
 
 
 def _with_starts_like(before: Tables, after: Tables) -> Tables:
     """The tables with as many starts as before, so that programs fit: starts matter at the next reset alone."""
-    number, found = len(before.start), len(after.start)
-    rows = np.round(np.linspace(0, found - 1, number)).astype(int) if found >= number else np.arange(number) % found
-    chance = np.where(np.arange(number) < found, np.asarray(after.start_log_chance)[rows], -np.inf)
-    parts = {name: np.asarray(getattr(after, name))[rows] for name in ("start", "start_node")}
-    return after.replace(**jax.tree.map(jax.numpy.asarray, parts | {"start_log_chance": chance}))  # pyright: ignore
+    size = len(before.start)
+    available = len(after.start)
+    if available >= size:  # some of them, evenly
+        rows = np.round(np.linspace(0, available - 1, size)).astype(int)
+    else:  # all of them, and rows that are never drawn
+        rows = np.arange(size) % available
+    chance = np.where(np.arange(size) < available, np.asarray(after.start_log_chance)[rows], -np.inf)
+    return after.replace(  # pyright: ignore
+        start=jax.numpy.asarray(np.asarray(after.start)[rows]),
+        start_node=jax.numpy.asarray(np.asarray(after.start_node)[rows]),
+        start_log_chance=jax.numpy.asarray(chance),
+    )
 
 
-def same_shapes(one: Any, other: Any) -> bool:
+def same_shapes(tree: Any, other: Any) -> bool:
     """Whether compiled programs take one pytree in place of the other."""
-    shapes = [[(np.shape(leaf), np.asarray(leaf).dtype) for leaf in jax.tree.leaves(each)] for each in (one, other)]
-    return shapes[0] == shapes[1] and jax.tree.structure(one) == jax.tree.structure(other)
+    if jax.tree.structure(tree) != jax.tree.structure(other):
+        return False
+    return all(
+        np.shape(leaf) == np.shape(like) and np.asarray(leaf).dtype == np.asarray(like).dtype
+        for leaf, like in zip(jax.tree.leaves(tree), jax.tree.leaves(other), strict=True)
+    )
 
 
 # ------------------------------------------------------------------ graph.yaml
@@ -283,16 +308,23 @@ def changed_graph(text: str, change: Mapping[str, Any]) -> str:
         if key not in KEYS:
             raise InputError(f"edit: {key!r} of a node is not for the page; edit the file.")
         if isinstance(value, list):
-            if len(value) != 2:
-                raise InputError(f"edit: {key} has two numbers; reload the page.")
-            for index in (0, 1):
-                try:
-                    yaml_text.node_at(text, ["nodes", name, key, index])
-                except KeyError:
-                    raise InputError(f"edit: {name} has no {key}; edit the file.") from None
-                text = yaml_text.replaced(text, ["nodes", name, key, index], _number(key, value[index]))
+            text = _with_pair(text, name, key, value)
         else:
             text = yaml_text.replaced(text, ["nodes", name, key], _number(key, value))
+    return text
+
+
+def _with_pair(text: str, name: str, key: str, values: list) -> str:
+    """The text with other numbers in a list of two of a node."""
+    if len(values) != 2:
+        raise InputError(f"edit: {key} has two numbers; reload the page.")
+    for index, value in enumerate(values):
+        keys = ["nodes", name, key, index]
+        try:
+            yaml_text.node_at(text, keys)
+        except KeyError:
+            raise InputError(f"edit: {name} has no {key}; edit the file.") from None
+        text = yaml_text.replaced(text, keys, _number(key, value))
     return text
 
 
@@ -359,7 +391,7 @@ def changed_sets(text: str, sets: annotation.Annotation, change: Mapping[str, An
     Raises:
         InputError: there is no such point, or a value is no number.
     """
-    place = next((where for where, label, _ in sets.each() if label == change["set"]), None)
+    place = next((place for place, label, _ in sets.each() if label == change["set"]), None)
     point = change.get("point")
     forms = (("starts", int), ("goals", int), ("walkers", int, "loop", int), ("groups", str, "center"))
     if place is None or not isinstance(point, list) or not any(_has_form(point, form) for form in forms):
@@ -385,27 +417,32 @@ def _no_point(point: Any, label: Any) -> str:
 
 def _has_form(point: list, form: tuple) -> bool:
     """Whether the parts of a point are the words and of the types of a form."""
-    pairs = list(zip(point, form, strict=False))
-    return len(point) == len(form) and all(type(a) is b if isinstance(b, type) else a == b for a, b in pairs)
+    if len(point) != len(form):
+        return False
+    for value, expected in zip(point, form, strict=True):
+        if not (type(value) is expected if isinstance(expected, type) else value == expected):
+            return False
+    return True
 
 
 def _sets_of_page(sets: annotation.Annotation) -> dict[str, Any]:
-    return {
-        label: {
-            "situation": one.situation,
-            "starts": one.starts,
-            "goals": one.goals,
-            "loops": [walkers.loop for walkers in one.walkers],
-            "groups": {name: [*group.center, reach(group.people)] for name, group in one.groups.items()},
+    rows = {}
+    for _, label, entry in sets.each():
+        groups = {name: [*group.center, reach(group.people)] for name, group in entry.groups.items()}
+        rows[label] = {
+            "situation": entry.situation,
+            "starts": entry.starts,
+            "goals": entry.goals,
+            "loops": [walkers.loop for walkers in entry.walkers],
+            "groups": groups,
         }
-        for _, label, one in sets.each()
-    }
+    return rows
 
 
 # ------------------------------------------------------------------ scene.xml
 
 
-def changed_scene(text: str, boxes: Mapping[str, scene_text.Box], change: Mapping[str, Any]) -> str:
+def changed_scene(text: str, boxes: Mapping[str, scene_text.SceneBox], change: Mapping[str, Any]) -> str:
     """The text of a scene.xml with a change of a ``box``.
 
     A box has a ``position`` [m], a ``size`` of two sides [m], a ``height`` [m] and a ``turn`` [degrees], or ``add``

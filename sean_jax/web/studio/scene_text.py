@@ -19,7 +19,7 @@ TURNS = ("quat", "axisangle", "xyaxes", "zaxis", "euler")  # attributes that tur
 NEW = 0.8, 0.8, 1.0  # m, of a new box
 
 
-class Box(NamedTuple):
+class SceneBox(NamedTuple):
     """A box that the page can change."""
 
     center: tuple[float, ...]  # m
@@ -33,20 +33,20 @@ class _Geom(NamedTuple):
     end: int
 
 
-class _Scene(NamedTuple):
+class _GeomPlaces(NamedTuple):
     geoms: dict[str, _Geom]  # that have a name and stand in the world itself
     names: set[str]  # of all geoms
     compiler: dict[str, str]
     last: int  # where the last of the geoms ends, or the world's first tag
 
 
-def boxes(path: Path, text: str) -> dict[str, Box]:
+def boxes(path: Path, text: str) -> dict[str, SceneBox]:
     """The obstacles of a scene, whose text is in a file already, that have a name and stand in the world itself."""
     names = _scan(text.encode()).geoms
-    return {name: Box(*values) for name, values in environment.named_boxes(path).items() if name in names}
+    return {name: SceneBox(*values) for name, values in environment.named_boxes(path).items() if name in names}
 
 
-def moved(text: str, name: str, before: Box, after: Box) -> str:
+def moved(text: str, name: str, before: SceneBox, after: SceneBox) -> str:
     """The text with a box elsewhere, of another size or turned.
 
     Raises:
@@ -86,8 +86,10 @@ def added(text: str, name: str, x: float, y: float) -> str:
         raise InputError(f"edit: there is a geom {name!r} already; give another name.")
     half = [side / 2 for side in NEW]
     geom = f'<geom name="{name}" type="box" pos="{_numbers((x, y, half[2]))}" size="{_numbers(half)}"/>'
-    line = data.rfind(b"\n", 0, scene.last) + 1
-    indent = re.match(rb"[ \t]*", data[line:])[0] if scene.geoms else b"    "  # pyright: ignore
+    indent = b"    "
+    if scene.geoms:  # as the last of them
+        line = data[data.rfind(b"\n", 0, scene.last) + 1 :]
+        indent = line[: len(line) - len(line.lstrip(b" \t"))]
     return (data[: scene.last] + b"\n" + indent + geom.encode() + data[scene.last :]).decode()
 
 
@@ -95,9 +97,10 @@ def removed(text: str, name: str) -> str:
     """The text without a box, and without its line if there is nothing else in it."""
     data = text.encode()
     geom = _scan(data).geoms[name]
-    start, end = data.rfind(b"\n", 0, geom.start) + 1, data.find(b"\n", geom.end) + 1
+    start = data.rfind(b"\n", 0, geom.start) + 1
+    end = data.find(b"\n", geom.end) + 1
     if end == 0 or data[start : geom.start].strip() or data[geom.end : end].strip():
-        start, end = geom.start, geom.end
+        return (data[: geom.start] + data[geom.end :]).decode()
     return (data[:start] + data[end:]).decode()
 
 
@@ -105,48 +108,51 @@ def _with_attribute(tag: bytes, key: bytes, value: bytes) -> bytes:
     """A tag with another value of an attribute; without it if the value is empty."""
     for match in re.finditer(ATTRIBUTE, tag):
         if match[1] == key:
-            new = tag[match.start() : match.start(2)] + b'"' + value + b'"' if value else b""
-            return tag[: match.start()] + new + tag[match.end() :]
+            if not value:
+                return tag[: match.start()] + tag[match.end() :]
+            return tag[: match.start(2)] + b'"' + value + b'"' + tag[match.end() :]
     if not value:
         return tag
-    place = len(tag) - (2 if tag.endswith(b"/>") else 1)
-    place = len(tag[:place].rstrip())
-    return tag[:place] + b" " + key + b'="' + value + b'"' + tag[place:]
+    end = b"/>" if tag.endswith(b"/>") else b">"
+    before = tag.removesuffix(end).rstrip()
+    return before + b" " + key + b'="' + value + b'"' + tag[len(before) :]
 
 
 def _numbers(values: Any) -> str:
     return " ".join(f"{value:.6g}" for value in values)
 
 
-def _scan(data: bytes) -> _Scene:
+def _scan(data: bytes) -> _GeomPlaces:
     """Where the geoms of a scene are in its bytes, which are XML."""
     parser = expat.ParserCreate("utf-8")
-    above: list[str] = []
+    above: list[str] = []  # elements that are open
     scene = {"geoms": {}, "names": set(), "compiler": {}, "last": 0}
-    begun: list[tuple[str, int, int]] = []
+    begun: list[tuple[str, int, int]] = []  # name ("" if it cannot be changed), start and end of the tag of open geoms
 
     def begin(name: str, attributes: Mapping[str, str]) -> None:
         place = parser.CurrentByteIndex
         if name == "compiler":
             scene["compiler"].update(attributes)
-        if name == "worldbody":
+        elif name == "worldbody":
             scene["last"] = data.index(b">", place) + 1
-        if name == "geom":
-            scene["names"].add(attributes.get("name", ""))
+        elif name == "geom":
+            own = attributes.get("name", "")
+            scene["names"].add(own)
             tag = TAG.match(data, place)
             if above == ["mujoco", "worldbody"] and tag is not None:
-                begun.append((attributes.get("name", "") if "fromto" not in attributes else "", place, tag.end()))
+                begun.append(("" if "fromto" in attributes else own, place, tag.end()))
         above.append(name)
 
     def end(name: str) -> None:
         above.pop()
         if name == "geom" and begun and above == ["mujoco", "worldbody"]:
             own, start, head = begun.pop()
-            close = head if data[head - 2 : head] == b"/>" else data.index(b">", parser.CurrentByteIndex) + 1
-            scene["last"] = close
+            closed = data[head - 2 : head] == b"/>"
+            scene["last"] = head if closed else data.index(b">", parser.CurrentByteIndex) + 1
             if own:
-                scene["geoms"][own] = _Geom(start, head, close)
+                scene["geoms"][own] = _Geom(start, head, scene["last"])
 
-    parser.StartElementHandler, parser.EndElementHandler = begin, end
+    parser.StartElementHandler = begin
+    parser.EndElementHandler = end
     parser.Parse(data, True)
-    return _Scene(**scene)
+    return _GeomPlaces(**scene)

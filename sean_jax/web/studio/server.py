@@ -33,7 +33,7 @@ from sean_jax.learning.policy import AGENTS
 from sean_jax.people import behaviors
 from sean_jax.web import local_server, replay
 from sean_jax.web.local_server import HOST, SOCKET
-from sean_jax.web.studio.session import SPEED_RANGE, Choice, Frame, Session, episode
+from sean_jax.web.studio.session import SPEED_RANGE, Choice, Session, SessionFrame, episode
 from sean_jax.web.studio.trial import no_demonstrations
 from sean_jax.world import environment
 
@@ -78,24 +78,27 @@ class Studio:
         self._ready = set[str]()  # pictures whose programs are compiled
         self._driver: ServerConnection | None = None
         self._slow = asyncio.Lock()  # requests that take seconds, one after the other
-        self._reserved, self._release = "", None  # name of a driver whose tab is gone, and the end of its time
+        self._reserved = ""  # name of a driver whose tab is gone
+        self._release: asyncio.TimerHandle | None = None  # the end of its time
         self._card: asyncio.Task[None] | None = None  # metrics of the episode that has ended
         self._cards: list[dict[str, Any]] = []  # those that are there
         self._comparison: asyncio.Task[None] | None = None
-        self._frames: list[Frame] = []  # not yet sent
-        self._first, self._sent = 0, 0.0  # number of the first of them, and time of the latest message
+        self._frames: list[SessionFrame] = []  # not yet sent
+        self._first = 0  # number of the first of them
+        self._sent = 0.0  # time of the latest message
         self._flush: asyncio.TimerHandle | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
         self._begin(Session(config))
 
     def _begin(self, session: Session) -> None:
-        self.session, self.hello = session, _hello(session)
+        self.session = session
+        self.hello = _hello(session)
         self._thread = threading.Thread(target=session.run, name="sean-studio", daemon=True)
         session.send = self.send
         self._thread.start()
 
     def close(self) -> None:
-        """End the session."""
+        """End the session, and wait for its thread."""
         self.session.close()
         self._thread.join()
 
@@ -151,7 +154,8 @@ class Studio:
     def _end_cards(self) -> None:
         if self._card is not None:
             self._card.cancel()
-        self._card, self._cards = None, []
+        self._card = None
+        self._cards = []
 
     async def _compare(self, tab: ServerConnection, choices: list[Choice]) -> None:
         """Send the progress and the recordings of a comparison to the tab that asks for it; time stands still."""
@@ -175,8 +179,9 @@ class Studio:
             await asyncio.sleep(VIEW_INTERVAL)
             session = self.session
             moment = id(session), session.number, len(session.commands)
-            sent = {tab: latest for tab, latest in sent.items() if tab in self._tabs and self._views.get(tab) == name}
-            tabs = [tab for tab, view in self._views.items() if view == name and sent.get(tab) != moment]
+            showing = [tab for tab, view in self._views.items() if view == name]
+            sent = {tab: latest for tab, latest in sent.items() if tab in showing and tab in self._tabs}
+            tabs = [tab for tab in showing if sent.get(tab) != moment]
             if not tabs:
                 continue
             try:
@@ -232,8 +237,8 @@ class Studio:
             del self._tabs[tab]
             asyncio.ensure_future(tab.close(1013, "too slow"))
 
-    def _encoded(self, first: int, frames: list[Frame]) -> bytes:
-        names = [each["name"] for each in self.hello["recording"]["situations"]]
+    def _encoded(self, first: int, frames: list[SessionFrame]) -> bytes:
+        names = [situation["name"] for situation in self.hello["recording"]["situations"]]
         head, numbers = replay.packed(episode(frames), names)
         return local_server.framed(head | {"kind": "frames", "first": first}, numbers)
 
@@ -332,7 +337,9 @@ class Studio:
         """
         if self._release is not None:
             self._release.cancel()
-        self._driver, self._reserved, self._release = tab, reserved, None
+        self._driver = tab
+        self._reserved = reserved
+        self._release = None
         if reserved and self._loop is not None:
             self._release = self._loop.call_later(RETURN, self._drive_by, None)
         if tell:
@@ -351,16 +358,17 @@ class Studio:
         Raises:
             InputError: there is no such request, or another tab drives.
         """
-        session, request = self.session, local_server.parse(message)
+        session = self.session
+        request = local_server.parse(message)
         word = request["do"]
         if word == "view":
             self._show(tab, request.get("name"))
             return
         if word == "command":  # of the driver alone; it makes nobody the driver
             if self._driver is tab:
-                session.command(
-                    local_server.number(request, "ahead", -1.0, 1.0), local_server.number(request, "left", -1.0, 1.0)
-                )
+                ahead = local_server.number(request, "ahead", -1.0, 1.0)
+                left = local_server.number(request, "left", -1.0, 1.0)
+                session.command(ahead, left)
             return
         if word == "take":  # the wheel, also from a tab that its person has forgotten
             self._end_comparison()
@@ -406,11 +414,11 @@ class Studio:
         Raises:
             InputError: the options cannot be met, or it is not allowed; the present scenario stays.
         """
-        made = Session(_opened(self.session.config, options))
+        session = Session(_opened(self.session.config, options))
         if not allowed():
             raise InputError("open: another tab has taken the wheel; nothing is changed.")
         self.close()
-        self._begin(made)
+        self._begin(session)
         self.send("hello", None)
 
     def _change(self, word: str, request: dict[str, Any], allowed: Callable[[], bool]) -> None:
@@ -465,9 +473,9 @@ def _text(message: dict[str, Any]) -> str:
 def _finite(value: Any) -> Any:
     """The same with None in place of NaN and infinities."""
     if isinstance(value, dict):
-        return {key: _finite(each) for key, each in value.items()}
+        return {key: _finite(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_finite(each) for each in value]
+        return [_finite(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
@@ -488,12 +496,13 @@ def _opened(config: StudioConfig, options: Any) -> StudioConfig:
     """
     if not isinstance(options, dict) or not set(options) <= {*CHOICES, *NUMBERS}:
         raise InputError("open: options that the page does not have; reload the page.")
-    present, changes = _options_of_page(config), dict[str, Any]()
-    other_behavior = options.get("behavior", present["behavior"]) != present["behavior"]
+    before = _options_of_page(config)
+    other_behavior = options.get("behavior", before["behavior"]) != before["behavior"]
+    changes: dict[str, Any] = {}
     for name, value in options.items():
         if value in ("", None):
             changes[name] = StudioConfig.model_fields[name].default
-        elif value == present.get(name) and not (name == "task" and other_behavior):
+        elif value == before.get(name) and not (name == "task" and other_behavior):
             continue  # also if it is code that the user has typed
         elif name in NUMBERS:
             changes[name] = _whole(name, value)
@@ -529,7 +538,8 @@ def _places() -> dict[str, Any]:
 
 def _hello(session: Session) -> dict[str, Any]:
     """What a page needs to know of a scenario: first of all messages."""
-    config, scenario = session.config, session.scenario
+    config = session.config
+    scenario = session.scenario
     title = f"{scenario.environment.name} · {scenario.task_name.replace('_', ' ')}"
     options = _options_of_page(config) | {"people": scenario.people}
     return {
@@ -556,14 +566,10 @@ def _choices(rows: Any, session: Session) -> list[Choice]:
     policies = {*CHOICES["policy"], session.config.policy.kind}
     if unknown := [row.get("policy") for row in rows if str(row.get("policy")) not in policies]:
         raise InputError(f"compare: policy {str(unknown[0])[:40]!r} is not on the page; reload the page.")
-    made = [
-        Choice(
-            row["policy"],
-            int(local_server.number(row, "seed", 0, LAST)),
-            int(local_server.number(row, "episode", 0, LAST)),
-        )
-        for row in rows
-    ]
-    if len(set(made)) < len(made):
+    choices = []
+    for row in rows:
+        seed = int(local_server.number(row, "seed", 0, LAST))
+        choices.append(Choice(row["policy"], seed, int(local_server.number(row, "episode", 0, LAST))))
+    if len(set(choices)) < len(choices):
         raise InputError("compare: both episodes are the same; choose another policy, seed or episode.")
-    return made
+    return choices

@@ -36,7 +36,7 @@ from sean_jax.simulation import scenario as scenarios
 from sean_jax.web import replay
 from sean_jax.web.studio import trial as trials
 from sean_jax.web.studio.editor import Editor, same_shapes
-from sean_jax.web.studio.trial import Trial
+from sean_jax.web.studio.trial import TrialFile
 from sean_jax.world import navigation
 
 MEMORY = 120.0  # s, for which one can return
@@ -46,14 +46,14 @@ SHADE = 4.0  # m, after which a picture of depth is darker by a factor of e
 LAG = 0.5  # s behind the clock from which on the clock waits
 
 
-class Frame(NamedTuple):
+class SessionFrame(NamedTuple):
     """What the page draws of a moment."""
 
     trajectory: Trajectory
     path: np.ndarray  # (K, 2) m, the shortest way to the goal
 
 
-def episode(frames: Sequence[Frame], title: str = "", outcome: str = "") -> replay.Episode:
+def episode(frames: Sequence[SessionFrame], title: str = "", outcome: str = "") -> replay.Episode:
     """Frames as an episode of a page."""
     stacked, path = jax.tree.map(lambda *leaves: np.stack(leaves), *frames)
     return replay.Episode(stacked, title, outcome, plan=path, begin=0)
@@ -87,8 +87,7 @@ def _way(table: navigation.Navigation, goal: Array) -> tuple[PyTree, Array]:
 
 @jax.jit
 def _path(table: navigation.Navigation, place: Array, goal: Array, way: tuple) -> Array:
-    points, apart = replay.PLAN_POINTS, replay.PLAN_SPACING
-    return navigation.plan(table, place, goal, *way, points=points, apart=apart)
+    return navigation.plan(table, place, goal, *way, points=replay.PLAN_POINTS, apart=replay.PLAN_SPACING)
 
 
 @jax.jit
@@ -97,7 +96,9 @@ def _memory(scenario: Scenario, policy: Policy, state: State) -> PyTree:
 
 
 # sessions of equal options share these programs
-_begin, _step, _frame = jax.jit(begin_episode), jax.jit(scenarios.step), jax.jit(scenarios.frame)
+_begin = jax.jit(begin_episode)
+_step = jax.jit(scenarios.step)
+_frame = jax.jit(scenarios.frame)
 _results = jax.jit(scenarios.results)
 _scan = jax.jit(sensors.scan, static_argnums=2)
 
@@ -105,9 +106,11 @@ _scan = jax.jit(sensors.scan, static_argnums=2)
 @functools.partial(jax.jit, static_argnums=2)
 def _picture(scenario: Scenario, state: State, camera: sensors.Camera) -> Array:
     if camera.name != "depth":
-        return jnp.round(255.0 * jnp.clip(sensors.render(scenario, state, camera).rgb, 0.0, 1.0)).astype(jnp.uint8)
-    near = jnp.exp(-sensors.depth(scenario, state, camera) / SHADE)
-    return jnp.broadcast_to(jnp.round(255.0 * near).astype(jnp.uint8)[..., None], (camera.height, camera.width, 3))
+        rgb = sensors.render(scenario, state, camera).rgb
+        return jnp.round(255.0 * jnp.clip(rgb, 0.0, 1.0)).astype(jnp.uint8)
+    nearness = jnp.exp(-sensors.depth(scenario, state, camera) / SHADE)
+    gray = jnp.round(255.0 * nearness).astype(jnp.uint8)[..., None]
+    return jnp.broadcast_to(gray, (camera.height, camera.width, 3))
 
 
 class Session:
@@ -126,22 +129,31 @@ class Session:
         Raises:
             InputError: one sentence that names the value and the cure.
         """
-        self.config, self.send = config, lambda kind, content: None
+        self.config = config
+        self.send = lambda kind, content: None
         self.scenario = making.build(config)[0] if scenario is None else scenario
         self.policy = load_policy(config.policy, self.scenario)
         robot = self.scenario.robot
         self.limits = float(robot.max_speed), float(max_reverse_speed(robot)), float(robot.max_turn_rate)
-        self.playing, self.human, self.speed, self.number = False, False, 1.0, 0
-        self.on_file = True  # whether all of this episode is on the graph of the file
-        self.trial: Trial | None = None
+
+        # The files of the environment, which the page may change, and the recorded drive.
         self.editor = Editor(config)
+        self.on_file = True  # whether all of this episode is on the graph of the file
+        self.trial: TrialFile | None = None
         self._editing = threading.Lock()  # a change of the files is checked, built and compiled; it takes seconds
         self._saved: Scenario | None = None  # of the saved files, which the next episode has
+
+        # Time, and who drives.
+        self.playing = False
+        self.human = False
+        self.speed = 1.0
         self.slowdown = 1.0  # of the clock
+        self.number = 0
         self._lock = threading.RLock()
         self._wake = threading.Condition(self._lock)
-        self._closed, self._single = False, 0
-        self._latest = np.zeros(command_size(self.scenario.robot)), -np.inf  # the person's latest command, and its time
+        self._closed = False
+        self._single = 0  # steps to be taken while time stands still
+        self._latest = np.zeros(command_size(robot)), -np.inf  # the person's latest command, and its time
         self._step = _step
         self._compile(self.scenario)
         self.restart(0)
@@ -153,11 +165,14 @@ class Session:
         with self._lock:
             self.end_trial()
             if self._saved is not None:
-                self.scenario, self._saved = self._saved, None
+                self.scenario = self._saved
+                self._saved = None
             state, _ = _begin(self.scenario, self._key(number))
             self.on_file = not self.editor.changed
-            self.number, self.commands, self.frames = number, list[tuple[float, ...]](), list[Frame]()
-            self.by_person = list[bool]()  # who gave each command
+            self.number = number
+            self.frames: list[SessionFrame] = []
+            self.commands: list[tuple[float, ...]] = []
+            self.by_person: list[bool] = []  # who gave each command
             first = Moment(state, _memory(self.scenario, self.policy, state))
             keep = 1 + round(MEMORY / self.scenario.time_step)
             self.moments: collections.deque[Moment] = collections.deque([first], maxlen=keep)
@@ -205,7 +220,8 @@ class Session:
     def command(self, ahead: float, left: float) -> None:
         """The person's command, from -1 to 1 of the robot's limits each; it holds for ``DEAD_MAN``."""
         forward, backward, turn = self.limits
-        speed, steering = ahead * (forward if ahead >= 0.0 else backward), self.scenario.robot.steering
+        speed = ahead * (forward if ahead >= 0.0 else backward)
+        steering = self.scenario.robot.steering
         if steering is not None:
             turn = speed * float(np.tan(left * steering.max_angle) / steering.wheelbase)
         else:
@@ -246,7 +262,7 @@ class Session:
                 raise InputError("record: a file was changed in this episode; begin another one.")
             if self.trial is None:
                 try:
-                    self.trial = Trial.begin(self.config, self.number)
+                    self.trial = TrialFile.begin(self.config, self.number)
                 except OSError as error:  # such as a full disk
                     raise InputError(f"record: {writing.reason(error)}; nothing is recorded.") from None
                 self._write_trial(lambda trial: trial.add(self.commands, self.by_person))
@@ -264,7 +280,7 @@ class Session:
             self.send("drives", self.drives())
             return file
 
-    def _write_trial(self, write: Callable[[Trial], None]) -> None:
+    def _write_trial(self, write: Callable[[TrialFile], None]) -> None:
         """Write to the recorded drive, if there is one; if it cannot be written, the recording ends."""
         if self.trial is None:
             return
@@ -273,9 +289,9 @@ class Session:
         except InputError as error:  # the file is full, or the policy's command is no number
             self._end_early(str(error), lambda trial: trial.end(trials.STOPPED))
         except OSError as error:  # such as a full disk: time goes on, and earlier drives are whole
-            self._end_early(str(error.strerror), Trial.abandon)
+            self._end_early(str(error.strerror), TrialFile.abandon)
 
-    def _end_early(self, why: str, end: Callable[[Trial], None]) -> None:
+    def _end_early(self, why: str, end: Callable[[TrialFile], None]) -> None:
         assert self.trial is not None
         try:
             end(self.trial)
@@ -301,7 +317,7 @@ class Session:
             InputError: there is no such drive, or it is being recorded.
         """
         try:
-            trials.discard(self._folder_of(file), file)
+            trials.discard_trial(self._folder_of(file), file)
         finally:  # also if it has failed: the page shows what is so
             self.send("drives", self.drives())
 
@@ -312,7 +328,7 @@ class Session:
             InputError: there is no such drive, it is being recorded, or the name is none.
         """
         try:
-            trials.rename(self._folder_of(file), file, name)
+            trials.rename_trial(self._folder_of(file), file, name)
         finally:  # also if it has failed: the page shows what is so
             self.send("drives", self.drives())
 
@@ -341,7 +357,8 @@ class Session:
         with self._editing:
             with self._lock:
                 self._check_no_trial("edit")
-                before, playing = self.scenario if self._saved is None else self._saved, self.playing
+                before = self.scenario if self._saved is None else self._saved
+                playing = self.playing
 
             def prepare(edited: Scenario) -> None:
                 if self._begins_anew(edited):
@@ -354,7 +371,9 @@ class Session:
             if edited is not before:  # as of a drag that ends where it began
                 with self._lock:
                     anew = self._begins_anew(edited)
-                    self.scenario, self._saved, self.on_file = edited, None, False
+                    self.scenario = edited
+                    self._saved = None
+                    self.on_file = False
                     if anew:
                         self.restart(self.number)
                         self.play(playing)  # the episode may have ended meanwhile
@@ -382,7 +401,8 @@ class Session:
             scenario = making.build(self.config)[0]
             self._compile(scenario)
             with self._lock:
-                self._saved, self.on_file = scenario, False
+                self._saved = scenario
+                self.on_file = False
                 goes_on = not allowed()
                 if not goes_on:
                     self.restart(self.number)
@@ -439,14 +459,14 @@ class Session:
         """What a camera of the robot sees now, (height, width, 3) bytes; of ``depth``, near is bright."""
         with self._lock:
             state = self.state
-        return np.asarray(
-            _picture(self.scenario, state, sensors.camera(self.scenario, name, width=width, height=height))
-        )
+        camera = sensors.camera(self.scenario, name, width=width, height=height)
+        return np.asarray(_picture(self.scenario, state, camera))
 
     def scan(self, count: int) -> tuple[np.ndarray, float]:
         """(count,) m along rays of the robot's lidar, from ahead to the left; and its range."""
         with self._lock:
-            state, scenario = self.state, self.scenario
+            state = self.state
+            scenario = self.scenario
         device = sensors.lidar(scenario, count=count, first=0.0)
         return np.asarray(_scan(scenario, state, device)), device.far
 
@@ -474,7 +494,9 @@ class Session:
     def baselines(self, names: Sequence[str]) -> Iterator[tuple[str, dict[str, float]]]:
         """The metrics of this episode, then those of policies in the same one; empty if another episode begins."""
         with self._lock:
-            number, state, scenario = self.number, self.state, self.scenario
+            number = self.number
+            state = self.state
+            scenario = self.scenario
             driver = self.driver()
         yield driver, self._summary(scenario, state)
         for name in names:
@@ -494,27 +516,33 @@ class Session:
         """
         with self._lock:
             scenario = self.scenario
-        every, recordings, metrics = max(1, round(1.0 / scenario.time_step)), [], []
-        for index, (name, seed, number) in enumerate(choices):
-            policy = self.policy if name == self.config.policy.kind else load_policy(name, scenario)
-            frames, state = list[Trajectory](), self.state
-            for before, state, action in self._steps(scenario, policy, self._key(number, seed)):
+        recordings = []
+        metrics = []
+        for index, choice in enumerate(choices):
+            own = choice.policy == self.config.policy.kind
+            policy = self.policy if own else load_policy(choice.policy, scenario)
+            frames: list[Trajectory] = []
+            state = self.state
+            every = max(1, round(1.0 / scenario.time_step))
+            for before, state, action in self._steps(scenario, policy, self._key(choice.episode, choice.seed)):
                 frames.append(jax.tree.map(np.asarray, _frame(before, state, action)))
                 if len(frames) % every == 1:
                     seconds = int(state.tick) * scenario.time_step
                     yield {"index": index, "seconds": seconds, "limit": scenario.time_limit}
-            metrics.append(self._summary(scenario, state))
-            outcome = f"{'completed' if bool(state.completed) else 'timed out'} · {metrics[-1]['seconds']:.1f} s"
+            summary = self._summary(scenario, state)
+            metrics.append(summary)
+            outcome = f"{'completed' if bool(state.completed) else 'timed out'} · {summary['seconds']:.1f} s"
             stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *frames)
             episode = replay.Episode(stacked, "", outcome, begin=0)
-            title = f"{name} · seed {seed} · episode {number}"
+            title = f"{choice.policy} · seed {choice.seed} · episode {choice.episode}"
             recordings.append(replay.of_scenario(scenario, [episode], title))
         yield {"recordings": recordings, "metrics": metrics}
 
     def _steps(self, scenario: Scenario, policy: Policy, key: Array) -> Iterator[tuple[State, State, Array]]:
         """States before and after each step of a policy's episode, and the action; first of all its first state."""
         state, _ = _begin(scenario, key)
-        memory, action = _memory(scenario, policy, state), jnp.zeros(command_size(self.scenario.robot), float)
+        memory = _memory(scenario, policy, state)
+        action = jnp.zeros(command_size(self.scenario.robot), float)
         yield state, state, action
         while not (bool(state.completed) or bool(state.timed_out)):
             before = state
@@ -532,10 +560,11 @@ class Session:
     def _compile(self, scenario: Scenario) -> None:
         """Compile the programs of a scenario; time passes meanwhile."""
         state, _ = _begin(scenario, self._key(0))
-        memory, before = _memory(scenario, self.policy, state), state
+        memory = _memory(scenario, self.policy, state)
         for _ in range(2):  # a state that begins, and one of a step
             action, memory = _command(scenario, self.policy, state, memory)
-            before, state = state, self._step(scenario, state, action)
+            before = state
+            state = self._step(scenario, before, action)
             _frame(before, state, action)
         goal = state.task.goal
         _path(scenario.navigation, state.robot.position, goal, _way(scenario.navigation, goal))
@@ -546,7 +575,8 @@ class Session:
 
     def run(self) -> None:
         """Let time pass until ``close``; for a thread of its own."""
-        due, sent = time.monotonic(), 0.0
+        due = time.monotonic()  # of the next step
+        sent = 0.0  # when the last status was sent
         while True:
             with self._wake:
                 while not (self._closed or self.playing or self._single):
@@ -560,24 +590,14 @@ class Session:
                     self._wake.wait(wait)  # a change of speed, or a pause, ends it
                     continue
                 self._single -= bool(self._single)
-                command, received = self._latest
-                command = (
-                    command if time.monotonic() - received < DEAD_MAN else np.zeros(command_size(self.scenario.robot))
-                )
                 try:
-                    self._advance(command if self.human else None)
+                    self._advance(self._held_command() if self.human else None)
                 except Exception as error:  # of a user's own part: the page says so, and another episode may begin
                     self.playing = False
                     self.send("error", f"the episode has stopped: {error}")
                     self._send_status()
                     continue
-                due += self.scenario.time_step / self.speed
-                late = time.monotonic() - due
-                self.slowdown = 0.9 * self.slowdown + 0.1 * (
-                    1.0 + max(0.0, late) * self.speed / self.scenario.time_step
-                )
-                if late > LAG:
-                    due = time.monotonic()
+                due = self._next_step(due)
                 if self.over:
                     self.playing = False
                     self.end_trial()
@@ -585,8 +605,23 @@ class Session:
                     sent = time.monotonic()
                     self._send_status()
 
+    def _held_command(self) -> np.ndarray:
+        """The person's latest command; zeros if it is too long ago."""
+        command, received = self._latest
+        if time.monotonic() - received < DEAD_MAN:
+            return command
+        return np.zeros(command_size(self.scenario.robot))
+
+    def _next_step(self, due: float) -> float:
+        """When the next step is due, after one that was due then; time that is lost is not made up for."""
+        due += self.scenario.time_step / self.speed
+        late = time.monotonic() - due
+        slowdown = 1.0 + max(0.0, late) * self.speed / self.scenario.time_step
+        self.slowdown = 0.9 * self.slowdown + 0.1 * slowdown
+        return time.monotonic() if late > LAG else due
+
     def close(self) -> None:
-        """End ``run``."""
+        """Let ``run`` return; a recording ends."""
         with self._wake:
             self._closed = True
             self._wake.notify()
@@ -611,11 +646,12 @@ class Session:
         """Another frame; its path is new once a second."""
         every = max(1, round(1.0 / self.scenario.time_step))
         if len(self.frames) % every == 0:
-            table, robot = self.scenario.navigation, self.state.robot
+            table = self.scenario.navigation
+            robot = self.state.robot
             path = np.asarray(_path(table, robot.position, self.state.task.goal, self._way))
         else:
             path = self.frames[-1].path
-        self.frames.append(Frame(jax.tree.map(np.asarray, trajectory), path))
+        self.frames.append(SessionFrame(jax.tree.map(np.asarray, trajectory), path))
 
     def _send_status(self) -> None:
         if hasattr(self, "moments"):

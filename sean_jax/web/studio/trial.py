@@ -62,7 +62,7 @@ class TrialLine(pydantic.BaseModel):
 
 
 class TrialHead(TrialLine):
-    """The first line."""
+    """The first line of a trial: the episode, and what is needed to simulate it again."""
 
     version: Literal[2]  # VERSION
     options: dict[str, Any]
@@ -88,7 +88,7 @@ class RewindLine(TrialLine):
 
 
 class EndLine(TrialLine):
-    """The last line."""
+    """The last line of a trial: how the drive ended."""
 
     end: Literal["completed", "timed out", "stopped"]
 
@@ -109,13 +109,16 @@ class RecordedDrive(NamedTuple):
     code: dict[str, str]  # file -> SHA-256, of the user's own files
 
 
-def read(file: Path) -> RecordedDrive:
+def read_trial(file: Path) -> RecordedDrive:
     """The content of a trial; a last line without its end was not written whole, and does not count.
 
     Raises:
         FileError: it is no trial.
     """
-    head, commands, by_person, outcome = None, list[list[float]](), list[bool](), None
+    head: TrialHead | None = None
+    commands: list[list[float]] = []
+    by_person: list[bool] = []
+    outcome = None
     for number, text in enumerate(files.read_text(file, MAX_TRIAL).split("\n")[:-1], 1):
         place = Path(f"{file}:{number}")
         line = _parsed(place, text, head is None)
@@ -132,17 +135,24 @@ def read(file: Path) -> RecordedDrive:
             by_person += line.by_person
         elif isinstance(line, RewindLine):
             if line.rewind > len(commands):
-                steps = f"rewind: {line.rewind} is beyond the {len(commands)} steps before it"
-                raise files.file_error(place, f"{steps}; {CURE}")
-            del commands[line.rewind :], by_person[line.rewind :]
+                raise files.file_error(
+                    place, f"rewind: {line.rewind} is beyond the {len(commands)} steps before it; {CURE}"
+                )
+            del commands[line.rewind :]
+            del by_person[line.rewind :]
         elif isinstance(line, EndLine):
             outcome = line.end
     if head is None:
         raise files.file_error(file, f"it has no line of a trial; {CURE}")
-    digest = hashlib.sha256(files.read_bytes(file, MAX_TRIAL)).hexdigest()
-    numbers = np.asarray(commands, float) if commands else np.zeros((0, 2))
     return RecordedDrive(
-        file, digest, head.options, head.episode, numbers, np.asarray(by_person, bool), outcome, head.sha256
+        file=file,
+        sha256=hashlib.sha256(files.read_bytes(file, MAX_TRIAL)).hexdigest(),
+        options=head.options,
+        episode=head.episode,
+        commands=np.asarray(commands, float) if commands else np.zeros((0, 2)),
+        by_person=np.asarray(by_person, bool),
+        outcome=outcome,
+        code=head.sha256,
     )
 
 
@@ -159,12 +169,13 @@ def _parsed(place: Path, text: str, first: bool) -> TrialLine:
 
 @functools.lru_cache(4096)
 def _read_known(file: Path, size: int, changed: int) -> RecordedDrive:
-    return read(file)
+    return read_trial(file)
 
 
 def read_folder(folder: Path) -> tuple[list[RecordedDrive], list[str]]:
     """The drives of a studio's folder by number, and a sentence for each file that is none."""
-    drives, problems = [], []
+    drives = []
+    problems = []
     place = folder / TRIALS
     if place.is_symlink():
         return [], [f"{place} {LINK}. Its drives are left out."]
@@ -195,11 +206,12 @@ def _regular(file: Path) -> os.stat_result:
 # ------------------------------------------------------------------ a drive that goes on
 
 
-class Trial:
-    """The file of a drive that goes on: never one that ``read`` refuses."""
+class TrialFile:
+    """The file of a drive that goes on: never one that ``read_trial`` refuses."""
 
     def __init__(self, file: Path, head: dict[str, Any], per_line: int):
-        self.file, self._per_line = file, per_line
+        self.file = file
+        self._per_line = per_line  # steps
         self._pending: list[tuple[tuple[float, ...], bool]] = []
         self._steps = 0
         text = json.dumps(head) + "\n"
@@ -208,7 +220,7 @@ class Trial:
         self._stream = file.open("a", encoding="utf-8")
 
     @classmethod
-    def begin(cls, config: StudioConfig, number: int) -> Trial:
+    def begin(cls, config: StudioConfig, number: int) -> TrialFile:
         """A new file in the folder for drives.
 
         Raises:
@@ -222,9 +234,10 @@ class Trial:
         folder.mkdir(parents=True, exist_ok=True)
         head = {"version": VERSION, "options": config.identity(), "episode": number}
         head["sha256"] = user_parts.digests(config)
-        check(config.record, head["options"], head["sha256"])
+        check_folder(config.record, head["options"], head["sha256"])
         taken = [_number(file) for file in (*folder.glob("*.jsonl"), *(folder / DISCARDED).glob("*.jsonl"))]
-        return cls(folder / f"{1 + max(taken, default=-1):06d}.jsonl", head, max(1, round(1.0 / config.time_step)))
+        file = folder / f"{1 + max(taken, default=-1):06d}.jsonl"
+        return cls(file, head, per_line=max(1, round(1.0 / config.time_step)))
 
     def add(self, commands: Iterable[tuple[float, ...]], by_person: Iterable[bool]) -> None:
         """Commands of further steps; whole seconds are written.
@@ -233,9 +246,9 @@ class Trial:
             InputError: the file is full, or a command is no number that it can have; it has to be ended.
         """
         steps = list(zip(commands, by_person, strict=True))
-        wrong = next((row for row, _ in steps if not all(abs(value) <= MAX_COMMAND for value in row)), None)
-        if wrong is not None:
-            raise InputError(f"the command {list(wrong)} is not from -{MAX_COMMAND:g} to {MAX_COMMAND:g}")
+        for command, _ in steps:
+            if not all(abs(value) <= MAX_COMMAND for value in command):
+                raise InputError(f"the command {list(command)} is not from -{MAX_COMMAND:g} to {MAX_COMMAND:g}")
         self._pending += steps
         self._steps += len(steps)
         while len(self._pending) >= self._per_line:
@@ -299,7 +312,7 @@ def _number(file: Path) -> int:
     return int(digits[0]) if digits else -1
 
 
-def check(folder: Path, options: Mapping[str, Any], code: Mapping[str, str]) -> None:
+def check_folder(folder: Path, options: Mapping[str, Any], code: Mapping[str, str]) -> None:
     """Refuse a folder whose drives have other options, or other code by its SHA-256.
 
     The first drive that is valid counts, unless there is one with these options.
@@ -309,17 +322,22 @@ def check(folder: Path, options: Mapping[str, Any], code: Mapping[str, str]) -> 
     """
     now = json.loads(json.dumps(options))
     for drive in _own_first(read_folder(folder)[0], now):
-        had, cure = drive.options, f"choose another folder, or move {drive.file.name} away"
-        other = next((name for name in {**had, **now} if had.get(name) != now.get(name)), None)
-        if other is not None:
+        recorded = drive.options
+        name = next((name for name in {**recorded, **now} if recorded.get(name) != now.get(name)), None)
+        if name is not None:
             try:
-                validate(StudioConfig, had, source=drive.file)
+                validate(StudioConfig, recorded, source=drive.file)
             except InputError:  # it is left out of the demonstrations, too
                 continue
-            text = f"{folder} has drives with {other} {shorten(str(had.get(other)))}, not {now.get(other)}"
-            raise InputError(f"record: {text}; {cure}.")
+            raise InputError(
+                f"record: {folder} has drives with {name} {shorten(str(recorded.get(name)))}, not {now.get(name)}; "
+                f"choose another folder, or move {drive.file.name} away."
+            )
         if changed := _changed(drive.code, code):
-            raise InputError(f"record: {folder} has drives with another {changed}; {cure}.")
+            raise InputError(
+                f"record: {folder} has drives with another {changed}; choose another folder, or move "
+                f"{drive.file.name} away."
+            )
         return
 
 
@@ -370,7 +388,7 @@ def _recover_file(file: Path) -> str:
     if b"\n" not in data and _is_half_head(data):
         file.unlink()
         return f"{file} was stopped before its first step; it is removed."
-    drive = read(file)
+    drive = read_trial(file)
     if drive.outcome is not None:
         return ""
     if not len(drive.commands):
@@ -405,51 +423,52 @@ def rows_of_page(folder: Path, current: Path | None = None) -> list[dict[str, An
             continue
         step = drive.options.get("time_step")
         least, most = TIME_STEP_RANGE
-        seconds = len(drive.commands) * step if isinstance(step, int | float) and least <= step <= most else None
-        rows.append(
-            {
-                "file": drive.file.name,
-                "name": drive.file.stem.partition("-")[2],
-                "episode": drive.episode,
-                "seconds": None if seconds is None else round(seconds, 2),
-                "outcome": drive.outcome,
-                "by_person": round(float(drive.by_person.mean()), 4),
-            }
-        )
+        seconds = None
+        if isinstance(step, int | float) and least <= step <= most:
+            seconds = round(len(drive.commands) * step, 2)
+        row = {
+            "file": drive.file.name,
+            "name": drive.file.stem.partition("-")[2],
+            "episode": drive.episode,
+            "seconds": seconds,
+            "outcome": drive.outcome,
+            "by_person": round(float(drive.by_person.mean()), 4),
+        }
+        rows.append(row)
     return rows
 
 
-def find(folder: Path, name: Any) -> Path:
+def find_trial(folder: Path, name: Any) -> Path:
     """The file of a drive that the page names.
 
     Raises:
         InputError: there is no such drive.
     """
-    file = next((each.file for each in read_folder(folder)[0] if each.file.name == name), None)
+    file = next((drive.file for drive in read_folder(folder)[0] if drive.file.name == name), None)
     if file is None:
         raise InputError("drives: there is no such drive; reload the page.")
     return file
 
 
-def discard(folder: Path, name: Any) -> None:
+def discard_trial(folder: Path, name: Any) -> None:
     """Move a drive to ``trials/discarded``, from where it is no demonstration.
 
     Raises:
         InputError: there is no such drive, or it cannot be moved.
     """
-    file = find(folder, name)
+    file = find_trial(folder, name)
     place = file.parent / DISCARDED
-    names = [file.name, *(f"{file.stem} {number}.jsonl" for number in range(2, 1000))]
-    _move(file, next((place / each for each in names if not os.path.lexists(place / each)), place / file.name))
+    paths = [place / file.name, *(place / f"{file.stem} {number}.jsonl" for number in range(2, 1000))]
+    _move(file, next((path for path in paths if not os.path.lexists(path)), paths[0]))
 
 
-def rename(folder: Path, name: Any, words: Any) -> None:
+def rename_trial(folder: Path, name: Any, words: Any) -> None:
     """Give a drive a name; it becomes a part of the file's name.
 
     Raises:
         InputError: there is no such drive, the name is none for a file, or another file has it.
     """
-    file = find(folder, name)
+    file = find_trial(folder, name)
     if not isinstance(words, str) or not re.fullmatch(rf"[\w ]{{0,{MAX_NAME}}}", words):
         raise InputError(f"drives: give a name of letters, digits, _ and spaces, {MAX_NAME} at most.")
     words = words.strip()
@@ -504,16 +523,31 @@ def demonstrations(config: StudioConfig, watch: Callable[[str], None] = lambda t
     recorded, scenario, drives, foreign = _scenario_of(config, drives)
     if refused := no_demonstrations(scenario):
         return Summary(None, [*said, *foreign, refused])
-    wanted = [(drive, parts) for drive in drives if (parts := _parts(drive, scenario, config.demonstrations))]
-    if left := len(drives) - len(wanted):
+
+    # The rows of each drive that are demonstrations.
+    wanted = []
+    for drive in drives:
+        if parts := _parts(drive, scenario, config.demonstrations):
+            wanted.append((drive, parts))
+    if len(wanted) < len(drives):
         said.append(
-            f"{left} of {len(drives)} drives have no demonstration of a person: they were not completed, or the policy "
-            "drove, or their file does not say who did. --demonstrations all takes them."
+            f"{len(drives) - len(wanted)} of {len(drives)} drives have no demonstration of a person: they were not "
+            "completed, or the policy drove, or their file does not say who did. --demonstrations all takes them."
         )
     if not wanted and not place.exists():
         return Summary(None, said + foreign)
+
     driver = "human" if config.demonstrations == "person" else "human and policy"
     recorder = Recorder(place, scenario, driver=driver, seed=recorded.seed)
+    said += _simulate(recorder, wanted, watch)
+    return Summary(recorder.data, said + foreign)
+
+
+def _simulate(
+    recorder: Recorder, wanted: Sequence[tuple[RecordedDrive, list[EpisodePart]]], watch: Callable[[str], None]
+) -> list[str]:
+    """Record the drives that the dataset lacks; a sentence for each that is left out."""
+    said = []
     kept = _keep(recorder.data, wanted)
     for number, (drive, parts) in enumerate(wanted[kept:], kept + 1):
         watch(f"demonstrations: drive {number} of {len(wanted)}, {drive.file.name}")
@@ -523,7 +557,7 @@ def demonstrations(config: StudioConfig, watch: Callable[[str], None] = lambda t
             said.append(f"{drive.file} {problem}; {CURE}. {LEFT_OUT}")
         else:
             recorder.commit(parts)
-    return Summary(recorder.data, said + foreign)
+    return said
 
 
 def no_demonstrations(scenario: Scenario) -> str:
@@ -531,8 +565,10 @@ def no_demonstrations(scenario: Scenario) -> str:
     robot = scenario.robot
     if robot.drive_type == "differential":
         return ""
-    why = f"demonstrations are of differential robots, and the drive of {robot.name} is {robot.drive_type}"
-    return f"{why}; its drives are recorded in {TRIALS}/ and stay there, but become no dataset."
+    return (
+        f"demonstrations are of differential robots, and the drive of {robot.name} is {robot.drive_type}; its drives "
+        f"are recorded in {TRIALS}/ and stay there, but become no dataset."
+    )
 
 
 def _belied(drive: RecordedDrive, state: State) -> str:
@@ -563,8 +599,8 @@ def _scenario_of(
             text = str(error).splitlines()[0]
             problems[first.file] = text if str(first.file) in text else f"record: {first.file}: {text}"
             continue
-        rest = [drive for drive in drives if drive.file not in problems]
-        alike, said = _alike(rest, first, recorded, scenario)
+        valid = [drive for drive in drives if drive.file not in problems]
+        alike, said = _alike(valid, first, recorded, scenario)
         return recorded, scenario, alike, [*(f"{text} {LEFT_OUT}" for text in problems.values()), *said]
     for text in problems.values():
         raise InputError(text)
@@ -581,8 +617,10 @@ def _options(config: StudioConfig, drive: RecordedDrive) -> StudioConfig:
     if drive.options != json.loads(json.dumps(config.identity())):
         recorded = _with_own_code(config, validate(StudioConfig, drive.options, source=drive.file), drive.file)
     if changed := _changed(drive.code, user_parts.digests(recorded)):
-        text = f"{drive.file} was driven with another {changed}, or does not say with which"
-        raise InputError(f"record: {text}; restore that file, or choose another folder.")
+        raise InputError(
+            f"record: {drive.file} was driven with another {changed}, or does not say with which; restore that file, "
+            "or choose another folder."
+        )
     return recorded
 
 
@@ -592,11 +630,12 @@ def _with_own_code(config: StudioConfig, recorded: StudioConfig, file: Path) -> 
     Raises:
         InputError: they name other code: another file, another name in the file, or other options of it.
     """
-    own, named = user_parts.by_option(config), user_parts.by_option(recorded)
+    own = user_parts.by_option(config)
+    named = user_parts.by_option(recorded)
     for option, parts in named.items():
         if parts != own.get(option):
-            text = f"{file} needs the code {parts[0]['kind']}"
-            raise InputError(f"record: {text}; start the studio with the same options to use it.")
+            kind = parts[0]["kind"]
+            raise InputError(f"record: {file} needs the code {kind}; start the studio with the same options to use it.")
     return recorded.replace(**{option: getattr(config, option) for option in named})
 
 
@@ -604,7 +643,8 @@ def _alike(
     drives: Sequence[RecordedDrive], first: RecordedDrive, recorded: StudioConfig, scenario: Scenario
 ) -> tuple[list[RecordedDrive], list[str]]:
     """The drives with the options of one that its robot and episode can have; a sentence for each other one."""
-    alike, said = [], []
+    alike = []
+    said = []
     longest = math.ceil(recorded.time_limit / recorded.time_step - 1e-6)
     for drive in drives:
         problem = _unlike(drive, first, longest) or _beyond_robot(drive, scenario.robot)
@@ -629,11 +669,12 @@ def _beyond_robot(drive: RecordedDrive, robot: RobotModel) -> str:
     size = command_size(robot)
     if drive.commands.shape[1] != size:
         return f"has commands of {drive.commands.shape[1]} numbers, and those of {robot.name} have {size}"
-    sides = [] if robot.lateral is None else [float(robot.lateral.max_speed)]
-    most = np.array([float(robot.max_speed), *sides, _turn_rate(robot)])
-    least = -np.array([float(max_reverse_speed(robot)), *most[1:]])
-    beyond = (drive.commands > most * (1 + ROUNDING)) | (drive.commands < least * (1 + ROUNDING))
-    wrong = np.flatnonzero(drive.by_person & beyond.any(1))
+    sideways = [] if robot.lateral is None else [float(robot.lateral.max_speed)]
+    highest = np.array([float(robot.max_speed), *sideways, _turn_rate(robot)])
+    lowest = -np.array([float(max_reverse_speed(robot)), *highest[1:]])
+    too_high = drive.commands > highest * (1 + ROUNDING)
+    too_low = drive.commands < lowest * (1 + ROUNDING)
+    wrong = np.flatnonzero(drive.by_person & (too_high | too_low).any(1))
     if len(wrong):
         row = drive.commands[wrong[0]].tolist()
         return f"has a person's command {row} at step {wrong[0]}, beyond the limits of {robot.name}"
@@ -652,13 +693,18 @@ def _parts(drive: RecordedDrive, scenario: Scenario, which: str) -> list[Episode
     """The rows of a drive that are demonstrations, each piece without a gap: a person's, or all."""
     if which == "person" and drive.outcome != "completed":
         return []
-    by_person = _by_row(drive, steps_per_row(scenario, 1))
-    takes = by_person if which == "person" else np.ones(len(by_person), bool)
-    bounds = np.flatnonzero(np.diff(np.concatenate([[False], takes, [False]]).astype(int)))
+    by_person = _by_row(drive, steps_per_row(scenario, 1))  # (R,)
+    chosen = by_person if which == "person" else np.ones(len(by_person), bool)
+    borders = np.flatnonzero(np.diff(np.concatenate([[False], chosen, [False]]).astype(int)))  # begin, end, begin ...
     parts = []
-    for first, end in zip(bounds[::2].tolist(), bounds[1::2].tolist(), strict=True):
-        about = {"trial": drive.file.name, "sha256": drive.sha256, "rows": [first, end]}
-        parts.append(EpisodePart(first, end, about | {"by_person": by_person[first:end].tolist()}))
+    for first, end in borders.reshape(-1, 2).tolist():
+        about = {
+            "trial": drive.file.name,
+            "sha256": drive.sha256,
+            "rows": [first, end],
+            "by_person": by_person[first:end].tolist(),
+        }
+        parts.append(EpisodePart(first, end, about))
     return parts
 
 
@@ -677,7 +723,8 @@ def _keep(data: Dataset, wanted: Sequence[tuple[RecordedDrive, list[EpisodePart]
         same = [_identity(shard) == _identity(part.about) for shard, part in zip(had, parts, strict=False)]
         if len(had) < len(parts) or not all(same):
             break
-        drives, kept = drives + 1, kept + len(parts)
+        drives += 1
+        kept += len(parts)
     names = [part.about["trial"] for _, parts in wanted[:drives] for part in parts]
     named = [shard | {"trial": name} for shard, name in zip(shards[:kept], names, strict=True)]
     if named != shards[:kept]:  # a drive has another name

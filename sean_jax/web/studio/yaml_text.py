@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Iterator, Sequence
 
 import yaml
 
@@ -35,61 +36,94 @@ def replaced(text: str, keys: Keys, value: str) -> str:
         node = node_at(text, keys)
     except KeyError:
         return _with_key(text, keys, value)
-    start, end = _begin(text, node), node.end_mark.index
-    return text[:start] + value + text[end:]
+    return text[: _begin(text, node)] + value + text[node.end_mark.index :]
 
 
 def extended(text: str, keys: Keys, entry: str) -> str:
-    """The text with another last entry, ``KEY: VALUE`` or ``VALUE``, of a mapping or list."""
+    """The text with another last entry, ``KEY: VALUE`` of a mapping or a value of a list."""
     node = node_at(text, keys)
     entries = _entries(node)
     if _in_line(node):
-        place = _span(node, len(entries) - 1)[1] if entries else _begin(text, node) + 1
-        return text[:place] + (", " if entries else "") + entry + text[place:]
-    line = " " * node.start_mark.column + ("- " if isinstance(node, yaml.SequenceNode) else "") + entry
+        if not entries:
+            place = _begin(text, node) + 1
+            return text[:place] + entry + text[place:]
+        place = _span(node, len(entries) - 1)[1]
+        return f"{text[:place]}, {entry}{text[place:]}"
+
+    # In a block, a line behind the last entry's, with its indentation.
+    mark = "- " if isinstance(node, yaml.SequenceNode) else ""
+    line = " " * node.start_mark.column + mark + entry
     place = _line_end(text, _span(node, len(entries) - 1)[1])
-    return text[:place] + ("" if text[:place].endswith("\n") else "\n") + line + "\n" + text[place:]
+    before = text[:place]
+    if not before.endswith("\n"):
+        before += "\n"
+    return f"{before}{line}\n{text[place:]}"
 
 
 def removed(text: str, keys: Keys) -> str:
     """The text without an entry of a mapping or list, and without the comment behind it."""
     node = node_at(text, keys[:-1])
-    entries = _entries(node)
-    mapping = isinstance(node, yaml.MappingNode)
-    index = [key.value for key, _ in entries].index(keys[-1]) if mapping else int(keys[-1])
-    first, last = _span(node, index)
+    index = _index(node, keys[-1])
     if _in_line(node):
-        if index + 1 < len(entries):
-            last = _span(node, index + 1)[0]
-        elif index:
-            first = _span(node, index - 1)[1]
-        return text[:first] + text[last:]
-    start, end = text.rfind("\n", 0, first) + 1, _line_end(text, last)
+        return _removed_in_line(text, node, index)
+
+    # In a block, the lines of the entry, which must hold nothing else.
+    first, last = _span(node, index)
+    start = text.rfind("\n", 0, first) + 1
+    end = _line_end(text, last)
     if text[start:first].strip() not in ("", "-"):
         raise _refusal()
-    left = "" if len(entries) > 1 else " " * (node.start_mark.column + 2) + ("{}" if mapping else "[]") + "\n"
-    return text[:start] + left + text[end:]
+    if len(node.value) > 1:
+        return text[:start] + text[end:]
+    empty = "{}" if isinstance(node, yaml.MappingNode) else "[]"
+    indent = " " * (node.start_mark.column + 2)
+    return f"{text[:start]}{indent}{empty}\n{text[end:]}"
+
+
+def _index(node: yaml.Node, key: str | int) -> int:
+    """The number of an entry of a mapping or list."""
+    if isinstance(node, yaml.MappingNode):
+        return [name.value for name, _ in node.value].index(key)
+    return int(key)
+
+
+def _removed_in_line(text: str, node: yaml.Node, index: int) -> str:
+    """The text without an entry in braces or brackets, and without the comma behind it, or else before it."""
+    first, last = _span(node, index)
+    if index + 1 < len(node.value):
+        last = _span(node, index + 1)[0]
+    elif index:
+        first = _span(node, index - 1)[1]
+    return text[:first] + text[last:]
 
 
 def _child(node: yaml.Node | None, key: str | int) -> yaml.Node:
+    """The value of an entry, also one of a mapping that is merged; KeyError if there is none."""
     if isinstance(node, yaml.SequenceNode) and isinstance(key, int) and 0 <= key < len(node.value):
         return node.value[key]
-    if isinstance(node, yaml.MappingNode):
-        pairs = [(name.value, value) for name, value in node.value]
-        own = [value for name, value in pairs if name == key]
-        if own:
-            return own[0]
-        for merged in (value for name, value in pairs if name == "<<"):
-            for each in merged.value if isinstance(merged, yaml.SequenceNode) else [merged]:
-                try:
-                    return _child(each, key)
-                except KeyError:
-                    continue
+    if not isinstance(node, yaml.MappingNode):
+        raise KeyError(key)
+    for name, value in node.value:
+        if name.value == key:
+            return value
+    for merged in _merged(node):
+        try:
+            return _child(merged, key)
+        except KeyError:
+            continue
     raise KeyError(key)
 
 
+def _merged(node: yaml.MappingNode) -> Iterator[yaml.Node]:
+    """The mappings that merge keys of a mapping name."""
+    for name, value in node.value:
+        if name.value == "<<":
+            yield from value.value if isinstance(value, yaml.SequenceNode) else [value]
+
+
 def _with_key(text: str, keys: Keys, value: str) -> str:
-    node, entry = node_at(text, keys[:-1]), f"{keys[-1]}: {value}"
+    node = node_at(text, keys[:-1])
+    entry = f"{keys[-1]}: {value}"
     if not isinstance(node, yaml.MappingNode):
         raise KeyError(keys[-1])
     if _in_line(node) or not node.value:
@@ -113,10 +147,8 @@ def _in_line(node: yaml.Node) -> bool:
 def _begin(text: str, node: yaml.Node) -> int:
     """Where a node begins, behind its anchor."""
     place = node.start_mark.index
-    if text[place] == "&":
-        place += len(text[place:].split(maxsplit=1)[0])
-        place += len(text[place:]) - len(text[place:].lstrip())
-    return place
+    anchor = re.compile(r"&\S+\s*").match(text, place)
+    return anchor.end() if anchor else place
 
 
 def _span(node: yaml.Node, index: int) -> tuple[int, int]:
@@ -127,13 +159,13 @@ def _span(node: yaml.Node, index: int) -> tuple[int, int]:
     """
     entries = _entries(node)
     before = entries[index - 1][0].start_mark.index + 1 if index else node.start_mark.index
-    first, value = (part.start_mark.index for part in entries[index])
-    if not before <= first <= value:
+    key, value = entries[index]
+    begin = key.start_mark.index
+    if not before <= begin <= value.start_mark.index:
         raise _refusal()
-    last = entries[index][1]
-    if isinstance(last, yaml.CollectionNode) and not last.flow_style and last.value:
-        return first, _span(last, len(last.value) - 1)[1]
-    return first, last.end_mark.index
+    if isinstance(value, yaml.CollectionNode) and not value.flow_style and value.value:
+        return begin, _span(value, len(value.value) - 1)[1]
+    return begin, value.end_mark.index
 
 
 def _line_end(text: str, place: int) -> int:

@@ -13,7 +13,7 @@ from sean_jax.io.files import database
 TABLES = "CREATE TABLE words (word TEXT NOT NULL, number INTEGER NOT NULL UNIQUE)"
 
 
-class WordRow(database.Row):
+class WordRow(database.DatabaseRow):
     """A row of the only table."""
 
     table = "words"

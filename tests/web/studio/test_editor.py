@@ -238,7 +238,7 @@ def test_random_changes_of_boxes(place, tmp_path):
             change, expected[name] = {"turn": 30 * number - 90}, box._replace(yaw=30.0 * number - 90)
         elif kind == "add":
             name, change = f"new_{number}", {"add": True, "position": [x, y]}
-            expected[name] = scene_text.Box((x, y, 0.5), (0.4, 0.4, 0.5), 0.0)
+            expected[name] = scene_text.SceneBox((x, y, 0.5), (0.4, 0.4, 0.5), 0.0)
         else:
             change = {"remove": True}
             del expected[name]

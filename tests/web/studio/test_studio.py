@@ -76,7 +76,7 @@ def test_a_drive_is_simulated_again_to_the_byte(fresh, tmp_path):
     drive(fresh, 15, -0.5, 1.0)
     state, commands = fresh.state, list(fresh.commands)
     file = fresh.end_trial()
-    told = trial.read(file)
+    told = trial.read_trial(file)
     assert told.outcome == trial.STOPPED and told.episode == 0
     np.testing.assert_array_equal(told.commands, commands)
     np.testing.assert_array_equal(told.by_person, fresh.by_person)
@@ -92,7 +92,7 @@ def test_a_drive_of_an_omnidirectional_robot_is_kept(tmp_path):
     hsr.record()
     for _ in range(12):
         hsr._advance(np.array([0.2, 0.1, 0.2]))
-    told = trial.read(hsr.end_trial())
+    told = trial.read_trial(hsr.end_trial())
     np.testing.assert_array_equal(told.commands, hsr.commands)
     assert told.commands.shape == (12, 3) and [row["seconds"] for row in hsr.drives()] == [1.2]
     state = hsr.moments[0].state
@@ -344,7 +344,7 @@ def test_a_drive_ends_before_its_file_is_too_large_to_be_read(fresh, monkeypatch
     drive(fresh, 120, 0.123456789, 0.1)
     assert fresh.trial is None and len(fresh.commands) >= 120
     assert ("error", "record: a drive has at most 20 MB; the recording has ended after its last whole second.") in news
-    told = trial.read(file)
+    told = trial.read_trial(file)
     assert file.stat().st_size < 4_000 and told.outcome == trial.STOPPED and len(told.commands) % 10 == 0
     np.testing.assert_array_equal(told.commands, fresh.commands[: len(told.commands)])
     fresh.restart(1)
@@ -371,7 +371,7 @@ def test_code_that_a_trial_names_is_not_run(tmp_path):
     """Drives from elsewhere may name a file; only the command line's own files are run."""
     (tmp_path / "mine.py").write_text("raise SystemExit('it ran')\ndef move(*_): pass\n")
     config = validate(StudioConfig, OPTIONS | {"model": f"{tmp_path}/mine.py:move"}).replace(record=tmp_path)
-    one = trial.Trial.begin(config, 0)
+    one = trial.TrialFile.begin(config, 0)
     one.add([(0.1, 0.0)] * 10, [True] * 10)
     one.end("")
     plain = validate(StudioConfig, OPTIONS).replace(record=tmp_path)
@@ -392,7 +392,7 @@ def test_code_that_a_trial_names_is_the_users_own_by_content(tmp_path, name, sou
     (tmp_path / "mine.py").write_text("raise SystemExit('it ran')\n")
     typed = OPTIONS | {"model": f"{tmp_path}/mine.py:move"}
     driven = validate(StudioConfig, typed | {"model": f"{tmp_path}/mine.py:{name}"}).replace(record=tmp_path)
-    one = trial.Trial.begin(driven, 0)
+    one = trial.TrialFile.begin(driven, 0)
     one.add([(0.1, 0.0)] * 10, [True] * 10)
     one.end("completed")
     (tmp_path / "mine.py").write_text(f"raise SystemExit('it ran')\n{source if name == 'move' else ''}")
@@ -401,7 +401,7 @@ def test_code_that_a_trial_names_is_the_users_own_by_content(tmp_path, name, sou
         trial.demonstrations(studio)
     if name == "move":
         with pytest.raises(InputError, match="has drives with (another .*mine.py|people 3)"):
-            trial.Trial.begin(studio, 0)
+            trial.TrialFile.begin(studio, 0)
 
 
 def test_other_options_of_a_trial_run_with_the_users_own_code(tmp_path):
@@ -437,7 +437,7 @@ def test_a_full_disk_ends_the_recording_alone(fresh, monkeypatch):
     assert len(fresh.commands) >= before + 15 and not fresh.status()["recording"]
     assert ("error", "record: No space left on device; the recording has ended after its last whole second.") in news
     assert "it ends after its last whole second" in trial.recover(fresh.config.record)[0]
-    assert len(trial.read(file).commands) >= 10 and trial.read(file).outcome == trial.STOPPED
+    assert len(trial.read_trial(file).commands) >= 10 and trial.read_trial(file).outcome == trial.STOPPED
 
     def fails(*_):
         raise OSError(28, "No space left on device")
@@ -455,7 +455,7 @@ def test_a_folder_has_drives_of_the_same_options(fresh):
     fresh.end_trial()
     other = fresh.config.replace(people=5)
     with pytest.raises(InputError, match="record: .* has drives with people 3, not 5; choose another folder"):
-        trial.Trial.begin(other, 0)
+        trial.TrialFile.begin(other, 0)
     fresh.config = fresh.config.replace(record=None)
     with pytest.raises(InputError, match="start the studio with --record FOLDER"):
         fresh.record()
@@ -465,7 +465,7 @@ def test_a_folder_has_drives_of_the_same_options(fresh):
 def test_a_killed_trial_ends_after_its_last_whole_second(tmp_path, cut):
     """Or is removed if it was killed in its first second, also in the middle of its first line."""
     config = validate(StudioConfig, OPTIONS).replace(record=tmp_path)
-    killed = trial.Trial.begin(config, 4)
+    killed = trial.TrialFile.begin(config, 4)
     rows = [(0.1 * step, -0.2) for step in range(37)]
     killed.add(rows, [step > 5 for step in range(37)])
     killed._stream.close()
@@ -476,7 +476,7 @@ def test_a_killed_trial_ends_after_its_last_whole_second(tmp_path, cut):
     if seconds <= 0:
         assert "before its first step; it is removed" in said and not killed.file.exists()
         return
-    told = trial.read(killed.file)
+    told = trial.read_trial(killed.file)
     assert "it ends after its last whole second" in said and told.outcome == trial.STOPPED and told.episode == 4
     np.testing.assert_array_equal(told.commands, rows[: 10 * seconds])
     assert trial.recover(tmp_path) == []
@@ -496,7 +496,7 @@ def test_files_that_are_no_drives_stop_nobody(tmp_path, monkeypatch):
     assert sources(made.data) == ["000001.jsonl"]
     assert any("has 900 steps, and an episode at most 200" in text for text in made.said)
     assert (tmp_path / trial.TRIALS / "000000.jsonl").read_text() == "a colleague's\n"
-    trial.Trial.begin(config, 0).end("")
+    trial.TrialFile.begin(config, 0).end("")
 
 
 def test_a_drive_with_wrong_options_is_left_out_by_name(tmp_path, monkeypatch):
@@ -511,7 +511,7 @@ def test_a_drive_with_wrong_options_is_left_out_by_name(tmp_path, monkeypatch):
     other = finished(tmp_path, "0.jsonl", [True] * 20, options={})  # another scenario, and first in the folder
     rows = trial.rows_of_page(tmp_path)
     assert [row["seconds"] for row in rows] == [None, None, None, 2.0, 2.0] and json.dumps(rows, allow_nan=False)
-    trial.Trial.begin(config, 0).end("")
+    trial.TrialFile.begin(config, 0).end("")
     made = trial.demonstrations(config)
     assert sources(made.data) == ["000003.jsonl"]
     for name in ("0", "000000", "000001", "000002"):
@@ -528,14 +528,14 @@ def test_a_drive_never_takes_the_name_of_another_file(tmp_path):
     place = tmp_path / trial.TRIALS
     for _ in range(2):
         finished(tmp_path, "000000.jsonl", [True])
-        trial.discard(tmp_path, "000000.jsonl")
+        trial.discard_trial(tmp_path, "000000.jsonl")
     assert sorted(file.name for file in (place / trial.DISCARDED).iterdir()) == ["000000 2.jsonl", "000000.jsonl"]
     assert trial.rows_of_page(tmp_path) == []
     for name in ("000001.jsonl", "000001-good.jsonl"):
         finished(tmp_path, name, [True])
     with pytest.raises(InputError, match="there is a file 000001-good.jsonl already, so 000001.jsonl stays; give"):
-        trial.rename(tmp_path, "000001.jsonl", "good")
-    trial.rename(tmp_path, "000001-good.jsonl", "good")
+        trial.rename_trial(tmp_path, "000001.jsonl", "good")
+    trial.rename_trial(tmp_path, "000001-good.jsonl", "good")
     assert len(trial.rows_of_page(tmp_path)) == 2
 
 
@@ -554,11 +554,11 @@ def test_nothing_is_written_through_links(tmp_path):
     assert len(said) == 2 and all("is a link" in text and "The drive is left out." in text for text in said)
     assert live.read_bytes() == before and trial.rows_of_page(folder) == []
     with pytest.raises(InputError, match="there is no such drive"):
-        trial.discard(folder, "000000.jsonl")
+        trial.discard_trial(folder, "000000.jsonl")
     finished(folder, "000002.jsonl", [True] * 20)
     (place / trial.DISCARDED).symlink_to(outside)
     with pytest.raises(InputError, match="discarded is a link"):
-        trial.discard(folder, "000002.jsonl")
+        trial.discard_trial(folder, "000002.jsonl")
     config = validate(StudioConfig, OPTIONS).replace(record=folder)
     (folder / "demonstrations").symlink_to(outside)
     with pytest.raises(InputError, match="demonstrations is a link"):
@@ -568,7 +568,7 @@ def test_nothing_is_written_through_links(tmp_path):
     (other.record / trial.TRIALS).symlink_to(outside / trial.TRIALS)
     assert "is a link" in trial.recover(other.record)[0] and trial.rows_of_page(other.record) == []
     with pytest.raises(InputError, match="trials is a link"):
-        trial.Trial.begin(other, 0)
+        trial.TrialFile.begin(other, 0)
     assert sorted(file.name for file in outside.rglob("*")) == ["live.jsonl", "trials"]
 
 
@@ -612,7 +612,7 @@ def test_files_that_are_no_trials_are_refused(tmp_path, text, said):
     file = tmp_path / "000000.jsonl"
     file.write_text(text)
     with pytest.raises(FileError, match=re.escape("000000.jsonl")) as raised:
-        trial.read(file)
+        trial.read_trial(file)
     assert said in str(raised.value) and len(str(raised.value)) < 1000
 
 
@@ -749,14 +749,14 @@ def test_a_role_belongs_to_a_tab(served, fresh, monkeypatch):
 
 def held_up(session, monkeypatch):
     """The next changes of files wait for an event; and an event that says that one has come so far."""
-    goes_on, here, made = threading.Event(), threading.Event(), session.editor._made
+    goes_on, here, made = threading.Event(), threading.Event(), session.editor._with_file
 
     def slow(name, scenario):
         here.set()
         assert goes_on.wait(30)
         return made(name, scenario)
 
-    monkeypatch.setattr(session.editor, "_made", slow)
+    monkeypatch.setattr(session.editor, "_with_file", slow)
     return goes_on, here
 
 
@@ -1187,7 +1187,7 @@ def test_a_killed_studio_loses_one_second_and_no_finished_drive(tmp_path):
     process.kill()
     process.wait(10)
     trials = sorted((tmp_path / "drives" / trial.TRIALS).iterdir())
-    lengths = [len(trial.read(file).commands) for file in trials]
+    lengths = [len(trial.read_trial(file).commands) for file in trials]
     assert len(trials) == 3 and min(lengths[:2]) >= 30 and lengths[2] >= 36
     process, again = start(tmp_path, "--demonstrations", "all")
     assert again == address, "open pages go on with it"
