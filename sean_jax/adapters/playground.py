@@ -95,7 +95,7 @@ class SocialNavigation(MjxEnv):
     @property
     def mj_model(self) -> mujoco.MjModel:
         """The robot's MuJoCo model."""
-        return description.read(robots.find(self.env.scenario.robot.name))[0]
+        return description.read_robot(robots.find(self.env.scenario.robot.name))[0]
 
     @property
     def mjx_model(self) -> Scenario:

@@ -589,7 +589,7 @@ def _import_robot(options: config.ImportRobotConfig, console: "Console") -> None
     given = options.model_dump(exclude={"file", "out", "wheels"})
     wheels = tuple(name.strip() for name in options.wheels.split(",")) if options.wheels else ()
     with console.status("driving it in MJX"):
-        robot = importing.import_robot(options.file, options.out, importing.Settings(**given, wheels=wheels))
+        robot = importing.import_robot(options.file, options.out, importing.ImportSettings(**given, wheels=wheels))
     width = max(len(name) for name, _, _ in robot.numbers)
     for name, value, source in robot.numbers:
         print(f"{name:{width}}  {value} ({source})")

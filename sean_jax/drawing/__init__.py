@@ -125,22 +125,23 @@ def view(trajectory: Trajectory, scenario: Scenario | None = None, animate: bool
         environment, graph, time_step = scenario.environment, graph_of(scenario), scenario.time_step
         names = tuple(name for name, _ in scenario.situations)
     radius = layers.ROBOT_RADIUS if scenario is None else robots.radii(scenario)
-    shown: dict[str, Any] = dict(graph=graph, situations=names, time_step=time_step, robot_radius=radius)
+    options: dict[str, Any] = dict(graph=graph, situations=names, time_step=time_step, robot_radius=radius)
     if not animate:
-        return top_down(environment, frames=frames, **shown)
+        return top_down(environment, frames=frames, **options)
     from IPython.display import Image
 
     stream = io.BytesIO()
-    gifs.animate(environment, frames, stream, **shown)
+    gifs.animate(environment, frames, stream, **options)
     return Image(data=stream.getvalue(), format="gif")
 
 
 def empty_floor(frames: Trajectory) -> Environment:
     """A floor without obstacles that contains all positions of the frames, with 2 m around them."""
-    places = np.concatenate([np.asarray(frames.people).reshape(-1, 2), np.asarray(frames.position).reshape(-1, 2)])
-    floor = jnp.asarray(np.concatenate([places.min(0) - 2.0, places.max(0) + 2.0]), float)
-    none, pairs = jnp.zeros(0, float), jnp.zeros((0, 2), float)
-    obstacles = Obstacles(center=pairs, half_extent=pairs, yaw=none, height=none)
+    people = np.asarray(frames.people).reshape(-1, 2)
+    positions = np.concatenate([people, np.asarray(frames.position).reshape(-1, 2)])
+    floor = jnp.asarray(np.concatenate([positions.min(0) - 2.0, positions.max(0) + 2.0]), float)
+    no_numbers, no_vectors = jnp.zeros(0, float), jnp.zeros((0, 2), float)
+    obstacles = Obstacles(center=no_vectors, half_extent=no_vectors, yaw=no_numbers, height=no_numbers)
     return Environment(
         floor=floor,
         obstacles=obstacles,
@@ -172,68 +173,101 @@ def handcrafted_sheet(scenario: Scenario) -> Figure:
     Args:
         scenario: with behavior and task ``handcrafted``.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     sets: Sets = scenario.behavior.data
     starts = jax.tree.map(np.asarray, jax.jit(_starts)(scenario, random_streams.key("draw", 0)))
     table = jax.tree.map(np.asarray, replace(sets, ways=None))
-    floor = np.asarray(scenario.environment.floor, float)
-    windows = []
-    for row in range(len(sets.names)):
-        people, waypoints = starts.people[row][table.present[row]], table.waypoint[row][np.isfinite(table.walked[row])]
-        windows.append(_window(floor, np.concatenate([starts.start[row], starts.goal[row], people, waypoints])))
-    tall = max((window[3] - window[1]) / (window[2] - window[0]) for window in windows)
-    columns = min(COLUMNS, len(sets.names) + 1)
-    rows = math.ceil((len(sets.names) + 1) / columns)
-    size = columns * PANEL, rows * (PANEL * tall + 0.36) + 0.4
-    figure = Figure(figsize=size, facecolor=colors.PAPER)
-    FigureCanvasAgg(figure)
+    windows = _set_windows(np.asarray(scenario.environment.floor, float), starts, table)
+
+    # One panel for each set and one for the meaning of marks, as tall as the tallest window.
+    aspect = max((window[3] - window[1]) / (window[2] - window[0]) for window in windows)
     title = f"Handcrafted sets: {scenario.environment.name}"
-    figure.text(0.12 / size[0], 1 - 0.2 / size[1], title, fontsize=13, color=colors.INK, weight="bold", va="center")
-    for index, window in enumerate((*windows, None)):
-        row, column = divmod(index, columns)
-        bottom = size[1] - 0.34 - (row + 1) * (PANEL * tall + 0.36)
-        box = ((column * PANEL + 0.08) / size[0], bottom / size[1], (PANEL - 0.16) / size[0], PANEL * tall / size[1])
-        axes = figure.add_axes(box)
-        axes.set_axis_off()
-        if window is None:
-            _key(axes)
-            continue
-        _panel(axes, scenario.environment, window, *jax.tree.map(lambda leaf, i=index: leaf[i], (starts, table)))
+    figure, panels = _panels(len(sets.names) + 1, PANEL * aspect, title)
+    for index, window in enumerate(windows):
+        axes = panels[index]
+        set_starts, set_table = jax.tree.map(lambda leaf, index=index: leaf[index], (starts, table))
+        _draw_set(axes, scenario.environment, window, set_starts, set_table)
         present = int(table.present[index].sum())
         axes.set_title(f"{sets.names[index]}  ", fontsize=9, color=colors.INK, loc="left", pad=4)
         axes.set_title(f"{present} people", fontsize=8, color=colors.MUTED, loc="right", pad=4)
+    _draw_set_key(panels[-1])
     return figure
+
+
+def _panels(count: int, panel_height: float, title: str) -> tuple[Figure, list[Axes]]:
+    """A figure with a title, and empty panels of a height [inches] in rows."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    columns = min(COLUMNS, count)
+    rows = math.ceil(count / columns)
+    width, height = columns * PANEL, rows * (panel_height + 0.36) + 0.4
+    figure = Figure(figsize=(width, height), facecolor=colors.PAPER)
+    FigureCanvasAgg(figure)
+    figure.text(0.12 / width, 1 - 0.2 / height, title, fontsize=13, color=colors.INK, weight="bold", va="center")
+
+    panels = []
+    for index in range(count):
+        row, column = divmod(index, columns)
+        left = column * PANEL + 0.08
+        bottom = height - 0.34 - (row + 1) * (panel_height + 0.36)
+        axes = figure.add_axes((left / width, bottom / height, (PANEL - 0.16) / width, panel_height / height))
+        axes.set_axis_off()
+        panels.append(axes)
+    return figure, panels
+
+
+def _set_windows(floor: np.ndarray, starts: _Starts, table: Sets) -> list[tuple[float, float, float, float]]:
+    """The window of each set, which shows its starts, goals, people and waypoints."""
+    windows = []
+    for row in range(len(starts.start)):
+        people = starts.people[row][table.present[row]]
+        waypoints = table.waypoint[row][np.isfinite(table.walked[row])]
+        points = np.concatenate([starts.start[row], starts.goal[row], people, waypoints])
+        windows.append(_window(floor, points))
+    return windows
 
 
 def graph_sheet(environment: Environment, graph: BehaviorGraph) -> Figure:
     """Draw the behavior graph with its names, flows and one-way edges, and with full groups; the floor is cut to it."""
-    floor = np.asarray(environment.floor, float)
-    place, radius = np.asarray(graph.position, float), np.asarray(graph.radius, float)[:, None]
-    low, high = (place - radius).min(0) - 6.0, (place + radius).max(0) + 6.0
-    low[0], high[0] = min(low[0], high[0] - 0.5 * (high[1] - low[1])), max(high[0], low[0] + 0.5 * (high[1] - low[1]))
-    low, high = np.maximum(low, floor[:2]), np.minimum(high, floor[2:])
-    part = replace(environment, floor=jnp.asarray([*low, *high], float))
-    figure, axes = layers.canvas(part, 9.0, f"Behavior graph: {environment.name}")
+    low, high = _graph_extent(environment, graph)
+    around_graph = replace(environment, floor=jnp.asarray([*low, *high], float))
+    figure, axes = layers.canvas(around_graph, 9.0, f"Behavior graph: {environment.name}")
     layers.draw_obstacles(axes, environment)
     for collection in axes.collections:
         collection.set_clip_path(axes.patches[0])
     layers.draw_graph(axes, graph, alone=True)
-    groups = np.asarray(graph.groups)
-    if len(groups):
-        center = graph.position[graph.groups]
-        form = jax.jit(formation)(random_streams.key("draw", 0), graph.capacity[graph.groups], center, graph.seat_group)
-        seat, heading, _, opening = (np.asarray(part) for part in form)
-        radius = max(0.0035 * (high[0] - low[0]), MIN_RADIUS)
-        layers.draw_discs(axes, seat, heading, np.ones(len(seat), bool), radius, 0.7)
-        axes.plot(*opening.T, linestyle="", marker="o", markersize=5, color=colors.MEMBER, fillstyle="none", zorder=6)
+    if len(np.asarray(graph.groups)):
+        _draw_groups(axes, graph, max(0.0035 * (high[0] - low[0]), MIN_RADIUS))
     axes.legend(
         *_graph_key(graph), loc="lower right", bbox_to_anchor=(1.0 - layers.MARGIN, 0.0), ncols=3, fontsize=8,
         frameon=False, labelcolor=colors.INK, handlelength=1.4, columnspacing=1.4, borderpad=0.1, labelspacing=0.35,
     )  # fmt: skip
-    layers.draw_scale(axes, part)
+    layers.draw_scale(axes, around_graph)
     return figure
+
+
+def _graph_extent(environment: Environment, graph: BehaviorGraph) -> tuple[np.ndarray, np.ndarray]:
+    """(2,) and (2,) m, the lower left and upper right corner of the part of the floor around the graph."""
+    floor = np.asarray(environment.floor, float)
+    position = np.asarray(graph.position, float)
+    radius = np.asarray(graph.radius, float)[:, None]
+    low = (position - radius).min(0) - 6.0
+    high = (position + radius).max(0) + 6.0
+
+    # At least half as wide as high.
+    min_width = 0.5 * (high[1] - low[1])
+    low[0], high[0] = min(low[0], high[0] - min_width), max(high[0], low[0] + min_width)
+    return np.maximum(low, floor[:2]), np.minimum(high, floor[2:])
+
+
+def _draw_groups(axes: Axes, graph: BehaviorGraph, radius: float) -> None:
+    """Draw the members of full groups, by shoulders of that radius [m], and the places that are left open."""
+    center = graph.position[graph.groups]
+    key = random_streams.key("draw", 0)
+    form = jax.jit(formation)(key, graph.capacity[graph.groups], center, graph.seat_group)
+    seat, heading, _, opening = (np.asarray(array) for array in form)
+    layers.draw_discs(axes, seat, heading, np.ones(len(seat), bool), radius, 0.7)
+    axes.plot(*opening.T, linestyle="", marker="o", markersize=5, color=colors.MEMBER, fillstyle="none", zorder=6)
 
 
 def floors_sheet(floors: Sequence[tuple[Environment, BehaviorGraph]]) -> Figure:
@@ -246,13 +280,13 @@ def floors_sheet(floors: Sequence[tuple[Environment, BehaviorGraph]]) -> Figure:
     figure = Figure(figsize=(2.6 * COLUMNS, 2.2 * rows), layout="constrained", facecolor=colors.PAPER)
     FigureCanvasAgg(figure)
     panels = figure.subplots(rows, COLUMNS, squeeze=False).flatten()
-    edges = np.array([environment.floor for environment, _ in floors], float).reshape(-1, 2, 2)
-    wide, deep = (edges[:, 1] - edges[:, 0]).max(0, initial=0.0) + 0.4
+    corners = np.array([environment.floor for environment, _ in floors], float).reshape(-1, 2, 2)
+    width, height = (corners[:, 1] - corners[:, 0]).max(0, initial=0.0) + 0.4  # m, of all panels
     for axes in panels:
         axes.set_axis_off()
-    for axes, (environment, graph), ((x0, y0), (x1, y1)) in zip(panels, floors, edges, strict=False):
-        middle = (x0 + x1 - wide) / 2
-        axes.set(xlim=(middle, middle + wide), ylim=(y0 - 0.2, y0 - 0.2 + deep), aspect="equal")
+    for axes, (environment, graph), ((x0, y0), (x1, y1)) in zip(panels, floors, corners, strict=False):
+        left, bottom = (x0 + x1 - width) / 2, y0 - 0.2
+        axes.set(xlim=(left, left + width), ylim=(bottom, bottom + height), aspect="equal")
         axes.add_patch(Rectangle((x0, y0), x1 - x0, y1 - y0, facecolor=colors.FLOOR, edgecolor=colors.MUTED))
         layers.draw_obstacles(axes, environment)
         layers.draw_graph(axes, graph, alone=False)
@@ -264,35 +298,50 @@ def _starts(scenario: Scenario, key: Array) -> _Starts:
     """The starts of all sets."""
     sets: Sets = scenario.behavior.data
 
-    def of_set(row: Array) -> _Starts:
-        chosen = jnp.arange(sets.odds.shape[0]) == row
-        odds = jnp.where(chosen[:, None, None], sets.odds, 0.0)
-        one_set = replace(scenario, behavior=replace(scenario.behavior, data=replace(sets, odds=odds)))
-        people, groups, _ = scenario.behavior.reset(one_set, key)
-        ends = []
-        for place, group in ((sets.start, sets.start_group), (sets.goal, sets.goal_group)):
-            index = group[row]
-            ends.append(jnp.where(index[:, None] >= 0, groups.opening[jnp.maximum(index, 0)], place[row]))
-        headings = [_facing(sets.start_heading[row], sets.start_group[row], groups, ends[0])]
-        headings.append(_facing(sets.goal_heading[row], sets.goal_group[row], groups, ends[1]))
-        all_paths = jax.vmap(jax.vmap(_path, in_axes=(None, None, 0)), in_axes=(None, 0, None))
-        path = all_paths(scenario.navigation, *ends)
-        leg = _legs(sets, row)
-        return _Starts(ends[0], ends[1], people.position, people.heading, path, headings[0], headings[1], leg)
+    def set_starts(row: Array) -> _Starts:
+        # Odds of 0 for all other sets.
+        is_set = jnp.arange(sets.odds.shape[0]) == row
+        odds = jnp.where(is_set[:, None, None], sets.odds, 0.0)
+        behavior = replace(scenario.behavior, data=replace(sets, odds=odds))
+        people, groups, _ = scenario.behavior.reset(replace(scenario, behavior=behavior), key)
 
-    return jax.lax.map(of_set, jnp.arange(sets.odds.shape[0], dtype=jnp.int32))
+        start = _or_opening(sets.start[row], sets.start_group[row], groups)
+        goal = _or_opening(sets.goal[row], sets.goal_group[row], groups)
+        all_paths = jax.vmap(jax.vmap(_path, in_axes=(None, None, 0)), in_axes=(None, 0, None))
+        return _Starts(
+            start=start,
+            goal=goal,
+            people=people.position,
+            people_heading=people.heading,
+            path=all_paths(scenario.navigation, start, goal),
+            start_heading=_facing(sets.start_heading[row], sets.start_group[row], groups, start),
+            goal_heading=_facing(sets.goal_heading[row], sets.goal_group[row], groups, goal),
+            leg=_legs(sets, row),
+        )
+
+    return jax.lax.map(set_starts, jnp.arange(sets.odds.shape[0], dtype=jnp.int32))
+
+
+def _or_opening(place: Array, group: Array, groups: Groups) -> Array:
+    """(5, 2) m, the places, or the places that groups leave open where there is one."""
+    return jnp.where(group[:, None] >= 0, groups.opening[jnp.maximum(group, 0)], place)
 
 
 def _legs(sets: Sets, row: Array) -> Array:
     """(L, K, MAX_CORNERS, 2) m: paths from each waypoint of a set's loops to the next one."""
     waypoint, count = sets.waypoint[row], sets.waypoints[row][:, None]
-    number = jnp.arange(1, waypoint.shape[1] + 1)[None, :] % count  # (L, K)
-    following = jnp.take_along_axis(waypoint, number[..., None], axis=1)
+    next_index = jnp.arange(1, waypoint.shape[1] + 1)[None, :] % count  # (L, K)
+    next_waypoint = jnp.take_along_axis(waypoint, next_index[..., None], axis=1)
     if sets.ways is None:
-        between = jnp.linspace(0.0, 1.0, MAX_CORNERS)[None, None, :, None]
-        return waypoint[:, :, None] + between * (following - waypoint)[:, :, None]
-    one = functools.partial(_path, sets.ways.navigation)
-    return jax.vmap(lambda a, b: jax.lax.map(lambda ends: one(*ends), (a, b)))(waypoint, following)
+        share = jnp.linspace(0.0, 1.0, MAX_CORNERS)[None, None, :, None]
+        return waypoint[:, :, None] + share * (next_waypoint - waypoint)[:, :, None]
+
+    path = functools.partial(_path, sets.ways.navigation)
+
+    def loop_legs(starts: Array, ends: Array) -> Array:
+        return jax.lax.map(lambda leg: path(*leg), (starts, ends))
+
+    return jax.vmap(loop_legs)(waypoint, next_waypoint)
 
 
 def _facing(heading: Array, group: Array, groups: Groups, place: Array) -> Array:
@@ -314,14 +363,15 @@ def _path(navigation: paths.Navigation, start: Array, goal: Array) -> Array:
 
 def _window(floor: np.ndarray, points: np.ndarray) -> tuple[float, float, float, float]:
     """x_min, y_min, x_max, y_max [m]: a square around points (P, 2), or the floor where it is smaller."""
-    low, high = points.min(0) - PANEL_MARGIN, points.max(0) + PANEL_MARGIN
+    low = points.min(0) - PANEL_MARGIN
+    high = points.max(0) + PANEL_MARGIN
     side = max(MIN_PANEL, *(high - low))
     extent = np.minimum(side, floor[2:] - floor[:2])
-    low = np.clip((low + high - extent) / 2, floor[:2], floor[2:] - extent)
-    return low[0], low[1], low[0] + extent[0], low[1] + extent[1]
+    x0, y0 = np.clip((low + high - extent) / 2, floor[:2], floor[2:] - extent)
+    return x0, y0, x0 + extent[0], y0 + extent[1]
 
 
-def _panel(axes: Axes, environment: Environment, window: tuple, starts: _Starts, sets: Sets) -> None:
+def _draw_set(axes: Axes, environment: Environment, window: tuple, starts: _Starts, sets: Sets) -> None:
     """Draw one set: floor, obstacles, paths, loops, people, poses."""
     from matplotlib.collections import LineCollection
     from matplotlib.patches import Rectangle
@@ -335,40 +385,47 @@ def _panel(axes: Axes, environment: Environment, window: tuple, starts: _Starts,
     layers.draw_obstacles(axes, environment)
     lines = list(np.asarray(starts.path).reshape(-1, *starts.path.shape[2:]))
     axes.add_collection(LineCollection(lines, colors=colors.ROBOT, linewidths=0.5, alpha=0.55, zorder=3))
+    in_both_directions = bool((sets.way[sets.present & (sets.loop >= 0)] < 0).any())
     for leg, count, walked in zip(starts.leg, sets.waypoints, sets.walked, strict=True):
         if np.isfinite(walked).any():
-            both = (sets.way[sets.present & (sets.loop >= 0)] < 0).any()
-            _draw_loop(axes, np.asarray(leg)[:count], side, bool(both))
-    present, radius = sets.present, max(0.012 * side, MIN_RADIUS)
-    people, heading = starts.people[present], starts.people_heading[present]
-    layers.draw_discs(axes, np.asarray(people), np.asarray(heading), np.asarray(sets.group[present] >= 0), radius, 0.7)
-    tick = 0.04 * side
-    for places, headings, face in (
-        (starts.start, starts.start_heading, colors.PAPER),
-        (starts.goal, starts.goal_heading, colors.ROBOT),
-    ):
-        ends = np.stack([places, places + tick * headings], 1)
-        axes.add_collection(LineCollection(list(ends), colors=colors.ROBOT_EDGE, linewidths=0.8, zorder=8))
-        axes.plot(
-            *places.T, linestyle="", marker="s" if face == colors.PAPER else "o", markersize=4.2, zorder=9,
-            markerfacecolor=face, markeredgecolor=colors.ROBOT_EDGE, markeredgewidth=0.8,
-        )  # fmt: skip
-    bar = max(size for size in (1.0, 2.0, 5.0, 10.0, 20.0) if size <= 0.3 * side)
-    y = y0 + 0.03 * side
-    axes.plot([x0 + 0.03 * side, x0 + 0.03 * side + bar], [y, y], color=colors.INK, linewidth=1.4, zorder=12)
-    axes.text(x0 + 0.03 * side, y + 0.012 * side, f"{bar:g} m", fontsize=7, color=colors.INK, va="bottom", zorder=12)
+            _draw_loop(axes, np.asarray(leg)[:count], side, in_both_directions)
+    people = np.asarray(starts.people[sets.present])
+    heading = np.asarray(starts.people_heading[sets.present])
+    is_member = np.asarray(sets.group[sets.present] >= 0)
+    layers.draw_discs(axes, people, heading, is_member, max(0.012 * side, MIN_RADIUS), 0.7)
+    _draw_poses(axes, starts.start, starts.start_heading, side, "s", colors.PAPER)
+    _draw_poses(axes, starts.goal, starts.goal_heading, side, "o", colors.ROBOT)
+
+    _draw_panel_scale(axes, x0 + 0.03 * side, y0 + 0.03 * side, side)
+
+
+def _draw_panel_scale(axes: Axes, x: float, y: float, side: float) -> None:
+    """Draw a bar of a round length at (x, y) [m] in a panel of a side [m]."""
+    bar = max(length for length in (1.0, 2.0, 5.0, 10.0, 20.0) if length <= 0.3 * side)
+    axes.plot([x, x + bar], [y, y], color=colors.INK, linewidth=1.4, zorder=12)
+    axes.text(x, y + 0.012 * side, f"{bar:g} m", fontsize=7, color=colors.INK, va="bottom", zorder=12)
+
+
+def _draw_poses(axes: Axes, position: Array, heading: Array, side: float, marker: str, face: str) -> None:
+    """Draw poses of the robot, with ticks along the headings, in a panel of a side [m]."""
+    from matplotlib.collections import LineCollection
+
+    ticks = np.stack([position, position + 0.04 * side * heading], 1)
+    axes.add_collection(LineCollection(list(ticks), colors=colors.ROBOT_EDGE, linewidths=0.8, zorder=8))
+    style: Any = dict(markerfacecolor=face, markeredgecolor=colors.ROBOT_EDGE, markeredgewidth=0.8)
+    axes.plot(*position.T, linestyle="", marker=marker, markersize=4.2, zorder=9, **style)
 
 
 def _draw_loop(axes: Axes, legs: np.ndarray, side: float, both: bool) -> None:
     """Draw the legs (K, P, 2) [m] of a loop, with one or two arrows in the middle of each straight one."""
     axes.plot(*legs.reshape(-1, 2).T, color=colors.TRAIL, linewidth=1.2, zorder=4, solid_joinstyle="round")
-    for a, b in zip(legs[:, 0], legs[:, -1], strict=True):
-        gap = float(np.hypot(*(b - a)))
-        if gap < 0.12 * side:
+    for start, end in zip(legs[:, 0], legs[:, -1], strict=True):
+        length = float(np.hypot(*(end - start)))
+        if length < 0.12 * side:
             continue
-        along = (b - a) / gap
+        along = (end - start) / length
         for sign in (1.0, -1.0) if both else (1.0,):
-            tip = 0.5 * (a + b) + sign * (0.02 * side + 0.03 * side * both) * along
+            tip = 0.5 * (start + end) + sign * (0.02 * side + 0.03 * side * both) * along
             arrow = dict(arrowstyle="-|>", color=colors.TRAIL, mutation_scale=9, linewidth=0)
             axes.annotate("", xy=tuple(tip), xytext=tuple(tip - 1e-2 * sign * along), arrowprops=arrow, zorder=4)
 
@@ -394,7 +451,7 @@ def _graph_key(graph: BehaviorGraph) -> tuple[list, list[str]]:
     return list(entries.values()), list(entries)
 
 
-def _key(axes: Axes) -> None:
+def _draw_set_key(axes: Axes) -> None:
     """Draw the meaning of the marks."""
     from matplotlib.lines import Line2D
 

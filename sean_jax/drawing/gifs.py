@@ -59,12 +59,12 @@ def animate(
     Raises:
         InputError: frames with a batch axis or another number of situations, or a path that cannot be written.
     """
-    check(path)
+    check_gif_path(path)
     frames = layers.one_episode(frames)
     names = layers.situation_names(frames, situations)
-    scene = _Scene(environment, frames, graph, names, time_step, robot_radius, size, title, every)
+    film = _Film(environment, frames, graph, names, time_step, robot_radius, size, title, every)
     steps = [*range(0, len(frames.active) - 1, every), len(frames.active) - 1]
-    save(path, len(steps), lambda index: scene.picture(steps[index]), every * time_step / SPEED, colors=FLAT_COLORS)
+    save_gif(path, len(steps), lambda index: film.picture(steps[index]), every * time_step / SPEED, colors=FLAT_COLORS)
 
 
 def video(frames: Trajectory, scenario: Scenario, path: Target, *, view: str | Camera = "first_person") -> None:
@@ -80,23 +80,25 @@ def video(frames: Trajectory, scenario: Scenario, path: Target, *, view: str | C
     """
     from PIL import Image
 
-    check(path)
+    check_gif_path(path)
     eye = camera(scenario, view, width=WIDTH, height=HEIGHT) if isinstance(view, str) else view
     frames = layers.one_episode(frames)
     every = max(1, round(SPEED / RATE / scenario.time_step))
     steps = [*range(0, len(frames.active) - 1, every), len(frames.active) - 1]
     rendered = render_frames(jax.tree.map(lambda leaf: leaf[steps], frames), scenario, eye)
     pictures = [Image.fromarray(picture) for picture in rendered]
-    save(path, len(pictures), pictures.__getitem__, every * scenario.time_step / SPEED)
+    save_gif(path, len(pictures), pictures.__getitem__, every * scenario.time_step / SPEED)
 
 
-def check(path: Target) -> None:
+def check_gif_path(path: Target) -> None:
     """Raise InputError if a GIF cannot be written to a path; binary files pass."""
     if isinstance(path, str | os.PathLike):
         check_file(Path(path), (".gif",), "path")
 
 
-def save(path: Target, number: int, picture: Callable[[int], Image.Image], pause: float, colors: int = COLORS) -> None:
+def save_gif(
+    path: Target, number: int, picture: Callable[[int], Image.Image], pause: float, colors: int = COLORS
+) -> None:
     """Write a looping GIF with one palette, which covers rare colors too (a yellow shirt among shades of sky).
 
     Args:
@@ -106,11 +108,12 @@ def save(path: Target, number: int, picture: Callable[[int], Image.Image], pause
     from PIL import Image
 
     samples = np.linspace(0, number - 1, min(MAX_SAMPLES, number)).round().astype(int)
-    pixels = _fewer_pixels(np.concatenate([np.asarray(picture(int(index)).convert("RGB")) for index in samples]))
+    sampled = [np.asarray(picture(int(index)).convert("RGB")) for index in samples]
+    pixels = _fewer_pixels(np.concatenate(sampled))
     palette = Image.fromarray(pixels).quantize(colors, method=Image.Quantize.MAXCOVERAGE, kmeans=1)
-    images = [
-        picture(index).convert("RGB").quantize(palette=palette, dither=Image.Dither.NONE) for index in range(number)
-    ]
+    images = []
+    for index in range(number):
+        images.append(picture(index).convert("RGB").quantize(palette=palette, dither=Image.Dither.NONE))
     pauses = [max(20, round(100 * pause) * 10)] * (number - 1) + [round(1000 * LAST)]
     images[0].save(path, format="GIF", save_all=True, append_images=images[1:], duration=pauses, loop=0, optimize=False)
 
@@ -120,15 +123,103 @@ def _fewer_pixels(pixels: np.ndarray) -> np.ndarray:
     shades = pixels.reshape(-1, 3).astype(np.int32) @ np.array([1 << 16, 1 << 8, 1], np.int32)
     counts = np.bincount(shades)
     colors = np.flatnonzero(counts)
-    each = np.repeat(colors, -(-counts[colors] * SAMPLE // len(shades)))
-    return np.stack([each >> 16, each >> 8 & 255, each & 255], -1)[None].astype(np.uint8)
+    repeats = -(-counts[colors] * SAMPLE // len(shades))
+    sample = np.repeat(colors, repeats)
+    return np.stack([sample >> 16, sample >> 8 & 255, sample & 255], -1)[None].astype(np.uint8)
 
 
 # ------------------------------------------------------------------ from above
 
 
-class _Scene:
-    """All positions in pixels, at twice the size: halving a picture smooths its edges."""
+FLIP = np.array([1.0, -1.0])  # y points down in pictures
+BODY_ANGLES = np.linspace(0.0, 2.0 * np.pi, 25)[:-1]
+BODY = np.stack([layers.DEPTH * np.cos(BODY_ANGLES), np.sin(BODY_ANGLES)], 1)  # (24, 2) ahead and aside
+START_RADIUS, GOAL_RADIUS, TARGET_RADIUS = 0.42, 0.75, 0.28  # m
+
+
+class _Background:
+    """The floor without people and robots, and its scale, at twice the size: halving a picture smooths its edges."""
+
+    def __init__(self, environment: Environment, graph: BehaviorGraph | None, size: int) -> None:
+        from PIL import Image
+
+        figure, axes = layers.canvas(environment, 6.4, "")
+        layers.draw_obstacles(axes, environment)
+        if graph is not None:
+            layers.draw_graph(axes, graph, alone=False)
+        layers.draw_scale(axes, environment)
+        figure.set_dpi(2 * size / 6.4)
+        figure.canvas.draw()
+        self.image = Image.fromarray(np.asarray(figure.canvas.buffer_rgba())[..., :3].copy())  # pyright: ignore
+        self.to_pixels = axes.transData.transform
+        metre = self.to_pixels((1.0, 0.0)) - self.to_pixels((0.0, 0.0))
+        self.metre = float(metre[0])  # pixels
+        self.line = max(2, round(self.metre * 0.07))  # pixels
+
+    def pixels(self, points: ArrayLike) -> np.ndarray:
+        """Points (..., 2) [m] as pixels from the upper left corner."""
+        points = np.asarray(points, float)
+        corner = np.array([0.0, self.image.height])
+        return corner + FLIP * self.to_pixels(points.reshape(-1, 2)).reshape(points.shape)
+
+
+class _Caption:
+    """Below the floor: title and time in the middle, current situations at the right."""
+
+    def __init__(self, frames: Trajectory, situations: tuple[str, ...], time_step: float, size: int, title: str):
+        from matplotlib import get_data_path
+        from PIL import ImageFont
+
+        font = Path(get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf"
+        self.font = ImageFont.truetype(str(font), round(size / 22))
+        self.small_font = ImageFont.truetype(str(font), round(size / 32))
+        self.flags = np.asarray(frames.situations, bool)
+        self.situations = list(zip(situations, colors.situation_colors(situations), strict=True))
+        self.time_step, self.title = time_step, title
+
+    def draw(self, draw: ImageDraw.ImageDraw, size: tuple[int, int], t: int) -> None:
+        """Draw the caption of frame ``t`` on a picture of a size in pixels."""
+        width, height = size
+        baseline = height - 0.6 * self.font.size
+        time = f"{t * self.time_step:.1f} s"
+        draw.text((0.30 * width, baseline), time, font=self.font, fill=colors.INK, anchor="rs")
+        if self.title:
+            draw.text((0.33 * width, baseline), self.title, font=self.font, fill=colors.MUTED, anchor="ls")
+        title_end = 0.33 * width + draw.textlength(self.title, font=self.font) + self.font.size
+        right = width * (1 - layers.MARGIN)
+
+        # Situations in one row, or smaller in as many rows as needed.
+        holding = [situation for flag, situation in zip(self.flags[t], self.situations, strict=True) if flag]
+        font, rows = self.font, [holding]
+        if _row_length(draw, holding, font) > right - title_end:
+            font = self.small_font
+            rows = _break_rows(draw, holding, font, right - title_end)
+        for up, row in enumerate(reversed(rows)):
+            x = right - _row_length(draw, row, font)
+            for name, color in row:
+                label = name.replace("_", " ")
+                draw.text((x, baseline - 1.2 * up * font.size), label, font=font, fill=color, anchor="ls")
+                x += draw.textlength(label, font=font) + font.size
+
+
+def _break_rows(draw: ImageDraw.ImageDraw, situations: list, font: ImageFont.FreeTypeFont, width: float) -> list[list]:
+    """The situations in rows of a width in pixels."""
+    rows: list[list] = [[]]
+    for situation in situations:
+        if rows[-1] and _row_length(draw, [*rows[-1], situation], font) > width:
+            rows.append([])
+        rows[-1].append(situation)
+    return rows
+
+
+def _row_length(draw: ImageDraw.ImageDraw, situations: list, font: ImageFont.FreeTypeFont) -> float:
+    """Width in pixels of the names of situations in one row."""
+    lengths = (draw.textlength(name.replace("_", " "), font=font) + font.size for name, _ in situations)
+    return sum(lengths) - font.size
+
+
+class _Film:
+    """One episode from above. All positions are in pixels, at twice the size of the pictures."""
 
     def __init__(
         self,
@@ -142,113 +233,91 @@ class _Scene:
         title: str,
         every: int,
     ) -> None:
-        from matplotlib import get_data_path
-        from PIL import Image, ImageFont
-
-        figure, axes = layers.canvas(environment, 6.4, "")
-        layers.draw_obstacles(axes, environment)
-        if graph is not None:
-            layers.draw_graph(axes, graph, alone=False)
-        layers.draw_scale(axes, environment)
-        figure.set_dpi(2 * size / 6.4)
-        figure.canvas.draw()
-        self.background = Image.fromarray(np.asarray(figure.canvas.buffer_rgba())[..., :3].copy())  # pyright: ignore
-        height, self.every = self.background.height, every
-        corner = np.array([0.0, height])
-        flip = np.array([1.0, -1.0])
-
-        def pixels(points: ArrayLike) -> np.ndarray:
-            points = np.asarray(points, float)
-            return corner + flip * axes.transData.transform(points.reshape(-1, 2)).reshape(points.shape)
-
-        self.metre = float((axes.transData.transform((1.0, 0.0)) - axes.transData.transform((0.0, 0.0)))[0])
-        self.line = max(2, round(self.metre * 0.07))
-        font = Path(get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf"
-        self.font, self.small = (ImageFont.truetype(str(font), round(size / part)) for part in (22, 32))
-        others = layers.of_others(frames)
-        sizes = np.maximum(np.broadcast_to(robot_radius, 1 + len(others)) * self.metre, 2.0 * self.line)
-        self.radius, self.radii = float(sizes[0]), sizes[1:]
-        around = np.linspace(0.0, 2.0 * np.pi, 25)[:-1]
-        self.body = np.stack([layers.DEPTH * np.cos(around), np.sin(around)], 1)  # (24, 2) ahead and aside
-        self.people, self.group, self.present = pixels(frames.people), frames.group, np.asarray(frames.present, bool)
-        self.heading_ends = self.people + flip * frames.people_heading * (1.9 * layers.PERSON_RADIUS * self.metre)
-        self.path, self.heading, self.goal = pixels(frames.position), flip * frames.heading, pixels(frames.goal[-1])
-        self.others = pixels(others[..., :2])
-        self.noses = self.others + flip * others[..., 2:4] * (2.2 * self.radii[:, None, None])
-        self.goals = [self.goal, *pixels(others[:, -1, 4:])]
-        self.shades = layers.step_colors(frames, situations)
-        self.flags = np.asarray(frames.situations, bool)
-        self.names, self.name_colors = situations, colors.situation_colors(situations)
-        self.time_step, self.title = time_step, title
+        self.background = _Background(environment, graph, size)
+        self.caption = _Caption(frames, situations, time_step, size, title)
+        self.metre, self.line, pixels = self.background.metre, self.background.line, self.background.pixels
+        self.every = every
         self.tail = round(TAIL / time_step)
+
+        # People.
+        self.people = pixels(frames.people)
+        self.group = frames.group
+        self.present = np.asarray(frames.present, bool)
+        heading = FLIP * frames.people_heading
+        self.heading_ends = self.people + heading * (1.9 * layers.PERSON_RADIUS * self.metre)
+
+        # The robot and the other ones of its team.
+        others = layers.other_robots(frames)
+        radii = np.maximum(np.broadcast_to(robot_radius, 1 + len(others)) * self.metre, 2.0 * self.line)
+        self.radius, self.other_radii = float(radii[0]), radii[1:]
+        self.path, self.heading = pixels(frames.position), FLIP * frames.heading
+        self.path_colors = layers.step_colors(frames, situations)
+        self.others = pixels(others[..., :2])
+        self.other_noses = self.others + FLIP * others[..., 2:4] * (2.2 * self.other_radii[:, None, None])
+        self.goals = [pixels(frames.goal[-1]), *pixels(others[:, -1, 4:])]
 
     def picture(self, t: int) -> Image.Image:
         """Frame ``t``, with people and robot."""
         from PIL import ImageDraw
 
-        image = self.background.copy()
-        draw, metre, line = ImageDraw.Draw(image), self.metre, self.line
-
-        def disc(place: np.ndarray, radius: float, **style: Any) -> None:
-            draw.ellipse((place[0] - radius, place[1] - radius, place[0] + radius, place[1] + radius), **style)
-
-        disc(self.path[0], 0.42 * metre, outline=colors.ROBOT, width=2 * line)
-        for number, goal in enumerate(self.goals):
-            disc(goal, 0.75 * metre, outline=colors.ROBOT, width=line if number else 2 * line)
-            disc(goal, 0.28 * metre, fill=colors.ROBOT)
-        for first in range(0, t, self.every):
-            last = min(first + self.every, t)
-            draw.line([*self.path[first], *self.path[last]], fill=self.shades[last], width=3 * line)
-        tail = slice(max(0, t - self.tail), t + 1)
-        tails, here = self.people[tail][:: max(1, self.tail // 5)], np.flatnonzero(self.present[t])
-        complete = np.all(self.present[tail], axis=0)  # people who have just entered have no tail yet
-        for n in here[complete[here]] if len(tails) > 1 else ():
-            draw.line([tuple(place) for place in tails[:, n]], fill=colors.TRAIL, width=line)
-        for place, end, group in zip(
-            self.people[t, here], self.heading_ends[t, here], self.group[t, here], strict=True
-        ):
-            draw.line([*place, *end], fill=colors.PERSON_EDGE, width=line)
-            face = colors.MEMBER if group >= 0 else colors.PERSON
-            ahead = (end - place) / max(float(np.hypot(*(end - place))), 1e-9)
-            outline = place + layers.PERSON_RADIUS * metre * (self.body @ np.stack([ahead, (-ahead[1], ahead[0])]))
-            draw.polygon([tuple(corner) for corner in outline], fill=face, outline=colors.PERSON_EDGE, width=line)
-        for path, ends, radius in zip(self.others, self.noses, self.radii, strict=True):
-            disc(path[t], layers.HALO * metre, outline=colors.ROBOT, width=line)
-            disc(path[t], radius, fill=colors.ROBOT, outline=colors.ROBOT_EDGE, width=line)
-            draw.line([*path[t], *ends[t]], fill=colors.ROBOT_EDGE, width=line)
-        disc(self.path[t], layers.HALO * metre, outline=colors.ROBOT, width=line)
-        disc(self.path[t], self.radius, fill=colors.ROBOT, outline=colors.ROBOT_EDGE, width=line)
+        image = self.background.image.copy()
+        draw = ImageDraw.Draw(image)
+        self._draw_goals(draw)
+        self._draw_path(draw, t)
+        self._draw_tails(draw, t)
+        self._draw_people(draw, t)
+        for path, noses, radius in zip(self.others, self.other_noses, self.other_radii, strict=True):
+            self._draw_robot(draw, path[t], noses[t], radius)
         nose = self.path[t] + self.heading[t] * 2.2 * self.radius
-        draw.line([*self.path[t], *nose], fill=colors.ROBOT_EDGE, width=line)
-        self._caption(draw, t)
+        self._draw_robot(draw, self.path[t], nose, self.radius)
+        self.caption.draw(draw, self.background.image.size, t)
         return image.reduce(2)
 
-    def _caption(self, draw: ImageDraw.ImageDraw, t: int) -> None:
-        """Below the floor: title and time in the middle, current situations at the right."""
-        wide, tall = self.background.size
-        base = tall - 0.6 * self.font.size
-        draw.text((0.30 * wide, base), f"{t * self.time_step:.1f} s", font=self.font, fill=colors.INK, anchor="rs")
-        if self.title:
-            draw.text((0.33 * wide, base), self.title, font=self.font, fill=colors.MUTED, anchor="ls")
-        title_end = 0.33 * wide + draw.textlength(self.title, font=self.font) + self.font.size
-        holding = [pair for flag, *pair in zip(self.flags[t], self.names, self.name_colors, strict=True) if flag]
-        right, font, lines = wide * (1 - layers.MARGIN), self.font, [holding]
-        if self._length(draw, holding, font) > right - title_end:  # smaller, on as many lines as needed
-            font, lines = self.small, [[]]
-            for pair in holding:
-                if lines[-1] and self._length(draw, [*lines[-1], pair], font) > right - title_end:
-                    lines.append([])
-                lines[-1].append(pair)
-        for up, line in enumerate(reversed(lines)):
-            x = right - self._length(draw, line, font)
-            for name, color in line:
-                label = name.replace("_", " ")
-                draw.text((x, base - 1.2 * up * font.size), label, font=font, fill=color, anchor="ls")
-                x += draw.textlength(label, font=font) + font.size
+    def _draw_goals(self, draw: ImageDraw.ImageDraw) -> None:
+        """The robot's start, and the goals of all robots, of which its own is bolder."""
+        _disc(draw, self.path[0], START_RADIUS * self.metre, outline=colors.ROBOT, width=2 * self.line)
+        for index, goal in enumerate(self.goals):
+            width = self.line if index else 2 * self.line
+            _disc(draw, goal, GOAL_RADIUS * self.metre, outline=colors.ROBOT, width=width)
+            _disc(draw, goal, TARGET_RADIUS * self.metre, fill=colors.ROBOT)
 
-    def _length(self, draw: ImageDraw.ImageDraw, names: list, font: ImageFont.FreeTypeFont) -> float:
-        """Width in pixels of the names of situations in one row."""
-        return sum(draw.textlength(name.replace("_", " "), font=font) + font.size for name, _ in names) - font.size
+    def _draw_path(self, draw: ImageDraw.ImageDraw, t: int) -> None:
+        for first in range(0, t, self.every):
+            last = min(first + self.every, t)
+            draw.line([*self.path[first], *self.path[last]], fill=self.path_colors[last], width=3 * self.line)
+
+    def _draw_tails(self, draw: ImageDraw.ImageDraw, t: int) -> None:
+        """Where people walked in the last seconds; those who have just entered have no tail yet."""
+        ticks = slice(max(0, t - self.tail), t + 1)
+        tails = self.people[ticks][:: max(1, self.tail // 5)]
+        if len(tails) < 2:
+            return
+        complete = np.all(self.present[ticks], axis=0)
+        for person in np.flatnonzero(self.present[t] & complete):
+            draw.line([tuple(place) for place in tails[:, person]], fill=colors.TRAIL, width=self.line)
+
+    def _draw_people(self, draw: ImageDraw.ImageDraw, t: int) -> None:
+        """Shoulders, with a tick along the heading."""
+        for person in np.flatnonzero(self.present[t]):
+            place, end = self.people[t, person], self.heading_ends[t, person]
+            draw.line([*place, *end], fill=colors.PERSON_EDGE, width=self.line)
+            tick = end - place
+            x, y = tick / max(float(np.hypot(*tick)), 1e-9)
+            axes = np.array([(x, y), (-y, x)])
+            outline = place + layers.PERSON_RADIUS * self.metre * (BODY @ axes)
+            corners = [tuple(corner) for corner in outline]
+            face = colors.MEMBER if self.group[t, person] >= 0 else colors.PERSON
+            draw.polygon(corners, fill=face, outline=colors.PERSON_EDGE, width=self.line)
+
+    def _draw_robot(self, draw: ImageDraw.ImageDraw, place: np.ndarray, nose: np.ndarray, radius: float) -> None:
+        _disc(draw, place, layers.HALO * self.metre, outline=colors.ROBOT, width=self.line)
+        _disc(draw, place, radius, fill=colors.ROBOT, outline=colors.ROBOT_EDGE, width=self.line)
+        draw.line([*place, *nose], fill=colors.ROBOT_EDGE, width=self.line)
+
+
+def _disc(draw: ImageDraw.ImageDraw, place: np.ndarray, radius: float, **style: Any) -> None:
+    x, y = place
+    draw.ellipse((x - radius, y - radius, x + radius, y + radius), **style)
 
 
 # ------------------------------------------------------------------ from a camera
@@ -267,7 +336,8 @@ def render_frames(frames: Trajectory, scenario: Scenario, eye: Camera) -> Iterat
         return rgb.reshape(eye.height, SUPERSAMPLING, eye.width, SUPERSAMPLING, 3).mean((1, 3))
 
     for t in range(len(frames.active)):
-        image = np.asarray(picture(jax.tree.map(lambda leaf, t=t: jnp.asarray(leaf[t]), frames)))
+        frame = jax.tree.map(lambda leaf, t=t: jnp.asarray(leaf[t]), frames)
+        image = np.asarray(picture(frame))
         yield depth_colors(image, eye.far) if eye.name == "depth" else (255 * image + 0.5).astype(np.uint8)
 
 
@@ -282,9 +352,12 @@ def depth_colors(image: np.ndarray, far: float) -> np.ndarray:
 def _state(frame: Trajectory) -> State:
     """The fields of a state that a camera reads; all others are None."""
     nothing: Any = None
-    body = dict(position=frame.people, velocity=frame.people_velocity, heading=frame.people_heading)
-    person = dict.fromkeys(Pedestrians.__dataclass_fields__, nothing) | body
-    person |= dict(group=frame.group, present=frame.present)
-    robot = Robot(frame.position, frame.heading, nothing, nothing, nothing)
-    state = dict.fromkeys(State.__dataclass_fields__, nothing) | dict(situations=frame.situations, robot=robot)
-    return State(**state | dict(pedestrians=Pedestrians(**person)))  # pyright: ignore[reportArgumentType]
+    people: dict[str, Any] = dict.fromkeys(Pedestrians.__dataclass_fields__, nothing)
+    people |= dict(position=frame.people, velocity=frame.people_velocity, heading=frame.people_heading)
+    people |= dict(group=frame.group, present=frame.present)
+
+    state: dict[str, Any] = dict.fromkeys(State.__dataclass_fields__, nothing)
+    state["situations"] = frame.situations
+    state["robot"] = Robot(frame.position, frame.heading, nothing, nothing, nothing)
+    state["pedestrians"] = Pedestrians(**people)
+    return State(**state)

@@ -9,7 +9,7 @@ import jax
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sean_jax.core.data_types import Environment, Trajectory
+from sean_jax.core.data_types import Environment, Obstacles, Trajectory
 from sean_jax.core.errors import InputError
 from sean_jax.drawing import colors
 from sean_jax.graph import FLOWS, NO_EDGE, BehaviorGraph
@@ -79,24 +79,25 @@ def canvas(environment: Environment, width: float, title: str) -> tuple[Figure, 
     from matplotlib.figure import Figure
     from matplotlib.patches import Rectangle
 
-    x0, y0, x1, y1 = (float(v) for v in np.asarray(environment.floor))
+    # The floor with its margins [m], and a title above it [inches].
+    x0, y0, x1, y1 = map(float, np.asarray(environment.floor))
     span = x1 - x0
-    low, high = y0 - FOOT * span, y1 + MARGIN * span
-    wide, tall = span * (1 + 2 * MARGIN), high - low
-    head = 0.32 if title else 0.0  # inches
-    floor_height = width * tall / wide
-    figure = Figure(figsize=(width, floor_height + head), facecolor=colors.PAPER)
+    bottom, top = y0 - FOOT * span, y1 + MARGIN * span
+    width_shown = span * (1 + 2 * MARGIN)
+    floor_height = width * (top - bottom) / width_shown
+    height = floor_height + (0.32 if title else 0.0)
+
+    figure = Figure(figsize=(width, height), facecolor=colors.PAPER)
     FigureCanvasAgg(figure)
-    axes = figure.add_axes((0.0, 0.0, 1.0, floor_height / (floor_height + head)))
+    axes = figure.add_axes((0.0, 0.0, 1.0, floor_height / height))
     axes.set_xlim(x0 - MARGIN * span, x1 + MARGIN * span)
-    axes.set_ylim(low, high)
+    axes.set_ylim(bottom, top)
     axes.set_axis_off()
-    axes.add_patch(
-        Rectangle((x0, y0), span, y1 - y0, facecolor=colors.FLOOR, edgecolor=colors.MUTED, linewidth=0.8, zorder=0)
-    )
+    style: Any = dict(facecolor=colors.FLOOR, edgecolor=colors.MUTED, linewidth=0.8, zorder=0)
+    axes.add_patch(Rectangle((x0, y0), span, y1 - y0, **style))
     if title:
-        top = 1 - 0.14 / (floor_height + head)
-        figure.text(MARGIN * span / wide, top, title, fontsize=10, color=colors.INK, va="center", weight="bold")
+        style = dict(fontsize=10, color=colors.INK, va="center", weight="bold")
+        figure.text(MARGIN * span / width_shown, 1 - 0.14 / height, title, **style)
     return figure, axes
 
 
@@ -106,18 +107,28 @@ def draw_obstacles(axes: Axes, environment: Environment) -> None:
     from matplotlib.colors import to_rgba
 
     boxes = jax.tree.map(np.asarray, environment.obstacles)
-    boxes = jax.tree.map(lambda part: part[boxes.height > 0.0], boxes)
-    corners = boxes.half_extent[:, None] * np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]], float)
-    cosine, sine = np.cos(boxes.yaw)[:, None], np.sin(boxes.yaw)[:, None]
-    x = boxes.center[:, None, 0] + cosine * corners[..., 0] - sine * corners[..., 1]
-    y = boxes.center[:, None, 1] + sine * corners[..., 0] + cosine * corners[..., 1]
-    outlines = list(np.stack([x, y], -1))
+    boxes = jax.tree.map(lambda leaf: leaf[boxes.height > 0.0], boxes)
+    outlines = _box_outlines(boxes)
     opacity = 0.18 + 0.44 * np.clip(boxes.height / DARKEST_HEIGHT, 0, 1) ** 0.7
+    faces = [to_rgba(colors.OBSTACLE, alpha) for alpha in opacity]
+    edges = [to_rgba(colors.OBSTACLE, alpha) for alpha in np.minimum(1.5 * opacity, 1.0)]
+
+    # The floor's color below hides what is under translucent boxes.
     axes.add_collection(PolyCollection(outlines, facecolors=colors.FLOOR, edgecolors="none", zorder=2))
-    for alphas, filled in ((opacity, True), (np.minimum(1.5 * opacity, 1.0), False)):
-        shades = [to_rgba(colors.OBSTACLE, alpha) for alpha in alphas]
-        face, edge = (shades, "none") if filled else ("none", shades)
-        axes.add_collection(PolyCollection(outlines, facecolors=face, edgecolors=edge, linewidths=0.6, zorder=2))
+    style: Any = dict(linewidths=0.6, zorder=2)
+    axes.add_collection(PolyCollection(outlines, facecolors=faces, edgecolors="none", **style))
+    axes.add_collection(PolyCollection(outlines, facecolors="none", edgecolors=edges, **style))
+
+
+def _box_outlines(boxes: Obstacles) -> list[np.ndarray]:
+    """(4, 2) m, the corners of each box."""
+    signs = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]], float)
+    u, v = np.moveaxis(boxes.half_extent[:, None] * signs, -1, 0)  # (K, 4) each
+    cosine, sine = np.cos(boxes.yaw)[:, None], np.sin(boxes.yaw)[:, None]
+    center_x, center_y = boxes.center.T[..., None]
+    x = center_x + cosine * u - sine * v
+    y = center_y + sine * u + cosine * v
+    return list(np.stack([x, y], -1))
 
 
 def draw_graph(axes: Axes, graph: BehaviorGraph, alone: bool) -> None:
@@ -126,41 +137,58 @@ def draw_graph(axes: Axes, graph: BehaviorGraph, alone: bool) -> None:
     Args:
         alone: name the nodes; otherwise colors are faint, for a background.
     """
-    from matplotlib.collections import LineCollection
-
     count = len(graph.names) or graph.nodes
     position, radius = np.asarray(graph.position)[:count], np.asarray(graph.radius)[:count]
-    group, flows = np.asarray(graph.is_group, bool)[:count], np.asarray(graph.flow)
+    is_group = np.asarray(graph.is_group, bool)[:count]
     color = colors.EDGE if alone else colors.FAINT_EDGE
+    _draw_edges(axes, position, np.asarray(graph.flow), color)
+    _draw_nodes(axes, position[~is_group], radius[~is_group], color, "-")
+    _draw_nodes(axes, position[is_group], radius[is_group], colors.MEMBER, "--")
+    if alone:
+        _draw_node_names(axes, graph.names, position, radius, is_group)
+
+
+def _draw_edges(axes: Axes, position: np.ndarray, flows: np.ndarray, color: str) -> None:
+    """Lines between nodes at positions (M, 2) [m], by their flows (M, M), indices into FLOWS."""
+    from matplotlib.collections import LineCollection
+
     lines, styles, widths = [], [], []
     for u, v in np.argwhere(np.triu(flows != NO_EDGE, 1)):
         flow = FLOWS[flows[u, v]]
-        one_way = flow in ("forward", "backward")
         start, end = (position[v], position[u]) if flow == "backward" else (position[u], position[v])
         lines.append((start, end))
         styles.append((0, (1, 1.6)) if flow == "low" else "-")
         widths.append(2.6 if flow == "high" else 1.2)
-        if one_way:
+        if flow in ("forward", "backward"):
             along = (end - start) / max(float(np.hypot(*(end - start))), 1e-9)
             tip = 0.5 * (start + end) + 0.5 * along
             arrow = dict(arrowstyle="-|>", color=color, mutation_scale=13, linewidth=0)
             axes.annotate("", xy=tuple(tip), xytext=tuple(tip - 0.1 * along), arrowprops=arrow, zorder=3)
     axes.add_collection(LineCollection(lines, colors=color, linewidths=widths, linestyles=styles, zorder=3))
-    for members, shade in ((~group, color), (group, colors.MEMBER)):
-        size = 2 * radius[members]
-        for alpha, face, edge in ((0.16, shade, "none"), (1.0, "none", shade)):
-            dashes = "--" if shade == colors.MEMBER else "-"
-            style = dict(facecolors=face, edgecolors=edge, alpha=alpha, linewidths=0.9, linestyles=dashes, zorder=3)
-            _draw_ellipses(axes, position[members], size, size, np.zeros_like(size), style)
-    if alone:
-        from matplotlib.patheffects import withStroke
 
-        halo = [withStroke(linewidth=2.5, foreground=colors.FLOOR)]
-        for name, place, standing, size in zip(graph.names, position, group, radius, strict=True):
-            label = name.replace("_", " ")
-            x, y = (float(v) for v in place)
-            up, side = (float(size), "bottom") if standing else (0.0, "center")  # people stand in the middle of a group
-            axes.text(x, y + up, label, fontsize=7, color=colors.INK, ha="center", va=side, path_effects=halo, zorder=4)
+
+def _draw_nodes(axes: Axes, position: np.ndarray, radius: np.ndarray, color: str, line: str) -> None:
+    """Faint discs with an outline."""
+    size = 2 * radius
+    for alpha, face, edge in ((0.16, color, "none"), (1.0, "none", color)):
+        style = dict(facecolors=face, edgecolors=edge, alpha=alpha, linewidths=0.9, linestyles=line, zorder=3)
+        _draw_ellipses(axes, position, size, size, np.zeros_like(size), style)
+
+
+def _draw_node_names(
+    axes: Axes, names: Sequence[str], position: np.ndarray, radius: np.ndarray, is_group: np.ndarray
+) -> None:
+    """Names in the middle of waypoints, and above groups, in whose middle people stand."""
+    from matplotlib.patheffects import withStroke
+
+    halo = [withStroke(linewidth=2.5, foreground=colors.FLOOR)]
+    style: Any = dict(fontsize=7, color=colors.INK, ha="center", path_effects=halo, zorder=4)
+    for name, (x, y), size, group in zip(names, position.tolist(), radius.tolist(), is_group, strict=True):
+        label = name.replace("_", " ")
+        if group:
+            axes.text(x, y + size, label, va="bottom", **style)
+        else:
+            axes.text(x, y + 0.0, label, va="center", **style)
 
 
 def draw_trails(axes: Axes, frames: Trajectory, steps: int) -> None:
@@ -168,21 +196,22 @@ def draw_trails(axes: Axes, frames: Trajectory, steps: int) -> None:
     from matplotlib.collections import LineCollection
     from matplotlib.colors import to_rgb
 
-    people, present = (np.asarray(part)[-steps - 1 :] for part in (frames.people, frames.present))
+    people = np.asarray(frames.people)[-steps - 1 :]
+    present = np.asarray(frames.present)[-steps - 1 :]
     stride = max(1, len(people) // 240)
-    people, present = people[::-stride][::-1], present[::-stride][::-1]
+    people = people[::-stride][::-1]
+    present = present[::-stride][::-1]
     if len(people) < 2:
         return
     segments = np.stack([people[:-1], people[1:]], 2)  # (T - 1, N, 2, 2)
     walked = (present[:-1] & present[1:]).ravel()  # people who are absent at one end did not walk there
-    age = np.linspace(0.03, 1.0, len(segments)) ** 1.6
-    shade = np.concatenate([np.tile(to_rgb(colors.TRAIL), (len(segments), 1)), 0.75 * age[:, None]], 1)
-    trails = LineCollection(
-        list(segments.reshape(-1, 2, 2)[walked]),
-        colors=np.repeat(shade, people.shape[1], 0)[walked],
-        linewidths=1.1,
-        zorder=4,
-    )
+
+    # Trails fade with age.
+    opacity = 0.75 * np.linspace(0.03, 1.0, len(segments))[:, None] ** 1.6
+    color = np.tile(to_rgb(colors.TRAIL), (len(segments), 1))
+    shades = np.repeat(np.concatenate([color, opacity], 1), people.shape[1], 0)
+    lines = list(segments.reshape(-1, 2, 2)[walked])
+    trails = LineCollection(lines, colors=shades[walked], linewidths=1.1, zorder=4)
     trails.set_rasterized(True)  # thousands of segments: an image is smaller than their outlines
     trails.set_capstyle("butt")
     axes.add_collection(trails)
@@ -191,10 +220,10 @@ def draw_trails(axes: Axes, frames: Trajectory, steps: int) -> None:
 def draw_people(axes: Axes, frames: Trajectory) -> None:
     """Draw each person at the last of frames (T, ...): a disc with a tick along the heading, blue in a group."""
     present = np.asarray(frames.present[-1], bool)
-    position, heading, group = (
-        np.asarray(part[-1])[present] for part in (frames.people, frames.people_heading, frames.group)
-    )
-    draw_discs(axes, position, heading, group >= 0, PERSON_RADIUS, 0.8)
+    position = np.asarray(frames.people[-1])[present]
+    heading = np.asarray(frames.people_heading[-1])[present]
+    is_member = np.asarray(frames.group[-1])[present] >= 0
+    draw_discs(axes, position, heading, is_member, PERSON_RADIUS, 0.8)
 
 
 def draw_discs(
@@ -210,8 +239,8 @@ def draw_discs(
     """
     from matplotlib.collections import LineCollection
 
-    ends = np.stack([position, position + 1.9 * radius * heading], 1)
-    axes.add_collection(LineCollection(list(ends), colors=colors.PERSON_EDGE, linewidths=linewidth + 0.1, zorder=6))
+    ticks = np.stack([position, position + 1.9 * radius * heading], 1)
+    axes.add_collection(LineCollection(list(ticks), colors=colors.PERSON_EDGE, linewidths=linewidth + 0.1, zorder=6))
     across = np.full(len(position), 2 * radius)
     angles = np.degrees(np.arctan2(heading[:, 1], heading[:, 0]))
     faces = [colors.MEMBER if is_member else colors.PERSON for is_member in member]
@@ -225,8 +254,8 @@ def _draw_ellipses(
     """Draw ellipses at positions (N, 2) [m], of widths and heights (N,) [m], turned by angles (N,) [degrees]."""
     from matplotlib.collections import EllipseCollection
 
-    place: Any = dict(units="xy", offsets=position, offset_transform=axes.transData)
-    axes.add_collection(EllipseCollection(width, height, angle, **place, **style))
+    offsets: Any = dict(units="xy", offsets=position, offset_transform=axes.transData)
+    axes.add_collection(EllipseCollection(width, height, angle, **offsets, **style))
 
 
 def draw_robot(axes: Axes, frames: Trajectory, situations: Sequence[str], radius: ArrayLike = ROBOT_RADIUS) -> None:
@@ -238,39 +267,66 @@ def draw_robot(axes: Axes, frames: Trajectory, situations: Sequence[str], radius
         frames: (T, ...) of one episode.
         radius: m, of all robots, or (1 + R,) of the robot and the other ones.
     """
+    path = np.asarray(frames.position)
+    others = other_robots(frames)
+    radius, *other_radii = map(float, np.broadcast_to(radius, 1 + len(others)))
+    _draw_path(axes, path, step_colors(frames, situations))
+    start, goal, place = map(_point, (path[0], frames.goal[-1], path[-1]))
+
+    # Start and goal.
+    ring: Any = dict(edgecolor=colors.ROBOT, linewidth=1.8, zorder=10)
+    _draw_circle(axes, start, 0.42, facecolor=colors.PAPER, **ring)
+    _draw_circle(axes, goal, 0.75, facecolor="none", **ring)
+    _draw_circle(axes, goal, 0.28, facecolor=colors.ROBOT, **ring)
+
+    # The robot at its last pose, and the other ones.
+    body: Any = dict(facecolor=colors.ROBOT, edgecolor=colors.ROBOT_EDGE, linewidth=1.0, zorder=11)
+    nose: Any = dict(color=colors.ROBOT_EDGE, linewidth=1.4, zorder=12)
+    _draw_circle(axes, place, HALO, facecolor=colors.ROBOT, edgecolor="none", alpha=0.35, zorder=11)
+    _draw_circle(axes, place, radius, **body)
+    for robot, other_radius in zip(others, other_radii, strict=True):
+        _draw_other_robot(axes, robot, other_radius, body, nose)
+    tip = path[-1] + 2.2 * radius * frames.heading[-1]
+    axes.plot(*zip(path[-1], tip, strict=True), **nose)
+
+
+def _draw_other_robot(axes: Axes, robot: np.ndarray, radius: float, body: dict, nose: dict) -> None:
+    """Draw another robot of a team (T, 6), as of ``other_robots``: path, last pose and goal."""
+    line: Any = dict(linewidth=1.4, linestyle="--")
+    axes.plot(*robot[:, :2].T, color=colors.ROBOT, zorder=8, **line)
+    x, y, heading_x, heading_y, goal_x, goal_y = map(float, robot[-1])
+    length = 2.2 * radius
+    _draw_circle(axes, (x, y), radius, **body)
+    axes.plot([x, x + length * heading_x], [y, y + length * heading_y], **nose)
+    _draw_circle(axes, (goal_x, goal_y), 0.75, facecolor="none", edgecolor=colors.ROBOT, zorder=10, **line)
+    _draw_circle(axes, (goal_x, goal_y), 0.28, facecolor=colors.ROBOT, edgecolor="none", zorder=10)
+
+
+def _draw_path(axes: Axes, path: np.ndarray, shades: list[str]) -> None:
+    """A path (T, 2) [m] in the colors of its steps, one line for each run of a color."""
     from matplotlib.collections import LineCollection
+
+    axes.plot(*path.T, color=colors.PAPER, linewidth=5.0, solid_capstyle="round", zorder=8)
+    changes = [shade != before for shade, before in zip(shades[1:], shades[:-1], strict=True)]
+    starts = np.flatnonzero([True, *changes])
+    ends = [*starts[1:], len(path)]
+    runs = [path[max(start - 1, 0) : end] for start, end in zip(starts, ends, strict=True)]
+    style: Any = dict(linewidths=3.0, zorder=9, capstyle="butt")
+    axes.add_collection(LineCollection(runs, colors=[shades[start] for start in starts], **style))
+
+
+def _draw_circle(axes: Axes, center: tuple[float, float], radius: float, **style: Any) -> None:
     from matplotlib.patches import Circle
 
-    path, others = np.asarray(frames.position), of_others(frames)
-    radius, *radii = map(float, np.broadcast_to(radius, 1 + len(others)))
-    shades = step_colors(frames, situations)
-    axes.plot(*path.T, color=colors.PAPER, linewidth=5.0, solid_capstyle="round", zorder=8)
-    runs = np.flatnonzero([True, *(a != b for a, b in zip(shades[1:], shades[:-1], strict=True))])
-    pieces = [path[max(a - 1, 0) : b] for a, b in zip(runs, [*runs[1:], len(path)], strict=True)]
-    axes.add_collection(
-        LineCollection(pieces, colors=[shades[a] for a in runs], linewidths=3.0, zorder=9, capstyle="butt")
-    )
-    axes.add_patch(Circle(path[0], 0.42, facecolor=colors.PAPER, edgecolor=colors.ROBOT, linewidth=1.8, zorder=10))
-    goal = (float(frames.goal[-1][0]), float(frames.goal[-1][1]))
-    for ring, face in ((0.75, "none"), (0.28, colors.ROBOT)):
-        axes.add_patch(Circle(goal, ring, facecolor=face, edgecolor=colors.ROBOT, linewidth=1.8, zorder=10))
-    here = (float(path[-1][0]), float(path[-1][1]))
-    axes.add_patch(Circle(here, HALO, facecolor=colors.ROBOT, edgecolor="none", alpha=0.35, zorder=11))
-    axes.add_patch(Circle(here, radius, facecolor=colors.ROBOT, edgecolor=colors.ROBOT_EDGE, linewidth=1.0, zorder=11))
-    for other, size in zip(others, radii, strict=True):
-        axes.plot(*other[:, :2].T, color=colors.ROBOT, linewidth=1.4, linestyle="--", zorder=8)
-        x, y, hx, hy, *goal = map(float, other[-1])
-        body: Any = dict(facecolor=colors.ROBOT, edgecolor=colors.ROBOT_EDGE, linewidth=1.0, zorder=11)
-        axes.add_patch(Circle((x, y), size, **body))
-        axes.plot([x, x + 2.2 * size * hx], [y, y + 2.2 * size * hy], color=colors.ROBOT_EDGE, linewidth=1.4, zorder=12)
-        ring: Any = dict(facecolor="none", edgecolor=colors.ROBOT, linewidth=1.4, linestyle="--", zorder=10)
-        axes.add_patch(Circle((goal[0], goal[1]), 0.75, **ring))
-        axes.add_patch(Circle((goal[0], goal[1]), 0.28, facecolor=colors.ROBOT, edgecolor="none", zorder=10))
-    nose = path[-1] + 2.2 * radius * frames.heading[-1]
-    axes.plot(*zip(path[-1], nose, strict=True), color=colors.ROBOT_EDGE, linewidth=1.4, zorder=12)
+    axes.add_patch(Circle(center, radius, **style))
 
 
-def of_others(frames: Trajectory) -> np.ndarray:
+def _point(place: ArrayLike) -> tuple[float, float]:
+    x, y = map(float, np.asarray(place))
+    return x, y
+
+
+def other_robots(frames: Trajectory) -> np.ndarray:
     """(R, T, 6) of the other robots of a team, as ``Trajectory.robots``; R is 0 without a team."""
     robots = np.zeros((len(frames.position), 0, 6)) if frames.robots is None else np.asarray(frames.robots)
     return robots.swapaxes(0, 1)
@@ -278,12 +334,13 @@ def of_others(frames: Trajectory) -> np.ndarray:
 
 def draw_scale(axes: Axes, environment: Environment) -> None:
     """Draw a bar of a round length below the floor's left corner."""
-    x0, y0, x1, _ = (float(v) for v in np.asarray(environment.floor))
+    x0, y0, x1, _ = map(float, np.asarray(environment.floor))
     span = x1 - x0
-    bar = max(length for length in (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0) if length <= max(0.15 * span, 0.5))
+    max_length = max(0.15 * span, 0.5)
+    bar = max(length for length in (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0) if length <= max_length)
     y = y0 - 0.030 * span
-    tick = 0.008 * span
-    axes.plot([x0, x0, x0 + bar, x0 + bar], [y + tick, y, y, y + tick], color=colors.MUTED, linewidth=1.1, zorder=5)
+    tick = y + 0.008 * span
+    axes.plot([x0, x0, x0 + bar, x0 + bar], [tick, y, y, tick], color=colors.MUTED, linewidth=1.1, zorder=5)
     axes.text(x0, y - 0.010 * span, f"{bar:g} m", fontsize=8, color=colors.MUTED, ha="left", va="top", zorder=5)
 
 
@@ -292,7 +349,7 @@ def draw_heat(axes: Axes, environment: Environment, density: np.ndarray, label: 
     from matplotlib.colors import LinearSegmentedColormap, PowerNorm
     from matplotlib.ticker import MaxNLocator
 
-    x0, y0, x1, y1 = (float(v) for v in np.asarray(environment.floor))
+    x0, y0, x1, y1 = map(float, np.asarray(environment.floor))
     busy = density[density > 0]
     highest = float(np.quantile(busy, 0.97)) if busy.size else 1.0
     image = axes.imshow(
@@ -306,12 +363,12 @@ def draw_heat(axes: Axes, environment: Environment, density: np.ndarray, label: 
         zorder=1,
     )
     span = x1 - x0
-    below = axes.inset_axes((x1 - 0.38 * span, y0 - 0.034 * span, 0.38 * span, 0.014 * span), transform=axes.transData)
+    bounds = (x1 - 0.38 * span, y0 - 0.034 * span, 0.38 * span, 0.014 * span)
+    below = axes.inset_axes(bounds, transform=axes.transData)
     bar = axes.get_figure().colorbar(image, cax=below, orientation="horizontal", extend="max", ticks=MaxNLocator(3))  # pyright: ignore[reportOptionalMemberAccess]
     bar.outline.set_visible(False)  # pyright: ignore[reportCallIssue]
     below.tick_params(size=0, labelsize=7.5, labelcolor=colors.MUTED, pad=2)
-    place = (x1 - 0.40 * span, y0 - 0.027 * span)
-    axes.text(*place, label, fontsize=7.5, color=colors.MUTED, ha="right", va="center")
+    axes.text(x1 - 0.40 * span, y0 - 0.027 * span, label, fontsize=7.5, color=colors.MUTED, ha="right", va="center")
 
 
 def draw_flow(axes: Axes, environment: Environment, graph: BehaviorGraph, flow: np.ndarray) -> None:
@@ -322,35 +379,35 @@ def draw_flow(axes: Axes, environment: Environment, graph: BehaviorGraph, flow: 
     """
     from matplotlib.collections import PolyCollection
 
-    x0, y0, x1, _ = (float(v) for v in np.asarray(environment.floor))
-    span, flow_max = x1 - x0, float(flow.max(initial=0.0))
-    position, widest = (
-        np.asarray(graph.position, float),
-        min(MAX_BAND[0] * float(np.mean(graph.radius)), MAX_BAND[1] * span),
-    )
+    x0, y0, x1, _ = map(float, np.asarray(environment.floor))
+    span = x1 - x0
+    flow_max = float(flow.max(initial=0.0))
+    position = np.asarray(graph.position, float)
+    widest = min(MAX_BAND[0] * float(np.mean(graph.radius)), MAX_BAND[1] * span)
     bands = []
     for u, v in np.argwhere(flow > 0):
-        wide = max(widest * float(flow[u, v]) / flow_max, MIN_BAND * span)
-        bands.append(_band(position[u], position[v], wide))
+        width = max(widest * float(flow[u, v]) / flow_max, MIN_BAND * span)
+        bands.append(_band(position[u], position[v], width))
+
+    # The widest band explains the others, below the floor.
     corner = np.array([x0 + 0.19 * span, y0 - 0.027 * span + 0.5 * widest])
     bands.append(_band(corner, corner + np.array([0.05 * span, 0.0]), widest))
-    collection = PolyCollection(
-        bands, facecolors=colors.FLOW, edgecolors=colors.FLOOR, linewidths=0.5, alpha=0.7, zorder=4
-    )
+    style: Any = dict(facecolors=colors.FLOW, edgecolors=colors.FLOOR, linewidths=0.5, alpha=0.7, zorder=4)
+    collection = PolyCollection(bands, **style)
     collection.set_clip_on(False)
     axes.add_collection(collection)
     axes.plot(*position.T, linestyle="", marker="o", markersize=3.5, color=colors.FLOW_EDGE, zorder=5)
-    place = (x0 + 0.25 * span, y0 - 0.027 * span)
-    axes.text(*place, f"{flow_max:.3g} people a minute", fontsize=7.5, color=colors.MUTED, ha="left", va="center")
+    label = f"{flow_max:.3g} people a minute"
+    axes.text(x0 + 0.25 * span, y0 - 0.027 * span, label, fontsize=7.5, color=colors.MUTED, ha="left", va="center")
 
 
-def _band(start: np.ndarray, end: np.ndarray, wide: float) -> np.ndarray:
+def _band(start: np.ndarray, end: np.ndarray, width: float) -> np.ndarray:
     """(5, 2) m corners of a band on the right of the way from start to end, with its tip at the end."""
     along = end - start
-    long = max(float(np.hypot(*along)), 1e-9)
-    along = along / long
-    right = np.array([along[1], -along[0]]) * wide
-    tip = end - along * min(1.5 * wide, 0.5 * long)
+    length = max(float(np.hypot(*along)), 1e-9)
+    along = along / length
+    right = np.array([along[1], -along[0]]) * width
+    tip = end - along * min(1.5 * width, 0.5 * length)
     return np.stack([start, start + right, tip + right, end, end])
 
 
@@ -368,37 +425,60 @@ def draw_legend(axes: Axes, graph: bool, frames: Trajectory | None, situations: 
         frames: (T, ...) of one episode, if one is drawn.
     """
     from matplotlib.legend_handler import HandlerTuple
-    from matplotlib.lines import Line2D
 
     entries: list[tuple[Any, str]] = []
     if frames is not None:
-        entries += [
-            (mark("o", colors.ROBOT, colors.ROBOT_EDGE, 6.5), "robot"),
-            (mark("o", colors.PAPER, colors.ROBOT, 6.5), "start"),
-            ((mark("o", "none", colors.ROBOT, 8.5), mark("o", colors.ROBOT, colors.ROBOT, 3)), "goal"),
-            (mark("o", colors.PERSON, colors.PERSON_EDGE, 6.5), "person"),
-            (mark("o", colors.MEMBER, colors.PERSON_EDGE, 6.5), "in a group"),
-        ]
-        occurred = set(situation_indices(frames).tolist())
-        shades = [*zip(situations, colors.situation_colors(situations), strict=True), ("none", colors.NO_SITUATION)]
-        for index, (name, color) in enumerate(shades):
-            if index in occurred:
-                entries.append((Line2D([], [], color=color, linewidth=3), name.replace("_", " ")))
+        entries = [*_episode_marks(), *_situation_marks(frames, situations)]
     elif graph:
-        entries += [
-            (mark("o", "#e9ecf2", colors.EDGE, 8), "waypoint"),
-            (mark("o", "#e2f4f9", colors.MEMBER, 8), "group"),
-            (Line2D([], [], color=colors.EDGE, linewidth=1.2), "both ways"),
-            (Line2D([], [], color=colors.EDGE, linewidth=1.2, marker=">", markersize=5), "one way"),
-        ]
-    if entries:
-        handles, labels = zip(*entries, strict=True)
-        columns = max(5 if frames is not None else 4, -(-len(entries) // 3))  # three rows fit below the floor
-        legend = axes.legend(
-            handles, labels, loc="lower right", bbox_to_anchor=(1.0 - MARGIN, 0.0),
-            ncols=columns, fontsize=7.5 if columns < 6 else 6.5,
-            frameon=False, labelcolor=colors.INK, handlelength=1.1, handletextpad=0.5,
-            columnspacing=1.2, borderpad=0.1, borderaxespad=0.2, labelspacing=0.35,
-            handler_map={tuple: HandlerTuple(ndivide=1)},
-        )  # fmt: skip
-        legend.set_zorder(20)
+        entries = _graph_marks()
+    if not entries:
+        return
+
+    handles, labels = zip(*entries, strict=True)
+    columns = max(5 if frames is not None else 4, -(-len(entries) // 3))  # three rows fit below the floor
+    legend = axes.legend(
+        handles, labels, loc="lower right", bbox_to_anchor=(1.0 - MARGIN, 0.0),
+        ncols=columns, fontsize=7.5 if columns < 6 else 6.5,
+        frameon=False, labelcolor=colors.INK, handlelength=1.1, handletextpad=0.5,
+        columnspacing=1.2, borderpad=0.1, borderaxespad=0.2, labelspacing=0.35,
+        handler_map={tuple: HandlerTuple(ndivide=1)},
+    )  # fmt: skip
+    legend.set_zorder(20)
+
+
+def _episode_marks() -> list[tuple[Any, str]]:
+    """Marks and labels of robot and people."""
+    goal = mark("o", "none", colors.ROBOT, 8.5), mark("o", colors.ROBOT, colors.ROBOT, 3)
+    return [
+        (mark("o", colors.ROBOT, colors.ROBOT_EDGE, 6.5), "robot"),
+        (mark("o", colors.PAPER, colors.ROBOT, 6.5), "start"),
+        (goal, "goal"),
+        (mark("o", colors.PERSON, colors.PERSON_EDGE, 6.5), "person"),
+        (mark("o", colors.MEMBER, colors.PERSON_EDGE, 6.5), "in a group"),
+    ]
+
+
+def _situation_marks(frames: Trajectory, situations: Sequence[str]) -> list[tuple[Any, str]]:
+    """Lines and names of the situations that occurred."""
+    from matplotlib.lines import Line2D
+
+    occurred = set(situation_indices(frames).tolist())
+    shades = [*zip(situations, colors.situation_colors(situations), strict=True), ("none", colors.NO_SITUATION)]
+    return [
+        (Line2D([], [], color=color, linewidth=3), name.replace("_", " "))
+        for index, (name, color) in enumerate(shades)
+        if index in occurred
+    ]
+
+
+def _graph_marks() -> list[tuple[Any, str]]:
+    """Marks and labels of a behavior graph."""
+    from matplotlib.lines import Line2D
+
+    line: Any = dict(color=colors.EDGE, linewidth=1.2)
+    return [
+        (mark("o", "#e9ecf2", colors.EDGE, 8), "waypoint"),
+        (mark("o", "#e2f4f9", colors.MEMBER, 8), "group"),
+        (Line2D([], [], **line), "both ways"),
+        (Line2D([], [], marker=">", markersize=5, **line), "one way"),
+    ]

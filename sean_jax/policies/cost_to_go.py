@@ -12,7 +12,8 @@ from flax import struct
 from jaxtyping import Float, Int
 
 from sean_jax.core.data_types import Array, PathsToGoal, Scenario, State
-from sean_jax.core.geometry import from_rectangle, length, nearby_obstacles
+from sean_jax.core.geometry import length
+from sean_jax.policies.obstacles import obstacle_distances
 from sean_jax.world.navigation import segment_is_free
 from sean_jax.world.navigation.arcs import ANGLE, CornerArcs, tangents
 from sean_jax.world.navigation.shortest_paths import last_arcs
@@ -52,17 +53,24 @@ def build_cost_to_go(
     The corners that follow the first place's best one are added.
     """
     navigation, paths_to_goal = scenario.navigation, state.task.paths_to_goal
-    every = jnp.arange(paths_to_goal.distance.shape[0], dtype=jnp.int32)
-    total = jax.lax.stop_gradient(_path_lengths(scenario, navigation.arcs, every, paths_to_goal, x, y))  # (P, V)
-    best = jnp.min(total, axis=1, keepdims=True)
-    worse = jnp.where(jnp.isfinite(total), total - jnp.where(jnp.isfinite(best), best, 0.0), jnp.inf)
-    _, index = jax.lax.top_k(-jnp.min(worse, axis=0), min(NEAR_CORNERS, every.shape[0]))
-    chain = [jnp.argmin(total[0]).astype(jnp.int32)]
+    all_corners = jnp.arange(paths_to_goal.distance.shape[0], dtype=jnp.int32)
+    lengths = _path_lengths(scenario, navigation.arcs, all_corners, paths_to_goal, x, y)
+    lengths = jax.lax.stop_gradient(lengths)  # (P, V)
+
+    # Corners whose path is little longer than the shortest one of some place.
+    shortest = jnp.min(lengths, axis=1, keepdims=True)
+    detour = lengths - jnp.where(jnp.isfinite(shortest), shortest, 0.0)
+    detour = jnp.where(jnp.isfinite(lengths), detour, jnp.inf)
+    _, near = jax.lax.top_k(-jnp.min(detour, axis=0), min(NEAR_CORNERS, all_corners.shape[0]))
+
+    # The corners after the first one of the first place's path.
+    chain = [jnp.argmin(lengths[0]).astype(jnp.int32)]
     for _ in range(CHAIN_CORNERS):
         chain.append(successors[chain[-1]])
-    index = jnp.concatenate([index.astype(jnp.int32), jnp.stack(chain[1:])])
-    corners, chosen = jax.tree.map(lambda part: part[index], (navigation.arcs, paths_to_goal))
-    return CostToGo(corners, index, chosen)
+
+    index = jnp.concatenate([near.astype(jnp.int32), jnp.stack(chain[1:])])
+    corners, chosen_paths = jax.tree.map(lambda leaf: leaf[index], (navigation.arcs, paths_to_goal))
+    return CostToGo(corners, index, chosen_paths)
 
 
 def distance_to_goal(
@@ -75,8 +83,12 @@ def distance_to_goal(
     """
     navigation, goal = scenario.navigation, state.task.goal
     paths = _path_lengths(scenario, table.corners, table.index, table.paths_to_goal, x, y)
-    boxes, near = navigation.obstacles, NARROW * navigation.radius
-    straight = jax.vmap(lambda px, py: segment_is_free(boxes, jnp.stack([px, py]), goal, near))(x, y)
+    clearance = NARROW * navigation.radius
+
+    def goal_is_visible(px: Array, py: Array) -> Array:
+        return segment_is_free(navigation.obstacles, jnp.stack([px, py]), goal, clearance)
+
+    straight = jax.vmap(goal_is_visible)(x, y)
     return jnp.where(straight, length(goal[0] - x, goal[1] - y), jnp.min(paths, axis=1))
 
 
@@ -86,18 +98,22 @@ def _path_lengths(
     """(P, K) m from places by each of the corners to the goal; inf by corners that are not in sight."""
     navigation = scenario.navigation
     x, y = _push_out(scenario, x, y)
-    grid = navigation.visible, navigation.origin, navigation.cell
-    i, j = jax.vmap(functools.partial(cell_of, *grid))(jax.lax.stop_gradient(jnp.stack([x, y], -1)))
+    cells = functools.partial(cell_of, navigation.visible, navigation.origin, navigation.cell)
+    i, j = jax.vmap(cells)(jax.lax.stop_gradient(jnp.stack([x, y], -1)))
+
+    # The tables have a bit for each corner, eight in a word.
     words = navigation.visible[i[:, None], j[:, None], index[None, :] // 8]
-    visible = (words >> (index % 8).astype(words.dtype)[None, :]) & 1 != 0
+    bit = (index % 8).astype(words.dtype)[None, :]
+    visible = (words >> bit) & 1 != 0
 
     def from_place(px: Array, py: Array) -> tuple[Array, Array]:
-        far, angle, _, _, on = tangents(corners, jnp.stack([px, py]), navigation.radius, True)
+        to_arc, angle, _, _, exists = tangents(corners, jnp.stack([px, py]), navigation.radius, True)
         overshoot = jnp.maximum(angle - paths_to_goal.departure_angle - ANGLE, 0.0)
-        return far - navigation.radius * (angle - overshoot) + paths_to_goal.distance, on & (overshoot < MAX_OVERSHOOT)
+        path_length = to_arc - navigation.radius * (angle - overshoot) + paths_to_goal.distance
+        return path_length, exists & (overshoot < MAX_OVERSHOOT)
 
-    total, fits = jax.vmap(from_place)(x, y)
-    return jnp.where(visible & fits, total, jnp.inf)
+    lengths, fits = jax.vmap(from_place)(x, y)
+    return jnp.where(visible & fits, lengths, jnp.inf)
 
 
 def _push_out(scenario: Scenario, x: Array, y: Array) -> tuple[Array, Array]:
@@ -105,11 +121,11 @@ def _push_out(scenario: Scenario, x: Array, y: Array) -> tuple[Array, Array]:
 
     Gradients are the gradients of the places.
     """
-    stop = jax.lax.stop_gradient
-    rows = nearby_obstacles(scenario.environment.obstacle_grid, stop(x), stop(y))
-    parts = (rows[..., part] for part in range(6))
-    distance, nx, ny = from_rectangle(stop(x)[:, None], stop(y)[:, None], *parts)
-    nearest = jnp.argmin(distance, axis=1, keepdims=True)
-    distance, nx, ny = (jnp.take_along_axis(part, nearest, 1)[:, 0] for part in (distance, nx, ny))
+    fixed_x, fixed_y = jax.lax.stop_gradient((x, y))
+    distances, normals_x, normals_y = obstacle_distances(scenario.environment, fixed_x, fixed_y)
+    nearest = jnp.argmin(distances, axis=1, keepdims=True)
+    distance = jnp.take_along_axis(distances, nearest, 1)[:, 0]
+    nx = jnp.take_along_axis(normals_x, nearest, 1)[:, 0]
+    ny = jnp.take_along_axis(normals_y, nearest, 1)[:, 0]
     out = jnp.maximum(scenario.navigation.radius + SPARE - distance, 0.0)
     return x + out * nx, y + out * ny

@@ -13,6 +13,7 @@ DLu/navigation_layers at a9ee49b (proxemic layer).
 """
 
 import functools
+import itertools
 import math
 from collections.abc import Callable
 
@@ -27,6 +28,7 @@ from sean_jax.core.data_types import Array, Environment, Pedestrians, Scenario, 
 from sean_jax.core.devices import parameter
 from sean_jax.core.geometry import from_rectangle, length, nearby_obstacles, rotate, to_border
 from sean_jax.policies import wave_kernel
+from sean_jax.sensors.lidars import lidar_directions
 
 CELLS_PER_BIN = 10  # cells along a side of a cell of the environment's obstacle grid, which is 1 m wide
 MAX_MAP_CELLS = 1_000_000  # larger floors have wider cells
@@ -40,6 +42,9 @@ TOUCH = 1e-4  # m, by which obstacles may reach into a cell
 MAX_INFLATION = 3  # cells
 MARK_RANGE, CLEAR_RANGE = 2.5, 3.0  # m (obstacle_range, raytrace_range)
 FOOTPRINT_CORNERS = 16
+
+Rule = Callable[[Array, Array, Array], Array]
+"""The value of a cell by the lower neighbors of each axis and by its cost."""
 
 
 @struct.dataclass
@@ -75,8 +80,8 @@ def cells_per_bin(environment: Environment) -> int:
 def map_shape(environment: Environment) -> tuple[int, int]:
     """Cells of the map along x and y, with a margin of half a window on all sides."""
     columns, rows = environment.obstacle_grid.rows.shape[:2]
-    each = cells_per_bin(environment)
-    return columns * each + 2 * MARGIN, rows * each + 2 * MARGIN
+    cells = cells_per_bin(environment)
+    return columns * cells + 2 * MARGIN, rows * cells + 2 * MARGIN
 
 
 def map_frame(environment: Environment) -> tuple[Float[Array, "2"], Float[Array, ""]]:
@@ -87,16 +92,20 @@ def map_frame(environment: Environment) -> tuple[Float[Array, "2"], Float[Array,
 
 def static_cells(environment: Environment) -> Bool[Array, "X Y"]:
     """Whether each cell overlaps an obstacle, more than to touch it, or its middle is off a floor with an edge."""
-    (columns, rows), (origin, cell) = map_shape(environment), map_frame(environment)
+    columns, rows = map_shape(environment)
+    origin, cell = map_frame(environment)
     y = origin[1] + (jnp.arange(rows, dtype=float) + 0.5) * cell
 
     def column(index: Array) -> Array:
         x = jnp.full_like(y, origin[0] + (index.astype(y.dtype) + 0.5) * cell)
-        near = nearby_obstacles(environment.obstacle_grid, x, y)
-        center_x, center_y, half_x, half_y, cosine, sine = (near[..., part] for part in range(6))
-        halves = half_x + 0.5 * cell - TOUCH, half_y + 0.5 * cell - TOUCH
-        walls = from_rectangle(x[:, None], y[:, None], center_x, center_y, *halves, cosine, sine)[0]
-        return (jnp.min(walls, 1) <= 0.0) | (to_border(environment, x, y) <= 0.0)
+        boxes = nearby_obstacles(environment.obstacle_grid, x, y)
+        center_x, center_y, half_x, half_y, cosine, sine = (boxes[..., field] for field in range(6))
+
+        # A cell overlaps a box if its middle lies in the box grown by half a cell.
+        half_x = half_x + 0.5 * cell - TOUCH
+        half_y = half_y + 0.5 * cell - TOUCH
+        distance, _, _ = from_rectangle(x[:, None], y[:, None], center_x, center_y, half_x, half_y, cosine, sine)
+        return (jnp.min(distance, 1) <= 0.0) | (to_border(environment, x, y) <= 0.0)
 
     return jax.lax.map(column, jnp.arange(columns, dtype=jnp.int32))
 
@@ -153,9 +162,14 @@ def cell_index(
     window: Window, x: Float[Array, "*shape"], y: Float[Array, "*shape"]
 ) -> tuple[Int[Array, "*shape"], Int[Array, "*shape"]]:
     """The cells of the window in which places (x, y) [m] lie, or the nearest cells."""
+    i, j = _unclipped_cell_index(window, x, y)
+    return jnp.clip(i, 0, WINDOW - 1), jnp.clip(j, 0, WINDOW - 1)
+
+
+def _unclipped_cell_index(window: Window, x: Array, y: Array) -> tuple[Array, Array]:
     i = jnp.floor((x - window.origin[0]) / window.cell).astype(jnp.int32)
     j = jnp.floor((y - window.origin[1]) / window.cell).astype(jnp.int32)
-    return jnp.clip(i, 0, WINDOW - 1), jnp.clip(j, 0, WINDOW - 1)
+    return i, j
 
 
 def cell_middles(window: Window) -> tuple[Float[Array, "W 1"], Float[Array, "1 W"]]:
@@ -172,10 +186,11 @@ def footprint(
 ) -> tuple[Float[Array, "*shape 16"], Float[Array, "*shape 16"]]:
     """x and y [m] of the 16 corners of the robot's footprint at poses [m, m, rad]."""
     angle = 2.0 * np.pi / FOOTPRINT_CORNERS * np.arange(FOOTPRINT_CORNERS)
-    ahead, left = (np.reshape(turn(angle), (1,) * yaw.ndim + (-1,)) for turn in (np.cos, np.sin))
-    corners = radius * jnp.asarray(ahead, float), radius * jnp.asarray(left, float)
-    ahead, left = rotate(*corners, jnp.cos(yaw)[..., None], jnp.sin(yaw)[..., None])
-    return x[..., None] + ahead, y[..., None] + left
+    shape = (1,) * yaw.ndim + (-1,)
+    ahead = radius * jnp.asarray(np.cos(angle).reshape(shape), float)
+    left = radius * jnp.asarray(np.sin(angle).reshape(shape), float)
+    dx, dy = rotate(ahead, left, jnp.cos(yaw)[..., None], jnp.sin(yaw)[..., None])
+    return x[..., None] + dx, y[..., None] + dy
 
 
 def footprint_cells(scenario: Scenario, state: State, window: Window) -> Bool[Array, "W W"]:
@@ -184,7 +199,8 @@ def footprint_cells(scenario: Scenario, state: State, window: Window) -> Bool[Ar
     x, y = cell_middles(window)
     inside = length(x - robot.position[0], y - robot.position[1]) <= radius
     yaw = jnp.arctan2(robot.heading[1], robot.heading[0])
-    return inside.at[cell_index(window, *footprint(radius, robot.position[0], robot.position[1], yaw))].set(True)
+    corner_x, corner_y = footprint(radius, robot.position[0], robot.position[1], yaw)
+    return inside.at[cell_index(window, corner_x, corner_y)].set(True)
 
 
 def update_marks(scenario: Scenario, state: State, window: Window, marks: Bool[Array, "W W"]) -> Bool[Array, "W W"]:
@@ -196,39 +212,51 @@ def update_marks(scenario: Scenario, state: State, window: Window, marks: Bool[A
     lidar = sensors.lidar(scenario)
     distance = sensors.scan(scenario, state, lidar)
     hit = distance < lidar.far
-    angle = lidar.first + lidar.span * np.arange(lidar.count) / lidar.count
-    rays = np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], -1) @ np.reshape(lidar.axes, (3, 3)).T
-    robot = state.robot
+    position, heading = state.robot.position, state.robot.heading
     mount = next(mount.origin for mount in scenario.robot.mounts if mount.name == lidar.name)
-    ahead, left = (mount[axis] + distance * jnp.asarray(rays[:, axis], float) for axis in (0, 1))
-    x, y = rotate(ahead, left, robot.heading[0], robot.heading[1])
-    eye_x, eye_y = rotate(mount[0], mount[1], robot.heading[0], robot.heading[1])
-    i, j = cell_index(window, robot.position[0] + x, robot.position[1] + y)
-    i0, j0 = cell_index(window, robot.position[0] + eye_x, robot.position[1] + eye_y)
+    ahead, left = _scan_points(lidar, mount, distance)
+    dx, dy = rotate(ahead, left, heading[0], heading[1])
+    x, y = position[0] + dx, position[1] + dy
+    mount_dx, mount_dy = rotate(mount[0], mount[1], heading[0], heading[1])
+    start_i, start_j = cell_index(window, position[0] + mount_dx, position[1] + mount_dy)
+
     # A line to a cell beyond the window keeps its direction; its cells end at 3 m.
-    end_i = jnp.floor((robot.position[0] + x - window.origin[0]) / window.cell).astype(jnp.int32)
-    end_j = jnp.floor((robot.position[1] + y - window.origin[1]) / window.cell).astype(jnp.int32)
-    cells = (jnp.clip(part, 0, WINDOW - 1) for part in ray_cells(i0, j0, end_i, end_j, window.cell))
-    cleared = jnp.zeros_like(marks).at[tuple(cells)].max(hit[:, None])
-    marked = jnp.zeros_like(marks).at[i, j].max(hit & (distance < MARK_RANGE))
+    end_i, end_j = _unclipped_cell_index(window, x, y)
+    i, j = ray_cells(start_i, start_j, end_i, end_j, window.cell)
+    line = jnp.clip(i, 0, WINDOW - 1), jnp.clip(j, 0, WINDOW - 1)
+    cleared = jnp.zeros_like(marks).at[line].max(hit[:, None])
+
+    marked = jnp.zeros_like(marks).at[cell_index(window, x, y)].max(hit & (distance < MARK_RANGE))
     return ((marks & ~cleared) | marked) & ~footprint_cells(scenario, state, window)
+
+
+def _scan_points(lidar: sensors.Lidar, mount: Array, distance: Array) -> tuple[Array, Array]:
+    """Places [m] ahead and left of the robot, in which the rays of a planar lidar end."""
+    directions = lidar_directions(lidar)[0] @ np.reshape(lidar.axes, (3, 3)).T
+    ahead = mount[0] + distance * jnp.asarray(directions[:, 0], float)
+    left = mount[1] + distance * jnp.asarray(directions[:, 1], float)
+    return ahead, left
 
 
 def ray_cells(
     i0: Int[Array, ""], j0: Int[Array, ""], i1: Int[Array, "R"], j1: Int[Array, "R"], cell: Float[Array, ""]
 ) -> tuple[Int[Array, "R K"], Int[Array, "R K"]]:
     """Cells of Bresenham's lines from one cell to others, up to ``CLEAR_RANGE``; the last cell of a line repeats."""
-    di, dj = i1 - i0, j1 - j0
-    long, gap = jnp.maximum(jnp.abs(di), jnp.abs(dj)), length(di.astype(float), dj.astype(float))
-    share = jnp.minimum(1.0, jnp.ceil(CLEAR_RANGE / cell - 1e-3) / jnp.maximum(gap, 1.0))
-    last = jnp.floor(share * long.astype(float) + 1e-4).astype(jnp.int32)
-    step = jnp.minimum(jnp.arange(WINDOW // 2, dtype=jnp.int32)[None, :], last[:, None])
-    length_ = jnp.maximum(long, 1)[:, None]
+    di = i1 - i0
+    dj = j1 - j0
+    steps = jnp.maximum(jnp.abs(di), jnp.abs(dj))  # of the whole line
+    line_length = length(di.astype(float), dj.astype(float))
+    range_in_cells = jnp.ceil(CLEAR_RANGE / cell - 1e-3)
+    share = jnp.minimum(1.0, range_in_cells / jnp.maximum(line_length, 1.0))
+    last = jnp.floor(share * steps.astype(float) + 1e-4).astype(jnp.int32)
+    step = jnp.minimum(jnp.arange(WINDOW // 2, dtype=jnp.int32)[None, :], last[:, None])  # (R, K)
+    divisor = jnp.maximum(steps, 1)[:, None]
 
-    def along(start: Array, whole: Array) -> Array:
-        return start + jnp.sign(whole)[:, None] * ((step * jnp.abs(whole)[:, None] + length_ // 2) // length_)
+    def coordinate(start: Array, difference: Array) -> Array:
+        rounded = (step * jnp.abs(difference)[:, None] + divisor // 2) // divisor
+        return start + jnp.sign(difference)[:, None] * rounded
 
-    return along(i0, di), along(j0, dj)
+    return coordinate(i0, di), coordinate(j0, dj)
 
 
 def inflate(
@@ -241,22 +269,29 @@ def inflate(
         cell: m, side of a cell.
     """
     reach = jnp.minimum(jnp.ceil(params.inflation / cell - 1e-3), MAX_INFLATION)
-    padded = jnp.pad(lethal, MAX_INFLATION)
-    near: dict[int, Array] = {}  # by the squared distance in cells
-    for i in range(-MAX_INFLATION, MAX_INFLATION + 1):
-        for j in range(-MAX_INFLATION, MAX_INFLATION + 1):
-            square = i * i + j * j
-            if 0 < square <= MAX_INFLATION * MAX_INFLATION:
-                first = MAX_INFLATION + i, MAX_INFLATION + j
-                part = padded[first[0] : first[0] + lethal.shape[0], first[1] : first[1] + lethal.shape[1]]
-                near[square] = near[square] | part if square in near else part
     costs = jnp.where(lethal, LETHAL, 0.0)
-    for square, cells in near.items():
-        gap = math.sqrt(square) * cell
-        cost = jnp.floor(MAX_COST * jnp.exp(-params.decay * (gap - radius)))
-        cost = jnp.where(gap <= radius, INSCRIBED, cost)
-        costs = jnp.maximum(costs, jnp.where(cells & (math.sqrt(square) <= reach), cost, 0.0))
+    for square, is_near in _lethal_at_distance(lethal).items():
+        distance = math.sqrt(square) * cell
+        cost = jnp.floor(MAX_COST * jnp.exp(-params.decay * (distance - radius)))
+        cost = jnp.where(distance <= radius, INSCRIBED, cost)
+        costs = jnp.maximum(costs, jnp.where(is_near & (math.sqrt(square) <= reach), cost, 0.0))
     return costs
+
+
+def _lethal_at_distance(lethal: Array) -> dict[int, Array]:
+    """Whether cells (X, Y) have a lethal one at a distance, whose square in cells is the key."""
+    columns, rows = lethal.shape
+    padded = jnp.pad(lethal, MAX_INFLATION)
+    offsets = range(-MAX_INFLATION, MAX_INFLATION + 1)
+    near: dict[int, Array] = {}
+    for di, dj in itertools.product(offsets, offsets):
+        square = di * di + dj * dj
+        if not 0 < square <= MAX_INFLATION * MAX_INFLATION:
+            continue
+        i, j = MAX_INFLATION + di, MAX_INFLATION + dj
+        neighbor = padded[i : i + columns, j : j + rows]
+        near[square] = near[square] | neighbor if square in near else neighbor
+    return near
 
 
 def proxemic_cost(
@@ -273,12 +308,17 @@ def proxemic_cost(
     """
     speed = length(vx, vy)
     standing = speed < 1e-6
-    hx = jnp.where(standing, 1.0, vx / jnp.where(standing, 1.0, speed))
-    hy = jnp.where(standing, 0.0, vy / jnp.where(standing, 1.0, speed))
-    along, across = dx * hx + dy * hy, dy * hx - dx * hy
-    ahead = params.covariance * jnp.where(along > 0.0, 1.0 + params.factor * speed, 1.0)
-    cost = params.amplitude * jnp.exp(-(along * along / (2.0 * ahead) + across * across / (2.0 * params.covariance)))
-    return jnp.where(cost < params.cutoff, 0.0, cost - jax.lax.stop_gradient(cost - jnp.floor(cost)))
+    divisor = jnp.where(standing, 1.0, speed)
+    hx = jnp.where(standing, 1.0, vx / divisor)
+    hy = jnp.where(standing, 0.0, vy / divisor)
+    along = dx * hx + dy * hy
+    across = dy * hx - dx * hy
+    stretch = jnp.where(along > 0.0, 1.0 + params.factor * speed, 1.0)
+    covariance_along = params.covariance * stretch
+    exponent = along * along / (2.0 * covariance_along) + across * across / (2.0 * params.covariance)
+    cost = params.amplitude * jnp.exp(-exponent)
+    whole = cost - jax.lax.stop_gradient(cost - jnp.floor(cost))
+    return jnp.where(cost < params.cutoff, 0.0, whole)
 
 
 def social_costs(params: CostmapParams, people: Pedestrians, window: Window) -> Float[Array, "W W"]:
@@ -310,72 +350,92 @@ def potentials(start: Float[Array, "X Y"], cost: Float[Array, "X Y"]) -> Float[A
     Source: the quadratic rule of global_planner.
     """
 
-    def rule(one: Array, other: Array, cost: Array) -> Array:
-        low, gap = jnp.minimum(one, other), jnp.abs(one - other)
-        share = jnp.minimum(gap / cost, 1.0)
-        return low + cost * jnp.where(gap >= cost, 1.0, -0.2301 * share * share + 0.5307 * share + 0.7040)
+    return _settle(start, cost, _quadratic_rule, 0.01)
 
-    return _settle(start, cost, rule, 0.01)
+
+def _quadratic_rule(a: Array, b: Array, cost: Array) -> Array:
+    """The potential of a cell by its lower neighbors of the two axes."""
+    lower = jnp.minimum(a, b)
+    difference = jnp.abs(a - b)
+    share = jnp.minimum(difference / cost, 1.0)
+    quadratic = -0.2301 * share * share + 0.5307 * share + 0.7040
+    return lower + cost * jnp.where(difference >= cost, 1.0, quadratic)
 
 
 def steps_from(start: Float[Array, "X Y"], free: Bool[Array, "X Y"]) -> Float[Array, "X Y"]:
     """Steps over the sides of free cells from the start's values on; ``UNREACHED`` in the other cells."""
     cost = jnp.where(free, 1.0, BLOCKED)
-    return _settle(start, cost, lambda one, other, cost: jnp.minimum(one, other) + cost, 0.5)
+    return _settle(start, cost, _step_rule, 0.5)
 
 
-def _settle(wave: Array, cost: Array, rule: Callable[[Array, Array, Array], Array], tolerance: float) -> Array:
+def _step_rule(a: Array, b: Array, cost: Array) -> Array:
+    """The steps of a cell by its lower neighbors of the two axes."""
+    return jnp.minimum(a, b) + cost
+
+
+def _settle(wave: Array, cost: Array, rule: Rule, tolerance: float) -> Array:
     """The wave when a round lowers no cell by more than a tolerance.
 
     On a CPU a round is four sweeps, which need the fewest operations; on a GPU likewise, for windows, in a kernel.
     Elsewhere it is all cells at once, which needs the fewest programs one after another.
     """
 
-    def settle(round_: Callable, wave: Array, cost: Array) -> Array:
-        def body(now: tuple[Array, Array]) -> tuple[Array, Array]:
-            after = round_(now[0], cost, rule)
-            return after, (after < now[0] - tolerance).any()
-
-        return jax.lax.while_loop(lambda now: now[1], body, (wave, jnp.ones((), bool)))[0]
-
-    sweeps, other = (functools.partial(settle, each) for each in (_four_sweeps, _at_once))
+    settle_at_once = functools.partial(_settle_in_rounds, _at_once, rule, tolerance)
     if wave_kernel.supports(wave):
-        other = functools.partial(wave_kernel.settle, rule, tolerance, UNREACHED)
-    return jax.lax.platform_dependent(wave, cost, cpu=sweeps, default=other)
+        settle_at_once = functools.partial(wave_kernel.settle, rule, tolerance, UNREACHED)
+    sweep = functools.partial(_settle_in_rounds, _four_sweeps, rule, tolerance)
+    return jax.lax.platform_dependent(wave, cost, cpu=sweep, default=settle_at_once)
 
 
-def _four_sweeps(wave: Array, cost: Array, rule: Callable[[Array, Array, Array], Array]) -> Array:
+def _settle_in_rounds(round_: Callable, rule: Rule, tolerance: float, wave: Array, cost: Array) -> Array:
+    def body(carry: tuple[Array, Array]) -> tuple[Array, Array]:
+        before, _ = carry
+        after = round_(before, cost, rule)
+        return after, (after < before - tolerance).any()
+
+    return jax.lax.while_loop(lambda carry: carry[1], body, (wave, jnp.ones((), bool)))[0]
+
+
+def _four_sweeps(wave: Array, cost: Array, rule: Rule) -> Array:
     """A sweep in each direction."""
-
-    def sweep(wave: Array, cost: Array) -> Array:
-        """Row by row, each with the new values of the row before."""
-        padded = jnp.pad(wave, ((0, 1), (1, 1)), constant_values=UNREACHED)
-        beside = jnp.minimum(padded[:-1, :-2], padded[:-1, 2:])
-
-        def row(before: Array, here: tuple[Array, ...]) -> tuple[Array, Array]:
-            own, after, beside, cost = here
-            value = jnp.minimum(own, rule(jnp.minimum(before, after), beside, cost))
-            return value, value
-
-        edge = jnp.full(wave.shape[1], UNREACHED, wave.dtype)
-        return jax.lax.scan(row, edge, (wave, padded[1:, 1:-1], beside, cost))[1]
-
-    for flip, turn in ((False, False), (True, False), (False, True), (True, True)):
-        parts = [part.T if turn else part for part in (wave, cost)]
-        parts = [part[::-1] if flip else part for part in parts]
-        wave = sweep(*parts)
-        wave = wave[::-1] if flip else wave
-        wave = wave.T if turn else wave
+    for flip, transpose in ((False, False), (True, False), (False, True), (True, True)):
+        turned_wave = _flip_rows(wave.T if transpose else wave, flip)
+        turned_cost = _flip_rows(cost.T if transpose else cost, flip)
+        wave = _flip_rows(_sweep(turned_wave, turned_cost, rule), flip)
+        wave = wave.T if transpose else wave
     return wave
 
 
-def _at_once(wave: Array, cost: Array, rule: Callable[[Array, Array, Array], Array]) -> Array:
+def _flip_rows(cells: Array, flip: bool) -> Array:
+    return cells[::-1] if flip else cells
+
+
+def _sweep(wave: Array, cost: Array, rule: Rule) -> Array:
+    """Row by row, each with the new values of the row before."""
+    padded = jnp.pad(wave, ((0, 1), (1, 1)), constant_values=UNREACHED)
+    horizontal = jnp.minimum(padded[:-1, :-2], padded[:-1, 2:])
+
+    def settle_row(before: Array, row: tuple[Array, ...]) -> tuple[Array, Array]:
+        wave, after, horizontal, cost = row
+        settled = jnp.minimum(wave, rule(jnp.minimum(before, after), horizontal, cost))
+        return settled, settled
+
+    edge = jnp.full(wave.shape[1], UNREACHED, wave.dtype)
+    return jax.lax.scan(settle_row, edge, (wave, padded[1:, 1:-1], horizontal, cost))[1]
+
+
+def _at_once(wave: Array, cost: Array, rule: Rule) -> Array:
     """Eight times all cells, each from the values before; one after another, so that no value is computed twice."""
     for _ in range(8):
         padded = jax.lax.optimization_barrier(jnp.pad(wave, 1, constant_values=UNREACHED))
-        beside = jnp.minimum(padded[:-2, 1:-1], padded[2:, 1:-1]), jnp.minimum(padded[1:-1, :-2], padded[1:-1, 2:])
-        wave = jnp.minimum(wave, rule(*beside, cost))
+        left, right, down, up = _four_neighbors(padded)
+        wave = jnp.minimum(wave, rule(jnp.minimum(left, right), jnp.minimum(down, up), cost))
     return wave
+
+
+def _four_neighbors(padded: Array) -> tuple[Array, Array, Array, Array]:
+    """The left, right, lower and upper neighbors of cells, which are padded by one cell."""
+    return padded[:-2, 1:-1], padded[2:, 1:-1], padded[1:-1, :-2], padded[1:-1, 2:]
 
 
 def from_border(field: Float[Array, "W W"], free: Bool[Array, "W W"]) -> Float[Array, "W W"]:
@@ -393,37 +453,52 @@ def descend(
     Args:
         x, y: in cells of the window; whole numbers are middles of cells.
     """
-    padded = jnp.pad(potential, 1, constant_values=UNREACHED)
-    left, right, down, up = padded[:-2, 1:-1], padded[2:, 1:-1], padded[1:-1, :-2], padded[1:-1, 2:]
+    directions = _descent_directions(potential)
+    neighbors = jnp.asarray([(i, j) for i in (0, -1, 1) for j in (0, -1, 1)], jnp.int32)  # the cell itself first
 
-    def slope(low: Array, high: Array) -> Array:
-        return jnp.where(low < UNREACHED, low - potential, 0.0) + jnp.where(high < UNREACHED, potential - high, 0.0)
+    def step(carry: tuple[Array, Array, Array], _: None) -> tuple[tuple[Array, Array, Array], Array]:
+        place, before, earlier = carry
+        middle = jnp.clip(jnp.round(place).astype(jnp.int32), 1, WINDOW - 2)
+        near = potential[middle[0] + neighbors[:, 0], middle[1] + neighbors[:, 1]]
+        lowest = (middle + neighbors[jnp.argmin(near)]).astype(place.dtype)
+        smooth = _half_cell_down(directions, place)
 
-    reached = potential < UNREACHED
-    ahead = jnp.where(reached, slope(left, right), 0.0), jnp.where(reached, slope(down, up), 0.0)
-    norm = jnp.maximum(length(*ahead), 1e-6)
-    ahead = jnp.stack([part / norm for part in ahead])
-    around = jnp.asarray([(i, j) for i in (0, -1, 1) for j in (0, -1, 1)], jnp.int32)
-
-    def step(last: tuple[Array, Array, Array], _: None) -> tuple[tuple[Array, Array, Array], Array]:
-        here, before, earlier = last
-        middle = jnp.clip(jnp.round(here).astype(jnp.int32), 1, WINDOW - 2)
-        near = potential[middle[0] + around[:, 0], middle[1] + around[:, 1]]
-        lowest = (middle + around[jnp.argmin(near)]).astype(here.dtype)
-        corner = jnp.clip(jnp.floor(here).astype(jnp.int32), 0, WINDOW - 2)
-        share = here - corner.astype(here.dtype)
-        four = jax.lax.dynamic_slice(ahead, (jnp.zeros_like(corner[0]), corner[0], corner[1]), (2, 2, 2))
-        rows = four[:, 0] * (1.0 - share[0]) + four[:, 1] * share[0]
-        direction = rows[:, 0] * (1.0 - share[1]) + rows[:, 1] * share[1]
-        smooth = here + 0.5 * direction / jnp.maximum(length(direction[0], direction[1]), 1e-6)
-        returns = length(*(here - earlier)) < 0.05  # back and forth over a crease
-        after = jnp.where((near < UNREACHED).all() & (near[0] > near.min()) & ~returns, smooth, lowest)
-        inside = (here >= 1.0).all() & (here <= WINDOW - 2.0).all()
-        after = jnp.where(inside & (near[0] > 0.0), after, here)
-        return (after, here, before), after
+        # Half a cell down the slope, or to the middle of the lowest cell around where the slope is of no use.
+        returns = length(*(place - earlier)) < 0.05  # back and forth over a crease
+        is_smooth = (near < UNREACHED).all() & (near[0] > near.min()) & ~returns
+        after = jnp.where(is_smooth, smooth, lowest)
+        inside = (place >= 1.0).all() & (place <= WINDOW - 2.0).all()
+        after = jnp.where(inside & (near[0] > 0.0), after, place)
+        return (after, place, before), after
 
     start = jnp.stack([x, y])
     nowhere = jnp.full_like(start, -1.0)
     _, path = jax.lax.scan(step, (start, nowhere, nowhere), length=points - 1)
     path = jnp.concatenate([start[None], path])
     return path[:, 0], path[:, 1]
+
+
+def _descent_directions(potential: Array) -> Array:
+    """(2, W, W) unit vectors down the potentials; 0 in cells that no wave reaches."""
+    left, right, down, up = _four_neighbors(jnp.pad(potential, 1, constant_values=UNREACHED))
+    reached = potential < UNREACHED
+
+    def slope(low: Array, high: Array) -> Array:
+        to_low = jnp.where(low < UNREACHED, low - potential, 0.0)
+        to_high = jnp.where(high < UNREACHED, potential - high, 0.0)
+        return jnp.where(reached, to_low + to_high, 0.0)
+
+    slope_x, slope_y = slope(left, right), slope(down, up)
+    norm = jnp.maximum(length(slope_x, slope_y), 1e-6)
+    return jnp.stack([slope_x / norm, slope_y / norm])
+
+
+def _half_cell_down(directions: Array, place: Array) -> Array:
+    """The place (2,) half a cell farther in the direction between those of four cells (bilinear)."""
+    i, j = corner = jnp.clip(jnp.floor(place).astype(jnp.int32), 0, WINDOW - 2)
+    cells = jax.lax.dynamic_slice(directions, (jnp.zeros_like(i), i, j), (2, 2, 2))
+    share_i, share_j = place - corner.astype(place.dtype)
+    rows = cells[:, 0] * (1.0 - share_i) + cells[:, 1] * share_i
+    direction = rows[:, 0] * (1.0 - share_j) + rows[:, 1] * share_j
+    norm = jnp.maximum(length(direction[0], direction[1]), 1e-6)
+    return place + 0.5 * direction / norm

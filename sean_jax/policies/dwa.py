@@ -6,6 +6,8 @@ path. The paper's obstacles stand; here the people that the robot knows walk on 
 has a synchro-drive; an omnidirectional one chooses speeds ahead and to the left, and turns toward the target.
 """
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 from flax import struct
@@ -66,20 +68,27 @@ def apply(
     commands = window(model, state.robot, observation)
     fixed = jax.lax.stop_gradient((scenario, params, as_known(state, known), observation.path, commands))
     best = jnp.argmax(objective(*fixed).reshape(-1))
-    command = jnp.stack([part.reshape(-1)[best] for part in commands])
+    command = jnp.stack([component.reshape(-1)[best] for component in commands])
     return steering.arrive(scenario, observation, command), known
 
 
 def window(model: RobotModel, robot: Robot, observation: Observation) -> tuple[Float[Array, "S W"], ...]:
-    """The parts [m/s, rad/s] of commands that the robot reaches within an interval."""
-    reach, top = reachable(model, robot.speed, robot.turn_rate, INTERVAL), steering.top_speed(model, observation)
-    back = jnp.zeros_like(top) if model.lateral is None else jnp.minimum(max_reverse_speed(model), top)
-    ahead = jnp.linspace(jnp.clip(reach.speed_min, -back, top), jnp.clip(reach.speed_max, -back, top), SPEEDS)
+    """The components [m/s, rad/s] of commands that the robot reaches within an interval."""
+    reach = reachable(model, robot.speed, robot.turn_rate, INTERVAL)
+    top = steering.top_speed(model, observation)
+    reverse = jnp.zeros_like(top) if model.lateral is None else jnp.minimum(max_reverse_speed(model), top)
+    slowest = jnp.clip(reach.speed_min, -reverse, top)
+    fastest = jnp.clip(reach.speed_max, -reverse, top)
+    ahead = jnp.linspace(slowest, fastest, SPEEDS)
+
     if model.lateral is None or robot.sideways is None:
-        right, left = (clip_turn_rate(model, rate) for rate in (reach.turn_rate_min, reach.turn_rate_max))
+        right = clip_turn_rate(model, reach.turn_rate_min)
+        left = clip_turn_rate(model, reach.turn_rate_max)
         return tuple(jnp.meshgrid(ahead, jnp.linspace(right, left, SIDES), indexing="ij"))
+
     change = INTERVAL * model.lateral.max_acceleration
-    right, left = (jnp.clip(robot.sideways + part, -top, top) for part in (-change, change))
+    right = jnp.clip(robot.sideways + -change, -top, top)
+    left = jnp.clip(robot.sideways + change, -top, top)
     x, y = jnp.meshgrid(ahead, jnp.linspace(right, left, SIDES), indexing="ij")
     return x, y, jnp.full_like(x, steering.turn_toward(model, observation.path))
 
@@ -97,26 +106,41 @@ def objective(
         target: m, in the robot's frame.
     """
     model, robot, shape = scenario.robot, state.robot, commands[0].shape
-    constant = tuple(jnp.broadcast_to(part.reshape(-1), (STEPS, part.size)) for part in commands)
+    constant = tuple(jnp.broadcast_to(component.reshape(-1), (STEPS, component.size)) for component in commands)
     motion = predict_robot(model, LAWS[model.drive_type].speeds(model, robot), constant, INTERVAL)
     people = predict_straight(nearest_people(state, MAX_PEOPLE), STEPS, INTERVAL)
     free = free_way(scenario, state, motion, people).reshape(shape)
-    if model.lateral is None:
-        speed, braking = commands[0], motion.turn_rate[0] * jnp.abs(motion.turn_rate[0]) / 2.0
-        course = motion.yaw[0] + braking / model.max_turn_acceleration  # once the robot has braked
-    else:
-        speed, course = length(commands[0], commands[1]), jnp.arctan2(commands[1], commands[0]).reshape(-1)
-    off = jnp.arctan2(target[1], target[0]) - course
-    heading = (1.0 - jnp.abs((off + jnp.pi) % (2.0 * jnp.pi) - jnp.pi) / jnp.pi).reshape(shape)
+
+    speed, course = _speed_and_course(model, commands, motion)
+    deviation = jnp.arctan2(target[1], target[0]) - course
+    wrapped = (deviation + jnp.pi) % (2.0 * jnp.pi) - jnp.pi
+    heading = (1.0 - jnp.abs(wrapped) / jnp.pi).reshape(shape)
     # Of all directions: the speed toward the target, or a robot that drives away from it would go on.
-    toward = speed if model.lateral is None else speed * jnp.cos(off).reshape(shape)
-    value = params.heading * heading + params.velocity * toward / model.max_speed
+    velocity = speed if model.lateral is None else speed * jnp.cos(deviation).reshape(shape)
+
+    value = params.heading * heading + params.velocity * velocity / model.max_speed
     value = value + params.distance * free / (model.max_speed * STEPS * INTERVAL)
-    around = jnp.pad(value, 1, mode="edge")
-    rows, columns = shape
-    smooth = sum(around[i : i + rows, j : j + columns] for i in range(3) for j in range(3)) / 9.0
-    brake = model.max_acceleration if model.max_deceleration is None else model.max_deceleration
-    return smooth - FORBIDDEN * jnp.maximum(speed - jnp.sqrt(2.0 * brake * free), 0.0)
+    deceleration = model.max_acceleration if model.max_deceleration is None else model.max_deceleration
+    admissible = jnp.sqrt(2.0 * deceleration * free)  # m/s, from which the robot stops in time
+    return _smooth(value) - FORBIDDEN * jnp.maximum(speed - admissible, 0.0)
+
+
+def _speed_and_course(model: RobotModel, commands: tuple[Array, ...], motion: RobotMotion) -> tuple[Array, Array]:
+    """(S, W) m/s of commands, and (P,) rad, the direction in which the robot then drives."""
+    if model.lateral is not None:
+        ahead, left, _ = commands
+        return length(ahead, left), jnp.arctan2(left, ahead).reshape(-1)
+    turn_rate = motion.turn_rate[0]
+    braking = turn_rate * jnp.abs(turn_rate) / 2.0
+    return commands[0], motion.yaw[0] + braking / model.max_turn_acceleration  # once the robot has braked
+
+
+def _smooth(values: Array) -> Array:
+    """The mean of each value and its eight neighbors."""
+    rows, columns = values.shape
+    padded = jnp.pad(values, 1, mode="edge")
+    total: Any = sum(padded[i : i + rows, j : j + columns] for i in range(3) for j in range(3))
+    return total / 9.0
 
 
 def free_way(scenario: Scenario, state: State, motion: RobotMotion, people: PeopleMotion) -> Float[Array, "P"]:
@@ -125,16 +149,27 @@ def free_way(scenario: Scenario, state: State, motion: RobotMotion, people: Peop
     A robot that is too near to somebody already collides only where it comes nearer.
     """
     robot, model = state.robot, scenario.robot
-    ahead, left = (jnp.concatenate([jnp.zeros_like(part[:1]), part]) for part in (motion.x, motion.y))
+    ahead = jnp.concatenate([jnp.zeros_like(motion.x[:1]), motion.x])  # (1 + T, P), now and after each step
+    left = jnp.concatenate([jnp.zeros_like(motion.y[:1]), motion.y])
     x, y = to_world(robot.position, robot.heading, ahead, left)
-    now = predict_straight(nearest_people(state, MAX_PEOPLE), 1, 0.0)
-    px, py = (jnp.concatenate([one, other])[:, None] for one, other in ((now.x, people.x), (now.y, people.y)))
-    reach = model.radius + scenario.forces.walking.radius + PEOPLE_MARGIN
-    gap = jnp.min(length(x[..., None] - px, y[..., None] - py) - reach, axis=-1, initial=jnp.inf)
-    gap = jnp.minimum(gap, obstacle_gap(scenario, x, y))
-    free = jnp.cumsum(gap[1:] < jnp.minimum(gap[:1], 0.0), axis=0, dtype=jnp.int32) == 0
-    way = jnp.where(free, length(jnp.diff(ahead, axis=0), jnp.diff(left, axis=0)), 0.0).sum(0)
-    return jnp.where(free[-1], model.max_speed * STEPS * INTERVAL, way)
+    gap = jnp.minimum(_people_gap(scenario, state, x, y, people), obstacle_gap(scenario, x, y))
+
+    # Until the first collision.
+    collides = gap[1:] < jnp.minimum(gap[:1], 0.0)
+    is_free = jnp.cumsum(collides, axis=0, dtype=jnp.int32) == 0
+    step = length(jnp.diff(ahead, axis=0), jnp.diff(left, axis=0))
+    until_collision = jnp.where(is_free, step, 0.0).sum(0)
+    return jnp.where(is_free[-1], model.max_speed * STEPS * INTERVAL, until_collision)
+
+
+def _people_gap(scenario: Scenario, state: State, x: Array, y: Array, people: PeopleMotion) -> Array:
+    """(1 + T, P) m, gaps between the robot at places (x, y) [m] and the nearest person, now and after each step."""
+    people_now = predict_straight(nearest_people(state, MAX_PEOPLE), 1, 0.0)
+    px = jnp.concatenate([people_now.x, people.x])[:, None]  # (1 + T, 1, K)
+    py = jnp.concatenate([people_now.y, people.y])[:, None]
+    reach = scenario.robot.radius + scenario.forces.walking.radius + PEOPLE_MARGIN
+    distance = length(x[..., None] - px, y[..., None] - py)
+    return jnp.min(distance - reach, axis=-1, initial=jnp.inf)
 
 
 dwa = Policy(params=DwaParams(), name="dwa", init=init, apply=apply, sensing="tracks")

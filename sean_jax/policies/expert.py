@@ -9,7 +9,6 @@ expert knows more than a robot's sensors: all people and their goals; ``sensing_
 some three million operations.
 """
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -21,10 +20,11 @@ from jaxtyping import Float, Int
 
 from sean_jax.core.data_types import Array, Policy, Robot, RobotModel, Scenario, State
 from sean_jax.core.devices import parameter
-from sean_jax.core.geometry import from_rectangle, length, nearby_obstacles, to_border
+from sean_jax.core.geometry import length, to_border
 from sean_jax.metrics.proximity import INTIMATE, PERSONAL
 from sean_jax.policies import prediction
 from sean_jax.policies.cost_to_go import CostToGo, build_cost_to_go, corner_successors, distance_to_goal
+from sean_jax.policies.obstacles import obstacle_distances
 from sean_jax.policies.prediction import PeopleMotion, RobotMotion
 from sean_jax.robots import ackermann
 from sean_jax.robots.drive import LAWS, command_size, max_reverse_speed
@@ -107,45 +107,70 @@ def plan(
         state: now, with an ``ExpertMemory``; its groups are used, its people are not.
         people: ``STEPS`` steps of ``TIME_STEP``.
     """
-    last, cost, end = begin_search(scenario, params, state, people)
+    search = begin_search(scenario, params, state, people)
+    last = search.last_knots
     noise = jax.random.normal(key, (WIDE_SAMPLES + CLOSE_SAMPLES, *last.shape), float)
+
+    # Widely around the last plan and over constant arcs, ...
     wide = jnp.clip(last[None] + DEVIATION[0] * noise[:WIDE_SAMPLES], -1.0, 1.0)
     wide = jnp.concatenate([last[None], wide, jnp.asarray(_arcs(last.shape[1]), float)])
-    best = wide[jnp.argmin(cost(wide))]
+    best = wide[jnp.argmin(plan_costs(search, wide))]
+
+    # ... then narrowly around the best.
     close = jnp.clip(best[None] + DEVIATION[1] * noise[WIDE_SAMPLES:], -1.0, 1.0)
     close = jnp.concatenate([best[None], close])
-    weights = importance(cost(close), params.temperature)
-    return end((weights[:, None, None] * close).sum(0))
+    weights = importance(plan_costs(search, close), params.temperature)
+    return follow_plan(search, (weights[:, None, None] * close).sum(0))
 
 
-def begin_search(
-    scenario: Scenario, params: ExpertParams, state: State, people: PeopleMotion
-) -> tuple[Float[Array, "knots command"], Callable, Callable]:
-    """The last plan, continued; the costs (P,) of plans (P, KNOTS, command); and what follows from the chosen plan.
+class PlanSearch(NamedTuple):
+    """What is fixed during the search of a control step."""
 
-    Plans are shares of the limits. The last function gives the command [m/s, rad/s] and the new memory. Arguments as in
-    ``plan``.
-    """
+    scenario: Scenario
+    params: ExpertParams
+    state: State
+    people: PeopleMotion
+    limits: tuple[Array, Array, Array]  # of ``plan_limits``
+    last_knots: Array  # (KNOTS, command), the last plan, continued
+    table: CostToGo
+    distance_min: Array  # m, of ``ExpertMemory``
+    waiting_ticks: Array
+
+
+def begin_search(scenario: Scenario, params: ExpertParams, state: State, people: PeopleMotion) -> PlanSearch:
+    """Prepare the search of a control step. Arguments as in ``plan``."""
     memory: ExpertMemory = state.policy_state
     limits = plan_limits(scenario)
-    last = _shift(memory.knots, scenario.time_step)
-    motion = _simulate(scenario, state, last[None], limits)
-    here = state.robot.position
-    places = [jnp.append(here[axis], motion[axis][STEPS // 4 - 1 :: STEPS // 4, 0]) for axis in (0, 1)]
-    table = build_cost_to_go(scenario, state, memory.successors, *places)
+    last_knots = _shift(memory.knots, scenario.time_step)
+
+    # Corners that are near from the robot and from four places along the last plan.
+    motion = _simulate(scenario, state, last_knots[None], limits)
+    position = state.robot.position
+    x = jnp.append(position[0], motion.x[STEPS // 4 - 1 :: STEPS // 4, 0])
+    y = jnp.append(position[1], motion.y[STEPS // 4 - 1 :: STEPS // 4, 0])
+    table = build_cost_to_go(scenario, state, memory.successors, x, y)
+
+    # A robot that waits comes nearer to people.
     distance_min, waiting_ticks = _progress(scenario, params, state, table)
-    waiting = scenario.time_step * waiting_ticks.astype(here.dtype)
+    waiting = scenario.time_step * waiting_ticks.astype(position.dtype)
     personal_space = params.weights.personal_space * params.patience / (params.patience + waiting)
     params = replace(params, weights=replace(params.weights, personal_space=personal_space))
+    return PlanSearch(scenario, params, state, people, limits, last_knots, table, distance_min, waiting_ticks)
 
-    def cost(knots: Array) -> Array:
-        return _cost(scenario, params, state, table, people, _simulate(scenario, state, knots, limits))
 
-    def end(knots: Array) -> tuple[Array, ExpertMemory]:
-        command = _commands(scenario.robot, knots[0], limits)
-        return command, ExpertMemory(knots, memory.successors, distance_min, waiting_ticks)
+def plan_costs(search: PlanSearch, knots: Float[Array, "P knots command"]) -> Float[Array, "P"]:
+    """The costs of plans in shares of the limits."""
+    motion = _simulate(search.scenario, search.state, knots, search.limits)
+    return _cost(search.scenario, search.params, search.state, search.table, search.people, motion)
 
-    return last, cost, end
+
+def follow_plan(
+    search: PlanSearch, knots: Float[Array, "knots command"]
+) -> tuple[Float[Array, "command"], ExpertMemory]:
+    """The command [m/s, rad/s] of the chosen plan, and the new memory."""
+    command = _commands(search.scenario.robot, knots[0], search.limits)
+    successors = search.state.policy_state.successors
+    return command, ExpertMemory(knots, successors, search.distance_min, search.waiting_ticks)
 
 
 def importance(costs: Float[Array, "P"], temperature: Float[Array, ""]) -> Float[Array, "P"]:
@@ -165,20 +190,21 @@ def _progress(scenario: Scenario, params: ExpertParams, state: State, table: Cos
 
     Without it two polite agents would wait for each other forever.
     """
-    memory, here = state.policy_state, state.robot.position
-    left = jax.lax.stop_gradient(distance_to_goal(scenario, state, table, here[:1], here[1:])[0])
-    left = jnp.where(jnp.isfinite(left), left, memory.distance_min)
-    nearer = (left < memory.distance_min - MIN_PROGRESS) | (left < params.goal_tolerance + MIN_PROGRESS)
-    return jnp.where(nearer, left, memory.distance_min), jnp.where(nearer, 0, memory.waiting_ticks + 1)
+    memory, position = state.policy_state, state.robot.position
+    distance = jax.lax.stop_gradient(distance_to_goal(scenario, state, table, position[:1], position[1:])[0])
+    distance = jnp.where(jnp.isfinite(distance), distance, memory.distance_min)
+    nearer = distance < memory.distance_min - MIN_PROGRESS
+    progresses = nearer | (distance < params.goal_tolerance + MIN_PROGRESS)
+    distance_min = jnp.where(progresses, distance, memory.distance_min)
+    return distance_min, jnp.where(progresses, 0, memory.waiting_ticks + 1)
 
 
-ARCS = np.stack([  # (A, KNOTS, 2): constant arcs, and turns on the spot after which the robot drives straight ahead
-    *(np.tile([ahead, turn], (KNOTS, 1)) for ahead in ARC_SPEEDS for turn in ARC_TURN_RATES),
-    *(np.array([(0.0, turn)] * 2 + [(1.0, 0.0)] * (KNOTS - 2)) for turn in ARC_TURN_RATES),
-])  # fmt: skip
+CONSTANT_ARCS = [np.tile([ahead, turn], (KNOTS, 1)) for ahead in ARC_SPEEDS for turn in ARC_TURN_RATES]
+TURNS_FIRST = [np.array([(0.0, turn)] * 2 + [(1.0, 0.0)] * (KNOTS - 2)) for turn in ARC_TURN_RATES]  # then ahead
+ARCS = np.stack([*CONSTANT_ARCS, *TURNS_FIRST])  # (A, KNOTS, 2)
 SIDE_ARCS = np.stack([np.tile([ahead, left, 0.0], (KNOTS, 1)) for ahead in ARC_SPEEDS for left in SIDE_SPEEDS])
-INTERPOLATION = np.stack([np.interp(np.arange(STEPS) * TIME_STEP, np.linspace(0, STEPS * TIME_STEP, KNOTS), one)
-                          for one in np.eye(KNOTS)], -1)  # fmt: skip
+STEP_TIMES, KNOT_TIMES = np.arange(STEPS) * TIME_STEP, np.linspace(0, STEPS * TIME_STEP, KNOTS)  # s
+INTERPOLATION = np.stack([np.interp(STEP_TIMES, KNOT_TIMES, weight) for weight in np.eye(KNOTS)], -1)
 
 
 def _arcs(size: int) -> np.ndarray:
@@ -208,31 +234,48 @@ def _commands(model: RobotModel, shares: Array, limits: tuple[Array, Array, Arra
 def _simulate(scenario: Scenario, state: State, knots: Array, limits: tuple[Array, Array, Array]) -> RobotMotion:
     """The motion on the floor of plans (P, KNOTS, command)."""
     model, robot = scenario.robot, state.robot
-    commands = _commands(model, jnp.einsum("tk,pkc->tpc", jnp.asarray(INTERPOLATION, float), knots), limits)
-    parts = tuple(commands[..., index] for index in range(commands.shape[-1]))
+    shares = jnp.einsum("tk,pkc->tpc", jnp.asarray(INTERPOLATION, float), knots)
+    commands = _commands(model, shares, limits)
+    components = tuple(commands[..., index] for index in range(commands.shape[-1]))
     speeds = LAWS[model.drive_type].speeds(model, robot)
-    x, y, yaw, speed, turn = prediction.predict_robot(model, speeds, parts, TIME_STEP)
-    x, y = prediction.to_world(robot.position, robot.heading, x, y)
-    return RobotMotion(x, y, yaw + jnp.arctan2(robot.heading[1], robot.heading[0]), speed, turn)
+    motion = prediction.predict_robot(model, speeds, components, TIME_STEP)
+    x, y = prediction.to_world(robot.position, robot.heading, motion.x, motion.y)
+    yaw = motion.yaw + jnp.arctan2(robot.heading[1], robot.heading[0])
+    return motion._replace(x=x, y=y, yaw=yaw)
 
 
 def _cost(
     scenario: Scenario, params: ExpertParams, state: State, table: CostToGo, people: PeopleMotion, motion: RobotMotion
 ) -> Float[Array, "P"]:
     """(P,) cost of trajectories (T, P): the remaining path, and the social costs along the way."""
-    x, y, yaw, speed, turn = motion
-    weights, robot = params.weights, state.robot
+    x, y, yaw, speed, turn_rate = motion
+    weights = params.weights
     rate = obstacle_rate(scenario, weights, x, y) + people_rate(scenario, weights, x, y, people)
     rate = rate + group_rate(state, weights, x, y)
-    rate = rate + comfort_rate(weights, robot, speed, turn)
-    ends = [jnp.concatenate([part[STEPS // 2 - 1], part[-1]]) for part in (x, y)]
-    left = distance_to_goal(scenario, state, table, *ends)
-    left = jnp.maximum(jnp.where(jnp.isfinite(left), left, UNKNOWN_DISTANCE) - params.goal_tolerance, 0.0)
-    half, end = jnp.split(left, 2)
+    rate = rate + comfort_rate(weights, state.robot, speed, turn_rate)
+    halfway, end = _remaining_paths(scenario, params, state, table, x, y)
+    away_from_heading = _goal_heading_cost(state, x[-1], y[-1], yaw[-1], weights)
+    return TIME_STEP * rate.sum(0) + params.halfway * halfway + end + away_from_heading
+
+
+def _remaining_paths(
+    scenario: Scenario, params: ExpertParams, state: State, table: CostToGo, x: Array, y: Array
+) -> tuple[Array, Array]:
+    """(P,) m, the paths that remain in the middle and at the end of trajectories (T, P)."""
+    middle_and_end_x = jnp.concatenate([x[STEPS // 2 - 1], x[-1]])
+    middle_and_end_y = jnp.concatenate([y[STEPS // 2 - 1], y[-1]])
+    distance = distance_to_goal(scenario, state, table, middle_and_end_x, middle_and_end_y)
+    distance = jnp.where(jnp.isfinite(distance), distance, UNKNOWN_DISTANCE)
+    middle, end = jnp.split(jnp.maximum(distance - params.goal_tolerance, 0.0), 2)
+    return middle, end
+
+
+def _goal_heading_cost(state: State, x: Array, y: Array, yaw: Array, weights: SocialCosts) -> Array:
+    """(P,) cost of another heading than the goal's, within 0.6 m of the goal."""
     goal, goal_heading = state.task.goal, state.task.goal_heading
-    near = jnp.clip(1.0 - length(goal[0] - x[-1], goal[1] - y[-1]) / 0.6, 0.0, 1.0)
-    turned_away = 1.0 - (jnp.cos(yaw[-1]) * goal_heading[0] + jnp.sin(yaw[-1]) * goal_heading[1])
-    return TIME_STEP * rate.sum(0) + params.halfway * half + end + weights.goal_heading * near * turned_away
+    nearness = jnp.clip(1.0 - length(goal[0] - x, goal[1] - y) / 0.6, 0.0, 1.0)
+    turned_away = 1.0 - (jnp.cos(yaw) * goal_heading[0] + jnp.sin(yaw) * goal_heading[1])
+    return weights.goal_heading * nearness * turned_away
 
 
 # Social costs: rates of the shape of the trajectories (T, P), to be integrated over time.
@@ -250,10 +293,9 @@ def obstacle_rate(
 
 def obstacle_gap(scenario: Scenario, x: Float[Array, "T P"], y: Float[Array, "T P"]) -> Float[Array, "T P"]:
     """Distance [m] of the robot at (x, y) [m] from obstacles and the edge of the floor, less ``OBSTACLE_MARGIN``."""
-    edge = to_border(scenario.environment, x, y)
-    rows = nearby_obstacles(scenario.environment.obstacle_grid, x, y)
-    walls = from_rectangle(x[..., None], y[..., None], *(rows[..., part] for part in range(6)))[0]
-    return jnp.minimum(jnp.min(walls, -1), edge) - scenario.robot.radius - OBSTACLE_MARGIN
+    to_edge = to_border(scenario.environment, x, y)
+    distance, _, _ = obstacle_distances(scenario.environment, x, y)
+    return jnp.minimum(jnp.min(distance, -1), to_edge) - scenario.robot.radius - OBSTACLE_MARGIN
 
 
 def people_rate(
@@ -263,18 +305,23 @@ def people_rate(
 
     Personal space reaches 1.2 m, and farther ahead of walking people.
     """
-    px, py, vx, vy = (part[:, None, :] for part in people)
-    dx, dy = x[..., None] - px, y[..., None] - py
-    away = length(dx, dy)
-    distance_min = jnp.maximum(INTIMATE, scenario.robot.radius + scenario.forces.walking.radius) + PERSON_MARGIN
+    px, py, vx, vy = (component[:, None, :] for component in people)  # (T, 1, K)
+    dx = x[..., None] - px  # (T, P, K)
+    dy = y[..., None] - py
+    distance = length(dx, dy)
+    contact_distance = scenario.robot.radius + scenario.forces.walking.radius
+    distance_min = jnp.maximum(INTIMATE, contact_distance) + PERSON_MARGIN
+
+    # Ahead of walking people distances shrink.
     speed = length(vx, vy)
     ahead = (dx * vx + dy * vy) / jnp.maximum(speed, 0.1)
     shrink = 1.0 - 1.0 / (1.0 + STRETCH_TIME * speed)
-    stretched = jnp.where(ahead > 0.0, away - shrink * ahead, away)
+    stretched = jnp.where(ahead > 0.0, distance - shrink * ahead, distance)
+
     reach = jnp.maximum(PERSONAL, distance_min + 0.4)
     personal = jnp.clip(1.0 - stretched / reach, 0.0, 1.0)
-    inside = jnp.clip((distance_min - away) / 0.2, 0.0, 3.0)
-    contact = weights.contact * (inside + jnp.where(away < distance_min, 1.0, 0.0))
+    inside = jnp.clip((distance_min - distance) / 0.2, 0.0, 3.0)
+    contact = weights.contact * (inside + jnp.where(distance < distance_min, 1.0, 0.0))
     return (weights.personal_space * personal * personal + contact).sum(-1)
 
 
@@ -285,20 +332,22 @@ def group_rate(
     groups, task = state.groups, state.task
     index = jnp.arange(groups.radius.shape[0], dtype=jnp.int32)
     is_task_group = (index == task.goal_group) | (index == task.start_group)
-    cx, cy = groups.center[None, None, :, 0], groups.center[None, None, :, 1]
-    away = length(x[..., None] - cx, y[..., None] - cy)
-    size = jnp.where(is_task_group, 0.5, 1.2) * jnp.maximum(groups.radius, 1e-3)
-    depth = jnp.clip(1.0 - away / size[None, None, :], 0.0, 1.0)
+    center_x, center_y = groups.center[None, None, :, 0], groups.center[None, None, :, 1]
+    distance = length(x[..., None] - center_x, y[..., None] - center_y)  # (T, P, G)
+    radius = jnp.where(is_task_group, 0.5, 1.2) * jnp.maximum(groups.radius, 1e-3)
+    depth = jnp.clip(1.0 - distance / radius[None, None, :], 0.0, 1.0)
     return weights.o_space * jnp.where(groups.present[None, None, :], depth, 0.0).sum(-1)
 
 
 def comfort_rate(
-    weights: SocialCosts, robot: Robot, speed: Float[Array, "T P"], turn: Float[Array, "T P"]
+    weights: SocialCosts, robot: Robot, speed: Float[Array, "T P"], turn_rate: Float[Array, "T P"]
 ) -> Float[Array, "T P"]:
     """Cost [1/s] of driving backward, of turning and of acceleration, at speeds [m/s] and turn rates [rad/s]."""
-    acceleration = jnp.diff(speed, axis=0, prepend=jnp.full_like(speed[:1], robot.speed)) / TIME_STEP
-    turn_acceleration = jnp.diff(turn, axis=0, prepend=jnp.full_like(turn[:1], robot.turn_rate)) / TIME_STEP
-    turning = weights.turn_rate * (turn * turn + 0.05 * turn_acceleration * turn_acceleration)
+    speed_now = jnp.full_like(speed[:1], robot.speed)
+    turn_rate_now = jnp.full_like(turn_rate[:1], robot.turn_rate)
+    acceleration = jnp.diff(speed, axis=0, prepend=speed_now) / TIME_STEP
+    turn_acceleration = jnp.diff(turn_rate, axis=0, prepend=turn_rate_now) / TIME_STEP
+    turning = weights.turn_rate * (turn_rate * turn_rate + 0.05 * turn_acceleration * turn_acceleration)
     reverse = weights.reverse * jnp.maximum(-speed, 0.0)
     return reverse + turning + weights.acceleration * acceleration * acceleration
 

@@ -4,7 +4,8 @@ import jax.numpy as jnp
 from jaxtyping import Float
 
 from sean_jax.core.data_types import Array, Observation, Scenario, State
-from sean_jax.core.geometry import angle_between, from_rectangle, length, nearby_obstacles
+from sean_jax.core.geometry import angle_between, length
+from sean_jax.policies.obstacles import obstacle_distances
 from sean_jax.robots import ackermann
 from sean_jax.robots.drive import clip_turn_rate, max_reverse_speed
 from sean_jax.simulation.scenario import observe
@@ -34,51 +35,76 @@ def go_to_goal(scenario: Scenario, state: State, key: Array) -> Float[Array, "co
     rad/s; the key is not used.
     """
     observation = observe(scenario, state)
-    to_path = length(observation.path[0], observation.path[1])
-    bearing = jnp.arctan2(observation.path[1], jnp.where(to_path > 0.0, observation.path[0], 1.0))
-
-    distance = length(observation.people[:, 0], observation.people[:, 1])
-    direction = jnp.arctan2(observation.people[:, 1], jnp.where(distance > 0.0, observation.people[:, 0], 1.0))
-    off = _wrap(direction - bearing)
-    span = _half_width(distance)
-    in_way = observation.people_present & (distance < jnp.minimum(2.0, to_path + 0.3)) & (jnp.abs(off) < span)
-    aim = bearing
-    if in_way.shape[0]:
-        nearest = jnp.argmin(jnp.where(in_way, distance, jnp.inf))
-        side = jnp.where(off[nearest] > 0.0, -1.0, 1.0)
-        aside = direction[nearest] + side * span[nearest]
-        aim = _wrap(jnp.where(in_way.any(), aside, bearing))
-
+    direction, aim = _aim(observation)
     if scenario.robot.lateral is not None:
         return _omnidirectional(scenario, observation, direction, aim)
     if scenario.robot.steering is not None:
         return _car(scenario, state, observation, direction, aim)
+    return _differential(scenario, observation, direction, aim)
 
-    ahead = observation.people_present & (jnp.abs(direction) < jnp.pi / 3)
+
+def _aim(observation: Observation) -> tuple[Array, Array]:
+    """Directions (N,) [rad] of the people, and the direction () [rad] in which to drive: the path, or beside a person.
+
+    All of them in the robot's frame.
+    """
+    path, people = observation.path, observation.people
+    to_corner = length(path[0], path[1])
+    bearing = jnp.arctan2(path[1], jnp.where(to_corner > 0.0, path[0], 1.0))
+    distance = length(people[:, 0], people[:, 1])
+    direction = jnp.arctan2(people[:, 1], jnp.where(distance > 0.0, people[:, 0], 1.0))
+
+    # A person is in the way if the disc to pass around hides the bearing.
+    offset = _wrap(direction - bearing)
+    half_width = _half_width(distance)
+    is_near = observation.people_present & (distance < jnp.minimum(2.0, to_corner + 0.3))
+    in_way = is_near & (jnp.abs(offset) < half_width)
+    if not in_way.shape[0]:
+        return direction, bearing
+
+    nearest = jnp.argmin(jnp.where(in_way, distance, jnp.inf))
+    side = jnp.where(offset[nearest] > 0.0, -1.0, 1.0)
+    beside_person = direction[nearest] + side * half_width[nearest]
+    return direction, _wrap(jnp.where(in_way.any(), beside_person, bearing))
+
+
+def _differential(scenario: Scenario, observation: Observation, direction: Array, aim: Array) -> Array:
+    """The command (2,) of a robot that turns toward ``aim`` [rad], with people in these directions [rad]."""
+    model = scenario.robot
+    is_ahead = observation.people_present & (jnp.abs(direction) < jnp.pi / 3)
+    distance = length(observation.people[:, 0], observation.people[:, 1])
     closing = jnp.maximum(-observation.people_velocity[:, 0], 0.0)  # approaching people need more distance
-    free = jnp.min(jnp.where(ahead, distance - STOP_DISTANCE - 0.3 * closing, SLOW_DISTANCE), initial=SLOW_DISTANCE)
-    share = jnp.clip(free / (SLOW_DISTANCE - STOP_DISTANCE), 0.0, 1.0) * jnp.clip(jnp.cos(aim), 0.0, 1.0)
-    speed = (
-        scenario.robot.max_speed * share * jnp.clip(length(observation.goal[0], observation.goal[1]) / 0.5, 0.0, 1.0)
-    )
+    share = _share_of_speed(is_ahead, distance, closing) * jnp.clip(jnp.cos(aim), 0.0, 1.0)
+    to_goal = _to_goal(observation)
+    speed = model.max_speed * share * jnp.clip(to_goal / 0.5, 0.0, 1.0)
 
-    arrived = length(observation.goal[0], observation.goal[1]) < GOAL_TOLERANCE
-    forward = jnp.asarray([1.0, 0.0], float)
-    turn = jnp.where(arrived, angle_between(forward, observation.goal_heading), aim)
-    return jnp.stack([jnp.where(arrived, 0.0, speed), clip_turn_rate(scenario.robot, TURN_GAIN * turn)])
+    arrived = to_goal < GOAL_TOLERANCE
+    turn = jnp.where(arrived, _to_goal_heading(observation), aim)
+    return jnp.stack([jnp.where(arrived, 0.0, speed), clip_turn_rate(model, TURN_GAIN * turn)])
 
 
 def _omnidirectional(scenario: Scenario, observation: Observation, direction: Array, aim: Array) -> Array:
     """The command (3,) of a robot that drives at the angle ``aim`` [rad], with people in these directions [rad]."""
     model, lateral = scenario.robot, scenario.robot.lateral
     assert lateral is not None
-    to_goal = length(observation.goal[0], observation.goal[1])
-    top = jnp.minimum(model.max_speed, lateral.max_speed) * jnp.clip(to_goal / 0.5, 0.0, 1.0)
-    speed = top * _free_share(observation, direction, aim)
+    to_goal = _to_goal(observation)
+    top_speed = jnp.minimum(model.max_speed, lateral.max_speed) * jnp.clip(to_goal / 0.5, 0.0, 1.0)
+    speed = top_speed * _free_share(observation, direction, aim)
+
     arrived = to_goal < GOAL_TOLERANCE
     speed = jnp.where(arrived, 0.0, speed)
-    turn = jnp.where(arrived, angle_between(jnp.asarray([1.0, 0.0], float), observation.goal_heading), aim)
+    turn = jnp.where(arrived, _to_goal_heading(observation), aim)
     return jnp.stack([speed * jnp.cos(aim), speed * jnp.sin(aim), clip_turn_rate(model, TURN_GAIN * turn)])
+
+
+def _to_goal(observation: Observation) -> Array:
+    """() m, the distance to the goal."""
+    return length(observation.goal[0], observation.goal[1])
+
+
+def _to_goal_heading(observation: Observation) -> Array:
+    """() rad, the turn to the goal's heading."""
+    return angle_between(jnp.asarray([1.0, 0.0], float), observation.goal_heading)
 
 
 def _car(scenario: Scenario, state: State, observation: Observation, direction: Array, aim: Array) -> Array:
@@ -86,52 +112,81 @@ def _car(scenario: Scenario, state: State, observation: Observation, direction: 
 
     Source: pure pursuit is R. C. Coulter, "Implementation of the pure pursuit path tracking algorithm", 1992.
     """
-    model, steering = scenario.robot, ackermann.steering(scenario.robot)
-    circle = steering.wheelbase / jnp.tan(steering.max_angle)  # m, radius of the rear axle's sharpest turn
-    away = length(observation.path[0], observation.path[1])
-    x, y = away * jnp.cos(aim) + steering.rear_axle, away * jnp.sin(aim)  # from the rear axle
+    steering = ackermann.steering(scenario.robot)
+    turning_radius = steering.wheelbase / jnp.tan(steering.max_angle)  # m, of the rear axle
+
+    # The place to drive to, from the rear axle.
+    to_corner = length(observation.path[0], observation.path[1])
+    x = to_corner * jnp.cos(aim) + steering.rear_axle
+    y = to_corner * jnp.sin(aim)
     distance = length(x, y)
     bearing = jnp.arctan2(y, jnp.where(distance > 0.0, x, 1.0))
     sine = jnp.sin(bearing)
+    reverses = _reverses(scenario, state, bearing, distance, turning_radius)
 
-    backing = state.robot.drive_state.command[0] < 0.0
-    begin = (jnp.abs(bearing) > BEHIND) | (distance < 2.0 * circle * jnp.abs(sine))
-    end = (jnp.abs(bearing) < AHEAD) & (distance > 2.0 * OUTSIDE * circle * jnp.abs(sine))
-    front, rear = _gaps(scenario, state)
-    back = jnp.where(backing, ~end | (front < FREE_GAP), begin | (front < WALL_GAP))
-    back = back & (rear > jnp.where(backing, WALL_GAP, FREE_GAP))
+    # Pure pursuit, or the other lock backward.
+    curvature = 2.0 * sine / jnp.maximum(distance, LOOK_AHEAD)
+    curvature = jnp.clip(curvature, -1.0 / turning_radius, 1.0 / turning_radius)
+    curvature = jnp.where(reverses, -jnp.sign(bearing) / turning_radius, curvature)
 
-    curvature = jnp.clip(2.0 * sine / jnp.maximum(distance, LOOK_AHEAD), -1.0 / circle, 1.0 / circle)
-    curvature = jnp.where(back, -jnp.sign(bearing) / circle, curvature)
-    bend = jnp.sqrt(LATERAL_ACCELERATION / jnp.maximum(jnp.abs(curvature), 1e-3))
-    to_goal = length(observation.goal[0], observation.goal[1])
-    ahead = jnp.minimum(model.max_speed * jnp.clip(to_goal / 1.0, 0.2, 1.0), bend)
-    ahead = ahead * _free_share(observation, direction, jnp.zeros_like(aim))
-    reverse = jnp.minimum(max_reverse_speed(model), bend) * _free_share(
-        observation, direction, jnp.full_like(aim, jnp.pi)
-    )
-    speed = jnp.where(back, -reverse, ahead)
-    speed = jnp.where(to_goal < 0.5 * scenario.goal_radius, 0.0, speed)
+    speed = _car_speed(scenario, observation, direction, curvature, reverses)
     return jnp.stack([speed, speed * curvature])
+
+
+def _car_speed(
+    scenario: Scenario, observation: Observation, direction: Array, curvature: Array, reverses: Array
+) -> Array:
+    """The speed [m/s] of a car in a curve [1/m], which curves, people in these directions [rad] and the goal limit."""
+    model = scenario.robot
+    curve_speed = jnp.sqrt(LATERAL_ACCELERATION / jnp.maximum(jnp.abs(curvature), 1e-3))
+    to_goal = _to_goal(observation)
+    top_speed = model.max_speed * jnp.clip(to_goal / 1.0, 0.2, 1.0)
+    free_ahead = _free_share(observation, direction, jnp.zeros_like(curvature))
+    free_behind = _free_share(observation, direction, jnp.full_like(curvature, jnp.pi))
+    ahead = jnp.minimum(top_speed, curve_speed) * free_ahead
+    backward = jnp.minimum(max_reverse_speed(model), curve_speed) * free_behind
+    speed = jnp.where(reverses, -backward, ahead)
+    return jnp.where(to_goal < 0.5 * scenario.goal_radius, 0.0, speed)
+
+
+def _reverses(scenario: Scenario, state: State, bearing: Array, distance: Array, turning_radius: Array) -> Array:
+    """() bool, whether a car backs up, while its place is behind it or inside a circle to one side."""
+    was_reversing = state.robot.drive_state.command[0] < 0.0
+    sine = jnp.abs(jnp.sin(bearing))  # the circle to that side ends 2 r sin(bearing) ahead
+    begins = (jnp.abs(bearing) > BEHIND) | (distance < 2.0 * turning_radius * sine)
+    ends = (jnp.abs(bearing) < AHEAD) & (distance > 2.0 * OUTSIDE * turning_radius * sine)
+
+    # Walls change the direction: the one in front at once, the one behind if it is too near to begin or to go on.
+    front, rear = _gaps(scenario, state)
+    reverses = jnp.where(was_reversing, ~ends | (front < FREE_GAP), begins | (front < WALL_GAP))
+    return reverses & (rear > jnp.where(was_reversing, WALL_GAP, FREE_GAP))
 
 
 def _gaps(scenario: Scenario, state: State) -> tuple[Array, Array]:
     """Gaps [m] between the robot's disc and the nearest obstacle in front of it and behind it."""
-    (x, y), heading = state.robot.position, state.robot.heading
-    rows = nearby_obstacles(scenario.environment.obstacle_grid, x, y)
-    distance, nx, ny = from_rectangle(x, y, *(rows[:, part] for part in range(6)))
-    gap, toward = distance - scenario.robot.radius, nx * heading[0] + ny * heading[1]
-    front = jnp.min(jnp.where(toward < -TOWARD_WALL, gap, jnp.inf), initial=jnp.inf)
-    return front, jnp.min(jnp.where(toward > TOWARD_WALL, gap, jnp.inf), initial=jnp.inf)
+    x, y = state.robot.position
+    heading = state.robot.heading
+    distance, nx, ny = obstacle_distances(scenario.environment, x, y)
+    gap = distance - scenario.robot.radius
+    ahead = nx * heading[0] + ny * heading[1]  # of the normal, which points away from the obstacle
+    front = jnp.min(jnp.where(ahead < -TOWARD_WALL, gap, jnp.inf), initial=jnp.inf)
+    rear = jnp.min(jnp.where(ahead > TOWARD_WALL, gap, jnp.inf), initial=jnp.inf)
+    return front, rear
 
 
-def _free_share(observation: Observation, direction: Array, way: Array) -> Array:
-    """Share of the speed that people leave on a way at that angle [rad]; they are in these directions [rad]."""
-    near = observation.people_present & (jnp.abs(_wrap(direction - way)) < jnp.pi / 3)
+def _free_share(observation: Observation, direction: Array, course: Array) -> Array:
+    """Share of the speed that people leave on a course at that angle [rad]; they are in these directions [rad]."""
+    is_ahead = observation.people_present & (jnp.abs(_wrap(direction - course)) < jnp.pi / 3)
     distance = length(observation.people[:, 0], observation.people[:, 1])
     velocity = observation.people_velocity
-    closing = jnp.maximum(-(velocity[:, 0] * jnp.cos(way) + velocity[:, 1] * jnp.sin(way)), 0.0)
-    free = jnp.min(jnp.where(near, distance - STOP_DISTANCE - 0.3 * closing, SLOW_DISTANCE), initial=SLOW_DISTANCE)
+    closing = jnp.maximum(-(velocity[:, 0] * jnp.cos(course) + velocity[:, 1] * jnp.sin(course)), 0.0)
+    return _share_of_speed(is_ahead, distance, closing)
+
+
+def _share_of_speed(is_ahead: Array, distance: Array, closing: Array) -> Array:
+    """Share of the speed by the distance [m] of people ahead, and the speed [m/s] with which they come nearer."""
+    free = distance - STOP_DISTANCE - 0.3 * closing
+    free = jnp.min(jnp.where(is_ahead, free, SLOW_DISTANCE), initial=SLOW_DISTANCE)
     return jnp.clip(free / (SLOW_DISTANCE - STOP_DISTANCE), 0.0, 1.0)
 
 
@@ -139,7 +194,8 @@ def _half_width(distance: Array) -> Array:
     """Half the angle [rad] of a disc of radius ``PASSING_DISTANCE`` at a distance [m]; inside, pi / 2."""
     beyond = distance * distance - PASSING_DISTANCE * PASSING_DISTANCE
     outside = beyond > 0.0
-    return jnp.where(outside, jnp.arctan2(PASSING_DISTANCE, jnp.sqrt(jnp.where(outside, beyond, 1.0))), 0.5 * jnp.pi)
+    tangent = jnp.sqrt(jnp.where(outside, beyond, 1.0))  # m, to the disc
+    return jnp.where(outside, jnp.arctan2(PASSING_DISTANCE, tangent), 0.5 * jnp.pi)
 
 
 def _wrap(angle: Array) -> Array:

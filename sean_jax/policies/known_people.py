@@ -40,9 +40,16 @@ class KnownPeople(NamedTuple):
 
 def nobody(state: State) -> KnownPeople:
     """The knowledge at the beginning of an episode."""
-    position, group = jnp.zeros_like(state.pedestrians.position), jnp.full_like(state.pedestrians.group, -1)
-    known = jnp.zeros(group.shape, bool)
-    return KnownPeople(position, jnp.zeros_like(position), group, known.astype(jnp.int32), known)
+    people = state.pedestrians
+    zeros = jnp.zeros_like(people.position)
+    known = jnp.zeros(people.group.shape, bool)
+    return KnownPeople(
+        position=zeros,
+        velocity=zeros,
+        group=jnp.full_like(people.group, -1),
+        unseen_ticks=known.astype(jnp.int32),
+        known=known,
+    )
 
 
 @jax.named_scope("known_people")

@@ -14,7 +14,17 @@ from jaxtyping import Float
 
 from sean_jax.core.data_types import Array, Policy, Scenario, State
 from sean_jax.core.devices import parameter
-from sean_jax.policies.expert import MAX_PEOPLE, STEPS, TIME_STEP, ExpertParams, begin_search, expert, importance
+from sean_jax.policies.expert import (
+    MAX_PEOPLE,
+    STEPS,
+    TIME_STEP,
+    ExpertParams,
+    begin_search,
+    expert,
+    follow_plan,
+    importance,
+    plan_costs,
+)
 from sean_jax.policies.known_people import Sight, as_known, known_people, nobody
 from sean_jax.policies.prediction import nearest_people, predict_straight
 from sean_jax.policies.sensing_expert import SensingMemory
@@ -44,11 +54,13 @@ def apply(
     people = known_people(scenario, params, state, memory.people)
     state = replace(as_known(state, people), policy_state=memory.search)
     motion = predict_straight(nearest_people(state, MAX_PEOPLE), STEPS, TIME_STEP)
-    last, cost, end = begin_search(scenario, params.search, state, motion)
+    search = begin_search(scenario, params.search, state, motion)
+    last = search.last_knots
     noise = params.deviation * jax.random.normal(key, (SAMPLES, *last.shape), float)
     plans = jnp.clip(last[None] + noise, -1.0, 1.0)
-    command, search = end(weighted_mean(params, last, plans, cost(plans)))
-    return command, SensingMemory(search, people)
+    mean = weighted_mean(params, last, plans, plan_costs(search, plans))
+    command, search_memory = follow_plan(search, mean)
+    return command, SensingMemory(search_memory, people)
 
 
 def weighted_mean(

@@ -9,9 +9,10 @@ import jax.numpy as jnp
 from jaxtyping import Float
 
 from sean_jax.core.data_types import Array, Observation, Scenario, State
-from sean_jax.core.geometry import from_rectangle, nearby_obstacles, rotate
+from sean_jax.core.geometry import rotate
 from sean_jax.people.orca_solver import UNBOUNDED, VelocityProgram, best_velocity, half_plane
 from sean_jax.policies import steering
+from sean_jax.policies.obstacles import obstacle_distances
 from sean_jax.policies.prediction import nearest_people
 from sean_jax.robots.drive import clip_turn_rate, require
 from sean_jax.simulation.scenario import observe
@@ -36,36 +37,59 @@ def orca(scenario: Scenario, state: State, key: Array) -> Float[Array, "command"
     """
     robot, model = state.robot, scenario.robot
     require(model, ("differential", "omnidirectional"), "orca steers")
-    hx, hy = robot.heading[0], robot.heading[1]
     observation = observe(scenario, state)
-    lever, own_x, own_y = steering.point_ahead(model, robot)
-    wish = _wish(scenario, observation, lever, steering.bearing(model, robot, observation, key))
+    lever, speed_ahead, speed_left = steering.point_ahead(model, robot)
+    bearing = steering.bearing(model, robot, observation, key)
+    preferred = _preferred_velocity(scenario, observation, lever, bearing)
 
-    people = nearest_people(state, MAX_PEOPLE)
-    gap, motion = people.position - robot.position[None, :], people.velocity
-    dx, dy = gap[:, 0] * hx + gap[:, 1] * hy - lever, gap[:, 1] * hx - gap[:, 0] * hy
-    vx, vy = motion[:, 0] * hx + motion[:, 1] * hy, motion[:, 1] * hx - motion[:, 0] * hy
-    reach = model.radius + lever + scenario.forces.walking.radius + PEOPLE_MARGIN
-    each = jax.vmap(half_plane, in_axes=(0, 0, 0, 0, None, None, None, None))
-    first = jnp.ones((), bool)
-    nx, ny, out = each(dx, dy, own_x - vx, own_y - vy, reach, PEOPLE_HORIZON, scenario.time_step, first)
-    near = people.present & (gap[:, 0] * gap[:, 0] + gap[:, 1] * gap[:, 1] < MAX_DISTANCE * MAX_DISTANCE)
-    c = jnp.where(near, nx * own_x + ny * own_y + out, UNBOUNDED)
-
-    wall_x, wall_y, wall = _obstacle_half_planes(scenario, state)
-    nx, ny = jnp.concatenate([nx, wall_x]), jnp.concatenate([ny, wall_y])
-    bounds, hard = jnp.concatenate([c, wall]), jnp.arange(c.shape[0] + wall.shape[0]) >= c.shape[0]
-    x, y = best_velocity(VelocityProgram(nx, ny, bounds, hard, *wish, model.max_speed))
+    people_x, people_y, people = _people_half_planes(scenario, state, lever, speed_ahead, speed_left)
+    obstacles_x, obstacles_y, obstacles = _obstacle_half_planes(scenario, state)
+    nx = jnp.concatenate([people_x, obstacles_x])
+    ny = jnp.concatenate([people_y, obstacles_y])
+    bounds = jnp.concatenate([people, obstacles])
+    hard = jnp.arange(len(bounds)) >= len(people)  # half-planes of obstacles are never violated
+    x, y = best_velocity(VelocityProgram(nx, ny, bounds, hard, *preferred, model.max_speed))
     return steering.follow(scenario, robot, observation, x, y)
 
 
-def _wish(scenario: Scenario, observation: Observation, lever: Array, bearing: Array) -> tuple[Array, Array]:
+def _preferred_velocity(
+    scenario: Scenario, observation: Observation, lever: Array, bearing: Array
+) -> tuple[Array, Array]:
     """The velocity [m/s] of the point ahead in the robot's frame, at which it turns to the bearing [rad]."""
-    model, speed = scenario.robot, steering.top_speed(scenario.robot, observation)
+    model = scenario.robot
+    speed = steering.top_speed(model, observation)
     if model.lateral is not None:
         return speed * jnp.cos(bearing), speed * jnp.sin(bearing)
-    turn = clip_turn_rate(model, steering.TURN_GAIN * bearing)
-    return speed * jnp.clip(jnp.cos(bearing), 0.0, 1.0), lever * turn
+    turn_rate = clip_turn_rate(model, steering.TURN_GAIN * bearing)
+    return speed * jnp.clip(jnp.cos(bearing), 0.0, 1.0), lever * turn_rate
+
+
+def _people_half_planes(
+    scenario: Scenario, state: State, lever: Array, speed_ahead: Array, speed_left: Array
+) -> tuple[Array, Array, Array]:
+    """(K,) normals x, y and (K,) m/s: half-planes that bound the velocity in the robot's frame, clear of people."""
+    robot, model = state.robot, scenario.robot
+    cosine, sine = robot.heading[0], robot.heading[1]
+    people = nearest_people(state, MAX_PEOPLE)
+    gap = people.position - robot.position[None, :]  # (K, 2) m
+    dx, dy = _to_robot(gap, cosine, sine)
+    vx, vy = _to_robot(people.velocity, cosine, sine)
+
+    reach = model.radius + lever + scenario.forces.walking.radius + PEOPLE_MARGIN
+    breaks_tie = jnp.ones((), bool)  # of two at one place
+    planes = jax.vmap(half_plane, in_axes=(0, 0, 0, 0, None, None, None, None))
+    nx, ny, out = planes(
+        dx - lever, dy, speed_ahead - vx, speed_left - vy, reach, PEOPLE_HORIZON, scenario.time_step, breaks_tie
+    )
+    square = gap[:, 0] * gap[:, 0] + gap[:, 1] * gap[:, 1]
+    is_near = people.present & (square < MAX_DISTANCE * MAX_DISTANCE)
+    return nx, ny, jnp.where(is_near, nx * speed_ahead + ny * speed_left + out, UNBOUNDED)
+
+
+def _to_robot(vectors: Array, cosine: Array, sine: Array) -> tuple[Array, Array]:
+    """Components (K,) ahead and to the left of vectors (K, 2)."""
+    x, y = vectors[:, 0], vectors[:, 1]
+    return x * cosine + y * sine, y * cosine - x * sine
 
 
 def _obstacle_half_planes(scenario: Scenario, state: State) -> tuple[Array, Array, Array]:
@@ -74,16 +98,18 @@ def _obstacle_half_planes(scenario: Scenario, state: State) -> tuple[Array, Arra
     Only the velocity moves a disc, not how it turns: n . v >= -gap / horizon for the normal n away from an obstacle.
     The velocity of a differential drive is along its heading, so that its normals are (1, 0) or (-1, 0).
     """
-    (x, y), heading = state.robot.position, state.robot.heading
-    rows = nearby_obstacles(scenario.environment.obstacle_grid, x, y)
-    distance, nx, ny = from_rectangle(x, y, *(rows[:, part] for part in range(6)))
-    _, index = jax.lax.top_k(-jax.lax.stop_gradient(distance), min(MAX_OBSTACLES, distance.shape[0]))
-    gap = jnp.maximum(distance[index] - scenario.robot.radius - OBSTACLE_MARGIN, 0.0)
+    x, y = state.robot.position
+    heading = state.robot.heading
+    distance, nx, ny = obstacle_distances(scenario.environment, x, y)
+    _, nearest = jax.lax.top_k(-jax.lax.stop_gradient(distance), min(MAX_OBSTACLES, distance.shape[0]))
+    gap = jnp.maximum(distance[nearest] - scenario.robot.radius - OBSTACLE_MARGIN, 0.0)
     if state.robot.sideways is not None:
-        x, y = rotate(nx[index], ny[index], heading[0], -heading[1])
-        return x, y, -gap / OBSTACLE_HORIZON
-    toward = nx[index] * heading[0] + ny[index] * heading[1]
-    steep = jnp.abs(toward) > 1e-3
-    bound = -gap / (OBSTACLE_HORIZON * jnp.where(steep, jnp.abs(toward), 1.0))
-    side = jnp.where(toward < 0.0, -1.0, 1.0)
-    return side, jnp.zeros_like(side), jnp.where(steep, bound, UNBOUNDED)
+        ahead, left = rotate(nx[nearest], ny[nearest], heading[0], -heading[1])
+        return ahead, left, -gap / OBSTACLE_HORIZON
+
+    ahead = nx[nearest] * heading[0] + ny[nearest] * heading[1]
+    is_steep = jnp.abs(ahead) > 1e-3
+    steepness = jnp.where(is_steep, jnp.abs(ahead), 1.0)
+    bound = jnp.where(is_steep, -gap / (OBSTACLE_HORIZON * steepness), UNBOUNDED)
+    side = jnp.where(ahead < 0.0, -1.0, 1.0)
+    return side, jnp.zeros_like(side), bound

@@ -54,23 +54,23 @@ def predict_robot(
         time_step: s, between two commands.
     """
     law = LAWS[model.drive_type]
-    start = tuple(jnp.full(commands[0].shape[1:], part) for part in speeds)
+    start = tuple(jnp.full(commands[0].shape[1:], speed) for speed in speeds)
 
-    def step(now: Speeds, command: Speeds) -> tuple[Speeds, Speeds]:
-        after = law.limit(model, now, command, time_step)
+    def step(before: Speeds, command: Speeds) -> tuple[Speeds, Speeds]:
+        after = law.limit(model, before, command, time_step)
         return after, after
 
-    _, reached = jax.lax.scan(step, start, commands)
-    ahead, left, rate = law.velocity(model, reached)
-    rotation = time_step * rate
+    _, limited = jax.lax.scan(step, start, commands)
+    ahead, left, turn_rate = law.velocity(model, limited)
+    rotation = time_step * turn_rate
     yaw = jnp.cumsum(rotation, axis=0)
-    middle = yaw - 0.5 * rotation
-    if left is not None:
-        x, y = rotate(time_step * ahead, time_step * left, jnp.cos(middle), jnp.sin(middle))
-        return RobotMotion(jnp.cumsum(x, axis=0), jnp.cumsum(y, axis=0), yaw, ahead, rate)
-    x = jnp.cumsum(time_step * ahead * jnp.cos(middle), axis=0)
-    y = jnp.cumsum(time_step * ahead * jnp.sin(middle), axis=0)
-    return RobotMotion(x, y, yaw, ahead, rate)
+    middle_yaw = yaw - 0.5 * rotation
+    if left is None:
+        dx = time_step * ahead * jnp.cos(middle_yaw)
+        dy = time_step * ahead * jnp.sin(middle_yaw)
+    else:
+        dx, dy = rotate(time_step * ahead, time_step * left, jnp.cos(middle_yaw), jnp.sin(middle_yaw))
+    return RobotMotion(jnp.cumsum(dx, axis=0), jnp.cumsum(dy, axis=0), yaw, ahead, turn_rate)
 
 
 def to_world(
@@ -85,9 +85,10 @@ def nearest_people(state: State, count: int) -> Pedestrians:
     """The ``count`` people nearest to the robot, or all; absent people come last, with ``present`` False."""
     people = state.pedestrians
     gap = people.position - state.robot.position[None, :]
-    square = jnp.where(people.present, gap[:, 0] * gap[:, 0] + gap[:, 1] * gap[:, 1], jnp.inf)
+    square = gap[:, 0] * gap[:, 0] + gap[:, 1] * gap[:, 1]  # (N,) m2
+    square = jnp.where(people.present, square, jnp.inf)
     _, index = jax.lax.top_k(-jax.lax.stop_gradient(square), min(count, square.shape[0]))
-    return jax.tree.map(lambda part: part[index], people)
+    return jax.tree.map(lambda leaf: leaf[index], people)
 
 
 def predict_people(
@@ -105,29 +106,36 @@ def predict_people(
     forces, grid = scenario.forces, scenario.environment.obstacle_grid
 
     def step(people: Pedestrians, _: None) -> tuple[Pedestrians, tuple]:
-        fixed = jnp.where(_coincident(people)[:, None], jax.lax.stop_gradient(people.position), people.position)
+        coincident = _coincident(people)[:, None]
+        fixed = jnp.where(coincident, jax.lax.stop_gradient(people.position), people.position)
         after = integrate(forces, replace(people, position=fixed), grid, groups, None, time_step)
         after = replace(after, position=after.position + (people.position - fixed))  # 0, except for derivatives
         return after, (*after.position.T, *after.velocity.T)
 
     _, (px, py, vx, vy) = jax.lax.scan(step, people, length=steps)
-    here = people.present[None, :]
-    return PeopleMotion(jnp.where(here, px, ABSENT_DISTANCE), jnp.where(here, py, ABSENT_DISTANCE), vx, vy)
+    return PeopleMotion(*_absent_far_away(people, px, py), vx, vy)
+
+
+def _absent_far_away(people: Pedestrians, x: Array, y: Array) -> tuple[Array, Array]:
+    """Places (T, K) [m] of people, and others for those who are absent."""
+    present = people.present[None, :]
+    return jnp.where(present, x, ABSENT_DISTANCE), jnp.where(present, y, ABSENT_DISTANCE)
 
 
 def predict_straight(people: Pedestrians, steps: int, time_step: float) -> PeopleMotion:
     """The motion of people at constant velocity, for people with unknown goals; steps of ``time_step`` [s]."""
-    seconds = time_step * (jnp.arange(steps, dtype=people.position.dtype) + 1.0)
-    (x, y), (vx, vy) = people.position.T, people.velocity.T
-    here = people.present[None, :]
-    px, py = (now[None, :] + seconds[:, None] * speed[None, :] for now, speed in ((x, vx), (y, vy)))
-    velocity = (jnp.broadcast_to(part[None, :], px.shape) for part in (vx, vy))
-    return PeopleMotion(jnp.where(here, px, ABSENT_DISTANCE), jnp.where(here, py, ABSENT_DISTANCE), *velocity)
+    seconds = time_step * (jnp.arange(steps, dtype=people.position.dtype) + 1.0)[:, None]
+    x, y = people.position.T[:, None, :]  # (1, K) each
+    vx, vy = people.velocity.T[:, None, :]
+    px, py = _absent_far_away(people, x + seconds * vx, y + seconds * vy)
+    return PeopleMotion(px, py, jnp.broadcast_to(vx, px.shape), jnp.broadcast_to(vy, px.shape))
 
 
 def _coincident(people: Pedestrians) -> Bool[Array, "K"]:
     """Whether each person is within ``COINCIDENT_DISTANCE`` of another person who is present."""
     x, y = jax.lax.stop_gradient(people.position).T
-    dx, dy = x[:, None] - x[None, :], y[:, None] - y[None, :]
-    other = people.present[None, :] & ~jnp.eye(people.present.shape[0], dtype=bool)
-    return (other & (dx * dx + dy * dy < COINCIDENT_DISTANCE * COINCIDENT_DISTANCE)).any(1)
+    dx = x[:, None] - x[None, :]  # (K, K)
+    dy = y[:, None] - y[None, :]
+    is_other = people.present[None, :] & ~jnp.eye(people.present.shape[0], dtype=bool)
+    coincides = dx * dx + dy * dy < COINCIDENT_DISTANCE * COINCIDENT_DISTANCE
+    return (is_other & coincides).any(1)

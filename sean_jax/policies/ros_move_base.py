@@ -67,7 +67,7 @@ class SocialCostmapParams:
     lidar: bool = struct.field(pytree_node=False, default=True)  # whether the maps have the marks of a lidar
 
 
-class Progress(NamedTuple):
+class MoveBaseProgress(NamedTuple):
     """The state of move_base."""
 
     status: Int[Array, ""]  # PLANNING, CONTROLLING, CLEARING or IDLE
@@ -85,7 +85,7 @@ class SocialCostmapMemory(NamedTuple):
     steps: UInt16[Array, "X Y"]  # to the goal over free cells of the local map, without marks; of ``pack_steps``
     marks: UInt8[Array, "X B"]  # of the lidar, of ``costmap.pack``
     path: Float[Array, "2 points"]  # m, x and y of the last plan
-    progress: Progress
+    progress: MoveBaseProgress
     oscillation: Oscillation
 
 
@@ -118,27 +118,41 @@ def init(scenario: Scenario, params: SocialCostmapParams, state: State) -> Socia
     require(scenario.robot, ("differential",), "this planner steers")
     scenario, params, state = jax.lax.stop_gradient((scenario, params, state))
     obstacles = costmap.static_cells(scenario.environment)
-    origin, cell = costmap.map_frame(scenario.environment)
-    last = jnp.asarray(obstacles.shape, jnp.int32) - 1
-    goal = jnp.clip(jnp.floor((state.task.goal - origin) / cell).astype(jnp.int32), 0, last)
-    start = jnp.full(obstacles.shape, UNREACHED, float).at[goal[0], goal[1]].set(0.0)
-    wide, near = _inflated(scenario, params, obstacles)
-    cost = costmap.resistance(wide)
+    start = _goal_cell(scenario, state, obstacles.shape)
+    global_costs, local_costs = _inflated(scenario, params, obstacles)
+
+    # Distances to the goal on the whole map, on which the waves in windows begin.
+    cost = costmap.resistance(global_costs)
     potential = costmap.potentials(jnp.where(cost < costmap.BLOCKED, start, UNREACHED), cost)
-    steps = costmap.pack_steps(costmap.steps_from(start, near < costmap.INSCRIBED))
-    path = jnp.broadcast_to(state.robot.position[:, None], (2, PATH_POINTS))
+    steps = costmap.pack_steps(costmap.steps_from(start, local_costs < costmap.INSCRIBED))
+
     zero = jnp.zeros((), jnp.int32)
-    progress = Progress(zero + PLANNING, zero, zero, jnp.zeros((), bool), zero)
-    oscillation = initial_oscillation(state.robot)
-    obstacles = costmap.pack(obstacles)
-    return SocialCostmapMemory(obstacles, potential, steps, jnp.zeros_like(obstacles), path, progress, oscillation)
+    packed = costmap.pack(obstacles)
+    return SocialCostmapMemory(
+        obstacles=packed,
+        potential=potential,
+        steps=steps,
+        marks=jnp.zeros_like(packed),
+        path=jnp.broadcast_to(state.robot.position[:, None], (2, PATH_POINTS)),
+        progress=MoveBaseProgress(zero + PLANNING, zero, zero, jnp.zeros((), bool), zero),
+        oscillation=initial_oscillation(state.robot),
+    )
+
+
+def _goal_cell(scenario: Scenario, state: State, shape: tuple[int, ...]) -> Array:
+    """The start of waves (X, Y) from the goal: 0 in its cell, ``UNREACHED`` elsewhere."""
+    origin, cell = costmap.map_frame(scenario.environment)
+    last = jnp.asarray(shape, jnp.int32) - 1
+    goal = jnp.clip(jnp.floor((state.task.goal - origin) / cell).astype(jnp.int32), 0, last)
+    return jnp.full(shape, UNREACHED, float).at[goal[0], goal[1]].set(0.0)
 
 
 def _inflated(scenario: Scenario, params: SocialCostmapParams, lethal: Array) -> tuple[Array, Array]:
     """Costs of the global and of the local map, without people."""
-    cell, radius = costmap.map_frame(scenario.environment)[1], scenario.robot.radius
-    wide, near = (costmap.inflate(each, radius, cell, lethal) for each in (params.global_costmap, params.local_costmap))
-    return wide, near
+    _, cell = costmap.map_frame(scenario.environment)
+    radius = scenario.robot.radius
+    global_costs = costmap.inflate(params.global_costmap, radius, cell, lethal)
+    return global_costs, costmap.inflate(params.local_costmap, radius, cell, lethal)
 
 
 def apply(
@@ -149,23 +163,28 @@ def apply(
     memory: SocialCostmapMemory = fixed_state.policy_state
     robot = fixed_state.robot
     window = costmap.window_around(fixed_scenario.environment, robot.position)
-    memory, wide, near = _update_maps(fixed_scenario, fixed_params, fixed_state, window)
-    path, planned = _plan(fixed_params, memory, robot, window, wide)
+
+    # Maps, the global plan, and what the local planner makes of them.
+    memory, global_costs, local_costs = _update_maps(fixed_scenario, fixed_params, fixed_state, window)
+    path, planned = _plan(fixed_params, memory, robot, window, global_costs)
     path = jnp.where(planned, path, memory.path)
-    distances = _distances(fixed_scenario, fixed_params, fixed_state, memory, window, near, path)
+    distances = _distances(fixed_scenario, fixed_params, fixed_state, memory, window, local_costs, path)
     gap = fixed_state.task.goal - robot.position
     to_goal = length(gap[0], gap[1])
     command, valid, oscillation = best_command(
         scenario.robot, params.local_planner, state.robot, window, distances, memory.oscillation,
         to_goal, scenario.time_step,
     )  # fmt: skip
-    may_turn = _may_turn(fixed_scenario, robot, window, near)
+
+    # What move_base does with them.
+    may_turn = _may_turn(fixed_scenario, robot, window, local_costs)
     arrived = to_goal <= fixed_params.goal_tolerance
     progress, drives, turns = next_progress(
         memory.progress, state.tick, scenario.time_step, planned, valid, arrived, may_turn
     )
     zero = jnp.zeros((), command.dtype)
-    command = jnp.where(drives, command, jnp.where(turns, jnp.stack([zero, zero + scenario.robot.max_turn_rate]), 0.0))
+    turn = jnp.stack([zero, zero + scenario.robot.max_turn_rate])
+    command = jnp.where(drives, command, jnp.where(turns, turn, 0.0))
     oscillation = _select(drives | _tried(memory.progress, progress), oscillation, memory.oscillation)
     return command, memory._replace(path=path, progress=progress, oscillation=oscillation)
 
@@ -180,12 +199,12 @@ def _update_maps(
         marks = costmap.update_marks(scenario, state, window, costmap.crop_bits(memory.marks, window))
         memory = memory._replace(marks=costmap.update_bits(memory.marks, window, marks))
         lethal = lethal | marks
-    wide, near = _inflated(scenario, params, lethal)
+    global_costs, local_costs = _inflated(scenario, params, lethal)
     if params.social:
         people = nearest_people(state, MAX_PEOPLE)
-        wide = jnp.maximum(wide, costmap.social_costs(params.global_costmap, people, window))
-        near = jnp.maximum(near, costmap.social_costs(params.local_costmap, people, window))
-    return memory, wide, near
+        global_costs = jnp.maximum(global_costs, costmap.social_costs(params.global_costmap, people, window))
+        local_costs = jnp.maximum(local_costs, costmap.social_costs(params.local_costmap, people, window))
+    return memory, global_costs, local_costs
 
 
 def _plan(
@@ -196,8 +215,8 @@ def _plan(
     cost = costmap.resistance(costs.at[i, j].set(0.0))
     potential = costmap.crop(memory.potential, window)
     if params.social or params.lidar:
-        open_ = cost < costmap.BLOCKED
-        start = costmap.from_border(jnp.where(open_, potential, UNREACHED), open_)
+        is_free = cost < costmap.BLOCKED
+        start = costmap.from_border(jnp.where(is_free, potential, UNREACHED), is_free)
         potential = costmap.potentials(start, cost)
     planned = potential[i, j] < UNREACHED
     place = (robot.position - window.origin) / window.cell - 0.5
@@ -220,27 +239,28 @@ def _distances(
     if params.lidar:
         goal = costmap.steps_from(costmap.from_border(goal, free), free)
     start = jnp.full((WINDOW, WINDOW), UNREACHED, float).at[costmap.cell_index(window, path[0], path[1])].set(0.0)
-    own = costmap.footprint_cells(scenario, state, window)
-    return Distances(costs, costmap.steps_from(start, free | own), goal)
+    footprint = costmap.footprint_cells(scenario, state, window)
+    return Distances(costs, costmap.steps_from(start, free | footprint), goal)
 
 
 def _may_turn(scenario: Scenario, robot: Robot, window: Window, costs: Array) -> Array:
     """() bool, whether a whole turn on the spot keeps the footprint's edge off obstacles."""
     angle = jnp.linspace(0.0, 2.0 * jnp.pi / costmap.FOOTPRINT_CORNERS, 24, dtype=float)
-    here = jnp.full_like(angle, robot.position[0]), jnp.full_like(angle, robot.position[1])
-    edge = costmap.footprint(scenario.robot.radius, *here, angle)
-    return (costs[costmap.cell_index(window, *edge)] < LETHAL).all()
+    x = jnp.full_like(angle, robot.position[0])
+    y = jnp.full_like(angle, robot.position[1])
+    corner_x, corner_y = costmap.footprint(scenario.robot.radius, x, y, angle)
+    return (costs[costmap.cell_index(window, corner_x, corner_y)] < LETHAL).all()
 
 
 def next_progress(
-    before: Progress,
+    before: MoveBaseProgress,
     tick: Int[Array, ""],
     time_step: float,
     planned: Bool[Array, ""],
     valid: Bool[Array, ""],
     arrived: Bool[Array, ""],
     may_turn: Bool[Array, ""],
-) -> tuple[Progress, Bool[Array, ""], Bool[Array, ""]]:
+) -> tuple[MoveBaseProgress, Bool[Array, ""], Bool[Array, ""]]:
     """move_base's state after a control step; whether the local planner's command drives, and whether the robot turns.
 
     Args:
@@ -251,50 +271,76 @@ def next_progress(
         arrived: whether the robot is at the goal.
         may_turn: whether the turn of the second recovery is free.
     """
-    now = before
     published = tick % clock.ceil_ticks(GOAL_PERIOD, time_step) == 0
-    new = Progress(*(jnp.zeros_like(part) for part in now))._replace(by_planning=now.by_planning)
-    now = _select(published, new, now)
+    new_goal = MoveBaseProgress(*(jnp.zeros_like(field) for field in before))._replace(by_planning=before.by_planning)
+    progress = _select(published, new_goal, before)
+
     # One recovery a control step, before a plan or a command.
-    clearing = now.status == CLEARING
-    turns = clearing & (now.recovery == TURN_RECOVERY) & may_turn
-    recovered = clearing & (now.recovery < RECOVERIES)
-    status = jnp.where(clearing, jnp.where(recovered, PLANNING, IDLE), now.status)
-    recovery = jnp.where(recovered, now.recovery + 1, now.recovery)
-    retries = jnp.where(recovered, 0, now.retries)
-    recovery = jnp.where(clearing & ~recovered, 0, recovery)
-    # Plans.
-    planning = ~clearing & (status == PLANNING)
-    by_planning, invalid = now.by_planning, now.invalid_ticks
+    clearing = progress.status == CLEARING
+    turns = clearing & (progress.recovery == TURN_RECOVERY) & may_turn
+    progress = _recover(progress, clearing)
+    progress = _count_plans(progress, clearing, planned, time_step)
+    progress, drives = _count_commands(progress, clearing, valid, arrived, time_step)
+    status, retries, recovery, by_planning, invalid_ticks = progress
+    whole = [number.astype(jnp.int32) for number in (status, retries, recovery, invalid_ticks)]
+    return MoveBaseProgress(*whole[:3], by_planning, whole[3]), drives, turns
+
+
+def _recover(progress: MoveBaseProgress, clearing: Array) -> MoveBaseProgress:
+    """The state after a recovery; after the last one move_base aborts."""
+    recovered = clearing & (progress.recovery < RECOVERIES)
+    status = jnp.where(clearing, jnp.where(recovered, PLANNING, IDLE), progress.status)
+    recovery = jnp.where(recovered, progress.recovery + 1, progress.recovery)
+    return progress._replace(
+        status=status,
+        recovery=jnp.where(clearing & ~recovered, 0, recovery),
+        retries=jnp.where(recovered, 0, progress.retries),
+    )
+
+
+def _count_plans(progress: MoveBaseProgress, clearing: Array, planned: Array, time_step: float) -> MoveBaseProgress:
+    """The state after the plans of a control step, of which too many failures begin a recovery."""
+    planning = ~clearing & (progress.status == PLANNING)
     tries = clock.ceil_ticks(time_step, 1.0 / PLANS_PER_SECOND)
-    retries = jnp.where(planning, jnp.where(planned, 0, retries + tries), retries)
+    retries = jnp.where(planning, jnp.where(planned, 0, progress.retries + tries), progress.retries)
     gives_up = planning & ~planned & (retries > MAX_RETRIES)
-    status = jnp.where(planning & planned, CONTROLLING, jnp.where(gives_up, CLEARING, status))
-    by_planning = by_planning | gives_up
+    status = jnp.where(gives_up, CLEARING, progress.status)
+    status = jnp.where(planning & planned, CONTROLLING, status)
+
+    # A plan ends the recoveries that failed plans began.
+    by_planning = progress.by_planning | gives_up
     active = (status == PLANNING) | (status == CONTROLLING)
-    recovery = jnp.where(active & ~clearing & planned & by_planning, 0, recovery)
-    # Commands.
-    controlling = ~clearing & (status == CONTROLLING)
+    ends_recoveries = active & ~clearing & planned & by_planning
+    recovery = jnp.where(ends_recoveries, 0, progress.recovery)
+    return progress._replace(status=status, retries=retries, recovery=recovery, by_planning=by_planning)
+
+
+def _count_commands(
+    progress: MoveBaseProgress, clearing: Array, valid: Array, arrived: Array, time_step: float
+) -> tuple[MoveBaseProgress, Array]:
+    """The state after a command, of which no valid one for too long begins a recovery; and whether it drives."""
+    controlling = ~clearing & (progress.status == CONTROLLING)
     tries_command = controlling & ~arrived
     drives = tries_command & valid
-    recovery = jnp.where(drives & ~by_planning, 0, recovery)
-    invalid = jnp.where(drives, 0, invalid + 1)
+    recovery = jnp.where(drives & ~progress.by_planning, 0, progress.recovery)
+    invalid_ticks = jnp.where(drives, 0, progress.invalid_ticks + 1)
+
     lost = tries_command & ~valid
-    patience = clock.ceil_ticks(CONTROLLER_PATIENCE, time_step)
-    impatient = lost & (invalid > patience)
-    status = jnp.where(controlling & arrived, IDLE, jnp.where(impatient, CLEARING, jnp.where(lost, PLANNING, status)))
-    by_planning, retries = by_planning & ~impatient, jnp.where(lost, 0, retries)
-    status, retries, recovery, invalid = (part.astype(jnp.int32) for part in (status, retries, recovery, invalid))
-    return Progress(status, retries, recovery, by_planning, invalid), drives, turns
+    impatient = lost & (invalid_ticks > clock.ceil_ticks(CONTROLLER_PATIENCE, time_step))
+    status = jnp.where(impatient, CLEARING, jnp.where(lost, PLANNING, progress.status))
+    status = jnp.where(controlling & arrived, IDLE, status)
+    retries = jnp.where(lost, 0, progress.retries)
+    by_planning = progress.by_planning & ~impatient
+    return MoveBaseProgress(status, retries, recovery, by_planning, invalid_ticks), drives
 
 
-def _tried(before: Progress, after: Progress) -> Array:
+def _tried(before: MoveBaseProgress, after: MoveBaseProgress) -> Array:
     """Whether the local planner looked for a command and found none."""
     return after.invalid_ticks > before.invalid_ticks
 
 
 def _select(condition: Array, chosen: Tree, other: Tree) -> Tree:
-    return jax.tree.map(lambda a, b: jnp.where(condition, a, b), chosen, other)
+    return jax.tree.map(lambda chosen, other: jnp.where(condition, chosen, other), chosen, other)
 
 
 social_costmap = Policy(params=default_params(), name="social_costmap", init=init, apply=apply)

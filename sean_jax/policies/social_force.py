@@ -54,16 +54,20 @@ def apply(
     state = as_known(state, known)
     observation = observe(scenario, state)
     lever, vx, vy = steering.point_ahead(model, robot)
-    bearing, speed = steering.bearing(model, robot, observation, key), steering.top_speed(model, observation)
-    wish_x, wish_y = speed * jnp.cos(bearing), speed * jnp.sin(bearing)
+    bearing = steering.bearing(model, robot, observation, key)
+    speed = steering.top_speed(model, observation)
+    look_x, look_y = jnp.cos(bearing), jnp.sin(bearing)
+    desired_vx, desired_vy = speed * look_x, speed * look_y
+
+    # Forces act in the world, and the robot accelerates in its own frame.
     point = jnp.stack(to_world(robot.position, robot.heading, lever, jnp.zeros_like(lever)))
-    look, velocity = (
-        jnp.stack(rotate(*part, *robot.heading)) for part in ((jnp.cos(bearing), jnp.sin(bearing)), (vx, vy))
-    )
-    fx, fy = rotate(*push(scenario, params, state, point, velocity, look), robot.heading[0], -robot.heading[1])
-    x = vx + scenario.time_step * ((wish_x - vx) / params.relaxation_time + fx)
-    y = vy + scenario.time_step * ((wish_y - vy) / params.relaxation_time + fy)
-    return steering.follow(scenario, robot, observation, x, y), known
+    look = jnp.stack(rotate(look_x, look_y, *robot.heading))
+    velocity = jnp.stack(rotate(vx, vy, *robot.heading))
+    world_fx, world_fy = push(scenario, params, state, point, velocity, look)
+    fx, fy = rotate(world_fx, world_fy, robot.heading[0], -robot.heading[1])
+    vx = vx + scenario.time_step * ((desired_vx - vx) / params.relaxation_time + fx)
+    vy = vy + scenario.time_step * ((desired_vy - vy) / params.relaxation_time + fy)
+    return steering.follow(scenario, robot, observation, vx, vy), known
 
 
 def push(
@@ -75,15 +79,19 @@ def push(
     look: Float[Array, "2"],
 ) -> tuple[Float[Array, ""], Float[Array, ""]]:
     """The acceleration [m/s2] by people and obstacles of a body at a point [m] with a velocity [m/s] and a look."""
+    x, y = point
     people = nearest_people(state, MAX_PEOPLE)
-    (px, py), (wx, wy), (x, y) = people.position.T, people.velocity.T, point
+    px, py = people.position.T
+    pvx, pvy = people.velocity.T
     radii = scenario.robot.radius + scenario.forces.walking.radius
-    pair = Pair(x - px, y - py, wx, wy, velocity[0], velocity[1], look[0], look[1], radii)
-    by_people = (jnp.where(people.present, part, 0.0).sum() for part in params.repulsion.pair(pair))
-    walls, grid = replace(params.walls, reach=scenario.robot.radius), scenario.environment.obstacle_grid
-    by_walls = wall_forces(walls, x[None], y[None], grid, jnp.inf)
-    fx, fy = (one + other[0] for one, other in zip(by_people, by_walls, strict=True))
-    return fx, fy
+    pair = Pair(x - px, y - py, pvx, pvy, velocity[0], velocity[1], look[0], look[1], radii)
+    people_fx, people_fy = params.repulsion.pair(pair)
+    people_fx = jnp.where(people.present, people_fx, 0.0).sum()
+    people_fy = jnp.where(people.present, people_fy, 0.0).sum()
+
+    walls = replace(params.walls, reach=scenario.robot.radius)
+    walls_fx, walls_fy = wall_forces(walls, x[None], y[None], scenario.environment.obstacle_grid, jnp.inf)
+    return people_fx + walls_fx[0], people_fy + walls_fy[0]
 
 
 social_force = Policy(params=SocialForceParams(), name="social_force", init=init, apply=apply, sensing="tracks")

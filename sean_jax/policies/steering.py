@@ -30,9 +30,11 @@ def point_ahead(model: RobotModel, robot: Robot) -> tuple[Float[Array, ""], Floa
 
 def top_speed(model: RobotModel, observation: Observation) -> Float[Array, ""]:
     """The robot's top speed [m/s] in all directions, or less near the goal."""
-    slower = jnp.clip(length(observation.goal[0], observation.goal[1]) / BRAKING, 0.0, 1.0)
-    lateral = model.lateral
-    return slower * (model.max_speed if lateral is None else jnp.minimum(model.max_speed, lateral.max_speed))
+    share = jnp.clip(length(observation.goal[0], observation.goal[1]) / BRAKING, 0.0, 1.0)
+    max_speed = model.max_speed
+    if model.lateral is not None:
+        max_speed = jnp.minimum(max_speed, model.lateral.max_speed)
+    return share * max_speed
 
 
 def turn_toward(model: RobotModel, direction: Float[Array, "2"]) -> Float[Array, ""]:
@@ -42,8 +44,9 @@ def turn_toward(model: RobotModel, direction: Float[Array, "2"]) -> Float[Array,
 
 def bearing(model: RobotModel, robot: Robot, observation: Observation, key: Array) -> Float[Array, ""]:
     """The direction [rad] of the shortest path in the robot's frame; the slower it is, the more the key turns it."""
-    stuck = 1.0 - jnp.clip(jnp.abs(robot.speed) / model.max_speed, 0.0, 1.0)
-    return angle_between(_ahead(), observation.path) + DEVIATION * stuck * jax.random.normal(key, (), float)
+    slowness = 1.0 - jnp.clip(jnp.abs(robot.speed) / model.max_speed, 0.0, 1.0)
+    to_path = angle_between(_ahead(), observation.path)
+    return to_path + DEVIATION * slowness * jax.random.normal(key, (), float)
 
 
 def follow(
@@ -54,8 +57,9 @@ def follow(
     if model.lateral is None:
         lever, _, _ = point_ahead(model, robot)
         return arrive(scenario, observation, jnp.stack(clip_speeds(model, x, y / lever)))
-    most = model.lateral.max_speed
-    ahead, left = jnp.clip(x, -max_reverse_speed(model), model.max_speed), jnp.clip(y, -most, most)
+    max_lateral_speed = model.lateral.max_speed
+    ahead = jnp.clip(x, -max_reverse_speed(model), model.max_speed)
+    left = jnp.clip(y, -max_lateral_speed, max_lateral_speed)
     return arrive(scenario, observation, jnp.stack([ahead, left, turn_toward(model, observation.path)]))
 
 

@@ -27,6 +27,7 @@ from sean_jax.policies.costmap import FOOTPRINT_CORNERS, LETHAL, UNREACHED, WIND
 from sean_jax.robots.drive import clip_turn_rate, reachable
 
 SPEED_SAMPLES, TURN_RATE_SAMPLES = 20, 40
+MOVING = SPEED_SAMPLES * TURN_RATE_SAMPLES  # commands that are no turns on the spot
 HORIZON = 2.0  # s, of a trajectory (sim_time)
 GRANULARITY, ANGLE_GRANULARITY = 0.025, 0.01  # m and rad (sim_granularity, angular_sim_granularity)
 POINTS = 25  # of a trajectory, at which costs are looked up
@@ -34,10 +35,8 @@ MAX_REACH = 2.8  # m, of a trajectory in the window
 ESCAPE_SPEED = -0.5  # m/s (escape_vel)
 LOOKAHEAD = 0.325  # m, by which turns on the spot are compared (heading_lookahead)
 RESET_DISTANCE = 0.05  # m, after which turns to both sides are allowed (oscillation_reset_dist)
-ESCAPE_DISTANCE, ESCAPE_ANGLE = (
-    0.1,
-    0.1,
-)  # m and rad, after which an escape ends (escape_reset_dist, escape_reset_theta)
+ESCAPE_DISTANCE = 0.1  # m, after which an escape ends (escape_reset_dist)
+ESCAPE_ANGLE = 0.1  # rad, likewise (escape_reset_theta)
 LEGAL, COLLIDES, NO_WAY = 0, 1, 2  # results of a trajectory
 
 
@@ -103,17 +102,44 @@ def sample_commands(
     """
     reach = reachable(model, robot.speed, robot.turn_rate, time_step)
     top = jnp.minimum(params.top_speed * model.max_speed, MAX_REACH / HORIZON)
-    low = jnp.clip(reach.speed_min, 0.0, top)  # of a robot that was pushed, too
-    high = jnp.maximum(jnp.minimum(jnp.minimum(top, to_goal / HORIZON), reach.speed_max), 0.0)
-    right, left = (clip_turn_rate(model, rate) for rate in (reach.turn_rate_min, reach.turn_rate_max))
+    slowest = jnp.clip(reach.speed_min, 0.0, top)  # of a robot that was pushed, too
+    fastest = jnp.minimum(jnp.minimum(top, to_goal / HORIZON), reach.speed_max)
+    fastest = jnp.maximum(fastest, 0.0)
+    right = clip_turn_rate(model, reach.turn_rate_min)
+    left = clip_turn_rate(model, reach.turn_rate_max)
     step = (left - right) / (TURN_RATE_SAMPLES - 1)
+
+    # Turns on the spot are at least as fast as ``spin_min``.
     turns = right + step * jnp.arange(TURN_RATE_SAMPLES, dtype=float)
-    ahead = low + (high - low) / (SPEED_SAMPLES - 1) * jnp.arange(SPEED_SAMPLES, dtype=float)
+    ahead = slowest + (fastest - slowest) / (SPEED_SAMPLES - 1) * jnp.arange(SPEED_SAMPLES, dtype=float)
     spins = jnp.where(turns > 0.0, jnp.maximum(turns, params.spin_min), jnp.minimum(turns, -params.spin_min))
+
     zero = jnp.zeros(1, float)
+    curves = jnp.concatenate([zero, turns[:-1]])  # turn rates of each speed
     speeds = [jnp.repeat(ahead, TURN_RATE_SAMPLES), jnp.zeros(TURN_RATE_SAMPLES, float), zero + ESCAPE_SPEED]
-    rates = [jnp.tile(jnp.concatenate([zero, turns[:-1]]), SPEED_SAMPLES), spins, zero]
+    rates = [jnp.tile(curves, SPEED_SAMPLES), spins, zero]
     return jnp.concatenate(speeds), jnp.concatenate(rates), step
+
+
+class PlannerMap(NamedTuple):
+    """The window's cells, as they are looked up along trajectories: a cell's index is i * WINDOW + j."""
+
+    pair_costs: UInt8[Array, "pairs"]  # of ``_pair_costs``
+    costs: Float[Array, "cells"]
+    no_way: Bool[Array, "cells"]  # no steps from the plan or to the goal
+
+
+class TrajectoryPoint(NamedTuple):
+    """The last point of P trajectories."""
+
+    x: Float[Array, "P"]  # cells
+    y: Float[Array, "P"]  # cells
+    yaw: Float[Array, "P"]  # rad
+    speed: Float[Array, "P"]  # m/s
+    turn_rate: Float[Array, "P"]  # rad/s
+    highest_cost: Float[Array, "P"]
+    result: Int[Array, "P"]
+    cell: Int[Array, "P"]  # of the point before
 
 
 def score_trajectories(
@@ -129,67 +155,103 @@ def score_trajectories(
     A score is ``path`` and ``goal`` times a cell's side times the steps at the last point, plus ``obstacle`` times the
     highest cost on the way.
     """
-    step = last_time(*commands) / (POINTS - 1)
-    pairs = _pair_costs(distances.costs)
-    costs, path, goal = (part.reshape(-1) for part in distances)
-    closed = (path >= UNREACHED) | (goal >= UNREACHED)
-    still = jnp.zeros_like(commands[0])
-    yaw = jnp.arctan2(robot.heading[1], robot.heading[0])
-    deceleration = model.max_acceleration if model.max_deceleration is None else model.max_deceleration
-    angle = 2.0 * np.pi / FOOTPRINT_CORNERS * np.arange(FOOTPRINT_CORNERS // 4)
-    radius = model.radius / window.cell
-    quarter = [(radius * float(np.cos(turn)), radius * float(np.sin(turn))) for turn in angle]
+    step = last_time(*commands) / (POINTS - 1)  # (P,) s
+    pair_costs = _pair_costs(distances.costs)
+    costs, path, goal = (cells.reshape(-1) for cells in distances)
+    no_way = (path >= UNREACHED) | (goal >= UNREACHED)
+    planner_map = PlannerMap(pair_costs, costs, no_way)
+    corners = _quarter_corners(model.radius / window.cell)
 
-    def number(x: Array, y: Array) -> tuple[Array, Array]:  # of a cell; trajectories stay in the window
-        return x.astype(jnp.int32), y.astype(jnp.int32)
+    def drive(point: TrajectoryPoint, _: Any) -> tuple[TrajectoryPoint, None]:
+        cosine, sine = jnp.cos(point.yaw), jnp.sin(point.yaw)
+        cell, highest_cost, result = _enter_cells(planner_map, point, corners, cosine, sine)
+        speed, turn_rate = _accelerate(model, point, commands, step)
+        distance = step * speed / window.cell
+        x = point.x + distance * cosine
+        y = point.y + distance * sine
+        yaw = point.yaw + step * turn_rate
+        return TrajectoryPoint(x, y, yaw, speed, turn_rate, highest_cost, result, cell), None
 
-    def read(cells: Array, index: Array) -> Array:
-        return cells.at[index].get(mode="promise_in_bounds")
-
-    def edge_cost(x: Array, y: Array, cosine: Array, sine: Array) -> Array:
-        """The highest cost at the 16 corners, two at a time."""
-        corners = [(ahead * cosine - left * sine, ahead * sine + left * cosine) for ahead, left in quarter]
-        for _ in range(3):
-            corners += [(-dy, dx) for dx, dy in corners[-len(quarter) :]]
-        highest = jnp.zeros_like(x, jnp.uint8)
-        for one, other in zip(corners[::2], corners[1::2], strict=True):
-            (i, j), (k, m) = (number(x + dx, y + dy) for dx, dy in (one, other))
-            beside = (k - i + 1) * 3 + (m - j + 1)
-            highest = jnp.maximum(highest, read(pairs, (beside * WINDOW + i) * WINDOW + j))
-        return highest.astype(x.dtype)
-
-    def ramp(speed: Array, target: Array, up: Array, down: Array) -> Array:
-        return jnp.clip(target, speed - down * step, speed + up * step)
-
-    def point(now: tuple[Array, ...], _: Any) -> tuple[tuple[Array, ...], None]:
-        x, y, yaw, speed, rate, highest, result = now[:7]  # x and y in cells
-        cosine, sine = jnp.cos(yaw), jnp.sin(yaw)
-        i, j = number(x, y)
-        middle, edge = i * WINDOW + j, edge_cost(x, y, cosine, sine)
-        failure = jnp.where(edge >= LETHAL, COLLIDES, jnp.where(read(closed, middle), NO_WAY, LEGAL))
-        result = jnp.where(result == LEGAL, failure, result)
-        highest = jnp.maximum(highest, jnp.maximum(edge, read(costs, middle)))
-        speed = ramp(speed, commands[0], model.max_acceleration, deceleration)
-        rate = ramp(rate, commands[1], model.max_turn_acceleration, model.max_turn_acceleration)
-        gap = step * speed / window.cell
-        after = x + gap * cosine, y + gap * sine, yaw + step * rate
-        return (*after, speed, rate, highest, result, middle), None
-
+    # All trajectories begin at the robot.
+    zeros, none = jnp.zeros_like(commands[0]), jnp.zeros_like(commands[0], jnp.int32)
     place = (robot.position - window.origin) / window.cell
-    begin = [still + part for part in (place[0], place[1], yaw, robot.speed, robot.turn_rate)]
-    none = jnp.zeros_like(still, jnp.int32)
-    (_, _, yaw, _, rate, highest, result, last), _ = jax.lax.scan(point, (*begin, still, none, none), length=POINTS)
-    weights = params.path * window.cell, params.goal * window.cell
-    score = weights[0] * path[last] + weights[1] * goal[last] + params.obstacle * highest
-    return Trajectories(score, result, yaw - step * rate)
+    yaw = jnp.arctan2(robot.heading[1], robot.heading[0])
+    start = [zeros + value for value in (place[0], place[1], yaw, robot.speed, robot.turn_rate)]
+    last, _ = jax.lax.scan(drive, TrajectoryPoint(*start, zeros, none, none), length=POINTS)
+
+    path_cost = params.path * window.cell * path[last.cell]
+    goal_cost = params.goal * window.cell * goal[last.cell]
+    score = path_cost + goal_cost + params.obstacle * last.highest_cost
+    return Trajectories(score, last.result, last.yaw - step * last.turn_rate)
+
+
+def _quarter_corners(radius: Array) -> list[tuple[Array, Array]]:
+    """Four of the footprint's 16 corners, ahead and left of its middle; the others follow by quarter turns."""
+    angles = 2.0 * np.pi / FOOTPRINT_CORNERS * np.arange(FOOTPRINT_CORNERS // 4)
+    return [(radius * float(np.cos(angle)), radius * float(np.sin(angle))) for angle in angles]
+
+
+def _cell_of(x: Array, y: Array) -> tuple[Array, Array]:
+    """The cell of places in cells of the window, which trajectories do not leave."""
+    return x.astype(jnp.int32), y.astype(jnp.int32)
+
+
+def _look_up(cells: Array, index: Array) -> Array:
+    return cells.at[index].get(mode="promise_in_bounds")
+
+
+def _enter_cells(
+    planner_map: PlannerMap, point: TrajectoryPoint, corners: list[tuple[Array, Array]], cosine: Array, sine: Array
+) -> tuple[Array, Array, Array]:
+    """The middle's cell of each point, the highest cost so far, and the result so far."""
+    i, j = _cell_of(point.x, point.y)
+    cell = i * WINDOW + j
+    edge = _edge_cost(planner_map, point, corners, cosine, sine)
+    no_way = _look_up(planner_map.no_way, cell)
+    result_here = jnp.where(edge >= LETHAL, COLLIDES, jnp.where(no_way, NO_WAY, LEGAL))
+    result = jnp.where(point.result == LEGAL, result_here, point.result)
+    cost_here = jnp.maximum(edge, _look_up(planner_map.costs, cell))
+    return cell, jnp.maximum(point.highest_cost, cost_here), result
+
+
+def _edge_cost(
+    planner_map: PlannerMap, point: TrajectoryPoint, corners: list[tuple[Array, Array]], cosine: Array, sine: Array
+) -> Array:
+    """The highest cost (P,) at the footprint's 16 corners, two at a time."""
+    offsets = [(ahead * cosine - left * sine, ahead * sine + left * cosine) for ahead, left in corners]
+    for _ in range(3):
+        offsets += [(-dy, dx) for dx, dy in offsets[-len(corners) :]]
+
+    highest = jnp.zeros_like(point.x, jnp.uint8)
+    for (dx, dy), (next_dx, next_dy) in zip(offsets[::2], offsets[1::2], strict=True):
+        i, j = _cell_of(point.x + dx, point.y + dy)
+        next_i, next_j = _cell_of(point.x + next_dx, point.y + next_dy)
+        neighbor = (next_i - i + 1) * 3 + (next_j - j + 1)  # two corners lie in one cell or in neighbors
+        index = (neighbor * WINDOW + i) * WINDOW + j
+        highest = jnp.maximum(highest, _look_up(planner_map.pair_costs, index))
+    return highest.astype(point.x.dtype)
+
+
+def _accelerate(
+    model: RobotModel, point: TrajectoryPoint, commands: tuple[Array, Array], step: Array
+) -> tuple[Array, Array]:
+    """Speeds and turn rates (P,) one step nearer to the commands."""
+    deceleration = model.max_acceleration if model.max_deceleration is None else model.max_deceleration
+    turn_acceleration = model.max_turn_acceleration
+
+    def ramp(value: Array, target: Array, up: Array, down: Array) -> Array:
+        return jnp.clip(target, value - down * step, value + up * step)
+
+    speed = ramp(point.speed, commands[0], model.max_acceleration, deceleration)
+    return speed, ramp(point.turn_rate, commands[1], turn_acceleration, turn_acceleration)
 
 
 def _pair_costs(costs: Float[Array, "W W"]) -> UInt8[Array, "cells"]:
     """The higher cost of each cell and of one of nine cells around it, for two corners of the footprint at once."""
     whole = jnp.round(costs).astype(jnp.uint8)
     padded = jnp.pad(whole, 1)
-    around = [padded[i : i + WINDOW, j : j + WINDOW] for i in range(3) for j in range(3)]
-    return jnp.stack([jnp.maximum(whole, other) for other in around]).reshape(-1)
+    neighbors = [padded[i : i + WINDOW, j : j + WINDOW] for i in range(3) for j in range(3)]
+    return jnp.stack([jnp.maximum(whole, neighbor) for neighbor in neighbors]).reshape(-1)
 
 
 def last_time(speed: Float[Array, "P"], turn_rate: Float[Array, "P"]) -> Float[Array, "P"]:
@@ -217,48 +279,87 @@ def best_command(
     fixed = jax.lax.stop_gradient
     speeds, rates, rate_step = sample_commands(model, params, robot, to_goal, time_step)
     commands = fixed(speeds), fixed(rates)
-    scored = score_trajectories(*fixed((model, params, robot, window, distances)), commands)
-    score = jnp.where(scored.result == LEGAL, scored.score, jnp.inf)
-    moving = SPEED_SAMPLES * TURN_RATE_SAMPLES
-    ahead = jnp.where(oscillation.escaping, jnp.inf, score[:moving])
-    start = jnp.argmin(ahead).astype(jnp.int32)
-    spins = jnp.arange(moving, moving + TURN_RATE_SAMPLES, dtype=jnp.int32)
-    end = scored.yaw[moving:-1]
-    look = cell_index(
-        window, robot.position[0] + LOOKAHEAD * jnp.cos(end), robot.position[1] + LOOKAHEAD * jnp.sin(end)
-    )
-    to_look = fixed(distances.goal)[look]
+    trajectories = score_trajectories(*fixed((model, params, robot, window, distances)), commands)
+    score = jnp.where(trajectories.result == LEGAL, trajectories.score, jnp.inf)
+    best, cost = _best_curve(score, oscillation.escaping)
     turns = fixed(rates[1] + rate_step * jnp.arange(TURN_RATE_SAMPLES, dtype=float))  # before the least turn rate
-    allowed = (jnp.abs(turns) > rate_step) & ~jnp.where(turns < 0.0, oscillation.only_left, oscillation.only_right)
+    allowed = _allowed_turns(turns, rate_step, oscillation)
+    to_look = _goal_steps_ahead(window, robot, fixed(distances.goal), trajectories.yaw[MOVING:-1])
+    best, cost = _best_spin(best, cost, score[MOVING:-1], to_look, allowed)
 
-    def spin(best: tuple[Array, Array, Array], each: tuple[Array, ...]) -> tuple[tuple, None]:
-        index, cost, seen = best
-        number, turn_cost, turn_look, free = each
-        better = free & jnp.isfinite(turn_cost) & (turn_cost <= cost) & (turn_look < seen)
-        return tuple(jnp.where(better, a, b) for a, b in zip((number, turn_cost, turn_look), best, strict=True)), None
-
-    begin = start, ahead[start], jnp.asarray(jnp.inf, score.dtype)
-    (best, cost, _), _ = jax.lax.scan(spin, begin, (spins, score[moving:-1], to_look, allowed))
+    # Without a legal command the robot backs up, if there is a way.
     legal = jnp.isfinite(cost)
     index = jnp.where(legal, best, len(speeds) - 1)
-    valid = legal | (scored.result[-1] != NO_WAY)
+    valid = legal | (trajectories.result[-1] != NO_WAY)
     command = jnp.where(valid, jnp.stack([speeds[index], rates[index]]), 0.0)
     escape = ~legal & valid
     return command, valid, _remember(robot, oscillation, fixed(command), legal, escape)
 
 
+def _best_curve(score: Array, escaping: Array) -> tuple[Array, Array]:
+    """The number of the best command that drives ahead, and its score; inf if the robot is escaping."""
+    ahead = jnp.where(escaping, jnp.inf, score[:MOVING])
+    best = jnp.argmin(ahead).astype(jnp.int32)
+    return best, ahead[best]
+
+
+def _allowed_turns(turns: Array, rate_step: Array, oscillation: Oscillation) -> Array:
+    """Whether each turn on the spot [rad/s] is none to the side that oscillation forbids, nor too slow."""
+    forbidden = jnp.where(turns < 0.0, oscillation.only_left, oscillation.only_right)
+    return (jnp.abs(turns) > rate_step) & ~forbidden
+
+
+def _goal_steps_ahead(window: Window, robot: Robot, goal: Array, yaw: Array) -> Array:
+    """Steps to the goal from the places ``LOOKAHEAD`` m ahead of the robot after turns to these angles [rad]."""
+    x = robot.position[0] + LOOKAHEAD * jnp.cos(yaw)
+    y = robot.position[1] + LOOKAHEAD * jnp.sin(yaw)
+    return goal[cell_index(window, x, y)]
+
+
+def _best_spin(best: Array, cost: Array, score: Array, to_look: Array, allowed: Array) -> tuple[Array, Array]:
+    """The number of the best command and its score, after the turns on the spot: in ROS's order, one after another.
+
+    A turn is better if it costs no more and looks at a place that is nearer to the goal.
+    """
+
+    def compare(best: tuple[Array, Array, Array], spin: tuple[Array, ...]) -> tuple[tuple, None]:
+        *spin, is_allowed = spin
+        _, spin_cost, spin_look = spin
+        _, cost, look = best
+        better = is_allowed & jnp.isfinite(spin_cost) & (spin_cost <= cost) & (spin_look < look)
+        return tuple(jnp.where(better, new, old) for new, old in zip(spin, best, strict=True)), None
+
+    number = jnp.arange(MOVING, MOVING + TURN_RATE_SAMPLES, dtype=jnp.int32)
+    begin = best, cost, jnp.asarray(jnp.inf, score.dtype)
+    (best, cost, _), _ = jax.lax.scan(compare, begin, (number, score, to_look, allowed))
+    return best, cost
+
+
 def _remember(robot: Robot, before: Oscillation, command: Array, legal: Array, escape: Array) -> Oscillation:
+    """The memory after a command, whether it is legal and whether it is an escape."""
     yaw = jnp.arctan2(robot.heading[1], robot.heading[0])
     stays = legal & ~(command[0] > 0.0)
-    right, left = stays & (command[1] < 0.0), stays & (command[1] > 0.0)
-    only_right, only_left = before.only_right | (right & before.right), before.only_left | (left & before.left)
     place = jnp.where(stays, robot.position, before.place)
     moved = length(*(robot.position - place)) > RESET_DISTANCE
+
+    # The second turn to a side forbids the other side, until the robot has moved.
+    right = stays & (command[1] < 0.0)
+    left = stays & (command[1] > 0.0)
+    only_right = before.only_right | (right & before.right)
+    only_left = before.only_left | (left & before.left)
+
+    # An escape ends away from where it began.
     begins = escape & ~before.escaping
     pose = jnp.where(begins, jnp.append(robot.position, yaw), before.escape_pose)
     turn = yaw - pose[2]
     turned = jnp.abs(jnp.arctan2(jnp.sin(turn), jnp.cos(turn))) > ESCAPE_ANGLE
-    away = turned | (length(*(robot.position - pose[:2])) > ESCAPE_DISTANCE)
-    turns = (before.right | right) & ~moved, (before.left | left) & ~moved
-    escaping = (before.escaping | begins) & ~away
-    return Oscillation(*turns, only_right & ~moved, only_left & ~moved, place, escaping, pose)
+    is_away = turned | (length(*(robot.position - pose[:2])) > ESCAPE_DISTANCE)
+    return Oscillation(
+        right=(before.right | right) & ~moved,
+        left=(before.left | left) & ~moved,
+        only_right=only_right & ~moved,
+        only_left=only_left & ~moved,
+        place=place,
+        escaping=(before.escaping | begins) & ~is_away,
+        escape_pose=pose,
+    )

@@ -8,7 +8,7 @@ directions. No window waits until another one has settled.
 import math
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -19,7 +19,36 @@ from sean_jax.core.data_types import Array
 
 SIDE = 2 * gpu_kernels.WARP  # cells along a side of a window
 
-Rows = list[tuple[Any, Any]]  # two cells of each row
+Cells = tuple[Any, Any]  # the two columns of a thread in one row
+Rows = list[Cells]  # of all rows, by slot
+
+
+class Warp(NamedTuple):
+    """A thread, and the warp that has its window."""
+
+    lane: Any  # number of the thread
+    lanes: int  # threads of a window, each with two columns
+    far: Any  # value beyond the window
+    to_left: Any  # for ``gpu_kernels.exchange`` with the thread of the columns to the left
+    to_right: Any
+
+    @property
+    def side(self) -> int:
+        """Cells along a side of the window."""
+        return 2 * self.lanes
+
+    @property
+    def times(self) -> int:
+        """Rows that a sweep takes one after another: the last thread begins ``lanes - 1`` rows late."""
+        return self.side + self.lanes - 1
+
+
+class CostOrder(NamedTuple):
+    """Where a sweep reads the costs of a thread's cells."""
+
+    first: Any  # index of the first column's first cell
+    down: Any  # from a row to the next
+    across: Any  # from the first column to the second
 
 
 def supports(wave: Array) -> bool:
@@ -35,21 +64,24 @@ def settle(rule: Callable, tolerance: float, far: float, wave: Array, cost: Arra
         far: value beyond the window.
     """
     call = gpu_kernels.batch(partial(_call, rule, tolerance, far), 1)
-    (result,) = call(wave.reshape(1, -1), jnp.stack([_skew(cost), _skew(cost[::-1])]).reshape(1, -1))
+    costs = jnp.stack([_skew(cost), _skew(cost[::-1])])  # as they are, and with their rows flipped
+    (result,) = call(wave.reshape(1, -1), costs.reshape(1, -1))
     return result.reshape(wave.shape)
 
 
 def _skew(cells: Array) -> Array:
     """The cells in the order in which the threads of a sweep read them: row t - l of the columns 2l and 2l + 1."""
     side = len(cells)
-    columns = np.arange(side)
-    return cells[(np.arange(side + side // 2 - 1)[:, None] - columns // 2) % side, columns]
+    column = np.arange(side)
+    time = np.arange(side + side // 2 - 1)[:, None]
+    return cells[(time - column // 2) % side, column]
 
 
 def _call(rule: Callable, tolerance: float, far: float, *operands: Array, interpret: bool = False) -> tuple[Array, ...]:
-    """The kernel, for operands of ``kernels.Call``."""
+    """The kernel, for operands of ``gpu_kernels.Call``."""
     wave = operands[0]
-    windows, lanes = max(operand.shape[0] for operand in operands), math.isqrt(wave.shape[1]) // 2
+    windows = max(operand.shape[0] for operand in operands)
+    lanes = math.isqrt(wave.shape[1]) // 2
     out = (jax.ShapeDtypeStruct((windows, wave.shape[1]), wave.dtype),)
     kernel = partial(_kernel, rule, tolerance, far, lanes)
     return gpu_kernels.launch_warps(kernel, "wave", windows, lanes, out, *operands, interpret=interpret)
@@ -58,66 +90,115 @@ def _call(rule: Callable, tolerance: float, far: float, *operands: Array, interp
 def _kernel(rule: Callable, tolerance: float, far: Any, lanes: int, window: Any, lane: Any, *references: Any) -> None:
     """A thread of a window."""
     wave, cost, result = references
-    wave_at, cost_at = (gpu_kernels.row(each, window, result.shape[0]) for each in (wave, cost))
-    side, far, none = 2 * lanes, wave.dtype.type(far), wave.dtype.type(0.0)
-    to_left, to_right = ((lane ^ (lane + way)) & (lanes - 1) for way in (-1, 1))
+    wave_row = gpu_kernels.row(wave, window, result.shape[0])
+    cost_row = gpu_kernels.row(cost, window, result.shape[0])
+    to_left, to_right = ((lane ^ (lane + step)) & (lanes - 1) for step in (-1, 1))
+    warp = Warp(lane, lanes, wave.dtype.type(far), to_left, to_right)
+    zero = wave.dtype.type(0.0)
 
-    def body(carry: tuple) -> tuple:
-        turn, change, rows = carry
-        quarter = turn & 3
-        change = jnp.where(quarter == 0, none, change)
-        # The costs are there as they are, and with their rows flipped; both axes of either may be reversed.
-        reverse, times = quarter >= 2, side + lanes - 1
-        down, across = jnp.where(reverse, -side, side), jnp.where(reverse, -1, 1)
-        first = jnp.where(reverse, times * side - 1 - 2 * lane, 2 * lane) + (quarter & 1) * (times * side)
-        rows = [*rows]
-        for time in range(times):
-            slot, before, after = (number % side for number in (time, time - 1, time + 1))
-            at = first + time * down
-            above, own, below = rows[before], rows[slot], rows[after]
-            left = jnp.where(lane == 0, far, gpu_kernels.exchange(above[1], to_left))
-            right = jnp.where(lane == lanes - 1, far, gpu_kernels.exchange(below[0], to_right))
-            if time < lanes:
-                above = tuple(jnp.where(lane == time, far, value) for value in above)
-            if time >= side - 1:
-                below = tuple(jnp.where(lane == time - side + 1, far, value) for value in below)
-            near = tuple(map(jnp.minimum, above, below))
-            one = jnp.minimum(own[0], rule(near[0], jnp.minimum(left, own[1]), cost[cost_at, at]))
-            other = jnp.minimum(own[1], rule(near[1], jnp.minimum(one, right), cost[cost_at, at + across]))
-            if not lanes - 1 <= time < side:  # some threads have not begun, or have ended
-                runs = lane <= time if time < lanes else lane > time - side
-                one, other = jnp.where(runs, one, own[0]), jnp.where(runs, other, own[1])
-            for old, new in zip(own, (one, other), strict=True):
-                change = jnp.maximum(change, old - new)
-            rows[slot] = one, other
+    def sweep(carry: tuple) -> tuple:
+        sweeps, change, rows = carry
+        quarter = sweeps & 3
+        change = jnp.where(quarter == 0, zero, change)
+        order = _cost_order(warp, quarter)
+        rows, change = _sweep(rule, warp, [*rows], change, partial(_read, cost, cost_row), order)
+
+        # The greatest change of all threads.
         for distance in _distances(lanes):
             change = jnp.maximum(change, gpu_kernels.exchange(change, distance))
-        return turn + 1, change, _flip(rows, (quarter & 1) != 0, lane)
+        return sweeps + 1, change, _flip(rows, (quarter & 1) != 0, lane)
 
     def goes_on(carry: tuple) -> Any:
-        return ((carry[0] & 3) != 0) | (gpu_kernels.uniform(carry[1]) > tolerance)
+        sweeps, change, _ = carry
+        return ((sweeps & 3) != 0) | (gpu_kernels.uniform(change) > tolerance)
 
-    places = [((slot - lane) & (side - 1)) * side + 2 * lane for slot in range(side)]
-    rows = [(wave[wave_at, place], wave[wave_at, place + 1]) for place in places]
-    change = jnp.where(lane >= 0, far, none)
-    _, _, rows = jax.lax.while_loop(goes_on, body, (np.int32(0), change, rows))
-    for place, (left, right) in zip(places, rows, strict=True):
-        result[window, place], result[window, place + 1] = left, right
+    # Each thread begins a row later than its left neighbor: slot s holds row s - lane.
+    cells = [((slot - lane) & (warp.side - 1)) * warp.side + 2 * lane for slot in range(warp.side)]
+    rows = [(wave[wave_row, cell], wave[wave_row, cell + 1]) for cell in cells]
+    change = jnp.where(lane >= 0, warp.far, zero)
+    _, _, rows = jax.lax.while_loop(goes_on, sweep, (np.int32(0), change, rows))
+    for cell, (left, right) in zip(cells, rows, strict=True):
+        result[window, cell], result[window, cell + 1] = left, right
+
+
+def _read(cost: Any, row: Any, index: Any) -> Any:
+    return cost[row, index]
+
+
+def _cost_order(warp: Warp, quarter: Any) -> CostOrder:
+    """The costs are there as they are, and with their rows flipped; both axes of either may be reversed."""
+    reverse = quarter >= 2
+    cells = warp.times * warp.side  # of one of the two
+    down = jnp.where(reverse, -warp.side, warp.side)
+    across = jnp.where(reverse, -1, 1)
+    first = jnp.where(reverse, cells - 1 - 2 * warp.lane, 2 * warp.lane) + (quarter & 1) * cells
+    return CostOrder(first, down, across)
+
+
+def _sweep(
+    rule: Callable, warp: Warp, rows: Rows, change: Any, read_cost: Callable, order: CostOrder
+) -> tuple[Rows, Any]:
+    """The rows after a sweep downward and to the right, and the greatest change of a cell of this thread."""
+    for time in range(warp.times):
+        slot = time % warp.side
+        old = rows[slot]
+        new = _settle_row(rule, warp, rows, time, read_cost, order)
+        if not warp.lanes - 1 <= time < warp.side:  # some threads have not begun, or have ended
+            runs = warp.lane <= time if time < warp.lanes else warp.lane > time - warp.side
+            new = jnp.where(runs, new[0], old[0]), jnp.where(runs, new[1], old[1])
+        for old_cell, new_cell in zip(old, new, strict=True):
+            change = jnp.maximum(change, old_cell - new_cell)
+        rows[slot] = new
+    return rows, change
+
+
+def _settle_row(rule: Callable, warp: Warp, rows: Rows, time: int, read_cost: Callable, order: CostOrder) -> Cells:
+    """The two cells of a thread's row by their neighbors, the left cell first."""
+    index = order.first + time * order.down
+    above, cells, below = (rows[(time + step) % warp.side] for step in (-1, 0, 1))
+
+    # The left neighbor is a row ahead, the right one a row behind: their cells beside are in other slots.
+    from_left = gpu_kernels.exchange(above[1], warp.to_left)
+    left = jnp.where(warp.lane == 0, warp.far, from_left)
+    from_right = gpu_kernels.exchange(below[0], warp.to_right)
+    right = jnp.where(warp.lane == warp.lanes - 1, warp.far, from_right)
+
+    # Beyond the first row and the last one the wave is far.
+    if time < warp.lanes:
+        is_first_row = warp.lane == time
+        above = tuple(jnp.where(is_first_row, warp.far, value) for value in above)
+    if time >= warp.side - 1:
+        is_last_row = warp.lane == time - warp.side + 1
+        below = tuple(jnp.where(is_last_row, warp.far, value) for value in below)
+
+    vertical = tuple(map(jnp.minimum, above, below))
+    horizontal = jnp.minimum(left, cells[1])
+    first = jnp.minimum(cells[0], rule(vertical[0], horizontal, read_cost(index)))
+    horizontal = jnp.minimum(first, right)
+    second = jnp.minimum(cells[1], rule(vertical[1], horizontal, read_cost(index + order.across)))
+    return first, second
 
 
 def _distances(lanes: int) -> list[int]:
+    """Powers of two, by which all threads of a warp exchange."""
     return [1 << bit for bit in range((lanes - 1).bit_length())]
 
 
 def _flip(rows: Rows, columns: Any, lane: Any) -> Rows:
     """The window with its columns flipped, or else its rows. The order of the slots spares registers."""
     side, lanes = len(rows), len(rows) // 2
-    cells: list = [None] * side
+    flipped: list = [None] * side
     for slot in sorted(range(side), key=lambda slot: min(slot, (lanes - slot) % side)):
-        here, there = rows[side - 1 - slot], rows[(slot + lanes - 1) % side]
-        cells[slot] = tuple(jnp.where(columns, gpu_kernels.exchange(there[1 - k], lanes - 1), here[k]) for k in (0, 1))
-    for distance in _distances(lanes):  # a thread's rows go on by twice its number
-        moves, before = (lane & distance) != 0, [*cells]
+        own = rows[side - 1 - slot]
+        across = rows[(slot + lanes - 1) % side]
+        flipped[slot] = tuple(
+            jnp.where(columns, gpu_kernels.exchange(across[1 - column], lanes - 1), own[column]) for column in (0, 1)
+        )
+
+    # A thread's rows go on by twice its number, bit by bit.
+    for distance in _distances(lanes):
+        moves = (lane & distance) != 0
+        before = [*flipped]
         for slot in sorted(range(side), key=lambda slot: (slot % (2 * distance), -slot)):
-            cells[slot] = tuple(map(partial(jnp.where, moves), before[slot - 2 * distance], before[slot]))
-    return cells
+            flipped[slot] = tuple(map(partial(jnp.where, moves), before[slot - 2 * distance], before[slot]))
+    return flipped

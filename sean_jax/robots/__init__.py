@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from sean_jax.core import padding
-from sean_jax.core.data_types import RobotModel, Scenario
+from sean_jax.core.data_types import Mount, RobotModel, Scenario
 from sean_jax.core.errors import InputError
 from sean_jax.io import files
 from sean_jax.robots import description
@@ -37,7 +37,7 @@ def load(robot: str | Path, dynamics: str = "twin") -> RobotModel:
             its drive with all of its limits.
     """
     path = find(robot, dynamics)
-    model, fields, mass = description.read(path)
+    model, fields, mass = description.read_robot(path)
     data = physics.mjx_data(model, jnp.asarray(mass, fields["mass"].dtype)) if dynamics == "mjx" else ()
     return RobotModel(**fields, data=data, name=path.stem, place=place, drive=DYNAMICS[dynamics])
 
@@ -80,30 +80,47 @@ def alike(models: Sequence[RobotModel]) -> list[RobotModel]:
     if not others:
         return [first]
     for model in others:
-        both = f"robot: {first.name} and {model.name}"
-        if model.time_step != first.time_step:
-            steps = f"{first.time_step:g} and {model.time_step:g} s"
-            raise InputError(f"{both} have physics steps of {steps}; robots of one program need the same.")
-        if model.drive_type != first.drive_type:
-            kinds = f"{first.drive_type} and {model.drive_type}"
-            raise InputError(f"{both} are {kinds}; robots of one program need the same drive.")
-        if (model.place, model.drive) != (first.place, first.drive):
-            raise InputError(f"{both} move by different functions; robots of one program need the same.")
+        _check_alike(first, model)
     if any(jax.tree.leaves(model.data) for model in models):
         raise InputError(f"dynamics: MJX moves one robot in a program, not {len(models)}; choose twin or kinematic.")
-    given = [name for name in BACKWARD if any(getattr(model, name) is not None for model in models)]
+
+    # A limit that some robots have is a leaf of all.
+    for name, default in BACKWARD.items():
+        if any(getattr(model, name) is not None for model in models):
+            models = [_with_limit(model, name, default) for model in models]
+
+    sizes = padding.common_sizes(models)
+    names = ",".join(dict.fromkeys(model.name for model in models))
     models = [
-        replace(model, **{name: getattr(model, BACKWARD[name]) for name in given if getattr(model, name) is None})
-        for model in models
+        replace(model, name=names, mounts=mounts) for model, mounts in zip(models, _shared_mounts(models), strict=True)
     ]
-    mounts = [{(mount.name, mount.axes, mount.fovy): mount for mount in model.mounts} for model in models]
-    low = {key: all(each[key].low for each in mounts) for key in mounts[0] if all(key in each for each in mounts)}
-    shared = [tuple(replace(each[key], low=low[key]) for key in low) for each in mounts]
-    names, sizes = ",".join(dict.fromkeys(model.name for model in models)), padding.common_sizes(models)
-    return [
-        padding.pad(replace(model, name=names, mounts=mounts), sizes)
-        for model, mounts in zip(models, shared, strict=True)
-    ]
+    return [padding.pad(model, sizes) for model in models]
+
+
+def _check_alike(first: RobotModel, second: RobotModel) -> None:
+    """InputError unless one program can move both robots."""
+    names = f"{first.name} and {second.name}"
+    if second.time_step != first.time_step:
+        steps = f"{first.time_step:g} and {second.time_step:g} s"
+        raise InputError(f"robot: {names} have physics steps of {steps}; robots of one program need the same.")
+    if second.drive_type != first.drive_type:
+        drives = f"{first.drive_type} and {second.drive_type}"
+        raise InputError(f"robot: {names} are {drives}; robots of one program need the same drive.")
+    if (second.place, second.drive) != (first.place, first.drive):
+        raise InputError(f"robot: {names} move by different functions; robots of one program need the same.")
+
+
+def _with_limit(model: RobotModel, name: str, default: str) -> RobotModel:
+    """The robot with a limit, which is another limit if it has none."""
+    return model if getattr(model, name) is not None else replace(model, **{name: getattr(model, default)})
+
+
+def _shared_mounts(models: Sequence[RobotModel]) -> list[tuple[Mount, ...]]:
+    """The mounts of each robot that all have; they are low if those of all are."""
+    by_place = [{(mount.name, mount.axes, mount.fovy): mount for mount in model.mounts} for model in models]
+    shared = [place for place in by_place[0] if all(place in mounts for mounts in by_place)]
+    low = {place: all(mounts[place].low for mounts in by_place) for place in shared}
+    return [tuple(replace(mounts[place], low=low[place]) for place in shared) for mounts in by_place]
 
 
 def _hint(name: str, choices: Iterable[str]) -> str:

@@ -8,6 +8,7 @@ Source: the bicycle law (kinematic single-track model) as in R. Rajamani, "Vehic
 """
 
 import functools
+from typing import NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Float
@@ -23,12 +24,14 @@ def twin_substep(model: RobotModel, touch: Touch, motion: Motion, targets: Float
     Args:
         targets: rad/s of the rear wheels, and the steering angle [rad].
     """
-    (position, velocity), mass = motion, diagonal(model)
-    servo = jnp.clip(model.servo_gain * (targets[0] - velocity[3]), -model.servo_torque, model.servo_torque)
-    free = velocity[:4].at[3].add(model.time_step * servo / model.wheel_inertia)
-    angle, rate = _steer(model, position[4], targets[1])
-    velocity = free + ground_impulse(model, touch, position, angle, free) / mass
-    return jnp.append(position[:4] + model.time_step * velocity, angle), jnp.append(velocity, rate)
+    position, velocity = motion
+    target_rate, target_angle = targets[0], targets[1]
+    torque = jnp.clip(model.servo_gain * (target_rate - velocity[3]), -model.servo_torque, model.servo_torque)
+    free = velocity[:4].at[3].add(model.time_step * torque / model.wheel_inertia)
+    angle, rate = _steer(model, position[4], target_angle)
+    velocity = free + ground_impulse(model, touch, position, angle, free) / diagonal(model)
+    position = position[:4] + model.time_step * velocity
+    return jnp.append(position, angle), jnp.append(velocity, rate)
 
 
 def mjx_substep(model: RobotModel, touch: Touch, motion: Motion, targets: Float[Array, "2"]) -> Motion:
@@ -44,8 +47,8 @@ def mjx_substep(model: RobotModel, touch: Touch, motion: Motion, targets: Float[
 
 def _steer(model: RobotModel, angle: Array, target: Array) -> tuple[Array, Array]:
     """Steering angle [rad] and its rate [rad/s] after one physics step."""
-    most = steering(model).max_rate
-    rate = jnp.clip((target - angle) / model.time_step, -most, most)
+    max_rate = steering(model).max_rate
+    rate = jnp.clip((target - angle) / model.time_step, -max_rate, max_rate)
     return angle + model.time_step * rate, rate
 
 
@@ -65,31 +68,71 @@ def ground_impulse(
         angle: rad, of the steering.
         free: rates at the end of the physics step, if there were no impulse.
     """
-    shape, mass = steering(model), model.mass
-    rear, front = shape.rear_axle, shape.wheelbase - shape.rear_axle
-    middle = position[2] + 0.5 * model.time_step * free[2]  # yaw halfway through the step
-    cosine, sine = jnp.cos(middle), jnp.sin(middle)
-    along, across = rotate(free[0], free[1], cosine, -sine)
-    c, s = jnp.cos(angle), jnp.sin(angle)
-    # Slip [m/s]: of the rear tyre ahead and sideways, of the front tyre across the wheel.
-    ahead, aside = along - model.wheel_radius * free[3], across - rear * free[2]
-    cross = c * (across + front * free[2]) - s * along
-    # The slip that a unit of each impulse removes.
-    own_ahead = 1.0 / mass + model.wheel_radius * model.wheel_radius / model.wheel_inertia
-    own_aside = 1.0 / mass + rear * rear / model.inertia
-    own_cross = s * s / mass + c * c * (1.0 / mass + front * front / model.inertia)
-    ahead_cross, aside_cross = -s / mass, c * (1.0 / mass - rear * front / model.inertia)
-    left = own_cross - ahead_cross * ahead_cross / own_ahead - aside_cross * aside_cross / own_aside
-    steer = (-cross + ahead_cross * ahead / own_ahead + aside_cross * aside / own_aside) / left
-    push, hold = (-ahead - ahead_cross * steer) / own_ahead, (-aside - aside_cross * steer) / own_aside
-    grip = model.friction * mass * GRAVITY * model.time_step / shape.wheelbase  # N s a metre: axles share the weight
-    push, hold = clip_length(push, hold, grip * front)
-    steer = jnp.clip(steer, -grip * rear, grip * rear)
-    jx, jy = rotate(push - s * steer, hold + c * steer, cosine, sine)
+    car, mass = steering(model), model.mass
+    to_rear, to_front = car.rear_axle, car.wheelbase - car.rear_axle  # m, from the middle
+    yaw = position[2] + 0.5 * model.time_step * free[2]  # halfway through the step
+    cosine, sine = jnp.cos(yaw), jnp.sin(yaw)
+    slip = _slip(model, angle, rotate(free[0], free[1], cosine, -sine), free)
+    drive, hold, steer = _impulses_against(model, angle, slip)
+
+    # The axles share the weight, and each has its friction circle.
+    grip = model.friction * mass * GRAVITY * model.time_step / car.wheelbase  # N s a metre
+    drive, hold = clip_length(drive, hold, grip * to_front)
+    steer = jnp.clip(steer, -grip * to_rear, grip * to_rear)
+
+    # Contacts act after the tyres.
+    wheel_cosine, wheel_sine = jnp.cos(angle), jnp.sin(angle)
+    jx, jy = rotate(drive - wheel_sine * steer, hold + wheel_cosine * steer, cosine, sine)
     vx, vy = free[0] + jx / mass, free[1] + jy / mass
     x, y = touch(position, vx, vy)
-    turn, wheel = front * c * steer - rear * hold, -model.wheel_radius * push
-    return jnp.stack([jx + mass * (x - vx), jy + mass * (y - vy), turn, wheel])
+    turn = to_front * wheel_cosine * steer - to_rear * hold
+    return jnp.stack([jx + mass * (x - vx), jy + mass * (y - vy), turn, -model.wheel_radius * drive])
+
+
+class Slip(NamedTuple):
+    """Velocities [m/s] of the tyres over the ground, in the directions in which they do not roll."""
+
+    rear_ahead: Array
+    rear_aside: Array
+    front_across: Array  # across the steered wheel
+
+
+def _slip(model: RobotModel, angle: Array, velocity: tuple[Array, Array], free: Array) -> Slip:
+    """The slip at a velocity (ahead, left) of the middle, and the rates of yaw and wheel among ``free``."""
+    car = steering(model)
+    ahead, left = velocity
+    to_front = car.wheelbase - car.rear_axle
+    front_left = left + to_front * free[2]
+    return Slip(
+        rear_ahead=ahead - model.wheel_radius * free[3],
+        rear_aside=left - car.rear_axle * free[2],
+        front_across=jnp.cos(angle) * front_left - jnp.sin(angle) * ahead,
+    )
+
+
+def _impulses_against(model: RobotModel, angle: Array, slip: Slip) -> tuple[Array, Array, Array]:
+    """The impulses [N s] that end all slip: of the rear tyre ahead and sideways, of the front tyre across the wheel.
+
+    They solve a symmetric 3x3 system, whose first two unknowns do not act on each other's slip.
+    """
+    car, mass = steering(model), model.mass
+    to_rear, to_front = car.rear_axle, car.wheelbase - car.rear_axle
+    cosine, sine = jnp.cos(angle), jnp.sin(angle)
+
+    # The slip that a unit of each impulse removes: its own, and that of the other tyre.
+    ahead = 1.0 / mass + model.wheel_radius * model.wheel_radius / model.wheel_inertia
+    aside = 1.0 / mass + to_rear * to_rear / model.inertia
+    across = sine * sine / mass + cosine * cosine * (1.0 / mass + to_front * to_front / model.inertia)
+    ahead_across = -sine / mass
+    aside_across = cosine * (1.0 / mass - to_rear * to_front / model.inertia)
+
+    # The first two are eliminated.
+    pivot = across - ahead_across * ahead_across / ahead - aside_across * aside_across / aside
+    remaining = -slip.front_across + ahead_across * slip.rear_ahead / ahead + aside_across * slip.rear_aside / aside
+    steer = remaining / pivot
+    drive = (-slip.rear_ahead - ahead_across * steer) / ahead
+    hold = (-slip.rear_aside - aside_across * steer) / aside
+    return drive, hold, steer
 
 
 def diagonal(model: RobotModel) -> Float[Array, "4"]:
@@ -113,12 +156,12 @@ def steering_angle(
     Args:
         hold: rad, the angle now.
     """
-    shape = steering(model)
-    most = jnp.tan(shape.max_angle)
-    rate = shape.wheelbase * turn_rate
-    inside = jnp.abs(rate) < most * jnp.abs(speed)
-    side = jnp.where(speed < 0.0, -1.0, 1.0) * jnp.sign(rate)
-    tangent = jnp.where(inside, rate / jnp.where(inside, speed, 1.0), side * most)
+    car = steering(model)
+    max_tangent = jnp.tan(car.max_angle)
+    rise = car.wheelbase * turn_rate  # the tangent is rise / speed
+    within = jnp.abs(rise) < max_tangent * jnp.abs(speed)
+    side = jnp.where(speed < 0.0, -1.0, 1.0) * jnp.sign(rise)
+    tangent = jnp.where(within, rise / jnp.where(within, speed, 1.0), side * max_tangent)
     return jnp.where((speed == 0.0) & (turn_rate == 0.0), hold, jnp.arctan(tangent))
 
 

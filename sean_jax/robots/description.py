@@ -42,6 +42,7 @@ MAX_MOUNT = 100.0  # m
 LIMITS = ("max_speed", "max_turn_rate", "max_acceleration", "max_turn_acceleration", "command_timeout")
 NUMERICS = (*LIMITS, "radius", "friction")
 OPTIONAL = ("max_reverse_speed", "max_deceleration")  # without them, the forward limits apply backward too
+STEERING_NUMERICS = ("wheelbase", "max_steering_angle", "max_steering_rate")  # of a car
 
 
 class Build(NamedTuple):
@@ -74,16 +75,7 @@ BUILDS = {
         "a base with the joints slide x, slide y and hinge z, then one hinge for the rear wheels with a velocity "
         f"servo, {LOSSLESS}",
         (*PLANE, ("hinge", "y")),
-        (
-            "max_speed",
-            "max_acceleration",
-            "command_timeout",
-            "radius",
-            "friction",
-            "wheelbase",
-            "max_steering_angle",
-            "max_steering_rate",
-        ),
+        ("max_speed", "max_acceleration", "command_timeout", "radius", "friction", *STEERING_NUMERICS),
         "f1tenth",
     ),
 }
@@ -95,7 +87,7 @@ MIN_MASS = 1e-3  # kg, of the base and of a wheel; MuJoCo takes 1e-15
 ON_FLOOR = 5e-3  # m, maximum distance of the lowest point of a wheel from the floor
 
 
-def read(path: Path) -> tuple[Any, dict[str, Any], np.ndarray]:
+def read_robot(path: Path) -> tuple[Any, dict[str, Any], np.ndarray]:
     """Read a robot.
 
     Returns:
@@ -105,53 +97,75 @@ def read(path: Path) -> tuple[Any, dict[str, Any], np.ndarray]:
         FileError: the file is no MJCF, lacks a number, or does not describe a planar base of its drive.
     """
     model = mjcf.read(path)
-    disable = mujoco.mjtDisableBit
-    for unused in (disable.mjDSBL_CONSTRAINT, disable.mjDSBL_SPRING, disable.mjDSBL_DAMPER, disable.mjDSBL_EULERDAMP):
-        model.opt.disableflags |= int(unused)
+    _disable_unused(model)
     data = mujoco.MjData(model)
     for stage in (mujoco.mj_kinematics, mujoco.mj_comPos, mujoco.mj_camlight):
         stage(model, data)
     drive = _drive(path, model)
-    build, numerics = BUILDS[drive], _numerics(path, model, BUILDS[drive])
+    numerics = _numerics(path, model, BUILDS[drive])
     for key, value in numerics.items():
         _check_range(path, f"the numeric {key}", value, *RANGES[key])
-    clauses = faults(model, data, numerics.get("radius", np.inf), drive)
+    _check_build(path, model, data, numerics, drive)
+    _check_mounts(path, model)
+
+    mass = _mass_matrix(path, model)
+    numbers = {"mass": mass[0], "inertia": mass[2], **_servo_numbers(model, data, mass, drive), **numerics}
+    for key, value in numbers.items():
+        _check_range(path, f"its {key.replace('_', ' ')}", value, *RANGES[key])
+    _check_range(path, "the timestep of its <option>", model.opt.timestep, *bounds.TIME_STEP_RANGE, "s")
+
+    fields: dict[str, Any] = {}
+    if drive == "omnidirectional":
+        fields["lateral"] = _lateral(model, numbers)
+        numbers |= dict.fromkeys(("wheel_radius", "wheel_inertia", "track"), 0.0)
+    if drive == "ackermann":
+        fields["steering"] = _steering(path, model, data, numbers)
+        numbers |= _car_turn_limits(numbers) | {"track": 0.0}
+    for key, value in numbers.items():
+        if key not in STEERING_NUMERICS:
+            fields[key] = _array(value)
+    fields["mounts"] = mounts(model, data)
+    fields["solids"] = solids(model, data)
+    fields["time_step"] = float(model.opt.timestep)
+    for mount in fields["mounts"]:
+        largest = float(np.abs(mount.origin).max())
+        _check_range(path, f"the largest coordinate of its mount '{mount.name}'", largest, 0.0, MAX_MOUNT, "m")
+    return model, fields, mass
+
+
+def _disable_unused(model: Any) -> None:
+    """Disable the stages of MuJoCo that a base without constraints, springs and losses does not need."""
+    bits = mujoco.mjtDisableBit
+    for unused in (bits.mjDSBL_CONSTRAINT, bits.mjDSBL_SPRING, bits.mjDSBL_DAMPER, bits.mjDSBL_EULERDAMP):
+        model.opt.disableflags |= int(unused)
+
+
+def _check_build(path: Path, model: Any, data: Any, numerics: dict[str, float], drive: str) -> None:
+    """FileError unless joints, servos and numbers are those of the drive's build."""
+    build = BUILDS[drive]
     problems = _missing(numerics, build)
+    clauses = faults(model, data, numerics.get("radius", np.inf), drive)
     if clauses:
         problems.append(f"a robot must be {build.text}, but {', '.join(clauses)} (see envs/robots/{build.example}.xml)")
     if problems:
         raise FileError(f"{path}: {'; '.join(problems)}.")
-    _check_mounts(path, model)
-    mass = _mass_matrix(path, model)
-    numbers = {"mass": mass[0], "inertia": mass[2], **_of_drive(model, data, mass, drive), **numerics}
-    for key, value in numbers.items():
-        _check_range(path, f"its {key.replace('_', ' ')}", value, *RANGES[key])
-    _check_range(path, "the timestep of its <option>", model.opt.timestep, *bounds.TIME_STEP_RANGE, "s")
-    extra = {}
-    if drive == "omnidirectional":
-        extra["lateral"] = _lateral(model, numbers)
-        numbers |= dict.fromkeys(("wheel_radius", "wheel_inertia", "track"), 0.0)
-    if drive == "ackermann":
-        extra["steering"] = _steering(path, model, data, numbers)
-        turn = np.tan(numbers.pop("max_steering_angle")) / numbers["wheelbase"]
-        rate = numbers.pop("max_steering_rate") / numbers.pop("wheelbase")
-        top = numbers["max_speed"]
-        numbers |= {"max_turn_rate": top * turn, "max_turn_acceleration": top * rate, "track": 0.0}
-    fields = {key: _array(value) for key, value in numbers.items()}
-    sensors = {"mounts": mounts(model, data), "solids": solids(model, data)}
-    for mount in sensors["mounts"]:
-        far = float(np.abs(mount.origin).max())
-        _check_range(path, f"the largest coordinate of its mount '{mount.name}'", far, 0.0, MAX_MOUNT, "m")
-    return model, {**fields, **extra, **sensors, "time_step": float(model.opt.timestep)}, mass
+
+
+def _car_turn_limits(numbers: dict[str, float]) -> dict[str, float]:
+    """The greatest turn rate and its change: at the top speed, by the steering."""
+    top_speed, wheelbase = numbers["max_speed"], numbers["wheelbase"]
+    curvature = np.tan(numbers["max_steering_angle"]) / wheelbase
+    curvature_rate = numbers["max_steering_rate"] / wheelbase
+    return {"max_turn_rate": top_speed * curvature, "max_turn_acceleration": top_speed * curvature_rate}
 
 
 def _drive(path: Path, model: Any) -> str:
     """The type of the drive, by the text ``drive`` of the file."""
     texts = {}
-    for k in range(model.ntext):
-        begin, size = model.text_adr[k], model.text_size[k]
+    for index in range(model.ntext):
+        begin, size = model.text_adr[index], model.text_size[index]
         text = bytes(model.text_data[begin : begin + size]).rstrip(b"\0").decode()
-        texts[mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_TEXT, k)] = text
+        texts[mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_TEXT, index)] = text
     drive = texts.get("drive", "differential")
     if drive not in BUILDS:
         raise FileError(f'{path}: the text drive is "{drive}", but must be one of {", ".join(BUILDS)}.')
@@ -162,7 +176,7 @@ def _array(value: float) -> Any:
     return jnp.asarray(value, jnp.result_type(float))
 
 
-def _of_drive(model: Any, data: Any, mass: np.ndarray, drive: str) -> dict[str, float]:
+def _servo_numbers(model: Any, data: Any, mass: np.ndarray, drive: str) -> dict[str, float]:
     """The numbers of wheels and servos."""
     servo = {"servo_gain": model.actuator_gainprm[0, 0], "servo_torque": model.actuator_forcerange[0, 1]}
     if drive == "omnidirectional":
@@ -176,18 +190,21 @@ def _of_drive(model: Any, data: Any, mass: np.ndarray, drive: str) -> dict[str, 
 
 def _lateral(model: Any, numbers: dict[str, float]) -> Lateral:
     """The numbers of sideways motion, which leave ``numbers``."""
-    speed, acceleration = numbers.pop("max_lateral_speed"), numbers.pop("max_lateral_acceleration")
-    turn = model.actuator_gainprm[2, 0], model.actuator_forcerange[2, 1]
-    return Lateral(*map(_array, (speed, acceleration, *turn)))
+    speed = numbers.pop("max_lateral_speed")
+    acceleration = numbers.pop("max_lateral_acceleration")
+    turn_gain, turn_torque = model.actuator_gainprm[2, 0], model.actuator_forcerange[2, 1]
+    return Lateral(*map(_array, (speed, acceleration, turn_gain, turn_torque)))
 
 
 def _steering(path: Path, model: Any, data: Any, numbers: dict[str, float]) -> Steering:
-    rear = -to_base(model, data, data.xanchor[3])[0]
-    if not 0.0 <= rear < numbers["wheelbase"]:
-        what = f"its rear wheels lie {rear:g} m behind the base's hinge"
-        raise FileError(f"{path}: {what}, but must be from 0 to less than the wheelbase of {numbers['wheelbase']:g} m.")
-    keys = "max_steering_angle", "max_steering_rate"
-    return Steering(_array(numbers["wheelbase"]), _array(rear), *(_array(numbers[key]) for key in keys))
+    rear, wheelbase = -to_base(model, data, data.xanchor[3])[0], numbers["wheelbase"]
+    if not 0.0 <= rear < wheelbase:
+        raise FileError(
+            f"{path}: its rear wheels lie {rear:g} m behind the base's hinge, but must be from 0 to less than the "
+            f"wheelbase of {wheelbase:g} m."
+        )
+    max_angle, max_rate = numbers["max_steering_angle"], numbers["max_steering_rate"]
+    return Steering(*map(_array, (wheelbase, rear, max_angle, max_rate)))
 
 
 def mounts(model: Any, data: Any) -> tuple[Mount, ...]:
@@ -195,41 +212,48 @@ def mounts(model: Any, data: Any) -> tuple[Mount, ...]:
 
     The site of servos is no mount, nor is one on a moving part.
     """
-    site = int(mujoco.mjtTrn.mjTRN_SITE)
-    servos = {int(model.actuator_trnid[k, 0]) for k in range(model.nu) if model.actuator_trntype[k] == site}
-    result, frame, fixed = [], base_rotation(model, data), model.body_weldid == model.jnt_bodyid[0]
-    places = [
-        *(
-            (model.camera(k).name, data.cam_xpos[k], data.cam_xmat[k], model.cam_fovy[k])
-            for k in range(model.ncam)
-            if fixed[model.cam_bodyid[k]]
-        ),
-        *(
-            (model.site(k).name, data.site_xpos[k], data.site_xmat[k], 0.0)
-            for k in range(model.nsite)
-            if fixed[model.site_bodyid[k]] and k not in servos
-        ),
-    ]
-    for name, place, axes, fovy in places:
-        origin = to_base(model, data, place)
-        axes = np.round(frame.T @ axes.reshape(3, 3), 12) + 0.0  # so that level axes are level to the bit
-        where = jnp.asarray(origin, jnp.result_type(float))
-        result.append(Mount(where, name, tuple(axes.ravel().tolist()), float(fovy), bool(origin[2] < SHOULDER)))
+    drives_site = model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_SITE)
+    servo_sites = model.actuator_trnid[drives_site, 0].tolist()
+    on_base = model.body_weldid == model.jnt_bodyid[0]
+    result = []
+    for camera in range(model.ncam):
+        if on_base[model.cam_bodyid[camera]]:
+            pose = data.cam_xpos[camera], data.cam_xmat[camera]
+            result.append(_mount(model, data, model.camera(camera).name, *pose, model.cam_fovy[camera]))
+    for site in range(model.nsite):
+        if on_base[model.site_bodyid[site]] and site not in servo_sites:
+            pose = data.site_xpos[site], data.site_xmat[site]
+            result.append(_mount(model, data, model.site(site).name, *pose, 0.0))
     return tuple(result)
+
+
+def _mount(model: Any, data: Any, name: str, place: np.ndarray, axes: np.ndarray, fovy: float) -> Mount:
+    """A mount at a place (3,) [m] of the world, with axes (9,)."""
+    origin = to_base(model, data, place)
+    frame = base_rotation(model, data)
+    axes = np.round(frame.T @ axes.reshape(3, 3), 12) + 0.0  # so that level axes are level to the bit
+    array = jnp.asarray(origin, jnp.result_type(float))
+    return Mount(array, name, tuple(axes.ravel().tolist()), float(fovy), bool(origin[2] < SHOULDER))
 
 
 def _check_mounts(path: Path, model: Any) -> None:
     """Refuse sensors on a wheel or in the world, which do not move with the base, and cameras that see nothing."""
     base = model.jnt_bodyid[0]
-    sensors = [("camera", model.camera(k).name, model.cam_bodyid[k]) for k in range(model.ncam)]
-    sensors += [("site", model.site(k).name, model.site_bodyid[k]) for k in range(model.nsite)]
-    loose = [f"{kind} '{name}'" for kind, name, body in sensors if model.body_weldid[body] != base]
+    loose = []
+    for camera in range(model.ncam):
+        if model.body_weldid[model.cam_bodyid[camera]] != base:
+            loose.append(f"camera '{model.camera(camera).name}'")
+    for site in range(model.nsite):
+        if model.body_weldid[model.site_bodyid[site]] != base:
+            loose.append(f"site '{model.site(site).name}'")
     if loose:
         raise FileError(f"{path}: {' and '.join(loose)} must be on the base, not on a wheel or in the world.")
-    for k in range(model.ncam):
-        if not 0.0 < model.cam_fovy[k] < 180.0:
-            what = f"the fovy of camera '{model.camera(k).name}' is {model.cam_fovy[k]:g}"
-            raise FileError(f"{path}: {what}, but must be more than 0 and less than 180 degrees.")
+    for camera, fovy in enumerate(model.cam_fovy):
+        if not 0.0 < fovy < 180.0:
+            name = model.camera(camera).name
+            raise FileError(
+                f"{path}: the fovy of camera '{name}' is {fovy:g}, but must be more than 0 and less than 180 degrees."
+            )
 
 
 def solids(model: Any, data: Any) -> Solids:
@@ -270,12 +294,14 @@ def _mass_matrix(path: Path, model: Any) -> np.ndarray:
         data.qpos[:] = position
         mujoco.mj_forward(model, data)
         matrix = np.zeros((size, size))
-        for i, axis in enumerate(np.eye(size)):
-            mujoco.mj_mulM(model, data, matrix[i], axis)
+        for row, axis in zip(matrix, np.eye(size), strict=True):
+            mujoco.mj_mulM(model, data, row, axis)
         matrices.append(matrix)
+
     diagonal = np.diag(matrices[0]).copy()
     scale = np.sqrt(np.outer(diagonal, diagonal))
-    if max(np.max(np.abs(matrix - np.diag(diagonal)) / scale) for matrix in matrices) > 1e-6:
+    deviations = [np.max(np.abs(matrix - np.diag(diagonal)) / scale) for matrix in matrices]
+    if max(deviations) > 1e-6:
         raise FileError(f"{path}: the centre of mass must lie above the middle of the axle, the origin of the base")
     if size == 5 and not np.isclose(diagonal[3], diagonal[4]):
         raise FileError(f"{path}: the left and the right wheel must have the same inertia, armature included")
@@ -305,13 +331,14 @@ def _joints(model: Any, drive: str) -> Iterator[str]:
     if model.njnt != len(joints):
         yield f"it has {model.njnt} joints and not {len(joints)}"
         return
-    for number, (kind, axis) in enumerate(joints):
-        has = mujoco.mjtJoint(int(model.jnt_type[number])).name.removeprefix("mjJNT_").lower()
-        if has != kind:
-            yield f"joint {_label(model.joint(number), number)} is a {has} and not a {kind}"
-        elif not np.allclose(model.jnt_axis[number], AXES[axis]):
-            along = " ".join(f"{part:g}" for part in model.jnt_axis[number])
-            yield f"the axis of joint {_label(model.joint(number), number)} is ({along}), not {axis}"
+    for index, (expected_kind, expected_axis) in enumerate(joints):
+        label = _label(model.joint(index), index)
+        kind = mujoco.mjtJoint(int(model.jnt_type[index])).name.removeprefix("mjJNT_").lower()
+        if kind != expected_kind:
+            yield f"joint {label} is a {kind} and not a {expected_kind}"
+        elif not np.allclose(model.jnt_axis[index], AXES[expected_axis]):
+            axis = " ".join(f"{component:g}" for component in model.jnt_axis[index])
+            yield f"the axis of joint {label} is ({axis}), not {expected_axis}"
 
 
 def _servos(model: Any, drive: str) -> Iterator[str]:
@@ -322,35 +349,38 @@ def _servos(model: Any, drive: str) -> Iterator[str]:
         return
     yield from _transmission(model, drive)
     gain = model.actuator_gainprm[:, 0]
-    alike = np.isclose(gain[:2], gain[0]).all()  # the third servo of an omnidirectional base turns it
-    if not np.allclose(model.actuator_biasprm[:, :3], np.outer(gain, [0.0, 0.0, -1.0])) or not alike:
+    one_gain = np.isclose(gain[:2], gain[0]).all()  # the third servo of an omnidirectional base turns it
+    is_velocity_servo = np.allclose(model.actuator_biasprm[:, :3], np.outer(gain, [0.0, 0.0, -1.0]))
+    if not is_velocity_servo or not one_gain:
         yield "its actuators are no velocity servos of one and the same gain kv"
     elif model.actuator_dyntype.any() or model.actuator_gaintype.any() or (model.actuator_biastype != affine).any():
         yield "its actuators are not of the kind that <velocity> makes"
     if model.actuator_ctrllimited.any():
         yield "its actuators have a ctrlrange, which limits are not read from; use the numeric max_speed"
     low, high = model.actuator_forcerange.T
-    alike = np.allclose(low, -high) and np.isclose(high[:2], high[0]).all()
-    if not model.actuator_forcelimited.all() or not alike:
+    one_range = np.allclose(low, -high) and np.isclose(high[:2], high[0]).all()
+    if not model.actuator_forcelimited.all() or not one_range:
         yield "its actuators lack one and the same forcerange, as much backward as ahead"
 
 
 def _transmission(model: Any, drive: str) -> Iterator[str]:
     """Where the servos do not drive what they should."""
     if drive == "omnidirectional":
-        site = int(mujoco.mjtTrn.mjTRN_SITE)
-        on_one = (model.actuator_trntype == site).all() and len({*model.actuator_trnid[:, 0].tolist()}) == 1
-        if not on_one or (model.actuator_trnid[:, 1] >= 0).any():
+        on_sites = (model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_SITE)).all()
+        sites = {*model.actuator_trnid[:, 0].tolist()}
+        if not on_sites or len(sites) > 1 or (model.actuator_trnid[:, 1] >= 0).any():
             yield "its actuators do not all drive one and the same site"
         elif not np.allclose(model.actuator_gear, np.eye(6)[[0, 1, 5]]):
             yield "the gears of its actuators are not 1 0 0 0 0 0, 0 1 0 0 0 0 and 0 0 0 0 0 1"
         elif not _in_the_middle(model, int(model.actuator_trnid[0, 0])):
             yield "the site of its actuators is not at the base's hinge with the axes of the base"
         return
-    wheels, those = ([3], "rear wheels, the fourth joint") if drive == "ackermann" else ([3, 4], "")
-    if model.actuator_trnid[:, 0].tolist() != wheels or model.actuator_trntype.any():
-        those = those or "left and then the right wheel, the fourth and the fifth joint"
-        yield f"its actuators do not drive the {those}"
+    joints = [3] if drive == "ackermann" else [3, 4]
+    if model.actuator_trnid[:, 0].tolist() != joints or model.actuator_trntype.any():
+        if drive == "ackermann":
+            yield "its actuators do not drive the rear wheels, the fourth joint"
+        else:
+            yield "its actuators do not drive the left and then the right wheel, the fourth and the fifth joint"
     if not np.allclose(model.actuator_gear[:, 0], 1.0):
         yield "the gear of an actuator is not 1"
 
@@ -359,41 +389,47 @@ def _in_the_middle(model: Any, site: int) -> bool:
     """Whether a site is on the base above its hinge, with the axes of the base."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    turned = base_rotation(model, data).T @ data.site_xmat[site].reshape(3, 3)
-    base = model.body_weldid[model.site_bodyid[site]] == model.jnt_bodyid[2]
-    above = np.allclose(data.site_xpos[site, :2], data.xanchor[2, :2], atol=BESIDE)
-    return bool(base and above and np.allclose(turned, np.eye(3), atol=UPRIGHT))
+    axes = base_rotation(model, data).T @ data.site_xmat[site].reshape(3, 3)
+    on_base = model.body_weldid[model.site_bodyid[site]] == model.jnt_bodyid[2]
+    above_hinge = np.allclose(data.site_xpos[site, :2], data.xanchor[2, :2], atol=BESIDE)
+    return bool(on_base and above_hinge and np.allclose(axes, np.eye(3), atol=UPRIGHT))
 
 
 def _bodies(model: Any, data: Any, radius: float) -> Iterator[str]:
-    base, *others = model.jnt_bodyid[[0, *range(3, model.njnt)]].tolist()
+    base, *wheels = model.jnt_bodyid[[0, *range(3, model.njnt)]].tolist()
     if (model.jnt_bodyid[:3] != base).any():
         yield "its first three joints are not all in one body, the base"
         return
     upright = data.xmat[base, 8] >= 1.0 - UPRIGHT
     if not upright:
         yield f"its base is tilted by {np.degrees(np.arccos(min(data.xmat[base, 8], 1.0))):.3g} degrees"
+
     names = _wheel_names(model)
-    if len({base, *others}) < 1 + len(names) or any(
-        model.body_weldid[model.body_parentid[wheel]] != base for wheel in others
-    ):
+    on_base = all(model.body_weldid[model.body_parentid[wheel]] == base for wheel in wheels)
+    if len({base, *wheels}) < 1 + len(names) or not on_base:
         yield "its wheels are not two bodies on the base" if len(names) == 2 else "its wheels are no body on the base"
         return
-    for what, body in zip(("base", *names), (base, *others), strict=True):
-        if (mass := float(model.body_mass[model.body_weldid == body].sum())) < MIN_MASS:
-            yield f"its {what} has {mass:g} kg, less than {MIN_MASS:g} kg"
+    for name, body in zip(("base", *names), (base, *wheels), strict=True):
+        mass = float(model.body_mass[model.body_weldid == body].sum())
+        if mass < MIN_MASS:
+            yield f"its {name} has {mass:g} kg, less than {MIN_MASS:g} kg"
     yield from list(_wheels(model)) or _places(model, data, radius)
-    if len(names) == 1:
-        (aside,) = (to_base(model, data, data.xanchor[joint])[1] for joint in (3,))
-        if abs(aside) > BESIDE:
-            yield f"the hinge of its rear wheels lies {aside:g} m left of the base's hinge"
-    if len(names) != 2:
-        return
-    left, right = (to_base(model, data, data.xanchor[joint])[:2] for joint in (3, 4))
-    if not (left[1] > 0.0 and np.isclose(left[1], -right[1])):
-        yield f"its wheels lie {left[1]:g} m and {right[1]:g} m left of the base's hinge, not as far left as right"
-    if upright and max(abs(left[0]), abs(right[0])) > BESIDE:
-        yield f"its wheels lie {left[0]:g} m and {right[0]:g} m ahead of the base's hinge, not beside it"
+    yield from _hinges(model, data, upright)
+
+
+def _hinges(model: Any, data: Any, upright: bool) -> Iterator[str]:
+    """Where the hinges of wheels are not beside the base's hinge."""
+    hinges = [to_base(model, data, data.xanchor[joint])[:2] for joint in range(3, model.njnt)]
+    if len(hinges) == 1:
+        ((_, left),) = hinges
+        if abs(left) > BESIDE:
+            yield f"the hinge of its rear wheels lies {left:g} m left of the base's hinge"
+    if len(hinges) == 2:
+        left, right = hinges
+        if not (left[1] > 0.0 and np.isclose(left[1], -right[1])):
+            yield f"its wheels lie {left[1]:g} m and {right[1]:g} m left of the base's hinge, not as far left as right"
+        if upright and max(abs(left[0]), abs(right[0])) > BESIDE:
+            yield f"its wheels lie {left[0]:g} m and {right[0]:g} m ahead of the base's hinge, not beside it"
 
 
 def _wheels(model: Any) -> Iterator[str]:
@@ -412,18 +448,27 @@ def _wheels(model: Any) -> Iterator[str]:
 
 def _places(model: Any, data: Any, radius: float) -> Iterator[str]:
     """Where round wheels are not between the base and the floor."""
-    for number, (wheel, geom) in enumerate(zip(_wheel_names(model), wheel_geoms(model), strict=True)):
-        joint = 3 + number
-        axis, offset = data.xaxis[joint], data.geom_xpos[geom] - data.xanchor[joint]
-        bottom, away = data.geom_xpos[geom, 2] - model.geom_size[geom, 0], to_base(model, data, data.geom_xpos[geom])
-        cylinder = model.geom_type[geom] == int(mujoco.mjtGeom.mjGEOM_CYLINDER)
-        turns = not cylinder or abs(data.geom_xmat[geom].reshape(3, 3)[:, 2] @ axis) >= 1.0 - UPRIGHT
-        if not turns or np.linalg.norm(offset - (offset @ axis) * axis) > BESIDE:
+    for joint, (wheel, geom) in enumerate(zip(_wheel_names(model), wheel_geoms(model), strict=True), start=3):
+        place = data.geom_xpos[geom]
+        bottom = place[2] - model.geom_size[geom, 0]
+        distance = float(np.hypot(*to_base(model, data, place)[:2]))
+        if not _is_round_about(model, data, geom, joint):
             yield f"the first geom of its {wheel} is not round about its hinge"
         elif abs(bottom) > ON_FLOOR:
             yield f"its {wheel} begins {bottom:.4g} m above the floor and does not touch it"
-        elif (distance := float(np.hypot(*away[:2]))) > radius:
+        elif distance > radius:
             yield f"its {wheel} is {distance:.4g} m from the base's hinge, beyond its radius of {radius:g} m"
+
+
+def _is_round_about(model: Any, data: Any, geom: int | None, joint: int) -> bool:
+    """Whether a cylinder or a sphere has its middle on the axis of a hinge, and a cylinder also its axis."""
+    axis = data.xaxis[joint]
+    offset = data.geom_xpos[geom] - data.xanchor[joint]
+    is_centered = np.linalg.norm(offset - (offset @ axis) * axis) <= BESIDE
+    if model.geom_type[geom] != int(mujoco.mjtGeom.mjGEOM_CYLINDER):
+        return bool(is_centered)
+    cylinder_axis = data.geom_xmat[geom].reshape(3, 3)[:, 2]
+    return bool(is_centered and abs(cylinder_axis @ axis) >= 1.0 - UPRIGHT)
 
 
 def wheel_geoms(model: Any) -> list[int | None]:
@@ -438,18 +483,22 @@ def _wheel_names(model: Any) -> tuple[str, ...]:
 
 
 def _losses(model: Any) -> Iterator[str]:
-    for what, number in (("density", model.opt.density), ("viscosity", model.opt.viscosity)):
-        if number:
-            yield f"its <option> has a {what}"
+    if model.opt.density:
+        yield "its <option> has a density"
+    if model.opt.viscosity:
+        yield "its <option> has a viscosity"
     if model.body_gravcomp.any():
         yield "one of its bodies has a gravcomp"
-    for number in range(model.njnt):
-        for what, loss in (("damping", model.dof_damping), ("stiffness", model.jnt_stiffness),
-                           ("frictionloss", model.dof_frictionloss)):  # fmt: skip
-            if loss[number]:
-                yield f"joint {_label(model.joint(number), number)} has a {what}"
-        if model.jnt_actfrclimited[number]:
-            yield f"joint {_label(model.joint(number), number)} has an actuatorfrcrange"
+    for joint in range(model.njnt):
+        label = _label(model.joint(joint), joint)
+        if model.dof_damping[joint]:
+            yield f"joint {label} has a damping"
+        if model.jnt_stiffness[joint]:
+            yield f"joint {label} has a stiffness"
+        if model.dof_frictionloss[joint]:
+            yield f"joint {label} has a frictionloss"
+        if model.jnt_actfrclimited[joint]:
+            yield f"joint {label} has an actuatorfrcrange"
 
 
 def to_base(model: Any, data: Any, points: np.ndarray) -> np.ndarray:
@@ -469,5 +518,5 @@ def _pivot(model: Any) -> int:
     return 0 if model.jnt_type[0] == int(mujoco.mjtJoint.mjJNT_FREE) else 2
 
 
-def _label(item: Any, number: int) -> str:
-    return f"'{item.name}'" if item.name else f"number {number + 1}"
+def _label(joint: Any, index: int) -> str:
+    return f"'{joint.name}'" if joint.name else f"number {index + 1}"

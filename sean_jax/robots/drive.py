@@ -35,9 +35,7 @@ class DriveState(NamedTuple):
 
     wheels: Float[Array, "wheels"]  # rad, angles of the left and the right wheel, of the rear wheels of a car, or none
     slip: Float[Array, "wheels"]  # rad/s, wheel speeds minus the speeds of rolling without slip
-    sideways: (
-        Float[Array, ""] | None
-    )  # m/s, velocity to the left: zero unless the robot is pushed; None: Robot.sideways
+    sideways: Float[Array, ""] | None  # m/s to the left, zero unless the robot is pushed; None: Robot.sideways
     command: Float[Array, "command"]  # m/s and rad/s, the last finite command
     age: Int[Array, ""]  # control steps since that command
     steering: Float[Array, ""] | None = None  # rad, the steering angle of a car
@@ -65,11 +63,18 @@ class Law(NamedTuple):
 
 def place(model: RobotModel, position: Float[Array, "2"], heading: Float[Array, "2"]) -> Robot:
     """A robot at rest at a position [m], without a command; a zero heading counts as the x axis."""
-    law, zeros = LAWS[model.drive_type], functools.partial(jnp.zeros, dtype=position.dtype)
-    wheels, command, age = zeros(law.wheels), zeros(law.command_size), jnp.zeros((), jnp.int32)
-    differential, steering = model.drive_type == "differential", None if model.steering is None else zeros(())
-    drive_state = DriveState(wheels, wheels, zeros(()) if differential else None, command, age, steering)
-    sideways = None if differential else zeros(())
+    law = LAWS[model.drive_type]
+    is_differential = model.drive_type == "differential"
+    zeros = functools.partial(jnp.zeros, dtype=position.dtype)
+    drive_state = DriveState(
+        wheels=zeros(law.wheels),
+        slip=zeros(law.wheels),
+        sideways=zeros(()) if is_differential else None,
+        command=zeros(law.command_size),
+        age=jnp.zeros((), jnp.int32),
+        steering=None if model.steering is None else zeros(()),
+    )
+    sideways = None if is_differential else zeros(())
     return Robot(position, _direction(heading), zeros(()), zeros(()), drive_state, sideways)
 
 
@@ -91,7 +96,8 @@ def require(model: RobotModel, drives: tuple[str, ...], what: str) -> None:
 def coordinates(model: RobotModel, robot: Robot) -> tuple[Float[Array, "5"], Float[Array, "5"]]:
     """Generalised coordinates (5,), x, y [m], yaw, left and right wheel angle [rad], and their rates."""
     cosine, sine = _direction(robot.heading)
-    velocity = jnp.stack([*rotate(robot.speed, robot.drive_state.sideways, cosine, sine), robot.turn_rate])
+    vx, vy = rotate(robot.speed, robot.drive_state.sideways, cosine, sine)
+    velocity = jnp.stack([vx, vy, robot.turn_rate])
     position = jnp.append(robot.position, jnp.arctan2(sine, cosine))
     wheel_rates = _rolling(model, robot.speed, robot.turn_rate) + robot.drive_state.slip
     return jnp.append(position, robot.drive_state.wheels), jnp.append(velocity, wheel_rates)
@@ -99,12 +105,13 @@ def coordinates(model: RobotModel, robot: Robot) -> tuple[Float[Array, "5"], Flo
 
 def _rolling(model: RobotModel, speed: Array, turn_rate: Array) -> Array:
     """(2,) rad/s of the left and the right wheel when they roll without slip."""
-    rim = 0.5 * model.track * turn_rate
-    return jnp.stack([speed - rim, speed + rim]) / model.wheel_radius
+    difference = 0.5 * model.track * turn_rate  # m/s, from the middle to a wheel
+    return jnp.stack([speed - difference, speed + difference]) / model.wheel_radius
 
 
 def _odometry(model: RobotModel, motion: Motion, heading: Array, command: Array, age: Array) -> Robot:
-    (position, velocity), (cosine, sine) = motion, heading
+    position, velocity = motion
+    cosine, sine = heading
     wheels = _whole_turns_removed(position[3:])
     speed, sideways = rotate(velocity[0], velocity[1], cosine, -sine)
     slip = velocity[3:] - _rolling(model, speed, velocity[2])
@@ -128,16 +135,18 @@ def _omni_odometry(
 ) -> Robot:
     position, velocity = motion
     speed, sideways = rotate(velocity[0], velocity[1], heading[0], -heading[1])
-    none = jnp.zeros((0,), speed.dtype)
-    return Robot(position[:2], heading, speed, velocity[2], DriveState(none, none, None, command, age), sideways)
+    no_wheels = jnp.zeros((0,), speed.dtype)
+    drive_state = DriveState(no_wheels, no_wheels, None, command, age)
+    return Robot(position[:2], heading, speed, velocity[2], drive_state, sideways)
 
 
 def _car_coordinates(model: RobotModel, robot: Robot) -> Motion:
     state = robot.drive_state
     position, velocity = _omni_coordinates(model, robot)
-    wheel = robot.speed / model.wheel_radius + state.slip[0]
+    wheel_rate = robot.speed / model.wheel_radius + state.slip[0]
     position = jnp.concatenate([position, state.wheels, state.steering[None]])
-    return position, jnp.concatenate([velocity, jnp.stack([wheel, jnp.zeros_like(wheel)])])
+    rates = jnp.stack([wheel_rate, jnp.zeros_like(wheel_rate)])
+    return position, jnp.concatenate([velocity, rates])
 
 
 def _car_odometry(model: RobotModel, motion: Motion, heading: Array, command: Array, age: Array) -> Robot:
@@ -187,16 +196,25 @@ def drive_kinematic(scenario: Scenario, state: State, action: Float[Array, "comm
     model, robot, step = scenario.robot, state.robot, scenario.time_step
     law = LAWS[model.drive_type]
     command, age = active_command(model, robot.drive_state, action, step)
-    speeds = law.limit(model, law.speeds(model, robot), _parts(law, command), step)
+    speeds = law.limit(model, law.speeds(model, robot), _numbers(law, command), step)
     speed, sideways, turn_rate = law.velocity(model, speeds)
     heading = _direction(robot.heading)
     steps, surroundings = physics_steps(model, step), surroundings_of(scenario, state)
     way = kinematic_move(steps, model, surroundings, robot.position, heading, speed, turn_rate, sideways)
+
+    # A differential drive moves to the left only if it is pushed.
+    is_differential = sideways is None
     still = jnp.zeros_like(robot.drive_state.wheels)
-    steering = None if model.steering is None else speeds[1]
-    pushed, driven = (way.sideways, None) if sideways is None else (None, way.sideways)
-    drive_state = DriveState(still, still, pushed, command, age, steering)
-    return Robot(way.position, _turned(heading, step * turn_rate), way.speed, turn_rate, drive_state, driven)
+    drive_state = DriveState(
+        wheels=still,
+        slip=still,
+        sideways=way.sideways if is_differential else None,
+        command=command,
+        age=age,
+        steering=None if model.steering is None else speeds[1],
+    )
+    sideways = None if is_differential else way.sideways
+    return Robot(way.position, _turned(heading, step * turn_rate), way.speed, turn_rate, drive_state, sideways)
 
 
 def active_command(
@@ -210,27 +228,28 @@ def active_command(
     if jnp.shape(action) != (size,):
         numbers = "speed and turn rate" if size == 2 else "speed, speed to the left and turn rate"
         raise InputError(f"action: its shape is {jnp.shape(action)}; {model.name} takes ({size},), {numbers}.")
-    finite = jnp.isfinite(action).all()
-    age = jnp.where(finite, 0, drive_state.age + 1)
-    limit = clock.to_ticks(model.command_timeout, time_step)
-    late = age.astype(limit.dtype) > limit
-    return jnp.where(finite, action, jnp.where(late, 0.0, drive_state.command)), age
+    is_finite = jnp.isfinite(action).all()
+    age = jnp.where(is_finite, 0, drive_state.age + 1)
+    timeout = clock.to_ticks(model.command_timeout, time_step)
+    is_late = age.astype(timeout.dtype) > timeout
+    last_or_stop = jnp.where(is_late, 0.0, drive_state.command)
+    return jnp.where(is_finite, action, last_or_stop), age
 
 
 def _drive(physics: Callable, scenario: Scenario, state: State, action: Array) -> Robot:
     model, robot = scenario.robot, state.robot
     law = LAWS[model.drive_type]
     command, age = active_command(model, robot.drive_state, action, scenario.time_step)
-    speeds = law.limit(model, law.speeds(model, robot), _parts(law, command), scenario.time_step)
+    speeds = law.limit(model, law.speeds(model, robot), _numbers(law, command), scenario.time_step)
     targets = law.targets(model, *speeds)
     before = law.coordinates(model, robot)
-    steps, surroundings = physics_steps(model, scenario.time_step), surroundings_of(scenario, state)
-    motion = physics(steps, model, surroundings, before, targets)
+    steps = physics_steps(model, scenario.time_step)
+    motion = physics(steps, model, surroundings_of(scenario, state), before, targets)
     heading = _turned(_direction(robot.heading), motion[0][2] - before[0][2])
     return law.odometry(model, motion, heading, command, age)
 
 
-def _parts(law: Law, command: Array) -> Speeds:
+def _numbers(law: Law, command: Array) -> Speeds:
     return tuple(command[index] for index in range(law.command_size))
 
 
@@ -264,19 +283,22 @@ def _turned(heading: Array, rotation: Array) -> Array:
     It is rotated, not computed from the yaw: so a robot that does not turn keeps it to the bit, and it stays exact in
     single precision after many turns.
     """
-    return _direction(jnp.stack(rotate(heading[0], heading[1], jnp.cos(rotation), jnp.sin(rotation))))
+    x, y = rotate(heading[0], heading[1], jnp.cos(rotation), jnp.sin(rotation))
+    return _direction(jnp.stack([x, y]))
 
 
 def _simulate(
     substep: Callable, steps: int, model: RobotModel, surroundings: Surroundings, motion: Motion, targets: Array
 ) -> Motion:
-    def one(motion: Motion, index: Array) -> tuple[Motion, None]:
-        touch = functools.partial(touching, model, surroundings, model.time_step * (steps - index))
+    def advance(motion: Motion, index: Array) -> tuple[Motion, None]:
+        time_left = model.time_step * (steps - index)
+        touch = functools.partial(touching, model, surroundings, time_left)
         return substep(model, touch, motion, targets), None
 
     # Reverse mode would store a hundred numbers of each step in arrays of their own.
-    one = jax.checkpoint(one, prevent_cse=False)
-    return jax.lax.scan(one, motion, jnp.arange(steps).astype(motion[0].dtype))[0]
+    advance = jax.checkpoint(advance, prevent_cse=False)
+    motion, _ = jax.lax.scan(advance, motion, jnp.arange(steps).astype(motion[0].dtype))
+    return motion
 
 
 def _simulate_twin(steps: int, model: RobotModel, surroundings: Surroundings, motion: Motion, targets: Array) -> Motion:
@@ -290,8 +312,8 @@ def _twin(steps: int, model: RobotModel, surroundings: Surroundings, motion: Mot
     loop = functools.partial(_simulate_twin, steps)
     if model.drive_type != "differential" or not kernel.supports(model, surroundings, motion):
         return loop(model, surroundings, motion, targets)
-    one = functools.partial(kernel.simulate, steps)
-    return by_platform(loop, one)(replace(model, data=()), surroundings, motion, targets)
+    in_a_kernel = functools.partial(kernel.simulate, steps)
+    return by_platform(loop, in_a_kernel)(replace(model, data=()), surroundings, motion, targets)
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0,))
@@ -302,8 +324,11 @@ def _physics(steps: int, model: RobotModel, surroundings: Surroundings, motion: 
 
 @_physics.defjvp
 def _physics_jvp(steps: int, primals: tuple, tangents: tuple) -> tuple:
-    values, changes = ((replace(model, data=()), *rest) for model, *rest in (primals, tangents))  # MJX's is constant
-    return _physics(steps, *primals), jax.jvp(functools.partial(_simulate_twin, steps), values, changes)[1]
+    # MJX's data are constant.
+    twin_primals = replace(primals[0], data=()), *primals[1:]
+    twin_tangents = replace(tangents[0], data=()), *tangents[1:]
+    _, change = jax.jvp(functools.partial(_simulate_twin, steps), twin_primals, twin_tangents)
+    return _physics(steps, *primals), change
 
 
 # --- limits: top speeds, and speeds that a robot can reach in one step ---
@@ -329,10 +354,13 @@ def reachable(
     model: RobotModel, speed: Float[Array, "*shape"], turn_rate: Float[Array, "*shape"], time_step: float
 ) -> Reach:
     """The speeds that the limits of acceleration allow one step [s] after a speed [m/s] and a turn rate [rad/s]."""
-    fall = model.max_acceleration if model.max_deceleration is None else model.max_deceleration
-    change = model.max_turn_acceleration * time_step
+    deceleration = model.max_acceleration if model.max_deceleration is None else model.max_deceleration
+    turn_change = model.max_turn_acceleration * time_step
     return Reach(
-        speed - fall * time_step, speed + model.max_acceleration * time_step, turn_rate - change, turn_rate + change
+        speed_min=speed - deceleration * time_step,
+        speed_max=speed + model.max_acceleration * time_step,
+        turn_rate_min=turn_rate - turn_change,
+        turn_rate_max=turn_rate + turn_change,
     )
 
 
@@ -367,21 +395,27 @@ def _limit(model: RobotModel, speeds: Speeds, command: Speeds, time_step: float)
 
 
 def _omni_limit(model: RobotModel, speeds: Speeds, command: Speeds, time_step: float) -> Speeds:
-    ahead, turn = limit_command(model, speeds[0], speeds[2], (command[0], command[2]), time_step)
+    ahead, turn_rate = limit_command(model, speeds[0], speeds[2], (command[0], command[2]), time_step)
     assert model.lateral is not None
-    change, most = model.lateral.max_acceleration * time_step, model.lateral.max_speed
-    return ahead, jnp.clip(jnp.clip(command[1], speeds[1] - change, speeds[1] + change), -most, most), turn
+    change = model.lateral.max_acceleration * time_step
+    max_speed = model.lateral.max_speed
+    left = jnp.clip(command[1], speeds[1] - change, speeds[1] + change)
+    return ahead, jnp.clip(left, -max_speed, max_speed), turn_rate
 
 
 def _car_limit(model: RobotModel, speeds: Speeds, command: Speeds, time_step: float) -> Speeds:
     """Limited speed and steering; the path has the curvature of the command also while the speed still changes."""
-    shape, (speed, angle) = ackermann.steering(model), speeds
-    wanted, rate = clip_speeds(model, *command)
-    aim = ackermann.steering_angle(model, wanted, rate, angle)
-    change = shape.max_rate * time_step
-    reach = reachable(model, speed, rate, time_step)
-    ahead = jnp.clip(jnp.clip(wanted, reach.speed_min, reach.speed_max), -max_reverse_speed(model), model.max_speed)
-    return ahead, jnp.clip(jnp.clip(aim, angle - change, angle + change), -shape.max_angle, shape.max_angle)
+    car = ackermann.steering(model)
+    speed, angle = speeds
+    target_speed, target_turn_rate = clip_speeds(model, *command)
+    target_angle = ackermann.steering_angle(model, target_speed, target_turn_rate, angle)
+
+    reach = reachable(model, speed, target_turn_rate, time_step)
+    ahead = jnp.clip(target_speed, reach.speed_min, reach.speed_max)
+    ahead = jnp.clip(ahead, -max_reverse_speed(model), model.max_speed)
+    change = car.max_rate * time_step
+    angle = jnp.clip(target_angle, angle - change, angle + change)
+    return ahead, jnp.clip(angle, -car.max_angle, car.max_angle)
 
 
 LAWS = {

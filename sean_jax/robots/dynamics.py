@@ -34,7 +34,7 @@ UNBOUNDED = 1e3  # m/s, faster than anything that a contact allows
 OVERLAP = 1e-4  # m, maximum penetration of an obstacle by a robot; a step beyond it is not taken
 
 
-class Body(NamedTuple):
+class RobotBody(NamedTuple):
     """What the physics of a robot depend on: fields of ``RobotModel``."""
 
     mass: Array
@@ -78,38 +78,47 @@ def impulse(model: RobotModel, touch: Touch, motion: Motion, velocity: Float[Arr
     return jnp.stack(add_contacts(model, tyres, (vx, vy), after))
 
 
-def tyre_impulse(model: RobotModel | Body, position: Five, velocity: Five) -> tuple[Five, Array, Array]:
+def tyre_impulse(model: RobotModel | RobotBody, position: Five, velocity: Five) -> tuple[Five, Array, Array]:
     """The impulse of the tyres, and the velocity (x, y) [m/s] of the base that it leaves."""
     middle = position[2] + 0.5 * model.time_step * velocity[2]  # yaw halfway through the step: else turning would slip
     tyres = _tyres(model, jnp.cos(middle), jnp.sin(middle), velocity)
     return tyres, velocity[0] + tyres[0] / model.mass, velocity[1] + tyres[1] / model.mass
 
 
-def add_contacts(model: RobotModel | Body, tyres: Five, start: tuple[Array, Array], after: tuple[Array, Array]) -> Five:
+def add_contacts(
+    model: RobotModel | RobotBody, tyres: Five, start: tuple[Array, Array], after: tuple[Array, Array]
+) -> Five:
     """The impulse of tyres and contacts, from the velocities [m/s] without and with contacts."""
-    px, py = model.mass * (after[0] - start[0]), model.mass * (after[1] - start[1])
-    return tyres[0] + px, tyres[1] + py, *tyres[2:]
+    jx = model.mass * (after[0] - start[0])
+    jy = model.mass * (after[1] - start[1])
+    return tyres[0] + jx, tyres[1] + jy, *tyres[2:]
 
 
-def _tyres(model: RobotModel | Body, cosine: Array, sine: Array, velocity: Five) -> Five:
+def _tyres(model: RobotModel | RobotBody, cosine: Array, sine: Array, velocity: Five) -> Five:
     """The impulses of two tyres that end all slip, each within its friction circle.
 
     The longitudinal impulses solve a symmetric 2x2 system, because a push on one wheel also moves the other.
     """
-    half = 0.5 * model.track
-    along, across = rotate(velocity[0], velocity[1], cosine, -sine)
-    slip_left = along - half * velocity[2] - model.wheel_radius * velocity[3]
-    slip_right = along + half * velocity[2] - model.wheel_radius * velocity[4]
-    linear, angular = 1.0 / model.mass, half * half / model.inertia
+    half_track = 0.5 * model.track
+    ahead, aside = rotate(velocity[0], velocity[1], cosine, -sine)
+    slip_left = ahead - half_track * velocity[2] - model.wheel_radius * velocity[3]
+    slip_right = ahead + half_track * velocity[2] - model.wheel_radius * velocity[4]
+
+    # The slip that a unit of a wheel's impulse removes: its own, and that of the other wheel.
+    linear = 1.0 / model.mass
+    angular = half_track * half_track / model.inertia
     own = linear + angular + model.wheel_radius * model.wheel_radius / model.wheel_inertia
     other = linear - angular
     determinant = own * own - other * other
-    sideways = -0.5 * model.mass * across  # of each tyre: they share it
+    left = (other * slip_right - own * slip_left) / determinant
+    right = (other * slip_left - own * slip_right) / determinant
+
+    sideways = -0.5 * model.mass * aside  # of each tyre: they share it
     limit = 0.5 * model.friction * model.mass * GRAVITY * model.time_step
-    left, left_side = clip_length((other * slip_right - own * slip_left) / determinant, sideways, limit)
-    right, right_side = clip_length((other * slip_left - own * slip_right) / determinant, sideways, limit)
+    left, left_side = clip_length(left, sideways, limit)
+    right, right_side = clip_length(right, sideways, limit)
     jx, jy = rotate(left + right, left_side + right_side, cosine, sine)
-    return jx, jy, half * (right - left), -model.wheel_radius * left, -model.wheel_radius * right
+    return jx, jy, half_track * (right - left), -model.wheel_radius * left, -model.wheel_radius * right
 
 
 def clip_length(x: Array, y: Array, limit: Array) -> tuple[Array, Array]:
@@ -150,7 +159,7 @@ def touching(
 
 
 def person_contact(
-    model: RobotModel | Body, person_radius: Array, time_left: Array, x: Array, y: Array, person: tuple[Array, ...]
+    model: RobotModel | RobotBody, person_radius: Array, time_left: Array, x: Array, y: Array, person: tuple[Array, ...]
 ) -> tuple[Array, Array, Array, Array]:
     """The contact of a robot at (x, y) with a person: x, y, velocities, present.
 
@@ -158,7 +167,8 @@ def person_contact(
     lasts. A person pushes the robot along from outside; the motion of one who is deep inside it does not push it.
     """
     px, py, ux, uy, present = person
-    dx, dy = x - (px - ux * time_left), y - (py - uy * time_left)
+    dx = x - (px - ux * time_left)
+    dy = y - (py - uy * time_left)
     nx, ny = unit(dx, dy)
     gap = length(dx, dy) - (person_radius + model.radius)
     approach = _approach(model, gap)
@@ -170,7 +180,7 @@ def person_contact(
 
 
 def obstacle_contact(
-    model: RobotModel | Body, x: Array, y: Array, rectangle: tuple[Array, ...]
+    model: RobotModel | RobotBody, x: Array, y: Array, rectangle: tuple[Array, ...]
 ) -> tuple[Array, Array, Array, Array]:
     """The contact of a robot at (x, y) with one of ``rectangles``; see ``person_contact``."""
     distance, nx, ny = from_rectangle(x, y, *rectangle)
@@ -183,7 +193,7 @@ def rectangles(obstacles: Obstacles) -> tuple[Float[Array, "K"], ...]:
     return *obstacles.center.T, *obstacles.half_extent.T, jnp.cos(obstacles.yaw), jnp.sin(obstacles.yaw)
 
 
-def _approach(model: RobotModel | Body, gap: Array) -> Array:
+def _approach(model: RobotModel | RobotBody, gap: Array) -> Array:
     """Maximum approach speed [m/s] at a contact with this gap [m]; negative for an overlap, where bodies separate.
 
     The speed of separation is limited to the robot's top speed, so that a deep overlap does not throw the robot out.
@@ -198,22 +208,23 @@ def after_push(vx: Array, vy: Array, push: Array, nx: Array, ny: Array, bound: A
     return clip_length(vx + push * nx, vy + push * ny, jnp.maximum(bound, before))
 
 
-def _touch(contact: Callable, things: Any, times: int, x: Array, y: Array, vx: Array, vy: Array) -> tuple[Array, Array]:
+def _touch(contact: Callable, bodies: Any, times: int, x: Array, y: Array, vx: Array, vy: Array) -> tuple[Array, Array]:
     """(vx, vy) of a robot at (x, y) after the most violated contact was enforced, ``times`` times.
 
-    ``contact(x, y, things) -> normal x, normal y, allowed approach speed, bound``. One contact at a time, because a
+    ``contact(x, y, bodies) -> normal x, normal y, allowed approach speed, bound``. One contact at a time, because a
     wall of several boxes would otherwise throw the robot back once for each box. The choice of the contact has no
     gradient, so that reverse mode stores and visits this one only.
     """
     stop = jax.lax.stop_gradient
-    nx, ny, allowed, bounds = contact(stop(x), stop(y), stop(things))
+    all_nx, all_ny, all_allowed, bounds = contact(stop(x), stop(y), stop(bodies))
     bound = bounds.min()
     for _ in range(times):
-        strongest = jnp.argmax(-(stop(vx) * nx + stop(vy) * ny) - allowed)
-        one = jax.tree.map(lambda leaf: leaf[strongest], things)  # noqa: B023
-        one_nx, one_ny, one_allowed, _ = contact(x, y, one)
-        push = jnp.maximum(-(vx * one_nx + vy * one_ny) - one_allowed, 0.0)
-        vx, vy = after_push(vx, vy, push, one_nx, one_ny, bound)
+        excess = -(stop(vx) * all_nx + stop(vy) * all_ny) - all_allowed
+        strongest = jnp.argmax(excess)
+        body = jax.tree.map(lambda leaf: leaf[strongest], bodies)  # noqa: B023
+        nx, ny, allowed, _ = contact(x, y, body)
+        push = jnp.maximum(-(vx * nx + vy * ny) - allowed, 0.0)
+        vx, vy = after_push(vx, vy, push, nx, ny, bound)
     return vx, vy
 
 
@@ -238,7 +249,7 @@ def twin_substep(model: RobotModel, touch: Touch, motion: Motion, targets: Float
 
 
 def twin_step(
-    model: RobotModel | Body,
+    model: RobotModel | RobotBody,
     touch: Touch,
     position: Five,
     velocity: Five,
@@ -255,22 +266,22 @@ def twin_step(
 
 
 def _without_contacts(
-    model: RobotModel | Body, position: Five, velocity: Five, targets: tuple[Array, Array]
+    model: RobotModel | RobotBody, position: Five, velocity: Five, targets: tuple[Array, Array]
 ) -> tuple[Five, Five, Array, Array]:
     """Velocities after the servos, impulse of the tyres, and the base's velocity after both."""
-    wheels = (
-        rate
-        + model.time_step
-        * jnp.clip(model.servo_gain * (target - rate), -model.servo_torque, model.servo_torque)
-        / model.wheel_inertia
-        for rate, target in zip(velocity[3:], targets, strict=True)
-    )
+    wheels = [_servo(model, rate, target) for rate, target in zip(velocity[3:], targets, strict=True)]
     free = *velocity[:3], *wheels
     return free, *tyre_impulse(model, position, free)
 
 
+def _servo(model: RobotModel | RobotBody, rate: Array, target: Array) -> Array:
+    """The rate [rad/s] of a wheel after a physics step of its servo."""
+    torque = jnp.clip(model.servo_gain * (target - rate), -model.servo_torque, model.servo_torque)
+    return rate + model.time_step * torque / model.wheel_inertia
+
+
 def _advance(
-    model: RobotModel | Body,
+    model: RobotModel | RobotBody,
     position: Five,
     free: Five,
     tyres: Five,
@@ -278,10 +289,11 @@ def _advance(
     after: tuple[Array, Array],
 ) -> tuple[Five, Five]:
     """Coordinates and velocities at the end of a physics step."""
-    mass = model.mass, model.mass, model.inertia, model.wheel_inertia, model.wheel_inertia
-    pushes = add_contacts(model, tyres, start, after)
-    velocity = tuple(rate + push / of for rate, push, of in zip(free, pushes, mass, strict=True))
-    return tuple(at + model.time_step * rate for at, rate in zip(position, velocity, strict=True)), velocity
+    masses = model.mass, model.mass, model.inertia, model.wheel_inertia, model.wheel_inertia
+    impulses = add_contacts(model, tyres, start, after)
+    velocity = tuple(rate + impulse / mass for rate, impulse, mass in zip(free, impulses, masses, strict=True))
+    position = tuple(value + model.time_step * rate for value, rate in zip(position, velocity, strict=True))
+    return position, velocity
 
 
 def diagonal(model: RobotModel) -> Float[Array, "5"]:
@@ -323,25 +335,37 @@ def kinematic_move(
     share = jnp.sinc(turn / (2.0 * jnp.pi))
     chord = speed * share  # m/s, along the straight line between the ends of its arc
 
-    def one(carry: tuple[Way, Array], index: Array) -> tuple[tuple[Way, Array], None]:
-        (place, _, _), gap = carry
+    def substep(carry: tuple[Way, Array], index: Array) -> tuple[tuple[Way, Array], None]:
+        way, gap = carry
         angle = (index + 0.5) * turn
         cosine, sine = rotate(heading[0], heading[1], jnp.cos(angle), jnp.sin(angle))
-        vx, vy = chord * cosine, chord * sine
-        if sideways is not None:
+        if sideways is None:
+            vx, vy = chord * cosine, chord * sine
+        else:
             vx, vy = rotate(chord, sideways * share, cosine, sine)
-        ux, uy = touching(model, surroundings, model.time_step * (steps - index), place, vx, vy)
-        there = place + model.time_step * jnp.stack([ux, uy])
-        left = _gap(model, surroundings, there)
-        free = left >= jnp.minimum(gap, -OVERLAP)
-        along, across = rotate(ux - vx, uy - vy, cosine, -sine)
-        if sideways is not None:
-            across = sideways + across
-        along, across = jnp.where(free, speed + along, 0.0), jnp.where(free, across, 0.0)
-        return (Way(jnp.where(free, there, place), along, across), jnp.where(free, left, gap)), None
 
-    begin = Way(position, speed, jnp.zeros_like(speed)), _gap(model, surroundings, position)
-    return jax.lax.scan(one, begin, jnp.arange(steps).astype(position.dtype))[0][0]
+        # Contacts change the velocity, and a step farther into an obstacle is not taken.
+        time_left = model.time_step * (steps - index)
+        free_vx, free_vy = touching(model, surroundings, time_left, way.position, vx, vy)
+        after = way.position + model.time_step * jnp.stack([free_vx, free_vy])
+        gap_after = _gap(model, surroundings, after)
+        is_free = gap_after >= jnp.minimum(gap, -OVERLAP)
+
+        ahead, aside = rotate(free_vx - vx, free_vy - vy, cosine, -sine)
+        ahead = speed + ahead
+        if sideways is not None:
+            aside = sideways + aside
+        way = Way(
+            position=jnp.where(is_free, after, way.position),
+            speed=jnp.where(is_free, ahead, 0.0),
+            sideways=jnp.where(is_free, aside, 0.0),
+        )
+        return (way, jnp.where(is_free, gap_after, gap)), None
+
+    start = Way(position, speed, jnp.zeros_like(speed))
+    carry = start, _gap(model, surroundings, position)
+    (way, _), _ = jax.lax.scan(substep, carry, jnp.arange(steps).astype(position.dtype))
+    return way
 
 
 def _gap(model: RobotModel, surroundings: Surroundings, place: Array) -> Array:
@@ -398,7 +422,8 @@ def mjx_advance(
             data = getattr(mjx(), stage)(physics, data)
         mass = jnp.diagonal(mjx().full_m(physics, data))
         free = (data.qfrc_actuator + data.qfrc_passive - data.qfrc_bias) / mass
-        data = data.replace(qacc=free + ground(data.qvel + model.time_step * free) / (model.time_step * mass))
+        impulse = ground(data.qvel + model.time_step * free)
+        data = data.replace(qacc=free + impulse / (model.time_step * mass))
         data = mjx().euler(physics, data)
         return data.qpos, data.qvel
 
@@ -409,9 +434,10 @@ def _parametrized(model: RobotModel, diagonal: Array, gain: Array, torque: Array
     An armature is an inertia added to one joint. It changes the mass matrix without changing the geometry.
     """
     physics, mass = model.data
+    force_range = jnp.stack([-torque, torque], -1)
     return physics.replace(
         dof_armature=physics.dof_armature + (diagonal - mass),
         actuator_gainprm=physics.actuator_gainprm.at[:, 0].set(gain),
         actuator_biasprm=physics.actuator_biasprm.at[:, 2].set(-gain),
-        actuator_forcerange=jnp.broadcast_to(jnp.stack([-torque, torque], -1), physics.actuator_forcerange.shape),
+        actuator_forcerange=jnp.broadcast_to(force_range, physics.actuator_forcerange.shape),
     )

@@ -24,12 +24,17 @@ def twin_substep(model: RobotModel, touch: Touch, motion: Motion, targets: Float
     Args:
         targets: m/s ahead, m/s to the left and rad/s.
     """
-    (position, velocity), (gain, force) = motion, _servo(model)
-    cosine, sine = jnp.cos(position[2]), jnp.sin(position[2])
-    own = jnp.stack([*rotate(velocity[0], velocity[1], cosine, -sine), velocity[2]])
-    push = jnp.clip(gain * (targets - own), -force, force)
-    push = jnp.stack([*rotate(push[0], push[1], cosine, sine), push[2]])
+    position, velocity = motion
+    gain, max_force = _servo(model)
     mass = diagonal(model)
+    cosine, sine = jnp.cos(position[2]), jnp.sin(position[2])
+
+    # Servos push in the robot's frame.
+    ahead, left = rotate(velocity[0], velocity[1], cosine, -sine)
+    rates = jnp.stack([ahead, left, velocity[2]])
+    push = jnp.clip(gain * (targets - rates), -max_force, max_force)
+    push_x, push_y = rotate(push[0], push[1], cosine, sine)
+    push = jnp.stack([push_x, push_y, push[2]])
     free = velocity + model.time_step * push / mass
     velocity = free + ground_impulse(model, touch, motion, free) / mass
     return position + model.time_step * velocity, velocity
@@ -48,9 +53,8 @@ def ground_impulse(model: RobotModel, touch: Touch, motion: Motion, free: Float[
         free: rates at the end of the physics step, of the servos alone.
     """
     position, velocity = motion
-    turned = (
-        0.5 * model.time_step * (velocity[2] + free[2])
-    )  # rad, from the middle of the last step to that of this one
+    # From the middle of the last step to that of this one the body turns its velocity along.
+    turned = 0.5 * model.time_step * (velocity[2] + free[2])
     x, y = rotate(free[0], free[1], jnp.cos(turned), jnp.sin(turned))
     limit = model.friction * GRAVITY * model.time_step
     dx, dy = clip_length(x - velocity[0], y - velocity[1], limit)

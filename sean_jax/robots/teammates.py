@@ -23,15 +23,17 @@ def with_bodies(scenario: Scenario, state: State) -> tuple[Scenario, State]:
     if state.others is None or scenario.others is None:
         return scenario, state
     others, models = state.others, scenario.others
-    velocity = ground_velocity(others)
+
+    # A body of a person's radius stands nearer to the robot by what the other robot is larger.
     dx, dy = (others.position - state.robot.position[None, :]).T
-    ux, uy = unit(dx, dy)
     shift = jnp.minimum(models.radius - scenario.forces.walking.radius, length(dx, dy))
-    position = others.position - shift[:, None] * jnp.stack([ux, uy], -1)
-    solids = _join(scenario.environment.scenery.solids, _placed(models.solids, others))
-    scenery = replace(scenario.environment.scenery, solids=solids)
-    scenario = replace(scenario, environment=replace(scenario.environment, scenery=scenery))
-    return scenario, replace(state, pedestrians=_append(state.pedestrians, position, velocity, others.heading))
+    position = others.position - shift[:, None] * jnp.stack(unit(dx, dy), -1)
+    people = _append(state.pedestrians, position, ground_velocity(others), others.heading)
+
+    environment = scenario.environment
+    solids = _join(environment.scenery.solids, _on_floor(models.solids, others))
+    scenery = replace(environment.scenery, solids=solids)
+    return replace(scenario, environment=replace(environment, scenery=scenery)), replace(state, pedestrians=people)
 
 
 def with_contacts(scenario: Scenario, state: State) -> State:
@@ -42,78 +44,89 @@ def with_contacts(scenario: Scenario, state: State) -> State:
     """
     if state.others is None or scenario.others is None:
         return state
-    robot, model, others, models = state.robot, scenario.robot, state.others, scenario.others
+    robot, model = state.robot, scenario.robot
+    others, models = state.others, scenario.others
     x, y = (robot.position[None, :] - others.position).T
     nx, ny = unit(x, y)  # from the other to this robot
     gap = length(x, y) - models.radius - model.radius
     share = models.mass / (models.mass + model.mass)
-    (wx, wy), (vx, vy) = ground_velocity(others).T, ground_velocity(robot)
-    change = (1.0 - share) * ((vx - wx) * nx + (vy - wy) * ny)  # m/s, of the other's speed to the common one
-    velocity = jnp.stack([wx + change * nx, wy + change * ny], -1)
-    away = scenario.forces.walking.radius + model.radius + share * gap
-    place = robot.position[None, :] - away[:, None] * jnp.stack([nx, ny], -1)
-    position = place + scenario.time_step * velocity
+
+    # The other robot's velocity, changed to the common speed along the normal.
+    other_vx, other_vy = ground_velocity(others).T
+    vx, vy = ground_velocity(robot)
+    approach = (vx - other_vx) * nx + (vy - other_vy) * ny
+    change = (1.0 - share) * approach
+    velocity = jnp.stack([other_vx + change * nx, other_vy + change * ny], -1)
+
+    # A body of a person's radius with this robot's share of the gap.
+    distance = scenario.forces.walking.radius + model.radius + share * gap
+    start = robot.position[None, :] - distance[:, None] * jnp.stack([nx, ny], -1)
+    position = start + scenario.time_step * velocity
     return replace(state, pedestrians=_append(state.pedestrians, position, velocity, others.heading))
 
 
 def _append(people: Pedestrians, position: Array, velocity: Array, heading: Array) -> Pedestrians:
     """People and bodies after them, in no group."""
-    number = position.shape[0]
-    rows = jax.tree.map(lambda leaf: jnp.zeros((number, *leaf.shape[1:]), leaf.dtype), people)
-    alone = jnp.full(number, -1, jnp.int32)
-    rows = replace(
-        rows,
+    count = position.shape[0]
+    zeros = jax.tree.map(lambda leaf: jnp.zeros((count, *leaf.shape[1:]), leaf.dtype), people)
+    alone = jnp.full(count, -1, jnp.int32)
+    bodies = replace(
+        zeros,
         position=position,
         velocity=velocity,
         heading=heading,
         desired_velocity=velocity,
         group=alone,
         walking_group=alone,
-        present=jnp.ones(number, bool),
+        present=jnp.ones(count, bool),
         preferred_speed=length(velocity[:, 0], velocity[:, 1]),
     )
-    if rows.reaction is not None:
-        rows = replace(rows, reaction=replace(rows.reaction, alertness=jnp.ones(number, float)))
-    return jax.tree.map(lambda one, more: jnp.concatenate([one, more]), people, rows)
+    if bodies.reaction is not None:
+        bodies = replace(bodies, reaction=replace(bodies.reaction, alertness=jnp.ones(count, float)))
+    return jax.tree.map(lambda people, bodies: jnp.concatenate([people, bodies]), people, bodies)
 
 
-def _placed(solids: Solids, robots: Robot) -> Solids:
+def _on_floor(solids: Solids, robots: Robot) -> Solids:
     """The solids (R, ...) of robots, from their own frames to the floor, in one list."""
 
-    def one(solids: Solids, position: Float[Array, "2"], heading: Float[Array, "2"]) -> Solids:
-        boxes, cylinders, spheres = solids.boxes, solids.cylinders, solids.spheres
+    by_robot = jax.vmap(_move_solids)(solids, robots.position, robots.heading)
+    color = jnp.concatenate([_flat(table) for table in _colors(by_robot)])
+    return Solids(_flat(by_robot.boxes), _flat(by_robot.cylinders), _flat(by_robot.spheres), color=color)
 
-        def place(table: Array) -> list[Array]:
-            x, y = rotate(table[:, 0], table[:, 1], heading[0], heading[1])
-            return [x + position[0], y + position[1], *table[:, 2:].T]
 
-        bx, by, bz, ex, ey, ez, cosine, sine = place(boxes)
-        cosine, sine = rotate(cosine, sine, heading[0], heading[1])
-        cx, cy, cz, ax, ay, *rest = place(cylinders)
-        ax, ay = rotate(ax, ay, heading[0], heading[1])
-        return Solids(
-            boxes=jnp.stack([bx, by, bz, ex, ey, ez, cosine, sine], -1),
-            cylinders=jnp.stack([cx, cy, cz, ax, ay, *rest], -1),
-            spheres=jnp.stack(place(spheres), -1),
-            color=solids.color,
-        )
+def _move_solids(solids: Solids, position: Float[Array, "2"], heading: Float[Array, "2"]) -> Solids:
+    """The solids of a robot from its own frame to the floor."""
 
-    each = jax.vmap(one)(solids, robots.position, robots.heading)
+    def move(table: Array) -> list[Array]:  # the columns of a table
+        x, y = rotate(table[:, 0], table[:, 1], heading[0], heading[1])
+        return [x + position[0], y + position[1], *table[:, 2:].T]
 
-    def flat(table: Array) -> Array:
-        return table.reshape(table.shape[0] * table.shape[1], table.shape[2])
+    *box, cosine, sine = move(solids.boxes)
+    yaw = rotate(cosine, sine, heading[0], heading[1])
+    x, y, z, axis_x, axis_y, *cylinder = move(solids.cylinders)
+    axis = rotate(axis_x, axis_y, heading[0], heading[1])
+    return Solids(
+        boxes=jnp.stack([*box, *yaw], -1),
+        cylinders=jnp.stack([x, y, z, *axis, *cylinder], -1),
+        spheres=jnp.stack(move(solids.spheres), -1),
+        color=solids.color,
+    )
 
-    color = jnp.concatenate(list(map(flat, _colors(each))))
-    return Solids(*map(flat, (each.boxes, each.cylinders, each.spheres)), color=color)
+
+def _flat(table: Array) -> Array:
+    """(R, K, columns) as (R * K, columns)."""
+    return table.reshape(table.shape[0] * table.shape[1], table.shape[2])
 
 
 def _join(first: Solids, second: Solids) -> Solids:
     """The bodies of both."""
-    tables = (
-        jnp.concatenate([getattr(first, name), getattr(second, name)]) for name in ("boxes", "cylinders", "spheres")
-    )
     colors = [jnp.concatenate(pair) for pair in zip(_colors(first), _colors(second), strict=True)]
-    return Solids(*tables, color=jnp.concatenate(colors))
+    return Solids(
+        boxes=jnp.concatenate([first.boxes, second.boxes]),
+        cylinders=jnp.concatenate([first.cylinders, second.cylinders]),
+        spheres=jnp.concatenate([first.spheres, second.spheres]),
+        color=jnp.concatenate(colors),
+    )
 
 
 def _colors(solids: Solids) -> list[Array]:

@@ -24,7 +24,7 @@ from sean_jax.core.errors import FileError, InputError
 from sean_jax.core.geometry import rotate, unit_vectors
 from sean_jax.io.files import mjcf
 from sean_jax.robots import description, drive
-from sean_jax.robots.dynamics import kinematic_move, mjx
+from sean_jax.robots.dynamics import Way, kinematic_move, mjx
 
 WHOLE = 1e-6  # s, maximum deviation of a period from a multiple of the physics step
 
@@ -41,7 +41,7 @@ class BodyState(NamedTuple):
 
 
 @struct.dataclass
-class Body:
+class ArticulatedBody:
     """``RobotModel.data`` of an articulated body."""
 
     model: PyTree  # mjx.Model
@@ -92,7 +92,7 @@ def articulated(
         InputError: a number is out of range, the controller gives another array, or the file is no such body.
     """
     path = Path(file)
-    numbers = {
+    limits = {
         "radius": radius,
         "max_speed": max_speed,
         "max_turn_rate": max_turn_rate,
@@ -100,30 +100,38 @@ def articulated(
         "max_turn_acceleration": max_turn_acceleration,
         "command_timeout": command_timeout,
     }
-    sideways = {} if max_lateral_speed is None else {"max_lateral_speed": max_lateral_speed}
-    for key, value in {**numbers, **sideways}.items():
+    for key, value in limits.items():
         bounds.check_number(key, value, *description.RANGES[key])
+    if max_lateral_speed is not None:
+        bounds.check_number("max_lateral_speed", max_lateral_speed, *description.RANGES["max_lateral_speed"])
+
     model = mjcf.read(path, _prepare)
-    data, home = _at_home(path, model)
-    steps = round(control_period / model.opt.timestep)
-    if steps < 1 or abs(steps * model.opt.timestep - control_period) > WHOLE:
-        what = f"{control_period:g} s is no multiple of the timestep of {path}, {model.opt.timestep:g} s"
-        raise InputError(f"control_period: {what}; give one.")
+    _check_body(path, model)
+    data = _at_home(model)
+    home = data.qpos.copy()
+    steps = _steps_of_period(path, model, control_period)
+    if min_height is None:
+        min_height = home[2] / 2
+    else:
+        min_height = bounds.check_number("min_height", min_height, 0.0, 10.0, "m")
     array = functools.partial(jnp.asarray, dtype=jnp.result_type(float))
-    lowest = home[2] / 2 if min_height is None else bounds.check_number("min_height", min_height, 0.0, 10.0, "m")
-    body = Body(
+    body = ArticulatedBody(
         model=_to_mjx(path, model),
         home=array(home),
         memory=jax.tree.map(_strong, memory),
-        min_height=array(lowest),
+        min_height=array(min_height),
         max_tilt=array(bounds.check_number("max_tilt", max_tilt, 0.01, 3.0, "rad")),
         controller=controller,
         steps=steps,
     )
-    lateral = map(array, (*sideways.values(), max_acceleration, 0.0, 0.0))
+
+    # What only the physics of a wheeled base read is 0.
     absent = "wheel_radius", "wheel_inertia", "track", "friction", "servo_gain", "servo_torque"
-    fields: dict[str, Any] = {key: array(value) for key, value in {**numbers, **dict.fromkeys(absent, 0.0)}.items()}
-    result = RobotModel(
+    fields: dict[str, Any] = {key: array(value) for key, value in (limits | dict.fromkeys(absent, 0.0)).items()}
+    lateral = None
+    if max_lateral_speed is not None:
+        lateral = Lateral(array(max_lateral_speed), array(max_acceleration), array(0.0), array(0.0))
+    robot_model = RobotModel(
         mass=array(model.body_subtreemass[model.jnt_bodyid[0]]),
         inertia=array(_inertia(model, data)),
         **fields,
@@ -134,11 +142,24 @@ def articulated(
         time_step=control_period,
         place=place_body,
         drive=drive_body,
-        lateral=Lateral(*lateral) if sideways else None,
+        lateral=lateral,
     )
-    start = place_body(result, jnp.zeros(2, float), jnp.asarray([1.0, 0.0], float)).drive_state
-    jax.eval_shape(functools.partial(_simulate, result, 1), start.physics, start.memory, start.target)
-    return result
+
+    # Trace one period: a controller that gives another array is refused here.
+    start = place_body(robot_model, jnp.zeros(2, float), jnp.asarray([1.0, 0.0], float)).drive_state
+    jax.eval_shape(functools.partial(_simulate, robot_model, 1), start.physics, start.memory, start.target)
+    return robot_model
+
+
+def _steps_of_period(path: Path, model: Any, control_period: float) -> int:
+    """Physics steps in a period of the controller [s]."""
+    timestep = model.opt.timestep
+    steps = round(control_period / timestep)
+    if steps < 1 or abs(steps * timestep - control_period) > WHOLE:
+        raise InputError(
+            f"control_period: {control_period:g} s is no multiple of the timestep of {path}, {timestep:g} s; give one."
+        )
+    return steps
 
 
 # --- its file ---
@@ -146,21 +167,22 @@ def articulated(
 
 def _prepare(spec: Any) -> None:
     """Leave out meshes that only look, which no ray sees, and add a ground if there is none."""
-    kind = mujoco.mjtGeom
+    geom_type = mujoco.mjtGeom
     for geom in list(spec.geoms):
-        if geom.type == kind.mjGEOM_MESH and not (geom.contype or geom.conaffinity) and geom.parent.explicitinertial:
+        touches = geom.contype or geom.conaffinity
+        if geom.type == geom_type.mjGEOM_MESH and not touches and geom.parent.explicitinertial:
             spec.delete(geom)
-    used = {geom.meshname for geom in spec.geoms}
+    mesh_names = {geom.meshname for geom in spec.geoms}
     for mesh in list(spec.meshes):
-        if mesh.name not in used:
+        if mesh.name not in mesh_names:
             spec.delete(mesh)
-    if not any(geom.type == kind.mjGEOM_PLANE for geom in spec.worldbody.geoms):
-        spec.worldbody.add_geom(type=kind.mjGEOM_PLANE, size=[0.0, 0.0, 0.01])
+    if not any(geom.type == geom_type.mjGEOM_PLANE for geom in spec.worldbody.geoms):
+        spec.worldbody.add_geom(type=geom_type.mjGEOM_PLANE, size=[0.0, 0.0, 0.01])
 
 
-def _at_home(path: Path, model: Any) -> tuple[Any, np.ndarray]:
-    """``mujoco.MjData`` in the posture at the start, and its qpos; FileError if the file is no such body."""
-    free, plane = int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtGeom.mjGEOM_PLANE)
+def _check_body(path: Path, model: Any) -> None:
+    """FileError unless the file is one body with a freejoint, driven joints, and contacts with a ground."""
+    free = int(mujoco.mjtJoint.mjJNT_FREE)
     if list(model.jnt_type).count(free) != 1 or model.jnt_type[0] != free:
         raise FileError(
             f"{path}: a body with a controller must have one freejoint, its first joint; give its base one."
@@ -172,26 +194,44 @@ def _at_home(path: Path, model: Any) -> tuple[Any, np.ndarray]:
         raise FileError(f"{path}: it has no actuator for the controller; give each driven joint one.")
     if model.opt.integrator not in (mujoco.mjtIntegrator.mjINT_EULER, mujoco.mjtIntegrator.mjINT_IMPLICITFAST):
         raise FileError(f"{path}: the integrator of its <option> must be Euler or implicitfast; choose one of the two.")
-    kind, other = model.geom_contype, model.geom_conaffinity
-    ground = np.flatnonzero((model.geom_bodyid == 0) & ((kind > 0) | (other > 0)))
-    level = (model.geom_pos[ground, 2] == 0.0) & ~model.geom_quat[ground, 1:3].any(1)
-    if len(ground) != 1 or model.geom_type[ground[0]] != plane or not level[0]:
+    _check_ground(path, model)
+
+
+def _check_ground(path: Path, model: Any) -> None:
+    """FileError unless one horizontal plane is the ground, and something of the body touches it."""
+    contype, conaffinity = model.geom_contype, model.geom_conaffinity
+    in_world = (model.geom_bodyid == 0) & ((contype > 0) | (conaffinity > 0))
+    ground = np.flatnonzero(in_world)
+    is_level = (model.geom_pos[ground, 2] == 0.0) & ~model.geom_quat[ground, 1:3].any(1)
+    plane = int(mujoco.mjtGeom.mjGEOM_PLANE)
+    if len(ground) != 1 or model.geom_type[ground[0]] != plane or not is_level[0]:
         raise FileError(f"{path}: the ground must be one horizontal plane at height 0; leave all other things out.")
-    touched = (kind & other[ground[0]]) | (other & kind[ground[0]])
-    if not touched[model.geom_bodyid > 0].any() and not model.npair:
-        cure = "give its feet or wheels contype and conaffinity"
-        raise FileError(f"{path}: nothing of the body touches the ground; {cure}.")
+
+    # MuJoCo's rule for a contact of two geoms.
+    touches = (contype & conaffinity[ground[0]]) | (conaffinity & contype[ground[0]])
+    if not touches[model.geom_bodyid > 0].any() and not model.npair:
+        raise FileError(
+            f"{path}: nothing of the body touches the ground; give its feet or wheels contype and conaffinity."
+        )
+
+
+def _at_home(model: Any) -> Any:
+    """``mujoco.MjData`` in the posture at the start, at the origin and ahead along x."""
     data = mujoco.MjData(model)
-    keys = [model.key(k).name for k in range(model.nkey)]
+    keys = [model.key(index).name for index in range(model.nkey)]
     if keys:
         mujoco.mj_resetDataKeyframe(model, data, keys.index("home") if "home" in keys else 0)
+
+    # Turn the base back by its yaw.
     w, x, y, z = data.qpos[3:7] / np.linalg.norm(data.qpos[3:7])
-    half = 0.5 * math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
-    turned = np.zeros(4)
-    mujoco.mju_mulQuat(turned, np.array([math.cos(half), 0.0, 0.0, -math.sin(half)]), np.array([w, x, y, z]))
-    data.qpos[:2], data.qpos[3:7] = 0.0, turned
+    half_yaw = 0.5 * math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    turn_back = np.array([math.cos(half_yaw), 0.0, 0.0, -math.sin(half_yaw)])
+    ahead = np.zeros(4)
+    mujoco.mju_mulQuat(ahead, turn_back, np.array([w, x, y, z]))
+    data.qpos[:2] = 0.0
+    data.qpos[3:7] = ahead
     mujoco.mj_forward(model, data)
-    return data, data.qpos.copy()
+    return data
 
 
 def _to_mjx(path: Path, model: Any) -> Any:
@@ -203,12 +243,13 @@ def _to_mjx(path: Path, model: Any) -> Any:
 
 def _inertia(model: Any, data: Any) -> float:
     """kg m2 about the vertical through the center of mass."""
-    total, center = 0.0, data.subtree_com[model.jnt_bodyid[0]]
+    center = data.subtree_com[model.jnt_bodyid[0]]
+    inertia = 0.0
     for body in range(1, model.nbody):
         axes = data.ximat[body].reshape(3, 3)
-        away = (data.xipos[body] - center)[:2]
-        total += axes[2] ** 2 @ model.body_inertia[body] + model.body_mass[body] * away @ away
-    return total
+        offset = (data.xipos[body] - center)[:2]
+        inertia += axes[2] ** 2 @ model.body_inertia[body] + model.body_mass[body] * offset @ offset
+    return inertia
 
 
 def _strong(value: Any) -> Array:
@@ -221,12 +262,21 @@ def _strong(value: Any) -> Array:
 
 def place_body(model: RobotModel, position: Float[Array, "2"], heading: Float[Array, "2"]) -> Robot:
     """The body at rest in its posture at the start, at a position [m]; a zero heading counts as the x axis."""
-    heading, zero = unit_vectors(heading, jnp.asarray([1.0, 0.0], heading.dtype)), jnp.zeros((), position.dtype)
-    body, command = model.data, jnp.zeros(drive.command_size(model), position.dtype)
-    fresh = mjx().make_data(body.model, impl="jax")
-    names = "qvel", "act", "qacc_warmstart", "sensordata", "time"
-    physics = {"qpos": body.home, **{name: jnp.asarray(getattr(fresh, name)) for name in names}}
-    state = BodyState(physics, body.memory, command, jnp.zeros((), jnp.int32), command, jnp.zeros((), bool))
+    heading = unit_vectors(heading, jnp.asarray([1.0, 0.0], heading.dtype))
+    zero = jnp.zeros((), position.dtype)
+    stop = jnp.zeros(drive.command_size(model), position.dtype)
+    at_rest = mjx().make_data(model.data.model, impl="jax")
+    physics = {"qpos": model.data.home}
+    for name in ("qvel", "act", "qacc_warmstart", "sensordata", "time"):
+        physics[name] = jnp.asarray(getattr(at_rest, name))
+    state = BodyState(
+        physics=physics,
+        memory=model.data.memory,
+        command=stop,
+        age=jnp.zeros((), jnp.int32),
+        target=stop,
+        fallen=jnp.zeros((), bool),
+    )
     robot = Robot(position, heading, zero, zero, state, None if model.lateral is None else zero)
     return replace(robot, drive_state=state._replace(physics=_on_floor(robot)))
 
@@ -247,36 +297,60 @@ def drive_body(scenario: Scenario, state: State, action: Float[Array, "command"]
     before, law = robot.drive_state, drive.LAWS[model.drive_type]
     command, age = drive.active_command(model, before, action, step)
     target = jnp.stack(law.limit(model, tuple(before.target), tuple(command), step))
-    steps, surroundings = drive.physics_steps(model, step), drive.surroundings_of(scenario, state)
-    fixed = jax.lax.stop_gradient((model, _on_floor(robot), before.memory, target))
-    physics, memory = _simulate(fixed[0], steps, *fixed[1:])
+    steps = drive.physics_steps(model, step)
+    physics, memory, finite = _simulate_alone(model, robot, steps, target)
+    rotation = _rotation(physics["qpos"][3:7])
+    down = ~finite | _is_down(model.data, physics["qpos"], rotation)
 
-    finite = jnp.stack([jnp.isfinite(value).all() for value in physics.values()]).all()
-    last = before.physics, before.memory
-    physics, memory = jax.tree.map(lambda old, new: jnp.where(finite, new, old), last, (physics, memory))
+    # Obstacles and people act on the way of this step, and its velocity changes by what they shift.
     qpos, qvel = physics["qpos"], physics["qvel"]
-    rows = _rotation(qpos[3:7])
-    down = ~finite | (qpos[2] < model.data.min_height) | (rows[2, 2] < jnp.cos(model.data.max_tilt))
-    fallen = before.fallen | down
-
-    own, (cosine, sine) = unit_vectors(robot.heading, jnp.asarray([1.0, 0.0], qpos.dtype)), _ahead(rows)
-    moved = (qpos[:2] - jax.lax.stop_gradient(robot.position)) / step
-    ahead, left = rotate(moved[0], moved[1], own[0], -own[1])
-    way = kinematic_move(steps, model, surroundings, robot.position, own, ahead, jnp.zeros_like(ahead), left)
+    way = _way_among_others(scenario, state, steps, qpos)
     shift = (way.position - qpos[:2]) / step  # m/s that contacts take or give
+    cosine, sine = _ahead(rotation)
     speed, sideways = rotate(qvel[0] + shift[0], qvel[1] + shift[1], cosine, -sine)
     physics = {**physics, "qvel": qvel.at[:2].add(shift)}
 
-    new = Robot(
-        way.position,
-        jnp.stack([cosine, sine]),
-        jnp.where(down, 0.0, speed),
-        jnp.where(down, 0.0, rows[2] @ qvel[3:6]),
-        BodyState(physics, memory, command, age, target, fallen),
-        None if robot.sideways is None else jnp.where(down, 0.0, sideways),
+    moved = Robot(
+        position=way.position,
+        heading=jnp.stack([cosine, sine]),
+        speed=jnp.where(down, 0.0, speed),
+        turn_rate=jnp.where(down, 0.0, rotation[2] @ qvel[3:6]),
+        drive_state=BodyState(physics, memory, command, age, target, before.fallen | down),
+        sideways=None if robot.sideways is None else jnp.where(down, 0.0, sideways),
     )
     lying = replace(robot, drive_state=before)
-    return jax.tree.map(lambda old, new: jnp.where(before.fallen, old, new), lying, new)
+    return jax.tree.map(lambda lying, moved: jnp.where(before.fallen, lying, moved), lying, moved)
+
+
+def _simulate_alone(
+    model: RobotModel, robot: Robot, steps: int, target: Array
+) -> tuple[dict[str, Array], PyTree, Array]:
+    """Physics and memory after a control step without obstacles and people, and whether they are finite numbers.
+
+    If they are not, they are those of before.
+    """
+    before = robot.drive_state
+    fixed = jax.lax.stop_gradient((model, _on_floor(robot), before.memory, target))
+    after = _simulate(fixed[0], steps, *fixed[1:])
+    finite = jnp.stack([jnp.isfinite(value).all() for value in after[0].values()]).all()
+    last = before.physics, before.memory
+    physics, memory = jax.tree.map(lambda old, new: jnp.where(finite, new, old), last, after)
+    return physics, memory, finite
+
+
+def _is_down(body: ArticulatedBody, qpos: Array, rotation: Array) -> Array:
+    """() bool, whether the base is too low or too far from upright."""
+    return (qpos[2] < body.min_height) | (rotation[2, 2] < jnp.cos(body.max_tilt))
+
+
+def _way_among_others(scenario: Scenario, state: State, steps: int, qpos: Array) -> Way:
+    """The straight way of a control step, as obstacles and people let the body's disc go it."""
+    model, robot = scenario.robot, state.robot
+    heading = unit_vectors(robot.heading, jnp.asarray([1.0, 0.0], qpos.dtype))
+    velocity = (qpos[:2] - jax.lax.stop_gradient(robot.position)) / scenario.time_step
+    ahead, left = rotate(velocity[0], velocity[1], heading[0], -heading[1])
+    surroundings = drive.surroundings_of(scenario, state)
+    return kinematic_move(steps, model, surroundings, robot.position, heading, ahead, jnp.zeros_like(ahead), left)
 
 
 def _simulate(
@@ -287,60 +361,80 @@ def _simulate(
     Stages and order are those of MuJoCo's mj_step, in which the control callback precedes the actuators.
     """
     body = model.data
-    nu = body.model.nu
+    is_euler = body.model.opt.integrator == mjx().IntegratorType.EULER
+    integrate = mjx().euler if is_euler else mjx().implicit
+    control = functools.partial(_control, body, command)
 
-    def control(data: Any, memory: PyTree) -> tuple[Array, PyTree]:
-        result = user_calls.call("controller", body.controller, "command, data, memory", command, data, memory)
-        if not isinstance(result, tuple) or len(result) != 2:
-            expected, cure = "a control and a memory", "return both, and () as the memory if there is none"
-            raise user_calls.wrong("controller", body.controller, user_calls.describe(result), expected, cure)
-        user_calls.check_array(
-            "controller", body.controller, result[0], float, (nu,), "give a number for each actuator"
-        )
-        user_calls.check_like("controller", body.controller, result[1], memory, "a memory that is")
-        return result[0].astype(data.ctrl.dtype), jax.tree.map(_strong, result[1])
-
-    def one(carry: tuple, index: Array) -> tuple[tuple, None]:
+    def step(carry: tuple, index: Array) -> tuple[tuple, None]:
         physics, ctrl, memory = carry
         data = mjx().make_data(body.model, impl="jax").replace(**physics)
         for stage in ("fwd_position", "sensor_pos", "fwd_velocity", "sensor_vel"):
             data = getattr(mjx(), stage)(body.model, data)
-        now = index % body.steps == 0
-        ctrl, memory = jax.lax.cond(now, control, lambda data, memory: (ctrl, memory), data, memory)
+
+        period_begins = index % body.steps == 0
+        ctrl, memory = jax.lax.cond(period_begins, control, lambda data, memory: (ctrl, memory), data, memory)
         data = data.replace(ctrl=ctrl)
         for stage in ("fwd_actuation", "fwd_acceleration", "solve", "sensor_acc"):
             data = getattr(mjx(), stage)(body.model, data)
-        euler = body.model.opt.integrator == mjx().IntegratorType.EULER
-        data = (mjx().euler if euler else mjx().implicit)(body.model, data)
+        data = integrate(body.model, data)
         return ({name: getattr(data, name) for name in physics}, ctrl, memory), None
 
     # MJX mixes ranks and dtypes on purpose; a caller may have forbidden that for its own code.
     with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
-        ctrl = jnp.zeros(nu, physics["qpos"].dtype)
-        (physics, _, memory), _ = jax.lax.scan(one, (physics, ctrl, memory), jnp.arange(periods * body.steps))
+        ctrl = jnp.zeros(body.model.nu, physics["qpos"].dtype)
+        steps = jnp.arange(periods * body.steps)
+        (physics, _, memory), _ = jax.lax.scan(step, (physics, ctrl, memory), steps)
     return physics, memory
+
+
+def _control(body: ArticulatedBody, command: Array, data: Any, memory: PyTree) -> tuple[Array, PyTree]:
+    """Control and memory of the user's controller, checked."""
+    controller = body.controller
+    result = user_calls.call("controller", controller, "command, data, memory", command, data, memory)
+    if not isinstance(result, tuple) or len(result) != 2:
+        expected, cure = "a control and a memory", "return both, and () as the memory if there is none"
+        raise user_calls.wrong("controller", controller, user_calls.describe(result), expected, cure)
+    ctrl, new_memory = result
+    user_calls.check_array("controller", controller, ctrl, float, (body.model.nu,), "give a number for each actuator")
+    user_calls.check_like("controller", controller, new_memory, memory, "a memory that is")
+    return ctrl.astype(data.ctrl.dtype), jax.tree.map(_strong, new_memory)
 
 
 def _on_floor(robot: Robot) -> dict[str, Array]:
     """The fields of ``mjx.Data`` with the pose and the speeds on the floor that ``Robot`` has."""
     physics = robot.drive_state.physics
     qpos, qvel = physics["qpos"], physics["qvel"]
-    rows = _rotation(qpos[3:7])
-    was, now = _ahead(rows), unit_vectors(robot.heading, jnp.asarray([1.0, 0.0], qpos.dtype))
-    half = 0.5 * jnp.arctan2(was[0] * now[1] - was[1] * now[0], was[0] * now[0] + was[1] * now[1])
+    rotation = _rotation(qpos[3:7])
+    old_heading = _ahead(rotation)
+    heading = unit_vectors(robot.heading, jnp.asarray([1.0, 0.0], qpos.dtype))
+    quaternion = _turn_quaternion(qpos[3:7], old_heading, heading)
+
+    # The velocity in the world, and the angular velocity in the body's frame about the vertical.
+    sideways = robot.sideways
+    if sideways is None:
+        _, sideways = rotate(qvel[0], qvel[1], old_heading[0], -old_heading[1])
+    velocity = jnp.stack(rotate(robot.speed, sideways, heading[0], heading[1]))
+    vertical = rotation[2]
+    angular = qvel[3:6] + vertical * (robot.turn_rate - vertical @ qvel[3:6])
+
+    qpos = jnp.concatenate([robot.position, qpos[2:3], quaternion, qpos[7:]])
+    qvel = jnp.concatenate([velocity, qvel[2:3], angular, qvel[6:]])
+    return {**physics, "qpos": qpos, "qvel": qvel}
+
+
+def _turn_quaternion(quaternion: Array, old_heading: Array, heading: Array) -> Array:
+    """The quaternion (w, x, y, z) after a turn about the vertical from one heading (2,) to another."""
+    cross = old_heading[0] * heading[1] - old_heading[1] * heading[0]
+    dot = old_heading[0] * heading[0] + old_heading[1] * heading[1]
+    half = 0.5 * jnp.arctan2(cross, dot)
     cosine, sine = jnp.cos(half), jnp.sin(half)
-    w, x, y, z = qpos[3:7]
-    turned = [cosine * w - sine * z, cosine * x - sine * y, cosine * y + sine * x, cosine * z + sine * w]
-    sideways = rotate(qvel[0], qvel[1], was[0], -was[1])[1] if robot.sideways is None else robot.sideways
-    velocity = jnp.stack(rotate(robot.speed, sideways, now[0], now[1]))
-    turning = qvel[3:6] + rows[2] * (robot.turn_rate - rows[2] @ qvel[3:6])
-    qpos = jnp.concatenate([robot.position, qpos[2:3], jnp.stack(turned), qpos[7:]])
-    return {**physics, "qpos": qpos, "qvel": jnp.concatenate([velocity, qvel[2:3], turning, qvel[6:]])}
+    w, x, y, z = quaternion
+    return jnp.stack([cosine * w - sine * z, cosine * x - sine * y, cosine * y + sine * x, cosine * z + sine * w])
 
 
-def _ahead(rows: Float[Array, "3 3"]) -> Float[Array, "2"]:
+def _ahead(rotation: Float[Array, "3 3"]) -> Float[Array, "2"]:
     """The direction of the base's x axis on the floor."""
-    return unit_vectors(rows[:2, 0], jnp.asarray([1.0, 0.0], rows.dtype))
+    return unit_vectors(rotation[:2, 0], jnp.asarray([1.0, 0.0], rotation.dtype))
 
 
 def _rotation(quaternion: Float[Array, "4"]) -> Float[Array, "3 3"]:

@@ -3,25 +3,10 @@
 from sean_jax.sensors.cameras import Camera, camera, depth, focal_length, pixels_of_people
 from sean_jax.sensors.lidars import VLP16, Lidar, lidar, point_cloud, points, scan
 from sean_jax.sensors.pictures import CLASSES, Picture, render
-from sean_jax.sensors.readings import (
-    SENSORS,
-    Delay,
-    DistanceErrors,
-    SensorLike,
-    as_sensor,
-    as_sensors,
-    check_sensor,
-    color_sensor,
-    delay,
-    depth_sensor,
-    distance_errors,
-    drop_outs,
-    due,
-    lidar_sensor,
-    noise,
-    push,
-    sense,
-)
+from sean_jax.sensors.readings import SENSORS, color_sensor, depth_sensor, lidar_sensor, sense
+from sean_jax.sensors.sensor_delays import Delay, delay, due, push
+from sean_jax.sensors.sensor_noise import DistanceErrors, distance_errors, drop_outs, noise
+from sean_jax.sensors.sensor_settings import SensorLike, as_sensor, as_sensors, check_sensor
 
 CAMERAS = ("depth", "first_person", "third_person", "overhead")
 """The cameras that every robot has."""

@@ -20,6 +20,8 @@ from sean_jax.sensors.raycast import Rays, bundle, by_rows, distance, search
 
 OVERHEAD = "overhead"
 SEES_ROBOT = ("third_person", OVERHEAD)
+DEPTH_FAR, PICTURE_FAR = 20.0, 200.0  # m
+OVERHEAD_EXTENT = 6.0  # m, height of the overhead picture
 
 
 @dataclasses.dataclass(frozen=True)
@@ -74,18 +76,24 @@ def camera(
         raise InputError(f"camera: robot '{robot.name}' has no '{name}'{cure}")
     if width < 1 or height < 1:
         raise InputError(f"camera: a picture of {width} x {height} pixels shows nothing; give 1 or more of each.")
+
+    # What is not given is the mount's, or the default of that name.
     mount = mounts[name]
-    angle = mount.fovy if fovy is None else fovy
-    if not 0.0 < angle < 180.0:
-        raise InputError(f"fovy: {angle:g} degrees must lie between 0 and 180.")
-    limit = (20.0 if name == "depth" else 200.0) if far is None else far
-    if not 0.0 <= near < limit:
-        raise InputError(f"near, far: {near:g} and {limit:g} m must be a lesser and a greater distance.")
-    extent = (6.0 if name == OVERHEAD else 0.0) if orthographic is None else orthographic
-    if not extent >= 0.0:
-        raise InputError(f"orthographic: {extent:g} m must be the height of the picture, or 0 for perspective.")
+    if fovy is None:
+        fovy = mount.fovy
+    if far is None:
+        far = DEPTH_FAR if name == "depth" else PICTURE_FAR
+    if orthographic is None:
+        orthographic = OVERHEAD_EXTENT if name == OVERHEAD else 0.0
+
+    if not 0.0 < fovy < 180.0:
+        raise InputError(f"fovy: {fovy:g} degrees must lie between 0 and 180.")
+    if not 0.0 <= near < far:
+        raise InputError(f"near, far: {near:g} and {far:g} m must be a lesser and a greater distance.")
+    if not orthographic >= 0.0:
+        raise InputError(f"orthographic: {orthographic:g} m must be the height of the picture, or 0 for perspective.")
     sees_robot = name in SEES_ROBOT
-    return Camera(name, None, mount.axes, width, height, angle, near, limit, extent, sees_robot, mount.low)
+    return Camera(name, None, mount.axes, width, height, fovy, near, far, orthographic, sees_robot, mount.low)
 
 
 @functools.lru_cache(maxsize=64)
@@ -99,29 +107,36 @@ def rays(view: Camera) -> tuple[Rays, Float[np.ndarray, "H W"]]:
 def bands(view: Camera) -> tuple[tuple[Rays, ...], Float[np.ndarray, "H W"]]:
     """The rays in one or two bundles, which are faster to search: rows that rise, and others; and the cosines."""
     direction, offset, cosine = _directions(view)
-    parts = bands_of_rise(direction) if offset is None else [slice(None)]
-    return tuple(_bundle(view, direction[part], offset) for part in parts), cosine
+    bands = bands_of_rise(direction) if offset is None else [slice(None)]
+    return tuple(_bundle(view, direction[band], offset) for band in bands), cosine
 
 
 def _directions(view: Camera) -> tuple[np.ndarray, np.ndarray | None, np.ndarray]:
     """(H, W, 3) unit vectors, (H, W, 3) m the starts of rays without perspective, else None, and (H, W) cosines."""
-    half = view.orthographic / 2 if view.orthographic else np.tan(np.deg2rad(view.fovy) / 2)
-    up = half * (1 - (2 * np.arange(view.height) + 1) / view.height)
-    right = half * view.width / view.height * ((2 * np.arange(view.width) + 1) / view.width - 1)
+    # Middles of the pixels on the picture plane: in m without perspective, else 1 m ahead of the camera.
+    half_height = view.orthographic / 2 if view.orthographic else np.tan(np.deg2rad(view.fovy) / 2)
+    rows = (2 * np.arange(view.height) + 1) / view.height
+    columns = (2 * np.arange(view.width) + 1) / view.width
+    up = half_height * (1 - rows)
+    right = half_height * view.width / view.height * (columns - 1)
     across, along = np.meshgrid(right, up)
+
+    # MuJoCo's cameras look along -z, x is to the right and y up.
     axes = np.asarray(view.axes).reshape(3, 3)
-    spread = across[..., None] * axes[:, 0] + along[..., None] * axes[:, 1]
+    pixels = across[..., None] * axes[:, 0] + along[..., None] * axes[:, 1]
     if view.orthographic:
-        return np.broadcast_to(-axes[:, 2], spread.shape), spread, np.ones(spread.shape[:2])
-    direction = spread - axes[:, 2]
+        return np.broadcast_to(-axes[:, 2], pixels.shape), pixels, np.ones(pixels.shape[:2])
+    direction = pixels - axes[:, 2]
     length = np.linalg.norm(direction, axis=-1)
     return direction / length[..., None], None, 1.0 / length
 
 
 def _bundle(view: Camera, direction: np.ndarray, offset: np.ndarray | None) -> Rays:
-    cosine = -(direction @ np.asarray(view.axes).reshape(3, 3)[:, 2])
-    over_ground = np.linalg.norm(direction[..., :2], axis=-1) / cosine
-    return bundle(direction, TILE, view.far * float(over_ground.max()), offset, is_low(view))
+    backward = np.asarray(view.axes).reshape(3, 3)[:, 2]
+    cosine = -(direction @ backward)
+    over_ground = np.linalg.norm(direction[..., :2], axis=-1) / cosine  # m, for each m of depth
+    reach = view.far * float(over_ground.max())
+    return bundle(direction, TILE, reach, offset, is_low(view))
 
 
 def focal_length(view: Camera) -> float:
@@ -141,8 +156,8 @@ def depth(scenario: Scenario, state: State, camera: Camera) -> Float[Array, "H W
     """
     bundles, cosine = bands(camera)
     view = sensor_view(scenario, state, camera, camera.sees_robot)
-    parts = [by_rows(bundle, distance(view, bundle)) for bundle in bundles]
-    image = jnp.concatenate(parts) * jnp.asarray(cosine, float)
+    rows = [by_rows(bundle, distance(view, bundle)) for bundle in bundles]
+    image = jnp.concatenate(rows) * jnp.asarray(cosine, float)
     return jnp.where((image >= camera.near) & (image <= camera.far), image, camera.far)
 
 
@@ -156,10 +171,16 @@ def pixels_of_people(scenario: Scenario, state: State, camera: Camera) -> Int[Ar
     """
     bundles, cosine = bands(camera)
     view = jax.lax.stop_gradient(sensor_view(scenario, state, camera, camera.sees_robot))
-    parts = [[by_rows(bundle, part) for part in search(view, bundle)] for bundle in bundles]
-    distance, number = (jnp.concatenate(part) for part in zip(*parts, strict=True))
-    image = distance * jnp.asarray(cosine, float)
+    distances, numbers = [], []
+    for band in bundles:
+        to_body, body = search(view, band)
+        distances.append(by_rows(band, to_body))
+        numbers.append(by_rows(band, body))
+    image = jnp.concatenate(distances) * jnp.asarray(cosine, float)
     in_range = (image >= camera.near) & (image <= camera.far)
-    boxes, cylinders, spheres, people = view.counts
-    person = jnp.where(in_range, number - (boxes + cylinders + spheres), -1).reshape(-1)
-    return (person[:, None] == jnp.arange(people, dtype=person.dtype)[None, :]).sum(0, dtype=jnp.int32)
+
+    # People have the numbers after those of boxes, cylinders and spheres.
+    first_person, people = sum(view.counts[:3]), view.counts[3]
+    person = jnp.where(in_range, jnp.concatenate(numbers) - first_person, -1).reshape(-1)
+    is_person = person[:, None] == jnp.arange(people, dtype=person.dtype)[None, :]  # (pixels, N)
+    return is_person.sum(0, dtype=jnp.int32)

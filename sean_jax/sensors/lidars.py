@@ -96,9 +96,10 @@ VLP16_DEVIATION = 0.03  # m, of its noise: the typical accuracy that the manual 
 def lidar_directions(sensor: Lidar) -> Float[np.ndarray, "rings rays 3"]:
     """Unit vectors along the rays of a lidar in its own frame: x ahead, y to the left, z up; one ring if planar."""
     angle = (sensor.first + sensor.span * np.arange(sensor.count) / sensor.count)[None, :]
-    rise = np.asarray(sensor.elevations or (0.0,), float)[:, None]
-    level = np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], -1)
-    return level * np.cos(rise)[..., None] + np.sin(rise)[..., None] * np.array([0.0, 0.0, 1.0])
+    level = np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], -1)  # (1, rays, 3)
+    elevation = np.asarray(sensor.elevations or (0.0,), float)[:, None, None]
+    upward = np.array([0.0, 0.0, 1.0])
+    return level * np.cos(elevation) + np.sin(elevation) * upward
 
 
 @functools.lru_cache(maxsize=64)
@@ -107,7 +108,7 @@ def lidar_rays(sensor: Lidar) -> tuple[Rays, ...]:
     direction = lidar_directions(sensor) @ np.asarray(sensor.axes).reshape(3, 3).T
     tile = TILE if sensor.elevations else (1, SECTOR)
     low = is_low(sensor)
-    return tuple(bundle(direction[part], tile, sensor.far, low=low) for part in bands_of_rise(direction))
+    return tuple(bundle(direction[band], tile, sensor.far, low=low) for band in bands_of_rise(direction))
 
 
 @jax.named_scope("scan")
@@ -118,8 +119,8 @@ def scan(scenario: Scenario, state: State, sensor: Lidar) -> Float[Array, "rays"
     people's positions.
     """
     view = sensor_view(scenario, state, sensor)
-    parts = [by_rows(fan, distance(view, fan)) for fan in lidar_rays(sensor)]
-    distances = jnp.concatenate(parts) if sensor.elevations else parts[0][0]
+    rings = [by_rows(rays, distance(view, rays)) for rays in lidar_rays(sensor)]
+    distances = jnp.concatenate(rings) if sensor.elevations else rings[0][0]
     return jnp.where((distances >= sensor.near) & (distances <= sensor.far), distances, sensor.far)
 
 
@@ -131,8 +132,10 @@ def points(sensor: Lidar, distances: Float[Array, "*shape"]) -> Float[Array, "*s
     Args:
         distances: m, (rays,) or (rings, rays) as of ``scan``, also with noise.
     """
-    ways = lidar_directions(sensor)
-    return distances[..., None] * jnp.asarray(ways if sensor.elevations else ways[0], distances.dtype)
+    directions = lidar_directions(sensor)
+    if not sensor.elevations:
+        directions = directions[0]
+    return distances[..., None] * jnp.asarray(directions, distances.dtype)
 
 
 def point_cloud(
@@ -145,7 +148,8 @@ def point_cloud(
     Args:
         distances: m, as of ``points``.
     """
-    ways = lidar_directions(sensor)
-    rows = np.asarray(distances, np.float32).reshape(ways.shape[:2])
-    ring, ray = np.nonzero(rows < np.float32(sensor.far))
-    return rows[ring, ray, None] * ways[ring, ray].astype(np.float32), ring.astype(np.int32)
+    directions = lidar_directions(sensor)
+    rings = np.asarray(distances, np.float32).reshape(directions.shape[:2])
+    ring, ray = np.nonzero(rings < np.float32(sensor.far))
+    hits = rings[ring, ray, None] * directions[ring, ray].astype(np.float32)
+    return hits, ring.astype(np.int32)

@@ -3,6 +3,8 @@
 Only the person whose capsule a ray meets is looked at, so the figure costs each ray the same in any crowd.
 """
 
+from typing import NamedTuple
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -12,6 +14,7 @@ from jaxtyping import Float, Int
 from sean_jax.core.data_types import Array, State
 from sean_jax.core.geometry import rotate
 from sean_jax.sensors.raycast import MISS, Rays, View, along
+from sean_jax.sensors.raycast.vectors import Vector, dot, to_frame
 
 SKIN = ((0.87, 0.70, 0.58), (0.55, 0.38, 0.27), (0.93, 0.78, 0.67), (0.72, 0.53, 0.40))  # of successive people
 HAIR = ((0.24, 0.18, 0.15), (0.10, 0.09, 0.09), (0.55, 0.42, 0.26), (0.36, 0.22, 0.14))
@@ -27,48 +30,71 @@ TRUNK, TRUNK_ENDS, FLAT = 0.15, (0.93, 1.31), 1.45  # m, half width; ends of its
 CRANIUM, CRANIUM_ENDS = 0.098, (1.572, 1.632)  # m
 GROIN, MIDDLE = 0.86, 0.2  # m above the floor; along a ray from the capsule, about to its axis
 BROW, CHIN, FACE = 1.66, 1.52, 0.02  # m above the floor, likewise, and ahead of the middle of the head
-Vector = tuple[Array, Array, Array]
+HEAD, BODY, LIMB, LOWER = range(4)  # parts: arms are limbs, legs lower limbs
 
 
 @struct.dataclass
-class Figure:
+class PersonFigure:
     """What each ray meets of a figure."""
 
     distance: Float[Array, "tiles rays"]  # m, MISS without a figure
-    normal: Vector  # x, y and z in the robot's axes, unit
+    normal: Vector  # in the robot's axes, unit
     color: tuple[Array, Array, Array]  # red, green and blue without light
 
 
-def figure(
+class Capsule(NamedTuple):
+    """A part of a figure, or one for each ray: a capsule in the person's frame, which looks along x."""
+
+    part: Array  # HEAD, BODY, LIMB or LOWER
+    radius: Array  # m
+    flatness: Array  # width over depth
+    left: Array  # m, of the start of the axis from the middle of the body
+    bottom: Array  # m, of the start of the axis above the floor
+    aside: Array  # m, of the axis to the left
+    rise: Array  # m, of the axis
+    swing: Array  # what of the foot's way ahead is the axis's way ahead
+
+
+def trace_figures(
     state: State, view: View, rays: Rays, person: Int[Array, "tiles rays"], distance: Float[Array, "tiles rays"]
-) -> Figure:
+) -> PersonFigure:
     """The figures along rays that meet the capsules of people.
 
     Args:
         person: index of the person whose capsule a ray meets; -1 without one.
         distance: m, along the ray to the capsule.
     """
-    someone = jnp.maximum(person, 0)
-    heading, robot = state.pedestrians.heading, state.robot.heading
-    look = jnp.stack(rotate(heading[:, 0], heading[:, 1], robot[0], -robot[1]), -1)
-    own = jnp.concatenate([look, view.people, foot(state)[:, None]], -1).T
-    look_x, look_y, x0, y0, ahead = (column[someone] for column in own)
-    x, y, z = along(rays, jnp.where(person >= 0, distance, 0.0))
-    here = (*_turn(x - x0, y - y0, look_x, look_y), z + view.height)  # on the capsule, in the person's frame
-    dx, dy, dz = (jnp.asarray(part, float) for part in rays.direction)
-    way = (*_turn(dx, dy, look_x, look_y), dz)
-    here, way, ahead = jax.lax.optimization_barrier((here, way, ahead))
+    index = jnp.maximum(person, 0)
+    heading, robot_heading = state.pedestrians.heading, state.robot.heading
+    look = jnp.stack(rotate(heading[:, 0], heading[:, 1], robot_heading[0], -robot_heading[1]), -1)
+    people = jnp.concatenate([look, view.people, left_foot(state)[:, None]], -1).T  # (5, N)
+    look_x, look_y, x, y, foot = (column[index] for column in people)
 
-    on, normal, part = _limbs(here, way, ahead)
-    meets = (on < MISS) & (person >= 0)
-    shift = jnp.where(meets, on, 0.0)
-    forward, up = here[0] + shift * way[0], here[2] + shift * way[2]
-    color = _clothes(someone, part, forward, up, view.counts[3])
-    out_x, out_y = rotate(normal[0], normal[1], look_x, look_y)
-    return Figure(jnp.where(meets, distance + shift, MISS), (out_x, out_y, normal[2]), color)
+    # The ray from the capsule on, in the person's frame.
+    point = along(rays, jnp.where(person >= 0, distance, 0.0))
+    offset = Vector(point.x - x, point.y - y, point.z + view.height)
+    direction = Vector(*(jnp.asarray(component, float) for component in rays.direction))
+    start, direction = _turned(offset, look_x, look_y), _turned(direction, look_x, look_y)
+    start, direction, foot = jax.lax.optimization_barrier((start, direction, foot))
+
+    # What it meets there, and back in the robot's axes.
+    to_limb, normal, part = _limbs(start, direction, foot)
+    meets = (to_limb < MISS) & (person >= 0)
+    to_limb = jnp.where(meets, to_limb, 0.0)
+    forward = start.x + to_limb * direction.x
+    up = start.z + to_limb * direction.z
+    color = _clothes(index, part, forward, up, view.counts[3])
+    normal = Vector(*rotate(normal.x, normal.y, look_x, look_y), normal.z)
+    return PersonFigure(jnp.where(meets, distance + to_limb, MISS), normal, color)
 
 
-def foot(state: State) -> Float[Array, "N"]:
+def _turned(vector: Vector, look_x: Array, look_y: Array) -> Vector:
+    """A vector in the frame of a person who looks in that direction."""
+    x, y = to_frame(vector.x, vector.y, look_x, look_y)
+    return Vector(x, y, vector.z)
+
+
+def left_foot(state: State) -> Float[Array, "N"]:
     """How far [m] each person's left foot is ahead of the body, and the right one behind it."""
     people = state.pedestrians
     along_way = (people.position * people.heading).sum(-1)
@@ -76,13 +102,7 @@ def foot(state: State) -> Float[Array, "N"]:
     return SPREAD * jnp.minimum(speed, 1.0) * jnp.sin(2.0 * jnp.pi / STRIDE * along_way)
 
 
-def _turn(x: Array, y: Array, look_x: Array, look_y: Array) -> tuple[Array, Array]:
-    """A vector as ahead and left of whoever looks there."""
-    return x * look_x + y * look_y, y * look_x - x * look_y
-
-
-HEAD, BODY, LIMB, LOWER = range(4)  # parts: arms are limbs, legs lower limbs
-# Capsules: part, radius, width over depth, start, axis [m], and what of the foot's way ahead adds to the axis.
+# Rows of ``Capsule``: two that all rays may meet, and two legs or two arms.
 TRUNK_AND_HEAD = (
     (BODY, TRUNK, FLAT, 0.0, TRUNK_ENDS[0], 0.0, TRUNK_ENDS[1] - TRUNK_ENDS[0], 0.0),
     (HEAD, CRANIUM, 1.0, 0.0, CRANIUM_ENDS[0], 0.0, CRANIUM_ENDS[1] - CRANIUM_ENDS[0], 0.0),
@@ -92,78 +112,102 @@ ARMS = tuple(
     (LIMB, ARM, 1.0, side * SHOULDERS, ARMPIT, side * (HAND[0] - SHOULDERS), HAND[1] - ARMPIT, -SWING * side)
     for side in (1.0, -1.0)
 )
-LOW, HIGH = np.array(TRUNK_AND_HEAD + LEGS).T, np.array(TRUNK_AND_HEAD + ARMS).T
+WITH_LEGS = np.array(TRUNK_AND_HEAD + LEGS).T  # (8, 4), a row for each field of ``Capsule``
+WITH_ARMS = np.array(TRUNK_AND_HEAD + ARMS).T
 
 
-def _limbs(here: Vector, way: Vector, ahead: Array) -> tuple[Array, Vector, Array]:
-    """Distance [m] from ``here`` along a ray to a figure, MISS without; its normal, and its part.
+def _limbs(start: Vector, direction: Vector, foot: Array) -> tuple[Array, Vector, Array]:
+    """Distance [m] from the start of a ray to a figure, MISS without; its normal, and its part.
 
     A ray meets trunk and head, and either legs or arms: arms if its point ``MIDDLE`` m on is above ``GROIN``.
     """
-    is_high = (here[2] + MIDDLE * way[2] > GROIN).astype(ahead.dtype)
-    each_here, each_way, each_ahead = jax.tree.map(lambda part: part[None], (here, way, ahead))
-
-    def columns(index: Array | np.ndarray) -> tuple[Array, ...]:
-        pairs = ((jnp.asarray(part, float)[index] for part in pair) for pair in zip(LOW, HIGH - LOW, strict=True))
-        high = is_high if index.ndim == is_high.ndim else is_high[None]
-        return tuple(low + high * more for low, more in pairs)
+    with_arms = (start.z + MIDDLE * direction.z > GROIN).astype(foot.dtype)
 
     # All capsules are one array: XLA would compute the ones before again for each result of a loop over them.
-    numbers = np.arange(len(LOW.T))[(..., *(None,) * ahead.ndim)]
-    every = jax.lax.optimization_barrier(_capsule(each_here, each_way, each_ahead, columns(numbers))[0])
-    distance, nearest = every.min(0), jax.lax.stop_gradient(every).argmin(0)
+    index = np.arange(WITH_LEGS.shape[1])[(..., *(None,) * foot.ndim)]
+    all_starts, all_directions, all_feet = jax.tree.map(lambda leaf: leaf[None], (start, direction, foot))
+    capsules = _capsules(index, with_arms[None])
+    distances = jax.lax.optimization_barrier(_meet(all_starts, all_directions, all_feet, capsules)[0])
+    distance = distances.min(0)
+    nearest = jax.lax.stop_gradient(distances).argmin(0)
     distance, nearest = jax.lax.optimization_barrier((distance, nearest))
-    of_nearest = columns(nearest)
-    share = _capsule(here, way, ahead, of_nearest)[1]
-    at = jnp.where(distance < MISS, distance, 0.0)
-    part, _, flat, left, low, aside, rise, swing = of_nearest
-    nx = flat * flat * (here[0] + at * way[0]) - share * swing * ahead
-    ny, nz = here[1] + at * way[1] - left - share * aside, here[2] + at * way[2] - low - share * rise
-    size = jax.lax.rsqrt(jnp.maximum(nx * nx + ny * ny + nz * nz, 1e-12))
-    return distance, (nx * size, ny * size, nz * size), part
+
+    # The normal leads away from the axis of the nearest capsule.
+    capsule = _capsules(nearest, with_arms)
+    share = _meet(start, direction, foot, capsule)[1]
+    point = start + direction * jnp.where(distance < MISS, distance, 0.0)
+    squeezed = capsule.flatness * capsule.flatness * point.x
+    nx = squeezed - share * capsule.swing * foot
+    ny = point.y - capsule.left - share * capsule.aside
+    nz = point.z - capsule.bottom - share * capsule.rise
+    normal = Vector(nx, ny, nz)
+    inverse_length = jax.lax.rsqrt(jnp.maximum(dot(normal, normal), 1e-12))
+    return distance, normal * inverse_length, capsule.part
 
 
-def _capsule(here: Vector, way: Vector, ahead: Array, columns: tuple[Array, ...]) -> tuple[Array, Array]:
+def _capsules(index: Array | np.ndarray, with_arms: Array) -> Capsule:
+    """The capsules of these indices, with arms (1) or with legs (0)."""
+    fields = []
+    for legs, difference in zip(WITH_LEGS, WITH_ARMS - WITH_LEGS, strict=True):
+        legs_field = jnp.asarray(legs, float)[index]
+        difference_field = jnp.asarray(difference, float)[index]
+        fields.append(legs_field + with_arms * difference_field)
+    return Capsule(*fields)
+
+
+def _meet(start: Vector, direction: Vector, foot: Array, capsule: Capsule) -> tuple[Array, Array]:
     """Distance along a ray to a capsule, MISS without; and where on its axis that is, from 0 to 1."""
-    _, radius, flat, left, low, ay, az, swing = columns
-    qx, qy, qz = flat * here[0], here[1] - left, here[2] - low
-    dx, dy, dz = flat * way[0], way[1], way[2]
-    ax = swing * ahead
-    long = ax * ax + ay * ay + az * az
-    along_d, along_q = ax * dx + ay * dy + az * dz, ax * qx + ay * qy + az * qz
-    dd, dq = dx * dx + dy * dy + dz * dz, dx * qx + dy * qy + dz * qz
-    qq = qx * qx + qy * qy + qz * qz - radius * radius
-    a = jnp.maximum(long * dd - along_d * along_d, 1e-6)
-    b, c = long * dq - along_q * along_d, long * qq - along_q * along_q
-    square = b * b - a * c
-    touches = square > 0.0
-    side = (-b - jnp.sqrt(jnp.where(touches, square, 1.0))) / a
-    height = along_q + side * along_d
+    # A flat capsule is round in a frame whose x is stretched.
+    q = Vector(capsule.flatness * start.x, start.y - capsule.left, start.z - capsule.bottom)
+    d = Vector(capsule.flatness * direction.x, direction.y, direction.z)
+    axis = Vector(capsule.swing * foot, capsule.aside, capsule.rise)
+
+    # |q + t d| across the axis is the radius: a quadratic equation for the distance t, whose first root counts.
+    aa, ad, aq = dot(axis, axis), dot(axis, d), dot(axis, q)
+    dd, dq = dot(d, d), dot(d, q)
+    qq = dot(q, q) - capsule.radius * capsule.radius
+    a = jnp.maximum(aa * dd - ad * ad, 1e-6)
+    b = aa * dq - aq * ad
+    c = aa * qq - aq * aq
+    touches, side = _first_root(a, b, c)
+    height = aq + side * ad
+
     # Beyond its ends the capsule is a ball.
-    upper = (height > 0.5 * long).astype(dd.dtype)
-    bq, bqq = dq - upper * along_d, qq - upper * (2.0 * along_q - long)
-    ball = bq * bq - dd * bqq
-    at_ball = (-bq - jnp.sqrt(jnp.where(ball > 0.0, ball, 1.0))) / dd
-    is_round = touches & (height > 0.0) & (height < long)
-    distance = jnp.where(is_round, side, jnp.where(ball > 0.0, at_ball, MISS))
-    return distance, jnp.where(is_round, height / long, upper)
+    upper_end = (height > 0.5 * aa).astype(dd.dtype)
+    ball_b = dq - upper_end * ad
+    ball_c = qq - upper_end * (2.0 * aq - aa)
+    touches_ball, ball = _first_root(dd, ball_b, ball_c)
+
+    is_round = touches & (height > 0.0) & (height < aa)
+    distance = jnp.where(is_round, side, jnp.where(touches_ball, ball, MISS))
+    return distance, jnp.where(is_round, height / aa, upper_end)
+
+
+def _first_root(a: Array, b: Array, c: Array) -> tuple[Array, Array]:
+    """Whether a t^2 + 2 b t + c has two roots, and the lower one."""
+    discriminant = b * b - a * c
+    exists = discriminant > 0.0
+    return exists, (-b - jnp.sqrt(jnp.where(exists, discriminant, 1.0))) / a
 
 
 def _clothes(person: Array, part: Array, forward: Array, up: Array, count: int) -> tuple[Array, Array, Array]:
     """The colors of a part of a person, ``forward`` of the middle and ``up`` from the floor [m]."""
-    face = ((part == HEAD) & (((forward > FACE) & (up < BROW)) | (up < CHIN))) | ((part == LIMB) & (up < CUFF))
-    hair, legs = part == HEAD, (part == LOWER) | ((part == BODY) & (up < WAIST))
+    in_face = (part == HEAD) & (((forward > FACE) & (up < BROW)) | (up < CHIN))
+    skin = in_face | ((part == LIMB) & (up < CUFF))
+    hair = part == HEAD
+    trousers = (part == LOWER) | ((part == BODY) & (up < WAIST))
     shoe = (part == LOWER) & (up < SOLE)
     index = jnp.arange(count)
     shirt = shirts(count)
 
-    def channel(axis: int) -> Array:
-        skins, hairs, trousers = (
-            jnp.asarray([each[axis] for each in table], float)[index % len(table)] for table in (SKIN, HAIR, TROUSERS)
-        )
-        skins, hairs, trousers, tops = (table[person] for table in (skins, hairs, trousers, shirt[axis]))
-        below = jnp.where(shoe, SHOE[axis], trousers)
-        return jnp.where(face, skins, jnp.where(hair, hairs, jnp.where(legs, below, tops)))
+    def of_people(table: tuple, channel: int) -> Array:
+        colors = jnp.asarray([color[channel] for color in table], float)
+        return colors[index % len(table)][person]
+
+    def channel(number: int) -> Array:
+        below = jnp.where(shoe, SHOE[number], of_people(TROUSERS, number))
+        clothes = jnp.where(trousers, below, shirt[number][person])
+        return jnp.where(skin, of_people(SKIN, number), jnp.where(hair, of_people(HAIR, number), clothes))
 
     return channel(0), channel(1), channel(2)
 
@@ -172,7 +216,8 @@ def shirts(count: int) -> tuple[Array, Array, Array]:
     """Red, green and blue (N,) of each person's shirt, from 0 to 1; people with successive indices differ most."""
     hue = jnp.mod(jnp.arange(count, dtype=float) * 0.618034 + 0.08, 1.0)
 
-    def part(turn: float) -> Array:
-        return 0.35 + 0.5 * jnp.clip(jnp.abs(jnp.mod(hue + turn, 1.0) * 6.0 - 3.0) - 1.0, 0.0, 1.0)
+    def channel(shift: float) -> Array:
+        distance = jnp.abs(jnp.mod(hue + shift, 1.0) * 6.0 - 3.0)
+        return 0.35 + 0.5 * jnp.clip(distance - 1.0, 0.0, 1.0)
 
-    return part(0.0), part(2.0 / 3.0), part(1.0 / 3.0)
+    return channel(0.0), channel(2.0 / 3.0), channel(1.0 / 3.0)

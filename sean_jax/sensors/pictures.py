@@ -1,13 +1,14 @@
 """Pictures in color (section IV-F), with depth, class and instance of each pixel.
 
 Rays meet a capsule and a head for each person, as in depth images. In color, a figure with arms and striding legs
-stands inside them (``sensors.figures``), and beside its limbs the picture shows what is behind the person. Floors,
+stands inside them (``person_figure``), and beside its limbs the picture shows what is behind the person. Floors,
 ceilings, walls, shelves and facades have patterns, which are paint alone. A sun and the sky light all bodies. The floor
 is darker beside bodies that stand on it, and bodies are darker near the floor.
 """
 
 import dataclasses
 from functools import partial
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -17,10 +18,11 @@ from jaxtyping import Float, Int
 
 from sean_jax.core.data_types import PATTERNS, Array, Scenario, Scenery, Solids, State
 from sean_jax.core.geometry import rotate
-from sean_jax.sensors import person_figure
 from sean_jax.sensors.cameras import Camera, rays
 from sean_jax.sensors.mounts import sensor_view
+from sean_jax.sensors.person_figure import PersonFigure, trace_figures
 from sean_jax.sensors.raycast import MISS, Rays, View, along, attach, by_rows, search_behind, surface
+from sean_jax.sensors.raycast.vectors import Vector
 
 SKY, FLOOR, OBSTACLE, PERSON, ROBOT = range(5)
 CLASSES = ("sky", "floor", "obstacle", "person", "robot")
@@ -56,14 +58,16 @@ def render(scenario: Scenario, state: State, camera: Camera) -> Picture:
     """
     bundle, cosine = rays(camera)
     view = sensor_view(scenario, state, camera, camera.sees_robot)
-    first = search_behind(jax.lax.stop_gradient(view), bundle)
+    hits = search_behind(jax.lax.stop_gradient(view), bundle)
     # Without the barriers XLA computes all of this again for each color.
-    distance, number, _, behind = jax.lax.optimization_barrier(first)
+    distance, number, _, number_behind = jax.lax.optimization_barrier(hits)
     distance = attach(bundle, view, distance, number)
     semantic, instance = (jnp.asarray(table)[number] for table in _labels(scenario, view, camera.sees_robot))
-    body_color = _body_colors(scenario, view, camera.sees_robot)
-    rgb = colors(scenario, state, view, bundle, number, distance, behind, body_color)
+
+    body_color = _body_colors(scenario, camera.sees_robot)
+    rgb = colors(scenario, state, view, bundle, number, distance, number_behind, body_color)
     picture = jax.lax.platform_dependent(rgb, cpu=partial(_one_by_one, bundle), default=partial(_at_once, bundle))
+
     image = by_rows(bundle, distance) * jnp.asarray(cosine, float)
     in_range = (image >= camera.near) & (image <= camera.far)
     return Picture(
@@ -78,13 +82,13 @@ def render(scenario: Scenario, state: State, camera: Camera) -> Picture:
 # are written before they are put together on a GPU.
 def _one_by_one(bundle: Rays, rgb: Color) -> Array:
     picture = jnp.zeros((*bundle.shape, 3), float)
-    for channel, part in enumerate(rgb):
-        picture = picture.at[..., channel].set(by_rows(bundle, part))
+    for channel, values in enumerate(rgb):
+        picture = picture.at[..., channel].set(by_rows(bundle, values))
     return picture
 
 
 def _at_once(bundle: Rays, rgb: Color) -> Array:
-    return jnp.stack([by_rows(bundle, part) for part in jax.lax.optimization_barrier(rgb)], -1)
+    return jnp.stack([by_rows(bundle, values) for values in jax.lax.optimization_barrier(rgb)], -1)
 
 
 def _counts(solids: Solids) -> tuple[int, int, int]:
@@ -94,31 +98,47 @@ def _counts(solids: Solids) -> tuple[int, int, int]:
 
 def _labels(scenario: Scenario, view: View, with_robot: bool) -> tuple[np.ndarray, np.ndarray]:
     """Class and instance (bodies + 2,) by number in the view; the floor and the sky come last."""
-    scenery, robot = _counts(scenario.environment.scenery.solids), _counts(scenario.robot.solids)
-    people, bodies = view.counts[3], sum(scenery)
-    semantic, instance, first = [], [], people
-    for of_scenery, of_robot in zip(scenery, robot if with_robot else (0, 0, 0), strict=True):
-        semantic += [OBSTACLE] * of_scenery + [ROBOT] * of_robot
-        instance += [*range(first, first + of_scenery)] + [people + bodies] * of_robot
-        first += of_scenery
+    scenery_counts = _counts(scenario.environment.scenery.solids)
+    robot_counts = _counts(scenario.robot.solids) if with_robot else (0, 0, 0)
+    people, obstacles = view.counts[3], sum(scenery_counts)
+    semantic, instance = [], []
+    first = people
+    for scenery_count, robot_count in zip(scenery_counts, robot_counts, strict=True):
+        semantic += [OBSTACLE] * scenery_count + [ROBOT] * robot_count
+        instance += [*range(first, first + scenery_count)] + [people + obstacles] * robot_count
+        first += scenery_count
     semantic += [PERSON] * people + [FLOOR, SKY]
     instance += [*range(people), -1, -1]
     return np.array(semantic, np.int32), np.array(instance, np.int32)
 
 
-def _body_colors(scenario: Scenario, view: View, with_robot: bool) -> Array:
+def _body_colors(scenario: Scenario, with_robot: bool) -> Array:
     """(4, bodies + 2) as of ``Solids.color``, by number in the view without people; zeros for floor and sky."""
-    parts = []
-    solids, robot = scenario.environment.scenery.solids, scenario.robot.solids
-    first, robot_first = np.cumsum((0, *_counts(solids))), np.cumsum((0, *_counts(robot)))
-    for kind in range(3):
-        parts.append(solids.color[first[kind] : first[kind + 1]])
+    scenery = _colors_by_kind(scenario.environment.scenery.solids)
+    robot = _colors_by_kind(scenario.robot.solids)
+    colors = []
+    for scenery_colors, robot_colors in zip(scenery, robot, strict=True):
+        colors.append(scenery_colors)
         if with_robot:
-            parts.append(robot.color[robot_first[kind] : robot_first[kind + 1]])
-    return jnp.concatenate([*parts, jnp.zeros((2, 4), float)]).T
+            colors.append(robot_colors)
+    return jnp.concatenate([*colors, jnp.zeros((2, 4), float)]).T
+
+
+def _colors_by_kind(solids: Solids) -> list[Array]:
+    """(K, 4) of boxes, cylinders and spheres."""
+    ends = np.cumsum((0, *_counts(solids)))
+    return [solids.color[first:end] for first, end in zip(ends[:-1], ends[1:], strict=True)]
 
 
 # --- paint ---
+
+
+class Surface(NamedTuple):
+    """What is visible along each ray; (tiles, rays) each."""
+
+    distance: Array  # m, MISS for the sky
+    normal: Vector  # in the robot's axes
+    on_figure: Array  # bool, of a person
 
 
 def colors(
@@ -139,115 +159,197 @@ def colors(
         behind: number of the first body that is no person.
         body_color: of all bodies but people, as of ``Solids.color``, then of floor and sky.
     """
-    looks, heading, place = scenario.environment.scenery, state.robot.heading, state.robot.position
-    people, first = view.counts[3], sum(view.counts[:3])
-    behind = jnp.where(behind >= first, behind - people, behind)  # in a view without people
-    away, nx, ny, nz = surface(dataclasses.replace(view, people=view.people[:0]), bundle, behind)
-    if people:
-        person = jnp.where((number >= first) & (number < first + people), number - first, -1)
-        figure = person_figure.figure(state, view, bundle, person, distance)
-        on_figure = figure.distance < MISS
-        away = jnp.where(on_figure, figure.distance, away)
-        nx, ny, nz = (jnp.where(on_figure, new, old) for new, old in zip(figure.normal, (nx, ny, nz), strict=True))
-    else:
-        figure, on_figure = None, jnp.zeros(behind.shape, bool)
-    away, nx, ny, nz, on_figure = jax.lax.optimization_barrier((away, nx, ny, nz, on_figure))
-    is_floor, is_sky = (behind == first) & ~on_figure, (behind == first + 1) & ~on_figure
-    x, y, z = along(bundle, jnp.where(away < MISS, away, 0.0))
-    up = z + view.height
+    scenery = scenario.environment.scenery
+    people, floor_number = view.counts[3], sum(view.counts[:3])  # in a view without people; the sky has the next number
+    behind = jnp.where(behind >= floor_number, behind - people, behind)
 
-    def over_ground(x: Array, y: Array) -> tuple[Array, Array]:
-        x, y = rotate(x + view.place[0], y + view.place[1], heading[0], heading[1])
-        return x + place[0], y + place[1]
+    # What is visible: figures of people, and beside their limbs what is behind.
+    figure, visible = _visible_surface(state, view, bundle, number, distance, behind)
+    to_surface, normal, on_figure = jax.lax.optimization_barrier(visible)
+    is_floor = (behind == floor_number) & ~on_figure
+    is_sky = (behind == floor_number + 1) & ~on_figure
+    point = along(bundle, jnp.where(to_surface < MISS, to_surface, 0.0))
+    up = point.z + view.height
 
-    sun_x, sun_y = rotate(looks.sun[0], looks.sun[1], heading[0], -heading[1])
-    facing = jnp.maximum(nx * sun_x + ny * sun_y + nz * looks.sun[2], 0.0)
-    corner = 1.0 - CORNER * jnp.exp(-jnp.maximum(up, 0.0) / CORNER_REACH)
-    light = AMBIENT + SKYLIGHT * (0.5 + 0.5 * nz) + SUN * facing
-    light = light * jnp.where(is_floor, _beside_bodies(view, bundle, x, y), corner)
-    ground_x, ground_y = over_ground(x, y)
-    tangent_x, tangent_y = rotate(-ny, nx, heading[0], heading[1])
-    across = ground_x * tangent_x + ground_y * tangent_y
+    # Its light, and where it is on the floor or along a wall.
+    light = _light(scenery, state, normal)
+    light = light * jnp.where(is_floor, _beside_bodies(view, bundle, point.x, point.y), _near_floor(up))
+    ground_x, ground_y = _over_ground(state, view, point)
+    across = _across_wall(state, normal, ground_x, ground_y)
     light, ground_x, ground_y, across = jax.lax.optimization_barrier((light, ground_x, ground_y, across))
-    floor = _floor(looks, ground_x, ground_y, away)
-    red, green, blue, pattern = (column[jnp.where(on_figure, first, behind)] for column in body_color)
-    side = jnp.where(jnp.abs(nz) < 0.5, pattern, 0.0)
-    painted = _pattern((red, green, blue), side, across, up)
+
+    # Its paint.
+    floor = _floor(scenery, ground_x, ground_y, to_surface)
+    red, green, blue, pattern = (column[jnp.where(on_figure, floor_number, behind)] for column in body_color)
+    side_pattern = jnp.where(jnp.abs(normal.z) < 0.5, pattern, 0.0)
+    painted = _pattern((red, green, blue), side_pattern, across, up)
 
     # The ceiling hides what rises above it.
     rise = jnp.asarray(np.maximum(bundle.direction[2], 0.0), float)
-    room = looks.ceiling - view.height
-    to_ceiling = jnp.where((rise > 1e-6) & (room > 0.0), room / jnp.maximum(rise, 1e-6), MISS)
-    is_ceiling = to_ceiling < away
-    far = jnp.where(is_ceiling, to_ceiling, 0.0)
-    above_x, above_y = over_ground(*along(bundle, far)[:2])
-    ceiling = _ceiling(looks, above_x, above_y, far)
+    to_ceiling = _to_ceiling(scenery, view, rise)
+    is_ceiling = to_ceiling < to_surface
+    ceiling = _visible_ceiling(scenery, state, view, bundle, jnp.where(is_ceiling, to_ceiling, 0.0))
 
     def channel(axis: int) -> Array:
-        clothes = painted[axis] if figure is None else jnp.where(on_figure, figure.color[axis], painted[axis])
-        lit = jnp.where(is_floor, floor[axis], clothes)
-        sky = looks.sky[1, axis] + (looks.sky[0, axis] - looks.sky[1, axis]) * rise
-        inside = jnp.where(is_ceiling, ceiling[axis], jnp.where(is_sky, sky, lit * light))
-        return jnp.clip(inside, 0.0, 1.0)
+        body = painted[axis]
+        if figure is not None:
+            body = jnp.where(on_figure, figure.color[axis], body)
+        lit = jnp.where(is_floor, floor[axis], body) * light
+        color = jnp.where(is_ceiling, ceiling[axis], jnp.where(is_sky, _sky(scenery, axis, rise), lit))
+        return jnp.clip(color, 0.0, 1.0)
 
     return channel(0), channel(1), channel(2)
+
+
+def _visible_surface(
+    state: State, view: View, bundle: Rays, number: Array, distance: Array, behind: Array
+) -> tuple[PersonFigure | None, Surface]:
+    """The figures of people, and the surface along each ray: of a figure, or of what is behind the people."""
+    without_people = dataclasses.replace(view, people=view.people[:0])
+    to_body, body_normal = surface(without_people, bundle, behind)
+    people, first_person = view.counts[3], sum(view.counts[:3])
+    if not people:
+        return None, Surface(to_body, body_normal, jnp.zeros(behind.shape, bool))
+
+    is_person = (number >= first_person) & (number < first_person + people)
+    person = jnp.where(is_person, number - first_person, -1)
+    figure = trace_figures(state, view, bundle, person, distance)
+    on_figure = figure.distance < MISS
+    to_surface = jnp.where(on_figure, figure.distance, to_body)
+    normal = (jnp.where(on_figure, new, old) for new, old in zip(figure.normal, body_normal, strict=True))
+    return figure, Surface(to_surface, Vector(*normal), on_figure)
+
+
+def _to_ceiling(scenery: Scenery, view: View, rise: Array) -> Array:
+    """Distance [m] along rays, whose vertical components are ``rise``, to the ceiling; MISS without one."""
+    room = scenery.ceiling - view.height
+    return jnp.where((rise > 1e-6) & (room > 0.0), room / jnp.maximum(rise, 1e-6), MISS)
+
+
+def _visible_ceiling(scenery: Scenery, state: State, view: View, bundle: Rays, distance: Array) -> Color:
+    """The color of the ceiling at a distance [m] along each ray."""
+    x, y = _over_ground(state, view, along(bundle, distance))
+    return _ceiling(scenery, x, y, distance)
+
+
+def _sky(scenery: Scenery, axis: int, rise: Array) -> Array:
+    """A color of the sky, from the horizon up."""
+    horizon = scenery.sky[1, axis]
+    return horizon + (scenery.sky[0, axis] - horizon) * rise
+
+
+def _over_ground(state: State, view: View, point: Vector) -> tuple[Array, Array]:
+    """Points from the sensor [m] as (x, y) in the world."""
+    position, heading = state.robot.position, state.robot.heading
+    x, y = rotate(point.x + view.place[0], point.y + view.place[1], heading[0], heading[1])
+    return x + position[0], y + position[1]
+
+
+def _across_wall(state: State, normal: Vector, x: Array, y: Array) -> Array:
+    """How far [m] places (x, y) in the world are along a wall with that normal, whose pattern repeats."""
+    heading = state.robot.heading
+    tangent_x, tangent_y = rotate(-normal.y, normal.x, heading[0], heading[1])
+    return x * tangent_x + y * tangent_y
+
+
+def _light(scenery: Scenery, state: State, normal: Vector) -> Array:
+    """Light of the sun and the sky on a surface with that normal."""
+    heading = state.robot.heading
+    sun_x, sun_y = rotate(scenery.sun[0], scenery.sun[1], heading[0], -heading[1])
+    facing = jnp.maximum(normal.x * sun_x + normal.y * sun_y + normal.z * scenery.sun[2], 0.0)
+    return AMBIENT + SKYLIGHT * (0.5 + 0.5 * normal.z) + SUN * facing
+
+
+def _near_floor(up: Array) -> Array:
+    """Share of the light that reaches bodies ``up`` m above the floor."""
+    return 1.0 - CORNER * jnp.exp(-jnp.maximum(up, 0.0) / CORNER_REACH)
 
 
 def _beside_bodies(view: View, bundle: Rays, x: Array, y: Array) -> Array:
     """Share of the light that reaches places of the floor, which is less beside bodies; 1 for rays that rise."""
-    falls = np.flatnonzero((bundle.direction[2] < 0.0).any(1))  # tiles
-    if not len(falls):
+    falling = np.flatnonzero((bundle.direction[2] < 0.0).any(1))  # tiles
+    if not len(falling):
         return jnp.ones_like(x)
-    first, last = falls[0], falls[-1] + 1
-    light = _beside(view, x[first:last], y[first:last])
-    return jnp.pad(light, ((first, len(x) - last), (0, 0)), constant_values=1.0)
+    first, end = falling[0], falling[-1] + 1
+    light = _beside(view, x[first:end], y[first:end])
+    return jnp.pad(light, ((first, len(x) - end), (0, 0)), constant_values=1.0)
 
 
 def _beside(view: View, x: Array, y: Array) -> Array:
-    def person(nearest: Array, place: Array) -> tuple[Array, None]:
-        dx, dy = x - place[0], y - place[1]
+    """Share of the light by the distance from the nearest body that stands on the floor."""
+
+    def nearer_person(nearest: Array, position: Array) -> tuple[Array, None]:
+        dx = x - position[0]
+        dy = y - position[1]
         return jnp.minimum(nearest, dx * dx + dy * dy), None
 
-    def box(nearest: Array, row: Array) -> tuple[Array, None]:
-        u, v = rotate(x - row[0], y - row[1], row[6], -row[7])
-        u, v = jnp.maximum(jnp.abs(u) - row[3], 0.0), jnp.maximum(jnp.abs(v) - row[4], 0.0)
-        below = jnp.maximum(row[2] - row[5] + view.height, 0.0)
-        return jnp.minimum(nearest, u * u + v * v + below * below), None
+    def nearer_box(nearest: Array, row: Array) -> tuple[Array, None]:
+        return jnp.minimum(nearest, _squared_distance_below(view, row, x, y)), None
 
-    far = jnp.full_like(x, 1e6)
-    people = jax.lax.scan(person, far, jax.lax.stop_gradient(view.people), unroll=16)[0]
-    boxes = jax.lax.scan(box, far, jax.lax.stop_gradient(view.boxes), unroll=16)[0]
-    away = jnp.minimum(jnp.maximum(jnp.sqrt(people) - 0.6 * view.radius, 0.0), jnp.sqrt(boxes))
-    return 1.0 - SHADOW * jnp.exp(-jax.lax.stop_gradient(away) / SHADOW_REACH)
+    far = jnp.full_like(x, 1e6)  # m2
+    people, _ = jax.lax.scan(nearer_person, far, jax.lax.stop_gradient(view.people), unroll=16)
+    boxes, _ = jax.lax.scan(nearer_box, far, jax.lax.stop_gradient(view.boxes), unroll=16)
+    to_person = jnp.maximum(jnp.sqrt(people) - 0.6 * view.radius, 0.0)
+    distance = jnp.minimum(to_person, jnp.sqrt(boxes))
+    return 1.0 - SHADOW * jnp.exp(-jax.lax.stop_gradient(distance) / SHADOW_REACH)
 
 
-def _floor(looks: Scenery, x: Array, y: Array, distance: Array) -> Color:
+def _squared_distance_below(view: View, box: Array, x: Array, y: Array) -> Array:
+    """m2, from places of the floor to the underside of a box, a row of ``View.boxes``."""
+    u, v = rotate(x - box[0], y - box[1], box[6], -box[7])
+    u = jnp.maximum(jnp.abs(u) - box[3], 0.0)
+    v = jnp.maximum(jnp.abs(v) - box[4], 0.0)
+    underside = jnp.maximum(box[2] - box[5] + view.height, 0.0)
+    return u * u + v * v + underside * underside
+
+
+def _floor(scenery: Scenery, x: Array, y: Array, distance: Array) -> Color:
     """The color of the floor at places (x, y) [m] over the ground, less in contrast at a distance [m]."""
-    odd = jnp.mod(jnp.floor(x / looks.square) + jnp.floor(y / looks.square), 2.0) > 0.5
-    period = 2.0 * looks.square
-    beside = jnp.minimum(jnp.abs(x - period * jnp.round(x / period)), jnp.abs(y - period * jnp.round(y / period)))
-    in_joint = jnp.where(beside < 0.5 * looks.joint, 1.0 / (1.0 + jnp.square(distance / JOINT_FADE)), 0.0)
+    # Squares of two colors, in turn.
+    is_odd = jnp.mod(jnp.floor(x / scenery.square) + jnp.floor(y / scenery.square), 2.0) > 0.5
     contrast = 0.5 * jnp.exp(-distance / SQUARE_FADE)
-    second = jnp.where(odd, 0.5 + contrast, 0.5 - contrast)
+    second = jnp.where(is_odd, 0.5 + contrast, 0.5 - contrast)
+
+    # Joints around each two squares.
+    period = 2.0 * scenery.square
+    to_joint = jnp.minimum(_to_multiple(x, period), _to_multiple(y, period))
+    is_joint = to_joint < 0.5 * scenery.joint
+    joint = jnp.where(is_joint, 1.0 / (1.0 + jnp.square(distance / JOINT_FADE)), 0.0)
 
     def channel(axis: int) -> Array:
-        square = looks.floor[0, axis] + second * (looks.floor[1, axis] - looks.floor[0, axis])
-        return square + in_joint * (looks.floor[2, axis] - square)
+        square = scenery.floor[0, axis] + second * (scenery.floor[1, axis] - scenery.floor[0, axis])
+        return square + joint * (scenery.floor[2, axis] - square)
 
     return channel(0), channel(1), channel(2)
 
 
-def _ceiling(looks: Scenery, x: Array, y: Array, distance: Array) -> Color:
+def _to_multiple(x: Array, period: Array) -> Array:
+    """Distance from the nearest multiple of a period."""
+    return jnp.abs(x - period * jnp.round(x / period))
+
+
+def _to_integer(x: Array) -> Array:
+    """Distance from the nearest integer."""
+    return jnp.abs(x - jnp.round(x))
+
+
+def _fraction(x: Array) -> Array:
+    """From 0 to 1, beyond the integer below."""
+    return x - jnp.floor(x)
+
+
+def _ceiling(scenery: Scenery, x: Array, y: Array, distance: Array) -> Color:
     """The color of the ceiling at places (x, y) [m] over the ground: square tiles with lamps, darker far away."""
-    side = jnp.maximum(TILE * looks.ceiling, 1e-3)
-    u, v = x / side, y / side
-    seam = (jnp.abs(u - jnp.round(u)) < 0.02) | (jnp.abs(v - jnp.round(v)) < 0.02)
-    lamp = (jnp.mod(u, LAMP[0]) < 2.0) & (jnp.mod(v, LAMP[1]) < 1.0)
-    fade = jnp.exp(-distance / (8.0 * looks.ceiling + 1e-3))
-    tile = jnp.where(seam, 1.0 - (1.0 - SEAM) * fade, 1.0) * (0.82 + 0.18 * fade)
+    side = jnp.maximum(TILE * scenery.ceiling, 1e-3)
+    u = x / side
+    v = y / side
+    is_seam = (_to_integer(u) < 0.02) | (_to_integer(v) < 0.02)
+    is_lamp = (jnp.mod(u, LAMP[0]) < 2.0) & (jnp.mod(v, LAMP[1]) < 1.0) & ~is_seam
+    fade = jnp.exp(-distance / (8.0 * scenery.ceiling + 1e-3))
+    light = jnp.where(is_seam, 1.0 - (1.0 - SEAM) * fade, 1.0) * (0.82 + 0.18 * fade)
 
     def channel(axis: int) -> Array:
-        return jnp.where(lamp & ~seam, LAMPS[axis], PANEL[axis] * tile)
+        return jnp.where(is_lamp, LAMPS[axis], PANEL[axis] * light)
 
     return channel(0), channel(1), channel(2)
 
@@ -255,25 +357,51 @@ def _ceiling(looks: Scenery, x: Array, y: Array, distance: Array) -> Color:
 def _pattern(color: Color, pattern: Array, across: Array, up: Array) -> Color:
     """The colors of bodies with a pattern, an index into PATTERNS, ``across`` a side and ``up`` from the floor [m]."""
     is_wall, is_shelf, is_facade = (pattern == PATTERNS.index(name) for name in PATTERNS[1:])
-    wall = jnp.where(up < BOARD[0], BOARD[1], jnp.where(up < DADO[0], DADO[1], 1.0))
-
-    bay, level = across / BAY, up / LEVEL
-    upright = jnp.abs(bay - jnp.round(bay)) * BAY < 0.5 * UPRIGHT
-    beam = (level - jnp.floor(level)) * LEVEL < BEAM
-    slot = 2.0 * bay
-    chance = jnp.mod(0.618034 * jnp.floor(slot) + 0.754878 * jnp.floor(level), 1.0)
-    within = jnp.abs(slot - jnp.floor(slot) - 0.5) < 0.3 + 0.14 * chance
-    goods = within & (level - jnp.floor(level) < 0.45 + 0.4 * jnp.mod(7.0 * chance, 1.0)) & (chance > 0.12)
-
-    column, storey = across / STOREY, up / STOREY
-    pane = (jnp.abs(column - jnp.floor(column) - 0.5) < 0.24) & (jnp.abs(storey - jnp.floor(storey) - 0.55) < 0.26)
-    foot = jnp.where(up < PLINTH[0], PLINTH[1], 1.0)
+    wall_light = jnp.where(up < BOARD[0], BOARD[1], jnp.where(up < DADO[0], DADO[1], 1.0))
+    shelf = _shelf(color, across, up)
+    facade = _facade(color, across, up)
 
     def channel(axis: int) -> Array:
-        own = color[axis]
-        inside = jnp.where(goods, GOODS[axis] * (0.7 + 0.4 * chance), INSIDE * own)
-        shelf = jnp.where(upright, own, jnp.where(beam, BEAM_COLOR[axis], inside))
-        facade = jnp.where(pane, GLASS[axis], own * foot)
-        return jnp.where(is_shelf, shelf, jnp.where(is_facade, facade, jnp.where(is_wall, own * wall, own)))
+        plain = color[axis]
+        wall_or_plain = jnp.where(is_wall, plain * wall_light, plain)
+        return jnp.where(is_shelf, shelf[axis], jnp.where(is_facade, facade[axis], wall_or_plain))
+
+    return channel(0), channel(1), channel(2)
+
+
+def _shelf(color: Color, across: Array, up: Array) -> Color:
+    """Uprights and beams, and between them goods of various sizes, two in each bay of a level."""
+    bay = across / BAY
+    level = up / LEVEL
+    above_beam = _fraction(level)
+    is_upright = _to_integer(bay) * BAY < 0.5 * UPRIGHT
+    is_beam = above_beam * LEVEL < BEAM
+
+    # Fractions of multiples of irrational numbers look random, and are equal in all pictures.
+    slot = 2.0 * bay
+    chance = jnp.mod(0.618034 * jnp.floor(slot) + 0.754878 * jnp.floor(level), 1.0)
+    within_width = jnp.abs(_fraction(slot) - 0.5) < 0.3 + 0.14 * chance
+    within_height = above_beam < 0.45 + 0.4 * jnp.mod(7.0 * chance, 1.0)
+    is_goods = within_width & within_height & (chance > 0.12)
+
+    def channel(axis: int) -> Array:
+        frame = color[axis]
+        inside = jnp.where(is_goods, GOODS[axis] * (0.7 + 0.4 * chance), INSIDE * frame)
+        return jnp.where(is_upright, frame, jnp.where(is_beam, BEAM_COLOR[axis], inside))
+
+    return channel(0), channel(1), channel(2)
+
+
+def _facade(color: Color, across: Array, up: Array) -> Color:
+    """Windows in each storey, above a darker foot."""
+    column = across / STOREY
+    storey = up / STOREY
+    within_width = jnp.abs(_fraction(column) - 0.5) < 0.24
+    within_height = jnp.abs(_fraction(storey) - 0.55) < 0.26
+    is_window = within_width & within_height
+    light = jnp.where(up < PLINTH[0], PLINTH[1], 1.0)
+
+    def channel(axis: int) -> Array:
+        return jnp.where(is_window, GLASS[axis], color[axis] * light)
 
     return channel(0), channel(1), channel(2)

@@ -76,7 +76,7 @@ def test_a_gif_keeps_rare_colors_beside_many_shades(seed, tmp_path):
     rare = random.integers(0, 256, (40, 3), dtype=np.uint8)
     for k, color in enumerate(rare):
         pictures[k % 12, 2 * k : 2 * k + 2, 30:42] = color
-    gifs.save(tmp_path / "rare.gif", 12, lambda index: Image.fromarray(pictures[index]), 0.2)
+    gifs.save_gif(tmp_path / "rare.gif", 12, lambda index: Image.fromarray(pictures[index]), 0.2)
     read = read_back(tmp_path / "rare.gif")
     off = [np.abs(read[k % 12, 2 * k, 36] - color).max() for k, color in enumerate(rare.astype(int))]
     assert max(off) <= 20, off

@@ -28,7 +28,7 @@ from sean_jax.policies.ros_move_base import (
     CONTROLLING,
     IDLE,
     PLANNING,
-    Progress,
+    MoveBaseProgress,
     apply,
     init,
     next_progress,
@@ -553,7 +553,7 @@ def test_states_follow_move_base():
     random, statuses, turned = np.random.default_rng(6), set(), 0
     machine = Machine()
     zero = jnp.zeros((), jnp.int32)
-    mine = Progress(zero, zero, zero, jnp.zeros((), bool), zero)
+    mine = MoveBaseProgress(zero, zero, zero, jnp.zeros((), bool), zero)
     planned = valid = True
     for tick in range(3000):
         planned, valid = planned ^ (random.random() < 0.04), valid ^ (random.random() < 0.015)

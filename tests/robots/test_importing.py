@@ -16,7 +16,7 @@ from sean_jax.core.errors import InputError
 from sean_jax.core.messages import MAX_DEPTH
 from sean_jax.io.files.meshes import MAX_ELEMENTS, rotation, vertices, xml_tree
 from sean_jax.robots import foreign_links, importing, urdf_reading
-from sean_jax.robots.importing import Settings, import_robot
+from sean_jax.robots.importing import ImportSettings, import_robot
 from support import robot_files
 from support.checkout import ROOT
 from support.fuzzing import check_error
@@ -26,7 +26,7 @@ mujoco: Any = import_module("mujoco")  # which has no type stubs
 
 
 def base_of(path, **settings):
-    return importing._Base(path, importing._read(path), Settings(**settings))
+    return importing._Base(path, importing._read(path), ImportSettings(**settings))
 
 
 def loaded(base, tmp_path):
@@ -171,10 +171,10 @@ def stl(path: Path, corners: np.ndarray, ascii_text: bool = False):
 
 def test_huge_limits_are_none(tmp_path):
     limit = '<limit lower="-1e9" upper="1e9" velocity="inf" effort="0"/>'
-    body = urdf_reading.read(write_urdf(tmp_path, PAIR.replace(LIMIT, limit)))
+    body = urdf_reading.read_urdf(write_urdf(tmp_path, PAIR.replace(LIMIT, limit)))
     assert all((each.max_rate, each.max_torque, each.max_angle) == (None, None, None) for each in body.links)
     with pytest.raises(InputError, match="<limit> needs a number, but velocity is"):
-        urdf_reading.read(write_urdf(tmp_path, PAIR.replace(LIMIT, '<limit velocity="fast"/>')))
+        urdf_reading.read_urdf(write_urdf(tmp_path, PAIR.replace(LIMIT, '<limit velocity="fast"/>')))
 
 
 def test_meshes_become_the_smallest_shape_around_them(tmp_path):
@@ -258,12 +258,12 @@ def test_meshes_of_packages_are_found_and_missing_ones_named(tmp_path):
 
 def test_tilted_boxes_stand_upright():
     turn = rotation(np.array([1.0, 2.0, 0.5]), 1.0)
-    shape = foreign_links.Shape("box", np.array([0.3, 0.2, 0.1]), np.array([1.0, 2.0, 3.0]), turn)
+    shape = foreign_links.LinkShape("box", np.array([0.3, 0.2, 0.1]), np.array([1.0, 2.0, 3.0]), turn)
     made = importing.upright(shape)
     corners = (importing.outline(shape) - made.place) @ made.turn
     np.testing.assert_allclose(np.abs(corners).max(0), made.size, atol=1e-12)
     np.testing.assert_allclose(made.turn[:, 2], [0, 0, 1])
-    lying = foreign_links.Shape(
+    lying = foreign_links.LinkShape(
         "box", np.array([0.3, 0.2, 0.1]), np.zeros(3), rotation(np.array([0, 1.0, 0]), np.pi / 2)
     )
     assert np.prod(importing.upright(lying).size) == pytest.approx(0.3 * 0.2 * 0.1)
@@ -353,7 +353,7 @@ def test_urdf_is_a_tree_at_rest(tmp_path):
     """The pose of a link below turned joints, by matrices of hand."""
     parts = BASE + link("a", 1.0, "") + joint("ja", "a", "1 0 0", kind="fixed", limit="", turn="0.1 0.2 0.3")
     parts += link("b", 1.0, "", pose="0 0 1") + joint("jb", "b", "0 2 0", "a", "fixed", limit="", turn="0 0.5 0")
-    body = urdf_reading.read(write_urdf(tmp_path, parts))
+    body = urdf_reading.read_urdf(write_urdf(tmp_path, parts))
     x, y, z = np.eye(3)
     first = rotation(z, 0.3) @ rotation(y, 0.2) @ rotation(x, 0.1)
     at = {each.name: each for each in body.links}

@@ -16,6 +16,7 @@ from sean_jax import robots, sensors
 from sean_jax.core.data_types import PATTERNS, Obstacles, Sensor
 from sean_jax.core.errors import InputError
 from sean_jax.sensors import cameras, lidars, person_figure, pictures
+from sean_jax.sensors.raycast.vectors import Vector
 from sean_jax.world import environment
 from sean_jax.world.environment import ENVS, plain_scenery
 from support import programs
@@ -692,7 +693,7 @@ def test_figures_are_where_a_march_meets_them():
                 least[ray] = min(least[ray], abs(gap.min()))
             if len(inside) and steps[inside[0]] < distance[ray]:
                 distance[ray], part[ray] = steps[inside[0]], kind
-    given = [tuple(jnp.asarray(column, jnp.float32) for column in vector.T) for vector in (here, way)]
+    given = [Vector(*jnp.asarray(vector.T, jnp.float32)) for vector in (here, way)]
     found, normal, kind = jax.jit(person_figure._limbs)(*given, jnp.asarray(ahead, jnp.float32))
     clear = least > 0.004  # no limb is grazed
     met = np.isfinite(distance)
@@ -810,7 +811,7 @@ def test_shelves_repeat_and_only_sides_with_a_pattern_have_one():
 
 def test_feet_swing_by_the_way_that_is_walked(scenario):
     state = jax.jit(sean_jax.reset)(scenario, jax.random.key(0))
-    people, foot = state.pedestrians, jax.jit(person_figure.foot)
+    people, foot = state.pedestrians, jax.jit(person_figure.left_foot)
 
     def after(way, speed):
         walked = people.replace(position=people.position + way * people.heading, velocity=speed * people.heading)

@@ -92,8 +92,8 @@ READERS = {
     ),
     "forces": ("social_forces/presets.py read",),
     "randomization": ("mdp/randomization.py as_randomization",),
-    "sensor": ("sensors/readings.py as_sensor",),
-    "import": ("robots/importing.py _read", "robots/urdf_reading.py read"),
+    "sensor": ("sensors/sensor_settings.py as_sensor",),
+    "import": ("robots/importing.py _read", "robots/urdf_reading.py read_urdf"),
     "mesh": ("robots/urdf_reading.py _shape",),
     "identity": ("config/workspace.py read_identity",),
     "row": ("studies/validation/checks.py load",),
@@ -742,7 +742,7 @@ def load_import(folder: Path) -> Any:
     from sean_jax.robots import importing
 
     file = folder / "cart.urdf"
-    importing._Base(file, importing._read(file), importing.Settings()).mjcf("cart")
+    importing._Base(file, importing._read(file), importing.ImportSettings()).mjcf("cart")
 
 
 def wheel() -> dict[str, bytes]:
@@ -788,7 +788,7 @@ def load_mesh(folder: Path) -> Any:
     file = folder / "cart.urdf"
     file.write_text(CART.replace('<link name="caster">', f'<link name="caster">{worn}'))
     found = [meshes.vertices(folder / f"wheel{ending}") for ending in meshes.MESHES]
-    return found, importing._Base(file, importing._read(file), importing.Settings()).mjcf("cart")
+    return found, importing._Base(file, importing._read(file), importing.ImportSettings()).mjcf("cart")
 
 
 # Words of generated floors

@@ -8,6 +8,7 @@ again.
 
 from collections.abc import Callable, Iterator
 from functools import partial
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -18,13 +19,14 @@ from sean_jax.core import gpu_kernels
 from sean_jax.core.data_types import Array
 from sean_jax.core.devices import by_platform
 from sean_jax.core.geometry import length
-from sean_jax.sensors.raycast import kernel
-from sean_jax.sensors.raycast.kernel import Family
-from sean_jax.sensors.raycast.view import HEAD, HEAD_RADIUS, MISS, SHOULDER, STEEP, Beams, Rays, View, ground
+from sean_jax.sensors.raycast import kernel, shapes
+from sean_jax.sensors.raycast.kernel import BodyFamily
+from sean_jax.sensors.raycast.shapes import Row
+from sean_jax.sensors.raycast.vectors import Vector, to_frame
+from sean_jax.sensors.raycast.view import HEAD, HEAD_RADIUS, MISS, Beams, Rays, View, ground
 
-Vector = tuple[Array, Array, Array]  # x, y and z
-Row = Array | tuple[Array, ...]  # the columns of a table, each of which broadcasts with (tiles, rays)
-Law = Callable[[Row, Beams], Array]  # (tiles, rays) m along the beams to the bodies of these rows
+DistanceLaw = Callable[[Row, Beams], Array]  # (tiles, rays) m along the beams to the bodies of these rows
+Hit = tuple[Array, Array]  # (tiles, rays) each: distance [m] along the ray to a body, and the body's number
 
 CHUNK = 4  # bodies tested in a task
 SHARE = 2  # tiles per task of one iteration
@@ -59,9 +61,9 @@ def attach(rays: Rays, view: View, distance: Array, number: Array) -> Array:
 
 
 @attach.defjvp
-def _move_along(rays: Rays, primals: tuple, tangents: tuple) -> tuple[Array, Array]:
+def _attach_jvp(rays: Rays, primals: tuple, tangents: tuple) -> tuple[Array, Array]:
     view, distance, number = primals
-    return distance, jax.jvp(lambda view: surface(view, rays, number)[0], (view,), (tangents[0],))[1]
+    return distance, _surface_derivative(rays, number, (view,), (tangents[0],))
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
@@ -70,84 +72,117 @@ def _distance(rays: Rays, view: View) -> Array:
 
 
 @_distance.defjvp
-def _move(rays: Rays, primals: tuple[View], tangents: tuple[View]) -> tuple[Array, Array]:
-    here = jax.lax.stop_gradient(primals[0])
-    distances, number = search(here, rays)
-    return distances, jax.jvp(lambda view: surface(view, rays, number)[0], primals, tangents)[1]
+def _distance_jvp(rays: Rays, primals: tuple[View], tangents: tuple[View]) -> tuple[Array, Array]:
+    fixed_view = jax.lax.stop_gradient(primals[0])
+    distances, number = search(fixed_view, rays)
+    return distances, _surface_derivative(rays, number, primals, tangents)
+
+
+def _surface_derivative(rays: Rays, number: Array, primals: tuple[View], tangents: tuple[View]) -> Array:
+    """(tiles, rays) change of the distance to the bodies of these numbers while the view changes."""
+    _, tangent = jax.jvp(lambda view: surface(view, rays, number)[0], primals, tangents)
+    return tangent
+
+
+# --- search on a CPU or a GPU ---
 
 
 def _nearest_of_all(rays: Rays, view: View) -> tuple[Array]:
     """``nearest`` in loops of XLA's, for CPUs."""
     beams = Beams.of(rays)
-    distance = ground(view.height, beams.direction[2], beams.inverse_rise)
+    distance = ground(view.height, beams.direction.z, beams.inverse_rise)
     for family in families(view, rays):
-        distance = _nearest(_law(family, view), family.table, family.in_sight, beams, distance)
+        law = _distance_law(family, view)
+        distance = _nearest(law, family.table, family.in_sight, beams, distance)
     return (distance,)
 
 
 def _first_of_all(rays: Rays, view: View, behind: bool = False) -> tuple[Array, ...]:
     """``search``, or ``search_behind``, in loops of XLA's, for CPUs."""
-    beams, floor = Beams.of(rays), _starts(view)[4]
-    distance = ground(view.height, beams.direction[2], beams.inverse_rise)
-    first = distance, jnp.where(distance < MISS, floor, floor + 1).astype(jnp.int32)
-    of_scenery = first
+    beams = Beams.of(rays)
+    floor = _first_numbers(view)[4]
+    distance = ground(view.height, beams.direction.z, beams.inverse_rise)
+    number = jnp.where(distance < MISS, floor, floor + 1).astype(jnp.int32)
+    hit = scenery_hit = distance, number
     for family in families(view, rays):
-        first = _first(_law(family, view), family.table, family.in_sight, family.start, beams, first)
-        of_scenery = first if family.scenery else of_scenery
-    return (*first, *of_scenery) if behind else first
+        law = _distance_law(family, view)
+        hit = _first(law, family.table, family.in_sight, family.start, beams, hit)
+        if family.scenery:
+            scenery_hit = hit
+    return (*hit, *scenery_hit) if behind else hit
 
 
 def _in_a_kernel(rays: Rays, results: int, view: View) -> tuple[Array, ...]:
     """``nearest`` (1 result), ``search`` (2) or ``search_behind`` (4), for GPUs."""
-    if any(leaf.dtype.itemsize > 4 for leaf in jax.tree.leaves(view)) or not gpu_kernels.available():
+    double = any(leaf.dtype.itemsize > 4 for leaf in jax.tree.leaves(view))
+    if double or not gpu_kernels.available():
         return _nearest_of_all(rays, view) if results == 1 else _first_of_all(rays, view, results == 4)
-    return kernel.first(rays, list(families(view, rays)), view.radius, view.height, _starts(view)[4], results)
+    floor = _first_numbers(view)[4]
+    return kernel.first(rays, list(families(view, rays)), view.radius, view.height, floor, results)
 
 
-def _starts(view: View) -> tuple[int, int, int, int, int]:
+def _first_numbers(view: View) -> tuple[int, int, int, int, int]:
     """The number of the first body of each family, and the number of the floor."""
-    boxes, cylinders, spheres, people = view.counts
-    return 0, boxes, boxes + cylinders, boxes + cylinders + spheres, boxes + cylinders + spheres + people
+    boxes, cylinders, spheres, people = np.cumsum(view.counts).tolist()
+    return 0, boxes, cylinders, spheres, people
 
 
-def _law(family: Family, view: View) -> Law:
+def _distance_law(family: BodyFamily, view: View) -> DistanceLaw:
     return lambda row, beams: family.law(row, beams, view.radius, view.height)
 
 
-def families(view: View, rays: Rays) -> Iterator[Family]:
+# --- bodies in sight ---
+
+
+def families(view: View, rays: Rays) -> Iterator[BodyFamily]:
     """The kinds of bodies that are there."""
-    first_of, reach = _starts(view), _reach(view, rays)
-    boxes, cylinders, spheres, people = view.boxes, view.cylinders, view.spheres, view.people
+    first_box, first_cylinder, first_sphere, first_person, _ = _first_numbers(view)
+    reach = _reach(view, rays)
+    if len(view.boxes):
+        yield BodyFamily(first_box, view.boxes, shapes.box_distance, _boxes_in_sight(view.boxes, rays, reach))
 
-    def box_extent(x: Array, y: Array) -> Array:  # (tiles, K) m, of each box in a direction
-        cosine, sine = boxes[None, :, 6], boxes[None, :, 7]
-        return jnp.abs(x * cosine + y * sine) * boxes[None, :, 3] + jnp.abs(y * cosine - x * sine) * boxes[None, :, 4]
+    if len(view.cylinders):
+        in_sight = _cylinders_in_sight(view.cylinders, rays, reach)
+        yield BodyFamily(first_cylinder, view.cylinders, shapes.cylinder_distance, in_sight)
 
-    u = boxes[:, 6] * boxes[:, 0] + boxes[:, 7] * boxes[:, 1]
-    v = boxes[:, 6] * boxes[:, 1] - boxes[:, 7] * boxes[:, 0]
+    if len(view.spheres):
+        radius = view.spheres[:, 3]
+        in_sight = _round_in_sight(reach, rays, view.spheres, radius, view.spheres[:, 2] + radius)
+        yield BodyFamily(first_sphere, view.spheres, shapes.sphere_distance, in_sight)
+
+    if len(view.people):
+        radius = jnp.broadcast_to(view.radius, view.people.shape[:1])
+        in_sight = _round_in_sight(reach, rays, view.people, radius, PERSON_HEIGHT - view.height)
+        yield BodyFamily(first_person, view.people, _person_law(rays), in_sight, scenery=False)
+
+
+def _person_law(rays: Rays) -> shapes.ShapeLaw:
+    return shapes.low_person_distance if rays.low else shapes.person_distance
+
+
+def _boxes_in_sight(boxes: Array, rays: Rays, reach: Array) -> Array:
+    def extent(nx: Array, ny: Array) -> Array:  # (tiles, K) m, of each box in a direction
+        u, v = to_frame(nx, ny, boxes[None, :, 6], boxes[None, :, 7])
+        return jnp.abs(u) * boxes[None, :, 3] + jnp.abs(v) * boxes[None, :, 4]
+
+    # From the sensor, at the origin, to the outline on the floor.
+    u, v = to_frame(boxes[:, 0], boxes[:, 1], boxes[:, 6], boxes[:, 7])
     zero = jnp.zeros((), float)
-    away = length(jnp.maximum(jnp.abs(u) - boxes[:, 3], zero), jnp.maximum(jnp.abs(v) - boxes[:, 4], zero))
-    if len(boxes):
-        in_sight = _in_sight(reach, rays, boxes, box_extent, away, boxes[:, 2] + boxes[:, 5])
-        yield Family(first_of[0], boxes, _box, in_sight)
+    beyond_u = jnp.maximum(jnp.abs(u) - boxes[:, 3], zero)
+    beyond_v = jnp.maximum(jnp.abs(v) - boxes[:, 4], zero)
+    top = boxes[:, 2] + boxes[:, 5]
+    return _in_sight(reach, rays, boxes, extent, length(beyond_u, beyond_v), top)
 
-    flat = length(cylinders[:, 3], cylinders[:, 4]) * cylinders[:, 7]
-    out = cylinders[:, 6] + flat
-    top = cylinders[:, 2] + jnp.abs(cylinders[:, 5]) * cylinders[:, 7] + cylinders[:, 6]
-    if len(cylinders):
-        yield Family(first_of[1], cylinders, _cylinder, _round_in_sight(reach, rays, cylinders, out, top))
 
-    out = spheres[:, 3]
-    if len(spheres):
-        yield Family(first_of[2], spheres, _sphere, _round_in_sight(reach, rays, spheres, out, spheres[:, 2] + out))
-
-    out = jnp.broadcast_to(view.radius, people.shape[:1])
-    if len(people):
-        in_sight = _round_in_sight(reach, rays, people, out, PERSON_HEIGHT - view.height)
-        yield Family(first_of[3], people, _person_low if rays.low else _person, in_sight, scenery=False)
+def _cylinders_in_sight(cylinders: Array, rays: Rays, reach: Array) -> Array:
+    radius, half_length = cylinders[:, 6], cylinders[:, 7]
+    over_ground = length(cylinders[:, 3], cylinders[:, 4]) * half_length  # m, of half the axis
+    top = cylinders[:, 2] + jnp.abs(cylinders[:, 5]) * half_length + radius
+    return _round_in_sight(reach, rays, cylinders, radius + over_ground, top)
 
 
 def _round_in_sight(reach: Array, rays: Rays, table: Array, radius: Array, top: Array) -> Array:
+    """``_in_sight`` of bodies within a radius (K,) m around their middle."""
     away = jnp.maximum(length(table[:, 0], table[:, 1]) - radius, 0.0)
     return _in_sight(reach, rays, table, lambda x, y: radius[None, :], away, jnp.broadcast_to(top, away.shape))
 
@@ -155,77 +190,114 @@ def _round_in_sight(reach: Array, rays: Rays, table: Array, radius: Array, top: 
 def _reach(view: View, rays: Rays) -> Float[Array, "tiles"]:
     """The maximum horizontal distance [m] that the rays of each tile go, until they meet the floor."""
     falls = rays.slope_max < 0.0
-    meets = jnp.where(falls, view.height / np.where(falls, np.maximum(-rays.slope_max, 1e-9), 1.0), MISS)
-    return jnp.minimum(meets, rays.reach) + rays.spread
+    slope = np.where(falls, np.maximum(-rays.slope_max, 1e-9), 1.0)
+    to_floor = jnp.where(falls, view.height / slope, MISS)
+    return jnp.minimum(to_floor, rays.reach) + rays.spread
 
 
-def _in_sight(reach: Array, rays: Rays, table: Array, edge: Callable, away: Array, top: Array) -> Array:
-    """(tiles, K) bool: the body may meet a ray of the tile. ``away`` (K,) m is its minimum horizontal distance."""
-    x, y = table[None, :, 0], table[None, :, 1]
+def _in_sight(reach: Array, rays: Rays, table: Array, extent: Callable, away: Array, top: Array) -> Array:
+    """(tiles, K) bool: the body may meet a ray of the tile.
+
+    Args:
+        extent: of each body in a direction (x, y), m.
+        away: (K,) m, minimum horizontal distance.
+        top: (K,) m, of the highest point above the sensor.
+    """
+    x = table[None, :, 0]
+    y = table[None, :, 1]
     possible = reach[:, None] >= away[None, :]
     for normal in (rays.left, rays.right):
         nx, ny = normal[:, :1], normal[:, 1:]
-        possible &= nx * x + ny * y + edge(nx, ny) >= 0.0
-    return possible & ((rays.slope_min[:, None] <= 0.0) | (top[None, :] >= rays.slope_min[:, None] * away[None, :]))
+        possible &= nx * x + ny * y + extent(nx, ny) >= 0.0
+    slope_min = rays.slope_min[:, None]
+    return possible & ((slope_min <= 0.0) | (top[None, :] >= slope_min * away[None, :]))
+
+
+# --- loops over the bodies in sight, for CPUs ---
+
+
+class Tasks(NamedTuple):
+    """The work of ``_nearest``: of each tile its bodies in sight, ``CHUNK`` in a task; tile after tile."""
+
+    ends: Array  # (tiles, K) of ``_ends``
+    count: Array  # (tiles,) int32
+    last: Array  # (tiles,) int32, number of tasks of this tile and of those before
+
+
+def _tasks(in_sight: Array) -> Tasks:
+    ends = _ends(in_sight)
+    count = (ends[:, -1].astype(jnp.int32) + (CHUNK - 1)) // CHUNK
+    return Tasks(ends, count, jnp.cumsum(count))
 
 
 @jax.named_scope("nearest")
-def _nearest(law: Law, table: Array, in_sight: Array, beams: Beams, distance: Array) -> Array:
+def _nearest(law: DistanceLaw, table: Array, in_sight: Array, beams: Beams, distance: Array) -> Array:
     """The minimum of distances (tiles, rays) and those to the bodies of a table (K, F).
 
     The work is a list of tasks, each up to ``CHUNK`` bodies of one tile, so that empty tiles do not wait for full ones.
     Two tasks of one iteration may be of the same tile. So the minimum is taken of integers, which a GPU does atomically
     in any order; the bits of distances, none of which is negative, have the order of the distances.
     """
-    tiles, count = in_sight.shape
     real = distance.dtype
     whole = jnp.int64 if real == jnp.float64 else jnp.int32  # as many bits
-    ends = _ends(in_sight)
-    padded = jnp.concatenate([table, table[-1:]])  # a row for tiles without further bodies; its result is not used
-    tasks = (ends[:, -1].astype(jnp.int32) + (CHUNK - 1)) // CHUNK
-    last = jnp.cumsum(tasks)
-    width = max(1, tiles // SHARE)  # tasks of an iteration
-    iterations = _max_of_batch((last[-1] + (width - 1)) // width)
+    tasks = _tasks(in_sight)
+    padded = _with_spare_row(table)
+    width = max(1, len(in_sight) // SHARE)  # tasks of an iteration
+    iterations = _max_of_batch((tasks.last[-1] + (width - 1)) // width)
 
-    def take(carry: tuple[Array, Array]) -> tuple[Array, Array]:
+    def run(carry: tuple[Array, Array]) -> tuple[Array, Array]:
         iteration, nearest_bits = carry
         task = iteration * width + jnp.arange(width, dtype=jnp.int32)
-        tile = (last[None, :] <= task[:, None]).sum(1, dtype=jnp.int32)
-        there = jnp.minimum(tile, tiles - 1)
-        begin = CHUNK * (task - (last - tasks)[there])
-        tile_ends, tile_beams = ends[there], beams.of_tiles(there)
-        new = jnp.full((width, nearest_bits.shape[1]), MISS, real)
-        for more in range(CHUNK):
-            chosen = (tile_ends <= (begin + more).astype(ends.dtype)[:, None]).sum(1, dtype=jnp.int32)
-            meets = law(padded[chosen].T[:, :, None], tile_beams)
-            new = jnp.minimum(new, jnp.where((chosen < count)[:, None], meets, MISS))
+        tile, new = _run_tasks(law, padded, tasks, beams, task)
         bits = jax.lax.bitcast_convert_type(new, whole)
         return iteration + 1, nearest_bits.at[tile].min(bits, mode="drop")
 
     bits = jax.lax.bitcast_convert_type(distance, whole)
-    bits = jax.lax.while_loop(lambda carry: carry[0] < iterations, take, (jnp.zeros((), jnp.int32), bits))[1]
+    bits = jax.lax.while_loop(lambda carry: carry[0] < iterations, run, (jnp.zeros((), jnp.int32), bits))[1]
     return jax.lax.bitcast_convert_type(bits, real)
 
 
+def _run_tasks(law: DistanceLaw, table: Array, tasks: Tasks, beams: Beams, task: Array) -> tuple[Array, Array]:
+    """The tiles (tasks,) of tasks, and the minimum distances (tasks, rays) [m] to their bodies."""
+    tiles, bodies = tasks.ends.shape
+    tile = (tasks.last[None, :] <= task[:, None]).sum(1, dtype=jnp.int32)
+    clipped = jnp.minimum(tile, tiles - 1)
+    begin = CHUNK * (task - (tasks.last - tasks.count)[clipped])  # rank of the task's first body in the tile
+    tile_ends = tasks.ends[clipped]
+    tile_beams = beams.of_tiles(clipped)
+
+    new = jnp.full((len(task), beams.inverse_rise.shape[1]), MISS, beams.inverse_rise.dtype)
+    for offset in range(CHUNK):
+        rank = (begin + offset).astype(tile_ends.dtype)
+        body = (tile_ends <= rank[:, None]).sum(1, dtype=jnp.int32)
+        distance = law(table[body].T[:, :, None], tile_beams)
+        new = jnp.minimum(new, jnp.where((body < bodies)[:, None], distance, MISS))
+    return tile, new
+
+
 @jax.named_scope("first")
-def _first(
-    law: Law, table: Array, in_sight: Array, start: int, beams: Beams, first: tuple[Array, Array]
-) -> tuple[Array, Array]:
-    """Distances and numbers (tiles, rays) of the first bodies, with a table (K, F): one body per tile at a time."""
-    count = table.shape[0]
+def _first(law: DistanceLaw, table: Array, in_sight: Array, start: int, beams: Beams, hit: Hit) -> Hit:
+    """The first of a hit and the bodies of a table (K, F), whose numbers begin at ``start``: one per tile at a time."""
+    bodies = len(table)
     ends = _ends(in_sight)
-    padded = jnp.concatenate([table, table[-1:]])
+    padded = _with_spare_row(table)
     iterations = _max_of_batch(ends[:, -1].max().astype(jnp.int32))
 
-    def take(carry: tuple[Array, tuple[Array, Array]]) -> tuple[Array, tuple[Array, Array]]:
+    def test(carry: tuple[Array, Hit]) -> tuple[Array, Hit]:
         iteration, (distance, number) = carry
-        chosen = (ends <= iteration.astype(ends.dtype)).sum(1, dtype=jnp.int32)  # the next that the tile has in sight
-        new = law(padded[chosen].T[:, :, None], beams)
-        nearer = (new < distance) & (chosen < count)[:, None]
-        first = jnp.where(nearer, new, distance), jnp.where(nearer, start + chosen[:, None], number)
-        return iteration + 1, first
+        body = (ends <= iteration.astype(ends.dtype)).sum(1, dtype=jnp.int32)  # the next that the tile has in sight
+        new = law(padded[body].T[:, :, None], beams)
+        nearer = (new < distance) & (body < bodies)[:, None]
+        distance = jnp.where(nearer, new, distance)
+        number = jnp.where(nearer, start + body[:, None], number)
+        return iteration + 1, (distance, number)
 
-    return jax.lax.while_loop(lambda carry: carry[0] < iterations, take, (jnp.zeros((), jnp.int32), first))[1]
+    return jax.lax.while_loop(lambda carry: carry[0] < iterations, test, (jnp.zeros((), jnp.int32), hit))[1]
+
+
+def _with_spare_row(table: Array) -> Array:
+    """The table with a row for tiles without further bodies; its result is not used."""
+    return jnp.concatenate([table, table[-1:]])
 
 
 @jax.custom_batching.custom_vmap
@@ -248,178 +320,45 @@ def _ends(in_sight: Array) -> Array:
     return jnp.cumsum(in_sight, axis=1, dtype=small)
 
 
-def surface(
-    view: View, rays: Rays, number: Int[Array, "tiles rays"]
-) -> tuple[
-    Float[Array, "tiles rays"], Float[Array, "tiles rays"], Float[Array, "tiles rays"], Float[Array, "tiles rays"]
-]:
-    """The distance [m] along each ray to the body of a number, and x, y, z of the normal. Differentiable in the view.
+# --- surfaces ---
+
+
+def surface(view: View, rays: Rays, number: Int[Array, "tiles rays"]) -> tuple[Float[Array, "tiles rays"], Vector]:
+    """The distance [m] along each ray to the body of a number, and the normal there. Differentiable in the view.
 
     The distance is ``MISS`` for the sky and where rounding lets a ray miss the body.
     """
-    first_of, beams = _starts(view), Beams.of(rays)
-    dx, dy, dz = beams.direction
-    distance = ground(view.height, dz, beams.inverse_rise)
-    distance = jnp.where(number == first_of[4], distance, MISS)
-    nx, ny, nz = jnp.zeros_like(dx * distance), jnp.zeros_like(distance), jnp.ones_like(distance)
-    families = (
-        (view.boxes, _box, _normal_of_box),
-        (view.cylinders, _cylinder, _normal_of_cylinder),
-        (view.spheres, _sphere, _normal_of_sphere),
-        (view.people, _person_low if rays.low else _person, lambda row, x, y, z: _normal_of_person(row, x, y, z, view)),
+    first = _first_numbers(view)
+    beams = Beams.of(rays)
+    distance = ground(view.height, beams.direction.z, beams.inverse_rise)
+    distance = jnp.where(number == first[4], distance, MISS)
+    horizontal = jnp.zeros_like(beams.direction.x * distance)
+    normal = Vector(horizontal, jnp.zeros_like(distance), jnp.ones_like(distance))
+    kinds = (
+        (first[0], view.boxes, shapes.box_distance, shapes.box_normal),
+        (first[1], view.cylinders, shapes.cylinder_distance, shapes.cylinder_normal),
+        (first[2], view.spheres, shapes.sphere_distance, shapes.sphere_normal),
+        (first[3], view.people, _person_law(rays), shapes.person_normal),
     )
-    for start, (table, law, normal) in zip(first_of[:4], families, strict=True):
-        if not table.shape[0]:
+    for start, table, law, normal_law in kinds:
+        count = len(table)
+        if not count:
             continue
-        of_family = (number >= start) & (number < start + table.shape[0])
-        index = jnp.clip(number - start, 0, table.shape[0] - 1)
+        is_kind = (number >= start) & (number < start + count)
+        index = jnp.clip(number - start, 0, count - 1)
         row = tuple(column[index] for column in table.T)
-        there = law(row, beams, view.radius, view.height)
-        distance = jnp.where(of_family, there, distance)
-        at = jnp.where(of_family & (there < MISS), there, 1.0)
-        facing = normal(row, *along(rays, at))
-        nx, ny, nz = (jnp.where(of_family, new, old) for new, old in zip(facing, (nx, ny, nz), strict=True))
-    return distance, nx, ny, nz
+
+        to_body = law(row, beams, view.radius, view.height)
+        distance = jnp.where(is_kind, to_body, distance)
+        point = along(rays, jnp.where(is_kind & (to_body < MISS), to_body, 1.0))
+        normal_there = normal_law(row, point, view.radius, view.height)
+        normal = Vector(*(jnp.where(is_kind, new, old) for new, old in zip(normal_there, normal, strict=True)))
+    return distance, normal
 
 
-def along(
-    rays: Rays, distance: Float[Array, "tiles rays"]
-) -> tuple[Float[Array, "tiles rays"], Float[Array, "tiles rays"], Float[Array, "tiles rays"]]:
-    """x, y and z [m] from the sensor of places at a distance [m] along each ray."""
-    x, y, z = (distance * jnp.asarray(part, float) for part in rays.direction)
+def along(rays: Rays, distance: Float[Array, "tiles rays"]) -> Vector:
+    """Points [m] from the sensor at a distance [m] along each ray."""
+    x, y, z = (distance * jnp.asarray(component, float) for component in rays.direction)
     if rays.offset is None:
-        return x, y, z
-    return x + rays.offset[0], y + rays.offset[1], z + rays.offset[2]
-
-
-# --- laws: the distance along a ray to one body, whose row is that of its table in ``View`` ---
-# In components; arrays broadcast. The ray leaves its origin along the unit vector d. The vector q leads from there to
-# the middle of the body. All laws have finite gradients, also on grazing rays.
-
-
-def _from_ray(beams: Beams, x: Array, y: Array, z: Array) -> Vector:
-    """A vector (x, y, z) from the sensor as one from the start of each ray."""
-    if beams.offset is None:
-        return x, y, z
-    return x - beams.offset[0], y - beams.offset[1], z - beams.offset[2]
-
-
-def _box(row: Row, beams: Beams, radius: Array, height: Array) -> Array:
-    """Distance to an upright box, from outside."""
-    (qx, qy, qz), (hx, hy, hz) = _from_ray(beams, row[0], row[1], row[2]), (row[3], row[4], row[5])
-    cosine, sine, (dx, dy, _) = row[6], row[7], beams.direction
-    iu, iv = _inverse(cosine * dx + sine * dy), _inverse(cosine * dy - sine * dx)
-    at_u, at_v, at_z = (cosine * qx + sine * qy) * iu, (cosine * qy - sine * qx) * iv, qz * beams.inverse_rise
-    in_u, in_v, in_z = hx * jnp.abs(iu), hy * jnp.abs(iv), hz * jnp.abs(beams.inverse_rise)
-    near = jnp.maximum(jnp.maximum(at_u - in_u, at_v - in_v), at_z - in_z)
-    far = jnp.minimum(jnp.minimum(at_u + in_u, at_v + in_v), at_z + in_z)
-    return jnp.where((near <= far) & (near > 0.0), near, MISS)
-
-
-def _cylinder(row: Row, beams: Beams, radius: Array, height: Array) -> Array:
-    """Distance to a cylinder along a unit vector with flat ends, from outside."""
-    (qx, qy, qz), (ax, ay, az) = _from_ray(beams, row[0], row[1], row[2]), (row[3], row[4], row[5])
-    radius, half, (dx, dy, dz) = row[6], row[7], beams.direction
-    along_d, along_q = ax * dx + ay * dy + az * dz, ax * qx + ay * qy + az * qz
-    fx, fy, fz = dx - along_d * ax, dy - along_d * ay, dz - along_d * az
-    gx, gy, gz = qx - along_q * ax, qy - along_q * ay, qz - along_q * az
-    flat = fx * fx + fy * fy + fz * fz
-    inverse_flat = jnp.where(flat > 1e-12, 1.0 / jnp.where(flat > 1e-12, flat, 1.0), 0.0)
-    middle = (gx * fx + gy * fy + gz * fz) * inverse_flat
-    px, py, pz = gx - middle * fx, gy - middle * fy, gz - middle * fz
-    square = radius * radius - (px * px + py * py + pz * pz)
-    touches = square > 0.0
-    chord = _root(jnp.where(touches & (inverse_flat > 0.0), square * inverse_flat, 1.0))
-    # Along the axis it is a slab, as in a box. A ray along the axis never leaves the round part.
-    ends = _inverse(along_d)
-    deep = jnp.where(inverse_flat > 0.0, chord, MISS)
-    near = jnp.maximum(middle - deep, along_q * ends - half * jnp.abs(ends))
-    far = jnp.minimum(middle + deep, along_q * ends + half * jnp.abs(ends))
-    return jnp.where(touches & (near <= far) & (near > 0.0), near, MISS)
-
-
-def _sphere(row: Row, beams: Beams, radius: Array, height: Array) -> Array:
-    """Distance to a sphere, from outside."""
-    return _ball(_from_ray(beams, row[0], row[1], row[2]), row[3], beams.direction)
-
-
-def _ball(q: Vector, radius: Array | float, d: Vector) -> Array:
-    """Distance to the sphere at q."""
-    (qx, qy, qz), (dx, dy, dz) = q, d
-    middle = qx * dx + qy * dy + qz * dz
-    px, py, pz = qx - middle * dx, qy - middle * dy, qz - middle * dz
-    return _enter(radius * radius - (px * px + py * py + pz * pz), middle)
-
-
-def _person(row: Row, beams: Beams, radius: Array, height: Array) -> Array:
-    """Distance to a person: ``_person_low``, shoulders and head."""
-    x, y, z = q = _from_ray(beams, row[0], row[1], jnp.broadcast_to(-height, row[0].shape))
-    d = beams.direction
-    rounded = jnp.minimum(_ball((x, y, z + SHOULDER), radius, d), _ball((x, y, z + HEAD), HEAD_RADIUS, d))
-    return jnp.minimum(_body(q, beams, radius), rounded)
-
-
-def _person_low(row: Row, beams: Beams, radius: Array, height: Array) -> Array:
-    """Distance to a person up to the shoulders: all that rays from below the shoulders meet if they do not rise."""
-    return _body(_from_ray(beams, row[0], row[1], jnp.broadcast_to(-height, row[0].shape)), beams, radius)
-
-
-def _body(q: Vector, beams: Beams, radius: Array) -> Array:
-    """Distance to the body of a person with the feet at q, up to the shoulders."""
-    (qx, qy, qz), (dx, dy, dz), inverse_flat = q, beams.direction, beams.inverse_run
-    middle = (qx * dx + qy * dy) * inverse_flat
-    px, py = qx - middle * dx, qy - middle * dy
-    square = radius * radius - (px * px + py * py)
-    touches = (square > 0.0) & (inverse_flat > 0.0)
-    side = middle - _root(jnp.where(touches, square * inverse_flat, 1.0))
-    return jnp.where(touches & (side > 0.0) & (side * dz - qz <= SHOULDER), side, MISS)
-
-
-def _enter(square: Array, middle: Array) -> Array:
-    touches = square > 0.0
-    distance = middle - _root(jnp.where(touches, square, 1.0))
-    return jnp.where(touches & (distance > 0.0), distance, MISS)
-
-
-def _root(square: Array) -> Array:
-    """Square root of a positive number by the reciprocal one, which takes a third of the time on a GPU."""
-    return square * jax.lax.rsqrt(square)
-
-
-def _inverse(value: Array) -> Array:
-    """Reciprocal, as fast as ``_root``; 1e-9 stands for values nearer to zero."""
-    value = jnp.where(jnp.abs(value) < STEEP, STEEP, value)
-    size = jax.lax.rsqrt(value * value)
-    return jnp.where(value < 0.0, -size, size)
-
-
-def _normal_of_box(row, x, y, z):
-    u, v = row[6] * (x - row[0]) + row[7] * (y - row[1]), row[6] * (y - row[1]) - row[7] * (x - row[0])
-    w = z - row[2]
-    over = jnp.abs(u) - row[3], jnp.abs(v) - row[4], jnp.abs(w) - row[5]
-    by_u, by_v = (over[0] >= over[1]) & (over[0] >= over[2]), over[1] >= over[2]
-    nu = jnp.where(by_u, jnp.sign(u), 0.0)
-    nv = jnp.where(~by_u & by_v, jnp.sign(v), 0.0)
-    return row[6] * nu - row[7] * nv, row[7] * nu + row[6] * nv, jnp.where(by_u | by_v, 0.0, jnp.sign(w))
-
-
-def _normal_of_cylinder(row, x, y, z):
-    x, y, z = x - row[0], y - row[1], z - row[2]
-    along = row[3] * x + row[4] * y + row[5] * z
-    at_end = jnp.abs(along) >= row[7] * (1.0 - 1e-4)
-    out = tuple(part - along * axis for part, axis in zip((x, y, z), row[3:6], strict=True))
-    return tuple(
-        jnp.where(at_end, jnp.sign(along) * axis, part / row[6]) for part, axis in zip(out, row[3:6], strict=True)
-    )
-
-
-def _normal_of_sphere(row, x, y, z):
-    return (x - row[0]) / row[3], (y - row[1]) / row[3], (z - row[2]) / row[3]
-
-
-def _normal_of_person(row, x, y, z, view: View):
-    x, y, up = x - row[0], y - row[1], z + view.height
-    in_head = up > 0.5 * (SHOULDER + view.radius + HEAD - HEAD_RADIUS)
-    size = jnp.where(in_head, HEAD_RADIUS, view.radius)
-    z = jnp.where(in_head, up - HEAD, jnp.maximum(up - SHOULDER, 0.0))
-    return x / size, y / size, z / size
+        return Vector(x, y, z)
+    return Vector(x + rays.offset[0], y + rays.offset[1], z + rays.offset[2])

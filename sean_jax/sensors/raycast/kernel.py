@@ -16,33 +16,48 @@ from jaxtyping import Bool
 
 from sean_jax.core.data_types import Array
 from sean_jax.core.gpu_kernels import WIDTH, batch, launch, row
+from sean_jax.sensors.raycast.vectors import Vector
 from sean_jax.sensors.raycast.view import MISS, Beams, Rays, ground
 
 BITS = 32  # bodies in a word; a bit is set if the tile has the body in sight
 
 
-class Family(NamedTuple):
+class BodyFamily(NamedTuple):
     """Bodies of one kind."""
 
     start: int  # number of the first
     table: Array  # (K, F), one row for each body
-    law: Callable  # (row, beams, (radius, height) of the view) -> distances
+    law: Callable  # of ``raycast.shapes``: distances along the beams to the bodies of these rows
     in_sight: Bool[Array, "tiles K"]
     scenery: bool = True  # whether they are no people
 
 
-class _Shape(NamedTuple):
+class StaticFamily(NamedTuple):
+    """What is fixed of a ``BodyFamily``."""
+
+    start: int  # number of the first body
+    columns: int  # of the table
+    law: Callable
+    scenery: bool
+
+
+class KernelShape(NamedTuple):
     """Static parameters of a kernel."""
 
     rays: Rays
-    laws: tuple[tuple[int, int, Callable, bool], ...]  # first number, columns of the table, law, scenery of each family
+    families: tuple[StaticFamily, ...]
     floor: int  # number of the floor
     results: int  # of a ray: its distance; the number of the body; distance and number of the first of the scenery
-    parts: int  # programs of a tile
+    programs: int  # of a tile, up to ``WIDTH`` rays each
+
+    @property
+    def ray_columns(self) -> int:
+        """Numbers of a ray: direction, inverse rise and run, and the start if there is one."""
+        return 5 if self.rays.offset is None else 8
 
 
 def first(
-    rays: Rays, families: Sequence[Family], radius: Array, height: Array, floor: int, results: int
+    rays: Rays, families: Sequence[BodyFamily], radius: Array, height: Array, floor: int, results: int
 ) -> tuple[Array, ...]:
     """The distance [m] along each ray to the first body, ``MISS`` without one; its number; and both of the scenery.
 
@@ -54,79 +69,107 @@ def first(
         results: how many of these: 1, 2 or 4.
     """
     tiles, count = rays.direction.shape[1:]
-    parts = -(-count // WIDTH)
-    fixed = tuple((family.start, family.table.shape[1], family.law, family.scenery) for family in families)
-    shape = _Shape(rays, fixed, floor, results, parts)
-    operands = [_beams(shape), jnp.stack([radius, height])[None]]
+    programs = -(-count // WIDTH)
+    static = tuple(StaticFamily(family.start, family.table.shape[1], family.law, family.scenery) for family in families)
+    shape = KernelShape(rays, static, floor, results, programs)
+
+    # The kernel's operands: rays, numbers of the view, then two of each family.
+    operands = [_ray_table(shape), jnp.stack([radius, height])[None]]
     for family in families:
-        operands += [family.table.reshape(1, -1), _words(family.in_sight).reshape(1, -1)]
-    return tuple(
-        out.reshape(tiles, parts * WIDTH)[:, :count] for out in batch(partial(_call, shape), results)(*operands)
-    )
+        operands.append(family.table.reshape(1, -1))
+        operands.append(_words(family.in_sight).reshape(1, -1))
+
+    outputs = batch(partial(_call, shape), results)(*operands)
+    return tuple(output.reshape(tiles, programs * WIDTH)[:, :count] for output in outputs)
 
 
-def _beams(shape: _Shape) -> Array:
-    """(1, tiles * parts * columns * WIDTH) of the rays; the last is repeated up to the width."""
+def _ray_table(shape: KernelShape) -> Array:
+    """(1, tiles * programs * columns * WIDTH) of the rays; the last is repeated up to the width."""
     rays = shape.rays
-    columns = [*rays.direction, rays.inverse_rise, rays.inverse_run, *(() if rays.offset is None else rays.offset)]
-    tiles, count = columns[0].shape
-    more = np.pad(np.stack(columns, 1), ((0, 0), (0, 0), (0, shape.parts * WIDTH - count)), mode="edge")
-    apart = more.reshape(tiles, len(columns), shape.parts, WIDTH).swapaxes(1, 2)
-    return jnp.asarray(apart.reshape(1, -1), float)
+    offset = () if rays.offset is None else rays.offset
+    columns = np.stack([*rays.direction, rays.inverse_rise, rays.inverse_run, *offset], 1)  # (tiles, columns, rays)
+    tiles, width, count = columns.shape
+    padding = (0, shape.programs * WIDTH - count)
+    padded = np.pad(columns, ((0, 0), (0, 0), padding), mode="edge")
+    by_program = padded.reshape(tiles, width, shape.programs, WIDTH).swapaxes(1, 2)
+    return jnp.asarray(by_program.reshape(1, -1), float)
 
 
 def _words(in_sight: Array) -> Array:
     """(tiles, words) int32, a bit for each body (tiles, K) in sight."""
     tiles, count = in_sight.shape
     padded = jnp.pad(in_sight, ((0, 0), (0, -count % BITS))).reshape(tiles, -1, BITS)
-    bit = jax.lax.bitcast_convert_type(np.uint32(1) << np.arange(BITS, dtype=np.uint32), jnp.int32)
+    unsigned = np.uint32(1) << np.arange(BITS, dtype=np.uint32)
+    bit = jax.lax.bitcast_convert_type(unsigned, jnp.int32)
     return jnp.where(padded, bit[None, None, :], 0).sum(-1, dtype=jnp.int32)
 
 
-def _call(shape: _Shape, *operands: Array, interpret: bool = False) -> tuple[Array, ...]:
-    """The kernel, for operands of ``kernels.Call``."""
-    grid = max(operand.shape[0] for operand in operands), shape.rays.tiles * shape.parts
-    kinds = ((operands[0].dtype, jnp.int32) * 2)[: shape.results]
-    out = tuple(jax.ShapeDtypeStruct((grid[0], grid[1] * WIDTH), kind) for kind in kinds)
-    return launch(partial(_kernel, shape), "raycast", grid, out, *operands, interpret=interpret)
+def _call(shape: KernelShape, *operands: Array, interpret: bool = False) -> tuple[Array, ...]:
+    """The kernel, for operands of ``gpu_kernels.Call``."""
+    scenarios = max(operand.shape[0] for operand in operands)
+    programs = shape.rays.tiles * shape.programs
+    dtypes = ((operands[0].dtype, jnp.int32) * 2)[: shape.results]
+    out = tuple(jax.ShapeDtypeStruct((scenarios, programs * WIDTH), dtype) for dtype in dtypes)
+    kernel = partial(_kernel, shape)
+    return launch(kernel, "raycast", (scenarios, programs), out, *operands, interpret=interpret)
 
 
-def _kernel(shape: _Shape, index: Callable[[int], Any], *references: Any) -> None:
+def _kernel(shape: KernelShape, index: Callable[[int], Any], *references: Any) -> None:
     """One program: up to ``WIDTH`` rays of one tile of one scenario."""
     from jax.experimental import pallas
 
     scenario, program = index(0), index(1)
     scenarios = references[-1].shape[0]
-    inputs = [each.at[row(each, scenario, scenarios)] for each in references[: 2 + 2 * len(shape.laws)]]
-    beams_of, numbers_of, *bodies = inputs
-    radius, height = numbers_of[0], numbers_of[1]
-    columns = 5 if shape.rays.offset is None else 8
-    parts = [beams_of[pallas.ds((program * columns + column) * WIDTH, WIDTH)] for column in range(columns)]
-    beams = Beams(tuple(parts[:3]), parts[3], parts[4], tuple(parts[5:]) or None)
-    distance = ground(height, beams.direction[2], beams.inverse_rise)
+    inputs = 2 + 2 * len(shape.families)
+    ray_table, view, *bodies = [operand.at[row(operand, scenario, scenarios)] for operand in references[:inputs]]
+    outputs = references[inputs:]
+
+    radius, height = view[0], view[1]
+    beams = _beams_of_program(shape, ray_table, program)
+    distance = ground(height, beams.direction.z, beams.inverse_rise)
     number = shape.floor + (distance >= MISS).astype(jnp.int32)
-    first = of_scenery = (distance, number)[: shape.results]
-    for (start, columns, law, scenery), table, words_of in zip(shape.laws, bodies[::2], bodies[1::2], strict=True):
-        words = words_of.shape[0] // shape.rays.tiles
+    hit = scenery_hit = (distance, number)[: shape.results]
+    for family, table, words in zip(shape.families, bodies[::2], bodies[1::2], strict=True):
+        tile_words = words.shape[0] // shape.rays.tiles
+        first_word = program // shape.programs * tile_words
+        test = partial(_test_body, family, table, beams, radius, height)
+        hit = jax.lax.fori_loop(0, tile_words, partial(_test_word, test, words, first_word), hit)
+        if family.scenery:
+            scenery_hit = hit
 
-        def test(carry: tuple, word: Any, start=start, columns=columns, law=law, table=table) -> tuple:
-            bits, *first = carry
-            body = word * BITS + (BITS - 1) - jax.lax.clz(bits & -bits)  # the body of the lowest bit
-            numbers = tuple(table[body * columns + column] for column in range(columns))
-            return bits & (bits - 1), *_nearer(tuple(first), law(numbers, beams, radius, height), start + body)
-
-        def of_word(word: Any, first: tuple, words_of=words_of, words=words, test=test) -> tuple:
-            bits = words_of[program // shape.parts * words + word]
-            return jax.lax.while_loop(lambda carry: carry[0] != 0, partial(test, word=word), (bits, *first))[1:]
-
-        first = jax.lax.fori_loop(0, words, of_word, first)
-        of_scenery = first if scenery else of_scenery
-    results = (*first, *of_scenery)[: shape.results]
-    for result, values in zip(references[2 + 2 * len(shape.laws) :], results, strict=True):
-        result.at[scenario][pallas.ds(program * WIDTH, WIDTH)] = values
+    results = (*hit, *scenery_hit)[: shape.results]
+    for output, values in zip(outputs, results, strict=True):
+        output.at[scenario][pallas.ds(program * WIDTH, WIDTH)] = values
 
 
-def _nearer(first: tuple[Array, ...], distance: Array, number: Any) -> tuple[Array, ...]:
-    if len(first) == 1:
-        return (jnp.minimum(first[0], distance),)
-    return jnp.minimum(first[0], distance), jnp.where(distance >= first[0], first[1], number)
+def _beams_of_program(shape: KernelShape, ray_table: Any, program: Any) -> Beams:
+    """The rays of a program, one a thread."""
+    from jax.experimental import pallas
+
+    first = program * shape.ray_columns
+    columns = [ray_table[pallas.ds((first + column) * WIDTH, WIDTH)] for column in range(shape.ray_columns)]
+    x, y, z, inverse_rise, inverse_run, *offset = columns
+    return Beams(Vector(x, y, z), inverse_rise, inverse_run, Vector(*offset) if offset else None)
+
+
+def _test_word(test: Callable, words: Any, first_word: Any, word: Any, hit: tuple) -> tuple:
+    """The first hit after the bodies of a word, which has a bit for each body in sight."""
+    bits = words[first_word + word]
+    return jax.lax.while_loop(lambda carry: carry[0] != 0, partial(test, word), (bits, *hit))[1:]
+
+
+def _test_body(
+    family: StaticFamily, table: Any, beams: Beams, radius: Array, height: Array, word: Any, carry: tuple
+) -> tuple:
+    """The bits without the lowest one, and the first hit after that body."""
+    bits, *hit = carry
+    body = word * BITS + (BITS - 1) - jax.lax.clz(bits & -bits)
+    body_row = tuple(table[body * family.columns + column] for column in range(family.columns))
+    distance = family.law(body_row, beams, radius, height)
+    return bits & (bits - 1), *_nearer(tuple(hit), distance, family.start + body)
+
+
+def _nearer(hit: tuple[Array, ...], distance: Array, number: Any) -> tuple[Array, ...]:
+    if len(hit) == 1:
+        return (jnp.minimum(hit[0], distance),)
+    return jnp.minimum(hit[0], distance), jnp.where(distance >= hit[0], hit[1], number)

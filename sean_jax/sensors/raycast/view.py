@@ -14,6 +14,7 @@ from flax import struct
 from jaxtyping import Bool, Float, Int, Shaped
 
 from sean_jax.core.data_types import Array, Solids
+from sean_jax.sensors.raycast.vectors import Vector, to_frame
 
 MISS = 1e9  # m
 STEEP = 1e-9  # smaller components of a direction count as this one
@@ -71,23 +72,26 @@ def make_view(
     """
     cosine, sine = heading[0], heading[1]
     place = jnp.asarray(origin, float)
-
-    def transform(x: Array, y: Array) -> tuple[Array, Array]:
-        x, y = x - position[0], y - position[1]
-        return cosine * x + sine * y - place[0], cosine * y - sine * x - place[1]
-
     boxes, cylinders, spheres = solids.boxes, solids.cylinders, solids.spheres
-    bx, by = transform(boxes[:, 0], boxes[:, 1])
-    cx, cy = transform(cylinders[:, 0], cylinders[:, 1])
-    sx, sy = transform(spheres[:, 0], spheres[:, 1])
-    px, py = transform(people[:, 0], people[:, 1])
-    yaw = cosine * boxes[:, 6] + sine * boxes[:, 7], cosine * boxes[:, 7] - sine * boxes[:, 6]
-    ax, ay = cosine * cylinders[:, 3] + sine * cylinders[:, 4], cosine * cylinders[:, 4] - sine * cylinders[:, 3]
+
+    def to_sensor(points: Array) -> tuple[Array, Array]:
+        x, y = to_frame(points[:, 0] - position[0], points[:, 1] - position[1], cosine, sine)
+        return x - place[0], y - place[1]
+
+    # The columns of each table, with places and directions turned to the robot's axes.
+    box_yaw = to_frame(boxes[:, 6], boxes[:, 7], cosine, sine)
+    box_columns = [*to_sensor(boxes), boxes[:, 2] - place[2], *boxes[:, 3:6].T, *box_yaw]
+
+    axis = to_frame(cylinders[:, 3], cylinders[:, 4], cosine, sine)
+    cylinder_columns = [*to_sensor(cylinders), cylinders[:, 2] - place[2], *axis, *cylinders[:, 5:].T]
+
+    sphere_columns = [*to_sensor(spheres), spheres[:, 2] - place[2], spheres[:, 3]]
+    visible_people = jnp.where(present[:, None], jnp.stack(to_sensor(people), -1), AWAY)
     return View(
-        boxes=jnp.stack([bx, by, boxes[:, 2] - place[2], *boxes[:, 3:6].T, *yaw], -1),
-        cylinders=jnp.stack([cx, cy, cylinders[:, 2] - place[2], ax, ay, *cylinders[:, 5:].T], -1),
-        spheres=jnp.stack([sx, sy, spheres[:, 2] - place[2], spheres[:, 3]], -1),
-        people=jnp.where(present[:, None], jnp.stack([px, py], -1), AWAY),
+        boxes=jnp.stack(box_columns, -1),
+        cylinders=jnp.stack(cylinder_columns, -1),
+        spheres=jnp.stack(sphere_columns, -1),
+        people=visible_people,
         radius=radius,
         place=place,
     )
@@ -128,25 +132,28 @@ class Rays:
 class Beams:
     """The rays of some tiles as arrays; the fields of ``Rays``, vectors in components."""
 
-    direction: tuple[Array, Array, Array]  # (tiles, rays) each
+    direction: Vector  # (tiles, rays) each
     inverse_rise: Float[Array, "tiles rays"]
     inverse_run: Float[Array, "tiles rays"]
-    offset: tuple[Array, Array, Array] | None  # (tiles, rays) m each
+    offset: Vector | None  # (tiles, rays) m each
 
     @classmethod
     def of(cls, rays: Rays) -> "Beams":
         """All rays as arrays."""
-        offset = None if rays.offset is None else _components(rays.offset)
-        slopes = jnp.asarray(rays.inverse_rise, float), jnp.asarray(rays.inverse_run, float)
-        return cls(_components(rays.direction), *slopes, offset)
+        return cls(
+            direction=_vector(rays.direction),
+            inverse_rise=jnp.asarray(rays.inverse_rise, float),
+            inverse_run=jnp.asarray(rays.inverse_run, float),
+            offset=None if rays.offset is None else _vector(rays.offset),
+        )
 
     def of_tiles(self, tile: Int[Array, "tasks"]) -> "Beams":
         """The rays of chosen tiles (tasks,)."""
-        return jax.tree.map(lambda part: part[tile], self)
+        return jax.tree.map(lambda leaf: leaf[tile], self)
 
 
-def _components(parts: np.ndarray) -> tuple[Array, Array, Array]:
-    return jnp.asarray(parts[0], float), jnp.asarray(parts[1], float), jnp.asarray(parts[2], float)
+def _vector(components: np.ndarray) -> Vector:
+    return Vector(*(jnp.asarray(component, float) for component in components))
 
 
 def bundle(
@@ -163,27 +170,30 @@ def bundle(
     direction = np.asarray(direction, np.float64)
     direction = direction / np.linalg.norm(direction, axis=-1, keepdims=True)
     rows, columns = direction.shape[:2]
-    grid, places = _tiles(rows, columns, tile)
-    flat = direction.reshape(-1, 3)[places]
-    starts = None if offset is None else np.asarray(offset, np.float64).reshape(-1, 3)[places]
-    left, right = _sectors(flat, starts is None)
-    run = np.linalg.norm(flat[..., :2], axis=-1)
-    rise = np.where(np.abs(flat[..., 2]) < STEEP, STEEP, flat[..., 2])
-    slope = flat[..., 2] / np.maximum(run, 1e-9)
-    highest = slope.max(1)
-    spread = 0.0 if starts is None else float(np.linalg.norm(starts[..., :2], axis=-1).max())
+    grid, index = _tile_index(rows, columns, tile)
+    unit = direction.reshape(-1, 3)[index]  # (tiles, rays, 3)
+    start = None if offset is None else np.asarray(offset, np.float64).reshape(-1, 3)[index]
+    left, right = _sectors(unit, start is None)
+
+    # Slopes, and reciprocals that no ray divides by zero for.
+    run = np.linalg.norm(unit[..., :2], axis=-1)
+    rise = unit[..., 2]
+    slope = rise / np.maximum(run, 1e-9)
+    steepest = slope.max(1)
+    inverse_run = np.where(run > 1e-6, 1.0 / np.maximum(run, 1e-6) ** 2, 0.0)
+    inverse_rise = 1.0 / np.where(np.abs(rise) < STEEP, STEEP, rise)
     return Rays(
-        offset=None if starts is None else _to_components(starts),
-        direction=_to_components(flat),
-        inverse_rise=(1.0 / rise),
-        inverse_run=np.where(run > 1e-6, 1.0 / np.maximum(run, 1e-6) ** 2, 0.0),
+        offset=None if start is None else _to_components(start),
+        direction=_to_components(unit),
+        inverse_rise=inverse_rise,
+        inverse_run=inverse_run,
         left=left,
         right=right,
         slope_min=slope.min(1),
-        slope_max=highest,
+        slope_max=steepest,
         reach=reach,
-        spread=spread,
-        low=low and starts is None and float(highest.max()) <= 0.0,
+        spread=0.0 if start is None else float(np.linalg.norm(start[..., :2], axis=-1).max()),
+        low=low and start is None and float(steepest.max()) <= 0.0,
         grid=grid,
         shape=(rows, columns),
     )
@@ -201,13 +211,14 @@ def _to_components(vectors: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(np.moveaxis(vectors, -1, 0))
 
 
-def _tiles(rows: int, columns: int, tile: tuple[int, int]) -> tuple[tuple[int, int, int, int], np.ndarray]:
+def _tile_index(rows: int, columns: int, tile: tuple[int, int]) -> tuple[tuple[int, int, int, int], np.ndarray]:
     """The grid, and (tiles, rays) indices of rays; beyond the sensor's last row or column, that one is repeated."""
     height, width = min(tile[0], rows), min(tile[1], columns)
     down, across = -(-rows // height), -(-columns // width)
-    i = np.minimum(np.arange(down * height), rows - 1).reshape(down, 1, height, 1)
-    j = np.minimum(np.arange(across * width), columns - 1).reshape(1, across, 1, width)
-    return (down, across, height, width), (i * columns + j).reshape(down * across, height * width)
+    row = np.minimum(np.arange(down * height), rows - 1)
+    column = np.minimum(np.arange(across * width), columns - 1)
+    index = row.reshape(down, 1, height, 1) * columns + column.reshape(1, across, 1, width)
+    return (down, across, height, width), index.reshape(down * across, height * width)
 
 
 def _sectors(direction: np.ndarray, from_one_point: bool) -> tuple[np.ndarray, np.ndarray]:
@@ -215,13 +226,25 @@ def _sectors(direction: np.ndarray, from_one_point: bool) -> tuple[np.ndarray, n
     flat = direction[..., :2]
     run = np.linalg.norm(flat, axis=-1, keepdims=True)
     middle = (flat / np.maximum(run, 1e-9)).sum(1)
-    middle = middle / np.maximum(np.linalg.norm(middle, axis=-1, keepdims=True), 1e-9)
-    along = (flat * middle[:, None]).sum(-1)
-    across = middle[:, None, 0] * flat[..., 1] - middle[:, None, 1] * flat[..., 0]
-    angle = np.arctan2(across, along)
-    angle_max, angle_min = angle.max(1) + 1e-6, angle.min(1) - 1e-6
-    narrow = (run[..., 0].min(1) > 1e-3) & (np.maximum(angle_max, -angle_min) < MAX_HALF_SECTOR) & from_one_point
+    middle = middle / np.maximum(np.linalg.norm(middle, axis=-1, keepdims=True), 1e-9)  # (tiles, 2)
+    angle = _angles_from(middle, flat)
+    angle_max = angle.max(1) + 1e-6
+    angle_min = angle.min(1) - 1e-6
+
+    # A tile with a vertical ray, a wide one, and rays from several points have no edges: they exclude no body.
+    half_sector = np.maximum(angle_max, -angle_min)
+    is_level = run[..., 0].min(1) > 1e-3
+    has_edges = (is_level & (half_sector < MAX_HALF_SECTOR) & from_one_point)[:, None]
     yaw = np.arctan2(middle[:, 1], middle[:, 0])
-    left = np.stack([np.sin(yaw + angle_max), -np.cos(yaw + angle_max)], -1)
-    right = np.stack([-np.sin(yaw + angle_min), np.cos(yaw + angle_min)], -1)
-    return np.where(narrow[:, None], left, 0.0), np.where(narrow[:, None], right, 0.0)
+    left_edge, right_edge = yaw + angle_max, yaw + angle_min
+    left = np.stack([np.sin(left_edge), -np.cos(left_edge)], -1)
+    right = np.stack([-np.sin(right_edge), np.cos(right_edge)], -1)
+    return np.where(has_edges, left, 0.0), np.where(has_edges, right, 0.0)
+
+
+def _angles_from(middle: np.ndarray, flat: np.ndarray) -> np.ndarray:
+    """Angles (tiles, rays) [rad] of directions (tiles, rays, 2) from the middle (tiles, 2) of their tile."""
+    x, y = flat[..., 0], flat[..., 1]
+    along = (flat * middle[:, None]).sum(-1)
+    across = middle[:, None, 0] * y - middle[:, None, 1] * x
+    return np.arctan2(across, along)

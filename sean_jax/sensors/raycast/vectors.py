@@ -1,0 +1,32 @@
+"""Vectors in components: arrays of x, of y and of z, each of any shape."""
+
+from typing import Any, NamedTuple
+
+from sean_jax.core.data_types import Array
+
+
+class Vector(NamedTuple):
+    """A vector in space, or one for each ray. ``+`` adds vectors, and ``*`` multiplies by a number or an array."""
+
+    x: Array
+    y: Array
+    z: Array
+
+    def __add__(self, other: Any) -> "Vector":
+        return Vector(self.x + other.x, self.y + other.y, self.z + other.z)
+
+    def __sub__(self, other: Any) -> "Vector":
+        return Vector(self.x - other.x, self.y - other.y, self.z - other.z)
+
+    def __mul__(self, factor: Any) -> "Vector":
+        return Vector(factor * self.x, factor * self.y, factor * self.z)
+
+
+def dot(a: Vector, b: Vector) -> Array:
+    """The inner product."""
+    return a.x * b.x + a.y * b.y + a.z * b.z
+
+
+def to_frame(x: Array, y: Array, cosine: Array, sine: Array) -> tuple[Array, Array]:
+    """(x, y) in a frame that is turned counter-clockwise by the angle of that cosine and sine."""
+    return cosine * x + sine * y, cosine * y - sine * x
