@@ -447,13 +447,22 @@ def _contrasts(contrasts: list[dict[str, Any]]) -> str:
     return table(["", *MEASURES.values()], rows)
 
 
+TRAINING = {
+    "examples": ("examples", ".0f"),
+    "entropy": ("entropy of situations", ".3f"),
+    "epochs": ("epochs", ".0f"),
+    "best_epoch": ("best", ".0f"),
+    "loss": ("validation loss", ".4f"),
+    "seconds": ("seconds", ".0f"),
+}
+"""Number of a training -> its title and form."""
+
+
 def _training(training: Mapping[str, dict[str, float]]) -> str:
     rows = []
     for name, means in training.items():
-        counts = f"{means['examples']:.0f}", f"{means['entropy']:.3f}", f"{means['epochs']:.0f}"
-        rows.append([name, *counts, f"{means['best_epoch']:.0f}", f"{means['loss']:.4f}", f"{means['seconds']:.0f}"])
-    head = ["policy", "examples", "entropy of situations", "epochs", "best", "validation loss", "seconds"]
-    return table(head, rows)
+        rows.append([name, *(f"{means[key]:{form}}" for key, (_, form) in TRAINING.items())])
+    return table(["policy", *(title for title, _ in TRAINING.values())], rows)
 
 
 # ------------------------------------------------------------------ learning curve
