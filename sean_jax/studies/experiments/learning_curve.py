@@ -176,7 +176,8 @@ def with_means(table: Table) -> Table:
     measured = table.where(measure=tuple(MEASURES), situation=ALL)
     scale = [100.0 if measure == "completed" else 1.0 for measure in measured.names["measure"]]
     in_percent = dataclasses.replace(measured, value=measured.value * np.array(scale)[measured.columns["measure"]])
-    return join([in_percent, averaged(in_percent, "behavior", MEAN)])
+    by_variant = in_percent.groups(["policy"]).values()
+    return join(table for rows in by_variant for table in (rows, averaged(rows, "behavior", MEAN)))
 
 
 def differences(table: Table, one: Variant, other: Variant) -> Estimates:
@@ -211,18 +212,14 @@ def write_learning_curve(
     """
     folder, table = options.folder, with_means(measured)
     estimates = estimate(table, KEYS, bounds=CURVE_BOUNDS)
-    rows = []
-    for variant in compared:
-        head = variant.name, number(variant.hours), variant.rate, variant.flags
-        rows += [(*head, *labels, *value[:3]) for (name, *labels), value in estimates.items() if name == variant.name]
+    heads = {variant.name: (variant.name, number(variant.hours), variant.rate, variant.flags) for variant in compared}
+    rows = [(*heads[name], *labels, *value[:3]) for (name, *labels), value in estimates.items()]
     write_csv(folder / "learning_curve.csv", "variant,hours,rate,flags,behavior,measure,mean,low,high", rows)
 
     pairs = {(one, other): differences(table, one, other) for one, other in comparisons(compared)}
-    rows = [
-        (one.name, other.name, *labels, *value[:3])
-        for (one, other), estimates_of_pair in pairs.items()
-        for labels, value in estimates_of_pair.items()
-    ]
+    rows = []
+    for (one, other), gaps in pairs.items():
+        rows += [(one.name, other.name, *labels, *value[:3]) for labels, value in gaps.items()]
     write_csv(folder / "differences.csv", "variant,other,behavior,measure,mean,low,high", rows)
 
     tests = verdicts(table, compared)

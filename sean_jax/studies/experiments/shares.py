@@ -249,12 +249,11 @@ def ordering_rows(by_behavior: Mapping[str, np.ndarray], *head: Any) -> Iterator
             yield (*head, counting, test["name"], test["source"], statement, test["holds"], share)
 
 
-def by_policy(shares: Shares, *chosen: Any) -> dict[str, dict[str, np.ndarray]]:
-    """policy -> behavior -> shares, of labels that begin with policy and behavior and end with ``chosen``."""
+def by_policy(shares: Shares) -> dict[str, dict[str, np.ndarray]]:
+    """policy -> behavior -> shares, of labels that begin with both."""
     tables: dict[str, dict[str, np.ndarray]] = {}
-    for (policy, behavior, *others), values in shares.items():
-        if not chosen or tuple(others[-len(chosen) :]) == chosen:
-            tables.setdefault(policy, {})[behavior] = values
+    for (policy, behavior, *_), values in shares.items():
+        tables.setdefault(policy, {})[behavior] = values
     return tables
 
 

@@ -268,12 +268,11 @@ def write_table1(options: Table1Config, measured: Table, swept: Table, real: Tab
         write_csv(folder / "demonstrations.csv", head, share_rows(people_shares(driven, CELL)))
 
     by_speed = chain_shares(measured, (*CELL, "speed"))
-    rows = [
-        row
-        for policy in measured.levels("policy")
-        for speed in speeds
-        for row in ordering_rows(by_policy(by_speed, speed)[policy], policy, speed)
-    ]
+    rows = []
+    for policy, speed in itertools.product(measured.levels("policy"), speeds):
+        cells = chain_shares(measured.where(policy=policy, speed=speed), ["behavior"])
+        by_behavior = {behavior: samples for (behavior,), samples in cells.items()}
+        rows += ordering_rows(by_behavior, policy, speed)
     head = "policy,V,counting,ordering,source,statement,holds,share_of_resamples"
     write_csv(folder / "orderings.csv", head, rows)
 
