@@ -250,7 +250,7 @@ def _more(measured: Table, real: Table) -> list[str]:
     """Situations beyond the paper's five."""
     names = tuple(MORE_SITUATIONS)
     further = {f"{b} · {policy}": row for (policy, b, _), row in shares.chain_shares(measured, CELL, names).items()}
-    further |= {name: row for (name,), row in shares.people_shares(real, ["behavior"], names).items()}
+    further |= {name: row for (name, _), row in shares.people_shares(real, ("behavior", "speed"), names).items()}
     rows = [[title, *_percents(samples)] for title, samples in further.items()]
     return [table(["", *(name.replace("_", " ") for name in names)], rows)] if rows else []
 
