@@ -721,7 +721,8 @@ def selected(
         here = np.isin(numbers[behavior], list(of))
         return {measure: value[here] for measure, value in by_behavior[behavior].items()}
 
-    mean = measures.over_behaviors({behavior: cut(behavior, common) for behavior in by_behavior})
+    in_all = [cut(behavior, common) for behavior in measures.BEHAVIORS]
+    mean = {measure: np.mean([columns[measure] for columns in in_all], 0) for measure in in_all[0]}
     return {behavior: cut(behavior, chosen[behavior]) for behavior in by_behavior} | {MEAN: mean}
 
 

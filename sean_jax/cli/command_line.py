@@ -46,7 +46,7 @@ READERS = (
     "bridge",
 )  # may run code that a file names
 CONFIGURABLE = ("run", "train")  # take their options from a file, too
-EXPERIMENTS = {"table1": "table1", "ablation": "table1", "figure4": "figure4", "learning_curve": "figure4"}  # -> module
+EXPERIMENTS = {"table1": "table1", "ablation": "table1", "figure4": "figure4", "learning_curve": "learning_curve"}
 OUT_OF_MEMORY = (
     "the device is out of memory; set XLA_PYTHON_CLIENT_MEM_FRACTION=0.95 (JAX takes 0.75 of a GPU), "
     "or choose fewer episodes or scenarios at once. The same command resumes an unfinished experiment."

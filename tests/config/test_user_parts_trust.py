@@ -37,9 +37,9 @@ TYPED = {
     "studies/experiments/benchmark.py run": "an argument of the command line",
     "studies/experiments/figure4.py _parts": "a flag of the command line",
     "studies/experiments/figure4.py run_figure4": "a flag of the command line",
-    "studies/experiments/table1.py cell": "a flag of the command line",
+    "studies/experiments/table1.py _simulate_cell": "a flag of the command line",
     "studies/experiments/table1.py policies": "a flag of the command line",
-    "studies/experiments/verification.py verify": "a flag of the command line, or else a file",
+    "studies/experiments/verification.py _driver": "a flag of the command line, or else a file",
     "studies/validation/__init__.py run": "a flag of the command line",
     "studies/validation/checks.py models_of": "hands the caller's word on",
 }

@@ -183,14 +183,17 @@ def test_interval_of_evenly_spaced_samples(level):
 def test_shares_of_table_1_have_the_intervals_of_their_chains():
     """Seconds of a chain are all alike here, so the error is that of 400 draws, not of 24,000."""
     chain = np.random.default_rng(8).uniform(size=(400, 1, 5)) < [0.1, 0.2, 0.3, 0.4, 0.5]
-    found = shares.count(np.broadcast_to(chain, (400, 60, 5)), resamples(400))
+    flags = np.broadcast_to(chain, (1, 400, 60, 5))
+    table = shares.chain_rows(flags, flags[0], np.array([1, 0]), 1, [""])
+    (found,) = shares.chain_shares(table, [], draw=lambda _: resamples(400)).values()
     share = chain.mean((0, 1))
-    np.testing.assert_allclose(found.examples[0], share, rtol=1e-12)
+    np.testing.assert_allclose(found[0, :5], share, rtol=1e-12)
     half = 1.96 * np.sqrt(share * (1 - share) / 400)
-    np.testing.assert_allclose(shares.interval(found.examples), [share - half, share + half], atol=0.12 * half.max())
+    ends = shares.interval(found[:, :5])
+    np.testing.assert_allclose(ends, [share - half, share + half], atol=0.12 * half.max())
     by_aggregate = aggregate(chain[:, 0].astype(float))
-    np.testing.assert_allclose(shares.interval(found.examples), [by_aggregate.low, by_aggregate.high], rtol=1e-9)
-    assert found.seconds == 24_000 and found.none[0] == pytest.approx((~chain.any(-1)).mean())
+    np.testing.assert_allclose(ends, [by_aggregate.low, by_aggregate.high], rtol=1e-9)
+    assert found[0, 5] == pytest.approx((~chain.any(-1)).mean())
 
 
 @pytest.mark.parametrize(("strata", "size"), [(1, 4), (2, 5), (5, 20), (2, 50)])

@@ -9,7 +9,7 @@ from scipy import stats
 
 from sean_jax.metrics import bootstrap
 from sean_jax.metrics.differences import Difference, difference, holm, p_value
-from sean_jax.studies.experiments import measures, ranks
+from sean_jax.studies.experiments import ranks, scores
 
 
 def samples(seed: int):
@@ -201,37 +201,36 @@ def test_hierarchical_weights_make_students_distribution_of_the_outermost_groups
     assert stats.kstest(scaled, stats.t(groups - 1).cdf).pvalue > 0.01
 
 
-def flat(*seeds: float) -> dict[str, ranks.Sums]:
-    """An entry whose seeds have these shares in two tracks; no resample differs."""
-    half = [np.repeat(np.array(seeds)[:, None] + shift, 50, 1) for shift in (0.1, -0.1)]
-    tasks = np.zeros((len(seeds), 8), bool)
-    return {str(k): ranks.Sums(tasks, share, np.zeros(0), np.zeros(0)) for k, share in enumerate(half)}
+def flat(*seeds: float) -> np.ndarray:
+    """Shares of an entry whose seeds have these in two tracks; no resample differs."""
+    return np.stack([np.repeat(np.array(seeds)[:, None] + shift, 50, 1) for shift in (0.1, -0.1)])
+
+
+def differ(one: np.ndarray, other: np.ndarray) -> tuple[tuple[float, float, float], float]:
+    return ranks._difference(one, other, lambda: 0)
 
 
 def test_differences_of_seeds_are_welchs():
     """Where episodes do not vary, all is scipy's; entries of one seed have no variance between seeds."""
     first, second = [0.52, 0.61, 0.55], [0.70, 0.58, 0.66, 0.75]
-    (middle, low, high), p = ranks._difference(flat(*first), flat(*second))
+    (middle, low, high), p = differ(flat(*first), flat(*second))
     test = stats.ttest_ind(second, first, equal_var=False)
     assert p == pytest.approx(test.pvalue) and middle == pytest.approx(100 * (np.mean(second) - np.mean(first)))
     assert (low / 100, high / 100) == pytest.approx(tuple(test.confidence_interval(0.95)))
-    (middle, low, high), p = ranks._difference(flat(0.9), flat(*second))
+    (middle, low, high), p = differ(flat(0.9), flat(*second))
     test = stats.ttest_1samp(second, 0.9)
     assert p == pytest.approx(test.pvalue) and middle < 0
     assert (low / 100 + 0.9, high / 100 + 0.9) == pytest.approx(tuple(test.confidence_interval(0.95)))
-    assert ranks._difference(flat(0.9), flat(0.8)) == (pytest.approx((-10.0, -10.0, -10.0)), 0.0)
-    same, p = ranks._difference(flat(0.9), flat(0.9))
+    assert differ(flat(0.9), flat(0.8)) == (pytest.approx((-10.0, -10.0, -10.0)), 0.0)
+    same, p = differ(flat(0.9), flat(0.9))
     assert same == (0.0, 0.0, 0.0) and math.isnan(p)
 
 
 def test_variances_of_seeds_and_of_episodes_add_up():
     random = np.random.default_rng(6)
-    one, other = (
-        {"a": ranks.Sums(np.zeros((n, 4), bool), random.normal(0.5, 0.05, (n, 400)), np.zeros(0), np.zeros(0))}
-        for n in (3, 5)
-    )
-    (middle, low, high), p = ranks._difference(one, other)
-    shares = [100 * each["a"].polite for each in (one, other)]
+    one, other = (random.normal(0.5, 0.05, (1, n, 400)) for n in (3, 5))
+    (middle, low, high), p = differ(one, other)
+    shares = [100 * one[0], 100 * other[0]]
     parts = [share[:, 0].var(ddof=1) / len(share) for share in shares]
     gaps = shares[1][:, 1:].mean(0) - shares[0][:, 1:].mean(0)
     square = gaps.var(ddof=1) + sum(parts)
@@ -244,15 +243,12 @@ def test_variances_of_seeds_and_of_episodes_add_up():
 def test_few_episodes_that_differ_have_no_small_p():
     """Five of 400 differ, all one way: permutations of them have no p-value below 1/16, whatever Student says."""
     for tracks in ([5], [2, 3]):
-        one, other = {}, {}
+        one, other = np.zeros((2, len(tracks), 1, 301))
         for k, number in enumerate(tracks):
-            tasks = np.zeros((1, 400), bool)
-            for entry, done in ((one, tasks), (other, np.arange(400)[None] < number)):
-                share = np.full((1, 301), done.mean())
-                share[:, 1:] += np.random.default_rng(k).normal(0.0, 1e-5, 300) * done.any()
-                entry[str(k)] = ranks.Sums(done, share, np.zeros(0), np.zeros(0))
+            other[k] = number / 400
+            other[k, :, 1:] += np.random.default_rng(k).normal(0.0, 1e-5, 300)
         for pair in ((one, other), (other, one)):
-            assert ranks._difference(*pair)[1] == 2.0**-4
+            assert ranks._difference(*pair, lambda: 5)[1] == 2.0**-4
 
 
 def test_sums_and_figures_of_entries():
@@ -262,7 +258,7 @@ def test_sums_and_figures_of_entries():
     def columns() -> dict:
         counts = random.poisson([[0.5, 0.3, 0.0, 0.2, 0.1, 0.0]], (60, 6)).astype(float)
         time = random.uniform(0.0, 60.0, (60, 6)) * [1, 1, 1, 0, 1, 0]
-        fault = {name: np.zeros((60, 6)) for name in measures.ROBOTS_FAULT}
+        fault = {name: np.zeros((60, 6)) for name in scores.ROBOTS_FAULT}
         return fault | {
             "completed": random.random(60) < 0.8,
             "intimate_robot_on_person": counts,
@@ -280,7 +276,7 @@ def test_sums_and_figures_of_entries():
             for track in tracks:
                 events += measured[track]["intimate_robot_on_person"][:, 1:].sum(0) / 60
                 minutes += measured[track]["time_in_situation"][:, 1:].sum(0) / 60 / 60.0
-                share.append(np.mean([done and not any(measured[track][n][k, 0] > 0 for n in measures.ROBOTS_FAULT)
+                share.append(np.mean([done and not any(measured[track][n][k, 0] > 0 for n in scores.ROBOTS_FAULT)
                                       for k, done in enumerate(measured[track]["completed"])]))  # fmt: skip
             rates.append([e / m if m else e for e, m in zip(events, minutes, strict=True)])
             shares.append(100 * np.mean(share))

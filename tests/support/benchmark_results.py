@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from sean_jax.config import BenchmarkConfig
-from sean_jax.studies.experiments import benchmark, measures, ranks
+from sean_jax.studies.experiments import benchmark, ranks, scores
 
 
-def columns(random: np.random.Generator, number: int) -> measures.Arrays:
+def columns(random: np.random.Generator, number: int) -> scores.Arrays:
     time = random.uniform(1.0, 9.0, (number, 6))
     time[:, 0] = random.uniform(20, 30, number)
     counts = {name: random.poisson(0.2, (number, 6)).astype(np.float32) for name in benchmark.COUNTED}
@@ -42,7 +42,7 @@ def smaller(patch: pytest.MonkeyPatch) -> None:
 
 def entry(name: str, polite: np.ndarray, sensing: str = "raw", trained: bool = False) -> ranks.Entry:
     """An entry with tasks that were completed politely, (seeds, tracks, episodes) bool."""
-    counts = dict.fromkeys(measures.ROBOTS_FAULT, np.zeros((polite.shape[-1], 6)))
+    counts = dict.fromkeys(scores.ROBOTS_FAULT, np.zeros((polite.shape[-1], 6)))
     time = {"time_in_situation": np.ones((polite.shape[-1], 6))}
     measured = [{str(k): {"completed": row, **counts, **time} for k, row in enumerate(seed)} for seed in polite]
     return ranks.Entry(name, sensing, trained, measured)

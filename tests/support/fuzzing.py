@@ -84,7 +84,7 @@ READERS = {
     ),
     "batch": ("evaluation/batches.py RunFolder.load",),
     "cache": ("io/cache.py _read",),
-    "result": ("studies/experiments/benchmark.py check", "studies/experiments/benchmark.py read_track"),
+    "result": ("studies/experiments/benchmark.py _read_content", "studies/experiments/benchmark.py read_track"),
     "run": (
         "evaluation/compare.py _own_figures",
         "evaluation/compare.py _replay",
@@ -149,6 +149,7 @@ OWN = {
     "studies/experiments/benchmark.py _read_tracks",
     "studies/experiments/benchmark.py protocol_digest",
     "studies/experiments/benchmark.py device",
+    "studies/experiments/measures.py ",
     "studies/experiments/page.py ",
     "studies/validation/checks.py ",
     "web/studio/__init__.py serve",

@@ -86,7 +86,7 @@ def run_parts(parts: Sequence[Part], console: Console | None, title: str, at_onc
                     raise Stopped(part.name)
                 with lock:
                     shares[part.name] = share
-                    finished = sum(each >= 1.0 for each in shares.values())
+                    finished = sum(value >= 1.0 for value in shares.values())
                     others = len(shares) - finished - (share < 1.0)
                     more = f" and {others} more" if others else ""
                     bar.update(sum(shares.values()), f"{finished} of {len(parts)} · {part.name}{more}")

@@ -48,13 +48,24 @@ from sean_jax.io import files, writing
 from sean_jax.io.versions import fingerprint, version_mismatch, versions
 from sean_jax.learning.networks import read_method
 from sean_jax.learning.policy import AGENTS, agent_folder, check_policy, load_policy, read_options
-from sean_jax.metrics import METRICS, OF_GROUPS, Estimate
+from sean_jax.metrics import METRICS, OF_GROUPS
 from sean_jax.policies import POLICIES
 from sean_jax.simulation import making
 from sean_jax.simulation.episode_runner import Callbacks, Runner, even_batch
 from sean_jax.simulation.scenario_stack import Stack, as_stacks
 from sean_jax.studies.experiments import Part, page, run_parts, shares
-from sean_jax.studies.experiments.measures import COUNTED, MEASURED, Arrays, Scores, scores, scores_by_track
+from sean_jax.studies.experiments.results_table import ALL, Estimates
+from sean_jax.studies.experiments.scores import (
+    COUNTED,
+    FIGURES,
+    MEASURED,
+    PER_MINUTE,
+    SHARE_OF_TIME,
+    Arrays,
+    scores,
+    scores_by_track,
+    track_table,
+)
 from sean_jax.world import generated
 
 if TYPE_CHECKING:
@@ -115,8 +126,8 @@ def description(track: str, recordings: Path | None = None) -> ScenarioConfig:
     Raises:
         InputError: the track has recorded people, and the folder lacks their file.
     """
-    _, given, parameters, recording = TRACKS[track]
-    options: dict[str, Any] = dict(given)
+    _, track_options, parameters, recording = TRACKS[track]
+    options: dict[str, Any] = dict(track_options)
     if parameters:
         options["forces"] = list(social_forces.with_parameters(options["forces"], parameters))
     if recording:
@@ -222,8 +233,10 @@ def check_training(policy: str, folder: Path) -> None:
     for name in read_options(folder).environments:
         place = generated.parse_set(name)
         if place is not None and place.seed + place.number > FIRST_SEED:
-            text = f"was trained on {name}, and seeds from {FIRST_SEED:,} on are for the benchmark"
-            raise InputError(f"policy: {policy} {text}; train on other seeds.")
+            raise InputError(
+                f"policy: {policy} was trained on {name}, and seeds from {FIRST_SEED:,} on are for the benchmark; "
+                "train on other seeds."
+            )
 
 
 @functools.cache
@@ -258,13 +271,15 @@ def run(options: BenchmarkConfig, console: Console | None = None, connect: Conne
     check_protocol()
     options = options.replace(episodes=options.episodes or (QUICK if options.quick else EPISODES))
     if (options.episodes or 0) > EPISODES:
-        text = f"{options.episodes} are more than the {EPISODES} of a track of protocol {VERSION}"
-        raise InputError(f"--episodes: {text}; ask for fewer.")
+        raise InputError(
+            f"--episodes: {options.episodes} are more than the {EPISODES} of a track of protocol {VERSION}; "
+            "ask for fewer."
+        )
     tracks = [name for name, track in TRACKS.items() if options.recordings or not track.recording]
     described = {track: description(track, options.recordings) for track in tracks}
     driver = read_policy(options.policy, typed=True)
-    for each in described.values() if connect is None else ():
-        check_policy(driver, each)
+    for scenario in described.values() if connect is None else ():
+        check_policy(driver, scenario)
     policy = describe(driver, options.sensing)
     with Workspace(options.folder, identity(options) | {"the device": device()}).open() as work:
         parts = {options.policy: policy.policy_digest, **recording_digests(tracks, options.recordings)}
@@ -284,8 +299,10 @@ def check_protocol() -> None:
         InputError: both digests.
     """
     if (digest := protocol_digest()) != CONTENT:
-        text = f"places, robot or forces have the digest {digest}, and protocol {VERSION} has {CONTENT}"
-        raise InputError(f"benchmark: {text}; take a version of sean_jax whose protocol it is.")
+        raise InputError(
+            f"benchmark: places, robot or forces have the digest {digest}, and protocol {VERSION} has {CONTENT}; "
+            "take a version of sean_jax whose protocol it is."
+        )
 
 
 def recording_digests(tracks: list[str], folder: Path | None) -> dict[str, str]:
@@ -395,8 +412,9 @@ def read_track(folder: Path, track: str, episodes: int) -> Arrays:
         check_columns(columns, episodes, options["time_limit"] + options["time_step"])
         return columns
     except (FileError, ValueError) as error:
-        text = str(error).rstrip(".")
-        raise IncompleteError(f"{file} is damaged ({text}); remove it, and the same command makes it again.") from error
+        raise IncompleteError(
+            f"{file} is damaged ({str(error).rstrip('.')}); remove it, and the same command makes it again."
+        ) from error
 
 
 def check_columns(columns: Arrays, episodes: int, limit: float) -> None:
@@ -539,31 +557,35 @@ def device() -> str:
 class Scored(NamedTuple):
     """The scores of a result."""
 
-    whole: Scores
-    groups: dict[str, Scores]  # of tracks
-    tracks: dict[str, Scores]
+    whole: Estimates
+    groups: dict[str, Estimates]  # of tracks
+    tracks: dict[str, Estimates]
 
 
 def _scored(measured: dict[str, Arrays]) -> Scored:
     """The scores of all tracks that are measured, of each group with any, and of each track."""
-    groups = {group: [track for track in tracks if track in measured] for group, tracks in members().items()}
-    by_group = {group: scores({track: measured[track] for track in each}) for group, each in groups.items() if each}
-    return Scored(scores(measured), by_group, scores_by_track(measured))
+    table = track_table(measured)
+    in_groups = {group: table.where(behavior=tracks) for group, tracks in members().items()}
+    by_group = {group: scores(episodes) for group, episodes in in_groups.items() if len(episodes)}
+    return Scored(scores(table), by_group, scores_by_track(table))
 
 
 def _figures(scored: Scored) -> dict[str, Any]:
     """The entries of result.json that follow from the episodes."""
-    by_group, by_track = ({name: _as_json(each) for name, each in scores.items()} for scores in scored[1:])
+    by_group = {group: _as_json(scores) for group, scores in scored.groups.items()}
+    by_track = {track: _as_json(scores) for track, scores in scored.tracks.items()}
     return {"scores": _as_json(scored.whole), "groups": by_group, "tracks": by_track}
 
 
-def _as_json(scores: Scores) -> dict[str, Any]:
-    def numbers(estimate: Estimate) -> dict[str, Any]:
-        return {name: np.round(getattr(estimate, name), 5).tolist() for name in ("mean", "low", "high")}
-
-    figures = {name: numbers(each) for name, each in scores.figures.items()}
-    by_situation = {"share_of_time": numbers(scores.shares), "violations_per_minute": numbers(scores.violations)}
-    return {"figures": figures, "situations": list(shares.NAMES), **by_situation}
+def _as_json(scores: Estimates) -> dict[str, Any]:
+    ends = {labels: np.round(np.array(value[:3], float), 5).tolist() for labels, value in scores.items()}
+    names = "mean", "low", "high"
+    figures = {name: dict(zip(names, ends[name, ALL], strict=True)) for name in FIGURES}
+    content = {"figures": figures, "situations": list(shares.NAMES)}
+    for name in (SHARE_OF_TIME, PER_MINUTE):
+        columns = zip(*(ends[name, situation] for situation in shares.NAMES), strict=True)
+        content[name] = dict(zip(names, map(list, columns), strict=True))
+    return content
 
 
 def checksum(content: dict[str, Any]) -> str:
@@ -582,44 +604,63 @@ def check(folder: Path) -> Result:
         IncompleteError: a file of episodes is damaged, or no episodes can have what it holds.
     """
     file = folder / RESULT
+    content = _read_content(file)
+    try:
+        result = validate(Result, content)
+    except InputError as error:
+        raise InputError(f"{file}: {str(error).rstrip('.')}; run the benchmark again.") from None
+    _check_members(file, result)
+    mismatch = version_mismatch(result.versions)
+    _check_policy_of_package(file, result, mismatch)
+    for track, digest in result.files.items():
+        if user_parts.digest(folder / f"{track}.npz", MAX_BYTES) != digest:
+            raise InputError(f"{folder / track}.npz is not the file of the result; run the benchmark again.")
+    figures = _figures(_scored(measurements(folder, result)))
+    if any(content[name] != value for name, value in {"complete": result.episodes == EPISODES, **figures}.items()):
+        reason = mismatch or "other figures than its episodes have"
+        raise InputError(f"{file} does not follow from its episodes ({reason}); run the benchmark again.")
+    return result
+
+
+def _read_content(file: Path) -> dict[str, Any]:
+    """The content of a result.json of this version of the protocol, unchanged since it was written."""
     content = files.read_json(file)
     if not isinstance(content, dict):
         raise InputError(f"{file} is no result; run the benchmark again.")
     if content.get("checksum") != checksum(content):
         raise InputError(f"{file} was changed after it was written: its checksum differs; run the benchmark again.")
-    protocol = content.get("protocol"), content.get("content")
-    if protocol != (VERSION, CONTENT) and isinstance(protocol[0], int) and isinstance(protocol[1], str):
-        text = f"is of protocol {protocol[0]} ({protocol[1]:.16}), not {VERSION} ({CONTENT})"
-        raise InputError(f"{file} {text}; run it again with this version.")
-    try:
-        result = validate(Result, content)
-    except InputError as error:
-        raise InputError(f"{file}: {str(error).rstrip('.')}; run the benchmark again.") from None
+    version, digest = content.get("protocol"), content.get("content")
+    if (version, digest) != (VERSION, CONTENT) and isinstance(version, int) and isinstance(digest, str):
+        raise InputError(
+            f"{file} is of protocol {version} ({digest:.16}), not {VERSION} ({CONTENT}); "
+            "run it again with this version."
+        )
+    return content
+
+
+def _check_members(file: Path, result: Result) -> None:
+    """Refuse a result that lacks tracks, groups, files or recordings of the protocol, or has others."""
     names = [track for track in TRACKS if track not in recorded() or result.recordings]
     groups = [group for group, tracks in members().items() if set(tracks) & set(names)]
-    parts = (("files", names), ("tracks", names), ("groups", groups))
     recordings = [recorded()[track] for track in names if track in recorded()]
-    for part, expected in (*parts, ("recordings", recordings)):
-        if other := sorted(set(getattr(result, part)) ^ set(expected)):
+    for key, expected in {"files": names, "tracks": names, "groups": groups, "recordings": recordings}.items():
+        if wrong := sorted(set(getattr(result, key)) ^ set(expected)):
             raise InputError(
-                f"{file}: {part} lack, or should not have, {', '.join(other):.200}; run the benchmark again."
+                f"{file}: {key} lack, or should not have, {', '.join(wrong):.200}; run the benchmark again."
             )
-    mismatch = version_mismatch(result.versions)
-    if result.policy in (*POLICIES, *AGENTS):
-        expected = describe_of_package(result.policy)
-        for key, value in expected._asdict().items():
-            if (had := getattr(result, key)) != value:
-                text = f"{key} {had} is not that of {result.policy} of this package, {value}"
-                raise InputError(f"{file}: {text}{mismatch and f' ({mismatch})' or ''}; run the benchmark again.")
-    for track, digest in result.files.items():
-        if user_parts.digest(folder / f"{track}.npz", MAX_BYTES) != digest:
-            raise InputError(f"{folder / track}.npz is not the file of the result; run the benchmark again.")
-    measured = measurements(folder, result)
-    expected = {"complete": result.episodes == EPISODES, **_figures(_scored(measured))}
-    if any(content[name] != value for name, value in expected.items()):
-        other = mismatch or "other figures than its episodes have"
-        raise InputError(f"{file} does not follow from its episodes ({other}); run the benchmark again.")
-    return result
+
+
+def _check_policy_of_package(file: Path, result: Result, mismatch: str | None) -> None:
+    """Refuse a result that describes a policy of the package otherwise than it is."""
+    if result.policy not in (*POLICIES, *AGENTS):
+        return
+    versions_differ = f" ({mismatch})" if mismatch else ""
+    for key, expected in describe_of_package(result.policy)._asdict().items():
+        if (value := getattr(result, key)) != expected:
+            raise InputError(
+                f"{file}: {key} {value} is not that of {result.policy} of this package, {expected}{versions_differ}; "
+                "run the benchmark again."
+            )
 
 
 def measurements(folder: Path, result: Result) -> dict[str, Arrays]:
@@ -638,9 +679,9 @@ def table(result: Result) -> str:
     if not result.complete:
         lines.append(f"not ranked: the protocol has {EPISODES} episodes a track")
     lines += [skipped(result.tracks)] if skipped(result.tracks) else []
-    lines += [f"  {words:<28}{_interval(result.scores.figures[name])}" for name, words in Scores.FIGURES.items()]
-    lines.append(f"  {Scores.FIGURES['polite']} by group of tracks")
-    lines += [f"  {group:<28}{_interval(each.figures['polite'])}" for group, each in result.groups.items()]
+    lines += [f"  {words:<28}{_interval(result.scores.figures[name])}" for name, words in FIGURES.items()]
+    lines.append(f"  {FIGURES['polite']} by group of tracks")
+    lines += [f"  {group:<28}{_interval(scores.figures['polite'])}" for group, scores in result.groups.items()]
     lines.append("  by situation: share of time; times a minute within 0.45 m by the robot")
     share, rate = result.scores.share_of_time, result.scores.violations_per_minute
     for k, situation in enumerate(result.scores.situations):

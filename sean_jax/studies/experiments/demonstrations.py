@@ -10,7 +10,8 @@ import numpy as np
 
 from sean_jax.core.errors import InputError
 from sean_jax.learning.dataset import MANIFEST, ConcatDataset, open_datasets
-from sean_jax.studies.experiments.shares import BEHAVIORS, NAMES, DemonstrationCell
+from sean_jax.studies.experiments.results_table import Table, join, rows
+from sean_jax.studies.experiments.shares import BEHAVIORS, COMPLETED, FIVE, NAMES, people_rows
 
 if TYPE_CHECKING:
     from sean_jax.core.data_types import Scenario
@@ -28,11 +29,15 @@ def read(folders: Sequence[Path]) -> dict[str, ConcatDataset]:
     datasets = open_datasets([_dataset(folder) for folder in folders]).parts if folders else []
     for data in datasets:
         if data.manifest["behavior"] not in BEHAVIORS:
-            text = f"the people of {data.folder} have behavior '{data.manifest['behavior']}'"
-            raise InputError(f"--demonstrations: {text}; record with one of {', '.join(BEHAVIORS)}.")
+            raise InputError(
+                f"--demonstrations: the people of {data.folder} have behavior '{data.manifest['behavior']}'; "
+                f"record with one of {', '.join(BEHAVIORS)}."
+            )
         if missing := [name for name in NAMES if name not in data.manifest["situations"]]:
-            text = f"{data.folder} has no situation {missing[0]}"
-            raise InputError(f"--demonstrations: {text}; record with the situations of the paper.")
+            raise InputError(
+                f"--demonstrations: {data.folder} has no situation {missing[0]}; "
+                "record with the situations of the paper."
+            )
     by_behavior = {b: [data for data in datasets if data.manifest["behavior"] == b] for b in BEHAVIORS}
     return {behavior: ConcatDataset(several) for behavior, several in by_behavior.items() if several}
 
@@ -49,29 +54,35 @@ def check(demonstrations: dict[str, ConcatDataset], behavior: str, scenario: Sce
     """
     if behavior not in demonstrations:
         return
-    here = {
+    expected = {
         "environment": scenario.environment.name,
         "people": scenario.people,
         "robot": scenario.robot.name,
         "seconds": int(np.ceil(scenario.time_limit - 1e-6)),
     }
     for data in demonstrations[behavior].parts:
-        there = data.manifest | {"robot": data.manifest["robot"]["name"]}
-        for name, value in here.items():
-            if there[name] != value:
+        recorded = data.manifest | {"robot": data.manifest["robot"]["name"]}
+        for name, value in expected.items():
+            if recorded[name] != value:
                 option = "time_limit" if name == "seconds" else name
-                text = f"{data.folder} has {option} {there[name]}, and the experiment {value}"
-                raise InputError(f"--demonstrations: {text}; give the experiment --{option.replace('_', '-')}.")
+                raise InputError(
+                    f"--demonstrations: {data.folder} has {option} {recorded[name]}, and the experiment {value}; "
+                    f"give the experiment --{option.replace('_', '-')}."
+                )
 
 
-def cell(behavior: str, data: ConcatDataset) -> DemonstrationCell:
-    """The examples for Table I."""
-    episodes = data.episodes
-    flags = data.read(episodes, ("situations",))["situations"].astype(bool)
-    columns = [data.manifest["situations"].index(name) for name in NAMES]
-    episode = np.repeat(np.arange(len(episodes)), [each.length for each in episodes])
-    completed = sum(bool(each.completed) for each in episodes)
-    drivers = dict.fromkeys(part.manifest["policy"] for part in data.parts)
-    people = max(part.manifest["people"] for part in data.parts)
-    ended = np.array([completed, len(episodes) - completed])
-    return DemonstrationCell(behavior, ", ".join(drivers), people, episode, flags[:, columns], ended)
+def examples(demonstrations: dict[str, ConcatDataset]) -> Table:
+    """The rows of the demonstrations' examples and episodes; the policy is the driver that a dataset names."""
+    tables = []
+    for behavior, data in demonstrations.items():
+        episodes = data.episodes
+        episode = np.repeat(np.arange(len(episodes)), [entry.length for entry in episodes])
+        flags = data.read(episodes, ("situations",))["situations"].astype(bool)
+        flags = flags[:, [data.manifest["situations"].index(name) for name in NAMES]]
+        completed = np.array([bool(entry.completed) for entry in episodes])
+
+        drivers = dict.fromkeys(part.manifest["policy"] for part in data.parts)
+        people = max(part.manifest["people"] for part in data.parts)
+        labels = {"policy": ", ".join(drivers), "behavior": behavior, "people": people}
+        tables += [people_rows(flags, FIVE, episode, **labels), rows(completed, measure=COMPLETED, **labels)]
+    return join(tables)

@@ -3,10 +3,6 @@
 For each behavior (G, R, H) several datasets of demonstrations are collected, and several networks are trained on each.
 These policies, one with balanced examples (B), ``social_costmap`` for the paper's navigation stack (N) and the
 demonstrator (E) are evaluated on the same numbered episodes (section V-C), in equal shares for the networks.
-
-The learning curve varies the data of policy G: more hours of demonstrations, more examples a second, situations as an
-input. The paper has an hour of G's demonstrations, and gives neither the rate of the examples nor the effect of more
-hours; its network may have the situations as an input.
 """
 
 from __future__ import annotations
@@ -31,12 +27,10 @@ from sean_jax.config import (
     Figure4Config,
     ImitationConfig,
     LearnedConfig,
-    LearningCurveConfig,
     Named,
     ScenarioConfig,
     validate,
 )
-from sean_jax.config.flags import number
 from sean_jax.config.workspace import Workspace, identity
 from sean_jax.core.errors import InputError
 from sean_jax.io import writing
@@ -51,27 +45,26 @@ from sean_jax.studies.experiments import Part, demonstrations, page, pictures, r
 from sean_jax.studies.experiments.measures import (
     BALANCED,
     DEMONSTRATOR,
-    FOUR,
     INTIMATE,
     LEARNED,
     METRIC_NAMES,
     NAVIGATION,
+    WAITING,
     Columns,
-    Curve,
-    Results,
-    Variant,
     claims,
-    comparisons,
-    episode_measures,
+    contrasts,
+    episode_rows,
+    figure4_estimates,
+    has_learned,
 )
-from sean_jax.studies.experiments.shares import BEHAVIORS, DemonstrationCell
+from sean_jax.studies.experiments.results_table import Table, join
+from sean_jax.studies.experiments.shares import BEHAVIORS
 from sean_jax.studies.experiments.table1 import description, fields
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from sean_jax.core.data_types import Policy, Scenario
-    from sean_jax.metrics import Estimate
 
 LOADING = threading.Lock()
 Drivers = Mapping[str, Sequence[Callable[["Scenario"], "Policy"]]]
@@ -104,8 +97,9 @@ def run_figure4(options: Figure4Config, console: Console | None = None) -> Path:
             demonstrations.check(datasets, behavior, places[behavior][0])
         work.begin()  # after all checks, so that wrong options leave no files
         outcomes = run_parts(_parts(options, work, places, datasets), console, "figure 4")
-        driven = [demonstrations.cell(*each) for each in datasets.items()]
-        write_figure4(options, _results(options, outcomes), driven)
+        training = {policy: mean_training(outcomes[f"training {policy}"]) for policy in (*LEARNED, BALANCED)}
+        driven = demonstrations.examples(datasets)
+        write_figure4(options, _measured(options, outcomes), training, driven)
     return options.folder
 
 
@@ -144,15 +138,16 @@ def _parts(
     return [*trainings, *alike, *learned]
 
 
-def _results(options: Figure4Config, outcomes: dict[str, Any]) -> Results:
-    measured = {}
+def _measured(options: Figure4Config, outcomes: dict[str, Any]) -> Table:
+    """The rows of all episodes, policy by policy."""
+    measured = []
     for policy in (*LEARNED, BALANCED, NAVIGATION, DEMONSTRATOR, *baselines(options)):
-        part = "learned" if policy in (*LEARNED, BALANCED) else policy
-        measured[policy] = {b: episode_measures(outcomes[f"{part} in {b}"][policy]) for b in BEHAVIORS}
-    values = {policy: {b: measures for b, (measures, _) in by.items()} for policy, by in measured.items()}
-    situations = {policy: {b: events for b, (_, events) in by.items()} for policy, by in measured.items()}
-    training = {policy: mean_training(outcomes[f"training {policy}"]) for policy in (*LEARNED, BALANCED)}
-    return Results(sizes(options), values, training, situations)
+        learned = has_learned(policy)
+        networks = (options.datasets, options.trainings) if learned else (1, 1)
+        for behavior in BEHAVIORS:
+            columns = outcomes[f"{'learned' if learned else policy} in {behavior}"][policy]
+            measured.append(episode_rows(columns, policy, behavior, networks))
+    return join(measured)
 
 
 def sizes(options: LearnedConfig) -> tuple[int, int, int]:
@@ -196,52 +191,46 @@ def learner(
     return Learner(name, work, data, options, more, folders)
 
 
-def write_figure4(options: Figure4Config, results: Results, driven: Sequence[DemonstrationCell] = ()) -> None:
+def write_figure4(
+    options: Figure4Config, measured: Table, training: dict[str, dict[str, float]], driven: Table
+) -> None:
     """Write figure4.csv, contrasts.csv, claims.csv, the figure and report.html.
+
+    Args:
+        measured: rows of ``measures.episode_rows``.
+        training: policy -> as trained-NAME.json, means over its networks.
+        driven: rows of ``demonstrations.examples``.
 
     Raises:
         WriteError: another process writes one of the files.
     """
-    folder, rows, statements = options.folder, list[tuple](), claims(results)
-    for policy, by_behavior in results.cells.items():
-        for behavior, cells in by_behavior.items():
-            rows += estimate_rows(cells, policy, behavior)
-            rows += _by_situation(policy, behavior, results.by_situation[policy][behavior])
-    for policy, cells in results.means.items():
-        rows += estimate_rows(cells, policy, "mean")
-    for behavior, cells in results.more.items():
-        rows += estimate_rows(cells, f"{BALANCED}-G", behavior)
-    for behavior, cell in results.harm.items():
-        rows += estimate_rows({"violations": cell}, "".join(FOUR), behavior)
-    for policy, by_behavior in results.waiting.items():
-        for behavior, cell in by_behavior.items():
-            rows += estimate_rows({"time_not_moving_of_completed": cell}, policy, behavior) if cell.episodes else []
-    for behavior, less in results.balancing.items():
-        rows += _by_situation(f"{BALANCED}-G", behavior, less)
+    folder, estimates = options.folder, figure4_estimates(measured)
+    rows = [
+        (policy, behavior, f"{measure}_{situation}" if situation else measure, *value[:3])
+        for (policy, behavior, measure, situation), value in estimates.items()
+        if measure != WAITING or value.episodes
+    ]
     write_csv(folder / "figure4.csv", "policy,behavior,measure,mean,low,high", rows)
-    contrasts = [
-        (row["one"], row["other"], row["measure"], *row["difference"][:3], row["effect"], row["p"], row["holm"])
-        for row in results.contrasts
+
+    tests = contrasts(measured)
+    rows = [
+        (test["one"], test["other"], test["measure"], *test["difference"][:3], test["effect"], test["p"], test["holm"])
+        for test in tests
     ]
-    write_csv(folder / "contrasts.csv", "policy,other,measure,difference,low,high,d,p,holm", contrasts)
-    quoted = [
-        (*(f'"{row[name]}"' for name in ("statement", "paper", "ours")), row["holds"], f"{row['share']:.4f}")
-        for row in statements
+    write_csv(folder / "contrasts.csv", "policy,other,measure,difference,low,high,d,p,holm", rows)
+
+    tested_claims = claims(measured)
+    rows = [
+        (*(f'"{claim[name]}"' for name in ("statement", "paper", "ours")), claim["holds"], f"{claim['share']:.4f}")
+        for claim in tested_claims
     ]
-    write_csv(folder / "claims.csv", "statement,paper,ours,holds,share_of_resamples", quoted)
-    grids = pictures.grids(results)
+    write_csv(folder / "claims.csv", "statement,paper,ours,holds,share_of_resamples", rows)
+
+    policies = measured.levels("policy")
+    grids = pictures.grids(policies, estimates)
     pictures.save(folder, {"figure4-grids": grids})
-    writing.write(folder / "report.html", page.figure4(options, results, statements, grids, driven))
-
-
-def estimate_rows(cells: Mapping[str, Estimate], *head: Any) -> list[tuple]:
-    """Rows of a table, after ``head``: a measure, its mean and the interval."""
-    return [(*head, measure, *cell[:3]) for measure, cell in cells.items()]
-
-
-def _by_situation(policy: str, behavior: str, cells: Estimate) -> list[tuple]:
-    numbers = zip(shares.NAMES, *cells[:3], strict=True)
-    return [(policy, behavior, f"violations_{name}", *values) for name, *values in numbers]
+    report = page.figure4(options, policies, estimates, tests, tested_claims, training, grids, driven)
+    writing.write(folder / "report.html", report)
 
 
 # ------------------------------------------------------------------ networks
@@ -337,7 +326,7 @@ def _examples(config: ImitationConfig) -> dict[str, Any]:
 
 def mean_training(summaries: Sequence[dict[str, float]]) -> dict[str, float]:
     """The means over the trainings of a learner's networks."""
-    return {name: float(np.mean([each[name] for each in summaries])) for name in summaries[0]}
+    return {name: float(np.mean([summary[name] for summary in summaries])) for name in summaries[0]}
 
 
 # ------------------------------------------------------------------ driving
@@ -386,132 +375,51 @@ def drive(
     for turn, (name, policies) in enumerate(drivers.items()):
         file = f"episodes-{file_name(name)}-{behavior}.json"
         if work.load(file) is None:
-            shared = at_once(len(policies), episodes // len(policies))
-            number, starts, measured = episodes // len(policies) * shared, range(0, len(policies), shared), []
-            for index, first in enumerate(starts):
-                several = [load(kinds[0]) for load in policies[first : first + shared]]
-                policy = jax.tree.map(lambda *leaves: jnp.stack(leaves), *several) if shared > 1 else several[0]
-                if runner is None:
-                    size = number if shared > 1 else even_batch(number)
-                    runner = Runner(kinds, policy, size, "figure4", drivers=shared if shared > 1 else None)
-                runner.policy = policy  # of the same structure, so nothing is compiled again
-                done, count = turn * len(starts) + index, len(drivers) * len(starts)
-                report = functools.partial(lambda done, count, share: tell((done + share) / count), done, count)
-                measured.append(runner.measure(seed, index * number, number, report))
-            columns = {
-                each: np.concatenate([np.asarray(one[each], float) for one in measured]) for each in METRIC_NAMES
-            }
-            if not all(np.isfinite(columns[each]).all() for each in ("completed", "seconds", *INTIMATE)):
-                text = f"{name} in {behavior}: a metric is not finite; nothing of it is written."
-                raise FloatingPointError(text)
-            work.save(file, {each: np.nan_to_num(values).tolist() for each, values in columns.items()})
+            share_of_driver = functools.partial(_tell_part, tell, turn, len(drivers))
+            runner, columns = _measure(runner, kinds, policies, seed, episodes, share_of_driver)
+            if not all(np.isfinite(columns[metric]).all() for metric in ("completed", "seconds", *INTIMATE)):
+                raise FloatingPointError(f"{name} in {behavior}: a metric is not finite; nothing of it is written.")
+            work.save(file, {metric: np.nan_to_num(values).tolist() for metric, values in columns.items()})
         by_driver[name] = work.load(file)
     return by_driver
 
 
-def at_once(policies: int, each: int) -> int:
-    """How many policies drive ``each`` episodes in one batch: as many as fit and share the devices evenly."""
-    fitting = (n for n in range(2, policies + 1) if policies % n == 0 and n * each <= max_batch())
-    return max((n for n in fitting if n * each % jax.device_count() == 0), default=1)
+def _tell_part(tell: Callable[[float], None], index: int, count: int, share: float) -> None:
+    """Tell the progress of one of ``count`` equal pieces."""
+    tell((index + share) / count)
+
+
+def _measure(
+    runner: Runner | None,
+    kinds: list[Scenario],
+    policies: Sequence[Callable[[Scenario], Policy]],
+    seed: int,
+    episodes: int,
+    tell: Callable[[float], None],
+) -> tuple[Runner | None, dict[str, np.ndarray]]:
+    """The metrics of a driver's episodes, of which each policy drives an equal share; and the programs that ran."""
+    together = at_once(len(policies), episodes // len(policies))
+    size = episodes // len(policies) * together  # episodes of a batch of policies
+    firsts, measured = range(0, len(policies), together), []
+    for index, first in enumerate(firsts):
+        loaded = [load(kinds[0]) for load in policies[first : first + together]]
+        policy = jax.tree.map(lambda *leaves: jnp.stack(leaves), *loaded) if together > 1 else loaded[0]
+        if runner is None:
+            batch = size if together > 1 else even_batch(size)
+            runner = Runner(kinds, policy, batch, "figure4", drivers=together if together > 1 else None)
+        runner.policy = policy  # of the same structure, so nothing is compiled again
+        share_of_batch = functools.partial(_tell_part, tell, index, len(firsts))
+        measured.append(runner.measure(seed, index * size, size, share_of_batch))
+    columns = {name: [np.asarray(batch[name], float) for batch in measured] for name in METRIC_NAMES}
+    return runner, {name: np.concatenate(values) for name, values in columns.items()}
+
+
+def at_once(policies: int, episodes: int) -> int:
+    """How many policies, with so many episodes each, drive in one batch: as many as fit and share devices evenly."""
+    fitting = (n for n in range(2, policies + 1) if policies % n == 0 and n * episodes <= max_batch())
+    return max((n for n in fitting if n * episodes % jax.device_count() == 0), default=1)
 
 
 def file_name(driver: str) -> str:
     """A folder or FILE.py:NAME as a part of a file's name."""
     return driver.strip("./").replace("/", "-").replace("\\", "-").replace(":", "-")
-
-
-# ------------------------------------------------------------------ the learning curve
-
-
-def run_learning_curve(options: LearningCurveConfig, console: Console | None = None) -> Path:
-    """Collect, train and evaluate what the folder lacks, and write the report; raises as ``run_figure4``.
-
-    Each variant imitates the demonstrator on the Behavior Graph, as column G of Figure 4 does.
-
-    Source: section V-C.
-    """
-    compared = variants(options)
-    for variant in compared:
-        check_collection(variant_collection(options, variant))
-    with Workspace(options.folder, identity(options)).open() as work:
-        places = scenarios(options)
-        work.begin()  # after all checks, so that wrong options leave no files
-        by_size = sorted(compared, key=lambda each: each.examples)
-        learners = {variant.title: variant_learner(options, work, variant) for variant in by_size}
-        parts, last = learning_parts(learners)
-        groups = {flags: [each for each in compared if each.flags == flags] for flags in (False, True)}
-        drivers = {
-            _group(flags): {each.name: learners[each.title].loaders() for each in group}
-            for flags, group in groups.items()
-        }
-        parts += driving_parts(options, work, places, drivers, last)
-        write_learning_curve(options, _curve(options, compared, run_parts(parts, console, "learning curve")))
-    return options.folder
-
-
-def _group(flags: bool) -> str:
-    """The name of the variants whose networks are equal, and share programs."""
-    return "driving with flags" if flags else "driving"
-
-
-def variants(options: LearningCurveConfig) -> tuple[Variant, ...]:
-    """The variants: each amount alone, the first amount at other rates, and the first with flags."""
-    hours, first = sorted(set(options.demonstration_hours)), options.demonstration_hours[0]
-    rates = (Variant(first, rate) for rate in options.rates)
-    return tuple(dict.fromkeys([*map(Variant, hours), *rates, Variant(first, flags=True)]))
-
-
-def variant_collection(options: LearningCurveConfig, variant: Variant) -> CollectConfig:
-    """The demonstrations of a variant.
-
-    Raises:
-        InputError: a value is out of range.
-    """
-    return collection(options, "graph", variant.hours, variant.data, variant.rate)
-
-
-def variant_learner(options: LearningCurveConfig, work: Workspace, variant: Variant) -> Learner:
-    """The networks of a variant, with so few epochs that the optimizer makes no more steps than ``--updates``."""
-    data = variant_collection(options, variant)
-    learner = Learner(variant.name, work, data, options, {"flags": variant.flags})
-    own = learner.training((0, 0))
-    steps = math.ceil((1.0 - own.validation) * variant.examples / own.batch)  # of an epoch
-    epochs = min(own.epochs, max(1, options.updates // steps))
-    return dataclasses.replace(learner, options=learner.options | {"epochs": epochs})
-
-
-def _curve(options: LearningCurveConfig, compared: tuple[Variant, ...], outcomes: dict[str, Any]) -> Curve:
-    values: dict = {}
-    for variant in compared:
-        measured = {b: outcomes[f"{_group(variant.flags)} in {b}"][variant.name] for b in BEHAVIORS}
-        measures = {b: episode_measures(columns)[0] for b, columns in measured.items()}
-        values[variant.name] = {b: {**each, "completed": 100.0 * each["completed"]} for b, each in measures.items()}
-    training = {variant.name: mean_training(outcomes[f"training {variant.title}"]) for variant in compared}
-    return Curve(sizes(options), values, training, compared)
-
-
-def write_learning_curve(options: LearningCurveConfig, curve: Curve) -> None:
-    """Write learning_curve.csv, differences.csv, verdicts.csv, the figure and report.html.
-
-    Raises:
-        WriteError: another process writes one of the files.
-    """
-    folder, rows, differences = options.folder, [], []
-    for variant in curve.variants:
-        head = variant.name, number(variant.hours), variant.rate, variant.flags
-        for behavior, cells in curve.cells[variant.name].items():
-            rows += estimate_rows(cells, *head, behavior)
-    write_csv(folder / "learning_curve.csv", "variant,hours,rate,flags,behavior,measure,mean,low,high", rows)
-    for one, other in comparisons(curve.variants):
-        for behavior, cells in curve.differences(one, other).items():
-            differences += estimate_rows(cells, one.name, other.name, behavior)
-    write_csv(folder / "differences.csv", "variant,other,behavior,measure,mean,low,high", differences)
-    verdicts = [
-        (row["variant"], row["other"], row["measure"], *row["difference"][:3], row["holds"], f"{row['share']:.4f}")
-        for row in curve.verdicts
-    ]
-    head = "variant,other,measure,difference,low,high,better,share_of_resamples"
-    write_csv(folder / "verdicts.csv", head, verdicts)
-    figure = pictures.learning_curve(curve)
-    pictures.save(folder, {"learning_curve": figure})
-    writing.write(folder / "report.html", page.learning_curve(options, curve, figure))

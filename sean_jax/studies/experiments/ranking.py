@@ -22,19 +22,20 @@ def run(options: BenchmarkRankConfig) -> Ranking:
         IncompleteError: a file of episodes is damaged.
         WriteError: another process writes in the folder.
     """
-    found, folder = rank(list(options.results)), options.folder
+    ranked, folder = rank(list(options.results)), options.folder
     with writing.folder_lock(folder):
-        rows = list[tuple]()
-        for row in found.rows:
+        rows = []
+        for row in ranked.rows:
             head = row.entry.sensing, row.first, row.last, row.entry.name, len(row.entry.measured)
-            rows += [(*head, name, *map(float, each[:3])) for name, each in row.of.items()]
+            rows += [(*head, tracks, *map(float, share[:3])) for tracks, share in row.of.items()]
         write_csv(folder / TABLE, "class,first_rank,last_rank,policy,results,tracks,polite_percent,low,high", rows)
-        pairs = [(each.sensing, each.first, each.second, *each.difference, f"{each.p:.3g}") for each in found.pairs]
+        pairs = [(pair.sensing, pair.first, pair.second, *pair.difference, f"{pair.p:.3g}") for pair in ranked.pairs]
         write_csv(folder / PAIRS, "class,first,second,difference_percent,low,high,p_holm", pairs)
-        figures = {sensing: pictures.situations(rows) for sensing, rows in found.by_class().items()}
+
+        figures = {sensing: pictures.situations(rows) for sensing, rows in ranked.by_class().items()}
         pictures.save(folder, {f"situations-{sensing}": figure for sensing, figure in figures.items()})
-        writing.write(folder / REPORT, page.ranking(options, found, figures))
-    return found
+        writing.write(folder / REPORT, page.ranking(options, ranked, figures))
+    return ranked
 
 
 def rank(folders: list[Path]) -> Ranking:
@@ -68,22 +69,32 @@ def _entries(results: dict[Path, Result]) -> list[Entry]:
         if (other := digests.setdefault(result.policy_digest, folder)) != folder:
             raise InputError(f"{other} and {folder} have the same policy, {result.policy_digest}; rank one of them.")
         by_name.setdefault(result.name, []).append(folder)
-        first = by_name[result.name][0]
-        both, had = f"{first} and {folder} have the same name, {result.name}", results[first]
-        if first != folder and not (had.trained and result.trained):
-            raise InputError(f"{both}, but are no trainings; run one with another --name.")
-        if had.sensing != result.sensing:
-            text = f"but their sensing is {had.sensing} and {result.sensing}"
-            raise InputError(f"{both}, {text}; run one with another --name.")
+        _check_seeds(results, by_name[result.name][0], folder)
         for file, digest in result.recordings.items():
             if results[other := recordings.setdefault(file, folder)].recordings[file] != digest:
                 raise InputError(f"{other} and {folder} have different recordings {file}; run both with one.")
-    return [
-        Entry(
-            name,
-            results[same[0]].sensing,
-            results[same[0]].trained,
-            [benchmark.measurements(folder, results[folder]) for folder in same],
+
+    entries = []
+    for name, folders in by_name.items():
+        measured = [benchmark.measurements(folder, results[folder]) for folder in folders]
+        entries.append(Entry(name, results[folders[0]].sensing, results[folders[0]].trained, measured))
+    return entries
+
+
+def _check_seeds(results: dict[Path, Result], first: Path, folder: Path) -> None:
+    """Refuse two results of one name that are no training seeds of one class.
+
+    Raises:
+        InputError: the folders.
+    """
+    ours, theirs = results[first], results[folder]
+    if first != folder and not (ours.trained and theirs.trained):
+        raise InputError(
+            f"{first} and {folder} have the same name, {theirs.name}, but are no trainings; "
+            "run one with another --name."
         )
-        for name, same in by_name.items()
-    ]
+    if ours.sensing != theirs.sensing:
+        raise InputError(
+            f"{first} and {folder} have the same name, {theirs.name}, but their sensing is {ours.sensing} and "
+            f"{theirs.sensing}; run one with another --name."
+        )

@@ -7,8 +7,10 @@ and there are few of them: intervals over seeds are Student's.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import itertools
 from collections import Counter
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -16,9 +18,12 @@ from scipy import stats
 
 from sean_jax.core.data_types import SENSING
 from sean_jax.metrics import Estimate, interval
-from sean_jax.metrics.bootstrap import with_estimate
 from sean_jax.metrics.differences import holm
-from sean_jax.studies.experiments.measures import Arrays, percent, polite, score_resamples
+from sean_jax.studies.experiments.measures import percent
+from sean_jax.studies.experiments.results_table import ALL as EPISODE
+from sean_jax.studies.experiments.results_table import join, samples
+from sean_jax.studies.experiments.scores import APPROACHES, TIME, Arrays, polite, score_resamples, track_rows
+from sean_jax.studies.experiments.shares import NAMES
 
 LEVEL = 0.05  # of corrected p-values
 SEEDS = 3  # of an agent, at least, for an interval that has the variation between trainings
@@ -34,13 +39,9 @@ class Entry(NamedTuple):
     measured: list[dict[str, Arrays]]  # of each result, by track
 
 
-class Sums(NamedTuple):
-    """The sums over the episodes of a track, of all and of each of R resamples, for each seed of an entry."""
-
-    tasks: np.ndarray  # (seeds, E) bool, whether each was completed politely
-    polite: np.ndarray  # (seeds, 1 + R) share of them
-    events: np.ndarray  # (seeds, 1 + R, S) approaches within 0.45 m of a person, in each situation
-    minutes: np.ndarray  # (seeds, 1 + R, S) in each situation
+Sums = dict[tuple[str, str], np.ndarray]
+"""(name of an entry, measure) -> (tracks, seeds, 1 + R), or (..., S) in each situation: means over the episodes of each
+track, and over those of R resamples."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -109,72 +110,85 @@ def rank(entries: list[Entry], groups: dict[str, list[str]], notes: list[str]) -
         notes: sentences on what the ranking lacks.
     """
     groups = {ALL: [track for tracks in groups.values() for track in tracks], **groups}
-    sums = _sums(entries, groups[ALL])
-    tests = [
-        (one, other, *_difference(sums[one.name], sums[other.name]))
-        for one, other in itertools.combinations(entries, 2)
-        if one.sensing == other.sensing
-    ]
-    corrected = np.nan_to_num(holm([p for *_, p in tests]), nan=1.0)
-    pairs = [
-        Pair(one.sensing, one.name, other.name, each, float(p))
-        for (one, other, each, _), p in zip(tests, corrected, strict=True)
-    ]
-    better, worse = dict.fromkeys(sums, 0), dict.fromkeys(sums, 0)  # numbers of entries, beyond chance
+    tracks = groups[ALL]
+    sums = _sums(entries, tracks)
+    pairs = _pairs(entries, sums, tracks)
+    better, worse = Counter[str](), Counter[str]()  # numbers of entries, beyond chance
     for pair in pairs:
         if pair.p < LEVEL:
             low, high = (pair.first, pair.second) if pair.difference[0] > 0 else (pair.second, pair.first)
             better[low] += 1
             worse[high] += 1
-    members = Counter(entry.sensing for entry in entries)
-    rows = [
-        Row(
-            entry,
-            1 + better[entry.name],
-            members[entry.sensing] - worse[entry.name],
-            {name: _share([sums[entry.name][track] for track in tracks]) for name, tracks in groups.items()},
-            _violations(list(sums[entry.name].values())),
-        )
-        for entry in entries
-    ]
+
+    in_class = Counter(entry.sensing for entry in entries)
+    rows = []
+    for entry in entries:
+        first, last = 1 + better[entry.name], in_class[entry.sensing] - worse[entry.name]
+        by_group = {name: _share(entry, tracks_of_group, sums, tracks) for name, tracks_of_group in groups.items()}
+        violations = _violations(sums[entry.name, APPROACHES], sums[entry.name, TIME] / 60.0)
+        rows.append(Row(entry, first, last, by_group, violations))
     rows.sort(key=lambda row: (list(SENSING).index(row.entry.sensing), -float(row.of[ALL].mean)))
     few = [row.entry.name for row in rows if row.seeds.endswith(f"of {SEEDS}")]
     notes = [f"Fewer than {SEEDS} training seeds: {', '.join(few)}."] * bool(few) + notes
     return Ranking(groups, rows, pairs, notes)
 
 
-def _sums(entries: list[Entry], tracks: list[str]) -> dict[str, dict[str, Sums]]:
-    """Name of an entry -> track -> its sums; equal episodes are in equal resamples of all entries."""
-    sums: dict[str, dict[str, Sums]] = {entry.name: {} for entry in entries}
-    for seed, track in enumerate(tracks):
-        episodes = len(entries[0].measured[0][track]["completed"])
-        weights = with_estimate(score_resamples(episodes, seed))
-        for entry in entries:
-            each = [measured[track] for measured in entry.measured]
-            tasks = np.stack([polite(columns) for columns in each])
-            events = [columns["intimate_robot_on_person"][:, 1:] for columns in each]
-            minutes = [columns["time_in_situation"][:, 1:] / 60.0 for columns in each]
-            parts = [np.stack([weights @ np.asarray(one, float) for one in part]) for part in (tasks, events, minutes)]
-            sums[entry.name][track] = Sums(tasks, *parts)
-    return sums
+def _pairs(entries: list[Entry], sums: Sums, tracks: list[str]) -> list[Pair]:
+    """The differences of all pairs of a class, with Holm's correction for the pairs of all classes."""
+    compared = [pair for pair in itertools.combinations(entries, 2) if pair[0].sensing == pair[1].sensing]
+    tests = [
+        _difference(*(sums[entry.name, "polite"] for entry in pair), functools.partial(_changed, *pair, tracks))
+        for pair in compared
+    ]
+    corrected = np.nan_to_num(holm([p for _, p in tests]), nan=1.0)
+    return [
+        Pair(one.sensing, one.name, other.name, difference, float(p))
+        for (one, other), (difference, _), p in zip(compared, tests, corrected, strict=True)
+    ]
 
 
-def _overall(sums: list[Sums]) -> np.ndarray:
-    """(seeds, 1 + R) share of tasks of some tracks that were completed politely."""
-    return np.mean([each.polite for each in sums], 0)
+def _sums(entries: list[Entry], tracks: list[str]) -> Sums:
+    """Means of each entry on each track; equal episodes are in equal resamples of all entries."""
+    sums: dict[tuple[str, str], list[np.ndarray]] = {}
+    for number, track in enumerate(tracks):
+        table = join(
+            track_rows(measured[track], track, ["polite"], policy=entry.name, seed=seed)
+            for entry in entries
+            for seed, measured in enumerate(entry.measured)
+        )
+        draw = functools.partial(_draw, number)
+        for measure, across in (("polite", None), (APPROACHES, "situation"), (TIME, "situation")):
+            chosen = table.where(measure=measure, situation=NAMES if across else EPISODE)
+            means = samples(chosen, ["policy", "seed"], ["episode"], across=across, draw=draw)
+            for entry in entries:
+                of_seeds = [means[entry.name, seed] for seed in range(len(entry.measured))]
+                sums.setdefault((entry.name, measure), []).append(np.stack(of_seeds))
+    return {labels: np.stack(values) for labels, values in sums.items()}
 
 
-def _share(sums: list[Sums]) -> Estimate:
+def _draw(seed: int, sizes: tuple[int, ...]) -> np.ndarray:
+    """(R, E) int16, number of times that each episode of a track is in each resample."""
+    return score_resamples(sizes[-1], seed)
+
+
+def _changed(one: Entry, other: Entry, tracks: list[str]) -> int:
+    """How many tasks one of two policies completed politely and the other did not."""
+    pairs = ((polite(one.measured[0][track]), polite(other.measured[0][track])) for track in tracks)
+    return sum(int((ours ^ theirs).sum()) for ours, theirs in pairs)
+
+
+def _share(entry: Entry, members: list[str], sums: Sums, tracks: list[str]) -> Estimate:
     """Percent of tasks that were completed politely; of one seed with none or all, with Wilson's interval."""
-    shares, episodes = _overall(sums), sum(each.tasks.shape[1] for each in sums)
+    shares = np.mean([sums[entry.name, "polite"][tracks.index(track)] for track in members], 0)  # (seeds, 1 + R)
+    episodes = sum(len(entry.measured[0][track]["completed"]) for track in members)
     share = _over_seeds(shares, episodes)
     even = (len(shares) == 1) & ((share.mean == 0.0) | (share.mean == 1.0))
     return percent(share._replace(high=np.minimum(share.high, 1.0)), even)
 
 
-def _violations(sums: list[Sums]) -> Estimate:
-    """(S,) violations a minute in each situation; 0 where it never occurs."""
-    events, minutes = (np.sum([getattr(each, name) for each in sums], 0) for name in ("events", "minutes"))
+def _violations(events: np.ndarray, minutes: np.ndarray) -> Estimate:
+    """(S,) violations a minute in each situation, of (tracks, seeds, 1 + R, S); 0 where it never occurs."""
+    events, minutes = events.sum(0), minutes.sum(0)
     return _over_seeds(events / np.where(minutes > 0, minutes, 1.0), 1)
 
 
@@ -189,24 +203,35 @@ def _over_seeds(values: np.ndarray, number: int) -> Estimate:
     return Estimate(middle, low, high, np.full(np.shape(middle), number))
 
 
-def _difference(one: dict[str, Sums], other: dict[str, Sums]) -> tuple[tuple[float, float, float], float]:
+def _difference(
+    one: np.ndarray, other: np.ndarray, changed: Callable[[], int]
+) -> tuple[tuple[float, float, float], float]:
     """The difference of two entries [% points] with its 95 % interval, and the p-value of none; NaN if nothing differs.
 
     Its variance is that of the resamples, and of the seeds of each entry with several, with the degrees of freedom of
     Welch and Satterthwaite. Without seeds, no p-value is smaller than permutations of so few episodes could give.
+
+    Args:
+        one, other: (tracks, seeds, 1 + R) shares of tasks that were completed politely.
+        changed: gives the number of tasks that only one of them completed politely.
     """
-    values = [100.0 * _overall(list(each.values())) for each in (one, other)]
+    values = [100.0 * shares.mean(0) for shares in (one, other)]  # (seeds, 1 + R)
     gaps = values[1].mean(0) - values[0].mean(0)
     middle, gaps = float(gaps[0]), gaps[1:]
-    parts = [(float(each[:, 0].var(ddof=1)) / len(each), len(each) - 1) for each in values if len(each) > 1]
-    square = float(gaps.var(ddof=1)) + sum(part for part, _ in parts)
+
+    # Variances of the means over several seeds, and their degrees of freedom.
+    of_seeds = [
+        (float(shares[:, 0].var(ddof=1)) / len(shares), len(shares) - 1) for shares in values if len(shares) > 1
+    ]
+    square = float(gaps.var(ddof=1)) + sum(variance for variance, _ in of_seeds)
     if square == 0.0:  # no episode differs, or all do in the same way
         return (middle, middle, middle), 0.0 if middle else np.nan
-    spread = sum(part**2 / freedom for part, freedom in parts)
+    spread = sum(variance**2 / freedom for variance, freedom in of_seeds)
     freedom = square**2 / spread if spread else np.inf
+
     p = 2.0 * float(stats.t.sf(abs(middle) / square**0.5, freedom))
-    if not parts:
-        p = max(p, 2.0 ** (1 - sum(int((one[track].tasks ^ other[track].tasks).sum()) for track in one)))
-    half = float(stats.t.ppf(0.975, freedom)) * square**0.5
-    low, high = (middle - half, middle + half) if parts else map(float, interval(gaps))
-    return (middle, float(low), float(high)), p
+    if of_seeds:
+        half = float(stats.t.ppf(0.975, freedom)) * square**0.5
+        return (middle, middle - half, middle + half), p
+    low, high = interval(gaps)
+    return (middle, float(low), float(high)), max(p, 2.0 ** (1 - changed()))

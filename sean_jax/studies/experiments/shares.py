@@ -16,19 +16,22 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Bool, Float, Int
 
 from sean_jax import classifiers
-from sean_jax.classifiers import MORE_SITUATIONS, OBJECT_SITUATIONS, SITUATIONS
+from sean_jax.classifiers import MORE_SITUATIONS, OBJECT_SITUATIONS
+from sean_jax.config.flags import number
 from sean_jax.metrics import bootstrap
 from sean_jax.metrics.differences import holm
 from sean_jax.people import recordings
+from sean_jax.studies.experiments.results_table import ALL, Draw, Labels, Table, join, rows, samples
 
 if TYPE_CHECKING:
     from sean_jax.classifiers import Situation
@@ -36,6 +39,8 @@ if TYPE_CHECKING:
     from sean_jax.people.recordings import Tracks
 
 NAMES = ("cross_path", "down_path", "join_group", "leave_group", "empty")
+NONE = "none"  # the situation of examples in which none of the five holds
+FIVE = (*NAMES, NONE)
 BEHAVIORS = ("random", "handcrafted", "graph")  # in the order of Table I
 PAPER = {  # Table I, percent
     "random": (14.51, 24.68, 0.0, 0.0, 66.44),
@@ -50,64 +55,56 @@ COUNTINGS = {
 }
 """Ways of counting, the first of which makes rows add up to 1 as two of the paper's do."""
 GROUPS = "join_group", "leave_group"  # unknown where groups are not annotated
+UNITS = "dataset", "episode"  # a stream of the protocol and a chain of it; or a person, of one dataset
+SHARE, EXAMPLES, COMPLETED = "share", "examples", "completed"  # measures; a chain has shares, and a person examples
+Shares = dict[Labels, np.ndarray]  # labels -> (1 + R, 6) shares of ``FIVE`` in all examples and in R resamples of them
 
 
-@dataclasses.dataclass
-class Shares:
-    """Shares with one behavior and one policy: the estimate, then R bootstrap resamples."""
-
-    examples: np.ndarray  # (1 + R, S), of all examples; S is 5 for the paper's situations
-    none: np.ndarray  # (1 + R,), of the examples in which no situation holds
-    seconds: int  # examples
-
-    def of(self, counting: str) -> np.ndarray:
-        """The shares by one of ``COUNTINGS``, (1 + R, S) from 0 to 1; 0 where the divisor is 0."""
-        flags = self.examples.sum(1)
-        by_counting = {"flags": flags, "flags_and_none": flags + self.none, "examples": np.ones_like(flags)}
-        whole = by_counting.get(counting, 1.0 - self.none)
-        return self.examples / np.where(whole > 0, whole, 1.0)[:, None]
-
-    def entropy(self) -> np.ndarray:
-        """Normalised entropy of the shares, (1 + R,) from 0 to 1."""
-        return normalised_entropy(self.examples)
-
-    def rows(self, *head: Any, known: Collection[str] = NAMES) -> list[tuple]:
-        """Rows of a table, after ``head``: counting, situation, share and interval, of the situations ``known``."""
-        return [row for name in COUNTINGS for row in interval_rows((*head, name), NAMES, self.of(name), known)]
+# ------------------------------------------------------------------ statistics
 
 
-def interval_rows(
-    head: Sequence, names: Collection[str], samples: np.ndarray, known: Collection[str] | None = None
-) -> list[tuple]:
-    """Rows of a table, after ``head``: a name, its share and the interval, of the names ``known``, or of all."""
-    low, high = interval(samples)
-    values = zip(names, samples[0], low, high, strict=True)
-    return [(*head, *row) for row in values if known is None or row[0] in known]
+def chain_shares(
+    table: Table,
+    by: Sequence[str],
+    situations: Sequence[str] = FIVE,
+    draw: Draw = lambda sizes: bootstrap.stratified_resamples(*sizes),
+) -> Shares:
+    """Shares of the examples, from 0 to 1 also where weights are negative; a resample draws chains of each stream."""
+    draw = functools.cache(draw)
+    chosen = table.where(measure=SHARE, situation=situations)
+    means = samples(chosen.where(situation=set(situations) - {NONE}), by, UNITS, across="situation", draw=draw)
+    for labels, none in samples(chosen.where(situation=NONE), by, UNITS, draw=draw).items():
+        means[labels] = np.column_stack([means[labels], none])
+    return {labels: np.clip(values, 0.0, 1.0) for labels, values in means.items()}
 
 
-def count(flags: np.ndarray, weights: np.ndarray) -> Shares:
-    """Shares of the situations, and their resamples, from 0 to 1 also where weights are negative.
+def people_shares(table: Table, by: Sequence[str], situations: Sequence[str] = FIVE, seed: int = 0) -> Shares:
+    """Shares of the examples; a resample draws people with all their examples, whose numbers may differ.
 
-    Args:
-        flags: (chains, seconds, S) bool.
-        weights: (R, chains) of the chains in each resample.
+    Shares of situations that a recording cannot have are NaN.
     """
-    weights, parts = bootstrap.with_estimate(weights), (flags.mean(1), (~flags.any(-1)).mean(1))
-    examples, none = (np.clip(weights @ part, 0.0, 1.0) for part in parts)
-    return Shares(examples, none, flags.shape[0] * flags.shape[1])
+    chosen = table.where(measure=EXAMPLES, situation=(ALL, *situations))
+
+    def draw(sizes: tuple[int, ...]) -> np.ndarray:
+        return bootstrap.resamples(sizes[-1], seed, bootstrap.RESAMPLES)
+
+    counts = samples(chosen, by, UNITS, across="situation", draw=draw)
+    with_situations = {labels: drawn for labels, drawn in counts.items() if drawn.shape[1] > 1}
+    return {labels: drawn[:, 1:] / drawn[:, :1] for labels, drawn in with_situations.items()}
 
 
-def count_by_person(flags: np.ndarray, person: np.ndarray, seed: int = 0) -> Shares:
-    """Shares of the situations in examples (E, S) bool of recorded ``person`` (E,), and resamples of persons.
+def counted(shares: Float[np.ndarray, "R 6"], counting: str = "flags") -> Float[np.ndarray, "R 5"]:
+    """The shares of the five situations by one of ``COUNTINGS``, from 0 to 1; 0 where the divisor is 0."""
+    five, none = shares[:, :5], shares[:, 5]
+    flags = np.nansum(five, 1)
+    by_counting = {"flags": flags, "flags_and_none": flags + none, "examples": np.ones_like(flags)}
+    whole = by_counting.get(counting, 1.0 - none)
+    return five / np.where(whole > 0, whole, 1.0)[:, None]
 
-    A resample has all examples of its persons; persons may have different numbers of them.
-    """
-    people, index = np.unique(person, return_inverse=True)
-    counts = np.zeros((len(people), flags.shape[1] + 2))  # of each situation, of none, and of all
-    np.add.at(counts, index, np.column_stack([flags, ~flags.any(-1), np.ones(len(flags))]))
-    drawn = bootstrap.with_estimate(bootstrap.resamples(len(people), seed, bootstrap.RESAMPLES)) @ counts
-    share = drawn[:, :-1] / drawn[:, -1:]
-    return Shares(share[:, :-1], share[:, -1], len(flags))
+
+def entropy(shares: Float[np.ndarray, "R 6"]) -> Float[np.ndarray, " R"]:
+    """Normalised entropy of the shares of the five situations, from 0 to 1."""
+    return normalised_entropy(np.nan_to_num(shares[:, :5]))
 
 
 def normalised_entropy(shares: np.ndarray) -> np.ndarray:
@@ -125,50 +122,139 @@ def interval(samples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return bootstrap.interval(samples[1:])
 
 
-def orderings(by_behavior: dict[str, Shares], counting: str = "flags") -> list[dict[str, Any]]:
+def interval_rows(shares: Shares, names: Collection[str], *counting: str) -> list[tuple]:
+    """Rows of a file: labels, ``counting``, name, share and interval; without shares that are NaN."""
+    rows = []
+    for labels, values in shares.items():
+        numbers = zip(names, values[0], *interval(values), strict=True)
+        rows += [(*labels, *counting, *row) for row in numbers if not np.isnan(row[1])]
+    return rows
+
+
+def share_rows(shares: Shares) -> list[tuple]:
+    """Rows of a file: labels, counting, situation, share and interval."""
+    rows = []
+    for labels, values in shares.items():
+        for counting in COUNTINGS:
+            rows += interval_rows({labels: counted(values, counting)}, NAMES, counting)
+    return rows
+
+
+# ------------------------------------------------------------------ the paper's orderings
+
+CROSS, DOWN, JOIN, LEAVE, EMPTY = range(5)
+PATHS = slice(0, 2)  # cross and down path
+
+
+class Ordering(NamedTuple):
+    """An ordering of the paper's table.
+
+    Its source is a statement of the paper's text, or its table, with thresholds that are ours.
+    """
+
+    name: str
+    source: str
+    statement: str
+    holds: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]  # (1 + R, 5) of random, handcrafted and graph
+
+
+def _below_a_fifth(random: np.ndarray, handcrafted: np.ndarray, graph: np.ndarray) -> np.ndarray:
+    least = np.minimum(random, graph)[:, PATHS].clip(1e-9)
+    return (handcrafted[:, PATHS] / least < 0.2).all(1)
+
+
+def _lost_to_groups(random: np.ndarray, handcrafted: np.ndarray, graph: np.ndarray) -> np.ndarray:
+    groups = graph[:, JOIN] + graph[:, LEAVE]
+    return np.abs((random[:, EMPTY] - graph[:, EMPTY]) - groups) <= 0.2 * groups
+
+
+ORDERINGS = (
+    Ordering(
+        "T1",
+        "text",
+        "entropy: graph above random and handcrafted",
+        lambda r, h, g: normalised_entropy(g) > np.maximum(normalised_entropy(r), normalised_entropy(h)),
+    ),
+    Ordering(
+        "T2",
+        "text",
+        "random: join and leave group never",
+        lambda r, h, g: (r[:, JOIN] == 0) & (r[:, LEAVE] == 0),
+    ),
+    Ordering(
+        "T3",
+        "table",
+        "empty: handcrafted > random > graph",
+        lambda r, h, g: (h[:, EMPTY] > r[:, EMPTY]) & (r[:, EMPTY] > g[:, EMPTY]),
+    ),
+    Ordering("T4", "table", "cross and down path of handcrafted below a fifth of the others'", _below_a_fifth),
+    Ordering(
+        "T5",
+        "text",
+        "entropy: random above handcrafted",
+        lambda r, h, g: normalised_entropy(r) > normalised_entropy(h),
+    ),
+    Ordering(
+        "T6",
+        "table",
+        "leave above join group, in handcrafted and graph",
+        lambda r, h, g: (h[:, LEAVE] > h[:, JOIN]) & (g[:, LEAVE] > g[:, JOIN]),
+    ),
+    Ordering(
+        "T7",
+        "table",
+        "down above cross path, in random and graph",
+        lambda r, h, g: (r[:, DOWN] > r[:, CROSS]) & (g[:, DOWN] > g[:, CROSS]),
+    ),
+    Ordering(
+        "T8",
+        "table",
+        "cross and down path of graph within 25 % of random",
+        lambda r, h, g: (np.abs(g[:, PATHS] - r[:, PATHS]) <= 0.25 * r[:, PATHS]).all(1),
+    ),
+    Ordering(
+        "T9",
+        "table",
+        "what empty loses from random to graph is join and leave group, within a fifth",
+        _lost_to_groups,
+    ),
+    Ordering("T10", "table", "entropy of graph at least 0.85", lambda r, h, g: normalised_entropy(g) >= 0.85),
+)
+"""Source: Table I, and its discussion in section V-B."""
+
+
+def orderings(by_behavior: Mapping[str, np.ndarray], counting: str = "flags") -> list[dict[str, Any]]:
     """Test the orderings of the paper's table by one of ``COUNTINGS``.
 
+    Args:
+        by_behavior: behavior -> (1 + R, 6) shares.
+
     Returns:
-        For each its name, its source (a statement of the paper's text, or read from its table, with thresholds that
-        are ours), its statement, whether it holds, and the share of the resamples in which it holds.
-
-    Source: Table I, and its discussion in section V-B.
+        For each its name, source, statement, whether it holds, and the share of the resamples in which it holds.
     """
-    r, h, g = (by_behavior[name].of(counting) for name in ("random", "handcrafted", "graph"))
-    hr, hh, hg = (normalised_entropy(each) for each in (r, h, g))
-    cross, down, join, leave, empty = range(5)
-    groups = g[:, join] + g[:, leave]
-    close = np.abs(g[:, :join] - r[:, :join]) <= 0.25 * r[:, :join]
-    share = h[:, :join] / np.minimum(r, g)[:, :join].clip(1e-9)
-    statements = [
-        ("T1", "text", "entropy: graph above random and handcrafted", (hg > hr) & (hg > hh)),
-        ("T2", "text", "random: join and leave group never", (r[:, join] == 0) & (r[:, leave] == 0)),
-        ("T3", "table", "empty: handcrafted > random > graph",
-         (h[:, empty] > r[:, empty]) & (r[:, empty] > g[:, empty])),
-        ("T4", "table", "cross and down path of handcrafted below a fifth of the others'",
-         (share < 0.2).all(1)),
-        ("T5", "text", "entropy: random above handcrafted", hr > hh),
-        ("T6", "table", "leave above join group, in handcrafted and graph",
-         (h[:, leave] > h[:, join]) & (g[:, leave] > g[:, join])),
-        ("T7", "table", "down above cross path, in random and graph", 
-         (r[:, down] > r[:, cross]) & (g[:, down] > g[:, cross])),
-        ("T8", "table", "cross and down path of graph within 25 % of random", close.all(1)),
-        ("T9", "table", "what empty loses from random to graph is join and leave group, within a fifth",
-         np.abs((r[:, empty] - g[:, empty]) - groups) <= 0.2 * groups),
-        ("T10", "table", "entropy of graph at least 0.85", hg >= 0.85),
-    ]  # fmt: skip
-    return [
-        {"name": name, "source": source, "statement": words, "holds": bool(holds[0]), "share": float(holds[1:].mean())}
-        for name, source, words, holds in statements
-    ]
+    shares = [counted(by_behavior[behavior], counting) for behavior in BEHAVIORS]
+    tests = []
+    for ordering in ORDERINGS:
+        holds = ordering.holds(*shares)
+        numbers = {"holds": bool(holds[0]), "share": float(holds[1:].mean())}
+        tests.append({"name": ordering.name, "source": ordering.source, "statement": ordering.statement, **numbers})
+    return tests
 
 
-def ordering_rows(by_behavior: dict[str, Shares], *head: Any) -> Iterator[tuple]:
-    """Rows of a table, after ``head``: the orderings by each of ``COUNTINGS``."""
+def ordering_rows(by_behavior: Mapping[str, np.ndarray], *head: Any) -> Iterator[tuple]:
+    """Rows of a file, after ``head``: the orderings by each of ``COUNTINGS``."""
     for counting in COUNTINGS:
-        for row in orderings(by_behavior, counting):
-            name, source, statement, holds, share = row.values()
-            yield (*head, counting, name, source, f'"{statement}"', holds, f"{share:.4f}")
+        for test in orderings(by_behavior, counting):
+            statement, share = f'"{test["statement"]}"', f"{test['share']:.4f}"
+            yield (*head, counting, test["name"], test["source"], statement, test["holds"], share)
+
+
+def by_policy(shares: Shares) -> dict[str, dict[str, np.ndarray]]:
+    """policy -> behavior -> shares, of labels that begin with both."""
+    tables: dict[str, dict[str, np.ndarray]] = {}
+    for (policy, behavior, *_), values in shares.items():
+        tables.setdefault(policy, {})[behavior] = values
+    return tables
 
 
 def paper() -> dict[str, np.ndarray]:
@@ -182,116 +268,93 @@ def paper() -> dict[str, np.ndarray]:
 # ------------------------------------------------------------------ simulated
 
 
-@dataclasses.dataclass
-class Cell:
-    """Examples with one behavior, one policy and one number of people."""
+def chain_rows(
+    flags: Bool[np.ndarray, "V chains seconds 5"],
+    more: Bool[np.ndarray, "chains seconds M"],
+    ended: Int[np.ndarray, " 2"],
+    streams: int,
+    speeds: Sequence[str],
+    further: Sequence[str] = (),
+    **labels: Any,
+) -> Table:
+    """The rows of chains of episodes with one behavior, one policy and one number of people.
 
-    behavior: str
-    policy: str
-    people: int
-    flags: np.ndarray  # (V, chains, seconds, 5) bool
-    more: np.ndarray  # (chains, seconds, M) bool, the further situations, which do not depend on V
-    ended: np.ndarray  # (2,) episodes completed and not
-    streams: int  # of the protocol, each with as many chains, one stream after another
-
-    def shares(self, speed: int = 0) -> Shares:
-        """Shares of the paper's situations."""
-        return count(self.flags[speed], self._resamples)
-
-    def further(self) -> Shares:
-        """Shares of the situations beyond the paper's five."""
-        return count(self.more, self._resamples)
-
-    def hour(self, speed: int = 0) -> Shares:
-        """Shares of the paper's situations; the resamples are those of one further hour."""
-        chains, seconds = self.more.shape[:2]
-        future = max(1, round(3600 / (seconds * self.streams)))
-        weights = bootstrap.predictive_resamples(self.streams, chains // self.streams, future)
-        return count(self.flags[speed], weights)
-
-    @functools.cached_property
-    def _resamples(self) -> np.ndarray:
-        return bootstrap.stratified_resamples(self.streams, len(self.more) // self.streams)
+    Args:
+        more: the situations ``further``, which do not depend on the walking speed V.
+        ended: episodes completed and not.
+        streams: of the protocol, each with as many chains, one stream after another.
+        speeds: walking speeds V in words.
+    """
+    chains, seconds = flags.shape[1:3]
+    units = {"dataset": np.arange(chains) // (chains // streams), **labels}
+    tables = []
+    for speed, holds in zip(speeds, flags, strict=True):
+        shares = np.column_stack([holds.mean(1), (~holds.any(-1)).mean(1)])  # (chains, 6)
+        tables.append(rows(shares, FIVE, measure=SHARE, speed=speed, **units))
+    if further:
+        tables.append(rows(more.mean(1), further, measure=SHARE, speed="", **units))
+    tables.append(rows(np.full(chains, seconds), measure=EXAMPLES, speed="", **units))
+    tables.append(rows(np.repeat([1.0, 0.0], ended), measure=COMPLETED, speed="", **labels))
+    return join(tables)
 
 
-def hours(cells: Sequence[Cell], speed: int = 0) -> list[dict[str, Any]]:
+def hours(table: Table) -> list[dict[str, Any]]:
     """The paper's hour of each behavior beside the 95 % interval of one hour of a policy, by shares of flags.
 
+    Args:
+        table: rows of ``chain_rows`` with one walking speed.
+
     Returns:
-        For each cell, and each situation and the entropy: names, mean, interval, the paper's figure, the p-value of the
-        paper's figure in the distribution of an hour, and the same corrected for all figures of the policy (Holm).
+        For each policy and behavior, and each situation and the entropy: names, mean, interval, the paper's figure, the
+        p-value of the paper's figure in the distribution of an hour, and the same corrected for all figures of the
+        policy (Holm).
 
     Source: Table I.
     """
-    rows = []
-    for cell in cells:
-        hour, printed = cell.hour(speed), paper()[cell.behavior]
-        samples = np.column_stack([hour.of("flags"), hour.entropy()])
-        low, high = interval(samples)
+    tests = []
+    for (policy, behavior), cell in table.groups(["policy", "behavior"]).items():
+        (shares,) = chain_shares(cell, [], draw=functools.partial(_of_an_hour, cell)).values()
+        figures = np.column_stack([counted(shares), entropy(shares)])  # (1 + R, 6)
+        low, high = interval(figures)
+        printed = paper()[behavior]
         values = [*printed, float(normalised_entropy(printed))]
         for k, name in enumerate((*NAMES, "entropy")):
-            above, below = (1 + (samples[1:, k] >= values[k]).sum(), 1 + (samples[1:, k] <= values[k]).sum())
-            p = min(1.0, 2.0 * min(above, below) / len(samples))
-            rows.append({
-                "policy": cell.policy, "behavior": cell.behavior, "figure": name, "mean": samples[0, k], "low": low[k],
-                "high": high[k], "paper": values[k], "p": p,
+            above = 1 + (figures[1:, k] >= values[k]).sum()
+            below = 1 + (figures[1:, k] <= values[k]).sum()
+            tests.append({
+                "policy": policy, "behavior": behavior, "figure": name, "mean": figures[0, k], "low": low[k],
+                "high": high[k], "paper": values[k], "p": min(1.0, 2.0 * min(above, below) / len(figures)),
             })  # fmt: skip
-    for policy in dict.fromkeys(row["policy"] for row in rows):
-        mine = [row for row in rows if row["policy"] == policy]
-        for row, corrected in zip(mine, holm([row["p"] for row in mine]), strict=True):
-            row["holm"] = corrected
-    return rows
+    for policy in table.levels("policy"):
+        of_policy = [test for test in tests if test["policy"] == policy]
+        for test, corrected in zip(of_policy, holm([test["p"] for test in of_policy]), strict=True):
+            test["holm"] = corrected
+    return tests
 
 
-@dataclasses.dataclass
-class DemonstrationCell:
-    """Examples of demonstrations with one behavior, at the walking speed V with which they were recorded."""
-
-    behavior: str
-    policy: str  # the driver that the dataset names
-    people: int
-    episode: np.ndarray  # (E,) int
-    flags: np.ndarray  # (E, 5) bool
-    ended: np.ndarray  # (2,) episodes completed and not
-
-    def shares(self, speed: int = 0) -> Shares:
-        """Shares of the paper's situations; resamples are of episodes."""
-        return count_by_person(self.flags, self.episode)
-
-
-def by_policy(cells: Sequence[Cell | DemonstrationCell], speed: int = 0) -> dict[str, dict[str, Shares]]:
-    """policy -> behavior -> shares of the paper's situations."""
-    return {
-        policy: {cell.behavior: cell.shares(speed) for cell in cells if cell.policy == policy}
-        for policy in dict.fromkeys(cell.policy for cell in cells)
-    }
+def _of_an_hour(cell: Table, sizes: tuple[int, ...]) -> np.ndarray:
+    """Weights of chains, for the share in one further hour of all streams."""
+    seconds = cell.where(measure=EXAMPLES).value[0]  # of a chain
+    streams, chains = sizes
+    return bootstrap.predictive_resamples(streams, chains, max(1, round(3600 / (seconds * streams))))
 
 
 # ------------------------------------------------------------------ recorded
 
 
-@dataclasses.dataclass
-class Recorded:
-    """The examples of one recording."""
+def people_rows(
+    holds: Bool[np.ndarray, "E K"], situations: Sequence[str], person: Int[np.ndarray, " E"], **labels: Any
+) -> Table:
+    """The rows of people: for each how many examples there are, and in how many each situation holds.
 
-    name: str
-    person: np.ndarray  # (E,) int, the person in place of the robot
-    flags: np.ndarray  # (V, E, 5) bool
-    more: np.ndarray  # (E, M) bool
-    known: frozenset[str]  # situations that the recording can have
-
-    @property
-    def people(self) -> int:
-        """How many play the robot."""
-        return len(np.unique(self.person))
-
-    def shares(self, speed: int = 0) -> Shares:
-        """Shares of the paper's situations."""
-        return count_by_person(self.flags[speed], self.person)
-
-    def further(self) -> Shares:
-        """Shares of the situations beyond the paper's five."""
-        return count_by_person(self.more, self.person)
+    Args:
+        holds: of the situations, after which NONE may come: the examples without any of them.
+    """
+    people, index = np.unique(person, return_inverse=True)
+    counts = np.zeros((len(people), 1 + len(situations)))  # of all examples, and by situation
+    none = [~holds.any(-1)] if len(situations) > holds.shape[1] else []
+    np.add.at(counts, index, np.column_stack([np.ones(len(holds)), holds, *none]))
+    return rows(counts, (ALL, *situations), measure=EXAMPLES, episode=people, **labels)
 
 
 class People(NamedTuple):
@@ -327,30 +390,46 @@ def count_recording(
     speeds: Sequence[float],
     tell: Callable[[float], None] = lambda _: None,
     kind: str = "paper",
-) -> Recorded:
-    """The examples of everybody in a recording, one for each person and row in which the person is present.
+) -> Table:
+    """The rows of everybody in a recording; each row of the recording in which a person is present is an example.
 
     Args:
         speeds: walking speeds V, m/s.
         tell: called with the finished share.
         kind: of the five situations, a key of ``SITUATION_SETS``: paper or sean2.
     """
-    tracks = people.tracks
-    present = np.asarray(tracks.present)
+    person, flags, more = _examples(people, speeds, tell, kind)
+    labels = {"policy": "", "behavior": name, "people": len(np.unique(person))}
+    tables = [
+        people_rows(holds, FIVE, person, speed=number(speed), **labels)
+        for speed, holds in zip(speeds, flags, strict=True)
+    ]
+    table = join([*tables, people_rows(more, tuple(MORE_SITUATIONS), person, speed="", **labels)])
+
+    # Situations that the recording cannot have are NaN, not zero.
+    grouped = (np.asarray(people.tracks.group) >= 0).any()
+    unknown = (*OBJECT_SITUATIONS, *(() if grouped else GROUPS))
+    codes = [code for code, situation in enumerate(table.names["situation"]) if situation in unknown]
+    return dataclasses.replace(table, value=np.where(np.isin(table.columns["situation"], codes), np.nan, table.value))
+
+
+def _examples(
+    people: People, speeds: Sequence[float], tell: Callable[[float], None], kind: str
+) -> tuple[Int[np.ndarray, " E"], Bool[np.ndarray, "V E 5"], Bool[np.ndarray, "E M"]]:
+    """The person of each example, and the situations in which the person is."""
+    present = np.asarray(people.tracks.present)
     robots = np.flatnonzero(present.any(0))
-    values, longest = jnp.asarray(speeds, float), int(present.sum(0).max())  # rows of one person
-    flags, more, person = [], [], []
+    longest = int(present.sum(0).max())  # rows of one person
+    person, flags, more = [], [], []
     for index, robot in enumerate(robots):
-        rows = np.flatnonzero(present[:, robot])
-        padded = np.pad(rows, (0, longest - len(rows)), "edge").astype(np.int32)
-        five, further = _flags(kind, people, np.int32(robot), padded, values)
-        flags.append(np.asarray(five)[:, : len(rows)])
-        more.append(np.asarray(further)[: len(rows)])
-        person.append(np.full(len(rows), robot))
+        frames = np.flatnonzero(present[:, robot])
+        padded = np.pad(frames, (0, longest - len(frames)), "edge").astype(np.int32)
+        five, further = _flags(kind, people, np.int32(robot), padded, jnp.asarray(speeds, float))
+        person.append(np.full(len(frames), robot))
+        flags.append(np.asarray(five)[:, : len(frames)])
+        more.append(np.asarray(further)[: len(frames)])
         tell((index + 1) / len(robots))
-    unknown = {*OBJECT_SITUATIONS, *(() if (np.asarray(tracks.group) >= 0).any() else GROUPS)}
-    known = frozenset({*SITUATIONS, *MORE_SITUATIONS} - unknown)
-    return Recorded(name, np.concatenate(person), np.concatenate(flags, 1), np.concatenate(more), known)
+    return np.concatenate(person), np.concatenate(flags, 1), np.concatenate(more)
 
 
 @functools.partial(jax.jit, static_argnums=0)

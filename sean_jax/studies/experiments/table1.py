@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import itertools
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -51,13 +52,16 @@ from sean_jax.simulation import episode_runner, episodes
 from sean_jax.simulation.episodes import ResetPool
 from sean_jax.simulation.scenario import snapshot
 from sean_jax.studies.experiments import Part, cached, demonstrations, page, pictures, run_parts, shares, write_csv
+from sean_jax.studies.experiments.results_table import Table, join
 from sean_jax.studies.experiments.shares import (
     BEHAVIORS,
-    Cell,
-    DemonstrationCell,
-    Recorded,
+    by_policy,
+    chain_rows,
+    chain_shares,
     interval_rows,
     ordering_rows,
+    people_shares,
+    share_rows,
 )
 
 if TYPE_CHECKING:
@@ -72,6 +76,8 @@ MINUTE = 60  # s
 LEAD = 1  # min at the start of each chain that are not counted, since all chains begin with a start of an episode
 SHARED = "environment", "robot", "dynamics", "time_limit"  # options of the experiment and of its scenarios
 MORE = tuple(MORE_SITUATIONS.items())
+CELL = "policy", "behavior", "people"  # columns of the labels of a cell of the table
+RECORDING = "behavior", "people", "speed"
 STARTS = 64  # of each stream and seed, from which its chains restart
 
 
@@ -94,24 +100,28 @@ def run_table1(options: Table1Config, console: Console | None = None) -> Path:
         check_collection(description(options, behavior, people))
     kind = description(options, "random", None).situations[0].kind
     real = shares.read_recordings(listed(options.recordings), options.frame_rate)
-    driven = [demonstrations.cell(*each) for each in demonstrations.read(options.demonstrations).items()]
+    driven = demonstrations.examples(demonstrations.read(options.demonstrations))
     with Workspace(options.folder, identity(options)).open() as work:
-        places = cached(functools.partial(_places, options))
-        for behavior, _, people in [] if work.begun() else dict.fromkeys([*jobs, *sweep]):
-            places(behavior, people)  # so that wrong options are refused before anything is written
+        pools = cached(functools.partial(_streams, options))
+        by_name = {_name(*job): job for job in [*jobs, *sweep]}
+        for behavior, _, people in () if work.begun() else by_name.values():
+            pools(behavior, people)  # so that wrong options are refused before anything is written
         work.begin()
+
         counting = [
-            Part(name, functools.partial(shares.count_recording, name, each, options.speeds, kind=kind))
-            for name, each in real.items()
+            Part(name, functools.partial(shares.count_recording, name, tracks, options.speeds, kind=kind))
+            for name, tracks in real.items()
         ]
         recordings = run_parts(counting, console, "counting")
-        driving = []
-        for behavior, policy, people in dict.fromkeys([*jobs, *sweep]):
-            name, pool = _name(behavior, policy, people), functools.partial(places, behavior, people)
-            driving.append(Part(name, functools.partial(cell, options, work, name, behavior, policy, pool, more=MORE)))
-        results = run_parts(driving, console, "driving")
-        cells, swept = ([results[_name(*job)] for job in each] for each in (jobs, sweep))
-        write_table1(options, cells, swept, [recordings[name] for name in real], driven)
+
+        simulate = functools.partial(cell, options, work, more=MORE, speeds=[number(speed) for speed in options.speeds])
+        driving = [
+            Part(name, functools.partial(simulate, name, behavior, policy, functools.partial(pools, behavior, people)))
+            for name, (behavior, policy, people) in by_name.items()
+        ]
+        cells = run_parts(driving, console, "driving")
+        measured, swept = (join(cells[_name(*job)] for job in chosen) for chosen in (jobs, sweep))
+        write_table1(options, measured, swept, join(recordings[name] for name in real), driven)
     return options.folder
 
 
@@ -148,7 +158,7 @@ def fields(options: ExperimentConfig, behavior: str, people: int | None) -> dict
     return chosen | {"people": None if behavior == "handcrafted" else people}
 
 
-def _places(options: Table1Config, behavior: str, people: int | None) -> Streams:
+def _streams(options: Table1Config, behavior: str, people: int | None) -> Streams:
     """The streams of the protocol, with situations for each walking speed."""
     kinds = list(streams(description(options, behavior, people)).values())
     situations = tuple(
@@ -170,107 +180,144 @@ def cell(
     name: str,
     behavior: str,
     policy: str,
-    places: Callable[[], Streams],
+    pools: Callable[[], Streams],
     tell: Callable[[float], None],
     more: tuple[tuple[str, Situation], ...] = (),
-) -> Cell:
-    """A cell from its file ``name``.npz, or simulated.
+    speeds: Sequence[str] = ("",),
+    **labels: str,
+) -> Table:
+    """The rows of one behavior and policy, from the file ``name``.npz, or simulated.
 
     Args:
-        places: gives the streams of the protocol, with situations of one or several walking speeds.
+        pools: gives the streams of the protocol, with situations of one or several walking speeds.
         tell: called with the finished share.
         more: names and functions of further situations. A file without them is computed again.
+        speeds: the walking speeds in words.
+        labels: further columns of the table.
 
     Raises:
         FileError: the file is damaged.
         FloatingPointError: a position is not finite.
     """
-    file, names = f"{name}.npz", tuple(name for name, _ in more)
-    arrays = work.load(file)
-    if arrays is not None and "chains" in arrays:
-        with files.sentence(work.folder / file, REMAKE):
-            flags = np.unpackbits(arrays["flags"], axis=-1, count=len(shares.NAMES)).astype(bool)
-            if not more or tuple(arrays["names"]) == names:
-                others = np.unpackbits(arrays["more"], axis=-1, count=len(names)).astype(bool)
-                chains = int(arrays["chains"])
-                return Cell(
-                    behavior, policy, int(arrays["people"]), flags, others, arrays["ended"], flags.shape[1] // chains
-                )
-    pool = places()
-    kinds = pool.scenarios
-    minutes = max(1, math.ceil(60.0 * options.hours / len(kinds) - 1e-6))
-    each = min(CHAIN, minutes)
-    chains = max(math.ceil(minutes / each), 2 if options.seeds == 1 else 1)  # one chain alone has no interval
-    flags, ended = simulate_chains(load_policy(policy, kinds[0], typed=True), pool, chains, each, tell, more)
-    flags = flags.reshape(len(flags), -1, flags.shape[-1])
+    file, further = f"{name}.npz", tuple(name for name, _ in more)
+    stored = work.load(file)
+    if stored is None or not _is_complete(work.folder / file, stored, further):
+        stored = _simulate_cell(options, policy, pools(), tell, more)
+        work.save(file, stored)
+    with files.sentence(work.folder / file, REMAKE):
+        flags = np.unpackbits(stored["flags"], axis=-1, count=len(shares.NAMES)).astype(bool)
+        others = np.unpackbits(stored["more"], axis=-1, count=len(further)).astype(bool)
+        streams = flags.shape[1] // int(stored["chains"])
+        labels_of_cell = {"policy": policy, "behavior": behavior, "people": int(stored["people"]), **labels}
+        return chain_rows(flags, others, stored["ended"], streams, speeds, further, **labels_of_cell)
+
+
+def _is_complete(file: Path, stored: dict[str, np.ndarray], further: tuple[str, ...]) -> bool:
+    """Whether a file has the number of chains and all further situations, which files of former versions lack."""
+    with files.sentence(file, REMAKE):
+        return "chains" in stored and (not further or tuple(stored["names"]) == further)
+
+
+def _simulate_cell(
+    options: SituationConfig,
+    policy: str,
+    pool: Streams,
+    tell: Callable[[float], None],
+    more: tuple[tuple[str, Situation], ...],
+) -> dict[str, Any]:
+    """What the file of a cell holds: flags are bits, of each walking speed apart."""
+    scenario, names = pool.scenarios[0], tuple(name for name, _ in more)
+    minutes = max(1, math.ceil(60.0 * options.hours / len(pool.scenarios) - 1e-6))
+    length = min(CHAIN, minutes)
+    chains = max(math.ceil(minutes / length), 2 if options.seeds == 1 else 1)  # one chain alone has no interval
+    flags, ended = simulate_chains(load_policy(policy, scenario, typed=True), pool, chains, length, tell, more)
+
+    flags = flags.reshape(len(flags), -1, flags.shape[-1])  # (C * seeds * chains, seconds, V * 5 + M)
     flags, others = np.split(flags, [flags.shape[-1] - len(names)], axis=-1)
     flags = np.moveaxis(flags.reshape(*flags.shape[:2], -1, len(shares.NAMES)), 2, 0)
-    packed = {"flags": np.packbits(flags, axis=-1), "more": np.packbits(others, axis=-1), "names": np.array(names, str)}
-    work.save(file, packed | {"people": kinds[0].people, "ended": ended, "chains": chains * options.seeds})
-    return Cell(behavior, policy, kinds[0].people, flags, others, ended, len(kinds))
+    bits = {"flags": np.packbits(flags, axis=-1), "more": np.packbits(others, axis=-1)}
+    numbers = {"people": scenario.people, "ended": ended, "chains": chains * options.seeds}
+    return {**bits, "names": np.array(names, str), **numbers}
 
 
-def write_table1(
-    options: Table1Config,
-    cells: list[Cell],
-    swept: list[Cell],
-    real: list[Recorded],
-    driven: list[DemonstrationCell],
-) -> None:
+def write_table1(options: Table1Config, measured: Table, swept: Table, real: Table, driven: Table) -> None:
     """Write shares.csv, more.csv, entropies.csv, hours.csv, orderings.csv, the figures and report.html.
 
-    ``cells`` have the experiment's number of people, ``swept`` other numbers. recordings.csv and demonstrations.csv are
-    written if there are any.
+    recordings.csv and demonstrations.csv are written if there are any.
+
+    Args:
+        measured: rows of ``shares.chain_rows`` with the experiment's number of people.
+        swept: those with other numbers of people.
+        real: rows of ``shares.count_recording``.
+        driven: rows of ``demonstrations.examples``.
 
     Raises:
         WriteError: another process writes one of the files.
     """
-    folder, rows, more, entropies = options.folder, [], [], []
-    for cell in [*cells, *swept]:
-        head = cell.policy, cell.behavior, cell.people
-        more += interval_rows(head, MORE_SITUATIONS, cell.further().examples)
-        for index, speed in enumerate(options.speeds):
-            estimate = cell.shares(index)
-            rows += estimate.rows(*head, number(speed))
-            entropy = estimate.entropy()
-            values = entropy[0], *shares.interval(entropy), estimate.seconds, estimate.none[0], *cell.ended
-            entropies.append((*head, number(speed), *values))
-    write_csv(folder / "shares.csv", "policy,behavior,people,V,counting,situation,share,low,high", rows)
-    write_csv(folder / "more.csv", "policy,behavior,people,situation,share,low,high", more)
-    head = "policy,behavior,people,V,entropy,low,high,examples,none,completed,not_completed"
-    write_csv(folder / "entropies.csv", head, entropies)
-    compared = shares.hours(cells)
+    folder, simulated = options.folder, (measured, swept)  # apart, since both may have a number of people
+    speeds = [number(speed) for speed in options.speeds]
+    _write_shares(folder, simulated)
+    _write_entropies(folder, simulated)
+    compared = shares.hours(measured.where(speed=(speeds[0], "")))
     head = "policy,behavior,figure,mean,low,high,paper,p,holm"
-    write_csv(folder / "hours.csv", head, [tuple(row.values()) for row in compared])
-    if real:  # there is no V where a situation does not depend on it
-        head = "recording,people,V,counting,situation,share,low,high"
-        write_csv(folder / "recordings.csv", head, [row for each in real for row in _recorded(options, each)])
-    if driven:
+    write_csv(folder / "hours.csv", head, [tuple(test.values()) for test in compared])
+    if len(real):
+        _write_recordings(folder, real)
+    if len(driven):
         head = "policy,behavior,people,counting,situation,share,low,high"
-        rows = [row for each in driven for row in each.shares().rows(each.policy, each.behavior, each.people)]
-        write_csv(folder / "demonstrations.csv", head, rows)
-    by_speed = [shares.by_policy(cells, index) for index in range(len(options.speeds))]
-    orderings = [
-        row
-        for policy in by_speed[0]
-        for speed, by_policy in zip(options.speeds, by_speed, strict=True)
-        for row in ordering_rows(by_policy[policy], policy, number(speed))
-    ]
+        write_csv(folder / "demonstrations.csv", head, share_rows(people_shares(driven, CELL)))
+
+    by_speed = chain_shares(measured, (*CELL, "speed"))
+    rows = []
+    for policy, speed in itertools.product(measured.levels("policy"), speeds):
+        cells = chain_shares(measured.where(policy=policy, speed=speed), ["behavior"])
+        by_behavior = {behavior: samples for (behavior,), samples in cells.items()}
+        rows += ordering_rows(by_behavior, policy, speed)
     head = "policy,V,counting,ordering,source,statement,holds,share_of_resamples"
-    write_csv(folder / "orderings.csv", head, orderings)
-    figures = pictures.table1(options, cells, swept)
+    write_csv(folder / "orderings.csv", head, rows)
+
+    figures = pictures.table1(speeds, by_speed, chain_shares(swept.where(speed=speeds[0]), CELL))
     pictures.save(folder, figures)
-    writing.write(folder / "report.html", page.table1(options, cells, figures, compared, real, driven))
+    writing.write(folder / "report.html", page.table1(options, measured, figures, compared, real, driven))
 
 
-def _recorded(options: Table1Config, real: Recorded) -> list[tuple]:
-    rows = [
-        row
-        for index, speed in enumerate(options.speeds)
-        for row in real.shares(index).rows(real.name, real.people, number(speed), known=real.known)
-    ]
-    head = real.name, real.people, "", "examples"
-    return rows + interval_rows(head, MORE_SITUATIONS, real.further().examples, real.known)
+def _write_shares(folder: Path, simulated: Sequence[Table]) -> None:
+    """Shares of the five situations for each walking speed, and of the further ones."""
+    rows, further = [], []
+    for table in simulated:
+        rows += share_rows(chain_shares(table, (*CELL, "speed")))
+        further += interval_rows(chain_shares(table, CELL, tuple(MORE_SITUATIONS)), MORE_SITUATIONS)
+    write_csv(folder / "shares.csv", "policy,behavior,people,V,counting,situation,share,low,high", rows)
+    write_csv(folder / "more.csv", "policy,behavior,people,situation,share,low,high", further)
+
+
+def _write_entropies(folder: Path, simulated: Sequence[Table]) -> None:
+    rows = []
+    for table in simulated:
+        counts = table.where(measure=(shares.EXAMPLES, shares.COMPLETED)).groups((*CELL, "measure"))
+        for (*labels, speed), samples in chain_shares(table, (*CELL, "speed")).items():
+            examples = int(counts[*labels, shares.EXAMPLES].value.sum())
+            completed = counts[*labels, shares.COMPLETED].value
+            ended = int(completed.sum()), int((completed == 0).sum())
+            rows.append((*labels, speed, *_entropy(samples), examples, samples[0, 5], *ended))
+    head = "policy,behavior,people,V,entropy,low,high,examples,none,completed,not_completed"
+    write_csv(folder / "entropies.csv", head, rows)
+
+
+def _entropy(samples: np.ndarray) -> tuple[np.ndarray, ...]:
+    """The entropy of shares, and the ends of its interval."""
+    entropy = shares.entropy(samples)
+    return (entropy[0], *shares.interval(entropy))
+
+
+def _write_recordings(folder: Path, real: Table) -> None:
+    """There is no V where a situation does not depend on it."""
+    rows = []
+    for recording in real.groups(["behavior"]).values():
+        rows += share_rows(people_shares(recording, RECORDING))
+        further = people_shares(recording, RECORDING, tuple(MORE_SITUATIONS))
+        rows += interval_rows(further, MORE_SITUATIONS, "examples")
+    write_csv(folder / "recordings.csv", "recording,people,V,counting,situation,share,low,high", rows)
 
 
 # ------------------------------------------------------------------ chains
@@ -414,23 +461,24 @@ def run_ablation(options: AblationConfig, console: Console | None = None) -> Pat
             check_collection(world_description(options, world, behavior))
 
     @cached
-    def places(world: str, behavior: str) -> Streams:
-        kinds = streams(world_description(options, world, behavior)).values()
-        return Streams(list(kinds), options.seed, options.seeds)
+    def pools(world: str, behavior: str) -> Streams:
+        scenarios = streams(world_description(options, world, behavior)).values()
+        return Streams(list(scenarios), options.seed, options.seeds)
 
-    combinations = [(policy, behavior) for policy in names for behavior in BEHAVIORS]
-    jobs = {
-        world: [(simulated_world(options, world, behavior), behavior, policy) for policy, behavior in combinations]
-        for world in WORLDS
-    }
+    jobs = {}  # (world, policy, behavior) -> the world, the behavior and the policy that are simulated for it
+    for job in itertools.product(WORLDS, names, BEHAVIORS):
+        world, policy, behavior = job
+        jobs[job] = simulated_world(options, world, behavior), behavior, policy
     with Workspace(options.folder, identity(options)).open() as work:
         work.begin()
+        simulate = functools.partial(cell, options, work, world="")
         parts = []
-        for world, behavior, policy in dict.fromkeys(job for each in jobs.values() for job in each):
-            name, pool = f"{world}-{behavior}-{policy}", functools.partial(places, world, behavior)
-            parts.append(Part(name, functools.partial(cell, options, work, name, behavior, policy, pool)))
+        for world, behavior, policy in dict.fromkeys(jobs.values()):
+            pool, name = functools.partial(pools, world, behavior), f"{world}-{behavior}-{policy}"
+            parts.append(Part(name, functools.partial(simulate, name, behavior, policy, pool)))
         cells = run_parts(parts, console, "ablation")
-        write_ablation(options, {world: [cells["-".join(job)] for job in each] for world, each in jobs.items()})
+        tables = (cells["-".join(simulated)].relabel(world=world) for (world, *_), simulated in jobs.items())
+        write_ablation(options, join(tables))
     return options.folder
 
 
@@ -443,30 +491,38 @@ def world_description(options: AblationConfig, world: str, behavior: str) -> Col
 def simulated_world(options: AblationConfig, world: str, behavior: str) -> str:
     """The world that is simulated for a world: its reference if they are equal for people of the behavior."""
     reference, _ = WORLDS[world]
-    own, other = (world_description(options, each, behavior).identity() for each in (world, reference))
-    return reference if own == other else world
+    identity_of_world = world_description(options, world, behavior).identity()
+    identity_of_reference = world_description(options, reference, behavior).identity()
+    return reference if identity_of_world == identity_of_reference else world
 
 
-def write_ablation(options: AblationConfig, by_world: dict[str, list[Cell]]) -> None:
+def write_ablation(options: AblationConfig, measured: Table) -> None:
     """Write ablation.csv, entropies.csv, orderings.csv, the figure and report.html.
+
+    Args:
+        measured: rows of ``shares.chain_rows`` with a column ``world``.
 
     Raises:
         WriteError: another process writes one of the files.
     """
-    folder, rows, entropies, orderings = options.folder, [], [], []
-    for world, cells in by_world.items():
-        for cell in cells:
-            estimate, head = cell.shares(), (world, cell.policy, cell.behavior)
-            rows += estimate.rows(*head)
-            entropy = estimate.entropy()
-            entropies.append((*head, entropy[0], *shares.interval(entropy)))
-        for policy, by_behavior in shares.by_policy(cells).items():
-            orderings += ordering_rows(by_behavior, world, policy)
-    write_csv(folder / "ablation.csv", "world,policy,behavior,counting,situation,share,low,high", rows)
+    folder, by_cell = options.folder, chain_shares(measured, ("world", "policy", "behavior"))
+    head = "world,policy,behavior,counting,situation,share,low,high"
+    write_csv(folder / "ablation.csv", head, share_rows(by_cell))
+    entropies = [(*labels, *_entropy(samples)) for labels, samples in by_cell.items()]
     write_csv(folder / "entropies.csv", "world,policy,behavior,entropy,low,high", entropies)
+
+    worlds = measured.levels("world")
+    tables = {world: by_policy(chain_shares(measured.where(world=world), ("policy", "behavior"))) for world in worlds}
+    rows = [
+        row
+        for world, table in tables.items()
+        for policy, by_behavior in table.items()
+        for row in ordering_rows(by_behavior, world, policy)
+    ]
     head = "world,policy,counting,ordering,source,statement,holds,share_of_resamples"
-    write_csv(folder / "orderings.csv", head, orderings)
-    references = {world: WORLDS[world][0] for world in by_world}
-    figure = pictures.ablation(by_world, references)
+    write_csv(folder / "orderings.csv", head, rows)
+
+    references = {world: WORLDS[world][0] for world in worlds}
+    figure = pictures.ablation(tables, references)
     pictures.save(folder, {"ablation": figure})
-    writing.write(folder / "report.html", page.ablation(options, by_world, references, figure))
+    writing.write(folder / "report.html", page.ablation(options, tables, references, figure))

@@ -21,7 +21,7 @@ from sean_jax.core.errors import InputError
 from sean_jax.io.versions import version_mismatch
 from sean_jax.metrics.differences import difference, holm
 from sean_jax.studies.experiments import Part, benchmark, run_parts, shares
-from sean_jax.studies.experiments.measures import Arrays
+from sean_jax.studies.experiments.scores import Arrays
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -62,22 +62,8 @@ def verify(options: BenchmarkVerifyConfig, console: Console | None = None) -> tu
     """
     benchmark.check_protocol()
     result = benchmark.check(options.result)
-    policy = options.policy or result.policy
-    described_in = None if options.policy else options.result / benchmark.RESULT
-    driver = benchmark.read_policy(policy, described_in, typed=options.policy is not None)
-    if outside(driver):
-        raise InputError(f"{options.result}: {policy} is a controller outside of this program, which need not repeat.")
-    described = benchmark.describe(driver)
-    if described.policy_digest != result.policy_digest:
-        text = f"{policy} has the digest {described.policy_digest}, and the result's policy {result.policy_digest}"
-        raise InputError(f"--policy: {text}; give the place of that policy.")
-    if not is_own_part(policy) and described.sensing != result.sensing:
-        raise InputError(f"{options.result}: sensing {result.sensing} is not that of {policy}, {described.sensing}.")
-    recorded = benchmark.recorded()
-    names = [track for track in result.files if options.recordings or track not in recorded]
-    for file, digest in benchmark.recording_digests(names, options.recordings).items():
-        if digest != result.recordings[file]:
-            raise InputError(f"--recordings: {options.recordings / file} is not the recording of the result.")  # pyright: ignore
+    driver = _driver(options, result)
+    names = _verifiable_tracks(options, result)
 
     seed = secrets.randbits(32) if options.seed is None else options.seed
     random = np.random.default_rng(seed)
@@ -88,18 +74,56 @@ def verify(options: BenchmarkVerifyConfig, console: Console | None = None) -> tu
         for track, episode in chosen.items()
     ]
     samples = list(run_parts(jobs, console, "benchmark").values())
+
+    # Another device or version rounds differently, and then episodes diverge.
     here, mismatch = benchmark.device(), version_mismatch(result.versions)
     same = here == result.device and mismatch is None
-    how = f"on {here}" + ("" if same else f"; the result is of {result.device}{mismatch and f', {mismatch}' or ''}")
-    lines = [f"sample of seed {seed}, {how}"]
+    origin = "" if same else f"; the result is of {result.device}{mismatch and f', {mismatch}' or ''}"
+    lines = [f"sample of seed {seed}, on {here}{origin}"]
     for sample in samples:
         numbers = f"episodes {sample.numbers[0]} to {sample.numbers[-1]}"
         lines.append(f"  {sample.track:<28}{numbers}: {sample.equal()} of {len(sample.numbers)} are equal")
     differences = unequal(samples) if same else significant(samples)
-    if not differences:
-        lines.append("verified: " + ("equal in each measure" if same else "no measure differs beyond chance"))
-        return lines, ""
-    return lines, f"the sample differs from the result: {', '.join(differences)}."
+    if differences:
+        return lines, f"the sample differs from the result: {', '.join(differences)}."
+    lines.append("verified: " + ("equal in each measure" if same else "no measure differs beyond chance"))
+    return lines, ""
+
+
+def _driver(options: BenchmarkVerifyConfig, result: benchmark.Result) -> Component:
+    """The policy of a result.
+
+    Raises:
+        InputError: it is another one, or a controller outside of this program.
+    """
+    policy = options.policy or result.policy
+    source = None if options.policy else options.result / benchmark.RESULT
+    driver = benchmark.read_policy(policy, source, typed=options.policy is not None)
+    if outside(driver):
+        raise InputError(f"{options.result}: {policy} is a controller outside of this program, which need not repeat.")
+    described = benchmark.describe(driver)
+    if described.policy_digest != result.policy_digest:
+        raise InputError(
+            f"--policy: {policy} has the digest {described.policy_digest}, and the result's policy "
+            f"{result.policy_digest}; give the place of that policy."
+        )
+    if not is_own_part(policy) and described.sensing != result.sensing:
+        raise InputError(f"{options.result}: sensing {result.sensing} is not that of {policy}, {described.sensing}.")
+    return driver
+
+
+def _verifiable_tracks(options: BenchmarkVerifyConfig, result: benchmark.Result) -> list[str]:
+    """The tracks of a result whose recordings are given.
+
+    Raises:
+        InputError: a recording is another one.
+    """
+    recorded = benchmark.recorded()
+    names = [track for track in result.files if options.recordings or track not in recorded]
+    for file, digest in benchmark.recording_digests(names, options.recordings).items():
+        if digest != result.recordings[file]:
+            raise InputError(f"--recordings: {options.recordings / file} is not the recording of the result.")  # pyright: ignore
+    return names
 
 
 def _again(
@@ -135,9 +159,9 @@ def significant(samples: list[Sample]) -> list[str]:
             for situation, (one, other) in zip(("", *shares.NAMES), zip(*columns, strict=True), strict=False):
                 where = f"{name}{situation and f' in {situation}'} of {sample.track}"
                 tests.append((where, difference(one, other, paired=True)))
-    corrected = holm([each.p for _, each in tests if each is not None])
+    corrected = holm([test.p for _, test in tests if test is not None])
     return [
-        f"{where} by {each.difference:.3g} ({each.low:.3g} to {each.high:.3g})"
-        for (where, each), p in zip(tests, corrected, strict=True)
-        if each is not None and p < LEVEL
+        f"{where} by {test.difference:.3g} ({test.low:.3g} to {test.high:.3g})"
+        for (where, test), p in zip(tests, corrected, strict=True)
+        if test is not None and p < LEVEL
     ]

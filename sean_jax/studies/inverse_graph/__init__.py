@@ -100,36 +100,55 @@ def run(options: FitGraphConfig, console: "Console") -> list[str]:
         if options.recording is None and not options.simulate:
             writing.write(folder / GRAPH, annotation.to_yaml(words))
             return lines
-        closed = options.recording is None
-        measured, reference = _simulated(options, bar) if closed else _recorded(options, graph, bar)
-        walks = float(measured.edges.sum())
-        if walks < FEWEST:
-            what = f"people walk {walks:.0f} times along edges of the graph, and {FEWEST} are the fewest to fit it to"
-            raise InputError(f"{options.recording or options.environment}: {what}; look at --graph and at the units.")
-        what = f"recording {options.recording.name}" if options.recording else "people simulated on its own graph"
-        source = f"fitted by sean fit-graph to {what}"
-        fit = fit_flows(graph, measured, closed, options.temperature, progress=bar)
-        writing.write(folder / GRAPH, annotation.to_yaml(annotate(words, fit, closed, source)))
-        for turn in range(ROUNDS if closed and graph.groups.shape[0] else 0):
-            title = "simulating how groups call people"
-            _, calls = _episodes(_scenario(options, folder), options, CALLED + turn, bar, title)
-            fit = fit_flows(graph, measured, closed, options.temperature, calls, progress=bar)
-            writing.write(folder / GRAPH, annotation.to_yaml(annotate(words, fit, closed, source)))
-        flow = np.asarray(fit.flows.edges, float)
-        scale = reference.flow.sum() / max(flow.sum(), 1e-30)
-        panels = {HELD_OUT: reference.flow, "fitted to": measured.flow, "flow model": flow * scale}
-        if closed:
-            again, _ = _episodes(_scenario(options, folder), options, ANEW, bar, "simulating the fit")
-            panels["simulated anew"] = again.flow
-        errors = {name: flow_error(flow, panels[HELD_OUT]) for name, flow in panels.items() if name != HELD_OUT}
-        lines += [f"{name}, against people held out: flows differ by {100 * e:.1f} %" for name, e in errors.items()]
-        lines += _report(graph, fit)
-        title = f"{environment.name}: {what}"
-        with writing.atomic_file(folder / "flows.png") as stream:
-            picture(environment, graph, panels, title).savefig(stream, dpi=130, format="png")
-        writing.write(folder / "flows.csv", _table(graph, panels))
-        writing.write(folder / "fit.json", json.dumps(_summary(options, graph, fit, errors), indent=2) + "\n")
-        return lines
+        return lines + _fit_people(options, folder, environment, words, graph, bar)
+
+
+def _fit_people(
+    options: FitGraphConfig,
+    folder: Path,
+    environment: Environment,
+    words: annotation.Annotation,
+    graph: BehaviorGraph,
+    bar: Progress,
+) -> list[str]:
+    """Fit a graph to people, check it on others, and write graph.yaml, flows.png, flows.csv and fit.json."""
+    closed = options.recording is None
+    measured, held_out = _simulated(options, bar) if closed else _recorded(options, graph, bar)
+    walks = float(measured.edges.sum())
+    if walks < FEWEST:
+        raise InputError(
+            f"{options.recording or options.environment}: people walk {walks:.0f} times along edges of the graph, "
+            f"and {FEWEST} are the fewest to fit it to; look at --graph and at the units."
+        )
+    people = f"recording {options.recording.name}" if options.recording else "people simulated on its own graph"
+
+    def fit(calls: Calls | None = None) -> GraphFit:
+        fitted = fit_flows(graph, measured, closed, options.temperature, calls, progress=bar)
+        annotated = annotate(words, fitted, closed, f"fitted by sean fit-graph to {people}")
+        writing.write(folder / GRAPH, annotation.to_yaml(annotated))
+        return fitted
+
+    # How a graph calls people to its groups is known only when it is simulated.
+    fitted = fit()
+    for attempt in range(ROUNDS if closed and graph.groups.shape[0] else 0):
+        title = "simulating how groups call people"
+        _, calls = _episodes(_scenario(options, folder), options, CALLED + attempt, bar, title)
+        fitted = fit(calls)
+
+    flow = np.asarray(fitted.flows.edges, float)
+    scale = held_out.flow.sum() / max(flow.sum(), 1e-30)
+    panels = {HELD_OUT: held_out.flow, "fitted to": measured.flow, "flow model": flow * scale}
+    if closed:
+        anew, _ = _episodes(_scenario(options, folder), options, ANEW, bar, "simulating the fit")
+        panels["simulated anew"] = anew.flow
+    errors = {name: flow_error(flow, panels[HELD_OUT]) for name, flow in panels.items() if name != HELD_OUT}
+
+    with writing.atomic_file(folder / "flows.png") as stream:
+        picture(environment, graph, panels, f"{environment.name}: {people}").savefig(stream, dpi=130, format="png")
+    writing.write(folder / "flows.csv", _table(graph, panels))
+    writing.write(folder / "fit.json", json.dumps(_summary(options, graph, fitted, errors), indent=2) + "\n")
+    lines = [f"{name}, against people held out: flows differ by {100 * e:.1f} %" for name, e in errors.items()]
+    return lines + _report(graph, fitted)
 
 
 def _words(options: FitGraphConfig, source: Path, environment: Environment, bar: Progress) -> annotation.Annotation:

@@ -126,49 +126,77 @@ def _open(place: Layout, weights: FlowWeights, onward: Float[Array, "M M M"]) ->
     return Flows(jnp.sum(walks, axis=0), turns)
 
 
-def _closed(place: Layout, weights: FlowWeights, onward: Float[Array, "M M M"], replaced: Float[Array, "M G"]) -> Flows:
-    """People who walk from goal to goal. Shares are per goal that is reached or abandoned."""
+class GoalChanges(NamedTuple):
+    """Chances that people of a closed population get another goal; each is an axis of M nodes."""
+
+    begins: Array  # (node, goal) drawn at a node where a walk ends
+    sent: Array  # (node, goal): to a group, at any node
+    gives_up: Array  # (goal, node): a group that is full, for another goal
+    passes: Array  # (goal, node) on the way to a goal that stays the goal
+
+
+def _goal_changes(place: Layout, weights: FlowWeights, replaced: Float[Array, "M G"]) -> GoalChanges:
     count, group = place.is_group.shape[0], place.is_group
     itself = jnp.eye(count, dtype=bool)
     drawn = _goal_chances(place, jnp.where(group, -jnp.inf, weights.goal))  # (node, goal): waypoints alone
-    sent = _sent_chances(place, weights.sent)  # (node, goal): groups alone
+    sent = _sent_chances(place, weights.sent)
     keeps = 1.0 - jnp.sum(sent, axis=1)  # (node,)
-    gives_up = jnp.zeros((count, count)).at[place.groups].set(replaced.T)  # (goal, node)
+    gives_up = jnp.zeros((count, count)).at[place.groups].set(replaced.T)
     gives_up = jnp.where(itself | group[None, :], 0.0, gives_up)
+    passes = jnp.where(itself, 0.0, jnp.where(group[:, None], 1.0 - gives_up, keeps[None, :]))
+    return GoalChanges(drawn * keeps[:, None], sent, gives_up, passes)
+
+
+def _closed(place: Layout, weights: FlowWeights, onward: Float[Array, "M M M"], replaced: Float[Array, "M G"]) -> Flows:
+    """People who walk from goal to goal. Shares are per goal that is reached or abandoned."""
+    changes, group = _goal_changes(place, weights, replaced), place.is_group
+    begins, sent, gives_up, passes = changes
+    count = group.shape[0]
 
     # Departures towards h are what begins at a node and what passes there without being sent elsewhere.
-    passes = jnp.where(itself, 0.0, jnp.where(group[:, None], 1.0 - gives_up, keeps[None, :]))  # (goal, node)
     balance = jnp.eye(count)[None] - passes[:, :, None] * onward.transpose(0, 2, 1)
     departures = jnp.linalg.inv(balance)  # (goal, node, node where it began)
-    arrivals = jnp.einsum("huv,hub->hvb", onward, departures)  # (goal, node, node where it began)
+    source = _sources(group, changes, jnp.einsum("huv,hub->hvb", onward, departures))
+    leaving = jnp.einsum("hvb,bh->hv", departures, source)
+    walks = leaving[:, :, None] * onward  # (goal, node, next)
 
-    # Goals reached or abandoned, from one to the next: the stationary distribution of a chain of nodes.
-    begins = drawn * keeps[:, None]  # (node, goal) of arrivals at the node
+    # Walks end at a goal that is reached, or at a group that is abandoned.
+    arriving = jnp.diagonal(walks, axis1=0, axis2=2)  # (node before, node that was the goal)
+    abandoned = jnp.einsum("huv,hv->uv", walks, gives_up)  # (node before, node)
+    to_waypoints = jnp.sum(jnp.where(group[:, None, None], 0.0, walks), axis=0)
+    candidates = jnp.where(group[None, :], arriving, to_waypoints + abandoned)  # whom a group may call
+
+    turns = jnp.einsum("huv,hv,hvw->uvw", walks, passes, onward)
+    turns = turns + (arriving + abandoned)[:, :, None] * jnp.einsum("vh,hvw->vw", begins, onward)[None]
+    turns = turns + candidates[:, :, None] * jnp.einsum("vh,hvw->vw", sent, onward)[None]
+    all_turns = jnp.zeros((count + 1, count, count + 1)).at[:count, :, :count].set(turns)
+    return Flows(jnp.sum(walks, axis=0), all_turns)
+
+
+def _sources(group: Array, changes: GoalChanges, arrivals: Float[Array, "M M M"]) -> Float[Array, "M M"]:
+    """(node, goal) walks that begin, from the stationary distribution of nodes where goals are reached or abandoned.
+
+    Args:
+        arrivals: (goal, node, node where it began).
+    """
+    begins, sent, gives_up, _ = changes
+    count = group.shape[0]
+    itself = jnp.eye(count, dtype=bool)
+
+    # How often people are called to a group at each node on the way to their next goal, also when called before.
     met = jnp.einsum("hvb,bh->vb", arrivals, begins)  # waypoints met on the way to the next goal, that one included
     called = jnp.where(group[:, None], jnp.eye(count), met)  # (node, node where it began): chances to be sent there
     again = jnp.einsum("vh,hwv,hw->wv", sent, arrivals, gives_up)  # (node, node where they were sent before)
     called = jnp.linalg.solve(jnp.eye(count) - again, called)
+
+    # The chain of nodes where goals are reached or abandoned.
     reached = jnp.einsum("hhb,bh->hb", arrivals, begins)  # (goal, node where it began)
     calls = sent[:, :, None] * called[:, None, :]  # (node, goal, node where it began)
     ends = jnp.where(itself[:, :, None], 1.0, gives_up[:, :, None]) * arrivals  # (goal, node, node where it began)
     reached = jnp.where(group[:, None], 0.0, reached) + jnp.einsum("hwv,vhb->wb", ends, calls)
     system = jnp.concatenate([(reached - jnp.eye(count))[:-1], jnp.ones((1, count))])
     goals = jnp.linalg.solve(system, jnp.zeros(count).at[-1].set(1.0))
-
-    source = begins * goals[:, None] + sent * (called @ goals)[:, None]  # (node, goal)
-    leaving = jnp.einsum("hvb,bh->hv", departures, source)
-    walks = leaving[:, :, None] * onward  # (goal, node, next)
-    arriving = jnp.diagonal(walks, axis1=0, axis2=2)  # (node before, node that was the goal)
-    abandoned = jnp.einsum("huv,hv->uv", walks, gives_up)  # (node before, node)
-    free = (
-        jnp.sum(jnp.where(group[:, None, None], 0.0, walks), axis=0) + abandoned
-    )  # of people without a group to go to
-    candidates = jnp.where(group[None, :], arriving, free)
-    turns = jnp.einsum("huv,hv,hvw->uvw", walks, passes, onward)
-    turns = turns + (arriving + abandoned)[:, :, None] * jnp.einsum("vh,hvw->vw", begins, onward)[None]
-    turns = turns + candidates[:, :, None] * jnp.einsum("vh,hvw->vw", sent, onward)[None]
-    all_turns = jnp.zeros((count + 1, count, count + 1)).at[:count, :, :count].set(turns)
-    return Flows(jnp.sum(walks, axis=0), all_turns)
+    return begins * goals[:, None] + sent * (called @ goals)[:, None]
 
 
 def _goal_chances(place: Layout, log_weight: Float[Array, "M"]) -> Float[Array, "M M"]:
@@ -249,60 +277,73 @@ def fit_flows(
     """
     import optax
 
-    place, progress = layout(graph), progress or Progress()
-    replaced = None if calls is None else calls.chance_replaced
-    edges, turns = (jnp.asarray(part, float) for part in (measured.edges, measured.turns))
-    count = edges.shape[0]
-    if closed:  # people enter and leave only because the measurement begins and ends
-        turns = turns.at[count].set(0.0).at[:, :, count].set(0.0)
-    joined = np.isfinite(np.asarray(place.length))
-    part = max(1, steps // PARTS)
-    schedule = WARM * (temperature / WARM) ** np.minimum(np.arange(part * PARTS) / (0.8 * part * PARTS), 1.0)
-    optimizer = optax.adam(optax.cosine_decay_schedule(LEARNING_RATE, part * PARTS, 0.1))
-
-    def with_calls(weights: FlowWeights) -> FlowWeights:
-        return weights if calls is None else replace(weights, sent=log_odds(calls.chance_sent))
-
-    def loss(weights: FlowWeights, warmth: Array) -> Array:
-        flows = expected_flows(place, with_calls(weights), warmth, closed, replaced)
-        spread = [
-            jnp.var(weights.goal),
-            jnp.var(weights.start),
-            jnp.sum((weights.sent - SELDOM) ** 2) / max(weights.sent.size, 1),
-        ]
-        spread.append(jnp.sum(jnp.where(joined, weights.factor, 0.0) ** 2) / max(joined.sum().item(), 1))
-        return PLAIN * sum(spread[1:], spread[0]) - log_likelihood(flows, edges, turns)
+    progress = progress or Progress()
+    data = _fit_data(graph, measured, closed, calls)
+    steps_of_part = max(1, steps // PARTS)
+    steps = steps_of_part * PARTS
+    schedule = WARM * (temperature / WARM) ** np.minimum(np.arange(steps) / (0.8 * steps), 1.0)
+    optimizer = optax.adam(optax.cosine_decay_schedule(LEARNING_RATE, steps, 0.1))
 
     @jax.jit
-    def descend(carry, warmth):
-        def step(carry, warmth):
+    def descend(carry, temperatures):
+        def step(carry, temperature):
             weights, momentum = carry
-            value, slope = jax.value_and_grad(loss)(weights, warmth)
+            value, slope = jax.value_and_grad(_loss)(weights, temperature, data)
             change, momentum = optimizer.update(slope, momentum)
             return (optax.apply_updates(weights, change), momentum), value
 
-        return jax.lax.scan(step, carry, warmth)
+        return jax.lax.scan(step, carry, temperatures)
 
     weights = jax.tree.map(jnp.zeros_like, weights_of(graph))
     weights = weights.replace(sent=weights.sent + SELDOM)
-    carry, values = (weights, optimizer.init(weights)), []
+    carry, losses = (weights, optimizer.init(weights)), []
     progress.start("fitting weights", PARTS)
-    for number, warmth in enumerate(np.split(schedule, PARTS)):
+    for part, temperatures in enumerate(np.split(schedule, PARTS)):
         with jax.numpy_dtype_promotion("standard"):  # optax raises floats to integer powers
-            carry, value = descend(carry, jnp.asarray(warmth, float))
-        values.append(np.asarray(value))
-        progress.update(number + 1, f"loss {values[-1][-1]:.4f}")
+            carry, values = descend(carry, jnp.asarray(temperatures, float))
+        losses.append(np.asarray(values))
+        progress.update(part + 1, f"loss {losses[-1][-1]:.4f}")
+
+    weights = data.with_calls(carry[0])
+    flows = jax.jit(expected_flows, static_argnums=3)(data.layout, weights, temperature, closed, data.replaced)
     stay, capacity = _groups(measured)
     speeds = measured.speeds
-    weights = with_calls(carry[0])
-    return GraphFit(
-        weights=weights,
-        flows=jax.jit(expected_flows, static_argnums=3)(place, weights, temperature, closed, replaced),
-        stay=stay,
-        capacity=capacity,
-        speed=(float(np.mean(speeds)), float(np.std(speeds))) if len(speeds) else (np.nan, np.nan),
-        loss=np.concatenate(values),
-    )
+    speed = (float(np.mean(speeds)), float(np.std(speeds))) if len(speeds) else (np.nan, np.nan)
+    return GraphFit(weights, flows, stay, capacity, speed, np.concatenate(losses))
+
+
+class FitData(NamedTuple):
+    """What flows are fitted to."""
+
+    layout: Layout
+    edges: Array  # (M, M) walks
+    turns: Array  # (M + 1, M, M + 1)
+    closed: bool
+    sent: Array | None  # (M, G) chances to be sent to each group; None: they are fitted
+    replaced: Array | None  # (M, G)
+
+    def with_calls(self, weights: FlowWeights) -> FlowWeights:
+        """The weights, with known chances to be sent to groups."""
+        return weights if self.sent is None else replace(weights, sent=log_odds(self.sent))
+
+
+def _fit_data(graph: BehaviorGraph, measured: FlowMeasure, closed: bool, calls: Calls | None) -> FitData:
+    edges, turns = (jnp.asarray(counts, float) for counts in (measured.edges, measured.turns))
+    count = edges.shape[0]
+    if closed:  # people enter and leave only because the measurement begins and ends
+        turns = turns.at[count].set(0.0).at[:, :, count].set(0.0)
+    known = (None, None) if calls is None else (calls.chance_sent, calls.chance_replaced)
+    return FitData(layout(graph), edges, turns, closed, *known)
+
+
+def _loss(weights: FlowWeights, temperature: Array, data: FitData) -> Array:
+    """Minus the log-likelihood, and the prior: equal weights, and factors near 1."""
+    flows = expected_flows(data.layout, data.with_calls(weights), temperature, data.closed, data.replaced)
+    has_edge = np.isfinite(np.asarray(data.layout.length))
+    spread = jnp.var(weights.goal) + jnp.var(weights.start)
+    spread = spread + jnp.sum((weights.sent - SELDOM) ** 2) / max(weights.sent.size, 1)
+    spread = spread + jnp.sum(jnp.where(has_edge, weights.factor, 0.0) ** 2) / max(has_edge.sum().item(), 1)
+    return PLAIN * spread - log_likelihood(flows, data.edges, data.turns)
 
 
 def _groups(measured: FlowMeasure) -> tuple[np.ndarray, np.ndarray]:
@@ -348,35 +389,38 @@ def annotate(annotation: Annotation, fit: GraphFit, closed: bool, source: str) -
     Args:
         closed: whether people were in a closed population; otherwise where they enter becomes ``spawn``.
     """
-    names = list(annotation.nodes)
+    nodes = _annotated_nodes(annotation, fit, closed)
+    factor = np.asarray(fit.weights.factor, float)
+    index = {name: number for number, name in enumerate(annotation.nodes)}
+    ends = [[index[name] for name in edge.between] for edge in annotation.edges]
+    median = np.median([factor[a, b] for pair in ends for a, b in (pair, pair[::-1])]) if ends else 0.0
+    edges = []
+    for edge, (a, b) in zip(annotation.edges, ends, strict=True):
+        forth, back = (_digits(np.clip(np.exp(value - median), 1e-3, 1e3)) for value in (factor[a, b], factor[b, a]))
+        plain = max(abs(forth - 1.0), abs(back - 1.0)) <= MEDIUM
+        edges.append(Edge(between=edge.between, weights=None if plain else (forth, back)))
+    return annotation.model_copy(update={"nodes": nodes, "edges": edges, "source": source})
+
+
+def _annotated_nodes(annotation: Annotation, fit: GraphFit, closed: bool) -> dict[str, Node]:
+    """The nodes with weights of waypoints, stays and capacities of groups, and in an open population entrances."""
     is_group = np.array([node.kind == "group" for node in annotation.nodes.values()])
     weight = _relative(np.asarray(fit.weights.goal, float), ~is_group)
-    spawn = _relative(np.asarray(fit.weights.start, float), np.ones(len(names), bool))
-    group_of = {name: number for number, name in enumerate(np.array(names)[is_group])}
+    spawn = _relative(np.asarray(fit.weights.start, float), np.ones(len(is_group), bool))
+    group = np.cumsum(is_group) - 1  # number of the group
     nodes: dict[str, Node] = {}
     for number, (name, node) in enumerate(annotation.nodes.items()):
-        changes: dict[str, object] = {}
-        if not closed:
-            changes["spawn"] = spawn[number]
+        changes: dict[str, object] = {} if closed else {"spawn": spawn[number]}
         if node.kind == "waypoint":
             changes["weight"] = weight[number]
         else:
-            stay, capacity = fit.stay[group_of[name]], int(fit.capacity[group_of[name]])
+            stay, capacity = fit.stay[group[number]], int(fit.capacity[group[number]])
             if np.isfinite(stay).all():
                 changes["stay"] = (round(float(stay[0]), 1), round(float(stay[1]), 1))
             if capacity >= 2:
                 changes["capacity"] = capacity
         nodes[name] = node.model_copy(update=changes)
-    factor = np.asarray(fit.weights.factor, float)
-    index = {name: number for number, name in enumerate(names)}
-    ends = [[index[name] for name in edge.between] for edge in annotation.edges]
-    middle = np.median([factor[a, b] for pair in ends for a, b in (pair, pair[::-1])]) if ends else 0.0
-    edges = []
-    for edge, (a, b) in zip(annotation.edges, ends, strict=True):
-        there, back = (_digits(np.clip(np.exp(value - middle), 1e-3, 1e3)) for value in (factor[a, b], factor[b, a]))
-        plain = max(abs(there - 1.0), abs(back - 1.0)) <= MEDIUM
-        edges.append(Edge(between=edge.between, weights=None if plain else (there, back)))
-    return annotation.model_copy(update={"nodes": nodes, "edges": edges, "source": source})
+    return nodes
 
 
 def _relative(logarithm: np.ndarray, counted: np.ndarray) -> list[float]:

@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -46,6 +46,16 @@ FAR = 1e4  # m, where the robot stands that no recording has
 HABITS = {"weights": (0.98,), "settled": 0.5}  # of ``predict``; ``sean calibrate`` finds .981 and .53 in all scenes
 T = TypeVar("T")
 Predictable = str | Iterable[Term] | Callable[[Scenario, State], Pedestrians]
+
+
+class Scene(NamedTuple):
+    """N people whom ``predict`` is to predict."""
+
+    observed: Array  # (T, N, 2) m
+    present: Array  # (T, N) bool
+    desired_velocity: Array | None  # (N, 2) m/s
+    others: Array | None  # (steps + 1, M, 2) m
+    key: Array | None  # of people's differences and noise
 
 
 def predict(
@@ -103,7 +113,7 @@ def predict(
     if not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(forces)):
         substeps = social_forces.substeps(forces, time_step / control)
     walk = partial(_walk, move, control, substeps, steps, time_step)
-    each = (
+    scene = Scene(
         observed,
         known,
         None if desired_velocity is None else jnp.asarray(desired_velocity, float),
@@ -114,7 +124,7 @@ def predict(
         walk = jax.vmap(walk, in_axes=(None, None, None, None, None, 0))
     plain = isinstance(settled, int | float) and settled == 0.0
     undone = None if plain or move is not social_forces.move else jnp.asarray(settled, float)
-    return walk(forces, grid, jnp.asarray(weights, float), jnp.asarray(least_speed, float), undone, each)
+    return walk(forces, grid, jnp.asarray(weights, float), jnp.asarray(least_speed, float), undone, scene)
 
 
 def observed_people(
@@ -163,30 +173,35 @@ def walking_companions(
         (N,) the lowest index of the group, -1 alone; and (N, 2) indices of two companions, -1 none.
     """
     count = observed.shape[1]
-    place = jnp.where(present[..., None], jax.lax.stop_gradient(observed), 0.0)
-    both = present[:, :, None] & present[:, None, :]
-    apart = jnp.linalg.norm(place[:, :, None] - place[:, None, :], axis=-1)
-    near = (jnp.where(both, apart, 0.0).max(0) < COMPANION_DISTANCE) & both[-1]
+    position = jnp.where(present[..., None], jax.lax.stop_gradient(observed), 0.0)  # (T, N, 2)
+    both = present[:, :, None] & present[:, None, :]  # (T, N, N)
+    distance = jnp.linalg.norm(position[:, :, None] - position[:, None, :], axis=-1)
+    near = (jnp.where(both, distance, 0.0).max(0) < COMPANION_DISTANCE) & both[-1]
+
+    # Companions walk, and their mean velocities since both are there are similar.
     moment = jnp.arange(observed.shape[0], dtype=jnp.int32)
-    first = jnp.argmax(both, axis=0)  # first frame with both
-    since = jnp.maximum(moment[-1] - first, 1).astype(float) * time_step
+    first = jnp.argmax(both, axis=0)  # first moment with both
+    duration = jnp.maximum(moment[-1] - first, 1).astype(float) * time_step
     index = jnp.arange(count, dtype=jnp.int32)
-    walked = (place[-1][:, None] - place[first, index[:, None]]) / since[..., None]
-    unlike = jnp.linalg.norm(walked - jnp.swapaxes(walked, 0, 1), axis=-1)
-    walking = jnp.linalg.norm(walked, axis=-1) > WALKING_SPEED
-    together = near & walking & walking.T & (unlike < UNLIKE_SPEED) & (first < moment[-1] - 1)
+    velocity = (position[-1][:, None] - position[first, index[:, None]]) / duration[..., None]  # (N, N, 2)
+    difference = jnp.linalg.norm(velocity - jnp.swapaxes(velocity, 0, 1), axis=-1)
+    walking = jnp.linalg.norm(velocity, axis=-1) > WALKING_SPEED
+    together = near & walking & walking.T & (difference < UNLIKE_SPEED) & (first < moment[-1] - 1)
     together = together & (index[:, None] != index[None, :])
+
     linked = together | (index[:, None] == index[None, :])
     for _ in range(2):  # friends of friends, of friends
         linked = (linked.astype(float) @ linked.astype(float)) > 0.5
     linked = linked & (linked.sum(1) > 1)[:, None]
-    label = jnp.where(linked.any(1), jnp.argmax(linked, axis=1).astype(jnp.int32), -1)
+    group = jnp.where(linked.any(1), jnp.argmax(linked, axis=1).astype(jnp.int32), -1)
+
+    # The two companions with the lowest indices.
     others = linked & (index[:, None] != index[None, :])
-    one = jnp.argmax(others, axis=1).astype(jnp.int32)
-    rest = others & (index[None, :] != one[:, None])
-    two = jnp.argmax(rest, axis=1).astype(jnp.int32)
-    companions = jnp.stack([jnp.where(others.any(1), one, -1), jnp.where(rest.any(1), two, -1)], -1)
-    return label, companions
+    first_companion = jnp.argmax(others, axis=1).astype(jnp.int32)
+    further = others & (index[None, :] != first_companion[:, None])
+    second_companion = jnp.argmax(further, axis=1).astype(jnp.int32)
+    lowest = jnp.where(others.any(1), first_companion, -1), jnp.where(further.any(1), second_companion, -1)
+    return group, jnp.stack(lowest, -1)
 
 
 def grid_around(obstacles: Obstacles) -> ObstacleGrid:
@@ -208,55 +223,70 @@ def _walk(
     weights: Array,
     least_speed: Array,
     settled: Array | None,
-    each: tuple[Array, Array, Array | None, Array | None, Array | None],
+    scene: Scene,
 ) -> Array:
     """(steps, N, 2) of one scene."""
-    observed, present, desired, others, key = each
-    people = observed_people(observed, present, time_step, weights, least_speed)
-    if desired is not None:
+    people = observed_people(scene.observed, scene.present, time_step, weights, least_speed)
+    if scene.desired_velocity is not None:
+        desired = scene.desired_velocity
         speed = jnp.maximum(length(desired[:, 0], desired[:, 1]), least_speed)
         people = replace(people, desired_velocity=desired, preferred_speed=speed)
-    number = observed.shape[1]
-    label, companions = walking_companions(observed, present, time_step)
-    people = replace(people, walking_group=label)
+    count = scene.observed.shape[1]
+    group, companions = walking_companions(scene.observed, scene.present, time_step)
+    people = replace(people, walking_group=group)
     if forces.get(Cohesion) is not None:  # what draws companions together in simulations is in their tracks already
         off = {f"cohesion.{name}": 0.0 for name in ("gaze", "attraction", "repulsion")}
         forces = forces.tree_replace(off)
-    tracks = None
-    if others is not None:
-        there = jnp.isfinite(others).all(-1)
-        tracks = jnp.where(there[..., None], others, 0.0), there
-        people = jax.tree.map(lambda *parts: jnp.concatenate(parts), people, pedestrians_at(tracks[0][0]))
-        nobody = jnp.full((tracks[1].shape[1], 2), -1, companions.dtype)
+
+    # Replayed people come last; nobody is their companion.
+    replayed = None
+    if scene.others is not None:
+        recorded = jnp.isfinite(scene.others).all(-1)
+        replayed = jnp.where(recorded[..., None], scene.others, 0.0), recorded
+        people = jax.tree.map(lambda *parts: jnp.concatenate(parts), people, pedestrians_at(replayed[0][0]))
+        nobody = jnp.full((recorded.shape[1], 2), -1, companions.dtype)
         companions = jnp.concatenate([companions, nobody])
+
     scenario, state = _world(move, forces, people, companions, grid, time_step / control, substeps)
-    if settled is not None and desired is None:
-        still = replace(people, desired_velocity=people.velocity)
-        apart = scenario  # the observed velocity has noise of one's own, and nothing of the companions' mean
-        if forces.get(Cohesion) is not None:
-            apart = replace(scenario, forces=forces.tree_replace({"cohesion.alignment": None}))
-        change = (move(apart, replace(state, pedestrians=still)).velocity - people.velocity) * (control / time_step)
-        undone = settled * forces.walking.relaxation_time * change
-        size = length(undone[:, 0], undone[:, 1])
-        most = MOST_SETTLED * length(people.velocity[:, 0], people.velocity[:, 1])
-        share = jnp.where(size > most, most / jnp.where(size > most, size, 1.0), 1.0)[:, None]
-        people = replace(people, desired_velocity=people.desired_velocity - share * undone)
-    if key is not None:
-        people = social_forces.individualize(forces, people, jax.random.fold_in(key, random_streams.TRAITS))
-        state = replace(state, streams=random_streams.streams(key))
+    if settled is not None and scene.desired_velocity is None:
+        people = _without_reaction(scenario, replace(state, pedestrians=people), settled, control / time_step)
+    if scene.key is not None:
+        traits_key = jax.random.fold_in(scene.key, random_streams.TRAITS)
+        people = social_forces.individualize(forces, people, traits_key)
+        state = replace(state, streams=random_streams.streams(scene.key))
 
-    def frame(people: Pedestrians, index: Array) -> tuple[Pedestrians, Array]:
+    def predict_step(people: Pedestrians, index: Array) -> tuple[Pedestrians, Array]:
         @jax.checkpoint
-        def turn(people: Pedestrians, part: Array) -> tuple[Pedestrians, None]:
-            if tracks is not None:
-                people = _replay(people, *tracks, index, part.astype(float) / control, time_step)
-            return move(scenario, replace(state, pedestrians=people, tick=index * control + part)), None
+        def control_step(people: Pedestrians, step: Array) -> tuple[Pedestrians, None]:
+            if replayed is not None:
+                people = _replay(people, *replayed, index, step.astype(float) / control, time_step)
+            return move(scenario, replace(state, pedestrians=people, tick=index * control + step)), None
 
-        people = jax.lax.scan(turn, people, jnp.arange(control, dtype=jnp.int32))[0]
-        return people, people.position[:number]
+        people = jax.lax.scan(control_step, people, jnp.arange(control, dtype=jnp.int32))[0]
+        return people, people.position[:count]
 
-    places = jax.lax.scan(frame, people, jnp.arange(steps, dtype=jnp.int32))[1]
-    return jnp.where(people.present[None, :number, None], places, observed[-1][None])
+    position = jax.lax.scan(predict_step, people, jnp.arange(steps, dtype=jnp.int32))[1]
+    return jnp.where(people.present[None, :count, None], position, scene.observed[-1][None])
+
+
+def _without_reaction(scenario: Scenario, state: State, settled: Array, rate: float) -> Pedestrians:
+    """People whose desired velocity lacks the share ``settled`` of their acceleration, by ``MOST_SETTLED`` at most.
+
+    Args:
+        rate: 1/s, control steps.
+    """
+    people, forces = state.pedestrians, scenario.forces
+    as_observed = replace(people, desired_velocity=people.velocity)
+    if forces.get(Cohesion) is not None:  # the observed velocity is one's own, and not the companions' mean
+        scenario = replace(scenario, forces=forces.tree_replace({"cohesion.alignment": None}))
+    moved = scenario.move(scenario, replace(state, pedestrians=as_observed))
+    acceleration = (moved.velocity - people.velocity) * rate
+
+    correction = settled * forces.walking.relaxation_time * acceleration
+    size = length(correction[:, 0], correction[:, 1])
+    most = MOST_SETTLED * length(people.velocity[:, 0], people.velocity[:, 1])
+    share = jnp.where(size > most, most / jnp.where(size > most, size, 1.0), 1.0)[:, None]
+    return replace(people, desired_velocity=people.desired_velocity - share * correction)
 
 
 def _replay(

@@ -160,20 +160,25 @@ def spread(lower: Point, upper: Point, number: int, seed: int = 0, apart: float 
     size = high - low
     chosen = np.zeros((0, 2))
     if number * apart**2 < 0.5 * float(np.prod(size)):
-        for spot in generator.uniform(low, high, (TRIES, 2)):
+        for point in generator.uniform(low, high, (TRIES, 2)):
             if len(chosen) == number:
                 break
-            if not len(chosen) or np.square(chosen - spot).sum(1).min() >= apart**2:
-                chosen = np.concatenate([chosen, spot[None]])
-    if len(chosen) < number:
-        columns = max(1, int(np.ceil(np.sqrt(number * size[0] / max(size[1], 1e-9)))))
-        rows = int(np.ceil(number / columns))
-        step = size / (columns, rows)
-        cells = generator.permutation(columns * rows)[:number]
-        room = np.maximum(step - apart, 0.0) / 2
-        middle = low + (np.stack([cells % columns, cells // columns], 1) + 0.5) * step
-        chosen = middle + generator.uniform(-1.0, 1.0, (number, 2)) * room
-    return chosen
+            if not len(chosen) or np.square(chosen - point).sum(1).min() >= apart**2:
+                chosen = np.concatenate([chosen, point[None]])
+    return chosen if len(chosen) >= number else _displaced_grid(generator, low, size, number, apart)
+
+
+def _displaced_grid(
+    generator: np.random.Generator, low: np.ndarray, size: np.ndarray, number: int, apart: float
+) -> np.ndarray:
+    """(N, 2) m: random cells of a grid, displaced as far as the distance ``apart`` allows."""
+    columns = max(1, int(np.ceil(np.sqrt(number * size[0] / max(size[1], 1e-9)))))
+    rows = int(np.ceil(number / columns))
+    step = size / (columns, rows)
+    cells = generator.permutation(columns * rows)[:number]
+    center = low + (np.stack([cells % columns, cells // columns], 1) + 0.5) * step
+    room = np.maximum(step - apart, 0.0) / 2
+    return center + generator.uniform(-1.0, 1.0, (number, 2)) * room
 
 
 def padded_size(number: int) -> int:
@@ -256,16 +261,19 @@ def direct(scenario: Scenario, state: State, key: Array) -> State:
     plan: Plan = scenario.behavior.data
     people, memory, table = state.pedestrians, state.memory, plan.walkers
     time = state.tick.astype(float) * scenario.time_step
-    going = memory.gate >= 0
-    crossed = people.present & going & passed(plan.gates[jnp.maximum(memory.gate, 0)], people.position)
+
+    # Who has crossed a gate goes to the next one, or vanishes.
+    has_gate = memory.gate >= 0
+    crossed = people.present & has_gate & passed(plan.gates[jnp.maximum(memory.gate, 0)], people.position)
     leg = memory.leg + crossed.astype(jnp.int32)
     legs = table.route.shape[1]
-    own = jnp.arange(leg.shape[0], dtype=jnp.int32)
-    following = jnp.where(leg < legs, table.route[own, jnp.minimum(leg, legs - 1)], -1)
-    gate = jnp.where(crossed, following, memory.gate)
+    index = jnp.arange(leg.shape[0], dtype=jnp.int32)
+    next_gate = jnp.where(leg < legs, table.route[index, jnp.minimum(leg, legs - 1)], -1)
+    gate = jnp.where(crossed, next_gate, memory.gate)
     people = replace(people, present=people.present & ~(crossed & (gate < 0)))
     if plan.choice:
         gate = choose_exit(plan, people, gate, state.tick)
+
     entered = memory.entered
     if plan.sources:
         enters = _enters(table, people, entered, time)
@@ -273,11 +281,12 @@ def direct(scenario: Scenario, state: State, key: Array) -> State:
         velocity = jnp.where(enters[:, None], table.velocity, people.velocity)
         people = replace(people, present=people.present | enters, position=position, velocity=velocity)
         entered = entered | enters
-    aim = aim_at(plan.gates[jnp.maximum(gate, 0)], people.position)
-    way = aim - people.position
+
+    # People walk straight to their gate, once they have reacted.
+    to_gate = aim_at(plan.gates[jnp.maximum(gate, 0)], people.position) - people.position
     walks = (gate >= 0) & (time >= table.reaction_time) & people.present
     speed = jnp.where(walks, people.preferred_speed, 0.0)
-    velocity = jnp.stack(unit(way[:, 0], way[:, 1]), -1) * speed[:, None]
+    velocity = jnp.stack(unit(to_gate[:, 0], to_gate[:, 1]), -1) * speed[:, None]
     people = replace(people, desired_velocity=velocity)
     return replace(state, pedestrians=people, memory=Memory(leg, gate, entered))
 
@@ -306,23 +315,28 @@ def choose_exit(plan: Plan, people: Pedestrians, gate: Int[Array, "N"], tick: In
     people on their way to an exit choose.
     """
     number, gates = gate.shape[0], plan.gates.shape[0]
-    own = jnp.arange(number, dtype=jnp.int32)
-    every = jnp.broadcast_to(plan.gates[None], (number, gates, 2, 2)).reshape(-1, 2, 2)
-    aim = aim_at(every, jnp.repeat(people.position, gates, axis=0)).reshape(number, gates, 2)
+    index = jnp.arange(number, dtype=jnp.int32)
+    all_gates = jnp.broadcast_to(plan.gates[None], (number, gates, 2, 2)).reshape(-1, 2, 2)
+    aim = aim_at(all_gates, jnp.repeat(people.position, gates, axis=0)).reshape(number, gates, 2)
     gap = aim - people.position[:, None]
-    far = length(gap[..., 0], gap[..., 1])  # (N, G)
-    there = (gate[:, None] == jnp.arange(gates, dtype=jnp.int32)[None]) & people.present[:, None]
-    queue = jnp.sort(jnp.where(there, far, jnp.inf), axis=0)  # distances of the people on their way to each gate
-    ahead = jax.vmap(lambda row, mine: jnp.searchsorted(row, mine), in_axes=1, out_axes=1)(queue, far)
+    distance = length(gap[..., 0], gap[..., 1])  # (N, G)
+
+    # A queue is the people on their way to a gate; those who are nearer to it go first.
+    chosen = (gate[:, None] == jnp.arange(gates, dtype=jnp.int32)[None]) & people.present[:, None]
+    queue = jnp.sort(jnp.where(chosen, distance, jnp.inf), axis=0)  # (N, G)
+    ahead = jax.vmap(lambda row, own: jnp.searchsorted(row, own), in_axes=1, out_axes=1)(queue, distance)
+
+    # The time to be out is that of the walk or of the queue.
     side = plan.gates[:, 1] - plan.gates[:, 0]
-    wide = length(side[:, 0], side[:, 1])
-    time = far / jnp.maximum(people.preferred_speed, 1e-3)[:, None]
-    time = jnp.maximum(time, ahead.astype(float) / (EXIT_FLOW * jnp.maximum(wide, 1e-3))[None])
+    width = length(side[:, 0], side[:, 1])  # (G,)
+    time = distance / jnp.maximum(people.preferred_speed, 1e-3)[:, None]
+    time = jnp.maximum(time, ahead.astype(float) / (EXIT_FLOW * jnp.maximum(width, 1e-3))[None])
     time = jnp.where(plan.is_exit[None], time, jnp.inf)
+
     best = jnp.argmin(time, axis=1).astype(jnp.int32)
-    now = time[own, jnp.maximum(gate, 0)]
-    looks = (own % TURNS == tick % TURNS) & (gate >= 0) & plan.is_exit[jnp.maximum(gate, 0)]
-    return jnp.where(looks & (time[own, best] < PATIENCE * now), best, gate)
+    current = time[index, jnp.maximum(gate, 0)]
+    looks = (index % TURNS == tick % TURNS) & (gate >= 0) & plan.is_exit[jnp.maximum(gate, 0)]
+    return jnp.where(looks & (time[index, best] < PATIENCE * current), best, gate)
 
 
 def _in_frame_of(gate: Array, position: Array) -> tuple[Array, Array, Array]:
@@ -336,12 +350,13 @@ def _in_frame_of(gate: Array, position: Array) -> tuple[Array, Array, Array]:
 def _heading(plan: Plan) -> Array:
     """(N, 2) along the velocity at the start; of standing people, towards the first gate."""
     people = plan.walkers
-    first, along = people.route[:, 0], jnp.asarray([[1.0, 0.0]], float)
-    way = aim_at(plan.gates[jnp.maximum(first, 0)], people.start) - people.start
-    moving = (people.velocity != 0.0).any(-1)
-    way = jnp.where(moving[:, None], people.velocity, jnp.where(first[:, None] >= 0, way, along))
-    x, y = unit(way[:, 0], way[:, 1])
-    return jnp.where(((x == 0.0) & (y == 0.0))[:, None], along, jnp.stack([x, y], -1))
+    first_gate, along_x = people.route[:, 0], jnp.asarray([[1.0, 0.0]], float)
+    to_gate = aim_at(plan.gates[jnp.maximum(first_gate, 0)], people.start) - people.start
+    moving = (people.velocity != 0.0).any(-1)[:, None]
+    of_standing = jnp.where(first_gate[:, None] >= 0, to_gate, along_x)
+    direction = jnp.where(moving, people.velocity, of_standing)
+    x, y = unit(direction[:, 0], direction[:, 1])
+    return jnp.where(((x == 0.0) & (y == 0.0))[:, None], along_x, jnp.stack([x, y], -1))
 
 
 def _enters(table: Walkers, people: Pedestrians, entered: Array, time: Array) -> Array:

@@ -14,7 +14,7 @@ from typing import Any
 from sean_jax.core.errors import InputError, WriteError
 from sean_jax.io import writing
 from sean_jax.studies.survey.answers import MOMENT, Answers
-from sean_jax.studies.survey.study import CHOICE, templates
+from sean_jax.studies.survey.study import CHOICE, Step, templates
 from sean_jax.web import replay
 
 Row = dict[str, Any]
@@ -37,12 +37,9 @@ def participants(answers: Answers) -> list[Row]:
 def pages(answers: Answers) -> list[Row]:
     """A row for each page that a participant has opened: when, and how long it was open and its film in sight."""
     lengths, rows = answers.film_lengths(), list[Row]()
-    drives: dict[tuple[int, int], list[Row]] = {}
-    for drive in answers.drives():
-        drives.setdefault((drive["participant"], drive["step"]), []).append(drive)
-    steps = {(row["participant"], row["step"]): row for row in answers.all_steps()}
-    for participant, found in answers.all_visits().items():
-        for number, visit in sorted(found.items()):
+    drives, steps = _drives(answers), _steps(answers)
+    for participant, visits in answers.all_visits().items():
+        for number, visit in sorted(visits.items()):
             if number >= len(answers.steps(participant)):
                 continue  # the last page, which asks nothing
             step, times = answers.steps(participant)[number], steps.get((participant, number), {})
@@ -64,39 +61,67 @@ def pages(answers: Answers) -> list[Row]:
     return rows
 
 
+def _drives(answers: Answers) -> dict[tuple[int, int], list[Row]]:
+    """(participant, step) -> drives in the order of time."""
+    drives: dict[tuple[int, int], list[Row]] = {}
+    for drive in answers.drives():
+        drives.setdefault((drive["participant"], drive["step"]), []).append(drive)
+    return drives
+
+
+def _steps(answers: Answers) -> dict[tuple[int, int], Row]:
+    """(participant, step) -> when it was shown and done."""
+    return {(row["participant"], row["step"]): row for row in answers.all_steps()}
+
+
 def trials(answers: Answers) -> list[Row]:
     """A row for each episode of a trial that a participant has watched or driven, with its metrics.
 
     A trial with a choice has two rows, of which one is ``chosen``. ``drive`` counts the drives of a trial; a drive
     that was broken off has no metrics.
     """
-    study, episodes, rows = answers.study, answers.episodes(), list[Row]()
-    values = {(each["participant"], each["step"], each["question"]): each["value"] for each in answers.all_answers()}
-    drives: dict[tuple[int, int], list[Row]] = {}
-    for drive in answers.drives():
-        drives.setdefault((drive["participant"], drive["step"]), []).append(drive)
-    steps = {(row["participant"], row["step"]): row for row in answers.all_steps()}
+    films = answers.episodes()
+    values = {(row["participant"], row["step"], row["question"]): row["value"] for row in answers.all_answers()}
+    drives, steps, rows = _drives(answers), _steps(answers), list[Row]()
     for participant, number in sorted({*steps, *drives}):
         step, times = answers.steps(participant)[number], steps.get((participant, number), {})
         if step.trial is None:
             continue
-        shared = {"participant": participant + 1, "place": number + 1, "trial": step.name, "kind": step.kind}
-        pages = {"shown": _time(times.get("shown")), "done": _time(times.get("done"))}
         if step.kind == "drive":
-            for count, drive in enumerate(drives.get((participant, number), ()), 1):
-                more = {"policy": "participant", "drive": count, "outcome": drive["outcome"] or "", "chosen": ""}
-                ends = {"began": _time(drive["began"]), "ended": _time(drive["ended"])}
-                rows.append(shared | more | ends | pages | _metrics(drive["metrics"] or {}))
-            continue
-        sides = {"A": int(step.swapped), "B": int(not step.swapped)}
-        choice = values.get((participant, number, CHOICE))
-        for side in range(len(study.trials[step.trial].episodes)):
-            episode = episodes.get((step.trial, side))
-            if episode is None:
-                raise answers.wrong("episodes", f"there is no episode {side + 1} of the trial '{step.name}'")
-            chosen = "" if step.kind != "choose" or choice not in sides else int(sides[choice] == side)
-            more = {"policy": episode["policy"], "drive": "", "outcome": episode["outcome"], "chosen": chosen}
-            rows.append(shared | more | {"began": "", "ended": ""} | pages | _metrics(episode["metrics"]))
+            episodes = [_driven(drive, count) for count, drive in enumerate(drives.get((participant, number), ()), 1)]
+        else:
+            episodes = _watched(answers, films, step, values.get((participant, number, CHOICE)))
+        head = {"participant": participant + 1, "place": number + 1, "trial": step.name, "kind": step.kind}
+        pages = {"shown": _time(times.get("shown")), "done": _time(times.get("done"))}
+        rows += [head | episode | pages | _metrics(metrics) for episode, metrics in episodes]
+    return rows
+
+
+def _driven(drive: Row, count: int) -> tuple[Row, dict[str, float]]:
+    """The columns of a participant's drive, and its metrics."""
+    columns = {"policy": "participant", "drive": count, "outcome": drive["outcome"] or "", "chosen": ""}
+    times = {"began": _time(drive["began"]), "ended": _time(drive["ended"])}
+    return columns | times, drive["metrics"] or {}
+
+
+def _watched(
+    answers: Answers, films: dict[tuple[int, int], Row], step: Step, choice: Any
+) -> list[tuple[Row, dict[str, float]]]:
+    """The columns of each episode of a trial, and its metrics.
+
+    Args:
+        films: (trial, side) -> an episode to watch.
+        choice: the answer A or B, if there is one.
+    """
+    sides, rows = {"A": int(step.swapped), "B": int(not step.swapped)}, []
+    assert step.trial is not None
+    for side in range(len(answers.study.trials[step.trial].episodes)):
+        episode = films.get((step.trial, side))
+        if episode is None:
+            raise answers.wrong("episodes", f"there is no episode {side + 1} of the trial '{step.name}'")
+        chosen = "" if step.kind != "choose" or choice not in sides else int(sides[choice] == side)
+        columns = {"policy": episode["policy"], "drive": "", "outcome": episode["outcome"], "chosen": chosen}
+        rows.append((columns | {"began": "", "ended": ""}, episode["metrics"]))
     return rows
 
 

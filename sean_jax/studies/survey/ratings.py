@@ -243,37 +243,55 @@ def read(path: Path) -> Episode:
         FileError: it cannot be read, or a value is wrong.
     """
     recorded = files.check_json(path, files.read_json(path), Recorded, _times, _people, _boxes)
+    first, last = recorded.sequence[0], recorded.sequence[-1]
+    radius = 1.2 if last.goal.pos_threshold is None else last.goal.pos_threshold  # SEAN's
+    goal: Any = np.array([last.goal.x, last.goal.y], np.float32)
+    goal_radius: Any = np.float32(radius)
+    robot_radius: Any = np.float32(max(first.robot.shape.width, first.robot.shape.length) / 2)
+    return Episode(_tracks(recorded), goal, goal_radius, robot_radius, _obstacles(recorded))
+
+
+def _tracks(recorded: Recorded) -> Tracks:
+    """The robot, and after it people, at the steps of a grid."""
     frames = recorded.sequence
     times = np.array([frame.timestamp for frame in frames]) - frames[0].timestamp
     grid = np.arange(int((times[-1] + ROUNDING) / TIME_STEP) + 1) * TIME_STEP
-    bodies: dict[float | None, list[tuple[float, Pose]]] = {None: []}  # the robot, and then people
+
+    poses: dict[float | None, list[tuple[float, Pose]]] = {None: []}  # of the robot, and then of people
     for time, frame in zip(times, frames, strict=True):
-        bodies[None].append((time, frame.robot))
+        poses[None].append((time, frame.robot))
         for person in frame.people:
-            bodies.setdefault(person.id, []).append((time, person))
-    rows, columns = _power(len(grid), 64), _power(len(bodies), 4)
+            poses.setdefault(person.id, []).append((time, person))
+
+    # After the end, and in columns without a person, nobody is present.
+    rows, columns, end = _power(len(grid), 64), _power(len(poses), 4), len(grid)
     position, facing = np.zeros((rows, columns, 2), np.float32), np.zeros((rows, columns, 2), np.float32)
     present = np.zeros((rows, columns), bool)
     facing[..., 0] = 1.0
-    for column, poses in enumerate(bodies.values()):
-        known = np.array([time for time, _ in poses])
-        x, y, angle = np.array([(pose.x, pose.y, pose.angle) for _, pose in poses]).T
-        later = np.clip(np.searchsorted(known, grid - ROUNDING), 0, len(known) - 1)
-        gap = np.where(np.abs(known[later] - grid) <= ROUNDING, 0.0, known[later] - known[np.maximum(later - 1, 0)])
-        there = (grid >= known[0] - ROUNDING) & (grid <= known[-1] + ROUNDING)
-        there &= (gap <= LONGEST_GAP + ROUNDING) | (column == 0)
+    for column, poses_of_body in enumerate(poses.values()):
+        known = np.array([time for time, _ in poses_of_body])
+        x, y, angle = np.array([(pose.x, pose.y, pose.angle) for _, pose in poses_of_body]).T
         angle = np.interp(grid, known, np.unwrap(angle))
-        end = len(grid)
         position[:end, column] = np.stack([np.interp(grid, known, x), np.interp(grid, known, y)], -1)
         facing[:end, column] = np.stack([np.cos(angle), np.sin(angle)], -1)
-        present[:end, column] = there
+        present[:end, column] = _is_present(known, grid, always=column == 0)
     nobody = np.full((rows, columns), -1, np.int32)
-    tracks: Any = Tracks(position, facing, nobody, present, nobody, np.arange(rows, dtype=np.int32), TIME_STEP)  # pyright: ignore[reportArgumentType]
-    goal, shape = frames[-1].goal, frames[0].robot.shape
-    radius = 1.2 if goal.pos_threshold is None else goal.pos_threshold  # SEAN's
-    place, reach = np.array([goal.x, goal.y], np.float32), np.float32(radius)
-    size: Any = np.float32(max(shape.width, shape.length) / 2)
-    return Episode(tracks, place, reach, size, _obstacles(recorded))  # pyright: ignore[reportArgumentType]
+    steps = np.arange(rows, dtype=np.int32)
+    return Tracks(position, facing, nobody, present, nobody, steps, TIME_STEP)  # pyright: ignore[reportArgumentType]
+
+
+def _is_present(known: np.ndarray, grid: np.ndarray, always: bool) -> np.ndarray:
+    """Whether a body is there at the times of a grid: between known times that are not too far apart.
+
+    Args:
+        always: whether it is there in every gap.
+    """
+    inside = (grid >= known[0] - ROUNDING) & (grid <= known[-1] + ROUNDING)
+    if always:
+        return inside
+    later = np.clip(np.searchsorted(known, grid - ROUNDING), 0, len(known) - 1)
+    gap = np.where(np.abs(known[later] - grid) <= ROUNDING, 0.0, known[later] - known[np.maximum(later - 1, 0)])
+    return inside & (gap <= LONGEST_GAP + ROUNDING)
 
 
 def _times(recorded: Recorded) -> Iterator[Problem]:

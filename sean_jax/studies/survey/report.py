@@ -7,6 +7,7 @@ large by chance: their p-values are corrected by Holm's method.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -139,38 +140,48 @@ def correlations(
     J. Gelbach and D. Miller, "Robust inference with multiway clustering", Journal of Business & Economic Statistics 29
     (2011).
     """
-    ratings = list(dict.fromkeys(name for row in rows for name in row["ratings"]))
-    names = list(dict.fromkeys(name for row in rows for name in row["metrics"]))
-    found = []
-    for rating in ratings:
-        for name in names:
-            some = [row for row in rows if rating in row["ratings"] and name in row["metrics"]]
-            one = np.array([row["ratings"][rating] for row in some])
-            other = np.array([row["metrics"][name] for row in some])
-            labels = [np.unique([row[unit] for row in some], return_inverse=True)[1] for unit in units] if some else []
-            if not some or min(map(np.max, labels)) + 1 < MIN_PARTICIPANTS or np.ptp(one) == 0 or np.ptp(other) == 0:
-                continue
-            value = float(spearman(one, other)[0])
-            if len(labels) == 2:
-                labels.append(np.unique(labels[0] * len(some) + labels[1], return_inverse=True)[1])
-            drawn = [_resampled(one, other, label) for label in labels]
-            if min(map(len, drawn)) < RESAMPLES / 2:
-                continue
-            z = math.atanh(max(-LARGEST, min(value, LARGEST)))
-            variances = [float(np.var(np.arctanh(np.clip(each, -LARGEST, LARGEST)))) for each in drawn]
-            if len(variances) == 1:
-                variance = variances[0]
-                low, high = interval(drawn[0])
-            else:
-                variance = max(variances[0] + variances[1] - variances[2], *variances[:2])
-                half = NormalDist().inv_cdf(0.975) * math.sqrt(variance)
-                low, high = math.tanh(z - half), math.tanh(z + half)
-            p = 2.0 * (1.0 - NormalDist().cdf(abs(z) / max(math.sqrt(variance), 1e-6)))
-            number = int(labels[0].max()) + 1
-            found.append(Correlation(rating, name, value, float(low), float(high), len(some), number, p))
-    corrected = holm([each.p for each in found])
-    found = [each._replace(p=p) for each, p in zip(found, corrected, strict=True)]
-    return sorted(found, key=lambda each: (each.p, -abs(each.value)))
+    ratings = dict.fromkeys(name for row in rows for name in row["ratings"])
+    metrics = dict.fromkeys(name for row in rows for name in row["metrics"])
+    tests = []
+    for rating, metric in itertools.product(ratings, metrics):
+        with_both = [row for row in rows if rating in row["ratings"] and metric in row["metrics"]]
+        test = _correlation(rating, metric, with_both, units) if with_both else None
+        tests += [test] if test is not None else []
+    corrected = holm([test.p for test in tests])
+    tests = [test._replace(p=p) for test, p in zip(tests, corrected, strict=True)]
+    return sorted(tests, key=lambda test: (test.p, -abs(test.value)))
+
+
+def _correlation(
+    rating: str, metric: str, rows: Sequence[dict[str, Any]], units: tuple[str] | tuple[str, str]
+) -> Correlation | None:
+    """The correlation of a rating with a metric; None of too few units, and where one of both is constant."""
+    rated = np.array([row["ratings"][rating] for row in rows])
+    measured = np.array([row["metrics"][metric] for row in rows])
+    clusters = [np.unique([row[unit] for row in rows], return_inverse=True)[1] for unit in units]
+    if min(map(np.max, clusters)) + 1 < MIN_PARTICIPANTS or np.ptp(rated) == 0 or np.ptp(measured) == 0:
+        return None
+    value = float(spearman(rated, measured)[0])
+
+    # With two units, clusters of both are drawn, too: the variance that both have counts once.
+    number = int(clusters[0].max()) + 1
+    if len(clusters) == 2:
+        clusters.append(np.unique(clusters[0] * len(rows) + clusters[1], return_inverse=True)[1])
+    drawn = [_resampled(rated, measured, cluster) for cluster in clusters]
+    if min(map(len, drawn)) < RESAMPLES / 2:
+        return None
+
+    z = math.atanh(max(-LARGEST, min(value, LARGEST)))
+    variances = [float(np.var(np.arctanh(np.clip(values, -LARGEST, LARGEST)))) for values in drawn]
+    if len(variances) == 1:
+        variance = variances[0]
+        low, high = interval(drawn[0])
+    else:
+        variance = max(variances[0] + variances[1] - variances[2], *variances[:2])
+        half = NormalDist().inv_cdf(0.975) * math.sqrt(variance)
+        low, high = math.tanh(z - half), math.tanh(z + half)
+    p = 2.0 * (1.0 - NormalDist().cdf(abs(z) / max(math.sqrt(variance), 1e-6)))
+    return Correlation(rating, metric, value, float(low), float(high), len(rows), number, p)
 
 
 def _resampled(one: np.ndarray, other: np.ndarray, label: np.ndarray) -> np.ndarray:

@@ -21,7 +21,7 @@ from sean_jax.mdp import observations
 from sean_jax.metrics.differences import holm
 from sean_jax.policies import POLICIES
 from sean_jax.simulation import episode_runner, making
-from sean_jax.studies.experiments import benchmark, measures, ranking, ranks, verification
+from sean_jax.studies.experiments import benchmark, ranking, ranks, scores, shares, verification
 from sean_jax.world import environment, generated
 from support.benchmark_results import columns, entry, place, smaller
 
@@ -71,19 +71,22 @@ def test_tracks_of_recorded_people_need_their_recording(tmp_path):
 def test_figures_are_means_over_all_tracks():
     random = np.random.default_rng(0)
     measured = {"a": columns(random, 300), "b": columns(random, 300)}
-    found = benchmark.scores(measured)
+    found = scores.scores(scores.track_table(measured))
     both = {name: np.concatenate([measured["a"][name], measured["b"][name]]) for name in measured["a"]}
-    good = [both["completed"][i] and not any(both[name][i, 0] for name in measures.ROBOTS_FAULT) for i in range(600)]
-    assert found.figures["polite"].mean == pytest.approx(100 * np.mean(good))
-    assert found.figures["seconds"].mean == pytest.approx(both["seconds"].mean())
+    good = [both["completed"][i] and not any(both[name][i, 0] for name in scores.ROBOTS_FAULT) for i in range(600)]
+    assert found["polite", ""].mean == pytest.approx(100 * np.mean(good))
+    assert found["seconds", ""].mean == pytest.approx(both["seconds"].mean())
     whole = both["seconds"].sum()
-    np.testing.assert_allclose(found.shares.mean, both["time_in_situation"][:, 1:].sum(0) / whole)
+    np.testing.assert_allclose(
+        [found[scores.SHARE_OF_TIME, name].mean for name in shares.NAMES],
+        both["time_in_situation"][:, 1:].sum(0) / whole,
+    )
     events, minutes = both["intimate_robot_on_person"][:, 1:].sum(0), both["time_in_situation"][:, 1:].sum(0) / 60
-    np.testing.assert_allclose(found.violations.mean, events / minutes)
-    for each in (*found.figures.values(), found.shares, found.violations):
+    np.testing.assert_allclose([found[scores.PER_MINUTE, name].mean for name in shares.NAMES], events / minutes)
+    for each in found.values():
         assert (each.low <= each.mean + 1e-9).all() and (each.mean <= each.high + 1e-9).all()
     error = 1.96 * both["seconds"].std() / 600**0.5
-    assert found.figures["seconds"].high - found.figures["seconds"].low == pytest.approx(2 * error, rel=0.15)
+    assert found["seconds", ""].high - found["seconds", ""].low == pytest.approx(2 * error, rel=0.15)
 
 
 def test_a_package_of_another_protocol_runs_nothing(monkeypatch, tmp_path):
@@ -440,7 +443,7 @@ def test_intervals_over_seeds_are_students():
 # ------------------------------------------------------------------ verification
 
 
-def sample(now: measures.Arrays, had: measures.Arrays) -> verification.Sample:
+def sample(now: scores.Arrays, had: scores.Arrays) -> verification.Sample:
     return verification.Sample("lab", range(10, 10 + len(had["seconds"])), had, now)
 
 

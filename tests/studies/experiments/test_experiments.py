@@ -31,8 +31,9 @@ from sean_jax.simulation import episodes
 from sean_jax.simulation.episode_runner import Runner, even_batch
 from sean_jax.simulation.scenario import results
 from sean_jax.studies import experiments
-from sean_jax.studies.experiments import demonstrations, figure4, shares, table1
-from sean_jax.studies.experiments.measures import MEASURES, Results, claims, has_learned
+from sean_jax.studies.experiments import demonstrations, figure4, measures, shares, table1
+from sean_jax.studies.experiments.measures import MEASURES, WAITING, has_learned
+from sean_jax.studies.experiments.results_table import ALL, Table, join, rows
 from sean_jax.studies.experiments.shares import BEHAVIORS
 from support import learning_data
 from support.files import write
@@ -58,39 +59,50 @@ def test_ways_of_counting():
     flags = np.zeros((2, 4, 5), bool)
     flags[0, 0, :2] = True  # cross and down path together
     flags[0, 1, 4] = flags[0, 2, 4] = flags[1, 0, 4] = True
-    found = shares.count(flags, resamples(2))
-    each = np.array([1, 1, 0, 0, 3])
+
+    def samples(flags: np.ndarray) -> np.ndarray:
+        (found,) = shares.chain_shares(cell(flags), [], draw=lambda sizes: resamples(2)).values()
+        return found
+
+    found = samples(flags)
+    counts = np.array([1, 1, 0, 0, 3])
     for counting, whole in {"flags": 5, "flags_and_none": 9, "examples": 8, "situated_examples": 4}.items():
-        np.testing.assert_allclose(found.of(counting)[0], each / whole)
+        np.testing.assert_allclose(shares.counted(found, counting)[0], counts / whole)
     assert set(shares.COUNTINGS) == {"flags", "flags_and_none", "examples", "situated_examples"}
-    assert found.seconds == 8 and found.none[0] == 0.5
-    low, high = shares.interval(found.examples)
-    assert (low <= found.examples[0]).all() and (found.examples[0] <= high).all()
-    nothing = shares.count(np.zeros((2, 4, 5), bool), resamples(2))
-    assert all(np.all(nothing.of(counting) == 0.0) for counting in shares.COUNTINGS) and np.all(nothing.none == 1.0)
+    assert cell(flags).where(measure=shares.EXAMPLES).value.sum() == 8 and found[0, 5] == 0.5
+    low, high = shares.interval(found)
+    assert (low <= found[0]).all() and (found[0] <= high).all()
+    nothing = samples(np.zeros((2, 4, 5), bool))
+    assert all(np.all(shares.counted(nothing, counting) == 0.0) for counting in shares.COUNTINGS)
+    assert np.all(nothing[:, 5] == 1.0)
 
 
-def chains(random: np.random.Generator, streams: int, number: int, minutes: int) -> shares.Cell:
+def cell(flags: np.ndarray, streams: int = 1) -> Table:
+    """The rows of chains (C, seconds, 5) at one walking speed."""
+    labels = {"policy": "go_to_goal", "behavior": "graph", "people": 9}
+    return shares.chain_rows(flags[None], flags, np.array([1, 0]), streams, [""], **labels)
+
+
+def chains(random: np.random.Generator, streams: int, number: int, minutes: int) -> Table:
     """Chains of random people: minutes are random as a whole, and join group occurs in the last stream alone."""
     rates = random.beta(2.0, 4.0, (streams, number, 1))  # successive minutes of a chain are alike
     flags = random.random((streams, number, minutes)) < rates
     several = np.zeros((1, streams, number, 60 * minutes, 5), bool)
     several[0, ..., 4] = np.repeat(flags, 60, axis=-1)
     several[0, -1, ..., 2] = True
-    several = several.reshape(1, streams * number, 60 * minutes, 5)
-    return shares.Cell("graph", "go_to_goal", 9, several, several[0], np.array([1, 0]), streams)
+    return cell(several.reshape(streams * number, 60 * minutes, 5), streams)
 
 
 def test_intervals_of_the_mean_and_of_an_hour_hold_as_often_as_they_say():
     """The share of empty is 1/3 of the examples, of two streams of half an hour; join group never varies."""
     random, mean, hour = np.random.default_rng(0), [], []
     for _ in range(300):
-        cell = chains(random, 2, 25, 6)
-        for shares_of, truth, inside in (
-            (cell.shares, 1 / 3, mean),
-            (cell.hour, chains(random, 2, 5, 6).flags[0, ..., 4].mean(), hour),
-        ):
-            low, high = shares.interval(shares_of().examples)
+        measured = chains(random, 2, 25, 6)
+        (of_mean,) = shares.chain_shares(measured, []).values()
+        (of_hour,) = shares.chain_shares(measured, [], draw=functools.partial(shares._of_an_hour, measured)).values()
+        another = chains(random, 2, 5, 6).where(measure=shares.SHARE, situation="empty").value.mean()
+        for found, truth, inside in ((of_mean, 1 / 3, mean), (of_hour, another, hour)):
+            low, high = shares.interval(found)
             inside.append(low[4] <= truth <= high[4])
             assert low[2] == pytest.approx(0.5) == high[2]
     assert 0.92 <= np.mean(mean) <= 0.98 and 0.92 <= np.mean(hour) <= 0.98
@@ -99,19 +111,18 @@ def test_intervals_of_the_mean_and_of_an_hour_hold_as_often_as_they_say():
 def test_the_papers_hour_is_tested_against_an_hour():
     """A figure of the paper within our hours fits, another does not; Holm's correction is of one policy's figures."""
     random = np.random.default_rng(1)
-    rows = shares.hours([chains(random, 2, 50, 6)])
-    assert [row["figure"] for row in rows] == [*shares.NAMES, "entropy"]
-    by = {row["figure"]: row for row in rows}
+    tests = shares.hours(chains(random, 2, 50, 6))
+    assert [test["figure"] for test in tests] == [*shares.NAMES, "entropy"]
+    by = {test["figure"]: test for test in tests}
     assert by["empty"]["low"] < by["empty"]["paper"] < by["empty"]["high"] and by["empty"]["p"] > 0.05
     assert by["cross_path"]["p"] == pytest.approx(2 / 2001) and by["cross_path"]["holm"] < 0.05
     assert by["cross_path"]["holm"] == pytest.approx(6 * by["cross_path"]["p"], rel=0.7)
-    assert all(row["holm"] >= row["p"] for row in rows)
+    assert all(test["holm"] >= test["p"] for test in tests)
 
 
-def row(*percent: float) -> shares.Shares:
-    """Of a behavior known exactly."""
-    samples = np.repeat(np.array([percent]) / 100, 3, axis=0)
-    return shares.Shares(samples, np.zeros(3), 100)
+def row(*percent: float) -> np.ndarray:
+    """Shares of a behavior known exactly, in all examples and in two resamples."""
+    return np.tile([*(value / 100 for value in percent), 0.0], (3, 1))
 
 
 def test_the_papers_own_table_has_the_papers_orderings():
@@ -126,35 +137,53 @@ def test_other_tables_have_not():
     assert told["T8"] and told["T10"] and not any(told[name] for name in ("T1", "T2", "T3", "T4", "T5", "T6", "T7"))
 
 
+def driven(values: dict, violations: dict | None = None, networks: tuple[int, int] = (1, 1)) -> Table:
+    """The rows of policy -> behavior -> measure -> (E,), and of violations (E, 5) of each policy in each situation."""
+    tables = []
+    for policy, by_behavior in values.items():
+        for behavior, cell in by_behavior.items():
+            datasets, trainings = networks if has_learned(policy) else (1, 1)
+            count = len(cell["completed"])
+            network = np.arange(count) // (count // (datasets * trainings))
+            labels = {"policy": policy, "behavior": behavior}
+            labels |= {"dataset": network // trainings, "seed": network % trainings}
+            waiting = {WAITING: cell["time_not_moving"] * cell["completed"]}
+            tables += [rows(value, measure=name, **labels) for name, value in (cell | waiting).items()]
+            by_situation = np.zeros((count, 5)) if violations is None else violations[policy]
+            tables.append(rows(by_situation, shares.NAMES, measure="violations", **labels))
+    return join(tables)
+
+
 def test_claims_of_figure_4():
     def cell(wait: float, harm: float, done: float) -> dict:
-        names = ("time_not_moving", wait), ("violations", harm), ("completed", done), ("collisions", 0.0)
+        names = ("completed", done), ("time_not_moving", wait), ("violations", harm), ("collisions", 0.0)
         return {name: np.full(10, value) for name, value in names}
 
     waits = {"G": 11.0, "R": 16.3, "H": 25.0, "B": 11.0, "N": 28.7, "E": 5.0}
-    harms = {"graph": 2.5, "random": 1.9, "handcrafted": 1.0}
+    harms = {"random": 1.9, "handcrafted": 1.0, "graph": 2.5}
     values = {p: {b: cell(waits[p], harms[b], 0.9) for b in BEHAVIORS} for p in waits}
-    by = {p: {b: np.tile([1.0, 1.0, 0.2, 0.2, 0.1], (10, 1)) for b in BEHAVIORS} for p in waits}
-    by["B"] = {b: np.full((10, 5), 0.1) for b in BEHAVIORS}
-    found = Results((1, 1, 10), values, {}, by)
-    told = claims(found)
-    assert all(each["holds"] and each["share"] == 1.0 for each in told)
+    by = {p: np.tile([1.0, 1.0, 0.2, 0.2, 0.1], (10, 1)) for p in waits} | {"B": np.full((10, 5), 0.1)}
+    told = measures.claims(driven(values, by))
+    assert all(test["holds"] and test["share"] == 1.0 for test in told)
     values["G"] = {b: cell(30.0, harms[b], 0.5) for b in BEHAVIORS}
-    told = {each["statement"]: each["holds"] for each in claims(found)}
+    told = {test["statement"]: test["holds"] for test in measures.claims(driven(values, by))}
     assert not told["N stands longest, s"] and not told["G stands less than R, s"]
     assert not told["the learned complete 80 % of what the demonstrator does"]
-    assert found.cells["R"]["graph"]["completed"].mean == pytest.approx(90.0)
-    assert found.means["R"]["completed"].mean == pytest.approx(90.0)
-    assert found.more["mean"]["time_not_moving"].mean == pytest.approx(11.0 - 30.0)
-    assert found.harm["random"].mean == pytest.approx(1.9)
-    some = {name: each.copy() for name, each in values["G"]["graph"].items()}
+
+    found = measures.figure4_estimates(driven(values, by))
+    assert found["R", "graph", "completed", ALL].mean == pytest.approx(90.0)
+    assert found["R", "mean", "completed", ALL].mean == pytest.approx(90.0)
+    assert found["B-G", "mean", "time_not_moving", ALL].mean == pytest.approx(11.0 - 30.0)
+    assert found["B-G", "graph", "violations", "cross_path"].mean == pytest.approx(-0.9)
+    assert found["GRHN", "random", "violations", ALL].mean == pytest.approx(1.9)
+    some = {name: value.copy() for name, value in values["G"]["graph"].items()}
     some["completed"], some["time_not_moving"] = np.repeat([1.0, 0.0], 5), np.repeat([2.0, 90.0], 5)
     values["G"] = {b: some for b in BEHAVIORS}
-    found = Results((1, 1, 10), values, {}, by)
-    assert found.cells["G"]["graph"]["time_not_moving"].mean == pytest.approx(46.0)
-    assert found.waiting["G"]["graph"].mean == pytest.approx(2.0), "of the completed alone"
+    found = measures.figure4_estimates(driven(values, by))
+    assert found["G", "graph", "time_not_moving", ALL].mean == pytest.approx(46.0)
+    assert found["G", "graph", WAITING, ALL].mean == pytest.approx(2.0), "of the completed alone"
     some["completed"][:] = 0.0
-    assert Results((1, 1, 10), values, {}, by).waiting["G"]["graph"].episodes == 0
+    assert measures.figure4_estimates(driven(values, by))["G", "graph", WAITING, ALL].episodes == 0
 
 
 def test_balanced_odds_make_situations_equally_frequent():
@@ -519,7 +548,7 @@ def test_contrasts_of_figure_4():
     """Networks are compared by datasets and other policies by episodes, as scipy does; Holm's correction is of all."""
     from scipy import stats
 
-    random, sizes = np.random.default_rng(2), (5, 2, 8)
+    random = np.random.default_rng(2)
     shifts = {"G": 0.0, "R": 2.0, "H": 0.5, "B": 0.0, "N": 1.0, "E": 3.0}
 
     def cell(policy: str) -> dict:
@@ -528,20 +557,21 @@ def test_contrasts_of_figure_4():
         return {**cells, "completed": (cells["completed"] > 0.0).astype(float)}
 
     values = {policy: {b: cell(policy) for b in BEHAVIORS} for policy in shifts}
-    found = Results(sizes, values, {}, {})
-    rows = {(row["one"], row["other"], row["measure"]): row for row in found.contrasts}
-    assert len(rows) == 7 * len(MEASURES) and rows["G", "R", "violations"]["holm"] < 0.05
+    table = driven(values, networks=(5, 2))
+    tests = {(test["one"], test["other"], test["measure"]): test for test in measures.contrasts(table)}
+    assert len(tests) == 7 * len(MEASURES) and tests["G", "R", "violations"]["holm"] < 0.05
     for one, other, units in ("G", "R", 5), ("G", "N", 5), ("E", "N", 80):
         ours, theirs = (np.mean([values[p][b]["violations"] for b in BEHAVIORS], 0) for p in (one, other))
         gaps = (ours - theirs).reshape(units, -1).mean(1)
-        row, student = rows[one, other, "violations"], stats.ttest_1samp(gaps, 0.0)
+        row, student = tests[one, other, "violations"], stats.ttest_1samp(gaps, 0.0)
         assert row["p"] == pytest.approx(student.pvalue)
         assert row["effect"] == pytest.approx(gaps.mean() / gaps.std(ddof=1))
         estimate, ends = row["difference"], student.confidence_interval()
         assert estimate.mean == pytest.approx(gaps.mean())
         np.testing.assert_allclose([estimate.low, estimate.high], ends, atol=0.1 * (ends[1] - ends[0]))
         assert row["holm"] >= row["p"]
-    assert found.cells["E"]["graph"]["violations"].high - found.cells["E"]["graph"]["violations"].low < 0.6
+    found = measures.figure4_estimates(table)["E", "graph", "violations", ALL]
+    assert found.high - found.low < 0.6
 
 
 def test_worlds_of_the_ablation_differ_in_one_switch_each():

@@ -15,8 +15,9 @@ from sean_jax.core.errors import InputError
 from sean_jax.learning.dataset import open_dataset
 from sean_jax.learning.policy import AGENTS, check_policy
 from sean_jax.studies import experiments
-from sean_jax.studies.experiments import figure4, measures
-from sean_jax.studies.experiments.measures import Curve, Variant, comparisons
+from sean_jax.studies.experiments import figure4, learning_curve
+from sean_jax.studies.experiments.learning_curve import KEYS, Variant, comparisons
+from sean_jax.studies.experiments.results_table import estimate, join, rows
 from sean_jax.studies.experiments.shares import BEHAVIORS
 
 ASKED = LearningCurveConfig()
@@ -24,20 +25,20 @@ WORK = Workspace(ASKED.folder, {})
 
 
 def test_what_is_compared():
-    asked = figure4.variants(ASKED)
+    asked = learning_curve.variants(ASKED)
     assert [each.name for each in asked] == ["1h", "10h", "100h", "1h-10hz", "1h-flags"]
     pairs = [(one.name, other.name) for one, other in comparisons(asked)]
     assert pairs == [("10h", "1h"), ("100h", "10h"), ("1h-10hz", "1h"), ("1h-10hz", "10h"), ("1h-flags", "1h")]
     others = ASKED.replace(demonstration_hours=(3.0, 0.5, 3.0), rates=(1, 2, 5))
     names = ["0.5h", "3h", "3h-2hz", "3h-5hz", "3h-flags"]
-    assert [each.name for each in figure4.variants(others)] == names
+    assert [each.name for each in learning_curve.variants(others)] == names
     assert [each.title for each in asked][-2:] == ["1 h at 10 Hz", "1 h with flags"]
 
 
 def test_the_first_variant_is_column_g_of_figure_4():
     """The same demonstrations and the same network, but for names of folders."""
     paper = figure4.learner(Figure4Config(out=ASKED.folder), WORK, "G")
-    taught = {each.name: figure4.variant_learner(ASKED, WORK, each) for each in figure4.variants(ASKED)}
+    taught = {each.name: learning_curve.variant_learner(ASKED, WORK, each) for each in learning_curve.variants(ASKED)}
     one = taught["1h"]
     assert one.experiment.datasets == 3 and len(one.networks) == 3
     assert one.data.identity() == paper.data.identity() and (one.data.hours, paper.data.hours) == (3.0, 10.0)
@@ -53,8 +54,8 @@ def test_the_first_variant_is_column_g_of_figure_4():
 
 
 def test_the_optimizer_makes_no_more_steps_than_asked_for():
-    for variant, updates in itertools.product(figure4.variants(ASKED), (1, 500, 20_000)):
-        training = figure4.variant_learner(ASKED.replace(updates=updates), WORK, variant).training((0, 0))
+    for variant, updates in itertools.product(learning_curve.variants(ASKED), (1, 500, 20_000)):
+        training = learning_curve.variant_learner(ASKED.replace(updates=updates), WORK, variant).training((0, 0))
         steps = int(np.ceil(0.9 * 3600 * variant.hours * variant.rate / 1024))
         assert training.epochs == max(1, min(1000, updates // steps))
     assert training.epochs == 1000, "an hour stops by itself"
@@ -66,8 +67,9 @@ def test_verdicts_are_those_of_known_episodes():
     random = np.random.default_rng(0)
     base = random.random(8)
 
-    def cell(completed, waiting, violations) -> dict:
-        return {"completed": completed, "time_not_moving": waiting, "violations": violations, "collisions": 0.0 * base}
+    def cell(percent, waiting, violations) -> dict:
+        measures = {"completed": percent / 100.0, "time_not_moving": waiting}
+        return measures | {"violations": violations, "collisions": 0.0 * base}
 
     mixed = base + np.array([1.0, -1.0] * 4)
     values = {
@@ -75,9 +77,15 @@ def test_verdicts_are_those_of_known_episodes():
         "10h": {b: cell(50 * base + k, base - 1.0, base + 0.5) for k, b in enumerate(BEHAVIORS, 1)},
         "1h-flags": {b: cell(50 * base, mixed, base) for b in BEHAVIORS},
     }
-    curve = Curve((2, 1, 4), values, {}, asked)
-    told = {(row["variant"], row["measure"]): row for row in curve.verdicts}
-    assert len(told) == len(curve.verdicts) == 6
+    table = learning_curve.with_means(join([
+        rows(value, measure=measure, policy=name, behavior=b, dataset=np.arange(8) // 4)
+        for name, by_behavior in values.items()
+        for b, measures in by_behavior.items()
+        for measure, value in measures.items()
+    ]))  # fmt: skip
+    verdicts = learning_curve.verdicts(table, asked)
+    told = {(row["variant"], row["measure"]): row for row in verdicts}
+    assert len(told) == len(verdicts) == 6
     more = [told["10 h", measure] for measure in ("completed", "time_not_moving", "violations")]
     assert [row["holds"] for row in more] == [True, True, False] and [row["share"] for row in more] == [1.0, 1.0, 0.0]
     np.testing.assert_allclose([row["difference"].mean for row in more], [2.0, -1.0, 0.5], atol=1e-9)
@@ -85,9 +93,9 @@ def test_verdicts_are_those_of_known_episodes():
     perhaps = told["1 h with flags", "time_not_moving"]
     assert 0.05 < perhaps["share"] < 0.95 and perhaps["difference"].low < 0 < perhaps["difference"].high
     assert not told["1 h with flags", "completed"]["holds"], "equally many are not more"
-    apart = curve.differences(asked[1], asked[0])
-    np.testing.assert_allclose([apart[b]["completed"].mean for b in (*BEHAVIORS, measures.MEAN)], [1, 2, 3, 2])
-    assert curve.cells["1h"]["graph"]["completed"].mean == pytest.approx(50 * base.mean())
+    apart = learning_curve.differences(table, asked[1], asked[0])
+    np.testing.assert_allclose([apart[b, "completed"].mean for b in (*BEHAVIORS, "mean")], [1, 2, 3, 2])
+    assert estimate(table, KEYS)["1h", "graph", "completed"].mean == pytest.approx(50 * base.mean())
 
 
 def test_options_of_the_curve_are_its_own(tmp_path):
@@ -95,9 +103,9 @@ def test_options_of_the_curve_are_its_own(tmp_path):
     sizes = ASKED.demonstration_hours, ASKED.rates, ASKED.datasets, ASKED.trainings
     assert sizes == ((1.0, 10.0, 100.0), (10,), 3, 1)
     with pytest.raises(InputError, match="rate: 3 examples a second do not divide its 10 steps"):
-        figure4.run_learning_curve(LearningCurveConfig(rates=(3,), out=tmp_path / "out"))
+        learning_curve.run_learning_curve(LearningCurveConfig(rates=(3,), out=tmp_path / "out"))
     preset = LearningCurveConfig(preset="sean2")
-    assert figure4.variant_collection(preset, Variant(1.0, 10)).dynamics == "kinematic"
+    assert learning_curve.variant_collection(preset, Variant(1.0, 10)).dynamics == "kinematic"
     assert not list(tmp_path.iterdir())
 
 
