@@ -157,7 +157,7 @@ def test_a_model_says_what_it_takes(runtime, tmp_path, monkeypatch, capsys):
     facts = {each.key: each.value for each in model.metadata_props}
     first, second = json.loads(facts["observation"])
     assert first == {
-        "name": "goal", "shape": [2], "low": -30.0, "high": 30.0, "image": False, "stack": 0,
+        "name": "goal", "shape": [2], "low": -30.0, "high": 30.0, "image": False, "stack": 0, "every": 1,
         "definition": "Where the goal is: (2,) m.",
     }  # fmt: skip
     assert second["name"] == "people" and second["shape"] == [12, 5] and second["high"] == 8.0
@@ -194,7 +194,7 @@ def test_operations_are_those_of_jax(runtime):
     like = {"x": jax.ShapeDtypeStruct((2, 3), jnp.float32), "y": jax.ShapeDtypeStruct((5, 4, 3), jnp.float32)}
     expected = jax.eval_shape(program, like)
     names = [f"out_{number}" for number in range(len(expected))]
-    graph = onnx.graph_of(program, like, names)
+    graph = onnx.graph_of(lambda seen: dict(zip(names, program(seen), strict=True)), like, names)
     opset = [format.helper.make_opsetid("", onnx.OPSET)]
     model = format.helper.make_model(graph, opset_imports=opset, ir_version=onnx.IR_VERSION)
     format.checker.check_model(model, full_check=True)
@@ -207,7 +207,7 @@ def test_operations_are_those_of_jax(runtime):
             assert one.dtype == other.dtype and one.shape == other.shape, number
             np.testing.assert_allclose(one, other, rtol=1e-4, atol=1e-5, err_msg=str(number))
     with pytest.raises(InputError, match="the operation sort, which is not translated; layers, convolutions"):
-        onnx.graph_of(lambda seen: [jnp.sort(seen["x"])], like, ["out"])
+        onnx.graph_of(lambda seen: {"out": jnp.sort(seen["x"])}, like, ["out"])
 
 
 def test_exports_that_cannot_be_are_refused(tmp_path, monkeypatch, capsys):
