@@ -160,7 +160,8 @@ def _train(training: Training, tell: Progress) -> TrainState:
     state = init(options.seed, command_scale(training.read("command")))
     if options.pretrained is not None:
         agent = read_agent(options.pretrained, training.description)
-        state = replace(state, agent=agent, best=begin_best(agent, ()))
+        copied = jax.tree.map(jnp.copy, agent)  # both are donated
+        state = replace(state, agent=agent, best=begin_best(copied, ()))
     epoch = _epoch(training, mesh)
 
     def advance(state: TrainState) -> tuple[TrainState, Report]:

@@ -11,14 +11,14 @@ Source: J. Xu et al., "Accelerated policy learning with parallel differentiable 
 import dataclasses
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import optax
 from flax import struct
 from flax.typing import VariableDict
-from jaxtyping import Float, PyTree
+from jaxtyping import Float
 
 from sean_jax import mdp
 from sean_jax.config import APGConfig
@@ -90,30 +90,31 @@ def update(
     memory, discount = batch.memory, hyperparameters["discount"]
     target_critic = replace(agent, parameters=optimizer.target)
 
-    def actor_loss(parameters: PyTree) -> tuple[Array, tuple[EnvBatch, Transition]]:
-        actor = replace(agent, parameters=parameters)
-        return _actor_loss(envs, network, actor, target_critic, batch, options.horizon, key, discount)
-
     # The actor makes one step along the gradient through the simulator.
-    (loss, (batch, transitions)), gradient = jax.value_and_grad(actor_loss, has_aux=True)(agent.parameters)
+    horizon = Horizon(envs, network, target_critic, batch, options.horizon, key, discount)
+    (loss, (batch, transitions)), gradient = jax.value_and_grad(
+        lambda parameters: _actor_loss(horizon, replace(agent, parameters=parameters)), has_aux=True
+    )(agent.parameters)
     batch, transitions = jax.lax.stop_gradient((batch, transitions))
     norm = optax.tree.norm(gradient)
     finite = jnp.isfinite(norm)
     gradient = jax.tree.map(lambda leaf: jnp.where(finite, leaf, 0.0), gradient)
-    rate, actor_rate = hyperparameters["learning_rate"], hyperparameters["actor_rate"]
+    actor_rate = hyperparameters["actor_rate"]
     parameters, actor = rollouts.apply_gradient(ACTOR, actor_rate, agent.parameters, optimizer.actor, gradient)
     agent = replace(agent, parameters=parameters)
 
     # The critic learns the returns of the rollout, as the target critic estimates them.
     last = rollouts.forward(network, target_critic, envs[0].member.observations, batch)
     advantage = rollouts.advantages(transitions, last.value, discount, hyperparameters["advantage_decay"])
+    rate = hyperparameters["learning_rate"]
     optimization = Optimization(CRITIC, rate, options.critic_epochs, options.minibatches)
     data = transitions._replace(info={}), advantage + transitions.value
     learner = network, agent, optimizer.critic
     agent, critic, error = rollouts.optimize(optimization, critic_loss, *learner, data, memory, key)
+
+    # The target critic follows it slowly.
     share = options.target_share
     target = jax.tree.map(lambda old, new: old + share * (new - old), optimizer.target, agent.parameters)
-
     losses = {
         "loss": loss,
         "critic": error,
@@ -131,17 +132,21 @@ def critic_loss(output: NetworkOutput, transitions: Transition, target: Float[Ar
     return error, error
 
 
-def _actor_loss(
-    envs: Envs,
-    network: ActorCritic,
-    actor: Agent,
-    target_critic: Agent,
-    batch: EnvBatch,
-    steps: int,
-    key: Array,
-    discount: Array,
-) -> tuple[Array, tuple[EnvBatch, Transition]]:
+class Horizon(NamedTuple):
+    """The steps through which the derivative goes."""
+
+    envs: Envs  # with pools
+    network: ActorCritic
+    target_critic: Agent
+    batch: EnvBatch  # at the beginning
+    steps: int
+    key: Array  # () typed PRNG key of the update
+    discount: Float[Array, ""]
+
+
+def _actor_loss(horizon: Horizon, actor: Agent) -> tuple[Array, tuple[EnvBatch, Transition]]:
     """Minus the discounted reward of some steps and the value after them, divided by the steps; the scenarios then."""
+    envs, network, target_critic, batch, steps, key, discount = horizon
     terms = envs[0].member.observations
 
     @jax.checkpoint  # a step is recomputed in the backward pass

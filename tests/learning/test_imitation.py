@@ -24,7 +24,7 @@ from sean_jax.learning.collection import row_record, simulate_shard
 from sean_jax.learning.dataset import on_device, split
 from sean_jax.learning.examples import example
 from sean_jax.learning.networks import NetworkConfig, NetworkOutput
-from sean_jax.learning.policy import load
+from sean_jax.learning.policy import load, pack
 from sean_jax.learning.trainer import MetricsLog
 from sean_jax.simulation import episodes
 from sean_jax.simulation.episode_runner import Runner
@@ -255,6 +255,16 @@ def test_checkpoints_of_another_network_are_refused(data, trained, tmp_path, cap
     assert error.startswith("sean: ") and "was begun with width 16, not 24" in error and len(error.splitlines()) == 1
     with pytest.raises(InputError, match="has no trained network"):
         load(tmp_path, learning_data.setting()[0]["join_group"])
+
+
+def test_a_packed_network_is_the_network_in_16_bits(trained, tmp_path):
+    scenario = learning_data.setting()[0]["join_group"]
+    packed = pack(trained[1], tmp_path / "packed")
+    assert {path.name for path in packed.iterdir()} == {"config.json", "weights.npz"}
+    agents = [load(folder, scenario).params.agent for folder in (packed, trained[1])]
+    trees.assert_close(*agents, rtol=1e-3)
+    with pytest.raises(InputError, match="is packed already; copy it"):
+        pack(packed, tmp_path / "again")
 
 
 def test_opening_a_policy_changes_nothing(data, trained, tmp_path):

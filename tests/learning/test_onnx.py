@@ -16,7 +16,7 @@ from sean_jax import learning, mdp, registry
 from sean_jax.cli import command_line
 from sean_jax.config import PPOConfig
 from sean_jax.core.errors import InputError
-from sean_jax.learning import networks, onnx
+from sean_jax.learning import networks, onnx, policy
 from sean_jax.learning.policy import AGENTS, agent_network, agent_terms, save_agent
 from support.quick import quick
 
@@ -143,6 +143,33 @@ def test_agents_with_other_networks_drive_alike(runtime, tmp_path, monkeypatch, 
         network = network.clone(encoder=network.encoder.clone(dtype=jnp.float32))
         driver = replace(driver, params=replace(driver.params, network=network))
     check(runtime, file, scenario, driver)
+
+
+@pytest.mark.parametrize("flags", [False, True])
+def test_a_network_that_imitates_drives_alike(runtime, tmp_path, flags):
+    """With its local plan and the shares of its attention."""
+    scenario = sean_jax.make("lab", behavior="random", people=2, dynamics="twin")
+    names = [name for name, _ in scenario.situations]
+    command = "sean collect --environment lab --behavior random --people 2 --dynamics twin"
+    config = {"width": 8, "flags": flags, "image": [13, 16], "situations": names, "dataset": {"command": command}}
+    description = networks.describe_imitation(networks.NetworkConfig(**config), scenario.time_step)
+    agent = jax.jit(description.init)(jax.random.key(0))
+    agent = jax.tree.map(lambda leaf: leaf + 0.05, agent).replace(command_scale=jnp.array([0.3, 0.8]))
+    (tmp_path / "packed").mkdir()
+    save_agent(tmp_path / "packed", agent, config)
+    params = learning.load(tmp_path / "packed", scenario).params
+    session = runtime.InferenceSession(onnx.export(tmp_path / "packed", tmp_path / "agent.onnx").read_bytes())
+    rng, commands = np.random.default_rng(0), []
+    for _ in range(5):
+        seen = {each.name: rng.uniform(0.0, 5.0, each.shape).astype(np.float32) for each in session.get_inputs()}
+        expected = jax.jit(policy._forward)(params, seen, jnp.zeros(0), jnp.zeros((), bool))
+        found = dict(zip([each.name for each in session.get_outputs()], session.run(None, seen), strict=True))
+        np.testing.assert_allclose(found.pop("command"), expected.mean * params.agent.command_scale, atol=1e-5)
+        commands.append(found.pop("action"))
+        assert found.keys() == expected.auxiliary.keys() and found["local_plan"].shape == (5, 2)
+        for name, values in found.items():
+            np.testing.assert_allclose(values, expected.auxiliary[name], atol=1e-5)
+    assert np.ptp(commands, 0).max() > 1e-4
 
 
 def test_a_model_says_what_it_takes(runtime, tmp_path, monkeypatch, capsys):

@@ -832,7 +832,8 @@ def test_analytic_gradients_are_those_of_differences():
         bias = parameters["params"][last]["bias"]
         parameters["params"][last]["bias"] = bias.at[0].add(change)
         acting = replace(agent, parameters=parameters)
-        return shac._actor_loss((env,), network, acting, agent, rows, 4, jax.random.key(4), jnp.asarray(0.99))[0]
+        horizon = shac.Horizon((env,), network, agent, rows, 4, jax.random.key(4), jnp.asarray(0.99))
+        return shac._actor_loss(horizon, acting)[0]
 
     found = jax.jit(jax.grad(lost))(0.3)
     step = 1e-3  # at 1e-2 limits of the robot come in between
