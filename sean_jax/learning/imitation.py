@@ -156,40 +156,60 @@ def shuffled(rows: Int[Array, "R"], probabilities: Float[Array, "R"] | None, see
 def _train(training: Training, tell: Progress) -> TrainState:
     """Train in a folder that this process has locked."""
     options, mesh = training.options, devices.mesh()
-    init = jax.jit(functools.partial(init_state, training.description, training.student))
-    state = init(options.seed, command_scale(training.read("command")))
-    if options.pretrained is not None:
-        agent = read_agent(options.pretrained, training.description)
-        copied = jax.tree.map(jnp.copy, agent)  # both are donated
-        state = replace(state, agent=agent, best=begin_best(copied, ()))
     epoch = _epoch(training, mesh)
 
     def advance(state: TrainState) -> tuple[TrainState, Report]:
         start = time.time()
         state, *losses = epoch(state)
-        number, best_number, loss = int(state.update), int(state.best.update), float(losses[1].loss)
-        if not all(math.isfinite(float(part.loss)) for part in losses):
-            where = f"the loss is not finite in epoch {number}; {options.folder} keeps the checkpoints until then"
-            raise FloatingPointError(f"{where}; try a lower --learning-rate in another folder.")
-        due = best_number == number or number % CHECKPOINT_INTERVAL == 0 or is_over(state)
-        best = f"best {-float(state.best.value):.4f} after {best_number}"
-        note = f"epoch {number} · loss {loss:.4f}, {best}, {time.time() - start:.2f} s an epoch"
-        return state, Report(number, _line(number, *losses), loss, due, note)
-
-    def is_over(state: TrainState) -> bool:
-        epochs = int(state.update)
-        return epochs >= options.epochs or epochs - int(state.best.update) >= options.patience
+        return state, _report(options, state, *losses, time.time() - start)
 
     # Checkpoints hold the networks that were trained in parallel, here one.
     loop = Loop(
         advance=advance,
-        is_over=is_over,
+        is_over=functools.partial(_is_over, options),
         done=lambda state: int(state.update),
         place=functools.partial(devices.replicate, mesh),
         encode=lambda state: jax.tree.map(lambda leaf: leaf[None], state),
         decode=lambda saved, _: jax.tree.map(lambda leaf: leaf[0], saved),
     )
-    return fit(options.folder, training.file(), state, loop, options.epochs, tell)
+    return fit(options.folder, training.file(), _first_state(training), loop, options.epochs, tell)
+
+
+def _first_state(training: Training) -> TrainState:
+    """The state before the first epoch, of new weights or of those of another training."""
+    options, description = training.options, training.description
+    init = jax.jit(functools.partial(init_state, description, training.student))
+    state = init(options.seed, command_scale(training.read("command")))
+    if options.pretrained is None:
+        return state
+    agent = read_agent(options.pretrained, description)
+    copied = jax.tree.map(jnp.copy, agent)  # both are donated
+    return replace(state, agent=agent, best=begin_best(copied, ()))
+
+
+def _is_over(options: ImitationConfig, state: TrainState) -> bool:
+    epochs = int(state.update)
+    return epochs >= options.epochs or epochs - int(state.best.update) >= options.patience
+
+
+def _report(
+    options: ImitationConfig, state: TrainState, training: CloningLosses, validation: CloningLosses, seconds: float
+) -> Report:
+    """The report of an epoch.
+
+    Raises:
+        FloatingPointError: a loss is not finite.
+    """
+    number, best_number, loss = int(state.update), int(state.best.update), float(validation.loss)
+    if not (math.isfinite(float(training.loss)) and math.isfinite(loss)):
+        raise FloatingPointError(
+            f"the loss is not finite in epoch {number}; {options.folder} keeps the checkpoints until then; "
+            "try a lower --learning-rate in another folder."
+        )
+    due = best_number == number or number % CHECKPOINT_INTERVAL == 0 or _is_over(options, state)
+    best = f"best {-float(state.best.value):.4f} after {best_number}"
+    note = f"epoch {number} · loss {loss:.4f}, {best}, {seconds:.2f} s an epoch"
+    return Report(number, _line(number, training, validation), loss, due, note)
 
 
 def _line(epoch: int, training: CloningLosses, validation: CloningLosses) -> dict[str, Any]:
@@ -334,24 +354,25 @@ def _train_ensemble(trainings: list[Training], first: int, tell: Progress) -> li
     while not over.all():
         start = time.time()
         states, losses = epoch(states, jnp.asarray(over), data)
-        trained, validated = (jax.tree.map(np.asarray, part) for part in losses)
-        if not np.isfinite([trained.loss[~over], validated.loss[~over]]).all():
+        training_losses, validation_losses = (jax.tree.map(np.asarray, part) for part in losses)
+        epochs.append(EnsembleEpoch(training_losses, validation_losses, ~over, start))
+        if not np.isfinite([training_losses.loss[~over], validation_losses.loss[~over]]).all():
             raise FloatingPointError(
                 "a loss is not finite; nothing of these networks is written; lower the learning rate."
             )
-        epochs.append(EnsembleEpoch(trained, validated, ~over, start))
 
         # Each network stops by its own validation loss; the others go on.
         number, best_number = np.asarray(states.update), np.asarray(states.best.update)
         over |= (number >= options.epochs) | (number - best_number >= options.patience)
         share = max(float(over.mean()), number.max() / options.epochs)
-        stopped = f"{int(over.sum())} of {len(over)} stopped, loss {float(validated.loss.mean()):.4f} on average"
+        mean = float(validation_losses.loss.mean())
+        stopped = f"{int(over.sum())} of {len(over)} stopped, loss {mean:.4f} on average"
         tell.update(first + share * len(over), f"epoch {number.max()} · {stopped}")
 
-    for index, (training, file) in enumerate(zip(trainings, files, strict=True)):
-        own_state = jax.tree.map(lambda leaf, index=index: leaf[index : index + 1], states)
-        _write_folder(training.options.folder, file, own_state, epochs, index)
-    return [jax.tree.map(lambda leaf, index=index: leaf[index], states) for index in range(len(trainings))]
+    own_states = [jax.tree.map(lambda leaf, row=row: leaf[row : row + 1], states) for row in range(len(trainings))]
+    for row, (training, file, state) in enumerate(zip(trainings, files, own_states, strict=True)):
+        _write_folder(training.options.folder, file, state, epochs, row)
+    return [jax.tree.map(lambda leaf: leaf[0], state) for state in own_states]
 
 
 class EnsembleEpoch(NamedTuple):

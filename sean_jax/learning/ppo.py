@@ -59,6 +59,7 @@ def update(
         envs: with pools; scenarios are shared out equally.
         key: () typed PRNG key of this update.
     """
+    # All scenarios take some steps, of which advantages are estimated.
     memory = batch.memory
     batch, transitions = rollouts.rollout(envs, network, agent, batch, options.horizon, key)
     last = rollouts.forward(network, agent, envs[0].member.observations, batch)
@@ -71,6 +72,7 @@ def update(
     returns = replace(returns, count=jnp.minimum(returns.count, MEMORY * target.size))
     scale = jnp.sqrt(returns.variance[0] + EPSILON)
 
+    # Epochs over minibatches of the transitions.
     rates = {"actor": hyperparameters["actor_rate"], "critic": hyperparameters["learning_rate"]}
     rate = jax.tree.map(rates.get, networks.owners(agent.parameters))
     optimization = Optimization(OPTIMIZER, rate, options.epochs, options.minibatches)

@@ -589,6 +589,7 @@ def _train(
     config: dict[str, Any],
 ) -> TrainState:
     """Train in a folder that this process has locked, or the first of the processes that train together."""
+    # Everything that can be refused comes before the starts are drawn.
     scenarios, envs, network = setting
     resumes = processes.on_first_process(lambda: check_config(options.folder, config))
     layout = device_layout(len(options.agents))
@@ -613,6 +614,7 @@ def _train(
             agents = with_noise(agents, options.noise)
         state = run.begin(envs, agents)
 
+        # From here on, environments lie on all devices, and the state as its layout says.
         scenarios, envs, starts = devices.replicate(layout.mesh, (scenarios, envs, starts))
         course = Course(options, run, Setting(scenarios, envs, network), starts, tell, Recent())
         loop = Loop(

@@ -115,6 +115,7 @@ def fit(
         PartError: a callback fails. The checkpoints stay.
         IncompleteError: a file is damaged or cannot be written. The checkpoints stay.
     """
+    # A training goes on from its latest checkpoint; later lines of its log are dropped.
     resumes = on_first_process(lambda: check_config(folder, config))
     if not resumes:
         on_first_process(lambda: write_config(folder, config))
@@ -122,6 +123,8 @@ def fit(
     saved = checkpoints.latest(loop.encode(state)) if resumes else None
     state = loop.place(state if saved is None else loop.decode(saved, state))
     log = MetricsLog(folder, loop.done(state)) if is_first_process() else None
+
+    # A signal ends it between two epochs, but not while the first one compiles.
     tell.stage("compiling")
     signals, stops, compiled, unsaved = [], False, False, None
     with contextlib.ExitStack() as stack:
@@ -139,6 +142,8 @@ def fit(
                     tell.start("training", total)
                     if jax.process_count() == 1:  # several must agree, by ``must_stop``
                         signals = stack.enter_context(interrupts.deferred())
+
+                # What is not due is saved at the end.
                 unsaved = None if report.due else report
                 if report.due:
                     checkpoints.save(loop.encode(state), report.number, report.loss)
