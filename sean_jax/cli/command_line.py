@@ -318,8 +318,8 @@ def _train(options: config.ImitationConfig | config.ReinforcementConfig, console
     if isinstance(options, config.ImitationConfig):
         train = learning.dagger.train if isinstance(options, config.DaggerConfig) else learning.train
         state = train(options, console)  # pyright: ignore[reportArgumentType]
-        best = f"smallest loss in validation {float(state.best):.4f} after {int(state.best_epoch)}"
-        _print(console, f"{int(state.epoch)} epochs, {best}: ", options.folder)
+        best = f"smallest loss in validation {-float(state.best.value):.4f} after {int(state.best.update)}"
+        _print(console, f"{int(state.update)} epochs, {best}: ", options.folder)
     else:
         import numpy as np
 

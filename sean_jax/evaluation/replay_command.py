@@ -6,7 +6,6 @@ show.
 """
 
 import dataclasses
-import shlex
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,16 +16,16 @@ import numpy as np
 from rich.console import Console
 from rich.text import Text
 
-from sean_jax.config import CollectConfig, ReplayConfig, RunConfig, flags, validate
+from sean_jax.config import ReplayConfig, RunConfig, validate
 from sean_jax.core.data_types import Array, Policy, Scenario, State, Trajectory
 from sean_jax.core.errors import InputError
 from sean_jax.evaluation import batches, results, run_folder
-from sean_jax.io import files, writing
+from sean_jax.io import writing
 from sean_jax.io.progress import progress
 from sean_jax.io.versions import fingerprint, version_mismatch
 from sean_jax.learning.collection import content, load_driver, stream_floors
 from sean_jax.learning.networks import CONFIG, read_method
-from sean_jax.learning.policy import load, load_policies, read_options
+from sean_jax.learning.policy import demonstration_config, load, load_policies, read_options
 from sean_jax.simulation import making
 from sean_jax.simulation.episode_runner import Callbacks, Record, Runner
 from sean_jax.simulation.scenario_stack import Stack
@@ -255,15 +254,7 @@ def _of_training(folder: Path, numbers: list[int]) -> Source:
 
 def _of_imitation(folder: Path) -> Source:
     """Other episodes of the scenarios of a network's demonstrations; such a network is evaluated by examples."""
-    content = files.read_json(folder / CONFIG)
-    dataset = content.get("dataset", {}) if isinstance(content, dict) else {}
-    words = shlex.split(str(dataset.get("command", "")))
-    if words[:2] != ["sean", "collect"]:
-        raise InputError(
-            f"{folder / CONFIG}: its demonstrations were not made by `sean collect`; use `sean run` for it."
-        )
-    config = flags.read(CollectConfig, flags.parse("collect", CollectConfig, words[2:]))
-    config = validate(CollectConfig, config.model_dump(mode="json"), source=folder / CONFIG)
+    config = demonstration_config(folder)
     parts = stream_floors(config)
     stacks = list(parts.values())
     return Source(

@@ -31,11 +31,11 @@ from sean_jax.core import devices, random_streams
 from sean_jax.core.data_types import Array, Policy, Scenario, State
 from sean_jax.core.errors import InputError
 from sean_jax.io import writing
-from sean_jax.io.progress import ProgressLike, progress
+from sean_jax.io.progress import Progress, ProgressLike, progress
 from sean_jax.io.versions import fingerprint, versions
 from sean_jax.learning import dataset
 from sean_jax.learning.dataset import Dataset, EpisodeBatch, stream_seconds
-from sean_jax.learning.examples import Row, row
+from sean_jax.learning.examples import DemonstrationRow, row
 from sean_jax.learning.policy import check_policy, label, labelled, load_policy
 from sean_jax.robots.drive import require
 from sean_jax.simulation import making
@@ -99,9 +99,9 @@ def _only(scenario: Scenario, situation: str) -> Scenario:
 
 
 def next_stream(recorded: list[int], target_rows: int) -> int | None:
-    """The index of the stream with the fewest recorded rows; None when each has ``wanted`` rows.
+    """The index of the stream with the fewest recorded rows; None when each has ``target_rows``.
 
-    It does not depend on ``wanted`` otherwise, so a dataset extended later equals a dataset recorded at once.
+    It does not depend on ``target_rows`` otherwise, so a dataset extended later equals a dataset recorded at once.
     """
     shortest = min(range(len(recorded)), key=lambda stream: (recorded[stream], stream))
     return None if recorded[shortest] >= target_rows else shortest
@@ -144,6 +144,8 @@ def simulate_shard(
     place = turn * runner.size
     batch = runner.run(seed, first, index=np.full(runner.size, stream), callbacks=callbacks, turn=place)
     scenario = runner.scenarios[0]
+
+    # An episode has at most a row for each second of its time limit, at a rate of 1.
     rate = round(1.0 / scenario.time_step) // runner.record.every
     most = rate * math.ceil(scenario.time_limit - 1e-6)
     rows: dict[str, np.ndarray] = {}
@@ -152,6 +154,7 @@ def simulate_shard(
     for values, active in batch.rows:
         lengths += _put_rows(rows, values, active, begin, most)
         begin += len(active)
+
     floats = [values for values in rows.values() if values.dtype.kind == "f"]
     faulty = np.any([~np.isfinite(values.reshape(len(values), -1)).all(1) for values in floats], 0)
     if faulty.any():
@@ -160,11 +163,13 @@ def simulate_shard(
     return EpisodeBatch(rows, lengths, np.asarray(batch.states.completed), floors)
 
 
-def _put_rows(arrays: dict[str, np.ndarray], rows: Row, active: np.ndarray, begin: int, most: int) -> np.ndarray:
+def _put_rows(
+    arrays: dict[str, np.ndarray], rows: DemonstrationRow, active: np.ndarray, begin: int, most: int
+) -> np.ndarray:
     """Put rows (C, B, ...) from row ``begin`` on into arrays (B, most, ...); number of rows of each episode, (B,)."""
     end = min(begin + len(active), most)
     active = active[: end - begin].T
-    for field in dataclasses.fields(Row):  # pyright: ignore[reportArgumentType]
+    for field in dataclasses.fields(DemonstrationRow):  # pyright: ignore[reportArgumentType]
         values = np.swapaxes(np.asarray(getattr(rows, field.name)), 0, 1)
         if field.name not in arrays:
             arrays[field.name] = np.zeros((len(values), most, *values.shape[2:]), values.dtype)
@@ -187,19 +192,28 @@ def _update_rows(
     actions: Array,
     active: Array,
     total: tuple,
-) -> tuple[tuple[Array, Array], tuple[Row, Array]]:
+) -> tuple[tuple[Array, Array], tuple[DemonstrationRow, Array]]:
     """The rows before the latest steps, with whether the episodes had not ended by then."""
 
-    def one(scenario: Scenario, before: State, actions: Array, last: Array, latest: Array) -> tuple[Array, Row]:
-        finite = jnp.isfinite(actions).all(-1)
-        command = jnp.where(finite[0], actions[0], latest)  # a command that is not finite is no new one
-        newest = jnp.max(jnp.where(finite, jnp.arange(len(actions), dtype=jnp.int32), -1))
-        latest = jnp.where(newest >= 0, actions[newest], latest)
-        return latest, row(scenario, before, command, camera, last)
-
     last, latest = total
-    latest, rows = floors.vmap(one)(before, actions.swapaxes(0, 1), last, latest)
+    latest, rows = floors.vmap(functools.partial(_row_of, camera))(before, actions.swapaxes(0, 1), last, latest)
     return (last, latest), (rows, active)
+
+
+def _row_of(
+    camera: sensors.Camera, scenario: Scenario, before: State, actions: Array, last: Array, latest: Array
+) -> tuple[Array, DemonstrationRow]:
+    """The command after some steps, and the row before them; a command that is not finite is no new one.
+
+    Args:
+        actions: (steps, 2) m/s, rad/s.
+        latest: (2,) the command before.
+    """
+    finite = jnp.isfinite(actions).all(-1)
+    command = jnp.where(finite[0], actions[0], latest)
+    newest = jnp.max(jnp.where(finite, jnp.arange(len(actions), dtype=jnp.int32), -1))
+    latest = jnp.where(newest >= 0, actions[newest], latest)
+    return latest, row(scenario, before, command, camera, last)
 
 
 TYPICAL = 30.0  # s, of an episode: batches are sized so that no stream gets many more rows than it needs
@@ -245,50 +259,76 @@ def _collect(config: CollectConfig, console: ProgressLike) -> Dataset:
     policy = load_driver(config, first)
     camera = sensors.camera(first, "depth", width=config.width, height=config.height)
     mesh = devices.mesh()
-    if (config.batch or 0) % mesh.size:
-        uneven = f"{config.batch} episodes do not spread evenly over {mesh.size} devices"
+    _check_batch(config, stacks, mesh.size)
+    data = _open(config, parts, policy, camera)
+    if data.batch % mesh.size:
+        batch = f"--batch {data.batch}, which does not spread evenly over {mesh.size} devices"
+        raise InputError(f"{data.folder} was begun with {batch}; choose another --out.")
+
+    # A shard is written while the next one is simulated.
+    is_labelled = config.labels is not None or config.noise is not None
+    record = row_record(first, camera, label if is_labelled else None, config.rate)
+    runner = Runner(stacks, policy, data.batch, "collect", record, mesh)
+    with progress(console) as tell, ThreadPoolExecutor(1, thread_name_prefix="sean-commit") as pool:
+        recording = _Recording(data, runner, config, tell)
+        tell.start("recording", recording.total)
+        recording.show("compiling")
+        commit: Future | None = None
+        for stream, shard in _due(data, recording.rows, recording.target_rows):
+            batch = recording.simulate(stream, shard)
+            if commit is not None:
+                commit.result()  # raises the error of the shard before
+            commit = pool.submit(data.commit, stream, batch, shard)
+        if commit is not None:
+            commit.result()
+    return data
+
+
+def _check_batch(config: CollectConfig, stacks: list[Stack[Scenario]], device_count: int) -> None:
+    """Refuse a batch that does not divide among devices or floors."""
+    if (config.batch or 0) % device_count:
+        uneven = f"{config.batch} episodes do not spread evenly over {device_count} devices"
         raise InputError(f"--batch: {uneven}; take a multiple.")
     even = _even(config.batch or 1, stacks)
     if config.batch not in (None, even):
         uneven = f"{config.batch} episodes do not spread evenly over {stacks[0].size} floors"
         raise InputError(f"--batch: {uneven}; take {even}.")
-    data = _open(config, parts, policy, camera)
-    if data.batch % mesh.size:
-        batch = f"--batch {data.batch}, which does not spread evenly over {mesh.size} devices"
-        raise InputError(f"{data.folder} was begun with {batch}; choose another --out.")
-    is_labelled = config.labels is not None or config.noise is not None
-    record = row_record(first, camera, label if is_labelled else None, config.rate)
-    runner = Runner(stacks, policy, data.batch, "collect", record, mesh)
-    target_rows = config.rate * stream_seconds(config.hours, len(parts))
-    total = target_rows * len(parts) // config.rate
-    recorded, order = data.stream_rows, [shard["stream"] for shard in data.manifest["shards"]]
-    first_new = len(order)
-    with progress(console) as tell, ThreadPoolExecutor(1, thread_name_prefix="sean-commit") as pool:
-        tell.start("recording", total)
-        commit: Future | None = None
 
-        def show(note: str) -> None:
-            done = sum(min(each, target_rows) for each in recorded) // config.rate
-            tell.update(done, f"{done:,} of {total:,} s · {note}")
 
-        show("compiling")
-        for stream, shard in _due(data, recorded, target_rows):
-            began = time.perf_counter()
-            order += [stream] if shard == len(order) else []
+class _Recording:
+    """The recorded rows of each stream while shards are simulated, and their progress."""
 
-            def watch(seconds: int, shard: int = shard) -> None:
-                show(f"shard {shard}: {data.batch} episodes of {first.people} people at {seconds} s")
+    def __init__(self, data: Dataset, runner: Runner, config: CollectConfig, tell: Progress):
+        count = len(data.manifest["streams"])
+        self.data, self.runner, self.config, self.tell = data, runner, config, tell
+        self.target_rows = config.rate * stream_seconds(config.hours, count)  # of each stream
+        self.total = self.target_rows * count // config.rate  # s
+        self.rows = data.stream_rows
+        self.streams = [shard["stream"] for shard in data.manifest["shards"]]
+        self.first_new = len(self.streams)  # shards before it are repeated, since their files were lost
 
-            batch = simulate_shard(runner, config.seed, shard, stream, watch, order[:shard].count(stream))
-            if commit is not None:
-                commit.result()  # raises the error of the shard before
-            commit = pool.submit(data.commit, stream, batch, shard)
-            if shard >= first_new:
-                recorded[stream] += int(batch.lengths.sum())
-            show(f"shard {shard}: {int(batch.lengths.sum())} examples in {time.perf_counter() - began:.1f} s")
-        if commit is not None:
-            commit.result()
-    return data
+    def simulate(self, stream: int, shard: int) -> EpisodeBatch:
+        """The episodes of a shard."""
+        began = time.perf_counter()
+        if shard == len(self.streams):
+            self.streams.append(stream)
+        people = self.runner.scenarios[0].people
+
+        def watch(seconds: int) -> None:
+            self.show(f"shard {shard}: {self.data.batch} episodes of {people} people at {seconds} s")
+
+        turn = self.streams[:shard].count(stream)
+        batch = simulate_shard(self.runner, self.config.seed, shard, stream, watch, turn)
+        examples = int(batch.lengths.sum())
+        if shard >= self.first_new:
+            self.rows[stream] += examples
+        self.show(f"shard {shard}: {examples} examples in {time.perf_counter() - began:.1f} s")
+        return batch
+
+    def show(self, note: str) -> None:
+        """Show the progress, with a note."""
+        done = sum(min(rows, self.target_rows) for rows in self.rows) // self.config.rate
+        self.tell.update(done, f"{done:,} of {self.total:,} s · {note}")
 
 
 def _due(data: Dataset, recorded: list[int], target_rows: int) -> Iterator[tuple[int, int]]:

@@ -15,6 +15,7 @@ Source: M. Jiang, E. Grefenstette & T. Rocktaschel, "Prioritized level replay", 
 "Evolving curricula with regret-based environment design", ICML 2022.
 """
 
+import functools
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple
@@ -39,7 +40,7 @@ WHOLE = 2**30  # into which sums by start are divided
 
 
 @dataclass(frozen=True)
-class Plan:
+class CurriculumPlan:
     """How a curriculum weighs starts.
 
     Args:
@@ -81,7 +82,7 @@ class Plan:
 
 @struct.dataclass
 class Curriculum:
-    """A pool, and the record of its starts and of situations, whose sums fade by ``Plan.memory``."""
+    """A pool, and the record of its starts and of situations, whose sums fade by ``CurriculumPlan.memory``."""
 
     pool: mdp.Pool
     keys: Array  # (K,) typed PRNG keys of the starts
@@ -95,12 +96,10 @@ class Curriculum:
     best: Float[Array, "K"]  # highest return of those; 0 if there is none
     returns: Float[Array, "K"]  # sum of their returns, which fades
     ended: Float[Array, "K"]  # number of these
-    gain: Float[Array, "K"]  # sum of positive advantages, which fades
-    steps: Float[Array, "K"]  # number of these
     guess: Float[Array, "K"]  # of the regret, until it is known
 
 
-class Record(NamedTuple):
+class StepRecord(NamedTuple):
     """T steps of B scenarios, of the episode that each step belongs to."""
 
     start: Int[Array, "T B"]  # ``info["start"]``
@@ -108,7 +107,6 @@ class Record(NamedTuple):
     cost: Float[Array, "T B"]  # of ``social_cost``
     done: Bool[Array, "T B"]  # the episode ended with this step
     episode_return: Float[Array, "T B"]  # ``info["episode_return"]``
-    advantage: Float[Array, "T B"] | None = None  # for regret, its positive part; None: best return less mean
 
 
 def social_cost(parts: Mapping[str, Float[Array, "*batch"]]) -> Float[Array, "*batch"]:
@@ -142,7 +140,11 @@ def prepare(env: mdp.Env, name: str) -> mdp.Env:
 
 
 def follow(
-    env: mdp.Env, plan: Plan | None, curriculum: Curriculum | None, info: Mapping[str, PyTree], done: Bool[Array, "T B"]
+    env: mdp.Env,
+    plan: CurriculumPlan | None,
+    curriculum: Curriculum | None,
+    info: Mapping[str, PyTree],
+    done: Bool[Array, "T B"],
 ) -> tuple[Curriculum | None, dict[str, dict[str, Array]]]:
     """The curriculum after an update of a trainer, and numbers for its log: the effective number of starts, how often
     each has been replaced, and the weights of situations or the mean regret.
@@ -153,12 +155,12 @@ def follow(
     if plan is None or curriculum is None:
         return None, {}
     cost = social_cost(info["rewards"]) if plan.by == "situations" else jnp.zeros(done.shape, float)
-    record = Record(info["start"], info["situations"], cost, done, info["episode_return"])
+    record = StepRecord(info["start"], info["situations"], cost, done, info["episode_return"])
     after = observe(env, plan, curriculum, record)
     return after, {"curriculum": _numbers(env, plan, after)}
 
 
-def _numbers(env: mdp.Env, plan: Plan, curriculum: Curriculum) -> dict[str, Array]:
+def _numbers(env: mdp.Env, plan: CurriculumPlan, curriculum: Curriculum) -> dict[str, Array]:
     weights = curriculum.pool.weights.astype(jnp.float32)
     size = weights.shape[0]
     replacements = (curriculum.pool.states.start // size).astype(jnp.float32).mean()
@@ -172,7 +174,7 @@ def _numbers(env: mdp.Env, plan: Plan, curriculum: Curriculum) -> dict[str, Arra
 # ------------------------------------------------------------------ begin, observe, refill
 
 
-def init(env: mdp.Env, plan: Plan, key: Array, size: int, policy: PolicyLike | None = None) -> Curriculum:
+def init(env: mdp.Env, plan: CurriculumPlan, key: Array, size: int, policy: PolicyLike | None = None) -> Curriculum:
     """A curriculum whose starts are drawn now; jit it with ``plan`` and ``size`` static.
 
     Args:
@@ -192,48 +194,70 @@ def init(env: mdp.Env, plan: Plan, key: Array, size: int, policy: PolicyLike | N
     return _weighed(env, plan, Curriculum(**starts, cost=unknown, time=unknown, total_cost=zero, total_time=zero))
 
 
-def observe(env: mdp.Env, plan: Plan, curriculum: Curriculum, record: Record) -> Curriculum:
+def observe(env: mdp.Env, plan: CurriculumPlan, curriculum: Curriculum, record: StepRecord) -> Curriculum:
     """The curriculum with the weights that follow from further steps. Episodes from starts that are no longer in the
     pool count for situations alone.
     """
-    size = curriculum.keys.shape[0]
-    slot = jnp.maximum(record.start, 0) % size
-    known = (record.start >= 0) & (curriculum.pool.states.start[slot] == record.start)
     second = jnp.asarray(env.scenario.time_step, jnp.float32)
-    occurs = record.situations.astype(jnp.float32) * second
-    cost = record.cost.astype(jnp.float32)
-    ends = (known & record.done).astype(jnp.float32)
-    returns = record.episode_return.astype(jnp.float32)
-    gain = jnp.zeros_like(cost) if record.advantage is None else jnp.maximum(record.advantage, 0.0).astype(jnp.float32)
-    counted = known.astype(jnp.float32)
-    columns = jnp.stack([counted * second, ends, ends * returns, counted * gain, counted], -1)
-    sums = _by_start(jnp.concatenate([columns, counted[..., None] * occurs], -1), slot, size)
-    highest = jnp.where(ends > 0.0, returns, -jnp.inf)
-    highest = jnp.full(size, -jnp.inf, jnp.float32).at[slot.reshape(-1)].max(highest.reshape(-1))
-    before = jnp.where(curriculum.episodes > 0.0, curriculum.best, highest)
-    best = jnp.maximum(before, highest)
+    situations = record.situations.astype(jnp.float32)  # (T, B, S)
+    cost = record.cost.astype(jnp.float32)  # (T, B)
+    starts = _sum_by_start(curriculum, record, situations * second, second)
+
+    before = jnp.where(curriculum.episodes > 0.0, curriculum.best, starts.best)
+    best = jnp.maximum(before, starts.best)
+
+    # A start's record fades only if something takes its place.
     keep = jnp.asarray(plan.memory, jnp.float32)
-    faded, ended = (jnp.where(sums[:, column] > 0.0, keep, 1.0) for column in (4, 1))  # else nothing takes its place
+    faded = jnp.where(starts.steps > 0.0, keep, 1.0)
+    ended = jnp.where(starts.ended > 0.0, keep, 1.0)
     after = replace(
         curriculum,
-        occurs=faded[:, None] * curriculum.occurs + sums[:, 5:],
-        seconds=faded * curriculum.seconds + sums[:, 0],
-        cost=keep * curriculum.cost + (cost[..., None] * record.situations.astype(jnp.float32)).sum((0, 1)),
-        time=keep * curriculum.time + occurs.sum((0, 1)),
+        occurs=faded[:, None] * curriculum.occurs + starts.occurs,
+        seconds=faded * curriculum.seconds + starts.seconds,
+        cost=keep * curriculum.cost + (cost[..., None] * situations).sum((0, 1)),
+        time=keep * curriculum.time + (situations * second).sum((0, 1)),
         total_cost=keep * curriculum.total_cost + cost.sum(),
         total_time=keep * curriculum.total_time + second * cost.size,
-        episodes=curriculum.episodes + sums[:, 1],
+        episodes=curriculum.episodes + starts.ended,
         best=jnp.where(jnp.isfinite(best), best, 0.0),
-        returns=ended * curriculum.returns + sums[:, 2],
-        ended=ended * curriculum.ended + sums[:, 1],
-        gain=faded * curriculum.gain + sums[:, 3],
-        steps=faded * curriculum.steps + (sums[:, 4] if record.advantage is not None else 0.0),
+        returns=ended * curriculum.returns + starts.returns,
+        ended=ended * curriculum.ended + starts.ended,
     )
     return _weighed(env, plan, after)
 
 
+class StartSums(NamedTuple):
+    """Sums over a record, of each start of the pool."""
+
+    seconds: Float[Array, "K"]
+    ended: Float[Array, "K"]  # episodes
+    returns: Float[Array, "K"]  # of these
+    steps: Float[Array, "K"]
+    occurs: Float[Array, "K S"]  # s in each situation
+    best: Float[Array, "K"]  # the highest return; minus infinity if no episode ended
+
+
+def _sum_by_start(
+    curriculum: Curriculum, record: StepRecord, occurs: Float[Array, "T B S"], second: Float[Array, ""]
+) -> StartSums:
+    """The sums of a record, whose steps are ``second`` s long."""
+    # A slot of the pool may have another start by now.
+    size = curriculum.keys.shape[0]
+    slot = jnp.maximum(record.start, 0) % size
+    known = (record.start >= 0) & (curriculum.pool.states.start[slot] == record.start)
+    counted, ends = known.astype(jnp.float32), (known & record.done).astype(jnp.float32)  # (T, B)
+
+    returns = record.episode_return.astype(jnp.float32)
+    columns = jnp.stack([counted * second, ends, ends * returns, counted], -1)
+    sums = _by_start(jnp.concatenate([columns, counted[..., None] * occurs], -1), slot, size)
+
+    highest = jnp.where(ends > 0.0, returns, -jnp.inf)
+    best = jnp.full(size, -jnp.inf, jnp.float32).at[slot.reshape(-1)].max(highest.reshape(-1))
+    return StartSums(*sums[:, :4].T, occurs=sums[:, 4:], best=best)
+
+
 def refill(
-    env: mdp.Env, plan: Plan, curriculum: Curriculum, key: Array, policy: PolicyLike | None = None
+    env: mdp.Env, plan: CurriculumPlan, curriculum: Curriculum, key: Array, policy: PolicyLike | None = None
 ) -> Curriculum:
     """The curriculum with new starts in the places of the starts with the least weight; jit it with ``plan`` static.
 
@@ -244,40 +268,71 @@ def refill(
         key: () typed PRNG key, another one each time.
         policy: as in ``init``.
     """
-    size = curriculum.keys.shape[0]
-    number = int(plan.replaced * size)
+    number = int(plan.replaced * curriculum.keys.shape[0])
     if not number:
         return curriculum
+    fresh = _new_starts(env, plan, curriculum, key, policy, number)
+    if plan.by == "situations":
+        exchange = _exchange_by_situations(env, plan, curriculum, fresh)
+    else:
+        exchange = _exchange_by_regret(curriculum, number)
+    return _weighed(env, plan, _put(curriculum, fresh, exchange))
+
+
+class Exchange(NamedTuple):
+    """Which new starts replace which of the pool, R pairs."""
+
+    out: Int[Array, "R"]  # slots of the pool
+    order: Int[Array, "R"]  # new starts for them
+    better: Bool[Array, "R"]  # whether the new one takes the place
+
+
+def _new_starts(
+    env: mdp.Env, plan: CurriculumPlan, curriculum: Curriculum, key: Array, policy: PolicyLike | None, number: int
+) -> dict[str, Any]:
+    """New starts; by regret some of them are mutations of the best."""
     new_key, choice_key, parent_key, mutation_key = jax.random.split(key, 4)
     keys = jax.random.split(new_key, number)
-    parameters, guess = None, jnp.zeros(number, jnp.float32)
-    if plan.by == "regret":
-        guess = jnp.full(number, _mean_regret(curriculum), jnp.float32)
-        if env.randomization is not None:
-            chances = jnp.log(jnp.maximum(_by_regret(plan, curriculum), 1e-30))
-            parent = jax.random.categorical(parent_key, chances, shape=(number,))
-            mutates = jax.random.uniform(choice_key, (number,), float) < plan.mutated
-            keys, parameters = _offspring(env, curriculum, keys, parent, mutates, mutation_key)
-            guess = jnp.where(mutates, regret(curriculum)[parent], guess)
-    fresh = _draw(env, plan, policy, keys, parameters) | {"guess": guess}
-    if plan.by == "situations":  # all old and new starts in one pool
-        both = zip((curriculum.occurs, curriculum.seconds), (fresh["occurs"], fresh["seconds"]), strict=True)
-        share = _shares(*map(jnp.concatenate, both))
-        values = _by_situations(share, share.sum(0), situation_weights(env, plan, curriculum))
-        value, new_value = values[:size], values[size:]
-        out, order = jnp.argsort(value)[:number], jnp.argsort(-new_value)
-        better = jnp.sort(new_value)[::-1] > value[out]  # the best new start for the worst old one
-    else:
-        is_known = _is_known(curriculum)
-        out = jnp.argsort(jnp.where(is_known, regret(curriculum), jnp.inf))[:number]
-        better, order = is_known[out], jnp.arange(number, dtype=jnp.int32)
-    return _weighed(env, plan, _put(curriculum, fresh, out, order, better))
+    if plan.by != "regret":
+        return _draw(env, plan, policy, keys) | {"guess": jnp.zeros(number, jnp.float32)}
+
+    # The regret of a new start is guessed to be the mean, that of a mutation its parent's.
+    guess = jnp.full(number, _mean_regret(curriculum), jnp.float32)
+    if env.randomization is None:
+        return _draw(env, plan, policy, keys) | {"guess": guess}
+    chances = jnp.log(jnp.maximum(_by_regret(plan, curriculum), 1e-30))
+    parent = jax.random.categorical(parent_key, chances, shape=(number,))
+    mutates = jax.random.uniform(choice_key, (number,), float) < plan.mutated
+    keys, parameters = _offspring(env, curriculum, keys, parent, mutates, mutation_key)
+    guess = jnp.where(mutates, regret(curriculum)[parent], guess)
+    return _draw(env, plan, policy, keys, parameters) | {"guess": guess}
+
+
+def _exchange_by_situations(
+    env: mdp.Env, plan: CurriculumPlan, curriculum: Curriculum, fresh: dict[str, Any]
+) -> Exchange:
+    """The best new start for the worst old one, and so on, all of them weighed as one pool."""
+    size, number = curriculum.keys.shape[0], fresh["keys"].shape[0]
+    occurs = jnp.concatenate([curriculum.occurs, fresh["occurs"]])
+    seconds = jnp.concatenate([curriculum.seconds, fresh["seconds"]])
+    share = _shares(occurs, seconds)
+    values = _by_situations(share, share.sum(0), situation_weights(env, plan, curriculum))
+    value, new_value = values[:size], values[size:]
+    out, order = jnp.argsort(value)[:number], jnp.argsort(-new_value)
+    return Exchange(out, order, better=jnp.sort(new_value)[::-1] > value[out])
+
+
+def _exchange_by_regret(curriculum: Curriculum, number: int) -> Exchange:
+    """Any new start for one of the least regret."""
+    is_known = _is_known(curriculum)
+    out = jnp.argsort(jnp.where(is_known, regret(curriculum), jnp.inf))[:number]
+    return Exchange(out, jnp.arange(number, dtype=jnp.int32), better=is_known[out])
 
 
 # ------------------------------------------------------------------ statistics of the record
 
 
-def situation_weights(env: mdp.Env, plan: Plan, curriculum: Curriculum) -> Float[Array, "S"]:
+def situation_weights(env: mdp.Env, plan: CurriculumPlan, curriculum: Curriculum) -> Float[Array, "S"]:
     """The target shares (S,) of situations; they add up to 1."""
     names = [name for name, _ in env.scenario.situations]
     if plan.situations is not None:
@@ -295,14 +350,10 @@ def occurrences(curriculum: Curriculum) -> Float[Array, "K S"]:
 
 
 def regret(curriculum: Curriculum) -> Float[Array, "K"]:
-    """The regret (K,) of starts: the mean of positive advantages, if they were observed, else the best return less
-    their mean; a guess if too few episodes have ended.
-    """
+    """The regret (K,) of starts: the best return less their mean; a guess if too few episodes have ended."""
     mean = curriculum.returns / jnp.maximum(curriculum.ended, TINY)
     gap = jnp.maximum(curriculum.best - mean, 0.0)
-    gain = curriculum.gain / jnp.maximum(curriculum.steps, 1.0)
-    score = jnp.where(curriculum.steps.sum() > 0.0, gain, gap)
-    return jnp.where(_is_known(curriculum), score, curriculum.guess)
+    return jnp.where(_is_known(curriculum), gap, curriculum.guess)
 
 
 def _is_known(curriculum: Curriculum) -> Bool[Array, "K"]:
@@ -317,7 +368,7 @@ def _mean_regret(curriculum: Curriculum) -> Array:
 # ------------------------------------------------------------------ weights of starts
 
 
-def _weighed(env: mdp.Env, plan: Plan, curriculum: Curriculum) -> Curriculum:
+def _weighed(env: mdp.Env, plan: CurriculumPlan, curriculum: Curriculum) -> Curriculum:
     """The curriculum with updated weights in its pool."""
     if plan.by == "regret":
         weights = _by_regret(plan, curriculum)
@@ -332,12 +383,12 @@ def _weighed(env: mdp.Env, plan: Plan, curriculum: Curriculum) -> Curriculum:
 def _by_situations(share: Array, total: Float[Array, "S"], weights: Float[Array, "S"]) -> Array:
     """(...) the chance that a start is drawn for a situation, by the shares (..., S) of time and their sums."""
     met = total > TINY
-    each = jnp.where(met, weights / jnp.where(met, total, 1.0), 0.0)
+    weight = jnp.where(met, weights / jnp.where(met, total, 1.0), 0.0)
     nowhere = 1.0 - jnp.where(met, weights, 0.0).sum() / jnp.maximum(weights.sum(), TINY)  # goes to all alike
-    return share @ each + nowhere / share.shape[0]
+    return share @ weight + nowhere / share.shape[0]
 
 
-def _by_regret(plan: Plan, curriculum: Curriculum) -> Float[Array, "K"]:
+def _by_regret(plan: CurriculumPlan, curriculum: Curriculum) -> Float[Array, "K"]:
     score = regret(curriculum)
     score = jnp.where(_is_known(curriculum) | (curriculum.guess > 0.0), score, _mean_regret(curriculum))
     ordered = jnp.sort(score)
@@ -355,38 +406,39 @@ def _shares(occurs: Float[Array, "K S"], seconds: Float[Array, "K"]) -> Float[Ar
 
 
 def _draw(
-    env: mdp.Env, plan: Plan, policy: PolicyLike | None, keys: Array, randomization: PyTree = None
+    env: mdp.Env, plan: CurriculumPlan, policy: PolicyLike | None, keys: Array, randomization: PyTree = None
 ) -> dict[str, Any]:
     """The fields of a curriculum that have a row for each start, of new starts."""
     pool = env.draw_pool(keys, randomization)
     occurs, seconds = _occurrences(env, plan, pool, policy)
-    record = ("episodes", "best", "returns", "ended", "gain", "steps", "guess")
+    record = ("episodes", "best", "returns", "ended", "guess")
     none = dict.fromkeys(record, jnp.zeros(keys.shape, jnp.float32))
     return {"pool": pool, "keys": keys, "occurs": occurs, "seconds": seconds, **none}
 
 
-def _occurrences(env: mdp.Env, plan: Plan, pool: mdp.Pool, policy: PolicyLike | None) -> tuple[Array, Array]:
+def _occurrences(env: mdp.Env, plan: CurriculumPlan, pool: mdp.Pool, policy: PolicyLike | None) -> tuple[Array, Array]:
     """(K, S) s that a policy spends in each situation, and (K,) s of all, from each start for a short while."""
     size, number = pool.weights.shape[0], len(env.scenario.situations)
     if policy is None or plan.by == "regret":
         return jnp.zeros((size, number), jnp.float32), jnp.zeros(size, jnp.float32)
+    return jax.vmap(functools.partial(_look_ahead, env, plan, policy))(pool.states)
+
+
+def _look_ahead(env: mdp.Env, plan: CurriculumPlan, policy: PolicyLike, start: mdp.EnvState) -> tuple[Array, Array]:
+    """(S,) s in each situation, and () s of all, from one start."""
+    scenario = env.scenario_of(start.randomization)
+
+    def advance(carry: tuple[State, Array, Array], _: None) -> tuple[tuple[State, Array, Array], None]:
+        before, occurs, seconds = carry
+        after, _ = policy_step(scenario, policy, before)
+        duration = jnp.where(before.completed | before.timed_out, 0.0, scenario.time_step).astype(jnp.float32)
+        return (after, occurs + duration * after.situations.astype(jnp.float32), seconds + duration), None
+
+    state = init_policy(scenario, policy, start.simulation)
+    carry = state, jnp.zeros(len(env.scenario.situations), jnp.float32), jnp.zeros((), jnp.float32)
     steps = max(1, round(plan.ahead / env.scenario.time_step))
-
-    def one(start: mdp.EnvState) -> tuple[Array, Array]:
-        scenario = env.scenario_of(start.randomization)
-
-        def further(carry: tuple[State, Array, Array], _) -> tuple[tuple, None]:
-            before, occurs, seconds = carry
-            after, _ = policy_step(scenario, policy, before)
-            going = jnp.where(before.completed | before.timed_out, 0.0, scenario.time_step).astype(jnp.float32)
-            return (after, occurs + going * after.situations.astype(jnp.float32), seconds + going), None
-
-        state = init_policy(scenario, policy, start.simulation)
-        carry = state, jnp.zeros(number, jnp.float32), jnp.zeros((), jnp.float32)
-        (_, occurs, seconds), _ = jax.lax.scan(further, carry, length=steps)
-        return occurs, seconds
-
-    return jax.vmap(one)(pool.states)
+    (_, occurs, seconds), _ = jax.lax.scan(advance, carry, length=steps)
+    return occurs, seconds
 
 
 def _offspring(
@@ -412,25 +464,26 @@ def _offspring(
     return jnp.where(mutates, curriculum.keys[parent], keys), jax.tree.map(select, moved, drawn)
 
 
-def _put(curriculum: Curriculum, fresh: dict[str, Any], out: Array, order: Array, better: Array) -> Curriculum:
-    """The curriculum with ``fresh`` starts, in this order, in the slots ``out`` where they are better, all (R,)."""
+def _put(curriculum: Curriculum, fresh: dict[str, Any], exchange: Exchange) -> Curriculum:
+    """The curriculum with ``fresh`` starts in the slots where they are better."""
     size = curriculum.keys.shape[0]
+    out, order, better = exchange
 
     def put(old: Array, new: Array) -> Array:
         chosen = better.reshape(-1, *[1] * (old.ndim - 1))
         return old.at[out].set(jnp.where(chosen, new[order], old[out]))
 
-    number = curriculum.pool.states.start
-    numbers = jnp.where(better, number[out] + size, number[out])
+    numbers = curriculum.pool.states.start
+    replaced = numbers.at[out].set(jnp.where(better, numbers[out] + size, numbers[out]))
     starts = jax.tree.map(put, {name: getattr(curriculum, name) for name in fresh}, fresh)
-    states = replace(starts["pool"].states, start=number.at[out].set(numbers))
-    return replace(curriculum, **starts | {"pool": replace(starts["pool"], states=states)})
+    pool = replace(starts["pool"], states=replace(starts["pool"].states, start=replaced))
+    return replace(curriculum, **starts | {"pool": pool})
 
 
 def _by_start(values: Float[Array, "T B C"], slot: Int[Array, "T B"], size: int) -> Float[Array, "K C"]:
     """Sums by start, of whole numbers: sums of floats would depend on the order of additions on a GPU."""
-    rows = values.reshape(-1, values.shape[-1])
-    part = jnp.maximum(jnp.abs(rows).sum(0), TINY) / WHOLE
-    whole = jnp.round(rows / part[None, :]).astype(jnp.int32)
+    rows = values.reshape(-1, values.shape[-1])  # (T B, C)
+    unit = jnp.maximum(jnp.abs(rows).sum(0), TINY) / WHOLE  # (C,)
+    whole = jnp.round(rows / unit[None, :]).astype(jnp.int32)
     sums = jnp.zeros((size, rows.shape[-1]), jnp.int32).at[slot.reshape(-1)].add(whole)
-    return sums.astype(jnp.float32) * part[None, :]
+    return sums.astype(jnp.float32) * unit[None, :]

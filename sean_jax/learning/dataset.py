@@ -32,7 +32,7 @@ from sean_jax.core import random_streams
 from sean_jax.core.bounds import MAX_DURATION
 from sean_jax.core.errors import FileError, IncompleteError, InputError
 from sean_jax.io import files, writing
-from sean_jax.learning.examples import Recording, Row
+from sean_jax.learning.examples import DemonstrationRow, Recording
 from sean_jax.mdp.observations import PLAN_POINTS
 
 Count = Annotated[int, pydantic.Field(ge=0, le=10**9)]
@@ -50,7 +50,7 @@ class Keys(pydantic.BaseModel):
     model_config = pydantic.ConfigDict(extra="ignore", allow_inf_nan=False)
 
 
-class Camera(Keys):
+class ImageSize(Keys):
     """Size of the depth images."""
 
     width: Side
@@ -71,7 +71,7 @@ class Shard(Keys):
     by_person: list[bool] | None = None  # of each row: whether a person drove
 
 
-class Robot(Keys):
+class RobotName(Keys):
     """The robot that was driven."""
 
     name: str
@@ -88,8 +88,8 @@ class Manifest(Keys):
     rate: Annotated[float, pydantic.Field(ge=1, le=MAX_RATE)]  # rows per second, a whole number
     streams: Annotated[Names, pydantic.Field(min_length=1)]
     situations: Names
-    camera: Camera
-    robot: Robot
+    camera: ImageSize
+    robot: RobotName
     shards: list[Shard]
     environments: Names = []  # of the floors, if there are several
 
@@ -109,29 +109,37 @@ def _check_relations(manifest: Manifest, fields: tuple[str, ...]) -> Iterator[fi
     if manifest.rate != int(manifest.rate):
         yield ("rate",), f"{manifest.rate:g} is not a whole number"
     for number, shard in enumerate(manifest.shards):
-        here = ("shards", number)
-        if shard.stream >= len(manifest.streams):
-            yield (*here, "stream"), f"{shard.stream} is none of the {len(manifest.streams)} streams"
-        for name, values in (("lengths", shard.lengths), ("completed", shard.completed)):
-            if len(values) != manifest.batch:
-                yield (*here, name), f"has {len(values)} values, and a batch has {manifest.batch} episodes"
-        if shard.by_person is not None and len(shard.by_person) != sum(shard.lengths):
-            yield (*here, "by_person"), f"has {len(shard.by_person)} values for {sum(shard.lengths)} rows"
-        several = len(manifest.environments)
-        if shard.floors is not None or several:
-            floors = shard.floors or []
-            if len(floors) != manifest.batch:
-                yield (*here, "floors"), f"has {len(floors)} values, and a batch has {manifest.batch} episodes"
-            if max(floors, default=0) >= several:
-                yield (*here, "floors"), f"{max(floors)} is none of the {several} environments"
-        longest = max(shard.lengths, default=0)
-        if longest > manifest.rate * manifest.seconds:
-            seconds = f"{longest / manifest.rate:g} s long, and {manifest.seconds} s are the most"
-            yield (*here, "lengths"), f"an episode is {seconds}"
+        for key, problem in (*_check_episodes(manifest, shard), *_check_floors(manifest, shard)):
+            yield ("shards", number, key), problem
         if missing := [name for name in fields if name not in shard.bytes]:
-            yield (*here, "bytes"), f"lacks {', '.join(missing)}"
+            yield ("shards", number, "bytes"), f"lacks {', '.join(missing)}"
         if unknown := [name for name in shard.bytes if name not in fields]:
-            yield (*here, "bytes"), f"has '{unknown[0][:40]}', which is no field of a row"
+            yield ("shards", number, "bytes"), f"has '{unknown[0][:40]}', which is no field of a row"
+
+
+def _check_episodes(manifest: Manifest, shard: Shard) -> Iterator[tuple[str, str]]:
+    """Key and problem of numbers that do not fit the manifest."""
+    if shard.stream >= len(manifest.streams):
+        yield "stream", f"{shard.stream} is none of the {len(manifest.streams)} streams"
+    for name, values in (("lengths", shard.lengths), ("completed", shard.completed)):
+        if len(values) != manifest.batch:
+            yield name, f"has {len(values)} values, and a batch has {manifest.batch} episodes"
+    rows, longest = sum(shard.lengths), max(shard.lengths, default=0)
+    if shard.by_person is not None and len(shard.by_person) != rows:
+        yield "by_person", f"has {len(shard.by_person)} values for {rows} rows"
+    if longest > manifest.rate * manifest.seconds:
+        yield "lengths", f"an episode is {longest / manifest.rate:g} s long, and {manifest.seconds} s are the most"
+
+
+def _check_floors(manifest: Manifest, shard: Shard) -> Iterator[tuple[str, str]]:
+    """As ``_check_episodes``, of floors."""
+    count, floors = len(manifest.environments), shard.floors or []
+    if shard.floors is None and not count:
+        return
+    if len(floors) != manifest.batch:
+        yield "floors", f"has {len(floors)} values, and a batch has {manifest.batch} episodes"
+    if max(floors, default=0) >= count:
+        yield "floors", f"{max(floors)} is none of the {count} environments"
 
 
 COMPRESSION = 3  # of the zstd compression
@@ -232,6 +240,7 @@ def _store_reason(error: Exception) -> str:
 
 MANIFEST = "dataset.json"
 FORMAT = 1
+WINDOW = 64  # episodes of a dataset on disk that are shuffled together
 
 
 # ------------------------------------------------------------------ dataset
@@ -252,7 +261,7 @@ class Episode:
 class EpisodeBatch:
     """B episodes of at most T rows."""
 
-    rows: dict[str, np.ndarray]  # field of Row -> (B, T, ...)
+    rows: dict[str, np.ndarray]  # field of DemonstrationRow -> (B, T, ...)
     lengths: np.ndarray  # (B,) rows of each episode
     completed: np.ndarray  # (B,) bool
     floors: np.ndarray | None = None  # (B,) index of each episode's floor, if there are several
@@ -356,29 +365,37 @@ class Dataset:
         Raises:
             IncompleteError: a file is missing or damaged.
         """
-        total = sum(episode.length for episode in episodes)
-        arrays = {}
-        for name in self.fields if names is None else names:
-            shape, kind = self.fields[name]
-            array, done = np.empty((0, *shape), kind), 0
-            for group in self._read_groups(episodes, sparse=name == "depth"):
-                first, last = min(one.number for one in group), max(one.number for one in group)
-                shard = first // self.batch
-                if self._size(name, shard) != self.manifest["shards"][shard]["bytes"][name]:  # it would read as zeros
-                    raise IncompleteError(f"the file {self._file(name, shard)} is missing or damaged; {CURE}")
-                values = read_array(self.folder, name, first, last + 1)
-                expected = (last + 1 - first, self.most_rows, *shape)
-                if values.shape != expected or values.dtype != kind:
-                    sizes = f"{values.shape} {values.dtype}, but by {MANIFEST} they are {expected} {kind}"
-                    message = f"{self.folder / name}: the values are {sizes}; restore {MANIFEST} or collect again."
-                    raise IncompleteError(message)
-                if done == 0:  # allocate only once the sizes in the manifest are confirmed
-                    array = np.empty((total, *shape), kind)
-                for one in group:
-                    array[done : done + one.length] = values[one.number - first, : one.length]
-                    done += one.length
-            arrays[name] = array
-        return arrays
+        names = tuple(self.fields) if names is None else names
+        return {name: self._read_field(name, episodes) for name in names}
+
+    def _read_field(self, name: str, episodes: Sequence[Episode]) -> np.ndarray:
+        """(R, ...) of one field."""
+        shape, kind = self.fields[name]
+        rows, done = np.empty((0, *shape), kind), 0
+        for group in self._read_groups(episodes, sparse=name == "depth"):
+            first, values = self._read_group(name, group)
+            if done == 0:  # allocate only once the sizes in the manifest are confirmed
+                rows = np.empty((sum(episode.length for episode in episodes), *shape), kind)
+            for episode in group:
+                rows[done : done + episode.length] = values[episode.number - first, : episode.length]
+                done += episode.length
+        return rows
+
+    def _read_group(self, name: str, group: Sequence[Episode]) -> tuple[int, np.ndarray]:
+        """The first number, and the values from the first to the last episode of a group of one shard."""
+        numbers = [episode.number for episode in group]
+        first, last = min(numbers), max(numbers)
+        shard = first // self.batch
+        if self._size(name, shard) != self.manifest["shards"][shard]["bytes"][name]:  # it would read as zeros
+            raise IncompleteError(f"the file {self._file(name, shard)} is missing or damaged; {CURE}")
+        values = read_array(self.folder, name, first, last + 1)
+
+        shape, kind = self.fields[name]
+        expected = (last + 1 - first, self.most_rows, *shape)
+        if values.shape != expected or values.dtype != kind:
+            sizes = f"{values.shape} {values.dtype}, but by {MANIFEST} they are {expected} {kind}"
+            raise IncompleteError(f"{self.folder / name}: the values are {sizes}; restore {MANIFEST} or collect again.")
+        return first, values
 
     def recording(self, episodes: Sequence[Episode]) -> Recording:
         """Whole episodes, one after the other.
@@ -389,7 +406,7 @@ class Dataset:
         lengths = np.array([episode.length for episode in episodes], np.int64)
         ends = np.cumsum(lengths)
         first, end = (np.repeat(rows, lengths).astype(np.int32) for rows in (ends - lengths, ends))
-        rows: Any = Row(**self.read(episodes))  # pyright: ignore[reportArgumentType]
+        rows: Any = DemonstrationRow(**self.read(episodes))  # pyright: ignore[reportArgumentType]
         return Recording(rows, first, end, self.rate)  # pyright: ignore[reportArgumentType]
 
     def by_person(self, episodes: Sequence[Episode]) -> np.ndarray:
@@ -458,13 +475,13 @@ class Dataset:
 
         If ``sparse``, episodes that lie far apart in a shard are read one by one.
         """
-        groups = [list(group) for _, group in itertools.groupby(episodes, lambda one: one.number // self.batch)]
-        if not sparse:
-            return groups
-        numbers = [[one.number for one in group] for group in groups]
-        far_apart = [max(each) - min(each) >= 2 * len(each) for each in numbers]
-        pairs = zip(groups, far_apart, strict=True)
-        return [part for group, far in pairs for part in ([[one] for one in group] if far else [group])]
+        groups = []
+        for _, neighbors in itertools.groupby(episodes, lambda episode: episode.number // self.batch):
+            group = list(neighbors)
+            numbers = [episode.number for episode in group]
+            far_apart = max(numbers) - min(numbers) >= 2 * len(group)
+            groups += [[episode] for episode in group] if sparse and far_apart else [group]
+        return groups
 
     def _file(self, name: str, shard: int) -> Path:
         return shard_file(self.folder, name, shard, len(self.fields[name][0]) + 2)
@@ -475,7 +492,7 @@ class Dataset:
 
 
 def fields(height: int, width: int, situations: int) -> dict[str, tuple[tuple[int, ...], str]]:
-    """Name -> (shape, type) of the fields of ``examples.Row``, for depth images of height x width pixels."""
+    """Name -> (shape, type) of the fields of a ``DemonstrationRow``, for depth images of height x width pixels."""
     return {
         "depth": ((height, width), "uint16"),
         "plan": ((PLAN_POINTS, 2), "float32"),
@@ -554,6 +571,40 @@ def split(dataset: Dataset, share: float, seed: int) -> tuple[list[Episode], lis
 def on_device(recording: Recording) -> Recording:
     """The recording as arrays of jax, on the default device."""
     return jax.tree.map(jnp.asarray, recording)
+
+
+def fill_up(recording: Recording, count: int) -> Recording:
+    """A recording of ``count`` rows, the last of them zeros."""
+
+    def fill(leaf: np.ndarray) -> np.ndarray:
+        return np.concatenate([leaf, np.zeros((count - len(leaf), *leaf.shape[1:]), leaf.dtype)])
+
+    return jax.tree.map(fill, recording)
+
+
+def windows(
+    data: Dataset, episodes: Sequence[Episode], batch: int, seed: int = 0, epoch: int = 0, size: int = WINDOW
+) -> Iterator[tuple[Recording, np.ndarray]]:
+    """Some episodes at a time, of a dataset that does not fit in the memory of the device, and (N, batch) batches of
+    their rows in random order, of which -1 fills the last.
+
+    All recordings are filled up to equal sizes. The order depends on (seed, epoch) alone.
+
+    Args:
+        size: number of episodes that are in memory, and shuffled together.
+
+    Raises:
+        IncompleteError: a file is missing or damaged.
+    """
+    random = random_streams.generator("order", seed, epoch)
+    order = random.permutation(len(episodes))
+    count = sum(sorted((episode.length for episode in episodes), reverse=True)[:size])
+    for first in range(0, len(order), size):
+        window = [episodes[index] for index in sorted(order[first : first + size])]  # as they lie on disk
+        recording = data.recording(window)
+        rows = random.permutation(len(recording.first))
+        rows = np.concatenate([rows, np.full(-len(rows) % batch, -1)]).astype(np.int32)
+        yield fill_up(recording, count), rows.reshape(-1, batch)
 
 
 def stream_seconds(hours: float, number: int) -> int:

@@ -1,4 +1,4 @@
-"""Rows and examples of demonstrations (section V-B), and the order in which examples are learned.
+"""Rows and examples of demonstrations (section V-B), and what a network observes of them.
 
 A **row** is recorded once a second, or at a higher rate. An **example** consists of rows one second apart, so that
 the store holds a depth image once and not five times.
@@ -10,29 +10,27 @@ next five seconds, in the robot's present frame. The places of the past five sec
 """
 
 import dataclasses
-import functools
-from collections.abc import Iterator, Sequence
 from types import ModuleType
-from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import struct
 from jaxtyping import Bool, Float, Int, UInt16
 
 from sean_jax import sensors
-from sean_jax.core import random_streams
 from sean_jax.core.data_types import Array, Scenario, State
 from sean_jax.core.geometry import rotate
-from sean_jax.mdp.observations import plan_ahead
+from sean_jax.mdp import observations
+from sean_jax.mdp.observations import OBSERVATIONS, UNBOUNDED, ObservationTerm, plan_ahead
 
 SECONDS = 5  # of depth images, and of the local plan
 MILLIMETRES = 1000.0  # in a metre
+MAX_DEPTH = 65.535  # m, the largest that a depth image holds
+DEPTH_IMAGES, PLAN, SITUATIONS = "depth_images", "plan", "situations"  # terms of the network's observation
 
 
 @struct.dataclass
-class Row:
+class DemonstrationRow:
     """One moment of a demonstration. A whole recording has one leading axis, or two."""
 
     depth: Array  # (H, W) uint16 mm, along the direction of view; the camera's far limit where nothing is visible
@@ -47,7 +45,7 @@ class Row:
 class Recording:
     """Demonstrations, one after the other."""
 
-    rows: Row  # (R, ...)
+    rows: DemonstrationRow  # (R, ...)
     first: Array  # (R,) int32, the first row of the episode of each row
     end: Array  # (R,) int32, one more than its last row
     rate: int = struct.field(pytree_node=False, default=1)  # rows a second
@@ -72,7 +70,7 @@ def row(
     command: Float[Array, "2"],
     camera: sensors.Camera,
     last_arc: Int[Array, "V"],
-) -> Row:
+) -> DemonstrationRow:
     """The row of a state.
 
     Args:
@@ -80,7 +78,7 @@ def row(
         last_arc: (V,) ``navigation.last_arc_to_goal`` of the goal of the task.
     """
     robot = state.robot
-    return Row(
+    return DemonstrationRow(
         depth=depth_image(scenario, state, camera),
         plan=plan_ahead(scenario, state, last_arc),
         pose=jnp.concatenate([robot.position, robot.heading]),
@@ -94,6 +92,40 @@ def depth_image(scenario: Scenario, state: State, camera: sensors.Camera) -> UIn
     """A depth image (H, W) uint16 mm."""
     metres = sensors.depth(scenario, state, camera)
     return jnp.clip(jnp.round(MILLIMETRES * metres), 0.0, 65535.0).astype(jnp.uint16)
+
+
+def in_metres(image: UInt16[Array, "*batch H W"]) -> Float[Array, "*batch H W"]:
+    """Depth images (..., H, W) m in 32 bits, which networks have."""
+    return image.astype(jnp.float32) / MILLIMETRES
+
+
+@dataclasses.dataclass(frozen=True)
+class DepthImage:
+    """The robot's depth camera in whole millimetres, as demonstrations have it: (height, width) m."""
+
+    height: int
+    width: int
+
+    def __call__(self, scenario: Scenario, state: State, prepared: tuple) -> Float[Array, "H W"]:
+        """The reading, as ``ObservationTerm.read``."""
+        camera = sensors.camera(scenario, "depth", width=self.width, height=self.height)
+        return in_metres(depth_image(scenario, state, camera))
+
+
+def observation_terms(image: tuple[int, int], situations: bool, time_step: float) -> observations.Terms:
+    """What a network observes that imitates: five depth images a second apart, the global plan and, if asked for, the
+    situations, as examples have them.
+
+    Args:
+        image: pixels, height and width of a depth image.
+        time_step: s, of a control step.
+    """
+    images = ObservationTerm(
+        DepthImage(*image), 0.0, MAX_DEPTH, stack=SECONDS, every=round(1.0 / time_step), image=True, sensing="raw"
+    )
+    plan = dataclasses.replace(OBSERVATIONS[PLAN], low=-UNBOUNDED, high=UNBOUNDED)
+    terms = (DEPTH_IMAGES, images), (PLAN, plan)
+    return (*terms, (SITUATIONS, OBSERVATIONS[SITUATIONS])) if situations else terms
 
 
 def example(recording: Recording, index: Int[Array, "*batch"], xp: ModuleType = jnp) -> Example:
@@ -117,6 +149,16 @@ def example(recording: Recording, index: Int[Array, "*batch"], xp: ModuleType = 
     )
 
 
+def observation(terms: observations.Terms, examples: Example) -> dict[str, Array]:
+    """The observation (B, ...) of examples (B, ...), as the ``observation_terms`` give it."""
+    values = {
+        DEPTH_IMAGES: in_metres(examples.images[:, ::-1]),  # newest first
+        PLAN: examples.plan,
+        SITUATIONS: examples.situations.astype(jnp.float32),
+    }
+    return {name: values[name] for name, _ in terms}
+
+
 def in_frame(
     pose: Float[Array, "*batch 4"], places: Float[Array, "*batch K 2"], xp: ModuleType = jnp
 ) -> Float[Array, "*batch K 2"]:
@@ -131,95 +173,6 @@ def in_frame(
 
 
 FITTING_TURNS = 500
-
-
-class Token(NamedTuple):
-    """Where a loader is. It can be stored in a checkpoint."""
-
-    epoch: int = 0
-    batch: int = 0
-
-
-@dataclasses.dataclass
-class Loader:
-    """Shuffled batches of examples of a dataset that does not fit in the memory of the device.
-
-    It shuffles the episodes, and the examples within a window of some episodes, so that few episodes are in memory at a
-    time. The order depends on (seed, epoch) alone, so a token of two numbers is the position.
-    """
-
-    dataset: Any  # Dataset
-    episodes: Sequence[Any]  # of it
-    batch: int = 1024  # examples
-    seed: int = 0
-    window: int = 64  # episodes that are shuffled together
-    shuffle: bool = True
-
-    @property
-    def batches(self) -> int:
-        """Number of batches in an epoch."""
-        return -(-sum(episode.length for episode in self.episodes) // self.batch)
-
-    def epoch(self, token: Token = Token()) -> Iterator[tuple[Token, Example, np.ndarray]]:  # noqa: B008
-        """The remaining batches of an epoch: the token that resumes after it, examples (B, ...) as numpy arrays, and
-        weights (B,).
-
-        Examples of weight zero fill the last batch.
-
-        Raises:
-            IncompleteError: a file is missing or damaged.
-        """
-        owner, row = self._order(token.epoch)
-        cache: dict[int, Recording] = {}
-        for number in range(token.batch, self.batches):
-            part = slice(number * self.batch, (number + 1) * self.batch)
-            owners, rows = owner[part], row[part]
-            weight = np.ones(self.batch, np.float32)
-            weight[len(owners) :] = 0.0
-            spare = self.batch - len(owners)
-            owners = np.concatenate([owners, np.full(spare, owners[0])])
-            rows = np.concatenate([rows, np.full(spare, rows[0])])
-            unique = np.unique(owners)
-            cache = {int(one): cache.get(int(one)) or self._read(int(one)) for one in unique}
-            recording = _join([cache[int(one)] for one in unique])
-            first = np.cumsum([0, *(self.episodes[one].length for one in unique)])
-            index: Any = (first[np.searchsorted(unique, owners)] + rows).astype(np.int32)
-            following = Token(token.epoch, number + 1) if number + 1 < self.batches else Token(token.epoch + 1, 0)
-            yield following, example(recording, index, np), weight
-
-    def _order(self, epoch: int) -> tuple[np.ndarray, np.ndarray]:
-        """(R,) index of the episode and (R,) row in it of each example, in the order of that epoch."""
-        random = random_streams.generator("order", self.seed, epoch)
-        count = len(self.episodes)
-        episodes = random.permutation(count) if self.shuffle else np.arange(count)
-        owners, rows = [], []
-        for first in range(0, count, self.window):
-            window = episodes[first : first + self.window]
-            lengths = np.array([self.episodes[one].length for one in window])
-            owner = np.repeat(window, lengths)
-            row = np.concatenate([np.arange(length) for length in lengths])
-            order = random.permutation(len(owner)) if self.shuffle else np.arange(len(owner))
-            owners.append(owner[order])
-            rows.append(row[order])
-        return np.concatenate(owners), np.concatenate(rows)
-
-    @functools.cached_property
-    def _small_fields(self) -> dict[str, np.ndarray]:
-        """All fields but the images, of all episodes: small enough to stay in memory."""
-        return self.dataset.read(self.episodes, tuple(name for name in self.dataset.fields if name != "depth"))
-
-    @functools.cached_property
-    def _first_rows(self) -> np.ndarray:
-        """(E + 1,) the first row of each episode in them, and the number of all rows."""
-        return np.cumsum([0, *(episode.length for episode in self.episodes)])
-
-    def _read(self, index: int) -> Recording:
-        """One episode."""
-        first, end = self._first_rows[index : index + 2]
-        depth = self.dataset.read([self.episodes[index]], ("depth",))
-        rows: Any = {name: values[first:end] for name, values in self._small_fields.items()}
-        length: Any = np.full(int(end - first), end - first, np.int32)
-        return Recording(Row(**rows, **depth), 0 * length, length, self.dataset.rate)  # pyright: ignore[reportArgumentType]
 
 
 def balanced_probabilities(situations: Bool[np.ndarray, "R S"]) -> Float[np.ndarray, "R"]:
@@ -247,13 +200,3 @@ def balanced_probabilities(situations: Bool[np.ndarray, "R S"]) -> Float[np.ndar
     probabilities = np.full(len(flags), 1.0 / len(flags))
     probabilities[any_flag] = fitted * any_flag.mean()
     return (probabilities / probabilities.sum()).astype(np.float32)
-
-
-def _join(parts: list[Recording]) -> Recording:
-    """Recordings one after the other."""
-    first = np.cumsum([0, *(len(part.first) for part in parts)]).astype(np.int32)
-    shifted = [
-        dataclasses.replace(part, first=part.first + shift, end=part.end + shift)
-        for part, shift in zip(parts, first, strict=False)
-    ]
-    return jax.tree.map(lambda *leaves: np.concatenate(leaves), *shifted)

@@ -1,21 +1,18 @@
-"""The networks: of imitation (section V-C, after [50]), and actor and critic of reinforcement learning.
-
-``Network`` has a local planner and a velocity controller, each with soft attention. Encoders (of 5 depth images, of the
-global plan and, optionally, of the situations) give vectors of one width. The local planner attends to them and
-predicts where the robot will be in 1 to 5 s. Another encoder encodes that plan, and the controller attends to all
-encodings and gives the command. The paper states no layer sizes; these were chosen small enough for one CPU: at 64 x 48
-pixels and width 64 there are 139,825 parameters, 152,691 with situations.
+"""The network of agents, an actor and a critic, and its encoders.
 
 ``ActorCritic`` normalizes the numbers of an observation by their running mean and deviation. Images are cut into
 squares and go through dense layers, after distances have become nearness. Its memory is a gated recurrent unit. An
-encoder, one of ``ENCODERS`` or the user's own, may take the place of all before the memory.
+encoder, one of ``NETWORKS``, ``PlanningEncoder`` or the user's own, may take the place of all before the memory.
+
+``PlanningEncoder`` is the network of imitation (section V-C, after [50]). The paper states no layer sizes; these were
+chosen small enough for one CPU: at 64 x 48 pixels and width 64 there are 139,892 parameters, 152,758 with situations.
 
 [50] A. Pokle et al., "Deep Local Trajectory Replanning and Control for Robot Navigation", ICRA 2019.
 """
 
 import math
-import os
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -25,15 +22,16 @@ import numpy as np
 from flax import linen as nn
 from flax import struct
 from flax.typing import VariableDict
-from jaxtyping import Bool, Float, UInt16
+from jaxtyping import Bool, Float, Int
 
 from sean_jax.config import MAX_PIXELS, METHODS
 from sean_jax.core import user_calls
 from sean_jax.core.data_types import Array
-from sean_jax.core.errors import FileError, InputError
+from sean_jax.core.errors import FileError
 from sean_jax.io import files
+from sean_jax.learning import examples
 from sean_jax.learning.dataset import Keys, Names, Side
-from sean_jax.learning.examples import MILLIMETRES, SECONDS
+from sean_jax.learning.examples import DEPTH_IMAGES, PLAN, SECONDS, SITUATIONS
 from sean_jax.mdp import observations
 from sean_jax.mdp.spaces import Box
 
@@ -41,7 +39,7 @@ CONFIG = "config.json"  # the configuration of a network, in the folder of its c
 
 
 class NetworkConfig(Keys):
-    """The content of config.json."""
+    """What config.json says about an agent that imitates, beside the options of its training."""
 
     width: Side  # of encodings and hidden layers
     flags: bool  # whether the situations are an input
@@ -88,90 +86,6 @@ def read_method(folder: Path) -> str:
 PATCHES = ((4, 32), (2, 64), (2, 64))  # side of the squares that each layer merges, and its features
 
 
-# ------------------------------------------------------------------ imitation
-
-
-@struct.dataclass
-class Decision:
-    """The network's output and the attention behind it."""
-
-    local_plan: Array  # (5, 2) m, where the robot should be in 1 to 5 s, in its frame
-    command: Array  # (2,) m/s, rad/s; from ``Network`` itself, in units of ``Weights.scale``
-    planner_attention: Array  # (2,) or (3,) shares of image, global plan and, with flags, situations
-    controller_attention: Array  # (3,) or (4,) shares of image, local plan, global plan and, with flags, situations
-
-
-@struct.dataclass
-class Weights:
-    """The variables of a training."""
-
-    parameters: VariableDict  # of the network
-    scale: Array  # (2,) m/s, rad/s: the unit of the network's commands
-
-
-class Network(nn.Module):
-    """The network for one example; ``vmap`` its ``apply`` for a batch. Networks of equal sizes are equal values, so
-    compiled programs are reused.
-    """
-
-    width: int = 64  # of encodings and hidden layers
-    flags: bool = False  # whether the situations are an input
-    image: tuple[int, int] = (48, 64)  # pixels, height and width of a depth image
-
-    @property
-    def planner_sources(self) -> tuple[str, ...]:
-        """Names of the shares in ``Decision.planner_attention``."""
-        return ("image", "global_plan", *(("situations",) if self.flags else ()))
-
-    @property
-    def controller_sources(self) -> tuple[str, ...]:
-        """Names of the shares in ``Decision.controller_attention``."""
-        return ("image", "local_plan", "global_plan", *(("situations",) if self.flags else ()))
-
-    def setup(self) -> None:
-        """Make the layers. Their names are the names of parameters in checkpoints."""
-        self.merges = [nn.Dense(features) for _, features in PATCHES]
-        self.seen = nn.Dense(self.width)
-        self.image_encoder = Perceptron(self.width, self.width)
-        self.plan_encoder = Perceptron(self.width, self.width)
-        self.local_encoder = Perceptron(self.width, self.width)
-        self.flag_encoder = Perceptron(self.width, self.width)
-        self.planner_attention = Attention(len(self.planner_sources))
-        self.controller_attention = Attention(len(self.controller_sources))
-        self.planner = Perceptron(self.width, 2 * SECONDS)
-        self.controller = Perceptron(self.width, 2)
-
-    def encode(self, image: UInt16[Array, "*batch H W"]) -> Float[Array, "*batch F"]:
-        """Encodings of depth images (..., H, W) uint16 mm; a policy keeps them, so each image is encoded once."""
-        nearness = 1.0 / (1.0 + image.astype(jnp.float32) / MILLIMETRES)  # near things matter most
-        values = nearness[..., None]
-        for (side, _), merge in zip(PATCHES, self.merges, strict=True):
-            values = nn.relu(merge(squares(values, side)))
-        return nn.relu(self.seen(values.reshape(*image.shape[:-2], -1)))
-
-    def act(self, encodings: Float[Array, "5 F"], plan: Float[Array, "10 2"], situations: Bool[Array, "S"]) -> Decision:
-        """The decision, with the command in units of ``Weights.scale``.
-
-        Args:
-            encodings: (5, F) of the images of 4, 3, 2, 1 and 0 s ago.
-            plan: (10, 2) m, global plan in the robot's frame.
-            situations: (S,) which social situations occur; ignored without ``flags``.
-        """
-        image, ahead = self.image_encoder(encodings.reshape(-1)), self.plan_encoder(plan.reshape(-1))
-        flags = [self.flag_encoder(situations.astype(jnp.float32))] if self.flags else []
-        context, planner_attention = self.planner_attention(jnp.stack([image, ahead, *flags]))
-        local_plan = self.planner(nn.relu(context)).reshape(SECONDS, 2)
-        local = self.local_encoder(local_plan.reshape(-1))
-        context, controller_attention = self.controller_attention(jnp.stack([image, local, ahead, *flags]))
-        return Decision(local_plan, self.controller(nn.relu(context)), planner_attention, controller_attention)
-
-    def __call__(
-        self, images: UInt16[Array, "5 H W"], plan: Float[Array, "10 2"], situations: Bool[Array, "S"]
-    ) -> Decision:
-        """``act`` on images (5, H, W) uint16 mm, oldest first."""
-        return self.act(self.encode(images), plan, situations)
-
-
 def squares(values: Float[Array, "*batch H W C"], side: int) -> Float[Array, "*batch rows columns features"]:
     """Images cut into squares of ``side`` pixels, filled up with zeros at the far edges:
     (..., ceil(H / side), ceil(W / side), side * side * C).
@@ -203,42 +117,14 @@ class Attention(nn.Module):
     so that a share is the part of the sum from its source.
     """
 
-    sources: int
-
     @nn.compact
     def __call__(self, encodings: Float[Array, "K F"]) -> tuple[Float[Array, "F"], Float[Array, "K"]]:
         """The weighted sum (F,) of encodings (K, F), and the shares (K,)."""
-        normalized = nn.LayerNorm()(encodings)
-        hidden = nn.tanh(nn.Dense(encodings.shape[-1])(normalized.reshape(-1)))
-        shares = nn.softmax(nn.Dense(self.sources)(hidden))
+        sources, width = encodings.shape
+        normalized = nn.LayerNorm()(encodings)  # (K, F)
+        hidden = nn.tanh(nn.Dense(width)(normalized.reshape(-1)))
+        shares = nn.softmax(nn.Dense(sources)(hidden))  # (K,)
         return shares @ normalized, shares
-
-
-def init_weights(network: Network, situations: int, key: Array) -> Weights:
-    """Weights before training, with a scale of 1."""
-    shapes = (
-        ((SECONDS, *network.image), jnp.uint16),
-        ((observations.PLAN_POINTS, 2), jnp.float32),
-        ((situations,), bool),
-    )
-    parameters = network.init(key, *(jnp.zeros(*shape) for shape in shapes))
-    return Weights(parameters, jnp.ones(2, jnp.float32))
-
-
-def read_network(folder: Path, situations: list[str]) -> tuple[Network, int]:
-    """The network of a training in a folder, without its weights, and the number of situations of its training.
-
-    Raises:
-        InputError: there is none, or its input is the flags of other situations than these.
-    """
-    if not os.path.lexists(folder / CONFIG):
-        raise InputError(f"{folder} has no trained network; make one with `sean train imitation`.")
-    config = read_network_config(folder / CONFIG)
-    network = Network(config.width, config.flags, config.image)
-    if network.flags and situations != config.situations:
-        here = ", ".join(situations)
-        raise InputError(f"the network of {folder} knows other situations than {here}; give make the same situations.")
-    return network, len(config.situations)
 
 
 CLIP = 10.0  # deviations, at which normalized numbers are clipped
@@ -250,7 +136,7 @@ EMBEDDING, HEADS = 64, 4  # of attention over people
 CONVOLUTIONS = ((5, 16), (3, 32), (3, 32), (3, 32))  # side of the kernel, and features of each, at a stride of 2
 
 
-# ------------------------------------------------------------------ reinforcement learning
+# ------------------------------------------------------------------ actor and critic
 
 
 class NetworkOutput(NamedTuple):
@@ -261,6 +147,7 @@ class NetworkOutput(NamedTuple):
     value: Float[Array, "*batch"]  # expected return
     memory: Float[Array, "*batch M"]  # for the next step; M = 0 without a memory
     location: Float[Array, "*batch 2"] | None = None  # mean of squashed actions before tanh; None: they are Gaussian
+    auxiliary: dict[str, Array] = {}  # further outputs of the encoder, such as local_plan (..., 5, 2)
 
 
 class ActorCritic(nn.Module):
@@ -302,38 +189,53 @@ class ActorCritic(nn.Module):
             images: name -> (..., H, W) m, or (..., H, W, C).
             start: (...) whether an episode begins here, which clears the memory.
         """
+        # The encoder sees what the robot sees; the critic's own numbers bypass it.
         shared = vector.shape[-1] - self.private
         vector, private = vector[..., :shared], vector[..., shared:]
-        if self.encoder is None:
-            seen = [_Images(self.width, self.image_dtype)(images[name]) for name in self.images]
-            features = jnp.concatenate([vector, *seen], -1)
-        else:
-            features = self._encode(self.encoder, vector, images)
+        features, auxiliary = self._encode(vector, images)
+
         if self.recurrent:
             memory = jnp.where(start[..., None], 0.0, memory)
             features = nn.tanh(_dense(self.width)(features))
             memory, features = nn.GRUCell(self.width)(memory, features)
-        actor, critic = features, jnp.concatenate([features, private], -1)
-        for _ in range(self.layers):
-            actor, critic = nn.tanh(_dense(self.width)(actor)), nn.tanh(_dense(self.width)(critic))
-        mean, value = _dense(2, 0.01)(actor), _dense(1, 1.0)(critic)
-        start_value = nn.initializers.constant(INITIAL_LOG_STD)
-        log_std = jnp.broadcast_to(self.param("log_std", start_value, (2,)), mean.shape)
-        if not self.squashed:
-            return NetworkOutput(mean, log_std, value[..., 0], memory)
-        location = FAR_LOCATION * nn.tanh(mean / FAR_LOCATION)
-        return NetworkOutput(nn.tanh(location), log_std, value[..., 0], memory, location)
 
-    def _encode(self, encoder: nn.Module, vector: Array, images: dict[str, Array]) -> Array:
-        """Features (..., K) of the actor's part of the vector and of images; the encoder sees one observation."""
+        # The layers of actor and critic alternate, by which ``owners`` tells them apart.
+        actor = features
+        critic = jnp.concatenate([features, private], -1)
+        for _ in range(self.layers):
+            actor = nn.tanh(_dense(self.width)(actor))
+            critic = nn.tanh(_dense(self.width)(critic))
+        mean = _dense(2, 0.01)(actor)
+        value = _dense(1, 1.0)(critic)[..., 0]
+
+        initial = nn.initializers.constant(INITIAL_LOG_STD)
+        log_std = jnp.broadcast_to(self.param("log_std", initial, (2,)), mean.shape)
+        if not self.squashed:
+            return NetworkOutput(mean, log_std, value, memory, None, auxiliary)
+        location = FAR_LOCATION * nn.tanh(mean / FAR_LOCATION)
+        return NetworkOutput(nn.tanh(location), log_std, value, memory, location, auxiliary)
+
+    def _encode(self, vector: Array, images: dict[str, Array]) -> tuple[Array, dict[str, Array]]:
+        """Features (..., K) of the actor's part of the vector and of images, and the encoder's further outputs."""
+        if self.encoder is None:
+            encodings = [_Images(self.width, self.image_dtype)(images[name]) for name in self.images]
+            return jnp.concatenate([vector, *encodings], -1), {}
+
+        # The encoder sees one observation, as a dict of its parts.
         lead = vector.shape[:-1]
         sizes = np.cumsum([np.prod(shape, dtype=int) for _, shape in self.parts])
         numbers = jnp.split(vector, sizes[:-1], -1)
-        seen = {name: part.reshape(-1, *shape) for (name, shape), part in zip(self.parts, numbers, strict=True)}
+        observation = {}
+        for (name, shape), part in zip(self.parts, numbers, strict=True):
+            observation[name] = part.reshape(-1, *shape)
         for name in self.images:
-            seen[name] = images[name].astype(jnp.float32).reshape(-1, *images[name].shape[len(lead) :])
-        each = nn.vmap(_call, variable_axes={"params": None}, split_rngs={"params": False})
-        return each(encoder, seen).reshape(*lead, -1)
+            image = images[name].astype(jnp.float32)
+            observation[name] = image.reshape(-1, *image.shape[len(lead) :])
+
+        encode = nn.vmap(_call, variable_axes={"params": None}, split_rngs={"params": False})
+        result = encode(self.encoder, observation)
+        features, auxiliary = result if isinstance(result, tuple) else (result, {})
+        return features.reshape(*lead, -1), {name: x.reshape(*lead, *x.shape[1:]) for name, x in auxiliary.items()}
 
 
 class _Images(nn.Module):
@@ -428,6 +330,46 @@ class ConvEncoder(nn.Module):
         return jnp.concatenate(features)
 
 
+class PlanningEncoder(nn.Module):
+    """A local planner and the first layers of a velocity controller, with soft attention (section V-C, after [50]).
+
+    Encoders of five depth images, of the global plan and, if they are observed, of the situations give vectors of one
+    width. The planner attends to them and predicts where the robot will be in 1 to 5 s. Another encoder encodes that
+    plan, and the controller attends to all encodings.
+    """
+
+    width: int  # of encodings and hidden layers
+
+    @nn.compact
+    def __call__(self, observation: dict[str, Array]) -> tuple[Float[Array, "F"], dict[str, Array]]:
+        """The features of one observation; the local plan (5, 2) m, and the shares of attention (K,)."""
+
+        def encode(name: str, values: Array) -> Float[Array, "F"]:
+            return Perceptron(self.width, self.width, name=f"{name}_encoder")(values.reshape(-1))
+
+        encodings = _Images(self.width, jnp.float32)(observation[DEPTH_IMAGES])  # (5, F), newest first
+        image = encode("image", encodings[::-1])
+        plan = encode(PLAN, observation[PLAN])
+        situations = [encode(SITUATIONS, observation[SITUATIONS])] if SITUATIONS in observation else []
+
+        # The local plan is a prediction of the robot's places, with a loss of its own.
+        context, planner_attention = Attention(name="planner_attention")(jnp.stack([image, plan, *situations]))
+        local_plan = Perceptron(self.width, 2 * SECONDS, name="planner")(nn.relu(context)).reshape(SECONDS, 2)
+
+        local = encode("local_plan", local_plan)
+        everything = jnp.stack([image, local, plan, *situations])
+        context, controller_attention = Attention(name="controller_attention")(everything)
+        features = nn.relu(nn.Dense(self.width, name="controller")(nn.relu(context)))
+        attention = {"planner_attention": planner_attention, "controller_attention": controller_attention}
+        return features, {"local_plan": local_plan, **attention}
+
+
+def attention_sources(situations: bool) -> dict[str, list[str]]:
+    """The names of the shares of planner and controller, with or without the situations as an input."""
+    last = [SITUATIONS] if situations else []
+    return {"planner": ["image", "global_plan", *last], "controller": ["image", "local_plan", "global_plan", *last]}
+
+
 NETWORKS: dict[str, Callable[..., nn.Module] | None] = {
     "mlp": None,
     "attention": AttentionEncoder,
@@ -485,19 +427,65 @@ class Statistics:
 
 @struct.dataclass
 class Agent:
-    """The variables of a training."""
+    """The variables of a network. The field names are the names in checkpoints and packed agents."""
 
     parameters: VariableDict
     statistics: Statistics
+    command_scale: Float[Array, "2"] | None = None  # m/s, rad/s: the unit of actions; None: the robot's limits
+
+
+@struct.dataclass
+class Best:
+    """The agents that did best so far."""
+
+    agent: Agent  # (A, ...)
+    value: Float[Array, "A"]  # return in an evaluation, or minus the loss in validation
+    update: Int[Array, "A"]  # after which it was
+
+
+class AgentDescription(NamedTuple):
+    """A network and what it observes, from which agents are made."""
+
+    network: ActorCritic
+    terms: observations.Terms  # of the actor
+    private: observations.Terms  # the critic's further ones
+    space: dict[str, Box]  # of both
+    has_scale: bool = False  # whether actions have the unit of the agent's demonstrations
+
+    def init(self, key: Array) -> Agent:
+        """The agent before training, with a scale of 1."""
+        agent = init_agent(self.network, (*self.terms, *self.private), self.space, key)
+        return replace(agent, command_scale=jnp.ones(2, jnp.float32)) if self.has_scale else agent
+
+
+def describe_imitation(config: NetworkConfig, time_step: float) -> AgentDescription:
+    """The agent that imitates demonstrations (section V-C), for control steps of ``time_step`` s."""
+    terms = examples.observation_terms(config.image, config.flags, time_step)
+    shapes = {
+        DEPTH_IMAGES: (SECONDS, *config.image),
+        PLAN: (observations.PLAN_POINTS, 2),
+        SITUATIONS: (len(config.situations),),
+    }
+    space = {name: Box(term.low, term.high, shapes[name]) for name, term in terms}
+    vectors = tuple((name, shapes[name]) for name, term in terms if not term.image)
+    network = ActorCritic(
+        width=config.width,
+        layers=0,  # the encoder has the controller's hidden layer
+        images=(DEPTH_IMAGES,),
+        encoder=PlanningEncoder(config.width),
+        parts=vectors,
+        raw=tuple(name for name, _ in vectors),
+    )
+    return AgentDescription(network, terms, (), space, has_scale=True)
 
 
 def init_agent(network: ActorCritic, terms: observations.Terms, space: dict[str, Box], key: Array) -> Agent:
     """The agent before training."""
     empty = {name: jnp.zeros(box.shape, jnp.float32) for name, box in space.items()}
     vector = observations.flatten(terms, empty).astype(jnp.float32)
-    start = jnp.ones((), bool)
+    images = {name: empty[name] for name in network.images}
     memory = jnp.zeros(network.memory_size, jnp.float32)
-    parameters = network.init(key, vector, {name: empty[name] for name in network.images}, memory, start)
+    parameters = network.init(key, vector, images, memory, jnp.ones((), bool))
     return Agent(parameters, init_statistics(vector))
 
 
@@ -517,9 +505,9 @@ def init_agents(network: ActorCritic, terms: observations.Terms, space: dict[str
 
 def with_noise(agent: Agent, deviation: float) -> Agent:
     """The agent with another standard deviation of its actions, which are from -1 to 1."""
-    inner = dict(agent.parameters["params"])
-    inner["log_std"] = jnp.full_like(inner["log_std"], np.log(deviation))
-    return Agent({**agent.parameters, "params": inner}, agent.statistics)
+    layers = dict(agent.parameters["params"])
+    layers["log_std"] = jnp.full_like(layers["log_std"], np.log(deviation))
+    return replace(agent, parameters={**agent.parameters, "params": layers})
 
 
 def owners(parameters: VariableDict) -> VariableDict:

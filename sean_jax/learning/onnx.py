@@ -1,21 +1,21 @@
 """Export of an agent as an ONNX model, which drives a robot without this package and without jax.
 
 The model has one input for each part of the observation, by its name, and the outputs ``command`` and ``action``; the
-statistics of the observation, its bounds and the robot's limits are inside. ``graph_of`` translates the program that
+statistics of the observation, its bounds and the robot's limits are inside. An agent that imitates gives its local plan
+and the shares of its attention as well. ``graph_of`` translates the program that
 jax traces, operation by operation, so it knows networks of the user's own as well.
 """
 
 import json
 import string
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from sean_jax.config import user_parts
 from sean_jax.core.data_types import Array, RobotModel
 from sean_jax.core.errors import InputError
 from sean_jax.io import writing
@@ -23,15 +23,15 @@ from sean_jax.io.versions import versions
 from sean_jax.learning import networks
 from sean_jax.learning.policy import (
     agent_folder,
-    agent_network,
-    agent_terms,
+    command_of,
+    describe,
     describe_agent,
-    load_agent,
-    read_options,
+    last_round,
+    read_agent,
+    training_scenario,
 )
-from sean_jax.mdp import observations, registry, to_command
+from sean_jax.mdp import observations, to_action
 from sean_jax.robots.drive import max_reverse_speed
-from sean_jax.simulation.scenario import reset
 
 OPSET, IR_VERSION = 18, 8  # of ONNX 1.13, which runtimes on robots know
 MEMORY, NEXT_MEMORY = "memory", "next_memory"
@@ -52,22 +52,23 @@ def export(source: Path | str, out: Path | str) -> Path:
     except ImportError:
         raise InputError('export onnx: onnx is missing; pip install "sean_jax[export]".') from None
     folder, out = agent_folder(str(source), "export onnx"), Path(out)
-    options = read_options(folder)
-    user_parts.check_trust(options)
-    scenario = registry.build_stack(options.per_environment[0], limit=1).member.scenario  # the first floor and robot
-    _, agent, terms = load_agent(folder, scenario)
-    state = jax.eval_shape(lambda: reset(scenario, jax.random.key(0)))
-    space = observations.space(sum(agent_terms(options), ()), scenario, state)
-    network = agent_network(options.replace(bfloat16=False), space)
-    program = drive(network, agent, terms, scenario.robot)
-    inputs = {name: jax.ShapeDtypeStruct(space[name].shape, jnp.float32) for name, _ in terms}
-    outputs = ["command", "action"]
+    scenario = training_scenario(folder)
+    folder = last_round(folder)
+    description = in_32_bits(describe(folder, scenario))
+    agent = read_agent(folder, description)
+    network, space = description.network, description.space
+
+    inputs = {name: jax.ShapeDtypeStruct(space[name].shape, jnp.float32) for name, _ in description.terms}
     if network.recurrent:
-        inputs[MEMORY], outputs = jax.ShapeDtypeStruct((network.memory_size,), jnp.float32), [*outputs, NEXT_MEMORY]
-    graph = graph_of(program, inputs, outputs)
+        inputs[MEMORY] = jax.ShapeDtypeStruct((network.memory_size,), jnp.float32)
+    program = drive(network, agent, description.terms, scenario.robot)
+    first = ["command", "action"]
+    others = sorted(jax.eval_shape(program, inputs).keys() - first)
+    graph = graph_of(program, inputs, [*first, *others])
+
     opsets = [onnx.helper.make_opsetid("", OPSET)]
     model = onnx.helper.make_model(graph, opset_imports=opsets, ir_version=IR_VERSION, producer_name="sean_jax")
-    facts = describe(terms, space, scenario.robot, scenario.time_step, network.memory_size)
+    facts = describe_model(description.terms, space, scenario.robot, scenario.time_step, network.memory_size)
     onnx.helper.set_model_props(model, {"agent": describe_agent(folder), **facts})
     onnx.checker.check_model(model, full_check=True)
     with writing.atomic_file(out) as stream:
@@ -75,30 +76,43 @@ def export(source: Path | str, out: Path | str) -> Path:
     return out
 
 
+def in_32_bits(description: networks.AgentDescription) -> networks.AgentDescription:
+    """The description with images in 32 bits, also in the encoder."""
+    network = description.network.clone(bfloat16=False)
+    if isinstance(network.encoder, networks.AttentionEncoder | networks.ConvEncoder):
+        network = network.clone(encoder=network.encoder.clone(dtype=jnp.float32))
+    return description._replace(network=network)
+
+
 def drive(
     network: networks.ActorCritic, agent: networks.Agent, terms: observations.Terms, robot: RobotModel
-) -> Callable[[dict[str, Array]], list[Array]]:
-    """The function of an observation, and of a memory, that the model computes: command, action and memory."""
+) -> Callable[[dict[str, Array]], dict[str, Array]]:
+    """The function of an observation, and of a memory, that the model computes: name -> output."""
 
-    def program(seen: dict[str, Array]) -> list[Array]:
-        shown = {name: jnp.clip(seen[name], term.low, term.high) for name, term in terms}
-        vector = jnp.pad(observations.flatten(terms, shown), (0, network.private))
-        images = {name: shown[name] for name in network.images}
-        memory = seen.get(MEMORY, jnp.zeros(0, jnp.float32))
+    def program(inputs: dict[str, Array]) -> dict[str, Array]:
+        observation = {name: jnp.clip(inputs[name], term.low, term.high) for name, term in terms}
+        vector = jnp.pad(observations.flatten(terms, observation), (0, network.private))
+        images = {name: observation[name] for name in network.images}
+        memory = inputs.get(MEMORY, jnp.zeros(0, jnp.float32))
         output = networks.apply(network, agent, vector, images, memory, jnp.zeros((), bool))
-        results = [to_command(robot, output.mean), jnp.clip(output.mean, -1.0, 1.0), output.memory]
-        return results if network.recurrent else results[:2]
+
+        command = command_of(robot, agent, output.mean)
+        action = output.mean if agent.command_scale is None else to_action(robot, command)
+        results = {"command": command, "action": jnp.clip(action, -1.0, 1.0)}
+        if network.recurrent:
+            results[NEXT_MEMORY] = output.memory
+        return results | output.auxiliary
 
     return program
 
 
-def describe(
+def describe_model(
     terms: observations.Terms, space: Mapping[str, Any], robot: RobotModel, time_step: float, memory_size: int
 ) -> dict[str, str]:
     """Name -> text or JSON, what a model takes and gives."""
-    seen = [
+    inputs = [
         {"name": name, "shape": space[name].shape, "low": term.low, "high": term.high, "image": term.image,
-         "stack": term.stack, "definition": term.definition}
+         "stack": term.stack, "every": term.every, "definition": term.definition}
         for name, term in terms
     ]  # fmt: skip
     limits = {
@@ -110,7 +124,7 @@ def describe(
         "max_turn_acceleration": float(robot.max_turn_acceleration),
     }
     return {
-        "observation": json.dumps(seen),
+        "observation": json.dumps(inputs),
         "frame": "the robot's: x ahead, y to the left, angles counter-clockwise; m, s, rad",
         "command": "speed ahead [m/s], turn rate to the left [rad/s], within the limits of robot",
         "action": "the same as shares of the limits, from -1 to 1",
@@ -142,13 +156,41 @@ CALLS = "jaxpr", "call_jaxpr", "fun_jaxpr"  # parameters of operations that hold
 
 
 def graph_of(program: Callable[[dict[str, Array]], Any], inputs: Mapping[str, Any], outputs: Sequence[str]) -> Any:
-    """The ONNX graph of a traced program of a dict of arrays, which gives a list of arrays with these names.
+    """The ONNX graph of a traced program of a dict of arrays, which gives a dict of arrays with these names.
 
     Raises:
         InputError: it has an operation that is not known here.
     """
-    closed = jax.make_jaxpr(lambda *values: program(dict(zip(inputs, values, strict=True))))(*inputs.values())
+
+    def flat_program(*values: Array) -> list[Array]:
+        results = program(dict(zip(inputs, values, strict=True)))
+        return [results[name] for name in outputs]
+
+    closed = jax.make_jaxpr(flat_program)(*inputs.values())
     return _Translation().graph(closed, list(inputs), outputs)
+
+
+class _Operation(NamedTuple):
+    """An operation of a traced program."""
+
+    values: list[Any]  # names in the graph, or numpy arrays
+    shapes: list[tuple[int, ...]]  # of the values
+    out: Any  # shape and type of its first result
+    params: Mapping[str, Any]
+
+    @property
+    def first(self) -> Any:
+        """The first value."""
+        return self.values[0]
+
+    def constant(self, number: float) -> Any:
+        """A number of the type of the result."""
+        return np.dtype(self.out.dtype).type(number)
+
+
+def _whole(numbers: Iterable[int]) -> np.ndarray:
+    """Whole numbers as ONNX has them."""
+    return np.asarray([*numbers], np.int64)
 
 
 class _Translation:
@@ -197,77 +239,106 @@ class _Translation:
         if not any(isinstance(value, str) for value in values):
             result = step.primitive.bind(*map(jnp.asarray, values), **step.params)
             return [np.asarray(each) for each in (result if step.primitive.multiple_results else [result])]
-        name, (out, *_) = step.primitive.name, step.outvars
-        shapes = [each.aval.shape for each in step.invars]
-        result = self.translate(name, values, shapes, out.aval, step.params)
+        name = step.primitive.name
+        shapes = [variable.aval.shape for variable in step.invars]
+        result = self.translate(name, _Operation(values, shapes, step.outvars[0].aval, step.params))
         if result is None:
             known = "layers, convolutions, attention and elementwise functions are known"
             raise InputError(f"export onnx: the network has the operation {name}, which is not translated; {known}.")
         return result if isinstance(result, list) else [result]
 
-    def translate(self, kind: str, values: list[Any], shapes: list, out: Any, params: Mapping[str, Any]) -> Any:
+    def translate(self, kind: str, operation: _Operation) -> Any:
         """The value of an operation, or a list of several; None if it is not known."""
-        first, others = values[0], values[1:]
-        like = np.dtype(out.dtype).type
         if kind in UNARY:
-            return self.node(UNARY[kind], first)
+            return self.node(UNARY[kind], operation.first)
         if kind in BINARY:
-            return self.node(BINARY[kind], *values)
+            return self.node(BINARY[kind], *operation.values)
         if kind in REDUCTIONS:
-            return self.reduce(REDUCTIONS[kind], first, params["axes"], out)
+            return self.reduce(REDUCTIONS[kind], operation.first, operation.params["axes"], operation.out)
         if kind in RESHAPES:
-            return self.reshape(first, out.shape)
-        match kind:
-            case "ne":
-                return self.node("Not", self.node("Equal", *values))
-            case "square":
-                return self.node("Mul", first, first)
-            case "rsqrt":
-                return self.node("Reciprocal", self.node("Sqrt", first))
-            case "log1p":
-                return self.node("Log", self.node("Add", first, like(1)))
-            case "expm1":
-                return self.node("Sub", self.node("Exp", first), like(1))
-            case "integer_pow":
-                return self.node("Pow", first, like(params["y"]))
-            case "clamp":
-                return self.node("Min", self.node("Max", others[0], first), others[1])
-            case "select_n" if len(others) == 2:
-                return self.node("Where", first, others[1], others[0])
-            case "convert_element_type":
-                return self.node("Cast", first, to=_kind(out.dtype))
-            case "broadcast_in_dim":
-                middle = np.ones(len(out.shape), int)
-                middle[list(params["broadcast_dimensions"])] = shapes[0]
-                return self.node("Expand", self.reshape(first, middle), np.asarray(out.shape, np.int64))
-            case "transpose":
-                return self.node("Transpose", first, perm=list(params["permutation"]))
-            case "concatenate":
-                return self.node("Concat", *values, axis=params["dimension"])
-            case "stack":
-                shape = np.insert(shapes[0], params["axis"], 1)
-                return self.node("Concat", *(self.reshape(value, shape) for value in values), axis=params["axis"])
-            case "tile":
-                return self.node("Tile", first, np.asarray(params["reps"], np.int64))
-            case "rev":
-                axes = np.asarray(params["dimensions"], np.int64)
-                last, end = np.full_like(axes, -1), np.full_like(axes, np.iinfo(np.int64).min)
-                return self.node("Slice", first, last, end, axes, last)
-            case "split":
-                sizes = np.asarray(params["sizes"], np.int64)
-                return self.nodes_of("Split", [first, sizes], len(sizes), axis=params["axis"])
-            case "slice":
-                ends, steps = params["limit_indices"], params["strides"] or (1,) * len(out.shape)
-                limits = params["start_indices"], ends, range(len(out.shape)), steps
-                return self.node("Slice", first, *(np.asarray([*each], np.int64) for each in limits))
-            case "pad" if all(low >= 0 and high >= 0 and inside == 0 for low, high, inside in params["padding_config"]):
-                sides = [[side[end] for side in params["padding_config"]] for end in (0, 1)]
-                return self.node("Pad", first, np.asarray(sum(sides, []), np.int64), others[0])
-            case "dot_general":
-                return self.dot(values, shapes, params["dimension_numbers"])
-            case "conv_general_dilated":
-                return self.convolve(values, params)
-        return None
+            return self.reshape(operation.first, operation.out.shape)
+        translator: Callable[[_Operation], Any] | None = getattr(self, f"_{kind}", None)
+        return None if translator is None else translator(operation)
+
+    # Of each operation below, the name is that of jax.
+
+    def _ne(self, operation: _Operation) -> str:
+        return self.node("Not", self.node("Equal", *operation.values))
+
+    def _square(self, operation: _Operation) -> str:
+        return self.node("Mul", operation.first, operation.first)
+
+    def _rsqrt(self, operation: _Operation) -> str:
+        return self.node("Reciprocal", self.node("Sqrt", operation.first))
+
+    def _log1p(self, operation: _Operation) -> str:
+        return self.node("Log", self.node("Add", operation.first, operation.constant(1)))
+
+    def _expm1(self, operation: _Operation) -> str:
+        return self.node("Sub", self.node("Exp", operation.first), operation.constant(1))
+
+    def _integer_pow(self, operation: _Operation) -> str:
+        return self.node("Pow", operation.first, operation.constant(operation.params["y"]))
+
+    def _clamp(self, operation: _Operation) -> str:
+        low, value, high = operation.values
+        return self.node("Min", self.node("Max", value, low), high)
+
+    def _select_n(self, operation: _Operation) -> str | None:
+        if len(operation.values) != 3:
+            return None
+        condition, otherwise, value = operation.values
+        return self.node("Where", condition, value, otherwise)
+
+    def _convert_element_type(self, operation: _Operation) -> str:
+        return self.node("Cast", operation.first, to=_kind(operation.out.dtype))
+
+    def _broadcast_in_dim(self, operation: _Operation) -> str:
+        shape = operation.out.shape
+        aligned = np.ones(len(shape), int)
+        aligned[list(operation.params["broadcast_dimensions"])] = operation.shapes[0]
+        return self.node("Expand", self.reshape(operation.first, aligned), _whole(shape))
+
+    def _transpose(self, operation: _Operation) -> str:
+        return self.node("Transpose", operation.first, perm=list(operation.params["permutation"]))
+
+    def _concatenate(self, operation: _Operation) -> str:
+        return self.node("Concat", *operation.values, axis=operation.params["dimension"])
+
+    def _stack(self, operation: _Operation) -> str:
+        axis = operation.params["axis"]
+        shape = np.insert(operation.shapes[0], axis, 1)
+        return self.node("Concat", *(self.reshape(value, shape) for value in operation.values), axis=axis)
+
+    def _tile(self, operation: _Operation) -> str:
+        return self.node("Tile", operation.first, _whole(operation.params["reps"]))
+
+    def _rev(self, operation: _Operation) -> str:
+        axes = _whole(operation.params["dimensions"])
+        last, end = np.full_like(axes, -1), np.full_like(axes, np.iinfo(np.int64).min)
+        return self.node("Slice", operation.first, last, end, axes, last)
+
+    def _split(self, operation: _Operation) -> list[str]:
+        sizes = _whole(operation.params["sizes"])
+        return self.nodes_of("Split", [operation.first, sizes], len(sizes), axis=operation.params["axis"])
+
+    def _slice(self, operation: _Operation) -> str:
+        params, dimensions = operation.params, len(operation.out.shape)
+        steps = params["strides"] or (1,) * dimensions
+        limits = params["start_indices"], params["limit_indices"], range(dimensions), steps
+        return self.node("Slice", operation.first, *map(_whole, limits))
+
+    def _pad(self, operation: _Operation) -> str | None:
+        low, high, inside = zip(*operation.params["padding_config"], strict=True)
+        if min(low) < 0 or min(high) < 0 or any(inside):
+            return None
+        return self.node("Pad", operation.first, _whole([*low, *high]), operation.values[1])
+
+    def _dot_general(self, operation: _Operation) -> str:
+        return self.dot(operation.values, operation.shapes, operation.params["dimension_numbers"])
+
+    def _conv_general_dilated(self, operation: _Operation) -> str | None:
+        return self.convolve(operation.values, operation.params)
 
     def reduce(self, kind: str, value: Any, axes: Sequence[int], out: Any) -> Any:
         """A reduction; of truths by way of whole numbers."""
@@ -276,22 +347,26 @@ class _Translation:
         result = self.node(kind, value, np.asarray(axes, np.int64), keepdims=0) if axes else value
         return self.node("Cast", result, to=_kind(np.bool_)) if truth else result
 
-    def dot(self, values: list[Any], shapes: list, numbers: Any) -> Any:
+    def dot(self, values: list[Any], shapes: list, numbers: Any) -> str:
         """A product of matrices, or what ``Einsum`` makes of more axes."""
         (left, right), (left_batch, right_batch) = numbers
         if not left_batch and tuple(left) == (len(shapes[0]) - 1,) and tuple(right) == (0,) and len(shapes[1]) == 2:
             return self.node("MatMul", *values)
+
+        # Axes that both have in common share a letter.
         letters = iter(string.ascii_letters)
-        names: list[list[str]] = [[""] * len(shape) for shape in shapes]
-        for one, other in (*zip(left_batch, right_batch, strict=True), *zip(left, right, strict=True)):
-            names[0][one] = names[1][other] = next(letters)
-        for name in names:
-            name[:] = [each or next(letters) for each in name]
-        batch = [names[0][axis] for axis in left_batch]
-        used = {*batch, *(names[0][axis] for axis in left)}
-        result = [*batch, *(each for name in names for each in name if each not in used)]
-        words = ["".join(each) for each in (*names, result)]
-        return self.node("Einsum", *values, equation=f"{words[0]},{words[1]}->{words[2]}")
+        left_letters, right_letters = ([""] * len(shape) for shape in shapes)
+        for left_axis, right_axis in zip((*left_batch, *left), (*right_batch, *right), strict=True):
+            left_letters[left_axis] = right_letters[right_axis] = next(letters)
+        left_letters = [letter or next(letters) for letter in left_letters]
+        right_letters = [letter or next(letters) for letter in right_letters]
+
+        # The result has the batch first, then the free axes of both.
+        batch = [left_letters[axis] for axis in left_batch]
+        shared = {*batch, *(left_letters[axis] for axis in left)}
+        free = [letter for letter in (*left_letters, *right_letters) if letter not in shared]
+        terms = ["".join(row) for row in (left_letters, right_letters, [*batch, *free])]
+        return self.node("Einsum", *values, equation=f"{terms[0]},{terms[1]}->{terms[2]}")
 
     def convolve(self, values: list[Any], params: Mapping[str, Any]) -> Any:
         """A convolution, with batch and channels first as ONNX has them."""

@@ -6,49 +6,50 @@ Weights are stored in 16 bits, which changes a command by about a thousandth; th
 range is wider, in 32. All policies run under ``jit`` and ``vmap``.
 """
 
-import functools
 import math
+import os
+import shlex
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import linen as nn
 from flax import struct
-from jaxtyping import Float, Int, PyTree
+from jaxtyping import Float, PyTree
 
 from sean_jax import sensors
 from sean_jax.classifiers import SITUATION_SETS
 from sean_jax.config import (
     METHODS,
+    CollectConfig,
     Component,
     Named,
     ReinforcementConfig,
     RunConfig,
     ScenarioConfig,
+    flags,
     outside,
     user_parts,
     validate,
 )
 from sean_jax.core import user_calls
-from sean_jax.core.data_types import SENSING, Array, Policy, PolicyLike, Scenario, State, as_policy
+from sean_jax.core.data_types import SENSING, Array, Policy, PolicyLike, RobotModel, Scenario, State, as_policy
 from sean_jax.core.errors import InputError
 from sean_jax.io import files, writing
 from sean_jax.io.versions import versions
 from sean_jax.io.writing import check_new_folder
 from sean_jax.learning import networks
-from sean_jax.learning.examples import SECONDS, depth_image, plan_ahead
-from sean_jax.learning.networks import CONFIG, ActorCritic, Agent, ConvEncoder, Decision, Network, Weights
+from sean_jax.learning.networks import CONFIG, ActorCritic, Agent, AgentDescription, Best, ConvEncoder, NetworkOutput
 from sean_jax.mdp import observations, registry, to_command
 from sean_jax.mdp.spaces import Box
 from sean_jax.policies import POLICIES
 from sean_jax.robots.drive import require
-from sean_jax.simulation import episodes, team
+from sean_jax.simulation import episodes, making, team
 from sean_jax.simulation.scenario import reset
-from sean_jax.world import navigation
 
 
 def load_policy(
@@ -102,8 +103,6 @@ def load(folder: Path | str, scenario: Scenario) -> Policy:
     if isinstance(folder, str) and folder in AGENTS:
         folder = agent_folder(folder, "folder")
     folder = Path(folder)
-    if not is_packed(folder) and networks.read_method(folder) in ("imitation", "dagger"):
-        return load_imitation(folder, scenario)
     return agent_policy(*load_agent(folder, scenario), name=folder.name)
 
 
@@ -129,7 +128,7 @@ def check_policy(
             return
         sets = [part.kind for part in config.situations if isinstance(part, Named)]
         if len(sets) == len(config.situations) == 1 and sets[0] in SITUATION_SETS:
-            networks.read_network(folder, list(SITUATION_SETS[sets[0]]))
+            imitation_config(folder, list(SITUATION_SETS[sets[0]]))
 
 
 def _description(value: Any, *, typed: bool) -> Component:
@@ -266,6 +265,78 @@ def _encoder(options: ReinforcementConfig, terms: observations.Terms) -> Any:
     return value
 
 
+def describe(folder: Path, scenario: Scenario) -> AgentDescription:
+    """The network of a folder and what it observes of a scenario.
+
+    Raises:
+        InputError: there is no agent, the config.json cannot be read, or the scenario lacks something that it sees.
+    """
+    if is_imitation(folder):
+        config = imitation_config(folder, [name for name, _ in scenario.situations])
+        height, width = config.image
+        sensors.camera(scenario, "depth", width=width, height=height)  # refuses a robot without one
+        return networks.describe_imitation(config, scenario.time_step)
+
+    options = read_options(folder)
+    shapes = jax.eval_shape(lambda scenario: reset(scenario, jax.random.key(0)), scenario)
+    try:
+        actor_terms, private = agent_terms(options)
+        space = observations.space((*actor_terms, *private), scenario, shapes)
+    except InputError as error:
+        raise InputError(f"{folder / CONFIG}: {error}") from None
+    return AgentDescription(agent_network(options, space), actor_terms, private, space)
+
+
+def is_imitation(folder: Path) -> bool:
+    """Whether a folder has an agent that imitates demonstrations, and none that learned from rewards."""
+    return not issubclass(METHODS[networks.read_method(folder)], ReinforcementConfig)
+
+
+def imitation_config(folder: Path, situations: list[str]) -> networks.NetworkConfig:
+    """The configuration of a network that imitates.
+
+    Raises:
+        InputError: there is none, or its input is the flags of other situations than these.
+    """
+    if not os.path.lexists(folder / CONFIG):
+        raise InputError(f"{folder} has no trained network; make one with `sean train imitation`.")
+    config = networks.read_network_config(folder / CONFIG)
+    if config.flags and situations != config.situations:
+        here = ", ".join(situations)
+        raise InputError(f"the network of {folder} knows other situations than {here}; give make the same situations.")
+    return config
+
+
+def training_scenario(folder: Path) -> Scenario:
+    """The scenario of a training or of its demonstrations, on its first floor and with its first robot.
+
+    Raises:
+        InputError: there is no agent, or its demonstrations are of another program.
+    """
+    if (folder / CONFIG).is_file() and is_imitation(folder):
+        return making.build_stack(demonstration_config(folder), 1).member
+    options = read_options(folder)
+    user_parts.check_trust(options)
+    return registry.build_stack(options.per_environment[0], limit=1).member.scenario
+
+
+def demonstration_config(folder: Path) -> CollectConfig:
+    """The options of ``sean collect`` that made the demonstrations of an agent that imitates.
+
+    Raises:
+        InputError: another program made them.
+    """
+    content = files.read_json(folder / CONFIG)
+    dataset = content.get("dataset", {}) if isinstance(content, dict) else {}
+    words = shlex.split(str(dataset.get("command", "")))
+    if words[:2] != ["sean", "collect"]:
+        raise InputError(
+            f"{folder / CONFIG}: its demonstrations were not made by `sean collect`; use `sean run` for it."
+        )
+    config = flags.read(CollectConfig, flags.parse("collect", CollectConfig, words[2:]))
+    return validate(CollectConfig, config.model_dump(mode="json"), source=folder / CONFIG)
+
+
 def load_agent(folder: Path, scenario: Scenario) -> tuple[ActorCritic, Agent, observations.Terms]:
     """The best agent of a training, or a packed agent: the network, the agent, and the terms of its observation.
 
@@ -274,57 +345,76 @@ def load_agent(folder: Path, scenario: Scenario) -> tuple[ActorCritic, Agent, ob
             something that the agent sees.
         IncompleteError: the checkpoint cannot be read.
     """
-    require(scenario.robot, ("differential",), f"{folder}: agents drive")
-    options = read_options(folder)
-    shapes = jax.eval_shape(lambda scenario: reset(scenario, jax.random.key(0)), scenario)
-    try:
-        actor_terms, private = agent_terms(options)
-        terms = (*actor_terms, *private)
-        space = observations.space(terms, scenario, shapes)
-    except InputError as error:
-        raise InputError(f"{folder / CONFIG}: {error}") from None
-    network = agent_network(options, space)
-    outline = jax.eval_shape(lambda: networks.init_agent(network, terms, space, jax.random.key(0)))
-    read = _read_packed if is_packed(folder) else _read_best
-    return network, read(folder, options, outline), actor_terms
+    drivers = f"{folder.name}: networks" if is_imitation(folder) else f"{folder}: agents"
+    require(scenario.robot, ("differential",), f"{drivers} drive")
+    folder = last_round(folder)
+    description = describe(folder, scenario)
+    return description.network, read_agent(folder, description), description.terms
 
 
-def _read_packed(folder: Path, options: ReinforcementConfig, outline: Agent) -> Agent:
-    """The agent of weights.npz in 32 bits."""
+def last_round(folder: Path) -> Path:
+    """The last network that ``sean train dagger`` has made in a folder; other folders as they are."""
+    if is_packed(folder) or networks.read_method(folder) != "dagger":
+        return folder
+    rounds = [path for path in folder.glob("round-*") if (path / "checkpoints").is_dir()]
+    if not rounds:
+        raise InputError(f"{folder} has no trained network yet; resume it by `sean train dagger`.")
+    return max(rounds, key=lambda path: int(path.name.rpartition("-")[2]))
+
+
+def read_agent(folder: Path, description: AgentDescription) -> Agent:
+    """The best agent of a training, or a packed agent, in 32 bits.
+
+    Raises:
+        InputError: it is not of this description, or has numbers that are not finite.
+        IncompleteError: the checkpoint cannot be read.
+    """
+    outline = jax.eval_shape(description.init, jax.random.key(0))
+    return (_read_packed if is_packed(folder) else _read_best)(folder, outline)
+
+
+def _read_packed(folder: Path, outline: Agent) -> Agent:
+    """The agent of weights.npz."""
     arrays = files.read_arrays(folder / WEIGHTS, MAX_WEIGHTS_BYTES, "get the file again")
     for name, value in arrays.items():
         if value.dtype.kind != "f" or not np.isfinite(value).all():
             raise InputError(f"{folder / WEIGHTS}: {name[:60]} has a number that is not finite; pack the agent anew.")
-    _check_sizes(folder, options, {name: value.shape for name, value in arrays.items()}, outline)
+    _check_sizes(folder, {name: value.shape for name, value in arrays.items()}, outline)
     leaves = [jnp.asarray(arrays[name], jnp.float32) for name in networks.named_leaves(outline)]
     return jax.tree.unflatten(jax.tree.structure(outline), leaves)
 
 
-def _read_best(folder: Path, options: ReinforcementConfig, outline: Agent) -> Agent:
+def _read_best(folder: Path, outline: Agent) -> Agent:
     """The best agent of the checkpoints of a training."""
     from sean_jax.learning.checkpoints import Checkpoints  # which needs the extra "learning"
 
     checkpoints = Checkpoints(folder)
-    saved = {name: shape for name, shape in checkpoints.shapes("best").items() if name.startswith("agent/")}
-    _check_sizes(folder, options, {name[6:]: shape[1:] for name, shape in saved.items()}, outline)
-    count, shape = len(options.agents), jax.ShapeDtypeStruct
-    agents = jax.tree.map(lambda leaf: shape((count, *leaf.shape), leaf.dtype), outline)
-    best = checkpoints.best("best", Best(agents, shape((count,), jnp.float32), shape((count,), jnp.int32)))  # pyright: ignore
+    shapes = checkpoints.shapes("best")
+    _check_sizes(folder, {name[6:]: shape[1:] for name, shape in shapes.items() if name.startswith("agent/")}, outline)
+
+    # Checkpoints have the best of each agent that was trained in parallel.
+    count = shapes.get("value", (1,))[0]
+    outline = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct((count, *leaf.shape), leaf.dtype), outline)
+    values, updates = (jax.ShapeDtypeStruct((count,), dtype) for dtype in (jnp.float32, jnp.int32))
+    best = checkpoints.best("best", Best(outline, values, updates))  # pyright: ignore
     chosen = int(np.argmax(best.value))
-    return jax.tree.map(lambda part: part[chosen], best.agent)
+    return jax.tree.map(lambda leaf: leaf[chosen], best.agent)
 
 
-def _check_sizes(folder: Path, options: ReinforcementConfig, saved: dict[str, tuple], outline: Agent) -> None:
+def _check_sizes(folder: Path, saved: dict[str, tuple], outline: Agent) -> None:
     """Refuse arrays, name -> shape, of other sizes than a scenario's observations need."""
     shapes = {name: tuple(leaf.shape) for name, leaf in networks.named_leaves(outline).items()}
     if saved == shapes:
         return
+    if is_imitation(folder):
+        raise InputError(f"{folder}: its weights are of another network; restore the {CONFIG} of its training.")
+    options = read_options(folder)
     mean = f"{STATISTICS}mean"
-    learned, present = (name.get(mean, (0,))[0] for name in (saved, shapes))
-    what = f"{learned} numbers, and this scenario shows {present}"
+    learned, present = (sizes.get(mean, (0,))[0] for sizes in (saved, shapes))
     if learned == present and options.network.kind != "mlp":
         cure = f"restore the network of its training (its {CONFIG})"
         raise InputError(f"{folder}: its weights are not those of the network {options.network.label}; {cure}.")
+    what = f"{learned} numbers, and this scenario shows {present}"
     if learned == present:
         what = "images of another size than this scenario's"
     terms = ", ".join(part.kind for part in options.observations)
@@ -351,19 +441,14 @@ def save_agent(folder: Path, agent: Agent, config: dict[str, Any]) -> None:
 
 def describe_agent(folder: Path) -> str:
     """The observations and the training of a packed agent, in a sentence."""
-    options, saved = read_options(folder), files.read_json(folder / CONFIG)
+    saved = files.read_json(folder / CONFIG)
+    if is_imitation(folder):
+        size = " x ".join(map(str, saved["image"]))
+        return f"Network that imitates demonstrations; it sees depth images of {size} pixels and the global plan."
+    options = read_options(folder)
     sees, steps = ", ".join(part.kind for part in options.observations), saved.get("agent", {}).get("steps")
     trained = f" on {steps:,} steps" if isinstance(steps, int) else ""
     return f"Agent of reinforcement learning, trained{trained} in {', '.join(options.environments)}; it sees {sees}."
-
-
-@struct.dataclass
-class Best:
-    """The agents that did best in an evaluation so far."""
-
-    agent: Agent  # (A, ...)
-    value: Float[Array, "A"]  # return in that evaluation
-    update: Int[Array, "A"]  # after which it was
 
 
 def pack(folder: Path | str, out: Path | str) -> Path:
@@ -378,15 +463,20 @@ def pack(folder: Path | str, out: Path | str) -> Path:
     """
     folder, out = Path(folder), Path(out)
     check_new_folder(out)
-    options = read_options(folder)
     if is_packed(folder):
         raise InputError(f"{folder} is packed already; copy it.")
-    user_parts.check_trust(options)
-    _, agent, _ = load_agent(folder, registry.build_stack(options.per_environment[0], limit=1).member.scenario)
-    facts = {**_best_evaluation(folder), "weights": "float16", "packed_with": versions()}
+    imitates = is_imitation(folder) and (folder / CONFIG).is_file()
+    folder = last_round(folder) if imitates else folder
+    options = None if imitates else read_options(folder)
+    if imitates:  # its sizes do not depend on a scenario
+        description = networks.describe_imitation(networks.read_network_config(folder / CONFIG), time_step=1.0)
+    else:
+        description = describe(folder, training_scenario(folder))
+    agent = read_agent(folder, description)
     with writing.atomic_folder(out) as target:
-        copies, hashes = user_parts.copy(target, options)
-        own = user_parts.relocate(options.identity(), copies) | {"parts": hashes} if copies else {}
+        copies, hashes = ({}, {}) if options is None else user_parts.copy(target, options)
+        own = user_parts.relocate(options.identity(), copies) | {"parts": hashes} if options and copies else {}
+        facts = {**_best_evaluation(folder), "weights": "float16", "packed_with": versions()}
         save_agent(target, agent, {**files.read_json(folder / CONFIG), **own, "agent": facts})
     return out
 
@@ -408,111 +498,7 @@ def _best_evaluation(folder: Path) -> dict[str, Any]:
     return {"updates": best["epoch"], "steps": best["steps"], "evaluation": figures}
 
 
-# ------------------------------------------------------------------ networks that imitate
-
-
-@struct.dataclass
-class PolicyParams:
-    """Parameters of the policy: the weights are leaves, so ``grad`` and ``vmap`` reach them."""
-
-    weights: Weights
-    network: Network = struct.field(pytree_node=False)
-    camera: sensors.Camera = struct.field(pytree_node=False)
-
-
-@struct.dataclass
-class PolicyState:
-    """The memory of the policy."""
-
-    encodings: Array  # (L, F) of the images of the last 4 s, newest first, one for each control step
-    last_arc: Array  # (V,) int32, ``navigation.last_arc_to_goal``
-    decision: Decision  # the latest; zeros before the first step
-
-
-def network_policy(network: Network, weights: Weights, scenario: Scenario, name: str = "learned") -> Policy:
-    """A policy of a network that imitates, for the robot of a scenario.
-
-    The policy state holds the encodings of the depth images of the last four seconds. The network receives the
-    encodings that are 4, 3, 2, 1 and 0 s old, as in an example. After each step ``state.policy_state.decision`` has the
-    local plan and the attention, which SEAN displays too.
-
-    Raises:
-        InputError: the robot has no depth camera or is no differential drive.
-    """
-    require(scenario.robot, ("differential",), f"{name}: networks drive")
-    height, width = network.image
-    camera = sensors.camera(scenario, "depth", width=width, height=height)
-    sensing = "all-knowing" if network.flags else "raw"  # flags are of all people
-    params = PolicyParams(weights, network, camera)
-    return Policy(params=params, name=name, init=_init_network, apply=_apply_network, sensing=sensing)
-
-
-def load_imitation(folder: Path | str, scenario: Scenario) -> Policy:
-    """The policy with the lowest validation loss so far; in a training in rounds, the policy of the last round.
-
-    Raises:
-        InputError: the folder has no trained network, or one that receives the flags of other social situations.
-        IncompleteError: the checkpoint cannot be read.
-    """
-    from sean_jax.learning.checkpoints import Checkpoints  # which needs the extra "learning"
-
-    name, folder = Path(folder).name, _last_round(Path(folder))
-    network, situations = networks.read_network(folder, [each for each, _ in scenario.situations])
-    shapes = jax.eval_shape(functools.partial(networks.init_weights, network, situations), jax.random.key(0))
-    weights = Checkpoints(folder).best("weights", shapes)
-    return network_policy(network, weights, scenario, name=name)
-
-
-def _last_round(folder: Path) -> Path:
-    """The last network that ``sean train dagger`` has made in a folder; other folders as they are."""
-    if networks.read_method(folder) != "dagger":
-        return folder
-    rounds = [each for each in folder.glob("round-*") if (each / "checkpoints").is_dir()]
-    if not rounds:
-        raise InputError(f"{folder} has no trained network yet; resume it by `sean train dagger`.")
-    return max(rounds, key=lambda each: int(each.name.rpartition("-")[2]))
-
-
-def _init_network(scenario: Scenario, params: PolicyParams, state: State) -> PolicyState:
-    """Begin an episode: earlier images are replaced by the present image."""
-    encoding = _encode_image(scenario, params, state)
-    ticks = round(1.0 / scenario.time_step)
-    network = params.network
-    decision = Decision(
-        local_plan=jnp.zeros((SECONDS, 2), jnp.float32),
-        command=jnp.zeros(2, jnp.float32),
-        planner_attention=jnp.zeros(len(network.planner_sources), jnp.float32),
-        controller_attention=jnp.zeros(len(network.controller_sources), jnp.float32),
-    )
-    return PolicyState(
-        encodings=jnp.broadcast_to(encoding[None], ((SECONDS - 1) * ticks + 1, *encoding.shape)),
-        last_arc=navigation.last_arc_to_goal(scenario.navigation, state.task.goal),
-        decision=decision,
-    )
-
-
-def _apply_network(
-    scenario: Scenario, params: PolicyParams, state: State, key: Array
-) -> tuple[Float[Array, "2"], PolicyState]:
-    """The command (2,) [m/s, rad/s] of a control step, and the new policy state."""
-    before: PolicyState = state.policy_state
-    encodings = jnp.concatenate([_encode_image(scenario, params, state)[None], before.encodings[:-1]])
-    each_second = encodings[:: round(1.0 / scenario.time_step)][::-1]
-    plan = plan_ahead(scenario, state, before.last_arc).astype(jnp.float32)  # networks are in 32 bits
-    weights = params.weights
-    inputs = each_second, plan, state.situations
-    output = cast(Decision, params.network.apply(weights.parameters, *inputs, method="act"))
-    decision = replace(output, command=output.command * weights.scale)
-    return decision.command, PolicyState(encodings, before.last_arc, decision)
-
-
-def _encode_image(scenario: Scenario, params: PolicyParams, state: State) -> Array:
-    """(F,) encoding of the present depth image."""
-    image = depth_image(scenario, state, params.camera)
-    return cast(Array, params.network.apply(params.weights.parameters, image, method="encode"))
-
-
-# ------------------------------------------------------------------ agents of reinforcement learning
+# ------------------------------------------------------------------ agents that drive
 
 
 @struct.dataclass
@@ -531,12 +517,15 @@ class AgentState:
     observed: PyTree  # of ``observations.observe``
     memory: Float[Array, "M"]  # of the network
     start: Array  # () bool, before the first step
+    auxiliary: dict[str, Array]  # latest further outputs of the network, such as local_plan; zeros before the first
 
 
 def agent_policy(network: ActorCritic, agent: Agent, terms: observations.Terms, name: str = "agent") -> Policy:
-    """A policy of an agent of reinforcement learning: the mean of its actions.
+    """A policy of an agent: the mean of its actions.
 
     Its state holds the memory of the observation, so that delays and stacks are as in training, and the network's.
+    After each step ``state.policy_state.auxiliary`` has the local plan and the attention of a network that imitates,
+    which SEAN displays too.
     """
     params, sensing = AgentParams(agent, network, terms), observations.sensing(terms)
     return Policy(params=params, name=name, init=_init_agent, apply=_apply_agent, sensing=sensing)
@@ -545,8 +534,11 @@ def agent_policy(network: ActorCritic, agent: Agent, terms: observations.Terms, 
 def _init_agent(scenario: Scenario, params: AgentParams, state: State) -> AgentState:
     """Begin an episode."""
     key = jax.random.fold_in(state.streams.policy, 2**31 - 1)  # above any tick
-    _, observed = observations.begin(params.terms, scenario, state, key)
-    return AgentState(observed, jnp.zeros(params.network.memory_size, jnp.float32), jnp.ones((), bool))
+    observation, observed = observations.begin(params.terms, scenario, state, key)
+    memory, start = jnp.zeros(params.network.memory_size, jnp.float32), jnp.ones((), bool)
+    output = jax.eval_shape(_forward, params, observation, memory, start)
+    auxiliary = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), output.auxiliary)
+    return AgentState(observed, memory, start, auxiliary)
 
 
 def _apply_agent(
@@ -554,13 +546,27 @@ def _apply_agent(
 ) -> tuple[Float[Array, "2"], AgentState]:
     """The command (2,) [m/s, rad/s] of a control step, and the new policy state; the key is not used."""
     before: AgentState = state.policy_state
-    shown, observed = observations.observe(params.terms, scenario, state, before.observed)
-    vector = observations.flatten(params.terms, shown).astype(jnp.float32)
-    vector = jnp.pad(vector, (0, params.network.private))  # the critic's, which is not used
-    images = {name: shown[name].astype(params.network.image_dtype) for name in params.network.images}
-    output = networks.apply(params.network, params.agent, vector, images, before.memory, before.start)
-    after = AgentState(observed, output.memory, jnp.zeros((), bool))
-    return to_command(scenario.robot, output.mean.astype(state.robot.position.dtype)), after
+    observation, observed = observations.observe(params.terms, scenario, state, before.observed)
+    output = _forward(params, observation, before.memory, before.start)
+    after = AgentState(observed, output.memory, jnp.zeros((), bool), output.auxiliary)
+    action = output.mean.astype(state.robot.position.dtype)
+    return command_of(scenario.robot, params.agent, action), after
+
+
+def _forward(params: AgentParams, observation: dict[str, Array], memory: Array, start: Array) -> NetworkOutput:
+    """The network's output for one observation."""
+    network = params.network
+    vector = observations.flatten(params.terms, observation).astype(jnp.float32)
+    vector = jnp.pad(vector, (0, network.private))  # the critic's, which is not used
+    images = {name: observation[name].astype(network.image_dtype) for name in network.images}
+    return networks.apply(network, params.agent, vector, images, memory, start)
+
+
+def command_of(robot: RobotModel, agent: Agent, action: Float[Array, "2"]) -> Float[Array, "2"]:
+    """The command (2,) [m/s, rad/s] of an agent's action."""
+    if agent.command_scale is None:
+        return to_command(robot, action)
+    return action * agent.command_scale.astype(action.dtype)
 
 
 # ------------------------------------------------------------------ labels

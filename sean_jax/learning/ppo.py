@@ -3,6 +3,7 @@
 Source: J. Schulman et al., "Proximal policy optimization algorithms", 2017.
 """
 
+import functools
 from dataclasses import replace
 from typing import Any
 
@@ -10,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import optax
 from flax import struct
+from jaxtyping import Float
 
 from sean_jax.config import PPOConfig
 from sean_jax.core.data_types import Array
@@ -41,7 +43,7 @@ def init(agent: Agent) -> Optimizer:
 
 def update(
     options: PPOConfig,
-    numbers: dict[str, Array],
+    hyperparameters: dict[str, Array],
     envs: Envs,
     network: ActorCritic,
     agent: Agent,
@@ -52,47 +54,70 @@ def update(
     """The agent, optimizer and scenarios after a rollout and its epochs, the transitions, and numbers for the log.
 
     Args:
-        numbers: this agent's values of ``PPOConfig.SWEPT``; the learning rate is this update's, and ``actor_rate`` the
-            actor's.
+        hyperparameters: this agent's values of ``PPOConfig.SWEPT``; the learning rate is this update's, and
+            ``actor_rate`` the actor's.
         envs: with pools; scenarios are shared out equally.
         key: () typed PRNG key of this update.
     """
+    # All scenarios take some steps, of which advantages are estimated.
     memory = batch.memory
     batch, transitions = rollouts.rollout(envs, network, agent, batch, options.horizon, key)
     last = rollouts.forward(network, agent, envs[0].member.observations, batch)
-    advantage = rollouts.advantages(transitions, last.value, numbers["discount"], numbers["advantage_decay"])
+    discount, decay = hyperparameters["discount"], hyperparameters["advantage_decay"]
+    advantage = rollouts.advantages(transitions, last.value, discount, decay)
     target = advantage + transitions.value
+
+    # The critic learns in units of the returns' deviation, and its value stays the same.
     returns = networks.update_statistics(optimizer.returns, target[..., None])
     returns = replace(returns, count=jnp.minimum(returns.count, MEMORY * target.size))
-    scale = jnp.sqrt(returns.variance[0] + EPSILON)  # the critic learns in units of it, and its value stays the same
+    scale = jnp.sqrt(returns.variance[0] + EPSILON)
 
-    def loss(output: NetworkOutput, steps: Transition, gain: Array, target: Array) -> tuple[Array, dict[str, Array]]:
-        change = log_density(output, steps.action) - steps.log_density
-        ratio, clip = jnp.exp(change), numbers["clip"]
-        gain = (gain - gain.mean()) / (gain.std() + EPSILON)
-        clipped = jnp.clip(ratio, 1.0 - clip, 1.0 + clip)
-        actor = -jnp.minimum(ratio * gain, clipped * gain).mean()
-        critic = 0.5 * ((output.value - target / scale) ** 2).mean()
-        spread = entropy(output).mean()
-        total = actor + VALUE_WEIGHT * critic - numbers["entropy"] * spread
-        log = {
-            "loss": total,
-            "actor": actor,
-            "critic": critic,
-            "entropy": spread,
-            "divergence": ((ratio - 1.0) - change).mean(),
-            "clipped": (jnp.abs(ratio - 1.0) > clip).mean(dtype=jnp.float32),
-        }
-        return total, log
-
-    rates = {"actor": numbers["actor_rate"], "critic": numbers["learning_rate"]}
+    # Epochs over minibatches of the transitions.
+    rates = {"actor": hyperparameters["actor_rate"], "critic": hyperparameters["learning_rate"]}
     rate = jax.tree.map(rates.get, networks.owners(agent.parameters))
-    how = Optimization(OPTIMIZER, rate, options.epochs, options.minibatches)
+    optimization = Optimization(OPTIMIZER, rate, options.epochs, options.minibatches)
+    loss = functools.partial(clipped_loss, hyperparameters, scale)
     data = transitions._replace(info={}), advantage, target
     agent = replace(agent, parameters=networks.scale_value(agent.parameters, 1.0 / scale))
-    agent, steps, losses = rollouts.optimize(how, loss, network, agent, optimizer.steps, data, memory, key)
+    agent, steps, losses = rollouts.optimize(optimization, loss, network, agent, optimizer.steps, data, memory, key)
     agent = replace(agent, parameters=networks.scale_value(agent.parameters, scale))
+
     explained = 1.0 - (target - transitions.value).var() / jnp.maximum(target.var(), EPSILON)
-    log = {"train": losses | {"explained_variance": explained}, **rollouts.log_numbers(transitions)}
+    metrics = {"train": losses | {"explained_variance": explained}, **rollouts.log_numbers(transitions)}
     agent = rollouts.with_statistics(agent, transitions)
-    return agent, Optimizer(steps, returns), batch, transitions, log
+    return agent, Optimizer(steps, returns), batch, transitions, metrics
+
+
+def clipped_loss(
+    hyperparameters: dict[str, Array],
+    scale: Float[Array, ""],
+    output: NetworkOutput,
+    transitions: Transition,
+    advantage: Float[Array, "T B"],
+    target: Float[Array, "T B"],
+) -> tuple[Array, dict[str, Array]]:
+    """The clipped surrogate objective with the critic's loss and the entropy; and numbers for the log.
+
+    Args:
+        scale: of returns, the unit of the critic's value.
+        advantage: normalized here, over the minibatch.
+        target: of the critic, in units of the reward.
+    """
+    log_ratio = log_density(output, transitions.action) - transitions.log_density
+    ratio, clip = jnp.exp(log_ratio), hyperparameters["clip"]
+    gain = (advantage - advantage.mean()) / (advantage.std() + EPSILON)
+    clipped = jnp.clip(ratio, 1.0 - clip, 1.0 + clip)
+    actor = -jnp.minimum(ratio * gain, clipped * gain).mean()
+
+    critic = 0.5 * ((output.value - target / scale) ** 2).mean()
+    spread = entropy(output).mean()
+    total = actor + VALUE_WEIGHT * critic - hyperparameters["entropy"] * spread
+    metrics = {
+        "loss": total,
+        "actor": actor,
+        "critic": critic,
+        "entropy": spread,
+        "divergence": ((ratio - 1.0) - log_ratio).mean(),
+        "clipped": (jnp.abs(ratio - 1.0) > clip).mean(dtype=jnp.float32),
+    }
+    return total, metrics

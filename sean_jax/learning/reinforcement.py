@@ -22,12 +22,11 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from flax import struct
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
-from jaxtyping import Float, Int, PyTree
+from jaxtyping import Bool, Float, Int, PyTree
 
 from sean_jax import mdp
-from sean_jax.config import ReinforcementConfig, user_parts
+from sean_jax.config import EnvConfig, ReinforcementConfig, user_parts
 from sean_jax.core import devices, random_streams
 from sean_jax.core.clock import ceil_ticks
 from sean_jax.core.data_types import Array, Policy, Scenario, State
@@ -35,16 +34,14 @@ from sean_jax.core.errors import InputError
 from sean_jax.core.messages import listed
 from sean_jax.io import writing
 from sean_jax.io.progress import Progress, ProgressLike, progress, say
-from sean_jax.learning import costs as bounds
+from sean_jax.learning import bc, costs, ppo, processes, rollouts, shac, trainer
 from sean_jax.learning import curriculum as curricula
-from sean_jax.learning import dagger, ppo, processes, rollouts, shac, trainer
 from sean_jax.learning import policy as policies
-from sean_jax.learning.curriculum import Curriculum, Plan
+from sean_jax.learning.curriculum import Curriculum, CurriculumPlan
 from sean_jax.learning.networks import ActorCritic, Agent, init_agents, with_noise
-from sean_jax.learning.policy import Best
 from sean_jax.learning.rollouts import EnvBatch, Envs
-from sean_jax.learning.trainer import Loop, Report, check_config, method_config
-from sean_jax.mdp import registry, rewards
+from sean_jax.learning.trainer import Loop, Report, TrainState, begin_best, check_config, keep_best, method_config
+from sean_jax.mdp import observations, registry, rewards
 from sean_jax.robots.drive import require
 from sean_jax.simulation.episodes import init_policy, policy_step
 from sean_jax.simulation.scenario import reset, results
@@ -52,27 +49,12 @@ from sean_jax.simulation.scenario_stack import Stack
 
 REWARDS = "rewards."  # prefix of a sweep's numbers that are weights of rewards
 
-LOWEST = float(np.finfo(np.float32).min)  # value of agents that were never evaluated
-
 EPISODES, SPEEDS = 100, 20  # episodes, at least, and updates of which progress shows the means
 
 CRITIC_UPDATES = 20  # after --imitate, in which the critic alone learns the returns of the imitating agent
 
 METHODS = {"ppo": ppo, "apg": shac}
 """Method -> the module that has its ``init`` and ``update``."""
-
-
-@struct.dataclass
-class TrainState:
-    """The state of a training. The field names are the names in checkpoints on disk."""
-
-    agent: Agent  # (A, ...)
-    optimizer: PyTree  # (A, ...)
-    rows: EnvBatch  # (A, B, ...)
-    best: Best
-    curriculum: Curriculum | None  # (A, ...); None: all starts of the pool are alike
-    update: Int[Array, ""]  # updates done
-    multipliers: bounds.Multipliers | None = None  # of costs; None without any
 
 
 class Programs(NamedTuple):
@@ -85,7 +67,7 @@ class Programs(NamedTuple):
     keep_best: Callable  # (state, mean return, (A,)) -> state with its best agents
 
 
-class Layout(NamedTuple):
+class DeviceLayout(NamedTuple):
     """Where the state of a training lies."""
 
     mesh: Mesh
@@ -140,38 +122,59 @@ def build(options: ReinforcementConfig) -> Setting:
         policies.check_policy(options.imitate, options, "imitate")
     if options.pretrained is not None:
         _check_pretrained(options, _agent_folder(options.pretrained))
-    configs = options.per_environment
-    if options.laws is not None:
-        plain = [config.replace(laws=None) for config in configs]
-        configs = [registry.with_law(config, law) for config in plain for law in listed(options.laws)]
+    configs = _configs(options)
     for config in configs:
-        bounds.with_costs(tuple(registry.check(config)["rewards"].items()), options.cost_limits)
+        costs.with_costs(tuple(registry.check(config)["rewards"].items()), options.cost_limits)
     _, private = policies.agent_terms(options)
-    envs = [registry.build_stack(config) for config in configs]
 
-    def prepare(env: mdp.Env) -> mdp.Env:
-        require(env.scenario.robot, ("differential",), "agents drive")
-        terms = (*env.observations, *private)
-        env = replace(env, observations=terms, rewards=bounds.with_costs(env.rewards, options.cost_limits))
-        return curricula.prepare(env, options.curriculum)
-
-    def without_metrics(env: mdp.Env) -> mdp.Env:
-        return replace(env, scenario=replace(env.scenario, metrics=()))
-
-    envs = [env.map_member(prepare) for env in envs]
-    first = envs[0].member
-    rewards.reweighted(first.rewards, _weights(options.agents[0]))  # refuses unknown terms
-    _check_alike(environment_names(options, [env.member.scenario for env in envs]), [env.member for env in envs])
+    # The critic's own observations come last, and costs are terms of the reward.
+    prepare = functools.partial(_prepare, options, private)
+    envs = [registry.build_stack(config).map_member(prepare) for config in configs]
+    members = [env.member for env in envs]
+    rewards.reweighted(members[0].rewards, _weights(options.agents[0]))  # refuses unknown terms
+    _check_alike(environment_names(options, [member.scenario for member in members]), members)
     for env in envs:
-        if options.scenarios // len(envs) % env.size:
-            text = f"{options.scenarios // len(envs)} do not divide equally among {env.size} floors and robots"
-            raise InputError(f"scenarios: {text}; take a multiple.")
-        if env.size > 1 and options.curriculum != "none":
-            text = f"{options.curriculum} samples the starts of one floor, not of {env.size}"
-            raise InputError(f"curriculum: {text}; choose one of the two.")
-    network = policies.agent_network(options, first.observation_space)
-    measured = tuple(env.member.scenario for env in envs)
-    return Setting(measured, tuple(env.map_member(without_metrics) for env in envs), network)
+        _check_floors(options, len(envs), env.size)
+
+    network = policies.agent_network(options, members[0].observation_space)
+    measured = tuple(member.scenario for member in members)
+    return Setting(measured, tuple(env.map_member(_without_metrics) for env in envs), network)
+
+
+def _configs(options: ReinforcementConfig) -> list[EnvConfig]:
+    """The options of each environment, each with each law."""
+    if options.laws is None:
+        return list(options.per_environment)
+    configs = []
+    for config in options.per_environment:
+        plain = config.replace(laws=None)
+        configs += [registry.with_law(plain, law) for law in listed(options.laws)]
+    return configs
+
+
+def _prepare(options: ReinforcementConfig, private: observations.Terms, env: mdp.Env) -> mdp.Env:
+    """An environment with all observations, with costs, and with something to vary for the curriculum."""
+    require(env.scenario.robot, ("differential",), "agents drive")
+    terms = (*env.observations, *private)
+    env = replace(env, observations=terms, rewards=costs.with_costs(env.rewards, options.cost_limits))
+    return curricula.prepare(env, options.curriculum)
+
+
+def _without_metrics(env: mdp.Env) -> mdp.Env:
+    return replace(env, scenario=replace(env.scenario, metrics=()))
+
+
+def _check_floors(options: ReinforcementConfig, environments: int, floors: int) -> None:
+    """Refuse scenarios that do not divide among the floors of an environment, and a curriculum on several."""
+    scenarios, curriculum = options.scenarios // environments, options.curriculum
+    if scenarios % floors:
+        raise InputError(
+            f"scenarios: {scenarios} do not divide equally among {floors} floors and robots; take a multiple."
+        )
+    if floors > 1 and curriculum != "none":
+        raise InputError(
+            f"curriculum: {curriculum} samples the starts of one floor, not of {floors}; choose one of the two."
+        )
 
 
 def _callbacks(options: ReinforcementConfig) -> tuple[Callable, ...]:
@@ -185,22 +188,29 @@ def _callbacks(options: ReinforcementConfig) -> tuple[Callable, ...]:
 
 def environment_names(options: ReinforcementConfig, scenarios: Sequence[Scenario]) -> list[str]:
     """The name of each environment in the log, with the law of its people if there are several."""
-    laws, names = listed(options.laws), [scenario.environment.name for scenario in scenarios]
-    return [f"{name}, {law}" for name, law in zip(names, itertools.cycle(laws), strict=False)] if laws else names
+    laws = listed(options.laws)
+    names = [scenario.environment.name for scenario in scenarios]
+    if not laws:
+        return names
+    return [f"{name}, {law}" for name, law in zip(names, itertools.cycle(laws), strict=False)]
 
 
 def _check_alike(names: Sequence[str], envs: Sequence[mdp.Env]) -> None:
     """Refuse environments of one name, whose evaluations would mix, and of other observation sizes."""
-    if twice := [name for name in names if names.count(name) > 1]:
-        raise InputError(f"environment: {twice[0]} is listed more than once; list each once.")
-    first, *others = [{name: box.shape for name, box in env.observation_space.items()} for env in envs]
-    for name, shapes in zip(names[1:], others, strict=True):
-        for term in (term for term in first if shapes[term] != first[term]):
-            sizes = f"{term} of the size {shapes[term]}, and {names[0]} {first[term]}"
-            raise InputError(f"observations: {name} shows {sizes}; leave it out, or train in one of them.")
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(f"environment: {name} is listed more than once; list each once.")
+    first = envs[0].observation_space
+    for name, env in zip(names[1:], envs[1:], strict=True):
+        for term, box in env.observation_space.items():
+            if box.shape != first[term].shape:
+                raise InputError(
+                    f"observations: {name} shows {term} of the size {box.shape}, and {names[0]} {first[term].shape}; "
+                    "leave it out, or train in one of them."
+                )
 
 
-def device_layout(agents: int) -> Layout:
+def device_layout(agents: int) -> DeviceLayout:
     """Devices share the agents if there are several, which then exchange nothing, and else the scenarios.
 
     Agents that do not divide among all devices take as many devices as they divide among: if devices shared the
@@ -209,10 +219,10 @@ def device_layout(agents: int) -> Layout:
     """
     if agents == 1 or jax.process_count() > 1:
         mesh = devices.mesh()
-        return Layout(mesh, _sharding(mesh), _sharding(mesh, None, devices.AXIS))
+        return DeviceLayout(mesh, _sharding(mesh), _sharding(mesh, None, devices.AXIS))
     count = max(count for count in range(1, len(jax.devices()) + 1) if agents % count == 0)
     mesh = devices.mesh(jax.devices()[:count])
-    return Layout(mesh, _sharding(mesh, devices.AXIS), _sharding(mesh, devices.AXIS))
+    return DeviceLayout(mesh, _sharding(mesh, devices.AXIS), _sharding(mesh, devices.AXIS))
 
 
 def _sharding(mesh: Mesh, *axes: str | None) -> NamedSharding:
@@ -227,102 +237,197 @@ def unused_devices(agents: int) -> str | None:
     return f"{agents} agents divide among {used} of {count} devices; the others are idle. Train a multiple of {count}."
 
 
-def programs(options: ReinforcementConfig, network: ActorCritic, layout: Layout) -> Programs:
+class Context(NamedTuple):
+    """What all compiled functions of a training read."""
+
+    options: ReinforcementConfig
+    network: ActorCritic
+    terms: observations.Terms  # of the actor
+    method: Any  # a module of ``METHODS``
+    plan: CurriculumPlan | None  # of the curriculum
+    keys: Array  # (A,) typed PRNG keys of the agents' updates
+    curriculum_keys: Array  # (A,)
+    hyperparameters: dict[str, Float[Array, "A"]]  # of each agent
+
+
+def programs(options: ReinforcementConfig, network: ActorCritic, layout: DeviceLayout) -> Programs:
     """The compiled functions of a training."""
-    method: Any = METHODS[options.method]
-    keys = jnp.stack([random_streams.key("training", int(agent["seed"])) for agent in options.agents])
-    numbers = {
-        name: jnp.asarray([agent[name] for agent in options.agents], jnp.float32)
-        for name in options.agents[0]
-        if name != "seed"
-    }
-    plan = None if options.curriculum == "none" else Plan(options.curriculum)
-    total, (terms, _) = options.updates, policies.agent_terms(options)
-    curriculum_keys = jnp.stack([random_streams.key("curriculum", int(agent["seed"])) for agent in options.agents])
-
-    held, limits = CRITIC_UPDATES if options.imitate is not None else 0, options.cost_limits
-
-    def begin(envs: Envs, agents: Agent) -> TrainState:
-        def one(agent: Agent, key: Array, start: Array) -> tuple[PyTree, EnvBatch, Curriculum | None]:
-            first, ages = jax.random.split(jax.random.fold_in(key, 0))
-            batch = rollouts.reset_envs(envs, network, first, options.scenarios)
-            if options.behavior.kind != "playback":  # whose people are where they are by the tick
-                batch = stagger(envs, batch, ages)
-            policy, start = policies.agent_policy(network, agent, terms), jax.random.fold_in(start, 0)
-            return method.init(agent), batch, plan and curricula.init(envs[0].member, plan, start, options.pool, policy)
-
-        optimizer, batch, curriculum = jax.vmap(one)(agents, keys, curriculum_keys)
-        count = keys.shape[0]
-        best = Best(agents, jnp.full(count, LOWEST, jnp.float32), jnp.zeros(count, jnp.int32))
-        multipliers = bounds.init(envs[0].member.rewards, limits, count)
-        return TrainState(agents, optimizer, batch, best, curriculum, jnp.zeros((), jnp.int32), multipliers)
-
-    def update(envs: Envs, state: TrainState) -> tuple[TrainState, dict[str, Any]]:
-        number = state.update + 1
-        falls = options.learning_rate_schedule == "linear"
-        left = 1.0 - state.update.astype(jnp.float32) / total if falls else jnp.ones((), jnp.float32)
-
-        def one(agent: Agent, optimizer: PyTree, batch: EnvBatch, curriculum: Curriculum | None, key: Array, own: dict):
-            rate = own["learning_rate"] * left
-            own = own | {"learning_rate": rate, "actor_rate": jnp.where(number > held, rate, 0.0)}
-            mine = envs if curriculum is None else (envs[0].with_fields(pool=curriculum.pool),)
-            key = jax.random.fold_in(key, number)
-            mine = _reweighted(mine, own)
-            *changed, batch, transitions, log = method.update(options, own, mine, network, agent, optimizer, batch, key)
-            curriculum, more = curricula.follow(envs[0].member, plan, curriculum, transitions.info, transitions.done)
-            return *changed, batch, curriculum, log | more
-
-        parts = state.agent, state.optimizer, state.rows, state.curriculum
-        learned = {REWARDS + name: weight for name, weight in bounds.weights(state.multipliers, limits).items()}
-        agent, optimizer, batch, curriculum, log = jax.vmap(one)(*parts, keys, numbers | learned)
-        time_step = envs[0].member.scenario.time_step
-        multipliers, told = bounds.follow(state.multipliers, limits, log["rewards"], time_step)
-        unknown = state.best.update.max() == 0  # until the first evaluation, the latest agents are the best
-        best = jax.tree.map(lambda old, new: jnp.where(unknown, new, old), state.best.agent, agent)
-        state = replace(state, agent=agent, optimizer=optimizer, rows=batch, curriculum=curriculum, update=number)
-        return replace(state, best=replace(state.best, agent=best), multipliers=multipliers), log | told
-
-    def refill(envs: Envs, state: TrainState) -> TrainState:
-        def one(agent: Agent, curriculum: Curriculum | None, start: Array) -> Curriculum:
-            policy, key = policies.agent_policy(network, agent, terms), jax.random.fold_in(start, state.update)
-            assert plan is not None and curriculum is not None
-            return curricula.refill(envs[0].member, plan, curriculum, key, policy)
-
-        return replace(state, curriculum=jax.vmap(one)(state.agent, state.curriculum, curriculum_keys))
-
-    def evaluate(
-        scenarios: tuple[Scenario, ...], envs: Envs, starts: tuple[State, ...], agents: Agent
-    ) -> tuple[Array, list]:
-        def one(agent: Agent, own: dict[str, Array]) -> list[dict[str, Any]]:
-            policy = policies.agent_policy(network, agent, terms)
-            each = zip(scenarios, _reweighted(envs, own), starts, strict=True)
-            return [_evaluate_policy(scenario, env, policy, first, limits) for scenario, env, first in each]
-
-        each = jax.vmap(one)(agents, numbers)
-        return jnp.stack([numbers.pop("value") for numbers in each]).mean(0), each
-
+    context = make_context(options, network)
     whole, placed = _sharding(layout.mesh), placement(layout)
     return Programs(
-        jax.jit(begin),
-        jax.jit(update, donate_argnums=1, out_shardings=(placed, whole)),
-        jax.jit(evaluate, out_shardings=whole),
-        jax.jit(refill, donate_argnums=1, out_shardings=placed),
-        jax.jit(keep_best, out_shardings=placed),
+        begin=jax.jit(functools.partial(begin, context)),
+        update=jax.jit(functools.partial(update, context), donate_argnums=1, out_shardings=(placed, whole)),
+        evaluate=jax.jit(functools.partial(evaluate, context), out_shardings=whole),
+        refill=jax.jit(functools.partial(refill, context), donate_argnums=1, out_shardings=placed),
+        keep_best=jax.jit(keep_best, out_shardings=placed),
     )
 
 
-def keep_best(state: TrainState, value: Float[Array, "A"]) -> TrainState:
-    """The state in which agents with a greater value than before are the best."""
-    better = value > state.best.value
-    latest = Best(state.agent, value, jnp.broadcast_to(state.update, value.shape))
+def make_context(options: ReinforcementConfig, network: ActorCritic) -> Context:
+    """The context of a training."""
+    agents = options.agents
+    names = [name for name in agents[0] if name != "seed"]
+    return Context(
+        options=options,
+        network=network,
+        terms=policies.agent_terms(options)[0],
+        method=METHODS[options.method],
+        plan=None if options.curriculum == "none" else CurriculumPlan(options.curriculum),
+        keys=agent_keys(options, "training"),
+        curriculum_keys=agent_keys(options, "curriculum"),
+        hyperparameters={name: jnp.asarray([agent[name] for agent in agents], jnp.float32) for name in names},
+    )
 
-    def choose(old: Array, new: Array) -> Array:
-        return jnp.where(better.reshape(-1, *(1,) * (new.ndim - 1)), new, old)
 
-    return replace(state, best=jax.tree.map(choose, state.best, latest))
+def agent_keys(options: ReinforcementConfig, use: str) -> Array:
+    """The (A,) typed PRNG keys of the agents' seeds for a use, one of ``random_streams.USES``."""
+    return jnp.stack([random_streams.key(use, int(agent["seed"])) for agent in options.agents])
 
 
-def placement(layout: Layout) -> Any:
+def begin(context: Context, envs: Envs, agents: Agent) -> TrainState:
+    """The state before the first update."""
+    start = functools.partial(begin_agent, context, envs)
+    optimizer, rows, curriculum = jax.vmap(start)(agents, context.keys, context.curriculum_keys)
+    count = context.keys.shape[0]
+    return TrainState(
+        agent=agents,
+        optimizer=optimizer,
+        best=begin_best(agents, (count,)),
+        update=jnp.zeros((), jnp.int32),
+        rows=rows,
+        curriculum=curriculum,
+        multipliers=costs.init(envs[0].member.rewards, context.options.cost_limits, count),
+    )
+
+
+def begin_agent(
+    context: Context, envs: Envs, agent: Agent, key: Array, curriculum_key: Array
+) -> tuple[PyTree, EnvBatch, Curriculum | None]:
+    """An agent's optimizer, scenarios and curriculum before the first update."""
+    options, plan = context.options, context.plan
+    reset_key, age_key = jax.random.split(jax.random.fold_in(key, 0))
+    batch = rollouts.reset_envs(envs, context.network, reset_key, options.scenarios)
+    if options.behavior.kind != "playback":  # whose people are where they are by the tick
+        batch = stagger(envs, batch, age_key)
+
+    curriculum = None
+    if plan is not None:
+        policy = policies.agent_policy(context.network, agent, context.terms)
+        start_key = jax.random.fold_in(curriculum_key, 0)
+        curriculum = curricula.init(envs[0].member, plan, start_key, options.pool, policy)
+    return context.method.init(agent), batch, curriculum
+
+
+def update(context: Context, envs: Envs, state: TrainState) -> tuple[TrainState, dict[str, Any]]:
+    """One update of all agents: collect and learn, follow the curriculum, then the multipliers of costs."""
+    limits, number = context.options.cost_limits, state.update + 1
+    hyperparameters = scheduled(context, state)
+    advance = functools.partial(update_agent, context, envs, number)
+    inputs = state.agent, state.optimizer, state.rows, state.curriculum, context.keys, hyperparameters
+    agent, optimizer, rows, curriculum, metrics = jax.vmap(advance)(*inputs)
+
+    # The multipliers follow the rates of costs that the update measured.
+    time_step = envs[0].member.scenario.time_step
+    multipliers, cost_metrics = costs.follow(state.multipliers, limits, metrics["rewards"], time_step)
+
+    # Until the first evaluation, the latest agents are the best.
+    unknown = state.best.update.max() == 0
+    best = jax.tree.map(lambda old, new: jnp.where(unknown, new, old), state.best.agent, agent)
+    state = TrainState(
+        agent=agent,
+        optimizer=optimizer,
+        best=replace(state.best, agent=best),
+        update=number,
+        rows=rows,
+        curriculum=curriculum,
+        multipliers=multipliers,
+    )
+    return state, metrics | cost_metrics
+
+
+def scheduled(context: Context, state: TrainState) -> dict[str, Float[Array, "A"]]:
+    """The hyperparameters (A,) of the next update."""
+    options, hyperparameters = context.options, context.hyperparameters
+    rate = hyperparameters["learning_rate"]
+    if options.learning_rate_schedule == "linear":
+        rate = rate * (1.0 - state.update.astype(jnp.float32) / options.updates)
+
+    # After --imitate, the critic first learns the returns of the agent that imitates.
+    critic_updates = CRITIC_UPDATES if options.imitate is not None else 0
+    actor_rate = jnp.where(state.update + 1 > critic_updates, rate, 0.0)
+    weights = costs.weights(state.multipliers, options.cost_limits)
+    cost_weights = {REWARDS + name: weight for name, weight in weights.items()}
+    return hyperparameters | cost_weights | {"learning_rate": rate, "actor_rate": actor_rate}
+
+
+def update_agent(
+    context: Context,
+    envs: Envs,
+    number: Int[Array, ""],
+    agent: Agent,
+    optimizer: PyTree,
+    batch: EnvBatch,
+    curriculum: Curriculum | None,
+    key: Array,
+    hyperparameters: dict[str, Float[Array, ""]],
+) -> tuple[Agent, PyTree, EnvBatch, Curriculum | None, dict[str, Any]]:
+    """One update of an agent in environments with its own starts and weights of rewards."""
+    member = envs[0].member
+    if curriculum is not None:
+        envs = (envs[0].with_fields(pool=curriculum.pool),)
+    envs = _reweighted(envs, hyperparameters)
+
+    update_key = jax.random.fold_in(key, number)
+    learner = context.network, agent, optimizer, batch
+    agent, optimizer, batch, transitions, metrics = context.method.update(
+        context.options, hyperparameters, envs, *learner, update_key
+    )
+    info, done = transitions.info, transitions.done
+    curriculum, curriculum_metrics = curricula.follow(member, context.plan, curriculum, info, done)
+    return agent, optimizer, batch, curriculum, metrics | curriculum_metrics
+
+
+def refill(context: Context, envs: Envs, state: TrainState) -> TrainState:
+    """The state with new starts in the places of the least useful ones."""
+    renew = functools.partial(refill_agent, context, envs, state.update)
+    return replace(state, curriculum=jax.vmap(renew)(state.agent, state.curriculum, context.curriculum_keys))
+
+
+def refill_agent(
+    context: Context, envs: Envs, number: Int[Array, ""], agent: Agent, curriculum: Curriculum, key: Array
+) -> Curriculum:
+    """The curriculum of an agent with new starts."""
+    assert context.plan is not None
+    policy = policies.agent_policy(context.network, agent, context.terms)
+    return curricula.refill(envs[0].member, context.plan, curriculum, jax.random.fold_in(key, number), policy)
+
+
+def evaluate(
+    context: Context, scenarios: tuple[Scenario, ...], envs: Envs, starts: tuple[State, ...], agents: Agent
+) -> tuple[Float[Array, "A"], list[dict[str, Array]]]:
+    """The mean value of each agent over environments, and the means (A, ...) of each environment."""
+    measure = functools.partial(evaluate_agent, context, scenarios, envs, starts)
+    means = jax.vmap(measure)(agents, context.hyperparameters)
+    return jnp.stack([numbers.pop("value") for numbers in means]).mean(0), means
+
+
+def evaluate_agent(
+    context: Context,
+    scenarios: tuple[Scenario, ...],
+    envs: Envs,
+    starts: tuple[State, ...],
+    agent: Agent,
+    hyperparameters: dict[str, Float[Array, ""]],
+) -> list[dict[str, Array]]:
+    """The means of an agent in each environment."""
+    policy = policies.agent_policy(context.network, agent, context.terms)
+    means = []
+    for scenario, env, first in zip(scenarios, _reweighted(envs, hyperparameters), starts, strict=True):
+        means.append(_evaluate_policy(scenario, env, policy, first, context.options.cost_limits))
+    return means
+
+
+def placement(layout: DeviceLayout) -> Any:
     """The sharding of each field of a ``TrainState``."""
     return TrainState(
         agent=layout.agents,  # pyright: ignore
@@ -364,44 +469,83 @@ def _reweighted(envs: Envs, numbers: dict[str, Any]) -> Envs:
     return tuple(env.map_member(change) for env in envs)
 
 
+class EvaluatedEpisode(NamedTuple):
+    """An episode of an evaluation so far."""
+
+    state: State
+    potentials: dict[str, Float[Array, ""]]  # of the terms of the reward that have one
+    episode_return: Float[Array, ""]  # without costs
+    costs: dict[str, Float[Array, ""]]  # sum of each
+    steps: Int[Array, ""]
+    active: Bool[Array, ""]  # whether it has not ended
+
+
 def _evaluate_policy(
     measured: Scenario, envs: Stack[mdp.Env], policy: Policy, starts: State, limits: dict[str, float]
 ) -> dict[str, Any]:
     """Means over episodes in which the agent takes the mean of its actions: return without costs, costs a minute, the
     metrics of ``measured``, and the value by which agents are compared.
     """
-    steps = math.ceil(measured.time_limit / measured.time_step) + 1
-
-    def episode(env: mdp.Env, start: State) -> tuple[tuple, Array, dict[str, Array]]:
-        scenario = replace(env.scenario, metrics=measured.metrics)
-        state = init_policy(scenario, policy, start)
-        potentials = rewards.potentials(env.rewards, scenario, state)
-
-        def one(carry: tuple, _) -> tuple[tuple, None]:
-            before, then, total, spent, number, going = carry
-            after, _ = policy_step(scenario, policy, before)
-            now = rewards.potentials(env.rewards, scenario, after)
-            parts = rewards.of_step(env.rewards, scenario, before, after, then, now)
-            spent = {name: spent[name] + jnp.where(going, parts.pop(name), 0.0) for name in limits}
-            total += jnp.where(going, jnp.stack(list(parts.values())).sum(), 0.0) if parts else 0.0
-            ends = jnp.stack([after.completed, after.timed_out, *env.ends(scenario, before, after)])
-            if env.terminations:  # completed and timed-out episodes are constant anyway
-                after = jax.tree.map(lambda old, new: jnp.where(going, new, old), before, after)
-            return (after, now, total, spent, number + going.astype(jnp.int32), going & ~ends.any()), None
-
-        nothing = {name: jnp.zeros((), float) for name in limits}
-        carry = state, potentials, jnp.zeros((), float), nothing, jnp.zeros((), jnp.int32), jnp.ones((), bool)
-        (last, _, total, spent, number, _), _ = jax.lax.scan(one, carry, length=steps)
-        return (total, spent, number), last.completed, results(scenario, last)
-
     floors = np.arange(min(envs.size, len(starts.tick)))
-    (total, spent, lasted), completed, values = envs.take(floors).vmap(episode)(starts)
-    minutes, terms = lasted.sum().astype(float) * (measured.time_step / 60.0), dict(envs.member.rewards)
-    rates = {name: part.sum() / terms[name].weight / minutes for name, part in spent.items()}
-    numbers = {"return": total.mean(), "completed": completed.mean(dtype=jnp.float32)}
-    numbers |= {"value": total.mean() - bounds.penalty(rates, limits)}
+    run = functools.partial(_evaluate_episode, measured, policy, limits)
+    episodes, metrics = envs.take(floors).vmap(run)(starts)
+
+    minutes = episodes.steps.sum().astype(float) * (measured.time_step / 60.0)
+    weights = {name: term.weight for name, term in envs.member.rewards}
+    rates = {name: cost.sum() / weights[name] / minutes for name, cost in episodes.costs.items()}
+
+    mean_return = episodes.episode_return.mean()
+    numbers = {"return": mean_return, "completed": episodes.state.completed.mean(dtype=jnp.float32)}
+    numbers |= {"value": mean_return - costs.penalty(rates, limits)}
     numbers |= {f"{name} a minute": rate for name, rate in rates.items()}
-    return numbers | {name: jnp.nanmean(value, 0) for name, value in values.items()}
+    return numbers | {name: jnp.nanmean(value, 0) for name, value in metrics.items()}
+
+
+def _evaluate_episode(
+    measured: Scenario, policy: Policy, limits: dict[str, float], env: mdp.Env, start: State
+) -> tuple[EvaluatedEpisode, dict[str, Array]]:
+    """An episode until its end, and its metrics."""
+    scenario = replace(env.scenario, metrics=measured.metrics)
+    state = init_policy(scenario, policy, start)
+    first = EvaluatedEpisode(
+        state=state,
+        potentials=rewards.potentials(env.rewards, scenario, state),
+        episode_return=jnp.zeros((), float),
+        costs={name: jnp.zeros((), float) for name in limits},
+        steps=jnp.zeros((), jnp.int32),
+        active=jnp.ones((), bool),
+    )
+
+    def advance(episode: EvaluatedEpisode, _: None) -> tuple[EvaluatedEpisode, None]:
+        return _evaluation_step(scenario, env, policy, episode), None
+
+    length = math.ceil(measured.time_limit / measured.time_step) + 1
+    last, _ = jax.lax.scan(advance, first, length=length)
+    return last, results(scenario, last.state)
+
+
+def _evaluation_step(scenario: Scenario, env: mdp.Env, policy: Policy, before: EvaluatedEpisode) -> EvaluatedEpisode:
+    """One step of control; an episode that has ended counts no more."""
+    active = before.active
+    state, _ = policy_step(scenario, policy, before.state)
+    potentials = rewards.potentials(env.rewards, scenario, state)
+    terms = rewards.of_step(env.rewards, scenario, before.state, state, before.potentials, potentials)
+
+    # Costs are counted by themselves, without the agent's multipliers.
+    spent = {name: cost + jnp.where(active, terms.pop(name), 0.0) for name, cost in before.costs.items()}
+    gain = jnp.where(active, jnp.stack(list(terms.values())).sum(), 0.0) if terms else 0.0
+
+    ends = jnp.stack([state.completed, state.timed_out, *env.ends(scenario, before.state, state)])
+    if env.terminations:  # completed and timed-out episodes are constant anyway
+        state = jax.tree.map(lambda old, new: jnp.where(active, new, old), before.state, state)
+    return EvaluatedEpisode(
+        state=state,
+        potentials=potentials,
+        episode_return=before.episode_return + gain,
+        costs=spent,
+        steps=before.steps + active.astype(jnp.int32),
+        active=active & ~ends.any(),
+    )
 
 
 # ------------------------------------------------------------------ the training
@@ -445,19 +589,20 @@ def _train(
     config: dict[str, Any],
 ) -> TrainState:
     """Train in a folder that this process has locked, or the first of the processes that train together."""
+    # Everything that can be refused comes before the starts are drawn.
     scenarios, envs, network = setting
     resumes = processes.on_first_process(lambda: check_config(options.folder, config))
-    placed, total = device_layout(len(options.agents)), options.updates
-    if not placed.shares_agents and options.scenarios // len(envs) % placed.mesh.size:
-        text = f"scenarios: {options.scenarios} do not spread evenly over {placed.mesh.size} devices"
-        text += f" in {len(envs)} environments" if len(envs) > 1 else ""
-        raise InputError(f"{text}; take a multiple.")
+    layout = device_layout(len(options.agents))
+    _check_devices(options, layout, len(envs))
     if idle := unused_devices(len(options.agents)):
         say(console, idle)
-    run = programs(options, network, placed)
+    run = programs(options, network, layout)
+
+    # A training that goes on has imitated already.
     teachers = ()
     if options.imitate is not None and not (resumes and list((options.folder / "checkpoints").glob("[0-9]*"))):
         teachers = tuple(policies.load_policy(options.imitate, scenario, "imitate") for scenario in scenarios)
+
     with progress(console if processes.is_first_process() else None) as tell:
         tell.stage("drawing starts")
         envs, starts = draw_starts(options, scenarios, envs)
@@ -468,18 +613,28 @@ def _train(
         if options.noise is not None:
             agents = with_noise(agents, options.noise)
         state = run.begin(envs, agents)
-        scenarios, envs, starts = devices.replicate(placed.mesh, (scenarios, envs, starts))
-        setting = Setting(scenarios, envs, network)
-        recent = Recent()
+
+        # From here on, environments lie on all devices, and the state as its layout says.
+        scenarios, envs, starts = devices.replicate(layout.mesh, (scenarios, envs, starts))
+        course = Course(options, run, Setting(scenarios, envs, network), starts, tell, Recent())
         loop = Loop(
-            advance=lambda state: _advance(options, run, setting, starts, state, tell, recent),
-            is_over=lambda state: int(state.update) >= total,
+            advance=functools.partial(_advance, course),
+            is_over=lambda state: int(state.update) >= options.updates,
             done=lambda state: int(state.update),
-            place=lambda state: devices.place(state, placement(placed)),
+            place=lambda state: devices.place(state, placement(layout)),
             encode=_encode,
             decode=_decode,
         )
-        return trainer.fit(options.folder, config, state, loop, total, tell, callbacks)
+        return trainer.fit(options.folder, config, state, loop, options.updates, tell, callbacks)
+
+
+def _check_devices(options: ReinforcementConfig, layout: DeviceLayout, environments: int) -> None:
+    """Refuse scenarios that do not divide among the devices."""
+    if layout.shares_agents or options.scenarios // environments % layout.mesh.size == 0:
+        return
+    text = f"scenarios: {options.scenarios} do not spread evenly over {layout.mesh.size} devices"
+    text += f" in {environments} environments" if environments > 1 else ""
+    raise InputError(f"{text}; take a multiple.")
 
 
 class Recent:
@@ -516,36 +671,49 @@ class Recent:
         return sum(each["number"] for each in self._updates)
 
 
-def _advance(
-    options: ReinforcementConfig,
-    run: Programs,
-    setting: Setting,
-    starts: tuple[State, ...],
-    state: TrainState,
-    tell: Progress,
-    recent: Recent,
-) -> tuple[TrainState, Report]:
+class Course(NamedTuple):
+    """What a training goes through with: its programs, what they are called with, and who is told."""
+
+    options: ReinforcementConfig
+    run: Programs
+    setting: Setting
+    starts: tuple[State, ...]  # (E, ...) of evaluations, in each environment
+    tell: Progress
+    recent: Recent
+
+
+def _advance(course: Course, state: TrainState) -> tuple[TrainState, Report]:
     """An update, and an evaluation if it is due."""
+    options, envs = course.options, course.setting.envs
     start = time.time()
-    state, log = run.update(setting.envs, state)
-    number, log = int(state.update), jax.tree.map(np.asarray, log)
+    state, metrics = course.run.update(envs, state)
+    number, metrics = int(state.update), jax.tree.map(np.asarray, metrics)
     if state.curriculum is not None and number % options.curriculum_every == 0:
-        state = run.refill(setting.envs, state)
-    if not np.isfinite(log["train"]["loss"]).all():
-        where = f"the loss is not finite in update {number}; {options.folder} keeps the checkpoints until then"
-        raise FloatingPointError(f"{where}; try a lower --learning-rate in another folder.")
+        state = course.run.refill(envs, state)
+    if not np.isfinite(metrics["train"]["loss"]).all():
+        raise FloatingPointError(
+            f"the loss is not finite in update {number}; {options.folder} keeps the checkpoints until then; "
+            "try a lower --learning-rate in another folder."
+        )
+
     steps, seconds = options.scenarios * options.horizon, time.time() - start
-    rate = len(options.agents) * steps / seconds
-    line: dict[str, Any] = {"epoch": number, "steps": number * steps, "seconds": seconds, "per_second": rate}
-    line |= {part: _finite_means(values) for part, values in log.items()}
-    recent.add(log["episodes"], len(options.agents) * steps, seconds)
+    all_steps = len(options.agents) * steps
+    course.recent.add(metrics["episodes"], all_steps, seconds)
+    line: dict[str, Any] = {
+        "epoch": number,
+        "steps": number * steps,
+        "seconds": seconds,
+        "per_second": all_steps / seconds,
+    }
+    line |= {part: _finite_means(values) for part, values in metrics.items()}
+
     due = number % options.evaluate_every == 0 or number == options.updates
     if due:
-        with tell.aside("evaluating"):
-            state, evaluation = _evaluate(options, run, setting, starts, state)
+        with course.tell.aside("evaluating"):
+            state, evaluation = _evaluate(course, state)
         line |= evaluation
     loss = -float(np.sum(np.asarray(state.best.value, float)))
-    return state, Report(number, line, loss, due, f"update {number} · {recent.note()}")
+    return state, Report(number, line, loss, due, f"update {number} · {course.recent.note()}")
 
 
 def _first_agents(options: ReinforcementConfig, setting: Setting) -> Agent:
@@ -556,7 +724,7 @@ def _first_agents(options: ReinforcementConfig, setting: Setting) -> Agent:
         IncompleteError: its checkpoint cannot be read.
     """
     (scenario, *_), env, network = setting.scenarios, setting.envs[0].member, setting.network
-    keys = jnp.stack([random_streams.key("weights", int(agent["seed"])) for agent in options.agents])
+    keys = agent_keys(options, "weights")
     if options.pretrained is None:
         return jax.jit(lambda keys: init_agents(network, env.observations, env.observation_space, keys))(keys)
     agent = policies.load_agent(_agent_folder(options.pretrained), scenario)[1]
@@ -565,36 +733,49 @@ def _first_agents(options: ReinforcementConfig, setting: Setting) -> Agent:
 
 def _imitate(options: ReinforcementConfig, setting: Setting, teachers: tuple[Policy, ...], agents: Agent) -> Agent:
     """The agents after they have learned from another policy, (A, ...)."""
-    keys = jnp.stack([random_streams.key("imitation", int(agent["seed"])) for agent in options.agents])
 
-    clone = jax.vmap(functools.partial(dagger.clone, options, setting.network), (None, None, 0, 0))
-    agents, errors = jax.jit(clone)(setting.envs, teachers, agents, keys)
+    def clone(envs: Envs, teachers: tuple[Policy, ...], agent: Agent, key: Array) -> tuple[Agent, Array]:
+        sizes = options.horizon, options.learning_rate, options.minibatches
+        lesson = bc.make_lesson(setting.network, envs, teachers, *sizes)
+        return bc.clone(lesson, agent, options.scenarios, options.pool, key)
+
+    clone_all = jax.jit(jax.vmap(clone, (None, None, 0, 0)))
+    agents, errors = clone_all(setting.envs, teachers, agents, agent_keys(options, "imitation"))
     if not np.isfinite(np.asarray(errors)).all():
         raise FloatingPointError(f"imitate: what {teachers[0].name} does is not finite; choose another --imitate.")
     return agents
 
 
-def _evaluate(
-    options: ReinforcementConfig, run: Programs, setting: Setting, starts: tuple[State, ...], state: TrainState
-) -> tuple[TrainState, dict[str, dict]]:
+def _evaluate(course: Course, state: TrainState) -> tuple[TrainState, dict[str, dict]]:
     """The state with its best agents, and the evaluation: means of all environments and agents, and, if there are
     several, of each environment and of each agent."""
-    scenarios, envs, _ = setting
-    value, each = run.evaluate(scenarios, tuple(env.with_fields(pool=None) for env in envs), starts, state.agent)
-    state = run.keep_best(state, jnp.asarray(value, jnp.float32))
-    each = jax.tree.map(np.asarray, each)
-    names = ["", *(f" in {name}" for name, _ in scenarios[0].situations)]
+    options, (scenarios, envs, _) = course.options, course.setting
+    envs = tuple(env.with_fields(pool=None) for env in envs)
+    value, means = course.run.evaluate(scenarios, envs, course.starts, state.agent)
+    state = course.run.keep_best(state, jnp.asarray(value, jnp.float32))
+
+    # Means over environments are (A, ...) of each agent; means over agents are of each environment.
+    means = jax.tree.map(np.asarray, means)
     with warnings.catch_warnings(action="ignore", category=RuntimeWarning):  # a situation that never occurred
-        agents = {name: np.nanmean([one[name] for one in each], 0) for name in each[0]}
-        mean, *places = [{name: np.nanmean(part, 0) for name, part in one.items()} for one in (agents, *each)]
-    line = {"evaluation": _by_situation(names, mean)}
+        agents = {name: np.nanmean([numbers[name] for numbers in means], 0) for name in means[0]}
+        overall = _mean_of_agents(agents)
+        places = [_mean_of_agents(numbers) for numbers in means]
+
+    columns = ["", *(f" in {name}" for name, _ in scenarios[0].situations)]
+    line = {"evaluation": _by_situation(columns, overall)}
     if len(places) > 1:
-        pairs = zip(environment_names(options, scenarios), places, strict=True)
-        line |= {f"evaluation in {place}": _by_situation(names, part) for place, part in pairs}
+        for name, numbers in zip(environment_names(options, scenarios), places, strict=True):
+            line[f"evaluation in {name}"] = _by_situation(columns, numbers)
     if (count := value.shape[0]) > 1:
-        parts = [{name: part[number] for name, part in agents.items()} for number in range(count)]
-        line |= {f"agent {number}": _by_situation(names, part) for number, part in enumerate(parts)}
+        for index in range(count):
+            own = {name: numbers[index] for name, numbers in agents.items()}
+            line[f"agent {index}"] = _by_situation(columns, own)
     return state, line
+
+
+def _mean_of_agents(values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Means over (A, ...)."""
+    return {name: np.nanmean(numbers, 0) for name, numbers in values.items()}
 
 
 def _by_situation(names: list[str], values: dict[str, np.ndarray]) -> dict[str, float]:

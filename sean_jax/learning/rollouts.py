@@ -60,10 +60,8 @@ def split_by_env(tree: PyTree, number: int) -> tuple[PyTree, ...]:
     Environments take turns, so that each device has equally many scenarios of each.
     """
 
-    def of(turn: int) -> PyTree:
-        return jax.tree.map(lambda leaf: leaf.reshape(-1, number, *leaf.shape[1:])[:, turn], tree)
-
-    return tuple(map(of, range(number)))
+    by_turn = jax.tree.map(lambda leaf: leaf.reshape(-1, number, *leaf.shape[1:]), tree)  # (B / E, E, ...)
+    return tuple(jax.tree.map(lambda leaf, turn=turn: leaf[:, turn], by_turn) for turn in range(number))
 
 
 def merge_envs(parts: Sequence[PyTree]) -> PyTree:
@@ -100,9 +98,13 @@ def with_pool(env: Stack[mdp.Env], *arguments: Any) -> Stack[mdp.Env]:
 def reset_envs(envs: Envs, network: ActorCritic, key: Array, number: int) -> EnvBatch:
     """``number`` scenarios at the start of their first episodes, from the pools; the key is a typed PRNG key ()."""
     keys = split_by_env(jax.random.split(key, number), len(envs))
-    first = [env.vmap(mdp.Env.start)(env_keys) for env, env_keys in zip(envs, keys, strict=True)]
-    observation, states = merge_envs([observation for observation, _ in first]), tuple(states for _, states in first)
-    return EnvBatch(states, observation, jnp.zeros((number, network.memory_size), jnp.float32), jnp.ones(number, bool))
+    observed, states = [], []
+    for env, env_keys in zip(envs, keys, strict=True):
+        env_observation, env_states = env.vmap(mdp.Env.start)(env_keys)
+        observed.append(env_observation)
+        states.append(env_states)
+    memory = jnp.zeros((number, network.memory_size), jnp.float32)
+    return EnvBatch(tuple(states), merge_envs(observed), memory, jnp.ones(number, bool))
 
 
 def flat_observations(terms: observations.Terms, observation: dict[str, Array]) -> Float[Array, "B F"]:
@@ -138,11 +140,20 @@ def step(
         key: () typed PRNG key of the episodes that begin.
     """
     terms, keys = envs[0].member.observations, jax.random.split(key, batch.start.shape[0])
-    each = zip(envs, split_by_env(keys, len(envs)), batch.envs, split_by_env(action, len(envs)), strict=True)
-    stepped = [env.vmap(mdp.Env.step)(env_keys, states, actions) for env, env_keys, states, actions in each]
-    following, reward, terminated, truncated, info = merge_envs([(shown, *rest) for shown, _, *rest in stepped])
-    states, done = tuple(result[1] for result in stepped), terminated | truncated
+
+    # Each environment steps its own share of the scenarios.
+    shares = split_by_env(keys, len(envs)), batch.envs, split_by_env(action, len(envs))
+    states, results = [], []
+    for env, env_keys, env_states, env_actions in zip(envs, *shares, strict=True):
+        observation, env_states, *rest = env.vmap(mdp.Env.step)(env_keys, env_states, env_actions)
+        states.append(env_states)
+        results.append((observation, *rest))
+    following, reward, terminated, truncated, info = merge_envs(results)
+    states, done = tuple(states), terminated | truncated
+
+    # A truncated episode is worth the value of its last state.
     ended = EnvBatch(states, info["final_observation"], output.memory, jnp.zeros_like(done))
+    final_value = forward(network, target_critic, terms, ended).value
     transition = Transition(
         vector=flat_observations(terms, batch.observation),
         images=_images(network, batch),
@@ -152,7 +163,7 @@ def step(
         value=output.value,
         reward=reward.astype(jnp.float32),
         done=done,
-        final_value=jnp.where(truncated, forward(network, target_critic, terms, ended).value, 0.0),
+        final_value=jnp.where(truncated, final_value, 0.0),
         info={name: info[name] for name in INFO_KEYS},
     )
     return EnvBatch(states, following, output.memory, done), transition
@@ -166,12 +177,12 @@ def rollout(
     The key is a typed PRNG key () of the noise and of the episodes that begin.
     """
 
-    def one(batch: EnvBatch, tick: Array) -> tuple[EnvBatch, Transition]:
+    def advance(batch: EnvBatch, tick: Array) -> tuple[EnvBatch, Transition]:
         action_key, next_key = jax.random.split(jax.random.fold_in(key, tick))
         output = forward(network, agent, envs[0].member.observations, batch)
         return step(envs, network, agent, batch, output, networks.draw_action(output, action_key), next_key)
 
-    return jax.lax.scan(one, batch, jnp.arange(steps, dtype=jnp.int32))
+    return jax.lax.scan(advance, batch, jnp.arange(steps, dtype=jnp.int32))
 
 
 def advantages(
@@ -197,11 +208,11 @@ def unroll(network: ActorCritic, agent: Agent, transitions: Transition, memory: 
         empty = jnp.zeros((*transitions.start.shape, 0), jnp.float32)
         return networks.apply(network, agent, transitions.vector, transitions.images, empty, transitions.start)
 
-    def one(memory: Array, step: Transition) -> tuple[Array, NetworkOutput]:
+    def advance(memory: Array, step: Transition) -> tuple[Array, NetworkOutput]:
         output = networks.apply(network, agent, step.vector, step.images, memory, step.start)
         return output.memory, output
 
-    return jax.lax.scan(one, memory, transitions)[1]
+    return jax.lax.scan(advance, memory, transitions)[1]
 
 
 def with_statistics(agent: Agent, transitions: Transition) -> Agent:
@@ -220,9 +231,13 @@ def log_numbers(transitions: Transition) -> dict[str, dict[str, Array]]:
         return (values.astype(jnp.float32) * done).sum() / number
 
     info = transitions.info
-    names = {"return": "episode_return", "steps": "episode_length", "completed": "completed"}
-    episodes = {"number": number, **{name: mean(info[key]) for name, key in names.items()}}
-    return {"episodes": episodes, "rewards": {name: part.mean() for name, part in info["rewards"].items()}}
+    episodes = {
+        "number": number,
+        "return": mean(info["episode_return"]),
+        "steps": mean(info["episode_length"]),
+        "completed": mean(info["completed"]),
+    }
+    return {"episodes": episodes, "rewards": {name: values.mean() for name, values in info["rewards"].items()}}
 
 
 # ------------------------------------------------------------------ minibatches

@@ -11,14 +11,14 @@ Source: J. Xu et al., "Accelerated policy learning with parallel differentiable 
 import dataclasses
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import optax
 from flax import struct
 from flax.typing import VariableDict
-from jaxtyping import PyTree
+from jaxtyping import Float
 
 from sean_jax import mdp
 from sean_jax.config import APGConfig
@@ -67,7 +67,7 @@ def init(agent: Agent) -> Optimizers:
 
 def update(
     options: APGConfig,
-    numbers: dict[str, Array],
+    hyperparameters: dict[str, Array],
     envs: Envs,
     network: ActorCritic,
     agent: Agent,
@@ -79,83 +79,92 @@ def update(
     epochs; the transitions; and numbers for the log.
 
     Args:
-        numbers: this agent's values of ``APGConfig.SWEPT``; the learning rate is this update's, and ``actor_rate`` the
-            actor's.
+        hyperparameters: this agent's values of ``APGConfig.SWEPT``; the learning rate is this update's, and
+            ``actor_rate`` the actor's.
         envs: with pools; scenarios are shared out equally.
         key: () typed PRNG key of this update.
     """
     envs = tuple(env.map_member(mdp.Env.with_transition_gradients) for env in envs)
     if not options.through_people:
         envs = tuple(env.map_member(_without_people) for env in envs)
-    memory = batch.memory
+    memory, discount = batch.memory, hyperparameters["discount"]
     target_critic = replace(agent, parameters=optimizer.target)
 
-    def loss_fn(parameters: PyTree) -> tuple[Array, tuple[EnvBatch, Transition]]:
-        actor = replace(agent, parameters=parameters)
-        return _actor_loss(envs, network, actor, target_critic, batch, options.horizon, key, numbers["discount"])
-
-    (loss, (batch, transitions)), gradient = jax.value_and_grad(loss_fn, has_aux=True)(agent.parameters)
+    # The actor makes one step along the gradient through the simulator.
+    horizon = Horizon(envs, network, target_critic, batch, options.horizon, key, discount)
+    (loss, (batch, transitions)), gradient = jax.value_and_grad(
+        lambda parameters: _actor_loss(horizon, replace(agent, parameters=parameters)), has_aux=True
+    )(agent.parameters)
     batch, transitions = jax.lax.stop_gradient((batch, transitions))
     norm = optax.tree.norm(gradient)
     finite = jnp.isfinite(norm)
-    gradient = jax.tree.map(lambda part: jnp.where(finite, part, 0.0), gradient)
-    rate = numbers["learning_rate"]
-    parameters, actor = rollouts.apply_gradient(
-        ACTOR, numbers["actor_rate"], agent.parameters, optimizer.actor, gradient
-    )
+    gradient = jax.tree.map(lambda leaf: jnp.where(finite, leaf, 0.0), gradient)
+    actor_rate = hyperparameters["actor_rate"]
+    parameters, actor = rollouts.apply_gradient(ACTOR, actor_rate, agent.parameters, optimizer.actor, gradient)
     agent = replace(agent, parameters=parameters)
 
+    # The critic learns the returns of the rollout, as the target critic estimates them.
     last = rollouts.forward(network, target_critic, envs[0].member.observations, batch)
-    advantage = rollouts.advantages(transitions, last.value, numbers["discount"], numbers["advantage_decay"])
-
-    def critic_loss(output: NetworkOutput, steps: Transition, target: Array) -> tuple[Array, Array]:
-        error = 0.5 * ((output.value - target) ** 2).mean()
-        return error, error
-
-    how = Optimization(CRITIC, rate, options.critic_epochs, options.minibatches)
+    advantage = rollouts.advantages(transitions, last.value, discount, hyperparameters["advantage_decay"])
+    rate = hyperparameters["learning_rate"]
+    optimization = Optimization(CRITIC, rate, options.critic_epochs, options.minibatches)
     data = transitions._replace(info={}), advantage + transitions.value
-    agent, critic, error = rollouts.optimize(how, critic_loss, network, agent, optimizer.critic, data, memory, key)
+    learner = network, agent, optimizer.critic
+    agent, critic, error = rollouts.optimize(optimization, critic_loss, *learner, data, memory, key)
+
+    # The target critic follows it slowly.
     share = options.target_share
     target = jax.tree.map(lambda old, new: old + share * (new - old), optimizer.target, agent.parameters)
-    log = {
-        "train": {
-            "loss": loss,
-            "critic": error,
-            "gradient": jnp.where(finite, norm, jnp.inf),
-            "lost": 1.0 - finite.astype(jnp.float32),  # updates whose gradient was not finite
-        },
-        **rollouts.log_numbers(transitions),
+    losses = {
+        "loss": loss,
+        "critic": error,
+        "gradient": jnp.where(finite, norm, jnp.inf),
+        "lost": 1.0 - finite.astype(jnp.float32),  # updates whose gradient was not finite
     }
-    return rollouts.with_statistics(agent, transitions), Optimizers(actor, critic, target), batch, transitions, log
+    metrics = {"train": losses, **rollouts.log_numbers(transitions)}
+    agent = rollouts.with_statistics(agent, transitions)
+    return agent, Optimizers(actor, critic, target), batch, transitions, metrics
 
 
-def _actor_loss(
-    envs: Envs,
-    network: ActorCritic,
-    actor: Agent,
-    target_critic: Agent,
-    batch: EnvBatch,
-    steps: int,
-    key: Array,
-    discount: Array,
-) -> tuple[Array, tuple[EnvBatch, Transition]]:
+def critic_loss(output: NetworkOutput, transitions: Transition, target: Float[Array, "T B"]) -> tuple[Array, Array]:
+    """Half the mean squared error of the value, as the loss and for the log."""
+    error = 0.5 * ((output.value - target) ** 2).mean()
+    return error, error
+
+
+class Horizon(NamedTuple):
+    """The steps through which the derivative goes."""
+
+    envs: Envs  # with pools
+    network: ActorCritic
+    target_critic: Agent
+    batch: EnvBatch  # at the beginning
+    steps: int
+    key: Array  # () typed PRNG key of the update
+    discount: Float[Array, ""]
+
+
+def _actor_loss(horizon: Horizon, actor: Agent) -> tuple[Array, tuple[EnvBatch, Transition]]:
     """Minus the discounted reward of some steps and the value after them, divided by the steps; the scenarios then."""
+    envs, network, target_critic, batch, steps, key, discount = horizon
     terms = envs[0].member.observations
 
     @jax.checkpoint  # a step is recomputed in the backward pass
-    def one(carry: tuple[EnvBatch, Array], tick: Array) -> tuple[tuple[EnvBatch, Array], tuple[Array, Transition]]:
+    def advance(carry: tuple[EnvBatch, Array], tick: Array) -> tuple[tuple[EnvBatch, Array], tuple[Array, Transition]]:
         batch, weight = carry
         action_key, next_key = jax.random.split(jax.random.fold_in(key, tick))
         output = rollouts.forward(network, actor, terms, batch)
         value = rollouts.forward(network, target_critic, terms, batch).value
         action = draw_action(output, action_key)
         batch, transition = rollouts.step(envs, network, target_critic, batch, output, action, next_key)
+
+        # An episode that ends here is worth the value of its last state; the next one begins undiscounted.
         gain = weight * (transition.reward + jnp.where(transition.done, discount * transition.final_value, 0.0))
         weight = jnp.where(transition.done, 1.0, weight * discount)
         return (batch, weight), (gain, transition._replace(value=value))
 
     carry = batch, jnp.ones(batch.start.shape, jnp.float32)
-    (batch, weight), (gains, transitions) = jax.lax.scan(one, carry, jnp.arange(steps, dtype=jnp.int32))
+    (batch, weight), (gains, transitions) = jax.lax.scan(advance, carry, jnp.arange(steps, dtype=jnp.int32))
     last = rollouts.forward(network, target_critic, terms, batch).value
     gain = gains.sum(0) + jnp.where(batch.start, 0.0, weight * last)
     return -gain.mean() / steps, (batch, transitions)

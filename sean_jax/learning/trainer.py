@@ -6,30 +6,68 @@ import json
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 import jax
+import jax.numpy as jnp
 import numpy as np
+from flax import struct
+from jaxtyping import Float, Int, PyTree
 
 from sean_jax.config import DaggerConfig, ReinforcementConfig, user_parts
 from sean_jax.config.flags import command
 from sean_jax.config.workspace import CONTENT, read_identity, refuse_difference, refuse_others
 from sean_jax.core import user_calls
+from sean_jax.core.data_types import Array
 from sean_jax.core.errors import InputError
 from sean_jax.io import files, interrupts, writing
 from sean_jax.io.versions import versions
+from sean_jax.learning import costs
 from sean_jax.learning.checkpoints import Checkpoints
-from sean_jax.learning.networks import CONFIG
+from sean_jax.learning.curriculum import Curriculum
+from sean_jax.learning.networks import CONFIG, Agent, Best
 from sean_jax.learning.processes import is_first_process, must_stop, on_first_process
+from sean_jax.learning.rollouts import EnvBatch
 
 METRICS, CURVE = "metrics.jsonl", "curve.png"
+LOWEST = float(np.finfo(np.float32).min)  # value of agents that were never evaluated
 
 Result = TypeVar("Result")
 Tree = TypeVar("Tree")
 
 
 # ------------------------------------------------------------------ the loop
+
+
+@struct.dataclass
+class TrainState:
+    """The state of a training. The field names are the names in checkpoints on disk."""
+
+    agent: Agent  # (A, ...)
+    optimizer: PyTree  # (A, ...)
+    best: Best
+    update: Int[Array, ""]  # updates or epochs done
+    rows: EnvBatch | None = None  # (A, B, ...); None of a dataset
+    curriculum: Curriculum | None = None  # (A, ...); None: all starts of the pool are alike
+    multipliers: costs.Multipliers | None = None  # of costs; None without any
+
+
+def begin_best(agent: Agent, agents: tuple[int, ...]) -> Best:
+    """Agents before any evaluation; ``agents`` is (A,) or ()."""
+    return Best(agent, jnp.full(agents, LOWEST, jnp.float32), jnp.zeros(agents, jnp.int32))
+
+
+def keep_best(state: TrainState, value: Float[Array, "*A"]) -> TrainState:
+    """The state in which agents with a greater value than before are the best."""
+    better = value > state.best.value
+    latest = Best(state.agent, value, jnp.broadcast_to(state.update, value.shape))
+
+    def choose(old: Array, new: Array) -> Array:
+        return jnp.where(better.reshape(*better.shape, *(1,) * (new.ndim - better.ndim)), new, old)
+
+    return replace(state, best=jax.tree.map(choose, state.best, latest))
 
 
 class Report(NamedTuple):
@@ -77,13 +115,16 @@ def fit(
         PartError: a callback fails. The checkpoints stay.
         IncompleteError: a file is damaged or cannot be written. The checkpoints stay.
     """
+    # A training goes on from its latest checkpoint; later lines of its log are dropped.
     resumes = on_first_process(lambda: check_config(folder, config))
     if not resumes:
         on_first_process(lambda: write_config(folder, config))
     checkpoints = Checkpoints(folder, writes=True)
     saved = checkpoints.latest(loop.encode(state)) if resumes else None
     state = loop.place(state if saved is None else loop.decode(saved, state))
-    log = Log(folder, loop.done(state)) if is_first_process() else None
+    log = MetricsLog(folder, loop.done(state)) if is_first_process() else None
+
+    # A signal ends it between two epochs, but not while the first one compiles.
     tell.stage("compiling")
     signals, stops, compiled, unsaved = [], False, False, None
     with contextlib.ExitStack() as stack:
@@ -101,6 +142,8 @@ def fit(
                     tell.start("training", total)
                     if jax.process_count() == 1:  # several must agree, by ``must_stop``
                         signals = stack.enter_context(interrupts.deferred())
+
+                # What is not due is saved at the end.
                 unsaved = None if report.due else report
                 if report.due:
                     checkpoints.save(loop.encode(state), report.number, report.loss)
@@ -122,7 +165,7 @@ def fit(
 # refuses, all must hear of it: the others would wait for it forever.
 
 
-class Log:
+class MetricsLog:
     """metrics.jsonl in the folder of a training, and events for TensorBoard if tensorboardX is installed."""
 
     def __init__(self, folder: Path, epochs: int):

@@ -53,6 +53,7 @@ class ObservationTerm:
         delay: of readings in steps of control, (least, most), drawn for each episode.
         stack: number of readings of different steps in an observation, newest first, along a first axis; 0 for one
             without that axis.
+        every: steps of control from one reading of a stack to the next.
         people: whether it contains positions of people, for tables of agents.
         image: whether it is a picture, (height, width) or with colors, which ``flatten`` leaves out.
         sensing: knowledge of people that it needs, one of ``data_types.SENSING``.
@@ -64,6 +65,7 @@ class ObservationTerm:
     prepare: Callable[[Scenario, State], PyTree] = _nothing
     delay: tuple[int, int] = (0, 0)
     stack: int = 0
+    every: int = 1
     people: bool = False
     image: bool = False
     sensing: str = "all-knowing"
@@ -76,7 +78,12 @@ class ObservationTerm:
     @property
     def readings(self) -> int:
         """The number of readings that are stored."""
-        return self.delay[1] + max(self.stack, 1)
+        return self.delay[1] + self.span
+
+    @property
+    def span(self) -> int:
+        """The number of readings from the newest to the oldest of an observation."""
+        return (max(self.stack, 1) - 1) * self.every + 1
 
 
 ObservationLike = ObservationTerm | Callable[[Scenario, State], Array] | str
@@ -93,8 +100,8 @@ def _in_frame(state: State, vectors: Array) -> Array:
 
 def _shortened(vector: Array) -> Array:
     """A vector (2,) that is no longer than ``FAR_GOAL``."""
-    far = jnp.maximum(length(vector[0], vector[1]), FAR_GOAL)
-    return vector * (FAR_GOAL / far)
+    distance = jnp.maximum(length(vector[0], vector[1]), FAR_GOAL)
+    return vector * (FAR_GOAL / distance)
 
 
 def _goal(scenario: Scenario, state: State, prepared: tuple) -> Array:
@@ -116,8 +123,9 @@ def _path(scenario: Scenario, state: State, prepared: tuple) -> Array:
 
 def _distance(scenario: Scenario, state: State, prepared: tuple) -> Array:
     """Length of the shortest path that is left: (1,) m."""
-    left = navigation.geodesic(scenario.navigation, state.robot.position, state.task.goal, state.task.paths_to_goal)
-    return left[None]
+    robot, task = state.robot, state.task
+    remaining = navigation.geodesic(scenario.navigation, robot.position, task.goal, task.paths_to_goal)
+    return remaining[None]
 
 
 def _speeds(scenario: Scenario, state: State, prepared: tuple) -> Array:
@@ -137,9 +145,11 @@ def _robot(scenario: Scenario, state: State, prepared: tuple) -> Array:
     acceleration: (7,) m, m/s, m/s2, rad/s, rad/s2.
     """
     model = scenario.robot
+    radius = jnp.asarray(model.radius, float)
+    speeds = model.max_speed, max_reverse_speed(model)
     deceleration = model.max_acceleration if model.max_deceleration is None else model.max_deceleration
-    speeds = model.max_speed, max_reverse_speed(model), model.max_acceleration, deceleration
-    return jnp.stack([jnp.asarray(model.radius, float), *speeds, model.max_turn_rate, model.max_turn_acceleration])
+    turning = model.max_turn_rate, model.max_turn_acceleration
+    return jnp.stack([radius, *speeds, model.max_acceleration, deceleration, *turning])
 
 
 def _time(scenario: Scenario, state: State, prepared: tuple) -> Array:
@@ -176,8 +186,10 @@ def _visible_people(nearest: int, reach: float, scenario: Scenario, state: State
     """The nearest people without those behind obstacles: where, how fast and whether there is one, (k, 5) m, m/s and
     0 or 1.
     """
-    rows, position = _people(nearest, reach, scenario, state, prepared), state.robot.position
-    x, y = rotate(rows[:, 0], rows[:, 1], state.robot.heading[0], state.robot.heading[1])
+    rows = _people(nearest, reach, scenario, state, prepared)
+    position, heading = state.robot.position, state.robot.heading
+    x, y = rotate(rows[:, 0], rows[:, 1], heading[0], heading[1])
+
     # The barrier keeps the places of people out of the loop over obstacles.
     ends = jax.lax.stop_gradient((position, position[0] + x, position[1] + y))
     position, x, y = jax.lax.optimization_barrier(ends)
@@ -188,28 +200,33 @@ def _visible_people(nearest: int, reach: float, scenario: Scenario, state: State
 def _people(nearest: int, reach: float, scenario: Scenario, state: State, prepared: tuple) -> Array:
     """The nearest people: where, how fast and whether there is one, (k, 5) m, m/s and 0 or 1."""
     persons = state.pedestrians
-    gap = persons.position - state.robot.position[None, :]
+    gap = persons.position - state.robot.position[None, :]  # (N, 2)
     square = jnp.where(persons.present, (gap * gap).sum(1), jnp.inf)
-    number = min(nearest, square.shape[0])
-    _, index = jax.lax.top_k(-square, number)
+    count = min(nearest, square.shape[0])
+    _, index = jax.lax.top_k(-square, count)
     visible = square[index] <= reach * reach
+
+    # Rows beyond the reach, and those for which there is nobody, are 0.
     velocity = jnp.clip(_in_frame(state, persons.velocity[index]), -MAX_SPEED, MAX_SPEED)
-    rows = jnp.concatenate([_in_frame(state, gap[index]), velocity, jnp.ones((number, 1), float)], 1)
+    position, presence = _in_frame(state, gap[index]), jnp.ones((count, 1), float)
+    rows = jnp.concatenate([position, velocity, presence], 1)  # (count, 5)
     rows = jnp.where(visible[:, None], rows, 0.0)
-    return jnp.pad(rows, ((0, nearest - number), (0, 0)))
+    return jnp.pad(rows, ((0, nearest - count), (0, 0)))
 
 
 def _obstacles(scenario: Scenario, state: State, prepared: tuple) -> Array:
     """The nearest obstacles within 3 m: direction (0 for none) and distance of each, (3, 3) of a unit vector and m."""
     x, y = state.robot.position[0], state.robot.position[1]
-    rows = nearby_obstacles(scenario.environment.obstacle_grid, x, y)
-    distance, nx, ny = from_rectangle(x, y, *(rows[:, column] for column in range(6)))
-    number = min(SURFACES, distance.shape[0])
-    near, index = jax.lax.top_k(-distance, number)
-    visible = -near < NEAR
-    way = _in_frame(state, -jnp.stack([nx[index], ny[index]], -1))
-    rows = jnp.concatenate([jnp.where(visible[:, None], way, 0.0), jnp.minimum(-near, NEAR)[:, None]], 1)
-    missing = jnp.tile(jnp.array([[0.0, 0.0, NEAR]], float), (SURFACES - number, 1))
+    rectangles = nearby_obstacles(scenario.environment.obstacle_grid, x, y)  # (R, 6)
+    distance, nx, ny = from_rectangle(x, y, *(rectangles[:, column] for column in range(6)))
+    count = min(SURFACES, distance.shape[0])
+    negative, index = jax.lax.top_k(-distance, count)
+    visible = -negative < NEAR
+
+    direction = _in_frame(state, -jnp.stack([nx[index], ny[index]], -1))  # the normal points to the robot
+    direction = jnp.where(visible[:, None], direction, 0.0)
+    rows = jnp.concatenate([direction, jnp.minimum(-negative, NEAR)[:, None]], 1)
+    missing = jnp.tile(jnp.array([[0.0, 0.0, NEAR]], float), (SURFACES - count, 1))
     return jnp.concatenate([rows, missing])
 
 
@@ -235,11 +252,11 @@ def sensor(name: str, low: float, high: float, image: bool = False) -> Observati
 
 def _sensor(name: str, scenario: Scenario, state: State, prepared: tuple) -> Array:
     """The reading of a sensor of the scenario."""
-    known = {each.name: each for each in scenario.sensors}
-    if name not in known:
-        listed = ", ".join(known) or "none"
-        raise InputError(f"observations: the scenario has no sensor '{name}', but {listed}; give make that sensor.")
-    return _reading(scenario, state, known[name])
+    devices = {device.name: device for device in scenario.sensors}
+    if name not in devices:
+        names = ", ".join(devices) or "none"
+        raise InputError(f"observations: the scenario has no sensor '{name}', but {names}; give make that sensor.")
+    return _reading(scenario, state, devices[name])
 
 
 def _reading(scenario: Scenario, state: State, device: Sensor) -> Array:
@@ -393,22 +410,40 @@ def begin(terms: Terms, scenario: Scenario, state: State, key: Array) -> tuple[d
     are taken to be the first one.
     """
     prepared = {name: term.prepare(scenario, state) for name, term in terms}
-    now = {name: _read(term, scenario, state, prepared[name]) for name, term in terms}
+    readings = {name: _read(term, scenario, state, prepared[name]) for name, term in terms}
+
+    # A term with earlier readings has a line of them, newest first, and a delay for the episode.
     lines, delays = {}, {}
     for number, (name, term) in enumerate(terms):
         if term.readings > 1:
             least, most = term.delay
-            lines[name] = jnp.broadcast_to(now[name][None], (term.readings, *now[name].shape))
-            delays[name] = jax.random.randint(jax.random.fold_in(key, number), (), least, most + 1, jnp.int32)
-    return {name: _of_line(term, now[name], name, lines, delays) for name, term in terms}, (prepared, lines, delays)
+            reading = readings[name]
+            lines[name] = jnp.broadcast_to(reading[None], (term.readings, *reading.shape))
+            term_key = jax.random.fold_in(key, number)
+            delays[name] = jax.random.randint(term_key, (), least, most + 1, jnp.int32)
+    memory = prepared, lines, delays
+    return _shown(terms, readings, memory), memory
 
 
 def observe(terms: Terms, scenario: Scenario, state: State, memory: PyTree) -> tuple[dict[str, Array], PyTree]:
     """The observation of a later state, and its memory, from the memory of the observation before."""
     prepared, lines, delays = memory
-    now = {name: _read(term, scenario, state, prepared[name]) for name, term in terms}
-    lines = {name: jnp.concatenate([now[name][None], line[:-1]]) for name, line in lines.items()}
-    return {name: _of_line(term, now[name], name, lines, delays) for name, term in terms}, (prepared, lines, delays)
+    readings = {name: _read(term, scenario, state, prepared[name]) for name, term in terms}
+    lines = {name: jnp.concatenate([readings[name][None], line[:-1]]) for name, line in lines.items()}
+    memory = prepared, lines, delays
+    return _shown(terms, readings, memory), memory
+
+
+def _shown(terms: Terms, readings: dict[str, Array], memory: PyTree) -> dict[str, Array]:
+    """The observation of readings, and of lines of earlier ones."""
+    _, lines, delays = memory
+    observation = {}
+    for name, term in terms:
+        if name in lines:
+            observation[name] = _of_line(term, lines[name], delays[name])
+        else:
+            observation[name] = readings[name][None] if term.stack == 1 else readings[name]
+    return observation
 
 
 def _read(term: ObservationTerm, scenario: Scenario, state: State, prepared: PyTree) -> Array:
@@ -417,11 +452,11 @@ def _read(term: ObservationTerm, scenario: Scenario, state: State, prepared: PyT
     return jnp.clip(jnp.asarray(value, float), term.low, term.high)
 
 
-def _of_line(term: ObservationTerm, now: Array, name: str, lines: dict, delays: dict) -> Array:
-    """The part of an observation for a term."""
-    if name not in lines:
-        return now[None] if term.stack == 1 else now
-    part = jax.lax.dynamic_slice_in_dim(lines[name], delays[name], max(term.stack, 1), 0)
+def _of_line(term: ObservationTerm, line: Array, delay: Array) -> Array:
+    """The part of an observation for a term with a line of readings."""
+    part = jax.lax.dynamic_slice_in_dim(line, delay, term.span, 0)
+    if term.every > 1:
+        part = part[:: term.every]
     return part if term.stack else part[0]
 
 

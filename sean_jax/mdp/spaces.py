@@ -31,12 +31,14 @@ def to_command(robot: RobotModel, action: Float[Array, "command"]) -> Float[Arra
     """The command [m/s, rad/s] of an action, clipped to -1 to 1."""
     ahead, turn = jnp.clip(action[0], -1.0, 1.0), jnp.clip(action[-1], -1.0, 1.0)
     top = jnp.where(ahead >= 0.0, robot.max_speed, max_reverse_speed(robot))
+    speed = ahead * top
     if robot.lateral is not None:
         left = jnp.clip(action[1], -1.0, 1.0) * robot.lateral.max_speed
-        return jnp.stack([ahead * top, left, turn * robot.max_turn_rate])
+        return jnp.stack([speed, left, turn * robot.max_turn_rate])
     if robot.steering is not None:
-        return jnp.stack([ahead * top, ackermann.turn_rate_of(robot, ahead * top, turn * robot.steering.max_angle)])
-    return jnp.stack([ahead * top, turn * robot.max_turn_rate])
+        angle = turn * robot.steering.max_angle
+        return jnp.stack([speed, ackermann.turn_rate_of(robot, speed, angle)])
+    return jnp.stack([speed, turn * robot.max_turn_rate])
 
 
 def to_action(robot: RobotModel, command: Float[Array, "command"]) -> Float[Array, "command"]:

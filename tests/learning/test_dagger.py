@@ -128,7 +128,7 @@ def test_dagger_learns_in_rounds_and_goes_on(tmp_path, monkeypatch):
         assert all(np.array_equal(one[name], other[name]) for name in one)
     scenario = sean_jax.make("lab", behavior="random", people=2, dynamics="twin")
     one, other, first = (learning.load(tmp_path / run, scenario) for run in ("whole", "stopped", "whole/round-0"))
-    weights = [jax.tree.leaves(policy.params.weights) for policy in (one, other, first)]
+    weights = [jax.tree.leaves(policy.params.agent) for policy in (one, other, first)]
     assert all(np.array_equal(a, b) for a, b in zip(*weights[:2], strict=True))
     assert not all(np.array_equal(a, b) for a, b in zip(weights[0], weights[2], strict=True))
     assert one.name == "whole"

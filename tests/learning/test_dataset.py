@@ -18,8 +18,8 @@ from sean_jax.core.errors import IncompleteError, InputError
 from sean_jax.io import writing
 from sean_jax.learning import collection, dataset, lerobot
 from sean_jax.learning.collection import Recorder
-from sean_jax.learning.dataset import check_manifest, open_dataset, open_datasets, split
-from sean_jax.learning.examples import Loader, Token, example
+from sean_jax.learning.dataset import check_manifest, open_dataset, open_datasets, split, windows
+from sean_jax.learning.examples import example
 from sean_jax.learning.networks import read_network_config
 from sean_jax.world import environment
 from support import learning_data
@@ -116,7 +116,7 @@ def test_readers_change_nothing(made, tmp_path, monkeypatch):
         again = open_dataset(os.path.relpath(made.folder))
         assert ".." in str(again.folder) and again.damaged_shards() == [] and again.fingerprint() == made.fingerprint()
         train, validation = split(again, 0.25, 0)
-        assert len(again.recording(validation).first) and len(list(Loader(again, train, batch=64).epoch()))
+        assert len(again.recording(validation).first) and len(list(windows(again, train, 64)))
         if importlib.util.find_spec("pyarrow"):
             lerobot.export(made.folder, tmp_path / "out")
         assert everything(made.folder) == before
@@ -237,19 +237,18 @@ def test_the_loader_shuffles_everything_once_and_goes_on_from_a_token(made):
     assert len(validation) == round(0.25 * (len(train) + len(validation)))
     recording = made.recording(train)
     every = example(recording, np.arange(len(recording.first)), np)
-    loader = Loader(made, train, batch=32, seed=1, window=4)
-    batches = list(loader.epoch())
-    assert len(batches) == loader.batches and batches[-1][0] == Token(1, 0)
 
-    def rows(some):
-        return [tuple(row) for _, one, weight in some for row in np.asarray(one.future.reshape(32, -1))[weight > 0]]
+    def futures(epoch: int) -> list[tuple]:
+        rows, sizes = [], set()
+        for window, batches in windows(made, train, 32, seed=1, epoch=epoch, size=4):
+            sizes.add(len(window.first))
+            assert batches.shape[1] == 32
+            rows += [example(window, np.array(row), np).future for row in batches.ravel() if row >= 0]
+        assert len(sizes) == 1, "one program for all"
+        return [tuple(future.ravel()) for future in rows]
 
-    assert sorted(rows(batches)) == sorted(map(tuple, every.future.reshape(len(every.future), -1)))
-    assert rows(batches) != rows(loader.epoch(Token(1, 0))), "another order in another epoch"
-    again = list(Loader(made, train, batch=32, seed=1, window=4).epoch(batches[1][0]))
-    assert rows(again) == rows(batches[2:])
-    for one, other in zip(batches[2:], again, strict=True):
-        np.testing.assert_array_equal(one[1].images, other[1].images)
+    assert sorted(futures(0)) == sorted(map(tuple, every.future.reshape(len(every.future), -1)))
+    assert futures(0) == futures(0) != futures(1), "another order in another epoch"
 
 
 @pytest.fixture(scope="module")
@@ -272,9 +271,8 @@ def test_ten_rows_a_second(fine, made):
     assert not one.future_valid.any()
     begun = example(recording, np.array(0), np)
     np.testing.assert_array_equal(begun.future[:, 0], [10.0, 20.0, 30.0, 40.0, 50.0])
-    loader = Loader(again, again.episodes, batch=64, shuffle=False)
-    _, batch, _ = next(loader.epoch())
-    np.testing.assert_array_equal(batch.past[45, :, 0], [-45.0, -40.0, -30.0, -20.0, -10.0])
+    late = example(recording, np.array(45), np)
+    np.testing.assert_array_equal(late.past[:, 0], [-45.0, -40.0, -30.0, -20.0, -10.0])
 
 
 def test_rates_are_not_mixed(fine, made, data):

@@ -125,7 +125,7 @@ def test_examples_equal_a_loop_in_numpy(batch, rate):
     lengths = batch.lengths
     ends = np.cumsum(lengths)
     flat = {name: np.concatenate([v[i, :n] for i, n in enumerate(lengths)]) for name, v in batch.rows.items()}
-    rows = examples.Row(**flat)
+    rows = examples.DemonstrationRow(**flat)
     recording = examples.Recording(
         rows, np.repeat(ends - lengths, lengths).astype(np.int32), np.repeat(ends, lengths).astype(np.int32), rate
     )
@@ -210,7 +210,7 @@ def test_wrong_names_are_answered_in_a_sentence():
 
 def test_a_nan_is_refused_with_the_episodes_number(batch):
     """In a row, in whatever a policy or a sensor gave; the runner itself looks at people and robots."""
-    rows = examples.Row(**{name: np.swapaxes(values, 0, 1).copy() for name, values in batch.rows.items()})
+    rows = examples.DemonstrationRow(**{name: np.swapaxes(values, 0, 1).copy() for name, values in batch.rows.items()})
     rows.pose[0, 1, 2] = np.nan
     states = SimpleNamespace(completed=batch.completed)
     ended = episode_runner.Batch(cast(Any, states), batch.lengths, (), [(rows, np.ones(rows.pose.shape[:2], bool))])

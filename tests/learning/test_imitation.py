@@ -12,19 +12,20 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from sean_jax import mdp
 from sean_jax.cli import command_line
 from sean_jax.config import ImitationConfig, PPOConfig
 from sean_jax.core import devices, random_streams
 from sean_jax.core.errors import IncompleteError, InputError
 from sean_jax.io import writing
-from sean_jax.learning import imitation, reinforcement, trainer
+from sean_jax.learning import bc, examples, imitation, networks, reinforcement, trainer
 from sean_jax.learning.checkpoints import Checkpoints
 from sean_jax.learning.collection import row_record, simulate_shard
 from sean_jax.learning.dataset import on_device, split
 from sean_jax.learning.examples import example
-from sean_jax.learning.networks import Network
-from sean_jax.learning.policy import load_imitation
-from sean_jax.learning.trainer import Log
+from sean_jax.learning.networks import NetworkConfig, NetworkOutput
+from sean_jax.learning.policy import load, pack
+from sean_jax.learning.trainer import MetricsLog
 from sean_jax.simulation import episodes
 from sean_jax.simulation.episode_runner import Runner
 from support import learning_data, trees
@@ -57,73 +58,80 @@ def trained(data, tmp_path_factory):
     return imitation.train(options(data, folder)), folder
 
 
-@functools.partial(jax.jit, static_argnums=(0, 1, 2))
-def begin(network, situations, chosen, commands):
-    """The state before the first epoch."""
-    scale = imitation.command_scale(commands)
-    return imitation.init_state(network, situations, chosen, chosen.seed, scale)
+def described(width: int = 64, flags: bool = False, image: tuple[int, int] = (12, 16)):
+    """The description of an agent that imitates."""
+    config = NetworkConfig(width=width, flags=flags, image=image, situations=list("abcde"))
+    return networks.describe_imitation(config, time_step=1.0)
 
 
-@functools.partial(jax.jit, static_argnums=0)
-def answers(network, weights, examples):
-    """What a network says to a batch of examples."""
-    say = functools.partial(network.apply, weights.parameters)
-    return jax.vmap(lambda one: say(one.images, one.plan, one.situations))(examples)
+def begin(description, chosen, commands):
+    """The student and the state before the first epoch."""
+    student = bc.make_student(description, chosen.learning_rate, chosen.weight_decay)
+    init = jax.jit(functools.partial(imitation.init_state, description, student))
+    return student, init(chosen.seed, imitation.command_scale(commands))
+
+
+def answers(description, agent, batch) -> NetworkOutput:
+    """The output of a network for a batch of examples."""
+    network, terms = description.network, description.terms
+
+    @jax.jit
+    def answer(agent, batch):
+        observation = examples.observation(terms, batch)
+        vector = jax.vmap(lambda one: mdp.flatten(terms, one))(observation)
+        images = {name: observation[name] for name in network.images}
+        count = len(vector)
+        return networks.apply(network, agent, vector, images, jnp.zeros((count, 0)), jnp.ones(count, bool))
+
+    return answer(agent, batch)
 
 
 def test_documented_sizes():
-    from sean_jax.learning import networks
-    from sean_jax.learning.networks import Network
-
     for flags, shares in ((False, (2, 3)), (True, (3, 4))):
-        weights = jax.eval_shape(lambda flags=flags: networks.init_weights(Network(flags=flags), 5, jax.random.key(0)))
-        count = sum(leaf.size for leaf in jax.tree.leaves(weights.parameters))
+        agent = jax.eval_shape(described(64, flags, (48, 64)).init, jax.random.key(0))
+        count = sum(leaf.size for leaf in jax.tree.leaves(agent.parameters))
         assert f"{count:,} parameters" in networks.__doc__.replace("\n", " ") or f"{count:,} with" in networks.__doc__
-        one = Network(flags=flags)
-        assert (len(one.planner_sources), len(one.controller_sources)) == shares
+        sources = networks.attention_sources(flags)
+        assert (len(sources["planner"]), len(sources["controller"])) == shares
 
 
 @pytest.mark.slow
 def test_it_learns_two_hundred_examples_by_heart(recording):
     chosen = unread(width=32, batch=64, learning_rate=3e-3, weight_decay=0.0)
-    network = Network(32, True, (12, 16))
-    state = begin(network, 5, chosen, recording.rows.command)
-    programs = imitation.programs(network, chosen, devices.mesh())
+    description = described(32, True)
+    student, state = begin(description, chosen, recording.rows.command)
+    programs = bc.programs(student, chosen.batch, devices.mesh())
     rows = jnp.arange(len(recording.first), dtype=jnp.int32)
     losses = []
     for _ in range(80):
-        state, train, _ = programs.epoch(state, recording, rows, rows[:32])
-        losses.append(float(train.loss))
+        state, sums = programs.learn(state, recording, rows)
+        losses.append(float(bc.losses(sums).loss))
     assert losses[-1] < losses[0] / 10
-    decision = answers(network, state.weights, jax.jit(jax.vmap(example, (None, 0)))(recording, rows))
-    for shares in (decision.planner_attention, decision.controller_attention):
+    output = answers(description, state.agent, jax.jit(jax.vmap(example, (None, 0)))(recording, rows))
+    for shares in (output.auxiliary["planner_attention"], output.auxiliary["controller_attention"]):
         np.testing.assert_allclose(shares.sum(-1), 1.0, atol=1e-5)
         assert (np.asarray(shares) >= 0).all() and np.asarray(shares).std(0).max() > 0.01, "it depends on what is there"
 
 
 def test_losses_equal_a_loop_in_numpy(recording, data):
     """Equal weights; only what is known of the future counts; the filling of the last batch does not."""
-    network, chosen = Network(16, False, (12, 16)), unread(width=16, batch=32)
-    state = begin(network, 5, chosen, recording.rows.command)
-    np.testing.assert_allclose(state.weights.scale, np.std(recording.rows.command, 0), rtol=1e-5)
-    programs = imitation.programs(network, chosen, devices.mesh())
+    description, chosen = described(16), unread(width=16, batch=32)
+    student, state = begin(description, chosen, recording.rows.command)
+    np.testing.assert_allclose(state.agent.command_scale, np.std(recording.rows.command, 0), rtol=1e-5)
+    programs = bc.programs(student, chosen.batch, devices.mesh())
     rows = np.arange(3, 50, dtype=np.int32)
-    examples = jax.jit(jax.vmap(example, (None, 0)))(recording, jnp.asarray(rows))
-    answer = answers(network, state.weights, examples)
+    batch = jax.jit(jax.vmap(example, (None, 0)))(recording, jnp.asarray(rows))
+    answer = answers(description, state.agent, batch)
     far, known, off = 0.0, 0, 0.0
     for k in range(len(rows)):
         for second in range(5):
-            if examples.future_valid[k, second]:
+            if batch.future_valid[k, second]:
                 known += 1
-                far += float(np.sum((np.asarray(answer.local_plan[k, second]) - examples.future[k, second]) ** 2))
-        command = np.asarray(examples.command[k]) / np.asarray(state.weights.scale)
-        off += float(np.sum((np.asarray(answer.command[k]) - command) ** 2))
-    _, _, found = programs.epoch(
-        jax.tree.map(jnp.copy, state),
-        recording,
-        jnp.asarray(rows[:0]),
-        jnp.asarray(rows),
-    )
+                place = np.asarray(answer.auxiliary["local_plan"][k, second])
+                far += float(np.sum((place - batch.future[k, second]) ** 2))
+        command = np.asarray(batch.command[k]) / np.asarray(state.agent.command_scale)
+        off += float(np.sum((np.asarray(answer.mean[k]) - command) ** 2))
+    found = bc.losses(programs.measure(state, recording, jnp.asarray(rows)))
     assert known < 5 * len(rows)
     np.testing.assert_allclose(found.local_plan, far / known, rtol=1e-4)
     np.testing.assert_allclose(found.command, off / len(rows), rtol=1e-4)
@@ -137,7 +145,7 @@ def test_an_interrupted_training_comes_to_the_same_bits(data, trained, tmp_path,
 
     def stopping(self, state, epoch, loss):
         save(self, state, epoch, loss)
-        saves.append(int(state.epoch))
+        saves.append(int(state.update[0]))
         if len(saves) == 4:
             raise KeyboardInterrupt
 
@@ -164,8 +172,8 @@ def test_the_latest_and_the_best_checkpoint_are_kept(trained):
     losses = {line["epoch"]: line["validation"]["loss"] for line in lines(folder)}
     best = min(losses, key=losses.get)
     steps = sorted(int(path.name) for path in (folder / "checkpoints").iterdir())
-    assert steps == sorted({best, 12}) and int(state.best_epoch) == best
-    assert float(state.best) == pytest.approx(losses[best])
+    assert steps == sorted({best, 12}) and int(state.best.update) == best
+    assert -float(state.best.value) == pytest.approx(losses[best])
 
 
 def test_events_for_tensorboard_need_an_optional_package(tmp_path, monkeypatch):
@@ -183,10 +191,10 @@ def test_events_for_tensorboard_need_an_optional_package(tmp_path, monkeypatch):
             pass
 
     monkeypatch.setitem(sys.modules, "tensorboardX", SimpleNamespace(SummaryWriter=SummaryWriter))
-    Log(tmp_path, 3).add({"epoch": 4, "train": {"loss": 0.5}, "seconds": 2.0, "time": 10.0})
+    MetricsLog(tmp_path, 3).add({"epoch": 4, "train": {"loss": 0.5}, "seconds": 2.0, "time": 10.0})
     assert written == [(str(tmp_path), 4), ("train/loss", 0.5, 4, 10.0), ("seconds", 2.0, 4, 10.0)]
     monkeypatch.setitem(sys.modules, "tensorboardX", None)
-    Log(tmp_path, 4).add({"epoch": 5, "time": 11.0})
+    MetricsLog(tmp_path, 4).add({"epoch": 5, "time": 11.0})
     assert [line["epoch"] for line in lines(tmp_path)] == [4, 5]
 
 
@@ -194,41 +202,42 @@ def test_events_for_tensorboard_need_an_optional_package(tmp_path, monkeypatch):
 def test_training_from_disk_learns_as_well(data, tmp_path):
     state = imitation.train(options(data, tmp_path / "disk", device_memory_fraction=0.0, epochs=3))
     losses = [line["train"]["loss"] for line in lines(tmp_path / "disk")]
-    assert int(state.epoch) == 3 and losses[-1] < losses[0]
+    assert int(state.update) == 3 and losses[-1] < losses[0]
     validation = split(data, 0.2, 0)[1]
     recording = on_device(data.recording(validation))
-    network = Network(16, False, (12, 16))
-    programs = imitation.programs(network, options(data, None), devices.mesh())
+    chosen = options(data, None)
+    student = bc.make_student(described(16), chosen.learning_rate, chosen.weight_decay)
+    programs = bc.programs(student, chosen.batch, devices.mesh())
     rows = jnp.arange(len(recording.first), dtype=jnp.int32)
-    _, _, found = programs.epoch(jax.tree.map(jnp.copy, state), recording, rows[:0], rows)
+    found = bc.losses(programs.measure(state, recording, rows))
     assert float(found.loss) == pytest.approx(lines(tmp_path / "disk")[-1]["validation"]["loss"], rel=1e-4)
 
 
 @pytest.mark.night
 def test_training_stops_when_nothing_gets_better(data, tmp_path):
     state = imitation.train(options(data, tmp_path / "run", learning_rate=0.3, patience=2, epochs=30))
-    assert int(state.epoch) == int(state.best_epoch) + 2 < 30
+    assert int(state.update) == int(state.best.update) + 2 < 30
 
 
 def test_a_loss_that_is_not_finite_ends_it_and_keeps_what_there_was(data, tmp_path, monkeypatch):
-    made = imitation.programs
+    made = bc.programs
 
-    def poisoned(network, chosen, over):
-        programs = made(network, chosen, over)
+    def poisoned(student, batch, over):
+        programs = made(student, batch, over)
 
-        def epoch(state, *others):
-            state, train, validation = programs.epoch(state, *others)
-            bad = train._replace(loss=train.loss / jnp.where(state.epoch == 4, 0.0, 1.0) * 1.0)
+        def finish(state, *sums):
+            state, train, validation = programs.finish(state, *sums)
+            bad = train._replace(loss=train.loss / jnp.where(state.update == 4, 0.0, 1.0) * 1.0)
             return state, bad, validation
 
-        return programs._replace(epoch=epoch)
+        return programs._replace(finish=finish)
 
-    monkeypatch.setattr(imitation, "programs", poisoned)
+    monkeypatch.setattr(bc, "programs", poisoned)
     with pytest.raises(FloatingPointError, match="the loss is not finite in epoch 4; .* keeps the checkpoints"):
         imitation.train(options(data, tmp_path / "run"))
     assert max(int(path.name) for path in (tmp_path / "run" / "checkpoints").iterdir()) <= 3
     scenario = learning_data.setting()[0]["join_group"]
-    assert load_imitation(tmp_path / "run", scenario).name == "run"
+    assert load(tmp_path / "run", scenario).name == "run"
 
 
 def test_checkpoints_of_another_network_are_refused(data, trained, tmp_path, capsys):
@@ -245,7 +254,17 @@ def test_checkpoints_of_another_network_are_refused(data, trained, tmp_path, cap
     error = capsys.readouterr().err
     assert error.startswith("sean: ") and "was begun with width 16, not 24" in error and len(error.splitlines()) == 1
     with pytest.raises(InputError, match="has no trained network"):
-        load_imitation(tmp_path, learning_data.setting()[0]["join_group"])
+        load(tmp_path, learning_data.setting()[0]["join_group"])
+
+
+def test_a_packed_network_is_the_network_in_16_bits(trained, tmp_path):
+    scenario = learning_data.setting()[0]["join_group"]
+    packed = pack(trained[1], tmp_path / "packed")
+    assert {path.name for path in packed.iterdir()} == {"config.json", "weights.npz"}
+    agents = [load(folder, scenario).params.agent for folder in (packed, trained[1])]
+    trees.assert_close(*agents, rtol=1e-3)
+    with pytest.raises(InputError, match="is packed already; copy it"):
+        pack(packed, tmp_path / "again")
 
 
 def test_opening_a_policy_changes_nothing(data, trained, tmp_path):
@@ -264,7 +283,7 @@ def test_opening_a_policy_changes_nothing(data, trained, tmp_path):
 
     before = everything()
     scenario = learning_data.setting()[0]["join_group"]
-    weights, expected = (load_imitation(place, scenario).params.weights for place in (folder, trained[1]))
+    weights, expected = (load(place, scenario).params.agent for place in (folder, trained[1]))
     assert everything() == before
     trees.assert_equal(weights, expected)
     with writing.folder_lock(folder), pytest.raises(writing.WriteError, match="run is being written by process"):
@@ -280,7 +299,7 @@ def test_what_a_kill_left_half_deleted_is_no_checkpoint(data, trained, tmp_path)
 
     folder, chance = tmp_path / "run", random.Random(5)
     shutil.copytree(trained[1], folder)
-    checkpoints, best = folder / "checkpoints", int(trained[0].best_epoch)
+    checkpoints, best = folder / "checkpoints", int(trained[0].best.update)
     steps = sorted(path.name for path in checkpoints.iterdir())
     for number in [number for number in range(1, best) if str(number) not in steps][:8]:
         half = checkpoints / str(number)
@@ -290,7 +309,7 @@ def test_what_a_kill_left_half_deleted_is_no_checkpoint(data, trained, tmp_path)
             shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
     assert len([*checkpoints.iterdir()]) > len(steps) + 3
     scenario = learning_data.setting()[0]["join_group"]
-    weights, expected = (load_imitation(place, scenario).params.weights for place in (folder, trained[1]))
+    weights, expected = (load(place, scenario).params.agent for place in (folder, trained[1]))
     trees.assert_equal(weights, expected)
     again = imitation.train(options(data, folder))
     trees.assert_equal(trained[0], again)
@@ -303,7 +322,7 @@ def test_a_policy_is_opened_while_its_training_replaces_the_best(trained, tmp_pa
 
     folder = tmp_path / "run"
     shutil.copytree(trained[1], folder)
-    best, restore = int(trained[0].best_epoch), Checkpoints._restore
+    best, restore = int(trained[0].best.update), Checkpoints._restore
     old, new = (folder / "checkpoints" / str(number) for number in (best, 13))
 
     def replaced(self, *arguments, **options):
@@ -314,7 +333,7 @@ def test_a_policy_is_opened_while_its_training_replaces_the_best(trained, tmp_pa
 
     monkeypatch.setattr(Checkpoints, "_restore", replaced)
     scenario = learning_data.setting()[0]["join_group"]
-    weights, expected = (load_imitation(place, scenario).params.weights for place in (folder, trained[1]))
+    weights, expected = (load(place, scenario).params.agent for place in (folder, trained[1]))
     assert new.exists()
     trees.assert_equal(weights, expected)
 
@@ -344,11 +363,11 @@ def test_a_byte_that_changed_in_a_checkpoint_changes_no_weight(trained, tmp_path
 
     random, refused = np.random.default_rng(0), 0
     scenario = learning_data.setting()[0]["join_group"]
-    expected = jax.tree.leaves(load_imitation(trained[1], scenario).params.weights)
+    expected = jax.tree.leaves(load(trained[1], scenario).params.agent)
     for number in range(24):
         folder = tmp_path / str(number)
         shutil.copytree(trained[1], folder)
-        best = folder / "checkpoints" / str(int(trained[0].best_epoch)) / "state"
+        best = folder / "checkpoints" / str(int(trained[0].best.update)) / "state"
         files = sorted(path for path in best.rglob("*") if path.is_file() and path.stat().st_size)
         sizes = np.array([path.stat().st_size for path in files])
         file = files[random.choice(len(files), p=sizes / sizes.sum())]
@@ -356,7 +375,7 @@ def test_a_byte_that_changed_in_a_checkpoint_changes_no_weight(trained, tmp_path
         content[random.integers(len(content))] ^= 1 << random.integers(8)
         file.write_bytes(content)
         try:
-            found = jax.tree.leaves(load_imitation(folder, scenario).params.weights)
+            found = jax.tree.leaves(load(folder, scenario).params.agent)
         except (InputError, IncompleteError) as error:
             refused += "cannot be read" in str(error)
             continue
@@ -394,7 +413,7 @@ def test_a_full_disk_keeps_the_checkpoints(data, trained, tmp_path, monkeypatch)
 
 def test_a_log_goes_on_where_the_training_does(tmp_path):
     for begin in (0, 2):
-        log = Log(tmp_path, begin)
+        log = MetricsLog(tmp_path, begin)
         for epoch in range(begin, begin + 4):
             log.add({"epoch": epoch + 1, "train": {"loss": float(begin)}, "time": 1.0})
     assert [(line["epoch"], line["train"]["loss"]) for line in lines(tmp_path)] == [
@@ -407,14 +426,14 @@ def test_the_driver_sees_and_answers_what_the_examples_say(data, trained):
     """Driven step by step, in a batch, its decisions each second are those for the examples of the recording."""
     parts, camera = learning_data.setting()
     scenario = parts["join_group"]
-    policy = load_imitation(trained[1], scenario)
+    policy = load(trained[1], scenario)
     keys = jax.vmap(jax.random.fold_in, (None, 0))(random_streams.key("collect", learning_data.SEED), jnp.arange(3))
 
     def follow(before, after, action):
-        return after.policy_state.decision, action
+        return after.policy_state.auxiliary, action
 
     drive = jax.vmap(lambda policy, key: episodes.rollout(scenario, policy, key, 61, follow), (None, 0))
-    _, (decisions, actions) = jax.jit(drive)(policy, keys)
+    _, (outputs, actions) = jax.jit(drive)(policy, keys)
     running = Runner(scenario, policy, 3, "collect", row_record(scenario, camera))
     batch = simulate_shard(running, learning_data.SEED, 0, 0)
     np.testing.assert_allclose(batch.rows["command"][:, :7], actions[:, ::10], atol=1e-3)
@@ -422,17 +441,17 @@ def test_the_driver_sees_and_answers_what_the_examples_say(data, trained):
     assert (lengths == 7).all()
     rows = {name: values[:, :7].reshape(21, *values.shape[2:]) for name, values in batch.rows.items()}
     first = np.repeat(np.arange(3, dtype=np.int32) * 7, 7)
-    from sean_jax.learning.examples import Recording, Row
+    from sean_jax.learning.examples import DemonstrationRow, Recording
 
-    recording = on_device(Recording(Row(**rows), first, first + 7))
+    recording = on_device(Recording(DemonstrationRow(**rows), first, first + 7))
     params = policy.params
     rows = jnp.arange(21, dtype=jnp.int32)
-    answer = answers(params.network, params.weights, jax.jit(jax.vmap(example, (None, 0)))(recording, rows))
-    for name in ("local_plan", "planner_attention", "controller_attention"):
-        expected = getattr(answer, name).reshape(3, 7, *getattr(answer, name).shape[1:])
-        np.testing.assert_allclose(getattr(decisions, name)[:, ::10], expected, atol=2e-3)
-    scale = np.asarray(params.weights.scale)
-    np.testing.assert_allclose(actions[:, ::10].reshape(21, 2), np.asarray(answer.command) * scale, atol=2e-3)
+    answer = answers(described(16), params.agent, jax.jit(jax.vmap(example, (None, 0)))(recording, rows))
+    for name, values in answer.auxiliary.items():
+        expected = values.reshape(3, 7, *values.shape[1:])
+        np.testing.assert_allclose(outputs[name][:, ::10], expected, atol=2e-3)
+    scale = np.asarray(params.agent.command_scale)
+    np.testing.assert_allclose(actions[:, ::10].reshape(21, 2), np.asarray(answer.mean) * scale, atol=2e-3)
 
 
 def test_another_number_of_devices_is_refused_before_anything_is_drawn(tmp_path, monkeypatch):

@@ -41,14 +41,15 @@ def test_each_learns_and_has_the_folder_of_a_training(three, data):
     states, asked = three
     for state, own in zip(states, asked, strict=True):
         lines = read_metrics(own.folder)
-        assert [line["epoch"] for line in lines] == list(range(1, int(state.epoch) + 1))
+        assert [line["epoch"] for line in lines] == list(range(1, int(state.update) + 1))
         assert lines[-1]["train"]["loss"] < lines[0]["train"]["loss"]
         best = min(lines, key=lambda line: line["validation"]["loss"])
-        assert best["epoch"] == int(state.best_epoch) and best["validation"]["loss"] == pytest.approx(float(state.best))
+        assert best["epoch"] == int(state.best.update)
+        assert best["validation"]["loss"] == pytest.approx(-float(state.best.value))
         assert len(lines) == 6 or len(lines) - best["epoch"] == 3
         scenario = sean_jax.make("lab", people=2, dynamics="twin")
         assert learning.load(own.folder, scenario).name == own.folder.name
-    alike = jax.tree.map(lambda one, other: np.array_equal(one, other), states[0].weights, states[1].weights)
+    alike = jax.tree.map(lambda one, other: np.array_equal(one, other), states[0].agent, states[1].agent)
     assert not all(jax.tree.leaves(alike))
 
 
@@ -57,9 +58,9 @@ def test_none_learns_anything_of_another(three, data, tmp_path):
     """The second of three is what it is by itself."""
     states, _ = three
     (alone,) = imitation.train_ensemble([options(data, tmp_path / "alone", seed=1)])
-    assert int(alone.epoch) == int(states[1].epoch)
+    assert int(alone.update) == int(states[1].update)
     itself, same, another = (
-        np.concatenate([np.ravel(leaf) for leaf in jax.tree.leaves(state.weights)])
+        np.concatenate([np.ravel(leaf) for leaf in jax.tree.leaves(state.agent)])
         for state in (alone, states[1], states[0])
     )
     rounding, apart = (np.sqrt(np.mean((itself - other) ** 2)) for other in (same, another))
@@ -70,11 +71,11 @@ def test_none_learns_anything_of_another(three, data, tmp_path):
 def test_it_learns_as_a_training_by_itself_does(three, data, tmp_path):
     """From the same weights, in another order of the same batches."""
     states, _ = three
-    state = imitation.train(options(data, tmp_path / "one", seed=0, epochs=int(states[0].epoch), patience=1000))
+    state = imitation.train(options(data, tmp_path / "one", seed=0, epochs=int(states[0].update), patience=1000))
     lines = [read_metrics(folder) for folder in (tmp_path / "one", three[1][0].folder)]
     first, last = ([each[k]["validation"]["loss"] for each in lines] for k in (0, -1))
     assert first[0] == pytest.approx(first[1], rel=0.1) and last[0] == pytest.approx(last[1], rel=0.15)
-    np.testing.assert_allclose(state.weights.scale, states[0].weights.scale)
+    np.testing.assert_allclose(state.agent.command_scale, states[0].agent.command_scale)
 
 
 def test_what_cannot_stand_beside_one_another_is_refused(data, tmp_path):
@@ -100,7 +101,7 @@ def test_parts_of_a_dataset_share_its_episodes_evenly(data, tmp_path):
             counts = [sum(episode.stream == stream for episode in each.episodes) for each in opened]
             assert max(counts) - min(counts) <= 1
     states = imitation.train_ensemble([options(data, tmp_path / str(k), part=(k, 2), epochs=2) for k in (1, 2)])
-    alike = jax.tree.map(lambda one, other: np.array_equal(one, other), states[0].weights, states[1].weights)
+    alike = jax.tree.map(lambda one, other: np.array_equal(one, other), states[0].agent, states[1].agent)
     assert not all(jax.tree.leaves(alike))
     with pytest.raises(InputError, match="episodes in part 1 of 16, too few"):
         imitation.train(options(data, tmp_path / "few", part=(1, 16)))

@@ -16,7 +16,7 @@ from sean_jax import learning, mdp, registry
 from sean_jax.cli import command_line
 from sean_jax.config import PPOConfig
 from sean_jax.core.errors import InputError
-from sean_jax.learning import networks, onnx
+from sean_jax.learning import networks, onnx, policy
 from sean_jax.learning.policy import AGENTS, agent_network, agent_terms, save_agent
 from support.quick import quick
 
@@ -145,6 +145,33 @@ def test_agents_with_other_networks_drive_alike(runtime, tmp_path, monkeypatch, 
     check(runtime, file, scenario, driver)
 
 
+@pytest.mark.parametrize("flags", [False, True])
+def test_a_network_that_imitates_drives_alike(runtime, tmp_path, flags):
+    """With its local plan and the shares of its attention."""
+    scenario = sean_jax.make("lab", behavior="random", people=2, dynamics="twin")
+    names = [name for name, _ in scenario.situations]
+    command = "sean collect --environment lab --behavior random --people 2 --dynamics twin"
+    config = {"width": 8, "flags": flags, "image": [13, 16], "situations": names, "dataset": {"command": command}}
+    description = networks.describe_imitation(networks.NetworkConfig(**config), scenario.time_step)
+    agent = jax.jit(description.init)(jax.random.key(0))
+    agent = jax.tree.map(lambda leaf: leaf + 0.05, agent).replace(command_scale=jnp.array([0.3, 0.8]))
+    (tmp_path / "packed").mkdir()
+    save_agent(tmp_path / "packed", agent, config)
+    params = learning.load(tmp_path / "packed", scenario).params
+    session = runtime.InferenceSession(onnx.export(tmp_path / "packed", tmp_path / "agent.onnx").read_bytes())
+    rng, commands = np.random.default_rng(0), []
+    for _ in range(5):
+        seen = {each.name: rng.uniform(0.0, 5.0, each.shape).astype(np.float32) for each in session.get_inputs()}
+        expected = jax.jit(policy._forward)(params, seen, jnp.zeros(0), jnp.zeros((), bool))
+        found = dict(zip([each.name for each in session.get_outputs()], session.run(None, seen), strict=True))
+        np.testing.assert_allclose(found.pop("command"), expected.mean * params.agent.command_scale, atol=1e-5)
+        commands.append(found.pop("action"))
+        assert found.keys() == expected.auxiliary.keys() and found["local_plan"].shape == (5, 2)
+        for name, values in found.items():
+            np.testing.assert_allclose(values, expected.auxiliary[name], atol=1e-5)
+    assert np.ptp(commands, 0).max() > 1e-4
+
+
 def test_a_model_says_what_it_takes(runtime, tmp_path, monkeypatch, capsys):
     """In the words of the package, in the order of the parts; written by the command line."""
     import onnx as format
@@ -157,7 +184,7 @@ def test_a_model_says_what_it_takes(runtime, tmp_path, monkeypatch, capsys):
     facts = {each.key: each.value for each in model.metadata_props}
     first, second = json.loads(facts["observation"])
     assert first == {
-        "name": "goal", "shape": [2], "low": -30.0, "high": 30.0, "image": False, "stack": 0,
+        "name": "goal", "shape": [2], "low": -30.0, "high": 30.0, "image": False, "stack": 0, "every": 1,
         "definition": "Where the goal is: (2,) m.",
     }  # fmt: skip
     assert second["name"] == "people" and second["shape"] == [12, 5] and second["high"] == 8.0
@@ -194,7 +221,7 @@ def test_operations_are_those_of_jax(runtime):
     like = {"x": jax.ShapeDtypeStruct((2, 3), jnp.float32), "y": jax.ShapeDtypeStruct((5, 4, 3), jnp.float32)}
     expected = jax.eval_shape(program, like)
     names = [f"out_{number}" for number in range(len(expected))]
-    graph = onnx.graph_of(program, like, names)
+    graph = onnx.graph_of(lambda seen: dict(zip(names, program(seen), strict=True)), like, names)
     opset = [format.helper.make_opsetid("", onnx.OPSET)]
     model = format.helper.make_model(graph, opset_imports=opset, ir_version=onnx.IR_VERSION)
     format.checker.check_model(model, full_check=True)
@@ -207,7 +234,7 @@ def test_operations_are_those_of_jax(runtime):
             assert one.dtype == other.dtype and one.shape == other.shape, number
             np.testing.assert_allclose(one, other, rtol=1e-4, atol=1e-5, err_msg=str(number))
     with pytest.raises(InputError, match="the operation sort, which is not translated; layers, convolutions"):
-        onnx.graph_of(lambda seen: [jnp.sort(seen["x"])], like, ["out"])
+        onnx.graph_of(lambda seen: {"out": jnp.sort(seen["x"])}, like, ["out"])
 
 
 def test_exports_that_cannot_be_are_refused(tmp_path, monkeypatch, capsys):

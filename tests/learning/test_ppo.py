@@ -21,6 +21,7 @@ from sean_jax.core.errors import InputError
 from sean_jax.learning import networks, ppo, reinforcement, rollouts, shac
 from sean_jax.learning.networks import ActorCritic, Agent, Statistics
 from sean_jax.learning.policy import AGENTS, Best
+from sean_jax.learning.trainer import TrainState
 from sean_jax.mdp import rewards
 from sean_jax.simulation.scenario_stack import Stack
 from support import trees
@@ -47,9 +48,9 @@ def standing(config: PPOConfig, network: ActorCritic, over) -> reinforcement.Pro
     """Programs of a training in which nobody moves: they compile at once, and all around them is as ever."""
     number = len(config.agents)
 
-    def begin(envs, first: Agent) -> reinforcement.TrainState:
+    def begin(envs, first: Agent) -> TrainState:
         best = Best(first, jnp.full(number, -jnp.inf, jnp.float32), jnp.zeros(number, jnp.int32))
-        return reinforcement.TrainState(first, (), (), best, None, jnp.zeros((), jnp.int32))  # pyright: ignore
+        return TrainState(first, (), best, jnp.zeros((), jnp.int32))
 
     def update(envs, state):
         agent = jax.tree.map(lambda leaf: leaf + 0.1, state.agent)
@@ -836,7 +837,8 @@ def test_analytic_gradients_are_those_of_differences():
         bias = parameters["params"][last]["bias"]
         parameters["params"][last]["bias"] = bias.at[0].add(change)
         acting = replace(agent, parameters=parameters)
-        return shac._actor_loss((env,), network, acting, agent, rows, 4, jax.random.key(4), jnp.asarray(0.99))[0]
+        horizon = shac.Horizon((env,), network, agent, rows, 4, jax.random.key(4), jnp.asarray(0.99))
+        return shac._actor_loss(horizon, acting)[0]
 
     found = jax.jit(jax.grad(lost))(0.3)
     step = 1e-3  # at 1e-2 limits of the robot come in between

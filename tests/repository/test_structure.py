@@ -48,7 +48,7 @@ def room(module: str) -> str:
     return (module.split(".") + [""])[1]
 
 
-TRAINERS = ("ppo.py", "shac.py", "rollouts.py", "reinforcement.py", "curriculum.py", "dagger.py")
+TRAINERS = ("ppo.py", "shac.py", "rollouts.py", "reinforcement.py", "curriculum.py", "bc.py")
 
 
 def test_an_environment_is_the_place():

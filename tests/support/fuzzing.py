@@ -114,7 +114,7 @@ ELSEWHERE = {
     "ros/rosbridge.py Server._handle": "messages of test_hostile",
     "web/studio/editor.py Editor._take": "a graph or sets, as load_graph and load_handcrafted",
     "web/studio/address.py recall": "an address that others cannot write: test_studio",
-    "evaluation/replay_command.py _of_imitation": "the config.json of load_policy",
+    "learning/policy.py demonstration_config": "the config.json of load_policy",
     "learning/policy.py describe_agent": "the config.json of load_agent",
     "learning/policy.py pack": "the config.json of load_agent",
     "studies/inverse_graph/__init__.py _words": "a graph as in load_graph",
@@ -257,17 +257,18 @@ def policy(folder: Path) -> dict[str, bytes]:
     import optax
 
     from sean_jax.learning.checkpoints import Checkpoints
-    from sean_jax.learning.imitation import TrainState
-    from sean_jax.learning.networks import Network, init_weights
+    from sean_jax.learning.networks import describe_imitation, read_network_config
+    from sean_jax.learning.trainer import TrainState, begin_best
 
     config = {"width": 8, "flags": True, "image": [12, 16], "situations": list(names()), "seed": 0, "epochs": 2}
     folder.mkdir(parents=True)
     (folder / "config.json").write_text(json.dumps(config, indent=1))
-    weights = init_weights(Network(8, True, (12, 16)), len(names()), jax.random.key(0))
-    optimizer = optax.sgd(0.1).init(weights.parameters)
-    state = TrainState(weights, optimizer, jnp.ones((), jnp.int32), jnp.ones(()), jnp.ones((), jnp.int32))
+    description = describe_imitation(read_network_config(folder / "config.json"), time_step=0.1)
+    agent = description.init(jax.random.key(0))
+    optimizer = optax.sgd(0.1).init(agent.parameters)
+    state = TrainState(agent, optimizer, begin_best(agent, ()), jnp.ones((), jnp.int32))
     keeper = Checkpoints(folder)
-    keeper.save(state, 1, 1.0)
+    keeper.save(jax.tree.map(lambda leaf: leaf[None], state), 1, 1.0)
     keeper.wait()
     keeper.manager.close()
     return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
@@ -379,12 +380,13 @@ def load_policy(folder: Path) -> Any:
 
     from sean_jax import robots
     from sean_jax.core.data_types import Scenario
-    from sean_jax.learning.policy import load_imitation
+    from sean_jax.learning.policy import load
 
     told = tuple((name, None) for name in names())
     nothing: dict[str, Any] = dict.fromkeys(field.name for field in dataclasses.fields(Scenario))
-    scenario = Scenario(**nothing | {"situations": told, "robot": robots.load("kuri", "twin")})  # all that is looked at
-    return load_imitation(folder, scenario).params
+    looked_at = {"situations": told, "robot": robots.load("kuri", "twin"), "time_step": 0.1}
+    scenario = Scenario(**nothing | looked_at)
+    return load(folder, scenario).params
 
 
 def walk(folder: Path, name: str) -> dict[str, bytes]:

@@ -310,7 +310,8 @@ def train(learner: Learner, tell: Callable[[float], None]) -> list[dict[str, flo
         states = learning.train_ensemble(configs, tell)
         seconds = (time.perf_counter() - began) / len(missing)
         for network, config, state in zip(missing, configs, states, strict=True):
-            epochs = {"epochs": int(state.epoch), "best_epoch": int(state.best_epoch), "loss": float(state.best)}
+            best = state.best
+            epochs = {"epochs": int(state.update), "best_epoch": int(best.update), "loss": -float(best.value)}
             learner.work.save(learner.summary(network), _examples(config) | epochs | {"seconds": seconds})
     return [learner.work.load(learner.summary(network)) for network in learner.networks]
 
