@@ -67,14 +67,14 @@ def _obstacles(boxes: Boxes) -> Iterator[Boxes]:
         yield Boxes(*(field[index] for field in boxes))
 
 
-def _to_frame(boxes: Boxes, points: Float[np.ndarray, "*points 2"]) -> Float[np.ndarray, "2 *points"]:
+def _to_frame(boxes: Boxes, points: Float[np.ndarray, "*points 2"]) -> Float[np.ndarray, "2 ..."]:
     """The points [m], which broadcast with the boxes, in the frame of their box."""
     x, y = np.moveaxis(points - boxes.center, -1, 0)
     return np.stack(rotate(x, y, boxes.cosine, -boxes.sine))
 
 
-def _cross(u: Float[np.ndarray, "*batch 2"], v: Float[np.ndarray, "*batch 2"]) -> Float[np.ndarray, "*batch"]:
-    """The cross product of vectors in the plane, positive if v is to the left of u."""
+def _cross(u: Float[np.ndarray, "*us 2"], v: Float[np.ndarray, "*vs 2"]) -> Float[np.ndarray, "..."]:
+    """The cross product of vectors in the plane, which broadcast; positive if v is to the left of u."""
     return u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0]
 
 
@@ -251,7 +251,7 @@ def _faces(corners: Float[np.ndarray, "K 2"], edges: Int[np.ndarray, "E 2"]) -> 
     return triangles[_left_of(first, second, third)]
 
 
-def _wedges(corners: Float[np.ndarray, "K 2"], edges: Int[np.ndarray, "E 2"]) -> Int[np.ndarray, "2E 3"]:
+def _wedges(corners: Float[np.ndarray, "K 2"], edges: Int[np.ndarray, "E 2"]) -> Int[np.ndarray, "W 3"]:
     """Each corner with two of its neighbors that follow one another counter-clockwise."""
     directed = np.concatenate([edges, edges[:, ::-1]])
     start, end = _between(corners, directed)
