@@ -13,5 +13,5 @@ PICTURES = Path(__file__).resolve().parent / "pictures"
 
 for family in generated.FAMILIES:
     made = [generated.generate(family, seed) for seed in range(5)]
-    sheet = drawing.floors_sheet([(world.environment, annotation.build(world.graph, None)) for world in made])
+    sheet = drawing.floors_sheet([(world.environment, annotation.build_graph(world.graph, None)) for world in made])
     sheet.savefig(PICTURES / f"worlds-{family}.png", dpi=95, pil_kwargs={"optimize": True})

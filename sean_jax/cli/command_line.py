@@ -618,7 +618,7 @@ def _worlds(options: config.WorldsConfig, console: "Console") -> None:
             world = generated.generate(options.family, options.seed + index, words)
             generated.save(world, folder / world.settings.name)
             if index < MAX_FLOORS:
-                sheet.append((world.environment, annotation.build(world.graph, None)))
+                sheet.append((world.environment, annotation.build_graph(world.graph, None)))
             bar.update(index + 1)
         with atomic_file(folder / "floors.png") as stream:
             drawing.floors_sheet(sheet).savefig(stream, dpi=130, format="png")

@@ -82,28 +82,31 @@ class Annotation(pydantic.BaseModel):
         weights = edge.weights
         if weights is None:
             return edge.flow or "medium"
+        factors_of_flow = self.flow_factors()
 
-        def away(factors: tuple[float, float]) -> float:
+        def distance(flow: str) -> float:
+            factors = factors_of_flow[flow]
             return sum(math.log(weight / factor) ** 2 for weight, factor in zip(weights, factors, strict=True))
 
-        pairs = self.flow_factors()
-        return min(pairs, key=lambda flow: away(pairs[flow]))
+        return min(factors_of_flow, key=distance)
 
     def factors_of(self, edge: Edge) -> tuple[float, float]:
         """The factors of an edge's length in both directions: its weights, or the factors of its flow."""
         return edge.weights or self.flow_factors()[self.flow_of(edge)]
 
 
-def read(path: Path | str, environment: Environment) -> BehaviorGraph:
+def read_graph(path: Path | str, environment: Environment) -> BehaviorGraph:
     """The graph of a ``graph.yaml``.
 
     Raises:
         FileError: lists all mistakes of the file, with line, key and cure.
     """
-    return build(files.load(path, Annotation, check, lambda graph: check_against(graph, environment)), environment)
+    return build_graph(
+        files.load(path, Annotation, check, lambda graph: check_against(graph, environment)), environment
+    )
 
 
-def build(annotation: Annotation, environment: Environment | None, seed: int = 0) -> BehaviorGraph:
+def build_graph(annotation: Annotation, environment: Environment | None, seed: int = 0) -> BehaviorGraph:
     """Arrays and tables of a checked annotation.
 
     Args:
@@ -153,8 +156,9 @@ def _edges(annotation: Annotation, position: np.ndarray) -> tuple[np.ndarray, np
         a, b = (index[name] for name in edge.between)
         length = float(np.hypot(*(position[a] - position[b])))
         category = annotation.flow_of(edge)
-        there, back = annotation.factors_of(edge)
-        cost[a, b], cost[b, a] = length * there, length * back
+        forward, backward = annotation.factors_of(edge)
+        cost[a, b] = length * forward
+        cost[b, a] = length * backward
         flow[a, b] = FLOWS.index(category)
         flow[b, a] = FLOWS.index(reverse.get(category, category))
     return flow, cost
@@ -163,10 +167,10 @@ def _edges(annotation: Annotation, position: np.ndarray) -> tuple[np.ndarray, np
 @jax.jit
 def in_sight(boxes: Obstacles, center: Float[Array, "P 2"], points: Float[Array, "P 2"]) -> Bool[Array, "P"]:
     """Whether a person can walk straight from a centre [m] to a point [m], pair by pair."""
-    each_box = jax.vmap(crosses_box, in_axes=(None, None, None, None, 0, None))
-    each_pair = jax.vmap(each_box, in_axes=(0, 0, 0, 0, None, None))
+    cross_boxes = jax.vmap(crosses_box, in_axes=(None, None, None, None, 0, None))
+    pairs_cross = jax.vmap(cross_boxes, in_axes=(0, 0, 0, 0, None, None))
     px, py, qx, qy = center[:, 0], center[:, 1], points[:, 0], points[:, 1]
-    return ~jnp.any(each_pair(px, py, qx, qy, boxes, PERSON), axis=1)
+    return ~jnp.any(pairs_cross(px, py, qx, qy, boxes, PERSON), axis=1)
 
 
 def places(environment: Environment, position: np.ndarray, radius: np.ndarray, seed: int = 0) -> np.ndarray:
@@ -192,23 +196,19 @@ def places(environment: Environment, position: np.ndarray, radius: np.ndarray, s
 def _draw_places(environment: Environment, position: np.ndarray, radius: np.ndarray, seed: int) -> np.ndarray:
     count = len(position)
     generator = np.random.default_rng(seed)
-    chosen = [np.zeros((0, 2), np.float32) for _ in range(count)]
     radius = np.array(radius, np.float64)
     position = np.asarray(position, np.float32)
-    spare = -count % NODES
-    center = jnp.asarray(np.repeat(np.pad(position, [(0, spare), (0, 0)], mode="edge"), ROUND, axis=0), float)
-    boxes = in_programs(environment.obstacles)
+    chosen = [np.zeros((0, 2), np.float32) for _ in range(count)]
     rounds = 0
     while min(len(points) for points in chosen) < N_PLACES:
         distance = np.sqrt(generator.uniform(size=(count, ROUND))) * radius[:, None]
         angle = generator.uniform(0.0, 2.0 * np.pi, (count, ROUND))
         offset = np.stack([distance * np.cos(angle), distance * np.sin(angle)], -1)
-        drawn = (np.asarray(position, np.float64)[:, None, :] + offset).astype(np.float32)
-        flat = np.pad(drawn, [(0, spare), (0, 0), (0, 0)]).reshape(-1, 2)
-        visible = np.asarray(in_sight(boxes, center, jnp.asarray(flat, float))).reshape(-1, ROUND)[:count]
-        to_edge = signed_distances_on_host(environment, drawn.reshape(-1, 2))[1]
-        free = visible & (to_edge.reshape(count, ROUND) >= PERSON)
-        chosen = [np.concatenate([old, new[ok]])[:N_PLACES] for old, new, ok in zip(chosen, drawn, free, strict=True)]
+        drawn = (np.asarray(position, np.float64)[:, None, :] + offset).astype(np.float32)  # (M, ROUND, 2)
+
+        free = _are_free(environment, position, drawn)
+        for node in range(count):
+            chosen[node] = np.concatenate([chosen[node], drawn[node, free[node]]])[:N_PLACES]
         rounds += 1
         if rounds >= FULL_ROUNDS:
             radius *= SHRINK
@@ -217,119 +217,155 @@ def _draw_places(environment: Environment, position: np.ndarray, radius: np.ndar
     return np.stack(chosen)
 
 
+def _are_free(
+    environment: Environment, position: Float[np.ndarray, "M 2"], points: Float[np.ndarray, "M K 2"]
+) -> Bool[np.ndarray, "M K"]:
+    """Whether points [m] are in sight of the centres of their nodes and away from the edge of the floor."""
+    count, size = points.shape[:2]
+    padding = (0, -count % NODES)
+    center = np.repeat(np.pad(position, [padding, (0, 0)], mode="edge"), size, axis=0)
+    padded = np.pad(points, [padding, (0, 0), (0, 0)]).reshape(-1, 2)
+    visible = in_sight(in_programs(environment.obstacles), jnp.asarray(center, float), jnp.asarray(padded, float))
+    _, to_edge = signed_distances_on_host(environment, points.reshape(-1, 2))
+    return np.asarray(visible).reshape(-1, size)[:count] & (to_edge.reshape(count, size) >= PERSON)
+
+
 def check(annotation: Annotation) -> Iterator[files.Problem]:
     """Mistakes in the fields of an annotation, wherever its nodes lie."""
-    for name, node in annotation.nodes.items():
-        if node.kind == "group":
-            if node.capacity is None:
-                yield ("nodes", name, "capacity"), "is missing; a group needs one, such as 'capacity: 4'"
-            if node.weight is not None:
-                yield ("nodes", name, "weight"), "only a waypoint has one and this is a group; remove it"
-            if node.stay is None:
-                yield ("nodes", name, "stay"), "is missing; a group needs one in seconds, such as 'stay: [5, 10]'"
-            elif node.stay[0] > node.stay[1]:
-                yield (
-                    ("nodes", name, "stay"),
-                    f"[{node.stay[0]:g}, {node.stay[1]:g}] is not ordered; give the shorter time first",
-                )
-        else:
-            for key in ("capacity", "stay"):
-                if getattr(node, key) is not None:
-                    cure = "remove it, or make the kind 'group'"
-                    yield ("nodes", name, key), f"only a group has one and this is a waypoint; {cure}"
-    if not any(node.kind == "waypoint" for node in annotation.nodes.values()):
+    nodes = annotation.nodes
+    for name, node in nodes.items():
+        yield from _check_group(name, node) if node.kind == "group" else _check_waypoint(name, node)
+    waypoints = [node for node in nodes.values() if node.kind == "waypoint"]
+    if not waypoints:
         yield ("nodes",), "none is a waypoint; people need at least one to go to when the groups are full"
-    elif not any(_weight(node) >= MIN_SPAWN for node in annotation.nodes.values() if node.kind == "waypoint"):
+    elif not any(_weight(node) >= MIN_SPAWN for node in waypoints):
         yield ("nodes",), f"no waypoint has a weight of {MIN_SPAWN:g} or more; give at least one 'weight: 1'"
-    if not any(node.spawn >= MIN_SPAWN for node in annotation.nodes.values()):
+    if not any(node.spawn >= MIN_SPAWN for node in nodes.values()):
         yield ("nodes",), f"no spawn is {MIN_SPAWN:g} or more; give at least one node 'spawn: 1'"
+
+    yield from _check_edges(annotation)
+    if all(name in nodes for edge in annotation.edges for name in edge.between):
+        yield from _unreachable(annotation)  # a misspelled name would seem to cut nodes off
+
+
+def _check_group(name: str, node: Node) -> Iterator[files.Problem]:
+    if node.capacity is None:
+        yield ("nodes", name, "capacity"), "is missing; a group needs one, such as 'capacity: 4'"
+    if node.weight is not None:
+        yield ("nodes", name, "weight"), "only a waypoint has one and this is a group; remove it"
+    if node.stay is None:
+        yield ("nodes", name, "stay"), "is missing; a group needs one in seconds, such as 'stay: [5, 10]'"
+    elif node.stay[0] > node.stay[1]:
+        low, high = node.stay
+        yield ("nodes", name, "stay"), f"[{low:g}, {high:g}] is not ordered; give the shorter time first"
+
+
+def _check_waypoint(name: str, node: Node) -> Iterator[files.Problem]:
+    for key in ("capacity", "stay"):
+        if getattr(node, key) is not None:
+            text = "only a group has one and this is a waypoint; remove it, or make the kind 'group'"
+            yield ("nodes", name, key), text
+
+
+def _check_edges(annotation: Annotation) -> Iterator[files.Problem]:
     edge_of: dict[frozenset[str], int] = {}
-    for number, edge in enumerate(annotation.edges):
-        here = ("edges", number)
-        unknown = [side for side in (0, 1) if edge.between[side] not in annotation.nodes]
-        for side in unknown:
-            word = edge.between[side]
-            hint = files.suggest(word, annotation.nodes) or "; add it to nodes or remove the edge"
-            yield (*here, "between", side), f"there is no node '{word}'{hint}"
+    for index, edge in enumerate(annotation.edges):
+        location = ("edges", index)
+        for side, name in enumerate(edge.between):
+            if name not in annotation.nodes:
+                hint = files.suggest(name, annotation.nodes) or "; add it to nodes or remove the edge"
+                yield (*location, "between", side), f"there is no node '{name}'{hint}"
         pair = frozenset(edge.between)
         if len(pair) == 1:
-            yield (*here, "between"), f"the edge leads from '{edge.between[0]}' to itself; remove it"
+            yield (*location, "between"), f"the edge leads from '{edge.between[0]}' to itself; remove it"
         elif pair in edge_of:
-            yield (*here, "between"), f"edges[{edge_of[pair]}] already joins these two; remove one of them"
-        edge_of.setdefault(pair, number)
+            yield (*location, "between"), f"edges[{edge_of[pair]}] already joins these two; remove one of them"
+        edge_of.setdefault(pair, index)
         if edge.weights is not None and edge.flow is not None:
-            yield (*here, "weights"), "flow is given as well; remove one of them"
-    if all(name in annotation.nodes for edge in annotation.edges for name in edge.between):
-        yield from _unreachable(annotation)  # a misspelled name would seem to cut nodes off
+            yield (*location, "weights"), "flow is given as well; remove one of them"
 
 
 def _unreachable(annotation: Annotation) -> Iterator[files.Problem]:
     """Nodes that people cannot reach without crossing a group. Both directions of an edge have a finite cost."""
     nodes = annotation.nodes
-    beside: dict[str, set[str]] = {name: set() for name in nodes}
+    neighbors: dict[str, set[str]] = {name: set() for name in nodes}
     for edge in annotation.edges:
         a, b = edge.between
-        beside[a].add(b)
-        beside[b].add(a)
-    best: set[str] = set()
+        neighbors[a].add(b)
+        neighbors[b].add(a)
+
+    # The largest component that a waypoint reaches.
+    largest: set[str] = set()
     for name, node in nodes.items():
-        if node.kind == "group" or name in best:
-            continue
-        reached, pending = {name}, [name]
-        while pending:
-            here = pending.pop()
-            if nodes[here].kind == "waypoint":
-                new = beside[here] - reached
-                reached |= new
-                pending += new
-        best = max(best, reached, key=len)
-    start = next((name for name in nodes if name in best and nodes[name].kind == "waypoint"), "")
+        if node.kind == "waypoint" and name not in largest:
+            largest = max(largest, _reachable(name, nodes, neighbors), key=len)
+    start = next((name for name in nodes if name in largest and nodes[name].kind == "waypoint"), "")
     for name in nodes:
-        if start and name not in best:
+        if start and name not in largest:
             yield ("nodes", name), f"no path over waypoints leads here from '{start}'; add an edge to a waypoint"
+
+
+def _reachable(start: str, nodes: dict[str, Node], neighbors: dict[str, set[str]]) -> set[str]:
+    """The nodes to which paths over waypoints lead."""
+    reached = {start}
+    pending = [start]
+    while pending:
+        name = pending.pop()
+        if nodes[name].kind == "waypoint":
+            new = neighbors[name] - reached
+            reached |= new
+            pending += new
+    return reached
 
 
 def check_against(annotation: Annotation, environment: Environment) -> Iterator[files.Problem]:
     """Mistakes in where the nodes lie: off the floor, in obstacles or without room."""
-    to_box, to_edge = signed_distances_on_host(
-        environment, np.array([node.position for node in annotation.nodes.values()])
-    )
+    points = np.array([node.position for node in annotation.nodes.values()])
+    to_box, to_edge = signed_distances_on_host(environment, points)
     for (name, node), box, edge in zip(annotation.nodes.items(), to_box, to_edge, strict=True):
-        here = ("nodes", name, "position")
-        ring = reach(node.capacity) + PERSON if node.kind == "group" and node.capacity else 0.0
-        free = min(box, edge)
-        place = f"[{node.position[0]:g}, {node.position[1]:g}]"
+        location = ("nodes", name, "position")
+        point = f"[{node.position[0]:g}, {node.position[1]:g}]"
+        room = min(box, edge)
+        needed = reach(node.capacity) + PERSON if node.kind == "group" and node.capacity else 0.0
         if edge < 0:
             floor = ", ".join(f"{value:g}" for value in np.asarray(environment.floor))
-            yield here, f"{place} is not on the floor [{floor}]; move it"
+            yield location, f"{point} is not on the floor [{floor}]; move it"
         elif box <= 0:
-            yield here, f"{place} is inside an obstacle; move it by {NODE_CLEARANCE - box:.2f} m or more"
-        elif free < NODE_CLEARANCE:
-            what = "obstacle" if box < edge - 1e-3 else "edge of the floor"
-            yield here, f"{place} is {free:.2f} m from an {what}, less than {NODE_CLEARANCE:g} m; move it"
-        elif free < ring:
-            cure = "move it or lower its capacity"
-            yield here, f"{place} has {free:.2f} m of room where a group of {node.capacity} needs {ring:.2f} m; {cure}"
+            yield location, f"{point} is inside an obstacle; move it by {NODE_CLEARANCE - box:.2f} m or more"
+        elif room < NODE_CLEARANCE:
+            nearest = "obstacle" if box < edge - 1e-3 else "edge of the floor"
+            yield location, f"{point} is {room:.2f} m from an {nearest}, less than {NODE_CLEARANCE:g} m; move it"
+        elif room < needed:
+            yield (
+                location,
+                f"{point} has {room:.2f} m of room where a group of {node.capacity} needs {needed:.2f} m; move it or "
+                "lower its capacity",
+            )
 
 
 def to_yaml(annotation: Annotation) -> str:
     """An annotation without mistakes as graph.yaml, a node and an edge a line."""
     lines = [f"version: {annotation.version}", f"source: {json.dumps(annotation.source)}"]
     lines += [f"c_min: {annotation.c_min:g}", f"c_max: {annotation.c_max:g}", "", "nodes:"]
-    for name, node in annotation.nodes.items():
-        parts = [f"kind: {node.kind}", f"position: {_sequence(node.position)}", f"radius: {node.radius:.9g}"]
-        parts += [f"{key}: {getattr(node, key):.9g}" for key in ("id",) if getattr(node, key) is not None]
-        parts.append(f"spawn: {node.spawn:.9g}")
-        if node.weight is not None:
-            parts.append(f"weight: {node.weight:.9g}")
-        if node.kind == "group" and node.capacity is not None and node.stay is not None:
-            parts += [f"capacity: {node.capacity}", f"stay: {_sequence(node.stay)}"]
-        lines.append(f"  {json.dumps(name)}: {{{', '.join(parts)}}}")
+    lines += [f"  {json.dumps(name)}: {{{_node_fields(node)}}}" for name, node in annotation.nodes.items()]
     lines += ["", "edges:" if annotation.edges else "edges: []"]
     for edge in annotation.edges:
+        names = ", ".join(json.dumps(name) for name in edge.between)
         flow = f"weights: {_sequence(edge.weights)}" if edge.weights is not None else f"flow: {edge.flow or 'medium'}"
-        lines.append(f"  - {{between: [{', '.join(json.dumps(name) for name in edge.between)}], {flow}}}")
+        lines.append(f"  - {{between: [{names}], {flow}}}")
     return "\n".join(lines) + "\n"
+
+
+def _node_fields(node: Node) -> str:
+    fields = [f"kind: {node.kind}", f"position: {_sequence(node.position)}", f"radius: {node.radius:.9g}"]
+    if node.id is not None:
+        fields.append(f"id: {node.id:.9g}")
+    fields.append(f"spawn: {node.spawn:.9g}")
+    if node.weight is not None:
+        fields.append(f"weight: {node.weight:.9g}")
+    if node.kind == "group" and node.capacity is not None and node.stay is not None:
+        fields += [f"capacity: {node.capacity}", f"stay: {_sequence(node.stay)}"]
+    return ", ".join(fields)
 
 
 def _sequence(values: tuple[float, ...]) -> str:

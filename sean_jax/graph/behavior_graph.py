@@ -62,7 +62,9 @@ class BehaviorGraph:
     @property
     def nodes(self) -> int:
         """The number of nodes without padding, on the host."""
-        return int(sum((np.asarray(each) >= 0).sum() for each in (self.waypoints, self.groups)))
+        waypoints = np.asarray(self.waypoints) >= 0
+        groups = np.asarray(self.groups) >= 0
+        return int(waypoints.sum() + groups.sum())
 
 
 def graph_of(scenario: Scenario) -> BehaviorGraph | None:
@@ -90,22 +92,22 @@ def routes(edge_cost: np.ndarray, is_group: np.ndarray) -> tuple[np.ndarray, np.
     from scipy.sparse import csr_array
     from scipy.sparse.csgraph import dijkstra
 
-    edge_cost, is_group = np.asarray(edge_cost, np.float64), np.asarray(is_group, bool)
+    edge_cost = np.asarray(edge_cost, np.float64)
     count = len(edge_cost)
+
     # A group is two nodes: u, which edges only leave, and count + u, which edges only enter.
-    enter = np.where(is_group, count, 0) + np.arange(count)
+    enter = np.where(np.asarray(is_group, bool), count, 0) + np.arange(count)
     start, end = np.nonzero(np.isfinite(edge_cost) & ~np.eye(count, dtype=bool))
-    size = (2 * count, 2 * count)
     ends = start.astype(np.int32), enter[end].astype(np.int32)  # int32 for older versions of scipy
-    edges = csr_array((np.maximum(edge_cost[start, end], MIN_COST), ends), shape=size)
-    distance, before = dijkstra(edges, indices=np.arange(count), return_predecessors=True)
+    edges = csr_array((np.maximum(edge_cost[start, end], MIN_COST), ends), shape=(2 * count, 2 * count))
+    distance, predecessor = dijkstra(edges, indices=np.arange(count), return_predecessors=True)
 
     cost = distance[:, enter]
     next_hop = np.full((count, count), -1, np.int32)
     for source in range(count):
         first = np.full(2 * count, -1)
         for node in np.argsort(distance[source]):  # nearest first: its predecessor is known
-            previous = before[source, node]
+            previous = predecessor[source, node]
             if previous >= 0:
                 first[node] = node % count if previous == source else first[previous]
         next_hop[source] = first[enter]
@@ -120,11 +122,14 @@ def cheapest_paths(
     """``routes`` inside jit, by repeated squaring in the min-plus algebra."""
     count = edge_cost.shape[0]
     itself = jnp.eye(count, dtype=bool)
+
     # All nodes of a path but the last are waypoints: nobody walks through a group.
     onward = jnp.where(itself, 0.0, jnp.where(is_group[:, None], jnp.inf, edge_cost))
     for _ in range(math.ceil(math.log2(max(count - 1, 1)))):
         onward = jnp.min(onward[:, :, None] + onward[None, :, :], axis=1)
-    ways = jnp.where(itself, jnp.inf, edge_cost)[:, :, None] + onward[None, :, :]
+
+    # By each first edge; groups may be left.
+    ways = jnp.where(itself, jnp.inf, edge_cost)[:, :, None] + onward[None, :, :]  # (from, first, to)
     first = jnp.argmin(ways, axis=1).astype(jnp.int32)
     cost = jnp.where(itself, 0.0, jnp.min(ways, axis=1))
     next_hop = jnp.where(jnp.isfinite(cost), first, -1)
@@ -150,15 +155,18 @@ def hop_log_chances(
     count = edge_cost.shape[0]
     node = jnp.arange(count)
     at_goal = node[None, :] == node[:, None]  # (goal, node)
-    usable = jnp.isfinite(edge_cost)[:, None, :] & jnp.isfinite(cost.T)[None, :, :]
-    usable = usable & ~at_goal.T[:, :, None] & (~is_group[None, None, :] | at_goal[None, :, :])
-    rest = jnp.where(usable, edge_cost[:, None, :] + cost.T[None, :, :], 0.0)
+
+    # Over edges, towards goals that can be reached, and through no group but the goal; (node, goal, next).
+    exists = jnp.isfinite(edge_cost)[:, None, :] & jnp.isfinite(cost.T)[None, :, :]
+    usable = exists & ~at_goal.T[:, :, None] & (~is_group[None, None, :] | at_goal[None, :, :])
+    total = jnp.where(usable, edge_cost[:, None, :] + cost.T[None, :, :], 0.0)
+
     # Costs above the least one, because a large number over a low temperature would be rounded.
-    least = jnp.min(jnp.where(usable, rest, jnp.inf), axis=-1, keepdims=True)
+    least = jnp.min(jnp.where(usable, total, jnp.inf), axis=-1, keepdims=True)
     least = jax.lax.stop_gradient(jnp.where(jnp.isfinite(least), least, 0.0))
-    score = jnp.where(usable, -(rest - least) / temperature, NEVER)
-    whole = jax.nn.logsumexp(score, axis=-1, keepdims=True)
-    return jnp.where(usable, score - whole, NEVER)
+    score = jnp.where(usable, -(total - least) / temperature, NEVER)
+    normalizer = jax.nn.logsumexp(score, axis=-1, keepdims=True)
+    return jnp.where(usable, score - normalizer, NEVER)
 
 
 def rerouted(
@@ -170,14 +178,15 @@ def rerouted(
 
     Places in nodes' discs move along with them, and edges cost in proportion to their lengths.
     """
-    joined = jnp.isfinite(graph.edge_cost)
-    edge_cost = jnp.where(joined, graph.edge_cost, 1.0)
+    is_edge = jnp.isfinite(graph.edge_cost)
+    edge_cost = jnp.where(is_edge, graph.edge_cost, 1.0)
     if factor is not None:
-        edge_cost = edge_cost * jnp.where(joined, factor, 1.0)
+        edge_cost = edge_cost * jnp.where(is_edge, factor, 1.0)
     if position is not None:
         edge_cost = edge_cost * _lengths(position) / jnp.maximum(_lengths(graph.position), 1e-6)
-        graph = replace(graph, position=position, places=graph.places + (position - graph.position)[:, None])
-    edge_cost = jnp.where(joined, edge_cost, jnp.inf)
+        places = graph.places + (position - graph.position)[:, None]
+        graph = replace(graph, position=position, places=places)
+    edge_cost = jnp.where(is_edge, edge_cost, jnp.inf)
     cost, next_hop = cheapest_paths(edge_cost, graph.is_group)
     return replace(graph, edge_cost=edge_cost, cost=cost, next_hop=next_hop)
 
@@ -200,9 +209,11 @@ def edge_densities(
     graph: BehaviorGraph, origin: Int[Array, "N"], hop: Int[Array, "N"], walking: Bool[Array, "N"]
 ) -> Float[Array, "M M"]:
     """Density of people [1/m2] between two nodes. Both directions count, because they share the floor."""
-    node = jnp.arange(graph.radius.shape[0], dtype=jnp.int32)
-    left = (origin[:, None] == node[None, :]) & (walking & (origin != hop))[:, None]
-    count = left.astype(float).T @ (hop[:, None] == node[None, :]).astype(float)
+    node = jnp.arange(graph.radius.shape[0], dtype=jnp.int32)[None, :]
+    on_edge = walking & (origin != hop)
+    leaves = (origin[:, None] == node) & on_edge[:, None]  # (N, M)
+    enters = hop[:, None] == node
+    count = leaves.astype(float).T @ enters.astype(float)
     return (count + count.T) / edge_areas(graph)
 
 

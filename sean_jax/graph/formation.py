@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from sean_jax.core.data_types import Array
-from sean_jax.core.geometry import unit_vectors
+from sean_jax.core.geometry import rotate, unit_vectors
 
 # Members' mean distance [m] from their centroid and its standard deviation, by group size.
 MEASURED = {2: (0.45, 0.14), 3: (0.58, 0.19), 4: (0.67, 0.20), 5: (0.77, 0.20), 6: (0.83, 0.17)}
@@ -32,13 +32,17 @@ def _tables() -> tuple[np.ndarray, np.ndarray]:
     With one of n + 1 places open, members' centroid is not the ring's centre: the data's distance from the centroid
     is a share of the ring's radius.
     """
-    mean, deviation = np.ones(MAX_SIZE + 1), np.ones(MAX_SIZE + 1)
+    mean = np.ones(MAX_SIZE + 1)
+    deviation = np.ones(MAX_SIZE + 1)
     for size in range(1, MAX_SIZE + 1):
         angle = 2 * np.pi * np.arange(1, size + 1) / (size + 1)
-        ring = np.stack([np.cos(angle), np.sin(angle)], -1)
-        share = float(np.mean(np.linalg.norm(ring - ring.mean(0), axis=-1))) if size > 1 else 1.0
+        ring = np.stack([np.cos(angle), np.sin(angle)], -1)  # (size, 2), of radius 1
+        from_centroid = np.linalg.norm(ring - ring.mean(0), axis=-1)
+        share = float(np.mean(from_centroid)) if size > 1 else 1.0
+
         distance, spread = MEASURED.get(size, (0.26 + 0.10 * size, 0.18))
-        mean[size], deviation[size] = distance / share, spread / share
+        mean[size] = distance / share
+        deviation[size] = spread / share
     return mean, deviation
 
 
@@ -59,40 +63,67 @@ def formation(
     No two seats, and no seat and the opening, are closer than 0.5 m. A group has as many seats as its capacity.
     Source: Kendon's F-formation [38], measured in the Cocktail Party data [46].
     """
-    groups, seats = capacity.shape[0], seat_group.shape[0]
+    groups = capacity.shape[0]
+    seats = seat_group.shape[0]
     ring_key, turn_key, order_key, jitter_key, side_key, angle_key = jax.random.split(key, 6)
 
-    count = capacity.astype(float) + 1.0  # places of the ring
-    half_chord = jnp.sin(jnp.pi / count)
-    size = jnp.clip(capacity, 0, MAX_SIZE)
-    mean, deviation = jnp.asarray(MEAN, float)[size], jnp.asarray(DEVIATION, float)[size]
-    tightest = (0.5 * NEIGHBOR / half_chord - mean) / deviation
-    lower = jnp.clip(tightest, -1.0, 0.999)
-    radius = mean + deviation * jax.random.truncated_normal(ring_key, lower, 1.0, (groups,), float)
-
+    # The ring has a place more than the group has seats, which stays open.
+    n_places = capacity.astype(float) + 1.0
+    half_chord = jnp.sin(jnp.pi / n_places)  # half the distance of two places of a ring of radius 1
+    radius = _draw_radius(ring_key, capacity, half_chord)
     turn = jax.random.uniform(turn_key, (groups,), float, 0.0, 2.0 * jnp.pi)
     opening = center + radius[:, None] * jnp.stack([jnp.cos(turn), jnp.sin(turn)], -1)
 
-    # Which place of the ring a seat is: seats of a group in random order, counted from the opening.
-    score = jax.random.uniform(order_key, (seats,), float)
-    number = jnp.arange(seats)
-    tie = (score[None, :] == score[:, None]) & (number[None, :] < number[:, None])
-    earlier = ((score[None, :] < score[:, None]) | tie) & (seat_group[None, :] == seat_group[:, None])
-    place = 1.0 + jnp.sum(earlier, axis=1, dtype=float)
-    angle = turn[seat_group] + place * (2.0 * jnp.pi / count)[seat_group]
+    place = 1.0 + _random_order(order_key, seat_group)  # counted from the opening
+    step = 2.0 * jnp.pi / n_places  # rad
+    angle = turn[seat_group] + place * step[seat_group]
+    outward = jnp.stack([jnp.cos(angle), jnp.sin(angle)], -1)
+    along = jnp.stack([-jnp.sin(angle), jnp.cos(angle)], -1)
 
     # A seat stays within a disc around its place that is small enough to keep neighbours apart.
     room = jnp.clip(radius * half_chord - 0.5 * APART, 0.0, JITTER)[seat_group]
-    off = jax.random.uniform(jitter_key, (seats, 2), float, -1.0, 1.0) * (room * 0.7071)[:, None]
-    outward = jnp.stack([jnp.cos(angle), jnp.sin(angle)], -1)
-    along = jnp.stack([-jnp.sin(angle), jnp.cos(angle)], -1)
-    offset = outward * (radius[seat_group] + off[:, 0])[:, None] + along * off[:, 1][:, None]
+    jitter = jax.random.uniform(jitter_key, (seats, 2), float, -1.0, 1.0) * (room * 0.7071)[:, None]
+    distance = radius[seat_group] + jitter[:, 0]
+    aside = jitter[:, 1]
+    offset = outward * distance[:, None] + along * aside[:, None]  # (Q, 2)
 
-    share = jax.random.uniform(angle_key, (seats,), float)
-    away = jnp.interp(share, jnp.asarray(SHARES, float), jnp.asarray(ANGLES, float))
-    away = jnp.where(jax.random.bernoulli(side_key, 0.5, (seats,)), away, -away)
-    inward = unit_vectors(-offset, outward)
-    cosine, sine = jnp.cos(away), jnp.sin(away)
-    x, y = inward[:, 0], inward[:, 1]
-    heading = jnp.stack([cosine * x - sine * y, sine * x + cosine * y], -1)
+    # Most look at the centre.
+    heading = _draw_headings(side_key, angle_key, offset, outward)
     return center[seat_group] + offset, heading, radius, opening
+
+
+def _draw_radius(key: Array, capacity: Int[Array, "G"], half_chord: Float[Array, "G"]) -> Float[Array, "G"]:
+    """Radius [m] of the ring of each group, normal as measured, but no smaller than neighbors allow."""
+    size = jnp.clip(capacity, 0, MAX_SIZE)
+    mean = jnp.asarray(MEAN, float)[size]
+    deviation = jnp.asarray(DEVIATION, float)[size]
+    tightest = (0.5 * NEIGHBOR / half_chord - mean) / deviation
+    lower = jnp.clip(tightest, -1.0, 0.999)
+    return mean + deviation * jax.random.truncated_normal(key, lower, 1.0, capacity.shape, float)
+
+
+def _random_order(key: Array, seat_group: Int[Array, "Q"]) -> Float[Array, "Q"]:
+    """The rank of each seat in a random order of the seats of its group, from 0."""
+    seats = seat_group.shape[0]
+    score = jax.random.uniform(key, (seats,), float)
+    index = jnp.arange(seats)
+    lower = score[None, :] < score[:, None]  # (Q, Q)
+    tie = score[None, :] == score[:, None]
+    tie = tie & (index[None, :] < index[:, None])
+    same_group = seat_group[None, :] == seat_group[:, None]
+    return jnp.sum((lower | tie) & same_group, axis=1, dtype=float)
+
+
+def _draw_headings(
+    side_key: Array, angle_key: Array, offset: Float[Array, "Q 2"], outward: Float[Array, "Q 2"]
+) -> Float[Array, "Q 2"]:
+    """Headings of seats at an offset [m] from the centre, turned away from it to either side as measured."""
+    seats = offset.shape[0]
+    share = jax.random.uniform(angle_key, (seats,), float)
+    angle = jnp.interp(share, jnp.asarray(SHARES, float), jnp.asarray(ANGLES, float))
+    angle = jnp.where(jax.random.bernoulli(side_key, 0.5, (seats,)), angle, -angle)
+
+    inward = unit_vectors(-offset, outward)
+    cosine, sine = jnp.cos(angle), jnp.sin(angle)
+    x, y = inward[:, 0], inward[:, 1]
+    return jnp.stack(rotate(x, y, cosine, sine), -1)

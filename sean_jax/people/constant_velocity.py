@@ -20,9 +20,13 @@ def constant_velocity(scenario: Scenario, state: State) -> Pedestrians:
 
 def walk(scenario: Scenario, people: Pedestrians, velocity: Float[Array, "N 2"]) -> Pedestrians:
     """People one step later with these velocities [m/s], as far as speed limit and obstacles allow."""
-    walking, (px, py) = scenario.forces.walking, people.position.T
+    walking = scenario.forces.walking
+    time_step = scenario.time_step
+    px, py = people.position.T
     vx, vy = walking.limit_speed(velocity[:, 0], velocity[:, 1], people.preferred_speed)
-    vx, vy = project_velocity(px, py, vx, vy, scenario.environment.obstacle_grid, walking.radius, scenario.time_step)
+    vx, vy = project_velocity(px, py, vx, vy, scenario.environment.obstacle_grid, walking.radius, time_step)
     velocity = jnp.where(people.present[:, None], jnp.stack([vx, vy], -1), 0.0)
-    heading = turn(people, velocity, walking.turn_rate * scenario.time_step)
-    return replace(people, position=people.position + velocity * scenario.time_step, velocity=velocity, heading=heading)
+
+    heading = turn(people, velocity, walking.turn_rate * time_step)
+    position = people.position + velocity * time_step
+    return replace(people, position=position, velocity=velocity, heading=heading)

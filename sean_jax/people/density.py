@@ -50,27 +50,31 @@ def congestion(
         InputError: the span is shorter than a control step, or cells are missing under jit.
     """
     if frames.active.ndim > 1:
-        return jax.vmap(lambda one: congestion(scenario, one, span, cells))(frames)
+        return jax.vmap(lambda episode: congestion(scenario, episode, span, cells))(frames)
     stride = round(span / scenario.time_step)
     if stride < 1:
         raise InputError(f"span: {span:g} s is shorter than the control step of {scenario.time_step:g} s.")
-    rows, columns = grid_shape(scenario.environment) if cells is None else cells
-    steps = frames.active.shape[0]
-    number = -(-steps // stride)
-    index = jnp.arange(steps, dtype=jnp.int32) // stride
-    ends = np.minimum((np.arange(number) + 1) * stride, steps)
-    lasts = np.diff(ends, prepend=0)  # steps in each span
 
+    # The spans of time.
+    steps = frames.active.shape[0]
+    n_spans = -(-steps // stride)
+    index = jnp.arange(steps, dtype=jnp.int32) // stride  # (T,), the span of each frame
+    ends = np.minimum((np.arange(n_spans) + 1) * stride, steps)
+    lengths = np.diff(ends, prepend=0)  # (K,) steps
+
+    # People and frames in each cell.
+    rows, columns = grid_shape(scenario.environment) if cells is None else cells
     cell = cell_of(scenario.environment, (rows, columns), frames.people)  # (T, N)
-    people = jnp.zeros((number, rows * columns), float)
+    people = jnp.zeros((n_spans, rows * columns), float)
     people = people.at[index[:, None], cell].add(frames.present.astype(float))
     floor = scenario.environment.floor
     area = (floor[2] - floor[0]) * (floor[3] - floor[1]) / (rows * columns)
-    density = people.reshape(number, rows, columns) / (area * jnp.asarray(lasts, float)[:, None, None])
+    density = people.reshape(n_spans, rows, columns) / (area * jnp.asarray(lengths, float)[:, None, None])
 
+    # Walks along each edge.
     graph = graph_of(scenario)
-    minutes = jnp.asarray(lasts * scenario.time_step / 60.0, float)[:, None, None]
-    flow = _walks_by_edge(graph, frames, index, number) / minutes
+    minutes = jnp.asarray(lengths * scenario.time_step / 60.0, float)[:, None, None]
+    flow = _walks_by_edge(graph, frames, index, n_spans) / minutes
     return Congestion(time=jnp.asarray(ends * scenario.time_step, float), density=density, flow=flow)
 
 
@@ -113,23 +117,24 @@ def track_nodes(
     gap = people[:, None] - graph.position[None, :]
     beyond = length(gap[..., 0], gap[..., 1]) - graph.radius[None, :]  # (N, M) m
     nearest = jnp.argmin(beyond, axis=1).astype(jnp.int32)
-    here = present & (jnp.min(beyond, axis=1) < ARRIVAL_DISTANCE)
-    walked = here & (last != NO_NODE) & (last != nearest) & jnp.isfinite(graph.edge_cost[last, nearest])
-    return jnp.where(here, nearest, jnp.where(present, last, NO_NODE)), walked
+    arrived = present & (jnp.min(beyond, axis=1) < ARRIVAL_DISTANCE)
+    is_edge = (last != NO_NODE) & (last != nearest) & jnp.isfinite(graph.edge_cost[last, nearest])
+    return jnp.where(arrived, nearest, jnp.where(present, last, NO_NODE)), arrived & is_edge
 
 
-def _walks_by_edge(graph: BehaviorGraph | None, frames: Trajectory, index: Array, number: int) -> Array:
-    """(number, M, M) people who walked each edge in each span; ``index`` (T,) is the span of each frame."""
+def _walks_by_edge(graph: BehaviorGraph | None, frames: Trajectory, index: Array, n_spans: int) -> Array:
+    """(n_spans, M, M) people who walked each edge in each span; ``index`` (T,) is the span of each frame."""
     if graph is None:
-        return jnp.zeros((number, 0, 0), float)
+        return jnp.zeros((n_spans, 0, 0), float)
     nodes = graph.radius.shape[0]
 
-    def step(carry, frame):
+    def count_frame(carry, frame):
         last, count = carry
         people, present, span = frame
-        now, walked = track_nodes(graph, last, people, present)
-        return (now, count.at[span, last, now].add(walked.astype(float))), None
+        node, walked = track_nodes(graph, last, people, present)
+        return (node, count.at[span, last, node].add(walked.astype(float))), None
 
     nowhere = jnp.full(frames.present.shape[1:], NO_NODE, jnp.int32)
-    start = nowhere, jnp.zeros((number, nodes, nodes), float)
-    return jax.lax.scan(step, start, (frames.people, frames.present, index))[0][1]
+    start = nowhere, jnp.zeros((n_spans, nodes, nodes), float)
+    (_, count), _ = jax.lax.scan(count_frame, start, (frames.people, frames.present, index))
+    return count

@@ -4,7 +4,7 @@ J. van den Berg, S. J. Guy, M. Lin & D. Manocha, "Reciprocal n-body collision av
 ``orca_solver`` has the half-planes and the best velocity in them.
 """
 
-from functools import reduce
+from functools import partial, reduce
 
 import jax
 import jax.numpy as jnp
@@ -32,94 +32,133 @@ def orca(scenario: Scenario, state: State) -> Pedestrians:
     all of them. People share the avoidance of one another equally. They avoid the robot and obstacles wholly, because
     these need not reciprocate.
     """
-    people, walking, robot = state.pedestrians, scenario.forces.walking, state.robot
-    robots = robot.speed.size  # 1, or of a team
+    people = state.pedestrians
+    walking = scenario.forces.walking
     px, py, vx, vy = jnp.concatenate([people.position, people.velocity], 1).T[:, None]  # (1, N)
-    number = px.shape[1]
-    others = _neighbors(people)
-    # The robots are the last of the bodies and, for everybody, the last of the others.
-    is_robot = jnp.arange(len(others) + robots, dtype=jnp.int32)[:, None] >= len(others)
-    last = number + jnp.arange(robots, dtype=jnp.int32)[:, None]
-    others = jnp.concatenate([others, jnp.broadcast_to(last, (robots, number))])
-    over_ground = ground_velocity(robot)
-    bodies = (
-        (px, robot.position[..., 0]),
-        (py, robot.position[..., 1]),
-        (vx, over_ground[..., 0]),
-        (vy, over_ground[..., 1]),
-    )
-    ox, oy, ovx, ovy = (jnp.append(part, of_robot)[others] for part, of_robot in bodies)
-    dx, dy = ox - px, oy - py
-    avoided = is_robot | (_avoids(people, others) & (dx * dx + dy * dy < RANGE * RANGE))
-    radius = jnp.append(jnp.full(len(others) - robots, walking.radius), scenario.robot.radius)[:, None]
-    radii = walking.radius + radius + SPACE
-    first = jnp.arange(number, dtype=jnp.int32)[None] < others  # breaks the tie of two people at one place
-    nx, ny, out = half_plane(dx, dy, vx - ovx, vy - ovy, radii, HORIZON, scenario.time_step, first)
-    c = nx * vx + ny * vy + jnp.where(is_robot, 1.0, 0.5) * out
-
-    gap, wx, wy = (part.T for part in distances(px[0], py[0], scenario.environment.obstacle_grid))
-    near = smallest(jnp.maximum(gap, 0.0), WALLS)
-    gap, wx, wy = (jnp.take_along_axis(part, near, 0) for part in (gap, wx, wy))
-    wall = -jnp.maximum(gap - walking.radius, 0.0) / WALL_HORIZON
+    nx, ny, c = _planes_of_others(scenario, state, px, py, vx, vy)  # (K, N)
+    wall_x, wall_y, wall_c = _planes_of_walls(scenario, px[0], py[0])  # (L, N)
 
     # Written over any numbers that are no constant: concatenated or written over zeros, XLA on a CPU would compute the
     # half-planes row by row, with a condition for each number.
-    empty = jnp.broadcast_to(px, (len(others) + len(near), number))
-    pairs = (nx, wx), (ny, wy), (jnp.where(avoided, c, UNBOUNDED), wall)
-    normal_x, normal_y, bound = (empty.at[: len(others)].set(a).at[len(others) :].set(b) for a, b in pairs)
-    hard = jnp.arange(bound.shape[0], dtype=jnp.int32) >= len(others)
+    empty = jnp.broadcast_to(px, (len(c) + len(wall_c), px.shape[1]))
+    pairs = (nx, wall_x), (ny, wall_y), (c, wall_c)
+    normal_x, normal_y, bound = (empty.at[: len(c)].set(a).at[len(c) :].set(b) for a, b in pairs)
+    hard = jnp.arange(bound.shape[0], dtype=jnp.int32) >= len(c)
+
     limit = jnp.maximum(walking.speed_ratio * people.preferred_speed, 0.0)
     desired_x, desired_y = people.desired_velocity.T
     x, y = best_velocity(VelocityProgram(normal_x, normal_y, bound, hard, desired_x, desired_y, limit))
     return walk(scenario, people, jnp.stack([x, y], -1))
 
 
+Planes = tuple[Float[Array, "K N"], Float[Array, "K N"], Float[Array, "K N"]]  # nx, ny, c [m/s]
+
+
+def _planes_of_others(scenario: Scenario, state: State, px: Array, py: Array, vx: Array, vy: Array) -> Planes:
+    """The half-planes that the nearest people and the robots allow people of position and velocity (1, N)."""
+    people = state.pedestrians
+    robot = state.robot
+    n_robots = robot.speed.size  # 1, or of a team
+    others, is_robot = _others(people, n_robots)  # (K, N), (K, 1)
+
+    velocity = ground_velocity(robot)
+    ox = jnp.append(px, robot.position[..., 0])[others]
+    oy = jnp.append(py, robot.position[..., 1])[others]
+    ovx = jnp.append(vx, velocity[..., 0])[others]
+    ovy = jnp.append(vy, velocity[..., 1])[others]
+    dx, dy = ox - px, oy - py
+    is_near = dx * dx + dy * dy < RANGE * RANGE
+    avoided = is_robot | (_avoids(people, others) & is_near)
+
+    radius = scenario.forces.walking.radius
+    other_radius = jnp.append(jnp.full(len(others) - n_robots, radius), scenario.robot.radius)
+    radii = radius + other_radius[:, None] + SPACE
+    person = jnp.arange(px.shape[1], dtype=jnp.int32)[None]
+    first = person < others  # breaks the tie of two people at one place
+    nx, ny, out = half_plane(dx, dy, vx - ovx, vy - ovy, radii, HORIZON, scenario.time_step, first)
+
+    # People do half of what avoids another person, and all of what avoids a robot.
+    share = jnp.where(is_robot, 1.0, 0.5)
+    c = nx * vx + ny * vy + share * out
+    return nx, ny, jnp.where(avoided, c, UNBOUNDED)
+
+
+def _others(people: Pedestrians, n_robots: int) -> tuple[Int[Array, "K N"], Bool[Array, "K 1"]]:
+    """The nearest people of each person and then all robots, which follow the people; and which are robots."""
+    n_people = people.present.shape[0]
+    nearest = _neighbors(people)
+    robots = n_people + jnp.arange(n_robots, dtype=jnp.int32)[:, None]
+    others = jnp.concatenate([nearest, jnp.broadcast_to(robots, (n_robots, n_people))])
+    return others, jnp.arange(len(others), dtype=jnp.int32)[:, None] >= len(nearest)
+
+
+def _planes_of_walls(scenario: Scenario, px: Array, py: Array) -> Planes:
+    """The half-planes that the nearest obstacles allow people at (N,) [m]: none is reached within ``WALL_HORIZON``."""
+    gap, nx, ny = (rows.T for rows in distances(px, py, scenario.environment.obstacle_grid))
+    near = smallest(jnp.maximum(gap, 0.0), WALLS)
+    gap, nx, ny = (jnp.take_along_axis(rows, near, 0) for rows in (gap, nx, ny))
+    room = jnp.maximum(gap - scenario.forces.walking.radius, 0.0)
+    return nx, ny, -room / WALL_HORIZON
+
+
 def _neighbors(people: Pedestrians) -> Int[Array, "K N"]:
     """The nearest others of each person."""
     x, y = jax.lax.stop_gradient(people.position).T
-    dx, dy = x[:, None] - x[None], y[:, None] - y[None]
-    other = people.present[:, None] & ~jnp.eye(x.shape[0], dtype=bool)
-    return smallest(jnp.where(other, dx * dx + dy * dy, jnp.inf), NEIGHBORS)
+    dx = x[:, None] - x[None]
+    dy = y[:, None] - y[None]
+    itself = jnp.eye(x.shape[0], dtype=bool)
+    other = people.present[:, None] & ~itself
+    square = jnp.where(other, dx * dx + dy * dy, jnp.inf)
+    return smallest(square, NEIGHBORS)
 
 
 def smallest(values: Float[Array, "J N"], count: int) -> Int[Array, "K N"]:
-    """The numbers of the smallest values of each column, ascending; no value is negative.
+    """The indices of the smallest values of each column, ascending; no value is negative.
 
     On a CPU, values that differ by less than J / 2^23 of themselves may change places.
     """
     values = jax.lax.stop_gradient(values)
     if len(values) <= count:
         return jnp.broadcast_to(jnp.arange(len(values), dtype=jnp.int32)[:, None], values.shape)
-
-    def by_key(values: Array) -> Array:
-        # Whole numbers in the order of the values, with the number of each value in their last bits. Of the numbers
-        # from ``next`` on, the smallest is next: others wrap around to large ones.
-        whole = jnp.dtype(f"uint{8 * values.dtype.itemsize}")
-        last = np.array((1 << (len(values) - 1).bit_length()) - 1, whole)
-        keys = jax.lax.bitcast_convert_type(values, whole) & ~last | jnp.arange(len(values), dtype=whole)[:, None]
-        rows = -(-len(values) // 8)
-        filled = jnp.full((8 * rows, values.shape[1]), np.iinfo(whole).max, whole).at[: len(values)].set(keys)
-
-        def turn(after: Array, _: None) -> tuple[Array, Array]:
-            parts = (filled - after[None]).reshape(8, rows, -1)
-            found = after + reduce(jnp.minimum, [parts[part] for part in range(8)]).min(0)
-            return found + np.array(1, whole), found
-
-        found = jax.lax.scan(turn, jnp.zeros(values.shape[1], whole), length=count)[1]
-        return (found & last).astype(jnp.int32)
-
-    def by_sort(values: Array) -> Array:
-        return jax.lax.top_k(-values.T, count)[1].astype(jnp.int32).T
-
+    by_key = partial(_smallest_by_key, count)
+    by_sort = partial(_smallest_by_sort, count)
     return jax.lax.platform_dependent(values, cpu=by_key, default=by_sort)
+
+
+def _smallest_by_sort(count: int, values: Array) -> Array:
+    return jax.lax.top_k(-values.T, count)[1].astype(jnp.int32).T
+
+
+def _smallest_by_key(count: int, values: Array) -> Array:
+    """The minima of whole numbers in the order of the values, with the index of each value in their last bits."""
+    dtype = jnp.dtype(f"uint{8 * values.dtype.itemsize}")
+    bits = (len(values) - 1).bit_length()  # of an index
+    mask = np.array((1 << bits) - 1, dtype)
+    index = jnp.arange(len(values), dtype=dtype)[:, None]
+    keys = jax.lax.bitcast_convert_type(values, dtype) & ~mask | index
+
+    # In eight parts, whose minimum uses vector instructions.
+    rows = -(-len(values) // 8)
+    padded = jnp.full((8 * rows, values.shape[1]), np.iinfo(dtype).max, dtype)
+    padded = padded.at[: len(values)].set(keys)
+
+    def next_smallest(lower: Array, _: None) -> tuple[Array, Array]:
+        # Of the keys from ``lower`` on, the smallest is next: smaller keys wrap around to large differences.
+        parts = (padded - lower[None]).reshape(8, rows, -1)
+        key = lower + reduce(jnp.minimum, [parts[k] for k in range(8)]).min(0)
+        return key + np.array(1, dtype), key
+
+    _, smallest_keys = jax.lax.scan(next_smallest, jnp.zeros(values.shape[1], dtype), length=count)
+    return (smallest_keys & mask).astype(jnp.int32)
 
 
 def _avoids(people: Pedestrians, others: Int[Array, "K N"]) -> Bool[Array, "K N"]:
     """Whether an other is present, somebody else and not in the same standing group; the number N is nobody."""
-    number = people.present.shape[0]
+    n_people = people.present.shape[0]
     alone, absent, nobody = -1, -2, -3  # one gather
     group = jnp.where(people.present, jnp.maximum(people.group, alone), absent)
-    theirs = jnp.append(group, jnp.full(1, nobody, jnp.int32))[jnp.minimum(others, number)]
-    own = people.group[None]
-    itself = others == jnp.arange(number, dtype=jnp.int32)[None]
-    return (theirs >= alone) & ~itself & ((own < 0) | (theirs != own))
+    group = jnp.append(group, jnp.full(1, nobody, jnp.int32))
+    other_group = group[jnp.minimum(others, n_people)]
+    own_group = people.group[None]
+    itself = others == jnp.arange(n_people, dtype=jnp.int32)[None]
+    return (other_group >= alone) & ~itself & ((own_group < 0) | (other_group != own_group))

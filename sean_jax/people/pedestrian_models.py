@@ -51,24 +51,21 @@ def pedestrians_at(
     if goal is not None:
         speed = PREFERRED_SPEED if preferred_speed is None else preferred_speed
         preferred_speed = jnp.broadcast_to(jnp.asarray(speed, float), (number,))
-        way = jnp.asarray(goal, float).reshape(-1, 2) - position
-        desired = jnp.stack(unit(way[:, 0], way[:, 1]), -1) * preferred_speed[:, None]
+        gap = jnp.asarray(goal, float).reshape(-1, 2) - position
+        desired = jnp.stack(unit(gap[:, 0], gap[:, 1]), -1) * preferred_speed[:, None]
     else:
         desired = velocity if desired_velocity is None else desired_velocity
         desired = jnp.zeros_like(position) if desired is None else jnp.asarray(desired, float)
+
     velocity = desired if velocity is None else jnp.asarray(velocity, float)
     if preferred_speed is None:
         speed = length(desired[:, 0], desired[:, 1])
         preferred_speed = jnp.where(speed > 0.0, speed, PREFERRED_SPEED)
-    if heading is None:
-        moves = ((velocity != 0.0).any(-1))[:, None]
-        along = jnp.where(moves, velocity, desired)
-        along = jnp.where((along != 0.0).any(-1)[:, None], along, jnp.asarray([[1.0, 0.0]], float))
-        heading = jnp.stack(unit(along[:, 0], along[:, 1]), -1)
+    heading = _heading_along(velocity, desired) if heading is None else jnp.asarray(heading, float)
     return Pedestrians(
         position=position,
         velocity=velocity,
-        heading=jnp.asarray(heading, float),
+        heading=heading,
         desired_velocity=desired,
         group=jnp.full(number, -1, jnp.int32),
         walking_group=jnp.full(number, -1, jnp.int32),
@@ -76,3 +73,12 @@ def pedestrians_at(
         preferred_speed=jnp.broadcast_to(jnp.asarray(preferred_speed, float), (number,)),
         robot_distance=jnp.zeros(number, float),
     )
+
+
+def _heading_along(velocity: Float[Array, "N 2"], desired: Float[Array, "N 2"]) -> Float[Array, "N 2"]:
+    """Unit vectors along the velocity, or else the desired one, or else (1, 0)."""
+    moves = (velocity != 0.0).any(-1)[:, None]
+    along = jnp.where(moves, velocity, desired)
+    exists = (along != 0.0).any(-1)[:, None]
+    along = jnp.where(exists, along, jnp.asarray([[1.0, 0.0]], float))
+    return jnp.stack(unit(along[:, 0], along[:, 1]), -1)

@@ -90,7 +90,8 @@ class Walking:
     ) -> tuple[Float[Array, "N"], Float[Array, "N"]]:
         """The social force [m/s2] scaled by ``backward_scale`` against the heading and damped across it."""
         hx, hy = heading[:, 0], heading[:, 1]
-        along, across = fx * hx + fy * hy, fy * hx - fx * hy
+        along = fx * hx + fy * hy
+        across = fy * hx - fx * hy
         along = jnp.where(along < 0.0, along * self.backward_scale, along)
         across = across / self.lateral_damping
         return along * hx - across * hy, along * hy + across * hx
@@ -139,8 +140,10 @@ class Walking:
     ) -> tuple[Float[Array, "N"], Float[Array, "N"]]:
         """Velocities shortened to ``speed_ratio`` times the preferred speed [m/s]."""
         # A step of an optimizer may make a preferred speed negative: such a person stands.
-        speed, speed_max = length(vx, vy), jnp.maximum(self.speed_ratio * preferred_speed, 0.0)
-        slower = jnp.where(speed > speed_max, speed_max / jnp.where(speed > speed_max, speed, 1.0), 1.0)
+        speed_max = jnp.maximum(self.speed_ratio * preferred_speed, 0.0)
+        speed = length(vx, vy)
+        too_fast = speed > speed_max
+        slower = jnp.where(too_fast, speed_max / jnp.where(too_fast, speed, 1.0), 1.0)
         return vx * slower, vy * slower
 
 
@@ -163,11 +166,15 @@ def turn(
     """Headings turned towards the velocity [m/s] by ``max_angle`` [rad] at most; standing group members keep theirs."""
     x, y = people.heading[:, 0], people.heading[:, 1]
     goal_x, goal_y = unit(velocity[:, 0], velocity[:, 1])
-    cosine, sine = x * goal_x + y * goal_y, x * goal_y - y * goal_x  # of the angle between both, without trigonometry
-    most = jnp.minimum(max_angle, jnp.pi)
-    within = cosine >= jnp.cos(most)
-    cosine = jnp.where(within, cosine, jnp.cos(most))
-    sine = jnp.where(within, sine, jnp.where(sine < 0.0, -jnp.sin(most), jnp.sin(most)))
+
+    # Of the angle between both, without trigonometry.
+    cosine = x * goal_x + y * goal_y
+    sine = x * goal_y - y * goal_x
+    max_angle = jnp.minimum(max_angle, jnp.pi)
+    within = cosine >= jnp.cos(max_angle)
+    cosine = jnp.where(within, cosine, jnp.cos(max_angle))
+    sine = jnp.where(within, sine, jnp.where(sine < 0.0, -jnp.sin(max_angle), jnp.sin(max_angle)))
+
     walking = ~is_standing(people) & (length(velocity[:, 0], velocity[:, 1]) > MIN_SPEED)
     x, y = rotate(x, y, jnp.where(walking, cosine, 1.0), jnp.where(walking, sine, 0.0))
     return jnp.stack(unit(x, y), -1)
@@ -320,7 +327,7 @@ class Forces:
         changes: dict[str, dict[str, Any]] = {}
         for path, value in values.items():
             name, _, field = path.partition(".")
-            fields = [one.name for one in dataclasses.fields(getattr(self, name))]
+            fields = [known.name for known in dataclasses.fields(getattr(self, name))]
             if field not in fields:
                 raise InputError(f"forces.{path}: '{name}' has no such parameter{suggest(field, fields)}")
             number = isinstance(value, (int, float, np.ndarray, np.generic)) and not isinstance(value, bool)
@@ -360,8 +367,8 @@ def over_robots(crowd: Crowd, law: Callable[[Crowd], Any]) -> Any:
     """``law(crowd)``; of several robots (M, ...) with radii (M,), the sum of the law with each."""
     if crowd.robot is None or crowd.robot.position.ndim == 1:
         return law(crowd)
-    each = jax.vmap(lambda robot, radius: law(crowd._replace(robot=robot, robot_radius=radius)))
-    return jax.tree.map(lambda leaf: leaf.sum(0), each(crowd.robot, crowd.robot_radius))
+    by_robots = jax.vmap(lambda robot, radius: law(crowd._replace(robot=robot, robot_radius=radius)))
+    return jax.tree.map(lambda leaf: leaf.sum(0), by_robots(crowd.robot, crowd.robot_radius))
 
 
 def gather(terms: tuple[GatherTerm, ...], pair: Pair) -> tuple[tuple[Array, ...], ...]:

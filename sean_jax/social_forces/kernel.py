@@ -6,7 +6,7 @@ person with the most neighbors.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -29,7 +29,7 @@ COLUMNS = 6  # of an obstacle
 Rows = tuple[Array, ...]
 
 
-class _Shape(NamedTuple):
+class _PairsShape(NamedTuple):
     """Static parameters of a kernel."""
 
     law: ClosedJaxpr
@@ -37,6 +37,21 @@ class _Shape(NamedTuple):
     own: int  # rows of a person
     other: int
     shared: int  # numbers
+
+
+class _Row(NamedTuple):
+    """The row of a scenario in an operand."""
+
+    reference: Any
+    index: Any  # () int32
+
+    def at(self, column: Any) -> Any:
+        """The scalar in a column."""
+        return self.reference[self.index, column]
+
+
+def _rows(operands: Sequence[Any], scenario: Any, scenarios: int) -> list[_Row]:
+    return [_Row(operand, gpu_kernels.row(operand, scenario, scenarios)) for operand in operands]
 
 
 def trace(law: Callable, near: Any, shared: Array, own: Rows, other: Rows) -> ClosedJaxpr | None:
@@ -58,12 +73,13 @@ def sum_pairs(
     program: ClosedJaxpr, near: Any, reach: Array, shared: Float[Array, "P"], own: Rows, other: Rows
 ) -> Float[Array, "C N"]:
     """The numbers of the law, summed over the others within reach [m]. The first two rows are x and y [m]."""
-    shape = _Shape(program, len(own[0]), len(own), len(other), len(shared))
+    shape = _PairsShape(program, len(own[0]), len(own), len(other), len(shared))
     operands = [jnp.concatenate([(reach * reach)[None], shared])]
     if near is not None:
-        places = jnp.stack(other[:2])[:, near.order]
-        operands += [near.order, near.first.T.reshape(-1), near.last.T.reshape(-1), *places]
-    (sums,) = gpu_kernels.batch(partial(_call, shape), 1)(*(each[None] for each in (*operands, *own, *other)))
+        sorted_x, sorted_y = jnp.stack(other[:2])[:, near.order]
+        operands += [near.order, near.first.T.reshape(-1), near.last.T.reshape(-1), sorted_x, sorted_y]
+    call = gpu_kernels.batch(partial(_call, shape), 1)
+    (sums,) = call(*(operand[None] for operand in (*operands, *own, *other)))
     return sums.reshape(-1, shape.people)
 
 
@@ -88,14 +104,14 @@ class _All(NamedTuple):
         """Whether one is near, and there."""
         return near
 
-    def turns(self, at: int) -> tuple[int, range]:
+    def turns(self, begin: int) -> tuple[int, range]:
         """Turns of ``UNROLL`` in the word that begins there, and the rest."""
-        count = min(BITS, self.people - at)
+        count = min(BITS, self.people - begin)
         return count // UNROLL, range(count // UNROLL * UNROLL, count)
 
-    def over_parts(self, part: Callable, sums: tuple) -> tuple:
-        """The sums after ``part(at, sums)`` for each part."""
-        return part(0, sums)
+    def over_parts(self, add_part: Callable, sums: tuple) -> tuple:
+        """The sums after ``add_part(begin, sums)`` for each part."""
+        return add_part(0, sums)
 
 
 class _Runs:
@@ -105,9 +121,12 @@ class _Runs:
 
     def __init__(self, first: list, last: list, place: Any, people: int, person_at: Callable) -> None:
         below, own, above = (end - begin for begin, end in zip(first, last, strict=True))
-        self.bounds, self.count = (below, below + own), below + own + above
+        self.bounds = below, below + own
+        self.count = below + own + above
         self.starts = first[0], first[1] - below, first[2] - below - own
-        self.itself, self.people, self.person_at = below + place - first[1], people, person_at
+        self.itself = below + place - first[1]
+        self.people = people
+        self.person_at = person_at
 
     def column(self, number: Any) -> Any:
         """Where in the sorted crowd one is."""
@@ -123,23 +142,24 @@ class _Runs:
         """Whether one is near, and there."""
         return near & (number < self.count)
 
-    def turns(self, at: Any) -> tuple[Any, tuple]:
+    def turns(self, begin: Any) -> tuple[Any, tuple]:
         """Turns of ``UNROLL`` in the word that begins there."""
-        left = jax.lax.div(self.count - at + (UNROLL - 1), np.int32(UNROLL))
-        return jnp.minimum(left, BITS // UNROLL), ()
+        turns = jax.lax.div(self.count - begin + (UNROLL - 1), np.int32(UNROLL))
+        return jnp.minimum(turns, BITS // UNROLL), ()
 
-    def over_parts(self, part: Callable, sums: tuple) -> tuple:
-        """The sums after ``part(at, sums)`` for each part."""
+    def over_parts(self, add_part: Callable, sums: tuple) -> tuple:
+        """The sums after ``add_part(begin, sums)`` for each part."""
 
-        def turn(carry: tuple) -> tuple:
-            at, sums = carry
-            return at + self.words * BITS, part(at, sums)
+        def add_next(carry: tuple) -> tuple:
+            begin, sums = carry
+            return begin + self.words * BITS, add_part(begin, sums)
 
-        return jax.lax.while_loop(lambda carry: carry[0] < self.count, turn, (np.int32(0), sums))[1]
+        _, sums = jax.lax.while_loop(lambda carry: carry[0] < self.count, add_next, (np.int32(0), sums))
+        return sums
 
 
-def _call(shape: _Shape, *operands: Array, interpret: bool = False) -> tuple[Array, ...]:
-    """The kernel, for operands of ``kernels.Call``."""
+def _call(shape: _PairsShape, *operands: Array, interpret: bool = False) -> tuple[Array, ...]:
+    """A ``gpu_kernels.Call``: the sums of all people of all scenarios."""
     scenarios = max(operand.shape[0] for operand in operands)
     columns = len(shape.law.out_avals) * shape.people
     out = (jax.ShapeDtypeStruct((scenarios, columns), operands[0].dtype),)
@@ -147,85 +167,124 @@ def _call(shape: _Shape, *operands: Array, interpret: bool = False) -> tuple[Arr
     return gpu_kernels.launch_threads(partial(_kernel, shape), "pairs", threads, out, *operands, interpret=interpret)
 
 
-def _kernel(shape: _Shape, number: Any, *references: Any) -> None:
+class _Thread(NamedTuple):
+    """What the thread of one person reads."""
+
+    others: Any  # _All or _Runs
+    shared: list  # numbers of the law
+    square: Any  # m2, of the reach
+    own: list  # rows of the person, the first two are x and y [m]
+    other: list[_Row]  # rows of the others, by person
+    x: _Row  # m, of the others, by column
+    y: _Row
+
+
+def _kernel(shape: _PairsShape, number: Any, *references: Any) -> None:
     """One thread: the sums of one person."""
     people = shape.people
     scenario, place = jax.lax.div(number, np.int32(people)), jax.lax.rem(number, np.int32(people))
     *inputs, result = references
-    inputs = [(each, gpu_kernels.row(each, scenario, result.shape[0])) for each in inputs]
-    (numbers_of, numbers_at), *runs_of = inputs[: -shape.own - shape.other]
-    square, *shared = (numbers_of[numbers_at, i] for i in range(shape.shared + 1))
-    own_of, other_of = inputs[-shape.own - shape.other : -shape.other], inputs[-shape.other :]
-    if runs_of:
-        (order, order_at), *ends = runs_of[:3]
-        person = order[order_at, place]
-        first, last = ([each[each_at, run * people + place] for run in range(3)] for each, each_at in ends)
-        others = _Runs(first, last, place, people, lambda column: order[order_at, column])
+    rows = _rows(inputs, scenario, result.shape[0])
+    numbers, *runs = rows[: -shape.own - shape.other]
+    own = rows[-shape.own - shape.other : -shape.other]
+    other = rows[-shape.other :]
+    square, *shared = (numbers.at(i) for i in range(shape.shared + 1))
+
+    # The person and the others: of a large crowd by place in its order.
+    if runs:
+        order, first, last, x, y = runs
+        person = order.at(place)
+        ends = ([row.at(run * people + place) for run in range(3)] for row in (first, last))
+        others = _Runs(*ends, place, people, order.at)
     else:
-        person, others = place, _All(place, people)
-    (x, x_at), (y, y_at) = runs_of[3:] or other_of[:2]
-    own = [row[row_at, person] for row, row_at in own_of]
-
-    def bit(at: Any, j: Any) -> Any:
-        column = others.column(at + j)
-        dx, dy = own[0] - x[x_at, column], own[1] - y[y_at, column]
-        inside = others.valid(at + j, dx * dx + dy * dy < square)
-        return jnp.where(inside, jax.lax.shift_left(np.int32(1), jnp.int32(j)), np.int32(0))
-
-    def word(at: Any) -> Any:
-        def turn(k: Any, bits: Any) -> Any:
-            for j in range(UNROLL):
-                bits = bits | bit(at, k * UNROLL + j)
-            return bits
-
-        turns, rest = others.turns(at)
-        bits = np.int32(0)
-        if not isinstance(turns, int) or turns:
-            bits = jax.lax.fori_loop(0, turns, turn, bits)
-        for j in rest:
-            bits = bits | bit(at, j)
-        itself = others.itself - at
-        mine = jax.lax.shift_left(np.int32(1), itself & (BITS - 1))
-        return bits & ~jnp.where((itself >= 0) & (itself < BITS), mine, np.int32(0))
-
-    def some(carry: tuple) -> Any:
-        words, _ = carry
-        left = words[0]
-        for each in words[1:]:
-            left = left | each
-        return left != 0
-
-    def add(at: Any, carry: tuple) -> tuple:
-        words, sums = carry
-        current, which = words[-1], np.int32(len(words) - 1)
-        for i, each in reversed(list(enumerate(words[:-1]))):
-            current, which = jnp.where(each != 0, each, current), jnp.where(each != 0, np.int32(i), which)
-        rest = [jnp.where(which == i, current & (current - 1), each) for i, each in enumerate(words)]
-        one = others.person(at + which * BITS + (BITS - 1) - jax.lax.clz(current & -current))
-        other = [row[row_at, one] for row, row_at in other_of]
-        pushes = gpu_kernels.evaluate(shape.law, *shared, *own, *other)
-        return tuple(rest), tuple(map(jnp.add, sums, pushes))
-
-    def part(at: Any, sums: tuple) -> tuple:
-        words = tuple(word(at + i * BITS) for i in range(others.words))
-        with jax.named_scope("within_reach"):
-            return jax.lax.while_loop(some, partial(add, at), (words, sums))[1]
+        person = place
+        others = _All(place, people)
+        x, y = other[:2]
+    thread = _Thread(others, shared, square, [row.at(person) for row in own], other, x, y)
 
     zero = square.dtype.type(0.0)  # zeros_like is an array, which Mosaic refuses
-    sums = others.over_parts(part, (zero,) * len(shape.law.out_avals))
-    for row, value in enumerate(sums):
-        result[scenario, row * people + person] = value
+    sums = others.over_parts(partial(_add_part, shape.law, thread), (zero,) * len(shape.law.out_avals))
+    for index, value in enumerate(sums):
+        result[scenario, index * people + person] = value
+
+
+def _add_part(law: ClosedJaxpr, thread: _Thread, begin: Any, sums: tuple) -> tuple:
+    """The sums, with the others within reach among the words of bits that begin there."""
+    words = tuple(_word_within_reach(thread, begin + i * BITS) for i in range(thread.others.words))
+    with jax.named_scope("within_reach"):
+        _, sums = jax.lax.while_loop(_any_bit, partial(_add_next, law, thread, begin), (words, sums))
+    return sums
+
+
+def _word_within_reach(thread: _Thread, begin: Any) -> Any:
+    """A word with the bits of the others from ``begin`` on that are within reach, without the person itself."""
+
+    def unrolled(turn: Any, bits: Any) -> Any:
+        for j in range(UNROLL):
+            bits = bits | _bit_within_reach(thread, begin, turn * UNROLL + j)
+        return bits
+
+    turns, rest = thread.others.turns(begin)
+    bits = np.int32(0)
+    if not isinstance(turns, int) or turns:
+        bits = jax.lax.fori_loop(0, turns, unrolled, bits)
+    for j in rest:
+        bits = bits | _bit_within_reach(thread, begin, j)
+
+    itself = thread.others.itself - begin
+    own_bit = jax.lax.shift_left(np.int32(1), itself & (BITS - 1))
+    return bits & ~jnp.where((itself >= 0) & (itself < BITS), own_bit, np.int32(0))
+
+
+def _bit_within_reach(thread: _Thread, begin: Any, j: Any) -> Any:
+    """The j-th bit of a word, if that other is within reach."""
+    others = thread.others
+    column = others.column(begin + j)
+    dx = thread.own[0] - thread.x.at(column)
+    dy = thread.own[1] - thread.y.at(column)
+    inside = others.valid(begin + j, dx * dx + dy * dy < thread.square)
+    return jnp.where(inside, jax.lax.shift_left(np.int32(1), jnp.int32(j)), np.int32(0))
+
+
+def _any_bit(carry: tuple) -> Any:
+    """Whether a bit of a word is set."""
+    words, _ = carry
+    bits = words[0]
+    for word in words[1:]:
+        bits = bits | word
+    return bits != 0
+
+
+def _add_next(law: ClosedJaxpr, thread: _Thread, begin: Any, carry: tuple) -> tuple:
+    """Add the law of the other of the first set bit to the sums, and clear the bit."""
+    words, sums = carry
+
+    # The first word that is not zero.
+    current, which = words[-1], np.int32(len(words) - 1)
+    for i, word in reversed(list(enumerate(words[:-1]))):
+        current, which = jnp.where(word != 0, word, current), jnp.where(word != 0, np.int32(i), which)
+    cleared = [jnp.where(which == i, current & (current - 1), word) for i, word in enumerate(words)]
+
+    # Its lowest bit: 31 less its leading zeros.
+    bit = begin + which * BITS + (BITS - 1) - jax.lax.clz(current & -current)
+    person = thread.others.person(bit)
+    other = [row.at(person) for row in thread.other]
+    numbers = gpu_kernels.evaluate(law, *thread.shared, *thread.own, *other)
+    return tuple(cleared), tuple(map(jnp.add, sums, numbers))
+
+
+# --- where in a sorted row values begin and end ---
 
 
 def search(row: Float[Array, "N"], low: Float[Array, "..."], high: Float[Array, "..."]) -> tuple[Array, Array]:
     """Where in a sorted row the values begin that are at least ``low``, and end that are at most ``high``."""
-    operands = (each.reshape(1, -1) for each in (row, low, high))
+    operands = (values.reshape(1, -1) for values in (row, low, high))
     first, last = gpu_kernels.batch(_call_search, 2)(*operands)
     return first.reshape(low.shape), last.reshape(low.shape)
 
 
 def _call_search(*operands: Array, interpret: bool = False) -> tuple[Array, ...]:
-    """The kernel, for operands of ``kernels.Call``."""
+    """A ``gpu_kernels.Call``: both ends of all runs of all scenarios."""
     shape = max(operand.shape[0] for operand in operands), operands[1].shape[1]
     out = (jax.ShapeDtypeStruct(shape, jnp.int32),) * 2
     return gpu_kernels.launch_threads(_search, "search", math.prod(shape), out, *operands, interpret=interpret)
@@ -233,22 +292,41 @@ def _call_search(*operands: Array, interpret: bool = False) -> tuple[Array, ...]
 
 def _search(number: Any, *references: Any) -> None:
     """One thread: both ends of one run."""
-    queries = np.int32(references[1].shape[1])
+    *inputs, first, last = references
+    queries = np.int32(inputs[1].shape[1])
     scenario, query = jax.lax.div(number, queries), jax.lax.rem(number, queries)
-    scenarios = references[3].shape[0]
-    (row, row_at), *bounds = ((each, gpu_kernels.row(each, scenario, scenarios)) for each in references[:3])
-    length = row.shape[1]
-    for (bound, bound_at), result, before in zip(bounds, references[3:], (jax.lax.lt, jax.lax.le), strict=True):
-        value = bound[bound_at, query]
+    row, low, high = _rows(inputs, scenario, first.shape[0])
+    for bound, result, before in ((low, first, jax.lax.lt), (high, last, jax.lax.le)):
+        result[scenario, query] = _bisect(row, bound.at(query), before)
 
-        def halve(_: Any, ends: tuple, value: Any = value, before: Callable = before) -> tuple:
-            low, high = ends
-            middle = jax.lax.div(low + high, np.int32(2))
-            later = before(row[row_at, jnp.minimum(middle, length - 1)], value) & (low < high)
-            return jnp.where(later, middle + 1, low), jnp.where(later, high, middle)
 
-        ends = jax.lax.fori_loop(0, length.bit_length(), halve, (np.int32(0), np.int32(length)))
-        result[scenario, query] = ends[0]
+def _bisect(row: _Row, value: Any, before: Callable) -> Any:
+    """The number of scalars in a sorted row that are ``before`` the value."""
+    length = row.reference.shape[1]
+
+    def halve(_: Any, ends: tuple) -> tuple:
+        low, high = ends
+        middle = jax.lax.div(low + high, np.int32(2))
+        later = before(row.at(jnp.minimum(middle, length - 1)), value) & (low < high)
+        return jnp.where(later, middle + 1, low), jnp.where(later, high, middle)
+
+    low, _ = jax.lax.fori_loop(0, length.bit_length(), halve, (np.int32(0), np.int32(length)))
+    return low
+
+
+# --- sums over obstacles ---
+
+
+class _Arguments(NamedTuple):
+    """How the arguments of ``at_obstacles`` become operands."""
+
+    structure: Any  # of the arguments, a pytree
+    own: tuple[bool, ...]  # of each leaf, whether it is a row (N,), or a number for all people
+
+    def from_scalars(self, numbers: Iterable, own: Iterable) -> Any:
+        """The arguments of one person."""
+        numbers, own = iter(numbers), iter(own)
+        return self.structure.unflatten([next(own if is_own else numbers) for is_own in self.own])
 
 
 def at_obstacles(function: Callable, px: Array, py: Array, grid: ObstacleGrid, *arguments: Any) -> tuple[Array, ...]:
@@ -258,49 +336,49 @@ def at_obstacles(function: Callable, px: Array, py: Array, grid: ObstacleGrid, *
     person's cell. Arguments are (N,) or for all people.
     """
     leaves, structure = jax.tree.flatten(arguments)
+    layout = _Arguments(structure, tuple(bool(jnp.ndim(leaf)) for leaf in leaves))
     rows = px, py, *(leaf for leaf in leaves if jnp.ndim(leaf))
-    shared = [leaf for leaf in leaves if not jnp.ndim(leaf)]
-    own = tuple(bool(jnp.ndim(leaf)) for leaf in leaves)
+    numbers = jnp.stack([px.dtype.type(0.0), *(leaf for leaf in leaves if not jnp.ndim(leaf))])
+
     cells = jnp.ravel_multi_index(obstacle_cells(grid, px, py), grid.rows.shape[:2], mode="clip").astype(jnp.int32)
-    operands = grid.rows.reshape(-1), jnp.stack([px.dtype.type(0.0), *shared]), cells, *rows
-    call = partial(_call_obstacles, function, structure, own, grid.rows.shape[2])
-    (results,) = gpu_kernels.batch(call, 1)(*(each[None] for each in operands))
+    operands = grid.rows.reshape(-1), numbers, cells, *rows
+    call = gpu_kernels.batch(partial(_call_obstacles, function, layout, grid.rows.shape[2]), 1)
+    (results,) = call(*(operand[None] for operand in operands))
     return tuple(results.reshape(-1, len(px)))
 
 
 def _call_obstacles(
-    function: Callable, structure: Any, own: tuple[bool, ...], count: int, *operands: Array, interpret: bool = False
+    function: Callable, layout: _Arguments, count: int, *operands: Array, interpret: bool = False
 ) -> tuple[Array, ...]:
-    """The kernel, for operands of ``kernels.Call``."""
+    """A ``gpu_kernels.Call``: the function of all people, in cells of ``count`` obstacles."""
     scenarios, people = max(operand.shape[0] for operand in operands), operands[2].shape[1]
     out = (jax.ShapeDtypeStruct((scenarios, 2 * people), operands[0].dtype),)
-    kernel = partial(_obstacles, function, structure, own, count, people)
+    kernel = partial(_obstacles, function, layout, count, people)
     return gpu_kernels.launch_threads(kernel, "obstacles", scenarios * people, out, *operands, interpret=interpret)
 
 
-def _obstacles(
-    function: Callable, structure: Any, own: tuple[bool, ...], count: int, people: int, number: Any, *references: Any
-) -> None:
+def _obstacles(function: Callable, layout: _Arguments, count: int, people: int, number: Any, *references: Any) -> None:
     """One thread: the function of one person."""
     scenario, person = jax.lax.div(number, np.int32(people)), jax.lax.rem(number, np.int32(people))
     *inputs, result = references
-    (table, table_at), (shared, shared_at), (cells, cells_at), *rows = (
-        (each, gpu_kernels.row(each, scenario, result.shape[0])) for each in inputs
-    )
-    px, py, *each = (row[row_at, person] for row, row_at in rows)
-    numbers, each = (shared[shared_at, 1 + i] for i in range(len(own) - sum(own))), iter(each)
-    arguments = structure.unflatten([next(each if one else numbers) for one in own])
-    first, columns = cells[cells_at, person] * (count * COLUMNS), range(COLUMNS)
+    table, numbers, cells, *rows = _rows(inputs, scenario, result.shape[0])
+    px, py, *own = (row.at(person) for row in rows)
+    n_shared = len(layout.own) - sum(layout.own)
+    arguments = layout.from_scalars((numbers.at(1 + i) for i in range(n_shared)), own)
+    first = cells.at(person) * (count * COLUMNS)
 
     def over(step: Callable, start: Any) -> Any:
-        def some(carry: tuple) -> Any:
-            return (carry[0] < count) & (table[table_at, first + jnp.minimum(carry[0], count - 1) * COLUMNS] != FAR)
+        def is_obstacle(carry: tuple) -> Any:
+            k, _ = carry
+            return (k < count) & (table.at(first + jnp.minimum(k, count - 1) * COLUMNS) != FAR)
 
-        def turn(carry: tuple) -> tuple:
+        def take_step(carry: tuple) -> tuple:
             k, total = carry
-            return k + 1, step(total, tuple(table[table_at, first + k * COLUMNS + column] for column in columns))
+            row = tuple(table.at(first + k * COLUMNS + column) for column in range(COLUMNS))
+            return k + 1, step(total, row)
 
-        return jax.lax.while_loop(some, turn, (np.int32(0), start))[1]
+        _, total = jax.lax.while_loop(is_obstacle, take_step, (np.int32(0), start))
+        return total
 
-    for part, value in enumerate(function(over, px, py, *arguments)):
-        result[scenario, part * people + person] = value
+    for index, value in enumerate(function(over, px, py, *arguments)):
+        result[scenario, index * people + person] = value

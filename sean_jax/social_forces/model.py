@@ -1,8 +1,9 @@
 """The social force model (section IV-D [28][44][45]): the sum of its terms, integrated by semi-implicit Euler steps."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import partial
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -15,8 +16,11 @@ from sean_jax.social_forces.forces import (
     Crowd,
     Force,
     Forces,
+    GatherTerm,
     Pair,
+    PairTerm,
     PersonTerm,
+    Walking,
     force_of,
     gather,
     is_standing,
@@ -43,13 +47,16 @@ def draw_traits(forces: Forces, key: Array, people: int) -> tuple[Float[Array, "
     A uniformly drawn factor f of the robot's repulsion A exp(-b / B) is a distance of B ln(f) [45]. ``Walking`` and
     ``RobotRepulsion`` have the parameters of both distributions.
     """
-    walking, robot, repulsion = forces.walking, forces.get(RobotRepulsion), forces.get(Repulsion)
+    walking = forces.walking
     speed_key, robot_key = jax.random.split(key)
     deviation = jnp.maximum(walking.speed_deviation, 1e-6)
     lower = jnp.minimum((walking.speed_min - walking.speed_mean) / deviation, -1e-3)
     upper = jnp.maximum((walking.speed_max - walking.speed_mean) / deviation, 1e-3)
     normal = jax.random.truncated_normal(speed_key, lower, upper, (people,), float)
     speed = walking.speed_mean + walking.speed_deviation * normal
+
+    robot = forces.get(RobotRepulsion)
+    repulsion = forces.get(Repulsion)
     if robot is None or repulsion is None:
         return speed, jnp.zeros(people, float)
     factor = jax.random.uniform(robot_key, (people,), float, robot.factor_min, robot.factor_max)
@@ -58,42 +65,58 @@ def draw_traits(forces: Forces, key: Array, people: int) -> tuple[Float[Array, "
 
 def individualize(forces: Forces, people: Pedestrians, key: Array) -> Pedestrians:
     """People with the traits, the noise and the reactions that the forces have use for, drawn once per episode."""
-    number, noise, reactions = people.present.shape[0], None, forces.get(Reactions)
+    n_people = people.present.shape[0]
     trait_key, noise_key, reaction_key = jax.random.split(key, 3)
-    deviations = [getattr(term, name, None) for term in forces for name in DEVIATIONS]
+
     traits = None
+    deviations = [getattr(term, name, None) for term in forces for name in DEVIATIONS]
     if any(deviation is not None for deviation in deviations):
         keys = jax.random.split(trait_key, len(Traits.__dataclass_fields__))
-        draw = partial(jax.random.truncated_normal, lower=-MOST_UNLIKE, upper=MOST_UNLIKE, shape=(number,), dtype=float)
+        shape = (n_people,)
+        draw = partial(jax.random.truncated_normal, lower=-MOST_UNLIKE, upper=MOST_UNLIKE, shape=shape, dtype=float)
         traits = Traits(*map(draw, keys))
+
+    noise = None
     if forces.get(Noise) is not None:
-        noise = jax.random.normal(noise_key, (number, 2), float)
-    reaction = None if reactions is None else reactions.draw(reaction_key, number)
+        noise = jax.random.normal(noise_key, (n_people, 2), float)
+    reactions = forces.get(Reactions)
+    reaction = None if reactions is None else reactions.draw(reaction_key, n_people)
     return replace(people, traits=traits, noise=noise, reaction=reaction)
 
 
 def move(scenario: Scenario, state: State) -> Pedestrians:
     """People one control step later, in ``scenario.substeps`` steps of the social forces; the robot stays in place."""
     time_step = scenario.time_step / scenario.substeps
-    people, noise = state.pedestrians, scenario.forces.get(Noise)
+    grid = scenario.environment.obstacle_grid
+    radius = scenario.robot.radius
+    companions = scenario.behavior.companions
+    people = _advance_noise_and_attention(scenario, state)
+    near = neighbors(scenario.forces, state.pedestrians, scenario.time_step)
+    numbers, unravel = ravel_pytree(scenario.forces)  # reverse mode adds up one array, not one for each number
+
+    def substep(people: Pedestrians, _):
+        forces = unravel(numbers)
+        return integrate(forces, people, grid, state.groups, state.robot, time_step, radius, companions, near), None
+
+    keep = jax.checkpoint_policies.save_only_these_names(SUMS)
+    substep = jax.checkpoint(substep, prevent_cse=False, policy=keep)
+    people, _ = jax.lax.scan(substep, people, length=scenario.substeps)
+    return people
+
+
+def _advance_noise_and_attention(scenario: Scenario, state: State) -> Pedestrians:
+    """People with the noise and the reactions that they have for this control step."""
+    people = state.pedestrians
+    noise = scenario.forces.get(Noise)
     if noise is not None and people.noise is not None:
         key = jax.random.fold_in(state.streams.noise, state.tick)
         people = replace(people, noise=noise.advance(people.noise, key, scenario.time_step))
+
     reactions = scenario.forces.get(Reactions)
     if reactions is not None and state.robot is not None:
         robot = nearest_robot(people, state.robot)
         people = reactions.attend(people, robot, scenario.environment.obstacles, scenario.time_step)
-    grid, radius, companions = scenario.environment.obstacle_grid, scenario.robot.radius, scenario.behavior.companions
-    near = neighbors(scenario.forces, state.pedestrians, scenario.time_step)
-    numbers, forces = ravel_pytree(scenario.forces)  # reverse mode adds up one array, not one for each number
-
-    def substep(people: Pedestrians, _):
-        now = forces(numbers), people
-        return integrate(*now, grid, state.groups, state.robot, time_step, radius, companions, near), None
-
-    keep = jax.checkpoint_policies.save_only_these_names(SUMS)
-    substep = jax.checkpoint(substep, prevent_cse=False, policy=keep)
-    return jax.lax.scan(substep, people, length=scenario.substeps)[0]
+    return people
 
 
 def integrate(
@@ -118,43 +141,78 @@ def integrate(
         near: the result of ``neighbors`` for some steps; None: computed for this step.
     """
     near = neighbors(forces, people, 0.0) if near is None else near
-    walking, contact, reactions = forces.walking, forces.get(Contact), forces.get(Reactions)
-    gaze, usual = None, people.desired_velocity
+    walking = forces.walking
+    reactions = forces.get(Reactions)
+    desired_velocity = people.desired_velocity
+
+    # For this step, people who attend to the robot want another velocity and look at it.
+    gaze = None
     if reactions is not None and robot is not None:
         nearest = nearest_robot(people, robot)
         people = replace(people, desired_velocity=reactions.desire(people, nearest))
         gaze = reactions.gaze(people, nearest)
-    px, py = people.position[:, 0], people.position[:, 1]
-    vx, vy = people.velocity[:, 0], people.velocity[:, 1]
+
+    # A semi-implicit Euler step: positions follow from the new velocities, which obstacles have bounded.
     crowd = Crowd(forces, people, *look_direction(people), obstacle_grid, groups, robot, robot_radius, companions)
-    damped = (_person_force(term, crowd) for term in forces.person_terms if getattr(term, "damped", True))
-    undamped = (_person_force(term, crowd) for term in forces.person_terms if not getattr(term, "damped", True))
+    ax, ay = _accelerations(crowd, near)
+    vx, vy = people.velocity[:, 0], people.velocity[:, 1]
+    vx, vy = walking.limit_speed(vx + ax * time_step, vy + ay * time_step, people.preferred_speed)
+    if obstacle_grid is not None:
+        px, py = people.position[:, 0], people.position[:, 1]
+        friction = _wall_friction(forces)
+        vx, vy = project_velocity(px, py, vx, vy, obstacle_grid, walking.radius, time_step, friction)
+        vx, vy = jax.lax.optimization_barrier((vx, vy))  # XLA for a GPU would compute both twice: for x and for y
+
+    # Bodies turn into the direction of motion, or towards the robot.
+    velocity = jnp.where(people.present[:, None], jnp.stack([vx, vy], -1), 0.0)
+    towards = velocity if gaze is None else velocity + gaze
+    heading = turn(people, towards, walking.turn_rate * time_step)
+    position = people.position + velocity * time_step
+    return replace(people, position=position, velocity=velocity, heading=heading, desired_velocity=desired_velocity)
+
+
+def _accelerations(crowd: Crowd, near: Neighbors | None) -> tuple[Float[Array, "N"], Float[Array, "N"]]:
+    """The accelerations [m/s2] by the desired velocity and all forces, bounded but for what others push."""
+    people = crowd.people
+    walking = crowd.forces.walking
+    fx, fy, push_x, push_y = _forces(crowd, near)
+    relaxation_time = walking.relaxation(people)
+    ax = (people.desired_velocity[:, 0] - people.velocity[:, 0]) / relaxation_time + fx
+    ay = (people.desired_velocity[:, 1] - people.velocity[:, 1]) / relaxation_time + fy
+
+    ax, ay = walking.bound(ax - push_x, ay - push_y)
+    return ax + push_x, ay + push_y
+
+
+def _forces(crowd: Crowd, near: Neighbors | None) -> tuple[Array, Array, Array | float, Array | float]:
+    """The sum of all forces (N,) [m/s2], and those of pair terms alone."""
+    heading = crowd.people.heading
+    damp = crowd.forces.walking.damp
+    damped, undamped = [], []
+    for term in crowd.forces.person_terms:
+        forces = damped if getattr(term, "damped", True) else undamped
+        forces.append(_person_force(term, crowd))
+
     pushes, acts = pair_forces(crowd, near)
     force = _add_up([pushes, acts, *damped])
     if force is not None:
-        force = walking.damp(*force, people.heading)
+        force = damp(*force, heading)
     if pushes is not None:
-        pushes = walking.damp(*pushes, people.heading)
+        pushes = damp(*pushes, heading)
+
     force = _add_up([force, *undamped])
-    fx, fy = (jnp.zeros_like(px), jnp.zeros_like(py)) if force is None else force
-    relaxation_time = walking.relaxation(people)
-    ax = (people.desired_velocity[:, 0] - vx) / relaxation_time + fx
-    ay = (people.desired_velocity[:, 1] - vy) / relaxation_time + fy
+    zero = jnp.zeros_like(crowd.look_x)
+    fx, fy = (zero, zero) if force is None else force
     push_x, push_y = (0.0, 0.0) if pushes is None else pushes
-    ax, ay = walking.bound(ax - push_x, ay - push_y)
-    ax, ay = ax + push_x, ay + push_y
-    vx, vy = vx + ax * time_step, vy + ay * time_step
-    vx, vy = walking.limit_speed(vx, vy, people.preferred_speed)
-    if obstacle_grid is not None:
-        friction = None
-        if contact is not None and contact.friction is not None:
-            friction = contact.friction / contact.stiffness
-        vx, vy = project_velocity(px, py, vx, vy, obstacle_grid, walking.radius, time_step, friction)
-        vx, vy = jax.lax.optimization_barrier((vx, vy))  # XLA for a GPU would compute both twice: for x and for y
-    velocity = jnp.where(people.present[:, None], jnp.stack([vx, vy], -1), 0.0)
-    heading = turn(people, velocity if gaze is None else velocity + gaze, walking.turn_rate * time_step)
-    position = people.position + velocity * time_step
-    return replace(people, position=position, velocity=velocity, heading=heading, desired_velocity=usual)
+    return fx, fy, push_x, push_y
+
+
+def _wall_friction(forces: Forces) -> Float[Array, ""] | None:
+    """The friction of ``project_velocity`` [s/m]."""
+    contact = forces.get(Contact)
+    if contact is None or contact.friction is None:
+        return None
+    return contact.friction / contact.stiffness
 
 
 def cutoff(forces: Forces) -> Float[Array, ""] | None:
@@ -186,66 +244,97 @@ def pair_forces(crowd: Crowd, near: Neighbors | None = None) -> tuple[Force | No
     same holds for companions, if there is ``Cohesion``, which keeps them together and apart. Gather terms count the
     robot as one of the others. ``near`` are the pairs of a large crowd; other pairs are left out.
     """
-    forces, people = crowd.forces, crowd.people
+    forces = crowd.forces
     if not forces.pair_terms and not forces.gather_terms:
         return None, None
-    apart = tuple(term for term in forces.pair_terms if not isinstance(term, Contact))
-    contact = forces.get(Contact)
-    evasion = forces.get(Evasion)
-    individual = (1.0, 0.0, 1.0) if evasion is None else evasion.individual(people)
-    individual = individual[: 2 if people.reaction is None else 3]
-    differ = any(not isinstance(each, float) for each in individual)
+    known = cutoff(forces)
+    shared = SharedTerms(
+        pair_terms=tuple(term for term in forces.pair_terms if not isinstance(term, Contact)),
+        contact=forces.get(Contact),
+        gather_terms=forces.gather_terms,
+        walking=forces.walking,
+        reach=jnp.minimum(forces.walking.perception if known is None else known, 0.1 * ABSENT),
+    )
+    own, other = _rows(crowd)
+    force, sums = checkpoint_name(sum_pairs(_pair_law, near, shared.reach, shared, own, other), SUMS)
 
-    def law(shared, own, other):
-        apart, contact, gather_terms, walking, reach = shared
-        qx, qy, wx, wy, other_group, *other_shape = other
-        px, py, vx, vy, group, *own_rows = own
-        own_shape, (look_x, look_y, standing, *individual) = own_rows[: len(other_shape)], own_rows[len(other_shape) :]
-        dx, dy = px - qx, py - qy
-        dd = dx * dx + dy * dy
-        shape = tuple(map(jnp.add, own_shape, other_shape)) or None
-        # If both sums use the same radii, XLA of jax 0.10 writes them to a GPU's memory for each pair. The radii of
-        # (dy, dx) are equal to rounding, and each sum computes its own.
-        mirrored = None if shape is None else (-shape[0], shape[1])
-        radii, gather_radii = walking.radii(dx, dy, shape), walking.radii(dy, dx, mirrored)
-        pair = Pair(dx, dy, wx, wy, vx, vy, look_x, look_y, radii, standing.astype(bool))
-        if individual:
-            pair = pair._replace(**dict(zip(("width", "side", "alertness"), individual, strict=False)))
-        force = sum_pair_terms(apart, pair) if apart else None
-        numbers = gather(gather_terms, pair._replace(radii=gather_radii))
-        within = (dd > 0.0) & (dd < reach * reach)
-        felt = within & (group != other_group)
-        force, numbers = jax.tree.map(lambda number: jnp.where(felt, number, 0.0), (force, numbers))
-        if contact is not None:
-            touch = contact.pair(pair._replace(radii=jnp.where(within, radii, -ABSENT)))  # no contact with oneself
-            force = touch if force is None else (force[0] + touch[0], force[1] + touch[1])
-        return force, numbers
+    robot = forces.get(RobotRepulsion)
+    by_robot = None if robot is None or not sums else over_robots(crowd, robot.gathered)
+    if by_robot is not None:
+        sums = jax.tree.map(jnp.add, sums, by_robot)
+    acts = [_act(term, crowd, numbers) for term, numbers in zip(forces.gather_terms, sums, strict=True)]
+    return force, _add_up(acts)
 
+
+def _act(term: GatherTerm, crowd: Crowd, sums: tuple[Array, ...]) -> Force:
+    names = ", ".join(f"sum_{k}" for k in range(len(sums)))
+    return force_of(term.act, f"crowd, {names}", crowd, *sums)
+
+
+class SharedTerms(NamedTuple):
+    """What all pairs share: the terms of the law of a pair, with their parameters."""
+
+    pair_terms: tuple[PairTerm, ...]  # but contact
+    contact: Contact | None
+    gather_terms: tuple[GatherTerm, ...]
+    walking: Walking
+    reach: Float[Array, ""]  # m, beyond which nobody is felt
+
+
+def _rows(crowd: Crowd) -> tuple[tuple[Float[Array, "N"], ...], tuple[Float[Array, "N"], ...]]:
+    """The rows of ``_pair_law``: of people as persons, and of people as the others."""
+    forces, people = crowd.forces, crowd.people
     group = people.group
     if crowd.companions is not None and forces.get(Cohesion) is not None:
-        group = jnp.where((group < 0) & (people.walking_group >= 0), WALKING_GROUPS + people.walking_group, group)
+        in_walking_group = (group < 0) & (people.walking_group >= 0)
+        group = jnp.where(in_walking_group, WALKING_GROUPS + people.walking_group, group)
+
     position, velocity = people.position, people.velocity
     rows = position[:, 0], position[:, 1], velocity[:, 0], velocity[:, 1], group.astype(float)
     other = tuple(jnp.where(people.present, row, ABSENT) for row in rows)
     own_group = jnp.where(group >= 0, group, ALONE).astype(float)
     shape = forces.walking.shape(crowd.look_x, crowd.look_y) or ()
     own = *other[:-1], own_group, *shape, crowd.look_x, crowd.look_y, is_standing(people).astype(float)
-    other = *other, *shape
-    if differ:
-        own = *own, *(jnp.broadcast_to(jnp.asarray(each, float), people.present.shape) for each in individual)
-    known = cutoff(forces)
-    reach = jnp.minimum(forces.walking.perception if known is None else known, 0.1 * ABSENT)
-    shared = apart, contact, forces.gather_terms, forces.walking, reach
-    force, gathered = checkpoint_name(sum_pairs(law, near, reach, shared, own, other), SUMS)
-    robot = forces.get(RobotRepulsion)
-    by_robot = None if robot is None or not gathered else over_robots(crowd, robot.gathered)
-    if by_robot is not None:
-        gathered = jax.tree.map(jnp.add, gathered, by_robot)
-    acts = [
-        force_of(term.act, "crowd, " + ", ".join(f"sum_{k}" for k in range(len(numbers))), crowd, *numbers)
-        for term, numbers in zip(forces.gather_terms, gathered, strict=True)
-    ]
-    return force, _add_up(acts)
+
+    # Factors of ``Evasion`` are rows only if people differ.
+    evasion = forces.get(Evasion)
+    factors = (1.0, 0.0, 1.0) if evasion is None else evasion.individual(people)
+    factors = factors[: 2 if people.reaction is None else 3]
+    if any(not isinstance(factor, float) for factor in factors):
+        own = *own, *(jnp.broadcast_to(jnp.asarray(factor, float), people.present.shape) for factor in factors)
+    return own, (*other, *shape)
+
+
+def _pair_law(shared: SharedTerms, own: Sequence[Array], other: Sequence[Array]) -> tuple[Force | None, tuple]:
+    """The force [m/s2] of one other on one person, and the other's contributions to gather terms; all in scalars."""
+    qx, qy, wx, wy, other_group, *other_shape = other
+    px, py, vx, vy, group, *rows = own
+    own_shape, rows = rows[: len(other_shape)], rows[len(other_shape) :]
+    look_x, look_y, standing, *factors = rows
+    dx, dy = px - qx, py - qy
+    dd = dx * dx + dy * dy
+
+    # If both sums use the same radii, XLA of jax 0.10 writes them to a GPU's memory for each pair. The radii of
+    # (dy, dx) are equal to rounding, and each sum computes its own.
+    shape = tuple(map(jnp.add, own_shape, other_shape)) or None
+    mirrored = None if shape is None else (-shape[0], shape[1])
+    radii = shared.walking.radii(dx, dy, shape)
+    gather_radii = shared.walking.radii(dy, dx, mirrored)
+
+    pair = Pair(dx, dy, wx, wy, vx, vy, look_x, look_y, radii, standing.astype(bool))
+    if factors:
+        pair = pair._replace(**dict(zip(("width", "side", "alertness"), factors, strict=False)))
+    force = sum_pair_terms(shared.pair_terms, pair) if shared.pair_terms else None
+    sums = gather(shared.gather_terms, pair._replace(radii=gather_radii))
+
+    # Members of one group touch at most, and nobody acts on themselves.
+    within = (dd > 0.0) & (dd < shared.reach * shared.reach)
+    felt = within & (group != other_group)
+    force, sums = jax.tree.map(lambda number: jnp.where(felt, number, 0.0), (force, sums))
+    if shared.contact is not None:
+        touch = shared.contact.pair(pair._replace(radii=jnp.where(within, radii, -ABSENT)))  # no contact with oneself
+        force = touch if force is None else (force[0] + touch[0], force[1] + touch[1])
+    return force, sums
 
 
 def _person_force(term: PersonTerm, crowd: Crowd) -> Force | None:
@@ -257,14 +346,14 @@ def _person_force(term: PersonTerm, crowd: Crowd) -> Force | None:
     without = law(crowd._replace(robot=None, robot_radius=0.0))
     if without is None:
         return over_robots(crowd, law)
-    more = over_robots(crowd, lambda one: jax.tree.map(jnp.subtract, law(one), without))
-    return jax.tree.map(jnp.add, without, more)
+    by_robots = over_robots(crowd, lambda with_robot: jax.tree.map(jnp.subtract, law(with_robot), without))
+    return jax.tree.map(jnp.add, without, by_robots)
 
 
-def _add_up(parts: Iterable[Force | None]) -> Force | None:
+def _add_up(forces: Iterable[Force | None]) -> Force | None:
     """The sum of the forces that are not None, in their order; None if all are."""
     total = None
-    for part in parts:
-        if part is not None:
-            total = part if total is None else (total[0] + part[0], total[1] + part[1])
+    for force in forces:
+        if force is not None:
+            total = force if total is None else (total[0] + force[0], total[1] + force[1])
     return total

@@ -49,31 +49,41 @@ class Neighbors:
 def find(position: Float[Array, "N 2"], present: Bool[Array, "N"], within: Float[Array, ""] | float) -> Neighbors:
     """The pairs of people ``within`` a distance [m] of each other, and some more; positions [m]."""
     # Absent people may be anywhere. Far away they would cost the others' coordinates their precision.
-    x, y = (_from_min(part, present) for part in jax.lax.stop_gradient(position).T)
+    x, y = (_from_min(values, present) for values in jax.lax.stop_gradient(position).T)
     within = jax.lax.stop_gradient(within)
     within = jnp.minimum(within, 2.0 * (jnp.max(x) + jnp.max(y)) + 1.0)
+
+    # How far along the strips below and above somebody within the distance can be.
     strip = jnp.floor(y / within)
     rounding = 1e-6 * (jnp.max(x) + 2.0 * within + 1.0) * (jnp.max(strip) + 2.0)
     up = y - strip * within  # from the own strip's lower edge
-    below, above = (_half_chord(within, apart - rounding) + rounding for apart in (up, within - up))
+    below = _half_chord(within, up - rounding) + rounding
+    above = _half_chord(within, within - up - rounding) + rounding
+
+    # The strips lie one behind the other on a line, so that one sort orders people by strip and x.
     within = within + rounding
     width = jnp.max(x) + 2.0 * within + 1.0
-    along = strip * width + x
-    numbers = jnp.arange(x.shape[0], dtype=jnp.int32)
-    along, order = jax.lax.sort((along, numbers), num_keys=1)
-    middle = jnp.stack([along - width, along, along + width], 1)
+    people = jnp.arange(x.shape[0], dtype=jnp.int32)
+    along, order = jax.lax.sort((strip * width + x, people), num_keys=1)
+
+    # The runs in the strips below, own and above.
+    middle = jnp.stack([along - width, along, along + width], 1)  # (N, 3)
     half = jnp.stack([below[order], jnp.full_like(below, within), above[order]], 1)
     in_kernel = gpu_kernels.available() and along.dtype == np.float32
-    first, last = by_platform(_search, kernel.search if in_kernel else _search)(along, middle - half, middle + half)
-    _, by_parts = jax.lax.sort((-_parts(first, last), numbers), num_keys=1)
-    rank = jnp.zeros_like(order).at[order[by_parts]].set(numbers, unique_indices=True)
+    search = by_platform(_search, kernel.search if in_kernel else _search)
+    first, last = search(along, middle - half, middle + half)
+
+    _, by_parts = jax.lax.sort((-_parts(first, last), people), num_keys=1)
+    rank = jnp.zeros_like(order).at[order[by_parts]].set(people, unique_indices=True)
     return Neighbors(order, first, last, by_parts, rank)
 
 
 def _search(row: Array, low: Array, high: Array) -> tuple[Array, Array]:
     """Where in a sorted row the values begin that are at least ``low``, and end that are at most ``high``."""
-    where = partial(jnp.searchsorted, row, method="scan_unrolled")
-    return where(low, side="left").astype(jnp.int32), where(high, side="right").astype(jnp.int32)
+    find_in_row = partial(jnp.searchsorted, row, method="scan_unrolled")
+    first = find_in_row(low, side="left").astype(jnp.int32)
+    last = find_in_row(high, side="right").astype(jnp.int32)
+    return first, last
 
 
 def _half_chord(radius: Array, apart: Array) -> Array:
@@ -96,9 +106,11 @@ def sum_near(
 
     def block(runs: Runs, own: Array) -> tuple:
         def add(part: Array, sums: tuple) -> tuple:
-            return jax.tree.map(jnp.add, sums, _sum_part(law, shared, own, *_window(runs, sorted_other, part)))
+            others, valid = _window(runs, sorted_other, part)
+            return jax.tree.map(jnp.add, sums, _sum_part(law, shared, own, others, valid))
 
-        return _over_parts(runs, add, tuple(jnp.zeros_like(own[0]) for _ in numbers)), None
+        zeros = tuple(jnp.zeros_like(own[0]) for _ in numbers)
+        return _over_parts(runs, add, zeros), None
 
     rows, _ = _over_blocks(near, block, own)
     return structure.unflatten([row[near.rank] for row in rows])
@@ -117,30 +129,37 @@ def pull_back_near(
     It goes along the same runs, for neighbors are mutual: the forces of a person on others are a sum over the person's
     neighbors as well.
     """
-    own_rows, other_rows = len(own), len(other)
-    sorted_other, sorted_own = other[:, near.order], jnp.concatenate([own, pulls])[:, near.order]
+    n_own, n_other = len(own), len(other)
+    sorted_other = other[:, near.order]
+    sorted_own = jnp.concatenate([own, pulls])[:, near.order]
 
-    def pulled_back(shared: PyTree, other: Array, own: tuple) -> Array:
-        numbers = jax.tree.leaves(law(shared, own[:own_rows], other))
-        return reduce(jnp.add, map(jnp.multiply, numbers, own[own_rows:]))
+    def pulled_law(shared: PyTree, other: Array, own: tuple) -> Array:
+        """The numbers of the law times the pulls on them, with the other as the person."""
+        numbers = jax.tree.leaves(law(shared, own[:n_own], other))
+        return reduce(jnp.add, map(jnp.multiply, numbers, own[n_own:]))
 
     def block(runs: Runs, rows: Array) -> tuple:
-        own, other, pulls = rows[:own_rows], rows[own_rows : own_rows + other_rows], rows[own_rows + other_rows :]
+        own, other, pulls = rows[:n_own], rows[n_own : n_own + n_other], rows[n_own + n_other :]
 
         def add(part: Array, sums: tuple) -> tuple:
+            # What others do to the person ...
             others, valid = _window(runs, sorted_other, part)
             _, pull = jax.vjp(lambda shared, own: _sum_part(law, shared, own, others, valid), shared, own)
             d_shared, d_own = pull(tuple(pulls))
-            owns, valid = _window(runs, sorted_own, part)
-            _, pull = jax.vjp(lambda other: _sum_part(pulled_back, shared, other, owns, valid), other)
+
+            # ... and what the person does to them.
+            persons, valid = _window(runs, sorted_own, part)
+            _, pull = jax.vjp(lambda other: _sum_part(pulled_law, shared, other, persons, valid), other)
             (d_other,) = pull((jnp.ones_like(pulls[0]),))
             return jax.tree.map(jnp.add, sums, ((*d_own, *d_other), d_shared))
 
-        return _over_parts(runs, add, jax.tree.map(jnp.zeros_like, ((*own, *other), shared)))
+        zeros = jax.tree.map(jnp.zeros_like, ((*own, *other), shared))
+        return _over_parts(runs, add, zeros)
 
+    # In the order of the people.
     d_rows, d_shared = _over_blocks(near, block, jnp.concatenate([own, other, pulls]))
     d_rows = jnp.stack([row[near.rank] for row in d_rows])
-    return d_shared, d_rows[:own_rows], d_rows[own_rows:]
+    return d_shared, d_rows[:n_own], d_rows[n_own:]
 
 
 class Runs(NamedTuple):
@@ -155,25 +174,31 @@ def _over_blocks(near: Neighbors, block: Callable, rows: Array) -> tuple:
 
     The result is the tuple of (N,), by number of parts as ``near.by_parts``, and the sum of the totals.
     """
-    number = near.by_parts.shape[0]
-    size = -(-number // BLOCKS)
+    n_people = near.by_parts.shape[0]
+    size = -(-n_people // BLOCKS)
 
     def split(values: Array) -> Array:  # (N, ...) to (BLOCKS, n, ...), padded with zeros, that is with empty runs
-        filled = jnp.pad(values, [(0, BLOCKS * size - number)] + [(0, 0)] * (values.ndim - 1))
-        return filled.reshape(BLOCKS, size, *values.shape[1:])
+        padded = jnp.pad(values, [(0, BLOCKS * size - n_people)] + [(0, 0)] * (values.ndim - 1))
+        return padded.reshape(BLOCKS, size, *values.shape[1:])
 
     people = near.order[near.by_parts]
-    blocks = Runs(split(near.first[near.by_parts]), split(near.last[near.by_parts])), split(rows[:, people].T)
-    each, total = jax.lax.map(lambda one: block(one[0], one[1].T), blocks)
-    return tuple(row.reshape(-1)[:number] for row in each), jax.tree.map(lambda leaf: leaf.sum(0), total)
+    runs = Runs(split(near.first[near.by_parts]), split(near.last[near.by_parts]))
+    results, totals = jax.lax.map(lambda rows: block(rows[0], rows[1].T), (runs, split(rows[:, people].T)))
+    results = tuple(row.reshape(-1)[:n_people] for row in results)
+    return results, jax.tree.map(lambda leaf: leaf.sum(0), totals)
 
 
 @jax.named_scope("neighbors")
 def _over_parts(runs: Runs, add: Callable, sums: PyTree) -> PyTree:
     """The sums after ``add(part, sums)`` for as many parts as the longest run has."""
-    parts = jnp.max(_parts(runs.first, runs.last))
-    turn = lambda carry: (carry[0] + 1, add(*carry))  # noqa: E731
-    return jax.lax.while_loop(lambda carry: carry[0] < parts, turn, (jnp.int32(0), sums))[1]
+    n_parts = jnp.max(_parts(runs.first, runs.last))
+
+    def add_next(carry: tuple[Array, PyTree]) -> tuple[Array, PyTree]:
+        part, sums = carry
+        return part + 1, add(part, sums)
+
+    _, sums = jax.lax.while_loop(lambda carry: carry[0] < n_parts, add_next, (jnp.int32(0), sums))
+    return sums
 
 
 def _parts(first: Array, last: Array) -> Array:
@@ -184,11 +209,13 @@ def _parts(first: Array, last: Array) -> Array:
 def _window(runs: Runs, rows: Array, part: Array) -> tuple[tuple[Array, ...], Array]:
     """For each of the rows (R, N) the values (N, 3 PART) in that part of everybody's runs, and which are valid."""
     begin = runs.first + PART * part
-    valid = begin[:, :, None] + jnp.arange(PART, dtype=jnp.int32)[None, None, :] < runs.last[:, :, None]
+    place = begin[:, :, None] + jnp.arange(PART, dtype=jnp.int32)[None, None, :]  # (N, 3, PART)
+    valid = place < runs.last[:, :, None]
     padded = jnp.pad(rows, ((0, 0), (0, PART)))
 
     def cut(row: Array) -> Array:  # a CPU cuts once, a GPU where it needs the values
-        values = jax.vmap(jax.vmap(lambda at: jax.lax.dynamic_slice(row, (at,), (PART,))))(begin)
+        cut_at = lambda start: jax.lax.dynamic_slice(row, (start,), (PART,))  # noqa: E731
+        values = jax.vmap(jax.vmap(cut_at))(begin)
         return jax.lax.platform_dependent(values, cpu=jax.lax.optimization_barrier, default=lambda values: values)
 
     return tuple(cut(row).reshape(-1, 3 * PART) for row in padded), valid.reshape(-1, 3 * PART)
@@ -196,16 +223,23 @@ def _window(runs: Runs, rows: Array, part: Array) -> tuple[tuple[Array, ...], Ar
 
 def _sum_part(law: Callable, shared: PyTree, own: Array, window: tuple[Array, ...], valid: Array) -> tuple[Array, ...]:
     """(N,) each number of the law, summed over a part of everybody's runs."""
-    others = jax.vmap(law, in_axes=(None, None, 0))
-    numbers = jax.tree.leaves(jax.vmap(others, in_axes=(None, 1, 0))(shared, own, window))
-    numbers = tuple(jnp.where(valid, number, 0.0) for number in numbers)
+    by_others = jax.vmap(law, in_axes=(None, None, 0))
+    on_people = jax.vmap(by_others, in_axes=(None, 1, 0))
+    numbers = jax.tree.leaves(on_people(shared, own, window))  # (N, 3 PART) each
+    numbers = tuple(jnp.where(valid, values, 0.0) for values in numbers)
+    default = lambda numbers: sum_in_pairs(numbers, 1)  # noqa: E731
+    return jax.lax.platform_dependent(numbers, cpu=_sum_each_by_halves, default=default)
 
-    def sum_by_halves(numbers: tuple[Array, ...]) -> tuple[Array, ...]:
-        pairs = [jax.lax.complex(*numbers[i : i + 2]) for i in range(0, len(numbers) - 1, 2)]
-        totals = [part for pair in pairs for total in [_sum_by_halves(pair)] for part in (total.real, total.imag)]
-        return (*totals, *([_sum_by_halves(numbers[-1])] if len(numbers) % 2 else []))
 
-    return jax.lax.platform_dependent(numbers, cpu=sum_by_halves, default=lambda numbers: sum_in_pairs(numbers, 1))
+def _sum_each_by_halves(numbers: tuple[Array, ...]) -> tuple[Array, ...]:
+    """``_sum_by_halves`` of each, two at a time as complex numbers."""
+    sums = []
+    for i in range(0, len(numbers) - 1, 2):
+        total = _sum_by_halves(jax.lax.complex(numbers[i], numbers[i + 1]))
+        sums += [total.real, total.imag]
+    if len(numbers) % 2:
+        sums.append(_sum_by_halves(numbers[-1]))
+    return tuple(sums)
 
 
 def _sum_by_halves(pushes: Array) -> Array:
@@ -241,7 +275,8 @@ def sum_pairs(
     scalars = not any(map(jnp.ndim, leaves))
 
     def law_of_numbers(numbers: Sequence[Array], own: Rows, other: Rows) -> PyTree:
-        return law(structure.unflatten(numbers) if scalars else unravel(jnp.stack(numbers)), own, other)
+        shared = structure.unflatten(numbers) if scalars else unravel(jnp.stack(numbers))
+        return law(shared, own, other)
 
     return _sum_pairs(law_of_numbers, near, reach, numbers, own, other)
 
@@ -277,8 +312,8 @@ def _jvp(law: Callable, primals: tuple, tangents: tuple) -> tuple:
 
 def _structure(law: Callable, shared: PyTree, own: Rows, other: Rows) -> Any:
     """The structure of the numbers of the law."""
-    one = (tuple(jax.ShapeDtypeStruct((), row.dtype) for row in rows) for rows in (own, other))
-    return jax.tree.structure(jax.eval_shape(law, shared, *one))
+    scalars = (tuple(jax.ShapeDtypeStruct((), row.dtype) for row in rows) for rows in (own, other))
+    return jax.tree.structure(jax.eval_shape(law, shared, *scalars))
 
 
 def _forward(law: Callable, primals: tuple, tangents: tuple) -> PyTree:
@@ -287,10 +322,17 @@ def _forward(law: Callable, primals: tuple, tangents: tuple) -> PyTree:
     shared, own, other = zip(values, tangents, strict=True)
 
     def derivative(*rows: Sequence[Array]) -> PyTree:
-        values, changes = zip(*((each[: len(each) // 2], each[len(each) // 2 :]) for each in rows), strict=True)
-        return jax.jvp(law, values, changes)[1]
+        values, tangents = zip(*map(_halves, rows), strict=True)
+        _, changes = jax.jvp(law, values, tangents)
+        return changes
 
     return _sum_pairs(derivative, near, reach, jnp.concatenate(shared), (*own[0], *own[1]), (*other[0], *other[1]))
+
+
+def _halves(rows: Sequence[Array]) -> tuple[Sequence[Array], Sequence[Array]]:
+    """Values, and the tangents behind them."""
+    middle = len(rows) // 2
+    return rows[:middle], rows[middle:]
 
 
 def _backward(law: Callable, primals: tuple, cotangents: PyTree) -> tuple:
@@ -298,18 +340,8 @@ def _backward(law: Callable, primals: tuple, cotangents: PyTree) -> tuple:
     near, reach, shared, own, other = primals
     pulls, structure = jax.tree.flatten(cotangents)
     rows = *own, *other, *pulls
-    first, second = len(own), len(own) + len(other)
-
-    def of_pair(shared: Sequence[Array], person: Rows, another: Rows) -> tuple:
-        """What each person does to the other, and the other to the person."""
-
-        def pull_back(person: Rows, another: Rows) -> tuple:
-            pulls = structure.unflatten(person[second:])
-            return jax.vjp(law, shared, person[:first], another[first:second])[1](pulls)
-
-        return *pull_back(person, another)[:2], pull_back(another, person)[2]
-
-    program = kernel.trace(of_pair, near, shared, rows, rows)
+    pull_law = partial(_pull_back_pair, law, structure, len(own), len(other))
+    program = kernel.trace(pull_law, near, shared, rows, rows)
 
     def on_cpu(near: Neighbors | None, shared: Array, own: Rows, other: Rows, pulls: Rows) -> tuple:
         numbers = jnp.unstack(shared)
@@ -323,7 +355,7 @@ def _backward(law: Callable, primals: tuple, cotangents: PyTree) -> tuple:
         if program is not None:
             rows = *own, *other, *pulls
             sums = kernel.sum_pairs(program, near, reach, shared, rows, rows)
-            d_shared, d_own, d_other = jnp.split(sums, (len(shared), len(shared) + first))
+            d_shared, d_own, d_other = jnp.split(sums, (len(shared), len(shared) + len(own)))
             return d_shared.sum(1), tuple(d_own), tuple(d_other)
         if near is not None:
             return on_cpu(near, shared, own, other, pulls)
@@ -333,19 +365,41 @@ def _backward(law: Callable, primals: tuple, cotangents: PyTree) -> tuple:
     return by_platform(on_cpu, default)(near, shared, own, other, tuple(pulls))
 
 
+def _pull_back_pair(
+    law: Callable, structure: Any, n_own: int, n_other: int, shared: Sequence[Array], person: Rows, another: Rows
+) -> tuple:
+    """The cotangents of a pair: of what the other does to the person, and of what the person does to the other.
+
+    Both have rows of a person, of an other, and the pulls on the numbers of the law.
+    """
+
+    def pull_back(person: Rows, another: Rows) -> tuple:
+        pulls = structure.unflatten(person[n_own + n_other :])
+        _, pull = jax.vjp(law, shared, person[:n_own], another[n_own : n_own + n_other])
+        return pull(pulls)
+
+    d_shared, d_own, _ = pull_back(person, another)
+    _, _, d_other = pull_back(another, person)
+    return d_shared, d_own, d_other
+
+
 def _sum_all(law: Callable, turns: int, shared: PyTree, own: Rows, other: Rows) -> PyTree:
     """The sums over all others, ``turns`` at a time first."""
-    nobody = (0, -len(other[0]) % turns)
-    other = tuple(jnp.pad(row, nobody, constant_values=ABSENT).reshape(turns, -1) for row in other)
+    absent = (0, -len(other[0]) % turns)
+    other = tuple(jnp.pad(row, absent, constant_values=ABSENT).reshape(turns, -1) for row in other)
 
     def sum_turns(shared: PyTree, own: Rows, others: Rows) -> PyTree:
-        turn = lambda total, one: (jax.tree.map(jnp.add, total, law(shared, own, one)), None)  # noqa: E731
-        shapes = jax.eval_shape(law, shared, own, tuple(row[0] for row in others))
-        nothing = jax.tree.map(lambda shape: jnp.zeros(shape.shape, shape.dtype), shapes)
-        return jax.lax.scan(turn, nothing, others, unroll=turns)[0]
+        def add(total: PyTree, other: Rows) -> tuple[PyTree, None]:
+            return jax.tree.map(jnp.add, total, law(shared, own, other)), None
 
-    each = jax.vmap(jax.vmap(sum_turns, in_axes=(None, None, 1)), in_axes=(None, 0, None))
-    numbers, structure = jax.tree.flatten(each(shared, own, other))
+        shapes = jax.eval_shape(law, shared, own, tuple(row[0] for row in others))
+        zeros = jax.tree.map(lambda shape: jnp.zeros(shape.shape, shape.dtype), shapes)
+        total, _ = jax.lax.scan(add, zeros, others, unroll=turns)
+        return total
+
+    by_others = jax.vmap(sum_turns, in_axes=(None, None, 1))
+    on_people = jax.vmap(by_others, in_axes=(None, 0, None))
+    numbers, structure = jax.tree.flatten(on_people(shared, own, other))
     return structure.unflatten(sum_in_pairs(numbers, 1))
 
 
@@ -362,8 +416,9 @@ def _sum_by_two(law: Callable, shared: PyTree, own: Rows, other: Rows) -> PyTree
         return _sum_all(law, 2, shared, own, other)
     sums = []
     for first in range(0, structure.num_leaves, 2):
-        two = partial(_numbers, law, slice(first, first + 2))
-        sums += _sum_all(two, TURNS, shared, *jax.lax.optimization_barrier((own, other)))
+        law_of_two = partial(_numbers, law, slice(first, first + 2))
+        own_rows, other_rows = jax.lax.optimization_barrier((own, other))
+        sums += _sum_all(law_of_two, TURNS, shared, own_rows, other_rows)
     return structure.unflatten(sums)
 
 
@@ -383,18 +438,21 @@ def _pull_back_in_two(law: Callable, shared: PyTree, own: Rows, other: Rows, pul
     XLA for a GPU writes fewer numbers of each pair than in ``_pull_back_at_once``: the numbers that both sums share.
     """
 
-    def of_pair(own: Rows, other: Rows, pulls: PyTree) -> tuple:
-        return jax.vjp(law, shared, own, other)[1](pulls)
+    def pull_back(own: Rows, other: Rows, pulls: PyTree) -> tuple:
+        _, pull = jax.vjp(law, shared, own, other)
+        return pull(pulls)
 
-    by_own = jax.vmap(jax.vmap(of_pair, (None, 0, None)), (0, None, 0))
-    by_other = jax.vmap(jax.vmap(of_pair, (0, None, 0)), (None, 0, None))
-    d_shared, d_own = _sum_leaves(by_own(own, other, pulls)[:2])
-    return jax.tree.map(lambda leaf: leaf.sum(0), d_shared), d_own, _sum_leaves(by_other(own, other, pulls)[2])
+    by_own = jax.vmap(jax.vmap(pull_back, (None, 0, None)), (0, None, 0))
+    by_other = jax.vmap(jax.vmap(pull_back, (0, None, 0)), (None, 0, None))
+    d_shared, d_own, _ = by_own(own, other, pulls)
+    d_shared, d_own = _sum_leaves((d_shared, d_own))
+    _, _, d_other = by_other(own, other, pulls)
+    return jax.tree.map(lambda leaf: leaf.sum(0), d_shared), d_own, _sum_leaves(d_other)
 
 
 def _sum_leaves(tree: PyTree) -> PyTree:
     """The sums over the last axis of all leaves, in one reduction."""
     leaves, structure = jax.tree.flatten(tree)
-    add = lambda one, other: tuple(map(jnp.add, one, other))  # noqa: E731
+    add = lambda a, b: tuple(map(jnp.add, a, b))  # noqa: E731
     zeros = tuple(jnp.zeros((), leaf.dtype) for leaf in leaves)
     return structure.unflatten(jax.lax.reduce(tuple(leaves), zeros, add, (1,)))

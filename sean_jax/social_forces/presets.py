@@ -45,7 +45,8 @@ LAWS = (terms.elliptical, terms.circular, terms.surface, terms.in_cone, terms.in
 
 def _read_presets() -> dict[str, Forces]:
     """The forces of presets.yaml, with arrays of numpy: they are made at import, before the precision is chosen."""
-    classes, laws = {class_name(term): term for term in TERMS}, {law.__name__: law for law in LAWS}
+    classes = {class_name(term): term for term in TERMS}
+    laws = {law.__name__: law for law in LAWS}
     presets = files.read_yaml(Path(__file__).with_name("presets.yaml"))[1]
 
     def term(name: str, fields: dict[str, Any]) -> Term:
@@ -87,7 +88,7 @@ def is_file(name: str) -> bool:
     return name.lower().endswith((".yaml", ".yml"))
 
 
-def read(path: str | Path) -> Constants:
+def read_constants(path: str | Path) -> Constants:
     """The content of a file of constants.
 
     Raises:
@@ -131,7 +132,7 @@ def build(forces: str | Iterable[Term]) -> Forces:
         return collect(forces)
     if not is_file(forces):
         return preset(forces)
-    constants = read(forces)
+    constants = read_constants(forces)
     try:
         return with_parameters(constants.preset, constants.parameters)
     except (InputError, AttributeError) as error:

@@ -95,9 +95,10 @@ class Reactions:
         """The reactions of people at the start of an episode."""
         kind_key, phone_key = jax.random.split(key)
         shares = jnp.stack([jnp.asarray(getattr(self, kind.name.lower()), float) for kind in Kind if kind])
-        lots = jax.random.uniform(kind_key, (people,), float)
-        above = lots[:, None] >= jnp.cumsum(shares[::-1])[None]  # so the last interval is that of indifferent people
+        chance = jax.random.uniform(kind_key, (people,), float)
+        above = chance[:, None] >= jnp.cumsum(shares[::-1])[None]  # so the last interval is that of indifferent people
         kind = len(shares) - above.sum(1, dtype=jnp.int32)
+
         has_phone = jax.random.uniform(phone_key, (people,), float) < self.inattentive
         alertness = jnp.where(has_phone, self.phone, 1.0).astype(float)
         attention = jnp.zeros(people, float)
@@ -118,8 +119,9 @@ class Reactions:
         if obstacles is not None:
             seen = jnp.where(_hidden(people, robot, obstacles), 0.0, seen)
         interest = jnp.clip(reaction.patience / self.delay, 0.0, 1.0)
-        aim = jnp.where(reaction.kind == Kind.CAUTIOUS, seen, seen * interest)
-        attention = reaction.attention + (1.0 - jnp.exp(-time_step / self.delay)) * (aim - reaction.attention)
+        goal = jnp.where(reaction.kind == Kind.CAUTIOUS, seen, seen * interest)
+        rise = 1.0 - jnp.exp(-time_step / self.delay)
+        attention = reaction.attention + rise * (goal - reaction.attention)
         patience = jnp.maximum(reaction.patience - time_step * attention, 0.0)
         return replace(people, reaction=replace(reaction, attention=attention, patience=patience))
 
@@ -128,16 +130,23 @@ class Reactions:
         reaction = people.reaction
         if reaction is None:
             return people.desired_velocity
+        # Curious people walk up to the robot and stop at a distance.
         dx, dy = _to_robot(people, robot)
         ux, uy = unit(dx, dy)
         speed = self.approach * jnp.clip((length(dx, dy) - self.stop) / RAMP, -1.0, 1.0)
-        bx, by = (dx + self.block * robot.heading[0]) / PACE, (dy + self.block * robot.heading[1]) / PACE
+        approaches = reaction.kind == Kind.CURIOUS
+        x = jnp.where(approaches, speed * ux, 0.0)
+        y = jnp.where(approaches, speed * uy, 0.0)
+
+        # Threatening people walk to a place before it.
+        bx = (dx + self.block * robot.heading[0]) / PACE
+        by = (dy + self.block * robot.heading[1]) / PACE
         preferred = jnp.maximum(people.preferred_speed, SLOW)
         slower = jax.lax.rsqrt(1.0 + (bx * bx + by * by) / (preferred * preferred))
-        kind = reaction.kind
-        blocks, approaches = kind == Kind.THREATENING, kind == Kind.CURIOUS
-        x = jnp.where(blocks, bx * slower, jnp.where(approaches, speed * ux, 0.0))
-        y = jnp.where(blocks, by * slower, jnp.where(approaches, speed * uy, 0.0))
+        blocks = reaction.kind == Kind.THREATENING
+        x = jnp.where(blocks, bx * slower, x)
+        y = jnp.where(blocks, by * slower, y)
+
         share = _share(people, reaction, *ENGAGED)[:, None]
         return people.desired_velocity + share * (jnp.stack([x, y], -1) - people.desired_velocity)
 
@@ -151,13 +160,15 @@ class Reactions:
 
     def person(self, crowd: Crowd) -> Force | None:
         """The push (N,) [m/s2] on cautious people, away from the robot; None without one."""
-        people, robot, reaction = crowd.people, crowd.robot, crowd.people.reaction
+        people, robot = crowd.people, crowd.robot
+        reaction = people.reaction
         if robot is None or reaction is None:
             return None
         dx, dy = _to_robot(people, robot)
         ux, uy = unit(dx, dy)
         near = jnp.maximum(1.0 - length(dx, dy) / self.clearance, 0.0)
-        push = self.caution / crowd.forces.walking.relaxation(people) * near * _share(people, reaction, Kind.CAUTIOUS)
+        share = _share(people, reaction, Kind.CAUTIOUS)
+        push = self.caution / crowd.forces.walking.relaxation(people) * near * share
         return -push * ux, -push * uy
 
 
@@ -197,9 +208,8 @@ def nearest_robot(people: Pedestrians, robot: Robot) -> Robot:
 def _hidden(people: Pedestrians, robot: Robot, obstacles: Obstacles) -> Bool[Array, "N"]:
     """Whether an obstacle, other than an edge of the floor, is on the line from each person to the robot."""
     x, y = people.position[:, 0], people.position[:, 1]
-    each = jax.vmap(crosses_box, in_axes=(None, None, None, None, 0, None))
-    each_robot = None if robot.position.ndim == 1 else 0
-    hits = jax.vmap(each, in_axes=(0, 0, each_robot, each_robot, None, None))(
-        x, y, robot.position[0], robot.position[1], obstacles, 0.0
-    )
+    cross_boxes = jax.vmap(crosses_box, in_axes=(None, None, None, None, 0, None))
+    robot_axis = None if robot.position.ndim == 1 else 0
+    lines_cross = jax.vmap(cross_boxes, in_axes=(0, 0, robot_axis, robot_axis, None, None))
+    hits = lines_cross(x, y, robot.position[0], robot.position[1], obstacles, 0.0)  # (N, W)
     return (hits & (obstacles.height > 0.0)[None]).any(1)

@@ -17,7 +17,7 @@ from flax import struct
 from jaxtyping import Bool, Float, Int
 
 from sean_jax.core.data_types import Array, Pedestrians
-from sean_jax.core.geometry import angle_between, ground_velocity, length, sum_vectors, unit
+from sean_jax.core.geometry import angle_between, ground_velocity, length, rotate, sum_vectors, unit
 from sean_jax.social_forces.forces import (
     MAX_EXPONENT,
     TINY,
@@ -93,16 +93,21 @@ def elliptical(parameters: Repulsion, pair: Pair) -> Force:
     as 2 (|d| |d - y| + d . (d - y)), and that sum, where it would cancel, by way of the cross product.
     Source: the negative gradient of the potential of [HM95], eq. (3)-(4); elliptical specification II of [J07].
     """
+    # d from the other, and e = d - y from where the other will be.
     dx, dy = pair.dx, pair.dy
     ex = dx - (pair.wx - parameters.own_motion * pair.vx) * parameters.anticipation
     ey = dy - (pair.wy - parameters.own_motion * pair.vy) * parameters.anticipation
     dd, ee = dx * dx + dy * dy + TINY, ex * ex + ey * ey + TINY
     inverse_d, inverse_e = jax.lax.rsqrt(dd), jax.lax.rsqrt(ee)
     d, e = dd * inverse_d, ee * inverse_e
-    dot, cross = dx * ex + dy * ey, dx * ey - dy * ex
-    ahead = dot < 0.0
-    bb = 0.5 * jnp.where(ahead, cross * cross / (d * e + jnp.abs(dot)), d * e + dot) + TINY
+
+    # The square of the semi-minor axis b.
+    dot = dx * ex + dy * ey
+    cross = dx * ey - dy * ex
+    would_cancel = dot < 0.0
+    bb = 0.5 * jnp.where(would_cancel, cross * cross / (d * e + jnp.abs(dot)), d * e + dot) + TINY
     inverse_b = jax.lax.rsqrt(bb)
+
     push = parameters.strength * jnp.exp((parameters.reach - bb * inverse_b) * (1.0 / parameters.range))
     push = push * (0.25 * (d + e) * inverse_b)
     return push * (dx * inverse_d + ex * inverse_e), push * (dy * inverse_d + ey * inverse_e)
@@ -191,21 +196,24 @@ class Headway:
         dd = dx * dx + dy * dy + TINY
         ahead = -(dx * pair.look_x + dy * pair.look_y)
         aside = dx * pair.look_y - dy * pair.look_x
-        before = jnp.maximum(self.width * self.width - aside * aside, 0.0)
+        in_way = jnp.maximum(self.width * self.width - aside * aside, 0.0)
         following = jnp.clip(1.0 + (pair.wx * pair.look_x + pair.wy * pair.look_y), 0.0, 1.0)
-        room = jnp.maximum(dd * jax.lax.rsqrt(dd) - pair.radii - self.length, LEAST_GAP)
-        close = before * jax.lax.rsqrt(room * room) ** 2  # cheaper than a division
+
+        gap = jnp.maximum(dd * jax.lax.rsqrt(dd) - pair.radii - self.length, LEAST_GAP)
+        close = in_way * jax.lax.rsqrt(gap * gap) ** 2  # cheaper than a division
         return (jnp.clip(ahead, 0.0, self._ramp()) * following * close * close,)
 
     def act(self, crowd: Crowd, total: Float[Array, "N"]) -> Force:
         """The braking (N,) [m/s2] that takes up the limits in the relaxation time."""
-        people, time = crowd.people, self.time
+        people = crowd.people
+        time = self.time
         if self.deviation is not None and people.traits is not None:
             time = time * jnp.exp(self.deviation * people.traits.headway)
         if self.noise is not None and people.noise is not None:
             time = time * jnp.exp(-self.noise * people.noise[:, 0])
         if people.reaction is not None:
             time = time * people.reaction.alertness
+
         desired_x, desired_y = people.desired_velocity[:, 0], people.desired_velocity[:, 1]
         square = (desired_x * desired_x + desired_y * desired_y) * time * time
         share = jax.lax.rsqrt(jnp.sqrt(1.0 + square * square * total * (1.0 / self._scale())))
@@ -263,9 +271,12 @@ class Evasion:
         width = self.width * pair.width
         uu = ux * ux + uy * uy
         inverse = jax.lax.rsqrt(uu + self.speed * self.speed) ** 2  # cheaper than a division
+
+        # The time t and the offset m of the closest approach.
         approach = -(dx * ux + dy * uy)
         time = jnp.maximum(approach, 0.0) * inverse
         mx, my = dx + ux * time, dy + uy * time
+
         soon = jnp.maximum(self.horizon * pair.alertness - time, 0.0)
         near = jnp.maximum(width * width - (mx * mx + my * my), 0.0)
         in_sight = jnp.clip(-(dx * look_x + dy * look_y), 0.0, self._ramp())
@@ -294,12 +305,13 @@ class Evasion:
 
         They are 1, 0 and 1 where people do not differ.
         """
-        width, side, traits = self.width_deviation, self.side_deviation, people.traits
+        factor, side = 1.0, 0.0
         alertness = 1.0 if people.reaction is None else people.reaction.alertness
-        if traits is None:
-            return 1.0, 0.0, alertness
-        factor = 1.0 if width is None else jnp.exp(width * traits.width)
-        return factor, 0.0 if side is None else side * traits.side, alertness
+        if people.traits is not None and self.width_deviation is not None:
+            factor = jnp.exp(self.width_deviation * people.traits.width)
+        if people.traits is not None and self.side_deviation is not None:
+            side = self.side_deviation * people.traits.side
+        return factor, side, alertness
 
     def cutoff(self, walking: Walking) -> Array:
         """The distance [m] beyond which nobody can come near within the horizon."""
@@ -327,14 +339,16 @@ class Noise:
 
     def person(self, crowd: Crowd) -> Force | None:
         """The accelerations (N,) [m/s2] by noise; None if people have none."""
-        people, look_x, look_y = crowd.people, crowd.look_x, crowd.look_y
+        people = crowd.people
         if people.noise is None:
             return None
         desired = length(people.desired_velocity[:, 0], people.desired_velocity[:, 1])
         preferred = jnp.maximum(people.preferred_speed, SLOW)
         rate = jnp.minimum(desired / preferred, 1.0) / crowd.forces.walking.relaxation(people)
-        forward, left = rate * self.speed * people.noise[:, 0], rate * self.side * people.noise[:, 1]
-        return forward * look_x - left * look_y, forward * look_y + left * look_x
+
+        forward = rate * self.speed * people.noise[:, 0]
+        left = rate * self.side * people.noise[:, 1]
+        return rotate(forward, left, crowd.look_x, crowd.look_y)
 
     def advance(self, noise: Float[Array, "N 2"], key: Array, time_step: Float[Array, ""] | float) -> Array:
         """The noise (N, 2) ``time_step`` [s] later.
@@ -363,12 +377,14 @@ class Sidestep:
 
     def pair(self, pair: Pair) -> Force:
         """The push to the side [m/s2], zero unless the other is oncoming."""
-        dx, dy, look_x, look_y = pair.dx, pair.dy, pair.look_x, pair.look_y
+        dx, dy = pair.dx, pair.dy
+        look_x, look_y = pair.look_x, pair.look_y
         dd = dx * dx + dy * dy + TINY
-        bearing = -(dx * look_x + dy * look_y) * jax.lax.rsqrt(dd)
+        bearing = -(dx * look_x + dy * look_y) * jax.lax.rsqrt(dd)  # its cosine
         closing = (pair.wx - pair.vx) * look_x + (pair.wy - pair.vy) * look_y < 0.0
         oncoming = closing & (bearing >= self.cosine) & (dd < self.range * self.range)
-        push = jnp.where(oncoming, jnp.where(pair.standing, 0.0, self.preference) * bearing, 0.0)
+        preference = jnp.where(pair.standing, 0.0, self.preference)
+        push = jnp.where(oncoming, preference * bearing, 0.0)
         if self.scaled_by_robot and pair.repulsion_scale is not None:
             push = push * pair.repulsion_scale
         return push * look_y, -push * look_x
@@ -395,24 +411,26 @@ class GroupSpace:
 
     def person(self, crowd: Crowd) -> Force | None:
         """The push (N,) [m/s2] of all groups on each person; None if there are no groups."""
-        groups, people = crowd.groups, crowd.people
+        groups = crowd.groups
         if groups is None:
             return None
-
-        def push(px, py, member_of, index, center, radius, present):
-            dx, dy = px - center[0], py - center[1]
-            dd = dx * dx + dy * dy + TINY
-            inverse = jax.lax.rsqrt(dd)
-            size = self.strength * jnp.exp((radius - dd * inverse) / self.range) * inverse
-            size = jnp.where(present & (member_of != index), size, 0.0)
-            return size * dx, size * dy
-
         index = jnp.arange(groups.radius.shape[0], dtype=jnp.int32)
-        each_group = jax.vmap(push, in_axes=(None, None, None, 0, 0, 0, 0))
-        each_person = jax.vmap(each_group, in_axes=(0, 0, 0, None, None, None, None))
-        x, y = people.position[:, 0], people.position[:, 1]
-        pushes = each_person(x, y, people.group, index, groups.center, groups.radius, groups.present)
+        by_groups = jax.vmap(self._push, in_axes=(None, None, None, 0, 0, 0, 0))
+        on_people = jax.vmap(by_groups, in_axes=(0, 0, 0, None, None, None, None))
+        x, y = crowd.people.position[:, 0], crowd.people.position[:, 1]
+        pushes = on_people(x, y, crowd.people.group, index, groups.center, groups.radius, groups.present)  # (N, G)
         return sum_vectors(*pushes, 1)
+
+    def _push(
+        self, px: Array, py: Array, member_of: Array, group: Array, center: Array, radius: Array, present: Array
+    ) -> Force:
+        """The push [m/s2] of one group on one person."""
+        dx, dy = px - center[0], py - center[1]
+        dd = dx * dx + dy * dy + TINY
+        inverse = jax.lax.rsqrt(dd)
+        size = self.strength * jnp.exp((radius - dd * inverse) / self.range) * inverse
+        size = jnp.where(present & (member_of != group), size, 0.0)
+        return size * dx, size * dy
 
 
 @struct.dataclass
@@ -443,38 +461,53 @@ class Cohesion:
 
     def person(self, crowd: Crowd) -> Force | None:
         """The force (N,) [m/s2] by companions, zero for single people; None if nobody has companions."""
-        people, companions = crowd.people, crowd.companions
+        people = crowd.people
+        companions = crowd.companions
         if companions is None:
             return None
-        there = (companions >= 0) & people.present[companions]
-        position, velocity = people.position, people.velocity
-        dx = jnp.where(there, position[:, 0][:, None] - position[companions, 0], 0.0)
-        dy = jnp.where(there, position[:, 1][:, None] - position[companions, 1], 0.0)
-        number = there.sum(1, dtype=jnp.int32).astype(float)
-        share = 1.0 / jnp.maximum(number, 1.0)
-        cx, cy = -dx.sum(1) * share, -dy.sum(1) * share  # to the middle of the others
-        fx, fy = gaze(self, cx, cy, velocity[:, 0], velocity[:, 1], crowd.look_x, crowd.look_y)
-        ax, ay = attraction(self, cx, cy, number)
+
+        # From each companion, and to the middle of them.
+        exists = (companions >= 0) & people.present[companions]  # (N, 2)
+        x, y = people.position[:, 0], people.position[:, 1]
+        dx = jnp.where(exists, x[:, None] - people.position[companions, 0], 0.0)
+        dy = jnp.where(exists, y[:, None] - people.position[companions, 1], 0.0)
+        count = exists.sum(1, dtype=jnp.int32).astype(float)
+        share = 1.0 / jnp.maximum(count, 1.0)
+        cx, cy = -dx.sum(1) * share, -dy.sum(1) * share
+
+        # Gaze, attraction and repulsion.
+        vx, vy = people.velocity[:, 0], people.velocity[:, 1]
+        fx, fy = gaze(self, cx, cy, vx, vy, crowd.look_x, crowd.look_y)
+        ax, ay = attraction(self, cx, cy, count)
         if self.alignment is not None:
-            rate, desired = self.alignment / crowd.forces.walking.relaxation(people), people.desired_velocity
-            mx, my = _to_mean(desired[:, 0], desired[:, 1], companions, there)
-            bx, by = _to_mean(fx, fy, companions, there)
-            ax, ay = ax + rate * mx - self.alignment * (fx + bx), ay + rate * my - self.alignment * (fy + by)
+            ax, ay = self._align(crowd, fx, fy, ax, ay, exists)
         rx, ry = companion_repulsion(self, dx, dy)
-        px, py = jnp.where(there, rx, 0.0).sum(1), jnp.where(there, ry, 0.0).sum(1)
-        in_group = number > 0.0
+        px = jnp.where(exists, rx, 0.0).sum(1)
+        py = jnp.where(exists, ry, 0.0).sum(1)
+
+        in_group = count > 0.0
         return jnp.where(in_group, fx + ax + px, 0.0), jnp.where(in_group, fy + ay + py, 0.0)
+
+    def _align(self, crowd: Crowd, fx: Array, fy: Array, ax: Array, ay: Array, exists: Bool[Array, "N 2"]) -> Force:
+        """The attraction a with what takes people to the group's mean desired velocity, and gaze f off the group."""
+        assert self.alignment is not None and crowd.companions is not None
+        desired = crowd.people.desired_velocity
+        rate = self.alignment / crowd.forces.walking.relaxation(crowd.people)
+        mx, my = _to_mean(desired[:, 0], desired[:, 1], crowd.companions, exists)
+        bx, by = _to_mean(fx, fy, crowd.companions, exists)
+        ax = ax + rate * mx - self.alignment * (fx + bx)
+        ay = ay + rate * my - self.alignment * (fy + by)
+        return ax, ay
 
 
 def _to_mean(
-    x: Float[Array, "N"], y: Float[Array, "N"], companions: Int[Array, "N 2"], there: Bool[Array, "N 2"]
+    x: Float[Array, "N"], y: Float[Array, "N"], companions: Int[Array, "N 2"], exists: Bool[Array, "N 2"]
 ) -> Force:
     """(N,) each: from one's own vector (x, y) to the mean of it and the companions'."""
-    share = 1.0 / (1.0 + there.sum(1, dtype=jnp.int32).astype(float))
-    return (
-        share * jnp.where(there, x[companions] - x[:, None], 0.0).sum(1),
-        share * jnp.where(there, y[companions] - y[:, None], 0.0).sum(1),
-    )
+    share = 1.0 / (1.0 + exists.sum(1, dtype=jnp.int32).astype(float))
+    to_x = jnp.where(exists, x[companions] - x[:, None], 0.0).sum(1)
+    to_y = jnp.where(exists, y[companions] - y[:, None], 0.0).sum(1)
+    return share * to_x, share * to_y
 
 
 def gaze(
@@ -543,12 +576,15 @@ class RobotRepulsion:
     def person(self, crowd: Crowd) -> Force | None:
         """The push (N,) [m/s2] of the robot on each person; None without a robot or pair terms."""
         terms = crowd.forces.pair_terms
-        factor, contact = heed(crowd.people, crowd.robot), crowd.forces.get(Contact)
+        contact = crowd.forces.get(Contact)
+        factor = heed(crowd.people, crowd.robot)
         force = self._over_people(crowd, partial(sum_pair_terms, terms)) if terms else None
         if factor is None or force is None:
             return force
+
+        # Whoever takes no notice of the robot still feels its body.
         touch = (0.0, 0.0) if contact is None else self._over_people(crowd, contact.pair)
-        return tuple(factor * one + (1.0 - factor) * body for one, body in zip(force, touch, strict=True))
+        return tuple(factor * push + (1.0 - factor) * body for push, body in zip(force, touch, strict=True))
 
     def gathered(self, crowd: Crowd) -> tuple[tuple[Array, ...], ...] | None:
         """The robot's contributions (N,) to the sums of each gather term; None without a robot."""
@@ -561,32 +597,50 @@ class RobotRepulsion:
         robot, people = crowd.robot, crowd.people
         if robot is None:
             return None
+        # The robot's velocity over the ground.
         wx, wy = robot.speed * robot.heading[0], robot.speed * robot.heading[1]
         if robot.sideways is not None:
             wx, wy = ground_velocity(robot)
-        pace = jnp.abs(robot.speed) if robot.sideways is None else length(wx, wy)
-        faster = pace - self.moving_speed
-        smooth = self.ramp > 0.0
-        ramped = jnp.clip(0.5 + faster / jnp.where(smooth, self.ramp, 1.0), 0.0, 1.0)
-        moving = jnp.where(smooth, ramped, (faster > 0.0).astype(float))
-        repulsion, walking = crowd.forces.get(Repulsion), crowd.forces.walking
+        speed = jnp.abs(robot.speed) if robot.sideways is None else length(wx, wy)
+        moving = self._moving(speed)
 
+        # How each person differs in ``Evasion``.
         evasion = crowd.forces.get(Evasion)
-        own = (1.0, 0.0, 1.0) if evasion is None else evasion.individual(people)
-        own = [jnp.broadcast_to(jnp.asarray(each, float), people.present.shape) for each in own]
+        factors = (1.0, 0.0, 1.0) if evasion is None else evasion.individual(people)
+        factors = [jnp.broadcast_to(jnp.asarray(factor, float), people.present.shape) for factor in factors]
 
-        def push(px, py, vx, vy, look_x, look_y, standing, distance, *own):
+        # The robot's body is a disc, and its radius replaces half of the sum for two people.
+        def with_robot(px, py, vx, vy, look_x, look_y, standing, distance, *factors):
             dx, dy = px - robot.position[0], py - robot.position[1]
-            scale = None if repulsion is None else jnp.exp(moving * distance / repulsion.range)
-            shape = walking.shape(look_x, look_y)
-            twice = None if shape is None else (2.0 * shape[0], 2.0 * shape[1])
-            radii = 0.5 * walking.radii(dx, dy, twice) + crowd.robot_radius
-            pair = Pair(dx, dy, wx, wy, vx, vy, look_x, look_y, radii, standing, True, scale, *own)
+            scale = self._scale(crowd, moving, distance)
+            radii = _robot_radii(crowd, dx, dy, look_x, look_y)
+            pair = Pair(dx, dy, wx, wy, vx, vy, look_x, look_y, radii, standing, True, scale, *factors)
             if evasion is not None:  # the extra distance widens the berth, too
-                pair = pair._replace(
-                    width=pair.width * (1.0 + moving * distance / jnp.maximum(evasion.width, SHORTEST))
-                )
+                wider = 1.0 + moving * distance / jnp.maximum(evasion.width, SHORTEST)
+                pair = pair._replace(width=pair.width * wider)
             return law(pair)
 
-        one = people.position[:, 0], people.position[:, 1], people.velocity[:, 0], people.velocity[:, 1]
-        return jax.vmap(push)(*one, crowd.look_x, crowd.look_y, is_standing(people), people.robot_distance, *own)
+        x, y = people.position[:, 0], people.position[:, 1]
+        vx, vy = people.velocity[:, 0], people.velocity[:, 1]
+        rows = x, y, vx, vy, crowd.look_x, crowd.look_y, is_standing(people), people.robot_distance
+        return jax.vmap(with_robot)(*rows, *factors)
+
+    def _moving(self, speed: Array) -> Array:
+        """How much () a robot of that speed [m/s] is a moving robot, from 0 to 1."""
+        faster = speed - self.moving_speed
+        smooth = self.ramp > 0.0
+        ramped = jnp.clip(0.5 + faster / jnp.where(smooth, self.ramp, 1.0), 0.0, 1.0)
+        return jnp.where(smooth, ramped, (faster > 0.0).astype(float))
+
+    def _scale(self, crowd: Crowd, moving: Array, distance: Array) -> Array | None:
+        """The factor of the repulsion for a person with that extra distance [m]."""
+        repulsion = crowd.forces.get(Repulsion)
+        return None if repulsion is None else jnp.exp(moving * distance / repulsion.range)
+
+
+def _robot_radii(crowd: Crowd, dx: Array, dy: Array, look_x: Array, look_y: Array) -> Array:
+    """The sum of the radii [m] of a person with that look and of the robot."""
+    walking = crowd.forces.walking
+    shape = walking.shape(look_x, look_y)
+    twice = None if shape is None else (2.0 * shape[0], 2.0 * shape[1])
+    return 0.5 * walking.radii(dx, dy, twice) + crowd.robot_radius

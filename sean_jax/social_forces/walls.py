@@ -71,18 +71,20 @@ def wall_forces(
     perception: Float[Array, ""] | float,
 ) -> tuple[Float[Array, "N"], Float[Array, "N"]]:
     """The push [m/s2] of all obstacles within ``perception`` [m] on people at (px, py) [m]."""
+    return _at_obstacles(_total_push, px, py, grid, parameters, perception)
 
-    def push(distance, nx, ny, parameters, perception):
-        exponent = (parameters.reach - distance) * (1.0 / parameters.range)  # a hundred and more in a wide wall
-        size = parameters.strength * jnp.exp(jnp.minimum(exponent, MAX_EXPONENT))
-        size = size * (1.0 + parameters.distance_factor * (distance - 1.0))
-        size = jnp.where(distance < perception, size, 0.0)
-        return size * nx, size * ny
 
-    def force(total, smallest, parameters, perception):
-        return total(push, parameters, perception)
+def _total_push(total: Callable, smallest: Callable, parameters: Walls, perception: Array) -> Force:
+    return total(_wall_push, parameters, perception)
 
-    return _at_obstacles(force, px, py, grid, parameters, perception)
+
+def _wall_push(distance: Array, nx: Array, ny: Array, parameters: Walls, perception: Array) -> Force:
+    """The push [m/s2] of one obstacle at that distance [m] and normal."""
+    exponent = (parameters.reach - distance) * (1.0 / parameters.range)  # a hundred and more in a wide wall
+    size = parameters.strength * jnp.exp(jnp.minimum(exponent, MAX_EXPONENT))
+    size = size * (1.0 + parameters.distance_factor * (distance - 1.0))
+    size = jnp.where(distance < perception, size, 0.0)
+    return size * nx, size * ny
 
 
 def project_velocity(
@@ -110,34 +112,53 @@ def project_velocity(
         radius: m, of the bodies.
         friction: s/m, kappa / k of [H00]; None without friction.
     """
+    return _at_obstacles(_project, px, py, grid, vx, vy, radius, time_step, friction)
 
-    def excess(distance, nx, ny, vx, vy, radius, time_step):
-        return jnp.maximum((radius - distance) / time_step - (nx * vx + ny * vy), 0.0)
 
-    def correction(distance, nx, ny, vx, vy, radius, time_step):
-        over = excess(distance, nx, ny, vx, vy, radius, time_step)
-        return over * nx, over * ny
+def _project(
+    total: Callable,
+    smallest: Callable,
+    vx: Array,
+    vy: Array,
+    radius: Array | float,
+    time_step: Array | float,
+    friction: Array | float | None,
+) -> tuple[Array, Array]:
+    """``project_velocity`` of one person."""
+    x, y = total(_correction, vx, vy, radius, time_step)
+    free_x, free_y = vx, vy
+    vx, vy = vx + x, vy + y
+    if friction is not None:
+        x, y = total(_rubbing, free_x, free_y, vx, vy, radius, time_step, friction)
+        vx, vy = vx + x, vy + y
+    share = smallest(_allowed_share, vx, vy, radius, time_step)
+    return vx * share, vy * share
 
-    def rubbing(distance, nx, ny, before_x, before_y, vx, vy, radius, time_step, friction):
-        over = excess(distance, nx, ny, before_x, before_y, radius, time_step)
-        decrease = (ny * vx - nx * vy) * (1.0 - 1.0 / (1.0 + friction * over))
-        return -decrease * ny, decrease * nx
 
-    def share(distance, nx, ny, vx, vy, radius, time_step):
-        approach, allowed = -(nx * vx + ny * vy), jnp.maximum((distance - radius) / time_step + SLACK, MIN_APPROACH)
-        over = approach > allowed
-        return jnp.where(over, allowed / jnp.where(over, approach, 1.0), 1.0)
+def _excess(distance, nx, ny, vx, vy, radius, time_step) -> Array:
+    """The speed [m/s] by which a velocity approaches one obstacle too fast."""
+    return jnp.maximum((radius - distance) / time_step - (nx * vx + ny * vy), 0.0)
 
-    def project(total, smallest, vx, vy, radius, time_step, friction):
-        x, y = total(correction, vx, vy, radius, time_step)
-        before, vx, vy = (vx, vy), vx + x, vy + y
-        if friction is not None:
-            x, y = total(rubbing, *before, vx, vy, radius, time_step, friction)
-            vx, vy = vx + x, vy + y
-        least = smallest(share, vx, vy, radius, time_step)
-        return vx * least, vy * least
 
-    return _at_obstacles(project, px, py, grid, vx, vy, radius, time_step, friction)
+def _correction(distance, nx, ny, vx, vy, radius, time_step) -> tuple[Array, Array]:
+    """The change of velocity [m/s] that meets the bound of one obstacle."""
+    excess = _excess(distance, nx, ny, vx, vy, radius, time_step)
+    return excess * nx, excess * ny
+
+
+def _rubbing(distance, nx, ny, free_x, free_y, vx, vy, radius, time_step, friction) -> tuple[Array, Array]:
+    """The change of velocity [m/s] by friction at an obstacle that has stopped the velocity (free_x, free_y)."""
+    excess = _excess(distance, nx, ny, free_x, free_y, radius, time_step)
+    decrease = (ny * vx - nx * vy) * (1.0 - 1.0 / (1.0 + friction * excess))
+    return -decrease * ny, decrease * nx
+
+
+def _allowed_share(distance, nx, ny, vx, vy, radius, time_step) -> Array:
+    """The share of a velocity, at most 1, with which no body reaches one obstacle."""
+    approach = -(nx * vx + ny * vy)
+    allowed = jnp.maximum((distance - radius) / time_step + SLACK, MIN_APPROACH)
+    too_fast = approach > allowed
+    return jnp.where(too_fast, allowed / jnp.where(too_fast, approach, 1.0), 1.0)
 
 
 def _at_obstacles(function: Callable, px: Array, py: Array, grid: ObstacleGrid, *arguments: Any) -> tuple[Array, Array]:
@@ -150,12 +171,14 @@ def _at_obstacles(function: Callable, px: Array, py: Array, grid: ObstacleGrid, 
     def at_once(px: Array, py: Array, grid: ObstacleGrid, *arguments: Any) -> tuple[Array, Array]:
         over = partial(_at_once, px, py, nearby_obstacles(grid, px, py))
         total = partial(over, lambda pushes: sum_vectors(pushes[0], pushes[1], 1))
-        return function(total, partial(over, lambda values: values.min(1)), *arguments)
+        smallest = partial(over, lambda values: values.min(1))
+        return function(total, smallest, *arguments)
 
     def one_by_one(px: Array, py: Array, grid: ObstacleGrid, *arguments: Any) -> tuple[Array, Array]:
         over = partial(_one_by_one, px, py, nearby_obstacles(grid, px, py))
         total = partial(over, _add, (jnp.zeros_like(px),) * 2)
-        return function(total, partial(over, jnp.minimum, jnp.ones_like(px)), *arguments)
+        smallest = partial(over, jnp.minimum, jnp.ones_like(px))
+        return function(total, smallest, *arguments)
 
     default = one_by_one
     single = all(jnp.result_type(leaf) == np.float32 for leaf in jax.tree.leaves((px, arguments)))
@@ -170,15 +193,16 @@ def _value(law: Callable, px: Array, py: Array, row: Any, arguments: tuple) -> A
     return law(distance, nx, ny, *arguments)
 
 
-def _add(total: tuple, one: tuple) -> tuple:
-    return total[0] + one[0], total[1] + one[1]
+def _add(total: tuple, push: tuple) -> tuple:
+    return total[0] + push[0], total[1] + push[1]
 
 
 def _at_once(px: Array, py: Array, rows: Array, reduce: Callable, law: Callable, *arguments: Any) -> Any:
     """The law for all obstacles (N, K), then reduced."""
-    each = jax.tree.map(lambda leaf: 0 if jnp.ndim(leaf) else None, arguments)
-    obstacles = jax.vmap(partial(_value, law), (None, None, 0, None))
-    return reduce(jax.vmap(obstacles, (0, 0, 0, each))(px, py, rows, arguments))
+    by_obstacles = jax.vmap(partial(_value, law), (None, None, 0, None))
+    argument_axes = jax.tree.map(lambda leaf: 0 if jnp.ndim(leaf) else None, arguments)
+    on_people = jax.vmap(by_obstacles, (0, 0, 0, argument_axes))
+    return reduce(on_people(px, py, rows, arguments))
 
 
 def _one_by_one(px: Array, py: Array, rows: Array, join: Callable, start: Any, law: Callable, *arguments: Any) -> Any:
@@ -188,11 +212,12 @@ def _one_by_one(px: Array, py: Array, rows: Array, join: Callable, start: Any, l
     kernel, which would be slow on a CPU.
     """
 
-    def turn(total: Any, row: tuple) -> tuple:
+    def join_next(total: Any, row: tuple) -> tuple:
         return join(total, _value(law, px, py, row, arguments)), None
 
     columns = tuple(rows[..., column].T for column in range(rows.shape[2]))
-    return jax.lax.scan(turn, start, columns, unroll=rows.shape[1])[0]
+    total, _ = jax.lax.scan(join_next, start, columns, unroll=rows.shape[1])
+    return total
 
 
 def _in_kernel(function: Callable, over: Callable, px: Any, py: Any, *arguments: Any) -> tuple:

@@ -19,7 +19,7 @@ from sean_jax.core.bounds import MAX_COORDINATE, MAX_FLOOR_SIDE, MAX_OBSTACLES, 
 from sean_jax.core.data_types import PATTERNS, Array, Environment, Obstacles, Scenery, Solids
 from sean_jax.core.devices import to_device
 from sean_jax.core.errors import FileError, InputError
-from sean_jax.core.geometry import build_obstacle_grid, signed_distances, signed_distances_on_host
+from sean_jax.core.geometry import build_obstacle_grid, rotate, signed_distances, signed_distances_on_host
 from sean_jax.io import files
 from sean_jax.io.files import mjcf
 
@@ -146,15 +146,13 @@ def write(
         kinds: first words of the names of the boxes, as of ``PATTERN_OF``; ``box`` if None.
     """
     x0, y0, x1, y1 = settings.floor
-    middle, half = f"{(x0 + x1) / 2:g} {(y0 + y1) / 2:g}", f"{(x1 - x0) / 2:g} {(y1 - y0) / 2:g}"
+    middle = f"{(x0 + x1) / 2:g} {(y0 + y1) / 2:g}"
+    half = f"{(x1 - x0) / 2:g} {(y1 - y0) / 2:g}"
     span = max(x1 - x0, y1 - y0)
-    lines = []
-    for number, (x, y, hx, hy, yaw, height) in enumerate(boxes):
-        turn = f' euler="0 0 {np.rad2deg(yaw):.9g}"' if yaw else ""
-        color = "" if colors is None else f' rgba="{" ".join(f"{part:g}" for part in colors[number])} 1"'
-        place = f'pos="{x:.9g} {y:.9g} {height / 2:g}" size="{hx:.9g} {hy:.9g} {height / 2:g}"'
-        kind = "box" if kinds is None else kinds[number]
-        lines.append(f'    <geom name="{kind}_{number + 1}" type="box" {place}{turn}{color}/>')
+    geoms = []
+    for index, box in enumerate(boxes):
+        kind = "box" if kinds is None else kinds[index]
+        geoms.append(_geom(f"{kind}_{index + 1}", box, None if colors is None else colors[index]))
     scene = "\n".join([
         '<mujoco model="map">',
         f'  <statistic center="{middle} 0" extent="{span:g}"/>',
@@ -162,17 +160,31 @@ def write(
         f'    <light name="sun" directional="true" pos="{middle} {span:g}" dir="-0.35 0.25 -0.9" castshadow="false"/>',
         f'    <camera name="top" pos="{middle} {1.15 * span:g}" fovy="48"/>',
         f'    <geom name="floor" type="plane" pos="{middle} 0" size="{half} 0.1"/>',
-        *lines,
+        *geoms,
         "  </worldbody>",
         "</mujoco>",
         "",
     ])  # fmt: skip
     floor = ", ".join(f"{value:.9g}" for value in settings.floor)
-    text = f"name: {json.dumps(settings.name)}\nfloor: [{floor}]  # m: x_min, y_min, x_max, y_max\n"
-    text += f"people: {settings.people}  # default number\nsource: {json.dumps(settings.source)}\n"
-    text += "" if settings.ceiling is None else f"ceiling: {settings.ceiling:g}  # m\n"
-    (folder / SETTINGS).write_text(text, encoding="utf-8")
+    lines = [
+        f"name: {json.dumps(settings.name)}",
+        f"floor: [{floor}]  # m: x_min, y_min, x_max, y_max",
+        f"people: {settings.people}  # default number",
+        f"source: {json.dumps(settings.source)}",
+    ]
+    if settings.ceiling is not None:
+        lines.append(f"ceiling: {settings.ceiling:g}  # m")
+    (folder / SETTINGS).write_text("\n".join(lines) + "\n", encoding="utf-8")
     (folder / SCENE).write_text(scene, encoding="utf-8")
+
+
+def _geom(name: str, box: Sequence[float], color: Sequence[float] | None) -> str:
+    """A line of MJCF: a box as in ``write``."""
+    x, y, hx, hy, yaw, height = box
+    pose = f'pos="{x:.9g} {y:.9g} {height / 2:g}" size="{hx:.9g} {hy:.9g} {height / 2:g}"'
+    euler = f' euler="0 0 {np.rad2deg(yaw):.9g}"' if yaw else ""
+    rgba = "" if color is None else f' rgba="{" ".join(f"{channel:g}" for channel in color)} 1"'
+    return f'    <geom name="{name}" type="box" {pose}{euler}{rgba}/>'
 
 
 def clearance(environment: Environment, points: Float[Array, "P 2"]) -> Float[Array, "P"]:
@@ -191,7 +203,8 @@ def free_points(environment: Environment, radius: float, number: int, seed: int 
     generator = np.random.default_rng(seed)
     floor = np.asarray(environment.floor, np.float64)
     batches: list[np.ndarray] = []
-    missing, tried = number, 0
+    missing = number
+    tried = 0
     while missing > 0:
         places = generator.uniform(floor[:2], floor[2:], (BATCH, 2)).astype(np.float32)
         free = places[np.minimum(*signed_distances_on_host(environment, places)) >= radius]
@@ -199,9 +212,10 @@ def free_points(environment: Environment, radius: float, number: int, seed: int 
         missing -= len(batches[-1])
         tried += BATCH
         if tried >= 20 * BATCH and (number - missing) * 2000 < tried:
-            text = f"has hardly any place where a disc of {radius:g} m is clear of obstacles"
-            tries = f"({number - missing} of {tried} tried); use a smaller radius."
-            raise InputError(f"environment '{environment.name}' {text} {tries}")
+            raise InputError(
+                f"environment '{environment.name}' has hardly any place where a disc of {radius:g} m is clear of "
+                f"obstacles ({number - missing} of {tried} tried); use a smaller radius."
+            )
     return np.concatenate([np.zeros((0, 2), np.float32), *batches])
 
 
@@ -213,8 +227,8 @@ def _floor_problems(settings: Settings) -> list[files.Problem]:
     x_min, y_min, x_max, y_max = settings.floor
     wide, deep = x_max - x_min, y_max - y_min
     if not (wide >= MIN_FLOOR_SIDE and deep >= MIN_FLOOR_SIDE):
-        why = "empty" if min(wide, deep) <= 0 else f"{wide:g} by {deep:g} m, too narrow to walk on"
-        return [(("floor",), f"{list(settings.floor)} is {why}; give x_min, y_min, x_max, y_max in this order")]
+        fault = "empty" if min(wide, deep) <= 0 else f"{wide:g} by {deep:g} m, too narrow to walk on"
+        return [(("floor",), f"{list(settings.floor)} is {fault}; give x_min, y_min, x_max, y_max in this order")]
     if max(wide, deep) > MAX_FLOOR_SIDE:
         return [(("floor",), f"is {wide:g} by {deep:g} m, and {MAX_FLOOR_SIDE:g} m is the longest side; cut it out")]
     return []
@@ -223,29 +237,40 @@ def _floor_problems(settings: Settings) -> list[files.Problem]:
 def _edges(boxes: np.ndarray, floor: tuple[float, ...]) -> np.ndarray:
     """(E, 6) boxes as in ``_boxes``, without height: beyond the edges of the floor that no boxes (W, 6) cover."""
     lower, upper = np.array(floor[:2]), np.array(floor[2:])
-    middle, half = (lower + upper) / 2, (upper - lower) / 2
-    cosine, sine = np.cos(boxes[:, 4]), np.sin(boxes[:, 4])
+    middle = (lower + upper) / 2
+    half = (upper - lower) / 2
     edges = []
     for axis, side in ((0, -1.0), (1, -1.0), (0, 1.0), (1, 1.0)):
-        out, along = np.eye(2)[axis] * side, np.eye(2)[1 - axis]
-        begin = middle + half * (out - along) - boxes[:, :2]  # one end of the edge, from each box
-        begin, way = (
-            np.stack([cosine * x + sine * y, cosine * y - sine * x], -1)
-            for x, y in (begin.T, 2 * half[1 - axis] * along[:, None])
-        )
-        with np.errstate(divide="ignore", invalid="ignore"):  # of the way along the edge, where a box begins and ends
-            ends = (np.array([[[-1.0]], [[1.0]]]) * (boxes[:, 2:4] + MAX_SEAM) - begin) / way
-        beside = (way == 0.0) & (np.abs(begin) > boxes[:, 2:4] + MAX_SEAM)
-        first = np.where(way == 0.0, np.where(beside, np.inf, -np.inf), ends.min(0)).max(-1)
-        last = np.where(way == 0.0, np.where(beside, -np.inf, np.inf), ends.max(0)).min(-1)
-        covered = 0.0
-        for number in np.argsort(first):
-            if first[number] <= covered:
-                covered = max(covered, last[number])
-        if covered < 1.0:
-            center, extent = middle + out * (half + EDGE_DEPTH), half * along + EDGE_DEPTH * np.array([1.0, 1.0])
+        out = np.eye(2)[axis] * side
+        along = np.eye(2)[1 - axis]
+        start = middle + half * (out - along)
+        if not _is_covered(start, 2 * half[1 - axis] * along, boxes):
+            center = middle + out * (half + EDGE_DEPTH)
+            extent = half * along + EDGE_DEPTH * np.array([1.0, 1.0])
             edges.append([*center, *extent, 0.0, 0.0])
     return np.array(edges).reshape(-1, 6)
+
+
+def _is_covered(start: Float[np.ndarray, "2"], way: Float[np.ndarray, "2"], boxes: Float[np.ndarray, "W 6"]) -> bool:
+    """Whether boxes side by side cover the segment from a start along a way [m] (slab method, as for rays)."""
+    cosine, sine = np.cos(boxes[:, 4]), np.sin(boxes[:, 4])
+    half = boxes[:, 2:4] + MAX_SEAM
+    dx, dy = (start - boxes[:, :2]).T
+    start = np.stack(rotate(dx, dy, cosine, -sine), -1)  # (W, 2), in the frame of each box
+    way = np.stack(rotate(way[0], way[1], cosine, -sine), -1)
+
+    # The shares of the way where each box begins and ends; along a side of its frame, all or none.
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ends = np.stack([-half - start, half - start]) / way  # (2, W, 2)
+    low = np.where(np.abs(start) > half, np.inf, -np.inf)
+    first = np.where(way == 0.0, low, ends.min(0)).max(-1)
+    last = np.where(way == 0.0, -low, ends.max(0)).min(-1)
+
+    covered = 0.0
+    for index in np.argsort(first):
+        if first[index] <= covered:
+            covered = max(covered, last[index])
+    return bool(covered >= 1.0)
 
 
 def _boxes(path: Path) -> tuple[np.ndarray, Scenery]:
@@ -255,22 +280,37 @@ def _boxes(path: Path) -> tuple[np.ndarray, Scenery]:
     """
     if not path.exists():
         raise FileError(f"{path}: there is no such file; an environment's obstacles are MJCF boxes in it.")
+    model, data = _read_scene(path)
+    solid = np.flatnonzero(model.geom_contype | model.geom_conaffinity).tolist()
+    kind = {index: mujoco.mjtGeom(model.geom_type[index]).name.removeprefix("mjGEOM_").lower() for index in solid}
+    problems = []
+    for index in solid:
+        refusal = _refusal(model, data, index, kind[index])
+        if refusal:
+            name = model.geom(index).name
+            label = f"geom '{name}'" if name else f"the unnamed geom number {index + 1}"
+            problems.append(f"{label} {refusal}")
+    boxes = [index for index in solid if kind[index] == "box"]
+    if len(boxes) > MAX_OBSTACLES:
+        problems.append(f"has {len(boxes)} boxes that can be touched; {MAX_OBSTACLES} are the most")
+    if problems:
+        raise FileError("\n".join(str(files.file_error(path, problem)) for problem in problems))
+
+    position = data.geom_xpos[boxes]
+    half = model.geom_size[boxes]
+    rotation = data.geom_xmat[boxes]
+    yaw = np.arctan2(rotation[:, 3], rotation[:, 0])
+    height = position[:, 2] + half[:, 2]
+    rows = np.column_stack([position[:, :2], half[:, :2], yaw, height])
+    return rows, scenery_from_mjcf(model, data, boxes)
+
+
+def _read_scene(path: Path) -> tuple[Any, Any]:
+    """The ``mujoco.MjModel`` of a file, and its ``mujoco.MjData`` with the positions of its geoms."""
     model = mjcf.read(path)
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    kind = [mujoco.mjtGeom(number).name.removeprefix("mjGEOM_").lower() for number in model.geom_type]
-    solid = [index for index in range(model.ngeom) if model.geom_contype[index] or model.geom_conaffinity[index]]
-    names = {index: f"geom '{name}'" for index in solid if (name := model.geom(index).name)}
-    clauses = {index: _refusal(model, data, index, kind[index]) for index in solid}
-    texts = [f"{names.get(k, f'the unnamed geom number {k + 1}')} {text}" for k, text in clauses.items() if text]
-    boxes = [index for index in solid if kind[index] == "box"]
-    if len(boxes) > MAX_OBSTACLES:
-        texts.append(f"has {len(boxes)} boxes that can be touched; {MAX_OBSTACLES} are the most")
-    if texts:
-        raise FileError("\n".join(str(files.file_error(path, text)) for text in texts))
-    position, half, turn = data.geom_xpos[boxes], model.geom_size[boxes], data.geom_xmat[boxes]
-    yaw, height = np.arctan2(turn[:, 3], turn[:, 0]), position[:, 2] + half[:, 2]
-    return np.column_stack([position[:, :2], half[:, :2], yaw, height]), scenery_from_mjcf(model, data, boxes)
+    return model, data
 
 
 def named_boxes(path: Path) -> dict[str, tuple[tuple[float, ...], tuple[float, ...], float]]:
@@ -279,15 +319,15 @@ def named_boxes(path: Path) -> dict[str, tuple[tuple[float, ...], tuple[float, .
     Raises:
         FileError: MuJoCo cannot read the file.
     """
-    model = mjcf.read(path)
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
+    model, data = _read_scene(path)
     boxes = {}
     for index in np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_BOX):
-        if (name := model.geom(index).name) and (model.geom_contype[index] or model.geom_conaffinity[index]):
-            turn = data.geom_xmat[index]
-            yaw = float(np.rad2deg(np.arctan2(turn[3], turn[0])))
-            boxes[name] = tuple(data.geom_xpos[index].tolist()), tuple(model.geom_size[index].tolist()), yaw
+        name = model.geom(index).name
+        if name and (model.geom_contype[index] or model.geom_conaffinity[index]):
+            center = tuple(data.geom_xpos[index].tolist())
+            half = tuple(model.geom_size[index].tolist())
+            rotation = data.geom_xmat[index]
+            boxes[name] = center, half, float(np.rad2deg(np.arctan2(rotation[3], rotation[0])))
     return boxes
 
 
@@ -302,10 +342,12 @@ def _refusal(model: Any, data: Any, index: int, kind: str) -> str:
         return "is on a body with a joint; obstacles stand still, so remove the joint"
     if abs(tilt) < 1 - TILT_TOLERANCE:
         return "is tilted; turn it about the vertical axis only"
-    bottom, top = data.geom_xpos[index, 2] + model.geom_size[index, 2] * np.array([-1.0, 1.0])
-    if np.abs(data.geom_xpos[index]).max() > MAX_COORDINATE or model.geom_size[index].max() > MAX_COORDINATE:
+    position = data.geom_xpos[index]
+    half = model.geom_size[index]
+    bottom, top = position[2] - half[2], position[2] + half[2]
+    if np.abs(position).max() > MAX_COORDINATE or half.max() > MAX_COORDINATE:
         return f"reaches farther than {MAX_COORDINATE:g} m; give metres"
-    if model.geom_size[index].min() < MIN_HALF_SIDE:
+    if half.min() < MIN_HALF_SIDE:
         return f"is thinner than {2000 * MIN_HALF_SIDE:g} mm; make it thicker"
     if bottom > MAX_BOTTOM:
         return f"begins {bottom:.2f} m above the floor; extend it down to z = 0"
@@ -319,21 +361,21 @@ def _refusal(model: Any, data: Any, index: int, kind: str) -> str:
 
 def plain_scenery(obstacles: Obstacles) -> Scenery:
     """The scenery of obstacles without colors: grey boxes on the default floor, under the default sky."""
-    center, extent, yaw, height = (np.asarray(part, float) for part in jax.tree.leaves(obstacles))
-    half = np.column_stack([extent, 0.5 * height])
-    boxes = np.column_stack([center, 0.5 * height, half, np.cos(yaw), np.sin(yaw)])
+    center, extent, yaw, height = (np.asarray(field, float) for field in jax.tree.leaves(obstacles))
+    half_height = 0.5 * height
+    boxes = np.column_stack([center, half_height, extent, half_height, np.cos(yaw), np.sin(yaw)])
     color = np.tile((*OBSTACLE, 0.0), (len(height), 1))
     return _scenery(_solids(boxes, np.zeros((0, 8)), np.zeros((0, 4)), color))
 
 
 def scenery_from_mjcf(model: Any, data: Any, obstacles: list[int]) -> Scenery:
     """The scenery of a ``mujoco.MjModel`` with its ``mujoco.MjData``; geoms of the indices ``obstacles`` come first."""
-    rest = [index for index in range(model.ngeom) if index not in set(obstacles)]
-    shape = solids_from_mjcf(model, data, [*obstacles, *rest])
+    decoration = sorted(set(range(model.ngeom)) - set(obstacles))
+    solids = solids_from_mjcf(model, data, [*obstacles, *decoration])
     sky = _texture(model, "skybox")
-    sun = -model.light_dir[0] if model.nlight else np.array(SUN)
     sky = SKY if sky is None else sky
-    return _scenery(shape, _floor_of(model), (sky[0], sky[-1]), sun)
+    sun = -model.light_dir[0] if model.nlight else np.array(SUN)
+    return _scenery(solids, _floor_look(model), (sky[0], sky[-1]), sun)
 
 
 def solids_from_mjcf(model: Any, data: Any, geoms: list[int]) -> Solids:
@@ -341,30 +383,41 @@ def solids_from_mjcf(model: Any, data: Any, geoms: list[int]) -> Solids:
 
     A capsule becomes a cylinder of the same extent. Geoms of other kinds and transparent geoms are left out.
     """
-    kind = mujoco.mjtGeom
+    kinds = mujoco.mjtGeom
     boxes, cylinders, spheres = [], [], []
-    colors: tuple[list, list, list] = [], [], []
+    box_colors, cylinder_colors, sphere_colors = [], [], []
     for index in geoms:
-        place, size = data.geom_xpos[index], model.geom_size[index]
-        turn, material = data.geom_xmat[index].reshape(3, 3), model.geom_matid[index]
-        shade = model.geom_rgba[index] if material < 0 else model.mat_rgba[material]
-        if shade[3] < 0.5:
+        color = _color(model, index)
+        if color is None:
             continue
-        name = model.geom(index).name if material < 0 else model.mat(material).name
-        pattern = PATTERN_OF.get(name.split("_")[0], "plain")
-        shade = [*shade[:3], PATTERNS.index(pattern)]
-        geom_type = kind(int(model.geom_type[index]))
-        if geom_type == kind.mjGEOM_BOX:
-            boxes.append([*place, *size, turn[0, 0], turn[1, 0]])
-            colors[0].append(shade)
-        elif geom_type in (kind.mjGEOM_CYLINDER, kind.mjGEOM_CAPSULE):
-            longer = size[0] if geom_type == kind.mjGEOM_CAPSULE else 0.0
-            cylinders.append([*place, *turn[:, 2], size[0], size[1] + longer])
-            colors[1].append(shade)
-        elif geom_type == kind.mjGEOM_SPHERE:
-            spheres.append([*place, size[0]])
-            colors[2].append(shade)
-    return _solids(boxes, cylinders, spheres, [*colors[0], *colors[1], *colors[2]])
+        position = data.geom_xpos[index]
+        size = model.geom_size[index]
+        rotation = data.geom_xmat[index].reshape(3, 3)
+        kind = kinds(int(model.geom_type[index]))
+        if kind == kinds.mjGEOM_BOX:
+            boxes.append([*position, *size, rotation[0, 0], rotation[1, 0]])
+            box_colors.append(color)
+        elif kind in (kinds.mjGEOM_CYLINDER, kinds.mjGEOM_CAPSULE):
+            cap = size[0] if kind == kinds.mjGEOM_CAPSULE else 0.0
+            cylinders.append([*position, *rotation[:, 2], size[0], size[1] + cap])
+            cylinder_colors.append(color)
+        elif kind == kinds.mjGEOM_SPHERE:
+            spheres.append([*position, size[0]])
+            sphere_colors.append(color)
+    return _solids(boxes, cylinders, spheres, [*box_colors, *cylinder_colors, *sphere_colors])
+
+
+def _color(model: Any, index: int) -> list | None:
+    """Color and pattern of a geom, by its material if it has one; None if it is transparent."""
+    material = model.geom_matid[index]
+    if material < 0:
+        name, rgba = model.geom(index).name, model.geom_rgba[index]
+    else:
+        name, rgba = model.mat(material).name, model.mat_rgba[material]
+    if rgba[3] < 0.5:
+        return None
+    pattern = PATTERN_OF.get(name.split("_")[0], "plain")
+    return [*rgba[:3], PATTERNS.index(pattern)]
 
 
 def _solids(boxes: ArrayLike, cylinders: ArrayLike, spheres: ArrayLike, color: ArrayLike) -> Solids:
@@ -372,36 +425,41 @@ def _solids(boxes: ArrayLike, cylinders: ArrayLike, spheres: ArrayLike, color: A
     return Solids(**{name: to_device(np.asarray(rows, float).reshape(-1, width)) for name, rows, width in shapes})
 
 
-Floor = tuple[np.ndarray, float, float]  # (3, 3) colors, m side of a square, m width of a joint
-PLAIN_FLOOR: Floor = (np.array((*FLOOR, FLOOR[0])), SQUARE, 0.0)
+FloorLook = tuple[np.ndarray, float, float]  # (3, 3) colors, m side of a square, m width of a joint
+PLAIN_FLOOR: FloorLook = (np.array((*FLOOR, FLOOR[0])), SQUARE, 0.0)
 UNPAINTED = np.array([0.5, 0.5, 0.5, 1.0])  # the color of geoms in MJCF that give none
 
 
-def _scenery(shape: Solids, floor: Floor = PLAIN_FLOOR, sky: ArrayLike = SKY, sun: ArrayLike = SUN) -> Scenery:
-    towards = np.asarray(sun, float)
-    towards = towards / np.linalg.norm(towards)
-    looks = to_device((*map(np.asarray, floor), np.zeros(()), np.asarray(sky), towards))
-    return Scenery(shape, *looks)
+def _scenery(solids: Solids, floor: FloorLook = PLAIN_FLOOR, sky: ArrayLike = SKY, sun: ArrayLike = SUN) -> Scenery:
+    to_sun = np.asarray(sun, float)
+    to_sun = to_sun / np.linalg.norm(to_sun)
+    looks = to_device((*map(np.asarray, floor), np.zeros(()), np.asarray(sky), to_sun))
+    return Scenery(solids, *looks)
 
 
-def _floor_of(model: Any) -> Floor:
+def _floor_look(model: Any) -> FloorLook:
     """The colors of the first texture, repeated as the first plane's material says; without one the plane's color."""
-    kinds = mujoco.mjtGeom
-    planes = [index for index in range(model.ngeom) if model.geom_type[index] == kinds.mjGEOM_PLANE]
-    material = int(model.geom_matid[planes[0]]) if planes else -1
+    planes = np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE)
+    plane = int(planes[0]) if len(planes) else -1
+    material = int(model.geom_matid[plane]) if plane >= 0 else -1
     colors = _texture(model, "2d")
     if colors is None:
-        color = model.mat_rgba[material] if material >= 0 else model.geom_rgba[planes[0]] if planes else UNPAINTED
-        same = np.allclose(color, UNPAINTED)
-        return PLAIN_FLOOR if same else (np.tile(color[:3], (3, 1)), SQUARE, 0.0)
-    period, side = 2 * SQUARE, model.geom_size[planes[0], 0] if planes else 0.0
+        color = UNPAINTED if plane < 0 else model.geom_rgba[plane]
+        color = color if material < 0 else model.mat_rgba[material]
+        return PLAIN_FLOOR if np.allclose(color, UNPAINTED) else (np.tile(color[:3], (3, 1)), SQUARE, 0.0)
+
+    # How far the texture reaches before it is repeated.
+    period = 2 * SQUARE
+    half_side = model.geom_size[plane, 0] if plane >= 0 else 0.0
     if material >= 0 and model.mat_texuniform[material]:
         period = 1 / model.mat_texrepeat[material, 0]
-    elif material >= 0 and side > 0:
-        period = 2 * side / model.mat_texrepeat[material, 0]
-    edge, width = _edge(model)
-    colors = np.array([colors[0], colors[-1], colors[-1] if edge is None else edge])
-    return colors, period / 2, 0.0 if edge is None else 2 * period / width
+    elif material >= 0 and half_side > 0:
+        period = 2 * half_side / model.mat_texrepeat[material, 0]
+
+    joint, width = _edge(model)
+    if joint is None:
+        return np.array([colors[0], colors[-1], colors[-1]]), period / 2, 0.0
+    return np.array([colors[0], colors[-1], joint]), period / 2, 2 * period / width
 
 
 def _edge(model: Any) -> tuple[np.ndarray | None, int]:
@@ -429,10 +487,9 @@ def _texture(model: Any, kind: str) -> np.ndarray | None:
 def _pixels(model: Any, kind: str) -> np.ndarray | None:
     """(H, W, 3) pixels from 0 to 255 of the first texture of a kind."""
     texture = {"2d": mujoco.mjtTexture.mjTEXTURE_2D, "skybox": mujoco.mjtTexture.mjTEXTURE_SKYBOX}[kind]
-    for index in range(model.ntex):
-        if model.tex_type[index] == texture:
-            start, channels = model.tex_adr[index], model.tex_nchannel[index]
-            pixels = model.tex_data[start : start + model.tex_height[index] * model.tex_width[index] * channels]
-            pixels = pixels.reshape(model.tex_height[index], -1, channels)
-            return pixels[:, :, :3] if channels >= 3 else np.repeat(pixels[:, :, :1], 3, axis=-1)  # grey
+    for index in np.flatnonzero(model.tex_type == texture):
+        start = model.tex_adr[index]
+        shape = model.tex_height[index], model.tex_width[index], model.tex_nchannel[index]
+        pixels = model.tex_data[start : start + np.prod(shape)].reshape(shape)
+        return pixels[:, :, :3] if shape[2] >= 3 else np.repeat(pixels[:, :, :1], 3, axis=-1)  # grey
     return None

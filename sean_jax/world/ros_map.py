@@ -23,6 +23,7 @@ from sean_jax.core import bounds
 from sean_jax.core.bounds import MAX_FLOOR_SIDE, MAX_OBSTACLES, Coordinate
 from sean_jax.core.data_types import Environment, Obstacles
 from sean_jax.core.errors import FileError, InputError
+from sean_jax.core.geometry import rotate
 from sean_jax.io import files, writing
 from sean_jax.world import environment as environments
 
@@ -75,7 +76,7 @@ class ImportSummary:
     agreement: float  # share of cells that are equal in the map and in the boxes
 
 
-def read(path: Path | str) -> Raster:
+def read_map(path: Path | str) -> Raster:
     """Read a map, a map_server YAML file and its PGM or PNG image; FileError if one cannot be used."""
     path = Path(path)
     if path.is_file() and _is_image(path):
@@ -87,24 +88,31 @@ def read(path: Path | str) -> Raster:
     shades, opaque = _image(image)
     size = settings.resolution * max(shades.shape)
     if size > MAX_FLOOR_SIDE:
-        cure = "look at resolution and at the image"
-        raise files.file_error(path, f"the map is {size:g} m long, of {shades.shape} cells; {cure}")
+        raise files.file_error(
+            path, f"the map is {size:g} m long, of {shades.shape} cells; look at resolution and at the image"
+        )
+    occupancy = np.where(opaque, _occupancy(settings, shades), -1.0)[::-1]
+    return Raster(occupancy >= OCCUPIED_PERCENT, occupancy < 0, settings.resolution, settings.origin[:2])
+
+
+def _occupancy(settings: MapFile, shades: np.ndarray) -> np.ndarray:
+    """Occupancy [%] of pixels, -1 where it is unknown, by the modes of map_server."""
     if settings.mode == "raw":
-        value = np.where(shades <= 100, shades, -1.0)
-    else:
-        share = shades / 255 if settings.negate else (255 - shades) / 255
-        low, high = settings.free_thresh, settings.occupied_thresh
-        between = 99 * (share - low) / max(high - low, 1e-9) if settings.mode == "scale" else -1.0
-        value = np.where(share > high, 100.0, np.where(share < low, 0.0, between))
-    value = np.where(opaque, value, -1.0)[::-1]
-    return Raster(value >= OCCUPIED_PERCENT, value < 0, settings.resolution, settings.origin[:2])
+        return np.where(shades <= 100, shades, -1.0)
+    share = shades / 255 if settings.negate else (255 - shades) / 255
+    low, high = settings.free_thresh, settings.occupied_thresh
+    between = 99 * (share - low) / max(high - low, 1e-9) if settings.mode == "scale" else -1.0
+    return np.where(share > high, 100.0, np.where(share < low, 0.0, between))
 
 
 def _problems(settings: MapFile) -> list[files.Problem]:
     problems: list[files.Problem] = []
     if settings.resolution > MAX_RESOLUTION:
-        what = f"a pixel of {settings.resolution:g} m is larger than a door is wide"
-        problems.append((("resolution",), f"{what}; give metres a pixel, such as 0.05, and {MAX_RESOLUTION:g} at most"))
+        text = (
+            f"a pixel of {settings.resolution:g} m is larger than a door is wide; give metres a pixel, such as 0.05, "
+            f"and {MAX_RESOLUTION:g} at most"
+        )
+        problems.append((("resolution",), text))
     if settings.origin[2] != 0:
         problems.append((("origin", 2), f"the map is turned by {settings.origin[2]:g} rad; turn its image and give 0"))
     if settings.free_thresh > settings.occupied_thresh:
@@ -155,7 +163,8 @@ def _shades(image: Image.Image) -> tuple[np.ndarray, np.ndarray]:
     if image.mode.startswith("I") or image.mode == "F":  # 16 bits
         values = np.asarray(image, np.float32)
         values = np.where(np.isfinite(values), values, 0.0)
-        return values * np.float32(255 / 65535 if values.max(initial=0) > 255 else 1.0), np.ones(values.shape, bool)
+        scale = np.float32(255 / 65535 if values.max(initial=0) > 255 else 1.0)
+        return values * scale, np.ones(values.shape, bool)
     values = np.asarray(image.convert("RGBA"))
     return values[..., :3].mean(-1, dtype=np.float32), values[..., 3] > 0
 
@@ -184,23 +193,29 @@ def rectangles(occupied: np.ndarray, spare: int = 0) -> np.ndarray:
             free = occupied[row] & (covered[row] == 0)
             if not free.any():
                 break
-            box = _widen(occupied, _best(run, covered, row, int(free.argmax())))
+            left, low, right, high = box = _widen(occupied, _best(run, covered, row, int(free.argmax())))
             boxes.append(box)
-            covered[box[1] : box[3], box[0] : box[2]] += 1
+            covered[low:high, left:right] += 1
             if len(boxes) > MAX_BOXES:
-                cure = "smooth its image, or lower its resolution"
-                raise InputError(f"the map needs more than {MAX_BOXES} boxes; {cure}.")
-    whole, rest = _without_slivers(boxes, covered.copy(), 0), _without_slivers(boxes, covered, spare)
-    few = len(whole) <= (1 + WORTH) * len(rest)  # as in a map that was made of boxes, which comes back exactly
-    return np.array(whole if few else rest, int).reshape(-1, 4)
+                raise InputError(
+                    f"the map needs more than {MAX_BOXES} boxes; smooth its image, or lower its resolution."
+                )
+
+    # A map that was made of boxes comes back exactly.
+    exact = _without_slivers(boxes, covered.copy(), 0)
+    simpler = _without_slivers(boxes, covered, spare)
+    chosen = exact if len(exact) <= (1 + WORTH) * len(simpler) else simpler
+    return np.array(chosen, int).reshape(-1, 4)
 
 
 def _best(run: np.ndarray, covered: np.ndarray, row: int, column: int) -> tuple[int, int, int, int]:
     """The rectangle upwards and to the right of a cell that covers most uncovered cells."""
     depth = int(np.argmin(np.append(run[row:, column] > 0, False)))
-    width = np.minimum.accumulate(run[row : row + depth, column])
+    width = np.minimum.accumulate(run[row : row + depth, column])  # of a rectangle up to each row
     new = np.cumsum(covered[row : row + depth, column : column + width[0]] == 0, axis=1)
-    heights = np.flatnonzero(np.append(width[1:] != width[:-1], True)) + 1  # as high as each width allows
+
+    # As high as each width allows.
+    heights = np.flatnonzero(np.append(width[1:] != width[:-1], True)) + 1
     gains = [int(new[:height, width[height - 1] - 1].sum()) for height in heights]
     height = int(heights[int(np.argmax(gains))])
     return column, row, column + int(width[height - 1]), row + height
@@ -218,24 +233,29 @@ def _widen(occupied: np.ndarray, box: tuple[int, int, int, int]) -> tuple[int, i
 
 def _without_slivers(boxes: list[tuple[int, int, int, int]], covered: np.ndarray, spare: int) -> list:
     """The boxes without slivers of up to ``spare`` cells in all; obstacles that stand alone stay."""
-    rest = []
+    kept = []
     for left, low, right, high in sorted(boxes, key=lambda box: (box[2] - box[0]) * (box[3] - box[1])):
-        part = covered[low:high, left:right]
-        alone = part == 1
+        cells = covered[low:high, left:right]
+        alone = cells == 1  # cells that no other box covers
         count = int(alone.sum())
         if count <= spare:
-            part -= 1
-            around = np.zeros((high - low + 2, right - left + 2), bool)  # no copy of the whole map for each box
-            window = covered[max(low - 1, 0) : high + 1, max(left - 1, 0) : right + 1] > 0
-            y, x = (1 if low == 0 else 0), (1 if left == 0 else 0)
-            around[y : y + window.shape[0], x : x + window.shape[1]] = window
-            shifts = [around[a : a + high - low, b : b + right - left] for a in range(3) for b in range(3)]
-            if (np.any(shifts, axis=0) | ~alone).all():
+            cells -= 1
+            if (_touches_covered(covered, left, low, right, high) | ~alone).all():
                 spare -= count
                 continue
-            part += 1
-        rest.append((left, low, right, high))
-    return sorted(rest, key=lambda box: (box[1], box[0]))
+            cells += 1
+        kept.append((left, low, right, high))
+    return sorted(kept, key=lambda box: (box[1], box[0]))
+
+
+def _touches_covered(covered: np.ndarray, left: int, low: int, right: int, high: int) -> np.ndarray:
+    """(high - low, right - left) bool: cells of a box that are covered or have a covered cell around them."""
+    window = covered[max(low - 1, 0) : high + 1, max(left - 1, 0) : right + 1] > 0
+    around = np.zeros((high - low + 2, right - left + 2), bool)  # no copy of the whole map for each box
+    y, x = int(low == 0), int(left == 0)
+    around[y : y + window.shape[0], x : x + window.shape[1]] = window
+    shifts = [around[a : a + high - low, b : b + right - left] for a in range(3) for b in range(3)]
+    return np.any(shifts, axis=0)
 
 
 def import_map(
@@ -260,30 +280,42 @@ def import_map(
         bounds.check_integer("people", people, 0, bounds.MAX_PEOPLE)
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise InputError(f"{folder} exists and is not an empty folder; give another one.")
-    raster = read(path)
+
+    raster = read_map(path)
     solid = raster.occupied | raster.unknown if unknown == "obstacle" else raster.occupied
     if not solid.any() or solid.all():
-        what = "every" if solid.any() else "no"
-        cure = "look at negate and the thresholds"
-        raise InputError(f"{files.short_name(Path(path))}: {what} cell is an obstacle; {cure}.")
-    boxes = rectangles(solid, int(solid.size * (1 - MIN_AGREEMENT) * SLIVER_SHARE))
-    free = float((~solid).sum()) * raster.resolution**2
-    count = max(1, min(MAX_DEFAULT_PEOPLE, round(free / AREA_PER_PERSON))) if people is None else people
+        quantity = "every" if solid.any() else "no"
+        raise InputError(
+            f"{files.short_name(Path(path))}: {quantity} cell is an obstacle; look at negate and the thresholds."
+        )
+    # Few boxes that cover the obstacles, and as many people as there is room for.
+    rows = rectangles(solid, int(solid.size * (1 - MIN_AGREEMENT) * SLIVER_SHARE))
+    if people is None:
+        free = float((~solid).sum()) * raster.resolution**2
+        people = max(1, min(MAX_DEFAULT_PEOPLE, round(free / AREA_PER_PERSON)))
+
+    # What is read again is what was described.
     with writing.atomic_folder(folder) as new_folder:
-        name = folder.resolve().name
-        source = f"ROS map {Path(path).name}, {raster.resolution:g} m a cell"
         lower = np.asarray(raster.origin)
         upper = lower + raster.resolution * np.asarray(solid.shape[::-1])
         x0, y0, x1, y1 = (round(float(value), 6) for value in (*lower, *upper))
-        settings = environments.Settings(name=name, floor=(x0, y0, x1, y1), people=count, source=source)
-        ends = boxes.reshape(-1, 2, 2) * raster.resolution  # of each box: lower and upper corner, from the origin
-        rest = np.broadcast_to([0.0, height], (len(boxes), 2))
-        table = np.concatenate([lower + ends.mean(1), (ends[:, 1] - ends[:, 0]) / 2, rest], 1)
-        environments.write(new_folder, settings, table)
+        name = folder.resolve().name
+        source = f"ROS map {Path(path).name}, {raster.resolution:g} m a cell"
+        settings = environments.Settings(name=name, floor=(x0, y0, x1, y1), people=people, source=source)
+        environments.write(new_folder, settings, _boxes(rows, raster, height))
         agreement = float(np.mean(rasterize(environments.load(new_folder).obstacles, raster) == solid))
         if agreement < MIN_AGREEMENT:
             raise InputError(f"the boxes describe only {agreement:.2%} of the map's cells; nothing was written.")
-    return ImportSummary(folder, len(boxes), count, solid.size, agreement)
+    return ImportSummary(folder, len(rows), people, solid.size, agreement)
+
+
+def _boxes(rows: np.ndarray, raster: Raster, height: float) -> np.ndarray:
+    """Boxes (B, 6) as of ``environment.write`` from rectangles (B, 4) of cells."""
+    low = rows[:, :2] * raster.resolution  # from the origin
+    high = rows[:, 2:] * raster.resolution
+    center = np.asarray(raster.origin) + (low + high) / 2
+    yaw_and_height = np.broadcast_to([0.0, height], (len(rows), 2))
+    return np.concatenate([center, (high - low) / 2, yaw_and_height], 1)
 
 
 def rasterize(obstacles: Obstacles, raster: Raster) -> np.ndarray:
@@ -292,13 +324,17 @@ def rasterize(obstacles: Obstacles, raster: Raster) -> np.ndarray:
     x = raster.origin[0] + (np.arange(columns) + 0.5) * raster.resolution
     y = raster.origin[1] + (np.arange(rows) + 0.5) * raster.resolution
     inside = np.zeros((rows, columns), bool)
-    boxes = (np.asarray(part, float) for part in (obstacles.center, obstacles.half_extent, obstacles.yaw))
+    boxes = (np.asarray(field, float) for field in (obstacles.center, obstacles.half_extent, obstacles.yaw))
     for (cx, cy), (hx, hy), yaw in zip(*boxes, strict=True):
         cosine, sine = np.cos(yaw), np.sin(yaw)
-        reach = abs(cosine) * hx + abs(sine) * hy, abs(sine) * hx + abs(cosine) * hy
-        window = np.ix_(np.abs(y - cy) < reach[1] + 1e-9, np.abs(x - cx) < reach[0] + 1e-9)
-        dy, dx = y[window[0][:, 0], None] - cy, x[window[1][0]] - cx
-        inside[window] |= (np.abs(cosine * dx + sine * dy) < hx) & (np.abs(cosine * dy - sine * dx) < hy)
+        reach_x = abs(cosine) * hx + abs(sine) * hy
+        reach_y = abs(sine) * hx + abs(cosine) * hy
+        near_y = np.abs(y - cy) < reach_y + 1e-9
+        near_x = np.abs(x - cx) < reach_x + 1e-9
+
+        # In the frame of the box.
+        u, v = rotate(x[near_x] - cx, y[near_y, None] - cy, cosine, -sine)
+        inside[np.ix_(near_y, near_x)] |= (np.abs(u) < hx) & (np.abs(v) < hy)
     return inside
 
 
@@ -315,13 +351,15 @@ def of_environment(environment: Environment, resolution: float = 0.05, height: f
     x0, y0, x1, y1 = (round(float(value), 6) for value in np.asarray(environment.floor, float))
     columns, rows = (max(1, round(side / resolution)) for side in (x1 - x0, y1 - y0))
     if columns * rows > MAX_CELLS:
-        what = f"cells of {resolution:g} m would be {columns * rows:,}"
-        raise InputError(f"resolution: {what}; {MAX_CELLS:,} are the most, so give larger ones.")
+        raise InputError(
+            f"resolution: cells of {resolution:g} m would be {columns * rows:,}; {MAX_CELLS:,} are the most, so give "
+            "larger ones."
+        )
     empty = np.zeros((rows, columns), bool)
     raster = Raster(empty, empty, resolution, (x0, y0))
     boxes = environment.obstacles
     tall = (np.asarray(boxes.height) > 0.0) & (np.asarray(boxes.height) >= height - 1e-6)
-    occupied = rasterize(jax.tree.map(lambda part: np.asarray(part)[tall], boxes), raster)
+    occupied = rasterize(jax.tree.map(lambda field: np.asarray(field)[tall], boxes), raster)
     return dataclasses.replace(raster, occupied=occupied)
 
 

@@ -22,10 +22,10 @@ MODELS: dict[str, type[pydantic.BaseModel]] = {
     "`graph.yaml`": graph.Annotation,
     "`nodes.NAME`": graph.Node,
     "`edges[]`": graph.Edge,
-    "`handcrafted.yaml`": handcrafted.Annotation,
+    "`handcrafted.yaml`": handcrafted.HandcraftedAnnotation,
     "`further.NAME`": handcrafted.Collection,
     "`sets.NAME`": handcrafted.Set,
-    "`walkers[]`": handcrafted.Walkers,
+    "`walkers[]`": handcrafted.LoopWalkers,
     "`groups.NAME`": handcrafted.Group,
 }
 BOUNDS = (
@@ -150,7 +150,7 @@ def test_the_example_has_each_file_and_every_file_is_read(place):
     here = environment.load(place)
     assert environment.default_people(place) == 6 and here.name == "my_place"
     assert int((np.asarray(here.obstacles.height) > 0).sum()) == 2, "the lamp is decoration"
-    sets = handcrafted.read(place, here).sets
+    sets = handcrafted.read_sets(place, here).sets
     assert list(sets) == ["cross_path_1", "join_group_1"]
 
 

@@ -71,7 +71,7 @@ def factors(flow: str) -> tuple[float, float]:
 @pytest.mark.parametrize("seed", range(6))
 def test_arrays_are_what_is_written(seed):
     given = words(seed)
-    graph = jax.tree.map(np.asarray, annotation.build(annotation.Annotation.model_validate(given), None))
+    graph = jax.tree.map(np.asarray, annotation.build_graph(annotation.Annotation.model_validate(given), None))
     nodes, names = list(given["nodes"].values()), list(given["nodes"])
     groups = [k for k, node in enumerate(nodes) if node["kind"] == "group"]
     assert graph.names == tuple(names) and graph.groups.tolist() == groups
@@ -155,7 +155,7 @@ def assert_cheapest(graph) -> None:
 def test_costs_under_way(seed):
     """Paths inside jit, other positions and factors, areas, densities, and what they cost."""
     random = np.random.default_rng(seed)
-    graph = annotation.build(annotation.Annotation.model_validate(words(seed)), None)
+    graph = annotation.build_graph(annotation.Annotation.model_validate(words(seed)), None)
     size = len(graph.names)
     known = jax.tree.map(lambda leaf: np.asarray(leaf, float), graph)
     cost, hop = jax.jit(cheapest_paths)(graph.edge_cost, graph.is_group)
@@ -197,7 +197,7 @@ def test_costs_under_way(seed):
 
 @pytest.mark.parametrize("temperature", [0.5, 5.0])
 def test_chances_of_the_next_node_are_a_logit(temperature):
-    graph = annotation.build(annotation.Annotation.model_validate(words(9)), None)
+    graph = annotation.build_graph(annotation.Annotation.model_validate(words(9)), None)
     found = np.asarray(jax.jit(hop_log_chances)(graph.edge_cost, graph.cost, graph.is_group, temperature), float)
     edge_cost, cost, is_group = (np.asarray(part, float) for part in (graph.edge_cost, graph.cost, graph.is_group))
     for u, h in itertools.product(range(len(graph.names)), repeat=2):

@@ -29,7 +29,7 @@ def warehouse():
 
 @pytest.fixture(scope="module")
 def graph(warehouse) -> BehaviorGraph:
-    return annotation.read(FILE, warehouse)
+    return annotation.read_graph(FILE, warehouse)
 
 
 def test_warehouse_is_the_graph_of_the_paper(graph):
@@ -117,7 +117,7 @@ def test_places_in_a_narrow_spot_stay_near_the_centre(tmp_path):
     place = yard(tmp_path, [box((x, 0), (0.05, 4)) for x in (0.36, -0.36)])
     text = "".join(GOOD.splitlines(keepends=True)[:5]).replace("radius: 1", "radius: 3") + "edges: []\n"
     (tmp_path / "graph.yaml").write_text(text, encoding="utf-8")
-    found = annotation.read(tmp_path / "graph.yaml", place)
+    found = annotation.read_graph(tmp_path / "graph.yaml", place)
     assert np.abs(np.asarray(found.places)[0, :, 0]).max() <= 0.06 + 1e-4
     assert found.groups.shape == (0,) and found.seat_group.shape == (0,)
     seat, _, _, opening = formation(jax.random.key(0), found.capacity[:0], found.position[:0], found.seat_group)
@@ -148,7 +148,7 @@ edges:
 
 def test_flows_and_weights_mean_the_papers_pairs(tmp_path):
     (tmp_path / "graph.yaml").write_text(GOOD, encoding="utf-8")
-    found = annotation.read(tmp_path / "graph.yaml", yard(tmp_path))
+    found = annotation.read_graph(tmp_path / "graph.yaml", yard(tmp_path))
     length = np.sqrt(18)
     infinite = np.inf
     wanted = [[infinite, 3, infinite], [300, infinite, 0.2 * length], [infinite, 0.2 * length, infinite]]
@@ -210,7 +210,7 @@ def test_mistakes_are_named_with_place_and_cure(tmp_path, old, new, at, message)
     text = GOOD.replace(old, new, 1)
     (tmp_path / "graph.yaml").write_text(text, encoding="utf-8")
     with pytest.raises(FileError) as caught:
-        annotation.read(tmp_path / "graph.yaml", yard(tmp_path))
+        annotation.read_graph(tmp_path / "graph.yaml", yard(tmp_path))
     before = text[: text.index(at)]
     place = f"{before.count(chr(10)) + 1}:{len(before) - before.rfind(chr(10))}"
     assert f"{tmp_path.name}/graph.yaml:{place}: {message}" in str(caught.value)
@@ -221,14 +221,14 @@ def test_graphs_without_waypoints_are_refused(tmp_path):
     text = GOOD.replace("kind: waypoint", "kind: group, capacity: 2, stay: [1, 2]")
     (tmp_path / "graph.yaml").write_text(text, encoding="utf-8")
     with pytest.raises(FileError, match="4:1: nodes: none is a waypoint"):
-        annotation.read(tmp_path / "graph.yaml", yard(tmp_path))
+        annotation.read_graph(tmp_path / "graph.yaml", yard(tmp_path))
 
 
 def test_group_between_two_parts_joins_them_for_nobody(tmp_path):
     text = GOOD.replace("[gate, hall]", "[gate, dock]")
     (tmp_path / "graph.yaml").write_text(text, encoding="utf-8")
     with pytest.raises(FileError, match="no path over waypoints leads here"):
-        annotation.read(tmp_path / "graph.yaml", yard(tmp_path))
+        annotation.read_graph(tmp_path / "graph.yaml", yard(tmp_path))
 
 
 SIZES = (2, 3, 4, 5, 6, 8)

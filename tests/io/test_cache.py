@@ -227,5 +227,5 @@ def test_ways_of_walkers_depend_on_the_room_that_a_person_needs(made, monkeypatc
         return make()
 
     monkeypatch.setattr(cache, "load_or_build", build)
-    handcrafted.read(environment.ENVS / "lab", environment.load("lab"))
+    handcrafted.read_sets(environment.ENVS / "lab", environment.load("lab"))
     assert "graph/annotation" in codes["legs"] and handcrafted.annotation.PERSON is PERSON

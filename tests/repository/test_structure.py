@@ -185,7 +185,7 @@ OPENERS = set(
 ALLOWED = {
     "learning/dataset.py _open_array": "tensorstore, whose files are compared with the manifest",
     "world/ros_map.py _opened": "of an open file or of bytes, of bounded size",
-    "people/recordings/reading.py _table": "of a text of bounded size",
+    "people/recordings/reading.py _read_columns": "of a text of bounded size",
     "web/studio/trial.py _recover_file": "the end of a drive that was just read, to be written",
     "web/studio/yaml_text.py node_at": "of a text that files.load has read",
     "io/trajectories.py _Csv.join": "parts that it wrote itself",

@@ -402,7 +402,7 @@ def test_map_is_where_obstacles_are():
 @pytest.mark.parametrize("resolution", [0.05, 0.1, 0.25])
 def test_exported_map_comes_back_exactly(tmp_path, resolution):
     first = ros_map.export_map(environment.load("lab"), tmp_path / "a.yaml", resolution)
-    assert np.array_equal(ros_map.read(tmp_path / "a.yaml").occupied, first.occupied)
+    assert np.array_equal(ros_map.read_map(tmp_path / "a.yaml").occupied, first.occupied)
     ros_map.import_map(tmp_path / "a.yaml", tmp_path / "place")
     ros_map.export_map(environment.load(tmp_path / "place"), tmp_path / "b.yaml", resolution)
     assert (tmp_path / "a.pgm").read_bytes() == (tmp_path / "b.pgm").read_bytes()

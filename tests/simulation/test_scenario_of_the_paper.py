@@ -247,7 +247,7 @@ def test_4c_each_environment_has_a_behavior_graph_with_two_directed_edges_per_pa
     folder = environments.find(name)
     told = files.load(folder / "graph.yaml", annotation.Annotation, annotation.check)
     assert 0 < told.c_min < 1 < told.c_max
-    graph = annotation.build(told, environments.load(folder))
+    graph = annotation.build_graph(told, environments.load(folder))
     weight, position = np.asarray(graph.edge_cost, float), np.asarray(graph.position, float)
     joined = np.isfinite(weight)
     assert joined.any() and (joined == joined.T).all()
@@ -395,7 +395,7 @@ def test_4d_people_go_from_walking_to_a_group_and_back(joining):
 
 @pytest.mark.parametrize("name", ENVIRONMENTS)
 def test_4d_ways_are_those_of_dijkstra_over_waypoints_only(name):
-    graph = annotation.read(environments.find(name) / "graph.yaml", environments.load(name))
+    graph = annotation.read_graph(environments.find(name) / "graph.yaml", environments.load(name))
     weight, is_group = np.asarray(graph.edge_cost, float), np.asarray(graph.is_group)
     step, cost = np.asarray(graph.next_hop), np.asarray(graph.cost, float)
     for goal in range(len(weight)):

@@ -125,7 +125,7 @@ def test_padding_keeps_numbers_and_fills_the_rest():
 
 FILLED = (
     *(Obstacles, ObstacleGrid, Solids, PathsToGoal, CornerArcs, Navigation, BehaviorGraph),
-    *(graph_behavior.Tables, random_behavior.Tables),
+    *(graph_behavior.GraphTables, random_behavior.RandomTables),
 )
 """Classes with fields that 0 does not fill."""
 

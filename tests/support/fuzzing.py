@@ -60,15 +60,15 @@ GATE = (
 READERS = {
     "environment": ("world/environment.py _settings",),
     "scene": ("world/environment.py _settings",),
-    "graph": ("graph/annotation.py read",),
-    "handcrafted": ("people/handcrafted/annotation.py read",),
-    "recording": ("people/recordings/reading.py column_names", "people/recordings/reading.py _table"),
+    "graph": ("graph/annotation.py read_graph",),
+    "handcrafted": ("people/handcrafted/annotation.py read_sets",),
+    "recording": ("people/recordings/reading.py column_names", "people/recordings/reading.py _read_columns"),
     "companions": ("people/recordings/reading.py read_companions",),
     "trajectory": ("studies/survey/ratings.py read",),
     "ratings": ("studies/survey/ratings.py read_answers",),
     "variants": ("studies/survey/ratings.py _variants",),
     "study": ("studies/survey/study.py read",),
-    "map": ("world/ros_map.py read", "world/ros_map.py _is_image", "world/ros_map.py _image"),
+    "map": ("world/ros_map.py read_map", "world/ros_map.py _is_image", "world/ros_map.py _image"),
     "manifest": ("learning/dataset.py open_dataset", "learning/dataset.py check_manifest"),
     "policy": ("learning/networks.py read_network_config", "learning/networks.py read_method"),
     "agent": ("learning/policy.py read_options", "learning/policy.py _read_packed"),
@@ -90,7 +90,7 @@ READERS = {
         "evaluation/compare.py _replay",
         "evaluation/run_folder.py read_episodes",
     ),
-    "forces": ("social_forces/presets.py read",),
+    "forces": ("social_forces/presets.py read_constants",),
     "randomization": ("mdp/randomization.py as_randomization",),
     "sensor": ("sensors/sensor_settings.py as_sensor",),
     "import": ("robots/importing.py _read", "robots/urdf_reading.py read_urdf"),
@@ -290,13 +290,13 @@ def lab() -> Any:
 def load_graph(folder: Path) -> Any:
     from sean_jax.graph import annotation
 
-    return annotation.read(folder / "graph.yaml", lab())
+    return annotation.read_graph(folder / "graph.yaml", lab())
 
 
 def load_handcrafted(folder: Path) -> Any:
-    from sean_jax.people.handcrafted import build, read
+    from sean_jax.people.handcrafted import build, read_sets
 
-    return build(read(folder, lab()).sets)
+    return build(read_sets(folder, lab()).sets)
 
 
 def load_environment(folder: Path) -> Any:

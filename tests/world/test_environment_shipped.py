@@ -66,7 +66,7 @@ def test_a_minute_of_people(name):
 def test_ways_between_the_nodes_of_the_graph_are_shortest(name):
     place = environments.load(name)
     tables = navigation.build(place, RADIUS)
-    nodes = np.asarray(annotation.read(environments.find(name) / "graph.yaml", place).position)
+    nodes = np.asarray(annotation.read_graph(environments.find(name) / "graph.yaml", place).position)
     i, j = np.triu_indices(len(nodes), 1)
     truth = oracle.geodesics(oracle.boxes_of(place), RADIUS, nodes[i].astype(float), nodes[j].astype(float), arc=12)
     ours = np.asarray(oracle.lengths(tables, nodes[i], nodes[j]), float)

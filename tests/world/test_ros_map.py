@@ -101,7 +101,7 @@ def test_slivers_are_left_out_and_lone_cells_are_kept():
     ],
 )
 def test_shades_mean_what_map_server_says(tmp_path, settings, shade, means):
-    raster = ros_map.read(write(tmp_path, np.full((2, 3), shade), **settings))
+    raster = ros_map.read_map(write(tmp_path, np.full((2, 3), shade), **settings))
     assert raster.occupied.shape == (2, 3) and raster.resolution == 0.1
     assert raster.occupied.all() == raster.occupied.any() == (means == "occupied")
     assert raster.unknown.all() == raster.unknown.any() == (means == "unknown")
@@ -111,7 +111,7 @@ def test_colors_are_averaged_and_transparent_pixels_are_unknown(tmp_path):
     shades = np.zeros((1, 3, 4), np.uint8)
     shades[0, 0] = (0, 0, 255, 255)  # mean 85: p = 0.67
     shades[0, 1] = (255, 255, 120, 255)  # mean 210: p = 0.18
-    raster = ros_map.read(write(tmp_path, shades, image="plan.png"))
+    raster = ros_map.read_map(write(tmp_path, shades, image="plan.png"))
     assert raster.occupied.tolist() == [[True, False, False]] and raster.unknown.tolist() == [[False, False, True]]
 
 
@@ -173,10 +173,10 @@ def test_images_that_cannot_be_read(tmp_path):
     path = write(tmp_path, plan())
     (tmp_path / "plan.pgm").write_bytes(b"P5 4 4 255\n")
     with pytest.raises(FileError, match="plan.pgm: is damaged; save it again as a PGM or PNG file"):
-        ros_map.read(path)
+        ros_map.read_map(path)
     (tmp_path / "plan.pgm").unlink()
     with pytest.raises(FileError, match="plan.yaml: image: there is no file .*plan.pgm"):
-        ros_map.read(path)
+        ros_map.read_map(path)
 
 
 @pytest.mark.parametrize("suffix", ["png", "pgm", "bmp", "gif", "jpg", "tif"])
@@ -184,7 +184,7 @@ def test_an_image_in_place_of_its_yaml_file(tmp_path, suffix):
     path = tmp_path / f"plan.{suffix}"
     Image.fromarray(np.random.default_rng(0).integers(0, 256, (40, 60), np.uint8)).save(path)
     with pytest.raises(FileError, match=f"plan.{suffix}: is an image; give the map's YAML file, which names it"):
-        ros_map.read(path)
+        ros_map.read_map(path)
 
 
 def test_command(tmp_path, capsys):

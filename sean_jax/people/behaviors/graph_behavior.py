@@ -23,7 +23,7 @@ from sean_jax.graph import BehaviorGraph, annotation
 from sean_jax.graph.behavior_graph import add_congestion_cost, edge_densities
 from sean_jax.graph.formation import formation, reach
 from sean_jax.people.behaviors import graph_choices
-from sean_jax.people.behaviors.graph_choices import ARRIVED, Draws, Memory, Seats, of_seat, seats_of
+from sean_jax.people.behaviors.graph_choices import ARRIVED, Draws, GraphMemory, Seats, of_seat, seats_of
 from sean_jax.people.behaviors.starts import (
     Place,
     WalkingGroups,
@@ -45,7 +45,7 @@ SETTLING = 0.5  # s, in which the last steps to a seat are taken
 
 
 @struct.dataclass
-class Tables:
+class GraphTables:
     """The tables of the behavior: the graph, the paths between its nodes, and possible starts."""
 
     graph: BehaviorGraph
@@ -98,34 +98,35 @@ def build(
     if not file.is_file():
         raise InputError(f"{file}: there is no such file, and behavior 'graph' needs it; write one or choose another.")
     people = place.default_people if people is None else people
-    environment, navigation = place.environment, place.navigation
-    graph = annotation.read(file, environment)
-    position, capacity = np.asarray(graph.position), np.asarray(graph.capacity)
-    avoid = [(position[node], reach(int(capacity[node])) + 0.6) for node in np.asarray(graph.groups)]
-    start, node = in_discs(environment, navigation, graph.position, graph.radius, graph.spawn, avoid)
-    number = count_walking_groups(people, walking_groups)
+    graph = annotation.read_graph(file, place.environment)
+    start, node = _starts(place, graph)
+    groups = count_walking_groups(people, walking_groups)
     permanent = group_membership == "permanent"
     first_seats = _first_seats(np.asarray(graph.seat_group), permanent)
-    seated = min(len(first_seats), people - number.members)
+    seated = min(len(first_seats), people - groups.members)
     max_people = len(start) + seated
     if people > max_people:
-        where = f"on the graph of {environment.name}"
-        raise InputError(f"people: {people} do not fit {where}; the most that do is {max_people}.")
-    start_chance = np.asarray(graph.spawn)[node] / np.bincount(node, minlength=len(graph.spawn))[node]
-    missing = max(people - len(start), 0)  # rows for people at seats
-    tables = Tables(
+        raise InputError(
+            f"people: {people} do not fit on the graph of {place.environment.name}; the most that do is {max_people}."
+        )
+
+    # The chance of a node is shared by its starts. People at seats have rows too, which nobody draws.
+    spawn = np.asarray(graph.spawn)
+    log_chance = np.log(spawn[node] / np.bincount(node, minlength=len(spawn))[node])
+    missing = max(people - len(start), 0)
+    tables = GraphTables(
         graph=graph,
-        navigation=navigation,
-        next_corners=paths.build_next_corner_table(navigation, graph.position),
-        walk=to_device(graph_choices.walking_lengths(graph, navigation)),
+        navigation=place.navigation,
+        next_corners=paths.build_next_corner_table(place.navigation, graph.position),
+        walk=to_device(graph_choices.walking_lengths(graph, place.navigation)),
         patience=to_device(_patience(graph, routing, place.time_step)),
         start=to_device(np.pad(start, [(0, missing), (0, 0)])),
         start_node=to_device(np.pad(node.astype(np.int32), (0, missing))),
-        start_log_chance=to_device(np.pad(np.log(start_chance), (0, missing), constant_values=-np.inf)),
+        start_log_chance=to_device(np.pad(log_chance, (0, missing), constant_values=-np.inf)),
         congestion_cost=to_device(np.asarray(congestion_cost)) if congestion_cost else None,
         temperature=to_device(np.asarray(temperature)) if temperature else None,
-        spawn_clusters=to_device(find_spawn_clusters(navigation, start, number)),
-        walking_groups=number,
+        spawn_clusters=to_device(find_spawn_clusters(place.navigation, start, groups)),
+        walking_groups=groups,
         first_seats=to_device(np.array(first_seats, np.int32)),
         seated=to_device(np.array(seated, np.int32)),
         permanent=permanent,
@@ -135,60 +136,93 @@ def build(
         name="graph",
         reset=reset,
         direct=ROUTINGS[routing],
-        companions=number.companions(people),
+        companions=groups.companions(people),
         people=people,
         offers=("groups",) if len(graph.groups) else (),
     )
 
 
-def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Memory]:
+def _starts(place: Place, graph: BehaviorGraph) -> tuple[np.ndarray, np.ndarray]:
+    """Starts (P, 2) [m] in the discs of nodes, away from groups, and the node (P,) of each."""
+    position = np.asarray(graph.position)
+    capacity = np.asarray(graph.capacity)
+    avoid = [(position[node], reach(int(capacity[node])) + 0.6) for node in np.asarray(graph.groups)]
+    return in_discs(place.environment, place.navigation, graph.position, graph.radius, graph.spawn, avoid)
+
+
+def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, GraphMemory]:
     """People at their starts: seats of groups first, then places of waypoint nodes drawn by their spawn chance."""
-    tables: Tables = scenario.behavior.data
-    graph, people = tables.graph, scenario.people
+    tables: GraphTables = scenario.behavior.data
+    graph = tables.graph
     form_key, trait_key, place_key, stay_key, turn_key = jax.random.split(key, 5)
     center = graph.position[graph.groups]
-    seat_position, seat_heading, radius, opening = formation(
-        form_key, graph.capacity[graph.groups], center, graph.seat_group
-    )
-    log_chance = tables.start_log_chance
-    score = log_chance + jax.random.gumbel(place_key, log_chance.shape, float)
-    chosen = choose_starts(score, tables.spawn_clusters, people, tables.walking_groups)
-    walking_group = leaders(scenario.behavior.companions, people)
-    person = jnp.arange(people, dtype=jnp.int32)
-    sits, number = person < tables.seated, jnp.maximum(person - tables.seated, 0)
-    alone = person < people - tables.walking_groups.members
-    chosen = chosen[jnp.where(alone, number, person)]
-    angle = jax.random.uniform(turn_key, (people,), float, 0.0, 2 * jnp.pi)[number]
-    facing = jnp.stack([jnp.cos(angle), jnp.sin(angle)], -1)
-    seat = jnp.where(sits, of_seat(tables.first_seats, person), -1)
-    position = jnp.where(sits[:, None], of_seat(seat_position, seat), tables.start[chosen])
-    node = jnp.where(sits, of_seat(graph.seat_node, seat), tables.start_node[chosen])
-    preferred_speed, robot_distance = draw_traits(scenario.forces, trait_key, people)
+    capacity = graph.capacity[graph.groups]
+    seat_position, seat_heading, radius, opening = formation(form_key, capacity, center, graph.seat_group)
+    groups = Groups(center=center, radius=radius, opening=opening, present=graph.groups >= 0)
+
+    # The first people sit, whether present or not; an absent person has no seat.
+    sits, seat, index = _assign_seats(tables, scenario.people)
+    start = _choose_starts(scenario, place_key, index)
     present = present_people(scenario)
-    seat = jnp.where(present, seat, -1)
+    seat_of_present = jnp.where(present, seat, -1)
+    position = jnp.where(sits[:, None], of_seat(seat_position, seat), tables.start[start])
+    angle = jax.random.uniform(turn_key, (scenario.people,), float, 0.0, 2 * jnp.pi)[index]
+    facing = jnp.stack([jnp.cos(angle), jnp.sin(angle)], -1)
+
+    # Members of walking groups have their leader's speed.
+    walking_group = leaders(scenario.behavior.companions, scenario.people)
+    preferred_speed, robot_distance = draw_traits(scenario.forces, trait_key, scenario.people)
     pedestrians = Pedestrians(
         position=position,
         velocity=jnp.zeros_like(position),
-        heading=jnp.where(sits[:, None], of_seat(seat_heading, seat), facing),
+        heading=jnp.where(sits[:, None], of_seat(seat_heading, seat_of_present), facing),
         desired_velocity=jnp.zeros_like(position),
-        group=jnp.where(seat >= 0, of_seat(graph.seat_group, seat), -1),
+        group=jnp.where(seat_of_present >= 0, of_seat(graph.seat_group, seat_of_present), -1),
         walking_group=walking_group,
         present=present,
         preferred_speed=group_speeds(scenario, walking_group, preferred_speed),
         robot_distance=robot_distance,
     )
-    groups = Groups(center=center, radius=radius, opening=opening, present=graph.groups >= 0)
-    limits = graph.stay[of_seat(graph.seat_node, seat)]
-    left = _residual_stay(limits, jax.random.uniform(stay_key, (people, 2), float))
-    stay = _stay(scenario, jnp.full_like(left, jnp.inf) if tables.permanent else left)
-    stay = jnp.where(stay > 0, stay + of_seat(tables.patience, seat), 0)
-    stay = jnp.where(seat >= 0, stay, 0)
-    memory = Memory(node, node, node, position, seat, stay, seat_position, seat_heading)
+
+    # People begin at a node, which is their goal.
+    node = jnp.where(sits, of_seat(graph.seat_node, seat), tables.start_node[start])
+    stay = _first_stay(scenario, stay_key, seat_of_present)
+    memory = GraphMemory(node, node, node, position, seat_of_present, stay, seat_position, seat_heading)
     if tables.temperature is not None:
         memory = memory._replace(log_chance=jnp.zeros((), float))
     if scenario.behavior.direct is direct:
         memory = _send_at_start(scenario, pedestrians, memory)
     return pedestrians, groups, memory
+
+
+def _assign_seats(tables: GraphTables, people: int) -> tuple[Bool[Array, "N"], Int[Array, "N"], Int[Array, "N"]]:
+    """Whether each person starts at a seat, which seat or -1, and the index among those who do not."""
+    person = jnp.arange(people, dtype=jnp.int32)
+    sits = person < tables.seated
+    seat = jnp.where(sits, of_seat(tables.first_seats, person), -1)
+    return sits, seat, jnp.maximum(person - tables.seated, 0)
+
+
+def _choose_starts(scenario: Scenario, key: Array, index: Int[Array, "N"]) -> Int[Array, "N"]:
+    """The start of each person, by the index among those who do not sit; of walking groups by their own indices."""
+    tables: GraphTables = scenario.behavior.data
+    people = scenario.people
+    log_chance = tables.start_log_chance
+    score = log_chance + jax.random.gumbel(key, log_chance.shape, float)
+    chosen = choose_starts(score, tables.spawn_clusters, people, tables.walking_groups)
+    person = jnp.arange(people, dtype=jnp.int32)
+    alone = person < people - tables.walking_groups.members
+    return chosen[jnp.where(alone, index, person)]
+
+
+def _first_stay(scenario: Scenario, key: Array, seat: Int[Array, "N"]) -> Int[Array, "N"]:
+    """The remaining stay at the seat in ticks, as if the episode had begun long before; 0 without a seat."""
+    tables: GraphTables = scenario.behavior.data
+    limits = tables.graph.stay[of_seat(tables.graph.seat_node, seat)]
+    time = _residual_stay(limits, jax.random.uniform(key, (scenario.people, 2), float))
+    stay = _stay(scenario, jnp.full_like(time, jnp.inf) if tables.permanent else time)
+    stay = jnp.where(stay > 0, stay + of_seat(tables.patience, seat), 0)
+    return jnp.where(seat >= 0, stay, 0)
 
 
 def _first_seats(seat_group: np.ndarray, permanent: bool) -> tuple[int, ...]:
@@ -211,20 +245,19 @@ def _residual_stay(limits: Float[Array, "K 2"], chance: Float[Array, "K 2"]) -> 
     return chance[:, 1] * whole
 
 
-def _send_at_start(scenario: Scenario, people: Pedestrians, memory: Memory) -> Memory:
+def _send_at_start(scenario: Scenario, people: Pedestrians, memory: GraphMemory) -> GraphMemory:
     """Successors for the first stays, as if the episode had begun long before."""
-    tables: Tables = scenario.behavior.data
+    tables: GraphTables = scenario.behavior.data
     arrival = graph_choices.arrival_times(tables.graph, tables.walk, people, memory)
     seekers = people.present & (people.walking_group < 0)
+    n_seats = (tables.graph.seat_node >= 0).sum(dtype=jnp.int32)
 
-    number = (tables.graph.seat_node >= 0).sum(dtype=jnp.int32)
-
-    def one(turn: Array, memory: Memory) -> Memory:
+    def send_once(turn: Array, memory: GraphMemory) -> GraphMemory:
         seats = seats_of(memory, tables.patience, scenario.time_step)
-        sent = graph_choices.send(tables.graph, arrival, memory, seats, seekers)[0]
-        return jax.tree.map(lambda old, new: jnp.where(turn < number, new, old), memory, sent)
+        after, _ = graph_choices.send(tables.graph, arrival, memory, seats, seekers)
+        return jax.tree.map(lambda old, new: jnp.where(turn < n_seats, new, old), memory, after)
 
-    return jax.lax.fori_loop(0, min(tables.patience.shape[0], scenario.people), one, memory)
+    return jax.lax.fori_loop(0, min(tables.patience.shape[0], scenario.people), send_once, memory)
 
 
 def direct(scenario: Scenario, state: State, key: Array) -> State:
@@ -243,18 +276,19 @@ ROUTINGS = {"whole": direct, "edge": direct_edge_by_edge}
 
 def _direct(whole: bool, scenario: Scenario, state: State, key: Array) -> State:
     """Goals, hops and desired velocities, by whole paths or edge by edge. People at a seat are members of its group."""
-    tables: Tables = scenario.behavior.data
-    graph, people, memory = tables.graph, state.pedestrians, state.memory
-    if tables.congestion_cost is not None:
-        walking = people.present & (memory.stay == 0)
-        density = edge_densities(graph, memory.origin, memory.hop, walking)
-        graph = add_congestion_cost(graph, density, tables.congestion_cost)
-    draws, before = None, memory
+    tables: GraphTables = scenario.behavior.data
+    graph = _graph_with_congestion(tables, state)
+    people = state.pedestrians
+
+    # With a temperature choices need more random numbers.
+    draws = None
     if tables.temperature is not None:
         key, draw_key = jax.random.split(key)
         draws = graph_choices.draw(draw_key, tables.temperature, scenario.people, graph.seat_group.shape[0])
     chance = jax.random.uniform(key, (3, scenario.people), float)
-    memory, free = _stay_or_leave(scenario, people, memory, chance[0], draws)
+
+    # Who is at a seat or a goal, and where the others go.
+    memory, free = _stay_or_leave(scenario, people, state.memory, chance[0], draws)
     seats = seats_of(memory, tables.patience, scenario.time_step)
     choice = chance[1:]
     if whole:
@@ -265,15 +299,17 @@ def _direct(whole: bool, scenario: Scenario, state: State, key: Array) -> State:
         memory = graph_choices.choose_edge(graph, people, memory, free, choice, draws)
         pace = jnp.ones_like(people.preferred_speed)
     if scenario.behavior.companions is not None:
-        goal, hop, origin, target = follow_leaders(
-            people.walking_group, memory.goal, memory.hop, memory.origin, memory.target
-        )
+        rows = memory.goal, memory.hop, memory.origin, memory.target
+        goal, hop, origin, target = follow_leaders(people.walking_group, *rows)
         memory = memory._replace(goal=goal, hop=hop, origin=origin, target=target)
+
+    # Members of walking groups walk side by side.
     desired_velocity = _desired_velocity(tables, people, memory, seats, pace)
     if draws is not None:
-        desired_velocity = _blend(scenario, people, before, memory, seats, desired_velocity)
+        desired_velocity = _blend(scenario, people, state.memory, memory, seats, desired_velocity)
     if scenario.behavior.companions is not None:
         desired_velocity = walk_abreast(people, desired_velocity)
+
     standing = memory.stay > 0
     gap = memory.target - people.position
     settled = standing & (length(gap[:, 0], gap[:, 1]) < SEATED)
@@ -286,33 +322,51 @@ def _direct(whole: bool, scenario: Scenario, state: State, key: Array) -> State:
     return replace(state, pedestrians=people, memory=memory)
 
 
+def _graph_with_congestion(tables: GraphTables, state: State) -> BehaviorGraph:
+    """The graph, on which crowded edges cost more if there is a congestion cost."""
+    if tables.congestion_cost is None:
+        return tables.graph
+    memory = state.memory
+    walking = state.pedestrians.present & (memory.stay == 0)
+    density = edge_densities(tables.graph, memory.origin, memory.hop, walking)
+    return add_congestion_cost(tables.graph, density, tables.congestion_cost)
+
+
 def _stay_or_leave(
-    scenario: Scenario, people: Pedestrians, memory: Memory, chance: Float[Array, "N"], draws: Draws | None
-) -> tuple[Memory, Bool[Array, "N"]]:
+    scenario: Scenario, people: Pedestrians, memory: GraphMemory, chance: Float[Array, "N"], draws: Draws | None
+) -> tuple[GraphMemory, Bool[Array, "N"]]:
     """Stays that begin, continue or end; and whether people are without a goal now.
 
     A stay ends when its time is over and a successor is near, whose own stay begins then, or after some waiting.
     """
-    tables: Tables = scenario.behavior.data
+    tables: GraphTables = scenario.behavior.data
+    patience = of_seat(tables.patience, memory.seat)
     gap = memory.target - people.position
     distance = length(gap[:, 0], gap[:, 1])
     was_standing = memory.stay > 0
+
+    # A holder rises if a successor is near, or when the waiting is over.
     seats = seats_of(memory, tables.patience, scenario.time_step)
     comes = ~was_standing & (memory.seat >= 0) & (memory.hop == memory.goal)
-    near = _of_person(comes & (distance < graph_choices.HAND_OVER), seats.successor)
+    successor_is_near = _of_person(comes & (distance < graph_choices.HAND_OVER), seats.successor)  # (Q,)
     stay = jnp.maximum(memory.stay - 1, 0)
-    over = of_seat(near, memory.seat) & (stay <= of_seat(tables.patience, memory.seat))
-    rises = was_standing & ((stay == 0) | over)
-    given_up = _of_person(rises, seats.holder)
-    empty = of_seat(seats.holder < 0, memory.seat) & (distance < SEATED)
-    sits_down = comes & (empty | of_seat(given_up & near, memory.seat))
+    hands_over = of_seat(successor_is_near, memory.seat) & (stay <= patience)
+    rises = was_standing & ((stay == 0) | hands_over)
+
+    # The successor sits down then, or at an empty seat.
+    given_up = _of_person(rises, seats.holder)  # (Q,)
+    at_empty_seat = of_seat(seats.holder < 0, memory.seat) & (distance < SEATED)
+    sits_down = comes & (at_empty_seat | of_seat(given_up & successor_is_near, memory.seat))
+
+    # Stays are uniform between the limits of their group.
     limits = tables.graph.stay[of_seat(tables.graph.seat_node, memory.seat)]
     new_stay = _stay(scenario, limits[:, 0] + chance * (limits[:, 1] - limits[:, 0]))
     if draws is not None:
         both = jnp.stack([chance, draws.stay])
         new_stay, log_chance = graph_choices.sample_stay(limits, both, draws.temperature, scenario.time_step)
         memory = memory.with_choices(jnp.sum(jnp.where(sits_down, log_chance, 0.0)))
-    new_stay = jnp.where(new_stay > 0, new_stay + of_seat(tables.patience, memory.seat), 0)
+    new_stay = jnp.where(new_stay > 0, new_stay + patience, 0)
+
     leaves = rises | (sits_down & (new_stay == 0))  # at once, if the new stay takes no time
     stay = jnp.where(sits_down, new_stay, jnp.where(rises, 0, stay))
     at_waypoint = ~was_standing & (memory.seat < 0) & (memory.hop == memory.goal) & (distance < ARRIVED)
@@ -332,7 +386,7 @@ def _stay(scenario: Scenario, time: Float[Array, "*shape"]) -> Int[Array, "*shap
 
 
 def _desired_velocity(
-    tables: Tables, people: Pedestrians, memory: Memory, seats: Seats, pace: Float[Array, "N"]
+    tables: GraphTables, people: Pedestrians, memory: GraphMemory, seats: Seats, pace: Float[Array, "N"]
 ) -> Float[Array, "N 2"]:
     """Velocities [m/s] at the preferred speed to the target, or the next corner on the way; slower into a seat."""
 
@@ -341,19 +395,22 @@ def _desired_velocity(
 
     gap = jax.vmap(gap_ahead)(people.position, memory.target, memory.hop)
     distance = length(gap[:, 0], gap[:, 1])
-    at_last = (memory.seat >= 0) & (memory.hop == memory.goal)
-    early = (memory.stay == 0) & of_seat((seats.holder >= 0) & (seats.time_left > 0.0), memory.seat)
-    rest = jnp.maximum(distance - jnp.where(early, graph_choices.STAND_BY, 0.0), 0.0)
     speed = people.preferred_speed * pace
-    speed = jnp.where(at_last, jnp.minimum(speed, rest / SETTLING), speed)
+
+    # On the last edge to a seat people slow down, and stand by while somebody stands there.
+    to_seat = (memory.seat >= 0) & (memory.hop == memory.goal)
+    occupied = (seats.holder >= 0) & (seats.time_left > 0.0)
+    early = (memory.stay == 0) & of_seat(occupied, memory.seat)
+    remaining = jnp.maximum(distance - jnp.where(early, graph_choices.STAND_BY, 0.0), 0.0)
+    speed = jnp.where(to_seat, jnp.minimum(speed, remaining / SETTLING), speed)
     return gap * (speed / jnp.maximum(distance, 1e-6))[:, None]
 
 
 def _blend(
     scenario: Scenario,
     people: Pedestrians,
-    before: Memory,
-    memory: Memory,
+    before: GraphMemory,
+    memory: GraphMemory,
     seats: Seats,
     desired_velocity: Float[Array, "N 2"],
 ) -> Float[Array, "N 2"]:
@@ -363,13 +420,13 @@ def _blend(
     closer = jnp.sum(gap * people.velocity, axis=1) / jnp.maximum(distance, 1e-6) * scenario.time_step
     share = graph_choices.switched_share(distance, closer, ARRIVED)
     turns = (before.stay == 0) & (before.target != memory.target).any(1)
-    still = _desired_velocity(scenario.behavior.data, people, before, seats, jnp.ones_like(distance))
     share = jnp.where(turns & (distance < ARRIVED), share, 1.0)[:, None]
-    return share * desired_velocity + (1.0 - share) * still
+    old_velocity = _desired_velocity(scenario.behavior.data, people, before, seats, jnp.ones_like(distance))
+    return share * desired_velocity + (1.0 - share) * old_velocity
 
 
 def _aim(
-    tables: Tables, position: Float[Array, "2"], target: Float[Array, "2"], hop: Int[Array, ""]
+    tables: GraphTables, position: Float[Array, "2"], target: Float[Array, "2"], hop: Int[Array, ""]
 ) -> Float[Array, "2"]:
     """The target [m] if the way to it is clear, else the next corner on the way to its node."""
     navigation = tables.navigation

@@ -70,11 +70,18 @@ def draw(key: Array, temperature: Float[Array, ""], people: int, seats: int) -> 
 
 def sample(log_chance: Float[Array, "N K"], chance: Float[Array, "N"]) -> tuple[Int[Array, "N"], Float[Array, "N"]]:
     """One of K for each of N by a uniform number from 0 to 1, and its log chance."""
-    number = log_chance.shape[1]
-    below = jnp.cumsum(jnp.exp(jax.lax.stop_gradient(log_chance)), axis=1)
-    index = jnp.sum(below <= chance[:, None] * below[:, -1:], axis=1, dtype=jnp.int32)
-    index = jnp.minimum(index, number - 1)
+    cumulative = jnp.cumsum(jnp.exp(jax.lax.stop_gradient(log_chance)), axis=1)  # (N, K)
+    index = _first_above(cumulative, chance, log_chance.shape[1])
     return index, jnp.take_along_axis(log_chance, index[:, None], axis=1)[:, 0]
+
+
+def _first_above(
+    cumulative: Float[Array, "N K"], chance: Float[Array, "N"], count: Int[Array, ""] | int
+) -> Int[Array, "N"]:
+    """The index, below ``count``, of the first cumulative sum above a share of the whole."""
+    limit = chance[:, None] * cumulative[:, -1:]
+    index = jnp.sum(cumulative <= limit, axis=1, dtype=jnp.int32)
+    return jnp.minimum(index, count - 1)
 
 
 def log_chances(score: Float[Array, "N K"], temperature: Float[Array, ""]) -> Float[Array, "N K"]:
@@ -100,15 +107,21 @@ def sample_stay(
         time_step: s, of a tick.
     """
     width = temperature / WALK
-    low, high = limits[:, 0], jnp.maximum(limits[:, 1], limits[:, 0] + SHORTEST)
+    low = limits[:, 0]
+    high = jnp.maximum(limits[:, 1], low + SHORTEST)
+    uniform = low + chance[0] * (high - low)
     noise = jnp.clip(chance[1], 1e-6, 1.0 - 1e-6)
-    time = low + chance[0] * (high - low) + width * (jnp.log(noise) - jnp.log1p(-noise))
+    time = uniform + width * (jnp.log(noise) - jnp.log1p(-noise))
     ticks = jax.lax.stop_gradient(jnp.ceil(jnp.maximum(time, 0.0) / time_step))
 
-    def below(time: Array) -> Array:
-        return width * (jax.nn.softplus((time - low) / width) - jax.nn.softplus((time - high) / width)) / (high - low)
+    def cumulative(time: Array) -> Array:
+        """The chance of a shorter time."""
+        above_low = jax.nn.softplus((time - low) / width)
+        above_high = jax.nn.softplus((time - high) / width)
+        return width * (above_low - above_high) / (high - low)
 
-    share = below(ticks * time_step) - jnp.where(ticks > 0.0, below((ticks - 1.0) * time_step), 0.0)
+    before = jnp.where(ticks > 0.0, cumulative((ticks - 1.0) * time_step), 0.0)
+    share = cumulative(ticks * time_step) - before
     return ticks.astype(jnp.int32), jnp.log(jnp.maximum(share, 1e-12))
 
 
@@ -132,14 +145,13 @@ def expectation(values: Float[Array, "B"], log_chance: Float[Array, "B"]) -> Flo
         values: a measure of each episode.
         log_chance: ``state.memory.log_chance`` of each.
     """
-    number = values.shape[0]
     constant = jax.lax.stop_gradient(values)
-    others = (jnp.sum(constant) - constant) / max(number - 1, 1)
-    weight = (constant - others) * (log_chance - jax.lax.stop_gradient(log_chance))
+    baseline = (jnp.sum(constant) - constant) / max(values.shape[0] - 1, 1)  # mean of the others
+    weight = (constant - baseline) * (log_chance - jax.lax.stop_gradient(log_chance))
     return jnp.mean(values) + jnp.mean(weight)
 
 
-class Memory(NamedTuple):
+class GraphMemory(NamedTuple):
     """Where each person is on the graph.
 
     At most two people have the same seat: its holder, who stands there, and a successor, who walks there.
@@ -155,7 +167,7 @@ class Memory(NamedTuple):
     seat_heading: Float[Array, "Q 2"]  # unit vector
     log_chance: Float[Array, ""] | None = None  # of all choices so far; None without a temperature
 
-    def with_choices(self, log_chance: Float[Array, ""]) -> "Memory":
+    def with_choices(self, log_chance: Float[Array, ""]) -> "GraphMemory":
         """The memory after further choices, whose log chances add up to ``log_chance``."""
         assert self.log_chance is not None  # set by reset
         return self._replace(log_chance=self.log_chance + log_chance)
@@ -169,19 +181,22 @@ class Seats(NamedTuple):
     time_left: Float[Array, "Q"]  # s, of the holder's drawn stay; 0 or less while the holder waits, and without one
 
 
-def seats_of(memory: Memory, patience: Int[Array, "Q"], time_step: float) -> Seats:
+def seats_of(memory: GraphMemory, patience: Int[Array, "Q"], time_step: float) -> Seats:
     """The holder and successor of each seat.
 
     Args:
         patience: ticks for which the holder of each seat waits for a successor.
         time_step: s, of control.
     """
-    seat, person = jnp.arange(patience.shape[0], dtype=jnp.int32), jnp.arange(memory.seat.shape[0], dtype=jnp.int32)
-    has, stands = memory.seat[:, None] == seat[None, :], (memory.stay > 0)[:, None]
-    holder = jnp.max(jnp.where(has & stands, person[:, None], -1), axis=0, initial=-1)
-    successor = jnp.max(jnp.where(has & ~stands, person[:, None], -1), axis=0, initial=-1)
-    left = jnp.max(jnp.where(has, memory.stay[:, None], 0), axis=0, initial=0)
-    return Seats(holder, successor, (left - patience).astype(float) * time_step)
+    seat = jnp.arange(patience.shape[0], dtype=jnp.int32)
+    person = jnp.arange(memory.seat.shape[0], dtype=jnp.int32)[:, None]
+    has_seat = memory.seat[:, None] == seat[None, :]  # (N, Q)
+    stands = (memory.stay > 0)[:, None]
+
+    holder = jnp.max(jnp.where(has_seat & stands, person, -1), axis=0, initial=-1)
+    successor = jnp.max(jnp.where(has_seat & ~stands, person, -1), axis=0, initial=-1)
+    stay = jnp.max(jnp.where(has_seat, memory.stay[:, None], 0), axis=0, initial=0)
+    return Seats(holder, successor, (stay - patience).astype(float) * time_step)
 
 
 def of_seat(values: Shaped[Array, "Q *shape"], seat: Int[Array, "N"]) -> Shaped[Array, "N *shape"]:
@@ -196,22 +211,25 @@ def walking_lengths(graph: BehaviorGraph, navigation: paths.Navigation) -> np.nd
 
     From node to node they lead around obstacles. Unlike costs they have no factors.
     """
-    position, next_hop = np.asarray(graph.position), np.asarray(graph.next_hop)
-    groups = np.asarray(graph.groups)
+    position = np.asarray(graph.position)
+    next_hop = np.asarray(graph.next_hop)
+    groups = np.asarray(graph.groups)[None, :]
     code = *paths.CODE, "people/behaviors/graph_choices"
-    table = cache.load_or_build(
-        "edge_lengths",
-        code,
-        [*paths.inputs(navigation), position],
-        lambda: {"length": _node_distances(navigation, position)},
-    )
+    key = [*paths.inputs(navigation), position]
+    table = cache.load_or_build("edge_lengths", code, key, lambda: {"length": _node_distances(navigation, position)})
+
+    # Where no path leads from node to node, the straight line.
     straight = np.linalg.norm(position[:, None] - position[None, :], axis=-1)
     edge = np.where(np.isfinite(table["length"]), table["length"], straight)
-    walk, node = np.zeros((len(position), len(groups))), np.tile(np.arange(len(position))[:, None], (1, len(groups)))
+
+    # All walks one edge on, until they are at their groups.
+    walk = np.zeros((len(position), groups.size))
+    node = np.tile(np.arange(len(position))[:, None], (1, groups.size))
     for _ in position:
-        onward = next_hop[node, groups[None, :]]
-        onward = np.where(onward < 0, groups[None, :], onward)
-        walk, node = walk + np.where(node == onward, 0.0, edge[node, onward]), onward
+        onward = next_hop[node, groups]
+        onward = np.where(onward < 0, groups, onward)
+        walk = walk + np.where(node == onward, 0.0, edge[node, onward])
+        node = onward
     return walk
 
 
@@ -226,39 +244,43 @@ def _node_distances(navigation: paths.Navigation, position: np.ndarray) -> np.nd
 def _geodesics(navigation: paths.Navigation, points: Float[Array, "M 2"]) -> Float[Array, "M M"]:
     """Lengths [m] of the shortest paths around obstacles from the row's point [m] to the column's."""
 
-    def to(goal: Array) -> Array:
-        rest = paths.build_paths_to_goal(navigation, goal)
-        return jax.vmap(lambda point: paths.geodesic(navigation, point, goal, rest))(points)
+    def lengths_to(goal: Array) -> Array:
+        paths_to_goal = paths.build_paths_to_goal(navigation, goal)
+        return jax.vmap(lambda point: paths.geodesic(navigation, point, goal, paths_to_goal))(points)
 
-    return jax.lax.map(to, points).T
+    return jax.lax.map(lengths_to, points).T
 
 
 def arrival_times(
-    graph: BehaviorGraph, walk: Float[Array, "M G"], people: Pedestrians, memory: Memory
+    graph: BehaviorGraph, walk: Float[Array, "M G"], people: Pedestrians, memory: GraphMemory
 ) -> Float[Array, "N G"]:
     """Times [s] at which people would be at groups, if they went there from their next node; ``walk`` [m] of
     ``walking_lengths``.
     """
     gap = memory.target - people.position
-    first = length(gap[:, 0], gap[:, 1])
+    to_target = length(gap[:, 0], gap[:, 1])
     onward = graph.position[graph.next_hop[:, graph.groups]]  # (M, G, 2), the node after each
     leg = onward - graph.position[:, None]
     after_leg = walk - length(leg[..., 0], leg[..., 1])
+
     # The target is a point of the node's disc, from which the next node may be nearer than from the node's centre.
     leg = onward[memory.hop] - memory.target[:, None]
-    rest = jnp.maximum(after_leg[memory.hop] + length(leg[..., 0], leg[..., 1]), 0.0)
-    rest = jnp.where(memory.hop[:, None] == graph.groups[None, :], 0.0, rest)
-    return CROWD * (first[:, None] + rest) / jnp.maximum(people.preferred_speed, 1e-3)[:, None] + LAST_STEPS
+    after_target = jnp.maximum(after_leg[memory.hop] + length(leg[..., 0], leg[..., 1]), 0.0)
+    is_goal = memory.hop[:, None] == graph.groups[None, :]
+    after_target = jnp.where(is_goal, 0.0, after_target)
+
+    speed = jnp.maximum(people.preferred_speed, 1e-3)
+    return CROWD * (to_target[:, None] + after_target) / speed[:, None] + LAST_STEPS
 
 
 def send(
     graph: BehaviorGraph,
     arrival: Float[Array, "N G"],
-    memory: Memory,
+    memory: GraphMemory,
     seats: Seats,
     seekers: Bool[Array, "N"],
     draws: Draws | None = None,
-) -> tuple[Memory, Bool[Array, "N"]]:
+) -> tuple[GraphMemory, Bool[Array, "N"]]:
     """Sends successors to seats; returns the memory with new seats and goals, and whether people have lost their seat.
 
     A seat without a successor gets a person who arrives at the end of the stay, or as soon as possible if nobody
@@ -270,37 +292,59 @@ def send(
         seekers: people at a node who choose their next goal.
         draws: with a temperature, people ask and seats take by chances that decrease with the score.
     """
-    number, none = memory.seat.shape[0], jnp.zeros(memory.seat.shape, bool)
-    if seats.holder.shape[0] == 0 or number == 0:
-        return memory, none
-    due, node = jnp.maximum(seats.time_left, 0.0), graph.seat_node
-    has_successor, person = seats.successor >= 0, jnp.arange(number, dtype=jnp.int32)
-    index = jnp.maximum(seats.successor, 0)
-    arrival_of_successor = arrival[index, graph.seat_group]
-    far = memory.hop[index] != memory.goal[index]
-    replaceable = jnp.where(far, misfit(arrival_of_successor, due) - MIN_GAIN, -jnp.inf)
-    limit = jnp.where(has_successor, replaceable, jnp.where(seats.time_left <= 0.0, jnp.inf, MAX_MISFIT))
-    returns = jnp.where(memory.origin[:, None] == node[None, :], RETURN, 0.0)
-    off = misfit(arrival[:, graph.seat_group], due[None, :]) + returns
-    may = (seekers & (memory.seat < 0))[:, None] & (memory.hop[:, None] != node[None, :]) & (off < limit[None, :])
-    may = may & (node >= 0)[None, :]
-    score = jnp.where(may, off + 2.0 * seats.time_left[None, :], jnp.inf)
+    n_people = memory.seat.shape[0]
+    n_seats = seats.holder.shape[0]
+    if n_seats == 0 or n_people == 0:
+        return memory, jnp.zeros(memory.seat.shape, bool)
+    score = _seat_scores(graph, arrival, memory, seats, seekers)  # (N, Q) s
+    possible = jnp.isfinite(score)
+
+    # People ask for the best seat, and seats take the best person.
     if draws is None:
-        seat, taker = jnp.argmin(score, axis=1).astype(jnp.int32), jnp.argmin(score, axis=0).astype(jnp.int32)
+        seat = jnp.argmin(score, axis=1).astype(jnp.int32)
+        taker = jnp.argmin(score, axis=0).astype(jnp.int32)
     else:
-        seat, asks = sample(log_chances(score, draws.temperature), draws.seat)
-        taker, takes = sample(log_chances(score.T, draws.temperature), draws.taker)
-        asks, takes = (jnp.where(jnp.any(may, axis=k), chances, 0.0) for k, chances in ((1, asks), (0, takes)))
-        memory = memory.with_choices(jnp.sum(asks) + jnp.sum(takes))
-    takes = (taker[seat] == person) & jnp.isfinite(jnp.min(score, axis=1))
-    assigned = takes[taker] & (seat[taker] == jnp.arange(taker.shape[0], dtype=jnp.int32))
-    walks = (memory.seat >= 0) & (memory.stay == 0)
-    loses = walks & of_seat(assigned, memory.seat)
+        seat, log_asked = sample(log_chances(score, draws.temperature), draws.seat)
+        taker, log_taken = sample(log_chances(score.T, draws.temperature), draws.taker)
+        log_asked = jnp.where(jnp.any(possible, axis=1), log_asked, 0.0)
+        log_taken = jnp.where(jnp.any(possible, axis=0), log_taken, 0.0)
+        memory = memory.with_choices(jnp.sum(log_asked) + jnp.sum(log_taken))
+
+    # A seat is assigned if the person that it takes asks for it.
+    person = jnp.arange(n_people, dtype=jnp.int32)
+    is_sent = (taker[seat] == person) & jnp.isfinite(jnp.min(score, axis=1))
+    assigned = is_sent[taker] & (seat[taker] == jnp.arange(n_seats, dtype=jnp.int32))
+
+    # Its former successor loses it.
+    walks_to_seat = (memory.seat >= 0) & (memory.stay == 0)
+    loses = walks_to_seat & of_seat(assigned, memory.seat)
     memory = memory._replace(
-        seat=jnp.where(takes, seat, jnp.where(loses, -1, memory.seat)),
-        goal=jnp.where(takes, node[seat], memory.goal),
+        seat=jnp.where(is_sent, seat, jnp.where(loses, -1, memory.seat)),
+        goal=jnp.where(is_sent, graph.seat_node[seat], memory.goal),
     )
     return memory, loses
+
+
+def _seat_scores(
+    graph: BehaviorGraph, arrival: Float[Array, "N G"], memory: GraphMemory, seats: Seats, seekers: Bool[Array, "N"]
+) -> Float[Array, "N Q"]:
+    """How badly [s] each person suits each seat: by arrival, and how soon the seat is due; inf where nobody is sent."""
+    node = graph.seat_node[None, :]
+    due = jnp.maximum(seats.time_left, 0.0)
+    returns = jnp.where(memory.origin[:, None] == node, RETURN, 0.0)
+    off = misfit(arrival[:, graph.seat_group], due[None, :]) + returns
+
+    # A successor who is nodes away can be replaced by somebody better, an empty seat takes anybody.
+    successor = jnp.maximum(seats.successor, 0)
+    is_far = memory.hop[successor] != memory.goal[successor]
+    off_of_successor = misfit(arrival[successor, graph.seat_group], due)
+    replaceable = jnp.where(is_far, off_of_successor - MIN_GAIN, -jnp.inf)
+    limit = jnp.where(seats.time_left <= 0.0, jnp.inf, MAX_MISFIT)
+    limit = jnp.where(seats.successor >= 0, replaceable, limit)
+
+    seeks = (seekers & (memory.seat < 0))[:, None]
+    possible = seeks & (memory.hop[:, None] != node) & (off < limit[None, :]) & (node >= 0)
+    return jnp.where(possible, off + 2.0 * seats.time_left[None, :], jnp.inf)
 
 
 def misfit(arrival: Float[Array, "..."], due: Float[Array, "..."]) -> Float[Array, "..."]:
@@ -308,25 +352,27 @@ def misfit(arrival: Float[Array, "..."], due: Float[Array, "..."]) -> Float[Arra
     return jnp.maximum(arrival - due, EARLY * (due - arrival))
 
 
-def pace(graph: BehaviorGraph, arrival: Float[Array, "N G"], memory: Memory, seats: Seats) -> Float[Array, "N"]:
+def pace(graph: BehaviorGraph, arrival: Float[Array, "N G"], memory: GraphMemory, seats: Seats) -> Float[Array, "N"]:
     """Fraction of the preferred speed, from ``MIN_PACE`` to 1: early successors walk slower."""
     if graph.seat_group.shape[0] == 0:
         return jnp.ones(memory.seat.shape, float)
-    expected = jnp.take_along_axis(arrival, of_seat(graph.seat_group, memory.seat)[:, None], axis=1)[:, 0]
-    left = jnp.where((memory.seat >= 0) & (memory.stay == 0), of_seat(seats.time_left, memory.seat), 0.0)
-    return jnp.clip(expected / jnp.maximum(left, 1e-3), MIN_PACE, 1.0)
+    group = of_seat(graph.seat_group, memory.seat)
+    expected = jnp.take_along_axis(arrival, group[:, None], axis=1)[:, 0]
+    is_successor = (memory.seat >= 0) & (memory.stay == 0)
+    time_left = jnp.where(is_successor, of_seat(seats.time_left, memory.seat), 0.0)
+    return jnp.clip(expected / jnp.maximum(time_left, 1e-3), MIN_PACE, 1.0)
 
 
 def choose_whole(
     graph: BehaviorGraph,
     people: Pedestrians,
-    memory: Memory,
+    memory: GraphMemory,
     seats: Seats,
     arrival: Float[Array, "N G"],
     free: Bool[Array, "N"],
     chance: Float[Array, "2 N"],
     draws: Draws | None = None,
-) -> Memory:
+) -> GraphMemory:
     """New goals as in the paper (section IV-D): people keep a goal until they are there.
 
     Seats without a successor come first, then waypoint nodes. People at a node can be sent to a seat whatever
@@ -350,11 +396,11 @@ def choose_whole(
 def choose_edge(
     graph: BehaviorGraph,
     people: Pedestrians,
-    memory: Memory,
+    memory: GraphMemory,
     free: Bool[Array, "N"],
     chance: Float[Array, "2 N"],
     draws: Draws | None = None,
-) -> Memory:
+) -> GraphMemory:
     """New goals as in SEAN 2.0's NavManager: people choose at every node and are bound to one edge.
 
     They go to the group that lacks most members, or if none lacks any, to a random waypoint node. A seat is reserved
@@ -368,26 +414,38 @@ def choose_edge(
     """
     onward = free | _passes(people, memory)
     seat = jnp.where(onward, -1, memory.seat)
-    goal, to_waypoint = _other_waypoint(graph, memory.hop, chance[0]), onward
+    goal = _other_waypoint(graph, memory.hop, chance[0])
+    to_waypoint = onward
     if graph.groups.shape[0]:
-        empty = ~_taken(memory, graph.seat_group.shape[0]) & (graph.seat_node >= 0)
-        group = jnp.arange(graph.groups.shape[0], dtype=jnp.int32)
-        of_group = graph.seat_group[:, None] == group[None, :]  # (Q, G)
-        lack = jnp.sum(of_group & empty[:, None], axis=0, dtype=jnp.int32)
-        neediest = jnp.argmax(lack).astype(jnp.int32)
-        node = graph.groups[neediest]
-        wants = onward & people.present & (people.walking_group < 0) & (lack[neediest] > 0) & (memory.hop != node)
-        near = wants & (graph.next_hop[memory.hop, node] == node)
-        offered = empty & (graph.seat_group == neediest)
-        succeeds, which = _in_turn(near, offered)
-        seat = jnp.where(succeeds, which, seat)
-        goal, to_waypoint = jnp.where(wants & (succeeds | ~near), node, goal), onward & ~(wants & (succeeds | ~near))
+        node, to_group, reserves, reserved = _join_neediest(graph, people, memory, onward)
+        seat = jnp.where(reserves, reserved, seat)
+        goal = jnp.where(to_group, node, goal)
+        to_waypoint = onward & ~to_group
     memory = _count_goals(graph, memory, goal, to_waypoint, draws)
     memory = memory._replace(seat=seat, goal=jnp.where(onward, goal, memory.goal))
     return _set_out(graph, memory, onward, chance[1], draws)
 
 
-def _taken(memory: Memory, seats: int) -> Bool[Array, "Q"]:
+def _join_neediest(
+    graph: BehaviorGraph, people: Pedestrians, memory: GraphMemory, onward: Bool[Array, "N"]
+) -> tuple[Int[Array, ""], Bool[Array, "N"], Bool[Array, "N"], Int[Array, "N"]]:
+    """The node of the group that lacks most members, who goes there, who of them reserves a seat, and which seat."""
+    empty = ~_taken(memory, graph.seat_group.shape[0]) & (graph.seat_node >= 0)
+    group = jnp.arange(graph.groups.shape[0], dtype=jnp.int32)
+    of_group = graph.seat_group[:, None] == group[None, :]  # (Q, G)
+    lack = jnp.sum(of_group & empty[:, None], axis=0, dtype=jnp.int32)
+    neediest = jnp.argmax(lack).astype(jnp.int32)
+    node = graph.groups[neediest]
+
+    # On the last edge people need a seat, and reserve it in their order.
+    alone = people.present & (people.walking_group < 0)
+    wants = onward & alone & (lack[neediest] > 0) & (memory.hop != node)
+    on_last_edge = wants & (graph.next_hop[memory.hop, node] == node)
+    reserves, seat = _in_turn(on_last_edge, empty & (graph.seat_group == neediest))
+    return node, wants & (reserves | ~on_last_edge), reserves, seat
+
+
+def _taken(memory: GraphMemory, seats: int) -> Bool[Array, "Q"]:
     """(Q,) seats that are reserved."""
     return (memory.seat[:, None] == jnp.arange(seats, dtype=jnp.int32)[None, :]).any(0)
 
@@ -404,22 +462,22 @@ def _in_turn(seekers: Bool[Array, "N"], seats: Bool[Array, "Q"]) -> tuple[Bool[A
 
 def _other_waypoint(graph: BehaviorGraph, hop: Int[Array, "N"], chance: Float[Array, "N"]) -> Int[Array, "N"]:
     """A random waypoint node other than ``hop`` if there is one, in proportion to the weights."""
-    below = jnp.cumsum(_goal_odds(graph, hop), axis=1)
-    index = jnp.sum(below <= chance[:, None] * below[:, -1:], axis=1, dtype=jnp.int32)
-    number = (graph.waypoints >= 0).sum(dtype=jnp.int32)
-    return graph.waypoints[jnp.minimum(index, number - 1)]
+    cumulative = jnp.cumsum(_goal_odds(graph, hop), axis=1)
+    n_waypoints = (graph.waypoints >= 0).sum(dtype=jnp.int32)
+    return graph.waypoints[_first_above(cumulative, chance, n_waypoints)]
 
 
 def _goal_odds(graph: BehaviorGraph, hop: Int[Array, "N"]) -> Float[Array, "N Mw"]:
     """The odds with which people at ``hop`` draw each waypoint."""
-    other = ((graph.waypoints[None, :] != hop[:, None]) & (graph.waypoints >= 0)[None, :]).astype(float)
+    waypoints = graph.waypoints[None, :]
+    other = ((waypoints != hop[:, None]) & (waypoints >= 0)).astype(float)
     odds = other * graph.weight[graph.waypoints][None, :]
     return jnp.where(jnp.sum(odds, axis=1, keepdims=True) > 0.0, odds, other)  # else all others have weight 0
 
 
 def _count_goals(
-    graph: BehaviorGraph, memory: Memory, goal: Int[Array, "N"], to_waypoint: Bool[Array, "N"], draws: Draws | None
-) -> Memory:
+    graph: BehaviorGraph, memory: GraphMemory, goal: Int[Array, "N"], to_waypoint: Bool[Array, "N"], draws: Draws | None
+) -> GraphMemory:
     """The memory with the log chances of goals that were drawn; unchanged without draws."""
     if draws is None:
         return memory
@@ -429,26 +487,30 @@ def _count_goals(
     return memory.with_choices(jnp.sum(jnp.log(jnp.maximum(chance, 1e-30))))
 
 
-def _passes(people: Pedestrians, memory: Memory) -> Bool[Array, "N"]:
+def _passes(people: Pedestrians, memory: GraphMemory) -> Bool[Array, "N"]:
     """Whether people have reached a node on the way to another."""
     gap = memory.target - people.position
     return (length(gap[:, 0], gap[:, 1]) < ARRIVED) & (memory.hop != memory.goal)
 
 
 def _set_out(
-    graph: BehaviorGraph, memory: Memory, onward: Bool[Array, "N"], chance: Float[Array, "N"], draws: Draws | None
-) -> Memory:
+    graph: BehaviorGraph, memory: GraphMemory, onward: Bool[Array, "N"], chance: Float[Array, "N"], draws: Draws | None
+) -> GraphMemory:
     """The next node of the path and a point of its disc, for people who leave a node."""
-    following = graph.next_hop[memory.hop, memory.goal]
+    next_hop = graph.next_hop[memory.hop, memory.goal]
     if draws is not None:
-        ways = hop_log_chances(graph.edge_cost, graph.cost, graph.is_group, draws.temperature)
-        choice, log_chance = sample(ways[memory.hop, memory.goal], draws.hop)
-        chooses = onward & (following >= 0) & (memory.hop != memory.goal)
-        following = jnp.where(chooses, choice, following)
+        log_chances_of_hops = hop_log_chances(graph.edge_cost, graph.cost, graph.is_group, draws.temperature)
+        choice, log_chance = sample(log_chances_of_hops[memory.hop, memory.goal], draws.hop)
+        chooses = onward & (next_hop >= 0) & (memory.hop != memory.goal)
+        next_hop = jnp.where(chooses, choice, next_hop)
         memory = memory.with_choices(jnp.sum(jnp.where(chooses, log_chance, 0.0)))
-    hop = jnp.where(onward, jnp.where(following >= 0, following, memory.goal), memory.hop)
-    number = graph.places.shape[1]
-    place = graph.places[hop, jnp.minimum((chance * number).astype(jnp.int32), number - 1)]
+    next_hop = jnp.where(next_hop >= 0, next_hop, memory.goal)
+    hop = jnp.where(onward, next_hop, memory.hop)
+
+    # A point of the node's disc, or the seat.
+    n_places = graph.places.shape[1]
+    index = jnp.minimum((chance * n_places).astype(jnp.int32), n_places - 1)
+    place = graph.places[hop, index]
     to_seat = (memory.seat >= 0) & (hop == memory.goal)
     place = jnp.where(to_seat[:, None], of_seat(memory.seat_position, memory.seat), place)
     return memory._replace(

@@ -24,7 +24,7 @@ from sean_jax.world import navigation as paths
 SETTLING = 0.5  # s, in which people return to a seat after a push
 
 
-class Memory(NamedTuple):
+class HandcraftedMemory(NamedTuple):
     """The set, and the target of each person in it."""
 
     set: Int[Array, ""]  # row of the sets
@@ -47,7 +47,7 @@ def build(place: Place, people: int | None = None, *, sets: str = ALL) -> Behavi
         InputError: an unknown file or set, a mistake in the file, a number of people, or there
             is no way from a waypoint to the next one.
     """
-    chosen = annotation.read(place.folder, place.environment).chosen(sets)
+    chosen = annotation.read_sets(place.folder, place.environment).chosen(sets)
     if people is not None:
         raise InputError(f"people: {people}, but each handcrafted set has a number of its own; leave people out.")
     tables = build_sets(chosen, place.navigation)
@@ -61,46 +61,48 @@ def build(place: Place, people: int | None = None, *, sets: str = ALL) -> Behavi
     )
 
 
-def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Memory]:
+def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, HandcraftedMemory]:
     """People of a set drawn by its odds, on their loops or at waypoints, and in formations."""
     tables: Sets = scenario.behavior.data
     set_key, form_key, phase_key, trait_key = jax.random.split(key, 4)
-    number = jax.random.categorical(set_key, jnp.log(tables.odds.sum((1, 2)))).astype(jnp.int32)
-    one = tables.one(number)
+    index = jax.random.categorical(set_key, jnp.log(tables.odds.sum((1, 2)))).astype(jnp.int32)
+    layout = tables.one(index)
+    n_groups = layout.capacity.shape[0]
+    n_people = layout.group.shape[0]
 
     # Walkers and absent people take seats of an extra group, which is dropped below.
-    groups, people = one.capacity.shape[0], one.group.shape[0]
-    center = jnp.concatenate([one.center, jnp.zeros((1, 2), float)])
-    capacity = jnp.concatenate([one.capacity, jnp.ones(1, jnp.int32)])
-    seat = jnp.where(one.group >= 0, one.group, groups)
-    seat_position, seat_heading, radius, opening = formation(form_key, capacity, center, seat)
+    center = jnp.concatenate([layout.center, jnp.zeros((1, 2), float)])
+    capacity = jnp.concatenate([layout.capacity, jnp.ones(1, jnp.int32)])
+    seat_group = jnp.where(layout.group >= 0, layout.group, n_groups)
+    seat_position, seat_heading, radius, opening = formation(form_key, capacity, center, seat_group)
+    has_group = layout.capacity > 0
+    groups = Groups(center=layout.center, radius=radius[:n_groups], opening=opening[:n_groups], present=has_group)
 
-    phase = jax.random.uniform(phase_key, one.waypoints.shape, float)
-    place, ahead, target = jax.vmap(_on_loop, in_axes=(None, 0, 0, 0, 0, None))(
-        one, one.loop, one.share, one.way, one.first, phase
-    )  # fmt: skip
+    # Walkers on their loops, in the direction of the way ahead.
+    phase = jax.random.uniform(phase_key, layout.waypoints.shape, float)
+    on_loops = jax.vmap(_on_loop, in_axes=(None, 0, 0, 0, 0, None))
+    place, ahead, target = on_loops(layout, layout.loop, layout.share, layout.way, layout.first, phase)
     if tables.ways is not None:
-        gap = _ahead(tables.ways, number, one.loop, target, place) - place
-        gap_size = length(gap[:, 0], gap[:, 1])[:, None]
-        ahead = jnp.where(gap_size > 1e-3, gap / jnp.maximum(gap_size, 1e-3), ahead)
-    walks, stands = one.loop >= 0, one.group >= 0
-    heading = jnp.where(walks[:, None], ahead, seat_heading)
-    preferred_speed, robot_distance = draw_traits(scenario.forces, trait_key, people)
-    velocity = jnp.where(walks[:, None], preferred_speed[:, None] * heading, 0.0)
+        gap = _ahead(tables.ways, index, layout.loop, target, place) - place
+        distance = length(gap[:, 0], gap[:, 1])[:, None]
+        ahead = jnp.where(distance > 1e-3, gap / jnp.maximum(distance, 1e-3), ahead)
+
+    walks = (layout.loop >= 0)[:, None]
+    heading = jnp.where(walks, ahead, seat_heading)
+    preferred_speed, robot_distance = draw_traits(scenario.forces, trait_key, n_people)
+    velocity = jnp.where(walks, preferred_speed[:, None] * heading, 0.0)
     pedestrians = Pedestrians(
-        position=jnp.where(walks[:, None], place, seat_position),
+        position=jnp.where(walks, place, seat_position),
         velocity=velocity,
         heading=heading,
         desired_velocity=velocity,
-        group=jnp.where(stands, one.group, -1),
-        walking_group=jnp.full(people, -1, jnp.int32),
-        present=one.present,
+        group=jnp.where(layout.group >= 0, layout.group, -1),
+        walking_group=jnp.full(n_people, -1, jnp.int32),
+        present=layout.present,
         preferred_speed=preferred_speed,
         robot_distance=robot_distance,
     )
-    there = one.capacity > 0
-    formed = Groups(center=one.center, radius=radius[:groups], opening=opening[:groups], present=there)
-    return pedestrians, formed, Memory(number, target, seat_position, seat_heading)
+    return pedestrians, groups, HandcraftedMemory(index, target, seat_position, seat_heading)
 
 
 def direct(scenario: Scenario, state: State, key: Array) -> State:
@@ -110,21 +112,26 @@ def direct(scenario: Scenario, state: State, key: Array) -> State:
     """
     tables: Sets = scenario.behavior.data
     people, memory = state.pedestrians, state.memory
-    row, loop = memory.set, jnp.maximum(tables.loop[memory.set], 0)
-    walks, waypoint = tables.loop[row] >= 0, tables.waypoint[row][loop]  # (N, K, 2)
+    row = memory.set
+    loop = jnp.maximum(tables.loop[row], 0)
+    walks = tables.loop[row] >= 0
+    waypoint = tables.waypoint[row][loop]  # (N, K, 2)
 
     def gap_to(target: Array) -> Array:
         goal = jnp.take_along_axis(waypoint, target[:, None, None], axis=1)[:, 0]
         return jnp.where(walks[:, None], goal, memory.seat_position) - people.position
 
+    # Who has arrived goes on to the next waypoint.
     gap = gap_to(memory.target)
     arrived = length(gap[:, 0], gap[:, 1]) < ARRIVED
-    following = (memory.target + tables.way[row]) % tables.waypoints[row][loop]
-    target = jnp.where(arrived & walks, following, memory.target)
+    next_target = (memory.target + tables.way[row]) % tables.waypoints[row][loop]
+    target = jnp.where(arrived & walks, next_target, memory.target)
     gap = gap_to(target)
     if tables.ways is not None:
         aim = _ahead(tables.ways, row, tables.loop[row], target, people.position)
         gap = jnp.where(walks[:, None], aim - people.position, gap)
+
+    # At the preferred speed, or back to the seat.
     distance = length(gap[:, 0], gap[:, 1])
     speed = jnp.where(walks, people.preferred_speed, jnp.minimum(people.preferred_speed, distance / SETTLING))
     speed = jnp.where(people.present, speed, 0.0)
@@ -138,13 +145,13 @@ def _ahead(
 ) -> Float[Array, "N 2"]:
     """The waypoint [m] of each person of a set, or a point on the shortest way there."""
     index = ways.index[row, jnp.maximum(loop, 0), target]
-    each_person = jax.vmap(paths.next_point_approx, in_axes=(None, 0, 0, 0))
+    next_points = jax.vmap(paths.next_point_approx, in_axes=(None, 0, 0, 0))
     paths_to_point = jax.tree.map(lambda leaf: leaf[index], ways.paths_to_point)
-    return each_person(ways.navigation, position, ways.point[index], paths_to_point)
+    return next_points(ways.navigation, position, ways.point[index], paths_to_point)
 
 
 def _on_loop(
-    one: Sets,
+    layout: Sets,
     loop: Int[Array, ""],
     share: Float[Array, ""],
     way: Int[Array, ""],
@@ -153,16 +160,20 @@ def _on_loop(
 ) -> tuple[Float[Array, "2"], Float[Array, "2"], Int[Array, ""]]:
     """Place [m] and heading at that share of a loop, or at its waypoint ``first`` unless -1; and the waypoint ahead."""
     loop = jnp.maximum(loop, 0)
-    waypoint, count, walked = one.waypoint[loop], one.waypoints[loop], one.walked[loop]
+    waypoint = layout.waypoint[loop]  # (K, 2)
+    count = layout.waypoints[loop]
+    walked = layout.walked[loop]  # (K,)
+
+    # The leg on which the share of the length lies.
     ends = jnp.where(jnp.isfinite(walked), walked, 0.0)
     along = ((share + phase[loop]) % 1.0) * ends.max()
     leg = jnp.minimum((walked <= along).sum(dtype=jnp.int32), count - 1)
-    a, b = waypoint[leg], waypoint[(leg + 1) % count]
-    gap = b - a
-    size = jnp.maximum(length(gap[0], gap[1]), 1e-6)
-    ahead = gap / size
-    place = b - (ends[leg] - along) * ahead
+    start, end = waypoint[leg], waypoint[(leg + 1) % count]
+    gap = end - start
+    ahead = gap / jnp.maximum(length(gap[0], gap[1]), 1e-6)
+    place = end - (ends[leg] - along) * ahead
     target = jnp.where(way > 0, (leg + 1) % count, leg)
+
     at_waypoint = first >= 0
     target = jnp.where(at_waypoint, (first + way) % count, target)
     place = jnp.where(at_waypoint, waypoint[jnp.maximum(first, 0)], place)

@@ -31,7 +31,7 @@ class RecordedMotion:
     present: Bool[Array, "T N"]
 
 
-class Memory(NamedTuple):
+class PlaybackMemory(NamedTuple):
     """The part of the recording that the episode plays."""
 
     first: Int[Array, ""]  # moment of the recording at which the episode begins
@@ -69,7 +69,7 @@ def build(
     return Behavior(data=data, name="playback", reset=reset, direct=direct, people=count, move=follow)
 
 
-def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Memory]:
+def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, PlaybackMemory]:
     """People at a random time that leaves time for an episode, or at the start of a shorter recording."""
     motion: RecordedMotion = scenario.behavior.data
     begin_key, trait_key = jax.random.split(key)
@@ -89,7 +89,7 @@ def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Memory]:
         preferred_speed=preferred_speed,
         robot_distance=robot_distance,
     )
-    return people, no_groups(), Memory(first)
+    return people, no_groups(), PlaybackMemory(first)
 
 
 def direct(scenario: Scenario, state: State, key: Array) -> State:

@@ -41,7 +41,7 @@ ARRIVED = 1.0  # m from the goal (SEAN 2.0)
 
 
 @struct.dataclass
-class Tables:
+class RandomTables:
     """The tables of the behavior."""
 
     navigation: paths.Navigation
@@ -52,7 +52,7 @@ class Tables:
     walking_groups: WalkingGroups = struct.field(pytree_node=False)  # their numbers
 
 
-class Memory(NamedTuple):
+class RandomMemory(NamedTuple):
     """The goal of each person."""
 
     goal: Int[Array, "N"]  # index of a place of the navigation
@@ -69,40 +69,43 @@ def build(place: Place, people: int | None = None, *, walking_groups: tuple[floa
         InputError: so many people or walking groups do not fit.
     """
     people = place.default_people if people is None else people
-    environment, navigation = place.environment, place.navigation
-    number = count_walking_groups(people, walking_groups)
-    start = anywhere(environment, navigation, people, dense=number.number > 0)
+    navigation = place.navigation
+    groups = count_walking_groups(people, walking_groups)
+    start = anywhere(place.environment, navigation, people, dense=groups.number > 0)
     if people > len(start):
-        raise InputError(f"people: {people} do not fit in {environment.name}; the most that do is {len(start)}.")
+        raise InputError(f"people: {people} do not fit in {place.environment.name}; the most that do is {len(start)}.")
+
     code = *paths.CODE, "people/behaviors/random_behavior"
     table = cache.load_or_build("goals", code, paths.inputs(navigation), lambda: _paths_to_places(navigation))
-    tables = Tables(
+    tables = RandomTables(
         navigation=navigation,
         start=to_device(start),
         **{name: flat_table(values) for name, values in table.items()},
-        spawn_clusters=to_device(find_spawn_clusters(navigation, start, number)),
-        walking_groups=number,
+        spawn_clusters=to_device(find_spawn_clusters(navigation, start, groups)),
+        walking_groups=groups,
     )
-    companions = number.companions(people)
+    companions = groups.companions(people)
     return Behavior(data=tables, name="random", reset=reset, direct=direct, companions=companions, people=people)
 
 
-def paths_to_place(tables: Tables, index: Int[Array, ""]) -> PathsToGoal:
+def paths_to_place(tables: RandomTables, index: Int[Array, ""]) -> PathsToGoal:
     """The shortest paths to one of the navigation's places; those from arcs that are padding may be any."""
-    arcs = tables.navigation.arcs.side.shape[0]
-    return PathsToGoal(*(table.row((index,), arcs) for table in (tables.distance, tables.departure_angle)))
+    n_arcs = tables.navigation.arcs.side.shape[0]
+    distance = tables.distance.row((index,), n_arcs)
+    departure_angle = tables.departure_angle.row((index,), n_arcs)
+    return PathsToGoal(distance, departure_angle)
 
 
 def _paths_to_places(navigation: paths.Navigation) -> dict[str, np.ndarray]:
     """The fields (P, V) of ``PathsToGoal`` for each of the navigation's places."""
-    one = functools.partial(paths.build_paths_to_goal, navigation)
-    to_places = jax.jit(lambda places: jax.lax.map(one, places, batch_size=32))(navigation.places)
+    paths_to_goal = functools.partial(paths.build_paths_to_goal, navigation)
+    to_places = jax.jit(lambda places: jax.lax.map(paths_to_goal, places, batch_size=32))(navigation.places)
     return {"distance": np.asarray(to_places.distance), "departure_angle": np.asarray(to_places.departure_angle)}
 
 
-def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Memory]:
+def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, RandomMemory]:
     """People at uniformly drawn starts, each with a uniformly drawn goal."""
-    tables: Tables = scenario.behavior.data
+    tables: RandomTables = scenario.behavior.data
     people = scenario.people
     place_key, goal_key, trait_key, turn_key = jax.random.split(key, 4)
     score = jax.random.uniform(place_key, tables.start.shape[:1], float)
@@ -125,24 +128,25 @@ def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Memory]:
     )
     groups = no_groups()
     goal = paths.draw_places(tables.navigation, goal_key, people)
-    return pedestrians, groups, Memory(*follow_leaders(walking_group, goal))
+    return pedestrians, groups, RandomMemory(*follow_leaders(walking_group, goal))
 
 
 def direct(scenario: Scenario, state: State, key: Array) -> State:
     """A new goal for people who have arrived; desired velocities along the shortest paths."""
-    tables: Tables = scenario.behavior.data
+    tables: RandomTables = scenario.behavior.data
     people, places = state.pedestrians, tables.navigation.places
     gap = places[state.memory.goal] - people.position
     arrived = length(gap[:, 0], gap[:, 1]) < ARRIVED
     goal = jnp.where(arrived, paths.draw_places(tables.navigation, key, scenario.people), state.memory.goal)
     if scenario.behavior.companions is not None:
         (goal,) = follow_leaders(people.walking_group, goal)
-    ahead = jax.vmap(paths.next_point_approx, in_axes=(None, 0, 0, 0))(
-        tables.navigation, people.position, places[goal], jax.vmap(functools.partial(paths_to_place, tables))(goal)
-    )
+
+    next_points = jax.vmap(paths.next_point_approx, in_axes=(None, 0, 0, 0))
+    paths_to_goals = jax.vmap(functools.partial(paths_to_place, tables))(goal)
+    ahead = next_points(tables.navigation, people.position, places[goal], paths_to_goals)
     gap = ahead - people.position
     speed = people.preferred_speed / jnp.maximum(length(gap[:, 0], gap[:, 1]), 1e-6)
     velocity = gap * speed[:, None]
     if scenario.behavior.companions is not None:
         velocity = walk_abreast(people, velocity)
-    return replace(state, pedestrians=replace(people, desired_velocity=velocity), memory=Memory(goal))
+    return replace(state, pedestrians=replace(people, desired_velocity=velocity), memory=RandomMemory(goal))

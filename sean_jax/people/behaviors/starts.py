@@ -5,6 +5,7 @@ triples. The member with the lowest index leads: the leader decides where to go,
 the same preferred speed, and ``social_forces.Cohesion`` keeps them side by side.
 """
 
+import itertools
 from dataclasses import dataclass
 from numbers import Real
 from pathlib import Path
@@ -16,7 +17,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 from scipy.spatial import KDTree
 
-from sean_jax.core.data_types import Array, Environment, Groups, Pedestrians, Scenario
+from sean_jax.core.data_types import Array, Environment, Groups, PathsToGoal, Pedestrians, Scenario
 from sean_jax.core.errors import InputError
 from sean_jax.core.geometry import length, signed_distances_on_host, unit
 from sean_jax.core.messages import shorten
@@ -51,8 +52,8 @@ class Place:
 
 def no_groups() -> Groups:
     """Empty conversational groups (G = 0)."""
-    pairs, none = jnp.zeros((0, 2), float), jnp.zeros(0, float)
-    return Groups(center=pairs, radius=none, opening=pairs, present=jnp.zeros(0, bool))
+    points = jnp.zeros((0, 2), float)
+    return Groups(center=points, radius=jnp.zeros(0, float), opening=points, present=jnp.zeros(0, bool))
 
 
 def present_people(scenario: Scenario) -> Bool[Array, "N"]:
@@ -81,12 +82,12 @@ def in_discs(
         chance: of each disc; discs with 0 get no starts.
         avoid: centre (2,) m and radius m of discs without starts.
     """
-    boxes, code = environment.obstacles, ("people/behaviors/starts", "core/geometry")
+    boxes = environment.obstacles
     shape = environment.floor, boxes.center, boxes.half_extent, boxes.yaw, navigation.radius
-    around = [np.append(middle, size) for middle, size in avoid]
-    inputs = *shape, center, radius, chance, np.reshape(around, (-1, 3))
+    avoided = np.reshape([np.append(middle, size) for middle, size in avoid], (-1, 3))
+    key = *shape, center, radius, chance, avoided
     draw = lambda: _in_discs(environment, float(navigation.radius), center, radius, chance, avoid)  # noqa: E731
-    table = cache.load_or_build("starts", code, inputs, draw)
+    table = cache.load_or_build("starts", ("people/behaviors/starts", "core/geometry"), key, draw)
     return table["start"], table["disc"]
 
 
@@ -100,17 +101,24 @@ def _in_discs(
 ) -> dict[str, np.ndarray]:
     generator = np.random.default_rng(0)
     middle, size, odds = (np.asarray(values, float) for values in (center, radius, chance))
-    number = np.ceil(TRIES * size**2 / MIN_DISTANCE**2).astype(int) * (odds > 0)
-    if number.sum() > MAX_TRIES:  # larger discs share these by their areas
-        number = np.ceil(number * (MAX_TRIES / number.sum())).astype(int)
-    disc = np.repeat(np.arange(len(size)), number)
+
+    # Candidates by the areas of the discs.
+    tries = np.ceil(TRIES * size**2 / MIN_DISTANCE**2).astype(int) * (odds > 0)
+    if tries.sum() > MAX_TRIES:
+        tries = np.ceil(tries * (MAX_TRIES / tries.sum())).astype(int)
+    disc = np.repeat(np.arange(len(size)), tries)
+
+    # Uniform over a disc: the square of the distance is.
     distance = size[disc] * np.sqrt(generator.uniform(size=len(disc)))
     angle = generator.uniform(0, 2 * np.pi, len(disc))
-    spots = middle[disc] + distance[:, None] * np.stack([np.cos(angle), np.sin(angle)], -1)
+    direction = np.stack([np.cos(angle), np.sin(angle)], -1)
+    spots = middle[disc] + distance[:, None] * direction
+
     free = np.minimum(*signed_distances_on_host(environment, spots)) > clearance
-    for other, reach in avoid:
-        free &= np.linalg.norm(spots - np.asarray(other, float), axis=-1) > reach
-    spots, disc = spots[free], disc[free]
+    for avoided, reach in avoid:
+        free &= np.linalg.norm(spots - np.asarray(avoided, float), axis=-1) > reach
+    spots = spots[free]
+    disc = disc[free]
     chosen = choose_apart(spots, generator)
     return {"start": spots[chosen], "disc": disc[chosen]}
 
@@ -125,23 +133,30 @@ def anywhere(environment: Environment, navigation: Navigation, people: int, dens
     chosen = choose_apart(spots, generator)
     if len(chosen) >= people and not dense:
         return spots[chosen]
+
     floor = np.asarray(environment.floor, float)
-    number = min(int(FLOOR_TRIES * np.prod(floor[2:] - floor[:2]) / MIN_DISTANCE**2), MAX_TRIES)
-    spots = generator.uniform(floor[:2], floor[2:], (number, 2)).astype(np.float32)
+    area = np.prod(floor[2:] - floor[:2])
+    tries = min(int(FLOOR_TRIES * area / MIN_DISTANCE**2), MAX_TRIES)
+    spots = generator.uniform(floor[:2], floor[2:], (tries, 2)).astype(np.float32)
     spots = spots[np.minimum(*signed_distances_on_host(environment, spots)) > float(navigation.radius)]
+
     code = *CODE, "people/behaviors/starts"
-    table = cache.load_or_build(
-        "reached", code, [*inputs(navigation), spots], lambda: {"reachable": _reachable(navigation, spots)}
-    )
+    key = [*inputs(navigation), spots]
+    table = cache.load_or_build("reached", code, key, lambda: {"reachable": _reachable(navigation, spots)})
     spots = spots[table["reachable"]]
     return spots[choose_apart(spots, generator)]
 
 
 def _reachable(navigation: Navigation, spots: np.ndarray) -> np.ndarray:
     """(P,) bool: whether a path leads from each spot (P, 2) [m] to the navigation's places."""
-    aim = navigation.places[0]
-    walk = jax.jit(lambda spots, row: jax.lax.map(lambda p: geodesic(navigation, p, aim, row), spots, batch_size=1024))
-    return np.isfinite(np.asarray(walk(jnp.asarray(spots, float), build_paths_to_goal(navigation, aim))))
+    goal = navigation.places[0]
+    paths_to_goal = build_paths_to_goal(navigation, goal)
+
+    @jax.jit
+    def walk(spots: Array, paths_to_goal: PathsToGoal) -> Array:
+        return jax.lax.map(lambda spot: geodesic(navigation, spot, goal, paths_to_goal), spots, batch_size=1024)
+
+    return np.isfinite(np.asarray(walk(jnp.asarray(spots, float), paths_to_goal)))
 
 
 def choose_apart(spots: np.ndarray, generator: np.random.Generator) -> list[int]:
@@ -149,11 +164,13 @@ def choose_apart(spots: np.ndarray, generator: np.random.Generator) -> list[int]
     chosen: list[int] = []
     by_cell: dict[tuple[int, int], list[int]] = {}  # by cell of that size, so that only neighbours are compared
     for index in generator.permutation(len(spots)):
-        i, j = (int(part) for part in np.floor(spots[index] / MIN_DISTANCE))
-        near = [k for a in (i - 1, i, i + 1) for b in (j - 1, j, j + 1) for k in by_cell.get((a, b), [])]
-        if not near or np.linalg.norm(spots[near] - spots[index], axis=-1).min() >= MIN_DISTANCE:
-            by_cell.setdefault((i, j), []).append(index)
-            chosen.append(index)
+        i, j = np.floor(spots[index] / MIN_DISTANCE).astype(int).tolist()
+        around = itertools.product((i - 1, i, i + 1), (j - 1, j, j + 1))
+        near = [neighbor for cell in around for neighbor in by_cell.get(cell, [])]
+        if near and np.linalg.norm(spots[near] - spots[index], axis=-1).min() < MIN_DISTANCE:
+            continue
+        by_cell.setdefault((i, j), []).append(index)
+        chosen.append(index)
     return chosen
 
 
@@ -178,13 +195,13 @@ class WalkingGroups(NamedTuple):
         if not self.number:
             return None
         first = people - self.members
-        two = first + np.arange(2 * self.pairs).reshape(-1, 2)
-        three = first + 2 * self.pairs + np.arange(3 * self.triples).reshape(-1, 3)
+        pairs = first + np.arange(2 * self.pairs).reshape(-1, 2)
+        triples = first + 2 * self.pairs + np.arange(3 * self.triples).reshape(-1, 3)
         table = np.full((people, 2), -1, np.int32)
         for k in range(2):
-            table[two[:, k], 0] = two[:, 1 - k]
+            table[pairs[:, k], 0] = pairs[:, 1 - k]
         for k in range(3):
-            table[three[:, k]] = np.delete(three, k, axis=1)
+            table[triples[:, k]] = np.delete(triples, k, axis=1)
         return jnp.asarray(table)
 
 
@@ -194,10 +211,11 @@ def count_walking_groups(people: int, shares: tuple[float, float]) -> WalkingGro
     Raises:
         InputError: a share is negative, or they add up to more than 1.
     """
-    two = isinstance(shares, (tuple, list)) and len(shares) == 2 and all(isinstance(share, Real) for share in shares)
-    if not two or not (min(shares) >= 0 and sum(shares) <= 1 + 1e-6):
-        clause = "must be two shares, each 0 or more, together 1 at most"
-        raise InputError(f"walking_groups: {shorten(repr(shares))} {clause}.")
+    are_two = isinstance(shares, (tuple, list)) and len(shares) == 2 and all(isinstance(x, Real) for x in shares)
+    if not are_two or not (min(shares) >= 0 and sum(shares) <= 1 + 1e-6):
+        raise InputError(
+            f"walking_groups: {shorten(repr(shares))} must be two shares, each 0 or more, together 1 at most."
+        )
     in_pairs, in_triples = shares
     return WalkingGroups(int(people * in_pairs / 2 + 1e-6), int(people * in_triples / 3 + 1e-6))
 
@@ -210,27 +228,40 @@ def find_spawn_clusters(navigation: Navigation, start: np.ndarray, groups: Walki
     Raises:
         InputError: there are fewer clusters than groups.
     """
-    clusters: list[tuple[int, ...]] = []
-    if groups.number:
-        pairs = KDTree(start).query_pairs(MAX_SPAWN_DISTANCE, output_type="ndarray")
-        in_sight = jax.jit(jax.vmap(lambda p, q: segment_is_free(navigation.obstacles, p, q, 0.0)))
-        spots = jnp.asarray(start, float)
-        clear = np.asarray(in_sight(spots[pairs[:, 0]], spots[pairs[:, 1]]))
-        near: list[list[int]] = [[] for _ in start]
-        for i, j in pairs[clear]:
-            near[i].append(int(j))
-            near[j].append(int(i))
-        free = np.ones(len(start), bool)
-        for i in sorted(range(len(start)), key=lambda i: len(near[i])):  # starts with few neighbours first
-            others = sorted((j for j in near[i] if free[j]), key=lambda j: len(near[j]))[:2]
-            if free[i] and len(others) == 2:
-                free[[i, *others]] = False
-                clusters.append((i, *others))
+    clusters = _clusters_of_three(navigation, start) if groups.number else []
     if groups.number > len(clusters):
         raise InputError(
             f"walking_groups: {groups.number} do not fit here, {len(clusters)} at most; give smaller shares."
         )
     return np.array(clusters, np.int32).reshape(-1, 3)
+
+
+def _clusters_of_three(navigation: Navigation, start: np.ndarray) -> list[tuple[int, int, int]]:
+    """Disjoint clusters of starts (P, 2) [m] of ``find_spawn_clusters``."""
+    neighbors = _neighbors_in_sight(navigation, start)
+    n_neighbors = lambda index: len(neighbors[index])  # noqa: E731
+    clusters = []
+    free = np.ones(len(start), bool)
+    for first in sorted(range(len(start)), key=n_neighbors):  # few neighbours first, or they would find none free
+        companions = sorted((index for index in neighbors[first] if free[index]), key=n_neighbors)[:2]
+        if free[first] and len(companions) == 2:
+            cluster = first, *companions
+            free[list(cluster)] = False
+            clusters.append(cluster)
+    return clusters
+
+
+def _neighbors_in_sight(navigation: Navigation, start: np.ndarray) -> list[list[int]]:
+    """Indices of the starts (P, 2) [m] near and in sight of each start."""
+    pairs = KDTree(start).query_pairs(MAX_SPAWN_DISTANCE, output_type="ndarray")  # (K, 2)
+    in_sight = jax.jit(jax.vmap(lambda p, q: segment_is_free(navigation.obstacles, p, q, 0.0)))
+    spots = jnp.asarray(start, float)
+    clear = np.asarray(in_sight(spots[pairs[:, 0]], spots[pairs[:, 1]]))
+    neighbors: list[list[int]] = [[] for _ in start]
+    for i, j in pairs[clear].tolist():
+        neighbors[i].append(j)
+        neighbors[j].append(i)
+    return neighbors
 
 
 def choose_starts(
@@ -240,10 +271,13 @@ def choose_starts(
     alone = walkers - groups.members
     if not groups.number:
         return jax.lax.top_k(score, alone)[1]
-    first = jnp.where(spawn_clusters[:, 0] >= 0, score[spawn_clusters[:, 0]], -jnp.inf)
-    chosen = spawn_clusters[jax.lax.top_k(first, groups.number)[1]]
-    grouped = jnp.concatenate([chosen[: groups.pairs, :2].ravel(), chosen[groups.pairs :].ravel()])
-    return jnp.concatenate([jax.lax.top_k(score.at[grouped].set(-jnp.inf), alone)[1], grouped])
+    first = spawn_clusters[:, 0]
+    first_score = jnp.where(first >= 0, score[first], -jnp.inf)
+    _, index = jax.lax.top_k(first_score, groups.number)
+    clusters = spawn_clusters[index]
+    grouped = jnp.concatenate([clusters[: groups.pairs, :2].ravel(), clusters[groups.pairs :].ravel()])
+    _, single = jax.lax.top_k(score.at[grouped].set(-jnp.inf), alone)
+    return jnp.concatenate([single, grouped])
 
 
 def leaders(companions: Int[Array, "N 2"] | None, people: int) -> Int[Array, "N"]:
@@ -285,11 +319,12 @@ def walk_abreast(people: Pedestrians, velocity: Float[Array, "N 2"]) -> Float[Ar
 
     If all members headed for the same point, they would arrive there in single file.
     """
-    position, ahead = follow_leaders(people.walking_group, people.position, velocity)
-    gap = position - people.position
+    leader_position, leader_velocity = follow_leaders(people.walking_group, people.position, velocity)
+    gap = leader_position - people.position
     x, y = unit(velocity[:, 0], velocity[:, 1])
-    leader_x, leader_y = unit(ahead[:, 0], ahead[:, 1])
+    leader_x, leader_y = unit(leader_velocity[:, 0], leader_velocity[:, 1])
     near = length(gap[:, 0], gap[:, 1]) < NEAR_LEADER
     turns = (people.walking_group >= 0) & near & (x * leader_x + y * leader_y > MIN_COSINE)
+
     speed = length(velocity[:, 0], velocity[:, 1])
     return jnp.where(turns[:, None], jnp.stack([speed * leader_x, speed * leader_y], -1), velocity)

@@ -4,6 +4,7 @@
 """
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -15,10 +16,10 @@ from sean_jax.core.data_types import Array, PathsToGoal
 from sean_jax.core.devices import to_device
 from sean_jax.core.errors import InputError
 from sean_jax.io import cache
-from sean_jax.people.handcrafted.annotation import ALL, ARRIVED, POSES, Set, read
+from sean_jax.people.handcrafted.annotation import ALL, ARRIVED, POSES, Set, read_sets
 from sean_jax.world import navigation as paths
 
-__all__ = ["ALL", "ARRIVED", "Sets", "Ways", "build", "read"]
+__all__ = ["ALL", "ARRIVED", "Sets", "Ways", "build", "read_sets"]
 
 
 @struct.dataclass
@@ -71,46 +72,75 @@ def build(sets: dict[str, Set], navigation: paths.Navigation | None = None) -> S
     Raises:
         InputError: there is no way from a waypoint to the next one.
     """
-    rows = list(sets.values())
-    loops = max(1, *(len(each.walkers) for each in rows))
-    corners = max((len(walkers.loop) for each in rows for walkers in each.walkers), default=1)
-    groups = max(1, *(len(each.groups) for each in rows))  # at least one, for indexing
-    people = max(each.people for each in rows)
-    stacked = jax.tree.map(lambda *row: np.stack(row), *(_row(each, people, groups, loops, corners) for each in rows))
-    arrays = {name: jnp.asarray(value) for name, value in stacked.items()}
-    at_waypoints = any(walkers.start == "waypoints" for each in rows for walkers in each.walkers)
+    walkers = [walkers for layout in sets.values() for walkers in layout.walkers]
+    size = PaddedSize(
+        people=max(layout.people for layout in sets.values()),
+        groups=max(1, *(len(layout.groups) for layout in sets.values())),  # at least one, for indexing
+        loops=max(1, *(len(layout.walkers) for layout in sets.values())),
+        corners=max((len(each.loop) for each in walkers), default=1),
+    )
+    rows = [_row(layout, size) for layout in sets.values()]
+    stacked = {name: np.stack([row[name] for row in rows]) for name in sorted(rows[0])}
+    at_waypoints = any(each.start == "waypoints" for each in walkers)
     ways = None if navigation is None or not at_waypoints else _find_ways(sets, navigation, stacked["waypoint"])
-    return Sets(**arrays, ways=ways, names=tuple(sets), situations=tuple(each.situation for each in rows))
+
+    arrays = {name: jnp.asarray(value) for name, value in stacked.items()}
+    situations = tuple(layout.situation for layout in sets.values())
+    return Sets(**arrays, ways=ways, names=tuple(sets), situations=situations)
+
+
+class PaddedSize(NamedTuple):
+    """To which sets are padded."""
+
+    people: int
+    groups: int
+    loops: int
+    corners: int  # waypoints of a loop
+
+
+class LoopLeg(NamedTuple):
+    """From a waypoint of a loop to the next one."""
+
+    set: str
+    walkers: int  # index of them in the set
+    corner: int  # index of the waypoint in their loop
+    start: tuple[float, float]  # m
+    end: tuple[float, float]  # m
 
 
 def _find_ways(sets: dict[str, Set], navigation: paths.Navigation, waypoint: np.ndarray) -> Ways:
     """Ways to the waypoints (S, L, K, 2) [m]; padding has the first waypoint's."""
     legs = [
-        (name, number, k, loop[k], loop[(k + 1) % len(loop)])
-        for name, each in sets.items()
-        for number, loop in enumerate(walkers.loop for walkers in each.walkers)
-        for k in range(len(loop))
+        LoopLeg(name, index, corner, start, end)
+        for name, layout in sets.items()
+        for index, walkers in enumerate(layout.walkers)
+        for corner, (start, end) in enumerate(zip(walkers.loop, np.roll(walkers.loop, -1, 0).tolist(), strict=True))
     ]
-    from_each, to_each = (np.array([leg[k] for leg in legs], jnp.result_type(float)) for k in (3, 4))
-    point = np.unique(from_each, axis=0)
-    inputs = *paths.inputs(navigation), point, from_each, to_each
+    start = np.array([leg.start for leg in legs], jnp.result_type(float))
+    end = np.array([leg.end for leg in legs], jnp.result_type(float))
+    point = np.unique(start, axis=0)  # (M, 2)
+
+    key = *paths.inputs(navigation), point, start, end
     code = "people/handcrafted/__init__", *paths.CODE
-    table = dict(cache.load_or_build("ways", code, inputs, lambda: _walks(navigation, point, from_each, to_each)))
-    for number in np.flatnonzero(~np.isfinite(table.pop("walk"))):
-        name, walkers, k, place, _ = legs[number]
-        which = f"walkers[{walkers}].loop[{k}] of set '{name}', [{place[0]:g}, {place[1]:g}],"
-        raise InputError(f"handcrafted.yaml: there is no way from {which} to the next waypoint; move one of them.")
-    equal = (waypoint[..., None, :].astype(point.dtype) == point).all(-1)  # (S, L, K, M)
+    table = dict(cache.load_or_build("ways", code, key, lambda: _walks(navigation, point, start, end)))
+    for index in np.flatnonzero(~np.isfinite(table.pop("walk"))):
+        leg = legs[index]
+        raise InputError(
+            f"handcrafted.yaml: there is no way from walkers[{leg.walkers}].loop[{leg.corner}] of set '{leg.set}', "
+            f"[{leg.start[0]:g}, {leg.start[1]:g}], to the next waypoint; move one of them."
+        )
+
+    is_point = (waypoint[..., None, :].astype(point.dtype) == point).all(-1)  # (S, L, K, M)
     return Ways(
         navigation=navigation,
         point=to_device(point),
         paths_to_point=PathsToGoal(**to_device(table)),
-        index=to_device(equal.argmax(-1).astype(np.int32)),
+        index=to_device(is_point.argmax(-1).astype(np.int32)),
     )
 
 
 def _walks(
-    navigation: paths.Navigation, point: np.ndarray, from_each: np.ndarray, to_each: np.ndarray
+    navigation: paths.Navigation, point: np.ndarray, start: np.ndarray, end: np.ndarray
 ) -> dict[str, np.ndarray]:
     """The fields (M, V) of ``PathsToGoal`` of the points (M, 2) [m], and the lengths [m] of the ways between places."""
 
@@ -118,10 +148,13 @@ def _walks(
         return paths.build_paths_to_goal(navigation, place)
 
     def length(ends: tuple[Array, Array]) -> Array:
-        return paths.geodesic(navigation, *ends, to_point(ends[1]))
+        start, end = ends
+        return paths.geodesic(navigation, start, end, to_point(end))
 
-    table = jax.jit(lambda places: jax.lax.map(to_point, places, batch_size=32))(jnp.asarray(point))
-    walk = jax.jit(lambda ends: jax.lax.map(length, ends, batch_size=32))(to_device((from_each, to_each)))
+    tables = jax.jit(lambda places: jax.lax.map(to_point, places, batch_size=32))
+    lengths = jax.jit(lambda ends: jax.lax.map(length, ends, batch_size=32))
+    table = tables(jnp.asarray(point))
+    walk = lengths(to_device((start, end)))
     return {
         "distance": np.asarray(table.distance),
         "departure_angle": np.asarray(table.departure_angle),
@@ -129,33 +162,47 @@ def _walks(
     }
 
 
-def _row(each: Set, people: int, groups: int, loops: int, corners: int) -> dict[str, np.ndarray]:
-    waypoint, walked = np.zeros((loops, corners, 2)), np.full((loops, corners), np.inf)
-    waypoints = np.ones(loops, np.int32)
-    index_of = {name: np.full(people, -1, np.int32) for name in ("group", "loop", "first")}
-    share, way = np.zeros(people), np.ones(people, np.int32)
-    first = 0
-    for index, group in enumerate(each.groups.values()):
-        index_of["group"][first : first + group.people] = index
-        first += group.people
-    for index, walkers in enumerate(each.walkers):
-        loop, members = np.array(walkers.loop, jnp.result_type(float)), slice(first, first + walkers.people)
-        waypoint[index, : len(loop)], waypoints[index] = loop, len(loop)
-        walked[index, : len(loop)] = np.cumsum(np.linalg.norm(np.roll(loop, -1, axis=0) - loop, axis=-1))
-        index_of["loop"][members] = index
-        share[members] = np.arange(walkers.people) / walkers.people
-        index_of["first"][members] = walkers.first_waypoints() if walkers.start == "waypoints" else -1
-        way[members] = 1 - 2 * (np.arange(walkers.people) % 2) if walkers.way == "both" else 1
-        first += walkers.people
-    center, capacity = np.zeros((groups, 2)), np.zeros(groups, np.int32)
-    for index, group in enumerate(each.groups.values()):
-        center[index], capacity[index] = group.center, group.people
-    poses = {}
-    for word, chosen in (("start", each.starts), ("goal", each.goals)):
-        poses |= _poses(word, chosen, list(each.groups), center)
-    return poses | index_of | dict(
+def _row(layout: Set, size: PaddedSize) -> dict[str, np.ndarray]:
+    """The arrays of one set: first people of groups, then walkers."""
+    index = {name: np.full(size.people, -1, np.int32) for name in ("group", "loop", "first")}
+
+    # Groups, and the members of each.
+    center = np.zeros((size.groups, 2))
+    capacity = np.zeros(size.groups, np.int32)
+    begin = 0
+    for number, group in enumerate(layout.groups.values()):
+        center[number] = group.center
+        capacity[number] = group.people
+        index["group"][begin : begin + group.people] = number
+        begin += group.people
+
+    # Loops, and where and how the walkers of each walk them.
+    waypoint = np.zeros((size.loops, size.corners, 2))
+    walked = np.full((size.loops, size.corners), np.inf)
+    waypoints = np.ones(size.loops, np.int32)
+    share = np.zeros(size.people)
+    way = np.ones(size.people, np.int32)
+    for number, walkers in enumerate(layout.walkers):
+        loop = np.array(walkers.loop, jnp.result_type(float))
+        legs = np.linalg.norm(np.roll(loop, -1, axis=0) - loop, axis=-1)
+        waypoint[number, : len(loop)] = loop
+        walked[number, : len(loop)] = np.cumsum(legs)
+        waypoints[number] = len(loop)
+
+        members = slice(begin, begin + walkers.people)
+        person = np.arange(walkers.people)
+        index["loop"][members] = number
+        index["first"][members] = walkers.first_waypoints() if walkers.start == "waypoints" else -1
+        share[members] = person / walkers.people
+        way[members] = 1 - 2 * (person % 2) if walkers.way == "both" else 1
+        begin += walkers.people
+
+    # The robot's poses, which may be in groups.
+    names = list(layout.groups)
+    poses = _poses("start", layout.starts, names, center) | _poses("goal", layout.goals, names, center)
+    return poses | index | dict(
         odds=np.ones((POSES, POSES)), waypoint=waypoint, waypoints=waypoints, walked=walked,
-        center=center, capacity=capacity, share=share, way=way, present=np.arange(people) < first,
+        center=center, capacity=capacity, share=share, way=way, present=np.arange(size.people) < begin,
     )  # fmt: skip
 
 

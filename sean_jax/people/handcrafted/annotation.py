@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterator
 from itertools import combinations, product
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal, NamedTuple, get_args
 
 import jax
 import numpy as np
@@ -50,7 +50,7 @@ Pose = Annotated[
 Poses = Annotated[list[Pose], pydantic.Field(min_length=POSES, max_length=POSES)]
 
 
-class Walkers(pydantic.BaseModel):
+class LoopWalkers(pydantic.BaseModel):
     """People who walk a closed loop of waypoints, and start spread along it or at its waypoints.
 
     People who start at waypoints take the shortest way to the next one, so the straight way may be blocked.
@@ -86,13 +86,13 @@ class Set(pydantic.BaseModel):
     situation: Situation
     starts: Poses
     goals: Poses
-    walkers: Annotated[list[Walkers], pydantic.Field(max_length=32)] = []
+    walkers: Annotated[list[LoopWalkers], pydantic.Field(max_length=32)] = []
     groups: Annotated[dict[str, Group], pydantic.Field(max_length=32)] = {}
 
     @property
     def people(self) -> int:
         """The number of people, walkers and members of groups."""
-        return sum(some.people for some in (*self.walkers, *self.groups.values()))
+        return sum(party.people for party in (*self.walkers, *self.groups.values()))
 
 
 class Collection(pydantic.BaseModel):
@@ -104,7 +104,7 @@ class Collection(pydantic.BaseModel):
     sets: Annotated[dict[str, Set], pydantic.Field(min_length=1, max_length=200)]
 
 
-class Annotation(pydantic.BaseModel):
+class HandcraftedAnnotation(pydantic.BaseModel):
     """The content of handcrafted.yaml."""
 
     model_config = STRICT
@@ -116,11 +116,11 @@ class Annotation(pydantic.BaseModel):
 
     def each(self) -> Iterator[tuple[files.Location, str, Set]]:
         """All sets with their location in the file and their name, ``COLLECTION_SET`` for further collections."""
-        for name, one in self.sets.items():
-            yield ("sets", name), name, one
+        for name, layout in self.sets.items():
+            yield ("sets", name), name, layout
         for collection, further in self.further.items():
-            for name, one in further.sets.items():
-                yield ("further", collection, "sets", name), f"{collection}_{name}", one
+            for name, layout in further.sets.items():
+                yield ("further", collection, "sets", name), f"{collection}_{name}", layout
 
     def chosen(self, name: str) -> dict[str, Set]:
         """The sets of a name: of a set, a situation or ``all``; ``COLLECTION``, ``COLLECTION_SITUATION`` or
@@ -129,18 +129,20 @@ class Annotation(pydantic.BaseModel):
         Raises:
             InputError: there is no such set, situation or collection.
         """
-        words: dict[str, dict[str, Set]] = {}
-        for where, label, one in self.each():
-            collection = where[1] if where[0] == "further" else None
-            situation = one.situation if collection is None else f"{collection}_{one.situation}"
-            for word in (ALL if collection is None else str(collection), situation, label):
-                words.setdefault(word, {})[label] = one
-        if name not in words:
-            raise InputError(files.unknown_name("sets", name, words))
-        return words[name]
+        sets_of: dict[str, dict[str, Set]] = {}  # by each name
+        for location, label, layout in self.each():
+            if location[0] == "further":
+                names = str(location[1]), f"{location[1]}_{layout.situation}", label
+            else:
+                names = ALL, layout.situation, label
+            for key in names:
+                sets_of.setdefault(key, {})[label] = layout
+        if name not in sets_of:
+            raise InputError(files.unknown_name("sets", name, sets_of))
+        return sets_of[name]
 
 
-def read(folder: Path, environment: Environment) -> Annotation:
+def read_sets(folder: Path, environment: Environment) -> HandcraftedAnnotation:
     """The checked ``handcrafted.yaml`` of an environment's folder.
 
     Raises:
@@ -150,10 +152,10 @@ def read(folder: Path, environment: Environment) -> Annotation:
     file = folder / FILE
     if not file.is_file():
         raise InputError(f"{file}: there is no such file, and behavior 'handcrafted' needs it; write one.")
-    return files.load(file, Annotation, check, lambda sets: check_against(sets, environment))
+    return files.load(file, HandcraftedAnnotation, check, lambda sets: check_against(sets, environment))
 
 
-def check(annotation: Annotation) -> Iterator[files.Problem]:
+def check(annotation: HandcraftedAnnotation) -> Iterator[files.Problem]:
     """Mistakes in the fields of an annotation, wherever its places lie."""
     group_names = {ALL, *get_args(Situation)}  # each names several sets
     for collection in annotation.further:
@@ -161,178 +163,256 @@ def check(annotation: Annotation) -> Iterator[files.Problem]:
             yield ("further", collection), f"'{collection}' stands for other sets; give the collection another name"
             continue
         group_names |= {collection, *(f"{collection}_{situation}" for situation in get_args(Situation))}
-    known = set()
-    for here, name, each in annotation.each():
+    names = set()
+    for location, name, layout in annotation.each():
         if name in group_names:
-            word = here[-1]
-            yield here, f"'{word}' stands for several sets; give the set a name of its own, such as '{word}_1'"
-        elif name in known:
-            yield here, f"'{name}' is the name of another set too; rename one"
-        known.add(name)
-        if each.people == 0 and each.situation != "empty":
-            yield here, "there is nobody; give the set walkers or groups, or make its situation empty"
-        if each.situation in ("down_path", "cross_path") and not each.walkers:
-            yield here, f"nobody walks, without which {each.situation} does not occur; give the set walkers"
-        yield from _check_poses(here, each)
-        yield from check_apart(here, each)
+            key = location[-1]
+            yield location, f"'{key}' stands for several sets; give the set a name of its own, such as '{key}_1'"
+        elif name in names:
+            yield location, f"'{name}' is the name of another set too; rename one"
+        names.add(name)
+        if layout.people == 0 and layout.situation != "empty":
+            yield location, "there is nobody; give the set walkers or groups, or make its situation empty"
+        if layout.situation in ("down_path", "cross_path") and not layout.walkers:
+            yield location, f"nobody walks, without which {layout.situation} does not occur; give the set walkers"
+        yield from _check_poses(location, layout)
+        yield from check_apart(location, layout)
 
 
-def _check_poses(place: files.Location, each: Set) -> Iterator[files.Problem]:
+def _check_poses(location: files.Location, layout: Set) -> Iterator[files.Problem]:
     """Poses in groups belong to join_group, as goals, and to leave_group, as starts."""
-    for key, poses, situation in (("starts", each.starts, "leave_group"), ("goals", each.goals, "join_group")):
-        for number, pose in enumerate(poses):
-            here = (*place, key, number)
-            if isinstance(pose, str) and pose not in each.groups:
-                hint = files.suggest(pose, each.groups) or "; add it to groups or give x, y and a heading"
-                yield here, f"there is no group '{pose}'{hint}"
-            elif isinstance(pose, str) and each.situation != situation:
-                cure = "give x, y and a heading"
-                yield here, f"only {key} of {situation} lie in a group and this is {each.situation}; {cure}"
-            elif not isinstance(pose, str) and each.situation == situation:
-                yield here, f"{key} of {situation} lie in a group; give the name of one instead of a place"
+    for key, poses, situation in (("starts", layout.starts, "leave_group"), ("goals", layout.goals, "join_group")):
+        for index, pose in enumerate(poses):
+            pose_location = (*location, key, index)
+            if isinstance(pose, str) and pose not in layout.groups:
+                hint = files.suggest(pose, layout.groups) or "; add it to groups or give x, y and a heading"
+                yield pose_location, f"there is no group '{pose}'{hint}"
+            elif isinstance(pose, str) and layout.situation != situation:
+                yield (
+                    pose_location,
+                    f"only {key} of {situation} lie in a group and this is {layout.situation}; give x, y and a heading",
+                )
+            elif not isinstance(pose, str) and layout.situation == situation:
+                yield pose_location, f"{key} of {situation} lie in a group; give the name of one instead of a place"
 
 
 def trace(loop: list[tuple[float, float]]) -> np.ndarray:
     """Points (P, 2) [m] along a closed loop of waypoints [m], at most 0.1 m from one to the next."""
     corners = np.array(loop, float)
     pieces = []
-    for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
-        share = np.linspace(0.0, 1.0, max(2, int(np.ceil(np.linalg.norm(b - a) / STRIDE)) + 1))[:-1]
-        pieces.append(a + share[:, None] * (b - a))
+    for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        strides = int(np.ceil(np.linalg.norm(end - start) / STRIDE))
+        share = np.linspace(0.0, 1.0, max(2, strides + 1))[:-1]
+        pieces.append(start + share[:, None] * (end - start))
     return np.concatenate(pieces)
 
 
-def check_apart(here: files.Location, each: Set) -> Iterator[files.Problem]:
+def check_apart(location: files.Location, layout: Set) -> Iterator[files.Problem]:
     """Mistakes in the distances within a set, without regard to obstacles."""
-    loops = [np.array(walkers.loop, float) for walkers in each.walkers]
+    loops = [np.array(walkers.loop, float) for walkers in layout.walkers]
     legs = [np.linalg.norm(np.roll(loop, -1, axis=0) - loop, axis=-1) for loop in loops]
-    long = [number for number, lengths in enumerate(legs) if lengths.sum() > MAX_LOOP]
-    for number in long:
-        text = f"is {legs[number].sum():,.0f} m long; {MAX_LOOP:,g} m are the most"
-        yield (*here, "walkers", number, "loop"), text
-    if long:
+    too_long = [index for index, lengths in enumerate(legs) if lengths.sum() > MAX_LOOP]
+    for index in too_long:
+        text = f"is {legs[index].sum():,.0f} m long; {MAX_LOOP:,g} m are the most"
+        yield (*location, "walkers", index, "loop"), text
+    if too_long:
         return
-    traces = [trace(walkers.loop) for walkers in each.walkers]
-    begins = [  # possible starts of people
-        loop[walkers.first_waypoints()] if walkers.start == "waypoints" else points
-        for walkers, loop, points in zip(each.walkers, loops, traces, strict=True)
-    ]
-    for number, walkers in enumerate(each.walkers):
-        yield from _check_walkers((*here, "walkers", number), walkers, legs[number], traces[number])
-    for (i, one), (j, other) in combinations(enumerate(begins), 2):
-        gap = _gap(one, other)
+
+    traces = [trace(walkers.loop) for walkers in layout.walkers]
+    for index, walkers in enumerate(layout.walkers):
+        yield from _check_walkers((*location, "walkers", index), walkers, legs[index], traces[index])
+    starts = []  # of people of each loop
+    for walkers, loop, points in zip(layout.walkers, loops, traces, strict=True):
+        starts.append(loop[walkers.first_waypoints()] if walkers.start == "waypoints" else points)
+    yield from _check_starts(location, starts)
+    yield from _check_groups(location, layout, traces)
+    yield from _check_robot(location, layout, starts)
+
+
+def _check_starts(location: files.Location, starts: list[np.ndarray]) -> Iterator[files.Problem]:
+    """Loops on which people could start in one place."""
+    for (i, points), (j, others) in combinations(enumerate(starts), 2):
+        gap = _gap(points, others)
         if gap < APART:
-            why = f"where people could start in one place; keep {APART:g} m or more"
-            yield (*here, "walkers", j, "loop"), f"comes within {gap:.2f} m of the loop of walkers[{i}], {why}"
-    rings = {name: (np.array([group.center]), reach(group.people)) for name, group in each.groups.items()}
-    for number, (name, (spot, ring)) in enumerate(rings.items()):
-        place = (*here, "groups", name, "center")
+            yield (
+                (*location, "walkers", j, "loop"),
+                f"comes within {gap:.2f} m of the loop of walkers[{i}], where people could start in one place; keep "
+                f"{APART:g} m or more",
+            )
+
+
+def _check_groups(location: files.Location, layout: Set, traces: list[np.ndarray]) -> Iterator[files.Problem]:
+    """Groups that are too near to a loop, or to a group before them."""
+    rings = [(name, np.array([group.center]), reach(group.people)) for name, group in layout.groups.items()]
+    for index, (name, center, radius) in enumerate(rings):
+        group_location = (*location, "groups", name, "center")
         for i, points in enumerate(traces):
-            gap = _gap(points, spot) - ring
+            gap = _gap(points, center) - radius
             if gap < APART:
-                move = f"move the group by {APART - gap:.2f} m or more"
-                yield place, f"people of walkers[{i}] would walk through the group; {move}"
-        for other, (center, size) in list(rings.items())[:number]:
-            gap = _gap(center, spot) - ring - size
+                yield (
+                    group_location,
+                    f"people of walkers[{i}] would walk through the group; move the group by {APART - gap:.2f} m or "
+                    "more",
+                )
+        for other, other_center, other_radius in rings[:index]:
+            gap = _gap(other_center, center) - radius - other_radius
             if gap < APART:
-                move = f"move one by {APART - gap:.2f} m or more"
-                yield place, f"leaves too little room to the group '{other}'; {move}"
-    words = ["the loop" if walkers.start == "spread" else "where somebody starts" for walkers in each.walkers]
-    around = [(points, 0.0, f"{words[i]} of walkers[{i}]") for i, points in enumerate(begins)]
-    around += [(center, size, f"the group '{name}'") for name, (center, size) in rings.items()]
-    for (place, pose), (points, size, what) in product(_places(here, each), around):
-        gap = _gap(points, np.array([pose[:2]])) - size
+                yield (
+                    group_location,
+                    f"leaves too little room to the group '{other}'; move one by {APART - gap:.2f} m or more",
+                )
+
+
+def _check_robot(location: files.Location, layout: Set, starts: list[np.ndarray]) -> Iterator[files.Problem]:
+    """Poses of the robot where people start or stand."""
+    obstacles = []  # points, radius and name
+    for index, (walkers, points) in enumerate(zip(layout.walkers, starts, strict=True)):
+        place = "the loop" if walkers.start == "spread" else "where somebody starts"
+        obstacles.append((points, 0.0, f"{place} of walkers[{index}]"))
+    for name, group in layout.groups.items():
+        obstacles.append((np.array([group.center]), reach(group.people), f"the group '{name}'"))
+    for (pose_location, pose), (points, radius, name) in product(_places(location, layout), obstacles):
+        gap = _gap(points, np.array([pose[:2]])) - radius
         if gap < APART:
-            yield place, f"is {max(gap, 0.0):.2f} m from {what}; keep {APART:g} m or more"
+            yield pose_location, f"is {max(gap, 0.0):.2f} m from {name}; keep {APART:g} m or more"
 
 
-def _places(here: files.Location, each: Set) -> Iterator[tuple[files.Location, tuple[float, float, float]]]:
+def _places(location: files.Location, layout: Set) -> Iterator[tuple[files.Location, tuple[float, float, float]]]:
     """The robot's poses that are no groups, with their locations in the file."""
-    for key, poses in (("starts", each.starts), ("goals", each.goals)):
-        yield from (((*here, key, number), pose) for number, pose in enumerate(poses) if not isinstance(pose, str))
+    for key, poses in (("starts", layout.starts), ("goals", layout.goals)):
+        for index, pose in enumerate(poses):
+            if not isinstance(pose, str):
+                yield (*location, key, index), pose
 
 
 def _check_walkers(
-    place: files.Location, walkers: Walkers, legs: np.ndarray, points: np.ndarray
+    location: files.Location, walkers: LoopWalkers, legs: np.ndarray, points: np.ndarray
 ) -> Iterator[files.Problem]:
     """Mistakes in the distances along a loop, of legs (K,) [m] and traced by points (P, 2) [m]."""
     for corner in np.flatnonzero(legs < ARRIVED):
-        why = f"as close as people come to a waypoint before they go on, {ARRIVED:g} m"
-        text = f"the next waypoint is only {legs[corner]:.2f} m away, {why}; move one of them"
-        yield (*place, "loop", int(corner)), text
+        yield (
+            (*location, "loop", int(corner)),
+            f"the next waypoint is only {legs[corner]:.2f} m away, as close as people come to a waypoint before they "
+            f"go on, {ARRIVED:g} m; move one of them",
+        )
     if walkers.start == "spread":
         max_people = _max_people(points, walkers.people)
         if max_people < walkers.people:
-            yield (*place, "people"), f"{walkers.people} do not fit on the loop; the most that do is {max_people}"
-    elif walkers.people > len(legs):
-        most = f"only {len(legs)} waypoints to start at; give more, or choose start spread"
-        yield (*place, "people"), f"{walkers.people} have {most}"
-    else:
-        for (i, one), (j, other) in combinations([(k, walkers.loop[k]) for k in walkers.first_waypoints()], 2):
-            gap = math.dist(one, other)
-            if gap < SPACING:
-                why = f"where somebody starts as well; keep {SPACING:g} m or more"
-                yield (*place, "loop", j), f"is {gap:.2f} m from waypoint {i}, {why}"
+            yield (*location, "people"), f"{walkers.people} do not fit on the loop; the most that do is {max_people}"
+        return
+    if walkers.people > len(legs):
+        yield (
+            (*location, "people"),
+            f"{walkers.people} have only {len(legs)} waypoints to start at; give more, or choose start spread",
+        )
+        return
+    for i, j in combinations(walkers.first_waypoints(), 2):
+        gap = math.dist(walkers.loop[i], walkers.loop[j])
+        if gap < SPACING:
+            yield (
+                (*location, "loop", j),
+                f"is {gap:.2f} m from waypoint {i}, where somebody starts as well; keep {SPACING:g} m or more",
+            )
 
 
-def check_against(annotation: Annotation, environment: Environment) -> Iterator[files.Problem]:
+class RequiredRoom(NamedTuple):
+    """A place of a set that needs room."""
+
+    location: files.Location
+    point: tuple[float, float]  # m
+    needed: float  # m, from obstacles and edges of the floor
+    user: str  # who is there
+
+
+class WalkedLine(NamedTuple):
+    """A straight line on which people of a set walk."""
+
+    location: files.Location
+    start: Any  # (2,) m
+    end: Any  # (2,) m
+    name: str
+
+
+def check_against(annotation: HandcraftedAnnotation, environment: Environment) -> Iterator[files.Problem]:
     """Mistakes in where the sets lie: off the floor, in obstacles, without room or with loops that are blocked."""
-    spots, legs = [], []
-    for here, _, each in annotation.each():
-        spots += [(place, pose[:2], POSE_CLEARANCE, "the robot") for place, pose in _places(here, each)]
-        for label, group in each.groups.items():
-            needed = reach(group.people) + PERSON
-            spots.append(((*here, "groups", label, "center"), group.center, needed, f"a group of {group.people}"))
-        for number, walkers in enumerate(each.walkers):
-            place = (*here, "walkers", number, "loop")
-            spots += [((*place, k), corner, PERSON, "somebody") for k, corner in enumerate(walkers.loop)]
+    spots, lines = [], []
+    for location, _, layout in annotation.each():
+        spots += _spots(location, layout)
+        for index, walkers in enumerate(layout.walkers):
             if walkers.start == "spread":  # others look for a way around obstacles
-                legs += [((*place, k), *leg) for k, leg in _legs(walkers.loop, walkers.way == "both")]
-    points = np.array([spot for _, spot, _, _ in spots], float).reshape(-1, 2)
+                lines += _lines((*location, "walkers", index, "loop"), walkers)
+
+    points = np.array([spot.point for spot in spots], float).reshape(-1, 2)
     to_box, to_edge = signed_distances_on_host(environment, points)
-    blamed = set()
-    for (place, spot, needed, who), box, edge in zip(spots, to_box, to_edge, strict=True):
-        at = f"[{spot[0]:g}, {spot[1]:g}]"
-        if min(box, edge) < needed:
-            blamed.add(place)
-        if edge < 0:
-            floor = ", ".join(f"{value:g}" for value in np.asarray(environment.floor))
-            yield place, f"{at} is not on the floor [{floor}]; move it"
-        elif box <= 0:
-            yield place, f"{at} is inside an obstacle; move it by {needed - box:.2f} m or more"
-        elif min(box, edge) < needed:
-            yield place, f"{at} has {min(box, edge):.2f} m of room where {who} needs {needed:.2f} m; move it"
-    if legs:
-        ends = np.array([[a, b] for _, a, b, _ in legs], float)
-        boxes = environment.obstacles
-        inputs = boxes.center, boxes.half_extent, boxes.yaw, ends
-        make = lambda: {"blocked": np.asarray(jax.jit(_blocked)(environment, to_device(ends)))}  # noqa: E731
-        code = "people/handcrafted/annotation", "graph/annotation", "core/geometry"
-        blocked = cache.load_or_build("legs", code, inputs, make)["blocked"]
-        for (place, _, _, what), hit in zip(legs, blocked, strict=True):
-            if hit and place not in blamed:  # a waypoint in an obstacle is reported already
-                yield place, f"{what} goes through an obstacle or closer than {PERSON:g} m past one; move a waypoint"
+    without_room = set()
+    for spot, box, edge in zip(spots, to_box, to_edge, strict=True):
+        text = _fault(environment, spot, box, edge)
+        if text:
+            without_room.add(spot.location)
+            yield spot.location, text
+
+    for line, blocked in zip(lines, _are_blocked(environment, lines), strict=True):
+        if blocked and line.location not in without_room:  # a waypoint in an obstacle is reported already
+            text = f"{line.name} goes through an obstacle or closer than {PERSON:g} m past one; move a waypoint"
+            yield line.location, text
 
 
-def _legs(loop: list[tuple[float, float]], both: bool) -> Iterator[tuple[int, tuple]]:
-    """(waypoint, (from, to, description)): lines to the next waypoint, also if people turn a metre early."""
-    count = len(loop)
-    corners = np.array(loop, float)
-    for k in range(count):
-        here, following = corners[k], corners[(k + 1) % count]
-        yield k, (here, following, "the way from here to the next waypoint")
-        for before, after in ((k - 1, k + 1), (k + 1, k - 1)) if both else ((k - 1, k + 1),):
-            back = corners[before % count] - here
-            early = here + ARRIVED * back / max(np.linalg.norm(back), ARRIVED)
-            yield k, (early, corners[after % count], f"cutting the corner here by {ARRIVED:g} m")
+def _spots(location: files.Location, layout: Set) -> Iterator[RequiredRoom]:
+    for pose_location, pose in _places(location, layout):
+        yield RequiredRoom(pose_location, pose[:2], POSE_CLEARANCE, "the robot")
+    for name, group in layout.groups.items():
+        needed = reach(group.people) + PERSON
+        yield RequiredRoom((*location, "groups", name, "center"), group.center, needed, f"a group of {group.people}")
+    for index, walkers in enumerate(layout.walkers):
+        for k, corner in enumerate(walkers.loop):
+            yield RequiredRoom((*location, "walkers", index, "loop", k), corner, PERSON, "somebody")
+
+
+def _fault(environment: Environment, spot: RequiredRoom, box: float, edge: float) -> str:
+    """What is wrong with a spot at that distance [m] from the nearest box and edge; empty if nothing is."""
+    point = f"[{spot.point[0]:g}, {spot.point[1]:g}]"
+    if edge < 0:
+        floor = ", ".join(f"{value:g}" for value in np.asarray(environment.floor))
+        return f"{point} is not on the floor [{floor}]; move it"
+    if box <= 0:
+        return f"{point} is inside an obstacle; move it by {spot.needed - box:.2f} m or more"
+    room = min(box, edge)
+    if room < spot.needed:
+        return f"{point} has {room:.2f} m of room where {spot.user} needs {spot.needed:.2f} m; move it"
+    return ""
+
+
+def _are_blocked(environment: Environment, lines: list[WalkedLine]) -> Bool[np.ndarray, "L"]:
+    if not lines:
+        return np.zeros(0, bool)
+    boxes = environment.obstacles
+    ends = np.array([[line.start, line.end] for line in lines], float)
+    key = boxes.center, boxes.half_extent, boxes.yaw, ends
+    test = lambda: {"blocked": np.asarray(jax.jit(_blocked)(environment, to_device(ends)))}  # noqa: E731
+    code = "people/handcrafted/annotation", "graph/annotation", "core/geometry"
+    return cache.load_or_build("legs", code, key, test)["blocked"]
+
+
+def _lines(location: files.Location, walkers: LoopWalkers) -> Iterator[WalkedLine]:
+    """Lines to the next waypoint of a loop, also if people turn a metre early."""
+    corners = np.array(walkers.loop, float)
+    count = len(corners)
+    for k, corner in enumerate(corners):
+        before, after = corners[k - 1], corners[(k + 1) % count]
+        yield WalkedLine((*location, k), corner, after, "the way from here to the next waypoint")
+        turns = ((before, after), (after, before)) if walkers.way == "both" else ((before, after),)
+        for origin, following in turns:
+            back = origin - corner
+            early = corner + ARRIVED * back / max(np.linalg.norm(back), ARRIVED)
+            yield WalkedLine((*location, k), early, following, f"cutting the corner here by {ARRIVED:g} m")
 
 
 def _blocked(environment: Environment, ends: Float[Array, "L 2 2"]) -> Bool[Array, "L"]:
     """Whether a person cannot walk a leg [m] straight."""
-    each_box = jax.vmap(crosses_box, in_axes=(None, None, None, None, 0, None))
-    each_leg = jax.vmap(each_box, in_axes=(0, 0, 0, 0, None, None))
+    cross_boxes = jax.vmap(crosses_box, in_axes=(None, None, None, None, 0, None))
+    legs_cross = jax.vmap(cross_boxes, in_axes=(0, 0, 0, 0, None, None))
     px, py, qx, qy = ends[:, 0, 0], ends[:, 0, 1], ends[:, 1, 0], ends[:, 1, 1]
-    return each_leg(px, py, qx, qy, environment.obstacles, PERSON).any(1)
+    return legs_cross(px, py, qx, qy, environment.obstacles, PERSON).any(1)
 
 
 def _max_people(points: np.ndarray, people: int) -> int:
@@ -340,15 +420,18 @@ def _max_people(points: np.ndarray, people: int) -> int:
     step = np.linalg.norm(np.roll(points, -1, axis=0) - points, axis=-1)
     along = np.concatenate([[0.0], np.cumsum(step)])
     closed = np.concatenate([points, points[:1]])
-    for number in range(people, 1, -1):
-        share = (np.arange(number) / number)[:, None] + np.linspace(0.0, 1.0 / number, 60)[None, :]
-        place = np.stack([np.interp((share % 1.0) * along[-1], along, closed[:, k]) for k in (0, 1)], -1)
-        gaps = np.linalg.norm(place[:, None] - place[None, :], axis=-1)[np.triu_indices(number, 1)]
-        if gaps.min() >= SPACING:
-            return number
+    for count in range(people, 1, -1):
+        first = np.linspace(0.0, 1.0 / count, 60)
+        share = (np.arange(count) / count)[:, None] + first[None, :]  # (count, 60)
+        walked = (share % 1.0) * along[-1]
+        place = np.stack([np.interp(walked, along, closed[:, k]) for k in (0, 1)], -1)
+        gaps = np.linalg.norm(place[:, None] - place[None, :], axis=-1)
+        if gaps[np.triu_indices(count, 1)].min() >= SPACING:
+            return count
     return 1
 
 
-def _gap(one: np.ndarray, other: np.ndarray) -> float:
+def _gap(points: np.ndarray, others: np.ndarray) -> float:
     """Minimum distance [m] between points (P, 2) and (Q, 2)."""
-    return float(KDTree(one).query(other)[0].min())
+    distance, _ = KDTree(points).query(others)
+    return float(distance.min())

@@ -42,12 +42,17 @@ def fit_motion(
         Position [m] on the line, and velocity [m/s]; where absent, the argument's and zero.
     Source: SEAN 2.0's classifiers, which fit a line to a person's last poses.
     """
+    # Sums over the times of 1, t and t^2, of the offsets x, and of t x.
     count, first, second, value, product = (jnp.zeros((), position.dtype),) * 5
     for shift in range(-window, window + 1):
         weight = _shifted(present, shift, False).astype(position.dtype)
         offset = (_shifted(position, shift, 0.0) - position) * weight[..., None]
-        count, first, second = count + weight, first + weight * shift, second + weight * shift**2
-        value, product = value + offset, product + offset * shift
+        count = count + weight
+        first = first + weight * shift
+        second = second + weight * shift**2
+        value = value + offset
+        product = product + offset * shift
+
     determinant = count * second - first * first
     usable = present & (determinant > 0.5)  # it is a whole number
     inverse = jnp.where(usable, 1.0 / jnp.where(usable, determinant, 1.0), 0.0)[..., None]
@@ -65,19 +70,19 @@ def headings(velocity: Float[Array, "T N 2"], present: Bool[Array, "T N"]) -> Fl
     moving = present & (speed > STILL)
     direction = jnp.where(moving[..., None], velocity / speed[..., None], 0.0)
 
-    def carry_on(last, now):
-        known, vector = now
-        last = jnp.where(known[:, None], vector, last)
+    def carry_on(last, row):
+        moving, direction = row
+        last = jnp.where(moving[:, None], direction, last)
         return last, last
 
-    nothing = jnp.zeros_like(direction[0])
-    _, forward = jax.lax.scan(carry_on, nothing, (moving, direction))
-    _, backward = jax.lax.scan(carry_on, nothing, (moving, direction), reverse=True)
-    known = (forward * forward).sum(-1, keepdims=True) > 0.5
-    either = jnp.where(known, forward, backward)
-    some = (either * either).sum(-1, keepdims=True) > 0.5
-    along_x = jnp.zeros_like(either).at[..., 0].set(1.0)
-    return jnp.where(some, either, along_x)
+    unknown = jnp.zeros_like(direction[0])
+    _, forward = jax.lax.scan(carry_on, unknown, (moving, direction))
+    _, backward = jax.lax.scan(carry_on, unknown, (moving, direction), reverse=True)
+    has_moved = (forward * forward).sum(-1, keepdims=True) > 0.5
+    direction = jnp.where(has_moved, forward, backward)
+    ever_moves = (direction * direction).sum(-1, keepdims=True) > 0.5
+    along_x = jnp.zeros_like(direction).at[..., 0].set(1.0)
+    return jnp.where(ever_moves, direction, along_x)
 
 
 def motion_between_rows(tracks: Tracks) -> tuple[np.ndarray, np.ndarray]:
@@ -87,13 +92,15 @@ def motion_between_rows(tracks: Tracks) -> tuple[np.ndarray, np.ndarray]:
     the next, as in a sampled recording. An absent person has zero velocity and the heading of the next person; the
     velocity in a person's first row equals the second row's.
     """
-    position, present = np.asarray(tracks.position), np.asarray(tracks.present)
-    velocity, heading = np.zeros_like(position), np.zeros_like(position)
-    edge = np.zeros((1, present.shape[1]), bool)
-    change = np.diff(np.concatenate([edge, present, edge]).astype(np.int8), axis=0)
-    for n in range(present.shape[1]):
+    position = np.asarray(tracks.position)
+    present = np.asarray(tracks.present)
+    velocity = np.zeros_like(position)
+    heading = np.zeros_like(position)
+    absent = np.zeros((1, present.shape[1]), bool)
+    change = np.diff(np.concatenate([absent, present, absent]).astype(np.int8), axis=0)
+    for n, column in enumerate(change.T):
         before = 0
-        for begin, end in zip(np.flatnonzero(change[:, n] > 0), np.flatnonzero(change[:, n] < 0), strict=True):
+        for begin, end in zip(np.flatnonzero(column > 0), np.flatnonzero(column < 0), strict=True):
             steps = np.diff(position[begin:end, n], axis=0) / tracks.time_step
             if len(steps):
                 velocity[begin:end, n] = np.concatenate([steps[:1], steps])
@@ -118,8 +125,8 @@ def _shifted(rows: Shaped[Array, "T ..."], shift: int, fill: float | bool) -> Sh
     """The rows ``shift`` later, ``fill`` beyond the ends."""
     if shift == 0:
         return rows
-    spare = jnp.full((min(abs(shift), rows.shape[0]), *rows.shape[1:]), fill, rows.dtype)
-    return jnp.concatenate([rows[shift:], spare]) if shift > 0 else jnp.concatenate([spare, rows[:shift]])
+    filling = jnp.full((min(abs(shift), rows.shape[0]), *rows.shape[1:]), fill, rows.dtype)
+    return jnp.concatenate([rows[shift:], filling] if shift > 0 else [filling, rows[:shift]])
 
 
 def snapshots_of(
@@ -165,8 +172,9 @@ def snapshots_along(
 def _people(tracks: Tracks, window: int = 2) -> Pedestrians:
     """The recorded people, fields (T, N, ...)."""
     position, velocity = fit_motion(tracks.position, tracks.present, tracks.time_step, window)
-    speed, count = length(velocity[..., 0], velocity[..., 1]), jnp.maximum(tracks.present.sum(0, dtype=jnp.int32), 1)
-    usual = jnp.where(tracks.present, speed, 0.0).sum(0) / count.astype(speed.dtype)
+    speed = length(velocity[..., 0], velocity[..., 1])
+    count = jnp.maximum(tracks.present.sum(0, dtype=jnp.int32), 1)
+    mean_speed = jnp.where(tracks.present, speed, 0.0).sum(0) / count.astype(speed.dtype)
     nobody = jnp.full(tracks.present.shape, -1, jnp.int32)
     return Pedestrians(
         position=position,
@@ -176,7 +184,7 @@ def _people(tracks: Tracks, window: int = 2) -> Pedestrians:
         group=nobody,
         walking_group=nobody,
         present=tracks.present,
-        preferred_speed=jnp.broadcast_to(usual[None, :], tracks.present.shape),
+        preferred_speed=jnp.broadcast_to(mean_speed[None, :], tracks.present.shape),
         robot_distance=jnp.zeros_like(speed),
     )
 
@@ -200,13 +208,19 @@ def _snapshots(
     times = recorded.shape[0]
     first = jnp.argmax(recorded)
     last = times - 1 - jnp.argmax(recorded[::-1])
-    with_start = (robot_group[first] >= 0) & (group[first] == robot_group[first])
-    with_goal = (robot_group[last] >= 0) & (group[last] == robot_group[last])
-    joined = jnp.where(with_goal, GOAL_GROUP, jnp.where(with_start, START_GROUP, -1)).astype(jnp.int32)
-    named = jnp.where(group >= 0, joined[None, :], -1)
-    unchanged = (robot_group[first] >= 0) & (robot_group[last] >= 0) & (with_start == with_goal).all()
-    start_group = jnp.where(robot_group[first] >= 0, jnp.where(unchanged, GOAL_GROUP, START_GROUP), -1)
-    goal_group = jnp.where(robot_group[last] >= 0, GOAL_GROUP, -1)
+    group_at_start = robot_group[first]
+    group_at_goal = robot_group[last]
+
+    # The people of the robot's groups at its start and goal.
+    with_start = (group_at_start >= 0) & (group[first] == group_at_start)  # (N,)
+    with_goal = (group_at_goal >= 0) & (group[last] == group_at_goal)
+    name = jnp.where(with_goal, GOAL_GROUP, jnp.where(with_start, START_GROUP, -1)).astype(jnp.int32)
+    named_group = jnp.where(group >= 0, name[None, :], -1)
+    unchanged = (group_at_start >= 0) & (group_at_goal >= 0) & (with_start == with_goal).all()
+    start_group = jnp.where(group_at_start >= 0, jnp.where(unchanged, GOAL_GROUP, START_GROUP), -1)
+    goal_group = jnp.where(group_at_goal >= 0, GOAL_GROUP, -1)
+
+    # Start and goal are where the robot was first and last.
     start, goal = position[first], position[last]
     straight = length(goal[0] - start[0], goal[1] - start[1])
 
@@ -214,7 +228,7 @@ def _snapshots(
         return jnp.broadcast_to(value[None], (times, *value.shape))
 
     return Snapshot(
-        people=replace(people, group=named),
+        people=replace(people, group=named_group),
         position=position,
         heading=heading,
         velocity=velocity,

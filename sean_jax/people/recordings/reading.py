@@ -53,7 +53,7 @@ MAX_MOMENTS = 5_000_000  # of all people together, sampled at another time step
 MAX_STEPS = 1_000_000  # from the first moment to the last, likewise
 
 
-class Walk(NamedTuple):
+class RecordedWalk(NamedTuple):
     """A person's positions in consecutive rows."""
 
     begin: int  # the first row
@@ -120,9 +120,10 @@ def read_companions(path: str | Path, tracks: Tracks) -> Int[np.ndarray, " N"]:
                 raise file_error(path, text, line)
             members.append(column[number])
         if members:
-            shared = np.isin(group, group[members][group[members] >= 0])
-            shared[members] = True
-            group[shared] = np.flatnonzero(shared)[0]
+            groups = group[members]
+            together = np.isin(group, groups[groups >= 0])  # with whom a line before has joined them
+            together[members] = True
+            group[together] = np.flatnonzero(together)[0]
     alone = np.bincount(group[group >= 0], minlength=len(group)) < 2
     return np.where((group >= 0) & alone[group], -1, group).astype(np.int32)
 
@@ -155,11 +156,14 @@ def read_lines(path: str | Path, recording_format: str | None = None, frame_rate
             would walk faster than anybody does, because the clock is wrong.
     """
     path = Path(path)
-    values, names, line = _table(path)
-    order = {name: k for k, name in enumerate(sorted(set(names), key=_rank))}
-    person = np.array([order[name] for name in names])
-    whole = all(_is_number(name) for name in order)
-    number = np.array([int(float(name)) if whole else k for name, k in order.items()], np.int32)
+    values, names, line = _read_columns(path)
+    index_of = {name: index for index, name in enumerate(sorted(set(names), key=_rank))}
+    person = np.array([index_of[name] for name in names])
+
+    # People keep their numbers, if all of them have one.
+    are_numbers = all(_is_number(name) for name in index_of)
+    numbers = [int(float(name)) for name in index_of] if are_numbers else list(index_of.values())
+    number = np.array(numbers, np.int32)
     seconds = _seconds(path, values, person, recording_format, frame_rate)
     recorded = Lines(path, values, person, number, line, seconds)
     _check(recorded)
@@ -181,22 +185,14 @@ def check_clock(recording_format: str | None, frame_rate: float | None) -> None:
         raise InputError(unknown_name("recording_format", recording_format, FORMATS))
 
 
-def _table(path: Path) -> tuple[dict[str, np.ndarray], list[str], np.ndarray]:
+def _read_columns(path: Path) -> tuple[dict[str, np.ndarray], list[str], np.ndarray]:
     """Columns by the keys of ``NAMES``, the person of each row, and its line in the file."""
     reader = csv.reader(io.StringIO(read_text(path, MAX_BYTES), newline=""), strict=True)
-    places: dict[str, int] = {}
     rows, names, lines = [], [], []
     try:
         header = [name.strip().lower() for name in next(reader, [])]
-        for ours, theirs in NAMES.items():
-            matches = [header.index(name) for name in theirs if name in header]
-            if matches:
-                places[ours] = matches[0]
-            elif ours in NEEDED:
-                columns = ", ".join(name[:40] for name in header[:12]) or "nothing"
-                which = " or ".join(theirs)
-                raise file_error(path, f"has no column {which} but {columns}; the first line names the columns", 1)
-        name_place = places.pop("person")
+        index = _column_indices(path, header)
+        person_index = index.pop("person")
         for row in reader:
             if not any(cell.strip() for cell in row):
                 continue
@@ -205,8 +201,8 @@ def _table(path: Path) -> tuple[dict[str, np.ndarray], list[str], np.ndarray]:
                     path, f"is beyond the {MAX_LINES:,} lines that are read; cut the file", reader.line_num
                 )
             try:
-                rows.append([float(row[place]) for place in places.values()])
-                names.append(_plain(row[name_place].strip()))
+                rows.append([float(row[k]) for k in index.values()])
+                names.append(_plain(row[person_index].strip()))
             except (ValueError, IndexError):
                 text = f"is no line of a person and numbers: {shorten(','.join(row), 80)!r}; mend it"
                 raise file_error(path, text, reader.line_num) from None
@@ -215,20 +211,40 @@ def _table(path: Path) -> tuple[dict[str, np.ndarray], list[str], np.ndarray]:
         raise file_error(path, f"is not CSV: {error}", reader.line_num) from None
     if not rows:
         raise file_error(path, "holds no line besides the names of its columns")
-    table, line = np.array(rows, float).T, np.array(lines)
-    columns = dict(zip(places, table, strict=True))
+
+    columns = dict(zip(index, np.array(rows, float).T, strict=True))
+    line = np.array(lines)
     for name, column in columns.items():
-        limit = {"frame": MAX_FRAME, "x": MAX_COORDINATE, "y": MAX_COORDINATE, "group": MAX_FRAME}.get(name, 1e3)
-        wrong = np.flatnonzero(~(np.abs(column) <= limit))
-        if len(wrong):
-            value = column[wrong[0]]
-            fault = "not finite" if not np.isfinite(value) else f"beyond {limit:,.0f}"
-            text = f"{header[places[name]]} is {value:g}, which is {fault}; leave the line out"
-            raise file_error(path, text, line[wrong[0]])
-    for name, where in zip(names, line, strict=True):
+        _check_column(path, name, header[index[name]], column, line)
+    for name, name_line in zip(names, line, strict=True):
         if not name or (_is_number(name) and abs(float(name)) > MAX_FRAME):
-            raise file_error(path, f"the person is {name[:40]!r}; give a name or a whole number", where)
+            raise file_error(path, f"the person is {name[:40]!r}; give a name or a whole number", name_line)
     return columns, names, line
+
+
+def _column_indices(path: Path, header: list[str]) -> dict[str, int]:
+    """The index of each column, by the keys of ``NAMES``."""
+    index = {}
+    for name, spellings in NAMES.items():
+        matches = [header.index(spelling) for spelling in spellings if spelling in header]
+        if matches:
+            index[name] = matches[0]
+        elif name in NEEDED:
+            columns = ", ".join(column[:40] for column in header[:12]) or "nothing"
+            needed = " or ".join(spellings)
+            raise file_error(path, f"has no column {needed} but {columns}; the first line names the columns", 1)
+    return index
+
+
+def _check_column(path: Path, name: str, title: str, column: np.ndarray, line: np.ndarray) -> None:
+    """Refuse numbers that are not finite, or too large for their column."""
+    limit = {"frame": MAX_FRAME, "x": MAX_COORDINATE, "y": MAX_COORDINATE, "group": MAX_FRAME}.get(name, 1e3)
+    wrong = np.flatnonzero(~(np.abs(column) <= limit))
+    if len(wrong) == 0:
+        return
+    value = column[wrong[0]]
+    fault = "not finite" if not np.isfinite(value) else f"beyond {limit:,.0f}"
+    raise file_error(path, f"{title} is {value:g}, which is {fault}; leave the line out", line[wrong[0]])
 
 
 def _is_number(name: str) -> bool:
@@ -272,48 +288,77 @@ def _seconds(
         return 1.0 / JUELICH_RATE
     if recording_format == "groups":
         return 1.0
-    cure = "give frame_rate, or recording_format if it is eth_ucy or juelich"
-    raise file_error(path, f"does not tell how many frames a second it has; {cure}")
+    raise file_error(
+        path,
+        "does not tell how many frames a second it has; give frame_rate, or recording_format if it is eth_ucy or "
+        "juelich",
+    )
 
 
 def _check(recorded: Lines) -> None:
     """Refuse people in two places at once, and impossible speeds."""
-    path, frame, person = recorded.path, recorded.values["frame"], recorded.person
+    path = recorded.path
+    frame = recorded.values["frame"]
     span = (frame.max() - frame.min()) * recorded.seconds
     if span > 7 * MAX_DURATION:
-        at = recorded.line[np.argmax(np.abs(frame - np.median(frame)))]
-        raise file_error(path, f"the frame is {span:.3g} s from others; leave the line out", at)
-    order = np.lexsort((frame, person))
-    same_person = np.diff(person[order]) == 0
+        outlier = np.argmax(np.abs(frame - np.median(frame)))
+        raise file_error(path, f"the frame is {span:.3g} s from others; leave the line out", recorded.line[outlier])
+
+    # Steps from a line to the person's next one: its index, duration [s] and length [m].
+    order = np.lexsort((frame, recorded.person))
+    same_person = np.diff(recorded.person[order]) == 0
+    next_line = order[1:][same_person]
     time = np.diff(frame[order])[same_person] * recorded.seconds
     twice = np.flatnonzero(time <= 0)
     if len(twice):
-        at = order[1:][same_person][twice[0]]
-        text = f"the person is already there in frame {frame[at]:g}; keep one of the lines"
-        raise file_error(path, text, recorded.line[at])
-    way = np.hypot(*(np.diff(recorded.values[name][order])[same_person] for name in ("x", "y")))
+        index = next_line[twice[0]]
+        text = f"the person is already there in frame {frame[index]:g}; keep one of the lines"
+        raise file_error(path, text, recorded.line[index])
+    distance = np.hypot(*(np.diff(recorded.values[name][order])[same_person] for name in ("x", "y")))
+
     present = time <= LONGEST_GAP + ROUNDING
-    in_file = None  # m/s, between a person's lines, by the velocities in the file
-    if "vx" in recorded.values and "vy" in recorded.values:
-        usual = np.hypot(recorded.values["vx"], recorded.values["vy"])[order]
-        in_file = 0.5 * (usual[1:] + usual[:-1])[same_person]
-    rate = 1.0 / recorded.seconds
-    speed = way[present].sum() / max(time[present].sum(), 1e-9)
-    ours = f"{rate:g} frames a second" if rate >= 1 else f"{recorded.seconds:g} s a frame"
-    if in_file is not None:
-        share = way[present].sum() / max((in_file * time)[present].sum(), 1e-9)
-        moving = (in_file * time)[present].sum() > 1.0  # m
-        if moving and abs(share - 1.0) > CLOCK_TOLERANCE:
-            cure = f"by these there are {rate / share:.3g} a second"
-            raise file_error(path, f"with {ours} people walk at {share:.2f} times their vx_mps and vy_mps; {cure}")
-    if speed > MAX_MEAN_SPEED:
-        cure = f"look at frame_rate: with {rate * USUAL_SPEED / speed:.2g} a second they walk at {USUAL_SPEED:g} m/s"
-        raise file_error(path, f"with {ours} people walk at {speed:.2f} m/s, and nobody does; {cure}")
-    jumps = np.flatnonzero(present & (way > MAX_SPEED * time))
+    _check_rate(recorded, order, same_person, present, time, distance)
+    jumps = np.flatnonzero(present & (distance > MAX_SPEED * time))
     if len(jumps):
-        at = order[1:][same_person][jumps[0]]
-        what = f"the person is {way[jumps[0]]:,.1f} m from where they were {time[jumps[0]]:.2g} s before"
-        raise file_error(path, f"{what}; leave the line out or look at frame_rate", recorded.line[at])
+        jump = jumps[0]
+        raise file_error(
+            path,
+            f"the person is {distance[jump]:,.1f} m from where they were {time[jump]:.2g} s before; leave the line out "
+            "or look at frame_rate",
+            recorded.line[next_line[jump]],
+        )
+
+
+def _check_rate(
+    recorded: Lines,
+    order: np.ndarray,
+    same_person: np.ndarray,
+    present: np.ndarray,
+    time: np.ndarray,
+    distance: np.ndarray,
+) -> None:
+    """Refuse a clock with which people walk at other speeds than the file has, or as nobody does."""
+    path = recorded.path
+    rate = 1.0 / recorded.seconds
+    speed = distance[present].sum() / max(time[present].sum(), 1e-9)
+    clock = f"{rate:g} frames a second" if rate >= 1 else f"{recorded.seconds:g} s a frame"
+    if "vx" in recorded.values and "vy" in recorded.values:
+        in_file = np.hypot(recorded.values["vx"], recorded.values["vy"])[order]
+        in_file = 0.5 * (in_file[1:] + in_file[:-1])[same_person]  # m/s, between a person's lines
+        expected = (in_file * time)[present].sum()  # m
+        share = distance[present].sum() / max(expected, 1e-9)
+        if expected > 1.0 and abs(share - 1.0) > CLOCK_TOLERANCE:
+            raise file_error(
+                path,
+                f"with {clock} people walk at {share:.2f} times their vx_mps and vy_mps; by these there are "
+                f"{rate / share:.3g} a second",
+            )
+    if speed > MAX_MEAN_SPEED:
+        raise file_error(
+            path,
+            f"with {clock} people walk at {speed:.2f} m/s, and nobody does; look at frame_rate: with "
+            f"{rate * USUAL_SPEED / speed:.2g} a second they walk at {USUAL_SPEED:g} m/s",
+        )
 
 
 # ------------------------------------------------------------------ lines as rows
@@ -321,34 +366,40 @@ def _check(recorded: Lines) -> None:
 
 def _arrange(recorded: Lines) -> Tracks:
     """Rows as far apart as the lines in the file, one column a person."""
-    path, table, person, seconds = recorded.path, recorded.values, recorded.person, recorded.seconds
-    step, first = recorded.usual_step, table["frame"].min()
-    times = float(np.ceil((table["frame"].max() - first) / step)) + 1
+    path, values = recorded.path, recorded.values
+    step = recorded.usual_step
+    first = values["frame"].min()
+    times = float(np.ceil((values["frame"].max() - first) / step)) + 1
     if times * len(recorded.number) > MAX_CELLS:
-        cells = f"{times:,.0f} times of {len(recorded.number):,} people are more than {MAX_CELLS:,} places"
-        raise file_error(path, f"{cells}; cut the recording")
-    row = np.floor((table["frame"] - first) / step + 0.5).astype(int)
-    column, shape = person, (row.max() + 1, len(recorded.number))
+        raise file_error(
+            path,
+            f"{times:,.0f} times of {len(recorded.number):,} people are more than {MAX_CELLS:,} places; cut the "
+            "recording",
+        )
+
+    # The row and the column of each line.
+    row = np.floor((values["frame"] - first) / step + 0.5).astype(int)
+    column = recorded.person
+    _check_rows(recorded, row)
+
+    # Absent people are at the origin and look along x.
+    shape = row.max() + 1, len(recorded.number)
     present = np.zeros(shape, bool)
-    order = np.lexsort((column, row))
-    same = (np.diff(row[order]) == 0) & (np.diff(column[order]) == 0)
-    if same.any():
-        line = recorded.line[order[1:][same][0]]
-        raise file_error(path, "the person is already there in this frame; keep one of the lines", line)
     present[row, column] = True
-    position, facing = np.zeros((*shape, 2)), np.zeros((*shape, 2))
-    position[row, column] = np.stack([table["x"], table["y"]], -1)
+    position = np.zeros((*shape, 2))
+    position[row, column] = np.stack([values["x"], values["y"]], -1)
+    facing = np.zeros((*shape, 2))
     facing[..., 0] = 1.0
-    if "facing" in table:
-        facing[row, column] = np.stack([np.cos(table["facing"]), np.sin(table["facing"])], -1)
+    if "facing" in values:
+        facing[row, column] = np.stack([np.cos(values["facing"]), np.sin(values["facing"])], -1)
+
+    # Labels of groups may change from row to row, columns do not.
     group = np.full(shape, -1, np.int32)
-    if "group" in table:
-        label_of = np.full(shape, -1, int)
-        label_of[row, column] = table["group"]
-        for t, labels in enumerate(label_of):
-            for label in np.unique(labels[labels >= 0]):
-                members = np.flatnonzero(labels == label)
-                group[t, members] = members[0]
+    if "group" in values:
+        label = np.full(shape, -1, int)
+        label[row, column] = values["group"]
+        group = _groups_by_first_member(label)
+
     return Tracks(
         position=jnp.asarray(position),
         facing=jnp.asarray(facing),
@@ -356,19 +407,46 @@ def _arrange(recorded: Lines) -> Tracks:
         present=jnp.asarray(present),
         person=jnp.asarray(np.where(present, recorded.number, -1).astype(np.int32)),
         frame=jnp.asarray((first + step * np.arange(shape[0])).astype(np.int32)),
-        time_step=float(seconds * step),
+        time_step=float(recorded.seconds * step),
     )
+
+
+def _check_rows(recorded: Lines, row: np.ndarray) -> None:
+    """Refuse people with two lines in one row."""
+    column = recorded.person
+    order = np.lexsort((column, row))
+    same = (np.diff(row[order]) == 0) & (np.diff(column[order]) == 0)
+    if same.any():
+        line = recorded.line[order[1:][same][0]]
+        raise file_error(recorded.path, "the person is already there in this frame; keep one of the lines", line)
+
+
+def _groups_by_first_member(label: Int[np.ndarray, "T N"]) -> Int[np.ndarray, "T N"]:
+    """The column of the first member of each person's group in that row; -1 without a label (-1)."""
+    group = np.full(label.shape, -1, np.int32)
+    for t, labels in enumerate(label):
+        for value in np.unique(labels[labels >= 0]):
+            members = np.flatnonzero(labels == value)
+            group[t, members] = members[0]
+    return group
 
 
 def _sampled(recorded: Lines, time_step: float) -> Tracks:
     """Rows ``time_step`` apart, with as few columns as people at once."""
     path = recorded.path
+
+    # Rows begin with the first line of all.
     stretches = _stretches(recorded)
-    first = min(stretch[0, 0] for _, stretch in stretches)
-    moments = sum(stretch[-1, 0] - stretch[0, 0] for _, stretch in stretches) / time_step
-    if moments > MAX_MOMENTS or (max(stretch[-1, 0] for _, stretch in stretches) - first) / time_step > MAX_STEPS:
+    begins = [stretch[0, 0] for _, stretch in stretches]
+    ends = [stretch[-1, 0] for _, stretch in stretches]
+    first = min(begins)
+    moments = sum(end - begin for begin, end in zip(begins, ends, strict=True)) / time_step
+    if moments > MAX_MOMENTS or (max(ends) - first) / time_step > MAX_STEPS:
         raise file_error(path, f"is too long to be played in steps of {time_step:g} s; cut the recording")
-    walks = [walk for person, stretch in stretches if (walk := _sample(person, stretch, first, time_step)) is not None]
+
+    # Walks of two rows or more, and the columns that they share.
+    samples = [_sample(person, stretch, first, time_step) for person, stretch in stretches]
+    walks = [walk for walk in samples if walk is not None]
     if not walks:
         rate = f"{1.0 / recorded.seconds:g} frames a second"
         raise FileError(
@@ -377,49 +455,64 @@ def _sampled(recorded: Lines, time_step: float) -> Tracks:
     columns = _columns(sorted(walks, key=lambda walk: walk.begin), path)
     times = max(walk.begin + len(walk.places) for walk in walks)
     if times * len(columns) > MAX_MOMENTS:
-        size = f"{times:,} steps with up to {len(columns):,} people at once are too much to be played"
-        raise file_error(path, f"{size}; cut the recording")
+        raise file_error(
+            path,
+            f"{times:,} steps with up to {len(columns):,} people at once are too much to be played; cut the recording",
+        )
+
+    # Facing and groups are not sampled.
+    position, present, person = _fill_columns(columns, times)
+    frame = np.rint((first + time_step * np.arange(times)) / recorded.seconds).astype(np.int32)
+    facing: Any = np.broadcast_to(np.array([1.0, 0.0]), position.shape)
+    group: Any = np.broadcast_to(np.int32(-1), present.shape)
+    return Tracks(position, facing, group, present, person, frame, time_step)  # pyright: ignore[reportArgumentType]
+
+
+def _fill_columns(columns: list[list[RecordedWalk]], times: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Positions (T, N, 2) [m], presence and person (T, N); an absent person waits where the next walk begins."""
     shape = times, len(columns)
-    position, present = np.zeros((*shape, 2)), np.zeros(shape, bool)
+    position = np.zeros((*shape, 2))
+    present = np.zeros(shape, bool)
     person = np.full(shape, -1, np.int32)
-    for n, column in enumerate(columns):
+    for n, walks in enumerate(columns):
         before = 0
-        for begin, places, number in column:
+        for begin, places, number in walks:
             end = begin + len(places)
-            position[before:begin, n], position[begin:end, n] = places[0], places
-            present[begin:end, n], person[begin:end, n] = True, number
+            position[before:begin, n] = places[0]
+            position[begin:end, n] = places
+            present[begin:end, n] = True
+            person[begin:end, n] = number
             before = end
         position[before:, n] = position[before - 1, n]
-    frame = np.rint((first + time_step * np.arange(times)) / recorded.seconds).astype(np.int32)
-    facing: Any = np.broadcast_to(np.array([1.0, 0.0]), (*shape, 2))
-    group: Any = np.broadcast_to(np.int32(-1), shape)
-    return Tracks(position, facing, group, present, person, frame, time_step)  # pyright: ignore[reportArgumentType]
+    return position, present, person
 
 
 def _stretches(recorded: Lines) -> list[tuple[int, np.ndarray]]:
     """For each stretch in which a person is present: the file's number of the person, and (K, 3) time [s], x, y [m]."""
     order = np.lexsort((recorded.values["frame"], recorded.person))
     frame, x, y = (recorded.values[name][order] for name in ("frame", "x", "y"))
-    away = np.diff(frame) * recorded.seconds > LONGEST_GAP + ROUNDING
-    ends = np.flatnonzero(away | (np.diff(recorded.person[order]) != 0)) + 1
-    numbers = recorded.number[recorded.person[order]][np.concatenate([[0], ends])]
-    stretches = np.split(np.stack([frame * recorded.seconds, x, y], -1), ends)
+    person = recorded.person[order]
+    was_away = np.diff(frame) * recorded.seconds > LONGEST_GAP + ROUNDING
+    begins = np.flatnonzero(was_away | (np.diff(person) != 0)) + 1
+    numbers = recorded.number[person][np.concatenate([[0], begins])]
+    stretches = np.split(np.stack([frame * recorded.seconds, x, y], -1), begins)
     return list(zip(numbers.tolist(), stretches, strict=True))
 
 
-def _sample(person: int, stretch: np.ndarray, first: float, time_step: float) -> Walk | None:
+def _sample(person: int, stretch: np.ndarray, first: float, time_step: float) -> RecordedWalk | None:
     """A stretch as a walk, in rows counted from the time ``first``; None if it has fewer than two rows."""
     begin = math.ceil((stretch[0, 0] - first) / time_step - 1e-6)
     end = math.floor((stretch[-1, 0] - first) / time_step + 1e-6)
     if end <= begin:
         return None
     time = first + np.arange(begin, end + 1) * time_step
-    return Walk(begin, np.stack([np.interp(time, stretch[:, 0], stretch[:, k]) for k in (1, 2)], -1), person)
+    x, y = (np.interp(time, stretch[:, 0], stretch[:, k]) for k in (1, 2))
+    return RecordedWalk(begin, np.stack([x, y], -1), person)
 
 
-def _columns(walks: list[Walk], path: Path) -> list[list[Walk]]:
+def _columns(walks: list[RecordedWalk], path: Path) -> list[list[RecordedWalk]]:
     """The walks of each column: in order of their begin, each in the first column that has been free for a row."""
-    columns: list[list[Walk]] = []
+    columns: list[list[RecordedWalk]] = []
     busy: list[tuple[int, int]] = []  # heap of (the row after a column's last walk, column)
     free: list[int] = []  # heap of columns
     for walk in walks:

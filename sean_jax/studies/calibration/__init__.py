@@ -165,7 +165,7 @@ def _constants(options: CalibrateConfig, what: str, values: dict[str, float], re
 
     name, others = options.forces, {}
     if presets.is_file(name):
-        file = presets.read(name)
+        file = presets.read_constants(name)
         name, others = file.preset, file.parameters
     rows = [row for row in results["rows"] if row not in (f"prediction {what}",) and results["rows"][row]["target"]]
     provenance = {

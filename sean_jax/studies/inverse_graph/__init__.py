@@ -95,7 +95,7 @@ def run(options: FitGraphConfig, console: "Console") -> list[str]:
         words = _words(options, source, environment, bar)
         for name in (environments.SETTINGS, environments.SCENE):
             writing.write(folder / name, files.read_bytes(source / name, MAX_TEXT))
-        graph = annotation.build(words, environment)
+        graph = annotation.build_graph(words, environment)
         lines = [f"{len(words.nodes)} nodes, {len(words.edges)} edges"]
         if options.recording is None and not options.simulate:
             writing.write(folder / GRAPH, annotation.to_yaml(words))

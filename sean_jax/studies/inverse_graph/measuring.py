@@ -17,7 +17,7 @@ from jaxtyping import Bool, Float, Int, PyTree
 from sean_jax.core import random_streams
 from sean_jax.core.data_types import Array, Scenario, State
 from sean_jax.graph import BehaviorGraph
-from sean_jax.people.behaviors.graph_choices import Memory
+from sean_jax.people.behaviors.graph_choices import GraphMemory
 from sean_jax.people.density import NO_NODE, track_nodes
 from sean_jax.simulation import scenario as stages
 
@@ -219,7 +219,7 @@ def people_called(
     count, groups = graph.radius.shape[0], graph.groups.shape[0]
     group_of = jnp.full(count, groups).at[graph.groups].set(jnp.arange(groups))  # of a node; G is none
 
-    def calls(before: Memory, after: Memory) -> Calls:
+    def calls(before: GraphMemory, after: GraphMemory) -> Calls:
         onward = after.hop != before.hop
         target = jnp.where(before.stay > 0, groups, group_of[before.goal])
         heads, same = target < groups, after.goal == before.goal

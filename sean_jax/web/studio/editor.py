@@ -28,7 +28,7 @@ from sean_jax.graph import graph_of
 from sean_jax.graph.formation import reach
 from sean_jax.io import files, writing
 from sean_jax.people import behaviors
-from sean_jax.people.behaviors.graph_behavior import Tables
+from sean_jax.people.behaviors.graph_behavior import GraphTables
 from sean_jax.people.handcrafted import annotation
 from sean_jax.simulation import making
 from sean_jax.web import pages, replay
@@ -69,7 +69,7 @@ class Editor:
                 copy.parent.mkdir(parents=True, exist_ok=True)
                 shutil.copyfile(path, copy)
         self.boxes: dict[str, scene_text.SceneBox] = {}  # obstacles that can be changed
-        self.sets: annotation.Annotation | None = None  # of behavior handcrafted
+        self.sets: annotation.HandcraftedAnnotation | None = None  # of behavior handcrafted
         for name in self.texts:
             self._take(self.folder / name)
 
@@ -191,7 +191,7 @@ class Editor:
         if file.name == SCENE and self._refusal is None:
             self.boxes = scene_text.boxes(file, self.texts[SCENE])
         elif file.name == SETS and self.config.behavior.kind == "handcrafted":
-            self.sets = files.load(file, annotation.Annotation)
+            self.sets = files.load(file, annotation.HandcraftedAnnotation)
 
     def _build(self, name: str, text: str, scenario: Scenario, prepare: Callable[[Scenario], None]) -> Scenario:
         """The scenario with another text of a file; the files in the scratch folder stay if it has a mistake."""
@@ -252,7 +252,7 @@ def _check_form(word: str, change: Mapping[str, Any]) -> None:
                 )
 
 
-def _with_starts_like(before: Tables, after: Tables) -> Tables:
+def _with_starts_like(before: GraphTables, after: GraphTables) -> GraphTables:
     """The tables with as many starts as before, so that programs fit: starts matter at the next reset alone."""
     size = len(before.start)
     available = len(after.start)
@@ -383,7 +383,7 @@ def _pair(key: str, value: Any) -> tuple[str, str]:
 # ------------------------------------------------------------------ handcrafted.yaml
 
 
-def changed_sets(text: str, sets: annotation.Annotation, change: Mapping[str, Any]) -> str:
+def changed_sets(text: str, sets: annotation.HandcraftedAnnotation, change: Mapping[str, Any]) -> str:
     """The text of a handcrafted.yaml with a ``position`` or a ``heading`` of a ``point`` of a ``set``.
 
     A point is ``["starts", 0]``, ``["goals", 0]``, ``["walkers", 0, "loop", 0]`` or ``["groups", NAME, "center"]``.
@@ -425,7 +425,7 @@ def _has_form(point: list, form: tuple) -> bool:
     return True
 
 
-def _sets_of_page(sets: annotation.Annotation) -> dict[str, Any]:
+def _sets_of_page(sets: annotation.HandcraftedAnnotation) -> dict[str, Any]:
     rows = {}
     for _, label, entry in sets.each():
         groups = {name: [*group.center, reach(group.people)] for name, group in entry.groups.items()}

@@ -11,7 +11,7 @@ import sys
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import BinaryIO, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 from scipy import ndimage
@@ -104,9 +104,38 @@ def generate(family: str, seed: int, words: Mapping[str, float | tuple[float, fl
         raise InputError(
             f"worlds: '{shorten(family)}' is not one of {', '.join(FAMILIES)}{files.suggest(family, FAMILIES)}"
         )
-    build, ranges = FAMILIES[family]
+    ranges = _ranges(family, words or {})
+    generator = np.random.default_rng([list(FAMILIES).index(family), seed])
+    work = 0.0
+    draws = 0
+    missing = "lets everybody pass"
+    while draws < MAX_DRAWS and work < MAX_WORK:
+        draws += 1
+        parameters = {word: float(generator.uniform(*limits)) for word, limits in ranges.items()}
+        floor = Floor(generator, parameters["width"], parameters["depth"])
+        try:
+            _furnish(family, floor, parameters)
+        except TooManyThings:
+            missing = f"has at most {MAX_THINGS} things"
+            continue
+        except ValueError:  # words do not go together, such as a door that is wider than its room
+            continue
+        finally:
+            work += floor.compared / COMPARISONS
+        work += len(floor.things) * floor.width * floor.depth
+        world = _world(family, seed, parameters, floor, generator)
+        if world is not None:
+            return world
+
+    text = ", ".join(f"{word} {low:g} to {high:g}" for word, (low, high) in ranges.items())
+    raise InputError(f"worlds: none of {draws} floors of {family} with {text} {missing}; widen the ranges.")
+
+
+def _ranges(family: str, words: Mapping[str, float | tuple[float, float]]) -> dict[str, tuple[float, float]]:
+    """The range of each word of a family, with the checked values of ``generate``."""
+    _, ranges = FAMILIES[family]
     ranges = {**SIZE, **ranges}
-    for word, value in (words or {}).items():
+    for word, value in words.items():
         if word not in ranges:
             raise InputError(f"worlds: {family} has no word '{shorten(word)}'; its words are {', '.join(ranges)}.")
         low, high = (value, value) if isinstance(value, int | float) else value
@@ -114,33 +143,21 @@ def generate(family: str, seed: int, words: Mapping[str, float | tuple[float, fl
         bounds.check_number(f"worlds: {word}", high, least, most)
         bounds.check_number(f"worlds: {word}", low, least, high)
         ranges[word] = (float(low), float(high))
-    area = ranges["width"][1] * ranges["depth"][1]
-    if area > MAX_AREA:
-        what = f"width {ranges['width'][1]:g} by depth {ranges['depth'][1]:g} m are {area:,.0f} m2"
-        raise InputError(f"worlds: {what}, and at most {MAX_AREA:,.0f} are made; give less.")
-    generator = np.random.default_rng([list(FAMILIES).index(family), seed])
-    work, draws, wanted = 0.0, 0, "lets everybody pass"
-    while draws < MAX_DRAWS and work < MAX_WORK:
-        draws += 1
-        drawn = {word: float(generator.uniform(*limits)) for word, limits in ranges.items()}
-        rest = {word: value for word, value in drawn.items() if word not in SIZE}
-        floor = Floor(generator, drawn["width"], drawn["depth"])
-        try:
-            build(floor, **rest)
-        except TooManyThings:
-            wanted = f"has at most {MAX_THINGS} things"
-            work += floor.compared / COMPARISONS
-            continue
-        except ValueError:  # words do not go together, such as a door that is wider than its room
-            work += floor.compared / COMPARISONS
-            continue
-        work += floor.compared / COMPARISONS + len(floor.things) * floor.width * floor.depth
-        world = _world(family, seed, drawn, floor, generator)
-        if world is not None:
-            return world
-    text = ", ".join(f"{word} {low:g} to {high:g}" for word, (low, high) in ranges.items())
-    what = f"none of {draws} floors of {family} with {text} {wanted}"
-    raise InputError(f"worlds: {what}; widen the ranges.")
+
+    _, width = ranges["width"]
+    _, depth = ranges["depth"]
+    if width * depth > MAX_AREA:
+        raise InputError(
+            f"worlds: width {width:g} by depth {depth:g} m are {width * depth:,.0f} m2, and at most {MAX_AREA:,.0f} "
+            "are made; give less."
+        )
+    return ranges
+
+
+def _furnish(family: str, floor: Floor, parameters: dict[str, float]) -> None:
+    """Put the things of a family on a floor."""
+    build, _ = FAMILIES[family]
+    build(floor, **{word: value for word, value in parameters.items() if word not in SIZE})
 
 
 def parse(text: str) -> dict[str, tuple[float, float]]:
@@ -160,8 +177,9 @@ def parse(text: str) -> dict[str, tuple[float, float]]:
         try:
             words[word.strip()] = float(low), float(high or low)
         except ValueError:
-            what = f"'{shorten(part)}' is no word with a number or a range"
-            raise InputError(f"words: {what}; give door=1.2 or door=1.0:1.2.") from None
+            raise InputError(
+                f"words: '{shorten(part)}' is no word with a number or a range; give door=1.2 or door=1.0:1.2."
+            ) from None
     return words
 
 
@@ -198,10 +216,12 @@ def parse_set(name: str) -> WorldSet | None:
     word, *parts = name.split(":")
     if word != "worlds":
         return None
-    cure = "give worlds:FAMILIES:NUMBER or worlds:FAMILIES:NUMBER:SEED, such as worlds:rooms,aisles:512"
     number, seed = (bounds.parse_digits(part) for part in (*parts[1:], "0", "0")[:2])
     if len(parts) not in (2, 3) or number is None or seed is None:
-        raise InputError(f"environment: '{shorten(name)}' is no set of worlds; {cure}.")
+        raise InputError(
+            f"environment: '{shorten(name)}' is no set of worlds; give worlds:FAMILIES:NUMBER or "
+            "worlds:FAMILIES:NUMBER:SEED, such as worlds:rooms,aisles:512."
+        )
     families = tuple(FAMILIES) if parts[0] == "all" else tuple(parts[0].split(","))
     for family in families:
         if family not in FAMILIES:
@@ -323,9 +343,9 @@ def _world(
     things = floor.things
     boxes = np.array([thing[:6] for thing in things], float).reshape(-1, 6)
     colors = np.array([thing.color for thing in things], float).reshape(-1, 3)
-    name, size = f"{family}_{seed}", (0.0, 0.0, round(floor.width, 3), round(floor.depth, 3))
+    size = 0.0, 0.0, round(floor.width, 3), round(floor.depth, 3)
     ceiling = None if family in OPEN_AIR else WALL_HEIGHT
-    settings = environments.Settings(name=name, floor=size, people=0, ceiling=ceiling)
+    settings = environments.Settings(name=f"{family}_{seed}", floor=size, people=0, ceiling=ceiling)
     environment = environments.of_boxes(settings, boxes)
     free = _free_area(environment)
     if free is None:
@@ -359,40 +379,55 @@ def _with_groups(
     environment: Environment, graph: Annotation, free: float, generator: np.random.Generator
 ) -> Annotation:
     """The graph with flows drawn for its edges, and groups where there is room."""
-    nodes, edges = dict(graph.nodes), []
+    nodes = dict(graph.nodes)
+    names = list(nodes)
+
+    # The flow of each edge.
+    categories, chances = FLOWS
+    edges = []
     for edge in graph.edges:
-        flow = FLOWS[0][generator.choice(len(FLOWS[0]), p=FLOWS[1])]
-        edges.append(Edge(between=edge.between, flow=flow))  # pyright: ignore[reportArgumentType]
-    waypoints, names = np.array([node.position for node in graph.nodes.values()]), list(graph.nodes)
-    places = np.zeros((0, 2))
-    draw = int(generator.integers(2**31))
-    candidates = environments.free_points(environment, annotation.NODE_CLEARANCE, CANDIDATES, draw).astype(float)
+        flow: Any = categories[generator.choice(len(categories), p=chances)]
+        edges.append(Edge(between=edge.between, flow=flow))
+
+    # Candidates with room, apart from nodes and other groups, in sight of a waypoint near by.
+    waypoints = np.array([node.position for node in nodes.values()])
+    centers: list[np.ndarray] = []
+    seed = int(generator.integers(2**31))
+    candidates = environments.free_points(environment, annotation.NODE_CLEARANCE, CANDIDATES, seed).astype(float)
     clearance = np.minimum(*signed_distances_on_host(environment, candidates))
-    for point, room in zip(candidates, clearance, strict=True):
-        if len(places) >= max(1, free / GROUP_AREA):
+    for center, room in zip(candidates, clearance.tolist(), strict=True):
+        if len(centers) >= max(1, free / GROUP_AREA):
             break
         capacity = int(generator.integers(2, 6))
-        gap = np.linalg.norm(waypoints - point, axis=1)
+        gap = np.linalg.norm(waypoints - center, axis=1)
         if room < reach(capacity) + annotation.PERSON + 0.3 or gap.min() < reach(capacity) + 0.8:
             continue
-        if len(places) and np.linalg.norm(places - point, axis=1).min() < GROUP_GAP:
+        if centers and np.linalg.norm(np.array(centers) - center, axis=1).min() < GROUP_GAP:
             continue
-        starts = np.broadcast_to(point, waypoints.shape)
-        seen = np.asarray(pairs_are_free(environment.obstacles, annotation.PERSON, starts, waypoints))
-        if not (seen & (gap < GROUP_SIGHT)).any():
+        starts = np.broadcast_to(center, waypoints.shape)
+        in_sight = np.asarray(pairs_are_free(environment.obstacles, annotation.PERSON, starts, waypoints))
+        if not (in_sight & (gap < GROUP_SIGHT)).any():
             continue
-        name = f"group_{len(places) + 1}"
-        stay = sorted(float(generator.integers(4, 20)) for _ in range(2))
-        nodes[name] = Node(
-            kind="group",
-            position=(round(float(point[0]), 3), round(float(point[1]), 3)),
-            radius=round(min(1.0, float(room) - annotation.PERSON), 2),
-            spawn=1,
-            capacity=capacity,
-            stay=(stay[0], stay[1]),
-        )
-        edges.append(Edge(between=(names[int(np.argmin(np.where(seen, gap, np.inf)))], name)))
-        places = np.concatenate([places, point[None]])
-    if not len(places):
+
+        # Joined to the nearest waypoint in sight.
+        name = f"group_{len(centers) + 1}"
+        nearest = int(np.argmin(np.where(in_sight, gap, np.inf)))
+        nodes[name] = _group_node(center, room, capacity, generator)
+        edges.append(Edge(between=(names[nearest], name)))
+        centers.append(center)
+    if not centers:
         raise InputError("worlds: there is no room for a group.")
     return graph.model_copy(update={"nodes": nodes, "edges": edges})
+
+
+def _group_node(center: np.ndarray, room: float, capacity: int, generator: np.random.Generator) -> Node:
+    x, y = center.tolist()
+    shorter, longer = sorted(float(generator.integers(4, 20)) for _ in range(2))
+    return Node(
+        kind="group",
+        position=(round(x, 3), round(y, 3)),
+        radius=round(min(1.0, room - annotation.PERSON), 2),
+        spawn=1,
+        capacity=capacity,
+        stay=(shorter, longer),
+    )

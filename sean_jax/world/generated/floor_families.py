@@ -4,6 +4,7 @@ A gap between two boxes, and between a box and the edge of the floor, is nothing
 the doors passes everything.
 """
 
+import itertools
 import math
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
@@ -49,7 +50,9 @@ class Floor:
     """A floor from (0, 0) to (width, depth) [m] while things are put on it."""
 
     def __init__(self, generator: np.random.Generator, width: float, depth: float) -> None:
-        self.generator, self.width, self.depth = generator, width, depth
+        self.generator = generator
+        self.width = width
+        self.depth = depth
         self.things: list[Thing] = []
         self.clear: list[tuple[float, float, float]] = []  # x, y, radius [m] of places that stay free, such as doors
         self.compared = 0  # pairs of things
@@ -62,38 +65,42 @@ class Floor:
 
     def wall(self, x0: float, y0: float, x1: float, y1: float, height: float = WALL_HEIGHT) -> None:
         """A wall along x or y between two points."""
-        half = WALL / 2
-        self.add((x0 + x1) / 2, (y0 + y1) / 2, abs(x1 - x0) / 2 + half, abs(y1 - y0) / 2 + half, height, WALL_COLOR)
+        hx = abs(x1 - x0) / 2 + WALL / 2
+        hy = abs(y1 - y0) / 2 + WALL / 2
+        self.add((x0 + x1) / 2, (y0 + y1) / 2, hx, hy, height, WALL_COLOR)
 
-    def wall_with_doors(self, along_x: bool, at: float, start: float, end: float, doors: list, door: float) -> None:
-        """A wall along x or y with doors, whose middles are given in rising order."""
-        for middle in [*doors, None]:
-            stop = end if middle is None else middle - door / 2
-            if stop - start > WALL:
-                first, last = start + WALL / 2, stop - WALL / 2
-                self.wall(*((first, at, last, at) if along_x else (at, first, at, last)))
-            if middle is not None:
-                x, y = (middle, at) if along_x else (at, middle)
-                self.clear.append((x, y, 0.5 * door + GAP))
-                start = middle + door / 2
+    def wall_with_doors(self, along_x: bool, across: float, start: float, end: float, doors: list, door: float) -> None:
+        """A wall along x or y, at ``across`` of the other, with doors, whose middles are given in rising order."""
+        point = (lambda along: (along, across)) if along_x else (lambda along: (across, along))
+        for middle in doors:
+            self._wall_between(point, start, middle - door / 2)
+            self.clear.append((*point(middle), 0.5 * door + GAP))
+            start = middle + door / 2
+        self._wall_between(point, start, end)
+
+    def _wall_between(self, point: Callable, start: float, end: float) -> None:
+        """A piece of a wall, if it is longer than it is thick."""
+        if end - start > WALL:
+            self.wall(*point(start + WALL / 2), *point(end - WALL / 2))
 
     def fits(self, x: float, y: float, hx: float, hy: float, yaw: float = 0.0, gap: float = GAP) -> bool:
         """Whether a box has a gap of nothing or at least ``gap`` to all others and to the edges, and blocks nothing."""
-        reach_x = abs(math.cos(yaw)) * hx + abs(math.sin(yaw)) * hy
-        reach_y = abs(math.sin(yaw)) * hx + abs(math.cos(yaw)) * hy
         self.compared += len(self.things)
-        edges = (x - reach_x, y - reach_y, self.width - x - reach_x, self.depth - y - reach_y)
-        if not all(abs(edge) <= TOUCH or edge >= gap for edge in edges):
+        reach_x, reach_y = _reach(hx, hy, yaw)
+        to_edges = x - reach_x, y - reach_y, self.width - x - reach_x, self.depth - y - reach_y
+        if not all(abs(distance) <= TOUCH or distance >= gap for distance in to_edges):
             return False
-        for cx, cy, radius in self.clear:
-            if math.hypot(max(abs(cx - x) - reach_x, 0.0), max(abs(cy - y) - reach_y, 0.0)) < radius:
+        for clear_x, clear_y, radius in self.clear:
+            dx = abs(clear_x - x) - reach_x
+            dy = abs(clear_y - y) - reach_y
+            if math.hypot(max(dx, 0.0), max(dy, 0.0)) < radius:
                 return False
         for other in self.things:
-            far_x = abs(math.cos(other.yaw)) * other.hx + abs(math.sin(other.yaw)) * other.hy
-            far_y = abs(math.sin(other.yaw)) * other.hx + abs(math.cos(other.yaw)) * other.hy
-            dx, dy = abs(other.x - x) - reach_x - far_x, abs(other.y - y) - reach_y - far_y
-            between = math.hypot(max(dx, 0.0), max(dy, 0.0))
-            if max(dx, dy) < -TOUCH or TOUCH < between < gap:
+            other_x, other_y = _reach(other.hx, other.hy, other.yaw)
+            dx = abs(other.x - x) - reach_x - other_x
+            dy = abs(other.y - y) - reach_y - other_y
+            overlaps = max(dx, dy) < -TOUCH
+            if overlaps or TOUCH < math.hypot(max(dx, 0.0), max(dy, 0.0)) < gap:
                 return False
         return True
 
@@ -109,25 +116,38 @@ class Floor:
 
     def furnish(self, low: tuple, high: tuple, density: float) -> None:
         """Tables and cabinets, against walls or free, until they cover that share of a room between two corners."""
-        area, covered = (high[0] - low[0]) * (high[1] - low[1]), 0.0
+        draw = self.generator
+        area = (high[0] - low[0]) * (high[1] - low[1])
+        covered = 0.0
         while covered < density * area:
-            tall = self.generator.random() < 0.4
-            long, short = self.generator.uniform(0.4, 0.8), self.generator.uniform(0.2, 0.4)
-            hx, hy = (long, short) if self.generator.random() < 0.5 else (short, long)
-            inside = (low[0] + hx, low[1] + hy), (high[0] - hx, high[1] - hy)
-            if inside[0][0] >= inside[1][0] or inside[0][1] >= inside[1][1]:
+            height, color = (SHELF, METAL) if draw.random() < 0.4 else (DESK, WOOD)
+            long, short = draw.uniform(0.4, 0.8), draw.uniform(0.2, 0.4)
+            hx, hy = (long, short) if draw.random() < 0.5 else (short, long)
+            place = self._furniture_place((low[0] + hx, low[1] + hy), (high[0] - hx, high[1] - hy), hx, hy)
+            if place is None:
                 return
-            for _ in range(TRIES):
-                place = self.generator.uniform(*inside)
-                side = self.generator.integers(5)  # against one of four walls, or free
-                if side < 4:
-                    place[side % 2] = inside[side // 2][side % 2]
-                if self.fits(float(place[0]), float(place[1]), hx, hy):
-                    break
-            else:
-                return
-            self.add(float(place[0]), float(place[1]), hx, hy, SHELF if tall else DESK, METAL if tall else WOOD)
+            self.add(*place, hx, hy, height, color)
             covered += 4 * hx * hy
+
+    def _furniture_place(self, low: tuple, high: tuple, hx: float, hy: float) -> tuple[float, float] | None:
+        """A place between two corners where a box fits, against one of four walls or free."""
+        if low[0] >= high[0] or low[1] >= high[1]:
+            return None
+        for _ in range(TRIES):
+            place = self.generator.uniform(low, high)
+            side = self.generator.integers(5)
+            if side < 4:
+                place[side % 2] = (low, high)[side // 2][side % 2]
+            x, y = place.tolist()
+            if self.fits(x, y, hx, hy):
+                return x, y
+        return None
+
+
+def _reach(hx: float, hy: float, yaw: float) -> tuple[float, float]:
+    """Half extents [m] along x and y of a turned box."""
+    cosine, sine = abs(math.cos(yaw)), abs(math.sin(yaw))
+    return cosine * hx + sine * hy, sine * hx + cosine * hy
 
 
 def rooms(floor: Floor, corridor: float, door: float, room: float, furniture: float) -> None:
@@ -136,37 +156,45 @@ def rooms(floor: Floor, corridor: float, door: float, room: float, furniture: fl
         raise ValueError("there is no place for rooms")
     draw = floor.generator
     lower, upper = (floor.depth - corridor) / 2, (floor.depth + corridor) / 2
-    for side, (low, high), at in ((0, (0.0, lower), lower), (1, (upper, floor.depth), upper)):
-        number = max(2, round(floor.width / room))
-        cuts = np.linspace(0.0, floor.width, number + 1)
-        cuts[1:-1] += draw.uniform(-0.15, 0.15, number - 1) * room
-        for x in cuts[1:-1]:
-            inner = (low, high - WALL / 2) if side == 0 else (low + WALL / 2, high)
-            floor.wall(float(x), inner[0], float(x), inner[1])
-        ends = list(zip(cuts[:-1], cuts[1:], strict=True))
-        middles = [float(draw.uniform(a + 0.4 + door / 2, b - 0.4 - door / 2)) for a, b in ends]
-        floor.wall_with_doors(True, at, 0.0, floor.width, middles, door)
-        for a, b in ends:
-            half = WALL / 2
-            left, right = a + (half if a > 0 else 0.0), b - (half if b < floor.width else 0.0)
-            inner = (low, high - half) if side == 0 else (low + half, high)
-            floor.furnish((left, inner[0]), (right, inner[1]), furniture)
+    for low, high, wall in ((0.0, lower, lower), (upper, floor.depth, upper)):
+        # The walls between rooms, up to the corridor's.
+        count = max(2, round(floor.width / room))
+        cuts = np.linspace(0.0, floor.width, count + 1)
+        cuts[1:-1] += draw.uniform(-0.15, 0.15, count - 1) * room
+        inner_low = low if wall == high else low + WALL / 2
+        inner_high = high - WALL / 2 if wall == high else high
+        for x in cuts[1:-1].tolist():
+            floor.wall(x, inner_low, x, inner_high)
+
+        ends = list(itertools.pairwise(cuts))
+        doors = [float(draw.uniform(left + 0.4 + door / 2, right - 0.4 - door / 2)) for left, right in ends]
+        floor.wall_with_doors(True, wall, 0.0, floor.width, doors, door)
+        for left, right in ends:
+            inner_left, inner_right = _between_walls(floor, left, right)
+            floor.furnish((inner_left, inner_low), (inner_right, inner_high), furniture)
+
+
+def _between_walls(floor: Floor, left: float, right: float) -> tuple[float, float]:
+    """From wall to wall, where walls stand at both x but at the edges of the floor."""
+    return left + (WALL / 2 if left > 0 else 0.0), right - (WALL / 2 if right < floor.width else 0.0)
 
 
 def office(floor: Floor, aisle: float, desks: float, furniture: float) -> None:
     """An open-plan office: double desks with a screen between them in rows, ``desks`` of the places taken."""
-    draw, half = floor.generator, (0.8, 0.8)
-    step = 2 * half[0] + aisle, 2 * half[1] + aisle
-    counts = int((floor.width - aisle) / step[0]), int((floor.depth - aisle) / step[1])
-    rest = floor.width - counts[0] * step[0] + aisle, floor.depth - counts[1] * step[1] + aisle
-    for i in range(counts[0]):
-        for j in range(counts[1]):
-            if draw.random() >= desks:
+    half = 0.8  # m, of a double desk
+    step = 2 * half + aisle
+    columns = int((floor.width - aisle) / step)
+    rows = int((floor.depth - aisle) / step)
+    left = (floor.width - columns * step + aisle) / 2 + half
+    low = (floor.depth - rows * step + aisle) / 2 + half
+    for i in range(columns):
+        for j in range(rows):
+            if floor.generator.random() >= desks:
                 continue
-            x, y = rest[0] / 2 + half[0] + i * step[0], rest[1] / 2 + half[1] + j * step[1]
+            x, y = left + i * step, low + j * step
             for side in (-1, 1):
-                floor.add(x, y + side * (half[1] + WALL / 2) / 2, half[0], (half[1] - WALL / 2) / 2, DESK, WOOD)
-            floor.add(x, y, half[0], WALL / 2, SCREEN, CLOTH)
+                floor.add(x, y + side * (half + WALL / 2) / 2, half, (half - WALL / 2) / 2, DESK, WOOD)
+            floor.add(x, y, half, WALL / 2, SCREEN, CLOTH)
     floor.furnish((0.0, 0.0), (floor.width, floor.depth), furniture)
 
 
@@ -177,28 +205,34 @@ def aisles(floor: Floor, aisle: float, cross: float, shelf: float) -> None:
     length = (floor.width - cross) / columns - cross
     rows = max(1, int((floor.depth - aisle) / (2 * half + aisle)))
     apart = (floor.depth - rows * 2 * half) / (rows + 1)
+    draw = floor.generator
     for i in range(columns):
         for j in range(rows):
-            missing = length * (floor.generator.uniform(0.0, 0.5) if floor.generator.random() < 0.3 else 0.0)
-            left = cross + i * (length + cross) + missing * floor.generator.integers(2)
+            # Some shelves are shorter, on the left or on the right.
+            missing = length * (draw.uniform(0.0, 0.5) if draw.random() < 0.3 else 0.0)
+            left = cross + i * (length + cross) + missing * draw.integers(2)
+            half_length = (length - missing) / 2
             y = apart + half + j * (2 * half + apart)
-            floor.add(left + (length - missing) / 2, y, (length - missing) / 2, half, SHELF, METAL)
+            floor.add(left + half_length, y, half_length, half, SHELF, METAL)
 
 
 def lobby(floor: Floor, lane: float, columns: float, furniture: float) -> None:
     """A hall with a counter, lanes of posts before it where people queue, columns and benches."""
-    draw, width, depth = floor.generator, floor.width, floor.depth
+    draw = floor.generator
+    width, depth = floor.width, floor.depth
     half = float(draw.uniform(1.5, 0.2 * width))
-    middle, top = float(draw.uniform(half + 2.0, width - half - 2.0)), depth - float(draw.uniform(1.5, 2.2))
+    middle = float(draw.uniform(half + 2.0, width - half - 2.0))
+    top = depth - float(draw.uniform(1.5, 2.2))
     floor.add(middle, top, half, 0.35, COUNTER, WOOD)
+
     length = float(draw.uniform(1.5, 0.3 * depth))
-    for x in np.arange(middle - half, middle + half + 1e-6, lane):
-        floor.add(float(x), top - 0.35 - lane - length / 2, 0.04, length / 2, POST, METAL)
+    for x in np.arange(middle - half, middle + half + 1e-6, lane).tolist():
+        floor.add(x, top - 0.35 - lane - length / 2, 0.04, length / 2, POST, METAL)
     if columns >= 1.0:  # none are nearer
-        for x in np.arange(columns, width - 2.0, columns):
-            for y in np.arange(columns, depth - 2.0, columns):
-                if floor.fits(float(x), float(y), 0.25, 0.25):
-                    floor.add(float(x), float(y), 0.25, 0.25, WALL_HEIGHT, STONE)
+        for x in np.arange(columns, width - 2.0, columns).tolist():
+            for y in np.arange(columns, depth - 2.0, columns).tolist():
+                if floor.fits(x, y, 0.25, 0.25):
+                    floor.add(x, y, 0.25, 0.25, WALL_HEIGHT, STONE)
     floor.furnish((0.0, 0.0), (width, depth), furniture)
 
 
@@ -210,35 +244,38 @@ def square(floor: Floor, stalls: float, passage: float) -> None:
         return float(draw.uniform(0.8, 1.5)), float(draw.uniform(0.5, 1.0)), float(draw.choice([0.0, np.pi / 2]))
 
     for _ in range(round(stalls * floor.width * floor.depth / 100)):
-        floor.put((0.0, 0.0), (floor.width, floor.depth), size, float(draw.uniform(0.9, 2.2)), CLOTH, passage)
+        height = float(draw.uniform(0.9, 2.2))
+        floor.put((0.0, 0.0), (floor.width, floor.depth), size, height, CLOTH, passage)
 
 
 def passages(floor: Floor, door: float, walls: float, furniture: float) -> None:
     """A hall that ``walls`` divide, each with one or two doors: bottlenecks."""
-    draw, number = floor.generator, max(1, round(walls))
-    places = (np.arange(1, number + 1) + draw.uniform(-0.15, 0.15, number)) * floor.width / (number + 1)
-    for x in places:
-        middle = floor.depth / 2
-        halves = [(0.0, middle), (middle, floor.depth)] if draw.random() < 0.5 else [(0.0, floor.depth)]
-        doors = [float(draw.uniform(low + 0.6 + door, high - 0.6 - door)) for low, high in halves]
-        floor.wall_with_doors(False, float(x), 0.0, floor.depth, doors, door)
-    edges = [0.0, *(float(x) for x in places), floor.width]
-    for left, right in zip(edges[:-1], edges[1:], strict=True):
-        low = left + (WALL / 2 if left > 0 else 0.0)
-        high = right - (WALL / 2 if right < floor.width else 0.0)
-        floor.furnish((low, 0.0), (high, floor.depth), furniture)
+    draw = floor.generator
+    count = max(1, round(walls))
+    steps = np.arange(1, count + 1) + draw.uniform(-0.15, 0.15, count)
+    cuts = (steps * floor.width / (count + 1)).tolist()
+    middle = floor.depth / 2
+    for x in cuts:
+        pieces = [(0.0, middle), (middle, floor.depth)] if draw.random() < 0.5 else [(0.0, floor.depth)]
+        doors = [float(draw.uniform(low + 0.6 + door, high - 0.6 - door)) for low, high in pieces]
+        floor.wall_with_doors(False, x, 0.0, floor.depth, doors, door)
+    for left, right in itertools.pairwise([0.0, *cuts, floor.width]):
+        inner_left, inner_right = _between_walls(floor, left, right)
+        floor.furnish((inner_left, 0.0), (inner_right, floor.depth), furniture)
 
 
 def clutter(floor: Floor, density: float) -> None:
     """Boxes of all sizes and directions, until they cover that share of the floor."""
-    draw, covered = floor.generator, 0.0
+    draw = floor.generator
 
     def size() -> tuple[float, float, float]:
         return float(draw.uniform(0.15, 0.9)), float(draw.uniform(0.15, 0.9)), float(draw.uniform(0.0, np.pi))
 
+    covered = 0.0
     while covered < density * floor.width * floor.depth:
         color = (WOOD, METAL, STONE, CLOTH)[draw.integers(4)]
-        if not floor.put((0.0, 0.0), (floor.width, floor.depth), size, float(draw.uniform(0.4, 1.9)), color):
+        height = float(draw.uniform(0.4, 1.9))
+        if not floor.put((0.0, 0.0), (floor.width, floor.depth), size, height, color):
             return
         covered += 4 * floor.things[-1].hx * floor.things[-1].hy
 

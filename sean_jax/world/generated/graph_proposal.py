@@ -10,7 +10,6 @@ relative neighbourhood graph of a finite planar set, Pattern Recognition 12(4), 
 """
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 from jaxtyping import Float
@@ -44,125 +43,156 @@ def propose(environment: Environment, ends: Float[np.ndarray, "K 2"] | None = No
     Raises:
         InputError: there is no room for a person, or the floor is too winding.
     """
-    cells, clearance, beside = _cells(environment)
-    x0, y0, x1, y1 = np.asarray(environment.floor, float)
-    sight = max(SIGHT, SIGHT_SHARE * math.sqrt((x1 - x0) * (y1 - y0)))
-    nodes: list[int] = []  # cells
-    sights: list[np.ndarray] = []  # of each node, (cells,) whether it sees them
-    near: list[np.ndarray] = []  # of each node, cells that it sees and is near to
+    floor = _Floor(environment)
+    graph = _Graph(floor)
 
-    def add(cell: int) -> None:
-        if len(nodes) == MAX_NODES:
-            what = f"is so winding that {MAX_NODES} nodes do not see all of it"
-            raise InputError(f"environment '{environment.name}' {what}; write a graph.yaml for it by hand.")
-        start = np.broadcast_to(cells[cell], cells.shape)
-        sights.append(np.asarray(pairs_are_free(environment.obstacles, PERSON, start, cells)))
-        sights[-1][cell] = True
-        near.append(sights[-1] & (np.linalg.norm(cells - cells[cell], axis=-1) < sight))
-        nodes.append(cell)
+    # Where people come from and go to, and then where most of the floor is out of sight.
+    for end in _clusters(np.zeros((0, 2)) if ends is None else np.asarray(ends, float)):
+        graph.add(int(np.argmin(np.linalg.norm(floor.cells - end, axis=-1))))
+    n_ends = len(graph.nodes)
+    while len(unseen := graph.unseen()) > UNSEEN * len(floor.cells):
+        room = np.minimum(floor.clearance[unseen], MAX_RADIUS) + 1e-2 * floor.clearance[unseen]
+        graph.add(int(unseen[np.argmax(room)]))
 
-    named = _clusters(np.zeros((0, 2)) if ends is None else np.asarray(ends, float))
-    for end in named:
-        add(int(np.argmin(np.linalg.norm(cells - end, axis=-1))))
-    while len(rest := np.flatnonzero(~np.any(near, axis=0) if near else np.ones(len(cells), bool))) > (
-        UNSEEN * len(cells)
-    ):
-        add(int(rest[np.argmax(np.minimum(clearance[rest], MAX_RADIUS) + 1e-2 * clearance[rest])]))
-    chosen = _connect(clearance, beside, nodes, sights, add)
-    chosen = _needed(chosen, len(named), clearance, nodes, sights, near)
-    position = cells[[nodes[k] for k in chosen]]
-    ends_first = sum(k < len(named) for k in chosen)
-    names = [f"end_{k + 1}" if k < ends_first else f"place_{k + 1 - ends_first}" for k in range(len(chosen))]
-    visible = np.array([[sights[a][nodes[b]] or sights[b][nodes[a]] for b in chosen] for a in chosen])
-    return _annotation(environment, names, position, clearance[[nodes[k] for k in chosen]], visible)
+    chosen = _needed(graph, _connect(graph), n_ends)
+    cells = [graph.nodes[k] for k in chosen]
+    ends_left = sum(k < n_ends for k in chosen)
+    names = [f"end_{k + 1}" for k in range(ends_left)]
+    names += [f"place_{k + 1}" for k in range(len(chosen) - ends_left)]
+    sees = np.array([graph.sights[k][cells] for k in chosen])  # (M, M)
+    return _annotation(environment, names, floor.cells[cells], floor.clearance[cells], sees | sees.T)
+
+
+class _Floor:
+    """The cells of an environment in which a node can be."""
+
+    def __init__(self, environment: Environment) -> None:
+        self.environment = environment
+        self.cells, self.clearance, self.neighbors = _cells(environment)
+        x0, y0, x1, y1 = np.asarray(environment.floor, float)
+        self.sight = max(SIGHT, SIGHT_SHARE * math.sqrt((x1 - x0) * (y1 - y0)))  # m
+
+
+class _Graph:
+    """Nodes in cells of a floor, and the cells that each sees."""
+
+    def __init__(self, floor: _Floor) -> None:
+        self.floor = floor
+        self.nodes: list[int] = []  # cells
+        self.sights: list[np.ndarray] = []  # of each node, (cells,) whether it sees them
+        self.near: list[np.ndarray] = []  # of each node, cells that it sees and is near to
+
+    def add(self, cell: int) -> None:
+        """Add a node; InputError if there are ``MAX_NODES``."""
+        floor = self.floor
+        if len(self.nodes) == MAX_NODES:
+            raise InputError(
+                f"environment '{floor.environment.name}' is so winding that {MAX_NODES} nodes do not see all of it; "
+                "write a graph.yaml for it by hand."
+            )
+        start = np.broadcast_to(floor.cells[cell], floor.cells.shape)
+        sight = np.asarray(pairs_are_free(floor.environment.obstacles, PERSON, start, floor.cells))
+        sight[cell] = True
+        self.nodes.append(cell)
+        self.sights.append(sight)
+        self.near.append(sight & (np.linalg.norm(floor.cells - floor.cells[cell], axis=-1) < floor.sight))
+
+    def unseen(self) -> np.ndarray:
+        """The cells that no node sees and is near to."""
+        return np.flatnonzero(~np.any(self.near, axis=0)) if self.near else np.arange(len(self.floor.cells))
+
+    def components(self, among: list[int] | None = None) -> list[list[int]]:
+        """The nodes, or some among them, that are joined by sight, component by component."""
+        index = np.arange(len(self.nodes)) if among is None else np.sort(among)
+        cells = np.asarray(self.nodes)[index]
+        visible = np.array([self.sights[k][cells] for k in index]).reshape(len(index), len(index))
+        count, label = connected_components(visible, directed=False)
+        return [index[label == component].tolist() for component in range(count)]
 
 
 def _cells(environment: Environment) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Centers (K, 2) m of possible cells of nodes, their clearance (K,) m, and pairs (L, 2) of neighboring cells."""
     x0, y0, x1, y1 = np.asarray(environment.floor, float)
-    size = CELL * max(1.0, math.sqrt((x1 - x0) * (y1 - y0) / CELL**2 / MAX_CELLS))
-    shape = max(1, round((x1 - x0) / size)), max(1, round((y1 - y0) / size))
-    x = x0 + (np.arange(shape[0]) + 0.5) * (x1 - x0) / shape[0]
-    y = y0 + (np.arange(shape[1]) + 0.5) * (y1 - y0) / shape[1]
+    width, depth = x1 - x0, y1 - y0
+    size = CELL * max(1.0, math.sqrt(width * depth / CELL**2 / MAX_CELLS))
+    columns, rows = max(1, round(width / size)), max(1, round(depth / size))
+    x = x0 + (np.arange(columns) + 0.5) * width / columns
+    y = y0 + (np.arange(rows) + 0.5) * depth / rows
     middle = np.stack(np.meshgrid(x, y, indexing="ij"), -1).reshape(-1, 2)
     clearance = np.minimum(*signed_distances_on_host(environment, middle))
     free = clearance >= NODE_CLEARANCE + ROOM
     if not free.any():
         raise InputError(f"environment '{environment.name}' has no room for a node; look at its floor and scene.xml.")
-    number = np.where(free, np.cumsum(free) - 1, -1).reshape(shape)
-    pairs = [np.stack([number[1:].ravel(), number[:-1].ravel()], -1)]
-    pairs.append(np.stack([number[:, 1:].ravel(), number[:, :-1].ravel()], -1))
-    beside = np.concatenate(pairs)
-    return middle[free], clearance[free], beside[(beside >= 0).all(1)]
+
+    # Pairs of cells beside each other in x, and in y.
+    index = np.where(free, np.cumsum(free) - 1, -1).reshape(columns, rows)
+    in_x = np.stack([index[1:], index[:-1]], -1).reshape(-1, 2)
+    in_y = np.stack([index[:, 1:], index[:, :-1]], -1).reshape(-1, 2)
+    neighbors = np.concatenate([in_x, in_y])
+    return middle[free], clearance[free], neighbors[(neighbors >= 0).all(1)]
 
 
 def _clusters(ends: np.ndarray) -> list[np.ndarray]:
     """(2,) m the middle of each place where many of the ends (K, 2) [m] are, the fullest first."""
-    middles, rest = [], ends
-    while len(rest) and len(middles) < MAX_NODES // 2:
-        near = np.linalg.norm(rest[:, None] - rest[None, :], axis=-1) < MERGE
+    middles, remaining = [], ends
+    while len(remaining) and len(middles) < MAX_NODES // 2:
+        near = np.linalg.norm(remaining[:, None] - remaining[None, :], axis=-1) < MERGE
         fullest = near[np.argmax(near.sum(1))]
         if fullest.sum() < max(2, MIN_SHARE * len(ends)):
             break
-        middles.append(rest[fullest].mean(0))
-        rest = rest[np.linalg.norm(rest - middles[-1], axis=-1) >= MERGE]
+        middles.append(remaining[fullest].mean(0))
+        remaining = remaining[np.linalg.norm(remaining - middles[-1], axis=-1) >= MERGE]
     return middles
 
 
-def _connect(
-    clearance: np.ndarray, beside: np.ndarray, nodes: list[int], sights: list[np.ndarray], add: Callable[[int], None]
-) -> list[int]:
-    """The nodes of the largest piece of the graph, after nodes were added that join all pieces that can be joined.
+def _connect(graph: _Graph) -> list[int]:
+    """The nodes of the largest component, after nodes were added that join all components that can be joined.
 
-    Where two pieces see the same cells, the node is the roomiest of them. Else one piece is led on around the corner:
-    to the roomiest cell that it sees beside one that it does not.
+    Where two components see the same cells, the node is the roomiest of them. Else one component is led on around the
+    corner: to the roomiest cell that it sees beside one that it does not.
     """
-    closed: set[int] = set()  # pieces, by their first node, that see all that can be reached from them
+    clearance = graph.floor.clearance
+    closed: set[int] = set()  # components, by their first node, that see all that can be reached from them
     while True:
-        pieces = _pieces(nodes, sights)
-        views = [np.any([sights[k] for k in piece], axis=0) for piece in pieces]
+        components = graph.components()
+        views = [np.any([graph.sights[k] for k in component], axis=0) for component in components]
         largest = int(np.argmax([view.sum() for view in views]))
-        growing = [k for k in range(len(pieces)) if pieces[k][0] not in closed]
-        if len(pieces) == 1 or not growing:
-            return pieces[largest]
-        one = growing[0]
-        others = np.any([view for k, view in enumerate(views) if k != one], axis=0)
-        candidates = np.flatnonzero(views[one] & others)
+        growing = [k for k, component in enumerate(components) if component[0] not in closed]
+        if len(components) == 1 or not growing:
+            return components[largest]
+
+        grown = growing[0]
+        other_view = np.any([view for k, view in enumerate(views) if k != grown], axis=0)
+        candidates = np.flatnonzero(views[grown] & other_view)
         if len(candidates) == 0:
-            a, b = views[one][beside].T
-            candidates = np.unique(np.concatenate([beside[a & ~b, 0], beside[~a & b, 1]]))
-        candidates = candidates[~np.isin(candidates, nodes)]
+            candidates = _border(views[grown], graph.floor.neighbors)
+        candidates = candidates[~np.isin(candidates, graph.nodes)]
         if len(candidates) == 0:
-            closed.add(pieces[one][0])
+            closed.add(components[grown][0])
         else:
-            add(int(candidates[np.argmax(clearance[candidates])]))
+            graph.add(int(candidates[np.argmax(clearance[candidates])]))
 
 
-def _needed(
-    chosen: list[int],
-    named: int,
-    clearance: np.ndarray,
-    nodes: list[int],
-    sights: list[np.ndarray],
-    near: list[np.ndarray],
-) -> list[int]:
+def _border(view: np.ndarray, neighbors: np.ndarray) -> np.ndarray:
+    """The cells of a view (K,) beside a cell that is not in it."""
+    first_seen, second_seen = view[neighbors].T
+    first, second = neighbors.T
+    return np.unique(np.concatenate([first[first_seen & ~second_seen], second[~first_seen & second_seen]]))
+
+
+def _needed(graph: _Graph, chosen: list[int], n_ends: int) -> list[int]:
     """The nodes without redundant ones, the narrowest first: others see the same cells and join the same nodes."""
-    views = np.sum([near[k] for k in chosen], axis=0)
-    spare = UNSEEN * len(clearance) - np.sum(views == 0)
-    for k in sorted(chosen, key=lambda k: clearance[nodes[k]]):
-        rest = [other for other in chosen if other != k]
-        unseen = int(np.sum(near[k] & (views == 1)))
-        if k >= named and rest and unseen <= spare and len(_pieces(nodes, sights, rest)) == 1:
-            chosen, views, spare = rest, views - near[k], spare - unseen
+    clearance = graph.floor.clearance
+    n_views = np.sum([graph.near[k] for k in chosen], axis=0)  # by how many nodes a cell is seen
+    may_be_unseen = UNSEEN * len(clearance) - np.sum(n_views == 0)
+    for k in sorted(chosen, key=lambda k: clearance[graph.nodes[k]]):
+        others = [other for other in chosen if other != k]
+        unseen = int(np.sum(graph.near[k] & (n_views == 1)))
+        if k >= n_ends and others and unseen <= may_be_unseen and len(graph.components(others)) == 1:
+            chosen = others
+            n_views = n_views - graph.near[k]
+            may_be_unseen -= unseen
     return chosen
-
-
-def _pieces(nodes: list[int], sights: list[np.ndarray], among: list[int] | None = None) -> list[list[int]]:
-    """The nodes, or some among them, that are joined by sight, piece by piece."""
-    own = np.arange(len(nodes)) if among is None else np.sort(among)
-    visible = np.array([sights[k][np.asarray(nodes)[own]] for k in own]).reshape(len(own), len(own))
-    number, label = connected_components(visible, directed=False)
-    return [own[label == piece].tolist() for piece in range(number)]
 
 
 def _annotation(
@@ -170,18 +200,19 @@ def _annotation(
 ) -> Annotation:
     """The annotation of nodes at (M, 2) m with a clearance (M,) m, of which pairs (M, M) see each other."""
     gap = np.linalg.norm(position[:, None] - position[None, :], axis=-1)
-    apart = np.min(gap + np.where(np.eye(len(gap), dtype=bool), np.inf, 0.0), axis=1, initial=np.inf)
-    radius = np.clip(np.minimum(clearance - PERSON, 0.45 * apart), PERSON, MAX_RADIUS)
-    nodes = {
-        name: Node(
-            kind="waypoint", position=(round(float(x), 3), round(float(y), 3)), radius=round(float(r), 2), spawn=1
-        )
-        for name, (x, y), r in zip(names, position, radius, strict=True)
-    }
-    reach = np.where(visible, gap, np.inf)
+    itself = np.eye(len(gap), dtype=bool)
+    nearest = np.min(gap + np.where(itself, np.inf, 0.0), axis=1, initial=np.inf)
+    radii = np.clip(np.minimum(clearance - PERSON, 0.45 * nearest), PERSON, MAX_RADIUS)
+    nodes = {}
+    for name, (x, y), radius in zip(names, position.tolist(), radii.tolist(), strict=True):
+        nodes[name] = Node(kind="waypoint", position=(round(x, 3), round(y, 3)), radius=round(radius, 2), spawn=1)
+
+    # The relative neighborhood graph: no third node is nearer to both.
+    length = np.where(visible, gap, np.inf)
     edges = []
     for a, b in np.argwhere(np.triu(visible, 1)):
-        if not (np.maximum(reach[a], reach[b]) < gap[a, b] - 1e-9).any():
+        longer = np.maximum(length[a], length[b])  # of both edges by each third node
+        if not (longer < gap[a, b] - 1e-9).any():
             edges.append(Edge(between=(names[a], names[b])))
     source = f"proposed for the environment '{environment.name}' from its clearance and sight"
     return Annotation(version=1, source=source, c_min=C_MIN, c_max=C_MAX, nodes=nodes, edges=edges)

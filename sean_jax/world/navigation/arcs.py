@@ -67,27 +67,31 @@ def tangents(arcs: CornerArcs, place: Float[Array, "2"], radius: Float[Array, ""
     """
     cx, cy = arcs.corner[:, 0], arcs.corner[:, 1]
     dx, dy = place[0] - cx, place[1] - cy
-    away = length(dx, dy)
-    beyond = away * away - radius * radius
-    touches = beyond < NEAR
-    straight = jnp.where(touches, 0.0, jnp.sqrt(jnp.where(touches, 1.0, beyond)))
-    turn = arcs.side * straight if arriving else -arcs.side * straight
-    scale = 1.0 / jnp.maximum(away * jnp.maximum(away, radius), NEAR)
-    nx, ny = scale * (radius * dx - turn * dy), scale * (radius * dy + turn * dx)
+    distance = length(dx, dy)
+    square = distance * distance - radius * radius  # of the tangent's length
+    inside = square < NEAR
+    tangent = jnp.where(inside, 0.0, jnp.sqrt(jnp.where(inside, 1.0, square)))
+
+    # The normal (nx, ny) from the corner to where the tangent touches: radius and tangent are the legs of a triangle.
+    leg = arcs.side * tangent if arriving else -arcs.side * tangent
+    scale = 1.0 / jnp.maximum(distance * jnp.maximum(distance, radius), NEAR)
+    nx = scale * (radius * dx - leg * dy)
+    ny = scale * (radius * dy + leg * dx)
+
     angle = arcs.side * _angle_to(arcs.middle[:, 0], arcs.middle[:, 1], nx, ny)
     on_arc = (angle >= arcs.first - ANGLE) & (angle <= arcs.last + ANGLE)
-    return Tangents(straight, angle, cx + radius * nx, cy + radius * ny, on_arc)
+    return Tangents(tangent, angle, cx + radius * nx, cy + radius * ny, on_arc)
 
 
 def tangent_to_arc(
     arcs: CornerArcs, index: Int[Array, ""], place: Float[Array, "2"], radius: Float[Array, ""]
 ) -> Tangent:
     """The tangent from a place [m] to one arc, for a disc of a radius [m]."""
-    one = jax.tree.map(lambda part: part[index][None], arcs)
-    _, angle, x, y, on_arc = tangents(one, place, radius, True)
+    arc = jax.tree.map(lambda field: field[index][None], arcs)
+    _, angle, x, y, on_arc = tangents(arc, place, radius, True)
     point = jnp.concatenate([x, y])
-    out = point - one.corner[0]
-    scale = one.side[0] / jnp.maximum(length(out[0], out[1]), 1e-6)
+    out = point - arc.corner[0]
+    scale = arc.side[0] / jnp.maximum(length(out[0], out[1]), 1e-6)
     return Tangent(angle[0], on_arc[0], point, scale * jnp.stack([-out[1], out[0]]))
 
 
@@ -96,8 +100,9 @@ def _angle_to(mx: Array, my: Array, nx: Array, ny: Array) -> Array:
 
     It uses the tangent of a quarter of the angle, because an arc tangent takes XLA on a CPU 20 times longer.
     """
-    cross, dot = mx * ny - my * nx, mx * nx + my * ny
-    half = cross / jnp.maximum(1.0 + dot, 1e-3)
+    cross = mx * ny - my * nx
+    dot = mx * nx + my * ny
+    half = cross / jnp.maximum(1.0 + dot, 1e-3)  # tangent of half the angle
     quarter = half / (1.0 + jnp.sqrt(1.0 + half * half))
     square = quarter * quarter
     return 4.0 * quarter * (1.0 + square * (-1 / 3 + square * (1 / 5 + square * (-1 / 7 + square / 9))))
@@ -107,28 +112,28 @@ def segment_is_free(
     boxes: Obstacles, start: Float[Array, "2"], end: Float[Array, "2"], radius: Float[Array, ""] | float
 ) -> Bool[Array, ""]:
     """Whether a disc of a radius [m] can move straight from one place [m] to another; exact."""
-    hit = jax.vmap(crosses_box, in_axes=(None, None, None, None, 0, None))(
-        start[0], start[1], end[0], end[1], boxes, radius
-    )
-    return ~_any(hit)
+    return segments_are_free(boxes, start, end[0], end[1], radius)
 
 
 def segments_are_free(
     boxes: Obstacles,
     start: Float[Array, "2"],
-    x: Float[Array, "V"],
-    y: Float[Array, "V"],
+    x: Float[Array, "*V"],
+    y: Float[Array, "*V"],
     radius: Float[Array, ""] | float,
-) -> Bool[Array, "V"]:
+) -> Bool[Array, "*V"]:
     """``segment_is_free`` between one place [m] and several others (x, y) [m]."""
-    hit = jax.vmap(crosses_box, in_axes=(None, None, None, None, 0, None))(start[0], start[1], x, y, boxes, radius)
+    crosses_boxes = jax.vmap(crosses_box, in_axes=(None, None, None, None, 0, None))
+    hit = crosses_boxes(start[0], start[1], x, y, boxes, radius)  # (W, V)
     return ~_any(hit)  # over the first axis: several times faster on a CPU than over the last
 
 
 def _any(hit: Bool[Array, "W *rest"]) -> Bool[Array, "*rest"]:
     """``hit.any(0)``, in parts: XLA for GPUs compiles a reduction over more for minutes, if the batch is large."""
-    parts = (hit[start : start + PART].any(0) for start in range(0, hit.shape[0], PART))
-    return functools.reduce(jnp.logical_or, parts, jnp.zeros(hit.shape[1:], bool))
+    result = jnp.zeros(hit.shape[1:], bool)
+    for start in range(0, hit.shape[0], PART):
+        result = jnp.logical_or(result, hit[start : start + PART].any(0))
+    return result
 
 
 def push_out_of_obstacles(
@@ -142,14 +147,19 @@ def push_out_of_obstacles(
     """
     if boxes.yaw.shape[0] == 0:
         return place, jnp.full_like(place[0], jnp.maximum(radius - SLACK, 0.0))
+    from_boxes = jax.vmap(from_box, in_axes=(None, None, 0))
+
+    # Out of the nearest box, and then out of one that is nearest there.
     spot = place
     for _ in range(2):
-        distance, nx, ny = jax.vmap(from_box, in_axes=(None, None, 0))(spot[0], spot[1], boxes)
+        distance, nx, ny = from_boxes(spot[0], spot[1], boxes)  # (W,)
         nearest = jnp.argmin(distance)
         out = jnp.maximum(radius - distance[nearest], 0.0)
         spot = spot + out * jnp.stack([nx[nearest], ny[nearest]])
-    clearance = jnp.min(jax.vmap(from_box, in_axes=(None, None, 0))(spot[0], spot[1], boxes)[0], initial=jnp.inf)
+    distance, _, _ = from_boxes(spot[0], spot[1], boxes)
+    clearance = jnp.min(distance, initial=jnp.inf)
     free_radius = jnp.maximum(jnp.minimum(radius, clearance) - SLACK, 0.0)
+
     # Without the barrier XLA computes the spot again for each pair of a point and a box, and compiles for minutes.
     shift, free_radius = jax.lax.optimization_barrier(jax.lax.stop_gradient((spot - place, free_radius)))
     return place + shift, free_radius
@@ -173,14 +183,20 @@ def map_in_batches(function: Callable, shared: PyTree, *rows: np.ndarray) -> PyT
     It is compiled once for all numbers of rows, if the function is at module level.
     """
     rows = tuple(row.astype(float) if row.dtype.kind == "f" else row for row in rows)  # jit casts to its precision
-    parts = []
+    results = []
     for start in range(0, max(len(rows[0]), 1), BATCHES[-1]):
         batch = [row[start : start + BATCHES[-1]] for row in rows]
-        count = len(batch[0])
-        size = next(size for size in BATCHES if size >= count)
-        padded = [np.pad(row, [(0, size - count)] + [(0, 0)] * (row.ndim - 1)) for row in batch]
-        parts.append(jax.tree.map(lambda leaf: np.asarray(leaf)[:count], _map(function, shared, *padded)))  # noqa: B023
-    return jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)
+        results.append(_map_batch(function, shared, batch))
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves), *results)
+
+
+def _map_batch(function: Callable, shared: PyTree, batch: list[np.ndarray]) -> PyTree:
+    """The results of a batch, padded to the next size for which the function is compiled."""
+    count = len(batch[0])
+    size = next(size for size in BATCHES if size >= count)
+    padded = [np.pad(rows, [(0, size - count)] + [(0, 0)] * (rows.ndim - 1)) for rows in batch]
+    results = _map(function, shared, *padded)
+    return jax.tree.map(lambda leaf: np.asarray(leaf)[:count], results)
 
 
 @functools.partial(jax.jit, static_argnums=0)

@@ -73,36 +73,52 @@ def _nearest_to_draws(environment: Environment, navigation: Navigation) -> np.nd
     """(M,) int32, for each of many points of the mesh the nearest free place in sight."""
     generator = np.random.default_rng(2)
     radius = max(float(navigation.radius), MESH_RADIUS)
-    vertices, places = free_triangles(environment, radius).reshape(-1, 2), np.asarray(navigation.places, float)
-    tree, free_radius = KDTree(places), max(float(navigation.radius) - SLACK, 0.0)
+    vertices = free_triangles(environment, radius).reshape(-1, 2)
+    places = np.asarray(navigation.places, float)
+    tree = KDTree(places)
+
     nearest: list[np.ndarray] = []
-    number, tried = 0, 0
-    while number < MESH_DRAWS:
-        tried += MESH_DRAWS
+    n_places = 0
+    n_draws = 0
+    while n_places < MESH_DRAWS:
         points = _points_between(vertices, generator)
         points = points[np.minimum(*signed_distances_on_host(environment, points)) >= radius + MESH_EDGE]
-        number_near = min(NEAREST, len(places))
-        near = tree.query(points, number_near)[1].reshape(len(points), number_near)
-        chosen = np.full(len(points), -1)
-        for column in near.T:
-            left = np.flatnonzero(chosen < 0)
-            if len(left):
-                clear = pairs_are_free(environment.obstacles, free_radius, points[left], places[column[left]])
-                chosen[left[clear]] = column[left[clear]]
-        nearest.append(chosen[chosen >= 0])
-        number += len(nearest[-1])
-        if number * 2000 < tried:
-            apart = f"{radius + MESH_EDGE:g} m from obstacles, as on SEAN's navigation mesh"
+        place = _nearest_in_sight(environment, navigation, places, tree, points)
+        nearest.append(place[place >= 0])
+        n_places += len(nearest[-1])
+        n_draws += MESH_DRAWS
+        if n_places * 2000 < n_draws:
             raise InputError(
-                f"places: of points between corners of '{environment.name}', hardly any is {apart}; choose uniform."
+                f"places: of points between corners of '{environment.name}', hardly any is {radius + MESH_EDGE:g} m "
+                "from obstacles, as on SEAN's navigation mesh; choose uniform."
             )
     return np.concatenate(nearest)[:MESH_DRAWS].astype(np.int32)
+
+
+def _nearest_in_sight(
+    environment: Environment, navigation: Navigation, places: np.ndarray, tree: KDTree, points: np.ndarray
+) -> np.ndarray:
+    """(P,) int: of each point (P, 2) [m] the nearest place in sight among ``NEAREST``, or -1."""
+    free_radius = max(float(navigation.radius) - SLACK, 0.0)
+    n_candidates = min(NEAREST, len(places))
+    candidates = tree.query(points, n_candidates)[1].reshape(len(points), n_candidates)
+    chosen = np.full(len(points), -1)
+    for candidate in candidates.T:
+        remaining = np.flatnonzero(chosen < 0)
+        if len(remaining) == 0:
+            break
+        place = candidate[remaining]
+        clear = pairs_are_free(environment.obstacles, free_radius, points[remaining], places[place])
+        chosen[remaining[clear]] = place[clear]
+    return chosen
 
 
 def _points_between(vertices: np.ndarray, generator: np.random.Generator) -> np.ndarray:
     """Points (P, 2) [m] between two of the vertices (K, 2) [m] that differ in the whole metres of x and of y."""
     if len(vertices) == 0:
         return np.zeros((0, 2))
-    ends = vertices[generator.integers(len(vertices), size=(2, MESH_DRAWS))]
-    first, second = ends[:, (np.trunc(ends[0]) != np.trunc(ends[1])).all(1)]
-    return first + generator.uniform(*MESH_SHARE, (len(first), 1)) * (second - first)
+    ends = vertices[generator.integers(len(vertices), size=(2, MESH_DRAWS))]  # (2, MESH_DRAWS, 2)
+    differ = (np.trunc(ends[0]) != np.trunc(ends[1])).all(1)
+    first, second = ends[:, differ]
+    share = generator.uniform(*MESH_SHARE, (len(first), 1))
+    return first + share * (second - first)

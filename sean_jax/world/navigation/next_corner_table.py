@@ -5,12 +5,13 @@ Looking up a table is cheaper than the robot's search over all arcs (``shortest_
 
 import functools
 from dataclasses import replace
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import struct
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from sean_jax.core.data_types import Array, PathsToGoal
 from sean_jax.core.devices import to_device
@@ -50,8 +51,10 @@ class NextCornerTable:
 
 def build_next_corner_table(navigation: Navigation, points: Float[Array, "M 2"]) -> NextCornerTable:
     """Build the table for points [m] on the host, or read it from the user's cache."""
-    fields = cache.load_or_build("next_corner", CODE, [*inputs(navigation), points], lambda: _make(navigation, points))
-    return NextCornerTable(to_device(points), **{name: flat_table(table) for name, table in fields.items()})
+    key = [*inputs(navigation), points]
+    fields = cache.load_or_build("next_corner", CODE, key, lambda: _make(navigation, points))
+    tables = {name: flat_table(table) for name, table in fields.items()}
+    return NextCornerTable(to_device(points), **tables)
 
 
 def next_corner(
@@ -59,8 +62,9 @@ def next_corner(
 ) -> Float[Array, "2"]:
     """A place [m] ahead on the way from a position [m] to a point of the table: the point, or on an arc's tangent."""
     cell = cell_of(table.first_arc, navigation.origin, CELL, position)
-    arc, tangent = _next_arc(navigation, table, position, index, table.first_arc[*cell, index])
-    aim = _past(navigation, jnp.maximum(arc, 0), position, tangent)
+    first_arc = table.first_arc[*cell, index]
+    arc, tangent = _next_arc(navigation, table, position, index, first_arc)
+    aim = _past_corner(navigation, jnp.maximum(arc, 0), position, tangent)
     return jnp.where(arc >= 0, aim, table.point[index])
 
 
@@ -71,28 +75,41 @@ def next_point_approx(
 
     It is the goal if that is in sight or if there is no path.
     """
-    boxes, radius = navigation.obstacles, navigation.radius
-    grid = navigation.visible, navigation.origin, navigation.cell
-    i, j = cell_of(*grid, position - 0.5 * navigation.cell)
-    k, m = cell_of(*grid, position + 0.5 * navigation.cell)
-    words = functools.reduce(jnp.bitwise_or, (visible_words(navigation, x, y) for x in (i, k) for y in (j, m)))
-    visible_here = arc_bits(words, navigation.arcs.side.shape[0])
-    spot, _ = push_out_of_obstacles(boxes, position, radius)
-    far, angle, _, _, on_arc = tangents(navigation.arcs, spot, radius, True)
-    reachable = visible_here & on_arc & (angle <= paths_to_goal.departure_angle + ANGLE)
-    total = jnp.where(reachable, far - radius * angle + paths_to_goal.distance, jnp.inf)
+    arcs = navigation.arcs
+    radius = navigation.radius
+    visible = _visible_around(navigation, position)
+    spot, _ = push_out_of_obstacles(navigation.obstacles, position, radius)
+
+    # Length of the path by each arc, and the few shortest.
+    distance, angle, _, _, on_arc = tangents(arcs, spot, radius, True)
+    reachable = visible & on_arc & (angle <= paths_to_goal.departure_angle + ANGLE)
+    total = jnp.where(reachable, distance - radius * angle + paths_to_goal.distance, jnp.inf)
     shortest, index = jax.lax.top_k(-total, min(CANDIDATES, total.shape[0]))
     no_path = ~jnp.isfinite(jnp.max(shortest))  # not shortest[0]: XLA on a CPU would compute it again, ten times slower
-    candidates = jax.tree.map(lambda part: part[index], navigation.arcs)
+
+    # The first of these in sight, or the shortest if none is; the goal is tested with them.
+    candidates = jax.tree.map(lambda field: field[index], arcs)
     _, _, x, y, _ = tangents(candidates, spot, radius, True)
-    x, y = jnp.append(x, goal[0]), jnp.append(y, goal[1])
-    clear = segments_are_free(boxes, position, x, y, CLOSE * radius)
-    chosen = index[jnp.argmax(clear[:-1])]  # the best one if none is in sight
-    tangent = tangent_to_arc(navigation.arcs, chosen, spot, radius)
-    return jnp.where(clear[-1] | no_path, goal, _past(navigation, chosen, position, tangent))
+    x = jnp.append(x, goal[0])
+    y = jnp.append(y, goal[1])
+    clear = segments_are_free(navigation.obstacles, position, x, y, CLOSE * radius)
+    chosen = index[jnp.argmax(clear[:-1])]
+
+    tangent = tangent_to_arc(arcs, chosen, spot, radius)
+    to_goal = clear[-1] | no_path
+    return jnp.where(to_goal, goal, _past_corner(navigation, chosen, position, tangent))
 
 
-def _past(navigation: Navigation, arc: Array, position: Array, tangent: Tangent) -> Array:
+def _visible_around(navigation: Navigation, position: Float[Array, "2"]) -> Bool[Array, "V"]:
+    """The arcs visible from any of the four cells whose middles are around a position [m]."""
+    grid = navigation.visible, navigation.origin, navigation.cell
+    left, below = cell_of(*grid, position - 0.5 * navigation.cell)
+    right, above = cell_of(*grid, position + 0.5 * navigation.cell)
+    words = (visible_words(navigation, i, j) for i in (left, right) for j in (below, above))
+    return arc_bits(functools.reduce(jnp.bitwise_or, words), navigation.arcs.side.shape[0])
+
+
+def _past_corner(navigation: Navigation, arc: Array, position: Array, tangent: Tangent) -> Array:
     """(2,) [m] a place past a corner, as far ahead as where the tangent touches, ``MIN_AHEAD`` at least.
 
     The tangent from a place at a distance d from the corner turns infinitely fast with that place where it touches the
@@ -100,25 +117,58 @@ def _past(navigation: Navigation, arc: Array, position: Array, tangent: Tangent)
     place of the root. So the path bends a little wider and reaches the circle smoothly from either side, and its
     derivative is at most about 2 / r.
     """
-    corner, radius = navigation.arcs.corner[arc], navigation.radius
+    corner = navigation.arcs.corner[arc]
+    radius = navigation.radius
     out = position - corner
-    away = jnp.maximum(length(out[0], out[1]), 0.1 * radius)
-    past = navigation.arcs.side[arc] * jnp.stack([-out[1], out[0]])
-    direction = (radius / away - away / radius) * out + past  # times d / r
+    distance = jnp.maximum(length(out[0], out[1]), 0.1 * radius)
+    across = navigation.arcs.side[arc] * jnp.stack([-out[1], out[0]])
+    direction = (radius / distance - distance / radius) * out + across  # times d / r
+
     gap = tangent.point - position
-    far = jnp.maximum(length(gap[0], gap[1]), MIN_AHEAD)
-    return position + far / jnp.maximum(length(direction[0], direction[1]), 1e-6) * direction
+    ahead = jnp.maximum(length(gap[0], gap[1]), MIN_AHEAD)
+    return position + ahead / jnp.maximum(length(direction[0], direction[1]), 1e-6) * direction
 
 
 def _next_arc(
-    navigation: Navigation, table: NextCornerTable, position: Array, index: Array, arc: Array
+    navigation: Navigation, table: "NextCornerTable | PathsToPoints", position: Array, index: Array, arc: Array
 ) -> tuple[Array, Tangent]:
-    """() int32 the arc, or the one after it if the position (2,) is past it; and the tangent to it."""
-    radius, before = navigation.radius, jnp.maximum(arc.astype(jnp.int32), 0)
-    angle = tangent_to_arc(navigation.arcs, before, position, radius).angle
-    past = (arc >= 0) & (angle > table.departure_angle[index, before])
-    arc = jnp.where(past, table.next_arc[index, before], arc).astype(jnp.int32)
-    return arc, tangent_to_arc(navigation.arcs, jnp.maximum(arc, 0), position, radius)
+    """The arc () int32, or the one that follows it once the position (2,) is past it; and the tangent to it."""
+    arcs = navigation.arcs
+    radius = navigation.radius
+    current = jnp.maximum(arc.astype(jnp.int32), 0)
+    angle = tangent_to_arc(arcs, current, position, radius).angle
+    past = (arc >= 0) & (angle > table.departure_angle[index, current])
+    arc = jnp.where(past, table.next_arc[index, current], arc).astype(jnp.int32)
+    return arc, tangent_to_arc(arcs, jnp.maximum(arc, 0), position, radius)
+
+
+# --- the table, built on the host ---
+
+
+class PathsToPoints(NamedTuple):
+    """The shortest paths from each of V arcs to each of M points; ends are the points, pushed out of obstacles."""
+
+    distance: Float[Array, "M V"]  # m
+    departure_angle: Float[Array, "M V"]  # rad
+    next_arc: Int[Array, "M V"]  # int16, -1 at the last arc
+    end: Float[Array, "M 2"]  # m
+    end_radius: Float[Array, "M"]  # m, with which segments to there have to be free
+
+
+class CellCorners(NamedTuple):
+    """The corners of the table's cells, pushed out of obstacles: (X + 1) (Y + 1) = K of them, column by column."""
+
+    place: Float[np.ndarray, "K 2"]  # m
+    free_radius: Float[np.ndarray, "K"]  # m, with which segments from there have to be free
+    weight: Float[np.ndarray, "K"]  # small where people cannot be, and zero inside obstacles
+
+
+class Votes(NamedTuple):
+    """The corners of C cells on a path by some arc."""
+
+    weight_for: Float[np.ndarray, "C"]  # of those from which the path begins free
+    weight_against: Float[np.ndarray, "C"]  # of the others
+    length: Float[np.ndarray, "C"]  # m, mean length of the path
 
 
 def _make(navigation: Navigation, points: Array) -> dict[str, np.ndarray]:
@@ -128,108 +178,150 @@ def _make(navigation: Navigation, points: Array) -> dict[str, np.ndarray]:
     corners of the cell. Otherwise it takes, of this arc and those of the cells around, the one to which the path begins
     free from most corners; but none with a much longer path, or people would walk to and fro between two cells.
     """
+    n_points = len(points)
+    n_arcs = navigation.arcs.side.shape[0]  # without padding
     scale = round(float(navigation.cell) / CELL)
-    visible, number, size = navigation.visible.on_host(), len(points), navigation.arcs.side.shape[0]
-    cells, words = visible.shape[:2], visible.reshape(-1, visible.shape[2])
-    navigation = in_programs(replace(navigation, visible=None, places=None, mesh_places=None))  # rows have visibility
-    words = np.pad(words, [(0, 0), (0, navigation.arcs.side.shape[0] // 8 - words.shape[1])])
-    points = jnp.asarray(np.pad(np.asarray(points), [(0, -number % POINTS), (0, 0)], mode="edge"), float)
-    distance, departure_angle, next_arc, ends = _paths_to_points(navigation, points)
-    middle = np.stack(np.meshgrid(*map(np.arange, cells), indexing="ij"), -1).reshape(-1, 2) + 0.5
-    shared = navigation, distance, departure_angle, ends
-    spots = np.asarray(navigation.origin) + middle * float(navigation.cell)
-    best = map_in_batches(_first_arcs, shared, spots, words)[:, :number].reshape(*cells, number)
-    best = np.repeat(np.repeat(best, scale, 0), scale, 1)  # (X, Y, M)
-    tables = {"next_arc": flat_table(next_arc), "departure_angle": flat_table(departure_angle)}
-    table = NextCornerTable(point=points, first_arc=None, **tables)  # pyright: ignore[reportArgumentType]
-    corners = [np.arange(count + 1, dtype=np.float32) * CELL for count in best.shape[:2]]
-    spots = np.stack(np.meshgrid(*corners, indexing="ij"), -1).reshape(-1, 2) + np.asarray(navigation.origin)
-    place, free_radius, weight = map_in_batches(_corner_of_cell, (navigation.obstacles, navigation.radius), spots)
-    row, arcs = best.shape[1] + 1, navigation.arcs.side.shape[0] + 1
-    shared = navigation, table, distance, ends
+    visible = navigation.visible.on_host()  # (X, Y, V8)
 
-    def rate(cells: np.ndarray, arc: np.ndarray) -> tuple[np.ndarray, ...]:
-        """The weight of the corners of cells (K, 3) for and against an arc (K,), and the mean length of path [m]."""
-        yes, no, far = np.zeros(len(cells)), np.zeros(len(cells)), np.zeros(len(cells))
-        spot = cells[:, :1] * row + cells[:, 1:2] + np.array([0, 1, row, row + 1])
-        key = (spot * number + cells[:, 2:]) * arcs + arc[:, None] + 1  # cells beside each other share their corners
-        each, inverse = np.unique(key[weight[spot] > 0.0], return_inverse=True)
-        rest, of = each // arcs, each % arcs - 1
-        at, index = rest // number, (rest % number).astype(np.int32)
-        clear, length = map_in_batches(_path_from, shared, place[at], free_radius[at], index, of.astype(best.dtype))
-        counted = np.nonzero(weight[spot] > 0.0)
-        where, share = counted[0], weight[spot][counted]
-        clear, length = clear[inverse], length[inverse]
-        np.add.at(yes, where, share * clear)
-        np.add.at(no, where, share * ~clear)
-        np.add.at(far, where, share * length)
-        return yes, no, far / np.maximum(yes + no, 1e-3)
+    # Programs are shared by floors, so they take padded arrays; and visibility by rows, not the whole table.
+    navigation = in_programs(replace(navigation, visible=None, places=None, mesh_places=None))
+    padded_points = np.pad(np.asarray(points), [(0, -n_points % POINTS), (0, 0)], mode="edge")
+    paths = _paths_to_points(navigation, jnp.asarray(padded_points, float))
 
-    every = np.stack(np.meshgrid(*map(np.arange, best.shape), indexing="ij"), -1).reshape(-1, 3)
-    yes, no, far = rate(every, best.reshape(-1))
-    unsure = no > 0
-    cells, yes, far = every[unsure], yes[unsure], far[unsure]
-    result = best.copy()
-    for step in NEIGHBORS:
-        i, j = np.clip(cells[:, :2] + scale * np.array(step), 0, np.array(best.shape[:2]) - 1).T
-        other = best[i, j, cells[:, 2]]
-        more, _, farther = rate(cells, other)
-        better = (more > yes + 1e-3) & (farther < far + MAX_DETOUR)
-        result[tuple(cells[better].T)] = other[better]
-        yes = np.where(better, more, yes)
+    best_arc = _best_from_middles(navigation, paths, visible)[..., :n_points]
+    best_arc = best_arc.repeat(scale, 0).repeat(scale, 1)  # (X, Y, M)
     return {
-        "first_arc": result,
-        "next_arc": np.asarray(next_arc)[:number, :size],
-        "departure_angle": np.asarray(departure_angle)[:number, :size],
+        "first_arc": _elect(navigation, paths, best_arc, scale),
+        "next_arc": np.asarray(paths.next_arc)[:n_points, :n_arcs],
+        "departure_angle": np.asarray(paths.departure_angle)[:n_points, :n_arcs],
     }
 
 
-def _path_from(shared: tuple, place: Array, free_radius: Array, index: Array, arc: Array) -> tuple[Array, Array]:
-    """() bool whether the path from a place (2,) by that arc begins free; and () its length [m], free or not."""
-    navigation, table, distance, (ends, end_radius) = shared
-    arc, (angle, on_arc, touch, _) = _next_arc(navigation, table, place, index, arc)
+def _best_from_middles(navigation: Navigation, paths: PathsToPoints, visible: np.ndarray) -> Int[np.ndarray, "X Y M"]:
+    """The best arc from the middle of each cell of the visibility grid (X, Y, V8)."""
+    cells = visible.shape[:2]
+    words = visible.reshape(-1, visible.shape[2])
+    words = np.pad(words, [(0, 0), (0, navigation.arcs.side.shape[0] // 8 - words.shape[1])])
+    middles = np.indices(cells).reshape(2, -1).T + 0.5
+    middles = np.asarray(navigation.origin) + middles * float(navigation.cell)
+    return map_in_batches(_first_arcs, (navigation, paths), middles, words).reshape(*cells, -1)
+
+
+def _elect(
+    navigation: Navigation, paths: PathsToPoints, best_arc: Int[np.ndarray, "X Y M"], scale: int
+) -> Int[np.ndarray, "X Y M"]:
+    """The arc of each cell and point: ``best_arc``, or that of a cell ``scale`` cells away with more votes."""
+    corners = _cell_corners(navigation, best_arc.shape)
+    count = functools.partial(_count_votes, (navigation, paths), corners, best_arc.shape)
+
+    # Only cells with a vote against their arc look at others.
+    cells = np.indices(best_arc.shape).reshape(3, -1).T
+    votes = count(cells, best_arc.reshape(-1))
+    unsure = votes.weight_against > 0
+    cells = cells[unsure]
+    weight_for = votes.weight_for[unsure]
+    limit = votes.length[unsure] + MAX_DETOUR
+
+    elected = best_arc.copy()
+    last_cell = np.array(best_arc.shape[:2]) - 1
+    for step in NEIGHBORS:
+        i, j = np.clip(cells[:, :2] + scale * np.array(step), 0, last_cell).T
+        arc = best_arc[i, j, cells[:, 2]]
+        votes = count(cells, arc)
+        better = (votes.weight_for > weight_for + 1e-3) & (votes.length < limit)
+        elected[tuple(cells[better].T)] = arc[better]
+        weight_for = np.where(better, votes.weight_for, weight_for)
+    return elected
+
+
+def _cell_corners(navigation: Navigation, shape: tuple[int, ...]) -> CellCorners:
+    corners = np.indices((shape[0] + 1, shape[1] + 1), np.float32).reshape(2, -1).T * CELL
+    shared = navigation.obstacles, navigation.radius
+    return CellCorners(*map_in_batches(_corner_of_cell, shared, corners + np.asarray(navigation.origin)))
+
+
+def _count_votes(
+    shared: tuple[Navigation, PathsToPoints],
+    corners: CellCorners,
+    shape: tuple[int, int, int],
+    cells: Int[np.ndarray, "C 3"],
+    arc: Int[np.ndarray, "C"],
+) -> Votes:
+    """The votes of the corners of cells (i, j, point) of a table on an arc each."""
+    column = shape[1] + 1
+    corner = cells[:, :1] * column + cells[:, 1:2] + np.array([0, 1, column, column + 1])  # (C, 4)
+    weight = corners.weight[corner]
+    counted = weight > 0.0
+
+    # Cells beside each other share corners, so many paths (corner, point, arc) occur several times.
+    navigation, _ = shared
+    sizes = len(corners.weight), shape[2], navigation.arcs.side.shape[0] + 1
+    path = np.ravel_multi_index((corner, cells[:, 2:], arc[:, None] + 1), sizes)
+    path, index = np.unique(path[counted], return_inverse=True)
+    start, point, path_arc = np.unravel_index(path, sizes)
+    path_arc = (path_arc - 1).astype(arc.dtype)  # -1: straight to the point
+    rows = corners.place[start], corners.free_radius[start], point.astype(np.int32), path_arc
+    clear, distance = map_in_batches(_path_from, shared, *rows)
+
+    # Sums over the corners of each cell.
+    weight = weight[counted]
+    sum_by_cell = functools.partial(np.bincount, np.nonzero(counted)[0], minlength=len(cells))
+    weight_for = sum_by_cell(weight * clear[index])
+    weight_against = sum_by_cell(weight * ~clear[index])
+    distance = sum_by_cell(weight * distance[index])
+    return Votes(weight_for, weight_against, distance / np.maximum(weight_for + weight_against, 1e-3))
+
+
+def _path_from(
+    shared: tuple[Navigation, PathsToPoints], place: Array, free_radius: Array, index: Array, arc: Array
+) -> tuple[Array, Array]:
+    """Whether the path from a place (2,) by that arc begins free, () bool; and its length [m] (), free or not."""
+    navigation, paths = shared
+    arc, tangent = _next_arc(navigation, paths, place, index, arc)
     is_arc = arc >= 0
-    touch = jnp.where(is_arc, touch, ends[index])
-    free_radius = jnp.where(is_arc, free_radius, jnp.minimum(free_radius, end_radius[index]))
-    rest = distance[index, jnp.maximum(arc, 0)] - navigation.radius * angle
-    far = length(touch[0] - place[0], touch[1] - place[1]) + jnp.where(is_arc, rest, 0.0)
-    return (on_arc | ~is_arc) & segment_is_free(navigation.obstacles, place, touch, free_radius), far
+    target = jnp.where(is_arc, tangent.point, paths.end[index])
+    free_radius = jnp.where(is_arc, free_radius, jnp.minimum(free_radius, paths.end_radius[index]))
+
+    after_target = paths.distance[index, jnp.maximum(arc, 0)] - navigation.radius * tangent.angle
+    distance = length(target[0] - place[0], target[1] - place[1]) + jnp.where(is_arc, after_target, 0.0)
+    is_free = segment_is_free(navigation.obstacles, place, target, free_radius)
+    return (tangent.on_arc | ~is_arc) & is_free, distance
 
 
 @jax.jit
-def _paths_to_points(navigation: Navigation, points: Array) -> tuple:
-    """(M, V) lengths [m] from the arcs to the points, ``departure_angle`` and ``next_arc``; and the points, pushed out
-    of obstacles.
-    """
+def _paths_to_points(navigation: Navigation, points: Float[Array, "M 2"]) -> PathsToPoints:
     distance, last, departure_angle = jax.vmap(last_arcs, in_axes=(None, 0))(navigation, points)
     first = jnp.arange(navigation.arcs.side.shape[0], dtype=jnp.int32)[None, :]
-    next_arc = jnp.where(last == first, -1, navigation.next_arc[first, last].astype(jnp.int32)).astype(jnp.int16)
-    ends = jax.vmap(push_out_of_obstacles, in_axes=(None, 0, None))(navigation.obstacles, points, navigation.radius)
-    return distance, departure_angle, next_arc, ends
+    next_arc = navigation.next_arc[first, last].astype(jnp.int32)
+    next_arc = jnp.where(last == first, -1, next_arc).astype(jnp.int16)
+    push_out = jax.vmap(push_out_of_obstacles, in_axes=(None, 0, None))
+    end, end_radius = push_out(navigation.obstacles, points, navigation.radius)
+    return PathsToPoints(distance, departure_angle, next_arc, end, end_radius)
 
 
-def _first_arcs(shared: tuple, spot: Array, words: Array) -> Array:
+def _first_arcs(shared: tuple[Navigation, PathsToPoints], spot: Array, words: Array) -> Array:
     """(M,) int16 the best of the visible arcs on the way from a spot (2,) [m] to each point."""
-    navigation, distance, departure_angle, (ends, end_radius) = shared
-    obstacles, radius = navigation.obstacles, navigation.radius
-    place, free_radius = push_out_of_obstacles(obstacles, spot, radius)
-    clear = jax.vmap(segment_is_free, in_axes=(None, None, 0, 0))(
-        obstacles, place, ends, jnp.minimum(free_radius, end_radius)
-    )
-    far, angle, *_ = tangents(navigation.arcs, place, radius, True)
-    visible = arc_bits(words, navigation.arcs.side.shape[0])
-    reachable = visible[None, :] & (angle[None, :] <= departure_angle + ANGLE)
-    total = jnp.where(reachable, (far - radius * angle)[None, :] + distance, jnp.inf)
+    navigation, paths = shared
+    arcs = navigation.arcs
+    radius = navigation.radius
+    place, free_radius = push_out_of_obstacles(navigation.obstacles, spot, radius)
+    are_free = jax.vmap(segment_is_free, in_axes=(None, None, 0, 0))
+    clear = are_free(navigation.obstacles, place, paths.end, jnp.minimum(free_radius, paths.end_radius))
+
+    distance, angle, *_ = tangents(arcs, place, radius, True)
+    visible = arc_bits(words, arcs.side.shape[0])
+    reachable = visible[None, :] & (angle[None, :] <= paths.departure_angle + ANGLE)  # (M, V)
+    total = jnp.where(reachable, (distance - radius * angle)[None, :] + paths.distance, jnp.inf)
+
     no_path = ~jnp.isfinite(jnp.min(total, axis=1))
-    return jnp.where(clear | no_path, -1, jnp.argmin(total, axis=1).astype(jnp.int32)).astype(jnp.int16)
+    best = jnp.argmin(total, axis=1).astype(jnp.int32)
+    return jnp.where(clear | no_path, -1, best).astype(jnp.int16)
 
 
 def _corner_of_cell(shared: tuple, spot: Array) -> tuple[Array, Array, Array]:
-    """The spot (2,) pushed out of obstacles, the free radius there, and its weight.
-
-    The weight is small where people cannot be, and zero inside obstacles.
-    """
+    """The fields of ``CellCorners`` for one corner (2,) [m]."""
     boxes, radius = shared
-    clearance = jnp.min(jax.vmap(from_box, in_axes=(None, None, 0))(spot[0], spot[1], boxes)[0], initial=jnp.inf)
+    distance, _, _ = jax.vmap(from_box, in_axes=(None, None, 0))(spot[0], spot[1], boxes)
+    clearance = jnp.min(distance, initial=jnp.inf)
     weight = jnp.where(clearance >= CLOSE * radius, 1.0, jnp.where(clearance > 0.0, 0.01, 0.0))
     return *push_out_of_obstacles(boxes, spot, radius), weight

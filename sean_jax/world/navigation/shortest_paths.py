@@ -70,12 +70,14 @@ def geodesic_approx(
     """Length [m] of the shortest path within about a cell of the visibility grid: cheap for many positions at once."""
     gap = goal - position
     straight = segment_is_free(navigation.obstacles, position, goal, NARROW * navigation.radius)
+
     cell = cell_of(navigation.visible, navigation.origin, navigation.cell, position)
     visible = arc_bits(visible_words(navigation, *cell), navigation.arcs.side.shape[0])
-    far, angle, *_ = tangents(navigation.arcs, position, navigation.radius, True)
-    begin = jnp.where(visible, far - navigation.radius * angle, jnp.inf)
+    distance, angle, *_ = tangents(navigation.arcs, position, navigation.radius, True)
+    to_arc = jnp.where(visible, distance - navigation.radius * angle, jnp.inf)
+
     # With the barrier, the minimum of a sum is some 20 times faster on a CPU than the minimum of a choice.
-    around = jnp.min(jax.lax.optimization_barrier(begin) + paths_to_goal.distance)
+    around = jnp.min(jax.lax.optimization_barrier(to_arc) + paths_to_goal.distance)
     return jnp.where(straight, length(gap[0], gap[1]), around)
 
 
@@ -88,13 +90,17 @@ def next_point(
     tangent touches. Going there, and from there to the next point, follows a path that is at most 1 % longer than the
     shortest.
     """
-    straight, around, first, spot, free_radius = first_arc(navigation, position, goal, paths_to_goal)
-    angle, _, touch, direction = tangent_to_arc(navigation.arcs, first, spot, navigation.radius)
-    turn = jnp.clip(paths_to_goal.departure_angle[first] - angle, 0.0, 2 * jnp.radians(STRIDE))
-    far = touch + jnp.maximum(navigation.radius * jnp.tan(0.5 * turn), MIN_STRIDE) * direction
-    is_free = segment_is_free(navigation.obstacles, spot, far, free_radius)
-    aim = jnp.where(is_free, far, touch + MIN_STRIDE * direction)
-    return jnp.where(straight | ~jnp.isfinite(around), goal, aim)
+    radius = navigation.radius
+    start = first_arc(navigation, position, goal, paths_to_goal)
+    tangent = tangent_to_arc(navigation.arcs, start.arc, start.place, radius)
+
+    # The tangents to both ends of a piece of arc meet half its angle ahead.
+    turn = jnp.clip(paths_to_goal.departure_angle[start.arc] - tangent.angle, 0.0, 2 * jnp.radians(STRIDE))
+    stride = jnp.maximum(radius * jnp.tan(0.5 * turn), MIN_STRIDE)
+    ahead = tangent.point + stride * tangent.direction
+    is_free = segment_is_free(navigation.obstacles, start.place, ahead, start.free_radius)
+    aim = jnp.where(is_free, ahead, tangent.point + MIN_STRIDE * tangent.direction)
+    return jnp.where(start.straight | ~jnp.isfinite(start.around), goal, aim)
 
 
 def path_rotation(
@@ -108,57 +114,72 @@ def path_rotation(
 
     Without another path it is the straight path's.
     """
-    arcs, radius = navigation.arcs, navigation.radius
-    straight, around, first, spot, _ = first_arc(navigation, position, goal, paths_to_goal)
+    arcs = navigation.arcs
+    radius = navigation.radius
+    start = first_arc(navigation, position, goal, paths_to_goal)
+    first = start.arc
     last = last_arcs(navigation, goal).last_arc[first]
-    arrival, _, _, direction = tangent_to_arc(arcs, first, spot, radius)
+
+    # The table has the rotation between the middles of the first arc and of the last.
+    tangent = tangent_to_arc(arcs, first, start.place, radius)
     end, _ = push_out_of_obstacles(navigation.obstacles, goal, radius)
     departure = tangents(arcs, end, radius, False).angle[last]
-    directly = straight | ~jnp.isfinite(around)
-    begin = jnp.abs(angle_between(heading, jnp.where(directly, goal - position, direction)))
-    return begin + jnp.where(directly, 0.0, navigation.rotation[first, last] + departure - arrival)
+
+    straight = start.straight | ~jnp.isfinite(start.around)
+    at_start = jnp.abs(angle_between(heading, jnp.where(straight, goal - position, tangent.direction)))
+    return at_start + jnp.where(straight, 0.0, navigation.rotation[first, last] + departure - tangent.angle)
 
 
 def first_arc(
     navigation: Navigation, position: Float[Array, "2"], goal: Float[Array, "2"], paths_to_goal: PathsToGoal
 ) -> PathStart:
     """The beginning of the shortest path."""
-    arcs, radius = navigation.arcs, navigation.radius
-    spot, free_radius = push_out_of_obstacles(navigation.obstacles, position, radius)
-    end, end_radius = push_out_of_obstacles(navigation.obstacles, goal, radius)
-    straight = segment_is_free(navigation.obstacles, spot, end, jnp.minimum(free_radius, end_radius))
-    far, angle, x, y, on_arc = tangents(arcs, spot, radius, True)
+    boxes = navigation.obstacles
+    radius = navigation.radius
+    place, free_radius = push_out_of_obstacles(boxes, position, radius)
+    end, end_radius = push_out_of_obstacles(boxes, goal, radius)
+    straight = segment_is_free(boxes, place, end, jnp.minimum(free_radius, end_radius))
+
+    # Length of the path by each arc.
+    distance, angle, x, y, on_arc = tangents(navigation.arcs, place, radius, True)
     reachable = on_arc & (angle <= paths_to_goal.departure_angle + ANGLE)
-    total = jnp.where(reachable, far - radius * angle + paths_to_goal.distance, jnp.inf)
+    total = jnp.where(reachable, distance - radius * angle + paths_to_goal.distance, jnp.inf)
+
     # Of the two arcs of a corner only the better one can be on the shortest path.
     right = total[1::2] < total[::2]
-    total, x, y = (jnp.where(right, part[1::2], part[::2]) for part in (total, x, y))
-    total = jnp.where(segments_are_free(navigation.obstacles, spot, x, y, free_radius), total, jnp.inf)
-    best = jnp.argmin(total).astype(jnp.int32)
-    return PathStart(straight, total[best], 2 * best + right[best].astype(jnp.int32), spot, free_radius)
+    total, x, y = (jnp.where(right, values[1::2], values[::2]) for values in (total, x, y))
+    total = jnp.where(segments_are_free(boxes, place, x, y, free_radius), total, jnp.inf)
+    corner = jnp.argmin(total).astype(jnp.int32)
+    around = total[corner]
+    arc = 2 * corner + right[corner].astype(jnp.int32)
+    return PathStart(straight, around, arc, place, free_radius)
 
 
 def last_arcs(navigation: Navigation, goal: Float[Array, "2"]) -> ArcsToGoal:
     """The shortest paths to a goal from all arcs, with their last arcs."""
     radius = navigation.radius
     end, free_radius = push_out_of_obstacles(navigation.obstacles, goal, radius)
-    far, angle, x, y, on_arc = tangents(navigation.arcs, end, radius, False)
+    distance, angle, x, y, on_arc = tangents(navigation.arcs, end, radius, False)
     clear = segments_are_free(navigation.obstacles, end, x, y, free_radius)
-    rest = jnp.where(on_arc & clear, far + radius * angle, jnp.inf)
-    number, tables = rest.shape[0], (navigation.distance, navigation.arrival_angle)
-    first = jnp.arange(number, dtype=jnp.int32)
+    to_goal = jnp.where(on_arc & clear, distance + radius * angle, jnp.inf)
+    n_arcs = to_goal.shape[0]
+    arcs = jnp.arange(n_arcs, dtype=jnp.int32)
 
-    def by(best: tuple[Array, Array], arc: tuple[Array, ...]) -> tuple[tuple[Array, Array], None]:
-        index, angle, rest = arc
-        distance, arrival = (table.row((index,), number) for table in tables)
-        total = jnp.where(arrival <= angle + ANGLE, distance + rest, jnp.inf)
-        shorter = total < best[0]
-        return (jnp.where(shorter, total, best[0]), jnp.where(shorter, index, best[1])), None
+    def relax(best: tuple[Array, Array], last_arc: tuple[Array, ...]) -> tuple[tuple[Array, Array], None]:
+        """The shorter paths from all arcs: those so far, or those by one last arc."""
+        shortest, last = best
+        index, angle, to_goal = last_arc
+        distance = navigation.distance.row((index,), n_arcs)
+        arrival_angle = navigation.arrival_angle.row((index,), n_arcs)
+        total = jnp.where(arrival_angle <= angle + ANGLE, distance + to_goal, jnp.inf)
+        shorter = total < shortest
+        return (jnp.where(shorter, total, shortest), jnp.where(shorter, index, last)), None
 
     # In a loop: XLA on a CPU takes 30 times longer for an argmin over a square of arcs.
-    (total, last), _ = jax.lax.scan(by, (jnp.full_like(rest, jnp.inf), first), (first, angle, rest))
-    total = jnp.where(first < navigation.distance.shape[0], total, jnp.inf)
-    return ArcsToGoal(total, last, jnp.where(last == first, angle[last], navigation.departure_angle[first, last]))
+    (total, last), _ = jax.lax.scan(relax, (jnp.full_like(to_goal, jnp.inf), arcs), (arcs, angle, to_goal))
+    total = jnp.where(arcs < navigation.distance.shape[0], total, jnp.inf)
+    departure_angle = jnp.where(last == arcs, angle[last], navigation.departure_angle[arcs, last])
+    return ArcsToGoal(total, last, departure_angle)
 
 
 def last_arc_to_goal(navigation: Navigation, goal: Float[Array, "2"]) -> Int[Array, "V"]:
@@ -181,59 +202,90 @@ def plan(
         last: of ``last_arc_to_goal``.
         apart: m, minimum distance from one point to the next.
     """
-    along = FINE * jnp.arange(1, round(CURVED * points * apart / FINE) + 1, dtype=float)
+    along = FINE * jnp.arange(1, round(CURVED * points * apart / FINE) + 1, dtype=float)  # (K,) m
     x, y = _places_along(navigation, position, goal, paths_to_goal, last, along)
     index = jnp.arange(along.shape[0], dtype=jnp.int32)
 
     def pick(carry: tuple[Array, Array, Array], _) -> tuple[tuple[Array, Array, Array], Array]:
+        """The next of these places that is far enough from the point before; the goal if there is none."""
         before, px, py = carry
-        far = (index > before) & (length(x - px, y - py) >= apart - ROUNDING)
-        exists, chosen = far.any(), jnp.argmax(far).astype(jnp.int32)
-        px, py = jnp.where(exists, x[chosen], goal[0]), jnp.where(exists, y[chosen], goal[1])
+        is_far = (index > before) & (length(x - px, y - py) >= apart - ROUNDING)
+        exists = is_far.any()
+        chosen = jnp.argmax(is_far).astype(jnp.int32)
+        px = jnp.where(exists, x[chosen], goal[0])
+        py = jnp.where(exists, y[chosen], goal[1])
         return (jnp.where(exists, chosen, index[-1]), px, py), jnp.stack([px, py])
 
-    return jax.lax.scan(pick, (jnp.full((), -1, jnp.int32), position[0], position[1]), length=points)[1]
+    start = jnp.full((), -1, jnp.int32), position[0], position[1]
+    _, points_ahead = jax.lax.scan(pick, start, length=points)
+    return points_ahead
+
+
+class PathLeg(NamedTuple):
+    """A straight segment of a path and the arc after it."""
+
+    place: Float[Array, "2"]  # m, where the segment begins
+    gap: Float[Array, "2"]  # m, from there to its end
+    arc: Int[Array, ""]
+    arrival_angle: Float[Array, ""]  # rad, where the segment enters the arc
+    lengths: Float[Array, "2"]  # m, of the segment and on the arc
 
 
 def _places_along(
     navigation: Navigation, position: Array, goal: Array, paths_to_goal: PathsToGoal, last: Array, along: Array
 ) -> tuple[Array, Array]:
     """x and y (K,) [m] of the places at the lengths ``along`` (K,) [m] of the path; the goal beyond its end."""
+    legs = _legs(navigation, position, goal, paths_to_goal, last)
+
+    # The piece of the path, a segment or an arc, on which each place lies.
+    ends = jnp.cumsum(legs.lengths.reshape(-1))
+    piece = jnp.sum(along[:, None] > ends[None, :], axis=1, dtype=jnp.int32)
+    beyond = piece >= ends.shape[0]
+    piece = jnp.minimum(piece, ends.shape[0] - 1)
+    leg = piece // 2
+    begins = ends - legs.lengths.reshape(-1)
+    on_piece = along - begins[piece]  # (K,) m
+
+    ux, uy = unit(legs.gap[leg, 0], legs.gap[leg, 1])
+    angle = legs.arrival_angle[leg] + on_piece / navigation.radius
+    arc_x, arc_y = jax.vmap(_on_arc, (None, 0, 0))(navigation, legs.arc[leg], angle)
+    is_arc = piece % 2 == 1
+    x = jnp.where(is_arc, arc_x, legs.place[leg, 0] + on_piece * ux)
+    y = jnp.where(is_arc, arc_y, legs.place[leg, 1] + on_piece * uy)
+    return jnp.where(beyond, goal[0], x), jnp.where(beyond, goal[1], y)
+
+
+def _legs(navigation: Navigation, position: Array, goal: Array, paths_to_goal: PathsToGoal, last: Array) -> PathLeg:
+    """The next legs of the path, (PLAN_ARCS + 1, ...); the segment to the goal is the last of them, again and again."""
     radius = navigation.radius
-    straight, around, first, spot, _ = first_arc(navigation, position, goal, paths_to_goal)
+    start = first_arc(navigation, position, goal, paths_to_goal)
 
-    def follow(carry: tuple[Array, Array, Array], _) -> tuple[tuple[Array, Array, Array], tuple[Array, ...]]:
-        """One segment and the arc after it; once ``free``, the segment to the goal."""
-        place, arc, free = carry
-        arrival, _, touch, _ = tangent_to_arc(navigation.arcs, arc, place, radius)
-        touch = jnp.where(free, goal, touch)
-        turn = jnp.where(free, 0.0, jnp.maximum(paths_to_goal.departure_angle[arc] - arrival, 0.0))
-        out = jnp.where(free, goal, jnp.stack(_on_arc(navigation, arc, arrival + turn)))
-        gap = touch - place
-        following = navigation.next_arc[arc, last[arc]].astype(jnp.int32)
+    def follow(carry: tuple[Array, Array, Array], _) -> tuple[tuple[Array, Array, Array], PathLeg]:
+        place, arc, to_goal = carry
+        tangent = tangent_to_arc(navigation.arcs, arc, place, radius)
+        end = jnp.where(to_goal, goal, tangent.point)
+        turn = jnp.maximum(paths_to_goal.departure_angle[arc] - tangent.angle, 0.0)
+        turn = jnp.where(to_goal, 0.0, turn)
+
+        after_arc = jnp.stack(_on_arc(navigation, arc, tangent.angle + turn))
+        after_arc = jnp.where(to_goal, goal, after_arc)
+        gap = end - place
+        next_arc = navigation.next_arc[arc, last[arc]].astype(jnp.int32)
         is_last = last[arc] == arc
-        part = place, gap, arc, arrival, jnp.stack([length(gap[0], gap[1]), radius * turn])
-        return (out, jnp.where(is_last, arc, following), free | is_last), part
+        lengths = jnp.stack([length(gap[0], gap[1]), radius * turn])
+        leg = PathLeg(place, gap, arc, tangent.angle, lengths)
+        return (after_arc, jnp.where(is_last, arc, next_arc), to_goal | is_last), leg
 
-    begin = spot, first, straight | ~jnp.isfinite(around)
-    _, (place, gap, arc, arrival, far) = jax.lax.scan(follow, begin, length=PLAN_ARCS + 1)
-    ends = jnp.cumsum(far.reshape(-1))
-    part = jnp.sum(along[:, None] > ends[None, :], axis=1, dtype=jnp.int32)
-    over = part >= ends.shape[0]
-    part = jnp.minimum(part, ends.shape[0] - 1)
-    leg, rest = part // 2, along - (ends - far.reshape(-1))[part]
-    ux, uy = unit(gap[leg, 0], gap[leg, 1])
-    angle = arrival[leg] + rest / radius
-    arc_x, arc_y = jax.vmap(_on_arc, (None, 0, 0))(navigation, arc[leg], angle)
-    is_arc = part % 2 == 1
-    x = jnp.where(is_arc, arc_x, place[leg, 0] + rest * ux)
-    y = jnp.where(is_arc, arc_y, place[leg, 1] + rest * uy)
-    return jnp.where(over, goal[0], x), jnp.where(over, goal[1], y)
+    carry = start.place, start.arc, start.straight | ~jnp.isfinite(start.around)
+    _, legs = jax.lax.scan(follow, carry, length=PLAN_ARCS + 1)
+    return legs
 
 
 def _on_arc(navigation: Navigation, arc: Array, angle: Array) -> tuple[Array, Array]:
     """x and y [m] of the place at that angle [rad] of an arc."""
     arcs = navigation.arcs
-    middle, corner, signed = arcs.middle[arc], arcs.corner[arc], arcs.side[arc] * angle
+    middle = arcs.middle[arc]
+    corner = arcs.corner[arc]
+    signed = arcs.side[arc] * angle
     nx, ny = rotate(middle[0], middle[1], jnp.cos(signed), jnp.sin(signed))
     return corner[0] + navigation.radius * nx, corner[1] + navigation.radius * ny

@@ -14,7 +14,7 @@ from scipy.sparse.csgraph import connected_components
 from sean_jax.core.data_types import FAR, Array, Environment, Obstacles
 from sean_jax.core.devices import to_device
 from sean_jax.core.errors import InputError
-from sean_jax.core.geometry import signed_distances_on_host
+from sean_jax.core.geometry import rotate, signed_distances_on_host
 from sean_jax.core.padding import FlatTable, flat_table, in_programs
 from sean_jax.io import cache
 from sean_jax.world import environment as environments
@@ -81,7 +81,8 @@ def cell_of(
 
 def arc_bits(words: UInt8[Array, "*places V8"], number: int) -> Bool[Array, "..."]:
     """The bits of ``Navigation.visible``, for each of so many arcs."""
-    bits = words[..., None] & (1 << np.arange(8)).astype(np.uint8).reshape((1,) * words.ndim + (8,))
+    masks = (1 << np.arange(8)).astype(np.uint8)
+    bits = words[..., None] & masks.reshape((1,) * words.ndim + (8,))
     return (bits != 0).reshape(*words.shape[:-1], -1)[..., :number]
 
 
@@ -108,8 +109,8 @@ def build(environment: Environment, radius: float, cell: float | None = None) ->
         InputError: there is hardly a free place for such a disc, or there are too many corners.
     """
     boxes = environment.obstacles
-    inputs = environment.floor, boxes.center, boxes.half_extent, boxes.yaw, radius, 0.0 if cell is None else cell
-    fields = dict(cache.load_or_build("navigation", CODE, inputs, lambda: _make(environment, radius, cell)))
+    key = environment.floor, boxes.center, boxes.half_extent, boxes.yaw, radius, 0.0 if cell is None else cell
+    fields = dict(cache.load_or_build("navigation", CODE, key, lambda: _make(environment, radius, cell)))
     tables = {name: flat_table(fields.pop(name)) for name in TABLES}
     fields |= {"origin": np.asarray(environment.floor)[:2], "radius": np.asarray(radius)}
     fields = to_device(fields) | tables
@@ -119,39 +120,50 @@ def build(environment: Environment, radius: float, cell: float | None = None) ->
 
 def inputs(navigation: Navigation) -> list:
     """The key of these tables in the cache, for tables that are computed from them."""
-    boxes, grid = navigation.obstacles, (navigation.origin, navigation.cell, navigation.visible.shape)
+    boxes = navigation.obstacles
     shape = boxes.center, boxes.half_extent, boxes.yaw, navigation.radius
+    grid = navigation.origin, navigation.cell, navigation.visible.shape
     return [*shape, *jax.tree.leaves(navigation.arcs), navigation.distance.values, navigation.places, *grid]
 
 
 def _make(environment: Environment, radius: float, cell: float | None) -> dict[str, np.ndarray]:
     """The fields of the tables and of their arcs, as numpy arrays."""
     boxes = environment.obstacles
-    drawn = environments.free_points(environment, radius + ROOM, FREE_POINTS, seed=1)
-    exact = find_arcs(environment, radius)
-    if len(exact.side) > MAX_ARCS:
-        what = f"{len(exact.side):,} arcs around corners, and paths are planned over {MAX_ARCS:,} at most"
-        raise InputError(f"environment '{environment.name}' has {what}; describe it by fewer and larger boxes.")
-    links = common_tangents(exact, radius)
+    places = environments.free_points(environment, radius + ROOM, FREE_POINTS, seed=1)  # (P, 2) m
+    arcs = find_arcs(environment, radius)
+    n_arcs = len(arcs.side)
+    if n_arcs > MAX_ARCS:
+        raise InputError(
+            f"environment '{environment.name}' has {n_arcs:,} arcs around corners, and paths are planned over "
+            f"{MAX_ARCS:,} at most; describe it by fewer and larger boxes."
+        )
+    links = common_tangents(arcs, radius)
     clear = pairs_are_free(boxes, max(radius - SLACK, 0.0), links.begin, links.end)
-    links = CommonTangents(*(part[clear] for part in links))
-    paths = _shortest_chains(len(exact.side), links, radius)
+    links = CommonTangents(*(field[clear] for field in links))
+
+    # The arcs in sight of each place and of the middle of each cell.
     floor = np.asarray(environment.floor)
-    if cell is None:
-        area = float(np.prod(floor[2:] - floor[:2]))
-        cell = CELL * max(1, math.ceil(math.sqrt(area / MAX_CELLS) / CELL))
-    count = np.ceil((floor[2:] - floor[:2]) / cell).astype(int)
-    middle = [floor[k] + (np.arange(count[k]) + 0.5) * cell for k in (0, 1)]
-    spots = np.stack(np.meshgrid(*middle, indexing="ij"), -1).reshape(-1, 2).astype(np.float32)
-    shared = in_programs(boxes), in_programs(exact), jnp.asarray(radius, float)
-    visible = map_in_batches(_visible_arcs, shared, np.concatenate([drawn, spots]))[:, : len(exact.side)]
+    cell = _default_cell(floor) if cell is None else cell
+    n_cells = np.ceil((floor[2:] - floor[:2]) / cell).astype(int)
+    middles = floor[:2] + (np.indices(n_cells).reshape(2, -1).T + 0.5) * cell
+    spots = np.concatenate([places, middles.astype(np.float32)])
+    shared = in_programs(boxes), in_programs(arcs), jnp.asarray(radius, float)
+    visible = map_in_batches(_visible_arcs, shared, spots)[:, :n_arcs]
+    from_places, from_cells = np.split(visible, [FREE_POINTS])
+
     return {
-        **{name: getattr(exact, name) for name in FIELDS},
-        **paths,
-        "visible": np.packbits(visible[FREE_POINTS:].reshape(*count, -1), axis=-1, bitorder="little"),
+        **{name: getattr(arcs, name) for name in FIELDS},
+        **_shortest_chains(n_arcs, links, radius),
+        "visible": np.packbits(from_cells.reshape(*n_cells, -1), axis=-1, bitorder="little"),
         "cell": np.asarray(cell),
-        "places": drawn[_connected(visible[:FREE_POINTS], links)],
+        "places": places[_connected(from_places, links)],
     }
+
+
+def _default_cell(floor: np.ndarray) -> float:
+    """Side [m] of the cells of the visibility grid: a multiple of ``CELL``."""
+    area = float(np.prod(floor[2:] - floor[:2]))
+    return CELL * max(1, math.ceil(math.sqrt(area / MAX_CELLS) / CELL))
 
 
 def _visible_arcs(shared: tuple[Obstacles, CornerArcs, Array], spot: Array) -> Array:
@@ -162,72 +174,115 @@ def _visible_arcs(shared: tuple[Obstacles, CornerArcs, Array], spot: Array) -> A
     boxes, arcs, radius = shared
     start, free_radius = push_out_of_obstacles(boxes, spot, radius)
     _, _, x, y, on_arc = tangents(arcs, start, radius, True)
-    x, y = (jnp.where(on_arc[1::2], part[1::2], part[::2]) for part in (x, y))
+    x, y = (jnp.where(on_arc[1::2], component[1::2], component[::2]) for component in (x, y))
     clear = segments_are_free(boxes, start, x, y, free_radius)
     return on_arc & jnp.repeat(clear, 2)
 
 
-def _shortest_chains(number: int, links: CommonTangents, radius: float) -> dict[str, np.ndarray]:
+def _connected(visible: Bool[np.ndarray, "P V"], links: CommonTangents) -> Bool[np.ndarray, "P"]:
+    """The spots from which an arc of the largest connected component is ``visible``; all if none is."""
+    n_arcs = visible.shape[1]
+    if not visible.any():
+        return np.ones(len(visible), bool)
+
+    # Tangents connect arcs, and the two arcs of a corner are connected.
+    left = np.arange(0, n_arcs, 2)
+    source = np.append(links.source, left)
+    target = np.append(links.target, left + 1)
+    graph = coo_matrix((np.ones(len(source)), (source, target)), shape=(n_arcs, n_arcs))
+    n_components, component = connected_components(graph, directed=False)
+
+    # (C, P) whether a spot sees an arc of a component
+    in_sight = np.stack([visible[:, component == label].any(1) for label in range(n_components)])
+    return in_sight[in_sight.sum(1).argmax()]
+
+
+# --- shortest chains of tangents and arcs ---
+
+
+class Chains(NamedTuple):
+    """The shortest chains so far, to the second arc (column) from the first (row)."""
+
+    distance: Float[np.ndarray, "V V"]  # m, inf if there is none
+    arrival_angle: Float[np.ndarray, "V V"]  # rad
+    departure_angle: Float[np.ndarray, "V V"]  # rad
+    rotation: Float[np.ndarray, "V V"]  # rad
+    next_arc: Int[np.ndarray, "V V"]
+
+
+def _shortest_chains(n_arcs: int, links: CommonTangents, radius: float) -> dict[str, np.ndarray]:
     """The (V, V) tables of ``Navigation``: shortest chains of common tangents and arcs from arc to arc.
 
     By the relaxation of Bellman and Ford. Dijkstra's algorithm does not apply, because no arc runs backwards: the place
     where a path enters an arc decides which tangents it can take from there.
     """
-    distance, arrival = np.full((number, number), np.inf), np.full((number, number), -np.inf)
-    departure, rotation = np.zeros((number, number)), np.zeros((number, number))
-    next_arc = np.zeros((number, number), int)
-    first = np.arange(number)
-    distance[first, first], next_arc[first, first] = 0.0, first
-    order = np.argsort(links.target, kind="stable")
-    source, target_of, leave, enter = (
-        part[order] for part in (links.source, links.target, links.departure_angle, links.arrival_angle)
+    shape = n_arcs, n_arcs
+    chains = Chains(
+        distance=np.full(shape, np.inf),
+        arrival_angle=np.full(shape, -np.inf),
+        departure_angle=np.zeros(shape),
+        rotation=np.zeros(shape),
+        next_arc=np.diag(np.arange(n_arcs)),
     )
-    cost = links.length[order] + radius * (leave - enter)
-    slices = np.searchsorted(target_of, np.arange(number + 1))
+    np.fill_diagonal(chains.distance, 0.0)
+
+    # The tangents into each arc are a slice.
+    order = np.argsort(links.target, kind="stable")
+    links = CommonTangents(*(field[order] for field in links))
+    ends = np.searchsorted(links.target, np.arange(n_arcs + 1))
+
     changed = True
     while changed:
         changed = False
-        for target in range(number):
-            into = slice(slices[target], slices[target + 1])
-            before = source[into]
-            if len(before) == 0:
-                continue
-            feasible = arrival[:, before] <= leave[into] + STRAIGHT
-            total = np.where(feasible, distance[:, before] + cost[into], np.inf)
-            best = np.argmin(total, axis=1)
-            rows = np.flatnonzero(total[first, best] < distance[:, target] - 1e-9)
-            if len(rows) == 0:
-                continue
-            changed, best = True, best[rows]
-            link = slices[target] + best
-            starts = before[best] == rows
-            distance[rows, target], arrival[rows, target] = total[rows, best], enter[link]
-            rotation[rows, target] = rotation[rows, before[best]] + leave[link] - enter[link]
-            departure[rows, target] = np.where(starts, leave[link], departure[rows, before[best]])
-            next_arc[rows, target] = np.where(starts, target, next_arc[rows, before[best]])
+        for target in range(n_arcs):
+            into = slice(ends[target], ends[target + 1])
+            changed |= _relax(chains, target, CommonTangents(*(field[into] for field in links)), radius)
+
+    # The first arc of distances and arrivals is the one to which the path leads.
     return {
-        "distance": distance.T,
-        "arrival_angle": arrival.T,
-        "departure_angle": departure,
-        "rotation": rotation,
-        "next_arc": next_arc.astype(np.int16),
+        "distance": chains.distance.T,
+        "arrival_angle": chains.arrival_angle.T,
+        "departure_angle": chains.departure_angle,
+        "rotation": chains.rotation,
+        "next_arc": chains.next_arc.astype(np.int16),
     }
 
 
-def _connected(visible: np.ndarray, links: CommonTangents) -> np.ndarray:
-    """(P,) bool: the spots from which an arc of the largest connected part is ``visible`` (P, V); all if none is."""
-    number = visible.shape[1]
-    if not visible.any():
-        return np.ones(len(visible), bool)
-    first = np.arange(0, number, 2)  # the two arcs of a corner are connected
-    ends = np.append(links.source, first), np.append(links.target, first + 1)
-    graph = coo_matrix((np.ones(len(ends[0])), ends), shape=(number, number))
-    part = connected_components(graph, directed=False)[1]
-    count = np.array([(visible[:, part == label]).any(1).sum() for label in range(part.max() + 1)])
-    return np.asarray(visible[:, part == count.argmax()].any(1))
+def _relax(chains: Chains, target: int, links: CommonTangents, radius: float) -> bool:
+    """Replace, in place, the chains to an arc that are shorter by one of the tangents into it; whether any is."""
+    if len(links.source) == 0:
+        return False
+    feasible = chains.arrival_angle[:, links.source] <= links.departure_angle + STRAIGHT
+    rotation = links.departure_angle - links.arrival_angle
+    total = chains.distance[:, links.source] + (links.length + radius * rotation)
+    total = np.where(feasible, total, np.inf)  # (V, links)
+
+    link = np.argmin(total, axis=1)
+    shortest = np.take_along_axis(total, link[:, None], 1)[:, 0]
+    start = np.flatnonzero(shortest < chains.distance[:, target] - 1e-9)
+    link = link[start]
+    leave = links.departure_angle[link]
+    enter = links.arrival_angle[link]
+    to_source = start, links.source[link]
+    to_target = start, target
+
+    is_first = links.source[link] == start
+    chains.distance[to_target] = shortest[start]
+    chains.arrival_angle[to_target] = enter
+    chains.rotation[to_target] = chains.rotation[to_source] + leave - enter
+    chains.departure_angle[to_target] = np.where(is_first, leave, chains.departure_angle[to_source])
+    chains.next_arc[to_target] = np.where(is_first, target, chains.next_arc[to_source])
+    return len(start) > 0
 
 
 # --- arcs and their common tangents ---
+
+
+class Quarters(NamedTuple):
+    """The quarters of circles that a disc's middle describes around corners of obstacles."""
+
+    corner: Float[np.ndarray, "K 2"]  # m
+    middle: Float[np.ndarray, "K 2"]  # unit vector from the corner to the middle of the quarter
 
 
 def find_arcs(environment: Environment, radius: float) -> CornerArcs:
@@ -235,77 +290,122 @@ def find_arcs(environment: Environment, radius: float) -> CornerArcs:
 
     If there are none, one that no path can use.
     """
-    boxes = environment.obstacles
-    center, half, yaw = (np.asarray(part, float) for part in (boxes.center, boxes.half_extent, boxes.yaw))
-    signs = np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)])
-    corner = (center[:, None] + _rotated(half[:, None] * signs, yaw[:, None])).reshape(-1, 2)
-    middle = _rotated(np.broadcast_to(signs / np.sqrt(2), (len(yaw), 4, 2)), yaw[:, None]).reshape(-1, 2)
+    quarters = _quarters(environment.obstacles)
+    index, low, high = _free_ranges(environment, radius, quarters)
 
-    def free(index: np.ndarray, angle: np.ndarray) -> np.ndarray:
-        """Whether the disc is clear at these angles, counter-clockwise, of the circles about those corners."""
-        place = corner[index] + radius * _rotated(middle[index], angle)
-        return np.minimum(*signed_distances_on_host(environment, place)) >= radius - 1e-6
+    # Paths over narrower ranges may go straight.
+    wide = high - low > np.sqrt(SLACK / max(radius, SLACK))
+    corner, middle = (field[index[wide]] for field in quarters)
+    low = low[wide]
+    high = high[wide]
 
-    angles = np.linspace(-np.pi / 4, np.pi / 4, SAMPLES)
-    index = np.arange(len(corner))
-    clear = np.stack([free(index, np.full(len(corner), angle)) for angle in angles], 1)
-    change = np.diff(np.pad(clear, [(0, 0), (1, 1)]).astype(int), axis=1)
-    (where, begin), (_, end) = np.nonzero(change == 1), np.nonzero(change == -1)
-    ends = []
-    for inside, outside in ((begin, begin - 1), (end - 1, end)):  # bisection between a free sample and a covered one
-        good, bad = angles[inside], angles[np.clip(outside, 0, SAMPLES - 1)]
-        for _ in range(30):
-            between = (good + bad) / 2
-            is_free = free(where, between)
-            good, bad = np.where(is_free, between, good), np.where(is_free, bad, between)
-        ends.append(good)
-    wide = ends[1] - ends[0] > np.sqrt(SLACK / max(radius, SLACK))  # paths over narrower ones may go straight
-    where, low, high = where[wide], ends[0][wide], ends[1][wide]
-    if len(where) == 0:
-        corner, middle, where = np.zeros((1, 2)), np.array([[1.0, 0.0]]), np.zeros(1, int)
-        low, high = np.full(1, 9.0), np.full(1, -9.0)  # an arc that no path touches: the tables must not be empty
-    parts = {
-        "corner": np.repeat(corner[where], 2, axis=0),
-        "middle": np.repeat(middle[where], 2, axis=0),
-        "side": np.tile([1.0, -1.0], len(where)),
+    # The tables must not be empty: an arc that no path touches.
+    if len(corner) == 0:
+        corner = np.zeros((1, 2))
+        middle = np.array([[1.0, 0.0]])
+        low = np.full(1, 9.0)
+        high = np.full(1, -9.0)
+
+    # Two arcs of each range: angles grow in the direction of travel.
+    fields = {
+        "corner": np.repeat(corner, 2, axis=0),
+        "middle": np.repeat(middle, 2, axis=0),
+        "side": np.tile([1.0, -1.0], len(corner)),
         "first": np.stack([low, -high], 1).ravel(),
         "last": np.stack([high, -low], 1).ravel(),
     }
-    return CornerArcs(**cast(dict[str, Any], parts))  # numpy's float64, until the tables are complete
+    return CornerArcs(**cast(dict[str, Any], fields))  # numpy's float64, until the tables are complete
+
+
+def _quarters(boxes: Obstacles) -> Quarters:
+    signs = np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)])
+    center, half, yaw = (np.asarray(field, float) for field in (boxes.center, boxes.half_extent, boxes.yaw))
+    diagonal = np.broadcast_to(signs / np.sqrt(2), (len(yaw), 4, 2))
+    corner = center[:, None] + _rotated(half[:, None] * signs, yaw[:, None])  # (W, 4, 2)
+    middle = _rotated(diagonal, yaw[:, None])
+    return Quarters(corner.reshape(-1, 2), middle.reshape(-1, 2))
+
+
+def _free_ranges(
+    environment: Environment, radius: float, quarters: Quarters
+) -> tuple[Int[np.ndarray, "R"], Float[np.ndarray, "R"], Float[np.ndarray, "R"]]:
+    """The parts of quarters on which the disc is free: index of the quarter, first and last angle [rad] in it."""
+    angles = np.linspace(-np.pi / 4, np.pi / 4, SAMPLES)
+    samples = [_is_free(environment, radius, quarters, np.full(len(quarters.corner), angle)) for angle in angles]
+    clear = np.stack(samples, 1)  # (K, SAMPLES)
+
+    change = np.diff(np.pad(clear, [(0, 0), (1, 1)]).astype(int), axis=1)
+    index, first = np.nonzero(change == 1)
+    _, last = np.nonzero(change == -1)
+    last = last - 1
+
+    # Between a free sample and the covered one beside it.
+    quarters = Quarters(*(field[index] for field in quarters))
+    before = np.clip(first - 1, 0, SAMPLES - 1)
+    after = np.clip(last + 1, 0, SAMPLES - 1)
+    low = _bisect(environment, radius, quarters, angles[first], angles[before])
+    high = _bisect(environment, radius, quarters, angles[last], angles[after])
+    return index, low, high
+
+
+def _is_free(
+    environment: Environment, radius: float, quarters: Quarters, angle: Float[np.ndarray, "K"]
+) -> Bool[np.ndarray, "K"]:
+    """Whether the disc touches nothing else at an angle [rad], counter-clockwise, of each quarter."""
+    place = quarters.corner + radius * _rotated(quarters.middle, angle)
+    return np.minimum(*signed_distances_on_host(environment, place)) >= radius - 1e-6
+
+
+def _bisect(
+    environment: Environment, radius: float, quarters: Quarters, free: np.ndarray, covered: np.ndarray
+) -> np.ndarray:
+    """The last free angles [rad] between angles that are free and angles that are covered, or equal to them."""
+    for _ in range(30):
+        between = (free + covered) / 2
+        is_free = _is_free(environment, radius, quarters, between)
+        free = np.where(is_free, between, free)
+        covered = np.where(is_free, covered, between)
+    return free
 
 
 def common_tangents(arcs: CornerArcs, radius: float) -> CommonTangents:
     """The segments from arc to arc that touch both circles of a radius [m], through any obstacles in between."""
-    corner, middle, side, first, last = (
-        np.asarray(part) for part in (arcs.corner, arcs.middle, arcs.side, arcs.first, arcs.last)
-    )
-    gap = corner[None] - corner[:, None]
-    far = np.hypot(gap[..., 0], gap[..., 1])
-    from_side, to_side = side[:, None], side[None, :]
-    crossing = from_side != to_side
-    exists = (far > 1e-6) & (~crossing | (far >= 2 * radius - SLACK))
-    tilt = from_side * np.arcsin(np.minimum(np.where(crossing, 2 * radius, 0.0) / np.maximum(far, 1e-6), 1.0))
-    along = _rotated(gap / np.maximum(far, 1e-6)[..., None], tilt)
-    right = np.stack([along[..., 1], -along[..., 0]], -1)
-    departure, arrival = (_touch_angle(middle, side, right, axis) for axis in (0, 1))
-    for angle, axis in ((departure, 0), (arrival, 1)):
-        low, high = (np.expand_dims(limit, 1 - axis) for limit in (first, last))
-        exists = exists & (angle >= low - ANGLE) & (angle <= high + ANGLE)
+    corner, middle, side, first, last = (np.asarray(getattr(arcs, name)) for name in FIELDS)
+    gap = corner[None] - corner[:, None]  # (V, V, 2)
+    distance = np.hypot(gap[..., 0], gap[..., 1])
+    direction = gap / np.maximum(distance, 1e-6)[..., None]
+
+    # Tangents that pass the corners on different sides cross the line between them, if the circles are apart.
+    from_side = side[:, None]
+    crossing = from_side != side[None, :]
+    exists = (distance > 1e-6) & (~crossing | (distance >= 2 * radius - SLACK))
+    sine = np.where(crossing, 2 * radius, 0.0) / np.maximum(distance, 1e-6)
+    tilt = from_side * np.arcsin(np.minimum(sine, 1.0))
+    along = _rotated(direction, tilt)
+    right = np.stack([along[..., 1], -along[..., 0]], -1)  # (V, V, 2)
+
+    # They touch the free parts of both arcs.
+    departure = _touch_angle(middle[:, None], side[:, None], right)
+    arrival = _touch_angle(middle[None], side[None], right)
+    exists &= (departure >= first[:, None] - ANGLE) & (departure <= last[:, None] + ANGLE)
+    exists &= (arrival >= first - ANGLE) & (arrival <= last + ANGLE)
+
+    # From a point of the first circle to one of the second.
     i, j = np.nonzero(exists)
     begin = corner[i] + radius * side[i, None] * right[i, j]
     end = corner[j] + radius * side[j, None] * right[i, j]
-    return CommonTangents(i, j, np.hypot(*(end - begin).T), departure[i, j], arrival[i, j], begin, end)
+    length = np.hypot(*(end - begin).T)
+    return CommonTangents(i, j, length, departure[i, j], arrival[i, j], begin, end)
 
 
-def _rotated(vectors: np.ndarray, angle: np.ndarray) -> np.ndarray:
-    cosine, sine = np.cos(angle), np.sin(angle)
+def _rotated(vectors: Float[np.ndarray, "*batch 2"], angle: Float[np.ndarray, "..."]) -> Float[np.ndarray, "*batch 2"]:
     x, y = vectors[..., 0], vectors[..., 1]
-    return np.stack([cosine * x - sine * y, sine * x + cosine * y], -1)
+    return np.stack(rotate(x, y, np.cos(angle), np.sin(angle)), -1)
 
 
-def _touch_angle(middle: np.ndarray, side: np.ndarray, right: np.ndarray, axis: int) -> np.ndarray:
-    """(V, V) rad where segments with that right-hand normal touch the first (axis 0) or the second (axis 1) arc."""
-    middle, side = np.expand_dims(middle, 1 - axis), np.expand_dims(side, 1 - axis)
+def _touch_angle(middle: np.ndarray, side: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """(V, V) rad where segments with that right-hand normal touch arcs, whose fields broadcast."""
     normal = side[..., None] * right
     cross = middle[..., 0] * normal[..., 1] - middle[..., 1] * normal[..., 0]
-    return side * np.arctan2(cross, (middle * normal).sum(-1))
+    dot = (middle * normal).sum(-1)
+    return side * np.arctan2(cross, dot)

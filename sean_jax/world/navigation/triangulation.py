@@ -5,13 +5,15 @@ shorter edge. Once no segment can be added, the edges enclose triangles (greedy 
 Unity has, also cuts by the shortest diagonals. Boxes may overlap in any way.
 """
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 
 from sean_jax.core.data_types import Environment
+from sean_jax.core.geometry import rotate
 
 ROUNDING = 1e-6  # m, of corners
 SAME = 5e-6  # m, nearer corners are one, and a segment passes through a corner that is nearer to it
@@ -23,129 +25,242 @@ CORNERS = np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)])
 class Boxes(NamedTuple):
     """Obstacles that are grown by a radius without rounding, in float64; the last box is the room, shrunk by it."""
 
-    center: Float[np.ndarray, "W 2"]  # m
-    half: Float[np.ndarray, "W 2"]  # m
-    cosine: Float[np.ndarray, "W"]
-    sine: Float[np.ndarray, "W"]
+    center: Float[np.ndarray, "*boxes 2"]  # m
+    half: Float[np.ndarray, "*boxes 2"]  # m
+    cosine: Float[np.ndarray, "*boxes"]
+    sine: Float[np.ndarray, "*boxes"]
+
+
+class Segments(NamedTuple):
+    """Straight segments between two corners."""
+
+    start: Float[np.ndarray, "P 2"]  # m
+    end: Float[np.ndarray, "P 2"]  # m
 
 
 def free_triangles(environment: Environment, radius: float) -> Float[np.ndarray, "T 3 2"]:
     """The floor that is free for a disc of a radius [m] as triangles [m], counter-clockwise, with sharp corners."""
     boxes = _grow(environment, radius)
-    corner = _corners(boxes)
-    triangles = _faces(corner, _shortest_edges(corner, _free_pairs(boxes, corner)))
-    return corner[triangles[_clearance(boxes, corner[triangles].mean(1)) > 0.0]]
+    corners = _corners(boxes)
+    edges = _shortest_edges(corners, _free_pairs(boxes, corners))
+    triangles = corners[_faces(corners, edges)]  # (T, 3, 2)
+
+    # Edges also enclose obstacles.
+    return triangles[_clearance(boxes, triangles.mean(1)) > 0.0]
 
 
 def _grow(environment: Environment, radius: float) -> Boxes:
-    obstacles, floor = environment.obstacles, np.asarray(environment.floor, float)
-    center, half, yaw = (np.asarray(part, float) for part in (obstacles.center, obstacles.half_extent, obstacles.yaw))
-    center = np.concatenate([center, [(floor[:2] + floor[2:]) / 2]])
-    half = np.concatenate([half + radius, [(floor[2:] - floor[:2]) / 2 - radius]])
-    yaw = np.append(yaw, 0.0)
+    obstacles = environment.obstacles
+    floor = np.asarray(environment.floor, float)
+    center = np.concatenate([obstacles.center, [(floor[:2] + floor[2:]) / 2]], dtype=float)
+
+    half = np.asarray(obstacles.half_extent, float) + radius
+    half = np.concatenate([half, [(floor[2:] - floor[:2]) / 2 - radius]])
+
+    yaw = np.append(np.asarray(obstacles.yaw, float), 0.0)
     return Boxes(center, half, np.cos(yaw), np.sin(yaw))
 
 
-def _in_frames(boxes: Boxes, points: Float[np.ndarray, "P 2"]) -> Float[np.ndarray, "2 P W"]:
-    """The points [m] in the frame of each box."""
-    x, y = np.moveaxis(points[:, None] - boxes.center, -1, 0)
-    return np.stack([boxes.cosine * x + boxes.sine * y, boxes.cosine * y - boxes.sine * x])
+def _obstacles(boxes: Boxes) -> Iterator[Boxes]:
+    """Each box but the room."""
+    for index in range(len(boxes.center) - 1):
+        yield Boxes(*(field[index] for field in boxes))
+
+
+def _to_frame(boxes: Boxes, points: Float[np.ndarray, "*points 2"]) -> Float[np.ndarray, "2 ..."]:
+    """The points [m], which broadcast with the boxes, in the frame of their box."""
+    x, y = np.moveaxis(points - boxes.center, -1, 0)
+    return np.stack(rotate(x, y, boxes.cosine, -boxes.sine))
+
+
+def _cross(u: Float[np.ndarray, "*us 2"], v: Float[np.ndarray, "*vs 2"]) -> Float[np.ndarray, "..."]:
+    """The cross product of vectors in the plane, which broadcast; positive if v is to the left of u."""
+    return u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0]
 
 
 def _clearance(boxes: Boxes, points: Float[np.ndarray, "P 2"]) -> Float[np.ndarray, "P"]:
     """To the nearest side [m] along the axes of its box, negative within an obstacle or outside the room."""
-    clearance = np.empty(len(points))
-    for part in np.array_split(np.arange(len(points)), max(1, len(points) // 1024)):
-        over = (np.abs(_in_frames(boxes, points[part])) - boxes.half.T[:, None]).max(0)  # negative inside
-        over[:, -1] *= -1
-        clearance[part] = over.min(1)
-    return clearance
+    batches = np.array_split(points, max(1, len(points) // 1024))
+    return np.concatenate([_clearance_of_batch(boxes, batch) for batch in batches])
+
+
+def _clearance_of_batch(boxes: Boxes, points: Float[np.ndarray, "P 2"]) -> Float[np.ndarray, "P"]:
+    local = _to_frame(boxes, points[:, None])  # (2, P, W)
+    beyond = (np.abs(local) - boxes.half.T[:, None]).max(0)  # (P, W), negative inside
+    beyond[:, -1] *= -1  # the room is free inside
+    return beyond.min(1)
+
+
+# --- corners and segments between them ---
 
 
 def _corners(boxes: Boxes) -> Float[np.ndarray, "K 2"]:
     """The corners [m] of boxes, and where sides of two of them meet, as far as they are free, in order, each once."""
-    x, y = np.moveaxis(boxes.half[:, None] * CORNERS, -1, 0)
-    cosine, sine = boxes.cosine[:, None], boxes.sine[:, None]
-    corner = boxes.center[:, None] + np.stack([cosine * x - sine * y, sine * x + cosine * y], -1)
-    begin, way = corner.reshape(-1, 2), (np.roll(corner, -1, 1) - corner).reshape(-1, 2)
-    crossings = [begin]
-    for origin, along in zip(begin, way, strict=True):
-        gap = begin - origin
-        cross = along[0] * way[:, 1] - along[1] * way[:, 0]
-        crosses = np.abs(cross) > 1e-9 * (1.0 + np.abs(way).max(1))
-        scale = 1.0 / np.where(crosses, cross, 1.0)
-        mine = (gap[:, 0] * way[:, 1] - gap[:, 1] * way[:, 0]) * scale
-        other = (gap[:, 0] * along[1] - gap[:, 1] * along[0]) * scale
-        meets = crosses & (np.minimum(mine, other) >= 0.0) & (np.maximum(mine, other) <= 1.0)
-        crossings.append(origin + mine[meets, None] * along)
-    spots = np.unique(np.round(np.concatenate(crossings) / ROUNDING).astype(np.int64), axis=0) * ROUNDING
-    spots = spots[_clearance(boxes, spots) >= -2 * ROUNDING]
-    doubles = KDTree(spots).query_pairs(SAME, output_type="ndarray")[:, 1] if len(spots) else []
-    return np.delete(spots, doubles, 0)
+    x, y = (boxes.half[:, None] * CORNERS).T  # (4, W)
+    offsets = np.stack(rotate(x, y, boxes.cosine, boxes.sine))
+    corners = boxes.center[:, None] + offsets.T  # (W, 4, 2)
+    following = np.roll(corners, -1, 1)
+    sides = Segments(corners.reshape(-1, 2), following.reshape(-1, 2))
+
+    # Rounded, the same corner of two boxes occurs once.
+    points = np.concatenate([sides.start, *_crossings(sides)])
+    rounded = np.round(points / ROUNDING).astype(np.int64)
+    points = np.unique(rounded, axis=0) * ROUNDING
+    points = points[_clearance(boxes, points) >= -2 * ROUNDING]
+    if len(points) == 0:
+        return points
+
+    # On either side of a border between two roundings it occurs twice.
+    doubles = KDTree(points).query_pairs(SAME, output_type="ndarray")[:, 1]
+    return np.delete(points, doubles, 0)
 
 
-def _free_pairs(boxes: Boxes, corner: Float[np.ndarray, "K 2"]) -> Int[np.ndarray, "P 2"]:
+def _crossings(sides: Segments) -> Iterator[Float[np.ndarray, "X 2"]]:
+    """Where each side crosses others [m], by Cramer's rule."""
+    direction = sides.end - sides.start
+    parallel = 1e-9 * (1.0 + np.abs(direction).max(1))
+    for start, along in zip(sides.start, direction, strict=True):
+        gap = sides.start - start
+        determinant = _cross(along, direction)
+        crosses = np.abs(determinant) > parallel
+        scale = 1.0 / np.where(crosses, determinant, 1.0)
+
+        # They meet if the crossing of their lines lies on both.
+        share = _cross(gap, direction) * scale
+        other_share = _cross(gap, along) * scale
+        low = np.minimum(share, other_share)
+        high = np.maximum(share, other_share)
+        meets = crosses & (low >= 0.0) & (high <= 1.0)
+        yield start + share[meets, None] * along
+
+
+def _free_pairs(boxes: Boxes, corners: Float[np.ndarray, "K 2"]) -> Int[np.ndarray, "P 2"]:
     """The pairs of corners between which a segment enters no obstacle and passes through no other corner."""
-    pairs = np.stack(np.triu_indices(len(corner), 1), 1)
-    low, cell = boxes.center[-1] - boxes.half[-1], np.maximum(2 * boxes.half[-1] / CELLS, ROUNDING)
-    middle = low + (np.indices((CELLS, CELLS)).reshape(2, -1).T + 0.5) * cell
-    full = (_clearance(boxes, middle) < -np.hypot(*cell) / 2).reshape(CELLS, CELLS)
+    pairs = _pairs_past_full_cells(boxes, corners)
+    segments = _between(corners, pairs)
+
+    blocked = np.zeros(len(pairs), bool)
+    for box in _obstacles(boxes):
+        blocked |= _enters_box(segments, box)
+
+    # Through a third corner, two triangles would share only a part of an edge.
+    for corner in corners:
+        blocked |= _passes_through(segments, corner)
+    return pairs[~blocked]
+
+
+def _between(corners: Float[np.ndarray, "K 2"], pairs: Int[np.ndarray, "P 2"]) -> Segments:
+    start, end = pairs.T
+    return Segments(corners[start], corners[end])
+
+
+def _pairs_past_full_cells(boxes: Boxes, corners: Float[np.ndarray, "K 2"]) -> Int[np.ndarray, "P 2"]:
+    """The pairs of corners between which no sample lies in a cell inside an obstacle: the few worth an exact test."""
+    room = boxes.half[-1]
+    low = boxes.center[-1] - room
+    cell = np.maximum(2 * room / CELLS, ROUNDING)  # (2,) m
+
+    # A cell is full if its corners are in an obstacle as well as its middle.
+    cells = np.indices((CELLS, CELLS)).reshape(2, -1).T
+    middles = low + (cells + 0.5) * cell  # (CELLS^2, 2) m
+    full = _clearance(boxes, middles) < -np.hypot(*cell) / 2
+    full = full.reshape(CELLS, CELLS)
+
+    pairs = np.stack(np.triu_indices(len(corners), 1), 1)  # (P, 2)
     for share in np.arange(1, SAMPLES + 1) / (SAMPLES + 1):
-        point = (1 - share) * corner[pairs[:, 0]] + share * corner[pairs[:, 1]]
-        i, j = np.clip((point - low) // cell, 0, CELLS - 1).astype(int).T
+        start, end = _between(corners, pairs)
+        samples = (1 - share) * start + share * end
+        cells = np.clip((samples - low) // cell, 0, CELLS - 1)
+        i, j = cells.astype(int).T
         pairs = pairs[~full[i, j]]
-    begin, end = corner[pairs[:, 0]], corner[pairs[:, 1]]
-    way = end - begin
-    span = np.hypot(*way.T)
-    free = np.ones(len(pairs), bool)
-    for index in range(len(boxes.center) - 1):
-        box = Boxes(*(part[index : index + 1] for part in boxes))
-        here, there = (_in_frames(box, points)[..., 0] for points in (begin, end))
-        side, step = np.maximum(box.half.T - 2 * SAME, 0.0), there - here
-        step = np.where(np.abs(step) < 1e-12, 1e-12, step)
-        enters, leaves = np.sort([(-side - here) / step, (side - here) / step], axis=0)
-        free &= np.maximum(enters.max(0), 0.0) >= np.minimum(leaves.min(0), 1.0)
-    for point in corner:
-        gap = point - begin
-        share = (gap * way).sum(1) / span
-        passes = np.abs(way[:, 0] * gap[:, 1] - way[:, 1] * gap[:, 0]) < SAME * span
-        free &= ~(passes & (share > SAME) & (share < span - SAME))
-    return pairs[free]
+    return pairs
 
 
-def _shortest_edges(corner: Float[np.ndarray, "K 2"], pairs: Int[np.ndarray, "P 2"]) -> Int[np.ndarray, "E 2"]:
+def _enters_box(segments: Segments, box: Boxes) -> Bool[np.ndarray, "P"]:
+    """Whether each segment enters the inside of a box (slab method; Kay and Kajiya 1986)."""
+    start = _to_frame(box, segments.start)  # (2, P)
+    direction = _to_frame(box, segments.end) - start
+    direction = np.where(np.abs(direction) < 1e-12, 1e-12, direction)
+
+    half = np.maximum(box.half - 2 * SAME, 0.0)[:, None]  # a segment along a side does not enter
+    at_low = (-half - start) / direction
+    at_high = (half - start) / direction
+    enter = np.maximum(np.minimum(at_low, at_high).max(0), 0.0)
+    leave = np.minimum(np.maximum(at_low, at_high).min(0), 1.0)
+    return enter < leave
+
+
+def _passes_through(segments: Segments, corner: Float[np.ndarray, "2"]) -> Bool[np.ndarray, "P"]:
+    """Whether each segment passes through a corner that is not one of its ends."""
+    direction = segments.end - segments.start
+    length = np.hypot(*direction.T)
+
+    gap = corner - segments.start
+    along = (gap * direction).sum(1) / length
+    across = np.abs(_cross(direction, gap))  # times the length
+    return (across < SAME * length) & (along > SAME) & (along < length - SAME)
+
+
+# --- edges and triangles ---
+
+
+def _shortest_edges(corners: Float[np.ndarray, "K 2"], pairs: Int[np.ndarray, "P 2"]) -> Int[np.ndarray, "E 2"]:
     """The pairs of corners whose segments cross none that is shorter and chosen."""
-    x, y = corner.T
-    order = np.argsort(np.hypot(*(corner[pairs[:, 1]] - corner[pairs[:, 0]]).T), kind="stable")
-    chosen = np.empty((3 * len(corner), 2), int)  # a plane graph has fewer edges
+    start, end = _between(corners, pairs)
+    length = np.hypot(*(end - start).T)
+
+    chosen = np.empty((3 * len(corners), 2), int)  # a plane graph has fewer edges
     count = 0
-
-    def left_of(a, b, c):
-        return (x[b] - x[a]) * (y[c] - y[a]) > (y[b] - y[a]) * (x[c] - x[a])
-
-    for a, b in pairs[order]:
-        c, d = chosen[:count].T
-        apart = (c != a) & (c != b) & (d != a) & (d != b)
-        crosses = (left_of(a, b, c) != left_of(a, b, d)) & (left_of(c, d, a) != left_of(c, d, b))
-        if not (apart & crosses).any():
+    for a, b in pairs[np.argsort(length, kind="stable")]:
+        if not _crosses_any(corners, a, b, chosen[:count]):
             chosen[count] = a, b
             count += 1
     return chosen[:count]
 
 
-def _faces(corner: Float[np.ndarray, "K 2"], edges: Int[np.ndarray, "E 2"]) -> Int[np.ndarray, "T 3"]:
+def _crosses_any(corners: Float[np.ndarray, "K 2"], a: int, b: int, edges: Int[np.ndarray, "E 2"]) -> bool:
+    """Whether the segment from corner a to corner b crosses an edge (c, d)."""
+    c, d = edges.T
+    apart = (c != a) & (c != b) & (d != a) & (d != b)
+
+    # They cross if the ends of each lie on different sides of the other.
+    a, b, c, d = corners[a], corners[b], corners[c], corners[d]
+    crosses = _left_of(a, b, c) != _left_of(a, b, d)
+    crosses &= _left_of(c, d, a) != _left_of(c, d, b)
+    return bool((apart & crosses).any())
+
+
+def _left_of(start: np.ndarray, end: np.ndarray, point: np.ndarray) -> np.ndarray:
+    """Whether a point lies to the left of the line from start to end (*batch, 2)."""
+    return _cross(end - start, point - start) > 0.0
+
+
+def _faces(corners: Float[np.ndarray, "K 2"], edges: Int[np.ndarray, "E 2"]) -> Int[np.ndarray, "T 3"]:
     """The triangles that edges enclose, counter-clockwise."""
-    source, target = np.concatenate([edges, edges[:, ::-1]]).T
-    angle = np.arctan2(*(corner[target] - corner[source]).T[::-1])
-    order = np.lexsort((angle, source))
-    source, target = source[order], target[order]
-    begin, count = np.unique(source, return_index=True, return_counts=True)[1:]
-    following = np.arange(1, len(source) + 1)
-    following[begin + count - 1] = begin
-    wedges = np.stack([source, target, target[following]], 1)  # a corner and two neighbors, one after the other
+    wedges = _wedges(corners, edges)
     lowest = wedges.argmin(1)
-    wedges = np.take_along_axis(wedges, (lowest[:, None] + np.arange(3)) % 3, 1)
-    triangles, times = np.unique(wedges, axis=0, return_counts=True)
-    triangles = triangles[times == 3]  # of all its corners
-    first, second = corner[triangles[:, 1]] - corner[triangles[:, 0]], corner[triangles[:, 2]] - corner[triangles[:, 0]]
-    return triangles[first[:, 0] * second[:, 1] > first[:, 1] * second[:, 0]]
+    rotation = (lowest[:, None] + np.arange(3)) % 3
+    wedges = np.take_along_axis(wedges, rotation, 1)
+
+    # A triangle is a wedge of each of its three corners.
+    triangles, counts = np.unique(wedges, axis=0, return_counts=True)
+    triangles = triangles[counts == 3]
+
+    # The rest is the outside of a triangle that is apart from all others.
+    first, second, third = corners[triangles.T]
+    return triangles[_left_of(first, second, third)]
+
+
+def _wedges(corners: Float[np.ndarray, "K 2"], edges: Int[np.ndarray, "E 2"]) -> Int[np.ndarray, "W 3"]:
+    """Each corner with two of its neighbors that follow one another counter-clockwise."""
+    directed = np.concatenate([edges, edges[:, ::-1]])
+    start, end = _between(corners, directed)
+    dx, dy = (end - start).T
+    order = np.lexsort((np.arctan2(dy, dx), directed[:, 0]))
+    source, target = directed[order].T
+
+    # The last neighbor of a corner is followed by the first.
+    following = np.arange(1, len(source) + 1)
+    _, first, count = np.unique(source, return_index=True, return_counts=True)
+    following[first + count - 1] = first
+    return np.stack([source, target, target[following]], 1)

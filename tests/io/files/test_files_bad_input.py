@@ -45,8 +45,8 @@ READERS = {
     "scene.xml": environment.load,
     "robot.xml": lambda folder: robots.load(folder / "robot.xml", "twin"),
     "people.csv": lambda folder: recordings.read(folder / "people.csv", "eth_ucy"),
-    "map.yaml": lambda folder: ros_map.read(folder / "map.yaml"),
-    "map.png": lambda folder: ros_map.read(folder / "map.yaml"),
+    "map.yaml": lambda folder: ros_map.read_map(folder / "map.yaml"),
+    "map.png": lambda folder: ros_map.read_map(folder / "map.yaml"),
     "dataset.json": open_dataset,
     "config.json": lambda folder: read_network_config(folder / "config.json"),
 }

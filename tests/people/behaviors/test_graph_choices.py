@@ -131,10 +131,10 @@ def choosers(scenario):
     nobody = jax.tree.map(lambda leaf: jnp.zeros((12, *leaf.shape[1:]), leaf.dtype), nobody)
     nobody = dataclasses.replace(nobody, walking_group=jnp.full(12, -1, jnp.int32), present=jnp.ones(12, bool))
 
-    def at(hop, seat) -> graph_choices.Memory:
+    def at(hop, seat) -> graph_choices.GraphMemory:
         hop, seat = jnp.asarray(hop, jnp.int32), jnp.asarray(seat, jnp.int32)
         nowhere, rows = jnp.zeros((len(hop), 2)), jnp.zeros((graph.seat_node.shape[0], 2))
-        return graph_choices.Memory(hop, hop, hop, nowhere, seat, jnp.zeros(len(hop)), rows, rows)
+        return graph_choices.GraphMemory(hop, hop, hop, nowhere, seat, jnp.zeros(len(hop)), rows, rows)
 
     return graph, at, nobody
 

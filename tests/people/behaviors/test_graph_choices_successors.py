@@ -8,7 +8,7 @@ import pytest
 
 import sean_jax
 from sean_jax.people.behaviors import graph_choices
-from sean_jax.people.behaviors.graph_choices import Memory, seats_of
+from sean_jax.people.behaviors.graph_choices import GraphMemory, seats_of
 from sean_jax.studies.validation.groups import group_occupancy
 from sean_jax.world import environment as environments
 from support import crowds
@@ -44,7 +44,7 @@ def sent(scenario):
         hop = np.where((seat < 0) & rises, draw.choice(node, PEOPLE), hop)
         ints = [jnp.asarray(part, jnp.int32) for part in (goal, hop, draw.integers(nodes, size=PEOPLE), seat, stay)]
         rows = jnp.zeros((seats, 2))
-        memory = Memory(*ints[:3], jnp.zeros((PEOPLE, 2)), *ints[3:], rows, rows)
+        memory = GraphMemory(*ints[:3], jnp.zeros((PEOPLE, 2)), *ints[3:], rows, rows)
         arrival, seekers = draw.uniform(2, 25, (PEOPLE, 3)).astype(np.float32), draw.random(PEOPLE) < 0.6
         found = send(memory, jnp.asarray(arrival), jnp.asarray(seekers))
         moments.append(jax.tree.map(np.asarray, (memory, arrival, seekers, *found)))

@@ -142,7 +142,7 @@ def test_columns_are_those_of_first_fit():
     generator = np.random.default_rng(0)
     for _ in range(50):
         begins = np.sort(generator.integers(0, 60, 80)).tolist()
-        walks = [reading.Walk(begin, np.zeros((int(generator.integers(2, 25)), 2)), 0) for begin in begins]
+        walks = [reading.RecordedWalk(begin, np.zeros((int(generator.integers(2, 25)), 2)), 0) for begin in begins]
         plain: list = []
         for walk in walks:
             column = next((each for each in plain if each[-1].begin + len(each[-1].places) < walk.begin), None)
@@ -157,7 +157,7 @@ def test_columns_are_those_of_first_fit():
 
 def test_more_people_at_once_than_there_can_be_are_refused(monkeypatch):
     monkeypatch.setattr(reading, "MAX_PEOPLE", 3)
-    walks = [reading.Walk(0, np.zeros((5, 2)), 0)] * 4
+    walks = [reading.RecordedWalk(0, np.zeros((5, 2)), 0)] * 4
     assert len(reading._columns(walks[:3], Path("people.csv"))) == 3
     with pytest.raises(ValueError, match="people.csv: more than 3 people are there at once; cut the recording"):
         reading._columns(walks, Path("people.csv"))

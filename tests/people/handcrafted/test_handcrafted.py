@@ -39,7 +39,7 @@ BODY = 0.2  # m, radius of a person
 def shipped(request):
     """Name of an environment, and the sets that are ours."""
     folder = environment.find(request.param)
-    annotation = handcrafted.read(folder, environment.load(folder))
+    annotation = handcrafted.read_sets(folder, environment.load(folder))
     return request.param, annotation.further["staged"].sets if annotation.further else annotation.sets
 
 
@@ -47,7 +47,7 @@ def shipped(request):
 def warehouse():
     """The annotation of the warehouse."""
     folder = environment.find("warehouse")
-    return handcrafted.read(folder, environment.load(folder))
+    return handcrafted.read_sets(folder, environment.load(folder))
 
 
 @pytest.fixture(scope="module")
@@ -65,7 +65,7 @@ def lab():
 @pytest.fixture(scope="module")
 def sets():
     folder = environment.find("lab")
-    return handcrafted.read(folder, environment.load(folder)).sets
+    return handcrafted.read_sets(folder, environment.load(folder)).sets
 
 
 @pytest.fixture(scope="module")
@@ -364,7 +364,7 @@ def test_who_is_absent_is_felt_by_nobody(walked):
 @pytest.mark.parametrize(("name", "number"), [("down_path", 6), ("down_path_2_density_1", 1), ("all", 13)])
 def test_one_set_those_of_a_situation_or_all(name, number):
     folder = environment.find("lab")
-    assert len(handcrafted.read(folder, environment.load(folder)).chosen(name)) == number
+    assert len(handcrafted.read_sets(folder, environment.load(folder)).chosen(name)) == number
 
 
 def test_further_collections_take_part_only_where_they_are_named(warehouse):
@@ -496,7 +496,7 @@ def test_mistakes_are_named_with_place_and_cure(tmp_path, old, new, place, messa
     yard(tmp_path)
     (tmp_path / "handcrafted.yaml").write_text(GOOD.replace(old, new, 1), encoding="utf-8")
     with pytest.raises(FileError) as caught:
-        handcrafted.read(tmp_path, environment.load(tmp_path))
+        handcrafted.read_sets(tmp_path, environment.load(tmp_path))
     lines = [line for line in str(caught.value).splitlines() if message in line]
     assert lines and lines[0].startswith(f"{tmp_path.name}/handcrafted.yaml:{place}: "), str(caught.value)
     assert all(line.endswith((".", "?")) for line in str(caught.value).splitlines())
@@ -523,10 +523,12 @@ def test_who_starts_at_waypoints(tmp_path, old, new, message):
         text = text.replace("people: 5", "people: 4", 1)
     (tmp_path / "handcrafted.yaml").write_text(text, encoding="utf-8")
     if message is None:
-        assert handcrafted.read(tmp_path, environment.load(tmp_path)).sets["down_1"].walkers[0].start == "waypoints"
+        assert (
+            handcrafted.read_sets(tmp_path, environment.load(tmp_path)).sets["down_1"].walkers[0].start == "waypoints"
+        )
         return
     with pytest.raises(FileError) as caught:
-        handcrafted.read(tmp_path, environment.load(tmp_path))
+        handcrafted.read_sets(tmp_path, environment.load(tmp_path))
     assert message in str(caught.value)
 
 
@@ -555,11 +557,11 @@ def test_names_of_further_collections(tmp_path, collection, name, place, message
     text = f"{GOOD}further:\n  {collection}:\n    sets:\n      '{name}':\n    {one}\n"
     (tmp_path / "handcrafted.yaml").write_text(text, encoding="utf-8")
     if place is None:
-        annotation = handcrafted.read(tmp_path, environment.load(tmp_path))
+        annotation = handcrafted.read_sets(tmp_path, environment.load(tmp_path))
         assert list(annotation.chosen("more")) == ["more_down_1"] and "more_down_1" not in annotation.chosen("all")
         return
     with pytest.raises(FileError) as caught:
-        handcrafted.read(tmp_path, environment.load(tmp_path))
+        handcrafted.read_sets(tmp_path, environment.load(tmp_path))
     (line,) = str(caught.value).splitlines()
     assert f"handcrafted.yaml:{place}: " in line and message in line
 
@@ -571,7 +573,7 @@ def test_all_mistakes_are_told_at_once_and_a_missing_file_by_its_name(tmp_path):
     text = GOOD.replace("goals: [[3, 0, 0]", "goals: [[3, -1.8, 0]").replace("center: [3, 0]", "center: [-2, 0]")
     (tmp_path / "handcrafted.yaml").write_text(text.replace("people: 5", "people: 32"), encoding="utf-8")
     with pytest.raises(FileError) as caught:
-        handcrafted.read(tmp_path, environment.load(tmp_path))
+        handcrafted.read_sets(tmp_path, environment.load(tmp_path))
     assert {"8:18", "6:13", "11:14"} <= {
         line.split("yaml:")[1].split(": ")[0] for line in str(caught.value).split("\n")
     }

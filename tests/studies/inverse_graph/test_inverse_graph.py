@@ -32,7 +32,7 @@ def place(tmp_path_factory):
 @pytest.fixture(scope="module")
 def rings(place):
     """Ring without and with two groups."""
-    return {number: annotation.build(ring(number), place) for number in (0, 2)}
+    return {number: annotation.build_graph(ring(number), place) for number in (0, 2)}
 
 
 def hidden(graph, seed: int, spread: float = 0.8) -> fitting.FlowWeights:
@@ -296,7 +296,7 @@ def test_flow_error_of_equal_and_of_disjoint_flows():
 def test_graphs_are_written_as_they_are_read(place, tmp_path):
     """And a fit's weights and factors are in the file, relative to their mean and middle."""
     words = ring(2)
-    fit_weights = hidden(annotation.build(words, place), 4)
+    fit_weights = hidden(annotation.build_graph(words, place), 4)
     flows = fitting.Flows(np.zeros((8, 8)), np.zeros((9, 8, 9)))
     stay, capacity = np.array([[2.0, 6.5], [np.nan, np.nan]]), np.array([3, 0])
     fit = inverse_graph.GraphFit(fit_weights, flows, stay, capacity, (1.3, 0.2), np.zeros(1))
@@ -305,7 +305,7 @@ def test_graphs_are_written_as_they_are_read(place, tmp_path):
         (tmp_path / "graph.yaml").write_text(annotation.to_yaml(fitted), encoding="utf-8")
         again = files.load(tmp_path / "graph.yaml", annotation.Annotation, annotation.check)
         assert again == fitted
-        built = annotation.build(again, place)
+        built = annotation.build_graph(again, place)
         found = inverse_graph.weights_of(built)
         joined = np.isfinite(np.asarray(built.edge_cost))
         shift = np.asarray(found.factor - fit_weights.factor)[joined]

@@ -179,7 +179,7 @@ def test_an_alias_at_the_end_of_an_entry_is_left_to_the_author():
 def test_random_changes_of_sets(place, seed):
     """A point moves in its set and in those that share it, and nothing else changes."""
     draw, text = random.Random(seed), text_of(place, "handcrafted.yaml")
-    sets = editor.annotation.Annotation.model_validate(load(text), strict=False)
+    sets = editor.annotation.HandcraftedAnnotation.model_validate(load(text), strict=False)
     for _ in range(6):
         data = load(text)  # lists that sets share are one object
         where, label, one = draw.choice(list(sets.each()))

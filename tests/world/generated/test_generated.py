@@ -57,7 +57,7 @@ def test_robots_and_people_reach_all_nodes(family, seed, tmp_path):
     read = environments.load(tmp_path / "world")
     np.testing.assert_allclose(read.obstacles.center, environment.obstacles.center, atol=1e-5)
     np.testing.assert_allclose(read.obstacles.height, environment.obstacles.height, atol=1e-5)
-    graph = annotation.read(tmp_path / "world" / "graph.yaml", read)
+    graph = annotation.read_graph(tmp_path / "world" / "graph.yaml", read)
     assert graph.names == tuple(world.graph.nodes) and len(graph.groups)
     assert environments.default_people(tmp_path / "world") == world.settings.people > 2
 

@@ -202,7 +202,7 @@ def test_rough_lengths_are_near_the_exact_ones():
 def test_tables_of_people_lead_to_every_node_of_the_graph(name):
     """Around obstacles, by as much as their bodies need, and on ways that are hardly longer than they must be."""
     here = place(name)
-    goals = annotation.read(environments.find(name) / "graph.yaml", here.environment).position
+    goals = annotation.read_graph(environments.find(name) / "graph.yaml", here.environment).position
     ways = navigation.build_next_corner_table(here.tables, goals)
     starts = environments.free_points(here.environment, RADIUS + 0.01, 20, seed=5)
 
