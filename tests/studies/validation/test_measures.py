@@ -99,7 +99,7 @@ def test_bodies_overlap_by_a_known_depth_and_only_in_one_group_if_asked():
 def test_densities_count_people_in_a_square_and_a_peak_is_a_mean():
     place = np.zeros((100, 8, 2))
     place[:40, 2:] = 9.0  # two people in the square at first, then all
-    density = measures.densities(tracks_of(place), (-1.0, -1.0), (1.0, 1.0))
+    density = measures.densities(place, np.ones(place.shape[:2], bool), (-1.0, -1.0), (1.0, 1.0))
     np.testing.assert_allclose(density, np.where(np.arange(100) < 40, 0.5, 2.0))
     assert measures.peak(density, 20) == pytest.approx(2.0)
     assert measures.peak(density, 80) == pytest.approx((60 * 2.0 + 20 * 0.5) / 80)
