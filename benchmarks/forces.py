@@ -4,18 +4,16 @@ python benchmarks/forces.py                     all experiments, with every pres
 python benchmarks/forces.py passing robot       passing, robot, bottleneck, walking_groups
 """
 
-import argparse
-import sys
-from pathlib import Path
-
 import jax
 import jax.numpy as jnp
 import numpy as np
+from options import parser
+from timing import import_from_tests
 
 import sean_jax
 from sean_jax import social_forces
 
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))  # the tests assert what is printed here
+import_from_tests()  # the tests assert what is printed here
 from support.walkers import (  # noqa: E402
     bottleneck,
     doorway,
@@ -113,9 +111,8 @@ EXPERIMENTS = {
 
 def main() -> None:
     """Print the tables."""
-    arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    arguments = parser(__doc__, presets=list(social_forces.PRESETS))
     arguments.add_argument("experiments", nargs="*", metavar="EXPERIMENT", help=", ".join(EXPERIMENTS))
-    arguments.add_argument("--presets", nargs="+", default=list(social_forces.PRESETS))
     chosen = arguments.parse_args()
     for name in chosen.experiments or EXPERIMENTS:
         EXPERIMENTS[name](chosen.presets)

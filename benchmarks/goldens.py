@@ -12,7 +12,6 @@ in goldens.yaml. Everything takes a quarter of an hour on a core. Numbers are fo
 on other machines the last digits differ.
 """
 
-import argparse
 import contextlib
 import difflib
 import gzip
@@ -34,6 +33,7 @@ from pathlib import Path
 from typing import Any
 
 import yaml
+from options import Option, add_options, parser
 
 SECTIONS = ("jaxprs", "help", "schema", "bad_input", "runs", "folders")
 SHOWN = 12  # lines of a difference
@@ -443,25 +443,25 @@ WRITERS: dict[str, Callable[[Path], dict[str, str]]] = {
 
 def main() -> int:
     """Write, compare or open."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    commands = parser.add_subparsers(dest="command", required=True)
+    arguments = parser(__doc__)
+    commands = arguments.add_subparsers(dest="command", required=True)
     writing = commands.add_parser("write")
     writing.add_argument("folder", type=Path)
-    writing.add_argument("--only", nargs="+", choices=SECTIONS, default=SECTIONS)
-    writing.add_argument("--runs", nargs="+", choices=CASES["runs"], metavar="NAME", help="some of goldens.yaml")
+    runs = Option([], "some of goldens.yaml", choices=CASES["runs"], metavar="NAME")
+    add_options(writing, only=Option(list(SECTIONS), choices=SECTIONS), runs=runs)
     comparing = commands.add_parser("compare")
     comparing.add_argument("before", type=Path)
     comparing.add_argument("after", type=Path)
     opening = commands.add_parser("open")
     opening.add_argument("folder", type=Path)
-    chosen = parser.parse_args()
+    chosen = arguments.parse_args()
     if chosen.command == "compare":
         return compare(chosen.before, chosen.after)
     if chosen.command == "open":
         return reopen(chosen.folder.resolve())
     folder = chosen.folder.resolve()
     os.environ.setdefault("XDG_CACHE_HOME", str(folder / "cache"))  # tables of an older cache have other roundings
-    write(folder, chosen.only, chosen.runs or ())
+    write(folder, chosen.only, chosen.runs)
     return 0
 
 

@@ -10,7 +10,6 @@ XLA compiles for a described GPU. That needs JAX's CUDA plugin and NVIDIA's asse
 count once. Instructions are PTX's, about as many as the GPU's own.
 """
 
-import argparse
 import importlib.util
 import os
 import re
@@ -19,6 +18,8 @@ import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+
+from options import Option, parse
 
 H200 = """
 gpu_device_info {
@@ -146,12 +147,13 @@ def counted(folder: str) -> dict[str, int]:
 
 def main() -> None:
     """Print the kernels."""
-    arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    arguments.add_argument("--part", choices=("crowd", "step", "gradient", "picture"), default="crowd")
-    arguments.add_argument("--batch", type=int, default=8192)
-    arguments.add_argument("--people", type=int, default=62)
-    arguments.add_argument("--forces", default="calibrated")
-    chosen = arguments.parse_args()
+    chosen = parse(
+        __doc__,
+        part=Option("crowd", choices=("crowd", "step", "gradient", "picture")),
+        batch=8192,
+        people=62,
+        forces="calibrated",
+    )
     with tempfile.TemporaryDirectory() as folder:
         device = gpu(folder)
         import jax

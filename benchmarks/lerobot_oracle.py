@@ -7,13 +7,13 @@ python benchmarks/lerobot_oracle.py runs/lerobot
 python benchmarks/lerobot_oracle.py runs/lerobot --record tests/support/data/lerobot_schema.json
 """
 
-import argparse
 import json
 import tempfile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from options import Option, parser
 
 DEPTH = "observation.images.depth"
 WRITTEN_BY_LEROBOT = ("timestamp", "frame_index", "episode_index", "index", "task_index")
@@ -113,9 +113,8 @@ def main() -> None:
     import lerobot
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
-    arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    arguments = parser(__doc__, record=Option(None, "file for the schema of LeRobot's own files", kind=Path))
     arguments.add_argument("folder", type=Path)
-    arguments.add_argument("--record", type=Path, help="file for the schema of LeRobot's own files")
     chosen = arguments.parse_args()
     dataset = LeRobotDataset("local/exported", root=chosen.folder)
     print(f"LeRobot {lerobot.__version__} reads {len(dataset)} frames of {dataset.num_episodes} episodes")

@@ -13,7 +13,6 @@ a fault, for their times and the lines that they reach; a mutant has the tests t
 forked from one process that has imported what is heavy and has started nothing (see tests/support/forked.py).
 """
 
-import argparse
 import ast
 import collections
 import contextlib
@@ -35,6 +34,7 @@ from pathlib import Path
 from typing import Any
 
 import yaml
+from options import Option, parse
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE, TESTS = ROOT / "sean_jax", ROOT / "tests"
@@ -569,15 +569,16 @@ def _module_run(folder: str, path: str, chosen: list[Mutant], out: Path, most: f
 
 def main() -> None:
     """Run the command."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--only", nargs="+", choices=FOLDERS, default=list(FOLDERS), help="folders (all)")
-    parser.add_argument("--count", type=int, default=400, help="mutants, of all seven folders (400)")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--again", action="store_true", help="run those that survive without a reason once more")
-    parser.add_argument("--seconds", type=float, default=SECONDS, help=f"of the tests of a module, about ({SECONDS:g})")
-    parser.add_argument("--out", type=Path, default=RESULTS, help=str(RESULTS))
-    parser.add_argument("--summary", action="store_true", help="print what is in the results, and run nothing")
-    chosen = parser.parse_args()
+    chosen = parse(
+        __doc__,
+        only=Option(list(FOLDERS), "folders (all)", choices=FOLDERS),
+        count=Option(400, "mutants, of all seven folders (400)"),
+        seed=0,
+        again=Option(False, "run those that survive without a reason once more"),
+        seconds=Option(SECONDS, f"of the tests of a module, about ({SECONDS:g})", kind=float),
+        out=Option(RESULTS, str(RESULTS), kind=Path),
+        summary=Option(False, "print what is in the results, and run nothing"),
+    )
     if not chosen.summary:
         _begin()
         chosen.out.parent.mkdir(parents=True, exist_ok=True)
