@@ -36,13 +36,13 @@ def main() -> None:
         rows=[1, 16, 64],
     )
     action = np.array([0.5, 0.1], np.float32)
-    one = SocialNavigation(chosen.name, observations=SEEN)
-    one.reset(seed=0)
+    env = SocialNavigation(chosen.name, observations=SEEN)
+    env.reset(seed=0)
 
     def step() -> None:
-        _, _, terminated, truncated, _ = one.step(action)
+        _, _, terminated, truncated, _ = env.step(action)
         if terminated or truncated:
-            one.reset()
+            env.reset()
 
     print(f"{chosen.name}: one environment {rate(step, chosen.seconds):8,.0f} steps/s")
     for rows in chosen.rows:

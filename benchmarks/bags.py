@@ -66,7 +66,7 @@ def main() -> None:
     rows = {}
     for version, name in (("1", "rosbag 1"), ("2", "rosbag2 MCAP")):
         count, seconds, size = written(scenario, steps, table, version)
-        without = {topic: each for topic, each in table.items() if topic != "/markers"}
+        without = {topic: recorder for topic, recorder in table.items() if topic != "/markers"}
         rows[name] = {
             "messages per second": round(count / seconds),
             "times real time": round(STEPS * scenario.time_step / seconds, 1),

@@ -179,7 +179,7 @@ def facing(options: argparse.Namespace) -> None:
         frames, results = drive(scenario, social_costmap, options.episodes, 120.0, options.seed)
         harm = (results["intimate_robot_on_person"] + results["intimate_person_on_robot"]).sum(0)
         shared = " ".join(
-            f"{name} {100 * each / harm[0]:.0f} %" for name, each in zip(SITUATIONS, harm[1:], strict=True)
+            f"{name} {100 * violations / harm[0]:.0f} %" for name, violations in zip(SITUATIONS, harm[1:], strict=True)
         )
         none = ~frames["situations"][frames["active"]].any(1)
         print(f"{situations}: {harm[0]:.0f} violations of N, in {shared}; in no situation {100 * none.mean():.1f} % "
@@ -234,7 +234,7 @@ def print_standing(scenario: Scenario, frames: dict[str, np.ndarray], lasting: n
 def _touched(scenario: Scenario, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Direction of the nearest obstacle of each pose (E, 4), in degrees from ahead, and its height [m]."""
     boxes = scenario.environment.obstacles
-    center, half, yaw = (np.asarray(each) for each in (boxes.center, boxes.half_extent, boxes.yaw))
+    center, half, yaw = (np.asarray(array) for array in (boxes.center, boxes.half_extent, boxes.yaw))
     axes = np.stack([np.stack([np.cos(yaw), np.sin(yaw)], -1), np.stack([-np.sin(yaw), np.cos(yaw)], -1)], -2)
     local = np.einsum("wij,ewj->ewi", axes, poses[:, None, :2] - center)
     away = np.einsum("wij,ewi->ewj", axes, np.clip(local, -half, half) - local)

@@ -70,9 +70,9 @@ def main() -> None:
                 if not chosen.no_loop and batch == 1 and people <= 1000:
                     twenty = f"{errors(people, walls, preset, 20):9.1e}" if people <= 100 else f"{'-':>9}"
                     extra = f"{loop(people, walls, preset):9.3g} {errors(people, walls, preset, 1):9.1e} {twenty}"
-                each = f"{row['per_second']:14.3g} {row['microseconds']:10.1f} {row['compile_seconds']:9.2f}"
+                figures = f"{row['per_second']:14.3g} {row['microseconds']:10.1f} {row['compile_seconds']:9.2f}"
                 mib = row["bytes"] / 2**20
-                print(f"{preset:>13} {batch:6d} {people:6d} {walls:5d} {each} {mib:9.1f} {extra}", flush=True)
+                print(f"{preset:>13} {batch:6d} {people:6d} {walls:5d} {figures} {mib:9.1f} {extra}", flush=True)
     print(f"peak resident memory {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20:.2f} GiB")
 
 

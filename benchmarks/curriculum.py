@@ -50,10 +50,10 @@ def measurement(scenario, network, observed):
         return sum(term(scenario, before, after) for term in terms) * columns, columns
 
     def episode(policy, key):
-        last, (events, there) = sean_jax.rollout(scenario, policy, key, steps, record)
+        last, (events, minutes_in) = sean_jax.rollout(scenario, policy, key, steps, record)
         return {
             "violations": events.sum(0),
-            "minutes": there.sum(0) * scenario.time_step / 60.0,
+            "minutes": minutes_in.sum(0) * scenario.time_step / 60.0,
             "completed": last.completed.astype(float),
         }
 
@@ -67,24 +67,27 @@ def measurement(scenario, network, observed):
     return lambda agent, keys: jax.tree.map(np.asarray, all_of(agent, keys))
 
 
-def difference(one: dict, other: dict, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def difference(first: dict, second: dict, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(1 + S,) difference of violations per minute in the same episodes, first minus second, with an interval."""
-    takes = np.concatenate([np.ones((1, weights.shape[1])), weights])
-    rates = [(takes @ each["violations"]) / np.maximum(takes @ each["minutes"], 1e-9) for each in (one, other)]
-    gap = rates[0] - rates[1]
+    takes = np.concatenate([np.ones((1, weights.shape[1])), weights])  # (1 + R, E)
+
+    def rates(episodes: dict) -> np.ndarray:
+        return (takes @ episodes["violations"]) / np.maximum(takes @ episodes["minutes"], 1e-9)
+
+    gap = rates(first) - rates(second)
     return gap[0], *bootstrap.interval(gap[1:])
 
 
-def picture(path: Path, names: list[str], worst: str, found: dict[str, bootstrap.Estimate]) -> None:
+def picture(path: Path, names: list[str], worst: str, rates: dict[str, bootstrap.Estimate]) -> None:
     """Violations per minute of each agent in each situation, with intervals."""
     from matplotlib.figure import Figure
 
     figure = Figure((8.0, 3.6), layout="constrained")
     axes = figure.subplots()
-    for turn, (label, each) in enumerate(found.items()):
+    for turn, (label, rate) in enumerate(rates.items()):
         x = np.arange(len(names)) + 0.25 * (turn - 1)
-        spread = np.abs(np.stack([each.mean - each.low, each.high - each.mean]))
-        axes.bar(x, each.mean, 0.23, yerr=spread, label=label, capsize=2)
+        spread = np.abs(np.stack([rate.mean - rate.low, rate.high - rate.mean]))
+        axes.bar(x, rate.mean, 0.23, yerr=spread, label=label, capsize=2)
     labels = [name.replace("_", " ") + ("\nworst before" if name == worst else "") for name in names]
     axes.set_xticks(np.arange(len(names)), labels)
     axes.set_ylabel("violations per minute")

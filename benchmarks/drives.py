@@ -70,9 +70,9 @@ def main() -> None:
         answers, sessions = Answers.begin(Path(folder), study), Sessions()
         for view in chosen.views:
             for drives in chosen.drives:
-                each = rates(sessions, answers, config, drives, view, chosen.seconds)
-                rows.append({"view": view, "drives": drives, "median": round(float(np.median(each)), 2),
-                             "slowest": round(min(each), 2)})  # fmt: skip
+                steps_per_second = rates(sessions, answers, config, drives, view, chosen.seconds)
+                rows.append({"view": view, "drives": drives, "median": round(float(np.median(steps_per_second)), 2),
+                             "slowest": round(min(steps_per_second), 2)})  # fmt: skip
                 print(json.dumps(rows[-1]), flush=True)
         answers.close()
     if chosen.out is not None:

@@ -26,9 +26,9 @@ def parts(chosen: argparse.Namespace) -> dict[str, Callable]:
     """name -> (scenario, state) -> last state after the steps: the whole and each stage separately."""
     command = jnp.asarray(COMMAND, float)
 
-    def scan(one: Callable) -> Callable:
+    def scan(stage: Callable) -> Callable:
         return lambda scenario, state: jax.lax.scan(
-            lambda state, _: (replace(one(scenario, state), tick=state.tick + 1), None), state, length=chosen.steps
+            lambda state, _: (replace(stage(scenario, state), tick=state.tick + 1), None), state, length=chosen.steps
         )[0]
 
     def episode(**options: Any) -> Callable:

@@ -107,8 +107,8 @@ def size(shapes: str) -> int:
     total = 0
     for kind, dimensions in re.findall(r"\b([a-z]+\d*)\[([\d,]*)\]", shapes):
         number = BYTES.get(kind, 4)
-        for each in filter(None, dimensions.split(",")):
-            number *= int(each)
+        for length in filter(None, dimensions.split(",")):
+            number *= int(length)
         total += number
     return total
 
@@ -121,13 +121,14 @@ def report(text: str, instructions: dict[str, int]) -> None:
             continue
         shapes, rows = {}, []
         for line in lines:
-            found = re.match(r"\s*(?:ROOT )?%([\w.\-]+) = (.*?) ([\w\-]+)\((.*)", line)
-            if not found:
+            instruction = re.match(r"\s*(?:ROOT )?%([\w.\-]+) = (.*?) ([\w\-]+)\((.*)", line)
+            if not instruction:
                 continue
-            name, shape, kind, rest = found.groups()
+            name, shape, kind, arguments = instruction.groups()
             shapes[name] = shape
             if kind in KERNELS:
-                read = sum(size(shapes.get(each, "")) for each in re.findall(r"%([\w.\-]+)", rest.split("), ")[0]))
+                operands = re.findall(r"%([\w.\-]+)", arguments.split("), ")[0])
+                read = sum(size(shapes.get(operand, "")) for operand in operands)
                 rows.append((size(shape) + read, size(shape), name))
         if rows:
             print(f"\n{lines[0].split(' ')[0]}: {len(rows)} kernels, {sum(row[0] for row in rows) / 1e6:,.1f} MB")
@@ -138,11 +139,11 @@ def report(text: str, instructions: dict[str, int]) -> None:
 
 def counted(folder: str) -> dict[str, int]:
     """Instructions of each kernel."""
-    found: dict[str, int] = {}
+    instructions: dict[str, int] = {}
     for file in Path(folder).glob("*.ptx"):
         for name, body in re.findall(r"\.entry (\w+)\((.*?)\n\}", file.read_text(), re.S):
-            found[name] = len(re.findall(r"^\s+(?:@!?%p\d+ )?[a-z][\w.]*\s.*;$", body, re.M))
-    return found
+            instructions[name] = len(re.findall(r"^\s+(?:@!?%p\d+ )?[a-z][\w.]*\s.*;$", body, re.M))
+    return instructions
 
 
 def main() -> None:

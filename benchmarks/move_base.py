@@ -566,7 +566,7 @@ def drive(chosen: argparse.Namespace) -> Path:
             episode = drive_episode(world, ros, number)
             if chosen.figure4:
                 del episode["log"]
-            content["episodes"] = sorted([*content["episodes"], episode], key=lambda each: each["episode"])
+            content["episodes"] = sorted([*content["episodes"], episode], key=lambda driven: driven["episode"])
             writing.write(file, content)
             print(f"{file.stem}: {line(episode)}", flush=True)
     return file
@@ -596,7 +596,7 @@ def stops(rows: list, columns: Sequence[str], shortest: float = 5.0) -> list[dic
               for k, name in enumerate(columns)}  # fmt: skip
     moves = np.hypot(np.diff(column["x"]), np.diff(column["y"])) > 1e-3
     edges = np.flatnonzero(np.concatenate([[True], moves, [True]]))
-    found = []
+    intervals = []
     for first, last in zip(edges[:-1], edges[1:], strict=True):
         if (last - first) * 0.1 >= shortest:
             speed, turn = column["speed"][first : last - 1], column["turn_rate"][first : last - 1]
@@ -604,8 +604,8 @@ def stops(rows: list, columns: Sequence[str], shortest: float = 5.0) -> list[dic
             shares = {name: round(float(part.mean()), 3) for name, part in zip(ANSWERS, answers, strict=True)}
             place = [float(column[axis][first]) for axis in "xy"]
             begin, seconds = float(column["time"][first]), round((last - first) * 0.1, 1)
-            found.append({"time": begin, "seconds": seconds, "place": place, **shares})
-    return found
+            intervals.append({"time": begin, "seconds": seconds, "place": place, **shares})
+    return intervals
 
 
 def line(episode: dict[str, Any]) -> str:
@@ -629,8 +629,8 @@ def summary(file: Path) -> dict[str, Any]:
     steps = sum(round(episode["seconds"] / 0.1) for episode in episodes)
     places = []
     for episode in episodes:
-        found = episode["stops"] if "stops" in episode else stops(episode["log"], content["columns"])
-        places += [{"episode": episode["episode"], **each} for each in found]
+        episode_stops = episode["stops"] if "stops" in episode else stops(episode["log"], content["columns"])
+        places += [{"episode": episode["episode"], **stop} for stop in episode_stops]
     return {
         "file": file.name,
         **content["options"],
@@ -648,7 +648,7 @@ def summary(file: Path) -> dict[str, Any]:
         "plans_per_s": float(np.mean([episode["plans_per_s"] for episode in episodes])),
         "rtf": float(np.mean([episode["rtf"] for episode in episodes])),
         "stops": places,
-        "stop_seconds": {name: sum(each["seconds"] * each[name] for each in places) for name in ANSWERS},
+        "stop_seconds": {name: sum(stop["seconds"] * stop[name] for stop in places) for name in ANSWERS},
         "versions": content["versions"],
     }  # fmt: skip
 
@@ -726,8 +726,8 @@ def drive_remakes(
             columns |= figure4.drive(loaders, work, behavior, kinds[behavior], chosen.seed, count, lambda share: None)
         values[REAL][behavior] = measures.episode_measures(columns_of(episodes))[0]
         for name, driven in columns.items():
-            found = measures.episode_measures(driven)[0]
-            values[name][behavior] = {measure: value[numbers[behavior]] for measure, value in found.items()}
+            by_measure = measures.episode_measures(driven)[0]
+            values[name][behavior] = {measure: value[numbers[behavior]] for measure, value in by_measure.items()}
     return values
 
 
@@ -744,9 +744,9 @@ def selected(
     """behavior -> measure -> (E,) of the chosen episodes, and their mean over the scenarios, of the common numbers."""
     common = set.intersection(*map(set, chosen.values()))
 
-    def cut(behavior: str, of: set[int] | list[int]) -> dict[str, np.ndarray]:
-        here = np.isin(numbers[behavior], list(of))
-        return {measure: value[here] for measure, value in by_behavior[behavior].items()}
+    def cut(behavior: str, wanted: set[int] | list[int]) -> dict[str, np.ndarray]:
+        rows = np.isin(numbers[behavior], list(wanted))
+        return {measure: value[rows] for measure, value in by_behavior[behavior].items()}
 
     mean = measures.over_behaviors({behavior: cut(behavior, common) for behavior in by_behavior})
     return {behavior: cut(behavior, chosen[behavior]) for behavior in by_behavior} | {MEAN: mean}
@@ -756,7 +756,7 @@ def columns_of(episodes: list[dict[str, Any]]) -> measures.Columns:
     """The metrics of episodes that ``drive`` wrote, as those of the experiment: 0 where there is none."""
     columns = {}
     for name in measures.METRIC_NAMES:
-        values = [each[name] if name in each else each["results"][name] for each in episodes]
+        values = [episode[name] if name in episode else episode["results"][name] for episode in episodes]
         columns[name] = np.nan_to_num(np.array(values, float))
     return columns
 
@@ -765,8 +765,8 @@ def estimates(values: dict[str, dict[str, dict[str, np.ndarray]]]) -> list[tuple
     """Rows of each driver, scenario and measure, with the intervals of the experiment."""
     rows = []
     for name, by in values.items():
-        for behavior, each in by.items():
-            for measure, value in each.items():
+        for behavior, by_measure in by.items():
+            for measure, value in by_measure.items():
                 estimate = bootstrap.aggregate(value)
                 if measure == "completed":  # a mean over scenarios is no share
                     estimate = bootstrap.of_share(estimate, where=behavior != MEAN)
@@ -780,8 +780,8 @@ def differences(values: dict[str, dict[str, dict[str, np.ndarray]]]) -> list[tup
     """Rows of the real move_base less each re-make in the same episodes, with the tests of ``metrics.differences``."""
     rows = []
     for name in REMAKES:
-        for behavior, each in values[REAL].items():
-            for measure, value in each.items():
+        for behavior, by_measure in values[REAL].items():
+            for measure, value in by_measure.items():
                 gap = difference(values[name][behavior][measure], value, paired=True)
                 assert gap is not None  # there are episodes
                 figures = gap.difference, gap.low, gap.high, gap.effect, gap.p

@@ -52,11 +52,11 @@ def main() -> None:
         page = Path(folder) / "page.html"
         page.write_text(replay.html(replay.of_scenario(scenario, [replay.Episode(frames, "one")], "speed")))
         words = ["node", "test/speed.mjs", str(page), browser, str(chosen.width), str(chosen.seconds)]
-        seen = json.loads(subprocess.run(words, cwd=WEB, check=True, capture_output=True).stdout)
+        figures = json.loads(subprocess.run(words, cwd=WEB, check=True, capture_output=True).stdout)
         size = page.stat().st_size / 1e6
     print(
-        f"{chosen.people} people, {chosen.frames} frames, {size:.2f} MB: {seen['frames_per_second']:.1f} frames/s, "
-        f"99 % within {seen['slowest_percent_ms']:.0f} ms, busy {seen['busy_ms_per_frame']:.1f} ms a frame"
+        f"{chosen.people} people, {chosen.frames} frames, {size:.2f} MB: {figures['frames_per_second']:.1f} frames/s, "
+        f"99 % within {figures['slowest_percent_ms']:.0f} ms, busy {figures['busy_ms_per_frame']:.1f} ms a frame"
     )
 
 

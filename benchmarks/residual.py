@@ -67,8 +67,8 @@ class PairResidual:
         along, across = rotate(pair.wx - pair.vx, pair.wy - pair.vy, *frame)
         square = ahead * ahead + aside * aside
         apart = jnp.sqrt(square + NEAR * NEAR)
-        seen = jnp.stack([ahead / apart, aside / apart, 1.0 - apart / REACH, along / SPEED, across / SPEED])
-        push = jnp.tanh(self.outer @ jnp.tanh(self.inner @ seen + self.bias))
+        inputs = jnp.stack([ahead / apart, aside / apart, 1.0 - apart / REACH, along / SPEED, across / SPEED])
+        push = jnp.tanh(self.outer @ jnp.tanh(self.inner @ inputs + self.bias))
         weight = jnp.where(pair.standing, 0.0, jnp.maximum(1.0 - square / REACH**2, 0.0) ** 2)
         return weight * push[0], weight * push[1]
 
@@ -95,9 +95,9 @@ class GoalResidual:
         people = crowd.people
         heading_x, heading_y = people.heading.T
         along, across = rotate(*people.desired_velocity.T, heading_x, -heading_y)
-        own, _ = rotate(*people.velocity.T, heading_x, -heading_y)
-        seen = jnp.stack([own, along, across]) / SPEED
-        change = MOST * jnp.tanh(self.outer @ jnp.tanh(self.inner @ seen + self.bias[:, None]))
+        speed, _ = rotate(*people.velocity.T, heading_x, -heading_y)
+        inputs = jnp.stack([speed, along, across]) / SPEED
+        change = MOST * jnp.tanh(self.outer @ jnp.tanh(self.inner @ inputs + self.bias[:, None]))
         square = along * along + across * across
         weight = square / (square + IDLE * IDLE)
         return rotate(weight * change[0], weight * change[1], heading_x, heading_y)
@@ -154,11 +154,11 @@ def growth(forces: Forces) -> list[float]:
     """Norms of derivatives of positions [m] by the relaxation time [s] after ``HORIZONS``; medians of corridors."""
 
     def places(scenario: Scenario, state: State, value: Array) -> list[Array]:
-        own = replace(scenario, forces=forces.tree_replace({"walking.relaxation_time": value}))
-        return [walked(own, state, steps)[0].pedestrians.position for steps in HORIZONS]
+        changed = replace(scenario, forces=forces.tree_replace({"walking.relaxation_time": value}))
+        return [walked(changed, state, steps)[0].pedestrians.position for steps in HORIZONS]
 
     slopes = jax.jit(jax.vmap(jax.jacfwd(places, 2), (0, 0, None)))(*corridors(forces), forces.walking.relaxation_time)
-    return [float(np.median(jnp.linalg.norm(each, axis=(1, 2)))) for each in slopes]
+    return [float(np.median(jnp.linalg.norm(slope, axis=(1, 2)))) for slope in slopes]
 
 
 class Task(NamedTuple):
@@ -266,12 +266,12 @@ def main() -> None:
     results |= {"densities": DENSITIES, "measured": juelich(DENSITIES).tolist(), "horizons": HORIZONS, "without": {}}
     print("without  error, collisions: constant velocity, laws, with residual  better  speeds: laws, with residual")
     for scene in scenes:
-        own = results["without"][scene] = fold(chosen.data, scene, updates, scenes)
-        several = own["scores"][f"{scene} ({CLOCKS[0]})"].values()
-        errors = "  ".join("{ade:.4f}/{fde:.4f} {collisions:.4f}".format(**each) for each in several)
-        pace = "  ".join(" ".join(f"{v:.2f}" for v in each) for each in own["speeds"].values())
-        print(f"{scene:7}  {errors}  {better(scene, own)!s:5}  {pace}", flush=True)
-    results["ships"] = all(better(scene, own) for scene, own in results["without"].items())
+        fold_result = results["without"][scene] = fold(chosen.data, scene, updates, scenes)
+        several = fold_result["scores"][f"{scene} ({CLOCKS[0]})"].values()
+        errors = "  ".join("{ade:.4f}/{fde:.4f} {collisions:.4f}".format(**scores) for scores in several)
+        pace = "  ".join(" ".join(f"{v:.2f}" for v in scores) for scores in fold_result["speeds"].values())
+        print(f"{scene:7}  {errors}  {better(scene, fold_result)!s:5}  {pace}", flush=True)
+    results["ships"] = all(better(scene, fold_result) for scene, fold_result in results["without"].items())
     print("ships" if results["ships"] else "does not ship: not better in every scene left out")
     writing.write(chosen.out / "residual.json", {**results, "versions": versions()})
 

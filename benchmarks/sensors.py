@@ -20,18 +20,18 @@ from sean_jax import sensors
 
 def cases(scenario, sizes: list[str]) -> dict:
     """name -> (state -> array)."""
-    found = {}
+    functions = {}
     for size in sizes:
         width, height = map(int, size.split("x"))
         for name in ("depth", "first_person", "overhead"):
             camera = sensors.camera(scenario, name, width=width, height=height)
-            found[f"{name} {size}"] = _image(scenario, camera)
+            functions[f"{name} {size}"] = _image(scenario, camera)
     lidar = sensors.lidar(scenario)
-    found["lidar 360"] = lambda state: sensors.scan(scenario, state, lidar)
+    functions["lidar 360"] = lambda state: sensors.scan(scenario, state, lidar)
     for count in (360, 1800):
         rings = sensors.lidar(scenario, **{**sensors.VLP16, "count": count})
-        found[f"vlp16 16x{count}"] = lambda state, rings=rings: sensors.scan(scenario, state, rings)
-    return found
+        functions[f"vlp16 16x{count}"] = lambda state, rings=rings: sensors.scan(scenario, state, rings)
+    return functions
 
 
 def _image(scenario, camera):

@@ -35,13 +35,13 @@ def programs(arguments: argparse.Namespace) -> dict[str, tuple]:
     def begin(key):
         return sean_jax.init_policy(plain, policy, sean_jax.reset(plain, key))
 
-    made = {"plain": (steps(lambda state: sean_jax.policy_step(plain, policy, state)), jax.jit(jax.vmap(begin))(keys))}
+    runs = {"plain": (steps(lambda state: sean_jax.policy_step(plain, policy, state)), jax.jit(jax.vmap(begin))(keys))}
     for number in arguments.robots:
         names = ",".join(["kuri"] * number)
         members = sean_jax.make_team(arguments.environment, robots=names, **options)
         starts = jax.jit(jax.vmap(lambda key, m=members: team.init_policy(m, policy, team.reset(m, key))))(keys)
-        made[f"{number}"] = steps(lambda states, m=members: team.policy_step(m, policy, states)), starts
-    return made
+        runs[f"{number}"] = steps(lambda states, m=members: team.policy_step(m, policy, states)), starts
+    return runs
 
 
 def main() -> None:
@@ -58,16 +58,16 @@ def main() -> None:
         repeats=7,
         out=Option(None, kind=Path),
     )
-    made = programs(arguments)
-    for run, states in made.values():
+    runs = programs(arguments)
+    for run, states in runs.values():
         jax.block_until_ready(run(states))
-    seconds = {name: [] for name in made}
+    seconds = {name: [] for name in runs}
     for _ in range(arguments.repeats):
-        for name, (run, states) in made.items():
+        for name, (run, states) in runs.items():
             with stopwatch() as watch:
                 jax.block_until_ready(jnp.asarray(run(states).tick))
             seconds[name].append(watch.seconds)
-    rates = {name: arguments.batch * arguments.steps / float(np.median(each)) for name, each in seconds.items()}
+    rates = {name: arguments.batch * arguments.steps / float(np.median(times)) for name, times in seconds.items()}
     rows = {name: {"steps_per_second": rate, "share_of_plain": rate / rates["plain"]} for name, rate in rates.items()}
     for name, row in rows.items():
         print(f"{name:>6} robots  {row['steps_per_second']:10,.0f} steps/s  {row['share_of_plain']:6.2f} of plain")

@@ -50,9 +50,9 @@ def conduct(scenario: Scenario, minutes: float, seed: int = 0) -> dict[str, floa
 def overlaps(position: np.ndarray, present: np.ndarray, walking: np.ndarray) -> int:
     """The number of steps of walking people with somebody nearer than ``OVERLAP_DISTANCE``."""
     number = 0
-    for places, here, walks in zip(position, present, walking, strict=True):
+    for places, visible, walks in zip(position, present, walking, strict=True):
         gap = np.linalg.norm(places[:, None] - places[None], axis=-1)
-        gap[np.eye(len(gap), dtype=bool) | ~here[None, :] | ~here[:, None]] = np.inf
+        gap[np.eye(len(gap), dtype=bool) | ~visible[None, :] | ~visible[:, None]] = np.inf
         number += int((gap.min(1) < OVERLAP_DISTANCE)[walks].sum())
     return number
 
@@ -81,11 +81,11 @@ def main() -> None:
     for environment in options.environments:
         for behavior in options.behaviors:
             scenario = sean_jax.make(environment, behavior=behavior, task="random_ab_nav")
-            found = conduct(scenario, options.minutes, options.seed)
-            shares = " | ".join(f"{100 * found[name]:.3f}" for name in ("inside", "overlaps", "stuck", "grouped"))
+            figures = conduct(scenario, options.minutes, options.seed)
+            shares = " | ".join(f"{100 * figures[name]:.3f}" for name in ("inside", "overlaps", "stuck", "grouped"))
             print(
-                f"| {environment} | {behavior} | {found['people']:.1f} | {found['clearance']:.3f} | {shares} "
-                f"| {found['robot']:.2f} |",
+                f"| {environment} | {behavior} | {figures['people']:.1f} | {figures['clearance']:.3f} | {shares} "
+                f"| {figures['robot']:.2f} |",
                 flush=True,
             )
 

@@ -39,12 +39,12 @@ def observed(env: mdp.Env, state: mdp.EnvState) -> tuple[mdp.EnvState, jax.Array
     return state, reward + sum(term.sum() for term in observation.values())
 
 
-def program(one: Callable[..., Any]) -> Callable[..., Any]:
+def program(advance: Callable[..., Any]) -> Callable[..., Any]:
     """``STEPS`` steps of all scenarios."""
 
     def run(floors: Stack, states: Any) -> tuple[Any, jax.Array]:
         def turn(states: Any, _: None) -> tuple[Any, jax.Array]:
-            states, shown = floors.vmap(one)(states)
+            states, shown = floors.vmap(advance)(states)
             return states, shown.sum()
 
         return jax.lax.scan(turn, states, length=STEPS)
@@ -64,9 +64,9 @@ def rate(compiled: Any, floors: Stack, states: Any, batch: int) -> float:
 
 def size(floors: Stack) -> float:
     """Bytes for each floor: of what is its own, and its share of what all have."""
-    own = {id(each): each for place, each in enumerate(jax.tree.leaves(floors.member)) if place not in floors.own}
-    own |= {id(each): each for each in floors.own.values()}
-    return sum(np.asarray(each).nbytes for each in own.values()) / floors.size
+    leaves = {id(leaf): leaf for place, leaf in enumerate(jax.tree.leaves(floors.member)) if place not in floors.own}
+    leaves |= {id(leaf): leaf for leaf in floors.own.values()}
+    return sum(np.asarray(leaf).nbytes for leaf in leaves.values()) / floors.size
 
 
 def main() -> None:

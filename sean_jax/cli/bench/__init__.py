@@ -101,8 +101,8 @@ def run(options: BenchConfig, console: Console) -> Path:
 
 
 def _broken(folder: Path, error: OSError) -> IncompleteError:
-    rest = f"what was measured until then is in {folder}" if writing.contents(folder) else "nothing was written"
-    return IncompleteError(f"{writing.broken(error)}; {rest}.")
+    kept = f"what was measured until then is in {folder}" if writing.contents(folder) else "nothing was written"
+    return IncompleteError(f"{writing.broken(error)}; {kept}.")
 
 
 def _save(folder: Path, rows: list[Row], setup: dict[str, Any]) -> None:
@@ -212,7 +212,7 @@ def crowd(options: BenchConfig, stack: Stack[Scenario]) -> Iterator[Row]:
     """Time the social forces alone, in a hall with 32 walls, by number of people and of crowds at once."""
     totals = (2**14,) if on_cpu() else (2**19, 2**21)
     for people in CROWDS:
-        for batch in sorted({1, *(max(1, each // people) for each in totals)}):
+        for batch in sorted({1, *(max(1, total // people) for total in totals)}):
             number = int(np.clip((2e5 if on_cpu() else 2e8) / (batch * people), 2, 40)) // 2 * 2
             yield _row(options, "crowd", "agent-steps", batch, people, programs.crowd(people, batch, number))
 
@@ -223,8 +223,8 @@ def compiling(options: BenchConfig, stack: Stack[Scenario]) -> Iterator[Row]:
 
     names = "jax_compilation_cache_dir", "jax_enable_compilation_cache"
     settings = {name: getattr(jax.config, name) for name in names}
-    some, batch = _fitting(stack, 64)
-    program = programs.stepping(some, batch, 10)
+    floors, batch = _fitting(stack, 64)
+    program = programs.stepping(floors, batch, 10)
     try:
         with tempfile.TemporaryDirectory() as folder:
             jax.config.update("jax_enable_compilation_cache", True)
@@ -247,10 +247,11 @@ def compiling(options: BenchConfig, stack: Stack[Scenario]) -> Iterator[Row]:
 
 def scaling(options: BenchConfig, stack: Stack[Scenario]) -> Iterator[Row]:
     """Time the whole step on 1, 2, 4 and more devices, with equally many scenarios on each."""
-    number, (some, each) = 1, _fitting(stack, batches(options)[-1] if on_cpu() else 32768)
+    floors, batch = _fitting(stack, batches(options)[-1] if on_cpu() else 32768)
+    number = 1
     while number <= jax.device_count():
-        program = programs.stepping(some, each, turns(each), None, number)
-        yield _row(options, "devices", "scenario-steps", each * number, stack.member.people, program, 0, number)
+        program = programs.stepping(floors, batch, turns(batch), None, number)
+        yield _row(options, "devices", "scenario-steps", batch * number, stack.member.people, program, 0, number)
         number *= 2
 
 
