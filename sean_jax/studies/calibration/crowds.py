@@ -102,7 +102,8 @@ def _measure(
 ) -> dict[str, Array]:
     """The values (L, S, ...) of S scenes by the parameters of L candidates, ``together`` at a time."""
     walk = jax.vmap(partial(_walk, family, scene), (None, 0, 0))
-    return jax.lax.map(lambda own: walk(forces_of(own), scenarios, starts), parameters, batch_size=together)
+    measure = lambda candidate: walk(forces_of(candidate), scenarios, starts)  # noqa: E731
+    return jax.lax.map(measure, parameters, batch_size=together)
 
 
 def _walk(

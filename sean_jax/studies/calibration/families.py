@@ -79,21 +79,20 @@ class Family:
 
     def by_row(self, name: str, values: np.ndarray) -> Rows:
         """Means (L,) over the cases of each row, of values (L, S): ``name`` and the case."""
-        named = [case.row for case in self.cases]
-        return {
-            f"{name} {row}".strip(): values[:, [k for k, own in enumerate(named) if own == row]].mean(1)
-            for row in dict.fromkeys(named)
-        }
+        cases: dict[str, list[int]] = {}
+        for k, case in enumerate(self.cases):
+            cases.setdefault(case.row, []).append(k)
+        return {f"{name} {row}".strip(): values[:, chosen].mean(1) for row, chosen in cases.items()}
 
 
-def people_record(state: State) -> Values:
-    """Positions (N, 2) m and presence (N,) of people."""
-    return {"position": state.pedestrians.position, "present": state.pedestrians.present}
+def along_record(state: State) -> Values:
+    """Positions (N,) m along a corridor, and presence (N,)."""
+    return {"x": state.pedestrians.position[:, 0], "present": state.pedestrians.present}
 
 
 def speeds_along(scenario: Scenario, records: Values, span: int = 1) -> Array:
     """(S, N) m/s along a periodic corridor, over ``span`` control steps each; NaN of absent people."""
-    x, present = records["position"][::span, :, 0], records["present"][::span]
+    x, present = records["x"][::span], records["present"][::span]
     speed = steps_along(x, scenario.behavior.data.period) / (span * TIME_STEP)
     return jnp.where(present[1:], speed, jnp.nan)
 
@@ -107,7 +106,7 @@ class Corridor(Family):
     seconds = 40.0
 
     def record(self, scenario: Scenario, state: State) -> Values:
-        return people_record(state)
+        return along_record(state)
 
     def measure(self, scenario: Scenario, records: Values) -> Values:
         return {"speed": jnp.nanmean(speeds_along(scenario, records)[self.uncounted :])}
@@ -122,7 +121,7 @@ class SingleFile(Family):
     name, seconds = "file", 60.0
 
     def record(self, scenario: Scenario, state: State) -> Values:
-        return people_record(state)
+        return along_record(state)
 
     def measure(self, scenario: Scenario, records: Values) -> Values:
         speed = speeds_along(scenario, records, SPAN)[self.uncounted // SPAN :]
@@ -145,11 +144,11 @@ class Street(Family):
     BINS, WIDTH = 200, 0.025  # m/s2
 
     def record(self, scenario: Scenario, state: State) -> Values:
-        return people_record(state)
+        return along_record(state) | {"y": state.pedestrians.position[:, 1]}
 
     def measure(self, scenario: Scenario, records: Values) -> Values:
         along = speeds_along(scenario, records, SPAN)
-        across = jnp.diff(records["position"][::SPAN, :, 1], axis=0) / (SPAN * TIME_STEP)
+        across = jnp.diff(records["y"][::SPAN], axis=0) / (SPAN * TIME_STEP)
         velocity = jnp.stack([along, across], -1)  # (S, N, 2)
 
         # The first acceleration is the change from the first span to the second.

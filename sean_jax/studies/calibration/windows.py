@@ -214,17 +214,17 @@ def _directions_along(y: Float[np.ndarray, "T N"], one_way: bool) -> Float[np.nd
 
 def _share_columns(tracks: np.ndarray) -> np.ndarray:
     """Tracks (S, M, 2), NaN where absent, in few columns: one serves several people one after the other."""
-    there = np.asarray(np.isfinite(tracks).all(-1))
+    present = np.asarray(np.isfinite(tracks).all(-1))
     columns: list[np.ndarray] = []
-    for person in np.flatnonzero((there[1:] & there[:-1]).any(0)):
-        own = np.flatnonzero(there[:, person])
+    for person in np.flatnonzero((present[1:] & present[:-1]).any(0)):
+        moments = np.flatnonzero(present[:, person])
         for column in columns:
             last = np.flatnonzero(np.isfinite(column).all(-1))[-1]
-            if last + 1 < own[0]:  # a moment between two people, or one would seem to become the other
+            if last + 1 < moments[0]:  # a moment between two people, or one would seem to become the other
                 break
         else:
             columns.append(column := np.full((len(tracks), 2), np.nan))
-        column[own] = tracks[own, person]
+        column[moments] = tracks[moments, person]
     return np.stack(columns, 1) if columns else np.full((len(tracks), 1, 2), np.nan)
 
 

@@ -18,7 +18,18 @@ from scipy import stats
 from sean_jax.people.recordings import Tracks, read
 from sean_jax.studies.scenes import Scene, join, spread, walkers
 from sean_jax.studies.validation import guideline_scenes
-from sean_jax.studies.validation.checks import PUBLISHED, CheckContext, CheckResult, Curve, by_name, listing, result
+from sean_jax.studies.validation.checks import (
+    PUBLISHED,
+    CheckContext,
+    CheckResult,
+    Curve,
+    by_name,
+    curve,
+    level,
+    listing,
+    reference,
+    result,
+)
 from sean_jax.studies.validation.measures import (
     area_means,
     area_series,
@@ -83,7 +94,8 @@ def in_corridor(context: CheckContext, scenes: Sequence[Scene], captions: Sequen
     """
     pedpy()  # before what takes long
     rows = slice(round(scenes[0].seconds * 5), None, 10)
-    return np.stack([area_series(each, FLOOR, AREA, rows, PERIOD) for each in context.simulate(scenes, captions)])
+    recorded = context.simulate(scenes, captions)
+    return np.stack([area_series(tracks, FLOOR, AREA, rows, PERIOD) for tracks in recorded])
 
 
 def corridors(
@@ -146,12 +158,12 @@ def _juelich_curves(context: CheckContext) -> list[Curve]:
     """The measured speeds, their 10th and 90th percentiles, and recordings if there are any."""
     curves = []
     for table, suffix in (("speed", ""), ("percentile_10", ", 10 %"), ("percentile_90", ", 90 %")):
-        curves.append(Curve(f"Juelich{suffix}", tuple(JUELICH[table]), tuple(JUELICH[table].values()), reference=True))
+        curves.append(reference(f"Juelich{suffix}", JUELICH[table], JUELICH[table].values()))
     recorded = []
     for run, steady in STEADY.items():
         recorded += [_recorded(path, steady) for path in juelich_recordings(context, f"{run}*.csv")]
     if recorded:
-        curves.append(Curve("recordings", *zip(*recorded, strict=True), reference=True, points=True))
+        curves.append(reference("recordings", *zip(*recorded, strict=True), points=True))
     return curves
 
 
@@ -166,9 +178,9 @@ def weidmann_diagram(context: CheckContext) -> CheckResult:
     """Speeds in a corridor against Weidmann's formula."""
     values = in_corridor(context, *corridors(FEW, WEIDMANN_DRAWS, 60.0, None))
     dense = np.linspace(0.25, 3.5, 27)
-    curve = Curve("Weidmann 1993", tuple(dense), tuple(weidmann(dense)), reference=True)
+    known = reference("Weidmann 1993", dense, weidmann(dense))
     shape = len(FEW), WEIDMANN_DRAWS, -1, 2
-    comparison = compare(values.reshape(shape), FEW, weidmann(np.array(FEW)), WIDE_TOLERANCE, [curve])
+    comparison = compare(values.reshape(shape), FEW, weidmann(np.array(FEW)), WIDE_TOLERANCE, [known])
     if comparison.passed:
         return comparison
     expected = f"people in Juelich, whose free speed is 1.55 m/s, have {juelich([2.5])[0]:.2f} m/s at 2.5 /m²"
@@ -198,7 +210,7 @@ def compare(
         f"{100 * off_draw:.0f} %{'' if falling else ', not falling'})",
         f"within {100 * tolerance:.0f} % of {listing(expected)} m/s, falling",
         numbers=numbers,
-        curves=(Curve("model", tuple(densities), tuple(speed)), *curves),
+        curves=(curve("model", densities, speed), *curves),
         axes=("density [1/m²]", "speed [m/s]"),
     )
 
@@ -236,10 +248,10 @@ def single_file_diagram(context: CheckContext) -> CheckResult:
         f"between the 10th and 90th percentile of the experiments, {ranges} m/s, and falling",
         numbers=by_name("speed_", densities, means),
         curves=(
-            Curve("model", densities, tuple(means)),
-            Curve("10 % of experiments", densities, low, reference=True),
-            Curve("experiments", densities, mean, reference=True),
-            Curve("90 % of experiments", densities, high, reference=True),
+            curve("model", densities, means),
+            reference("10 % of experiments", densities, low),
+            reference("experiments", densities, mean),
+            reference("90 % of experiments", densities, high),
         ),
         axes=("density [1/m]", "speed [m/s]"),
     )
@@ -266,7 +278,7 @@ def stop_and_go(context: CheckContext) -> CheckResult:
     for (number, _), tracks in zip(cases, recorded, strict=True):
         speed, moved = _file_motion(tracks)
         motions.setdefault(number, []).append(moved)
-        curves.setdefault(number, Curve(f"{number} people", *_ranked(speed)))
+        curves.setdefault(number, curve(f"{number} people", *_ranked(speed)))
 
     words, numbers, passed = [], {}, []
     for number, draws in motions.items():
@@ -307,10 +319,10 @@ def _file_motion(tracks: Tracks) -> tuple[np.ndarray, FileMotion]:
     return speed, FileMotion(speed.mean(), deviation_in_time(speed), *wave(speed, WAVE_LOOP, time_step))
 
 
-def _ranked(speed: np.ndarray) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Speeds at a hundred shares of all."""
+def _ranked(speed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Speeds at a hundred shares of all, and these shares."""
     shares = np.linspace(0.005, 0.995, 100)
-    return tuple(np.quantile(speed, shares)), tuple(shares)
+    return np.quantile(speed, shares), shares
 
 
 # ------------------------------------------------------------------ lanes
@@ -346,14 +358,14 @@ def lanes(context: CheckContext) -> CheckResult:
     until = np.array([np.mean([time_until(series, LANE_ORDER) for series in draws]) for draws in order])
 
     end = 0.1 * (order.shape[-1] - 1)
-    time = tuple((0.1 * np.arange(order.shape[-1]))[::20])
+    time = (0.1 * np.arange(order.shape[-1]))[::20]
     curves = []
     for density, mean in zip(LANE_DENSITIES, order.mean(1), strict=True):
-        curves.append(Curve(f"{density:g} people/m²", time, tuple(mean[::20])))
-    curves.append(Curve("wanted", (0.1 * begin, end), (LANE_ORDER, LANE_ORDER), reference=True))
+        curves.append(curve(f"{density:g} people/m²", time, mean[::20]))
+    curves.append(level("wanted", (0.1 * begin, end), LANE_ORDER))
     for path in juelich_recordings(context, "bo-360-*.csv"):
         known = recorded_order(read(path, "juelich"))
-        curves.append(Curve(f"recording {path.stem.split('_')[0]}", (0.0, end), (known, known), reference=True))
+        curves.append(level(f"recording {path.stem.split('_')[0]}", (0.0, end), known))
     return result(
         bool((last >= LANE_ORDER).all()),
         f"{listing(last)} at {listing(LANE_DENSITIES, form='g')} /m², {LANE_ORDER:g} after "

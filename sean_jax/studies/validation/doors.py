@@ -11,10 +11,21 @@ import numpy as np
 
 from sean_jax.people.recordings import Tracks, read
 from sean_jax.studies.scenes import Gate, Scene, box, room, spread, walkers
-from sean_jax.studies.validation.checks import PUBLISHED, CheckContext, CheckResult, Curve, by_name, listing, result
+from sean_jax.studies.validation.checks import (
+    PUBLISHED,
+    CheckContext,
+    CheckResult,
+    Curve,
+    by_name,
+    curve,
+    level,
+    listing,
+    reference,
+    result,
+)
 from sean_jax.studies.validation.crowds import TOLERANCE, hermes_speeds, juelich_recordings
 from sean_jax.studies.validation.guideline_scenes import gate_right
-from sean_jax.studies.validation.measures import crossing_times, densities, flow, overlap, peak
+from sean_jax.studies.validation.measures import crossing_times, densities, first_gate_times, flow, overlap, peak
 
 FLOW = 1.9  # 1/(s m) [J]
 WIDTHS = 0.8, 1.0, 1.2, 1.6, 2.0, 2.4  # m, of bottlenecks
@@ -83,7 +94,7 @@ def bottleneck(context: CheckContext) -> CheckResult:
 
     # Of each passage and width: flow, 0 where too few come through, people left inside, and density before the door.
     shape = len(passages), len(widths), seeds
-    times = [crossing_times(tracks, scene.gates[0]) for scene, tracks in zip(scenes, recorded, strict=True)]
+    times = first_gate_times(scenes, recorded)
     flows = np.nan_to_num([flow(crossings) for crossings in times]).reshape(shape).mean(2)
     inside = np.array([np.isinf(crossings).sum() for crossings in times]).reshape(shape).max(2)
     crowded = np.array([_density(tracks) for tracks in recorded]).reshape(shape).mean(2)
@@ -95,19 +106,20 @@ def bottleneck(context: CheckContext) -> CheckResult:
     for passage, rates, remaining, density in zip(passages, flows, inside, crowded, strict=True):
         for name, values in (("flow", rates), ("inside", remaining), ("density", density)):
             numbers |= by_name(f"{name}_{passage:g}_", widths, values)
-        curves.append(Curve(f"model, {passage:g} m long", widths, tuple(rates)))
+        curves.append(curve(f"model, {passage:g} m long", widths, rates))
         words.append(
             f"passage of {passage:g} m: {listing(rates)} people/s, {int(remaining.max())} left inside at most, "
             f"{listing(density, form='.1f')} people/m² before it"
         )
 
-    juelich = Curve("Juelich", tuple(BOTTLENECKS), tuple(BOTTLENECKS.values()), reference=True, points=True)
+    curves.append(reference("1.9 w", widths, known))
+    curves.append(reference("Juelich", BOTTLENECKS, BOTTLENECKS.values(), points=True))
     return result(
         bool((off <= TOLERANCE).all() and (inside == 0).all()),
         f"{'; '.join(words)}; at {listing(widths, form='g')} m (off by {100 * off.max():.0f} % at most)",
         f"within {100 * TOLERANCE:.0f} % of {listing(known)} people/s, all out",
         numbers=numbers,
-        curves=(*curves, Curve("1.9 w", widths, tuple(known), reference=True), juelich, *_recorded_flows(context)),
+        curves=(*curves, *_recorded_flows(context)),
         axes=("width of the door [m]", "flow [people/s]"),
     )
 
@@ -127,7 +139,7 @@ def _recorded_flows(context: CheckContext) -> list[Curve]:
         if width < 1.8:  # else the corridor ends without a door
             widths.append(width)
             flows.append(flow(crossing_times(read(path, "juelich"), line)))
-    return [Curve("recordings", tuple(widths), tuple(flows), reference=True, points=True)] if widths else []
+    return [reference("recordings", widths, flows, points=True)] if widths else []
 
 
 def _overlap(context: CheckContext, tracks: Tracks) -> float:
@@ -145,11 +157,10 @@ def press(context: CheckContext) -> CheckResult:
     recorded = context.simulate(scenes, ["" if seed else f"{speed:g} m/s" for speed, seed in cases])
 
     depths = [_overlap(context, tracks) for tracks in recorded]
-    flows = [flow(crossing_times(tracks, scene.gates[0])) for scene, tracks in zip(scenes, recorded, strict=True)]
+    flows = [flow(times) for times in first_gate_times(scenes, recorded)]
     depths = np.reshape(depths, (len(HURRIES), -1)).max(1)
     rates = np.nan_to_num(flows).reshape(len(HURRIES), -1).mean(1)
     saturated = bool(rates[-1] <= SATURATED * rates[-2])
-    known = Curve("1.9 w", (HURRIES[0], HURRIES[-1]), (FLOW, FLOW), True)
     return result(
         bool(depths[0] <= DEPTH) and saturated and bool(rates.min() > 0.0),
         f"bodies overlap by {listing(1000 * depths, form='.0f')} mm at most, {listing(rates)} people/s at "
@@ -157,7 +168,7 @@ def press(context: CheckContext) -> CheckResult:
         f"{1000 * DEPTH:g} mm at most at {HURRIES[0]:g} m/s; at {HURRIES[-1]:g} m/s at most {SATURATED:g} times the "
         f"flow at {HURRIES[-2]:g} m/s",
         numbers=by_name("overlap_", HURRIES, depths) | by_name("flow_", HURRIES, rates),
-        curves=(Curve("model", HURRIES, tuple(rates)), known),
+        curves=(curve("model", HURRIES, rates), level("1.9 w", HURRIES, FLOW)),
         axes=("preferred speed [m/s]", "flow [people/s]"),
     )
 
@@ -206,13 +217,13 @@ def doors(context: CheckContext) -> CheckResult:
     words = "through " + (f"all but {listing(blocked, form='g')} m" if blocked else "all")
     shares = listing([100 * share for share in least.values()], form=".0f")
     speeds = [FREE * share for share in least.values()]
-    criterion = Curve("criterion", (SWIFT, DOORS[-1]), (SWIFT_SHARE, SWIFT_SHARE), True)
+    criterion = level("criterion", (SWIFT, DOORS[-1]), SWIFT_SHARE)
     return result(
         not slow and all(width < PASSABLE for width in blocked),
         f"{words}; at {listing(DOORS, form='g')} m never below {shares} % of the free speed",
         f"through from {PASSABLE:g} m on, never below {100 * SWIFT_SHARE:.0f} % of the free speed from {SWIFT:g} m on",
         numbers=by_name("least_speed_", DOORS, speeds) | by_name("through_", DOORS, through.values()),
-        curves=(Curve("model", DOORS, tuple(least.values())), criterion),
+        curves=(curve("model", DOORS, least.values()), criterion),
         axes=("width of the door [m]", "least speed / free speed"),
     )
 

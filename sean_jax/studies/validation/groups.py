@@ -18,7 +18,13 @@ from sean_jax.simulation.scenario import reset
 from sean_jax.social_forces.forces import look_direction
 from sean_jax.studies.scenes import Model
 from sean_jax.studies.scenes.simulation import advance
-from sean_jax.studies.validation.checks import CheckContext, CheckResult, Curve, result
+from sean_jax.studies.validation.checks import (
+    CheckContext,
+    CheckResult,
+    curve,
+    level,
+    result,
+)
 from sean_jax.studies.validation.measures import accelerations, overlap
 from sean_jax.world import environment
 
@@ -157,10 +163,10 @@ def compare_occupancy(by_name: dict[str, tuple[GroupOccupancy, np.ndarray]]) -> 
         f"{100 * MEMBERS:.0f} % of the members, full {100 * FULL:.0f} % of the time, stays as drawn",
         numbers=numbers,
         curves=(
-            Curve("members, share of the capacity", number, tuple(members), points=True),
-            Curve("full, share of the time", number, tuple(full), points=True),
-            Curve("members wanted", (number[0], number[-1]), (MEMBERS,) * 2, reference=True),
-            Curve("full wanted", (number[0], number[-1]), (FULL,) * 2, reference=True),
+            curve("members, share of the capacity", number, members, points=True),
+            curve("full, share of the time", number, full, points=True),
+            level("members wanted", number, MEMBERS),
+            level("full wanted", number, FULL),
         ),
         axes=("group: " + ", ".join(names), "share"),
     )

@@ -10,9 +10,26 @@ from sean_jax.core.geometry import signed_distances_on_host
 from sean_jax.people.recordings import Tracks
 from sean_jax.studies.scenes import Scene, environment
 from sean_jax.studies.validation import crowds, guideline_scenes
-from sean_jax.studies.validation.checks import CheckContext, CheckResult, Curve, by_name, listing, result
+from sean_jax.studies.validation.checks import (
+    CheckContext,
+    CheckResult,
+    Curve,
+    by_name,
+    curve,
+    listing,
+    reference,
+    result,
+)
 from sean_jax.studies.validation.guideline_scenes import gate_right
-from sean_jax.studies.validation.measures import crossing_times, densities, flow, speeds, steps_along, vanishing_times
+from sean_jax.studies.validation.measures import (
+    crossing_times,
+    densities,
+    first_gate_times,
+    flow,
+    speeds,
+    steps_along,
+    vanishing_times,
+)
 
 AGES = {"under 30": (0.58, 1.61), "30 to 50": (1.41, 1.54), "over 50": (0.68, 1.41), "limited": (0.46, 0.76)}
 """age -> lowest and highest speed [m/s]: RiMEA, test 7"""
@@ -54,13 +71,13 @@ def falling_speed(context: CheckContext) -> CheckResult:
 def _by_density(passed: bool, densities: Sequence[float], means: list[float], criterion: str) -> CheckResult:
     """The result of mean speeds [m/s] at densities [1/m2], against the fundamental diagram of Weidmann (1993)."""
     known = np.arange(0.25, 5.3, 0.25)
-    weidmann = Curve("Weidmann 1993", tuple(known.tolist()), tuple(crowds.weidmann(known).tolist()), reference=True)
+    weidmann = reference("Weidmann 1993", known.tolist(), crowds.weidmann(known).tolist())
     return result(
         passed,
         f"{listing(means, densities)} /m²",
         criterion,
         numbers=by_name("speed at ", densities, means),
-        curves=(Curve("speed", tuple(densities), tuple(means)), weidmann),
+        curves=(curve("speed", densities, means), weidmann),
         axes=("density [1/m²]", "mean speed [m/s]"),
     )
 
@@ -131,7 +148,7 @@ def free_speeds(context: CheckContext) -> CheckResult:
         f"{measured} m/s, {worst:.3f} from their own at most",
         "within 0.05 m/s of their own",
         numbers={"largest difference": worst},
-        curves=(Curve("people", tuple(preferred.tolist()), tuple(walked.tolist()), points=True),),
+        curves=(curve("people", preferred.tolist(), walked.tolist(), points=True),),
         axes=("preferred speed [m/s]", "walked [m/s]"),
     )
 
@@ -182,7 +199,8 @@ def half_the_doors(context: CheckContext) -> CheckResult:
 
 def _leaving(name: str, tracks: Tracks) -> Curve:
     inside = np.asarray(tracks.present).sum(1)[::20]
-    return Curve(name, tuple((np.arange(len(inside)) * 20 * tracks.time_step).tolist()), tuple(inside.tolist()))
+    time = np.arange(len(inside)) * 20 * tracks.time_step
+    return curve(name, time.tolist(), inside.tolist())
 
 
 def assigned_exits(context: CheckContext) -> CheckResult:
@@ -248,15 +266,15 @@ def one_after_another(context: CheckContext) -> CheckResult:
         f"flow {', '.join(flows)} people/s; {queues}",
         "flow rises with the width, at most .05 more comes out than goes in, and people queue in the first room alone",
         by_name("flow at ", widths, into),
-        Curve("into the passage", widths, tuple(into)),
+        curve("into the passage", widths, into),
     )
 
 
-def _by_width(passed: bool, measured: str, criterion: str, numbers: dict[str, float], curve: Curve) -> CheckResult:
+def _by_width(passed: bool, measured: str, criterion: str, numbers: dict[str, float], flows: Curve) -> CheckResult:
     """The result of a flow [people/s] by width [m], against bottlenecks in Juelich."""
-    known = Curve("1.9 w (Juelich)", curve.x, tuple(1.9 * width for width in curve.x), reference=True)
+    known = reference("1.9 w (Juelich)", flows.x, [1.9 * width for width in flows.x])
     axes = ("width [m]", "flow [people/s]")
-    return result(passed, measured, criterion, numbers=numbers, curves=(curve, known), axes=axes)
+    return result(passed, measured, criterion, numbers=numbers, curves=(flows, known), axes=axes)
 
 
 def density(tracks: Tracks, lower: tuple[float, float], upper: tuple[float, float], times: np.ndarray) -> float:
@@ -301,7 +319,7 @@ def against(context: CheckContext) -> CheckResult:
         ", ".join(words),
         "all through, later the more there are",
         numbers=by_name("against ", others, times),
-        curves=(Curve("time", tuple(map(float, others)), tuple(times)),),
+        curves=(curve("time", map(float, others), times),),
         axes=("people against", "time [s]"),
     )
 
@@ -310,11 +328,11 @@ def most_flow(context: CheckContext) -> CheckResult:
     """The flow of 100 people out of a room of 8 by 5 m through a door of 1 m."""
     scene = guideline_scenes.full_room()
     (tracks,) = context.simulate(scene, "100 people, a door of 1 m")
-    out = crossing_times(tracks, scene.gates[0])
-    rate, left = flow(out), int((~np.isfinite(out)).sum())
-    if left:
-        what = f"{left} of 100 people are still inside after 300 s"
-        return CheckResult(False, f"{left} of 100 are still inside", what)
+    times = crossing_times(tracks, scene.gates[0])
+    rate, inside = float(flow(times)), int((~np.isfinite(times)).sum())
+    if inside:
+        reason = f"{inside} of 100 people are still inside after 300 s"
+        return CheckResult(False, f"{inside} of 100 are still inside", reason)
     reason = "" if rate <= 1.33 else "; recordings of people have 1.9 per second and metre (Seyfried 2009)"
     criterion = f"1.33 people/s at most{reason}"
     return result(rate <= 1.33, f"{rate:.2f} people/s", criterion, numbers={"flow": rate})
@@ -325,14 +343,14 @@ def rising_flow(context: CheckContext) -> CheckResult:
     widths = (1.0, 1.2, 1.4, 1.6, 1.8)
     scenes = [guideline_scenes.full_room(width) for width in widths]
     recorded = context.simulate(scenes, [f"door of {widths[0]:g} m"])
-    rates = [flow(crossing_times(tracks, scene.gates[0])) for scene, tracks in zip(scenes, recorded, strict=True)]
+    rates = [flow(times) for times in first_gate_times(scenes, recorded)]
     slope = float(np.polyfit(widths, np.nan_to_num(rates), 1)[0])
     return _by_width(
         slope > 0.0 and bool(np.isfinite(rates).all()),
         f"{listing(rates, widths, unit=' m')}: {slope:.2f} people/s/m",
         "flow that rises with the width",
         {"slope": slope},
-        Curve("flow", widths, tuple(rates)),
+        curve("flow", widths, rates),
     )
 
 

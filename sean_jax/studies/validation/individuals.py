@@ -20,7 +20,16 @@ from sean_jax.robots import load
 from sean_jax.social_forces import Cohesion, Forces, move, preset
 from sean_jax.studies.prediction import HABITS, Predictable, Scores, evaluate, read_windows
 from sean_jax.studies.scenes import Gate, Scene, join, spread, walkers
-from sean_jax.studies.validation.checks import PUBLISHED, CheckContext, CheckResult, Curve, result
+from sean_jax.studies.validation.checks import (
+    PUBLISHED,
+    CheckContext,
+    CheckResult,
+    curve,
+    level,
+    numbered,
+    reference,
+    result,
+)
 from sean_jax.studies.validation.measures import separation, steps_along
 
 BEFORE = 4.0  # s, after which two would be nearest if they went straight on
@@ -89,8 +98,8 @@ def pairs(context: CheckContext, name: str, angles: Sequence[float], quick: Sequ
         "bodies never overlap",
         numbers={"gap": float(gap.min()), "lost": max(lost), "overlapping": float((gap < -TOLERANCE).mean())},
         curves=(
-            Curve("model", angles, tuple(by_angle), points=len(angles) == 1),
-            Curve("bodies touch", (min(angles) - 5.0, max(angles) + 5.0), (0.0, 0.0), reference=True),
+            curve("model", angles, by_angle, points=len(angles) == 1),
+            level("bodies touch", (min(angles) - 5.0, max(angles) + 5.0), 0.0),
         ),
         axes=("angle between the ways [degrees]", "least gap of bodies [m]"),
     )
@@ -211,9 +220,9 @@ def compare_clearance(
         f"touched in {100 * most_touched:.0f} % at most; nearest {CLEARANCE:g} ± {within:g} m on average{wanted}",
         numbers={"touched": touched, "clearance": clearance, "clearance_deviation": spread_out},
         curves=(
-            Curve("model", tuple(ranked), tuple(shares)),
-            Curve("bodies touch", (bodies, bodies), (0.0, 1.0), reference=True),
-            Curve("people, 0.83 m", (CLEARANCE,) * 2, (0.0, 1.0), reference=True),
+            curve("model", ranked, shares),
+            reference("bodies touch", (bodies, bodies), (0.0, 1.0)),
+            reference("people, 0.83 m", (CLEARANCE, CLEARANCE), (0.0, 1.0)),
         ),
         axes=("least distance of the middles [m]", "share of encounters"),
     )
@@ -234,8 +243,8 @@ def with_companions(scenario: Scenario, state: State) -> Pedestrians:
     people, companions = state.pedestrians, scenario.behavior.companions
     assert companions is not None, "predicted people have companions, or -1"
     desired = people.desired_velocity
-    there = ((companions >= 0) & people.present[companions])[..., None].astype(desired.dtype)  # (N, 2, 1)
-    mean = (desired + (there * desired[companions]).sum(1)) / (1.0 + there.sum(1))
+    present = ((companions >= 0) & people.present[companions])[..., None].astype(desired.dtype)  # (N, 2, 1)
+    mean = (desired + (present * desired[companions]).sum(1)) / (1.0 + present.sum(1))
     after = constant_velocity(scenario, replace(state, pedestrians=replace(people, desired_velocity=mean)))
     return replace(after, desired_velocity=desired)
 
@@ -297,8 +306,7 @@ def compare_scores(scores: dict[str, Scores], straight: dict[str, Scores], plain
         for scene, errors in table.items():
             numbers |= {f"{name}{suffix}_{scene}": float(getattr(errors, name)) for name in Scores._fields[:3]}
 
-    number = tuple(np.arange(1.0, len(scores) + 1.0).tolist())
-    scenes = ", ".join(f"{k + 1} {scene}" for k, scene in enumerate(scores))
+    number, scenes = numbered(scores)
     not_all = f" (not: {', '.join(worse)})" if worse else ""
     return result(
         not worse and bool(collisions * FEWER <= straight_collisions),
@@ -308,10 +316,10 @@ def compare_scores(scores: dict[str, Scores], straight: dict[str, Scores], plain
         f"{FEWER:g} times fewer collisions",
         numbers=numbers,
         curves=(
-            Curve("ADE", number, tuple(errors.ade for errors in scores.values())),
-            Curve("FDE", number, tuple(errors.fde for errors in scores.values())),
-            Curve("ADE, constant velocity", number, tuple(errors.ade for errors in straight.values()), reference=True),
-            Curve("FDE, constant velocity", number, tuple(errors.fde for errors in straight.values()), reference=True),
+            curve("ADE", number, [errors.ade for errors in scores.values()]),
+            curve("FDE", number, [errors.fde for errors in scores.values()]),
+            reference("ADE, constant velocity", number, [errors.ade for errors in straight.values()]),
+            reference("FDE, constant velocity", number, [errors.fde for errors in straight.values()]),
         ),
         axes=(f"scene: {scenes}", "error [m]"),
     )

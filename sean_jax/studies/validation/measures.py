@@ -5,7 +5,7 @@ both use return arrays of the kind that they take. Density and speed of an area 
 ``validation``): B. Steffen & A. Seyfried, Physica A 389, 1902 (2010).
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from types import ModuleType
 from typing import Any, NamedTuple
 
@@ -18,7 +18,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from sean_jax.core.data_types import Array
 from sean_jax.people.recordings import Tracks
 from sean_jax.social_forces.forces import Walking
-from sean_jax.studies.scenes import Gate
+from sean_jax.studies.scenes import Gate, Scene
 from sean_jax.studies.validation.checks import Skipped
 
 LANE = 0.3  # m, people within that distance across a corridor walk in one lane
@@ -62,6 +62,11 @@ def crossing_times(tracks: Tracks, gate: Gate) -> Float[np.ndarray, "N"]:
     step = behind[np.minimum(moment + 1, len(behind) - 1), people] - before
     share = np.where(moment >= 0, -before / np.where(step > 0.0, step, 1.0), 0.0)
     return np.where(moment >= 0, (moment + share) * tracks.time_step, np.inf)
+
+
+def first_gate_times(scenes: Sequence[Scene], recorded: Sequence[Tracks]) -> list[np.ndarray]:
+    """The ``crossing_times`` of each scene's first gate."""
+    return [crossing_times(tracks, scene.gates[0]) for scene, tracks in zip(scenes, recorded, strict=True)]
 
 
 def first_and_last(present: Bool[np.ndarray, "T N"]) -> tuple[Int[np.ndarray, "N"], Int[np.ndarray, "N"]]:
@@ -122,15 +127,10 @@ def trajectory_data(tracks: Tracks, period: float | None = None) -> Any:
         around = np.abs(np.diff(position[..., 0], axis=0)) > period / 2
         rounds = np.concatenate([np.zeros((1, person.shape[1]), int), np.cumsum(around, 0)])
         person = person + rounds * (int(person.max(initial=0)) + 1)
-    time, column = np.nonzero(present)
-    table = pandas.DataFrame(
-        {
-            "id": person[time, column],
-            "frame": time,
-            "x": position[time, column, 0],
-            "y": position[time, column, 1],
-        }
-    )
+
+    moment, column = np.nonzero(present)
+    x, y = position[moment, column].T
+    table = pandas.DataFrame({"id": person[moment, column], "frame": moment, "x": x, "y": y})
     return pedpy().TrajectoryData(data=table, frame_rate=1.0 / tracks.time_step)
 
 
@@ -257,10 +257,10 @@ def lane_order(
     return xp.where(people > 0.0, mean, xp.nan)
 
 
-def separation(one: Float[Array, "T *shape 2"], other: Float[Array, "T *shape 2"]) -> Float[Array, "*shape"]:
+def separation(a: Float[Array, "T *shape 2"], b: Float[Array, "T *shape 2"]) -> Float[Array, "*shape"]:
     """(...) m: the least distance of two bodies (T, ..., 2) m; between moments both move straight on."""
-    xp = namespace(one)
-    gap = xp.asarray(one, float) - xp.asarray(other, float)
+    xp = namespace(a)
+    gap = xp.asarray(a, float) - xp.asarray(b, float)
     step = xp.diff(gap, axis=0)
     squared = (step * step).sum(-1)
     share = xp.clip(-(gap[:-1] * step).sum(-1) / xp.where(squared > 0.0, squared, 1.0), 0.0, 1.0)
@@ -287,7 +287,7 @@ def body_gaps(
     dy = position[..., :, None, 1] - position[..., None, :, 1]
 
     shape = walking.shape(facing[..., 0], facing[..., 1])
-    pair_shape = None if shape is None else tuple(own[..., :, None] + own[..., None, :] for own in shape)
+    pair_shape = None if shape is None else tuple(part[..., :, None] + part[..., None, :] for part in shape)
     gap = xp.sqrt(dx * dx + dy * dy) - xp.asarray(walking.radii(dx, dy, pair_shape))
 
     counts = present[..., :, None] & present[..., None, :] & ~xp.eye(present.shape[-1], dtype=bool)
@@ -393,27 +393,31 @@ def smoothed(
     position: Float[np.ndarray, "T N 2"], present: Bool[np.ndarray, "T N"]
 ) -> tuple[Float[np.ndarray, "T N 2"], Bool[np.ndarray, "T N"]]:
     """Positions [m] of parabolas through five moments each, and who is there for all five: two fewer at both ends."""
-    place, there = np.asarray(position, float), np.asarray(present)
-    reach = len(PARABOLA) // 2
-    smooth, whole = np.zeros_like(place), np.zeros_like(there)
-    if len(place) >= len(PARABOLA):
-        smooth[reach:-reach] = np.einsum("tncw,w->tnc", sliding_window_view(place, len(PARABOLA), axis=0), PARABOLA)
-        whole[reach:-reach] = sliding_window_view(there, len(PARABOLA), axis=0).all(-1)
+    position, present = np.asarray(position, float), np.asarray(present)
+    span, reach = len(PARABOLA), len(PARABOLA) // 2
+    smooth, whole = np.zeros_like(position), np.zeros_like(present)
+    if len(position) >= span:
+        smooth[reach:-reach] = np.einsum("tncw,w->tnc", sliding_window_view(position, span, axis=0), PARABOLA)
+        whole[reach:-reach] = sliding_window_view(present, span, axis=0).all(-1)
     return smooth, whole
 
 
 def motion(position: Float[np.ndarray, "T N 2"], present: Bool[np.ndarray, "T N"], time_step: float) -> Motion:
     """Accelerations, jerk and turn rates, as differences of positions (T, N, 2) m, ``time_step`` s apart."""
-    place = np.where(np.asarray(present)[..., None], np.asarray(position, float), np.nan)
-    velocity = np.diff(place, axis=0) / time_step
+    position = np.where(np.asarray(present)[..., None], np.asarray(position, float), np.nan)
+    velocity = np.diff(position, axis=0) / time_step
     acceleration = np.diff(velocity, axis=0) / time_step
-    size = lambda vector: np.linalg.norm(vector, axis=-1)  # noqa: E731
-    walks = (size(velocity[1:]) > WALKS) & (size(velocity[:-1]) > WALKS)
-    turned = np.diff(np.arctan2(velocity[..., 1], velocity[..., 0]), axis=0)
-    turned = np.abs((turned + np.pi) % (2.0 * np.pi) - np.pi) / time_step
-    jerk = size(np.diff(acceleration, axis=0) / time_step)
-    turn_rate = np.where(walks, turned, np.nan)
-    return Motion(*(values[np.isfinite(values)] for values in (accelerations(velocity, time_step), jerk, turn_rate)))
+    jerk = np.linalg.norm(np.diff(acceleration, axis=0) / time_step, axis=-1)
+
+    # The way back of a half turn is as long, so angles are from -pi to pi.
+    speed = np.linalg.norm(velocity, axis=-1)
+    walks = (speed[1:] > WALKS) & (speed[:-1] > WALKS)
+    angle = np.diff(np.arctan2(velocity[..., 1], velocity[..., 0]), axis=0)
+    angle = np.abs((angle + np.pi) % (2.0 * np.pi) - np.pi)
+    turn_rate = np.where(walks, angle / time_step, np.nan)
+
+    values = accelerations(velocity, time_step), jerk, turn_rate
+    return Motion(*(magnitudes[np.isfinite(magnitudes)] for magnitudes in values))
 
 
 def sideways(position: Float[np.ndarray, "T N 2"], present: Bool[np.ndarray, "T N"]) -> Float[np.ndarray, "N"]:

@@ -131,8 +131,8 @@ def differences(
     walked, known = _distributions(simulated, low, size), _distributions(recorded, low, size)
     scales = np.mean(known[0]), 1.0, np.mean(known[2])
     distances = []
-    for own, recorded_values, scale in zip(walked, known, scales, strict=True):
-        distances.append(float(wasserstein_distance(own, recorded_values) / scale))
+    for values, known_values, scale in zip(walked, known, scales, strict=True):
+        distances.append(float(wasserstein_distance(values, known_values) / scale))
     return Differences(*distances)
 
 
@@ -172,15 +172,15 @@ def closed_loop(context: CheckContext) -> CheckResult:
 
     measured, straight_errors, collisions, distances = {}, {}, {}, {}
     for name, windows in recordings.items():
-        own, mark, known, drawn, weights = [], [], [], [], []
+        walked, mark, known, drawn, weights = [], [], [], [], []
         for street in windows:
             moments, chosen = len(street.position), counted(street)
-            own.append(errors(positions(next(average_tracks), moments), street.position, chosen))
+            walked.append(errors(positions(next(average_tracks), moments), street.position, chosen))
             mark.append(errors(positions(next(straight_tracks), moments), street.position, chosen))
             known.append(errors(street.position, street.position, chosen))
             drawn.append(_sampled(next(drawn_tracks), moments))
             weights.append(chosen.sum())
-        measured[name] = mean_errors(own, weights)
+        measured[name] = mean_errors(walked, weights)
         straight_errors[name] = mean_errors(mark, weights)
         collisions[name] = mean_errors(known, weights).collisions
         distances[name] = differences(drawn, [(street.position, street.present) for street in windows])
@@ -249,16 +249,17 @@ def compare_errors(
         distances: of the distributions of simulated and recorded people.
     """
     farther, words, numbers = [], [], {}
-    for name, own in measured.items():
+    for name, simulated in measured.items():
         known, apart = straight[name], distances[name]._asdict()
-        if own.mae > known.mae or own.mmd > known.mmd:
+        if simulated.mae > known.mae or simulated.mmd > known.mmd:
             farther.append(name)
-        numbers |= {f"{word}_{name}": value for word, value in (own._asdict() | apart).items()}
+        numbers |= {f"{word}_{name}": value for word, value in (simulated._asdict() | apart).items()}
         numbers |= {f"{word}_constant_velocity_{name}": value for word, value in known._asdict().items()}
         words.append(
-            f"{name}: MAE {own.mae:.2f} m, OT {own.ot:.2f} m², MMD {own.mmd:.3f}, DTW {own.dtw:.2f} m (constant "
-            f"velocity {known.mae:.2f}, {known.ot:.2f}, {known.mmd:.3f}, {known.dtw:.2f}), nearer than "
-            f"{TOUCH:g} m {100 * own.collisions:.1f} % (recorded {100 * collisions[name]:.1f} %), "
+            f"{name}: MAE {simulated.mae:.2f} m, OT {simulated.ot:.2f} m², MMD {simulated.mmd:.3f}, "
+            f"DTW {simulated.dtw:.2f} m (constant velocity {known.mae:.2f}, {known.ot:.2f}, {known.mmd:.3f}, "
+            f"{known.dtw:.2f}), nearer than {TOUCH:g} m {100 * simulated.collisions:.1f} % (recorded "
+            f"{100 * collisions[name]:.1f} %), "
             + ", ".join(f"{word} {value:.3f} apart" for word, value in apart.items())
         )
     which = f" (not: {', '.join(farther)})" if farther else ""

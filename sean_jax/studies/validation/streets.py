@@ -13,7 +13,14 @@ from jaxtyping import Bool, Float, Int
 
 from sean_jax.people.recordings import Tracks, read, read_companions
 from sean_jax.studies.scenes import Gate, Scene, join, walkers
-from sean_jax.studies.validation.checks import CheckContext, CheckResult, Curve, result
+from sean_jax.studies.validation.checks import (
+    CheckContext,
+    CheckResult,
+    curve,
+    level,
+    numbered,
+    result,
+)
 from sean_jax.studies.validation.measures import (
     Motion,
     company,
@@ -196,10 +203,9 @@ def compare_walks(walks: dict[str, tuple[Walk, Walk]]) -> CheckResult:
 
     mean = {name: float(np.exp(np.mean(np.log(values)))) for name, values in ratios.items()}
     numbers |= {f"ratio_{name}": value for name, value in mean.items()}
-    number = tuple(np.arange(1.0, len(walks) + 1.0).tolist())
-    curves = [Curve(name, number, tuple(values), points=True) for name, values in ratios.items()]
-    curves.append(Curve("recorded", (number[0], number[-1]), (1.0, 1.0), reference=True))
-    scenes = ", ".join(f"{k + 1} {scene}" for k, scene in enumerate(walks))
+    number, scenes = numbered(walks)
+    curves = [curve(name, number, values, points=True) for name, values in ratios.items()]
+    curves.append(level("recorded", number, 1.0))
     return result(
         all(abs(value - 1.0) <= TOLERANCE for value in mean.values()),
         f"{', '.join(f'{name} {value:.2f}' for name, value in mean.items())} times the recorded; {'; '.join(words)} "

@@ -1,7 +1,10 @@
 """What is measured of tracks, against closed forms, loops, and figures published of recordings."""
 
 import csv
+import functools
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -77,6 +80,28 @@ def test_separation_is_exact_between_rows():
     at_rows = np.hypot(*np.moveaxis(one - other, -1, 0)).min(0)
     assert (at_rows > exact + 0.1).mean() > 0.1  # rows alone would miss many of these encounters
     np.testing.assert_array_equal(measures.separation(one, one), 0.0)
+
+
+def test_arrays_of_jax_are_measured_as_those_of_numpy():
+    random = np.random.default_rng(0)
+    place = np.cumsum(random.normal(0.1, 0.05, (30, 7, 2)), axis=0).astype(np.float32)
+    present = random.random((30, 7)) < 0.8
+    facing = np.broadcast_to(np.array([0.6, 0.8], np.float32), place.shape)
+    direction = np.where(np.arange(7) < 3, 1.0, -1.0).astype(np.float32)
+    bodies = preset("calibrated").walking
+    calls = {
+        measures.lane_order: (place[..., 1], direction, present),
+        measures.separation: (place, place[:, ::-1] + np.float32(0.5)),
+        measures.deviation_in_time: (place[..., 0],),
+        functools.partial(measures.steps_along, period=2.0): (place[..., 0] % np.float32(2.0),),
+        functools.partial(measures.accelerations, time_step=0.1): (place,),
+        functools.partial(measures.densities, lower=(0.5, 0.5), upper=(2.0, 2.0)): (place, present),
+        functools.partial(measures.body_gaps, walking=bodies): (place, facing, present),
+    }
+    for function, arrays in calls.items():
+        by_numpy, by_jax = function(*arrays), jax.jit(function)(*map(jnp.asarray, arrays))
+        assert not isinstance(by_numpy, jax.Array) and isinstance(by_jax, jax.Array)
+        np.testing.assert_allclose(by_jax, by_numpy, rtol=1e-5, atol=1e-5)
 
 
 def test_bodies_overlap_by_a_known_depth_and_only_in_one_group_if_asked():
