@@ -4,10 +4,9 @@ python benchmarks/adapters.py
 python benchmarks/adapters.py --rows 1 64 --name Lab-Random-RandomAbNav-v0
 """
 
-import argparse
-import time
-
 import numpy as np
+from options import Option, parse
+from timing import stopwatch
 
 from sean_jax.adapters.gymnasium import SocialNavigation, VectorSocialNavigation
 
@@ -19,29 +18,31 @@ def rate(step, seconds: float, turns: int = 5) -> float:
     step()
     best = 0.0
     for _ in range(turns):
-        calls, begun = 0, time.perf_counter()
-        while (took := time.perf_counter() - begun) < seconds:
-            step()
-            calls += 1
-        best = max(best, calls / took)
+        calls = 0
+        with stopwatch() as watch:
+            while watch.seconds < seconds:
+                step()
+                calls += 1
+        best = max(best, calls / watch.seconds)
     return best
 
 
 def main() -> None:
     """Print the table."""
-    arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    arguments.add_argument("--name", default="Warehouse-Graph-Mixed-v0")
-    arguments.add_argument("--seconds", type=float, default=1.0, help="of each of five runs")
-    arguments.add_argument("--rows", nargs="+", type=int, default=[1, 16, 64])
-    chosen = arguments.parse_args()
+    chosen = parse(
+        __doc__,
+        name="Warehouse-Graph-Mixed-v0",
+        seconds=Option(1.0, "of each of five runs"),
+        rows=[1, 16, 64],
+    )
     action = np.array([0.5, 0.1], np.float32)
-    one = SocialNavigation(chosen.name, observations=SEEN)
-    one.reset(seed=0)
+    env = SocialNavigation(chosen.name, observations=SEEN)
+    env.reset(seed=0)
 
     def step() -> None:
-        _, _, terminated, truncated, _ = one.step(action)
+        _, _, terminated, truncated, _ = env.step(action)
         if terminated or truncated:
-            one.reset()
+            env.reset()
 
     print(f"{chosen.name}: one environment {rate(step, chosen.seconds):8,.0f} steps/s")
     for rows in chosen.rows:

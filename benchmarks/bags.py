@@ -6,9 +6,7 @@ The steps are simulated first and are not in the time. One process, one core. Th
 time that a bag without them saves.
 """
 
-import argparse
 import dataclasses
-import json
 import os
 import platform
 import tempfile
@@ -19,6 +17,8 @@ from typing import Literal
 
 import jax
 import jax.numpy as jnp
+from options import Option, parse
+from timing import Stopwatch, write_json
 
 import sean_jax
 from sean_jax import sensors
@@ -34,22 +34,23 @@ def written(
 ) -> tuple[int, float, int]:
     """Number of messages, s of the processor, and bytes of a bag of these steps."""
     with tempfile.TemporaryDirectory() as folder:
-        began = time.process_time()
+        watch = Stopwatch(time.process_time)
         with bag_writing.Bag(Path(folder), "episode", table, version) as bag:
             for step in steps:
                 now = round(int(step.tick) * scenario.time_step * messages.SECOND) + messages.SECOND
                 bag.write(messages.messages(table, step, now), now)
-        seconds = time.process_time() - began
+        seconds = watch.seconds
         return bag.count, seconds, sum(path.stat().st_size for path in Path(folder).rglob("*") if path.is_file())
 
 
 def main() -> None:
     """Measure, print and write."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--environment", default="lab")
-    parser.add_argument("--people", type=int, default=12)
-    parser.add_argument("--out", type=Path)
-    options = parser.parse_args()
+    options = parse(
+        __doc__,
+        environment="lab",
+        people=12,
+        out=Option(None, kind=Path),
+    )
     scenario = sean_jax.make(options.environment, people=options.people)
     scenario = dataclasses.replace(scenario, sensors=(sensors.SENSORS["lidar"](scenario.robot),))
 
@@ -65,7 +66,7 @@ def main() -> None:
     rows = {}
     for version, name in (("1", "rosbag 1"), ("2", "rosbag2 MCAP")):
         count, seconds, size = written(scenario, steps, table, version)
-        without = {topic: each for topic, each in table.items() if topic != "/markers"}
+        without = {topic: recorder for topic, recorder in table.items() if topic != "/markers"}
         rows[name] = {
             "messages per second": round(count / seconds),
             "times real time": round(STEPS * scenario.time_step / seconds, 1),
@@ -83,7 +84,7 @@ def main() -> None:
             "versions": versions() | {"rosbags": version_of("rosbags")},
             "bags": rows,
         }
-        options.out.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+        write_json(options.out, content)
 
 
 if __name__ == "__main__":

@@ -16,8 +16,11 @@ import sys
 import threading
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from options import Option, parser
+from timing import stopwatch, write_json
 
 TOPICS = {
     "/odom": "nav_msgs/msg/Odometry",
@@ -172,64 +175,95 @@ def measure(transport: str, environment: str, people: int, seconds: float) -> di
     from sean_jax.config import BridgeConfig
     from sean_jax.ros.bridge import LiveBridge
 
-    config = BridgeConfig(**{transport: True}, environment=environment, people=people, dynamics="twin",
-                          address="127.0.0.1:0", domain=173, patience=2.0, time_limit=seconds, task="random_ab_nav",
-                          task_distance=(8.0, 1e3))  # fmt: skip
+    config = BridgeConfig(
+        **{transport: True},
+        environment=environment,
+        people=people,
+        dynamics="twin",
+        address="127.0.0.1:0",
+        domain=173,
+        patience=2.0,
+        time_limit=seconds,
+        task="random_ab_nav",
+        task_distance=(8.0, 1e3),
+    )
     live = LiveBridge(config, Console(quiet=True))
     command = [sys.executable, __file__, "--controller", transport, live.bridge.transport.address]
     result: dict = {}
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdin is not None and process.stdout is not None
-
-        def ask(word: str):
-            process.stdin.write(f"{word}\n")
-            process.stdin.flush()
-            return json.loads(process.stdout.readline())
-
         assert process.stdout.readline().strip() == "ready"
         while not all(live.bridge.transport.wanted(topic) for topic in TOPICS):
             time.sleep(0.1)
         for pace in ("lockstep", "fast"):
             live.config = config.replace(pace=pace)
-            live._episode(0)  # connections of all topics
-            before, begin = ask("counts"), time.perf_counter()
-            live._episode(1)
-            taken = time.perf_counter() - begin
-            time.sleep(0.5)
-            got = {topic: number - before[topic] for topic, number in ask("counts").items()}
-            steps = live.bridge._now + 1 - live.bridge._start
-            result[pace] = {
-                "steps_per_second": round(steps / taken, 1),
-                "real_time_factor": round(steps * config.time_step / taken, 2),
-                "messages_per_second": round(sum(got.values()) / taken, 1),
-                "messages_received_share": round(sum(got.values()) / (steps * len(TOPICS)), 3),
-                "states_without_command": live.bridge.missed if pace == "lockstep" else None,
-            }
+            result[pace] = rates(live, process)
         live.config = config.replace(pace="real", time_limit=(REST + 1.0) * (REPEATS + 2))
-        latencies: list = []
-        dialog = threading.Thread(target=lambda: latencies.extend(ask("latency")))
-        dialog.start()
-        while dialog.is_alive():
-            live._episode(2)
-        result["command_to_motion_ms"] = {
-            "median": round(1e3 * float(np.median(latencies)), 1),
-            "max": round(1e3 * float(np.max(latencies)), 1),
-        }
+        result["command_to_motion_ms"] = latency(live, process)
         process.stdin.close()
     live.close()
     return result
 
 
+def ask(process: subprocess.Popen, word: str) -> Any:
+    """The answer of the controller's process to a line."""
+    process.stdin.write(f"{word}\n")
+    process.stdin.flush()
+    return json.loads(process.stdout.readline())
+
+
+def rates(live: Any, process: subprocess.Popen) -> dict:
+    """Steps and messages a second of an episode."""
+    live._episode(0)  # connections of all topics
+    before = ask(process, "counts")
+    with stopwatch() as watch:
+        live._episode(1)
+    time.sleep(0.5)
+    received = sum(number - before[topic] for topic, number in ask(process, "counts").items())
+    steps = live.bridge._now + 1 - live.bridge._start
+    return {
+        "steps_per_second": round(steps / watch.seconds, 1),
+        "real_time_factor": round(steps * live.config.time_step / watch.seconds, 2),
+        "messages_per_second": round(received / watch.seconds, 1),
+        "messages_received_share": round(received / (steps * len(TOPICS)), 3),
+        "states_without_command": live.bridge.missed if live.config.pace == "lockstep" else None,
+    }
+
+
+def latency(live: Any, process: subprocess.Popen) -> dict:
+    """Milliseconds from a command to motion, while episodes run in real time."""
+    latencies: list = []
+    dialog = threading.Thread(target=lambda: latencies.extend(ask(process, "latency")))
+    dialog.start()
+    while dialog.is_alive():
+        live._episode(2)
+    milliseconds = 1e3 * np.array(latencies)
+    return {"median": round(float(np.median(milliseconds)), 1), "max": round(float(np.max(milliseconds)), 1)}
+
+
+def start_master() -> subprocess.Popen:
+    """A ROS master at a free port, which this process and its children use."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    os.environ |= {"ROS_MASTER_URI": f"http://127.0.0.1:{port}", "ROS_IP": "127.0.0.1"}
+    master = subprocess.Popen(["rosmaster", "--core", "-p", str(port)], stdout=subprocess.DEVNULL)
+    time.sleep(2.0)
+    return master
+
+
 def main() -> None:
     """Print the figures, and write them."""
-    arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    arguments.add_argument("--environment", default="lab")
-    arguments.add_argument("--people", type=int, default=6)
-    arguments.add_argument("--seconds", type=float, default=30.0, help="simulated seconds of each measurement")
-    arguments.add_argument("--transports", nargs="+", default=list(CONTROLLERS), choices=list(CONTROLLERS))
-    arguments.add_argument("--out", type=Path)
-    arguments.add_argument("--controller", nargs=2, help=argparse.SUPPRESS)
-    options = arguments.parse_args()
+    command = parser(
+        __doc__,
+        environment="lab",
+        people=6,
+        seconds=Option(30.0, "simulated seconds of each measurement"),
+        transports=Option(list(CONTROLLERS), choices=list(CONTROLLERS)),
+        out=Option(kind=Path),
+    )
+    command.add_argument("--controller", nargs=2, help=argparse.SUPPRESS)
+    options = command.parse_args()
     if options.controller:
         return control(*options.controller)
     import jax
@@ -237,24 +271,24 @@ def main() -> None:
     from sean_jax.cli import xla_flags
 
     xla_flags.configure()  # compiled programs stay in the cache
-    about = {"environment": options.environment, "people": options.people, "cores": os.cpu_count(),
-             "load": round(os.getloadavg()[0], 1), "device": jax.devices()[0].device_kind}  # fmt: skip
+    about = {
+        "environment": options.environment,
+        "people": options.people,
+        "cores": os.cpu_count(),
+        "load": round(os.getloadavg()[0], 1),
+        "device": jax.devices()[0].device_kind,
+    }
     figures, master = {}, None
     for transport in options.transports:
         if transport == "ros1":
             if shutil.which("rosmaster") is None:
                 print("ros1: Debian's ROS is not installed")
                 continue
-            with socket.socket() as free:
-                free.bind(("127.0.0.1", 0))
-                port = free.getsockname()[1]
-            os.environ |= {"ROS_MASTER_URI": f"http://127.0.0.1:{port}", "ROS_IP": "127.0.0.1"}
-            master = subprocess.Popen(["rosmaster", "--core", "-p", str(port)], stdout=subprocess.DEVNULL)
-            time.sleep(2.0)
+            master = start_master()
         figures[transport] = measure(transport, options.environment, options.people, options.seconds)
         print(transport, json.dumps(figures[transport]), flush=True)
     if options.out:
-        options.out.write_text(json.dumps({"about": about, "figures": figures}, indent=1) + "\n", encoding="utf-8")
+        write_json(options.out, {"about": about, "figures": figures})
     if master is not None:
         master.terminate()
 

@@ -8,6 +8,7 @@ All figures are for 62 people in the warehouse, except handcrafted sets. Compare
 
 import argparse
 import functools
+import itertools
 import json
 from collections.abc import Callable
 from dataclasses import replace
@@ -16,6 +17,8 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
+from options import Option, parse
+from timing import device
 
 import sean_jax
 from sean_jax.classifiers import SITUATIONS
@@ -95,23 +98,39 @@ def crowds(options: argparse.Namespace) -> None:
         floor = np.random.default_rng(0).uniform(-20, 20, (20000, 2)).astype(np.float32)
         room = np.asarray(jax.jit(environment.clearance)(scenario.environment, jnp.asarray(floor)))
         frames, _ = drive(scenario, social_costmap, options.episodes, 120.0, options.seed)
+        print(f"\n{behavior}, {task}: free floor {1600 * (room > 0.2).mean():.0f} m2, {scenario.people} people")
+
         active = frames["active"]
         speeds, near = frames["speeds"][active], frames["distance"][active] < NEAR
         walk = speeds > 0.4
-        print(f"\n{behavior}, {task}: free floor {1600 * (room > 0.2).mean():.0f} m2, {scenario.people} people")
-        faster = ", ".join(f"{v} m/s {100 * (speeds > v).mean():.1f} %" for v in (1.4, 1.2, 1.0, 0.4))
+        faster = ", ".join(f"{speed} m/s {percent(speeds > speed):.1f} %" for speed in (1.4, 1.2, 1.0, 0.4))
         print(f"  walk faster than {faster}")
-        print(f"  within 2.4 m of the robot: {near.sum(1).mean():.2f} people, {(near & walk).sum(1).mean():.2f} walk; "
-              f"nobody {100 * (~near.any(1)).mean():.1f} % of {0.1 * active.sum(1).mean():.1f} s")  # fmt: skip
+        print(
+            f"  within 2.4 m of the robot: {near.sum(1).mean():.2f} people, {(near & walk).sum(1).mean():.2f} walk; "
+            f"nobody {percent(~near.any(1)):.1f} % of {0.1 * active.sum(1).mean():.1f} s"
+        )
         for limit in (1.2, 0.45):
-            came = frames["distance"] <= limit
-            entered = came[:, 1:] & ~came[:, :-1] & active[:, 1:, None]
-            along, walker = frames["along"][:, 1:][entered], frames["speeds"][:, 1:][entered] > 0.4
-            way = [100 * (walker & side).mean() for side in (along < -0.7, abs(along) <= 0.7, along > 0.7)]
-            narrow = 100 * np.broadcast_to(frames["gap"][:, 1:, None] < 0.5, entered.shape)[entered].mean()
-            print(f"  came within {limit} m: {entered.sum() / len(active):.2f} an episode; walking against the robot "
-                  f"{way[0]:.0f} %, across {way[1]:.0f} %, along {way[2]:.0f} %; obstacle within 0.5 m {narrow:.0f} %",
-                  flush=True)  # fmt: skip
+            print_approaches(frames, limit)
+
+
+def print_approaches(frames: dict[str, np.ndarray], limit: float) -> None:
+    """Print how people came within a distance [m] of the robot."""
+    active = frames["active"]
+    near = frames["distance"] <= limit
+    entered = near[:, 1:] & ~near[:, :-1] & active[:, 1:, None]  # (E, T - 1, N)
+    along, walks = frames["along"][:, 1:][entered], frames["speeds"][:, 1:][entered] > 0.4
+    narrow = np.broadcast_to(frames["gap"][:, 1:, None] < 0.5, entered.shape)[entered]
+    print(
+        f"  came within {limit} m: {entered.sum() / len(active):.2f} an episode; walking against the robot "
+        f"{percent(walks & (along < -0.7)):.0f} %, across {percent(walks & (abs(along) <= 0.7)):.0f} %, along "
+        f"{percent(walks & (along > 0.7)):.0f} %; obstacle within 0.5 m {percent(narrow):.0f} %",
+        flush=True,
+    )
+
+
+def percent(flags: np.ndarray) -> float:
+    """The share of flags that are set, in percent."""
+    return 100 * float(np.mean(flags))
 
 
 def groups(options: argparse.Namespace) -> None:
@@ -160,7 +179,7 @@ def facing(options: argparse.Namespace) -> None:
         frames, results = drive(scenario, social_costmap, options.episodes, 120.0, options.seed)
         harm = (results["intimate_robot_on_person"] + results["intimate_person_on_robot"]).sum(0)
         shared = " ".join(
-            f"{name} {100 * each / harm[0]:.0f} %" for name, each in zip(SITUATIONS, harm[1:], strict=True)
+            f"{name} {100 * violations / harm[0]:.0f} %" for name, violations in zip(SITUATIONS, harm[1:], strict=True)
         )
         none = ~frames["situations"][frames["active"]].any(1)
         print(f"{situations}: {harm[0]:.0f} violations of N, in {shared}; in no situation {100 * none.mean():.1f} % "
@@ -173,41 +192,49 @@ def standing(options: argparse.Namespace) -> None:
 
     join = sean_jax.make("warehouse", behavior="graph", task="join_group")
     names = "graph", "random", "handcrafted", "graph-balanced"
-    for task, name in ((task, name) for task in ("join_group", "leave_group") for name in names):
+    for task, name in itertools.product(("join_group", "leave_group"), names):
         scenario = with_task(join, task)
         policy = replace(learning.load(options.figure4 / f"policy-{name}-0-0", scenario), name="learned")
         frames, results = drive(scenario, policy, options.episodes, 120.0, options.seed)
         done = results["completed"]
         still = (frames["robot"] < SLOW) & frames["active"]
-        lasting = still & ~done[:, None]  # of robots that never arrive
-        near = frames["distance"].min(2)
-        command = np.abs(frames["command"][lasting])
-        last = lasting[:, -50:].all(1)  # stand at the end for 5 s
         print(
             f"\n{name}, {task}: completed {done.sum()} of {len(done)}; seconds slower than {SLOW} m/s: "
             f"{0.1 * still[done].sum(1).mean():.1f} of those, {0.1 * still[~done].sum(1).mean():.1f} of others"
         )
-        if not lasting.any():
-            continue
-        print(
-            f"  others stand: {100 * (frames['gap'][lasting] < 0.1).mean():.0f} % within 0.1 m of an obstacle, "
-            f"{100 * (near[lasting] < 1.2).mean():.0f} % within 1.2 m of a person, "
-            f"{100 * ((frames['gap'][lasting] >= 0.1) & (near[lasting] >= 1.2)).mean():.0f} % with neither"
-        )
-        print(
-            f"  command there: {np.median(command[:, 0]):.3f} m/s, {np.median(command[:, 1]):.3f} rad/s in the "
-            f"median; {100 * (command[:, 0] > 0.1).mean():.0f} % above 0.1 m/s (it pushes)"
-        )
-        side, height = _touched(scenario, frames["pose"][last, -1])
-        far, ahead = np.median(np.round(frames["to_goal"][last, -1], 1)), 100 * np.mean(np.round(side) <= 10.0)
-        print(f"  at the end {last.sum()} stand: goal at {far:.1f} m in the median, the obstacle within 10 degrees of "
-              f"ahead in {ahead:.0f} %, lower than 1 m in {100 * np.mean(height < 1.0):.0f} %", flush=True)  # fmt: skip
+        lasting = still & ~done[:, None]  # of robots that never arrive
+        if lasting.any():
+            print_standing(scenario, frames, lasting)
+
+
+def print_standing(scenario: Scenario, frames: dict[str, np.ndarray], lasting: np.ndarray) -> None:
+    """Print where robots stand and what their policies command there, at steps (E, T) of robots that never arrive."""
+    person, gap = frames["distance"].min(2)[lasting], frames["gap"][lasting]
+    command = np.abs(frames["command"][lasting])
+    print(
+        f"  others stand: {percent(gap < 0.1):.0f} % within 0.1 m of an obstacle, "
+        f"{percent(person < 1.2):.0f} % within 1.2 m of a person, "
+        f"{percent((gap >= 0.1) & (person >= 1.2)):.0f} % with neither"
+    )
+    print(
+        f"  command there: {np.median(command[:, 0]):.3f} m/s, {np.median(command[:, 1]):.3f} rad/s in the "
+        f"median; {percent(command[:, 0] > 0.1):.0f} % above 0.1 m/s (it pushes)"
+    )
+
+    at_end = lasting[:, -50:].all(1)  # stand for 5 s
+    side, height = _touched(scenario, frames["pose"][at_end, -1])
+    distance = np.median(np.round(frames["to_goal"][at_end, -1], 1))
+    print(
+        f"  at the end {at_end.sum()} stand: goal at {distance:.1f} m in the median, the obstacle within 10 degrees of "
+        f"ahead in {percent(np.round(side) <= 10.0):.0f} %, lower than 1 m in {percent(height < 1.0):.0f} %",
+        flush=True,
+    )
 
 
 def _touched(scenario: Scenario, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Direction of the nearest obstacle of each pose (E, 4), in degrees from ahead, and its height [m]."""
     boxes = scenario.environment.obstacles
-    center, half, yaw = (np.asarray(each) for each in (boxes.center, boxes.half_extent, boxes.yaw))
+    center, half, yaw = (np.asarray(array) for array in (boxes.center, boxes.half_extent, boxes.yaw))
     axes = np.stack([np.stack([np.cos(yaw), np.sin(yaw)], -1), np.stack([-np.sin(yaw), np.cos(yaw)], -1)], -2)
     local = np.einsum("wij,ewj->ewi", axes, poses[:, None, :2] - center)
     away = np.einsum("wij,ewi->ewj", axes, np.clip(local, -half, half) - local)
@@ -251,24 +278,26 @@ def episodes(options: argparse.Namespace) -> None:
         apart = 100 * still[late].sum() / still.sum()
         print(f"{policy}, {behavior}: {apart:.0f} % of the time not moving is in episodes that were not completed")
         for k, name in enumerate(names):
-            of = slice(k, None, len(names))
-            print(f"{f'  {name}':34} {f'{late[of].sum()} of {late[of].size}':>14} "
-                  f"{still[of][late[of]].mean() if late[of].any() else 0:13.1f} "
-                  f"{60 * harm[of, 0].sum() / figures['seconds'][of].sum():15.2f}")  # fmt: skip
+            chosen = slice(k, None, len(names))
+            not_done, seconds = late[chosen], still[chosen]
+            mean = seconds[not_done].mean() if not_done.any() else 0
+            rate = 60 * harm[chosen, 0].sum() / figures["seconds"][chosen].sum()
+            print(f"{f'  {name}':34} {f'{not_done.sum()} of {not_done.size}':>14} {mean:13.1f} {rate:15.2f}")
 
 
 def main() -> None:
     """Print all."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--episodes", type=int, default=64)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--table1", type=Path, help="folder of sean experiment table1")
-    parser.add_argument("--figure4", type=Path, help="folder of sean experiment figure4, with its policies")
     needs = {fifths: "table1", episodes: "figure4", standing: "figure4"}
-    parts = {each.__name__: each for each in (fifths, episodes, crowds, groups, stacks, facing, standing)}
-    parser.add_argument("--only", nargs="+", choices=list(parts), default=list(parts))
-    options = parser.parse_args()
-    print(f"{jax.devices()[0].device_kind}, jax {jax.__version__}, {options.episodes} episodes, seed {options.seed}")
+    parts = {part.__name__: part for part in (fifths, episodes, crowds, groups, stacks, facing, standing)}
+    options = parse(
+        __doc__,
+        episodes=64,
+        seed=1,
+        table1=Option(None, "folder of sean experiment table1", kind=Path),
+        figure4=Option(None, "folder of sean experiment figure4, with its policies", kind=Path),
+        only=Option(list(parts), choices=list(parts)),
+    )
+    print(f"{device()}, {options.episodes} episodes, seed {options.seed}")
     for name, part in parts.items():
         if name in options.only and (part not in needs or getattr(options, needs[part])):
             part(options)

@@ -8,12 +8,11 @@ maximum density of walkers in a minute in cells of 0.25 m2 (mean over minutes), 
 groups, walkers' speed, and the time that one step of one episode takes.
 """
 
-import argparse
-import time
-
 import jax
 import jax.numpy as jnp
 import numpy as np
+from options import Option, parse
+from timing import stopwatch
 
 import sean_jax
 from sean_jax.graph.behavior_graph import edge_densities
@@ -42,14 +41,15 @@ def measure(scenario, key, steps: int) -> tuple:
 
 def main() -> None:
     """Print the table."""
-    arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    arguments.add_argument("--environment", default="warehouse")
-    arguments.add_argument("--people", type=int)
-    arguments.add_argument("--routing", default="whole")
-    arguments.add_argument("--congestion-cost", nargs="+", type=float, default=[0.0, 5.0, 20.0, 100.0])
-    arguments.add_argument("--episodes", type=int, default=8)
-    arguments.add_argument("--steps", type=int, default=3000)
-    options = arguments.parse_args()
+    options = parse(
+        __doc__,
+        environment="warehouse",
+        people=Option(None, kind=int),
+        routing="whole",
+        congestion_cost=[0.0, 5.0, 20.0, 100.0],
+        episodes=8,
+        steps=3000,
+    )
     print("congestion_cost  fullest edge /m2  densest cell /m2  walks/min  in groups  speed m/s  us/step")
     for cost in options.congestion_cost:
         scenario = sean_jax.make(
@@ -61,10 +61,11 @@ def main() -> None:
         keys = jax.random.split(jax.random.key(0), options.episodes)
         run = jax.jit(jax.vmap(lambda key, scenario=scenario: measure(scenario, key, options.steps)))
         run = run.lower(keys).compile()
-        start = time.perf_counter()
-        fullest, densest, walks, seated, speed = (float(np.mean(part)) for part in jax.block_until_ready(run(keys)))
-        each = 1e6 * (time.perf_counter() - start) / options.steps / options.episodes
-        print(f"{cost:15g}  {fullest:16.3f}  {densest:16.2f}  {walks:9.1f}  {seated:9.1f}  {speed:9.3f}  {each:7.1f}")
+        with stopwatch() as watch:
+            figures = jax.block_until_ready(run(keys))
+        fullest, densest, walks, seated, speed = (float(np.mean(figure)) for figure in figures)
+        step = 1e6 * watch.seconds / options.steps / options.episodes
+        print(f"{cost:15g}  {fullest:16.3f}  {densest:16.2f}  {walks:9.1f}  {seated:9.1f}  {speed:9.3f}  {step:7.1f}")
 
 
 if __name__ == "__main__":

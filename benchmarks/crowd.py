@@ -4,19 +4,17 @@ python benchmarks/crowd.py                        (1, 62), (256, 62) and (1, 100
 python benchmarks/crowd.py --sizes 8192x62        any B x N
 """
 
-import argparse
 import resource
-import sys
-import time
-from pathlib import Path
 
 import jax
 import numpy as np
+from options import Option, parse
+from timing import device, import_from_tests, stopwatch
 
 from sean_jax import social_forces
 from sean_jax.cli.bench import programs, workload
 
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))  # the oracle is that of the tests
+import_from_tests()  # the oracle is that of the tests
 from support import float64  # noqa: E402
 
 STEP = 0.05  # s
@@ -31,10 +29,10 @@ def measure(batch: int, people: int, walls: int, preset: str) -> dict:
 def loop(people: int, walls: int, preset: str, steps: int = 2) -> float:
     """Agent-steps per second of the float64 loop."""
     p, state, boxes = float64.crowd(people, walls, preset)
-    begun = time.perf_counter()
-    for _ in range(steps):
-        state = float64.step(*state, boxes, p, STEP) + state[3:]
-    return people * steps / (time.perf_counter() - begun)
+    with stopwatch() as watch:
+        for _ in range(steps):
+            state = float64.step(*state, boxes, p, STEP) + state[3:]
+    return people * steps / watch.seconds
 
 
 def errors(people: int, walls: int, preset: str, steps: int) -> float:
@@ -53,13 +51,14 @@ def errors(people: int, walls: int, preset: str, steps: int) -> float:
 
 def main() -> None:
     """Print the table."""
-    arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    arguments.add_argument("--sizes", nargs="+", default=["1x62", "256x62", "1x1000"], metavar="BxN")
-    arguments.add_argument("--walls", nargs="+", type=int, default=[0, 32])
-    arguments.add_argument("--presets", nargs="+", default=["calibrated", "helbing1995", "sean2"])
-    arguments.add_argument("--no-loop", action="store_true", help="leave out the float64 loop")
-    chosen = arguments.parse_args()
-    print(f"{jax.devices()[0].device_kind}, jax {jax.__version__}, step {STEP} s")
+    chosen = parse(
+        __doc__,
+        sizes=Option(["1x62", "256x62", "1x1000"], metavar="BxN"),
+        walls=[0, 32],
+        presets=["calibrated", "helbing1995", "sean2"],
+        no_loop=Option(False, "leave out the float64 loop"),
+    )
+    print(f"{device()}, step {STEP} s")
     print(f"{'preset':>13} {'B':>6} {'N':>6} {'walls':>5} {'agent-steps/s':>14} {'us/step':>10} "
           f"{'compile s':>9} {'MiB':>9} {'loop /s':>9} {'error 1':>9} {'error 20':>9}")  # fmt: skip
     for preset in chosen.presets:
@@ -71,9 +70,9 @@ def main() -> None:
                 if not chosen.no_loop and batch == 1 and people <= 1000:
                     twenty = f"{errors(people, walls, preset, 20):9.1e}" if people <= 100 else f"{'-':>9}"
                     extra = f"{loop(people, walls, preset):9.3g} {errors(people, walls, preset, 1):9.1e} {twenty}"
-                each = f"{row['per_second']:14.3g} {row['microseconds']:10.1f} {row['compile_seconds']:9.2f}"
+                figures = f"{row['per_second']:14.3g} {row['microseconds']:10.1f} {row['compile_seconds']:9.2f}"
                 mib = row["bytes"] / 2**20
-                print(f"{preset:>13} {batch:6d} {people:6d} {walls:5d} {each} {mib:9.1f} {extra}", flush=True)
+                print(f"{preset:>13} {batch:6d} {people:6d} {walls:5d} {figures} {mib:9.1f} {extra}", flush=True)
     print(f"peak resident memory {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20:.2f} GiB")
 
 

@@ -16,10 +16,12 @@ import json
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from options import Option, parser
 from rich.console import Console
 
 import sean_jax
@@ -48,10 +50,10 @@ def measurement(scenario, network, observed):
         return sum(term(scenario, before, after) for term in terms) * columns, columns
 
     def episode(policy, key):
-        last, (events, there) = sean_jax.rollout(scenario, policy, key, steps, record)
+        last, (events, minutes_in) = sean_jax.rollout(scenario, policy, key, steps, record)
         return {
             "violations": events.sum(0),
-            "minutes": there.sum(0) * scenario.time_step / 60.0,
+            "minutes": minutes_in.sum(0) * scenario.time_step / 60.0,
             "completed": last.completed.astype(float),
         }
 
@@ -65,24 +67,27 @@ def measurement(scenario, network, observed):
     return lambda agent, keys: jax.tree.map(np.asarray, all_of(agent, keys))
 
 
-def difference(one: dict, other: dict, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def difference(first: dict, second: dict, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(1 + S,) difference of violations per minute in the same episodes, first minus second, with an interval."""
-    takes = np.concatenate([np.ones((1, weights.shape[1])), weights])
-    rates = [(takes @ each["violations"]) / np.maximum(takes @ each["minutes"], 1e-9) for each in (one, other)]
-    gap = rates[0] - rates[1]
+    takes = np.concatenate([np.ones((1, weights.shape[1])), weights])  # (1 + R, E)
+
+    def rates(episodes: dict) -> np.ndarray:
+        return (takes @ episodes["violations"]) / np.maximum(takes @ episodes["minutes"], 1e-9)
+
+    gap = rates(first) - rates(second)
     return gap[0], *bootstrap.interval(gap[1:])
 
 
-def picture(path: Path, names: list[str], worst: str, found: dict[str, bootstrap.Estimate]) -> None:
+def picture(path: Path, names: list[str], worst: str, rates: dict[str, bootstrap.Estimate]) -> None:
     """Violations per minute of each agent in each situation, with intervals."""
     from matplotlib.figure import Figure
 
     figure = Figure((8.0, 3.6), layout="constrained")
     axes = figure.subplots()
-    for turn, (label, each) in enumerate(found.items()):
+    for turn, (label, rate) in enumerate(rates.items()):
         x = np.arange(len(names)) + 0.25 * (turn - 1)
-        spread = np.abs(np.stack([each.mean - each.low, each.high - each.mean]))
-        axes.bar(x, each.mean, 0.23, yerr=spread, label=label, capsize=2)
+        spread = np.abs(np.stack([rate.mean - rate.low, rate.high - rate.mean]))
+        axes.bar(x, rate.mean, 0.23, yerr=spread, label=label, capsize=2)
     labels = [name.replace("_", " ") + ("\nworst before" if name == worst else "") for name in names]
     axes.set_xticks(np.arange(len(names)), labels)
     axes.set_ylabel("violations per minute")
@@ -116,16 +121,18 @@ def verdict(low: float, high: float, other: str) -> str:
 
 def main() -> None:
     """Train twice, measure three times, and print the table."""
-    arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    arguments = parser(
+        __doc__,
+        out=Option(Path("runs/mended"), "folder of trainings and figures", kind=Path),
+        steps=Option(500_000, "additional scenario-steps of each training", kind=count),
+        scenarios=Option(None, "that step together; by default the agent's", kind=count),
+        learning_rate=Option(None, "at the beginning; by default half of the agent's", kind=float),
+        curriculum=Option("situations", choices=["situations", "regret"]),
+        every=Option(20, "updates between two draws of new starts", kind=count),
+        episodes=Option(512, "of each measurement", kind=count),
+        seeds=Option(1, "trainings of each kind", kind=count),
+    )
     arguments.add_argument("agent", help="folder of `sean train ppo`, or the name of an agent of the package")
-    arguments.add_argument("--out", type=Path, default=Path("runs/mended"), help="folder of trainings and figures")
-    arguments.add_argument("--steps", type=count, default=500_000, help="additional scenario-steps of each training")
-    arguments.add_argument("--scenarios", type=count, help="that step together; by default the agent's")
-    arguments.add_argument("--learning-rate", type=float, help="at the beginning; by default half of the agent's")
-    arguments.add_argument("--curriculum", default="situations", choices=["situations", "regret"])
-    arguments.add_argument("--every", type=count, default=20, help="updates between two draws of new starts")
-    arguments.add_argument("--episodes", type=count, default=512, help="of each measurement")
-    arguments.add_argument("--seeds", type=count, default=1, help="trainings of each kind")
     chosen = arguments.parse_args()
     try:
         mend(chosen, Console(stderr=True))
@@ -166,54 +173,87 @@ def mend(chosen: argparse.Namespace, console: Console) -> None:
     report(chosen, names, worst, measured)
 
 
+class Figures(NamedTuple):
+    """Violations per minute of all situations, by kind of training."""
+
+    rates: dict[str, bootstrap.Estimate]
+    gaps: dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]  # the curriculum less another kind, and its interval
+
+
 def report(chosen: argparse.Namespace, names: list[str], worst: int, measured: dict[str, list[dict]]) -> None:
     """Print the table, and write it with a picture."""
-    weights = bootstrap.resamples(chosen.episodes)
     # An episode combines all seeds, so that intervals are over episodes.
-    pooled = {kind: jax.tree.map(lambda *each: np.mean(each, 0), *each) for kind, each in measured.items()}
-    found = {
-        kind: bootstrap.aggregate_ratio(each["violations"], each["minutes"], weights=weights)
-        for kind, each in pooled.items()
-    }
-    gaps = {kind: difference(pooled[chosen.curriculum], pooled[kind], weights) for kind in ("before", "none")}
-    print(f"violations per minute, {chosen.episodes} episodes, 95 % intervals; * is the worst situation before")
-    titles = ["before", "no curriculum", chosen.curriculum, *(f"{chosen.curriculum} - {other}" for other in gaps)]
-    print(f"{'':14}" + "".join(f"{title:>24}" for title in titles))
-    for row, name in enumerate(names):
-        cells = [f"{each.mean[row]:.2f} ({each.low[row]:.2f} to {each.high[row]:.2f})" for each in found.values()]
-        cells += [f"{gap[row]:+.2f} ({low[row]:+.2f} to {high[row]:+.2f})" for gap, low, high in gaps.values()]
-        print(f"{name + (' *' if row == worst else ''):14}" + "".join(f"{cell:>24}" for cell in cells))
-    kept = {
-        kind: {"mean": each.mean.tolist(), "low": each.low.tolist(), "high": each.high.tolist()}
-        for kind, each in found.items()
-    }
-    kept |= {
-        f"{chosen.curriculum} less {other}": {"mean": gap.tolist(), "low": low.tolist(), "high": high.tolist()}
-        for other, (gap, low, high) in gaps.items()
-    }
+    weights = bootstrap.resamples(chosen.episodes)
+    pooled = {kind: jax.tree.map(lambda *seeds: np.mean(seeds, 0), *agents) for kind, agents in measured.items()}
+    rates, gaps = {}, {}
+    for kind, episodes in pooled.items():
+        rates[kind] = bootstrap.aggregate_ratio(episodes["violations"], episodes["minutes"], weights=weights)
+    for kind in ("before", "none"):
+        gaps[kind] = difference(pooled[chosen.curriculum], pooled[kind], weights)
+    figures = Figures(rates, gaps)
+    titles = ["before", "no curriculum", chosen.curriculum]
+    print_rates(chosen, names, worst, titles, figures)
+
+    results: dict[str, dict] = {kind: listed(rate.mean, rate.low, rate.high) for kind, rate in rates.items()}
+    results |= {f"{chosen.curriculum} less {kind}": listed(*gap) for kind, gap in gaps.items()}
     for label, column in (("completed", np.s_[:]), ("minutes", np.s_[:, 0])):
-        means = {kind: bootstrap.aggregate(each[label][column], weights=weights) for kind, each in pooled.items()}
-        for kind, x in means.items():
-            kept[kind][label] = float(x.mean)
-        print(f"{label:14}" + "".join(f"{f'{x.mean:.3f} ({x.low:.3f} to {x.high:.3f})':>24}" for x in means.values()))
+        means = {
+            kind: bootstrap.aggregate(episodes[label][column], weights=weights) for kind, episodes in pooled.items()
+        }
+        print_row(label, [f"{mean.mean:.3f} ({mean.low:.3f} to {mean.high:.3f})" for mean in means.values()])
+        for kind, mean in means.items():
+            results[kind][label] = float(mean.mean)
     for kind in ("none", chosen.curriculum):
-        rates = [each["violations"][:, worst].sum() / each["minutes"][:, worst].sum() for each in measured[kind]]
-        kept[kind]["by seed"] = [float(rate) for rate in rates]
+        by_seed = [float(worst_rate(episodes, worst)) for episodes in measured[kind]]
+        results[kind]["by seed"] = by_seed
         if chosen.seeds > 1:
-            print(f"{kind}, {names[worst]}, by seed: " + ", ".join(f"{rate:.2f}" for rate in rates))
-    said = [
-        verdict(gaps[kind][1][worst], gaps[kind][2][worst], other)
-        for kind, other in (("before", "before"), ("none", "without a curriculum"))
-    ]
-    print(f"{names[worst]} after training with curriculum {chosen.curriculum}: {said[0]}, {said[1]}")
-    made = {name: str(value) for name, value in vars(chosen).items()}
-    told = {"options": made, "columns": names, "worst": names[worst], **kept}
+            print(f"{kind}, {names[worst]}, by seed: " + ", ".join(f"{rate:.2f}" for rate in by_seed))
+    print_verdict(chosen, names[worst], worst, figures)
+
     # By the name of the curriculum: another curriculum may share the folder and the trainings without a curriculum.
-    (chosen.out / f"{chosen.curriculum}.json").write_text(json.dumps(told, indent=1))
-    picture(
-        chosen.out / f"{chosen.curriculum}.png", names, names[worst], dict(zip(titles, found.values(), strict=False))
-    )
-    print(chosen.out / f"{chosen.curriculum}.png")
+    options = {name: str(value) for name, value in vars(chosen).items()}
+    content = {"options": options, "columns": names, "worst": names[worst], **results}
+    (chosen.out / f"{chosen.curriculum}.json").write_text(json.dumps(content, indent=1))
+    path = chosen.out / f"{chosen.curriculum}.png"
+    picture(path, names, names[worst], dict(zip(titles, rates.values(), strict=False)))
+    print(path)
+
+
+def print_rates(chosen: argparse.Namespace, names: list[str], worst: int, titles: list[str], figures: Figures) -> None:
+    """Print a row of violations per minute for each situation."""
+    print(f"violations per minute, {chosen.episodes} episodes, 95 % intervals; * is the worst situation before")
+    print_row("", [*titles, *(f"{chosen.curriculum} - {kind}" for kind in figures.gaps)])
+    for row, name in enumerate(names):
+        cells = []
+        for rate in figures.rates.values():
+            cells.append(f"{rate.mean[row]:.2f} ({rate.low[row]:.2f} to {rate.high[row]:.2f})")
+        for gap, low, high in figures.gaps.values():
+            cells.append(f"{gap[row]:+.2f} ({low[row]:+.2f} to {high[row]:+.2f})")
+        print_row(f"{name} *" if row == worst else name, cells)
+
+
+def print_verdict(chosen: argparse.Namespace, name: str, worst: int, figures: Figures) -> None:
+    """Print whether the worst situation is better than before and than without a curriculum."""
+    words = []
+    for kind, other in (("before", "before"), ("none", "without a curriculum")):
+        _, low, high = figures.gaps[kind]
+        words.append(verdict(low[worst], high[worst], other))
+    print(f"{name} after training with curriculum {chosen.curriculum}: {', '.join(words)}")
+
+
+def print_row(label: str, cells: list[str]) -> None:
+    """Print a row of the table."""
+    print(f"{label:14}" + "".join(f"{cell:>24}" for cell in cells))
+
+
+def listed(mean: np.ndarray, low: np.ndarray, high: np.ndarray) -> dict[str, list[float]]:
+    """An estimate as a file of results has it."""
+    return {"mean": mean.tolist(), "low": low.tolist(), "high": high.tolist()}
+
+
+def worst_rate(episodes: dict, worst: int) -> float:
+    """Violations per minute of the worst situation."""
+    return episodes["violations"][:, worst].sum() / episodes["minutes"][:, worst].sum()
 
 
 if __name__ == "__main__":

@@ -3,7 +3,6 @@
 python benchmarks/drives.py --drives 4 8 16 24 --out benchmarks/results/drives.json
 """
 
-import argparse
 import json
 import os
 import tempfile
@@ -12,6 +11,8 @@ import time
 from pathlib import Path
 
 import numpy as np
+from options import Option, parse
+from timing import stopwatch, write_json
 
 from sean_jax.config import StudioConfig, validate
 from sean_jax.studies.survey.answers import Answers
@@ -37,28 +38,29 @@ def rates(sessions: Sessions, answers: Answers, config: StudioConfig, drives: in
     for watcher in watchers:
         watcher.start()
     time.sleep(2.0)
-    begin, before = time.perf_counter(), [len(drive.session.commands) for drive in running]
-    time.sleep(seconds)
-    steps = [len(drive.session.commands) - first for drive, first in zip(running, before, strict=True)]
-    taken = time.perf_counter() - begin
+    before = [len(drive.session.commands) for drive in running]
+    with stopwatch() as watch:
+        time.sleep(seconds)
+        steps = [len(drive.session.commands) - first for drive, first in zip(running, before, strict=True)]
     ended.set()
     for watcher in watchers:
         watcher.join()
     for drive in running:
         drive.close()
-    return [count / taken for count in steps]
+    return [count / watch.seconds for count in steps]
 
 
 def main() -> None:
     """Print the table, and write it."""
-    arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    arguments.add_argument("--environment", default="lab")
-    arguments.add_argument("--people", type=int, default=6)
-    arguments.add_argument("--drives", nargs="+", type=int, default=[4, 8, 16, 24])
-    arguments.add_argument("--views", nargs="+", default=["plan", "first_person"])
-    arguments.add_argument("--seconds", type=float, default=10.0)
-    arguments.add_argument("--out", type=Path)
-    chosen = arguments.parse_args()
+    chosen = parse(
+        __doc__,
+        environment="lab",
+        people=6,
+        drives=[4, 8, 16, 24],
+        views=["plan", "first_person"],
+        seconds=10.0,
+        out=Option(None, kind=Path),
+    )
     options = {"environment": chosen.environment, "people": chosen.people, "time_limit": 120.0}
     config = validate(StudioConfig, options)
     trials = [{"name": "drive", "drive": {}}]
@@ -68,14 +70,14 @@ def main() -> None:
         answers, sessions = Answers.begin(Path(folder), study), Sessions()
         for view in chosen.views:
             for drives in chosen.drives:
-                each = rates(sessions, answers, config, drives, view, chosen.seconds)
-                rows.append({"view": view, "drives": drives, "median": round(float(np.median(each)), 2),
-                             "slowest": round(min(each), 2)})  # fmt: skip
+                steps_per_second = rates(sessions, answers, config, drives, view, chosen.seconds)
+                rows.append({"view": view, "drives": drives, "median": round(float(np.median(steps_per_second)), 2),
+                             "slowest": round(min(steps_per_second), 2)})  # fmt: skip
                 print(json.dumps(rows[-1]), flush=True)
         answers.close()
     if chosen.out is not None:
         content = {"environment": chosen.environment, "people": chosen.people, "cores": os.cpu_count(), "load": load}
-        chosen.out.write_text(json.dumps(content | {"steps_per_second": rows}, indent=1) + "\n", encoding="utf-8")
+        write_json(chosen.out, content | {"steps_per_second": rows})
 
 
 if __name__ == "__main__":

@@ -4,18 +4,16 @@ python benchmarks/forces.py                     all experiments, with every pres
 python benchmarks/forces.py passing robot       passing, robot, bottleneck, walking_groups
 """
 
-import argparse
-import sys
-from pathlib import Path
-
 import jax
 import jax.numpy as jnp
 import numpy as np
+from options import parser
+from timing import import_from_tests
 
 import sean_jax
 from sean_jax import social_forces
 
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))  # the tests assert what is printed here
+import_from_tests()  # the tests assert what is printed here
 from support.walkers import (  # noqa: E402
     bottleneck,
     doorway,
@@ -45,8 +43,11 @@ def print_passing(presets) -> None:
         print(f"{side:>20}" + "".join(f"{value:7.2f}" for value in PREFERENCES[side]) + "   own value")
         for sign in (1.0, -1.0):
             share = np.nanmean(right_share(parameters, sign * np.array(PREFERENCES[side])), axis=1)
-            own = f"   {float(getattr(getattr(parameters, term), field)):9.2f}" if sign > 0 else ""
-            print(f"{name if sign > 0 else '  mirrored':>20}" + "".join(f"{one:7.3f}" for one in share) + own)
+            shares = "".join(f"{value:7.3f}" for value in share)
+            if sign > 0:
+                print(f"{name:>20}{shares}   {float(getattr(getattr(parameters, term), field)):9.2f}")
+            else:
+                print(f"{'  mirrored':>20}{shares}")
 
 
 def print_robot(presets) -> None:
@@ -61,7 +62,7 @@ def print_robot(presets) -> None:
         by_factor = np.asarray(gaps(parameters, distances, crossings=400)).mean(1)
         drawn = social_forces.draw_traits(parameters, jax.random.key(9), 400)[1]
         gap = np.asarray(gaps(parameters, drawn[None], crossings=400))[0]
-        print(f"{name:>14}" + "".join(f"{one:7.3f}" for one in by_factor)
+        print(f"{name:>14}" + "".join(f"{gap_by_factor:7.3f}" for gap_by_factor in by_factor)
               + f"{gap.mean():7.2f}+-{gap.std():.2f}{np.corrcoef(gap, np.asarray(drawn))[0, 1]:13.2f}")  # fmt: skip
 
 
@@ -95,9 +96,9 @@ def print_walking_groups(presets) -> None:
                 "warehouse", behavior=behavior, task=task, forces=parameters, walking_groups=(0.3, 0.3)
             )
             rows[behavior] = together(*in_scenario(scenario))
-        for place, found in rows.items():
+        for place, pairs in rows.items():
             cells = [
-                " ".join(f"{found.get(size, {}).get(key, np.nan):5.2f}" for size in sizes)
+                " ".join(f"{pairs.get(size, {}).get(key, np.nan):5.2f}" for size in sizes)
                 for key, sizes in (("speed", (1, 2, 3)), ("spacing", (2, 3)), ("beside", (2, 3)), ("apart", (2, 3)))
             ]
             print(f"{name:>14}{place:>10}{cells[0]:>19}{cells[1]:>12}{cells[2]:>11}{cells[3]:>16}", flush=True)
@@ -113,9 +114,8 @@ EXPERIMENTS = {
 
 def main() -> None:
     """Print the tables."""
-    arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    arguments = parser(__doc__, presets=list(social_forces.PRESETS))
     arguments.add_argument("experiments", nargs="*", metavar="EXPERIMENT", help=", ".join(EXPERIMENTS))
-    arguments.add_argument("--presets", nargs="+", default=list(social_forces.PRESETS))
     chosen = arguments.parse_args()
     for name in chosen.experiments or EXPERIMENTS:
         EXPERIMENTS[name](chosen.presets)

@@ -12,7 +12,6 @@ in goldens.yaml. Everything takes a quarter of an hour on a core. Numbers are fo
 on other machines the last digits differ.
 """
 
-import argparse
 import contextlib
 import difflib
 import gzip
@@ -34,6 +33,7 @@ from pathlib import Path
 from typing import Any
 
 import yaml
+from options import Option, add_options, parser
 
 SECTIONS = ("jaxprs", "help", "schema", "bad_input", "runs", "folders")
 SHOWN = 12  # lines of a difference
@@ -109,18 +109,19 @@ def _lines(jaxpr: Any, constants: Iterable[Any], indent: str) -> Iterator[str]:
     for variable, value in zip_longest(jaxpr.constvars, constants):  # without values if they are arguments
         yield f"{indent}constant {word(variable)} = {_value(value)}"
     for equation in jaxpr.eqns:
-        parts, inner = [], []
+        options, inner = [], []
         for name, value in sorted(equation.params.items()):
-            programs = [each for each in (value if isinstance(value, tuple | list) else [value]) if _is_program(each)]
+            values = value if isinstance(value, tuple | list) else [value]
+            programs = [(name, part) for part in values if _is_program(part)]
             if programs:
-                inner += [(name, each) for each in programs]
+                inner += programs
             elif name not in ("name", "kernel_name", "debug_info"):
-                parts.append(f"{name}={_value(value)}")
-        given, made = (" ".join(map(word, each)) for each in (equation.invars, equation.outvars))
-        yield f"{indent}{made} = {equation.primitive.name}[{' '.join(parts)}] {given}"
-        for name, each in inner:
+                options.append(f"{name}={_value(value)}")
+        inputs, outputs = " ".join(map(word, equation.invars)), " ".join(map(word, equation.outvars))
+        yield f"{indent}{outputs} = {equation.primitive.name}[{' '.join(options)}] {inputs}"
+        for name, part in inner:
             yield f"{indent}  {name}:"
-            yield from _lines(getattr(each, "jaxpr", each), getattr(each, "consts", ()), indent + "    ")
+            yield from _lines(getattr(part, "jaxpr", part), getattr(part, "consts", ()), indent + "    ")
     yield f"{indent}gives {' '.join(map(word, jaxpr.outvars))}"
 
 
@@ -146,37 +147,71 @@ def jaxprs() -> dict[str, str]:
 
     import sean_jax
 
-    key, action = jax.random.key(0), jax.ShapeDtypeStruct((2,), "float32")
-    found, scenarios = {}, {}
+    key = jax.random.key(0)
     with folder_of_files():
-        for name, options in CASES["scenarios"].items():
-            scenarios[name] = scenario = sean_jax.make(**options)
-            state = jax.eval_shape(sean_jax.reset, scenario, key)
-            found[f"step {name}"] = program(jax.make_jaxpr(sean_jax.step)(scenario, state, action))
+        scenarios = {name: sean_jax.make(**options) for name, options in CASES["scenarios"].items()}
+        texts = {}
+        for name, scenario in scenarios.items():
+            texts[f"step {name}"] = program(jax.make_jaxpr(sean_jax.step)(scenario, *_state_and_action(scenario)))
         for name in ("warehouse", "lab playback"):
-            found[f"reset {name}"] = program(jax.make_jaxpr(sean_jax.reset)(scenarios[name], key))
-        scenario = scenarios["warehouse"]
-        state = jax.eval_shape(sean_jax.reset, scenario, key)
+            texts[f"reset {name}"] = program(jax.make_jaxpr(sean_jax.reset)(scenarios[name], key))
+        return texts | _gradients(scenarios["warehouse"]) | _policies(scenarios["warehouse"]) | _environments()
 
-        def loss(forces: Any, state: Any, action: Any) -> Any:
-            after = sean_jax.step(replace(scenario, forces=forces), state, action)
-            return (after.pedestrians.position**2).sum() + (after.robot.position**2).sum()
 
-        derivative = jax.grad(loss, allow_int=True)
-        found["gradient warehouse"] = program(jax.make_jaxpr(derivative)(scenario.forces, state, action))
-        for name in sorted(sean_jax.POLICIES):
-            policy = sean_jax.POLICIES[name]
+def _state_and_action(scenario: Any) -> tuple[Any, Any]:
+    """The shapes of a state and of an action."""
+    import jax
 
-            def drive(scenario: Any, state: Any, policy: Any = policy) -> Any:
-                return sean_jax.policy_step(scenario, policy, sean_jax.init_policy(scenario, policy, state))
+    import sean_jax
 
-            found[f"policy {name}"] = program(jax.make_jaxpr(drive)(scenario, state))
-        for name, options in CASES["environments"].items():
-            overrides = {key: value for key, value in options.items() if key != "name"}
-            env = sean_jax.registry.load(options["name"], config_overrides=overrides)
-            _, state = jax.eval_shape(type(env).reset, env, key)
-            found[f"step {name}"] = program(jax.make_jaxpr(type(env).step)(env, key, state, action))
-    return found
+    state = jax.eval_shape(sean_jax.reset, scenario, jax.random.key(0))
+    return state, jax.ShapeDtypeStruct((2,), "float32")
+
+
+def _gradients(scenario: Any) -> dict[str, str]:
+    import jax
+
+    import sean_jax
+
+    def loss(forces: Any, state: Any, action: Any) -> Any:
+        after = sean_jax.step(replace(scenario, forces=forces), state, action)
+        return (after.pedestrians.position**2).sum() + (after.robot.position**2).sum()
+
+    derivative = jax.grad(loss, allow_int=True)
+    text = program(jax.make_jaxpr(derivative)(scenario.forces, *_state_and_action(scenario)))
+    return {"gradient warehouse": text}
+
+
+def _policies(scenario: Any) -> dict[str, str]:
+    import jax
+
+    import sean_jax
+
+    state, _ = _state_and_action(scenario)
+    texts = {}
+    for name in sorted(sean_jax.POLICIES):
+        policy = sean_jax.POLICIES[name]
+
+        def drive(scenario: Any, state: Any, policy: Any = policy) -> Any:
+            return sean_jax.policy_step(scenario, policy, sean_jax.init_policy(scenario, policy, state))
+
+        texts[f"policy {name}"] = program(jax.make_jaxpr(drive)(scenario, state))
+    return texts
+
+
+def _environments() -> dict[str, str]:
+    import jax
+
+    import sean_jax
+
+    key, action = jax.random.key(0), jax.ShapeDtypeStruct((2,), "float32")
+    texts = {}
+    for name, options in CASES["environments"].items():
+        overrides = {key: value for key, value in options.items() if key != "name"}
+        env = sean_jax.registry.load(options["name"], config_overrides=overrides)
+        _, state = jax.eval_shape(type(env).reset, env, key)
+        texts[f"step {name}"] = program(jax.make_jaxpr(type(env).step)(env, key, state, action))
+    return texts
 
 
 # ------------------------------------------------------------------ words
@@ -195,32 +230,32 @@ def say(words: list[str], columns: int = 100) -> tuple[str, str]:
             code = end.code
         except Exception as error:
             code = f"{type(error).__name__}: {error}"
-    told, failed = (re.sub(r" +$", "", each.buffer.getvalue().decode(), flags=re.MULTILINE) for each in (out, err))
-    return plain(told), plain(f"exit code {code}\n{failed}")
+    printed, failed = (re.sub(r" +$", "", part.buffer.getvalue().decode(), flags=re.MULTILINE) for part in (out, err))
+    return plain(printed), plain(f"exit code {code}\n{failed}")
 
 
 def help_texts() -> dict[str, str]:
     """``--help`` of all commands, and separately the options with their values and defaults."""
-    found = {"sean": say(["--help"])[0], "list": say(["list"])[0], "train": say(["train", "--help"])[0]}
-    commands = [[word] for word in re.findall(r"^  ([a-z-]+)  ", found["sean"], re.MULTILINE) if word != "train"]
-    commands += [["train", word] for word in re.findall(r"^  sean train ([a-z]+) ", found["train"], re.MULTILINE)]
+    options = {"sean": say(["--help"])[0], "list": say(["list"])[0], "train": say(["train", "--help"])[0]}
+    commands = [[word] for word in re.findall(r"^  ([a-z-]+)  ", options["sean"], re.MULTILINE) if word != "train"]
+    commands += [["train", word] for word in re.findall(r"^  sean train ([a-z]+) ", options["train"], re.MULTILINE)]
     for words in commands:
-        found[" ".join(words)] = say([*words, "--help"])[0]
-        found[f"{' '.join(words)}, options"] = "\n".join(_options(say([*words, "--help"], WIDE)[0])) + "\n"
-    return found
+        options[" ".join(words)] = say([*words, "--help"])[0]
+        options[f"{' '.join(words)}, options"] = "\n".join(_options(say([*words, "--help"], WIDE)[0])) + "\n"
+    return options
 
 
 def _options(text: str) -> list[str]:
     """Options of a help text of wide lines: names and values, then the default."""
-    name, found = "", {}
+    name, texts = "", {}
     for line in text.splitlines():
         if line.startswith("│"):
             line = line.strip("│ ")
             first = re.split(r"\s{2,}", line)[0]
             name = first if re.match(r"--?\w|[A-Z]+$|\{", first) else name
             default = re.search(r"\((default: .*?|required)\)$", line)
-            found[name] = default[1] if default else found.get(name, "")
-    return [f"{name} {default}".strip() for name, default in found.items()]
+            texts[name] = default[1] if default else texts.get(name, "")
+    return [f"{name} {default}".strip() for name, default in texts.items()]
 
 
 def schema() -> dict[str, str]:
@@ -228,8 +263,8 @@ def schema() -> dict[str, str]:
 
     def bare(part: Any) -> Any:
         if isinstance(part, dict):
-            return {name: bare(each) for name, each in part.items() if not isinstance(each, str) or name in TEXTS}
-        return [bare(each) for each in part] if isinstance(part, list) else part
+            return {name: bare(inner) for name, inner in part.items() if not isinstance(inner, str) or name in TEXTS}
+        return [bare(inner) for inner in part] if isinstance(part, list) else part
 
     text = say(["schema"])[0]
     return {"schema": text, "schema, bare": json.dumps(bare(json.loads(text)), indent=1, sort_keys=True) + "\n"}
@@ -264,18 +299,18 @@ def start(words: list[str]) -> subprocess.Popen[str]:
 
 def told(folder: Path, name: str) -> dict[str, str]:
     """Contents of the files of a folder, by the name and theirs; arrays by digests of their files."""
-    found = {}
+    texts = {}
     for path in sorted(path for pattern in TOLD for path in folder.rglob(pattern)):
-        found[f"{name} {path.relative_to(folder)}"] = plain(_lasting(path))
+        texts[f"{name} {path.relative_to(folder)}"] = plain(_lasting(path))
     for path in sorted(folder.rglob("weights.npz")):
-        found[f"{name} {path.relative_to(folder)}"] = f"{hashlib.sha256(path.read_bytes()).hexdigest()}\n"
+        texts[f"{name} {path.relative_to(folder)}"] = f"{hashlib.sha256(path.read_bytes()).hexdigest()}\n"
     for manifest in sorted(folder.rglob("dataset.json")):
         files = sorted(path for path in manifest.parent.rglob("*") if path.is_file() and path != manifest)
         digests = [
             f"{hashlib.sha256(path.read_bytes()).hexdigest()} {path.relative_to(manifest.parent)}" for path in files
         ]
-        found[f"{name} {manifest.parent.relative_to(folder) / 'arrays'}"] = "\n".join(digests) + "\n"
-    return found
+        texts[f"{name} {manifest.parent.relative_to(folder) / 'arrays'}"] = "\n".join(digests) + "\n"
+    return texts
 
 
 def _lasting(path: Path) -> str:
@@ -288,7 +323,7 @@ def _lasting(path: Path) -> str:
     passing = (*PASSING.get(path.name, ()), "versions")
 
     def bare(part: Any) -> Any:
-        return {name: each for name, each in part.items() if name not in passing} if isinstance(part, dict) else part
+        return {name: value for name, value in part.items() if name not in passing} if isinstance(part, dict) else part
 
     parts = [bare(json.loads(line)) for line in (text.splitlines() if path.suffix == ".jsonl" else [text])]
     for part in parts:
@@ -299,7 +334,7 @@ def _lasting(path: Path) -> str:
 def runs(folder: Path, names: Iterable[str]) -> dict[str, str]:
     """Output of small commands; the folders of some are kept."""
     (folder / "folders").mkdir(exist_ok=True)
-    found = {}
+    texts = {}
     with contextlib.chdir(folder / "folders"):
         add_files()
         for name in names:
@@ -307,12 +342,12 @@ def runs(folder: Path, names: Iterable[str]) -> dict[str, str]:
             began = time.monotonic()
             process = start(words_of(CASES["runs"][name], name))
             said = plain(process.communicate()[1])
-            found[f"{name} exit"] = f"exit code {process.returncode}\n{said}"
-            found |= told(Path(name), name)
+            texts[f"{name} exit"] = f"exit code {process.returncode}\n{said}"
+            texts |= told(Path(name), name)
             print(f"  {name}: exit code {process.returncode} after {time.monotonic() - began:.0f} s", flush=True)
             if name not in CASES["kept"]:
                 shutil.rmtree(name, ignore_errors=True)
-    return found
+    return texts
 
 
 def folders(folder: Path) -> dict[str, str]:
@@ -333,7 +368,7 @@ def folders(folder: Path) -> dict[str, str]:
 
 def reopen(folder: Path) -> int:
     """Open a copy of the folders with the present code, and print its output; 1 if it is wrong."""
-    kept, wrong = read(folder)["runs"], 0
+    records, wrong = read(folder)["runs"], 0
     with tempfile.TemporaryDirectory() as place:
         shutil.copytree(folder / "folders", place, dirs_exist_ok=True)
         with contextlib.chdir(place):
@@ -341,20 +376,25 @@ def reopen(folder: Path) -> int:
             for name in CASES["killed"]:
                 cases[f"unfinished {name}"] = (f"{CASES['runs'][name]} --out half-{name}", name)
             for name, (line, same) in cases.items():
-                words = words_of(line)
-                process = start(words)
-                said = plain(process.communicate()[1]).strip()
-                code, result = process.returncode, "opened"
-                if same and not code:
-                    found = told(Path(words[words.index("--out") + 1]), same.split()[0])
-                    names = {each for each in {*found, *kept} if f"{each} ".startswith(f"{same} ")} - {f"{same} exit"}
-                    differing = [each for each in names if digest(found.get(each, "")) != kept.get(each)]
-                    result = f"opened, but differs in {', '.join(sorted(differing))}" if differing else "opened, equal"
-                elif code:
-                    result = f"{'BROKEN' if 'Traceback' in said else 'refused'}, {code}: {said.splitlines()[-1:]}"
+                result = _opened(words_of(line), same, records)
                 wrong += "BROKEN" in result or "differs" in result
                 print(f"{name}: {result}", flush=True)
     return int(wrong > 0)
+
+
+def _opened(words: list[str], same: str, records: dict[str, str]) -> str:
+    """What became of a command; its files should be those of the records whose names begin with ``same``, if any."""
+    process = start(words)
+    said = plain(process.communicate()[1]).strip()
+    code = process.returncode
+    if code:
+        return f"{'BROKEN' if 'Traceback' in said else 'refused'}, {code}: {said.splitlines()[-1:]}"
+    if not same:
+        return "opened"
+    texts = told(Path(words[words.index("--out") + 1]), same.split()[0])
+    names = {name for name in {*texts, *records} if f"{name} ".startswith(f"{same} ")} - {f"{same} exit"}
+    differing = [name for name in names if digest(texts.get(name, "")) != records.get(name)]
+    return f"opened, but differs in {', '.join(sorted(differing))}" if differing else "opened, equal"
 
 
 # ------------------------------------------------------------------ commands
@@ -373,20 +413,20 @@ def write(folder: Path, only: Iterable[str], names: Iterable[str] = ()) -> None:
     for section in only:
         began = time.monotonic()
         if section == "runs":
-            found = runs(folder, names or CASES["runs"])
+            texts = runs(folder, names or CASES["runs"])
         else:
-            found = WRITERS[section](folder)
+            texts = WRITERS[section](folder)
         if not (section == "runs" and names):  # records of other runs are kept
             kept[section] = {}
             if section != "folders":
                 shutil.rmtree(folder / section, ignore_errors=True)
         (folder / section).mkdir(exist_ok=True)
-        for name, text in found.items():
+        for name, text in texts.items():
             data = text.encode()
             file_of(folder, section, name).write_bytes(gzip.compress(data, mtime=0) if section == "jaxprs" else data)
-        kept[section] = kept.get(section, {}) | {name: digest(text) for name, text in found.items()}
+        kept[section] = kept.get(section, {}) | {name: digest(text) for name, text in texts.items()}
         (folder / "goldens.json").write_text(json.dumps(kept, indent=1, sort_keys=True) + "\n")
-        print(f"{section}: {len(found)} in {time.monotonic() - began:.0f} s", flush=True)
+        print(f"{section}: {len(texts)} in {time.monotonic() - began:.0f} s", flush=True)
 
 
 def digest(text: str) -> str:
@@ -401,30 +441,40 @@ def read(path: Path) -> dict[str, dict[str, str]]:
 
 def compare(before: Path, after: Path) -> int:
     """Print differences between the common sections, with their first lines; 1 if there are any."""
-    one, other = read(before), read(after)
+    first, second = read(before), read(after)
     differing = 0
-    for section in sorted({*one, *other}):
-        if section not in one or section not in other:
-            print(f"{section}: only in {before if section in one else after}")
+    for section in sorted({*first, *second}):
+        if section not in first or section not in second:
+            print(f"{section}: only in {before if section in first else after}")
             continue
-        names = sorted({*one[section], *other[section]})
+        old, new = first[section], second[section]
+        names = sorted({*old, *new})
         if section == "runs":  # some may be missing, with --runs
-            done = [{name.split()[0] for name in found[section]} for found in (one, other)]
-            names = [name for name in names if all(name.split()[0] in each for each in done)]
-            if done[0] != done[1]:
-                print(f"not in both: {', '.join(sorted(done[0] ^ done[1]))}")
-        changed = [name for name in names if one[section].get(name) != other[section].get(name)]
+            names = _in_both(old, new, names)
+        changed = [name for name in names if old.get(name) != new.get(name)]
         print(f"{section}: {len(changed)} of {len(names)} differ")
         differing += len(changed)
         for name in changed:
-            where = [place for place, found in ((before, one), (after, other)) if name not in found[section]]
-            print(f"  {name}: {f'not in {where[0]}' if where else 'differs'}")
-            copies = [file_of(place, section, name) for place in (before, after)]
-            if all(copy.is_file() for copy in copies):
-                texts = [_text(copy).splitlines() for copy in copies]
-                lines = list(difflib.unified_diff(*texts, lineterm="", n=0))[2:]
-                print("\n".join(f"    {line[:160]}" for line in lines[:SHOWN]))
+            missing = [place for place, records in ((before, old), (after, new)) if name not in records]
+            print(f"  {name}: {f'not in {missing[0]}' if missing else 'differs'}")
+            _show_lines([file_of(place, section, name) for place in (before, after)])
     return int(differing > 0)
+
+
+def _in_both(old: dict[str, str], new: dict[str, str], names: list[str]) -> list[str]:
+    """The names of runs that both records have; prints the others."""
+    old_runs, new_runs = ({name.split()[0] for name in records} for records in (old, new))
+    if old_runs != new_runs:
+        print(f"not in both: {', '.join(sorted(old_runs ^ new_runs))}")
+    return [name for name in names if name.split()[0] in old_runs & new_runs]
+
+
+def _show_lines(copies: list[Path]) -> None:
+    """Print the first lines in which two copies differ, if there are both."""
+    if all(copy.is_file() for copy in copies):
+        texts = [_text(copy).splitlines() for copy in copies]
+        lines = list(difflib.unified_diff(*texts, lineterm="", n=0))[2:]
+        print("\n".join(f"    {line[:160]}" for line in lines[:SHOWN]))
 
 
 def _text(path: Path) -> str:
@@ -443,25 +493,25 @@ WRITERS: dict[str, Callable[[Path], dict[str, str]]] = {
 
 def main() -> int:
     """Write, compare or open."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    commands = parser.add_subparsers(dest="command", required=True)
+    arguments = parser(__doc__)
+    commands = arguments.add_subparsers(dest="command", required=True)
     writing = commands.add_parser("write")
     writing.add_argument("folder", type=Path)
-    writing.add_argument("--only", nargs="+", choices=SECTIONS, default=SECTIONS)
-    writing.add_argument("--runs", nargs="+", choices=CASES["runs"], metavar="NAME", help="some of goldens.yaml")
+    runs = Option([], "some of goldens.yaml", choices=CASES["runs"], metavar="NAME")
+    add_options(writing, only=Option(list(SECTIONS), choices=SECTIONS), runs=runs)
     comparing = commands.add_parser("compare")
     comparing.add_argument("before", type=Path)
     comparing.add_argument("after", type=Path)
     opening = commands.add_parser("open")
     opening.add_argument("folder", type=Path)
-    chosen = parser.parse_args()
+    chosen = arguments.parse_args()
     if chosen.command == "compare":
         return compare(chosen.before, chosen.after)
     if chosen.command == "open":
         return reopen(chosen.folder.resolve())
     folder = chosen.folder.resolve()
     os.environ.setdefault("XDG_CACHE_HOME", str(folder / "cache"))  # tables of an older cache have other roundings
-    write(folder, chosen.only, chosen.runs or ())
+    write(folder, chosen.only, chosen.runs)
     return 0
 
 

@@ -10,7 +10,6 @@ XLA compiles for a described GPU. That needs JAX's CUDA plugin and NVIDIA's asse
 count once. Instructions are PTX's, about as many as the GPU's own.
 """
 
-import argparse
 import importlib.util
 import os
 import re
@@ -19,6 +18,8 @@ import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+
+from options import Option, parse
 
 H200 = """
 gpu_device_info {
@@ -106,8 +107,8 @@ def size(shapes: str) -> int:
     total = 0
     for kind, dimensions in re.findall(r"\b([a-z]+\d*)\[([\d,]*)\]", shapes):
         number = BYTES.get(kind, 4)
-        for each in filter(None, dimensions.split(",")):
-            number *= int(each)
+        for length in filter(None, dimensions.split(",")):
+            number *= int(length)
         total += number
     return total
 
@@ -120,13 +121,14 @@ def report(text: str, instructions: dict[str, int]) -> None:
             continue
         shapes, rows = {}, []
         for line in lines:
-            found = re.match(r"\s*(?:ROOT )?%([\w.\-]+) = (.*?) ([\w\-]+)\((.*)", line)
-            if not found:
+            instruction = re.match(r"\s*(?:ROOT )?%([\w.\-]+) = (.*?) ([\w\-]+)\((.*)", line)
+            if not instruction:
                 continue
-            name, shape, kind, rest = found.groups()
+            name, shape, kind, arguments = instruction.groups()
             shapes[name] = shape
             if kind in KERNELS:
-                read = sum(size(shapes.get(each, "")) for each in re.findall(r"%([\w.\-]+)", rest.split("), ")[0]))
+                operands = re.findall(r"%([\w.\-]+)", arguments.split("), ")[0])
+                read = sum(size(shapes.get(operand, "")) for operand in operands)
                 rows.append((size(shape) + read, size(shape), name))
         if rows:
             print(f"\n{lines[0].split(' ')[0]}: {len(rows)} kernels, {sum(row[0] for row in rows) / 1e6:,.1f} MB")
@@ -137,21 +139,22 @@ def report(text: str, instructions: dict[str, int]) -> None:
 
 def counted(folder: str) -> dict[str, int]:
     """Instructions of each kernel."""
-    found: dict[str, int] = {}
+    instructions: dict[str, int] = {}
     for file in Path(folder).glob("*.ptx"):
         for name, body in re.findall(r"\.entry (\w+)\((.*?)\n\}", file.read_text(), re.S):
-            found[name] = len(re.findall(r"^\s+(?:@!?%p\d+ )?[a-z][\w.]*\s.*;$", body, re.M))
-    return found
+            instructions[name] = len(re.findall(r"^\s+(?:@!?%p\d+ )?[a-z][\w.]*\s.*;$", body, re.M))
+    return instructions
 
 
 def main() -> None:
     """Print the kernels."""
-    arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    arguments.add_argument("--part", choices=("crowd", "step", "gradient", "picture"), default="crowd")
-    arguments.add_argument("--batch", type=int, default=8192)
-    arguments.add_argument("--people", type=int, default=62)
-    arguments.add_argument("--forces", default="calibrated")
-    chosen = arguments.parse_args()
+    chosen = parse(
+        __doc__,
+        part=Option("crowd", choices=("crowd", "step", "gradient", "picture")),
+        batch=8192,
+        people=62,
+        forces="calibrated",
+    )
     with tempfile.TemporaryDirectory() as folder:
         device = gpu(folder)
         import jax

@@ -7,13 +7,13 @@ python benchmarks/lerobot_oracle.py runs/lerobot
 python benchmarks/lerobot_oracle.py runs/lerobot --record tests/support/data/lerobot_schema.json
 """
 
-import argparse
 import json
 import tempfile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from options import Option, parser
 
 DEPTH = "observation.images.depth"
 WRITTEN_BY_LEROBOT = ("timestamp", "frame_index", "episode_index", "index", "task_index")
@@ -32,15 +32,15 @@ def rewrite(dataset: Any, root: Path) -> None:
             features[name] = {**feature, "shape": tuple(feature["shape"])}
     features[DEPTH]["info"] = {"is_depth_map": True}
     shared = {"fps": dataset.fps, "robot_type": dataset.meta.robot_type, "use_videos": False}
-    own = LeRobotDataset.create("local/own", features=features, root=root, **shared)
+    written = LeRobotDataset.create("local/own", features=features, root=root, **shared)
     for episode in dataset.meta.episodes:
         for index in range(episode["dataset_from_index"], episode["dataset_to_index"]):
             item = dataset[index]
             frame = {name: np.atleast_1d(item[name].numpy()) for name in features}
             frame[DEPTH] = frame[DEPTH][0, ..., None].astype(np.uint16)
-            own.add_frame({**frame, "task": item["task"]})
-        own.save_episode()
-    own.finalize()
+            written.add_frame({**frame, "task": item["task"]})
+        written.save_episode()
+    written.finalize()
 
 
 def schema(root: Path) -> dict[str, Any]:
@@ -51,7 +51,9 @@ def schema(root: Path) -> dict[str, Any]:
     tables = ("data/chunk-000/file-000", "meta/episodes/chunk-000/file-000", "meta/tasks")
     return {
         "info": json.loads((root / "meta/info.json").read_text()),
-        "stats": {name: {key: np.shape(value) for key, value in each.items()} for name, each in stats.items()},
+        "stats": {
+            name: {key: np.shape(value) for key, value in statistics.items()} for name, statistics in stats.items()
+        },
         "tables": {
             name: {column.name: str(column.type) for column in pq.read_schema(root / f"{name}.parquet")}
             for name in tables
@@ -59,18 +61,18 @@ def schema(root: Path) -> dict[str, Any]:
     }
 
 
-def compare(root: Path, own: Path) -> list[str]:
+def compare(root: Path, written: Path) -> list[str]:
     """Lines about differences beyond rounding."""
     import pyarrow.parquet as pq
 
     lines = []
-    ours, theirs = schema(root), schema(own)
+    ours, theirs = schema(root), schema(written)
     for part, content in theirs.items():
         for name in sorted(content.keys() | ours[part].keys()):
             if ours[part].get(name) != content.get(name):
                 lines.append(f"{part} {name}: {ours[part].get(name)}, and LeRobot {content.get(name)}")
     first, second = (
-        pq.read_table(each / "meta/episodes/chunk-000/file-000.parquet").to_pydict() for each in (root, own)
+        pq.read_table(folder / "meta/episodes/chunk-000/file-000.parquet").to_pydict() for folder in (root, written)
     )
     worst = 0.0
     for column, values in first.items():
@@ -81,8 +83,8 @@ def compare(root: Path, own: Path) -> list[str]:
             np.maximum(np.subtract(high, low), 1e-6)
             for high, low in zip(*(first[f"{column.rsplit('/', 1)[0]}/{end}"] for end in ("max", "min")), strict=True)
         ]
-        for value, other, each in zip(values, second[column], span, strict=True):
-            worst = max(worst, float(np.abs(np.subtract(value, other) / each).max()))
+        for value, other, folder in zip(values, second[column], span, strict=True):
+            worst = max(worst, float(np.abs(np.subtract(value, other) / folder).max()))
     print(f"statistics of {len(first['length'])} episodes differ by {worst / BIN:.2f} bins of a histogram at most")
     return lines + (["statistics of episodes differ by more than a bin"] if worst > 1.01 * BIN else [])
 
@@ -113,18 +115,17 @@ def main() -> None:
     import lerobot
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
-    arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    arguments = parser(__doc__, record=Option(None, "file for the schema of LeRobot's own files", kind=Path))
     arguments.add_argument("folder", type=Path)
-    arguments.add_argument("--record", type=Path, help="file for the schema of LeRobot's own files")
     chosen = arguments.parse_args()
     dataset = LeRobotDataset("local/exported", root=chosen.folder)
     print(f"LeRobot {lerobot.__version__} reads {len(dataset)} frames of {dataset.num_episodes} episodes")
     with tempfile.TemporaryDirectory() as folder:
-        own = Path(folder) / "own"
-        rewrite(dataset, own)
-        lines = compare(chosen.folder, own) + normalised(dataset)
+        written = Path(folder) / "own"
+        rewrite(dataset, written)
+        lines = compare(chosen.folder, written) + normalised(dataset)
         if chosen.record is not None:
-            recorded = {"lerobot": lerobot.__version__, **schema(own)}
+            recorded = {"lerobot": lerobot.__version__, **schema(written)}
             chosen.record.write_text(json.dumps(recorded) + "\n", encoding="utf-8")
     print("\n".join(lines) if lines else "nothing differs")
     raise SystemExit(bool(lines))

@@ -63,6 +63,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from options import Option, add_options, parser
+from timing import Stopwatch, write_json
 
 import sean_jax
 from sean_jax import metrics
@@ -458,25 +460,20 @@ def drive_episode(world: World, ros: Ros, number: int) -> dict[str, Any]:
     ros.restart(step)
     first, rows, silent, period = ros.time / 1e9, [], 0, round(GOAL_PERIOD / 0.1)
     ros.recovery, ros.result, ros.plans = [], [], 0
-    begin = time.monotonic()
+    watch = Stopwatch()
     while not (state.completed or state.timed_out):
         ros.check()
         if len(rows) % period == 0:
             ros.publish_goal(step)
         command = ros.advance(step)
         silent += command is None
-        gaps = np.linalg.norm(step.people.position - step.position, axis=1)[step.people.present]
-        place = (*step.position.tolist(), math.atan2(step.heading[1], step.heading[0]))
-        answer = (None, None) if command is None else command.tolist()
-        nearest = float(gaps.min()) if len(gaps) else None
-        rows.append([round(len(rows) * 0.1, 1), *place, *answer, ros.mailbox.commands, ros.feedback, nearest,
-                     int((gaps < NEAR).sum())])  # fmt: skip
+        rows.append(log_row(ros, step, round(len(rows) * 0.1, 1), command))
         action = np.full(2, math.nan, np.float32) if command is None else command
         state, step = world.step(state, action)
         step = jax.device_get(step)
+
     seconds = len(rows) * 0.1
-    values = {name: np.asarray(value, float).reshape(-1).tolist() for name, value in world.results(state).items()}
-    values = {name: [None if math.isnan(part) else part for part in value] for name, value in values.items()}
+    results = {name: finite(value) for name, value in world.results(state).items()}
     return {
         "episode": number,
         "completed": bool(state.completed),
@@ -484,16 +481,31 @@ def drive_episode(world: World, ros: Ros, number: int) -> dict[str, Any]:
         "start": rows[0][1:3],
         "goal": step.goal.tolist(),
         "geodesic": float(state.task.geodesic),
-        "still": values["time_not_moving"][0],
-        "rtf": seconds / (time.monotonic() - begin),
+        "still": results["time_not_moving"][0],
+        "rtf": seconds / watch.seconds,
         "silent": silent,
         "plans_per_s": ros.plans / seconds,
-        "recovery": [[round(at - first, 2), name] for at, name in ros.recovery],
-        "result": [[round(at - first, 2), status, text] for at, status, text in ros.result],
-        "results": values,
+        "recovery": [[round(time - first, 2), name] for time, name in ros.recovery],
+        "result": [[round(time - first, 2), status, text] for time, status, text in ros.result],
+        "results": results,
         "stops": stops(rows, COLUMNS),
-        "log": [[part if not isinstance(part, float) else round(part, 5) for part in row] for row in rows],
+        "log": [[round(value, 5) if isinstance(value, float) else value for value in row] for row in rows],
     }
+
+
+def log_row(ros: Ros, step: messages.Step, seconds: float, command: np.ndarray | None) -> list:
+    """A moment of an episode, as ``COLUMNS``."""
+    gaps = np.linalg.norm(step.people.position - step.position, axis=1)[step.people.present]
+    pose = [*step.position.tolist(), math.atan2(step.heading[1], step.heading[0])]
+    answer = [None, None] if command is None else command.tolist()
+    nearest = float(gaps.min()) if len(gaps) else None
+    return [seconds, *pose, *answer, ros.mailbox.commands, ros.feedback, nearest, int((gaps < NEAR).sum())]
+
+
+def finite(value: Any) -> list[float | None]:
+    """The numbers of a metric; None for those that are no number."""
+    numbers = np.asarray(value, float).reshape(-1).tolist()
+    return [None if math.isnan(number) else number for number in numbers]
 
 
 def elsewhere(world: World, episodes: list[dict[str, Any]]) -> dict[int, list[float]]:
@@ -554,7 +566,7 @@ def drive(chosen: argparse.Namespace) -> Path:
             episode = drive_episode(world, ros, number)
             if chosen.figure4:
                 del episode["log"]
-            content["episodes"] = sorted([*content["episodes"], episode], key=lambda each: each["episode"])
+            content["episodes"] = sorted([*content["episodes"], episode], key=lambda driven: driven["episode"])
             writing.write(file, content)
             print(f"{file.stem}: {line(episode)}", flush=True)
     return file
@@ -584,7 +596,7 @@ def stops(rows: list, columns: Sequence[str], shortest: float = 5.0) -> list[dic
               for k, name in enumerate(columns)}  # fmt: skip
     moves = np.hypot(np.diff(column["x"]), np.diff(column["y"])) > 1e-3
     edges = np.flatnonzero(np.concatenate([[True], moves, [True]]))
-    found = []
+    intervals = []
     for first, last in zip(edges[:-1], edges[1:], strict=True):
         if (last - first) * 0.1 >= shortest:
             speed, turn = column["speed"][first : last - 1], column["turn_rate"][first : last - 1]
@@ -592,8 +604,8 @@ def stops(rows: list, columns: Sequence[str], shortest: float = 5.0) -> list[dic
             shares = {name: round(float(part.mean()), 3) for name, part in zip(ANSWERS, answers, strict=True)}
             place = [float(column[axis][first]) for axis in "xy"]
             begin, seconds = float(column["time"][first]), round((last - first) * 0.1, 1)
-            found.append({"time": begin, "seconds": seconds, "place": place, **shares})
-    return found
+            intervals.append({"time": begin, "seconds": seconds, "place": place, **shares})
+    return intervals
 
 
 def line(episode: dict[str, Any]) -> str:
@@ -617,8 +629,8 @@ def summary(file: Path) -> dict[str, Any]:
     steps = sum(round(episode["seconds"] / 0.1) for episode in episodes)
     places = []
     for episode in episodes:
-        found = episode["stops"] if "stops" in episode else stops(episode["log"], content["columns"])
-        places += [{"episode": episode["episode"], **each} for each in found]
+        episode_stops = episode["stops"] if "stops" in episode else stops(episode["log"], content["columns"])
+        places += [{"episode": episode["episode"], **stop} for stop in episode_stops]
     return {
         "file": file.name,
         **content["options"],
@@ -636,7 +648,7 @@ def summary(file: Path) -> dict[str, Any]:
         "plans_per_s": float(np.mean([episode["plans_per_s"] for episode in episodes])),
         "rtf": float(np.mean([episode["rtf"] for episode in episodes])),
         "stops": places,
-        "stop_seconds": {name: sum(each["seconds"] * each[name] for each in places) for name in ANSWERS},
+        "stop_seconds": {name: sum(stop["seconds"] * stop[name] for stop in places) for name in ANSWERS},
         "versions": content["versions"],
     }  # fmt: skip
 
@@ -668,14 +680,41 @@ def compare(chosen: argparse.Namespace) -> None:
     """
     experiment = figure4_options(chosen)
     work = Workspace(chosen.out, identity(experiment))
-    files = {behavior: chosen.out / f"{behavior}-social_lidar-{chosen.seed}.json" for behavior in measures.BEHAVIORS}
-    real = {behavior: read(file)["episodes"] for behavior, file in files.items()}
-    numbers = {behavior: [each["episode"] for each in episodes] for behavior, episodes in real.items()}
+    real = {
+        behavior: read(chosen.out / f"{behavior}-social_lidar-{chosen.seed}.json")["episodes"]
+        for behavior in measures.BEHAVIORS
+    }
+    numbers = {behavior: [episode["episode"] for episode in episodes] for behavior, episodes in real.items()}
     if (had := work.load(IDENTITY)) is not None:
         refuse_difference(chosen.out, had, {"options": work.identity["options"]})
     else:
         work.save(IDENTITY, work.identity)
-    kinds = figure4.scenarios(experiment)
+
+    values = drive_remakes(chosen, work, figure4.scenarios(experiment), real, numbers)
+    equal = dict[str, list[int]]()  # numbers of the episodes that are the same here
+    for behavior, episodes in real.items():
+        others = elsewhere(World(argparse.Namespace(**vars(chosen) | {"figure4": behavior})), episodes)
+        equal[behavior] = [number for number in numbers[behavior] if number not in others]
+        print(f"{behavior}: {len(others)} of {len(episodes)} episodes begin elsewhere here, and have no pairs")
+
+    pairs = {name: selected(by, numbers, equal) for name, by in values.items()}
+    values = {name: selected(by, numbers, numbers) for name, by in values.items()}
+    contrasts = "policy,other,behavior,episodes,measure,difference,low,high,d,p,holm"
+    write_table(chosen.out / "figure4.csv", "policy,behavior,episodes,measure,mean,low,high", estimates(values))
+    write_table(chosen.out / "contrasts.csv", contrasts, differences(pairs))
+    for behavior, episodes in real.items():
+        steady = [episode for episode in episodes if not episode["recovery"]]  # after an abort there are no commands
+        commands = sum(10.0 * episode["seconds"] for episode in steady)
+        silent = sum(episode["silent"] for episode in steady) / max(commands, 1.0)
+        speed = np.mean([episode["rtf"] for episode in episodes])
+        missing = f"{100 * silent:.1f} % of commands missing in {len(steady)} without recoveries"
+        print(f"{behavior}: {len(episodes)} episodes, {missing}, {speed:.2f} x real time")
+
+
+def drive_remakes(
+    chosen: argparse.Namespace, work: Workspace, kinds: dict, real: dict[str, list], numbers: dict[str, list[int]]
+) -> dict[str, dict[str, dict[str, np.ndarray]]]:
+    """Driver -> behavior -> measure -> (E,) of the episodes that the real move_base drove."""
     values: dict[str, dict[str, dict[str, np.ndarray]]] = {REAL: {}, **{name: {} for name in REMAKES}}
     for behavior, episodes in real.items():
         columns, count = {}, max(numbers[behavior]) + 1
@@ -686,29 +725,17 @@ def compare(chosen: argparse.Namespace) -> None:
             loaders = {name: [functools.partial(load_policy, policy, typed=True)]}
             columns |= figure4.drive(loaders, work, behavior, kinds[behavior], chosen.seed, count, lambda share: None)
         values[REAL][behavior] = measures.episode_measures(columns_of(episodes))[0]
-        for name, each in columns.items():
-            found = measures.episode_measures(each)[0]
-            values[name][behavior] = {measure: value[numbers[behavior]] for measure, value in found.items()}
-    equal = dict[str, list[int]]()  # numbers of the episodes that are the same here
-    for behavior, episodes in real.items():
-        others = elsewhere(World(argparse.Namespace(**vars(chosen) | {"figure4": behavior})), episodes)
-        equal[behavior] = [number for number in numbers[behavior] if number not in others]
-        print(f"{behavior}: {len(others)} of {len(episodes)} episodes begin elsewhere here, and have no pairs")
-    pairs = {name: selected(by, numbers, equal) for name, by in values.items()}
-    values = {name: selected(by, numbers, numbers) for name, by in values.items()}
-    for name, head, rows in (
-        ("figure4", "policy,behavior,episodes,measure,mean,low,high", estimates(values)),
-        ("contrasts", "policy,other,behavior,episodes,measure,difference,low,high,d,p,holm", differences(pairs)),
-    ):
-        write_csv(chosen.out / f"{name}.csv", head, rows)
-        for row in (head.split(","), *rows):
-            print(*(f"{part:.3f}" if isinstance(part, float | np.ndarray) else part for part in row))
-    for behavior, episodes in real.items():
-        steady = [each for each in episodes if not each["recovery"]]  # after an abort there are no commands
-        silent = sum(each["silent"] for each in steady) / max(sum(10.0 * each["seconds"] for each in steady), 1.0)
-        speed = np.mean([each["rtf"] for each in episodes])
-        missing = f"{100 * silent:.1f} % of commands missing in {len(steady)} without recoveries"
-        print(f"{behavior}: {len(episodes)} episodes, {missing}, {speed:.2f} x real time")
+        for name, driven in columns.items():
+            by_measure = measures.episode_measures(driven)[0]
+            values[name][behavior] = {measure: value[numbers[behavior]] for measure, value in by_measure.items()}
+    return values
+
+
+def write_table(path: Path, head: str, rows: list[tuple]) -> None:
+    """Write a table and print it."""
+    write_csv(path, head, rows)
+    for row in (head.split(","), *rows):
+        print(*(f"{cell:.3f}" if isinstance(cell, float | np.ndarray) else cell for cell in row))
 
 
 def selected(
@@ -717,9 +744,9 @@ def selected(
     """behavior -> measure -> (E,) of the chosen episodes, and their mean over the scenarios, of the common numbers."""
     common = set.intersection(*map(set, chosen.values()))
 
-    def cut(behavior: str, of: set[int] | list[int]) -> dict[str, np.ndarray]:
-        here = np.isin(numbers[behavior], list(of))
-        return {measure: value[here] for measure, value in by_behavior[behavior].items()}
+    def cut(behavior: str, wanted: set[int] | list[int]) -> dict[str, np.ndarray]:
+        rows = np.isin(numbers[behavior], list(wanted))
+        return {measure: value[rows] for measure, value in by_behavior[behavior].items()}
 
     in_all = [cut(behavior, common) for behavior in measures.BEHAVIORS]
     mean = {measure: np.mean([columns[measure] for columns in in_all], 0) for measure in in_all[0]}
@@ -730,7 +757,7 @@ def columns_of(episodes: list[dict[str, Any]]) -> measures.Columns:
     """The metrics of episodes that ``drive`` wrote, as those of the experiment: 0 where there is none."""
     columns = {}
     for name in measures.METRIC_NAMES:
-        values = [each[name] if name in each else each["results"][name] for each in episodes]
+        values = [episode[name] if name in episode else episode["results"][name] for episode in episodes]
         columns[name] = np.nan_to_num(np.array(values, float))
     return columns
 
@@ -739,8 +766,8 @@ def estimates(values: dict[str, dict[str, dict[str, np.ndarray]]]) -> list[tuple
     """Rows of each driver, scenario and measure, with the intervals of the experiment."""
     rows = []
     for name, by in values.items():
-        for behavior, each in by.items():
-            for measure, value in each.items():
+        for behavior, by_measure in by.items():
+            for measure, value in by_measure.items():
                 estimate = bootstrap.aggregate(value)
                 if measure == "completed":  # a mean over scenarios is no share
                     estimate = bootstrap.of_share(estimate, where=behavior != MEAN)
@@ -754,8 +781,8 @@ def differences(values: dict[str, dict[str, dict[str, np.ndarray]]]) -> list[tup
     """Rows of the real move_base less each re-make in the same episodes, with the tests of ``metrics.differences``."""
     rows = []
     for name in REMAKES:
-        for behavior, each in values[REAL].items():
-            for measure, value in each.items():
+        for behavior, by_measure in values[REAL].items():
+            for measure, value in by_measure.items():
                 gap = difference(values[name][behavior][measure], value, paired=True)
                 assert gap is not None  # there are episodes
                 figures = gap.difference, gap.low, gap.high, gap.effect, gap.p
@@ -765,29 +792,35 @@ def differences(values: dict[str, dict[str, dict[str, np.ndarray]]]) -> list[tup
 
 def main(arguments: list[str] | None = None) -> None:
     """Build, drive, summarize or compare."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parts = parser.add_subparsers(dest="part", required=True)
+    command = parser(__doc__)
+    parts = command.add_subparsers(dest="part", required=True)
     builder = parts.add_parser("build", help="compile move_base in a workspace")
     driver = parts.add_parser("drive", help="drive episodes, and write their logs")
     for part in (builder, driver):
-        part.add_argument("--sources", type=Path, required=True, help="folder of the four checkouts")
-        part.add_argument("--workspace", type=Path, required=True, help="folder of the build")
-    driver.add_argument("--out", type=Path, required=True, help="folder of the logs")
+        add_options(
+            part,
+            sources=Option(None, "folder of the four checkouts", kind=Path, required=True),
+            workspace=Option(None, "folder of the build", kind=Path, required=True),
+        )
     driver.add_argument("--layers", nargs="*", choices=["social", "lidar"], default=["social", "lidar"])
-    driver.add_argument("--task", choices=["join_group", "leave_group"], default="join_group")
-    driver.add_argument("--figure4", choices=measures.BEHAVIORS, help="drive this scenario of Figure 4 instead")
-    driver.add_argument("--environment", default="warehouse")
-    driver.add_argument("--people", type=int, default=62)
-    driver.add_argument("--seed", type=int, default=5)
-    driver.add_argument("--episodes", type=int, default=10)
-    driver.add_argument("--port", type=int, default=11404, help="of the ROS master")
+    add_options(
+        driver,
+        out=Option(None, "folder of the logs", kind=Path, required=True),
+        task=Option("join_group", choices=["join_group", "leave_group"]),
+        figure4=Option(None, "drive this scenario of Figure 4 instead", choices=measures.BEHAVIORS),
+        environment="warehouse",
+        people=62,
+        seed=5,
+        episodes=10,
+        port=Option(11404, "of the ROS master"),
+    )
     table = parts.add_parser("summary", help="print and write figures")
     table.add_argument("files", nargs="+", type=Path)
     table.add_argument("--out", type=Path)
     pairs = parts.add_parser("compare", help="the real move_base and its re-makes in the same episodes of Figure 4")
     pairs.add_argument("out", type=Path, help="folder of `drive --figure4`")
     pairs.set_defaults(environment="warehouse", people=62, seed=0)
-    chosen = parser.parse_args(arguments)
+    chosen = command.parse_args(arguments)
     try:
         if chosen.part == "build":
             build(chosen.sources.resolve(), chosen.workspace.resolve())
@@ -799,9 +832,9 @@ def main(arguments: list[str] | None = None) -> None:
             rows = [summary(file) for file in chosen.files]
             show(rows)
             if chosen.out is not None:
-                command = "python benchmarks/move_base.py summary " + " ".join(row["file"] for row in rows)
-                content = {"command": command, "cores": os.cpu_count(), "paper": PAPER, "conditions": rows}
-                chosen.out.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+                words = "python benchmarks/move_base.py summary " + " ".join(row["file"] for row in rows)
+                content = {"command": words, "cores": os.cpu_count(), "paper": PAPER, "conditions": rows}
+                write_json(chosen.out, content)
     except SeanError as error:
         sys.exit(f"move_base.py: {error}")
 

@@ -13,7 +13,6 @@ a fault, for their times and the lines that they reach; a mutant has the tests t
 forked from one process that has imported what is heavy and has started nothing (see tests/support/forked.py).
 """
 
-import argparse
 import ast
 import collections
 import contextlib
@@ -35,6 +34,7 @@ from pathlib import Path
 from typing import Any
 
 import yaml
+from options import Option, parse
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE, TESTS = ROOT / "sean_jax", ROOT / "tests"
@@ -117,7 +117,7 @@ def mutants(path: str, source: bytes) -> list[Mutant]:
     for line in source.splitlines(keepends=True):
         starts.append(starts[-1] + len(line))
     lines = source.splitlines()
-    made = {}
+    changes = {}
 
     def at(line: int, column: int) -> int:
         return starts[line - 1] + column
@@ -129,11 +129,11 @@ def mutants(path: str, source: bytes) -> list[Mutant]:
         """One mutant, named by the line that it changes, or by its first line."""
         text = text.encode() if isinstance(text, str) else text
         first = source.count(b"\n", 0, begin) + 1
-        left, rest = source[starts[first - 1] : begin], lines[source.count(b"\n", 0, end)]
-        right = rest[end - starts[source.count(b"\n", 0, end)] :]
+        left, tail = source[starts[first - 1] : begin], lines[source.count(b"\n", 0, end)]
+        right = tail[end - starts[source.count(b"\n", 0, end)] :]
         before = b" ".join((left + source[begin:end] + right).split()).decode()
         after = b" ".join((left + text + right).split()).decode()
-        made[begin, end, text] = Mutant(path, first, begin, end, text.decode(), before, after)
+        changes[begin, end, text] = Mutant(path, first, begin, end, text.decode(), before, after)
 
     nodes = list(_code(ast.parse(source)))
     axes = {id(axis) for node in nodes if isinstance(node, ast.Call) for axis in _axes(node)}
@@ -143,7 +143,7 @@ def mutants(path: str, source: bytes) -> list[Mutant]:
             continue
         for begin, end, text in _changes(node, span, source):
             put(begin, end, text)
-    return [made[key] for key in sorted(made)]
+    return [changes[key] for key in sorted(changes)]
 
 
 def _code(node: ast.AST) -> Iterator[ast.AST]:
@@ -189,8 +189,8 @@ def _changes(node: ast.AST, span: Callable, source: bytes) -> Iterator[tuple[int
 def _sign(begin: int, end: int, sign: str, others: dict[str, str], source: bytes) -> Iterator[tuple[int, int, str]]:
     """The sign between two operands, among their parentheses."""
     words = sign.replace(" ", r"\s+") if sign[0].isalpha() else re.escape(sign)
-    if found := re.search(words.encode(), source[begin:end]):
-        yield begin + found.start(), begin + found.end(), others[sign]
+    if match := re.search(words.encode(), source[begin:end]):
+        yield begin + match.start(), begin + match.end(), others[sign]
 
 
 def _constant(value: Any) -> Iterator[str]:
@@ -205,24 +205,24 @@ def _constant(value: Any) -> Iterator[str]:
 def _call(node: ast.Call, span: Callable, source: bytes) -> Iterator[tuple[int, int, bytes | str]]:
     called, name = node.func, _name(node)
     whole, arguments = span(node), [span(argument) for argument in node.args]
-    given = [source[begin:end] for begin, end in arguments]
+    texts = [source[begin:end] for begin, end in arguments]
     if name in OTHERS:
         yield span(called)[1] - len(name), span(called)[1], OTHERS[name]
     for kept in DROPPED.get(name, ()):
-        if len(given) > max(kept, name != "abs"):
-            yield *whole, given[kept]
+        if len(texts) > max(kept, name != "abs"):
+            yield *whole, texts[kept]
     plain = [isinstance(argument, ast.Name | ast.Attribute) for argument in node.args]
-    for k in range(len(given) - 1):
-        if plain[k] and plain[k + 1] and given[k] != given[k + 1]:
+    for k in range(len(texts) - 1):
+        if plain[k] and plain[k + 1] and texts[k] != texts[k + 1]:
             between = source[arguments[k][1] : arguments[k + 1][0]]
-            yield arguments[k][0], arguments[k + 1][1], given[k + 1] + between + given[k]
+            yield arguments[k][0], arguments[k + 1][1], texts[k + 1] + between + texts[k]
 
 
 def _axes(node: ast.Call) -> list[ast.Constant]:
     """The axes of jnp.sum(x, 1) and x.sum(1), which are other axes in a mutant and no others' numbers."""
     words = [word.value for word in node.keywords if word.arg == "axis"]
-    given = [*node.args, *words] if _name(node) in AXES else words
-    return [axis for axis in given if isinstance(axis, ast.Constant) and type(axis.value) is int]
+    candidates = [*node.args, *words] if _name(node) in AXES else words
+    return [axis for axis in candidates if isinstance(axis, ast.Constant) and type(axis.value) is int]
 
 
 def _name(node: ast.Call) -> str:
@@ -231,14 +231,14 @@ def _name(node: ast.Call) -> str:
 
 def modules(folder: str) -> list[str]:
     """The modules of one of FOLDERS, as paths inside the package."""
-    found = []
+    paths = []
     for part in FOLDERS[folder]:
-        found += (
+        paths += (
             [part]
             if part.endswith(".py")
             else sorted(str(p.relative_to(PACKAGE)) for p in (PACKAGE / part).rglob("*.py"))
         )
-    return found
+    return paths
 
 
 def drawn(folder: str, count: int, seed: int, known: Iterable[str] = ()) -> list[Mutant]:
@@ -267,10 +267,10 @@ def test_files(path: str) -> list[str]:
         having = [file for file, known in words.items() if name in known]
         for file in having:
             score[file] += 1 / len(having)
-    told = TELLING.get(path.removesuffix(".py")) or TELLING.get(str(Path(path).parent), "")
-    own = [file for name in told.split() for file in words if Path(file).stem == f"test_{name}"]
+    telling = TELLING.get(path.removesuffix(".py")) or TELLING.get(str(Path(path).parent), "")
+    named = [file for name in telling.split() for file in words if Path(file).stem == f"test_{name}"]
     others = [file for file in sorted(score, key=lambda file: -score[file])[:FILES] if score[file] > 0.2]
-    return list(dict.fromkeys([*own, *others]))[:FILES]
+    return list(dict.fromkeys([*named, *others]))[:FILES]
 
 
 @functools.cache
@@ -322,9 +322,9 @@ def _run(work: Callable[[], Any], limit: float) -> Any:
             os.close(reader)
             for descriptor in (0, 1, 2):
                 os.dup2(os.open(os.devnull, os.O_RDWR), descriptor)
-            told = json.dumps(work()).encode()
+            answer = json.dumps(work()).encode()
             with os.fdopen(writer, "wb") as stream:
-                stream.write(told)
+                stream.write(answer)
             code = 0
         os._exit(code)
     os.close(writer)
@@ -332,15 +332,15 @@ def _run(work: Callable[[], Any], limit: float) -> Any:
     signal.alarm(int(limit) + 1)
     try:
         with os.fdopen(reader, "rb") as stream:
-            told = stream.read()
+            answer = stream.read()
     except TimeoutError:
-        told = None
+        answer = None
     finally:
         signal.alarm(0)
         with contextlib.suppress(ProcessLookupError):
             os.killpg(child, signal.SIGKILL)
         status = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
-    return None if told is None else json.loads(told) if told else status
+    return None if answer is None else json.loads(answer) if answer else status
 
 
 def _end_with_parent() -> None:
@@ -443,12 +443,12 @@ def baseline(path: str, most: float = SECONDS) -> Choice:
             node: [watch.seconds[node], sorted(watch.lines[node])] for node in watch.seconds if node not in watch.failed
         }
 
-    told = _run(work, 600.0)
-    if not isinstance(told, dict):
-        raise SystemExit(f"{path}: its tests ended with {told}; run {' '.join(files)}")
-    reaching = {node.split("::")[0] for node in told if told[node][1]}
-    chosen = [node for node in told if node.split("::")[0] in reaching]
-    return Choice({node: told[node][0] for node in chosen}, {node: told[node][1] for node in chosen})
+    timings = _run(work, 600.0)
+    if not isinstance(timings, dict):
+        raise SystemExit(f"{path}: its tests ended with {timings}; run {' '.join(files)}")
+    reaching = {node.split("::")[0] for node in timings if timings[node][1]}
+    chosen = [node for node in timings if node.split("::")[0] in reaching]
+    return Choice({node: timings[node][0] for node in chosen}, {node: timings[node][1] for node in chosen})
 
 
 def attempt(mutant: Mutant, choice: Choice) -> tuple[str | None, float]:
@@ -467,11 +467,11 @@ def attempt(mutant: Mutant, choice: Choice) -> tuple[str | None, float]:
             return [_pytest(files, watch, Path(folder)), watch.failed[:1]]
 
     began = time.perf_counter()
-    told = _run(work, 30.0 + 3.0 * sum(choice.seconds.values()))
+    outcome = _run(work, 30.0 + 3.0 * sum(choice.seconds.values()))
     seconds = time.perf_counter() - began
-    if not isinstance(told, list):
-        return "the time limit" if told is None else f"the end of the process, {told}", seconds
-    code, failed = told
+    if not isinstance(outcome, list):
+        return "the time limit" if outcome is None else f"the end of the process, {outcome}", seconds
+    code, failed = outcome
     return (failed[0] if failed else f"pytest's exit code {code}") if code else None, seconds
 
 
@@ -479,10 +479,10 @@ def independent(path: str) -> list[str]:
     """The modules of the package that do not import this one, also not through others; they are imported once."""
     names = {_module(str(file.relative_to(PACKAGE))): file for file in PACKAGE.rglob("*.py")}
     uses = {name: _imports(name, file, names) for name, file in names.items()}
-    depends, more = set(), {_module(path)}
-    while more:
-        depends |= more
-        more = {name for name, used in uses.items() if used & depends} - depends
+    depends, importers = set(), {_module(path)}
+    while importers:
+        depends |= importers
+        importers = {name for name, used in uses.items() if used & depends} - depends
     # Importing a module imports the packages that it is in.
     names.pop("sean_jax.__main__", None)
     return [name for name in names if not any(f"{name}.".startswith(f"{other}.") for other in depends)]
@@ -518,8 +518,8 @@ def tidy(path: Path) -> None:
     lines = []
     for folder in FOLDERS:
         for module in modules(folder):
-            there = {mutant.name: mutant for mutant in mutants(module, (PACKAGE / module).read_bytes())}
-            lines += [known[name] | {"line": mutant.line} for name, mutant in there.items() if name in known]
+            present = {mutant.name: mutant for mutant in mutants(module, (PACKAGE / module).read_bytes())}
+            lines += [known[name] | {"line": mutant.line} for name, mutant in present.items() if name in known]
     # A run that is stopped here leaves the old results.
     new = path.with_suffix(".new")
     new.write_text("".join(json.dumps(line) + "\n" for line in lines))
@@ -534,20 +534,20 @@ def reasons() -> dict[str, str]:
 def summary(known: dict[str, dict]) -> list[str]:
     """A line for each folder, and one for each mutant that survives without a reason."""
     why, lines = reasons(), [f"{'folder':12} mutants noticed explained survived"]
-    counts, left = collections.defaultdict(lambda: [0, 0, 0, 0]), []
+    counts, survived = collections.defaultdict(lambda: [0, 0, 0, 0]), []
     for name, line in known.items():
         kind = 1 if line["noticed"] else 2 if name in why else 3
         for folder in (line["folder"], "all"):
             counts[folder][0] += 1
             counts[folder][kind] += 1
         path, change = name.split(": ", 1)
-        left += [f"{path}:{line['line']}: {change}"] * (kind == 3)
+        survived += [f"{path}:{line['line']}: {change}"] * (kind == 3)
     order = [folder for folder in (*FOLDERS, "all") if folder in counts]
     lines += [
         f"{folder:12} {' '.join(f'{n:{w}d}' for n, w in zip(counts[folder], (7, 7, 9, 8), strict=True))}"
         for folder in order
     ]
-    return [*lines, *sorted(left)]
+    return [*lines, *sorted(survived)]
 
 
 def _module_run(folder: str, path: str, chosen: list[Mutant], out: Path, most: float) -> int:
@@ -569,15 +569,16 @@ def _module_run(folder: str, path: str, chosen: list[Mutant], out: Path, most: f
 
 def main() -> None:
     """Run the command."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--only", nargs="+", choices=FOLDERS, default=list(FOLDERS), help="folders (all)")
-    parser.add_argument("--count", type=int, default=400, help="mutants, of all seven folders (400)")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--again", action="store_true", help="run those that survive without a reason once more")
-    parser.add_argument("--seconds", type=float, default=SECONDS, help=f"of the tests of a module, about ({SECONDS:g})")
-    parser.add_argument("--out", type=Path, default=RESULTS, help=str(RESULTS))
-    parser.add_argument("--summary", action="store_true", help="print what is in the results, and run nothing")
-    chosen = parser.parse_args()
+    chosen = parse(
+        __doc__,
+        only=Option(list(FOLDERS), "folders (all)", choices=FOLDERS),
+        count=Option(400, "mutants, of all seven folders (400)"),
+        seed=0,
+        again=Option(False, "run those that survive without a reason once more"),
+        seconds=Option(SECONDS, f"of the tests of a module, about ({SECONDS:g})", kind=float),
+        out=Option(RESULTS, str(RESULTS), kind=Path),
+        summary=Option(False, "print what is in the results, and run nothing"),
+    )
     if not chosen.summary:
         _begin()
         chosen.out.parent.mkdir(parents=True, exist_ok=True)
@@ -585,9 +586,9 @@ def main() -> None:
         known = results(chosen.out)
         count = -(-chosen.count // len(FOLDERS))
         for folder in chosen.only:
-            left = [m for m in drawn(folder, count, chosen.seed, known) if _open(m, known, chosen.again)]
-            for path in sorted({mutant.path for mutant in left}):
-                of_module = [mutant for mutant in left if mutant.path == path]
+            waiting = [m for m in drawn(folder, count, chosen.seed, known) if _open(m, known, chosen.again)]
+            for path in sorted({mutant.path for mutant in waiting}):
+                of_module = [mutant for mutant in waiting if mutant.path == path]
                 _fork(
                     lambda path=path, some=of_module, folder=folder: _module_run(
                         folder, path, some, chosen.out, chosen.seconds

@@ -159,13 +159,13 @@ def jhsfm(hall, crowds=1):
     hsfm = importlib.import_module("jhsfm.hsfm")
     state, parameters = _social_jym(hall, 6)
     people = len(hall.starts)
-    seen = ~jnp.eye(people, dtype=bool)
+    others = ~jnp.eye(people, dtype=bool)
     walls = jnp.asarray(_edges(hall) or [[[(np.nan, np.nan)] * 2]], float)
     walls = jnp.broadcast_to(walls, (people, *walls.shape))
     goals = jnp.asarray(hall.goals, float)
 
     def step(state):
-        return hsfm.step(state, seen, goals, parameters, walls, hall.time_step)
+        return hsfm.step(state, others, goals, parameters, walls, hall.time_step)
 
     return _scanned(step, state, crowds), "social forces and torque, all pairs and walls"
 

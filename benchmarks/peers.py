@@ -10,11 +10,10 @@ This project's crowds are ``helbing1995``, B at once; large ones look for neighb
 beside RVO2.
 """
 
-import argparse
 import dataclasses
 import importlib.util
-import json
 import time
+from argparse import Namespace
 from collections.abc import Callable
 from pathlib import Path
 
@@ -22,7 +21,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import peer_simulators
+from options import Option, parse
 from peer_simulators import Peer
+from timing import device, stopwatch, write_json
 
 import sean_jax
 from sean_jax import social_forces
@@ -125,9 +126,9 @@ def rate(begin: Callable, agents: int, steps: int, repeats: int) -> float:
     best = 0.0
     for _ in range(repeats):
         advance = begin()
-        before = time.process_time()
-        advance(steps)
-        best = max(best, agents * steps / max(time.process_time() - before, 1e-9))
+        with stopwatch(time.process_time) as watch:
+            advance(steps)
+        best = max(best, agents * steps / max(watch.seconds, 1e-9))
     return best
 
 
@@ -136,11 +137,10 @@ def enough(begin: Callable, seconds: float) -> int:
     steps = 1
     while True:
         advance = begin()
-        before = time.perf_counter()
-        advance(steps)
-        spent = time.perf_counter() - before
-        if spent > 0.3 * seconds or steps >= MOST:
-            return max(1, min(MOST, int(steps * seconds / max(spent, 1e-9))))
+        with stopwatch() as watch:
+            advance(steps)
+        if watch.seconds > 0.3 * seconds or steps >= MOST:
+            return max(1, min(MOST, int(steps * seconds / max(watch.seconds, 1e-9))))
         steps *= 4
 
 
@@ -164,44 +164,57 @@ def installed(files: list[str]) -> dict[str, Peer]:
 
 def main() -> None:
     """Print the table."""
-    arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    arguments.add_argument("--people", nargs="+", type=int, default=[62, 1000])
-    arguments.add_argument("--batches", nargs="+", type=int, default=[1, 256], help="of this project's crowds")
-    arguments.add_argument("--simulator", nargs="*", default=[], metavar="FILE", help="your own simulator")
-    arguments.add_argument("--repeats", type=int, default=5)
-    arguments.add_argument("--seconds", type=float, default=1.0, help="for each repeat")
-    arguments.add_argument("--json", type=Path, default=None, help="file to write the figures to")
-    chosen = arguments.parse_args()
-    peers, rows = installed(chosen.simulator), []
-    print(f"{jax.devices()[0].device_kind}, jax {jax.__version__}; peers: {', '.join(peers) or 'none installed'}")
+    chosen = parse(
+        __doc__,
+        people=[62, 1000],
+        batches=Option([1, 256], "of this project's crowds"),
+        simulator=Option([], "your own simulator", metavar="FILE"),
+        repeats=5,
+        seconds=Option(1.0, "for each repeat"),
+        json=Option(None, "file to write the figures to", kind=Path),
+    )
+    peers = installed(chosen.simulator)
+    print(f"{device()}; peers: {', '.join(peers) or 'none installed'}")
     print(f"{'hall':>6} {'N':>6}  {'simulator':<22} {'agent-steps per core-second':>28} {'ours are faster by':>19}")
+    rows: list[dict] = []
     for walls in (False, True):
         for people in chosen.people:
-            scene, best = "walls" if walls else "open", {"social forces": 0.0, "orca": 0.0}
-
-            def show(name: str, value: float, law: str = "", people: int = people, scene: str = scene, best=best):
-                share = f"{best[law] / value:18.3g}x" if law else ""
-                print(f"{scene:>6} {people:6d}  {name:<22} {value:28.3g} {share}", flush=True)
-                rows.append(dict(hall=scene, people=people, simulator=name, rate=value))
-
-            for law, name, mine, most in (("social forces", "", ours, 100), ("orca", " orca", our_orca, 10)):
-                for batch in chosen.batches:
-                    if batch * people > 20_000:
-                        continue
-                    steps = 10 * int(np.clip(200 * most / (batch * people), 1, most))
-                    value = rate(mine(people, walls, batch, steps), batch * people, steps, chosen.repeats)
-                    best[law] = max(best[law], value)
-                    show(f"sean_jax{name}, B = {batch}", value)
+            scene = "walls" if walls else "open"
+            best = {
+                "social forces": measure_ours(chosen, rows, scene, people, "sean_jax", ours, 100),
+                "orca": measure_ours(chosen, rows, scene, people, "sean_jax orca", our_orca, 10),
+            }
             for name, peer in peers.items():
                 try:
                     begin, _ = peer.run(hall(people, walls))
                     value = rate(begin, peer.crowds * people, enough(begin, chosen.seconds), chosen.repeats)
-                    show(name, value, peer.law)
+                    share = f"{best[peer.law] / value:18.3g}x" if peer.law else ""
+                    show(rows, scene, people, name, value, share)
                 except Exception as error:  # a failed simulator must not hide the others
                     print(f"{scene:>6} {people:6d}  {name:<22} failed: {str(error)[:80]}")
     if chosen.json:
-        about = {"device": jax.devices()[0].device_kind, "jax": jax.__version__, "rows": rows}
-        chosen.json.write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
+        write_json(chosen.json, {"device": jax.devices()[0].device_kind, "jax": jax.__version__, "rows": rows})
+
+
+def show(rows: list[dict], scene: str, people: int, name: str, value: float, share: str = "") -> None:
+    """Print a row, and keep it."""
+    print(f"{scene:>6} {people:6d}  {name:<22} {value:28.3g} {share}", flush=True)
+    rows.append(dict(hall=scene, people=people, simulator=name, rate=value))
+
+
+def measure_ours(
+    chosen: Namespace, rows: list[dict], scene: str, people: int, name: str, simulator: Callable, most: int
+) -> float:
+    """Show the rates of this project's crowds by batch; returns the best. ``most`` is a tenth of the most steps."""
+    best = 0.0
+    for batch in chosen.batches:
+        if batch * people > 20_000:
+            continue
+        steps = 10 * int(np.clip(200 * most / (batch * people), 1, most))
+        value = rate(simulator(people, scene == "walls", batch, steps), batch * people, steps, chosen.repeats)
+        best = max(best, value)
+        show(rows, scene, people, f"{name}, B = {batch}", value)
+    return best
 
 
 if __name__ == "__main__":

@@ -9,14 +9,14 @@ social_costmap at the robot's own top speed of 0.5 m/s in place of SEAN's 0.3. S
 with the policy; the first row of each table is a standing robot.
 """
 
-import argparse
-import time
 from dataclasses import replace
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from options import Option, parse
+from timing import compiled, device, stopwatch
 
 import sean_jax
 from sean_jax.policies import POLICIES, social_costmap
@@ -60,14 +60,12 @@ def measure(scenario, policy, episodes: int, seconds: float, seed: int) -> tuple
         completed: Any = frames
         return sean_jax.results(scenario, last), last.completed, steps - completed.sum(dtype=jnp.int32)
 
-    start = time.perf_counter()
-    run = jax.jit(jax.vmap(episode)).lower(states).compile()
-    compiled = time.perf_counter()
-    results, completed, duration = jax.block_until_ready(run(states))
-    ran = time.perf_counter() - compiled
+    run, compiling = compiled(jax.vmap(episode), states)
+    with stopwatch() as watch:
+        results, completed, duration = jax.block_until_ready(run(states))
     figures = {name: np.asarray(results[name]).reshape(episodes, -1)[:, 0] for name in COLUMNS}
     figures |= {"completed": np.asarray(completed, float), "seconds": np.asarray(duration) * scenario.time_step}
-    return figures, {"compile": compiled - start, "steps_per_second": episodes * steps / ran}
+    return figures, {"compile": compiling, "steps_per_second": episodes * steps / watch.seconds}
 
 
 def show(name: str, figures: dict[str, np.ndarray], cost: dict) -> None:
@@ -81,22 +79,23 @@ def show(name: str, figures: dict[str, np.ndarray], cost: dict) -> None:
 
 def main() -> None:
     """Print the tables."""
-    arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    arguments.add_argument("--episodes", type=int, default=64)
-    arguments.add_argument("--seconds", type=float, default=120.0)
-    arguments.add_argument("--seed", type=int, default=0)
-    arguments.add_argument("--environment", default="warehouse")
-    arguments.add_argument("--robot", default="kuri")
-    arguments.add_argument("--dynamics", default="twin")
-    arguments.add_argument("--conditions", nargs="+", default=list(CONDITIONS), choices=list(CONDITIONS))
-    arguments.add_argument("--policies", nargs="+", default=None, choices=["stand", *POLICIES, "social_costmap 0.5"])
-    arguments.add_argument("--quick", action="store_true", help="8 episodes of 40 s on the graph")
-    chosen = arguments.parse_args()
+    chosen = parse(
+        __doc__,
+        episodes=64,
+        seconds=120.0,
+        seed=0,
+        environment="warehouse",
+        robot="kuri",
+        dynamics="twin",
+        conditions=Option(list(CONDITIONS), choices=list(CONDITIONS)),
+        policies=Option([], choices=["stand", *POLICIES, "social_costmap 0.5"]),
+        quick=Option(False, "8 episodes of 40 s on the graph"),
+    )
     if chosen.quick:
         chosen.episodes, chosen.seconds, chosen.conditions = 8, 40.0, ["graph, join_group"]
     faster = replace(social_costmap, params=default_params(top_speed=1.0))
     policies = {"stand": stand, **POLICIES, "social_costmap 0.5": faster}
-    print(f"{jax.devices()[0].device_kind}, jax {jax.__version__}, {chosen.environment}, {chosen.robot}, "
+    print(f"{device()}, {chosen.environment}, {chosen.robot}, "
           f"{chosen.episodes} episodes of {chosen.seconds:g} s, seed {chosen.seed}")  # fmt: skip
     for condition in chosen.conditions:
         scenario = sean_jax.make(

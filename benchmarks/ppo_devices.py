@@ -6,11 +6,11 @@ Each number of devices is measured in this program, after the other, on the same
 host between updates; ``read`` reads the log of each update before the next, as a training does.
 """
 
-import argparse
 import json
-import time
 
 import jax
+from options import Option, parse
+from timing import stopwatch
 
 from sean_jax.config import PPOConfig
 from sean_jax.core import devices
@@ -28,36 +28,40 @@ def measure(options: PPOConfig, count: int, updates: int) -> dict:
     state = devices.place(state, reinforcement.placement(layout))
     envs = devices.replicate(layout.mesh, envs)
 
-    begin = time.perf_counter()
-    state, log = jax.block_until_ready(programs.update(envs, state))
-    compiling = time.perf_counter() - begin
+    with stopwatch() as compiling:
+        state, log = jax.block_until_ready(programs.update(envs, state))
 
-    begin = time.perf_counter()
-    for _ in range(updates):
-        state, log = programs.update(envs, state)
-    jax.block_until_ready(state)
-    chained = (time.perf_counter() - begin) / updates
+    with stopwatch() as chained:
+        for _ in range(updates):
+            state, log = programs.update(envs, state)
+        jax.block_until_ready(state)
 
-    begin = time.perf_counter()
-    for _ in range(updates):
-        state, log = programs.update(envs, state)
-        jax.device_get(log)
-    read = (time.perf_counter() - begin) / updates
-    return {"devices": layout.mesh.size, "compiling": compiling, "chained": chained, "read": read}
+    with stopwatch() as read:
+        for _ in range(updates):
+            state, log = programs.update(envs, state)
+            jax.device_get(log)
+
+    return {
+        "devices": layout.mesh.size,
+        "compiling": compiling.seconds,
+        "chained": chained.seconds / updates,
+        "read": read.seconds / updates,
+    }
 
 
 def main() -> None:
     """Measure each number of scenarios on each number of devices."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--agents", type=int, default=4)
-    parser.add_argument("--scenarios", type=int, nargs="+", default=[4096])
-    parser.add_argument("--epochs", type=int, default=2)
-    parser.add_argument("--environment", default="warehouse")
-    parser.add_argument("--pool", type=int, default=4096)
-    parser.add_argument("--devices", type=int, nargs="+", default=[1, len(DEVICES)])
-    parser.add_argument("--updates", type=int, default=20)
-    parser.add_argument("--out", help="file of JSON lines that results are added to")
-    arguments = parser.parse_args()
+    arguments = parse(
+        __doc__,
+        agents=4,
+        scenarios=[4096],
+        epochs=2,
+        environment="warehouse",
+        pool=4096,
+        devices=Option([1, len(DEVICES)], kind=int),
+        updates=20,
+        out=Option(None, "file of JSON lines that results are added to"),
+    )
     for scenarios in arguments.scenarios:
         first = None
         for count in arguments.devices:

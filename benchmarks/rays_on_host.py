@@ -7,7 +7,6 @@ Loops of XLA end on the host, so they wait for it: a busy host has one process o
 without results. Before that, the images of both forms are compared.
 """
 
-import argparse
 import contextlib
 import os
 import subprocess
@@ -19,6 +18,8 @@ from typing import Any
 
 import jax
 import numpy as np
+from options import Option, parse
+from timing import Stopwatch, device, stopwatch
 
 import sean_jax
 from sean_jax import sensors
@@ -73,52 +74,48 @@ def compare(scenario: Any) -> None:
 def steps_per_second(run: Callable, program: Program, carried: Any, seconds: float) -> tuple[float, Any]:
     """Median of five timings, and the state for the next call."""
     carried = jax.block_until_ready(run(*program.fixed, carried))
-    began = time.perf_counter()
-    carried = jax.block_until_ready(run(*program.fixed, carried))
-    calls = max(1, round(seconds / (time.perf_counter() - began)))
+    with stopwatch() as watch:
+        carried = jax.block_until_ready(run(*program.fixed, carried))
+    calls = max(1, round(seconds / watch.seconds))
     spent = []
     for _ in range(5):
-        began = time.perf_counter()
-        for _ in range(calls):
-            carried = run(*program.fixed, carried)
-        jax.block_until_ready(carried)
-        spent.append((time.perf_counter() - began) / calls)
+        with stopwatch() as watch:
+            for _ in range(calls):
+                carried = run(*program.fixed, carried)
+            jax.block_until_ready(carried)
+        spent.append(watch.seconds / calls)
     return program.count * program.turns / float(np.median(spent)), carried
 
 
 def main() -> None:
     """Print the table."""
-    arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    arguments.add_argument("--environment", default="warehouse")
-    arguments.add_argument("--batches", nargs="+", type=int, default=[1, 1024, 8192])
-    arguments.add_argument("--people", type=int, default=62)
-    arguments.add_argument("--dynamics", default="twin", choices=("twin", "mjx"))
-    arguments.add_argument("--seconds", type=float, default=0.25, help="of each of five timings, about")
-    chosen = arguments.parse_args()
-    began = time.perf_counter()
+    chosen = parse(
+        __doc__,
+        environment="warehouse",
+        batches=[1, 1024, 8192],
+        people=62,
+        dynamics=Option("twin", choices=("twin", "mjx")),
+        seconds=Option(0.25, "of each of five timings, about"),
+    )
+    watch = Stopwatch()
     scenario = sean_jax.make(chosen.environment, people=chosen.people, dynamics=chosen.dynamics)
-    print(f"{jax.devices()[0].device_kind}, jax {jax.__version__}, {chosen.environment}, {chosen.people} people")
+    print(f"{device()}, {chosen.environment}, {chosen.people} people")
     compare(scenario)
     timed, floors = {}, Stack(scenario, {})
     for batch in chosen.batches:
         timed[batch] = programs.stepping(floors, batch, min(bench.turns(batch), 100), bench.IMAGE)
-    compiled: dict[tuple[int, str], Future] = {}
-    with ThreadPoolExecutor() as pool:  # XLA compiles them in parallel
-        for form in FORMS:
-            choose(form)
-            for batch, program in timed.items():
-                lowered = program.run.lower(*program.fixed, program.carried)
-                compiled[batch, form] = pool.submit(lowered.compile)
-    print(f"compiled after {time.perf_counter() - began:.0f} s", flush=True)
+    runs = compile_all(timed)
+    print(f"compiled after {watch.seconds:.0f} s", flush=True)
+
     carried = {batch: program.carried for batch, program in timed.items()}
-    found: dict[tuple[int, str, str], float] = {}
+    speeds: dict[tuple[int, str, str], float] = {}
 
     def measure(host: str) -> None:
         for batch, program in timed.items():
             for form in FORMS:
-                run = compiled[batch, form].result()
+                run = runs[batch, form]
                 speed, carried[batch] = steps_per_second(run, program, carried[batch], chosen.seconds)
-                found[batch, form, host] = speed
+                speeds[batch, form, host] = speed
                 print(f"{host} host, B = {batch}, {form}: {speed:.4g} steps/s", flush=True)
 
     measure("idle")
@@ -127,10 +124,22 @@ def main() -> None:
     print(f"{'B':>7}  {'form':<8}{'steps/s, idle':>15}{f'{cores} cores busy':>16}{'share':>8}{'idle / loops':>14}")
     for batch in timed:
         for form in FORMS:
-            idle, busy = (found[batch, form, host] for host in ("idle", "busy"))
-            gain = idle / found[batch, "loops", "idle"]
+            idle, busy = speeds[batch, form, "idle"], speeds[batch, form, "busy"]
+            gain = idle / speeds[batch, "loops", "idle"]
             print(f"{batch:7d}  {form:<8}{idle:15.4g}{busy:16.4g}{busy / idle:8.2f}{gain:14.2f}")
-    print(f"{time.perf_counter() - began:.0f} s in all")
+    print(f"{watch.seconds:.0f} s in all")
+
+
+def compile_all(timed: dict[int, Program]) -> dict[tuple[int, str], Any]:
+    """The compiled programs by batch and form; XLA compiles them in parallel."""
+    compiled: dict[tuple[int, str], Future] = {}
+    with ThreadPoolExecutor() as pool:
+        for form in FORMS:
+            choose(form)
+            for batch, program in timed.items():
+                lowered = program.run.lower(*program.fixed, program.carried)
+                compiled[batch, form] = pool.submit(lowered.compile)
+    return {name: future.result() for name, future in compiled.items()}
 
 
 if __name__ == "__main__":

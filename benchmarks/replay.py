@@ -4,7 +4,6 @@ python benchmarks/replay.py
 python benchmarks/replay.py --people 62 --width 420
 """
 
-import argparse
 import dataclasses
 import json
 import shutil
@@ -16,6 +15,7 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
+from options import Option, parse
 
 import sean_jax
 from sean_jax.web import replay
@@ -30,12 +30,13 @@ def stand(scenario: sean_jax.Scenario, state: sean_jax.State, key: jax.Array) ->
 
 def main() -> None:
     """Print one line."""
-    arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    arguments.add_argument("--people", type=int, default=200)
-    arguments.add_argument("--frames", type=int, default=1200)
-    arguments.add_argument("--width", type=int, default=1100, help="of the window, in pixels")
-    arguments.add_argument("--seconds", type=float, default=5.0)
-    chosen = arguments.parse_args()
+    chosen = parse(
+        __doc__,
+        people=200,
+        frames=1200,
+        width=Option(1100, "of the window, in pixels"),
+        seconds=5.0,
+    )
     browser = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
     if browser is None or not (WEB / "node_modules" / "playwright-core").is_dir():
         sys.exit("there is no Chromium, or web/node_modules is not there (`npm ci` in web/ makes it)")
@@ -51,11 +52,11 @@ def main() -> None:
         page = Path(folder) / "page.html"
         page.write_text(replay.html(replay.of_scenario(scenario, [replay.Episode(frames, "one")], "speed")))
         words = ["node", "test/speed.mjs", str(page), browser, str(chosen.width), str(chosen.seconds)]
-        seen = json.loads(subprocess.run(words, cwd=WEB, check=True, capture_output=True).stdout)
+        figures = json.loads(subprocess.run(words, cwd=WEB, check=True, capture_output=True).stdout)
         size = page.stat().st_size / 1e6
     print(
-        f"{chosen.people} people, {chosen.frames} frames, {size:.2f} MB: {seen['frames_per_second']:.1f} frames/s, "
-        f"99 % within {seen['slowest_percent_ms']:.0f} ms, busy {seen['busy_ms_per_frame']:.1f} ms a frame"
+        f"{chosen.people} people, {chosen.frames} frames, {size:.2f} MB: {figures['frames_per_second']:.1f} frames/s, "
+        f"99 % within {figures['slowest_percent_ms']:.0f} ms, busy {figures['busy_ms_per_frame']:.1f} ms a frame"
     )
 
 

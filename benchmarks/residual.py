@@ -8,18 +8,18 @@ shares of constant velocity's, near pairs, and speeds against Juelich's. Constan
 either, as in ``sean validate``. The residual ships only if it is better in every scene left out.
 """
 
-import argparse
 import itertools
-import time
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
 from flax import struct
+from options import Option, parse
+from timing import Stopwatch
 
 from sean_jax import social_forces
 from sean_jax.core.data_types import Array, Scenario, State
@@ -67,8 +67,8 @@ class PairResidual:
         along, across = rotate(pair.wx - pair.vx, pair.wy - pair.vy, *frame)
         square = ahead * ahead + aside * aside
         apart = jnp.sqrt(square + NEAR * NEAR)
-        seen = jnp.stack([ahead / apart, aside / apart, 1.0 - apart / REACH, along / SPEED, across / SPEED])
-        push = jnp.tanh(self.outer @ jnp.tanh(self.inner @ seen + self.bias))
+        inputs = jnp.stack([ahead / apart, aside / apart, 1.0 - apart / REACH, along / SPEED, across / SPEED])
+        push = jnp.tanh(self.outer @ jnp.tanh(self.inner @ inputs + self.bias))
         weight = jnp.where(pair.standing, 0.0, jnp.maximum(1.0 - square / REACH**2, 0.0) ** 2)
         return weight * push[0], weight * push[1]
 
@@ -95,9 +95,9 @@ class GoalResidual:
         people = crowd.people
         heading_x, heading_y = people.heading.T
         along, across = rotate(*people.desired_velocity.T, heading_x, -heading_y)
-        own, _ = rotate(*people.velocity.T, heading_x, -heading_y)
-        seen = jnp.stack([own, along, across]) / SPEED
-        change = MOST * jnp.tanh(self.outer @ jnp.tanh(self.inner @ seen + self.bias[:, None]))
+        speed, _ = rotate(*people.velocity.T, heading_x, -heading_y)
+        inputs = jnp.stack([speed, along, across]) / SPEED
+        change = MOST * jnp.tanh(self.outer @ jnp.tanh(self.inner @ inputs + self.bias[:, None]))
         square = along * along + across * across
         weight = square / (square + IDLE * IDLE)
         return rotate(weight * change[0], weight * change[1], heading_x, heading_y)
@@ -123,12 +123,14 @@ def bounded(terms: Residual) -> Residual:
 
 def corridors(forces: Forces) -> tuple[Scenario, State]:
     """Periodic corridors of ``DENSITIES`` with ``PEOPLE`` people each, stacked, at their random starts."""
-    model, pairs = Model("laws", forces, social_forces.move), []
+    model = Model("laws", forces, social_forces.move)
+    starts = []
     for seed, density in enumerate(DENSITIES):
-        length, own = PEOPLE / density / WIDTH, hermes_speeds(PEOPLE, seed)
-        scene = ring(length, WIDTH, PEOPLE, 0.1 * JUDGED, own, seed, inset=0.25)
-        pairs.append(((scenario := scenario_of(scene, model)), stage(scenario, scene)))
-    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *pairs)
+        length, speed = PEOPLE / density / WIDTH, hermes_speeds(PEOPLE, seed)
+        scene = ring(length, WIDTH, PEOPLE, 0.1 * JUDGED, speed, seed, inset=0.25)
+        scenario = scenario_of(scene, model)
+        starts.append((scenario, stage(scenario, scene)))
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *starts)
 
 
 def walked(scenario: Scenario, state: State, steps: int) -> tuple[State, Array]:
@@ -152,70 +154,96 @@ def growth(forces: Forces) -> list[float]:
     """Norms of derivatives of positions [m] by the relaxation time [s] after ``HORIZONS``; medians of corridors."""
 
     def places(scenario: Scenario, state: State, value: Array) -> list[Array]:
-        own = replace(scenario, forces=forces.tree_replace({"walking.relaxation_time": value}))
-        return [walked(own, state, steps)[0].pedestrians.position for steps in HORIZONS]
+        changed = replace(scenario, forces=forces.tree_replace({"walking.relaxation_time": value}))
+        return [walked(changed, state, steps)[0].pedestrians.position for steps in HORIZONS]
 
     slopes = jax.jit(jax.vmap(jax.jacfwd(places, 2), (0, 0, None)))(*corridors(forces), forces.walking.relaxation_time)
-    return [float(np.median(jnp.linalg.norm(each, axis=(1, 2)))) for each in slopes]
+    return [float(np.median(jnp.linalg.norm(slope, axis=(1, 2)))) for slope in slopes]
+
+
+class Task(NamedTuple):
+    """What the terms are trained with: recorded scenes and corridors, in which the laws and habits are fixed."""
+
+    scenes: Scenes
+    forces: Forces  # laws and residual
+    habits: Habits
+    corridors: tuple[Scenario, State]  # of ``DENSITIES``, stacked
+    speeds: Array  # m/s, measured in them
+
+
+def with_terms(task: Task, terms: Residual) -> Forces:
+    """The forces with these terms."""
+    return task.forces.replace(pair_residual=terms[0], goal_residual=terms[1])
+
+
+def prediction_loss(terms: Residual, task: Task, rows: Array) -> Array:
+    """Errors in shares of constant velocity's in windows ``rows``, and near pairs."""
+    sums = losses(task.scenes, rows, None, with_terms(task, terms), task.habits)
+    return (sums.error / sums.weight).mean() + sums.collisions / sums.pairs
+
+
+def corridor_loss(terms: Residual, task: Task, which: Array) -> Array:
+    """The miss of the speed in one of the corridors."""
+    scenario, state = jax.tree.map(lambda leaf: leaf[which], task.corridors)
+    speed = walked(replace(scenario, forces=with_terms(task, terms)), state, RUN)[1][-COUNTED:].mean()
+    miss = (speed / task.speeds[which] - 1.0) / TOLERANCE
+    return CROWD * (jnp.sqrt(1.0 + miss * miss) - 1.0)
 
 
 def train(scenes: Scenes, forces: Forces, habits: Habits, updates: int, seed: int = 0) -> tuple[Residual, list[float]]:
     """The terms after training on some scenes, and the loss of each update."""
-    whole = social_forces.build([*forces, *residual(seed)])
+    terms = residual(seed)
+    whole = social_forces.build([*forces, *terms])
     scenarios, starts = corridors(whole)
-    starts = jax.jit(jax.vmap(lambda *start: walked(*start, SETTLING)[0]))(scenarios, starts)
-    wanted = jnp.asarray(juelich(DENSITIES), float)
-
-    def errors(terms: Residual, rows: Array) -> Array:
-        sums = losses(scenes, rows, None, whole.replace(pair_residual=terms[0], goal_residual=terms[1]), habits)
-        return (sums.error / sums.weight).mean() + sums.collisions / sums.pairs
-
-    def crowd(terms: Residual, which: Array) -> Array:
-        own = whole.replace(pair_residual=terms[0], goal_residual=terms[1])
-        scenario, state = jax.tree.map(lambda leaf: leaf[which], (scenarios, starts))
-        speed = walked(replace(scenario, forces=own), state, RUN)[1][-COUNTED:].mean()
-        miss = (speed / wanted[which] - 1.0) / TOLERANCE
-        return CROWD * (jnp.sqrt(1.0 + miss * miss) - 1.0)
+    settled = jax.jit(jax.vmap(lambda *start: walked(*start, SETTLING)[0]))(scenarios, starts)
+    task = Task(scenes, whole, habits, (scenarios, settled), jnp.asarray(juelich(DENSITIES), float))
 
     adam = optax.adam(optax.cosine_decay_schedule(RATE, updates, 0.05))
     clip = optax.clip_by_global_norm(CLIP)  # each part: dense corridors have gradients a hundred times as large
 
     @jax.jit
-    def update(terms: Residual, memory: Any, rows: Array, which: Array) -> tuple[Residual, Any, Array]:
-        parts = jax.value_and_grad(errors)(terms, rows), jax.value_and_grad(crowd)(terms, which)
-        slopes = [clip.update(slope, clip.init(terms))[0] for _, slope in parts]
-        change, memory = adam.update(jax.tree.map(jnp.add, *slopes), memory)
-        return bounded(optax.apply_updates(terms, change)), memory, parts[0][0] + parts[1][0]
+    def update(terms: Residual, optimizer: Any, rows: Array, which: Array) -> tuple[Residual, Any, Array]:
+        prediction, prediction_slope = jax.value_and_grad(prediction_loss)(terms, task, rows)
+        corridor, corridor_slope = jax.value_and_grad(corridor_loss)(terms, task, which)
+        slopes = [clip.update(slope, clip.init(terms))[0] for slope in (prediction_slope, corridor_slope)]
+        change, optimizer = adam.update(jax.tree.map(jnp.add, *slopes), optimizer)
+        return bounded(optax.apply_updates(terms, change)), optimizer, prediction + corridor
 
-    terms, draw, values = residual(seed), np.random.default_rng([seed, 29]), []
-    memory = adam.init(terms)
-    own = [np.flatnonzero(scenes.scene == k) for k in range(len(scenes.names))]
+    draw, values = np.random.default_rng([seed, 29]), []
+    optimizer = adam.init(terms)
+    windows = [np.flatnonzero(scenes.scene == k) for k in range(len(scenes.names))]
     for number in range(updates):
-        rows = np.concatenate([draw.choice(each, WINDOWS, replace=False) for each in own])
-        terms, memory, value = update(terms, memory, jnp.asarray(rows, jnp.int32), jnp.int32(number % len(DENSITIES)))
+        rows = np.concatenate([draw.choice(scene_windows, WINDOWS, replace=False) for scene_windows in windows])
+        which = jnp.int32(number % len(DENSITIES))
+        terms, optimizer, value = update(terms, optimizer, jnp.asarray(rows, jnp.int32), which)
         values.append(float(value))
     return terms, values
 
 
 def fold(folder: Path, scene: str, updates: int, judged: tuple[str, ...]) -> dict[str, Any]:
     """Training without a scene, and what the terms are worth in all that are judged."""
-    start, scores = time.monotonic(), {}
+    watch = Stopwatch()
     forces, arguments = fitted_without(scene, social_forces.preset("calibrated"))
     habits = Habits(*(jnp.asarray(value, float) for value in (1.34, *arguments["weights"], arguments["settled"])))
     scenes = prediction_scenes({name: folder / f"{name}.csv" for name in SCENES if name != scene})
     terms, values = train(scenes, forces, habits, updates)
-    both = social_forces.build([*forces, *terms])
+
+    with_residual = social_forces.build([*forces, *terms])
+    scores = {}
     for name, clock in itertools.product(judged, CLOCKS):
         windows = read_windows(folder / f"{name}.csv", clock)
-        own = [evaluate("constant_velocity", windows, weights=arguments["weights"])]
-        own += [evaluate(each, windows, **arguments) for each in (forces, both)]
-        scores[f"{name} ({clock})"] = {model: each._asdict() for model, each in zip(MODELS, own, strict=True)}
+        errors = [
+            evaluate("constant_velocity", windows, weights=arguments["weights"]),
+            evaluate(forces, windows, **arguments),
+            evaluate(with_residual, windows, **arguments),
+        ]
+        scores[f"{name} ({clock})"] = {model: e._asdict() for model, e in zip(MODELS, errors, strict=True)}
     return {
         "scores": scores,
-        "speeds": dict(zip(MODELS[1:], map(speeds, (forces, both)), strict=True)),
-        "derivatives": dict(zip(MODELS[1:], map(growth, (forces, both)), strict=True)),
+        "speeds": {MODELS[1]: speeds(forces), MODELS[2]: speeds(with_residual)},
+        "derivatives": {MODELS[1]: growth(forces), MODELS[2]: growth(with_residual)},
         "losses": [float(np.mean(part)) for part in np.array_split(values, min(10, updates))],
-        "seconds": time.monotonic() - start,
+        "seconds": watch.seconds,
     }
 
 
@@ -227,22 +255,23 @@ def better(scene: str, result: dict[str, Any]) -> bool:
 
 def main() -> None:
     """Train, judge, print the table and write residual.json."""
-    arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    arguments.add_argument("--data", type=Path, required=True, help="folder with eth.csv, hotel.csv and zara01.csv")
-    arguments.add_argument("--quick", action="store_true", help="three updates, without eth alone")
-    arguments.add_argument("--out", type=Path, required=True, help="folder of residual.json")
-    chosen = arguments.parse_args()
+    chosen = parse(
+        __doc__,
+        data=Option(None, "folder with eth.csv, hotel.csv and zara01.csv", kind=Path, required=True),
+        quick=Option(False, "three updates, without eth alone"),
+        out=Option(None, "folder of residual.json", kind=Path, required=True),
+    )
     updates, scenes = (3, SCENES[:1]) if chosen.quick else (UPDATES, SCENES)
     results: dict[str, Any] = {"updates": updates, "weights": sum(leaf.size for leaf in jax.tree.leaves(residual()))}
     results |= {"densities": DENSITIES, "measured": juelich(DENSITIES).tolist(), "horizons": HORIZONS, "without": {}}
     print("without  error, collisions: constant velocity, laws, with residual  better  speeds: laws, with residual")
     for scene in scenes:
-        own = results["without"][scene] = fold(chosen.data, scene, updates, scenes)
-        several = own["scores"][f"{scene} ({CLOCKS[0]})"].values()
-        errors = "  ".join("{ade:.4f}/{fde:.4f} {collisions:.4f}".format(**each) for each in several)
-        pace = "  ".join(" ".join(f"{v:.2f}" for v in each) for each in own["speeds"].values())
-        print(f"{scene:7}  {errors}  {better(scene, own)!s:5}  {pace}", flush=True)
-    results["ships"] = all(better(scene, own) for scene, own in results["without"].items())
+        fold_result = results["without"][scene] = fold(chosen.data, scene, updates, scenes)
+        several = fold_result["scores"][f"{scene} ({CLOCKS[0]})"].values()
+        errors = "  ".join("{ade:.4f}/{fde:.4f} {collisions:.4f}".format(**scores) for scores in several)
+        pace = "  ".join(" ".join(f"{v:.2f}" for v in scores) for scores in fold_result["speeds"].values())
+        print(f"{scene:7}  {errors}  {better(scene, fold_result)!s:5}  {pace}", flush=True)
+    results["ships"] = all(better(scene, fold_result) for scene, fold_result in results["without"].items())
     print("ships" if results["ships"] else "does not ship: not better in every scene left out")
     writing.write(chosen.out / "residual.json", {**results, "versions": versions()})
 

@@ -7,7 +7,6 @@ JAX's profiler gives the time of each kernel, and the compiled program its stage
 two stages counts for the stage with more of its operations. Command buffers would hide single kernels.
 """
 
-import argparse
 import re
 import tempfile
 from collections import Counter, defaultdict
@@ -15,6 +14,8 @@ from pathlib import Path
 
 import jax
 from jax.profiler import ProfileData
+from options import Option, parse
+from timing import device
 
 import sean_jax
 from sean_jax.cli.bench import programs
@@ -77,12 +78,13 @@ def kernels(folder: Path, names: dict[str, str]) -> tuple[dict[str, float], dict
 
 def main() -> None:
     """Print the table."""
-    arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    arguments.add_argument("--batch", type=int, default=64)
-    arguments.add_argument("--people", type=int, default=62)
-    arguments.add_argument("--dynamics", default="twin")
-    arguments.add_argument("--depth", action="store_true", help="a depth image of 64x48 after each step")
-    chosen = arguments.parse_args()
+    chosen = parse(
+        __doc__,
+        batch=64,
+        people=62,
+        dynamics="twin",
+        depth=Option(False, "a depth image of 64x48 after each step"),
+    )
     scenario = sean_jax.make("warehouse", people=chosen.people, dynamics=chosen.dynamics)
     program = programs.stepping(Stack(scenario, {}), chosen.batch, TURNS, (64, 48) if chosen.depth else None)
     compiled = program.run.lower(*program.fixed, program.carried).compile()
@@ -92,7 +94,7 @@ def main() -> None:
             jax.block_until_ready(compiled(*program.fixed, carried))
         seconds, launches = kernels(Path(folder), origins(compiled.as_text()))
     whole = sum(seconds.values())
-    print(f"{jax.devices()[0].device_kind}, jax {jax.__version__}, B = {chosen.batch}, {chosen.people} people")
+    print(f"{device()}, B = {chosen.batch}, {chosen.people} people")
     print(f"{'stage':<20}{'us a step':>11}{'share':>8}{'kernels':>9}")
     for stage, spent in sorted(seconds.items(), key=lambda item: -item[1]):
         print(f"{stage:<20}{1e6 * spent / TURNS:11.1f}{100 * spent / whole:7.1f}%{launches[stage] / TURNS:9.0f}")

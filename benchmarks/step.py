@@ -4,15 +4,18 @@ python benchmarks/step.py --batches 64 256                  on a CPU
 python benchmarks/step.py --batches 1024 8192 32768         on a GPU
 """
 
-import argparse
-import time
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from options import Option, parse
+from timing import compiled, device, median, temporary
 
 import sean_jax
+from sean_jax.core.data_types import State
 from sean_jax.policies import go_to_goal
 from sean_jax.simulation import scenario as stages
 
@@ -58,16 +61,22 @@ def parts(scenario) -> dict:
     }
 
 
+def repeated(part: Callable[[State], State], steps: int, states: State) -> State:
+    """So many steps of a part, in all scenarios."""
+    return jax.lax.scan(lambda states, _: (jax.vmap(part)(states), None), states, length=steps)[0]
+
+
 def main() -> None:
     """Print the table."""
-    arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    arguments.add_argument("--batches", nargs="+", type=int, default=[64])
-    arguments.add_argument("--people", type=int, default=62)
-    arguments.add_argument("--dynamics", nargs="+", default=["twin", "mjx"])
-    arguments.add_argument("--forces", default="calibrated")
-    arguments.add_argument("--only", nargs="+", default=None, help="names of parts")
-    chosen = arguments.parse_args()
-    print(f"{jax.devices()[0].device_kind}, jax {jax.__version__}, {chosen.people} people, {chosen.forces}")
+    chosen = parse(
+        __doc__,
+        batches=[64],
+        people=62,
+        dynamics=["twin", "mjx"],
+        forces="calibrated",
+        only=Option([], "names of parts"),
+    )
+    print(f"{device()}, {chosen.people} people, {chosen.forces}")
     print(f"{'robot':>5} {'B':>6} {'part':>20} {'us/step':>10} {'steps/s':>12} {'compile s':>9} {'temp MiB':>9}")
     for dynamics in chosen.dynamics:
         scenario = sean_jax.make("warehouse", people=chosen.people, dynamics=dynamics, forces=chosen.forces)
@@ -78,21 +87,13 @@ def main() -> None:
                 if chosen.only and name not in chosen.only:
                     continue
                 steps = int(np.clip(4e5 / batch, 4, 200))
-                start = time.perf_counter()
-                many = jax.vmap(part)
-                run = jax.jit(lambda s: jax.lax.scan(lambda c, _: (many(c), None), s, length=steps)[0])  # noqa: B023
-                compiled = run.lower(states).compile()
-                compile_seconds = time.perf_counter() - start
-                jax.block_until_ready(compiled(states))
-                times = []
-                for _ in range(5):
-                    start = time.perf_counter()
-                    jax.block_until_ready(compiled(states))
-                    times.append(time.perf_counter() - start)
-                each = float(np.median(times)) / steps
-                memory = getattr(compiled.memory_analysis(), "temp_size_in_bytes", 0) / 2**20
-                print(f"{dynamics:>5} {batch:6d} {name:>20} {1e6 * each:10.1f} {batch / each:12.0f} "
-                      f"{compile_seconds:9.1f} {memory:9.1f}", flush=True)  # fmt: skip
+                run, compiling = compiled(partial(repeated, part, steps), states)
+                seconds = median(partial(run, states), 5) / steps
+                print(
+                    f"{dynamics:>5} {batch:6d} {name:>20} {1e6 * seconds:10.1f} {batch / seconds:12.0f} "
+                    f"{compiling:9.1f} {temporary(run):9.1f}",
+                    flush=True,
+                )
 
 
 if __name__ == "__main__":

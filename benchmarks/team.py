@@ -7,13 +7,13 @@ sizes take turns, so that another program on the machine slows all of them.
 """
 
 import argparse
-import json
-import time
 from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from options import Option, parse
+from timing import stopwatch, write_json
 
 import sean_jax
 from sean_jax import team
@@ -35,38 +35,39 @@ def programs(arguments: argparse.Namespace) -> dict[str, tuple]:
     def begin(key):
         return sean_jax.init_policy(plain, policy, sean_jax.reset(plain, key))
 
-    made = {"plain": (steps(lambda state: sean_jax.policy_step(plain, policy, state)), jax.jit(jax.vmap(begin))(keys))}
+    runs = {"plain": (steps(lambda state: sean_jax.policy_step(plain, policy, state)), jax.jit(jax.vmap(begin))(keys))}
     for number in arguments.robots:
         names = ",".join(["kuri"] * number)
         members = sean_jax.make_team(arguments.environment, robots=names, **options)
         starts = jax.jit(jax.vmap(lambda key, m=members: team.init_policy(m, policy, team.reset(m, key))))(keys)
-        made[f"{number}"] = steps(lambda states, m=members: team.policy_step(m, policy, states)), starts
-    return made
+        runs[f"{number}"] = steps(lambda states, m=members: team.policy_step(m, policy, states)), starts
+    return runs
 
 
 def main() -> None:
     """Print the table, and write it."""
-    arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    arguments.add_argument("--environment", default="lab")
-    arguments.add_argument("--behavior", default="random")
-    arguments.add_argument("--people", type=int, default=20)
-    arguments.add_argument("--policy", default="go_to_goal", choices=POLICIES)
-    arguments.add_argument("--robots", nargs="+", type=int, default=[1, 2, 4])
-    arguments.add_argument("--batch", type=int, default=16)
-    arguments.add_argument("--steps", type=int, default=50)
-    arguments.add_argument("--repeats", type=int, default=7)
-    arguments.add_argument("--out", type=Path)
-    arguments = arguments.parse_args()
-    made = programs(arguments)
-    for run, states in made.values():
+    arguments = parse(
+        __doc__,
+        environment="lab",
+        behavior="random",
+        people=20,
+        policy=Option("go_to_goal", choices=POLICIES),
+        robots=[1, 2, 4],
+        batch=16,
+        steps=50,
+        repeats=7,
+        out=Option(None, kind=Path),
+    )
+    runs = programs(arguments)
+    for run, states in runs.values():
         jax.block_until_ready(run(states))
-    seconds = {name: [] for name in made}
+    seconds = {name: [] for name in runs}
     for _ in range(arguments.repeats):
-        for name, (run, states) in made.items():
-            began = time.perf_counter()
-            jax.block_until_ready(jnp.asarray(run(states).tick))
-            seconds[name].append(time.perf_counter() - began)
-    rates = {name: arguments.batch * arguments.steps / float(np.median(each)) for name, each in seconds.items()}
+        for name, (run, states) in runs.items():
+            with stopwatch() as watch:
+                jax.block_until_ready(jnp.asarray(run(states).tick))
+            seconds[name].append(watch.seconds)
+    rates = {name: arguments.batch * arguments.steps / float(np.median(times)) for name, times in seconds.items()}
     rows = {name: {"steps_per_second": rate, "share_of_plain": rate / rates["plain"]} for name, rate in rates.items()}
     for name, row in rows.items():
         print(f"{name:>6} robots  {row['steps_per_second']:10,.0f} steps/s  {row['share_of_plain']:6.2f} of plain")
@@ -74,7 +75,7 @@ def main() -> None:
         about = {key: value for key, value in vars(arguments).items() if key != "out"}
         device = f"{len(jax.devices())} x {jax.devices()[0].device_kind}"
         content = {"device": device, "options": about, "teams": rows}
-        arguments.out.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+        write_json(arguments.out, content, indent=2)
 
 
 if __name__ == "__main__":

@@ -6,10 +6,9 @@
 person-time that ends 20 s in which the person moved less than 0.05 m. Both leave out standing members of groups.
 """
 
-import argparse
-
 import jax
 import numpy as np
+from options import parse
 
 import sean_jax
 from sean_jax.core.data_types import Array, Scenario, State
@@ -33,49 +32,60 @@ def conduct(scenario: Scenario, minutes: float, seed: int = 0) -> dict[str, floa
     steps = round(60 * minutes / scenario.time_step)
     run = jax.jit(lambda key: sean_jax.rollout(scenario, go_to_goal, key, steps, record)[1])
     position, group, present, robot = (np.asarray(part) for part in run(jax.random.key(seed)))
-    free = jax.jit(lambda rows: jax.lax.map(lambda row: clearance(scenario.environment, row), rows, batch_size=64))
-    to_obstacle = np.asarray(free(position))[present]
+    gaps = jax.jit(lambda rows: jax.lax.map(lambda row: clearance(scenario.environment, row), rows, batch_size=64))
+    to_obstacle = np.asarray(gaps(position))[present]
     walking = present & (group < 0)
-    overlaps = 0
-    for places, there, walks in zip(position, present, walking, strict=True):
-        gap = np.linalg.norm(places[:, None] - places[None], axis=-1)
-        gap[np.eye(len(gap), dtype=bool) | ~there[None, :] | ~there[:, None]] = np.inf
-        overlaps += int((gap.min(1) < OVERLAP_DISTANCE)[walks].sum())
-    window = round(WINDOW / scenario.time_step)
-    still = np.linalg.norm(position[window:] - position[:-window], axis=-1) < STUCK_DISTANCE
-    alone = np.cumsum(np.concatenate([np.zeros((1, walking.shape[1]), int), walking]), 0)
-    throughout = alone[window + 1 :] - alone[: -window - 1] == window
-    throughout &= walking[:-window]
+    to_robot = np.linalg.norm(position - robot[:, None], axis=-1)[present]
     return {
         "people": float(present.sum(1).mean()),
         "clearance": float(to_obstacle.min()),
         "inside": float((to_obstacle <= 0).mean()),
-        "overlaps": overlaps / max(int(walking.sum()), 1),
-        "stuck": float(still[throughout].mean()) if throughout.any() else 0.0,
+        "overlaps": overlaps(position, present, walking) / max(int(walking.sum()), 1),
+        "stuck": stuck(position, walking, round(WINDOW / scenario.time_step)),
         "grouped": float((present & (group >= 0)).sum() / present.sum()),
-        "robot": float(np.linalg.norm(position - robot[:, None], axis=-1)[present].min()),
+        "robot": float(to_robot.min()),
     }
+
+
+def overlaps(position: np.ndarray, present: np.ndarray, walking: np.ndarray) -> int:
+    """The number of steps of walking people with somebody nearer than ``OVERLAP_DISTANCE``."""
+    number = 0
+    for places, visible, walks in zip(position, present, walking, strict=True):
+        gap = np.linalg.norm(places[:, None] - places[None], axis=-1)
+        gap[np.eye(len(gap), dtype=bool) | ~visible[None, :] | ~visible[:, None]] = np.inf
+        number += int((gap.min(1) < OVERLAP_DISTANCE)[walks].sum())
+    return number
+
+
+def stuck(position: np.ndarray, walking: np.ndarray, window: int) -> float:
+    """The share of windows (in steps), of people who walk throughout, in which they hardly move."""
+    still = np.linalg.norm(position[window:] - position[:-window], axis=-1) < STUCK_DISTANCE
+    steps_walked = np.cumsum(np.concatenate([np.zeros((1, walking.shape[1]), int), walking]), 0)
+    throughout = steps_walked[window + 1 :] - steps_walked[: -window - 1] == window
+    throughout &= walking[:-window]
+    return float(still[throughout].mean()) if throughout.any() else 0.0
 
 
 def main() -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--environments", nargs="+", default=sorted(available()))
-    parser.add_argument("--behaviors", nargs="+", default=[name for name in BEHAVIORS if name != "playback"])
-    parser.add_argument("--minutes", type=float, default=10.0)
-    parser.add_argument("--seed", type=int, default=0)
-    options = parser.parse_args()
+    options = parse(
+        __doc__,
+        environments=sorted(available()),
+        behaviors=[name for name in BEHAVIORS if name != "playback"],
+        minutes=10.0,
+        seed=0,
+    )
     columns = ("environment", "behavior", "people", "minimum clearance m", "inside %", "overlaps %", "stuck %")
     columns += ("in groups %", "nearest to robot m")
     print("| " + " | ".join(columns) + " |\n" + "|---" * len(columns) + "|")
     for environment in options.environments:
         for behavior in options.behaviors:
             scenario = sean_jax.make(environment, behavior=behavior, task="random_ab_nav")
-            found = conduct(scenario, options.minutes, options.seed)
-            shares = " | ".join(f"{100 * found[name]:.3f}" for name in ("inside", "overlaps", "stuck", "grouped"))
+            figures = conduct(scenario, options.minutes, options.seed)
+            shares = " | ".join(f"{100 * figures[name]:.3f}" for name in ("inside", "overlaps", "stuck", "grouped"))
             print(
-                f"| {environment} | {behavior} | {found['people']:.1f} | {found['clearance']:.3f} | {shares} "
-                f"| {found['robot']:.2f} |",
+                f"| {environment} | {behavior} | {figures['people']:.1f} | {figures['clearance']:.3f} | {shares} "
+                f"| {figures['robot']:.2f} |",
                 flush=True,
             )
 

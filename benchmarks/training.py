@@ -9,12 +9,12 @@ automatic restarts, ``collect`` the network, and ``update`` learning.
 """
 
 import sys
-import time
 from collections.abc import Callable
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+from timing import median
 
 import sean_jax
 from sean_jax import mdp
@@ -25,16 +25,61 @@ from sean_jax.learning.networks import init_agent
 from sean_jax.mdp import observations, rewards
 from sean_jax.simulation.scenario_stack import Stack
 
+COMMAND = 0.3, 0.1  # m/s, rad/s
+Step = Callable[[mdp.Env, mdp.EnvState], tuple[mdp.EnvState, Any]]  # the next state, and what is computed beside it
 
-def seconds(call: Callable[[], Any], times: int = 3) -> float:
-    """Median of several calls after compilation."""
-    jax.block_until_ready(call())
-    found = []
-    for _ in range(times):
-        begun = time.perf_counter()
-        jax.block_until_ready(call())
-        found.append(time.perf_counter() - begun)
-    return sorted(found)[times // 2]
+
+def repeated(step: Step, env: Stack[mdp.Env], states: mdp.EnvState, steps: int) -> Callable[[], Any]:
+    """A call of so many steps of the batch; their results are summed, so that all are computed."""
+
+    def run(env: Stack[mdp.Env], states: mdp.EnvState) -> tuple:
+        def turn(carry: tuple, _: None) -> tuple[tuple, None]:
+            states, total = carry
+            states, results = env.vmap(step)(states)
+            return (states, total + sum(leaf.sum(dtype=jnp.float32) for leaf in jax.tree.leaves(results))), None
+
+        return jax.lax.scan(turn, (states, jnp.zeros(())), length=steps)[0]
+
+    compiled = jax.jit(run)
+    return lambda: compiled(env, states)
+
+
+def simulated(env: mdp.Env, state: mdp.EnvState) -> mdp.EnvState:
+    """The state of ``sean_jax.step`` alone."""
+    after = sean_jax.step(env.scenario, state.simulation, jnp.array(COMMAND))
+    return state.replace(simulation=after)  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def simulate(env: mdp.Env, state: mdp.EnvState) -> tuple[mdp.EnvState, Any]:
+    """A step of the simulation."""
+    return simulated(env, state), ()
+
+
+def observe(env: mdp.Env, state: mdp.EnvState) -> tuple[mdp.EnvState, Any]:
+    """A step of the simulation, and its observation."""
+    after = simulated(env, state)
+    observation, _ = observations.observe(env.observations, env.scenario, after.simulation, state.observed)
+    return after, observation
+
+
+def reward(env: mdp.Env, state: mdp.EnvState) -> tuple[mdp.EnvState, Any]:
+    """A step of the simulation, and its reward."""
+    after = simulated(env, state)
+    now = rewards.potentials(env.rewards, env.scenario, after.simulation)
+    step = state.simulation, after.simulation
+    return after, rewards.of_step(env.rewards, env.scenario, *step, state.potentials, now)
+
+
+def advance(env: mdp.Env, state: mdp.EnvState) -> tuple[mdp.EnvState, Any]:
+    """A step with observation and reward."""
+    state, observation, reward, *_ = env.advance(state, jnp.array(COMMAND))
+    return state, (observation, reward)
+
+
+def restart(env: mdp.Env, state: mdp.EnvState) -> tuple[mdp.EnvState, Any]:
+    """A step with observation, reward and automatic restart."""
+    observation, state, reward, *_ = env.step(jax.random.key(3), state, jnp.array(COMMAND))
+    return state, (observation, reward)
 
 
 def main(names: list[str], options: PPOConfig) -> None:
@@ -46,65 +91,30 @@ def main(names: list[str], options: PPOConfig) -> None:
     env = jax.jit(rollouts.with_pool, static_argnums=2)(env, jax.random.key(0), options.pool)
     agent = init_agent(network, env.member.observations, env.member.observation_space, jax.random.key(1))
     rows = jax.jit(rollouts.reset_envs, static_argnums=(1, 3))((env,), network, jax.random.key(2), batch)
-    keys = jax.random.split(jax.random.key(3), batch)
-    command = jnp.array([0.3, 0.1])
-
-    def repeated(one: Callable[[mdp.Env, mdp.EnvState], tuple[mdp.EnvState, Any]]) -> Callable[[], Any]:
-        """``steps`` steps of the batch; their results are summed, so that all are computed."""
-
-        def turn(env: Stack[mdp.Env], carry: tuple, key: Any) -> tuple[tuple, None]:
-            state, given = env.vmap(one)(carry[0])
-            return (state, carry[1] + sum(leaf.sum(dtype=jnp.float32) for leaf in jax.tree.leaves(given))), None
-
-        def whole(env: Stack[mdp.Env], state: mdp.EnvState) -> tuple:
-            return jax.lax.scan(lambda carry, key: turn(env, carry, key), (state, jnp.zeros(())), length=steps)[0]
-
-        run = jax.jit(whole)
-        return lambda: run(env, rows.envs[0])
-
-    def simulate(env: mdp.Env, state: mdp.EnvState, of: str = "") -> tuple[mdp.EnvState, Any]:
-        before, given = state.simulation, ()
-        after = sean_jax.step(env.scenario, before, command)
-        if of == "observation":
-            given, _ = observations.observe(env.observations, env.scenario, after, state.observed)
-        if of == "reward":
-            now = rewards.potentials(env.rewards, env.scenario, after)
-            given = rewards.of_step(env.rewards, env.scenario, before, after, state.potentials, now)
-        return state.replace(simulation=after), given  # pyright: ignore[reportAttributeAccessIssue]
-
-    def advance(env: mdp.Env, state: mdp.EnvState) -> tuple[mdp.EnvState, Any]:
-        state, observation, reward, *_ = env.advance(state, command)
-        return state, (observation, reward)
-
-    def step(env: mdp.Env, state: mdp.EnvState) -> tuple[mdp.EnvState, Any]:
-        observation, state, reward, *_ = env.step(keys[0], state, command)
-        return state, (observation, reward)
-
     gather = jax.jit(rollouts.rollout, static_argnums=(1, 4))
     run = reinforcement.programs(options, network, reinforcement.device_layout(1))
     state = run.begin((env,), jax.tree.map(lambda part: part[None], agent))
 
     def update() -> Any:
         nonlocal state
-        state, told = run.update((env,), state)
-        return told
+        state, metrics = run.update((env,), state)
+        return metrics
 
-    parts = {
-        "simulate": repeated(simulate),
-        "simulate, observe": repeated(lambda env, state: simulate(env, state, "observation")),
-        "simulate, reward": repeated(lambda env, state: simulate(env, state, "reward")),
-        "advance": repeated(advance),
-        "step": repeated(step),
-        "collect": lambda: gather((env,), network, agent, rows, steps, jax.random.key(4)),
-        "update": update,
+    stages = {
+        "simulate": simulate,
+        "simulate, observe": observe,
+        "simulate, reward": reward,
+        "advance": advance,
+        "step": restart,
     }
-    print(
-        f"{jax.devices()[0].device_kind}, {batch} scenarios, {steps} steps, {', '.join(dict(env.member.observations))}"
-    )
+    parts = {name: repeated(step, env, rows.envs[0], steps) for name, step in stages.items()}
+    parts["collect"] = lambda: gather((env,), network, agent, rows, steps, jax.random.key(4))
+    parts["update"] = update
+    observed = ", ".join(dict(env.member.observations))
+    print(f"{jax.devices()[0].device_kind}, {batch} scenarios, {steps} steps, {observed}")
     for name in names or parts:
-        call = parts[name]
-        took = seconds(call)
-        print(f"{name:20} {1e6 * took / steps:9.0f} us a step {batch * steps / took / 1e6:7.2f} M/s", flush=True)
+        seconds = median(parts[name])
+        print(f"{name:20} {1e6 * seconds / steps:9.0f} us a step {batch * steps / seconds / 1e6:7.2f} M/s", flush=True)
 
 
 if __name__ == "__main__":

@@ -6,12 +6,13 @@
 First the waves of both forms are compared, in windows of random costs. On a CPU both are the same sweeps.
 """
 
-import argparse
+from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from gradients import seconds
+from options import Option, parse
+from timing import device, least
 
 import sean_jax
 from sean_jax.policies import POLICIES, costmap, wave_kernel
@@ -42,7 +43,7 @@ def compare(count: int) -> None:
             choose(form)
             run = jax.jit(jax.vmap(wave))
             results.append(np.asarray(run(start, cells)))
-            times.append(seconds(run, start, cells))
+            times.append(least(partial(run, start, cells)))
         apart = np.abs(results[0] - results[1])
         print(
             f"{name} of {count} windows: {1e3 * times[0]:.2f} ms by loops, {1e3 * times[1]:.2f} ms by the kernel; "
@@ -54,13 +55,14 @@ def compare(count: int) -> None:
 
 def main() -> None:
     """Print the tables."""
-    arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    arguments.add_argument("--batches", type=int, nargs="+", default=[1024, 4096])
-    arguments.add_argument("--steps", type=int, default=50)
-    arguments.add_argument("--windows", type=int, default=4096, help="that are compared")
-    arguments.add_argument("--policies", nargs="+", default=["social_costmap", "move_base"], choices=list(POLICIES))
-    chosen = arguments.parse_args()
-    print(f"{jax.devices()[0].device_kind}, jax {jax.__version__}")
+    chosen = parse(
+        __doc__,
+        batches=[1024, 4096],
+        steps=50,
+        windows=Option(4096, "that are compared"),
+        policies=Option(["social_costmap", "move_base"], choices=list(POLICIES)),
+    )
+    print(f"{device()}")
     compare(chosen.windows)
     scenario = sean_jax.make("warehouse", behavior="graph", task="join_group")
     print(f"{'policy':>16} {'episodes':>9} {'waves by':>9} {'steps/s':>10} {'ms a step':>10}")
@@ -74,7 +76,7 @@ def main() -> None:
                 choose(form)
                 drive = lambda state: simulate(scenario, policy, state, chosen.steps, lambda *_: ())[0].robot.position  # noqa: B023, E731
                 run = jax.jit(jax.vmap(drive)).lower(states).compile()
-                spent = seconds(run, states) / chosen.steps
+                spent = least(partial(run, states)) / chosen.steps
                 print(f"{name:>16} {batch:>9} {form:>9} {batch / spent:>10,.0f} {1e3 * spent:>10.2f}", flush=True)
 
 

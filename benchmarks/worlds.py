@@ -8,14 +8,14 @@ With ``--observe`` a step has observations and rewards as in a training, with th
 is lost.
 """
 
-import argparse
-import time
 from collections.abc import Callable
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from options import Option, parser
+from timing import Stopwatch, stopwatch
 
 from sean_jax import mdp, registry, reset, step
 from sean_jax.config import EnvConfig, validate
@@ -39,12 +39,12 @@ def observed(env: mdp.Env, state: mdp.EnvState) -> tuple[mdp.EnvState, jax.Array
     return state, reward + sum(term.sum() for term in observation.values())
 
 
-def program(one: Callable[..., Any]) -> Callable[..., Any]:
+def program(advance: Callable[..., Any]) -> Callable[..., Any]:
     """``STEPS`` steps of all scenarios."""
 
     def run(floors: Stack, states: Any) -> tuple[Any, jax.Array]:
         def turn(states: Any, _: None) -> tuple[Any, jax.Array]:
-            states, shown = floors.vmap(one)(states)
+            states, shown = floors.vmap(advance)(states)
             return states, shown.sum()
 
         return jax.lax.scan(turn, states, length=STEPS)
@@ -56,54 +56,62 @@ def rate(compiled: Any, floors: Stack, states: Any, batch: int) -> float:
     """Scenario-steps per second, the best of some calls."""
     best = 0.0
     for _ in range(REPEATS):
-        start = time.perf_counter()
-        states, _ = jax.block_until_ready(compiled(floors, states))
-        best = max(best, batch * STEPS / (time.perf_counter() - start))
+        with stopwatch() as watch:
+            states, _ = jax.block_until_ready(compiled(floors, states))
+        best = max(best, batch * STEPS / watch.seconds)
     return best
 
 
 def size(floors: Stack) -> float:
     """Bytes for each floor: of what is its own, and its share of what all have."""
-    own = {id(each): each for place, each in enumerate(jax.tree.leaves(floors.member)) if place not in floors.own}
-    own |= {id(each): each for each in floors.own.values()}
-    return sum(np.asarray(each).nbytes for each in own.values()) / floors.size
+    leaves = {id(leaf): leaf for place, leaf in enumerate(jax.tree.leaves(floors.member)) if place not in floors.own}
+    leaves |= {id(leaf): leaf for leaf in floors.own.values()}
+    return sum(np.asarray(leaf).nbytes for leaf in leaves.values()) / floors.size
 
 
 def main() -> None:
     """Print a line for each batch."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("floors", help="a set of floors, such as worlds:all:128")
-    parser.add_argument("--batches", type=int, nargs="+", default=[65536])
-    parser.add_argument(
-        "--observe", choices=["none", *OBSERVATIONS], default="none", help="an image has 64 x 48 pixels"
-    )
-    options = parser.parse_args()
+    observe = Option("none", "an image has 64 x 48 pixels", choices=["none", *OBSERVATIONS])
+    arguments = parser(__doc__, batches=[65536], observe=observe)
+    arguments.add_argument("floors", help="a set of floors, such as worlds:all:128")
+    options = arguments.parse_args()
     words = {"environment": options.floors, "task": "random_ab_nav", "metrics": "none"}
     config = validate(EnvConfig, {**words, "observations": OBSERVATIONS.get(options.observe, ("goal",))})
-    begun = time.perf_counter()
+    watch = Stopwatch()
     if options.observe == "none":
-        floors, start, one = making.build_stack(config), reset, moved
+        floors, start, advance = making.build_stack(config), reset, moved
         floors = floors.map_member(lambda scenario: making.with_tasks(config, scenario)[0])
     else:
-        floors, start, one = registry.build_stack(config), lambda env, key: env.reset(key)[1], observed
-    text = f"{floors.size} floors in {time.perf_counter() - begun:.0f} s, {size(floors) / 1e6:.2f} MB each"
+        floors, start, advance = registry.build_stack(config), lambda env, key: env.reset(key)[1], observed
+    text = f"{floors.size} floors in {watch.seconds:.0f} s, {size(floors) / 1e6:.2f} MB each"
     print(f"{jax.devices()[0].device_kind}, {text}, observations: {options.observe}", flush=True)
-    host, device = jax.devices("cpu")[0], jax.devices()[0]
-    with jax.default_device(host):  # a reset compiles faster there
-        draw = jax.jit(lambda floors, keys: floors.over_members(start)(keys))
-        starts = draw(jax.device_put(floors, host), jax.random.split(jax.random.key(0), floors.size))
-    floors, starts = jax.device_put((floors, starts), device)
+
+    floors, starts = draw_starts(floors, start)
     for batch in options.batches:
         states = jax.tree.map(lambda leaf: jnp.repeat(leaf, batch // floors.size, axis=0), starts)  # noqa: B023
-        together = rate(program(one).lower(floors, states).compile(), floors, states, batch)
-        alone, compiled = [], None
-        for index in np.linspace(0, floors.size - 1, FLOORS).astype(int):
-            floor = Stack(jax.tree.map(jnp.asarray, floors.at(int(index))), {})
-            states = jax.tree.map(lambda leaf: jnp.repeat(leaf[index][None], batch, axis=0), starts)  # noqa: B023
-            compiled = compiled or program(one).lower(floor, states).compile()
-            alone.append(rate(compiled, floor, states, batch))
-        mean = FLOORS / sum(1.0 / each for each in alone)
+        together = rate(program(advance).lower(floors, states).compile(), floors, states, batch)
+        mean = mean_alone(advance, floors, starts, batch)
         print(f"{batch}: {together:.4g} steps/s, alone {mean:.4g}, ratio {together / mean:.3f}", flush=True)
+
+
+def draw_starts(floors: Stack, start: Callable) -> tuple[Stack, Any]:
+    """The floors, and a state on each, on the device; a reset compiles faster on the host."""
+    host, device = jax.devices("cpu")[0], jax.devices()[0]
+    with jax.default_device(host):
+        draw = jax.jit(lambda floors, keys: floors.over_members(start)(keys))
+        starts = draw(jax.device_put(floors, host), jax.random.split(jax.random.key(0), floors.size))
+    return jax.device_put((floors, starts), device)
+
+
+def mean_alone(advance: Callable, floors: Stack, starts: Any, batch: int) -> float:
+    """The harmonic mean of the steps/s of some floors that each run alone."""
+    seconds, compiled = 0.0, None
+    for index in np.linspace(0, floors.size - 1, FLOORS).astype(int):
+        floor = Stack(jax.tree.map(jnp.asarray, floors.at(int(index))), {})
+        states = jax.tree.map(lambda leaf: jnp.repeat(leaf[index][None], batch, axis=0), starts)  # noqa: B023
+        compiled = compiled or program(advance).lower(floor, states).compile()
+        seconds += 1.0 / rate(compiled, floor, states, batch)
+    return FLOORS / seconds
 
 
 if __name__ == "__main__":

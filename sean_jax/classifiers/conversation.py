@@ -7,6 +7,8 @@ length). Groups are merged greedily, the cheapest merger first, until no merger 
 number of steps and so works under jit and vmap. A person alone has the index -1.
 """
 
+from typing import NamedTuple
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Bool, Float, Int
@@ -40,29 +42,42 @@ def o_space_groups(
     Source: Setti et al. (PLoS ONE 2015), with Ward's linkage as the search.
     """
     number = votes.shape[0]
-    everybody = jnp.arange(number, dtype=jnp.int32)
-
-    def merge(_, clusters):
-        label, center, size = clusters
-        gap = center[:, None, :] - center[None, :, :]
-        alive = size > 0
-        pairs = alive[:, None] & alive[None, :] & (everybody[:, None] < everybody[None, :])
-        together = jnp.where(pairs, size[:, None] + size[None, :], 1.0)
-        cost = jnp.where(pairs, size[:, None] * size[None, :] / together * (gap * gap).sum(-1), APART)
-        best = jnp.argmin(cost)
-        first, second = (best // number).astype(jnp.int32), (best % number).astype(jnp.int32)
-        pays = cost.reshape(-1)[best] < price
-        total = jnp.where(pays, size[first] + size[second], 1.0)
-        mean = (size[first] * center[first] + size[second] * center[second]) / total
-        return (
-            jnp.where(pays & (label == second), first, label),
-            jnp.where(pays & (everybody == first)[:, None], mean[None, :], center),
-            jnp.where(pays, jnp.where(everybody == first, total, jnp.where(everybody == second, 0.0, size)), size),
-        )
-
-    start = (everybody, votes, present.astype(votes.dtype))
+    index = jnp.arange(number, dtype=jnp.int32)
+    start = Clusters(index, votes, present.astype(votes.dtype))
+    merge = lambda _, clusters: _merge(clusters, index, price)  # noqa: E731
     label, _, size = jax.lax.fori_loop(0, max(number - 1, 0), merge, start)
     return jnp.where(present & (size[label] > 1), label, -1)
+
+
+class Clusters(NamedTuple):
+    """A partition of N people; a cluster has the index of its first member."""
+
+    label: Int[Array, " N"]  # the cluster of each person
+    center: Float[Array, "N 2"]  # m, the mean vote of each cluster
+    size: Float[Array, " N"]  # people in each cluster, 0 of those that have been merged
+
+
+def _merge(clusters: Clusters, index: Int[Array, " N"], price: Float[Array, ""] | float) -> Clusters:
+    """The clusters after the cheapest merger, if it pays."""
+    label, center, size = clusters
+
+    # A merger of two clusters adds n m / (n + m) |gap|^2 to the sum of squared distances.
+    gap = center[:, None, :] - center[None, :, :]
+    alive = size > 0
+    pairs = alive[:, None] & alive[None, :] & (index[:, None] < index[None, :])
+    together = jnp.where(pairs, size[:, None] + size[None, :], 1.0)
+    cost = jnp.where(pairs, size[:, None] * size[None, :] / together * (gap * gap).sum(-1), APART)
+
+    best = jnp.argmin(cost)
+    number = index.shape[0]
+    first, second = (best // number).astype(jnp.int32), (best % number).astype(jnp.int32)
+    pays = cost.reshape(-1)[best] < price
+    total = jnp.where(pays, size[first] + size[second], 1.0)
+    mean = (size[first] * center[first] + size[second] * center[second]) / total
+    label = jnp.where(pays & (label == second), first, label)
+    center = jnp.where(pays & (index == first)[:, None], mean[None, :], center)
+    merged_size = jnp.where(index == first, total, jnp.where(index == second, 0.0, size))
+    return Clusters(label, center, jnp.where(pays, merged_size, size))
 
 
 def match_groups(
@@ -81,22 +96,24 @@ def match_groups(
     Source: Cristani et al. (BMVC 2011).
     """
     number = estimated.shape[0]
-    everybody = jnp.arange(number, dtype=jnp.int32)
-    first = (estimated[None, :] == everybody[:, None]) & present[None, :]  # (groups, people)
-    second = (annotated[None, :] == everybody[:, None]) & present[None, :]
-    common = (second[:, None, :] & first[None, :, :]).sum(-1, dtype=jnp.int32)
-    size, true_size = first.sum(-1, dtype=jnp.int32), second.sum(-1, dtype=jnp.int32)
+    index = jnp.arange(number, dtype=jnp.int32)
+    in_estimated = (estimated[None, :] == index[:, None]) & present[None, :]  # (groups, people)
+    in_annotated = (annotated[None, :] == index[:, None]) & present[None, :]
+    common = (in_annotated[:, None, :] & in_estimated[None, :, :]).sum(-1, dtype=jnp.int32)
+    size, true_size = in_estimated.sum(-1, dtype=jnp.int32), in_annotated.sum(-1, dtype=jnp.int32)
+
     real = true_size.astype(float)
     need = jnp.ceil(tolerance * real - 1e-4).astype(jnp.int32)
     spare = jnp.ceil((1 - tolerance) * real - 1e-4).astype(jnp.int32)
-    match = (common >= need[:, None]) & (size[None, :] - common <= spare[:, None])
+    match = (common >= need[:, None]) & (size[None, :] - common <= spare[:, None])  # (annotated, estimated)
     match = match & (true_size > 1)[:, None] & (size > 1)[None, :]
 
-    def take(free, row):
+    # Each annotated group in turn takes the first estimated group that matches and is free.
+    def take(free: Array, row: Array) -> tuple[Array, Array]:
         hit = row & free
         chosen = jnp.argmax(hit)
-        return free & ~(hit.any() & (everybody == chosen)), hit.any()
+        return free & ~(hit.any() & (index == chosen)), hit.any()
 
     _, hits = jax.lax.scan(take, jnp.ones(number, bool), match)
-    return jnp.stack([hits.sum(dtype=jnp.int32), (size > 1).sum(dtype=jnp.int32),
-                      (true_size > 1).sum(dtype=jnp.int32)])  # fmt: skip
+    counts = hits.sum(dtype=jnp.int32), (size > 1).sum(dtype=jnp.int32), (true_size > 1).sum(dtype=jnp.int32)
+    return jnp.stack(counts)

@@ -325,10 +325,11 @@ def _slab(x: Array, dx: Array, half: Array) -> tuple[Array, Array]:
     """Distances [m] at which a ray enters and leaves |x| < half [m]."""
     steep = jnp.abs(dx) > 1e-9
     inverse = 1.0 / jnp.where(steep, dx, 1.0)
-    one, other = (-half - x) * inverse, (half - x) * inverse
+    low, high = (-half - x) * inverse, (half - x) * inverse
     within = jnp.abs(x) < half
-    enter = jnp.where(steep, jnp.minimum(one, other), jnp.where(within, -FAR, FAR))
-    return enter, jnp.where(steep, jnp.maximum(one, other), jnp.where(within, FAR, -FAR))
+    enter = jnp.where(steep, jnp.minimum(low, high), jnp.where(within, -FAR, FAR))
+    leave = jnp.where(steep, jnp.maximum(low, high), jnp.where(within, FAR, -FAR))
+    return enter, leave
 
 
 OBJECT_SITUATIONS: dict[str, Situation] = {

@@ -473,7 +473,7 @@ def _draw(options: config.DrawConfig, console: "Console") -> int:
 
 def _replay(options: config.ReplayConfig, console: "Console") -> None:
     if (options.folder / "results.json").is_file():
-        from sean_jax.studies.validation.page import write_replay as write
+        from sean_jax.studies.validation.replay import write_replay as write
     else:
         from sean_jax.evaluation.replay_command import write
 

@@ -103,10 +103,10 @@ def aggregate_ratio(
         raise InputError(f"denominator: {below.min():g} is negative; give weights, counts or times of 0 or more.")
     _check_level(level)
     weights = resamples(len(above), seed) if weights is None else weights
-    tops, bottoms = above.reshape(len(above), -1), below.reshape(len(above), -1)
-    columns = [_column(top, bottom, weights, level, bounds) for top, bottom in zip(tops.T, bottoms.T, strict=True)]
     shape = above.shape[1:]
-    mean, low, high = (np.array(part).reshape(shape) for part in zip(*columns, strict=True))
+    columns = above.reshape(len(above), -1).T, below.reshape(len(above), -1).T
+    estimates = [_column(top, bottom, weights, level, bounds) for top, bottom in zip(*columns, strict=True)]
+    mean, low, high = (np.array(values).reshape(shape) for values in zip(*estimates, strict=True))
     return Estimate(mean, low, high, np.count_nonzero(below, axis=0) * np.ones(shape, np.int64))
 
 
@@ -183,7 +183,8 @@ def hierarchical_resamples(sizes: Sequence[int]) -> np.ndarray:
         return np.ones((count, number), np.float32)
     draw = np.random.default_rng(0)
     normal = draw.standard_normal((count, groups))
-    student = (normal - normal.mean(1, keepdims=True)) * np.sqrt(groups / draw.chisquare(groups - 1, (count, 1)))
+    scale = np.sqrt(groups / draw.chisquare(groups - 1, (count, 1)))
+    student = (normal - normal.mean(1, keepdims=True)) * scale
     return np.repeat(1.0 + student, number // groups, axis=1).astype(np.float32)
 
 
@@ -205,16 +206,19 @@ def of_share(estimate: Estimate, level: float = 0.95, where: ArrayLike = True, c
     """
     _check_level(level)
     square = NormalDist().inv_cdf((1 + level) / 2) ** 2
-    inside = (estimate.episodes > 0) & np.asarray(where)
-    share, number = np.where(inside, estimate.mean, 0.0), np.maximum(estimate.episodes, 1)
+    known = (estimate.episodes > 0) & np.asarray(where)
+    share = np.where(known, estimate.mean, 0.0)
+    number = np.maximum(estimate.episodes, 1)
     if cluster > 1:
         width = np.maximum(estimate.high - estimate.low, 1e-9)
         number = np.clip(4 * square * share * (1 - share) / width**2, number / cluster, number)
-    middle = (share + square / (2 * number)) / (1 + square / number)
-    half = np.sqrt(square * (share * (1 - share) + square / (4 * number)) / number) / (1 + square / number)
-    low = np.where(inside, np.where(share == 0, 0.0, middle - half), estimate.low)
-    high = np.where(inside, np.where(share == 1, 1.0, middle + half), estimate.high)
-    return estimate._replace(low=low, high=high)
+
+    scale = 1 + square / number
+    middle = (share + square / (2 * number)) / scale
+    half = np.sqrt(square * (share * (1 - share) + square / (4 * number)) / number) / scale
+    low = np.where(share == 0, 0.0, middle - half)
+    high = np.where(share == 1, 1.0, middle + half)
+    return estimate._replace(low=np.where(known, low, estimate.low), high=np.where(known, high, estimate.high))
 
 
 def of_count(estimate: Estimate, level: float = 0.95, cluster: int = 1) -> Estimate:

@@ -43,49 +43,71 @@ def difference(first: np.ndarray, second: np.ndarray, paired: bool) -> Differenc
     Statistics in Medicine 17 (1998).
     """
     if paired:
-        both = np.isfinite(first) & np.isfinite(second)
-        one, other = first[both], second[both]
+        valid = np.isfinite(first) & np.isfinite(second)
+        a, b = first[valid], second[valid]
     else:
-        one, other = first[np.isfinite(first)], second[np.isfinite(second)]
-    if not (len(one) and len(other)):
+        a, b = first[np.isfinite(first)], second[np.isfinite(second)]
+    if not (len(a) and len(b)):
         return None
-    middle, deviation = float(other.mean() - one.mean()), _pooled(one, other)
+
     if paired:
-        middle, deviation = float((other - one).mean()), float((other - one).std(ddof=1)) if len(one) > 1 else 0.0
-    low, high = _newcombe(one, other, paired) if _is_share(one, other) else _bootstrap(first, second, paired)
-    p = p_value(one, other, paired)
-    return Difference(float(one.mean()), float(other.mean()), middle, low, high, deviation, p)
+        gaps = b - a
+        mean, deviation = float(gaps.mean()), float(gaps.std(ddof=1)) if len(gaps) > 1 else 0.0
+    else:
+        mean, deviation = float(b.mean() - a.mean()), _pooled_deviation(a, b)
+    low, high = _newcombe(a, b, paired) if _is_share(a, b) else _bootstrap(first, second, paired)
+    return Difference(float(a.mean()), float(b.mean()), mean, low, high, deviation, p_value(a, b, paired))
 
 
-def p_value(one: np.ndarray, other: np.ndarray, paired: bool) -> float:
+def p_value(a: np.ndarray, b: np.ndarray, paired: bool) -> float:
     """The p-value of equal means (E,) and (F,) in a test with two sides; NaN if no episode differs.
 
     Figures that are 0 or 1 in each episode have McNemar's exact test if they are paired, else Fisher's. All others have
     Student's test of the differences or Welch's; no p-value is smaller than permutations of so few episodes could give.
     """
+    if np.all(a == b) if paired else np.ptp(np.concatenate([a, b])) == 0:
+        return math.nan
+    if _is_share(a, b):
+        return _mcnemar(b - a) if paired else _fisher(a, b)
+    p, smallest = _student(b - a) if paired else _welch(a, b)
+    return float(min(max(p, smallest), 1.0))
+
+
+def _mcnemar(gaps: np.ndarray) -> float:
     from scipy import stats
 
-    if np.all(one == other) if paired else np.ptp(np.concatenate([one, other])) == 0:
-        return math.nan
-    gaps = other - one if paired else np.zeros(0)
-    changed = int(np.count_nonzero(gaps))
-    if _is_share(one, other):
-        if paired:
-            return float(stats.binomtest(int((gaps > 0).sum()), changed).pvalue)
-        table = [[int(part.sum()), len(part) - int(part.sum())] for part in (one, other)]
-        return float(stats.fisher_exact(table).pvalue)  # pyright: ignore[reportAttributeAccessIssue]
-    if paired:
-        fewest, freedom = math.ldexp(1.0, 1 - changed), len(gaps) - 1
-        middle, square = gaps.mean(), gaps.var(ddof=1) / len(gaps) if freedom else 0.0
-    else:
-        fewest, squares = 2 / math.comb(len(one) + len(other), len(one)), []
-        for part in (one, other):
-            squares.append(part.var(ddof=1) / len(part) if len(part) > 1 else 0.0)
-        middle, square = other.mean() - one.mean(), sum(squares)
-        shares = [part**2 / max(len(each) - 1, 1) for part, each in zip(squares, (one, other), strict=True)]
-        freedom = square**2 / sum(shares) if square else 0.0
-    p = 2 * float(stats.t.sf(abs(middle) / math.sqrt(square), freedom)) if square else 0.0
-    return float(min(max(p, fewest), 1.0))
+    return float(stats.binomtest(int((gaps > 0).sum()), int(np.count_nonzero(gaps))).pvalue)
+
+
+def _fisher(a: np.ndarray, b: np.ndarray) -> float:
+    from scipy import stats
+
+    table = [[int(values.sum()), len(values) - int(values.sum())] for values in (a, b)]
+    return float(stats.fisher_exact(table).pvalue)  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def _student(gaps: np.ndarray) -> tuple[float, float]:
+    """The p-value of differences, and the smallest one that permutations could give."""
+    freedom = len(gaps) - 1
+    square = gaps.var(ddof=1) / len(gaps) if freedom else 0.0
+    smallest = math.ldexp(1.0, 1 - int(np.count_nonzero(gaps)))
+    return _two_sided(gaps.mean(), square, freedom), smallest
+
+
+def _welch(a: np.ndarray, b: np.ndarray) -> tuple[float, float]:
+    """The p-value of two means, and the smallest one that permutations could give."""
+    squares = [values.var(ddof=1) / len(values) if len(values) > 1 else 0.0 for values in (a, b)]
+    square = sum(squares)
+    shares = [part**2 / max(len(values) - 1, 1) for part, values in zip(squares, (a, b), strict=True)]
+    freedom = square**2 / sum(shares) if square else 0.0
+    return _two_sided(b.mean() - a.mean(), square, freedom), 2 / math.comb(len(a) + len(b), len(a))
+
+
+def _two_sided(mean: float, square: float, freedom: float) -> float:
+    """The p-value of a mean of this squared standard error; 0 without any."""
+    from scipy import stats
+
+    return 2 * float(stats.t.sf(abs(mean) / math.sqrt(square), freedom)) if square else 0.0
 
 
 def holm(p: Sequence[float]) -> list[float]:
@@ -104,13 +126,13 @@ def holm(p: Sequence[float]) -> list[float]:
     return corrected
 
 
-def _is_share(one: np.ndarray, other: np.ndarray) -> bool:
-    return bool(np.isin(np.concatenate([one, other]), (0.0, 1.0)).all())
+def _is_share(a: np.ndarray, b: np.ndarray) -> bool:
+    return bool(np.isin(np.concatenate([a, b]), (0.0, 1.0)).all())
 
 
-def _pooled(one: np.ndarray, other: np.ndarray) -> float:
-    freedom = len(one) + len(other) - 2
-    squares = ((one - one.mean()) ** 2).sum() + ((other - other.mean()) ** 2).sum()
+def _pooled_deviation(a: np.ndarray, b: np.ndarray) -> float:
+    freedom = len(a) + len(b) - 2
+    squares = ((a - a.mean()) ** 2).sum() + ((b - b.mean()) ** 2).sum()
     return math.sqrt(squares / freedom) if freedom else 0.0
 
 
@@ -123,23 +145,27 @@ def _bootstrap(first: np.ndarray, second: np.ndarray, paired: bool) -> tuple[flo
     if paired:
         estimate = aggregate(second - first, weights=_weights(len(first), 0))
         return float(estimate.low), float(estimate.high)
-    means = []
-    for seed, part in enumerate((first, second)):
-        weights, finite = _weights(len(part), seed), np.isfinite(part)
-        number = weights @ finite
-        means.append(np.where(number > 0, weights @ np.where(finite, part, 0.0), np.nan) / np.maximum(number, 1))
-    count = min(map(len, means))
-    gaps = means[1][:count] - means[0][:count]
+    first_means, second_means = _resampled_means(first, 0), _resampled_means(second, 1)
+    count = min(len(first_means), len(second_means))
+    gaps = second_means[:count] - first_means[:count]
     low, high = interval(gaps[np.isfinite(gaps)])
     return float(low), float(high)
 
 
-def _newcombe(one: np.ndarray, other: np.ndarray, paired: bool) -> tuple[float, float]:
+def _resampled_means(values: np.ndarray, seed: int) -> np.ndarray:
+    """(R,) means of the finite values in resamples; NaN without any."""
+    weights, finite = _weights(len(values), seed), np.isfinite(values)
+    number = weights @ finite
+    return np.where(number > 0, weights @ np.where(finite, values, 0.0), np.nan) / np.maximum(number, 1)
+
+
+def _newcombe(a: np.ndarray, b: np.ndarray, paired: bool) -> tuple[float, float]:
     """The interval of the difference of two shares, from Wilson's interval of each."""
-    (p, below, above), (q, under, over) = _wilson(one), _wilson(other)
-    phi = _phi(one, other) if paired else 0.0
-    down = (q - under) ** 2 - 2 * phi * (q - under) * (above - p) + (above - p) ** 2
-    up = (over - q) ** 2 - 2 * phi * (over - q) * (p - below) + (p - below) ** 2
+    p, p_low, p_high = _wilson(a)
+    q, q_low, q_high = _wilson(b)
+    phi = _phi(a, b) if paired else 0.0
+    down = (q - q_low) ** 2 - 2 * phi * (q - q_low) * (p_high - p) + (p_high - p) ** 2
+    up = (q_high - q) ** 2 - 2 * phi * (q_high - q) * (p - p_low) + (p - p_low) ** 2
     return q - p - math.sqrt(max(down, 0.0)), q - p + math.sqrt(max(up, 0.0))
 
 
@@ -150,12 +176,12 @@ def _wilson(values: np.ndarray) -> tuple[float, float, float]:
     return float(share.mean), float(share.low), float(share.high)
 
 
-def _phi(one: np.ndarray, other: np.ndarray) -> float:
+def _phi(a: np.ndarray, b: np.ndarray) -> float:
     """The correlation of paired shares, with Newcombe's correction for continuity."""
-    both, first = float((one * other).sum()), float((one * (1 - other)).sum())
-    second, none = float(((1 - one) * other).sum()), float(((1 - one) * (1 - other)).sum())
-    sides = (both + first) * (second + none) * (both + second) * (first + none)
-    product = both * none - first * second
+    both, neither = float((a * b).sum()), float(((1 - a) * (1 - b)).sum())
+    only_a, only_b = float((a * (1 - b)).sum()), float(((1 - a) * b).sum())
+    sides = (both + only_a) * (only_b + neither) * (both + only_b) * (only_a + neither)
+    product = both * neither - only_a * only_b
     if product > 0:
-        product = max(product - len(one) / 2, 0.0)
+        product = max(product - len(a) / 2, 0.0)
     return product / math.sqrt(sides) if sides else 0.0

@@ -181,19 +181,22 @@ def _entries_of_groups(
         people = snapshot.people
         group = jnp.where(people.present, groups(snapshot), -1)
         same = (group[:, None] == group[None, :]) & (group >= 0)[:, None]
-        number = jnp.maximum(same.sum(1), 1).astype(float)
-        middle = jnp.where(same[..., None], people.position[None], 0.0).sum(1) / number[:, None]
+        members = jnp.maximum(same.sum(1), 1).astype(float)
+        middle = jnp.where(same[..., None], people.position[None], 0.0).sum(1) / members[:, None]  # (N, 2)
+
         dx, dy = (people.position[None] - middle[:, None]).transpose(2, 0, 1)
-        radius = jnp.where(same, length(dx, dy), 0.0).sum(1) / number - margin(snapshot)
+        radius = jnp.where(same, length(dx, dy), 0.0).sum(1) / members - margin(snapshot)
         gap = snapshot.position[None, :] - middle
         moving = (snapshot.velocity * snapshot.velocity).sum() > MOVING * MOVING
-        return same, (number > 1.0) & moving & (length(gap[:, 0], gap[:, 1]) < radius)
+        return same, (members > 1.0) & moving & (length(gap[:, 0], gap[:, 1]) < radius)
 
     def entries(before: Snapshot, after: Snapshot) -> Array:
-        same, now = inside(after)
-        first = jnp.argmax(same, axis=1) == jnp.arange(len(now))  # so that each group counts once
-        still = (groups(after)[:, None] == groups(before)[None, :]) & inside(before)[1][None, :]
-        return (now & first & ~still.any(1)).sum().astype(float)
+        same, in_circle = inside(after)
+        first_member = jnp.argmax(same, axis=1) == jnp.arange(len(in_circle))  # so that each group counts once
+        same_group = groups(after)[:, None] == groups(before)[None, :]
+        _, was_in_circle = inside(before)
+        stays = same_group & was_in_circle[None, :]
+        return (in_circle & first_member & ~stays.any(1)).sum().astype(float)
 
     return replace(total(entries, better="lower", headline=False, **words), kind="count")
 

@@ -25,19 +25,29 @@ def check_room(scenario: Scenario) -> None:
         InputError: with the set and the pose.
     """
     sets: Sets = scenario.behavior.data
-    for word, place in (("starts", sets.start), ("goals", sets.goal)):
-        room = np.minimum(*signed_distances_on_host(scenario.environment, np.asarray(place).reshape(-1, 2)))
-        room = room.reshape(place.shape[:2])
-        for number, index in np.argwhere(room < robots.radius(scenario.robot)):
-            where = f"set '{sets.names[number]}' has {room[number, index]:.2f} m of room at {word}[{index}]"
-            raise InputError(f"robot: {where}, too little for {scenario.robot.name}; choose a smaller robot or a set.")
-    ends = scenario.navigation, sets.start, sets.goal
+    _check_clearance(scenario, "starts", sets.start)
+    _check_clearance(scenario, "goals", sets.goal)
+
     inputs = *paths.inputs(scenario.navigation), sets.start, sets.goal
-    make = lambda: {"walks": np.asarray(jax.jit(jax.vmap(_walks, in_axes=(None, 0, 0)))(*ends))}  # noqa: E731
-    walk = cache.load_or_build("walks", ("tasks/handcrafted_task", *paths.CODE), inputs, make)["walks"]
-    for number, start, goal in np.argwhere(~np.isfinite(walk)):
+
+    def build() -> dict[str, np.ndarray]:
+        walks = jax.jit(jax.vmap(_walks, in_axes=(None, 0, 0)))
+        return {"walks": np.asarray(walks(scenario.navigation, sets.start, sets.goal))}
+
+    walks = cache.load_or_build("walks", ("tasks/handcrafted_task", *paths.CODE), inputs, build)["walks"]
+    for number, start, goal in np.argwhere(~np.isfinite(walks)):
         way = f"from starts[{start}] to goals[{goal}] of set '{sets.names[number]}'"
         raise InputError(f"robot: there is no way {way} for {scenario.robot.name}; choose a smaller robot or a set.")
+
+
+def _check_clearance(scenario: Scenario, word: str, places: Float[Array, "sets 5 2"]) -> None:
+    """Refuse a robot that does not fit at places of a set; the word is their key in the file."""
+    names = scenario.behavior.data.names
+    room = np.minimum(*signed_distances_on_host(scenario.environment, np.asarray(places).reshape(-1, 2)))
+    room = room.reshape(places.shape[:2])
+    for number, index in np.argwhere(room < robots.radius(scenario.robot)):
+        where = f"set '{names[number]}' has {room[number, index]:.2f} m of room at {word}[{index}]"
+        raise InputError(f"robot: {where}, too little for {scenario.robot.name}; choose a smaller robot or a set.")
 
 
 @requires("handcrafted_sets", check_room)
@@ -47,19 +57,19 @@ def handcrafted(scenario: Scenario, pedestrians: Pedestrians, groups: Groups, me
     The episode's set is in ``memory`` of behavior ``handcrafted``.
     """
     sets: Sets = scenario.behavior.data
-    one = sets.one(memory.set)
-    drawn = jax.random.categorical(key, jnp.log(one.odds).reshape(-1))
-    first, last = drawn // one.odds.shape[1], drawn % one.odds.shape[1]
-    start, start_heading = _pose(groups, one.start[first], one.start_heading[first], one.start_group[first])
-    goal, goal_heading = _pose(groups, one.goal[last], one.goal_heading[last], one.goal_group[last])
+    chosen = sets.one(memory.set)
+    drawn = jax.random.categorical(key, jnp.log(chosen.odds).reshape(-1))
+    first, last = drawn // chosen.odds.shape[1], drawn % chosen.odds.shape[1]
+    start, start_heading = _pose(groups, chosen.start[first], chosen.start_heading[first], chosen.start_group[first])
+    goal, goal_heading = _pose(groups, chosen.goal[last], chosen.goal_heading[last], chosen.goal_group[last])
     return build_task(
         scenario,
         start,
         goal,
         start_heading=start_heading,
         goal_heading=goal_heading,
-        start_group=one.start_group[first],
-        goal_group=one.goal_group[last],
+        start_group=chosen.start_group[first],
+        goal_group=chosen.goal_group[last],
     )
 
 
@@ -89,8 +99,8 @@ def _walks(
 ) -> Float[Array, "5 5"]:
     """Lengths [m] of the shortest paths from each start [m] to each goal [m]."""
     rows = jax.vmap(paths.build_paths_to_goal, in_axes=(None, 0))(navigation, goals)
-    each_goal = jax.vmap(paths.geodesic, in_axes=(None, None, 0, 0))
-    return jax.vmap(each_goal, in_axes=(None, 0, None, None))(navigation, starts, goals, rows)
+    over_goals = jax.vmap(paths.geodesic, in_axes=(None, None, 0, 0))
+    return jax.vmap(over_goals, in_axes=(None, 0, None, None))(navigation, starts, goals, rows)
 
 
 def _pose(

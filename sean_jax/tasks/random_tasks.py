@@ -74,14 +74,17 @@ def busy_ab_nav(scenario: Scenario, pedestrians: Pedestrians, groups: Groups, me
     if pedestrians.present.shape[0]:
         busy = pedestrians.position[busiest(pedestrians.position, pedestrians.present, cluster_key)]
         middle = jnp.where(pedestrians.present.any(), busy, middle)
+
+    # Candidates are on the ring, and anywhere at the cost of their distance from it.
     share = jax.random.uniform(ring_key, (2, CANDIDATES), float)
-    angle, off = 2.0 * jnp.pi * share[0], RING + SNAP * (2.0 * share[1] - 1.0)
-    around = middle[None, :] + off[:, None] * jnp.stack([jnp.cos(angle), jnp.sin(angle)], -1)
-    spots = jnp.concatenate([around, anywhere])
+    angle, radius = 2.0 * jnp.pi * share[0], RING + SNAP * (2.0 * share[1] - 1.0)
+    around = middle[None, :] + radius[:, None] * jnp.stack([jnp.cos(angle), jnp.sin(angle)], -1)
+    spots = jnp.concatenate([around, anywhere])  # (2 * CANDIDATES, 2)
     gap = spots - middle[None, :]
     cost = jnp.maximum(jnp.abs(jnp.sqrt((gap * gap).sum(-1)) - RING) - SNAP - 1e-4, 0.0)
     free = clearance(scenario.environment, spots) > navigation.radius + ROOM
     cost = jnp.where(free, cost, jnp.inf)
+
     chance = jax.random.uniform(goal_key, cost.shape, float)
     best = jax.lax.top_k(-cost + 0.01 * chance, GOALS)[1]
     pair = choose_pair(scenario, pedestrians, spots[best], spots, cost[best], cost, choice_key)
@@ -120,7 +123,7 @@ def far_place(scenario: Scenario, pedestrians: Pedestrians, other: Float[Array, 
     spots = navigation.places[paths.draw_places(navigation, draw_key, CANDIDATES)]
     to_other = paths.build_paths_to_goal(navigation, other)
     walk = jax.vmap(paths.geodesic_approx, in_axes=(None, 0, None, None))(navigation, spots, other, to_other)
-    cost = _off(scenario, walk) + _crowded(pedestrians, spots)
+    cost = _walk_cost(scenario, walk) + _crowded(pedestrians, spots)
     chance = jax.random.uniform(choice_key, (CANDIDATES,), float)
     return spots[jnp.argmax(jnp.where(cost == 0.0, 1.0 + chance, -cost))]
 
@@ -145,11 +148,12 @@ def choose_pair(
     """
     navigation = scenario.navigation
     rows = jax.vmap(paths.build_paths_to_goal, in_axes=(None, 0))(navigation, goals)
-    each_start = jax.vmap(paths.geodesic_approx, in_axes=(None, 0, None, None))
-    walk = jax.vmap(each_start, in_axes=(None, None, 0, 0))(navigation, starts, goals, rows)  # (D, C)
+    over_starts = jax.vmap(paths.geodesic_approx, in_axes=(None, 0, None, None))
+    walk = jax.vmap(over_starts, in_axes=(None, None, 0, 0))(navigation, starts, goals, rows)  # (D, C)
     goal_cost = goal_cost + _crowded(pedestrians, goals)
     start_cost = start_cost + _crowded(pedestrians, starts)
-    cost = _off(scenario, walk) + goal_cost[:, None] + start_cost[None, :]
+    cost = _walk_cost(scenario, walk) + goal_cost[:, None] + start_cost[None, :]
+
     chance = jax.random.uniform(key, cost.shape, float)
     best = jnp.argmax(jnp.where(cost == 0.0, 1.0 + chance, -cost)).astype(jnp.int32)
     goal, start = best // starts.shape[0], best % starts.shape[0]
@@ -158,13 +162,13 @@ def choose_pair(
     return starts[start], goals[goal], paths_to_goal, length
 
 
-def _off(scenario: Scenario, walk: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
+def _walk_cost(scenario: Scenario, walk: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
     """The cost of walks [m] that are too short or too long; inf if there is no path."""
     lower, upper = scenario.task_distance[0], scenario.task_distance[1]
     reachable = jnp.isfinite(walk)
     finite = jnp.where(reachable, walk, 0.0)  # the upper limit may be inf as well
-    off = jnp.maximum(lower - finite, 0.0) + jnp.maximum(finite - upper, 0.0)
-    return jnp.where(reachable, DETOUR * off, jnp.inf)
+    excess = jnp.maximum(lower - finite, 0.0) + jnp.maximum(finite - upper, 0.0)
+    return jnp.where(reachable, DETOUR * excess, jnp.inf)
 
 
 def _crowded(pedestrians: Pedestrians, spots: Float[Array, "C 2"]) -> Float[Array, "C"]:
@@ -184,15 +188,16 @@ def k_means(
     """
     number = start.shape[0]
 
-    def once(centers: Array, _) -> tuple[Array, None]:
-        mine = (_labels(points, centers)[:, None] == jnp.arange(number, dtype=jnp.int32)[None, :]) & counted[:, None]
-        size = mine.sum(0, dtype=float)
-        total = jnp.where(mine[:, :, None], points[:, None, :], 0.0).sum(0)
+    def iterate(centers: Array, _) -> tuple[Array, None]:
+        label = _labels(points, centers)
+        member = (label[:, None] == jnp.arange(number, dtype=jnp.int32)[None, :]) & counted[:, None]  # (N, K)
+        size = member.sum(0, dtype=float)
+        total = jnp.where(member[:, :, None], points[:, None, :], 0.0).sum(0)
         mean = total / jnp.maximum(size, 1.0)[:, None]
         return jnp.where(size[:, None] > 0.0, mean, centers), None
 
-    before = jax.lax.scan(once, start, length=ITERATIONS - 1)[0]
-    after = once(before, None)[0]
+    before, _ = jax.lax.scan(iterate, start, length=ITERATIONS - 1)
+    after, _ = iterate(before, None)
     return after, jnp.where(counted, _labels(points, before), -1)
 
 
@@ -206,11 +211,11 @@ def busiest(points: Float[Array, "N 2"], counted: Bool[Array, "N"], key: Array) 
     order = jnp.argsort(-chance)[jnp.minimum(jnp.arange(CLUSTERS), counted.shape[0] - 1)]
     _, label = k_means(points, counted, points[order])
     size = (label[:, None] == jnp.arange(CLUSTERS, dtype=jnp.int32)[None, :]).sum(0, dtype=jnp.int32)
-    mine = label == jnp.argmax(size).astype(jnp.int32)
+    member = label == jnp.argmax(size).astype(jnp.int32)
     gaps = points[:, None, :] - points[None, :, :]
     distance = jnp.sqrt((gaps * gaps).sum(-1))
-    total = jnp.where(mine[None, :], distance, 0.0).sum(1)
-    return jnp.argmin(jnp.where(mine, total, jnp.inf)).astype(jnp.int32)
+    total = jnp.where(member[None, :], distance, 0.0).sum(1)
+    return jnp.argmin(jnp.where(member, total, jnp.inf)).astype(jnp.int32)
 
 
 def _labels(points: Float[Array, "N 2"], centers: Float[Array, "K 2"]) -> Int[Array, "N"]:

@@ -179,26 +179,37 @@ def poses(scenario: Scenario, start: tuple[float, ...], goal: tuple[float, ...])
         InputError: one of them is not free, or no path leads from the start to the goal.
     """
     for name, pose in (("start", start), ("goal", goal)):
-        if np.ndim(pose) != 1 or len(pose) not in (2, 3):
-            raise InputError(f"{name}: {pose} must be x and y in metres, and if you like a heading in degrees.")
-        bounds = MAX_COORDINATE, MAX_COORDINATE, 3600.0
-        for part, number, limit in zip(("x", "y", "heading"), pose, bounds, strict=False):
-            check_number(f"{name}: {part}", number, -limit, limit, "degrees" if part == "heading" else "m")
-        room = float(np.min(signed_distances_on_host(scenario.environment, np.array([pose[:2]]))))
-        radius = robots.radius(scenario.robot)
-        if not room >= radius:
-            where = f"({pose[0]:g}, {pose[1]:g})"
-            lies = "off the floor or inside an obstacle" if room < 0 else f"{room:.2f} m from an obstacle or the edge"
-            raise InputError(f"{name}: {where} lies {lies}, where a robot of radius {radius:g} m cannot be; move it.")
+        _check_pose(scenario, name, pose)
     ahead = math.atan2(goal[1] - start[1], goal[0] - start[0])
-    angle = [math.radians(pose[2]) if len(pose) == 3 else ahead for pose in (start, goal)]
-    task = Poses((float(start[0]), float(start[1])), (float(goal[0]), float(goal[1])), *angle)
+    task = Poses(
+        start=(float(start[0]), float(start[1])),
+        goal=(float(goal[0]), float(goal[1])),
+        start_angle=math.radians(start[2]) if len(start) == 3 else ahead,
+        goal_angle=math.radians(goal[2]) if len(goal) == 3 else ahead,
+    )
+
     inputs = *paths.inputs(scenario.navigation), task.start, task.goal
     make = lambda: {"walk": np.asarray(jax.jit(task)(scenario, None, None, None, None).geodesic)}  # noqa: E731
     walk = float(cache.load_or_build("walk", ("tasks/task", *paths.CODE), inputs, make)["walk"])
     if not math.isfinite(walk):
         raise InputError(f"goal: there is no way from {task.start} to {task.goal} in {scenario.environment.name}.")
     return task
+
+
+def _check_pose(scenario: Scenario, name: str, pose: tuple[float, ...]) -> None:
+    """Refuse a pose that is no pose, or where the robot cannot be."""
+    if np.ndim(pose) != 1 or len(pose) not in (2, 3):
+        raise InputError(f"{name}: {pose} must be x and y in metres, and if you like a heading in degrees.")
+    limits = ("x", MAX_COORDINATE, "m"), ("y", MAX_COORDINATE, "m"), ("heading", 3600.0, "degrees")
+    for value, (word, limit, unit) in zip(pose, limits, strict=False):
+        check_number(f"{name}: {word}", value, -limit, limit, unit)
+
+    room = float(np.min(signed_distances_on_host(scenario.environment, np.array([pose[:2]]))))
+    radius = robots.radius(scenario.robot)
+    if not room >= radius:
+        where = f"({pose[0]:g}, {pose[1]:g})"
+        lies = "off the floor or inside an obstacle" if room < 0 else f"{room:.2f} m from an obstacle or the edge"
+        raise InputError(f"{name}: {where} lies {lies}, where a robot of radius {radius:g} m cannot be; move it.")
 
 
 def _heading(angle: float) -> Float[Array, "2"]:

@@ -15,7 +15,7 @@ from sean_jax.cli import command_line
 from sean_jax.config import PPOConfig
 from sean_jax.core import random_streams
 from sean_jax.people.recordings import Tracks
-from sean_jax.studies.validation.page import trajectory
+from sean_jax.studies.validation.replay import trajectory
 from support.replays import played
 from support.scenes import room
 

@@ -118,7 +118,7 @@ ELSEWHERE = {
     "learning/policy.py describe_agent": "the config.json of load_agent",
     "learning/policy.py pack": "the config.json of load_agent",
     "studies/inverse_graph/__init__.py _words": "a graph as in load_graph",
-    "studies/validation/page.py write_replay": "results.json: test_validate",
+    "studies/validation/replay.py _read_results": "results.json: test_validate",
     "config/workspace.py Workspace.load": "parts whose readers look at them",
 }
 """Readers of outside data without a kind of their own -> what tries them."""

@@ -5,7 +5,7 @@ import json
 import os
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter
 from rich.console import Console
 
-from sean_jax.cli.bench import programs, roofline
+from sean_jax.cli.bench import programs
 from sean_jax.cli.bench.programs import Program, measure
 from sean_jax.config import BenchConfig, ScenarioConfig, validate
 from sean_jax.config.flags import command
@@ -35,8 +35,9 @@ __all__ = ["run"]
 IMAGE = 64, 48  # pixels of the image of a step
 SIZES = (16, 12), (32, 24), (64, 48), (160, 120), (320, 240), (640, 480)
 CROWDS = 62, 200, 1000, 10_000  # people
-HEAD = f"{'part':<9}{'B':>7}{'people':>7}{'pixels':>7}{'devices':>8}{'per second':>11}  {'of':<15}{'floor /s':>9}" + (
-    f"{'share':>7}  {'bound by':<11}{'us a call':>9}{'compile s':>10}{'KiB each':>9}"
+HEAD = (
+    f"{'part':<9}{'B':>7}{'people':>7}{'pixels':>7}{'devices':>8}{'per second':>11}  {'of':<15}{'us a call':>9}"
+    f"{'compile s':>10}{'KiB each':>9}"
 )
 
 
@@ -51,9 +52,6 @@ class Row:
     pixels: int  # of an image, 0 for none
     devices: int
     per_second: float  # units; for the part "compile" the seconds themselves
-    floor: float  # units a second at the rates of the devices, NaN for none
-    bound: str  # what takes longest then: a key of ``needs``, "" for nothing
-    needs: dict[str, float]  # operations, special functions and bytes of a unit
     microseconds: float  # of one call for the whole batch
     compile_seconds: float
     scenario_bytes: float  # state and temporary memory of one scenario
@@ -74,7 +72,7 @@ def run(options: BenchConfig, console: Console) -> Path:
     writing.check_new_folder(folder)
     with writing.folder_lock(folder):
         writing.check_new_folder(folder)
-        with console.status("preparing the scenario and the rates of the device"):
+        with console.status("preparing the scenario"):
             stack, setup = _prepare(options)
         rows: list[Row] = []
         _print(console, title(setup), HEAD)
@@ -103,8 +101,8 @@ def run(options: BenchConfig, console: Console) -> Path:
 
 
 def _broken(folder: Path, error: OSError) -> IncompleteError:
-    rest = f"what was measured until then is in {folder}" if writing.contents(folder) else "nothing was written"
-    return IncompleteError(f"{writing.broken(error)}; {rest}.")
+    kept = f"what was measured until then is in {folder}" if writing.contents(folder) else "nothing was written"
+    return IncompleteError(f"{writing.broken(error)}; {kept}.")
 
 
 def _save(folder: Path, rows: list[Row], setup: dict[str, Any]) -> None:
@@ -125,7 +123,6 @@ def _prepare(options: BenchConfig) -> tuple[Stack[Scenario], dict[str, Any]]:
         "device": jax.devices()[0].device_kind,
         "devices": jax.device_count(),
         "memory": memory(),
-        "rates": roofline.rates()._asdict(),
         "environment": options.environment,
         "floors": stack.size,
         "people": scenario.people,
@@ -185,10 +182,7 @@ def _row(
     """Time a program of a batch."""
     figures = measure(program, options.repeats, options.seconds)
     scenario_bytes = figures.pop("bytes") / batch
-    least, bound = roofline.floor(figures["needs"], roofline.rates(), 1 if on_cpu() else devices)
-    return Row(
-        part, what, batch, people, pixels, devices, floor=least, bound=bound, scenario_bytes=scenario_bytes, **figures
-    )
+    return Row(part, what, batch, people, pixels, devices, scenario_bytes=scenario_bytes, **figures)
 
 
 def steps(
@@ -218,7 +212,7 @@ def crowd(options: BenchConfig, stack: Stack[Scenario]) -> Iterator[Row]:
     """Time the social forces alone, in a hall with 32 walls, by number of people and of crowds at once."""
     totals = (2**14,) if on_cpu() else (2**19, 2**21)
     for people in CROWDS:
-        for batch in sorted({1, *(max(1, each // people) for each in totals)}):
+        for batch in sorted({1, *(max(1, total // people) for total in totals)}):
             number = int(np.clip((2e5 if on_cpu() else 2e8) / (batch * people), 2, 40)) // 2 * 2
             yield _row(options, "crowd", "agent-steps", batch, people, programs.crowd(people, batch, number))
 
@@ -229,8 +223,8 @@ def compiling(options: BenchConfig, stack: Stack[Scenario]) -> Iterator[Row]:
 
     names = "jax_compilation_cache_dir", "jax_enable_compilation_cache"
     settings = {name: getattr(jax.config, name) for name in names}
-    some, batch = _fitting(stack, 64)
-    program = programs.stepping(some, batch, 10)
+    floors, batch = _fitting(stack, 64)
+    program = programs.stepping(floors, batch, 10)
     try:
         with tempfile.TemporaryDirectory() as folder:
             jax.config.update("jax_enable_compilation_cache", True)
@@ -242,8 +236,8 @@ def compiling(options: BenchConfig, stack: Stack[Scenario]) -> Iterator[Row]:
                 program.run.lower(*program.fixed, program.carried).compile()
                 spent = time.perf_counter() - began
                 yield Row(
-                    "compile", what, batch, stack.member.people, 0, 1, per_second=spent, floor=float("nan"), bound="",
-                    needs={}, microseconds=1e6 * spent, compile_seconds=spent, scenario_bytes=float("nan"),
+                    "compile", what, batch, stack.member.people, 0, 1, per_second=spent, microseconds=1e6 * spent,
+                    compile_seconds=spent, scenario_bytes=float("nan"),
                 )  # fmt: skip
     finally:
         for name, value in settings.items():
@@ -253,10 +247,11 @@ def compiling(options: BenchConfig, stack: Stack[Scenario]) -> Iterator[Row]:
 
 def scaling(options: BenchConfig, stack: Stack[Scenario]) -> Iterator[Row]:
     """Time the whole step on 1, 2, 4 and more devices, with equally many scenarios on each."""
-    number, (some, each) = 1, _fitting(stack, batches(options)[-1] if on_cpu() else 32768)
+    floors, batch = _fitting(stack, batches(options)[-1] if on_cpu() else 32768)
+    number = 1
     while number <= jax.device_count():
-        program = programs.stepping(some, each, turns(each), None, number)
-        yield _row(options, "devices", "scenario-steps", each * number, stack.member.people, program, 0, number)
+        program = programs.stepping(floors, batch, turns(batch), None, number)
+        yield _row(options, "devices", "scenario-steps", batch * number, stack.member.people, program, 0, number)
         number *= 2
 
 
@@ -287,43 +282,59 @@ def line(row: Row) -> str:
     """A row of the table, as long as ``HEAD``."""
     pixels = str(row.pixels) if row.pixels else "-"
     kib = "-" if np.isnan(row.scenario_bytes) else f"{row.scenario_bytes / 1024:.1f}"
-    least = share = bound = "-"
-    if row.bound:
-        percent = 100 * row.per_second / row.floor
-        least, share, bound = f"{row.floor:.3g}", f"{percent:.{0 if percent >= 10 else 1}f} %", row.bound
     return (
         f"{row.part:<9}{row.batch:7d}{row.people:7d}{pixels:>7}{row.devices:8d}{row.per_second:11.4g}  {row.what:<15}"
-        f"{least:>9}{share:>7}  {bound:<11}{row.microseconds:9.0f}{row.compile_seconds:10.1f}{kib:>9}"
+        f"{row.microseconds:9.0f}{row.compile_seconds:10.1f}{kib:>9}"
     )
 
 
 def notes(rows: list[Row], setup: dict[str, Any]) -> list[str]:
-    """What the floors are made of and which batches fixed costs bind, the largest batch, several devices beside one."""
+    """Which batches fixed costs bind, how many scenarios fit into memory, several devices beside one."""
+    return [*_launch_notes(rows), *_memory_notes(rows, setup["memory"]), *_device_notes(rows)] if rows else []
+
+
+def _launch_notes(rows: list[Row]) -> list[str]:
+    """Batches that take less than twice as long as the smallest, although they are four times as large or more."""
+    kinds: dict[tuple, list[Row]] = {}
+    for row in rows:
+        if row.part not in ("compile", "devices"):
+            kinds.setdefault((row.part, row.people, row.pixels), []).append(row)
+
     lines = []
-    if any(row.bound for row in rows):
-        rates = ", ".join(f"{rate:.2g} {name}" for name, rate in setup["rates"].items())
-        lines.append(f"floor: what the program needs, at {rates} a second; bound by: what takes longest of these.")
-    for kind in dict.fromkeys((row.part, row.people, row.pixels) for row in rows if row.bound):
-        same = [row for row in rows if (row.part, row.people, row.pixels) == kind]
+    for (part, people, _), same in kinds.items():
         small = min(same, key=lambda row: row.batch)
         flat = [row for row in same if row.batch >= 4 * small.batch and row.microseconds < 2 * small.microseconds]
-        if flat and kind[0] != "devices":
+        if flat:
             large = max(flat, key=lambda row: row.batch)
             lines.append(
-                f"{kind[0]}, {kind[1]} people: a call takes {small.microseconds:.0f} us at B = {small.batch} and "
-                f"{large.microseconds:.0f} us at B = {large.batch}; so far launches and the host bind, not the floor."
+                f"{part}, {people} people: a call takes {small.microseconds:.0f} us at B = {small.batch} and "
+                f"{large.microseconds:.0f} us at B = {large.batch}; so far launches and the host bind."
             )
+    return lines
+
+
+def _memory_notes(rows: list[Row], memory: int) -> list[str]:
+    """How many scenarios as those of the largest batch would fit into the memory [bytes]."""
+    lines = []
     for part, name in (("step", "without images"), ("depth", "with a depth image each")):
-        largest = max((row for row in rows if row.part == part), key=lambda row: row.batch, default=None)
-        if largest is not None and setup["memory"] and largest.scenario_bytes > 0:
-            number = int(setup["memory"] / largest.scenario_bytes)
+        same = [row for row in rows if row.part == part]
+        if not same or not memory:
+            continue
+        largest = max(same, key=lambda row: row.batch)
+        if largest.scenario_bytes > 0:
             lines.append(
                 f"memory: {largest.scenario_bytes / 1024:.0f} KiB a scenario {name} at B = {largest.batch}; "
-                f"about {number:.2g} would fit into {setup['memory'] / 2**30:.0f} GiB."
+                f"about {int(memory / largest.scenario_bytes):.2g} would fit into {memory / 2**30:.0f} GiB."
             )
-    scaling = [row for row in rows if row.part == "devices"]
-    for row in scaling[1:]:
-        share = row.per_second / scaling[0].per_second
+    return lines
+
+
+def _device_notes(rows: list[Row]) -> list[str]:
+    """How much faster several devices are than one."""
+    first, *others = [row for row in rows if row.part == "devices"] or [None]
+    lines = []
+    for row in others:
+        share = row.per_second / first.per_second
         lines.append(f"{row.devices} devices: {share:.2f} times one ({100 * share / row.devices:.0f} % of each).")
     return lines
 
@@ -338,39 +349,55 @@ def picture(rows: list[Row], setup: dict[str, Any]) -> Figure:
         figure = Figure(figsize=(12.5, 4.2), layout="constrained", facecolor="white")
         left, middle, right = figure.subplots(1, 3)
     figure.suptitle(title(setup), fontsize=10, color=colors.INK)
-    for part, name, shade in (
-        ("step", "step", colors.SITUATION_COLORS["down_path"]),
-        ("depth", "step + depth 64x48", colors.SITUATION_COLORS["cross_path"]),
-        ("images", "depth images 64x48", colors.SITUATION_COLORS["join_group"]),
+    _throughput(left, rows)
+    _crowds(middle, [row for row in rows if row.part == "crowd"])
+    _images(right, rows)
+    return figure
+
+
+def _throughput(axes: Axes, rows: list[Row]) -> None:
+    """Scenarios a second by batch."""
+    for part, name, situation in (
+        ("step", "step", "down_path"),
+        ("depth", "step + depth 64x48", "cross_path"),
+        ("images", "depth images 64x48", "join_group"),
     ):
-        chosen = [row for row in rows if row.part == part and row.pixels in (0, 64 * 48)]
-        chosen = sorted({row.batch: row for row in chosen}.values(), key=lambda row: row.batch)
-        _curve(left, [row.batch for row in chosen], [row.per_second for row in chosen], name, shade)
-    _label(left, "throughput", "scenarios at once (B)", "per second")
-    crowds = [row for row in rows if row.part == "crowd"]
-    for name, shade, pick in (("one crowd", colors.MUTED, min), ("many at once", colors.FLOW, max)):
-        best = {n: pick((row.batch, row) for row in crowds if row.people == n)[1] for n in {r.people for r in crowds}}
-        chosen = [best[n] for n in sorted(best)]
-        _curve(middle, [row.people for row in chosen], [1e9 / row.per_second for row in chosen], name, shade)
-    _label(middle, "crowd alone, 32 walls", "people (N)", "ns per agent-step")
+        by_batch = {row.batch: row for row in rows if row.part == part and row.pixels in (0, 64 * 48)}
+        per_second = {batch: by_batch[batch].per_second for batch in sorted(by_batch)}
+        _curve(axes, per_second, name, colors.SITUATION_COLORS[situation])
+    _label(axes, "throughput", "scenarios at once (B)", "per second")
+
+
+def _crowds(axes: Axes, rows: list[Row]) -> None:
+    """Nanoseconds of an agent-step by people, of the smallest and of the largest batch."""
+    for name, shade, choose in (("one crowd", colors.MUTED, min), ("many at once", colors.FLOW, max)):
+        nanoseconds = {}
+        for people in sorted({row.people for row in rows}):
+            chosen = choose((row for row in rows if row.people == people), key=lambda row: row.batch)
+            nanoseconds[people] = 1e9 / chosen.per_second
+        _curve(axes, nanoseconds, name, shade)
+    _label(axes, "crowd alone, 32 walls", "people (N)", "ns per agent-step")
+
+
+def _images(axes: Axes, rows: list[Row]) -> None:
+    """Microseconds of an image by pixels, of the fastest batch."""
     for part, name, shade in (
         ("images", "depth", colors.SITUATION_COLORS["join_group"]),
         ("pictures", "color", colors.ROBOT),
     ):
-        best: dict[int, Row] = {}
-        for row in (row for row in rows if row.part == part):
-            if row.pixels not in best or row.per_second > best[row.pixels].per_second:
-                best[row.pixels] = row
-        chosen = [best[pixels] for pixels in sorted(best)]
-        _curve(right, [row.pixels for row in chosen], [1e6 / row.per_second for row in chosen], name, shade)
-    _label(right, "images, best B", "pixels", "µs per image")
-    return figure
+        same = [row for row in rows if row.part == part]
+        microseconds = {}
+        for pixels in sorted({row.pixels for row in same}):
+            microseconds[pixels] = 1e6 / max(row.per_second for row in same if row.pixels == pixels)
+        _curve(axes, microseconds, name, shade)
+    _label(axes, "images, best B", "pixels", "µs per image")
 
 
-def _curve(axes: Axes, x: Sequence[float], y: Sequence[float], name: str, shade: str) -> None:
-    if x:
-        axes.loglog(x, y, marker="o", ms=4, lw=1.6, color=shade, label=name)
-        axes.annotate(_short(y[-1]), (x[-1], y[-1]), textcoords="offset points", xytext=(0, 6), ha="right", color=shade)
+def _curve(axes: Axes, values: dict[int, float], name: str, shade: str) -> None:
+    if values:
+        axes.loglog(list(values), list(values.values()), marker="o", ms=4, lw=1.6, color=shade, label=name)
+        last = max(values.items())
+        axes.annotate(_short(last[1]), last, textcoords="offset points", xytext=(0, 6), ha="right", color=shade)
 
 
 def _label(axes: Axes, name: str, across: str, up: str) -> None:
@@ -383,8 +410,7 @@ def _label(axes: Axes, name: str, across: str, up: str) -> None:
         axis.set_major_formatter(FuncFormatter(_short))
         axis.set_minor_formatter(NullFormatter())
     axes.tick_params(colors=colors.MUTED)
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
+    axes.spines[["top", "right"]].set_visible(False)
     if axes.lines:
         axes.legend(frameon=False, loc="best")
     else:

@@ -6,32 +6,28 @@ circles.
 
 import dataclasses
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import field, replace
+from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
-from scipy.spatial import KDTree
 
 from sean_jax import sensors, social_forces
-from sean_jax.cli.bench import roofline, workload
+from sean_jax.cli.bench import workload
 from sean_jax.config import DEFAULT_FORCES
 from sean_jax.core import devices, random_streams
-from sean_jax.core.data_types import FAR, Array, ObstacleGrid, Pedestrians, Scenario, State
-from sean_jax.core.geometry import nearby_obstacles, rotate
-from sean_jax.sensors import cameras, mounts
-from sean_jax.sensors.raycast import Rays, intersect, kernel
+from sean_jax.core.data_types import Array, Scenario, State
+from sean_jax.core.geometry import rotate
 from sean_jax.simulation import episodes
 from sean_jax.simulation.scenario import reset
 from sean_jax.simulation.scenario_stack import Stack
-from sean_jax.social_forces import Forces, model, neighbors
+from sean_jax.social_forces import model
 
 STARTS = 1024  # in the pool that ended episodes restart from
 CROWD_STEP = 0.05  # s
-SAMPLE = 64  # scenarios whose pairs and bodies in sight are counted
 LOOKING = 0.8, 0.6  # cosine and sine of the angle by which robots turn between two images
 
 
@@ -44,31 +40,32 @@ class Program:
     carried: Any
     count: int
     turns: int
-    loops: dict[str, float] = field(default_factory=dict)  # turns of loops that end by data, as of ``floors.count``
 
 
 def measure(program: Program, repeats: int, seconds: float) -> dict[str, Any]:
     """Compile a program and time it ``repeats`` times for about so many seconds, after a warm-up.
 
     Returns:
-        ``per_second``, ``microseconds`` and ``compile_seconds`` as of a row of ``sean bench``; ``bytes``, the state
-        and the temporary memory of the whole batch (NaN if the compiler does not report it); and ``needs``, what one
-        unit needs, as of ``floors.count``.
+        ``per_second``, ``microseconds`` and ``compile_seconds`` as of a row of ``sean bench``; and ``bytes``, the state
+        and the temporary memory of the whole batch (NaN if the compiler does not report it).
     """
     began = time.perf_counter()
-    traced = program.run.trace(*program.fixed, program.carried)
-    compiled = traced.lower().compile()
+    compiled = program.run.lower(*program.fixed, program.carried).compile()
     compiling = time.perf_counter() - began
-    needs = roofline.count(traced.jaxpr, program.loops, jax.devices()[0].platform)
-    memory = compiled.memory_analysis()
+
     # Donated arguments count once: the results lie where the arguments were.
+    memory = compiled.memory_analysis()
     arrays = [leaf for leaf in jax.tree.leaves(program.carried) if hasattr(leaf, "itemsize")]
     size = sum(leaf.size * leaf.dtype.itemsize for leaf in arrays)
     used = memory.temp_size_in_bytes + size if memory else float("nan")
+
+    # One call warms up, and one tells how many calls fill the time.
     carried = jax.block_until_ready(compiled(*program.fixed, program.carried))
     began = time.perf_counter()
     carried = jax.block_until_ready(compiled(*program.fixed, carried))
-    calls = max(1, round(seconds / max(time.perf_counter() - began, 1e-6)))
+    one_call = max(time.perf_counter() - began, 1e-6)
+    calls = max(1, round(seconds / one_call))
+
     spent = []
     for _ in range(repeats):
         began = time.perf_counter()
@@ -76,13 +73,12 @@ def measure(program: Program, repeats: int, seconds: float) -> dict[str, Any]:
             carried = compiled(*program.fixed, carried)
         jax.block_until_ready(carried)
         spent.append((time.perf_counter() - began) / calls / program.turns)
-    each = float(np.median(spent))
+    turn_seconds = float(np.median(spent))
     return {
-        "per_second": program.count / each,
-        "microseconds": 1e6 * each,
+        "per_second": program.count / turn_seconds,
+        "microseconds": 1e6 * turn_seconds,
         "compile_seconds": compiling,
         "bytes": used,
-        "needs": {name: need / program.count / program.turns for name, need in needs.items()},
     }
 
 
@@ -99,15 +95,19 @@ def stepping(
     Each device has ``batch`` scenarios, of which each floor of the stack has as many. ``image`` is the width and height
     [px] of a depth image of each scenario after each step.
     """
-    over, each = devices.mesh(jax.devices()[:number]), batch // stack.size
-    stack = replace(stack, names=(), turn=each)
+    mesh = devices.mesh(jax.devices()[:number])
+    stack = replace(stack, names=(), turn=batch // stack.size)
+
+    # Scenarios restart from a pool of starts on their floor.
     size = max(1, min(STARTS, batch) // stack.size)
     draw = jax.jit(lambda stack, key: stack.over_members(lambda one: episodes.reset_pool(one, key, size))())
-    stack = devices.replicate(over, stack.paired(draw(stack, random_streams.key("bench starts", 0))))
+    starts = draw(stack, random_streams.key("bench starts", 0))
+    stack = devices.replicate(mesh, stack.paired(starts))
+    keys = devices.keys(mesh, random_streams.key("bench", 0), batch * number)
+    states = _on_floors(mesh, lambda fixed, key: reset(fixed[0], key))(stack, (keys,))
+
     scenario: Scenario = stack.member[0]  # pyright: ignore
-    keys = devices.keys(over, random_streams.key("bench", 0), batch * number)
-    states = _on_floors(over, lambda fixed, key: reset(fixed[0], key))(stack, (keys,))
-    eye = None if image is None else sensors.camera(scenario, "depth", width=image[0], height=image[1])
+    camera = None if image is None else sensors.camera(scenario, "depth", width=image[0], height=image[1])
 
     def run(fixed: tuple, state: State, last: Array) -> tuple[State, Array]:
         scenario, starts = fixed
@@ -115,23 +115,18 @@ def stepping(
         def turn(carry: tuple[State, Array], _) -> tuple:
             state, last = carry
             state, _ = episodes.rollout_autoreset(scenario, circles, starts, state, 1, lambda *_: ())
-            return (state, last if eye is None else sensors.depth(scenario, state, eye)), None
+            return (state, last if camera is None else sensors.depth(scenario, state, camera)), None
 
         return jax.lax.scan(turn, (state, last), length=turns)[0]
 
     size_of_image = (1, 1) if image is None else (image[1], image[0])
-    blank = _on_floors(over, lambda _, tick: jnp.zeros(size_of_image, float))(stack, (states.tick,))
-    sample = jax.tree.map(lambda leaf: leaf[: min(SAMPLE, each)], states)  # on the first floor
-    loops = _pairs(scenario.forces, sample.pedestrians, scenario.environment.obstacle_grid)
-    if eye is not None:
-        loops |= _rays(scenario, sample, eye, cameras.bands(eye)[0])
-    run = _on_floors(over, run, donate=True)
-    return Program(run, (stack,), (states, blank), batch * number, turns, loops)
+    blank = _on_floors(mesh, lambda _, tick: jnp.zeros(size_of_image, float))(stack, (states.tick,))
+    return Program(_on_floors(mesh, run, donate=True), (stack,), (states, blank), batch * number, turns)
 
 
-def _on_floors(over: Mesh, function: Callable, donate: bool = False) -> Any:
+def _on_floors(mesh: Mesh, function: Callable, donate: bool = False) -> Any:
     """``jit`` of a stack's ``vmap``, as ``devices.shard_jit`` of a function of one scenario."""
-    split, whole = NamedSharding(over, PartitionSpec(devices.AXIS)), NamedSharding(over, PartitionSpec())
+    split, whole = NamedSharding(mesh, PartitionSpec(devices.AXIS)), NamedSharding(mesh, PartitionSpec())
 
     def on_all(stack: Stack, rows: tuple) -> Any:
         return stack.vmap(function)(*rows)
@@ -150,7 +145,7 @@ def images(stack: Stack[Scenario], name: str, batch: int, width: int, height: in
     keys = jax.random.split(random_streams.key("bench", 0), batch)
     states = jax.jit(lambda stack, keys: stack.vmap(reset)(keys))(stack, keys)
 
-    def one(scenario: Scenario, state: State) -> Array:
+    def image(scenario: Scenario, state: State) -> Array:
         if name == "depth":
             return sensors.depth(scenario, state, camera)
         return sensors.render(scenario, state, camera).rgb
@@ -161,16 +156,13 @@ def images(stack: Stack[Scenario], name: str, batch: int, width: int, height: in
             cosine, sine = jnp.asarray(LOOKING, float)
             x, y = rotate(states.robot.heading[:, 0], states.robot.heading[:, 1], cosine, sine)
             states = replace(states, robot=replace(states.robot, heading=jnp.stack([x, y], -1)))
-            return (states, stack.vmap(one)(states)), None
+            return (states, stack.vmap(image)(states)), None
 
         return jax.lax.scan(turn, carried, length=turns)[0]
 
-    shape = jax.eval_shape(lambda stack, states: stack.vmap(one)(states), stack, states)
+    shape = jax.eval_shape(lambda stack, states: stack.vmap(image)(states), stack, states)
     blank = jnp.zeros(shape.shape, shape.dtype)
-    bundles = cameras.bands(camera)[0] if name == "depth" else (cameras.rays(camera)[0],)
-    sample = jax.tree.map(lambda leaf: leaf[: min(SAMPLE, batch // stack.size)], states)  # on the first floor
-    loops = _rays(scenario, sample, camera, bundles)
-    return Program(jax.jit(run, donate_argnums=1), (stack,), (states, blank), batch, turns, loops)
+    return Program(jax.jit(run, donate_argnums=1), (stack,), (states, blank), batch, turns)
 
 
 def crowd(people: int, batch: int, turns: int, walls: int = 32, preset: str = DEFAULT_FORCES) -> Program:
@@ -195,40 +187,4 @@ def crowd(people: int, batch: int, turns: int, walls: int = 32, preset: str = DE
 
         return jax.lax.scan(turn, many, length=turns // 2)[0].position
 
-    loops = _pairs(parameters, many, grid)
-    return Program(jax.jit(run), (parameters, grid, many), many.position, batch * people, turns, loops)
-
-
-def _pairs(forces: Forces, people: Pedestrians, grid: ObstacleGrid | None) -> dict[str, float]:
-    """Turns of the loops over pairs of people (batch, N) and obstacles, if they visited only those within reach."""
-    known, numbers = model.cutoff(forces), []
-    reach = float(forces.walking.perception if known is None else known)
-    for position, present in zip(people.position[:SAMPLE], people.present[:SAMPLE], strict=True):
-        tree = KDTree(np.asarray(position)[np.asarray(present)])
-        numbers.append((tree.count_neighbors(tree, reach) - tree.n) / len(position))
-    within = float(np.mean(numbers))
-    loops = {"within_reach": within, "neighbors": within / (3 * neighbors.PART)}
-    if grid is None:
-        return loops
-    rows = nearby_obstacles(grid, people.position[:SAMPLE, :, 0], people.position[:SAMPLE, :, 1])
-    return loops | {"obstacles": float((np.asarray(rows[..., 0]) != FAR).sum(-1).mean())}
-
-
-def _rays(scenario: Scenario, states: State, device: cameras.Camera, bundles: Sequence[Rays]) -> dict[str, float]:
-    """Turns of the loops over bodies, if each tile of rays tested only the bodies in its sight."""
-
-    def one(state: State) -> list[Array]:
-        view = mounts.sensor_view(scenario, state, device)
-        return [family.in_sight for bundle in bundles for family in intersect.families(view, bundle)]
-
-    each = [np.asarray(sight) for sight in jax.jit(jax.vmap(one))(jax.tree.map(lambda leaf: leaf[:SAMPLE], states))]
-    if not each:
-        return {}
-    bodies = [sight.sum(-1).mean() for sight in each]  # of a family that a tile has in sight
-    words = [-(-sight.shape[-1] // kernel.BITS) for sight in each]
-    tasks = [max(1, sight.shape[1] // intersect.SHARE) / sight.shape[1] * intersect.CHUNK for sight in each]
-    return {
-        "raycast": float(np.sum(bodies) / np.sum(words)),
-        "first": float(np.mean(bodies)),
-        "nearest": float(np.mean(np.divide(bodies, tasks))),
-    }
+    return Program(jax.jit(run), (parameters, grid, many), many.position, batch * people, turns)

@@ -28,11 +28,13 @@ def boxes(people: int, walls: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     half = side(people) / 2 + 1.0
     center = [(-half, 0.0), (half, 0.0), (0.0, -half), (0.0, half)]
     extent = [(0.0, half), (0.0, half), (half, 0.0), (half, 0.0)]
-    rows = int(np.ceil(np.sqrt(walls - 4)))
+
+    rows = max(1, int(np.ceil(np.sqrt(walls - 4))))
+    shelf = min(0.5, half / rows / 4), half / rows / 3
     for k in range(walls - 4):
-        spot = (np.array([k % rows, k // rows]) + 0.5) / rows * 2 - 1
-        center.append(tuple(spot * side(people) / 2))
-        extent.append((min(0.5, half / rows / 4), half / rows / 3))
+        cell = (np.array([k % rows, k // rows]) + 0.5) / rows  # from 0 to 1
+        center.append(tuple((cell * 2 - 1) * side(people) / 2))
+        extent.append(shelf)
     yaw = np.where(np.arange(walls) < 4, 0.0, 0.1 * np.arange(walls))
     return np.array(center), np.array(extent), yaw
 
@@ -48,22 +50,23 @@ def crowd(people: int, walls: int, seed: int = 0) -> tuple[Pedestrians, Obstacle
     """
     random = random_streams.generator("bench", seed)
     center, half, yaw = boxes(people, walls)
-    rows = int(np.ceil(np.sqrt(4 * people)))
-    cell = side(people) / rows
-    grid = (np.stack(np.meshgrid(np.arange(rows), np.arange(rows)), -1).reshape(-1, 2) + 0.5) * cell
-    grid = grid - side(people) / 2 + random.uniform(-0.5, 0.5, grid.shape) * max(cell - 0.6, 0.0)
-    reach = np.sqrt((half**2).sum(-1)) + 0.35 if walls else np.zeros(0)
-    free = (np.linalg.norm(grid[:, None] - center[None, 4:], axis=-1) > reach[None, 4:]).all(1)
-    grid = grid[free]
-    x = grid[random.permutation(len(grid))[:people]]
-    if len(x) < people:
+    free = _free_places(people, center[4:], half[4:], random)
+    position = free[random.permutation(len(free))[:people]]
+    if len(position) < people:
         raise ValueError(f"workload: {people} people do not fit between {walls} walls")
-    heading = -x / np.linalg.norm(x, axis=-1, keepdims=True)
+
+    heading = -position / np.linalg.norm(position, axis=-1, keepdims=True)
     preferred = np.clip(random.normal(1.34, 0.26, people), 0.5, 2.2)
     exact = dict(
-        x=x, v=heading * preferred[:, None] * random.uniform(0.5, 1.0, (people, 1)), heading=heading,
-        desired=heading * preferred[:, None], preferred=preferred, center=center, half=half, yaw=yaw,
-    )  # fmt: skip
+        x=position,
+        v=heading * preferred[:, None] * random.uniform(0.5, 1.0, (people, 1)),
+        heading=heading,
+        desired=heading * preferred[:, None],
+        preferred=preferred,
+        center=center,
+        half=half,
+        yaw=yaw,
+    )
     exact = {key: value.astype(np.float32).astype(np.float64) for key, value in exact.items()}
     single = {key: jnp.asarray(value, float) for key, value in exact.items()}
     pedestrians = Pedestrians(
@@ -77,13 +80,32 @@ def crowd(people: int, walls: int, seed: int = 0) -> tuple[Pedestrians, Obstacle
         preferred_speed=single["preferred"],
         robot_distance=jnp.zeros(people, float),
     )
+    return pedestrians, _grid(people, single) if walls else None, exact
+
+
+def _free_places(people: int, center: np.ndarray, half: np.ndarray, random: np.random.Generator) -> np.ndarray:
+    """Places (K, 2) [m] on a jittered grid, outside the shelves of these centers and half extents (W, 2) [m]."""
+    rows = int(np.ceil(np.sqrt(4 * people)))
+    cell = side(people) / rows
+    grid = (np.stack(np.meshgrid(np.arange(rows), np.arange(rows)), -1).reshape(-1, 2) + 0.5) * cell
+    jitter = random.uniform(-0.5, 0.5, grid.shape) * max(cell - 0.6, 0.0)
+    places = grid - side(people) / 2 + jitter
+
+    reach = np.sqrt((half**2).sum(-1)) + 0.35
+    distance = np.linalg.norm(places[:, None] - center[None], axis=-1)
+    return places[(distance > reach[None]).all(1)]
+
+
+def _grid(people: int, single: dict[str, jax.Array]) -> ObstacleGrid:
+    """The walls of a hall by cells."""
     obstacles = Obstacles(
-        center=single["center"], half_extent=single["half"], yaw=single["yaw"],
-        height=jnp.full(walls, 2.0, float),
-    )  # fmt: skip
+        center=single["center"],
+        half_extent=single["half"],
+        yaw=single["yaw"],
+        height=jnp.full(len(single["yaw"]), 2.0, float),
+    )
     half = side(people) / 2 + 1.0
-    floor = jnp.asarray([-half, -half, half, half], float)
-    return pedestrians, build_obstacle_grid(obstacles, floor) if walls else None, exact
+    return build_obstacle_grid(obstacles, jnp.asarray([-half, -half, half, half], float))
 
 
 def repeat(people: Pedestrians, size: int) -> Pedestrians:

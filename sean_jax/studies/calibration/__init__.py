@@ -103,40 +103,64 @@ def _search(judge: Judge, options: CalibrateConfig, left_out: list, work: Worksp
 
 def _evaluate(judge: Judge, search: Search, left_out: list, recordings: dict[str, Path]) -> dict[str, Any]:
     """The best constants of each fit, all rows of the loss with them and before, and how well they predict."""
+    from sean_jax.studies.calibration.fitting import BOUNDS, parts_of, values_of
+    from sean_jax.studies.calibration.loss import total
+
+    labels = ["all" if name is None else name for name in left_out]
+    tried, rows, chosen = _choose(judge, search, labels, left_out)
+    fits = {label: parts_of(judge.forces, judge.names, tried[index]) for label, index in chosen.items()}
+    habits = {label: habits for label, (_, habits) in fits.items() if label != "before"}
+    loss = total(rows)
+    return {
+        "names": list(judge.names),
+        "bounds": {name: BOUNDS[name] for name in judge.names},
+        "parameters": {
+            label: _floats(judge.names, values_of(forces, judge.names)) for label, (forces, _) in fits.items()
+        },
+        "habits": {label: _floats(values._fields, values) for label, values in habits.items()},
+        "loss": {label: float(loss[index]) for label, index in chosen.items()},
+        "rows": _row_results(rows, chosen),
+        "scores": _scores(judge.forces, fits, recordings),
+        "losses": {label: [losses[k].tolist() for losses in search.losses] for k, label in enumerate(labels)},
+    }
+
+
+def _choose(
+    judge: Judge, search: Search, labels: list[str], left_out: list
+) -> tuple[Any, dict[str, Any], dict[str, int]]:
+    """Free parameters (K, P), their rows (K,), and which of them each fit takes.
+
+    "before" takes the start, and a fit the better one of the mean of its search and its best candidate.
+    """
     import numpy as np
 
-    from sean_jax.studies.calibration.fitting import BOUNDS, parts_of, values_of
-    from sean_jax.studies.calibration.loss import misses, target_of, total
+    from sean_jax.studies.calibration.loss import total
     from sean_jax.studies.calibration.search import left_out_rows
 
     best = search.best()
     tried = np.concatenate([judge.start[None], best.reshape(-1, best.shape[-1])])
     rows = judge.rows(tried)
     chosen = {"before": 0}
-    labels = ["all" if name is None else name for name in left_out]
     for k, (label, scene) in enumerate(zip(labels, left_out, strict=True)):
-        own = [1 + 2 * k, 2 + 2 * k]
-        chosen[label] = own[int(total(rows, left_out_rows(scene))[own].argmin())]
-    fits = {label: parts_of(judge.forces, judge.names, tried[index]) for label, index in chosen.items()}
-    aims = {row: target_of(row) for row in rows}
-    off, loss = misses(rows), total(rows)
-    return {
-        "names": list(judge.names),
-        "bounds": {name: BOUNDS[name] for name in judge.names},
-        "parameters": {label: _floats(judge.names, values_of(fit[0], judge.names)) for label, fit in fits.items()},
-        "habits": {label: _floats(habits._fields, habits) for label, (_, habits) in fits.items() if label != "before"},
-        "loss": {label: float(loss[index]) for label, index in chosen.items()},
-        "rows": {
-            row: {
-                "target": None if aim is None else aim._asdict(),
-                **{label: float(rows[row][index]) for label, index in chosen.items()},
-                "miss": {label: float(off[row][index]) for label, index in chosen.items()} if aim else None,
-            }
-            for row, aim in aims.items()
-        },
-        "scores": _scores(judge.forces, fits, recordings),
-        "losses": {label: [each[k].tolist() for each in search.losses] for k, label in enumerate(labels)},
-    }
+        pair = [1 + 2 * k, 2 + 2 * k]
+        chosen[label] = pair[int(total(rows, left_out_rows(scene))[pair].argmin())]
+    return tried, rows, chosen
+
+
+def _row_results(rows: dict[str, Any], chosen: dict[str, int]) -> dict[str, Any]:
+    """Of each row its target, its values by the fits, and how far they miss the target."""
+    from sean_jax.studies.calibration.loss import misses, target_of
+
+    missed = misses(rows)
+    results: dict[str, Any] = {}
+    for row, values in rows.items():
+        target = target_of(row)
+        results[row] = {
+            "target": None if target is None else target._asdict(),
+            **{label: float(values[index]) for label, index in chosen.items()},
+            "miss": {label: float(missed[row][index]) for label, index in chosen.items()} if target else None,
+        }
+    return results
 
 
 def _scores(before: Any, fits: dict[str, Any], recordings: dict[str, Path]) -> dict[str, Any]:
@@ -147,14 +171,15 @@ def _scores(before: Any, fits: dict[str, Any], recordings: dict[str, Path]) -> d
     for scene, file in recordings.items():
         for clock in ("social_gan", "recorded"):
             windows = read_windows(file, clock)
-            own = {"constant velocity": evaluate("constant_velocity", windows), "before": evaluate(before, windows)}
+            table = {"constant velocity": evaluate("constant_velocity", windows), "before": evaluate(before, windows)}
             for name, label in (("all scenes", "all"), ("left out", scene)):
                 if label in fits:
                     forces, habits = fits[label]
-                    same = {"weights": habits.persistence[None]}
-                    own[name] = evaluate(forces, windows, settled=habits.settled, **same)
-                    own[f"constant velocity, habits of {name}"] = evaluate("constant_velocity", windows, **same)
-            scores[f"{scene} ({clock})"] = {name: each._asdict() for name, each in own.items()}
+                    weights = habits.persistence[None]
+                    straight = evaluate("constant_velocity", windows, weights=weights)
+                    table[name] = evaluate(forces, windows, settled=habits.settled, weights=weights)
+                    table[f"constant velocity, habits of {name}"] = straight
+            scores[f"{scene} ({clock})"] = {name: errors._asdict() for name, errors in table.items()}
     return scores
 
 

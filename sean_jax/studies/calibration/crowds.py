@@ -1,10 +1,12 @@
 """Crowds of many candidate constants at once: one compiled program for all scenes of a family that have one size.
 
-Scenes lie side by side, candidates likewise, as many as fit ``PAIRS``. The steps are one scan, and only sums leave it.
+Scenes lie side by side, candidates likewise, as many as fit ``PAIRS``. The steps are one scan; its records are measured
+on the device.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import jax
@@ -12,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from sean_jax.core.data_types import Array, Scenario
+from sean_jax.core.data_types import Array, Scenario, State
 from sean_jax.social_forces import Forces, move
 from sean_jax.studies.calibration.families import Family, Rows
 from sean_jax.studies.scenes import Model, Scene, scenario_of, stage
@@ -31,77 +33,92 @@ class Crowds:
     """
 
     def __init__(self, families: Sequence[Family], forces: Forces, forces_of: Callable[[Array], Forces]):
-        self._families, self._programs = list(families), []
-        for family in families:
-            scenes = [case.scene for case in family.cases]
-            scenarios = [scenario_of(scene, Model("crowds", forces, move)) for scene in scenes]
-            shapes = [tuple(np.shape(leaf) for leaf in jax.tree.leaves(each)) for each in scenarios]
-            parts = []
-            for shape in dict.fromkeys(shapes):
-                own = [k for k, each in enumerate(shapes) if each == shape]
-                parts.append((own, _Program(family, [scenes[k] for k in own], [scenarios[k] for k in own], forces_of)))
-            self._programs.append(parts)
+        self._batches = [batch for family in families for batch in _batches(family, forces, forces_of)]
+        self._families = list(families)
 
     @property
     def steps(self) -> int:
         """Steps of people of all scenes of one candidate, each with all others: people^2 x control steps."""
-        return sum(program.pairs * family.ticks for family, program in self._each())
+        return sum(batch.pairs * batch.family.ticks for batch in self._batches)
 
-    def rows(self, values: Float[Array, "L P"]) -> Rows:
+    def rows(self, parameters: Float[Array, "L P"]) -> Rows:
         """The measured rows (L,) of L candidates."""
         rows: Rows = {}
-        for family, parts in zip(self._families, self._programs, strict=True):
-            kept: dict[str, Any] = {}
-            for own, program in parts:
-                for name, part in program(values).items():
-                    part = np.asarray(part)
-                    whole = kept.setdefault(name, np.zeros((len(part), len(family.cases), *part.shape[2:])))
-                    whole[:, own] = part
-            rows |= family.rows(kept)
+        for family in self._families:
+            values: dict[str, np.ndarray] = {}
+            for batch in self._batches:
+                if batch.family is family:
+                    batch.measure_into(values, parameters)
+            rows |= family.rows(values)
         return rows
 
-    def _each(self) -> list[tuple[Family, Any]]:
-        return [
-            (family, program)
-            for family, parts in zip(self._families, self._programs, strict=True)
-            for _, program in parts
-        ]
+
+def _batches(family: Family, forces: Forces, forces_of: Callable[[Array], Forces]) -> list["_Batch"]:
+    """The scenes of a family by their size."""
+    scenarios = [scenario_of(case.scene, Model("crowds", forces, move)) for case in family.cases]
+    by_shape: dict[tuple, list[int]] = {}
+    for index, scenario in enumerate(scenarios):
+        shape = tuple(np.shape(leaf) for leaf in jax.tree.leaves(scenario))
+        by_shape.setdefault(shape, []).append(index)
+    return [_Batch(family, indices, [scenarios[k] for k in indices], forces_of) for indices in by_shape.values()]
 
 
-class _Program:
-    """What a family keeps (L, S, ...) of S scenes of one size, by the parameters (L, P) of L candidates."""
+class _Batch:
+    """S scenes of one size, cases ``indices`` of a family, and the program that measures them."""
 
     def __init__(
-        self, family: Family, scenes: list[Scene], scenarios: list[Scenario], forces_of: Callable[[Array], Forces]
+        self, family: Family, indices: list[int], scenarios: list[Scenario], forces_of: Callable[[Array], Forces]
     ):
+        scenes = [family.cases[k].scene for k in indices]
         periodic = scenes[0].period is not None
+        self.family = family
         self.pairs = len(scenes) * (scenarios[0].people * (2 if periodic else 1)) ** 2
-        self._batch = max(1, PAIRS // self.pairs)
+        self._indices = indices
         self._scenario: Any = jax.tree.map(lambda *leaves: jnp.stack(leaves), *scenarios)
-        robots = [scene.robot or ((AWAY, AWAY), (0.0, 0.0)) for scene in scenes]
+
         seeds = jnp.asarray([scene.seed for scene in scenes], jnp.uint32)
-        self._starts = seeds, *(jnp.asarray(part, float) for part in zip(*robots, strict=True))
+        robots = [scene.robot or ((AWAY, AWAY), (0.0, 0.0)) for scene in scenes]
+        positions, velocities = zip(*robots, strict=True)
+        self._starts = seeds, jnp.asarray(positions, float), jnp.asarray(velocities, float)
 
-        def walk(scenario: Scenario, start: tuple[Array, ...], forces: Forces) -> dict[str, Array]:
-            scenario = replace(scenario, forces=forces)
-            seed, *robot = start
-            state: Any = stage(scenario, replace(scenes[0], seed=seed, robot=tuple(robot)))
+        together = max(1, PAIRS // self.pairs)
+        self._run = jax.jit(partial(_measure, family, scenes[0], forces_of, together))
 
-            def turn(carry: tuple, _: None) -> tuple[tuple, None]:
-                state, sums = carry
-                after = advance(scenario, state)
-                return (after, family.count(scenario, state, after, sums)), None
+    def measure_into(self, values: dict[str, np.ndarray], parameters: Float[Array, "L P"]) -> None:
+        """Set the values (L, S, ...) of these scenes among those of all scenes of the family."""
+        for name, measured in self._run(self._scenario, self._starts, parameters).items():
+            shape = len(parameters), len(self.family.cases), *measured.shape[2:]
+            values.setdefault(name, np.zeros(shape))[:, self._indices] = np.asarray(measured)
 
-            _, sums = jax.lax.scan(turn, (state, family.begin(state)), length=family.ticks)[0]
-            return family.end(sums)
 
-        def all_of_them(scenario: Scenario, starts: tuple, values: Array) -> dict[str, Array]:
-            def one(values: Array) -> dict[str, Array]:
-                return jax.vmap(walk, (0, 0, None))(scenario, starts, forces_of(values))
+def _measure(
+    family: Family,
+    scene: Scene,
+    forces_of: Callable[[Array], Forces],
+    together: int,
+    scenarios: Scenario,
+    starts: tuple[Array, ...],
+    parameters: Float[Array, "L P"],
+) -> dict[str, Array]:
+    """The values (L, S, ...) of S scenes by the parameters of L candidates, ``together`` at a time."""
+    walk = jax.vmap(partial(_walk, family, scene), (None, 0, 0))
+    measure = lambda candidate: walk(forces_of(candidate), scenarios, starts)  # noqa: E731
+    return jax.lax.map(measure, parameters, batch_size=together)
 
-            return jax.lax.map(one, values, batch_size=self._batch)
 
-        self._run = jax.jit(all_of_them)
+def _walk(
+    family: Family, scene: Scene, forces: Forces, scenario: Scenario, start: tuple[Array, ...]
+) -> dict[str, Array]:
+    """The values of one scene, which differs from ``scene`` by its scenario, seed and robot."""
+    scenario = replace(scenario, forces=forces)
+    seed, position, velocity = start
+    first: Any = stage(scenario, replace(scene, seed=seed, robot=(position, velocity)))
 
-    def __call__(self, values: Float[Array, "L P"]) -> dict[str, Array]:
-        return self._run(self._scenario, self._starts, values)
+    def turn(state: State, _: None) -> tuple[State, dict[str, Array]]:
+        state = advance(scenario, state)
+        return state, family.record(scenario, state)
+
+    _, records = jax.lax.scan(turn, first, length=family.ticks)
+    at_start = family.record(scenario, first)
+    records = {name: jnp.concatenate([at_start[name][None], later]) for name, later in records.items()}
+    return family.measure(scenario, records)

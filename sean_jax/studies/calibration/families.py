@@ -1,8 +1,10 @@
-"""Crowds that a fit is judged by: scenes of ``sean validate`` in families, and what is measured in them step by step.
+"""Crowds that a fit is judged by: scenes of ``sean validate`` in families, and how each is measured.
 
-A family measures by sums over the control steps, so that no tracks are kept. Its rows have targets in targets.yaml.
+A family records what it needs of each moment and measures the records by ``validation.measures``. Its rows have targets
+in targets.yaml.
 """
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, ClassVar, NamedTuple
@@ -10,19 +12,28 @@ from typing import Any, ClassVar, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from sean_jax.core.data_types import Array, Pedestrians, Scenario, State
-from sean_jax.core.geometry import length
+from sean_jax.core.data_types import Array, Scenario, State
 from sean_jax.robots import load
 from sean_jax.social_forces.forces import look_direction
 from sean_jax.studies.scenes import Scene
 from sean_jax.studies.scenes.scene import TIME_STEP
-from sean_jax.studies.validation import crowds, doors, guideline_scenes, individuals, measures
+from sean_jax.studies.validation import crowds, doors, guideline_scenes, individuals
+from sean_jax.studies.validation.measures import (
+    accelerations,
+    body_gaps,
+    densities,
+    deviation_in_time,
+    flow,
+    lane_order,
+    peak,
+    separation,
+    steps_along,
+)
 
-Sums = dict[str, Array]
+Values = dict[str, Array]
 Rows = dict[str, np.ndarray]
 
 SPAN = 4  # control steps, over which speeds and accelerations are measured, as in recordings
-FAR = 1e6  # m
 
 
 class Case(NamedTuple):
@@ -35,7 +46,7 @@ class Case(NamedTuple):
 class Family:
     """Cases of one kind that last equally long, and what is measured in each.
 
-    ``begin``, ``count`` and ``end`` work on one scene, under ``jit`` and ``vmap``.
+    ``record`` and ``measure`` work on one scene, under ``jit`` and ``vmap``.
     """
 
     seconds: ClassVar[float]
@@ -49,67 +60,41 @@ class Family:
         """Control steps of a scene."""
         return round(self.seconds / TIME_STEP)
 
-    def begin(self, state: State) -> Sums:
-        """The sums before the first step."""
+    @property
+    def uncounted(self) -> int:
+        """Control steps before those that count."""
+        return round((1.0 - self.counted) * self.ticks)
+
+    def record(self, scenario: Scenario, state: State) -> Values:
+        """What is recorded of a moment."""
         raise NotImplementedError
 
-    def count(self, scenario: Scenario, before: State, after: State, sums: Sums) -> Sums:
-        """The sums after a step."""
+    def measure(self, scenario: Scenario, records: Values) -> Values:
+        """The values of a scene, from the records (T, ...) of its start and of the moment after each control step."""
         raise NotImplementedError
 
-    def end(self, sums: Sums) -> Sums:
-        """What is kept of a scene."""
-        return sums
-
-    def rows(self, kept: Rows) -> Rows:
-        """The measured values (L,) of each row, from what is kept (L, S, ...) of the scenes of L candidates."""
+    def rows(self, values: Rows) -> Rows:
+        """The measured values (L,) of each row, from the values (L, S, ...) of the scenes of L candidates."""
         raise NotImplementedError
-
-    def counts(self, state: State) -> Array:
-        """() 1 where a step counts, else 0."""
-        return (state.tick > round((1.0 - self.counted) * self.ticks)).astype(float)
 
     def by_row(self, name: str, values: np.ndarray) -> Rows:
         """Means (L,) over the cases of each row, of values (L, S): ``name`` and the case."""
-        named = [case.row for case in self.cases]
-        return {
-            f"{name} {row}".strip(): values[:, [k for k, own in enumerate(named) if own == row]].mean(1)
-            for row in dict.fromkeys(named)
-        }
+        cases: dict[str, list[int]] = {}
+        for k, case in enumerate(self.cases):
+            cases.setdefault(case.row, []).append(k)
+        return {f"{name} {row}".strip(): values[:, chosen].mean(1) for row, chosen in cases.items()}
 
 
-def steps_of(scenario: Scenario, before: State, after: State) -> Array:
-    """(N, 2) m that people moved, over the seam of a periodic scene if need be."""
-    step = after.pedestrians.position - before.pedestrians.position
-    period = scenario.behavior.data.period
-    turns = jnp.round(step[:, 0] / jnp.where(period > 0.0, period, FAR))
-    return step.at[:, 0].add(-period * turns)
+def along_record(state: State) -> Values:
+    """Positions (N,) m along a corridor, and presence (N,)."""
+    return {"x": state.pedestrians.position[:, 0], "present": state.pedestrians.present}
 
 
-def nearest(before: Array, after: Array) -> Array:
-    """(...) m, the least length of a gap that changes evenly from (..., 2) m to (..., 2) m."""
-    step = after - before
-    squared = (step * step).sum(-1)
-    share = jnp.clip(-(before * step).sum(-1) / jnp.where(squared > 0.0, squared, 1.0), 0.0, 1.0)
-    gap = before + share[..., None] * step
-    return length(gap[..., 0], gap[..., 1])
-
-
-def gaps(scenario: Scenario, people: Pedestrians) -> Array:
-    """(N, N) m between the surfaces of bodies, negative if they overlap; far from oneself and from absent people."""
-    x, y = (jnp.where(people.present, part, FAR) for part in people.position.T)
-    dx, dy, walking = x[:, None] - x[None], y[:, None] - y[None], scenario.forces.walking
-    shape = walking.shape(*look_direction(people))
-    both = None if shape is None else tuple(part[:, None] + part[None] for part in shape)
-    gap = jnp.sqrt(dx * dx + dy * dy) - walking.radii(dx, dy, both)
-    both = people.present[:, None] & people.present[None] & ~jnp.eye(len(x), dtype=bool)
-    return jnp.where(both, gap, FAR)
-
-
-def mean_present(values: Array, state: State) -> Array:
-    """() the mean of values (N,) over the people present."""
-    there = state.pedestrians.present.astype(float)
-    return (values * there).sum() / jnp.maximum(there.sum(), 1.0)
+def speeds_along(scenario: Scenario, records: Values, span: int = 1) -> Array:
+    """(S, N) m/s along a periodic corridor, over ``span`` control steps each; NaN of absent people."""
+    x, present = records["x"][::span], records["present"][::span]
+    speed = steps_along(x, scenario.behavior.data.period) / (span * TIME_STEP)
+    return jnp.where(present[1:], speed, jnp.nan)
 
 
 # ------------------------------------------------------------------ one way
@@ -120,15 +105,14 @@ class Corridor(Family):
 
     seconds = 40.0
 
-    def begin(self, state: State) -> Sums:
-        return {"speed": jnp.zeros((), float)}
+    def record(self, scenario: Scenario, state: State) -> Values:
+        return along_record(state)
 
-    def count(self, scenario: Scenario, before: State, after: State, sums: Sums) -> Sums:
-        speed = mean_present(steps_of(scenario, before, after)[:, 0], after) / TIME_STEP
-        return {"speed": sums["speed"] + self.counts(after) * speed / (self.counted * self.ticks)}
+    def measure(self, scenario: Scenario, records: Values) -> Values:
+        return {"speed": jnp.nanmean(speeds_along(scenario, records)[self.uncounted :])}
 
-    def rows(self, kept: Rows) -> Rows:
-        return self.by_row("corridor", kept["speed"])
+    def rows(self, values: Rows) -> Rows:
+        return self.by_row("corridor", values["speed"])
 
 
 class SingleFile(Family):
@@ -136,35 +120,15 @@ class SingleFile(Family):
 
     name, seconds = "file", 60.0
 
-    def begin(self, state: State) -> Sums:
-        nothing = jnp.zeros(state.pedestrians.present.shape, float)
-        there = state.pedestrians.present.astype(float)
-        return dict(moved=nothing, total=nothing, square=nothing, there=there, spans=jnp.zeros((), float))
+    def record(self, scenario: Scenario, state: State) -> Values:
+        return along_record(state)
 
-    def count(self, scenario: Scenario, before: State, after: State, sums: Sums) -> Sums:
-        moved = sums["moved"] + steps_of(scenario, before, after)[:, 0]
-        over = after.tick % SPAN == 0
-        counts = self.counts(after) * over.astype(float)
-        speed = moved / (SPAN * TIME_STEP)
-        return dict(
-            moved=jnp.where(over, 0.0, moved),
-            total=sums["total"] + counts * speed,
-            square=sums["square"] + counts * speed * speed,
-            there=sums["there"],
-            spans=sums["spans"] + counts,
-        )
+    def measure(self, scenario: Scenario, records: Values) -> Values:
+        speed = speeds_along(scenario, records, SPAN)[self.uncounted // SPAN :]
+        return {"speed": jnp.nanmean(speed), "deviation": deviation_in_time(speed)}
 
-    def end(self, sums: Sums) -> Sums:
-        mean = sums["total"] / sums["spans"]
-        variance = jnp.maximum(sums["square"] / sums["spans"] - mean * mean, 0.0)
-        people = sums["there"].sum()
-        return {
-            "speed": (mean * sums["there"]).sum() / people,
-            "deviation": jnp.sqrt((variance * sums["there"]).sum() / people),
-        }
-
-    def rows(self, kept: Rows) -> Rows:
-        return self.by_row(self.name, kept["speed"]) | self.by_row(f"{self.name} deviation", kept["deviation"])
+    def rows(self, values: Rows) -> Rows:
+        return self.by_row(self.name, values["speed"]) | self.by_row(f"{self.name} deviation", values["deviation"])
 
 
 class Waves(SingleFile):
@@ -179,28 +143,23 @@ class Street(Family):
     seconds = 40.0
     BINS, WIDTH = 200, 0.025  # m/s2
 
-    def begin(self, state: State) -> Sums:
-        nothing = jnp.zeros_like(state.pedestrians.position)
-        return dict(moved=nothing, last=nothing, histogram=jnp.zeros(self.BINS, float))
+    def record(self, scenario: Scenario, state: State) -> Values:
+        return along_record(state) | {"y": state.pedestrians.position[:, 1]}
 
-    def count(self, scenario: Scenario, before: State, after: State, sums: Sums) -> Sums:
-        moved, over = sums["moved"] + steps_of(scenario, before, after), after.tick % SPAN == 0
-        span = SPAN * TIME_STEP
-        change = (moved - sums["last"]) / (span * span)
-        size = length(change[:, 0], change[:, 1])
+    def measure(self, scenario: Scenario, records: Values) -> Values:
+        along = speeds_along(scenario, records, SPAN)
+        across = jnp.diff(records["y"][::SPAN], axis=0) / (SPAN * TIME_STEP)
+        velocity = jnp.stack([along, across], -1)  # (S, N, 2)
+
+        # The first acceleration is the change from the first span to the second.
+        first = max(self.uncounted // SPAN - 1, 0)
+        size = accelerations(velocity, SPAN * TIME_STEP)[first:]
         bins = jnp.minimum((size / self.WIDTH).astype(jnp.int32), self.BINS - 1)
-        counts = self.counts(after) * over.astype(float) * after.pedestrians.present.astype(float)
-        return dict(
-            moved=jnp.where(over, 0.0, moved),
-            last=jnp.where(over, moved, sums["last"]),
-            histogram=sums["histogram"].at[bins].add(counts),
-        )
+        histogram = jnp.zeros(self.BINS, float).at[bins].add(jnp.isfinite(size).astype(float))
+        return {"histogram": histogram}
 
-    def end(self, sums: Sums) -> Sums:
-        return {"histogram": sums["histogram"]}
-
-    def rows(self, kept: Rows) -> Rows:
-        share = np.cumsum(kept["histogram"].sum(1), -1)
+    def rows(self, values: Rows) -> Rows:
+        share = np.cumsum(values["histogram"].sum(1), -1)
         share = share / np.maximum(share[:, -1:], 1.0)
         return {"acceleration p95": self.WIDTH * (0.5 + (share >= 0.95).argmax(-1))}
 
@@ -209,27 +168,24 @@ class Street(Family):
 
 
 class Lanes(Family):
-    """The order of lanes out of a random mix, as ``measures.lane_order``."""
+    """The order of lanes out of a random mix."""
 
     seconds, counted = 60.0, crowds.LANE_SHARE
 
-    def begin(self, state: State) -> Sums:
-        return {"order": jnp.zeros((), float)}
+    def record(self, scenario: Scenario, state: State) -> Values:
+        people = state.pedestrians
+        direction = jnp.sign(people.desired_velocity[:, 0])
+        return {"order": lane_order(people.position[:, 1], direction, people.present)}
 
-    def count(self, scenario: Scenario, before: State, after: State, sums: Sums) -> Sums:
-        people = after.pedestrians
-        across, direction = people.position[:, 1], jnp.sign(people.desired_velocity[:, 0])
-        near = (jnp.abs(across[:, None] - across[None]) < measures.LANE) & people.present[None]
-        near = near.astype(float)
-        order = mean_present(((near @ direction) / jnp.maximum(near.sum(1), 1.0)) ** 2, after)
-        return {"order": sums["order"] + self.counts(after) * order / (self.counted * self.ticks)}
+    def measure(self, scenario: Scenario, records: Values) -> Values:
+        return {"order": records["order"][1 + self.uncounted :].mean()}
 
-    def rows(self, kept: Rows) -> Rows:
-        return self.by_row("lanes", kept["order"])
+    def rows(self, values: Rows) -> Rows:
+        return self.by_row("lanes", values["order"])
 
 
-class Pairs(Family):
-    """The least distance of two people who meet."""
+class Encounter(Family):
+    """The least distance of two bodies."""
 
     seconds = 2.0 * individuals.BEFORE
 
@@ -237,37 +193,30 @@ class Pairs(Family):
         super().__init__(cases)
         self.bodies = bodies  # m, both radii
 
-    def begin(self, state: State) -> Sums:
-        return {"distance": jnp.full((), FAR, float)}
+    def measure(self, scenario: Scenario, records: Values) -> Values:
+        return {"distance": separation(records["person"], records["other"])}
 
-    def count(self, scenario: Scenario, before: State, after: State, sums: Sums) -> Sums:
-        gaps = (state.pedestrians.position[0] - state.pedestrians.position[1] for state in (before, after))
-        return {"distance": jnp.minimum(sums["distance"], nearest(*gaps))}
 
-    def rows(self, kept: Rows) -> Rows:
+class Pairs(Encounter):
+    """The least distance of two people who meet."""
+
+    def record(self, scenario: Scenario, state: State) -> Values:
+        return {"person": state.pedestrians.position[0], "other": state.pedestrians.position[1]}
+
+    def rows(self, values: Rows) -> Rows:
         head_on = [k for k, case in enumerate(self.cases) if case.row == "180"]
-        distance = kept["distance"]
+        distance = values["distance"]
         return {"pairs gap": distance.min(1) - self.bodies, "pairs head-on": distance[:, head_on].mean(1)}
 
 
-class Passing(Family):
+class Passing(Encounter):
     """The clearance of a person from a robot that crosses their way and does not react."""
 
-    seconds = 2.0 * individuals.BEFORE
+    def record(self, scenario: Scenario, state: State) -> Values:
+        return {"person": state.pedestrians.position[0], "other": state.robot.position}
 
-    def __init__(self, cases: Sequence[Case], bodies: float):
-        super().__init__(cases)
-        self.bodies = bodies  # m, both radii
-
-    def begin(self, state: State) -> Sums:
-        return {"distance": jnp.full((), FAR, float)}
-
-    def count(self, scenario: Scenario, before: State, after: State, sums: Sums) -> Sums:
-        gaps = (state.pedestrians.position[0] - state.robot.position for state in (before, after))
-        return {"distance": jnp.minimum(sums["distance"], nearest(*gaps))}
-
-    def rows(self, kept: Rows) -> Rows:
-        distance = kept["distance"]
+    def rows(self, values: Rows) -> Rows:
+        distance = values["distance"]
         return {
             "robot clearance": distance.mean(1),
             "robot deviation": distance.std(1),
@@ -284,48 +233,48 @@ class Doors(Family):
     seconds = doors.WITHIN
     PRESS = "press"  # the row of people who all prefer 1.34 m/s
 
-    def begin(self, state: State) -> Sums:
-        return dict(
-            before=jnp.zeros(doors.PEOPLE, float),  # steps before each crossing
-            last=jnp.zeros(round(doors.PEAK / TIME_STEP), float),  # densities, as a ring
-            dense=jnp.zeros((), float),  # the largest sum of them
-            gap=jnp.full((), FAR, float),
-        )
+    def record(self, scenario: Scenario, state: State) -> Values:
+        people = state.pedestrians
+        facing = jnp.stack(look_direction(people), -1)
+        gap = body_gaps(people.position, facing, people.present, scenario.forces.walking)
+        return {
+            "crossed": (state.memory.leg > 0).sum(),
+            "density": densities(people.position, people.present, *doors.BEFORE),
+            "gap": gap.min(),
+        }
 
-    def count(self, scenario: Scenario, before: State, after: State, sums: Sums) -> Sums:
-        people = after.pedestrians
-        crossed = (after.memory.leg > 0).sum()
-        own = jnp.arange(doors.PEOPLE, dtype=jnp.int32)
-        low, high = (jnp.asarray(corner, float)[None] for corner in doors.BEFORE)
-        inside = ((people.position >= low) & (people.position <= high)).all(-1) & people.present
-        last = sums["last"].at[after.tick % len(sums["last"])].set(inside.sum().astype(float) / (high - low).prod())
-        parted = after.tick >= round(doors.APART / TIME_STEP)
-        return dict(
-            before=sums["before"] + (crossed <= own).astype(float),
-            last=last,
-            dense=jnp.maximum(sums["dense"], last.sum() / len(last)),
-            gap=jnp.minimum(sums["gap"], jnp.where(parted, gaps(scenario, people), FAR).min()),
-        )
+    def measure(self, scenario: Scenario, records: Values) -> Values:
+        # The k-th crossing is as many control steps after the start as moments have at most k people outside.
+        rank = jnp.arange(doors.PEOPLE, dtype=jnp.int32)
+        outside = records["crossed"][1:, None] <= rank[None]  # (T, N)
 
-    def end(self, sums: Sums) -> Sums:
-        return {name: sums[name] for name in ("before", "dense", "gap")}
+        parted = round(doors.APART / TIME_STEP)  # bodies whose drawn places overlap part first
+        return {
+            "steps": outside.astype(float).sum(0),
+            "density": records["density"][1:],
+            "gap": records["gap"][parted:].min(),
+        }
 
-    def rows(self, kept: Rows) -> Rows:
-        times = TIME_STEP * kept["before"]
-        out = (kept["before"] < self.ticks).sum(-1)
-        first, last = (np.round(share * np.maximum(out - 1, 0)).astype(int) for share in (0.2, 0.8))
-        at = lambda index: np.take_along_axis(times, index[..., None], -1)[..., 0]  # noqa: E731
-        flow = np.where(out < 3, 0.0, (last - first) / np.maximum(at(last) - at(first), TIME_STEP))
-        rows = self.by_row("flow", flow) | self.by_row("density", kept["dense"])
+    def rows(self, values: Rows) -> Rows:
+        crosses = values["steps"] < self.ticks
+        times = np.where(crosses, TIME_STEP * values["steps"], np.inf)  # (L, S, N)
+        flows = np.nan_to_num(flow(times, shortest=TIME_STEP))
+        density = peak(values["density"], round(doors.PEAK / TIME_STEP))
+
         press = [k for k, case in enumerate(self.cases) if case.row == self.PRESS]
-        inside = doors.PEOPLE - out
-        rows |= {"doors inside": np.delete(inside, press, 1).max(1)}
-        return rows | {"overlap": np.maximum(-kept["gap"][:, press], 0.0).max(1)}
+        inside = doors.PEOPLE - crosses.sum(-1)
+        return {
+            **self.by_row("flow", flows),
+            **self.by_row("density", density),
+            "doors inside": np.delete(inside, press, 1).max(1),
+            "overlap": np.maximum(-values["gap"][:, press], 0.0).max(1),
+        }
 
 
 # ------------------------------------------------------------------ all of them
 
-QUICK_DENSITIES = 1.0, 2.0
+QUICK_DENSITIES = 1.0, 2.0  # 1/m2
+CORRIDOR_DENSITIES = tuple(density for density in crowds.DENSITIES if density != 3.25)  # 1/m2
 WIDTHS = 0.8, 1.2, 1.6, 2.4  # m, of doors
 ANGLES = 180, 135, 120, 90, 60, 45  # degrees between the ways of two
 ENCOUNTERS = 256  # with a robot
@@ -341,46 +290,52 @@ def families(forces: Any, draws: int, quick: bool) -> list[Family]:
         quick: a few small scenes, for tests.
     """
     radius = float(forces.walking.radius)
-    seeds, few = range(draws), range(max(1, draws // 2))
-    densities = QUICK_DENSITIES if quick else tuple(density for density in crowds.DENSITIES if density != 3.25)
-    scenes, _ = crowds.corridors(densities, draws, 0.0, crowds.hermes_speeds)
-    names = [f"{density:g}" for density in densities for _ in seeds]
-    street = [
-        guideline_scenes.ring(STREET[0] / STREET[1] / crowds.WIDTH, crowds.WIDTH, STREET[0], 0.0, None, k)
-        for k in seeds
-    ]
-    meeting = [(a, o, s) for a in ANGLES for o in individuals.OFFSETS for s in individuals.SPEEDS]
-    meeting = meeting[:4] if quick else meeting
-    encounters = individuals.passing_scenes(8 if quick else ENCOUNTERS)
+    pairs, encounters = _meetings(), individuals.passing_scenes(8 if quick else ENCOUNTERS)
     chosen: list[Family] = [
-        Corridor([Case(*each) for each in zip(names, scenes, strict=True)]),
-        Street([Case("", scene) for scene in street]),
-        Pairs([Case(f"{a}", individuals.two(np.deg2rad(a), o, s)) for a, o, s in meeting], 2.0 * radius),
+        Corridor(_corridors(QUICK_DENSITIES if quick else CORRIDOR_DENSITIES, draws)),
+        Street([Case("", _street(seed)) for seed in range(draws)]),
+        Pairs(pairs[:4] if quick else pairs, 2.0 * radius),
         Passing([Case("", scene) for scene in encounters], radius + float(load("kuri").radius)),
     ]
     if quick:
         return chosen
-    file = [
-        Case(f"{density:g}", crowds.in_file(round(density * crowds.LOOP), crowds.LOOP, 0.0, seed, 0.2))
-        for density in crowds.ENVELOPE
-        for seed in few
-    ]
-    waves = [
-        Case(f"{number}", crowds.in_file(number, crowds.WAVE_LOOP, 0.0, seed, 0.2))
-        for number in crowds.WAVES
-        for seed in seeds
-    ]
-    mixed = [
-        Case(f"{density:g}", crowds.mixed_corridor(density, k)) for density in crowds.LANE_DENSITIES for k in seeds
-    ]
-    rooms = [
-        Case(f"{width:g} x {passage:g}", _room(width, k, crowds.hermes_speeds(doors.PEOPLE, k), passage))
-        for passage in doors.PASSAGES
-        for width in WIDTHS
-        for k in few
-    ]
-    rooms += [Case(Doors.PRESS, _room(1.0, k, doors.FREE, doors.PASSAGES[0])) for k in few]
-    return [*chosen, SingleFile(file), Waves(waves), Lanes(mixed), Doors(rooms)]
+
+    few = max(1, draws // 2)
+    files, waves, mixed = [], [], []
+    for density, seed in itertools.product(crowds.ENVELOPE, range(few)):
+        files.append(Case(f"{density:g}", crowds.in_file(round(density * crowds.LOOP), crowds.LOOP, 0.0, seed, 0.2)))
+    for number, seed in itertools.product(crowds.WAVES, range(draws)):
+        waves.append(Case(f"{number}", crowds.in_file(number, crowds.WAVE_LOOP, 0.0, seed, 0.2)))
+    for density, seed in itertools.product(crowds.LANE_DENSITIES, range(draws)):
+        mixed.append(Case(f"{density:g}", crowds.mixed_corridor(density, seed)))
+    return [*chosen, SingleFile(files), Waves(waves), Lanes(mixed), Doors(_rooms(few))]
+
+
+def _corridors(densities: Sequence[float], draws: int) -> list[Case]:
+    scenes, _ = crowds.corridors(densities, draws, 0.0, crowds.hermes_speeds)
+    names = [f"{density:g}" for density in densities for _ in range(draws)]
+    return [Case(name, scene) for name, scene in zip(names, scenes, strict=True)]
+
+
+def _street(seed: int) -> Scene:
+    people, density = STREET
+    return guideline_scenes.ring(people / density / crowds.WIDTH, crowds.WIDTH, people, 0.0, None, seed)
+
+
+def _meetings() -> list[Case]:
+    cases = []
+    for angle, offset, speeds in itertools.product(ANGLES, individuals.OFFSETS, individuals.SPEEDS):
+        cases.append(Case(f"{angle}", individuals.two(np.deg2rad(angle), offset, speeds)))
+    return cases
+
+
+def _rooms(draws: int) -> list[Case]:
+    """Crowds before doors and passages, and before one door with equal preferred speeds."""
+    cases = []
+    for passage, width, seed in itertools.product(doors.PASSAGES, WIDTHS, range(draws)):
+        speed = crowds.hermes_speeds(doors.PEOPLE, seed)
+        cases.append(Case(f"{width:g} x {passage:g}", _room(width, seed, speed, passage)))
+    return cases + [Case(Doors.PRESS, _room(1.0, seed, doors.FREE, doors.PASSAGES[0])) for seed in range(draws)]
 
 
 def _room(width: float, seed: int, speed: np.ndarray | float, passage: float) -> Scene:

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from sean_jax.core.data_types import Array, ObstacleGrid
 from sean_jax.core.errors import InputError
@@ -44,9 +44,6 @@ def names_of(forces: Forces, chosen: Sequence[str] = ()) -> list[str]:
     """
     terms = {term_name(term): term for term in forces}
     values = {name: _value(terms, name) for name in BOUNDS}
-    repulsion = terms.get("repulsion")
-    parts = [getattr(getattr(repulsion, part, None), "__name__", "") for part in ("law", "sight")]
-    inert = set().union(*(INERT.get(part, set()) for part in parts))
     if list(chosen) == ["none"]:
         return []
     for name in chosen:
@@ -54,8 +51,16 @@ def names_of(forces: Forces, chosen: Sequence[str] = ()) -> list[str]:
             raise InputError(unknown_name("fit", name, BOUNDS))
         if values[name] is None:
             raise InputError(f"fit: the forces have no {name}; there are the terms {', '.join(sorted(terms))}.")
-    usual = [name for name, value in values.items() if value is not None and float(value) < OFF]
-    return [name for name in BOUNDS if name in chosen] if chosen else [n for n in usual if n not in inert]
+    if chosen:
+        return [name for name in BOUNDS if name in chosen]
+    inert = _inert(terms.get("repulsion"))
+    return [name for name, value in values.items() if value is not None and float(value) < OFF and name not in inert]
+
+
+def _inert(repulsion: Any) -> set[str]:
+    """Parameters that the law and the sight of a repulsion do not read."""
+    functions = [getattr(repulsion, name, None) for name in ("law", "sight")]
+    return set().union(*(INERT.get(getattr(function, "__name__", ""), set()) for function in functions))
 
 
 def _value(terms: dict[str, Any], name: str) -> Any:
@@ -124,43 +129,65 @@ class Losses(NamedTuple):
 
 def losses(scenes: Scenes, rows: Int[Array, "W"], grid: ObstacleGrid | None, forces: Forces, habits: Habits) -> Losses:
     """The errors of predictions of the windows ``rows`` (W,), ``EMPTY`` for none."""
-    there = rows != EMPTY
-    pick = lambda leaf: jnp.asarray(leaf)[jnp.maximum(rows, 0)]  # noqa: E731
+    filled = rows != EMPTY
+
+    def pick(leaf: Any) -> Array:
+        return jnp.asarray(leaf)[jnp.maximum(rows, 0)]
+
     observed, known, after, counted = map(pick, (scenes.observed, scenes.known, scenes.after, scenes.counted))
-    counted = counted & there[:, None, None]
-    wish = None if scenes.direction is None else pick(scenes.direction) * habits.speed
+    counted = counted & filled[:, None, None]  # (W, S, N)
+    desired = None if scenes.direction is None else pick(scenes.direction) * habits.speed
+    others = None if scenes.others is None else pick(scenes.others)
     predicted = predict(
-        forces, observed, scenes.time_step, after.shape[1], present=known, walls=grid, desired_velocity=wish,
-        others=None if scenes.others is None else pick(scenes.others), weights=habits.persistence[None],
+        forces,
+        observed,
+        scenes.time_step,
+        after.shape[1],
+        present=known,
+        walls=grid,
+        desired_velocity=desired,
+        others=others,
+        weights=habits.persistence[None],
         settled=habits.settled,
-    )  # fmt: skip
-    dx, dy = predicted[..., 0] - after[..., 0], predicted[..., 1] - after[..., 1]
-    away, ends = jnp.where(counted, length(dx, dy), 0.0), counted[:, -1].astype(float)
-    scene, number = pick(scenes.scene), len(scenes.names)
-    total = partial(jax.ops.segment_sum, segment_ids=scene, num_segments=number)
+    )  # (W, S, N, 2)
+
+    error, weight = _scene_errors(scenes, pick(scenes.scene), predicted - after, counted)
+    present = known[:, -1] & filled[:, None]  # (W, N)
+    return Losses(error, weight, _collisions(predicted, present), present.astype(float).sum())
+
+
+def _scene_errors(
+    scenes: Scenes, scene: Int[Array, "W"], error: Float[Array, "W S N 2"], counted: Bool[Array, "W S N"]
+) -> tuple[Float[Array, "E"], Float[Array, "E"]]:
+    """Of each scene the mean and last errors, in shares of those of constant velocity, and how many count."""
+    total = partial(jax.ops.segment_sum, segment_ids=scene, num_segments=len(scenes.names))
     reference = jnp.asarray(scenes.reference, float)
-    count, last = total(counted.astype(float).sum((1, 2))), total(ends.sum(1))
-    mean_error = total(away.sum((1, 2))) / reference[:, 0]
-    last_error = total(away[:, -1].sum(1)) / reference[:, 1]
-    share = jnp.where(last > 0.0, count / jnp.where(last > 0.0, last, 1.0), 0.0)
-    gap = length(
-        predicted[:, :, :, None, 0] - predicted[:, :, None, :, 0],
-        predicted[:, :, :, None, 1] - predicted[:, :, None, :, 1],
-    )
-    both = known[:, -1][:, :, None] & known[:, -1][:, None, :] & there[:, None, None]
-    both = (both & ~jnp.eye(known.shape[2], dtype=bool)[None])[:, None]
-    near = jnp.where(both, jnp.maximum(1.0 - gap / MARGIN, 0.0), 0.0) ** 2
-    people = jnp.where(there[:, None], known[:, -1], False).astype(float).sum()
-    return Losses(0.5 * (mean_error + share * last_error), count, near.max(1).sum(), people)
+    distance = jnp.where(counted, length(error[..., 0], error[..., 1]), 0.0)
+    ends = counted[:, -1].astype(float)
+
+    weight, end_weight = total(counted.astype(float).sum((1, 2))), total(ends.sum(1))
+    mean_error = total(distance.sum((1, 2))) / reference[:, 0]
+    last_error = total(distance[:, -1].sum(1)) / reference[:, 1]
+    share = jnp.where(end_weight > 0.0, weight / jnp.where(end_weight > 0.0, end_weight, 1.0), 0.0)
+    return 0.5 * (mean_error + share * last_error), weight
+
+
+def _collisions(predicted: Float[Array, "W S N 2"], present: Bool[Array, "W N"]) -> Float[Array, ""]:
+    """The cost of predicted people nearer than ``MARGIN``: of each pair when they are nearest."""
+    x, y = predicted[..., 0], predicted[..., 1]
+    gap = length(x[..., :, None] - x[..., None, :], y[..., :, None] - y[..., None, :])  # (W, S, N, N)
+    pairs = present[:, :, None] & present[:, None, :] & ~jnp.eye(present.shape[1], dtype=bool)[None]
+    near = jnp.where(pairs[:, None], jnp.maximum(1.0 - gap / MARGIN, 0.0), 0.0) ** 2
+    return near.max(1).sum()
 
 
 def parts_of(forces: Forces, names: Sequence[str], free: Float[Array, "*batch P"]) -> tuple[Forces, Habits]:
     """Forces and habits of unbounded parameters (P,), the three habits at the end."""
-    number = len(HABITS)
-    values = from_free(names, free[..., :-number])
-    shares = jax.nn.sigmoid(free[..., -number:])
+    values = from_free(names, free[..., : -len(HABITS)])
+    fitted = forces.tree_replace({name: values[..., k] for k, name in enumerate(names)})
+    shares = jax.nn.sigmoid(free[..., -len(HABITS) :])
     habits = Habits(*(low + (high - low) * shares[..., k] for k, (low, high) in enumerate(HABITS)))
-    return forces.tree_replace({name: values[..., k] for k, name in enumerate(names)}), habits
+    return fitted, habits
 
 
 class Recordings:
@@ -172,24 +199,27 @@ class Recordings:
     """
 
     def __init__(self, forces: Forces, names: Sequence[str], kinds: Sequence[Scenes], windows: int = WINDOWS):
+        self._kinds: list[Scenes] = []
         self._batches: list[list[tuple[Callable, Array]]] = []
-        self._kinds = [thinned(kind, max(1, windows // (1 if kind.walls is None else 4))) for kind in kinds]
-        for kind in self._kinds:
-            size = TOGETHER if kind.walls is None else TOGETHER // 8
-            order = np.arange(len(kind.scene))
+        for kind in kinds:
+            in_corridors = kind.walls is not None
+            scenes = thinned(kind, max(1, windows // (4 if in_corridors else 1)))
+            program = _program(forces, names, scenes)
+            size = TOGETHER // 8 if in_corridors else TOGETHER
+            order = np.arange(len(scenes.scene))
             order = np.pad(order, (0, -len(order) % size), constant_values=EMPTY).reshape(-1, size)
-            program = _program(forces, names, kind)
+            self._kinds.append(scenes)
             self._batches.append([(program, jnp.asarray(rows, jnp.int32)) for rows in order])
 
     def rows(self, free: Float[Array, "L P"]) -> dict[str, np.ndarray]:
         """The errors (L,) of each scene by the free parameters of L candidates, and the cost of near pairs."""
         rows, near = {}, np.zeros(len(free))
         for kind, batches in zip(self._kinds, self._batches, strict=True):
-            each = [program(free, rows) for program, rows in batches]
-            sums = jax.tree.map(lambda *leaves: np.sum([np.asarray(leaf) for leaf in leaves], axis=0), *each)
+            parts = [program(free, rows) for program, rows in batches]
+            sums = jax.tree.map(lambda *leaves: np.sum([np.asarray(leaf) for leaf in leaves], axis=0), *parts)
             error = sums.error / np.maximum(sums.weight, 1.0)
-            what = "prediction" if kind.walls is None else "replay"
-            rows |= {f"{what} {name}": error[:, k] for k, name in enumerate(kind.names)}
+            group = "prediction" if kind.walls is None else "replay"
+            rows |= {f"{group} {name}": error[:, k] for k, name in enumerate(kind.names)}
             near = near + sums.collisions / np.maximum(sums.pairs, 1.0)
         return rows | {"near pairs": near}
 
@@ -198,7 +228,7 @@ def _program(forces: Forces, names: Sequence[str], kind: Scenes) -> Callable[[Ar
     """The losses (L,) of some windows of one kind, by the free parameters (L, P) of L candidates."""
     grid = None if kind.walls is None else grid_around(kind.walls)
 
-    def one(free: Array, rows: Array) -> Losses:
+    def candidate_losses(free: Array, rows: Array) -> Losses:
         return losses(kind, rows, grid, *parts_of(forces, names, free))
 
-    return jax.jit(jax.vmap(one, (0, None)))
+    return jax.jit(jax.vmap(candidate_losses, (0, None)))

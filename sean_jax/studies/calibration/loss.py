@@ -50,7 +50,7 @@ def total(rows: Mapping[str, np.ndarray], without: Collection[str] = ()) -> np.n
     for row, target, values in _aimed(rows):
         if row not in without:
             groups.setdefault(target.group, []).append(np.sqrt(1.0 + _miss(target, values) ** 2) - 1.0)
-    loss = sum(GROUPS[group]["weight"] * np.mean(each, axis=0) for group, each in groups.items())
+    loss = sum(GROUPS[group]["weight"] * np.mean(parts, axis=0) for group, parts in groups.items())
     return np.where(np.isfinite(loss), loss, WORST)
 
 

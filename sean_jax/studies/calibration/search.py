@@ -79,25 +79,27 @@ class Search:
     ):
         self._rows, self._left_out, self._population = rows, tuple(left_out), population
         seeds = random_streams.generator("calibrate", seed).integers(2**31, size=len(left_out))
+        mean = np.asarray(start, float)
         self._strategies: list[Any] = [
-            CMA(mean=np.asarray(start, float), sigma=SIGMA, seed=int(own), population_size=population) for own in seeds
+            CMA(mean=mean, sigma=SIGMA, seed=int(number), population_size=population) for number in seeds
         ]
         self.tried: list[np.ndarray] = []  # generations of (F, L, P)
         self.losses: list[np.ndarray] = []  # generations of (F, L)
 
     def resume(self, tried: Float[np.ndarray, "G F L P"], losses: Float[np.ndarray, "G F L"]) -> None:
         """Go on after G generations: they are drawn again, for the random numbers, and not measured again."""
-        for candidates, own in zip(np.asarray(tried), np.asarray(losses), strict=True):
+        for candidates, known in zip(np.asarray(tried), np.asarray(losses), strict=True):
             self._ask()
-            self._tell(candidates, own)
+            self._tell(candidates, known)
 
     def generation(self) -> Float[np.ndarray, "F L"]:
         """The losses of one more generation."""
-        candidates = self._ask()
+        candidates = self._ask()  # (F, L, P)
         measured = self._rows(candidates.reshape(-1, candidates.shape[-1]))
-        shape = candidates.shape[:2]
-        each = [total(measured, left_out_rows(scene)).reshape(shape)[k] for k, scene in enumerate(self._left_out)]
-        self._tell(candidates, np.stack(each))
+        losses = np.zeros(candidates.shape[:2])
+        for k, scene in enumerate(self._left_out):
+            losses[k] = total(measured, left_out_rows(scene)).reshape(losses.shape)[k]
+        self._tell(candidates, losses)
         return self.losses[-1]
 
     def best(self) -> Float[np.ndarray, "F 2 P"]:
@@ -110,10 +112,10 @@ class Search:
         return np.array(chosen)
 
     def _ask(self) -> np.ndarray:
-        return np.array([[each.ask() for _ in range(self._population)] for each in self._strategies])
+        return np.array([[strategy.ask() for _ in range(self._population)] for strategy in self._strategies])
 
     def _tell(self, candidates: np.ndarray, losses: np.ndarray) -> None:
-        for strategy, own, values in zip(self._strategies, candidates, losses, strict=True):
-            strategy.tell(list(zip(own, values.tolist(), strict=True)))
+        for strategy, tried, values in zip(self._strategies, candidates, losses, strict=True):
+            strategy.tell(list(zip(tried, values.tolist(), strict=True)))
         self.tried.append(candidates)
         self.losses.append(losses)

@@ -6,8 +6,10 @@ Scenes are of two kinds. *Prediction*: ETH and UCY, people in the open who keep 
 """
 
 import re
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -19,6 +21,7 @@ from sean_jax.core.errors import InputError
 from sean_jax.people.recordings import read
 from sean_jax.people.recordings.reading import NEEDED, column_names
 from sean_jax.studies.prediction import SEEN, TIME_STEP, read_windows
+from sean_jax.studies.validation.measures import first_and_last
 
 RUN = re.compile(r"(uo|bo)-(\d{3})-(\d{3})-(\d{3})")  # direction, widths of entrance, corridor and exit in cm
 LENGTH = 8.0  # m, of a corridor, from y = -4 to 4
@@ -31,6 +34,7 @@ HABIT = np.linspace(0.9, 1.02, 13)  # shares of the last observed speed that con
 WALL = 0.3  # m, thickness
 EXIT = 0.3  # m beyond the exit line, where people head for
 BODY = 0.25  # m, by which their way keeps off the posts of the exit
+WINDOW_FIELDS = "observed", "known", "after", "counted", "scene", "direction", "others"  # of ``Scenes``, by window
 
 
 @struct.dataclass
@@ -74,95 +78,153 @@ def find(folder: str | Path) -> tuple[dict[str, Path], dict[str, Path]]:
 def prediction_scenes(files: dict[str, Path]) -> Scenes:
     """The windows of ETH and UCY, 8 observed moments and 12 to compare, 0.4 s apart in real time."""
     windows = [read_windows(file, "recorded") for file in files.values()]
-    people = max(each.present.shape[1] for each in windows)
-    position = np.concatenate([_pad(each.position, 2, people) for each in windows])
-    present = np.concatenate([_pad(each.present, 1, people) for each in windows])
-    there = np.broadcast_to(present[:, None], position.shape[:3])
-    scene = np.repeat(np.arange(len(windows)), [len(each.position) for each in windows])
-    return _with_reference(Scenes(
-        observed=position[:, :SEEN], known=there[:, :SEEN], after=position[:, SEEN:], counted=there[:, SEEN:],
-        scene=scene, direction=None, others=None, walls=None, reference=np.zeros((len(windows), 2)), names=tuple(files),
+    people = max(part.present.shape[1] for part in windows)
+    position = np.concatenate([_pad(part.position, 2, people) for part in windows])  # (B, T, N, 2)
+    present = np.concatenate([_pad(part.present, 1, people) for part in windows])
+    present = np.broadcast_to(present[:, None], position.shape[:3])
+    scenes = Scenes(
+        observed=position[:, :SEEN],
+        known=present[:, :SEEN],
+        after=position[:, SEEN:],
+        counted=present[:, SEEN:],
+        scene=np.repeat(np.arange(len(windows)), [len(part.position) for part in windows]),
+        direction=None,
+        others=None,
+        walls=None,
+        reference=np.zeros((len(windows), 2)),
+        names=tuple(files),
         time_step=TIME_STEP,
-    ))  # fmt: skip
+    )
+    return _with_reference(scenes)
+
+
+class Window(NamedTuple):
+    """A window of a run: S observed and A later moments of N predicted people, and M replayed ones."""
+
+    observed: Float[np.ndarray, "S N 2"]  # m
+    after: Float[np.ndarray, "A N 2"]  # m, NaN of people who have left
+    direction: Float[np.ndarray, "N 2"]  # unit vectors
+    others: Float[np.ndarray, "moments M 2"]  # m, NaN where absent
+
+
+class Run(NamedTuple):
+    """A run of Juelich: its corridor, and whether all walk one way."""
+
+    width: float  # m
+    exit_width: float  # m
+    one_way: bool
 
 
 def corridor_scenes(files: dict[str, Path]) -> Scenes:
     """Windows of 3 s of Juelich's runs; each run lies at its own place on one floor, between its own walls."""
-    parts, boxes = [], []
+    windows: list[Window] = []
+    scene, boxes = [], []
     for number, (name, file) in enumerate(files.items()):
-        match = RUN.match(name)
-        assert match is not None
-        width, exit_width = int(match[3]) / 100.0, int(match[4]) / 100.0
-        one_way = match[1] == "uo"
+        run = _run_of(name)
         place = np.array([APART * number, 0.0])
-        boxes += [(*(np.array(box[:2]) + place), *box[2:]) for box in _walls(width, exit_width if one_way else width)]
-        tracks = read(file, "juelich")
-        skip = round(CORRIDOR_STEP / tracks.time_step)
-        there = np.asarray(tracks.present)[::skip]
-        places = np.where(there[..., None], np.asarray(tracks.position, float)[::skip], np.nan)
-        parts += [(number, *window) for window in _corridor_windows(places, width, exit_width, one_way, place)]
-    people, others = (max(part[index].shape[-2] for part in parts) for index in (1, 4))
-    observed, after = (np.stack([_pad(part[index], 1, people, np.nan) for part in parts]) for index in (1, 2))
-    known, counted = (np.asarray(np.isfinite(each).all(-1)) for each in (observed, after))
-    sizes = np.array(boxes)[:, :2], np.array(boxes)[:, 2:], np.zeros(len(boxes)), np.full(len(boxes), 2.0)
-    return _with_reference(Scenes(
-        observed=np.nan_to_num(observed), known=known, after=np.nan_to_num(after), counted=counted,
-        scene=np.array([part[0] for part in parts]),
-        direction=np.stack([_pad(part[3], 0, people) for part in parts]),
-        others=np.stack([_pad(part[4], 1, others, np.nan) for part in parts]),
-        walls=Obstacles(*(jnp.asarray(each, float) for each in sizes)),
-        reference=np.zeros((len(files), 2)), names=tuple(files), time_step=CORRIDOR_STEP,
-    ))  # fmt: skip
+        for box in _walls(run.width, run.exit_width if run.one_way else run.width):
+            boxes.append([*(np.array(box[:2]) + place), *box[2:]])
+        for window in _corridor_windows(_read_positions(file), run):
+            windows.append(window._replace(
+                observed=window.observed + place, after=window.after + place, others=window.others + place
+            ))  # fmt: skip
+            scene.append(number)
+
+    people = max(len(window.direction) for window in windows)
+    replayed = max(window.others.shape[1] for window in windows)
+    observed = np.stack([_pad(window.observed, 1, people, np.nan) for window in windows])
+    after = np.stack([_pad(window.after, 1, people, np.nan) for window in windows])
+    walls = np.array(boxes)  # (W, 4)
+    obstacles = Obstacles(
+        center=jnp.asarray(walls[:, :2], float),
+        half_extent=jnp.asarray(walls[:, 2:], float),
+        yaw=jnp.zeros(len(walls), float),
+        height=jnp.full(len(walls), 2.0, float),
+    )
+    scenes = Scenes(
+        observed=np.nan_to_num(observed),
+        known=np.asarray(np.isfinite(observed).all(-1)),
+        after=np.nan_to_num(after),
+        counted=np.asarray(np.isfinite(after).all(-1)),
+        scene=np.array(scene),
+        direction=np.stack([_pad(window.direction, 0, people) for window in windows]),
+        others=np.stack([_pad(window.others, 1, replayed, np.nan) for window in windows]),
+        walls=obstacles,
+        reference=np.zeros((len(files), 2)),
+        names=tuple(files),
+        time_step=CORRIDOR_STEP,
+    )
+    return _with_reference(scenes)
 
 
-def _corridor_windows(places: np.ndarray, width: float, exit_width: float, one_way: bool, place: np.ndarray):
-    """Of each window: positions before and after, directions, and tracks of replayed people."""
+def _run_of(name: str) -> Run:
+    """The corridor of a run by its name, such as uo-180-180-090."""
+    match = RUN.match(name)
+    assert match is not None
+    return Run(width=int(match[3]) / 100.0, exit_width=int(match[4]) / 100.0, one_way=match[1] == "uo")
+
+
+def _read_positions(file: Path) -> Float[np.ndarray, "T N 2"]:
+    """Positions [m] in a run, ``CORRIDOR_STEP`` apart; NaN of absent people."""
+    tracks = read(file, "juelich")
+    skip = round(CORRIDOR_STEP / tracks.time_step)
+    present = np.asarray(tracks.present)[::skip]
+    return np.where(present[..., None], np.asarray(tracks.position, float)[::skip], np.nan)
+
+
+def _corridor_windows(positions: Float[np.ndarray, "T N 2"], run: Run) -> Iterator[Window]:
+    """The windows of a run with two or more people who are inside at the start."""
     half = 0.5 * LENGTH
-    places = places[:, np.isfinite(places).any((0, 2))]
-    y = places[..., 1]
-    first, last = (np.array([column[np.isfinite(column)][end] for column in y.T]) for end in (0, -1))
-    sign = np.where(one_way, -1.0, np.sign(last - first))
-    inside = (places[..., 0] > 0.0) & (places[..., 0] < width) & (np.abs(y) < half)
-    total = CORRIDOR_SEEN + CORRIDOR_STEPS
-    for begin in range(0, len(places) - total + 1, STRIDE):
-        window = places[begin : begin + total]
-        now = CORRIDOR_SEEN - 1
-        chosen = np.flatnonzero(np.isfinite(window[: now + 1]).all((0, 2)) & inside[begin + now])
+    positions = positions[:, np.isfinite(positions).any((0, 2))]
+    x, y = positions[..., 0], positions[..., 1]
+    inside = (x > 0.0) & (x < run.width) & (np.abs(y) < half)
+    along = _directions_along(y, run.one_way)
+
+    now, moments = CORRIDOR_SEEN - 1, CORRIDOR_SEEN + CORRIDOR_STEPS
+    for begin in range(0, len(positions) - moments + 1, STRIDE):
+        window, stays = positions[begin : begin + moments], inside[begin : begin + moments]
+        chosen = np.flatnonzero(np.isfinite(window[:CORRIDOR_SEEN]).all((0, 2)) & stays[now])
         if len(chosen) < 2:
             continue
-        rest = np.setdiff1d(np.arange(places.shape[1]), chosen)
-        near = np.abs(window[now:, rest, 1]) < half + NEARBY
-        tracks = np.where(near[..., None], window[now:, rest], np.nan)
-        tracks = _share_columns(tracks)
+
+        # People who are near without being predicted are replayed.
+        others = window[now:, np.setdiff1d(np.arange(positions.shape[1]), chosen)]
+        near = np.abs(others[..., 1]) < half + NEARBY
+        others = _share_columns(np.where(near[..., None], others, np.nan))
+
         start = window[now, chosen]
-        to = (
-            np.stack([start[:, 0], np.full(len(chosen), sign[chosen] * (half + EXIT))], -1)
-            if not one_way
-            else np.stack([_through(start[:, 0], width, exit_width), np.full(len(chosen), -half - EXIT)], -1)
+        goal_x = _through(start[:, 0], run.width, run.exit_width) if run.one_way else start[:, 0]
+        way = np.stack([goal_x, along[chosen] * (half + EXIT)], -1) - start
+        yield Window(
+            observed=window[:CORRIDOR_SEEN, chosen],
+            after=np.where(stays[CORRIDOR_SEEN:, chosen, None], window[CORRIDOR_SEEN:, chosen], np.nan),
+            direction=way / np.linalg.norm(way, axis=1)[:, None],
+            others=others,
         )
-        way = to - start
-        after = np.where(inside[begin + now + 1 : begin + total][:, chosen, None], window[now + 1 :, chosen], np.nan)
-        yield (
-            window[: now + 1, chosen] + place,
-            after + place,
-            way / np.linalg.norm(way, axis=1)[:, None],
-            tracks + place,
-        )
+
+
+def _directions_along(y: Float[np.ndarray, "T N"], one_way: bool) -> Float[np.ndarray, "N"]:
+    """Whether people walk along y (1) or against it (-1), as all do in runs of one way."""
+    if one_way:
+        return np.full(y.shape[1], -1.0)
+    first, last = first_and_last(np.isfinite(y))
+    people = np.arange(y.shape[1])
+    return np.sign(y[last, people] - y[first, people])
 
 
 def _share_columns(tracks: np.ndarray) -> np.ndarray:
     """Tracks (S, M, 2), NaN where absent, in few columns: one serves several people one after the other."""
-    there = np.asarray(np.isfinite(tracks).all(-1))
+    present = np.asarray(np.isfinite(tracks).all(-1))
     columns: list[np.ndarray] = []
-    for person in np.flatnonzero((there[1:] & there[:-1]).any(0)):
-        own = np.flatnonzero(there[:, person])
+    for person in np.flatnonzero((present[1:] & present[:-1]).any(0)):
+        moments = np.flatnonzero(present[:, person])
         for column in columns:
             last = np.flatnonzero(np.isfinite(column).all(-1))[-1]
-            if last + 1 < own[0]:  # a moment between two people, or one would seem to become the other
+            if last + 1 < moments[0]:  # a moment between two people, or one would seem to become the other
                 break
         else:
             columns.append(column := np.full((len(tracks), 2), np.nan))
-        column[own] = tracks[own, person]
+        column[moments] = tracks[moments, person]
     return np.stack(columns, 1) if columns else np.full((len(tracks), 1, 2), np.nan)
 
 
@@ -187,27 +249,37 @@ def _walls(width: float, exit_width: float) -> list[tuple[float, float, float, f
 
 def thinned(scenes: Scenes, most: int) -> Scenes:
     """At most so many windows of each scene, evenly spaced in time, with the errors of constant velocity in these."""
-    own = [np.flatnonzero(scenes.scene == index) for index in range(len(scenes.names))]
-    rows = np.concatenate([each[np.linspace(0, len(each) - 1, min(most, len(each))).astype(int)] for each in own])
-    fields = "observed", "known", "after", "counted", "scene", "direction", "others"
-    chosen = {name: None if (part := getattr(scenes, name)) is None else part[rows] for name in fields}
-    return _with_reference(replace(scenes, **chosen))
+    rows = []
+    for index in range(len(scenes.names)):
+        windows = np.flatnonzero(scenes.scene == index)
+        chosen = np.linspace(0, len(windows) - 1, min(most, len(windows))).astype(int)
+        rows.append(windows[chosen])
+    order = np.concatenate(rows)
+
+    fields = {name: getattr(scenes, name) for name in WINDOW_FIELDS}
+    return _with_reference(replace(scenes, **{name: None if a is None else a[order] for name, a in fields.items()}))
 
 
 def _with_reference(scenes: Scenes) -> Scenes:
     """The scenes with the errors of constant velocity, of the share of the last speed that is best in each."""
     observed, after, counted = (np.asarray(part) for part in (scenes.observed, scenes.after, scenes.counted))
+    last = observed[:, -1][:, None]
+    step = (observed[:, -1] - observed[:, -2])[:, None]
     steps = np.arange(1, after.shape[1] + 1)[:, None, None]
-    rows = np.full((len(scenes.names), 2), np.inf)
+    reference = np.full((len(scenes.names), 2), np.inf)
     for share in HABIT:
-        guess = observed[:, -1][:, None] + share * steps * (observed[:, -1] - observed[:, -2])[:, None]
-        away = np.linalg.norm(guess - after, axis=-1)
+        distance = np.linalg.norm(last + share * steps * step - after, axis=-1)  # (B, S, N)
         for index in range(len(scenes.names)):
-            own = scenes.scene == index
-            end = counted[own][:, -1]
-            errors = away[own][counted[own]].mean(), away[own][:, -1][end].mean() if end.any() else 1.0
-            rows[index] = min(rows[index], errors, key=sum)
-    return replace(scenes, reference=rows)
+            windows = scenes.scene == index
+            errors = _mean_and_last(distance[windows], counted[windows])
+            reference[index] = min(reference[index], errors, key=sum)
+    return replace(scenes, reference=reference)
+
+
+def _mean_and_last(distance: Float[np.ndarray, "B S N"], counted: Bool[np.ndarray, "B S N"]) -> tuple[float, float]:
+    """The mean error [m], and the one at the last moment; 1 if nobody counts then."""
+    end = counted[:, -1]
+    return distance[counted].mean(), distance[:, -1][end].mean() if end.any() else 1.0
 
 
 def _pad(array: np.ndarray, axis: int, size: int, value: float = 0.0) -> np.ndarray:

@@ -3,6 +3,7 @@
 Each check is done for each model and saved when it is done, so a run that was stopped is resumed.
 """
 
+import itertools
 import time
 from dataclasses import replace
 from functools import partial
@@ -14,7 +15,7 @@ from sean_jax.core.errors import InputError
 from sean_jax.drawing.svg import svg
 from sean_jax.io import writing
 from sean_jax.io.progress import Progress, progress
-from sean_jax.studies.validation import checks, page
+from sean_jax.studies.validation import checks, page, pictures
 from sean_jax.studies.validation.checks import FAILS, PASSES, SKIPPED, Check, CheckContext, CheckResult, Row, Skipped
 
 if TYPE_CHECKING:
@@ -47,22 +48,22 @@ def run(options: ValidateConfig, console: "Console | None" = None) -> list[str]:
     rows: list[Row] = []
     done: dict[tuple[str, ...], Row] = {}  # several guidelines demand the same test
     with writing.folder_lock(folder), progress(console) as bar:
-        for number, check in enumerate(selected):
-            for model in models:
-                bar.start(check.name, len(selected))
-                bar.update(number, model.name)
-                test = check.function, str(check.arguments), model.name
-                row = checks.load(folder, check, model, options)
-                if row is None:
-                    if test in done:
-                        row = replace(done[test], check=check.name, seconds=0.0)
-                    else:
-                        report = partial(_report, bar, number, model.name)
-                        row = do(check, CheckContext(model, options.data, options.quick, report))
-                    checks.save(folder, check, model, options, row)
-                done[test] = row
-                rows.append(row)
-                _print(console, page.line(row, selected, models))
+        for number, (check, model) in enumerate(itertools.product(selected, models)):
+            finished = number // len(models)
+            bar.start(check.name, len(selected))
+            bar.update(finished, model.name)
+            test = check.function, str(check.arguments), model.name
+            row = checks.load(folder, check, model, options)
+            if row is None:
+                if test in done:
+                    row = replace(done[test], check=check.name, seconds=0.0)
+                else:
+                    report = partial(_report, bar, finished, model.name)
+                    row = do(check, CheckContext(model, options.data, options.quick, report))
+                checks.save(folder, check, model, options, row)
+            done[test] = row
+            rows.append(row)
+            _print(console, page.line(row, selected, models))
         checks.write(folder, options, rows)
         writing.write(folder / TABLE, page.markdown(selected, models, rows))
         writing.write(folder / REPORT, page.html(options, selected, models, rows))
@@ -78,13 +79,13 @@ def do(check: Check, context: CheckContext) -> Row:
         verdict = PASSES if result.passed else FAILS
     except Skipped as error:
         result, verdict = CheckResult(False, "", str(error)), SKIPPED
-    pictures = tuple(
-        (caption, svg(page.trajectories(scene, tracks), f"{check.name}-{context.model.name}-{k}"))
-        for k, (caption, scene, tracks) in enumerate(context.pictures)
-    )
+    drawings = []
+    for k, (caption, scene, tracks) in enumerate(context.pictures):
+        drawing = svg(pictures.trajectories(scene, tracks), f"{check.name}-{context.model.name}-{k}")
+        drawings.append((caption, drawing))
     fields = {name: value for name, value in vars(result).items() if name != "passed"}
     seconds = time.monotonic() - begin
-    return Row(check.name, context.model.name, verdict, **fields, pictures=pictures, seconds=seconds)
+    return Row(check.name, context.model.name, verdict, **fields, pictures=tuple(drawings), seconds=seconds)
 
 
 def _report(bar: Progress, number: int, name: str, share: float) -> None:

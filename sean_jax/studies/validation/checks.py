@@ -15,6 +15,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from sean_jax.config import OwnPart, ValidateConfig, is_own_part, validate
 from sean_jax.config.flags import command
 from sean_jax.core.errors import InputError
@@ -37,6 +39,21 @@ class Curve:
     y: tuple[float, ...]
     reference: bool = False  # measured by others, not by the model
     points: bool = False  # drawn as points, not joined
+
+
+def curve(name: str, x: Iterable[float], y: Iterable[float], points: bool = False) -> Curve:
+    """A curve of the model."""
+    return Curve(name, tuple(x), tuple(y), points=points)
+
+
+def reference(name: str, x: Iterable[float], y: Iterable[float], points: bool = False) -> Curve:
+    """A curve that others measured, or a limit."""
+    return Curve(name, tuple(x), tuple(y), reference=True, points=points)
+
+
+def level(name: str, x: Sequence[float], y: float) -> Curve:
+    """A reference that is the same from the first to the last x."""
+    return Curve(name, (x[0], x[-1]), (y, y), reference=True)
 
 
 @dataclass(frozen=True)
@@ -125,6 +142,12 @@ def listing(values: Iterable[float], at: Iterable[float] = (), form: str = ".2f"
     return ", ".join(f"{value:{form}} at {place:g}{unit}" for value, place in zip(values, places, strict=True))
 
 
+def numbered(names: Iterable[str]) -> tuple[tuple[float, ...], str]:
+    """Numbers of names from 1 on, for the axis of a plot, and what they mean, such as "1 eth, 2 hotel"."""
+    words = [f"{k + 1} {name}" for k, name in enumerate(names)]
+    return tuple(np.arange(1.0, len(words) + 1.0).tolist()), ", ".join(words)
+
+
 def by_name(name: str, at: Iterable[float], values: Iterable[float]) -> dict[str, float]:
     """The numbers of a result that were measured at several places: name and place -> value."""
     return {f"{name}{place:g}": float(value) for place, value in zip(at, values, strict=True)}
@@ -197,7 +220,7 @@ def select(names: str | None, quick: bool = False) -> list[Check]:
         matching = matches(name)
         if not matching:
             raise InputError(unknown_name("--only", name, CHECKS))
-        selected |= {each for each in matching if each == name or CHECKS[each].quick or not quick}
+        selected |= {check for check in matching if check == name or CHECKS[check].quick or not quick}
     return [check for name, check in CHECKS.items() if name in selected]
 
 

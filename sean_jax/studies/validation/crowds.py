@@ -6,9 +6,11 @@ in its middle 4 m. [W93] U. Weidmann, Transporttechnik
 der Fussgaenger, ETH Zuerich (1993). Measured values are in published.yaml.
 """
 
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from scipy import stats
@@ -16,13 +18,26 @@ from scipy import stats
 from sean_jax.people.recordings import Tracks, read
 from sean_jax.studies.scenes import Scene, join, spread, walkers
 from sean_jax.studies.validation import guideline_scenes
-from sean_jax.studies.validation.checks import PUBLISHED, CheckContext, CheckResult, Curve, by_name, listing, result
+from sean_jax.studies.validation.checks import (
+    PUBLISHED,
+    CheckContext,
+    CheckResult,
+    Curve,
+    by_name,
+    curve,
+    level,
+    listing,
+    reference,
+    result,
+)
 from sean_jax.studies.validation.measures import (
     area_means,
     area_series,
     deviation_in_time,
+    first_and_last,
     lane_order,
     pedpy,
+    spans_of_pairs,
     steps_along,
     wave,
 )
@@ -79,7 +94,8 @@ def in_corridor(context: CheckContext, scenes: Sequence[Scene], captions: Sequen
     """
     pedpy()  # before what takes long
     rows = slice(round(scenes[0].seconds * 5), None, 10)
-    return np.stack([area_series(each, FLOOR, AREA, rows, PERIOD) for each in context.simulate(scenes, captions)])
+    recorded = context.simulate(scenes, captions)
+    return np.stack([area_series(tracks, FLOOR, AREA, rows, PERIOD) for tracks in recorded])
 
 
 def corridors(
@@ -90,23 +106,23 @@ def corridors(
     Args:
         speeds: preferred speeds [m/s] by (number, seed); None for the usual ones.
     """
-    scenes = []
-    for seed, density in enumerate(np.repeat(densities, draws).tolist()):
+    scenes, captions = [], []
+    for seed, (density, draw) in enumerate(itertools.product(densities, range(draws))):
         number = round(density * PERIOD * WIDTH)
-        own = None if speeds is None else speeds(number, seed)
-        scenes.append(guideline_scenes.ring(PERIOD, WIDTH, number, seconds, own, seed, inset=0.25))
-    return scenes, [f"{density:g} people/m²" if draw == 0 else "" for density in densities for draw in range(draws)]
+        preferred = None if speeds is None else speeds(number, seed)
+        scenes.append(guideline_scenes.ring(PERIOD, WIDTH, number, seconds, preferred, seed, inset=0.25))
+        captions.append(f"{density:g} people/m²" if draw == 0 else "")
+    return scenes, captions
 
 
 def in_rows(rows: int, seconds: float, seed: int) -> Scene:
     """A periodic corridor with people in straight rows along it, at ``ROWS_DENSITY``."""
     number = round(ROWS_DENSITY * PERIOD * WIDTH)
-    own = np.arange(number)
-    across = (own % rows + 0.5) * WIDTH / rows
-    start = np.stack([own * PERIOD / number, across], 1)
-    return guideline_scenes.periodic(
-        PERIOD, WIDTH, walkers(start, route=(0,), speed=hermes_speeds(number, seed)), seconds
-    )
+    person = np.arange(number)
+    across = (person % rows + 0.5) * WIDTH / rows
+    start = np.stack([person * PERIOD / number, across], 1)
+    people = walkers(start, route=(0,), speed=hermes_speeds(number, seed))
+    return guideline_scenes.periodic(PERIOD, WIDTH, people, seconds)
 
 
 def corridor_diagram(context: CheckContext) -> CheckResult:
@@ -114,22 +130,17 @@ def corridor_diagram(context: CheckContext) -> CheckResult:
     densities, seconds, draws = (FEW, 40.0, 3) if context.quick else (DENSITIES, 60.0, DRAWS)
     scenes, captions = corridors(densities, draws, seconds, hermes_speeds)
     straight = [in_rows(rows, seconds, seed) for rows in ROWS for seed in range(1 if context.quick else 3)]
-    values = in_corridor(context, scenes + straight, captions)
-    random, rows = values[: len(scenes)].reshape(len(densities), draws, -1, 2), values[len(scenes) :]
-    curves = [
-        Curve(f"Juelich{name}", tuple(JUELICH[what]), tuple(JUELICH[what].values()), reference=True)
-        for what, name in (("speed", ""), ("percentile_10", ", 10 %"), ("percentile_90", ", 90 %"))
-    ]
-    recorded = [
-        _recorded(path, steady) for run, steady in STEADY.items() for path in juelich_recordings(context, f"{run}*.csv")
-    ]
-    if recorded:
-        curves.append(Curve("recordings", *zip(*recorded, strict=True), reference=True, points=True))
-    means = compare(random, densities, juelich(densities), TOLERANCE, curves)
+    values = in_corridor(context, scenes + straight, captions)  # (S, K, 2)
+    random = values[: len(scenes)].reshape(len(densities), draws, -1, 2)
+    in_straight_rows = values[len(scenes) :].reshape(len(ROWS), -1, 2)
+    means = compare(random, densities, juelich(densities), TOLERANCE, _juelich_curves(context))
+
+    # How wide speeds spread over draws and moments, and how fast people are who start in straight rows.
     low, high = np.nanquantile(random[..., 1], [0.1, 0.9], axis=(1, 2))
     share = (high - low) / (juelich(densities, "percentile_90") - juelich(densities, "percentile_10"))
-    by_rows = np.nanmean(rows[..., 1].reshape(len(ROWS), -1), 1) / means.numbers[f"speed_{ROWS_DENSITY:g}"]
-    wide, stay = bool((share > SPREAD).any()), bool((np.abs(by_rows - 1.0) > TOLERANCE).any())
+    by_rows = np.nanmean(in_straight_rows[..., 1], 1) / means.numbers[f"speed_{ROWS_DENSITY:g}"]
+    wide, slow = bool((share > SPREAD).any()), bool((np.abs(by_rows - 1.0) > TOLERANCE).any())
+
     measured = (
         f"{means.measured}; 10 to 90 % of speeds {listing(share)} times as wide as measured; from "
         f"{' and '.join(map(str, ROWS))} straight rows {listing(by_rows)} times as fast"
@@ -139,8 +150,21 @@ def corridor_diagram(context: CheckContext) -> CheckResult:
         f"wide; from rows within {100 * TOLERANCE:.0f} % of random starts"
     )
     numbers = means.numbers | by_name("spread_", densities, share) | by_name("rows_", ROWS, by_rows)
-    fields = dict(curves=means.curves, axes=means.axes)
-    return result(means.passed and not wide and not stay, measured, wanted, numbers=numbers, **fields)
+    passed = means.passed and not wide and not slow
+    return result(passed, measured, wanted, numbers=numbers, curves=means.curves, axes=means.axes)
+
+
+def _juelich_curves(context: CheckContext) -> list[Curve]:
+    """The measured speeds, their 10th and 90th percentiles, and recordings if there are any."""
+    curves = []
+    for table, suffix in (("speed", ""), ("percentile_10", ", 10 %"), ("percentile_90", ", 90 %")):
+        curves.append(reference(f"Juelich{suffix}", JUELICH[table], JUELICH[table].values()))
+    recorded = []
+    for run, steady in STEADY.items():
+        recorded += [_recorded(path, steady) for path in juelich_recordings(context, f"{run}*.csv")]
+    if recorded:
+        curves.append(reference("recordings", *zip(*recorded, strict=True), points=True))
+    return curves
 
 
 def _recorded(path: Path, steady: list[int]) -> tuple[float, float]:
@@ -154,9 +178,9 @@ def weidmann_diagram(context: CheckContext) -> CheckResult:
     """Speeds in a corridor against Weidmann's formula."""
     values = in_corridor(context, *corridors(FEW, WEIDMANN_DRAWS, 60.0, None))
     dense = np.linspace(0.25, 3.5, 27)
-    curve = Curve("Weidmann 1993", tuple(dense), tuple(weidmann(dense)), reference=True)
+    known = reference("Weidmann 1993", dense, weidmann(dense))
     shape = len(FEW), WEIDMANN_DRAWS, -1, 2
-    comparison = compare(values.reshape(shape), FEW, weidmann(np.array(FEW)), WIDE_TOLERANCE, [curve])
+    comparison = compare(values.reshape(shape), FEW, weidmann(np.array(FEW)), WIDE_TOLERANCE, [known])
     if comparison.passed:
         return comparison
     expected = f"people in Juelich, whose free speed is 1.55 m/s, have {juelich([2.5])[0]:.2f} m/s at 2.5 /m²"
@@ -167,23 +191,26 @@ def compare(
     values: np.ndarray, densities: Sequence[float], expected: np.ndarray, tolerance: float, curves: list[Curve]
 ) -> CheckResult:
     """The result of densities and speeds (densities, draws, K, 2): means over draws with intervals of 95 %."""
-    each = np.nanmean(values, axis=2)
-    density, speed = np.moveaxis(each.mean(1), -1, 0)
-    draws = each.shape[1]
-    interval = stats.t.ppf(0.975, draws - 1) * each[..., 1].std(1, ddof=1) / np.sqrt(draws)
-    far = np.abs(each[..., 1] / expected[:, None] - 1.0).max()
+    by_draw = np.nanmean(values, axis=2)  # (densities, draws, 2)
+    density, speed = np.moveaxis(by_draw.mean(1), -1, 0)
+    draws = by_draw.shape[1]
+    deviation = by_draw[..., 1].std(1, ddof=1)
+    interval = stats.t.ppf(0.975, draws - 1) * deviation / np.sqrt(draws)
+
     off = np.abs(speed / expected - 1.0)
+    off_draw = np.abs(by_draw[..., 1] / expected[:, None] - 1.0).max()
     falling = bool((np.diff(speed) < 0.0).all())
-    words = ", ".join(f"{v:.2f} ± {d:.2f}" for v, d in zip(speed, interval, strict=True))
+    words = ", ".join(f"{mean:.2f} ± {half:.2f}" for mean, half in zip(speed, interval, strict=True))
+    numbers = by_name("speed_", densities, speed)
+    numbers |= by_name("interval_", densities, interval)
+    numbers |= by_name("density_", densities, density)
     return result(
         bool((off <= tolerance).all()) and falling,
         f"{words} m/s at {listing(densities, form='g')} /m² (off by {100 * off.max():.0f} % at most, one draw by "
-        f"{100 * far:.0f} %{'' if falling else ', not falling'})",
+        f"{100 * off_draw:.0f} %{'' if falling else ', not falling'})",
         f"within {100 * tolerance:.0f} % of {listing(expected)} m/s, falling",
-        numbers=by_name("speed_", densities, speed)
-        | by_name("interval_", densities, interval)
-        | by_name("density_", densities, density),
-        curves=(Curve("model", tuple(densities), tuple(speed)), *curves),
+        numbers=numbers,
+        curves=(curve("model", densities, speed), *curves),
         axes=("density [1/m²]", "speed [m/s]"),
     )
 
@@ -205,12 +232,14 @@ def in_file(number: int, length: float, seconds: float, seed: int = 0, jitter: f
 
 def single_file_diagram(context: CheckContext) -> CheckResult:
     """Speeds of people who cannot pass each other, against 26 experiments."""
-    scenes = [in_file(round(density * LOOP), LOOP, 60.0) for density in ENVELOPE]
+    densities = tuple(ENVELOPE)
+    low, mean, high = zip(*ENVELOPE.values(), strict=True)
+    scenes = [in_file(round(density * LOOP), LOOP, 60.0) for density in densities]
     means = []
-    for tracks in context.simulate(scenes, [f"{density:g} people/m" for density in ENVELOPE]):
+    for tracks in context.simulate(scenes, [f"{density:g} people/m" for density in densities]):
         speed = np.asarray(steps_along(np.asarray(tracks.position)[..., 0], LOOP) / tracks.time_step, float)
         means.append(float(speed[len(speed) // 2 :].mean()))
-    densities, (low, mean, high) = tuple(ENVELOPE), zip(*ENVELOPE.values(), strict=True)
+
     inside = bool((np.greater_equal(means, low) & np.less_equal(means, high)).all())
     ranges = ", ".join(f"{least:.2f} to {most:.2f}" for least, most in zip(low, high, strict=True))
     return result(
@@ -219,59 +248,81 @@ def single_file_diagram(context: CheckContext) -> CheckResult:
         f"between the 10th and 90th percentile of the experiments, {ranges} m/s, and falling",
         numbers=by_name("speed_", densities, means),
         curves=(
-            Curve("model", densities, tuple(means)),
-            Curve("10 % of experiments", densities, low, reference=True),
-            Curve("experiments", densities, mean, reference=True),
-            Curve("90 % of experiments", densities, high, reference=True),
+            curve("model", densities, means),
+            reference("10 % of experiments", densities, low),
+            reference("experiments", densities, mean),
+            reference("90 % of experiments", densities, high),
         ),
         axes=("density [1/m]", "speed [m/s]"),
     )
 
 
+class FileMotion(NamedTuple):
+    """How people in a single file move; means over draws."""
+
+    speed: float  # m/s
+    deviation: float  # m/s, of a person in time
+    correlation: float  # of the wave
+    delay: float  # s, of the wave from one person to the next; NaN without a wave
+    wave: float  # m/s, speed of the wave
+
+
 def stop_and_go(context: CheckContext) -> CheckResult:
     """How much a person's speed changes in time in a single file, against a recording, and the wave that it makes."""
     seeds = range(1 if context.quick else 4)
-    scenes = [in_file(number, WAVE_LOOP, WAVE_SECONDS, seed, 0.2) for number in WAVES for seed in seeds]
-    captions = ["" if seed else f"{number} people" for number in WAVES for seed in seeds]
-    each, shown = [], []
-    for tracks in context.simulate(scenes, captions):
-        x = np.asarray(tracks.position)[-round(WAVE_COUNTED / tracks.time_step) :: STEP, :, 0]
-        speed = np.asarray(steps_along(x, WAVE_LOOP) / (STEP * tracks.time_step), float)
-        each.append((speed.mean(), deviation_in_time(speed), *wave(speed, WAVE_LOOP, STEP * tracks.time_step)))
-        shown.append(speed)
-    mean, deviation, shared, delay, backwards = np.mean(np.reshape(each, (len(WAVES), len(seeds), -1)), axis=1).T
-    known, wanted, known_delay, known_wave = np.transpose([*WAVES.values()])
-    off, density = np.abs(deviation / wanted - 1.0), np.array([*WAVES]) / WAVE_LOOP
-    as_fast = np.abs(backwards - known_wave) <= WAVE_SPEED_TOLERANCE  # not where there is no wave
-    waves = [
-        f"a wave of {backwards[k]:.2f} m/s (recorded {known_wave[k]:.2f}), {delay[k]:.1f} s from one to the next "
-        f"(recorded {known_delay[k]:.1f})"
-        if np.isfinite(delay[k])
-        else "no wave in all draws"
-        for k in range(len(WAVES))
-    ]
-    words = "; ".join(
-        f"{rho:.2f} /m: {deviation[k]:.3f} m/s (recorded {wanted[k]:.3f}), mean {mean[k]:.2f} m/s (recorded "
-        f"{known[k]:.2f}), {waves[k]}"
-        for k, rho in enumerate(density)
-    )
-    names = {"speed": mean, "deviation": deviation, "correlation": shared, "delay": delay, "wave": backwards}
-    first = shown[:: len(seeds)]
+    cases = list(itertools.product(WAVES, seeds))
+    scenes = [in_file(number, WAVE_LOOP, WAVE_SECONDS, seed, 0.2) for number, seed in cases]
+    recorded = context.simulate(scenes, ["" if seed else f"{number} people" for number, seed in cases])
+    motions: dict[int, list[FileMotion]] = {}
+    curves: dict[int, Curve] = {}
+    for (number, _), tracks in zip(cases, recorded, strict=True):
+        speed, moved = _file_motion(tracks)
+        motions.setdefault(number, []).append(moved)
+        curves.setdefault(number, curve(f"{number} people", *_ranked(speed)))
+
+    words, numbers, passed = [], {}, []
+    for number, draws in motions.items():
+        mean = FileMotion(*np.mean(draws, axis=0).tolist())
+        known_speed, known_deviation, known_delay, known_wave = WAVES[number]
+        as_wide = abs(mean.deviation / known_deviation - 1.0) <= WAVE_TOLERANCE
+        as_fast = abs(mean.wave - known_wave) <= WAVE_SPEED_TOLERANCE  # not where there is no wave
+        passed.append(as_wide and as_fast)
+        numbers[number] = mean._asdict()
+        wave_words = "no wave in all draws"
+        if np.isfinite(mean.delay):
+            wave_words = (
+                f"a wave of {mean.wave:.2f} m/s (recorded {known_wave:.2f}), {mean.delay:.1f} s from one to the next "
+                f"(recorded {known_delay:.1f})"
+            )
+        words.append(
+            f"{number / WAVE_LOOP:.2f} /m: {mean.deviation:.3f} m/s (recorded {known_deviation:.3f}), mean "
+            f"{mean.speed:.2f} m/s (recorded {known_speed:.2f}), {wave_words}"
+        )
+
+    names = ("speed", "deviation", "correlation", "delay", "wave")
     return result(
-        bool((off <= WAVE_TOLERANCE).all() and as_fast.all()),
-        f"deviation in time at {words}",
+        all(passed),
+        f"deviation in time at {'; '.join(words)}",
         f"within {100 * WAVE_TOLERANCE:.0f} % of the recorded deviations, waves within {WAVE_SPEED_TOLERANCE:g} m/s of "
         "the recorded",
-        numbers={key: number for name, row in names.items() for key, number in by_name(f"{name}_", WAVES, row).items()},
-        curves=(*(Curve(f"{number} people", *_ranked(speed)) for number, speed in zip(WAVES, first, strict=True)),),
+        numbers={f"{name}_{number:g}": numbers[number][name] for name in names for number in WAVES},
+        curves=tuple(curves.values()),
         axes=("speed [m/s]", "share of people and moments"),
     )
 
 
-def _ranked(speed: np.ndarray) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Speeds at a hundred shares of all."""
+def _file_motion(tracks: Tracks) -> tuple[np.ndarray, FileMotion]:
+    """Speeds (S, N) m/s in the counted time of a single file, and their motion."""
+    time_step = STEP * tracks.time_step
+    x = np.asarray(tracks.position)[-round(WAVE_COUNTED / tracks.time_step) :: STEP, :, 0]
+    speed = np.asarray(steps_along(x, WAVE_LOOP) / time_step, float)
+    return speed, FileMotion(speed.mean(), deviation_in_time(speed), *wave(speed, WAVE_LOOP, time_step))
+
+
+def _ranked(speed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Speeds at a hundred shares of all, and these shares."""
     shares = np.linspace(0.005, 0.995, 100)
-    return tuple(np.quantile(speed, shares)), tuple(shares)
+    return np.quantile(speed, shares), shares
 
 
 # ------------------------------------------------------------------ lanes
@@ -288,30 +339,33 @@ def mixed_corridor(density: float, seed: int) -> Scene:
     number = round(density * LANE_PERIOD * LANE_WIDTH)
     start = spread((0.0, 0.3), (LANE_PERIOD, LANE_WIDTH - 0.3), number, seed)
     start = np.random.default_rng([seed, 23]).permutation(start)
-    speed = hermes_speeds(number, seed)
-    halves = slice(number // 2), slice(number // 2, None)
-    people = join(*(walkers(start[own], route=(way,), speed=speed[own]) for way, own in enumerate(halves)))
-    return guideline_scenes.periodic(LANE_PERIOD, LANE_WIDTH, people, LANE_SECONDS)
+    speed, half = hermes_speeds(number, seed), number // 2
+    along = walkers(start[:half], route=(0,), speed=speed[:half])
+    against = walkers(start[half:], route=(1,), speed=speed[half:])
+    return guideline_scenes.periodic(LANE_PERIOD, LANE_WIDTH, join(along, against), LANE_SECONDS)
 
 
 def lanes(context: CheckContext) -> CheckResult:
     """The order of lanes that form out of a random mix (D. Helbing & P. Molnar, Phys. Rev. E 51, 4282 (1995))."""
     seeds = range(1 if context.quick else 5)
-    scenes = [mixed_corridor(density, seed) for density in LANE_DENSITIES for seed in seeds]
-    captions = [f"{density:g} people/m²" if seed == 0 else "" for density in LANE_DENSITIES for seed in seeds]
-    recorded = context.simulate(scenes, captions)
+    cases = list(itertools.product(LANE_DENSITIES, seeds))
+    scenes = [mixed_corridor(density, seed) for density, seed in cases]
+    recorded = context.simulate(scenes, ["" if seed else f"{density:g} people/m²" for density, seed in cases])
     order = np.stack([_order(tracks) for tracks in recorded]).reshape(len(LANE_DENSITIES), len(seeds), -1)
+
     begin = int((1.0 - LANE_SHARE) * order.shape[-1])
     last = order[..., begin:].mean((1, 2))
-    until = np.array([np.mean([time_until(each, LANE_ORDER) for each in rows]) for rows in order])
-    time, mean = (0.1 * np.arange(order.shape[-1]))[::20], order.mean(1)[:, ::20]
+    until = np.array([np.mean([time_until(series, LANE_ORDER) for series in draws]) for draws in order])
+
     end = 0.1 * (order.shape[-1] - 1)
-    rows = zip(LANE_DENSITIES, mean, strict=True)
-    curves = [Curve(f"{density:g} people/m²", tuple(time), tuple(row)) for density, row in rows]
-    curves.append(Curve("wanted", (0.1 * begin, end), (LANE_ORDER, LANE_ORDER), reference=True))
+    time = (0.1 * np.arange(order.shape[-1]))[::20]
+    curves = []
+    for density, mean in zip(LANE_DENSITIES, order.mean(1), strict=True):
+        curves.append(curve(f"{density:g} people/m²", time, mean[::20]))
+    curves.append(level("wanted", (0.1 * begin, end), LANE_ORDER))
     for path in juelich_recordings(context, "bo-360-*.csv"):
-        name = f"recording {path.stem.split('_')[0]}"
-        curves.append(Curve(name, (0.0, end), (recorded_order(read(path, "juelich")),) * 2, reference=True))
+        known = recorded_order(read(path, "juelich"))
+        curves.append(level(f"recording {path.stem.split('_')[0]}", (0.0, end), known))
     return result(
         bool((last >= LANE_ORDER).all()),
         f"{listing(last)} at {listing(LANE_DENSITIES, form='g')} /m², {LANE_ORDER:g} after "
@@ -341,8 +395,11 @@ def _order(tracks: Tracks) -> np.ndarray:
 def recorded_order(tracks: Tracks) -> float:
     """The order in a recording of people who walk along y: in the middle 4 m, from 30 to 80 % of its time."""
     position, present = np.asarray(tracks.position), np.asarray(tracks.present)
-    own, last = np.arange(present.shape[1]), len(present) - 1 - present[::-1].argmax(0)
-    direction = np.sign(position[last, own, 1] - position[present.argmax(0), own, 1])
-    rows = slice(int(0.3 * len(present)), int(0.8 * len(present)))
-    inside = present & (np.abs(position[..., 1]) < 2.0)
-    return float(np.nanmean(lane_order(position[rows, :, 0], direction, inside[rows])))
+    people = np.arange(present.shape[1])
+    first, last = first_and_last(present)
+    direction = np.sign(position[last, people, 1] - position[first, people, 1])
+    moments = slice(int(0.3 * len(present)), int(0.8 * len(present)))
+    across = position[moments, :, 0]
+    inside = (present & (np.abs(position[..., 1]) < 2.0))[moments]
+    order = [lane_order(across[some], direction, inside[some]) for some in spans_of_pairs(inside)]
+    return float(np.nanmean(np.concatenate(order)))

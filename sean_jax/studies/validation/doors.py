@@ -5,13 +5,27 @@ second for each metre. [S09] A. Seyfried et al., Transp. Sci. 43, 395 (2009): a 
 published.yaml.
 """
 
+import itertools
+
 import numpy as np
 
 from sean_jax.people.recordings import Tracks, read
 from sean_jax.studies.scenes import Gate, Scene, box, room, spread, walkers
-from sean_jax.studies.validation.checks import PUBLISHED, CheckContext, CheckResult, Curve, by_name, listing, result
+from sean_jax.studies.validation.checks import (
+    PUBLISHED,
+    CheckContext,
+    CheckResult,
+    Curve,
+    by_name,
+    curve,
+    level,
+    listing,
+    reference,
+    result,
+)
 from sean_jax.studies.validation.crowds import TOLERANCE, hermes_speeds, juelich_recordings
-from sean_jax.studies.validation.measures import crossing_times, densities, flow, overlap, peak
+from sean_jax.studies.validation.guideline_scenes import gate_right
+from sean_jax.studies.validation.measures import crossing_times, densities, first_gate_times, flow, overlap, peak
 
 FLOW = 1.9  # 1/(s m) [J]
 WIDTHS = 0.8, 1.0, 1.2, 1.6, 2.0, 2.4  # m, of bottlenecks
@@ -47,13 +61,19 @@ def before_door(
         passage: its length [m], at least that of the wall, 0.2 m.
         **more: of ``walkers``.
     """
-    door, behind = Gate((0.0, width / 2), (0.0, -width / 2)), Gate((3.0 + passage, 6.0), (3.0 + passage, -6.0))
+    door = gate_right(0.0, -width / 2, width / 2)
+    behind = gate_right(3.0 + passage, -6.0, 6.0)
     walls = [room((-8.0, -4.0), (0.0, 4.0), [door])]
     if passage > 0.2:
-        upper = box((0.0, width / 2), (passage, width / 2 + 0.2))
-        walls += [upper, upper * [1.0, -1.0, 1.0, 1.0, 1.0]]
+        walls += _both_sides(passage, width / 2, width / 2 + 0.2)
     people = walkers(start, route=(0, 1), speed=speed, **more)
     return Scene(np.concatenate(walls), people, (door, behind), seconds)
+
+
+def _both_sides(length: float, inner: float, outer: float) -> list[np.ndarray]:
+    """The walls of a passage from x = 0 on, from ``inner`` to ``outer`` [m] on both sides of y = 0."""
+    upper = box((0.0, inner), (length, outer))
+    return [upper, upper * [1.0, -1.0, 1.0, 1.0, 1.0]]
 
 
 def crowd_in_room(seed: int) -> np.ndarray:
@@ -64,75 +84,81 @@ def crowd_in_room(seed: int) -> np.ndarray:
 def bottleneck(context: CheckContext) -> CheckResult:
     """The flow of 100 people through doors and passages, and how many are out in time."""
     widths, passages, seeds = ((0.8, 1.2, 2.4), (0.2, 2.8), 2) if context.quick else (WIDTHS, PASSAGES, SEEDS)
-    cases = [(passage, width, seed) for passage in passages for width in widths for seed in range(seeds)]
-    scenes = [
-        before_door(width, crowd_in_room(seed), hermes_speeds(PEOPLE, seed), WITHIN, passage)
-        for passage, width, seed in cases
-    ]
-    captions = ["" if seed else f"{width:g} m wide, {passage:g} m long" for passage, width, seed in cases]
+    cases = list(itertools.product(passages, widths, range(seeds)))
+    scenes, captions = [], []
+    for passage, width, seed in cases:
+        speed = hermes_speeds(PEOPLE, seed)
+        scenes.append(before_door(width, crowd_in_room(seed), speed, WITHIN, passage))
+        captions.append("" if seed else f"{width:g} m wide, {passage:g} m long")
     recorded = context.simulate(scenes, captions)
+
+    # Of each passage and width: flow, 0 where too few come through, people left inside, and density before the door.
     shape = len(passages), len(widths), seeds
-    times = [crossing_times(tracks, scene.gates[0]) for scene, tracks in zip(scenes, recorded, strict=True)]
-    flows = np.nan_to_num([flow(each) for each in times]).reshape(shape).mean(2)  # 0 where too few come through
-    inside = np.array([np.isinf(each).sum() for each in times]).reshape(shape).max(2)
+    times = first_gate_times(scenes, recorded)
+    flows = np.nan_to_num([flow(crossings) for crossings in times]).reshape(shape).mean(2)
+    inside = np.array([np.isinf(crossings).sum() for crossings in times]).reshape(shape).max(2)
     crowded = np.array([_density(tracks) for tracks in recorded]).reshape(shape).mean(2)
+
     known = FLOW * np.array(widths)
     off = np.abs(flows / known - 1.0)
     numbers: dict[str, float] = {}
-    for k, passage in enumerate(passages):
-        for what, rows in {"flow": flows, "inside": inside, "density": crowded}.items():
-            numbers |= by_name(f"{what}_{passage:g}_", widths, rows[k])
-    words = "; ".join(
-        f"passage of {passage:g} m: {listing(flows[k])} people/s, {int(inside[k].max())} left inside at most, "
-        f"{listing(crowded[k], form='.1f')} people/m² before it"
-        for k, passage in enumerate(passages)
-    )
+    words, curves = [], []
+    for passage, rates, remaining, density in zip(passages, flows, inside, crowded, strict=True):
+        for name, values in (("flow", rates), ("inside", remaining), ("density", density)):
+            numbers |= by_name(f"{name}_{passage:g}_", widths, values)
+        curves.append(curve(f"model, {passage:g} m long", widths, rates))
+        words.append(
+            f"passage of {passage:g} m: {listing(rates)} people/s, {int(remaining.max())} left inside at most, "
+            f"{listing(density, form='.1f')} people/m² before it"
+        )
+
+    curves.append(reference("1.9 w", widths, known))
+    curves.append(reference("Juelich", BOTTLENECKS, BOTTLENECKS.values(), points=True))
     return result(
         bool((off <= TOLERANCE).all() and (inside == 0).all()),
-        f"{words}; at {listing(widths, form='g')} m (off by {100 * off.max():.0f} % at most)",
+        f"{'; '.join(words)}; at {listing(widths, form='g')} m (off by {100 * off.max():.0f} % at most)",
         f"within {100 * TOLERANCE:.0f} % of {listing(known)} people/s, all out",
         numbers=numbers,
-        curves=(
-            *(Curve(f"model, {passage:g} m long", widths, tuple(flows[k])) for k, passage in enumerate(passages)),
-            Curve("1.9 w", widths, tuple(known), reference=True),
-            Curve("Juelich", tuple(BOTTLENECKS), tuple(BOTTLENECKS.values()), reference=True, points=True),
-            *_recorded_flows(context),
-        ),
+        curves=(*curves, *_recorded_flows(context)),
         axes=("width of the door [m]", "flow [people/s]"),
     )
 
 
 def _density(tracks: Tracks) -> float:
     """The largest density [1/m2] in the square before the door, a mean over ``PEAK``."""
-    return peak(densities(tracks, *BEFORE), round(PEAK / tracks.time_step))
+    density = densities(np.asarray(tracks.position), np.asarray(tracks.present), *BEFORE)
+    return float(peak(density, round(PEAK / tracks.time_step)))
 
 
 def _recorded_flows(context: CheckContext) -> list[Curve]:
     """The flow of recordings, measured by the same function; none without recordings."""
     line = Gate((1.8 + 0.5, -4.0), (-0.5, -4.0))
-    runs = {path: int(path.name.split("_")[0].split("-")[3]) / 100 for path in juelich_recordings(context, RUNS)}
-    runs = {path: width for path, width in runs.items() if width < 1.8}  # else the corridor ends without a door
-    if not runs:
-        return []
-    out = tuple(flow(crossing_times(read(path, "juelich"), line)) for path in runs)
-    return [Curve("recordings", tuple(runs.values()), out, reference=True, points=True)]
+    widths, flows = [], []
+    for path in juelich_recordings(context, RUNS):
+        width = int(path.name.split("_")[0].split("-")[3]) / 100
+        if width < 1.8:  # else the corridor ends without a door
+            widths.append(width)
+            flows.append(flow(crossing_times(read(path, "juelich"), line)))
+    return [reference("recordings", widths, flows, points=True)] if widths else []
 
 
 def _overlap(context: CheckContext, tracks: Tracks) -> float:
+    """The depth [m] to which bodies overlap, once bodies whose drawn places overlap have parted."""
     later = slice(round(APART / tracks.time_step), None)
-    place, facing, there = (np.asarray(part)[later] for part in (tracks.position, tracks.facing, tracks.present))
-    return overlap(place, facing, there, context.model.forces.walking)
+    position, facing = np.asarray(tracks.position)[later], np.asarray(tracks.facing)[later]
+    return overlap(position, facing, np.asarray(tracks.present)[later], context.model.forces.walking)
 
 
 def press(context: CheckContext) -> CheckResult:
     """How deep bodies overlap in a crowd before a door, and its flow, from a walk to a rush."""
     seeds = range(1 if context.quick else SEEDS)
-    cases = [(speed, seed) for speed in HURRIES for seed in seeds]
+    cases = list(itertools.product(HURRIES, seeds))
     scenes = [before_door(1.0, crowd_in_room(seed), speed, 150.0) for speed, seed in cases]
     recorded = context.simulate(scenes, ["" if seed else f"{speed:g} m/s" for speed, seed in cases])
-    deep = [_overlap(context, each) for each in recorded]
-    flows = [flow(crossing_times(tracks, scene.gates[0])) for scene, tracks in zip(scenes, recorded, strict=True)]
-    depths = np.reshape(deep, (len(HURRIES), -1)).max(1)
+
+    depths = [_overlap(context, tracks) for tracks in recorded]
+    flows = [flow(times) for times in first_gate_times(scenes, recorded)]
+    depths = np.reshape(depths, (len(HURRIES), -1)).max(1)
     rates = np.nan_to_num(flows).reshape(len(HURRIES), -1).mean(1)
     saturated = bool(rates[-1] <= SATURATED * rates[-2])
     return result(
@@ -142,29 +168,30 @@ def press(context: CheckContext) -> CheckResult:
         f"{1000 * DEPTH:g} mm at most at {HURRIES[0]:g} m/s; at {HURRIES[-1]:g} m/s at most {SATURATED:g} times the "
         f"flow at {HURRIES[-2]:g} m/s",
         numbers=by_name("overlap_", HURRIES, depths) | by_name("flow_", HURRIES, rates),
-        curves=(Curve("model", HURRIES, tuple(rates)), Curve("1.9 w", (HURRIES[0], HURRIES[-1]), (FLOW, FLOW), True)),
+        curves=(curve("model", HURRIES, rates), level("1.9 w", HURRIES, FLOW)),
         axes=("preferred speed [m/s]", "flow [people/s]"),
     )
 
 
 def crowd_before_bottleneck(number: int, width: float) -> Scene:
     """A crowd in a half circle at 3 people/m² before an open bottleneck 1 m long, as in project Hermes."""
-    reach = np.sqrt(2.0 * number / (np.pi * CROWD["density_at_start"]))
-    tried = spread((-reach, -reach), (-0.2, reach), round(2.0 * reach**2 * CROWD["density_at_start"]))
-    start = tried[np.argsort(np.hypot(*tried.T))[:number]]
-    door, behind = Gate((0.0, width / 2), (0.0, -width / 2)), Gate((4.0, 6.0), (4.0, -6.0))
-    half = box((0.0, width / 2), (1.0, reach + 4.0))
-    walls = np.concatenate([half, half * [1.0, -1.0, 1.0, 1.0, 1.0]])
-    return Scene(walls, walkers(start, route=(0, 1), speed=hermes_speeds(len(start), 0)), (door, behind), 150.0)
+    density = CROWD["density_at_start"]
+    reach = np.sqrt(2.0 * number / (np.pi * density))
+    square = spread((-reach, -reach), (-0.2, reach), round(2.0 * reach**2 * density))
+    start = square[np.argsort(np.hypot(*square.T))[:number]]
+
+    gates = gate_right(0.0, -width / 2, width / 2), gate_right(4.0, -6.0, 6.0)
+    walls = np.concatenate(_both_sides(1.0, width / 2, reach + 4.0))
+    return Scene(walls, walkers(start, route=(0, 1), speed=hermes_speeds(len(start), 0)), gates, 150.0)
 
 
 def crowd(context: CheckContext) -> CheckResult:
     """The density of a large crowd before a wide bottleneck, and its flow."""
     scene = crowd_before_bottleneck(round(CROWD["people"]), CROWD["width"])
     (tracks,) = context.simulate(scene, f"{CROWD['people']:g} people")
-    density, out = _density(tracks), crossing_times(tracks, scene.gates[0])
-    rate, inside = float(np.nan_to_num(flow(out))), int(np.isinf(out).sum())
-    deep = _overlap(context, tracks)
+    density, deep = _density(tracks), _overlap(context, tracks)
+    times = crossing_times(tracks, scene.gates[0])
+    rate, inside = float(np.nan_to_num(flow(times))), int(np.isinf(times).sum())
     return result(
         density >= DENSE and inside == 0,
         f"{density:.1f} people/m² before the bottleneck, {rate:.2f} people/s (measured {CROWD['density']:g} and "
@@ -176,29 +203,35 @@ def crowd(context: CheckContext) -> CheckResult:
 
 def doors(context: CheckContext) -> CheckResult:
     """One person alone walks through a door."""
-    cases = [(width, aside) for width in DOORS for aside in ASIDE]
+    cases = list(itertools.product(DOORS, ASIDE))
     scenes = [before_door(width, np.array([[-4.0, aside]]), FREE, 12.0, velocity=(FREE, 0.0)) for width, aside in cases]
-    least, through = dict.fromkeys(DOORS, 1.0), dict.fromkeys(DOORS, True)
     recorded = context.simulate(scenes, ["" if aside else f"{width:g} m" for width, aside in cases])
+    least, through = dict.fromkeys(DOORS, 1.0), dict.fromkeys(DOORS, True)
     for (width, _), tracks in zip(cases, recorded, strict=True):
-        position, present = np.asarray(tracks.position)[:, 0], np.asarray(tracks.present)[:, 0]
-        step = np.linalg.norm(np.diff(position, axis=0), axis=-1)[present[1:]] / tracks.time_step
-        near = position[1:][present[1:], 0] < 1.0
-        least[width] = min(least[width], float((step[near] / FREE).min()))
-        through[width] &= bool((position[present, 0] > 0.5).any())
+        share, passed = _walk_through(tracks)
+        least[width] = min(least[width], share)
+        through[width] &= passed
+
     blocked = [width for width in DOORS if not through[width]]
     slow = [width for width in DOORS if width >= SWIFT and least[width] < SWIFT_SHARE]
     words = "through " + (f"all but {listing(blocked, form='g')} m" if blocked else "all")
     shares = listing([100 * share for share in least.values()], form=".0f")
+    speeds = [FREE * share for share in least.values()]
+    criterion = level("criterion", (SWIFT, DOORS[-1]), SWIFT_SHARE)
     return result(
         not slow and all(width < PASSABLE for width in blocked),
         f"{words}; at {listing(DOORS, form='g')} m never below {shares} % of the free speed",
         f"through from {PASSABLE:g} m on, never below {100 * SWIFT_SHARE:.0f} % of the free speed from {SWIFT:g} m on",
-        numbers=by_name("least_speed_", DOORS, [FREE * share for share in least.values()])
-        | by_name("through_", DOORS, through.values()),
-        curves=(
-            Curve("model", DOORS, tuple(least.values())),
-            Curve("criterion", (SWIFT, DOORS[-1]), (SWIFT_SHARE, SWIFT_SHARE), True),
-        ),
+        numbers=by_name("least_speed_", DOORS, speeds) | by_name("through_", DOORS, through.values()),
+        curves=(curve("model", DOORS, least.values()), criterion),
         axes=("width of the door [m]", "least speed / free speed"),
     )
+
+
+def _walk_through(tracks: Tracks) -> tuple[float, bool]:
+    """The least speed of one person until 1 m behind the door, over the free speed, and whether they got through."""
+    position, present = np.asarray(tracks.position)[:, 0], np.asarray(tracks.present)[:, 0]
+    moments = present[1:]
+    speed = np.linalg.norm(np.diff(position, axis=0), axis=-1)[moments] / tracks.time_step
+    near = position[1:][moments, 0] < 1.0
+    return float((speed[near] / FREE).min()), bool((position[present, 0] > 0.5).any())

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -10,15 +11,21 @@ from jaxtyping import Float, Int
 
 from sean_jax import social_forces
 from sean_jax.core import random_streams
-from sean_jax.core.data_types import Array, Scenario
+from sean_jax.core.data_types import Array, Scenario, State
 from sean_jax.people.behaviors.graph_choices import MAX_WAIT
 from sean_jax.simulation import making
 from sean_jax.simulation.scenario import reset
 from sean_jax.social_forces.forces import look_direction
 from sean_jax.studies.scenes import Model
 from sean_jax.studies.scenes.simulation import advance
-from sean_jax.studies.validation.checks import CheckContext, CheckResult, Curve, result
-from sean_jax.studies.validation.measures import overlap
+from sean_jax.studies.validation.checks import (
+    CheckContext,
+    CheckResult,
+    curve,
+    level,
+    result,
+)
+from sean_jax.studies.validation.measures import accelerations, overlap
 from sean_jax.world import environment
 
 MEMBERS, FULL = 0.8, 0.5  # of the capacity on average; of the time
@@ -82,15 +89,16 @@ def occupancy(context: CheckContext) -> CheckResult:
     """How full the groups of the Behavior Graph are in each environment."""
     names = ["warehouse"] if context.quick else environment.available()
     seconds, episodes = QUICK if context.quick else (SECONDS, EPISODES)
-    return compare_occupancy(
-        {name: in_environment(context.model, name, seconds, episodes) for name in context.progress(names)}
-    )
+    measured = {}
+    for name in context.progress(names):
+        measured[name] = in_environment(context.model, name, seconds, episodes)
+    return compare_occupancy(measured)
 
 
 def in_environment(model: Model, name: str, seconds: float, episodes: int) -> tuple[GroupOccupancy, np.ndarray]:
     """The occupancy of groups in episodes after 20 s, and (G, 2) s, shortest and longest stay that are drawn."""
     scenario = graph_scenario(model, name)
-    group = _walk(scenario, seconds, episodes)[0]
+    group = np.asarray(_walk(scenario, seconds, episodes).group)
     graph = jax.tree.map(np.asarray, scenario.behavior.data.graph)
     return group_occupancy(group, graph.capacity[graph.groups], scenario.time_step), graph.stay[graph.groups]
 
@@ -102,48 +110,63 @@ def graph_scenario(model: Model, name: str) -> Scenario:
     return replace(scenario, forces=model.forces, move=model.move, substeps=substeps)
 
 
-def _walk(scenario: Scenario, seconds: float, episodes: int) -> tuple[np.ndarray, ...]:
-    """Of some episodes (B, T, N): the group of each person, position [m], velocity [m/s] and look (B, T, N, 2)."""
+class GraphWalk(NamedTuple):
+    """People in B episodes of T steps."""
+
+    group: Int[Array, "*B T N"]
+    position: Float[Array, "*B T N 2"]  # m
+    velocity: Float[Array, "*B T N 2"]  # m/s
+    facing: Float[Array, "*B T N 2"]  # unit vectors
+
+
+def _walk(scenario: Scenario, seconds: float, episodes: int) -> GraphWalk:
+    """Some episodes in which no robot is near, as numpy arrays."""
     keys = jax.random.split(random_streams.key("groups", 0), episodes)
-    return tuple(np.asarray(part) for part in _episodes(round(seconds / scenario.time_step), scenario, keys))
+    return jax.tree.map(np.asarray, _episodes(round(seconds / scenario.time_step), scenario, keys))
 
 
 @partial(jax.jit, static_argnums=0)
 @partial(jax.vmap, in_axes=(None, None, 0))
-def _episodes(steps: int, scenario: Scenario, key: Array) -> tuple[Array, ...]:
-    """Groups, positions, velocities and looks of people in an episode in which no robot is near."""
+def _episodes(steps: int, scenario: Scenario, key: Array) -> GraphWalk:
     state = reset(scenario, key)
     away = replace(state.robot, position=jnp.full(2, AWAY, float))
 
-    def step(state, _):
+    def step(state: State, _: None) -> tuple[State, GraphWalk]:
         state = advance(scenario, state)
         people = state.pedestrians
-        return state, (people.group, people.position, people.velocity, jnp.stack(look_direction(people), -1))
+        facing = jnp.stack(look_direction(people), -1)
+        return state, GraphWalk(people.group, people.position, people.velocity, facing)
 
     return jax.lax.scan(step, replace(state, robot=away), length=steps)[1]
 
 
 def compare_occupancy(by_name: dict[str, tuple[GroupOccupancy, np.ndarray]]) -> CheckResult:
     """The result of occupancies by environment, of ``in_environment``."""
-    members = np.concatenate([each.mean for each, _ in by_name.values()])
-    full = np.concatenate([each.full for each, _ in by_name.values()])
-    stays = np.array([stays.mean() if len(stays) else np.inf for each, _ in by_name.values() for stays in each.stays])
+    names, stays = [], []
+    for name, (occupied, _) in by_name.items():
+        names += [f"{name} {k + 1}" for k in range(len(occupied.mean))]
+        stays += [group_stays.mean() if len(group_stays) else np.inf for group_stays in occupied.stays]
+    stay = np.array(stays)
+    members = np.concatenate([occupied.mean for occupied, _ in by_name.values()])
+    full = np.concatenate([occupied.full for occupied, _ in by_name.values()])
     shortest, longest = np.concatenate([drawn for _, drawn in by_name.values()]).T
-    changes = bool(((stays >= shortest) & (stays <= (shortest + longest) / 2 + MAX_WAIT)).all())
-    names = [f"{name} {k + 1}" for name, (each, _) in by_name.items() for k in range(len(each.mean))]
+    changes = bool(((stay >= shortest) & (stay <= (shortest + longest) / 2 + MAX_WAIT)).all())
+
     number = tuple(np.arange(1.0, len(names) + 1.0))
-    measured = {"members": members, "full": full, "stay": stays}
+    numbers: dict[str, float] = {}
+    for word, values in (("members", members), ("full", full), ("stay", stay)):
+        numbers |= {f"{word}_{name}": float(value) for name, value in zip(names, values, strict=True)}
     return result(
         bool((members >= MEMBERS).all() and (full >= FULL).all() and changes),
         f"{100 * members.min():.0f} % of the members on average at least, full {100 * full.min():.0f} % of the time at "
-        f"least, mean stays of {stays.min():.1f} to {stays.max():.1f} s",
+        f"least, mean stays of {stay.min():.1f} to {stay.max():.1f} s",
         f"{100 * MEMBERS:.0f} % of the members, full {100 * FULL:.0f} % of the time, stays as drawn",
-        numbers={f"{what}_{name}": float(each[k]) for what, each in measured.items() for k, name in enumerate(names)},
+        numbers=numbers,
         curves=(
-            Curve("members, share of the capacity", number, tuple(members), points=True),
-            Curve("full, share of the time", number, tuple(full), points=True),
-            Curve("members wanted", (number[0], number[-1]), (MEMBERS,) * 2, reference=True),
-            Curve("full wanted", (number[0], number[-1]), (FULL,) * 2, reference=True),
+            curve("members, share of the capacity", number, members, points=True),
+            curve("full, share of the time", number, full, points=True),
+            level("members wanted", number, MEMBERS),
+            level("full wanted", number, FULL),
         ),
         axes=("group: " + ", ".join(names), "share"),
     )
@@ -156,18 +179,20 @@ def bodies(context: CheckContext) -> CheckResult:
     words = []
     for name in context.progress(BODIES):
         scenario = graph_scenario(context.model, name)
-        group, position, velocity, look = _walk(scenario, *QUICK)
-        there = np.ones(group.shape[1:], bool)
-        parts = zip(position, look, group, strict=True)
-        deep = max(overlap(place, facing, there, walking, own) for place, facing, own in parts)
-        each = accelerations(velocity, scenario.time_step)
-        usual, rare = np.quantile(accelerations(velocity[:, ::LATER], LATER * scenario.time_step), [0.95, 0.99])
-        a_minute = 60.0 / scenario.time_step * float((each > STRONG).mean())
-        parts = {"overlap": deep, "strong": a_minute, "largest": float(each.max()), "p95": usual, "p99": rare}
-        numbers |= {f"{what}_{name}": float(value) for what, value in parts.items()}
+        walk = _walk(scenario, *QUICK)
+        present = np.ones(walk.group.shape[1:], bool)
+        episodes = zip(walk.position, walk.facing, walk.group, strict=True)
+        deepest = max(overlap(position, facing, present, walking, group) for position, facing, group in episodes)
+
+        size = accelerations(walk.velocity, scenario.time_step)
+        as_recorded = accelerations(walk.velocity[:, ::LATER], LATER * scenario.time_step)
+        usual, rare = np.quantile(as_recorded, [0.95, 0.99])
+        strong = 60.0 / scenario.time_step * float((size > STRONG).mean())
+        values = {"overlap": deepest, "strong": strong, "largest": size.max(), "p95": usual, "p99": rare}
+        numbers |= {f"{word}_{name}": float(value) for word, value in values.items()}
         words.append(
-            f"{name}: members overlap by {1000 * deep:.0f} mm at most; above {STRONG:g} m/s² {a_minute:.2f} times a "
-            f"person and minute, {each.max():.0f} at most; at 0.4 s 95 % below {usual:.2f}, 99 % below {rare:.2f} m/s²"
+            f"{name}: members overlap by {1000 * deepest:.0f} mm at most; above {STRONG:g} m/s² {strong:.2f} times a "
+            f"person and minute, {size.max():.0f} at most; at 0.4 s 95 % below {usual:.2f}, 99 % below {rare:.2f} m/s²"
         )
     return result(
         all(numbers[f"overlap_{name}"] <= DEPTH and numbers[f"strong_{name}"] == 0.0 for name in BODIES),
@@ -175,8 +200,3 @@ def bodies(context: CheckContext) -> CheckResult:
         f"{1000 * DEPTH:g} mm at most, never above {STRONG:g} m/s²",
         numbers=numbers,
     )
-
-
-def accelerations(velocity: Float[np.ndarray, "B T N 2"], time_step: float) -> Float[np.ndarray, "B R N"]:
-    """(B, T - 1, N) m/s2, from velocities (B, T, N, 2) m/s at moments ``time_step`` s apart."""
-    return np.linalg.norm(np.diff(velocity, axis=1), axis=-1) / time_step

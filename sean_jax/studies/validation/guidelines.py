@@ -1,5 +1,6 @@
 """The tests of the guidelines RiMEA, IMO, NIST and ISO: one function for each kind of test."""
 
+import itertools
 from collections.abc import Sequence
 
 import numpy as np
@@ -7,10 +8,28 @@ from scipy import stats
 
 from sean_jax.core.geometry import signed_distances_on_host
 from sean_jax.people.recordings import Tracks
-from sean_jax.studies.scenes import Gate, Scene, environment
+from sean_jax.studies.scenes import Scene, environment
 from sean_jax.studies.validation import crowds, guideline_scenes
-from sean_jax.studies.validation.checks import CheckContext, CheckResult, Curve, by_name, listing, result
-from sean_jax.studies.validation.measures import crossing_times, densities, flow, speeds, steps_along, vanishing_times
+from sean_jax.studies.validation.checks import (
+    CheckContext,
+    CheckResult,
+    Curve,
+    by_name,
+    curve,
+    listing,
+    reference,
+    result,
+)
+from sean_jax.studies.validation.guideline_scenes import gate_right
+from sean_jax.studies.validation.measures import (
+    crossing_times,
+    densities,
+    first_gate_times,
+    flow,
+    speeds,
+    steps_along,
+    vanishing_times,
+)
 
 AGES = {"under 30": (0.58, 1.61), "30 to 50": (1.41, 1.54), "over 50": (0.68, 1.41), "limited": (0.46, 0.76)}
 """age -> lowest and highest speed [m/s]: RiMEA, test 7"""
@@ -34,7 +53,7 @@ def walk_time(context: CheckContext, speed: float, shortest: float, longest: flo
 def free_speed(context: CheckContext) -> CheckResult:
     """The speed of one person over 40 m, with 10 m before and behind."""
     (tracks,) = context.simulate(guideline_scenes.one_walker(1.0, 60.0), "one person at 1 m/s")
-    begin, end = (crossing_times(tracks, Gate((x, 2.0), (x, 0.0)))[0] for x in (10.0, 50.0))
+    begin, end = (crossing_times(tracks, gate_right(x, 0.0, 2.0))[0] for x in (10.0, 50.0))
     speed = 40.0 / float(end - begin) if np.isfinite(end) else 0.0
     return result(abs(speed - 1.0) <= KEPT, f"{speed:.3f} m/s", "1.0 ± 0.05 m/s", numbers={"speed": speed})
 
@@ -52,13 +71,13 @@ def falling_speed(context: CheckContext) -> CheckResult:
 def _by_density(passed: bool, densities: Sequence[float], means: list[float], criterion: str) -> CheckResult:
     """The result of mean speeds [m/s] at densities [1/m2], against the fundamental diagram of Weidmann (1993)."""
     known = np.arange(0.25, 5.3, 0.25)
-    weidmann = Curve("Weidmann 1993", tuple(known.tolist()), tuple(crowds.weidmann(known).tolist()), reference=True)
+    weidmann = reference("Weidmann 1993", known.tolist(), crowds.weidmann(known).tolist())
     return result(
         passed,
         f"{listing(means, densities)} /m²",
         criterion,
         numbers=by_name("speed at ", densities, means),
-        curves=(Curve("speed", tuple(densities), tuple(means)), weidmann),
+        curves=(curve("speed", densities, means), weidmann),
         axes=("density [1/m²]", "mean speed [m/s]"),
     )
 
@@ -129,7 +148,7 @@ def free_speeds(context: CheckContext) -> CheckResult:
         f"{measured} m/s, {worst:.3f} from their own at most",
         "within 0.05 m/s of their own",
         numbers={"largest difference": worst},
-        curves=(Curve("people", tuple(preferred.tolist()), tuple(walked.tolist()), points=True),),
+        curves=(curve("people", preferred.tolist(), walked.tolist(), points=True),),
         axes=("preferred speed [m/s]", "walked [m/s]"),
     )
 
@@ -151,9 +170,9 @@ def normal_speeds(context: CheckContext) -> CheckResult:
 def _walked(context: CheckContext, preferred: np.ndarray, caption: str) -> np.ndarray:
     """(N,) m/s between x = 10 and 30 m; 0 of people who did not get there."""
     (tracks,) = context.simulate(guideline_scenes.population(preferred), caption)
-    ends = (1e3, -1e3)
-    begin, end = (crossing_times(tracks, Gate((x, ends[0]), (x, ends[1]))) for x in (10.0, 30.0))
-    return np.where(np.isfinite(end), 20.0 / np.where(np.isfinite(end), end - begin, 1.0), 0.0)
+    begin, end = (crossing_times(tracks, gate_right(x, -1e3, 1e3)) for x in (10.0, 30.0))
+    arrived = np.isfinite(end)
+    return np.where(arrived, 20.0 / np.where(arrived, end - begin, 1.0), 0.0)
 
 
 def half_the_doors(context: CheckContext) -> CheckResult:
@@ -180,7 +199,8 @@ def half_the_doors(context: CheckContext) -> CheckResult:
 
 def _leaving(name: str, tracks: Tracks) -> Curve:
     inside = np.asarray(tracks.present).sum(1)[::20]
-    return Curve(name, tuple((np.arange(len(inside)) * 20 * tracks.time_step).tolist()), tuple(inside.tolist()))
+    time = np.arange(len(inside)) * 20 * tracks.time_step
+    return curve(name, time.tolist(), inside.tolist())
 
 
 def assigned_exits(context: CheckContext) -> CheckResult:
@@ -196,18 +216,21 @@ def assigned_exits(context: CheckContext) -> CheckResult:
 def exit_choice(context: CheckContext, numbers: Sequence[int], fewest: float, most: float) -> CheckResult:
     """The share of people who take the nearer of two exits, with bounds."""
     scenes = [guideline_scenes.two_exits(number) for number in numbers]
+    recorded = context.simulate(scenes, [f"{number} people" for number in numbers])
     shares = []
-    for number, tracks in zip(numbers, context.simulate(scenes, [f"{each} people" for each in numbers]), strict=True):
+    for number, tracks in zip(numbers, recorded, strict=True):
         out = np.isfinite(vanishing_times(tracks))
-        near = out & (np.asarray(tracks.position)[-1, :, 0] < 22.0)
-        shares.append(float(near.sum() / max(out.sum(), 1)))
         if not out.all():
-            what = f"{int((~out).sum())} of {number} people are still inside after 900 s"
-            return CheckResult(False, what, what)
-    parts = zip(shares, numbers, strict=True)
-    measured = ", ".join(f"{100 * share:.0f} % of {number} took the nearer exit" for share, number in parts)
+            inside = f"{int((~out).sum())} of {number} people are still inside after 900 s"
+            return CheckResult(False, inside, inside)
+        shares.append(float((np.asarray(tracks.position)[-1, :, 0] < 22.0).mean()))
+
+    words = [
+        f"{100 * share:.0f} % of {number} took the nearer exit" for share, number in zip(shares, numbers, strict=True)
+    ]
     criterion = f"{100 * fewest:.0f} to {100 * most:.0f} % of {numbers[-1]}"
-    return result(fewest <= shares[-1] <= most, measured, criterion, numbers=by_name("share of ", numbers, shares))
+    passed = fewest <= shares[-1] <= most
+    return result(passed, ", ".join(words), criterion, numbers=by_name("share of ", numbers, shares))
 
 
 def equal_exits(context: CheckContext) -> CheckResult:
@@ -224,32 +247,34 @@ def equal_exits(context: CheckContext) -> CheckResult:
 def one_after_another(context: CheckContext) -> CheckResult:
     """Flow into a passage and out of the room behind it, and where people queue."""
     widths, seeds = (0.8, 1.0, 1.2), range(1 if context.quick else DRAWS)
-    scenes = [guideline_scenes.two_rooms(width, seed) for width in widths for seed in seeds]
-    captions = [f"passage of {width:g} m" if seed == 0 else "" for width in widths for seed in seeds]
+    cases = list(itertools.product(widths, seeds))
+    scenes = [guideline_scenes.two_rooms(width, seed) for width, seed in cases]
+    captions = [f"passage of {width:g} m" if seed == 0 else "" for width, seed in cases]
     rows = []
     for scene, tracks in zip(scenes, context.simulate(scenes, captions), strict=True):
         times = crossing_times(tracks, scene.gates[0])
-        squares = (density(tracks, *square, times) for square in QUEUES)
-        rows.append((flow(times), flow(vanishing_times(tracks)), *squares))
+        in_first, in_second = (density(tracks, *square, times) for square in QUEUES)
+        rows.append((flow(times), flow(vanishing_times(tracks)), in_first, in_second))
     into, out, first, second = np.reshape(rows, (len(widths), len(seeds), 4)).mean(1).T
-    flows = ", ".join(f"{a:.2f} in and {b:.2f} out at {w:g} m" for w, a, b in zip(widths, into, out, strict=True))
+
+    steady = bool((out <= into + 0.05).all())
+    queues_first = bool((second < first).all())
+    flows = [f"{a:.2f} in and {b:.2f} out at {width:g} m" for width, a, b in zip(widths, into, out, strict=True)]
     queues = f"{max(first):.1f} people/m² before the passage, {max(second):.1f} before the exit"
-    steady = all(b <= a + 0.05 for a, b in zip(into, out, strict=True))
-    calm = all(b < a for a, b in zip(first, second, strict=True))
     return _by_width(
-        bool((np.diff(into) > 0.0).all()) and steady and calm,
-        f"flow {flows} people/s; {queues}",
+        bool((np.diff(into) > 0.0).all()) and steady and queues_first,
+        f"flow {', '.join(flows)} people/s; {queues}",
         "flow rises with the width, at most .05 more comes out than goes in, and people queue in the first room alone",
         by_name("flow at ", widths, into),
-        Curve("into the passage", widths, tuple(into)),
+        curve("into the passage", widths, into),
     )
 
 
-def _by_width(passed: bool, measured: str, criterion: str, numbers: dict[str, float], curve: Curve) -> CheckResult:
+def _by_width(passed: bool, measured: str, criterion: str, numbers: dict[str, float], flows: Curve) -> CheckResult:
     """The result of a flow [people/s] by width [m], against bottlenecks in Juelich."""
-    known = Curve("1.9 w (Juelich)", curve.x, tuple(1.9 * width for width in curve.x), reference=True)
+    known = reference("1.9 w (Juelich)", flows.x, [1.9 * width for width in flows.x])
     axes = ("width [m]", "flow [people/s]")
-    return result(passed, measured, criterion, numbers=numbers, curves=(curve, known), axes=axes)
+    return result(passed, measured, criterion, numbers=numbers, curves=(flows, known), axes=axes)
 
 
 def density(tracks: Tracks, lower: tuple[float, float], upper: tuple[float, float], times: np.ndarray) -> float:
@@ -261,7 +286,8 @@ def density(tracks: Tracks, lower: tuple[float, float], upper: tuple[float, floa
     crossed = times[np.isfinite(times)]
     begin, end = np.quantile(crossed, [0.2, 0.8]) if len(crossed) else (0.0, np.inf)
     time = np.arange(len(tracks.present)) * tracks.time_step
-    chosen = densities(tracks, lower, upper)[(time >= begin) & (time <= end)]
+    series = densities(np.asarray(tracks.position), np.asarray(tracks.present), lower, upper)
+    chosen = series[(time >= begin) & (time <= end)]
     return float(chosen.mean()) if len(chosen) else 0.0
 
 
@@ -280,17 +306,20 @@ def against(context: CheckContext) -> CheckResult:
     others = (0, 10, 50, 100)
     scenes = [guideline_scenes.counterflow(number) for number in others]
     recorded = context.simulate(scenes, [f"against {number}" for number in others])
-    crossings = [crossing_times(tracks, scene.gates[1])[:100] for scene, tracks in zip(scenes, recorded, strict=True)]
-    times = [float(times.max()) for times in crossings]
-    words = [f"{time:.0f} s" if np.isfinite(time) else "stuck" for time in times]
-    measured = ", ".join(f"{word} against {number}" for word, number in zip(words, others, strict=True))
+    times = []
+    for scene, tracks in zip(scenes, recorded, strict=True):
+        times.append(float(crossing_times(tracks, scene.gates[1])[:100].max()))
+
+    words = []
+    for time, number in zip(times, others, strict=True):
+        words.append(f"{f'{time:.0f} s' if np.isfinite(time) else 'stuck'} against {number}")
     rises = all(before < after for before, after in zip(times, times[1:], strict=False))
     return result(
         rises and times[-1] < np.inf,
-        measured,
+        ", ".join(words),
         "all through, later the more there are",
         numbers=by_name("against ", others, times),
-        curves=(Curve("time", tuple(map(float, others)), tuple(times)),),
+        curves=(curve("time", map(float, others), times),),
         axes=("people against", "time [s]"),
     )
 
@@ -299,11 +328,11 @@ def most_flow(context: CheckContext) -> CheckResult:
     """The flow of 100 people out of a room of 8 by 5 m through a door of 1 m."""
     scene = guideline_scenes.full_room()
     (tracks,) = context.simulate(scene, "100 people, a door of 1 m")
-    out = crossing_times(tracks, scene.gates[0])
-    rate, left = flow(out), int((~np.isfinite(out)).sum())
-    if left:
-        what = f"{left} of 100 people are still inside after 300 s"
-        return CheckResult(False, f"{left} of 100 are still inside", what)
+    times = crossing_times(tracks, scene.gates[0])
+    rate, inside = float(flow(times)), int((~np.isfinite(times)).sum())
+    if inside:
+        reason = f"{inside} of 100 people are still inside after 300 s"
+        return CheckResult(False, f"{inside} of 100 are still inside", reason)
     reason = "" if rate <= 1.33 else "; recordings of people have 1.9 per second and metre (Seyfried 2009)"
     criterion = f"1.33 people/s at most{reason}"
     return result(rate <= 1.33, f"{rate:.2f} people/s", criterion, numbers={"flow": rate})
@@ -314,14 +343,14 @@ def rising_flow(context: CheckContext) -> CheckResult:
     widths = (1.0, 1.2, 1.4, 1.6, 1.8)
     scenes = [guideline_scenes.full_room(width) for width in widths]
     recorded = context.simulate(scenes, [f"door of {widths[0]:g} m"])
-    rates = [flow(crossing_times(tracks, scene.gates[0])) for scene, tracks in zip(scenes, recorded, strict=True)]
+    rates = [flow(times) for times in first_gate_times(scenes, recorded)]
     slope = float(np.polyfit(widths, np.nan_to_num(rates), 1)[0])
     return _by_width(
         slope > 0.0 and bool(np.isfinite(rates).all()),
         f"{listing(rates, widths, unit=' m')}: {slope:.2f} people/s/m",
         "flow that rises with the width",
         {"slope": slope},
-        Curve("flow", widths, tuple(rates)),
+        curve("flow", widths, rates),
     )
 
 

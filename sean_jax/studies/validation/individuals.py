@@ -20,7 +20,16 @@ from sean_jax.robots import load
 from sean_jax.social_forces import Cohesion, Forces, move, preset
 from sean_jax.studies.prediction import HABITS, Predictable, Scores, evaluate, read_windows
 from sean_jax.studies.scenes import Gate, Scene, join, spread, walkers
-from sean_jax.studies.validation.checks import PUBLISHED, CheckContext, CheckResult, Curve, result
+from sean_jax.studies.validation.checks import (
+    PUBLISHED,
+    CheckContext,
+    CheckResult,
+    curve,
+    level,
+    numbered,
+    reference,
+    result,
+)
 from sean_jax.studies.validation.measures import separation, steps_along
 
 BEFORE = 4.0  # s, after which two would be nearest if they went straight on
@@ -44,8 +53,11 @@ def two(angle: float, offset: float, speeds: tuple[float, float]) -> Scene:
     drift = speeds[0] * ways[0] - speeds[1] * ways[1]
     aside = np.array([drift[1], -drift[0]]) / np.hypot(*drift)
     start = -BEFORE * np.array(speeds)[:, None] * ways + 0.5 * offset * np.array([aside, -aside])
-    both = [walkers(start[k : k + 1], route=(k,), speed=speeds[k], velocity=tuple(speeds[k] * ways[k])) for k in (0, 1)]
-    return Scene(NO_WALLS, join(*both), tuple(_far(way) for way in ways), 2.0 * BEFORE + 2.0)
+
+    people = []
+    for k, (speed, way) in enumerate(zip(speeds, ways, strict=True)):
+        people.append(walkers(start[k : k + 1], route=(k,), speed=speed, velocity=tuple(speed * way)))
+    return Scene(NO_WALLS, join(*people), tuple(_far(way) for way in ways), 2.0 * BEFORE + 2.0)
 
 
 def _far(way: np.ndarray) -> Gate:
@@ -62,25 +74,32 @@ def pairs(context: CheckContext, name: str, angles: Sequence[float], quick: Sequ
     """
     angles = tuple(quick if context.quick else angles)
     cases = list(itertools.product(angles, OFFSETS, SPEEDS))
-    scenes = [two(np.deg2rad(angle), offset, speeds) for angle, offset, speeds in cases]
-    shown = {(angle, OFFSETS[1], SPEEDS[0]): f"{name}, {angle:g} degrees" for angle in angles}
-    recorded = context.simulate(scenes, [shown.get(case, "") for case in cases])
+    scenes, captions = [], []
+    for angle, offset, speeds in cases:
+        scenes.append(two(np.deg2rad(angle), offset, speeds))
+        shown = offset == OFFSETS[1] and speeds == SPEEDS[0]
+        captions.append(f"{name}, {angle:g} degrees" if shown else "")
+
     bodies = 2.0 * float(context.model.forces.walking.radius)
-    positions = [np.asarray(tracks.position) for tracks in recorded]
-    gap = np.array([separation(each[:, 0], each[:, 1]) for each in positions]) - bodies
-    late = np.array([_lost(scene, tracks) for scene, tracks in zip(scenes, recorded, strict=True)])
+    gaps, lost = [], []
+    for scene, tracks in zip(scenes, context.simulate(scenes, captions), strict=True):
+        position = np.asarray(tracks.position)
+        gaps.append(separation(position[:, 0], position[:, 1]) - bodies)
+        lost.append(_lost(scene, tracks))
+
+    gap = np.array(gaps)
     worst = int(gap.argmin())
-    by_angle = gap.reshape(len(angles), -1).min(1)
     angle, offset, speeds = cases[worst]
+    by_angle = gap.reshape(len(angles), -1).min(1)
     return result(
         bool((gap >= -TOLERANCE).all()),
         f"least gap of bodies {100 * gap[worst]:.0f} cm (at {angle:g} degrees, {offset:g} m aside, {speeds[0]:g} and "
-        f"{speeds[1]:g} m/s); at most {late.max():.1f} s lost",
+        f"{speeds[1]:g} m/s); at most {max(lost):.1f} s lost",
         "bodies never overlap",
-        numbers={"gap": float(gap.min()), "lost": float(late.max()), "overlapping": float((gap < -TOLERANCE).mean())},
+        numbers={"gap": float(gap.min()), "lost": max(lost), "overlapping": float((gap < -TOLERANCE).mean())},
         curves=(
-            Curve("model", angles, tuple(by_angle), points=len(angles) == 1),
-            Curve("bodies touch", (min(angles) - 5.0, max(angles) + 5.0), (0.0, 0.0), reference=True),
+            curve("model", angles, by_angle, points=len(angles) == 1),
+            level("bodies touch", (min(angles) - 5.0, max(angles) + 5.0), 0.0),
         ),
         axes=("angle between the ways [degrees]", "least gap of bodies [m]"),
     )
@@ -126,14 +145,14 @@ def passing_a_robot(context: CheckContext, **limits: Any) -> CheckResult:
 
 def stream_scenes(number: int) -> list[Scene]:
     """A robot that walks through a stream of people, across it."""
-    people, robot = round(STREAM_DENSITY * STREAM[0] * STREAM[1]), ((STREAM[0] / 2, -3.0), (0.0, ROBOT_SPEED))
+    length, width = STREAM
+    people, robot = round(STREAM_DENSITY * length * width), ((length / 2, -3.0), (0.0, ROBOT_SPEED))
+    ahead = np.array([1.0, 0.0])
     scenes = []
     for k in range(number):
-        start = spread((0.0, 0.0), STREAM, people, k, apart=0.8)
-        crowd = walkers(start, route=(0,), seed=k)
-        crowd = replace(crowd, velocity=np.asarray(crowd.preferred_speed)[:, None] * np.array([1.0, 0.0]))
-        gate = _far(np.array([1.0, 0.0]))
-        scenes.append(Scene(NO_WALLS, crowd, (gate,), STREAM[1] + 6.0, STREAM[0], robot=robot, seed=k))
+        crowd = walkers(spread((0.0, 0.0), STREAM, people, k, apart=0.8), route=(0,), seed=k)
+        crowd = replace(crowd, velocity=np.asarray(crowd.preferred_speed)[:, None] * ahead)
+        scenes.append(Scene(NO_WALLS, crowd, (_far(ahead),), width + 6.0, length, robot=robot, seed=k))
     return scenes
 
 
@@ -157,15 +176,21 @@ def passing_in_a_stream(context: CheckContext, **limits: Any) -> CheckResult:
 
 def _nearest(scene: Scene, tracks: Tracks) -> np.ndarray:
     """(N,) m, distance of closest approach of the robot to each person; in a periodic scene, of any image of it."""
-    position, robot = np.asarray(tracks.position), scene.robot_path(_times(tracks))[:, None]
+    position = np.asarray(tracks.position)
+    robot = scene.robot_path(_times(tracks))[:, None]  # (T, 1, 2)
     if scene.period is None:
         return separation(position, np.broadcast_to(robot, position.shape))
+
+    # People walk on beyond the period, past the images of the robot there.
     step = steps_along(position[..., 0], scene.period)
     x = np.concatenate([position[:1, :, 0], position[:1, :, 0] + np.cumsum(step, 0)])
     position = np.stack([x, position[..., 1]], -1)
-    images = range(int(np.floor(x.min() / scene.period)) - 1, int(np.ceil(x.max() / scene.period)) + 1)
-    moved = [np.broadcast_to(robot + np.array([k * scene.period, 0.0]), position.shape) for k in images]
-    return np.min([separation(position, each) for each in moved], axis=0)
+    first, last = int(np.floor(x.min() / scene.period)) - 1, int(np.ceil(x.max() / scene.period))
+    distances = []
+    for k in range(first, last + 1):
+        image = robot + np.array([k * scene.period, 0.0])
+        distances.append(separation(position, np.broadcast_to(image, position.shape)))
+    return np.min(distances, axis=0)
 
 
 def compare_clearance(
@@ -183,19 +208,21 @@ def compare_clearance(
         deviation: m, smallest and largest standard deviation.
     """
     bodies = float(context.model.forces.walking.radius) + float(load("kuri").radius)
-    touched, clearance, spread_out = float((nearest < bodies).mean()), float(nearest.mean()), float(nearest.std())
+    touched = float((nearest < bodies).mean())
+    clearance, spread_out = float(nearest.mean()), float(nearest.std())
     least, most = deviation
     wanted = f", with a deviation of {least:g} to {most:g} m" if np.isfinite(most) else ""
     ranked = np.sort(nearest)
+    shares = (np.arange(len(ranked)) + 1.0) / len(ranked)
     return result(
         touched <= most_touched and abs(clearance - CLEARANCE) <= within and least <= spread_out <= most,
         f"touched in {100 * touched:.1f} % of {len(nearest)}; nearest {clearance:.2f} ± {spread_out:.2f} m",
         f"touched in {100 * most_touched:.0f} % at most; nearest {CLEARANCE:g} ± {within:g} m on average{wanted}",
         numbers={"touched": touched, "clearance": clearance, "clearance_deviation": spread_out},
         curves=(
-            Curve("model", tuple(ranked), tuple((np.arange(len(ranked)) + 1.0) / len(ranked))),
-            Curve("bodies touch", (bodies, bodies), (0.0, 1.0), reference=True),
-            Curve("people, 0.83 m", (CLEARANCE,) * 2, (0.0, 1.0), reference=True),
+            curve("model", ranked, shares),
+            reference("bodies touch", (bodies, bodies), (0.0, 1.0)),
+            reference("people, 0.83 m", (CLEARANCE, CLEARANCE), (0.0, 1.0)),
         ),
         axes=("least distance of the middles [m]", "share of encounters"),
     )
@@ -216,8 +243,8 @@ def with_companions(scenario: Scenario, state: State) -> Pedestrians:
     people, companions = state.pedestrians, scenario.behavior.companions
     assert companions is not None, "predicted people have companions, or -1"
     desired = people.desired_velocity
-    there = ((companions >= 0) & people.present[companions])[..., None].astype(desired.dtype)  # (N, 2, 1)
-    mean = (desired + (there * desired[companions]).sum(1)) / (1.0 + there.sum(1))
+    present = ((companions >= 0) & people.present[companions])[..., None].astype(desired.dtype)  # (N, 2, 1)
+    mean = (desired + (present * desired[companions]).sum(1)) / (1.0 + present.sum(1))
     after = constant_velocity(scenario, replace(state, pedestrians=replace(people, desired_velocity=mean)))
     return replace(after, desired_velocity=desired)
 
@@ -239,57 +266,62 @@ def prediction(context: CheckContext) -> CheckResult:
         Skipped: there are no recordings.
     """
     model = context.model
-    own: dict[str, Scores] = {}
-    mark: dict[str, Scores] = {}
+    scores: dict[str, Scores] = {}
+    straight: dict[str, Scores] = {}
     plain: dict[str, Scores] = {}
     for path in context.progress(context.eth_ucy()):
-        windows, habits, mover = read_windows(path), {}, model.move
-        straight, same = "constant_velocity", {}
+        windows = read_windows(path)
+        mover, habits = model.move, {}
+        straight_mover, straight_habits = "constant_velocity", {}
         if mover is move:
             mover, habits = fitted_without(path.stem, model.forces)
-            straight, same = habits_of_constant_velocity(mover, habits)
-        own[path.stem] = evaluate(mover, windows, **habits)
+            straight_mover, straight_habits = habits_of_constant_velocity(mover, habits)
+        scores[path.stem] = evaluate(mover, windows, **habits)
         plain[path.stem] = evaluate("constant_velocity", windows)
-        mark[path.stem] = evaluate(straight, windows, **same)
-    return compare_scores(own, mark, plain)
+        straight[path.stem] = evaluate(straight_mover, windows, **straight_habits)
+    return compare_scores(scores, straight, plain)
 
 
-def compare_scores(own: dict[str, Scores], mark: dict[str, Scores], plain: dict[str, Scores]) -> CheckResult:
+def compare_scores(scores: dict[str, Scores], straight: dict[str, Scores], plain: dict[str, Scores]) -> CheckResult:
     """The result of the errors of a model in several scenes.
 
     Args:
-        mark: of constant velocity with the same habits in the same scenes.
+        straight: of constant velocity with the same habits in the same scenes.
         plain: likewise, of constant velocity without habits.
     """
-    worse = [
-        name for name, each in own.items() if each.ade > (1.0 - BETTER) * mark[name].ade or each.fde > mark[name].fde
-    ]
-    collisions, usual = (np.mean([each.collisions for each in scores.values()]) for scores in (own, mark))
-    words = "; ".join(
-        f"{name} {each.ade:.3f}/{each.fde:.3f} (constant velocity with the same habits {mark[name].ade:.3f}/"
-        f"{mark[name].fde:.3f}, without {plain[name].ade:.3f}/{plain[name].fde:.3f})"
-        for name, each in own.items()
-    )
-    numbers = {
-        f"{key}{suffix}_{name}": float(getattr(each, key))
-        for suffix, scores in (("", own), ("_constant_velocity", mark))
-        for name, each in scores.items()
-        for key in Scores._fields[:3]
-    }
-    number = tuple(float(k) for k in range(1, len(own) + 1))
+    worse, words = [], []
+    for scene, errors in scores.items():
+        known, usual = straight[scene], plain[scene]
+        if errors.ade > (1.0 - BETTER) * known.ade or errors.fde > known.fde:
+            worse.append(scene)
+        words.append(
+            f"{scene} {errors.ade:.3f}/{errors.fde:.3f} (constant velocity with the same habits {known.ade:.3f}/"
+            f"{known.fde:.3f}, without {usual.ade:.3f}/{usual.fde:.3f})"
+        )
+    collisions = np.mean([errors.collisions for errors in scores.values()])
+    straight_collisions = np.mean([errors.collisions for errors in straight.values()])
+
+    numbers = {}
+    for suffix, table in (("", scores), ("_constant_velocity", straight)):
+        for scene, errors in table.items():
+            numbers |= {f"{name}{suffix}_{scene}": float(getattr(errors, name)) for name in Scores._fields[:3]}
+
+    number, scenes = numbered(scores)
+    not_all = f" (not: {', '.join(worse)})" if worse else ""
     return result(
-        not worse and bool(collisions * FEWER <= usual),
-        f"{words}; {100 * collisions:.2f} % of tracks collide (constant velocity {100 * usual:.2f} %)",
-        f"ADE {100 * BETTER:g} % below constant velocity with the same habits and FDE not above it"
-        f"{' (not: ' + ', '.join(worse) + ')' if worse else ''}, {FEWER:g} times fewer collisions",
+        not worse and bool(collisions * FEWER <= straight_collisions),
+        f"{'; '.join(words)}; {100 * collisions:.2f} % of tracks collide (constant velocity "
+        f"{100 * straight_collisions:.2f} %)",
+        f"ADE {100 * BETTER:g} % below constant velocity with the same habits and FDE not above it{not_all}, "
+        f"{FEWER:g} times fewer collisions",
         numbers=numbers,
         curves=(
-            Curve("ADE", number, tuple(each.ade for each in own.values())),
-            Curve("FDE", number, tuple(each.fde for each in own.values())),
-            Curve("ADE, constant velocity", number, tuple(each.ade for each in mark.values()), reference=True),
-            Curve("FDE, constant velocity", number, tuple(each.fde for each in mark.values()), reference=True),
+            curve("ADE", number, [errors.ade for errors in scores.values()]),
+            curve("FDE", number, [errors.fde for errors in scores.values()]),
+            reference("ADE, constant velocity", number, [errors.ade for errors in straight.values()]),
+            reference("FDE, constant velocity", number, [errors.fde for errors in straight.values()]),
         ),
-        axes=("scene: " + ", ".join(f"{k + 1} {name}" for k, name in enumerate(own)), "error [m]"),
+        axes=(f"scene: {scenes}", "error [m]"),
     )
 
 

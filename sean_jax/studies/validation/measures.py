@@ -1,18 +1,24 @@
 """Measures of recorded or simulated tracks: crossings and flow, density and speed, lanes, approaches, overlap, waves.
 
-Density and speed of an area are from Voronoi cells, by PedPy (extra ``validation``): B. Steffen & A. Seyfried,
-Physica A 389, 1902 (2010).
+``sean validate`` measures recorded tracks by them, in numpy; ``sean calibrate`` simulated ones, in JAX. Functions that
+both use return arrays of the kind that they take. Density and speed of an area are from Voronoi cells, by PedPy (extra
+``validation``): B. Steffen & A. Seyfried, Physica A 389, 1902 (2010).
 """
 
+from collections.abc import Iterator, Sequence
+from types import ModuleType
 from typing import Any, NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy.lib.stride_tricks import sliding_window_view
 
+from sean_jax.core.data_types import Array
 from sean_jax.people.recordings import Tracks
 from sean_jax.social_forces.forces import Walking
-from sean_jax.studies.scenes import Gate
+from sean_jax.studies.scenes import Gate, Scene
 from sean_jax.studies.validation.checks import Skipped
 
 LANE = 0.3  # m, people within that distance across a corridor walk in one lane
@@ -25,6 +31,11 @@ WALKS = 0.5  # m/s; the direction of slower people does not count
 LONG = 3.0  # m, of a way whose sideways deviation counts
 
 Bounds = tuple[float, float, float, float]  # m: x_min, y_min, x_max, y_max
+
+
+def namespace(array: Any) -> ModuleType:
+    """``jax.numpy`` for an array of JAX, ``numpy`` for any other."""
+    return jnp if isinstance(array, jax.Array) else np
 
 
 def crossing_times(tracks: Tracks, gate: Gate) -> Float[np.ndarray, "N"]:
@@ -40,29 +51,50 @@ def crossing_times(tracks: Tracks, gate: Gate) -> Float[np.ndarray, "N"]:
     gap = position - left
     behind = gap[..., 1] * ux - gap[..., 0] * uy  # (T, N) m
     along = gap[..., 0] * ux + gap[..., 1] * uy
-    step = (behind[:-1] <= 0.0) & (behind[1:] > 0.0) & present[:-1]
-    step &= (along[1:] > -0.5) & (along[1:] < wide + 0.5)
-    first = np.where(step.any(0), step.argmax(0), -1)
-    own = np.arange(position.shape[1])
-    before, after = behind[first, own], behind[np.minimum(first + 1, len(behind) - 1), own]
-    share = np.where(first >= 0, -before / np.where(after > before, after - before, 1.0), 0.0)
-    return np.where(first >= 0, (first + share) * tracks.time_step, np.inf)
+
+    # People cross between a moment on this side and one behind the line, at most 0.5 m beside its ends.
+    crosses = (behind[:-1] <= 0.0) & (behind[1:] > 0.0) & present[:-1]
+    crosses &= (along[1:] > -0.5) & (along[1:] < wide + 0.5)
+    moment = np.where(crosses.any(0), crosses.argmax(0), -1)
+
+    people = np.arange(position.shape[1])
+    before = behind[moment, people]
+    step = behind[np.minimum(moment + 1, len(behind) - 1), people] - before
+    share = np.where(moment >= 0, -before / np.where(step > 0.0, step, 1.0), 0.0)
+    return np.where(moment >= 0, (moment + share) * tracks.time_step, np.inf)
+
+
+def first_gate_times(scenes: Sequence[Scene], recorded: Sequence[Tracks]) -> list[np.ndarray]:
+    """The ``crossing_times`` of each scene's first gate."""
+    return [crossing_times(tracks, scene.gates[0]) for scene, tracks in zip(scenes, recorded, strict=True)]
+
+
+def first_and_last(present: Bool[np.ndarray, "T N"]) -> tuple[Int[np.ndarray, "N"], Int[np.ndarray, "N"]]:
+    """The first and the last moment of each person; 0 and T - 1 of those who are never present."""
+    return present.argmax(0), len(present) - 1 - present[::-1].argmax(0)
 
 
 def vanishing_times(tracks: Tracks) -> Float[np.ndarray, "N"]:
     """(N,) s when each person vanishes for good; inf if present at the end, or never."""
     present = np.asarray(tracks.present)
-    last = len(present) - 1 - present[::-1].argmax(0)
+    _, last = first_and_last(present)
     return np.where(present.any(0) & ~present[-1], (last + 1) * tracks.time_step, np.inf)
 
 
-def flow(times: Float[np.ndarray, "N"]) -> float:
-    """The mean flow [people/s] from 20 to 80 % of the crossing times (N,) s, inf of none; NaN with fewer than 3."""
-    crossed = np.sort(times[np.isfinite(times)])
-    if len(crossed) < 3:
-        return float("nan")
-    first, last = (int(round(share * (len(crossed) - 1))) for share in (0.2, 0.8))
-    return (last - first) / max(float(crossed[last] - crossed[first]), 1e-9)
+def flow(times: Float[np.ndarray, "*batch N"], shortest: float = 1e-9) -> Float[Array, "*batch"]:
+    """The mean flow [people/s] from 20 to 80 % of the crossing times (..., N) s, inf of none; NaN with fewer than 3.
+
+    Args:
+        shortest: s, the shortest time that the crossings take.
+    """
+    crosses = np.isfinite(times)
+    crossings = crosses.sum(-1)
+    ordered = np.sort(times, axis=-1)
+    ordered = np.where(np.isfinite(ordered), ordered, 0.0)
+
+    first, last = (np.round(share * np.maximum(crossings - 1, 0)).astype(int) for share in (0.2, 0.8))
+    begin, end = (np.take_along_axis(ordered, rank[..., None], -1)[..., 0] for rank in (first, last))
+    return np.where(crossings < 3, np.nan, (last - first) / np.maximum(end - begin, shortest))[()]
 
 
 def pedpy() -> Any:
@@ -95,15 +127,10 @@ def trajectory_data(tracks: Tracks, period: float | None = None) -> Any:
         around = np.abs(np.diff(position[..., 0], axis=0)) > period / 2
         rounds = np.concatenate([np.zeros((1, person.shape[1]), int), np.cumsum(around, 0)])
         person = person + rounds * (int(person.max(initial=0)) + 1)
-    time, column = np.nonzero(present)
-    table = pandas.DataFrame(
-        {
-            "id": person[time, column],
-            "frame": time,
-            "x": position[time, column, 0],
-            "y": position[time, column, 1],
-        }
-    )
+
+    moment, column = np.nonzero(present)
+    x, y = position[moment, column].T
+    table = pandas.DataFrame({"id": person[moment, column], "frame": moment, "x": x, "y": y})
     return pedpy().TrajectoryData(data=table, frame_rate=1.0 / tracks.time_step)
 
 
@@ -114,10 +141,11 @@ def speeds(tracks: Tracks) -> np.ndarray:
     return np.where(present[1:] & present[:-1], step, np.nan)
 
 
-def steps_along(x: np.ndarray, period: float) -> np.ndarray:
-    """(T - 1, N) m along x between moments, from positions (T, N) m in a periodic scene."""
-    step = np.diff(x, axis=0)
-    return step - period * np.round(step / period)
+def steps_along(x: Float[Array, "T N"], period: Float[Array, ""] | float) -> Float[Array, "S N"]:
+    """(T - 1, N) m along x between moments, from positions (T, N) m in a periodic scene; arrays of numpy or JAX."""
+    xp = namespace(x)
+    step = xp.diff(x, axis=0)
+    return step - period * xp.round(step / period)
 
 
 def area_means(
@@ -147,80 +175,125 @@ def area_series(
     frame_rate, table = everybody.frame_rate, everybody.data
     x0, y0, x1, y1 = floor
     on_floor = (table.x > x0) & (table.x < x1) & (table.y > y0) & (table.y < y1)
-    chosen = range(*rows.indices(len(tracks.present)))
-    counted = table[on_floor & table.frame.isin(chosen)]
+    frames = range(*rows.indices(len(tracks.present)))
+    counted = table[on_floor & table.frame.isin(frames)]
     if not len(counted):
-        return np.stack([np.zeros(len(chosen)), np.full(len(chosen), np.nan)], 1)
-    speed = package.compute_individual_speed(
+        return np.stack([np.zeros(len(frames)), np.full(len(frames), np.nan)], 1)
+
+    individual_speed = package.compute_individual_speed(
         traj_data=everybody,
         frame_step=max(1, round(SPEED_SPAN * frame_rate)),
         speed_calculation=package.SpeedCalculation.BORDER_SINGLE_SIDED,
     )
-    within = package.MeasurementArea(_corners(area))
-    at_rows = package.TrajectoryData(counted[["id", "frame", "x", "y"]], frame_rate=frame_rate)
+    measured = package.TrajectoryData(counted[["id", "frame", "x", "y"]], frame_rate=frame_rate)
     cells = package.compute_individual_voronoi_polygons(
-        traj_data=at_rows, walkable_area=package.WalkableArea(_corners(floor))
+        traj_data=measured, walkable_area=package.WalkableArea(_corners(floor))
     )
-    density, parts = package.compute_voronoi_density(individual_voronoi_data=cells, measurement_area=within)
-    speeds = package.compute_voronoi_speed(
-        traj_data=at_rows, individual_voronoi_intersection=parts, individual_speed=speed, measurement_area=within
+    measurement_area = package.MeasurementArea(_corners(area))
+    density, intersection = package.compute_voronoi_density(
+        individual_voronoi_data=cells, measurement_area=measurement_area
     )
-    density, speeds = (part.reset_index().set_index("frame") for part in (density, speeds))
-    density, speeds = density.density.reindex(chosen, fill_value=0.0), speeds.speed.reindex(chosen)
-    return np.stack([density, speeds.where(density > 0.0)], 1).astype(float)
+    speed = package.compute_voronoi_speed(
+        traj_data=measured,
+        individual_voronoi_intersection=intersection,
+        individual_speed=individual_speed,
+        measurement_area=measurement_area,
+    )
+
+    density = density.reset_index().set_index("frame").density.reindex(frames, fill_value=0.0)
+    speed = speed.reset_index().set_index("frame").speed.reindex(frames)
+    return np.stack([density, speed.where(density > 0.0)], 1).astype(float)
 
 
-def densities(tracks: Tracks, lower: tuple[float, float], upper: tuple[float, float]) -> Float[np.ndarray, "T"]:
-    """(T,) 1/m2: people in a rectangle from ``lower`` to ``upper`` [m], over its area."""
-    position, present = np.asarray(tracks.position), np.asarray(tracks.present)
-    inside = present & (position >= np.asarray(lower)).all(-1) & (position <= np.asarray(upper)).all(-1)
-    return inside.sum(1) / ((upper[0] - lower[0]) * (upper[1] - lower[1]))
+def densities(
+    position: Float[Array, "*T N 2"],
+    present: Bool[Array, "*T N"],
+    lower: tuple[float, float],
+    upper: tuple[float, float],
+) -> Float[Array, "*T"]:
+    """(...) 1/m2: people in a rectangle from ``lower`` to ``upper`` [m], over its area; arrays of numpy or JAX."""
+    xp = namespace(position)
+    area = (upper[0] - lower[0]) * (upper[1] - lower[1])
+    after_lower = (position >= xp.asarray(lower, float)).all(-1)
+    before_upper = (position <= xp.asarray(upper, float)).all(-1)
+    return (after_lower & before_upper & present).sum(-1).astype(float) / area
 
 
-def peak(values: Float[np.ndarray, "T"], span: int) -> float:
+def peak(values: Float[Array, "*batch T"], span: int) -> Float[Array, "*batch"]:
     """The largest mean of ``span`` values in sequence, or of all if they are fewer."""
-    span = min(span, len(values))
-    total = np.concatenate([[0.0], np.cumsum(values)])
-    return float((total[span:] - total[:-span]).max() / span)
+    span = min(span, np.shape(values)[-1])
+    total = np.cumsum(values, axis=-1, dtype=float)
+    total = np.concatenate([np.zeros_like(total[..., :1]), total], axis=-1)
+    return (total[..., span:] - total[..., :-span]).max(-1) / span
 
 
 def lane_order(
-    across: Float[np.ndarray, "T N"],
-    direction: Float[np.ndarray, "N"],
-    present: Bool[np.ndarray, "T N"],
+    across: Float[Array, "*T N"],
+    direction: Float[Array, "*T N"] | Float[Array, "N"],
+    present: Bool[Array, "*T N"],
     width: float = LANE,
-) -> Float[np.ndarray, "T"]:
-    """(T,) from 0 to 1: order of the lanes of people in two directions; NaN without people.
+) -> Float[Array, "*T"]:
+    """(...) from 0 to 1: order of the lanes of people in two directions; NaN without people.
 
     The mean over people of ((s - o) / n)^2, where of the n people within ``width`` m across the corridor, themselves
     included, s walk in their direction and o in the other. It is 1 in lanes, and about 1 / n in a random mix.
 
     Args:
-        across: (T, N) m, position across the corridor.
-        direction: (N,) +1 or -1.
+        across: (..., N) m, position across the corridor; arrays of numpy or JAX.
+        direction: (..., N) or (N,) +1 or -1.
 
     Source:
         S. Nowak & A. Schadschneider, Phys. Rev. E 85, 066128 (2012), who count in the lanes of a lattice.
     """
-    across, direction, present = np.asarray(across, float), np.asarray(direction, float), np.asarray(present, bool)
-    order = np.full(len(across), np.nan)
-    for t, (y, there) in enumerate(zip(across, present, strict=True)):
-        if there.any():
-            near = np.abs(y[there, None] - y[None, there]) < width
-            order[t] = np.mean((near @ direction[there] / near.sum(1)) ** 2)
-    return order
+    xp = namespace(across)
+    across, direction = xp.asarray(across, float), xp.asarray(direction, float)
+    in_lane = (xp.abs(across[..., :, None] - across[..., None, :]) < width) & present[..., None, :]
+    in_lane = in_lane.astype(float)  # (..., N, N)
+
+    surplus = (in_lane @ direction[..., None])[..., 0]
+    order = (surplus / xp.maximum(in_lane.sum(-1), 1.0)) ** 2
+    people = present.sum(-1).astype(float)
+    mean = xp.where(present, order, 0.0).sum(-1) / xp.maximum(people, 1.0)
+    return xp.where(people > 0.0, mean, xp.nan)
 
 
-def separation(
-    one: Float[np.ndarray, "T *shape 2"], other: Float[np.ndarray, "T *shape 2"]
-) -> Float[np.ndarray, "*shape"]:
+def separation(a: Float[Array, "T *shape 2"], b: Float[Array, "T *shape 2"]) -> Float[Array, "*shape"]:
     """(...) m: the least distance of two bodies (T, ..., 2) m; between moments both move straight on."""
-    gap = np.asarray(one, float) - np.asarray(other, float)
-    step = np.diff(gap, axis=0)
-    squared = (step**2).sum(-1)
-    share = np.clip(-(gap[:-1] * step).sum(-1) / np.where(squared > 0.0, squared, 1.0), 0.0, 1.0)
+    xp = namespace(a)
+    gap = xp.asarray(a, float) - xp.asarray(b, float)
+    step = xp.diff(gap, axis=0)
+    squared = (step * step).sum(-1)
+    share = xp.clip(-(gap[:-1] * step).sum(-1) / xp.where(squared > 0.0, squared, 1.0), 0.0, 1.0)
     nearest = gap[:-1] + share[..., None] * step
-    return np.asarray(np.sqrt((nearest**2).sum(-1)).min(0))
+    return xp.sqrt((nearest * nearest).sum(-1)).min(0)
+
+
+def body_gaps(
+    position: Float[Array, "*T N 2"],
+    facing: Float[Array, "*T N 2"],
+    present: Bool[Array, "*T N"],
+    walking: Walking,
+    group: Int[Array, "*T N"] | None = None,
+) -> Float[Array, "*T N N"]:
+    """(..., N, N) m between the surfaces of bodies, negative if they overlap; inf to oneself and to who does not count.
+
+    Args:
+        position: m; arrays of numpy or JAX.
+        facing: unit vectors, across which shoulders are.
+        group: the group of each person, -1 none; then only bodies of one group count.
+    """
+    xp = namespace(position)
+    dx = position[..., :, None, 0] - position[..., None, :, 0]  # (..., N, N)
+    dy = position[..., :, None, 1] - position[..., None, :, 1]
+
+    shape = walking.shape(facing[..., 0], facing[..., 1])
+    pair_shape = None if shape is None else tuple(part[..., :, None] + part[..., None, :] for part in shape)
+    gap = xp.sqrt(dx * dx + dy * dy) - xp.asarray(walking.radii(dx, dy, pair_shape))
+
+    counts = present[..., :, None] & present[..., None, :] & ~xp.eye(present.shape[-1], dtype=bool)
+    if group is not None:
+        counts = counts & (group[..., :, None] == group[..., None, :]) & (group[..., :, None] >= 0)
+    return xp.where(counts, gap, xp.inf)
 
 
 def overlap(
@@ -232,31 +305,39 @@ def overlap(
 ) -> float:
     """The largest depth [m] to which two bodies overlap at any moment; 0 if none do.
 
-    Args:
-        position: m.
-        facing: unit vectors, across which shoulders are.
-        group: the group of each person, -1 none; then only bodies of one group count.
+    The arguments are those of ``body_gaps``.
     """
-    moments, number = np.shape(present)
-    span, nearest = max(1, PAIRS // max(number * number, 1)), np.inf
-    for first in range(0, moments, span):
-        some = slice(first, first + span)
-        x, y = np.moveaxis(np.asarray(position[some], np.float32), -1, 0)
-        look_x, look_y = np.moveaxis(np.asarray(facing[some], np.float32), -1, 0)[..., None]
-        both = present[some, :, None] & present[some, None, :] & ~np.eye(number, dtype=bool)
-        if group is not None:
-            both &= (group[some, :, None] == group[some, None, :]) & (group[some, :, None] >= 0)
-        dx, dy = x[:, :, None] - x[:, None, :], y[:, :, None] - y[:, None, :]
-        shape = walking.shape(look_x, look_y)
-        both_shapes = None if shape is None else tuple(part + part.swapaxes(1, 2) for part in shape)
-        gap = np.sqrt(dx * dx + dy * dy) - np.asarray(walking.radii(dx, dy, both_shapes))
-        nearest = min(nearest, float(gap.min(where=both, initial=np.inf)))
+    position, facing = np.asarray(position, np.float32), np.asarray(facing, np.float32)
+    nearest = np.inf
+    for some in spans_of_pairs(present):
+        members = None if group is None else group[some]
+        gap = body_gaps(position[some], facing[some], present[some], walking, members)
+        nearest = min(nearest, float(gap.min(initial=np.inf)))
     return max(0.0, -nearest)
 
 
-def deviation_in_time(speed: Float[np.ndarray, "T N"]) -> float:
-    """The standard deviation [m/s] of a person's speed in time: of speeds (T, N) m/s, root mean square over people."""
-    return float(np.sqrt(np.nanmean(np.nanvar(speed, axis=0))))
+def spans_of_pairs(present: Bool[np.ndarray, "T N"]) -> Iterator[slice]:
+    """Moments at a time at which all pairs of people fit into memory."""
+    moments, people = np.shape(present)
+    span = max(1, PAIRS // max(people * people, 1))
+    for first in range(0, moments, span):
+        yield slice(first, first + span)
+
+
+def deviation_in_time(speed: Float[Array, "*batch T N"]) -> Float[Array, "*batch"]:
+    """The standard deviation [m/s] of a person's speed (..., T, N) m/s in time, root mean square over people.
+
+    NaN does not count; arrays of numpy or JAX.
+    """
+    xp = namespace(speed)
+    return xp.sqrt(xp.nanmean(xp.nanvar(speed, axis=-2), axis=-1))
+
+
+def accelerations(velocity: Float[Array, "*batch T N 2"], time_step: float) -> Float[Array, "*batch R N"]:
+    """(..., T - 1, N) m/s2, from velocities (..., T, N, 2) m/s at moments ``time_step`` s apart; of numpy or JAX."""
+    xp = namespace(velocity)
+    change = xp.diff(velocity, axis=-3)
+    return xp.sqrt((change * change).sum(-1)) / time_step
 
 
 class Wave(NamedTuple):
@@ -277,19 +358,22 @@ def wave(speed: Float[np.ndarray, "T N"], period: float, time_step: float) -> Wa
         time_step: s between moments.
     """
     speed = np.asarray(speed, float)
-    change = speed - speed.mean(0)
     if deviation_in_time(speed) < STEADY:
         return Wave(np.nan, np.nan, np.nan)
-    behind = np.roll(change, BEHIND, axis=1)
-    shared = []
+
+    # Speeds of each person, and those of the person BEHIND places behind, a delay later.
+    ahead = speed - speed.mean(0)
+    behind = np.roll(ahead, BEHIND, axis=1)
+    correlations = []
     for delay in range(round(LATEST / time_step) + 1):
-        one, other = change[: len(change) - delay], behind[delay:]
-        shared.append((one * other).sum() / np.sqrt((one**2).sum() * (other**2).sum()))
-    best = int(np.argmax(shared))
-    later = best * time_step
+        now, later = ahead[: len(ahead) - delay], behind[delay:]
+        correlations.append((now * later).sum() / np.sqrt((now**2).sum() * (later**2).sum()))
+
+    best = int(np.argmax(correlations))
+    delay = best * time_step
     gap = BEHIND * period / speed.shape[1]
-    across = float(speed.mean()) - gap / later if best else np.nan
-    return Wave(float(shared[best]), later / BEHIND, across)
+    wave_speed = float(speed.mean()) - gap / delay if best else np.nan
+    return Wave(float(correlations[best]), delay / BEHIND, wave_speed)
 
 
 class Motion(NamedTuple):
@@ -309,26 +393,31 @@ def smoothed(
     position: Float[np.ndarray, "T N 2"], present: Bool[np.ndarray, "T N"]
 ) -> tuple[Float[np.ndarray, "T N 2"], Bool[np.ndarray, "T N"]]:
     """Positions [m] of parabolas through five moments each, and who is there for all five: two fewer at both ends."""
-    place, there = np.asarray(position, float), np.asarray(present)
-    reach = len(PARABOLA) // 2
-    smooth, whole = np.zeros_like(place), np.zeros_like(there)
-    if len(place) >= len(PARABOLA):
-        smooth[reach:-reach] = np.einsum("tncw,w->tnc", sliding_window_view(place, len(PARABOLA), axis=0), PARABOLA)
-        whole[reach:-reach] = sliding_window_view(there, len(PARABOLA), axis=0).all(-1)
+    position, present = np.asarray(position, float), np.asarray(present)
+    span, reach = len(PARABOLA), len(PARABOLA) // 2
+    smooth, whole = np.zeros_like(position), np.zeros_like(present)
+    if len(position) >= span:
+        smooth[reach:-reach] = np.einsum("tncw,w->tnc", sliding_window_view(position, span, axis=0), PARABOLA)
+        whole[reach:-reach] = sliding_window_view(present, span, axis=0).all(-1)
     return smooth, whole
 
 
 def motion(position: Float[np.ndarray, "T N 2"], present: Bool[np.ndarray, "T N"], time_step: float) -> Motion:
     """Accelerations, jerk and turn rates, as differences of positions (T, N, 2) m, ``time_step`` s apart."""
-    place = np.where(np.asarray(present)[..., None], np.asarray(position, float), np.nan)
-    velocity = np.diff(place, axis=0) / time_step
+    position = np.where(np.asarray(present)[..., None], np.asarray(position, float), np.nan)
+    velocity = np.diff(position, axis=0) / time_step
     acceleration = np.diff(velocity, axis=0) / time_step
-    size = lambda vector: np.linalg.norm(vector, axis=-1)  # noqa: E731
-    walks = (size(velocity[1:]) > WALKS) & (size(velocity[:-1]) > WALKS)
-    turned = np.diff(np.arctan2(velocity[..., 1], velocity[..., 0]), axis=0)
-    turned = np.abs((turned + np.pi) % (2.0 * np.pi) - np.pi) / time_step
-    values = size(acceleration), size(np.diff(acceleration, axis=0) / time_step), np.where(walks, turned, np.nan)
-    return Motion(*(each[np.isfinite(each)] for each in values))
+    jerk = np.linalg.norm(np.diff(acceleration, axis=0) / time_step, axis=-1)
+
+    # The way back of a half turn is as long, so angles are from -pi to pi.
+    speed = np.linalg.norm(velocity, axis=-1)
+    walks = (speed[1:] > WALKS) & (speed[:-1] > WALKS)
+    angle = np.diff(np.arctan2(velocity[..., 1], velocity[..., 0]), axis=0)
+    angle = np.abs((angle + np.pi) % (2.0 * np.pi) - np.pi)
+    turn_rate = np.where(walks, angle / time_step, np.nan)
+
+    values = accelerations(velocity, time_step), jerk, turn_rate
+    return Motion(*(magnitudes[np.isfinite(magnitudes)] for magnitudes in values))
 
 
 def sideways(position: Float[np.ndarray, "T N 2"], present: Bool[np.ndarray, "T N"]) -> Float[np.ndarray, "N"]:
@@ -337,23 +426,25 @@ def sideways(position: Float[np.ndarray, "T N 2"], present: Bool[np.ndarray, "T 
     NaN of those whose line is shorter than ``LONG``.
     """
     position, present = np.asarray(position, float), np.asarray(present)
-    own, last = np.arange(present.shape[1]), len(present) - 1 - present[::-1].argmax(0)
-    first = position[present.argmax(0), own]
-    line = position[last, own] - first
-    far = np.linalg.norm(line, axis=-1)
-    gap = position - first
-    off = np.abs(gap[..., 0] * line[:, 1] - gap[..., 1] * line[:, 0]) / np.where(far > 0.0, far, 1.0)
-    return np.where(far >= LONG, np.where(present, off, 0.0).max(0), np.nan)
+    people = np.arange(present.shape[1])
+    first, last = first_and_last(present)
+    start = position[first, people]
+    line = position[last, people] - start
+    length = np.linalg.norm(line, axis=-1)
+
+    gap = position - start
+    distance = np.abs(gap[..., 0] * line[:, 1] - gap[..., 1] * line[:, 0]) / np.where(length > 0.0, length, 1.0)
+    return np.where(length >= LONG, np.where(present, distance, 0.0).max(0), np.nan)
 
 
 def slowest(position: Float[np.ndarray, "T N 2"], present: Bool[np.ndarray, "T N"]) -> Float[np.ndarray, "N"]:
     """(N,) the slowest step of each person over the first one; NaN of those with fewer than 5 steps."""
     place = np.where(np.asarray(present)[..., None], np.asarray(position, float), np.nan)
     step = np.linalg.norm(np.diff(place, axis=0), axis=-1)
-    there = np.isfinite(step)
-    first = step[there.argmax(0), np.arange(step.shape[1])]
-    least = step.min(0, where=there, initial=np.inf)
-    return np.where((there.sum(0) >= 5) & (first > 0.0), least / np.where(first > 0.0, first, 1.0), np.nan)
+    walks = np.isfinite(step)
+    first = step[walks.argmax(0), np.arange(step.shape[1])]
+    least = step.min(0, where=walks, initial=np.inf)
+    return np.where((walks.sum(0) >= 5) & (first > 0.0), least / np.where(first > 0.0, first, 1.0), np.nan)
 
 
 class Company(NamedTuple):
@@ -376,13 +467,14 @@ def company(
         pairs: (P, 2) columns of two who walk together.
     """
     place = np.where(np.asarray(present)[..., None], np.asarray(position, float), np.nan)
-    one, other = (place[:, np.asarray(pairs, int)[:, k]] for k in (0, 1))
-    way = np.diff(0.5 * (one + other), axis=0)
-    gap = (other - one)[:-1]
-    apart, far = np.linalg.norm(gap, axis=-1), np.linalg.norm(way, axis=-1)
-    along = np.abs((gap * way).sum(-1)) / np.where(apart * far > 0.0, apart * far, 1.0)
-    both = np.isfinite(along) & (far > WALKS * time_step)
-    return Company(apart[both], along[both] < 0.5)
+    first, second = place[:, np.asarray(pairs, int)[:, 0]], place[:, np.asarray(pairs, int)[:, 1]]
+    step = np.diff(0.5 * (first + second), axis=0)  # (T - 1, P, 2)
+    gap = (second - first)[:-1]
+
+    spacing, length = np.linalg.norm(gap, axis=-1), np.linalg.norm(step, axis=-1)
+    cosine = np.abs((gap * step).sum(-1)) / np.where(spacing * length > 0.0, spacing * length, 1.0)
+    walks = np.isfinite(cosine) & (length > WALKS * time_step)
+    return Company(spacing[walks], cosine[walks] < 0.5)
 
 
 def _corners(bounds: Bounds) -> list[tuple[float, float]]:

@@ -71,45 +71,53 @@ def errors(
     Of moments with one person the distributions are not compared; NaN without any.
     """
     simulated, recorded = np.asarray(simulated, float), np.asarray(recorded, float)
-    several = [(simulated[t, own], recorded[t, own]) for t, own in enumerate(counted) if own.sum() > 1]
-    people = [(simulated[own, k], recorded[own, k]) for k, own in enumerate(counted.T) if own.any()]
-    near = [_nearest(one) < TOUCH for one, _ in several]
-    away = np.linalg.norm(simulated - recorded, axis=-1)
+    near, distances, discrepancies, warpings = [], [], [], []
+    for moment, chosen in enumerate(counted):
+        if chosen.sum() > 1:
+            walked, known = simulated[moment, chosen], recorded[moment, chosen]
+            near.append(_nearest(walked) < TOUCH)
+            distances.append(transport(walked, known))
+            discrepancies.append(discrepancy(walked, known))
+    for person, chosen in enumerate(counted.T):
+        if chosen.any():
+            warpings.append(warping(simulated[chosen, person], recorded[chosen, person]) / chosen.sum())
+
+    distance = np.linalg.norm(simulated - recorded, axis=-1)
     return Errors(
-        float(away[counted].mean()) if counted.any() else np.nan,
-        _mean([transport(*pair) for pair in several]),
-        _mean([discrepancy(*pair) for pair in several]),
-        _mean([warping(*pair) / len(pair[0]) for pair in people]),
-        float(np.concatenate(near).sum() / counted.sum()) if near else 0.0,
+        mae=float(distance[counted].mean()) if counted.any() else np.nan,
+        ot=_mean(distances),
+        mmd=_mean(discrepancies),
+        dtw=_mean(warpings),
+        collisions=float(np.concatenate(near).sum() / counted.sum()) if near else 0.0,
     )
 
 
-def transport(one: Float[np.ndarray, "K 2"], other: Float[np.ndarray, "K 2"]) -> float:
+def transport(a: Float[np.ndarray, "K 2"], b: Float[np.ndarray, "K 2"]) -> float:
     """Optimal transport between as many points [m2]: the least mean squared distance of an assignment."""
-    cost = np.square(one[:, None] - other[None]).sum(-1)
+    cost = np.square(a[:, None] - b[None]).sum(-1)
     return float(cost[linear_sum_assignment(cost)].mean())
 
 
-def discrepancy(one: Float[np.ndarray, "K 2"], other: Float[np.ndarray, "L 2"]) -> float:
+def discrepancy(a: Float[np.ndarray, "K 2"], b: Float[np.ndarray, "L 2"]) -> float:
     """Squared maximum mean discrepancy between points, biased, summed over Gaussian kernels of ``KERNELS`` widths."""
-    both = np.concatenate([one, other])
-    gap = np.square(both[:, None] - both[None]).sum(-1)
-    usual = gap.sum() / (len(both) * (len(both) - 1))
-    if usual == 0.0:
+    points = np.concatenate([a, b])
+    square = np.square(points[:, None] - points[None]).sum(-1)
+    mean = square.sum() / (len(points) * (len(points) - 1))
+    if mean == 0.0:
         return 0.0
-    weight = np.concatenate([np.full(len(one), 1.0 / len(one)), np.full(len(other), -1.0 / len(other))])
-    return float(sum(weight @ np.exp(-gap / (width * usual)) @ weight for width in KERNELS))
+    weight = np.concatenate([np.full(len(a), 1.0 / len(a)), np.full(len(b), -1.0 / len(b))])
+    return float(sum(weight @ np.exp(-square / (width * mean)) @ weight for width in KERNELS))
 
 
-def warping(one: Float[np.ndarray, "S 2"], other: Float[np.ndarray, "U 2"]) -> float:
+def warping(a: Float[np.ndarray, "S 2"], b: Float[np.ndarray, "U 2"]) -> float:
     """Dynamic time warping [m]: the least sum of distances of a monotone alignment of two tracks."""
-    gap = np.linalg.norm(one[:, None] - other[None], axis=-1).tolist()
-    before = [0.0] + [np.inf] * len(other)
-    for row in gap:
-        line = [np.inf]
+    distances = np.linalg.norm(a[:, None] - b[None], axis=-1).tolist()
+    before = [0.0] + [np.inf] * len(b)
+    for row in distances:
+        sums = [np.inf]
         for k, distance in enumerate(row):
-            line.append(distance + min(before[k], before[k + 1], line[k]))
-        before = line
+            sums.append(distance + min(before[k], before[k + 1], sums[k]))
+        before = sums
     return float(before[-1])
 
 
@@ -118,23 +126,34 @@ def differences(
     recorded: list[tuple[Float[np.ndarray, "T N 2"], Bool[np.ndarray, "T N"]]],
 ) -> Differences:
     """The differences between the windows of a scene, each positions [m] and presence, 0.4 s apart."""
-    inside = np.concatenate([place[present] for place, present in recorded])
-    low, size = inside.min(0), np.maximum(np.ptp(inside, axis=0), 1e-9)
+    places = np.concatenate([position[present] for position, present in recorded])
+    low, size = places.min(0), np.maximum(np.ptp(places, axis=0), 1e-9)
+    walked, known = _distributions(simulated, low, size), _distributions(recorded, low, size)
+    scales = np.mean(known[0]), 1.0, np.mean(known[2])
+    distances = []
+    for values, known_values, scale in zip(walked, known, scales, strict=True):
+        distances.append(float(wasserstein_distance(values, known_values) / scale))
+    return Differences(*distances)
 
-    def values(windows):
-        population, coverage, speed = [], [], []
-        for place, present in windows:
-            cell = np.clip(np.floor((place - low) / size * CELLS), 0, CELLS - 1) @ np.array([1, CELLS])
-            population += present.sum(1).tolist()
-            coverage += [len(np.unique(row[own])) / CELLS**2 for row, own in zip(cell, present, strict=True)]
-            both = present[1:] & present[:-1]
-            step = np.linalg.norm(np.diff(place, axis=0), axis=-1) * both
-            speed += (step.sum(0) / np.maximum(both.sum(0), 1))[both.any(0)].tolist()
-        return population, coverage, speed
 
-    own, known = values(simulated), values(recorded)
-    scale = np.mean(known[0]), 1.0, np.mean(known[2])
-    return Differences(*(float(wasserstein_distance(*pair) / by) for *pair, by in zip(own, known, scale, strict=True)))
+def _distributions(
+    windows: list[tuple[Float[np.ndarray, "T N 2"], Bool[np.ndarray, "T N"]]], low: np.ndarray, size: np.ndarray
+) -> tuple[list[float], list[float], list[float]]:
+    """People and shares of cells with people of all moments, and mean steps of all people.
+
+    Args:
+        low, size: (2,) m, the lower corner of the cells, and the extent of all together.
+    """
+    population, coverage, step_length = [], [], []
+    for position, present in windows:
+        cell = np.clip(np.floor((position - low) / size * CELLS), 0, CELLS - 1) @ np.array([1, CELLS])
+        population += present.sum(1).tolist()
+        coverage += [len(np.unique(row[chosen])) / CELLS**2 for row, chosen in zip(cell, present, strict=True)]
+
+        walks = present[1:] & present[:-1]
+        step = np.linalg.norm(np.diff(position, axis=0), axis=-1) * walks
+        step_length += (step.sum(0) / np.maximum(walks.sum(0), 1))[walks.any(0)].tolist()
+    return population, coverage, step_length
 
 
 def closed_loop(context: CheckContext) -> CheckResult:
@@ -143,27 +162,29 @@ def closed_loop(context: CheckContext) -> CheckResult:
     Raises:
         Skipped: there are no recordings.
     """
-    several = windows_by_recording(context)
-    scenes = [again(street) for windows in several.values() for street in windows]
-    alike = replace(context, model=replace(context.model, move=Average(context.model.move)))
+    recordings = windows_by_recording(context)
+    scenes = [again(street) for windows in recordings.values() for street in windows]
+    average = replace(context, model=replace(context.model, move=Average(context.model.move)))
     straight = replace(context, model=model("constant_velocity"))
-    simulated, drawn = iter(alike.simulate(scenes)), iter(context.simulate(scenes))
-    on_straight_ways = iter(straight.simulate(scenes))
-    measured, mark, known, apart = {}, {}, {}, {}
-    for name, windows in several.items():
-        parts = [
-            (positions(next(simulated), len(street.position)), street.position, counted(street)) for street in windows
-        ]
-        weights = [part[2].sum() for part in parts]
-        straight_on = [positions(next(on_straight_ways), len(street.position)) for street in windows]
-        measured[name] = mean_errors([errors(*part) for part in parts], weights)
-        mark[name] = mean_errors(
-            [errors(place, *part[1:]) for place, part in zip(straight_on, parts, strict=True)], weights
-        )
-        known[name] = mean_errors([errors(part[1], *part[1:]) for part in parts], weights)
-        walked = [_sampled(next(drawn), len(street.position)) for street in windows]
-        apart[name] = differences(walked, [(street.position, street.present) for street in windows])
-    return compare_errors(measured, mark, {name: each.collisions for name, each in known.items()}, apart)
+    average_tracks = iter(average.simulate(scenes))
+    drawn_tracks = iter(context.simulate(scenes))
+    straight_tracks = iter(straight.simulate(scenes))
+
+    measured, straight_errors, collisions, distances = {}, {}, {}, {}
+    for name, windows in recordings.items():
+        walked, mark, known, drawn, weights = [], [], [], [], []
+        for street in windows:
+            moments, chosen = len(street.position), counted(street)
+            walked.append(errors(positions(next(average_tracks), moments), street.position, chosen))
+            mark.append(errors(positions(next(straight_tracks), moments), street.position, chosen))
+            known.append(errors(street.position, street.position, chosen))
+            drawn.append(_sampled(next(drawn_tracks), moments))
+            weights.append(chosen.sum())
+        measured[name] = mean_errors(walked, weights)
+        straight_errors[name] = mean_errors(mark, weights)
+        collisions[name] = mean_errors(known, weights).collisions
+        distances[name] = differences(drawn, [(street.position, street.present) for street in windows])
+    return compare_errors(measured, straight_errors, collisions, distances)
 
 
 def prediction_samples(context: CheckContext) -> CheckResult:
@@ -174,32 +195,28 @@ def prediction_samples(context: CheckContext) -> CheckResult:
     """
     paths = context.eth_ucy()
     chosen = context.model
-    own = chosen.forces if chosen.move is social_forces.move else chosen.move
-    words, numbers = [], {}
+    mover = chosen.forces if chosen.move is social_forces.move else chosen.move
+    words, numbers, better = [], {}, True
     for path in context.progress(paths):
-        windows = read_windows(path)
-        single, several = evaluate(own, windows, **HABITS), evaluate_samples(own, windows, SAMPLES, **HABITS)
+        scene, windows = path.stem, read_windows(path)
+        single = evaluate(mover, windows, **HABITS)
+        samples = evaluate_samples(mover, windows, SAMPLES, **HABITS)
+        better = better and samples.best_ade < single.ade and samples.best_fde < single.fde
+        values = samples._asdict() | {"ade": single.ade, "fde": single.fde}
+        numbers |= {f"{name}_{scene}": float(value) for name, value in values.items()}
         words.append(
-            f"{path.stem} {several.best_ade:.3f}/{several.best_fde:.3f}, likelihood {several.nll:.2f}, one average "
+            f"{scene} {samples.best_ade:.3f}/{samples.best_fde:.3f}, likelihood {samples.nll:.2f}, one average "
             f"person {single.ade:.3f}/{single.fde:.3f}"
         )
-        values = several._asdict() | {"ade": single.ade, "fde": single.fde}
-        numbers |= {f"{what}_{path.stem}": float(value) for what, value in values.items()}
-    better = all(
-        numbers[f"best_{what}_{path.stem}"] < numbers[f"{what}_{path.stem}"]
-        for path in paths
-        for what in ("ade", "fde")
-    )
     return result(better, "; ".join(words), "the best sample better than the average person", numbers=numbers)
 
 
 def again(street: Street) -> Scene:
     """The scene of a street whose people prefer the mean speed of their first 2 s, as [C24] has it."""
-    number = street.present.shape[1]
-    speed = np.zeros(number)
-    for k in range(number):
-        own = street.position[street.present[:, k], k][: OBSERVED + 1]
-        speed[k] = np.linalg.norm(np.diff(own, axis=0), axis=-1).mean() / TIME_STEP
+    speed = np.zeros(street.present.shape[1])
+    for person, present in enumerate(street.present.T):
+        observed = street.position[present, person][: OBSERVED + 1]
+        speed[person] = np.linalg.norm(np.diff(observed, axis=0), axis=-1).mean() / TIME_STEP
     return walked_again(replace(street, speed=speed))
 
 
@@ -210,33 +227,40 @@ def counted(street: Street) -> Bool[np.ndarray, "T N"]:
 
 def mean_errors(parts: list[Errors], weights: list[float]) -> Errors:
     """Mean errors of several scenes, weighted by their people and moments; scenes without any do not count."""
-    values, share = np.asarray(parts, float), np.asarray(weights, float)[:, None]
-    share = np.where(np.isfinite(values), share, 0.0)
-    return Errors(*(np.where(share > 0.0, share * values, 0.0).sum(0) / np.maximum(share.sum(0), 1e-9)).tolist())
+    values = np.asarray(parts, float)  # (scenes, errors)
+    share = np.where(np.isfinite(values), np.asarray(weights, float)[:, None], 0.0)
+    total = np.where(share > 0.0, share * values, 0.0).sum(0)
+    return Errors(*(total / np.maximum(share.sum(0), 1e-9)).tolist())
 
 
 def compare_errors(
-    measured: dict[str, Errors], mark: dict[str, Errors], collisions: dict[str, float], apart: dict[str, Differences]
+    measured: dict[str, Errors],
+    straight: dict[str, Errors],
+    collisions: dict[str, float],
+    distances: dict[str, Differences],
 ) -> CheckResult:
     """The result of the errors of several scenes, with the share of recorded people who are as near.
 
     It passes if neither MAE nor MMD is above that of constant velocity.
 
     Args:
-        mark: of constant velocity in the same scenes.
+        straight: of constant velocity in the same scenes.
+        collisions: of the recorded people.
+        distances: of the distributions of simulated and recorded people.
     """
     farther, words, numbers = [], [], {}
-    for name, own in measured.items():
-        straight = mark[name]
-        if own.mae > straight.mae or own.mmd > straight.mmd:
+    for name, simulated in measured.items():
+        known, apart = straight[name], distances[name]._asdict()
+        if simulated.mae > known.mae or simulated.mmd > known.mmd:
             farther.append(name)
-        numbers |= {f"{what}_{name}": value for what, value in (own._asdict() | apart[name]._asdict()).items()}
-        numbers |= {f"{what}_constant_velocity_{name}": value for what, value in straight._asdict().items()}
+        numbers |= {f"{word}_{name}": value for word, value in (simulated._asdict() | apart).items()}
+        numbers |= {f"{word}_constant_velocity_{name}": value for word, value in known._asdict().items()}
         words.append(
-            f"{name}: MAE {own.mae:.2f} m, OT {own.ot:.2f} m², MMD {own.mmd:.3f}, DTW {own.dtw:.2f} m (constant "
-            f"velocity {straight.mae:.2f}, {straight.ot:.2f}, {straight.mmd:.3f}, {straight.dtw:.2f}), nearer than "
-            f"{TOUCH:g} m {100 * own.collisions:.1f} % (recorded {100 * collisions[name]:.1f} %), "
-            + ", ".join(f"{what} {value:.3f} apart" for what, value in apart[name]._asdict().items())
+            f"{name}: MAE {simulated.mae:.2f} m, OT {simulated.ot:.2f} m², MMD {simulated.mmd:.3f}, "
+            f"DTW {simulated.dtw:.2f} m (constant velocity {known.mae:.2f}, {known.ot:.2f}, {known.mmd:.3f}, "
+            f"{known.dtw:.2f}), nearer than {TOUCH:g} m {100 * simulated.collisions:.1f} % (recorded "
+            f"{100 * collisions[name]:.1f} %), "
+            + ", ".join(f"{word} {value:.3f} apart" for word, value in apart.items())
         )
     which = f" (not: {', '.join(farther)})" if farther else ""
     criterion = f"MAE and MMD not above those of constant velocity{which}"

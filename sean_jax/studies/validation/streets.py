@@ -13,8 +13,23 @@ from jaxtyping import Bool, Float, Int
 
 from sean_jax.people.recordings import Tracks, read, read_companions
 from sean_jax.studies.scenes import Gate, Scene, join, walkers
-from sean_jax.studies.validation.checks import CheckContext, CheckResult, Curve, result
-from sean_jax.studies.validation.measures import Motion, company, motion, sideways, slowest, smoothed
+from sean_jax.studies.validation.checks import (
+    CheckContext,
+    CheckResult,
+    curve,
+    level,
+    numbered,
+    result,
+)
+from sean_jax.studies.validation.measures import (
+    Motion,
+    company,
+    first_and_last,
+    motion,
+    sideways,
+    slowest,
+    smoothed,
+)
 
 TIME_STEP = 0.4  # s, of the recordings of ETH and UCY
 WINDOW = 150  # moments
@@ -39,8 +54,11 @@ class Street:
 
     def pairs(self) -> Int[np.ndarray, "P 2"]:
         """Columns of two who walk together, without others."""
-        members = [np.flatnonzero(self.group == each) for each in np.unique(self.group[self.group >= 0])]
-        return np.array([each for each in members if len(each) == 2], int).reshape(-1, 2)
+        return np.array([members for members in self.groups() if len(members) == 2], int).reshape(-1, 2)
+
+    def groups(self) -> list[np.ndarray]:
+        """The columns of each group."""
+        return [np.flatnonzero(self.group == name) for name in np.unique(self.group[self.group >= 0])]
 
 
 def windows_by_recording(context: CheckContext) -> dict[str, list[Street]]:
@@ -61,46 +79,62 @@ def streets(path: str | Path) -> list[Street]:
     """
     path = Path(path)
     tracks = read(path, "eth_ucy", time_step=None)
-    groups = path.with_name(f"{path.stem}.groups.txt")
-    group = read_companions(groups, tracks) if groups.is_file() else np.full(tracks.present.shape[1], -1)
     position, present = np.asarray(tracks.position, float), np.asarray(tracks.present)
-    own, first = np.arange(present.shape[1]), present.argmax(0)
-    last = len(present) - 1 - present[::-1].argmax(0)
-    way = np.linalg.norm(position[last, own] - position[first, own], axis=-1)
+    people = np.arange(present.shape[1])
+    file = path.with_name(f"{path.stem}.groups.txt")
+    group = read_companions(file, tracks) if file.is_file() else np.full(len(people), -1)
+
+    # Who hardly moves does not walk, and is left out.
+    first, last = first_and_last(present)
+    goal = position[last, people]
+    way = np.linalg.norm(goal - position[first, people], axis=-1)
     walks = (way > LEAST_WAY) & (present.sum(0) >= LEAST_MOMENTS)
     step = np.linalg.norm(np.diff(position, axis=0), axis=-1) * (present[1:] & present[:-1])
     speed = step.sum(0) / np.maximum((last - first) * tracks.time_step, tracks.time_step)
+
     windows = []
-    for begin in range(0, len(present) - 1, WINDOW):
-        rows = slice(begin, begin + WINDOW)
-        chosen = np.flatnonzero(walks & (present[rows].sum(0) >= LEAST_MOMENTS))
-        if len(chosen) >= 2:
-            part = position[rows][:, chosen], present[rows][:, chosen], position[last[chosen], chosen], speed[chosen]
-            windows.append(Street(*part, group[chosen]))
+    for begin in range(0, len(position) - 1, WINDOW):
+        window = slice(begin, begin + WINDOW)
+        chosen = np.flatnonzero(walks & (present[window].sum(0) >= LEAST_MOMENTS))
+        if len(chosen) < 2:
+            continue
+        windows.append(
+            Street(
+                position=position[window][:, chosen],
+                present=present[window][:, chosen],
+                goal=goal[chosen],
+                speed=speed[chosen],
+                group=group[chosen],
+            )
+        )
     return windows
 
 
 def walked_again(street: Street) -> Scene:
     """The scene in which people of a window enter when and where they did, and walk to where they left."""
-    number = street.present.shape[1]
-    own, first = np.arange(number), street.present.argmax(0)
-    start = street.position[first, own]
-    velocity = (street.position[first + 1, own] - start) / TIME_STEP
+    people = np.arange(street.present.shape[1])
+    first = street.present.argmax(0)
+    start = street.position[first, people]
+    velocity = (street.position[first + 1, people] - start) / TIME_STEP
     way = street.goal - start
     way = way / np.maximum(np.linalg.norm(way, axis=-1), 1e-9)[:, None]
-    left = street.goal + 0.5 * GATE * np.stack([-way[:, 1], way[:, 0]], 1)
-    gates = tuple(Gate(tuple(a), tuple(2.0 * b - a)) for a, b in zip(left, street.goal, strict=True))
-    chain = np.full((number, 2), -1, np.int32)
-    for group in np.unique(street.group[street.group >= 0]):
-        members = np.flatnonzero(street.group == group)
+
+    crowd, gates = [], []
+    for k in people:
+        crowd.append(walkers(start[k : k + 1], route=(k,), speed=street.speed[k], velocity=tuple(velocity[k])))
+        left = street.goal[k] + 0.5 * GATE * np.array([-way[k, 1], way[k, 0]])
+        gates.append(Gate(tuple(left), tuple(2.0 * street.goal[k] - left)))
+
+    # Members of a group walk side by side: each has the one on the right and the one on the left as companions.
+    companion = np.full((len(people), 2), -1, np.int32)
+    for members in street.groups():
         ahead = way[members].mean(0)
-        order = members[np.argsort(start[members] @ np.array([-ahead[1], ahead[0]]))]  # side by side, from the right
-        chain[order[1:], 0], chain[order[:-1], 1] = order[:-1], order[1:]
-    each = [
-        walkers(start[k : k + 1], route=(k,), speed=street.speed[k], velocity=tuple(velocity[k])) for k in range(number)
-    ]
-    crowd = replace(join(*each), entry_time=first * TIME_STEP, companion=chain)
-    return Scene(NO_WALLS, crowd, gates, (len(street.present) - 1) * TIME_STEP)
+        order = members[np.argsort(start[members] @ np.array([-ahead[1], ahead[0]]))]
+        companion[order[1:], 0] = order[:-1]
+        companion[order[:-1], 1] = order[1:]
+
+    entering = replace(join(*crowd), entry_time=first * TIME_STEP, companion=companion)
+    return Scene(NO_WALLS, entering, tuple(gates), (len(street.present) - 1) * TIME_STEP)
 
 
 class Walk(NamedTuple):
@@ -117,13 +151,12 @@ def measure(windows: list[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> Walk:
     """The motion in windows of positions [m], presence and pairs; recorded and simulated ones are smoothed alike."""
     motions = [motion(*smoothed(position, present), TIME_STEP) for position, present, _ in windows]
     together = [company(position, present, pairs, TIME_STEP) for position, present, pairs in windows]
-    rest = [
-        np.concatenate([function(position, present) for position, present, _ in windows])
-        for function in (sideways, slowest)
-    ]
-    joined = (np.concatenate(parts) for parts in zip(*motions, strict=True))
-    pairs = (np.concatenate(parts) for parts in zip(*together, strict=True))
-    return Walk(Motion(*joined), *rest, *pairs)
+    return Walk(
+        Motion(*map(np.concatenate, zip(*motions, strict=True))),
+        np.concatenate([sideways(position, present) for position, present, _ in windows]),
+        np.concatenate([slowest(position, present) for position, present, _ in windows]),
+        *map(np.concatenate, zip(*together, strict=True)),
+    )
 
 
 def walk_again(context: CheckContext) -> CheckResult:
@@ -132,58 +165,66 @@ def walk_again(context: CheckContext) -> CheckResult:
     Raises:
         Skipped: there are no recordings.
     """
-    several = windows_by_recording(context)
-    scenes = [walked_again(street) for windows in several.values() for street in windows]
-    captions = ["" if k else name for name, windows in several.items() for k in range(len(windows))]
+    recordings = windows_by_recording(context)
+    scenes, captions = [], []
+    for name, windows in recordings.items():
+        scenes += [walked_again(street) for street in windows]
+        captions += [name, *[""] * (len(windows) - 1)][: len(windows)]
+
     simulated = iter(context.simulate(scenes, captions))
-    both = {}
-    for name, windows in several.items():
+    walks = {}
+    for name, windows in recordings.items():
         recorded = measure([(street.position, street.present, street.pairs()) for street in windows])
         again = measure([_sampled(next(simulated), street) for street in windows])
-        both[name] = recorded, again
-    return compare_walks(both)
+        walks[name] = recorded, again
+    return compare_walks(walks)
 
 
 def _sampled(tracks: Tracks, street: Street) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Positions and presence at the moments of the recording, and pairs."""
     return np.asarray(tracks.position)[::STRIDE], np.asarray(tracks.present)[::STRIDE], street.pairs()
 
 
 UNITS = {"acceleration": "m/s²", "jerk": "m/s³", "turn_rate": "rad/s"}  # of magnitudes
 
 
-def compare_walks(both: dict[str, tuple[Walk, Walk]]) -> CheckResult:
+def compare_walks(walks: dict[str, tuple[Walk, Walk]]) -> CheckResult:
     """The result of the motion in several recordings, recorded and simulated."""
     words, numbers = [], {}
-    ratios = {what: [] for what in UNITS}
-    for name, (recorded, again) in both.items():
-        values = {what: (summary(recorded)[what], value) for what, value in summary(again).items()}
-        for what in UNITS:
-            ratios[what].append(max(values[what][1], TINY) / max(values[what][0], TINY))
-        numbers |= {f"{what}_{name}": own for what, (_, own) in values.items()}
-        numbers |= {f"{what}_{name}_recorded": known for what, (known, _) in values.items()}
-        each = (f"{what.replace('_', ' ')} {own:.2f} ({known:.2f})" for what, (known, own) in values.items())
-        words.append(f"{name}: {', '.join(each)}")
-    mean = {what: float(np.exp(np.mean(np.log(each)))) for what, each in ratios.items()}
-    numbers |= {f"ratio_{what}": value for what, value in mean.items()}
-    number = tuple(float(k) for k in range(1, len(both) + 1))
+    ratios: dict[str, list[float]] = {name: [] for name in UNITS}
+    for scene, (recorded, again) in walks.items():
+        known, simulated = summary(recorded), summary(again)
+        for name in UNITS:
+            ratios[name].append(max(simulated[name], TINY) / max(known[name], TINY))
+        numbers |= {f"{name}_{scene}": value for name, value in simulated.items()}
+        numbers |= {f"{name}_{scene}_recorded": value for name, value in known.items()}
+        values = (f"{name.replace('_', ' ')} {value:.2f} ({known[name]:.2f})" for name, value in simulated.items())
+        words.append(f"{scene}: {', '.join(values)}")
+
+    mean = {name: float(np.exp(np.mean(np.log(values)))) for name, values in ratios.items()}
+    numbers |= {f"ratio_{name}": value for name, value in mean.items()}
+    number, scenes = numbered(walks)
+    curves = [curve(name, number, values, points=True) for name, values in ratios.items()]
+    curves.append(level("recorded", number, 1.0))
     return result(
         all(abs(value - 1.0) <= TOLERANCE for value in mean.values()),
-        f"{', '.join(f'{what} {value:.2f}' for what, value in mean.items())} times the recorded; {'; '.join(words)} "
+        f"{', '.join(f'{name} {value:.2f}' for name, value in mean.items())} times the recorded; {'; '.join(words)} "
         "(recorded)",
         f"95th percentiles of {', '.join(UNITS)} within {100 * TOLERANCE:.0f} % of the recorded, in the mean of scenes",
         numbers=numbers,
-        curves=(
-            *(Curve(what, number, tuple(each), points=True) for what, each in ratios.items()),
-            Curve("recorded", (number[0], number[-1]), (1.0, 1.0), reference=True),
-        ),
-        axes=("scene: " + ", ".join(f"{k + 1} {name}" for k, name in enumerate(both)), "95th percentile / recorded"),
+        curves=tuple(curves),
+        axes=(f"scene: {scenes}", "95th percentile / recorded"),
     )
 
 
 def summary(walk: Walk) -> dict[str, float]:
     """The 95th percentiles of ``UNITS``, and medians or means of the rest; NaN without pairs."""
-    values = {what: float(np.quantile(getattr(walk.motion, what), 0.95)) for what in UNITS}
-    values |= {what: float(np.nanmedian(getattr(walk, what))) for what in ("sideways", "slowest")}
+    values = {name: float(np.quantile(getattr(walk.motion, name), 0.95)) for name in UNITS}
+    values["sideways"] = float(np.nanmedian(walk.sideways))
+    values["slowest"] = float(np.nanmedian(walk.slowest))
+
     pairs = bool(len(walk.spacing))
-    spacing = (walk.spacing.mean(), walk.spacing.std(), walk.beside.mean()) if pairs else (np.nan,) * 3
-    return values | dict(zip(("spacing", "spacing_deviation", "beside"), map(float, spacing), strict=True))
+    values["spacing"] = float(walk.spacing.mean()) if pairs else np.nan
+    values["spacing_deviation"] = float(walk.spacing.std()) if pairs else np.nan
+    values["beside"] = float(walk.beside.mean()) if pairs else np.nan
+    return values

@@ -211,7 +211,7 @@ def recorded(family, forces):
 
 
 @pytest.mark.slow
-def test_sums_of_a_single_file_are_those_of_its_tracks(monkeypatch):
+def test_a_single_file_is_measured_as_its_tracks(monkeypatch):
     forces = preset("calibrated")  # whose files move alike, whatever the rounding
     monkeypatch.setattr(families.SingleFile, "seconds", 8.0)
     family = families.SingleFile([families.Case(f"{n}", crowds.in_file(n, 8.0, 0.0, 1, 0.2)) for n in (10, 12)])
@@ -222,7 +222,7 @@ def test_sums_of_a_single_file_are_those_of_its_tracks(monkeypatch):
         assert rows[f"file deviation {case.row}"] == pytest.approx(measures.deviation_in_time(speed), rel=0.02)
 
 
-def test_sums_of_meetings_and_encounters_are_those_of_their_tracks():
+def test_meetings_and_encounters_are_measured_as_their_tracks():
     forces = plain()
     cases = [families.Case(f"{a}", individuals.two(np.deg2rad(a), 0.1, (1.3, 1.3))) for a in (180, 90)]
     pairs = families.Pairs(cases, 0.4)
@@ -242,7 +242,7 @@ def test_sums_of_meetings_and_encounters_are_those_of_their_tracks():
 
 
 @pytest.mark.night
-def test_sums_of_doors_corridors_and_lanes_are_those_of_their_tracks(monkeypatch):
+def test_doors_corridors_and_lanes_are_measured_as_their_tracks(monkeypatch):
     forces = preset("calibrated")
     monkeypatch.setattr(families.Doors, "seconds", 10.0)  # later, rounding makes other crowds of the same kind
     room = doors.before_door(1.6, doors.crowd_in_room(0), 1.34, 0.0)
@@ -253,7 +253,7 @@ def test_sums_of_doors_corridors_and_lanes_are_those_of_their_tracks(monkeypatch
     assert rows["flow here"] == pytest.approx(measures.flow(times), rel=0.08)  # the last may cross in the last step
     assert rows["doors inside"] == pytest.approx(np.isinf(times).sum(), abs=1)
     assert rows["density here"] == pytest.approx(
-        measures.peak(measures.densities(tracks, *doors.BEFORE), 100), rel=0.05
+        measures.peak(measures.densities(tracks.position, tracks.present, *doors.BEFORE), 100), rel=0.05
     )
     press = simulate(dataclasses.replace(scene, seed=1), "calibrated")[0]  # the second case has other people
     later = slice(round(doors.APART / 0.1), None)

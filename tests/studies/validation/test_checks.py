@@ -14,7 +14,7 @@ from sean_jax.studies.validation import crowds, doors, groups, individuals, stre
 from sean_jax.studies.validation.checks import CHECKS, CheckContext, Skipped
 from sean_jax.studies.validation.groups import group_occupancy
 from sean_jax.studies.validation.individuals import fitted_without
-from sean_jax.studies.validation.measures import Motion, motion
+from sean_jax.studies.validation.measures import Motion, accelerations, motion
 from support.tracks import moved, straight
 
 street = support.tracks.street  # a fixture
@@ -350,7 +350,7 @@ def test_groups_pass_that_are_full_and_whose_members_change():
 def test_accelerations_are_of_each_person_and_control_step():
     velocity = np.zeros((2, 10, 3, 2))
     velocity[1, 5:, 2] = [0.6, 0.8]
-    made = groups.accelerations(velocity, 0.1)
+    made = accelerations(velocity, 0.1)
     assert made.shape == (2, 9, 3) and made[1, 4, 2] == pytest.approx(10.0) and made.sum() == pytest.approx(10.0)
 
 

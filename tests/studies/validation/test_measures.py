@@ -1,7 +1,10 @@
 """What is measured of tracks, against closed forms, loops, and figures published of recordings."""
 
 import csv
+import functools
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -79,6 +82,28 @@ def test_separation_is_exact_between_rows():
     np.testing.assert_array_equal(measures.separation(one, one), 0.0)
 
 
+def test_arrays_of_jax_are_measured_as_those_of_numpy():
+    random = np.random.default_rng(0)
+    place = np.cumsum(random.normal(0.1, 0.05, (30, 7, 2)), axis=0).astype(np.float32)
+    present = random.random((30, 7)) < 0.8
+    facing = np.broadcast_to(np.array([0.6, 0.8], np.float32), place.shape)
+    direction = np.where(np.arange(7) < 3, 1.0, -1.0).astype(np.float32)
+    bodies = preset("calibrated").walking
+    calls = {
+        measures.lane_order: (place[..., 1], direction, present),
+        measures.separation: (place, place[:, ::-1] + np.float32(0.5)),
+        measures.deviation_in_time: (place[..., 0],),
+        functools.partial(measures.steps_along, period=2.0): (place[..., 0] % np.float32(2.0),),
+        functools.partial(measures.accelerations, time_step=0.1): (place,),
+        functools.partial(measures.densities, lower=(0.5, 0.5), upper=(2.0, 2.0)): (place, present),
+        functools.partial(measures.body_gaps, walking=bodies): (place, facing, present),
+    }
+    for function, arrays in calls.items():
+        by_numpy, by_jax = function(*arrays), jax.jit(function)(*map(jnp.asarray, arrays))
+        assert not isinstance(by_numpy, jax.Array) and isinstance(by_jax, jax.Array)
+        np.testing.assert_allclose(by_jax, by_numpy, rtol=1e-5, atol=1e-5)
+
+
 def test_bodies_overlap_by_a_known_depth_and_only_in_one_group_if_asked():
     """Discs of .2 m; then shoulders of .2 m, and .1 m from back to front."""
     discs, bodies = (preset("calibrated").tree_replace({"walking.depth": depth}).walking for depth in (0.2, 0.1))
@@ -99,7 +124,7 @@ def test_bodies_overlap_by_a_known_depth_and_only_in_one_group_if_asked():
 def test_densities_count_people_in_a_square_and_a_peak_is_a_mean():
     place = np.zeros((100, 8, 2))
     place[:40, 2:] = 9.0  # two people in the square at first, then all
-    density = measures.densities(tracks_of(place), (-1.0, -1.0), (1.0, 1.0))
+    density = measures.densities(place, np.ones(place.shape[:2], bool), (-1.0, -1.0), (1.0, 1.0))
     np.testing.assert_allclose(density, np.where(np.arange(100) < 40, 0.5, 2.0))
     assert measures.peak(density, 20) == pytest.approx(2.0)
     assert measures.peak(density, 80) == pytest.approx((60 * 2.0 + 20 * 0.5) / 80)

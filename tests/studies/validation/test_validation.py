@@ -15,7 +15,7 @@ from sean_jax.config import ValidateConfig
 from sean_jax.studies import validation
 from sean_jax.studies.calibration.loss import GROUPS
 from sean_jax.studies.scenes import Gate, model
-from sean_jax.studies.validation import checks, crowds, guideline_scenes, guidelines, individuals, page
+from sean_jax.studies.validation import checks, crowds, guideline_scenes, guidelines, individuals, page, pictures
 from sean_jax.studies.validation.checks import CHECKS, GATES, CheckContext, CheckResult, Curve, Row
 from sean_jax.studies.validation.measures import crossing_times, flow, trajectory_data, vanishing_times
 from support.checkout import ROOT
@@ -190,7 +190,7 @@ def test_a_picture_has_the_room_around_people_but_no_wall_far_away():
     room = guideline_scenes.full_room()
     scene = replace(room, walls=np.concatenate([np.asarray(room.walls), away]))
     path = np.linspace([1.0, 1.0], [7.0, 4.0], 30)[:, None]
-    (axes,) = page.trajectories(scene, tracks_of(path)).axes
+    (axes,) = pictures.trajectories(scene, tracks_of(path)).axes
     outer = np.abs(np.asarray(room.walls)[:, :2]).max() + np.asarray(room.walls)[:, 2:4].max()
     lower, upper = np.transpose([axes.get_xlim(), axes.get_ylim()])
     assert (lower < 0.0).all() and (upper > [8.0, 5.0]).all() and (upper < outer + 3.0).all()
