@@ -25,7 +25,7 @@ from rich.console import Console
 import sean_jax
 from sean_jax import __version__, learning
 from sean_jax.classifiers import SITUATION_SETS
-from sean_jax.cli import bench, command_line, xla_flags
+from sean_jax.cli import bench, command_line, commands, xla_flags
 from sean_jax.config import COMMANDS, flags
 from sean_jax.core import random_streams
 from sean_jax.io import cache, interrupts
@@ -53,6 +53,10 @@ def test_help_imports_no_jax_and_names_every_option():
     assert said.splitlines()[-1] == "[]"
     for option in "environment behavior task robot policy people episodes seed time-limit out".split():
         assert f"--{option} " in said
+
+
+def test_every_command_does_something():
+    assert commands.DO.keys() == COMMANDS.keys()
 
 
 @pytest.mark.parametrize("words", COMMANDS)
