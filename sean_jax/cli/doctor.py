@@ -3,6 +3,7 @@
 import importlib.util
 import os
 import shutil
+from collections import Counter
 from pathlib import Path
 from typing import NamedTuple
 
@@ -43,8 +44,8 @@ def examine() -> list[Finding]:
 def _extras() -> Finding:
     present = [extra for extra, module in EXTRAS.items() if importlib.util.find_spec(module.partition(".")[0])]
     missing = [extra for extra in EXTRAS if extra not in present]
-    without = f"; without {', '.join(missing)}" if missing else ""
-    return Finding("extras", f"{', '.join(present) or 'none'}{without}")
+    text = ", ".join(present) or "none"
+    return Finding("extras", f"{text}; without {', '.join(missing)}" if missing else text)
 
 
 def _devices() -> Finding:
@@ -55,8 +56,10 @@ def _devices() -> Finding:
     except RuntimeError as error:
         cure = "unset JAX_PLATFORMS, or set it to cpu"
         return Finding("devices", f"JAX finds none: {str(error).splitlines()[0]}", cure)
-    kinds = dict.fromkeys(device.device_kind for device in devices)
-    text = ", ".join(f"{sum(d.device_kind == kind for d in devices)} x {kind}" for kind in kinds)
+    kinds = Counter(device.device_kind for device in devices)
+    text = ", ".join(f"{count} x {kind}" for kind, count in kinds.items())
+
+    # A GPU without jax's plugin, or one that JAX_PLATFORMS excludes.
     cure = ""
     if jax.default_backend() == "cpu" and (NVIDIA.exists() or shutil.which("nvidia-smi")):
         cure = 'a GPU is here and JAX does not use it: pip install "sean_jax[cuda13]"'
@@ -69,9 +72,12 @@ def _devices() -> Finding:
 def _machine() -> list[Finding]:
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     findings = [Finding("cores", str(cores), "" if cores > 1 else "compiling takes twice as long on one core")]
-    if (memory := _memory()) is not None:
+
+    memory = _memory()
+    if memory is not None:
         cure = f"compiling takes up to {LOW_MEMORY:.0f} GB; close other programs" if memory < LOW_MEMORY else ""
         findings.append(Finding("free memory", f"{memory:.1f} GB", cure))
+
     free = shutil.disk_usage(Path.cwd()).free / 1e9
     cure = "results may not fit; free some, or choose another disk with --out" if free < LOW_DISK else ""
     return [*findings, Finding("free disk", f"{free:.1f} GB here", cure)]
@@ -88,7 +94,7 @@ def _memory() -> float | None:
 
 def _cache() -> Finding:
     folder = cache.folder()
-    nearest = next(part for part in (folder, *folder.parents) if part.exists())
+    nearest = next(path for path in (folder, *folder.parents) if path.exists())
     if not os.access(nearest, os.W_OK):
         return Finding("cache", str(folder), "it cannot be written, so each start compiles anew: set XDG_CACHE_HOME")
     programs = [file for file in (folder / "xla").glob("*") if file.is_file()]

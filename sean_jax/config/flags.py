@@ -1,24 +1,28 @@
-"""Flags of options: parsing, and the command that repeats a run.
+"""Flags of options: parsing, help, and the command that repeats a run.
 
 A component is one flag (``--behavior graph``), and each of its options another (``--routing edge``). Without its flag,
-an option has its value from ``--config``, or else its default. Nothing here imports JAX or numpy; tyro is imported by
-the functions that parse.
+an option has its value from ``--config``, or else its default. For a scenario ``key=value`` is a line of such a file.
+``--help`` shows the options of the command itself; those of a class with a ``TOPIC``, which several commands have in
+common, are shown by ``--help-TOPIC``. Nothing here imports JAX or numpy; tyro is imported by the functions that parse.
 """
 
 import dataclasses
+import inspect
 import shlex
 import types
 import typing
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+from pydantic.fields import FieldInfo
+
 from sean_jax.config import components
-from sean_jax.config.components import Bounds, Config, Described, Family, OwnPart, Value, families, family_of
-from sean_jax.config.option_types import Option
+from sean_jax.config.components import Bounds, Component, Config, Described, Family, OwnPart, Value, families, family_of
+from sean_jax.config.option_types import Option, Topic
 from sean_jax.config.scenario_options import usual
 from sean_jax.core.errors import InputError
-from sean_jax.core.messages import listed
+from sean_jax.core.messages import listed, parse_json
 
 LAST = ("seed", "out", "quiet")  # in the help
 
@@ -28,121 +32,280 @@ def flag(name: str) -> str:
     return "--" + name.replace("_", "-")
 
 
+def field_of(word: str) -> str:
+    """The field of a flag: time_limit of --time-limit, --time_limit and --time-limit=3."""
+    return word.split("=")[0].removeprefix("--").replace("-", "_")
+
+
 def number(value: object) -> str:
     """A value for the command line: 120 for 120.0, and always read back as the same float."""
     return repr(float(value)).removesuffix(".0") if isinstance(value, float) else str(value)
 
 
-TRUST = "Run code, FILE.py:NAME, that a file names; otherwise code runs only if it is named on the command line."
+# ------------------------------------------------------------------ the flags of a command
 
 
-def parser(model: type[Config], configurable: bool = False, trust: bool = False) -> type:
-    """A dataclass of the flags, for tyro; each is None without its flag.
+@dataclasses.dataclass(frozen=True)
+class Flag:
+    """A flag of a command, or a positional word."""
+
+    name: str  # of the field
+    kind: Any  # type of the value; bool for a switch, a flag without a value
+    text: str  # in the help
+    choices: str | None = None  # in place of the value in the help; by default the name of the type
+    topic: str = ""  # of the help that shows it; "" for --help
+    positional: bool = False
+    required: bool = False
+    repeatable: bool = False
+
+    def parser_field(self) -> tuple[str, Any, dataclasses.Field]:
+        """The field of tyro's dataclass; without its flag it is None, [] if repeatable, False for a switch."""
+        import tyro
+
+        kind, default = self.kind, {}
+        if self.positional:
+            kind = tyro.conf.Positional[kind]
+        elif self.repeatable:
+            kind, default = tyro.conf.UseAppendAction[list[str]], {"default_factory": list}
+        elif kind is bool:
+            default = {"default": False}
+        elif not self.required:
+            kind, default = kind | None, {"default": None}
+        arg = tyro.conf.arg(help=self.text, help_behavior_hint="", metavar=self.choices or _type_name(self.kind))
+        return self.name, Annotated[kind, arg], dataclasses.field(**default)
+
+
+CONFIG = Flag("config", Path, "A YAML file of these options; flags override its values.")
+TRUST = Flag(
+    "trust",
+    bool,
+    "Run code, FILE.py:NAME, that a file names; otherwise code runs only if it is named on the command line.",
+)
+
+
+def flags_of(model: type[Config], configurable: bool = False, trust: bool = False) -> list[Flag]:
+    """The flags of a command, in the order of its help.
 
     Args:
-        configurable: adds --config, a file with values of the other options.
-        trust: adds --trust, to run code that files name.
+        configurable: with --config, a file with values of the other options.
+        trust: with --trust, to run code that files name.
     """
-    import tyro
-
-    fields: list[tuple[str, Any, Any]] = []
-    if configurable:
-        text = "A config.yaml, such as sean run writes; flags override its values."
-        fields.append(_field("config", Path | None, text, default=None))
+    flags = [CONFIG] if configurable else []
     for name, field in sorted(model.model_fields.items(), key=lambda option: option[0] in LAST):
         family = family_of(field)
-        text = " ".join((field.description or "").split())
-        if family is not None:
-            fields.append(_field(name, str | None, text + _default(field.get_default()), default=None))
-            if family.singular is not None:
-                text = f"One of your own, FILE.py:NAME, besides those of {flag(name)}; can be repeated."
-                fields.append(_field(family.singular, tyro.conf.UseAppendAction[list[str]], text, default_factory=list))
-            for option, variants in family.options().items():
-                kinds = [v.model_fields["kind"].default for v in variants if not v.model_fields["kind"].is_required()]
-                about = variants[0].model_fields[option]
-                text = f"For {name} {' or '.join(kinds)}: {about.description}" if kinds else str(about.description)
-                kind, choices = _plain(about.annotation), _choices(about.annotation)
-                fields.append(_field(option, kind | None, text + _default(about.default), choices, default=None))
-            continue
-        kind = _plain(field.annotation)
-        if kind is None:  # no flag can hold it
-            continue
-        literal = typing.get_origin(field.annotation) is Literal
-        if Option.of(field).positional:
-            several = "PATH PATH ..." if typing.get_origin(kind) is tuple else None
-            fields.append(_field(name, tyro.conf.Positional[field.annotation if literal else kind], text, several))
-        elif kind is bool:
-            fields.append(_field(name, bool, text, default=False))
-        elif field.is_required():
-            fields.append(_field(name, kind, text))
-        else:
-            text += _default(field.default)
-            fields.append(_field(name, kind | None, text, _choices(field.annotation), default=None))
-    if trust:
-        fields.append(_field("trust", bool, TRUST, default=False))
-    result = dataclasses.make_dataclass(model.__name__, fields, kw_only=True)
-    result.__doc__ = model.__doc__
-    return result
+        options = _flags_of_field(name, field) if family is None else _flags_of_family(name, field, family)
+        topic = topic_of(model, name)
+        flags += [dataclasses.replace(option, topic=topic) for option in options]
+    return [*flags, TRUST] if trust else flags
 
 
-def _field(
-    name: str, kind: Any, text: str, choices: str | None = None, **default: Any
-) -> tuple[str, Any, dataclasses.Field]:
-    """A field of the dataclass: ``default`` as of ``dataclasses.field``; without it the flag is required."""
-    import tyro
-
-    arg = tyro.conf.arg(help=text, help_behavior_hint="", metavar=choices or _metavar(kind))
-    return name, Annotated[kind, arg], dataclasses.field(**default)
+def topic_of(model: type[Config], name: str) -> str:
+    """The topic of the class that defines a field; "" for a field of the command itself."""
+    owner = next(base for base in model.__mro__ if name in inspect.get_annotations(base))
+    return vars(owner)["TOPIC"].word if "TOPIC" in vars(owner) else ""
 
 
-def _metavar(kind: object) -> str | None:
-    """The placeholder of a flag's value in the help; None leaves it to tyro."""
-    if typing.get_origin(kind) in (typing.Union, types.UnionType):
-        kind = typing.get_args(kind)[0]
+def topics(model: type[Config]) -> list[Topic]:
+    """The topics of the classes that a command embeds."""
+    return [vars(base)["TOPIC"] for base in reversed(model.__mro__) if "TOPIC" in vars(base)]
+
+
+def _flags_of_field(name: str, field: FieldInfo) -> Iterator[Flag]:
+    kind, positional = _plain(field.annotation), Option.of(field).positional
+    if kind is None:  # no flag can hold it
+        return
+    required = positional or (field.is_required() and kind is not bool)
+    text = joined(field.description) + ("" if required else _default(field.default))
+    yield Flag(name, kind, text, _choices(field.annotation), positional=positional, required=required)
+
+
+def _flags_of_family(name: str, field: FieldInfo, family: Family) -> Iterator[Flag]:
+    """The flags of a component, of one more component of the user's own, and of the components' options."""
+    yield Flag(name, str, joined(field.description) + _default(field.get_default()))
+    if family.singular is not None:
+        text = f"One of your own, FILE.py:NAME, besides those of {flag(name)}; can be repeated."
+        yield Flag(family.singular, str, text, "FILE.py:NAME", repeatable=True)
+    for option, variants in family.options().items():
+        about = variants[0].model_fields[option]
+        text = option_text(name, option, variants) + _default(about.default)
+        yield Flag(option, _plain(about.annotation), text, _choices(about.annotation))
+
+
+def option_text(name: str, option: str, variants: Sequence[type[Component]]) -> str:
+    """The explanation of an option of components, with the components of field ``name`` that have it."""
+    kinds = Family(tuple(variants)).kinds
+    text = joined(variants[0].model_fields[option].description)
+    return f"For {name} {' or '.join(kinds)}: {text}" if kinds else text
+
+
+def joined(text: str | None) -> str:
+    """A text as one line."""
+    return " ".join((text or "").split())
+
+
+def _type_name(kind: Any) -> str | None:
+    """The name of a type in the help; None leaves it to tyro."""
     if typing.get_origin(kind) is tuple:
-        return " ".join("..." if each is Ellipsis else each.__name__.upper() for each in typing.get_args(kind))
+        return " ".join("..." if item is Ellipsis else item.__name__.upper() for item in typing.get_args(kind))
     return {str: "NAME", Path: "PATH", int: "INT", float: "FLOAT"}.get(kind)
 
 
-def _choices(kind: object) -> str | None:
+def _choices(annotation: object) -> str | None:
     """The values of a Literal, which may also be None, for the help."""
-    literal = next((each for each in (kind, *typing.get_args(kind)) if typing.get_origin(each) is Literal), None)
-    return None if literal is None else "|".join(map(str, typing.get_args(literal)))
+    for kind in (annotation, *typing.get_args(annotation)):
+        if typing.get_origin(kind) is Literal:
+            return "|".join(map(str, typing.get_args(kind)))
+    return None
 
 
 def _default(value: object) -> str:
     """The end of a help text."""
-    if value is None or value == () or (isinstance(value, bool) and not value):
+    if value in (None, (), "") or value is False:
         return ""
-    values = value if isinstance(value, tuple) else (value,)
-    words = (each.kind if isinstance(each, components.Component) else number(each) for each in values)
+    words = (item.kind if isinstance(item, Component) else number(item) for item in _items(value))
     return f" (default: {' '.join(words)})"
 
 
-def _plain(kind: Any) -> Any:
+def _plain(annotation: Any) -> Any:
     """The type of a flag: an annotation without marks for pydantic; None if no flag can hold it."""
-    origin, inner = typing.get_origin(kind), typing.get_args(kind)
+    origin, arguments = typing.get_origin(annotation), typing.get_args(annotation)
     if origin is Annotated:
-        return _plain(inner[0])
+        return _plain(arguments[0])
     if origin in (typing.Union, types.UnionType):
-        return next(_plain(each) for each in inner if each is not type(None))
+        return next(_plain(kind) for kind in arguments if kind is not type(None))
     if origin is tuple:
-        parts = tuple(each if each is Ellipsis else _plain(each) for each in inner)
-        return None if None in parts else tuple[parts]
+        items = tuple(item if item is Ellipsis else _plain(item) for item in arguments)
+        return None if None in items else tuple[items]
     if origin is Literal:
         return str  # pydantic refuses other values, with a suggestion
-    return kind if kind in (str, int, float, bool, Path) else None
+    return annotation if annotation in (str, int, float, bool, Path) else None
+
+
+# ------------------------------------------------------------------ from words to options
+
+
+def parse(
+    word: str, model: type[Config], arguments: Sequence[str], configurable: bool = False, trust: bool = False
+) -> dict[str, Any]:
+    """The values of the words after a command, by field.
+
+    Args:
+        configurable: accept --config, a file with values of the other options, and for a scenario key=value.
+        trust: accept --trust, to run code that files name.
+
+    Raises:
+        InputError: a flag of several values is repeated, a flag has another name here, or a key is unknown.
+        SystemExit: the words ask for help, or the parser refuses them.
+    """
+    known = flags_of(model, configurable, trust)
+    _show_help(word, model, known, arguments)
+    _check_once(model, arguments)
+    _check_known([option.name for option in known], arguments)
+
+    values, unknown = _call_tyro(word, known, arguments)
+    has_keys = configurable and topics(model)
+    if not all(has_keys and "=" in argument and not argument.startswith("--") for argument in unknown):
+        _call_tyro(word, known, arguments, strict=True)
+    typed = {name: value for name, value in values.items() if value is not None and value is not False}
+    return typed | _assigned(word, model, known, unknown)
+
+
+def _show_help(word: str, model: type[Config], known: Sequence[Flag], arguments: Sequence[str]) -> None:
+    """Print the options of the command, or of a topic, and exit; do nothing if the words ask for no help."""
+    about = [model.__doc__ or ""]
+    for topic in topics(model):
+        about.append(f"--help-{topic.word} lists the options of {topic.subject}.")
+        if f"--help-{topic.word}" in arguments:
+            chosen = [option for option in known if option.topic == topic.word]
+            _call_tyro(word, chosen, ["--help"], f"Options of {topic.subject}.")
+    if {"--help", "-h"} & set(arguments):
+        chosen = [option for option in known if not option.topic]
+        _call_tyro(word, chosen, ["--help"], "\n".join(about))
+
+
+def _call_tyro(
+    word: str, known: Sequence[Flag], words: Sequence[str], about: str = "", strict: bool = False
+) -> tuple[dict[str, Any], list[str]]:
+    """The values of the words, by field, and the words that are no flags; ``strict`` refuses these."""
+    import tyro
+
+    values, unknown = tyro.cli(
+        dataclasses.make_dataclass("Flags", [option.parser_field() for option in known], kw_only=True),
+        prog=f"sean {word}",
+        description=about,
+        args=words,
+        return_unknown_args=not strict,
+        config=(tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff),
+    )
+    return vars(values), unknown
+
+
+def _assigned(word: str, model: type[Config], known: Iterable[Flag], words: Iterable[str]) -> dict[str, Any]:
+    """Field -> value of words such as time_limit=20, as a file would have it.
+
+    Raises:
+        InputError: a key is unknown, or a value is empty.
+    """
+    kinds = dict.fromkeys(model.model_fields) | {option.name: option.kind for option in known if not option.repeatable}
+    values = {}
+    for key, _, text in (argument.partition("=") for argument in words):
+        check_text(key, text)
+        name = field_of(key)
+        if name not in kinds:
+            cure = components.did_you_mean(name, kinds) or f"; `sean {word} --help` lists the options."
+            raise InputError(f"{key}: there is no such option{cure}")
+        values[name] = _file_value(kinds[name], text)
+    return values
+
+
+def _file_value(kind: Any, text: str) -> Any:
+    """The value of a text as a file has it. Numbers of a list have commas between them, texts have spaces."""
+    if kind in (str, Path):
+        return kind(text)
+    if typing.get_origin(kind) is tuple:
+        item = typing.get_args(kind)[0]
+        return [_file_value(item, word) for word in text.strip("[]").split(None if item is str else ",")]
+    try:
+        return parse_json(text)
+    except ValueError:
+        return text
+
+
+def check_text(name: str, text: str) -> None:
+    """Refuse an empty text, as from a shell variable that is not set: as a path it would be the current folder."""
+    if not text.strip():
+        raise InputError(f"{name} is an empty text; give a value, or leave the option out for its default.")
+
+
+def _check_once(model: type[Config], arguments: Sequence[str]) -> None:
+    """Refuse a flag of several values that is repeated, of which the parser would drop the first."""
+    names = [word.split("=")[0] for word in arguments if word.startswith("--")]
+    for name, field in model.model_fields.items():
+        family = family_of(field)
+        several = family.singular is not None if family else Ellipsis in typing.get_args(_plain(field.annotation))
+        if several and names.count(flag(name)) > 1:
+            raise InputError(f"{flag(name)} is repeated; give it once, with all of its values.")
+
+
+def _check_known(known: Sequence[str], arguments: Sequence[str]) -> None:
+    """Refuse a flag by its name in another project; the parser refuses other unknown flags."""
+    aliases = {alias for option in known for alias in components.aliases().get(option, ())}
+    for word in arguments:
+        name = field_of(word)
+        if word.startswith("--") and name in aliases.difference(known):
+            cure = components.did_you_mean(name, known, flag)
+            raise InputError(f"{word.split('=')[0]}: there is no such option{cure}")
 
 
 def read(
     model: type[Described],
-    parsed: object,
+    parsed: Mapping[str, Any],
     base: Mapping[str, object] | None = None,
     source: Path | None = None,
     *,
     typed: bool = False,
 ) -> Described:
-    """The options of parsed flags, an instance of ``parser(model)``.
+    """The options of parsed words, as of ``parse``.
 
     Args:
         base: JSON values of options without a flag.
@@ -152,27 +315,27 @@ def read(
     Raises:
         InputError: a value is wrong, or an option does not belong to the chosen component; it names the flag.
     """
-    words = {
-        name: value for name, value in vars(parsed).items() if value is not None and name not in ("config", "trust")
-    }
-    switches = {name for name, value in words.items() if isinstance(value, bool) and not value}  # off by default
+    values = {name: value for name, value in parsed.items() if name not in (CONFIG.name, TRUST.name)}
     data = dict(base or {})
-    preset = words.get("preset", data.get("preset"))
+    preset = values.get("preset", data.get("preset"))
     for name, family in families(model).items():
-        for option in {name, family.singular} & words.keys():
-            words[option] = _own(words[option], family) if typed else words[option]
+        if typed:
+            values |= {option: _own(values[option], family) for option in {name, family.singular} & values.keys()}
         if family.singular is not None:
-            default = usual(preset, name, ",".join(each.kind for each in model.model_fields[name].default))
-            if name in words:
-                data[name] = words.pop(name)
-            if added := words.pop(family.singular, []):
-                present = data.get(name, default)  # of a file, which may hold a single one
-                several = listed(present) if isinstance(present, str) else present
-                data[name] = [*(several if isinstance(several, list) else [several]), *added]
-    words = {name: value for name, value in words.items() if name not in switches}
-    return components.validate(
-        model, components.gather(model, words, data, flag), flag, source, typed=typed and base is None
-    )
+            default = usual(preset, name, ",".join(part.kind for part in model.model_fields[name].default))
+            _gather_several(name, family.singular, values, data, default)
+    values = components.gather(model, values, data, flag)
+    return components.validate(model, values, flag, source, typed=typed and base is None)
+
+
+def _gather_several(name: str, singular: str, values: dict[str, Any], data: dict[str, Any], default: str) -> None:
+    """Move the components of a field of several, and those of the user's own, from ``values`` to ``data``."""
+    if name in values:
+        data[name] = values.pop(name)
+    if added := values.pop(singular, []):
+        present = data.get(name, default)  # of a file, which may hold a single one
+        parts = listed(present) if isinstance(present, str) else present
+        data[name] = [*(parts if isinstance(parts, list) else [parts]), *added]
 
 
 def positionals(model: type[Config]) -> list[str]:
@@ -188,6 +351,9 @@ def _own(value: Any, family: Family) -> Any:
     return [OwnPart(kind=word) if components.is_own_part(word) else word for word in words]
 
 
+# ------------------------------------------------------------------ from options to words
+
+
 def command(word: str, config: Config, chosen: bool = False) -> str:
     """The command that gives the same results, without options that do not affect them.
 
@@ -197,82 +363,47 @@ def command(word: str, config: Config, chosen: bool = False) -> str:
     """
     first, words = ["sean", word], []
     for name, field in type(config).model_fields.items():
-        value = getattr(config, name)
-        mark = Option.of(field)
+        value, mark = getattr(config, name), Option.of(field)
         if mark.positional:
-            first += map(str, value if isinstance(value, tuple) else (value,))
-            continue
-        if value is None or not mark.affects_results or (chosen and name not in config.model_fields_set):
-            continue
-        family = family_of(field)
-        if family is not None:
-            words += _words_of_parts(name, value, family)
-        elif _plain(field.annotation) is not None:
-            words += _words(name, value)
+            first += map(str, _items(value))
+        elif value is not None and mark.affects_results and (name in config.model_fields_set or not chosen):
+            for option, text in _values(name, field, value):
+                words += _words(option, text)
     return shlex.join([*first, *words])
 
 
-def _words_of_parts(name: str, value: Any, family: Family) -> list[str]:
-    parts = value if isinstance(value, tuple) else (value,)
-    if family.singular is not None:
-        own = [part for part in parts if isinstance(part, OwnPart)]
-        known = [part.kind for part in parts if not isinstance(part, OwnPart | Value)]
-        words = _words(name, ",".join(known)) if known else []
-        return words + [word for part in own for word in _words(family.singular, part.kind)]
-    words = _words(name, ",".join(part.kind for part in parts if not isinstance(part, Value | Bounds)))
-    for part in parts:
-        for option in type(part).model_fields if not isinstance(part, Value) else ():
-            if option != "kind" and getattr(part, option) is not None:
-                words += _words(option, getattr(part, option))
-    return words
+def _items(value: Any) -> tuple[Any, ...]:
+    return value if isinstance(value, tuple) else (value,)
 
 
-def _words(name: str, value: object) -> list[str]:
-    if isinstance(value, bool):
-        return [flag(name)] if value else []
-    if value == () or value == "":
+def _values(name: str, field: FieldInfo, value: Any) -> Iterator[tuple[str, Any]]:
+    """The flags of a field and their values: those of components, of the user's own, and of the components' options."""
+    family = family_of(field)
+    if family is None:
+        if _plain(field.annotation) is not None:
+            yield name, value
+        return
+
+    # Python values have no flag, and bounds only stand in files.
+    chosen = [component for component in _items(value) if not isinstance(component, Value)]
+    apart = OwnPart if family.singular is not None else Bounds
+    yield name, ",".join(component.kind for component in chosen if not isinstance(component, apart))
+    for component in chosen:
+        if family.singular is None:
+            yield from (
+                (option, getattr(component, option)) for option in type(component).model_fields if option != "kind"
+            )
+        elif isinstance(component, OwnPart):
+            yield family.singular, component.kind
+
+
+def _words(name: str, value: Any) -> list[str]:
+    """The words of a flag and its value; none for a switch that is off, and for no value."""
+    if value in (None, (), "") or value is False:
         return []
-    words = [number(each) for each in (value if isinstance(value, tuple) else (value,))]
+    if value is True:
+        return [flag(name)]
+    words = [number(item) for item in _items(value)]
     if isinstance(value, str | Path) and words[0].startswith("-"):  # else it would be read as an option
         return [f"{flag(name)}={words[0]}"]
     return [flag(name), *words]
-
-
-def _check_once(model: type[Config], arguments: Sequence[str]) -> None:
-    """Refuse a flag of several values that is repeated, of which the parser would drop the first."""
-    names = [word.split("=")[0] for word in arguments if word.startswith("--")]
-    for name, field in model.model_fields.items():
-        family = family_of(field)
-        several = family.singular is not None if family else Ellipsis in typing.get_args(_plain(field.annotation))
-        if several and names.count(flag(name)) > 1:
-            raise InputError(f"{flag(name)} is repeated; give it once, with all of its values.")
-
-
-def _check_known(known: Sequence[str], arguments: Sequence[str]) -> None:
-    """Refuse a flag by its name in another project; the parser refuses other unknown flags."""
-    for word in arguments:
-        name = word.split("=")[0].removeprefix("--").replace("-", "_")
-        if not word.startswith("--") or name in (*known, "help"):
-            continue
-        if any(name in components.aliases().get(option, ()) for option in known):
-            raise InputError(
-                f"{word.split('=')[0]}: there is no such option{components.did_you_mean(name, known, flag)}"
-            )
-
-
-def parse(
-    word: str, model: type[Config], arguments: Sequence[str], configurable: bool = False, trust: bool = False
-) -> Any:
-    """An instance of ``parser(model, configurable, trust)`` from the words after the command.
-
-    Raises:
-        InputError: a flag of several values is repeated, or a flag has another name here.
-        SystemExit: the parser refuses the words.
-    """
-    import tyro
-
-    result = parser(model, configurable, trust)
-    _check_once(model, arguments)
-    _check_known([field.name for field in dataclasses.fields(result)], arguments)
-    settings = tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff
-    return tyro.cli(result, prog=f"sean {word}", description=model.__doc__, args=list(arguments), config=settings)

@@ -1,12 +1,12 @@
 """Types of options: numbers with limits and units, texts, and options that several commands share."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from numbers import Integral, Real
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import AfterValidator, BeforeValidator, Field, GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic.fields import FieldInfo
@@ -36,6 +36,16 @@ class Option:
     def of(cls, field: FieldInfo) -> "Option":
         """The mark of a field."""
         return next((mark for mark in field.metadata if isinstance(mark, cls)), cls())
+
+
+NO_EFFECT = Option(affects_results=False)
+
+
+class Topic(NamedTuple):
+    """The options of a class that several commands embed; each command shows them by ``--help-WORD``."""
+
+    word: str
+    subject: str  # what has these options
 
 
 @dataclass(frozen=True)
@@ -85,11 +95,36 @@ def _path_as_text(value: object) -> object:
     return str(value) if isinstance(value, Path) else value
 
 
-def check_once(parts: Sequence[Any]) -> None:
+def join_names(value: object) -> object:
+    """Names with commas between them, of a list of names or paths; other values as they are."""
+    several = isinstance(value, list | tuple) and all(isinstance(name, str | Path) for name in value)
+    return ",".join(map(str, value)) if several else value  # pyright: ignore[reportArgumentType]
+
+
+def check_once(names: Sequence[Any]) -> None:
     """Refuse names, or components, that are listed twice."""
-    for part in parts:
-        if parts.count(part) > 1:
-            raise ValueError(f"'{getattr(part, 'kind', part)}' is listed twice; list it once")
+    for name in names:
+        if names.count(name) > 1:
+            raise ValueError(f"'{getattr(name, 'kind', name)}' is listed twice; list it once")
+
+
+def named_values(texts: Iterable[str]) -> dict[str, str]:
+    """NAME -> VALUE of texts NAME=VALUE.
+
+    Raises:
+        ValueError: a name is listed twice.
+    """
+    pairs = [text.partition("=") for text in texts]
+    check_once([name for name, _, _ in pairs])
+    return {name: value for name, _, value in pairs}
+
+
+def float_or_nan(text: str) -> float:
+    """The number of a text; NaN if it is none."""
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
 
 
 def _check_names(text: str) -> str:

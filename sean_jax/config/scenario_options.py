@@ -1,17 +1,15 @@
-"""Options of a scenario (section IV-B), and of ``sean run``, ``replay`` and ``compare``."""
+"""Options of a scenario (section IV-B), which many commands embed."""
 
 import math
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import pydantic
 
 from sean_jax.config import option_types
 from sean_jax.config.components import Component, Config, Family, Named, OwnPart, Value, compact, with_defaults
-from sean_jax.config.option_types import Option
+from sean_jax.config.option_types import Option, Topic
 from sean_jax.core.messages import listed
 
 USUAL_TASKS = {"graph": ("join_group", "leave_group"), "handcrafted": ("handcrafted",)}
@@ -130,6 +128,8 @@ Tasks = Annotated[tuple[Component, ...], Family((CustomTask, Named), several=Tru
 class ScenarioConfig(Config):
     """A physical environment, a pedestrian behavior and a robot task (section IV-B), and what belongs to them."""
 
+    TOPIC: ClassVar = Topic("scenario", "the scenario, such as --people 8 or environment=lab")
+
     environment: option_types.EnvironmentName = "warehouse"
     preset: Annotated[Literal["sean2"] | None, Option(affects_results=False)] = None
     """Preset for the options that you leave out: sean2, as in SEAN 2.0."""
@@ -138,7 +138,7 @@ class ScenarioConfig(Config):
     task: Tasks | None = None
     """Robot task; several, separated by commas, take turns. By default join_group,leave_group with behavior graph,
     handcrafted with handcrafted, custom if a start and a goal are set, else random_ab_nav."""
-    robot: Part = Named(kind="kuri")
+    robot: Annotated[Part, pydantic.BeforeValidator(option_types.join_names)] = Named(kind="kuri")
     """Robot: a name, or an MJCF file; in trainings several, separated by commas, take turns with the floors."""
     dynamics: option_types.Dynamics = "twin"
     people: option_types.PeopleOrDefault = None
@@ -183,12 +183,6 @@ class ScenarioConfig(Config):
             return with_defaults(cls, rest, PRESETS[data["preset"]].options)
         return data
 
-    @pydantic.field_validator("robot", mode="before")
-    @classmethod
-    def _join(cls, value: object) -> object:
-        several = isinstance(value, list | tuple) and all(isinstance(each, str | Path) for each in value)
-        return ",".join(map(str, value)) if several else value  # pyright: ignore[reportArgumentType]
-
     @pydantic.field_validator("robot")
     @classmethod
     def _check_robots(cls, value: Component) -> Component:
@@ -201,7 +195,7 @@ class ScenarioConfig(Config):
     def _as_dict(cls, value: object) -> object:
         if not hasattr(value, "__dataclass_fields__"):
             return value
-        return {name: float(number) for name, number in vars(value).items() if number is not None}
+        return {name: float(threshold) for name, threshold in vars(value).items() if threshold is not None}
 
     @pydantic.model_validator(mode="after")
     def _check(self) -> "ScenarioConfig":
@@ -228,252 +222,3 @@ class ScenarioConfig(Config):
     def identity(self) -> dict[str, Any]:
         """As in ``Config``, with the default tasks filled in."""
         return super().identity() | {"task": [compact(task.model_dump(mode="json")) for task in self.tasks]}
-
-
-class RunConfig(ScenarioConfig):
-    """Simulate a batch of episodes and write a table, a report and an animation. `sean list` names the choices."""
-
-    policy: Part = Named(kind="go_to_goal")
-    """Policy of the robot: a name, or a folder of `sean train` or `sean export agent`."""
-    robots: option_types.Text | None = None
-    """Several robots at once, each with its own task, separated by commas, such as kuri,kuri; without it, one robot.
-    The policy is that of all, or as many policies, separated by commas."""
-    episodes: option_types.EpisodeCount = 64
-    """Number of episodes."""
-    seed: option_types.Seed = 0
-    """The same seed gives the same episodes."""
-    batch: option_types.BatchSize = 1024
-    """Largest number of episodes per batch."""
-    camera: Annotated[option_types.Text | None, Option(affects_results=False)] = None
-    """Also write camera.gif, the first episode as first_person, third_person, overhead or depth sees it."""
-    trajectories: Literal["csv", "parquet"] | None = None
-    """Also write the frames of all episodes, robot and people, as trajectories.csv or .parquet."""
-    baseline: Annotated[Path | None, Option(affects_results=False)] = None
-    """Folder of another run, with which the report compares its headline figures."""
-    live: Annotated[bool, Option(affects_results=False)] = False
-    """Serve a page on this computer that plays the first episode during its simulation."""
-    name: Annotated[str, Option(affects_results=False)] = ""
-    """Name of the run, the end of the folder's name; by default the environment and the behavior."""
-    out: option_types.Out = None
-    """Folder to write, runs/<date>-<time>-<name> by default: new, empty, or with an unfinished run of the same options,
-    which is resumed."""
-    quiet: option_types.Quiet = False
-
-    @pydantic.field_validator("robots", mode="before")
-    @classmethod
-    def _join_robots(cls, value: object) -> object:
-        return ScenarioConfig._join(value)
-
-    @property
-    def team(self) -> list[str]:
-        """The robots of a team; empty without one."""
-        return [] if self.robots is None else listed(self.robots)
-
-    @property
-    def policies(self) -> list[Component]:
-        """The policies of the robots, or the one of all."""
-        several = self.team and isinstance(self.policy, Named) and "," in self.policy.kind
-        return [Named(kind=name) for name in listed(self.policy.kind)] if several else [self.policy]
-
-    @pydantic.model_validator(mode="after")
-    def _check_team(self) -> "RunConfig":
-        if self.robots is None:
-            return self
-        if "robot" in self.model_fields_set and self.robot != Named(kind="kuri"):
-            raise ValueError("robots: a robot is given as well; leave one of the two out")
-        if not self.team:
-            raise ValueError("robots: there is none; give names, separated by commas, such as kuri,kuri")
-        if len(self.policies) not in (1, len(self.team)):
-            number = len(self.policies)
-            raise ValueError(f"policy: {number} policies for {len(self.team)} robots; give one of all, or one for each")
-        for name, value in (("live", self.live), ("camera", self.camera), ("trajectories", self.trajectories)):
-            if value:
-                raise ValueError(f"{name}: is for one robot, not for a team; leave it out")
-        return self
-
-    @pydantic.model_validator(mode="after")
-    def _check_live(self) -> "RunConfig":
-        if self.live and self.quiet:
-            raise ValueError("live: its address is printed, which --quiet forbids; leave one of the two out")
-        return self
-
-    def folder(self, now: str) -> Path:
-        """The folder to write: ``out``, or one in runs/ whose name begins with ``now``."""
-        name = self.name or f"{Path(self.environment).name}-{Path(self.behavior.kind).stem}"
-        label = "".join(c if c.isalnum() or c in "-_." else "-" for c in name)
-        return self.out or Path("runs") / f"{now}-{label}"
-
-
-class StudioConfig(ScenarioConfig):
-    """Serve a page on this computer for driving the robot among the people of a scenario, and for recording drives."""
-
-    policy: Part = Named(kind="go_to_goal")
-    """Policy that drives while no person does: a name, or a folder of `sean train` or `sean export agent`."""
-    seed: option_types.Seed = 0
-    """The same seed gives the same episodes."""
-    warm_up: option_types.Duration = 5.0
-    """Seconds for which people walk before a task begins."""
-    record: Annotated[Path | None, Option(affects_results=False)] = None
-    """Folder for recorded drives: their commands in trials/, and demonstrations for `sean train imitation`."""
-    demonstrations: Annotated[Literal["person", "all"], Option(affects_results=False)] = "person"
-    """Steps of recorded drives that become demonstrations: those that a person drove in completed drives, or `all`,
-    which has those of the policy and of drives that were stopped, too."""
-    port: Annotated[int, option_types.Number(0, 65535), Option(affects_results=False)] = 0
-    """Port of the page on 127.0.0.1; 0 for a free one."""
-    survey: Annotated[Path | None, Option(affects_results=False)] = None
-    """Study to run with participants: a study.yaml, which has all options of its episodes. Needs --out."""
-    out: option_types.Out = None
-    """Folder for the answers to --survey: new, or with the same study, which goes on."""
-
-    @pydantic.model_validator(mode="after")
-    def _check_survey(self) -> "StudioConfig":
-        if (self.survey is None) != (self.out is None):
-            missing, there = ("survey", "out") if self.survey is None else ("out", "survey")
-            raise ValueError(f"{missing}: {there} needs it, too; add --{missing}")
-        others = sorted(self.model_fields_set - {"survey", "out", "port"}) if self.survey is not None else []
-        if others:
-            raise ValueError(f"{others[0]}: a study has its own options; write it into {self.survey}")
-        return self
-
-
-TRANSPORTS = ("ros1", "rosbridge", "dds")
-"""Ways to a robot's controller outside of this program."""
-
-
-ROS_NAME = re.compile(r"[A-Za-z](_?[A-Za-z0-9]){0,62}", re.ASCII)
-"""A name in ROS 1 and ROS 2: a letter, then letters, digits and single underscores."""
-
-
-def outside(policy: Component) -> tuple[str, str] | None:
-    """Transport and place of a controller outside of this program: "rosbridge:127.0.0.1:9090", "ros1:", "dds:0"."""
-    transport, colon, place = policy.kind.partition(":")
-    return (transport, place) if colon and transport in TRANSPORTS else None
-
-
-class BridgeConfig(ScenarioConfig):
-    """Let a controller outside of this program drive the robot: over ROS 1, a rosbridge websocket, or DDS."""
-
-    ros1: Annotated[bool, Option(affects_results=False)] = False
-    """Connect to the ROS 1 master of ROS_MASTER_URI, by rospy."""
-    rosbridge: Annotated[bool, Option(affects_results=False)] = False
-    """Serve the rosbridge protocol, version 2, on a websocket."""
-    dds: Annotated[bool, Option(affects_results=False)] = False
-    """Join a DDS domain with the types and topic names of ROS 2, by Cyclone DDS."""
-    address: Annotated[option_types.Text, Option(affects_results=False)] = "127.0.0.1:9090"
-    """For rosbridge: address and port. If other computers reach it, clients need the token that is printed."""
-    domain: Annotated[int, option_types.Number(0, 230), Option(affects_results=False)] = 0
-    """For DDS: its domain, as ROS_DOMAIN_ID."""
-    node_name: Annotated[option_types.Text, Option(affects_results=False)] = "sean_jax"
-    """Name of the node and of its services. On a master of ROS 1 two bridges need two names."""
-    namespace: Annotated[option_types.Text | None, Option(affects_results=False)] = None
-    """Namespace of the robot's topics and frames, such as robot1; /clock, /map, /tf and /tf_static are in none."""
-    naming: Annotated[Literal["ros", "sean"], Option(affects_results=False)] = "ros"
-    """Names of topics: ros as in Nav2 and move_base; sean as in SEAN 2.0, with its own topics."""
-    pace: Literal["real", "fast", "lockstep", "service"] = "real"
-    """Advance of time: by the clock; as fast as possible; after each command; or by the service step alone."""
-    factor: Annotated[float, option_types.Number(0.01, 1000.0)] = 1.0
-    """For pace real: simulated seconds per second."""
-    patience: option_types.Duration = 0.5
-    """For pace lockstep: seconds of waiting for a command; without one the robot's command timeout acts."""
-    episodes: option_types.EpisodeCount | None = None
-    """Number of episodes; by default they go on until Ctrl-C."""
-    seed: option_types.Seed = 0
-    """The same seed gives the same episodes, which are the episodes of sean run."""
-    quiet: option_types.Quiet = False
-
-    @pydantic.field_validator("node_name")
-    @classmethod
-    def _check_node_name(cls, value: str) -> str:
-        if not ROS_NAME.fullmatch(value):
-            raise ValueError(f"is {value[:40]!r}, and no name of ROS; give one such as robot1_bridge")
-        return value
-
-    @pydantic.field_validator("namespace")
-    @classmethod
-    def _check_namespace(cls, value: str | None) -> str | None:
-        if value is not None and not all(ROS_NAME.fullmatch(part) for part in value.split("/")):
-            raise ValueError(f"is {value[:40]!r}, and no namespace of ROS; give names with / between, such as robot1")
-        return value
-
-    @pydantic.field_validator("sensors", mode="before")
-    @classmethod
-    def _no_sensors(cls, value: object) -> object:
-        return () if value in ("none", ["none"], ("none",)) else value
-
-    @pydantic.model_validator(mode="after")
-    def _check_transport(self) -> "BridgeConfig":
-        if sum((self.ros1, self.rosbridge, self.dds)) != 1:
-            raise ValueError("ros1: a bridge has one transport; give one of --ros1, --rosbridge and --dds")
-        return self
-
-    @property
-    def place(self) -> tuple[str, str]:
-        """The transport and its place, as of ``outside``."""
-        if self.ros1:
-            return "ros1", ""
-        return ("rosbridge", self.address) if self.rosbridge else ("dds", str(self.domain))
-
-
-class ReplayConfig(Config):
-    """Write a page that plays episodes of a run, a dataset or a training, or tests of a validation. They are simulated
-    again with the options in the folder."""
-
-    folder: Annotated[Path, Option(positional=True)]
-    """Folder of `sean run`, `collect`, `train` or `validate`."""
-    episodes: Annotated[tuple[option_types.EpisodeNumber, ...], pydantic.Field(min_length=1)] = (0,)
-    """Numbers of episodes, from 0: of a run as in episodes.csv, of a dataset in the order of their recording, of a
-    training the episodes of its evaluations, which alternate between its environments."""
-    only: option_types.Names | None = None
-    """Tests of a validation, separated by commas, such as rimea-6,imo-1; by default its first."""
-    out: Path | None = None
-    """File to write, replay.html in the folder by default."""
-    quiet: option_types.Quiet = False
-
-
-class SurveyExportConfig(Config):
-    """Write the answers of a study as CSV files, and its drives as pages that replay them."""
-
-    what: Annotated[Literal["export"], Option(positional=True)] = "export"
-    """Tables and replays."""
-    folder: Annotated[Path, Option(positional=True)]
-    """Folder of `sean studio --survey`."""
-    out: Path | None = None
-    """Folder to write, tables in the study's folder by default; files of the same names are replaced."""
-
-
-class SurveyReportConfig(Config):
-    """Compare the ratings of a study with the metrics of its episodes: correlations and means, with intervals."""
-
-    what: Annotated[Literal["report"], Option(positional=True)] = "report"
-    """Correlations and means."""
-    folder: Annotated[Path, Option(positional=True)]
-    """Folder of `sean studio --survey`."""
-    out: Path | None = None
-    """Page to write, report.html in the study's folder by default."""
-    quiet: option_types.Quiet = False
-
-
-class SurveyRatingsConfig(Config):
-    """Compare ratings of recorded robots, in the format of SocNav3, with the metrics of their trajectories."""
-
-    what: Annotated[Literal["ratings"], Option(positional=True)] = "ratings"
-    """Correlations of ratings from elsewhere."""
-    trajectories: Annotated[Path, Option(positional=True)]
-    """Folder of trajectories, one JSON file each."""
-    ratings: Annotated[Path, Option(positional=True)]
-    """Folder of ratings, a JSON file for each rater."""
-    out: Path
-    """Folder to write; it must be new or empty."""
-    quiet: option_types.Quiet = False
-
-
-class CompareConfig(Config):
-    """Compare runs with the first of them: differences of all figures, and replays on one clock."""
-
-    runs: Annotated[tuple[Path, ...], Option(positional=True)]
-    """Folders of two or more runs."""
-    situation: option_types.Text = "overall"
-    """Situation whose table is printed; the page has all of them."""
-    out: Path | None = None
-    """Page to write, compare-FIRST-SECOND.html by default."""
-    quiet: option_types.Quiet = False

@@ -25,7 +25,8 @@ from rich.console import Console
 import sean_jax
 from sean_jax import __version__, learning
 from sean_jax.classifiers import SITUATION_SETS
-from sean_jax.cli import bench, command_line, xla_flags
+from sean_jax.cli import bench, command_line, commands, xla_flags
+from sean_jax.config import COMMANDS, flags
 from sean_jax.core import random_streams
 from sean_jax.io import cache, interrupts
 from sean_jax.io import progress as progress_of
@@ -43,14 +44,38 @@ def test_help_imports_no_jax_and_names_every_option():
     program = (
         "import sys\n"
         "from sean_jax.cli import command_line as cli\n"
-        "try:\n    cli.main(['run', '--help'])\n"
-        "except SystemExit as end:\n    assert end.code == 0\n"
+        "for word in ('--help', '--help-scenario'):\n"
+        "    try:\n        cli.main(['run', word])\n"
+        "    except SystemExit as end:\n        assert end.code == 0\n"
         "print([name for name in ('jax', 'numpy', 'mujoco', 'matplotlib') if name in sys.modules])"
     )
     said = python("-c", program)
     assert said.splitlines()[-1] == "[]"
     for option in "environment behavior task robot policy people episodes seed time-limit out".split():
         assert f"--{option} " in said
+
+
+def test_every_command_does_something():
+    assert commands.DO.keys() == COMMANDS.keys()
+
+
+@pytest.mark.parametrize("words", COMMANDS)
+def test_help_fills_one_screen_and_topics_have_the_other_options(words, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "500")
+    word, model = words.split()[0], COMMANDS[words]
+    known = flags.flags_of(model, word in command_line.CONFIGURABLE, word in command_line.READERS)
+    shown = list[str]()
+    for topic in ("", *(topic.word for topic in flags.topics(model))):
+        page = f"--help-{topic}" if topic else "--help"
+        with pytest.raises(SystemExit) as end:
+            command_line.main([*words.split(), page])
+        assert end.value.code == 0
+        options = re.findall(r"^[│ ] --([a-z0-9-]+)", capsys.readouterr().out, re.M)
+        assert len(options) <= 45 and not {*options} & {*shown}
+        assert {*options} == {
+            option.name.replace("_", "-") for option in known if option.topic == topic and not option.positional
+        }
+        shown += options
 
 
 def test_version_is_printed(capsys):

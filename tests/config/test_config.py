@@ -1,6 +1,5 @@
 """Options of the commands: a command repeats them to the bit, and mistakes are told before anything is made."""
 
-import dataclasses
 import re
 import shlex
 import typing
@@ -12,7 +11,7 @@ import pytest
 from rich.console import Console
 
 from sean_jax import config, drawing
-from sean_jax.cli import command_line
+from sean_jax.cli import command_line, commands
 from sean_jax.config import (
     COMMANDS,
     CollectConfig,
@@ -352,8 +351,8 @@ def test_a_mistake_is_told_before_anything_is_made(case, compiled, capsys, monke
 @pytest.mark.parametrize("width", [40, 200])
 def test_a_message_comes_out_as_it_is(text, width, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", str(width))
-    assert command_line._fail(text, 2) == 2
-    command_line._print(Console(), "report: ", text)
+    assert commands.fail(text, 2) == 2
+    commands._print(Console(), "report: ", text)
     shown = capsys.readouterr()
     assert shown.err == f"sean: {text}\n" and shown.out == f"report: {text}\n"
 
@@ -409,7 +408,7 @@ def test_names_of_other_projects_lead_to_an_option():
     used = set()
     for words, model in COMMANDS.items():
         word = words.split()[0]
-        known = [field.name for field in dataclasses.fields(flags.parser(model))]
+        known = [option.name for option in flags.flags_of(model)]
         for option in set(known) & set(config.aliases()):
             used.add(option)
             for other in set(config.aliases()[option]) - set(known):
@@ -441,11 +440,11 @@ def test_every_choice_is_explained_by_a_whole_sentence_of_its_own():
 def test_the_endings_of_pictures_are_those_that_matplotlib_writes(tmp_path):
     from matplotlib.figure import Figure
 
-    for suffix in command_line.PICTURES:
-        writing.check_file(tmp_path / f"sheet{suffix}", command_line.PICTURES)
+    for suffix in commands.PICTURES:
+        writing.check_file(tmp_path / f"sheet{suffix}", commands.PICTURES)
         Figure(figsize=(0.5, 0.5)).savefig(tmp_path / f"sheet{suffix}")
         assert (tmp_path / f"sheet{suffix}").stat().st_size > 0
-        writing.check_file(tmp_path / f"sheet{suffix.upper()}", command_line.PICTURES)
+        writing.check_file(tmp_path / f"sheet{suffix.upper()}", commands.PICTURES)
 
 
 @pytest.mark.parametrize(

@@ -200,7 +200,7 @@ ENDS = [  # of a program of a user's, and of the command line
 @pytest.mark.parametrize(("end", "begin", "code", "text"), ENDS)
 def test_an_error_while_xla_compiles_ends_in_its_own_code(end, begin, code, text):
     """An interpreter that ends unwinds the threads that are left, which XLA answers with ``abort``."""
-    begin = begin or "command_line._DO['list'] = work; sys.argv = ['sean', 'list']; sys.exit(command_line.main())"
+    begin = begin or "command_line.DO['list'] = work; sys.argv = ['sean', 'list']; sys.exit(command_line.main())"
     program = COMPILING.format(end=end, begin=begin)
     ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=120)
     assert ended.returncode == code, ended.stderr

@@ -14,7 +14,7 @@ import yaml
 
 import sean_jax
 from sean_jax import learning
-from sean_jax.cli import command_line
+from sean_jax.cli import commands
 from sean_jax.config import PPOConfig, validate
 from sean_jax.core.errors import FileError, InputError
 from sean_jax.learning.policy import AGENTS, MAX_WEIGHTS_BYTES, WEIGHTS, load_agent, load_policy, save_agent
@@ -133,8 +133,8 @@ def test_a_folder_of_that_name_is_not_shadowed(lab, tmp_path, monkeypatch):
 
 
 def test_the_next_command_names_the_folder():
-    assert command_line._drive(Path("ppo")) == "sean run --policy ./ppo"
-    assert command_line._drive(Path("runs/ppo")) == "sean run --policy runs/ppo"
+    assert commands.run_command(Path("ppo")) == "sean run --policy ./ppo"
+    assert commands.run_command(Path("runs/ppo")) == "sean run --policy runs/ppo"
 
 
 @pytest.mark.slow

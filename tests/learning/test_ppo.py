@@ -15,8 +15,8 @@ import pytest
 
 import sean_jax
 from sean_jax import learning, mdp, registry
-from sean_jax.cli import command_line
-from sean_jax.config import APGConfig, PPOConfig, flags
+from sean_jax.cli import command_line, commands
+from sean_jax.config import COMMANDS, APGConfig, PPOConfig, flags
 from sean_jax.core.errors import InputError
 from sean_jax.learning import networks, ppo, reinforcement, rollouts, shac
 from sean_jax.learning.networks import ActorCritic, Agent, Statistics
@@ -257,13 +257,13 @@ def test_progress_is_of_a_hundred_episodes_or_more():
 
 def test_the_command_after_a_training_drives_where_it_was_trained(tmp_path):
     config = options(tmp_path, environment="yard,lab", robot="kuri,fetch", hold_time=1.0, forces="sean2").as_run()
-    words = shlex.split(command_line._drive(tmp_path / "made", True, config))
+    words = shlex.split(commands.run_command(tmp_path / "made", True, config))
     assert words[:4] == ["sean", "run", "--policy", str(tmp_path / "made")] and words[-1] == "--trust"
     assert words[4:-1] == shlex.split(
         "--environment yard --behavior random --walking-groups 0 0 --robot kuri --people 2 --forces sean2 "
         "--time-limit 4 --hold-time 1"
     )
-    plain = command_line._drive(Path("mine"), options=PPOConfig(out=tmp_path).as_run())
+    plain = commands.run_command(Path("mine"), options=PPOConfig(out=tmp_path).as_run())
     assert plain == "sean run --policy ./mine --environment warehouse"
 
 
@@ -519,7 +519,7 @@ def test_options_of_a_training_from_a_file(tmp_path, monkeypatch, capsys):
     """Flags override its values, and an option that is none is refused with the file."""
     monkeypatch.chdir(tmp_path)
     Path("mine.yaml").write_text(FILE)
-    model = command_line._model(["train", "ppo"])
+    model = COMMANDS["train ppo"]
 
     def read(*words):
         given = ["ppo", "--config", "mine.yaml", *words]

@@ -1,7 +1,6 @@
 """The house keeps its shape: documented families, a light start, one gate for files, a clean repository."""
 
 import ast
-import dataclasses
 import inspect
 import re
 import sys
@@ -341,8 +340,9 @@ def test_readme_names_options_that_exist():
     known: dict[str, set[str]] = {}
     for words, model in COMMANDS.items():
         word = words.split()[0]
-        fields = dataclasses.fields(flags.parser(model, word == "run", word in command_line.READERS))
-        known.setdefault(word, set()).update(field.name.replace("_", "-") for field in fields)
+        options = flags.flags_of(model, word in command_line.CONFIGURABLE, word in command_line.READERS)
+        known.setdefault(word, set()).update(option.name.replace("_", "-") for option in options)
+        known[word].update(f"help-{topic.word}" for topic in flags.topics(model))
     for line in readme.splitlines():
         named = set(re.findall(r"(?<![\w-])--([a-z][a-z-]*)", line)) - {"help"}
         words = {"run", *re.findall(r"\bsean ([a-z-]+)", line)} & set(known)

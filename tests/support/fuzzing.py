@@ -75,7 +75,7 @@ READERS = {
     "log": ("learning/trainer.py read_metrics",),
     "config": ("evaluation/run_folder.py read_config",),
     "code": ("config/user_parts.py _bytes",),
-    "training": ("evaluation/run_folder.py read_config", "config/learning_options.py EnvConfig.identity"),
+    "training": ("evaluation/run_folder.py read_config", "config/mdp_options.py EnvConfig.identity"),
     "csv": ("io/trajectories.py _Csv.read", "io/trajectories.py _header"),
     "parquet": (
         "io/trajectories.py _Parquet.read",

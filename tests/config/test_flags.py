@@ -1,0 +1,94 @@
+"""Words of the command line: ``key=value`` beside flags, and files of options for each command that takes them."""
+
+import pytest
+import yaml
+
+from sean_jax.cli import command_line
+from sean_jax.config import COMMANDS, flags
+from sean_jax.core.errors import InputError
+
+SCENARIO = ["run", "collect", "train ppo", "train apg", "studio", "bridge"]
+TRANSPORT = {"bridge": ["--dds"]}
+
+
+def options_of(words: str, arguments: list[str]):
+    """The options of a command line."""
+    word, *method = words.split()
+    model = COMMANDS[words]
+    parsed = flags.parse(word, model, [*method, *TRANSPORT.get(word, ()), *arguments], configurable=True, trust=True)
+    return command_line._read(model, parsed)
+
+
+@pytest.mark.parametrize("words", SCENARIO)
+@pytest.mark.parametrize(
+    ("assignments", "typed"),
+    [
+        ("people=8 robot=jackal", "--people 8 --robot jackal"),
+        ("time_limit=20 time-step=0.2 seed=3", "--time-limit 20 --time-step 0.2 --seed 3"),
+        ("task_distance=4,inf behavior=graph routing=edge", "--task-distance 4 inf --behavior graph --routing edge"),
+        ("walking_groups=[0.3,0.2] --forces sean2", "--walking-groups 0.3 0.2 --forces sean2"),
+        ("environment=lab --hold-time 2 goal_radius=1", "--environment lab --hold-time 2 --goal-radius 1"),
+        ("task=join_group,leave_group situations=paper,my.py:f", "--task join_group,leave_group --situation my.py:f"),
+    ],
+)
+def test_a_key_with_a_value_is_a_flag(words, assignments, typed):
+    assert options_of(words, assignments.split()) == options_of(words, typed.split())
+
+
+def test_words_after_a_flag_of_several_values_are_its_values():
+    typed = options_of("train ppo", "recurrent=true --sweep clip=0.1,0.2 entropy=0.1 --people 8".split())
+    assert typed.sweep == ("clip=0.1,0.2", "entropy=0.1") and typed.recurrent
+    assert options_of("train ppo", ["sweep=clip=0.1,0.2 entropy=0.1", "people=8", "recurrent=True"]) == typed
+    assert options_of("train ppo", "--rewards progress=2,time=-0.2 layers=3".split()).layers == 3
+    assert options_of("train ppo", ["action_delay=0,2"]).action_delay == (0, 2)
+
+
+@pytest.mark.parametrize("words", SCENARIO)
+def test_words_override_a_file(words, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    content = {"people": 4, "environment": "lab", "behavior": {"kind": "graph", "routing": "edge"}, "seed": 5}
+    (tmp_path / "mine.yaml").write_text(yaml.safe_dump(content))
+    options = options_of(words, "--config mine.yaml people=8 --time-limit 30".split())
+    assert (options.people, options.environment, options.seed, options.time_limit) == (8, "lab", 5, 30.0)
+    assert options.behavior.routing == "edge"
+
+
+def test_false_turns_a_switch_of_a_file_off(monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mine.yaml").write_text("live: true\n")
+    assert options_of("run", ["--config", "mine.yaml"]).live
+    assert options_of("run", ["--config", "mine.yaml", "live=true"]).live
+    assert not options_of("run", ["--config", "mine.yaml", "live=false"]).live
+    assert not options_of("run", ["live=false"]).live
+
+    (tmp_path / "mine.yaml").write_text("rosbridge: true\n")
+    assert options_of("bridge", ["--config", "mine.yaml", "rosbridge=false"]).dds
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        ("run peple=8", "peple: there is no such option; did you mean 'people'?"),
+        ("run num_people=8", "num_people: there is no such option; did you mean 'people'?"),
+        ("run zzzzzz=8", "zzzzzz: there is no such option; `sean run --help` lists the options."),
+        ("run people=", "people is an empty text; give a value, or leave the option out for its default."),
+        ("run live=maybe", "--live: 'maybe' is not true or false."),
+        ("run people=-1", "--people: -1 must be from 0 to"),
+        ("collect dynamics=twinn", "--dynamics: 'twinn' is not one of twin, mjx, kinematic; did you mean 'twin'?"),
+    ],
+)
+def test_a_wrong_key_or_value_is_refused_in_a_sentence(words, sentence):
+    word, *arguments = words.split()
+    with pytest.raises(InputError) as caught:
+        options_of(word, arguments)
+    assert str(caught.value).startswith(sentence)
+
+
+def test_commands_with_paths_take_no_keys():
+    """A folder may be called seed=1."""
+    parsed = flags.parse("compare", COMMANDS["compare"], ["seed=1", "seed=2"])
+    assert [path.name for path in parsed["runs"]] == ["seed=1", "seed=2"]
+    parsed = flags.parse("train", COMMANDS["train imitation"], ["imitation", "seed=1"], configurable=True)
+    assert parsed["dataset"].name == "seed=1" and "seed" not in parsed
+    with pytest.raises(SystemExit):
+        flags.parse("train", COMMANDS["train imitation"], ["imitation", "data", "seed=1"], configurable=True)
