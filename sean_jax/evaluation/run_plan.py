@@ -178,7 +178,7 @@ def write_config(folder: Path, about: dict[str, Any], plan: RunPlan | None, fing
     """
     content: dict[str, Any] = {}
     if plan is not None:
-        content["command"] = plan.command()
+        content["command"] = plan.command(complete=True)
         content["config"] = plan.code.describe(json.loads(json.dumps(plan.description)))
         content["copies"] = plan.files.copies
         content["sha256"] = plan.code.bundle(folder) | plan.files.bundle(folder)
