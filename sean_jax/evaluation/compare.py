@@ -265,10 +265,10 @@ def _row(first: SavedRun, second: SavedRun, column: str, common: int) -> Row | N
         values.append(_by_episode(rows, run.robots))
         cut_values.append(_by_episode(cut_rows, run.robots))
 
-    change = difference(*values, common > 0)
+    change = difference(values[0], values[1], common > 0)
     if change is None:
         return None
-    return Row(name, figure, change, difference(*cut_values, common > 0) if is_cut else None)
+    return Row(name, figure, change, difference(cut_values[0], cut_values[1], common > 0) if is_cut else None)
 
 
 def _figure(name: str, run: SavedRun) -> Figure:
