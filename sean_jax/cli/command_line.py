@@ -206,8 +206,6 @@ def _read(model: type[Config], parsed: Mapping[str, Any]) -> Any:
         config.validate(model, saved.description | words, source=source)
     except InputError as error:
         raise InputError(f"{source}: {error}") from None
-    for sentence in saved.changes:
-        print(sentence, file=sys.stderr)
     options = flags.read(model, parsed, saved.description, source, typed=True)
     _refuse_open_port(options, parsed, source)
     return options

@@ -314,10 +314,10 @@ def training_scenario(folder: Path) -> Scenario:
         InputError: there is no agent, or its demonstrations are of another program.
     """
     if (folder / CONFIG).is_file() and is_imitation(folder):
-        return making.build_stack(demonstration_config(folder), 1).member
+        return making.build(making.plan_scenario(demonstration_config(folder)), 1)[0].member
     options = read_options(folder)
     user_parts.check_trust(options)
-    return registry.build_stack(options.per_environment[0], limit=1).member.scenario
+    return registry.build(options.per_environment[0], limit=1).member.scenario
 
 
 def demonstration_config(folder: Path) -> CollectConfig:
@@ -473,10 +473,13 @@ def pack(folder: Path | str, out: Path | str) -> Path:
     else:
         description = describe(folder, training_scenario(folder))
     agent = read_agent(folder, description)
+    facts = {**_best_evaluation(folder), "weights": "float16", "packed_with": versions()}
     with writing.atomic_folder(out) as target:
-        copies, hashes = ({}, {}) if options is None else user_parts.copy(target, options)
-        own = user_parts.relocate(options.identity(), copies) | {"parts": hashes} if options and copies else {}
-        facts = {**_best_evaluation(folder), "weights": "float16", "packed_with": versions()}
+        own = {}
+        if options is not None:
+            code = user_parts.input_files(options)
+            hashes = code.bundle(target)
+            own = code.describe(options.identity()) | {"parts": hashes} if hashes else {}
         save_agent(target, agent, {**files.read_json(folder / CONFIG), **own, "agent": facts})
     return out
 

@@ -26,7 +26,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Bool, Float, Int, PyTree
 
 from sean_jax import mdp
-from sean_jax.config import EnvConfig, ReinforcementConfig, user_parts
+from sean_jax.config import ReinforcementConfig, user_parts
 from sean_jax.core import devices, random_streams
 from sean_jax.core.clock import ceil_ticks
 from sean_jax.core.data_types import Array, Policy, Scenario, State
@@ -122,14 +122,14 @@ def build(options: ReinforcementConfig) -> Setting:
         policies.check_policy(options.imitate, options, "imitate")
     if options.pretrained is not None:
         _check_pretrained(options, _agent_folder(options.pretrained))
-    configs = _configs(options)
-    for config in configs:
-        costs.with_costs(tuple(registry.check(config)["rewards"].items()), options.cost_limits)
+    plans = registry.plan_envs(options)
+    for plan in plans:
+        costs.with_costs(tuple(plan.rewards.items()), options.cost_limits)
     _, private = policies.agent_terms(options)
 
     # The critic's own observations come last, and costs are terms of the reward.
     prepare = functools.partial(_prepare, options, private)
-    envs = [registry.build_stack(config).map_member(prepare) for config in configs]
+    envs = [registry.build(plan).map_member(prepare) for plan in plans]
     members = [env.member for env in envs]
     rewards.reweighted(members[0].rewards, _weights(options.agents[0]))  # refuses unknown terms
     _check_alike(environment_names(options, [member.scenario for member in members]), members)
@@ -139,17 +139,6 @@ def build(options: ReinforcementConfig) -> Setting:
     network = policies.agent_network(options, members[0].observation_space)
     measured = tuple(member.scenario for member in members)
     return Setting(measured, tuple(env.map_member(_without_metrics) for env in envs), network)
-
-
-def _configs(options: ReinforcementConfig) -> list[EnvConfig]:
-    """The options of each environment, each with each law."""
-    if options.laws is None:
-        return list(options.per_environment)
-    configs = []
-    for config in options.per_environment:
-        plain = config.replace(laws=None)
-        configs += [registry.with_law(plain, law) for law in listed(options.laws)]
-    return configs
 
 
 def _prepare(options: ReinforcementConfig, private: observations.Terms, env: mdp.Env) -> mdp.Env:

@@ -353,7 +353,7 @@ class LiveBridge:
             InputError: the options cannot be met, a package is missing, or nothing answers.
         """
         self.config = config
-        self.scenarios = making.build(config)
+        self.scenarios = making.scenarios(config)
         self._varying = varying_leaves(self.scenarios)
         self._tasks = tuple(scenario.task for scenario in self.scenarios)
         self._write = functools.partial(console.print, highlight=False, markup=False, soft_wrap=True)

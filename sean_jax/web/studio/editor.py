@@ -213,11 +213,11 @@ class Editor:
         """The scenario with a file of the scratch folder."""
         folder = Path(self._scratch.name)
         if name == SCENE:
-            return making.build(self.config.replace(environment=str(folder)))[0]
+            return making.scenarios(self.config.replace(environment=str(folder)))[0]
         before = scenario.behavior.data
         tables = before if name == GRAPH else before.ways or scenario
         place = behaviors.Place(folder, scenario.environment, tables.navigation, scenario.time_step)
-        behavior = making.behavior_of(self.config, place)
+        behavior = making.behavior_of(making.plan_scenario(self.config), place)
         if name == GRAPH:
             behavior = dataclasses.replace(behavior, data=_with_starts_like(before, behavior.data))
         return dataclasses.replace(scenario, behavior=behavior)
