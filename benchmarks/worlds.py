@@ -82,10 +82,9 @@ def main() -> None:
     config = validate(EnvConfig, {**words, "observations": OBSERVATIONS.get(options.observe, ("goal",))})
     begun = time.perf_counter()
     if options.observe == "none":
-        floors, start, one = making.build_stack(config), reset, moved
-        floors = floors.map_member(lambda scenario: making.with_tasks(config, scenario)[0])
+        floors, start, one = making.build(making.plan_scenario(config))[0], reset, moved
     else:
-        floors, start, one = registry.build_stack(config), lambda env, key: env.reset(key)[1], observed
+        floors, start, one = registry.build(config), lambda env, key: env.reset(key)[1], observed
     text = f"{floors.size} floors in {time.perf_counter() - begun:.0f} s, {size(floors) / 1e6:.2f} MB each"
     print(f"{jax.devices()[0].device_kind}, {text}, observations: {options.observe}", flush=True)
     host, device = jax.devices("cpu")[0], jax.devices()[0]

@@ -218,8 +218,6 @@ def _read(model: type[Config], parsed: Any) -> Any:
             config.validate(model, base | words, source=parsed.config)
         except InputError as error:
             raise InputError(f"{parsed.config}: {error}") from None
-        for sentence in saved.changes:
-            print(sentence, file=sys.stderr)
     source = parsed.config if base is not None else None
     options = flags.read(model, parsed, base, source, typed=True)
     if source is not None:

@@ -351,23 +351,29 @@ def _with_options(
     """A component with its separate options."""
     if isinstance(chosen, OwnPart):
         return chosen.model_copy(update=options)
+
+    # The component that is meant: the only one, the default, or the one that has all of the options.
+    owners = family.options()
     if family.several:
         chosen = chosen[0] if isinstance(chosen, list | tuple) and len(chosen) == 1 else chosen
-        if chosen is None and len(options) == len(family.options()):
+        if chosen is None and len(options) == len(owners):
             chosen = family.kinds[0]
     elif chosen is None:
         chosen = default
     chosen = _as_mapping(chosen) or chosen
+
     kind = chosen.get("kind") if isinstance(chosen, Mapping) else None
-    owners = family.options()
     variant = family.variant(kind) if isinstance(kind, str) else None
+    if is_own_part(kind) or (kind and variant is None):  # which takes any, or is refused later
+        return {**chosen, **options}
     for option in options:
-        if is_own_part(kind) or (variant is not None and variant in owners[option]) or variant is None and kind:
-            continue
-        kinds = " or ".join(f"'{owner.model_fields['kind'].default}'" for owner in owners[option])
-        what = f"{name} '{kind}'" if kind else f"the default {name}" if chosen is None else f"a {name} of your own"
-        raise InputError(f"{named(option)}: {what} has no such option; choose {name} {kinds}.")
-    assert isinstance(chosen, Mapping)  # else an option was refused above
+        if variant is None or variant not in owners[option]:
+            kinds = " or ".join(f"'{owner.model_fields['kind'].default}'" for owner in owners[option])
+            if kind:
+                raise InputError(f"{named(option)}: {name} '{kind}' has no such option; choose {name} {kinds}.")
+            if chosen is None:
+                raise InputError(f"{named(option)}: the default {name} has no such option; choose {name} {kinds}.")
+            raise InputError(f"{named(option)}: a {name} of your own has no such option; choose {name} {kinds}.")
     return {**chosen, **options}
 
 
@@ -400,26 +406,33 @@ def sentence(model: type[Config], error: ErrorDetails, named: Callable[[str], st
     classes = {each.__name__: each for each in _component_classes(model)}
     path = [part for part in error["loc"] if part not in classes]
     owner = next((classes[part] for part in reversed(error["loc"]) if part in classes), model)
-    kind, last = error["type"], str(error["loc"][-1]) if error["loc"] else ""
-    place = ".".join(str(part) for part in path[1:] if isinstance(part, str))
-    head = named(str(path[0])) if path else ""
-    if place and place in owner.model_fields and named is not str:
-        head, place = named(place), ""  # an option of a component is a separate flag
+    option, key = _subject(path, owner, error["type"], named)
+
+    # The clause, with what was probably meant.
+    last = str(error["loc"][-1]) if error["loc"] else ""
     known = list(owner.model_fields)
-    beside = [option for family in families(owner).values() for option in family.options()]
+    beside = [name for family in families(owner).values() for name in family.options()]
     text = error_clause(error, _choices(owner, last), known, did_you_mean(last, [*known, *beside]))
-    if kind == "value_error" and not path:
-        head, _, text = text.partition(": ")
-        head = named(head)
-    elif kind == "extra_forbidden":
-        head, place = ("", "") if len(path) == 1 else (head, ".".join(map(str, path[1:-1])))
-    elif kind == "invalid_key":
-        head = "" if len(path) == 1 else head
-    elif kind == "too_short":
+    if error["type"] == "value_error" and not path:  # of a whole class; the clause begins with the option
+        option, _, text = text.partition(": ")
+        option = named(option)
+    elif error["type"] == "too_short":
         text = "names nothing; `sean list` shows what there is"
-    start = f"{head}{'.' if head and place else ''}{place}"
+
+    start = ".".join(filter(None, (option, key)))
     end = "" if text.endswith(("?", ".")) else "."
     return f"{start}: {text}{end}" if start else f"{text}{end}"
+
+
+def _subject(path: list[Any], owner: type[Config], kind: str, named: Callable[[str], str]) -> tuple[str, str]:
+    """The option and the key in it that an error is about, as messages name them."""
+    option = named(str(path[0])) if path else ""
+    key = ".".join(str(part) for part in path[1:] if isinstance(part, str))
+    if key and key in owner.model_fields and named is not str:
+        option, key = named(key), ""  # an option of a component is a separate flag
+    if kind == "extra_forbidden":
+        return ("", "") if len(path) == 1 else (option, ".".join(map(str, path[1:-1])))
+    return ("", key) if kind == "invalid_key" and len(path) == 1 else (option, key)
 
 
 def _component_classes(model: type[Config]) -> list[type[Component]]:

@@ -8,12 +8,11 @@ again. This module imports no JAX.
 import ast
 import builtins
 import contextlib
-import hashlib
 import importlib.abc
 import importlib.util
 import re
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from importlib.machinery import ModuleSpec
@@ -21,9 +20,10 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
 
-from sean_jax.config import Component, Config, OwnPart, Value, is_own_part, validate
+from sean_jax.config import Component, Config, Named, OwnPart, Value, is_own_part, validate
+from sean_jax.config.input_files import InputFiles, rename, sha256, texts
 from sean_jax.core.errors import InputError
-from sean_jax.io import files, writing
+from sean_jax.io import files
 
 PARTS = "parts"  # folder beside a description with the user's files
 PACKAGE = __name__.partition(".")[0]
@@ -49,17 +49,17 @@ class Content:
     def digests(self) -> dict[str, str]:
         """Path from the folder of the file -> SHA-256 of each file; the file's own is the first."""
         read = [source for source in self.sources.values() if source.text is not None]
-        return {each.path.relative_to(self.file.parent).as_posix(): _sha256(each.text or b"") for each in read}
+        return {each.path.relative_to(self.file.parent).as_posix(): sha256(each.text or b"") for each in read}
 
     @cached_property
     def digest(self) -> str:
         """A digest of all files, 64 hexadecimal digits."""
-        return _sha256(repr(self.digests).encode())
+        return sha256(repr(self.digests).encode())
 
     @cached_property
     def root(self) -> str:
         """Name of the package of its modules, which no other file or content has."""
-        return f"sean_jax_part_{_sha256(f'{self.file}{self.digest}'.encode())[:16]}"
+        return f"sean_jax_part_{sha256(f'{self.file}{self.digest}'.encode())[:16]}"
 
 
 _LOADED: dict[str, ModuleType] = {}  # root -> the executed file
@@ -80,6 +80,41 @@ def resolve(component: Component, family: Mapping[str, Any], option: str) -> Any
     if component.kind not in family:
         raise InputError(files.unknown_name(option, component.kind, family))
     return family[component.kind]
+
+
+def name_or_part(component: Component, option: str) -> Any:
+    """The name of a component, which another function looks up, or the user's own part.
+
+    Raises:
+        InputError: the user's file or the thing in it does not exist.
+    """
+    return component.kind if isinstance(component, Named) else resolve(component, {}, option)
+
+
+def chosen(
+    parts: Iterable[Component],
+    sets: Mapping[str, Mapping[str, Any]],
+    family: Mapping[str, Any],
+    option: str,
+    convert: Callable[[Any, str], Any],
+) -> dict[str, Any]:
+    """Name -> thing, of components that are names of sets, names in a family, or the user's own.
+
+    Args:
+        convert: gives the thing of the user's own part and its name.
+
+    Raises:
+        InputError: there is no such name, file or thing.
+    """
+    things: dict[str, Any] = {}
+    for part in parts:
+        if isinstance(part, Named) and part.kind in sets:
+            things |= sets[part.kind]
+        elif isinstance(part, Named):
+            things[part.kind] = resolve(part, {**sets, **family}, option)
+        else:
+            things[part.label] = convert(resolve(part, {}, option), part.label)
+    return things
 
 
 def load(part: OwnPart, option: str) -> Any:
@@ -135,8 +170,10 @@ def check_trust(config: Config) -> None:
 def _check_trust(part: OwnPart, option: str) -> None:
     if not part.is_typed and not _trust:
         namer = part.named_in or "a file or message"
-        cure = "read it, then add --trust (in Python: with sean_jax.trust())"
-        raise InputError(f"{option}: {part.kind} is code, and {namer} names it, not you; {cure}.")
+        raise InputError(
+            f"{option}: {part.kind} is code, and {namer} names it, not you; "
+            f"read it, then add --trust (in Python: with sean_jax.trust())."
+        )
 
 
 # ------------------------------------------------------------------ what files hold
@@ -189,7 +226,7 @@ def digest(file: Path, max_bytes: int = files.MAX_BYTES) -> str:
     Raises:
         FileError: the file cannot be read.
     """
-    return _sha256(files.read_bytes(file, max_bytes))
+    return sha256(files.read_bytes(file, max_bytes))
 
 
 def digests(config: Config) -> dict[str, str]:
@@ -198,13 +235,7 @@ def digests(config: Config) -> dict[str, str]:
     Raises:
         InputError: a file cannot be read; the message begins with the option that names it.
     """
-    hashes: dict[str, str] = {}
-    for field, part in _parts(config):
-        try:
-            hashes |= _named(part.file, content(part.file))
-        except InputError as error:
-            raise InputError(f"{field}: {error}") from None
-    return hashes
+    return input_files(config).digests
 
 
 def by_option(config: Config) -> dict[str, list[dict[str, Any]]]:
@@ -221,29 +252,27 @@ def by_content(config: Config) -> dict[str, Any]:
     Raises:
         FileError: a file cannot be read.
     """
-    return relocate(config.identity(), {part.file: content(part.file).digest[:16] for _, part in _parts(config)})
+    return rename(config.identity(), {part.file: content(part.file).digest[:16] for _, part in _parts(config)})
 
 
-def copy(folder: Path, config: Config) -> tuple[dict[str, str], dict[str, str]]:
-    """Copy the files of the options' parts, as they were executed, into folder/parts, folder/parts/2, ...
+def input_files(config: Config) -> InputFiles:
+    """The files of the options' parts and of their neighbours; their copies are in parts, parts/2, ...
 
-    Returns:
-        File in the options -> its copy; copy -> SHA-256.
+    Raises:
+        InputError: a file cannot be read; the message begins with the option that names it.
     """
-    copies: dict[str, str] = {}
-    hashes: dict[str, str] = {}
-    places: dict[Path, str] = {}
-    for _, part in _parts(config):
-        code = content(part.file)
+    read, copies = dict[str, bytes](), dict[str, str]()
+    places: dict[Path, str] = {}  # folder of the user's -> folder of its copies
+    for field, part in _parts(config):
+        try:
+            code = content(part.file)
+        except InputError as error:
+            raise InputError(f"{field}: {error}") from None
         place = places.setdefault(code.file.parent, f"{PARTS}/{len(places) + 1}" if places else PARTS)
-        for source in code.sources.values():
-            if source.text is not None:
-                to = folder / place / source.path.relative_to(code.file.parent)
-                to.parent.mkdir(parents=True, exist_ok=True)
-                writing.write(to, source.text)
-        copies[part.file] = f"{place}/{code.file.name}"
-        hashes |= _named(copies[part.file], code)
-    return copies, hashes
+        for name, source in _named(part.file, code).items():
+            copies[name] = f"{place}/{source.path.relative_to(code.file.parent).as_posix()}"
+            read[copies[name]] = source.text or b""
+    return InputFiles(read, copies, {})
 
 
 def recorded(path: Path, data: Any, hashes: Any, key: str) -> Any:
@@ -251,7 +280,7 @@ def recorded(path: Path, data: Any, hashes: Any, key: str) -> Any:
 
     Args:
         path: the file that holds them.
-        hashes: file -> SHA-256, as of ``digests`` and ``copy``; None for no check.
+        hashes: file -> SHA-256, as of ``digests`` and ``InputFiles.bundle``; None for no check.
 
     Raises:
         InputError: a file cannot be read, or has changed.
@@ -259,48 +288,29 @@ def recorded(path: Path, data: Any, hashes: Any, key: str) -> Any:
     hashes = {} if hashes is None else hashes
     if not isinstance(hashes, dict):
         raise InputError(f"{path}: {key}: {hashes!r:.60} is no list of files; give file: digest lines, or none.")
-    names = _files(data)
+    names = dict.fromkeys(text.rpartition(":")[0] for text in texts(data) if is_own_part(text))
     paths = {name: path.parent / name for name in names}
     paths = {name: file if file.is_file() or not Path(name).is_file() else Path(name) for name, file in paths.items()}
 
-    def check(file: Path, digest: str, given: str) -> None:
-        if hashes.get(given) != digest:
-            cure = f"restore it, or remove {key} from {path.name} to take all files as they are"
-            raise InputError(f"{file}: is not the file that {path} was made with; {cure}.")
+    def check(file: Path, text: bytes, name: str) -> None:
+        if hashes.get(name) != sha256(text):
+            raise InputError(
+                f"{file}: is not the file that {path} was made with; "
+                f"restore it, or remove {key} from {path.name} to take all files as they are."
+            )
 
     for name in names if hashes else ():
-        check(paths[name], _sha256(_bytes(paths[name].absolute())), name)  # before it is parsed
-        code = content(paths[name])
-        for (inner, digest), file in zip(code.digests.items(), _named(name, code), strict=True):
-            check(paths[name].parent / inner, digest, file)
-    return relocate(data, {name: str(file) for name, file in paths.items()})
+        check(paths[name], _bytes(paths[name].absolute()), name)  # before it is parsed
+        for inner, source in _named(name, content(paths[name])).items():
+            check(paths[name].parent / Path(inner).relative_to(Path(name).parent), source.text or b"", inner)
+    return rename(data, {name: str(file) for name, file in paths.items()})
 
 
-def relocate(data: Any, place: Mapping[str, str]) -> Any:
-    """Saved options with the user's files elsewhere: ``place`` has the new path of each."""
-    if isinstance(data, list | tuple):
-        return [relocate(each, place) for each in data]
-    if isinstance(data, Mapping):
-        return {name: relocate(value, place) for name, value in data.items()}
-    if isinstance(data, str) and is_own_part(data):
-        file, _, name = data.rpartition(":")
-        return f"{place.get(file, file)}:{name}"
-    return data
-
-
-def _files(data: Any) -> list[str]:
-    """The files of the parts in saved options, each once."""
-    if isinstance(data, str):
-        return [data.rpartition(":")[0]] if is_own_part(data) else []
-    values = data.values() if isinstance(data, Mapping) else data if isinstance(data, list | tuple) else ()
-    return list(dict.fromkeys(file for value in values for file in _files(value)))
-
-
-def _named(file: str, code: Content) -> dict[str, str]:
-    """The digests of a content, by paths relative to ``file``."""
-    _, *others = code.digests
-    names = [file, *((Path(file).parent / other).as_posix() for other in others)]
-    return dict(zip(names, code.digests.values(), strict=True))
+def _named(file: str, code: Content) -> dict[str, Source]:
+    """The files of a content, by paths relative to ``file``."""
+    first, *others = (source for source in code.sources.values() if source.text is not None)
+    beside = {(Path(file).parent / each.path.relative_to(code.file.parent)).as_posix(): each for each in others}
+    return {file: first, **beside}
 
 
 def _parts(config: Config) -> Iterator[tuple[str, OwnPart]]:
@@ -312,10 +322,6 @@ def _parts(config: Config) -> Iterator[tuple[str, OwnPart]]:
                 yield name, part
             elif is_own_part(part):
                 yield name, validate(OwnPart, {"kind": part})
-
-
-def _sha256(data: bytes) -> str:
-    return hashlib.sha256(data).hexdigest()
 
 
 def _bytes(path: Path) -> bytes:

@@ -9,21 +9,20 @@ import contextlib
 import datetime
 import functools
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import jax
 import numpy as np
 from rich.console import Console
 from rich.text import Text
 
-from sean_jax import robots, sensors
-from sean_jax.config import OwnPart, RunConfig, Value, outside, user_parts
+from sean_jax.config import RunConfig, outside, user_parts
 from sean_jax.config.flags import number
-from sean_jax.core.data_types import Policy, PolicyLike, Scenario, State, Trajectory
+from sean_jax.core.data_types import Array, Policy, PolicyLike, Scenario, State, Trajectory
 from sean_jax.core.errors import InputError
-from sean_jax.evaluation import compare, results, run_folder
+from sean_jax.evaluation import results
 from sean_jax.evaluation.batches import (
     FRAMES,
     FinishedBatch,
@@ -35,17 +34,17 @@ from sean_jax.evaluation.batches import (
     unfinished_runs,
 )
 from sean_jax.evaluation.results import Evaluation
-from sean_jax.io import files, interrupts, trajectories, writing
+from sean_jax.evaluation.run_plan import RunPlan, plan_run
+from sean_jax.io import interrupts, trajectories, writing
 from sean_jax.io.progress import Progress, progress
 from sean_jax.io.versions import fingerprint
 from sean_jax.io.writing import check_new_folder
-from sean_jax.learning.policy import check_policy, load_policies, load_policy
+from sean_jax.learning.policy import load_policies, load_policy
 from sean_jax.metrics import Metric
 from sean_jax.simulation import making
 from sean_jax.simulation.episode_runner import CHUNK, Callbacks, Runner
 from sean_jax.simulation.scenario_stack import Stack, as_stacks
 from sean_jax.web.replay.live import Live, serve
-from sean_jax.world import generated
 
 __all__ = ["Evaluation", "evaluate", "run"]
 
@@ -63,6 +62,41 @@ MISSED_COMMANDS = Metric(
 """Of controllers outside of this program; a run in which none was missed does not have it."""
 
 
+class Schedule(NamedTuple):
+    """The numbered episodes of an evaluation, in batches. A team has a row for each robot of an episode."""
+
+    episodes: int
+    seed: int
+    batch: int  # episodes at once
+    robots: int = 1  # of a team
+
+    @property
+    def rows(self) -> int:
+        """The number of rows of all episodes."""
+        return self.episodes * self.robots
+
+    @property
+    def batches(self) -> Iterator[tuple[int, int]]:
+        """The first row and the number of rows of each batch."""
+        size = self.batch * self.robots
+        return ((first, min(size, self.rows - first)) for first in range(0, self.rows, size))
+
+    @property
+    def shown(self) -> int:
+        """The number of rows of the episodes that the report shows."""
+        return -(-FRAMES // self.robots) * self.robots
+
+
+class RunContext(NamedTuple):
+    """Who takes part in an evaluation besides the runner."""
+
+    bar: Progress
+    console: Console | None = None
+    folder: RunFolder | None = None  # keeps finished batches
+    live: Live | None = None  # a page that shows the first episode
+    driver: Driver | None = None
+
+
 def evaluate(
     scenario: Scenario | Stack[Scenario] | Sequence[Scenario | Stack[Scenario]],
     policy: PolicyLike | str = "go_to_goal",
@@ -77,7 +111,7 @@ def evaluate(
 
     Args:
         scenario: one, or several that take turns and differ in their task or in leaves alone; or a stack for each, with
-            floors that take turns (``making.build_floors``).
+            floors that take turns (``making.build``).
         policy: a ``Policy``, a function (scenario, state, key) -> (2,) [m/s, rad/s], a name, the folder of a training,
             or FILE.py:NAME.
         seed: equal seeds give equal episodes, the episodes of ``sean run``.
@@ -89,11 +123,12 @@ def evaluate(
     """
     stacks = as_stacks(scenario)
     config = RunConfig(episodes=episodes, seed=seed, batch=batch)
+    schedule = Schedule(config.episodes, config.seed, batch_size(config.episodes, config.batch, stacks))
     loaded = load_policy(policy, stacks[0].member, typed=True)
     if out is not None:
         check_new_folder(Path(out), "out")
     with progress(console) as bar:
-        evaluation = _episodes(stacks, loaded, config, stacks[0].size, bar, None, console)
+        evaluation = _evaluate(stacks, loaded, schedule, stacks[0].size, RunContext(bar, console))
     if out is not None:
         evaluation.save(out)
     return evaluation
@@ -135,157 +170,233 @@ def run(
         IncompleteError: the disk is full, or something else broke midway.
         KeyboardInterrupt: no batch was finished.
     """
-    with contextlib.ExitStack() as stack:
-        stack.enter_context(user_parts.read_once())
-        path = _locked_folder(config, stack)
-        folder = RunFolder(path, config)
-        stack.enter_context(folder.explain_errors())
-        for other, episodes in unfinished_runs(config, path) if config.out is None else []:
-            text = f"{other} has {episodes} of {config.episodes} episodes of such a run; --out {other} resumes it"
-            console.print(Text(text, "dim"), soft_wrap=True)
-        with console.status("preparing the scenario"):
-            _check(config, connect is not None)
-            inputs = run_folder.read_inputs(config)
-            teams = making.build_team(config, config.team) if config.team else None
-            stacks = teams or making.build_floors(config, config.episodes)
-            wanted = generated.count(config.environment)
-            floors, first = stacks[0], stacks[0].member
-            if connect is not None and floors.size > 1:
-                raise InputError(f"policy: {config.policy.kind} drives on one floor or robot, not on {floors.size}.")
-        driver = None if connect is None else stack.enter_context(contextlib.closing(connect(first)))
-        policy = load_policies(config.policies, first) if driver is None else driver.policy
-        content = first if floors.size == 1 else floors
-        folder.check_content(content, policy)
-        inputs = inputs._replace(fingerprint=fingerprint(content, policy.params))
-        tasks, several = [each.member.task_name for each in stacks], floors.size if wanted > 1 else 0
-        robots_of_team = len(config.team) or 1
-        title = results.title(first, tasks, config.episodes, several, floors.names if config.team else ())
-        devices = f"{len(jax.devices())} × {jax.devices()[0].device_kind}"
-        about = f"{number(config.time_limit)} s each, policy {policy.name}, seed {config.seed}, on {devices}"
-        console.print(Text(title, "bold"), soft_wrap=True)
-        console.print(Text(about, "dim"), soft_wrap=True)
-        if floors.size < wanted and not config.team:
-            few = f"{config.episodes} episodes are on the first {floors.size} of {wanted} floors"
-            console.print(Text(few, "dim"), soft_wrap=True)
-        if folder.episodes:
-            console.print(f"[dim]going on after {folder.episodes} finished episodes[/]", highlight=False)
-        live = None
-        if config.live:
-            live = stack.enter_context(serve(first, f"{path.name} · live"))
-            console.print(f"live: {live.url}", highlight=False, soft_wrap=True)
-        with progress(console) as bar:
-            evaluation = _episodes(stacks, policy, config, wanted, bar, folder, console, live, driver)
-        evaluation.print_table(console)
-        count = len(evaluation.tasks) // robots_of_team
-        with console.status("drawing the report"), folder.results(count == config.episodes) as stage:
-            results.write_all(stage, evaluation, config, inputs)
-            if config.trajectories is not None:
-                size = _batch_size(config, stacks)
-                parts = [folder.frames(base, min(size, config.episodes - base)) for base in range(0, count, size)]
-                whole = stage / f"trajectories.{config.trajectories}"
-                trajectories.join_trajectories([part for part in parts if part is not None], whole)
-    return path, evaluation
+    with user_parts.read_once():
+        plan = plan_run(config, is_driven=connect is not None)
+        with _locked_folder(plan) as folder, contextlib.ExitStack() as stack:
+            return folder.folder, _run(plan, folder, console, connect, stack)
 
 
-def _episodes(
-    stacks: list[Stack[Scenario]],
-    policy: Policy,
-    config: RunConfig,
-    set_floors: int,
-    bar: Progress,
-    folder: RunFolder | None,
-    console: Console | None,
-    live: Live | None = None,
-    driver: Driver | None = None,
+def _run(
+    plan: RunPlan,
+    folder: RunFolder,
+    console: Console,
+    connect: Callable[[Scenario], Driver] | None,
+    stack: contextlib.ExitStack,
 ) -> Evaluation:
-    """Batch after batch; finished ones are loaded from ``folder``, and new ones are saved there."""
-    robots_of_team = len(config.team) or 1  # each has rows of its own
-    episodes, first = config.episodes * robots_of_team, stacks[0].member
-    size = _batch_size(config, stacks) * robots_of_team
-    shown = -(-FRAMES // robots_of_team) * robots_of_team
-    starts = range(0, episodes, size)
-    runner, batches, simulated, began = None, list[FinishedBatch](), 0.0, 0.0
+    """The run of a plan in its folder; ``stack`` closes what it opens."""
+    _tell_unfinished(plan, folder.folder, console)
+    with console.status("preparing the scenario"):
+        limit = -(-plan.config.episodes // len(plan.scenario.tasks))
+        stacks = making.build(plan.scenario, limit)
+        if connect is not None and stacks[0].size > 1:
+            kind = plan.config.policy.kind
+            raise InputError(f"policy: {kind} drives on one floor or robot, not on {stacks[0].size}.")
+
+    # The policy fits the scenario, and both decide whether finished batches are of this run.
+    first = stacks[0].member
+    driver = None if connect is None else stack.enter_context(contextlib.closing(connect(first)))
+    policy = load_policies(plan.config.policies, first) if driver is None else driver.policy
+    content = fingerprint(first if stacks[0].size == 1 else stacks[0], policy.params)
+    folder.check_content(content)
+    _announce(plan, stacks, policy, folder, console)
+
+    live = None
+    if plan.config.live:
+        live = stack.enter_context(serve(first, f"{folder.folder.name} · live"))
+        console.print(f"live: {live.url}", highlight=False, soft_wrap=True)
+
+    schedule = _schedule(plan, stacks)
+    with progress(console) as bar:
+        context = RunContext(bar, console, folder, live, driver)
+        evaluation = _evaluate(stacks, policy, schedule, plan.scenario.floors, context)
+    evaluation.print_table(console)
+
+    with console.status("drawing the report"), folder.results(evaluation.episodes == schedule.episodes) as stage:
+        results.write_all(stage, evaluation, plan, content)
+        if plan.config.trajectories is not None:
+            finished = [(row, count) for row, count in schedule.batches if row < len(evaluation.tasks)]
+            parts = [path for path in (folder.frames(row, count) for row, count in finished) if path is not None]
+            trajectories.join_trajectories(parts, stage / f"trajectories.{plan.config.trajectories}")
+    return evaluation
+
+
+@contextlib.contextmanager
+def _locked_folder(plan: RunPlan) -> Iterator[RunFolder]:
+    """The folder for the results, locked until the block ends."""
+    with contextlib.ExitStack() as stack:
+        now = datetime.datetime.now().strftime("%Y%m%d-%H%M%S")
+        path = plan.config.folder(now)
+        if plan.config.out is not None:
+            check_run_folder(path)
+            stack.enter_context(writing.folder_lock(path))
+        else:
+            attempt = 1
+            while not _lock_new(path, stack):  # several runs may begin in one second
+                attempt += 1
+                path = plan.config.folder(f"{now}-{attempt}")
+        folder = RunFolder(path, plan.identity, plan.robots, plan.config.trajectories)
+        with folder.explain_errors():
+            yield folder
+
+
+def _lock_new(path: Path, stack: contextlib.ExitStack) -> bool:
+    """Lock a folder that does not exist; False if another run has it."""
+    if path.exists():
+        return False
     try:
-        for base in starts:
-            count = min(size, episodes - base)
-            if folder is not None and (batch := folder.load(base, count)) is not None:
-                batches.append(batch)
-                continue
-            if runner is None:
-                run_record = record(stacks[0], size, shown if config.trajectories is None else size)
-                programs = Runner(
-                    stacks, policy, size, "run", run_record, chunk=CHUNK if driver is None else first.time_step
-                )
-                programs.compile(Callbacks(compiling=bar.stage))
-                if console is not None:
-                    console.print(f"[dim]compiled in {programs.compile_seconds:.1f} s[/]", highlight=False)
-                bar.start("simulating", len(starts) * first.time_limit)
-                runner, began = programs, time.perf_counter()
-
-            def advanced(seconds: float, more: float, base: int = base, s: float = simulated, t: float = began) -> None:
-                speed = (s + more) / (time.perf_counter() - t)
-                done = base // size * first.time_limit + seconds
-                bar.update(done, f"{done:.0f} s of each episode · {speed:,.0f} simulated s per s")
-
-            batches.append(_simulate(runner, config.seed, base, count, advanced, folder, live, driver))
-            live = None  # the page shows the first batch only
-            simulated += float(batches[-1].steps.sum()) * first.time_step
-    except KeyboardInterrupt:
-        if not batches or runner is None:
+        stack.enter_context(writing.folder_lock(path))
+    except writing.WriteError:
+        if not path.exists():
             raise
-    return _join(stacks, policy, batches, episodes, set_floors, 0.0 if runner is None else runner.compile_seconds)
+        return False
+    return True
 
 
-def _batch_size(config: RunConfig, stacks: list[Stack[Scenario]]) -> int:
+def _tell_unfinished(plan: RunPlan, path: Path, console: Console) -> None:
+    """Name the unfinished runs of this description, which --out would resume."""
+    if plan.config.out is not None:
+        return
+    for other, episodes in unfinished_runs(plan.identity, plan.robots, path):
+        text = f"{other} has {episodes} of {plan.config.episodes} episodes of such a run; --out {other} resumes it"
+        console.print(Text(text, "dim"), soft_wrap=True)
+
+
+def _announce(
+    plan: RunPlan, stacks: list[Stack[Scenario]], policy: Policy, folder: RunFolder, console: Console
+) -> None:
+    """Print what will be simulated."""
+    config, floors, wanted = plan.config, stacks[0], plan.scenario.floors
+    tasks = [each.member.task_name for each in stacks]
+    robots_of_team = floors.names if plan.scenario.team else ()
+    title = results.title(floors.member, tasks, config.episodes, floors.size if wanted > 1 else 0, robots_of_team)
+    console.print(Text(title, "bold"), soft_wrap=True)
+    devices = f"{len(jax.devices())} × {jax.devices()[0].device_kind}"
+    lines = [f"{number(config.time_limit)} s each, policy {policy.name}, seed {config.seed}, on {devices}"]
+    if floors.size < wanted:
+        lines.append(f"{config.episodes} episodes are on the first {floors.size} of {wanted} floors")
+    if folder.episodes:
+        lines.append(f"going on after {folder.episodes} finished episodes")
+    for line in lines:
+        console.print(Text(line, "dim"), soft_wrap=True)
+
+
+def _schedule(plan: RunPlan, stacks: list[Stack[Scenario]]) -> Schedule:
+    """The episodes of a plan; a controller outside of this program drives one at a time."""
+    config = plan.config
+    size = min(config.episodes, 1 if outside(config.policy) else config.batch)
+    size = size if plan.scenario.team else batch_size(config.episodes, size, stacks)
+    return Schedule(config.episodes, config.seed, size, plan.robots)
+
+
+def batch_size(episodes: int, largest: int, stacks: list[Stack[Scenario]]) -> int:
     """Episodes of a batch; of several floors, a batch has whole turns if there is another batch."""
-    size, turn = min(config.episodes, 1 if outside(config.policy) else config.batch), len(stacks)
-    if stacks[0].size == 1 or size == config.episodes or config.team:
+    size, tasks = min(episodes, largest), len(stacks)
+    if stacks[0].size == 1 or size == episodes:
         return size
-    period = turn * stacks[0].size
-    return size - size % period if size >= period else max(turn, size - size % turn)
+    period = tasks * stacks[0].size
+    return size - size % period if size >= period else max(tasks, size - size % tasks)
 
 
-def _simulate(
-    runner: Runner,
-    seed: int,
-    base: int,
-    count: int,
-    advanced: Callable[[float, float], None],
-    folder: RunFolder | None,
-    live: Live | None,
-    driver: Driver | None,
-) -> FinishedBatch:
-    """A batch of ``count`` episodes, saved in the folder; ``live`` shows its first episode meanwhile."""
-    scenario, start = runner.scenarios[0], time.perf_counter()
-    shown = -(-FRAMES // runner.robots) * runner.robots
-    file = None if folder is None else folder.frames(base, count)
-    report_frames, receivers = list[Trajectory](), list[Callable[[Trajectory], None]]()
-    with contextlib.ExitStack() as stack, interrupts.unwrapped():
-        if live is not None:
-            receivers.append(live.add)
-        if file is not None:
-            receivers.append(stack.enter_context(batch_frames(file, scenario, base, count)).add)
+# ------------------------------------------------------------------ batches of episodes
 
-        def rows(chunk: Trajectory) -> None:
-            if base == 0:  # a copy of the episodes that the report shows, of a chunk of time (T, B, ...)
-                report_frames.append(jax.tree.map(lambda leaf: np.array(leaf[:, :shown]), chunk))
-            for receive in receivers:
-                receive(chunk)
 
-        own = runner.scenarios[base % len(runner.scenarios)]
-        drive = None if driver is None else functools.partial(driver, own)
-        callbacks = Callbacks(advanced=advanced, rows=rows if receivers or base == 0 else None, drive=drive)
-        batch = runner.run(seed, base, count, callbacks=callbacks, keep_rows=False)
-    seconds = time.perf_counter() - start
-    finished = finish(scenario, batch._replace(rows=report_frames), base, seconds)
-    if driver is not None:
-        finished.metrics[MISSED] = np.array([driver.finish(batch.states)], np.int32)
-    if live is not None:
-        ended = results.outcome(finished.completed[0], float(finished.steps[0]) * scenario.time_step)
-        live.finish(f"episode {base} {ended}")
-    if folder is not None:
-        folder.save(base, finished)
-    return finished
+def _evaluate(
+    stacks: list[Stack[Scenario]], policy: Policy, schedule: Schedule, set_floors: int, context: RunContext
+) -> Evaluation:
+    """Simulate batch after batch; finished ones are loaded. Ctrl-C ends with those that are finished."""
+    batches: list[FinishedBatch] = []
+    simulator = None
+    try:
+        for first, count in schedule.batches:
+            batch = None if context.folder is None else context.folder.load(first, count)
+            if batch is None:
+                simulator = simulator or _Simulator(stacks, policy, schedule, context)
+                batch = simulator.simulate(first, count)
+            batches.append(batch)
+    except KeyboardInterrupt:
+        if not batches or simulator is None:
+            raise
+    compile_seconds = 0.0 if simulator is None else simulator.runner.compile_seconds
+    return _join(stacks, policy, batches, schedule.rows, set_floors, compile_seconds)
+
+
+class _Simulator:
+    """Simulates batches of episodes with one compiled program."""
+
+    def __init__(self, stacks: list[Stack[Scenario]], policy: Policy, schedule: Schedule, context: RunContext) -> None:
+        bar, console, folder, self.live, self.driver = context
+        self.bar, self.folder, self.schedule = bar, folder, schedule
+        self.scenario = stacks[0].member
+        rows = schedule.batch * schedule.robots
+        keeps_all = folder is not None and folder.trajectories is not None
+        run_record = record(stacks[0], rows, rows if keeps_all else schedule.shown)
+
+        chunk = CHUNK if self.driver is None else self.scenario.time_step
+        self.runner = Runner(stacks, policy, rows, "run", run_record, chunk=chunk)
+        self.runner.compile(Callbacks(compiling=bar.stage))
+        if console is not None:
+            console.print(f"[dim]compiled in {self.runner.compile_seconds:.1f} s[/]", highlight=False)
+
+        bar.start("simulating", -(-schedule.episodes // schedule.batch) * self.scenario.time_limit)
+        self.began, self.simulated = time.perf_counter(), 0.0  # s, s of finished batches
+
+    def simulate(self, first: int, count: int) -> FinishedBatch:
+        """The batch of ``count`` rows from number ``first`` on, saved in the folder."""
+        start = time.perf_counter()
+        chunks, receivers = list[Trajectory](), list[Callable[[Trajectory], None]]()
+        with contextlib.ExitStack() as stack, interrupts.unwrapped():
+            if first == 0:
+                receivers.append(lambda chunk: chunks.append(self._shown(chunk)))
+            if self.live is not None:
+                receivers.append(self.live.add)
+            file = None if self.folder is None else self.folder.frames(first, count)
+            if file is not None:
+                receivers.append(stack.enter_context(batch_frames(file, self.scenario, first, count)).add)
+            callbacks = Callbacks(
+                advanced=functools.partial(self._advanced, first),
+                rows=functools.partial(_hand_on, receivers) if receivers else None,
+                drive=self._drive(first),
+            )
+            batch = self.runner.run(self.schedule.seed, first, count, callbacks=callbacks, keep_rows=False)
+
+        seconds = time.perf_counter() - start
+        finished = finish(self.scenario, batch._replace(rows=chunks), first, seconds)
+        if self.driver is not None:
+            finished.metrics[MISSED] = np.array([self.driver.finish(batch.states)], np.int32)
+        self._finish_live(first, finished)
+        if self.folder is not None:
+            self.folder.save(first, finished)
+        self.simulated += float(finished.steps.sum()) * self.scenario.time_step
+        return finished
+
+    def _shown(self, chunk: Trajectory) -> Trajectory:
+        """A copy of the episodes that the report shows, of a chunk of time (T, B, ...)."""
+        return jax.tree.map(lambda leaf: np.array(leaf[:, : self.schedule.shown]), chunk)
+
+    def _advanced(self, first: int, seconds: float, simulated: float) -> None:
+        """Show the progress of a batch, of which each episode has lasted ``seconds``."""
+        speed = (self.simulated + simulated) / (time.perf_counter() - self.began)
+        index = first // (self.schedule.batch * self.schedule.robots)
+        done = index * self.scenario.time_limit + seconds
+        self.bar.update(done, f"{done:.0f} s of each episode · {speed:,.0f} simulated s per s")
+
+    def _drive(self, first: int) -> Callable[[int, State], Policy] | None:
+        """The driver in the scenario of an episode."""
+        if self.driver is None:
+            return None
+        return functools.partial(self.driver, self.runner.scenarios[first % len(self.runner.scenarios)])
+
+    def _finish_live(self, first: int, finished: FinishedBatch) -> None:
+        """End the page, which shows the first batch only."""
+        if self.live is not None:
+            seconds = float(finished.steps[0]) * self.scenario.time_step
+            self.live.finish(f"episode {first} {results.outcome(finished.completed[0], seconds)}")
+            self.live = None
+
+
+def _hand_on(receivers: Sequence[Callable[[Trajectory], None]], chunk: Trajectory) -> None:
+    for receive in receivers:
+        receive(chunk)
 
 
 def _join(
@@ -296,85 +407,50 @@ def _join(
     set_floors: int,
     compile_seconds: float,
 ) -> Evaluation:
-    floors, first, totals = stacks[0], stacks[0].member, [batch.totals for batch in batches]
-
-    def joined(name: str) -> np.ndarray:
-        return np.concatenate([getattr(batch, name) for batch in batches])
-
-    def total(name: str) -> np.ndarray:
-        return np.stack([getattr(each, name) for each in totals]).sum(0, dtype=np.int64)
-
-    completed, frames = joined("completed"), batches[0].frames
+    """The evaluation of all batches; ``wanted`` is the number of rows of all."""
+    floors, first = stacks[0], stacks[0].member
+    totals = [batch.totals for batch in batches]
+    steps = np.concatenate([batch.steps for batch in batches])
+    frames = batches[0].frames
     definitions = dict(first.metrics)
     if any(batch.metrics.get(MISSED, np.zeros(1)).any() for batch in batches):
         definitions[MISSED] = MISSED_COMMANDS
-    team = first.others is not None
-    is_set = not team and (floors.size > 1 or bool(floors.names))
-    turns = [i // len(stacks) % floors.size for i in range(len(completed))] if is_set else []
-    robots_of_team = floors.size if team else 1
+
+    # The task and, of floors that take turns, the floor of each row.
+    is_team = first.others is not None
+    robots = floors.size if is_team else 1
+    rows = np.arange(len(steps))
+    tasks = [stack.member.task_name for stack in stacks]
+    is_set = not is_team and (floors.size > 1 or bool(floors.names))
+    turns = rows // len(stacks) % floors.size if is_set else rows % robots
+    floor_names = floors.names or [f"floor_{k}" for k in range(floors.size)]
+
     return Evaluation(
         scenario=first,
         policy=policy.name,
         situations=tuple(name for name, _ in first.situations),
-        tasks=[stacks[i // robots_of_team % len(stacks)].member.task_name for i in range(len(completed))],
-        completed=completed,
-        timed_out=joined("timed_out"),
-        seconds=joined("steps") * first.time_step,
+        tasks=[tasks[k] for k in rows // robots % len(stacks)],
+        completed=np.concatenate([batch.completed for batch in batches]),
+        timed_out=np.concatenate([batch.timed_out for batch in batches]),
+        seconds=steps * first.time_step,
         metrics={name: np.concatenate([batch.metrics[name] for batch in batches]) for name in definitions},
         definitions=definitions,
-        heat=total("heat") * first.time_step,
-        walks=total("walks"),
-        together=total("together") * first.time_step,
+        heat=_total([each.heat for each in totals]) * first.time_step,
+        walks=_total([each.walks for each in totals]),
+        together=_total([each.together for each in totals]) * first.time_step,
         penetration=max(float(each.penetration) for each in totals),
         group_size=np.max([each.group_size for each in totals], 0),
         frames=frames,
         compile_seconds=compile_seconds,
         run_seconds=sum(batch.seconds for batch in batches),
         wanted=wanted,
-        floors=[floors.names[turn] if floors.names else f"floor_{turn}" for turn in turns],
-        places=[floors.at(i % floors.size if team else turns[i]) for i in range(len(frames)) if team or is_set],
+        floors=[floor_names[k] for k in turns] if is_set else [],
+        places=[floors.at(k) for k in turns[: len(frames)].tolist()] if is_set or is_team else [],
         set_floors=set_floors,
-        robots=floors.names if team else (),
+        robots=floors.names if is_team else (),
     )
 
 
-def _locked_folder(config: RunConfig, stack: contextlib.ExitStack) -> Path:
-    """The folder for the results, locked until the stack is closed."""
-    now = datetime.datetime.now().strftime("%Y%m%d-%H%M%S")
-    if config.out is not None:
-        check_run_folder(config.out)
-        stack.enter_context(writing.folder_lock(config.out))
-        return config.out
-    folder, attempt = config.folder(now), 1
-    while True:  # several runs may begin in one second
-        try:
-            if not folder.exists():
-                stack.enter_context(writing.folder_lock(folder))
-                return folder
-        except writing.WriteError:
-            if not folder.exists():
-                raise
-        attempt += 1
-        folder = config.folder(f"{now}-{attempt}")
-
-
-def _check(config: RunConfig, driven: bool) -> None:
-    """Refuse wrong options before the scenario is built, which takes long; the policy too, unless it is driven."""
-    if config.baseline is not None:
-        compare.read(config.baseline)
-    if config.trajectories is not None:
-        trajectories.check_packages(f".{config.trajectories}")
-    making.check(config)
-    if config.team:
-        for name in config.team:
-            if name not in robots.ROBOTS:  # a file of a robot is not copied beside the results
-                raise InputError(files.unknown_name("robots", name, robots.ROBOTS))
-        making.check_team(config, config.team)
-    for policy in config.policies if not driven else []:
-        check_policy(policy, config)
-    for robot in config.robot_parts:
-        if config.camera is not None and not isinstance(robot, OwnPart | Value):
-            try:
-                sensors.camera(robots.load(robot.kind), config.camera)
-            except ValueError as error:
-                raise InputError(str(error)) from error
+def _total(counts: Sequence[Array]) -> np.ndarray:
+    """The sum of the counts of all batches."""
+    return np.stack(counts).sum(0, dtype=np.int64)

@@ -1,7 +1,6 @@
 """``sean export bag``: simulate episodes of a folder again, and write them as bags of ROS messages."""
 
 import functools
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -10,17 +9,16 @@ import numpy as np
 from flax import struct
 from jaxtyping import Bool
 from rich.console import Console
-from rich.text import Text
 
 from sean_jax import sensors
 from sean_jax.config import ExportBagConfig
 from sean_jax.core.data_types import Array, Scenario, State
 from sean_jax.core.errors import InputError
-from sean_jax.evaluation.replay_command import Source, read_source, until_terminated
+from sean_jax.evaluation.replay_command import read_source, until_terminated, with_progress
 from sean_jax.io import files, writing
 from sean_jax.io.progress import progress
 from sean_jax.ros import bag_writing, messages
-from sean_jax.simulation.episode_runner import Callbacks, Record, Runner
+from sean_jax.simulation.episode_runner import Record, Runner
 from sean_jax.simulation.scenario_stack import Stack
 
 CHUNK = 2.0  # s of messages in memory
@@ -50,34 +48,21 @@ def write(options: ExportBagConfig, console: Console) -> tuple[Path, int]:
         if source.robots > 1:
             raise InputError(f"{options.source}: has a team of robots; a bag is of one robot; give a run with one.")
         floors = [with_sensors(each, options.sensors) for each in source.floors]
-    for sentence in source.changes:
-        console.print(Text(sentence), soft_wrap=True)
-    count, limit = 0, floors[0].member.time_limit
     record = Record(lambda *_: (), _rows)
     record = record if source.ends is None else until_terminated(record, source.ends)
     runner = Runner(floors, source.policy, 1, source.use, record, chunk=CHUNK)
+
+    count = 0
     with progress(console) as bar, writing.atomic_folder(options.out) as folder:
-        runner.compile(Callbacks(compiling=bar.stage))
-        bar.start("simulating", len(numbers) * limit)
-        for done, number in enumerate(numbers):
+        for number, callbacks in with_progress(runner, numbers, bar):
             scenario = floors[source.turn(number)].at(source.place(number))
             table = messages.topics(scenario, options.naming, number)
             with bag_writing.Bag(folder, f"episode_{number}", table, options.ros) as bag:
-
-                def advanced(seconds: float, _: float, done: int = done, number: int = number) -> None:
-                    bar.update(done * limit + seconds, f"episode {number}")
-
-                rows = functools.partial(_add, bag, scenario)
-                _simulate(runner, source, number, len(floors), Callbacks(advanced=advanced, rows=rows))
+                callbacks.rows = functools.partial(_add, bag, scenario)
+                source.run(runner, number, callbacks, keep_rows=False)
             count += bag.count
         writing.write(folder / VIEW.name, files.read_text(VIEW))
     return options.out, count
-
-
-def _simulate(runner: Runner, source: Source, number: int, several: int, callbacks: Callbacks) -> None:
-    index = np.full(runner.size, source.turn(number))
-    turn = source.place(number) * several
-    runner.run(source.seed, source.number(number), 1, index, callbacks, keep_rows=False, turn=turn)
 
 
 def with_sensors(floors: Stack[Scenario], names: str | None) -> Stack[Scenario]:
@@ -104,9 +89,8 @@ def _rows(
 
 def _add(bag: bag_writing.Bag, scenario: Scenario, rows: Row) -> None:
     """Write the messages of a chunk of time (T, 1, ...) until the episode's end."""
-    pick: Callable[[int], messages.Step] = lambda t: jax.tree.map(lambda leaf: leaf[t, 0], rows.step)  # noqa: E731
     for t in np.flatnonzero(rows.active[:, 0]):
-        step = pick(int(t))
+        step = jax.tree.map(lambda leaf, t=int(t): leaf[t, 0], rows.step)
         time = messages.BEGIN + round(int(step.tick) * scenario.time_step * messages.SECOND)
         if bag.count == 0:
             bag.write(messages.messages(bag.table, step, time, latched=True), time)

@@ -24,14 +24,14 @@ import jax.numpy as jnp
 import numpy as np
 from flax import struct
 
-from sean_jax.config import RunConfig, user_parts, workspace
+from sean_jax.config import workspace
 from sean_jax.config.workspace import REMAKE, Workspace
 from sean_jax.core import clock, geometry
-from sean_jax.core.data_types import Array, Policy, Scenario, State, Trajectory
+from sean_jax.core.data_types import Array, Scenario, State, Trajectory
 from sean_jax.core.errors import ControllerError, IncompleteError, InputError
 from sean_jax.graph import graph_of
 from sean_jax.io import files, interrupts, trajectories, writing
-from sean_jax.io.versions import fingerprint, versions
+from sean_jax.io.versions import versions
 from sean_jax.io.writing import check_new_folder
 from sean_jax.people import density
 from sean_jax.simulation.episode_runner import Batch, Record, batch_results, not_finite
@@ -100,11 +100,13 @@ def _update(
 ) -> tuple[Totals, Trajectory]:
     """One more step of B episodes, and the frames of the first ``count``."""
     frames = jax.vmap(frame)(before, after, actions[0])
-    present = after.pedestrians.present
-    here = present & active[:, None]
-    inside = jnp.where(here, floors.vmap(_depth)(frames.people), -jnp.inf)
+    present = after.pedestrians.present  # (B, N)
+    counted = present & active[:, None]
+    inside = jnp.where(counted, floors.vmap(_depth)(frames.people), -jnp.inf)  # (B, N) m
+
+    # The set of situations of each episode as a number, situation s is bit s.
     bits = jnp.asarray(2 ** np.arange(frames.situations.shape[-1]), jnp.int32)
-    situations = jnp.sum(jnp.where(frames.situations, bits[None, :], 0), -1)
+    situations = jnp.sum(jnp.where(frames.situations, bits[None, :], 0), -1)  # (B,)
     totals = dataclasses.replace(
         totals,
         together=totals.together.at[situations].add(active.astype(jnp.int32)),
@@ -127,17 +129,22 @@ def _on_floor(
     cells: tuple[int, int], scenario: Scenario, frames: Trajectory, present: Array, active: Array, totals: Totals
 ) -> Totals:
     """What is counted by place, which is of one floor."""
-    here = present & active[:, None]
+    counted = present & active[:, None]  # (B, N)
     cell = density.cell_of(scenario.environment, cells, frames.people)
+
+    # Edges of the graph that people have walked.
     node, walks = totals.node, totals.walks
     if (graph := graph_of(scenario)) is not None:
         node, walked = jax.vmap(density.track_nodes, (None, 0, 0, 0))(graph, totals.node, frames.people, present)
         walks = walks.at[totals.node, node].add((walked & active[:, None]).astype(jnp.int32))
+
+    # Members of each group.
     index = jnp.arange(totals.group_size.shape[0], dtype=jnp.int32)
-    members = jnp.sum((frames.group[..., None] == index[None, None, :]) & here[..., None], 1, dtype=jnp.int32)
+    is_member = (frames.group[..., None] == index[None, None, :]) & counted[..., None]  # (B, N, G)
+    members = jnp.sum(is_member, 1, dtype=jnp.int32)
     return dataclasses.replace(
         totals,
-        heat=totals.heat.ravel().at[cell].add(here.astype(jnp.int32)).reshape(cells),
+        heat=totals.heat.ravel().at[cell].add(counted.astype(jnp.int32)).reshape(cells),
         walks=walks,
         node=node,
         group_size=jnp.maximum(totals.group_size, jnp.max(members, 0)),
@@ -151,13 +158,17 @@ def episode_frames(chunks: list[Trajectory], count: int, robots: int = 1) -> lis
     """
     if not chunks:
         return []
-    frames = jax.tree.map(lambda *xs: np.concatenate(xs), *chunks)
-    number = min(count, frames.active.shape[1])
-    own = [max(1, int(frames.active[:, i].sum())) for i in range(number)]
-    lengths = [max(own[i // robots * robots : (i // robots + 1) * robots]) for i in range(number)]
+    frames = jax.tree.map(lambda *parts: np.concatenate(parts), *chunks)  # (T, F, ...)
+    rows = min(count, frames.active.shape[1])
+    lengths = np.maximum(1, frames.active[:, :rows].sum(0))  # (F,) frames of each row
     if robots > 1:
+        lengths = np.maximum.reduceat(lengths, np.arange(0, rows, robots)).repeat(robots)[:rows]
         frames = dataclasses.replace(frames, active=np.ones_like(frames.active))
-    return [jax.tree.map(lambda leaf: leaf[:n, i], frames) for i, n in enumerate(lengths)]  # noqa: B023
+
+    episodes = []
+    for row, length in enumerate(lengths.tolist()):
+        episodes.append(jax.tree.map(lambda leaf, row=row, length=length: leaf[:length, row], frames))
+    return episodes
 
 
 def finish(scenario: Scenario, batch: Batch, base: int, seconds: float) -> FinishedBatch:
@@ -166,16 +177,22 @@ def finish(scenario: Scenario, batch: Batch, base: int, seconds: float) -> Finis
     Raises:
         FloatingPointError: a metric is NaN; the message names the episodes.
     """
-    measured = jax.tree.map(np.asarray, batch_results(scenario, batch.states))
-    faulty = np.zeros(len(batch.steps), bool)
+    metrics = jax.tree.map(np.asarray, batch_results(scenario, batch.states))
     robots = 1 if scenario.others is None else 1 + scenario.others.radius.shape[0]
-    for values in measured.values():
+    faulty = np.zeros(len(batch.steps), bool)  # (B,)
+    for values in metrics.values():
         faulty |= np.isnan(values.reshape(len(faulty), -1)[:, 0])
     if faulty.any():
         raise FloatingPointError(not_finite(base, faulty, robots))
-    ended = np.asarray(batch.states.completed), np.asarray(batch.states.timed_out)
-    frames = episode_frames(batch.rows, len(batch.steps), robots)
-    return FinishedBatch(*ended, batch.steps, measured, batch.total, frames, seconds)
+    return FinishedBatch(
+        completed=np.asarray(batch.states.completed),
+        timed_out=np.asarray(batch.states.timed_out),
+        steps=batch.steps,
+        metrics=metrics,
+        totals=batch.total,
+        frames=episode_frames(batch.rows, len(batch.steps), robots),
+        seconds=seconds,
+    )
 
 
 class BatchFrames:
@@ -193,13 +210,17 @@ class BatchFrames:
             if values is None:  # no other robots
                 continue
             if name not in self.arrays:
-                kind, shape = values.dtype, (self.count, self.steps, *values.shape[2:])
-                file = self.folder / f"{name}.npy"  # an empty one cannot be mapped
-                self.arrays[name] = (
-                    np.zeros(shape, kind) if 0 in shape else np.lib.format.open_memmap(file, "w+", kind, shape)
-                )
-            self.arrays[name][:, self.done : end] = np.moveaxis(values[: end - self.done, : self.count], 0, 1)
+                self.arrays[name] = self._new_array(name, values)
+            rows = values[: end - self.done, : self.count]  # (T, B, ...)
+            self.arrays[name][:, self.done : end] = np.moveaxis(rows, 0, 1)
         self.done = end
+
+    def _new_array(self, name: str, values: np.ndarray) -> np.ndarray:
+        """An array for all steps, (B, T, ...), on disk."""
+        shape = self.count, self.steps, *values.shape[2:]
+        if 0 in shape:  # an empty file cannot be mapped
+            return np.zeros(shape, values.dtype)
+        return np.lib.format.open_memmap(self.folder / f"{name}.npy", "w+", values.dtype, shape)
 
     def episode(self, index: int) -> Trajectory:
         """Frames (T, ...) of an episode until its end."""
@@ -252,6 +273,9 @@ SHAPES = {
 }
 """Array of a batch -> kind and dimensions: B episodes, N people, S situations, T frames of an episode."""
 
+COUNTS = ("steps", "seconds", "tally:heat", "tally:walks", "tally:together", "tally:group_size")
+"""Arrays of a batch without negative numbers."""
+
 
 class RunFolder:
     """The locked folder of a run.
@@ -259,21 +283,28 @@ class RunFolder:
     Raises InputError if the folder holds something else, or batches of other options.
     """
 
-    def __init__(self, folder: Path, config: RunConfig):
+    def __init__(self, folder: Path, identity: dict[str, Any], robots: int = 1, trajectories: str | None = None):
+        """The folder of a run.
+
+        Args:
+            identity: by which an unfinished run is resumed (``run_plan.identity_of``).
+            robots: of a team; an episode has as many rows.
+            trajectories: ending of files with the frames of all episodes; None for none.
+        """
         self.folder, self.place, self.complete = folder, folder / PLACE, False
-        self.trajectories, self.robots = config.trajectories, len(config.team) or 1
-        self.work = Workspace(folder, _identity(config), IDENTITY)
+        self.trajectories, self.robots = trajectories, robots
+        self.work = Workspace(folder, identity, IDENTITY)
         check_run_folder(folder, locked=True)
         self.work.begun()
 
-    def check_content(self, scenario: Scenario | Stack[Scenario], policy: Policy) -> None:
-        """Add versions, device, scenario or floors, and policy to the identity.
+    def check_content(self, content_digest: str) -> None:
+        """Add versions, device, and the fingerprint of scenario and policy to the identity.
 
         Raises:
             InputError: the finished batches were made with others.
         """
         device = f"{len(jax.devices())} x {jax.devices()[0].device_kind}"
-        content = {"the device": device, "the content of scenario and policy": fingerprint(scenario, policy.params)}
+        content = {"the device": device, "the content of scenario and policy": content_digest}
         self.work = dataclasses.replace(self.work, identity=self.work.identity | {"versions": versions()} | content)
         self.work.begun()
 
@@ -333,12 +364,9 @@ class RunFolder:
                 yield
         except KeyboardInterrupt as error:
             raise KeyboardInterrupt(f"stopped; {self._message()}") from error
-        except FloatingPointError as error:
+        except (FloatingPointError, ControllerError) as error:
             message = self._message()
-            raise FloatingPointError(f"{error} {message[0].upper()}{message[1:]}") from error
-        except ControllerError as error:
-            message = self._message()
-            raise ControllerError(f"{error} {message[0].upper()}{message[1:]}") from error
+            raise type(error)(f"{error} {message[0].upper()}{message[1:]}") from error
         except OSError as error:
             raise IncompleteError(f"{writing.broken(error)}; {self._message()}") from error
         finally:
@@ -366,34 +394,34 @@ def check_run_folder(folder: Path, locked: bool = False) -> None:
     """
     if (folder / PLACE).is_symlink():
         raise InputError(f"{folder / PLACE} is a link; remove it, or choose another --out.")
-    if not (folder / IDENTITY).is_file():
-        of_a_run = writing.contents(folder) == [PLACE] or (folder / "summary.json").is_file()
-        leftovers = all(map(_is_leftover, (folder / PLACE).iterdir())) if (folder / PLACE).is_dir() else False
-        if of_a_run and (leftovers or (folder / writing.LOCK).is_file()):
-            with contextlib.nullcontext() if locked else writing.folder_lock(folder):
-                if leftovers:
-                    shutil.rmtree(folder / PLACE)
-        check_new_folder(folder)
+    if (folder / IDENTITY).is_file():
+        return
+    is_of_run = writing.contents(folder) == [PLACE] or (folder / "summary.json").is_file()
+    has_leftovers = (folder / PLACE).is_dir() and all(map(_is_leftover, (folder / PLACE).iterdir()))
+    if is_of_run and (has_leftovers or (folder / writing.LOCK).is_file()):
+        with contextlib.nullcontext() if locked else writing.folder_lock(folder):
+            if has_leftovers:
+                shutil.rmtree(folder / PLACE)
+    check_new_folder(folder)
 
 
-def unfinished_runs(config: RunConfig, beside: Path) -> list[tuple[Path, int]]:
-    """Neighboring folders with an unfinished run of this description, and its episodes; without active runs.
+def unfinished_runs(identity: dict[str, Any], robots: int, beside: Path) -> list[tuple[Path, int]]:
+    """Neighboring folders with an unfinished run of this identity, and its episodes; without active runs.
 
     Empty folders of killed runs are removed. What cannot be read is left out.
     """
-    identity = _identity(config)
-    folders: list[Path] = []
+    neighbors: list[Path] = []
     runs: list[tuple[Path, int]] = []
     with contextlib.suppress(OSError):
-        folders += sorted(each for each in beside.parent.iterdir() if each != beside)
-    for folder in folders:
+        neighbors += sorted(folder for folder in beside.parent.iterdir() if folder != beside)
+    for folder in neighbors:
         with contextlib.suppress(OSError, writing.WriteError, InputError):  # another user's, or one that vanishes
             if os.listdir(folder) == [writing.LOCK]:
                 with writing.folder_lock(folder):
                     continue
             had = None if writing.is_locked(folder) else workspace.read_identity(folder / IDENTITY)
             if had is not None and workspace.difference(had, identity) is None:
-                runs.append((folder, _count_rows(folder / PLACE) // (len(config.team) or 1)))
+                runs.append((folder, _count_rows(folder / PLACE) // robots))
     return runs
 
 
@@ -407,47 +435,58 @@ def _count_rows(place: Path) -> int:
     return sum(int(match[1]) for match in named if match)
 
 
-def _identity(config: RunConfig) -> dict[str, Any]:
-    options = config.identity() | {"batch": min(config.batch, config.episodes)}
-    return {"options": options, "parts": user_parts.digests(config)}
-
-
 def _to_arrays(batch: FinishedBatch) -> dict[str, Any]:
-    """A batch as named arrays: its own, and its totals and frames as ``group:name``."""
+    """A batch as named arrays: its own, and its metrics, totals and frames as ``group:name``."""
     arrays = {name: getattr(batch, name) for name in ("completed", "timed_out", "steps", "seconds")}
     groups = {"metrics": batch.metrics, "tally": vars(batch.totals)}
-    groups |= {
-        f"frame{k}": {name: value for name, value in vars(frame).items() if value is not None}
-        for k, frame in enumerate(batch.frames)
-    }
-    return arrays | {f"{group}:{name}": each for group, named in groups.items() for name, each in named.items()}
+    groups |= {f"frame{k}": vars(frames) for k, frames in enumerate(batch.frames)}
+    for group, fields in groups.items():
+        arrays |= {f"{group}:{name}": values for name, values in fields.items() if values is not None}
+    return arrays
 
 
 def _from_arrays(arrays: dict[str, np.ndarray], count: int) -> FinishedBatch:
     """The batch of named arrays; raises ValueError or TypeError if they do not have ``count`` episodes."""
+    _check_arrays(arrays, count)
+    episodes = sum(name.endswith(":active") for name in arrays)
+    return FinishedBatch(
+        completed=arrays["completed"],
+        timed_out=arrays["timed_out"],
+        steps=arrays["steps"],
+        metrics=_group(arrays, "metrics"),
+        totals=Totals(**_group(arrays, "tally")),
+        frames=[Trajectory(**_group(arrays, f"frame{k}")) for k in range(episodes)],
+        seconds=float(arrays["seconds"]),
+    )
 
-    def of(group: str) -> dict[str, Any]:
-        return {name.split(":", 1)[1]: value for name, value in arrays.items() if name.startswith(f"{group}:")}
 
-    frames = [Trajectory(**of(f"frame{k}")) for k in range(sum(name.endswith(":active") for name in arrays))]
+def _group(arrays: dict[str, np.ndarray], group: str) -> dict[str, Any]:
+    """The arrays of ``group:name``, by name."""
+    return {name.partition(":")[2]: value for name, value in arrays.items() if name.startswith(f"{group}:")}
+
+
+def _check_arrays(arrays: dict[str, np.ndarray], count: int) -> None:
+    """Refuse arrays of other names, kinds, sizes or signs than those of a batch of ``count`` episodes."""
     sizes: dict[str, int] = {"B": count, "2": 2}
     for name, values in arrays.items():
         group, _, field = name.partition(":")
-        kind, dimensions = SHAPES.get("frame:" + field if group.startswith("frame") else name, ("", ""))
+        kind, dimensions = SHAPES.get(f"frame:{field}" if group.startswith("frame") else name, ("", ""))
         if group == "metrics":
             kind, dimensions = "biuf", "B F"[: 2 * values.ndim - 1]
         if not kind:
             raise ValueError(f"{name} is none of them")
+
+        # A letter has the same size everywhere; each episode has its own number of frames.
         letters = [f"{group}T" if letter == "T" else letter for letter in dimensions.split()]
-        shape = tuple(sizes.setdefault(*pair) for pair in zip(letters, values.shape, strict=True))
+        shape = tuple(sizes.setdefault(letter, size) for letter, size in zip(letters, values.shape, strict=True))
         if values.shape != shape or values.dtype.kind not in kind:
             raise ValueError(f"{name} is {values.dtype} {values.shape}")
-        if group != "metrics" and not (np.isfinite(values) | (field == "action")).all():
+        if group != "metrics" and field != "action" and not np.isfinite(values).all():
             raise ValueError(f"{name} is not finite")
-        if name in ("steps", "seconds", "tally:heat", "tally:walks", "tally:together", "tally:group_size"):
-            if (values < 0).any():
-                raise ValueError(f"{name} is negative")
-    if any(2**number != sizes["K"] for number in (sizes.get("S"), sizes.get("F", 0) - 1) if number not in (None, -1)):
+        if name in COUNTS and (values < 0).any():
+            raise ValueError(f"{name} is negative")
+
+    # Situations of frames and columns of metrics, and their sets.
+    situations = [sizes.get("S", -1), sizes.get("F", 0) - 1]
+    if any(2**size != sizes["K"] for size in situations if size >= 0):
         raise ValueError("they are not of the same situations")
-    ended = arrays["completed"], arrays["timed_out"], arrays["steps"]
-    return FinishedBatch(*ended, of("metrics"), Totals(**of("tally")), frames, float(arrays["seconds"]))

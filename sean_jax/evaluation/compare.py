@@ -18,8 +18,9 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from sean_jax.config import CompareConfig, RunConfig, user_parts, validate
+from sean_jax.config import CompareConfig, RunConfig, validate
 from sean_jax.config.flags import command, flag
+from sean_jax.config.input_files import rename
 from sean_jax.core.errors import InputError
 from sean_jax.evaluation import run_folder
 from sean_jax.evaluation.table import EPISODE_FIGURES, Figure, metric_figure
@@ -119,11 +120,15 @@ def compare(options: CompareConfig, console: Console) -> Path:
     names = [folder.resolve().name for folder in options.runs]
     path = options.out or Path(f"compare-{'-'.join(names)[:LONGEST]}.html")
     writing.check_file(path, (".html",))
-    names = [name if names.count(name) == 1 else str(folder) for name, folder in zip(names, options.runs, strict=True)]
-    runs = [read(folder, name) for folder, name in zip(options.runs, names, strict=True)]
+
+    # Runs in folders of one name have their paths as names.
+    runs = []
+    for folder, name in zip(options.runs, names, strict=True):
+        runs.append(read_run(folder, name if names.count(name) == 1 else str(folder)))
     views, words = differences(runs), summarize(runs)
     if options.situation not in views:
         raise InputError(f"--situation: '{options.situation}' is not one of {', '.join(views)}.")
+
     for other, rows in zip(runs[1:], views[options.situation], strict=True):
         console.print(_table(rows, runs[0].name, other.name))
     family = OVERALL if options.situation == OVERALL else "situations"
@@ -132,7 +137,7 @@ def compare(options: CompareConfig, console: Console) -> Path:
     return path
 
 
-def read(folder: Path, name: str = "") -> SavedRun:
+def read_run(folder: Path, name: str = "") -> SavedRun:
     """The run in a folder; its name is by default that of the folder.
 
     Raises:
@@ -143,11 +148,13 @@ def read(folder: Path, name: str = "") -> SavedRun:
             raise InputError(f"{folder}: holds no {file}; give a folder that `sean run` has finished.")
     content = run_folder.read_config(folder / "config.yaml", check=False)
     config = validate(RunConfig, content.description)
-    description = user_parts.relocate(run_folder.rename(config.identity(), content.identities), content.identities)
+    description = rename(config.identity(), content.identities)
     tasks, columns = run_folder.read_episodes(folder / "episodes.csv")
     if len(tasks) > config.episodes * (len(config.team) or 1):
-        what = f"has {len(tasks):,} rows and config.yaml {config.episodes:,} episodes"
-        raise InputError(f"{folder / 'episodes.csv'}: {what}; restore the files.")
+        file = folder / "episodes.csv"
+        raise InputError(
+            f"{file}: has {len(tasks):,} rows and config.yaml {config.episodes:,} episodes; restore the files."
+        )
     columns.pop("timed_out", None)
     figures = _own_figures(folder / "summary.json")
     run = SavedRun(folder, name or folder.resolve().name, config, description, tasks, columns, figures)
@@ -215,36 +222,62 @@ def differences(runs: Sequence[SavedRun]) -> Views:
     names = [name for name in runs[0].columns if all(name in run.columns for run in runs)]
     situations = list(dict.fromkeys(name.partition("__")[2] or OVERALL for name in names))
     views = {view: [_rows(runs[0], run, names, view) for run in runs[1:]] for view in (OVERALL, *situations)}
-    for family in ((OVERALL,), [view for view in views if view != OVERALL]):
-        rows = [row for view in family for each in views[view] for row in each]
-        tests = [(row.values.p, math.nan if row.up_to_best is None else row.up_to_best.p) for row in rows]
-        corrected = iter(holm(list(itertools.chain(*tests))))
-        for view in family:
-            views[view] = [[row.judged(next(corrected), next(corrected)) for row in each] for each in views[view]]
+    _judge(views, [OVERALL])
+    _judge(views, [view for view in views if view != OVERALL])
     return views
 
 
+def _judge(views: Views, family: list[str]) -> None:
+    """Give the rows of some views p-values that are corrected for all of them."""
+    p_values = []
+    for view in family:
+        for row in itertools.chain(*views[view]):
+            p_values += [row.values.p, math.nan if row.up_to_best is None else row.up_to_best.p]
+    corrected = iter(holm(p_values))
+    for view in family:
+        views[view] = [[row.judged(next(corrected), next(corrected)) for row in rows] for rows in views[view]]
+
+
 def _rows(first: SavedRun, second: SavedRun, names: list[str], view: str) -> list[Row]:
-    number, rows = paired(first, second), []
+    """The figures of a view, by the size of their effect."""
+    common = paired(first, second)
+    rows = []
     for column in names:
         name, _, situation = column.partition("__")
-        if (situation or OVERALL) != view or (name == "time_in_situation" and not situation):  # the duration
-            continue
-        pair = tuple(run.columns[column][: number * run.robots or None] for run in (first, second))
-        known = METRICS.get(name)
-        figure = EPISODE_FIGURES.get(name) or (metric_figure(name, known) if known else first.figures.get(name))
-        figure = figure or Figure(name.replace("_", " "), "", 3, "")
-        if figure.completed_only:
-            pair = tuple(np.where(run.columns["completed"][: len(part)] > 0, part, np.nan)
-                         for part, run in zip(pair, (first, second), strict=True))  # fmt: skip
-        runs = first, second
-        cut = [_up_to_best(part, figure, run) for part, run in zip(pair, runs, strict=True)]
-        is_cut = not all(np.array_equal(*each, equal_nan=True) for each in zip(cut, pair, strict=True))
-        pair, cut = ([_by_episode(part, run.robots) for part, run in zip(parts, runs, strict=True)]
-                     for parts in (pair, cut))  # fmt: skip
-        if (values := difference(pair[0], pair[1], number > 0)) is not None:
-            rows.append(Row(name, figure, values, difference(cut[0], cut[1], number > 0) if is_cut else None))
+        is_duration = name == "time_in_situation" and not situation
+        if (situation or OVERALL) == view and not is_duration:
+            row = _row(first, second, column, common)
+            rows += [] if row is None else [row]
     return sorted(rows, key=lambda row: (not row.tested, -abs(row.values.effect)))
+
+
+def _row(first: SavedRun, second: SavedRun, column: str, common: int) -> Row | None:
+    """A figure of two runs, of which the first ``common`` episodes are the same; None without values."""
+    name = column.partition("__")[0]
+    figure = _figure(name, first)
+    values, cut_values, is_cut = [], [], False
+    for run in (first, second):
+        rows = run.columns[column][: common * run.robots or None]
+        if figure.completed_only:
+            rows = np.where(run.columns["completed"][: len(rows)] > 0, rows, np.nan)
+        cut_rows = _up_to_best(rows, figure, run)
+        is_cut |= not np.array_equal(cut_rows, rows, equal_nan=True)
+        values.append(_by_episode(rows, run.robots))
+        cut_values.append(_by_episode(cut_rows, run.robots))
+
+    change = difference(values[0], values[1], common > 0)
+    if change is None:
+        return None
+    return Row(name, figure, change, difference(cut_values[0], cut_values[1], common > 0) if is_cut else None)
+
+
+def _figure(name: str, run: SavedRun) -> Figure:
+    """The presentation of a figure of the package, or of the user's own in a run."""
+    if name in EPISODE_FIGURES:
+        return EPISODE_FIGURES[name]
+    if name in METRICS:
+        return metric_figure(name, METRICS[name])
+    return run.figures.get(name) or Figure(name.replace("_", " "), "", 3, "")
 
 
 def _up_to_best(values: np.ndarray, figure: Figure, run: SavedRun) -> np.ndarray:
@@ -270,23 +303,26 @@ def summarize(runs: Sequence[SavedRun]) -> str:
     sentences = []
     for other in others:
         number, names = paired(first, other), differing_options(first, other)
-        what = f"{other.name} and {first.name}" if len(others) > 1 else "The runs"
-        how = f"have {number} common episodes, compared one by one" if number else (
-            "have different episodes, so their means are compared")  # fmt: skip
-        rest = f"differ in {', '.join(map(flag, names))}" if names else "have equal options"
-        sentences.append(f"{what} {how}; they {rest}.")
-    return " ".join([*sentences, *(f"No replay of {run.name}: {run.no_replay}" for run in runs if run.no_replay)])
+        subject = f"{other.name} and {first.name}" if len(others) > 1 else "The runs"
+        episodes = "have different episodes, so their means are compared"
+        if number:
+            episodes = f"have {number} common episodes, compared one by one"
+        options = f"differ in {', '.join(map(flag, names))}" if names else "have equal options"
+        sentences.append(f"{subject} {episodes}; they {options}.")
+    sentences += [f"No replay of {run.name}: {run.no_replay}" for run in runs if run.no_replay]
+    return " ".join(sentences)
 
 
 def tested(views: Views) -> dict[str, str]:
     """OVERALL and "situations" -> the number of tests and the correction in words."""
     words = {}
-    for name, where in ((OVERALL, [OVERALL]), ("situations", [view for view in views if view != OVERALL])):
-        number = sum(row.tested for view in where for rows in views[view] for row in rows)
-        which = "figures" if name == OVERALL else "figures within situations"
+    for name in (OVERALL, "situations"):
+        family = [view for view in views if (view == OVERALL) == (name == OVERALL)]
+        count = sum(row.tested for view in family for rows in views[view] for row in rows)
+        figures = "figures" if name == OVERALL else "figures within situations"
         words[name] = (
-            f"{number} {which} were tested and marked after Holm's correction: the probability of any false mark among "
-            f"them is 5 % at most. Intervals are not corrected, so one may exclude 0 without a mark."
+            f"{count} {figures} were tested and marked after Holm's correction: the probability of any false mark "
+            f"among them is 5 % at most. Intervals are not corrected, so one may exclude 0 without a mark."
         )
     return words
 

@@ -7,7 +7,7 @@ show.
 
 import dataclasses
 import shlex
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,20 +15,20 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 from rich.console import Console
-from rich.text import Text
 
 from sean_jax.config import CollectConfig, ReplayConfig, RunConfig, flags, validate
 from sean_jax.core.data_types import Array, Policy, Scenario, State, Trajectory
 from sean_jax.core.errors import InputError
 from sean_jax.evaluation import batches, results, run_folder
 from sean_jax.io import files, writing
-from sean_jax.io.progress import progress
+from sean_jax.io.progress import Progress, progress
 from sean_jax.io.versions import fingerprint, version_mismatch
 from sean_jax.learning.collection import content, load_driver, stream_floors
 from sean_jax.learning.networks import CONFIG, read_method
 from sean_jax.learning.policy import load, load_policies, read_options
 from sean_jax.simulation import making
-from sean_jax.simulation.episode_runner import Callbacks, Record, Runner
+from sean_jax.simulation.episode_runner import Batch, Callbacks, Record, Runner
+from sean_jax.simulation.scenario_plan import plan_scenario
 from sean_jax.simulation.scenario_stack import Stack
 from sean_jax.web import replay
 
@@ -49,9 +49,15 @@ class Source:
     number: Callable[[int], int] = lambda number: number  # the user's number of an episode -> the one that draws it
     ends: Callable | None = None  # (scenario, before, after) -> terminations of the training, which end episodes early
     deviation: Callable[[int, int], str] = lambda number, steps: ""  # note if the folder has other than so many steps
-    changes: Sequence[str] = ()  # a sentence on each file that has changed
     place: Callable[[int], int] = lambda number: 0  # the user's number of an episode -> index of its floor
     robots: int = 1  # of a team
+
+    def run(self, runner: Runner, number: int, callbacks: Callbacks, keep_rows: bool = True) -> Batch:
+        """Simulate the episode of a number alone."""
+        index = np.full(runner.size, self.turn(number))
+        row = self.number(number) * self.robots
+        floor = self.place(number) * len(self.floors)
+        return runner.run(self.seed, row, self.robots, index, callbacks, keep_rows, turn=floor)
 
 
 def write(options: ReplayConfig, console: Console) -> Path:
@@ -69,43 +75,57 @@ def write(options: ReplayConfig, console: Console) -> Path:
     writing.check_file(path, (".html",))
     with console.status("preparing the scenario"):
         source = read_source(folder, numbers)
-    for sentence in source.changes:
-        console.print(Text(sentence), soft_wrap=True)
-    shown: dict[int, list[replay.Episode]] = {}  # by floor
-    first = source.floors[0]
-    scenario, several, robots = first.member, len(source.floors), source.robots
-    record = batches.record(first, robots)
+
+    # A player for each floor, as a page's floor does not change.
+    episodes: dict[int, list[replay.Episode]] = {}
+    for number, episode in _simulate(source, numbers, console):
+        episodes.setdefault(source.place(number), []).append(episode)
+    title, first = folder.resolve().name, source.floors[0]
+    players = []
+    for place, on_floor in episodes.items():
+        name = first.names[place].replace("_", " ") if first.size > source.robots and first.names else ""
+        scenario = source.floors[source.turn(numbers[0])].at(place)
+        players.append((name, replay.of_scenario(scenario, on_floor, f"{title} · {name}" if name else title)))
+    writing.write(path, replay.html(players[0][1]) if len(players) == 1 else replay.html_of_several(players, title))
+    return path
+
+
+def _simulate(source: Source, numbers: list[int], console: Console) -> Iterator[tuple[int, replay.Episode]]:
+    """Each number with its episode, simulated alone."""
+    floors, robots = source.floors[0], source.robots
+    record = batches.record(floors, robots)
     record = record if source.ends is None else until_terminated(record, source.ends)
     runner = Runner(source.floors, source.policy, 1, source.use, record)
     with progress(console) as bar:
-        runner.compile(Callbacks(compiling=bar.stage))
-        bar.start("simulating", len(numbers) * scenario.time_limit)
-        for done, number in enumerate(numbers):
+        for number, callbacks in with_progress(runner, numbers, bar):
+            yield number, _episode(source, number, source.run(runner, number, callbacks))
 
-            def advanced(seconds: float, _: float, done: int = done, number: int = number) -> None:
-                bar.update(done * scenario.time_limit + seconds, f"episode {number}")
 
-            index, place = np.full(runner.size, source.turn(number)), source.place(number)
-            callbacks = Callbacks(advanced=advanced)
-            row = source.number(number) * robots
-            batch = runner.run(source.seed, row, robots, index, callbacks, turn=place * several)
-            frames = batches.episode_frames(batch.rows, robots, robots)[0]  # of the first robot, with the others
-            seconds = min(len(frames.active), int(batch.steps[0])) * scenario.time_step
-            if len(frames.active) < batch.steps[0]:
-                outcome = f"ended in {seconds:.1f} s by a termination of the training"
-            else:
-                outcome = results.outcome(bool(batch.states.completed[0]), seconds)
-            outcome += source.deviation(number, len(frames.active))
-            name = source.names[source.turn(number)].replace("_", " ")
-            label = f"episode {number} {first.names[0]}" if robots > 1 else f"episode {number}"
-            shown.setdefault(place, []).append(replay.Episode(frames, f"{label} · {name}", outcome))
-    title, players = folder.resolve().name, []
-    for place, each in shown.items():
-        name = first.names[place].replace("_", " ") if first.size > robots and first.names else ""
-        on_floor = source.floors[source.turn(numbers[0])].at(place)
-        players.append((name, replay.of_scenario(on_floor, each, f"{title} · {name}" if name else title)))
-    writing.write(path, replay.html(players[0][1]) if len(players) == 1 else replay.html_of_several(players, title))
-    return path
+def with_progress(runner: Runner, numbers: list[int], bar: Progress) -> Iterator[tuple[int, Callbacks]]:
+    """Compile, and give each number with callbacks that show the progress of its episode."""
+    runner.compile(Callbacks(compiling=bar.stage))
+    time_limit = runner.scenarios[0].time_limit
+    bar.start("simulating", len(numbers) * time_limit)
+    for finished, number in enumerate(numbers):
+
+        def advanced(seconds: float, _: float, finished: int = finished, number: int = number) -> None:
+            bar.update(finished * time_limit + seconds, f"episode {number}")
+
+        yield number, Callbacks(advanced=advanced)
+
+
+def _episode(source: Source, number: int, batch: Batch) -> replay.Episode:
+    """The episode of a number, with its name and its end in words."""
+    floors, robots = source.floors[0], source.robots
+    frames = batches.episode_frames(batch.rows, robots, robots)[0]  # of the first robot, with the others
+    seconds = min(len(frames.active), int(batch.steps[0])) * floors.member.time_step
+    if len(frames.active) < batch.steps[0]:
+        outcome = f"ended in {seconds:.1f} s by a termination of the training"
+    else:
+        outcome = results.outcome(bool(batch.states.completed[0]), seconds)
+    label = f"episode {number} {floors.names[0]}" if robots > 1 else f"episode {number}"
+    name = source.names[source.turn(number)].replace("_", " ")
+    return replay.Episode(frames, f"{label} · {name}", outcome + source.deviation(number, len(frames.active)))
 
 
 def check_source(folder: Path) -> str:
@@ -140,9 +160,9 @@ def _of_run(folder: Path, numbers: list[int]) -> Source:
     before = run_folder.read_config(path)
     config = validate(RunConfig, before.description, source=path)
     _check(numbers, config.episodes, folder)
-    teams, robots = making.build_team(config, config.team) if config.team else None, len(config.team) or 1
-    stacks = teams or making.build_floors(config, config.episodes)
-    floors, count = stacks[0], len(stacks)
+    plan = plan_scenario(config, config.team or None)
+    stacks = making.build(plan, -(-config.episodes // len(plan.tasks)))
+    floors, count, robots = stacks[0], len(stacks), len(plan.team) or 1
     policy, content = load_policies(config.policies, floors.member), floors if floors.size > 1 else floors.member
     ended, step = _ended(folder / "episodes.csv", robots), floors.member.time_step
     cause = _cause(before.versions, before.fingerprint, fingerprint(content, policy.params))
@@ -160,8 +180,7 @@ def _of_run(folder: Path, numbers: list[int]) -> Source:
         turn=lambda number: number % count,
         names=[each.member.task_name for each in stacks],
         deviation=deviation,
-        changes=before.changes,
-        place=lambda number: 0 if teams else number // count % floors.size,
+        place=lambda number: 0 if plan.team else number // count % floors.size,
         robots=robots,
     )
 

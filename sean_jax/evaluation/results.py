@@ -9,8 +9,9 @@ from __future__ import annotations
 import csv
 import dataclasses
 import io
+import itertools
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,13 +20,12 @@ import numpy as np
 from rich.console import Console
 
 from sean_jax import drawing, metrics, robots
-from sean_jax.config import RunConfig
-from sean_jax.config.flags import command
 from sean_jax.core.data_types import Scenario, Trajectory
 from sean_jax.drawing.colors import NO_SITUATION, situation_colors
 from sean_jax.drawing.svg import svg
-from sean_jax.evaluation import compare, run_folder, table
+from sean_jax.evaluation import compare, run_plan, table
 from sean_jax.evaluation.compare import SavedRun
+from sean_jax.evaluation.run_plan import RunPlan
 from sean_jax.io import writing
 from sean_jax.io.versions import versions
 from sean_jax.metrics import Estimate, Metric, aggregate_ratio, resamples
@@ -132,13 +132,17 @@ class Evaluation:
 
         "none" has the share of time in no situation, and "several" that of all time in two or more at once.
         """
-        times = self.together / max(float(self.together.sum()), 1e-9)
-        number = np.array([index.bit_count() for index in range(len(times))])
+        times = self.together / max(float(self.together.sum()), 1e-9)  # (2 ** S,)
+        sets = np.arange(len(times))  # situation s is bit s
+        sizes = np.array([index.bit_count() for index in range(len(times))])
         shares = {}
         for bit, name in enumerate(self.situations):
-            inside = np.arange(len(times)) >> bit & 1 == 1
-            shares[name] = float(times[inside & (number == 1)].sum()), float(times[inside & (number > 1)].sum())
-        return shares | {"none": (float(times[0]), 0.0), "several": (0.0, float(times[number > 1].sum()))}
+            inside = sets >> bit & 1 == 1
+            alone, among_others = times[inside & (sizes == 1)], times[inside & (sizes > 1)]
+            shares[name] = float(alone.sum()), float(among_others.sum())
+        shares["none"] = float(times[0]), 0.0
+        shares["several"] = 0.0, float(times[sizes > 1].sum())
+        return shares
 
     def save(self, folder: Path | str) -> Path:
         """Write the files of ``sean run`` to a new or empty folder: report, episodes.csv, summary.json, animation.
@@ -159,10 +163,10 @@ def title(
 ) -> str:
     """A run in one line; ``floors`` is their number, 0 without a set."""
     robot = " + ".join(robots_of_team) or scenario.robot.name
-    what = f"{scenario.environment.name} · {scenario.behavior.name} · {' / '.join(tasks)} · {robot}"
+    names = f"{scenario.environment.name} · {scenario.behavior.name} · {' / '.join(tasks)} · {robot}"
     if floors:
-        return f"{what} · up to {scenario.people} people · {episodes} episodes on {floors} floors"
-    return f"{what} · {scenario.people} people · {episodes} episodes"
+        return f"{names} · up to {scenario.people} people · {episodes} episodes on {floors} floors"
+    return f"{names} · {scenario.people} people · {episodes} episodes"
 
 
 def aggregate_episodes(results: Evaluation) -> dict[str, Any]:
@@ -182,43 +186,46 @@ def aggregate_episodes(results: Evaluation) -> dict[str, Any]:
     columns = ("overall", *results.situations)
     cluster = len(results.robots) or 1
     weights = resamples(len(results.completed), cluster=cluster)
-    every = np.ones(len(results.completed))
 
-    def by_column(values: np.ndarray, applies: np.ndarray, kind: str = "number") -> dict[str, Any]:
-        estimate = aggregate_ratio(values * applies, applies, weights=weights)
-        if kind == "share":  # of episodes, where each is 0 or 1; else of time
-            is_share = np.all((values == 0) | (values == 1) | (applies == 0), 0)
-            estimate = of_share(estimate, where=is_share, cluster=cluster)
-        elif kind == "count":
-            estimate = of_count(estimate, cluster=cluster)
-        return {
-            name: _figure(Estimate(*(part[k] for part in estimate)))
-            for k, name in enumerate(columns[: values.shape[1]])
-        }
+    def estimate(values: np.ndarray, applies: np.ndarray, kind: str) -> dict[str, Any]:
+        return _by_column(columns, values, applies, kind, weights, cluster)
 
-    shares, among = dict.fromkeys(results.situations), every[:, None]
+    # Episodes (E, columns) that a column is about: in which its situation occurred.
+    among = np.ones((len(results.completed), 1))
+    shares = dict.fromkeys(results.situations)
     if (spent := results.metrics.get("time_in_situation")) is not None:  # (E, 1 + S) s
-        shares = {
-            name: _figure(aggregate_ratio(spent[:, k + 1], spent[:, 0], weights=weights))
-            for k, name in enumerate(results.situations)
-        }
+        ratios = [aggregate_ratio(spent[:, k], spent[:, 0], weights=weights) for k in range(1, spent.shape[1])]
+        shares = dict(zip(results.situations, map(_figure, ratios), strict=True))
         among = np.concatenate([among, spent[:, 1:] > 0], 1).astype(float)
-    number = among.shape[1]
-    figures = {"completed": by_column(np.repeat(results.completed[:, None], number, 1).astype(float), among, "share")}
+
+    completed = np.repeat(results.completed[:, None], among.shape[1], 1)
+    figures = {"completed": estimate(completed.astype(float), among, "share")}
     for name, values in results.metrics.items():
         if name in ("completed", "timed_out"):
             continue
-        completed_only = results.definitions[name].completed_only
+        metric = results.definitions[name]
         cells = values.reshape(len(values), -1).astype(float)
-        if completed_only:
-            cells = np.repeat(cells, number, 1) if cells.shape[1] == 1 else cells[:, :number]
         applies = np.isfinite(cells).astype(float)
-        if completed_only:
-            applies = applies * among * results.completed[:, None]
-        kind = results.definitions[name].kind
-        figures[name] = by_column(np.where(np.isfinite(cells), cells, 0.0), applies, kind)
-    figures["seconds"] = by_column(results.seconds[:, None].astype(float), every[:, None])
+        if metric.completed_only:
+            cells = np.repeat(cells, among.shape[1], 1) if cells.shape[1] == 1 else cells[:, : among.shape[1]]
+            applies = np.isfinite(cells) * among * results.completed[:, None]
+        figures[name] = estimate(np.where(np.isfinite(cells), cells, 0.0), applies, metric.kind)
+    figures["seconds"] = estimate(results.seconds[:, None].astype(float), among[:, :1], "number")
     return {"situations": shares, "metrics": figures}
+
+
+def _by_column(
+    columns: Sequence[str], values: np.ndarray, applies: np.ndarray, kind: str, weights: np.ndarray, cluster: int
+) -> dict[str, Any]:
+    """Column -> the mean of values (E, columns) over the episodes to which they apply."""
+    estimate = aggregate_ratio(values * applies, applies, weights=weights)
+    if kind == "share":  # of episodes, where each is 0 or 1; else of time
+        is_share = np.all((values == 0) | (values == 1) | (applies == 0), 0)
+        estimate = of_share(estimate, where=is_share, cluster=cluster)
+    elif kind == "count":
+        estimate = of_count(estimate, cluster=cluster)
+    names = columns[: values.shape[1]]
+    return {name: _figure(Estimate(*(field[k] for field in estimate))) for k, name in enumerate(names)}
 
 
 def _figure(estimate: Estimate) -> dict[str, Any] | None:
@@ -232,34 +239,48 @@ def _figure(estimate: Estimate) -> dict[str, Any] | None:
 # ------------------------------------------------------------------ files
 
 
-def write_all(
-    folder: Path, evaluation: Evaluation, config: RunConfig | None = None, inputs: run_folder.Inputs | None = None
-) -> None:
+def write_all(folder: Path, evaluation: Evaluation, plan: RunPlan | None = None, content: str = "") -> None:
     """Write all files of an evaluation to an empty folder.
 
-    ``config`` and its input files are from ``sean run``; an evaluation in Python, which no file repeats, has none.
+    ``plan`` is of ``sean run``, and ``content`` the fingerprint of its scenario and policy; an evaluation in Python,
+    which no file repeats, has none.
     """
     packages = versions()
     about = {"scenario": evaluation.names(), "people": evaluation.scenario.people, "versions": packages}
-    run_folder.write_config(folder, about, config, inputs)
+    run_plan.write_config(folder, about, plan, content)
     write_episodes(folder / "episodes.csv", evaluation)
     summary = evaluation.summary()
     (folder / "summary.json").write_text(json.dumps(summary, indent=2, allow_nan=False) + "\n", encoding="utf-8")
-    scenario = evaluation.scenario
-    first = evaluation.place(0)
     if evaluation.frames:
-        drawing.animate(
-            first.environment,
-            evaluation.frames[0],
-            folder / "episode.gif",
-            graph=drawing.graph_of(first),
-            situations=evaluation.situations,
-            time_step=scenario.time_step,
-            robot_radius=robots.radii(first),
-            title=evaluation.tasks[0].replace("_", " "),
-        )
-    if evaluation.frames and config is not None and config.camera is not None:
-        drawing.video(evaluation.frames[0], first, folder / "camera.gif", view=config.camera)
+        _animate(folder, evaluation, None if plan is None else plan.config.camera)
+
+    in_python = "sean_jax.evaluate, in a Python program"
+    command = in_python if plan is None else plan.command()
+    complete = in_python if plan is None else plan.command(complete=True)
+    runs = [plan.baseline, compare.read_run(folder)] if plan is not None and plan.baseline is not None else []
+    text = report_page(evaluation, summary, _recording(evaluation), command, packages, complete, runs)
+    (folder / "report.html").write_text(text, encoding="utf-8")
+
+
+def _animate(folder: Path, evaluation: Evaluation, camera: str | None) -> None:
+    """Write animations of the first episode: from above, and as a camera sees it."""
+    scenario, frames = evaluation.place(0), evaluation.frames[0]
+    drawing.animate(
+        scenario.environment,
+        frames,
+        folder / "episode.gif",
+        graph=drawing.graph_of(scenario),
+        situations=evaluation.situations,
+        time_step=scenario.time_step,
+        robot_radius=robots.radii(scenario),
+        title=evaluation.tasks[0].replace("_", " "),
+    )
+    if camera is not None:
+        drawing.video(frames, scenario, folder / "camera.gif", view=camera)
+
+
+def _recording(evaluation: Evaluation) -> dict[str, Any] | None:
+    """The first episodes for the player of the report; None if there are none."""
     shown = []
     for i, frames in enumerate(evaluation.frames):
         if evaluation.floors and evaluation.floors[i] != evaluation.floors[0]:
@@ -268,13 +289,7 @@ def write_all(
             continue  # the frames of the first robot have the others, too
         name = f"{_label(evaluation, i)} · {evaluation.tasks[i].replace('_', ' ')}"
         shown.append(replay.Episode(frames, name, outcome(evaluation.completed[i], evaluation.seconds[i])))
-    recording = replay.of_scenario(first, shown) if shown else None
-    lines = ["sean_jax.evaluate, in a Python program"] * 2
-    if config is not None:
-        lines = [command("run", config, chosen=chosen) for chosen in (True, False)]
-    runs = [compare.read(config.baseline), compare.read(folder)] if config is not None and config.baseline else []
-    text = report_page(evaluation, summary, recording, lines[0], packages, lines[1], runs)
-    (folder / "report.html").write_text(text, encoding="utf-8")
+    return replay.of_scenario(evaluation.place(0), shown) if shown else None
 
 
 def _label(evaluation: Evaluation, row: int) -> str:
@@ -294,28 +309,28 @@ def write_episodes(path: Path, evaluation: Evaluation) -> None:
     Equal results give equal bytes. A value that is not finite is an empty cell. With several floors, ``environment`` is
     the floor of an episode. A team has a row for each robot, named in the column ``robot``.
     """
-    several, names = bool(evaluation.floors), evaluation.robots
-    columns: dict[str, np.ndarray] = {}
+    robots_of_team = len(evaluation.robots) or 1
+    columns: dict[str, Iterable[Any]] = {"episode": (row // robots_of_team for row in range(len(evaluation.tasks)))}
+    if evaluation.robots:
+        columns["robot"] = itertools.cycle(evaluation.robots)
+    if evaluation.floors:
+        columns["environment"] = evaluation.floors
+    columns["task"] = evaluation.tasks
+    columns["completed"] = evaluation.completed.astype(bool)
+    columns["timed_out"] = evaluation.timed_out.astype(bool)
+    columns["seconds"] = map("{:.3f}".format, evaluation.seconds)
     for name, values in evaluation.metrics.items():
-        if name in ("completed", "timed_out"):
-            continue
-        values = values.astype(np.int64) if evaluation.definitions[name].kind == "count" else values
-        if values.ndim == 1:
-            columns[name] = values
-            continue
-        columns[name] = values[:, 0]
-        for k, situation in enumerate(evaluation.situations):
-            columns[f"{name}__{situation}"] = values[:, k + 1]
+        if name not in ("completed", "timed_out"):
+            values = values.astype(np.int64) if evaluation.definitions[name].kind == "count" else values
+            names = [name, *(f"{name}__{situation}" for situation in evaluation.situations)]
+            columns |= {
+                column: map(_cell, cells) for column, cells in zip(names, np.atleast_2d(values.T), strict=False)
+            }
+
     with path.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream, lineterminator="\n")
-        texts = [*["robot"] * bool(names), *["environment"] * several]
-        writer.writerow(["episode", *texts, "task", "completed", "timed_out", "seconds", *columns])
-        for i, task in enumerate(evaluation.tasks):
-            ended = str(bool(evaluation.completed[i])), str(bool(evaluation.timed_out[i]))
-            cells = (_cell(values[i]) for values in columns.values())
-            first = [i // len(names), names[i % len(names)]] if names else [i]
-            texts = [*first, *evaluation.floors[i : i + 1], task, *ended]
-            writer.writerow([*texts, f"{evaluation.seconds[i]:.3f}", *cells])
+        writer.writerow(columns)
+        writer.writerows(zip(*columns.values(), strict=False))
 
 
 def _cell(value: Any) -> str:
@@ -474,15 +489,22 @@ def _checks(summary: dict[str, Any]) -> dict[str, str]:
 
 def _durations(evaluation: Evaluation) -> str:
     """Histogram of the episodes' durations as SVG, up to the time limit; completed ones stand below."""
-    limit = evaluation.scenario.time_limit
-    edges, completed, seconds = np.linspace(0.0, limit, 25), evaluation.completed, np.minimum(evaluation.seconds, limit)
-    done, late = (np.histogram(seconds[mask], edges)[0] for mask in (completed, ~completed))
-    highest = max(1, int((done + late).max()))
-    left, base, step, scale = 36.0, 160.0, 668.0 / len(done), 140.0 / highest
+    time_limit = evaluation.scenario.time_limit
+    seconds = np.minimum(evaluation.seconds, time_limit)
+    edges = np.linspace(0.0, time_limit, 25)
+    completed, _ = np.histogram(seconds[evaluation.completed], edges)
+    late, _ = np.histogram(seconds[~evaluation.completed], edges)
+
+    # Bars of a picture whose axes meet at (left, base), in pixels.
+    highest = max(1, int((completed + late).max()))
+    left, base, width = 36.0, 160.0, 668.0 / len(completed)
+    scale = 140.0 / highest
     bars = []
-    for k, (lower, upper) in enumerate(zip(scale * done, scale * late, strict=True)):
-        for kind, top, height in (("done", base - lower, lower), ("late", base - lower - upper, upper)):
-            if height:
-                bars.append((kind, left + k * step + 1.0, top, step - 2.0, height))
-    ticks = [(left + k * step, f"{edges[k]:.3g}") for k in range(0, len(edges), 4)]
+    for k, (lower, upper) in enumerate(zip(scale * completed, scale * late, strict=True)):
+        x = left + k * width + 1.0
+        if lower:
+            bars.append(("done", x, base - lower, width - 2.0, lower))
+        if upper:
+            bars.append(("late", x, base - lower - upper, width - 2.0, upper))
+    ticks = [(left + k * width, f"{edges[k]:.3g}") for k in range(0, len(edges), 4)]
     return pages.render("evaluation/durations.html", bars=bars, ticks=ticks, highest=highest)

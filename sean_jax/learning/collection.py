@@ -56,7 +56,7 @@ def check_collection(config: CollectConfig) -> None:
     check_policy(config.policy, config)
     if config.labels is not None:
         check_policy(config.labels, config, "labels")
-    making.check(config)
+    making.plan_scenario(config)
     for robot in config.robot_parts:
         if not isinstance(robot, OwnPart | Value):
             sensors.camera(robots.load(robot.kind), "depth", width=config.width, height=config.height)
@@ -68,7 +68,7 @@ def streams(config: CollectConfig) -> dict[str, Scenario]:
     Raises:
         InputError: unknown names, or impossible combinations.
     """
-    scenarios = [replace(scenario, metrics=()) for scenario in making.build(config)]  # not needed here
+    scenarios = [replace(scenario, metrics=()) for scenario in making.scenarios(config)]  # not needed here
     first = scenarios[0]
     if isinstance(config.behavior, HandcraftedBehavior) and [each.task_name for each in scenarios] == ["handcrafted"]:
         situations = dict.fromkeys(first.behavior.data.situations)
@@ -86,7 +86,10 @@ def stream_floors(config: CollectConfig) -> dict[str, Stack[Scenario]]:
     if generated.count(config.environment) == 1:
         parts = streams(config)
         return dict(zip(parts, as_stacks(list(parts.values())), strict=True))
-    floors = [each.map_member(lambda scenario: replace(scenario, metrics=())) for each in making.build_floors(config)]
+    floors = [
+        each.map_member(lambda scenario: replace(scenario, metrics=()))
+        for each in making.build(making.plan_scenario(config))
+    ]
     return {each.member.task_name: each for each in floors}
 
 

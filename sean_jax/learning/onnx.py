@@ -54,7 +54,7 @@ def export(source: Path | str, out: Path | str) -> Path:
     folder, out = agent_folder(str(source), "export onnx"), Path(out)
     options = read_options(folder)
     user_parts.check_trust(options)
-    scenario = registry.build_stack(options.per_environment[0], limit=1).member.scenario  # the first floor and robot
+    scenario = registry.build(options.per_environment[0], limit=1).member.scenario  # the first floor and robot
     _, agent, terms = load_agent(folder, scenario)
     state = jax.eval_shape(lambda: reset(scenario, jax.random.key(0)))
     space = observations.space(sum(agent_terms(options), ()), scenario, state)

@@ -382,11 +382,12 @@ def pack(folder: Path | str, out: Path | str) -> Path:
     if is_packed(folder):
         raise InputError(f"{folder} is packed already; copy it.")
     user_parts.check_trust(options)
-    _, agent, _ = load_agent(folder, registry.build_stack(options.per_environment[0], limit=1).member.scenario)
+    _, agent, _ = load_agent(folder, registry.build(options.per_environment[0], limit=1).member.scenario)
     facts = {**_best_evaluation(folder), "weights": "float16", "packed_with": versions()}
     with writing.atomic_folder(out) as target:
-        copies, hashes = user_parts.copy(target, options)
-        own = user_parts.relocate(options.identity(), copies) | {"parts": hashes} if copies else {}
+        code = user_parts.input_files(options)
+        hashes = code.bundle(target)
+        own = code.describe(options.identity()) | {"parts": hashes} if hashes else {}
         save_agent(target, agent, {**files.read_json(folder / CONFIG), **own, "agent": facts})
     return out
 

@@ -140,14 +140,11 @@ def build(options: ReinforcementConfig) -> Setting:
         policies.check_policy(options.imitate, options, "imitate")
     if options.pretrained is not None:
         _check_pretrained(options, _agent_folder(options.pretrained))
-    configs = options.per_environment
-    if options.laws is not None:
-        plain = [config.replace(laws=None) for config in configs]
-        configs = [registry.with_law(config, law) for config in plain for law in listed(options.laws)]
-    for config in configs:
-        bounds.with_costs(tuple(registry.check(config)["rewards"].items()), options.cost_limits)
+    plans = registry.plan_envs(options)
+    for plan in plans:
+        bounds.with_costs(tuple(plan.rewards.items()), options.cost_limits)
     _, private = policies.agent_terms(options)
-    envs = [registry.build_stack(config) for config in configs]
+    envs = [registry.build(plan) for plan in plans]
 
     def prepare(env: mdp.Env) -> mdp.Env:
         require(env.scenario.robot, ("differential",), "agents drive")

@@ -6,18 +6,30 @@ means the tasks of the paper's protocol in turn (section V-B).
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 from sean_jax import mdp, social_forces, tasks
-from sean_jax.config import USUAL_TASKS, Bounds, Component, EnvConfig, Named, gather, user_parts, validate
+from sean_jax.config import (
+    USUAL_TASKS,
+    Bounds,
+    Component,
+    EnvConfig,
+    Named,
+    ReinforcementConfig,
+    gather,
+    user_parts,
+    validate,
+)  # fmt: skip
 from sean_jax.core.data_types import Scenario
 from sean_jax.core.errors import InputError
+from sean_jax.core.messages import listed
 from sean_jax.io import files
 from sean_jax.mdp import observations, rewards
 from sean_jax.mdp.env import as_termination
 from sean_jax.mdp.randomization import as_randomization
 from sean_jax.people import pedestrian_models
-from sean_jax.simulation import making
+from sean_jax.simulation import making, scenario_plan
+from sean_jax.simulation.scenario_plan import ScenarioPlan
 from sean_jax.simulation.scenario_stack import Stack
 from sean_jax.social_forces.presets import is_file
 
@@ -79,25 +91,63 @@ def load(name: str, config: EnvConfig | None = None, config_overrides: Mapping[s
             cure = files.suggest(key, EnvConfig.model_fields) or "."
             raise InputError(f"config_overrides: '{key}' is no field{cure}")
     options = {key: getattr(config, key) for key in EnvConfig.model_fields} | overrides
-    env = build(validate(EnvConfig, options, typed=True))
+    plan = plan_env(validate(EnvConfig, options, typed=True))
+    making.check_single(plan.scenario)
     if weights:
         changed = rewards.as_terms({key.removeprefix("rewards."): weight for key, weight in weights.items()})
-        env = replace(env, rewards=tuple((dict(env.rewards) | dict(changed)).items()))
-    return env
+        plan = plan._replace(rewards=plan.rewards | dict(changed))
+    return build(plan).member
 
 
-def build(config: EnvConfig) -> mdp.Env:
-    """The environment of options, without a pool of starts; one of several tasks is drawn for each episode.
+class EnvPlan(NamedTuple):
+    """A description of environments, with its names resolved."""
+
+    scenario: ScenarioPlan
+    observations: dict[str, Any]
+    rewards: dict[str, Any]
+    terminations: list[Any]
+    randomization: Any
+    action_delay: tuple[int, int]
+
+
+def plan_env(config: EnvConfig) -> EnvPlan:
+    """The plan of a description; refuses options as ``scenario_plan.plan_scenario``.
 
     Raises:
         InputError: one sentence that names the value and the cure.
     """
-    parts = check(config)
-    return mdp.make_env(_mixed(making.build(config)), **parts, action_delay=config.action_delay)
+    scenario = scenario_plan.plan_scenario(config)
+    terminations = [user_parts.name_or_part(part, "terminations") for part in config.terminations]
+    for termination in terminations:
+        as_termination(termination)
+    terms = observations.with_delays(observation_terms(config.observations), config.observation_delays)
+    return EnvPlan(
+        scenario=scenario,
+        observations=dict(terms),
+        rewards=dict(rewards.weighted(_rewards(config), config.reward_weights)),
+        terminations=terminations,
+        randomization=as_randomization(_randomization(config.randomization)),
+        action_delay=config.action_delay,
+    )
 
 
-def build_stack(config: EnvConfig, limit: int | None = None) -> Stack[mdp.Env]:
-    """The environments of options on each floor, without pools, for one program.
+def plan_envs(options: ReinforcementConfig) -> list[EnvPlan]:
+    """The plans of the environments of a training, each with each of its laws of people's motion.
+
+    Raises:
+        InputError: one sentence that names the value and the cure.
+    """
+    configs: list[EnvConfig] = list(options.per_environment)
+    if options.laws is not None:
+        plain = [config.replace(laws=None) for config in configs]
+        configs = [with_law(config, law) for config in plain for law in listed(options.laws)]
+    return [plan_env(config) for config in configs]
+
+
+def build(plan: EnvPlan | EnvConfig, limit: int | None = None) -> Stack[mdp.Env]:
+    """The environments of a plan on each floor, without pools of starts, for one program.
+
+    One of several tasks is drawn for each episode.
 
     Args:
         limit: maximum number of floors; the first ones.
@@ -105,14 +155,21 @@ def build_stack(config: EnvConfig, limit: int | None = None) -> Stack[mdp.Env]:
     Raises:
         InputError: one sentence that names the value and the cure.
     """
-    parts = check(config)
-    floors = making.build_stack(config, limit)
-    if len(config.robot_parts) > 1:  # a start or goal of the user's needs room for the widest
+    plan = plan if isinstance(plan, EnvPlan) else plan_env(plan)
+    floors = making.build_members(plan.scenario, limit)
+    if len(plan.scenario.robots) > 1:  # a start or goal of the user's needs room for the widest
         radii = floors.over_members(lambda scenario: scenario.robot.radius)()
-        making.with_tasks(config, floors.at(int(radii.argmax())))
-    scenario = _mixed(making.with_tasks(config, floors.member))
-    env = mdp.make_env(scenario, **parts, action_delay=config.action_delay)
-    return floors.map_member(lambda _: env)  # the scenario's leaves come first in an environment
+        making.with_tasks(plan.scenario, floors.at(int(radii.argmax())))
+    scenario = _mixed(making.with_tasks(plan.scenario, floors.member))
+    env = mdp.make_env(
+        scenario,
+        plan.observations,
+        plan.rewards,
+        terminations=plan.terminations,
+        randomization=plan.randomization,
+        action_delay=plan.action_delay,
+    )
+    return replace(floors, member=env)  # pyright: ignore[reportReturnType]  # the scenario's leaves come first in an environment
 
 
 def _mixed(scenarios: Sequence[Scenario]) -> Scenario:
@@ -123,32 +180,9 @@ def _mixed(scenarios: Sequence[Scenario]) -> Scenario:
     return replace(scenarios[0], task=mixed, task_name=",".join(each.task_name for each in scenarios))
 
 
-def check(config: EnvConfig) -> dict[str, Any]:
-    """Observations, rewards, terminations and randomization for ``make_env``; refuses options as ``making.check``.
-
-    Raises:
-        InputError: one sentence that names the value and the cure.
-    """
-    making.check(config)
-    terminations = [
-        part.kind if isinstance(part, Named) else user_parts.resolve(part, {}, "terminations")
-        for part in config.terminations
-    ]
-    for each in terminations:
-        as_termination(each)
-    terms = observation_terms(config.observations)
-    return {
-        "observations": dict(observations.with_delays(terms, config.observation_delays)),
-        "rewards": dict(rewards.weighted(_rewards(config), config.reward_weights)),
-        "terminations": terminations,
-        "randomization": as_randomization(_randomization(config.randomization)),
-    }
-
-
 def _randomization(part: Component | None) -> Any:
-    if part is None or isinstance(part, Bounds):
-        return part
-    return part.kind if isinstance(part, Named) else user_parts.resolve(part, {}, "randomization")
+    """Bounds, or the name or file of some, or the user's own; None for none."""
+    return part if part is None or isinstance(part, Bounds) else user_parts.name_or_part(part, "randomization")
 
 
 def with_law(config: EnvConfig, law: str) -> EnvConfig:

@@ -322,7 +322,7 @@ class Live:
             InputError: the options cannot be met, a package is missing, or nothing answers.
         """
         self.config = config
-        self.scenarios = making.build(config)
+        self.scenarios = making.scenarios(config)
         self._varying, self._tasks = varying_leaves(self.scenarios), tuple(each.task for each in self.scenarios)
         self._write = functools.partial(console.print, highlight=False, markup=False, soft_wrap=True)
         names = RosNames(config.node_name, config.namespace or "", config.naming)

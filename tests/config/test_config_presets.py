@@ -28,7 +28,7 @@ from sean_jax.config import (
     validate,
 )
 from sean_jax.evaluation.run_folder import read_config
-from sean_jax.simulation.making import build
+from sean_jax.simulation.making import scenarios
 from support import trees
 from support.checkout import ROOT
 
@@ -130,7 +130,7 @@ def test_the_scenario_is_the_one_of_its_parts():
         "goal_sampling": "mesh",
         "forces": "sean2",
     }
-    same = build(ScenarioConfig(environment="lab", people=3, **parts, situations="sean2", dynamics="kinematic"))[0]
+    same = scenarios(ScenarioConfig(environment="lab", people=3, **parts, situations="sean2", dynamics="kinematic"))[0]
     trees.assert_equal(scenario.behavior, same.behavior)
     assert jax.tree.structure(scenario.behavior) == jax.tree.structure(same.behavior)
     mine = sean_jax.make(ScenarioConfig(environment="lab", people=3), preset="sean2", dynamics="twin")

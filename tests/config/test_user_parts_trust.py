@@ -20,7 +20,7 @@ from support.checkout import callers
 
 PACKAGE = Path(config.__file__).parent.parent
 TYPED = {
-    "simulation/making.py _with_one_task": "arguments of a Python caller",
+    "simulation/making.py _as_config": "arguments of a Python caller",
     "simulation/making.py with_task": "an argument of a Python caller",
     "cli/command_line.py _read": "the command line",
     "config/components.py ": "the mark of it",
@@ -54,7 +54,7 @@ MADE = {
     "studies/survey/answers.py Answers.film_lengths": "lengths of films",
     "web/studio/server.py _opened": "choices of the page, and what the user typed",
     "config/learning_options.py ReinforcementConfig.as_run": "parts of a training, which keep who typed them",
-    "simulation/making.py _with_one_task": "arguments of a Python caller",
+    "simulation/making.py _as_config": "arguments of a Python caller",
     "config/learning_options.py EnvConfig.identity": "only becomes text",
     "learning/dagger.py _collect_options": "components, and a folder as Named",
     "social_forces/forces.py Forces.tree_replace": "numbers of forces, no options",
@@ -72,7 +72,7 @@ WAYS = {
     "benchmark": lambda name: policy.load_policy(benchmark.read_policy(name), None),
     "models": checks.models_of,
     **{
-        field: lambda name, field=field: making.check(
+        field: lambda name, field=field: making.plan_scenario(
             config.validate(StudioConfig, {"environment": "lab", field: name})
         )
         for field in components.families(StudioConfig)
@@ -128,7 +128,7 @@ def test_a_law_of_a_file_is_a_file_of_constants(tmp_path, monkeypatch):
     (tmp_path / "evil.py").write_text("raise SystemExit('it ran')\n")
     (tmp_path / "evil.py:go").write_text("preset: nothing\n")
     with pytest.raises(InputError, match="evil.py:go"):
-        making.check(registry.with_law(config.EnvConfig(environment="lab"), "evil.py:go"))
+        making.plan_scenario(registry.with_law(config.EnvConfig(environment="lab"), "evil.py:go"))
 
 
 @pytest.mark.parametrize(

@@ -33,7 +33,7 @@ def rows(*runs: compare.SavedRun, view: str = "overall") -> dict[str, compare.Ro
 def test_the_same_episodes_are_compared_one_by_one(tmp_path):
     """What is the same in each episode cancels: the interval is that of the differences alone."""
     one, other = run(tmp_path / "one", 0), run(tmp_path / "other", 0, shift=0.7, policy="orca")
-    pair = compare.read(one), compare.read(other)
+    pair = compare.read_run(one), compare.read_run(other)
     assert compare.paired(*pair) == 40 and compare.differing_options(*pair) == ["policy"]
     found = rows(*pair)
     assert list(found)[0] == "seconds" and set(found) == set(NAMES), "the largest effect comes first"
@@ -50,7 +50,7 @@ def test_the_same_episodes_are_compared_one_by_one(tmp_path):
 
 def test_other_episodes_are_compared_by_their_means(tmp_path):
     one, other = run(tmp_path / "one", 0, episodes=300), run(tmp_path / "other", 1, 3.0, episodes=200, seed=1)
-    pair = compare.read(one), compare.read(other)
+    pair = compare.read_run(one), compare.read_run(other)
     assert compare.paired(*pair) == 0
     row = rows(*pair)["seconds"].values
     parts = [each.columns["seconds"] for each in pair]
@@ -62,7 +62,7 @@ def test_other_episodes_are_compared_by_their_means(tmp_path):
 
 
 def test_fewer_episodes_are_those_that_both_have(tmp_path):
-    pair = compare.read(run(tmp_path / "one", 0)), compare.read(run(tmp_path / "two", 0, episodes=25))
+    pair = compare.read_run(run(tmp_path / "one", 0)), compare.read_run(run(tmp_path / "two", 0, episodes=25))
     assert compare.paired(*pair) == 25
     assert all(row.values.difference == 0.0 and not row.tested for row in rows(*pair).values())
 
@@ -75,7 +75,7 @@ def test_each_of_several_runs_is_compared_with_the_first(tmp_path):
         tmp_path / "shy", 0, -5.0, policy="social_costmap")  # fmt: skip
     path = compare.compare(CompareConfig(runs=folders, out=tmp_path / "page.html"), Console(quiet=True))
     text = path.read_text(encoding="utf-8")
-    views = compare.differences([compare.read(folder) for folder in folders])
+    views = compare.differences([compare.read_run(folder) for folder in folders])
     verdicts = [{row.name: row.verdict for row in each}["seconds"] for each in views["overall"]]
     assert verdicts == ["worse", "better"]
     for other in folders[1], "shy":
@@ -89,7 +89,7 @@ def test_each_of_several_runs_is_compared_with_the_first(tmp_path):
 
 
 def test_a_figure_without_a_direction_is_neither_better_nor_worse(tmp_path):
-    pair = [compare.read(run(tmp_path / str(k), 0)) for k in range(2)]
+    pair = [compare.read_run(run(tmp_path / str(k), 0)) for k in range(2)]
     pair[1].columns["path_length"] = pair[1].columns["path_length"] + 2.0
     assert rows(*pair)["path_length"].verdict == "differs"
 
@@ -101,7 +101,7 @@ def test_own_metrics_keep_their_title_unit_and_direction(tmp_path):
     for name in ("one", "two"):
         folder = run(tmp_path / name, 0)
         (folder / "summary.json").write_text(json.dumps({"own_metrics": {"near": own._asdict()}}))
-        runs.append(compare.read(folder))
+        runs.append(compare.read_run(folder))
         runs[-1].columns["near"] = np.arange(40.0) % 7 + 3.0 * len(runs)
     row = rows(*runs)["near"]
     assert row.figure == own and row.verdict == "worse" and (own.title, own.unit) == ("time near", "s")
@@ -110,7 +110,7 @@ def test_own_metrics_keep_their_title_unit_and_direction(tmp_path):
     for content in ('{"own_metrics": 3}', "{}", "[]", '{"own_metrics": {"near": {"title": 1}}}', "{"):
         (tmp_path / "one" / "summary.json").write_text(content)
         with pytest.raises(InputError, match=r"one/summary.json: ?.*(is damaged|is not JSON)"):
-            compare.read(tmp_path / "one")
+            compare.read_run(tmp_path / "one")
 
 
 @pytest.mark.parametrize("same", [True, False])
@@ -209,7 +209,7 @@ def test_the_page_names_both_and_refers_to_nothing_outside(tmp_path, capsys, mon
     assert "holds no config.yaml" in capsys.readouterr().err
     Path("other/episodes.csv").write_text("episode,task,completed,timed_out,seconds\n0,join_group,True,False,abc\n")
     with pytest.raises(InputError, match="other/episodes.csv: episode 0: seconds: 'abc' is no number from 0 to 86,400"):
-        compare.read(Path("other"))
+        compare.read_run(Path("other"))
 
 
 @pytest.mark.parametrize(
@@ -235,7 +235,7 @@ def test_episodes_that_no_run_wrote_are_refused_in_a_sentence(tmp_path, old, new
     assert changes == 1
     (folder / "episodes.csv").write_text(wrong)
     with pytest.raises(InputError, match=words) as refused:
-        compare.read(folder)
+        compare.read_run(folder)
     assert str(refused.value).startswith("one/episodes.csv") and "\n" not in str(refused.value)
 
 
@@ -252,7 +252,7 @@ def test_the_largest_run_of_the_docs_is_compared_with_its_replay(tmp_path):
     content = {"title": "mine", "filler": "x" * 2_100_000}
     (folder / "report.html").write_text(f"<html>{replay.element(content)}</html>")
     assert min(file.stat().st_size for file in folder.iterdir() if file.suffix != ".yaml") > MAX_BYTES
-    found = compare.read(folder)
+    found = compare.read_run(folder)
     assert len(found.tasks) == 4096 and found.replay == content and not found.no_replay
     assert "No replay" not in compare.summarize([found, found])
 
@@ -300,7 +300,7 @@ def test_each_row_that_is_counted_is_shown(tmp_path):
     out = tmp_path / "page.html"
     console = Console(record=True, width=140, quiet=False, file=io.StringIO())
     compare.compare(CompareConfig(runs=(first, *others), out=out), console)
-    views = compare.differences([compare.read(folder) for folder in (first, *others)])
+    views = compare.differences([compare.read_run(folder) for folder in (first, *others)])
     told, text = console.export_text(), out.read_text(encoding="utf-8")
     marks = {"better": "✓ better", "worse": "✗ worse", "differs": "≠ differs"}
 
@@ -338,7 +338,7 @@ def test_p_values_are_numbers_of_python():
 def disc_runs(folder: Path, **columns: tuple[np.ndarray, np.ndarray]) -> list[compare.SavedRun]:
     """Two runs in the same episodes with these columns."""
     folder.mkdir(exist_ok=True)
-    runs = [compare.read(run(folder / name, 0, policy=policy)) for name, policy in (("a", "orca"), ("b", "dwa"))]
+    runs = [compare.read_run(run(folder / name, 0, policy=policy)) for name, policy in (("a", "orca"), ("b", "dwa"))]
     for name, pair in columns.items():
         for each, values in zip(runs, pair, strict=True):
             each.columns[name] = values

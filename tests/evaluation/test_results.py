@@ -151,7 +151,7 @@ def test_cards_say_better_or_worse_than_the_baseline(tmp_path):
     for shift, verdict in ((5.0, "✗ worse"), (-5.0, "✓ better")):
         folder = tmp_path / verdict
         folder.mkdir()
-        runs = [compare.read(run(folder / "before", 0)), compare.read(run(folder / "now", 0, shift))]
+        runs = [compare.read_run(run(folder / "before", 0)), compare.read_run(run(folder / "now", 0, shift))]
         reader = Reader()
         reader.feed(page(evaluation(), runs))
         before, now = (each.columns["seconds"].mean() for each in runs)

@@ -171,5 +171,5 @@ def test_an_agent_keeps_a_limit_that_its_reward_would_break(tmp_path):
 def test_a_term_of_the_users_own_may_be_a_cost(tmp_path):
     (tmp_path / "mine.py").write_text("def near(scenario, before, after):\n    return before.robot.speed\n")
     config = options(rewards=["progress", f"{tmp_path}/mine.py:near"], costs=["near=3"])
-    terms = costs.with_costs(registry.build(config).rewards, config.cost_limits)
+    terms = costs.with_costs(registry.build(config).member.rewards, config.cost_limits)
     assert dict(terms)["near"].weight == -1.0

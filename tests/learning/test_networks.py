@@ -168,7 +168,7 @@ def test_readings_of_several_times_are_attended_to_each_by_itself(attention):
 def described(kind: str, **others):
     """A network of options, an agent, and an observation of three scenarios."""
     config = options(network=kind, **others)
-    env = registry.build(config)
+    env = registry.build(config).member
     network = agent_network(config, env.observation_space)
     agent = jax.jit(lambda key: networks.init_agent(network, env.observations, env.observation_space, key))(
         jax.random.key(0)
@@ -221,7 +221,7 @@ def test_networks_for_other_observations_are_refused():
         ("attentive", ["goal"], "'attentive' is not one of mlp, attention, conv"),
     ):
         config = options(network=kind, observations=seen)
-        env = registry.build(config)
+        env = registry.build(config).member
         with pytest.raises(InputError, match=f"network: .*{message}"):
             agent_network(config, env.observation_space)
 
@@ -264,7 +264,7 @@ def test_an_own_network_takes_one_observation_and_people_as_they_are(mine):
 )
 def test_a_wrong_own_network_is_refused(mine, name, message):
     config = options(network=f"{mine}:{name}")
-    env = registry.build(config)
+    env = registry.build(config).member
     with pytest.raises((InputError, PartError), match=f"^network: {message}"):
         agent_network(config, env.observation_space)
 
@@ -309,7 +309,7 @@ def test_agents_with_other_networks_learn_and_drive(mine, tmp_path, method, kind
         config = APGConfig(**SMALL, method="apg", network=network, recurrent=True, out=tmp_path / "run")  # pyright: ignore
     state = reinforcement.train(config)
     assert all(bool(jnp.isfinite(leaf).all()) for leaf in jax.tree.leaves(state.agent))
-    scenario = registry.build(config).scenario
+    scenario = registry.build(config).member.scenario
     with sean_jax.trust():
         learning.pack(tmp_path / "run", tmp_path / "packed")
         drivers = [learning.load(tmp_path / name, scenario) for name in ("run", "packed")]

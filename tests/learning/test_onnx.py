@@ -57,7 +57,7 @@ def described(**others) -> PPOConfig:
 
 def saved(folder: Path, config: PPOConfig):
     """An agent before its training, whose statistics and outputs are no trivial ones, packed in a folder."""
-    env = registry.build(config)
+    env = registry.build(config).member
     env = replace(env, observations=sum(agent_terms(config), ()))
     network = agent_network(config, env.observation_space)
     init = jax.jit(lambda key: networks.init_agent(network, env.observations, env.observation_space, key))

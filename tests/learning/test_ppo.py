@@ -493,7 +493,7 @@ def test_weights_of_rewards_on_the_command_line(words, wanted, tmp_path, monkeyp
     Path("my.py").write_text("def gain(scenario, before, after):\n    return after.robot.speed\n")
     given = ["ppo", "--environment", "lab", "--behavior", "random", "--people", "2", "--rewards", *words]
     config = flags.read(PPOConfig, flags.parse("train", PPOConfig, given, configurable=True), typed=True)
-    terms = registry.check(config.per_environment[0])["rewards"]
+    terms = registry.plan_env(config.per_environment[0]).rewards
     assert {name: term.weight for name, term in terms.items()} == wanted
     again = flags.parse("train", PPOConfig, shlex.split(flags.command("train", config))[2:], configurable=True)
     assert flags.read(PPOConfig, again).identity() == config.identity()
@@ -584,7 +584,7 @@ def test_it_drives_as_it_was_evaluated(learned):
     driver = learning.load(folder, scenario)
     assert driver.name == folder.name
     _, recorded = jax.jit(sean_jax.rollout, static_argnums=3)(scenario, driver, jax.random.key(5), 10)
-    env = replace(registry.build(options(folder)), scenario=scenario)
+    env = replace(registry.build(options(folder)).member, scenario=scenario)
     state = jax.jit(sean_jax.reset)(scenario, jax.random.key(5))
     seen, envs = jax.jit(env.reset)(jax.random.key(0))
     envs = replace(envs, simulation=state)
@@ -710,7 +710,7 @@ def test_it_goes_on_with_another_agent(learned, tmp_path, of_package):
     same = {"learning_rate": 1e-12, "steps": 8 * 8, "evaluate_every": 1}
     config = options(tmp_path / "next", pretrained=folder, **same, **other)
     agent = reinforcement.train(config).agent
-    best = learning.load(folder, registry.build(config).scenario).params.agent
+    best = learning.load(folder, registry.build(config).member.scenario).params.agent
     for one, other in zip(*map(jax.tree.leaves, (agent.parameters, best.parameters)), strict=True):
         np.testing.assert_allclose(one[0], other, atol=1e-6)
     if of_package:
@@ -861,7 +861,7 @@ def test_apg_trains_and_goes_on_from_ppo(learned, tmp_path):
     assert int(state.update) == 3 and np.isfinite(float(state.best.value[0]))
     lines = curve(tmp_path / "apg")
     assert all(line["train"]["lost"] == 0.0 and line["train"]["gradient"] > 0.0 for line in lines)
-    assert learning.load(tmp_path / "apg", registry.build(config).scenario).name == "apg"
+    assert learning.load(tmp_path / "apg", registry.build(config).member.scenario).name == "apg"
 
 
 def test_a_packed_agent_drives_as_its_training(trained, tmp_path, capsys):

@@ -55,12 +55,12 @@ def test_all_forms_are_one(file):
     assert hash(wanted) == hash(as_randomization(dict(reversed(BOUNDS.items()))))
     for value in (str(file), BOUNDS, wanted, {name: list(each) for name, each in BOUNDS.items()}):
         config = validate(EnvConfig, {"environment": "lab", "randomization": value})
-        assert registry.check(config)["randomization"] == wanted
+        assert registry.plan_env(config).randomization == wanted
         if value is not wanted:
             told = {name: each for name, each in config.identity()["randomization"].items() if name != "kind"}
             assert told == {name: list(each) for name, each in BOUNDS.items()}
             again = EnvConfig(**{"environment": "lab", "randomization": config.identity()["randomization"]})
-            assert registry.check(again)["randomization"] == wanted
+            assert registry.plan_env(again).randomization == wanted
     assert as_randomization("behavior") is mdp.RANDOMIZATIONS["behavior"]
 
 
@@ -85,7 +85,7 @@ def test_wrong_files(text, message, tmp_path):
     with pytest.raises(InputError, match=message):
         as_randomization(tmp_path / "my.yaml")
     with pytest.raises(InputError, match=message):
-        registry.check(EnvConfig(environment="lab", randomization=str(tmp_path / "my.yaml")))
+        registry.plan_env(EnvConfig(environment="lab", randomization=str(tmp_path / "my.yaml")))
 
 
 @pytest.mark.parametrize(
@@ -241,7 +241,7 @@ def test_derivatives_by_parameters_are_finite(scenario):
 def test_floors_of_a_set_are_randomized():
     config = validate(EnvConfig, {"environment": SET, "people": 4, "observations": ["goal", "lidar"],
                                   "task": "random_ab_nav", "randomization": BOUNDS})  # fmt: skip
-    envs = registry.build_stack(config)
+    envs = registry.build(config)
 
     def lacks(env, key):
         _, state = env.reset(key)
@@ -261,11 +261,11 @@ def test_floors_of_a_set_are_randomized():
 
 def test_delays_of_observations():
     config = EnvConfig(environment="lab", people=3, observations=["goal", "people"], observation_delay=["people=1:3"])
-    env = registry.build(config)
+    env = registry.build(config).member
     assert {name: term.delay for name, term in env.observations} == {"goal": (0, 0), "people": (1, 3)}
     assert EnvConfig(observation_delay=["goal=2"]).observation_delays == {"goal": (2, 2)}
     with pytest.raises(InputError, match="observation_delay: 'people' is not one of goal"):
-        registry.check(config.replace(observations=["goal"]))
+        registry.plan_env(config.replace(observations=["goal"]))
     for wrong in ("people", "people=", "people=3:1", "people=-1:2", "people=1:2:3", "people=0:9999"):
         with pytest.raises(InputError, match=f"observation_delay: {wrong} has no steps .* write people=0:3"):
             EnvConfig(observation_delay=[wrong])
@@ -284,7 +284,7 @@ def test_laws_are_environments():
     )
     scenarios, envs, _ = reinforcement.build(config)
     alone = [
-        making.build(validate(EnvConfig, {"environment": "lab", "people": 3, **law}))[0]
+        making.scenarios(validate(EnvConfig, {"environment": "lab", "people": 3, **law}))[0]
         for law in ({}, {"forces": "sean2"}, {"model": "orca"})
     ]
     for scenario, wanted in zip(scenarios, alone, strict=True):
@@ -324,13 +324,13 @@ def test_a_training_keeps_its_randomization(file, tmp_path):
         reinforcement.train(config)
     file.unlink()
     saved = learning.policy.read_options(tmp_path / "run")
-    assert registry.check(saved)["randomization"] == as_randomization(BOUNDS)
+    assert registry.plan_env(saved).randomization == as_randomization(BOUNDS)
     assert learning.load(tmp_path / "run", sean_jax.make("lab", people=3)).name == "run"
     source = replay_command._of_training(tmp_path / "run", [1, 3])  # of the second law
     assert source.floors[0].member.move is sean_jax.people.pedestrian_models.MODELS["orca"]
     with pytest.raises(InputError, match=f"in {SET}, calibrated and {SET}, orca"):
         replay_command._of_training(tmp_path / "run", [0, 1])
     learning.pack(tmp_path / "run", tmp_path / "packed")
-    assert registry.check(learning.policy.read_options(tmp_path / "packed"))["randomization"] == as_randomization(
+    assert registry.plan_env(learning.policy.read_options(tmp_path / "packed"))["randomization"] == as_randomization(
         BOUNDS
     )

@@ -27,7 +27,7 @@ def options(**more) -> ScenarioConfig:
 
 
 def build(config: ScenarioConfig) -> scenario_stack.Stack:
-    return making.build_stack(config).map_member(lambda scenario: making.with_tasks(config, scenario)[0])
+    return making.build(making.plan_scenario(config))[0]
 
 
 @pytest.fixture(scope="module")
@@ -182,15 +182,17 @@ def test_a_kernel_gets_the_radius_as_a_row(monkeypatch):
 
 def test_robots_that_do_not_go_together_are_refused(tmp_path):
     with pytest.raises(InputError, match="MJX moves one robot"):
-        making.build_stack(options(dynamics="mjx"))
+        making.build_members(making.plan_scenario(options(dynamics="mjx")))
     with pytest.raises(InputError, match="kuri,jackal are 2 robots; this takes one"):
         sean_jax.make("lab", robot="kuri,jackal")
     with pytest.raises(InputError, match="robot: 'kuri' is listed twice"):
         options(robot="kuri,kuri")
     with pytest.raises(InputError, match="unknown robot 'kurri'.*kuri"):
-        making.build_stack(options(robot="jackal,kurri"))
+        making.build_members(making.plan_scenario(options(robot="jackal,kurri")))
     with pytest.raises(InputError, match="'handcrafted' is not for several floors or robots"):
-        making.build_stack(options(environment="lab", behavior="handcrafted", task="handcrafted", people=None))
+        making.build_members(
+            making.plan_scenario(options(environment="lab", behavior="handcrafted", task="handcrafted", people=None))
+        )
     text = (ENVS / "robots" / "kuri.xml").read_text(encoding="utf-8")
     (tmp_path / "slow.xml").write_text(text.replace('timestep="0.02"', 'timestep="0.01"'))
     with pytest.raises(InputError, match="kuri and slow have physics steps of 0.02 and 0.01 s"):
@@ -204,7 +206,7 @@ def test_robots_that_do_not_go_together_are_refused(tmp_path):
 
 def test_environments_have_several_robots():
     config = validate(EnvConfig, {"environment": "lab", **OWN, "robot": "kuri,jackal", "observations": ["goal"]})
-    envs = registry.build_stack(config)
+    envs = registry.build(config)
     radii = [float(envs.at(number).scenario.robot.radius) for number in range(2)]
     assert envs.size == 2 and radii == pytest.approx([0.16, 0.27])
-    assert registry.build_stack(config, limit=1).member.scenario.robot.name == "kuri"
+    assert registry.build(config, limit=1).member.scenario.robot.name == "kuri"

@@ -21,11 +21,13 @@ from sean_jax.config import RunConfig, gather, validate
 from sean_jax.core.data_types import Trajectory
 from sean_jax.core.errors import FileError, InputError
 from sean_jax.evaluation import batches
+from sean_jax.evaluation.run_plan import identity_of
 from sean_jax.io import writing
 from sean_jax.io.progress import Progress
 from sean_jax.io.trajectories import load_trajectory
 from sean_jax.simulation import making
 from sean_jax.simulation.episode_runner import Callbacks, Runner
+from sean_jax.simulation.scenario_stack import as_stacks
 from support.files import contents, write
 from support.runs import at_second_batch
 
@@ -189,10 +191,11 @@ def test_other_options_do_not_go_on_with_it(whole, simulated, monkeypatch, capsy
         assert command_line.main([*RUN, option, value]) == 2
         error = capsys.readouterr().err
         assert "made was begun with " + said in error and len(error.splitlines()) == 1
-    scenario = making.build(RunConfig())[0]  # the one of all runs here
+    (stack,) = making.build(making.plan_scenario(RunConfig()))  # the one of all runs here
+    scenario = stack.member
     changed = dataclasses.replace(scenario, goal_radius=scenario.goal_radius * 2)
     with monkeypatch.context() as patched:
-        patched.setattr(making, "build", lambda _: [changed])
+        patched.setattr(making, "build", lambda *_: as_stacks(changed))
         assert command_line.main(RUN) == 2
     assert "with another scenario and policy" in capsys.readouterr().err
     assert {path: path.read_bytes() for path in Path().rglob("*") if path.is_file()} == before
@@ -209,10 +212,10 @@ def test_runs_with_the_default_folder_tell_of_one_that_was_not_finished(whole, s
     scenario = {"environment": "lab", "behavior": "random", "task": "random_ab_nav", "people": 2, "dynamics": "twin"}
     run = {"time_limit": 0.5, "metrics": "path_length", "seed": 3, "episodes": 5, "batch": 2}
     asked = validate(RunConfig, gather(RunConfig, scenario | run))
-    assert list(batches.unfinished_runs(asked, Path("runs/new"))) == [(left, 2)]
-    assert list(batches.unfinished_runs(asked.replace(seed=4), Path("runs/new"))) == []
+    assert list(batches.unfinished_runs(identity_of(asked), 1, Path("runs/new"))) == [(left, 2)]
+    assert list(batches.unfinished_runs(identity_of(asked.replace(seed=4)), 1, Path("runs/new"))) == []
     with writing.folder_lock(left):
-        assert list(batches.unfinished_runs(asked, Path("runs/new"))) == []
+        assert list(batches.unfinished_runs(identity_of(asked), 1, Path("runs/new"))) == []
     assert list(Path("runs").iterdir()) == [left]
     assert command_line.main(RUN[:-2]) == 0
     said = " ".join(capsys.readouterr().out.split())
@@ -249,14 +252,14 @@ def test_what_a_kill_leaves_at_the_very_end_goes_with_the_next_start(tmp_path):
 def test_what_is_damaged_is_named(tmp_path):
     write(tmp_path / "made" / "unfinished" / "run.json", "{")
     with pytest.raises(InputError, match="damaged .*run.json:1:2: is not JSON: .*; choose another folder with --out"):
-        batches.RunFolder(tmp_path / "made", RunConfig())
+        batches.RunFolder(tmp_path / "made", identity_of(RunConfig()))
 
 
 def test_a_run_does_not_end_by_what_others_have_beside_it(tmp_path, monkeypatch):
     """Folders of other people, and those that vanish while they are looked at."""
     for name in ("a", "b", "c"):
         (tmp_path / name / "unfinished").mkdir(parents=True)
-    (tmp_path / "c" / "unfinished" / "run.json").write_text(json.dumps(batches._identity(RunConfig())))
+    (tmp_path / "c" / "unfinished" / "run.json").write_text(json.dumps(identity_of(RunConfig())))
     listdir = os.listdir
 
     def refused(folder):
@@ -265,12 +268,12 @@ def test_a_run_does_not_end_by_what_others_have_beside_it(tmp_path, monkeypatch)
         return listdir(folder)
 
     monkeypatch.setattr(os, "listdir", refused)
-    assert batches.unfinished_runs(RunConfig(), tmp_path / "new") == [(tmp_path / "c", 0)]
-    assert batches.unfinished_runs(RunConfig(), tmp_path / "none" / "new") == []
+    assert batches.unfinished_runs(identity_of(RunConfig()), 1, tmp_path / "new") == [(tmp_path / "c", 0)]
+    assert batches.unfinished_runs(identity_of(RunConfig()), 1, tmp_path / "none" / "new") == []
 
 
 def test_a_damaged_batch_is_named(tmp_path):
-    kept = batches.RunFolder(tmp_path / "made", RunConfig())
+    kept = batches.RunFolder(tmp_path / "made", identity_of(RunConfig()))
     kept.place.mkdir(parents=True)
     np.savez_compressed(kept._file(0, 2), completed=np.zeros(2, bool))
     content = kept._file(0, 2).read_bytes()
@@ -286,11 +289,11 @@ def test_a_damaged_batch_is_named(tmp_path):
 def test_a_run_that_does_not_tell_its_options_is_not_gone_on_with(tmp_path):
     write(tmp_path / "unfinished" / "run.json", "{}")
     with pytest.raises(InputError, match="was begun without --environment; ask for the same"):
-        batches.RunFolder(tmp_path, RunConfig())
+        batches.RunFolder(tmp_path, identity_of(RunConfig()))
 
 
 def test_results_have_nothing_of_one_who_was_killed(tmp_path):
-    kept = batches.RunFolder(tmp_path, RunConfig())
+    kept = batches.RunFolder(tmp_path, identity_of(RunConfig()))
     (kept.place / "written").mkdir(parents=True)
     (kept.place / "written" / "camera.gif").write_text("half of it")
     with kept.results(True) as place:
@@ -302,7 +305,7 @@ def test_a_folder_that_was_filled_meanwhile_is_not_said_to_be_written_by_oneself
     with writing.folder_lock(tmp_path):
         (tmp_path / "summary.json").write_text("{}")
         with pytest.raises(InputError, match="is not empty"):
-            batches.RunFolder(tmp_path, RunConfig())
+            batches.RunFolder(tmp_path, identity_of(RunConfig()))
 
 
 def test_batches_after_a_removed_one_are_not_simulated_again(whole, simulated, monkeypatch):
@@ -386,14 +389,14 @@ def test_ever_so_many_batches_are_no_list():
     asked: Any = SimpleNamespace(load=load)
     with pytest.raises(Stop):
         stack: Any = SimpleNamespace(member=SimpleNamespace(time_limit=1.0), size=1)
-        config = RunConfig(episodes=2**31 - 1, batch=1)
-        evaluation._episodes([stack], asked, config, 1, Progress(), asked, None)
+        schedule = evaluation.Schedule(episodes=2**31 - 1, seed=0, batch=1)
+        evaluation._evaluate([stack], asked, schedule, 1, evaluation.RunContext(Progress(), folder=asked))
 
 
 def test_a_resumed_run_replaces_the_parts_of_its_earlier_report(tmp_path):
     """Own parts lie in a folder, which a report at Ctrl-C has written already."""
     for text in ("old", "new"):
-        run = batches.RunFolder(tmp_path, RunConfig())
+        run = batches.RunFolder(tmp_path, identity_of(RunConfig()))
         with run.results(complete=text == "new") as stage:
             write(stage / "parts" / "mine.py", text)
         (tmp_path / batches.PLACE).mkdir(exist_ok=True)
@@ -411,7 +414,7 @@ def test_results_are_on_disk_before_the_batches_go(tmp_path, monkeypatch):
     monkeypatch.setattr(os, "fsync", lambda descriptor: (order.append(f"sync {name(descriptor)}"), fsync(descriptor)))
     monkeypatch.setattr(os, "replace", lambda a, b: (order.append(f"rename {Path(b).name}"), replace(a, b)))
     monkeypatch.setattr(shutil, "rmtree", lambda a, **k: (order.append(f"remove {Path(a).name}"), rmtree(a, **k)))
-    kept = batches.RunFolder(tmp_path, RunConfig())
+    kept = batches.RunFolder(tmp_path, identity_of(RunConfig()))
     with kept.results(True) as place:
         write(place / "parts" / "mine.py", "")
         (place / "summary.json").write_text("{}")

@@ -2,7 +2,6 @@
 
 import csv
 import dataclasses
-import hashlib
 import json
 import signal
 import typing
@@ -19,7 +18,7 @@ from sean_jax.config import EnvConfig, PPOConfig, RunConfig, ScenarioConfig, val
 from sean_jax.core import devices, gpu_kernels, padding
 from sean_jax.core.data_types import FAR, ObstacleGrid, Obstacles, PathsToGoal, Solids
 from sean_jax.core.errors import InputError
-from sean_jax.evaluation import run_folder
+from sean_jax.evaluation import run_folder, run_plan
 from sean_jax.graph import BehaviorGraph
 from sean_jax.learning import rollouts
 from sean_jax.learning.policy import load_policy
@@ -44,7 +43,7 @@ CHEAP = {"metrics": "none", "dynamics": "kinematic", "forces": "helbing1995"}  #
 
 
 def build(config: ScenarioConfig) -> scenario_stack.Stack:
-    return making.build_stack(config).map_member(lambda scenario: making.with_tasks(config, scenario)[0])
+    return making.build(making.plan_scenario(config))[0]
 
 
 @pytest.fixture(scope="module")
@@ -265,11 +264,11 @@ def test_sets_are_named():
     with pytest.raises(InputError, match="is 3 floors; this takes one"):
         sean_jax.make(SET)
     with pytest.raises(InputError, match="handcrafted' is not for several"):
-        making.build_stack(options(behavior="handcrafted", people=None, task="handcrafted"))
+        making.build(making.plan_scenario(options(behavior="handcrafted", people=None, task="handcrafted")))
     with pytest.raises(InputError, match="people: 5000 do not fit on a floor of"):
-        making.build_floors(options(people=5000))
+        making.build(making.plan_scenario(options(people=5000)))
     with pytest.raises(InputError, match="'custom' has places on one floor"):
-        making.build_floors(options(task=[{"kind": "custom", "start": (1.0, 1.0), "goal": (2.0, 2.0)}]))
+        making.build(making.plan_scenario(options(task=[{"kind": "custom", "start": (1.0, 1.0), "goal": (2.0, 2.0)}])))
 
 
 @pytest.mark.night
@@ -288,7 +287,7 @@ def test_tables_of_wide_robots_are_computed_by_the_other_processes(monkeypatch, 
 
     monkeypatch.setattr(generated, "in_processes", in_this_process)
     options = {"environment": "worlds:passages:2", "robot": "kuri,jackal", "task": "random_ab_nav"}
-    making.build_stack(validate(ScenarioConfig, options))
+    making.build_members(making.plan_scenario(validate(ScenarioConfig, options)))
     assert tables() == before != []
 
 
@@ -298,17 +297,15 @@ def test_a_folder_of_environments_is_a_set(tmp_path):
     assert generated.find(tmp_path) == [tmp_path / "hall_1", tmp_path / "hall_2"]
     assert generated.find(tmp_path / "hall_1") == [tmp_path / "hall_1"]
     assert generated.find(tmp_path, 1) == [tmp_path / "hall_1"] and generated.count(str(tmp_path)) == 2
-    inputs = run_folder.read_inputs(RunConfig(environment=str(tmp_path)))
+    plan = run_plan.plan_run(RunConfig(environment=str(tmp_path)))
     copies = [f"environment/{tmp_path.name}/hall_{k}/{name}" for k in (1, 2) for name in ("graph.yaml", "scene.xml")]
-    assert set(copies) < set(inputs.content) and inputs.description["environment"] == str(tmp_path)
-    inputs.write(tmp_path / "run")
-    hashes = {name: hashlib.sha256(data).hexdigest() for name, data in inputs.content.items()}
-    assert run_folder.locate(inputs.copies, hashes, tmp_path / "run") == ({}, [])
-    (tmp_path / "hall_2" / "graph.yaml").write_text("other\n")
-    names, (sentence,) = run_folder.locate(inputs.copies, hashes, tmp_path / "run")
-    assert names == {str(tmp_path): str(tmp_path / "run" / "environment" / tmp_path.name)}
-    assert "(hall_2/graph.yaml)" in sentence
-    assert not run_folder.read_inputs(RunConfig(environment="worlds:passages:2")).content
+    assert set(copies) < set(plan.files.content) and plan.description["environment"] == str(tmp_path)
+    (tmp_path / "run").mkdir()
+    run_plan.write_config(tmp_path / "run", {"people": 4, "versions": {}}, plan)
+    saved = run_folder.read_config(tmp_path / "run" / "config.yaml").description
+    folder = tmp_path / "run" / "environment" / tmp_path.name
+    assert saved["environment"] == str(folder) and generated.find(folder) == [folder / "hall_1", folder / "hall_2"]
+    assert not run_plan.plan_run(RunConfig(environment="worlds:passages:2")).files.content
 
 
 def test_trainings_name_sets_beside_others():
@@ -320,7 +317,7 @@ def test_trainings_name_sets_beside_others():
 def test_environments_of_a_set_share_their_parts():
     options = {"environment": SET, "people": 4, "observations": ["goal", "path"], "metrics": "none"}
     config = validate(EnvConfig, options)
-    envs = registry.build_stack(config)
+    envs = registry.build(config)
     shown, _ = jax.eval_shape(lambda envs, keys: envs.vmap(type(envs.member).reset)(keys), envs,
                               jax.eval_shape(lambda: jax.random.split(jax.random.key(0), 6)))  # fmt: skip
     assert shown["goal"].shape == (6, 2) and envs.size == 3
@@ -340,7 +337,7 @@ def test_one_agent_learns_on_several_floors(tmp_path):
     )  # fmt: skip
     state = reinforcement.train(config)
     rows = jax.tree.map(lambda leaf: leaf[0], state.rows).envs[0].simulation
-    floors = making.build_stack(options(people=3))
+    floors = making.build_members(making.plan_scenario(options(people=3)))
     for row, position in enumerate(np.asarray(rows.robot.position)):
         x0, y0, x1, y1 = np.asarray(floors.at(row // 2).environment.floor)
         assert x0 <= position[0] <= x1 and y0 <= position[1] <= y1
@@ -372,7 +369,7 @@ def test_mistakes_in_the_name_of_a_set_are_told_at_once(monkeypatch, tmp_path, c
 def test_policies_drive_on_floors_of_a_set_as_on_each_alone(name):
     """The same episodes by number, of the second floor."""
     config = options(environment=TWO, behavior="random", task="random_ab_nav", people=4, time_limit=2.0)
-    stacks = making.build_floors(config)
+    stacks = making.build(making.plan_scenario(config))
     policy = load_policy(name, stacks[0].member)
     several = episode_runner.Runner(stacks, policy, 4, "run").run(3, first=0)
     alone = sean_jax.make(config.replace(environment=str(generated.find(TWO)[1])))
@@ -421,13 +418,13 @@ def test_a_run_of_a_set_is_resumed_and_names_its_floors(monkeypatch, tmp_path):
 def test_evaluate_takes_floors():
     """In Python; two episodes on the first floors of three, padded and with frames on their own floors."""
     config = options(time_limit=0.5, people=2, task=["join_group", "leave_group"])
-    floors = making.build_floors(config)
+    floors = making.build(making.plan_scenario(config))
     made = sean_jax.evaluate(floors, episodes=4)
     assert list(made.floors) == ["passages_0", "passages_0", "aisles_0", "aisles_0"]
     assert made.tasks == ["join_group", "leave_group"] * 2 and made.set_floors == 3
     np.testing.assert_array_equal(made.place(2).environment.floor, floors[0].at(1).environment.floor)
     assert "on 2 floors" in made.title and made.summary()["floors"] == 2
-    (only,) = making.build_floors(config.replace(task="join_group"), episodes=1)
+    (only,) = making.build(making.plan_scenario(config.replace(task="join_group")), limit=1)
     assert only.size == 1 and only.names == ("passages_0",)
 
 
@@ -470,7 +467,7 @@ def test_starts_of_several_tasks_do_not_copy_the_tables():
     memory = {}
     for floors in (2, 8):
         options = {"environment": f"worlds:rooms,aisles:{floors}", "task": ["join_group", "leave_group"]}
-        env = registry.build_stack(validate(EnvConfig, options | {"observations": ["goal"], "metrics": "none"}))
+        env = registry.build(validate(EnvConfig, options | {"observations": ["goal"], "metrics": "none"}))
         draw = jax.jit(lambda env, key: rollouts.draw_pool(env, key, 128))
         memory[floors] = draw.lower(env, jax.random.key(0)).compile().memory_analysis().temp_size_in_bytes
     assert memory[8] < 2.5 * memory[2], memory  # 3.9 times with a copy for each start

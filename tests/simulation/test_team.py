@@ -464,7 +464,7 @@ def test_a_run_of_a_team_is_resumed_and_replayed(monkeypatch, tmp_path, capsys) 
 
 def test_a_run_builds_robots_of_different_kinds() -> None:
     config = validate(RunConfig, {"environment": "lab", "behavior": "random", "people": 2, "robots": "kuri,jackal"})
-    (members,) = making.build_team(config, config.team)
+    (members,) = making.build(making.plan_scenario(config, config.team))
     assert members.names == ("kuri_0", "jackal_1")
     radii = members.over_members(lambda member: member.robot.radius)()
     assert float(radii[0]) != float(radii[1])

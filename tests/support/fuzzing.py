@@ -127,7 +127,7 @@ OWN = {
     "simulation/making.py _made",
     "io/cache.py source",
     "config/user_parts.py digest",
-    "evaluation/run_folder.py read_inputs",
+    "evaluation/run_plan.py _read_inputs",
     "studies/inverse_graph/__init__.py run",
     "studies/validation/checks.py _code",
     "web/studio/editor.py Editor.__init__",
@@ -458,6 +458,7 @@ def batch(folder: Path) -> dict[str, bytes]:
 
     from sean_jax.config import RunConfig
     from sean_jax.evaluation.batches import FinishedBatch, RunFolder, Totals
+    from sean_jax.evaluation.run_plan import identity_of
 
     counts = np.arange(6, dtype=np.int32).reshape(2, 3)
     both = Totals(counts, np.eye(2, dtype=np.int32), counts[:, :2], np.arange(4, dtype=np.int32), np.float32(0.1),
@@ -465,7 +466,7 @@ def batch(folder: Path) -> dict[str, bytes]:
     metrics = {"path_length": np.ones(2, np.float32), "time_in_situation": np.ones((2, 3), np.float32)}
     ended = np.array([True, False]), np.array([False, True]), np.array([8, 7], np.int32)
     shown = [jax.tree.map(lambda leaf: leaf[k], frames()) for k in range(2)]  # noqa: B023
-    RunFolder(folder, RunConfig()).save(0, FinishedBatch(*ended, metrics, both, shown, 1.5))
+    RunFolder(folder, identity_of(RunConfig())).save(0, FinishedBatch(*ended, metrics, both, shown, 1.5))
     return {"batch.npz": (folder / "unfinished" / "batch-00000000-2.npz").read_bytes()}
 
 
@@ -474,10 +475,11 @@ def load_batch(folder: Path) -> Any:
 
     from sean_jax.config import RunConfig
     from sean_jax.evaluation.batches import PLACE, RunFolder
+    from sean_jax.evaluation.run_plan import identity_of
 
     (folder / PLACE).mkdir(exist_ok=True)
     shutil.copytree(folder, run := folder / "run", ignore=shutil.ignore_patterns(PLACE, "batch.npz"))
-    kept = RunFolder(run, RunConfig())
+    kept = RunFolder(run, identity_of(RunConfig()))
     kept.place.mkdir()
     if os.path.lexists(folder / "batch.npz"):
         (folder / "batch.npz").rename(kept._file(0, 2))
@@ -557,7 +559,7 @@ def load_run(folder: Path) -> Any:
 
     from sean_jax.evaluation import compare
 
-    found = compare.read(folder)
+    found = compare.read_run(folder)
     rows = list(csv.DictReader((folder / "episodes.csv").read_text(encoding="utf-8-sig").splitlines()))
     assert [int(float(row["episode"])) for row in rows] == list(range(len(found.tasks)))
     for row, seconds, done in zip(rows, found.columns["seconds"], found.columns["completed"], strict=True):

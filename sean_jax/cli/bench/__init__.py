@@ -118,7 +118,7 @@ def _save(folder: Path, rows: list[Row], setup: dict[str, Any]) -> None:
 def _prepare(options: BenchConfig) -> tuple[Stack[Scenario], dict[str, Any]]:
     """The scenario on each floor, and the setup of the measurement: machine and scenario, as in bench.json."""
     choices = {name: getattr(options, name) for name in ("environment", "people", "robot", "dynamics")}
-    stack = making.build_floors(validate(ScenarioConfig, choices))[0]
+    stack = making.build(making.plan_scenario(validate(ScenarioConfig, choices)))[0]
     scenario = stack.member
     return stack, {
         "command": command("bench", options),

@@ -52,7 +52,7 @@ from sean_jax.metrics import METRICS, OF_GROUPS, Estimate
 from sean_jax.policies import POLICIES
 from sean_jax.simulation import making
 from sean_jax.simulation.episode_runner import Callbacks, Runner, even_batch
-from sean_jax.simulation.scenario_stack import Stack, as_stacks
+from sean_jax.simulation.scenario_stack import Stack
 from sean_jax.studies.experiments import Part, page, run_parts, shares
 from sean_jax.studies.experiments.measures import COUNTED, MEASURED, Arrays, Scores, scores, scores_by_track
 from sean_jax.world import generated
@@ -200,7 +200,7 @@ def describe(policy: Component, sensing: str | None = None) -> Described:
         return Described(_digest("outside", policy.kind), sensing or "all-knowing", False)
     if isinstance(policy, Named) and sensing is not None:
         raise InputError(f"sensing: {policy.kind} says itself what it senses; leave {sensing} out.")
-    scenario = making.build(description(next(iter(TRACKS))))[0]
+    scenario = making.scenarios(description(next(iter(TRACKS))))[0]
     loaded = load_policy(policy, scenario)
     if isinstance(policy, OwnPart):
         digest = _digest(user_parts.content(policy.file).digest, policy.name)
@@ -323,7 +323,7 @@ def _floors(track: str, recordings: Path | None, number: int) -> Stack[Scenario]
     """The floors of a track with so many episodes, with the metrics of the benchmark."""
     known = METRICS | OF_GROUPS
     metrics = tuple((name, known[name]) for name in MEASURED)
-    floors = as_stacks(making.build_floors(description(track, recordings), number))[0]
+    floors = making.build(making.plan_scenario(description(track, recordings)), number)[0]
     return floors.map_member(lambda member: dataclasses.replace(member, metrics=metrics))
 
 

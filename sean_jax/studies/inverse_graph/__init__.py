@@ -176,7 +176,7 @@ def _scenario(options: FitGraphConfig, folder: Path) -> Scenario:
         people=options.people,
         time_step=ROW,
     )
-    return making.build(described)[0]
+    return making.scenarios(described)[0]
 
 
 def _episodes(

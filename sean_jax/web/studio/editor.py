@@ -209,10 +209,10 @@ class Editor:
         """The scenario with a file of the scratch folder."""
         folder = Path(self._scratch.name)
         if name == SCENE:
-            return making.build(self.config.replace(environment=str(folder)))[0]
+            return making.scenarios(self.config.replace(environment=str(folder)))[0]
         tables = scenario.behavior.data if name == GRAPH else scenario.behavior.data.ways or scenario
         place = behaviors.Place(folder, scenario.environment, tables.navigation, scenario.time_step)
-        made = making.behavior_of(self.config, place)
+        made = making.behavior_of(making.plan_scenario(self.config), place)
         if name == GRAPH:
             made = dataclasses.replace(made, data=_with_starts_like(scenario.behavior.data, made.data))
         return dataclasses.replace(scenario, behavior=made)

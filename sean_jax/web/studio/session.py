@@ -127,7 +127,7 @@ class Session:
             InputError: one sentence that names the value and the cure.
         """
         self.config, self.send = config, lambda kind, content: None
-        self.scenario = making.build(config)[0] if scenario is None else scenario
+        self.scenario = making.scenarios(config)[0] if scenario is None else scenario
         self.policy = load_policy(config.policy, self.scenario)
         robot = self.scenario.robot
         self.limits = float(robot.max_speed), float(max_reverse_speed(robot)), float(robot.max_turn_rate)
@@ -379,7 +379,7 @@ class Session:
             with self._lock:
                 self._check_no_trial("save")
             self.editor.save()
-            scenario = making.build(self.config)[0]
+            scenario = making.scenarios(self.config)[0]
             self._compile(scenario)
             with self._lock:
                 self._saved, self.on_file = scenario, False

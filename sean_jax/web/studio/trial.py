@@ -558,7 +558,7 @@ def _scenario_of(
     for first in _own_first(drives, json.loads(json.dumps(config.identity()))):
         try:
             recorded = _options(config, first)
-            scenario = making.build(recorded)[0]
+            scenario = making.scenarios(recorded)[0]
         except InputError as error:
             text = str(error).splitlines()[0]
             problems[first.file] = text if str(first.file) in text else f"record: {first.file}: {text}"
@@ -568,7 +568,7 @@ def _scenario_of(
         return recorded, scenario, alike, [*(f"{text} {LEFT_OUT}" for text in problems.values()), *said]
     for text in problems.values():
         raise InputError(text)
-    return config, making.build(config)[0], [], []
+    return config, making.scenarios(config)[0], [], []
 
 
 def _options(config: StudioConfig, drive: RecordedDrive) -> StudioConfig:

@@ -429,7 +429,7 @@ def test_other_tasks_go_with_it(lab):
 def test_the_command_line_passes_the_set_on():
     words = "--environment lab --behavior handcrafted --sets join_group --task handcrafted,random_ab_nav"
     config = flags.read(RunConfig, flags.parse("run", RunConfig, [*words.split(), "--dynamics", "twin"], True))
-    both = making.build(config)
+    both = making.scenarios(config)
     assert [each.task_name for each in both] == ["handcrafted", "random_ab_nav"]
     assert both[0].behavior.data.names == ("join_group_1", "join_group_2") and both[0].people == 6
     assert words in flags.command("run", config)

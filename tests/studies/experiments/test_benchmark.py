@@ -51,7 +51,7 @@ def test_the_protocol_is_frozen(tmp_path):
         changed = {"reactions": 0.6, "walking": 1.8}
         for key, value in track.parameters.items():
             assert changed[key.partition(".")[0]] == value
-            built = making.check(asked)["forces"]
+            built = making.plan_scenario(asked).forces
             found = getattr(getattr(built, key.partition(".")[0]), key.partition(".")[2])
             assert float(found) == pytest.approx(value)
 

@@ -244,7 +244,7 @@ def test_a_browser_plays_it(content, tmp_path):
 
 def comparison(folder: Path, replays: Sequence[dict]) -> str:
     """The page of two runs with random figures and these replays."""
-    runs = [dataclasses.replace(compare.read(run(folder / name, 0, shift)), replay=each)
+    runs = [dataclasses.replace(compare.read_run(run(folder / name, 0, shift)), replay=each)
             for name, shift, each in zip(("one", "two"), (0.0, 5.0), replays, strict=True)]  # fmt: skip
     return compare.page(compare.differences(runs), runs, compare.summarize(runs))
 

@@ -287,7 +287,7 @@ def begin(folder, behavior, place="lab"):
     """An editor of a copy of an environment, and its scenario."""
     shutil.copytree(ENVS / place, folder)
     config = validate(StudioConfig, {"environment": str(folder), "behavior": behavior})
-    return Editor(config), making.build(config)[0]
+    return Editor(config), making.scenarios(config)[0]
 
 
 def test_sets_are_changed_checked_and_saved(tmp_path):
@@ -374,7 +374,7 @@ def test_only_files_of_the_folder_are_copied(tmp_path):
 
 def test_obstacles_of_the_package_and_of_worlds_stay():
     edited = Editor(validate(StudioConfig, {"environment": "lab"}))
-    scenario = making.build(edited.config)[0]
+    scenario = making.scenarios(edited.config)[0]
     with pytest.raises(InputError, match="an environment of the package; copy the folder"):
         edited.change({"box": "screen", "position": [1.9, 2.0]}, scenario)
     assert edited.of_page(scenario)["boxes"] is None

@@ -833,7 +833,7 @@ def test_a_page_opens_what_it_offers_alone(served, fresh, tmp_path, monkeypatch)
     code = f"{tmp_path}/evil.py:go"
 
     def build(config):
-        making.build(config)
+        making.scenarios(config)
         learning.load_policy(config.policy, fresh.scenario)
         return fresh
 
@@ -1374,7 +1374,7 @@ def test_a_browser_edits_the_files(tmp_path, behavior):
 def test_the_page_has_its_program():
     assert len(gzip.compress((pages.PACKAGE / "web/studio/page.min.js").read_bytes())) < 180_000
     assert (pages.PACKAGE / "web/replay/page.min.js").stat().st_size < 30_000, "three.js is for the studio alone"
-    assert making.build(validate(StudioConfig, OPTIONS))[0].warm_up == 1.0
+    assert making.scenarios(validate(StudioConfig, OPTIONS))[0].warm_up == 1.0
 
 
 # ------------------------------------------------------------------ the graph
