@@ -3,7 +3,7 @@
 import inspect
 import re
 import textwrap
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -37,49 +37,55 @@ def _print(console: Console, name: str, text: str) -> None:
     if not console.is_terminal:
         console.print(Text(name + text), soft_wrap=True)
         return
-    room = console.width - len(name)
-    behind = room >= 30
-    lines = textwrap.wrap(text, room if behind else max(20, console.width - 4))
-    indent = " " * (len(name) if behind else 4)
-    first, rest = (lines[0], lines[1:]) if behind else ("", lines)
-    console.print(Text.assemble((name, "bold cyan"), first, *(f"\n{indent}{line}" for line in rest)), soft_wrap=True)
+    # Behind the name if there is room, else below it.
+    width, indent = console.width - len(name), len(name)
+    if width >= 30:
+        first, *more = textwrap.wrap(text, width)
+    else:
+        first, indent = "", 4
+        more = textwrap.wrap(text, max(20, console.width - indent))
+    lines = [first, *(" " * indent + line for line in more)]
+    console.print(Text.assemble((name, "bold cyan"), "\n".join(lines)), soft_wrap=True)
 
 
 def choices() -> Iterator[tuple[str, dict[str, str]]]:
     """Each option and its {name: line}."""
-    yield "preset", {name: preset.summary for name, preset in PRESETS.items()}
+    # What a scenario is made of.
+    yield "preset", _each(PRESETS, lambda preset: preset.summary)
     yield "environment", {name: _environment(environment.find(name)) for name in environment.available()}
     yield "behavior", _lines(behaviors.BEHAVIORS)
     yield "routing", _lines(behaviors.graph_behavior.ROUTINGS)
     yield "task", _lines(tasks.TASKS)
     yield "goal_sampling", _lines(navigation.PLACES)
-    yield "robot", {name: _robot(path) for name, path in robots.ROBOTS.items()}
-    yield (
-        "policy",
-        _lines(policies.POLICIES) | TEXTS["policy"] | {name: describe_agent(folder) for name, folder in AGENTS.items()},
-    )
+    yield "robot", _each(robots.ROBOTS, _robot)
+
+    # What moves and measures.
+    yield "policy", _lines(policies.POLICIES) | TEXTS["policy"] | _each(AGENTS, describe_agent)
     yield "model", _lines(pedestrian_models.MODELS)
-    yield "forces", {name: _forces(value) for name, value in social_forces.PRESETS.items()}
-    yield (
-        "situations",
-        {name: f"{TEXTS['situations'][name]}: {', '.join(each)}." for name, each in classifiers.SITUATION_SETS.items()},
-    )
-    yield "observations", {name: _sentence(term.definition) for name, term in mdp.OBSERVATIONS.items()}
-    yield "rewards", {name: _sentence(term.definition) for name, term in mdp.REWARDS.items()}
+    yield "forces", _each(social_forces.PRESETS, _forces)
+    yield "situations", {name: _situations(name) for name in classifiers.SITUATION_SETS}
+
+    # What agents learn with.
+    yield "observations", _each(mdp.OBSERVATIONS, lambda term: _sentence(term.definition))
+    yield "rewards", _each(mdp.REWARDS, lambda term: _sentence(term.definition))
     yield "terminations", _lines(mdp.TERMINATIONS)
-    bounds = {name: [key for key, _, _ in each.bounds] for name, each in mdp.RANDOMIZATIONS.items()}
-    yield "randomization", {name: f"Bounds of {', '.join(keys)}." for name, keys in bounds.items()}
+    yield "randomization", _each(mdp.RANDOMIZATIONS, _randomization)
     yield "dynamics", {name: TEXTS["dynamics"].get(name, "") for name in robots.DYNAMICS}
 
 
 def _lines(family: Mapping[str, Any]) -> dict[str, str]:
     """Name -> first sentence of the docstring of a function, or of the first function among a value's fields."""
-    lines = {}
-    for name, value in family.items():
-        functions = [value] if callable(value) else [field for field in vars(value).values() if callable(field)]
-        text = next((inspect.getdoc(function) for function in functions if inspect.getdoc(function)), None) or ""
-        lines[name] = _sentence(text.split("\n\n")[0])
-    return lines
+
+    def line(value: Any) -> str:
+        functions = [value] if callable(value) else filter(callable, vars(value).values())
+        texts = filter(None, map(inspect.getdoc, functions))
+        return _sentence(next(texts, "").split("\n\n")[0])
+
+    return _each(family, line)
+
+
+def _each(family: Mapping[str, Any], line: Callable[[Any], str]) -> dict[str, str]:
+    return {name: line(value) for name, value in family.items()}
 
 
 def _sentence(text: str) -> str:
@@ -99,6 +105,14 @@ def _robot(path: Path) -> str:
     _, begin, rest = files.read_text(path).partition("<!--")
     comment, end, _ = rest.partition("-->")
     return _sentence(comment.strip()) if begin and end else ""
+
+
+def _situations(name: str) -> str:
+    return f"{TEXTS['situations'][name]}: {', '.join(classifiers.SITUATION_SETS[name])}."
+
+
+def _randomization(randomization: Any) -> str:
+    return f"Bounds of {', '.join(key for key, _, _ in randomization.bounds)}."
 
 
 def _forces(forces: Any) -> str:

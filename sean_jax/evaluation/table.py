@@ -94,28 +94,14 @@ def print_table(
 ) -> None:
     """Print the table of a summary in blocks as wide as the terminal; ``none`` is the share of time in no situation."""
     names = list(summary["situations"])
-    shades = situation_colors(tuple(names))
-    lines = table_rows(summary, definitions)
-    margin = 1 + max(len(f"{row.title} {row.unit}".strip()) for row in lines)
-    longest = [max(len(row.cells[k]) for row in lines) for k in range(1 + len(names))]
-    widths = [max(cell, *map(len, name.split("_"))) for name, cell in zip(("overall", *names), longest, strict=True)]
+    rows = table_rows(summary, definitions)
+    margin = 1 + max(len(f"{row.title} {row.unit}".strip()) for row in rows)
+    widths = []
+    for k, name in enumerate(("overall", *names)):
+        widths.append(max(max(len(row.cells[k]) for row in rows), *map(len, name.split("_"))))
     for first, last in _blocks(widths, console.width - margin):
-        table = Table(box=box.SIMPLE_HEAD, title=Text(title), title_justify="left", title_style="bold", pad_edge=False)
-        table.add_column("", no_wrap=True)
-        if first == 0:
-            table.add_column("overall", justify="right", style="bold", no_wrap=True)
-        for name, color in zip(names[first:last], shades[first:last], strict=True):
-            table.add_column(Text(name.replace("_", "\n"), style=f"bold {color}"), justify="right", no_wrap=True)
-        last_section, title = "", ""
-        for row in lines:
-            section = SECTIONS.get(row.name.split("_")[0], "")
-            if section != last_section:
-                table.add_section()
-            last_section = section
-            head = Text.assemble(row.title, (f" {row.unit}" if row.unit else "", "dim"))
-            cells = row.cells[first + (first > 0) : last + 1]
-            table.add_row(head, *(Text(cell) if cell else Text("–", "dim") for cell in cells))
-        console.print(table)
+        console.print(_block(rows, names, first, last, title if first == 0 else ""))
+
     console.print(f"In no situation: {100.0 * none:.1f} % of the robot's time.", highlight=False)
     notes = ["Situations may overlap; completed is there of the episodes in which the situation occurred."]
     if "empty" in names:
@@ -124,16 +110,38 @@ def print_table(
     console.print(Text(" ".join(notes), "dim"), soft_wrap=True)
 
 
+def _block(rows: list[Row], names: list[str], first: int, last: int, title: str) -> Table:
+    """The columns of some situations; the first block has the overall column, too."""
+    table = Table(box=box.SIMPLE_HEAD, title=Text(title), title_justify="left", title_style="bold", pad_edge=False)
+    table.add_column("", no_wrap=True)
+    if first == 0:
+        table.add_column("overall", justify="right", style="bold", no_wrap=True)
+    colors = situation_colors(tuple(names))
+    for name, color in zip(names[first:last], colors[first:last], strict=True):
+        table.add_column(Text(name.replace("_", "\n"), style=f"bold {color}"), justify="right", no_wrap=True)
+
+    last_section = ""
+    for row in rows:
+        section = SECTIONS.get(row.name.split("_")[0], "")
+        if section != last_section:
+            table.add_section()
+        last_section = section
+        head = Text.assemble(row.title, (f" {row.unit}" if row.unit else "", "dim"))
+        cells = row.cells[first + (first > 0) : last + 1]
+        table.add_row(head, *(Text(cell) if cell else Text("–", "dim") for cell in cells))
+    return table
+
+
 def _blocks(widths: list[int], width: int) -> list[tuple[int, int]]:
     """(first, last) situation of each block of ``width`` characters.
 
     ``widths`` are the widths of the columns: overall, in the first block, and the situations.
     """
     overall, *situations = widths
-    blocks, first, left = [], 0, width - overall - GAP
-    for k, needed in enumerate(situations):
-        if needed + GAP > left and k > first:
+    blocks, first, remaining = [], 0, width - overall - GAP
+    for k, column in enumerate(situations):
+        if column + GAP > remaining and k > first:
             blocks.append((first, k))
-            first, left = k, width
-        left -= needed + GAP
+            first, remaining = k, width
+        remaining -= column + GAP
     return [*blocks, (first, len(situations))]

@@ -27,7 +27,7 @@ from sean_jax.io import interrupts
 from sean_jax.simulation import team
 from sean_jax.simulation.episodes import init_policy, policy_step
 from sean_jax.simulation.scenario import reset, results
-from sean_jax.simulation.scenario_stack import Stack, as_stacks
+from sean_jax.simulation.scenario_stack import Stack, as_stacks, select
 from sean_jax.tasks import choose
 
 CHUNK = 10.0  # s, between two looks at the progress
@@ -90,6 +90,39 @@ class Batch(NamedTuple):
     rows: list[PyTree]  # of the record, for each chunk of time, as numpy arrays (T, ...)
 
 
+class Fixed(NamedTuple):
+    """What all steps of a batch have in common."""
+
+    floors: Stack[Scenario]
+    varying: dict[int, Array]  # of ``varying_leaves``
+    policy: PyTree
+
+
+class _Receiver:
+    """Copies the record's rows of each chunk to the host, one chunk later."""
+
+    def __init__(self, hand_on: Callable[[PyTree], None] | None, keep: bool) -> None:
+        self.hand_on, self.keep = hand_on, keep
+        self.kept: list[PyTree] = []
+        self._waiting: PyTree = None  # rows that the device computes
+
+    def receive(self, rows: PyTree) -> None:
+        """Take the rows that the device has begun to compute, and copy those before them."""
+        self.finish()
+        if self.keep or self.hand_on is not None:
+            self._waiting = rows
+
+    def finish(self) -> None:
+        """Copy the rows that wait."""
+        if self._waiting is None:
+            return
+        rows, self._waiting = jax.tree.map(np.asarray, self._waiting), None
+        if self.hand_on is not None:
+            self.hand_on(rows)
+        if self.keep:
+            self.kept.append(rows)
+
+
 class Runner:
     """Programs for batches of ``size`` episodes, compiled at first use or by ``compile``."""
 
@@ -121,57 +154,69 @@ class Runner:
             ValueError: the static structure of the scenarios differs.
         """
         stacks = as_stacks(scenarios)
-        self.robots = stacks[0].size if stacks[0].member.others is not None else 1  # of a team
-        turn = 1 if stacks[0].member.others is not None else len(stacks)
-        self.scenarios, self.floors = [part.member for part in stacks], replace(stacks[0], names=(), turn=turn)
+        is_team = stacks[0].member.others is not None
+        self.robots = stacks[0].size if is_team else 1
+        self.scenarios = [part.member for part in stacks]
+        self.floors = replace(stacks[0], names=(), turn=1 if is_team else len(stacks))
         self.policy, self.use, self.record = as_policy(policy), use, record
         self.mesh = devices.mesh() if mesh is None else mesh
         self.size = batch_size(size, self.floors, self.robots * math.lcm(self.mesh.size, drivers or 1))
         self.compile_seconds = 0.0
+
+        # A chunk of time is a whole number of rows of the record.
         first = self.scenarios[0]
         self._steps = clock.ceil_ticks(first.time_limit, first.time_step)
-        turns = max(1, round(chunk / first.time_step / record.every))
-        self.chunk = min(turns * record.every, -(-self._steps // record.every) * record.every)
+        rows = max(1, round(chunk / first.time_step / record.every))
+        self.chunk = min(rows * record.every, -(-self._steps // record.every) * record.every)
+
         self._varying = varying_leaves(self.scenarios)
         begin = functools.partial(_begin, record, drivers)
         advance = functools.partial(_advance, record, self.chunk // record.every, drivers)
         tasks = tuple(each.task for each in self.scenarios)
-        self._draw, self._begin, self._advance = self._jitted(tasks, begin, advance)
+        jitted = self._on_one_device if self.mesh.size == 1 else self._on_several_devices
+        self._draw, self._begin, self._advance = jitted(tasks, begin, advance)
 
-    def _jitted(self, tasks: tuple, begin: Callable, advance: Callable) -> tuple[Any, Any, Any]:
-        """The programs; arrays with an axis B are split over the devices, if there are several."""
-        if self.mesh.size == 1:
-            leaves, structure = jax.tree.flatten(self._places)
-            draw = _drawing(
-                tasks, self.use, structure, tuple((jnp.shape(leaf), jnp.result_type(leaf)) for leaf in leaves)
-            )
-            return draw, jax.jit(begin, donate_argnums=1), jax.jit(advance, donate_argnums=1)
-        split, whole = (NamedSharding(self.mesh, PartitionSpec(*axes)) for axes in ((devices.AXIS,), ()))
+    def _on_one_device(self, tasks: tuple, begin: Callable, advance: Callable) -> tuple[Any, Any, Any]:
+        """The programs."""
+        leaves, structure = jax.tree.flatten(self._places(0))
+        shapes = tuple((jnp.shape(leaf), jnp.result_type(leaf)) for leaf in leaves)
+        draw = _drawing(tasks, self.use, structure, shapes)
+        return draw, jax.jit(begin, donate_argnums=1), jax.jit(advance, donate_argnums=1)
+
+    def _on_several_devices(self, tasks: tuple, begin: Callable, advance: Callable) -> tuple[Any, Any, Any]:
+        """The programs; arrays with an axis B are split over the devices."""
+        split = NamedSharding(self.mesh, PartitionSpec(devices.AXIS))
+        whole = NamedSharding(self.mesh, PartitionSpec())
 
         def sharding(leaf: jax.ShapeDtypeStruct) -> NamedSharding:
             return split if leaf.ndim and leaf.shape[0] == self.size else whole
 
-        draw, (seed, numbers, index) = functools.partial(_draw, tasks, self.use), self._arguments()
-        states = jax.eval_shape(draw, self._places, seed, numbers, index)
-        first = jax.tree.map(sharding, states)
-        running = jax.tree.map(sharding, jax.eval_shape(begin, self._fixed, states, index))
-        drawing = jax.jit(draw, in_shardings=(whole, whole, split, split), out_shardings=first)
-        beginning = jax.jit(begin, in_shardings=(whole, first, split), out_shardings=running, donate_argnums=1)
-        given = whole, running, split, split
-        advancing = jax.jit(advance, in_shardings=given, out_shardings=(running, None), donate_argnums=1)
-        return drawing, beginning, advancing
+        draw = functools.partial(_draw, tasks, self.use)
+        seed, numbers, index = self._arguments()
+        states = jax.eval_shape(draw, self._places(0), seed, numbers, index)
+        running = jax.eval_shape(begin, self._fixed(0), states, index)
+        states_split, running_split = (jax.tree.map(sharding, shapes) for shapes in (states, running))
+        return (
+            jax.jit(draw, in_shardings=(whole, whole, split, split), out_shardings=states_split),
+            jax.jit(begin, in_shardings=(whole, states_split, split), out_shardings=running_split, donate_argnums=1),
+            jax.jit(
+                advance,
+                in_shardings=(whole, running_split, split, split),
+                out_shardings=(running_split, None),
+                donate_argnums=1,
+            ),
+        )
 
     def _arguments(self) -> tuple[Array, Array, Array]:
         """Seed, numbers and scenario of each episode, of the right shapes."""
         return jnp.uint32(0), jnp.zeros((self.size,), jnp.uint32), jnp.zeros((self.size,), jnp.int32)
 
-    @property
-    def _fixed(self) -> tuple:
-        return *self._places, self.policy
+    def _fixed(self, first: int) -> Fixed:
+        """What the steps of a batch have in common that begins with an episode of that number."""
+        return Fixed(*self._places(first), self.policy)
 
-    @property
-    def _places(self) -> tuple:
-        return self._floors_from(0), self._varying
+    def _places(self, first: int) -> tuple[Stack[Scenario], dict[int, Array]]:
+        return self._floors_from(first), self._varying
 
     def _floors_from(self, first: int) -> Stack[Scenario]:
         """The floors of a batch that begins with an episode of that number; each once, if their turns fill it.
@@ -181,11 +226,13 @@ class Runner:
         """
         if self.floors.size == 1:
             return self.floors
-        if first % self.floors.turn:
-            raise ValueError(f"first: {first} is no multiple of the {self.floors.turn} scenarios, which share a floor.")
-        index, number = self.floor_indices(first)[:: self.floors.turn], self.floors.size
-        index = index[:number] if self.size % (number * self.floors.turn) == 0 else index
-        return self.floors if np.array_equal(index, np.arange(number)) else self.floors.take(index)
+        turn, count = self.floors.turn, self.floors.size
+        if first % turn:
+            raise ValueError(f"first: {first} is no multiple of the {turn} scenarios, which share a floor.")
+        index = self.floor_indices(first)[::turn]
+        if self.size % (count * turn) == 0:
+            index = index[:count]
+        return self.floors if np.array_equal(index, np.arange(count)) else self.floors.take(index)
 
     def floor_indices(self, first: int) -> np.ndarray:
         """(B,) index of the floor of each episode of a batch that begins with an episode of that number."""
@@ -193,22 +240,28 @@ class Runner:
 
     def compile(self, callbacks: Callbacks) -> None:
         """Compile everything now, in a thread that Ctrl-C need not wait for."""
-        began = time.perf_counter()
+        start = time.perf_counter()
         callbacks.compiling(f"tracing the starts of {self.size} episodes")
         seed, numbers, index = self._arguments()
         counted = jnp.ones((self.size,), bool)
         with _uncollected():
-            traced = self._draw.trace(self._places, seed, numbers, index)
+            draw = self._draw.trace(self._places(0), seed, numbers, index)
+
+        # The starts compile in a thread while the steps are traced.
         quickly = QUICK_COMPILE.get(jax.default_backend(), {}) if self.scenarios[0].warm_up == 0.0 else {}
-        starting = _Compiling(traced.lower(), quickly)
+        compiling_draw = _Compiling(draw.lower(), quickly)
         callbacks.compiling(f"compiling the starts, tracing {self.chunk} steps of {self.size} episodes")
         with _uncollected():
-            begun = self._begin.trace(self._fixed, traced.out_info, index)
-            lowered = self._advance.lower(self._fixed, begun.out_info, index, counted)
-        stepping, beginning = _Compiling(lowered), _Compiling(begun.lower(), quickly)
+            begin = self._begin.trace(self._fixed(0), draw.out_info, index)
+            advance = self._advance.lower(self._fixed(0), begin.out_info, index, counted)
+        compiling_advance = _Compiling(advance)
+        compiling_begin = _Compiling(begin.lower(), quickly)
+
         callbacks.compiling(f"compiling {self.chunk} steps of {self.size} episodes")
-        self._draw, self._begin, self._advance = starting.result(), beginning.result(), stepping.result()
-        self.compile_seconds = time.perf_counter() - began
+        self._draw = compiling_draw.result()
+        self._begin = compiling_begin.result()
+        self._advance = compiling_advance.result()
+        self.compile_seconds = time.perf_counter() - start
 
     def run(
         self,
@@ -230,44 +283,47 @@ class Runner:
         Raises:
             FloatingPointError: a number is not finite; the message names the episodes.
         """
-        callbacks, count = callbacks or Callbacks(), self.size if count is None else count
-        scenario = self.scenarios[0]
-        numbers = np.arange(first, first + self.size)
-        index = numbers // self.robots % len(self.scenarios) if index is None else np.resize(index, self.size)
-        fixed = self._floors_from(first if turn is None else turn), self._varying, self.policy
+        callbacks = callbacks or Callbacks()
+        count = self.size if count is None else count
+        fixed = self._fixed(first if turn is None else turn)
         fixed = fixed if self.mesh.size == 1 else devices.replicate(self.mesh, fixed)
-        turns = jnp.asarray(index, jnp.int32)
-        states = self._draw(fixed[:-1], jnp.uint32(seed), jnp.asarray(numbers, jnp.uint32), turns)
-        running = self._begin(fixed, states, turns)
-        counted, rows, waiting = jnp.asarray(np.arange(self.size) < count), list[PyTree](), None
+        running, turns = self._start(fixed, seed, first, index)
+        counted = jnp.asarray(np.arange(self.size) < count)
 
-        def receive(stacked: PyTree) -> None:
-            arrays = jax.tree.map(np.asarray, stacked)
-            if callbacks.rows is not None:
-                callbacks.rows(arrays)
-            if keep_rows:
-                rows.append(arrays)
-
+        # Rows of a chunk are copied to the host while the device computes the next chunk.
+        receiver = _Receiver(callbacks.rows, keep_rows)
         for done in range(self.chunk, self._steps + self.chunk, self.chunk):
             if callbacks.drive is not None:
-                fixed = *fixed[:-1], callbacks.drive(first, running.states)
-            running, chunk_rows = self._advance(fixed, running, turns, counted)
-            if waiting is not None:  # while the device computes
-                receive(waiting)
-            waiting = chunk_rows if keep_rows or callbacks.rows is not None else None
+                fixed = fixed._replace(policy=callbacks.drive(first, running.states))
+            running, rows = self._advance(fixed, running, turns, counted)
+            receiver.receive(rows)
             over = bool(np.all(np.asarray(running.states.completed | running.states.timed_out)))
-            simulated = float(np.asarray(running.steps).sum()) * scenario.time_step
-            seconds = scenario.time_limit if over else min(done * scenario.time_step, scenario.time_limit)
-            callbacks.advanced(seconds, simulated)
+            self._tell(callbacks, running, self._steps if over else done)
             if over:
                 break
-        if waiting is not None:
-            receive(waiting)
+        receiver.finish()
+
         steps, faulty = (np.asarray(part)[:count] for part in (running.steps, running.faulty))
         if faulty.any():
             raise FloatingPointError(not_finite(first, faulty, self.robots))
         states = running.states if count == self.size else jax.tree.map(lambda leaf: leaf[:count], running.states)
-        return Batch(states, steps, jax.tree.map(np.asarray, running.total), rows)
+        return Batch(states, steps, jax.tree.map(np.asarray, running.total), receiver.kept)
+
+    def _start(self, fixed: Fixed, seed: int, first: int, index: np.ndarray | None) -> tuple[LoopState, Array]:
+        """The episodes before their first step, and the (B,) index of each one's scenario."""
+        numbers = np.arange(first, first + self.size)
+        index = numbers // self.robots % len(self.scenarios) if index is None else np.resize(index, self.size)
+        indices = jnp.asarray(index, jnp.int32)
+        places = fixed.floors, fixed.varying
+        states = self._draw(places, jnp.uint32(seed), jnp.asarray(numbers, jnp.uint32), indices)
+        return self._begin(fixed, states, indices), indices
+
+    def _tell(self, callbacks: Callbacks, running: LoopState, steps: int) -> None:
+        """Call ``advanced`` after so many steps of each episode."""
+        scenario = self.scenarios[0]
+        simulated = float(np.asarray(running.steps).sum()) * scenario.time_step
+        seconds = scenario.time_limit if steps >= self._steps else min(steps * scenario.time_step, scenario.time_limit)
+        callbacks.advanced(seconds, simulated)
 
     def measure(
         self,
@@ -287,7 +343,8 @@ class Runner:
         Raises:
             FloatingPointError: a number is not finite; the message names the episodes.
         """
-        scenario, batches, starts = self.scenarios[0], [], range(first, first + count, self.size)
+        scenario, batches = self.scenarios[0], []
+        starts = range(first, first + count, self.size)
         for index, start in enumerate(starts):
 
             def advanced(seconds: float, _: float, index: int = index) -> None:
@@ -296,8 +353,8 @@ class Runner:
             callbacks = Callbacks(advanced=advanced, drive=drive)
             batch = self.run(seed, start, min(self.size, first + count - start), callbacks=callbacks)
             ended = {"completed": batch.states.completed, "seconds": batch.steps * scenario.time_step}
-            batches.append({**ended, **batch_results(scenario, batch.states)})
-        return {name: np.concatenate([np.asarray(each[name]) for each in batches]) for name in batches[0]}
+            batches.append(ended | batch_results(scenario, batch.states))
+        return {name: np.concatenate([np.asarray(batch[name]) for batch in batches]) for name in batches[0]}
 
 
 def batch_size(size: int, floors: Stack[Scenario], shares: int = 1) -> int:
@@ -347,16 +404,6 @@ def varying_leaves(scenarios: Sequence[Scenario]) -> dict[int, Array]:
     return varying
 
 
-def _select(scenario: Scenario, varying: dict[int, Array], index: Array) -> Scenario:
-    """The scenario of that index."""
-    if not varying:
-        return scenario
-    leaves, tree = jax.tree.flatten(scenario)
-    for place, values in varying.items():
-        leaves[place] = values[index]
-    return jax.tree.unflatten(tree, leaves)
-
-
 def _of_each_driver(function: Callable, floors: Stack[Scenario], drivers: int | None) -> Callable:
     """(policy, rows (B, ...), ...) -> ``function(policy, scenario, row, ...)`` of each row, with the policy of its
     share.
@@ -382,7 +429,7 @@ def first_state(tasks: tuple, scenario: Scenario, varying: dict[int, Array], ind
     def task(scenario: Scenario, *others: PyTree) -> RobotTask:
         return choose(index, [each(scenario, *others) for each in tasks])
 
-    return reset(replace(_select(scenario, varying, index), task=task), key)
+    return reset(replace(select(scenario, varying, index), task=task), key)
 
 
 @functools.lru_cache(8)  # bounded, so that a long session does not keep all programs
@@ -397,90 +444,115 @@ def _draw(tasks: tuple, use: str, places: tuple, seed: Array, numbers: Array, in
     if floors.member.others is not None:
         return _draw_team(tasks, use, floors, seed, numbers, index)
 
-    def one(scenario: Scenario, number: Array, turn: Array) -> State:
+    def draw(scenario: Scenario, number: Array, turn: Array) -> State:
         return first_state(tasks, scenario, varying, turn, jax.random.fold_in(random_streams.key(use, seed), number))
 
-    return floors.vmap(one)(numbers, index)
+    return floors.vmap(draw)(numbers, index)
 
 
 def _draw_team(tasks: tuple, use: str, floors: Stack[Scenario], seed: Array, numbers: Array, index: Array) -> State:
     """The reset episodes of a team: a row for each of its robots."""
 
-    def one(number: Array, turn: Array) -> State:
+    def draw(number: Array, turn: Array) -> State:
         def task(scenario: Scenario, *others: PyTree) -> RobotTask:
             return choose(turn, [each(scenario, *others) for each in tasks])
 
         members = floors.map_member(lambda member: replace(member, task=task))
         return team.reset(members, jax.random.fold_in(random_streams.key(use, seed), number))
 
-    every, rows = floors.size, numbers.shape
-    states = jax.vmap(one)(numbers[::every] // every, index[::every])
-    return jax.tree.map(lambda leaf: leaf.reshape(rows + leaf.shape[2:]), states)
+    robots = floors.size
+    return _rows_of_teams(jax.vmap(draw)(numbers[::robots] // robots, index[::robots]))
 
 
-def _begin(record: Record, drivers: int | None, fixed: tuple, states: State, index: Array) -> LoopState:
+def _begin(record: Record, drivers: int | None, fixed: Fixed, states: State, index: Array) -> LoopState:
     """Episodes before their first step."""
-    floors, varying, policy = fixed
 
-    def one(policy: PyTree, scenario: Scenario, state: State, turn: Array) -> State:
-        return init_policy(_select(scenario, varying, turn), policy, state)
+    def init(policy: PyTree, scenario: Scenario, state: State, turn: Array) -> State:
+        return init_policy(select(scenario, fixed.varying, turn), policy, state)
 
-    states = _of_each_driver(one, floors, drivers)(policy, states, index)
-    steps, faulty = jnp.zeros(index.shape, jnp.int32), jnp.zeros(index.shape, bool)
-    return LoopState(states, steps, faulty, record.init(floors, states))
+    states = _of_each_driver(init, fixed.floors, drivers)(fixed.policy, states, index)
+    steps, faulty = jnp.zeros(index.shape, jnp.int32), jnp.zeros(index.shape, bool)  # (B,)
+    return LoopState(states, steps, faulty, record.init(fixed.floors, states))
 
 
 def _advance(
-    record: Record, turns: int, drivers: int | None, fixed: tuple, running: LoopState, index: Array, counted: Array
-) -> tuple:
-    """The state ``turns * record.every`` steps later, and the rows of the record, (turns, ...)."""
-    floors, varying, policy = fixed
+    record: Record, rows: int, drivers: int | None, fixed: Fixed, running: LoopState, index: Array, counted: Array
+) -> tuple[LoopState, PyTree]:
+    """The state ``rows * record.every`` steps later, and the rows of the record, (rows, ...).
 
-    def step(policy: PyTree, scenario: Scenario, state: State, turn: Array = index[0]) -> tuple[State, Array]:
-        after, action = policy_step(_select(scenario, varying, turn), policy, state)
-        return after, action if record.command is None else record.command(after)
+    Args:
+        index: (B,) int32 scenario of each episode.
+        counted: (B,) bool, whether an episode counts; the others fill the batch.
+    """
 
-    def step_teams(before: State) -> tuple[State, Array]:
-        def one(states: State) -> tuple[State, Array]:
-            after, actions = team.policy_step(floors, policy, states)
-            return after, actions if record.command is None else jax.vmap(record.command)(after)
-
-        size, rows = floors.size, index.shape
-        teams = jax.tree.map(lambda leaf: leaf.reshape(rows[0] // size, size, *leaf.shape[1:]), before)
-        return jax.tree.map(lambda leaf: leaf.reshape(rows + leaf.shape[2:]), jax.vmap(one)(teams))
-
-    def tick(carry: tuple, _: None) -> tuple[tuple, Array]:
+    def tick(carry: tuple[State, Array, Array], _: None) -> tuple[tuple[State, Array, Array], Array]:
         before, steps, faulty = carry
-        rows = (before, index) if varying else (before,)  # an index that is the same for all needs no axis
-        is_team = floors.member.others is not None
-        states, actions = step_teams(before) if is_team else _of_each_driver(step, floors, drivers)(policy, *rows)
-        active = ~(before.completed | before.timed_out) & counted
+        states, actions = _step(record, drivers, fixed, before, index)
+        active = _active(before, counted)
         return (states, steps + active.astype(jnp.int32), faulty | (~_sound(states) & active)), actions
 
-    def one(running: LoopState, _: None) -> tuple[LoopState, PyTree]:
-        before = running.states
-        active = ~(before.completed | before.timed_out) & counted
+    def advance_row(running: LoopState, _: None) -> tuple[LoopState, PyTree]:
+        before, active = running.states, _active(running.states, counted)
         carry = before, running.steps, running.faulty
         if record.every == 1:
             (states, steps, faulty), actions = tick(carry, None)
-            actions = actions[None]
+            actions = actions[None]  # (1, B, 2)
         else:
             (states, steps, faulty), actions = jax.lax.scan(tick, carry, length=record.every)
-        total, rows = record.update(floors, before, states, actions, active, running.total)
-        return LoopState(states, steps, faulty, total), rows
+        total, row = record.update(fixed.floors, before, states, actions, active, running.total)
+        return LoopState(states, steps, faulty, total), row
 
-    return jax.lax.scan(one, running, length=turns) if turns > 1 else _once(one, running, counted)
+    if rows > 1:
+        return jax.lax.scan(advance_row, running, length=rows)
+    return _once(advance_row, running, counted)
 
 
-def _once(one: Callable, running: LoopState, counted: Array) -> tuple[LoopState, PyTree]:
+def _active(states: State, counted: Array) -> Array:
+    """(B,) bool: an episode counts and has not ended."""
+    return ~(states.completed | states.timed_out) & counted
+
+
+def _step(record: Record, drivers: int | None, fixed: Fixed, states: State, index: Array) -> tuple[State, Array]:
+    """A control step of B episodes: the states, and the recorded commands (B, command)."""
+    if fixed.floors.member.others is not None:
+        return _step_teams(record, fixed, states)
+
+    def step(policy: PyTree, scenario: Scenario, state: State, turn: Array | None = None) -> tuple[State, Array]:
+        own = scenario if turn is None else select(scenario, fixed.varying, turn)
+        after, action = policy_step(own, policy, state)
+        return after, action if record.command is None else record.command(after)
+
+    rows = (states, index) if fixed.varying else (states,)  # an index that is the same for all needs no axis
+    return _of_each_driver(step, fixed.floors, drivers)(fixed.policy, *rows)
+
+
+def _step_teams(record: Record, fixed: Fixed, states: State) -> tuple[State, Array]:
+    """A control step of teams of M robots, whose rows (B, ...) are one after the other."""
+
+    def step_team(states: State) -> tuple[State, Array]:
+        after, actions = team.policy_step(fixed.floors, fixed.policy, states)
+        return after, actions if record.command is None else jax.vmap(record.command)(after)
+
+    robots = fixed.floors.size
+    teams = jax.tree.map(lambda leaf: leaf.reshape(leaf.shape[0] // robots, robots, *leaf.shape[1:]), states)
+    return _rows_of_teams(jax.vmap(step_team)(teams))
+
+
+def _rows_of_teams(teams: PyTree) -> PyTree:
+    """Rows (B, ...) of arrays (teams, robots, ...)."""
+    return jax.tree.map(lambda leaf: leaf.reshape(leaf.shape[0] * leaf.shape[1], *leaf.shape[2:]), teams)
+
+
+def _once(advance_row: Callable, running: LoopState, counted: Array) -> tuple[LoopState, PyTree]:
     """As a scan of one step, in a loop that the compiler keeps: so a step is rounded as in a scan of many.
 
     The compiler cannot know that the loop runs once, as an episode that counts, of (B,), is what it depends on.
     """
-    rows = jax.tree.map(lambda leaf: jnp.zeros((1, *leaf.shape), leaf.dtype), jax.eval_shape(one, running, None)[1])
+    _, row = jax.eval_shape(advance_row, running, None)
+    rows = jax.tree.map(lambda leaf: jnp.zeros((1, *leaf.shape), leaf.dtype), row)
 
     def body(index: Array, carry: tuple) -> tuple:
-        running, row = one(carry[0], None)
+        running, row = advance_row(carry[0], None)
         write = jax.lax.dynamic_update_index_in_dim
         return running, jax.tree.map(lambda rows, leaf: write(rows, leaf, index, 0), carry[1], row)
 

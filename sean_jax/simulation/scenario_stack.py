@@ -35,56 +35,56 @@ class Stack(Generic[T]):
 
     def at(self, index: Int[Array, ""] | int) -> T:
         """One member."""
-        leaves, tree = jax.tree.flatten(self.member)
-        for place, values in self.own.items():
-            leaves[place] = values[index]
-        return jax.tree.unflatten(tree, leaves)
+        return select(self.member, self.own, index)
 
     def take(self, index: np.ndarray) -> "Stack[T]":
         """The stack of some members, in that order."""
         names = tuple(self.names[k] for k in index) if self.names else ()
-        own = {place: values[jnp.asarray(index)] for place, values in self.own.items()}
-        return replace(self, member=replace(self, own=own).at(0), own=own, size=len(index), names=names)
+        own = {leaf: values[jnp.asarray(index)] for leaf, values in self.own.items()}
+        return replace(self, member=select(self.member, own, 0), own=own, size=len(index), names=names)
 
     def over_members(self, function: Callable[..., PyTree]) -> Callable[..., PyTree]:
         """``function(member, *values)`` of each member, with values (K, ...); results (K, ...)."""
-        leaves, tree = jax.tree.flatten(self.member)
 
-        def one(own: dict[int, Array], *values: PyTree) -> PyTree:
-            return function(
-                jax.tree.unflatten(tree, [own.get(place, leaf) for place, leaf in enumerate(leaves)]), *values
-            )
+        def call(own: dict[int, Array], *values: PyTree) -> PyTree:
+            return function(_with_leaves(self.member, own), *values)
 
-        return lambda *values: jax.vmap(one, axis_size=self.size)(self.own, *values)
+        return lambda *values: jax.vmap(call, axis_size=self.size)(self.own, *values)
 
     def vmap(self, function: Callable[..., PyTree]) -> Callable[..., PyTree]:
         """``function(member, *row)`` of rows (B, ...), of which each member has B / K."""
         if self.size == 1:
             return jax.vmap(functools.partial(function, self.member))
 
-        def split(leaf: Array) -> Array:  # (B, ...) -> (K, B / K, ...)
-            turn = self.turn or len(leaf) // self.size
-            each = leaf.reshape(len(leaf) // turn // self.size, self.size, turn, *leaf.shape[1:])
-            return each.swapaxes(0, 1).reshape(self.size, len(leaf) // self.size, *leaf.shape[1:])
-
-        def join(leaf: Array) -> Array:
-            turn = self.turn or leaf.shape[1]
-            each = leaf.reshape(self.size, leaf.shape[1] // turn, turn, *leaf.shape[2:])
-            return each.swapaxes(0, 1).reshape(len(leaf) * leaf.shape[1], *leaf.shape[2:])
-
-        def of_member(member: T, *rows: PyTree) -> PyTree:
+        def map_rows(member: T, *rows: PyTree) -> PyTree:
             return jax.vmap(functools.partial(function, member))(*rows)
 
         def call(*rows: PyTree) -> PyTree:
-            return jax.tree.map(join, self.over_members(of_member)(*jax.tree.map(split, rows)))
+            results = self.over_members(map_rows)(*jax.tree.map(self._split, rows))
+            return jax.tree.map(self._join, results)
 
         return call
 
+    def _split(self, rows: Array) -> Array:
+        """Rows (B, ...) by member: (K, B / K, ...)."""
+        count, shape = len(rows), rows.shape[1:]
+        turn = self.turn or count // self.size
+        turns = rows.reshape(count // turn // self.size, self.size, turn, *shape)
+        return turns.swapaxes(0, 1).reshape(self.size, count // self.size, *shape)
+
+    def _join(self, rows: Array) -> Array:
+        """The inverse of ``_split``."""
+        count, shape = rows.shape[1], rows.shape[2:]
+        turn = self.turn or count
+        turns = rows.reshape(self.size, count // turn, turn, *shape)
+        return turns.swapaxes(0, 1).reshape(self.size * count, *shape)
+
     def paired(self, values: PyTree) -> "Stack[tuple[T, PyTree]]":
         """The stack of pairs of a member and its row of arrays (K, ...)."""
-        leaves, count = jax.tree.leaves(values), len(jax.tree.leaves(self.member))
-        own = self.own | {count + number: leaf for number, leaf in enumerate(leaves)}
-        return replace(self, member=(self.member, jax.tree.map(lambda leaf: leaf[0], values)), own=own)  # pyright: ignore
+        count = len(jax.tree.leaves(self.member))
+        own = self.own | dict(enumerate(jax.tree.leaves(values), start=count))
+        first = jax.tree.map(lambda leaf: leaf[0], values)
+        return replace(self, member=(self.member, first), own=own)  # pyright: ignore
 
     def map_member(self, function: Callable[[T], Any]) -> "Stack":
         """The stack whose members have other static fields, by ``function(member)``."""
@@ -92,17 +92,38 @@ class Stack(Generic[T]):
 
     def with_fields(self, **fields: Any) -> "Stack":
         """The stack with other fields of the members: values for all, or a stack of K values."""
-        marks = jax.tree.unflatten(jax.tree.structure(self.member), range(len(jax.tree.leaves(self.member))))
-        first, sources = {}, {}
+        # Leaves are marked by where they come from, to find the values of members after fields are replaced.
+        first, marks, sources = {}, {}, _by_mark("", self.own)
         for name, value in fields.items():
             first[name] = value.member if isinstance(value, Stack) else value
-            marked = [f"{name} {number}" for number in range(len(jax.tree.leaves(first[name])))]
-            sources |= {f"{name} {number}": own for number, own in getattr(value, "own", {}).items()}
-            fields[name] = jax.tree.unflatten(jax.tree.structure(first[name]), marked)
-        sources |= self.own
-        places = jax.tree.leaves(replace(marks, **fields))  # pyright: ignore[reportArgumentType]
-        own = {place: sources[mark] for place, mark in enumerate(places) if mark in sources}
+            marks[name] = _marked(name, first[name])
+            sources |= _by_mark(name, value.own if isinstance(value, Stack) else {})
+        leaves = jax.tree.leaves(replace(_marked("", self.member), **marks))  # pyright: ignore[reportArgumentType]
+        own = {index: sources[mark] for index, mark in enumerate(leaves) if mark in sources}
         return replace(self, member=replace(self.member, **first), own=own)  # pyright: ignore
+
+
+def _marked(field: str, tree: PyTree) -> PyTree:
+    """The tree with a mark of field and index in place of each leaf."""
+    structure = jax.tree.structure(tree)
+    return jax.tree.unflatten(structure, [f"{field} {index}" for index in range(structure.num_leaves)])
+
+
+def _by_mark(field: str, own: dict[int, Array]) -> dict[str, Array]:
+    return {f"{field} {index}": values for index, values in own.items()}
+
+
+def select(tree: T, varying: dict[int, Array], index: Int[Array, ""] | int) -> T:
+    """The pytree with one of several values in some leaves: index of a leaf -> its values (K, ...)."""
+    return _with_leaves(tree, {leaf: values[index] for leaf, values in varying.items()})
+
+
+def _with_leaves(tree: T, values: dict[int, Array]) -> T:
+    """The pytree with other leaves: index of a leaf -> its value."""
+    leaves, structure = jax.tree.flatten(tree)
+    for leaf, value in values.items():
+        leaves[leaf] = value
+    return jax.tree.unflatten(structure, leaves)
 
 
 def of_arrays(values: PyTree) -> Stack:
@@ -114,8 +135,8 @@ def of_arrays(values: PyTree) -> Stack:
 
 def as_stacks(scenarios: Scenario | Stack[Scenario] | Sequence[Scenario | Stack[Scenario]]) -> list[Stack[Scenario]]:
     """The stacks of scenarios that take turns; a scenario has one floor."""
-    each = [scenarios] if isinstance(scenarios, Scenario | Stack) else scenarios
-    return [part if isinstance(part, Stack) else Stack(part, {}) for part in each]
+    several = [scenarios] if isinstance(scenarios, Scenario | Stack) else scenarios
+    return [each if isinstance(each, Stack) else Stack(each, {}) for each in several]
 
 
 def stack(members: Sequence[T], names: tuple[str, ...] = ()) -> Stack[T]:
@@ -124,22 +145,29 @@ def stack(members: Sequence[T], names: tuple[str, ...] = ()) -> Stack[T]:
     Raises:
         ValueError: the structure or a shape differs.
     """
-    first, *others = (jax.tree.flatten(member) for member in members)
-    if any(tree != first[1] for _, tree in others):
+    first, tree = jax.tree.flatten(members[0])
+    if any(jax.tree.structure(member) != tree for member in members):
         raise ValueError("stack: the static structure of members differs; run them separately.")
     own: dict[int, Array] = {}
-    moved: dict[tuple[int, ...], Any] = {}  # members have one array in several places, such as obstacles
-    for place, leaves in enumerate(zip(first[0], *(each for each, _ in others), strict=True)):
-        equal = all(leaf is leaves[0] or np.array_equal(leaf, leaves[0]) for leaf in leaves)
-        on_host = isinstance(leaves[0], np.ndarray)
-        if equal and not (on_host and leaves[0].ndim):
+    stacked: dict[tuple[int, ...], Any] = {}  # members have one array in several places, such as obstacles
+    for index, leaves in enumerate(zip(*map(jax.tree.leaves, members), strict=True)):
+        is_equal = all(leaf is leaves[0] or np.array_equal(leaf, leaves[0]) for leaf in leaves)
+        if is_equal and not (isinstance(leaves[0], np.ndarray) and leaves[0].ndim):
             continue
-        key = tuple(map(id, leaves[:1] if equal else leaves))
-        if key not in moved:
-            array: Any = leaves[0] if equal else np.stack(leaves) if on_host else jnp.stack(leaves)
-            moved[key] = to_device(array) if on_host else array
-        (first[0] if equal else own)[place] = moved[key]
-    return Stack(jax.tree.unflatten(first[1], first[0]), own, len(members), names)
+        key = tuple(map(id, leaves[:1] if is_equal else leaves))
+        if key not in stacked:
+            stacked[key] = _on_device(leaves[0]) if is_equal else _stacked(leaves)
+        (first if is_equal else own)[index] = stacked[key]
+    return Stack(jax.tree.unflatten(tree, first), own, len(members), names)
+
+
+def _stacked(leaves: Sequence[Any]) -> Any:
+    """Arrays of the host stacked there and copied to the device; others on the device."""
+    return _on_device(np.stack(leaves)) if isinstance(leaves[0], np.ndarray) else jnp.stack(leaves)
+
+
+def _on_device(array: Any) -> Any:
+    return to_device(array) if isinstance(array, np.ndarray) else array
 
 
 def with_common_shapes(scenarios: Sequence[Scenario], name: str) -> list[Scenario]:

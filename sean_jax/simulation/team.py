@@ -7,8 +7,9 @@ such as policies, sensors, observations and metrics, hold for each robot of a te
 People are moved once, by all robots. A robot whose episode has ended stands there until all have ended.
 """
 
+import functools
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
@@ -35,15 +36,19 @@ def of_scenarios(members: Stack[Scenario]) -> Stack[Scenario]:
     Raises:
         InputError: there are too many robots, or MJX moves one.
     """
-    number, first = members.size, members.member
-    if number > MAX_ROBOTS:
-        raise InputError(f"robots: {number} are more than {MAX_ROBOTS}; give fewer.")
+    robots, first = members.size, members.member
+    if robots > MAX_ROBOTS:
+        raise InputError(f"robots: {robots} are more than {MAX_ROBOTS}; give fewer.")
     if jax.tree.leaves(first.robot.data):
         raise InputError("dynamics: MJX moves one robot in a program, not a team; choose twin or kinematic.")
-    models = models_of_others(members.over_members(lambda member: member.robot)(), number)
-    more = [(name, metric) for name, metric in metrics.OF_TEAMS.items() if name not in dict(first.metrics)]
+    models = models_of_others(members.over_members(lambda member: member.robot)(), robots)
+    indices = of_arrays(jnp.arange(robots, dtype=jnp.int32))
+
+    # Metrics of teams that the scenario does not have yet.
+    names = [name for name, _ in first.metrics]
+    more = [(name, metric) for name, metric in metrics.OF_TEAMS.items() if name not in names]
     members = members.map_member(lambda member: replace(member, metrics=(*member.metrics, *more)))
-    return members.with_fields(others=of_arrays(models), robot_number=of_arrays(jnp.arange(number, dtype=jnp.int32)))
+    return members.with_fields(others=of_arrays(models), robot_number=indices)
 
 
 def reset(team: Stack[Scenario], key: Array) -> State:
@@ -56,45 +61,52 @@ def reset(team: Stack[Scenario], key: Array) -> State:
         key: () typed PRNG key, the source of all randomness of the episode.
     """
     first = scenario.reset(team.member, key)
-    number, radii = team.size, _radii(team)
-    starts = jnp.zeros((number, 2), first.robot.position.dtype).at[0].set(first.task.start)
+    robots, radii = team.size, _radii(team)
+    starts = jnp.zeros((robots, 2), first.robot.position.dtype).at[0].set(first.task.start)  # (M, 2)
     robot_key = jax.random.fold_in(key, random_streams.TEAM)
 
-    def one(starts: Array, index: Array) -> tuple[Array, State]:
-        member = jax.lax.stop_gradient(team.at(index))
-        own_key = jax.random.fold_in(robot_key, index)
-        earlier = jnp.arange(number, dtype=jnp.int32) < index
-
-        def draw(carry: tuple) -> tuple:
-            attempt = carry[0]
-            state = scenario.next_task(member, first_fixed, jax.random.fold_in(own_key, attempt))
-            gap = starts - state.task.start[None, :]
-            near = length(gap[:, 0], gap[:, 1]) < radii + radii[index] + CLEARANCE
-            return attempt + 1, ~(near & earlier).any(), state
-
-        def again(carry: tuple) -> Array:
-            return ~carry[1] & (carry[0] < ATTEMPTS)
-
-        state = jax.lax.while_loop(again, draw, (jnp.zeros((), jnp.int32), jnp.zeros((), bool), first_fixed))[2]
-        return starts.at[index].set(state.task.start), state
-
-    first_fixed = jax.lax.stop_gradient(first)
+    # A task of each further robot, in order, as it depends on the starts before it.
     states = jax.tree.map(lambda leaf: leaf[None], first)
-    if number > 1:
-        _, rest = jax.lax.scan(one, jax.lax.stop_gradient(starts), jnp.arange(1, number, dtype=jnp.int32))
-        states = jax.tree.map(lambda leaf, more: jnp.concatenate([leaf, more]), states, rest)
+    if robots > 1:
+        among = jax.lax.stop_gradient(first)
+        begin = functools.partial(_begin_clear, team, radii, among, robot_key)
+        indices = jnp.arange(1, robots, dtype=jnp.int32)
+        _, others = jax.lax.scan(begin, jax.lax.stop_gradient(starts), indices)
+        states = jax.tree.map(lambda leaf, more: jnp.concatenate([leaf, more]), states, others)
 
+    # All robots are among the people of the first.
     def share(state: State) -> State:
         streams = replace(state.streams, people=first.streams.people, noise=first.streams.noise)
         return replace(state, streams=streams, pedestrians=first.pedestrians, groups=first.groups, memory=first.memory)
 
-    states = meet(jax.vmap(share)(states))
-
-    def measured(member: Scenario, state: State) -> State:
+    def init_metrics(member: Scenario, state: State) -> State:
         now = scenario.snapshot(member, state)
         return replace(state, metrics={name: metric.init(now) for name, metric in member.metrics})
 
-    return team.over_members(measured)(states)
+    return team.over_members(init_metrics)(meet(jax.vmap(share)(states)))
+
+
+def _begin_clear(
+    team: Stack[Scenario], radii: Float[Array, "M"], among: State, robot_key: Array, starts: Array, index: Array
+) -> tuple[Array, State]:
+    """The starts (M, 2) with that of a robot, clear of those before it if a draw is; and its first state."""
+    member = jax.lax.stop_gradient(team.at(index))
+    own_key = jax.random.fold_in(robot_key, index)
+    earlier = jnp.arange(team.size, dtype=jnp.int32) < index  # (M,)
+
+    def draw(carry: tuple[Array, Array, State]) -> tuple[Array, Array, State]:
+        attempt = carry[0]
+        state = scenario.next_task(member, among, jax.random.fold_in(own_key, attempt))
+        gap = starts - state.task.start[None, :]  # (M, 2)
+        near = length(gap[:, 0], gap[:, 1]) < radii + radii[index] + CLEARANCE
+        return attempt + 1, ~(near & earlier).any(), state
+
+    def is_wanted(carry: tuple[Array, Array, State]) -> Array:
+        attempt, is_clear, _ = carry
+        return ~is_clear & (attempt < ATTEMPTS)
+
+    state = jax.lax.while_loop(is_wanted, draw, (jnp.zeros((), jnp.int32), jnp.zeros((), bool), among))[2]
+    return starts.at[index].set(state.task.start), state
 
 
 def step(team: Stack[Scenario], states: State, actions: Float[Array, "M command"]) -> State:
@@ -104,9 +116,9 @@ def step(team: Stack[Scenario], states: State, actions: Float[Array, "M command"
         actions: the command [m/s, rad/s] of each robot, as in ``scenario.step``; one that is not finite is no new
             command. A robot whose episode has ended stands.
     """
+    # People are moved once, among the bodies of all robots.
     first = jax.tree.map(lambda leaf: leaf[0], states)
-    crowd = team.member
-    crowd = replace(crowd, robot=replace(crowd.robot, radius=_radii(team)))
+    crowd = replace(team.member, robot=replace(team.member.robot, radius=_radii(team)))
     moved = replace(first, robot=states.robot, others=None)
     key = jax.random.fold_in(first.streams.people, first.tick)
     moved = scenario.direct_pedestrians(crowd, moved, key)
@@ -171,11 +183,11 @@ def rollout(
         The last states (M, ...), and the records (steps, M, ...).
     """
 
-    def one(before: State, _: None) -> tuple[State, PyTree]:
+    def step_and_record(before: State, _: None) -> tuple[State, PyTree]:
         after, actions = policy_step(team, policy, before)
         return after, jax.vmap(record)(before, after, actions)
 
-    return jax.lax.scan(one, init_policy(team, policy, reset(team, key)), length=steps)
+    return jax.lax.scan(step_and_record, init_policy(team, policy, reset(team, key)), length=steps)
 
 
 def results(team: Stack[Scenario], states: State) -> dict[str, Array]:
@@ -190,35 +202,32 @@ def is_over(states: State) -> Array:
 
 def one_each(policies: Sequence[PolicyLike]) -> Policy:
     """The policy of a team whose robots have these, in order; all of them are computed for each robot."""
-    each = tuple(map(as_policy, policies))
-    names = ",".join(policy.name for policy in each)
-    parts = tuple(replace(policy, params=()) for policy in each)
-    return Policy(tuple(policy.params for policy in each), names, _OfEach("init", parts), _OfEach("apply", parts))
+    several = tuple(map(as_policy, policies))
+    names = ",".join(policy.name for policy in several)
+    static = tuple(replace(policy, params=()) for policy in several)
+    params = tuple(policy.params for policy in several)
+    return Policy(params, names, _OfEach("init", static), _OfEach("apply", static))
 
 
+@dataclass(frozen=True)
 class _OfEach:
     """``Policy.init`` or ``Policy.apply`` of robots with policies of their own."""
 
-    def __init__(self, name: str, policies: tuple[Policy, ...]):
-        self.name, self.policies = name, policies
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _OfEach) and (self.name, self.policies) == (other.name, other.policies)
-
-    def __hash__(self) -> int:
-        return hash((self.name, tuple((policy.init, policy.apply) for policy in self.policies)))
+    name: str
+    policies: tuple[Policy, ...]  # without parameters
 
     def __call__(self, scenario: Scenario, params: tuple, state: State, *key: Array) -> Any:
         if self.name == "init":
-            each = zip(self.policies, params, strict=True)
-            return tuple(policy.init(scenario, own, state) for policy, own in each)
-        results = [
-            policy.apply(scenario, own, replace(state, policy_state=memory), *key)
-            for policy, own, memory in zip(self.policies, params, state.policy_state, strict=True)
-        ]
-        actions = jnp.stack([action for action, _ in results])
-        number = jnp.asarray(0, jnp.int32) if scenario.robot_number is None else scenario.robot_number
-        return actions[number], tuple(memory for _, memory in results)
+            pairs = zip(self.policies, params, strict=True)
+            return tuple(policy.init(scenario, own_params, state) for policy, own_params in pairs)
+        actions, memories = [], []
+        for policy, own_params, memory in zip(self.policies, params, state.policy_state, strict=True):
+            own_state = replace(state, policy_state=memory)
+            action, memory = policy.apply(scenario, own_params, own_state, *key)
+            actions.append(action)
+            memories.append(memory)
+        index = jnp.asarray(0, jnp.int32) if scenario.robot_number is None else scenario.robot_number
+        return jnp.stack(actions)[index], tuple(memories)
 
 
 def _radii(team: Stack[Scenario]) -> Float[Array, "M"]:
