@@ -194,8 +194,8 @@ def _kernel(shape: _PairsShape, number: Any, *references: Any) -> None:
     if runs:
         order, first, last, x, y = runs
         person = order.at(place)
-        ends = ([row.at(run * people + place) for run in range(3)] for row in (first, last))
-        others = _Runs(*ends, place, people, order.at)
+        begins, ends = ([row.at(run * people + place) for run in range(3)] for row in (first, last))
+        others = _Runs(begins, ends, place, people, order.at)
     else:
         person = place
         others = _All(place, people)

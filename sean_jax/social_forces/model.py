@@ -153,12 +153,12 @@ def integrate(
         gaze = reactions.gaze(people, nearest)
 
     # A semi-implicit Euler step: positions follow from the new velocities, which obstacles have bounded.
-    crowd = Crowd(forces, people, *look_direction(people), obstacle_grid, groups, robot, robot_radius, companions)
-    ax, ay = _accelerations(crowd, near)
+    px, py = people.position[:, 0], people.position[:, 1]
     vx, vy = people.velocity[:, 0], people.velocity[:, 1]
+    crowd = Crowd(forces, people, *look_direction(people), obstacle_grid, groups, robot, robot_radius, companions)
+    ax, ay = _accelerations(crowd, near, vx, vy)
     vx, vy = walking.limit_speed(vx + ax * time_step, vy + ay * time_step, people.preferred_speed)
     if obstacle_grid is not None:
-        px, py = people.position[:, 0], people.position[:, 1]
         friction = _wall_friction(forces)
         vx, vy = project_velocity(px, py, vx, vy, obstacle_grid, walking.radius, time_step, friction)
         vx, vy = jax.lax.optimization_barrier((vx, vy))  # XLA for a GPU would compute both twice: for x and for y
@@ -171,14 +171,16 @@ def integrate(
     return replace(people, position=position, velocity=velocity, heading=heading, desired_velocity=desired_velocity)
 
 
-def _accelerations(crowd: Crowd, near: Neighbors | None) -> tuple[Float[Array, "N"], Float[Array, "N"]]:
+def _accelerations(
+    crowd: Crowd, near: Neighbors | None, vx: Float[Array, "N"], vy: Float[Array, "N"]
+) -> tuple[Float[Array, "N"], Float[Array, "N"]]:
     """The accelerations [m/s2] by the desired velocity and all forces, bounded but for what others push."""
     people = crowd.people
     walking = crowd.forces.walking
     fx, fy, push_x, push_y = _forces(crowd, near)
     relaxation_time = walking.relaxation(people)
-    ax = (people.desired_velocity[:, 0] - people.velocity[:, 0]) / relaxation_time + fx
-    ay = (people.desired_velocity[:, 1] - people.velocity[:, 1]) / relaxation_time + fy
+    ax = (people.desired_velocity[:, 0] - vx) / relaxation_time + fx
+    ay = (people.desired_velocity[:, 1] - vy) / relaxation_time + fy
 
     ax, ay = walking.bound(ax - push_x, ay - push_y)
     return ax + push_x, ay + push_y
@@ -188,18 +190,16 @@ def _forces(crowd: Crowd, near: Neighbors | None) -> tuple[Array, Array, Array |
     """The sum of all forces (N,) [m/s2], and those of pair terms alone."""
     heading = crowd.people.heading
     damp = crowd.forces.walking.damp
-    damped, undamped = [], []
-    for term in crowd.forces.person_terms:
-        forces = damped if getattr(term, "damped", True) else undamped
-        forces.append(_person_force(term, crowd))
-
+    terms = crowd.forces.person_terms
     pushes, acts = pair_forces(crowd, near)
+    damped = [_person_force(term, crowd) for term in terms if getattr(term, "damped", True)]
     force = _add_up([pushes, acts, *damped])
     if force is not None:
         force = damp(*force, heading)
     if pushes is not None:
         pushes = damp(*pushes, heading)
 
+    undamped = [_person_force(term, crowd) for term in terms if not getattr(term, "damped", True)]
     force = _add_up([force, *undamped])
     zero = jnp.zeros_like(crowd.look_x)
     fx, fy = (zero, zero) if force is None else force
@@ -247,6 +247,7 @@ def pair_forces(crowd: Crowd, near: Neighbors | None = None) -> tuple[Force | No
     forces = crowd.forces
     if not forces.pair_terms and not forces.gather_terms:
         return None, None
+    own, other = _rows(crowd)
     known = cutoff(forces)
     shared = SharedTerms(
         pair_terms=tuple(term for term in forces.pair_terms if not isinstance(term, Contact)),
@@ -255,7 +256,6 @@ def pair_forces(crowd: Crowd, near: Neighbors | None = None) -> tuple[Force | No
         walking=forces.walking,
         reach=jnp.minimum(forces.walking.perception if known is None else known, 0.1 * ABSENT),
     )
-    own, other = _rows(crowd)
     force, sums = checkpoint_name(sum_pairs(_pair_law, near, shared.reach, shared, own, other), SUMS)
 
     robot = forces.get(RobotRepulsion)
@@ -284,6 +284,8 @@ class SharedTerms(NamedTuple):
 def _rows(crowd: Crowd) -> tuple[tuple[Float[Array, "N"], ...], tuple[Float[Array, "N"], ...]]:
     """The rows of ``_pair_law``: of people as persons, and of people as the others."""
     forces, people = crowd.forces, crowd.people
+    evasion = forces.get(Evasion)
+    factors = (1.0, 0.0, 1.0) if evasion is None else evasion.individual(people)
     group = people.group
     if crowd.companions is not None and forces.get(Cohesion) is not None:
         in_walking_group = (group < 0) & (people.walking_group >= 0)
@@ -297,8 +299,6 @@ def _rows(crowd: Crowd) -> tuple[tuple[Float[Array, "N"], ...], tuple[Float[Arra
     own = *other[:-1], own_group, *shape, crowd.look_x, crowd.look_y, is_standing(people).astype(float)
 
     # Factors of ``Evasion`` are rows only if people differ.
-    evasion = forces.get(Evasion)
-    factors = (1.0, 0.0, 1.0) if evasion is None else evasion.individual(people)
     factors = factors[: 2 if people.reaction is None else 3]
     if any(not isinstance(factor, float) for factor in factors):
         own = *own, *(jnp.broadcast_to(jnp.asarray(factor, float), people.present.shape) for factor in factors)

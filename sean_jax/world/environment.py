@@ -19,7 +19,7 @@ from sean_jax.core.bounds import MAX_COORDINATE, MAX_FLOOR_SIDE, MAX_OBSTACLES, 
 from sean_jax.core.data_types import PATTERNS, Array, Environment, Obstacles, Scenery, Solids
 from sean_jax.core.devices import to_device
 from sean_jax.core.errors import FileError, InputError
-from sean_jax.core.geometry import build_obstacle_grid, rotate, signed_distances, signed_distances_on_host
+from sean_jax.core.geometry import build_obstacle_grid, signed_distances, signed_distances_on_host
 from sean_jax.io import files
 from sean_jax.io.files import mjcf
 
@@ -256,8 +256,10 @@ def _is_covered(start: Float[np.ndarray, "2"], way: Float[np.ndarray, "2"], boxe
     cosine, sine = np.cos(boxes[:, 4]), np.sin(boxes[:, 4])
     half = boxes[:, 2:4] + MAX_SEAM
     dx, dy = (start - boxes[:, :2]).T
-    start = np.stack(rotate(dx, dy, cosine, -sine), -1)  # (W, 2), in the frame of each box
-    way = np.stack(rotate(way[0], way[1], cosine, -sine), -1)
+
+    # In the frame of each box, (W, 2).
+    start = np.stack([cosine * dx + sine * dy, cosine * dy - sine * dx], -1)
+    way = np.stack([cosine * way[0] + sine * way[1], cosine * way[1] - sine * way[0]], -1)
 
     # The shares of the way where each box begins and ends; along a side of its frame, all or none.
     with np.errstate(divide="ignore", invalid="ignore"):

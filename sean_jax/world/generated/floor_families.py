@@ -74,7 +74,8 @@ class Floor:
         point = (lambda along: (along, across)) if along_x else (lambda along: (across, along))
         for middle in doors:
             self._wall_between(point, start, middle - door / 2)
-            self.clear.append((*point(middle), 0.5 * door + GAP))
+            x, y = point(middle)
+            self.clear.append((x, y, 0.5 * door + GAP))
             start = middle + door / 2
         self._wall_between(point, start, end)
 

@@ -14,7 +14,7 @@ from scipy.sparse.csgraph import connected_components
 from sean_jax.core.data_types import FAR, Array, Environment, Obstacles
 from sean_jax.core.devices import to_device
 from sean_jax.core.errors import InputError
-from sean_jax.core.geometry import rotate, signed_distances_on_host
+from sean_jax.core.geometry import signed_distances_on_host
 from sean_jax.core.padding import FlatTable, flat_table, in_programs
 from sean_jax.io import cache
 from sean_jax.world import environment as environments
@@ -145,7 +145,7 @@ def _make(environment: Environment, radius: float, cell: float | None) -> dict[s
     floor = np.asarray(environment.floor)
     cell = _default_cell(floor) if cell is None else cell
     n_cells = np.ceil((floor[2:] - floor[:2]) / cell).astype(int)
-    middles = floor[:2] + (np.indices(n_cells).reshape(2, -1).T + 0.5) * cell
+    middles = floor[:2] + (np.indices(tuple(n_cells)).reshape(2, -1).T + 0.5) * cell
     spots = np.concatenate([places, middles.astype(np.float32)])
     shared = in_programs(boxes), in_programs(arcs), jnp.asarray(radius, float)
     visible = map_in_batches(_visible_arcs, shared, spots)[:, :n_arcs]
@@ -400,7 +400,8 @@ def common_tangents(arcs: CornerArcs, radius: float) -> CommonTangents:
 
 def _rotated(vectors: Float[np.ndarray, "*batch 2"], angle: Float[np.ndarray, "..."]) -> Float[np.ndarray, "*batch 2"]:
     x, y = vectors[..., 0], vectors[..., 1]
-    return np.stack(rotate(x, y, np.cos(angle), np.sin(angle)), -1)
+    cosine, sine = np.cos(angle), np.sin(angle)
+    return np.stack([cosine * x - sine * y, sine * x + cosine * y], -1)
 
 
 def _touch_angle(middle: np.ndarray, side: np.ndarray, right: np.ndarray) -> np.ndarray:

@@ -13,7 +13,6 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 
 from sean_jax.core.data_types import Environment
-from sean_jax.core.geometry import rotate
 
 ROUNDING = 1e-6  # m, of corners
 SAME = 5e-6  # m, nearer corners are one, and a segment passes through a corner that is nearer to it
@@ -70,7 +69,11 @@ def _obstacles(boxes: Boxes) -> Iterator[Boxes]:
 def _to_frame(boxes: Boxes, points: Float[np.ndarray, "*points 2"]) -> Float[np.ndarray, "2 ..."]:
     """The points [m], which broadcast with the boxes, in the frame of their box."""
     x, y = np.moveaxis(points - boxes.center, -1, 0)
-    return np.stack(rotate(x, y, boxes.cosine, -boxes.sine))
+    return _rotated(x, y, boxes.cosine, -boxes.sine)
+
+
+def _rotated(x: np.ndarray, y: np.ndarray, cosine: np.ndarray, sine: np.ndarray) -> np.ndarray:
+    return np.stack([cosine * x - sine * y, sine * x + cosine * y])
 
 
 def _cross(u: Float[np.ndarray, "*us 2"], v: Float[np.ndarray, "*vs 2"]) -> Float[np.ndarray, "..."]:
@@ -97,7 +100,7 @@ def _clearance_of_batch(boxes: Boxes, points: Float[np.ndarray, "P 2"]) -> Float
 def _corners(boxes: Boxes) -> Float[np.ndarray, "K 2"]:
     """The corners [m] of boxes, and where sides of two of them meet, as far as they are free, in order, each once."""
     x, y = (boxes.half[:, None] * CORNERS).T  # (4, W)
-    offsets = np.stack(rotate(x, y, boxes.cosine, boxes.sine))
+    offsets = _rotated(x, y, boxes.cosine, boxes.sine)  # (2, 4, W)
     corners = boxes.center[:, None] + offsets.T  # (W, 4, 2)
     following = np.roll(corners, -1, 1)
     sides = Segments(corners.reshape(-1, 2), following.reshape(-1, 2))
@@ -224,9 +227,10 @@ def _crosses_any(corners: Float[np.ndarray, "K 2"], a: int, b: int, edges: Int[n
     apart = (c != a) & (c != b) & (d != a) & (d != b)
 
     # They cross if the ends of each lie on different sides of the other.
-    a, b, c, d = corners[a], corners[b], corners[c], corners[d]
-    crosses = _left_of(a, b, c) != _left_of(a, b, d)
-    crosses &= _left_of(c, d, a) != _left_of(c, d, b)
+    start, end = corners[a], corners[b]
+    starts, ends = corners[c], corners[d]  # (E, 2)
+    crosses = _left_of(start, end, starts) != _left_of(start, end, ends)
+    crosses &= _left_of(starts, ends, start) != _left_of(starts, ends, end)
     return bool((apart & crosses).any())
 
 
