@@ -62,7 +62,8 @@ class Flag:
         """The field of tyro's dataclass; without its flag it is None, [] if repeatable, False for a switch."""
         import tyro
 
-        kind, default = self.kind, {}
+        kind: Any = self.kind
+        default: dict[str, Any] = {}
         if self.positional:
             kind = tyro.conf.Positional[kind]
         elif self.repeatable:

@@ -123,7 +123,7 @@ def draw_obstacles(axes: Axes, environment: Environment) -> None:
 def _box_outlines(boxes: Obstacles) -> list[np.ndarray]:
     """(4, 2) m, the corners of each box."""
     signs = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]], float)
-    u, v = np.moveaxis(boxes.half_extent[:, None] * signs, -1, 0)  # (K, 4) each
+    u, v = np.moveaxis(np.asarray(boxes.half_extent)[:, None] * signs, -1, 0)  # (K, 4) each
     cosine, sine = np.cos(boxes.yaw)[:, None], np.sin(boxes.yaw)[:, None]
     center_x, center_y = boxes.center.T[..., None]
     x = center_x + cosine * u - sine * v

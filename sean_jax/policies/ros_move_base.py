@@ -282,8 +282,14 @@ def next_progress(
     progress = _count_plans(progress, clearing, planned, time_step)
     progress, drives = _count_commands(progress, clearing, valid, arrived, time_step)
     status, retries, recovery, by_planning, invalid_ticks = progress
-    whole = [number.astype(jnp.int32) for number in (status, retries, recovery, invalid_ticks)]
-    return MoveBaseProgress(*whole[:3], by_planning, whole[3]), drives, turns
+    after = MoveBaseProgress(
+        status.astype(jnp.int32),
+        retries.astype(jnp.int32),
+        recovery.astype(jnp.int32),
+        by_planning,
+        invalid_ticks.astype(jnp.int32),
+    )
+    return after, drives, turns
 
 
 def _recover(progress: MoveBaseProgress, clearing: Array) -> MoveBaseProgress:

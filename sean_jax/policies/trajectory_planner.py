@@ -176,8 +176,10 @@ def score_trajectories(
     zeros, none = jnp.zeros_like(commands[0]), jnp.zeros_like(commands[0], jnp.int32)
     place = (robot.position - window.origin) / window.cell
     yaw = jnp.arctan2(robot.heading[1], robot.heading[0])
-    start = [zeros + value for value in (place[0], place[1], yaw, robot.speed, robot.turn_rate)]
-    last, _ = jax.lax.scan(drive, TrajectoryPoint(*start, zeros, none, none), length=POINTS)
+    start = TrajectoryPoint(
+        zeros + place[0], zeros + place[1], zeros + yaw, zeros + robot.speed, zeros + robot.turn_rate, zeros, none, none
+    )
+    last, _ = jax.lax.scan(drive, start, length=POINTS)
 
     path_cost = params.path * window.cell * path[last.cell]
     goal_cost = params.goal * window.cell * goal[last.cell]
@@ -323,11 +325,11 @@ def _best_spin(best: Array, cost: Array, score: Array, to_look: Array, allowed: 
     """
 
     def compare(best: tuple[Array, Array, Array], spin: tuple[Array, ...]) -> tuple[tuple, None]:
-        *spin, is_allowed = spin
-        _, spin_cost, spin_look = spin
+        *candidate, is_allowed = spin
+        _, spin_cost, spin_look = candidate
         _, cost, look = best
         better = is_allowed & jnp.isfinite(spin_cost) & (spin_cost <= cost) & (spin_look < look)
-        return tuple(jnp.where(better, new, old) for new, old in zip(spin, best, strict=True)), None
+        return tuple(jnp.where(better, new, old) for new, old in zip(candidate, best, strict=True)), None
 
     number = jnp.arange(MOVING, MOVING + TURN_RATE_SAMPLES, dtype=jnp.int32)
     begin = best, cost, jnp.asarray(jnp.inf, score.dtype)

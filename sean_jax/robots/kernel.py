@@ -174,5 +174,5 @@ def _worse(first: Violation, second: Violation) -> Violation:
     """The more violated of two contacts, of equal ones that of the lower index; with the lower bound of both."""
     same = second.excess == first.excess
     wins = (second.excess > first.excess) | (same & (second.index < first.index))
-    chosen = (jnp.where(wins, new, old) for new, old in zip(second[:-1], first[:-1], strict=True))
-    return Violation(*chosen, jnp.minimum(first.bound, second.bound))
+    excess, index, nx, ny = (jnp.where(wins, new, old) for new, old in zip(second[:-1], first[:-1], strict=True))
+    return Violation(excess, index, nx, ny, jnp.minimum(first.bound, second.bound))

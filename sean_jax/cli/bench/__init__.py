@@ -331,9 +331,10 @@ def _memory_notes(rows: list[Row], memory: int) -> list[str]:
 
 def _device_notes(rows: list[Row]) -> list[str]:
     """How much faster several devices are than one."""
-    first, *others = [row for row in rows if row.part == "devices"] or [None]
+    measured = [row for row in rows if row.part == "devices"]
     lines = []
-    for row in others:
+    for row in measured[1:]:
+        first = measured[0]
         share = row.per_second / first.per_second
         lines.append(f"{row.devices} devices: {share:.2f} times one ({100 * share / row.devices:.0f} % of each).")
     return lines

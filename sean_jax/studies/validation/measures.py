@@ -15,7 +15,6 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from numpy.lib.stride_tricks import sliding_window_view
 
-from sean_jax.core.data_types import Array
 from sean_jax.people.recordings import Tracks
 from sean_jax.social_forces.forces import Walking
 from sean_jax.studies.scenes import Gate, Scene
@@ -81,7 +80,7 @@ def vanishing_times(tracks: Tracks) -> Float[np.ndarray, "N"]:
     return np.where(present.any(0) & ~present[-1], (last + 1) * tracks.time_step, np.inf)
 
 
-def flow(times: Float[np.ndarray, "*batch N"], shortest: float = 1e-9) -> Float[Array, "*batch"]:
+def flow(times: Float[Any, "*batch N"], shortest: float = 1e-9) -> Float[Any, "*batch"]:
     """The mean flow [people/s] from 20 to 80 % of the crossing times (..., N) s, inf of none; NaN with fewer than 3.
 
     Args:
@@ -141,7 +140,7 @@ def speeds(tracks: Tracks) -> np.ndarray:
     return np.where(present[1:] & present[:-1], step, np.nan)
 
 
-def steps_along(x: Float[Array, "T N"], period: Float[Array, ""] | float) -> Float[Array, "S N"]:
+def steps_along(x: Float[Any, "T N"], period: Float[Any, ""] | float) -> Float[Any, "S N"]:
     """(T - 1, N) m along x between moments, from positions (T, N) m in a periodic scene; arrays of numpy or JAX."""
     xp = namespace(x)
     step = xp.diff(x, axis=0)
@@ -206,11 +205,11 @@ def area_series(
 
 
 def densities(
-    position: Float[Array, "*T N 2"],
-    present: Bool[Array, "*T N"],
+    position: Float[Any, "*T N 2"],
+    present: Bool[Any, "*T N"],
     lower: tuple[float, float],
     upper: tuple[float, float],
-) -> Float[Array, "*T"]:
+) -> Float[Any, "*T"]:
     """(...) 1/m2: people in a rectangle from ``lower`` to ``upper`` [m], over its area; arrays of numpy or JAX."""
     xp = namespace(position)
     area = (upper[0] - lower[0]) * (upper[1] - lower[1])
@@ -219,7 +218,7 @@ def densities(
     return (after_lower & before_upper & present).sum(-1).astype(float) / area
 
 
-def peak(values: Float[Array, "*batch T"], span: int) -> Float[Array, "*batch"]:
+def peak(values: Float[Any, "*batch T"], span: int) -> Float[Any, "*batch"]:
     """The largest mean of ``span`` values in sequence, or of all if they are fewer."""
     span = min(span, np.shape(values)[-1])
     total = np.cumsum(values, axis=-1, dtype=float)
@@ -228,11 +227,11 @@ def peak(values: Float[Array, "*batch T"], span: int) -> Float[Array, "*batch"]:
 
 
 def lane_order(
-    across: Float[Array, "*T N"],
-    direction: Float[Array, "*T N"] | Float[Array, "N"],
-    present: Bool[Array, "*T N"],
+    across: Float[Any, "*T N"],
+    direction: Float[Any, "*T N"] | Float[Any, "N"],
+    present: Bool[Any, "*T N"],
     width: float = LANE,
-) -> Float[Array, "*T"]:
+) -> Float[Any, "*T"]:
     """(...) from 0 to 1: order of the lanes of people in two directions; NaN without people.
 
     The mean over people of ((s - o) / n)^2, where of the n people within ``width`` m across the corridor, themselves
@@ -257,7 +256,7 @@ def lane_order(
     return xp.where(people > 0.0, mean, xp.nan)
 
 
-def separation(a: Float[Array, "T *shape 2"], b: Float[Array, "T *shape 2"]) -> Float[Array, "*shape"]:
+def separation(a: Float[Any, "T *shape 2"], b: Float[Any, "T *shape 2"]) -> Float[Any, "*shape"]:
     """(...) m: the least distance of two bodies (T, ..., 2) m; between moments both move straight on."""
     xp = namespace(a)
     gap = xp.asarray(a, float) - xp.asarray(b, float)
@@ -269,12 +268,12 @@ def separation(a: Float[Array, "T *shape 2"], b: Float[Array, "T *shape 2"]) -> 
 
 
 def body_gaps(
-    position: Float[Array, "*T N 2"],
-    facing: Float[Array, "*T N 2"],
-    present: Bool[Array, "*T N"],
+    position: Float[Any, "*T N 2"],
+    facing: Float[Any, "*T N 2"],
+    present: Bool[Any, "*T N"],
     walking: Walking,
-    group: Int[Array, "*T N"] | None = None,
-) -> Float[Array, "*T N N"]:
+    group: Int[Any, "*T N"] | None = None,
+) -> Float[Any, "*T N N"]:
     """(..., N, N) m between the surfaces of bodies, negative if they overlap; inf to oneself and to who does not count.
 
     Args:
@@ -324,7 +323,7 @@ def spans_of_pairs(present: Bool[np.ndarray, "T N"]) -> Iterator[slice]:
         yield slice(first, first + span)
 
 
-def deviation_in_time(speed: Float[Array, "*batch T N"]) -> Float[Array, "*batch"]:
+def deviation_in_time(speed: Float[Any, "*batch T N"]) -> Float[Any, "*batch"]:
     """The standard deviation [m/s] of a person's speed (..., T, N) m/s in time, root mean square over people.
 
     NaN does not count; arrays of numpy or JAX.
@@ -333,7 +332,7 @@ def deviation_in_time(speed: Float[Array, "*batch T N"]) -> Float[Array, "*batch
     return xp.sqrt(xp.nanmean(xp.nanvar(speed, axis=-2), axis=-1))
 
 
-def accelerations(velocity: Float[Array, "*batch T N 2"], time_step: float) -> Float[Array, "*batch R N"]:
+def accelerations(velocity: Float[Any, "*batch T N 2"], time_step: float) -> Float[Any, "*batch R N"]:
     """(..., T - 1, N) m/s2, from velocities (..., T, N, 2) m/s at moments ``time_step`` s apart; of numpy or JAX."""
     xp = namespace(velocity)
     change = xp.diff(velocity, axis=-3)

@@ -1,7 +1,7 @@
 """Pictures of ``sean validate``: the paths of people between walls, and curves of models beside measured ones."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float
@@ -123,7 +123,7 @@ def plot(curves: Sequence[Curve], labels: tuple[str, str]) -> "Figure":
         color = colors.MUTED if curve.reference else shades[curve.name]
         line = "none" if curve.points else "--" if curve.reference else "-"
         marker = "o" if curve.points or not curve.reference else ""
-        style = dict(color=color, linestyle=line, marker=marker, markersize=4, linewidth=1.6)
+        style: Any = dict(color=color, linestyle=line, marker=marker, markersize=4, linewidth=1.6)
         axes.plot(curve.x, curve.y, label=curve.name, **style)
 
     axes.set_xlabel(labels[0], color=colors.MUTED)
