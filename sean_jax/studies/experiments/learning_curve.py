@@ -29,7 +29,7 @@ from sean_jax.studies.experiments.figure4 import (
     mean_training,
     scenarios,
 )
-from sean_jax.studies.experiments.measures import BOUNDS, MEAN, MEASURES, episode_rows
+from sean_jax.studies.experiments.measures import BOUNDS, MEAN, MEASURES, Variant, episode_rows
 from sean_jax.studies.experiments.results_table import (
     ALL,
     Estimates,
@@ -48,41 +48,6 @@ if TYPE_CHECKING:
 CURVE_BOUNDS = {**BOUNDS, "completed": (0.0, 100.0)}  # in percent
 BETTER = {"completed": 1.0, "time_not_moving": -1.0, "violations": -1.0}  # the sign of an improvement
 KEYS = "policy", "behavior", "measure"  # of the estimates; the policy is the name of a variant
-
-
-@dataclasses.dataclass(frozen=True)
-class Variant:
-    """The demonstrations of networks, and whether the situations are an input."""
-
-    hours: float
-    rate: int = 1  # examples per second
-    flags: bool = False
-
-    @property
-    def data(self) -> str:
-        """A name of the demonstrations."""
-        return f"{number(self.hours)}h" + (f"-{self.rate}hz" if self.rate != 1 else "")
-
-    @property
-    def name(self) -> str:
-        """A name for files."""
-        return self.data + ("-flags" if self.flags else "")
-
-    @property
-    def title(self) -> str:
-        """A name for people."""
-        more = (f" at {self.rate} Hz" if self.rate != 1 else "") + (" with flags" if self.flags else "")
-        return f"{number(self.hours)} h{more}"
-
-    @property
-    def examples(self) -> float:
-        """Their number, not counting the excess of the last episodes."""
-        return 3600.0 * self.hours * self.rate
-
-    @property
-    def is_plain(self) -> bool:
-        """Whether it has more hours alone."""
-        return self.rate == 1 and not self.flags
 
 
 def run_learning_curve(options: LearningCurveConfig, console: Console | None = None) -> Path:

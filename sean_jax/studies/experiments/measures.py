@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from sean_jax.config.flags import number
 from sean_jax.io import files
 from sean_jax.metrics import Estimate
 from sean_jax.metrics.bootstrap import hierarchical_resamples, of_share
@@ -222,3 +223,41 @@ def _mean(
         sum(means[policy, behavior, measure, name] for name in names) for policy in policies for behavior in behaviors
     ]
     return (100.0 if measure == "completed" else 1.0) * np.mean(values, 0)
+
+
+# ------------------------------------------------------------------ the learning curve
+
+
+@dataclasses.dataclass(frozen=True)
+class Variant:
+    """The demonstrations of networks, and whether the situations are an input."""
+
+    hours: float
+    rate: int = 1  # examples per second
+    flags: bool = False
+
+    @property
+    def data(self) -> str:
+        """A name of the demonstrations."""
+        return f"{number(self.hours)}h" + (f"-{self.rate}hz" if self.rate != 1 else "")
+
+    @property
+    def name(self) -> str:
+        """A name for files."""
+        return self.data + ("-flags" if self.flags else "")
+
+    @property
+    def title(self) -> str:
+        """A name for people."""
+        more = (f" at {self.rate} Hz" if self.rate != 1 else "") + (" with flags" if self.flags else "")
+        return f"{number(self.hours)} h{more}"
+
+    @property
+    def examples(self) -> float:
+        """Their number, not counting the excess of the last episodes."""
+        return 3600.0 * self.hours * self.rate
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether it has more hours alone."""
+        return self.rate == 1 and not self.flags

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from sean_jax.metrics import Estimate
-    from sean_jax.studies.experiments.learning_curve import Variant
+    from sean_jax.studies.experiments.measures import Variant
     from sean_jax.studies.experiments.ranks import Ranking
     from sean_jax.studies.experiments.results_table import Estimates, Table
     from sean_jax.studies.experiments.scores import Scores
@@ -265,10 +265,8 @@ def _orderings(by_policy: dict[str, dict[str, np.ndarray]]) -> list[str]:
 
 # ------------------------------------------------------------------ ablation
 
-Tables = Mapping[str, dict[str, dict[str, np.ndarray]]]  # world -> policy -> behavior -> (1 + R, 6) shares
 
-
-def ablation(options: AblationConfig, tables: Tables, references: Mapping[str, str], picture: Figure) -> str:
+def ablation(options: AblationConfig, tables: shares.Tables, references: Mapping[str, str], picture: Figure) -> str:
     """The page of Table I in several worlds.
 
     Args:
@@ -284,7 +282,7 @@ def ablation(options: AblationConfig, tables: Tables, references: Mapping[str, s
     return document("Table I: which of SEAN's conditions moves what", sections("ablation", blocks), options)
 
 
-def _worlds(tables: Tables, references: Mapping[str, str], behavior: str, policy: str) -> str:
+def _worlds(tables: shares.Tables, references: Mapping[str, str], behavior: str, policy: str) -> str:
     """The paper's shares, and those of each world: bold where they differ from the reference's."""
     figures = {world: _figures(by_policy[policy][behavior]) for world, by_policy in tables.items()}
     paper = shares.paper()[behavior]
@@ -302,7 +300,7 @@ def _worlds(tables: Tables, references: Mapping[str, str], behavior: str, policy
     return table([f"{behavior} · {policy}", *TITLES], rows)
 
 
-def _changed_orderings(tables: Tables, references: Mapping[str, str], policy: str) -> str:
+def _changed_orderings(tables: shares.Tables, references: Mapping[str, str], policy: str) -> str:
     """In how many percent of the resamples each ordering holds: bold where a switch reverses it."""
     by_world = {world: shares.orderings(by_policy[policy]) for world, by_policy in tables.items()}
     rows = []

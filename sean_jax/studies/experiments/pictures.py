@@ -23,11 +23,10 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
     from sean_jax.metrics import Estimate
-    from sean_jax.studies.experiments.learning_curve import Variant
-    from sean_jax.studies.experiments.page import Tables
+    from sean_jax.studies.experiments.measures import Variant
     from sean_jax.studies.experiments.ranks import Row
     from sean_jax.studies.experiments.results_table import Estimates
-    from sean_jax.studies.experiments.shares import Shares
+    from sean_jax.studies.experiments.shares import Shares, Tables
 
 
 STYLE = {

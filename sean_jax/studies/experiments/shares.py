@@ -58,6 +58,7 @@ GROUPS = "join_group", "leave_group"  # unknown where groups are not annotated
 UNITS = "dataset", "episode"  # a stream of the protocol and a chain of it; or a person, of one dataset
 SHARE, EXAMPLES, COMPLETED = "share", "examples", "completed"  # measures; a chain has shares, and a person examples
 Shares = dict[Labels, np.ndarray]  # labels -> (1 + R, 6) shares of ``FIVE`` in all examples and in R resamples of them
+Tables = Mapping[str, dict[str, dict[str, np.ndarray]]]  # world -> policy -> behavior -> (1 + R, 6) shares
 
 
 # ------------------------------------------------------------------ statistics
