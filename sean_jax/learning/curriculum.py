@@ -428,7 +428,7 @@ def _look_ahead(env: mdp.Env, plan: CurriculumPlan, policy: PolicyLike, start: m
     """(S,) s in each situation, and () s of all, from one start."""
     scenario = env.scenario_of(start.randomization)
 
-    def advance(carry: tuple[State, Array, Array], tick: None) -> tuple[tuple[State, Array, Array], None]:
+    def advance(carry: tuple[State, Array, Array], step: None) -> tuple[tuple[State, Array, Array], None]:
         before, occurs, seconds = carry
         after, _ = policy_step(scenario, policy, before)
         duration = jnp.where(before.completed | before.timed_out, 0.0, scenario.time_step).astype(jnp.float32)

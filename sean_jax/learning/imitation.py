@@ -160,8 +160,8 @@ def _train(training: Training, tell: Progress) -> TrainState:
 
     def advance(state: TrainState) -> tuple[TrainState, Report]:
         start = time.time()
-        state, training_loss, validation_loss = epoch(state)
-        return state, _report(options, state, training_loss, validation_loss, time.time() - start)
+        state, training_losses, validation_losses = epoch(state)
+        return state, _report(options, state, training_losses, validation_losses, time.time() - start)
 
     # Checkpoints hold the networks that were trained in parallel, here one.
     loop = Loop(

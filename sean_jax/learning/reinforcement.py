@@ -312,6 +312,7 @@ def update(context: Context, envs: Envs, state: TrainState) -> tuple[TrainState,
     limits, number = context.options.cost_limits, state.update + 1
     hyperparameters = scheduled(context, state)
     advance = functools.partial(update_agent, context, envs, number)
+    assert state.rows is not None
     inputs = state.agent, state.optimizer, state.rows, state.curriculum, context.keys, hyperparameters
     agent, optimizer, rows, curriculum, metrics = jax.vmap(advance)(*inputs)
 
@@ -378,6 +379,7 @@ def update_agent(
 
 def refill(context: Context, envs: Envs, state: TrainState) -> TrainState:
     """The state with new starts in the places of the least useful ones."""
+    assert state.curriculum is not None
     renew = functools.partial(refill_agent, context, envs, state.update)
     return replace(state, curriculum=jax.vmap(renew)(state.agent, state.curriculum, context.curriculum_keys))
 

@@ -222,7 +222,7 @@ def _mean(
     values = [
         sum(means[policy, behavior, measure, name] for name in names) for policy in policies for behavior in behaviors
     ]
-    return (100.0 if measure == "completed" else 1.0) * np.mean(values, 0)
+    return (100.0 if measure == "completed" else 1.0) * np.mean(np.asarray(values), 0)
 
 
 # ------------------------------------------------------------------ the learning curve

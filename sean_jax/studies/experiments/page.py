@@ -41,7 +41,6 @@ if TYPE_CHECKING:
     from sean_jax.studies.experiments.measures import Variant
     from sean_jax.studies.experiments.ranks import Ranking
     from sean_jax.studies.experiments.results_table import Estimates, Table
-    from sean_jax.studies.experiments.scores import Scores
 
 TEXTS = files.read_yaml(Path(__file__).with_name("captions.yaml"))[1]
 PIVOTS = TEXTS["pivots"]
@@ -229,7 +228,8 @@ def _shares_of_flags(samples: np.ndarray) -> list[str | Cell]:
         if isinstance(cell, Cell):
             columns[k] = cell._replace(text=f"{cell.text} ({100 * samples[0, k]:.1f})")
     entropy = shares.entropy(samples)
-    return [*columns, f"{100 * samples[0, 5]:.1f}", _interval(entropy[0], *shares.interval(entropy), ".3f")]
+    low, high = shares.interval(entropy)
+    return [*columns, f"{100 * samples[0, 5]:.1f}", _interval(entropy[0], float(low), float(high), ".3f")]
 
 
 def _percents(samples: np.ndarray) -> list[str | Cell]:
@@ -319,9 +319,9 @@ def _changed_orderings(tables: shares.Tables, references: Mapping[str, str], pol
 
 def benchmark(
     options: BenchmarkConfig,
-    whole: Scores,
-    by_group: dict[str, Scores],
-    by_track: dict[str, Scores],
+    whole: Estimates,
+    by_group: dict[str, Estimates],
+    by_track: dict[str, Estimates],
     skipped: str,
 ) -> str:
     """The page of a benchmark.

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from sean_jax.studies.experiments.shares import Shares, Tables
 
 
-STYLE = {
+STYLE: Any = {
     "font.size": 9,
     "figure.facecolor": colors.PAPER,
     "axes.facecolor": colors.PAPER,

@@ -137,8 +137,10 @@ def _pairs(entries: list[Entry], sums: Sums, tracks: list[str]) -> list[Pair]:
     """The differences of all pairs of a class, with Holm's correction for the pairs of all classes."""
     compared = [pair for pair in itertools.combinations(entries, 2) if pair[0].sensing == pair[1].sensing]
     tests = [
-        _difference(*(sums[entry.name, "polite"] for entry in pair), functools.partial(_changed, *pair, tracks))
-        for pair in compared
+        _difference(
+            sums[one.name, "polite"], sums[other.name, "polite"], functools.partial(_changed, one, other, tracks)
+        )
+        for one, other in compared
     ]
     corrected = np.nan_to_num(holm([p for _, p in tests]), nan=1.0)
     return [

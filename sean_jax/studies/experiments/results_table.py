@@ -97,7 +97,7 @@ class Table:
 
         groups = {}
         for index in np.argsort(first_row):
-            labels = tuple(self.label(column, first_row[index]) for column in by)
+            labels = tuple(self.label(column, int(first_row[index])) for column in by)
             groups[labels] = self.take(np.flatnonzero(group == index))
         return groups
 
