@@ -161,7 +161,7 @@ class Ordering(NamedTuple):
 
 def _below_a_fifth(random: np.ndarray, handcrafted: np.ndarray, graph: np.ndarray) -> np.ndarray:
     least = np.minimum(random, graph)[:, PATHS].clip(1e-9)
-    return np.asarray(handcrafted[:, PATHS] / least < 0.2).all(axis=1)
+    return np.asarray((handcrafted[:, PATHS] / least < 0.2).all(1))
 
 
 def _lost_to_groups(random: np.ndarray, handcrafted: np.ndarray, graph: np.ndarray) -> np.ndarray:
@@ -211,7 +211,7 @@ ORDERINGS = (
         "T8",
         "table",
         "cross and down path of graph within 25 % of random",
-        lambda r, h, g: np.asarray(np.abs(g[:, PATHS] - r[:, PATHS]) <= 0.25 * r[:, PATHS]).all(axis=1),
+        lambda r, h, g: np.asarray((np.abs(g[:, PATHS] - r[:, PATHS]) <= 0.25 * r[:, PATHS]).all(1)),
     ),
     Ordering(
         "T9",
