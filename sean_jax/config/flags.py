@@ -161,7 +161,7 @@ def _choices(annotation: object) -> str | None:
 
 def _default(value: object) -> str:
     """The end of a help text."""
-    if value in (None, (), "") or value is False:
+    if value in (None, (), "") or (isinstance(value, bool) and not value):
         return ""
     words = (item.kind if isinstance(item, Component) else number(item) for item in _items(value))
     return f" (default: {' '.join(words)})"
@@ -207,7 +207,8 @@ def parse(
     has_keys = configurable and topics(model)
     if not all(has_keys and "=" in argument and not argument.startswith("--") for argument in unknown):
         _call_tyro(word, known, arguments, strict=True)
-    typed = {name: value for name, value in values.items() if value is not None and value is not False}
+    switched_off = {name for name, value in values.items() if isinstance(value, bool) and not value}
+    typed = {name: value for name, value in values.items() if value is not None and name not in switched_off}
     return typed | _assigned(word, model, known, unknown)
 
 
@@ -400,9 +401,9 @@ def _values(name: str, field: FieldInfo, value: Any) -> Iterator[tuple[str, Any]
 
 def _words(name: str, value: Any) -> list[str]:
     """The words of a flag and its value; none for a switch that is off, and for no value."""
-    if value in (None, (), "") or value is False:
+    if value in (None, (), "") or (isinstance(value, bool) and not value):
         return []
-    if value is True:
+    if isinstance(value, bool):
         return [flag(name)]
     words = [number(item) for item in _items(value)]
     if isinstance(value, str | Path) and words[0].startswith("-"):  # else it would be read as an option
