@@ -63,6 +63,8 @@ def update(
     memory = batch.memory
     batch, transitions = rollouts.rollout(envs, network, agent, batch, options.horizon, key)
     last = rollouts.forward(network, agent, envs[0].member.observations, batch)
+
+    # Generalized advantage estimation (J. Schulman et al., ICLR 2016); the target is its TD(lambda) return.
     discount, decay = hyperparameters["discount"], hyperparameters["advantage_decay"]
     advantage = rollouts.advantages(transitions, last.value, discount, decay)
     target = advantage + transitions.value
@@ -76,12 +78,15 @@ def update(
     rates = {"actor": hyperparameters["actor_rate"], "critic": hyperparameters["learning_rate"]}
     rate = jax.tree.map(rates.get, networks.owners(agent.parameters))
     optimization = Optimization(OPTIMIZER, rate, options.epochs, options.minibatches)
+
+    # The value is scaled by its last layer, before and after: rescaled targets (van Hasselt et al., 2016).
     loss = functools.partial(clipped_loss, hyperparameters, scale)
     data = transitions._replace(info={}), advantage, target
     agent = replace(agent, parameters=networks.scale_value(agent.parameters, 1.0 / scale))
     agent, steps, losses = rollouts.optimize(optimization, loss, network, agent, optimizer.steps, data, memory, key)
     agent = replace(agent, parameters=networks.scale_value(agent.parameters, scale))
 
+    # Statistics follow last: the log densities of the rollout belong to observations as normalized then.
     explained = 1.0 - (target - transitions.value).var() / jnp.maximum(target.var(), EPSILON)
     metrics = {"train": losses | {"explained_variance": explained}, **rollouts.log_numbers(transitions)}
     agent = rollouts.with_statistics(agent, transitions)
