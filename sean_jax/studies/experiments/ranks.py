@@ -122,7 +122,7 @@ def rank(entries: list[Entry], groups: dict[str, list[str]], notes: list[str]) -
             better[low] += 1
             worse[high] += 1
 
-    # The first rank is below all who are better for certain, the last above all who are worse for certain.
+    # The first rank comes after all who are surely better, the last before all who are surely worse.
     in_class = Counter(entry.sensing for entry in entries)
     rows = []
     for entry in entries:

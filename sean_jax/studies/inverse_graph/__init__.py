@@ -115,6 +115,8 @@ def _fit_people(
     # In a simulation people walk from goal to goal for ever; in a recording they enter and leave.
     closed = options.recording is None
     measured, held_out = _simulated(options, bar) if closed else _recorded(options, graph, bar)
+
+    # Weights fitted to a handful of walks would only repeat these walks.
     walks = float(measured.edges.sum())
     if walks < FEWEST:
         raise InputError(

@@ -286,6 +286,7 @@ def fit_flows(
     steps_of_part = max(1, steps // PARTS)
     steps = steps_of_part * PARTS
     schedule = WARM * (temperature / WARM) ** np.minimum(np.arange(steps) / (0.8 * steps), 1.0)
+
     optimizer = optax.adam(optax.cosine_decay_schedule(LEARNING_RATE, steps, 0.1))
 
     # Steps are a scan on the device; parts exist only to show progress between them.
@@ -303,6 +304,7 @@ def fit_flows(
     weights = jax.tree.map(jnp.zeros_like, weights_of(graph))
     weights = weights.replace(sent=weights.sent + SELDOM)
     carry, losses = (weights, optimizer.init(weights)), []
+
     progress.start("fitting weights", PARTS)
     for part, temperatures in enumerate(np.split(schedule, PARTS)):
         with jax.numpy_dtype_promotion("standard"):  # optax raises floats to integer powers

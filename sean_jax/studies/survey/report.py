@@ -159,6 +159,7 @@ def _correlation(
     # Ratings of one participant are not independent: whole clusters are drawn, of participants or of episodes.
     rated = np.array([row["ratings"][rating] for row in rows])
     measured = np.array([row["metrics"][metric] for row in rows])
+
     clusters = [np.unique([row[unit] for row in rows], return_inverse=True)[1] for unit in units]
     if min(map(np.max, clusters)) + 1 < MIN_PARTICIPANTS or np.ptp(rated) == 0 or np.ptp(measured) == 0:
         return None

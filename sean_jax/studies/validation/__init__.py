@@ -67,6 +67,7 @@ def run(options: ValidateConfig, console: "Console | None" = None) -> list[str]:
                     report = partial(_report, bar, finished, model.name)
                     row = do(check, CheckContext(model, options.data, options.quick, report))
                 checks.save(folder, check, model, options, row)
+
             done[test] = row
             rows.append(row)
             _print(console, page.line(row, selected, models))

@@ -136,6 +136,7 @@ def corridor_diagram(context: CheckContext) -> CheckResult:
     values = in_corridor(context, scenes + straight, captions)  # (S, K, 2)
     random = values[: len(scenes)].reshape(len(densities), draws, -1, 2)  # (D, draws, K, 2)
     in_straight_rows = values[len(scenes) :].reshape(len(ROWS), -1, 2)
+
     means = compare(random, densities, juelich(densities), TOLERANCE, _juelich_curves(context))
 
     # How wide speeds spread over draws and moments, and how fast people are who start in straight rows.
@@ -293,19 +294,24 @@ def stop_and_go(context: CheckContext) -> CheckResult:
         known_speed, known_deviation, known_delay, known_wave = WAVES[number]
         as_wide = abs(mean.deviation / known_deviation - 1.0) <= WAVE_TOLERANCE
         as_fast = abs(mean.wave - known_wave) <= WAVE_SPEED_TOLERANCE  # not where there is no wave
+
+        # The recorded wave is by the same correlation; the jams that its authors follow move backwards at 0.4 m/s.
         passed.append(as_wide and as_fast)
         numbers[number] = mean._asdict()
+
         wave_words = "no wave in all draws"
         if np.isfinite(mean.delay):
             wave_words = (
                 f"a wave of {mean.wave:.2f} m/s (recorded {known_wave:.2f}), {mean.delay:.1f} s from one to the next "
                 f"(recorded {known_delay:.1f})"
             )
+
         words.append(
             f"{number / WAVE_LOOP:.2f} /m: {mean.deviation:.3f} m/s (recorded {known_deviation:.3f}), mean "
             f"{mean.speed:.2f} m/s (recorded {known_speed:.2f}), {wave_words}"
         )
 
+    # The curves are distributions of speeds: with waves some people stand while others walk.
     names = ("speed", "deviation", "correlation", "delay", "wave")
     return result(
         all(passed),
@@ -369,6 +375,7 @@ def lanes(context: CheckContext) -> CheckResult:
     # Moments are 0.1 s apart; the plot has one in 2 s.
     end = 0.1 * (order.shape[-1] - 1)
     time = (0.1 * np.arange(order.shape[-1]))[::20]
+
     curves = []
     for density, mean in zip(LANE_DENSITIES, order.mean(1), strict=True):
         curves.append(curve(f"{density:g} people/m²", time, mean[::20]))

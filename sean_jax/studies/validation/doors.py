@@ -111,6 +111,7 @@ def bottleneck(context: CheckContext) -> CheckResult:
         for name, values in (("flow", rates), ("inside", remaining), ("density", density)):
             numbers |= by_name(f"{name}_{passage:g}_", widths, values)
         curves.append(curve(f"model, {passage:g} m long", widths, rates))
+
         words.append(
             f"passage of {passage:g} m: {listing(rates)} people/s, {int(remaining.max())} left inside at most, "
             f"{listing(density, form='.1f')} people/m² before it"
@@ -119,6 +120,7 @@ def bottleneck(context: CheckContext) -> CheckResult:
     # Measured flows are drawn besides the line: they deviate from it, too.
     curves.append(reference("1.9 w", widths, known))
     curves.append(reference("Juelich", BOTTLENECKS, BOTTLENECKS.values(), points=True))
+
     return result(
         bool((off <= TOLERANCE).all() and (inside == 0).all()),
         f"{'; '.join(words)}; at {listing(widths, form='g')} m (off by {100 * off.max():.0f} % at most)",
@@ -223,10 +225,13 @@ def doors(context: CheckContext) -> CheckResult:
     # Doors from 1.3 shoulder widths on cost people 0.12 to 0.16 m/s (K. Wilmut & A. Barnett); bodies block others.
     blocked = [width for width in DOORS if not through[width]]
     slow = [width for width in DOORS if width >= SWIFT and least[width] < SWIFT_SHARE]
+
     words = "through " + (f"all but {listing(blocked, form='g')} m" if blocked else "all")
     shares = listing([100 * share for share in least.values()], form=".0f")
     speeds = [FREE * share for share in least.values()]
     criterion = level("criterion", (SWIFT, DOORS[-1]), SWIFT_SHARE)
+
+    # A model may refuse the narrowest doors, but no door that people pass every day.
     return result(
         not slow and all(width < PASSABLE for width in blocked),
         f"{words}; at {listing(DOORS, form='g')} m never below {shares} % of the free speed",

@@ -155,6 +155,7 @@ def compare_occupancy(by_name: dict[str, tuple[GroupOccupancy, np.ndarray]]) -> 
     shortest, longest = np.concatenate([drawn for _, drawn in by_name.values()]).T  # (G,) s each
     changes = bool(((stay >= shortest) & (stay <= (shortest + longest) / 2 + MAX_WAIT)).all())
 
+    # Environments differ in their numbers of groups, so the plot has all groups in a row.
     number = tuple(np.arange(1.0, len(names) + 1.0))
     numbers: dict[str, float] = {}
     for word, values in (("members", members), ("full", full), ("stay", stay)):

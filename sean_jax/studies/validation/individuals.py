@@ -98,6 +98,8 @@ def pairs(context: CheckContext, name: str, angles: Sequence[float], quick: Sequ
     worst = int(gap.argmin())
     angle, offset, speeds = cases[worst]
     by_angle = gap.reshape(len(angles), -1).min(1)
+
+    # A tolerance of 1 mm allows for bodies that touch; one angle alone is a point and not a curve.
     return result(
         bool((gap >= -TOLERANCE).all()),
         f"least gap of bodies {100 * gap[worst]:.0f} cm (at {angle:g} degrees, {offset:g} m aside, {speeds[0]:g} and "
@@ -304,6 +306,7 @@ def compare_scores(scores: dict[str, Scores], straight: dict[str, Scores], plain
         # With the same habits, so that slowing down alone, which any model may do, is not an advantage.
         if errors.ade > (1.0 - BETTER) * known.ade or errors.fde > known.fde:
             worse.append(scene)
+
         words.append(
             f"{scene} {errors.ade:.3f}/{errors.fde:.3f} (constant velocity with the same habits {known.ade:.3f}/"
             f"{known.fde:.3f}, without {usual.ade:.3f}/{usual.fde:.3f})"
@@ -321,6 +324,8 @@ def compare_scores(scores: dict[str, Scores], straight: dict[str, Scores], plain
     # Without habits is shown for the reader, and does not decide.
     number, scenes = numbered(scores)
     not_all = f" (not: {', '.join(worse)})" if worse else ""
+
+    # ADE is the mean distance over all predicted moments, FDE that at the last one [G18].
     return result(
         not worse and bool(collisions * FEWER <= straight_collisions),
         f"{'; '.join(words)}; {100 * collisions:.2f} % of tracks collide (constant velocity "

@@ -203,6 +203,7 @@ def compare_walks(walks: dict[str, tuple[Walk, Walk]]) -> CheckResult:
         # The ratio is of magnitudes; a floor keeps its logarithm finite for people who walk straight on.
         for name in UNITS:
             ratios[name].append(max(simulated[name], TINY) / max(known[name], TINY))
+
         numbers |= {f"{name}_{scene}": value for name, value in simulated.items()}
         numbers |= {f"{name}_{scene}_recorded": value for name, value in known.items()}
         values = (f"{name.replace('_', ' ')} {value:.2f} ({known[name]:.2f})" for name, value in simulated.items())
@@ -211,11 +212,12 @@ def compare_walks(walks: dict[str, tuple[Walk, Walk]]) -> CheckResult:
     # The geometric mean: twice and half as much as recorded balance each other.
     mean = {name: float(np.exp(np.mean(np.log(values)))) for name, values in ratios.items()}
     numbers |= {f"ratio_{name}": value for name, value in mean.items()}
+
     number, scenes = numbered(walks)
     curves = [curve(name, number, values, points=True) for name, values in ratios.items()]
     curves.append(level("recorded", number, 1.0))
 
-    # 95th percentiles, because the largest values of a recording are often errors of tracking.
+    # 95th percentiles, because the largest values of a recording are often errors of tracking (eth and hotel are rough).
     return result(
         all(abs(value - 1.0) <= TOLERANCE for value in mean.values()),
         f"{', '.join(f'{name} {value:.2f}' for name, value in mean.items())} times the recorded; {'; '.join(words)} "
