@@ -417,7 +417,7 @@ def _join(
     """The evaluation of all batches; ``wanted`` is the number of rows of all."""
     floors, first = stacks[0], stacks[0].member
     totals = [batch.totals for batch in batches]
-    steps = np.concatenate([batch.steps for batch in batches])
+    steps = np.concatenate([batch.steps for batch in batches])  # (E,)
 
     # Frames are of the first batch alone, since only its episodes are drawn in the report.
     frames = batches[0].frames

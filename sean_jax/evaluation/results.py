@@ -186,7 +186,7 @@ def aggregate_episodes(results: Evaluation) -> dict[str, Any]:
     # All figures have equal resamples, so that their intervals belong together; a team counts as one unit.
     columns = ("overall", *results.situations)
     cluster = len(results.robots) or 1
-    weights = resamples(len(results.completed), cluster=cluster)
+    weights = resamples(len(results.completed), cluster=cluster)  # (R, E)
 
     def estimate(values: np.ndarray, applies: np.ndarray, kind: str) -> dict[str, Any]:
         return _by_column(columns, values, applies, kind, weights, cluster)
@@ -200,7 +200,7 @@ def aggregate_episodes(results: Evaluation) -> dict[str, Any]:
         among = np.concatenate([among, spent[:, 1:] > 0], 1).astype(float)
 
     # The share of completed episodes is by situation, as a policy may fail in one of them alone.
-    completed = np.repeat(results.completed[:, None], among.shape[1], 1)
+    completed = np.repeat(results.completed[:, None], among.shape[1], 1)  # (E, columns)
     figures = {"completed": estimate(completed.astype(float), among, "share")}
     for name, values in results.metrics.items():
         if name in ("completed", "timed_out"):
@@ -208,7 +208,7 @@ def aggregate_episodes(results: Evaluation) -> dict[str, Any]:
 
         # NaN marks an episode to which a metric does not apply; it counts neither above nor below in the mean.
         metric = results.definitions[name]
-        cells = values.reshape(len(values), -1).astype(float)
+        cells = values.reshape(len(values), -1).astype(float)  # (E, 1) or (E, columns)
         applies = np.isfinite(cells).astype(float)
 
         # Such a figure by situation takes whole episodes: there is no part of it in a situation.

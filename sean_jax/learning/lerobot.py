@@ -62,7 +62,7 @@ def _export(data: Dataset, out: Path) -> None:
                 writer.write_table(_table(columns, schema))
 
                 # The image leaves the columns once it is written: it is most of the memory.
-                own = np.bincount(columns.pop(IMAGE).ravel(), minlength=len(depths))
+                own = np.bincount(columns.pop(IMAGE).ravel(), minlength=len(depths))  # (65536,)
                 stats = _stats(columns, own)
                 descriptions.append(_description(episode, episode_index, index, tasks, where, stats))
                 everything.append(columns)

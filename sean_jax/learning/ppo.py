@@ -66,13 +66,13 @@ def update(
 
     # Generalized advantage estimation (J. Schulman et al., ICLR 2016); the target is its TD(lambda) return.
     discount, decay = hyperparameters["discount"], hyperparameters["advantage_decay"]
-    advantage = rollouts.advantages(transitions, last.value, discount, decay)
+    advantage = rollouts.advantages(transitions, last.value, discount, decay)  # (T, B)
     target = advantage + transitions.value
 
     # The critic learns in units of the returns' deviation, and its value stays the same.
     returns = networks.update_statistics(optimizer.returns, target[..., None])
     returns = replace(returns, count=jnp.minimum(returns.count, MEMORY * target.size))
-    scale = jnp.sqrt(returns.variance[0] + EPSILON)
+    scale = jnp.sqrt(returns.variance[0] + EPSILON)  # ()
 
     # Epochs over minibatches of the transitions.
     rates = {"actor": hyperparameters["actor_rate"], "critic": hyperparameters["learning_rate"]}

@@ -187,12 +187,12 @@ def _corridor_windows(positions: Float[np.ndarray, "T N 2"], run: Run) -> Iterat
     positions = positions[:, np.isfinite(positions).any((0, 2))]
     x, y = positions[..., 0], positions[..., 1]
     inside = (x > 0.0) & (x < run.width) & (np.abs(y) < half)
-    along = _directions_along(y, run.one_way)
+    along = _directions_along(y, run.one_way)  # (N,) 1 or -1
 
     # Windows overlap by half, to use more of the few runs; people inside at the start are predicted.
     now, moments = CORRIDOR_SEEN - 1, CORRIDOR_SEEN + CORRIDOR_STEPS
     for begin in range(0, len(positions) - moments + 1, STRIDE):
-        window, stays = positions[begin : begin + moments], inside[begin : begin + moments]  # (S, N, 2), (S, N)
+        window, stays = positions[begin : begin + moments], inside[begin : begin + moments]  # (S + A, N, 2), (S + A, N)
         chosen = np.flatnonzero(np.isfinite(window[:CORRIDOR_SEEN]).all((0, 2)) & stays[now])
         if len(chosen) < 2:
             continue
@@ -203,7 +203,7 @@ def _corridor_windows(positions: Float[np.ndarray, "T N 2"], run: Run) -> Iterat
         others = _share_columns(np.where(near[..., None], others, np.nan))
 
         # The goal is known, unlike that of people in a street: straight on, or through the exit.
-        start = window[now, chosen]
+        start = window[now, chosen]  # (N, 2)
         goal_x = _through(start[:, 0], run.width, run.exit_width) if run.one_way else start[:, 0]
         way = np.stack([goal_x, along[chosen] * (half + EXIT)], -1) - start  # (N, 2)
 

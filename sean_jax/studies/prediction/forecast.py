@@ -188,18 +188,18 @@ def walking_companions(
 
     # Distances at every moment when both are seen: people who only pass each other were far apart before.
     both = present[:, :, None] & present[:, None, :]  # (T, N, N)
-    distance = jnp.linalg.norm(position[:, :, None] - position[:, None, :], axis=-1)
+    distance = jnp.linalg.norm(position[:, :, None] - position[:, None, :], axis=-1)  # (T, N, N)
     near = (jnp.where(both, distance, 0.0).max(0) < COMPANION_DISTANCE) & both[-1]
 
     # Companions walk, and their mean velocities since both are there are similar.
     moment = jnp.arange(observed.shape[0], dtype=jnp.int32)
     first = jnp.argmax(both, axis=0)  # first moment with both
-    duration = jnp.maximum(moment[-1] - first, 1).astype(float) * time_step
+    duration = jnp.maximum(moment[-1] - first, 1).astype(float) * time_step  # (N, N) s
     index = jnp.arange(count, dtype=jnp.int32)
     velocity = (position[-1][:, None] - position[first, index[:, None]]) / duration[..., None]  # (N, N, 2)
     difference = jnp.linalg.norm(velocity - jnp.swapaxes(velocity, 0, 1), axis=-1)
     walking = jnp.linalg.norm(velocity, axis=-1) > WALKING_SPEED
-    together = near & walking & walking.T & (difference < UNLIKE_SPEED) & (first < moment[-1] - 1)
+    together = near & walking & walking.T & (difference < UNLIKE_SPEED) & (first < moment[-1] - 1)  # (N, N)
     together = together & (index[:, None] != index[None, :])
 
     # Companions of companions are one group: each squaring doubles the length of a chain, up to 4.

@@ -125,8 +125,8 @@ def environment(plan: Float[np.ndarray, "W 5"]) -> Environment:
     reach = np.stack([plan[:, 2] * cosine + plan[:, 3] * sine, plan[:, 2] * sine + plan[:, 3] * cosine], 1)  # (W, 2) m
 
     # The origin is a point, too, so that a plan without boxes has a floor.
-    corners = np.concatenate([plan[:, :2] - reach, plan[:, :2] + reach, np.zeros((1, 2))])
-    floor = np.concatenate([corners.min(0) - MARGIN, corners.max(0) + MARGIN])
+    corners = np.concatenate([plan[:, :2] - reach, plan[:, :2] + reach, np.zeros((1, 2))])  # (2 W + 1, 2)
+    floor = np.concatenate([corners.min(0) - MARGIN, corners.max(0) + MARGIN])  # (4,) m
     grid = _grid(plan, floor)
 
     # Sizes go in steps, because every new shape of arrays compiles the simulation again.

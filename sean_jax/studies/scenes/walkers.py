@@ -323,7 +323,7 @@ def choose_exit(plan: Plan, people: Pedestrians, gate: Int[Array, "N"], tick: In
     number, gates = gate.shape[0], plan.gates.shape[0]
     index = jnp.arange(number, dtype=jnp.int32)
     all_gates = jnp.broadcast_to(plan.gates[None], (number, gates, 2, 2)).reshape(-1, 2, 2)
-    aim = aim_at(all_gates, jnp.repeat(people.position, gates, axis=0)).reshape(number, gates, 2)
+    aim = aim_at(all_gates, jnp.repeat(people.position, gates, axis=0)).reshape(number, gates, 2)  # (N, G, 2)
     gap = aim - people.position[:, None]
     distance = length(gap[..., 0], gap[..., 1])  # (N, G)
 
@@ -335,7 +335,7 @@ def choose_exit(plan: Plan, people: Pedestrians, gate: Int[Array, "N"], tick: In
     # The time to be out is that of the walk or of the queue.
     side = plan.gates[:, 1] - plan.gates[:, 0]
     width = length(side[:, 0], side[:, 1])  # (G,)
-    time = distance / jnp.maximum(people.preferred_speed, 1e-3)[:, None]
+    time = distance / jnp.maximum(people.preferred_speed, 1e-3)[:, None]  # (N, G) s
     time = jnp.maximum(time, ahead.astype(float) / (EXIT_FLOW * jnp.maximum(width, 1e-3))[None])
     time = jnp.where(plan.is_exit[None], time, jnp.inf)
 

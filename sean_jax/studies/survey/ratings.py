@@ -257,7 +257,7 @@ def _tracks(recorded: Recorded) -> Tracks:
 
     # The metrics need equal steps; recorded frames come at whatever rate a robot has.
     times = np.array([frame.timestamp for frame in frames]) - frames[0].timestamp
-    grid = np.arange(int((times[-1] + ROUNDING) / TIME_STEP) + 1) * TIME_STEP
+    grid = np.arange(int((times[-1] + ROUNDING) / TIME_STEP) + 1) * TIME_STEP  # (T,) s
 
     poses: dict[float | None, list[tuple[float, Pose]]] = {None: []}  # of the robot, and then of people
     for time, frame in zip(times, frames, strict=True):

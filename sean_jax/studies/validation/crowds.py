@@ -135,12 +135,12 @@ def corridor_diagram(context: CheckContext) -> CheckResult:
     straight = [in_rows(rows, seconds, seed) for rows in ROWS for seed in range(1 if context.quick else 3)]
     values = in_corridor(context, scenes + straight, captions)  # (S, K, 2)
     random = values[: len(scenes)].reshape(len(densities), draws, -1, 2)  # (D, draws, K, 2)
-    in_straight_rows = values[len(scenes) :].reshape(len(ROWS), -1, 2)
+    in_straight_rows = values[len(scenes) :].reshape(len(ROWS), -1, 2)  # (rows, K, 2)
 
     means = compare(random, densities, juelich(densities), TOLERANCE, _juelich_curves(context))
 
     # How wide speeds spread over draws and moments, and how fast people are who start in straight rows.
-    low, high = np.nanquantile(random[..., 1], [0.1, 0.9], axis=(1, 2))
+    low, high = np.nanquantile(random[..., 1], [0.1, 0.9], axis=(1, 2))  # (D,)
     share = (high - low) / (juelich(densities, "percentile_90") - juelich(densities, "percentile_10"))
     by_rows = np.nanmean(in_straight_rows[..., 1], 1) / means.numbers[f"speed_{ROWS_DENSITY:g}"]
     wide, slow = bool((share > SPREAD).any()), bool((np.abs(by_rows - 1.0) > TOLERANCE).any())
@@ -369,7 +369,7 @@ def lanes(context: CheckContext) -> CheckResult:
 
     # The begin is left out, in which people are still mixed; the time until then is shown.
     begin = int((1.0 - LANE_SHARE) * order.shape[-1])
-    last = order[..., begin:].mean((1, 2))
+    last = order[..., begin:].mean((1, 2))  # (D,)
     until = np.array([np.mean([time_until(series, LANE_ORDER) for series in draws]) for draws in order])
 
     # Moments are 0.1 s apart; the plot has one in 2 s.

@@ -104,7 +104,7 @@ def bottleneck(context: CheckContext) -> CheckResult:
 
     # Whoever is left inside fails the check: arches that never break are a known flaw of force models.
     known = FLOW * np.array(widths)
-    off = np.abs(flows / known - 1.0)
+    off = np.abs(flows / known - 1.0)  # (passages, widths)
     numbers: dict[str, float] = {}
     words, curves = [], []
     for passage, rates, remaining, density in zip(passages, flows, inside, crowded, strict=True):

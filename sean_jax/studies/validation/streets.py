@@ -114,9 +114,9 @@ def walked_again(street: Street) -> Scene:
     """The scene in which people of a window enter when and where they did, and walk to where they left."""
     # Only ends are given: what is between them has to come from the model and can be compared.
     people = np.arange(street.present.shape[1])
-    first = street.present.argmax(0)
-    start = street.position[first, people]
-    velocity = (street.position[first + 1, people] - start) / TIME_STEP
+    first = street.present.argmax(0)  # (N,)
+    start = street.position[first, people]  # (N, 2) m
+    velocity = (street.position[first + 1, people] - start) / TIME_STEP  # (N, 2) m/s
     way = street.goal - start  # (N, 2) m
     way = way / np.maximum(np.linalg.norm(way, axis=-1), 1e-9)[:, None]
 
@@ -217,7 +217,7 @@ def compare_walks(walks: dict[str, tuple[Walk, Walk]]) -> CheckResult:
     curves = [curve(name, number, values, points=True) for name, values in ratios.items()]
     curves.append(level("recorded", number, 1.0))
 
-    # 95th percentiles, because the largest values of a recording are often errors of tracking (eth and hotel are rough).
+    # 95th percentiles, because the largest values of a recording are often errors of tracking (rough in eth and hotel).
     return result(
         all(abs(value - 1.0) <= TOLERANCE for value in mean.values()),
         f"{', '.join(f'{name} {value:.2f}' for name, value in mean.items())} times the recorded; {'; '.join(words)} "
