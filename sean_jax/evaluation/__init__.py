@@ -185,6 +185,8 @@ def _run(
 ) -> Evaluation:
     """The run of a plan in its folder; ``stack`` closes what it opens."""
     _tell_unfinished(plan, folder.folder, console)
+
+    # A set may have more floors than a task has episodes; those that no episode visits are not built.
     with console.status("preparing the scenario"):
         limit = -(-plan.config.episodes // len(plan.scenario.tasks))
         stacks = making.build(plan.scenario, limit)
@@ -200,19 +202,24 @@ def _run(
     folder.check_content(content)
     _announce(plan, stacks, policy, folder, console)
 
+    # The page of a live run opens before the first batch, which includes the time of compiling.
     live = None
     if plan.config.live:
         live = stack.enter_context(serve(first, f"{folder.folder.name} · live"))
         console.print(f"live: {live.url}", highlight=False, soft_wrap=True)
 
+    # Finished batches are read from the folder, so a run that was stopped goes on where it ended.
     schedule = _schedule(plan, stacks)
     with progress(console) as bar:
         context = RunContext(bar, console, folder, live, driver)
         evaluation = _evaluate(stacks, policy, schedule, plan.scenario.floors, context)
     evaluation.print_table(console)
 
+    # A run that was stopped early gets a report, too, of the episodes that it has.
     with console.status("drawing the report"), folder.results(evaluation.episodes == schedule.episodes) as stage:
         results.write_all(stage, evaluation, plan, content)
+
+        # Each batch has its own file of frames; only those of finished batches are joined.
         if plan.config.trajectories is not None:
             finished = [(row, count) for row, count in schedule.batches if row < len(evaluation.tasks)]
             parts = [path for path in (folder.frames(row, count) for row, count in finished) if path is not None]
@@ -410,8 +417,12 @@ def _join(
     """The evaluation of all batches; ``wanted`` is the number of rows of all."""
     floors, first = stacks[0], stacks[0].member
     totals = [batch.totals for batch in batches]
-    steps = np.concatenate([batch.steps for batch in batches])
+    steps = np.concatenate([batch.steps for batch in batches])  # (E,)
+
+    # Frames are of the first batch alone, since only its episodes are drawn in the report.
     frames = batches[0].frames
+
+    # Only a driver outside of this program can miss commands; other runs do not show that metric.
     definitions = dict(first.metrics)
     if any(batch.metrics.get(MISSED, np.zeros(1)).any() for batch in batches):
         definitions[MISSED] = MISSED_COMMANDS
@@ -421,10 +432,13 @@ def _join(
     robots = floors.size if is_team else 1
     rows = np.arange(len(steps))
     tasks = [stack.member.task_name for stack in stacks]
+
+    # Rows go through all tasks on one floor of a set before they change the floor.
     is_set = not is_team and (floors.size > 1 or bool(floors.names))
     turns = rows // len(stacks) % floors.size if is_set else rows % robots
     floor_names = floors.names or [f"floor_{k}" for k in range(floors.size)]
 
+    # Totals count control steps; times the step [s] they are durations.
     return Evaluation(
         scenario=first,
         policy=policy.name,

@@ -183,9 +183,10 @@ def aggregate_episodes(results: Evaluation) -> dict[str, Any]:
         ``{"situations": {situation: figure}, "metrics": {name: {column: figure}}}`` with the columns "overall" and the
         situations. A figure has a mean, an interval and its number of episodes; it is None without episodes.
     """
+    # All figures have equal resamples, so that their intervals belong together; a team counts as one unit.
     columns = ("overall", *results.situations)
     cluster = len(results.robots) or 1
-    weights = resamples(len(results.completed), cluster=cluster)
+    weights = resamples(len(results.completed), cluster=cluster)  # (R, E)
 
     def estimate(values: np.ndarray, applies: np.ndarray, kind: str) -> dict[str, Any]:
         return _by_column(columns, values, applies, kind, weights, cluster)
@@ -198,18 +199,25 @@ def aggregate_episodes(results: Evaluation) -> dict[str, Any]:
         shares = dict(zip(results.situations, map(_figure, ratios), strict=True))
         among = np.concatenate([among, spent[:, 1:] > 0], 1).astype(float)
 
-    completed = np.repeat(results.completed[:, None], among.shape[1], 1)
+    # The share of completed episodes is by situation, as a policy may fail in one of them alone.
+    completed = np.repeat(results.completed[:, None], among.shape[1], 1)  # (E, columns)
     figures = {"completed": estimate(completed.astype(float), among, "share")}
     for name, values in results.metrics.items():
         if name in ("completed", "timed_out"):
             continue
+
+        # NaN marks an episode to which a metric does not apply; it counts neither above nor below in the mean.
         metric = results.definitions[name]
-        cells = values.reshape(len(values), -1).astype(float)
+        cells = values.reshape(len(values), -1).astype(float)  # (E, 1) or (E, columns)
         applies = np.isfinite(cells).astype(float)
+
+        # Such a figure by situation takes whole episodes: there is no part of it in a situation.
         if metric.completed_only:
             cells = np.repeat(cells, among.shape[1], 1) if cells.shape[1] == 1 else cells[:, : among.shape[1]]
             applies = np.isfinite(cells) * among * results.completed[:, None]
         figures[name] = estimate(np.where(np.isfinite(cells), cells, 0.0), applies, metric.kind)
+
+    # The duration of an episode has no parts by situation besides time_in_situation.
     figures["seconds"] = estimate(results.seconds[:, None].astype(float), among[:, :1], "number")
     return {"situations": shares, "metrics": figures}
 

@@ -344,18 +344,24 @@ def _networks_at_once(trainings: list[Training]) -> int:
 
 def _train_ensemble(trainings: list[Training], first: int, tell: Progress) -> list[TrainState]:
     """Networks whose folders are locked; ``first`` others were trained before."""
+    # Folders are compared before anything is computed: networks of other options are not overwritten.
     options, files = trainings[0].options, [training.file() for training in trainings]
     for training, file in zip(trainings, files, strict=True):
         check_config(training.options.folder, file)
+
+    # The networks are one array program (A, ...), so that small ones fill the device together.
     states = _init_ensemble(trainings)
     data, epoch = _stack_data(trainings), _ensemble_epoch(trainings[0])
     over, epochs = np.zeros(len(trainings), bool), []
 
     while not over.all():
+        # Networks that have stopped are computed as well and left unchanged: shapes in a program are fixed.
         start = time.time()
         states, losses = epoch(states, jnp.asarray(over), data)
         training_losses, validation_losses = (jax.tree.map(np.asarray, part) for part in losses)
         epochs.append(EnsembleEpoch(training_losses, validation_losses, ~over, start))
+
+        # A network that has stopped may have any loss, since nothing of it is kept.
         if not np.isfinite([training_losses.loss[~over], validation_losses.loss[~over]]).all():
             raise FloatingPointError(
                 "a loss is not finite; nothing of these networks is written; lower the learning rate."
@@ -369,6 +375,7 @@ def _train_ensemble(trainings: list[Training], first: int, tell: Progress) -> li
         stopped = f"{int(over.sum())} of {len(over)} stopped, loss {mean:.4f} on average"
         tell.update(first + share * len(over), f"epoch {number.max()} · {stopped}")
 
+    # Checkpoints have a leading axis of agents, here of one; the returned states have none.
     own_states = [jax.tree.map(lambda leaf, row=row: leaf[row : row + 1], states) for row in range(len(trainings))]
     for row, (training, file, state) in enumerate(zip(trainings, files, own_states, strict=True)):
         _write_folder(training.options.folder, file, state, epochs, row)

@@ -46,24 +46,34 @@ def _export(data: Dataset, out: Path) -> None:
     import pyarrow.parquet as pq
 
     tasks, schema = [name.replace("_", " ") for name in data.manifest["streams"]], _schema(_features(data))
+
+    # Depth has 16 bits: a histogram has its exact quantiles, and no image stays in memory.
     descriptions, everything, depths, index = [], [], np.zeros(2**16, np.int64), 0
     for number, first in enumerate(range(0, len(data.episodes), EPISODES_IN_FILE)):
+        # Files hold many episodes and chunks many files, so that datasets of millions of episodes have few files.
         chunk, place = divmod(number, FORMAT["info"]["chunks_size"])
         where = {"chunk_index": chunk, "file_index": place}
         file = out / _file("data", **where)
         file.parent.mkdir(parents=True, exist_ok=True)
         with pq.ParquetWriter(file, schema) as writer:  # a row group for each episode, as LeRobot writes them
             for episode_index, episode in enumerate(data.episodes[first : first + EPISODES_IN_FILE], first):
+                # Numbers of rows and episodes go on across files; loaders find a row by them.
                 columns = _columns(data, episode, episode_index, index)
                 writer.write_table(_table(columns, schema))
-                own = np.bincount(columns.pop(IMAGE).ravel(), minlength=len(depths))
+
+                # The image leaves the columns once it is written: it is most of the memory.
+                own = np.bincount(columns.pop(IMAGE).ravel(), minlength=len(depths))  # (65536,)
                 stats = _stats(columns, own)
                 descriptions.append(_description(episode, episode_index, index, tasks, where, stats))
                 everything.append(columns)
                 depths += own
                 index += episode.length
+
+    # Loaders read these descriptions first, and from them the place of each episode.
     _write(out / _file("meta/episodes", 0, 0), descriptions)
     _write(out / "meta/tasks.parquet", *_tasks(tasks))
+
+    # Statistics of the whole dataset normalize the inputs of a policy; those of episodes allow for subsets.
     whole = {name: np.concatenate([columns[name] for columns in everything]) for name in everything[0]}
     for name, content in (("info", _info(data, index, tasks)), ("stats", _stats(whole, depths))):
         (out / f"meta/{name}.json").write_text(json.dumps(content, indent=4) + "\n", encoding="utf-8")

@@ -63,25 +63,30 @@ def update(
     memory = batch.memory
     batch, transitions = rollouts.rollout(envs, network, agent, batch, options.horizon, key)
     last = rollouts.forward(network, agent, envs[0].member.observations, batch)
+
+    # Generalized advantage estimation (J. Schulman et al., ICLR 2016); the target is its TD(lambda) return.
     discount, decay = hyperparameters["discount"], hyperparameters["advantage_decay"]
-    advantage = rollouts.advantages(transitions, last.value, discount, decay)
+    advantage = rollouts.advantages(transitions, last.value, discount, decay)  # (T, B)
     target = advantage + transitions.value
 
     # The critic learns in units of the returns' deviation, and its value stays the same.
     returns = networks.update_statistics(optimizer.returns, target[..., None])
     returns = replace(returns, count=jnp.minimum(returns.count, MEMORY * target.size))
-    scale = jnp.sqrt(returns.variance[0] + EPSILON)
+    scale = jnp.sqrt(returns.variance[0] + EPSILON)  # ()
 
     # Epochs over minibatches of the transitions.
     rates = {"actor": hyperparameters["actor_rate"], "critic": hyperparameters["learning_rate"]}
     rate = jax.tree.map(rates.get, networks.owners(agent.parameters))
     optimization = Optimization(OPTIMIZER, rate, options.epochs, options.minibatches)
+
+    # The value is scaled by its last layer, before and after: rescaled targets (van Hasselt et al., 2016).
     loss = functools.partial(clipped_loss, hyperparameters, scale)
     data = transitions._replace(info={}), advantage, target
     agent = replace(agent, parameters=networks.scale_value(agent.parameters, 1.0 / scale))
     agent, steps, losses = rollouts.optimize(optimization, loss, network, agent, optimizer.steps, data, memory, key)
     agent = replace(agent, parameters=networks.scale_value(agent.parameters, scale))
 
+    # Statistics follow last: the log densities of the rollout belong to observations as normalized then.
     explained = 1.0 - (target - transitions.value).var() / jnp.maximum(target.var(), EPSILON)
     metrics = {"train": losses | {"explained_variance": explained}, **rollouts.log_numbers(transitions)}
     agent = rollouts.with_statistics(agent, transitions)

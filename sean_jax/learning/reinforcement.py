@@ -601,6 +601,8 @@ def _train(
             assert options.imitate is not None
             tell.stage(f"imitating {options.imitate.kind}")
             agents = _imitate(options, setting, teachers, agents)
+
+        # A network that imitates is almost deterministic; with more noise it explores again.
         if options.noise is not None:
             agents = with_noise(agents, options.noise)
         state = run.begin(envs, agents)
@@ -608,6 +610,8 @@ def _train(
         # From here on, environments lie on all devices, and the state as its layout says.
         scenarios, envs, starts = devices.replicate(layout.mesh, (scenarios, envs, starts))
         course = Course(options, run, Setting(scenarios, envs, network), starts, tell, Recent())
+
+        # Checkpoints are the same for any number of devices: they are decoded and then placed.
         loop = Loop(
             advance=functools.partial(_advance, course),
             is_over=lambda state: int(state.update) >= options.updates,

@@ -87,6 +87,8 @@ def update(
     envs = tuple(env.map_member(mdp.Env.with_transition_gradients) for env in envs)
     if not options.through_people:
         envs = tuple(env.map_member(_without_people) for env in envs)
+
+    # The target critic values the end of the horizon: it changes slowly, so the actor chases no moving goal.
     memory, discount = batch.memory, hyperparameters["discount"]
     target_critic = replace(agent, parameters=optimizer.target)
 
@@ -96,6 +98,8 @@ def update(
         lambda parameters: _actor_loss(horizon, replace(agent, parameters=parameters)), has_aux=True
     )(agent.parameters)
     batch, transitions = jax.lax.stop_gradient((batch, transitions))
+
+    # A crowd in contact can make a gradient infinite: such an update moves the actor nowhere, and is counted.
     norm = optax.tree.norm(gradient)
     finite = jnp.isfinite(norm)
     gradient = jax.tree.map(lambda leaf: jnp.where(finite, leaf, 0.0), gradient)
@@ -106,6 +110,8 @@ def update(
     # The critic learns the returns of the rollout, as the target critic estimates them.
     last = rollouts.forward(network, target_critic, envs[0].member.observations, batch)
     advantage = rollouts.advantages(transitions, last.value, discount, hyperparameters["advantage_decay"])
+
+    # Its minibatches are of the rollout alone: old transitions would be of another policy.
     rate = hyperparameters["learning_rate"]
     optimization = Optimization(CRITIC, rate, options.critic_epochs, options.minibatches)
     data = transitions._replace(info={}), advantage + transitions.value
@@ -115,6 +121,8 @@ def update(
     # The target critic follows it slowly.
     share = options.target_share
     target = jax.tree.map(lambda old, new: old + share * (new - old), optimizer.target, agent.parameters)
+
+    # The log has the norm before the clip, infinite where it was lost.
     losses = {
         "loss": loss,
         "critic": error,

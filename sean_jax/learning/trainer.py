@@ -120,6 +120,8 @@ def fit(
     if not resumes:
         on_first_process(lambda: write_config(folder, config))
     checkpoints = Checkpoints(folder, writes=True)
+
+    # The decoded state is placed on the devices of this run, which may be others than before.
     saved = checkpoints.latest(loop.encode(state)) if resumes else None
     state = loop.place(state if saved is None else loop.decode(saved, state))
     log = MetricsLog(folder, loop.done(state)) if is_first_process() else None
@@ -129,14 +131,18 @@ def fit(
     signals, stops, compiled, unsaved = [], False, False, None
     with contextlib.ExitStack() as stack:
         try:
+            # A loop may be over at once: that of a finished training that is started again.
             while not (loop.is_over(state) or signals or stops):
                 state, report = loop.advance(state)
                 if log is not None:  # before the checkpoint: later lines are dropped at a restart
                     line = report.metrics | {"time": time.time()}
                     log.add(line)
                     for callback in callbacks:
+                        # A callback gets its own copy of the line, so it cannot change the log.
                         name = getattr(callback, "__name__", type(callback).__name__)
                         user_calls.call(f"callback {name}", callback, "line", json.loads(json.dumps(line)))
+
+                # Time that is left is estimated from here on, without compiling.
                 if not compiled:
                     compiled = True
                     tell.start("training", total)
@@ -151,6 +157,8 @@ def fit(
                         draw_curve(folder)
                 tell.update(report.number, report.note)
                 stops = must_stop(report.number)
+
+            # A training that is stopped loses no finished epoch.
             if unsaved is not None:
                 checkpoints.save(loop.encode(state), unsaved.number, unsaved.loss)
         finally:

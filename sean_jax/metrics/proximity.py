@@ -178,21 +178,27 @@ def _entries_of_groups(
 
     def inside(snapshot: Snapshot) -> tuple[Array, Array]:
         """(N, N) bool, pairs of people in one group; (N,) bool, whether the robot is in the circle of their group."""
+        # Absent people keep a number of a group, but belong to none.
         people = snapshot.people
         group = jnp.where(people.present, groups(snapshot), -1)
-        same = (group[:, None] == group[None, :]) & (group >= 0)[:, None]
+        same = (group[:, None] == group[None, :]) & (group >= 0)[:, None]  # (N, N)
         members = jnp.maximum(same.sum(1), 1).astype(float)
         middle = jnp.where(same[..., None], people.position[None], 0.0).sum(1) / members[:, None]  # (N, 2)
 
+        # The circle is the o-space of an F-formation (A. Kendon, 1990): members stand around it, not in it.
         dx, dy = (people.position[None] - middle[:, None]).transpose(2, 0, 1)
         radius = jnp.where(same, length(dx, dy), 0.0).sum(1) / members - margin(snapshot)
-        gap = snapshot.position[None, :] - middle
+
+        # A robot that stands is not to blame if a group forms around it.
+        gap = snapshot.position[None, :] - middle  # (N, 2)
         moving = (snapshot.velocity * snapshot.velocity).sum() > MOVING * MOVING
         return same, (members > 1.0) & moving & (length(gap[:, 0], gap[:, 1]) < radius)
 
     def entries(before: Snapshot, after: Snapshot) -> Array:
         same, in_circle = inside(after)
         first_member = jnp.argmax(same, axis=1) == jnp.arange(len(in_circle))  # so that each group counts once
+
+        # Numbers of groups and not people are compared, because members may come and go between two steps.
         same_group = groups(after)[:, None] == groups(before)[None, :]
         _, was_in_circle = inside(before)
         stays = same_group & was_in_circle[None, :]

@@ -95,6 +95,7 @@ def stepping(
     Each device has ``batch`` scenarios, of which each floor of the stack has as many. ``image`` is the width and height
     [px] of a depth image of each scenario after each step.
     """
+    # Floors take turns of equal length, so each has as many scenarios on every device.
     mesh = devices.mesh(jax.devices()[:number])
     stack = replace(stack, names=(), turn=batch // stack.size)
 
@@ -103,12 +104,16 @@ def stepping(
     draw = jax.jit(lambda stack, key: stack.over_members(lambda one: episodes.reset_pool(one, key, size))())
     starts = draw(stack, random_streams.key("bench starts", 0))
     stack = devices.replicate(mesh, stack.paired(starts))
+
+    # Scenarios differ in their keys, or ended episodes would restart all at once.
     keys = devices.keys(mesh, random_streams.key("bench", 0), batch * number)
     states = _on_floors(mesh, lambda fixed, key: reset(fixed[0], key))(stack, (keys,))
 
+    # The camera is a part of the robot, which is the same on all floors.
     scenario: Scenario = stack.member[0]  # pyright: ignore
     camera = None if image is None else sensors.camera(scenario, "depth", width=image[0], height=image[1])
 
+    # The image is carried along, or the compiler would drop the rendering, which nothing else reads.
     def run(fixed: tuple, state: State, last: Array) -> tuple[State, Array]:
         scenario, starts = fixed
 
@@ -119,6 +124,7 @@ def stepping(
 
         return jax.lax.scan(turn, (state, last), length=turns)[0]
 
+    # The carried arrays are split over the devices like the states, also where no image is drawn.
     size_of_image = (1, 1) if image is None else (image[1], image[0])
     blank = _on_floors(mesh, lambda _, tick: jnp.zeros(size_of_image, float))(stack, (states.tick,))
     return Program(_on_floors(mesh, run, donate=True), (stack,), (states, blank), batch * number, turns)

@@ -117,11 +117,12 @@ class Run(NamedTuple):
 
 def corridor_scenes(files: dict[str, Path]) -> Scenes:
     """Windows of 3 s of Juelich's runs; each run lies at its own place on one floor, between its own walls."""
+    # Runs lie far apart on one floor, so that one program with one grid of obstacles serves all of them.
     windows: list[Window] = []
     scene, boxes = [], []
     for number, (name, file) in enumerate(files.items()):
         run = _run_of(name)
-        place = np.array([APART * number, 0.0])
+        place = np.array([APART * number, 0.0])  # (2,) m
         for box in _walls(run.width, run.exit_width if run.one_way else run.width):
             boxes.append([*(np.array(box[:2]) + place), *box[2:]])
         for window in _corridor_windows(_read_positions(file), run):
@@ -130,10 +131,13 @@ def corridor_scenes(files: dict[str, Path]) -> Scenes:
             ))  # fmt: skip
             scene.append(number)
 
+    # Windows of a batch have equal shapes; NaN marks people whom a window does not have.
     people = max(len(window.direction) for window in windows)
     replayed = max(window.others.shape[1] for window in windows)
-    observed = np.stack([_pad(window.observed, 1, people, np.nan) for window in windows])
-    after = np.stack([_pad(window.after, 1, people, np.nan) for window in windows])
+    observed = np.stack([_pad(window.observed, 1, people, np.nan) for window in windows])  # (B, S, N, 2) m
+    after = np.stack([_pad(window.after, 1, people, np.nan) for window in windows])  # (B, A, N, 2) m
+
+    # Boxes need no yaw: the files have x across the corridor and y along it.
     walls = np.array(boxes)  # (W, 4)
     obstacles = Obstacles(
         center=jnp.asarray(walls[:, :2], float),
@@ -141,6 +145,8 @@ def corridor_scenes(files: dict[str, Path]) -> Scenes:
         yaw=jnp.zeros(len(walls), float),
         height=jnp.full(len(walls), 2.0, float),
     )
+
+    # NaN would spoil gradients even where it is masked, so masks go beside zeros.
     scenes = Scenes(
         observed=np.nan_to_num(observed),
         known=np.asarray(np.isfinite(observed).all(-1)),
@@ -154,6 +160,8 @@ def corridor_scenes(files: dict[str, Path]) -> Scenes:
         names=tuple(files),
         time_step=CORRIDOR_STEP,
     )
+
+    # The errors of constant velocity make scenes with slow and with fast people comparable.
     return _with_reference(scenes)
 
 
@@ -174,15 +182,17 @@ def _read_positions(file: Path) -> Float[np.ndarray, "T N 2"]:
 
 def _corridor_windows(positions: Float[np.ndarray, "T N 2"], run: Run) -> Iterator[Window]:
     """The windows of a run with two or more people who are inside at the start."""
+    # The frame of a run: x across the corridor from 0 to its width, y along it, 0 in the middle [m].
     half = 0.5 * LENGTH
     positions = positions[:, np.isfinite(positions).any((0, 2))]
     x, y = positions[..., 0], positions[..., 1]
     inside = (x > 0.0) & (x < run.width) & (np.abs(y) < half)
-    along = _directions_along(y, run.one_way)
+    along = _directions_along(y, run.one_way)  # (N,) 1 or -1
 
+    # Windows overlap by half, to use more of the few runs; people inside at the start are predicted.
     now, moments = CORRIDOR_SEEN - 1, CORRIDOR_SEEN + CORRIDOR_STEPS
     for begin in range(0, len(positions) - moments + 1, STRIDE):
-        window, stays = positions[begin : begin + moments], inside[begin : begin + moments]
+        window, stays = positions[begin : begin + moments], inside[begin : begin + moments]  # (S + A, N, 2), (S + A, N)
         chosen = np.flatnonzero(np.isfinite(window[:CORRIDOR_SEEN]).all((0, 2)) & stays[now])
         if len(chosen) < 2:
             continue
@@ -192,9 +202,12 @@ def _corridor_windows(positions: Float[np.ndarray, "T N 2"], run: Run) -> Iterat
         near = np.abs(others[..., 1]) < half + NEARBY
         others = _share_columns(np.where(near[..., None], others, np.nan))
 
-        start = window[now, chosen]
+        # The goal is known, unlike that of people in a street: straight on, or through the exit.
+        start = window[now, chosen]  # (N, 2)
         goal_x = _through(start[:, 0], run.width, run.exit_width) if run.one_way else start[:, 0]
-        way = np.stack([goal_x, along[chosen] * (half + EXIT)], -1) - start
+        way = np.stack([goal_x, along[chosen] * (half + EXIT)], -1) - start  # (N, 2)
+
+        # Who has left is not compared: behind the exit nobody knows where people go.
         yield Window(
             observed=window[:CORRIDOR_SEEN, chosen],
             after=np.where(stays[CORRIDOR_SEEN:, chosen, None], window[CORRIDOR_SEEN:, chosen], np.nan),

@@ -177,20 +177,26 @@ def claims(table: Table) -> list[dict[str, Any]]:
 
     Source: section V-C, Figure 4.
     """
+    # All policies have the same resamples, or chance between them would hide their differences.
     measured = table.where(measure=tuple(MEASURES))
     in_graph = measured.where(policy="G", behavior="graph")
     _, sizes = in_graph.where(measure="completed").matrix(None)
     of_networks = functools.cache(lambda _: hierarchical_resamples(sizes))  # also for policies that do not learn
     means = samples(measured, KEYS, draw=of_networks)
+
+    # A claim is on the situation with most violations, which need not be the one in the paper.
     violations = in_graph.where(situation=NAMES).groups(["situation"])
     worst = max(NAMES, key=lambda name: violations[name,].value.sum())
 
     tests = []
     for claim in CLAIMS:
+        # A claim holds if each of one side is above each of the other, in the estimate and in each resample.
         values = {name: _mean(means, worst, **numbers) for name, numbers in claim["values"].items()}
         more = np.min([values[name] for name in claim["more"]], 0)  # (1 + R,)
         than = np.max([values[name] for name in claim["than"]], 0)
         share = more / np.maximum(than, 1e-9)
+
+        # Claims in words need a measure: a part of a sum, nearly equal, or greater by a factor.
         if "share" in claim:
             holds = share > claim["share"]
         elif "within" in claim:
@@ -198,6 +204,8 @@ def claims(table: Table) -> list[dict[str, Any]]:
         else:
             compare = np.greater_equal if claim.get("or_equal") else np.greater
             holds = compare(more, claim.get("factor", 1.0) * than)
+
+        # The first column is the estimate; the others are resamples, which say how certain the claim is.
         numbers = {name: value[0] for name, value in values.items()}
         ours = claim["ours"].format(worst=worst.replace("_", " "), percent=100 * share[0], **numbers)
         test = {"statement": claim["statement"], "paper": claim["paper"], "ours": ours}

@@ -113,6 +113,8 @@ def rank(entries: list[Entry], groups: dict[str, list[str]], notes: list[str]) -
     tracks = groups[ALL]
     sums = _sums(entries, tracks)
     pairs = _pairs(entries, sums, tracks)
+
+    # Only a difference beyond chance separates two entries; a rank is therefore an interval.
     better, worse = Counter[str](), Counter[str]()  # numbers of entries, beyond chance
     for pair in pairs:
         if pair.p < LEVEL:
@@ -120,6 +122,7 @@ def rank(entries: list[Entry], groups: dict[str, list[str]], notes: list[str]) -
             better[low] += 1
             worse[high] += 1
 
+    # The first rank comes after all who are surely better, the last before all who are surely worse.
     in_class = Counter(entry.sensing for entry in entries)
     rows = []
     for entry in entries:
@@ -127,7 +130,11 @@ def rank(entries: list[Entry], groups: dict[str, list[str]], notes: list[str]) -
         by_group = {name: _share(entry, tracks_of_group, sums, tracks) for name, tracks_of_group in groups.items()}
         violations = _violations(sums[entry.name, APPROACHES], sums[entry.name, TIME] / 60.0)
         rows.append(Row(entry, first, last, by_group, violations))
+
+    # Policies that see more are in a class of their own: they are compared only with each other.
     rows.sort(key=lambda row: (list(SENSING).index(row.entry.sensing), -float(row.of[ALL].mean)))
+
+    # An interval over fewer trainings would look too certain.
     few = [row.entry.name for row in rows if row.seeds.endswith(f"of {SEEDS}")]
     notes = [f"Fewer than {SEEDS} training seeds: {', '.join(few)}."] * bool(few) + notes
     return Ranking(groups, rows, pairs, notes)

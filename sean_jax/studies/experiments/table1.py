@@ -92,15 +92,24 @@ def run_table1(options: Table1Config, console: Console | None = None) -> Path:
 
     Source: section V-B, Table I.
     """
+    # A table of recordings or demonstrations alone needs no simulation.
     others = listed(options.recordings) or options.demonstrations
     names = [] if listed(options.policies) == ["none"] and others else policies(options)
+
+    # The density of the crowd is swept with one policy alone: it asks about people, not about the robot.
     jobs = [(behavior, policy, options.people) for policy in names for behavior in BEHAVIORS]
     sweep = [(behavior, policy, crowd) for policy in names[:1] for crowd in options.crowds for behavior in SWEPT]
+
+    # Simulations take long: a wrong option of the last one is refused before the first one begins.
     for behavior, _, people in [*jobs, *sweep]:
         check_collection(description(options, behavior, people))
+
+    # Situations of recordings are counted as the simulator counts them.
     kind = description(options, "random", None).situations[0].kind
     real = shares.read_recordings(listed(options.recordings), options.frame_rate)
     driven = demonstrations.examples(demonstrations.read(options.demonstrations))
+
+    # The folder belongs to these options alone: finished cells are read and not simulated again.
     with Workspace(options.folder, identity(options)).open() as work:
         pools = cached(functools.partial(_streams, options))
         by_name = {_name(*job): job for job in [*jobs, *sweep]}
@@ -108,6 +117,7 @@ def run_table1(options: Table1Config, console: Console | None = None) -> Path:
             pools(behavior, people)  # so that wrong options are refused before anything is written
         work.begin()
 
+        # Recordings are counted without a simulation, so they come first: a damaged one stops the command soon.
         counting = [
             Part(name, functools.partial(shares.count_recording, name, tracks, options.speeds, kind=kind))
             for name, tracks in real.items()
@@ -120,6 +130,8 @@ def run_table1(options: Table1Config, console: Console | None = None) -> Path:
             for name, (behavior, policy, people) in by_name.items()
         ]
         cells = run_parts(driving, console, "driving")
+
+        # Cells of both are simulated once where they agree.
         measured, swept = (join(cells[_name(*job)] for job in chosen) for chosen in (jobs, sweep))
         write_table1(options, measured, swept, join(recordings[name] for name in real), driven)
     return options.folder

@@ -112,8 +112,11 @@ def _fit_people(
     bar: Progress,
 ) -> list[str]:
     """Fit a graph to people, check it on others, and write graph.yaml, flows.png, flows.csv and fit.json."""
+    # In a simulation people walk from goal to goal for ever; in a recording they enter and leave.
     closed = options.recording is None
     measured, held_out = _simulated(options, bar) if closed else _recorded(options, graph, bar)
+
+    # Weights fitted to a handful of walks would only repeat these walks.
     walks = float(measured.edges.sum())
     if walks < FEWEST:
         raise InputError(
@@ -122,6 +125,7 @@ def _fit_people(
         )
     people = f"recording {options.recording.name}" if options.recording else "people simulated on its own graph"
 
+    # The graph is written at once, because the simulations of further rounds read it from the folder.
     def fit(calls: Calls | None = None) -> GraphFit:
         fitted = fit_flows(graph, measured, closed, options.temperature, calls, progress=bar)
         annotated = annotate(words, fitted, closed, f"fitted by sean fit-graph to {people}")
@@ -135,14 +139,18 @@ def _fit_people(
         _, calls = _episodes(_scenario(options, folder), options, CALLED + attempt, bar, title)
         fitted = fit(calls)
 
+    # The flow model has no unit of time, so that its flows are drawn with the sum of those held out.
     flow = np.asarray(fitted.flows.edges, float)
     scale = held_out.flow.sum() / max(flow.sum(), 1e-30)
     panels = {HELD_OUT: held_out.flow, "fitted to": measured.flow, "flow model": flow * scale}
     if closed:
         anew, _ = _episodes(_scenario(options, folder), options, ANEW, bar, "simulating the fit")
         panels["simulated anew"] = anew.flow
+
+    # The people fitted to differ from those held out by chance alone: no fit is expected to come below that.
     errors = {name: flow_error(flow, panels[HELD_OUT]) for name, flow in panels.items() if name != HELD_OUT}
 
+    # The figure and the numbers of one fit have the same panels.
     with writing.atomic_file(folder / "flows.png") as stream:
         picture(environment, graph, panels, f"{environment.name}: {people}").savefig(stream, dpi=130, format="png")
     writing.write(folder / "flows.csv", _table(graph, panels))

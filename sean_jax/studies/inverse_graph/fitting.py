@@ -278,12 +278,18 @@ def fit_flows(
     import optax
 
     progress = progress or Progress()
+
+    # Calls to groups are data where they are known, or they could explain flows that routes have to explain.
     data = _fit_data(graph, measured, closed, calls)
+
+    # A high temperature spreads walkers over all routes, so that each edge has a gradient; it cools to the end.
     steps_of_part = max(1, steps // PARTS)
     steps = steps_of_part * PARTS
     schedule = WARM * (temperature / WARM) ** np.minimum(np.arange(steps) / (0.8 * steps), 1.0)
+
     optimizer = optax.adam(optax.cosine_decay_schedule(LEARNING_RATE, steps, 0.1))
 
+    # Steps are a scan on the device; parts exist only to show progress between them.
     @jax.jit
     def descend(carry, temperatures):
         def step(carry, temperature):
@@ -294,9 +300,11 @@ def fit_flows(
 
         return jax.lax.scan(step, carry, temperatures)
 
+    # The start is the mean of the prior: equal goals, lengths as costs, few people sent to groups.
     weights = jax.tree.map(jnp.zeros_like, weights_of(graph))
     weights = weights.replace(sent=weights.sent + SELDOM)
     carry, losses = (weights, optimizer.init(weights)), []
+
     progress.start("fitting weights", PARTS)
     for part, temperatures in enumerate(np.split(schedule, PARTS)):
         with jax.numpy_dtype_promotion("standard"):  # optax raises floats to integer powers
@@ -304,8 +312,11 @@ def fit_flows(
         losses.append(np.asarray(values))
         progress.update(part + 1, f"loss {losses[-1][-1]:.4f}")
 
+    # Known calls replace fitted ones, whose gradient was zero.
     weights = data.with_calls(carry[0])
     flows = jax.jit(expected_flows, static_argnums=3)(data.layout, weights, temperature, closed, data.replaced)
+
+    # Stays, capacities and speeds do not affect flows: they are read from the measurement.
     stay, capacity = _groups(measured)
     speeds = measured.speeds
     speed = (float(np.mean(speeds)), float(np.std(speeds))) if len(speeds) else (np.nan, np.nan)

@@ -106,12 +106,20 @@ def predict(
     if present is not None:
         known = known & jnp.asarray(present, bool)
     people = scenes.Model("forces", model, social_forces.move) if isinstance(model, Forces) else scenes.model(model)
+
+    # The function is static and the constants are traced, so that a fit over constants compiles once.
     move, forces = people.move, people.forces  # parameters may be traced
     grid = grid_around(walls) if isinstance(walls, Obstacles) else walls
+
+    # Recordings are 0.4 s or so apart, too long for a step of forces; the subtraction forgives rounding.
     control = math.ceil(time_step / CONTROL_STEP - 1e-6)
     substeps = math.ceil(time_step / control / SUBSTEP - 1e-6)
+
+    # Stiff forces need shorter substeps, but a traced constant cannot set a number of steps.
     if not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(forces)):
         substeps = social_forces.substeps(forces, time_step / control)
+
+    # Scenes of a batch share all constants and walls; only what is observed has batch axes.
     walk = partial(_walk, move, control, substeps, steps, time_step)
     scene = Scene(
         observed,
@@ -122,6 +130,8 @@ def predict(
     )
     for _ in range(observed.ndim - 3):
         walk = jax.vmap(walk, in_axes=(None, None, None, None, None, 0))
+
+    # Only social forces know a relaxation time; without a correction its program is smaller.
     plain = isinstance(settled, int | float) and settled == 0.0
     undone = None if plain or move is not social_forces.move else jnp.asarray(settled, float)
     return walk(forces, grid, jnp.asarray(weights, float), jnp.asarray(least_speed, float), undone, scene)
@@ -172,27 +182,33 @@ def walking_companions(
     Returns:
         (N,) the lowest index of the group, -1 alone; and (N, 2) indices of two companions, -1 none.
     """
+    # Which people belong together is a decision, and no derivative goes through it.
     count = observed.shape[1]
     position = jnp.where(present[..., None], jax.lax.stop_gradient(observed), 0.0)  # (T, N, 2)
+
+    # Distances at every moment when both are seen: people who only pass each other were far apart before.
     both = present[:, :, None] & present[:, None, :]  # (T, N, N)
-    distance = jnp.linalg.norm(position[:, :, None] - position[:, None, :], axis=-1)
+    distance = jnp.linalg.norm(position[:, :, None] - position[:, None, :], axis=-1)  # (T, N, N)
     near = (jnp.where(both, distance, 0.0).max(0) < COMPANION_DISTANCE) & both[-1]
 
     # Companions walk, and their mean velocities since both are there are similar.
     moment = jnp.arange(observed.shape[0], dtype=jnp.int32)
     first = jnp.argmax(both, axis=0)  # first moment with both
-    duration = jnp.maximum(moment[-1] - first, 1).astype(float) * time_step
+    duration = jnp.maximum(moment[-1] - first, 1).astype(float) * time_step  # (N, N) s
     index = jnp.arange(count, dtype=jnp.int32)
     velocity = (position[-1][:, None] - position[first, index[:, None]]) / duration[..., None]  # (N, N, 2)
     difference = jnp.linalg.norm(velocity - jnp.swapaxes(velocity, 0, 1), axis=-1)
     walking = jnp.linalg.norm(velocity, axis=-1) > WALKING_SPEED
-    together = near & walking & walking.T & (difference < UNLIKE_SPEED) & (first < moment[-1] - 1)
+    together = near & walking & walking.T & (difference < UNLIKE_SPEED) & (first < moment[-1] - 1)  # (N, N)
     together = together & (index[:, None] != index[None, :])
 
+    # Companions of companions are one group: each squaring doubles the length of a chain, up to 4.
     linked = together | (index[:, None] == index[None, :])
     for _ in range(2):  # friends of friends, of friends
         linked = (linked.astype(float) @ linked.astype(float)) > 0.5
     linked = linked & (linked.sum(1) > 1)[:, None]
+
+    # The lowest index is the name of the group.
     group = jnp.where(linked.any(1), jnp.argmax(linked, axis=1).astype(jnp.int32), -1)
 
     # The two companions with the lowest indices.
@@ -226,11 +242,14 @@ def _walk(
     scene: Scene,
 ) -> Array:
     """(steps, N, 2) of one scene."""
+    # What a person wants is unknown: the observed velocity stands for it, if nothing else is known.
     people = observed_people(scene.observed, scene.present, time_step, weights, least_speed)
     if scene.desired_velocity is not None:
         desired = scene.desired_velocity
         speed = jnp.maximum(length(desired[:, 0], desired[:, 1]), least_speed)
         people = replace(people, desired_velocity=desired, preferred_speed=speed)
+
+    # Companions who are observed walk on together; how they stay together is not to be counted twice.
     count = scene.observed.shape[1]
     group, companions = walking_companions(scene.observed, scene.present, time_step)
     people = replace(people, walking_group=group)
@@ -247,14 +266,18 @@ def _walk(
         nobody = jnp.full((recorded.shape[1], 2), -1, companions.dtype)
         companions = jnp.concatenate([companions, nobody])
 
+    # Part of the observed velocity is already a reaction, which the model would add once more.
     scenario, state = _world(move, forces, people, companions, grid, time_step / control, substeps)
     if settled is not None and scene.desired_velocity is None:
         people = _without_reaction(scenario, replace(state, pedestrians=people), settled, control / time_step)
+
+    # A sample draws traits and noise; without a key everybody is the mean of the population.
     if scene.key is not None:
         traits_key = jax.random.fold_in(scene.key, random_streams.TRAITS)
         people = social_forces.individualize(forces, people, traits_key)
         state = replace(state, streams=random_streams.streams(scene.key))
 
+    # Checkpoints at control steps: the backward pass recomputes forces and keeps only states.
     def predict_step(people: Pedestrians, index: Array) -> tuple[Pedestrians, Array]:
         @jax.checkpoint
         def control_step(people: Pedestrians, step: Array) -> tuple[Pedestrians, None]:
@@ -265,7 +288,9 @@ def _walk(
         people = jax.lax.scan(control_step, people, jnp.arange(control, dtype=jnp.int32))[0]
         return people, people.position[:count]
 
-    position = jax.lax.scan(predict_step, people, jnp.arange(steps, dtype=jnp.int32))[1]
+    position = jax.lax.scan(predict_step, people, jnp.arange(steps, dtype=jnp.int32))[1]  # (steps, N, 2)
+
+    # Who was absent at the last moment has no state to move on from.
     return jnp.where(people.present[None, :count, None], position, scene.observed[-1][None])
 
 

@@ -73,17 +73,25 @@ def room(lower: Point, upper: Point, doors: Iterable[tuple[Point, Point]] = ()) 
         InputError: a door lies on no side.
     """
     (x0, y0), (x1, y1) = lower, upper
+
+    # Walls lie outside of the rectangle, so that its free space is as large as asked for.
     sides = {("x", x0): (x0 - THICK, x0), ("x", x1): (x1, x1 + THICK)}
     sides |= {("y", y0): (y0 - THICK, y0), ("y", y1): (y1, y1 + THICK)}
+
+    # A door belongs to a side by equal coordinates: rounded ones are refused, not moved.
     openings: dict[tuple[str, float], list[tuple[float, float]]] = {side: [] for side in sides}
     for (ax, ay), (bx, by) in doors:
         side = ("x", ax) if ax == bx else ("y", ay)
         if side not in openings:
             raise InputError(f"doors: {((ax, ay), (bx, by))} lies on no side of the room from {lower} to {upper}.")
         openings[side].append((min(ay, by), max(ay, by)) if ax == bx else (min(ax, bx), max(ax, bx)))
+
+    # Walls are what is left of a side between doors; the two along y have the corners as well.
     plan = []
     for side, (inner, outer) in sides.items():
         first, last = (y0 - THICK, y1 + THICK) if side[0] == "x" else (x0, x1)
+
+        # Ends in a row alternate: the begin of a wall, its end at a door, and the next begin.
         ends = [first, *(end for opening in sorted(openings[side]) for end in opening), last]
         for begin, end in zip(ends[::2], ends[1::2], strict=True):
             if end > begin:
@@ -111,18 +119,28 @@ def environment(plan: Float[np.ndarray, "W 5"]) -> Environment:
         InputError: there are too many boxes, in all or near one place.
     """
     plan = np.asarray(plan, float).reshape(-1, 5)
+
+    # Half extents of the box around a rotated one: |R| times its own half extents.
     cosine, sine = np.abs(np.cos(plan[:, 4])), np.abs(np.sin(plan[:, 4]))
-    reach = np.stack([plan[:, 2] * cosine + plan[:, 3] * sine, plan[:, 2] * sine + plan[:, 3] * cosine], 1)
-    corners = np.concatenate([plan[:, :2] - reach, plan[:, :2] + reach, np.zeros((1, 2))])
-    floor = np.concatenate([corners.min(0) - MARGIN, corners.max(0) + MARGIN])
+    reach = np.stack([plan[:, 2] * cosine + plan[:, 3] * sine, plan[:, 2] * sine + plan[:, 3] * cosine], 1)  # (W, 2) m
+
+    # The origin is a point, too, so that a plan without boxes has a floor.
+    corners = np.concatenate([plan[:, :2] - reach, plan[:, :2] + reach, np.zeros((1, 2))])  # (2 W + 1, 2)
+    floor = np.concatenate([corners.min(0) - MARGIN, corners.max(0) + MARGIN])  # (4,) m
     grid = _grid(plan, floor)
+
+    # Sizes go in steps, because every new shape of arrays compiles the simulation again.
     number = next((walls for near, walls in SIZES if near == grid.rows.shape[2] and walls >= len(plan)), None)
     if number is None:
         raise InputError(f"walls: {len(plan)} boxes are more than {SIZES[-1][1]}; use fewer and larger boxes.")
+
+    # Padding lies so far away that no force and no ray reaches it.
     rows = np.zeros((number, 5))
     rows[:, :2], rows[:, 2:4] = FAR, 1.0
     rows[: len(plan)] = plan
     obstacles = Obstacles(*to_device((rows[:, :2], rows[:, 2:4], rows[:, 4], np.full(number, HEIGHT))))
+
+    # Plans have no outer walls: people may leave over the edge of the floor.
     return Environment(
         floor=to_device(floor),
         obstacles=obstacles,

@@ -95,6 +95,7 @@ def _batches(scenes: list[Scene]) -> list[list[int]]:
 
 def _together(scenes: list[Scene], chosen: Model, report: Callable[[float], None]) -> list[Tracks]:
     """Scenes of one size, in parallel."""
+    # A batch needs equal shapes in all leaves; the size of the crowd alone does not ensure it.
     scenarios = [scenario_of(scene, chosen) for scene in scenes]
     shapes = {tuple(np.shape(leaf) for leaf in jax.tree.leaves(each)) for each in scenarios}
     if len(shapes) > 1:  # of plans with few and with many walls
@@ -102,11 +103,15 @@ def _together(scenes: list[Scene], chosen: Model, report: Callable[[float], None
     states = [stage(scenario, scene) for scenario, scene in zip(scenarios, scenes, strict=True)]
     if len(scenes) == 1:
         return [_one(scenes[0], scenarios[0], states[0], report)]
+
+    # Filled up with copies of the first scene, whose results are dropped: few sizes, few programs.
     number = next(each for each in BATCHES if each >= len(scenes))
     filled = [*range(len(scenes)), *([0] * (number - len(scenes)))]
     scenario, state = (
         jax.tree.map(lambda *rows: _stack(rows), *[parts[k] for k in filled]) for parts in (scenarios, states)
     )
+
+    # Spans are short programs: a batch ends early when everybody has left.
     frames = [_snapshot(state)]
     seconds = max(scene.seconds for scene in scenes)
     for number in range(_spans(seconds)):
@@ -115,6 +120,8 @@ def _together(scenes: list[Scene], chosen: Model, report: Callable[[float], None
         frames += [tuple(np.moveaxis(np.asarray(part), 1, 0) for part in span)]
         if not _left(state):
             break
+
+    # Moments of all spans, of scene k the first N columns: the others are padding.
     parts = [np.concatenate([frame[k] for frame in frames]) for k in range(3)]
     return [
         _tracks(scene, *(part[:, k, : len(scene.walkers.start)] for part in parts)) for k, scene in enumerate(scenes)

@@ -265,15 +265,20 @@ def direct(scenario: Scenario, state: State, key: Array) -> State:
     # Who has crossed a gate goes to the next one, or vanishes.
     has_gate = memory.gate >= 0
     crossed = people.present & has_gate & passed(plan.gates[jnp.maximum(memory.gate, 0)], people.position)
+
+    # A route is a list of gates; -1 fills it, and stands for the end of it.
     leg = memory.leg + crossed.astype(jnp.int32)
     legs = table.route.shape[1]
     index = jnp.arange(leg.shape[0], dtype=jnp.int32)
     next_gate = jnp.where(leg < legs, table.route[index, jnp.minimum(leg, legs - 1)], -1)
     gate = jnp.where(crossed, next_gate, memory.gate)
     people = replace(people, present=people.present & ~(crossed & (gate < 0)))
+
+    # The choice comes after the next gate, so that it sees who waits where at this moment.
     if plan.choice:
         gate = choose_exit(plan, people, gate, state.tick)
 
+    # A place of entry may be taken: then a person enters later, as soon as it is free.
     entered = memory.entered
     if plan.sources:
         enters = _enters(table, people, entered, time)
@@ -314,10 +319,11 @@ def choose_exit(plan: Plan, people: Pedestrians, gate: Int[Array, "N"], tick: In
     Everybody looks once in ``TURNS`` ticks, and changes only for a clear gain, so that crowds do not oscillate. Only
     people on their way to an exit choose.
     """
+    # Each person against each gate, as N times G rows of one function.
     number, gates = gate.shape[0], plan.gates.shape[0]
     index = jnp.arange(number, dtype=jnp.int32)
     all_gates = jnp.broadcast_to(plan.gates[None], (number, gates, 2, 2)).reshape(-1, 2, 2)
-    aim = aim_at(all_gates, jnp.repeat(people.position, gates, axis=0)).reshape(number, gates, 2)
+    aim = aim_at(all_gates, jnp.repeat(people.position, gates, axis=0)).reshape(number, gates, 2)  # (N, G, 2)
     gap = aim - people.position[:, None]
     distance = length(gap[..., 0], gap[..., 1])  # (N, G)
 
@@ -329,12 +335,13 @@ def choose_exit(plan: Plan, people: Pedestrians, gate: Int[Array, "N"], tick: In
     # The time to be out is that of the walk or of the queue.
     side = plan.gates[:, 1] - plan.gates[:, 0]
     width = length(side[:, 0], side[:, 1])  # (G,)
-    time = distance / jnp.maximum(people.preferred_speed, 1e-3)[:, None]
+    time = distance / jnp.maximum(people.preferred_speed, 1e-3)[:, None]  # (N, G) s
     time = jnp.maximum(time, ahead.astype(float) / (EXIT_FLOW * jnp.maximum(width, 1e-3))[None])
     time = jnp.where(plan.is_exit[None], time, jnp.inf)
 
+    # Hysteresis and turns: if all looked at once, all would go to the empty exit, and back.
     best = jnp.argmin(time, axis=1).astype(jnp.int32)
-    current = time[index, jnp.maximum(gate, 0)]
+    current = time[index, jnp.maximum(gate, 0)]  # (N,) s
     looks = (index % TURNS == tick % TURNS) & (gate >= 0) & plan.is_exit[jnp.maximum(gate, 0)]
     return jnp.where(looks & (time[index, best] < PATIENCE * current), best, gate)
 

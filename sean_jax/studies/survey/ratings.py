@@ -254,8 +254,10 @@ def read(path: Path) -> Episode:
 def _tracks(recorded: Recorded) -> Tracks:
     """The robot, and after it people, at the steps of a grid."""
     frames = recorded.sequence
+
+    # The metrics need equal steps; recorded frames come at whatever rate a robot has.
     times = np.array([frame.timestamp for frame in frames]) - frames[0].timestamp
-    grid = np.arange(int((times[-1] + ROUNDING) / TIME_STEP) + 1) * TIME_STEP
+    grid = np.arange(int((times[-1] + ROUNDING) / TIME_STEP) + 1) * TIME_STEP  # (T,) s
 
     poses: dict[float | None, list[tuple[float, Pose]]] = {None: []}  # of the robot, and then of people
     for time, frame in zip(times, frames, strict=True):
@@ -269,12 +271,15 @@ def _tracks(recorded: Recorded) -> Tracks:
     present = np.zeros((rows, columns), bool)
     facing[..., 0] = 1.0
     for column, poses_of_body in enumerate(poses.values()):
+        # Angles are unwrapped first: from 179 to -179 degrees is a turn of 2 and not of 358.
         known = np.array([time for time, _ in poses_of_body])
         x, y, angle = np.array([(pose.x, pose.y, pose.angle) for _, pose in poses_of_body]).T
         angle = np.interp(grid, known, np.unwrap(angle))
         position[:end, column] = np.stack([np.interp(grid, known, x), np.interp(grid, known, y)], -1)
         facing[:end, column] = np.stack([np.cos(angle), np.sin(angle)], -1)
         present[:end, column] = _is_present(known, grid, always=column == 0)
+
+    # Such recordings name no groups: -1 is "not known".
     nobody = np.full((rows, columns), -1, np.int32)
     steps = np.arange(rows, dtype=np.int32)
     return Tracks(position, facing, nobody, present, nobody, steps, TIME_STEP)  # pyright: ignore[reportArgumentType]

@@ -156,11 +156,15 @@ def _correlation(
     rating: str, metric: str, rows: Sequence[dict[str, Any]], units: tuple[str] | tuple[str, str]
 ) -> Correlation | None:
     """The correlation of a rating with a metric; None of too few units, and where one of both is constant."""
+    # Ratings of one participant are not independent: whole clusters are drawn, of participants or of episodes.
     rated = np.array([row["ratings"][rating] for row in rows])
     measured = np.array([row["metrics"][metric] for row in rows])
+
     clusters = [np.unique([row[unit] for row in rows], return_inverse=True)[1] for unit in units]
     if min(map(np.max, clusters)) + 1 < MIN_PARTICIPANTS or np.ptp(rated) == 0 or np.ptp(measured) == 0:
         return None
+
+    # Spearman's correlation, as steps of a Likert scale have an order and no distances.
     value = float(spearman(rated, measured)[0])
 
     # With two units, clusters of both are drawn, too: the variance that both have counts once.
@@ -171,6 +175,7 @@ def _correlation(
     if min(map(len, drawn)) < RESAMPLES / 2:
         return None
 
+    # Fisher's z makes the distribution of a correlation normal, with a variance that it does not depend on.
     z = math.atanh(max(-LARGEST, min(value, LARGEST)))
     variances = [float(np.var(np.arctanh(np.clip(values, -LARGEST, LARGEST)))) for values in drawn]
     if len(variances) == 1:
@@ -180,6 +185,8 @@ def _correlation(
         variance = max(variances[0] + variances[1] - variances[2], *variances[:2])
         half = NormalDist().inv_cdf(0.975) * math.sqrt(variance)
         low, high = math.tanh(z - half), math.tanh(z + half)
+
+    # The floor of the deviation avoids a division by zero where all resamples agree.
     p = 2.0 * (1.0 - NormalDist().cdf(abs(z) / max(math.sqrt(variance), 1e-6)))
     return Correlation(rating, metric, value, float(low), float(high), len(rows), number, p)
 

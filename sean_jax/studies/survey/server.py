@@ -306,6 +306,8 @@ class Survey:
         participant, word = tab.participant, request["do"]
         if participant is None:
             raise InputError("the researcher's page only shows the study.")
+
+        # Commands come many times a second: they need no look at the study's file.
         if word == "command":
             if tab.drive is not None:
                 session = tab.drive.session
@@ -313,11 +315,15 @@ class Survey:
                     local_server.number(request, "ahead", -1.0, 1.0), local_server.number(request, "left", -1.0, 1.0)
                 )
             return
+
+        # The page only tells that it is hidden; the server notes when, by its own clock.
         if word in (visits.HIDDEN, visits.VISIBLE):
             if tab.is_hidden != (word == visits.HIDDEN):
                 tab.is_hidden = word == visits.HIDDEN
                 await asyncio.to_thread(self.answers.event, participant, word)
             return
+
+        # What a participant may do is read from the file: a page may be old, or not be ours.
         consented, done, shown = await asyncio.to_thread(self.answers.progress, participant)
         if word == "consent":
             if not consented:
@@ -328,15 +334,19 @@ class Survey:
         if not consented or done == len(steps) or request.get("step") != done:
             await self._show(tab)  # a page that is behind, such as after a double click
             return
+
+        # A page says that its film began or is over; whether it was watched is up to the clock of the server.
         step = steps[done]
         if word == visits.BEGAN and step.kind in ("watch", "choose") and not shown:
             await asyncio.to_thread(self.answers.event, participant, f"{visits.BEGAN} {done}")
         elif word == "shown" and step.kind in ("watch", "choose"):
             await self._show_questions(tab, step, done, shown)
         elif word == "start" and step.kind == "drive" and not shown:
+            # Only one drive at a time, also after a double click.
             if tab.task is None or tab.task.done():
                 tab.task = asyncio.ensure_future(self._try_drive(tab, step, done))
         elif word == "answer" and (shown or step.kind == "questions"):
+            # Each answer is stored at once, so that a closed tab loses none.
             question = step.question(request.get("question"))
             if question is None:
                 raise InputError("a question that this page does not have; reload the page.")
@@ -344,6 +354,7 @@ class Survey:
             await asyncio.to_thread(self.answers.answer, participant, done, question["name"], value)
             tab.put({"kind": "stored", "content": question["name"]})
         elif word == "done" and (shown or step.kind == "questions"):
+            # Required questions are checked here and not in the page, which anyone can change.
             answers = await asyncio.to_thread(self.answers.answers_of, participant, done)
             missing = [each["name"] for each in step.questions if each["required"] and each["name"] not in answers]
             if missing:

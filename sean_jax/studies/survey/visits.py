@@ -42,11 +42,13 @@ def visits(events: Iterable[tuple[float, str]], now: float | None = None) -> dic
     Args:
         now: until when the latest page is counted; until the latest event if None.
     """
+    # Each event closes the time since the one before, which counts in the state of the tab at that time.
     found: dict[int, Visit] = {}
     number, before = -1, 0.0
     is_open = is_hidden = is_played = False
     lost: float | None = None  # when the tab was closed in which the film was played and in sight
     for time, what in [*events, *([] if now is None else [(now, "")])]:
+        # Nothing counts up to OPENED: the server was off before it, for an unknown time.
         word, _, page = what.partition(" ")
         if (visit := found.get(number)) is not None and word != OPENED:
             passed = max(0.0, time - before)
@@ -55,6 +57,7 @@ def visits(events: Iterable[tuple[float, str]], now: float | None = None) -> dic
             visit.watched += passed * (is_played and not is_hidden)
         before = time
 
+        # A page that is sent again is a reload; the film of another page is not waited for.
         if word == PAGE:
             if int(page) != number:
                 lost = None
@@ -64,6 +67,7 @@ def visits(events: Iterable[tuple[float, str]], now: float | None = None) -> dic
             else:
                 found[number] = Visit(opened=time)
         elif word in (OPENED, CLOSED):
+            # A hidden film that is closed has not been watched: the lost time is not added later.
             if word == CLOSED and is_played:
                 lost = None if is_hidden else time
             elif word == OPENED and is_open:
@@ -74,6 +78,8 @@ def visits(events: Iterable[tuple[float, str]], now: float | None = None) -> dic
         elif word == BEGAN and int(page) == number and not found[number].is_over:
             visit, is_played = found[number], True
             visit.began = time if visit.began is None else visit.began
+
+            # The film went on in the page during a short loss of the connection.
             if lost is not None and not is_hidden and time - lost <= GRACE:
                 visit.watched += max(0.0, time - lost)
             lost = None

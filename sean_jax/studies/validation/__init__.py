@@ -41,10 +41,14 @@ def run(options: ValidateConfig, console: "Console | None" = None) -> list[str]:
         KeyboardInterrupt: Ctrl-C. Finished checks are saved.
     """
     selected, models = checks.select(options.only, options.quick), checks.models_of(options.models, typed=True)
+
+    # A wrong folder is refused at once; without one, checks that need recordings are skipped.
     if options.data is not None and not options.data.is_dir():
         raise InputError(f"--data: {options.data} is no folder; give the folder of the recordings.")
     folder = options.folder
     refuse_others(folder, {checks.RESULTS, checks.PARTS, TABLE, REPORT})
+
+    # Checks take long: each row is a file in the folder, so a run that was stopped goes on after it.
     rows: list[Row] = []
     done: dict[tuple[str, ...], Row] = {}  # several guidelines demand the same test
     with writing.folder_lock(folder), progress(console) as bar:
@@ -52,6 +56,8 @@ def run(options: ValidateConfig, console: "Console | None" = None) -> list[str]:
             finished = number // len(models)
             bar.start(check.name, len(selected))
             bar.update(finished, model.name)
+
+            # The same test of two guidelines is done once: it has one result, with the name of each.
             test = check.function, str(check.arguments), model.name
             row = checks.load(folder, check, model, options)
             if row is None:
@@ -61,12 +67,17 @@ def run(options: ValidateConfig, console: "Console | None" = None) -> list[str]:
                     report = partial(_report, bar, finished, model.name)
                     row = do(check, CheckContext(model, options.data, options.quick, report))
                 checks.save(folder, check, model, options, row)
+
             done[test] = row
             rows.append(row)
             _print(console, page.line(row, selected, models))
+
+        # The page needs all rows, since it compares the models.
         checks.write(folder, options, rows)
         writing.write(folder / TABLE, page.markdown(selected, models, rows))
         writing.write(folder / REPORT, page.html(options, selected, models, rows))
+
+    # Only the first model decides: the others are there to be compared with.
     _print(console, *page.gate_lines(rows, models[0]))
     return [row.check for row in rows if row.model == models[0].name and row.verdict == FAILS]
 

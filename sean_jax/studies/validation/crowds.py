@@ -127,16 +127,20 @@ def in_rows(rows: int, seconds: float, seed: int) -> Scene:
 
 def corridor_diagram(context: CheckContext) -> CheckResult:
     """Speeds in a corridor against measurements in Juelich: means, their spread, and a start in straight rows."""
+    # The fundamental diagram: speed falls with density. Periodic, so that a density stays as it was set.
     densities, seconds, draws = (FEW, 40.0, 3) if context.quick else (DENSITIES, 60.0, DRAWS)
     scenes, captions = corridors(densities, draws, seconds, hermes_speeds)
+
+    # People in straight rows may walk on as one block, without the reactions that slow a crowd down.
     straight = [in_rows(rows, seconds, seed) for rows in ROWS for seed in range(1 if context.quick else 3)]
     values = in_corridor(context, scenes + straight, captions)  # (S, K, 2)
-    random = values[: len(scenes)].reshape(len(densities), draws, -1, 2)
-    in_straight_rows = values[len(scenes) :].reshape(len(ROWS), -1, 2)
+    random = values[: len(scenes)].reshape(len(densities), draws, -1, 2)  # (D, draws, K, 2)
+    in_straight_rows = values[len(scenes) :].reshape(len(ROWS), -1, 2)  # (rows, K, 2)
+
     means = compare(random, densities, juelich(densities), TOLERANCE, _juelich_curves(context))
 
     # How wide speeds spread over draws and moments, and how fast people are who start in straight rows.
-    low, high = np.nanquantile(random[..., 1], [0.1, 0.9], axis=(1, 2))
+    low, high = np.nanquantile(random[..., 1], [0.1, 0.9], axis=(1, 2))  # (D,)
     share = (high - low) / (juelich(densities, "percentile_90") - juelich(densities, "percentile_10"))
     by_rows = np.nanmean(in_straight_rows[..., 1], 1) / means.numbers[f"speed_{ROWS_DENSITY:g}"]
     wide, slow = bool((share > SPREAD).any()), bool((np.abs(by_rows - 1.0) > TOLERANCE).any())
@@ -269,10 +273,13 @@ class FileMotion(NamedTuple):
 
 def stop_and_go(context: CheckContext) -> CheckResult:
     """How much a person's speed changes in time in a single file, against a recording, and the wave that it makes."""
+    # Models easily have the right mean speed without stop-and-go waves, so waves are measured in time.
     seeds = range(1 if context.quick else 4)
     cases = list(itertools.product(WAVES, seeds))
     scenes = [in_file(number, WAVE_LOOP, WAVE_SECONDS, seed, 0.2) for number, seed in cases]
     recorded = context.simulate(scenes, ["" if seed else f"{number} people" for number, seed in cases])
+
+    # The curve of each density is that of its first draw; numbers are means of all draws.
     motions: dict[int, list[FileMotion]] = {}
     curves: dict[int, Curve] = {}
     for (number, _), tracks in zip(cases, recorded, strict=True):
@@ -282,23 +289,29 @@ def stop_and_go(context: CheckContext) -> CheckResult:
 
     words, numbers, passed = [], {}, []
     for number, draws in motions.items():
+        # NaN in one draw without a wave makes the mean NaN, and a comparison with NaN is false: it fails.
         mean = FileMotion(*np.mean(draws, axis=0).tolist())
         known_speed, known_deviation, known_delay, known_wave = WAVES[number]
         as_wide = abs(mean.deviation / known_deviation - 1.0) <= WAVE_TOLERANCE
         as_fast = abs(mean.wave - known_wave) <= WAVE_SPEED_TOLERANCE  # not where there is no wave
+
+        # The recorded wave is by the same correlation; the jams that its authors follow move backwards at 0.4 m/s.
         passed.append(as_wide and as_fast)
         numbers[number] = mean._asdict()
+
         wave_words = "no wave in all draws"
         if np.isfinite(mean.delay):
             wave_words = (
                 f"a wave of {mean.wave:.2f} m/s (recorded {known_wave:.2f}), {mean.delay:.1f} s from one to the next "
                 f"(recorded {known_delay:.1f})"
             )
+
         words.append(
             f"{number / WAVE_LOOP:.2f} /m: {mean.deviation:.3f} m/s (recorded {known_deviation:.3f}), mean "
             f"{mean.speed:.2f} m/s (recorded {known_speed:.2f}), {wave_words}"
         )
 
+    # The curves are distributions of speeds: with waves some people stand while others walk.
     names = ("speed", "deviation", "correlation", "delay", "wave")
     return result(
         all(passed),
@@ -347,25 +360,32 @@ def mixed_corridor(density: float, seed: int) -> Scene:
 
 def lanes(context: CheckContext) -> CheckResult:
     """The order of lanes that form out of a random mix (D. Helbing & P. Molnar, Phys. Rev. E 51, 4282 (1995))."""
+    # Lanes are not in the model: they form as people avoid those who come towards them.
     seeds = range(1 if context.quick else 5)
     cases = list(itertools.product(LANE_DENSITIES, seeds))
     scenes = [mixed_corridor(density, seed) for density, seed in cases]
     recorded = context.simulate(scenes, ["" if seed else f"{density:g} people/m²" for density, seed in cases])
     order = np.stack([_order(tracks) for tracks in recorded]).reshape(len(LANE_DENSITIES), len(seeds), -1)
 
+    # The begin is left out, in which people are still mixed; the time until then is shown.
     begin = int((1.0 - LANE_SHARE) * order.shape[-1])
-    last = order[..., begin:].mean((1, 2))
+    last = order[..., begin:].mean((1, 2))  # (D,)
     until = np.array([np.mean([time_until(series, LANE_ORDER) for series in draws]) for draws in order])
 
+    # Moments are 0.1 s apart; the plot has one in 2 s.
     end = 0.1 * (order.shape[-1] - 1)
     time = (0.1 * np.arange(order.shape[-1]))[::20]
+
     curves = []
     for density, mean in zip(LANE_DENSITIES, order.mean(1), strict=True):
         curves.append(curve(f"{density:g} people/m²", time, mean[::20]))
     curves.append(level("wanted", (0.1 * begin, end), LANE_ORDER))
+
+    # Recordings of real people do not decide: their order is over the middle 4 m, not over the whole corridor.
     for path in juelich_recordings(context, "bo-360-*.csv"):
         known = recorded_order(read(path, "juelich"))
         curves.append(level(f"recording {path.stem.split('_')[0]}", (0.0, end), known))
+
     return result(
         bool((last >= LANE_ORDER).all()),
         f"{listing(last)} at {listing(LANE_DENSITIES, form='g')} /m², {LANE_ORDER:g} after "

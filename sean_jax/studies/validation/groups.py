@@ -142,20 +142,26 @@ def _episodes(steps: int, scenario: Scenario, key: Array) -> GraphWalk:
 
 def compare_occupancy(by_name: dict[str, tuple[GroupOccupancy, np.ndarray]]) -> CheckResult:
     """The result of occupancies by environment, of ``in_environment``."""
+    # Groups are numbered within each environment; a group that nobody has left counts as an endless stay.
     names, stays = [], []
     for name, (occupied, _) in by_name.items():
         names += [f"{name} {k + 1}" for k in range(len(occupied.mean))]
         stays += [group_stays.mean() if len(group_stays) else np.inf for group_stays in occupied.stays]
+
+    # Stays are uniform, so their mean is in the middle; who waits for a successor adds MAX_WAIT at most.
     stay = np.array(stays)
     members = np.concatenate([occupied.mean for occupied, _ in by_name.values()])
     full = np.concatenate([occupied.full for occupied, _ in by_name.values()])
-    shortest, longest = np.concatenate([drawn for _, drawn in by_name.values()]).T
+    shortest, longest = np.concatenate([drawn for _, drawn in by_name.values()]).T  # (G,) s each
     changes = bool(((stay >= shortest) & (stay <= (shortest + longest) / 2 + MAX_WAIT)).all())
 
+    # Environments differ in their numbers of groups, so the plot has all groups in a row.
     number = tuple(np.arange(1.0, len(names) + 1.0))
     numbers: dict[str, float] = {}
     for word, values in (("members", members), ("full", full), ("stay", stay)):
         numbers |= {f"{word}_{name}": float(value) for name, value in zip(names, values, strict=True)}
+
+    # Members alone could be steady with a seat that is always free: both shares have to be large.
     return result(
         bool((members >= MEMBERS).all() and (full >= FULL).all() and changes),
         f"{100 * members.min():.0f} % of the members on average at least, full {100 * full.min():.0f} % of the time at "

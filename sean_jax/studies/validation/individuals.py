@@ -73,13 +73,18 @@ def pairs(context: CheckContext, name: str, angles: Sequence[float], quick: Sequ
         quick: the angles with ``--quick``.
     """
     angles = tuple(quick if context.quick else angles)
+
+    # Offsets include 0: two who meet head-on have no side to evade to, unless the model breaks the symmetry.
     cases = list(itertools.product(angles, OFFSETS, SPEEDS))
+
+    # The film of an angle has an offset of 2 cm, because nobody meets others exactly head-on.
     scenes, captions = [], []
     for angle, offset, speeds in cases:
         scenes.append(two(np.deg2rad(angle), offset, speeds))
         shown = offset == OFFSETS[1] and speeds == SPEEDS[0]
         captions.append(f"{name}, {angle:g} degrees" if shown else "")
 
+    # People who stand still do not overlap, either: the time that they lose is told besides.
     bodies = 2.0 * float(context.model.forces.walking.radius)
     gaps, lost = [], []
     for scene, tracks in zip(scenes, context.simulate(scenes, captions), strict=True):
@@ -87,10 +92,14 @@ def pairs(context: CheckContext, name: str, angles: Sequence[float], quick: Sequ
         gaps.append(separation(position[:, 0], position[:, 1]) - bodies)
         lost.append(_lost(scene, tracks))
 
-    gap = np.array(gaps)
+    gap = np.array(gaps)  # (C,) m
+
+    # The least gap of all cases decides, as bodies are solid at every angle.
     worst = int(gap.argmin())
     angle, offset, speeds = cases[worst]
     by_angle = gap.reshape(len(angles), -1).min(1)
+
+    # A tolerance of 1 mm allows for bodies that touch; one angle alone is a point and not a curve.
     return result(
         bool((gap >= -TOLERANCE).all()),
         f"least gap of bodies {100 * gap[worst]:.0f} cm (at {angle:g} degrees, {offset:g} m aside, {speeds[0]:g} and "
@@ -289,15 +298,21 @@ def compare_scores(scores: dict[str, Scores], straight: dict[str, Scores], plain
         straight: of constant velocity with the same habits in the same scenes.
         plain: likewise, of constant velocity without habits.
     """
+    # Constant velocity is hard to beat in these recordings (Schoeller et al., RA-L 2020): it is the measure.
     worse, words = [], []
     for scene, errors in scores.items():
         known, usual = straight[scene], plain[scene]
+
+        # With the same habits, so that slowing down alone, which any model may do, is not an advantage.
         if errors.ade > (1.0 - BETTER) * known.ade or errors.fde > known.fde:
             worse.append(scene)
+
         words.append(
             f"{scene} {errors.ade:.3f}/{errors.fde:.3f} (constant velocity with the same habits {known.ade:.3f}/"
             f"{known.fde:.3f}, without {usual.ade:.3f}/{usual.fde:.3f})"
         )
+
+    # Displacement errors do not see collisions, so they are counted besides; few have to remain.
     collisions = np.mean([errors.collisions for errors in scores.values()])
     straight_collisions = np.mean([errors.collisions for errors in straight.values()])
 
@@ -306,8 +321,11 @@ def compare_scores(scores: dict[str, Scores], straight: dict[str, Scores], plain
         for scene, errors in table.items():
             numbers |= {f"{name}{suffix}_{scene}": float(getattr(errors, name)) for name in Scores._fields[:3]}
 
+    # Without habits is shown for the reader, and does not decide.
     number, scenes = numbered(scores)
     not_all = f" (not: {', '.join(worse)})" if worse else ""
+
+    # ADE is the mean distance over all predicted moments, FDE that at the last one [G18].
     return result(
         not worse and bool(collisions * FEWER <= straight_collisions),
         f"{'; '.join(words)}; {100 * collisions:.2f} % of tracks collide (constant velocity "

@@ -112,27 +112,32 @@ def streets(path: str | Path) -> list[Street]:
 
 def walked_again(street: Street) -> Scene:
     """The scene in which people of a window enter when and where they did, and walk to where they left."""
+    # Only ends are given: what is between them has to come from the model and can be compared.
     people = np.arange(street.present.shape[1])
-    first = street.present.argmax(0)
-    start = street.position[first, people]
-    velocity = (street.position[first + 1, people] - start) / TIME_STEP
-    way = street.goal - start
+    first = street.present.argmax(0)  # (N,)
+    start = street.position[first, people]  # (N, 2) m
+    velocity = (street.position[first + 1, people] - start) / TIME_STEP  # (N, 2) m/s
+    way = street.goal - start  # (N, 2) m
     way = way / np.maximum(np.linalg.norm(way, axis=-1), 1e-9)[:, None]
 
+    # Everybody has a gate of their own, a line across the way where they left.
     crowd, gates = [], []
     for k in people:
         crowd.append(walkers(start[k : k + 1], route=(k,), speed=street.speed[k], velocity=tuple(velocity[k])))
+
+        # The normal to the left of (x, y) is (-y, x); the other end is opposite to it.
         left = street.goal[k] + 0.5 * GATE * np.array([-way[k, 1], way[k, 0]])
         gates.append(Gate(tuple(left), tuple(2.0 * street.goal[k] - left)))
 
     # Members of a group walk side by side: each has the one on the right and the one on the left as companions.
     companion = np.full((len(people), 2), -1, np.int32)
     for members in street.groups():
-        ahead = way[members].mean(0)
+        ahead = way[members].mean(0)  # (2,)
         order = members[np.argsort(start[members] @ np.array([-ahead[1], ahead[0]]))]
         companion[order[1:], 0] = order[:-1]
         companion[order[:-1], 1] = order[1:]
 
+    # Who comes later enters at the time of the recording, so that density changes as it did.
     entering = replace(join(*crowd), entry_time=first * TIME_STEP, companion=companion)
     return Scene(NO_WALLS, entering, tuple(gates), (len(street.present) - 1) * TIME_STEP)
 
@@ -194,18 +199,25 @@ def compare_walks(walks: dict[str, tuple[Walk, Walk]]) -> CheckResult:
     ratios: dict[str, list[float]] = {name: [] for name in UNITS}
     for scene, (recorded, again) in walks.items():
         known, simulated = summary(recorded), summary(again)
+
+        # The ratio is of magnitudes; a floor keeps its logarithm finite for people who walk straight on.
         for name in UNITS:
             ratios[name].append(max(simulated[name], TINY) / max(known[name], TINY))
+
         numbers |= {f"{name}_{scene}": value for name, value in simulated.items()}
         numbers |= {f"{name}_{scene}_recorded": value for name, value in known.items()}
         values = (f"{name.replace('_', ' ')} {value:.2f} ({known[name]:.2f})" for name, value in simulated.items())
         words.append(f"{scene}: {', '.join(values)}")
 
+    # The geometric mean: twice and half as much as recorded balance each other.
     mean = {name: float(np.exp(np.mean(np.log(values)))) for name, values in ratios.items()}
     numbers |= {f"ratio_{name}": value for name, value in mean.items()}
+
     number, scenes = numbered(walks)
     curves = [curve(name, number, values, points=True) for name, values in ratios.items()]
     curves.append(level("recorded", number, 1.0))
+
+    # 95th percentiles, because the largest values of a recording are often errors of tracking (rough in eth and hotel).
     return result(
         all(abs(value - 1.0) <= TOLERANCE for value in mean.values()),
         f"{', '.join(f'{name} {value:.2f}' for name, value in mean.items())} times the recorded; {'; '.join(words)} "
