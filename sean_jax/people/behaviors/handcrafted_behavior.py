@@ -65,6 +65,8 @@ def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Handcraf
     """People of a set drawn by its odds, on their loops or at waypoints, and in formations."""
     tables: Sets = scenario.behavior.data
     set_key, form_key, phase_key, trait_key = jax.random.split(key, 4)
+
+    # A set is as likely as all its pairs of start and goal together; the task draws the pair afterwards.
     index = jax.random.categorical(set_key, jnp.log(tables.odds.sum((1, 2)))).astype(jnp.int32)
     layout = tables.one(index)
     n_groups = layout.capacity.shape[0]
@@ -78,15 +80,17 @@ def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Handcraf
     has_group = layout.capacity > 0
     groups = Groups(center=layout.center, radius=radius[:n_groups], opening=opening[:n_groups], present=has_group)
 
-    # Walkers on their loops, in the direction of the way ahead.
+    # One phase for a loop keeps its walkers evenly apart, wherever the first of them is.
     phase = jax.random.uniform(phase_key, layout.waypoints.shape, float)
     on_loops = jax.vmap(_on_loop, in_axes=(None, 0, 0, 0, 0, None))
     place, ahead, target = on_loops(layout, layout.loop, layout.share, layout.way, layout.first, phase)
+    # Around obstacles the way ahead is not the straight leg; at a corner itself it has no direction.
     if tables.ways is not None:
         gap = _ahead(tables.ways, index, layout.loop, target, place) - place
         distance = length(gap[:, 0], gap[:, 1])[:, None]
         ahead = jnp.where(distance > 1e-3, gap / jnp.maximum(distance, 1e-3), ahead)
 
+    # Walkers begin at full speed, as if the episode had begun long before.
     walks = (layout.loop >= 0)[:, None]
     heading = jnp.where(walks, ahead, seat_heading)
     preferred_speed, robot_distance = draw_traits(scenario.forces, trait_key, n_people)
@@ -112,6 +116,8 @@ def direct(scenario: Scenario, state: State, key: Array) -> State:
     """
     tables: Sets = scenario.behavior.data
     people, memory = state.pedestrians, state.memory
+
+    # People without a loop have index -1: row 0 stands in for it, and ``walks`` masks the result.
     row = memory.set
     loop = jnp.maximum(tables.loop[row], 0)
     walks = tables.loop[row] >= 0
@@ -121,17 +127,19 @@ def direct(scenario: Scenario, state: State, key: Array) -> State:
         goal = jnp.take_along_axis(waypoint, target[:, None, None], axis=1)[:, 0]
         return jnp.where(walks[:, None], goal, memory.seat_position) - people.position
 
-    # Who has arrived goes on to the next waypoint.
+    # Loops have no end: indices wrap around, backwards for people whose ``way`` is -1.
     gap = gap_to(memory.target)
     arrived = length(gap[:, 0], gap[:, 1]) < ARRIVED
     next_target = (memory.target + tables.way[row]) % tables.waypoints[row][loop]
     target = jnp.where(arrived & walks, next_target, memory.target)
     gap = gap_to(target)
+
+    # Between waypoints chosen as starts there may be obstacles, which a straight line would run into.
     if tables.ways is not None:
         aim = _ahead(tables.ways, row, tables.loop[row], target, people.position)
         gap = jnp.where(walks[:, None], aim - people.position, gap)
 
-    # At the preferred speed, or back to the seat.
+    # Near a seat the speed falls with the distance: at full speed people would oscillate about it.
     distance = length(gap[:, 0], gap[:, 1])
     speed = jnp.where(walks, people.preferred_speed, jnp.minimum(people.preferred_speed, distance / SETTLING))
     speed = jnp.where(people.present, speed, 0.0)
