@@ -597,7 +597,8 @@ class RobotRepulsion:
         robot, people = crowd.robot, crowd.people
         if robot is None:
             return None
-        # The robot's velocity over the ground.
+
+        # People see the velocity over the ground, which the heading alone does not give if a robot moves sideways.
         wx, wy = robot.speed * robot.heading[0], robot.speed * robot.heading[1]
         if robot.sideways is not None:
             wx, wy = ground_velocity(robot)
