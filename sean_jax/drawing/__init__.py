@@ -401,7 +401,7 @@ def _draw_set(axes: Axes, environment: Environment, window: tuple, starts: _Star
     is_member = np.asarray(sets.group[sets.present] >= 0)
     layers.draw_discs(axes, people, heading, is_member, max(0.012 * side, MIN_RADIUS), 0.7)
 
-    # Poses lie above people, since members of a group may cover the place that is left for the robot.
+    # A pose may be the open place of a group, so poses are drawn above people.
     _draw_poses(axes, starts.start, starts.start_heading, side, "s", colors.PAPER)
     _draw_poses(axes, starts.goal, starts.goal_heading, side, "o", colors.ROBOT)
 

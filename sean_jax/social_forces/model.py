@@ -140,7 +140,7 @@ def integrate(
         companions: indices of each person's companions, -1 none; None if nobody has any.
         near: the result of ``neighbors`` for some steps; None: computed for this step.
     """
-    # Callers of several steps find neighbors once; with a single step there is no margin (0 m) to allow for.
+    # Callers of several steps find neighbors once, with a margin for motion; a single step needs none (0 s).
     near = neighbors(forces, people, 0.0) if near is None else near
     walking = forces.walking
     reactions = forces.get(Reactions)

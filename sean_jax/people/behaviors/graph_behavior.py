@@ -94,7 +94,6 @@ def build(
     Raises:
         InputError: there is no graph, it has a mistake, or so many people or walking groups do not fit.
     """
-
     # Environments without groups or walkers have no graph, so the message names the cure.
     file = place.folder / "graph.yaml"
     if not file.is_file():

@@ -230,7 +230,7 @@ def _snapshots(
     def always(value: Array) -> Array:
         return jnp.broadcast_to(value[None], (times, *value.shape))
 
-    # Distances between situations count from bodies; the robot is a person here, or as wide as one.
+    # The robot is a person here, or as wide as one.
     return Snapshot(
         people=replace(people, group=named_group),
         position=position,
