@@ -67,16 +67,14 @@ def half_plane(
     cosine = jnp.where(apart, jnp.sqrt(square) * inverse, 1.0)
     on_leg = apart & (along * cosine + across * sine > 0.0)
 
-    # The normal (na, nb) along the line and across it.
-
-    # In the middle of the tip all ways out are equally long: the one away from the other is taken.
+    # The normal is (na, nb) along the line and across it. In the middle of the tip it points away from the other.
     from_tip = length(along, across)
     tip_a, tip_b = unit(along, across)
     tip_a = jnp.where(from_tip == 0.0, -1.0, tip_a)
     na = jnp.where(on_leg, -sine, tip_a)
     nb = jnp.where(on_leg, cosine, tip_b)
 
-    # The normal is turned back from the frame of the line to that of the floor.
+    # ``out`` is positive inside the obstacle; the normal is mirrored and turned back to the floor's axes.
     out = radii / within - jnp.where(on_leg, across * cosine - along * sine, from_tip)
     nb = nb * side
     return na * ex - nb * ey, na * ey + nb * ex, out

@@ -193,7 +193,7 @@ def colors(
     is_ceiling = to_ceiling < to_surface
     ceiling = _visible_ceiling(scenery, state, view, bundle, jnp.where(is_ceiling, to_ceiling, 0.0))
 
-    # The ceiling hides the sky, and the sky what is not a body; light acts on floor and bodies alone.
+    # A pixel is ceiling, else sky, else a lit surface: ceiling and sky have their colors without light.
     def channel(axis: int) -> Array:
         body = painted[axis]
         if figure is not None:

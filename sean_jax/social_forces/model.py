@@ -332,7 +332,7 @@ def _pair_law(shared: SharedTerms, own: Sequence[Array], other: Sequence[Array])
     force = sum_pair_terms(shared.pair_terms, pair) if shared.pair_terms else None
     sums = gather(shared.gather_terms, pair._replace(radii=gather_radii))
 
-    # Members of a group touch at most; nobody acts on themselves (dd = 0); people alone match no group.
+    # Members of a group touch at most; people alone match no group. dd = 0 is oneself, or somebody at one's place.
     within = (dd > 0.0) & (dd < shared.reach * shared.reach)
     felt = within & (group != other_group)
     force, sums = jax.tree.map(lambda number: jnp.where(felt, number, 0.0), (force, sums))

@@ -62,9 +62,7 @@ def find(position: Float[Array, "N 2"], present: Bool[Array, "N"], within: Float
     below = _half_chord(within, up - rounding) + rounding
     above = _half_chord(within, within - up - rounding) + rounding
 
-    # The strips lie one behind the other on a line, so that one sort orders people by strip and x.
-
-    # Places on a long line are rounded: runs are wider by that, and the law leaves out who is too far.
+    # Strips lie one behind the other on a line, so one sort orders people by strip and x; its rounding widens runs.
     within = within + rounding
     width = jnp.max(x) + 2.0 * within + 1.0
     people = jnp.arange(x.shape[0], dtype=jnp.int32)

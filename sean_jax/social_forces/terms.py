@@ -624,6 +624,7 @@ class RobotRepulsion:
                 pair = pair._replace(width=pair.width * wider)
             return law(pair)
 
+        # The law is that of one pair in scalars, as between people, so vmap goes over the people.
         x, y = people.position[:, 0], people.position[:, 1]
         vx, vy = people.velocity[:, 0], people.velocity[:, 1]
         rows = x, y, vx, vy, crowd.look_x, crowd.look_y, is_standing(people), people.robot_distance

@@ -291,7 +291,7 @@ def import_map(
             f"{files.short_name(Path(path))}: {quantity} cell is an obstacle; look at negate and the thresholds."
         )
 
-    # Every box costs each ray and force, so few cover the obstacles, without slivers within the agreement.
+    # Rays and paths cost by the number of boxes, so few cover the obstacles, without slivers within the agreement.
     rows = rectangles(solid, int(solid.size * (1 - MIN_AGREEMENT) * SLIVER_SHARE))
 
     # The default crowd is as dense as in the warehouse.
@@ -303,9 +303,8 @@ def import_map(
     with writing.atomic_folder(folder) as new_folder:
         lower = np.asarray(raster.origin)
         upper = lower + raster.resolution * np.asarray(solid.shape[::-1])
+        # Six digits, or the file would show sums such as 9.600000000000001.
         x0, y0, x1, y1 = (round(float(value), 6) for value in (*lower, *upper))
-
-        # The source tells in the file where the environment comes from.
         name = folder.resolve().name
         source = f"ROS map {Path(path).name}, {raster.resolution:g} m a cell"
         settings = environments.Settings(name=name, floor=(x0, y0, x1, y1), people=people, source=source)

@@ -323,12 +323,12 @@ def _direct(whole: bool, scenario: Scenario, state: State, key: Array) -> State:
         goal, hop, origin, target = follow_leaders(people.walking_group, *rows)
         memory = memory._replace(goal=goal, hop=hop, origin=origin, target=target)
 
-    # Members of walking groups walk side by side.
-
     # A switch of target is a jump; with a temperature a blend keeps positions differentiable across it.
     desired_velocity = _desired_velocity(tables, people, memory, seats, pace)
     if draws is not None:
         desired_velocity = _blend(scenario, people, state.memory, memory, seats, desired_velocity)
+
+    # Members of a walking group that all headed for one target would arrive in single file.
     if scenario.behavior.companions is not None:
         desired_velocity = walk_abreast(people, desired_velocity)
 
