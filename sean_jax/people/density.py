@@ -78,7 +78,7 @@ def congestion(
     # Flow is in walks a minute along directed edges of the Behavior Graph; without a graph it is empty.
     graph = graph_of(scenario)
     minutes = jnp.asarray(lengths * scenario.time_step / 60.0, float)[:, None, None]
-    flow = _walks_by_edge(graph, frames, index, n_spans) / minutes
+    flow = _walks_by_edge(graph, frames, index, n_spans) / minutes  # (K, M, M)
     return Congestion(time=jnp.asarray(ends * scenario.time_step, float), density=density, flow=flow)
 
 

@@ -178,7 +178,7 @@ def score_trajectories(
 
     # Places are in cells of the window, so that a look-up is a conversion to an integer.
     zeros, none = jnp.zeros_like(commands[0]), jnp.zeros_like(commands[0], jnp.int32)
-    place = (robot.position - window.origin) / window.cell
+    place = (robot.position - window.origin) / window.cell  # (2,) cells
     yaw = jnp.arctan2(robot.heading[1], robot.heading[0])
     start = TrajectoryPoint(
         zeros + place[0], zeros + place[1], zeros + yaw, zeros + robot.speed, zeros + robot.turn_rate, zeros, none, none
@@ -186,7 +186,7 @@ def score_trajectories(
     last, _ = jax.lax.scan(drive, start, length=POINTS)
 
     # Plan and goal count at the end of a trajectory alone, obstacles at their worst on the way.
-    path_cost = params.path * window.cell * path[last.cell]
+    path_cost = params.path * window.cell * path[last.cell]  # (P,)
     goal_cost = params.goal * window.cell * goal[last.cell]
     score = path_cost + goal_cost + params.obstacle * last.highest_cost
 

@@ -111,6 +111,8 @@ def articulated(
     _check_body(path, model)
     data = _at_home(model)
     home = data.qpos.copy()
+
+    # Bodies differ in height: without a limit of its own, one has fallen at half its height at the start.
     steps = _steps_of_period(path, model, control_period)
     if min_height is None:
         min_height = home[2] / 2
@@ -310,7 +312,7 @@ def drive_body(scenario: Scenario, state: State, action: Float[Array, "command"]
     # MJX sees the ground alone; a simulation whose numbers are not finite counts as a fall.
     steps = drive.physics_steps(model, step)
     physics, memory, finite = _simulate_alone(model, robot, steps, target)
-    rotation = _rotation(physics["qpos"][3:7])
+    rotation = _rotation(physics["qpos"][3:7])  # (3, 3)
     down = ~finite | _is_down(model.data, physics["qpos"], rotation)
 
     # Obstacles and people act on the way of this step, and its velocity changes by what they shift.

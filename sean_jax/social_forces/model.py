@@ -165,7 +165,7 @@ def integrate(
         vx, vy = jax.lax.optimization_barrier((vx, vy))  # XLA for a GPU would compute both twice: for x and for y
 
     # Absent people have no velocity, or padding would drift; bodies turn into their motion, or to the robot.
-    velocity = jnp.where(people.present[:, None], jnp.stack([vx, vy], -1), 0.0)
+    velocity = jnp.where(people.present[:, None], jnp.stack([vx, vy], -1), 0.0)  # (N, 2)
     towards = velocity if gaze is None else velocity + gaze
     heading = turn(people, towards, walking.turn_rate * time_step)
     position = people.position + velocity * time_step

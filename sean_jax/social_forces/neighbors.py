@@ -56,7 +56,7 @@ def find(position: Float[Array, "N 2"], present: Bool[Array, "N"], within: Float
     within = jnp.minimum(within, 2.0 * (jnp.max(x) + jnp.max(y)) + 1.0)
 
     # At least ``up`` of the distance is across strips, so the rest along one is half a chord of a circle.
-    strip = jnp.floor(y / within)
+    strip = jnp.floor(y / within)  # (N,)
     rounding = 1e-6 * (jnp.max(x) + 2.0 * within + 1.0) * (jnp.max(strip) + 2.0)
     up = y - strip * within  # from the own strip's lower edge
     below = _half_chord(within, up - rounding) + rounding
@@ -134,8 +134,8 @@ def pull_back_near(
     """
     # The pulls travel with a person's rows: on the way back a neighbor is also the one that is acted on.
     n_own, n_other = len(own), len(other)
-    sorted_other = other[:, near.order]
-    sorted_own = jnp.concatenate([own, pulls])[:, near.order]
+    sorted_other = other[:, near.order]  # (B, N)
+    sorted_own = jnp.concatenate([own, pulls])[:, near.order]  # (A + C, N)
 
     def pulled_law(shared: PyTree, other: Array, own: tuple) -> Array:
         """The numbers of the law times the pulls on them, with the other as the person."""

@@ -69,7 +69,7 @@ def busy_ab_nav(scenario: Scenario, pedestrians: Pedestrians, groups: Groups, me
     """
     navigation = scenario.navigation
     cluster_key, ring_key, draw_key, goal_key, choice_key, turn_key = jax.random.split(key, 6)
-    anywhere = navigation.places[paths.draw_uniform_places(navigation, draw_key, CANDIDATES)]
+    anywhere = navigation.places[paths.draw_uniform_places(navigation, draw_key, CANDIDATES)]  # (CANDIDATES, 2) m
     middle = anywhere[0]
 
     # A crowd of size 0 is known when tracing, one of absent people is not: both leave the random place.
@@ -86,12 +86,12 @@ def busy_ab_nav(scenario: Scenario, pedestrians: Pedestrians, groups: Groups, me
     # Within ``SNAP`` of the ring places cost nothing, as in SEAN 2.0; 1e-4 m is for rounding.
     gap = spots - middle[None, :]
     cost = jnp.maximum(jnp.abs(jnp.sqrt((gap * gap).sum(-1)) - RING) - SNAP - 1e-4, 0.0)
-    free = clearance(scenario.environment, spots) > navigation.radius + ROOM
+    free = clearance(scenario.environment, spots) > navigation.radius + ROOM  # (2 * CANDIDATES,)
     cost = jnp.where(free, cost, jnp.inf)
 
     # Paths to a goal are costly, so few are rated; noise below a centimetre draws among equals.
     chance = jax.random.uniform(goal_key, cost.shape, float)
-    best = jax.lax.top_k(-cost + 0.01 * chance, GOALS)[1]
+    best = jax.lax.top_k(-cost + 0.01 * chance, GOALS)[1]  # (GOALS,)
     pair = choose_pair(scenario, pedestrians, spots[best], spots, cost[best], cost, choice_key)
     return _task(scenario, pair, turn_key)
 

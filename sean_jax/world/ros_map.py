@@ -292,7 +292,7 @@ def import_map(
         )
 
     # Rays and paths cost by the number of boxes, so few cover the obstacles, without slivers within the agreement.
-    rows = rectangles(solid, int(solid.size * (1 - MIN_AGREEMENT) * SLIVER_SHARE))
+    rows = rectangles(solid, int(solid.size * (1 - MIN_AGREEMENT) * SLIVER_SHARE))  # (boxes, 4)
 
     # The default crowd is as dense as in the warehouse.
     if people is None:

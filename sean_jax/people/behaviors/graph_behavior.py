@@ -165,7 +165,7 @@ def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, GraphMem
     form_key, trait_key, place_key, stay_key, turn_key = jax.random.split(key, 5)
 
     # All seats get a place, taken or not: successors and the robot need the free ones later.
-    center = graph.position[graph.groups]
+    center = graph.position[graph.groups]  # (G, 2) m
     capacity = graph.capacity[graph.groups]
     seat_position, seat_heading, radius, opening = formation(form_key, capacity, center, graph.seat_group)
     groups = Groups(center=center, radius=radius, opening=opening, present=graph.groups >= 0)
@@ -301,7 +301,7 @@ def _direct(whole: bool, scenario: Scenario, state: State, key: Array) -> State:
     if tables.temperature is not None:
         key, draw_key = jax.random.split(key)
         draws = graph_choices.draw(draw_key, tables.temperature, scenario.people, graph.seat_group.shape[0])
-    chance = jax.random.uniform(key, (3, scenario.people), float)
+    chance = jax.random.uniform(key, (3, scenario.people), float)  # (3, N)
 
     # Stays come first: whoever leaves a seat or reaches a waypoint chooses a goal in the same step.
     memory, free = _stay_or_leave(scenario, people, state.memory, chance[0], draws)
@@ -334,7 +334,7 @@ def _direct(whole: bool, scenario: Scenario, state: State, key: Array) -> State:
 
     # Heading follows motion, and who stands has none: it is the seat's, but only once the walk has ended.
     standing = memory.stay > 0
-    gap = memory.target - people.position
+    gap = memory.target - people.position  # (N, 2) m
     settled = standing & (length(gap[:, 0], gap[:, 1]) < SEATED)
     people = replace(
         people,
@@ -366,7 +366,7 @@ def _stay_or_leave(
 
     # A stay's ticks include the patience at its end, in which the holder only waits for a successor.
     patience = of_seat(tables.patience, memory.seat)
-    gap = memory.target - people.position
+    gap = memory.target - people.position  # (N, 2) m
     distance = length(gap[:, 0], gap[:, 1])
     was_standing = memory.stay > 0
 
@@ -384,7 +384,7 @@ def _stay_or_leave(
     sits_down = comes & (at_empty_seat | of_seat(given_up & successor_is_near, memory.seat))
 
     # Stays are uniform between the limits of their group; with a temperature tails make limits differentiable.
-    limits = tables.graph.stay[of_seat(tables.graph.seat_node, memory.seat)]
+    limits = tables.graph.stay[of_seat(tables.graph.seat_node, memory.seat)]  # (N, 2) s
     new_stay = _stay(scenario, limits[:, 0] + chance * (limits[:, 1] - limits[:, 0]))
     if draws is not None:
         both = jnp.stack([chance, draws.stay])

@@ -303,8 +303,8 @@ def send(
 
     # One round of asking and taking, not an optimal assignment: who is left over asks at the next node.
     if draws is None:
-        seat = jnp.argmin(score, axis=1).astype(jnp.int32)
-        taker = jnp.argmin(score, axis=0).astype(jnp.int32)
+        seat = jnp.argmin(score, axis=1).astype(jnp.int32)  # (N,)
+        taker = jnp.argmin(score, axis=0).astype(jnp.int32)  # (Q,)
     else:
         seat, log_asked = sample(log_chances(score, draws.temperature), draws.seat)
         taker, log_taken = sample(log_chances(score.T, draws.temperature), draws.taker)
@@ -315,8 +315,8 @@ def send(
 
     # Both must agree, or one person could get two seats, or one seat two successors.
     person = jnp.arange(n_people, dtype=jnp.int32)
-    is_sent = (taker[seat] == person) & jnp.isfinite(jnp.min(score, axis=1))
-    assigned = is_sent[taker] & (seat[taker] == jnp.arange(n_seats, dtype=jnp.int32))
+    is_sent = (taker[seat] == person) & jnp.isfinite(jnp.min(score, axis=1))  # (N,)
+    assigned = is_sent[taker] & (seat[taker] == jnp.arange(n_seats, dtype=jnp.int32))  # (Q,)
 
     # A seat has one successor: the former one walks on without a goal and chooses again in this step.
     walks_to_seat = (memory.seat >= 0) & (memory.stay == 0)

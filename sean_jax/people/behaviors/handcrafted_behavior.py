@@ -75,13 +75,13 @@ def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Handcraf
     # Walkers and absent people take seats of an extra group, which is dropped below.
     center = jnp.concatenate([layout.center, jnp.zeros((1, 2), float)])
     capacity = jnp.concatenate([layout.capacity, jnp.ones(1, jnp.int32)])
-    seat_group = jnp.where(layout.group >= 0, layout.group, n_groups)
+    seat_group = jnp.where(layout.group >= 0, layout.group, n_groups)  # (N,)
     seat_position, seat_heading, radius, opening = formation(form_key, capacity, center, seat_group)
     has_group = layout.capacity > 0
     groups = Groups(center=layout.center, radius=radius[:n_groups], opening=opening[:n_groups], present=has_group)
 
     # One phase for a loop keeps its walkers evenly apart, wherever the first of them is.
-    phase = jax.random.uniform(phase_key, layout.waypoints.shape, float)
+    phase = jax.random.uniform(phase_key, layout.waypoints.shape, float)  # (L,)
     on_loops = jax.vmap(_on_loop, in_axes=(None, 0, 0, 0, 0, None))
     place, ahead, target = on_loops(layout, layout.loop, layout.share, layout.way, layout.first, phase)
     # Around obstacles the way ahead is not the straight leg; at a corner itself it has no direction.
@@ -91,7 +91,7 @@ def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Handcraf
         ahead = jnp.where(distance > 1e-3, gap / jnp.maximum(distance, 1e-3), ahead)
 
     # Walkers begin at full speed, as if the episode had begun long before.
-    walks = (layout.loop >= 0)[:, None]
+    walks = (layout.loop >= 0)[:, None]  # (N, 1)
     heading = jnp.where(walks, ahead, seat_heading)
     preferred_speed, robot_distance = draw_traits(scenario.forces, trait_key, n_people)
     velocity = jnp.where(walks, preferred_speed[:, None] * heading, 0.0)
@@ -119,7 +119,7 @@ def direct(scenario: Scenario, state: State, key: Array) -> State:
 
     # People without a loop have index -1: row 0 stands in for it, and ``walks`` masks the result.
     row = memory.set
-    loop = jnp.maximum(tables.loop[row], 0)
+    loop = jnp.maximum(tables.loop[row], 0)  # (N,)
     walks = tables.loop[row] >= 0
     waypoint = tables.waypoint[row][loop]  # (N, K, 2)
 
@@ -136,7 +136,7 @@ def direct(scenario: Scenario, state: State, key: Array) -> State:
 
     # Between waypoints chosen as starts there may be obstacles, which a straight line would run into.
     if tables.ways is not None:
-        aim = _ahead(tables.ways, row, tables.loop[row], target, people.position)
+        aim = _ahead(tables.ways, row, tables.loop[row], target, people.position)  # (N, 2) m
         gap = jnp.where(walks[:, None], aim - people.position, gap)
 
     # Near a seat the speed falls with the distance: at full speed people would oscillate about it.

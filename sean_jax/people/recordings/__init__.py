@@ -216,7 +216,7 @@ def _snapshots(
     with_start = (group_at_start >= 0) & (group[first] == group_at_start)  # (N,)
     with_goal = (group_at_goal >= 0) & (group[last] == group_at_goal)
     name = jnp.where(with_goal, GOAL_GROUP, jnp.where(with_start, START_GROUP, -1)).astype(jnp.int32)
-    named_group = jnp.where(group >= 0, name[None, :], -1)
+    named_group = jnp.where(group >= 0, name[None, :], -1)  # (T, N)
 
     # Start and goal with the same people are one group: the robot neither leaves it nor joins it.
     unchanged = (group_at_start >= 0) & (group_at_goal >= 0) & (with_start == with_goal).all()

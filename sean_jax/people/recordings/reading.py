@@ -379,7 +379,7 @@ def _arrange(recorded: Lines) -> Tracks:
         )
 
     # Lines may be some frames off the rows, so each goes to the nearest one.
-    row = np.floor((values["frame"] - first) / step + 0.5).astype(int)
+    row = np.floor((values["frame"] - first) / step + 0.5).astype(int)  # of each line
     column = recorded.person
     _check_rows(recorded, row)
 

@@ -390,7 +390,7 @@ def _with_groups(
         edges.append(Edge(between=edge.between, flow=flow))
 
     # A group must leave its waypoints and other groups alone: the ring, bodies and a margin have to fit in.
-    waypoints = np.array([node.position for node in nodes.values()])
+    waypoints = np.array([node.position for node in nodes.values()])  # (W, 2) m
     centers: list[np.ndarray] = []
     seed = int(generator.integers(2**31))
     candidates = environments.free_points(environment, annotation.NODE_CLEARANCE, CANDIDATES, seed).astype(float)
@@ -401,7 +401,7 @@ def _with_groups(
 
         # Two to five seats, sizes for which formations were measured (``graph.formation``).
         capacity = int(generator.integers(2, 6))
-        gap = np.linalg.norm(waypoints - center, axis=1)
+        gap = np.linalg.norm(waypoints - center, axis=1)  # (W,) m
         if room < reach(capacity) + annotation.PERSON + 0.3 or gap.min() < reach(capacity) + 0.8:
             continue
         if centers and np.linalg.norm(np.array(centers) - center, axis=1).min() < GROUP_GAP:

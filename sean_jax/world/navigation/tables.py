@@ -373,7 +373,7 @@ def common_tangents(arcs: CornerArcs, radius: float) -> CommonTangents:
     # A shortest path of a disc consists of arcs around corners and of tangents common to two of them.
     corner, middle, side, first, last = (np.asarray(getattr(arcs, name)) for name in FIELDS)
     gap = corner[None] - corner[:, None]  # (V, V, 2)
-    distance = np.hypot(gap[..., 0], gap[..., 1])
+    distance = np.hypot(gap[..., 0], gap[..., 1])  # (V, V) m
     direction = gap / np.maximum(distance, 1e-6)[..., None]
 
     # Tangents that pass the corners on different sides cross the line between them, if the circles are apart.
@@ -388,7 +388,7 @@ def common_tangents(arcs: CornerArcs, radius: float) -> CommonTangents:
     right = np.stack([along[..., 1], -along[..., 0]], -1)  # (V, V, 2)
 
     # A path turns on the free part of an arc alone, so tangents must touch it there.
-    departure = _touch_angle(middle[:, None], side[:, None], right)
+    departure = _touch_angle(middle[:, None], side[:, None], right)  # (V, V) rad
     arrival = _touch_angle(middle[None], side[None], right)
     exists &= (departure >= first[:, None] - ANGLE) & (departure <= last[:, None] + ANGLE)
     exists &= (arrival >= first - ANGLE) & (arrival <= last + ANGLE)
