@@ -61,19 +61,24 @@ def _merge(clusters: Clusters, index: Int[Array, " N"], price: Float[Array, ""] 
     """The clusters after the cheapest merger, if it pays."""
     label, center, size = clusters
 
-    # A merger of two clusters adds n m / (n + m) |gap|^2 to the sum of squared distances.
-    gap = center[:, None, :] - center[None, :, :]
+    # A merger of two clusters adds n m / (n + m) |gap|^2 to the sum of squared distances (Ward 1963).
+    gap = center[:, None, :] - center[None, :, :]  # (N, N, 2) m
     alive = size > 0
     pairs = alive[:, None] & alive[None, :] & (index[:, None] < index[None, :])
     together = jnp.where(pairs, size[:, None] + size[None, :], 1.0)
     cost = jnp.where(pairs, size[:, None] * size[None, :] / together * (gap * gap).sum(-1), APART)
 
+    # A merger saves the price of one group, so even the cheapest one pays only below that price.
     best = jnp.argmin(cost)
     number = index.shape[0]
     first, second = (best // number).astype(jnp.int32), (best % number).astype(jnp.int32)
     pays = cost.reshape(-1)[best] < price
+
+    # The loop has a fixed length: a merger that does not pay is computed too, kept finite by 1, and discarded.
     total = jnp.where(pays, size[first] + size[second], 1.0)
     mean = (size[first] * center[first] + size[second] * center[second]) / total
+
+    # ``first`` is the lower index, so a cluster keeps the index of its first member.
     label = jnp.where(pays & (label == second), first, label)
     center = jnp.where(pays & (index == first)[:, None], mean[None, :], center)
     merged_size = jnp.where(index == first, total, jnp.where(index == second, 0.0, size))
@@ -97,15 +102,20 @@ def match_groups(
     """
     number = estimated.shape[0]
     index = jnp.arange(number, dtype=jnp.int32)
+
+    # Numbers of groups mean nothing across the two partitions: groups are compared as sets of people.
     in_estimated = (estimated[None, :] == index[:, None]) & present[None, :]  # (groups, people)
     in_annotated = (annotated[None, :] == index[:, None]) & present[None, :]
-    common = (in_annotated[:, None, :] & in_estimated[None, :, :]).sum(-1, dtype=jnp.int32)
+    common = (in_annotated[:, None, :] & in_estimated[None, :, :]).sum(-1, dtype=jnp.int32)  # (annotated, estimated)
     size, true_size = in_estimated.sum(-1, dtype=jnp.int32), in_annotated.sum(-1, dtype=jnp.int32)
 
+    # Rounding may lift T n just above a whole number, which ceil would raise by one person: hence 1e-4.
     real = true_size.astype(float)
     need = jnp.ceil(tolerance * real - 1e-4).astype(jnp.int32)
     spare = jnp.ceil((1 - tolerance) * real - 1e-4).astype(jnp.int32)
     match = (common >= need[:, None]) & (size[None, :] - common <= spare[:, None])  # (annotated, estimated)
+
+    # A person alone is no group, or scenes of loners would raise both scores.
     match = match & (true_size > 1)[:, None] & (size > 1)[None, :]
 
     # Each annotated group in turn takes the first estimated group that matches and is free.
@@ -115,5 +125,7 @@ def match_groups(
         return free & ~(hit.any() & (index == chosen)), hit.any()
 
     _, hits = jax.lax.scan(take, jnp.ones(number, bool), match)
+
+    # Counts add up over frames; precision and recall of one frame do not, and it may have no group at all.
     counts = hits.sum(dtype=jnp.int32), (size > 1).sum(dtype=jnp.int32), (true_size > 1).sum(dtype=jnp.int32)
     return jnp.stack(counts)

@@ -376,6 +376,7 @@ def _draw_set(axes: Axes, environment: Environment, window: tuple, starts: _Star
     from matplotlib.collections import LineCollection
     from matplotlib.patches import Rectangle
 
+    # Sets differ in extent: marks are sized by the side of the panel, so that all panels look alike.
     x0, y0, x1, y1 = window
     side = x1 - x0
     axes.set_xlim(x0, x1)
@@ -383,16 +384,24 @@ def _draw_set(axes: Axes, environment: Environment, window: tuple, starts: _Star
     axes.set_aspect("equal", anchor="N")
     axes.add_patch(Rectangle((x0, y0), side, y1 - y0, facecolor=colors.FLOOR, edgecolor=colors.MUTED, zorder=0))
     layers.draw_obstacles(axes, environment)
-    lines = list(np.asarray(starts.path).reshape(-1, *starts.path.shape[2:]))
+
+    # All 25 pairs of start and goal are tasks: as a thin, pale bundle, their paths do not hide the people.
+    lines = list(np.asarray(starts.path).reshape(-1, *starts.path.shape[2:]))  # (25, MAX_CORNERS, 2) m
     axes.add_collection(LineCollection(lines, colors=colors.ROBOT, linewidths=0.5, alpha=0.55, zorder=3))
+
+    # Who walks a loop against its order meets the robot head-on, so arrows show both directions.
     in_both_directions = bool((sets.way[sets.present & (sets.loop >= 0)] < 0).any())
     for leg, count, walked in zip(starts.leg, sets.waypoints, sets.walked, strict=True):
-        if np.isfinite(walked).any():
+        if np.isfinite(walked).any():  # padding has no length
             _draw_loop(axes, np.asarray(leg)[:count], side, in_both_directions)
+
+    # Sets are padded to the most people, and absent ones are not where their row says.
     people = np.asarray(starts.people[sets.present])
     heading = np.asarray(starts.people_heading[sets.present])
     is_member = np.asarray(sets.group[sets.present] >= 0)
     layers.draw_discs(axes, people, heading, is_member, max(0.012 * side, MIN_RADIUS), 0.7)
+
+    # A pose may be the open place of a group, so poses are drawn above people.
     _draw_poses(axes, starts.start, starts.start_heading, side, "s", colors.PAPER)
     _draw_poses(axes, starts.goal, starts.goal_heading, side, "o", colors.ROBOT)
 

@@ -70,24 +70,27 @@ def formation(
     # The ring has a place more than the group has seats, which stays open.
     n_places = capacity.astype(float) + 1.0
     half_chord = jnp.sin(jnp.pi / n_places)  # half the distance of two places of a ring of radius 1
-    radius = _draw_radius(ring_key, capacity, half_chord)
-    turn = jax.random.uniform(turn_key, (groups,), float, 0.0, 2.0 * jnp.pi)
+    radius = _draw_radius(ring_key, capacity, half_chord)  # (G,) m
+
+    # The robot joins or leaves at the opening, so tasks reach groups from all sides.
+    turn = jax.random.uniform(turn_key, (groups,), float, 0.0, 2.0 * jnp.pi)  # (G,) rad
     opening = center + radius[:, None] * jnp.stack([jnp.cos(turn), jnp.sin(turn)], -1)
 
+    # In random order, or the first member of every group would stand beside the opening.
     place = 1.0 + _random_order(order_key, seat_group)  # counted from the opening
     step = 2.0 * jnp.pi / n_places  # rad
     angle = turn[seat_group] + place * step[seat_group]
-    outward = jnp.stack([jnp.cos(angle), jnp.sin(angle)], -1)
+    outward = jnp.stack([jnp.cos(angle), jnp.sin(angle)], -1)  # (Q, 2)
     along = jnp.stack([-jnp.sin(angle), jnp.cos(angle)], -1)
 
-    # A seat stays within a disc around its place that is small enough to keep neighbours apart.
+    # A seat stays within a disc around its place, small enough to keep neighbours apart; 0.7071: a square in it.
     room = jnp.clip(radius * half_chord - 0.5 * APART, 0.0, JITTER)[seat_group]
     jitter = jax.random.uniform(jitter_key, (seats, 2), float, -1.0, 1.0) * (room * 0.7071)[:, None]
     distance = radius[seat_group] + jitter[:, 0]
     aside = jitter[:, 1]
     offset = outward * distance[:, None] + along * aside[:, None]  # (Q, 2)
 
-    # Most look at the centre.
+    # People look near the centre rather than at it: half of them within 30 degrees (Cocktail Party data).
     heading = _draw_headings(side_key, angle_key, offset, outward)
     return center[seat_group] + offset, heading, radius, opening
 

@@ -51,30 +51,34 @@ def congestion(
     """
     if frames.active.ndim > 1:
         return jax.vmap(lambda episode: congestion(scenario, episode, span, cells))(frames)
+
+    # A span is a whole number of steps, so that each frame counts in one span.
     stride = round(span / scenario.time_step)
     if stride < 1:
         raise InputError(f"span: {span:g} s is shorter than the control step of {scenario.time_step:g} s.")
 
-    # The spans of time.
+    # The last span may be shorter; its own length divides it, or it would look less crowded.
     steps = frames.active.shape[0]
     n_spans = -(-steps // stride)
     index = jnp.arange(steps, dtype=jnp.int32) // stride  # (T,), the span of each frame
     ends = np.minimum((np.arange(n_spans) + 1) * stride, steps)
     lengths = np.diff(ends, prepend=0)  # (K,) steps
 
-    # People and frames in each cell.
+    # Each frame counts everybody there, so the density is an average over time, not a number of visitors.
     rows, columns = grid_shape(scenario.environment) if cells is None else cells
     cell = cell_of(scenario.environment, (rows, columns), frames.people)  # (T, N)
-    people = jnp.zeros((n_spans, rows * columns), float)
+    people = jnp.zeros((n_spans, rows * columns), float)  # (K, cells)
     people = people.at[index[:, None], cell].add(frames.present.astype(float))
+
+    # Cells divide the floor evenly, so they are only about half a metre wide.
     floor = scenario.environment.floor
     area = (floor[2] - floor[0]) * (floor[3] - floor[1]) / (rows * columns)
     density = people.reshape(n_spans, rows, columns) / (area * jnp.asarray(lengths, float)[:, None, None])
 
-    # Walks along each edge.
+    # Flow is in walks a minute along directed edges of the Behavior Graph; without a graph it is empty.
     graph = graph_of(scenario)
     minutes = jnp.asarray(lengths * scenario.time_step / 60.0, float)[:, None, None]
-    flow = _walks_by_edge(graph, frames, index, n_spans) / minutes
+    flow = _walks_by_edge(graph, frames, index, n_spans) / minutes  # (K, M, M)
     return Congestion(time=jnp.asarray(ends * scenario.time_step, float), density=density, flow=flow)
 
 

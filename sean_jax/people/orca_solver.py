@@ -44,14 +44,17 @@ def half_plane(
         time_step: s, within which overlapping discs are to part.
         first: breaks the tie of two people at one place.
     """
+    # Two discs at one place have no direction between them; ``first`` sends them apart along x.
     distance = length(dx, dy)
     ex, ey = unit(dx, dy)
     together = (ex == 0.0) & (ey == 0.0)
     ex = jnp.where(together, jnp.where(first, 1.0, -1.0), ex)
+
+    # Discs that overlap have to part within a step: with the horizon they could take seconds (as in RVO2).
     apart = distance > radii
     within = jnp.where(apart, horizon, time_step)
 
-    # Along the line to the other and across it, mirrored so that the velocity lies to the left of the line.
+    # Along the line to the other and across it, mirrored so that the velocity lies to its left: one leg is enough.
     along = vx * ex + vy * ey - distance / within
     across = vy * ex - vx * ey
     side = jnp.where(across > 0.0, 1.0, -1.0)
@@ -64,12 +67,14 @@ def half_plane(
     cosine = jnp.where(apart, jnp.sqrt(square) * inverse, 1.0)
     on_leg = apart & (along * cosine + across * sine > 0.0)
 
-    # The normal (na, nb) along the line and across it.
+    # The normal is (na, nb) along the line and across it. In the middle of the tip it points away from the other.
     from_tip = length(along, across)
     tip_a, tip_b = unit(along, across)
     tip_a = jnp.where(from_tip == 0.0, -1.0, tip_a)
     na = jnp.where(on_leg, -sine, tip_a)
     nb = jnp.where(on_leg, cosine, tip_b)
+
+    # ``out`` is positive inside the obstacle; the normal is mirrored and turned back to the floor's axes.
     out = radii / within - jnp.where(on_leg, across * cosine - along * sine, from_tip)
     nb = nb * side
     return na * ex - nb * ey, na * ey + nb * ex, out
@@ -375,10 +380,12 @@ def _on_line(
     mx, my, b = (rows - jnp.where(eased, _row(rows, i)[None], 0.0) for rows in (nx, ny, c))
     ax, ay, offset = _line(_row(mx, j), _row(my, j), _row(b, j))
 
-    # On the line, that is t rate >= bound.
+    # At t along the line half-plane k is t rate >= bound, so each shortens the chord below the top speed.
     lower, upper = _chord(offset, limit)
     rate = my * ax[None] - mx * ay[None]
     bound = b - offset[None] * (mx * ax[None] + my * ay[None])
+
+    # Nearly parallel borders cut far off or never: t would be huge, and its derivative with it.
     others = (jnp.abs(rate) > PARALLEL) & (numbers != j[None])
     t = bound / jnp.where(others, rate, 1.0)
     raises = jnp.where(others & (rate > 0.0), t, -jnp.inf)
@@ -386,6 +393,7 @@ def _on_line(
     lower = jnp.maximum(lower, raises.max(0))
     upper = jnp.minimum(upper, lowers.min(0))
 
+    # With i and j fixed the velocity is smooth in the half-planes: derivatives come from here, not from the choice.
     x, y, _ = _end(ix, iy, ax, ay, offset, lower, upper, px, py)  # if it exists, i is parallel to the line
     return jnp.where(alone, limit * ix, x), jnp.where(alone, limit * iy, y)
 

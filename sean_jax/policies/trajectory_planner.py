@@ -155,7 +155,10 @@ def score_trajectories(
     A score is ``path`` and ``goal`` times a cell's side times the steps at the last point, plus ``obstacle`` times the
     highest cost on the way.
     """
+    # ROS looks up as many points as its granularity asks for, up to 300: here 25, with the same last one.
     step = last_time(*commands) / (POINTS - 1)  # (P,) s
+
+    # The map is the same at all points, so its look-ups are prepared once, two corners of the footprint in one.
     pair_costs = _pair_costs(distances.costs)
     costs, path, goal = (cells.reshape(-1) for cells in distances)
     no_way = (path >= UNREACHED) | (goal >= UNREACHED)
@@ -163,6 +166,7 @@ def score_trajectories(
     corners = _quarter_corners(model.radius / window.cell)
 
     def drive(point: TrajectoryPoint, _: Any) -> tuple[TrajectoryPoint, None]:
+        # ROS's order: look up here, then take the new speed along the old yaw.
         cosine, sine = jnp.cos(point.yaw), jnp.sin(point.yaw)
         cell, highest_cost, result = _enter_cells(planner_map, point, corners, cosine, sine)
         speed, turn_rate = _accelerate(model, point, commands, step)
@@ -172,18 +176,21 @@ def score_trajectories(
         yaw = point.yaw + step * turn_rate
         return TrajectoryPoint(x, y, yaw, speed, turn_rate, highest_cost, result, cell), None
 
-    # All trajectories begin at the robot.
+    # Places are in cells of the window, so that a look-up is a conversion to an integer.
     zeros, none = jnp.zeros_like(commands[0]), jnp.zeros_like(commands[0], jnp.int32)
-    place = (robot.position - window.origin) / window.cell
+    place = (robot.position - window.origin) / window.cell  # (2,) cells
     yaw = jnp.arctan2(robot.heading[1], robot.heading[0])
     start = TrajectoryPoint(
         zeros + place[0], zeros + place[1], zeros + yaw, zeros + robot.speed, zeros + robot.turn_rate, zeros, none, none
     )
     last, _ = jax.lax.scan(drive, start, length=POINTS)
 
-    path_cost = params.path * window.cell * path[last.cell]
+    # Plan and goal count at the end of a trajectory alone, obstacles at their worst on the way.
+    path_cost = params.path * window.cell * path[last.cell]  # (P,)
     goal_cost = params.goal * window.cell * goal[last.cell]
     score = path_cost + goal_cost + params.obstacle * last.highest_cost
+
+    # The scan goes a step beyond the last look-up, so the yaw goes back by that step.
     return Trajectories(score, last.result, last.yaw - step * last.turn_rate)
 
 

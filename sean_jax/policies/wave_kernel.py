@@ -92,18 +92,21 @@ def _kernel(rule: Callable, tolerance: float, far: Any, lanes: int, window: Any,
     wave, cost, result = references
     wave_row = gpu_kernels.row(wave, window, result.shape[0])
     cost_row = gpu_kernels.row(cost, window, result.shape[0])
+
+    # ``exchange`` swaps by xor, so the distance to a neighbor is the xor of both numbers.
     to_left, to_right = ((lane ^ (lane + step)) & (lanes - 1) for step in (-1, 1))
     warp = Warp(lane, lanes, wave.dtype.type(far), to_left, to_right)
     zero = wave.dtype.type(0.0)
 
     def sweep(carry: tuple) -> tuple:
+        # Four sweeps, one in each diagonal direction, are a round (fast sweeping; Zhao 2005); its change counts.
         sweeps, change, rows = carry
         quarter = sweeps & 3
         change = jnp.where(quarter == 0, zero, change)
         order = _cost_order(warp, quarter)
         rows, change = _sweep(rule, warp, [*rows], change, partial(_read, cost, cost_row), order)
 
-        # The greatest change of all threads.
+        # All threads must stop together: one that went on would wait for the others' exchanges.
         for distance in _distances(lanes):
             change = jnp.maximum(change, gpu_kernels.exchange(change, distance))
         return sweeps + 1, change, _flip(rows, (quarter & 1) != 0, lane)
@@ -115,8 +118,12 @@ def _kernel(rule: Callable, tolerance: float, far: Any, lanes: int, window: Any,
     # Each thread begins a row later than its left neighbor: slot s holds row s - lane.
     cells = [((slot - lane) & (warp.side - 1)) * warp.side + 2 * lane for slot in range(warp.side)]
     rows = [(wave[wave_row, cell], wave[wave_row, cell + 1]) for cell in cells]
+
+    # ``lane >= 0`` always holds: it gives the constant the layout of a thread's value, as a loop's carry needs.
     change = jnp.where(lane >= 0, warp.far, zero)
     _, _, rows = jax.lax.while_loop(goes_on, sweep, (np.int32(0), change, rows))
+
+    # The window lives in registers; only the settled wave goes to memory.
     for cell, (left, right) in zip(cells, rows, strict=True):
         result[window, cell], result[window, cell + 1] = left, right
 

@@ -96,11 +96,14 @@ def read_robot(path: Path) -> tuple[Any, dict[str, Any], np.ndarray]:
     Raises:
         FileError: the file is no MJCF, lacks a number, or does not describe a planar base of its drive.
     """
+    # Only poses are needed at first; stages that a planar base does not need are off in its physics, too.
     model = mjcf.read(path)
     _disable_unused(model)
     data = mujoco.MjData(model)
     for stage in (mujoco.mj_kinematics, mujoco.mj_comPos, mujoco.mj_camlight):
         stage(model, data)
+
+    # A wrong unit, such as mm or degrees, is told here rather than seen as odd motion.
     drive = _drive(path, model)
     numerics = _numerics(path, model, BUILDS[drive])
     for key, value in numerics.items():
@@ -108,12 +111,14 @@ def read_robot(path: Path) -> tuple[Any, dict[str, Any], np.ndarray]:
     _check_build(path, model, data, numerics, drive)
     _check_mounts(path, model)
 
+    # The mass matrix is diagonal and constant, which is checked: its entries are mass and inertia.
     mass = _mass_matrix(path, model)
     numbers = {"mass": mass[0], "inertia": mass[2], **_servo_numbers(model, data, mass, drive), **numerics}
     for key, value in numbers.items():
         _check_range(path, f"its {key.replace('_', ' ')}", value, *RANGES[key])
     _check_range(path, "the timestep of its <option>", model.opt.timestep, *bounds.TIME_STEP_RANGE, "s")
 
+    # All drives share the leaves of ``RobotModel``: what a drive does not have is 0.
     fields: dict[str, Any] = {}
     if drive == "omnidirectional":
         fields["lateral"] = _lateral(model, numbers)
@@ -124,6 +129,8 @@ def read_robot(path: Path) -> tuple[Any, dict[str, Any], np.ndarray]:
     for key, value in numbers.items():
         if key not in STEERING_NUMERICS:
             fields[key] = _array(value)
+
+    # Sensors read mounts and solids, physics do not.
     fields["mounts"] = mounts(model, data)
     fields["solids"] = solids(model, data)
     fields["time_step"] = float(model.opt.timestep)

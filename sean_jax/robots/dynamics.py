@@ -331,12 +331,14 @@ def kinematic_move(
     SEAN sets the velocity of the robot's body in each step of physics, and bodies in its way stop it. Here the way is
     the arc of these speeds in closed form, and contacts are the same as for other robots (``touching``).
     """
+    # The chord of an arc is its length times sinc of half its angle, so a free robot goes the exact arc.
     turn = model.time_step * turn_rate  # rad in a step of physics
     share = jnp.sinc(turn / (2.0 * jnp.pi))
     chord = speed * share  # m/s, along the straight line between the ends of its arc
 
     def substep(carry: tuple[Way, Array], index: Array) -> tuple[tuple[Way, Array], None]:
         way, gap = carry
+        # A chord has the heading of the middle of its arc.
         angle = (index + 0.5) * turn
         cosine, sine = rotate(heading[0], heading[1], jnp.cos(angle), jnp.sin(angle))
         if sideways is None:
@@ -344,13 +346,16 @@ def kinematic_move(
         else:
             vx, vy = rotate(chord, sideways * share, cosine, sine)
 
-        # Contacts change the velocity, and a step farther into an obstacle is not taken.
+        # Contacts act on the velocity over the ground, as of robots with inertia.
         time_left = model.time_step * (steps - index)
         free_vx, free_vy = touching(model, surroundings, time_left, way.position, vx, vy)
+
+        # Several contacts may contradict each other: a step farther into an obstacle is not taken.
         after = way.position + model.time_step * jnp.stack([free_vx, free_vy])
         gap_after = _gap(model, surroundings, after)
         is_free = gap_after >= jnp.minimum(gap, -OVERLAP)
 
+        # Speeds are in the robot's axes: the commanded ones, and what contacts take or give.
         ahead, aside = rotate(free_vx - vx, free_vy - vy, cosine, -sine)
         ahead = speed + ahead
         if sideways is not None:

@@ -106,17 +106,20 @@ def from_mjcf(path: Path) -> ForeignBody:
     Raises:
         FileError: the file cannot be read, or it has no such body, or several.
     """
+    # Only poses are read, so these stages will do; mj_forward would also solve contacts.
     model = mjcf.read(path)
     data = mujoco.MjData(model)
     for stage in (mujoco.mj_kinematics, mujoco.mj_comPos, mujoco.mj_camlight):
         stage(model, data)
+
+    # All poses are relative to the root, and "ahead" and "up" mean nothing on one that is tilted.
     root = _root_body(path, model)
     pose = RestPose(model, data, data.xpos[root], data.xmat[root].reshape(3, 3))
     if pose.axes[2, 2] < np.cos(np.deg2rad(1.0)):
         name = model.body(root).name
         raise file_error(path, f"body '{name}' is tilted; give it a pose in which the robot stands upright")
 
-    # The root and all bodies that hang on it.
+    # MuJoCo numbers parents before children, so one pass finds all that hangs on the root.
     index, links = {root: 0}, []
     for body in range(root, model.nbody):
         parent = int(model.body_parentid[body])
@@ -125,6 +128,7 @@ def from_mjcf(path: Path) -> ForeignBody:
         index[body] = len(links)
         links.append(_link(pose, body, -1 if body == root else index[parent]))
 
+    # Cameras and sites of other bodies belong to the scene, not to the robot.
     cameras, frames = [], []
     for camera in range(model.ncam):
         if int(model.cam_bodyid[camera]) in index:
@@ -134,6 +138,8 @@ def from_mjcf(path: Path) -> ForeignBody:
         if int(model.site_bodyid[site]) in index:
             place, axes = pose.place(data.site_xpos[site]), pose.turn(data.site_xmat[site])
             frames.append((model.site(site).name, place, axes))
+
+    # Links are frames, too: files that were made from URDF mark their sensors by links.
     frames += [(link.name, link.place, link.turn) for link in links]
     return ForeignBody(path.stem, links, cameras, frames)
 

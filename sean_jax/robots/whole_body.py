@@ -91,6 +91,7 @@ def articulated(
     Raises:
         InputError: a number is out of range, the controller gives another array, or the file is no such body.
     """
+    # Limits have the same ranges as those of wheeled robots, since policies and tasks read them alike.
     path = Path(file)
     limits = {
         "radius": radius,
@@ -105,15 +106,20 @@ def articulated(
     if max_lateral_speed is not None:
         bounds.check_number("max_lateral_speed", max_lateral_speed, *description.RANGES["max_lateral_speed"])
 
+    # The posture at the start is at the origin, ahead along x: episodes move it from there.
     model = mjcf.read(path, _prepare)
     _check_body(path, model)
     data = _at_home(model)
     home = data.qpos.copy()
+
+    # Bodies differ in height: without a limit of its own, one has fallen at half its height at the start.
     steps = _steps_of_period(path, model, control_period)
     if min_height is None:
         min_height = home[2] / 2
     else:
         min_height = bounds.check_number("min_height", min_height, 0.0, 10.0, "m")
+
+    # Leaves have JAX's default precision, or a step would return other types than it takes.
     array = functools.partial(jnp.asarray, dtype=jnp.result_type(float))
     body = ArticulatedBody(
         model=_to_mjx(path, model),
@@ -128,9 +134,13 @@ def articulated(
     # What only the physics of a wheeled base read is 0.
     absent = "wheel_radius", "wheel_inertia", "track", "friction", "servo_gain", "servo_torque"
     fields: dict[str, Any] = {key: array(value) for key, value in (limits | dict.fromkeys(absent, 0.0)).items()}
+
+    # A robot with a lateral speed counts as omnidirectional; its turn servo is 0, as the controller drives the joints.
     lateral = None
     if max_lateral_speed is not None:
         lateral = Lateral(array(max_lateral_speed), array(max_acceleration), array(0.0), array(0.0))
+
+    # The time step is the controller's period: control steps of a scenario are multiples of it.
     robot_model = RobotModel(
         mass=array(model.body_subtreemass[model.jnt_bodyid[0]]),
         inertia=array(_inertia(model, data)),
@@ -293,19 +303,24 @@ def drive_body(scenario: Scenario, state: State, action: Float[Array, "command"]
     Raises:
         InputError: the control step is no multiple of the controller's period.
     """
+    # As in other drives, a lost command holds and then stops, and limits apply before the controller.
     model, robot, step = scenario.robot, state.robot, scenario.time_step
     before, law = robot.drive_state, drive.LAWS[model.drive_type]
     command, age = drive.active_command(model, before, action, step)
     target = jnp.stack(law.limit(model, tuple(before.target), tuple(command), step))
+
+    # MJX sees the ground alone; a simulation whose numbers are not finite counts as a fall.
     steps = drive.physics_steps(model, step)
     physics, memory, finite = _simulate_alone(model, robot, steps, target)
-    rotation = _rotation(physics["qpos"][3:7])
+    rotation = _rotation(physics["qpos"][3:7])  # (3, 3)
     down = ~finite | _is_down(model.data, physics["qpos"], rotation)
 
     # Obstacles and people act on the way of this step, and its velocity changes by what they shift.
     qpos, qvel = physics["qpos"], physics["qvel"]
     way = _way_among_others(scenario, state, steps, qpos)
     shift = (way.position - qpos[:2]) / step  # m/s that contacts take or give
+
+    # The heading is the base's x axis on the floor, since the body may pitch and roll.
     cosine, sine = _ahead(rotation)
     speed, sideways = rotate(qvel[0] + shift[0], qvel[1] + shift[1], cosine, -sine)
     physics = {**physics, "qvel": qvel.at[:2].add(shift)}
@@ -314,10 +329,13 @@ def drive_body(scenario: Scenario, state: State, action: Float[Array, "command"]
         position=way.position,
         heading=jnp.stack([cosine, sine]),
         speed=jnp.where(down, 0.0, speed),
+        # MuJoCo has the angular velocity of a freejoint in the body's frame: this is its vertical part.
         turn_rate=jnp.where(down, 0.0, rotation[2] @ qvel[3:6]),
         drive_state=BodyState(physics, memory, command, age, target, before.fallen | down),
         sideways=None if robot.sideways is None else jnp.where(down, 0.0, sideways),
     )
+
+    # A body that fell in an earlier step keeps all of its state.
     lying = replace(robot, drive_state=before)
     return jax.tree.map(lambda lying, moved: jnp.where(before.fallen, lying, moved), lying, moved)
 

@@ -391,6 +391,7 @@ class LiveBridge:
 
     def _episode(self, number: int) -> bool:
         """One episode; False if it shall begin again."""
+        # Scenarios take turns by the episode's number, so an episode is repeated by its number.
         scenario = self.scenarios[number % len(self.scenarios)]
         bridge = self.bridge
         lockstep = self.config.pace == "lockstep"
@@ -427,12 +428,15 @@ class LiveBridge:
                 waiting = time.monotonic()
                 continue
 
+            # A command that is not finite means none: the robot keeps its last one until its timeout.
             self._notice(command is not None)
             command = bridge.no_command if command is None else command
             state = _step(scenario, state, jnp.asarray(command, float))
             waiting = time.monotonic()
             if request is not None:
                 request.answer(True, f"{int(state.tick) * scenario.time_step:.3g} s of episode {number} have passed.")
+
+        # The last state is sent, too: in it clients see that the goal is reached.
         self._end(scenario, state, command, f"episode {number}" + (f", task {tasks + 1}" if tasks else ""))
         return True
 

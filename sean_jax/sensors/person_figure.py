@@ -64,22 +64,26 @@ def trace_figures(
         person: index of the person whose capsule a ray meets; -1 without one.
         distance: m, along the ray to the capsule.
     """
+    # Rays are in the robot's axes, so people's looks are turned into them once, not each ray.
     index = jnp.maximum(person, 0)
     heading, robot_heading = state.pedestrians.heading, state.robot.heading
-    look = jnp.stack(rotate(heading[:, 0], heading[:, 1], robot_heading[0], -robot_heading[1]), -1)
+    look = jnp.stack(rotate(heading[:, 0], heading[:, 1], robot_heading[0], -robot_heading[1]), -1)  # (N, 2)
     people = jnp.concatenate([look, view.people, left_foot(state)[:, None]], -1).T  # (5, N)
-    look_x, look_y, x, y, foot = (column[index] for column in people)
+    look_x, look_y, x, y, foot = (column[index] for column in people)  # (tiles, rays) each
 
-    # The ray from the capsule on, in the person's frame.
+    # All limbs are capsules in the person's frame: a ray is turned once, and starts near, which keeps precision.
     point = along(rays, jnp.where(person >= 0, distance, 0.0))
     offset = Vector(point.x - x, point.y - y, point.z + view.height)
     direction = Vector(*(jnp.asarray(component, float) for component in rays.direction))
     start, direction = _turned(offset, look_x, look_y), _turned(direction, look_x, look_y)
+
+    # Without the barrier XLA computes the turned ray again for each limb.
     start, direction, foot = jax.lax.optimization_barrier((start, direction, foot))
 
-    # What it meets there, and back in the robot's axes.
+    # Clothes depend on the place on the body, light on the normal in the robot's axes.
     to_limb, normal, part = _limbs(start, direction, foot)
     meets = (to_limb < MISS) & (person >= 0)
+    # A ray without a limb stays at its start, so that MISS enters no color and no derivative.
     to_limb = jnp.where(meets, to_limb, 0.0)
     forward = start.x + to_limb * direction.x
     up = start.z + to_limb * direction.z

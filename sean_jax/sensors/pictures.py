@@ -159,6 +159,7 @@ def colors(
         behind: number of the first body that is no person.
         body_color: of all bodies but people, as of ``Solids.color``, then of floor and sky.
     """
+    # Colors have no rows for people, whose clothes belong to figures: numbers beyond them move up.
     scenery = scenario.environment.scenery
     people, floor_number = view.counts[3], sum(view.counts[:3])  # in a view without people; the sky has the next number
     behind = jnp.where(behind >= floor_number, behind - people, behind)
@@ -171,16 +172,18 @@ def colors(
     point = along(bundle, jnp.where(to_surface < MISS, to_surface, 0.0))
     up = point.z + view.height
 
-    # Its light, and where it is on the floor or along a wall.
+    # Bodies and floor darken each other where they touch, or things would seem to float.
     light = _light(scenery, state, normal)
     light = light * jnp.where(is_floor, _beside_bodies(view, bundle, point.x, point.y), _near_floor(up))
     ground_x, ground_y = _over_ground(state, view, point)
     across = _across_wall(state, normal, ground_x, ground_y)
     light, ground_x, ground_y, across = jax.lax.optimization_barrier((light, ground_x, ground_y, across))
 
-    # Its paint.
+    # Paint depends on places in the world, so patterns stay where they are as the robot moves.
     floor = _floor(scenery, ground_x, ground_y, to_surface)
     red, green, blue, pattern = (column[jnp.where(on_figure, floor_number, behind)] for column in body_color)
+
+    # Patterns are for upright sides; tops are plain.
     side_pattern = jnp.where(jnp.abs(normal.z) < 0.5, pattern, 0.0)
     painted = _pattern((red, green, blue), side_pattern, across, up)
 
@@ -190,6 +193,7 @@ def colors(
     is_ceiling = to_ceiling < to_surface
     ceiling = _visible_ceiling(scenery, state, view, bundle, jnp.where(is_ceiling, to_ceiling, 0.0))
 
+    # A pixel is ceiling, else sky, else a lit surface: ceiling and sky have their colors without light.
     def channel(axis: int) -> Array:
         body = painted[axis]
         if figure is not None:

@@ -182,15 +182,19 @@ class _Thread(NamedTuple):
 def _kernel(shape: _PairsShape, number: Any, *references: Any) -> None:
     """One thread: the sums of one person."""
     people = shape.people
+
+    # The batch axes of vmap are scenarios: their people are threads of one launch.
     scenario, place = jax.lax.div(number, np.int32(people)), jax.lax.rem(number, np.int32(people))
     *inputs, result = references
+
+    # Operands are the shared numbers, five arrays of runs in a large crowd, own rows and rows of the others.
     rows = _rows(inputs, scenario, result.shape[0])
     numbers, *runs = rows[: -shape.own - shape.other]
     own = rows[-shape.own - shape.other : -shape.other]
     other = rows[-shape.other :]
     square, *shared = (numbers.at(i) for i in range(shape.shared + 1))
 
-    # The person and the others: of a large crowd by place in its order.
+    # Threads of a large crowd go in its sorted order: those of a warp have much the same neighbors.
     if runs:
         order, first, last, x, y = runs
         person = order.at(place)
@@ -204,6 +208,8 @@ def _kernel(shape: _PairsShape, number: Any, *references: Any) -> None:
 
     zero = square.dtype.type(0.0)  # zeros_like is an array, which Mosaic refuses
     sums = others.over_parts(partial(_add_part, shape.law, thread), (zero,) * len(shape.law.out_avals))
+
+    # Results are by person again, sum after sum.
     for index, value in enumerate(sums):
         result[scenario, index * people + person] = value
 

@@ -140,12 +140,13 @@ def integrate(
         companions: indices of each person's companions, -1 none; None if nobody has any.
         near: the result of ``neighbors`` for some steps; None: computed for this step.
     """
+    # Callers of several steps find neighbors once, with a margin for motion; a single step needs none (0 s).
     near = neighbors(forces, people, 0.0) if near is None else near
     walking = forces.walking
     reactions = forces.get(Reactions)
     desired_velocity = people.desired_velocity
 
-    # For this step, people who attend to the robot want another velocity and look at it.
+    # People who attend to the robot want another velocity for this step; their plan, kept above, comes back.
     gaze = None
     if reactions is not None and robot is not None:
         nearest = nearest_robot(people, robot)
@@ -163,8 +164,8 @@ def integrate(
         vx, vy = project_velocity(px, py, vx, vy, obstacle_grid, walking.radius, time_step, friction)
         vx, vy = jax.lax.optimization_barrier((vx, vy))  # XLA for a GPU would compute both twice: for x and for y
 
-    # Bodies turn into the direction of motion, or towards the robot.
-    velocity = jnp.where(people.present[:, None], jnp.stack([vx, vy], -1), 0.0)
+    # Absent people have no velocity, or padding would drift; bodies turn into their motion, or to the robot.
+    velocity = jnp.where(people.present[:, None], jnp.stack([vx, vy], -1), 0.0)  # (N, 2)
     towards = velocity if gaze is None else velocity + gaze
     heading = turn(people, towards, walking.turn_rate * time_step)
     position = people.position + velocity * time_step
@@ -307,10 +308,13 @@ def _rows(crowd: Crowd) -> tuple[tuple[Float[Array, "N"], ...], tuple[Float[Arra
 
 def _pair_law(shared: SharedTerms, own: Sequence[Array], other: Sequence[Array]) -> tuple[Force | None, tuple]:
     """The force [m/s2] of one other on one person, and the other's contributions to gather terms; all in scalars."""
+    # One pair in scalars: vmap on a CPU and the kernel of a GPU trace the same law.
     qx, qy, wx, wy, other_group, *other_shape = other
     px, py, vx, vy, group, *rows = own
     own_shape, rows = rows[: len(other_shape)], rows[len(other_shape) :]
     look_x, look_y, standing, *factors = rows
+
+    # From the other to the person, so a repulsion is positive along (dx, dy).
     dx, dy = px - qx, py - qy
     dd = dx * dx + dy * dy
 
@@ -321,13 +325,14 @@ def _pair_law(shared: SharedTerms, own: Sequence[Array], other: Sequence[Array])
     radii = shared.walking.radii(dx, dy, shape)
     gather_radii = shared.walking.radii(dy, dx, mirrored)
 
+    # Factors of ``Evasion`` are rows only where people differ in them.
     pair = Pair(dx, dy, wx, wy, vx, vy, look_x, look_y, radii, standing.astype(bool))
     if factors:
         pair = pair._replace(**dict(zip(("width", "side", "alertness"), factors, strict=False)))
     force = sum_pair_terms(shared.pair_terms, pair) if shared.pair_terms else None
     sums = gather(shared.gather_terms, pair._replace(radii=gather_radii))
 
-    # Members of one group touch at most, and nobody acts on themselves.
+    # Members of a group touch at most; people alone match no group. dd = 0 is oneself, or somebody at one's place.
     within = (dd > 0.0) & (dd < shared.reach * shared.reach)
     felt = within & (group != other_group)
     force, sums = jax.tree.map(lambda number: jnp.where(felt, number, 0.0), (force, sums))

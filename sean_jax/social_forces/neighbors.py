@@ -48,31 +48,34 @@ class Neighbors:
 
 def find(position: Float[Array, "N 2"], present: Bool[Array, "N"], within: Float[Array, ""] | float) -> Neighbors:
     """The pairs of people ``within`` a distance [m] of each other, and some more; positions [m]."""
-    # Absent people may be anywhere. Far away they would cost the others' coordinates their precision.
+    # Who is a neighbor has no derivative. Absent people may be anywhere; far off they would cost all precision.
     x, y = (_from_min(values, present) for values in jax.lax.stop_gradient(position).T)
     within = jax.lax.stop_gradient(within)
+
+    # An infinite reach becomes a length, as 0 * inf is no number.
     within = jnp.minimum(within, 2.0 * (jnp.max(x) + jnp.max(y)) + 1.0)
 
-    # How far along the strips below and above somebody within the distance can be.
-    strip = jnp.floor(y / within)
+    # At least ``up`` of the distance is across strips, so the rest along one is half a chord of a circle.
+    strip = jnp.floor(y / within)  # (N,)
     rounding = 1e-6 * (jnp.max(x) + 2.0 * within + 1.0) * (jnp.max(strip) + 2.0)
     up = y - strip * within  # from the own strip's lower edge
     below = _half_chord(within, up - rounding) + rounding
     above = _half_chord(within, within - up - rounding) + rounding
 
-    # The strips lie one behind the other on a line, so that one sort orders people by strip and x.
+    # Strips lie one behind the other on a line, so one sort orders people by strip and x; its rounding widens runs.
     within = within + rounding
     width = jnp.max(x) + 2.0 * within + 1.0
     people = jnp.arange(x.shape[0], dtype=jnp.int32)
     along, order = jax.lax.sort((strip * width + x, people), num_keys=1)
 
-    # The runs in the strips below, own and above.
+    # Neighbors in a strip are one run of the sorted line, so two searches give its begin and end.
     middle = jnp.stack([along - width, along, along + width], 1)  # (N, 3)
     half = jnp.stack([below[order], jnp.full_like(below, within), above[order]], 1)
     in_kernel = gpu_kernels.available() and along.dtype == np.float32
     search = by_platform(_search, kernel.search if in_kernel else _search)
     first, last = search(along, middle - half, middle + half)
 
+    # Blocks wait for their longest run, so people with runs of similar length share a block.
     _, by_parts = jax.lax.sort((-_parts(first, last), people), num_keys=1)
     rank = jnp.zeros_like(order).at[order[by_parts]].set(people, unique_indices=True)
     return Neighbors(order, first, last, by_parts, rank)
@@ -129,9 +132,10 @@ def pull_back_near(
     It goes along the same runs, for neighbors are mutual: the forces of a person on others are a sum over the person's
     neighbors as well.
     """
+    # The pulls travel with a person's rows: on the way back a neighbor is also the one that is acted on.
     n_own, n_other = len(own), len(other)
-    sorted_other = other[:, near.order]
-    sorted_own = jnp.concatenate([own, pulls])[:, near.order]
+    sorted_other = other[:, near.order]  # (B, N)
+    sorted_own = jnp.concatenate([own, pulls])[:, near.order]  # (A + C, N)
 
     def pulled_law(shared: PyTree, other: Array, own: tuple) -> Array:
         """The numbers of the law times the pulls on them, with the other as the person."""
@@ -153,10 +157,11 @@ def pull_back_near(
             (d_other,) = pull((jnp.ones_like(pulls[0]),))
             return jax.tree.map(jnp.add, sums, ((*d_own, *d_other), d_shared))
 
+        # Shared numbers act in all pairs, so their cotangent is one sum over people and blocks.
         zeros = jax.tree.map(jnp.zeros_like, ((*own, *other), shared))
         return _over_parts(runs, add, zeros)
 
-    # In the order of the people.
+    # Blocks are sorted by length of runs; rows go back into the order of the people.
     d_rows, d_shared = _over_blocks(near, block, jnp.concatenate([own, other, pulls]))
     d_rows = jnp.stack([row[near.rank] for row in d_rows])
     return d_shared, d_rows[:n_own], d_rows[n_own:]

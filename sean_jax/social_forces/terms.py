@@ -466,16 +466,18 @@ class Cohesion:
         if companions is None:
             return None
 
-        # From each companion, and to the middle of them.
+        # [M10] counts from each companion, and to the middle of all. Index -1 reads the last person: a mask hides it.
         exists = (companions >= 0) & people.present[companions]  # (N, 2)
         x, y = people.position[:, 0], people.position[:, 1]
-        dx = jnp.where(exists, x[:, None] - people.position[companions, 0], 0.0)
+        dx = jnp.where(exists, x[:, None] - people.position[companions, 0], 0.0)  # (N, 2) m
         dy = jnp.where(exists, y[:, None] - people.position[companions, 1], 0.0)
+
+        # A person without companions would divide by 0, and the middle is that of the others, without oneself.
         count = exists.sum(1, dtype=jnp.int32).astype(float)
         share = 1.0 / jnp.maximum(count, 1.0)
         cx, cy = -dx.sum(1) * share, -dy.sum(1) * share
 
-        # Gaze, attraction and repulsion.
+        # Gaze and attraction see the group as one, repulsion each companion; alignment may share the gaze's braking.
         vx, vy = people.velocity[:, 0], people.velocity[:, 1]
         fx, fy = gaze(self, cx, cy, vx, vy, crowd.look_x, crowd.look_y)
         ax, ay = attraction(self, cx, cy, count)
@@ -485,6 +487,7 @@ class Cohesion:
         px = jnp.where(exists, rx, 0.0).sum(1)
         py = jnp.where(exists, ry, 0.0).sum(1)
 
+        # Walkers and singles are in one array, so the force of singles is computed, too, and left out here.
         in_group = count > 0.0
         return jnp.where(in_group, fx + ax + px, 0.0), jnp.where(in_group, fy + ay + py, 0.0)
 
@@ -597,7 +600,8 @@ class RobotRepulsion:
         robot, people = crowd.robot, crowd.people
         if robot is None:
             return None
-        # The robot's velocity over the ground.
+
+        # People see the velocity over the ground, which the heading alone does not give if a robot moves sideways.
         wx, wy = robot.speed * robot.heading[0], robot.speed * robot.heading[1]
         if robot.sideways is not None:
             wx, wy = ground_velocity(robot)
@@ -620,6 +624,7 @@ class RobotRepulsion:
                 pair = pair._replace(width=pair.width * wider)
             return law(pair)
 
+        # The law is that of one pair in scalars, as between people, so vmap goes over the people.
         x, y = people.position[:, 0], people.position[:, 1]
         vx, vy = people.velocity[:, 0], people.velocity[:, 1]
         rows = x, y, vx, vy, crowd.look_x, crowd.look_y, is_standing(people), people.robot_distance

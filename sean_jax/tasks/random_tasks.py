@@ -69,24 +69,29 @@ def busy_ab_nav(scenario: Scenario, pedestrians: Pedestrians, groups: Groups, me
     """
     navigation = scenario.navigation
     cluster_key, ring_key, draw_key, goal_key, choice_key, turn_key = jax.random.split(key, 6)
-    anywhere = navigation.places[paths.draw_uniform_places(navigation, draw_key, CANDIDATES)]
+    anywhere = navigation.places[paths.draw_uniform_places(navigation, draw_key, CANDIDATES)]  # (CANDIDATES, 2) m
     middle = anywhere[0]
+
+    # A crowd of size 0 is known when tracing, one of absent people is not: both leave the random place.
     if pedestrians.present.shape[0]:
         busy = pedestrians.position[busiest(pedestrians.position, pedestrians.present, cluster_key)]
         middle = jnp.where(pedestrians.present.any(), busy, middle)
 
-    # Candidates are on the ring, and anywhere at the cost of their distance from it.
+    # Candidates are on the ring and anywhere, as walls or a small floor may leave little of the ring.
     share = jax.random.uniform(ring_key, (2, CANDIDATES), float)
     angle, radius = 2.0 * jnp.pi * share[0], RING + SNAP * (2.0 * share[1] - 1.0)
     around = middle[None, :] + radius[:, None] * jnp.stack([jnp.cos(angle), jnp.sin(angle)], -1)
     spots = jnp.concatenate([around, anywhere])  # (2 * CANDIDATES, 2)
+
+    # Within ``SNAP`` of the ring places cost nothing, as in SEAN 2.0; 1e-4 m is for rounding.
     gap = spots - middle[None, :]
     cost = jnp.maximum(jnp.abs(jnp.sqrt((gap * gap).sum(-1)) - RING) - SNAP - 1e-4, 0.0)
-    free = clearance(scenario.environment, spots) > navigation.radius + ROOM
+    free = clearance(scenario.environment, spots) > navigation.radius + ROOM  # (2 * CANDIDATES,)
     cost = jnp.where(free, cost, jnp.inf)
 
+    # Paths to a goal are costly, so few are rated; noise below a centimetre draws among equals.
     chance = jax.random.uniform(goal_key, cost.shape, float)
-    best = jax.lax.top_k(-cost + 0.01 * chance, GOALS)[1]
+    best = jax.lax.top_k(-cost + 0.01 * chance, GOALS)[1]  # (GOALS,)
     pair = choose_pair(scenario, pedestrians, spots[best], spots, cost[best], cost, choice_key)
     return _task(scenario, pair, turn_key)
 

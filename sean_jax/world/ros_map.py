@@ -274,6 +274,7 @@ def import_map(
         FileError: a file cannot be used.
         WriteError: the folder cannot be written.
     """
+    # Mistakes are told before a large map is read and covered by boxes.
     folder = Path(folder)
     bounds.check_number("height", height, 0.1, 100.0, "m")
     if people is not None:
@@ -281,6 +282,7 @@ def import_map(
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise InputError(f"{folder} exists and is not an empty folder; give another one.")
 
+    # Unknown is no free floor: what a robot has not seen counts as an obstacle unless the user knows better.
     raster = read_map(path)
     solid = raster.occupied | raster.unknown if unknown == "obstacle" else raster.occupied
     if not solid.any() or solid.all():
@@ -288,16 +290,20 @@ def import_map(
         raise InputError(
             f"{files.short_name(Path(path))}: {quantity} cell is an obstacle; look at negate and the thresholds."
         )
-    # Few boxes that cover the obstacles, and as many people as there is room for.
-    rows = rectangles(solid, int(solid.size * (1 - MIN_AGREEMENT) * SLIVER_SHARE))
+
+    # Rays and paths cost by the number of boxes, so few cover the obstacles, without slivers within the agreement.
+    rows = rectangles(solid, int(solid.size * (1 - MIN_AGREEMENT) * SLIVER_SHARE))  # (boxes, 4)
+
+    # The default crowd is as dense as in the warehouse.
     if people is None:
         free = float((~solid).sum()) * raster.resolution**2
         people = max(1, min(MAX_DEFAULT_PEOPLE, round(free / AREA_PER_PERSON)))
 
-    # What is read again is what was described.
+    # The files are read again before the folder appears: an error leaves nothing behind.
     with writing.atomic_folder(folder) as new_folder:
         lower = np.asarray(raster.origin)
         upper = lower + raster.resolution * np.asarray(solid.shape[::-1])
+        # Six digits, or the file would show sums such as 9.600000000000001.
         x0, y0, x1, y1 = (round(float(value), 6) for value in (*lower, *upper))
         name = folder.resolve().name
         source = f"ROS map {Path(path).name}, {raster.resolution:g} m a cell"

@@ -94,10 +94,13 @@ def build(
     Raises:
         InputError: there is no graph, it has a mistake, or so many people or walking groups do not fit.
     """
+    # Environments without groups or walkers have no graph, so the message names the cure.
     file = place.folder / "graph.yaml"
     if not file.is_file():
         raise InputError(f"{file}: there is no such file, and behavior 'graph' needs it; write one or choose another.")
     people = place.default_people if people is None else people
+
+    # No two people share a start or a seat, so their number bounds the crowd; walking groups take no seats.
     graph = annotation.read_graph(file, place.environment)
     start, node = _starts(place, graph)
     groups = count_walking_groups(people, walking_groups)
@@ -113,6 +116,8 @@ def build(
     # The chance of a node is shared by its starts. People at seats have rows too, which nobody draws.
     spawn = np.asarray(graph.spawn)
     log_chance = np.log(spawn[node] / np.bincount(node, minlength=len(spawn))[node])
+
+    # Everybody draws a start, those at seats too; padding has no chance (-inf), so it is drawn last.
     missing = max(people - len(start), 0)
     tables = GraphTables(
         graph=graph,
@@ -123,6 +128,7 @@ def build(
         start=to_device(np.pad(start, [(0, missing), (0, 0)])),
         start_node=to_device(np.pad(node.astype(np.int32), (0, missing))),
         start_log_chance=to_device(np.pad(log_chance, (0, missing), constant_values=-np.inf)),
+        # None leaves a term out of the compiled program, which a value of 0 would not.
         congestion_cost=to_device(np.asarray(congestion_cost)) if congestion_cost else None,
         temperature=to_device(np.asarray(temperature)) if temperature else None,
         spawn_clusters=to_device(find_spawn_clusters(place.navigation, start, groups)),
@@ -131,6 +137,8 @@ def build(
         seated=to_device(np.array(seated, np.int32)),
         permanent=permanent,
     )
+
+    # Tasks ask what a behavior offers: Join and Leave Group need groups.
     return Behavior(
         data=tables,
         name="graph",
@@ -155,7 +163,9 @@ def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, GraphMem
     tables: GraphTables = scenario.behavior.data
     graph = tables.graph
     form_key, trait_key, place_key, stay_key, turn_key = jax.random.split(key, 5)
-    center = graph.position[graph.groups]
+
+    # All seats get a place, taken or not: successors and the robot need the free ones later.
+    center = graph.position[graph.groups]  # (G, 2) m
     capacity = graph.capacity[graph.groups]
     seat_position, seat_heading, radius, opening = formation(form_key, capacity, center, graph.seat_group)
     groups = Groups(center=center, radius=radius, opening=opening, present=graph.groups >= 0)
@@ -166,10 +176,12 @@ def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, GraphMem
     present = present_people(scenario)
     seat_of_present = jnp.where(present, seat, -1)
     position = jnp.where(sits[:, None], of_seat(seat_position, seat), tables.start[start])
+
+    # Indexed as the starts, so the number of people at seats does not change where others look.
     angle = jax.random.uniform(turn_key, (scenario.people,), float, 0.0, 2 * jnp.pi)[index]
     facing = jnp.stack([jnp.cos(angle), jnp.sin(angle)], -1)
 
-    # Members of walking groups have their leader's speed.
+    # One speed for a walking group, its leader's: at speeds of their own the members would drift apart.
     walking_group = leaders(scenario.behavior.companions, scenario.people)
     preferred_speed, robot_distance = draw_traits(scenario.forces, trait_key, scenario.people)
     pedestrians = Pedestrians(
@@ -184,12 +196,16 @@ def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, GraphMem
         robot_distance=robot_distance,
     )
 
-    # People begin at a node, which is their goal.
+    # A person's first goal is the node they stand at, so the first step chooses the next one.
     node = jnp.where(sits, of_seat(graph.seat_node, seat), tables.start_node[start])
     stay = _first_stay(scenario, stay_key, seat_of_present)
     memory = GraphMemory(node, node, node, position, seat_of_present, stay, seat_position, seat_heading)
+
+    # The log chances of all choices sum up over the episode: the score function's gradient needs them.
     if tables.temperature is not None:
         memory = memory._replace(log_chance=jnp.zeros((), float))
+
+    # Whole routes alone send successors ahead of time: a first stay may end before anyone could be there.
     if scenario.behavior.direct is direct:
         memory = _send_at_start(scenario, pedestrians, memory)
     return pedestrians, groups, memory
@@ -280,16 +296,18 @@ def _direct(whole: bool, scenario: Scenario, state: State, key: Array) -> State:
     graph = _graph_with_congestion(tables, state)
     people = state.pedestrians
 
-    # With a temperature choices need more random numbers.
+    # The key is split only with a temperature, so episodes without one do not depend on it.
     draws = None
     if tables.temperature is not None:
         key, draw_key = jax.random.split(key)
         draws = graph_choices.draw(draw_key, tables.temperature, scenario.people, graph.seat_group.shape[0])
-    chance = jax.random.uniform(key, (3, scenario.people), float)
+    chance = jax.random.uniform(key, (3, scenario.people), float)  # (3, N)
 
-    # Who is at a seat or a goal, and where the others go.
+    # Stays come first: whoever leaves a seat or reaches a waypoint chooses a goal in the same step.
     memory, free = _stay_or_leave(scenario, people, state.memory, chance[0], draws)
     seats = seats_of(memory, tables.patience, scenario.time_step)
+
+    # Arrival times can be planned only by people who keep a goal, so edge by edge nobody slows down to be on time.
     choice = chance[1:]
     if whole:
         arrival = graph_choices.arrival_times(graph, tables.walk, people, memory)
@@ -298,20 +316,25 @@ def _direct(whole: bool, scenario: Scenario, state: State, key: Array) -> State:
     else:
         memory = graph_choices.choose_edge(graph, people, memory, free, choice, draws)
         pace = jnp.ones_like(people.preferred_speed)
+
+    # A walking group has one goal: its members copy the leader's choice.
     if scenario.behavior.companions is not None:
         rows = memory.goal, memory.hop, memory.origin, memory.target
         goal, hop, origin, target = follow_leaders(people.walking_group, *rows)
         memory = memory._replace(goal=goal, hop=hop, origin=origin, target=target)
 
-    # Members of walking groups walk side by side.
+    # A switch of target is a jump; with a temperature a blend keeps positions differentiable across it.
     desired_velocity = _desired_velocity(tables, people, memory, seats, pace)
     if draws is not None:
         desired_velocity = _blend(scenario, people, state.memory, memory, seats, desired_velocity)
+
+    # Members of a walking group that all headed for one target would arrive in single file.
     if scenario.behavior.companions is not None:
         desired_velocity = walk_abreast(people, desired_velocity)
 
+    # Heading follows motion, and who stands has none: it is the seat's, but only once the walk has ended.
     standing = memory.stay > 0
-    gap = memory.target - people.position
+    gap = memory.target - people.position  # (N, 2) m
     settled = standing & (length(gap[:, 0], gap[:, 1]) < SEATED)
     people = replace(
         people,
@@ -340,8 +363,10 @@ def _stay_or_leave(
     A stay ends when its time is over and a successor is near, whose own stay begins then, or after some waiting.
     """
     tables: GraphTables = scenario.behavior.data
+
+    # A stay's ticks include the patience at its end, in which the holder only waits for a successor.
     patience = of_seat(tables.patience, memory.seat)
-    gap = memory.target - people.position
+    gap = memory.target - people.position  # (N, 2) m
     distance = length(gap[:, 0], gap[:, 1])
     was_standing = memory.stay > 0
 
@@ -353,13 +378,13 @@ def _stay_or_leave(
     hands_over = of_seat(successor_is_near, memory.seat) & (stay <= patience)
     rises = was_standing & ((stay == 0) | hands_over)
 
-    # The successor sits down then, or at an empty seat.
+    # Holder and successor change in one step, so a seat never has two people or none in between.
     given_up = _of_person(rises, seats.holder)  # (Q,)
     at_empty_seat = of_seat(seats.holder < 0, memory.seat) & (distance < SEATED)
     sits_down = comes & (at_empty_seat | of_seat(given_up & successor_is_near, memory.seat))
 
-    # Stays are uniform between the limits of their group.
-    limits = tables.graph.stay[of_seat(tables.graph.seat_node, memory.seat)]
+    # Stays are uniform between the limits of their group; with a temperature tails make limits differentiable.
+    limits = tables.graph.stay[of_seat(tables.graph.seat_node, memory.seat)]  # (N, 2) s
     new_stay = _stay(scenario, limits[:, 0] + chance * (limits[:, 1] - limits[:, 0]))
     if draws is not None:
         both = jnp.stack([chance, draws.stay])
@@ -367,6 +392,7 @@ def _stay_or_leave(
         memory = memory.with_choices(jnp.sum(jnp.where(sits_down, log_chance, 0.0)))
     new_stay = jnp.where(new_stay > 0, new_stay + patience, 0)
 
+    # A seat with a stay of 0 means "on the way there", so a stay that takes no time must give up the seat.
     leaves = rises | (sits_down & (new_stay == 0))  # at once, if the new stay takes no time
     stay = jnp.where(sits_down, new_stay, jnp.where(rises, 0, stay))
     at_waypoint = ~was_standing & (memory.seat < 0) & (memory.hop == memory.goal) & (distance < ARRIVED)

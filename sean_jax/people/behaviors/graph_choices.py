@@ -294,28 +294,31 @@ def send(
     """
     n_people = memory.seat.shape[0]
     n_seats = seats.holder.shape[0]
+
+    # Graphs may have no groups, and argmin of nothing is an error.
     if n_seats == 0 or n_people == 0:
         return memory, jnp.zeros(memory.seat.shape, bool)
     score = _seat_scores(graph, arrival, memory, seats, seekers)  # (N, Q) s
     possible = jnp.isfinite(score)
 
-    # People ask for the best seat, and seats take the best person.
+    # One round of asking and taking, not an optimal assignment: who is left over asks at the next node.
     if draws is None:
-        seat = jnp.argmin(score, axis=1).astype(jnp.int32)
-        taker = jnp.argmin(score, axis=0).astype(jnp.int32)
+        seat = jnp.argmin(score, axis=1).astype(jnp.int32)  # (N,)
+        taker = jnp.argmin(score, axis=0).astype(jnp.int32)  # (Q,)
     else:
         seat, log_asked = sample(log_chances(score, draws.temperature), draws.seat)
         taker, log_taken = sample(log_chances(score.T, draws.temperature), draws.taker)
+        # A row without a possible pair has no chances: it made no choice, and adds 0.
         log_asked = jnp.where(jnp.any(possible, axis=1), log_asked, 0.0)
         log_taken = jnp.where(jnp.any(possible, axis=0), log_taken, 0.0)
         memory = memory.with_choices(jnp.sum(log_asked) + jnp.sum(log_taken))
 
-    # A seat is assigned if the person that it takes asks for it.
+    # Both must agree, or one person could get two seats, or one seat two successors.
     person = jnp.arange(n_people, dtype=jnp.int32)
-    is_sent = (taker[seat] == person) & jnp.isfinite(jnp.min(score, axis=1))
-    assigned = is_sent[taker] & (seat[taker] == jnp.arange(n_seats, dtype=jnp.int32))
+    is_sent = (taker[seat] == person) & jnp.isfinite(jnp.min(score, axis=1))  # (N,)
+    assigned = is_sent[taker] & (seat[taker] == jnp.arange(n_seats, dtype=jnp.int32))  # (Q,)
 
-    # Its former successor loses it.
+    # A seat has one successor: the former one walks on without a goal and chooses again in this step.
     walks_to_seat = (memory.seat >= 0) & (memory.stay == 0)
     loses = walks_to_seat & of_seat(assigned, memory.seat)
     memory = memory._replace(

@@ -65,6 +65,8 @@ def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Handcraf
     """People of a set drawn by its odds, on their loops or at waypoints, and in formations."""
     tables: Sets = scenario.behavior.data
     set_key, form_key, phase_key, trait_key = jax.random.split(key, 4)
+
+    # A set is as likely as all its pairs of start and goal together; the task draws the pair afterwards.
     index = jax.random.categorical(set_key, jnp.log(tables.odds.sum((1, 2)))).astype(jnp.int32)
     layout = tables.one(index)
     n_groups = layout.capacity.shape[0]
@@ -73,21 +75,23 @@ def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, Handcraf
     # Walkers and absent people take seats of an extra group, which is dropped below.
     center = jnp.concatenate([layout.center, jnp.zeros((1, 2), float)])
     capacity = jnp.concatenate([layout.capacity, jnp.ones(1, jnp.int32)])
-    seat_group = jnp.where(layout.group >= 0, layout.group, n_groups)
+    seat_group = jnp.where(layout.group >= 0, layout.group, n_groups)  # (N,)
     seat_position, seat_heading, radius, opening = formation(form_key, capacity, center, seat_group)
     has_group = layout.capacity > 0
     groups = Groups(center=layout.center, radius=radius[:n_groups], opening=opening[:n_groups], present=has_group)
 
-    # Walkers on their loops, in the direction of the way ahead.
-    phase = jax.random.uniform(phase_key, layout.waypoints.shape, float)
+    # One phase for a loop keeps its walkers evenly apart, wherever the first of them is.
+    phase = jax.random.uniform(phase_key, layout.waypoints.shape, float)  # (L,)
     on_loops = jax.vmap(_on_loop, in_axes=(None, 0, 0, 0, 0, None))
     place, ahead, target = on_loops(layout, layout.loop, layout.share, layout.way, layout.first, phase)
+    # Around obstacles the way ahead is not the straight leg; at a corner itself it has no direction.
     if tables.ways is not None:
         gap = _ahead(tables.ways, index, layout.loop, target, place) - place
         distance = length(gap[:, 0], gap[:, 1])[:, None]
         ahead = jnp.where(distance > 1e-3, gap / jnp.maximum(distance, 1e-3), ahead)
 
-    walks = (layout.loop >= 0)[:, None]
+    # Walkers begin at full speed, as if the episode had begun long before.
+    walks = (layout.loop >= 0)[:, None]  # (N, 1)
     heading = jnp.where(walks, ahead, seat_heading)
     preferred_speed, robot_distance = draw_traits(scenario.forces, trait_key, n_people)
     velocity = jnp.where(walks, preferred_speed[:, None] * heading, 0.0)
@@ -112,8 +116,10 @@ def direct(scenario: Scenario, state: State, key: Array) -> State:
     """
     tables: Sets = scenario.behavior.data
     people, memory = state.pedestrians, state.memory
+
+    # People without a loop have index -1: row 0 stands in for it, and ``walks`` masks the result.
     row = memory.set
-    loop = jnp.maximum(tables.loop[row], 0)
+    loop = jnp.maximum(tables.loop[row], 0)  # (N,)
     walks = tables.loop[row] >= 0
     waypoint = tables.waypoint[row][loop]  # (N, K, 2)
 
@@ -121,17 +127,19 @@ def direct(scenario: Scenario, state: State, key: Array) -> State:
         goal = jnp.take_along_axis(waypoint, target[:, None, None], axis=1)[:, 0]
         return jnp.where(walks[:, None], goal, memory.seat_position) - people.position
 
-    # Who has arrived goes on to the next waypoint.
+    # Loops have no end: indices wrap around, backwards for people whose ``way`` is -1.
     gap = gap_to(memory.target)
     arrived = length(gap[:, 0], gap[:, 1]) < ARRIVED
     next_target = (memory.target + tables.way[row]) % tables.waypoints[row][loop]
     target = jnp.where(arrived & walks, next_target, memory.target)
     gap = gap_to(target)
+
+    # Between waypoints chosen as starts there may be obstacles, which a straight line would run into.
     if tables.ways is not None:
-        aim = _ahead(tables.ways, row, tables.loop[row], target, people.position)
+        aim = _ahead(tables.ways, row, tables.loop[row], target, people.position)  # (N, 2) m
         gap = jnp.where(walks[:, None], aim - people.position, gap)
 
-    # At the preferred speed, or back to the seat.
+    # Near a seat the speed falls with the distance: at full speed people would oscillate about it.
     distance = length(gap[:, 0], gap[:, 1])
     speed = jnp.where(walks, people.preferred_speed, jnp.minimum(people.preferred_speed, distance / SETTLING))
     speed = jnp.where(people.present, speed, 0.0)

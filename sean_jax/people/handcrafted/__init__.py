@@ -164,9 +164,10 @@ def _walks(
 
 def _row(layout: Set, size: PaddedSize) -> dict[str, np.ndarray]:
     """The arrays of one set: first people of groups, then walkers."""
+    # All sets have the size of the largest, so that an episode draws one by its index under jit; -1 is nobody.
     index = {name: np.full(size.people, -1, np.int32) for name in ("group", "loop", "first")}
 
-    # Groups, and the members of each.
+    # Members of a group come one after another, so a slice of the people is a group.
     center = np.zeros((size.groups, 2))
     capacity = np.zeros(size.groups, np.int32)
     begin = 0
@@ -176,7 +177,7 @@ def _row(layout: Set, size: PaddedSize) -> dict[str, np.ndarray]:
         index["group"][begin : begin + group.people] = number
         begin += group.people
 
-    # Loops, and where and how the walkers of each walk them.
+    # ``walked`` is the way up to the end of each leg; padding is inf, an end that nobody reaches.
     waypoint = np.zeros((size.loops, size.corners, 2))
     walked = np.full((size.loops, size.corners), np.inf)
     waypoints = np.ones(size.loops, np.int32)
@@ -189,6 +190,7 @@ def _row(layout: Set, size: PaddedSize) -> dict[str, np.ndarray]:
         walked[number, : len(loop)] = np.cumsum(legs)
         waypoints[number] = len(loop)
 
+        # Even shares of the length keep walkers of a loop apart, and opposite ways make them meet.
         members = slice(begin, begin + walkers.people)
         person = np.arange(walkers.people)
         index["loop"][members] = number
@@ -200,6 +202,8 @@ def _row(layout: Set, size: PaddedSize) -> dict[str, np.ndarray]:
     # The robot's poses, which may be in groups.
     names = list(layout.groups)
     poses = _poses("start", layout.starts, names, center) | _poses("goal", layout.goals, names, center)
+
+    # All pairs of start and goal are equally likely until a user chooses one.
     return poses | index | dict(
         odds=np.ones((POSES, POSES)), waypoint=waypoint, waypoints=waypoints, walked=walked,
         center=center, capacity=capacity, share=share, way=way, present=np.arange(size.people) < begin,

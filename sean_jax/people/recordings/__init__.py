@@ -205,28 +205,32 @@ def _snapshots(
     People with whom the robot stood at its goal are ``GOAL_GROUP``, those at its start alone ``START_GROUP``, in every
     row in which they stand with anybody; one person cannot be both.
     """
+    # A robot may be there in some rows only: argmax of booleans is the first that is true, backwards the last.
     times = recorded.shape[0]
     first = jnp.argmax(recorded)
     last = times - 1 - jnp.argmax(recorded[::-1])
     group_at_start = robot_group[first]
     group_at_goal = robot_group[last]
 
-    # The people of the robot's groups at its start and goal.
+    # Numbers of groups may change from row to row, so the people of the first and last group carry the name.
     with_start = (group_at_start >= 0) & (group[first] == group_at_start)  # (N,)
     with_goal = (group_at_goal >= 0) & (group[last] == group_at_goal)
     name = jnp.where(with_goal, GOAL_GROUP, jnp.where(with_start, START_GROUP, -1)).astype(jnp.int32)
-    named_group = jnp.where(group >= 0, name[None, :], -1)
+    named_group = jnp.where(group >= 0, name[None, :], -1)  # (T, N)
+
+    # Start and goal with the same people are one group: the robot neither leaves it nor joins it.
     unchanged = (group_at_start >= 0) & (group_at_goal >= 0) & (with_start == with_goal).all()
     start_group = jnp.where(group_at_start >= 0, jnp.where(unchanged, GOAL_GROUP, START_GROUP), -1)
     goal_group = jnp.where(group_at_goal >= 0, GOAL_GROUP, -1)
 
-    # Start and goal are where the robot was first and last.
+    # A recording has no task and often no map: start and goal are the ends, and the way between is straight.
     start, goal = position[first], position[last]
     straight = length(goal[0] - start[0], goal[1] - start[1])
 
     def always(value: Array) -> Array:
         return jnp.broadcast_to(value[None], (times, *value.shape))
 
+    # The robot is a person here, or as wide as one.
     return Snapshot(
         people=replace(people, group=named_group),
         position=position,

@@ -366,6 +366,7 @@ def _check_rate(
 
 def _arrange(recorded: Lines) -> Tracks:
     """Rows as far apart as the lines in the file, one column a person."""
+    # Frames count a camera's pictures, of which only some have lines: rows are the usual step apart.
     path, values = recorded.path, recorded.values
     step = recorded.usual_step
     first = values["frame"].min()
@@ -377,12 +378,12 @@ def _arrange(recorded: Lines) -> Tracks:
             "recording",
         )
 
-    # The row and the column of each line.
-    row = np.floor((values["frame"] - first) / step + 0.5).astype(int)
+    # Lines may be some frames off the rows, so each goes to the nearest one.
+    row = np.floor((values["frame"] - first) / step + 0.5).astype(int)  # of each line
     column = recorded.person
     _check_rows(recorded, row)
 
-    # Absent people are at the origin and look along x.
+    # Absent people are at the origin and look along x: finite numbers, which derivatives survive.
     shape = row.max() + 1, len(recorded.number)
     present = np.zeros(shape, bool)
     present[row, column] = True
@@ -400,6 +401,7 @@ def _arrange(recorded: Lines) -> Tracks:
         label[row, column] = values["group"]
         group = _groups_by_first_member(label)
 
+    # The file's own numbers of people and frames stay, so that a finding leads back to its lines.
     return Tracks(
         position=jnp.asarray(position),
         facing=jnp.asarray(facing),
@@ -439,12 +441,14 @@ def _sampled(recorded: Lines, time_step: float) -> Tracks:
     stretches = _stretches(recorded)
     begins = [stretch[0, 0] for _, stretch in stretches]
     ends = [stretch[-1, 0] for _, stretch in stretches]
+
+    # The limits hold before arrays exist: with a wrong frame_rate a recording may last for days.
     first = min(begins)
     moments = sum(end - begin for begin, end in zip(begins, ends, strict=True)) / time_step
     if moments > MAX_MOMENTS or (max(ends) - first) / time_step > MAX_STEPS:
         raise file_error(path, f"is too long to be played in steps of {time_step:g} s; cut the recording")
 
-    # Walks of two rows or more, and the columns that they share.
+    # A walk of one row has no velocity. People share columns, or there would be one for everybody ever there.
     samples = [_sample(person, stretch, first, time_step) for person, stretch in stretches]
     walks = [walk for walk in samples if walk is not None]
     if not walks:
@@ -452,6 +456,8 @@ def _sampled(recorded: Lines, time_step: float) -> Tracks:
         raise FileError(
             f"{short_name(path)}: nobody is there for two control steps of {time_step:g} s; is frame_rate {rate} right?"
         )
+
+    # Columns are filled in the order of arrival, which needs no more of them than people at once.
     columns = _columns(sorted(walks, key=lambda walk: walk.begin), path)
     times = max(walk.begin + len(walk.places) for walk in walks)
     if times * len(columns) > MAX_MOMENTS:

@@ -382,15 +382,15 @@ def _with_groups(
     nodes = dict(graph.nodes)
     names = list(nodes)
 
-    # The flow of each edge.
+    # Flows are drawn per edge, so people prefer some ways over others of the same length.
     categories, chances = FLOWS
     edges = []
     for edge in graph.edges:
         flow: Any = categories[generator.choice(len(categories), p=chances)]
         edges.append(Edge(between=edge.between, flow=flow))
 
-    # Candidates with room, apart from nodes and other groups, in sight of a waypoint near by.
-    waypoints = np.array([node.position for node in nodes.values()])
+    # A group must leave its waypoints and other groups alone: the ring, bodies and a margin have to fit in.
+    waypoints = np.array([node.position for node in nodes.values()])  # (W, 2) m
     centers: list[np.ndarray] = []
     seed = int(generator.integers(2**31))
     candidates = environments.free_points(environment, annotation.NODE_CLEARANCE, CANDIDATES, seed).astype(float)
@@ -398,23 +398,29 @@ def _with_groups(
     for center, room in zip(candidates, clearance.tolist(), strict=True):
         if len(centers) >= max(1, free / GROUP_AREA):
             break
+
+        # Two to five seats, sizes for which formations were measured (``graph.formation``).
         capacity = int(generator.integers(2, 6))
-        gap = np.linalg.norm(waypoints - center, axis=1)
+        gap = np.linalg.norm(waypoints - center, axis=1)  # (W,) m
         if room < reach(capacity) + annotation.PERSON + 0.3 or gap.min() < reach(capacity) + 0.8:
             continue
         if centers and np.linalg.norm(np.array(centers) - center, axis=1).min() < GROUP_GAP:
             continue
+
+        # People walk straight to a group, so its edge has to be free for a body.
         starts = np.broadcast_to(center, waypoints.shape)
         in_sight = np.asarray(pairs_are_free(environment.obstacles, annotation.PERSON, starts, waypoints))
         if not (in_sight & (gap < GROUP_SIGHT)).any():
             continue
 
-        # Joined to the nearest waypoint in sight.
+        # A group has one edge, to the nearest waypoint in sight, so no route of others leads through it.
         name = f"group_{len(centers) + 1}"
         nearest = int(np.argmin(np.where(in_sight, gap, np.inf)))
         nodes[name] = _group_node(center, room, capacity, generator)
         edges.append(Edge(between=(names[nearest], name)))
         centers.append(center)
+
+    # Join and Leave Group need a group in every world.
     if not centers:
         raise InputError("worlds: there is no room for a group.")
     return graph.model_copy(update={"nodes": nodes, "edges": edges})

@@ -370,29 +370,32 @@ def _bisect(
 
 def common_tangents(arcs: CornerArcs, radius: float) -> CommonTangents:
     """The segments from arc to arc that touch both circles of a radius [m], through any obstacles in between."""
+    # A shortest path of a disc consists of arcs around corners and of tangents common to two of them.
     corner, middle, side, first, last = (np.asarray(getattr(arcs, name)) for name in FIELDS)
     gap = corner[None] - corner[:, None]  # (V, V, 2)
-    distance = np.hypot(gap[..., 0], gap[..., 1])
+    distance = np.hypot(gap[..., 0], gap[..., 1])  # (V, V) m
     direction = gap / np.maximum(distance, 1e-6)[..., None]
 
     # Tangents that pass the corners on different sides cross the line between them, if the circles are apart.
     from_side = side[:, None]
     crossing = from_side != side[None, :]
     exists = (distance > 1e-6) & (~crossing | (distance >= 2 * radius - SLACK))
+
+    # A crossing tangent is tilted against the line of centers by asin(2 r / d), an outer one is parallel to it.
     sine = np.where(crossing, 2 * radius, 0.0) / np.maximum(distance, 1e-6)
     tilt = from_side * np.arcsin(np.minimum(sine, 1.0))
     along = _rotated(direction, tilt)
     right = np.stack([along[..., 1], -along[..., 0]], -1)  # (V, V, 2)
 
-    # They touch the free parts of both arcs.
-    departure = _touch_angle(middle[:, None], side[:, None], right)
+    # A path turns on the free part of an arc alone, so tangents must touch it there.
+    departure = _touch_angle(middle[:, None], side[:, None], right)  # (V, V) rad
     arrival = _touch_angle(middle[None], side[None], right)
     exists &= (departure >= first[:, None] - ANGLE) & (departure <= last[:, None] + ANGLE)
     exists &= (arrival >= first - ANGLE) & (arrival <= last + ANGLE)
 
     # From a point of the first circle to one of the second.
-    i, j = np.nonzero(exists)
-    begin = corner[i] + radius * side[i, None] * right[i, j]
+    i, j = np.nonzero(exists)  # (P,)
+    begin = corner[i] + radius * side[i, None] * right[i, j]  # (P, 2) m
     end = corner[j] + radius * side[j, None] * right[i, j]
     length = np.hypot(*(end - begin).T)
     return CommonTangents(i, j, length, departure[i, j], arrival[i, j], begin, end)
