@@ -96,7 +96,10 @@ def build(
     """
     file = place.folder / "graph.yaml"
     if not file.is_file():
-        raise InputError(f"{file}: there is no such file, and behavior 'graph' needs it; write one or choose another.")
+        raise InputError(
+            f"{place.folder / 'graph.yaml'}: there is no such file, and behavior 'graph' needs it; write one or "
+            "choose another."
+        )
     people = place.default_people if people is None else people
     graph = annotation.read_graph(file, place.environment)
     start, node = _starts(place, graph)
