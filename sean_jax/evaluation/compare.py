@@ -151,9 +151,9 @@ def read_run(folder: Path, name: str = "") -> SavedRun:
     description = rename(config.identity(), content.identities)
     tasks, columns = run_folder.read_episodes(folder / "episodes.csv")
     if len(tasks) > config.episodes * (len(config.team) or 1):
-        file = folder / "episodes.csv"
         raise InputError(
-            f"{file}: has {len(tasks):,} rows and config.yaml {config.episodes:,} episodes; restore the files."
+            f"{folder / 'episodes.csv'}: has {len(tasks):,} rows and config.yaml {config.episodes:,} episodes; "
+            "restore the files."
         )
     columns.pop("timed_out", None)
     figures = _own_figures(folder / "summary.json")

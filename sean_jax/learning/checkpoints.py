@@ -196,8 +196,9 @@ def _explain_errors(checkpoint: Path) -> Iterator[None]:
     except IncompleteError:
         raise
     except Exception as error:  # which one depends on the byte that is damaged
-        why = error.strerror.lower() if isinstance(error, OSError) and error.strerror else "it is damaged"
-        raise IncompleteError(f"{checkpoint} cannot be read ({why}); {CURE}") from error
+        if isinstance(error, OSError) and error.strerror:
+            raise IncompleteError(f"{checkpoint} cannot be read ({error.strerror.lower()}); {CURE}") from error
+        raise IncompleteError(f"{checkpoint} cannot be read (it is damaged); {CURE}") from error
 
 
 def _check_entries(checkpoint: Path) -> None:

@@ -265,8 +265,10 @@ def _collect(config: CollectConfig, console: ProgressLike) -> Dataset:
     _check_batch(config, stacks, mesh.size)
     data = _open(config, parts, policy, camera)
     if data.batch % mesh.size:
-        batch = f"--batch {data.batch}, which does not spread evenly over {mesh.size} devices"
-        raise InputError(f"{data.folder} was begun with {batch}; choose another --out.")
+        raise InputError(
+            f"{data.folder} was begun with --batch {data.batch}, which does not spread evenly over {mesh.size} "
+            "devices; choose another --out."
+        )
 
     # A shard is written while the next one is simulated.
     is_labelled = config.labels is not None or config.noise is not None
@@ -290,12 +292,14 @@ def _collect(config: CollectConfig, console: ProgressLike) -> Dataset:
 def _check_batch(config: CollectConfig, stacks: list[Stack[Scenario]], device_count: int) -> None:
     """Refuse a batch that does not divide among devices or floors."""
     if (config.batch or 0) % device_count:
-        uneven = f"{config.batch} episodes do not spread evenly over {device_count} devices"
-        raise InputError(f"--batch: {uneven}; take a multiple.")
+        raise InputError(
+            f"--batch: {config.batch} episodes do not spread evenly over {device_count} devices; take a multiple."
+        )
     even = _even(config.batch or 1, stacks)
     if config.batch not in (None, even):
-        uneven = f"{config.batch} episodes do not spread evenly over {stacks[0].size} floors"
-        raise InputError(f"--batch: {uneven}; take {even}.")
+        raise InputError(
+            f"--batch: {config.batch} episodes do not spread evenly over {stacks[0].size} floors; take {even}."
+        )
 
 
 class _Recording:
@@ -380,8 +384,7 @@ def _check_same(config: CollectConfig, data: Dataset, manifest: dict[str, Any]) 
         raise InputError(f"{data.folder} was begun with --batch {data.batch}, not {config.batch}; ask for the same.")
     if config.hours < data.manifest["hours"]:
         had_hours, hours = number(data.manifest["hours"]), number(config.hours)
-        text = f"{data.folder} was begun with --hours {had_hours}, not {hours}"
-        raise InputError(f"{text}; ask for as much or more.")
+        raise InputError(f"{data.folder} was begun with --hours {had_hours}, not {hours}; ask for as much or more.")
 
 
 def _manifest(

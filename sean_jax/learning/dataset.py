@@ -283,8 +283,10 @@ class Dataset:
         """
         file, options = self.folder / MANIFEST, self.manifest["options"]
         if not self.manifest["command"].startswith("sean collect"):
-            text = "was driven by hand or by another program, which cannot be simulated again"
-            raise InputError(f"{self.folder}: {text}; record one with `sean collect`.")
+            raise InputError(
+                f"{self.folder}: was driven by hand or by another program, which cannot be simulated again; "
+                "record one with `sean collect`."
+            )
         options = user_parts.recorded(file, options, self.manifest.get("parts"), "parts")
         try:
             return validate(CollectConfig, options, source=file)
@@ -393,8 +395,10 @@ class Dataset:
         shape, kind = self.fields[name]
         expected = (last + 1 - first, self.most_rows, *shape)
         if values.shape != expected or values.dtype != kind:
-            sizes = f"{values.shape} {values.dtype}, but by {MANIFEST} they are {expected} {kind}"
-            raise IncompleteError(f"{self.folder / name}: the values are {sizes}; restore {MANIFEST} or collect again.")
+            raise IncompleteError(
+                f"{self.folder / name}: the values are {values.shape} {values.dtype}, but by {MANIFEST} they are "
+                f"{expected} {kind}; restore {MANIFEST} or collect again."
+            )
         return first, values
 
     def recording(self, episodes: Sequence[Episode]) -> Recording:
@@ -559,9 +563,12 @@ def split(dataset: Dataset, share: float, seed: int) -> tuple[list[Episode], lis
     episodes = dataset.episodes
     if len(episodes) < 2:
         which, parts = dataset.part
-        of = f" in part {which} of {parts}" if parts > 1 else ""
-        text = f"{dataset.folder} has {len(episodes)} episodes{of}, too few to train and validate"
-        raise InputError(f"{text}; collect more.")
+        if parts > 1:
+            raise InputError(
+                f"{dataset.folder} has {len(episodes)} episodes in part {which} of {parts}, too few to train and "
+                "validate; collect more."
+            )
+        raise InputError(f"{dataset.folder} has {len(episodes)} episodes, too few to train and validate; collect more.")
     count = min(max(1, round(share * len(episodes))), len(episodes) - 1)
     chosen = set(random_streams.generator("validation", seed).permutation(len(episodes))[:count].tolist())
     training = [episode for index, episode in enumerate(episodes) if index not in chosen]
@@ -656,8 +663,10 @@ def open_datasets(folders: Sequence[Path], part: tuple[int, int] = (1, 1)) -> Co
             if theirs != ours:
                 raise InputError(f"{other.folder} has {name} {theirs}, and {first.folder} {ours}; collect the same.")
         if other.rate != first.rate:
-            rates = f"{other.folder} has {other.rate} examples per second, and {first.folder} {first.rate}"
-            raise InputError(f"{rates}; collect with the same --rate.")
+            raise InputError(
+                f"{other.folder} has {other.rate} examples per second, and {first.folder} {first.rate}; "
+                "collect with the same --rate."
+            )
     return ConcatDataset([first, *others])
 
 

@@ -125,8 +125,9 @@ def prepare(options: ImitationConfig) -> Training:
     if options.pretrained is not None:
         had = imitation_config(options.pretrained, names).model_copy(update={"situations": names})
         if had != config:
-            text = f"{options.pretrained} has another network, {had}, not {config}"
-            raise InputError(f"pretrained: {text}; ask for the same.")
+            raise InputError(
+                f"pretrained: {options.pretrained} has another network, {had}, not {config}; ask for the same."
+            )
     return Training(options, data, config, *split_each(data, options.validation, options.seed))
 
 

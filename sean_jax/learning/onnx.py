@@ -243,8 +243,10 @@ class _Translation:
         shapes = [variable.aval.shape for variable in step.invars]
         result = self.translate(name, _Operation(values, shapes, step.outvars[0].aval, step.params))
         if result is None:
-            known = "layers, convolutions, attention and elementwise functions are known"
-            raise InputError(f"export onnx: the network has the operation {name}, which is not translated; {known}.")
+            raise InputError(
+                f"export onnx: the network has the operation {name}, which is not translated; "
+                "layers, convolutions, attention and elementwise functions are known."
+            )
         return result if isinstance(result, list) else [result]
 
     def translate(self, kind: str, operation: _Operation) -> Any:

@@ -144,8 +144,10 @@ def agent_folder(name: str, option: str) -> Path:
     path = Path(name)
     if name in AGENTS:
         if (path / CONFIG).is_file():
-            both = f"'{name}' is an agent of the package and a folder here"
-            raise InputError(f"{option}: {both}; write ./{name} for the folder, {AGENTS[name]} for the other.")
+            raise InputError(
+                f"{option}: '{name}' is an agent of the package and a folder here; write ./{name} for the folder, "
+                f"{AGENTS[name]} for the other."
+            )
         return AGENTS[name]
     if not path.is_dir():
         known = [*POLICIES, *AGENTS]
@@ -199,9 +201,10 @@ def agent_terms(options: ReinforcementConfig) -> tuple[observations.Terms, obser
     actor_terms = registry.observation_terms(options.observations)
     private = registry.observation_terms(options.critic, "critic")
     for name, term in private:
-        if term.image or name in dict(actor_terms):
-            why = "is an image" if term.image else "is already an observation of the actor"
-            raise InputError(f"critic: {name} {why}; choose another term.")
+        if term.image:
+            raise InputError(f"critic: {name} is an image; choose another term.")
+        if name in dict(actor_terms):
+            raise InputError(f"critic: {name} is already an observation of the actor; choose another term.")
     _encoder(options, actor_terms)
     return actor_terms, private
 
@@ -256,8 +259,10 @@ def _encoder(options: ReinforcementConfig, terms: observations.Terms) -> Any:
         except TypeError as error:
             raise InputError(f"network: {name} cannot be made: {error}; give its fields defaults.") from error
     if not isinstance(value, nn.Module):
-        text = f"network: {name} is {user_calls.describe(value)}, not a module of flax.linen"
-        raise InputError(f"{text}; give a class, such as class Net(nn.Module).")
+        raise InputError(
+            f"network: {name} is {user_calls.describe(value)}, not a module of flax.linen; give a class, such as "
+            "class Net(nn.Module)."
+        )
     try:
         hash(value)
     except TypeError as error:
@@ -412,14 +417,19 @@ def _check_sizes(folder: Path, saved: dict[str, tuple], outline: Agent) -> None:
     mean = f"{STATISTICS}mean"
     learned, present = (sizes.get(mean, (0,))[0] for sizes in (saved, shapes))
     if learned == present and options.network.kind != "mlp":
-        cure = f"restore the network of its training (its {CONFIG})"
-        raise InputError(f"{folder}: its weights are not those of the network {options.network.label}; {cure}.")
-    what = f"{learned} numbers, and this scenario shows {present}"
-    if learned == present:
-        what = "images of another size than this scenario's"
+        raise InputError(
+            f"{folder}: its weights are not those of the network {options.network.label}; restore the network of its "
+            f"training (its {CONFIG})."
+        )
     terms = ", ".join(part.kind for part in options.observations)
+    if learned == present:
+        raise InputError(
+            f"{folder}: its agent sees images of another size than this scenario's ({terms}); make the scenario with "
+            f"the options of its training (its {CONFIG})."
+        )
     raise InputError(
-        f"{folder}: its agent sees {what} ({terms}); make the scenario with the options of its training (its {CONFIG})."
+        f"{folder}: its agent sees {learned} numbers, and this scenario shows {present} ({terms}); make the scenario "
+        f"with the options of its training (its {CONFIG})."
     )
 
 

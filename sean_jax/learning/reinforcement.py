@@ -627,9 +627,14 @@ def _check_devices(options: ReinforcementConfig, layout: DeviceLayout, environme
     """Refuse scenarios that do not divide among the devices."""
     if layout.shares_agents or options.scenarios // environments % layout.mesh.size == 0:
         return
-    text = f"scenarios: {options.scenarios} do not spread evenly over {layout.mesh.size} devices"
-    text += f" in {environments} environments" if environments > 1 else ""
-    raise InputError(f"{text}; take a multiple.")
+    if environments > 1:
+        raise InputError(
+            f"scenarios: {options.scenarios} do not spread evenly over {layout.mesh.size} devices in {environments} "
+            "environments; take a multiple."
+        )
+    raise InputError(
+        f"scenarios: {options.scenarios} do not spread evenly over {layout.mesh.size} devices; take a multiple."
+    )
 
 
 class Recent:

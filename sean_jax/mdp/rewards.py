@@ -296,8 +296,10 @@ def call(part: str, function: Callable, arguments: str, scenario: Scenario, *sta
         missing, known = error.__cause__, metrics.METRICS.keys() - dict(scenario.metrics).keys()
         if not isinstance(missing, KeyError) or missing.args[0] not in known:
             raise
-        cure = f"take mdp.of_metric('{missing.args[0]}')"
-        raise PartError(f"{str(error).removesuffix('.')}, a metric that is not measured here; {cure}.") from missing
+        raise PartError(
+            f"{str(error).removesuffix('.')}, a metric that is not measured here; "
+            f"take mdp.of_metric('{missing.args[0]}')."
+        ) from missing
 
 
 def _number(function: Callable, arguments: str, scenario: Scenario, *states: State) -> Array:

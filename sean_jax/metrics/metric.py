@@ -234,9 +234,13 @@ def _truth(condition: Condition, snapshot: Snapshot, ndim: int | None = 0) -> Ar
     user_calls.check_array("metrics", condition, value, None, None, "compare numbers")
     value = jnp.asarray(value)
     if value.dtype != bool or value.ndim > (1 if ndim is None else ndim):
-        expected = "() bool or (N,) bool" if ndim is None else "() bool"
+        if ndim is None:
+            raise InputError(
+                f"metrics: {_name(condition)}(snapshot) gives {value.dtype} {value.shape}, not () bool or (N,) bool; "
+                "for numbers take metrics.total, mean, minimum, maximum or final."
+            )
         raise InputError(
-            f"metrics: {_name(condition)}(snapshot) gives {value.dtype} {value.shape}, not {expected}; for numbers "
+            f"metrics: {_name(condition)}(snapshot) gives {value.dtype} {value.shape}, not () bool; for numbers "
             "take metrics.total, mean, minimum, maximum or final."
         )
     return value
@@ -248,10 +252,14 @@ def _number(function: Callable, *snapshots: Snapshot) -> Array:
     user_calls.check_array("metrics", function, value, None, None, "give one number")
     value = jnp.asarray(value)
     if value.ndim:
-        arguments = "snapshot" if len(snapshots) == 1 else "before, after"
+        if len(snapshots) == 1:
+            raise InputError(
+                f"metrics: {_name(function)}(snapshot) gives an array {value.shape}, not one number (); reduce it with "
+                "sum, min or mean."
+            )
         raise InputError(
-            f"metrics: {_name(function)}({arguments}) gives an array {value.shape}, not one number (); reduce it with "
-            "sum, min or mean."
+            f"metrics: {_name(function)}(before, after) gives an array {value.shape}, not one number (); reduce it "
+            "with sum, min or mean."
         )
     return value.astype(float)
 

@@ -52,8 +52,10 @@ def find(robot: str | Path, dynamics: str = "twin") -> Path:
         raise InputError(f"unknown dynamics {dynamics!r}{_hint(dynamics, DYNAMICS)}")
     path = ROBOTS.get(str(robot), Path(robot))
     if not path.is_file():
-        problem = f"no robot file {str(robot)!r}" if path.suffix == ".xml" else f"unknown robot {str(robot)!r}"
-        raise InputError(f"{problem}{_hint(str(robot), ROBOTS)} The path of an MJCF file works as well as a name.")
+        hint = _hint(str(robot), ROBOTS)
+        if path.suffix == ".xml":
+            raise InputError(f"no robot file {str(robot)!r}{hint} The path of an MJCF file works as well as a name.")
+        raise InputError(f"unknown robot {str(robot)!r}{hint} The path of an MJCF file works as well as a name.")
     return path
 
 

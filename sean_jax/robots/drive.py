@@ -226,8 +226,14 @@ def active_command(
     """
     size = command_size(model)
     if jnp.shape(action) != (size,):
-        numbers = "speed and turn rate" if size == 2 else "speed, speed to the left and turn rate"
-        raise InputError(f"action: its shape is {jnp.shape(action)}; {model.name} takes ({size},), {numbers}.")
+        if size == 2:
+            raise InputError(
+                f"action: its shape is {jnp.shape(action)}; {model.name} takes ({size},), speed and turn rate."
+            )
+        raise InputError(
+            f"action: its shape is {jnp.shape(action)}; {model.name} takes ({size},), speed, speed to the left and "
+            "turn rate."
+        )
     is_finite = jnp.isfinite(action).all()
     age = jnp.where(is_finite, 0, drive_state.age + 1)
     timeout = clock.to_ticks(model.command_timeout, time_step)

@@ -259,7 +259,7 @@ def twin_step(
     """``twin_substep`` in scalars.
 
     Args:
-        form: makes the functions that are evaluated, such as ``kernels.scalars``.
+        form: makes the functions that are evaluated, such as ``gpu_kernels.scalars``.
     """
     free, tyres, vx, vy = form(_without_contacts)(model, position, velocity, targets)
     return form(_advance)(model, position, free, tyres, (vx, vy), touch(position, vx, vy))

@@ -289,10 +289,14 @@ def drive_of(file: Path, body: ForeignBody, wheels: list[Wheel], settings: Impor
         return "omnidirectional"
     if len(fixed) >= 2:
         return "ackermann" if steered else "differential"
-    hinges = f"only '{wheels[0].name}' of its hinges looks" if wheels else "none of its hinges looks"
+    if wheels:
+        raise FileError(
+            f"{file}: only '{wheels[0].name}' of its hinges looks like a wheel on the floor; name the hinges of the "
+            "left and the right wheel by --wheels, or give --drive omnidirectional."
+        )
     raise FileError(
-        f"{file}: {hinges} like a wheel on the floor; name the hinges of the left and the right wheel by --wheels, "
-        "or give --drive omnidirectional."
+        f"{file}: none of its hinges looks like a wheel on the floor; name the hinges of the left and the right wheel "
+        "by --wheels, or give --drive omnidirectional."
     )
 
 

@@ -297,9 +297,11 @@ def _numbers(
         values = np.zeros(0)
     if len(values) != count or not (np.abs(values) <= maximum).all():
         numbers = "a number" if count == 1 else f"{count} numbers"
-        bounds = " from -1e6 to 1e6" if np.isfinite(maximum) else ""
-        value = "is missing" if text is None else f'is "{shorten(text, 40)}"'
-        raise _error(path, element, f"needs {numbers}{bounds}, but {key} {value}")
+        if text is None:  # a number without a maximum has a default
+            raise _error(path, element, f"needs {numbers} from -1e6 to 1e6, but {key} is missing")
+        if np.isinf(maximum):
+            raise _error(path, element, f'needs {numbers}, but {key} is "{shorten(text, 40)}"')
+        raise _error(path, element, f'needs {numbers} from -1e6 to 1e6, but {key} is "{shorten(text, 40)}"')
     return values
 
 

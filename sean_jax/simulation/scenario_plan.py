@@ -260,10 +260,14 @@ def _check_offer(task: str, draw: Callable, behavior: str) -> None:
     if needed is None or needed.offer in behaviors.OFFERS.get(behavior, (needed.offer,)):
         return  # the offers of a user's own behavior are known when it is built
     if needed.offer == "groups":
-        own = "handcrafted" if behavior == "handcrafted" else "random_ab_nav"
+        if behavior == "handcrafted":
+            raise InputError(
+                f"task: '{task}' needs groups, which only behavior 'graph' has, not '{behavior}'; "
+                "choose task 'handcrafted' with it."
+            )
         raise InputError(
             f"task: '{task}' needs groups, which only behavior 'graph' has, not '{behavior}'; "
-            f"choose task '{own}' with it."
+            "choose task 'random_ab_nav' with it."
         )
     if needed.offer == "handcrafted_sets":
         raise InputError(
@@ -287,8 +291,9 @@ def _check_recording(behavior: PlaybackBehavior) -> None:
     if recording is None:
         raise InputError("behavior: 'playback' needs a recording; give the path of a CSV file: frame, id, x, y.")
     if not Path(recording).is_file():
-        problem = "is no file" if Path(recording).exists() else "does not exist"
-        raise InputError(f"recording: {recording} {problem}; give the path of a CSV file: frame, id, x, y.")
+        if Path(recording).exists():
+            raise InputError(f"recording: {recording} is no file; give the path of a CSV file: frame, id, x, y.")
+        raise InputError(f"recording: {recording} does not exist; give the path of a CSV file: frame, id, x, y.")
     check_clock(behavior.recording_format, behavior.frame_rate)
 
 

@@ -260,7 +260,7 @@ class Forces:
     """The terms whose sum moves people; a pytree. ``build`` makes checked forces from a name or a list.
 
     Iteration gives the terms. Each term is an attribute, named like its class in lower case:
-    ``forces.repulsion.strength``, ``forces.robot_repulsion``.
+    ``scenario.forces.repulsion.strength``, ``scenario.forces.robot_repulsion``.
     """
 
     terms: tuple[Term, ...]

@@ -36,8 +36,10 @@ def check_room(scenario: Scenario) -> None:
 
     walks = cache.load_or_build("walks", ("tasks/handcrafted_task", *paths.CODE), inputs, build)["walks"]
     for number, start, goal in np.argwhere(~np.isfinite(walks)):
-        way = f"from starts[{start}] to goals[{goal}] of set '{sets.names[number]}'"
-        raise InputError(f"robot: there is no way {way} for {scenario.robot.name}; choose a smaller robot or a set.")
+        raise InputError(
+            f"robot: there is no way from starts[{start}] to goals[{goal}] of set '{sets.names[number]}' for "
+            f"{scenario.robot.name}; choose a smaller robot or a set."
+        )
 
 
 def _check_clearance(scenario: Scenario, word: str, places: Float[Array, "sets 5 2"]) -> None:
@@ -46,8 +48,10 @@ def _check_clearance(scenario: Scenario, word: str, places: Float[Array, "sets 5
     room = np.minimum(*signed_distances_on_host(scenario.environment, np.asarray(places).reshape(-1, 2)))
     room = room.reshape(places.shape[:2])
     for number, index in np.argwhere(room < robots.radius(scenario.robot)):
-        where = f"set '{names[number]}' has {room[number, index]:.2f} m of room at {word}[{index}]"
-        raise InputError(f"robot: {where}, too little for {scenario.robot.name}; choose a smaller robot or a set.")
+        raise InputError(
+            f"robot: set '{names[number]}' has {room[number, index]:.2f} m of room at {word}[{index}], too little for "
+            f"{scenario.robot.name}; choose a smaller robot or a set."
+        )
 
 
 @requires("handcrafted_sets", check_room)

@@ -60,8 +60,10 @@ def check_requirement(scenario: Scenario) -> None:
     behavior, name = scenario.behavior, scenario.task_name
     if needed.offer not in behavior.offers:
         what = {"groups": "a group", "handcrafted_sets": "handcrafted sets"}.get(needed.offer, needed.offer)
-        where = f"the {behavior.name} of {scenario.environment.name} has none"
-        raise InputError(f"task: '{name}' needs {what}, and {where}; add one or choose another task.")
+        raise InputError(
+            f"task: '{name}' needs {what}, and the {behavior.name} of {scenario.environment.name} has none; "
+            "add one or choose another task."
+        )
     if needed.check is not None:
         needed.check(scenario)
 
@@ -128,7 +130,7 @@ class Mixture:
 def choose(index: Int[Array, ""], tasks: Sequence[RobotTask]) -> RobotTask:
     """The task of that index.
 
-    ``lax.switch`` computes all tasks of a batch as well, and copies the tables of the floor for each row.
+    ``jax.lax.switch`` computes all tasks of a batch as well, and copies the tables of the floor for each row.
     """
     if len(tasks) == 1:
         return tasks[0]
@@ -207,9 +209,15 @@ def _check_pose(scenario: Scenario, name: str, pose: tuple[float, ...]) -> None:
     room = float(np.min(signed_distances_on_host(scenario.environment, np.array([pose[:2]]))))
     radius = robots.radius(scenario.robot)
     if not room >= radius:
-        where = f"({pose[0]:g}, {pose[1]:g})"
-        lies = "off the floor or inside an obstacle" if room < 0 else f"{room:.2f} m from an obstacle or the edge"
-        raise InputError(f"{name}: {where} lies {lies}, where a robot of radius {radius:g} m cannot be; move it.")
+        if room < 0:
+            raise InputError(
+                f"{name}: ({pose[0]:g}, {pose[1]:g}) lies off the floor or inside an obstacle, where a robot of radius "
+                f"{radius:g} m cannot be; move it."
+            )
+        raise InputError(
+            f"{name}: ({pose[0]:g}, {pose[1]:g}) lies {room:.2f} m from an obstacle or the edge, where a robot of "
+            f"radius {radius:g} m cannot be; move it."
+        )
 
 
 def _heading(angle: float) -> Float[Array, "2"]:

@@ -196,14 +196,22 @@ class ReinforcementConfig(EnvConfig):
         law_count = max(1, len(listed(self.laws)))
         count = len(self.environments) * law_count
         if self.scenarios % count:
-            laws = " with their laws" if law_count > 1 else ""
+            if law_count > 1:
+                raise ValueError(
+                    f"scenarios: {self.scenarios} do not divide equally among {count} environments with their laws; "
+                    "take a multiple"
+                )
             raise ValueError(
-                f"scenarios: {self.scenarios} do not divide equally among {count} environments{laws}; take a multiple"
+                f"scenarios: {self.scenarios} do not divide equally among {count} environments; take a multiple"
             )
         if self.curriculum != "none" and count > 1:
-            others = f"the laws {self.laws}" if law_count > 1 else self.environment
+            if law_count > 1:
+                raise ValueError(
+                    f"curriculum: {self.curriculum} samples the starts of one environment, not of the laws "
+                    f"{self.laws}; choose one of the two"
+                )
             raise ValueError(
-                f"curriculum: {self.curriculum} samples the starts of one environment, not of {others}; "
+                f"curriculum: {self.curriculum} samples the starts of one environment, not of {self.environment}; "
                 "choose one of the two"
             )
         return self

@@ -97,7 +97,10 @@ def build(
     # Environments without groups or walkers have no graph, so the message names the cure.
     file = place.folder / "graph.yaml"
     if not file.is_file():
-        raise InputError(f"{file}: there is no such file, and behavior 'graph' needs it; write one or choose another.")
+        raise InputError(
+            f"{place.folder / 'graph.yaml'}: there is no such file, and behavior 'graph' needs it; write one or "
+            "choose another."
+        )
     people = place.default_people if people is None else people
 
     # No two people share a start or a seat, so their number bounds the crowd; walking groups take no seats.

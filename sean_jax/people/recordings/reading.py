@@ -243,8 +243,9 @@ def _check_column(path: Path, name: str, title: str, column: np.ndarray, line: n
     if len(wrong) == 0:
         return
     value = column[wrong[0]]
-    fault = "not finite" if not np.isfinite(value) else f"beyond {limit:,.0f}"
-    raise file_error(path, f"{title} is {value:g}, which is {fault}; leave the line out", line[wrong[0]])
+    if not np.isfinite(value):
+        raise file_error(path, f"{title} is {value:g}, which is not finite; leave the line out", line[wrong[0]])
+    raise file_error(path, f"{title} is {value:g}, which is beyond {limit:,.0f}; leave the line out", line[wrong[0]])
 
 
 def _is_number(name: str) -> bool:
@@ -341,7 +342,6 @@ def _check_rate(
     path = recorded.path
     rate = 1.0 / recorded.seconds
     speed = distance[present].sum() / max(time[present].sum(), 1e-9)
-    clock = f"{rate:g} frames a second" if rate >= 1 else f"{recorded.seconds:g} s a frame"
     if "vx" in recorded.values and "vy" in recorded.values:
         in_file = np.hypot(recorded.values["vx"], recorded.values["vy"])[order]
         in_file = 0.5 * (in_file[1:] + in_file[:-1])[same_person]  # m/s, between a person's lines
@@ -350,15 +350,21 @@ def _check_rate(
         if expected > 1.0 and abs(share - 1.0) > CLOCK_TOLERANCE:
             raise file_error(
                 path,
-                f"with {clock} people walk at {share:.2f} times their vx_mps and vy_mps; by these there are "
-                f"{rate / share:.3g} a second",
+                f"with {_clock_text(recorded)} people walk at {share:.2f} times their vx_mps and vy_mps; by these "
+                f"there are {rate / share:.3g} a second",
             )
     if speed > MAX_MEAN_SPEED:
         raise file_error(
             path,
-            f"with {clock} people walk at {speed:.2f} m/s, and nobody does; look at frame_rate: with "
+            f"with {_clock_text(recorded)} people walk at {speed:.2f} m/s, and nobody does; look at frame_rate: with "
             f"{rate * USUAL_SPEED / speed:.2g} a second they walk at {USUAL_SPEED:g} m/s",
         )
+
+
+def _clock_text(recorded: Lines) -> str:
+    """The clock with its unit, such as 25 frames a second, or 1.5 s a frame."""
+    rate = 1.0 / recorded.seconds
+    return f"{rate:g} frames a second" if rate >= 1 else f"{recorded.seconds:g} s a frame"
 
 
 # ------------------------------------------------------------------ lines as rows
@@ -452,9 +458,9 @@ def _sampled(recorded: Lines, time_step: float) -> Tracks:
     samples = [_sample(person, stretch, first, time_step) for person, stretch in stretches]
     walks = [walk for walk in samples if walk is not None]
     if not walks:
-        rate = f"{1.0 / recorded.seconds:g} frames a second"
         raise FileError(
-            f"{short_name(path)}: nobody is there for two control steps of {time_step:g} s; is frame_rate {rate} right?"
+            f"{short_name(path)}: nobody is there for two control steps of {time_step:g} s; is frame_rate "
+            f"{1.0 / recorded.seconds:g} frames a second right?"
         )
 
     # Columns are filled in the order of arrival, which needs no more of them than people at once.

@@ -70,8 +70,10 @@ def find(folder: str | Path) -> tuple[dict[str, Path], dict[str, Path]]:
         elif _has_velocities(file):
             prediction.setdefault(file.stem, file)
     if not prediction and not corridors:
-        what = "recordings of ETH or UCY (frame, ped_id, x_m, y_m, vx_mps, vy_mps) or runs like uo-180-180-180"
-        raise InputError(f"data: {folder} has no {what}; give another folder.")
+        raise InputError(
+            f"data: {folder} has no recordings of ETH or UCY (frame, ped_id, x_m, y_m, vx_mps, vy_mps) or runs like "
+            "uo-180-180-180; give another folder."
+        )
     return prediction, corridors
 
 

@@ -64,7 +64,7 @@ def check(demonstrations: dict[str, ConcatDataset], behavior: str, scenario: Sce
         recorded = data.manifest | {"robot": data.manifest["robot"]["name"]}
         for name, value in expected.items():
             if recorded[name] != value:
-                option = "time_limit" if name == "seconds" else name
+                option = {"seconds": "time_limit"}.get(name, name)
                 raise InputError(
                     f"--demonstrations: {data.folder} has {option} {recorded[name]}, and the experiment {value}; "
                     f"give the experiment --{option.replace('_', '-')}."

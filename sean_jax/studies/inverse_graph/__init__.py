@@ -1,6 +1,6 @@
 """The inverse Behavior Graph (section IV-D): from what people do, to the graph that makes them do it.
 
-``sean fit-graph`` proposes a graph for an environment (``worlds.proposal``), measures what recorded or simulated people
+``sean fit-graph`` proposes a graph for an environment (``graph_proposal``), measures what recorded or simulated people
 do on it (``measuring``), finds the weights, stays and speeds with which a model of flows has people do the same
 (``fitting``), and checks them on other people.
 """

@@ -95,7 +95,7 @@ def expected_flows(
     """The stationary flows of walks along each edge and of turns.
 
     Args:
-        temperature: m, of ``route_choice``.
+        temperature: m, of ``hop_log_chances``.
         closed: whether people walk from goal to goal, or enter and leave.
         replaced: (M, G) the probability that a person at a node on the way to a group is replaced by another,
             in a closed population; never if None.

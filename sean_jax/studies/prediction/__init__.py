@@ -93,8 +93,10 @@ def read_windows(path: str | Path, clock: str = "social_gan") -> Windows:
     places = places[np.isfinite(places).any((1, 2))]  # moments without anybody do not count [G18]
     windows = cut_windows(places)
     if not len(windows.position):
-        length = f"{SEEN + PREDICTED} moments of {TIME_STEP} s"
-        raise InputError(f"{short_name(Path(path))}: never are two people there for {length}; take another recording.")
+        raise InputError(
+            f"{short_name(Path(path))}: never are two people there for {SEEN + PREDICTED} moments of {TIME_STEP} s; "
+            "take another recording."
+        )
     return windows
 
 

@@ -108,7 +108,7 @@ def generate(family: str, seed: int, words: Mapping[str, float | tuple[float, fl
     generator = np.random.default_rng([list(FAMILIES).index(family), seed])
     work = 0.0
     draws = 0
-    missing = "lets everybody pass"
+    has_many_things = False
     while draws < MAX_DRAWS and work < MAX_WORK:
         draws += 1
         parameters = {word: float(generator.uniform(*limits)) for word, limits in ranges.items()}
@@ -116,7 +116,7 @@ def generate(family: str, seed: int, words: Mapping[str, float | tuple[float, fl
         try:
             _furnish(family, floor, parameters)
         except TooManyThings:
-            missing = f"has at most {MAX_THINGS} things"
+            has_many_things = True
             continue
         except ValueError:  # words do not go together, such as a door that is wider than its room
             continue
@@ -128,7 +128,11 @@ def generate(family: str, seed: int, words: Mapping[str, float | tuple[float, fl
             return world
 
     text = ", ".join(f"{word} {low:g} to {high:g}" for word, (low, high) in ranges.items())
-    raise InputError(f"worlds: none of {draws} floors of {family} with {text} {missing}; widen the ranges.")
+    if has_many_things:
+        raise InputError(
+            f"worlds: none of {draws} floors of {family} with {text} has at most {MAX_THINGS} things; widen the ranges."
+        )
+    raise InputError(f"worlds: none of {draws} floors of {family} with {text} lets everybody pass; widen the ranges.")
 
 
 def _ranges(family: str, words: Mapping[str, float | tuple[float, float]]) -> dict[str, tuple[float, float]]:
