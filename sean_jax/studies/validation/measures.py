@@ -211,11 +211,11 @@ def densities(
     upper: tuple[float, float],
 ) -> Float[Any, "*T"]:
     """(...) 1/m2: people in a rectangle from ``lower`` to ``upper`` [m], over its area; arrays of numpy or JAX."""
-    xp = namespace(position)
+    x, y = position[..., 0], position[..., 1]
+    within_x = (x >= lower[0]) & (x <= upper[0])
+    within_y = (y >= lower[1]) & (y <= upper[1])
     area = (upper[0] - lower[0]) * (upper[1] - lower[1])
-    after_lower = (position >= xp.asarray(lower, float)).all(-1)
-    before_upper = (position <= xp.asarray(upper, float)).all(-1)
-    return (after_lower & before_upper & present).sum(-1).astype(float) / area
+    return (within_x & within_y & present).sum(-1).astype(float) / area
 
 
 def peak(values: Float[Any, "*batch T"], span: int) -> Float[Any, "*batch"]:
