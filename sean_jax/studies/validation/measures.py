@@ -289,7 +289,9 @@ def body_gaps(
     pair_shape = None if shape is None else tuple(part[..., :, None] + part[..., None, :] for part in shape)
     gap = xp.sqrt(dx * dx + dy * dy) - xp.asarray(walking.radii(dx, dy, pair_shape))
 
-    counts = present[..., :, None] & present[..., None, :] & ~xp.eye(present.shape[-1], dtype=bool)
+    people = present.shape[-1]
+    others = xp.broadcast_to(~xp.eye(people, dtype=bool), (*present.shape, people))
+    counts = present[..., :, None] & present[..., None, :] & others
     if group is not None:
         counts = counts & (group[..., :, None] == group[..., None, :]) & (group[..., :, None] >= 0)
     return xp.where(counts, gap, xp.inf)
