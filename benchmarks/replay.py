@@ -50,7 +50,7 @@ def main() -> None:
     frames = dataclasses.replace(frames, active=np.ones(chosen.frames, bool))  # all are shown
     with tempfile.TemporaryDirectory() as folder:
         page = Path(folder) / "page.html"
-        page.write_text(replay.html(replay.of_scenario(scenario, [replay.Episode(frames, "one")], "speed")))
+        page.write_text(replay.html(replay.of_scenario(scenario, [replay.ReplayEpisode(frames, "one")], "speed")))
         words = ["node", "test/speed.mjs", str(page), browser, str(chosen.width), str(chosen.seconds)]
         figures = json.loads(subprocess.run(words, cwd=WEB, check=True, capture_output=True).stdout)
         size = page.stat().st_size / 1e6

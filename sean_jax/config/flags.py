@@ -19,7 +19,7 @@ from pydantic.fields import FieldInfo
 
 from sean_jax.config import components
 from sean_jax.config.components import Bounds, Component, Config, Described, Family, OwnPart, Value, families, family_of
-from sean_jax.config.option_types import Option, Topic
+from sean_jax.config.option_types import HelpTopic, Option
 from sean_jax.config.scenario_options import usual
 from sean_jax.core.errors import InputError
 from sean_jax.core.messages import listed, parse_json
@@ -106,7 +106,7 @@ def topic_of(model: type[Config], name: str) -> str:
     return vars(owner)["TOPIC"].word if "TOPIC" in vars(owner) else ""
 
 
-def topics(model: type[Config]) -> list[Topic]:
+def topics(model: type[Config]) -> list[HelpTopic]:
     """The topics of the classes that a command embeds."""
     return [vars(base)["TOPIC"] for base in reversed(model.__mro__) if "TOPIC" in vars(base)]
 

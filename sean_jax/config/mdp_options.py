@@ -10,7 +10,7 @@ import pydantic
 
 from sean_jax.config import option_types
 from sean_jax.config.components import Bounds, Component, Family, Named, OwnPart, Value
-from sean_jax.config.option_types import Topic
+from sean_jax.config.option_types import HelpTopic
 from sean_jax.config.scenario_options import ScenarioConfig
 from sean_jax.io import files
 
@@ -42,7 +42,7 @@ Delays = Annotated[
 class EnvConfig(ScenarioConfig):
     """A scenario as an environment of reinforcement learning: observations, rewards and terminations."""
 
-    TOPIC: ClassVar = Topic("mdp", "observations, rewards, terminations, randomization and delays")
+    TOPIC: ClassVar = HelpTopic("mdp", "observations, rewards, terminations, randomization and delays")
 
     observations: Observations = tuple(Named(kind=name) for name in OBSERVED)
     """Observations of the agent: terms of `sean list`, and your own."""

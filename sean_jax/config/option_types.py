@@ -41,7 +41,7 @@ class Option:
 NO_EFFECT = Option(affects_results=False)
 
 
-class Topic(NamedTuple):
+class HelpTopic(NamedTuple):
     """The options of a class that several commands embed; each command shows them by ``--help-WORD``."""
 
     word: str

@@ -9,7 +9,7 @@ import pydantic
 
 from sean_jax.config import option_types
 from sean_jax.config.components import Component, Config, Family, Named, OwnPart, Value, compact, with_defaults
-from sean_jax.config.option_types import Option, Topic
+from sean_jax.config.option_types import HelpTopic, Option
 from sean_jax.core.messages import listed
 
 USUAL_TASKS = {"graph": ("join_group", "leave_group"), "handcrafted": ("handcrafted",)}
@@ -128,7 +128,7 @@ Tasks = Annotated[tuple[Component, ...], Family((CustomTask, Named), several=Tru
 class ScenarioConfig(Config):
     """A physical environment, a pedestrian behavior and a robot task (section IV-B), and what belongs to them."""
 
-    TOPIC: ClassVar = Topic("scenario", "the scenario, such as --people 8 or environment=lab")
+    TOPIC: ClassVar = HelpTopic("scenario", "the scenario, such as --people 8 or environment=lab")
 
     environment: option_types.EnvironmentName = "warehouse"
     preset: Annotated[Literal["sean2"] | None, Option(affects_results=False)] = None

@@ -26,7 +26,7 @@ VIEW = Path(__file__).parents[1] / "ros" / "view.rviz"
 
 
 @struct.dataclass
-class Row:
+class BagRow:
     """A step of the episodes of a batch."""
 
     step: messages.StepValues
@@ -83,11 +83,11 @@ def with_sensors(floors: Stack[Scenario], names: str | None) -> Stack[Scenario]:
 
 def _rows(
     floors: Stack[Scenario], before: State, after: State, actions: Array, active: Array, total: Any
-) -> tuple[Any, Row]:
-    return total, Row(floors.vmap(messages.step)(after, actions[-1]), active)
+) -> tuple[Any, BagRow]:
+    return total, BagRow(floors.vmap(messages.step)(after, actions[-1]), active)
 
 
-def _add(bag: bag_writing.Bag, scenario: Scenario, rows: Row) -> None:
+def _add(bag: bag_writing.Bag, scenario: Scenario, rows: BagRow) -> None:
     """Write the messages of a chunk of time (T, 1, ...) until the episode's end."""
     for t in np.flatnonzero(rows.active[:, 0]):
         step = jax.tree.map(lambda leaf, t=int(t): leaf[t, 0], rows.step)

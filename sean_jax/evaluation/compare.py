@@ -23,7 +23,7 @@ from sean_jax.config.flags import command, flag
 from sean_jax.config.input_files import rename
 from sean_jax.core.errors import InputError
 from sean_jax.evaluation import run_folder
-from sean_jax.evaluation.table import EPISODE_FIGURES, Figure, metric_figure
+from sean_jax.evaluation.table import EPISODE_FIGURES, TableFigure, metric_figure
 from sean_jax.io import files, writing
 from sean_jax.metrics import METRICS
 from sean_jax.metrics.differences import Difference, difference, holm
@@ -51,7 +51,7 @@ class SavedRun:
     description: dict[str, Any]  # option -> value, with digests in place of files
     tasks: list[str]
     columns: dict[str, np.ndarray]  # name, or metric__situation -> (E,), NaN for an empty cell
-    figures: dict[str, Figure]  # of the user's own metrics
+    figures: dict[str, TableFigure]  # of the user's own metrics
     replay: dict[str, Any] | None = None  # of its report
     no_replay: str = ""  # why there is none
 
@@ -61,11 +61,11 @@ class SavedRun:
         return len(self.config.team) or 1
 
 
-class Row(NamedTuple):
+class ComparedFigure(NamedTuple):
     """A figure of two runs."""
 
     name: str
-    figure: Figure
+    figure: TableFigure
     values: Difference
     up_to_best: Difference | None = None  # of the values cut at the figure's best one; None if none is beyond it
     clear: bool = False  # whether a difference is significant among all that are tested
@@ -76,7 +76,7 @@ class Row(NamedTuple):
         """Whether any episode differs."""
         return math.isfinite(self.values.p)
 
-    def judged(self, p: float, p_up_to_best: float) -> "Row":
+    def judged(self, p: float, p_up_to_best: float) -> "ComparedFigure":
         """The row with corrected p-values of its differences."""
         clear = bool(p <= LEVEL)
         directed = clear if self.up_to_best is None else bool(p_up_to_best <= LEVEL)
@@ -105,7 +105,7 @@ def _signed(value: float, digits: int) -> str:
     return text if float(text) else text[1:]
 
 
-Views = dict[str, list[list[Row]]]
+Views = dict[str, list[list[ComparedFigure]]]
 """OVERALL or a situation -> for each run but the first, its rows by the size of their effect."""
 
 
@@ -164,13 +164,13 @@ def read_run(folder: Path, name: str = "") -> SavedRun:
         return dataclasses.replace(run, no_replay=str(error))
 
 
-def _own_figures(path: Path) -> dict[str, Figure]:
+def _own_figures(path: Path) -> dict[str, TableFigure]:
     """The user's own metrics in a summary.json; {} if there is none."""
     if not path.is_file():
         return {}
     content = files.read_json(path)
     with files.sentence(path, "restore it, or remove it"):
-        figures = {name: Figure(**fields) for name, fields in content["own_metrics"].items()}
+        figures = {name: TableFigure(**fields) for name, fields in content["own_metrics"].items()}
         for figure in figures.values():
             is_text = all(isinstance(text, str) for text in figure[:2])
             if not (is_text and type(figure.digits) is int and 0 <= figure.digits < 10):
@@ -238,7 +238,7 @@ def _judge(views: Views, family: list[str]) -> None:
         views[view] = [[row.judged(next(corrected), next(corrected)) for row in rows] for rows in views[view]]
 
 
-def _rows(first: SavedRun, second: SavedRun, names: list[str], view: str) -> list[Row]:
+def _rows(first: SavedRun, second: SavedRun, names: list[str], view: str) -> list[ComparedFigure]:
     """The figures of a view, by the size of their effect."""
     common = paired(first, second)
     rows = []
@@ -251,7 +251,7 @@ def _rows(first: SavedRun, second: SavedRun, names: list[str], view: str) -> lis
     return sorted(rows, key=lambda row: (not row.tested, -abs(row.values.effect)))
 
 
-def _row(first: SavedRun, second: SavedRun, column: str, common: int) -> Row | None:
+def _row(first: SavedRun, second: SavedRun, column: str, common: int) -> ComparedFigure | None:
     """A figure of two runs, of which the first ``common`` episodes are the same; None without values."""
     name = column.partition("__")[0]
     figure = _figure(name, first)
@@ -268,19 +268,21 @@ def _row(first: SavedRun, second: SavedRun, column: str, common: int) -> Row | N
     change = difference(values[0], values[1], common > 0)
     if change is None:
         return None
-    return Row(name, figure, change, difference(cut_values[0], cut_values[1], common > 0) if is_cut else None)
+    return ComparedFigure(
+        name, figure, change, difference(cut_values[0], cut_values[1], common > 0) if is_cut else None
+    )
 
 
-def _figure(name: str, run: SavedRun) -> Figure:
+def _figure(name: str, run: SavedRun) -> TableFigure:
     """The presentation of a figure of the package, or of the user's own in a run."""
     if name in EPISODE_FIGURES:
         return EPISODE_FIGURES[name]
     if name in METRICS:
         return metric_figure(name, METRICS[name])
-    return run.figures.get(name) or Figure(name.replace("_", " "), "", 3, "")
+    return run.figures.get(name) or TableFigure(name.replace("_", " "), "", 3, "")
 
 
-def _up_to_best(values: np.ndarray, figure: Figure, run: SavedRun) -> np.ndarray:
+def _up_to_best(values: np.ndarray, figure: TableFigure, run: SavedRun) -> np.ndarray:
     """The values of a run with the figure's best value in place of those beyond it."""
     if figure.best is None or not figure.better:
         return values
@@ -327,7 +329,7 @@ def tested(views: Views) -> dict[str, str]:
     return words
 
 
-def _table(rows: list[Row], first: str, second: str) -> Table:
+def _table(rows: list[ComparedFigure], first: str, second: str) -> Table:
     title = Text(f"{second} minus {first}: {_counts(rows)}")
     lines = Table(box=box.SIMPLE_HEAD, title=title, title_justify="left", title_style="bold", pad_edge=False)
     lines.add_column("")
@@ -342,7 +344,7 @@ def _table(rows: list[Row], first: str, second: str) -> Table:
     return lines
 
 
-def _counts(rows: list[Row]) -> str:
+def _counts(rows: list[ComparedFigure]) -> str:
     """How many figures are better, worse, or neither, in words."""
     number = {verdict: sum(row.verdict == verdict for row in rows) for verdict in SYMBOLS}
     different = f", {number['differs']} different without a better direction" if number["differs"] else ""
@@ -386,19 +388,19 @@ class _Side(NamedTuple):
     """A run beside the first."""
 
     run: SavedRun
-    clear: list[Row]
-    others: list[Row]
+    clear: list[ComparedFigure]
+    others: list[ComparedFigure]
     scale: float  # standard deviations at the edge of a plot
     counts: str
 
     @classmethod
-    def of(cls, run: SavedRun, rows: list[Row]) -> "_Side":
+    def of(cls, run: SavedRun, rows: list[ComparedFigure]) -> "_Side":
         sizes = [abs(end) / row.values.deviation for row in rows if row.values.deviation for end in row.values[3:5]]
         clear = [row for row in rows if row.clear]
         others = [row for row in rows if not row.clear]
         return cls(run, clear, others, min(max([*sizes, 0.5]), WIDEST), _counts(rows))
 
-    def at(self, row: Row, value: float) -> float:
+    def at(self, row: ComparedFigure, value: float) -> float:
         """The place of a difference or an end of its interval in a plot, from -1 to 1."""
         size = (
             value / row.values.deviation if row.values.deviation else math.copysign(math.inf, value) if value else 0.0

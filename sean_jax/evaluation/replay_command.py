@@ -36,7 +36,7 @@ CURE = "give a folder that `sean run`, `collect`, `train` or `validate` has writ
 
 
 @dataclass(frozen=True)
-class Source:
+class ReplaySource:
     """The episodes of a folder; a ``Runner`` simulates them by number."""
 
     floors: list[Stack[Scenario]]  # a stack for each scenario
@@ -76,7 +76,7 @@ def write(options: ReplayConfig, console: Console) -> Path:
         source = read_source(folder, numbers)
 
     # A player for each floor, as a page's floor does not change.
-    episodes: dict[int, list[replay.Episode]] = {}
+    episodes: dict[int, list[replay.ReplayEpisode]] = {}
     for number, episode in _simulate(source, numbers, console):
         episodes.setdefault(source.place(number), []).append(episode)
     title, first = folder.resolve().name, source.floors[0]
@@ -89,7 +89,7 @@ def write(options: ReplayConfig, console: Console) -> Path:
     return path
 
 
-def _simulate(source: Source, numbers: list[int], console: Console) -> Iterator[tuple[int, replay.Episode]]:
+def _simulate(source: ReplaySource, numbers: list[int], console: Console) -> Iterator[tuple[int, replay.ReplayEpisode]]:
     """Each number with its episode, simulated alone."""
     floors, robots = source.floors[0], source.robots
     record = batches.record(floors, robots)
@@ -113,7 +113,7 @@ def with_progress(runner: Runner, numbers: list[int], bar: Progress) -> Iterator
         yield number, Callbacks(advanced=advanced)
 
 
-def _episode(source: Source, number: int, batch: Batch) -> replay.Episode:
+def _episode(source: ReplaySource, number: int, batch: Batch) -> replay.ReplayEpisode:
     """The episode of a number, with its name and its end in words."""
     floors, robots = source.floors[0], source.robots
     frames = batches.episode_frames(batch.rows, robots, robots)[0]  # of the first robot, with the others
@@ -124,7 +124,7 @@ def _episode(source: Source, number: int, batch: Batch) -> replay.Episode:
         outcome = results.outcome(bool(batch.states.completed[0]), seconds)
     label = f"episode {number} {floors.names[0]}" if robots > 1 else f"episode {number}"
     name = source.names[source.turn(number)].replace("_", " ")
-    return replay.Episode(frames, f"{label} · {name}", outcome + source.deviation(number, len(frames.active)))
+    return replay.ReplayEpisode(frames, f"{label} · {name}", outcome + source.deviation(number, len(frames.active)))
 
 
 def check_source(folder: Path) -> str:
@@ -135,7 +135,7 @@ def check_source(folder: Path) -> str:
     return file
 
 
-def read_source(folder: Path, numbers: list[int]) -> Source:
+def read_source(folder: Path, numbers: list[int]) -> ReplaySource:
     """The episodes of a folder, of which those numbers are wanted.
 
     Raises:
@@ -153,7 +153,7 @@ def _check(numbers: list[int], count: int, folder: Path) -> None:
 # ------------------------------------------------------------------ a run
 
 
-def _of_run(folder: Path, numbers: list[int]) -> Source:
+def _of_run(folder: Path, numbers: list[int]) -> ReplaySource:
     """The episodes of ``sean run``, from its config.yaml."""
     path = folder / "config.yaml"
     before = run_folder.read_config(path)
@@ -171,7 +171,7 @@ def _of_run(folder: Path, numbers: list[int]) -> Source:
             return ""
         return f" ({ended[number]:.1f} s in the run: {cause})"
 
-    return Source(
+    return ReplaySource(
         floors=stacks,
         policy=policy,
         use="run",
@@ -204,7 +204,7 @@ def _ended(path: Path, robots: int) -> dict[int, float]:
 # ------------------------------------------------------------------ a dataset
 
 
-def _of_dataset(folder: Path, numbers: list[int]) -> Source:
+def _of_dataset(folder: Path, numbers: list[int]) -> ReplaySource:
     """The episodes of ``sean collect``, from its manifest; they count through all shards."""
     from sean_jax.learning.dataset import open_dataset  # which needs the extra "learning"
 
@@ -224,7 +224,7 @@ def _of_dataset(folder: Path, numbers: list[int]) -> Source:
             return ""
         return f" ({rows / config.rate:.0f} s in the dataset: {cause})"
 
-    return Source(
+    return ReplaySource(
         floors=stacks,
         policy=policy,
         use="collect",
@@ -239,7 +239,7 @@ def _of_dataset(folder: Path, numbers: list[int]) -> Source:
 # ------------------------------------------------------------------ a training
 
 
-def _of_training(folder: Path, numbers: list[int]) -> Source:
+def _of_training(folder: Path, numbers: list[int]) -> ReplaySource:
     """The evaluation episodes of a training, with its best network or agent as the policy."""
     if read_method(folder) in ("imitation", "dagger"):
         return _of_imitation(folder)
@@ -258,7 +258,7 @@ def _of_training(folder: Path, numbers: list[int]) -> Source:
     scenario, envs_on_floors = scenarios[place], envs[place]
     floors = envs_on_floors.map_member(lambda each: dataclasses.replace(each.scenario, metrics=scenario.metrics))
     mdp_env, count = envs_on_floors.member, len(envs)
-    return Source(
+    return ReplaySource(
         floors=[floors],
         policy=load(folder, scenario),
         use="evaluation",  # its i-th key of a split is the key of number i
@@ -271,12 +271,12 @@ def _of_training(folder: Path, numbers: list[int]) -> Source:
     )
 
 
-def _of_imitation(folder: Path) -> Source:
+def _of_imitation(folder: Path) -> ReplaySource:
     """Other episodes of the scenarios of a network's demonstrations; such a network is evaluated by examples."""
     config = demonstration_config(folder)
     parts = stream_floors(config)
     stacks = list(parts.values())
-    return Source(
+    return ReplaySource(
         floors=stacks,
         policy=load(folder, stacks[0].member),
         use="evaluation",
@@ -305,7 +305,7 @@ def until_terminated(record: Record, ends: Callable) -> Record:
     return Record(init, update)
 
 
-READERS: dict[str, Callable[[Path, list[int]], Source]] = {
+READERS: dict[str, Callable[[Path, list[int]], ReplaySource]] = {
     "config.yaml": _of_run,
     MANIFEST: _of_dataset,
     CONFIG: _of_training,

@@ -296,7 +296,7 @@ def _recording(evaluation: Evaluation) -> dict[str, Any] | None:
         if evaluation.robots and i % len(evaluation.robots):
             continue  # the frames of the first robot have the others, too
         name = f"{_label(evaluation, i)} · {evaluation.tasks[i].replace('_', ' ')}"
-        shown.append(replay.Episode(frames, name, outcome(evaluation.completed[i], evaluation.seconds[i])))
+        shown.append(replay.ReplayEpisode(frames, name, outcome(evaluation.completed[i], evaluation.seconds[i])))
     return replay.of_scenario(evaluation.place(0), shown) if shown else None
 
 
@@ -376,7 +376,7 @@ def report_page(
     """
     against = compare.differences(runs)[compare.OVERALL][0] if runs else []
     rows = table.table_rows(summary, evaluation.definitions, complete=True)
-    by_name, topics = {row.name: row for row in rows}, dict[str, list[table.Row]]()
+    by_name, topics = {row.name: row for row in rows}, dict[str, list[table.MeasureRow]]()
     for row in rows:
         topic = EPISODE if row.name in table.EPISODE_FIGURES else metrics.topic(row.name)
         topics.setdefault(topic, []).append(row)

@@ -16,7 +16,7 @@ from sean_jax.metrics import Metric
 from sean_jax.metrics.metric import MEAN
 
 
-class Figure(NamedTuple):
+class TableFigure(NamedTuple):
     """The presentation of a figure."""
 
     title: str
@@ -29,7 +29,7 @@ class Figure(NamedTuple):
 
 
 EPISODE_FIGURES = {
-    name: Figure(**figure) for name, figure in files.read_yaml(Path(__file__).with_suffix(".yaml"))[1].items()
+    name: TableFigure(**figure) for name, figure in files.read_yaml(Path(__file__).with_suffix(".yaml"))[1].items()
 }
 """Figures of the episode itself, which no metric measures; first in the table."""
 
@@ -39,7 +39,7 @@ GAP = 3  # characters between columns
 
 
 @dataclasses.dataclass
-class Row:
+class MeasureRow:
     """A row of the table, as text."""
 
     name: str
@@ -51,7 +51,7 @@ class Row:
     better: str
 
 
-def table_rows(summary: dict[str, Any], definitions: Mapping[str, Metric], complete: bool = False) -> list[Row]:
+def table_rows(summary: dict[str, Any], definitions: Mapping[str, Metric], complete: bool = False) -> list[MeasureRow]:
     """The rows of a summary (``results.aggregate_episodes``): episode figures, then metrics in the scenario's order.
 
     They are the headlines, or every metric if ``complete``, except the time in situations, which the share of robot
@@ -70,14 +70,14 @@ def table_rows(summary: dict[str, Any], definitions: Mapping[str, Metric], compl
     return lines
 
 
-def metric_figure(name: str, metric: Metric) -> Figure:
+def metric_figure(name: str, metric: Metric) -> TableFigure:
     """The title, unit, digits and definition of a metric."""
     unit = "%" if metric.kind == "share" else _UNITS.get(metric.unit, metric.unit)
     title, definition = metric.title or name.replace("_", " "), metric.definition or MEAN
-    return Figure(title, unit, metric.digits, definition, metric.better, metric.completed_only, metric.best)
+    return TableFigure(title, unit, metric.digits, definition, metric.better, metric.completed_only, metric.best)
 
 
-def _row(name: str, figure: Figure, values: dict[str, Any], columns: list[str]) -> Row:
+def _row(name: str, figure: TableFigure, values: dict[str, Any], columns: list[str]) -> MeasureRow:
     scale = 100.0 if figure.unit == "%" else 1.0
     cells, intervals = [], []
     for column in columns:
@@ -86,7 +86,7 @@ def _row(name: str, figure: Figure, values: dict[str, Any], columns: list[str]) 
         ends = [f"{scale * end:.{figure.digits}f}" for end in value["interval"]] if value else []
         shown = value is not None and (value["mean"] != 0 or figure.unit == "%")
         intervals.append(" to ".join(ends) if shown and len(set(ends)) > 1 else "")
-    return Row(name, figure.title, figure.unit, figure.definition, cells, intervals, figure.better)
+    return MeasureRow(name, figure.title, figure.unit, figure.definition, cells, intervals, figure.better)
 
 
 def print_table(
@@ -110,7 +110,7 @@ def print_table(
     console.print(Text(" ".join(notes), "dim"), soft_wrap=True)
 
 
-def _block(rows: list[Row], names: list[str], first: int, last: int, title: str) -> Table:
+def _block(rows: list[MeasureRow], names: list[str], first: int, last: int, title: str) -> Table:
     """The columns of some situations; the first block has the overall column, too."""
     table = Table(box=box.SIMPLE_HEAD, title=Text(title), title_justify="left", title_style="bold", pad_edge=False)
     table.add_column("", no_wrap=True)

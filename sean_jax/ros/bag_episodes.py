@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sean_jax.ros.bag_tables import BASES, BagRecording, Table
+from sean_jax.ros.bag_tables import BASES, BagRecording, BagTable
 from sean_jax.ros.messages import SECOND
 from sean_jax.ros.transforms import PlanarPose, Transforms
 
@@ -154,7 +154,7 @@ class Section:
         self._begin = begin
         self._end = end
 
-    def rows(self, table: Table) -> TimedRows:
+    def rows(self, table: BagTable) -> TimedRows:
         """The rows of a table."""
         whole = table.whole
         received = whole[:, 0]

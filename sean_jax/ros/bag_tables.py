@@ -33,7 +33,7 @@ PEOPLE_TYPES = (
 """Message types of people, the best known first."""
 
 
-class Table:
+class BagTable:
     """Rows of whole numbers and of others, with eight bytes for each."""
 
     def __init__(self, whole: int, numbers: int):
@@ -92,22 +92,22 @@ class BagRecording:
         self.frames = Names()
         self.people_names = Names()
         self.situation_names = Names()
-        self.transforms = Table(4, 3)  # parent, child; x, y, yaw
-        self.static = Table(4, 3)  # likewise
-        self.odometry = Table(3, 5)  # frame; x, y, yaw, m/s ahead, m/s to the left
-        self.poses = Table(3, 3)  # frame; x, y, yaw: of the robot, without speeds
-        self.people = Table(5, 5)  # frame, person, group or -1; x, y, vx, vy, yaw with NaN for what is not known
-        self.commands = Table(2, 2)  # m/s, rad/s
-        self.goals = Table(3, 2)  # frame; x, y
-        self.maps = Table(2, 0)
-        self.situations = Table(3, 1)  # situation; 1 while it holds
+        self.transforms = BagTable(4, 3)  # parent, child; x, y, yaw
+        self.static = BagTable(4, 3)  # likewise
+        self.odometry = BagTable(3, 5)  # frame; x, y, yaw, m/s ahead, m/s to the left
+        self.poses = BagTable(3, 3)  # frame; x, y, yaw: of the robot, without speeds
+        self.people = BagTable(5, 5)  # frame, person, group or -1; x, y, vx, vy, yaw with NaN for what is not known
+        self.commands = BagTable(2, 2)  # m/s, rad/s
+        self.goals = BagTable(3, 2)  # frame; x, y
+        self.maps = BagTable(2, 0)
+        self.situations = BagTable(3, 1)  # situation; 1 while it holds
         self.robot_topic = ""  # as the user names it
         self.people_topic: str | None = None
 
     @property
-    def tables(self) -> list[Table]:
+    def tables(self) -> list[BagTable]:
         """All tables, to count their memory."""
-        return [table for table in vars(self).values() if isinstance(table, Table)]
+        return [table for table in vars(self).values() if isinstance(table, BagTable)]
 
 
 def read_bag(path: Path | str, people: str | None = None, robot: str | None = None) -> BagRecording:

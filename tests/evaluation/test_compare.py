@@ -25,7 +25,7 @@ from sean_jax.web import replay
 from support.runs import NAMES, run
 
 
-def rows(*runs: compare.SavedRun, view: str = "overall") -> dict[str, compare.Row]:
+def rows(*runs: compare.SavedRun, view: str = "overall") -> dict[str, compare.ComparedFigure]:
     """The rows of the last run."""
     return {row.name: row for row in compare.differences(runs)[view][-1]}
 

@@ -15,7 +15,7 @@ from sean_jax.evaluation import results, table
 from sean_jax.studies.experiments import page, pictures, ranks
 from sean_jax.studies.survey import report
 from sean_jax.studies.validation import page as validation_page
-from sean_jax.studies.validation.checks import Model, Row
+from sean_jax.studies.validation.checks import CheckRow, Model
 from sean_jax.web import pages
 from support.benchmark_results import entry
 from support.checks import made_check
@@ -73,7 +73,9 @@ def test_the_page_of_the_validation_has_each_check_and_each_gate():
     models = [Model("one", None, {}), Model("other", None, {})]  # pyright: ignore
     verdicts = {"rimea-1": "passes", "rimea-4": "fails", "prediction": "skipped"}
     rows = [
-        Row(check.name, model.name, verdicts[check.name], f"measured by {model.name}", "", {}, (), ("", ""), (), 0.0)
+        CheckRow(
+            check.name, model.name, verdicts[check.name], f"measured by {model.name}", "", {}, (), ("", ""), (), 0.0
+        )
         for check in checks
         for model in models
     ]

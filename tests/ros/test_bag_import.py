@@ -350,7 +350,7 @@ def test_a_budget_counts_streams_behind_one_another(tmp_path):
 
 
 def test_tables_have_what_was_added():
-    table = bag_tables.Table(2, 1)
+    table = bag_tables.BagTable(2, 1)
     table.add((1, 2), (0.5,))
     table.add((3, 4), (1.5,))
     assert table.whole.tolist() == [[1, 2], [3, 4]] and table.numbers.tolist() == [[0.5], [1.5]] and table.size == 48

@@ -73,7 +73,7 @@ def page(given: Evaluation, runs: Sequence[compare.SavedRun] = ()) -> str:
         "checks": {"largest_penetration_mm": 0.0, "largest_groups": [5, 3, 3], "not_finite": 0},
         "timing": {"compile_seconds": 1.0, "run_seconds": 2.0, "simulated_seconds_per_second": 5.0, "device": "cpu"},
     }
-    shown = [replay.Episode(frames, f"episode {k}") for k, frames in enumerate(given.frames)]
+    shown = [replay.ReplayEpisode(frames, f"episode {k}") for k, frames in enumerate(given.frames)]
     recording = replay.recording(shown, environment(), graph=Graph, situations=given.situations)
     with mock.patch.object(results.drawing, "graph_of", lambda scenario: Graph):
         return results.report_page(

@@ -42,7 +42,7 @@ HEAD = (
 
 
 @dataclasses.dataclass(frozen=True)
-class Row:
+class Measurement:
     """One row of the table."""
 
     part: str  # a key of ``CASES``
@@ -74,7 +74,7 @@ def run(options: BenchConfig, console: Console) -> Path:
         writing.check_new_folder(folder)
         with console.status("preparing the scenario"):
             stack, setup = _prepare(options)
-        rows: list[Row] = []
+        rows: list[Measurement] = []
         _print(console, title(setup), HEAD)
         try:
             for part in options.parts:
@@ -105,7 +105,7 @@ def _broken(folder: Path, error: OSError) -> IncompleteError:
     return IncompleteError(f"{writing.broken(error)}; {kept}.")
 
 
-def _save(folder: Path, rows: list[Row], setup: dict[str, Any]) -> None:
+def _save(folder: Path, rows: list[Measurement], setup: dict[str, Any]) -> None:
     """Write table.txt and bench.json of the rows so far; NaN becomes null."""
     lines = [title(setup), HEAD, *map(line, rows), *notes(rows, setup)]
     writing.write(folder / "table.txt", "\n".join(lines) + "\n")
@@ -178,16 +178,16 @@ def _fitting(stack: Stack[Scenario], batch: int) -> tuple[Stack[Scenario], int]:
 def _row(
     options: BenchConfig, part: str, what: str, batch: int, people: int, program: Program, pixels: int = 0,
     devices: int = 1,
-) -> Row:  # fmt: skip
+) -> Measurement:  # fmt: skip
     """Time a program of a batch."""
     figures = measure(program, options.repeats, options.seconds)
     scenario_bytes = figures.pop("bytes") / batch
-    return Row(part, what, batch, people, pixels, devices, scenario_bytes=scenario_bytes, **figures)
+    return Measurement(part, what, batch, people, pixels, devices, scenario_bytes=scenario_bytes, **figures)
 
 
 def steps(
     options: BenchConfig, stack: Stack[Scenario], part: str = "step", image: tuple[int, int] | None = None
-) -> Iterator[Row]:
+) -> Iterator[Measurement]:
     """Time the whole step with restarts; with an ``image``, one depth image of that size for each scenario."""
     for size in batches(options):
         some, batch = _fitting(stack, size)
@@ -196,7 +196,7 @@ def steps(
         yield _row(options, part, "scenario-steps", batch, stack.member.people, program, pixels)
 
 
-def images(options: BenchConfig, stack: Stack[Scenario], part: str, camera: str, what: str) -> Iterator[Row]:
+def images(options: BenchConfig, stack: Stack[Scenario], part: str, camera: str, what: str) -> Iterator[Measurement]:
     """Time images alone, by size of the image; those of the part ``images`` by batch as well."""
     cases = [(batch, *IMAGE) for batch in batches(options)] if part == "images" else []
     pixels = max(batches(options)) * IMAGE[0] * IMAGE[1] // (1 if part == "images" else 8)
@@ -208,7 +208,7 @@ def images(options: BenchConfig, stack: Stack[Scenario], part: str, camera: str,
         yield _row(options, part, what, batch, stack.member.people, program, width * height)
 
 
-def crowd(options: BenchConfig, stack: Stack[Scenario]) -> Iterator[Row]:
+def crowd(options: BenchConfig, stack: Stack[Scenario]) -> Iterator[Measurement]:
     """Time the social forces alone, in a hall with 32 walls, by number of people and of crowds at once."""
     totals = (2**14,) if on_cpu() else (2**19, 2**21)
     for people in CROWDS:
@@ -217,7 +217,7 @@ def crowd(options: BenchConfig, stack: Stack[Scenario]) -> Iterator[Row]:
             yield _row(options, "crowd", "agent-steps", batch, people, programs.crowd(people, batch, number))
 
 
-def compiling(options: BenchConfig, stack: Stack[Scenario]) -> Iterator[Row]:
+def compiling(options: BenchConfig, stack: Stack[Scenario]) -> Iterator[Measurement]:
     """Time tracing and compiling of the whole step of 64 scenarios, without and with a cache on the disk."""
     from jax.experimental.compilation_cache import compilation_cache
 
@@ -235,7 +235,7 @@ def compiling(options: BenchConfig, stack: Stack[Scenario]) -> Iterator[Row]:
                 began = time.perf_counter()
                 program.run.lower(*program.fixed, program.carried).compile()
                 spent = time.perf_counter() - began
-                yield Row(
+                yield Measurement(
                     "compile", what, batch, stack.member.people, 0, 1, per_second=spent, microseconds=1e6 * spent,
                     compile_seconds=spent, scenario_bytes=float("nan"),
                 )  # fmt: skip
@@ -245,7 +245,7 @@ def compiling(options: BenchConfig, stack: Stack[Scenario]) -> Iterator[Row]:
         compilation_cache.reset_cache()
 
 
-def scaling(options: BenchConfig, stack: Stack[Scenario]) -> Iterator[Row]:
+def scaling(options: BenchConfig, stack: Stack[Scenario]) -> Iterator[Measurement]:
     """Time the whole step on 1, 2, 4 and more devices, with equally many scenarios on each."""
     floors, batch = _fitting(stack, batches(options)[-1] if on_cpu() else 32768)
     number = 1
@@ -255,7 +255,7 @@ def scaling(options: BenchConfig, stack: Stack[Scenario]) -> Iterator[Row]:
         number *= 2
 
 
-CASES: dict[str, Callable[[BenchConfig, Stack[Scenario]], Iterator[Row]]] = {
+CASES: dict[str, Callable[[BenchConfig, Stack[Scenario]], Iterator[Measurement]]] = {
     "step": steps,
     "depth": partial(steps, part="depth", image=IMAGE),
     "images": partial(images, part="images", camera="depth", what="depth images"),
@@ -278,7 +278,7 @@ def title(setup: dict[str, Any]) -> str:
     )
 
 
-def line(row: Row) -> str:
+def line(row: Measurement) -> str:
     """A row of the table, as long as ``HEAD``."""
     pixels = str(row.pixels) if row.pixels else "-"
     kib = "-" if np.isnan(row.scenario_bytes) else f"{row.scenario_bytes / 1024:.1f}"
@@ -288,14 +288,14 @@ def line(row: Row) -> str:
     )
 
 
-def notes(rows: list[Row], setup: dict[str, Any]) -> list[str]:
+def notes(rows: list[Measurement], setup: dict[str, Any]) -> list[str]:
     """Which batches fixed costs bind, how many scenarios fit into memory, several devices beside one."""
     return [*_launch_notes(rows), *_memory_notes(rows, setup["memory"]), *_device_notes(rows)] if rows else []
 
 
-def _launch_notes(rows: list[Row]) -> list[str]:
+def _launch_notes(rows: list[Measurement]) -> list[str]:
     """Batches that take less than twice as long as the smallest, although they are four times as large or more."""
-    kinds: dict[tuple, list[Row]] = {}
+    kinds: dict[tuple, list[Measurement]] = {}
     for row in rows:
         if row.part not in ("compile", "devices"):
             kinds.setdefault((row.part, row.people, row.pixels), []).append(row)
@@ -313,7 +313,7 @@ def _launch_notes(rows: list[Row]) -> list[str]:
     return lines
 
 
-def _memory_notes(rows: list[Row], memory: int) -> list[str]:
+def _memory_notes(rows: list[Measurement], memory: int) -> list[str]:
     """How many scenarios as those of the largest batch would fit into the memory [bytes]."""
     lines = []
     for part, name in (("step", "without images"), ("depth", "with a depth image each")):
@@ -329,7 +329,7 @@ def _memory_notes(rows: list[Row], memory: int) -> list[str]:
     return lines
 
 
-def _device_notes(rows: list[Row]) -> list[str]:
+def _device_notes(rows: list[Measurement]) -> list[str]:
     """How much faster several devices are than one."""
     measured = [row for row in rows if row.part == "devices"]
     lines = []
@@ -340,7 +340,7 @@ def _device_notes(rows: list[Row]) -> list[str]:
     return lines
 
 
-def picture(rows: list[Row], setup: dict[str, Any]) -> Figure:
+def picture(rows: list[Measurement], setup: dict[str, Any]) -> Figure:
     """Plot throughput by batch, the cost of an agent-step by people, and the cost of an image by pixels.
 
     Args:
@@ -356,7 +356,7 @@ def picture(rows: list[Row], setup: dict[str, Any]) -> Figure:
     return figure
 
 
-def _throughput(axes: Axes, rows: list[Row]) -> None:
+def _throughput(axes: Axes, rows: list[Measurement]) -> None:
     """Scenarios a second by batch."""
     for part, name, situation in (
         ("step", "step", "down_path"),
@@ -369,7 +369,7 @@ def _throughput(axes: Axes, rows: list[Row]) -> None:
     _label(axes, "throughput", "scenarios at once (B)", "per second")
 
 
-def _crowds(axes: Axes, rows: list[Row]) -> None:
+def _crowds(axes: Axes, rows: list[Measurement]) -> None:
     """Nanoseconds of an agent-step by people, of the smallest and of the largest batch."""
     for name, shade, choose in (("one crowd", colors.MUTED, min), ("many at once", colors.FLOW, max)):
         nanoseconds = {}
@@ -380,7 +380,7 @@ def _crowds(axes: Axes, rows: list[Row]) -> None:
     _label(axes, "crowd alone, 32 walls", "people (N)", "ns per agent-step")
 
 
-def _images(axes: Axes, rows: list[Row]) -> None:
+def _images(axes: Axes, rows: list[Measurement]) -> None:
     """Microseconds of an image by pixels, of the fastest batch."""
     for part, name, shade in (
         ("images", "depth", colors.SITUATION_COLORS["join_group"]),

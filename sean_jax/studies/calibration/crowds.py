@@ -16,7 +16,7 @@ from jaxtyping import Float
 
 from sean_jax.core.data_types import Array, Scenario, State
 from sean_jax.social_forces import Forces, move
-from sean_jax.studies.calibration.families import Family, Rows
+from sean_jax.studies.calibration.families import Rows, SceneFamily
 from sean_jax.studies.scenes import Model, Scene, scenario_of, stage
 from sean_jax.studies.scenes.simulation import advance
 from sean_jax.studies.scenes.walkers import AWAY
@@ -32,7 +32,7 @@ class Crowds:
         forces: with which scenes are prepared.
     """
 
-    def __init__(self, families: Sequence[Family], forces: Forces, forces_of: Callable[[Array], Forces]):
+    def __init__(self, families: Sequence[SceneFamily], forces: Forces, forces_of: Callable[[Array], Forces]):
         self._batches = [batch for family in families for batch in _batches(family, forces, forces_of)]
         self._families = list(families)
 
@@ -53,7 +53,7 @@ class Crowds:
         return rows
 
 
-def _batches(family: Family, forces: Forces, forces_of: Callable[[Array], Forces]) -> list["_Batch"]:
+def _batches(family: SceneFamily, forces: Forces, forces_of: Callable[[Array], Forces]) -> list["_Batch"]:
     """The scenes of a family by their size."""
     scenarios = [scenario_of(case.scene, Model("crowds", forces, move)) for case in family.cases]
     by_shape: dict[tuple, list[int]] = {}
@@ -67,7 +67,7 @@ class _Batch:
     """S scenes of one size, cases ``indices`` of a family, and the program that measures them."""
 
     def __init__(
-        self, family: Family, indices: list[int], scenarios: list[Scenario], forces_of: Callable[[Array], Forces]
+        self, family: SceneFamily, indices: list[int], scenarios: list[Scenario], forces_of: Callable[[Array], Forces]
     ):
         scenes = [family.cases[k].scene for k in indices]
         periodic = scenes[0].period is not None
@@ -92,7 +92,7 @@ class _Batch:
 
 
 def _measure(
-    family: Family,
+    family: SceneFamily,
     scene: Scene,
     forces_of: Callable[[Array], Forces],
     together: int,
@@ -107,7 +107,7 @@ def _measure(
 
 
 def _walk(
-    family: Family, scene: Scene, forces: Forces, scenario: Scenario, start: tuple[Array, ...]
+    family: SceneFamily, scene: Scene, forces: Forces, scenario: Scenario, start: tuple[Array, ...]
 ) -> dict[str, Array]:
     """The values of one scene, which differs from ``scene`` by its scenario, seed and robot."""
     scenario = replace(scenario, forces=forces)

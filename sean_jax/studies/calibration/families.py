@@ -43,7 +43,7 @@ class Case(NamedTuple):
     scene: Scene
 
 
-class Family:
+class SceneFamily:
     """Cases of one kind that last equally long, and what is measured in each.
 
     ``record`` and ``measure`` work on one scene, under ``jit`` and ``vmap``.
@@ -100,7 +100,7 @@ def speeds_along(scenario: Scenario, records: Values, span: int = 1) -> Array:
 # ------------------------------------------------------------------ one way
 
 
-class Corridor(Family):
+class Corridor(SceneFamily):
     """Mean speeds along a periodic corridor of 1.8 m by density, of people at random places."""
 
     seconds = 40.0
@@ -115,7 +115,7 @@ class Corridor(Family):
         return self.by_row("corridor", values["speed"])
 
 
-class SingleFile(Family):
+class SingleFile(SceneFamily):
     """Speeds of people who cannot pass each other, their mean and each person's deviation in time."""
 
     name, seconds = "file", 60.0
@@ -137,7 +137,7 @@ class Waves(SingleFile):
     name, seconds, counted = "waves", crowds.WAVE_SECONDS, crowds.WAVE_COUNTED / crowds.WAVE_SECONDS
 
 
-class Street(Family):
+class StreetFamily(SceneFamily):
     """Accelerations of people in a street."""
 
     seconds = 40.0
@@ -167,7 +167,7 @@ class Street(Family):
 # ------------------------------------------------------------------ two ways
 
 
-class Lanes(Family):
+class Lanes(SceneFamily):
     """The order of lanes out of a random mix."""
 
     seconds, counted = 60.0, crowds.LANE_SHARE
@@ -184,7 +184,7 @@ class Lanes(Family):
         return self.by_row("lanes", values["order"])
 
 
-class Encounter(Family):
+class Encounter(SceneFamily):
     """The least distance of two bodies."""
 
     seconds = 2.0 * individuals.BEFORE
@@ -227,7 +227,7 @@ class Passing(Encounter):
 # ------------------------------------------------------------------ doors
 
 
-class Doors(Family):
+class Doors(SceneFamily):
     """Flow through doors and passages, who is left inside, density before them and overlap of bodies."""
 
     seconds = doors.WITHIN
@@ -281,7 +281,7 @@ ENCOUNTERS = 256  # with a robot
 STREET = 16, 0.5  # people, 1/m2
 
 
-def families(forces: Any, draws: int, quick: bool) -> list[Family]:
+def families(forces: Any, draws: int, quick: bool) -> list[SceneFamily]:
     """The crowds of a fit.
 
     Args:
@@ -291,9 +291,9 @@ def families(forces: Any, draws: int, quick: bool) -> list[Family]:
     """
     radius = float(forces.walking.radius)
     pairs, encounters = _meetings(), individuals.passing_scenes(8 if quick else ENCOUNTERS)
-    chosen: list[Family] = [
+    chosen: list[SceneFamily] = [
         Corridor(_corridors(QUICK_DENSITIES if quick else CORRIDOR_DENSITIES, draws)),
-        Street([Case("", _street(seed)) for seed in range(draws)]),
+        StreetFamily([Case("", _street(seed)) for seed in range(draws)]),
         Pairs(pairs[:4] if quick else pairs, 2.0 * radius),
         Passing([Case("", scene) for scene in encounters], radius + float(load("kuri").radius)),
     ]

@@ -26,7 +26,7 @@ EPISODES, SECONDS = 8, 20.0
 PROBES = "repulsion.strength", "repulsion.range", "walking.relaxation_time"  # constants, as in docs/gradients.py
 
 
-class Floor:
+class CrowdedFloor:
     """Episodes of the warehouse.
 
     Args:

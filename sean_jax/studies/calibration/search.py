@@ -23,7 +23,7 @@ from sean_jax.studies.calibration.fitting import (
     to_free,
     values_of,
 )
-from sean_jax.studies.calibration.floor import Floor
+from sean_jax.studies.calibration.floor import CrowdedFloor
 from sean_jax.studies.calibration.loss import total
 from sean_jax.studies.calibration.windows import Scenes
 
@@ -41,7 +41,7 @@ class Judge:
         crowds = families(forces, draws, quick) if names else []  # habits do not move crowds
         forces_of = lambda free: parts_of(forces, self.names, free)[0]  # noqa: E731
         self._crowds = Crowds(crowds, forces, forces_of)
-        self._floor = Floor(forces, forces_of) if names and not quick else None
+        self._floor = CrowdedFloor(forces, forces_of) if names and not quick else None
 
     @property
     def start(self) -> Float[np.ndarray, "P"]:

@@ -100,7 +100,7 @@ def prediction_scenes(files: dict[str, Path]) -> Scenes:
     return _with_reference(scenes)
 
 
-class Window(NamedTuple):
+class RecordedWindow(NamedTuple):
     """A window of a run: S observed and A later moments of N predicted people, and M replayed ones."""
 
     observed: Float[np.ndarray, "S N 2"]  # m
@@ -120,7 +120,7 @@ class Run(NamedTuple):
 def corridor_scenes(files: dict[str, Path]) -> Scenes:
     """Windows of 3 s of Juelich's runs; each run lies at its own place on one floor, between its own walls."""
     # Runs lie far apart on one floor, so that one program with one grid of obstacles serves all of them.
-    windows: list[Window] = []
+    windows: list[RecordedWindow] = []
     scene, boxes = [], []
     for number, (name, file) in enumerate(files.items()):
         run = _run_of(name)
@@ -182,7 +182,7 @@ def _read_positions(file: Path) -> Float[np.ndarray, "T N 2"]:
     return np.where(present[..., None], np.asarray(tracks.position, float)[::skip], np.nan)
 
 
-def _corridor_windows(positions: Float[np.ndarray, "T N 2"], run: Run) -> Iterator[Window]:
+def _corridor_windows(positions: Float[np.ndarray, "T N 2"], run: Run) -> Iterator[RecordedWindow]:
     """The windows of a run with two or more people who are inside at the start."""
     # The frame of a run: x across the corridor from 0 to its width, y along it, 0 in the middle [m].
     half = 0.5 * LENGTH
@@ -210,7 +210,7 @@ def _corridor_windows(positions: Float[np.ndarray, "T N 2"], run: Run) -> Iterat
         way = np.stack([goal_x, along[chosen] * (half + EXIT)], -1) - start  # (N, 2)
 
         # Who has left is not compared: behind the exit nobody knows where people go.
-        yield Window(
+        yield RecordedWindow(
             observed=window[:CORRIDOR_SEEN, chosen],
             after=np.where(stays[CORRIDOR_SEEN:, chosen, None], window[CORRIDOR_SEEN:, chosen], np.nan),
             direction=way / np.linalg.norm(way, axis=1)[:, None],

@@ -30,7 +30,7 @@ BYTES = 3e9  # of memory for each: its compilation takes one or two GB
 
 
 @dataclass(frozen=True)
-class Part:
+class ExperimentPart:
     """One piece of work: ``work(tell)`` calls ``tell(share)`` with its progress, 0 to 1, and returns its result."""
 
     name: str
@@ -69,7 +69,9 @@ def workers() -> int:
     return max(1, min(MAX_PARTS, cores, int(memory // BYTES)))
 
 
-def run_parts(parts: Sequence[Part], console: Console | None, title: str, at_once: int | None = None) -> dict[str, Any]:
+def run_parts(
+    parts: Sequence[ExperimentPart], console: Console | None, title: str, at_once: int | None = None
+) -> dict[str, Any]:
     """Run parts, several at once, under one progress bar; name -> result. ``at_once`` is the number of threads.
 
     After the first failure, or Ctrl-C, each other part stops when it next reports progress; then the failure is raised.
@@ -80,7 +82,7 @@ def run_parts(parts: Sequence[Part], console: Console | None, title: str, at_onc
     with progress(console) as bar:
         bar.start(title, len(parts))
 
-        def run(part: Part) -> Any:
+        def run(part: ExperimentPart) -> Any:
             def tell(share: float) -> None:
                 if stop.is_set():
                     raise Stopped(part.name)
@@ -100,13 +102,13 @@ def run_parts(parts: Sequence[Part], console: Console | None, title: str, at_onc
 
 
 def _in_threads(
-    parts: Sequence[Part], run: Callable[[Part], Any], at_once: int, stop: threading.Event
+    parts: Sequence[ExperimentPart], run: Callable[[ExperimentPart], Any], at_once: int, stop: threading.Event
 ) -> dict[str, Any]:
     """Parts in ``at_once`` threads, in half as many once a part is out of device memory; that part runs again."""
     from sean_jax.core.devices import is_out_of_memory
 
     results: dict[str, Any] = {}
-    waiting, running = list(parts), dict[Future, tuple[Part, int]]()
+    waiting, running = list(parts), dict[Future, tuple[ExperimentPart, int]]()
     with ThreadPoolExecutor(at_once, thread_name_prefix="sean-part") as pool:
         try:
             while waiting or running:

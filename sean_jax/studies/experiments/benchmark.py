@@ -53,7 +53,7 @@ from sean_jax.policies import POLICIES
 from sean_jax.simulation import making
 from sean_jax.simulation.episode_runner import Callbacks, Runner, even_batch
 from sean_jax.simulation.scenario_stack import Stack
-from sean_jax.studies.experiments import Part, page, run_parts, shares
+from sean_jax.studies.experiments import ExperimentPart, page, run_parts, shares
 from sean_jax.studies.experiments.results_table import ALL, Estimates
 from sean_jax.studies.experiments.scores import (
     COUNTED,
@@ -286,7 +286,7 @@ def run(options: BenchmarkConfig, console: Console | None = None, connect: Conne
         parts = work.identity["parts"] | parts  # a training may have gone on
         work = dataclasses.replace(work, identity=work.identity | {"parts": parts})
         work.begin()
-        jobs = [Part(track, functools.partial(_drive, work, options, track, connect)) for track in tracks]
+        jobs = [ExperimentPart(track, functools.partial(_drive, work, options, track, connect)) for track in tracks]
         measured: dict[str, Arrays] = run_parts(jobs, console, "benchmark", None if connect is None else 1)
         write(options, {track: measured[track] for track in tracks}, policy)
     return options.folder
@@ -454,7 +454,7 @@ def check_columns(columns: Arrays, episodes: int, limit: float) -> None:
 Real = Annotated[float, Number(-1e9, 1e9)]
 
 
-class Figure(Config):
+class TrackFigure(Config):
     """A mean over episodes and the ends of its 95 % interval."""
 
     mean: Real
@@ -473,7 +473,7 @@ class Figures(Config):
 class Tables(Config):
     """The scores of some tracks."""
 
-    figures: dict[str, Figure]
+    figures: dict[str, TrackFigure]
     situations: list[Text]
     share_of_time: Figures
     violations_per_minute: Figures
@@ -685,10 +685,10 @@ def table(result: Result) -> str:
     lines.append("  by situation: share of time; times a minute within 0.45 m by the robot")
     share, rate = result.scores.share_of_time, result.scores.violations_per_minute
     for k, situation in enumerate(result.scores.situations):
-        figure = Figure(mean=rate.mean[k], low=rate.low[k], high=rate.high[k])
+        figure = TrackFigure(mean=rate.mean[k], low=rate.low[k], high=rate.high[k])
         lines.append(f"  {situation.replace('_', ' '):<28}{100 * share.mean[k]:5.1f} %   {_interval(figure)}")
     return "\n".join(lines)
 
 
-def _interval(figure: Figure) -> str:
+def _interval(figure: TrackFigure) -> str:
     return f"{figure.mean:8.3f}  ({figure.low:.3f} to {figure.high:.3f})"

@@ -41,7 +41,7 @@ from sean_jax.learning.examples import balanced_probabilities
 from sean_jax.learning.policy import check_policy, load_policy
 from sean_jax.metrics import METRICS
 from sean_jax.simulation.episode_runner import Runner, even_batch, max_batch
-from sean_jax.studies.experiments import Part, demonstrations, page, pictures, run_parts, shares, write_csv
+from sean_jax.studies.experiments import ExperimentPart, demonstrations, page, pictures, run_parts, shares, write_csv
 from sean_jax.studies.experiments.measures import (
     BALANCED,
     DEMONSTRATOR,
@@ -126,7 +126,7 @@ def _parts(
     work: Workspace,
     places: dict[str, list[Scenario]],
     datasets: Mapping[str, ConcatDataset],
-) -> list[Part]:
+) -> list[ExperimentPart]:
     """The parts of the experiment, in an order in which they could run one by one."""
     names = {DEMONSTRATOR: options.demonstrator, NAVIGATION: "social_costmap"}
     alone = names | {name: name for name in baselines(options)}
@@ -280,18 +280,18 @@ def _load(folder: Path, scenario: Scenario) -> Policy:
         return dataclasses.replace(learning.load(folder, scenario), name="learned")
 
 
-def learning_parts(learners: Mapping[str, Learner]) -> tuple[list[Part], list[str]]:
+def learning_parts(learners: Mapping[str, Learner]) -> tuple[list[ExperimentPart], list[str]]:
     """The parts that collect demonstrations and train networks, and the name of the last.
 
     The trainings run one after the other, because orbax mixes up what several threads save.
     """
     every = list(learners.values())
     data = {learner.data.folder.name: learner.data for learner in every if not learner.demonstrations}
-    parts = [Part(name, functools.partial(demonstrate, config, every)) for name, config in data.items()]
+    parts = [ExperimentPart(name, functools.partial(demonstrate, config, every)) for name, config in data.items()]
     last: list[str] = []
     for name, learner in learners.items():
         needs = last if learner.demonstrations else [learner.data.folder.name, *last]
-        parts.append(Part(f"training {name}", functools.partial(train, learner), tuple(needs)))
+        parts.append(ExperimentPart(f"training {name}", functools.partial(train, learner), tuple(needs)))
         last = [parts[-1].name]
     return parts, last
 
@@ -339,11 +339,11 @@ def driving_parts(
     places: Mapping[str, list[Scenario]],
     groups: Mapping[str, Drivers],
     needs: Sequence[str] = (),
-) -> list[Part]:
+) -> list[ExperimentPart]:
     """A part for each group of drivers and behavior, after the parts ``needs``; drivers of a group share programs."""
     whole = math.prod(sizes(options))
     return [
-        Part(
+        ExperimentPart(
             f"{name} in {behavior}",
             functools.partial(drive, drivers, work, behavior, places[behavior], options.seed, whole),
             tuple(needs),

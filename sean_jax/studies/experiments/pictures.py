@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from sean_jax.metrics import Estimate
     from sean_jax.studies.experiments.measures import Variant
-    from sean_jax.studies.experiments.ranks import Row
+    from sean_jax.studies.experiments.ranks import RankingRow
     from sean_jax.studies.experiments.results_table import Estimates
     from sean_jax.studies.experiments.shares import Shares, Tables
 
@@ -309,7 +309,7 @@ def _variants(axes: Axes, variants: Sequence[Variant], estimates: Mapping[str, E
 
 
 @styled
-def situations(rows: Sequence[Row]) -> Figure:
+def situations(rows: Sequence[RankingRow]) -> Figure:
     """Violations a minute in each situation of the entries of a ranking, with intervals."""
     figure, ((axes,),) = _figure(9.0, 2.6, 1, 1)
     x = np.arange(len(shares.NAMES))

@@ -45,7 +45,7 @@ track, and over those of R resamples."""
 
 
 @dataclasses.dataclass(frozen=True)
-class Row:
+class RankingRow:
     """An entry and its ranks: the first and the last that its differences from the others allow."""
 
     entry: Entry
@@ -66,7 +66,7 @@ class Row:
         return "-" if not self.entry.trained else f"{number}" if number >= SEEDS else f"{number} of {SEEDS}"
 
 
-class Pair(NamedTuple):
+class RankedPair(NamedTuple):
     """Two entries of a class."""
 
     sensing: str
@@ -81,11 +81,11 @@ class Ranking:
     """Entries by class and percent of tasks completed politely, and their differences."""
 
     groups: dict[str, list[str]]  # ALL, and group -> its tracks
-    rows: list[Row]
-    pairs: list[Pair]
+    rows: list[RankingRow]
+    pairs: list[RankedPair]
     notes: list[str]
 
-    def by_class(self) -> dict[str, list[Row]]:
+    def by_class(self) -> dict[str, list[RankingRow]]:
         """Class of sensing -> its rows."""
         classes = {sensing: [row for row in self.rows if row.entry.sensing == sensing] for sensing in SENSING}
         return {sensing: rows for sensing, rows in classes.items() if rows}
@@ -129,7 +129,7 @@ def rank(entries: list[Entry], groups: dict[str, list[str]], notes: list[str]) -
         first, last = 1 + better[entry.name], in_class[entry.sensing] - worse[entry.name]
         by_group = {name: _share(entry, tracks_of_group, sums, tracks) for name, tracks_of_group in groups.items()}
         violations = _violations(sums[entry.name, APPROACHES], sums[entry.name, TIME] / 60.0)
-        rows.append(Row(entry, first, last, by_group, violations))
+        rows.append(RankingRow(entry, first, last, by_group, violations))
 
     # Policies that see more are in a class of their own: they are compared only with each other.
     rows.sort(key=lambda row: (list(SENSING).index(row.entry.sensing), -float(row.of[ALL].mean)))
@@ -140,7 +140,7 @@ def rank(entries: list[Entry], groups: dict[str, list[str]], notes: list[str]) -
     return Ranking(groups, rows, pairs, notes)
 
 
-def _pairs(entries: list[Entry], sums: Sums, tracks: list[str]) -> list[Pair]:
+def _pairs(entries: list[Entry], sums: Sums, tracks: list[str]) -> list[RankedPair]:
     """The differences of all pairs of a class, with Holm's correction for the pairs of all classes."""
     compared = [pair for pair in itertools.combinations(entries, 2) if pair[0].sensing == pair[1].sensing]
     tests = [
@@ -151,7 +151,7 @@ def _pairs(entries: list[Entry], sums: Sums, tracks: list[str]) -> list[Pair]:
     ]
     corrected = np.nan_to_num(holm([p for _, p in tests]), nan=1.0)
     return [
-        Pair(one.sensing, one.name, other.name, difference, float(p))
+        RankedPair(one.sensing, one.name, other.name, difference, float(p))
         for (one, other), (difference, _), p in zip(compared, tests, corrected, strict=True)
     ]
 

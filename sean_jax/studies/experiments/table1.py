@@ -51,7 +51,16 @@ from sean_jax.learning.policy import check_policy, load_policy
 from sean_jax.simulation import episode_runner, episodes
 from sean_jax.simulation.episodes import ResetPool
 from sean_jax.simulation.scenario import snapshot
-from sean_jax.studies.experiments import Part, cached, demonstrations, page, pictures, run_parts, shares, write_csv
+from sean_jax.studies.experiments import (
+    ExperimentPart,
+    cached,
+    demonstrations,
+    page,
+    pictures,
+    run_parts,
+    shares,
+    write_csv,
+)
 from sean_jax.studies.experiments.results_table import Table, join
 from sean_jax.studies.experiments.shares import (
     BEHAVIORS,
@@ -119,14 +128,16 @@ def run_table1(options: Table1Config, console: Console | None = None) -> Path:
 
         # Recordings are counted without a simulation, so they come first: a damaged one stops the command soon.
         counting = [
-            Part(name, functools.partial(shares.count_recording, name, tracks, options.speeds, kind=kind))
+            ExperimentPart(name, functools.partial(shares.count_recording, name, tracks, options.speeds, kind=kind))
             for name, tracks in real.items()
         ]
         recordings = run_parts(counting, console, "counting")
 
         simulate = functools.partial(cell, options, work, more=MORE, speeds=[number(speed) for speed in options.speeds])
         driving = [
-            Part(name, functools.partial(simulate, name, behavior, policy, functools.partial(pools, behavior, people)))
+            ExperimentPart(
+                name, functools.partial(simulate, name, behavior, policy, functools.partial(pools, behavior, people))
+            )
             for name, (behavior, policy, people) in by_name.items()
         ]
         cells = run_parts(driving, console, "driving")
@@ -170,7 +181,7 @@ def fields(options: ExperimentConfig, behavior: str, people: int | None) -> dict
     return chosen | {"people": None if behavior == "handcrafted" else people}
 
 
-def _streams(options: Table1Config, behavior: str, people: int | None) -> Streams:
+def _streams(options: Table1Config, behavior: str, people: int | None) -> ProtocolStreams:
     """The streams of the protocol, with situations for each walking speed."""
     kinds = list(streams(description(options, behavior, people)).values())
     situations = tuple(
@@ -179,7 +190,7 @@ def _streams(options: Table1Config, behavior: str, people: int | None) -> Stream
         for name, holds in kinds[0].situations
     )
     kinds = [dataclasses.replace(kind, situations=situations) for kind in kinds]
-    return Streams(kinds, options.seed, options.seeds)
+    return ProtocolStreams(kinds, options.seed, options.seeds)
 
 
 def _at(holds: Callable, speed: float, snapshot: Snapshot, thresholds: Thresholds) -> Array:
@@ -192,7 +203,7 @@ def cell(
     name: str,
     behavior: str,
     policy: str,
-    pools: Callable[[], Streams],
+    pools: Callable[[], ProtocolStreams],
     tell: Callable[[float], None],
     more: tuple[tuple[str, Situation], ...] = (),
     speeds: Sequence[str] = ("",),
@@ -233,7 +244,7 @@ def _is_complete(file: Path, stored: dict[str, np.ndarray], further: tuple[str, 
 def _simulate_cell(
     options: SituationConfig,
     policy: str,
-    pool: Streams,
+    pool: ProtocolStreams,
     tell: Callable[[float], None],
     more: tuple[tuple[str, Situation], ...],
 ) -> dict[str, Any]:
@@ -335,7 +346,7 @@ def _write_recordings(folder: Path, real: Table) -> None:
 # ------------------------------------------------------------------ chains
 
 
-class Streams:
+class ProtocolStreams:
     """C scenarios that differ in their resets alone, with ``size`` starts of each and each seed that policies share.
 
     The seeds are ``seed``, ``seed + 1`` and so on. What belongs to a seed does not depend on the others.
@@ -373,7 +384,7 @@ def _starts(tasks: tuple, scenario: Scenario, varying: dict[int, Array], streams
 
 def simulate_chains(
     policy: Policy,
-    streams: Streams,
+    streams: ProtocolStreams,
     chains: int,
     minutes: int,
     tell: Callable[[float], None],
@@ -473,9 +484,9 @@ def run_ablation(options: AblationConfig, console: Console | None = None) -> Pat
             check_collection(world_description(options, world, behavior))
 
     @cached
-    def pools(world: str, behavior: str) -> Streams:
+    def pools(world: str, behavior: str) -> ProtocolStreams:
         scenarios = streams(world_description(options, world, behavior)).values()
-        return Streams(list(scenarios), options.seed, options.seeds)
+        return ProtocolStreams(list(scenarios), options.seed, options.seeds)
 
     jobs = {}  # (world, policy, behavior) -> the world, the behavior and the policy that are simulated for it
     for job in itertools.product(WORLDS, names, BEHAVIORS):
@@ -487,7 +498,7 @@ def run_ablation(options: AblationConfig, console: Console | None = None) -> Pat
         parts = []
         for world, behavior, policy in dict.fromkeys(jobs.values()):
             pool, name = functools.partial(pools, world, behavior), f"{world}-{behavior}-{policy}"
-            parts.append(Part(name, functools.partial(simulate, name, behavior, policy, pool)))
+            parts.append(ExperimentPart(name, functools.partial(simulate, name, behavior, policy, pool)))
         cells = run_parts(parts, console, "ablation")
         tables = (cells["-".join(simulated)].relabel(world=world) for (world, *_), simulated in jobs.items())
         write_ablation(options, join(tables))

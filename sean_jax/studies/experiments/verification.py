@@ -20,7 +20,7 @@ from sean_jax.config import BenchmarkVerifyConfig, Component, is_own_part, outsi
 from sean_jax.core.errors import InputError
 from sean_jax.io.versions import version_mismatch
 from sean_jax.metrics.differences import difference, holm
-from sean_jax.studies.experiments import Part, benchmark, run_parts, shares
+from sean_jax.studies.experiments import ExperimentPart, benchmark, run_parts, shares
 from sean_jax.studies.experiments.scores import Arrays
 
 if TYPE_CHECKING:
@@ -70,7 +70,7 @@ def verify(options: BenchmarkVerifyConfig, console: Console | None = None) -> tu
     tracks = [names[k] for k in random.choice(len(names), min(options.tracks, len(names)), replace=False)]
     chosen = {track: int(random.integers(result.episodes)) for track in tracks}
     jobs = [
-        Part(track, functools.partial(_again, options, driver, result, track, episode))
+        ExperimentPart(track, functools.partial(_again, options, driver, result, track, episode))
         for track, episode in chosen.items()
     ]
     samples = list(run_parts(jobs, console, "benchmark").values())

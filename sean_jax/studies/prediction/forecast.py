@@ -48,7 +48,7 @@ T = TypeVar("T")
 Predictable = str | Iterable[Term] | Callable[[Scenario, State], Pedestrians]
 
 
-class Scene(NamedTuple):
+class ForecastScene(NamedTuple):
     """N people whom ``predict`` is to predict."""
 
     observed: Array  # (T, N, 2) m
@@ -121,7 +121,7 @@ def predict(
 
     # Scenes of a batch share all constants and walls; only what is observed has batch axes.
     walk = partial(_walk, move, control, substeps, steps, time_step)
-    scene = Scene(
+    scene = ForecastScene(
         observed,
         known,
         None if desired_velocity is None else jnp.asarray(desired_velocity, float),
@@ -239,7 +239,7 @@ def _walk(
     weights: Array,
     least_speed: Array,
     settled: Array | None,
-    scene: Scene,
+    scene: ForecastScene,
 ) -> Array:
     """(steps, N, 2) of one scene."""
     # What a person wants is unknown: the observed velocity stands for it, if nothing else is known.

@@ -60,7 +60,7 @@ def encoded(first: int, frames: Sequence[SessionFrame]) -> bytes:
     return local_server.framed(head | {"kind": "frames", "first": first}, numbers)
 
 
-def _plain(frames: Sequence[SessionFrame], outcome: str, plan: bool) -> replay.Episode:
+def _plain(frames: Sequence[SessionFrame], outcome: str, plan: bool) -> replay.ReplayEpisode:
     one = episode(frames, "", outcome)
     plain = dataclasses.replace(one.frames, situations=one.frames.situations[..., :0])
     return dataclasses.replace(one, frames=plain, plan=one.plan if plan else None)

@@ -96,7 +96,7 @@ class Recorded(pydantic.BaseModel):
     sequence: Annotated[list[Frame], pydantic.Field(min_length=2)]
 
 
-class Answers(pydantic.BaseModel):
+class RatingAnswers(pydantic.BaseModel):
     """A file with the ratings of a person: ``answers[k]`` rates the trajectory of number ``indices[k]``."""
 
     indices: list[int]
@@ -107,7 +107,7 @@ class Variants(pydantic.RootModel[dict[str, list[str]]]):
     """Variant -> the names of files that differ in the walls alone."""
 
 
-class Episode(NamedTuple):
+class RatedEpisode(NamedTuple):
     """A robot, column 0 of the tracks, among people and obstacles."""
 
     tracks: Tracks
@@ -179,10 +179,10 @@ def rated(trajectories: Path, ratings: Path, console: Console) -> list[dict[str,
     return [row | {"metrics": metrics[row["trajectory"]]} for row in rows]
 
 
-def read_answers(path: Path, trajectories: Mapping[int, Any]) -> Answers:
+def read_answers(path: Path, trajectories: Mapping[int, Any]) -> RatingAnswers:
     """The ratings of a person, of numbered trajectories; FileError if a value is wrong."""
 
-    def known(answers: Answers) -> Iterator[Problem]:
+    def known(answers: RatingAnswers) -> Iterator[Problem]:
         for place in answers.answers:
             index = parse_digits(place)
             if index is None or index >= len(answers.indices):
@@ -190,7 +190,7 @@ def read_answers(path: Path, trajectories: Mapping[int, Any]) -> Answers:
             elif (number := answers.indices[index]) not in trajectories:
                 yield ("indices", index), f"{number} has no file {number:09}.json; add it or remove the answer"
 
-    return files.check_json(path, files.read_json(path, strict=False), Answers, known)
+    return files.check_json(path, files.read_json(path, strict=False), RatingAnswers, known)
 
 
 def by_trajectory(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -233,7 +233,7 @@ def _variants(folder: Path) -> dict[int, str]:
 # ------------------------------------------------------------------ a trajectory
 
 
-def read(path: Path) -> Episode:
+def read(path: Path) -> RatedEpisode:
     """The trajectory of a file, at steps of 0.1 s between which positions and angles are interpolated linearly.
 
     The sizes are powers of two, so that few programs are compiled: rows after the end have nobody present, not even
@@ -248,7 +248,7 @@ def read(path: Path) -> Episode:
     goal: Any = np.array([last.goal.x, last.goal.y], np.float32)
     goal_radius: Any = np.float32(radius)
     robot_radius: Any = np.float32(max(first.robot.shape.width, first.robot.shape.length) / 2)
-    return Episode(_tracks(recorded), goal, goal_radius, robot_radius, _obstacles(recorded))
+    return RatedEpisode(_tracks(recorded), goal, goal_radius, robot_radius, _obstacles(recorded))
 
 
 def _tracks(recorded: Recorded) -> Tracks:
@@ -342,7 +342,7 @@ def _power(number: int, least: int) -> int:
     return max(least, 1 << (number - 1).bit_length()) if number else least
 
 
-def measure(episode: Episode) -> dict[str, float]:
+def measure(episode: RatedEpisode) -> dict[str, float]:
     """The metrics ``MEASURED`` of a trajectory by name; without those of completed episodes if it ends elsewhere.
 
     The shortest path is the straight line from start to goal, and people have the radius ``recordings.BODY``.
@@ -353,7 +353,7 @@ def measure(episode: Episode) -> dict[str, float]:
 
 
 @jax.jit
-def _measure(episode: Episode) -> dict[str, Array]:
+def _measure(episode: RatedEpisode) -> dict[str, Array]:
     tracks = jax.tree.map(jnp.asarray, episode.tracks)
     snapshots, recorded = recordings.snapshots_of(tracks, 0, tracks.group)
 

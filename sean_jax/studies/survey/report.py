@@ -22,7 +22,7 @@ from rich.text import Text
 
 from sean_jax.config import SurveyReportConfig
 from sean_jax.core.errors import InputError
-from sean_jax.evaluation.table import EPISODE_FIGURES, Figure, metric_figure
+from sean_jax.evaluation.table import EPISODE_FIGURES, TableFigure, metric_figure
 from sean_jax.io import writing
 from sean_jax.metrics import METRICS, aggregate, resamples
 from sean_jax.metrics.bootstrap import interval, of_share
@@ -270,10 +270,10 @@ def counted(found: Sequence[Correlation]) -> str:
     )
 
 
-def _figure(name: str) -> Figure:
+def _figure(name: str) -> TableFigure:
     if name in EPISODE_FIGURES:
         return EPISODE_FIGURES[name]
-    return metric_figure(name, METRICS[name]) if name in METRICS else Figure(name.replace("_", " "), "", 3, "")
+    return metric_figure(name, METRICS[name]) if name in METRICS else TableFigure(name.replace("_", " "), "", 3, "")
 
 
 def correlation_table(found: Sequence[Correlation]) -> tuple[list[str], list[list[str | pages.Cell]]]:

@@ -16,7 +16,16 @@ from sean_jax.drawing.svg import svg
 from sean_jax.io import writing
 from sean_jax.io.progress import Progress, progress
 from sean_jax.studies.validation import checks, page, pictures
-from sean_jax.studies.validation.checks import FAILS, PASSES, SKIPPED, Check, CheckContext, CheckResult, Row, Skipped
+from sean_jax.studies.validation.checks import (
+    FAILS,
+    PASSES,
+    SKIPPED,
+    Check,
+    CheckContext,
+    CheckResult,
+    CheckRow,
+    Skipped,
+)
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -49,8 +58,8 @@ def run(options: ValidateConfig, console: "Console | None" = None) -> list[str]:
     refuse_others(folder, {checks.RESULTS, checks.PARTS, TABLE, REPORT})
 
     # Checks take long: each row is a file in the folder, so a run that was stopped goes on after it.
-    rows: list[Row] = []
-    done: dict[tuple[str, ...], Row] = {}  # several guidelines demand the same test
+    rows: list[CheckRow] = []
+    done: dict[tuple[str, ...], CheckRow] = {}  # several guidelines demand the same test
     with writing.folder_lock(folder), progress(console) as bar:
         for number, (check, model) in enumerate(itertools.product(selected, models)):
             finished = number // len(models)
@@ -82,7 +91,7 @@ def run(options: ValidateConfig, console: "Console | None" = None) -> list[str]:
     return [row.check for row in rows if row.model == models[0].name and row.verdict == FAILS]
 
 
-def do(check: Check, context: CheckContext) -> Row:
+def do(check: Check, context: CheckContext) -> CheckRow:
     """Do a check."""
     begin = time.monotonic()
     try:
@@ -96,7 +105,7 @@ def do(check: Check, context: CheckContext) -> Row:
         drawings.append((caption, drawing))
     fields = {name: value for name, value in vars(result).items() if name != "passed"}
     seconds = time.monotonic() - begin
-    return Row(check.name, context.model.name, verdict, **fields, pictures=tuple(drawings), seconds=seconds)
+    return CheckRow(check.name, context.model.name, verdict, **fields, pictures=tuple(drawings), seconds=seconds)
 
 
 def _report(bar: Progress, number: int, name: str, share: float) -> None:

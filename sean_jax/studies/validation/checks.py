@@ -187,7 +187,7 @@ class Check:
 
 
 @dataclass(frozen=True)
-class Gate:
+class CheckGate:
     """A promise about the default crowd, fulfilled if all of its checks pass."""
 
     title: str
@@ -200,7 +200,7 @@ PUBLISHED: Any = files.read_yaml(Path(__file__).with_name("published.yaml"))[1]
 _TABLE: Any = files.read_yaml(Path(__file__).with_suffix(".yaml"))[1]
 CHECKS: dict[str, Check] = {name: Check(name, **row) for name, row in _TABLE["checks"].items()}
 """name -> check, in the order of the table"""
-GATES = tuple(Gate(title, row["promise"], tuple(row["checks"])) for title, row in _TABLE["gates"].items())
+GATES = tuple(CheckGate(title, row["promise"], tuple(row["checks"])) for title, row in _TABLE["gates"].items())
 
 
 def select(names: str | None, quick: bool = False) -> list[Check]:
@@ -259,7 +259,7 @@ def models_of(names: str | None, source: Path | None = None, *, typed: bool = Fa
 
 
 @dataclass(frozen=True)
-class Row:
+class CheckRow:
     """The saved result of a check of a model."""
 
     check: str
@@ -274,7 +274,7 @@ class Row:
     seconds: float  # s that it took
 
 
-def load(folder: Path, check: Check, model: Model, options: ValidateConfig) -> Row | None:
+def load(folder: Path, check: Check, model: Model, options: ValidateConfig) -> CheckRow | None:
     """The row of an earlier run with the same code, versions and model; None without one, or if it was skipped."""
     try:
         content = files.read_json(_part(folder, check, model))
@@ -283,19 +283,19 @@ def load(folder: Path, check: Check, model: Model, options: ValidateConfig) -> R
         content["curves"] = tuple(Curve(**curve) for curve in content["curves"])
         for name in ("axes", "pictures"):
             content[name] = tuple(tuple(part) if isinstance(part, list) else part for part in content[name])
-        return Row(**content)
+        return CheckRow(**content)
     except (ValueError, KeyError, TypeError, AttributeError):
         return None
 
 
-def save(folder: Path, check: Check, model: Model, options: ValidateConfig, row: Row) -> None:
+def save(folder: Path, check: Check, model: Model, options: ValidateConfig, row: CheckRow) -> None:
     """Keep a row."""
     (folder / PARTS).mkdir(exist_ok=True)
     content = {"made_with": _provenance(model, options), **_finite(dataclasses.asdict(row))}
     writing.write(_part(folder, check, model), content)
 
 
-def write(folder: Path, options: ValidateConfig, rows: Sequence[Row]) -> None:
+def write(folder: Path, options: ValidateConfig, rows: Sequence[CheckRow]) -> None:
     """Write results.json: the command, the versions, and for each row its data and all but curves and pictures."""
     left_out = ("curves", "axes", "pictures")
     table = [{name: part for name, part in dataclasses.asdict(row).items() if name not in left_out} for row in rows]

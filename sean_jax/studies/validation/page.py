@@ -7,14 +7,14 @@ from sean_jax.config import ValidateConfig, flags
 from sean_jax.drawing.svg import svg
 from sean_jax.io.versions import versions
 from sean_jax.studies.scenes import Model
-from sean_jax.studies.validation.checks import FAILS, GATES, PASSES, SKIPPED, Check, Curve, Row, matches
+from sean_jax.studies.validation.checks import FAILS, GATES, PASSES, SKIPPED, Check, CheckRow, Curve, matches
 from sean_jax.studies.validation.pictures import plot
 from sean_jax.web import pages
 
 DATA = "Fitted: the loss of sean calibrate has the same measurement, so a fit should pass. Held out: it has not."
 
 
-def line(row: Row, checks: Sequence[Check], models: Sequence[Model]) -> str:
+def line(row: CheckRow, checks: Sequence[Check], models: Sequence[Model]) -> str:
     """A row for the terminal; a single model is not named."""
     wide = max(len(check.name) for check in checks)
     (data,) = (check.data for check in checks if check.name == row.check)
@@ -23,7 +23,7 @@ def line(row: Row, checks: Sequence[Check], models: Sequence[Model]) -> str:
     return f"{row.check:<{wide}}  {model}{row.verdict:<7}  {data:<8}  {row.reason or row.measured}"
 
 
-def gate_lines(rows: Sequence[Row], model: Model) -> list[str]:
+def gate_lines(rows: Sequence[CheckRow], model: Model) -> list[str]:
     """A heading and a line for each gate of which something was checked, for the terminal; or nothing."""
     table = [(title, verdict, why) for title, _, verdict, why in gates(rows, model.name) if verdict != SKIPPED or why]
     if not table:
@@ -32,7 +32,7 @@ def gate_lines(rows: Sequence[Row], model: Model) -> list[str]:
     return [f"gates of {model.name}:"] + [f"  {title:<{wide}}  {verdict:<7}  {why}" for title, verdict, why in table]
 
 
-def gates(rows: Sequence[Row], model: str) -> list[tuple[str, str, str, str]]:
+def gates(rows: Sequence[CheckRow], model: str) -> list[tuple[str, str, str, str]]:
     """Each gate's title, promise, verdict, and the measurement or the failed checks.
 
     The verdict is passes, fails, partly if a part was skipped or left out, or skipped.
@@ -46,7 +46,7 @@ def gates(rows: Sequence[Row], model: str) -> list[tuple[str, str, str, str]]:
     return table
 
 
-def _gate_verdict(names: list[str], rows: list[Row]) -> tuple[str, str]:
+def _gate_verdict(names: list[str], rows: list[CheckRow]) -> tuple[str, str]:
     """The verdict of checks of which some have rows, and why."""
     failing = [row for row in rows if row.verdict == FAILS]
     passing = [row for row in rows if row.verdict == PASSES]
@@ -61,7 +61,7 @@ def _gate_verdict(names: list[str], rows: list[Row]) -> tuple[str, str]:
     return SKIPPED, "; ".join(dict.fromkeys(row.reason for row in rows))
 
 
-def markdown(checks: Sequence[Check], models: Sequence[Model], rows: Sequence[Row]) -> str:
+def markdown(checks: Sequence[Check], models: Sequence[Model], rows: Sequence[CheckRow]) -> str:
     """The table as docs/validation.md has it, and one of the gates of the first model."""
     by_name = {(row.check, row.model): row for row in rows}
     names = [model.name for model in models]
@@ -76,7 +76,7 @@ def markdown(checks: Sequence[Check], models: Sequence[Model], rows: Sequence[Ro
     return "\n".join(lines) + "\n"
 
 
-def html(options: ValidateConfig, checks: Sequence[Check], models: Sequence[Model], rows: Sequence[Row]) -> str:
+def html(options: ValidateConfig, checks: Sequence[Check], models: Sequence[Model], rows: Sequence[CheckRow]) -> str:
     """The report."""
     by_name = {(row.check, row.model): row for row in rows}
     verdicts, details = [], []
@@ -102,7 +102,7 @@ def _verdict(verdict: str, reason: str) -> pages.Cell:
     return pages.Cell(verdict, reason, verdict)
 
 
-def _check(check: Check, rows: Sequence[Row]) -> str:
+def _check(check: Check, rows: Sequence[CheckRow]) -> str:
     """The section of a check, with a row for each model."""
     facts = {
         "set-up": check.setup,
@@ -121,7 +121,7 @@ def _check(check: Check, rows: Sequence[Row]) -> str:
     return pages.section(f"{check.name} · {check.title}", *parts)
 
 
-def _curves(rows: Sequence[Row]) -> list[Curve]:
+def _curves(rows: Sequence[CheckRow]) -> list[Curve]:
     """The curves of all models by the model's name, and each reference once."""
     curves: dict[tuple[str, bool], Curve] = {}
     for row in rows:

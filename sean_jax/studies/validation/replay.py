@@ -90,7 +90,7 @@ def _scenes(name: str, model: Model, options: ValidateConfig, folder: Path) -> l
 def recording(scene: Scene, tracks: Tracks) -> dict[str, Any]:
     """A scene as ``replay.recording``; without a robot, unless the scene has one."""
     frames = trajectory(scene, tracks)
-    episodes, robot = [player.Episode(frames, "scene")], scene.robot is not None
+    episodes, robot = [player.ReplayEpisode(frames, "scene")], scene.robot is not None
     return player.recording(episodes, place(scene, frames), situations=(), time_step=tracks.time_step, robot=robot)
 
 

@@ -63,7 +63,7 @@ OF_PEOPLE = (
 
 
 @dataclasses.dataclass(frozen=True)
-class Episode:
+class ReplayEpisode:
     """An episode, its title and its outcome."""
 
     frames: Trajectory  # (T, ...)
@@ -74,7 +74,7 @@ class Episode:
 
 
 def recording(
-    episodes: Sequence[Episode],
+    episodes: Sequence[ReplayEpisode],
     environment: Environment,
     *,
     title: str = "",
@@ -118,7 +118,9 @@ def recording(
     return content
 
 
-def of_scenario(scenario: Scenario, episodes: Sequence[Episode], title: str = "", live: str = "") -> dict[str, Any]:
+def of_scenario(
+    scenario: Scenario, episodes: Sequence[ReplayEpisode], title: str = "", live: str = ""
+) -> dict[str, Any]:
     """A recording of episodes of a scenario, with planned paths; arguments and errors as of ``recording``."""
     planned = []
     for episode in episodes:
@@ -206,7 +208,7 @@ def _robot(scenario: Scenario | None) -> dict[str, Any]:
     return content
 
 
-def encoded(episode: Episode, names: Sequence[str], robot: bool = True) -> dict[str, Any]:
+def encoded(episode: ReplayEpisode, names: Sequence[str], robot: bool = True) -> dict[str, Any]:
     """An episode, or a part of one, as JSON values for the page.
 
     Raises:
@@ -216,7 +218,7 @@ def encoded(episode: Episode, names: Sequence[str], robot: bool = True) -> dict[
     return head | {"data": base64.b64encode(zlib.compress(numbers, 9)).decode("ascii")}
 
 
-def packed(episode: Episode, names: Sequence[str], robot: bool = True) -> tuple[dict[str, Any], bytes]:
+def packed(episode: ReplayEpisode, names: Sequence[str], robot: bool = True) -> tuple[dict[str, Any], bytes]:
     """An episode, or a part of one, as a head of JSON values and bytes; errors as of ``encoded``."""
     frames: Any = one_episode(episode.frames)  # numpy arrays
     situation_names(frames, names)  # refuses another number
@@ -414,7 +416,7 @@ def view(trajectory: Trajectory, scenario: Scenario | None = None, animate: bool
     if animate:
         return picture
     frames = first_episode(trajectory)
-    episode = Episode(frames, "episode")
+    episode = ReplayEpisode(frames, "episode")
     if scenario is None:
         return Replay(recording([episode], drawing.empty_floor(frames)), picture)
     return Replay(of_scenario(scenario, [episode]), picture)

@@ -44,7 +44,7 @@ class Live:
         length = int(frames.active.sum())
         if self._over or length == 0:
             return
-        episode = replay.Episode(jax.tree.map(lambda leaf: leaf[:length], frames), "")
+        episode = replay.ReplayEpisode(jax.tree.map(lambda leaf: leaf[:length], frames), "")
         text = json.dumps(replay.encoded(episode, self._names), separators=(",", ":"), allow_nan=False)
         with self._lock:
             self._chunks.append(text)

@@ -53,10 +53,10 @@ class SessionFrame(NamedTuple):
     path: np.ndarray  # (K, 2) m, the shortest way to the goal
 
 
-def episode(frames: Sequence[SessionFrame], title: str = "", outcome: str = "") -> replay.Episode:
+def episode(frames: Sequence[SessionFrame], title: str = "", outcome: str = "") -> replay.ReplayEpisode:
     """Frames as an episode of a page."""
     stacked, path = jax.tree.map(lambda *leaves: np.stack(leaves), *frames)
-    return replay.Episode(stacked, title, outcome, plan=path, begin=0)
+    return replay.ReplayEpisode(stacked, title, outcome, plan=path, begin=0)
 
 
 class Moment(NamedTuple):
@@ -533,7 +533,7 @@ class Session:
             metrics.append(summary)
             outcome = f"{'completed' if bool(state.completed) else 'timed out'} · {summary['seconds']:.1f} s"
             stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *frames)
-            episode = replay.Episode(stacked, "", outcome, begin=0)
+            episode = replay.ReplayEpisode(stacked, "", outcome, begin=0)
             title = f"{choice.policy} · seed {choice.seed} · episode {choice.episode}"
             recordings.append(replay.of_scenario(scenario, [episode], title))
         yield {"recordings": recordings, "metrics": metrics}

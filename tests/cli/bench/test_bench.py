@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sean_jax.cli import bench, command_line
-from sean_jax.cli.bench import Row
+from sean_jax.cli.bench import Measurement
 from sean_jax.config import BenchConfig
 
 ABOUT = {
@@ -15,9 +15,9 @@ ABOUT = {
 }  # fmt: skip
 
 
-def row(part: str, batch: int, per_second: float, pixels: int = 0, people: int = 4, devices: int = 1) -> Row:
+def row(part: str, batch: int, per_second: float, pixels: int = 0, people: int = 4, devices: int = 1) -> Measurement:
     microseconds = 1e6 * batch / per_second
-    return Row(part, "things", batch, people, pixels, devices, per_second, microseconds, 2.0, 2.0**14)
+    return Measurement(part, "things", batch, people, pixels, devices, per_second, microseconds, 2.0, 2.0**14)
 
 
 ROWS = [
@@ -25,7 +25,7 @@ ROWS = [
     row("images", 16, 700.0, 3072), row("images", 4, 90.0, 307200), row("pictures", 4, 20.0, 3072),
     row("crowd", 1, 1e6, people=62), row("crowd", 8, 2e6, people=62), row("crowd", 1, 5e5, people=1000),
     row("devices", 16, 900.0), row("devices", 32, 1710.0, devices=2),
-    Row("compile", "seconds, cold", 64, 4, 0, 1, 12.0, 1.2e7, 12.0, float("nan")),
+    Measurement("compile", "seconds, cold", 64, 4, 0, 1, 12.0, 1.2e7, 12.0, float("nan")),
 ]  # fmt: skip
 
 

@@ -245,8 +245,8 @@ def test_parts_wait_for_what_they_need_and_are_the_same_in_threads(monkeypatch):
         return name, shared("place")
 
     def parts(meet: bool) -> list:
-        alone = [experiments.Part(name, functools.partial(work, name, meet)) for name in "ab"]
-        return [*alone, experiments.Part("c", functools.partial(work, "c", False), ("a", "b"))]
+        alone = [experiments.ExperimentPart(name, functools.partial(work, name, meet)) for name in "ab"]
+        return [*alone, experiments.ExperimentPart("c", functools.partial(work, "c", False), ("a", "b"))]
 
     monkeypatch.setattr(experiments, "workers", lambda: 3)
     found = experiments.run_parts(parts(True), None, "at work")
@@ -273,8 +273,8 @@ def test_a_failure_stops_the_other_parts_and_is_raised(error, monkeypatch):
         began.wait(20)
         raise error("a robot is nowhere")
 
-    parts = [experiments.Part("lasting", lasting), experiments.Part("failing", failing)]
-    parts.append(experiments.Part("after", never.append, ("failing",)))
+    parts = [experiments.ExperimentPart("lasting", lasting), experiments.ExperimentPart("failing", failing)]
+    parts.append(experiments.ExperimentPart("after", never.append, ("failing",)))
     monkeypatch.setattr(experiments, "workers", lambda: 2)
     with pytest.raises(error, match="nowhere"):
         experiments.run_parts(parts, None, "at work")
@@ -312,8 +312,8 @@ def test_parts_that_are_out_of_memory_run_again_beside_fewer(monkeypatch, messag
                 running.remove(name)
 
     def parts(fitting: int) -> list:
-        own = [experiments.Part(name, functools.partial(work, name, fitting)) for name in "abcdef"]
-        return [*own, experiments.Part("last", functools.partial(work, "last", fitting), tuple("abcdef"))]
+        own = [experiments.ExperimentPart(name, functools.partial(work, name, fitting)) for name in "abcdef"]
+        return [*own, experiments.ExperimentPart("last", functools.partial(work, "last", fitting), tuple("abcdef"))]
 
     monkeypatch.setattr(experiments, "workers", lambda: 4)
     results = experiments.run_parts(parts(2), None, "at work")
@@ -368,7 +368,7 @@ def test_numbered_episodes_are_those_of_their_streams(monkeypatch):
 def test_chains_restart_from_their_own_stream():
     asked = CollectConfig(behavior="handcrafted", environment="lab", dynamics="twin", time_limit=20.0)
     kinds = list(streams(asked).values())
-    there = table1.Streams(kinds, 3, 2, 3)
+    there = table1.ProtocolStreams(kinds, 3, 2, 3)
     pools = there.starts()
     assert there.starts() is pools
     for index, (kind, seed) in enumerate((kind, seed) for kind in range(5) for seed in (3, 4)):
@@ -398,7 +398,7 @@ def test_chains_of_a_seed_do_not_depend_on_other_seeds_and_further_situations():
     further = tuple(kinds[0].situations[::2])
 
     def minutes(seed, seeds, *more):
-        there = table1.Streams(kinds, seed, seeds, 4)
+        there = table1.ProtocolStreams(kinds, seed, seeds, 4)
         return table1.simulate_chains(as_policy(go_to_goal), there, 2, 1, lambda _: None, *more)
 
     alone, ended = minutes(5, 1)

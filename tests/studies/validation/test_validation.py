@@ -16,7 +16,7 @@ from sean_jax.studies import validation
 from sean_jax.studies.calibration.loss import GROUPS
 from sean_jax.studies.scenes import Gate, model
 from sean_jax.studies.validation import checks, crowds, guideline_scenes, guidelines, individuals, page, pictures
-from sean_jax.studies.validation.checks import CHECKS, GATES, CheckContext, CheckResult, Curve, Row
+from sean_jax.studies.validation.checks import CHECKS, GATES, CheckContext, CheckResult, CheckRow, Curve
 from sean_jax.studies.validation.measures import crossing_times, flow, trajectory_data, vanishing_times
 from support.checkout import ROOT
 from support.checks import made_check
@@ -332,7 +332,7 @@ def test_gates_are_what_their_checks_are(monkeypatch):
 
     def verdicts(**kinds: str) -> dict[str, str]:
         rows = [
-            Row(name.replace("_", "-"), "m", verdict, "1 m", "why", {}, (), ("", ""), (), 0.0)
+            CheckRow(name.replace("_", "-"), "m", verdict, "1 m", "why", {}, (), ("", ""), (), 0.0)
             for name, verdict in kinds.items()
         ]
         return {title: verdict for title, _, verdict, _ in page.gates(rows, "m")}

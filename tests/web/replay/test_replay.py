@@ -40,7 +40,7 @@ def walked():
 @pytest.fixture(scope="module")
 def content(walked):
     scenario, frames = walked
-    shown = [replay.Episode(each, f"episode {k}", "so </script> it ended") for k, each in enumerate(frames)]
+    shown = [replay.ReplayEpisode(each, f"episode {k}", "so </script> it ended") for k, each in enumerate(frames)]
     return replay.of_scenario(scenario, shown, "Two <episodes>")
 
 
@@ -148,13 +148,13 @@ def test_absent_people_are_drawn_nowhere_and_leave_no_jump():
         present=present, goal=still, situations=np.zeros((frames, 5), bool), active=np.ones(frames, bool),
     )  # fmt: skip
     one = Trajectory(**arrays)
-    (head,) = replay.recording([replay.Episode(one, "one")], replay.drawing.empty_floor(one))["episodes"]
+    (head,) = replay.recording([replay.ReplayEpisode(one, "one")], replay.drawing.empty_floor(one))["episodes"]
     found = decode(head, frames)
     np.testing.assert_array_equal(found["person present"], present)
     x = found["person x"]
     assert np.ptp(x[:6, 0]) == 0 == np.ptp(x[19:, 0]) and not x[:, 2].any()
     alone = Trajectory(**arrays | {"present": np.zeros_like(present)})
-    (head,) = replay.recording([replay.Episode(alone, "one")], replay.drawing.empty_floor(one))["episodes"]
+    (head,) = replay.recording([replay.ReplayEpisode(alone, "one")], replay.drawing.empty_floor(one))["episodes"]
     assert np.isfinite(decode(head, frames)["nearest person"]).all()
 
 
@@ -164,7 +164,7 @@ def test_what_cannot_be_played_is_refused(walked):
         replay.of_scenario(scenario, [])
     batch = jax.tree.map(lambda leaf: np.stack([leaf, leaf]), frames[0])
     with pytest.raises(InputError, match="one leading axis"):
-        replay.of_scenario(scenario, [replay.Episode(batch, "both")])
+        replay.of_scenario(scenario, [replay.ReplayEpisode(batch, "both")])
 
 
 def test_a_notebook_shows_it(walked, tmp_path):
@@ -255,7 +255,7 @@ def test_players_of_a_comparison_share_one_clock(walked, content, tmp_path):
     scenario, frames = walked
     late = np.arange(60)[:, None] >= 40
     others = [each.replace(position=each.position + np.where(late, 0.6, 0.0)) for each in frames]
-    shown = [replay.Episode(each, f"episode {k}") for k, each in enumerate(others)]
+    shown = [replay.ReplayEpisode(each, f"episode {k}") for k, each in enumerate(others)]
     page = comparison(tmp_path, (content, replay.of_scenario(scenario, shown, "other")))
     (tmp_path / "page.html").write_text(page, encoding="utf-8")
     seen = json.loads(browse("test/compare.mjs", tmp_path / "page.html"))
@@ -275,7 +275,7 @@ def test_two_that_never_part_say_how_near_they_stay(walked, content, tmp_path):
     scenario, frames = walked
     near = np.arange(60)[:, None] == 40
     others = [each.replace(position=each.position + np.where(near, [0.3, 0.0], 0.0)) for each in frames]
-    shown = [replay.Episode(each, f"episode {k}") for k, each in enumerate(others)]
+    shown = [replay.ReplayEpisode(each, f"episode {k}") for k, each in enumerate(others)]
     page = comparison(tmp_path, (content, replay.of_scenario(scenario, shown, "other")))
     (tmp_path / "page.html").write_text(page, encoding="utf-8")
     seen = json.loads(browse("test/apart.mjs", tmp_path / "page.html"))
@@ -376,7 +376,7 @@ def test_states_and_next_nodes_of_people(tmp_path):
         "group": [False] * 6,
         "edges": [],
     }
-    content = replay.recording([replay.Episode(one, "one")], replay.drawing.empty_floor(one)) | {"graph": graph}
+    content = replay.recording([replay.ReplayEpisode(one, "one")], replay.drawing.empty_floor(one)) | {"graph": graph}
     (tmp_path / "page.html").write_text(replay.html(content), encoding="utf-8")
     words = ["node", "test/state.mjs", str(tmp_path / "page.html")]
     seen = json.loads(subprocess.run(words, cwd=WEB, check=True, capture_output=True, timeout=60).stdout)
