@@ -69,10 +69,10 @@ def flat_table(array: np.ndarray) -> FlatTable:
 
 
 def join_tables(trees: Sequence[Any]) -> list[Any]:
-    """Trees of one structure whose ``FlatTable`` share their values, on the host.
+    """Trees of one structure in which the ``FlatTable`` of each position get one array of values, on the host.
 
     Raises:
-        InputError: there are too many.
+        InputError: the tables of a position have too many numbers for an index.
     """
     flattened = [jax.tree.flatten(tree, is_leaf=_is_table) for tree in trees]
     memo: dict[tuple[int, ...], np.ndarray] = {}  # ids of the tables' values -> joined values

@@ -500,15 +500,18 @@ def _set_out(
     graph: BehaviorGraph, memory: GraphMemory, onward: Bool[Array, "N"], chance: Float[Array, "N"], draws: Draws | None
 ) -> GraphMemory:
     """The next node of the path and a point of its disc, for people who leave a node."""
-    next_hop = graph.next_hop[memory.hop, memory.goal]
+    node, goal = memory.hop, memory.goal
+    next_hop = graph.next_hop[node, goal]  # -1 without a path
+
+    # With a temperature the next node is drawn, and the gradient needs the chance of each draw.
     if draws is not None:
-        log_chances_of_hops = hop_log_chances(graph.edge_cost, graph.cost, graph.is_group, draws.temperature)
-        choice, log_chance = sample(log_chances_of_hops[memory.hop, memory.goal], draws.hop)
-        chooses = onward & (next_hop >= 0) & (memory.hop != memory.goal)
+        log_chances = hop_log_chances(graph.edge_cost, graph.cost, graph.is_group, draws.temperature)  # (V, V, V)
+        choice, log_chance = sample(log_chances[node, goal], draws.hop)
+        chooses = onward & (next_hop >= 0) & (node != goal)
         next_hop = jnp.where(chooses, choice, next_hop)
         memory = memory.with_choices(jnp.sum(jnp.where(chooses, log_chance, 0.0)))
-    next_hop = jnp.where(next_hop >= 0, next_hop, memory.goal)
-    hop = jnp.where(onward, next_hop, memory.hop)
+    next_hop = jnp.where(next_hop >= 0, next_hop, goal)
+    hop = jnp.where(onward, next_hop, node)
 
     # A point of the node's disc, or the seat.
     n_places = graph.places.shape[1]
@@ -518,6 +521,6 @@ def _set_out(
     place = jnp.where(to_seat[:, None], of_seat(memory.seat_position, memory.seat), place)
     return memory._replace(
         hop=hop,
-        origin=jnp.where(onward, memory.hop, memory.origin),
+        origin=jnp.where(onward, node, memory.origin),
         target=jnp.where(onward[:, None], place, memory.target),
     )

@@ -103,8 +103,9 @@ def _first_of_all(rays: Rays, view: View, behind: bool = False) -> tuple[Array, 
     floor = _first_numbers(view)[4]
     distance = ground(view.height, beams.direction.z, beams.inverse_rise)
     number = jnp.where(distance < MISS, floor, floor + 1).astype(jnp.int32)
-    hit = scenery_hit = distance, number
-    for family in families(view, rays):
+    hit = distance, number
+    scenery_hit = hit
+    for family in families(view, rays):  # people come last, so a hit of scenery is before any of theirs
         law = _distance_law(family, view)
         hit = _first(law, family.table, family.in_sight, family.start, beams, hit)
         if family.scenery:

@@ -285,12 +285,13 @@ def families(forces: Any, draws: int, quick: bool) -> list[SceneFamily]:
     """The crowds of a fit.
 
     Args:
-        forces: whose radius bodies have.
-        draws: of people in each corridor, file and mix; half as many in each door.
+        forces: the radius of bodies is that of their walking law.
+        draws: of people in each corridor, street, wave and mix; half as many in each single file and door.
         quick: a few small scenes, for tests.
     """
     radius = float(forces.walking.radius)
-    pairs, encounters = _meetings(), individuals.passing_scenes(8 if quick else ENCOUNTERS)
+    pairs = _meetings()
+    encounters = individuals.passing_scenes(8 if quick else ENCOUNTERS)
     chosen: list[SceneFamily] = [
         Corridor(_corridors(QUICK_DENSITIES if quick else CORRIDOR_DENSITIES, draws)),
         StreetFamily([Case("", _street(seed)) for seed in range(draws)]),
