@@ -47,7 +47,7 @@ class Crowds:
         for family in self._families:
             values: dict[str, np.ndarray] = {}
             for batch in self._batches:
-                if batch.family is family:
+                if batch.family == family:
                     batch.measure_into(values, parameters)
             rows |= family.rows(values)
         return rows
