@@ -36,7 +36,7 @@ def add_options(command: argparse.ArgumentParser, **options: Any) -> None:
     for name, default in options.items():
         option = default if isinstance(default, Option) else Option(default)
         flag = f"--{name.replace('_', '-')}"
-        if option.default is False:
+        if isinstance(option.default, bool):
             command.add_argument(flag, action="store_true", help=option.help)
             continue
 

@@ -403,3 +403,57 @@ def test_a_test_file_has_the_name_of_what_it_tests():
         names = {folder.name, *(entry.stem for entry in tested.iterdir() if not entry.name.startswith("test_"))}
         about = path.stem.removeprefix("test_")
         assert any(about == name or about.startswith(f"{name}_") for name in names), path
+
+
+MOST_NODES = 700  # of syntax in a function: one idea
+MANY_NODES, COMMENTS = 400, 3  # above so many nodes a function has so many lines of comment
+IN_EACH_ADAPTER = {"SocialNavigation", "VecSocialNavigation"}  # the other project's kind of environment
+
+
+def without_annotations(tree: ast.Module) -> ast.Module:
+    """The tree without annotations and docstrings, which are no burden to a reader."""
+    for node in ast.walk(tree):
+        for field in ("annotation", "returns"):
+            if getattr(node, field, None) is not None:
+                setattr(node, field, None)
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and ast.get_docstring(node) is not None:
+            del node.body[0]
+    return tree
+
+
+def heavy_functions(text: str) -> list[str]:
+    """Functions of a module that are more than one idea, or say too little about why."""
+    lines, heavy = text.splitlines(), []
+    for node in ast.walk(without_annotations(ast.parse(text))):
+        if not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            continue
+        nodes = sum(1 for _ in ast.walk(node))
+        comments = sum(line.lstrip().startswith("#") for line in lines[node.lineno - 1 : node.end_lineno])
+        if nodes > MOST_NODES:
+            heavy.append(
+                f"{node.name} has {nodes} nodes of syntax, and {MOST_NODES} are the most; give its steps names"
+            )
+        elif nodes > MANY_NODES and comments < COMMENTS:
+            heavy.append(f"{node.name} has {nodes} nodes of syntax and {comments} comments; say why above its blocks")
+    return heavy
+
+
+def test_a_function_is_one_idea():
+    statement, comments = "    x = 1 + 2 * 3\n", "    # why\n" * COMMENTS
+    assert heavy_functions("def f():\n" + 60 * statement)
+    assert not heavy_functions("def f():\n" + comments + 60 * statement)
+    assert heavy_functions("def f():\n" + comments + 90 * statement)
+    for path in MODULES:
+        heavy = heavy_functions(path.read_text(encoding="utf-8"))
+        assert not heavy, f"{path.relative_to(ROOT)}: {heavy}"
+
+
+def test_a_name_of_a_class_occurs_once():
+    """So that grep finds the right one."""
+    places: dict[str, list[str]] = {}
+    for path in MODULES:
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ClassDef):
+                places.setdefault(node.name, []).append(str(path.relative_to(ROOT)))
+    several = {name: paths for name, paths in places.items() if len(paths) > 1}
+    assert several.keys() == IN_EACH_ADAPTER, several

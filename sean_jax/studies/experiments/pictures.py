@@ -195,7 +195,7 @@ def ablation(tables: Tables, references: Mapping[str, str]) -> Figure:
         values = np.stack([mean(world, behavior) - mean(references[world], behavior) for world in worlds])
         _heat(axes, values, shades, (-30, 30), lambda value: (f"{value:+.0f}", colors.INK), 8)
         axes.set_xticks(range(len(names)), names, fontsize=7)
-        axes.set_yticks(range(len(worlds)), worlds if axes is row[0] else [""] * len(worlds))
+        axes.set_yticks(range(len(worlds)), worlds if axes == row[0] else [""] * len(worlds))
         axes.set_title(behavior)
     return figure
 
