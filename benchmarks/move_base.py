@@ -493,7 +493,7 @@ def drive_episode(world: World, ros: Ros, number: int) -> dict[str, Any]:
     }
 
 
-def log_row(ros: Ros, step: messages.Step, seconds: float, command: np.ndarray | None) -> list:
+def log_row(ros: Ros, step: messages.StepValues, seconds: float, command: np.ndarray | None) -> list:
     """A moment of an episode, as ``COLUMNS``."""
     gaps = np.linalg.norm(step.people.position - step.position, axis=1)[step.people.present]
     pose = [*step.position.tolist(), math.atan2(step.heading[1], step.heading[0])]
