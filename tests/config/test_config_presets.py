@@ -144,7 +144,10 @@ def test_a_run_says_what_was_filled_in(tmp_path):
     file = tmp_path / "run" / "config.yaml"
     held = yaml.safe_load(file.read_text())["config"]
     assert held["task_distance"] == [0.0, "inf"] and held["forces"] == ["sean2"] and held["dynamics"] == "kinematic"
-    assert validate(RunConfig, read_config(file).description).identity() == validate(RunConfig, held).identity()
+    description = read_config(file).description
+    assert description["environment"] == str(tmp_path / "run" / "environment" / "lab")  # the copy in the run's folder
+    description["environment"] = "lab"
+    assert validate(RunConfig, description).identity() == validate(RunConfig, held).identity()
     summary = json.loads((tmp_path / "run" / "summary.json").read_text())
     assert list(summary["situations"]) == list(classifiers.SITUATION_SETS["sean2"])
 
