@@ -481,7 +481,7 @@ def test_only_a_result_of_the_policy_is_verified(ranked, tmp_path):
 def test_the_schema_names_each_key():
     schema = benchmark.Result.model_json_schema()
     assert set(schema["required"]) == set(benchmark.Result.model_fields) == set(schema["properties"])
-    assert schema["additionalProperties"] is False and "Figure" in schema["$defs"]
+    assert schema["additionalProperties"] is False and "TrackFigure" in schema["$defs"]
     assert all(each.get("description") for name, each in schema["properties"].items())
 
 
