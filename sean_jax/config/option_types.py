@@ -203,9 +203,9 @@ RecordingRate = Annotated[
     FrameRate | None, Field(description="Frames a second of the recording; by default those of its format.")
 ]
 Routing = Annotated[
-    Literal["whole", "edge"],
+    Literal["trips", "whole", "edge"],
     Field(
-        description="whole: people keep a route to their goal; edge: they choose again at each node, as in SEAN 2.0's "
+        description="trips: people have errands at their goals and leave at entrances; whole: people keep a route to their goal; edge: they choose again at each node, as in SEAN 2.0's "
         "code."
     ),
 ]

@@ -23,6 +23,11 @@ from sean_jax.io import cache, files
 
 NODE_CLEARANCE = 0.3  # m, from a node's centre to obstacles and to the floor's edge
 Factor = Annotated[float, pydantic.Field(ge=1e-3, le=1e3)]  # by which the length of an edge is multiplied
+Rate = Annotated[float, pydantic.Field(ge=0, le=100)]  # people/s
+VISIT = (60.0, 240.0)  # s, in a group, on a trip
+ERRAND = (4.0, 30.0)  # s, at a waypoint, on a trip
+ROOMY = 0.9  # m, radius of a waypoint's disc, above which there is room for an errand
+RATE = 1.0  # people/s, at an entrance
 STRICT = pydantic.ConfigDict(extra="forbid", allow_inf_nan=False)
 MIN_SPAWN = 1e-3  # a much smaller number is 0 in single precision
 CODE = "graph/annotation", "core/geometry"  # that the places depend on
@@ -46,6 +51,9 @@ class Node(pydantic.BaseModel):
     weight: RelativeChance | None = None  # chance with which a waypoint is a goal, relative to the others; None: 1
     capacity: Annotated[int, pydantic.Field(ge=2, le=32)] | None = None  # people, of a group
     stay: tuple[Duration, Duration] | None = None  # s, minimum and maximum, of a group
+    visit: tuple[Duration, Duration] | None = None  # s, the same on trips; None: ``VISIT``
+    errand: tuple[Duration, Duration] | None = None  # s, minimum and maximum, at a waypoint on trips; None: ``ERRAND``
+    entrance: bool | Rate = False  # people/s who come in here on trips, and whether people leave here; True: ``RATE``
     id: Annotated[int, pydantic.Field(ge=-(2**31), lt=2**31)] | None = None  # number in the source graph
 
 
@@ -59,6 +67,15 @@ class Edge(pydantic.BaseModel):
     weights: tuple[Factor, Factor] | None = None  # there and back, instead of flow
 
 
+class Trips(pydantic.BaseModel):
+    """Further nodes and edges, on which people walk with ``routing="trips"`` alone."""
+
+    model_config = STRICT
+
+    nodes: Annotated[dict[str, Node], pydantic.Field(max_length=500)] = {}
+    edges: Annotated[list[Edge], pydantic.Field(max_length=5000)] = []
+
+
 class Annotation(pydantic.BaseModel):
     """The content of graph.yaml."""
 
@@ -70,6 +87,14 @@ class Annotation(pydantic.BaseModel):
     c_max: Annotated[float, pydantic.Field(gt=1, le=1e3)]
     nodes: Annotated[dict[str, Node], pydantic.Field(min_length=1, max_length=500)]
     edges: Annotated[list[Edge], pydantic.Field(max_length=5000)]
+    trips: Trips | None = None
+
+    def with_trips(self) -> "Annotation":
+        """The annotation with the nodes and edges of trips among the others."""
+        if self.trips is None:
+            return self
+        nodes = self.nodes | self.trips.nodes
+        return self.model_copy(update={"nodes": nodes, "edges": self.edges + self.trips.edges, "trips": None})
 
     def flow_factors(self) -> dict[str, tuple[float, float]]:
         """The paper's pairs <c_uv, c_vu>: category of flow -> factors of an edge's length, there and back."""
@@ -95,15 +120,17 @@ class Annotation(pydantic.BaseModel):
         return edge.weights or self.flow_factors()[self.flow_of(edge)]
 
 
-def read_graph(path: Path | str, environment: Environment) -> BehaviorGraph:
+def read_graph(path: Path | str, environment: Environment, trips: bool = False) -> BehaviorGraph:
     """The graph of a ``graph.yaml``.
+
+    Args:
+        trips: with the nodes and edges on which people walk with ``routing="trips"`` alone.
 
     Raises:
         FileError: lists all mistakes of the file, with line, key and cure.
     """
-    return build_graph(
-        files.load(path, Annotation, check, lambda graph: check_against(graph, environment)), environment
-    )
+    read = files.load(path, Annotation, check, lambda graph: check_against(graph.with_trips(), environment))
+    return build_graph(read.with_trips() if trips else read, environment)
 
 
 def build_graph(annotation: Annotation, environment: Environment | None, seed: int = 0) -> BehaviorGraph:
@@ -127,6 +154,9 @@ def build_graph(annotation: Annotation, environment: Environment | None, seed: i
         is_group=is_group,
         capacity=capacity,
         stay=np.array([node.stay or (0.0, 0.0) for node in nodes], float),
+        visit=np.array([(node.visit or VISIT) if node.kind == "group" else (0.0, 0.0) for node in nodes], float),
+        errand=np.array([_errand(node) for node in nodes], float),
+        entrance=np.array([float(RATE if node.entrance is True else node.entrance) for node in nodes], float),
         spawn=np.array([node.spawn for node in nodes], float),
         weight=np.array([0.0 if node.kind == "group" else _weight(node) for node in nodes], float),
         flow=flow,
@@ -144,6 +174,15 @@ def build_graph(annotation: Annotation, environment: Environment | None, seed: i
 
 def _weight(node: Node) -> float:
     return 1.0 if node.weight is None else node.weight
+
+
+def _errand(node: Node) -> tuple[float, float]:
+    """Limits [s] of the time at a waypoint; 0 where people who stand would be in the way of others, as in a door."""
+    if node.kind == "group":
+        return 0.0, 0.0
+    if node.errand is not None:
+        return node.errand
+    return ERRAND if node.radius >= ROOMY else (0.0, 0.0)
 
 
 def _edges(annotation: Annotation, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

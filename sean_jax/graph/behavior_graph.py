@@ -42,6 +42,9 @@ class BehaviorGraph:
     is_group: Bool[Array, "M"]
     capacity: Int[Array, "M"]  # seats of a group, 0 for a waypoint
     stay: Float[Array, "M 2"]  # s, minimum and maximum of the time spent at a group, 0 for a waypoint
+    visit: Float[Array, "M 2"]  # s, the same on trips
+    errand: Float[Array, "M 2"]  # s, minimum and maximum of the time spent at a waypoint on trips, 0 for a group
+    entrance: Float[Array, "M"]  # people/s who come in at the node on trips; people also leave where it is above 0
     spawn: Float[Array, "M"]  # weight of the node as a start, relative to the other nodes
     weight: Float[Array, "M"]  # chance with which a waypoint is drawn as a goal, relative to the others; 0 for a group
     # index into FLOWS of the edge from row to column, NO_EDGE without an edge

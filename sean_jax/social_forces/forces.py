@@ -41,6 +41,7 @@ T = TypeVar("T")
 TINY = 1e-8  # m2: keeps lengths differentiable at zero, 1e-7 of the square of a distance of 0.3 m
 MAX_EXPONENT = 20.0  # a push e^20 times the usual one is as good as any, and its square is still a number
 MIN_SPEED = 0.1  # m/s: a slower body does not turn into its direction of motion
+PUSHED_SPEED = 0.4  # m/s: who wants to stand and is pushed more slowly keeps the heading
 STANDING_SPEED = 0.5  # m/s, desired: a faster member of a group walks to their place
 
 
@@ -63,6 +64,7 @@ class Walking:
         "acceleration": (1e-2, 1e9),
         "relaxation_deviation": (0.0, 2.0),
         "depth": (0.01, 10.0),
+        "facing": (0.0, 100.0),
     }
     relations: ClassVar[dict[str, Callable[[Any], Any]]] = {
         "speed_min is more than speed_max": lambda term: term.speed_min > term.speed_max,
@@ -84,6 +86,7 @@ class Walking:
     acceleration: Float[Array, ""]  # m/s2, the bound of what people do on purpose: of all but pushes of other bodies
     relaxation_deviation: Float[Array, ""] | None = None  # 1, of the logarithm of the relaxation time among people
     depth: Float[Array, ""] | None = None  # m, half the body from back to front; ``radius`` is half the shoulders
+    facing: Float[Array, ""] | None = None  # 1, weight of the desired velocity in the direction into which a body turns
 
     def damp(
         self, fx: Float[Array, "N"], fy: Float[Array, "N"], heading: Float[Array, "N 2"]
@@ -161,11 +164,36 @@ def look_direction(people: Pedestrians) -> tuple[Float[Array, "N"], Float[Array,
 
 
 def turn(
-    people: Pedestrians, velocity: Float[Array, "N 2"], max_angle: Float[Array, ""] | float
+    people: Pedestrians,
+    velocity: Float[Array, "N 2"],
+    max_angle: Float[Array, ""] | float,
+    min_speed: float = MIN_SPEED,
 ) -> Float[Array, "N 2"]:
-    """Headings turned towards the velocity [m/s] by ``max_angle`` [rad] at most; standing group members keep theirs."""
+    """Headings turned towards the velocity [m/s] by ``max_angle`` [rad] at most.
+
+    Standing group members keep theirs, and so do people who are slower than ``min_speed`` [m/s].
+    """
+    cosine, sine = _turn_by(people.heading, velocity, max_angle)
+    walking = ~is_standing(people) & (length(velocity[:, 0], velocity[:, 1]) > min_speed)
     x, y = people.heading[:, 0], people.heading[:, 1]
-    goal_x, goal_y = unit(velocity[:, 0], velocity[:, 1])
+    x, y = rotate(x, y, jnp.where(walking, cosine, 1.0), jnp.where(walking, sine, 0.0))
+    return jnp.stack(unit(x, y), -1)
+
+
+def turn_heading(
+    heading: Float[Array, "N 2"], goal: Float[Array, "N 2"], max_angle: Float[Array, ""] | float
+) -> Float[Array, "N 2"]:
+    """Headings turned towards other directions by ``max_angle`` [rad] at most."""
+    x, y = rotate(heading[:, 0], heading[:, 1], *_turn_by(heading, goal, max_angle))
+    return jnp.stack(unit(x, y), -1)
+
+
+def _turn_by(
+    heading: Float[Array, "N 2"], goal: Float[Array, "N 2"], max_angle: Float[Array, ""] | float
+) -> tuple[Float[Array, "N"], Float[Array, "N"]]:
+    """Cosine and sine of the angle from headings to other directions, bounded by ``max_angle`` [rad]."""
+    x, y = heading[:, 0], heading[:, 1]
+    goal_x, goal_y = unit(goal[:, 0], goal[:, 1])
 
     # Of the angle between both, without trigonometry.
     cosine = x * goal_x + y * goal_y
@@ -174,10 +202,7 @@ def turn(
     within = cosine >= jnp.cos(max_angle)
     cosine = jnp.where(within, cosine, jnp.cos(max_angle))
     sine = jnp.where(within, sine, jnp.where(sine < 0.0, -jnp.sin(max_angle), jnp.sin(max_angle)))
-
-    walking = ~is_standing(people) & (length(velocity[:, 0], velocity[:, 1]) > MIN_SPEED)
-    x, y = rotate(x, y, jnp.where(walking, cosine, 1.0), jnp.where(walking, sine, 0.0))
-    return jnp.stack(unit(x, y), -1)
+    return cosine, sine
 
 
 class Pair(NamedTuple):

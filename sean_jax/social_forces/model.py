@@ -13,6 +13,8 @@ from jaxtyping import Float, Int
 
 from sean_jax.core.data_types import Array, Groups, ObstacleGrid, Pedestrians, Robot, Scenario, State, Traits
 from sean_jax.social_forces.forces import (
+    MIN_SPEED,
+    PUSHED_SPEED,
     Crowd,
     Force,
     Forces,
@@ -166,8 +168,10 @@ def integrate(
 
     # Absent people have no velocity, or padding would drift; bodies turn into their motion, or to the robot.
     velocity = jnp.where(people.present[:, None], jnp.stack([vx, vy], -1), 0.0)  # (N, 2)
-    towards = velocity if gaze is None else velocity + gaze
-    heading = turn(people, towards, walking.turn_rate * time_step)
+    towards = velocity if walking.facing is None else velocity + walking.facing * desired_velocity
+    towards = towards if gaze is None else towards + gaze
+    min_speed = MIN_SPEED if walking.facing is None else PUSHED_SPEED
+    heading = turn(people, towards, walking.turn_rate * time_step, min_speed)
     position = people.position + velocity * time_step
     return replace(people, position=position, velocity=velocity, heading=heading, desired_velocity=desired_velocity)
 

@@ -22,7 +22,7 @@ from sean_jax.core.geometry import length
 from sean_jax.graph import BehaviorGraph, annotation
 from sean_jax.graph.behavior_graph import add_congestion_cost, edge_densities
 from sean_jax.graph.formation import formation, reach
-from sean_jax.people.behaviors import graph_choices
+from sean_jax.people.behaviors import graph_choices, trips
 from sean_jax.people.behaviors.graph_choices import ARRIVED, Draws, GraphMemory, Seats, of_seat, seats_of
 from sean_jax.people.behaviors.starts import (
     Place,
@@ -38,6 +38,7 @@ from sean_jax.people.behaviors.starts import (
     walk_abreast,
 )
 from sean_jax.social_forces import draw_traits
+from sean_jax.social_forces.forces import turn_heading
 from sean_jax.world import navigation as paths
 
 SEATED = 0.25  # m from a seat, where the walk ends and the stay begins
@@ -104,7 +105,9 @@ def build(
     people = place.default_people if people is None else people
 
     # No two people share a start or a seat, so their number bounds the crowd; walking groups take no seats.
-    graph = annotation.read_graph(file, place.environment)
+    graph = annotation.read_graph(file, place.environment, trips=routing == "trips")
+    if routing == "trips":
+        graph = replace(graph, stay=graph.visit)
     start, node = _starts(place, graph)
     groups = count_walking_groups(people, walking_groups)
     permanent = group_membership == "permanent"
@@ -208,8 +211,11 @@ def reset(scenario: Scenario, key: Array) -> tuple[Pedestrians, Groups, GraphMem
     if tables.temperature is not None:
         memory = memory._replace(log_chance=jnp.zeros((), float))
 
-    # Whole routes alone send successors ahead of time: a first stay may end before anyone could be there.
-    if scenario.behavior.direct is direct:
+    if scenario.behavior.direct is direct_trips:
+        memory = memory._replace(trip=trips.begin(memory, scenario.people))
+
+    # Edge by edge nobody is sent ahead of time. Else a first stay may end before anyone could be there.
+    if scenario.behavior.direct is not direct_edge_by_edge:
         memory = _send_at_start(scenario, pedestrians, memory)
     return pedestrians, groups, memory
 
@@ -253,7 +259,7 @@ def _first_seats(seat_group: np.ndarray, permanent: bool) -> tuple[int, ...]:
 def _patience(graph: BehaviorGraph, routing: str, time_step: float) -> np.ndarray:
     """(Q,) ticks for which the holder of a seat waits; 0 where successors are not sent ahead of time."""
     longest = np.asarray(graph.stay)[np.asarray(graph.seat_node), 1]
-    wait = np.minimum(longest, graph_choices.MAX_WAIT) if routing == "whole" else np.zeros_like(longest)
+    wait = np.minimum(longest, graph_choices.MAX_WAIT) if routing != "edge" else np.zeros_like(longest)
     return np.floor(wait / time_step + 1e-3).astype(np.int32)
 
 
@@ -289,8 +295,102 @@ def direct_edge_by_edge(scenario: Scenario, state: State, key: Array) -> State:
     return _direct(False, scenario, state, key)
 
 
-ROUTINGS = {"whole": direct, "edge": direct_edge_by_edge}
-"""name -> ``direct`` of the behavior: people are bound to the whole path to a goal, or to one edge"""
+def direct_trips(scenario: Scenario, state: State, key: Array) -> State:
+    """People have an errand at each goal, come and leave at entrances, and turn in curves: see ``trips``."""
+    tables: GraphTables = scenario.behavior.data
+    draws = None
+    if tables.temperature is not None:
+        key, draw_key = jax.random.split(key)
+        draws = graph_choices.draw(draw_key, tables.temperature, scenario.people, tables.graph.seat_group.shape[0])
+    choice_key, entrance_key = jax.random.split(key)
+    chance = jax.random.uniform(choice_key, (5, scenario.people), float)  # (5, N)
+
+    # Who comes in stands still for this step.
+    limit = scenario.people if scenario.people_present is None else scenario.people_present
+    people, memory = state.pedestrians, state.memory
+    people, memory = trips.come_and_go(tables.graph, people, memory, limit, entrance_key, scenario.time_step)
+    state = replace(state, pedestrians=people, memory=memory)
+    graph = _graph_with_congestion(tables, state)
+
+    # Stays and errands come first: whoever is free chooses a goal in the same step.
+    memory, rises = _stay_or_leave(scenario, people, memory, chance[0], draws)
+    memory, done = trips.advance_errands(graph, people, memory, chance[1], scenario.time_step)
+    seats = seats_of(memory, tables.patience, scenario.time_step)
+    free = rises | done
+    onward = free | trips.passes(graph, people, memory)
+
+    # Seats without a successor come first, then waypoints by their weights.
+    arrival = graph_choices.arrival_times(graph, tables.walk, people, memory)
+    seekers = onward & people.present & (people.walking_group < 0)
+    goal_before = memory.goal
+    barred = trips.barred_groups(graph, memory)
+    memory, loses = graph_choices.send(graph, arrival, memory, seats, seekers, draws, barred)
+    aimless = (free & (memory.seat < 0)) | loses
+    odds = trips.goal_odds(graph, memory)
+    goal = jnp.where(aimless, trips.draw_goal(graph, odds, chance[2]), memory.goal)
+    memory = trips.remember(memory._replace(goal=goal), goal_before, goal != goal_before)
+
+    # The next node of the path, and a place there.
+    memory = graph_choices.set_out(graph, memory, onward, chance[3], draws)
+    place = trips.place_on_the_way(graph, people, memory, chance[3])
+    to_seat = (memory.seat >= 0) & (memory.hop == memory.goal)
+    memory = memory._replace(target=jnp.where((onward & ~to_seat)[:, None], place, memory.target))
+
+    memory = trips.give_up(graph, people, memory, chance[4], scenario.time_step)
+
+    # A walking group has one goal: its members copy the leader's choice.
+    if scenario.behavior.companions is not None:
+        rows = memory.goal, memory.hop, memory.origin, memory.target, memory.trip.errand
+        goal, hop, origin, target, errand = follow_leaders(people.walking_group, *rows)
+        trip = memory.trip._replace(errand=errand)
+        memory = memory._replace(goal=goal, hop=hop, origin=origin, target=target, trip=trip)
+
+    # What people want changes gradually, so their ways are curves.
+    pace = graph_choices.pace(graph, arrival, memory, seats)
+    gap, speed = _way(tables, people, memory, seats, pace)
+    if scenario.behavior.companions is not None:
+        gap = walk_abreast(people, gap)
+    memory, intent = trips.change_intent(memory, gap, speed, scenario.time_step)
+
+    # A body turns into its seat.
+    standing = memory.stay > 0
+    gap = memory.target - people.position  # (N, 2) m
+    settled = standing & (length(gap[:, 0], gap[:, 1]) < SEATED)
+    max_angle = scenario.forces.walking.turn_rate * scenario.time_step
+    seat_heading = turn_heading(people.heading, of_seat(memory.seat_heading, memory.seat), max_angle)
+    people = replace(
+        people,
+        desired_velocity=intent,
+        group=jnp.where(standing, of_seat(graph.seat_group, memory.seat), -1),
+        heading=jnp.where(settled[:, None], seat_heading, people.heading),
+    )
+    return replace(state, pedestrians=people, memory=memory)
+
+
+def _way(
+    tables: GraphTables, people: Pedestrians, memory: GraphMemory, seats: Seats, pace: Float[Array, "N"]
+) -> tuple[Float[Array, "N 2"], Float[Array, "N"]]:
+    """The way [m] to the target or the next corner, and a speed [m/s], slower towards a place where a person stops."""
+
+    def gap_ahead(position: Array, target: Array, hop: Array) -> Array:
+        return _aim(tables, position, target, hop) - position
+
+    gap = jax.vmap(gap_ahead)(people.position, memory.target, memory.hop)  # (N, 2) m
+    distance = length(gap[:, 0], gap[:, 1])
+
+    # An early successor stands by while somebody has the seat.
+    stops = memory.hop == memory.goal
+    occupied = (seats.holder >= 0) & (seats.time_left > 0.0)
+    early = stops & (memory.seat >= 0) & (memory.stay == 0) & of_seat(occupied, memory.seat)
+    remaining = distance - jnp.where(early, graph_choices.STAND_BY, 0.0)
+    speed = people.preferred_speed * pace
+    speed = jnp.where(stops, jnp.minimum(speed, trips.braking_speed(remaining)), speed)
+    speed = jnp.where(memory.stay > 0, jnp.minimum(speed, distance / SETTLING), speed)
+    return gap, jnp.where(memory.trip.errand > 0, 0.0, speed)
+
+
+ROUTINGS = {"trips": direct_trips, "whole": direct, "edge": direct_edge_by_edge}
+"""name -> ``direct`` of the behavior: trips with errands, or walks bound to the whole path to a goal or to one edge"""
 
 
 def _direct(whole: bool, scenario: Scenario, state: State, key: Array) -> State:
@@ -307,7 +407,8 @@ def _direct(whole: bool, scenario: Scenario, state: State, key: Array) -> State:
     chance = jax.random.uniform(key, (3, scenario.people), float)  # (3, N)
 
     # Stays come first: whoever leaves a seat or reaches a waypoint chooses a goal in the same step.
-    memory, free = _stay_or_leave(scenario, people, state.memory, chance[0], draws)
+    memory, leaves = _stay_or_leave(scenario, people, state.memory, chance[0], draws)
+    free = leaves | _at_waypoint(people, state.memory)
     seats = seats_of(memory, tables.patience, scenario.time_step)
 
     # Arrival times can be planned only by people who keep a goal, so edge by edge nobody slows down to be on time.
@@ -361,7 +462,7 @@ def _graph_with_congestion(tables: GraphTables, state: State) -> BehaviorGraph:
 def _stay_or_leave(
     scenario: Scenario, people: Pedestrians, memory: GraphMemory, chance: Float[Array, "N"], draws: Draws | None
 ) -> tuple[GraphMemory, Bool[Array, "N"]]:
-    """Stays that begin, continue or end; and whether people are without a goal now.
+    """Stays that begin, continue or end; and whether people leave their seat now.
 
     A stay ends when its time is over and a successor is near, whose own stay begins then, or after some waiting.
     """
@@ -398,8 +499,14 @@ def _stay_or_leave(
     # A seat with a stay of 0 means "on the way there", so a stay that takes no time must give up the seat.
     leaves = rises | (sits_down & (new_stay == 0))  # at once, if the new stay takes no time
     stay = jnp.where(sits_down, new_stay, jnp.where(rises, 0, stay))
-    at_waypoint = ~was_standing & (memory.seat < 0) & (memory.hop == memory.goal) & (distance < ARRIVED)
-    return memory._replace(stay=stay, seat=jnp.where(leaves, -1, memory.seat)), leaves | at_waypoint
+    return memory._replace(stay=stay, seat=jnp.where(leaves, -1, memory.seat)), leaves
+
+
+def _at_waypoint(people: Pedestrians, before: GraphMemory) -> Bool[Array, "N"]:
+    """Whether people without a seat are at the waypoint that was their goal."""
+    gap = before.target - people.position  # (N, 2) m
+    walks_there = (before.stay == 0) & (before.seat < 0) & (before.hop == before.goal)
+    return walks_there & (length(gap[:, 0], gap[:, 1]) < ARRIVED)
 
 
 def _of_person(values: Bool[Array, "N"], person: Int[Array, "Q"]) -> Bool[Array, "Q"]:

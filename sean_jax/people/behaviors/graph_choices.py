@@ -71,11 +71,11 @@ def draw(key: Array, temperature: Float[Array, ""], people: int, seats: int) -> 
 def sample(log_chance: Float[Array, "N K"], chance: Float[Array, "N"]) -> tuple[Int[Array, "N"], Float[Array, "N"]]:
     """One of K for each of N by a uniform number from 0 to 1, and its log chance."""
     cumulative = jnp.cumsum(jnp.exp(jax.lax.stop_gradient(log_chance)), axis=1)  # (N, K)
-    index = _first_above(cumulative, chance, log_chance.shape[1])
+    index = first_above(cumulative, chance, log_chance.shape[1])
     return index, jnp.take_along_axis(log_chance, index[:, None], axis=1)[:, 0]
 
 
-def _first_above(
+def first_above(
     cumulative: Float[Array, "N K"], chance: Float[Array, "N"], count: Int[Array, ""] | int
 ) -> Int[Array, "N"]:
     """The index, below ``count``, of the first cumulative sum above a share of the whole."""
@@ -151,6 +151,15 @@ def expectation(values: Float[Array, "B"], log_chance: Float[Array, "B"]) -> Flo
     return jnp.mean(values) + jnp.mean(weight)
 
 
+class TripMemory(NamedTuple):
+    """What people on trips remember besides."""
+
+    errand: Int[Array, "N"]  # ticks left at a waypoint, in the last of which a person chooses the next goal
+    visited: Int[Array, "N 2"]  # the last two goals, -1 none
+    intent: Float[Array, "N 2"]  # m/s, the velocity that people want; it changes gradually
+    blocked: Float[Array, "N"]  # s for which a person has not got on
+
+
 class GraphMemory(NamedTuple):
     """Where each person is on the graph.
 
@@ -166,6 +175,7 @@ class GraphMemory(NamedTuple):
     seat_position: Float[Array, "Q 2"]  # m
     seat_heading: Float[Array, "Q 2"]  # unit vector
     log_chance: Float[Array, ""] | None = None  # of all choices so far; None without a temperature
+    trip: TripMemory | None = None  # of ``routing="trips"``
 
     def with_choices(self, log_chance: Float[Array, ""]) -> "GraphMemory":
         """The memory after further choices, whose log chances add up to ``log_chance``."""
@@ -280,6 +290,7 @@ def send(
     seats: Seats,
     seekers: Bool[Array, "N"],
     draws: Draws | None = None,
+    barred: Bool[Array, "N G"] | None = None,
 ) -> tuple[GraphMemory, Bool[Array, "N"]]:
     """Sends successors to seats; returns the memory with new seats and goals, and whether people have lost their seat.
 
@@ -291,6 +302,7 @@ def send(
         arrival: s, of ``arrival_times``.
         seekers: people at a node who choose their next goal.
         draws: with a temperature, people ask and seats take by chances that decrease with the score.
+        barred: the groups to which people do not go.
     """
     n_people = memory.seat.shape[0]
     n_seats = seats.holder.shape[0]
@@ -299,6 +311,8 @@ def send(
     if n_seats == 0 or n_people == 0:
         return memory, jnp.zeros(memory.seat.shape, bool)
     score = _seat_scores(graph, arrival, memory, seats, seekers)  # (N, Q) s
+    if barred is not None:
+        score = jnp.where(barred[:, graph.seat_group], jnp.inf, score)
     possible = jnp.isfinite(score)
 
     # One round of asking and taking, not an optimal assignment: who is left over asks at the next node.
@@ -393,7 +407,7 @@ def choose_whole(
     aimless = (free & (memory.seat < 0)) | loses
     goal = jnp.where(aimless, _other_waypoint(graph, memory.hop, chance[0]), memory.goal)
     memory = _count_goals(graph, memory, goal, aimless, draws)
-    return _set_out(graph, memory._replace(goal=goal), onward, chance[1], draws)
+    return set_out(graph, memory._replace(goal=goal), onward, chance[1], draws)
 
 
 def choose_edge(
@@ -426,7 +440,7 @@ def choose_edge(
         to_waypoint = onward & ~to_group
     memory = _count_goals(graph, memory, goal, to_waypoint, draws)
     memory = memory._replace(seat=seat, goal=jnp.where(onward, goal, memory.goal))
-    return _set_out(graph, memory, onward, chance[1], draws)
+    return set_out(graph, memory, onward, chance[1], draws)
 
 
 def _join_neediest(
@@ -467,7 +481,7 @@ def _other_waypoint(graph: BehaviorGraph, hop: Int[Array, "N"], chance: Float[Ar
     """A random waypoint node other than ``hop`` if there is one, in proportion to the weights."""
     cumulative = jnp.cumsum(_goal_odds(graph, hop), axis=1)
     n_waypoints = (graph.waypoints >= 0).sum(dtype=jnp.int32)
-    return graph.waypoints[_first_above(cumulative, chance, n_waypoints)]
+    return graph.waypoints[first_above(cumulative, chance, n_waypoints)]
 
 
 def _goal_odds(graph: BehaviorGraph, hop: Int[Array, "N"]) -> Float[Array, "N Mw"]:
@@ -496,7 +510,7 @@ def _passes(people: Pedestrians, memory: GraphMemory) -> Bool[Array, "N"]:
     return (length(gap[:, 0], gap[:, 1]) < ARRIVED) & (memory.hop != memory.goal)
 
 
-def _set_out(
+def set_out(
     graph: BehaviorGraph, memory: GraphMemory, onward: Bool[Array, "N"], chance: Float[Array, "N"], draws: Draws | None
 ) -> GraphMemory:
     """The next node of the path and a point of its disc, for people who leave a node."""

@@ -1,0 +1,308 @@
+"""Trips on the Behavior Graph: people have an errand at each goal, come in and leave at entrances, and turn in curves.
+
+A trip is a sequence of goals. At a waypoint a person stands for an errand, in a group for a visit of minutes, and at an
+entrance the person leaves. The next goal is drawn by the weights of waypoints, hardly ever one of the last two, and never
+back the way that a walking person comes from. Where a graph has no entrance, people tour its waypoints and groups.
+
+The velocity that people want changes gradually. So their ways are curves, they set out and stop gently, and they turn at
+a node before they are there. Recorded people walk in this way (``sean validate``, family *floors*).
+"""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Bool, Float, Int
+
+from sean_jax.core.data_types import Array, Pedestrians
+from sean_jax.core.geometry import length, unit
+from sean_jax.graph import BehaviorGraph
+from sean_jax.people.behaviors.graph_choices import ARRIVED, GraphMemory, TripMemory, first_above, of_seat
+
+CHANGE = 0.5  # m/s2, at which the velocity that people want changes
+MAX_CHANGE = 1.0  # m/s2, the same in a tight curve, and where people have to slow down
+MIN_GAP = 0.3  # m
+BRAKING = 0.4  # m/s2, at which people slow down towards a place where they stop
+PATIENCE = 4.0  # s, after which people who do not get on give their goal up
+MIN_WANTED = 0.3  # m/s; people who want to be slower wait
+PROGRESS = 0.3  # of the speed that people want; slower ones do not get on
+AT_ERRAND = 0.4  # m from the place of an errand
+CROWDED_OUT = 0.3  # m/s, a slower person within ARRIVED of the place has the errand here, because somebody is there
+BACK = -0.3  # cosine between the present and the next direction, below which a person would turn back
+RECENT = 1e-3  # odds of one of the last two goals, relative to others
+TURNS_BACK = 1e-6  # odds of a goal for which a person would turn back
+MAX_CUT = 2.5  # m before a node, where a person who turns there turns at the earliest
+MISSED = 3.0  # m from a place that a person has passed by
+CANDIDATES = 4  # places of a node, of which a person takes the one on the way
+
+
+def begin(memory: GraphMemory, people: int) -> TripMemory:
+    """People who choose a goal in the first step."""
+    nowhere = jnp.full((people, 2), -1, jnp.int32)
+    return TripMemory(
+        errand=jnp.where(memory.seat < 0, 1, 0).astype(jnp.int32),
+        visited=nowhere,
+        intent=jnp.zeros((people, 2), float),
+        blocked=jnp.zeros(people, float),
+    )
+
+
+def advance_errands(
+    graph: BehaviorGraph, people: Pedestrians, memory: GraphMemory, chance: Float[Array, "N"], time_step: float
+) -> tuple[GraphMemory, Bool[Array, "N"]]:
+    """Errands that begin, go on or end; and whether people have done theirs.
+
+    Args:
+        chance: uniform from 0 to 1.
+        time_step: s, of control.
+    """
+    assert memory.trip is not None  # of routing="trips"
+    errand = memory.trip.errand
+    done = errand == 1
+
+    # Where another person stands at the place, an errand is done next to it.
+    gap = memory.target - people.position  # (N, 2) m
+    distance = length(gap[:, 0], gap[:, 1])
+    speed = length(people.velocity[:, 0], people.velocity[:, 1])
+    is_there = (distance < AT_ERRAND) | ((distance < ARRIVED) & (speed < CROWDED_OUT))
+    walks_to_waypoint = (memory.seat < 0) & (memory.hop == memory.goal) & (errand == 0)
+    begins = walks_to_waypoint & is_there
+
+    limits = graph.errand[memory.goal]  # (N, 2) s
+    duration = limits[:, 0] + chance * (limits[:, 1] - limits[:, 0])
+    ticks = jnp.maximum(jnp.ceil(duration / time_step).astype(jnp.int32), 1)
+    errand = jnp.where(begins, ticks, jnp.maximum(errand - 1, 0))
+    return memory._replace(trip=memory.trip._replace(errand=errand)), done
+
+
+def passes(graph: BehaviorGraph, people: Pedestrians, memory: GraphMemory) -> Bool[Array, "N"]:
+    """Whether people turn towards the node after the next: as far before it as their curve begins."""
+    gap = memory.target - people.position  # (N, 2) m
+    distance = length(gap[:, 0], gap[:, 1])
+    onward = graph.position[_next_node(graph, memory)] - memory.target  # (N, 2) m
+    ahead_x, ahead_y = unit(onward[:, 0], onward[:, 1])
+    here_x, here_y = unit(gap[:, 0], gap[:, 1])
+
+    # A curve of radius r that turns by an angle begins r tan(angle / 2) before the corner.
+    speed_square = people.preferred_speed * people.preferred_speed
+    cosine = here_x * ahead_x + here_y * ahead_y
+    tangent = jnp.sqrt(jnp.maximum(1.0 - cosine, 0.0) / jnp.maximum(1.0 + cosine, 0.1))
+    before = jnp.clip(speed_square / CHANGE * tangent, ARRIVED, MAX_CUT)
+
+    # Who was pushed aside does not go back to a place that lies behind.
+    missed = (distance < MISSED) & (gap[:, 0] * ahead_x + gap[:, 1] * ahead_y < -0.5)
+    return ((distance < before) | missed) & (memory.hop != memory.goal)
+
+
+def _next_node(graph: BehaviorGraph, memory: GraphMemory) -> Int[Array, "N"]:
+    """The node after the next, or the next one if that is the goal."""
+    node = graph.next_hop[memory.hop, memory.goal]
+    return jnp.where(node >= 0, node, memory.hop)
+
+
+def turns_back(graph: BehaviorGraph, memory: GraphMemory, goals: Int[Array, "K"]) -> Bool[Array, "N K"]:
+    """Whether people would turn back at their next node to go to each of some nodes. Who stands may go anywhere."""
+    assert memory.trip is not None
+    intent = memory.trip.intent
+    x, y = unit(intent[:, 0], intent[:, 1])
+    first = graph.next_hop[memory.hop[:, None], goals[None, :]]  # (N, K)
+    first = jnp.where(first >= 0, first, goals[None, :])
+    way = graph.position[first] - graph.position[memory.hop][:, None]  # (N, K, 2) m
+    way_x, way_y = unit(way[..., 0], way[..., 1])
+    walks = (memory.trip.errand == 0) & (memory.stay == 0)
+    return walks[:, None] & (x[:, None] * way_x + y[:, None] * way_y < BACK)
+
+
+def barred_groups(graph: BehaviorGraph, memory: GraphMemory) -> Bool[Array, "N G"]:
+    """The groups that people have just visited, or for which they would turn back."""
+    assert memory.trip is not None
+    recent = (memory.trip.visited[:, :, None] == graph.groups[None, None, :]).any(1)
+    return recent | turns_back(graph, memory, graph.groups)
+
+
+def goal_odds(graph: BehaviorGraph, memory: GraphMemory) -> Float[Array, "N Mw"]:
+    """The odds with which people draw each waypoint as their next goal."""
+    assert memory.trip is not None
+    waypoints = graph.waypoints[None, :]
+    other = ((waypoints != memory.hop[:, None]) & (waypoints >= 0)).astype(float)
+    weight = jnp.maximum(graph.weight[graph.waypoints], 1e-6)[None, :]
+    recent = (memory.trip.visited[:, :, None] == waypoints[:, None, :]).any(1)
+    odds = other * weight
+    has_errand = (graph.errand[:, 1] > 0.0) | (graph.entrance > 0.0)
+    odds = jnp.where(has_errand[graph.waypoints][None, :], odds, RECENT * odds)
+    odds = jnp.where(recent, RECENT * odds, odds)
+    return jnp.where(turns_back(graph, memory, graph.waypoints), TURNS_BACK * odds, odds)
+
+
+def draw_goal(graph: BehaviorGraph, odds: Float[Array, "N Mw"], chance: Float[Array, "N"]) -> Int[Array, "N"]:
+    """A waypoint by its odds."""
+    n_waypoints = (graph.waypoints >= 0).sum(dtype=jnp.int32)
+    return graph.waypoints[first_above(jnp.cumsum(odds, axis=1), chance, n_waypoints)]
+
+
+def remember(memory: GraphMemory, goal: Int[Array, "N"], changed: Bool[Array, "N"]) -> GraphMemory:
+    """The memory with former goals of people whose goal has changed."""
+    assert memory.trip is not None
+    visited = jnp.stack([goal, memory.trip.visited[:, 0]], -1)
+    visited = jnp.where(changed[:, None], visited, memory.trip.visited)
+    return memory._replace(trip=memory.trip._replace(visited=visited))
+
+
+def place_on_the_way(
+    graph: BehaviorGraph, people: Pedestrians, memory: GraphMemory, chance: Float[Array, "N"]
+) -> Float[Array, "N 2"]:
+    """Of a few places [m] of the next node's disc the one with the shortest way over it; at a goal any place."""
+    n_places = graph.places.shape[1]
+    first = (chance * n_places).astype(jnp.int32)
+    stride = jnp.arange(CANDIDATES, dtype=jnp.int32) * (n_places // CANDIDATES + 1)
+    index = (first[:, None] + stride[None, :]) % n_places  # (N, K)
+    places = graph.places[memory.hop[:, None], index]  # (N, K, 2) m
+
+    # At a goal nothing lies beyond, so the first place is as good as any.
+    to_place = places - people.position[:, None]
+    beyond = graph.position[_next_node(graph, memory)][:, None] - places
+    detour = length(to_place[..., 0], to_place[..., 1]) + length(beyond[..., 0], beyond[..., 1])
+    best = jnp.where(memory.hop == memory.goal, 0, jnp.argmin(detour, axis=1))
+    return jnp.take_along_axis(places, best[:, None, None], axis=1)[:, 0]
+
+
+def change_intent(
+    memory: GraphMemory, gap: Float[Array, "N 2"], speed: Float[Array, "N"], time_step: float
+) -> tuple[GraphMemory, Float[Array, "N 2"]]:
+    """The memory with velocities [m/s] that have changed gradually, and these velocities.
+
+    People slow down before a curve that is too tight for their speed.
+
+    Args:
+        gap: m, to where people want to go next.
+        speed: m/s, at which they want to go there.
+    """
+    assert memory.trip is not None
+    x, y = memory.trip.intent[:, 0], memory.trip.intent[:, 1]
+    before = length(x, y)
+    ahead_x, ahead_y = unit(x, y)
+    way_x, way_y = unit(gap[:, 0], gap[:, 1])
+    distance = jnp.maximum(length(gap[:, 0], gap[:, 1]), MIN_GAP)
+
+    # The circle that leads from the present direction to a point has the curvature 2 sin(angle) / distance.
+    cosine = ahead_x * way_x + ahead_y * way_y
+    sine = jnp.where(cosine > 0.0, jnp.abs(ahead_x * way_y - ahead_y * way_x), jnp.where(before > 0.0, 1.0, 0.0))
+    curvature = 2.0 * sine / distance  # 1/m
+    speed = jnp.minimum(speed, jnp.sqrt(CHANGE / jnp.maximum(curvature, 1e-3)))
+
+    # Along the way and across it: who has to may brake and turn harder.
+    change_x, change_y = speed * way_x - x, speed * way_y - y
+    along = change_x * ahead_x + change_y * ahead_y
+    across = change_y * ahead_x - change_x * ahead_y
+    most_across = jnp.clip(curvature * before * before, CHANGE, MAX_CHANGE) * time_step
+    along = jnp.clip(along, -MAX_CHANGE * time_step, CHANGE * time_step)
+    across = jnp.clip(across, -most_across, most_across)
+
+    # Who stands has no direction and sets out towards the goal.
+    size = length(change_x, change_y)
+    start = jnp.minimum(CHANGE * time_step / jnp.maximum(size, 1e-6), 1.0)
+    stands = before < 1e-3
+    x = x + jnp.where(stands, start * change_x, along * ahead_x - across * ahead_y)
+    y = y + jnp.where(stands, start * change_y, along * ahead_y + across * ahead_x)
+    intent = jnp.stack([x, y], -1)
+    return memory._replace(trip=memory.trip._replace(intent=intent)), intent
+
+
+def give_up(
+    graph: BehaviorGraph,
+    people: Pedestrians,
+    memory: GraphMemory,
+    chance: Float[Array, "N"],
+    time_step: float,
+) -> GraphMemory:
+    """People whose way is blocked go back to the last node, and choose another goal after an errand there."""
+    assert memory.trip is not None
+    intent = memory.trip.intent
+    wanted = length(intent[:, 0], intent[:, 1])
+    progress = (people.velocity * intent).sum(-1) / jnp.maximum(wanted, 1e-6)
+    walks = (memory.stay == 0) & (memory.trip.errand == 0) & people.present
+    is_held_up = walks & (wanted > MIN_WANTED) & (progress < PROGRESS * wanted)
+    change = jnp.where(is_held_up, time_step, -2.0 * time_step)
+    blocked = jnp.maximum(memory.trip.blocked + change, 0.0)
+
+    # At a node of few places any of them does.
+    gives_up = walks & (blocked > PATIENCE)
+    n_places = graph.places.shape[1]
+    index = jnp.minimum((chance * n_places).astype(jnp.int32), n_places - 1)
+    back = graph.places[memory.origin, index]
+    memory = remember(memory, memory.goal, gives_up)
+    trip = memory.trip._replace(blocked=jnp.where(gives_up, 0.0, blocked))  # pyright: ignore[reportOptionalMemberAccess]
+    return memory._replace(
+        goal=jnp.where(gives_up, memory.origin, memory.goal),
+        hop=jnp.where(gives_up, memory.origin, memory.hop),
+        target=jnp.where(gives_up[:, None], back, memory.target),
+        seat=jnp.where(gives_up, -1, memory.seat),
+        trip=trip,
+    )
+
+
+def braking_speed(distance: Float[Array, "N"]) -> Float[Array, "N"]:
+    """The speed [m/s] from which people stop gently within a distance [m]."""
+    return jnp.sqrt(2.0 * BRAKING * jnp.maximum(distance, 1e-6))
+
+
+def come_and_go(
+    graph: BehaviorGraph,
+    people: Pedestrians,
+    memory: GraphMemory,
+    limit: Int[Array, ""] | int,
+    key: Array,
+    time_step: float,
+) -> tuple[Pedestrians, GraphMemory]:
+    """People who are at an entrance that is their goal leave, and at most one person comes in.
+
+    Args:
+        limit: the most people at once.
+        time_step: s, of control.
+    """
+    assert memory.trip is not None
+    gap = memory.target - people.position
+    is_exit = (graph.entrance[memory.goal] > 0.0) & (memory.seat < 0) & (memory.hop == memory.goal)
+    has_gone_in = memory.trip.visited[:, 0] >= 0
+    leaves = people.present & is_exit & has_gone_in & (length(gap[:, 0], gap[:, 1]) < ARRIVED)
+    present = people.present & ~leaves
+
+    # Arrivals are a Poisson process; who finds the floor full, or somebody in the entrance, goes away.
+    arrive_key, node_key, place_key = jax.random.split(key, 3)
+    rate = jnp.sum(graph.entrance)
+    arrives = jax.random.uniform(arrive_key, (), float) < 1.0 - jnp.exp(-rate * time_step)
+    cumulative = jnp.cumsum(graph.entrance)[None, :]
+    node = first_above(cumulative, jax.random.uniform(node_key, (1,), float), graph.entrance.shape[0])[0]
+    index = jax.random.randint(place_key, (), 0, graph.places.shape[1], jnp.int32)
+    place = graph.places[node, index]
+    to_others = people.position - place
+    near = present & (length(to_others[:, 0], to_others[:, 1]) < 0.6)
+    person = jnp.arange(people.present.shape[0], dtype=jnp.int32)
+    outside = ~people.present & (person < limit)  # for a step at least
+    comes = arrives & (rate > 0.0) & outside.any() & ~near.any()
+    is_new = comes & (person == jnp.argmax(outside))
+
+    # A new person stands in the entrance and chooses a goal in the next step.
+    column = is_new[:, None]
+    people = replace(
+        people,
+        present=present | is_new,
+        position=jnp.where(column, place, people.position),
+        velocity=jnp.where(column | leaves[:, None], 0.0, people.velocity),
+        desired_velocity=jnp.where(column, 0.0, people.desired_velocity),
+    )
+    trip = memory.trip._replace(
+        errand=jnp.where(is_new, 1, jnp.where(leaves, 0, memory.trip.errand)),
+        visited=jnp.where(column, -1, memory.trip.visited),
+        intent=jnp.where(column, 0.0, memory.trip.intent),
+        blocked=jnp.where(is_new, 0.0, memory.trip.blocked),
+    )
+    return people, memory._replace(
+        goal=jnp.where(is_new, node, memory.goal),
+        hop=jnp.where(is_new, node, memory.hop),
+        origin=jnp.where(is_new, node, memory.origin),
+        target=jnp.where(column, place, memory.target),
+        seat=jnp.where(is_new, -1, memory.seat),
+        stay=jnp.where(is_new, 0, memory.stay),
+        trip=trip,
+    )
