@@ -314,7 +314,7 @@ def direct_trips(scenario: Scenario, state: State, key: Array) -> State:
 
     # Stays and errands come first: whoever is free chooses a goal in the same step.
     memory, rises = _stay_or_leave(scenario, people, memory, chance[0], draws)
-    memory, done = trips.advance_errands(graph, people, memory, chance[1], scenario.time_step)
+    memory, done = trips.advance_errands(graph, people, state.robot, memory, chance[1], scenario.time_step)
     seats = seats_of(memory, tables.patience, scenario.time_step)
     free = rises | done
     onward = free | trips.passes(graph, people, memory)
@@ -332,7 +332,7 @@ def direct_trips(scenario: Scenario, state: State, key: Array) -> State:
 
     # The next node of the path, and a place there.
     memory = graph_choices.set_out(graph, memory, onward, chance[3], draws)
-    place = trips.place_on_the_way(graph, people, memory, chance[3])
+    place = trips.place_on_the_way(graph, people, state.robot, memory, chance[3])
     to_seat = (memory.seat >= 0) & (memory.hop == memory.goal)
     memory = memory._replace(target=jnp.where((onward & ~to_seat)[:, None], place, memory.target))
 

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Bool, Float, Int
 
-from sean_jax.core.data_types import Array, Pedestrians
+from sean_jax.core.data_types import Array, Pedestrians, Robot
 from sean_jax.core.geometry import length, unit
 from sean_jax.graph import BehaviorGraph
 from sean_jax.people.behaviors.graph_choices import ARRIVED, GraphMemory, TripMemory, first_above, of_seat
@@ -23,10 +23,13 @@ CHANGE = 0.5  # m/s2, at which the velocity that people want changes
 MAX_CHANGE = 1.0  # m/s2, the same in a tight curve, and where people have to slow down
 MIN_GAP = 0.3  # m
 BRAKING = 0.4  # m/s2, at which people slow down towards a place where they stop
-PATIENCE = 4.0  # s, after which people who do not get on give their goal up
+PATIENCE = 3.0  # s, after which people who do not get on give their goal up
+AHEAD = 1e4  # m, added to the distance of waypoints ahead of people who go back
 MIN_WANTED = 0.3  # m/s; people who want to be slower wait
 PROGRESS = 0.3  # of the speed that people want; slower ones do not get on
 AT_ERRAND = 0.4  # m from the place of an errand
+BESIDE_ROBOT = 1.5  # m from a robot, where nobody has an errand
+HURRY = 3.0  # s, in which an errand ends if a robot comes
 CROWDED_OUT = 0.3  # m/s, a slower person within ARRIVED of the place has the errand here, because somebody is there
 BACK = -0.3  # cosine between the present and the next direction, below which a person would turn back
 RECENT = 1e-3  # odds of one of the last two goals, relative to others
@@ -48,9 +51,14 @@ def begin(memory: GraphMemory, people: int) -> TripMemory:
 
 
 def advance_errands(
-    graph: BehaviorGraph, people: Pedestrians, memory: GraphMemory, chance: Float[Array, "N"], time_step: float
+    graph: BehaviorGraph,
+    people: Pedestrians,
+    robot: Robot,
+    memory: GraphMemory,
+    chance: Float[Array, "N"],
+    time_step: float,
 ) -> tuple[GraphMemory, Bool[Array, "N"]]:
-    """Errands that begin, go on or end; and whether people have done theirs.
+    """Errands that begin, go on or end; and whether people have done theirs. Beside a robot nobody has one for long.
 
     Args:
         chance: uniform from 0 to 1.
@@ -72,7 +80,16 @@ def advance_errands(
     duration = limits[:, 0] + chance * (limits[:, 1] - limits[:, 0])
     ticks = jnp.maximum(jnp.ceil(duration / time_step).astype(jnp.int32), 1)
     errand = jnp.where(begins, ticks, jnp.maximum(errand - 1, 0))
+    soon = round(HURRY / time_step)
+    errand = jnp.where(_beside(people.position, robot), jnp.minimum(errand, soon), errand)
     return memory._replace(trip=memory.trip._replace(errand=errand)), done
+
+
+def _beside(points: Float[Array, "*batch 2"], robot: Robot) -> Bool[Array, "*batch"]:
+    """Whether points [m] are so near to a robot that nobody stops there."""
+    robots = jnp.reshape(robot.position, (-1, 2))
+    gap = points[..., None, :] - robots
+    return (length(gap[..., 0], gap[..., 1]) < BESIDE_ROBOT).any(-1)
 
 
 def passes(graph: BehaviorGraph, people: Pedestrians, memory: GraphMemory) -> Bool[Array, "N"]:
@@ -149,21 +166,32 @@ def remember(memory: GraphMemory, goal: Int[Array, "N"], changed: Bool[Array, "N
 
 
 def place_on_the_way(
-    graph: BehaviorGraph, people: Pedestrians, memory: GraphMemory, chance: Float[Array, "N"]
+    graph: BehaviorGraph, people: Pedestrians, robot: Robot, memory: GraphMemory, chance: Float[Array, "N"]
 ) -> Float[Array, "N 2"]:
-    """Of a few places [m] of the next node's disc the one with the shortest way over it; at a goal any place."""
-    n_places = graph.places.shape[1]
-    first = (chance * n_places).astype(jnp.int32)
-    stride = jnp.arange(CANDIDATES, dtype=jnp.int32) * (n_places // CANDIDATES + 1)
-    index = (first[:, None] + stride[None, :]) % n_places  # (N, K)
-    places = graph.places[memory.hop[:, None], index]  # (N, K, 2) m
+    """Of a few places [m] of the next node's disc the one with the shortest way over it; at a goal any place.
+
+    At a goal no place beside a robot is taken if there is another.
+    """
+    places = _some_places(graph, memory.hop, chance)  # (N, K, 2) m
 
     # At a goal nothing lies beyond, so the first place is as good as any.
     to_place = places - people.position[:, None]
     beyond = graph.position[_next_node(graph, memory)][:, None] - places
     detour = length(to_place[..., 0], to_place[..., 1]) + length(beyond[..., 0], beyond[..., 1])
-    best = jnp.where(memory.hop == memory.goal, 0, jnp.argmin(detour, axis=1))
+    beside = jnp.argmin(_beside(places, robot), axis=1)  # the first place that is not
+    best = jnp.where(memory.hop == memory.goal, beside, jnp.argmin(detour, axis=1))
     return jnp.take_along_axis(places, best[:, None, None], axis=1)[:, 0]
+
+
+def _some_places(
+    graph: BehaviorGraph, node: Int[Array, "N"], chance: Float[Array, "N"]
+) -> Float[Array, "N K 2"]:
+    """``CANDIDATES`` places [m] of the disc of each person's node."""
+    n_places = graph.places.shape[1]
+    first = (chance * n_places).astype(jnp.int32)
+    stride = jnp.arange(CANDIDATES, dtype=jnp.int32) * (n_places // CANDIDATES + 1)
+    index = (first[:, None] + stride[None, :]) % n_places  # (N, K)
+    return graph.places[node[:, None], index]
 
 
 def change_intent(
@@ -215,7 +243,7 @@ def give_up(
     chance: Float[Array, "N"],
     time_step: float,
 ) -> GraphMemory:
-    """People whose way is blocked go back to the last node, and choose another goal after an errand there."""
+    """People whose way is blocked go back to a waypoint, and choose another goal after an errand there."""
     assert memory.trip is not None
     intent = memory.trip.intent
     wanted = length(intent[:, 0], intent[:, 1])
@@ -225,20 +253,31 @@ def give_up(
     change = jnp.where(is_held_up, time_step, -2.0 * time_step)
     blocked = jnp.maximum(memory.trip.blocked + change, 0.0)
 
-    # At a node of few places any of them does.
+    # To the nearest waypoint behind, and there to the place that is farthest from what is in the way.
     gives_up = walks & (blocked > PATIENCE)
-    n_places = graph.places.shape[1]
-    index = jnp.minimum((chance * n_places).astype(jnp.int32), n_places - 1)
-    back = graph.places[memory.origin, index]
+    node = _waypoint_behind(graph, people, intent)
+    places = _some_places(graph, node, chance)
+    gap = places - people.position[:, None]
+    farthest = jnp.argmax(length(gap[..., 0], gap[..., 1]), axis=1)
+    place = jnp.take_along_axis(places, farthest[:, None, None], axis=1)[:, 0]
     memory = remember(memory, memory.goal, gives_up)
     trip = memory.trip._replace(blocked=jnp.where(gives_up, 0.0, blocked))  # pyright: ignore[reportOptionalMemberAccess]
     return memory._replace(
-        goal=jnp.where(gives_up, memory.origin, memory.goal),
-        hop=jnp.where(gives_up, memory.origin, memory.hop),
-        target=jnp.where(gives_up[:, None], back, memory.target),
+        goal=jnp.where(gives_up, node, memory.goal),
+        hop=jnp.where(gives_up, node, memory.hop),
+        target=jnp.where(gives_up[:, None], place, memory.target),
         seat=jnp.where(gives_up, -1, memory.seat),
         trip=trip,
     )
+
+
+def _waypoint_behind(graph: BehaviorGraph, people: Pedestrians, intent: Float[Array, "N 2"]) -> Int[Array, "N"]:
+    """The nearest waypoint that does not lie ahead of people who want a velocity [m/s]; the nearest if all do."""
+    gap = graph.position[graph.waypoints][None, :] - people.position[:, None]  # (N, Mw, 2) m
+    distance = length(gap[..., 0], gap[..., 1])
+    ahead = (gap * intent[:, None]).sum(-1) > 0.0
+    distance = jnp.where(ahead, distance + AHEAD, distance)
+    return graph.waypoints[jnp.argmin(jnp.where(graph.waypoints >= 0, distance, jnp.inf), axis=1)]
 
 
 def braking_speed(distance: Float[Array, "N"]) -> Float[Array, "N"]:
