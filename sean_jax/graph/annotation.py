@@ -129,7 +129,7 @@ def read_graph(path: Path | str, environment: Environment, trips: bool = False) 
     Raises:
         FileError: lists all mistakes of the file, with line, key and cure.
     """
-    read = files.load(path, Annotation, check, lambda graph: check_against(graph.with_trips(), environment))
+    read = files.load(path, Annotation, check, lambda graph: check_against(graph, environment))
     return build_graph(read.with_trips() if trips else read, environment)
 
 
@@ -271,6 +271,32 @@ def _are_free(
 
 def check(annotation: Annotation) -> Iterator[files.Problem]:
     """Mistakes in the fields of an annotation, wherever its nodes lie."""
+    problems = list(_check_graph(annotation))
+    yield from problems
+    if annotation.trips is None:
+        return
+    for name in annotation.trips.nodes:
+        if name in annotation.nodes:
+            yield ("trips", "nodes", name), "there is another node of that name; rename one of them"
+    for location, text in _check_graph(annotation.with_trips()):
+        if (location, text) not in problems:
+            yield _location_in_file(annotation, location), text
+
+
+def _location_in_file(annotation: Annotation, location: tuple[str | int, ...]) -> tuple[str | int, ...]:
+    """Where a node or an edge of ``with_trips`` stands in the file."""
+    if annotation.trips is None or len(location) < 2:
+        return location
+    kind, item, *others = location
+    if kind == "nodes" and item in annotation.trips.nodes:
+        return "trips", *location
+    if kind == "edges" and isinstance(item, int) and item >= len(annotation.edges):
+        return "trips", "edges", item - len(annotation.edges), *others
+    return location
+
+
+def _check_graph(annotation: Annotation) -> Iterator[files.Problem]:
+    """Mistakes in the nodes and edges of an annotation, without those of trips."""
     nodes = annotation.nodes
     for name, node in nodes.items():
         yield from _check_group(name, node) if node.kind == "group" else _check_waypoint(name, node)
@@ -292,18 +318,30 @@ def _check_group(name: str, node: Node) -> Iterator[files.Problem]:
         yield ("nodes", name, "capacity"), "is missing; a group needs one, such as 'capacity: 4'"
     if node.weight is not None:
         yield ("nodes", name, "weight"), "only a waypoint has one and this is a group; remove it"
+    if node.errand is not None:
+        yield ("nodes", name, "errand"), "only a waypoint has one and this is a group; give a visit, or remove it"
+    if node.entrance:
+        yield ("nodes", name, "entrance"), "only a waypoint can be one and this is a group; remove it"
+    yield from _check_order(name, "visit", node.visit)
     if node.stay is None:
         yield ("nodes", name, "stay"), "is missing; a group needs one in seconds, such as 'stay: [5, 10]'"
-    elif node.stay[0] > node.stay[1]:
-        low, high = node.stay
-        yield ("nodes", name, "stay"), f"[{low:g}, {high:g}] is not ordered; give the shorter time first"
+    yield from _check_order(name, "stay", node.stay)
 
 
 def _check_waypoint(name: str, node: Node) -> Iterator[files.Problem]:
-    for key in ("capacity", "stay"):
+    for key in ("capacity", "stay", "visit"):
         if getattr(node, key) is not None:
             text = "only a group has one and this is a waypoint; remove it, or make the kind 'group'"
             yield ("nodes", name, key), text
+
+
+    yield from _check_order(name, "errand", node.errand)
+
+
+def _check_order(name: str, key: str, limits: tuple[float, float] | None) -> Iterator[files.Problem]:
+    if limits is not None and limits[0] > limits[1]:
+        low, high = limits
+        yield ("nodes", name, key), f"[{low:g}, {high:g}] is not ordered; give the shorter time first"
 
 
 def _check_edges(annotation: Annotation) -> Iterator[files.Problem]:
@@ -359,10 +397,11 @@ def _reachable(start: str, nodes: dict[str, Node], neighbors: dict[str, set[str]
 
 def check_against(annotation: Annotation, environment: Environment) -> Iterator[files.Problem]:
     """Mistakes in where the nodes lie: off the floor, in obstacles or without room."""
-    points = np.array([node.position for node in annotation.nodes.values()])
+    nodes = annotation.with_trips().nodes
+    points = np.array([node.position for node in nodes.values()])
     to_box, to_edge = signed_distances_on_host(environment, points)
-    for (name, node), box, edge in zip(annotation.nodes.items(), to_box, to_edge, strict=True):
-        location = ("nodes", name, "position")
+    for (name, node), box, edge in zip(nodes.items(), to_box, to_edge, strict=True):
+        location = _location_in_file(annotation, ("nodes", name, "position"))
         point = f"[{node.position[0]:g}, {node.position[1]:g}]"
         room = min(box, edge)
         needed = reach(node.capacity) + PERSON if node.kind == "group" and node.capacity else 0.0
@@ -385,14 +424,24 @@ def check_against(annotation: Annotation, environment: Environment) -> Iterator[
 def to_yaml(annotation: Annotation) -> str:
     """An annotation without mistakes as graph.yaml, a node and an edge a line."""
     lines = [f"version: {annotation.version}", f"source: {json.dumps(annotation.source)}"]
-    lines += [f"c_min: {annotation.c_min:g}", f"c_max: {annotation.c_max:g}", "", "nodes:"]
-    lines += [f"  {json.dumps(name)}: {{{_node_fields(node)}}}" for name, node in annotation.nodes.items()]
-    lines += ["", "edges:" if annotation.edges else "edges: []"]
-    for edge in annotation.edges:
+    lines += [f"c_min: {annotation.c_min:g}", f"c_max: {annotation.c_max:g}", ""]
+    lines += _graph_lines(annotation.nodes, annotation.edges)
+    if annotation.trips is not None:
+        further = _graph_lines(annotation.trips.nodes, annotation.trips.edges)
+        lines += ["", "trips:", *(f"  {line}" if line else "" for line in further)]
+    return "\n".join(lines) + "\n"
+
+
+def _graph_lines(nodes: dict[str, Node], edges: list[Edge]) -> list[str]:
+    """The lines of nodes and edges."""
+    lines = ["nodes:" if nodes else "nodes: {}"]
+    lines += [f"  {json.dumps(name)}: {{{_node_fields(node)}}}" for name, node in nodes.items()]
+    lines += ["", "edges:" if edges else "edges: []"]
+    for edge in edges:
         names = ", ".join(json.dumps(name) for name in edge.between)
         flow = f"weights: {_sequence(edge.weights)}" if edge.weights is not None else f"flow: {edge.flow or 'medium'}"
         lines.append(f"  - {{between: [{names}], {flow}}}")
-    return "\n".join(lines) + "\n"
+    return lines
 
 
 def _node_fields(node: Node) -> str:
@@ -404,6 +453,14 @@ def _node_fields(node: Node) -> str:
         fields.append(f"weight: {node.weight:.9g}")
     if node.kind == "group" and node.capacity is not None and node.stay is not None:
         fields += [f"capacity: {node.capacity}", f"stay: {_sequence(node.stay)}"]
+
+    # What trips add to it.
+    if node.visit is not None:
+        fields.append(f"visit: {_sequence(node.visit)}")
+    if node.errand is not None:
+        fields.append(f"errand: {_sequence(node.errand)}")
+    if node.entrance:
+        fields.append("entrance: true" if node.entrance is True else f"entrance: {node.entrance:.9g}")
     return ", ".join(fields)
 
 

@@ -9,6 +9,7 @@ a node before they are there. Recorded people walk in this way (``sean validate`
 """
 
 from dataclasses import replace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -48,6 +49,12 @@ def begin(memory: GraphMemory, people: int) -> TripMemory:
         intent=jnp.zeros((people, 2), float),
         blocked=jnp.zeros(people, float),
     )
+
+
+def at_errand(memory: Any) -> Bool[Array, "N"] | bool:
+    """Whether people have an errand, from the memory of any behavior; false for all if it has no trips."""
+    trip = getattr(memory, "trip", None)
+    return False if trip is None else trip.errand > 0
 
 
 def advance_errands(

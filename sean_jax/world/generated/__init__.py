@@ -27,6 +27,7 @@ from sean_jax.graph.formation import reach
 from sean_jax.io import cache, files, writing
 from sean_jax.world import environment as environments
 from sean_jax.world.generated.floor_families import (
+    ENTRANCES,
     FAMILIES,
     LIMITS,
     MAX_AREA,
@@ -68,6 +69,7 @@ MAX_WORLDS = 100_000
 SHARE = 16  # floors, at least, for a process of its own
 CANDIDATES = 256  # places that are tried for groups
 GROUP_AREA = 60.0  # m2 of free floor for each group, at least
+ENTRANCE_MARGIN = 0.8  # m, from an entrance to the edge of the floor
 GROUP_GAP, GROUP_SIGHT = 3.5, 6.0  # m, between two groups; to the waypoint from which a group is reached
 FLOWS = ("medium", "high", "low"), (0.7, 0.15, 0.15)  # of edges, and their chances
 
@@ -355,7 +357,7 @@ def _world(
     if free is None:
         return None
     try:
-        graph = _with_groups(environment, propose(environment), free, generator)
+        graph = _with_groups(environment, propose(environment, _entrances(family, floor)), free, generator)
     except InputError:
         return None
     people = min(MAX_PEOPLE, max(3, round(free / generator.uniform(*AREA_PER_PERSON))))
@@ -363,6 +365,13 @@ def _world(
     source = f"sean_jax worlds: {family}, seed {seed}, {text}"
     settings = settings.model_copy(update={"people": people, "source": source})
     return World(family, seed, words, settings, boxes, colors, graph.model_copy(update={"source": source}))
+
+
+def _entrances(family: str, floor: Floor) -> np.ndarray:
+    """Places (K, 2) [m] a step inside the floor where people come in and leave, each twice: a place of two is a node."""
+    corner = np.array([floor.width, floor.depth])
+    places = np.clip(np.array(ENTRANCES[family]) * corner, ENTRANCE_MARGIN, corner - ENTRANCE_MARGIN)
+    return np.repeat(places, 2, axis=0)
 
 
 def _free_area(environment: Environment) -> float | None:

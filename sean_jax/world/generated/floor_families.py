@@ -292,6 +292,18 @@ FAMILIES: dict[str, tuple[Callable[..., None], dict[str, tuple[float, float]]]] 
     "clutter": (clutter, {"density": (0.03, 0.12)}),
 }
 """Name -> the family, and the range of each of its words."""
+SIDES = (0.0, 0.5), (1.0, 0.5)
+ALL_SIDES = *SIDES, (0.5, 0.0), (0.5, 1.0)
+ENTRANCES: dict[str, tuple[tuple[float, float], ...]] = {
+    "rooms": SIDES,  # the ends of the corridor
+    "office": SIDES,
+    "aisles": ((0.0, 0.0), (1.0, 1.0)),  # the ends of two cross aisles
+    "lobby": ((0.5, 0.0), (0.0, 1.0), (1.0, 1.0)),  # the street, and the ways on behind the counter
+    "square": ALL_SIDES,
+    "passages": SIDES,
+    "clutter": ALL_SIDES,
+}
+"""Name of a family -> where people come in and leave, as shares of its floor's width and depth."""
 LIMITS = {
     "width": (4.0, 100.0), "depth": (4.0, 100.0), "corridor": (0.5, 20.0), "door": (0.5, 10.0), "room": (2.0, 50.0),
     "furniture": (0.0, 0.5), "aisle": (0.5, 20.0), "desks": (0.0, 1.0), "cross": (0.5, 20.0), "shelf": (0.5, 50.0),

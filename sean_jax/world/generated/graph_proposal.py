@@ -31,6 +31,7 @@ MAX_NODES = 120
 ROOM = 0.05  # m, by which nodes are farther from obstacles than they have to be
 MERGE = 2.5  # m, within which ends of people's ways are one
 MIN_SHARE = 0.04  # of all ends, from which they are a node
+END = "end_"  # of the name of a node where people come from and go to
 C_MIN, C_MAX = 0.2, 100.0  # as in the shipped graphs
 
 
@@ -38,7 +39,7 @@ def propose(environment: Environment, ends: Float[np.ndarray, "K 2"] | None = No
     """A graph of waypoints for an environment.
 
     Args:
-        ends: (K, 2) m, where people come from and go to, if known: where many are, there is a node.
+        ends: (K, 2) m, where people come from and go to, if known: where many are, there is a node that is an entrance.
 
     Raises:
         InputError: there is no room for a person, or the floor is too winding.
@@ -57,7 +58,7 @@ def propose(environment: Environment, ends: Float[np.ndarray, "K 2"] | None = No
     chosen = _needed(graph, _connect(graph), n_ends)
     cells = [graph.nodes[k] for k in chosen]
     ends_left = sum(k < n_ends for k in chosen)
-    names = [f"end_{k + 1}" for k in range(ends_left)]
+    names = [f"{END}{k + 1}" for k in range(ends_left)]
     names += [f"place_{k + 1}" for k in range(len(chosen) - ends_left)]
     sees = np.array([graph.sights[k][cells] for k in chosen])  # (M, M)
     return _annotation(environment, names, floor.cells[cells], floor.clearance[cells], sees | sees.T)
@@ -205,7 +206,9 @@ def _annotation(
     radii = np.clip(np.minimum(clearance - PERSON, 0.45 * nearest), PERSON, MAX_RADIUS)
     nodes = {}
     for name, (x, y), radius in zip(names, position.tolist(), radii.tolist(), strict=True):
-        nodes[name] = Node(kind="waypoint", position=(round(x, 3), round(y, 3)), radius=round(radius, 2), spawn=1)
+        center = round(x, 3), round(y, 3)
+        is_end = name.startswith(END)
+        nodes[name] = Node(kind="waypoint", position=center, radius=round(radius, 2), spawn=1, entrance=is_end)
 
     # The relative neighborhood graph: no third node is nearer to both.
     length = np.where(visible, gap, np.inf)
