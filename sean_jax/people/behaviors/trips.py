@@ -20,8 +20,8 @@ from sean_jax.core.geometry import length, unit
 from sean_jax.graph import BehaviorGraph
 from sean_jax.people.behaviors.graph_choices import ARRIVED, GraphMemory, TripMemory, first_above, of_seat
 
-CHANGE = 0.5  # m/s2, at which the velocity that people want changes
-MAX_CHANGE = 1.0  # m/s2, the same in a tight curve, and where people have to slow down
+CHANGE = 0.4  # m/s2, at which the velocity that people want changes
+MAX_CHANGE = 0.8  # m/s2, the same in a tight curve, and where people have to slow down
 MIN_GAP = 0.3  # m
 BRAKING = 0.4  # m/s2, at which people slow down towards a place where they stop
 PATIENCE = 3.0  # s, after which people who do not get on give their goal up
