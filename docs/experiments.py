@@ -54,30 +54,39 @@ def bold(text: str, *, marked: bool) -> str:
 
 
 def shares(folder: str) -> str:
-    """Table I: percent of all flags at the first V, and entropies, beside the paper's; bold where an hour does not fit.
+    """Table I under both presets: percent of all flags at the first V, and entropies, beside the paper's.
 
-    Ratios of shares do not depend on what they are shares of. "none" is percent of the examples in no situation.
+    Figures are bold where the paper's does not fit an hour. Ratios of shares do not depend on what they are shares of.
+    "none" is percent of the examples in no situation.
     """
-    hours = read(folder, "hours")
-    flags = [row for row in read(folder, "shares") if row["counting"] == "flags"]
-    entropies, speed = read(folder, "entropies"), flags[0]["V"]
     rows = []
     for behavior in BEHAVIORS:
-        printed = {row["figure"]: float(row["paper"]) for row in hours if row["behavior"] == behavior}
+        printed = {row["figure"]: float(row["paper"]) for row in read(folder, "hours") if row["behavior"] == behavior}
         numbers = [f"{100 * printed[name]:.1f}" for name in SITUATIONS]
         rows.append([f"**{behavior}**, paper", *numbers, "", f"{printed['entropy']:.3f}", *ratios(printed)])
-        for policy in dict.fromkeys(row["policy"] for row in flags):
-            own = {"policy": policy, "behavior": behavior}
-            misfits = {row["figure"] for row in select(hours, **own) if float(row["holm"]) < 0.05}
-            mine = select(flags, **own, V=speed)[:5]
-            (entropy,) = select(entropies, **own, V=speed, people=mine[0]["people"])
-            cells = [bold(plus_minus(row, "share", 100, 1), marked=row["situation"] in misfits) for row in mine]
-            none = f"{100 * float(entropy['none']):.1f}"
-            mixture = bold(plus_minus(entropy, "entropy", 1, 3), marked="entropy" in misfits)
-            values = {row["situation"]: float(row["share"]) for row in mine}
-            rows.append([f"`{policy}`", *cells, none, mixture, *ratios(values)])
+        rows += _shares(folder, behavior, "")
+        rows += _shares(f"{folder}-sean2", behavior, ", `sean2`")
     names = [name.replace("_", " ") for name in SITUATIONS]
     return markdown(["", *names, "none", "entropy", "down / cross", "(cross + down) / empty"], rows)
+
+
+def _shares(folder: str, behavior: str, preset: str) -> list[list[str]]:
+    """A row for each policy."""
+    hours, entropies = read(folder, "hours"), read(folder, "entropies")
+    flags = select(read(folder, "shares"), counting="flags")
+    rows = []
+    for policy in dict.fromkeys(row["policy"] for row in flags):
+        own = {"policy": policy, "behavior": behavior}
+        misfits = {row["figure"] for row in select(hours, **own) if float(row["holm"]) < 0.05}
+        mine = select(flags, **own, V=flags[0]["V"])[:5]
+        cells = [bold(plus_minus(row, "share", 100, 1), marked=row["situation"] in misfits) for row in mine]
+
+        (entropy,) = select(entropies, **own, V=flags[0]["V"], people=mine[0]["people"])
+        mixture = bold(plus_minus(entropy, "entropy", 1, 3), marked="entropy" in misfits)
+        none = f"{100 * float(entropy['none']):.1f}"
+        values = {row["situation"]: float(row["share"]) for row in mine}
+        rows.append([f"`{policy}`{preset}", *cells, none, mixture, *ratios(values)])
+    return rows
 
 
 def ratios(shares: dict[str, float]) -> list[str]:
