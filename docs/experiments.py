@@ -288,8 +288,9 @@ def ranking(folder: str) -> str:
         cells = [select(every, **mine, tracks=name)[0] for name in groups]
         texts = [plus_minus(cell, "polite_percent", 1, 1) for cell in cells]
         rank = row["first_rank"] + (f"-{row['last_rank']}" if row["last_rank"] != row["first_rank"] else "")
-        rows.append([row["class"], rank, f"`{row['policy']}`", row["results"], *texts])
-    return markdown(["class", "rank", "policy", "results", *groups], rows)
+        several = f" ({row['results']})" if row["results"] != "1" else ""
+        rows.append([row["class"], rank, f"`{row['policy']}`{several}", *texts])
+    return markdown(["class", "rank", "policy", *groups], rows)
 
 
 MEASURES = {  # title; scale and digits in `stacks`
