@@ -13,12 +13,19 @@ HEAD = "| check | geometry and people | measured, and when it passes | data | so
 
 
 def table() -> str:
-    """A row for each check."""
-    rows = (
-        f"| `{name}` | {check.setup} | {check.measure}: {check.criterion} | {check.data} | {check.source} |\n"
-        for name, check in CHECKS.items()
-    )
-    return HEAD + "".join(rows)
+    """A row for each check; checks that differ in their name and source alone share a row."""
+    same: dict[tuple[str, ...], list[str]] = {}
+    for name, check in CHECKS.items():
+        same.setdefault((check.setup, check.measure, check.criterion, check.data), []).append(name)
+    return HEAD + "".join(row(names) for names in same.values())
+
+
+def row(names: list[str]) -> str:
+    """The row of one check, or of checks that are equal."""
+    check = CHECKS[names[0]]
+    called = ", ".join(f"`{name}`" for name in names)
+    sources = "; ".join(CHECKS[name].source for name in names)
+    return f"| {called} | {check.setup} | {check.measure}: {check.criterion} | {check.data} | {sources} |\n"
 
 
 def fill(text: str) -> str:
