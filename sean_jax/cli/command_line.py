@@ -114,7 +114,7 @@ def _execute(words: list[str]) -> int:
     name = _name(words)
     _refuse_empty(words)
     model, word = COMMANDS[name], words[0]
-    parsed = flags.parse(word, model, words[1:], configurable=word in CONFIGURABLE, trust=word in READERS)
+    parsed = flags.parse(name, model, words[1:], configurable=word in CONFIGURABLE, trust=word in READERS)
     from sean_jax.cli import xla_flags
     from sean_jax.config import user_parts
 

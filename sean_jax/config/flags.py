@@ -195,21 +195,25 @@ def parse(
         trust: accept --trust, to run code that files name.
 
     Raises:
-        InputError: a flag of several values is repeated, a flag has another name here, or a key is unknown.
+        InputError: an option is given twice, a flag has another name here, or a key is unknown.
         SystemExit: the words ask for help, or the parser refuses them.
     """
     known = flags_of(model, configurable, trust)
     _show_help(word, model, known, arguments)
     _check_once(model, arguments)
-    _check_known([option.name for option in known], arguments)
+    _check_known(known, arguments)
 
     values, unknown = _call_tyro(word, known, arguments)
-    has_keys = configurable and topics(model)
-    if not all(has_keys and "=" in argument and not argument.startswith("--") for argument in unknown):
-        _call_tyro(word, known, arguments, strict=True)
+    keys = [text for text in unknown if "=" in text and not text.startswith("--")]
+    keys = keys if configurable and topics(model) else []
+    if len(keys) < len(unknown):
+        _call_tyro(word, known, [text for text in arguments if text not in keys], strict=True)
     switched_off = {name for name, value in values.items() if isinstance(value, bool) and not value}
     typed = {name: value for name, value in values.items() if value is not None and name not in switched_off}
-    return typed | _assigned(word, model, known, unknown)
+    assigned = _assigned(word, model, known, keys)
+    for name in assigned.keys() & typed.keys():
+        raise InputError(f"{name}: {flag(name)} is given as well; leave one of the two out.")
+    return typed | assigned
 
 
 def _show_help(word: str, model: type[Config], known: Sequence[Flag], arguments: Sequence[str]) -> None:
@@ -233,7 +237,7 @@ def _call_tyro(
 
     values, unknown = tyro.cli(
         dataclasses.make_dataclass("Flags", [option.parser_field() for option in known], kw_only=True),
-        prog=f"sean {word}",
+        prog=f"sean {word.split()[0]}",  # the rest is positional
         description=about,
         args=words,
         return_unknown_args=not strict,
@@ -246,16 +250,22 @@ def _assigned(word: str, model: type[Config], known: Iterable[Flag], words: Iter
     """Field -> value of words such as time_limit=20, as a file would have it.
 
     Raises:
-        InputError: a key is unknown, or a value is empty.
+        InputError: a key is unknown or given twice, or a value is empty.
     """
     kinds = dict.fromkeys(model.model_fields) | {option.name: option.kind for option in known if not option.repeatable}
     values = {}
-    for key, _, text in (argument.partition("=") for argument in words):
+    for argument in words:
+        key, _, text = argument.partition("=")
+        if not key:
+            raise InputError(f"{argument} has no key; write key=value, such as people=8.")
         check_text(key, text)
         name = field_of(key)
         if name not in kinds:
-            cure = components.did_you_mean(name, kinds) or f"; `sean {word} --help` lists the options."
+            meant = name.rpartition(".")[2]  # routing of behavior.routing
+            cure = components.did_you_mean(meant, kinds) or f"; `sean {word} --help` lists the options."
             raise InputError(f"{key}: there is no such option{cure}")
+        if name in values:
+            raise InputError(f"{key}: the key is given twice; leave one of the two out.")
         values[name] = _file_value(kinds[name], text)
     return values
 
@@ -289,14 +299,20 @@ def _check_once(model: type[Config], arguments: Sequence[str]) -> None:
             raise InputError(f"{flag(name)} is repeated; give it once, with all of its values.")
 
 
-def _check_known(known: Sequence[str], arguments: Sequence[str]) -> None:
-    """Refuse a flag by its name in another project; the parser refuses other unknown flags."""
-    aliases = {alias for option in known for alias in components.aliases().get(option, ())}
+def _check_known(known: Sequence[Flag], arguments: Sequence[str]) -> None:
+    """Refuse a flag by its name in another project, and a switch with a value; the parser refuses other words."""
+    names = [option.name for option in known]
+    switches = {option.name for option in known if option.kind is bool}
+    aliases = {alias for name in names for alias in components.aliases().get(name, ())}
     for word in arguments:
+        if not word.startswith("--"):
+            continue
         name = field_of(word)
-        if word.startswith("--") and name in aliases.difference(known):
-            cure = components.did_you_mean(name, known, flag)
+        if name in aliases.difference(names):
+            cure = components.did_you_mean(name, names, flag)
             raise InputError(f"{word.split('=')[0]}: there is no such option{cure}")
+        if name in switches and "=" in word:
+            raise InputError(f"{word}: a switch has no value; write {flag(name)} alone, or leave it out.")
 
 
 def read(

@@ -15,7 +15,7 @@ def options_of(words: str, arguments: list[str]):
     """The options of a command line."""
     word, *method = words.split()
     model = COMMANDS[words]
-    parsed = flags.parse(word, model, [*method, *TRANSPORT.get(word, ()), *arguments], configurable=True, trust=True)
+    parsed = flags.parse(words, model, [*method, *TRANSPORT.get(word, ()), *arguments], configurable=True, trust=True)
     return command_line._read(model, parsed)
 
 
@@ -72,16 +72,32 @@ def test_false_turns_a_switch_of_a_file_off(monkeypatch, tmp_path):
         ("run num_people=8", "num_people: there is no such option; did you mean 'people'?"),
         ("run zzzzzz=8", "zzzzzz: there is no such option; `sean run --help` lists the options."),
         ("run people=", "people is an empty text; give a value, or leave the option out for its default."),
+        ("run =8", "=8 has no key; write key=value, such as people=8."),
+        ("run behavior.routing=edge", "behavior.routing: there is no such option; did you mean 'routing'?"),
+        ("run people=8 people=9", "people: the key is given twice; leave one of the two out."),
+        ("run time-limit=8 time_limit=9", "time_limit: the key is given twice; leave one of the two out."),
+        ("run --people 8 people=9", "people: --people is given as well; leave one of the two out."),
+        ("run live=false --live", "live: --live is given as well; leave one of the two out."),
+        ("run --live=false", "--live=false: a switch has no value; write --live alone, or leave it out."),
+        ("train ppo zzzzzz=8", "zzzzzz: there is no such option; `sean train ppo --help` lists the options."),
         ("run live=maybe", "--live: 'maybe' is not true or false."),
         ("run people=-1", "--people: -1 must be from 0 to"),
         ("collect dynamics=twinn", "--dynamics: 'twinn' is not one of twin, mjx, kinematic; did you mean 'twin'?"),
     ],
 )
 def test_a_wrong_key_or_value_is_refused_in_a_sentence(words, sentence):
-    word, *arguments = words.split()
+    word = next(word for word in SCENARIO if words.startswith(word))
     with pytest.raises(InputError) as caught:
-        options_of(word, arguments)
+        options_of(word, words.removeprefix(word).split())
     assert str(caught.value).startswith(sentence)
+
+
+def test_only_words_that_are_no_options_are_named(capsys):
+    """Not the keys beside them."""
+    with pytest.raises(SystemExit):
+        options_of("run", ["seed=1", "two"])
+    told = capsys.readouterr().err
+    assert "Unrecognized options: two" in told and "seed=1" not in told
 
 
 def test_commands_with_paths_take_no_keys():
