@@ -196,6 +196,8 @@ collect --behavior playback | --behavior: playback is not recorded; choose behav
 collect --task custom | --task: custom is not recorded; choose
 collect --out file | file is a file
 collect --out full | full; --out
+bridge --rosbridge --address nohost | --address: nohost is no address and port; give one such as 127.0.0.1:9090
+bridge --rosbridge --address 127.0.0.1:70000 | --address: 127.0.0.1:70000 is no address and port
 train imitation nope | nope; sean collect
 train imitation full --learning-rate nan | --learning-rate: nan must be
 train imitation full --epochs 0 | --epochs: 0 must be
