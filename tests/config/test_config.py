@@ -406,6 +406,14 @@ def test_a_mistake_in_a_description_is_told_in_a_sentence(values, text):
     assert str(caught.value).startswith(text)
 
 
+def test_names_in_a_list_are_names_with_commas_between_them():
+    """Where several names are one text."""
+    several = {"robots": ["kuri", "jackal"], "policy": ["expert", "orca"]}
+    assert config.validate(RunConfig, several) == RunConfig(robots="kuri,jackal", policy="expert,orca")
+    floors = {"environment": ["lab", "warehouse"]}
+    assert config.validate(config.PPOConfig, floors) == config.PPOConfig(environment="lab,warehouse")
+
+
 def test_names_of_other_projects_lead_to_an_option():
     used = set()
     for words, model in COMMANDS.items():
