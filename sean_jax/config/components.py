@@ -202,16 +202,25 @@ class Family:
         if isinstance(value, str | Path):
             value = {"kind": str(value)}
         if not isinstance(value, Mapping):
+            self._refuse_plain(value)
             name = getattr(value, "__name__", None) or getattr(value, "name", None) or type(value).__name__
             return Value(value=value, name=str(name))
         kind = value.get("kind")
         if kind == "value":
             raise ValueError("was a Python value, which no file holds; write it into a Python file: my.py:thing")
         if not isinstance(kind, str):
-            raise ValueError(f"{shorten(repr(dict(value)))} has no kind; there are {', '.join(self.kinds)}")
+            kinds = f"there are {', '.join(self.kinds)}" if self.kinds else "give one of `sean list`"
+            raise ValueError(f"{shorten(repr(dict(value)))} has no kind; {kinds}")
         if not is_own_part(kind) and self.variant(kind) is None:
             raise ValueError(f"'{kind}' is not one of {', '.join(self.kinds)}{suggest(kind, self.kinds)}")
         return dict(value)
+
+    def _refuse_plain(self, value: object) -> None:
+        """Refuse what a file may hold, but is no component; a list may be one, as the terms of a preset."""
+        if value is None:
+            raise ValueError("an empty value names nothing; leave the option out for its default")
+        if isinstance(value, bool | int | float) or (isinstance(value, list) and self.singular is None):
+            raise ValueError(f"{shorten(repr(value))} is no name; give one of `sean list`, or a mapping with a kind")
 
     def _read_several(self, value: object) -> object:
         """Several components: from names with commas between them, a list, or a mapping from names to values."""

@@ -83,10 +83,12 @@ class Number:
         if self.or_infinity and isinstance(value, str | Real) and value in (math.inf, INFINITE):
             return math.inf
         if isinstance(value, bool) or not isinstance(value, Integral if kind is int else Real):
-            raise ValueError(f"{shorten(repr(value))} is not a {'whole ' if kind is int else ''}number")
+            given = "an empty value" if value is None else shorten(repr(value))
+            raise ValueError(f"{given} is not a {'whole ' if kind is int else ''}number")
         number = kind(value)  # pyright: ignore[reportArgumentType]
         if not self.low <= number <= self.high:
-            limits = f"{self.low:,g} to {self.high:,g}{self.unit and ' ' + self.unit}"
+            least, most = (f"{limit:,}" if kind is int else f"{limit:,g}" for limit in (self.low, self.high))
+            limits = f"{least} to {most}{self.unit and ' ' + self.unit}"
             raise ValueError(f"{number} must be from {limits}{', or inf' if self.or_infinity else ''}")
         return number
 
