@@ -200,15 +200,31 @@ def _read(model: type[Config], parsed: Mapping[str, Any]) -> Any:
     from sean_jax.evaluation.run_folder import read_config
 
     saved = read_config(source)
+    description = saved.description
+    if saved.is_run and model is not config.RunConfig and issubclass(model, config.ScenarioConfig):
+        description = _scenario_of(description, model)
+        if not parsed.get("quiet"):
+            left = ", ".join(name for name in saved.description if name not in description)
+            print(f"note: {source} is of a run; its scenario is taken, without {left}.")
     needed = (*flags.positionals(model), *config.TRANSPORTS)  # which a file need not have
     words = {name: value for name, value in parsed.items() if name in needed}
     try:
-        config.validate(model, saved.description | words, source=source)
+        config.validate(model, description | words, source=source)
     except InputError as error:
         raise InputError(f"{source}: {error}") from None
-    options = flags.read(model, parsed, saved.description, source, typed=True)
+    options = flags.read(model, parsed, description, source, typed=True)
     _refuse_open_port(options, parsed, source)
     return options
+
+
+def _scenario_of(description: Mapping[str, Any], model: type[Config]) -> dict[str, Any]:
+    """The scenario of a run's description, as far as it affects the results of another command."""
+    fields = {name: model.model_fields[name] for name in config.ScenarioConfig.model_fields}
+    return {
+        name: value
+        for name, value in description.items()
+        if name in fields and config.Option.of(fields[name]).affects_results
+    }
 
 
 def _refuse_open_port(options: config.Config, parsed: Mapping[str, Any], source: Path) -> None:

@@ -76,7 +76,12 @@ class Flag:
         return self.name, Annotated[kind, arg], dataclasses.field(**default)
 
 
-CONFIG = Flag("config", Path, "A YAML file of these options; flags override its values.")
+CONFIG = Flag(
+    "config",
+    Path,
+    "A YAML file of these options, or a run's config.yaml, of which other commands take the scenario; flags override "
+    "its values.",
+)
 TRUST = Flag(
     "trust",
     bool,

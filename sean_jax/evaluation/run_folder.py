@@ -37,6 +37,7 @@ class SavedConfig(NamedTuple):
     identities: dict[str, str]  # file or folder of the description -> digests of its content
     fingerprint: str  # of the scenario and the policy; "" if the file has none
     versions: dict[str, str]  # package -> version; {} if the file has none
+    is_run: bool  # whether `sean run` wrote the file
 
 
 def read_config(path: Path, check: bool = True) -> SavedConfig:
@@ -69,6 +70,7 @@ def read_config(path: Path, check: bool = True) -> SavedConfig:
         identities=_identities(path.parent, code, copies, hashes),
         fingerprint=str(content.get("fingerprint", "")),
         versions=versions if isinstance(versions, dict) else {},
+        is_run=str(content.get("command", "")).startswith("sean run "),
     )
 
 

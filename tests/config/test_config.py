@@ -194,6 +194,7 @@ collect --environment nope | environment 'nope' is not one of; give one of them
 collect --task join_grup | 'join_grup' is not one of; did you mean
 collect --behavior playback | --behavior: playback is not recorded; choose behavior graph
 collect --task custom | --task: custom is not recorded; choose
+collect metrics=all | --metrics: nothing is measured while demonstrations are recorded; leave the option out
 collect --out file | file is a file
 collect --out full | full; --out
 bridge --rosbridge --address nohost | --address: nohost is no address and port; give one such as 127.0.0.1:9090

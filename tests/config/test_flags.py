@@ -4,7 +4,7 @@ import pytest
 import yaml
 
 from sean_jax.cli import command_line
-from sean_jax.config import COMMANDS, flags
+from sean_jax.config import COMMANDS, RunConfig, flags
 from sean_jax.core.errors import InputError
 
 SCENARIO = ["run", "collect", "train ppo", "train apg", "studio", "bridge"]
@@ -51,6 +51,30 @@ def test_words_override_a_file(words, monkeypatch, tmp_path):
     options = options_of(words, "--config mine.yaml people=8 --time-limit 30".split())
     assert (options.people, options.environment, options.seed, options.time_limit) == (8, "lab", 5, 30.0)
     assert options.behavior.routing == "edge"
+
+
+@pytest.mark.parametrize("words", [words for words in SCENARIO if words != "run"])
+def test_other_commands_take_the_scenario_of_a_run(words, capsys, monkeypatch, tmp_path):
+    """Not its policy and seed, which each command has itself."""
+    monkeypatch.chdir(tmp_path)
+    scenario = {"environment": "lab", "behavior": {"kind": "random"}, "time_limit": 20.0, "warm_up": 0.0}
+    run = RunConfig(**scenario, people=4, policy="expert", episodes=3, seed=5)
+    description = {name: value for name, value in run.identity().items() if value is not None}
+    content = {"command": flags.command("run", run), "config": description}
+    (tmp_path / "config.yaml").write_text(yaml.safe_dump(content, sort_keys=False))
+
+    options = options_of(words, "--config config.yaml people=8".split())
+    assert options.identity() == options_of(words, []).replace(**scenario, people=8).identity()
+    left = "metrics, policy, episodes, seed, batch" if words == "collect" else "policy, episodes, seed, batch"
+    note = f"note: config.yaml is of a run; its scenario is taken, without {left}.\n"
+    assert capsys.readouterr().out == note
+    if "quiet" in COMMANDS[words].model_fields:
+        options_of(words, "--config config.yaml --quiet".split())
+        assert not capsys.readouterr().out
+
+    (tmp_path / "config.yaml").write_text("environment: lab\ntrajectories: csv\n")  # of the user's own
+    with pytest.raises(InputError, match="config.yaml: 'trajectories' is not a known key"):
+        options_of(words, "--config config.yaml".split())
 
 
 def test_false_turns_a_switch_of_a_file_off(monkeypatch, tmp_path):
