@@ -22,7 +22,8 @@ from sean_jax.config.components import Bounds, Component, Config, Described, Fam
 from sean_jax.config.option_types import HelpTopic, Option
 from sean_jax.config.scenario_options import usual
 from sean_jax.core.errors import InputError
-from sean_jax.core.messages import listed, parse_json
+from sean_jax.core.messages import listed
+from sean_jax.io import files
 
 LAST = ("seed", "out", "quiet")  # in the help
 
@@ -271,7 +272,8 @@ def _assigned(word: str, model: type[Config], known: Iterable[Flag], words: Iter
             raise InputError(f"{key}: there is no such option{cure}")
         if name in values:
             raise InputError(f"{key}: the key is given twice; leave one of the two out.")
-        values[name] = _file_value(kinds[name], text)
+        is_structure = name in families(model) and text.startswith(("[", "{"))
+        values[name] = _file_value(None if is_structure else kinds[name], text)
     return values
 
 
@@ -283,7 +285,7 @@ def _file_value(kind: Any, text: str) -> Any:
         item = typing.get_args(kind)[0]
         return [_file_value(item, word) for word in text.strip("[]").split(None if item is str else ",")]
     try:
-        return parse_json(text)
+        return files.parse_yaml(text)
     except ValueError:
         return text
 
@@ -297,6 +299,8 @@ def check_text(name: str, text: str) -> None:
 def _check_once(model: type[Config], arguments: Sequence[str]) -> None:
     """Refuse a flag of several values that is repeated, of which the parser would drop the first."""
     names = [word.split("=")[0] for word in arguments if word.startswith("--")]
+    if names.count(flag(CONFIG.name)) > 1:
+        raise InputError(f"{flag(CONFIG.name)} is repeated; give one file, and other values as flags.")
     for name, field in model.model_fields.items():
         family = family_of(field)
         several = family.singular is not None if family else Ellipsis in typing.get_args(_plain(field.annotation))
@@ -368,7 +372,7 @@ def positionals(model: type[Config]) -> list[str]:
 
 def _own(value: Any, family: Family) -> Any:
     """Components of flags; parts in the user's own files are marked as named by the user."""
-    if not (family.several or family.singular):
+    if isinstance(value, Mapping) or not (family.several or family.singular):
         return OwnPart(kind=value) if components.is_own_part(value) else value
     words = listed(value) if isinstance(value, str) else value
     return [OwnPart(kind=word) if components.is_own_part(word) else word for word in words]

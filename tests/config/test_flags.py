@@ -4,7 +4,7 @@ import pytest
 import yaml
 
 from sean_jax.cli import command_line
-from sean_jax.config import COMMANDS, RunConfig, flags
+from sean_jax.config import COMMANDS, CustomTask, GraphBehavior, Named, RunConfig, flags
 from sean_jax.core.errors import InputError
 
 SCENARIO = ["run", "collect", "train ppo", "train apg", "studio", "bridge"]
@@ -27,12 +27,37 @@ def options_of(words: str, arguments: list[str]):
         ("time_limit=20 time-step=0.2 seed=3", "--time-limit 20 --time-step 0.2 --seed 3"),
         ("task_distance=4,inf behavior=graph routing=edge", "--task-distance 4 inf --behavior graph --routing edge"),
         ("walking_groups=[0.3,0.2] --forces sean2", "--walking-groups 0.3 0.2 --forces sean2"),
+        (
+            "task=[join_group,leave_group] situations=[paper,my.py:f]",
+            "--situations paper --situation my.py:f --task join_group,leave_group",
+        ),
         ("environment=lab --hold-time 2 goal_radius=1", "--environment lab --hold-time 2 --goal-radius 1"),
         ("task=join_group,leave_group situations=paper,my.py:f", "--task join_group,leave_group --situation my.py:f"),
     ],
 )
 def test_a_key_with_a_value_is_a_flag(words, assignments, typed):
     assert options_of(words, assignments.split()) == options_of(words, typed.split())
+
+
+@pytest.mark.parametrize(
+    ("assignment", "field", "value"),
+    [
+        ("time_step=.5", "time_step", 0.5),
+        ("people=08", "people", 8),
+        ("people=~", "people", None),
+        ("live=true", "live", True),
+        ("thresholds={walking: 0.3}", "thresholds", {"walking": 0.3}),
+        ('thresholds={"walking":0.3}', "thresholds", {"walking": 0.3}),
+        ("task_distance=[4, .inf]", "task_distance", (4.0, float("inf"))),
+        ("behavior={kind: graph, routing: edge}", "behavior", GraphBehavior(routing="edge")),
+        ("task={kind: custom, start: [1, 2]}", "task", (CustomTask(start=(1, 2)),)),
+        ("forces=[sean2]", "forces", (Named(kind="sean2"),)),
+        ("name={a: b}", "name", "{a: b}"),
+    ],
+)
+def test_a_value_of_a_key_is_that_of_a_line_of_a_file(assignment, field, value):
+    """A number as YAML writes it; a text stays a text."""
+    assert getattr(options_of("run", [assignment]), field) == value
 
 
 def test_words_after_a_flag_of_several_values_are_its_values():
@@ -102,9 +127,11 @@ def test_false_turns_a_switch_of_a_file_off(monkeypatch, tmp_path):
         ("run time-limit=8 time_limit=9", "time_limit: the key is given twice; leave one of the two out."),
         ("run --people 8 people=9", "people: --people is given as well; leave one of the two out."),
         ("run live=false --live", "live: --live is given as well; leave one of the two out."),
+        ("run --config a.yaml --config=b.yaml", "--config is repeated; give one file, and other values as flags."),
         ("run --live=false", "--live=false: a switch has no value; write --live alone, or leave it out."),
         ("train ppo zzzzzz=8", "zzzzzz: there is no such option; `sean train ppo --help` lists the options."),
         ("run live=maybe", "--live: 'maybe' is not true or false."),
+        ("run people='8'", "--people: '8' is not a whole number."),
         ("run people=-1", "--people: -1 must be from 0 to"),
         ("collect dynamics=twinn", "--dynamics: 'twinn' is not one of twin, mjx, kinematic; did you mean 'twin'?"),
     ],
