@@ -6,6 +6,7 @@ beside this one has what each command does.
 
 import logging
 import os
+import re
 import signal
 import sys
 import threading
@@ -120,7 +121,29 @@ def _execute(words: list[str]) -> int:
 
     with user_parts.read_once(), user_parts.trust() if parsed.get("trust") else nullcontext():
         xla_flags.configure()  # before JAX is imported, as by code of the user's own
-        return _do(name, _read(model, parsed))
+        options = _read(model, parsed)
+        try:
+            return _do(name, options)
+        except InputError as error:
+            if _begins_with(error, _names_of_file(options, parsed)):
+                error.args = (f"{parsed['config']}: {error}",)
+            raise
+
+
+def _names_of_file(options: Config, parsed: Mapping[str, Any]) -> set[str]:
+    """The options, and the options of their components, that the file of --config has and no word of the user."""
+    names = set[str]()
+    for name in options.model_fields_set if "config" in parsed else ():
+        part = getattr(options, name)
+        names |= {name, *(part.model_fields_set if isinstance(part, config.Component) else ())}
+    added = {name for name, family in config.families(type(options)).items() if family.singular in parsed}
+    return names - parsed.keys() - added
+
+
+def _begins_with(error: InputError, names: set[str]) -> bool:
+    """Whether a sentence begins with one of the options, as ``people: 9`` and ``environment 'moon'`` do."""
+    found = re.match(r"(--)?[a-z][a-z_-]*(?=[.: ])", str(error))
+    return found is not None and flags.field_of(found[0]) in names
 
 
 def _explain(error: BaseException, traced: bool) -> int | None:
@@ -201,6 +224,9 @@ def _read(model: type[Config], parsed: Mapping[str, Any]) -> Any:
 
     saved = read_config(source)
     description = saved.description
+    for name, value in description.items():
+        if isinstance(value, str):
+            flags.check_text(f"{source}: {name}", value)
     if saved.is_run and model is not config.RunConfig and issubclass(model, config.ScenarioConfig):
         description = _scenario_of(description, model)
         if not parsed.get("quiet"):

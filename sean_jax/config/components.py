@@ -421,7 +421,8 @@ def sentence(model: type[Config], error: ErrorDetails, named: Callable[[str], st
     last = str(error["loc"][-1]) if error["loc"] else ""
     known = list(owner.model_fields)
     beside = [name for family in families(owner).values() for name in family.options()]
-    text = error_clause(error, _choices(owner, last), known, did_you_mean(last, [*known, *beside]))
+    hint = _place(owner, last) or did_you_mean(last, [*known, *beside])
+    text = error_clause(error, _choices(owner, last), known, hint)
     if error["type"] == "value_error" and not path:  # of a whole class; the clause begins with the option
         option, _, text = text.partition(": ")
         option = named(option)
@@ -431,6 +432,15 @@ def sentence(model: type[Config], error: ErrorDetails, named: Callable[[str], st
     start = ".".join(filter(None, (option, key)))
     end = "" if text.endswith(("?", ".")) else "."
     return f"{start}: {text}{end}" if start else f"{text}{end}"
+
+
+def _place(owner: type[Config], option: str) -> str:
+    """The end of a message about an option of a component outside of it; "" for any other option."""
+    for name, family in families(owner).items():
+        if option in family.options():
+            kind = family.options()[option][0].model_fields["kind"].default
+            return f"; write it into {name}, as {name}: {{kind: {kind}, {option}: ...}}"
+    return ""
 
 
 def _subject(path: list[Any], owner: type[Config], kind: str, named: Callable[[str], str]) -> tuple[str, str]:

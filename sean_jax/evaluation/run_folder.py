@@ -2,6 +2,7 @@
 
 import array
 import math
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -17,6 +18,9 @@ from sean_jax.metrics import METRICS
 
 MAX_FILE = 100_000_000  # bytes of a file, such as a recording
 OPTIONS = ("environment", "robot", "forces", "sensors", "policy", "behavior")  # that name files
+
+RECORDED = ("$schema", "command", "config", "copies", "sha256", "fingerprint", "people", "versions")
+"""The keys of a config.yaml with what a run records; its options are in ``config``."""
 
 LIMITS = {"episode": (0, 2**31), "completed": (0, 1), "timed_out": (0, 1), "seconds": (0, MAX_DURATION)}
 """Column of episodes.csv -> least and most; none of its cells is empty."""
@@ -51,12 +55,17 @@ def read_config(path: Path, check: bool = True) -> SavedConfig:
     """
     _, content = files.read_yaml(path)
     if not isinstance(content, dict):
-        raise InputError(f"{path}: holds no description; give a config.yaml, such as `sean run` writes.")
+        raise InputError(f"{path}: holds no description; write key: value lines, such as people: 8.")
     if "made by" in content:
         raise InputError(f"{path}: was made by {content['made by']}; put the parts into separate files.")
+    if "command" in content and "config" not in content:
+        raise InputError(f"{path}: records a command and is no file of options; repeat that command.")
     saved = content.get("config", {name: value for name, value in content.items() if name != "$schema"})
     if not isinstance(saved, dict):
         raise InputError(f"{path}: config: holds no description; give field: value lines.")
+    for key in content:
+        if check and "config" in content and key not in RECORDED:
+            raise InputError(f"{path}: {key}: stands beside config, where nothing reads it; write it into config.")
 
     hashes, copies = _texts(path, content, "sha256", "digest"), _texts(path, content, "copies", "copy")
     code = {name: digest for name, digest in hashes.items() if name.endswith(".py")}
@@ -78,6 +87,8 @@ def _check_files(path: Path, hashes: Mapping[str, str]) -> None:
     """Refuse files that are not as a config.yaml says."""
     for name, digest in hashes.items():
         file = path.parent / name
+        if not os.path.exists(file):
+            raise InputError(f"{path}: {file} is missing; restore it, and keep {path.name} in the folder of its run.")
         if user_parts.digest(file, MAX_FILE) != digest:
             raise InputError(
                 f"{file}: is not the file that the run was made with; "

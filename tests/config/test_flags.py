@@ -151,6 +151,35 @@ def test_only_words_that_are_no_options_are_named(capsys):
     assert "Unrecognized options: two" in told and "seed=1" not in told
 
 
+@pytest.mark.parametrize(
+    ("content", "words", "sentence"),
+    [
+        ("people: 90000", "", "mine.yaml: people: 90000 do not fit"),
+        ("people: 90000", "environment=lab", "mine.yaml: people: 90000 do not fit"),
+        ("environment: warehose", "", "mine.yaml: environment 'warehose' is not one of"),
+        ("environment: warehose", "environment=lap", "environment 'lap' is not one of"),
+        ("behavior: {kind: grph}", "", "mine.yaml: behavior: 'grph' is not one of"),
+        ("behavior: {kind: playback, recording: no.csv}", "", "mine.yaml: recording: no.csv does not exist"),
+        ("thresholds: {walkin: 3}", "", "mine.yaml: thresholds: 'walkin' is not one of"),
+        ("seed: 3", "people=90000", "people: 90000 do not fit"),
+        ("out: ''", "", "mine.yaml: out is an empty text; give a value"),
+        ("routing: edge", "", "mine.yaml: 'routing' is not a known key; write it into behavior, as behavior: {"),
+        ("start: [1, 2]", "", "mine.yaml: 'start' is not a known key; write it into task, as task: {kind: custom"),
+        ("config: {people: 3}\nseed: 4", "", "mine.yaml: seed: stands beside config, where nothing reads it; write"),
+        ("config: {people: 3}\nsha256: {a.xml: ab}", "", "mine.yaml: a.xml is missing; restore it, and keep"),
+        ("command: sean train ppo\nmethod: ppo", "", "mine.yaml: records a command and is no file of options; repeat"),
+        ("sensors: depth", "--sensor no.py:f", "sensors: "),
+        ("people = 3", "", "mine.yaml: holds no description; write key: value lines, such as people: 8."),
+    ],
+)
+def test_a_wrong_file_is_named(content, words, sentence, capsys, monkeypatch, tmp_path):
+    """Also where only the scenario shows that a value is wrong; a value of a word is not the file's."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mine.yaml").write_text(f"{content}\n")
+    assert command_line.main(["run", "--config", "mine.yaml", *words.split()]) == 2
+    assert capsys.readouterr().err.startswith(f"sean: {sentence}")
+
+
 def test_commands_with_paths_take_no_keys():
     """A folder may be called seed=1."""
     parsed = flags.parse("compare", COMMANDS["compare"], ["seed=1", "seed=2"])
