@@ -10,14 +10,19 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sean_jax.config import user_parts
-from sean_jax.config.input_files import rename
+from sean_jax.config.input_files import rename, texts
 from sean_jax.core.bounds import MAX_DURATION, MAX_MAGNITUDE
 from sean_jax.core.errors import FileError, InputError
+from sean_jax.core.messages import listed
 from sean_jax.io import files
 from sean_jax.metrics import METRICS
 
 MAX_FILE = 100_000_000  # bytes of a file, such as a recording
-OPTIONS = ("environment", "robot", "forces", "sensors", "policy", "behavior")  # that name files
+OPTIONS = (
+    *("environment", "robot", "forces", "sensors", "policy", "behavior"),
+    *("labels", "pretrained", "imitate", "laws", "randomization"),  # of collect and train
+)
+"""The options that name files."""
 
 RECORDED = ("$schema", "command", "config", "copies", "sha256", "fingerprint", "people", "versions")
 """The keys of a config.yaml with what a run records; its options are in ``config``."""
@@ -72,6 +77,7 @@ def read_config(path: Path, check: bool = True) -> SavedConfig:
     if check:
         _check_files(path, {name: digest for name, digest in hashes.items() if name not in code})
     description = user_parts.recorded(path, saved, code if check else None, "sha256")
+    description = rename_files(description, _beside(path, description))
     description = rename_files(description, {name: str(path.parent / copy) for name, copy in copies.items()})
     versions = content.get("versions")
     return SavedConfig(
@@ -81,6 +87,18 @@ def read_config(path: Path, check: bool = True) -> SavedConfig:
         versions=versions if isinstance(versions, dict) else {},
         is_run=str(content.get("command", "")).startswith("sean run "),
     )
+
+
+def _beside(path: Path, description: Mapping[str, Any]) -> dict[str, str]:
+    """Relative path in a description -> its path from here, of what lies beside the file; others are from here."""
+    found = dict[str, str]()
+    for field in OPTIONS:
+        for text in texts(description.get(field)):
+            for name in listed(text):
+                is_path = "/" in name or Path(name).suffix  # else a name of the package
+                if is_path and os.path.exists(path.parent / name):
+                    found[name] = str(path.parent / name)
+    return found
 
 
 def _check_files(path: Path, hashes: Mapping[str, str]) -> None:

@@ -180,6 +180,23 @@ def test_a_wrong_file_is_named(content, words, sentence, capsys, monkeypatch, tm
     assert capsys.readouterr().err.startswith(f"sean: {sentence}")
 
 
+def test_paths_in_a_file_are_beside_it_or_from_here(monkeypatch, tmp_path):
+    """As its code is; a name stays a name, although a folder beside the file has it."""
+    monkeypatch.chdir(tmp_path)
+    for name in ("mine/floors/hall", "mine/expert", "there"):
+        (tmp_path / name).mkdir(parents=True)
+    (tmp_path / "mine" / "forces.yaml").touch()
+    content = {"environment": "floors/hall", "forces": ["forces.yaml"], "policy": "expert", "out": "floors/hall"}
+    (tmp_path / "mine" / "mine.yaml").write_text(yaml.safe_dump(content))
+    options = options_of("run", ["--config", "mine/mine.yaml"])
+    assert (options.environment, options.forces[0].kind) == ("mine/floors/hall", "mine/forces.yaml")
+    assert (options.policy.kind, str(options.out)) == ("expert", "floors/hall")
+
+    (tmp_path / "mine" / "mine.yaml").write_text("environment: ./there\nlaws: calibrated,forces.yaml\n")
+    options = options_of("train ppo", ["--config", "mine/mine.yaml"])
+    assert (options.environment, options.laws) == ("./there", "calibrated,mine/forces.yaml")
+
+
 def test_commands_with_paths_take_no_keys():
     """A folder may be called seed=1."""
     parsed = flags.parse("compare", COMMANDS["compare"], ["seed=1", "seed=2"])
