@@ -372,7 +372,9 @@ def positionals(model: type[Config]) -> list[str]:
 
 def _own(value: Any, family: Family) -> Any:
     """Components of flags; parts in the user's own files are marked as named by the user."""
-    if isinstance(value, Mapping) or not (family.several or family.singular):
+    if isinstance(value, Mapping):  # with options, of a key
+        return value
+    if not (family.several or family.singular):
         return OwnPart(kind=value) if components.is_own_part(value) else value
     words = listed(value) if isinstance(value, str) else value
     return [OwnPart(kind=word) if components.is_own_part(word) else word for word in words]
