@@ -1,6 +1,7 @@
 """Types of options: numbers with limits and units, texts, and options that several commands share."""
 
 import math
+import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -97,6 +98,11 @@ def _path_as_text(value: object) -> object:
     return str(value) if isinstance(value, Path) else value
 
 
+def _at_home(path: Path | None) -> Path | None:
+    """A path with the user's folder in place of ~, which a shell leaves as it is in --out=~/mine."""
+    return None if path is None else Path(os.path.expanduser(path))
+
+
 def join_names(value: object) -> object:
     """Names with commas between them, of a list of names or paths; other values as they are."""
     several = isinstance(value, list | tuple) and all(isinstance(name, str | Path) for name in value)
@@ -183,7 +189,7 @@ Names = Annotated[Text, AfterValidator(_check_names)]  # separated by commas
 
 # ------------------------------------------------------------------ options of several commands
 
-Out = Annotated[Path | None, Option(affects_results=False)]
+Out = Annotated[Path | None, AfterValidator(_at_home), Option(affects_results=False)]
 Quiet = Annotated[bool, Option(affects_results=False), Field(description="Print only errors.")]
 EnvironmentName = Annotated[Text, Field(description="Physical environment: a name, or the folder of your own.")]
 PeopleOrDefault = Annotated[

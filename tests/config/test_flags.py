@@ -1,5 +1,7 @@
 """Words of the command line: ``key=value`` beside flags, and files of options for each command that takes them."""
 
+from pathlib import Path
+
 import pytest
 import yaml
 
@@ -195,6 +197,13 @@ def test_paths_in_a_file_are_beside_it_or_from_here(monkeypatch, tmp_path):
     (tmp_path / "mine" / "mine.yaml").write_text("environment: ./there\nlaws: calibrated,forces.yaml\n")
     options = options_of("train ppo", ["--config", "mine/mine.yaml"])
     assert (options.environment, options.laws) == ("./there", "calibrated,mine/forces.yaml")
+
+
+def test_a_folder_to_write_may_be_in_that_of_the_user(monkeypatch, tmp_path):
+    """Not in one with the name ~, which no shell replaces here."""
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert options_of("run", ["--out=~/mine"]).out == options_of("train ppo", ["out=~/mine"]).out == tmp_path / "mine"
+    assert options_of("studio", ["record=~nobody-here/mine"]).record == Path("~nobody-here/mine")
 
 
 def test_commands_with_paths_take_no_keys():
