@@ -96,7 +96,8 @@ def static_cells(environment: Environment) -> Bool[Array, "X Y"]:
     """Whether each cell overlaps an obstacle, more than to touch it, or its middle is off a floor with an edge."""
     columns, rows = map_shape(environment)
     origin, cell = map_frame(environment)
-    y = origin[1] + (jnp.arange(rows, dtype=float) + 0.5) * cell
+    middles = jnp.arange(rows, dtype=float) + 0.5
+    y = origin[1] + middles * cell
 
     def column(index: Array) -> Array:
         middle = origin[0] + (index.astype(y.dtype) + 0.5) * cell

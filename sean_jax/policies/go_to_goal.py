@@ -221,7 +221,8 @@ def _free_share(observation: Observation, direction: Array, course: Array) -> Ar
 
 def _share_of_speed(is_ahead: Array, distance: Array, closing: Array) -> Array:
     """Share of the speed by the distance [m] of people ahead, and the speed [m/s] with which they come nearer."""
-    free = distance - STOP_DISTANCE - 0.3 * closing
+    lost = 0.3 * closing
+    free = distance - STOP_DISTANCE - lost
     free = jnp.where(is_ahead, free, SLOW_DISTANCE)
     free = jnp.min(free, initial=SLOW_DISTANCE)
     return jnp.clip(free / (SLOW_DISTANCE - STOP_DISTANCE), 0.0, 1.0)

@@ -54,14 +54,18 @@ def crowd(people: int, walls: int, seed: int = 0) -> tuple[Pedestrians, Obstacle
     Raises:
         ValueError: the people do not fit between the walls.
     """
+    # People start at places that the shelves leave free.
     random = random_streams.generator("bench", seed)
     center, half, yaw = boxes(people, walls)
-    free = _free_places(people, center[4:], half[4:], random)
-    position = free[random.permutation(len(free))[:people]]
+    shelf_center, shelf_half = center[4:], half[4:]
+    free = _free_places(people, shelf_center, shelf_half, random)
+    order = random.permutation(len(free))
+    position = free[order[:people]]
     if len(position) < people:
         raise ValueError(f"workload: {people} people do not fit between {walls} walls")
 
-    heading = -position / np.linalg.norm(position, axis=-1, keepdims=True)
+    distance = np.linalg.norm(position, axis=-1, keepdims=True)
+    heading = -position / distance
     preferred = np.clip(random.normal(1.34, 0.26, people), 0.5, 2.2)
     exact = dict(
         x=position,
@@ -118,12 +122,14 @@ def _grid(people: int, single: dict[str, jax.Array]) -> ObstacleGrid:
         height=jnp.full(len(single["yaw"]), 2.0, float),
     )
     half = side(people) / 2 + 1.0
-    return build_obstacle_grid(obstacles, jnp.asarray([-half, -half, half, half], float))
+    bounds = jnp.asarray([-half, -half, half, half], float)
+    return build_obstacle_grid(obstacles, bounds)
 
 
 def repeat(people: Pedestrians, size: int) -> Pedestrians:
     """Copies (size, N) of a crowd (N,), with velocities turned by a different angle in each copy."""
-    angle = jnp.linspace(0.0, 0.3, size, dtype=float)[:, None]
+    angle = jnp.linspace(0.0, 0.3, size, dtype=float)
+    angle = angle[:, None]  # (size, 1)
 
     def copies(leaf: jax.Array) -> jax.Array:
         return jnp.broadcast_to(leaf, (size, *leaf.shape))
